@@ -1,0 +1,164 @@
+"""Configuration: YAML files read into typed, bounded, frozen dataclasses.
+
+A settings class is a frozen dataclass whose fields are made by `quantity`, `choice`, `flag` or
+`text`; each carries its description, unit and bounds. Values stand in `config/*.yaml` and nowhere
+else: a field has no default, and a missing, unknown, mistyped or out-of-range value is refused with
+its name, its value and the limit it breaks.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import typing
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+
+T = TypeVar("T")
+
+
+class ConfigError(ValueError):
+    """A configuration value that cannot be used; the message names it, its value and its limit."""
+
+
+def config_dir() -> Path:
+    """Directory of the YAML files: $SLOT_CONFIG if set, else the one shipped with the package."""
+    return Path(os.environ.get("SLOT_CONFIG") or Path(__file__).parent / "defaults")
+
+
+def quantity(doc: str, unit: str = "", low: float = -math.inf, high: float = math.inf) -> Any:
+    """A number, or a tuple of numbers, every element within [low, high]."""
+    return dataclasses.field(metadata={"doc": doc, "unit": unit, "low": low, "high": high})
+
+
+def choice(doc: str, *options: str) -> Any:
+    """A word out of `options`."""
+    return dataclasses.field(metadata={"doc": doc, "options": options})
+
+
+def flag(doc: str) -> Any:
+    """True or false."""
+    return dataclasses.field(metadata={"doc": doc})
+
+
+def text(doc: str) -> Any:
+    """Any string, or a tuple of strings."""
+    return dataclasses.field(metadata={"doc": doc})
+
+
+def read(cls: type[T], name: str) -> T:
+    """Read `<config_dir>/<name>.yaml` into the settings class `cls`.
+
+    Raises ConfigError when the file is missing, is not YAML, or holds a value that `cls` refuses.
+    """
+    path = config_dir() / f"{name}.yaml"
+    try:
+        mapping = yaml.safe_load(path.read_text())
+    except FileNotFoundError:
+        known = ", ".join(sorted(p.stem for p in path.parent.glob("*.yaml")))
+        raise ConfigError(f"no configuration {name!r} (known: {known})") from None
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{name}.yaml: {' '.join(str(error).split())}") from None
+    return build(cls, mapping, where=f"{name}.yaml")
+
+
+def build(cls: type[T], mapping: Any, where: str) -> T:
+    """Build the settings class `cls` from nested mappings; `where` names the source in errors."""
+    if not isinstance(mapping, Mapping):
+        raise ConfigError(f"{where}: expected a mapping of {cls.__name__}, got {mapping!r}")
+    hints = typing.get_type_hints(cls)
+    fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    if unknown := [str(key) for key in mapping if key not in fields]:
+        raise ConfigError(
+            f"{_inside(where, unknown[0])} is not a setting (known: {', '.join(fields)})"
+        )
+    if missing := [name for name in fields if name not in mapping]:
+        raise ConfigError(f"{_inside(where, missing[0])} is missing")
+    return cls(
+        **{
+            name: _convert(mapping[name], hints[name], field.metadata, _inside(where, name))
+            for name, field in fields.items()
+        }
+    )
+
+
+def leaves(settings: Any, prefix: str = "") -> Iterator[tuple[str, Any, Mapping[str, Any]]]:
+    """Yield (dotted name, value, metadata) of every plain value of a settings object."""
+    for field in dataclasses.fields(settings):
+        value = getattr(settings, field.name)
+        if dataclasses.is_dataclass(value):
+            yield from leaves(value, f"{prefix}{field.name}.")
+        elif not isinstance(value, dict):
+            yield prefix + field.name, value, field.metadata
+
+
+def replace(settings: T, changes: Mapping[str, Any], where: str = "override") -> T:
+    """Return a copy with the values at dotted names changed, checked as if they had been read."""
+    mapping = _to_mapping(settings)
+    for name, value in changes.items():
+        *parents, last = name.split(".")
+        node = mapping
+        for parent in parents:
+            node = node.get(parent, {})
+        if last not in node:
+            raise ConfigError(f"{where}: {name} is not a setting")
+        node[last] = value
+    return build(type(settings), mapping, where)
+
+
+def _inside(where: str, name: str) -> str:
+    """`file.yaml: name`, and `file.yaml: name.inner` below that."""
+    return f"{where}.{name}" if ": " in where else f"{where}: {name}"
+
+
+def _to_mapping(value: Any) -> Any:
+    if dataclasses.is_dataclass(value):
+        return {f.name: _to_mapping(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {key: _to_mapping(item) for key, item in value.items()}
+    return value
+
+
+def _convert(value: Any, kind: Any, meta: Mapping[str, Any], where: str) -> Any:
+    if dataclasses.is_dataclass(kind):
+        return build(typing.cast(type, kind), value, where)
+    if typing.get_origin(kind) is dict:
+        if not isinstance(value, Mapping):
+            raise ConfigError(f"{where} = {value!r}: expected a mapping")
+        item = typing.get_args(kind)[1]
+        return {str(k): _convert(v, item, meta, f"{where}.{k}") for k, v in value.items()}
+    if typing.get_origin(kind) is tuple:
+        return _convert_tuple(value, typing.get_args(kind), meta, where)
+    return _convert_scalar(value, kind, meta, where)
+
+
+def _convert_tuple(value: Any, kinds: tuple[Any, ...], meta: Mapping[str, Any], where: str) -> Any:
+    if not isinstance(value, (list, tuple)):
+        raise ConfigError(f"{where} = {value!r}: expected a list")
+    if kinds[-1] is Ellipsis:
+        kinds = kinds[:1] * len(value)
+    if len(value) != len(kinds):
+        raise ConfigError(f"{where} = {value!r}: expected {len(kinds)} values, got {len(value)}")
+    return tuple(
+        _convert(v, k, meta, f"{where}[{i}]") for i, (v, k) in enumerate(zip(value, kinds))
+    )
+
+
+def _convert_scalar(value: Any, kind: Any, meta: Mapping[str, Any], where: str) -> Any:
+    if kind is float and not isinstance(value, bool):
+        try:  # YAML 1.1 reads 1e-8 as a string
+            value = float(value)
+        except (TypeError, ValueError):
+            raise ConfigError(f"{where} = {value!r}: expected a number") from None
+    if type(value) is not kind:
+        raise ConfigError(f"{where} = {value!r}: expected {kind.__name__}")
+    if "options" in meta and value not in meta["options"]:
+        raise ConfigError(f"{where} = {value!r}: expected one of {', '.join(meta['options'])}")
+    if "low" in meta and not meta["low"] <= value <= meta["high"]:
+        unit = f" {meta['unit']}" if meta["unit"] else ""
+        raise ConfigError(f"{where} = {value}: outside [{meta['low']}, {meta['high']}]{unit}")
+    return value

@@ -1,0 +1,1 @@
+"""What decides: state estimator, gait, reference, MPC and force map."""

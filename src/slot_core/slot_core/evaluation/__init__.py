@@ -1,0 +1,1 @@
+"""What is learned from runs: bags, metrics, replay, plots and benchmark reports."""

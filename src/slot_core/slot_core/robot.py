@@ -1,0 +1,160 @@
+"""The robot: geometry, masses, limits, leg order and frames, once, from `config/robot.yaml`.
+
+Frames (REP-103, REP-105): `odom` is the world, z up. `base_link` is the torso's centre, x forward,
+y left, z up. Leg frame i is fixed to the torso at its corner: origin at the clamp, x outward along
+the leg's azimuth, z up; the leg deforms in its x-z plane.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
+from scipy.integrate import quad
+
+from slot_core import config
+from slot_core.config import quantity
+
+Array = NDArray[np.float64]
+
+LEGS = ("FL", "FR", "RL", "RR")
+TENDON_JOINTS = tuple(f"{leg}_tendon" for leg in LEGS)
+GRAVITY = 9.81  # m/s^2, the value of the paper
+ODOM_FRAME = "odom"
+BASE_FRAME = "base_link"
+
+
+@dataclass(frozen=True)
+class Torso:
+    """The rigid box between the legs."""
+
+    mass: float = quantity("mass", "kg", 0.02, 20.0)
+    size: tuple[float, float, float] = quantity("edge lengths x, y, z", "m", 0.01, 1.0)
+
+    @property
+    def inertia(self) -> Array:
+        """(3, 3) kg m^2 about the centre, a homogeneous box: I_x = m (b^2 + c^2) / 12."""
+        square = np.square(self.size)
+        return np.diag(self.mass / 12 * (square.sum() - square))
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One tapered TPU leg, clamped to the torso with a horizontal tangent."""
+
+    azimuth_deg: tuple[float, float, float, float] = quantity("FL FR RL RR", "deg", -180, 180)
+    reach: float = quantity("horizontal extent of the natural shape", "m", 0.02, 1.0)
+    natural_shape: tuple[float, float, float, float] = quantity(
+        "cubic z(x) of the stress-free centre line, highest power first", "", -100, 100
+    )
+    width: float = quantity("width, constant", "m", 1e-4, 0.2)
+    thickness_clamp: float = quantity("thickness at the clamp", "m", 1e-4, 0.1)
+    thickness_tip: float = quantity("thickness at the tip, linear in between", "m", 1e-4, 0.1)
+    density: float = quantity("density", "kg/m^3", 1, 2e4)
+    young_modulus: float = quantity("Young's modulus", "Pa", 1e5, 1e9)
+    damping_time: float = quantity("Kelvin-Voigt time of the material", "s", 0, 0.1)
+
+    @cached_property
+    def shape(self) -> Polynomial:
+        """z(x) of the natural centre line, m over m; z = 0 is the floor it was drawn on."""
+        return Polynomial(self.natural_shape[::-1])
+
+    def arc_length(self, x: float | None = None) -> float:
+        """Arc length of the natural shape from the clamp to x (default: the tip), m."""
+        slope = self.shape.deriv()
+        return float(
+            quad(lambda s: math.hypot(1.0, slope(s)), 0.0, self.reach if x is None else x)[0]
+        )
+
+    @cached_property
+    def mass(self) -> float:
+        """kg: density times width times mean thickness times arc length."""
+        thickness = (self.thickness_clamp + self.thickness_tip) / 2
+        return self.density * self.width * thickness * self.arc_length()
+
+
+@dataclass(frozen=True)
+class Tendon:
+    """The tendon of a leg: from the spool through the clamp, at an offset below the centre line."""
+
+    end_fraction: float = quantity("arc length of its anchor over that of the leg", "", 0.1, 1.0)
+    offset: float = quantity("distance below the centre line", "m", 1e-3, 0.05)
+    cable_stiffness: float = quantity("stiffness of the cable", "N/m", 1e3, 1e8)
+    cable_damping: float = quantity("damping of the cable", "N s/m", 0, 1e3)
+    slack: float = quantity("slack at tendon angle zero", "m", 0, 0.02)
+    spool_radius: float = quantity("radius of the spool", "m", 1e-3, 0.05)
+    angle_max_deg: float = quantity("largest tendon angle", "deg", 1, 360)
+
+    @property
+    def angle_max(self) -> float:
+        """Largest tendon angle, rad; the smallest is zero."""
+        return math.radians(self.angle_max_deg)
+
+
+@dataclass(frozen=True)
+class Robot:
+    """Torso, four equal legs and their tendons; arrays over legs are in the order of `LEGS`."""
+
+    torso: Torso
+    leg: Leg
+    tendon: Tendon
+
+    @property
+    def mass(self) -> float:
+        """Total mass, kg."""
+        return self.torso.mass + 4 * self.leg.mass
+
+    @property
+    def weight(self) -> float:
+        """Total weight, N."""
+        return self.mass * GRAVITY
+
+    @cached_property
+    def azimuth(self) -> Array:
+        """(4,) azimuth of the leg frames about base_link z, rad."""
+        return np.radians(self.leg.azimuth_deg)
+
+    @cached_property
+    def clamps(self) -> Array:
+        """(4, 3) clamps in base_link, m: the corner that each azimuth points to, at mid height."""
+        corner = np.array([self.torso.size[0] / 2, self.torso.size[1] / 2, 0.0])
+        direction = np.column_stack([np.cos(self.azimuth), np.sin(self.azimuth), np.zeros(4)])
+        return np.sign(direction.round(9)) * corner
+
+    @cached_property
+    def outward(self) -> Array:
+        """(4, 3) unit x axes of the leg frames in base_link."""
+        return np.column_stack([np.cos(self.azimuth), np.sin(self.azimuth), np.zeros(4)])
+
+    @cached_property
+    def feet(self) -> Array:
+        """(4, 3) tips of the natural legs in base_link, m."""
+        drop = self.leg.shape(self.leg.reach) - self.leg.shape(0.0)
+        return self.clamps + self.leg.reach * self.outward + [0.0, 0.0, drop]
+
+    @cached_property
+    def inertia(self) -> Array:
+        """(3, 3) kg m^2 about base_link's origin: torso plus the legs in their natural shape."""
+        x = (np.arange(200) + 0.5) / 200 * self.leg.reach
+        ds = np.hypot(1.0, self.leg.shape.deriv()(x))
+        taper = np.interp(
+            x, [0, self.leg.reach], [self.leg.thickness_clamp, self.leg.thickness_tip]
+        )
+        mass = self.leg.mass * (ds * taper) / (ds * taper).sum()
+        drop = self.leg.shape(x) - self.leg.shape(0.0)
+        points = (
+            self.clamps[:, None]
+            + x[:, None] * self.outward[:, None]
+            + drop[:, None] * np.array([0.0, 0.0, 1.0])
+        )
+        square = np.einsum("m,lmi,lmj->ij", mass, points, points)
+        return self.torso.inertia + np.trace(square) * np.eye(3) - square
+
+
+def read_robot() -> Robot:
+    """The robot of `config/robot.yaml`; raises ConfigError."""
+    return config.read(Robot, "robot")

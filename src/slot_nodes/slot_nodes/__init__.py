@@ -1,0 +1,1 @@
+"""One thin rclpy node per box of the graph: decode, call the core, encode."""
