@@ -1,0 +1,88 @@
+"""The graph of `graph.yaml`: arguments in, node specifications out, for whoever starts them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+import yaml
+
+KINDS: dict[str, type] = {"str": str, "int": int, "float": float, "bool": bool}
+
+
+@dataclass(frozen=True)
+class Argument:
+    """One thing a user may choose when starting the graph."""
+
+    name: str
+    kind: type
+    default: Any
+    help: str
+    choices: tuple[str, ...] | None = None
+
+    def parse(self, text: str) -> Any:
+        """The value that a launch argument's text stands for; raises ValueError naming it."""
+        try:
+            value = yaml.safe_load(text) if self.kind is bool else self.kind(text)
+        except ValueError:
+            value = None
+        if type(value) is not self.kind:
+            raise ValueError(f"{self.name}: {text!r} is not a {self.kind.__name__}")
+        return value
+
+
+@dataclass(frozen=True)
+class NodeSpec:
+    """One process of the graph; the node bears the name of its executable."""
+
+    name: str
+    package: str
+    parameters: dict[str, Any]
+
+
+class Graph:
+    """Arguments and nodes as `graph.yaml` describes them."""
+
+    def __init__(self, description: Mapping[str, Any]):
+        self.arguments = tuple(
+            Argument(
+                name=name,
+                kind=KINDS[entry["type"]],
+                default=entry["default"],
+                help=entry["help"],
+                choices=tuple(entry["choices"]) if "choices" in entry else None,
+            )
+            for name, entry in description["arguments"].items()
+        )
+        self._common = description["parameters"]
+        self._nodes = description["nodes"]
+
+    def nodes(self, values: Mapping[str, Any]) -> list[NodeSpec]:
+        """The nodes to start for a value of every argument."""
+        return [
+            NodeSpec(name, entry["package"], self._parameters(entry, values))
+            for name, entry in self._nodes.items()
+            if values["hardware"] in entry.get("hardware", [values["hardware"]])
+            and ("needs" not in entry or values[entry["needs"]])
+        ]
+
+    def _parameters(self, entry: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+        parameters = {**self._common, **entry.get("parameters", {})}
+        if values["lockstep"]:
+            parameters |= entry.get("parameters_in_lockstep", {})
+        return {key: _substitute(value, values) for key, value in parameters.items()}
+
+
+def _substitute(value: Any, values: Mapping[str, Any]) -> Any:
+    if isinstance(value, list):
+        return [_substitute(item, values) for item in value]
+    if isinstance(value, str) and value.startswith("$"):
+        return values[value[1:]]
+    return value
+
+
+def read_graph() -> Graph:
+    """The graph that comes with this package."""
+    return Graph(yaml.safe_load((files("slot_bringup") / "graph.yaml").read_text()))

@@ -1,0 +1,110 @@
+"""Watches a running graph from outside: progress, silence, and nodes that end."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+
+import numpy as np
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+from slot_bringup.processes import Processes
+from slot_core import decode
+from slot_core.robot import Array
+from slot_msgs.msg import MpcState
+from slot_nodes import qos
+
+START_TIMEOUT = 90.0  # s until the first state; the first start after installation compiles
+SILENCE_TIMEOUT = 10.0  # s without a new state
+REFRESH_TERMINAL, REFRESH_LOG = 0.2, 5.0  # s between progress lines
+
+
+class RunError(RuntimeError):
+    """The run came to an end it should not have; the message is one line."""
+
+
+class Progress:
+    """What has been seen of a run so far: graph time, and state of the torso."""
+
+    def __init__(self) -> None:
+        self.stamp = self.origin = 0.0  # s, graph time of the last and first state
+        self.state: Array | None = None
+        self._start = np.zeros(12)
+        self._heard = time.monotonic()
+
+    def add(self, message: MpcState) -> None:
+        """Take in a state."""
+        stamp, state, _ = decode.state(message)
+        self.stamp, self._heard = stamp * 1e-9, time.monotonic()
+        if self.state is None:
+            self.origin, self._start = self.stamp, state
+        self.state = state
+
+    @property
+    def elapsed(self) -> float:
+        """Graph time since the first state, s."""
+        return self.stamp - self.origin
+
+    @property
+    def silence(self) -> float:
+        """Wall time since the last state, s."""
+        return time.monotonic() - self._heard
+
+    def line(self) -> str:
+        """One line on where the robot is."""
+        if self.state is None:
+            return f"waiting for the first state ({self.silence:.0f} s)"
+        x, y = self.state[3:5] - self._start[3:5]
+        tilt = math.degrees(math.acos(math.cos(self.state[0]) * math.cos(self.state[1])))
+        return (
+            f"t {self.elapsed:6.1f} s   x {x:+.3f} m   y {y:+.3f} m   "
+            f"z {1e3 * self.state[5]:3.0f} mm   tilt {tilt:4.1f} deg"
+        )
+
+
+def watch(processes: Processes, duration: float) -> None:
+    """Return when the robot's clock has run for `duration` (s) since the first state.
+
+    Raises RunError when a node ends or the states stay away.
+    """
+    context = Context()
+    rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = rclpy.create_node("run", context=context)
+        progress = Progress()
+        node.create_subscription(MpcState, "mpc_state", progress.add, qos.CONTROL)
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+        _watch(executor, progress, processes, duration)
+        node.destroy_node()
+    finally:
+        context.try_shutdown()
+
+
+def _watch(
+    executor: SingleThreadedExecutor, progress: Progress, processes: Processes, duration: float
+) -> None:
+    terminal = sys.stderr.isatty()
+    refresh, end = (REFRESH_TERMINAL, "\r") if terminal else (REFRESH_LOG, "\n")
+    shown = time.monotonic()
+    while progress.elapsed < duration:
+        executor.spin_once(timeout_sec=0.1)
+        _check(progress, processes)
+        if time.monotonic() - shown > refresh:
+            shown = time.monotonic()
+            print(f"{progress.line()} of {duration:g} s", end=end, file=sys.stderr, flush=True)
+    print(progress.line(), file=sys.stderr)
+
+
+def _check(progress: Progress, processes: Processes) -> None:
+    failure = processes.failed()
+    if failure is not None:
+        name, code = failure
+        raise RunError(f"{name} ended with exit code {code}: {processes.last_words(name)}")
+    limit = START_TIMEOUT if progress.state is None else SILENCE_TIMEOUT
+    if progress.silence > limit:
+        raise RunError(f"no /mpc_state for {progress.silence:.0f} s (limit {limit:g} s)")

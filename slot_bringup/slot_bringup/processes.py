@@ -1,0 +1,111 @@
+"""The nodes of the graph as child processes: started together, watched, ended without orphans."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from ament_index_python.packages import get_package_prefix
+
+from slot_bringup.graph import NodeSpec
+
+PR_SET_PDEATHSIG = 1  # linux/prctl.h
+_LIBC = ctypes.CDLL(None)
+
+
+class Processes:
+    """Child processes by node name, each in a session of its own with its output in a file."""
+
+    def __init__(self, log_dir: Path, environment: dict[str, str] | None = None):
+        self.log_dir = log_dir
+        self._environment = environment
+        self._children: dict[str, subprocess.Popen[bytes]] = {}
+        log_dir.mkdir(parents=True, exist_ok=True)
+
+    def start(self, specs: Iterable[NodeSpec]) -> None:
+        """Start the nodes; their output goes to `<log_dir>/<name>.log`."""
+        for spec in specs:
+            with self.log_path(spec.name).open("wb") as log:
+                self._children[spec.name] = subprocess.Popen(
+                    command_line(spec),
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                    env=self._environment,
+                    start_new_session=True,  # a Ctrl-C on the terminal is ours to pass on
+                    preexec_fn=_die_with_parent,  # noqa: PLW1509 - no threads yet
+                )
+
+    def log_path(self, name: str) -> Path:
+        """File with the output of a node."""
+        return self.log_dir / f"{name}.log"
+
+    def last_words(self, name: str) -> str:
+        """Last line that a node has written."""
+        lines = self.log_path(name).read_text(errors="replace").split("\n")
+        return next((line for line in reversed(lines) if line.strip()), "(no output)")
+
+    def pid(self, name: str) -> int:
+        """Process id of a node."""
+        return self._children[name].pid
+
+    def failed(self) -> tuple[str, int] | None:
+        """Name and exit code of a node that is no longer running, or None."""
+        for name, child in self._children.items():
+            if child.poll() is not None:
+                return name, child.returncode
+        return None
+
+    def stop(self, last: str = "", patience: float = 5.0) -> dict[str, int]:
+        """Interrupt every node, the one named `last` after the others; kill what stays.
+
+        Returns the exit code of every node.
+        """
+        for names in (
+            [n for n in self._children if n != last],
+            [n for n in self._children if n == last],
+        ):
+            self._signal(names, signal.SIGINT)
+            deadline = time.monotonic() + patience
+            for name in names:
+                try:
+                    self._children[name].wait(max(0.0, deadline - time.monotonic()))
+                except subprocess.TimeoutExpired:
+                    self._signal([name], signal.SIGKILL)
+                    self._children[name].wait()
+        return {name: child.returncode for name, child in self._children.items()}
+
+    def _signal(self, names: Iterable[str], number: signal.Signals) -> None:
+        for name in names:
+            if self._children[name].poll() is None:
+                os.killpg(self._children[name].pid, number)
+
+
+def command_line(spec: NodeSpec) -> list[str]:
+    """Arguments that start a node; raises PackageNotFoundError when it is not installed."""
+    executable = Path(get_package_prefix(spec.package), "lib", spec.package, spec.name)
+    parameters = [
+        word
+        for name, value in spec.parameters.items()
+        for word in ("-p", f"{name}:={_yaml(value)}")
+    ]
+    return [str(executable), "--ros-args", "-r", f"__node:={spec.name}", *parameters]
+
+
+def _yaml(value: Any) -> str:
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_yaml, value)) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value!r}" if isinstance(value, str) else str(value)
+
+
+def _die_with_parent() -> None:
+    """Have the kernel interrupt the child when its parent is gone, however that came."""
+    _LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGINT)

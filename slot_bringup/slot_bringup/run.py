@@ -1,0 +1,146 @@
+"""Runs the graph as separate processes for a while, records it, and sums up what it did."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import signal
+import sys
+import tempfile
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from slot_bringup.graph import Graph, read_graph
+from slot_bringup.monitor import RunError, watch
+from slot_bringup.processes import Processes
+from slot_core.config import ConfigError
+from slot_core.control.gait import GaitScheduler, read_gaits
+from slot_core.dynamics.scene import read_scene
+from slot_core.evaluation.bag import Bag, BagError, read_record_settings
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message}\n")
+
+
+def parse(arguments: Sequence[str] | None, graph: Graph) -> argparse.Namespace:
+    """Command line to options; exits with code 2 and one line on a wrong value."""
+    parser = _Parser(prog="scripts/run", description=__doc__)
+    for argument in graph.arguments:
+        if argument.name == "bag":
+            continue
+        flag: dict[str, Any] = {"help": f"{argument.help} (default: {argument.default})"}
+        if argument.kind is bool:
+            flag["action"] = "store_true"
+        else:
+            flag |= {
+                "type": argument.kind,
+                "default": argument.default,
+                "choices": argument.choices,
+                "metavar": argument.name.upper(),
+            }
+        parser.add_argument(f"--{argument.name}", **flag)
+    parser.add_argument(
+        "--duration",
+        type=_duration,
+        default=20.0,
+        metavar="S",
+        help="time to run on the robot's clock, s (default: 20)",
+    )
+    keep = parser.add_mutually_exclusive_group()
+    keep.add_argument(
+        "--bag",
+        type=Path,
+        metavar="DIR",
+        help="where to keep bag, logs, summary and plots (default: bags/GAIT_DATE_TIME)",
+    )
+    keep.add_argument("--no-bag", action="store_true", help="keep nothing, only print the summary")
+    options = parser.parse_args(arguments)
+    try:
+        check(options)
+    except ConfigError as error:
+        parser.error(str(error))
+    return options
+
+
+def check(options: argparse.Namespace) -> None:
+    """Refuse, before anything starts, what a node would refuse; raises ConfigError."""
+    GaitScheduler(read_gaits(), options.gait, np.array([options.vx, options.vy, 0.0]))
+    read_scene(options.scene)
+    if options.bag is not None and options.bag.exists():
+        raise ConfigError(f"--bag {options.bag}: exists already")
+
+
+def _duration(text: str) -> float:
+    value = float(text)
+    if not 0.5 <= value <= 86400:
+        raise argparse.ArgumentTypeError(f"{text} s: outside [0.5, 86400] s")
+    return value
+
+
+def run(options: argparse.Namespace, graph: Graph, directory: Path) -> None:
+    """Run the graph for the duration; bag and logs go to `directory`.
+
+    Raises RunError when a node ends, nothing moves for too long, or the user interrupts.
+    """
+    values = vars(options) | {"bag": str(directory)}
+    with tempfile.TemporaryDirectory() as logs:
+        processes = Processes(Path(logs))
+        try:
+            processes.start(graph.nodes(values))
+            watch(processes, options.duration)
+        finally:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # the end is under way already
+            processes.stop(last="recorder")
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            shutil.copytree(logs, directory / "log", dirs_exist_ok=True)
+
+
+def report(directory: Path, keep: bool) -> None:
+    """Print the summary of the bag; if it is kept, write it and the plots beside the bag."""
+    from slot_core.dynamics.servo import read_servo  # noqa: PLC0415
+    from slot_core.evaluation import metrics, plots  # noqa: PLC0415
+    from slot_core.evaluation.report import summary_lines  # noqa: PLC0415
+
+    bag = Bag(directory)
+    figures = metrics.walk_metrics(bag, read_record_settings().warm_up, read_servo().stall_torque)
+    summary = "\n".join(summary_lines(figures))
+    print(summary)
+    if keep:
+        (directory / "summary.txt").write_text(summary + "\n")
+        plots.dashboard(bag, figures, directory / "walk.png")
+        plots.filmstrip(bag, directory / "robot.png")
+        print(f"\nbag, summary.txt, walk.png, robot.png and log/ are in {directory}")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of `scripts/run`; returns the exit code."""
+    graph = read_graph()
+    options = parse(arguments, graph)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    name = f"{options.gait}_{datetime.now():%Y%m%d_%H%M%S}"
+    with tempfile.TemporaryDirectory() as scratch:
+        directory = Path(scratch, name) if options.no_bag else options.bag or Path("bags", name)
+        code = 0
+        try:
+            run(options, graph, directory)
+        except RunError as error:
+            print(f"scripts/run: {error}", file=sys.stderr)
+            code = 1
+        except KeyboardInterrupt:
+            print("scripts/run: interrupted, all nodes stopped", file=sys.stderr)
+            code = 130
+        try:
+            report(directory, keep=not options.no_bag)
+        except BagError as error:
+            print(f"scripts/run: no summary: {error}", file=sys.stderr)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,281 @@
+"""The convex MPC: one quadratic programme per tick, accepted or replaced by a bounded fallback.
+
+The problem stands in `mpc_model.py`, its solver in `mpc_solver.py`; here are the settings and the
+controller, which checks what goes in and what comes out. A cycle without an accepted solution
+gives the last feasible input, decayed towards the gait's own load; after `fallback.cycles` of them
+in a row the forces are zero and the status is STOPPED until a solution is accepted again.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from slot_core import config
+from slot_core.config import quantity
+from slot_core.control.gait import GaitPreview
+from slot_core.control.mpc_model import (
+    LEG,
+    STATES,
+    Horizon,
+    HorizonQp,
+    Prediction,
+    TorsoModel,
+    condensed_condition,
+    slacks,
+)
+from slot_core.control.mpc_solver import PiqpSolver, Solution, SolverSettings
+from slot_core.robot import Array, Robot
+
+Vector3 = tuple[float, float, float]
+
+
+class Status(enum.IntEnum):
+    """How a cycle ended; the numbers are those of slot_msgs/msg/GroundReactionForces."""
+
+    SOLVED = 0
+    NOT_SOLVED = 1  # infeasible, inaccurate or iteration limit: fallback in use
+    LATE = 2  # solved after its time budget: fallback in use
+    REJECTED = 3  # input refused before the solve: fallback in use
+    STOPPED = 4  # no feasible input yet, or fallback used up: zero forces, nothing may follow them
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Diagonals of Q (per squared rad, m, rad/s, m/s) and R (per squared N), axes x, y, z."""
+
+    angle: Vector3 = quantity("roll, pitch, yaw", "1/rad^2", 0, 1e9)
+    position: Vector3 = quantity("position", "1/m^2", 0, 1e9)
+    rate: Vector3 = quantity("angular velocity", "s^2/rad^2", 0, 1e9)
+    velocity: Vector3 = quantity("velocity", "s^2/m^2", 0, 1e9)
+    force: Vector3 = quantity("deviation from the gait's force, every leg", "1/N^2", 1e-12, 1e9)
+
+    @property
+    def q(self) -> Array:
+        """(12,) diagonal of Q."""
+        return np.concatenate([self.angle, self.position, self.rate, self.velocity])
+
+    @property
+    def r(self) -> Array:
+        """(12,) diagonal of R."""
+        return np.tile(self.force, LEG)
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """What is let in, and which solutions are let out."""
+
+    violation_max: float = quantity("largest violation of a force limit", "N", 0, 1)
+    time_budget: float = quantity("time for update and solve; .inf in lockstep", "s", 0, math.inf)
+    condition_max: float = quantity("condition of the condensed Hessian", "", 1, 1e12)
+    stage_max: float = quantity("longest time between stages; the condition's", "s", 1e-3, 1)
+    input_max: float = quantity("largest magnitude of any input, SI units", "", 1, 1e9)
+
+
+@dataclass(frozen=True)
+class Fallback:
+    """What to do without a solution: u = u_ref + decay^n (u_last - u_ref) in its n-th cycle."""
+
+    cycles: int = quantity("most cycles in a row", "", 0, 1000)
+    decay: float = quantity("factor a cycle", "", 0, 1)
+
+
+@dataclass(frozen=True)
+class MpcSettings:
+    """What `config/mpc.yaml` holds."""
+
+    horizon: int = quantity("stages", "", 1, 100)
+    force_max: float = quantity("largest normal force of a leg", "N", 0, 100)
+    weights: Weights
+    solver: SolverSettings
+    acceptance: Acceptance
+    fallback: Fallback
+
+
+@dataclass(frozen=True)
+class MpcResult:
+    """Forces with their account; meanings as in slot_msgs/msg/GroundReactionForces."""
+
+    force: Array  # (4, 3) N, in odom
+    status: Status
+    message: str  # one line on anything but SOLVED
+    fallback_cycles: int  # consecutive cycles without an accepted solution
+    cost: float  # NaN without an accepted solution
+    iterations: int
+    solve_time: float  # s, check, update and solve
+    violation: float  # N, over the horizon of what the solver returned; NaN if nothing
+    slack_normal_min: Array  # (4,) N, first stage of `force`
+    slack_normal_max: Array  # (4,) N
+    slack_friction: Array  # (4,) N
+    slack_total: float  # N, sum of contact f_max - m g
+
+
+@dataclass(frozen=True)
+class FirstStage:
+    """Limits and load of stage 0 of the newest preview that could be read."""
+
+    force_max: Array  # (4,) N
+    friction: Array  # (4,)
+    force_ref: Array  # (4, 3) N
+
+    def clip(self, force: Array) -> Array:
+        """(4, 3) the forces within the limits, normal first."""
+        normal = np.clip(force[:, 2:], 0.0, self.force_max[:, None])
+        most = self.friction[:, None] * normal
+        return np.hstack([np.clip(force[:, :2], -most, most), normal])
+
+
+class Mpc:
+    """The controller: `step` raises nothing for bad data and always ends: the solver has a limit."""
+
+    def __init__(self, robot: Robot, settings: MpcSettings, timer: Callable[[], float]):
+        """`timer` returns seconds; raises ConfigError for weights that leave the forces vague."""
+        self._weight, self._settings, self._timer = robot.weight, settings, timer
+        self._model = TorsoModel(robot)
+        weights, horizon = settings.weights, settings.horizon
+        generic = self._model.predict(0.3, 0.1, settings.acceptance.stage_max)
+        _refuse_vague_forces(generic, settings)
+        self._qp = HorizonQp(weights.q, weights.r, horizon, generic)
+        self._solver = PiqpSolver(self._qp, settings.solver)
+        self._solver.solve()  # the first solve pays for page faults: not on the robot's time
+        self._stage = FirstStage(np.zeros(LEG), np.zeros(LEG), np.zeros((LEG, 3)))
+        self._last: Array | None = None  # (4, 3) N, last feasible input
+        self._missed = 0  # consecutive cycles without an accepted solution
+
+    def step(self, state: Array, preview: GaitPreview) -> MpcResult:
+        """Forces for `state` (12,), stage 0 of `preview` being now.
+
+        Where the preview ends with stage H-1, the last state's target is that stage's. A solution
+        is accepted if it is solved, finite, within `violation_max` and within `time_budget`.
+        """
+        start = self._timer()
+        if fault := input_fault(state, preview, self._settings):
+            return self._fall_back(Status.REJECTED, fault, self._timer() - start)
+        x = np.asarray(state, dtype=float)
+        stages = self._read(x[2], preview)
+        self._qp.update(self._model.predict(x[2], x[5], preview.dt), x, stages)
+        solution = self._solver.solve()
+        return self._judge(solution, stages, self._timer() - start)
+
+    def _read(self, yaw: float, preview: GaitPreview) -> Horizon:
+        """The stages of the horizon; the present yaw's turn is the reference's."""
+        now = np.arange(self._settings.horizon)
+        following = np.minimum(now + 1, len(preview.reference) - 1)
+        target = np.array(preview.reference, dtype=float)[following]
+        target[:, 2] += 2 * np.pi * np.round((yaw - target[0, 2]) / (2 * np.pi))
+        force = np.zeros((len(now), LEG, 3))
+        force[..., 2] = np.asarray(preview.normal_force)[now]
+        return Horizon(
+            force_max=self._settings.force_max * np.asarray(preview.contact)[now],
+            friction=np.asarray(preview.friction, dtype=float)[now],
+            force_ref=force,
+            state_ref=target,
+        )
+
+    def _judge(self, solution: Solution, stages: Horizon, elapsed: float) -> MpcResult:
+        """Accept the solution, or replace it."""
+        self._stage = FirstStage(stages.force_max[0], stages.friction[0], stages.force_ref[0])
+        limits, force = self._settings.acceptance, self._qp.forces(solution.z)
+        violation = -float(slacks(force, stages.force_max, stages.friction).min())
+        account = {"iterations": solution.iterations, "violation": max(violation, 0.0)}
+        if solution.fault or not np.isfinite(solution.z).all():
+            fault = solution.fault or "solution not finite"
+        elif violation > limits.violation_max:
+            fault = f"violation {violation:.2g} N exceeds {limits.violation_max:g} N"
+        elif elapsed > limits.time_budget:
+            fault = f"{elapsed * 1e3:.1f} ms exceed {limits.time_budget * 1e3:g} ms"
+            return self._fall_back(Status.LATE, fault, elapsed, **account)
+        else:
+            self._last, self._missed = force[0], 0
+            cost = self._qp.cost(solution.z)
+            return self._result(force[0], Status.SOLVED, "", elapsed, cost=cost, **account)
+        return self._fall_back(Status.NOT_SOLVED, fault, elapsed, **account)
+
+    def _fall_back(self, cause: Status, fault: str, elapsed: float, **account: Any) -> MpcResult:
+        """The last feasible input, decayed; zeros when there is none or it has been used up."""
+        self._missed += 1
+        rule = self._settings.fallback
+        if self._last is None:
+            fault = f"no feasible input yet; {fault}"
+        elif self._missed > rule.cycles:
+            fault = f"fallback used up after {rule.cycles} cycles; {fault}"
+        else:
+            hover, decay = self._stage.force_ref, rule.decay**self._missed
+            force = self._stage.clip(hover + decay * (self._last - hover))
+            return self._result(force, cause, fault, elapsed, **account)
+        return self._result(np.zeros((LEG, 3)), Status.STOPPED, fault, elapsed, **account)
+
+    def _result(
+        self,
+        force: Array,
+        status: Status,
+        message: str,
+        elapsed: float,
+        cost: float = math.nan,
+        iterations: int = 0,
+        violation: float = math.nan,
+    ) -> MpcResult:
+        stage = self._stage
+        return MpcResult(
+            force,
+            status,
+            message,
+            self._missed,
+            cost,
+            iterations,
+            elapsed,
+            violation,
+            *slacks(force, stage.force_max, stage.friction),
+            float(stage.force_max.sum() - self._weight),
+        )
+
+
+def input_fault(state: Array, preview: GaitPreview, settings: MpcSettings) -> str:
+    """One line naming the first input that cannot be used, its value and its limit, or ""."""
+    most, stages = settings.acceptance.input_max, settings.horizon
+    return (
+        _fault("state", state, (STATES,), -most, most)
+        or _fault("preview.dt", preview.dt, (), 1e-6, settings.acceptance.stage_max)
+        or _fault("preview.contact", preview.contact, (stages, LEG), 0, 1)
+        or _fault("preview.friction", preview.friction, (stages, LEG), 0, most)
+        or _fault("preview.normal_force", preview.normal_force, (stages, LEG), -most, most)
+        or _fault("preview.reference", preview.reference, (stages, STATES), -most, most)
+    )
+
+
+def _fault(name: str, value: Any, shape: tuple[int, ...], low: float, high: float) -> str:
+    """What is wrong with an input of `shape`; two-dimensional ones may have more rows."""
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        return f"{name}: not numbers"
+    usable = array[: shape[0]].shape if array.ndim == len(shape) == 2 else array.shape
+    if usable != shape:
+        return f"{name}: shape {array.shape}, needs {shape}"
+    outside = np.argwhere(~((array >= low) & (array <= high)))  # NaN is not inside
+    if not len(outside):
+        return ""
+    index = tuple(int(i) for i in outside[0])
+    where = f"[{', '.join(map(str, index))}]" if index else ""
+    return f"{name}{where} = {array[index]:g}: outside [{low:g}, {high:g}]"
+
+
+def _refuse_vague_forces(prediction: Prediction, settings: MpcSettings) -> None:
+    weights, limit = settings.weights, settings.acceptance.condition_max
+    condition = condensed_condition(prediction, weights.q, weights.r, settings.horizon)
+    if not condition <= limit:
+        raise config.ConfigError(
+            f"mpc.yaml: weights.force = {list(weights.force)}: condition number {condition:.1e} "
+            f"of the condensed Hessian exceeds {limit:.1e}, the forces are not unique enough; "
+            "raise weights.force or lower the others"
+        )
+
+
+def read_mpc() -> MpcSettings:
+    """The settings of `config/mpc.yaml`; raises ConfigError."""
+    return config.read(MpcSettings, "mpc")

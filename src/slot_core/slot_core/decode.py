@@ -1,0 +1,88 @@
+"""Messages of the graph as the core's values.
+
+Nothing here depends on ROS: the functions read attributes, so they serve rclpy's messages in the
+nodes and those that the `rosbags` library reads from a bag alike.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from slot_core.control.gait import GaitPreview
+from slot_core.robot import LEGS, TENDON_JOINTS, Array
+
+
+def stamp(message: Any) -> int:
+    """Nanoseconds of the header's stamp."""
+    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
+
+
+def vector(message: Any) -> Array:
+    """(3,) of a Vector3 or Point."""
+    return np.array([message.x, message.y, message.z])
+
+
+def odometry(message: Any) -> tuple[int, Array, Array, Array, Array]:
+    """(stamp, position, quaternion xyzw, velocity, angular velocity), twist in base_link."""
+    pose, twist = message.pose.pose, message.twist.twist
+    q = pose.orientation
+    return (
+        stamp(message),
+        vector(pose.position),
+        np.array([q.x, q.y, q.z, q.w]),
+        vector(twist.linear),
+        vector(twist.angular),
+    )
+
+
+def imu(message: Any) -> tuple[int, Array, Array]:
+    """(stamp, angular velocity, specific force), both in base_link."""
+    return stamp(message), vector(message.angular_velocity), vector(message.linear_acceleration)
+
+
+def velocity(message: Any) -> tuple[int, Array]:
+    """(stamp, [v_x, v_y, yaw rate]) of a TwistStamped in base_link."""
+    twist = message.twist
+    return stamp(message), np.array([twist.linear.x, twist.linear.y, twist.angular.z])
+
+
+def joint_angles(message: Any) -> tuple[int, Array]:
+    """(stamp, angles in the order of LEGS); raises ValueError unless each joint is there once."""
+    names, position = list(message.name), list(message.position)
+    if sorted(names) != sorted(TENDON_JOINTS) or len(position) != len(LEGS):
+        raise ValueError(f"joints {names}: expected {', '.join(TENDON_JOINTS)} once each")
+    angles = dict(zip(names, position))
+    return stamp(message), np.array([angles[joint] for joint in TENDON_JOINTS])
+
+
+def state(message: Any) -> tuple[int, Array, int]:
+    """(stamp, [roll pitch yaw, p, omega, v], validity)."""
+    parts = (message.rpy, message.position, message.angular_velocity, message.linear_velocity)
+    return stamp(message), np.concatenate([vector(p) for p in parts]), int(message.validity)
+
+
+def preview(message: Any) -> GaitPreview:
+    """Gait preview; raises ValueError when an array does not divide into the stated stages."""
+
+    def rows(values: Any) -> Array:
+        return np.array(values).reshape(int(message.stages), -1)
+
+    return GaitPreview(
+        stamp=stamp(message),
+        gait=message.gait,
+        phase=message.phase,
+        period=message.period,
+        dt=message.dt,
+        contact=rows(message.contact).astype(bool),
+        friction=rows(message.friction),
+        normal_force=rows(message.normal_force),
+        tendon_angle=rows(message.tendon_angle),
+        reference=rows(message.reference),
+    )
+
+
+def forces(message: Any) -> tuple[int, Array, int]:
+    """(stamp, force (4, 3) N in odom, status)."""
+    return stamp(message), np.array([vector(f) for f in message.force]), int(message.status)

@@ -1,0 +1,172 @@
+"""The robot as its software sees it: simulator and sensors on one clock of whole time steps."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from slot_core.dynamics.scene import Scene
+from slot_core.dynamics.sensors import ImuSensor, OdometrySensor
+from slot_core.dynamics.servo import ServoSettings
+from slot_core.dynamics.simulator import Simulator
+from slot_core.robot import Array, Robot
+
+
+@dataclass(frozen=True)
+class OdometryReading:
+    """Pose of base_link in odom, twist in base_link, at `stamp` (ns)."""
+
+    stamp: int
+    position: Array
+    quaternion: Array  # x y z w
+    velocity: Array
+    angular_velocity: Array
+
+
+@dataclass(frozen=True)
+class ImuReading:
+    """Angular velocity and specific force in base_link at `stamp` (ns)."""
+
+    stamp: int
+    angular_velocity: Array
+    specific_force: Array
+
+
+@dataclass(frozen=True)
+class JointReading:
+    """Tendon angles (rad), rates and servo torques (N m), each (4,), at `stamp` (ns)."""
+
+    stamp: int
+    angle: Array
+    rate: Array
+    torque: Array
+
+
+@dataclass(frozen=True)
+class TrueState:
+    """What no sensor sees, at `stamp` (ns): exact odometry, tension, ground force and leg shape."""
+
+    stamp: int
+    odometry: OdometryReading
+    tension: Array  # (4,) N
+    ground_force: Array  # (4, 3) N in odom
+    nodes: Array  # (4, N, 3) m in odom
+
+
+Reading = OdometryReading | ImuReading | JointReading | TrueState
+
+
+@dataclass(frozen=True, order=True)
+class _Event:
+    """Something to do at `due` (ns); events of one instant in the order they were entered."""
+
+    due: int
+    number: int
+    action: Callable[[], list[Reading]] = field(compare=False)
+
+
+class Plant:
+    """Simulator, servos and sensors on one clock; readings are handed out as they fall due.
+
+    Odometry falls due `delay` after its stamp, everything else at its stamp. The robot is frozen in
+    its starting pose until `start` gives the clock a time.
+    """
+
+    def __init__(self, robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator):
+        odometry_rng, imu_rng = rng.spawn(2)
+        self.simulator = Simulator(robot, scene, servo)
+        self.now = 0  # ns
+        self._scene = scene
+        self._step = round(scene.solver.step * 1e9)
+        self._command = self.simulator.tendon_angle.copy()
+        self._odometry = OdometrySensor(scene.sensors.odometry, odometry_rng)
+        self._imu = ImuSensor(scene.sensors.imu, imu_rng)
+        self._agenda: list[_Event] = []
+        self._number = itertools.count()
+
+    def present(self, stamp: int) -> list[Reading]:
+        """IMU and odometry of this instant, stamped `stamp` (ns), without delay."""
+        self.now = stamp
+        return [*self._read_imu(), self._odometry_reading()]
+
+    def start(self, stamp: int) -> None:
+        """Begin at `stamp` (ns); the first readings are due one period later."""
+        self.now = stamp
+        self._every(self._scene.sensors.imu.period, self._read_imu)
+        self._every(self._scene.sensors.joint_period, self._read_joints)
+        self._every(self._scene.sensors.odometry.period, self._read_odometry)
+
+    def command(self, angle: Array) -> None:
+        """Hold these tendon angles (4,), rad, from now on; raises ValueError on a bad vector."""
+        self.simulator.check_command(angle)
+        self._command = np.array(angle)
+
+    def advance(self, until: int) -> Iterator[Reading]:
+        """Advance to `until` (ns), handing out each reading when it falls due."""
+        while self._agenda[0].due <= until:
+            event = heapq.heappop(self._agenda)
+            self._simulate(event.due)
+            yield from event.action()
+        self._simulate(until)
+
+    def advance_to_odometry(self) -> Iterator[Reading]:
+        """Advance until an odometry reading falls due; it is the last one handed out."""
+        while True:
+            for reading in self.advance(self._agenda[0].due):
+                yield reading
+                if isinstance(reading, OdometryReading):
+                    return
+
+    def _every(self, period: float, read: Callable[[], list[Reading]]) -> None:
+        """Put a periodic reading on the agenda, first after one period."""
+        interval = round(period * 1e9)
+
+        def action() -> list[Reading]:
+            self._at(self.now + interval, action)
+            return read()
+
+        self._at(self.now + interval, action)
+
+    def _at(self, due: int, action: Callable[[], list[Reading]]) -> None:
+        heapq.heappush(self._agenda, _Event(due, next(self._number), action))
+
+    def _simulate(self, until: int) -> None:
+        """Whole time steps only: the periods of `config/scene` are multiples of the step."""
+        steps = (until - self.now) // self._step
+        if steps > 0:
+            self.simulator.advance(steps, self._command)
+            self.now += steps * self._step
+
+    def _read_imu(self) -> list[Reading]:
+        sample = self._imu.sample(self.simulator)
+        return [ImuReading(self.now, sample.angular_velocity, sample.specific_force)]
+
+    def _read_joints(self) -> list[Reading]:
+        sim = self.simulator
+        return [JointReading(self.now, sim.tendon_angle, sim.tendon_rate, sim.servo_torque)]
+
+    def _read_odometry(self) -> list[Reading]:
+        """The true state now, the odometry after its delay."""
+        reading = self._odometry_reading()
+        delay = round(self._scene.sensors.odometry.delay * 1e9)
+        self._at(self.now + delay, lambda: [reading])
+        return [self._true_state()]
+
+    def _odometry_reading(self) -> OdometryReading:
+        sample = self._odometry.sample(self.simulator)
+        return OdometryReading(
+            self.now, sample.position, sample.quaternion, sample.velocity, sample.angular_velocity
+        )
+
+    def _true_state(self) -> TrueState:
+        sim = self.simulator
+        twist = Rotation.from_quat(sim.quaternion).inv().apply(sim.velocity)
+        odometry = OdometryReading(
+            self.now, sim.position, sim.quaternion, twist, sim.angular_velocity
+        )
+        return TrueState(self.now, odometry, sim.tension, sim.ground_force, sim.nodes)

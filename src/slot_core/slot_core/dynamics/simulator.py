@@ -1,0 +1,232 @@
+"""The simulated robot: torso, four legs, tendons and servos on the floor of a scene."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from slot_core.dynamics import integrator, observe
+from slot_core.dynamics.contact import Floor
+from slot_core.dynamics.integrator import Model, State, Work, work_space
+from slot_core.dynamics.rod import discretise
+from slot_core.dynamics.scene import Scene
+from slot_core.dynamics.servo import ServoSettings, servo
+from slot_core.dynamics.tendon import route
+from slot_core.dynamics.torso import box
+from slot_core.robot import LEGS, Array, Robot
+
+
+class Divergence(RuntimeError):
+    """The solution is lost; the message names the time, the leg or the torso, and the node."""
+
+
+class Simulator:
+    """The robot in a scene, advanced in steps of `scene.solver.step`.
+
+    It starts with natural legs and slack tendons at `scene.start`, settles there under a constant
+    command, and only then counts time from zero. Equal inputs give equal results to the last bit.
+
+    All arrays that the properties return are copies; legs are in the order FL FR RL RR.
+    """
+
+    def __init__(self, robot: Robot, scene: Scene, servo: ServoSettings) -> None:
+        self.robot = robot
+        self.scene = scene
+        self.model = build_model(robot, scene, servo)
+        self.state = rest_state(self.model, scene.start.height)
+        self._work = work_space(scene.solver.nodes)
+        self._points = np.zeros((2, 4, scene.solver.nodes, 3))
+        self._steps = 0
+        self._settle()
+
+    def advance(self, steps: int, command: Array) -> None:
+        """Advance `steps` steps with the commanded tendon angles (4,), rad, held.
+
+        Raises ValueError on a command of the wrong shape, not finite or outside [0, angle_max], and
+        Divergence when a speed is not finite or beyond `scene.solver.speed_limit`.
+        """
+        command = self._checked(command)
+        solver = self.scene.solver
+        done, where = integrator.advance(
+            self.model, self.state, self._work, command,
+            steps, solver.step, solver.theta, solver.iterations,
+        )
+        self._steps += done
+        if where >= 0:
+            raise Divergence(self._explain(where))
+
+    def set_motion(self, velocity: Array, angular_velocity: Array) -> None:
+        """Let the whole robot move rigidly: (3,) m/s in odom, (3,) rad/s in base_link."""
+        self.state.velocity[:] = velocity
+        self.state.rate[:] = angular_velocity
+        arm = np.einsum("ij,lnj->lni", self.state.rotation.T, self.nodes - self.position)
+        body = self.state.rotation.T @ velocity + np.cross(angular_velocity, arm)
+        self.state.node_velocity[:] = np.einsum("lij,lnj->lni", self.model.axes, body)
+
+    @property
+    def time(self) -> float:
+        """S, since the end of settling."""
+        return self._steps * self.scene.solver.step
+
+    @property
+    def indefinite_steps(self) -> int:
+        """Steps in which a pivot was not positive: a sign of a fold or of too large a step."""
+        return int(self._work.counter[1])
+
+    @property
+    def position(self) -> Array:
+        """(3,) m, torso's centre in odom."""
+        return self.state.position.copy()
+
+    @property
+    def rotation(self) -> Array:
+        """(3, 3) base_link to odom."""
+        return self.state.rotation.copy()
+
+    @property
+    def quaternion(self) -> Array:
+        """(4,) x y z w, base_link to odom, w >= 0."""
+        return quaternion(self.state.rotation)
+
+    @property
+    def rpy(self) -> Array:
+        """(3,) rad, roll pitch yaw about fixed x, y, z: R = R_z(yaw) R_y(pitch) R_x(roll)."""
+        r = self.state.rotation
+        pitch = math.asin(min(1.0, max(-1.0, -r[2, 0])))
+        return np.array([math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])])
+
+    @property
+    def velocity(self) -> Array:
+        """(3,) m/s, torso's centre in odom."""
+        return self.state.velocity.copy()
+
+    @property
+    def angular_velocity(self) -> Array:
+        """(3,) rad/s, base_link."""
+        return self.state.rate.copy()
+
+    @property
+    def specific_force(self) -> Array:
+        """(3,) m/s^2, base_link: acceleration minus gravity at the centre, mean over a step."""
+        return self.state.specific_force.copy()
+
+    @property
+    def tendon_angle(self) -> Array:
+        """(4,) rad, angle of the spools."""
+        return self.state.tendon_angle.copy()
+
+    @property
+    def tendon_rate(self) -> Array:
+        """(4,) rad/s, over the last step."""
+        return self.state.tendon_rate.copy()
+
+    @property
+    def tension(self) -> Array:
+        """(4,) N, of the tendons, at the stage of the last step."""
+        return self.state.tension.copy()
+
+    @property
+    def servo_torque(self) -> Array:
+        """(4,) N m, load on the servos: tension times spool radius."""
+        return self.state.tension * self.model.tendon.spool_radius
+
+    @property
+    def nodes(self) -> Array:
+        """(4, N, 3) m, nodes of the legs in odom, clamp first."""
+        return self._observe()[0].copy()
+
+    @property
+    def ground_force(self) -> Array:
+        """(4, 3) N in odom, what the floor exerts on each leg now."""
+        force = np.zeros((4, 3))
+        observe.ground_forces(self.model, *self._observe(), force)
+        return force
+
+    def momentum(self) -> tuple[Array, Array]:
+        """(3,) kg m/s and (3,) kg m^2/s about odom's origin, in odom."""
+        out = np.zeros((2, 3))
+        observe.momenta(self.model, self.state, *self._observe(), out)
+        return out[0], out[1]
+
+    def energy(self) -> float:
+        """J: kinetic, gravity (zero at odom's origin), rods, cables, floor springs below legs."""
+        return float(observe.energy(self.model, self.state, self._work, *self._observe()))
+
+    def _observe(self) -> tuple[Array, Array]:
+        observe.points(self.model, self.state, self._points[0], self._points[1])
+        return self._points[0], self._points[1]
+
+    def _settle(self) -> None:
+        start = self.scene.start
+        command = np.full(4, math.radians(start.tendon_angle_deg))
+        self.advance(round(start.settle / self.scene.solver.step), command)
+        self._steps = 0
+
+    def _checked(self, command: Array) -> Array:
+        command = np.array(command, dtype=np.float64)
+        limit = self.robot.tendon.angle_max
+        if command.shape != (4,):
+            raise ValueError(f"command has the shape {command.shape}, not (4,)")
+        if not np.all((command >= 0.0) & (command <= limit)):
+            raise ValueError(f"command {command} rad is not inside [0, {limit:.6f}]")
+        return command
+
+    def _explain(self, where: int) -> str:
+        leg, node = divmod(where - 1, self.scene.solver.nodes)
+        place = f"leg {LEGS[leg]} node {node}" if where else "torso"
+        limit = self.scene.solver.speed_limit
+        return f"solution lost at {self.time:.4f} s: {place} is beyond {limit} m/s or not a number"
+
+
+def build_model(robot: Robot, scene: Scene, settings: ServoSettings) -> Model:
+    """The numbers of the kernels."""
+    c, s = np.cos(robot.azimuth), np.sin(robot.azimuth)
+    zero, one = np.zeros(4), np.ones(4)
+    axes = np.array([[c, s, zero], [-s, c, zero], [zero, zero, one]]).transpose(2, 0, 1).copy()
+    root = np.einsum("lij,lj->li", axes, robot.clamps)
+    rod = discretise(robot.leg, scene.solver.nodes)
+    floor = scene.floor
+    return Model(
+        rod=rod,
+        tendon=route(rod, robot.tendon),
+        torso=box(robot.torso),
+        floor=Floor(floor.stiffness, floor.damping, floor.friction_velocity),
+        servo=servo(settings),
+        friction=np.array([*floor.friction, floor.torso_friction]),
+        gravity=np.array(scene.gravity),
+        axes=axes,
+        root=root,
+        clamp=integrator.clamp_maps(axes, root),
+        speed_limit=scene.solver.speed_limit,
+    )
+
+
+def rest_state(model: Model, height: float) -> State:
+    """Natural legs, slack tendons, level torso at a height (m), everything at rest."""
+    nodes = len(model.rod.node)
+    return State(
+        position=np.array([0.0, 0.0, height]),
+        rotation=np.eye(3),
+        velocity=np.zeros(3),
+        rate=np.zeros(3),
+        node=np.tile(model.rod.node, (4, 1, 1)),
+        node_velocity=np.zeros((4, nodes, 3)),
+        tendon_angle=np.zeros(4),
+        tendon_rate=np.zeros(4),
+        tension=np.zeros(4),
+        specific_force=np.zeros(3),
+    )
+
+
+def quaternion(rotation: Array) -> Array:
+    """(4,) x y z w of a rotation matrix, w >= 0 (Bar-Itzhack: eigenvector of a symmetric matrix)."""
+    r = rotation
+    k = np.array([
+        [r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[2, 0] + r[0, 2], r[2, 1] - r[1, 2]],
+        [0.0, r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2], r[0, 2] - r[2, 0]],
+        [0.0, 0.0, r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
+        [0.0, 0.0, 0.0, r[0, 0] + r[1, 1] + r[2, 2]],
+    ])
+    q = np.linalg.eigh(k, UPLO="U")[1][:, -1]
+    return q if q[3] >= 0.0 else -q

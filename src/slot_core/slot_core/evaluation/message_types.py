@@ -1,0 +1,55 @@
+"""Message definitions: the standard ones of Jazzy, and slot_msgs from its .msg files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TypeAlias
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+Types: TypeAlias = Typestore
+
+PACKAGE = "slot_msgs"
+
+
+def message_types() -> Types:
+    """The types of Jazzy and of slot_msgs; raises FileNotFoundError when slot_msgs is nowhere."""
+    types = get_typestore(Stores.ROS2_JAZZY)
+    add_definitions(
+        types,
+        {f"{PACKAGE}/msg/{path.stem}": path.read_text() for path in sorted(_message_files())},
+    )
+    return types
+
+
+def types_inside(definitions: Iterable[tuple[str, str]]) -> Types:
+    """The types of Jazzy and those of (type name, definition) pairs out of a bag."""
+    types = get_typestore(Stores.ROS2_JAZZY)
+    add_definitions(types, dict(definitions))
+    return types
+
+
+def add_definitions(types: Types, definitions: dict[str, str]) -> None:
+    """Register definitions in .msg syntax, but never a second one of a type."""
+    found = {
+        name: definition
+        for typename, text in definitions.items()
+        if typename not in types.fielddefs
+        for name, definition in get_types_from_msg(text, typename).items()
+        if name not in types.fielddefs
+    }
+    types.register(found)
+
+
+def _message_files() -> list[Path]:
+    """The .msg files of the first installation that has slot_msgs, else of the source tree."""
+    prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    places = [prefix / "share" / PACKAGE / "msg" for prefix in prefixes]
+    places.append(Path(__file__).resolve().parents[4] / PACKAGE / "msg")
+    for place in places:
+        if files := list(place.glob("*.msg")):
+            return files
+    raise FileNotFoundError(f"no .msg files of {PACKAGE}: build it, and source the workspace")

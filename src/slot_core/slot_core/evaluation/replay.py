@@ -1,0 +1,215 @@
+"""Replays a bag through the cores, without ROS, and compares what they give with what it holds.
+
+Every stage is fed with the recorded input of its node, so the first difference names the stage that
+has changed: `/odom` and `/imu` go to the state estimator, recorded states and gait previews to the
+MPC, recorded forces, previews and states to the force map.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slot_core import config, decode
+from slot_core.control.force_map import ForceMap, TendonCommand, read_force_map, read_leg_slope
+from slot_core.control.mpc import Mpc, MpcResult, Status, read_mpc
+from slot_core.control.state_estimator import Estimate, StateEstimator, read_estimator
+from slot_core.evaluation.bag import Bag, BagError
+from slot_core.robot import Robot, read_robot
+
+Fields = dict[str, Any]
+"""Values by name of the message's field."""
+
+TOLERANCE = 1e-6
+"""Largest difference by default, in the field's SI unit: between machines, the order of summation
+in linear algebra moves the states by 1e-12 and the forces by the solver's own tolerance."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The first place where a replayed field is not the recorded one."""
+
+    topic: str
+    stamp: int  # ns
+    field: str
+    recorded: float
+    replayed: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.topic} at {self.stamp * 1e-9:.6f} s: {self.field} "
+            f"was {self.recorded!r}, is {self.replayed!r}"
+        )
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Recorded against replayed messages of one topic."""
+
+    topic: str
+    compared: int
+    largest: float  # largest difference of any field
+    first: Difference | None  # beyond the tolerance
+
+
+def replay(bag: Bag, tolerance: float) -> list[Comparison]:
+    """Compare every stage of the bag, in the order of the graph.
+
+    Raises BagError when the bag lacks a topic, ConfigError when the configuration is unusable.
+    """
+    robot = read_robot()
+    states = _by_stamp(bag, "/mpc_state", decode.state)
+    previews = _by_stamp(bag, "/gait_preview", decode.preview)
+    forces = _by_stamp(bag, "/ground_reaction_forces", decode.forces)
+    return [
+        compare(bag, "/mpc_state", _estimates(bag), tolerance),
+        compare(bag, "/ground_reaction_forces", _solves(robot, states, previews), tolerance),
+        compare(bag, "/desired_joint_angles", _angles(robot, forces, previews, states), tolerance),
+    ]
+
+
+def compare(bag: Bag, topic: str, replayed: Mapping[int, Fields], tolerance: float) -> Comparison:
+    """Compare the recorded messages of a topic with replayed fields by stamp (ns)."""
+    compared, largest, first = 0, 0.0, None
+    for _, message in bag.messages(topic):
+        stamp = decode.stamp(message)
+        fields = replayed.get(stamp)
+        if fields is None:
+            first = first or Difference(topic, stamp, "header.stamp", 1.0, math.nan)
+            continue
+        compared += 1
+        for name, value in fields.items():
+            recorded = _numbers(getattr(message, name))
+            distance = _distance(recorded, np.ravel(value))
+            largest = max(largest, float(distance.max(initial=0.0)))
+            if first is None and (distance > tolerance).any():
+                at = int(np.argmax(distance > tolerance))
+                place = f"{name}[{at}]" if len(recorded) > 1 else name
+                first = Difference(
+                    topic, stamp, place, float(recorded[at]), float(np.ravel(value)[at])
+                )
+    return Comparison(topic, compared, largest, first)
+
+
+def _by_stamp(bag: Bag, topic: str, convert: Callable[[Any], Any]) -> dict[int, Any]:
+    """Decoded messages of a topic by their stamp (ns), in the order of the bag."""
+    return {decode.stamp(m): convert(m) for _, m in bag.messages(topic)}
+
+
+def _estimates(bag: Bag) -> dict[int, Fields]:
+    """State estimates, as fields of MpcState, from the recorded odometry and IMU."""
+    estimator = StateEstimator(read_estimator())
+    fields = {}
+    for topic, _, message in bag.merged("/odom", "/imu"):
+        if topic == "/odom":
+            estimator.add_odometry(*decode.odometry(message))
+        else:
+            estimator.add_imu(*decode.imu(message))
+        while (estimate := estimator.poll()) is not None:
+            fields[estimate.stamp] = _state_fields(estimate)
+    return fields
+
+
+def _state_fields(estimate: Estimate) -> Fields:
+    x = estimate.state
+    return {
+        "rpy": x[0:3],
+        "position": x[3:6],
+        "angular_velocity": x[6:9],
+        "linear_velocity": x[9:12],
+        "covariance": estimate.covariance,
+        "validity": int(estimate.validity),
+    }
+
+
+def _solves(
+    robot: Robot, states: Mapping[int, Any], previews: Mapping[int, Any]
+) -> dict[int, Fields]:
+    """Results of the MPC, as fields of GroundReactionForces, in the order of the states."""
+    settings = config.replace(read_mpc(), {"acceptance.time_budget": math.inf})
+    mpc = Mpc(robot, settings, timer=lambda: 0.0)
+    return {
+        stamp: _forces_fields(mpc.step(state, previews[stamp]))
+        for stamp, (_, state, _) in states.items()
+        if stamp in previews
+    }
+
+
+def _forces_fields(result: MpcResult) -> Fields:
+    names = [field.name for field in dataclasses.fields(result)]
+    return {
+        n: getattr(result, n) for n in names if n not in ("message", "solve_time", "status")
+    } | {"status": int(result.status)}
+
+
+def _angles(
+    robot: Robot,
+    forces: Mapping[int, Any],
+    previews: Mapping[int, Any],
+    states: Mapping[int, Any],
+) -> dict[int, Fields]:
+    """Tendon angles, as the field of JointState."""
+    force_map = ForceMap(robot, read_force_map(), read_leg_slope())
+
+    def angle(stamp: int, force: Any, status: int) -> TendonCommand:
+        if status == Status.STOPPED:
+            return force_map.hold(previews[stamp])
+        return force_map.step(force, previews[stamp], states[stamp][1])
+
+    return {
+        stamp: {"position": angle(stamp, force, status).angle}
+        for stamp, (_, force, status) in forces.items()
+        if stamp in previews and stamp in states
+    }
+
+
+def _numbers(value: Any) -> np.ndarray:
+    """A message's field as a flat array: numbers, arrays, vectors and arrays of vectors."""
+    if hasattr(value, "x"):
+        return decode.vector(value)
+    values = list(value) if isinstance(value, (Sequence, np.ndarray)) else [value]
+    if values and hasattr(values[0], "x"):
+        return np.concatenate([decode.vector(v) for v in values])
+    return np.array(values, dtype=float)
+
+
+def _distance(recorded: np.ndarray, replayed: np.ndarray) -> np.ndarray:
+    """|difference|, zero where both are NaN, infinite where one is or the shapes differ."""
+    if recorded.shape != replayed.shape:
+        return np.full(max(len(recorded), 1), math.inf)
+    distance = np.abs(recorded - replayed)
+    one_nan = np.isnan(recorded) != np.isnan(replayed)
+    return np.where(one_nan, math.inf, np.nan_to_num(distance, nan=0.0))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of `scripts/replay`; exit code 0: no difference, 1: one, 2: unusable bag."""
+    parser = argparse.ArgumentParser(prog="scripts/replay", description=__doc__.split("\n\n")[0])
+    parser.add_argument("bag", type=Path, help="directory of the bag")
+    parser.add_argument(
+        "--tolerance", type=float, default=TOLERANCE, help="in SI units (default: %(default)g)"
+    )
+    options = parser.parse_args(arguments)
+    try:
+        comparisons = replay(Bag(options.bag), options.tolerance)
+    except (BagError, config.ConfigError) as error:
+        print(f"scripts/replay: {error}", file=sys.stderr)
+        return 2
+    for c in comparisons:
+        print(f"{c.topic:<25}{c.compared:5d} compared, largest difference {c.largest:.1e}")
+    differences = [c.first for c in comparisons if c.first is not None]
+    if differences:
+        print(f"first difference: {differences[0]}")
+    return 1 if differences else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,26 @@
+from setuptools import find_packages, setup
+
+NODES = (
+    "force_mapper",
+    "gait_scheduler",
+    "mpc_controller",
+    "recorder",
+    "sim_robot",
+    "state_estimator",
+)
+
+setup(
+    name="slot_nodes",
+    version="0.1.0",
+    packages=find_packages(),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/slot_nodes"]),
+        ("share/slot_nodes", ["package.xml"]),
+    ],
+    entry_points={"console_scripts": [f"{n} = slot_nodes.{n}_node:main" for n in NODES]},
+    zip_safe=False,
+    maintainer="SLOT maintainers",
+    maintainer_email="slot@example.com",
+    description="The nodes of the SLOT soft quadruped.",
+    license="Apache-2.0",
+)

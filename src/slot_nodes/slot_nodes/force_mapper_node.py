@@ -1,0 +1,57 @@
+"""Ground reaction forces to `/desired_joint_angles`, around the gait's nominal angles."""
+
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+from slot_core import decode
+from slot_core.control.force_map import ForceMap, read_force_map, read_leg_slope
+from slot_core.robot import LEGS, read_robot
+from slot_msgs.msg import ForceMapStatus, GaitPreview, GroundReactionForces, MpcState
+from slot_nodes import messages, qos, runtime
+from slot_nodes.rendezvous import Rendezvous
+
+
+class ForceMapperNode(Node):
+    """Maps once for every forces, preview and state of one stamp."""
+
+    def __init__(self) -> None:
+        super().__init__("force_mapper")
+        settings = runtime.declare_settings(self, read_force_map())
+        self._map = ForceMap(read_robot(), settings, read_leg_slope())
+        self._inputs = Rendezvous("forces", "preview", "state")
+        self._angles = self.create_publisher(JointState, "desired_joint_angles", qos.CONTROL)
+        self._status = self.create_publisher(ForceMapStatus, "force_map/status", qos.CONTROL)
+        self.create_subscription(MpcState, "mpc_state", self._on_state, qos.CONTROL)
+        self.create_subscription(GaitPreview, "gait_preview", self._on_preview, qos.CONTROL)
+        self.create_subscription(
+            GroundReactionForces, "ground_reaction_forces", self._on_forces, qos.CONTROL
+        )
+
+    def _on_state(self, message: MpcState) -> None:
+        stamp, state, _ = decode.state(message)
+        self._command(stamp, self._inputs.add("state", stamp, state))
+
+    def _on_preview(self, message: GaitPreview) -> None:
+        preview = decode.preview(message)
+        self._command(preview.stamp, self._inputs.add("preview", preview.stamp, preview))
+
+    def _on_forces(self, message: GroundReactionForces) -> None:
+        stamp, force, status = decode.forces(message)
+        stopped = status == GroundReactionForces.STOPPED
+        self._command(stamp, self._inputs.add("forces", stamp, (force, stopped)))
+
+    def _command(self, stamp: int, inputs: tuple | None) -> None:
+        if inputs is None:
+            return
+        (force, stopped), preview, state = inputs
+        command = self._map.hold(preview) if stopped else self._map.step(force, preview, state)
+        self._status.publish(messages.map_status_to_msg(stamp, command))
+        self._angles.publish(messages.command_to_msg(stamp, command.angle))
+        if command.saturated.any():
+            legs = ", ".join(leg for leg, hit in zip(LEGS, command.saturated) if hit)
+            self.get_logger().info(f"tendon angle at its limit: {legs}", throttle_duration_sec=5.0)
+
+
+def main() -> None:
+    """Entry point of the node."""
+    runtime.run(ForceMapperNode)

@@ -1,0 +1,52 @@
+"""`/cmd_vel` and the gait service to the preview of gait and reference, at every `/mpc_state`."""
+
+import numpy as np
+from geometry_msgs.msg import TwistStamped
+from rclpy.node import Node
+
+from slot_core import decode
+from slot_core.config import ConfigError
+from slot_core.control.gait import GaitScheduler, read_gaits
+from slot_msgs.msg import GaitPreview, MpcState
+from slot_msgs.srv import SetGait
+from slot_nodes import messages, qos, runtime
+
+
+class GaitSchedulerNode(Node):
+    """Keeps the gait; publishes a preview for every state, at its stamp."""
+
+    def __init__(self) -> None:
+        super().__init__("gait_scheduler")
+        settings = runtime.declare_settings(self, read_gaits())
+        gait = runtime.declare(self, "gait", "stand", "gait at the start, of config/gait.yaml")
+        velocity = runtime.declare(
+            self, "velocity", [0.0, 0.0, 0.0], "v_x, v_y [m/s], yaw rate [rad/s] at the start"
+        )
+        self._scheduler = GaitScheduler(settings, gait, np.array(velocity))
+        self._preview = self.create_publisher(GaitPreview, "gait_preview", qos.CONTROL)
+        runtime.subscribe(self, TwistStamped, "cmd_vel", self._on_velocity, qos.SENSOR)
+        self.create_service(SetGait, "set_gait", self._on_gait)
+        self.create_subscription(MpcState, "mpc_state", self._on_state, qos.CONTROL)
+
+    def _on_state(self, message: MpcState) -> None:
+        stamp, state, _ = decode.state(message)
+        self._preview.publish(messages.preview_to_msg(self._scheduler.step(stamp, state)))
+
+    def _on_velocity(self, message: TwistStamped) -> None:
+        try:
+            self._scheduler.command(*decode.velocity(message))
+        except ConfigError as error:
+            self.get_logger().warning(f"cmd_vel refused: {error}", throttle_duration_sec=1.0)
+
+    def _on_gait(self, request: SetGait.Request, response: SetGait.Response) -> SetGait.Response:
+        try:
+            self._scheduler.request(request.gait, decode.vector(request.velocity))
+            response.success = True
+        except ConfigError as error:
+            response.message = str(error)
+        return response
+
+
+def main() -> None:
+    """Entry point of the node."""
+    runtime.run(GaitSchedulerNode)

@@ -1,0 +1,168 @@
+"""The core's values as ROS messages, without decisions; the way back is slot_core.decode."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Quaternion, TransformStamped, Vector3
+from nav_msgs.msg import Odometry
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
+
+from slot_core.control import gait
+from slot_core.robot import BASE_FRAME, ODOM_FRAME, TENDON_JOINTS, Array
+from slot_msgs.msg import (
+    ForceMapStatus,
+    GaitPreview,
+    GroundReactionForces,
+    LegStates,
+    MpcState,
+)
+
+if TYPE_CHECKING:  # a node imports only the cores it runs
+    from slot_core.control.force_map import TendonCommand
+    from slot_core.control.mpc import MpcResult
+    from slot_core.control.state_estimator import Estimate
+    from slot_core.dynamics.plant import ImuReading, JointReading, OdometryReading, TrueState
+
+
+def ns_to_stamp(ns: int) -> Time:
+    """ROS time of nanoseconds."""
+    return Time(sec=ns // 1_000_000_000, nanosec=ns % 1_000_000_000)
+
+
+def header(stamp: int, frame: str = ODOM_FRAME) -> Header:
+    """Header at `stamp` (ns) in `frame`."""
+    return Header(stamp=ns_to_stamp(stamp), frame_id=frame)
+
+
+def _vector(values: Array) -> Vector3:
+    x, y, z = (float(v) for v in values)
+    return Vector3(x=x, y=y, z=z)
+
+
+def _quaternion(xyzw: Array) -> Quaternion:
+    x, y, z, w = (float(v) for v in xyzw)
+    return Quaternion(x=x, y=y, z=z, w=w)
+
+
+def odometry_to_msg(reading: OdometryReading) -> Odometry:
+    """Pose in odom, twist in base_link."""
+    message = Odometry(header=header(reading.stamp), child_frame_id=BASE_FRAME)
+    x, y, z = (float(v) for v in reading.position)
+    message.pose.pose.position = Point(x=x, y=y, z=z)
+    message.pose.pose.orientation = _quaternion(reading.quaternion)
+    message.twist.twist.linear = _vector(reading.velocity)
+    message.twist.twist.angular = _vector(reading.angular_velocity)
+    return message
+
+
+def imu_to_msg(reading: ImuReading) -> Imu:
+    """Angular velocity and specific force in base_link; no orientation (REP-145)."""
+    message = Imu(header=header(reading.stamp, BASE_FRAME))
+    message.orientation_covariance[0] = -1.0
+    message.angular_velocity = _vector(reading.angular_velocity)
+    message.linear_acceleration = _vector(reading.specific_force)
+    return message
+
+
+def joints_to_msg(reading: JointReading) -> JointState:
+    """Tendon angle, rate and servo torque."""
+    return JointState(
+        header=header(reading.stamp, BASE_FRAME),
+        name=TENDON_JOINTS,
+        position=reading.angle.tolist(),
+        velocity=reading.rate.tolist(),
+        effort=reading.torque.tolist(),
+    )
+
+
+def command_to_msg(stamp: int, angle: Array) -> JointState:
+    """Desired tendon angles."""
+    return JointState(header=header(stamp, BASE_FRAME), name=TENDON_JOINTS, position=angle.tolist())
+
+
+def legs_to_msg(truth: TrueState) -> LegStates:
+    """Tension, ground force and shape of the legs."""
+    return LegStates(
+        header=header(truth.stamp),
+        tension=truth.tension.tolist(),
+        ground_force=[_vector(f) for f in truth.ground_force],
+        nodes=truth.nodes.shape[1],
+        position=truth.nodes.astype(np.float32).ravel(),
+    )
+
+
+def state_to_msg(estimate: Estimate) -> MpcState:
+    """The twelve states with covariance and validity."""
+    x = estimate.state
+    return MpcState(
+        header=header(estimate.stamp),
+        rpy=_vector(x[0:3]),
+        position=_vector(x[3:6]),
+        angular_velocity=_vector(x[6:9]),
+        linear_velocity=_vector(x[9:12]),
+        covariance=estimate.covariance.ravel(),
+        validity=int(estimate.validity),
+    )
+
+
+def state_to_tf(estimate: Estimate) -> TFMessage:
+    """Transform from odom to base_link."""
+    transform = TransformStamped(header=header(estimate.stamp), child_frame_id=BASE_FRAME)
+    transform.transform.translation = _vector(estimate.state[3:6])
+    rotation = Rotation.from_euler("xyz", estimate.state[0:3])
+    transform.transform.rotation = _quaternion(rotation.as_quat())
+    return TFMessage(transforms=[transform])
+
+
+def preview_to_msg(preview: gait.GaitPreview) -> GaitPreview:
+    """Gait preview, arrays row-major."""
+    return GaitPreview(
+        header=header(preview.stamp),
+        gait=preview.gait,
+        phase=preview.phase,
+        period=preview.period,
+        dt=preview.dt,
+        stages=len(preview.contact),
+        contact=preview.contact.ravel().tolist(),
+        friction=preview.friction.ravel(),
+        normal_force=preview.normal_force.ravel(),
+        tendon_angle=preview.tendon_angle.ravel(),
+        reference=preview.reference.ravel(),
+    )
+
+
+def forces_to_msg(stamp: int, result: MpcResult) -> GroundReactionForces:
+    """Forces with the account of the solve."""
+    return GroundReactionForces(
+        header=header(stamp),
+        force=[_vector(f) for f in result.force],
+        status=int(result.status),
+        message=result.message,
+        fallback_cycles=result.fallback_cycles,
+        cost=result.cost,
+        iterations=result.iterations,
+        solve_time=result.solve_time,
+        violation=result.violation,
+        slack_normal_min=result.slack_normal_min.tolist(),
+        slack_normal_max=result.slack_normal_max.tolist(),
+        slack_friction=result.slack_friction.tolist(),
+        slack_total=result.slack_total,
+    )
+
+
+def map_status_to_msg(stamp: int, command: TendonCommand) -> ForceMapStatus:
+    """How the forces became angles."""
+    return ForceMapStatus(
+        header=header(stamp),
+        map=command.map,
+        force=command.force.tolist(),
+        slope=command.slope.tolist(),
+        angle_unclamped=command.angle_unclamped.tolist(),
+        saturated=command.saturated.tolist(),
+    )

@@ -1,0 +1,91 @@
+"""What every node shares: its life from start to a clean end, and its parameters."""
+
+from __future__ import annotations
+
+import math
+import signal
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+import rclpy
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from slot_core import config
+
+T = TypeVar("T")
+
+
+def run(make_node: Callable[[], Node]) -> None:
+    """Spin a node until SIGINT, SIGTERM or its own `SystemExit`; exits 0 unless it failed.
+
+    A configuration that cannot be used ends the process with one line and exit code 2.
+    """
+    rclpy.init()
+    node = None
+    try:
+        node = make_node()
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except (config.ConfigError, ParameterException) as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C to the group comes twice
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def declare_settings(node: Node, settings: T, prefix: str = "") -> T:
+    """Declare each value of a settings object as a read-only parameter; return it as overridden.
+
+    The default is the value from `config/*.yaml`, the bounds and the description are the field's.
+    Raises ConfigError on a value outside of its bounds.
+    """
+    changes = {}
+    for name, value, meta in config.leaves(settings):
+        default = list(value) if isinstance(value, tuple) else value
+        given = declare(node, prefix + name, default, **_descriptor(meta, value))
+        changes[name] = given if isinstance(given, (bool, int, float, str)) else tuple(given)
+    return config.replace(settings, changes, where=f"parameters of {node.get_name()}")
+
+
+def declare(node: Node, name: str, default: Any, description: str, **descriptor: Any) -> Any:
+    """Declare one read-only parameter and return its value."""
+    return node.declare_parameter(
+        name, default, ParameterDescriptor(description=description, read_only=True, **descriptor)
+    ).value
+
+
+def subscribe(
+    node: Node, kind: type, topic: str, callback: Callable[..., None], profile: QoSProfile
+) -> None:
+    """Subscribe to a topic whose quality of service the user may override by parameters."""
+    overriding = QoSOverridingOptions.with_default_policies()
+    node.create_subscription(kind, topic, callback, profile, qos_overriding_options=overriding)
+
+
+def _descriptor(meta: Mapping[str, Any], value: Any) -> dict[str, Any]:
+    """Description, unit and bounds of a field as a parameter descriptor."""
+    unit = f" [{meta['unit']}]" if meta.get("unit") else ""
+    descriptor: dict[str, Any] = {"description": meta["doc"] + unit}
+    if "options" in meta:
+        descriptor["additional_constraints"] = "one of " + ", ".join(meta["options"])
+    if type(value) in _RANGES and all(math.isfinite(meta[end]) for end in ("low", "high")):
+        name, kind = _RANGES[type(value)]
+        low, high = (type(value)(meta[end]) for end in ("low", "high"))
+        descriptor[name] = [kind(from_value=low, to_value=high)]
+    return descriptor
+
+
+_RANGES = {
+    int: ("integer_range", IntegerRange),
+    float: ("floating_point_range", FloatingPointRange),
+}

@@ -1,0 +1,152 @@
+"""The simulated robot: `/desired_joint_angles` in, sensors and ground truth out.
+
+In real time the plant follows the ROS clock. In lockstep it carries the clock: it stops at every
+odometry reading until the command with that reading's stamp has come, and publishes `/clock`.
+Either way the robot stands frozen until the first command, so that no run depends on discovery.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from nav_msgs.msg import Odometry
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.timer import Timer
+from rosgraph_msgs.msg import Clock as ClockMessage
+from sensor_msgs.msg import Imu, JointState
+
+from slot_core import decode
+from slot_core.dynamics.plant import (
+    ImuReading,
+    JointReading,
+    OdometryReading,
+    Plant,
+    Reading,
+    TrueState,
+)
+from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.dynamics.simulator import Divergence
+from slot_core.robot import read_robot
+from slot_msgs.msg import LegStates
+from slot_nodes import messages, qos, runtime
+
+LOCKSTEP_START = 1_000_000_000  # ns; a stamp of zero means "no time" in ROS
+WAIT_PERIOD = 0.1  # s, between the readings of the frozen robot
+REAL_TIME_PERIOD = 0.002  # s, between looks at the clock
+CATCH_UP = 20_000_000  # ns of simulation per callback at most, so that commands get through
+LAG_WARNING = 100_000_000  # ns behind real time
+
+
+class SimRobotNode(Node):
+    """Publishes what the plant's sensors read; passes commands to its servos."""
+
+    def __init__(self) -> None:
+        super().__init__("sim_robot")
+        self._lockstep = runtime.declare(self, "lockstep", False, "advance only on a command")
+        seed = runtime.declare(self, "seed", 0, "of the sensor noise")
+        scene = runtime.declare(self, "scene", "flat", "a file of config/scene")
+        self._plant = Plant(
+            read_robot(),
+            runtime.declare_settings(self, read_scene(scene), "scene."),
+            runtime.declare_settings(self, read_servo(), "servo."),
+            np.random.default_rng(seed),
+        )
+        self._frozen = True
+        self._told = 0  # last time published on /clock, ns
+        self._awaited = LOCKSTEP_START  # stamp of the odometry whose command lets the plant go on
+        self._create_publishers()
+        self.create_subscription(JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
+        self._timer = self._every(WAIT_PERIOD, self._publish_frozen)
+
+    def _create_publishers(self) -> None:
+        self._clock_topic = self.create_publisher(ClockMessage, "/clock", qos.CLOCK)
+        self._outputs: dict[type, tuple[Publisher, Callable[..., Any]]] = {
+            ImuReading: (self.create_publisher(Imu, "imu", qos.SENSOR), messages.imu_to_msg),
+            JointReading: (
+                self.create_publisher(JointState, "joint_states", qos.SENSOR),
+                messages.joints_to_msg,
+            ),
+            OdometryReading: (
+                self.create_publisher(Odometry, "odom", qos.SENSOR),
+                messages.odometry_to_msg,
+            ),
+        }
+        self._truth = self.create_publisher(Odometry, "ground_truth/odom", qos.SENSOR)
+        self._legs = self.create_publisher(LegStates, "ground_truth/legs", qos.SENSOR)
+
+    def _every(self, period: float, callback: Callable[[], None]) -> Timer:
+        """A timer on the wall clock: the ROS clock may be this node's to carry."""
+        return self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _publish_frozen(self) -> None:
+        """Report the robot at rest until a command shows that the whole graph is there."""
+        stamp = LOCKSTEP_START if self._lockstep else self.get_clock().now().nanoseconds
+        for reading in self._plant.present(stamp):
+            self._publish(reading)
+
+    def _on_command(self, message: JointState) -> None:
+        try:
+            stamp, angle = decode.joint_angles(message)
+            self._plant.command(angle)
+        except ValueError as error:
+            self.get_logger().error(f"command refused: {error}", throttle_duration_sec=1.0)
+            return
+        if self._frozen:
+            self._start()
+        if self._lockstep and stamp == self._awaited:
+            self._advance_one_tick()
+
+    def _start(self) -> None:
+        self._frozen = False
+        self.destroy_timer(self._timer)
+        if self._lockstep:
+            self._plant.start(LOCKSTEP_START)
+        else:
+            self._plant.start(self.get_clock().now().nanoseconds)
+            self._timer = self._every(REAL_TIME_PERIOD, self._follow_clock)
+
+    def _advance_one_tick(self) -> None:
+        for reading in self._guarded(self._plant.advance_to_odometry()):
+            self._publish(reading)
+        self._awaited = reading.stamp
+
+    def _follow_clock(self) -> None:
+        """Advance the plant to the present, in bounded portions."""
+        now = self.get_clock().now().nanoseconds
+        if now - self._plant.now > LAG_WARNING:
+            lag = (now - self._plant.now) * 1e-9
+            self.get_logger().warning(
+                f"simulation is {lag:.2f} s behind real time (limit {LAG_WARNING * 1e-9} s)",
+                throttle_duration_sec=1.0,
+            )
+        until = min(now, self._plant.now + CATCH_UP)
+        for reading in self._guarded(self._plant.advance(until)):
+            self._publish(reading)
+
+    def _guarded(self, readings: Iterator[Reading]) -> Iterator[Reading]:
+        """End the node with one line when the simulation diverges: no invented motion."""
+        try:
+            yield from readings
+        except Divergence as error:
+            self.get_logger().fatal(f"simulation stopped: {error}")
+            raise SystemExit(1) from None
+
+    def _publish(self, reading: Reading) -> None:
+        if self._lockstep and self._told != self._plant.now:
+            self._told = self._plant.now
+            self._clock_topic.publish(ClockMessage(clock=messages.ns_to_stamp(self._told)))
+        if isinstance(reading, TrueState):
+            self._truth.publish(messages.odometry_to_msg(reading.odometry))
+            self._legs.publish(messages.legs_to_msg(reading))
+        else:
+            publisher, encode = self._outputs[type(reading)]
+            publisher.publish(encode(reading))
+
+
+def main() -> None:
+    """Entry point of the node."""
+    runtime.run(SimRobotNode)

@@ -1,0 +1,46 @@
+"""`/odom` and `/imu` to `/mpc_state` and `/tf`."""
+
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from sensor_msgs.msg import Imu
+from tf2_msgs.msg import TFMessage
+
+from slot_core import decode
+from slot_core.control.state_estimator import StateEstimator, Validity, read_estimator
+from slot_msgs.msg import MpcState
+from slot_nodes import messages, qos, runtime
+
+
+class StateEstimatorNode(Node):
+    """Runs the filter; publishes an estimate for every odometry reading, at its stamp."""
+
+    def __init__(self) -> None:
+        super().__init__("state_estimator")
+        self._estimator = StateEstimator(runtime.declare_settings(self, read_estimator()))
+        self._state = self.create_publisher(MpcState, "mpc_state", qos.CONTROL)
+        self._tf = self.create_publisher(TFMessage, "tf", qos.SENSOR)
+        runtime.subscribe(self, Imu, "imu", self._on_imu, qos.SENSOR)
+        runtime.subscribe(self, Odometry, "odom", self._on_odometry, qos.SENSOR)
+
+    def _on_imu(self, message: Imu) -> None:
+        self._estimator.add_imu(*decode.imu(message))
+        self._publish()
+
+    def _on_odometry(self, message: Odometry) -> None:
+        self._estimator.add_odometry(*decode.odometry(message))
+        self._publish()
+
+    def _publish(self) -> None:
+        while (estimate := self._estimator.poll()) is not None:
+            self._state.publish(messages.state_to_msg(estimate))
+            self._tf.publish(messages.state_to_tf(estimate))
+            if estimate.validity != Validity.VALID:
+                self.get_logger().warning(
+                    f"state at {estimate.stamp * 1e-9:.3f} s: {estimate.validity.name}",
+                    throttle_duration_sec=1.0,
+                )
+
+
+def main() -> None:
+    """Entry point of the node."""
+    runtime.run(StateEstimatorNode)

@@ -1,0 +1,107 @@
+"""Configuration files are read into typed, bounded dataclasses; bad values are refused by name."""
+
+import dataclasses
+
+import pytest
+
+from slot_core import config
+from slot_core.config import ConfigError, choice, flag, quantity
+
+
+@dataclasses.dataclass(frozen=True)
+class Inner:
+    gain: float = quantity("a gain", "N/m", 0.0, 10.0)
+    axes: tuple[float, float] = quantity("two numbers", "", -1, 1)
+
+
+@dataclasses.dataclass(frozen=True)
+class Outer:
+    count: int = quantity("a count", "", 1, 5)
+    law: str = choice("a word", "one", "two")
+    on: bool = flag("a switch")
+    inner: Inner
+    table: dict[str, Inner] = dataclasses.field(metadata={"doc": "inner by name"})
+
+
+GOOD = {
+    "count": 2,
+    "law": "one",
+    "on": True,
+    "inner": {"gain": 3, "axes": [0.5, -1]},
+    "table": {"a": {"gain": "1e-3", "axes": [0, 0]}},
+}
+
+
+def changed(**changes):
+    return {**GOOD, **changes}
+
+
+def test_values_arrive_with_their_types():
+    outer = config.build(Outer, GOOD, "f.yaml")
+    assert outer.inner == Inner(3.0, (0.5, -1.0))
+    assert type(outer.inner.gain) is float
+    assert outer.table["a"].gain == 1e-3  # YAML 1.1 reads 1e-3 as a string
+
+
+@pytest.mark.parametrize(
+    ("mapping", "message"),
+    [
+        (changed(count=9), "f.yaml: count = 9: outside [1, 5]"),
+        (changed(count=2.5), "f.yaml: count = 2.5: expected int"),
+        (changed(count=True), "f.yaml: count = True: expected int"),
+        (changed(law="three"), "f.yaml: law = 'three': expected one of one, two"),
+        (changed(on="yes"), "f.yaml: on = 'yes': expected bool"),
+        (changed(extra=1), "f.yaml: extra is not a setting (known: count, law, on, inner, table)"),
+        (changed(inner={"gain": 3}), "f.yaml: inner.axes is missing"),
+        (changed(inner=[1]), "f.yaml: inner: expected a mapping of Inner, got [1]"),
+        (
+            changed(inner={"gain": float("nan"), "axes": [0, 0]}),
+            "f.yaml: inner.gain = nan: outside [0.0, 10.0] N/m",
+        ),
+        (
+            changed(inner={"gain": 1, "axes": [0, 2]}),
+            "f.yaml: inner.axes[1] = 2.0: outside [-1, 1]",
+        ),
+        (
+            changed(inner={"gain": 1, "axes": [0]}),
+            "f.yaml: inner.axes = [0]: expected 2 values, got 1",
+        ),
+        (
+            changed(table={"a": {"gain": "x", "axes": [0, 0]}}),
+            "f.yaml: table.a.gain = 'x': expected a number",
+        ),
+    ],
+)
+def test_a_bad_value_is_refused_with_name_value_and_limit(mapping, message):
+    with pytest.raises(ConfigError) as refusal:
+        config.build(Outer, mapping, "f.yaml")
+    assert str(refusal.value) == message
+
+
+def test_replacing_checks_like_reading():
+    outer = config.build(Outer, GOOD, "f.yaml")
+    assert config.replace(outer, {"inner.gain": 4.0}).inner.gain == 4.0
+    with pytest.raises(ConfigError, match=r"inner.gain = 11.0: outside"):
+        config.replace(outer, {"inner.gain": 11.0})
+    with pytest.raises(ConfigError, match=r"inner\.none is not a setting"):
+        config.replace(outer, {"inner.none": 1})
+
+
+def test_leaves_name_every_plain_value():
+    names = [name for name, _, _ in config.leaves(config.build(Outer, GOOD, "f.yaml"))]
+    assert names == ["count", "law", "on", "inner.gain", "inner.axes"]
+
+
+def test_a_missing_file_names_the_known_ones(tmp_path, monkeypatch):
+    monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
+    (tmp_path / "known.yaml").write_text("{}")
+    with pytest.raises(ConfigError, match=r"no configuration 'absent' \(known: known\)"):
+        config.read(Outer, "absent")
+
+
+def test_broken_yaml_is_one_line(tmp_path, monkeypatch):
+    monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
+    (tmp_path / "broken.yaml").write_text("a: [1,\nb: 2")
+    with pytest.raises(ConfigError, match=r"^broken\.yaml: ") as refusal:
+        config.read(Outer, "broken")
+    assert "\n" not in str(refusal.value)

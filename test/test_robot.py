@@ -1,0 +1,70 @@
+"""Geometry, masses and frames of the robot."""
+
+import numpy as np
+import pytest
+
+from slot_core import config
+from slot_core.robot import LEGS, read_robot
+
+
+@pytest.fixture
+def robot():
+    return read_robot()
+
+
+def test_leg_order_is_front_left_front_right_rear_left_rear_right(robot):
+    assert LEGS == ("FL", "FR", "RL", "RR")
+    # x forward, y left (REP-103)
+    assert np.sign(robot.clamps[:, :2]).tolist() == [[1, 1], [1, -1], [-1, 1], [-1, -1]]
+    assert np.sign(robot.outward[:, :2]).tolist() == [[1, 1], [1, -1], [-1, 1], [-1, -1]]
+
+
+def test_mass_is_that_of_the_paper(robot):
+    # the paper rounds the leg to 0.04 kg; the tapered leg of 1200 kg/m^3 weighs 0.039 kg
+    assert robot.leg.mass == pytest.approx(0.04, abs=1.1e-3)
+    assert robot.mass == pytest.approx(2.16, abs=5e-3)
+
+
+def test_arc_length_agrees_with_a_fine_polyline(robot):
+    x = np.linspace(0, robot.leg.reach, 200_001)
+    z = np.polyval(robot.leg.natural_shape, x)
+    # a polyline's error is of the order of (curvature dx)^2 L: far below 1e-10 here
+    assert robot.leg.arc_length() == pytest.approx(
+        np.hypot(np.diff(x), np.diff(z)).sum(), abs=1e-10
+    )
+
+
+def test_torso_inertia_is_that_of_a_box(robot):
+    a, b, c = robot.torso.size
+    rng = np.random.default_rng(0)
+    points = (rng.random((400_000, 3)) - 0.5) * [a, b, c]
+    square = points.T @ points / len(points) * robot.torso.mass
+    sampled = np.trace(square) * np.eye(3) - square
+    # the Monte Carlo error of 4e5 samples is about 0.2 %
+    assert np.diag(robot.torso.inertia) == pytest.approx(np.diag(sampled), rel=0.01)
+
+
+def test_legs_raise_the_inertia_by_their_distance(robot):
+    """With the legs out, the robot turns 2.0 to 2.3 times harder than its torso alone.
+
+    The leg's mass lies within 0.07 to 0.28 m of the centre, so that I_z grows by 4 m r^2 with an r
+    between.
+    """
+    added = robot.inertia[2, 2] - robot.torso.inertia[2, 2]
+    r = np.sqrt(added / (4 * robot.leg.mass))
+    assert np.hypot(*robot.clamps[0, :2]) < r < np.hypot(*robot.feet[0, :2])
+    off_diagonal = robot.inertia - np.diag(np.diag(robot.inertia))
+    assert np.abs(off_diagonal).max() < 1e-15  # by symmetry
+
+
+def test_feet_stand_below_the_clamps_on_the_natural_shape(robot):
+    reach = robot.feet - robot.clamps
+    assert np.linalg.norm(reach[:, :2], axis=1) == pytest.approx(robot.leg.reach)
+    # the authors drew the leg from z = 21.75 mm down to the floor
+    assert -reach[:, 2] == pytest.approx(0.02175, abs=1e-5)
+
+
+@pytest.mark.parametrize("mass", [0.0, -1.0, 100.0])
+def test_a_torso_that_cannot_be_is_refused(robot, mass):
+    with pytest.raises(config.ConfigError, match=r"torso\.mass = .* outside \[0\.02, 20\.0\] kg"):
+        config.replace(robot, {"torso.mass": mass})
