@@ -12,8 +12,8 @@ LEVEL = np.zeros(12)
 STAND = {
     "period": 1.0,
     "height": 0.05,
-    "speed": [0.0, 0.0],
-    "amplitude": [0.0, 0.0],
+    "speed": [0.0],
+    "amplitude": [0.0],
     "angle_deg": [[60.0, 0, 0, 0, 0]] * 4,
     "range_deg": [10.0, 108.0],
     "normal_force": [[5.3, 0, 0, 0, 0]] * 4,

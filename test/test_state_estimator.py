@@ -24,7 +24,12 @@ GYRO_BIAS = np.array([0.02, -0.015, 0.01])
 GYRO_NOISE, FORCE_NOISE = 0.01, 0.3  # of one sample at 200 Hz, as in MATCHED
 MATCHED = config.replace(
     SETTINGS,
-    {"imu.gyro_noise": 0.01 / 200**0.5, "imu.acceleration_noise": 0.3 / 200**0.5},
+    {
+        "imu.gyro_noise": GYRO_NOISE / 200**0.5,
+        "imu.acceleration_noise": FORCE_NOISE / 200**0.5,
+        "imu.acceleration_bias": 0.1,
+        "imu.angular_acceleration_step": 1.0,  # of the sinusoids: 0.22 rad (2 pi / 0.7 s)^3 5 ms
+    },
 )
 EXACT = config.replace(SETTINGS, {"imu.gyro_bias": 0.0, "imu.acceleration_bias": 0.0})
 
@@ -213,6 +218,24 @@ def test_errors_are_as_large_as_the_covariance_says():
     assert low < sum(nees) < high
     # 480 draws, 0.27 % outside expected: 1.3; more than 6 has a chance of 1e-3
     assert np.sum(~np.array(inside)) <= 6
+
+
+@pytest.mark.parametrize(("walks", "first", "last"), [(1, 30, 300), (100, 3, 4)])
+def test_rates_are_as_good_as_their_covariance_says(walks, first, last):
+    """NEES of omega over one walk, and over many just after the start while the bias is settling.
+
+    The noise of omega is fresh at every reading, so the sum is chi-square; central 99.9 %.
+    """
+    nees = []
+    for seed in range(walks):
+        bias = np.random.default_rng(seed).normal(0, MATCHED.imu.gyro_bias, 3)
+        motion = Walk(yaw=0.3 * seed)
+        for estimate in run(noisy(motion, last / 30, 100 + seed, bias), MATCHED)[0][first:last]:
+            e = error(estimate, motion)[6:9]
+            nees.append(e @ np.linalg.solve(estimate.covariance[6:9, 6:9], e))
+    low, high = stats.chi2.ppf([0.0005, 0.9995], 3 * len(nees))
+    assert len(nees) == walks * (last - first)
+    assert low < sum(nees) < high
 
 
 @pytest.mark.parametrize("readings", [1, 4])

@@ -1,13 +1,17 @@
 """Gaits: nominal tendon angles, contact schedule and load of the legs over the horizon.
 
 A gait is periodic. With the phase p = 2 pi t / T, each leg's tendon angle is
-theta = m + c1 cos p + s1 sin p + c2 cos 2p + s2 sin 2p, clipped to the gait's range; the normal
-force that the ground returns is tabulated in the same form.
+theta = m + c1 cos p + s1 sin p + c2 cos 2p + s2 sin 2p, clipped to the gait's range; a smaller
+amplitude shrinks it towards its mean over the stride. What the plant
+answers with, the normal force on each leg and the sway of the torso, is tabulated in the same form
+(`scripts/tabulate_gait`), so that the controller corrects deviations from the gait, not the gait.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,29 +26,66 @@ FourHarmonics = tuple[Harmonics, Harmonics, Harmonics, Harmonics]
 
 
 @dataclass(frozen=True)
+class Sway:
+    """Periodic motion of the torso; coefficients in the order m, c1, s1, c2, s2."""
+
+    roll: Harmonics = quantity("roll", "rad", -1, 1)
+    pitch: Harmonics = quantity("pitch", "rad", -1, 1)
+    height: Harmonics = quantity("height of base_link", "m", -0.2, 0.2)
+    v_x: Harmonics = quantity("forward velocity about its mean", "m/s", -1, 1)
+    v_y: Harmonics = quantity("lateral velocity about its mean", "m/s", -1, 1)
+
+    def rows(self, phase: Array, amplitude: float, period: float) -> Array:
+        """(n, 12) [roll pitch 0, 0 0 z, rates, v_x v_y v_z] in the heading frame.
+
+        Angular velocity is taken as the rate of roll and pitch, right to first order in them.
+        """
+        table = (self.roll, self.pitch, self.height, self.v_x, self.v_y)
+        value, rate = harmonics(table, phase, amplitude)
+        rows = np.zeros((len(phase), 12))
+        rows[:, [0, 1, 5, 9, 10]] = value
+        rows[:, [6, 7, 11]] = rate[:, :3] / period
+        return rows
+
+
+@dataclass(frozen=True)
 class Gait:
     """One periodic gait; coefficients in the order m, c1, s1, c2, s2, legs FL FR RL RR."""
 
     period: float = quantity("duration of a stride", "s", 0.1, 10.0)
-    height: float = quantity("mean height of base_link", "m", 0.01, 0.15)
-    speed: tuple[float, float] = quantity("least and greatest v_x that may be asked", "m/s", -1, 1)
-    amplitude: tuple[float, float] = quantity("scale of the harmonics at these speeds", "", 0, 1)
+    speed: tuple[float, ...] = quantity("v_x reached, least to greatest", "m/s", -1, 1)
+    amplitude: tuple[float, ...] = quantity("scale of the harmonics at these speeds", "", 0, 1)
     angle_deg: FourHarmonics = quantity("tendon angle", "deg", -360, 360)
     range_deg: tuple[float, float] = quantity("clip of the tendon angle", "deg", 0, 116.28)
     normal_force: FourHarmonics = quantity("normal force of the ground", "N", -50, 50)
+    sway: Sway
+
+    def __post_init__(self) -> None:
+        """Raise ConfigError unless speed and amplitude make a table."""
+        if len(self.speed) != len(self.amplitude) or list(self.speed) != sorted(set(self.speed)):
+            raise config.ConfigError(
+                f"speed = {self.speed}: expected one rising value for each amplitude"
+            )
 
     def amplitude_at(self, speed: float) -> float:
-        """Scale of the harmonics for a forward speed (m/s), linear between the limits."""
+        """Scale of the harmonics for a forward speed (m/s), linear between the tabulated ones."""
         return float(np.interp(speed, self.speed, self.amplitude))
 
-    def angles(self, phase: Array, amplitude: float) -> Array:
-        """(n, 4) tendon angles, rad, at phases (n,) in [0, 1)."""
-        angle_deg = harmonics(self.angle_deg, phase, amplitude)
-        return np.radians(np.clip(angle_deg, *self.range_deg))
+    def course(self, phase: Array, amplitude: float) -> Array:
+        """(n, 20): four tendon angles (rad), four normal forces (N), sway (12), at phases (n,)."""
+        angle = self._mean_angle + amplitude * (self._full_angle(phase) - self._mean_angle)
+        load, _ = harmonics(self.normal_force, phase, amplitude)
+        sway = self.sway.rows(phase, amplitude, self.period)
+        return np.hstack([angle, np.maximum(load, 0.0), sway])
 
-    def loads(self, phase: Array, amplitude: float) -> Array:
-        """(n, 4) normal forces, N, never negative."""
-        return np.maximum(harmonics(self.normal_force, phase, amplitude), 0.0)
+    def _full_angle(self, phase: Array) -> Array:
+        """(n, 4) tendon angles at full amplitude, rad."""
+        return np.radians(np.clip(harmonics(self.angle_deg, phase, 1.0)[0], *self.range_deg))
+
+    @cached_property
+    def _mean_angle(self) -> Array:
+        """(4,) mean over the stride, about which the amplitude scales: clipping moves it off m."""
+        return self._full_angle(np.linspace(0.0, 1.0, 1000, endpoint=False)).mean(axis=0)
 
 
 @dataclass(frozen=True)
@@ -85,12 +126,17 @@ class GaitPreview:
     reference: Array  # (n, 12) [roll pitch yaw, p, omega, v]
 
 
-def harmonics(coefficients: FourHarmonics, phase: Array, amplitude: float) -> Array:
-    """(n, 4) m + amplitude (c1 cos p + s1 sin p + c2 cos 2p + s2 sin 2p), p = 2 pi phase."""
-    p = 2 * np.pi * np.asarray(phase)
+def harmonics(table: Sequence[Harmonics], phase: Array, amplitude: float) -> tuple[Array, Array]:
+    """Values and their derivatives with respect to the phase, each (n, rows of the table).
+
+    m + amplitude (c1 cos p + s1 sin p + c2 cos 2p + s2 sin 2p) with p = 2 pi phase.
+    """
+    turn = 2 * np.pi
+    p = turn * phase
     basis = np.column_stack([np.cos(p), np.sin(p), np.cos(2 * p), np.sin(2 * p)])
-    table = np.array(coefficients)
-    return table[:, 0] + amplitude * basis @ table[:, 1:].T
+    slope = np.column_stack([-basis[:, 1], basis[:, 0], -2 * basis[:, 3], 2 * basis[:, 2]]) * turn
+    mean, waves = np.split(np.array(table), [1], axis=1)
+    return mean.T + amplitude * basis @ waves.T, amplitude * slope @ waves.T
 
 
 @dataclass(frozen=True)
@@ -106,12 +152,9 @@ class _Stride:
         """(n,) phase at `times` (s) after `stamp` (ns)."""
         return np.mod(((stamp - self.origin) * 1e-9 + times) / self.gait.period, 1.0)
 
-    def angles_and_loads(self, stamp: int, times: Array) -> Array:
-        """(2, n, 4) tendon angles, rad, and normal forces, N."""
-        phase = self.phase(stamp, times)
-        return np.stack(
-            [self.gait.angles(phase, self.amplitude), self.gait.loads(phase, self.amplitude)]
-        )
+    def course(self, stamp: int, times: Array) -> Array:
+        """(n, 20) as `Gait.course`, at `times` (s) after `stamp` (ns)."""
+        return self.gait.course(self.phase(stamp, times), self.amplitude)
 
 
 class GaitScheduler:
@@ -138,7 +181,8 @@ class GaitScheduler:
 
         Raises ConfigError when the gait is unknown or the velocity outside of what it reaches.
         """
-        low, high = self._settings.find(gait).speed
+        speed = self._settings.find(gait).speed
+        low, high = speed[0], speed[-1]
         limits = (("v_x", low, high), ("v_y", 0.0, 0.0), ("yaw rate", 0.0, 0.0))
         for value, (name, least, most) in zip(velocity, limits):
             if not least <= value <= most:
@@ -163,7 +207,7 @@ class GaitScheduler:
         self._turn(stamp, state)
         self._change_stride(stamp)
         times = self._settings.dt * np.arange(self._settings.stages, dtype=float)
-        angle, load = self._blend(stamp, times)
+        angle, load, sway = np.split(self._blend(stamp, times), [4, 8], axis=1)
         now = self._now
         return GaitPreview(
             stamp=stamp,
@@ -175,7 +219,7 @@ class GaitScheduler:
             friction=np.full(load.shape, self._settings.friction),
             normal_force=load,
             tendon_angle=angle,
-            reference=reference(state, self._heading, now.gait.height, self._velocity, times),
+            reference=reference(state, self._heading, self._velocity, sway, times),
         )
 
     def _turn(self, stamp: int, state: Array) -> None:
@@ -197,11 +241,11 @@ class GaitScheduler:
         self._now = _Stride(self._wanted, gait, amplitude, origin)
 
     def _blend(self, stamp: int, times: Array) -> Array:
-        """(2, n, 4) angles and loads, from the stride before to the one now."""
+        """(n, 20) course, from the stride before to the one now."""
         elapsed = (stamp - self._switched) * 1e-9 + times
         weight = np.clip(elapsed / max(self._settings.transition, 1e-9), 0.0, 1.0)[:, None]
-        before = self._before.angles_and_loads(stamp, times)
-        return (1 - weight) * before + weight * self._now.angles_and_loads(stamp, times)
+        before, now = self._before.course(stamp, times), self._now.course(stamp, times)
+        return (1 - weight) * before + weight * now
 
     @property
     def _transition(self) -> int:

@@ -89,12 +89,12 @@ class Fallback:
 class MpcSettings:
     """What `config/mpc.yaml` holds."""
 
-    horizon: int = quantity("stages", "", 1, 100)
-    force_max: float = quantity("largest normal force of a leg", "N", 0, 100)
     weights: Weights
     solver: SolverSettings
     acceptance: Acceptance
     fallback: Fallback
+    horizon: int = quantity("stages", "", 1, 100)
+    force_max: float = quantity("largest normal force of a leg", "N", 0, 100)
 
 
 @dataclass(frozen=True)
@@ -105,14 +105,24 @@ class MpcResult:
     status: Status
     message: str  # one line on anything but SOLVED
     fallback_cycles: int  # consecutive cycles without an accepted solution
-    cost: float  # NaN without an accepted solution
+    cost: float  # of what the solver returned; NaN where it was not asked
     iterations: int
     solve_time: float  # s, check, update and solve
-    violation: float  # N, over the horizon of what the solver returned; NaN if nothing
+    violation: float  # N, over the horizon of what the solver returned; NaN where it was not asked
     slack_normal_min: Array  # (4,) N, first stage of `force`
     slack_normal_max: Array  # (4,) N
     slack_friction: Array  # (4,) N
     slack_total: float  # N, sum of contact f_max - m g
+
+
+@dataclass(frozen=True)
+class _Account:
+    """What a cycle took and what its solver returned, accepted or not."""
+
+    elapsed: float  # s
+    iterations: int
+    violation: float  # N
+    cost: float
 
 
 @dataclass(frozen=True)
@@ -131,7 +141,7 @@ class FirstStage:
 
 
 class Mpc:
-    """The controller: `step` raises nothing for bad data and always ends: the solver has a limit."""
+    """The controller; `step` raises nothing for bad data, and ends: the solver has a limit."""
 
     def __init__(self, robot: Robot, settings: MpcSettings, timer: Callable[[], float]):
         """`timer` returns seconds; raises ConfigError for weights that leave the forces vague."""
@@ -155,7 +165,8 @@ class Mpc:
         """
         start = self._timer()
         if fault := input_fault(state, preview, self._settings):
-            return self._fall_back(Status.REJECTED, fault, self._timer() - start)
+            account = _Account(self._timer() - start, 0, math.nan, math.nan)
+            return self._fall_back(Status.REJECTED, fault, account)
         x = np.asarray(state, dtype=float)
         stages = self._read(x[2], preview)
         self._qp.update(self._model.predict(x[2], x[5], preview.dt), x, stages)
@@ -171,7 +182,7 @@ class Mpc:
         force = np.zeros((len(now), LEG, 3))
         force[..., 2] = np.asarray(preview.normal_force)[now]
         return Horizon(
-            force_max=self._settings.force_max * np.asarray(preview.contact)[now],
+            force_max=self._settings.force_max * np.asarray(preview.contact, dtype=float)[now],
             friction=np.asarray(preview.friction, dtype=float)[now],
             force_ref=force,
             state_ref=target,
@@ -182,56 +193,49 @@ class Mpc:
         self._stage = FirstStage(stages.force_max[0], stages.friction[0], stages.force_ref[0])
         limits, force = self._settings.acceptance, self._qp.forces(solution.z)
         violation = -float(slacks(force, stages.force_max, stages.friction).min())
-        account = {"iterations": solution.iterations, "violation": max(violation, 0.0)}
-        if solution.fault or not np.isfinite(solution.z).all():
-            fault = solution.fault or "solution not finite"
-        elif violation > limits.violation_max:
+        cost = self._qp.cost(solution.z)
+        account = _Account(elapsed, solution.iterations, max(violation, 0.0), cost)
+        if solution.fault:
+            return self._fall_back(Status.NOT_SOLVED, solution.fault, account)
+        if not np.isfinite(solution.z).all():
+            return self._fall_back(Status.NOT_SOLVED, "solution not finite", account)
+        if violation > limits.violation_max:
             fault = f"violation {violation:.2g} N exceeds {limits.violation_max:g} N"
-        elif elapsed > limits.time_budget:
+            return self._fall_back(Status.NOT_SOLVED, fault, account)
+        if elapsed > limits.time_budget:
             fault = f"{elapsed * 1e3:.1f} ms exceed {limits.time_budget * 1e3:g} ms"
-            return self._fall_back(Status.LATE, fault, elapsed, **account)
-        else:
-            self._last, self._missed = force[0], 0
-            cost = self._qp.cost(solution.z)
-            return self._result(force[0], Status.SOLVED, "", elapsed, cost=cost, **account)
-        return self._fall_back(Status.NOT_SOLVED, fault, elapsed, **account)
+            return self._fall_back(Status.LATE, fault, account)
+        self._last, self._missed = force[0].copy(), 0
+        return self._result(force[0], Status.SOLVED, "", account)
 
-    def _fall_back(self, cause: Status, fault: str, elapsed: float, **account: Any) -> MpcResult:
+    def _fall_back(self, cause: Status, fault: str, account: _Account) -> MpcResult:
         """The last feasible input, decayed; zeros when there is none or it has been used up."""
         self._missed += 1
         rule = self._settings.fallback
-        if self._last is None:
-            fault = f"no feasible input yet; {fault}"
-        elif self._missed > rule.cycles:
-            fault = f"fallback used up after {rule.cycles} cycles; {fault}"
-        else:
-            hover, decay = self._stage.force_ref, rule.decay**self._missed
-            force = self._stage.clip(hover + decay * (self._last - hover))
-            return self._result(force, cause, fault, elapsed, **account)
-        return self._result(np.zeros((LEG, 3)), Status.STOPPED, fault, elapsed, **account)
+        if self._last is None or self._missed > rule.cycles:
+            used_up = f"fallback used up after {rule.cycles} cycles"
+            why = "no feasible input yet" if self._last is None else used_up
+            return self._result(np.zeros((LEG, 3)), Status.STOPPED, f"{why}; {fault}", account)
+        hover = self._stage.force_ref
+        force = hover + rule.decay**self._missed * (self._last - hover)
+        return self._result(self._stage.clip(force), cause, fault, account)
 
-    def _result(
-        self,
-        force: Array,
-        status: Status,
-        message: str,
-        elapsed: float,
-        cost: float = math.nan,
-        iterations: int = 0,
-        violation: float = math.nan,
-    ) -> MpcResult:
+    def _result(self, force: Array, status: Status, message: str, account: _Account) -> MpcResult:
         stage = self._stage
+        least, most, friction = slacks(force, stage.force_max, stage.friction)
         return MpcResult(
-            force,
-            status,
-            message,
-            self._missed,
-            cost,
-            iterations,
-            elapsed,
-            violation,
-            *slacks(force, stage.force_max, stage.friction),
-            float(stage.force_max.sum() - self._weight),
+            force=force,
+            status=status,
+            message=message,
+            fallback_cycles=self._missed,
+            cost=account.cost,
+            iterations=account.iterations,
+            solve_time=account.elapsed,
+            violation=account.violation,
+            slack_normal_min=least,
+            slack_normal_max=most,
+            slack_friction=friction,
+            slack_total=float(stage.force_max.sum() - self._weight),
         )
 
 

@@ -1,7 +1,7 @@
 """The convex MPC's problem: torso model, horizon, and the quadratic programme made of them.
 
 State x = [roll pitch yaw, p, omega, v] (12,) and input u = (4, 3) ground reaction forces, both in
-odom. A single rigid body whose feet stand where the natural legs stand (Di Carlo et al., IROS 2018):
+odom. A single rigid body (Di Carlo et al., IROS 2018) on feet placed like those of natural legs:
 
     d/dt rpy = R_z(yaw)^T omega        omega' = I_w^-1 sum r_i x f_i
     d/dt p   = v                       v'     = sum f_i / m - g e_z
@@ -72,7 +72,9 @@ class TorsoModel:
         jacobian = np.eye(6)
         jacobian[:3, :3] = turn.T
         gain = np.zeros((6, INPUTS + 1))  # [W, g]
-        gain[:3, :INPUTS] = turn @ self._inverse_inertia @ turn.T @ _levers(turn, self._feet, height)
+        gain[:3, :INPUTS] = (
+            turn @ self._inverse_inertia @ turn.T @ _levers(turn, self._feet, height)
+        )
         gain[3:, :INPUTS] = np.tile(np.eye(3) / self._mass, LEG)
         gain[5, INPUTS] = -GRAVITY
         step = np.vstack([dt**2 / 2 * jacobian @ gain, dt * gain])

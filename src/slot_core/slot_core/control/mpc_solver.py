@@ -17,8 +17,8 @@ class SolverSettings:
     """PIQP: backend and termination."""
 
     backend: str = choice("factorisation of the KKT system", "multistage", "ldlt")
-    tolerance_abs: float = quantity("absolute residual", "", 1e-12, 1e-1)
-    tolerance_rel: float = quantity("relative residual", "", 1e-12, 1e-1)
+    tolerance_abs: float = quantity("absolute residual and duality gap", "", 1e-12, 1e-1)
+    tolerance_rel: float = quantity("relative residual and duality gap", "", 1e-12, 1e-1)
     iterations: int = quantity("limit of iterations", "", 1, 1000)
 
 
@@ -43,8 +43,12 @@ class PiqpSolver:
         self._solver = piqp.SparseSolver()
         options = self._solver.settings
         options.kkt_solver = getattr(piqp.KKTSolver, f"sparse_{settings.backend}")
-        options.eps_abs, options.eps_rel = settings.tolerance_abs, settings.tolerance_rel
+        options.eps_abs = options.eps_duality_gap_abs = settings.tolerance_abs
+        options.eps_rel = options.eps_duality_gap_rel = settings.tolerance_rel
         options.max_iter = settings.iterations
+        # PIQP 0.6.4 rescales on update but leaves an unchanged P in its old scale: it then reports
+        # the optimum of another problem as solved. The scale of the set-up serves all updates.
+        options.preconditioner_reuse_on_update = True
         self._solver.setup(
             P=qp.P, A=qp.A, G=qp.G, h_u=qp.h, x_l=qp.lower.ravel(), **self._changing()
         )
@@ -54,7 +58,9 @@ class PiqpSolver:
         self._solver.update(A=self._qp.A, G=self._qp.G, **self._changing())
         status = self._solver.solve()
         result = self._solver.result
-        fault = "" if status == piqp.PIQP_SOLVED else f"{status.name} ({result.info.iter} iterations)"
+        fault = (
+            "" if status == piqp.PIQP_SOLVED else f"{status.name} ({result.info.iter} iterations)"
+        )
         return Solution(np.array(result.x), fault, int(result.info.iter))
 
     def _changing(self) -> dict[str, Array]:

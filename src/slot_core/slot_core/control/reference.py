@@ -7,21 +7,24 @@ import numpy as np
 from slot_core.robot import Array
 
 
-def reference(state: Array, heading: float, height: float, velocity: Array, times: Array) -> Array:
+def reference(state: Array, heading: float, velocity: Array, sway: Array, times: Array) -> Array:
     """(n, 12) [roll pitch yaw, p, omega, v] in odom at `times` (n,) s ahead.
 
-    The torso is level at `height` (m); it turns with the yaw rate from `heading` (rad) and moves
-    from where it is with the velocity [v_x, v_y, yaw rate] (m/s, rad/s) of its heading frame.
+    From where it is, the torso moves with the velocity [v_x, v_y, yaw rate] (m/s, rad/s) of its
+    heading frame, turning from `heading` (rad); the gait's `sway` (n, 12) in that frame is added.
     """
     yaw = heading + velocity[2] * times
-    v_x = np.cos(yaw) * velocity[0] - np.sin(yaw) * velocity[1]
-    v_y = np.sin(yaw) * velocity[0] + np.cos(yaw) * velocity[1]
-    rows = np.zeros((len(times), 12))
+    rows = sway.copy()
     rows[:, 2] = yaw
-    rows[:, 3] = state[3] + v_x * times
-    rows[:, 4] = state[4] + v_y * times
-    rows[:, 5] = height
+    rows[:, 6:8] = turn(sway[:, 6:8], yaw)
     rows[:, 8] = velocity[2]
-    rows[:, 9] = v_x
-    rows[:, 10] = v_y
+    rows[:, 9:11] = turn(sway[:, 9:11] + velocity[:2], yaw)
+    rows[:, 3:5] = state[3:5] + turn(np.tile(velocity[:2], (len(times), 1)), yaw) * times[:, None]
     return rows
+
+
+def turn(vectors: Array, yaw: Array) -> Array:
+    """Rotate plane vectors (n, 2) by yaw (n,), rad, counter-clockwise."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    x, y = vectors.T
+    return np.column_stack([c * x - s * y, s * x + c * y])

@@ -65,9 +65,12 @@ class ImuSettings:
     gyro_noise: float = quantity("noise density", "rad/s/sqrt(Hz)", 1e-7, 1)
     acceleration_noise: float = quantity("noise density", "m/s^2/sqrt(Hz)", 1e-7, 10)
     gyro_bias: float = quantity("standard deviation at the start", "rad/s", 0, 1)
-    acceleration_bias: float = quantity("standard deviation at the start", "m/s^2", 0, 5)
+    acceleration_bias: float = quantity("the same, tilt of odom included", "m/s^2", 0, 5)
     gyro_drift: float = quantity("random walk of the bias", "rad/s/sqrt(s)", 0, 0.1)
     acceleration_drift: float = quantity("random walk of the bias", "m/s^2/sqrt(s)", 0, 1)
+    angular_acceleration_step: float = quantity(
+        "change between two samples, by impacts", "rad/s^2", 0, 1e4
+    )
     gyro_max: float = quantity("dropped beyond, per axis", "rad/s", 1, 100)
     acceleration_max: float = quantity("dropped beyond, per axis", "m/s^2", 10, 1e4)
 
@@ -173,19 +176,19 @@ class InertialFilter:
         spread[V, THETA] = -_cross(self._velocity)  # measured in base_link, turned by the attitude
         self._cov[:9, :] = self._cov[:, :9] = 0.0
         self._cov[:9, :9] = spread @ self._odometry_cov @ spread.T
-        self.use_odometry_rate(motion)
-
-    def use_odometry_rate(self, motion: Motion) -> None:
-        """Take the angular velocity from the odometry, where the IMU does not tell it."""
         self._rate, self._rate_variance = motion.rate, self._settings.odometry.rate_noise**2
-        self._rate_is_measured = False
+        self._gyro_share = 0.0
 
-    def use_gyro_rate(self, gyro: Array, amplification: float) -> None:
-        """Take it from the gyro (3,), whose noise variance an extrapolation has amplified."""
-        self._rate = gyro - self._bias[0]
+    def use_gyro(self, gyro: Array, amplification: float, late: float) -> None:
+        """Take the angular velocity from the gyro (3,), followed on for `late` s since its sample.
+
+        That amplifies the variance of its noise, and misses what an impact has changed since.
+        """
         imu = self._settings.imu
-        self._rate_variance = amplification * imu.gyro_noise**2 * imu.rate
-        self._rate_is_measured = True
+        self._rate = gyro - self._bias[0]
+        noise = amplification * imu.gyro_noise**2 * imu.rate
+        self._rate_variance = noise + (late * imu.angular_acceleration_step) ** 2
+        self._gyro_share = 1.0
 
     def propagate(self, imu: Array, dt: float) -> None:
         """Move on by dt (s) with an IMU sample (6,) [w, f] from the middle of it."""
@@ -200,7 +203,7 @@ class InertialFilter:
         force = middle.apply(-DOWN)
         self._move(self._rate, force, dt, (blind.gyro_noise, blind.acceleration_noise), 0.0)
         self._rate_variance = blind.gyro_noise**2 / dt
-        self._rate_is_measured = False
+        self._gyro_share = 0.0
 
     def _move(
         self, rate: Array, force: Array, dt: float, noise: tuple[float, float], biased: float
@@ -244,6 +247,7 @@ class InertialFilter:
         cov = rest @ self._cov @ rest.T + gain @ self._odometry_cov @ gain.T  # Joseph's form
         self._cov = (cov + cov.T) / 2
         self._shift(gain @ residual)
+        self._merge_rate(motion.rate)
         return True
 
     def _residual(self, motion: Motion) -> Array:
@@ -266,6 +270,15 @@ class InertialFilter:
         self._position = self._position + error[P]
         self._velocity = self._velocity + error[V]
         self._bias = self._bias + error[9:].reshape(2, 3)
+        self._rate = self._rate - self._gyro_share * error[GYRO_BIAS]
+
+    def _merge_rate(self, rate: Array) -> None:
+        """Mean of both angular velocities, weighted by their inverse variances."""
+        variance = self._settings.odometry.rate_noise**2
+        share = variance / (variance + self._rate_variance)
+        self._rate = share * self._rate + (1.0 - share) * rate
+        self._rate_variance *= share
+        self._gyro_share *= share
 
     @property
     def gyro_bias(self) -> Array:
@@ -281,7 +294,7 @@ class InertialFilter:
         jacobian[0:3, THETA] = _rpy_jacobian(rpy)
         jacobian[3:6, P] = jacobian[9:12, V] = np.eye(3)
         jacobian[6:9, THETA] = -_cross(rate)
-        jacobian[6:9, GYRO_BIAS] = -rotation if self._rate_is_measured else 0.0
+        jacobian[6:9, GYRO_BIAS] = -self._gyro_share * rotation
         cov = jacobian @ self._cov @ jacobian.T
         cov[6:9, 6:9] += self._rate_variance * np.eye(3)
         return np.concatenate([rpy, self._position, rate, self._velocity]), (cov + cov.T) / 2
@@ -395,8 +408,6 @@ class StateEstimator:
         if motion is not None and self._has_relocalised():
             self._start(motion)
             return
-        if motion is not None and accepted and not seen:
-            self._filter.use_odometry_rate(motion)
         self._publish(stamp, self._judge(accepted, seen))
 
     def _start(self, motion: Motion) -> None:
@@ -419,7 +430,7 @@ class StateEstimator:
             imu, _ = _interpolate(samples, (begin + end) // 2)
             self._filter.propagate(imu, (end - begin) / SECOND)
         imu, amplification = _interpolate(samples, stamp)
-        self._filter.use_gyro_rate(imu[:3], amplification)
+        self._filter.use_gyro(imu[:3], amplification, (stamp - samples[-1][0]) / SECOND)
         while len(self._imu) > 2 and self._imu[2][0] <= stamp:  # two to extrapolate from
             self._imu.popleft()
         return True

@@ -80,7 +80,8 @@ class Work(NamedTuple):
     base: Array  # (4, N, 2) m, stage position without the part due to V
     segments: Segments
     form: Array  # (7, 8) F
-    pivot: Array  # (2, 8) rows of the segment that is being eliminated
+    rest: Array  # (4, 5) form over (q, lambda | 1), upper half
+    moved: Array  # (8,) unknowns of the substitution
     back: Array  # (4, N-1, 2, 8) rows for the substitution
     lever: Array  # (4, N-1, 2) 1/m, phi_i = lever . (X_{i+1} - X_i)
     tension: Array  # (4,) N, at the iterate
@@ -102,7 +103,7 @@ class Work(NamedTuple):
 def work_space(nodes: int) -> Work:
     """Scratch space for legs of N nodes."""
     n = nodes - 1
-    shapes = [(4, nodes, 2), (4, nodes, 3), (4, nodes, 3), (4, nodes, 2), (), (7, 8), (2, 8)]
+    shapes = [(4, nodes, 2), (4, nodes, 3), (4, nodes, 3), (4, nodes, 2), (), (7, 8), (4, 5), (8,)]
     shapes += [(4, n, 2, 8), (4, n, 2), (4,), (4, 7), (6, 7), (6, 7), (6, 6), (6,), (4, 3, 3)]
     shapes += [(3, 3, 3), (3, 3), (5, 3), (2, 3), (3, 3), (2, 3), (2,)]
     space = [np.zeros(shape) if shape else segments(nodes) for shape in shapes]
@@ -310,105 +311,229 @@ def _load(model, state, work, leg, tau):  # type: ignore[no-untyped-def]
     load(s, model.rod, model.tendon, work.tension[leg])
 
 
+class Column(NamedTuple):
+    """How the displacements (X_x, X_z, phi) are coupled to one other unknown."""
+
+    x: float
+    z: float
+    phi: float
+
+
+class Pivot(NamedTuple):
+    """Inverse of a symmetric 2 x 2 matrix."""
+
+    xx: float
+    xz: float
+    zz: float
+    positive: bool
+
+
+class Node(NamedTuple):
+    """Tangent C and gradient g of a node (in leg axes), and y's share in q: (1, jx, jz)."""
+
+    cxx: float
+    cxy: float
+    cxz: float
+    cyy: float
+    cyz: float
+    czz: float
+    gx: float
+    gy: float
+    gz: float
+    jx: float
+    jz: float
+
+
 @helper
 def _eliminate(model, work, leg, inv, height):  # type: ignore[no-untyped-def]
-    """Eliminate the segments of a leg from tip to clamp; False where a pivot is not positive."""
-    F, S, s = work.form, work.pivot, work.segments
+    """Eliminate the segments of a leg from tip to clamp; False where a pivot is not positive.
+
+    The form over (X, phi) stands in local variables, its rest over (q, lambda | 1) in `rest`.
+    """
+    s, rest = work.segments, work.rest
     viscous = 1.0 + model.rod.damping_time * inv
+    q1 = q2 = q3 = cable = one = Column(0.0, 0.0, 0.0)
+    xx = xz = zz = xf = zf = ff = 0.0
     definite = True
-    F[:] = 0.0
-    last = work.stage.shape[1] - 1
-    _add_node(F, model, work, leg, last, inv, height)
-    for i in range(last - 1, -1, -1):
-        tx, tz, length = s.direction[i, 0], s.direction[i, 1], s.length[i]
+    rest[:] = 0.0
+    for i in range(s.length.size, 0, -1):
+        node = _node(model, work, leg, i, inv, height)
+        xx, xz, zz = xx + node.cxx, xz + node.cxz, zz + node.czz
+        q1, q2, q3 = _add(q1, node, 1.0), _add(q2, node, node.jx), _add(q3, node, node.jz)
+        one = Column(one.x + node.gx, one.z + node.gz, one.phi)
+        _add_lateral(rest, node)
+        # The segment between nodes k and i: X_i = X_k + s and phi_k = a.s; s is eliminated.
+        k = i - 1
+        tx, tz, length = s.direction[k, 0], s.direction[k, 1], s.length[k]
+        force, moment = s.force[k], s.moment[k]
         ax, az = -tz / length, tx / length
-        work.lever[leg, i, 0], work.lever[leg, i, 1] = ax, az
-        for c in range(8):
-            S[0, c] = F[0, c] + ax * F[2, c]
-            S[1, c] = F[1, c] + az * F[2, c]
-        # Tangent of the segment: stretch, its force turning, its moments turning with phi.
-        stretch = viscous * model.rod.axial[i]
-        bend = viscous * model.rod.bending[i]
-        across = s.force[i] * length
-        twist = (s.moment[i] - s.moment[i + 1]) / length
-        pxx = S[0, 0] + S[0, 2] * ax + stretch * tx * tx
-        pxz = S[0, 1] + S[0, 2] * az + stretch * tx * tz
-        pzz = S[1, 1] + S[1, 2] * az + stretch * tz * tz
-        pxx += (bend + across) * ax * ax - 2.0 * twist * tx * ax
-        pxz += (bend + across) * ax * az - twist * (tx * az + tz * ax)
-        pzz += (bend + across) * az * az - 2.0 * twist * tz * az
-        det = pxx * pzz - pxz * pxz
-        definite = definite and det > 0.0 and pxx > 0.0
-        along, around = model.tendon.along[i], model.tendon.around[i]
-        S[0, 2], S[1, 2] = -bend * ax, -bend * az
-        S[0, 6] += along * tx + around * ax
-        S[1, 6] += along * tz + around * az
-        S[0, 7] += s.force[i] * tx + s.moment[i] * ax
-        S[1, 7] += s.force[i] * tz + s.moment[i] * az
-        W = work.back[leg, i]
-        for c in range(8):
-            W[0, c] = (pzz * S[0, c] - pxz * S[1, c]) / det
-            W[1, c] = (pxx * S[1, c] - pxz * S[0, c]) / det
-        for c in range(8):
-            F[2, c] = 0.0
-        for r in range(7):
-            F[r, 2] = 0.0
-        F[2, 2], F[2, 6], F[6, 2], F[2, 7] = bend, -around, -around, -s.moment[i]
-        for r in range(7):
-            for c in range(8):
-                F[r, c] -= S[0, r] * W[0, c] + S[1, r] * W[1, c]
-        _add_node(F, model, work, leg, i, inv, height)
+        bx, bz = xf + ax * ff, zf + az * ff
+        x, z = (xx + ax * xf, xz + az * xf), (xz + ax * zf, zz + az * zf)
+        # Its tangent: stretch, bending and the turning of its force, the turning of its moments.
+        stretch, bend = viscous * model.rod.axial[k], viscous * model.rod.bending[k]
+        across = bend + force * length
+        twist = (moment - s.moment[i]) / length
+        p = _inverse(
+            x[0] + bx * ax + stretch * tx * tx + across * ax * ax - 2.0 * twist * tx * ax,
+            z[0] + bx * az + stretch * tx * tz + across * ax * az - twist * (tx * az + tz * ax),
+            z[1] + bz * az + stretch * tz * tz + across * az * az - 2.0 * twist * tz * az,
+        )
+        definite &= p.positive
+        # Right-hand sides r and solutions w: how s follows each of the other unknowns.
+        along, around = model.tendon.along[k], model.tendon.around[k]
+        phi = (-bend * ax, -bend * az)
+        r1, r2, r3 = _lift(q1, ax, az), _lift(q2, ax, az), _lift(q3, ax, az)
+        rc, ro = _lift(cable, ax, az), _lift(one, ax, az)
+        rc = (rc[0] + along * tx + around * ax, rc[1] + along * tz + around * az)
+        ro = (ro[0] + force * tx + moment * ax, ro[1] + force * tz + moment * az)
+        wx, wz, wf = _over(p, x), _over(p, z), _over(p, phi)
+        w1, w2, w3, wc, wo = _over(p, r1), _over(p, r2), _over(p, r3), _over(p, rc), _over(p, ro)
+        _store(work.back[leg, k], wx, wz, wf, w1, w2, w3, wc, wo)
+        # What is left acts on node k and on the segment before it.
+        q1, q2, q3 = _fold(q1, x, z, phi, w1), _fold(q2, x, z, phi, w2), _fold(q3, x, z, phi, w3)
+        cable, one = _fold(cable, x, z, phi, wc), _fold(one, x, z, phi, wo)
+        cable = Column(cable.x, cable.z, cable.phi - around)
+        one = Column(one.x, one.z, one.phi - moment)
+        xx, xz, zz = xx - _dot(x, wx), xz - _dot(x, wz), zz - _dot(z, wz)
+        xf, zf, ff = -_dot(x, wf), -_dot(z, wf), bend - _dot(phi, wf)
+        _gather(rest, r1, r2, r3, rc, w1, w2, w3, wc, wo)
+        work.lever[leg, k, 0], work.lever[leg, k, 1] = ax, az
+    node = _node(model, work, leg, 0, inv, height)
+    xx, xz, zz = xx + node.cxx, xz + node.cxz, zz + node.czz
+    _add_lateral(rest, node)
+    one = Column(one.x + node.gx, one.z + node.gz, one.phi)
+    F = work.form
+    F[0, 0], F[0, 1], F[0, 2], F[1, 1], F[1, 2], F[2, 2] = xx, xz, xf, zz, zf, ff
+    _write(F, 3, q1)
+    _write(F, 4, q2)
+    _write(F, 5, q3)
+    _write(F, 6, cable)
+    _write(F, 7, one)
+    for r in range(4):
+        for c in range(r, 5):
+            F[3 + r, 3 + c] = rest[r, c]
+    for r in range(1, 7):
+        for c in range(r):
+            F[r, c] = F[c, r]
     return definite
 
 
 @helper
-def _add_node(F, model, work, leg, i, inv, height):  # type: ignore[no-untyped-def]
-    """Add inertia, weight and contact of a node to the form."""
-    u, before, g = work.velocity[leg, i], work.before[leg, i], work.leg_field[1]
+def _node(model, work, leg, i, inv, height):  # type: ignore[no-untyped-def]
+    """Inertia, weight and contact of a node."""
+    u, before, g, up = work.velocity[leg, i], work.before[leg, i], work.leg_field[1], work.leg_field[0]
     rx, ry, rz = _triple(model.root[leg])
     rx, rz = rx + work.stage[leg, i, 0], rz + work.stage[leg, i, 1]
     mass = model.rod.mass[i]
     gx = mass * ((u[0] - before[0]) * inv - g[0])
     gy = mass * ((u[1] - before[1]) * inv - g[1])
     gz = mass * ((u[2] - before[2]) * inv - g[2])
-    cxx = cyy = czz = mass * inv * inv
-    up = work.leg_field[0]
+    inertia = mass * inv * inv
     gap = height + up[0] * rx + up[1] * ry + up[2] * rz
     if gap < 0.0 and i > 0:  # the clamp is inside the torso, whose corners touch the floor
         vn = up[0] * u[0] + up[1] * u[1] + up[2] * u[2]
         normal, drag = touch(model.floor, model.friction[leg], gap, vn, u[0], u[1], u[2])
         if normal > 0.0:
             stiff = model.floor.stiffness + (model.floor.damping - drag) * inv
-            gx -= up[0] * (normal + drag * vn) - drag * u[0]
-            gy -= up[1] * (normal + drag * vn) - drag * u[1]
-            gz -= up[2] * (normal + drag * vn) - drag * u[2]
-            cxx += drag * inv + stiff * up[0] * up[0]
-            cyy += drag * inv + stiff * up[1] * up[1]
-            czz += drag * inv + stiff * up[2] * up[2]
-            _add_tilt(F, stiff, up, -rz, rx)
-    F[0, 0] += cxx
-    F[1, 1] += czz
-    F[0, 7] += gx
-    F[1, 7] += gz
-    lateral = (1.0, -rz, rx)
-    for a in range(3):
-        F[3 + a, 7] += gy * lateral[a]
-        for b in range(3):
-            F[3 + a, 3 + b] += cyy * lateral[a] * lateral[b]
+            inertia += drag * inv
+            return Node(
+                inertia + stiff * up[0] * up[0],
+                stiff * up[0] * up[1],
+                stiff * up[0] * up[2],
+                inertia + stiff * up[1] * up[1],
+                stiff * up[1] * up[2],
+                inertia + stiff * up[2] * up[2],
+                gx - up[0] * (normal + drag * vn) + drag * u[0],
+                gy - up[1] * (normal + drag * vn) + drag * u[1],
+                gz - up[2] * (normal + drag * vn) + drag * u[2],
+                -rz,
+                rx,
+            )
+    return Node(inertia, 0.0, 0.0, inertia, 0.0, inertia, gx, gy, gz, -rz, rx)
 
 
 @helper
-def _add_tilt(F, stiff, up, jx, jz):  # type: ignore[no-untyped-def]
-    """Add the parts of a contact's stiffness that couple the three directions."""
-    F[0, 1] += stiff * up[0] * up[2]
-    F[1, 0] += stiff * up[0] * up[2]
-    lateral = (1.0, jx, jz)
-    for a in range(3):
-        x, z = stiff * up[1] * up[0] * lateral[a], stiff * up[1] * up[2] * lateral[a]
-        F[0, 3 + a] += x
-        F[3 + a, 0] += x
-        F[1, 3 + a] += z
-        F[3 + a, 1] += z
+def _add(column, node, share):  # type: ignore[no-untyped-def]
+    """Add to a column of q what a node couples between its plane and y."""
+    return Column(column.x + node.cxy * share, column.z + node.cyz * share, column.phi)
+
+
+@helper
+def _add_lateral(rest, node):  # type: ignore[no-untyped-def]
+    """Add what a node gives to q alone."""
+    x, z, c = node.jx, node.jz, node.cyy
+    rest[0, 0] += c
+    rest[0, 1] += c * x
+    rest[0, 2] += c * z
+    rest[1, 1] += c * x * x
+    rest[1, 2] += c * x * z
+    rest[2, 2] += c * z * z
+    rest[0, 4] += node.gy
+    rest[1, 4] += node.gy * x
+    rest[2, 4] += node.gy * z
+
+
+@helper
+def _inverse(xx, xz, zz):  # type: ignore[no-untyped-def]
+    det = xx * zz - xz * xz
+    scale = 1.0 / det
+    return Pivot(zz * scale, -xz * scale, xx * scale, det > 0.0 and xx > 0.0)
+
+
+@helper
+def _over(p, r):  # type: ignore[no-untyped-def]
+    """The inverse p times r."""
+    return p.xx * r[0] + p.xz * r[1], p.xz * r[0] + p.zz * r[1]
+
+
+@helper
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    return a[0] * b[0] + a[1] * b[1]
+
+
+@helper
+def _lift(column, ax, az):  # type: ignore[no-untyped-def]
+    """Right-hand side of s from a column, with phi = a.s."""
+    return column.x + ax * column.phi, column.z + az * column.phi
+
+
+@helper
+def _fold(column, x, z, phi, w):  # type: ignore[no-untyped-def]
+    """A column after the elimination of s, which follows its unknown with -w."""
+    return Column(column.x - _dot(x, w), column.z - _dot(z, w), -_dot(phi, w))
+
+
+@helper
+def _gather(rest, r1, r2, r3, rc, w1, w2, w3, wc, wo):  # type: ignore[no-untyped-def]
+    """Subtract r.w from the form over (q, lambda | 1), upper half."""
+    rest[0, 0] -= _dot(r1, w1)
+    rest[0, 1] -= _dot(r1, w2)
+    rest[0, 2] -= _dot(r1, w3)
+    rest[0, 3] -= _dot(r1, wc)
+    rest[0, 4] -= _dot(r1, wo)
+    rest[1, 1] -= _dot(r2, w2)
+    rest[1, 2] -= _dot(r2, w3)
+    rest[1, 3] -= _dot(r2, wc)
+    rest[1, 4] -= _dot(r2, wo)
+    rest[2, 2] -= _dot(r3, w3)
+    rest[2, 3] -= _dot(r3, wc)
+    rest[2, 4] -= _dot(r3, wo)
+    rest[3, 3] -= _dot(rc, wc)
+    rest[3, 4] -= _dot(rc, wo)
+
+
+@helper
+def _store(back, wx, wz, wf, w1, w2, w3, wc, wo):  # type: ignore[no-untyped-def]
+    """Keep how s follows (X, phi, q, lambda, 1) for the substitution."""
+    for r in range(2):
+        back[r, 0], back[r, 1], back[r, 2] = wx[r], wz[r], wf[r]
+        back[r, 3], back[r, 4], back[r, 5] = w1[r], w2[r], w3[r]
+        back[r, 6], back[r, 7] = wc[r], wo[r]
+
+
+@helper
+def _write(form, c, column):  # type: ignore[no-untyped-def]
+    form[0, c], form[1, c], form[2, c] = column.x, column.z, column.phi
 
 
 @helper
@@ -443,7 +568,7 @@ def _couple(model, work, leg, inv):  # type: ignore[no-untyped-def]
 def _substitute(model, work, leg, inv):  # type: ignore[no-untyped-def]
     """Carry the torso's increments through a leg and update V."""
     L, x, release = model.clamp[leg], work.vector, work.release[leg]
-    z = work.pivot[0]
+    z = work.moved
     z[7] = 1.0
     z[6] = release[6]
     for r in range(6):

@@ -109,9 +109,26 @@ def measure(s, node, velocity, clamp_angle, clamp_rate):  # type: ignore[no-unty
         turning = (ex * uz - ez * ux) / length
         s.direction[i, 0], s.direction[i, 1], s.length[i] = ex, ez, length
         s.stretch_rate[i] = ex * ux + ez * uz
-        s.turn[i] = math.atan2(dx * ez - dz * ex, dx * ex + dz * ez)
+        s.turn[i] = angle_between(dx, dz, ex, ez)
         s.turn_rate[i] = turning - rate
         dx, dz, rate = ex, ez, turning
+
+
+@helper
+def angle_between(ax, az, bx, bz):  # type: ignore[no-untyped-def]
+    """Angle from the unit vector a to the unit vector b, rad, in (-pi, pi].
+
+    psi = 2 atan(y) with y = tan(psi/2) = (a x b) / (1 + a.b); up to |y| = 1/4 by Gregory's series,
+    whose first neglected term is below 1e-16 there.
+    """
+    cross, dot = ax * bz - az * bx, ax * bx + az * bz
+    y = cross / (1.0 + dot)
+    if not abs(y) < 0.25:
+        return math.atan2(cross, dot)
+    total = 0.0
+    for n in range(12, -1, -1):
+        total = 1.0 / (2 * n + 1) - y * y * total
+    return 2.0 * y * total
 
 
 @helper

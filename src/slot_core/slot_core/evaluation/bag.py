@@ -258,7 +258,8 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_plain(item) for item in value]
     if dataclasses.is_dataclass(value):
-        return [_plain(getattr(value, f.name)) for f in dataclasses.fields(value)]
+        names = [f.name for f in dataclasses.fields(value) if f.name != "__msgtype__"]
+        return [_plain(getattr(value, name)) for name in names]
     return value
 
 

@@ -101,6 +101,14 @@ def stride_mean(t: Array, values: Array, period: float) -> Array:
     return np.where((before >= t[0]) & (after <= t[-1]), mean, np.nan)
 
 
+def stride_period(bag: Bag) -> float | None:
+    """Period of the gait, s, the median over the walk; None without a periodic gait."""
+    if not bag.counts.get("/gait_preview"):
+        return None
+    period = float(np.median(bag.series("/gait_preview", "period")["period"]))
+    return period if period > 0 else None
+
+
 def seconds(ns: Stamps, origin: int = 0) -> Array:
     """Nanoseconds since `origin` (ns) as seconds."""
     return (ns - origin) / 1e9
@@ -112,24 +120,22 @@ def read_motion(bag: Bag, truth: bool = True) -> Motion:
     Raises BagError when the bag holds neither, or fewer than two samples.
     """
     topic = GROUND_TRUTH if truth and bag.counts.get(GROUND_TRUTH) else ESTIMATE
-    motion = _true_motion(bag) if topic == GROUND_TRUTH else _estimated_motion(bag)
-    if len(motion.t) < 2:
-        raise BagError(f"{bag.path}: {topic} holds {len(motion.t)} messages, no motion")
-    return motion
+    if bag.counts.get(topic, 0) < 2:
+        raise BagError(f"{bag.path}: {topic} holds {bag.counts.get(topic, 0)} messages, no motion")
+    return _true_motion(bag) if topic == GROUND_TRUTH else _estimated_motion(bag)
 
 
 def _true_motion(bag: Bag) -> Motion:
-    pose = ("pose.pose.position", "pose.pose.orientation")
-    series = bag.series(GROUND_TRUTH, *pose, "twist.twist.linear")
-    position, quaternion, twist = (series[field] for field in series.values)
-    velocity = Rotation.from_quat(quaternion).apply(twist) if len(series) else twist
+    fields = ("pose.pose.position", "pose.pose.orientation", "twist.twist.linear")
+    series = bag.series(GROUND_TRUTH, *fields)
+    position, quaternion, twist = (series[field] for field in fields)
+    velocity = Rotation.from_quat(quaternion).apply(twist)
     return Motion(GROUND_TRUTH, seconds(series.stamp), position, quaternion, velocity)
 
 
 def _estimated_motion(bag: Bag) -> Motion:
     series = bag.series(ESTIMATE, "position", "rpy", "linear_velocity")
-    rpy = series["rpy"].reshape(-1, 3)
-    quaternion = Rotation.from_euler("ZYX", rpy[:, ::-1]).as_quat().reshape(-1, 4)
+    quaternion = Rotation.from_euler("ZYX", series["rpy"][:, ::-1]).as_quat()
     return Motion(
         ESTIMATE,
         seconds(series.stamp),
@@ -140,11 +146,11 @@ def _estimated_motion(bag: Bag) -> Motion:
 
 
 def read_ticks(bag: Bag) -> Ticks:
-    """The ticks of the chain; raises BagError when /odom holds fewer than two messages."""
+    """The ticks of the chain; raises BagError when /odom holds fewer than two stamps."""
     odom = bag.series(CHAIN[0])
-    if len(odom) < 2:
-        raise BagError(f"{bag.path}: /odom holds {len(odom)} messages, no ticks")
     stamps = np.unique(odom.stamp)
+    if len(stamps) < 2:
+        raise BagError(f"{bag.path}: /odom holds {len(stamps)} stamps, no ticks")
     origin = int(odom.time.min())
     times = [_first_times(bag, topic, stamps, origin) for topic in CHAIN]
     period = float(np.median(np.diff(stamps))) / 1e9

@@ -1,0 +1,66 @@
+"""The one description of the graph."""
+
+import pytest
+
+from slot_bringup.graph import read_graph
+from slot_bringup.processes import command_line
+
+
+@pytest.fixture
+def graph():
+    return read_graph()
+
+
+def values(graph, **changes):
+    return {a.name: a.default for a in graph.arguments} | changes
+
+
+def test_every_node_has_an_executable(graph):
+    for spec in graph.nodes(values(graph, bag="somewhere")):
+        assert command_line(spec)[0].endswith(f"/lib/{spec.package}/{spec.name}")
+
+
+def test_the_recorder_runs_only_with_a_bag(graph):
+    without = [spec.name for spec in graph.nodes(values(graph))]
+    assert "recorder" not in without
+    assert [s.name for s in graph.nodes(values(graph, bag="x"))] == ["recorder", *without]
+
+
+def test_arguments_reach_the_nodes_with_their_types(graph):
+    nodes = {s.name: s for s in graph.nodes(values(graph, vx=0.05, seed=3, gait="stand"))}
+    assert nodes["gait_scheduler"].parameters["velocity"] == [0.05, 0.0, 0.0]
+    assert nodes["gait_scheduler"].parameters["gait"] == "stand"
+    assert nodes["sim_robot"].parameters["seed"] == 3
+
+
+def test_lockstep_makes_every_node_follow_the_simulators_clock(graph):
+    for spec in graph.nodes(values(graph, lockstep=True)):
+        assert spec.parameters["use_sim_time"] is True
+    for spec in graph.nodes(values(graph, lockstep=False)):
+        assert spec.parameters["use_sim_time"] is False
+
+
+def test_parameters_are_written_as_ros_reads_them(graph):
+    nodes = {s.name: s for s in graph.nodes(values(graph, lockstep=True))}
+    words = command_line(nodes["gait_scheduler"])
+    assert "gait:='walk'" in words
+    assert "use_sim_time:=true" in words
+    assert any(word.startswith("velocity:=[") for word in words)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"), [("vx", "fast"), ("seed", "1.5"), ("lockstep", "perhaps"), ("seed", "")]
+)
+def test_a_launch_argument_of_the_wrong_type_is_refused_by_name(graph, name, text):
+    argument = next(a for a in graph.arguments if a.name == name)
+    with pytest.raises(ValueError, match=f"^{name}: '{text}' is not a"):
+        argument.parse(text)
+
+
+@pytest.mark.parametrize("default", [True, False])
+def test_launch_arguments_survive_their_text_form(graph, default):
+    for argument in graph.arguments:
+        if argument.kind is bool:
+            assert argument.parse(str(default)) is default
+        else:
+            assert argument.parse(str(argument.default)) == argument.default

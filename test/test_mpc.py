@@ -1,0 +1,508 @@
+"""The convex MPC against the matrix exponential, CVXPY + Clarabel, and a nonlinear torso."""
+
+import dataclasses
+import itertools
+import re
+from pathlib import Path
+
+import cvxpy
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
+
+from slot_core import config
+from slot_core.control.force_map import read_force_map
+from slot_core.control.gait import GaitPreview
+from slot_core.control.mpc import Mpc, Status, read_mpc
+from slot_core.control.mpc_model import Horizon, HorizonQp, TorsoModel
+from slot_core.control.mpc_solver import PiqpSolver
+from slot_core.robot import GRAVITY, read_robot
+
+ROBOT = read_robot()
+# no deadline: the tests must not depend on the machine's load
+SETTINGS = config.replace(read_mpc(), {"acceptance.time_budget": np.inf})
+H, F_MAX, DT = SETTINGS.horizon, SETTINGS.force_max, 0.033
+HOVER = ROBOT.weight / 4
+
+
+def no_time():
+    return 0.0
+
+
+def new_mpc(**changes):
+    names = {name.replace("__", "."): value for name, value in changes.items()}
+    return Mpc(ROBOT, config.replace(SETTINGS, names), no_time)
+
+
+def state(rpy=(0, 0, 0), p=(0, 0, 0.04), omega=(0, 0, 0), v=(0, 0, 0)):
+    return np.concatenate([rpy, p, omega, v]).astype(float)
+
+
+def preview(stages=H + 1, height=0.04, **changes):
+    reference = np.tile(state(p=(0, 0, height)), (stages, 1))
+    values = {
+        "contact": np.ones((stages, 4), dtype=bool),
+        "friction": np.full((stages, 4), 0.4),
+        "normal_force": np.full((stages, 4), HOVER),
+        "tendon_angle": np.ones((stages, 4)),
+        "reference": reference,
+        "dt": DT,
+    } | changes
+    return GaitPreview(stamp=0, gait="walk", phase=0.0, period=0.72, **values)
+
+
+def continuous(yaw, height):
+    """x' = A x + B u + g, leg by leg from Newton and Euler."""
+    turn = Rotation.from_euler("z", yaw).as_matrix()
+    inertia = turn @ ROBOT.inertia @ turn.T
+    a, b, g = np.zeros((12, 12)), np.zeros((12, 12)), np.zeros(12)
+    a[:3, 6:9], a[3:6, 9:], g[11] = turn.T, np.eye(3), -GRAVITY
+    for leg, axis in np.ndindex(4, 3):
+        arm = turn @ ROBOT.feet[leg]
+        arm[2] = -height
+        b[6:9, 3 * leg + axis] = np.linalg.solve(inertia, np.cross(arm, np.eye(3)[axis]))
+        b[9 + axis, 3 * leg + axis] = 1 / ROBOT.mass
+    return a, b, g
+
+
+def discrete(yaw, height, dt):
+    """The exact zero-order hold by the matrix exponential of [[A, B, g], [0, 0, 0]]."""
+    a, b, g = continuous(yaw, height)
+    whole = np.zeros((25, 25))
+    whole[:12] = np.column_stack([a, b, g])
+    held = expm(dt * whole)
+    return held[:12, :12], held[:12, 12:24], held[:12, 24]
+
+
+def oracle(x0, ahead):
+    """The problem as it is written in the docstring, by CVXPY and Clarabel: u (H, 12), cost."""
+    a, b, g = discrete(x0[2], x0[5], ahead.dt)
+    q, r = np.sqrt(SETTINGS.weights.q), np.sqrt(SETTINGS.weights.r)
+    x, u = cvxpy.Variable((H + 1, 12)), cvxpy.Variable((H, 12))
+    u_ref = np.zeros((H, 12))
+    u_ref[:, 2::3] = ahead.normal_force[:H]
+    f_x, f_y, f_z = u[:, 0::3], u[:, 1::3], u[:, 2::3]
+    mu_f_z = cvxpy.multiply(ahead.friction[:H], f_z)
+    rules = [x[0] == x0, x[1:] == x[:-1] @ a.T + u @ b.T + np.tile(g, (H, 1))]
+    rules += [f_z >= 0, f_z <= F_MAX * ahead.contact[:H]]
+    rules += [cvxpy.abs(f_x) <= mu_f_z, cvxpy.abs(f_y) <= mu_f_z]
+    error = (x[1:] - ahead.reference[1 : H + 1]) @ np.diag(q)
+    cost = cvxpy.sum_squares(error) + cvxpy.sum_squares((u - u_ref) @ np.diag(r))
+    problem = cvxpy.Problem(cvxpy.Minimize(cost), rules)
+    tight = {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11}
+    problem.solve(solver=cvxpy.CLARABEL, **tight)
+    assert problem.status == cvxpy.OPTIMAL
+    return u.value, problem.value
+
+
+def random_case(rng):
+    yaw = rng.uniform(-np.pi, np.pi)
+    x0 = state(
+        rpy=(*rng.normal(0, 0.1, 2), yaw),
+        p=(*rng.normal(0, 0.1, 2), rng.uniform(0.01, 0.12)),
+        omega=rng.normal(0, 0.5, 3),
+        v=rng.normal(0, 0.15, 3),
+    )
+    reference = np.tile(state(rpy=(0, 0, yaw + rng.normal(0, 0.2)), p=(0, 0, 0.04)), (H + 1, 1))
+    reference[:, 9] = rng.uniform(-0.1, 0.1)
+    return x0, preview(
+        contact=rng.random((H + 1, 4)) < rng.choice([0.5, 0.8, 1.0]),
+        friction=rng.uniform(0.0, 0.8, (H + 1, 4)),
+        normal_force=rng.uniform(0.0, 8.0, (H + 1, 4)),
+        reference=reference,
+    )
+
+
+def hard_cases():
+    zeros, none = np.zeros((H + 1, 4)), np.zeros((H + 1, 4), dtype=bool)
+    lifted = np.ones((H + 1, 4), dtype=bool)
+    lifted[4:9, 1] = False
+    slip = state(rpy=(0.02, -0.01, 0.2), p=(0, 0, 0.05), omega=(0.1, 0, 0), v=(0.1, 0.05, 0))
+    return {
+        "height error": (state(p=(0, 0, 0.01)), preview()),
+        "too high": (state(p=(0, 0, 0.11)), preview()),
+        "tilt": (state(rpy=(0.5, -0.5, 0)), preview()),
+        "turned": (state(rpy=(0.1, 0.05, 1.05)), preview()),
+        "no friction": (slip, preview(friction=zeros)),
+        "much friction": (slip, preview(friction=zeros + 100.0)),
+        "flight": (slip, preview(contact=none)),
+        "one leg lifted": (slip, preview(contact=lifted)),
+        "leg lifted now": (slip, preview(contact=np.tile([True, False, True, True], (H + 1, 1)))),
+        "diagonal stance": (slip, preview(contact=np.tile([1, 0, 0, 1], (H + 1, 1)))),
+        "falling": (state(v=(0, 0, -1.0)), preview()),
+        "spinning": (state(omega=(2.0, -2.0, 1.0)), preview()),
+        "load above the bound": (slip, preview(normal_force=zeros + 9.0)),
+        "long stages": (slip, preview(dt=0.09)),
+    }
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.3, -2.5])
+@pytest.mark.parametrize(("height", "dt"), [(0.04, 0.033), (0.1, 0.005), (0.0, 0.1)])
+def test_prediction_is_the_exact_zero_order_hold(yaw, height, dt):
+    predicted = TorsoModel(ROBOT).predict(yaw, height, dt)
+    a, b, drift = discrete(yaw, height, dt)
+    # entries reach about 7; expm and the series differ by roundoff only
+    np.testing.assert_allclose(predicted.a, a, atol=1e-13)
+    np.testing.assert_allclose(predicted.b, b, atol=1e-13)
+    np.testing.assert_allclose(predicted.drift, drift, atol=1e-13)
+
+
+def test_first_forces_and_cost_are_the_optimum_of_the_written_problem():
+    # One controller for all: data left over from an earlier update would show.
+    mpc, rng = new_mpc(), np.random.default_rng(4)
+    cases = [*hard_cases().values(), *(random_case(rng) for _ in range(30))]
+    for x0, ahead in cases:
+        result, (u, cost) = mpc.step(x0, ahead), oracle(x0, ahead)
+        assert result.status == Status.SOLVED
+        # 1e-3 N is a fiftieth of a per cent of the weight a leg carries; where a limit is only
+        # just active, an interior-point method at a gap of 1e-8 comes no closer
+        np.testing.assert_allclose(result.force.ravel(), u[0], atol=1e-3)
+        assert result.cost == pytest.approx(cost, rel=1e-6, abs=1e-6)  # flat at the optimum
+
+
+def test_hover_reference_is_held_by_a_quarter_of_the_weight_on_each_leg():
+    result = new_mpc().step(state(), preview())
+    expected = np.tile([0, 0, ROBOT.mass * GRAVITY / 4], (4, 1))
+    np.testing.assert_allclose(result.force, expected, atol=1e-6)  # solver tolerance 1e-8
+    assert result.cost == pytest.approx(0, abs=1e-9)
+
+
+def solve_whole_horizon(x0, ahead):
+    """(H, 4, 3) forces by the controller's own problem and solver."""
+    model = TorsoModel(ROBOT)
+    qp = HorizonQp(SETTINGS.weights.q, SETTINGS.weights.r, H, model.predict(0.3, 0.1, DT))
+    solver = PiqpSolver(qp, SETTINGS.solver)
+    force_ref = np.zeros((H, 4, 3))
+    force_ref[..., 2] = ahead.normal_force[:H]
+    limits = F_MAX * ahead.contact[:H]
+    stages = Horizon(limits, ahead.friction[:H], force_ref, ahead.reference[1 : H + 1])
+    qp.update(model.predict(x0[2], x0[5], ahead.dt), x0, stages)
+    return qp.forces(solver.solve().z)
+
+
+@pytest.mark.parametrize("name", hard_cases())
+def test_every_stage_keeps_the_force_limits(name):
+    x0, ahead = hard_cases()[name]
+    f = solve_whole_horizon(x0, ahead)
+    limit = 1e-6  # N; the solver's absolute residual is 1e-8 in scaled units
+    assert np.all(f[..., 2] >= -limit)
+    assert np.all(f[..., 2] <= F_MAX * ahead.contact[:H] + limit)
+    most = ahead.friction[:H, :, None] * f[..., 2:] + limit
+    # a coefficient of 100 multiplies the residual of f_z
+    assert np.all(np.abs(f[..., :2]) <= most + limit * ahead.friction.max())
+
+
+def test_without_friction_there_is_no_tangential_force():
+    x0, ahead = hard_cases()["no friction"]
+    assert np.abs(solve_whole_horizon(x0, ahead)[..., :2]).max() < 1e-6  # N, solver tolerance
+    assert np.abs(new_mpc().step(x0, preview()).force[:, :2]).max() > 0.01  # with it there is
+
+
+def test_in_flight_all_forces_are_zero():
+    x0, ahead = hard_cases()["flight"]
+    assert np.abs(solve_whole_horizon(x0, ahead)).max() < 1e-6  # N, solver tolerance
+
+
+def test_turning_robot_and_target_together_turns_the_forces():
+    # Small errors, so that the friction pyramid, which does not turn, is not active.
+    turn = Rotation.from_euler("z", 1.0)
+    rest = state(rpy=(0.01, 0.02, 0), p=(0.01, 0, 0.039), omega=(0.05, 0, 0.02), v=(0.01, 0, 0))
+    turned = np.concatenate([rest[:3], *(turn.apply(rest[i : i + 3]) for i in (3, 6, 9))])
+    turned[2] += 1.0
+    reference = np.tile(state(rpy=(0, 0, 1.0)), (H + 1, 1))
+    mpc = new_mpc()
+    straight = mpc.step(rest, preview())
+    across = mpc.step(turned, preview(reference=reference))
+    assert straight.slack_friction.min() > 0.1
+    # angular weights are equal about x and y; 1e-6 N is the solver's tolerance
+    np.testing.assert_allclose(across.force, turn.apply(straight.force), atol=1e-6)
+
+
+def test_full_turns_of_the_reference_do_not_matter():
+    x0 = state(rpy=(0, 0, 3.1))
+    near, far = (np.tile(state(rpy=(0, 0, 3.2 - 2 * np.pi * n)), (H + 1, 1)) for n in (0, 1))
+    mpc = new_mpc()
+    a, b = (mpc.step(x0, preview(reference=ref)).force for ref in (near, far))
+    np.testing.assert_allclose(a, b, atol=1e-6)  # solver tolerance
+    assert np.abs(a[:, :2]).max() > 1e-3  # there is a turn to make
+
+
+def test_a_preview_of_exactly_the_horizon_holds_its_last_reference():
+    reference = np.tile(state(), (H + 1, 1))
+    reference[:, 5] = np.linspace(0.04, 0.06, H + 1)
+    reference[H] = reference[H - 1]
+    mpc = new_mpc()
+    whole = mpc.step(state(), preview(reference=reference)).force
+    short = mpc.step(state(), preview(stages=H, reference=reference[:H])).force
+    np.testing.assert_array_equal(whole, short)  # the same numbers go into the solver
+
+
+def test_slacks_are_those_of_the_first_stage():
+    contact = np.ones((H + 1, 4), dtype=bool)
+    contact[0, 3] = False
+    x0 = state(v=(0.05, 0, 0))
+    result = new_mpc().step(x0, preview(contact=contact))
+    f, bound = result.force, np.array([F_MAX, F_MAX, F_MAX, 0.0])
+    np.testing.assert_allclose(result.slack_normal_min, f[:, 2])
+    np.testing.assert_allclose(result.slack_normal_max, bound - f[:, 2])
+    tangential = np.maximum(np.abs(f[:, 0]), np.abs(f[:, 1]))
+    np.testing.assert_allclose(result.slack_friction, 0.4 * f[:, 2] - tangential)
+    assert result.slack_total == pytest.approx(3 * F_MAX - ROBOT.mass * GRAVITY)
+
+
+def spoiled(field, index, value):
+    """A preview with one element replaced."""
+    array = np.array(getattr(preview(), field), dtype=float)
+    array[index] = value
+    return preview(**{field: array})
+
+
+REFUSED = {
+    "state[5] = nan": (state(p=(0, 0, np.nan)), preview()),
+    "state[9] = inf": (state(v=(np.inf, 0, 0)), preview()),
+    "state[0] = 1e+300": (state(rpy=(1e300, 0, 0)), preview()),
+    "state: shape (13,)": (np.zeros(13), preview()),
+    "state: shape (12, 1)": (np.zeros((12, 1)), preview()),
+    "state: shape ()": (None, preview()),
+    "state: not numbers": (["upright"] * 12, preview()),
+    "preview.friction[3, 2] = -0.1": (state(), spoiled("friction", (3, 2), -0.1)),
+    "preview.friction[0, 0] = nan": (state(), spoiled("friction", (0, 0), np.nan)),
+    "preview.contact[1, 1] = 2": (state(), spoiled("contact", (1, 1), 2)),
+    "preview.normal_force[2, 0] = -inf": (state(), spoiled("normal_force", (2, 0), -np.inf)),
+    "preview.reference[15, 5] = nan": (state(), spoiled("reference", (15, 5), np.nan)),
+    "preview.reference[0, 3] = inf": (state(), spoiled("reference", (0, 3), np.inf)),
+    f"preview.contact: shape ({H - 1}, 4)": (state(), preview(stages=H - 1)),
+    "preview.friction: shape (16, 3)": (state(), preview(friction=np.ones((H + 1, 3)))),
+    "preview.normal_force: shape (64,)": (state(), preview(normal_force=np.ones(64))),
+    "preview.dt = 0:": (state(), preview(dt=0.0)),
+    "preview.dt = nan": (state(), preview(dt=np.nan)),
+    "preview.dt = 0.5": (state(), preview(dt=0.5)),
+}
+
+
+@pytest.mark.parametrize("fault", REFUSED)
+def test_bad_input_is_refused_before_the_solver_and_named(fault):
+    mpc = new_mpc()
+    good = mpc.step(state(p=(0, 0, 0.03)), preview())
+    result = mpc.step(*REFUSED[fault])
+    assert result.status == Status.REJECTED
+    assert fault in result.message
+    assert "\n" not in result.message
+    assert result.iterations == 0
+    expected = HOVER + SETTINGS.fallback.decay * (good.force[:, 2] - HOVER)
+    np.testing.assert_allclose(result.force[:, 2], expected)
+    again = mpc.step(state(), preview())  # nothing of the bad input stays
+    assert again.status == Status.SOLVED
+    np.testing.assert_allclose(again.force[:, 2], HOVER, atol=1e-6)  # solver tolerance
+
+
+class LateFrom:
+    """A timer by which every cycle from the n-th on takes a second."""
+
+    def __init__(self, cycle):
+        self.calls, self.cycle = itertools.count(), cycle
+
+    def __call__(self):
+        call = next(self.calls)  # two a cycle
+        return float(call % 2) if call // 2 >= self.cycle else 0.0
+
+
+def late_mpc():
+    settings = config.replace(SETTINGS, {"acceptance.time_budget": 0.5})
+    return Mpc(ROBOT, settings, LateFrom(1)), state()
+
+
+def limited_mpc():
+    # hover takes 7 iterations, a violent state more: the limit lies between
+    return new_mpc(solver__iterations=8), state(rpy=(0.5, -0.5, 0), omega=(3, 3, 0))
+
+
+def strict_mpc():
+    """The hover keeps every limit with room to spare, the other state lies on some."""
+    return new_mpc(acceptance__violation_max=0.0), state(rpy=(0.5, -0.5, 0), omega=(3, 3, 0))
+
+
+def rejecting_mpc():
+    return new_mpc(), np.full(12, np.nan)
+
+
+FAILURES = {
+    "late": (late_mpc, Status.LATE),
+    "iteration limit": (limited_mpc, Status.NOT_SOLVED),
+    "violation": (strict_mpc, Status.NOT_SOLVED),
+    "bad input": (rejecting_mpc, Status.REJECTED),
+}
+
+
+@pytest.mark.parametrize("name", FAILURES)
+def test_fallback_decays_to_the_gaits_load_then_stops_after_the_configured_cycles(name):
+    make, cause = FAILURES[name]
+    mpc, bad = make()
+    load = np.tile([5.4, 5.2, 5.1, 5.3], (H + 1, 1))
+    ahead = preview(normal_force=load)
+    last = mpc.step(state(), ahead)
+    assert last.status == Status.SOLVED
+    rule = SETTINGS.fallback
+    hover = np.zeros((4, 3))
+    hover[:, 2] = load[0]
+    for n in range(1, rule.cycles + 1):
+        result = mpc.step(bad, ahead)
+        assert (result.status, result.fallback_cycles) == (cause, n)
+        assert result.message
+        np.testing.assert_allclose(result.force, hover + rule.decay**n * (last.force - hover))
+    for n in (rule.cycles + 1, rule.cycles + 2):
+        stopped = mpc.step(bad, ahead)
+        assert (stopped.status, stopped.fallback_cycles) == (Status.STOPPED, n)
+        assert not stopped.force.any()
+        assert str(rule.cycles) in stopped.message
+    if cause != Status.LATE:
+        assert mpc.step(state(), ahead).fallback_cycles == 0
+
+
+@pytest.mark.parametrize("cause", ["iteration limit", "bad input"])
+def test_before_any_feasible_solution_it_is_stopped(cause):
+    mpc = new_mpc(solver__iterations=1) if cause == "iteration limit" else new_mpc()
+    x0 = state() if cause == "iteration limit" else np.full(12, np.inf)
+    result = mpc.step(x0, preview())
+    assert result.status == Status.STOPPED
+    assert not result.force.any()
+    assert "no feasible input yet" in result.message
+
+
+def test_fallback_puts_no_force_on_a_leg_that_is_lifted_now():
+    settings = config.replace(SETTINGS, {"acceptance.time_budget": 0.5})
+    mpc = Mpc(ROBOT, settings, LateFrom(1))
+    assert mpc.step(state(), preview()).status == Status.SOLVED
+    contact = np.ones((H + 1, 4), dtype=bool)
+    contact[0, 2] = False
+    result = mpc.step(state(), preview(contact=contact))
+    assert result.status == Status.LATE
+    assert not result.force[2].any()
+    assert np.all(result.slack_normal_max >= 0)
+
+
+@pytest.mark.parametrize("scale", [1e2, 1e3, 1e4])
+def test_absurd_but_finite_states_end_within_the_limits_with_forces_in_bounds(scale):
+    mpc, rng = new_mpc(), np.random.default_rng(8)
+    mpc.step(state(), preview())
+    for _ in range(5):
+        result = mpc.step(rng.uniform(-scale, scale, 12), preview())
+        assert result.iterations <= SETTINGS.solver.iterations
+        assert np.isfinite(result.force).all()
+        limit = SETTINGS.acceptance.violation_max
+        assert min(result.slack_normal_min.min(), result.slack_normal_max.min()) >= -limit
+        assert result.slack_friction.min() >= -limit
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"weights__force": (1e-8, 1e-8, 1e-8)},
+        {  # the published scripts: Q / 1000 with 100 on p_z and R = 1e-8
+            "weights__angle": (1e-4, 1e-4, 1e-4),
+            "weights__position": (0.0, 0.0, 100.0),
+            "weights__rate": (1e-5, 1e-5, 1e-5),
+            "weights__velocity": (0.02, 1e-4, 0.0),
+            "weights__force": (1e-8, 1e-8, 1e-8),
+        },
+    ],
+)
+def test_weights_that_leave_the_forces_vague_are_refused(changes):
+    with pytest.raises(config.ConfigError, match=r"weights.force.*condition number .* exceeds 1"):
+        new_mpc(**changes)
+
+
+def test_condition_is_that_of_the_condensed_hessian():
+    # one stage, by hand: H = B'QB + R with the matrices of the exponential
+    _, b, _ = discrete(0.3, 0.1, 0.1)
+    weights = SETTINGS.weights
+    hessian = b.T @ np.diag(weights.q) @ b + np.diag(weights.r)
+    bound = np.linalg.cond(hessian)
+    new_mpc(horizon=1, acceptance__condition_max=bound * 1.001)
+    with pytest.raises(config.ConfigError):
+        new_mpc(horizon=1, acceptance__condition_max=bound * 0.999)
+
+
+def test_equal_inputs_give_bit_equal_results():
+    def run():
+        mpc, rng = new_mpc(), np.random.default_rng(5)
+        return [dataclasses.astuple(mpc.step(*random_case(rng))) for _ in range(30)]
+
+    for one, other in zip(run(), run()):
+        for a, b in zip(one, other):
+            np.testing.assert_array_equal(a, b)
+
+
+def test_the_force_bound_is_the_papers_line_at_the_servos_end():
+    line = read_force_map()
+    bound = line.line_slope * ROBOT.tendon.angle_max_deg - line.line_offset
+    assert SETTINGS.force_max == pytest.approx(bound, abs=5e-4)  # printed with three decimals
+
+
+def test_statuses_are_those_of_the_message():
+    path = Path(__file__).parents[1] / "slot_msgs/msg/GroundReactionForces.msg"
+    constants = re.findall(r"^uint8 (\w+) = (\d+)", path.read_text(), re.MULTILINE)
+    assert {name: int(value) for name, value in constants} == Status.__members__
+
+
+class RigidTorso:
+    """A free rigid body on massless legs, feet where they stand, forces lagged by 50 ms."""
+
+    LAG = 0.05  # s
+
+    def __init__(self, x0):
+        self.attitude = Rotation.from_euler("ZYX", x0[2::-1])
+        omega = self.attitude.inv().apply(x0[6:9])
+        force = np.tile([0, 0, HOVER], 4)
+        quaternion = self.attitude.as_quat()
+        self.y = np.concatenate([quaternion, x0[3:6], omega, x0[9:12], force])
+
+    def rate(self, command, y):
+        attitude = Rotation.from_quat(y[:4])
+        force, inertia, w = y[13:].reshape(4, 3), ROBOT.inertia, y[7:10]
+        feet = ROBOT.feet * [1, 1, 0]
+        torque = np.cross(feet - y[4:7], force).sum(axis=0)  # in odom
+        spin = np.linalg.solve(inertia, attitude.inv().apply(torque) - np.cross(w, inertia @ w))
+        x, y_, z, s = y[:4]
+        quaternion = 0.5 * np.array([[s, -z, y_], [z, s, -x], [-y_, x, s], [-x, -y_, -z]]) @ w
+        acceleration = force.sum(axis=0) / ROBOT.mass - [0, 0, GRAVITY]
+        lag = (command - y[13:]) / self.LAG
+        return np.concatenate([quaternion, y[10:13], spin, acceleration, lag])
+
+    def advance(self, force, dt):
+        run = solve_ivp(lambda _, y: self.rate(force.ravel(), y), (0, dt), self.y, rtol=1e-6)
+        self.y = run.y[:, -1]
+
+    def state(self):
+        attitude = Rotation.from_quat(self.y[:4])
+        rpy = attitude.as_euler("ZYX")[::-1]
+        return np.concatenate([rpy, self.y[4:7], attitude.apply(self.y[7:10]), self.y[10:13]])
+
+
+def walk(x0, duration, **changes):
+    """(n, 12) states of the closed loop, one row per cycle."""
+    torso, mpc, states = RigidTorso(x0), new_mpc(), [x0]
+    for _ in range(round(duration / DT)):
+        result = mpc.step(torso.state(), preview(**changes))
+        assert result.status == Status.SOLVED
+        torso.advance(result.force, DT)
+        states.append(torso.state())
+    return np.array(states)
+
+
+def test_height_step_on_a_lagging_torso_settles():
+    states = walk(state(p=(0, 0, 0.01)), duration=2.0)
+    late = states[round(0.8 / DT) :]
+    assert np.abs(late[:, 5] - 0.04).max() < 0.002  # 5 % of the height, as good as odometry
+    assert states[:, 5].max() < 0.045  # overshoot below a sixth of the step
+    assert np.abs(states[:, :2]).max() < 1e-3  # it stays level
+
+
+def test_roll_on_a_lagging_torso_recovers():
+    states = walk(state(rpy=(0.1, 0, 0)), duration=2.0)
+    late = states[round(0.5 / DT) :]
+    assert np.abs(late[:, :2]).max() < 0.01  # a tenth of the disturbance
+    assert np.abs(states[-1, 6:]).max() < 0.01  # rad/s and m/s: at rest
+    assert np.abs(states[:, 5] - 0.04).max() < 0.01
