@@ -2,30 +2,45 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from slot_core.config import ConfigError, build
-from slot_core.control.gait import GaitScheduler, GaitSettings, read_gaits
+from slot_core.control.gait import Gait, GaitScheduler, GaitSettings, read_gaits
+from slot_core.control.reference import reference
 from slot_core.robot import read_robot
 
 SECOND = 1_000_000_000
+REST = [0.0, 0, 0, 0, 0]
 LEVEL = np.zeros(12)
 STAND = {
     "period": 1.0,
-    "height": 0.05,
     "speed": [0.0],
     "amplitude": [0.0],
     "angle_deg": [[60.0, 0, 0, 0, 0]] * 4,
     "range_deg": [10.0, 108.0],
     "normal_force": [[5.3, 0, 0, 0, 0]] * 4,
+    "sway": {
+        "roll": REST,
+        "pitch": REST,
+        "height": [0.05, 0, 0, 0, 0],
+        "v_x": REST,
+        "v_y": REST,
+    },
 }
 WALK = {
     "period": 0.8,
-    "height": 0.06,
     "speed": [0.0, 0.08],
     "amplitude": [0.0, 1.0],
     "angle_deg": [[80, 20, 0, 5, 0], [80, -20, 0, 5, 0], [90, 0, 30, 0, 0], [90, 0, -30, 0, 0]],
     "range_deg": [10.0, 108.0],
     "normal_force": [[5.3, 3, 0, 0, 0], [5.3, -6, 0, 0, 0], [5.3, 0, 2, 0, 0], [5.3, 0, -2, 0, 0]],
+    "sway": {
+        "roll": [0, 0.1, 0, 0, 0.01],
+        "pitch": [0.02, 0, 0, 0, 0.1],
+        "height": [0.06, 0, 0, 0.005, 0],
+        "v_x": REST,
+        "v_y": [0, 0.08, 0, 0, 0],
+    },
 }
 
 
@@ -90,9 +105,9 @@ def test_a_leg_without_load_is_no_stance_leg(settings):
 
 
 def test_half_the_speed_is_half_the_amplitude(settings):
-    full = walking(settings, 0.08).step(5 * SECOND, LEVEL).tendon_angle[:, 3]
-    half = walking(settings, 0.04).step(5 * SECOND, LEVEL).tendon_angle[:, 3]
-    assert half - np.radians(90) == pytest.approx((full - np.radians(90)) / 2, abs=1e-12)
+    full = walking(settings, 0.08).step(5 * SECOND, LEVEL).tendon_angle[:, 0]
+    half = walking(settings, 0.04).step(5 * SECOND, LEVEL).tendon_angle[:, 0]
+    assert half - np.radians(80) == pytest.approx((full - np.radians(80)) / 2, abs=1e-12)
 
 
 def test_a_change_of_speed_keeps_the_phase(settings):
@@ -126,13 +141,49 @@ def test_the_reference_moves_along_the_heading_at_the_start(settings):
     state[2:6] = [0.5, 1.0, 2.0, 0.055]
     scheduler.step(SECOND, state)
     state[2] = 0.9  # drifted
-    rows = scheduler.step(2 * SECOND, state).reference
+    stamps = 3 * SECOND + np.arange(0, 800_000_000, 33_000_000)
+    rows = np.array([scheduler.step(int(s), state).reference[0] for s in stamps])
+    mean = rows[:24].mean(axis=0)  # 24 ticks are 0.99 strides
     assert rows[:, 2] == pytest.approx(0.5)
-    assert rows[:, 9:11] == pytest.approx(
-        np.tile(0.08 * np.array([np.cos(0.5), np.sin(0.5)]), (15, 1))
-    )
-    assert rows[:, 3] == pytest.approx(1.0 + rows[0, 9] * 0.033 * np.arange(15))
-    assert rows[:, 5] == pytest.approx(0.06)
+    # the missing hundredth of a stride leaves 1 % of the sway in the mean
+    assert mean[9:11] == pytest.approx(0.08 * np.array([np.cos(0.5), np.sin(0.5)]), abs=3e-3)
+    ahead = scheduler.step(5 * SECOND, state).reference
+    step = 0.08 * 0.033 * np.arange(16)
+    assert ahead[:, 3] == pytest.approx(1.0 + np.cos(0.5) * step[:15])
+    assert ahead[:, 4] == pytest.approx(2.0 + np.sin(0.5) * step[:15])
+
+
+def test_the_references_rates_are_the_derivatives_of_its_sway(settings):
+    scheduler, h = walking(settings), 1_000_000
+    before, now, after = (scheduler.step(5 * SECOND + d, LEVEL).reference for d in (-h, 0, h))
+    difference = (after - before) / (2 * h * 1e-9)
+    # central differences over 1 ms are off by (2 p / T h)^2 / 6 = 4e-5 of the value
+    assert now[:, 6:8] == pytest.approx(difference[:, 0:2], abs=2e-4)
+    assert now[:, 11] == pytest.approx(difference[:, 5], abs=2e-4)
+
+
+@pytest.mark.parametrize(("heading", "yaw"), [(3.1, -3.1), (-3.1, 3.1), (9.0, 2.6), (0.2, 0.3)])
+def test_the_reference_is_within_half_a_turn_of_the_state(heading, yaw):
+    state = LEVEL.copy()
+    state[2] = yaw
+    rows = reference(state, heading, np.zeros(3), np.zeros((1, 12)), np.zeros(1))
+    assert abs(rows[0, 2] - yaw) < np.pi
+    assert np.exp(1j * rows[0, 2]) == pytest.approx(np.exp(1j * heading))
+
+
+def test_sway_turns_with_the_heading():
+    """Rotated by yaw, v = [v_x, v_y] and omega = [roll rate, pitch rate] are vectors in odom."""
+    rng = np.random.default_rng(0)
+    sway, times = rng.normal(size=(5, 12)), 0.033 * np.arange(5)
+    rows = reference(LEVEL, 0.7, np.array([0.1, -0.2, 0.3]), sway, times)
+    rotation = Rotation.from_euler("z", (0.7 + 0.3 * times)[:, None])
+    flat = np.zeros(5)
+    rates = rotation.apply(np.column_stack([sway[:, 6:8], flat]))
+    speeds = rotation.apply(np.column_stack([sway[:, 9:11] + [0.1, -0.2], flat]))
+    assert rows[:, 6:8] == pytest.approx(rates[:, :2])
+    assert rows[:, 9:11] == pytest.approx(speeds[:, :2])
+    assert rows[:, 8] == pytest.approx(0.3)
+    assert rows[:, [0, 1, 5, 11]] == pytest.approx(sway[:, [0, 1, 5, 11]])
 
 
 @pytest.mark.parametrize(
@@ -150,14 +201,19 @@ def test_what_a_gait_cannot_do_is_refused(settings, gait, velocity, message):
         GaitScheduler(settings, gait, np.array(velocity, dtype=float))
 
 
+def test_a_table_of_speeds_that_does_not_rise_is_refused():
+    with pytest.raises(ConfigError, match=r"speed = \(0\.1, 0\.1\): expected one rising value"):
+        build(Gait, WALK | {"speed": [0.1, 0.1]}, "test")
+
+
 def test_the_shipped_gaits_ask_for_what_the_robot_has():
     robot, settings = read_robot(), read_gaits()
     phase = np.linspace(0, 1, 200, endpoint=False)
     assert {"stand", "walk"} <= set(settings.gaits)
     for gait in settings.gaits.values():
         for amplitude in (0.0, 0.5, 1.0):
-            angles = gait.angles(phase, amplitude)
-            assert angles.min() >= 0.0
-            assert angles.max() <= robot.tendon.angle_max
-        # over a stride the ground carries the weight; two harmonics leave some of it out
-        assert gait.loads(phase, 1.0).sum(axis=1).mean() == pytest.approx(robot.weight, rel=0.1)
+            angle, load, _ = np.split(gait.course(phase, amplitude), [4, 8], axis=1)
+            assert angle.min() >= 0.0
+            assert angle.max() <= robot.tendon.angle_max
+            # over a stride the ground carries the weight; two harmonics leave some of it out
+            assert load.sum(axis=1).mean() == pytest.approx(robot.weight, rel=0.1)

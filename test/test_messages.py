@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from slot_core import decode
 from slot_core.control.gait import GaitPreview
 from slot_core.control.state_estimator import Estimate, Validity
-from slot_core.dynamics.plant import ImuReading, OdometryReading
+from slot_core.dynamics.sensors import ImuReading, OdometryReading
 from slot_core.robot import TENDON_JOINTS
 from slot_nodes import messages
 

@@ -70,8 +70,8 @@ class Graph:
 
     def _parameters(self, entry: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
         parameters = {**self._common, **entry.get("parameters", {})}
-        if values["lockstep"]:
-            parameters |= entry.get("parameters_in_lockstep", {})
+        for argument, more in entry.get("parameters_with", {}).items():
+            parameters |= more if values[argument] else {}
         return {key: _substitute(value, values) for key, value in parameters.items()}
 
 

@@ -27,7 +27,8 @@ if TYPE_CHECKING:  # a node imports only the cores it runs
     from slot_core.control.force_map import TendonCommand
     from slot_core.control.mpc import MpcResult
     from slot_core.control.state_estimator import Estimate
-    from slot_core.dynamics.plant import ImuReading, JointReading, OdometryReading, TrueState
+    from slot_core.dynamics.plant import JointReading, TrueState
+    from slot_core.dynamics.sensors import ImuReading, OdometryReading
 
 
 def ns_to_stamp(ns: int) -> Time:

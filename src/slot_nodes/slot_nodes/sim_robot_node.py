@@ -2,7 +2,8 @@
 
 In real time the plant follows the ROS clock. In lockstep it carries the clock: it stops at every
 odometry reading until the command with that reading's stamp has come, and publishes `/clock`.
-Either way the robot stands frozen until the first command, so that no run depends on discovery.
+Either way the robot stands frozen, silent until the nodes it waits for hear it and at rest until
+the first command, so that no run depends on the order of discovery.
 """
 
 from collections.abc import Callable, Iterator
@@ -19,15 +20,9 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import Imu, JointState
 
 from slot_core import decode
-from slot_core.dynamics.plant import (
-    ImuReading,
-    JointReading,
-    OdometryReading,
-    Plant,
-    Reading,
-    TrueState,
-)
+from slot_core.dynamics.plant import JointReading, Plant, Reading, TrueState
 from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.sensors import ImuReading, OdometryReading
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulator import Divergence
 from slot_core.robot import read_robot
@@ -49,6 +44,9 @@ class SimRobotNode(Node):
         self._lockstep = runtime.declare(self, "lockstep", False, "advance only on a command")
         seed = runtime.declare(self, "seed", 0, "of the sensor noise")
         scene = runtime.declare(self, "scene", "flat", "a file of config/scene")
+        self._guests = runtime.declare(
+            self, "wait_for", [""], "nodes that must hear everything from the first message on"
+        )
         self._plant = Plant(
             read_robot(),
             runtime.declare_settings(self, read_scene(scene), "scene."),
@@ -84,9 +82,21 @@ class SimRobotNode(Node):
 
     def _publish_frozen(self) -> None:
         """Report the robot at rest until a command shows that the whole graph is there."""
+        if not all(self._heard_by(guest) for guest in self._guests if guest):
+            return
         stamp = LOCKSTEP_START if self._lockstep else self.get_clock().now().nanoseconds
         for reading in self._plant.present(stamp):
             self._publish(reading)
+
+    def _heard_by(self, guest: str) -> bool:
+        """Whether a node subscribes to all that this one publishes, and is matched."""
+        publishers = [publisher for publisher, _ in self._outputs.values()]
+        for publisher in (*publishers, self._truth, self._legs):
+            known = self.get_subscriptions_info_by_topic(publisher.topic_name)
+            matched = publisher.get_subscription_count() >= len(known)
+            if not matched or guest not in (endpoint.node_name for endpoint in known):
+                return False
+        return True
 
     def _on_command(self, message: JointState) -> None:
         try:

@@ -12,8 +12,10 @@ def reference(state: Array, heading: float, velocity: Array, sway: Array, times:
 
     From where it is, the torso moves with the velocity [v_x, v_y, yaw rate] (m/s, rad/s) of its
     heading frame, turning from `heading` (rad); the gait's `sway` (n, 12) in that frame is added.
+    The yaw is that of the turn which is nearest to the state's, as the state's own yaw wraps.
     """
-    yaw = heading + velocity[2] * times
+    turns = np.round((state[2] - heading) / (2 * np.pi))
+    yaw = heading + 2 * np.pi * turns + velocity[2] * times
     rows = sway.copy()
     rows[:, 2] = yaw
     rows[:, 6:8] = turn(sway[:, 6:8], yaw)

@@ -27,6 +27,7 @@ form's six displacements are those of the torso: its 6 x 6 Schur complement fall
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +39,16 @@ from slot_core.dynamics.servo import Servo, turning_rate
 from slot_core.dynamics.tendon import Tendon, pull
 from slot_core.dynamics.torso import Torso, add_corners, add_inertia, rotation, solve
 from slot_core.robot import Array
+
+
+class Scheme(NamedTuple):
+    """Numbers of the time stepping."""
+
+    step: float  # s, h
+    theta: float
+    iterations: int
+    halvings: int
+    correction_limit: float  # m/s
 
 
 class Model(NamedTuple):
@@ -97,7 +108,7 @@ class Work(NamedTuple):
     field: Array  # (2, 3) floor's normal and gravity in step axes
     leg_motion: Array  # (3, 3) v, omega, turn in leg axes
     leg_field: Array  # (2, 3)
-    counter: Array  # (2,) steps, steps with a pivot that was not positive
+    counter: Array  # (2,) halvings, steps with a pivot that was not positive
 
 
 def work_space(nodes: int) -> Work:
@@ -123,14 +134,46 @@ def clamp_maps(axes: Array, root: Array) -> Array:
 
 
 @kernel
-def advance(model, state, work, command, steps, h, theta, iterations):  # type: ignore[no-untyped-def]
-    """Advance by `steps` steps of h; returns (steps done, where): see `lost`."""
+def advance(model, state, work, start, command, steps, scheme):  # type: ignore[no-untyped-def]
+    """Advance by `steps` steps; returns (steps done, -1), or where it was lost: see `lost`.
+
+    A step that is lost, or whose last Newton correction is above the limit, is taken again from its
+    `start` in 2, 4, ... 2^halvings pieces. Running out of halvings is a loss only if it is `lost`.
+    """
     for k in range(steps):
-        step(model, state, work, command, h, theta, iterations)
-        where = lost(state, model.speed_limit)
+        copy(start, state)
+        for halving in range(scheme.halvings + 1):
+            pieces = 2**halving
+            where, correction = -1, 0.0
+            for _ in range(pieces):
+                change = step(model, state, work, command, scheme.step / pieces, scheme)
+                correction = max(correction, change)
+                where = lost(state, model.speed_limit)
+                if where >= 0:
+                    break
+            if where < 0 and correction <= scheme.correction_limit:
+                break
+            if halving < scheme.halvings:
+                copy(state, start)
+                work.counter[0] += 1.0
         if where >= 0:
             return k, where
     return steps, -1
+
+
+@helper
+def copy(out, state):  # type: ignore[no-untyped-def]
+    """Copy a state."""
+    out.position[:] = state.position
+    out.rotation[:] = state.rotation
+    out.velocity[:] = state.velocity
+    out.rate[:] = state.rate
+    out.node[:] = state.node
+    out.node_velocity[:] = state.node_velocity
+    out.tendon_angle[:] = state.tendon_angle
+    out.tendon_rate[:] = state.tendon_rate
+    out.tension[:] = state.tension
+    out.specific_force[:] = state.specific_force
 
 
 @helper
@@ -151,12 +194,13 @@ def lost(state, limit):  # type: ignore[no-untyped-def]
 
 
 @helper
-def step(model, state, work, command, h, theta, iterations):  # type: ignore[no-untyped-def]
-    """One step of h, in place."""
+def step(model, state, work, command, h, scheme):  # type: ignore[no-untyped-def]
+    """One step of h, in place; returns the largest change of a node in the last iteration, m/s."""
+    theta = scheme.theta
     tau = theta * h
-    definite = True
+    definite, change = True, 0.0
     _predict(model, state, work, command, h, theta)
-    for _ in range(iterations):
+    for _ in range(scheme.iterations):
         height = _start_torso(model, state, work, tau)
         for leg in range(4):
             _to_leg_axes(model, work, leg)
@@ -165,14 +209,15 @@ def step(model, state, work, command, h, theta, iterations):  # type: ignore[no-
             definite &= _eliminate(model, work, leg, 1.0 / tau, height)
             _couple(model, work, leg, 1.0 / tau)
         definite &= solve(work.matrix, work.vector)
+        change = 0.0
         for leg in range(4):
-            _substitute(model, work, leg, 1.0 / tau)
+            change = max(change, _substitute(model, work, leg, 1.0 / tau))
         for i in range(3):
             work.motion[0, i] += work.vector[i] / tau
             work.motion[1, i] += work.vector[3 + i] / tau
     _finish(model, state, work, h, theta)
-    work.counter[0] += 1.0
     work.counter[1] += 0.0 if definite else 1.0
+    return math.sqrt(change)
 
 
 @helper
@@ -566,8 +611,10 @@ def _couple(model, work, leg, inv):  # type: ignore[no-untyped-def]
 
 @helper
 def _substitute(model, work, leg, inv):  # type: ignore[no-untyped-def]
-    """Carry the torso's increments through a leg and update V."""
+    """Carry the torso's increments through a leg and update V; returns the largest |change|^2."""
+    largest = 0.0
     L, x, release = model.clamp[leg], work.vector, work.release[leg]
+    rx, _, rz = _triple(model.root[leg])
     z = work.moved
     z[7] = 1.0
     z[6] = release[6]
@@ -578,17 +625,22 @@ def _substitute(model, work, leg, inv):  # type: ignore[no-untyped-def]
         z[r] = value
         z[6] += release[r] * value
     work.tension[leg] = max(0.0, work.tension[leg] + z[6])
-    for i in range(work.lever.shape[1]):
-        W, lever, u = work.back[leg, i], work.lever[leg, i], work.velocity[leg, i + 1]
-        sx, sz = 0.0, 0.0
-        for c in range(8):
-            sx -= W[0, c] * z[c]
-            sz -= W[1, c] * z[c]
-        z[0] += sx
-        z[1] += sz
-        z[2] = lever[0] * sx + lever[1] * sz
+    for i in range(work.stage.shape[1]):
+        if i > 0:
+            W, lever = work.back[leg, i - 1], work.lever[leg, i - 1]
+            sx, sz = 0.0, 0.0
+            for c in range(8):
+                sx -= W[0, c] * z[c]
+                sz -= W[1, c] * z[c]
+            z[0] += sx
+            z[1] += sz
+            z[2] = lever[0] * sx + lever[1] * sz
+        u, stage = work.velocity[leg, i], work.stage[leg, i]
         u[0] += z[0] * inv
+        u[1] += (z[3] + (rx + stage[0]) * z[5] - (rz + stage[1]) * z[4]) * inv
         u[2] += z[1] * inv
+        largest = max(largest, (z[0] * z[0] + z[1] * z[1]) * inv * inv)
+    return largest
 
 
 @helper

@@ -8,33 +8,18 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from slot_core.dynamics.scene import Scene
-from slot_core.dynamics.sensors import ImuSensor, OdometrySensor
+from slot_core.dynamics.sensors import (
+    ImuReading,
+    ImuSensor,
+    OdometryReading,
+    OdometrySensor,
+    true_odometry,
+)
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulator import Simulator
 from slot_core.robot import Array, Robot
-
-
-@dataclass(frozen=True)
-class OdometryReading:
-    """Pose of base_link in odom, twist in base_link, at `stamp` (ns)."""
-
-    stamp: int
-    position: Array
-    quaternion: Array  # x y z w
-    velocity: Array
-    angular_velocity: Array
-
-
-@dataclass(frozen=True)
-class ImuReading:
-    """Angular velocity and specific force in base_link at `stamp` (ns)."""
-
-    stamp: int
-    angular_velocity: Array
-    specific_force: Array
 
 
 @dataclass(frozen=True)
@@ -92,7 +77,7 @@ class Plant:
     def present(self, stamp: int) -> list[Reading]:
         """IMU and odometry of this instant, stamped `stamp` (ns), without delay."""
         self.now = stamp
-        return [*self._read_imu(), self._odometry_reading()]
+        return [*self._read_imu(), self._odometry.sample(self.simulator, stamp)]
 
     def start(self, stamp: int) -> None:
         """Begin at `stamp` (ns); the first readings are due one period later."""
@@ -103,8 +88,7 @@ class Plant:
 
     def command(self, angle: Array) -> None:
         """Hold these tendon angles (4,), rad, from now on; raises ValueError on a bad vector."""
-        self.simulator.check_command(angle)
-        self._command = np.array(angle)
+        self._command = self.simulator.checked(angle)
 
     def advance(self, until: int) -> Iterator[Reading]:
         """Advance to `until` (ns), handing out each reading when it falls due."""
@@ -143,8 +127,7 @@ class Plant:
             self.now += steps * self._step
 
     def _read_imu(self) -> list[Reading]:
-        sample = self._imu.sample(self.simulator)
-        return [ImuReading(self.now, sample.angular_velocity, sample.specific_force)]
+        return [self._imu.sample(self.simulator, self.now)]
 
     def _read_joints(self) -> list[Reading]:
         sim = self.simulator
@@ -152,21 +135,12 @@ class Plant:
 
     def _read_odometry(self) -> list[Reading]:
         """The true state now, the odometry after its delay."""
-        reading = self._odometry_reading()
+        reading = self._odometry.sample(self.simulator, self.now)
         delay = round(self._scene.sensors.odometry.delay * 1e9)
         self._at(self.now + delay, lambda: [reading])
         return [self._true_state()]
 
-    def _odometry_reading(self) -> OdometryReading:
-        sample = self._odometry.sample(self.simulator)
-        return OdometryReading(
-            self.now, sample.position, sample.quaternion, sample.velocity, sample.angular_velocity
-        )
-
     def _true_state(self) -> TrueState:
         sim = self.simulator
-        twist = Rotation.from_quat(sim.quaternion).inv().apply(sim.velocity)
-        odometry = OdometryReading(
-            self.now, sim.position, sim.quaternion, twist, sim.angular_velocity
-        )
+        odometry = true_odometry(sim, self.now)
         return TrueState(self.now, odometry, sim.tension, sim.ground_force, sim.nodes)

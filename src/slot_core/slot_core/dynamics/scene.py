@@ -27,6 +27,8 @@ class SolverSettings:
     step: float = quantity("time step", "s", 1e-6, 0.02)
     theta: float = quantity("stage of the theta scheme", "", 0.5, 1.0)
     iterations: int = quantity("Newton iterations per step", "", 1, 20)
+    halvings: int = quantity("how often a step may be halved", "", 0, 12)
+    correction_limit: float = quantity("last Newton correction that is accepted", "m/s", 1e-9, 1e6)
     speed_limit: float = quantity("a faster node means a lost solution", "m/s", 1.0, 1e6)
 
 
@@ -58,6 +60,7 @@ class SensorSettings:
 
     odometry: OdometrySettings
     imu: ImuSettings
+    joint_period: float = quantity("time between readings of the tendon angles", "s", 1e-3, 1.0)
 
 
 @dataclass(frozen=True)

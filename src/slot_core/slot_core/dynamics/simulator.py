@@ -8,9 +8,9 @@ import numpy as np
 
 from slot_core.dynamics import integrator, observe
 from slot_core.dynamics.contact import Floor
-from slot_core.dynamics.integrator import Model, State, Work, work_space
+from slot_core.dynamics.integrator import Model, Scheme, State, work_space
 from slot_core.dynamics.rod import discretise
-from slot_core.dynamics.scene import Scene
+from slot_core.dynamics.scene import Scene, SolverSettings
 from slot_core.dynamics.servo import ServoSettings, servo
 from slot_core.dynamics.tendon import route
 from slot_core.dynamics.torso import box
@@ -35,7 +35,9 @@ class Simulator:
         self.scene = scene
         self.model = build_model(robot, scene, servo)
         self.state = rest_state(self.model, scene.start.height)
+        self._start = rest_state(self.model, scene.start.height)
         self._work = work_space(scene.solver.nodes)
+        self._scheme = build_scheme(scene.solver)
         self._points = np.zeros((2, 4, scene.solver.nodes, 3))
         self._steps = 0
         self._settle()
@@ -46,11 +48,9 @@ class Simulator:
         Raises ValueError on a command of the wrong shape, not finite or outside [0, angle_max], and
         Divergence when a speed is not finite or beyond `scene.solver.speed_limit`.
         """
-        command = self._checked(command)
-        solver = self.scene.solver
+        command = self.checked(command)
         done, where = integrator.advance(
-            self.model, self.state, self._work, command,
-            steps, solver.step, solver.theta, solver.iterations,
+            self.model, self.state, self._work, self._start, command, steps, self._scheme
         )
         self._steps += done
         if where >= 0:
@@ -68,6 +68,11 @@ class Simulator:
     def time(self) -> float:
         """S, since the end of settling."""
         return self._steps * self.scene.solver.step
+
+    @property
+    def halvings(self) -> int:
+        """How often a step was taken again in pieces half as long."""
+        return int(self._work.counter[0])
 
     @property
     def indefinite_steps(self) -> int:
@@ -163,7 +168,8 @@ class Simulator:
         self.advance(round(start.settle / self.scene.solver.step), command)
         self._steps = 0
 
-    def _checked(self, command: Array) -> Array:
+    def checked(self, command: Array) -> Array:
+        """The command as `advance` takes it; raises ValueError as it does."""
         command = np.array(command, dtype=np.float64)
         limit = self.robot.tendon.angle_max
         if command.shape != (4,):
@@ -199,6 +205,17 @@ def build_model(robot: Robot, scene: Scene, settings: ServoSettings) -> Model:
         root=root,
         clamp=integrator.clamp_maps(axes, root),
         speed_limit=scene.solver.speed_limit,
+    )
+
+
+def build_scheme(solver: SolverSettings) -> Scheme:
+    """The numbers of the time stepping."""
+    return Scheme(
+        step=solver.step,
+        theta=solver.theta,
+        iterations=solver.iterations,
+        halvings=solver.halvings,
+        correction_limit=solver.correction_limit,
     )
 
 

@@ -58,6 +58,7 @@ def draw_speed(ax: Axes, motion: Motion, period: float | None, warm_up: float) -
     if period is not None:
         mean = stride_mean(t, v_x, period)
         ax.plot(t, mean, color=palette.SECOND, lw=1.8, label=f"mean over a stride, {period:.2f} s")
+    ax.axhline(0.0, color=palette.INK, lw=0.6)
     _over_time(ax, motion, warm_up, "forward velocity", "v_x (m/s)")
     ax.legend(**LEGEND)
 
@@ -74,20 +75,20 @@ def draw_tilt(ax: Axes, motion: Motion, warm_up: float) -> None:
 
 def draw_angles(axes: Sequence[Axes], bag: Bag, start: float, end: float) -> None:
     """Tendon angles of each leg, desired and true, over the last strides."""
-    for topic, style in (("/desired_joint_angles", DESIRED), ("/joint_states", ACTUAL)):
+    for topic, label in (("/desired_joint_angles", "desired"), ("/joint_states", "true")):
         if bag.counts.get(topic):
             t, angle = joint_columns(bag, topic, "position")
-            _per_leg(axes, t - start, np.degrees(angle), style)
+            _per_leg(axes, t - start, np.degrees(angle), label)
     _finish_legs(axes, "tendon angles (deg)", end - start)
 
 
 def draw_forces(axes: Sequence[Axes], bag: Bag, start: float, end: float) -> None:
     """Normal forces of each leg, wanted by the MPC and true, over the last strides."""
-    wanted = ("/ground_reaction_forces", "force", DESIRED)
-    for topic, field, style in (wanted, ("/ground_truth/legs", "ground_force", ACTUAL)):
+    wanted = ("/ground_reaction_forces", "force", "MPC")
+    for topic, field, label in (wanted, ("/ground_truth/legs", "ground_force", "true")):
         if bag.counts.get(topic):
             series = bag.series(topic, field)
-            _per_leg(axes, seconds(series.stamp) - start, series[field][:, :, 2], style)
+            _per_leg(axes, seconds(series.stamp) - start, series[field][:, :, 2], label)
     _finish_legs(axes, "normal forces (N)", end - start)
     axes[-1].set_xlabel("time (s)")
 
@@ -98,13 +99,15 @@ def draw_latency(ax: Axes, ticks: Ticks) -> None:
     ms = [1e3 * column[np.isfinite(column) & (column > 0)] for column in columns]
     if measured := [values for values in ms if len(values)]:
         low, high = min(v.min() for v in measured), max(v.max() for v in measured)
-        bins = np.geomspace(low / 1.2, max(high, 1e3 * ticks.period) * 1.2, LATENCY_BINS)
+        high = max(high, 1e3 * ticks.period)
+        bins = np.geomspace(low / 1.2, high * 1.2, LATENCY_BINS).tolist()
         for values, name, colour in zip(ms, (*STAGES, "end to end"), LATENCY_COLOURS):
             ax.hist(values, bins, histtype="stepfilled", color=colour, alpha=0.75, label=name)
         ax.set_xscale("log")
+        ax.set_yscale("log")  # a single late tick is to be seen
     ax.axvline(1e3 * ticks.period, color=palette.INK, ls="--", lw=1, label="control period")
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    _finish(ax, "latency per stage", "ticks", "latency (ms, logarithmic)")
+    _finish(ax, "latency", "ticks", "latency (ms, logarithmic)")
     ax.legend(**LEGEND)
 
 
@@ -115,12 +118,12 @@ def draw_slack(ax: Axes, bag: Bag, start: float) -> None:
         series = bag.series("/ground_reaction_forces", *fields)
         rows = np.concatenate([series[field].T for field in fields])
         t = seconds(series.stamp) - start
-        bound = max(float(np.abs(rows).max()), 1e-9)
+        bound = float(np.abs(rows[np.isfinite(rows)]).max(initial=1e-9))
         mesh = ax.pcolormesh(
             t, np.arange(len(rows)), rows, cmap="RdBu", norm=TwoSlopeNorm(0.0, -bound, bound),
             shading="nearest", rasterized=True,
         )  # fmt: skip
-        ax.figure.colorbar(mesh, ax=ax, label="slack (N), red: violated", pad=0.01)
+        ax.figure.colorbar(mesh, ax=ax, label="slack (N), red: violated", pad=0.01, aspect=30)
     names = [f"{leg} {name}" for _, name in SLACKS for leg in LEGS]
     ax.set_yticks(range(len(names)), names, fontsize=7)
     ax.invert_yaxis()
@@ -131,22 +134,27 @@ def draw_slack(ax: Axes, bag: Bag, start: float) -> None:
 def draw_summary(ax: Axes, metrics: WalkMetrics) -> None:
     """The summary as text."""
     ax.set_axis_off()
-    ax.text(
+    text = ax.text(
         0.0, 1.0, "\n".join(summary_lines(metrics)), transform=ax.transAxes, va="top",
-        family="monospace", fontsize=7.6, linespacing=1.5, color=palette.INK,
+        family="monospace", fontsize=7.6, linespacing=1.55, color=palette.INK,
     )  # fmt: skip
+    text.set_in_layout(False)  # wide text must not narrow the panels above
 
 
-LEGEND: dict[str, Any] = {"fontsize": 7, "frameon": False, "loc": "upper right", "ncols": 3}
-DESIRED: dict[str, Any] = {"ls": "--", "lw": 1.0, "alpha": 1.0, "label": "desired"}
-ACTUAL: dict[str, Any] = {"ls": "-", "lw": 1.6, "alpha": 0.75, "label": "true"}
+LEGEND: dict[str, Any] = {
+    "fontsize": 7, "bbox_to_anchor": (1.0, 0.97), "borderpad": 0.0, "borderaxespad": 0.2,
+    "columnspacing": 1.2, "handlelength": 1.5,
+    "frameon": False, "loc": "lower right", "ncols": 3,
+}  # fmt: skip
 LATENCY_COLOURS = (*palette.STAGE_COLOURS, palette.INK)
 
 
-def _per_leg(axes: Sequence[Axes], t: Array, values: Array, style: dict[str, Any]) -> None:
+def _per_leg(axes: Sequence[Axes], t: Array, values: Array, label: str) -> None:
     for ax, leg, column in zip(axes, LEGS, values.T):
-        colour = palette.INK if style is DESIRED else palette.LEG_COLOURS[leg]
-        ax.plot(t, column, color=colour, **style)
+        if label == "true":
+            ax.plot(t, column, color=palette.LEG_COLOURS[leg], lw=1.8, alpha=0.75, label=label)
+        else:
+            ax.plot(t, column, color=palette.INK, ls="--", lw=1, label=label)
 
 
 def _finish_legs(axes: Sequence[Axes], title: str, end: float) -> None:
@@ -156,7 +164,7 @@ def _finish_legs(axes: Sequence[Axes], title: str, end: float) -> None:
         ax.tick_params(labelbottom=ax is axes[-1])
     axes[0].set_title(f"{title}, last {min(WINDOW, end):.0f} s", fontsize=9, loc="left")
     if axes[0].lines:
-        axes[0].legend(**LEGEND | {"loc": "lower right", "bbox_to_anchor": (1.0, 0.97)})
+        axes[0].legend(**LEGEND)
 
 
 def _over_time(ax: Axes, motion: Motion, warm_up: float, title: str, label: str) -> None:

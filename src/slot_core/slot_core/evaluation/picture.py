@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,8 +19,11 @@ SUN = np.array([0.25, -0.45, 0.86]) / np.linalg.norm([0.25, -0.45, 0.86])
 AMBIENT = 0.55  # brightness of a face turned away from the sun
 FORCE_SCALE = 0.012  # m of arrow per N
 LEAST_FORCE = 0.2  # N, shorter arrows are left out
-GROUND_HALF = (0.32, 0.27)  # m, of the ground drawn around the robot, along x and y
+GROUND_HALF = (0.26, 0.22)  # m, of the ground drawn around the robot, along x and y
 GROUND_LINE = 0.1  # m between lines on the ground
+MARK: dict[str, Any] = {
+    "textcoords": "offset points", "ha": "center", "va": "top", "fontsize": 8, "color": palette.INK,
+}  # fmt: skip
 BOX_FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 
 
@@ -38,8 +42,8 @@ class Pose:
 class Camera:
     """An orthographic view from a direction given by azimuth and elevation, rad."""
 
-    azimuth: float = math.radians(-62.0)
-    elevation: float = math.radians(20.0)
+    azimuth: float = math.radians(-70.0)
+    elevation: float = math.radians(22.0)
 
     @property
     def toward(self) -> Array:
@@ -156,11 +160,7 @@ def _draw_ground(ax: Axes, centre: Array, camera: Camera) -> None:
         LineCollection([camera.project(line) for line in lines], colors="white", zorder=1)
     )
     for x, line in zip(marks, lines):
-        at = camera.project(line[0])
-        ax.annotate(
-            f"{x:.1f} m", at, (0, -3), textcoords="offset points", ha="center", va="top",
-            fontsize=8, color=palette.INK,
-        )  # fmt: skip
+        ax.annotate(f"{x:.1f} m", camera.project(line[0]).tolist(), (0, -3), **MARK)
     (left, low), (right, high) = outline.min(axis=0), outline.max(axis=0)
     ax.set_xlim(left, right)
     ax.set_ylim(low - 0.03, high + 0.02)
@@ -169,15 +169,13 @@ def _draw_ground(ax: Axes, centre: Array, camera: Camera) -> None:
 def _marks(x: float, half: float) -> Array:
     """Multiples of GROUND_LINE within x +- half."""
     first, last = math.ceil((x - half) / GROUND_LINE), math.floor((x + half) / GROUND_LINE)
-    return np.arange(first, last + 1) * GROUND_LINE + 0.0
+    return GROUND_LINE * np.arange(first, last + 1, dtype=np.float64)
 
 
 def _draw_forces(ax: Axes, pose: Pose, centre: Array, camera: Camera) -> None:
+    arrow = {"arrowstyle": "-|>", "color": palette.INK, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
     for foot, force in zip(pose.nodes[:, -1] * [1.0, 1.0, 0.0], pose.force):
-        if np.linalg.norm(force) < LEAST_FORCE:
-            continue
-        tail, head = camera.project(np.array([foot, foot + FORCE_SCALE * force]) - centre)
-        ax.annotate(
-            "", head, tail, zorder=4,
-            arrowprops={"arrowstyle": "-|>", "color": palette.INK, "lw": 1.6, "shrinkA": 0, "shrinkB": 0},
-        )  # fmt: skip
+        if np.linalg.norm(force) > LEAST_FORCE:
+            ends = np.array([foot, foot + FORCE_SCALE * force]) - centre
+            tail, head = camera.project(ends).tolist()
+            ax.annotate("", head, tail, zorder=4, arrowprops=arrow)

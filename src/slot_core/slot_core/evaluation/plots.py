@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, FigureBase
 
 from slot_core.evaluation import panels
 from slot_core.evaluation.bag import Bag, BagError
 from slot_core.evaluation.metrics import WalkMetrics
-from slot_core.evaluation.picture import Camera, Pose, draw_robot
+from slot_core.evaluation.picture import FORCE_SCALE, Camera, Pose, draw_robot
 from slot_core.evaluation.walk import read_motion, read_ticks, seconds, stride_period
 from slot_core.robot import LEGS, Array, read_robot
 
@@ -29,7 +31,8 @@ def dashboard_figure(bag: Bag, metrics: WalkMetrics) -> Figure:
     """The dashboard; every axes has the name of its panel as its label."""
     figure = _figure(16.0, 10.0)
     figure.suptitle(f"{bag.path.name}", fontsize=14, fontweight="bold")
-    left, middle, right = figure.subfigures(1, 3, width_ratios=[1.0, 1.0, 1.0], wspace=0.02)
+    columns: Any = figure.subfigures(1, 3, wspace=0.03)
+    left, middle, right = columns
     motion = read_motion(bag)
     path, height, speed, tilt = _stack(left, ("path", "height", "speed", "tilt"), (1.3, 1, 1, 1))
     panels.draw_path(path, motion, motion.after(motion.t[0] + metrics.warm_up))
@@ -60,12 +63,13 @@ def filmstrip(bag: Bag, path: Path, stills: int = 5) -> None:
 def filmstrip_figure(bag: Bag, stills: int) -> Figure:
     """The strip; its axes are the stills in the order of time."""
     poses = read_poses(bag, still_times(bag, stills))
-    figure = _figure(3.6 * stills, 3.0)
+    figure = _figure(3.6 * stills, 2.2)
     robot, camera = read_robot(), Camera()
     for i, pose in enumerate(poses):
         ax = figure.add_subplot(1, stills, i + 1, label=f"still {i}")
         draw_robot(ax, pose, robot, camera)
         ax.set_title(f"{pose.t:.1f} s", fontsize=11)
+    figure.supxlabel(f"arrows: force of the ground, {1e-2 / FORCE_SCALE:.2f} N per cm", fontsize=9)
     return figure
 
 
@@ -99,9 +103,7 @@ def read_poses(bag: Bag, times: Array) -> list[Pose]:
     return poses
 
 
-def _stack(
-    figure: Figure, names: tuple[str, ...] | list[str], heights: tuple[float, ...]
-) -> list[Axes]:
+def _stack(figure: FigureBase, names: Sequence[str], heights: Sequence[float]) -> list[Axes]:
     grid = figure.add_gridspec(len(names), 1, height_ratios=heights)
     return [figure.add_subplot(grid[i], label=name) for i, name in enumerate(names)]
 

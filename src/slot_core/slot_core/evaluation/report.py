@@ -14,19 +14,21 @@ NAME_WIDTH = 20
 def summary_lines(metrics: WalkMetrics) -> list[str]:
     """Aligned lines `name  values`, with units; a dash stands for what the bag does not tell."""
     m = metrics
-    ticks = f"{m.deadline_misses} of {m.ticks}"
-    details = f"{m.unanswered} unanswered, {m.missed_ticks} odometries missing"
+    misses = f"{m.deadline_misses} of {m.ticks} ticks later than {1e3 * m.period:.1f} ms"
+    unanswered = f"{m.unanswered} ticks, {m.missed_ticks} odometries missing"
     rows = [
-        ("duration", f"{m.duration:.2f} s after {m.warm_up:.1f} s of warm-up, from {m.source}"),
+        ("motion from", m.source),
+        ("duration", f"{m.duration:.2f} s after {m.warm_up:.1f} s of warm-up"),
         ("distance", f"{m.distance:.3f} m"),
         ("mean v_x, v_y", f"{m.mean_v_x:.4f} m/s, {m.mean_v_y:+.4f} m/s"),
         ("height", f"{_mm(m.height_mean)} mean, {_mm(m.height_std)} standard deviation"),
         ("tilt", f"{_deg(m.tilt_rms)} RMS, {_deg(m.tilt_max)} max"),
         ("lateral drift", f"{_mm(m.lateral_drift_max)} max, {_mm(m.lateral_drift_end, '+')} end"),
         ("yaw drift", _deg(m.yaw_drift, "+")),
-        *((f"{name}", _latency(stage)) for name, stage in m.stages.items()),
+        *((name, _latency(stage)) for name, stage in m.stages.items()),
         ("end to end", _latency(m.end_to_end)),
-        ("deadline misses", f"{ticks} ticks of {1e3 * m.period:.1f} ms ({details})"),
+        ("deadline misses", misses),
+        ("  never answered", unanswered),
         ("real-time factor", _number(m.real_time_factor, "{:.2f}")),
         ("MPC fallback", _fallback(m)),
         ("largest violation", _number(m.violation_max, "{:.1e} N")),
@@ -53,7 +55,7 @@ def _latency(stage: Latency) -> str:
     if not stage.count:
         return "-"
     p50, p99, largest = (1e3 * value for value in (stage.p50, stage.p99, stage.max))
-    return f"p50 {p50:7.2f} ms   p99 {p99:7.2f} ms   max {largest:7.2f} ms"
+    return f"p50 {p50:6.2f}   p99 {p99:6.2f}   max {largest:6.2f} ms"
 
 
 def _fallback(metrics: WalkMetrics) -> str:

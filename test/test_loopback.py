@@ -1,0 +1,179 @@
+"""DDS stays on the loopback interface, as the operating system sees it."""
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+from collections.abc import Iterator
+from ipaddress import ip_address
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PEER = Path(__file__).with_name("loopback_peer.py")
+ENOUGH = 30  # s; under strace the exchange takes some 2 s on a busy machine
+
+# What a caller may bring along, every one of which would let DDS out or choose another transport.
+HOSTILE = {
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+    "ROS_STATIC_PEERS": "192.0.2.1",
+    "ROS_DISCOVERY_SERVER": "192.0.2.1:11811",
+    "ROS_LOCALHOST_ONLY": "0",
+    "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp",
+    "FASTRTPS_DEFAULT_PROFILES_FILE": "/nowhere.xml",
+    "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+}
+
+# strace -yy names the socket in angle brackets, with the address that it is bound to.
+SENT = re.compile(r"^(?:sendto|sendmsg|sendmmsg|connect)\(.*")
+RECEIVED = re.compile(r"^(?:recvfrom|recvmsg|recvmmsg|accept4?)\(\d+<(?:UDP|TCP)[^:]*:\[(\S+):\d+")
+ADDRESS = re.compile(r'inet_addr\("([^"]+)"\)|inet_pton\(AF_INET6, "([^"]+)"')
+FAMILY = re.compile(r"sa_family=(\w+)")
+FAMILIES = {"AF_INET", "AF_INET6", "AF_UNIX", "AF_NETLINK"}  # the last two stay on the machine
+
+
+def environment(**given: str) -> dict[str, str]:
+    """What scripts/env makes of a caller's variables."""
+    shell = subprocess.run(
+        ["bash", "-c", ". scripts/env && env -0"],
+        cwd=ROOT,
+        env={"PATH": os.defpath} | given,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return dict(entry.split("=", 1) for entry in shell.stdout.split("\0") if entry)
+
+
+def sent_to(trace: str) -> Iterator[str]:
+    """Every address that a trace sends or connects to, and every family not in FAMILIES."""
+    for line in filter(SENT.match, trace.splitlines()):
+        yield from (family for family in FAMILY.findall(line) if family not in FAMILIES)
+        yield from (four or six for four, six in ADDRESS.findall(line))
+
+
+def received_on(trace: str) -> Iterator[str]:
+    """The address of every internet socket that a trace receives or accepts on."""
+    for line in trace.splitlines():
+        if match := RECEIVED.match(line):
+            yield match.group(1).strip("[]")
+
+
+def is_loopback(address: str) -> bool:
+    try:
+        return ip_address(address).is_loopback
+    except ValueError:  # another address family
+        return False
+
+
+@pytest.fixture(scope="module")
+def strace() -> str:
+    program = shutil.which("strace")
+    assert program, "strace is missing: scripts/setup --test installs it"
+    trial = subprocess.run(
+        [program, "-o", os.devnull, "true"], check=False, capture_output=True, text=True
+    )
+    assert trial.returncode == 0, f"strace may not trace here (ptrace forbidden?): {trial.stderr}"
+    return program
+
+
+@pytest.fixture(scope="module")
+def trace(strace: str, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The network calls of two processes, all threads, that exchanged a question and an answer."""
+    folder = tmp_path_factory.mktemp("trace")
+    variables = environment() | {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100)}
+    python = shutil.which("python", path=variables["PATH"])
+    assert python
+
+    def start(role: str) -> subprocess.Popen[str]:
+        tracer = [strace, "-ff", "-yy", "-e", "trace=network", "-o", str(folder / role)]
+        return subprocess.Popen(
+            [*tracer, python, str(PEER), role],
+            env=variables,
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+
+    answer = start("answer")
+    ask = start("ask")
+    try:
+        assert ask.communicate(timeout=ENOUGH)[0] == "yes\n"
+        assert ask.returncode == 0
+    finally:
+        for process in (ask, answer):
+            stop(process)
+    return "".join(path.read_text() for path in folder.iterdir())
+
+
+def stop(process: subprocess.Popen[str]) -> None:
+    """End a process with what it started, which all run in a session of their own."""
+    if process.poll() is None:
+        os.killpg(process.pid, signal.SIGTERM)
+        try:
+            process.wait(5)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+
+
+def test_every_datagram_of_two_talking_processes_goes_to_the_loopback(trace: str) -> None:
+    addresses = list(sent_to(trace))
+    assert any(address.startswith("127.") for address in addresses)  # they did use the network
+    assert not [address for address in addresses if not is_loopback(address)]
+
+
+def test_two_talking_processes_receive_on_loopback_sockets_alone(trace: str) -> None:
+    sockets = set(received_on(trace))
+    assert sockets
+    assert not [address for address in sockets if not is_loopback(address)]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        'sendto(9<UDP:[0.0.0.0:40000]>, "RTPS"..., 88, MSG_NOSIGNAL, {sa_family=AF_INET, '
+        'sin_port=htons(7400), sin_addr=inet_addr("239.255.0.1")}, 16) = 88',
+        "sendmsg(9<UDP:[0.0.0.0:40000]>, {msg_name={sa_family=AF_INET, sin_port=htons(7400), "
+        'sin_addr=inet_addr("192.0.2.1")}, msg_namelen=16}, 0) = 88',
+        "connect(9<TCPv6:[77]>, {sa_family=AF_INET6, sin6_port=htons(80), sin6_flowinfo=htonl(0), "
+        'inet_pton(AF_INET6, "2001:db8::1", &sin6_addr), sin6_scope_id=0}, 28) = 0',
+        'sendto(9<PACKET:[77]>, "x", 1, 0, {sa_family=AF_PACKET, sll_protocol=htons(0)}, 20) = 1',
+    ],
+)
+def test_the_reader_of_traces_notices_a_way_out(line: str) -> None:
+    assert not all(map(is_loopback, sent_to(line)))
+
+
+def test_the_reader_of_traces_notices_a_socket_open_to_all() -> None:
+    line = 'recvfrom(9<UDP:[0.0.0.0:7400]>, "RTPS"..., 65500, 0, {sa_family=AF_INET}, [16]) = 88'
+    assert not all(map(is_loopback, received_on(line)))
+
+
+def test_whatever_the_caller_has_set_the_environment_keeps_dds_on_the_loopback() -> None:
+    variables = environment(**HOSTILE)
+    assert variables["RMW_IMPLEMENTATION"] == "rmw_fastrtps_cpp"
+    assert variables["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+    profile = ROOT / "slot_bringup/dds/loopback_only.xml"
+    assert Path(variables["FASTRTPS_DEFAULT_PROFILES_FILE"]) == profile
+    assert profile.exists()
+    given_up = HOSTILE.keys() - environment().keys()
+    assert given_up >= {"ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER", "FASTDDS_BUILTIN_TRANSPORTS"}
+    assert not given_up & variables.keys()
+
+
+def test_slot_network_leaves_the_callers_dds_variables_as_they_are() -> None:
+    variables = environment(SLOT_NETWORK="1", **HOSTILE)
+    assert {name: variables[name] for name in HOSTILE} == HOSTILE
+
+
+def test_slot_network_takes_back_the_loopback_of_an_earlier_sourcing() -> None:
+    variables = environment(**(environment() | {"SLOT_NETWORK": "1"}))
+    assert "ROS_AUTOMATIC_DISCOVERY_RANGE" not in variables
+    assert "FASTRTPS_DEFAULT_PROFILES_FILE" not in variables
+
+
+def test_an_unknown_value_of_slot_network_keeps_dds_on_the_loopback() -> None:
+    assert environment(SLOT_NETWORK="yes")["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
