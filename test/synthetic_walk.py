@@ -15,6 +15,7 @@ from slot_core.evaluation.message_types import message_types
 from slot_core.robot import TENDON_JOINTS, Array, read_robot
 
 TYPES = message_types()
+ROBOT = read_robot()
 TOPICS = {name: topic.type for name, topic in read_record_settings().topics.items()}
 RATE = 30  # Hz, odometry
 TRUTH_RATE = 120  # Hz, a multiple of RATE: both have a sample at every odometry
@@ -72,11 +73,12 @@ def encode(topic: str, built: Any) -> bytes:
 
 @dataclass(frozen=True)
 class Walk:
-    """A straight walk with a swinging torso."""
+    """A straight walk, or with a yaw rate a circular one, with a swinging torso."""
 
     duration: float = 4.0  # s
     speed: float = 0.05  # m/s
-    course: float = 0.0  # rad, direction of the motion; the torso's yaw stays zero
+    course: float = 0.0  # rad, direction of the motion to the left of the heading
+    yaw_rate: float = 0.0  # rad/s; yaw starts at zero
     roll: float = 0.0  # rad, amplitude of roll = A sin(2 pi t / STRIDE)
     bounce: float = 0.0  # m, amplitude of the height
     latencies: tuple[float, ...] = (0.002, 0.001, 0.006, 0.001)  # s per stage
@@ -89,29 +91,24 @@ class Walk:
     truth: bool = True  # ground truth is recorded
     start: float = 100.0  # s, graph time of the first tick
 
-    def position(self, t: Array | float) -> Array:
-        """(..., 3) m at time t after the start."""
-        phase = 2 * np.pi * np.asarray(t) / STRIDE
-        along = self.speed * np.asarray(t)
-        return np.stack(
-            [
-                along * np.cos(self.course),
-                along * np.sin(self.course),
-                TORSO_HEIGHT + self.bounce * np.sin(phase),
-            ],
-            axis=-1,
-        )
+    def position(self, t: float) -> Array:
+        """(3,) m at time t after the start."""
+        turned = self.yaw_rate * t
+        chord = self.speed * t * np.sinc(turned / (2 * np.pi))  # of an arc that turns so far
+        way = self.course + turned / 2
+        height = TORSO_HEIGHT + self.bounce * np.sin(2 * np.pi * t / STRIDE)
+        return np.array([chord * np.cos(way), chord * np.sin(way), height])
 
     def rpy(self, t: float) -> Array:
         """(3,) rad."""
-        return np.array([self.roll * np.sin(2 * np.pi * t / STRIDE), 0.0, 0.0])
+        return np.array([self.roll * np.sin(2 * np.pi * t / STRIDE), 0.0, self.yaw_rate * t])
 
     def velocity(self, t: float) -> Array:
         """(3,) m/s in odom."""
         rate = 2 * np.pi / STRIDE
         lift = self.bounce * rate * np.cos(rate * t)
-        course = np.array([np.cos(self.course), np.sin(self.course), 0.0])
-        return self.speed * course + [0.0, 0.0, lift]
+        way = self.course + self.yaw_rate * t
+        return np.array([self.speed * np.cos(way), self.speed * np.sin(way), lift])
 
 
 def write_walk(path: Path, walk: Walk) -> Path:
@@ -200,7 +197,7 @@ def angles(t: float) -> Array:
 def normal_forces(t: float) -> Array:
     """(4,) N, plausible normal forces whose sum is the weight."""
     phase = 2 * np.pi * t / STRIDE + np.array([0.0, np.pi, np.pi / 2, -np.pi / 2])
-    return read_robot().weight / 4 * (1 + 0.5 * np.sin(phase))
+    return ROBOT.weight / 4 * (1 + 0.5 * np.sin(phase))
 
 
 def _truth(walk: Walk) -> list[tuple[int, str, Any]]:
@@ -230,10 +227,9 @@ def joints(stamp: float, t: float) -> Any:
 
 def leg_nodes(walk: Walk, t: float) -> Array:
     """(4, NODES, 3) m: arcs from the clamps to feet on the ground at their natural place."""
-    robot = read_robot()
     rotation = Rotation.from_euler("xyz", walk.rpy(t))
-    clamps = walk.position(t) + rotation.apply(robot.clamps)
-    feet = walk.position(t) + robot.clamps + 0.145 * robot.outward
+    clamps = walk.position(t) + rotation.apply(ROBOT.clamps)
+    feet = walk.position(t) + ROBOT.clamps + 0.145 * ROBOT.outward
     feet[:, 2] = 0.018 * np.clip(np.sin(2 * np.pi * t / STRIDE + np.arange(4) * np.pi / 2), 0, 1)
     s = np.linspace(0.0, 1.0, NODES)[None, :, None]
     nodes = clamps[:, None] * (1 - s) + feet[:, None] * s

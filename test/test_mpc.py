@@ -17,7 +17,7 @@ from slot_core.control.force_map import read_force_map
 from slot_core.control.gait import GaitPreview
 from slot_core.control.mpc import Mpc, Status, read_mpc
 from slot_core.control.mpc_model import Horizon, HorizonQp, TorsoModel
-from slot_core.control.mpc_solver import PiqpSolver
+from slot_core.control.mpc_solver import PiqpSolver, Solution
 from slot_core.robot import GRAVITY, read_robot
 
 ROBOT = read_robot()
@@ -106,7 +106,7 @@ def random_case(rng):
         v=rng.normal(0, 0.15, 3),
     )
     reference = np.tile(state(rpy=(0, 0, yaw + rng.normal(0, 0.2)), p=(0, 0, 0.04)), (H + 1, 1))
-    reference[:, 9] = rng.uniform(-0.1, 0.1)
+    reference += np.linspace(0, 1, H + 1)[:, None] * rng.normal(0, 0.1, 12)
     return x0, preview(
         contact=rng.random((H + 1, 4)) < rng.choice([0.5, 0.8, 1.0]),
         friction=rng.uniform(0.0, 0.8, (H + 1, 4)),
@@ -156,9 +156,9 @@ def test_first_forces_and_cost_are_the_optimum_of_the_written_problem():
     for x0, ahead in cases:
         result, (u, cost) = mpc.step(x0, ahead), oracle(x0, ahead)
         assert result.status == Status.SOLVED
-        # 1e-4 N is a fifty-thousandth of the load of a leg; where a limit is only just active an
-        # interior-point method at a gap of 1e-10 comes within 3e-5 N
-        np.testing.assert_allclose(result.force.ravel(), u[0], rtol=0, atol=1e-4)
+        # where a limit is only just active, an interior-point method at a gap of 1e-10 stops
+        # short of it: by 1.3e-4 N at most in 414 such cases
+        np.testing.assert_allclose(result.force.ravel(), u[0], rtol=0, atol=3e-4)
         assert result.cost == pytest.approx(cost, rel=1e-6, abs=1e-6)  # flat at the optimum
 
 
@@ -318,10 +318,10 @@ def late():
 
 
 def iteration_limit():
-    # standing takes 8 iterations, this case 12: the limit lies between
-    x0, ahead = random_case(np.random.default_rng(204))
+    # standing takes 8 iterations, this case 11: the limit lies between
+    x0, ahead = random_case(np.random.default_rng(130))
     ahead.contact[0], ahead.friction[0], ahead.normal_force[:] = True, 0.4, LOAD
-    return new_mpc(solver__iterations=10), x0, ahead
+    return new_mpc(solver__iterations=9), x0, ahead
 
 
 def violation():
@@ -376,6 +376,26 @@ def test_a_solution_ends_the_fallback_and_the_stop():
     assert (again.status, again.fallback_cycles, again.message) == (Status.SOLVED, 0, "")
 
 
+def test_a_solver_that_calls_nan_solved_is_not_believed(monkeypatch):
+    answers = [np.full(24 * H, HOVER), np.full(24 * H, np.nan)]  # a feasible input, then not
+    answers[0].reshape(H, 8, 3)[..., :2] = 0.0
+
+    class Careless:
+        def __init__(self, *_):
+            self.count = -2  # the first call is made at construction
+
+        def solve(self):
+            self.count += 1
+            return Solution(answers[max(self.count, 0)], fault="", iterations=1)
+
+    monkeypatch.setattr("slot_core.control.mpc.PiqpSolver", Careless)
+    mpc = new_mpc()
+    assert mpc.step(state(), preview()).status == Status.SOLVED
+    result = mpc.step(state(), preview())
+    assert (result.status, result.message) == (Status.NOT_SOLVED, "solution not finite")
+    np.testing.assert_allclose(result.force[:, 2], HOVER)
+
+
 @pytest.mark.parametrize("cause", ["iteration limit", "bad input"])
 def test_before_any_feasible_solution_it_is_stopped(cause):
     mpc = new_mpc(solver__iterations=1) if cause == "iteration limit" else new_mpc()
@@ -391,10 +411,11 @@ def test_fallback_puts_no_force_on_a_leg_that_is_lifted_now():
     assert mpc.step(*good).status == Status.SOLVED
     contact = np.ones((H + 1, 4), dtype=bool)
     contact[0, 2] = False
-    result = mpc.step(state(), preview(contact=contact))
-    assert result.status == Status.LATE
-    assert not result.force[2].any()
-    assert np.all(result.slack_normal_max >= 0)
+    for x0, status in ((state(), Status.LATE), (np.full(12, np.nan), Status.REJECTED)):
+        result = mpc.step(x0, preview(contact=contact))
+        assert result.status == status
+        assert not result.force[2].any()
+        assert np.all(result.slack_normal_max >= 0)
 
 
 @pytest.mark.parametrize("scale", [1e2, 1e3, 1e4])

@@ -20,7 +20,7 @@ from slot_core import config
 from slot_core.config import quantity
 from slot_core.control.gait import GaitPreview
 from slot_core.control.mpc_model import (
-    LEG,
+    FEET,
     STATES,
     Horizon,
     HorizonQp,
@@ -63,7 +63,7 @@ class Weights:
     @property
     def r(self) -> Array:
         """(12,) diagonal of R."""
-        return np.tile(self.force, LEG)
+        return np.tile(self.force, FEET)
 
 
 @dataclass(frozen=True)
@@ -72,8 +72,8 @@ class Acceptance:
 
     violation_max: float = quantity("largest violation of a force limit", "N", 0, 1)
     time_budget: float = quantity("time for update and solve; .inf in lockstep", "s", 0, math.inf)
-    condition_max: float = quantity("condition of the condensed Hessian", "", 1, 1e12)
-    stage_max: float = quantity("longest time between stages; the condition's", "s", 1e-3, 1)
+    condition_max: float = quantity("condition of the Hessian at the longest", "", 1, 1e12)
+    stage: tuple[float, float] = quantity("shortest and longest time of a stage", "s", 1e-4, 1)
     input_max: float = quantity("largest magnitude of any input, SI units", "", 1, 1e9)
 
 
@@ -148,12 +148,12 @@ class Mpc:
         self._weight, self._settings, self._timer = robot.weight, settings, timer
         self._model = TorsoModel(robot)
         weights, horizon = settings.weights, settings.horizon
-        generic = self._model.predict(0.3, 0.1, settings.acceptance.stage_max)
+        generic = self._model.predict(0.3, 0.1, settings.acceptance.stage[1])
         _refuse_vague_forces(generic, settings)
         self._qp = HorizonQp(weights.q, weights.r, horizon, generic)
         self._solver = PiqpSolver(self._qp, settings.solver)
         self._solver.solve()  # the first solve pays for page faults: not on the robot's time
-        self._stage = FirstStage(np.zeros(LEG), np.zeros(LEG), np.zeros((LEG, 3)))
+        self._stage = FirstStage(np.zeros(FEET), np.zeros(FEET), np.zeros((FEET, 3)))
         self._last: Array | None = None  # (4, 3) N, last feasible input
         self._missed = 0  # consecutive cycles without an accepted solution
 
@@ -164,33 +164,36 @@ class Mpc:
         is accepted if it is solved, finite, within `violation_max` and within `time_budget`.
         """
         start = self._timer()
-        if fault := input_fault(state, preview, self._settings):
-            account = _Account(self._timer() - start, 0, math.nan, math.nan)
-            return self._fall_back(Status.REJECTED, fault, account)
+        if fault := preview_fault(preview, self._settings):
+            return self._reject(fault, start)
+        stages = self._read(preview)
+        self._stage = FirstStage(stages.force_max[0], stages.friction[0], stages.force_ref[0])
+        if fault := state_fault(state, self._settings):
+            return self._reject(fault, start)
         x = np.asarray(state, dtype=float)
-        stages = self._read(x[2], preview)
         self._qp.update(self._model.predict(x[2], x[5], preview.dt), x, stages)
         solution = self._solver.solve()
         return self._judge(solution, stages, self._timer() - start)
 
-    def _read(self, yaw: float, preview: GaitPreview) -> Horizon:
-        """The stages of the horizon; the present yaw's turn is the reference's."""
+    def _read(self, preview: GaitPreview) -> Horizon:
+        """The stages of the horizon."""
         now = np.arange(self._settings.horizon)
         following = np.minimum(now + 1, len(preview.reference) - 1)
-        target = np.array(preview.reference, dtype=float)[following]
-        target[:, 2] += 2 * np.pi * np.round((yaw - target[0, 2]) / (2 * np.pi))
-        force = np.zeros((len(now), LEG, 3))
+        force = np.zeros((len(now), FEET, 3))
         force[..., 2] = np.asarray(preview.normal_force)[now]
         return Horizon(
             force_max=self._settings.force_max * np.asarray(preview.contact, dtype=float)[now],
             friction=np.asarray(preview.friction, dtype=float)[now],
             force_ref=force,
-            state_ref=target,
+            state_ref=np.asarray(preview.reference, dtype=float)[following],
         )
+
+    def _reject(self, fault: str, start: float) -> MpcResult:
+        account = _Account(self._timer() - start, 0, math.nan, math.nan)
+        return self._fall_back(Status.REJECTED, fault, account)
 
     def _judge(self, solution: Solution, stages: Horizon, elapsed: float) -> MpcResult:
         """Accept the solution, or replace it."""
-        self._stage = FirstStage(stages.force_max[0], stages.friction[0], stages.force_ref[0])
         limits, force = self._settings.acceptance, self._qp.forces(solution.z)
         violation = -float(slacks(force, stages.force_max, stages.friction).min())
         cost = self._qp.cost(solution.z)
@@ -215,7 +218,7 @@ class Mpc:
         if self._last is None or self._missed > rule.cycles:
             used_up = f"fallback used up after {rule.cycles} cycles"
             why = "no feasible input yet" if self._last is None else used_up
-            return self._result(np.zeros((LEG, 3)), Status.STOPPED, f"{why}; {fault}", account)
+            return self._result(np.zeros((FEET, 3)), Status.STOPPED, f"{why}; {fault}", account)
         hover = self._stage.force_ref
         force = hover + rule.decay**self._missed * (self._last - hover)
         return self._result(self._stage.clip(force), cause, fault, account)
@@ -239,15 +242,20 @@ class Mpc:
         )
 
 
-def input_fault(state: Array, preview: GaitPreview, settings: MpcSettings) -> str:
-    """One line naming the first input that cannot be used, its value and its limit, or ""."""
+def state_fault(state: Array, settings: MpcSettings) -> str:
+    """One line naming the first element that cannot be used, its value and its limit, or ""."""
+    most = settings.acceptance.input_max
+    return _fault("state", state, (STATES,), -most, most)
+
+
+def preview_fault(preview: GaitPreview, settings: MpcSettings) -> str:
+    """One line naming the first element that cannot be used, its value and its limit, or ""."""
     most, stages = settings.acceptance.input_max, settings.horizon
     return (
-        _fault("state", state, (STATES,), -most, most)
-        or _fault("preview.dt", preview.dt, (), 1e-6, settings.acceptance.stage_max)
-        or _fault("preview.contact", preview.contact, (stages, LEG), 0, 1)
-        or _fault("preview.friction", preview.friction, (stages, LEG), 0, most)
-        or _fault("preview.normal_force", preview.normal_force, (stages, LEG), -most, most)
+        _fault("preview.dt", preview.dt, (), *settings.acceptance.stage)
+        or _fault("preview.contact", preview.contact, (stages, FEET), 0, 1)
+        or _fault("preview.friction", preview.friction, (stages, FEET), 0, most)
+        or _fault("preview.normal_force", preview.normal_force, (stages, FEET), -most, most)
         or _fault("preview.reference", preview.reference, (stages, STATES), -most, most)
     )
 

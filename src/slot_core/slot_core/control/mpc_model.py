@@ -26,11 +26,12 @@ from scipy import sparse
 
 from slot_core.robot import GRAVITY, LEGS, Array, Robot
 
-LEG = len(LEGS)
+FEET = len(LEGS)
 STATES = 12
-INPUTS = 3 * LEG
+INPUTS = 3 * FEET
 STAGE = INPUTS + STATES  # of the decision vector z = [u_0, x_1, u_1, x_2, ..., u_H-1, x_H]
 F_Z = slice(2, INPUTS, 3)
+YAW = 2
 
 Slots = NDArray[np.intp]
 
@@ -75,7 +76,7 @@ class TorsoModel:
         gain[:3, :INPUTS] = (
             turn @ self._inverse_inertia @ turn.T @ _levers(turn, self._feet, height)
         )
-        gain[3:, :INPUTS] = np.tile(np.eye(3) / self._mass, LEG)
+        gain[3:, :INPUTS] = np.tile(np.eye(3) / self._mass, FEET)
         gain[5, INPUTS] = -GRAVITY
         step = np.vstack([dt**2 / 2 * jacobian @ gain, dt * gain])
         a = np.eye(STATES)
@@ -102,10 +103,9 @@ class HorizonQp:
         self.lower[:, F_Z] = 0.0
         self.upper = np.full((horizon, STAGE), np.inf)
         self.target = np.zeros((horizon, STAGE))
-        legs, forces = np.zeros((horizon, LEG)), np.zeros((horizon, LEG, 3))
-        self.update(
-            pattern, np.zeros(STATES), Horizon(legs, legs, forces, np.zeros((horizon, STATES)))
-        )
+        feet = np.zeros((horizon, FEET))
+        forces, states = np.zeros((horizon, FEET, 3)), np.zeros((horizon, STATES))
+        self.update(pattern, np.zeros(STATES), Horizon(feet, feet, forces, states))
 
     @property
     def c(self) -> Array:
@@ -113,7 +113,10 @@ class HorizonQp:
         return -self.weight * self.target.ravel()
 
     def update(self, prediction: Prediction, state: Array, stages: Horizon) -> None:
-        """Put in a prediction, the present state (12,) and the stages ahead."""
+        """Put in a prediction, the present state (12,) and the stages ahead.
+
+        The targets' yaw is turned by as many full turns as bring it next to the state's.
+        """
         values = np.concatenate([[1.0], -prediction.a.ravel(), -prediction.b.ravel()])
         self.A.data[:] = values[self._a_slots]
         self.b[:] = prediction.drift
@@ -123,10 +126,12 @@ class HorizonQp:
         self.upper[:, F_Z] = stages.force_max
         self.target[:, :INPUTS] = stages.force_ref.reshape(-1, INPUTS)
         self.target[:, INPUTS:] = stages.state_ref
+        turns = np.round((state[YAW] - stages.state_ref[0, YAW]) / (2 * np.pi))
+        self.target[:, INPUTS + YAW] += 2 * np.pi * turns
 
     def forces(self, z: Array) -> Array:
         """(H, 4, 3) N: the inputs in z (24 H,)."""
-        return z.reshape(self.horizon, STAGE)[:, :INPUTS].reshape(self.horizon, LEG, 3).copy()
+        return z.reshape(self.horizon, STAGE)[:, :INPUTS].reshape(self.horizon, FEET, 3).copy()
 
     def cost(self, z: Array) -> float:
         """The objective of the module's docstring at z (24 H,)."""
@@ -194,11 +199,11 @@ def _dynamics_rows(horizon: int, pattern: Prediction) -> tuple[sparse.csc_matrix
 
 def _friction_rows(horizon: int) -> tuple[sparse.csc_matrix, Slots]:
     """G of +-f_x - mu f_z <= 0 and +-f_y - mu f_z <= 0; its entries are out of [1, -1, -mu]."""
-    rows = np.zeros((horizon, LEG, 4, horizon, LEG, 3), dtype=np.int64)
-    for k, leg in np.ndindex(horizon, LEG):
+    rows = np.zeros((horizon, FEET, 4, horizon, FEET, 3), dtype=np.int64)
+    for k, leg in np.ndindex(horizon, FEET):
         rows[k, leg, :, k, leg, :2] = [[1, 0], [2, 0], [0, 1], [0, 2]]
-        rows[k, leg, :, k, leg, 2] = 3 + k * LEG + leg
-    inputs = rows.reshape(horizon * 4 * LEG, horizon, INPUTS)
+        rows[k, leg, :, k, leg, 2] = 3 + k * FEET + leg
+    inputs = rows.reshape(horizon * 4 * FEET, horizon, INPUTS)
     states = np.zeros((len(inputs), horizon, STATES), dtype=np.int64)
     return _numbered(np.concatenate([inputs, states], axis=2).reshape(len(inputs), -1))
 

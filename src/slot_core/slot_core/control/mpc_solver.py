@@ -58,10 +58,9 @@ class PiqpSolver:
         self._solver.update(A=self._qp.A, G=self._qp.G, **self._changing())
         status = self._solver.solve()
         result = self._solver.result
-        fault = (
-            "" if status == piqp.PIQP_SOLVED else f"{status.name} ({result.info.iter} iterations)"
-        )
-        return Solution(np.array(result.x), fault, int(result.info.iter))
+        count = int(result.info.iter)
+        fault = "" if status == piqp.PIQP_SOLVED else f"{status.name} after {count} iterations"
+        return Solution(np.array(result.x), fault, count)
 
     def _changing(self) -> dict[str, Array]:
         qp = self._qp

@@ -68,8 +68,9 @@ class Model(NamedTuple):
 
 
 class State(NamedTuple):
-    """The robot's state; the kernels write it in place."""
+    """The robot's state, views of one buffer; the kernels write it in place."""
 
+    buffer: Array  # all of it
     position: Array  # (3,) m, odom
     rotation: Array  # (3, 3) base_link to odom
     velocity: Array  # (3,) m/s, odom
@@ -111,6 +112,15 @@ class Work(NamedTuple):
     counter: Array  # (2,) halvings, steps with a pivot that was not positive
 
 
+def state_space(nodes: int) -> State:
+    """A state of legs of N nodes, all zero."""
+    shapes = [(3,), (3, 3), (3,), (3,), (4, nodes, 2), (4, nodes, 3), (4,), (4,), (4,), (3,)]
+    ends = np.cumsum([np.prod(shape) for shape in shapes])
+    buffer = np.zeros(ends[-1])
+    parts = np.split(buffer, ends[:-1])
+    return State(buffer, *(part.reshape(shape) for part, shape in zip(parts, shapes)))
+
+
 def work_space(nodes: int) -> Work:
     """Scratch space for legs of N nodes."""
     n = nodes - 1
@@ -141,7 +151,7 @@ def advance(model, state, work, start, command, steps, scheme):  # type: ignore[
     `start` in 2, 4, ... 2^halvings pieces. Running out of halvings is a loss only if it is `lost`.
     """
     for k in range(steps):
-        copy(start, state)
+        copy(start.buffer, state.buffer)
         for halving in range(scheme.halvings + 1):
             pieces = 2**halving
             where, correction = -1, 0.0
@@ -154,7 +164,7 @@ def advance(model, state, work, start, command, steps, scheme):  # type: ignore[
             if where < 0 and correction <= scheme.correction_limit:
                 break
             if halving < scheme.halvings:
-                copy(state, start)
+                copy(state.buffer, start.buffer)
                 work.counter[0] += 1.0
         if where >= 0:
             return k, where
@@ -162,18 +172,10 @@ def advance(model, state, work, start, command, steps, scheme):  # type: ignore[
 
 
 @helper
-def copy(out, state):  # type: ignore[no-untyped-def]
-    """Copy a state."""
-    out.position[:] = state.position
-    out.rotation[:] = state.rotation
-    out.velocity[:] = state.velocity
-    out.rate[:] = state.rate
-    out.node[:] = state.node
-    out.node_velocity[:] = state.node_velocity
-    out.tendon_angle[:] = state.tendon_angle
-    out.tendon_rate[:] = state.tendon_rate
-    out.tension[:] = state.tension
-    out.specific_force[:] = state.specific_force
+def copy(out, source):  # type: ignore[no-untyped-def]
+    """Copy an array; a slice assignment would drag its error message into the compilation."""
+    for i in range(source.size):
+        out[i] = source[i]
 
 
 @helper
@@ -205,13 +207,13 @@ def step(model, state, work, command, h, scheme):  # type: ignore[no-untyped-def
         for leg in range(4):
             _to_leg_axes(model, work, leg)
             _stage(model, work, leg, tau)
-            _load(model, state, work, leg, tau)
-            definite &= _eliminate(model, work, leg, 1.0 / tau, height)
-            _couple(model, work, leg, 1.0 / tau)
+            load_leg(model, state, work, leg, tau)
+            definite &= eliminate(model, work, leg, 1.0 / tau, height)
+            couple(model, work, leg, 1.0 / tau)
         definite &= solve(work.matrix, work.vector)
         change = 0.0
         for leg in range(4):
-            change = max(change, _substitute(model, work, leg, 1.0 / tau))
+            change = max(change, substitute(model, work, leg, 1.0 / tau))
         for i in range(3):
             work.motion[0, i] += work.vector[i] / tau
             work.motion[1, i] += work.vector[3 + i] / tau
@@ -347,7 +349,7 @@ def _triple(a):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _load(model, state, work, leg, tau):  # type: ignore[no-untyped-def]
+def load_leg(model, state, work, leg, tau):  # type: ignore[no-untyped-def]
     """Geometry, tendon's tension and internal forces of a leg at the iterate."""
     s, w, turn = work.segments, work.leg_motion[1], work.leg_motion[2]
     measure(s, work.stage[leg], work.velocity[leg], -turn[1], -w[1])
@@ -390,7 +392,7 @@ class Node(NamedTuple):
 
 
 @helper
-def _eliminate(model, work, leg, inv, height):  # type: ignore[no-untyped-def]
+def eliminate(model, work, leg, inv, height):  # type: ignore[no-untyped-def]
     """Eliminate the segments of a leg from tip to clamp; False where a pivot is not positive.
 
     The form over (X, phi) stands in local variables, its rest over (q, lambda | 1) in `rest`.
@@ -466,7 +468,12 @@ def _eliminate(model, work, leg, inv, height):  # type: ignore[no-untyped-def]
 @helper
 def _node(model, work, leg, i, inv, height):  # type: ignore[no-untyped-def]
     """Inertia, weight and contact of a node."""
-    u, before, g, up = work.velocity[leg, i], work.before[leg, i], work.leg_field[1], work.leg_field[0]
+    u, before, g, up = (
+        work.velocity[leg, i],
+        work.before[leg, i],
+        work.leg_field[1],
+        work.leg_field[0],
+    )
     rx, ry, rz = _triple(model.root[leg])
     rx, rz = rx + work.stage[leg, i, 0], rz + work.stage[leg, i, 1]
     mass = model.rod.mass[i]
@@ -582,7 +589,7 @@ def _write(form, c, column):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _couple(model, work, leg, inv):  # type: ignore[no-untyped-def]
+def couple(model, work, leg, inv):  # type: ignore[no-untyped-def]
     """Eliminate lambda and add the leg's form to the torso's system."""
     F, tendon, release = work.form, model.tendon, work.release[leg]
     stiffness = tendon.stiffness + tendon.damping * inv if work.tension[leg] > 0.0 else 0.0
@@ -610,7 +617,7 @@ def _couple(model, work, leg, inv):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _substitute(model, work, leg, inv):  # type: ignore[no-untyped-def]
+def substitute(model, work, leg, inv):  # type: ignore[no-untyped-def]
     """Carry the torso's increments through a leg and update V; returns the largest |change|^2."""
     largest = 0.0
     L, x, release = model.clamp[leg], work.vector, work.release[leg]
@@ -627,20 +634,25 @@ def _substitute(model, work, leg, inv):  # type: ignore[no-untyped-def]
     work.tension[leg] = max(0.0, work.tension[leg] + z[6])
     for i in range(work.stage.shape[1]):
         if i > 0:
-            W, lever = work.back[leg, i - 1], work.lever[leg, i - 1]
-            sx, sz = 0.0, 0.0
-            for c in range(8):
-                sx -= W[0, c] * z[c]
-                sz -= W[1, c] * z[c]
-            z[0] += sx
-            z[1] += sz
-            z[2] = lever[0] * sx + lever[1] * sz
+            follow(z, work.back[leg, i - 1], work.lever[leg, i - 1])
         u, stage = work.velocity[leg, i], work.stage[leg, i]
         u[0] += z[0] * inv
         u[1] += (z[3] + (rx + stage[0]) * z[5] - (rz + stage[1]) * z[4]) * inv
         u[2] += z[1] * inv
         largest = max(largest, (z[0] * z[0] + z[1] * z[1]) * inv * inv)
     return largest
+
+
+@helper
+def follow(z, back, lever):  # type: ignore[no-untyped-def]
+    """Replace X and phi in z (8,), which begin a segment, by those at its end."""
+    sx = sz = 0.0
+    for c in range(8):
+        sx -= back[0, c] * z[c]
+        sz -= back[1, c] * z[c]
+    z[0] += sx
+    z[1] += sz
+    z[2] = lever[0] * sx + lever[1] * sz
 
 
 @helper
@@ -695,6 +707,7 @@ def _finish_leg(model, state, work, leg, h, theta):  # type: ignore[no-untyped-d
     ox, oy, oz = times(model.axes[leg], w0[0], w0[1], w0[2])
     vx, vy, vz = times(model.axes[leg], v[0], v[1], v[2])
     whole, back, rest = work.spare[0], work.spare[1], work.spare[2]
+    past = 1.0 / theta
     rotation(whole, -h * wx, -h * wy, -h * wz)
     rotation(back, theta * h * ox, theta * h * oy, theta * h * oz)
     product(rest, whole, back)
@@ -706,7 +719,7 @@ def _finish_leg(model, state, work, leg, h, theta):  # type: ignore[no-untyped-d
             dx, _, dz = times(rest, u[0] - vx, u[1] - vy, u[2] - vz)
             state.node[leg, i, 0] = ax + h * dx - root[0]
             state.node[leg, i, 1] = az + h * dz - root[2]
-        ex = u0[0] + (u[0] - u0[0]) / theta
-        ey = u0[1] + (u[1] - u0[1]) / theta
-        ez = u0[2] + (u[2] - u0[2]) / theta
+        ex = u0[0] + (u[0] - u0[0]) * past
+        ey = u0[1] + (u[1] - u0[1]) * past
+        ez = u0[2] + (u[2] - u0[2]) * past
         out[0], out[1], out[2] = times(rest, ex, ey, ez)

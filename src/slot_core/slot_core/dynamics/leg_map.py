@@ -6,14 +6,17 @@ before. The branch is the one that starts at tendon angle zero and follows the a
 
 from __future__ import annotations
 
+import argparse
 import csv
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from slot_core import config
+from slot_core.config import quantity
 from slot_core.dynamics import integrator
 from slot_core.dynamics.compiled import kernel
 from slot_core.dynamics.contact import touch
@@ -31,13 +34,23 @@ COLUMNS = (
     "stiffness_N_per_m",
     "contact_x_m",
 )
-HEIGHTS = np.linspace(0.015, 0.12, 22)  # m
-ANGLES = 25  # from zero to the largest tendon angle
-CHANGE = (math.radians(0.5), 5e-4)  # rad, m: half widths of the central differences
 TOLERANCE = 1e-11  # m, last Newton correction of a node
 ITERATIONS = 2000
-# Reciprocal length of a pseudo time step, 1/s: small is Newton's method, large is careful.
-CAREFUL, NEWTON = 20.0, 0.01
+# Reciprocal length of a pseudo time step, 1/s, and the correction (m) at which it has done its part:
+# first carefully, for the sake of the branch, then as good as Newton's method.
+STAGES = ((20.0, 1e-6), (1e-3, TOLERANCE))
+
+
+@dataclass(frozen=True)
+class LegMapSettings:
+    """The grid of the map."""
+
+    nodes: int = quantity("nodes of the leg", "", 4, 401)
+    angles: int = quantity("from zero to the largest tendon angle", "", 2, 1000)
+    heights: int = quantity("from the lowest to the highest", "", 2, 1000)
+    height_min: float = quantity("lowest clamp", "m", 0.0, 1.0)
+    height_max: float = quantity("highest clamp", "m", 0.0, 1.0)
+    substeps: int = quantity("of the load between two points of the grid", "", 1, 1000)
 
 
 class NoEquilibrium(RuntimeError):
@@ -48,6 +61,8 @@ class Equilibrium(NamedTuple):
     """A leg at rest."""
 
     force: float  # N, vertical, of the floor on the leg
+    slope: float  # N/rad, d force / d angle
+    stiffness: float  # N/m, d force / d height
     contact_x: float  # m from the clamp, centre of pressure, or the tip where nothing touches
     tension: float  # N
     node: Array  # (N, 2) m from the clamp, x and z
@@ -80,8 +95,8 @@ class StaticLeg:
         Raises NoEquilibrium.
         """
         self._state.tendon_angle[0] = angle
-        for inv in (CAREFUL, NEWTON):
-            change = relax(self.model, self._state, self._work, height, inv, TOLERANCE, ITERATIONS)
+        for inv, tolerance in STAGES:
+            change = relax(self.model, self._state, self._work, height, inv, tolerance, ITERATIONS)
         if not change <= TOLERANCE:
             raise NoEquilibrium(
                 f"leg at {math.degrees(angle):.3f} deg, {height:.4f} m: a node still moves"
@@ -89,8 +104,10 @@ class StaticLeg:
             )
         out = np.zeros(2)
         pressure(self.model, self._work, height, out)
-        force, x = float(out[0]), float(out[1])
-        return Equilibrium(force, x, float(self._work.tension[0]), self.node)
+        slope = respond(self.model, self._work, height, 0.0, 1.0)
+        stiffness = respond(self.model, self._work, height, 1.0, 0.0)
+        tension = float(self._work.tension[0])
+        return Equilibrium(out[0], slope, stiffness, out[1], tension, self.node)
 
 
 @kernel
@@ -105,11 +122,11 @@ def relax(model, state, work, height, inv, tolerance, iterations):  # type: igno
     for _ in range(iterations):
         work.velocity[0] = 0.0
         work.before[0] = 0.0
-        integrator._load(model, state, work, 0, 0.0)
-        integrator._eliminate(model, work, 0, inv, height)
-        integrator._couple(model, work, 0, inv)
+        integrator.load_leg(model, state, work, 0, 0.0)
+        integrator.eliminate(model, work, 0, inv, height)
+        integrator.couple(model, work, 0, inv)
         work.vector[:] = 0.0
-        integrator._substitute(model, work, 0, inv)
+        integrator.substitute(model, work, 0, inv)
         change = 0.0
         for i in range(stage.shape[0]):
             dx, dz = velocity[i, 0] / inv, velocity[i, 2] / inv
@@ -134,38 +151,49 @@ def pressure(model, work, height, out):  # type: ignore[no-untyped-def]
     out[1] = moment / force if force > 0.0 else stage[-1, 0]
 
 
-def tabulate(robot: Robot, nodes: int) -> Array:
-    """The map over `HEIGHTS` and the angles, (n, 6) in the order of `COLUMNS`, angle by angle."""
-    angles = np.linspace(0.0, robot.tendon.angle_max, ANGLES)
-    rows = [_column(robot, nodes, height, angles) for height in HEIGHTS]
-    return np.stack(rows, axis=1).reshape(-1, len(COLUMNS))
+@kernel
+def respond(model, work, height, rise, turn):  # type: ignore[no-untyped-def]
+    """Change of the floor's force, N, as the clamp rises (m) and the spool turns (rad).
+
+    From the last factorisation of `relax`, hence exact while the same nodes touch the floor.
+    """
+    tendon, F, z = model.tendon, work.form, work.moved
+    stiffness = tendon.stiffness if work.tension[0] > 0.0 else 0.0
+    pull = F[6, 1] * rise + tendon.spool_radius * turn
+    z[:] = 0.0
+    z[1] = rise
+    z[6] = pull * stiffness / (1.0 - stiffness * F[6, 6])
+    force = 0.0
+    for i in range(work.lever.shape[1]):
+        integrator.follow(z, work.back[0, i], work.lever[0, i])
+        if height + work.stage[0, i + 1, 1] < 0.0:
+            force -= model.floor.stiffness * z[1]
+    return force
 
 
-def _column(robot: Robot, nodes: int, height: float, angles: Array) -> Array:
-    """(n, 6) rows of the map at one height: lower the leg at angle zero, then pull."""
-    leg = StaticLeg(robot, nodes)
-    for h in np.linspace(max(HEIGHTS[-1], height), height, 50):
-        leg.solve(0.0, h)
-    rows, before = [], 0.0
-    for angle in angles:
-        for step in np.linspace(before, angle, 6)[1:]:
-            leg.solve(step, height)
-        before = angle
-        rows.append(_row(leg, angle, height))
+def tabulate(robot: Robot, grid: LegMapSettings) -> Array:
+    """The map, (angles x heights, 6) in the order of `COLUMNS`, angle by angle; SI and degrees."""
+    angles = np.linspace(0.0, robot.tendon.angle_max, grid.angles)
+    heights = np.linspace(grid.height_min, grid.height_max, grid.heights)
+    columns = []
+    resting = StaticLeg(robot, grid.nodes)
+    for height in heights[::-1]:  # lower the slack leg, and pull at each height
+        resting.solve(0.0, height)
+        columns.append(_pull(robot, grid, resting.node, height, angles))
+    return np.stack(columns[::-1], axis=1).reshape(-1, len(COLUMNS))
+
+
+def _pull(robot: Robot, grid: LegMapSettings, node: Array, height: float, angles: Array) -> Array:
+    """(angles, 6) rows of the map at one height, from the shape at angle zero."""
+    leg = StaticLeg(robot, grid.nodes)
+    leg.node = node
+    rows = []
+    for before, angle in zip([0.0, *angles], angles):
+        for between in np.linspace(before, angle, grid.substeps + 1)[1:]:
+            here = leg.solve(between, height)
+        degrees = math.degrees(angle)
+        rows.append((degrees, height, here.force, here.slope, here.stiffness, here.contact_x))
     return np.array(rows)
-
-
-def _row(leg: StaticLeg, angle: float, height: float) -> tuple[float, ...]:
-    here = leg.solve(angle, height)
-    slopes = []
-    for change in ((CHANGE[0], 0.0), (0.0, CHANGE[1])):
-        forces = []
-        for sign in (1.0, -1.0):
-            leg.node = here.node
-            forces.append(leg.solve(angle + sign * change[0], height + sign * change[1]).force)
-        slopes.append((forces[0] - forces[1]) / (2 * sum(change)))
-    leg.node = here.node
-    return (math.degrees(angle), height, here.force, slopes[0], slopes[1], here.contact_x)
 
 
 def write(path: Path, table: Array) -> None:
@@ -176,6 +204,14 @@ def write(path: Path, table: Array) -> None:
         writer.writerows([f"{value:.6g}" for value in row] for row in table)
 
 
-def main(path: Path, nodes: int) -> None:
-    """Tabulate the leg of `config/robot.yaml` into a file."""
-    write(path, tabulate(read_robot(), nodes))
+def main() -> None:
+    """Command line of `scripts/tabulate_leg`."""
+    parser = argparse.ArgumentParser(prog="tabulate_leg", description=__doc__)
+    default = config.config_dir() / "leg_map.csv"
+    parser.add_argument("--out", type=Path, default=default, help="file (default: %(default)s)")
+    out = parser.parse_args().out
+    write(out, tabulate(read_robot(), config.read(LegMapSettings, "leg_map")))
+
+
+if __name__ == "__main__":
+    main()

@@ -78,9 +78,7 @@ def build(leg: Leg, node: Array, arc_length: float) -> Rod:
 def segments(nodes: int) -> Segments:
     """Scratch space for one rod."""
     n = nodes - 1
-    return Segments(
-        np.zeros((n, 2)), *(np.zeros(n) for _ in range(5)), np.zeros(nodes)
-    )
+    return Segments(np.zeros((n, 2)), *(np.zeros(n) for _ in range(5)), np.zeros(nodes))
 
 
 def _equal_arcs(leg: Leg, nodes: int) -> Array:

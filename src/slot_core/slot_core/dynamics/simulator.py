@@ -8,7 +8,7 @@ import numpy as np
 
 from slot_core.dynamics import integrator, observe
 from slot_core.dynamics.contact import Floor
-from slot_core.dynamics.integrator import Model, Scheme, State, work_space
+from slot_core.dynamics.integrator import Model, Scheme, State, state_space, work_space
 from slot_core.dynamics.rod import discretise
 from slot_core.dynamics.scene import Scene, SolverSettings
 from slot_core.dynamics.servo import ServoSettings, servo
@@ -35,7 +35,7 @@ class Simulator:
         self.scene = scene
         self.model = build_model(robot, scene, servo)
         self.state = rest_state(self.model, scene.start.height)
-        self._start = rest_state(self.model, scene.start.height)
+        self._start = state_space(scene.solver.nodes)
         self._work = work_space(scene.solver.nodes)
         self._scheme = build_scheme(scene.solver)
         self._points = np.zeros((2, 4, scene.solver.nodes, 3))
@@ -221,29 +221,23 @@ def build_scheme(solver: SolverSettings) -> Scheme:
 
 def rest_state(model: Model, height: float) -> State:
     """Natural legs, slack tendons, level torso at a height (m), everything at rest."""
-    nodes = len(model.rod.node)
-    return State(
-        position=np.array([0.0, 0.0, height]),
-        rotation=np.eye(3),
-        velocity=np.zeros(3),
-        rate=np.zeros(3),
-        node=np.tile(model.rod.node, (4, 1, 1)),
-        node_velocity=np.zeros((4, nodes, 3)),
-        tendon_angle=np.zeros(4),
-        tendon_rate=np.zeros(4),
-        tension=np.zeros(4),
-        specific_force=np.zeros(3),
-    )
+    state = state_space(len(model.rod.node))
+    state.position[2] = height
+    state.rotation[:] = np.eye(3)
+    state.node[:] = model.rod.node
+    return state
 
 
 def quaternion(rotation: Array) -> Array:
     """(4,) x y z w of a rotation matrix, w >= 0 (Bar-Itzhack: eigenvector of a symmetric matrix)."""
     r = rotation
-    k = np.array([
-        [r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[2, 0] + r[0, 2], r[2, 1] - r[1, 2]],
-        [0.0, r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2], r[0, 2] - r[2, 0]],
-        [0.0, 0.0, r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
-        [0.0, 0.0, 0.0, r[0, 0] + r[1, 1] + r[2, 2]],
-    ])
+    k = np.array(
+        [
+            [r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[2, 0] + r[0, 2], r[2, 1] - r[1, 2]],
+            [0.0, r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2], r[0, 2] - r[2, 0]],
+            [0.0, 0.0, r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
+            [0.0, 0.0, 0.0, r[0, 0] + r[1, 1] + r[2, 2]],
+        ]
+    )
     q = np.linalg.eigh(k, UPLO="U")[1][:, -1]
     return q if q[3] >= 0.0 else -q

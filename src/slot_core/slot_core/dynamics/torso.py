@@ -44,11 +44,20 @@ def rotation(out, wx, wy, wz):  # type: ignore[no-untyped-def]
         angle = math.sqrt(square)
         a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / square
     out[0, 0], out[0, 1], out[0, 2] = (
-        1.0 - b * (wy * wy + wz * wz), b * wx * wy - a * wz, b * wx * wz + a * wy)
+        1.0 - b * (wy * wy + wz * wz),
+        b * wx * wy - a * wz,
+        b * wx * wz + a * wy,
+    )
     out[1, 0], out[1, 1], out[1, 2] = (
-        b * wx * wy + a * wz, 1.0 - b * (wx * wx + wz * wz), b * wy * wz - a * wx)
+        b * wx * wy + a * wz,
+        1.0 - b * (wx * wx + wz * wz),
+        b * wy * wz - a * wx,
+    )
     out[2, 0], out[2, 1], out[2, 2] = (
-        b * wx * wz - a * wy, b * wy * wz + a * wx, 1.0 - b * (wx * wx + wy * wy))
+        b * wx * wz - a * wy,
+        b * wy * wz + a * wx,
+        1.0 - b * (wx * wx + wy * wy),
+    )
 
 
 @helper

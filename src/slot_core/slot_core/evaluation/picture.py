@@ -110,13 +110,13 @@ def _band(nodes: Array, width: float, thickness: Array) -> Array:
     ring = np.stack(
         [nodes - across - up, nodes + across - up, nodes + across + up, nodes - across + up], axis=1
     )
-    return np.concatenate([_tube(ring), [ring[0], ring[-1, ::-1]]])
+    return np.concatenate([_tube(ring), [ring[0, ::-1], ring[-1]]])
 
 
 def _tube(ring: Array) -> Array:
     """(4 (n - 1), 4, 3) faces between rings (n, 4, 3) of corners."""
     following = np.roll(ring, -1, axis=1)
-    return np.stack([ring[:-1], ring[1:], following[1:], following[:-1]], axis=2).reshape(-1, 4, 3)
+    return np.stack([ring[:-1], following[:-1], following[1:], ring[1:]], axis=2).reshape(-1, 4, 3)
 
 
 def _normals(faces: Array) -> Array:

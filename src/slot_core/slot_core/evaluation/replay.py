@@ -77,10 +77,16 @@ def replay(bag: Bag, tolerance: float) -> list[Comparison]:
 
 
 def compare(bag: Bag, topic: str, replayed: Mapping[int, Fields], tolerance: float) -> Comparison:
-    """Compare the recorded messages of a topic with replayed fields by stamp (ns)."""
+    """Compare the recorded messages of a topic with replayed fields by stamp (ns).
+
+    A recording that was cut off may hold an output without its input: what comes after the last
+    replayed stamp is left out. Raises BagError when nothing is left to compare.
+    """
     compared, largest, first = 0, 0.0, None
     for _, message in bag.messages(topic):
         stamp = decode.stamp(message)
+        if stamp > max(replayed, default=0):
+            continue
         fields = replayed.get(stamp)
         if fields is None:
             first = first or Difference(topic, stamp, "header.stamp", 1.0, math.nan)
@@ -96,6 +102,8 @@ def compare(bag: Bag, topic: str, replayed: Mapping[int, Fields], tolerance: flo
                 first = Difference(
                     topic, stamp, place, float(recorded[at]), float(np.ravel(value)[at])
                 )
+    if not compared and first is None:
+        raise BagError(f"{bag.path}: holds no {topic} together with its input")
     return Comparison(topic, compared, largest, first)
 
 

@@ -1,0 +1,156 @@
+"""How the graph begins and ends: nothing stays behind, and what went wrong is named."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import psutil
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from sensor_msgs.msg import JointState
+
+from slot_bringup.graph import read_graph
+from slot_bringup.processes import command_line
+from slot_nodes import qos
+
+GRAPH = read_graph()
+DEFAULTS = {argument.name: argument.default for argument in GRAPH.arguments}
+NODES = {spec.name: spec for spec in GRAPH.nodes(DEFAULTS | {"bag": "bag"})}
+RUN = [sys.executable, "-m", "slot_bringup.run"]
+
+
+def wait_until(condition, limit=30.0):
+    """Wait for a condition, at most `limit` seconds."""
+    end = time.monotonic() + limit
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.05)
+
+
+def start(arguments, cwd):
+    """Start a run of the graph; return it and its nodes by name."""
+    run = subprocess.Popen(
+        [*RUN, *arguments], cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    nodes = {}
+
+    def all_there():
+        for child in psutil.Process(run.pid).children():
+            with suppress(psutil.NoSuchProcess):
+                words = {Path(word).name for word in child.cmdline()}
+                nodes.update({name: child for name in words & set(NODES)})
+        return len(nodes) == len(NODES)
+
+    wait_until(all_there)
+    return run, nodes
+
+
+def gone(nodes):
+    return not any(psutil.pid_exists(node.pid) and node.is_running() for node in nodes.values())
+
+
+def wait_for_commands(count=30):
+    """Return once the graph has given that many commands: the robot walks."""
+    context, heard = Context(), []
+    rclpy.init(context=context)
+    listener = rclpy.create_node("listener", context=context)
+    listener.create_subscription(JointState, "desired_joint_angles", heard.append, qos.CONTROL)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(listener)
+
+    def enough():
+        executor.spin_once(timeout_sec=0.1)
+        return len(heard) >= count
+
+    wait_until(enough)
+    listener.destroy_node()
+    context.try_shutdown()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_stops_every_process_and_keeps_the_bag(tmp_path, number):
+    run, nodes = start(["--duration", "60", "--bag", "bag"], tmp_path)
+    wait_for_commands()
+    run.send_signal(number)
+    output, errors = run.communicate(timeout=60)
+    assert run.returncode == 130, errors
+    assert errors.strip().splitlines()[-1].endswith("interrupted, all nodes stopped") or output
+    assert gone(nodes)
+    assert (tmp_path / "bag" / "metadata.yaml").exists()
+
+
+def test_a_killed_run_leaves_no_orphan(tmp_path):
+    run, nodes = start(["--duration", "60", "--bag", "bag"], tmp_path)
+    wait_for_commands()
+    run.kill()
+    run.wait()
+    wait_until(lambda: gone(nodes))
+
+
+@pytest.mark.parametrize("name", ["sim_robot", "mpc_controller"])
+def test_a_node_that_dies_ends_the_run_and_is_named(tmp_path, name):
+    run, nodes = start(["--duration", "60", "--bag", "bag"], tmp_path)
+    wait_for_commands()
+    nodes[name].kill()
+    _, errors = run.communicate(timeout=60)
+    assert run.returncode == 1
+    assert f"scripts/run: {name} ended with exit code -9" in errors
+    assert gone(nodes)
+
+
+def test_a_run_in_real_time_keeps_its_pace_and_sums_up(tmp_path):
+    done = subprocess.run(
+        [*RUN, "--duration", "4", "--no-bag"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=100, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    figures = dict(line.split(maxsplit=1) for line in done.stdout.splitlines() if line.strip())
+    factor = next(v for line, v in figures.items() if line == "real-time")
+    assert float(factor.split()[-1]) == pytest.approx(1.0, abs=0.1)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", sorted(NODES))
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_node_ends_cleanly_when_asked(tmp_path, name, number):
+    child = subprocess.Popen(
+        command_line(NODES[name]), cwd=tmp_path, stderr=subprocess.PIPE, start_new_session=True
+    )
+    try:
+        ours = psutil.Process(child.pid)
+        # ready to be interrupted once DDS has opened its sockets
+        wait_until(lambda: len(ours.net_connections(kind="udp")) > 1)
+        time.sleep(0.5)
+        child.send_signal(number)
+        _, errors = child.communicate(timeout=20)
+    finally:
+        if child.poll() is None:
+            os.killpg(child.pid, signal.SIGKILL)
+    assert child.returncode == 0, errors.decode()
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "message"),
+    [
+        ("mpc_controller", "horizon:=1000", "horizon"),
+        ("mpc_controller", "horizon:=fifteen", "horizon"),
+        ("force_mapper", "map:=cubic", "map = 'cubic': expected one of incremental, paper"),
+        ("gait_scheduler", "gait:=trot", "no gait 'trot' (known: stand, walk)"),
+        ("sim_robot", "scene:=moon", "scene/moon"),
+        ("sim_robot", "scene.solver.step:=1.0", "scene.solver.step"),
+    ],
+)
+def test_a_parameter_out_of_bounds_is_refused_in_one_line(tmp_path, name, parameter, message):
+    command = [*command_line(NODES[name]), "-p", parameter]
+    done = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 2, done.stderr
+    assert message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1, done.stderr

@@ -1,0 +1,122 @@
+"""The whole graph as processes, in lockstep; the bag is read with a library of its own."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from conftest import record
+from graph_bag import first_times, read, stamps
+from mcap.reader import make_reader
+
+from slot_core.evaluation import replay
+from slot_core.evaluation.bag import Bag
+from slot_core.robot import TENDON_JOINTS, read_robot
+
+CHAIN = ("/odom", "/mpc_state", "/gait_preview", "/ground_reaction_forces", "/desired_joint_angles")
+OTHERS = ("/clock", "/imu", "/joint_states", "/tf", "/force_map/status", "/ground_truth/odom",
+          "/ground_truth/legs")  # fmt: skip
+PERIOD = 33_000_000  # ns
+
+
+@pytest.fixture(scope="module")
+def messages(walk):
+    return read(walk)
+
+
+def numbers(message):
+    """All numbers of a message, nested ones too."""
+    if isinstance(message, (bool, int, float)):
+        yield float(message)
+    elif isinstance(message, (list, tuple, np.ndarray)):
+        for item in message:
+            yield from numbers(item)
+    elif hasattr(message, "__slots__"):
+        for name in message.__slots__:
+            yield from numbers(getattr(message, name))
+
+
+def test_every_topic_is_there(messages):
+    for topic in (*CHAIN, *OTHERS):
+        assert len(messages[topic]) > 100, topic
+
+
+def test_every_odometry_is_answered_along_the_chain_with_its_stamp(messages):
+    asked = stamps(messages["/odom"])
+    assert set(np.diff(sorted(set(asked)))) == {PERIOD}
+    for topic in CHAIN[1:]:
+        # the end of the run may cut off the last tick
+        answered = stamps(messages[topic])
+        assert answered == sorted(set(asked))[: len(answered)], topic
+        assert len(answered) >= len(set(asked)) - 1, topic
+
+
+def test_nothing_is_answered_before_it_was_asked(messages):
+    """Publishing times of one stamp rise along the chain; the clock is never behind a stamp."""
+    times = [first_times(messages[topic]) for topic in CHAIN]
+    for before, after in pairwise(times):
+        for stamp, time in after.items():
+            assert before[stamp] < time
+    clock = np.array([m.clock.sec * 10**9 + m.clock.nanosec for _, m in messages["/clock"]])
+    assert (np.diff(clock) > 0).all()
+    assert clock.max() >= max(stamps(messages["/odom"]))
+
+
+def test_nothing_is_nan(messages):
+    for topic in (*CHAIN, *OTHERS):
+        for _, message in messages[topic]:
+            assert all(math.isfinite(number) for number in numbers(message)), topic
+
+
+def test_the_robot_walks_forward_and_upright(messages):
+    """After 2 s of finding its stride, at more than half of the speed it was asked for."""
+    truth = [m for _, m in messages["/ground_truth/odom"]]
+    position = np.array([[getattr(m.pose.pose.position, axis) for axis in "xyz"] for m in truth])
+    late = position[round(2 / 0.033) :]
+    assert (late[-1, 0] - late[0, 0]) / (0.033 * (len(late) - 1)) > 0.03
+    assert np.abs(late[:, 1]).max() < 0.05
+    q = [m.pose.pose.orientation for m in truth]
+    tilt = [2 * math.asin(math.hypot(o.x, o.y)) for o in q]
+    assert max(tilt) < math.radians(25)
+
+
+def test_no_tendon_angle_leaves_its_limits(messages):
+    limit = read_robot().tendon.angle_max
+    for topic in ("/desired_joint_angles", "/joint_states"):
+        for _, message in messages[topic]:
+            assert tuple(message.name) == TENDON_JOINTS
+            # the servo's lag settles on a limit from inside, to rounding
+            assert min(message.position) >= 0.0
+            assert max(message.position) <= limit + 1e-12
+
+
+def test_the_mpc_solves_every_cycle(messages):
+    assert {m.status for _, m in messages["/ground_reaction_forces"]} == {0}
+
+
+def test_the_bag_holds_the_definitions_of_its_messages(walk):
+    with next(walk.glob("*.mcap")).open("rb") as file:
+        schemas = {
+            s.name: s.data.decode() for s in make_reader(file).get_summary().schemas.values()
+        }
+    assert "float64[4] slack_friction" in schemas["slot_msgs/msg/GroundReactionForces"]
+
+
+def test_the_same_seed_gives_the_same_states_to_the_last_bit(walk, messages, tmp_path):
+    again = record(tmp_path / "again", "--lockstep", "--duration", "5", "--seed", "3")
+    other = record(tmp_path / "other", "--lockstep", "--duration", "1", "--seed", "4")
+    first, second, third = (states(rows) for rows in (messages, read(again), read(other)))
+    shared = min(len(first), len(second))
+    assert shared > 145
+    assert first[:shared] == second[:shared]
+    assert first[:10] != third[:10]
+
+
+def states(messages):
+    return [tuple(numbers(message)) for _, message in messages["/mpc_state"]]
+
+
+def test_replaying_the_bag_gives_the_same_to_the_last_bit(walk):
+    for comparison in replay.replay(Bag(walk), tolerance=0.0):
+        assert comparison.first is None, str(comparison.first)
+        assert comparison.compared > 100

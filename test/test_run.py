@@ -1,0 +1,50 @@
+"""The command line of scripts/run."""
+
+import pytest
+
+from slot_bringup import run
+from slot_bringup.graph import read_graph
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--vx", "3"], "v_x = 3: gait walk reaches [0, "),
+        (["--vx", "nan"], "v_x = nan: gait walk reaches [0, "),
+        (["--vy", "0.1"], "v_y = 0.1: gait walk reaches [0, 0]"),
+        (["--vx", "fast"], "argument --vx: invalid float value: 'fast'"),
+        (["--gait", "trot"], "no gait 'trot' (known: stand, walk)"),
+        (["--scene", "moon"], "scene/moon"),
+        (["--duration", "-1"], "argument --duration: -1 s: outside [0.5, 86400] s"),
+        (["--duration", "nan"], "argument --duration: nan s: outside [0.5, 86400] s"),
+        (["--hardware", "wheels"], "argument --hardware: invalid choice: 'wheels'"),
+        (["--seed", "1.5"], "argument --seed: invalid int value: '1.5'"),
+        (["--bag", "x", "--no-bag"], "not allowed with argument"),
+        (["--bag", "."], "--bag .: exists already"),
+        (["--speed", "1"], "unrecognized arguments: --speed 1"),
+    ],
+)
+def test_a_wrong_value_is_refused_with_one_line_and_exit_code_2(capsys, arguments, message):
+    with pytest.raises(SystemExit) as refusal:
+        run.parse(arguments, read_graph())
+    assert refusal.value.code == 2
+    errors = capsys.readouterr().err
+    assert message in errors
+    assert errors.startswith("scripts/run: ")
+    assert errors.count("\n") == 1
+
+
+def test_help_names_every_option(capsys):
+    with pytest.raises(SystemExit) as end:
+        run.parse(["--help"], read_graph())
+    assert end.value.code == 0
+    shown = capsys.readouterr().out
+    for option in ("gait", "duration", "vx", "vy", "hardware", "bag", "lockstep", "seed", "no-bag",
+                   "scene"):  # fmt: skip
+        assert f"--{option}" in shown
+
+
+def test_the_defaults_walk():
+    options = run.parse([], read_graph())
+    assert (options.hardware, options.gait, options.duration) == ("sim", "walk", 20.0)
+    assert not options.lockstep
