@@ -1,7 +1,6 @@
 """The state estimator against closed-form motion, chi-square statistics, and bad data."""
 
 import dataclasses
-import time
 
 import numpy as np
 import pytest
@@ -537,14 +536,3 @@ def test_unpolled_and_unmatched_data_stay_within_the_buffers():
     for k in range(1000, 2000):  # 1 ns apart: none is late by the clock, the queue alone decides
         estimator.add_odometry(k, *reading)
     assert [e.stamp for e in iter(estimator.poll, None)] == list(range(1992, 1997))
-
-
-def test_one_odometry_tick_with_its_imu_samples_costs_less_than_a_millisecond():
-    messages = noisy(Walk(), 3.0, 12)
-    run(messages[:100])
-    costs = []
-    for _ in range(3):
-        start = time.process_time()
-        estimates, _ = run(messages)
-        costs.append((time.process_time() - start) / len(estimates))
-    assert min(costs) < 1e-3  # smallest of three: other processes only add

@@ -10,7 +10,7 @@ answers with, the normal force on each leg and the sway of the torso, is tabulat
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -52,13 +52,13 @@ class Sway:
 class Gait:
     """One periodic gait; coefficients in the order m, c1, s1, c2, s2, legs FL FR RL RR."""
 
+    sway: Sway
     period: float = quantity("duration of a stride", "s", 0.1, 10.0)
     speed: tuple[float, ...] = quantity("v_x reached, least to greatest", "m/s", -1, 1)
     amplitude: tuple[float, ...] = quantity("scale of the harmonics at these speeds", "", 0, 1)
     angle_deg: FourHarmonics = quantity("tendon angle", "deg", -360, 360)
     range_deg: tuple[float, float] = quantity("clip of the tendon angle", "deg", 0, 116.28)
     normal_force: FourHarmonics = quantity("normal force of the ground", "N", -50, 50)
-    sway: Sway
 
     def __post_init__(self) -> None:
         """Raise ConfigError unless speed and amplitude make a table."""
@@ -92,13 +92,13 @@ class Gait:
 class GaitSettings:
     """What `config/gait.yaml` holds."""
 
+    gaits: dict[str, Gait]
     friction: float = quantity("coefficient the controller counts on", "", 0, 2)
     contact_force: float = quantity("least load of a leg that counts as stance", "N", 0, 10)
     transition: float = quantity("time from one gait to the next", "s", 0, 10)
     command_timeout: float = quantity("age at which a velocity command expires", "s", 0.05, 10)
     stages: int = quantity("stages of the preview, at least the MPC's horizon", "", 1, 100)
     dt: float = quantity("time between stages", "s", 1e-3, 0.2)
-    gaits: dict[str, Gait] = field(metadata={"doc": "gaits by name"})
 
     def find(self, name: str) -> Gait:
         """The gait of that name; raises ConfigError naming the known ones."""

@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 
 import numba
 
+SETTINGS: Any = numba.config  # filled at run time
 F = TypeVar("F", bound=Callable[..., Any])
 
 # `contract` fuses multiply and add. Full fastmath would let the compiler delete the checks for NaN.
@@ -23,25 +24,26 @@ OPTIONS: dict[str, Any] = {"fastmath": {"contract"}, "error_model": "numpy"}
 
 def helper(function: F) -> F:
     """Compile a function that only kernels call; leaving out Python's wrappers halves the time."""
-    return numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **OPTIONS)(function)  # type: ignore[no-any-return]
+    options = OPTIONS | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    return numba.njit(**options)(function)
 
 
 def kernel(function: F) -> F:
     """Compile a function that Python calls; keep the result on disk where that is possible."""
-    before = numba.config.CACHE_DIR
+    before = SETTINGS.CACHE_DIR
     directory = _cache_directory()
-    numba.config.CACHE_DIR = str(directory or "")
+    SETTINGS.CACHE_DIR = str(directory or "")
     try:
-        return numba.njit(cache=directory is not None, **OPTIONS)(function)  # type: ignore[no-any-return]
+        return numba.njit(cache=directory is not None, **OPTIONS)(function)
     finally:
-        numba.config.CACHE_DIR = before
+        SETTINGS.CACHE_DIR = before
 
 
 def _cache_directory() -> Path | None:
     """A writable directory for the present sources, or None: then every start compiles afresh."""
     try:
         home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        root = numba.config.CACHE_DIR or Path(home) / "slot"
+        root = SETTINGS.CACHE_DIR or Path(home) / "slot"
         directory = Path(root) / f"dynamics-{_digest()}"
         directory.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=directory):

@@ -6,6 +6,9 @@ In the tangent of a Newton step the coefficient mu N / sqrt(...) is lagged, whic
 friction's matrix symmetric and dissipative.
 """
 
+# mypy: disable-error-code="no-untyped-def"
+# ruff: noqa: PLR0917 - kernels take their arguments by position
+
 from __future__ import annotations
 
 import math
@@ -23,7 +26,7 @@ class Floor(NamedTuple):
 
 
 @helper
-def touch(floor, friction, gap, vn, vx, vy, vz):  # type: ignore[no-untyped-def]
+def touch(floor, friction, gap, vn, vx, vy, vz):
     """Contact of one point: (normal force N, friction coefficient c in N s/m).
 
     v is the point's velocity, vn its part along the floor's normal (m/s), gap the height (m); the

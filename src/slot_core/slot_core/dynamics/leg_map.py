@@ -1,8 +1,11 @@
 """Statics of one leg whose clamp is held horizontal: forces and stiffness over angle and height.
 
-Without friction: the floor carries what the leg's shape and its tendon ask for, whatever the foot did
-before. The branch is the one that starts at tendon angle zero and follows the angle upward.
+Without friction: the floor carries what shape and tendon ask for, whatever the foot did before.
+ The branch is the one that starts at tendon angle zero and follows the angle upward.
 """
+
+# mypy: disable-error-code="no-untyped-def"
+# ruff: noqa: PLR0917 - kernels take their arguments by position
 
 from __future__ import annotations
 
@@ -17,13 +20,13 @@ import numpy as np
 
 from slot_core import config
 from slot_core.config import quantity
-from slot_core.dynamics import integrator
 from slot_core.dynamics.compiled import kernel
 from slot_core.dynamics.contact import touch
-from slot_core.dynamics.integrator import Model, work_space
+from slot_core.dynamics.elimination import couple, eliminate, follow, substitute
+from slot_core.dynamics.integrator import load_leg
+from slot_core.dynamics.model import Model, build_model, rest_state, work_space
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.simulator import build_model, rest_state
 from slot_core.robot import Array, Robot, read_robot
 
 COLUMNS = (
@@ -36,7 +39,7 @@ COLUMNS = (
 )
 TOLERANCE = 1e-11  # m, last Newton correction of a node
 ITERATIONS = 2000
-# Reciprocal length of a pseudo time step, 1/s, and the correction (m) at which it has done its part:
+# Reciprocal length of a pseudo time step, 1/s, and the correction (m) at which its part is done:
 # first carefully, for the sake of the branch, then as good as Newton's method.
 STAGES = ((20.0, 1e-6), (1e-3, TOLERANCE))
 
@@ -53,7 +56,7 @@ class LegMapSettings:
     substeps: int = quantity("of the load between two points of the grid", "", 1, 1000)
 
 
-class NoEquilibrium(RuntimeError):
+class NoEquilibriumError(RuntimeError):
     """The iteration for an equilibrium did not converge; the message names the load."""
 
 
@@ -92,13 +95,13 @@ class StaticLeg:
     def solve(self, angle: float, height: float) -> Equilibrium:
         """Equilibrium at a tendon angle (rad) and a clamp height (m), from the present shape.
 
-        Raises NoEquilibrium.
+        Raises NoEquilibriumError.
         """
         self._state.tendon_angle[0] = angle
         for inv, tolerance in STAGES:
             change = relax(self.model, self._state, self._work, height, inv, tolerance, ITERATIONS)
         if not change <= TOLERANCE:
-            raise NoEquilibrium(
+            raise NoEquilibriumError(
                 f"leg at {math.degrees(angle):.3f} deg, {height:.4f} m: a node still moves"
                 f" {change:.1e} m, limit {TOLERANCE:.0e} m"
             )
@@ -111,7 +114,7 @@ class StaticLeg:
 
 
 @kernel
-def relax(model, state, work, height, inv, tolerance, iterations):  # type: ignore[no-untyped-def]
+def relax(model, state, work, height, inv, tolerance, iterations):
     """Pseudo time steps of 1/inv from rest at the present shape; returns the last correction, m."""
     work.leg_motion[:] = 0.0
     work.leg_field[0, :] = (0.0, 0.0, 1.0)
@@ -122,11 +125,11 @@ def relax(model, state, work, height, inv, tolerance, iterations):  # type: igno
     for _ in range(iterations):
         work.velocity[0] = 0.0
         work.before[0] = 0.0
-        integrator.load_leg(model, state, work, 0, 0.0)
-        integrator.eliminate(model, work, 0, inv, height)
-        integrator.couple(model, work, 0, inv)
+        load_leg(model, state, work, 0, 0.0)
+        eliminate(model, work, 0, inv, height)
+        couple(model, work, 0, inv)
         work.vector[:] = 0.0
-        integrator.substitute(model, work, 0, inv)
+        substitute(model, work, 0, inv)
         change = 0.0
         for i in range(stage.shape[0]):
             dx, dz = velocity[i, 0] / inv, velocity[i, 2] / inv
@@ -139,7 +142,7 @@ def relax(model, state, work, height, inv, tolerance, iterations):  # type: igno
 
 
 @kernel
-def pressure(model, work, height, out):  # type: ignore[no-untyped-def]
+def pressure(model, work, height, out):
     """Write out (2,): vertical force of the floor, N, and its centre from the clamp, m."""
     force = moment = 0.0
     stage = work.stage[0]
@@ -152,7 +155,7 @@ def pressure(model, work, height, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def respond(model, work, height, rise, turn):  # type: ignore[no-untyped-def]
+def respond(model, work, height, rise, turn):
     """Change of the floor's force, N, as the clamp rises (m) and the spool turns (rad).
 
     From the last factorisation of `relax`, hence exact while the same nodes touch the floor.
@@ -165,7 +168,7 @@ def respond(model, work, height, rise, turn):  # type: ignore[no-untyped-def]
     z[6] = pull * stiffness / (1.0 - stiffness * F[6, 6])
     force = 0.0
     for i in range(work.lever.shape[1]):
-        integrator.follow(z, work.back[0, i], work.lever[0, i])
+        follow(z, work.back[0, i], work.lever[0, i])
         if height + work.stage[0, i + 1, 1] < 0.0:
             force -= model.floor.stiffness * z[1]
     return force

@@ -1,16 +1,19 @@
 """What can be read off a state: positions, ground forces, momentum, energy."""
 
+# mypy: disable-error-code="no-untyped-def"
+# ruff: noqa: PLR0917 - kernels take their arguments by position
+
 from __future__ import annotations
 
+from slot_core.dynamics.algebra import times, times_transposed
 from slot_core.dynamics.compiled import helper, kernel
 from slot_core.dynamics.contact import touch
-from slot_core.dynamics.integrator import times, times_transposed
 from slot_core.dynamics.rod import elastic_energy, measure
 from slot_core.dynamics.tendon import cable_energy
 
 
 @kernel
-def points(model, state, position, velocity):  # type: ignore[no-untyped-def]
+def points(model, state, position, velocity):
     """Write position (4, N, 3) and velocity (4, N, 3) of all nodes, odom, m and m/s."""
     for leg in range(4):
         root = model.root[leg]
@@ -26,13 +29,13 @@ def points(model, state, position, velocity):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _to_odom(model, state, leg, x, y, z):  # type: ignore[no-untyped-def]
+def _to_odom(model, state, leg, x, y, z):
     bx, by, bz = times_transposed(model.axes[leg], x, y, z)
     return times(state.rotation, bx, by, bz)
 
 
 @kernel
-def ground_forces(model, position, velocity, force):  # type: ignore[no-untyped-def]
+def ground_forces(model, position, velocity, force):
     """Write force (4, 3), N, odom: what the floor exerts on the nodes of each leg."""
     force[:] = 0.0
     for leg in range(4):
@@ -46,7 +49,7 @@ def ground_forces(model, position, velocity, force):  # type: ignore[no-untyped-
 
 
 @kernel
-def momenta(model, state, position, velocity, out):  # type: ignore[no-untyped-def]
+def momenta(model, state, position, velocity, out):
     """Write out (2, 3): momentum (kg m/s) and angular momentum about odom's origin (kg m^2/s)."""
     out[:] = 0.0
     _add_momentum(out, model.torso.mass, state.position, state.velocity)
@@ -62,7 +65,7 @@ def momenta(model, state, position, velocity, out):  # type: ignore[no-untyped-d
 
 
 @helper
-def _add_momentum(out, mass, r, v):  # type: ignore[no-untyped-def]
+def _add_momentum(out, mass, r, v):
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         out[0, i] += mass * v[i]
@@ -70,7 +73,7 @@ def _add_momentum(out, mass, r, v):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def energy(model, state, work, position, velocity):  # type: ignore[no-untyped-def]
+def energy(model, state, work, position, velocity):
     """J: kinetic, gravity (zero at odom's origin), rods, cables, floor springs below the legs."""
     w = state.rate
     lx, ly, lz = times(model.torso.inertia, w[0], w[1], w[2])
@@ -89,7 +92,7 @@ def energy(model, state, work, position, velocity):  # type: ignore[no-untyped-d
 
 
 @helper
-def _point_energy(model, mass, r, v):  # type: ignore[no-untyped-def]
+def _point_energy(model, mass, r, v):
     g = model.gravity
     kinetic = 0.5 * (v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     return mass * (kinetic - g[0] * r[0] - g[1] * r[1] - g[2] * r[2])

@@ -1,8 +1,8 @@
 """The soft leg: a planar geometrically exact rod of stretch and bending, without shear.
 
-Nodes r_0 (clamp) ... r_{N-1} (tip) in the leg's plane; segment i runs from node i to node i+1, with
+Nodes r_0 (clamp) ... r_{N-1} (tip) in the leg's plane; segment i runs from node i to i+1, with
 length l_i, direction (cos phi_i, sin phi_i) and rest length l0_i. The turning angle at node i is
-psi_i = phi_i - phi_{i-1}, where phi_{-1} is the tangent of the clamp. Energy and Kelvin-Voigt forces:
+psi_i = phi_i - phi_{i-1}, where phi_{-1} is the clamp's tangent. Energy and Kelvin-Voigt forces:
 
     E   = sum EA_i (l_i - l0_i)^2 / (2 l0_i) + sum B_i (psi_i - psi0_i)^2 / 2
     n_i = EA_i/l0_i (l_i - l0_i + beta dl_i/dt),     m_i = B_i (psi_i - psi0_i + beta dpsi_i/dt)
@@ -10,6 +10,8 @@ psi_i = phi_i - phi_{i-1}, where phi_{-1} is the tangent of the clamp. Energy an
 Bending stiffness B_i = E I_i / ds, and at the clamp E I(ds/4) / (ds/2): the first half cell bends
 between the clamp and the first segment. With a full cell there, convergence drops to first order.
 """
+
+# mypy: disable-error-code="no-untyped-def"
 
 from __future__ import annotations
 
@@ -78,7 +80,9 @@ def build(leg: Leg, node: Array, arc_length: float) -> Rod:
 def segments(nodes: int) -> Segments:
     """Scratch space for one rod."""
     n = nodes - 1
-    return Segments(np.zeros((n, 2)), *(np.zeros(n) for _ in range(5)), np.zeros(nodes))
+    length, stretch_rate, turn, turn_rate, force = np.zeros((5, n))
+    direction, moment = np.zeros((n, 2)), np.zeros(nodes)
+    return Segments(direction, length, stretch_rate, turn, turn_rate, force, moment)
 
 
 def _equal_arcs(leg: Leg, nodes: int) -> Array:
@@ -93,10 +97,10 @@ def _thickness(leg: Leg, fraction: Array) -> Array:
 
 
 @helper
-def measure(s, node, velocity, clamp_angle, clamp_rate):  # type: ignore[no-untyped-def]
+def measure(s, node, velocity, clamp_angle, clamp_rate):
     """Lengths, directions, turning angles and their rates.
 
-    node (N, 2) m, x and z; velocity (N, 3) m/s, of which y is not used; clamp_angle phi_{-1} and its rate.
+    node (N, 2) m, x and z; velocity (N, 3) m/s, y not used; clamp_angle phi_{-1}, rad.
     """
     dx, dz, rate = math.cos(clamp_angle), math.sin(clamp_angle), clamp_rate
     for i in range(s.length.size):
@@ -113,7 +117,7 @@ def measure(s, node, velocity, clamp_angle, clamp_rate):  # type: ignore[no-unty
 
 
 @helper
-def angle_between(ax, az, bx, bz):  # type: ignore[no-untyped-def]
+def angle_between(ax, az, bx, bz):
     """Angle from the unit vector a to the unit vector b, rad, in (-pi, pi].
 
     psi = 2 atan(y) with y = tan(psi/2) = (a x b) / (1 + a.b); up to |y| = 1/4 by Gregory's series,
@@ -130,7 +134,7 @@ def angle_between(ax, az, bx, bz):  # type: ignore[no-untyped-def]
 
 
 @helper
-def load(s, rod, tendon, tension):  # type: ignore[no-untyped-def]
+def load(s, rod, tendon, tension):
     """Axial forces n_i and moments m_i of the rod under the tension of its tendon."""
     beta = rod.damping_time
     for i in range(s.length.size):
@@ -141,7 +145,7 @@ def load(s, rod, tendon, tension):  # type: ignore[no-untyped-def]
 
 
 @helper
-def elastic_energy(s, rod):  # type: ignore[no-untyped-def]
+def elastic_energy(s, rod):
     """J, stretch plus bending, after `measure`."""
     energy = 0.0
     for i in range(s.length.size):

@@ -76,13 +76,13 @@ class StartSettings:
 class Scene:
     """Everything about a run that is neither the robot nor its servos."""
 
-    gravity: tuple[float, float, float] = quantity(
-        "in odom, z normal to the floor", "m/s^2", -50, 50
-    )
     floor: FloorSettings
     solver: SolverSettings
     sensors: SensorSettings
     start: StartSettings
+    gravity: tuple[float, float, float] = quantity(
+        "in odom, z normal to the floor", "m/s^2", -50, 50
+    )
 
 
 def read_scene(name: str) -> Scene:

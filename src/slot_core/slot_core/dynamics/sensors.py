@@ -1,4 +1,4 @@
-"""What the robot's sensors read of the simulated robot: white noise, and a bias of the gyroscope."""
+"""What the robot's sensors read of the simulated robot: white noise, and a gyroscope's bias."""
 
 from __future__ import annotations
 

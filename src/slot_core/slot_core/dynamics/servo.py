@@ -8,6 +8,8 @@ motor at full voltage, with load torque tau = r_spool T pulling back:
 (ROBOTIS XL430-W250: 1.4 N m stall, 57 rpm no load at 11.1 V). `ideal` bounds the rate only.
 """
 
+# mypy: disable-error-code="no-untyped-def"
+
 from __future__ import annotations
 
 import math
@@ -55,7 +57,7 @@ def servo(settings: ServoSettings) -> Servo:
 
 
 @helper
-def turning_rate(law, command, angle, torque):  # type: ignore[no-untyped-def]
+def turning_rate(law, command, angle, torque):
     """Rate of the tendon angle, rad/s, positive when pulling."""
     rate = law.gain * (command - angle)
     upper = law.speed * (1.0 - law.yielding * torque)

@@ -7,17 +7,19 @@ import math
 import numpy as np
 
 from slot_core.dynamics import integrator, observe
-from slot_core.dynamics.contact import Floor
-from slot_core.dynamics.integrator import Model, Scheme, State, state_space, work_space
-from slot_core.dynamics.rod import discretise
-from slot_core.dynamics.scene import Scene, SolverSettings
-from slot_core.dynamics.servo import ServoSettings, servo
-from slot_core.dynamics.tendon import route
-from slot_core.dynamics.torso import box
+from slot_core.dynamics.model import (
+    build_model,
+    build_scheme,
+    rest_state,
+    state_space,
+    work_space,
+)
+from slot_core.dynamics.scene import Scene
+from slot_core.dynamics.servo import ServoSettings
 from slot_core.robot import LEGS, Array, Robot
 
 
-class Divergence(RuntimeError):
+class Divergence(RuntimeError):  # noqa: N818 - it names the event
     """The solution is lost; the message names the time, the leg or the torso, and the node."""
 
 
@@ -185,51 +187,8 @@ class Simulator:
         return f"solution lost at {self.time:.4f} s: {place} is beyond {limit} m/s or not a number"
 
 
-def build_model(robot: Robot, scene: Scene, settings: ServoSettings) -> Model:
-    """The numbers of the kernels."""
-    c, s = np.cos(robot.azimuth), np.sin(robot.azimuth)
-    zero, one = np.zeros(4), np.ones(4)
-    axes = np.array([[c, s, zero], [-s, c, zero], [zero, zero, one]]).transpose(2, 0, 1).copy()
-    root = np.einsum("lij,lj->li", axes, robot.clamps)
-    rod = discretise(robot.leg, scene.solver.nodes)
-    floor = scene.floor
-    return Model(
-        rod=rod,
-        tendon=route(rod, robot.tendon),
-        torso=box(robot.torso),
-        floor=Floor(floor.stiffness, floor.damping, floor.friction_velocity),
-        servo=servo(settings),
-        friction=np.array([*floor.friction, floor.torso_friction]),
-        gravity=np.array(scene.gravity),
-        axes=axes,
-        root=root,
-        clamp=integrator.clamp_maps(axes, root),
-        speed_limit=scene.solver.speed_limit,
-    )
-
-
-def build_scheme(solver: SolverSettings) -> Scheme:
-    """The numbers of the time stepping."""
-    return Scheme(
-        step=solver.step,
-        theta=solver.theta,
-        iterations=solver.iterations,
-        halvings=solver.halvings,
-        correction_limit=solver.correction_limit,
-    )
-
-
-def rest_state(model: Model, height: float) -> State:
-    """Natural legs, slack tendons, level torso at a height (m), everything at rest."""
-    state = state_space(len(model.rod.node))
-    state.position[2] = height
-    state.rotation[:] = np.eye(3)
-    state.node[:] = model.rod.node
-    return state
-
-
 def quaternion(rotation: Array) -> Array:
-    """(4,) x y z w of a rotation matrix, w >= 0 (Bar-Itzhack: eigenvector of a symmetric matrix)."""
+    """(4,) x y z w of a rotation matrix, w >= 0 (Bar-Itzhack: eigenvector of a 4 x 4 matrix)."""
     r = rotation
     k = np.array(
         [

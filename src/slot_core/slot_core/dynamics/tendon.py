@@ -6,9 +6,11 @@ where the anchor is a node). The spool leaves l_cmd = l_natural + slack - r_spoo
 
     T = max(0, k (l - l_cmd) + c d(l - l_cmd)/dt),      nodal forces -T grad l.
 
-k is the cable in series with d^2 sum v_i (1 - v_i) / B_i, the bending of the anchor's own cell, which
-the weights leave out; it makes the convergence second order (with v = 1/2: d^2 / (4 B)).
+k is the cable in series with d^2 sum v_i (1 - v_i) / B_i, the bending of the anchor's own cell,
+which the weights leave out; it makes the convergence second order (with v = 1/2: d^2 / (4 B)).
 """
+
+# mypy: disable-error-code="no-untyped-def"
 
 from __future__ import annotations
 
@@ -53,7 +55,7 @@ def route(rod: Rod, settings: TendonSettings) -> Tendon:
 
 
 @helper
-def pull(s, tendon, angle, rate):  # type: ignore[no-untyped-def]
+def pull(s, tendon, angle, rate):
     """Tension (N, zero when slack) at tendon angle (rad) and rate (rad/s), after `measure`."""
     stretch = tendon.spool_radius * angle - tendon.relaxed
     speed = tendon.spool_radius * rate
@@ -64,7 +66,7 @@ def pull(s, tendon, angle, rate):  # type: ignore[no-untyped-def]
 
 
 @helper
-def cable_energy(s, tendon, angle):  # type: ignore[no-untyped-def]
+def cable_energy(s, tendon, angle):
     """J, stored in the taut cable, after `measure`."""
     stretch = tendon.spool_radius * angle - tendon.relaxed
     for i in range(s.length.size):

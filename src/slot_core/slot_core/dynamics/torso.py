@@ -5,10 +5,12 @@ In axes fixed to the body, with the force F and the moment M about the centre:
     m dv/dt = F + m g,      J domega/dt + omega x J omega = M.
 """
 
+# mypy: disable-error-code="no-untyped-def"
+# ruff: noqa: PLR0917 - kernels take their arguments by position
+
 from __future__ import annotations
 
 import itertools
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -34,34 +36,7 @@ def box(settings: TorsoSettings) -> Torso:
 
 
 @helper
-def rotation(out, wx, wy, wz):  # type: ignore[no-untyped-def]
-    """Write into out (3, 3) the rotation by the vector w, rad (Rodrigues)."""
-    square = wx * wx + wy * wy + wz * wz
-    if square < 1e-4:  # series, exact to double precision
-        a = 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
-        b = 0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0))
-    else:
-        angle = math.sqrt(square)
-        a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / square
-    out[0, 0], out[0, 1], out[0, 2] = (
-        1.0 - b * (wy * wy + wz * wz),
-        b * wx * wy - a * wz,
-        b * wx * wz + a * wy,
-    )
-    out[1, 0], out[1, 1], out[1, 2] = (
-        b * wx * wy + a * wz,
-        1.0 - b * (wx * wx + wz * wz),
-        b * wy * wz - a * wx,
-    )
-    out[2, 0], out[2, 1], out[2, 2] = (
-        b * wx * wz - a * wy,
-        b * wy * wz + a * wx,
-        1.0 - b * (wx * wx + wy * wy),
-    )
-
-
-@helper
-def add_inertia(H, g, torso, inv, gravity, v, v0, w, w0):  # type: ignore[no-untyped-def]
+def add_inertia(H, g, torso, inv, gravity, v, v0, w, w0):
     """Add the rigid body to the system H (6, 6) x = -g (6,), x = increments of (position, angle).
 
     v, w: velocity and angular velocity at the stage, v0, w0 at the step's start, all in body axes;
@@ -83,7 +58,7 @@ def add_inertia(H, g, torso, inv, gravity, v, v0, w, w0):  # type: ignore[no-unt
 
 
 @helper
-def add_corners(H, g, torso, floor, friction, inv, height, up, v, w, turn):  # type: ignore[no-untyped-def]
+def add_corners(H, g, torso, floor, friction, inv, height, up, v, w, turn):
     """Add the corners' contact; height of the centre (m), up (3,) the floor's normal in body axes.
 
     turn (3,) is the small rotation of the body since these axes were fixed, rad.
@@ -110,7 +85,7 @@ def add_corners(H, g, torso, floor, friction, inv, height, up, v, w, turn):  # t
 
 
 @helper
-def _add_point(H, g, x, y, z, fx, fy, fz, stiff, drag, up):  # type: ignore[no-untyped-def]
+def _add_point(H, g, x, y, z, fx, fy, fz, stiff, drag, up):
     """Add force f and tangent C = stiff up up^T + drag I of a point (x, y, z) of the body."""
     force = (fx, fy, fz, y * fz - z * fy, z * fx - x * fz, x * fy - y * fx)
     for i in range(6):
@@ -123,28 +98,8 @@ def _add_point(H, g, x, y, z, fx, fy, fz, stiff, drag, up):  # type: ignore[no-u
 
 
 @helper
-def _add_row(H, weight, row):  # type: ignore[no-untyped-def]
+def _add_row(H, weight, row):
     """H += weight row row^T."""
     for i in range(6):
         for j in range(6):
             H[i, j] += weight * row[i] * row[j]
-
-
-@helper
-def solve(H, g):  # type: ignore[no-untyped-def]
-    """Solve H x = -g in place by LDL^T (x replaces g); False when a pivot is not positive."""
-    definite = True
-    n = g.size
-    for k in range(n):
-        definite = definite and H[k, k] > 0.0
-        for i in range(k + 1, n):
-            factor = H[i, k] / H[k, k]
-            for j in range(k, n):
-                H[i, j] -= factor * H[k, j]
-            g[i] -= factor * g[k]
-    for k in range(n - 1, -1, -1):
-        value = -g[k]
-        for j in range(k + 1, n):
-            value -= H[k, j] * g[j]
-        g[k] = value / H[k, k]
-    return definite
