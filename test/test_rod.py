@@ -1,0 +1,192 @@
+"""The soft leg against its own energy, the elastica, beam theory and the calculus of arcs."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numba import njit
+from scipy.integrate import solve_bvp
+from scipy.linalg import eigh
+from scipy.optimize import root
+from slot_core.dynamics.rod import build, discretise, load, measure, segments
+from slot_core.dynamics.tendon import route
+from slot_core.robot import read_robot
+
+ROBOT = read_robot()
+LENGTH = 0.19
+
+
+@njit
+def evaluate(s, rod, tendon, node, velocity, tension):
+    measure(s, node, velocity, 0.0, 0.0)
+    load(s, rod, tendon, tension)
+
+
+def gradient(rod, node, tension=0.0, velocity=None):
+    """(N, 2) derivative of the energy by the nodes, from the kernels' forces and moments."""
+    s = segments(len(node))
+    velocity = np.zeros((len(node), 3)) if velocity is None else velocity
+    evaluate(s, rod, route(rod, ROBOT.tendon), node, velocity, tension)
+    normal = s.direction[:, ::-1] * [-1.0, 1.0]
+    pull = s.force[:, None] * s.direction - (np.diff(s.moment) / s.length)[:, None] * normal
+    return np.pad(pull, ((1, 0), (0, 0))) - np.pad(pull, ((0, 1), (0, 0)))
+
+
+def energy(rod, node, tension=0.0):
+    """Energy of rod and tendon, written down again from the module's equation."""
+    chord = np.diff(node, axis=0)
+    length = np.hypot(*chord.T)
+    turn = np.diff(np.unwrap(np.arctan2(chord[:, 1], chord[:, 0])), prepend=0.0)
+    tendon = route(rod, ROBOT.tendon)
+    stored = rod.axial @ (length - rod.rest_length) ** 2 + rod.bending @ (turn - rod.rest_angle) ** 2
+    return stored / 2 + tension * (tendon.along @ length + tendon.around @ turn)
+
+
+def straight(nodes, thickness=1e-3):
+    """A uniform straight rod, so slender that its stretch does not count."""
+    leg = dataclasses.replace(ROBOT.leg, thickness_clamp=thickness, thickness_tip=thickness)
+    node = np.column_stack([np.linspace(0.0, LENGTH, nodes), np.zeros(nodes)])
+    stiffness = leg.young_modulus * leg.width * thickness**3 / 12
+    return build(leg, node, LENGTH), stiffness
+
+
+def bent(rod, load_at_tip):
+    """(N, 2) equilibrium under a dead force (2,) at the tip, reached in ten steps of the load."""
+    free = rod.node[1:].ravel()
+    for part in np.linspace(0.1, 1.0, 10):
+
+        def residual(x, force=part * np.asarray(load_at_tip)):
+            out = gradient(rod, np.vstack([rod.node[:1], x.reshape(-1, 2)]))[1:]
+            out[-1] -= force
+            return out.ravel()
+
+        solution = root(residual, free, tol=1e-12)
+        free = solution.x
+    return np.vstack([rod.node[:1], free.reshape(-1, 2)])
+
+
+def elastica(load_parameter):
+    """Tip (x, y) / L of a cantilever under P L^2/(EI), phi'' = -p cos(phi), by collocation."""
+
+    def slope(s, y):
+        return np.array([y[1], -load_parameter * np.cos(y[0]), np.cos(y[0]), np.sin(y[0])])
+
+    def ends(a, b):
+        return np.array([a[0], b[1], a[2], a[3]])
+
+    s = np.linspace(0.0, 1.0, 101)
+    solution = solve_bvp(slope, ends, s, np.array([s, 1 - s, s, s**2 / 2]), tol=1e-10, max_nodes=9999)
+    assert solution.success
+    return solution.y[2:, -1]
+
+
+def test_forces_are_the_gradient_of_the_energy():
+    rod = discretise(ROBOT.leg, 10)
+    node = rod.node + np.random.default_rng(1).normal(scale=2e-3, size=rod.node.shape) * [[0, 0]] + (
+        np.random.default_rng(1).normal(scale=2e-3, size=rod.node.shape)
+    ) * (np.arange(10) > 0)[:, None]
+    numeric, step = np.zeros_like(node), 1e-7
+    for index in np.ndindex(node.shape):
+        shift = np.zeros_like(node)
+        shift[index] = step
+        numeric[index] = energy(rod, node + shift, 30.0) - energy(rod, node - shift, 30.0)
+    # Central differences of an energy of some 10 J: rounding 1e-15 * 10 / 1e-7 = 1e-7 N.
+    np.testing.assert_allclose(gradient(rod, node, 30.0)[1:], numeric[1:] / (2 * step), atol=1e-5)
+
+
+def test_natural_shape_is_free_of_force():
+    rod = discretise(ROBOT.leg, 22)
+    # Stiffest spring 6e5 N/m, positions rounded at 1e-17 m.
+    assert np.abs(gradient(rod, rod.node)).max() < 1e-9
+
+
+def test_rigid_motion_dissipates_nothing():
+    """Kelvin-Voigt damping sees strain rates only: a turning clamp turns the rod with it."""
+    rod, rate = discretise(ROBOT.leg, 12), 3.0
+    velocity = rate * np.column_stack([-rod.node[:, 1], 0 * rod.node[:, 0], rod.node[:, 0]])
+
+    s = segments(12)
+
+    @njit
+    def turning():
+        measure(s, rod.node, velocity, 0.0, rate)
+
+    measure_turning(s, rod.node, velocity, rate)
+    assert np.abs(s.stretch_rate).max() < 1e-15
+    assert np.abs(s.turn_rate).max() < 1e-12  # differences of rates of 3 rad/s
+
+
+@njit
+def measure_turning(s, node, velocity, rate):
+    measure(s, node, velocity, 0.0, rate)
+
+
+@pytest.mark.parametrize("load_parameter", [1.0, 10.0])
+def test_cantilever_follows_the_elastica_to_second_order(load_parameter):
+    exact = elastica(load_parameter)
+    errors = []
+    for nodes in (9, 17, 31):
+        rod, stiffness = straight(nodes)
+        tip = bent(rod, (0.0, load_parameter * stiffness / LENGTH**2))[-1]
+        errors.append(np.hypot(*(tip / LENGTH - exact)))
+    order = np.log(errors[0] / errors[2]) / np.log(30 / 8)
+    assert order > 1.9  # two, less what the coarsest grid has of higher orders
+    assert errors[2] < 1e-3  # of the length
+
+
+def test_elastica_of_the_test_is_the_published_one():
+    # Bisshopp and Drucker's cantilever at P L^2/(EI) = 1, ten digits.
+    np.testing.assert_allclose(elastica(1.0), [0.9435667637, 0.3017207738], atol=1e-8)
+
+
+@pytest.mark.parametrize("nodes", [8, 31])
+def test_end_moment_closes_the_circle(nodes):
+    """Under the moment 2 pi EI / L a rod is a circle; the discrete one a regular polygon."""
+    rod, stiffness = straight(nodes)
+    angle = 2 * np.pi * (np.arange(nodes - 1) + 0.5) / (nodes - 1)
+    chord = rod.rest_length[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    node = np.vstack([[0.0, 0.0], np.cumsum(chord, axis=0)])
+    assert np.hypot(*node[-1]) < 1e-15  # closed
+    s = segments(nodes)
+    evaluate(s, rod, route(rod, ROBOT.tendon), node, np.zeros((nodes, 3)), 0.0)
+    np.testing.assert_allclose(s.moment[:-1], 2 * np.pi * stiffness / LENGTH, rtol=1e-9)
+    # Tension from rounding: EA/l0 of 3e5 N/m times 1e-17 m.
+    assert np.abs(s.force).max() < 1e-9
+
+
+def lowest_frequencies(rod, count):
+    """Hz, from differences of the kernels' forces about the natural shape."""
+    step, size = 1e-7, rod.node[1:].size
+    stiffness = np.zeros((size, size))
+    for k in range(size):
+        shift = np.zeros(size)
+        shift[k] = step
+        shift = np.vstack([[0.0, 0.0], shift.reshape(-1, 2)])
+        change = gradient(rod, rod.node + shift) - gradient(rod, rod.node - shift)
+        stiffness[:, k] = change[1:].ravel() / (2 * step)
+    mass = np.repeat(rod.mass[1:], 2)
+    values = eigh((stiffness + stiffness.T) / 2, np.diag(mass), eigvals_only=True)
+    return np.sqrt(values[:count]) / (2 * np.pi)
+
+
+def test_uniform_beam_vibrates_at_euler_bernoulli_frequencies():
+    rod, stiffness = straight(41)
+    per_length = rod.mass.sum() / LENGTH
+    beta = np.array([1.8751040687, 4.6940911330, 7.8547574382]) / LENGTH  # clamped, free
+    exact = beta**2 * np.sqrt(stiffness / per_length) / (2 * np.pi)
+    # Second order in 1/40, growing with the mode: lumped masses and half cells.
+    np.testing.assert_array_less(np.abs(lowest_frequencies(rod, 3) / exact - 1), [1e-3, 3e-3, 6e-3])
+
+
+def test_leg_vibrates_at_its_frequencies():
+    leg = dataclasses.replace(ROBOT.leg, young_modulus=1e7)
+    coarse, fine = (lowest_frequencies(discretise(leg, n), 3) for n in (21, 41))
+    limit = fine + (fine - coarse) / 3  # Richardson, second order
+    print(coarse, fine, limit)
+
+
+def test_masses_are_those_of_the_leg():
+    rod = discretise(ROBOT.leg, 22)
+    # Nodes hold the halves of their cells: exact for a linear taper but for the arc's length.
+    assert rod.mass.sum() == pytest.approx(ROBOT.leg.mass, rel=1e-9)
+    assert np.all(np.diff(rod.mass[1:-1]) < 0)  # thinner towards the tip
