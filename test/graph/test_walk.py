@@ -9,8 +9,10 @@ from conftest import record
 from graph_bag import first_times, read, stamps
 from mcap.reader import make_reader
 
+from slot_core import decode
 from slot_core.evaluation import replay
 from slot_core.evaluation.bag import Bag
+from slot_core.evaluation.closed_loop import ClosedLoop
 from slot_core.robot import TENDON_JOINTS, read_robot
 
 CHAIN = ("/odom", "/mpc_state", "/gait_preview", "/ground_reaction_forces", "/desired_joint_angles")
@@ -110,6 +112,19 @@ def test_the_same_seed_gives_the_same_states_to_the_last_bit(walk, messages, tmp
     assert shared > 145
     assert first[:shared] == second[:shared]
     assert first[:10] != third[:10]
+
+
+def test_the_graph_does_what_the_cores_do_in_one_process(walk):
+    """Processes, DDS and the order of arrival change nothing, to the last bit."""
+    loop = ClosedLoop("flat", "walk", np.array([0.06, 0.0, 0.0]), seed=3)
+    commands = {tick.estimate.stamp: tick.command.angle for tick in loop.run(140)}
+    recorded = {}
+    for _, message in Bag(walk).messages("/desired_joint_angles"):
+        stamp, angle = decode.joint_angles(message)
+        recorded[stamp] = angle
+    assert len(commands) == 140
+    for stamp, angle in commands.items():
+        assert (recorded[stamp] == angle).all(), stamp
 
 
 def states(messages):

@@ -4,6 +4,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from slot_core import decode
+from slot_core.control.controller import command_for
 from slot_core.control.force_map import ForceMap, read_force_map, read_leg_slope
 from slot_core.robot import LEGS, read_robot
 from slot_msgs.msg import ForceMapStatus, GaitPreview, GroundReactionForces, MpcState
@@ -36,15 +37,14 @@ class ForceMapperNode(Node):
         self._command(preview.stamp, self._inputs.add("preview", preview.stamp, preview))
 
     def _on_forces(self, message: GroundReactionForces) -> None:
-        stamp, force, status = decode.forces(message)
-        stopped = status == GroundReactionForces.STOPPED
-        self._command(stamp, self._inputs.add("forces", stamp, (force, stopped)))
+        stamp, *forces = decode.forces(message)
+        self._command(stamp, self._inputs.add("forces", stamp, forces))
 
     def _command(self, stamp: int, inputs: tuple | None) -> None:
         if inputs is None:
             return
-        (force, stopped), preview, state = inputs
-        command = self._map.hold(preview) if stopped else self._map.step(force, preview, state)
+        (force, status), preview, state = inputs
+        command = command_for(self._map, force, status, preview, state)
         self._status.publish(messages.map_status_to_msg(stamp, command))
         self._angles.publish(messages.command_to_msg(stamp, command.angle))
         if command.saturated.any():

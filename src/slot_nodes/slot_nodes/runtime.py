@@ -36,6 +36,9 @@ def run(make_node: Callable[[], Node]) -> None:
     except (config.ConfigError, ParameterException) as error:
         print(error, file=sys.stderr)
         sys.exit(2)
+    except RuntimeError:
+        if rclpy.ok():  # a message that is taken while the context shuts down raises, too
+            raise
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C to the group comes twice
         if node is not None:

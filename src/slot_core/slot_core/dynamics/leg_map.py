@@ -135,7 +135,8 @@ def relax(model, state, work, height, inv, tolerance, iterations):
             dx, dz = velocity[i, 0] / inv, velocity[i, 2] / inv
             stage[i, 0] += dx
             stage[i, 1] += dz
-            change = max(change, abs(dx), abs(dz))
+            change += dx * dx + dz * dz
+        change = math.sqrt(change)  # a sum, because a maximum could lose a NaN
         if change <= tolerance:
             break
     return change

@@ -71,13 +71,16 @@ class Plant:
         self._command = self.simulator.tendon_angle.copy()
         self._odometry = OdometrySensor(scene.sensors.odometry, odometry_rng)
         self._imu = ImuSensor(scene.sensors.imu, imu_rng)
+        self._at_rest: list[Reading] = []
         self._agenda: list[_Event] = []
         self._number = itertools.count()
 
     def present(self, stamp: int) -> list[Reading]:
-        """IMU and odometry of this instant, stamped `stamp` (ns), without delay."""
-        self.now = stamp
-        return [*self._read_imu(), self._odometry.sample(self.simulator, stamp)]
+        """IMU and odometry at rest, stamped `stamp` (ns), without delay; the same for one stamp."""
+        if not self._at_rest or stamp != self.now:
+            self.now = stamp
+            self._at_rest = [*self._read_imu(), self._odometry.sample(self.simulator, stamp)]
+        return self._at_rest
 
     def start(self, stamp: int) -> None:
         """Begin at `stamp` (ns); the first readings are due one period later."""

@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 
 from slot_core import config, decode
-from slot_core.control.force_map import ForceMap, TendonCommand, read_force_map, read_leg_slope
-from slot_core.control.mpc import Mpc, MpcResult, Status, read_mpc
+from slot_core.control.controller import command_for
+from slot_core.control.force_map import ForceMap, read_force_map, read_leg_slope
+from slot_core.control.mpc import Mpc, MpcResult, read_mpc
 from slot_core.control.state_estimator import Estimate, StateEstimator, read_estimator
 from slot_core.evaluation.bag import Bag, BagError
 from slot_core.robot import Robot, read_robot
@@ -167,13 +168,11 @@ def _angles(
     """Tendon angles, as the field of JointState."""
     force_map = ForceMap(robot, read_force_map(), read_leg_slope())
 
-    def angle(stamp: int, force: Any, status: int) -> TendonCommand:
-        if status == Status.STOPPED:
-            return force_map.hold(previews[stamp])
-        return force_map.step(force, previews[stamp], states[stamp][1])
+    def angle(stamp: int, force: Any, status: int) -> Any:
+        return command_for(force_map, force, status, previews[stamp], states[stamp][1]).angle
 
     return {
-        stamp: {"position": angle(stamp, force, status).angle}
+        stamp: {"position": angle(stamp, force, status)}
         for stamp, (_, force, status) in forces.items()
         if stamp in previews and stamp in states
     }
