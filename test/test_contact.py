@@ -1,6 +1,5 @@
 """Contact with the floor against Coulomb's law."""
 
-
 import numpy as np
 import pytest
 from numba import njit

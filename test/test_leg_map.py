@@ -1,10 +1,11 @@
-"""The static leg against a minimum of its energy, found by SciPy, and against the standing robot."""
+"""The static leg against SciPy's minimum of its energy, and against the standing robot."""
 
 import csv
 
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+
 from slot_core import config
 from slot_core.dynamics.leg_map import (
     COLUMNS,
@@ -69,11 +70,11 @@ def test_slopes_are_the_differences_of_the_force(angle_deg):
 
 def test_a_robot_stands_where_four_legs_carry_it():
     """Same nodes, no friction: at its height each leg's force is a quarter of the weight."""
-    smooth = {"floor.friction": [0.0] * 4, "start.settle": 3.0}
+    smooth = {"floor.friction": [0.0] * 4, "start.settle": 10.0}
     sim = Simulator(ROBOT, config.replace(read_scene("flat"), smooth), read_servo())
     force = pulled(22, sim.tendon_angle[0], sim.position[2])[1].force
-    # The map holds the tendon's angle, the robot sways by micrometres at 140 N/m.
-    assert force == pytest.approx(ROBOT.weight / 4, rel=2e-3)
+    # After ten seconds it still bounces at 0.03 mm/s, which is micrometres at 130 N/m.
+    assert force == pytest.approx(ROBOT.weight / 4, rel=1e-4)
 
 
 def test_shipped_map_is_that_of_the_shipped_robot():

@@ -17,16 +17,16 @@ LENGTH = 0.19
 
 
 @njit
-def evaluate(s, rod, tendon, node, velocity, tension):
+def evaluate(s, rod, node, velocity, pull):
     measure(s, node, velocity, 0.0, 0.0)
-    load(s, rod, tendon, tension)
+    load(s, rod, pull[0], pull[1])
 
 
 def gradient(rod, node, tension=0.0, velocity=None):
     """(N, 2) derivative of the energy by the nodes, from the kernels' forces and moments."""
     s = segments(len(node))
     velocity = np.zeros((len(node), 3)) if velocity is None else velocity
-    evaluate(s, rod, route(rod, ROBOT.tendon), node, velocity, tension)
+    evaluate(s, rod, node, velocity, (route(rod, ROBOT.tendon), tension))
     normal = s.direction[:, ::-1] * [-1.0, 1.0]
     pull = s.force[:, None] * s.direction - (np.diff(s.moment) / s.length)[:, None] * normal
     return np.pad(pull, ((1, 0), (0, 0))) - np.pad(pull, ((0, 1), (0, 0)))
@@ -38,12 +38,14 @@ def energy(rod, node, tension=0.0):
     length = np.hypot(*chord.T)
     turn = np.diff(np.unwrap(np.arctan2(chord[:, 1], chord[:, 0])), prepend=0.0)
     tendon = route(rod, ROBOT.tendon)
-    stored = rod.axial @ (length - rod.rest_length) ** 2 + rod.bending @ (turn - rod.rest_angle) ** 2
+    stored = (
+        rod.axial @ (length - rod.rest_length) ** 2 + rod.bending @ (turn - rod.rest_angle) ** 2
+    )
     return stored / 2 + tension * (tendon.along @ length + tendon.around @ turn)
 
 
 def straight(nodes, thickness=(5e-3, 5e-3)):
-    """A straight rod of the leg's material, with its thickness at clamp and tip; uniform: its EI."""
+    """A straight rod with its thickness at clamp and tip, and its EI if that is uniform."""
     leg = dataclasses.replace(
         ROBOT.leg, young_modulus=1e7, thickness_clamp=thickness[0], thickness_tip=thickness[1]
     )
@@ -90,7 +92,9 @@ def elastica(load_parameter, give=0.0):
         return np.array([a[0], b[1], a[2], a[3]])
 
     s = np.linspace(0.0, 1.0, 101)
-    solution = solve_bvp(slope, ends, s, np.array([s, 1 - s, s, s**2 / 2]), tol=1e-10, max_nodes=9999)
+    solution = solve_bvp(
+        slope, ends, s, np.array([s, 1 - s, s, s**2 / 2]), tol=1e-10, max_nodes=9999
+    )
     assert solution.success
     return solution.y[2:, -1]
 
@@ -158,7 +162,7 @@ def test_end_moment_closes_the_circle(nodes):
     node = np.vstack([[0.0, 0.0], np.cumsum(chord, axis=0)])
     assert np.hypot(*node[-1]) < 1e-15  # closed
     s = segments(nodes)
-    evaluate(s, rod, route(rod, ROBOT.tendon), node, np.zeros((nodes, 3)), 0.0)
+    evaluate(s, rod, node, np.zeros((nodes, 3)), (route(rod, ROBOT.tendon), 0.0))
     np.testing.assert_allclose(s.moment[:-1], 2 * np.pi * stiffness / LENGTH, rtol=1e-9)
     # Tension from rounding: EA/l0 of 3e5 N/m times 1e-17 m.
     assert np.abs(s.force).max() < 1e-9

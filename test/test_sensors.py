@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+
 from slot_core import config
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.sensors import ImuSensor, OdometrySensor, true_odometry
@@ -47,7 +48,9 @@ def test_odometry_has_the_stated_noise_and_no_bias(flying):
     check_noise(errors, 0.0, settings.orientation_noise)
     body = rotation.inv().apply(flying.velocity)
     check_noise([r.velocity for r in readings], body, settings.velocity_noise)
-    check_noise([r.angular_velocity for r in readings], flying.angular_velocity, settings.rate_noise)
+    check_noise(
+        [r.angular_velocity for r in readings], flying.angular_velocity, settings.rate_noise
+    )
     assert readings[0].stamp == 5
 
 
@@ -88,4 +91,6 @@ def test_accelerometer_in_free_fall_reads_what_the_legs_do_to_the_torso(flying):
 
 def test_equal_generators_give_equal_readings(standing):
     one, two = (OdometrySensor(SCENE.sensors.odometry, np.random.default_rng(9)) for _ in range(2))
-    np.testing.assert_array_equal(one.sample(standing, 0).position, two.sample(standing, 0).position)
+    np.testing.assert_array_equal(
+        one.sample(standing, 0).position, two.sample(standing, 0).position
+    )

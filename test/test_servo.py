@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from numba import njit
+
 from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.dynamics.servo import ServoSettings, read_servo, servo, turning_rate

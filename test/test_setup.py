@@ -98,7 +98,7 @@ class Copy:
         bin_ = self.standin / "bin"
         (bin_ / "cmake").unlink()
         used = (
-            "bash cat cut dirname env find flock id ln mkdir python3 rm sed sha256sum sort tail "
+            "bash cat cut dirname env find flock id ln mkdir python3 rm sed sha256sum sort tail tr "
             "true xargs"
         )
         for tool in used.split():

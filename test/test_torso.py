@@ -31,9 +31,9 @@ def solve_here(H, g):
 
 
 @njit
-def corners(H, g, torso, floor, inv, height, up, turn):
+def corners(H, g, torso, floor, pose):
     zero = np.zeros(3)
-    add_corners(H, g, torso, floor, 0.0, inv, height, up, zero, zero, turn)
+    add_corners(H, g, torso, floor, 0.0, 1.0, pose[0], pose[1], zero, zero, zero)
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-6, 9e-3, 1.1e-2, 1.0, 3.0])
@@ -59,7 +59,7 @@ def test_corners_push_at_their_place():
     pitch = 0.02
     up, half = np.array([np.sin(-pitch), 0.0, np.cos(pitch)]), np.array(ROBOT.torso.size) / 2
     height = half[2]
-    corners(H, g, torso, floor, 1.0, height, up, np.zeros(3))
+    corners(H, g, torso, floor, (height, up))
     depth = -(height - np.sin(pitch) * half[0] - np.cos(pitch) * half[2])
     force = 2 * 2e4 * depth  # two corners
     np.testing.assert_allclose(-g[:3], force * up, rtol=1e-9)
@@ -90,7 +90,9 @@ def spinning(step, theta, angular_velocity, seconds):
         inertia += mass * (np.sum(points**2) * np.eye(3) - points.T @ points)
     centre = np.einsum("n,lni->i", sim.model.rod.mass, nodes)
     total = ROBOT.torso.mass + 4 * sim.model.rod.mass.sum()
-    inertia += ROBOT.torso.inertia - (centre @ centre * np.eye(3) - np.outer(centre, centre)) / total
+    inertia += (
+        ROBOT.torso.inertia - (centre @ centre * np.eye(3) - np.outer(centre, centre)) / total
+    )
     sim.advance(round(seconds / step), np.zeros(4))
     return sim, inertia
 

@@ -1,12 +1,19 @@
-"""Records the topics of `config/record.yaml` into a bag that `ros2 bag` and Foxglove read."""
+"""Records the topics of `config/record.yaml` into a bag that `ros2 bag` and Foxglove read.
+
+Says so on `/recording` once it is matched with all of the controller, whose topics are the
+transient-local ones; a simulated robot that waits for it is then recorded from the first tick on.
+"""
 
 from importlib import import_module
 
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Bool
 
 from slot_core.evaluation.bag import BagWriter, RecordedTopic, read_record_settings
-from slot_nodes import runtime
+from slot_nodes import qos, runtime
+
+READY_PERIOD = 0.05  # s, between looks at what is matched
 
 
 class RecorderNode(Node):
@@ -18,8 +25,16 @@ class RecorderNode(Node):
         path = runtime.declare(self, "bag", "", "directory of the bag, which must not exist")
         self._depth = settings.depth
         self._bag = BagWriter(path, settings)
+        self._awaited = []
         for name, topic in settings.topics.items():
             self._record(name, topic)
+        self._recording = self.create_publisher(Bool, "recording", qos.CONTROL)
+        self._timer = runtime.wall_timer(self, READY_PERIOD, self._tell_when_ready)
+
+    def _tell_when_ready(self) -> None:
+        if all(subscription.get_publisher_count() for subscription in self._awaited):
+            self._recording.publish(Bool(data=True))
+            self.destroy_timer(self._timer)
 
     def destroy_node(self) -> None:
         """Close the bag: only then it has its index."""
@@ -38,7 +53,9 @@ class RecorderNode(Node):
             depth=self._depth,
         )
         kind = getattr(import_module(f"{package}.msg"), message)
-        self.create_subscription(kind, name, write, profile, raw=True)
+        subscription = self.create_subscription(kind, name, write, profile, raw=True)
+        if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+            self._awaited.append(subscription)
 
 
 def main() -> None:

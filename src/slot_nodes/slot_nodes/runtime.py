@@ -10,11 +10,14 @@ from typing import Any, TypeVar
 
 import rclpy
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.timer import Timer
 
 from slot_core import config
 
@@ -65,6 +68,11 @@ def declare(node: Node, name: str, default: Any, description: str, **descriptor:
     return node.declare_parameter(
         name, default, ParameterDescriptor(description=description, read_only=True, **descriptor)
     ).value
+
+
+def wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer:
+    """A timer on the wall clock: the ROS clock stands still until somebody carries it."""
+    return node.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
 def subscribe(

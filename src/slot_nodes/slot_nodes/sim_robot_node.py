@@ -2,8 +2,8 @@
 
 In real time the plant follows the ROS clock. In lockstep it carries the clock: it stops at every
 odometry reading until the command with that reading's stamp has come, and publishes `/clock`.
-Either way the robot stands frozen, silent until the nodes it waits for hear it and at rest until
-the first command, so that no run depends on the order of discovery.
+Either way the robot stands frozen: silent until it is recorded, where it is to be, and at rest
+until the first command. So no run depends on the order of discovery.
 """
 
 from collections.abc import Callable, Iterator
@@ -11,13 +11,11 @@ from typing import Any
 
 import numpy as np
 from nav_msgs.msg import Odometry
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import Bool
 
 from slot_core import decode
 from slot_core.dynamics.plant import JointReading, Plant, Reading, TrueState
@@ -44,8 +42,8 @@ class SimRobotNode(Node):
         self._lockstep = runtime.declare(self, "lockstep", False, "advance only on a command")
         seed = runtime.declare(self, "seed", 0, "of the sensor noise")
         scene = runtime.declare(self, "scene", "flat", "a file of config/scene")
-        self._guests = runtime.declare(
-            self, "wait_for", [""], "nodes that must hear everything from the first message on"
+        self._recorded = not runtime.declare(
+            self, "wait_for_recording", False, "be silent until /recording"
         )
         self._plant = Plant(
             read_robot(),
@@ -58,7 +56,8 @@ class SimRobotNode(Node):
         self._awaited = LOCKSTEP_START  # stamp of the odometry whose command lets the plant go on
         self._create_publishers()
         self.create_subscription(JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
-        self._timer = self._every(WAIT_PERIOD, self._publish_frozen)
+        self.create_subscription(Bool, "recording", self._on_recording, qos.CONTROL)
+        self._timer = runtime.wall_timer(self, WAIT_PERIOD, self._publish_frozen)
 
     def _create_publishers(self) -> None:
         self._clock_topic = self.create_publisher(ClockMessage, "/clock", qos.CLOCK)
@@ -76,27 +75,24 @@ class SimRobotNode(Node):
         self._truth = self.create_publisher(Odometry, "ground_truth/odom", qos.SENSOR)
         self._legs = self.create_publisher(LegStates, "ground_truth/legs", qos.SENSOR)
 
-    def _every(self, period: float, callback: Callable[[], None]) -> Timer:
-        """A timer on the wall clock: the ROS clock may be this node's to carry."""
-        return self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
-
     def _publish_frozen(self) -> None:
         """Report the robot at rest until a command shows that the whole graph is there."""
-        if not all(self._heard_by(guest) for guest in self._guests if guest):
+        if not self._recorded or not self._is_matched():
             return
         stamp = LOCKSTEP_START if self._lockstep else self.get_clock().now().nanoseconds
         for reading in self._plant.present(stamp):
             self._publish(reading)
 
-    def _heard_by(self, guest: str) -> bool:
-        """Whether a node subscribes to all that this one publishes, and is matched."""
+    def _is_matched(self) -> bool:
+        """Whether every subscriber that is known will hear what is published now."""
         publishers = [publisher for publisher, _ in self._outputs.values()]
-        for publisher in (*publishers, self._truth, self._legs):
-            known = self.get_subscriptions_info_by_topic(publisher.topic_name)
-            matched = publisher.get_subscription_count() >= len(known)
-            if not matched or guest not in (endpoint.node_name for endpoint in known):
-                return False
-        return True
+        return all(
+            publisher.get_subscription_count() >= self.count_subscribers(publisher.topic_name)
+            for publisher in (*publishers, self._truth, self._legs)
+        )
+
+    def _on_recording(self, message: Bool) -> None:
+        self._recorded = message.data
 
     def _on_command(self, message: JointState) -> None:
         try:
@@ -117,7 +113,7 @@ class SimRobotNode(Node):
             self._plant.start(LOCKSTEP_START)
         else:
             self._plant.start(self.get_clock().now().nanoseconds)
-            self._timer = self._every(REAL_TIME_PERIOD, self._follow_clock)
+            self._timer = runtime.wall_timer(self, REAL_TIME_PERIOD, self._follow_clock)
 
     def _advance_one_tick(self) -> None:
         for reading in self._guarded(self._plant.advance_to_odometry()):

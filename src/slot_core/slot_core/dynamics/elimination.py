@@ -11,8 +11,9 @@ difference of its nodes' displacements, a = normal / length and the form of the 
 
     X_i = X_k + s,      phi_k = a.s,      s = -P^-1 (right-hand sides of the other unknowns).
 
-At the clamp the form's six displacements are those of the torso: its 6 x 6 Schur complement falls
-out, after lambda = kappa (dl - ...) with kappa = k + c / (theta h) of a taut tendon is eliminated.
+A taut tendon adds lambda dl - lambda^2 / (2 kappa), with kappa = k + c / (theta h), in place of its
+full matrix kappa grad l grad l^T. At the clamp lambda goes last; the six displacements then left
+are those of the torso, and the form is the leg's part of the torso's 6 x 6 Schur complement.
 """
 
 # mypy: disable-error-code="no-untyped-def"

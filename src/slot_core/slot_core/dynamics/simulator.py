@@ -68,7 +68,7 @@ class Simulator:
 
     @property
     def time(self) -> float:
-        """S, since the end of settling."""
+        """Seconds since the end of settling."""
         return self._steps * self.scene.solver.step
 
     @property
