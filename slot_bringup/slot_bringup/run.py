@@ -20,7 +20,10 @@ from slot_bringup.processes import Processes
 from slot_core.config import ConfigError
 from slot_core.control.gait import GaitScheduler, read_gaits
 from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.evaluation import metrics, plots
 from slot_core.evaluation.bag import Bag, BagError, read_record_settings
+from slot_core.evaluation.report import summary_lines
 
 
 class _Parser(argparse.ArgumentParser):
@@ -103,10 +106,6 @@ def run(options: argparse.Namespace, graph: Graph, directory: Path) -> None:
 
 def report(directory: Path, keep: bool) -> None:
     """Print the summary of the bag; if it is kept, write it and the plots beside the bag."""
-    from slot_core.dynamics.servo import read_servo  # noqa: PLC0415
-    from slot_core.evaluation import metrics, plots  # noqa: PLC0415
-    from slot_core.evaluation.report import summary_lines  # noqa: PLC0415
-
     bag = Bag(directory)
     figures = metrics.walk_metrics(bag, read_record_settings().warm_up, read_servo().stall_torque)
     summary = "\n".join(summary_lines(figures))

@@ -55,15 +55,19 @@ def read(cls: type[T], name: str) -> T:
 
     Raises ConfigError when the file is missing, is not YAML, or holds a value that `cls` refuses.
     """
+    return build(cls, load(name), where=f"{name}.yaml")
+
+
+def load(name: str) -> Any:
+    """What `<config_dir>/<name>.yaml` holds, unchecked; raises ConfigError unless it is YAML."""
     path = config_dir() / f"{name}.yaml"
     try:
-        mapping = yaml.safe_load(path.read_text())
+        return yaml.safe_load(path.read_text())
     except FileNotFoundError:
         known = ", ".join(sorted(p.stem for p in path.parent.glob("*.yaml")))
         raise ConfigError(f"no configuration {name!r} (known: {known})") from None
-    except yaml.YAMLError as error:
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise ConfigError(f"{name}.yaml: {' '.join(str(error).split())}") from None
-    return build(cls, mapping, where=f"{name}.yaml")
 
 
 def build(cls: type[T], mapping: Any, where: str) -> T:

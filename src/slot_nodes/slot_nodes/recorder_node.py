@@ -5,9 +5,11 @@ transient-local ones; a simulated robot that waits for it is then recorded from 
 """
 
 from importlib import import_module
+from typing import Any, cast
 
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from std_msgs.msg import Bool
 
 from slot_core.evaluation.bag import BagWriter, RecordedTopic, read_record_settings
@@ -25,7 +27,7 @@ class RecorderNode(Node):
         path = runtime.declare(self, "bag", "", "directory of the bag, which must not exist")
         self._depth = settings.depth
         self._bag = BagWriter(path, settings)
-        self._awaited = []
+        self._awaited: list[Subscription] = []
         for name, topic in settings.topics.items():
             self._record(name, topic)
         self._recording = self.create_publisher(Bool, "recording", qos.CONTROL)
@@ -42,7 +44,7 @@ class RecorderNode(Node):
         self._bag.close()
 
     def _record(self, name: str, topic: RecordedTopic) -> None:
-        def write(data: bytes, info: dict) -> None:
+        def write(data: bytes, info: Any) -> None:
             self._bag.write(name, topic.type, info["source_timestamp"], data)
 
         package, _, message = topic.type.split("/")
@@ -53,7 +55,10 @@ class RecorderNode(Node):
             depth=self._depth,
         )
         kind = getattr(import_module(f"{package}.msg"), message)
-        subscription = self.create_subscription(kind, name, write, profile, raw=True)
+        # rclpy passes the second argument too; its annotation knows the first alone
+        subscription: Subscription = self.create_subscription(
+            kind, name, cast(Any, write), profile, raw=True
+        )
         if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
             self._awaited.append(subscription)
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 import rclpy
+import rclpy.utilities
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -40,13 +41,13 @@ def run(make_node: Callable[[], Node]) -> None:
         print(error, file=sys.stderr)
         sys.exit(2)
     except RuntimeError:
-        if rclpy.ok():  # a message that is taken while the context shuts down raises, too
+        if rclpy.utilities.ok():  # a message that is taken while the context shuts down raises, too
             raise
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C to the group comes twice
         if node is not None:
             node.destroy_node()
-        rclpy.try_shutdown()
+        rclpy.utilities.try_shutdown()
 
 
 def declare_settings(node: Node, settings: T, prefix: str = "") -> T:

@@ -45,6 +45,7 @@ class SimRobotNode(Node):
         self._recorded = not runtime.declare(
             self, "wait_for_recording", False, "be silent until /recording"
         )
+        self.get_logger().info("preparing; a first start compiles the dynamics, about 10 s")
         self._plant = Plant(
             read_robot(),
             runtime.declare_settings(self, read_scene(scene), "scene."),

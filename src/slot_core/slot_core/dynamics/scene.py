@@ -86,5 +86,12 @@ class Scene:
 
 
 def read_scene(name: str) -> Scene:
-    """The scene of `config/scene/<name>.yaml`; ConfigError names the known ones."""
-    return config.read(Scene, f"scene/{name}")
+    """The scene of `config/scene/<name>.yaml`; ConfigError names the known ones.
+
+    A file with `like: OTHER` holds, by dotted name, only what it changes of that other scene.
+    """
+    mapping, where = config.load(f"scene/{name}"), f"scene/{name}.yaml"
+    if not isinstance(mapping, dict) or "like" not in mapping:
+        return config.build(Scene, mapping, where)
+    base = config.read(Scene, f"scene/{mapping.pop('like')}")
+    return config.replace(base, mapping, where)
