@@ -91,8 +91,8 @@ def test_it_walks_as_fast_as_it_is_told(speed):
     position, _, _ = walk(15.0, speed=speed)
     late = position[after(4.0)]
     reached = (late[-1, 0] - late[0, 0]) / (PERIOD * (len(late) - 1))
-    # an open-loop table of speeds: a quarter was measured to be the largest error
-    assert reached == pytest.approx(speed, rel=0.25)
+    # speed is set by a table, not by feedback: 10 % was the largest error seen
+    assert reached == pytest.approx(speed, rel=0.15)
 
 
 def test_the_estimate_follows_the_truth(minute):
