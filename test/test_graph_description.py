@@ -1,5 +1,10 @@
 """The one description of the graph."""
 
+import runpy
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
 import pytest
 
 from slot_bringup.graph import read_graph
@@ -64,3 +69,35 @@ def test_launch_arguments_survive_their_text_form(graph, default):
             assert argument.parse(str(default)) is default
         else:
             assert argument.parse(str(argument.default)) == argument.default
+
+
+def test_the_launch_file_starts_the_nodes_of_the_description(graph, monkeypatch):
+    """With stand-ins that keep what they are given: launch itself is not among the wheels."""
+    started = load_launch_file(monkeypatch, {"bag": "somewhere", "gait": "stand", "vx": "0.0"})
+    described = graph.nodes(values(graph, bag="somewhere", gait="stand", vx=0.0))
+    assert [node["name"] for node in started] == [spec.name for spec in described]
+    for node, spec in zip(started, described):
+        assert node["parameters"] == [spec.parameters]
+        assert (node["package"], node["executable"]) == (spec.package, spec.name)
+
+
+def load_launch_file(monkeypatch, given):
+    """Run launch/slot.launch.py with launch arguments; return what its nodes were made of."""
+
+    def keep(*args, **kwargs):
+        return kwargs | {"args": args}
+
+    names = {
+        "launch": ("LaunchContext", "LaunchDescription"),
+        "launch.actions": ("DeclareLaunchArgument", "OpaqueFunction"),
+        "launch_ros": (),
+        "launch_ros.actions": ("Node",),
+    }
+    for module, members in names.items():
+        stand_in = SimpleNamespace(**dict.fromkeys(members, keep))
+        monkeypatch.setitem(sys.modules, module, stand_in)
+    path = Path(__file__).parents[1] / "slot_bringup" / "launch" / "slot.launch.py"
+    namespace = runpy.run_path(str(path))
+    *arguments, start = namespace["generate_launch_description"]()["args"][0]
+    texts = {argument["args"][0]: argument["default_value"] for argument in arguments} | given
+    return start["function"](SimpleNamespace(launch_configurations=texts))

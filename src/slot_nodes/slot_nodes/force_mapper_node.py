@@ -8,7 +8,7 @@ from slot_core.control.controller import command_for
 from slot_core.control.force_map import ForceMap, read_force_map, read_leg_slope
 from slot_core.robot import LEGS, read_robot
 from slot_msgs.msg import ForceMapStatus, GaitPreview, GroundReactionForces, MpcState
-from slot_nodes import messages, qos, runtime
+from slot_nodes import inputs, messages, qos, runtime
 from slot_nodes.rendezvous import Rendezvous
 
 
@@ -22,22 +22,25 @@ class ForceMapperNode(Node):
         self._inputs = Rendezvous("forces", "preview", "state")
         self._angles = self.create_publisher(JointState, "desired_joint_angles", qos.CONTROL)
         self._status = self.create_publisher(ForceMapStatus, "force_map/status", qos.CONTROL)
-        self.create_subscription(MpcState, "mpc_state", self._on_state, qos.CONTROL)
-        self.create_subscription(GaitPreview, "gait_preview", self._on_preview, qos.CONTROL)
-        self.create_subscription(
-            GroundReactionForces, "ground_reaction_forces", self._on_forces, qos.CONTROL
+        inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.CONTROL)
+        inputs.subscribe(self, GaitPreview, "gait_preview", self._on_preview, qos.CONTROL)
+        inputs.subscribe(
+            self, GroundReactionForces, "ground_reaction_forces", self._on_forces, qos.CONTROL
         )
 
     def _on_state(self, message: MpcState) -> None:
         stamp, state, _ = decode.state(message)
+        inputs.require_finite("state", state)
         self._command(stamp, self._inputs.add("state", stamp, state))
 
     def _on_preview(self, message: GaitPreview) -> None:
         preview = decode.preview(message)
+        inputs.require_nominal(preview)
         self._command(preview.stamp, self._inputs.add("preview", preview.stamp, preview))
 
     def _on_forces(self, message: GroundReactionForces) -> None:
         stamp, *forces = decode.forces(message)
+        inputs.require_finite("force", forces[0])
         self._command(stamp, self._inputs.add("forces", stamp, forces))
 
     def _command(self, stamp: int, inputs: tuple | None) -> None:

@@ -9,7 +9,7 @@ from slot_core.config import ConfigError
 from slot_core.control.gait import GaitScheduler, read_gaits
 from slot_msgs.msg import GaitPreview, MpcState
 from slot_msgs.srv import SetGait
-from slot_nodes import messages, qos, runtime
+from slot_nodes import inputs, messages, qos, runtime
 
 
 class GaitSchedulerNode(Node):
@@ -26,10 +26,11 @@ class GaitSchedulerNode(Node):
         self._preview = self.create_publisher(GaitPreview, "gait_preview", qos.CONTROL)
         runtime.subscribe(self, TwistStamped, "cmd_vel", self._on_velocity, qos.SENSOR)
         self.create_service(SetGait, "set_gait", self._on_gait)
-        self.create_subscription(MpcState, "mpc_state", self._on_state, qos.CONTROL)
+        inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.CONTROL)
 
     def _on_state(self, message: MpcState) -> None:
         stamp, state, _ = decode.state(message)
+        inputs.require_finite("state", state)
         self._preview.publish(messages.preview_to_msg(self._scheduler.step(stamp, state)))
 
     def _on_velocity(self, message: TwistStamped) -> None:

@@ -8,7 +8,7 @@ from slot_core import decode
 from slot_core.control.mpc import Mpc, Status, read_mpc
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, GroundReactionForces, MpcState
-from slot_nodes import messages, qos, runtime
+from slot_nodes import inputs, messages, qos, runtime
 from slot_nodes.rendezvous import Rendezvous
 
 
@@ -24,7 +24,7 @@ class MpcControllerNode(Node):
             GroundReactionForces, "ground_reaction_forces", qos.CONTROL
         )
         self.create_subscription(MpcState, "mpc_state", self._on_state, qos.CONTROL)
-        self.create_subscription(GaitPreview, "gait_preview", self._on_preview, qos.CONTROL)
+        inputs.subscribe(self, GaitPreview, "gait_preview", self._on_preview, qos.CONTROL)
 
     def _on_state(self, message: MpcState) -> None:
         stamp, *state = decode.state(message)

@@ -12,7 +12,8 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.subscription import Subscription
 from std_msgs.msg import Bool
 
-from slot_core.evaluation.bag import BagWriter, RecordedTopic, read_record_settings
+from slot_core import config
+from slot_core.evaluation.bag import BagError, BagWriter, RecordedTopic, read_record_settings
 from slot_nodes import qos, runtime
 
 READY_PERIOD = 0.05  # s, between looks at what is matched
@@ -26,7 +27,10 @@ class RecorderNode(Node):
         settings = read_record_settings()
         path = runtime.declare(self, "bag", "", "directory of the bag, which must not exist")
         self._depth = settings.depth
-        self._bag = BagWriter(path, settings)
+        try:
+            self._bag = BagWriter(path, settings)
+        except BagError as error:
+            raise config.ConfigError(str(error)) from None
         self._awaited: list[Subscription] = []
         for name, topic in settings.topics.items():
             self._record(name, topic)

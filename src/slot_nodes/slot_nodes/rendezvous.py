@@ -8,7 +8,8 @@ from typing import Any
 class Rendezvous:
     """Collects one item per topic and stamp; a set is complete when every topic has come.
 
-    At most `depth` incomplete sets are kept, the oldest goes first: a lost message costs one tick.
+    At most `depth` incomplete sets are kept, the one begun first goes first: a lost message costs
+    one tick, and stamps from a clock that has been set back are as good as any.
     """
 
     def __init__(self, *topics: str, depth: int = 10):
@@ -23,5 +24,5 @@ class Rendezvous:
             del self._sets[stamp]
             return tuple(items[t] for t in self._topics)
         if len(self._sets) > self._depth:
-            del self._sets[min(self._sets)]
+            del self._sets[next(iter(self._sets))]
         return None

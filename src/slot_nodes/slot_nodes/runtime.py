@@ -30,9 +30,9 @@ def run(make_node: Callable[[], Node]) -> None:
 
     A configuration that cannot be used ends the process with one line and exit code 2.
     """
-    rclpy.init()
     node = None
     try:
+        _init()
         node = make_node()
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
@@ -48,6 +48,13 @@ def run(make_node: Callable[[], Node]) -> None:
         if node is not None:
             node.destroy_node()
         rclpy.utilities.try_shutdown()
+
+
+def _init() -> None:
+    try:
+        rclpy.init()
+    except RuntimeError as error:  # arguments that are no YAML, a domain that is no number
+        raise config.ConfigError(" ".join(str(error).split())) from None
 
 
 def declare_settings(node: Node, settings: T, prefix: str = "") -> T:

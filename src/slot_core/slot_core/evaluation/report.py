@@ -33,7 +33,7 @@ def summary_lines(metrics: WalkMetrics) -> list[str]:
         ("MPC fallback", _fallback(m)),
         ("largest violation", _number(m.violation_max, "{:.1e} N")),
         ("map saturated", _per_leg(m.saturated)),
-        ("servo saturated", _per_leg(m.servo_saturated)),
+        ("servo at stall", _per_leg(m.servo_saturated)),
         ("rejected odometry", "-" if m.rejected_odometry is None else str(m.rejected_odometry)),
     ]
     return [f"{name:<{NAME_WIDTH}}{value}" for name, value in rows]

@@ -1,0 +1,45 @@
+"""What a node takes in: a message that its core cannot use is dropped, with one line on why."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+from slot_core.control.gait import GaitPreview
+from slot_core.robot import LEGS
+
+
+def subscribe(
+    node: Node, kind: type, topic: str, callback: Callable[[Any], None], profile: QoSProfile
+) -> None:
+    """Subscribe with a callback that raises ValueError for a message it refuses."""
+
+    def take(message: Any) -> None:
+        try:
+            callback(message)
+        except ValueError as error:
+            node.get_logger().warning(f"{topic} refused: {error}", throttle_duration_sec=1.0)
+
+    node.create_subscription(kind, topic, take, profile)
+
+
+def require_finite(name: str, values: Any) -> None:
+    """Raise ValueError naming the first element that is infinite or no number."""
+    array = np.asarray(values, dtype=float)
+    lost = np.argwhere(~np.isfinite(array))
+    if len(lost):
+        place = ", ".join(str(int(i)) for i in lost[0])
+        raise ValueError(f"{name}[{place}] = {array[tuple(lost[0])]}: expected a finite number")
+
+
+def require_nominal(preview: GaitPreview) -> None:
+    """Raise ValueError unless the preview has finite angles and loads of every leg."""
+    for name in ("tendon_angle", "normal_force"):
+        rows = getattr(preview, name)
+        if rows.shape[1] != len(LEGS):
+            raise ValueError(f"{name}: {rows.shape[1]} a stage, expected {len(LEGS)}")
+        require_finite(name, rows)
