@@ -108,6 +108,31 @@ def test_checks_hold_at_their_goal_and_not_beyond():
     assert not at_most("unknown", float("nan"), 1.0).holds
 
 
+@pytest.fixture(scope="module")
+def graph():
+    """The benchmark of that name, as a module; none of the graph is started."""
+    return benchmark.load("graph", ROOT / "scripts" / "benchmarks")
+
+
+def test_graph_cpu_is_the_share_of_the_time_asked_for_and_no_more(graph):
+    usage = graph.Usage(("busy", "idle"), time=[100.0, 102.0, 104.0, 106.0])
+    usage.cpu = [[5.0, 1.0, 0.0], [5.0, 1.0, 0.0], [6.0, 1.0, 0.5], [8.0, 1.0, 0.5]]
+    assert usage.percent(102.0, 106.0) == pytest.approx([75.0, 0.0, 12.5])
+    assert usage.percent(105.0, 109.0) == pytest.approx([100.0, 0.0, 0.0])  # nothing known later
+
+
+def test_graph_medians_are_per_stage_and_leave_single_outliers_out(graph):
+    rows = [
+        {"kind": "latency", "repeat": repeat, "stage": stage, "p50_ms": p50}
+        for repeat, pair in enumerate([(1.0, 7.0), (90.0, 8.0), (2.0, 9.0)])
+        for stage, p50 in zip(("mpc", "map"), pair)
+    ]
+    assert graph.medians(rows) == [
+        {"kind": "latency", "repeat": "median", "stage": "mpc", "p50_ms": 2.0},
+        {"kind": "latency", "repeat": "median", "stage": "map", "p50_ms": 8.0},
+    ]
+
+
 def test_cpu_time_is_the_median_per_call_after_a_warm_up():
     ticks = iter([0.0, 6.0, 10.0, 12.0, 20.0, 60.0])  # repeats of 6, 2 and 40 s, two calls each
     calls = []

@@ -5,6 +5,7 @@ as a reference for what the algorithms take. Percentages of CPU are of one core.
 `config/record.yaml` is left out of every figure.
 """
 
+import math
 import signal
 import statistics
 import tempfile
@@ -88,12 +89,12 @@ class Usage:
 
     nodes: tuple[str, ...]
     time: list[float] = field(default_factory=list)  # (n,) s, wall clock
-    cpu: list[list[float]] = field(default_factory=list)  # (n, nodes + 1) s; last: whole machine
+    cpu: list[list[float]] = field(default_factory=list)  # (n, nodes + 1) s; last: `waited`
     rss: list[float] = field(default_factory=list)  # (nodes,) bytes resident, at the end
     pss: list[float] = field(default_factory=list)  # (nodes,) of it proportional, at the end
 
     def percent(self, begin: float, end: float) -> Array:
-        """(nodes + 1,) CPU between two wall times in percent of one core."""
+        """(nodes + 1,) CPU of one core, and time waited, in percent between two wall times."""
         begin, end = max(begin, self.time[0]), min(end, self.time[-1])
         cpu = np.array(self.cpu).T
         used = [np.diff(np.interp([begin, end], self.time, column))[0] for column in cpu]
@@ -106,7 +107,8 @@ class Walk:
 
     metrics: WalkMetrics
     ticks: Ticks  # after the warm-up
-    cpu: Array  # (nodes + 1,) percent of one core; last: whole machine
+    cpu: Array  # (nodes,) percent of one core
+    waited: float  # percent of the time in which some program of the machine waited for a core
     usage: Usage
 
 
@@ -144,7 +146,8 @@ def walk(graph: Graph, values: Mapping[str, Any], duration: float) -> Walk:
         except (RunError, BagError, psutil.Error) as error:
             raise BenchmarkError(f"the graph did not walk: {error}") from error
         begin, end = bag.end_ns / 1e9 - ticks.end + ticks.time[[0, -1], 0]
-    return Walk(metrics, ticks, usage.percent(begin, end), usage)
+    *cpu, waiting = usage.percent(begin, end)
+    return Walk(metrics, ticks, np.array(cpu), waiting, usage)
 
 
 def record(graph: Graph, values: Mapping[str, Any], duration: float) -> Usage:
@@ -190,12 +193,18 @@ def metered(pids: Mapping[str, int]) -> Iterator[Usage]:
 
 def add_sample(usage: Usage, processes: Sequence[psutil.Process]) -> None:
     """Look once at every process and at the machine; raises psutil.Error when one is gone."""
-    whole = psutil.cpu_times()
     cpu = [sum(process.cpu_times()[:2]) for process in processes]
-    # Linux counts the time of guests within that of users.
-    busy = sum(whole) - whole.idle - whole.iowait - whole.guest - whole.guest_nice
     usage.time.append(time.time())
-    usage.cpu.append([*cpu, busy])
+    usage.cpu.append([*cpu, waited()])
+
+
+def waited() -> float:
+    """Time, s, in which some program waited for a core; NaN where the kernel does not count it."""
+    try:
+        counted = Path("/proc/pressure/cpu").read_text()
+    except OSError:
+        return math.nan
+    return int(counted.partition("total=")[2].split()[0]) / 1e6
 
 
 def add_memory(usage: Usage, pids: Iterable[int]) -> None:
@@ -227,7 +236,7 @@ def walk_rows(repeat: int, one: Walk) -> list[Row]:
     """Rows of one walk: itself, every stage, every node."""
     m = one.metrics
     stages = {**m.stages, END_TO_END: m.end_to_end}
-    figures = np.column_stack([one.cpu[:-1], *(np.divide([one.usage.rss, one.usage.pss], 1e6))])
+    figures = np.column_stack([one.cpu, *(np.divide([one.usage.rss, one.usage.pss], 1e6))])
     nodes = [*zip(one.usage.nodes, figures), (WHOLE, figures.sum(axis=0))]
     return [
         {
@@ -243,7 +252,7 @@ def walk_rows(repeat: int, one: Walk) -> list[Row]:
             "mean_v_x": m.mean_v_x,
             "tilt_max_rad": m.tilt_max,
             "fallback_cycles": m.fallback_cycles,
-            "other_cpu_percent": one.cpu[-1] - one.cpu[:-1].sum(),  # other programs, this one
+            "waiting_for_a_core_percent": one.waited,  # how loaded the machine was
         },
         *({"kind": "latency", "repeat": repeat, "stage": s} | in_ms(v) for s, v in stages.items()),
         *(
@@ -307,9 +316,11 @@ def draw(walks: Sequence[Walk], path: Path) -> None:
     figure = Figure(figsize=(13.0, 5.0), dpi=100, layout="constrained")
     FigureCanvasAgg(figure)
     duration = walks[0].metrics.duration
+    waiting = np.median([one.waited for one in walks])
     figure.suptitle(
-        f"graph in real time, {len(walks)} x {duration:.0f} s, on {machine()['cpu']}",
-        fontsize=12, fontweight="bold",
+        f"graph in real time, {len(walks)} x {duration:.0f} s, {machine()['cores']} cores of "
+        f"{machine()['cpu']}, on which some program waited for a core {waiting:.0f} % of the time",
+        fontsize=11, fontweight="bold",
     )  # fmt: skip
     latency, cpu = figure.subplots(1, 2, width_ratios=(1.3, 1.0))
     draw_latency(latency, [one.ticks for one in walks])
@@ -318,13 +329,18 @@ def draw(walks: Sequence[Walk], path: Path) -> None:
 
 
 def draw_latency(ax: Axes, ticks: Sequence[Ticks]) -> None:
-    """Share of ticks that took longer, over the time, per stage: every single late tick is seen."""
+    """Share of ticks that took longer, per stage: every late tick is seen.
+
+    A tick that was never answered took longer than any time, so the last curve may end high.
+    """
     stages = np.concatenate([one.latency for one in ticks])
-    whole = np.concatenate([one.end_to_end for one in ticks])
+    due = [one.time[:, 0] + one.period <= one.end for one in ticks]
+    whole = np.concatenate([one.end_to_end[judged] for one, judged in zip(ticks, due)])
     colours = (*palette.STAGE_COLOURS, palette.INK)
     for values, name, colour in zip([*stages.T, whole], (*STAGES, END_TO_END), colours):
         ms = 1e3 * np.sort(values[np.isfinite(values)])
-        later = 1 - np.arange(len(ms)) / len(ms)
+        count = len(values) if name == END_TO_END else len(ms)
+        later = 1 - np.arange(len(ms)) / count
         ax.step(ms, later, where="pre", color=colour, lw=1.8, label=name)
     for share, name in ((0.5, "p50"), (0.01, "p99")):
         ax.axhline(share, color=palette.PALE, lw=1, zorder=0)
@@ -348,19 +364,15 @@ def draw_cpu(ax: Axes, walks: Sequence[Walk]) -> None:
     """CPU of each node, the median as a bar, every repeat as a dot; its proportional memory."""
     nodes = walks[0].usage.nodes
     cpu = np.array([one.cpu for one in walks])
-    names = [*nodes, "other programs"]
-    cpu[:, -1] -= cpu[:, :-1].sum(axis=1)
     pss = np.median([one.usage.pss for one in walks], axis=0) / 1e6
     known = dict(zip(STAGES, palette.STAGE_COLOURS))
-    colours = [*(known.get(node, palette.TORSO) for node in nodes), palette.PALE]
-    bars = ax.barh(names, np.median(cpu, axis=0), color=colours, height=0.65)
-    texts = [*(f"{mb:.0f} MB" for mb in pss), ""]
-    for bar, values, text in zip(bars, cpu.T, texts):
+    colours = [known.get(node, palette.TORSO) for node in nodes]
+    bars = ax.barh(nodes, np.median(cpu, axis=0), color=colours, height=0.65)
+    for bar, values, mb in zip(bars, cpu.T, pss):
         y = bar.get_y() + bar.get_height() / 2
         ax.plot(values, np.full(len(values), y), "o", color=palette.INK, ms=3)
-        ax.annotate(
-            text, (values.max(), y), (6, 0), textcoords="offset points", va="center", fontsize=8
-        )
+        ax.annotate(f"{mb:.0f} MB", (values.max(), y), (6, 0), textcoords="offset points",
+                    va="center", fontsize=8)  # fmt: skip
     ax.margins(x=0.15)
     ax.invert_yaxis()
     finish(ax, "CPU and memory of each node", "CPU (% of one core)", "")

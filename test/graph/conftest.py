@@ -1,7 +1,6 @@
 """Fixtures for tests that start the graph as processes."""
 
 import os
-import re
 from pathlib import Path
 
 import pytest
@@ -9,18 +8,15 @@ import pytest
 from slot_bringup import run
 from slot_bringup.graph import read_graph
 
+DOMAINS = 100  # beyond, the ports of DDS run into those that the system hands out
+
 
 @pytest.fixture(scope="session", autouse=True)
 def domain():
-    """A ROS domain for every worker: graphs under test do not hear each other."""
-    worker = re.sub(r"\D", "", os.environ.get("PYTEST_XDIST_WORKER", "0"))
-    before = os.environ.get("ROS_DOMAIN_ID")
-    os.environ["ROS_DOMAIN_ID"] = str(61 + int(worker))
-    yield
-    if before is None:
-        del os.environ["ROS_DOMAIN_ID"]
-    else:
-        os.environ["ROS_DOMAIN_ID"] = before
+    """A ROS domain for every process that runs tests: their graphs do not hear each other."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", str(1 + os.getpid() % DOMAINS))
+        yield
 
 
 def record(bag: Path, *arguments: str) -> Path:

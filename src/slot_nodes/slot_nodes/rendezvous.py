@@ -12,7 +12,7 @@ class Rendezvous:
     one tick, and stamps from a clock that has been set back are as good as any.
     """
 
-    def __init__(self, *topics: str, depth: int = 10):
+    def __init__(self, *topics: str, depth: int = 50):
         self._topics, self._depth = topics, depth
         self._sets: dict[int, dict[str, Any]] = {}
 

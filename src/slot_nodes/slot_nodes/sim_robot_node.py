@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from nav_msgs.msg import Odometry
+from rcl_interfaces.msg import IntegerRange
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -40,18 +41,16 @@ class SimRobotNode(Node):
     def __init__(self) -> None:
         super().__init__("sim_robot")
         self._lockstep = runtime.declare(self, "lockstep", False, "advance only on a command")
-        seed = runtime.declare(self, "seed", 0, "of the sensor noise")
+        seeds = [IntegerRange(from_value=0, to_value=2**63 - 1)]
+        seed = runtime.declare(self, "seed", 0, "of the sensor noise", integer_range=seeds)
         scene = runtime.declare(self, "scene", "flat", "a file of config/scene")
         self._recorded = not runtime.declare(
             self, "wait_for_recording", False, "be silent until /recording"
         )
+        settings = runtime.declare_settings(self, read_scene(scene), "scene.")
+        servo = runtime.declare_settings(self, read_servo(), "servo.")
         self.get_logger().info("preparing; a first start compiles the dynamics, about 10 s")
-        self._plant = Plant(
-            read_robot(),
-            runtime.declare_settings(self, read_scene(scene), "scene."),
-            runtime.declare_settings(self, read_servo(), "servo."),
-            np.random.default_rng(seed),
-        )
+        self._plant = Plant(read_robot(), settings, servo, np.random.default_rng(seed))
         self._frozen = True
         self._told = 0  # last time published on /clock, ns
         self._awaited = LOCKSTEP_START  # stamp of the odometry whose command lets the plant go on

@@ -19,6 +19,7 @@ import json
 import math
 import os
 import platform
+import signal
 import statistics
 import subprocess
 import sys
@@ -35,6 +36,7 @@ Row = Mapping[str, Any]
 
 ROOT = Path(os.environ.get("SLOT_ROOT") or Path(__file__).resolve().parents[4])
 UNKNOWN_NAME = 2  # exit code
+INTERRUPTED = 130
 
 
 class BenchmarkError(ValueError):
@@ -129,6 +131,7 @@ def load(name: str, directory: Path) -> ModuleType:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # where dataclasses look up their annotations
     spec.loader.exec_module(module)
     if not callable(getattr(module, "run", None)):
         raise BenchmarkError(f"benchmark {name}: has no function run(quick, out, progress)")
@@ -168,11 +171,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.name is None:
         parser.error(f"which one? (known: {', '.join(known(options.benchmarks)) or 'none'})")
     out = options.out or Path("results") / options.name
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         path = run(options.name, options.benchmarks, options.quick, out, _say)
     except BenchmarkError as error:
         print(f"scripts/bench: {error}", file=sys.stderr)
         return UNKNOWN_NAME
+    except KeyboardInterrupt:
+        print("scripts/bench: interrupted", file=sys.stderr)
+        return INTERRUPTED
     for line in check_lines(json.loads(path.read_text())["checks"]):
         print(line)
     print(path)
