@@ -119,6 +119,7 @@ def test_a_change_of_speed_keeps_the_phase(settings):
 
 def test_a_velocity_command_expires(settings):
     scheduler = walking(settings)
+    scheduler.step(5 * SECOND, LEVEL)
     scheduler.command(5 * SECOND, np.array([0.08, 0, 0]))
     fresh = scheduler.step(5 * SECOND + SECOND // 4, LEVEL)
     stale = scheduler.step(5 * SECOND + SECOND, LEVEL)
@@ -126,6 +127,28 @@ def test_a_velocity_command_expires(settings):
     assert stale.reference[0, 9] == 0.0
     stopped = scheduler.step(8 * SECOND, LEVEL)
     assert np.ptp(stopped.tendon_angle, axis=0) == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("stamp", [0, 10_000 * SECOND])
+def test_a_command_that_is_not_of_now_stops_the_robot_and_says_so(settings, stamp):
+    """Nobody knows when a stamp from the future would expire, and a stop may come late."""
+    scheduler = walking(settings)
+    scheduler.step(5 * SECOND, LEVEL)
+    with pytest.raises(
+        ConfigError, match=r"stamp is [+-]\d+\.000 s from the state's \(limit 0\.5 s"
+    ):
+        scheduler.command(stamp, np.array([0.08, 0, 0]))
+    assert scheduler.step(5 * SECOND, LEVEL).reference[0, 9] == 0.0
+
+
+def test_a_clock_set_back_does_not_hold_a_change_of_gait_up(settings):
+    scheduler = walking(settings)
+    scheduler.step(1000 * SECOND, LEVEL)
+    scheduler.request("stand", np.zeros(3))
+    assert scheduler.step(1000 * SECOND, LEVEL).gait == "stand"
+    scheduler.request("walk", np.array([0.08, 0, 0]))
+    gaits = [scheduler.step(second * SECOND, LEVEL).gait for second in (5, 6)]
+    assert gaits == ["stand", "walk"]  # the transition of 1 s ends first
 
 
 def test_a_request_during_a_transition_waits_for_its_end(settings):
@@ -194,6 +217,7 @@ def test_sway_turns_with_the_heading():
         ("walk", [float("nan"), 0, 0], r"v_x = nan: gait walk reaches"),
         ("walk", [0, 0.01, 0], r"v_y = 0\.01: gait walk reaches \[0, 0\]"),
         ("stand", [0.01, 0, 0], r"v_x = 0\.01: gait stand reaches \[0, 0\]"),
+        ("walk", [0.05], r"velocity: 1 values, not v_x, v_y, yaw rate"),
     ],
 )
 def test_what_a_gait_cannot_do_is_refused(settings, gait, velocity, message):

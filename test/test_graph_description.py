@@ -48,7 +48,7 @@ def test_lockstep_makes_every_node_follow_the_simulators_clock(graph):
 def test_parameters_are_written_as_ros_reads_them(graph):
     nodes = {s.name: s for s in graph.nodes(values(graph, lockstep=True))}
     words = command_line(nodes["gait_scheduler"])
-    assert "gait:='walk'" in words
+    assert 'gait:="walk"' in words
     assert "use_sim_time:=true" in words
     assert any(word.startswith("velocity:=[") for word in words)
 

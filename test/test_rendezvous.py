@@ -19,6 +19,14 @@ def test_a_lost_message_costs_its_own_set_only():
     assert meet.add("b", 9, 9) == (9, 9)
 
 
+def test_a_clock_that_was_set_back_holds_nothing_up():
+    meet = Rendezvous("a", "b", depth=3)
+    for stamp in range(100, 110):
+        meet.add("a", stamp, stamp)
+    assert meet.add("a", 1, 1) is None
+    assert meet.add("b", 1, 1) == (1, 1)
+
+
 def test_a_set_is_handed_out_once():
     meet = Rendezvous("a", "b")
     meet.add("a", 1, 1)

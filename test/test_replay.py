@@ -84,3 +84,11 @@ def test_a_bag_that_is_none_is_refused_with_one_line(tmp_path, capsys):
     errors = capsys.readouterr().err
     assert errors.startswith("scripts/replay: ")
     assert errors.count("\n") == 1
+
+
+@pytest.mark.parametrize("tolerance", ["nan", "-1", "inf"])
+def test_a_tolerance_that_would_hide_or_invent_differences_is_refused(tolerance, capsys):
+    with pytest.raises(SystemExit) as refusal:
+        replay.main([str(WALK), "--tolerance", tolerance])
+    assert refusal.value.code == 2
+    assert f"argument --tolerance: {tolerance}: outside [0, inf)" in capsys.readouterr().err

@@ -21,6 +21,8 @@ from slot_bringup.graph import read_graph
         (["--seed", "1.5"], "argument --seed: invalid int value: '1.5'"),
         (["--bag", "x", "--no-bag"], "not allowed with argument"),
         (["--bag", "."], "--bag .: exists already"),
+        (["--seed", "-1"], "--seed -1: outside [0, 9223372036854775807]"),
+        (["--seed", "99999999999999999999"], "--seed 99999999999999999999: outside [0, "),
         (["--speed", "1"], "unrecognized arguments: --speed 1"),
     ],
 )
@@ -32,6 +34,18 @@ def test_a_wrong_value_is_refused_with_one_line_and_exit_code_2(capsys, argument
     assert message in errors
     assert errors.startswith("scripts/run: ")
     assert errors.count("\n") == 1
+
+
+@pytest.mark.parametrize("domain", ["abc", "-1", "233"])
+def test_a_ros_domain_that_is_none_is_refused(monkeypatch, capsys, domain):
+    """Fast DDS would end the whole process, and leave the nodes to themselves."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    with pytest.raises(SystemExit) as refusal:
+        run.parse([], read_graph())
+    assert refusal.value.code == 2
+    assert (
+        f"ROS_DOMAIN_ID = '{domain}': expected a number within [0, 232]" in capsys.readouterr().err
+    )
 
 
 def test_help_names_every_option(capsys):

@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from slot_bringup.processes import Processes
@@ -20,6 +23,7 @@ from slot_nodes import qos
 
 START_TIMEOUT = 90.0  # s until the first state; the first start after installation compiles
 SILENCE_TIMEOUT = 10.0  # s without a new state
+DISCOVERY_TIME = 1.0  # s in which a graph that runs already shows itself
 REFRESH_TERMINAL, REFRESH_LOG = 0.2, 5.0  # s between progress lines
 
 
@@ -58,6 +62,8 @@ class Progress:
         """One line on where the robot is."""
         if self.state is None:
             return f"waiting for the first state ({self.silence:.0f} s)"
+        if not np.isfinite(self.state).all():
+            return f"t {self.elapsed:6.1f} s   the state is not finite"
         x, y = self.state[3:5] - self._start[3:5]
         tilt = math.degrees(math.acos(math.cos(self.state[0]) * math.cos(self.state[1])))
         return (
@@ -71,15 +77,40 @@ def watch(processes: Processes, duration: float) -> None:
 
     Raises RunError when a node ends or the states stay away.
     """
+    with _listener() as (node, executor):
+        progress = Progress()
+        node.create_subscription(MpcState, "mpc_state", progress.add, qos.CONTROL)
+        _watch(executor, progress, processes, duration)
+
+
+def require_solitude() -> None:
+    """Raise RunError if a graph runs in this ROS domain already: each would obey the other.
+
+    Heard, not looked up: of a node that was killed, DDS tells for another 20 s.
+    """
+    with _listener() as (node, executor):
+        heard: list[MpcState] = []
+        node.create_subscription(MpcState, "mpc_state", heard.append, qos.CONTROL)
+        end = time.monotonic() + DISCOVERY_TIME
+        while time.monotonic() < end:
+            executor.spin_once(timeout_sec=0.05)
+            if heard:
+                domain = node.context.get_domain_id()
+                raise RunError(
+                    f"another graph runs in ROS domain {domain}: set another ROS_DOMAIN_ID"
+                )
+
+
+@contextmanager
+def _listener() -> Iterator[tuple[Node, SingleThreadedExecutor]]:
+    """A node that leaves the signals alone, with its executor."""
     context = Context()
     rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = rclpy.create_node("run", context=context)
-        progress = Progress()
-        node.create_subscription(MpcState, "mpc_state", progress.add, qos.CONTROL)
         executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
-        _watch(executor, progress, processes, duration)
+        yield node, executor
         node.destroy_node()
     finally:
         context.try_shutdown()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import json
 import os
 import signal
 import subprocess
@@ -103,9 +104,12 @@ def _yaml(value: Any) -> str:
         return "[" + ", ".join(map(_yaml, value)) + "]"
     if isinstance(value, bool):
         return str(value).lower()
-    return f"{value!r}" if isinstance(value, str) else str(value)
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value)
 
 
 def _die_with_parent() -> None:
-    """Have the kernel interrupt the child when its parent is gone, however that came."""
-    _LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGINT)
+    """Have the kernel end the child when its parent is gone, however that came.
+
+    By SIGTERM: SIGINT is lost when it comes while Python imports a module that catches it.
+    """
+    _LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)

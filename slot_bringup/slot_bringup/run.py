@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shutil
 import signal
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any, NoReturn
@@ -15,7 +17,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from slot_bringup.graph import Graph, read_graph
-from slot_bringup.monitor import RunError, watch
+from slot_bringup.monitor import RunError, require_solitude, watch
 from slot_bringup.processes import Processes
 from slot_core.config import ConfigError
 from slot_core.control.gait import GaitScheduler, read_gaits
@@ -24,6 +26,9 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.evaluation import metrics, plots
 from slot_core.evaluation.bag import Bag, BagError, read_record_settings
 from slot_core.evaluation.report import summary_lines
+
+INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # SIGHUP: the terminal is closed
+DOMAIN_MAX = 232  # beyond it the port numbers of DDS come to an end
 
 
 class _Parser(argparse.ArgumentParser):
@@ -75,6 +80,11 @@ def check(options: argparse.Namespace) -> None:
     """Refuse, before anything starts, what a node would refuse; raises ConfigError."""
     GaitScheduler(read_gaits(), options.gait, np.array([options.vx, options.vy, 0.0]))
     read_scene(options.scene)
+    if not 0 <= options.seed < 2**63:
+        raise ConfigError(f"--seed {options.seed}: outside [0, {2**63 - 1}]")
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not (domain.isdecimal() and int(domain) <= DOMAIN_MAX):
+        raise ConfigError(f"ROS_DOMAIN_ID = {domain!r}: expected a number within [0, {DOMAIN_MAX}]")
     if options.bag is not None and options.bag.exists():
         raise ConfigError(f"--bag {options.bag}: exists already")
 
@@ -87,21 +97,47 @@ def _duration(text: str) -> float:
 
 
 def run(options: argparse.Namespace, graph: Graph, directory: Path) -> None:
-    """Run the graph for the duration; bag and logs go to `directory`.
+    """Run the graph for the duration; bag and logs go to `directory`, which must be writable.
 
-    Raises RunError when a node ends, nothing moves for too long, or the user interrupts.
+    Raises RunError when a node ends, nothing moves for too long, or another graph runs already.
     """
+    require_solitude()
     values = vars(options) | {"bag": str(directory)}
     with tempfile.TemporaryDirectory() as logs:
         processes = Processes(Path(logs))
         try:
-            processes.start(graph.nodes(values))
+            with _deferred_interrupts():  # an exception that strikes a fork is lost
+                processes.start(graph.nodes(values))
             watch(processes, options.duration)
         finally:
-            signal.signal(signal.SIGINT, signal.SIG_IGN)  # the end is under way already
-            processes.stop(last="recorder")
-            signal.signal(signal.SIGINT, signal.default_int_handler)
-            shutil.copytree(logs, directory / "log", dirs_exist_ok=True)
+            with _on_interrupt(signal.SIG_IGN):  # the end is under way already
+                processes.stop(last="recorder")
+                with suppress(OSError):  # what has gone wrong with the disk, the recorder has told
+                    shutil.copytree(logs, directory / "log", dirs_exist_ok=True)
+
+
+@contextmanager
+def _on_interrupt(handler: Any) -> Iterator[None]:
+    """Another handler for what interrupts a run; what the caller ignores (nohup) stays ignored."""
+    before = {number: signal.getsignal(number) for number in INTERRUPTS}
+    heeded = [number for number in before if before[number] != signal.SIG_IGN]
+    try:
+        for number in heeded:
+            signal.signal(number, handler)
+        yield
+    finally:
+        for number in heeded:
+            signal.signal(number, before[number])
+
+
+@contextmanager
+def _deferred_interrupts() -> Iterator[None]:
+    """Raise KeyboardInterrupt at the end, if an interrupt came meanwhile."""
+    came: list[int] = []
+    with _on_interrupt(lambda number, _: came.append(number)):
+        yield
+    if came:
+        raise KeyboardInterrupt
 
 
 def report(directory: Path, keep: bool) -> None:
@@ -121,25 +157,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `scripts/run`; returns the exit code."""
     graph = read_graph()
     options = parse(arguments, graph)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     name = f"{options.gait}_{datetime.now():%Y%m%d_%H%M%S}"
-    with tempfile.TemporaryDirectory() as scratch:
+    with _on_interrupt(signal.default_int_handler), tempfile.TemporaryDirectory() as scratch:
         directory = Path(scratch, name) if options.no_bag else options.bag or Path("bags", name)
         code = 0
         try:
             run(options, graph, directory)
         except RunError as error:
-            print(f"scripts/run: {error}", file=sys.stderr)
+            _say(str(error))
             code = 1
         except KeyboardInterrupt:
-            print("scripts/run: interrupted, all nodes stopped", file=sys.stderr)
+            _say("interrupted, all nodes stopped")
             code = 130
         try:
             report(directory, keep=not options.no_bag)
-        except BagError as error:
-            print(f"scripts/run: no summary: {error}", file=sys.stderr)
+        except (BagError, ConfigError, OSError) as error:
+            _say(f"no summary: {error}")
+        except KeyboardInterrupt:
+            _say("interrupted while summing up; the bag is whole")
+            code = 130
     return code
 
 
+def _say(line: str) -> None:
+    with suppress(OSError):  # a terminal that has been closed
+        print(f"scripts/run: {line}", file=sys.stderr)
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    exit_code = main()
+    for interrupt in INTERRUPTS:  # nothing is left that could be interrupted
+        signal.signal(interrupt, signal.SIG_IGN)
+    sys.exit(exit_code)

@@ -78,15 +78,18 @@ class ForceMap:
             slope = self._slope(preview.tendon_angle[0], self._clamp_heights(state))
             slope = np.maximum(slope, self._settings.slope_min)
             angle = preview.tendon_angle[0] + self._correction(normal, preview, slope)
-        clamped = np.clip(angle, 0.0, self._robot.tendon.angle_max)
+        clamped = self._clamp(angle)
         self._last = clamped
         return TendonCommand(self._settings.map, clamped, normal, slope, angle, clamped != angle)
 
     def hold(self, preview: GaitPreview) -> TendonCommand:
         """The last angles again; before there are any, the nominal ones of `preview`."""
-        angle = preview.tendon_angle[0] if self._last is None else self._last
+        angle = self._clamp(preview.tendon_angle[0]) if self._last is None else self._last
         nothing = np.zeros(4)
         return TendonCommand("hold", angle, nothing, nothing, angle, nothing.astype(bool))
+
+    def _clamp(self, angle: Array) -> Array:
+        return np.clip(angle, 0.0, self._robot.tendon.angle_max)
 
     def _correction(self, normal: Array, preview: GaitPreview, slope: Array) -> Array:
         most = np.radians(self._settings.correction_max_deg)

@@ -183,6 +183,8 @@ class GaitScheduler:
         """
         speed = self._settings.find(gait).speed
         low, high = speed[0], speed[-1]
+        if len(velocity) != 3:
+            raise config.ConfigError(f"velocity: {len(velocity)} values, not v_x, v_y, yaw rate")
         limits = (("v_x", low, high), ("v_y", 0.0, 0.0), ("yaw rate", 0.0, 0.0))
         for value, (name, least, most) in zip(velocity, limits):
             if not least <= value <= most:
@@ -190,19 +192,25 @@ class GaitScheduler:
                     f"{name} = {value:g}: gait {gait} reaches [{least:g}, {most:g}]"
                 )
         self._wanted, self._velocity = gait, np.array(velocity, dtype=float)
-        self._expiry: int | None = None
+        self._commanded: int | None = None  # stamp of the velocity, ns; None: it does not expire
 
     def command(self, stamp: int, velocity: Array) -> None:
         """Ask the present gait for a velocity; it falls to zero unless renewed in time.
 
-        `stamp` (ns) is on the clock of the states. Raises ConfigError as `request` does.
+        `stamp` (ns) is on the clock of the states. Raises ConfigError as `request` does, and for a
+        stamp too far from the last state's, which stops the robot: it may have been meant to.
         """
         self.request(self._wanted, velocity)
-        self._expiry = stamp + round(self._settings.command_timeout * 1e9)
+        self._commanded = stamp
+        if self._stamp is not None and self._is_expired(self._stamp):
+            raise config.ConfigError(
+                f"stamp is {(stamp - self._stamp) * 1e-9:+.3f} s from the state's (limit "
+                f"{self._settings.command_timeout:g} s), velocity set to zero"
+            )
 
     def step(self, stamp: int, state: Array) -> GaitPreview:
         """Preview from `stamp` (ns) on; `state` (12,) places the reference."""
-        if self._expiry is not None and stamp > self._expiry:
+        if self._is_expired(stamp):
             self._velocity = np.zeros(3)
         self._turn(stamp, state)
         self._change_stride(stamp)
@@ -222,6 +230,12 @@ class GaitScheduler:
             reference=reference(state, self._heading, self._velocity, sway, times),
         )
 
+    def _is_expired(self, stamp: int) -> bool:
+        """Whether the velocity is too old at `stamp` (ns), or from a future that may never come."""
+        if self._commanded is None:
+            return False
+        return abs(stamp - self._commanded) > self._settings.command_timeout * 1e9
+
     def _turn(self, stamp: int, state: Array) -> None:
         """Heading of the reference: the robot's at first, then the integral of the yaw rate."""
         if self._stamp is None:
@@ -229,6 +243,7 @@ class GaitScheduler:
         else:
             self._heading += self._velocity[2] * (stamp - self._stamp) * 1e-9
         self._stamp = stamp
+        self._switched = min(self._switched, stamp)  # a clock set back must not hold a change up
 
     def _change_stride(self, stamp: int) -> None:
         gait = self._settings.find(self._wanted)

@@ -197,18 +197,28 @@ def _distance(recorded: np.ndarray, replayed: np.ndarray) -> np.ndarray:
     return np.where(one_nan, math.inf, np.nan_to_num(distance, nan=0.0))
 
 
+def _tolerance(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value < math.inf:  # with NaN nothing would ever differ
+        raise argparse.ArgumentTypeError(f"{text}: outside [0, inf)")
+    return value
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `scripts/replay`; exit code 0: no difference, 1: one, 2: unusable bag."""
     parser = argparse.ArgumentParser(prog="scripts/replay", description=__doc__.split("\n\n")[0])
     parser.add_argument("bag", type=Path, help="directory of the bag")
     parser.add_argument(
-        "--tolerance", type=float, default=TOLERANCE, help="in SI units (default: %(default)g)"
+        "--tolerance", type=_tolerance, default=TOLERANCE, help="in SI units (default: %(default)g)"
     )
     options = parser.parse_args(arguments)
     try:
         comparisons = replay(Bag(options.bag), options.tolerance)
     except (BagError, config.ConfigError) as error:
         print(f"scripts/replay: {error}", file=sys.stderr)
+        return 2
+    except ValueError as error:  # a recorded message that its node has refused
+        print(f"scripts/replay: {options.bag}: cannot be replayed: {error}", file=sys.stderr)
         return 2
     for c in comparisons:
         print(f"{c.topic:<25}{c.compared:5d} compared, largest difference {c.largest:.1e}")
