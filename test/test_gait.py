@@ -14,6 +14,7 @@ REST = [0.0, 0, 0, 0, 0]
 LEVEL = np.zeros(12)
 STAND = {
     "period": 1.0,
+    "cruise": 0.0,
     "speed": [0.0],
     "amplitude": [0.0],
     "angle_deg": [[60.0, 0, 0, 0, 0]] * 4,
@@ -29,6 +30,7 @@ STAND = {
 }
 WALK = {
     "period": 0.8,
+    "cruise": 0.06,
     "speed": [0.0, 0.08],
     "amplitude": [0.0, 1.0],
     "angle_deg": [[80, 20, 0, 5, 0], [80, -20, 0, 5, 0], [90, 0, 30, 0, 0], [90, 0, -30, 0, 0]],
@@ -241,3 +243,4 @@ def test_the_shipped_gaits_ask_for_what_the_robot_has():
             assert angle.max() <= robot.tendon.angle_max
             # over a stride the ground carries the weight; two harmonics leave some of it out
             assert load.sum(axis=1).mean() == pytest.approx(robot.weight, rel=0.1)
+        assert gait.speed[0] <= gait.cruise <= gait.speed[-1]

@@ -58,6 +58,10 @@ def test_help_names_every_option(capsys):
         assert f"--{option}" in shown
 
 
+def test_standing_needs_no_velocity():
+    assert run.parse(["--gait", "stand"], read_graph()).vx is None
+
+
 def test_the_defaults_walk():
     options = run.parse([], read_graph())
     assert (options.hardware, options.gait, options.duration) == ("sim", "walk", 20.0)

@@ -16,7 +16,7 @@ def generate_launch_description() -> LaunchDescription:
             *(
                 DeclareLaunchArgument(
                     argument.name,
-                    default_value=str(argument.default),
+                    default_value=argument.text,
                     description=argument.help,
                     choices=argument.choices,
                 )

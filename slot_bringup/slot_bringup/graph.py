@@ -22,8 +22,15 @@ class Argument:
     help: str
     choices: tuple[str, ...] | None = None
 
+    @property
+    def text(self) -> str:
+        """The default as a launch argument's text."""
+        return "" if self.default is None else str(self.default)
+
     def parse(self, text: str) -> Any:
         """The value that a launch argument's text stands for; raises ValueError naming it."""
+        if self.default is None and not text:
+            return None
         try:
             value = yaml.safe_load(text) if self.kind is bool else self.kind(text)
         except ValueError:
@@ -72,15 +79,10 @@ class Graph:
         parameters = {**self._common, **entry.get("parameters", {})}
         for argument, more in entry.get("parameters_with", {}).items():
             parameters |= more if values[argument] else {}
-        return {key: _substitute(value, values) for key, value in parameters.items()}
-
-
-def _substitute(value: Any, values: Mapping[str, Any]) -> Any:
-    if isinstance(value, list):
-        return [_substitute(item, values) for item in value]
-    if isinstance(value, str) and value.startswith("$"):
-        return values[value[1:]]
-    return value
+        for name, value in parameters.items():
+            if isinstance(value, str) and value.startswith("$"):
+                parameters[name] = values[value[1:]]
+        return {name: value for name, value in parameters.items() if value is not None}
 
 
 def read_graph() -> Graph:

@@ -42,7 +42,8 @@ def parse(arguments: Sequence[str] | None, graph: Graph) -> argparse.Namespace:
     for argument in graph.arguments:
         if argument.name == "bag":
             continue
-        flag: dict[str, Any] = {"help": f"{argument.help} (default: {argument.default})"}
+        default = f" (default: {argument.text})" if argument.text else ""
+        flag: dict[str, Any] = {"help": argument.help + default}
         if argument.kind is bool:
             flag["action"] = "store_true"
         else:
@@ -78,7 +79,9 @@ def parse(arguments: Sequence[str] | None, graph: Graph) -> argparse.Namespace:
 
 def check(options: argparse.Namespace) -> None:
     """Refuse, before anything starts, what a node would refuse; raises ConfigError."""
-    GaitScheduler(read_gaits(), options.gait, np.array([options.vx, options.vy, 0.0]))
+    gaits = read_gaits()
+    v_x = gaits.find(options.gait).cruise if options.vx is None else options.vx
+    GaitScheduler(gaits, options.gait, np.array([v_x, options.vy, 0.0]))
     read_scene(options.scene)
     if not 0 <= options.seed < 2**63:
         raise ConfigError(f"--seed {options.seed}: outside [0, {2**63 - 1}]")

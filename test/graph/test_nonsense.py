@@ -37,7 +37,7 @@ TOPICS = {
     "joint_states": (JointState, qos.SENSOR),
 }
 NAN, INF = math.nan, math.inf
-RUN = [sys.executable, "-m", "slot_bringup.run"]
+RUN = [sys.executable, "-m", "slot_bringup"]
 TICKS = 15  # of the controller that must follow, half a second of the robot's time
 
 

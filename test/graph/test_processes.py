@@ -22,7 +22,7 @@ from slot_nodes import qos
 GRAPH = read_graph()
 DEFAULTS = {argument.name: argument.default for argument in GRAPH.arguments}
 NODES = {spec.name: spec for spec in GRAPH.nodes(DEFAULTS | {"bag": "bag"})}
-RUN = [sys.executable, "-m", "slot_bringup.run"]
+RUN = [sys.executable, "-m", "slot_bringup"]
 
 
 def wait_until(condition, limit=30.0):

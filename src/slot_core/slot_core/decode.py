@@ -64,10 +64,14 @@ def state(message: Any) -> tuple[int, Array, int]:
 
 
 def preview(message: Any) -> GaitPreview:
-    """Gait preview; raises ValueError when an array does not divide into the stated stages."""
+    """Gait preview; raises ValueError when an array has not the stated number of stages."""
+    stages = int(message.stages)
 
-    def rows(values: Any) -> Array:
-        return np.array(values).reshape(int(message.stages), -1)
+    def rows(name: str, columns: int = 4) -> Array:
+        values = np.array(getattr(message, name))
+        if stages < 1 or values.size != stages * columns:
+            raise ValueError(f"{name} has {values.size} values, not {stages} stages of {columns}")
+        return values.reshape(stages, columns)
 
     return GaitPreview(
         stamp=stamp(message),
@@ -75,11 +79,11 @@ def preview(message: Any) -> GaitPreview:
         phase=message.phase,
         period=message.period,
         dt=message.dt,
-        contact=rows(message.contact).astype(bool),
-        friction=rows(message.friction),
-        normal_force=rows(message.normal_force),
-        tendon_angle=rows(message.tendon_angle),
-        reference=rows(message.reference),
+        contact=rows("contact").astype(bool),
+        friction=rows("friction"),
+        normal_force=rows("normal_force"),
+        tendon_angle=rows("tendon_angle"),
+        reference=rows("reference", 12),
     )
 
 

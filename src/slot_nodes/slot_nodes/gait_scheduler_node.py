@@ -19,10 +19,10 @@ class GaitSchedulerNode(Node):
         super().__init__("gait_scheduler")
         settings = runtime.declare_settings(self, read_gaits())
         gait = runtime.declare(self, "gait", "stand", "gait at the start, of config/gait.yaml")
-        velocity = runtime.declare(
-            self, "velocity", [0.0, 0.0, 0.0], "v_x, v_y [m/s], yaw rate [rad/s] at the start"
-        )
-        self._scheduler = GaitScheduler(settings, gait, np.array(velocity))
+        cruise = settings.find(gait).cruise
+        v_x = runtime.declare(self, "v_x", cruise, "forward velocity at the start [m/s]")
+        v_y = runtime.declare(self, "v_y", 0.0, "lateral velocity at the start [m/s]")
+        self._scheduler = GaitScheduler(settings, gait, np.array([v_x, v_y, 0.0]))
         self._preview = self.create_publisher(GaitPreview, "gait_preview", qos.CONTROL)
         runtime.subscribe(self, TwistStamped, "cmd_vel", self._on_velocity, qos.SENSOR)
         self.create_service(SetGait, "set_gait", self._on_gait)

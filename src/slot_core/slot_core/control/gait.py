@@ -54,6 +54,7 @@ class Gait:
 
     sway: Sway
     period: float = quantity("duration of a stride", "s", 0.1, 10.0)
+    cruise: float = quantity("v_x where none is asked for", "m/s", -1, 1)
     speed: tuple[float, ...] = quantity("v_x reached, least to greatest", "m/s", -1, 1)
     amplitude: tuple[float, ...] = quantity("scale of the harmonics at these speeds", "", 0, 1)
     angle_deg: FourHarmonics = quantity("tendon angle", "deg", -360, 360)
