@@ -10,10 +10,12 @@ from slot_core.dynamics import integrator, observe
 from slot_core.dynamics.model import (
     build_model,
     build_scheme,
+    leg_lanes,
     rest_state,
     state_space,
     work_space,
 )
+from slot_core.dynamics.rod import segments
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.robot import LEGS, Array, Robot
@@ -38,7 +40,9 @@ class Simulator:
         self.model = build_model(robot, scene, servo)
         self.state = rest_state(self.model, scene.start.height)
         self._start = state_space(scene.solver.nodes)
-        self._work = work_space(scene.solver.nodes)
+        self._legs = leg_lanes(self.model, self.state)
+        self._work = work_space()
+        self._segments = segments(scene.solver.nodes)
         self._scheme = build_scheme(scene.solver)
         self._points = np.zeros((2, 4, scene.solver.nodes, 3))
         self._steps = 0
@@ -51,8 +55,9 @@ class Simulator:
         Divergence when a speed is not finite or beyond `scene.solver.speed_limit`.
         """
         command = self.checked(command)
+        self._legs.command[0] = command
         done, where = integrator.advance(
-            self.model, self.state, self._work, self._start, command, steps, self._scheme
+            self.model, self.state, self._work, self._start, self._legs, steps, self._scheme
         )
         self._steps += done
         if where >= 0:
@@ -158,7 +163,7 @@ class Simulator:
 
     def energy(self) -> float:
         """J: kinetic, gravity (zero at odom's origin), rods, cables, floor springs below legs."""
-        return float(observe.energy(self.model, self.state, self._work, *self._observe()))
+        return float(observe.energy(self.model, self.state, self._segments, *self._observe()))
 
     def _observe(self) -> tuple[Array, Array]:
         observe.points(self.model, self.state, self._points[0], self._points[1])
