@@ -1,5 +1,6 @@
 """Lanes against NumPy, and four legs in lanes against the same equations leg by leg."""
 
+import copy
 import math
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ from slot_core import config
 from slot_core.control.gait import read_gaits
 from slot_core.dynamics import integrator
 from slot_core.dynamics.algebra import cosine_sine
+from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.lanes import every, in_lanes, largest, like, some, total, where
 from slot_core.dynamics.model import (
     build_model,
@@ -37,16 +39,15 @@ class Stepper:
         scene = config.replace(SCENE, {k.replace("__", "."): v for k, v in changes.items()})
         self.model = build_model(ROBOT, scene, read_servo())
         self.state = rest_state(self.model, scene.start.height)
-        self.scheme, self.work = build_scheme(scene.solver), work_space()
-        self.start = state_space(scene.solver.nodes)
-        self.legs = leg_lanes(self.model, self.state)
+        self.legs, self.work = leg_lanes(self.model, self.state), work_space()
+        start, scheme = state_space(scene.solver.nodes), build_scheme(scene.solver)
+        legs = self.legs if in_lanes else one_by_one(self.legs)
+        self.machine = Handle((self.model, self.state, self.work, start, legs, scheme))
         self.advance = integrator.advance if in_lanes else integrator.advance_one_by_one
-        self.handed = self.legs if in_lanes else one_by_one(self.legs)
 
     def run(self, command, steps):
         self.legs.command[0] = command
-        arguments = (self.model, self.state, self.work, self.start, self.handed)
-        assert self.advance(*arguments, steps, self.scheme) == (steps, -1)
+        assert self.advance(self.machine, steps) == (steps, -1)
 
 
 def walk(time):
@@ -159,3 +160,8 @@ def test_small_and_large_angles_share_the_lanes():
 def test_only_contiguous_numbers_have_lanes():
     with pytest.raises(TypingError, match="last axis of a contiguous array"):
         njit(lambda pair: in_lanes(pair).a[0])(Pair(np.zeros((4, 3)).T, np.zeros((3, 4))))
+
+
+def test_a_handle_is_not_copied_with_its_address():
+    with pytest.raises(TypeError, match="no copy"):
+        copy.deepcopy(Handle((1.0, np.zeros(3))))

@@ -33,6 +33,7 @@ from slot_core.dynamics.algebra import (
 )
 from slot_core.dynamics.compiled import helper, kernel
 from slot_core.dynamics.elimination import add_to_torso, couple, eliminate, substitute
+from slot_core.dynamics.handle import contents
 from slot_core.dynamics.lanes import every, in_lanes
 from slot_core.dynamics.rod import load, measure
 from slot_core.dynamics.servo import turning_rate
@@ -41,23 +42,27 @@ from slot_core.dynamics.torso import add_corners, add_inertia
 
 
 @kernel
-def advance(model, state, work, start, legs, steps, scheme):
+def advance(machine, steps):
     """Advance by `steps` steps; returns (steps done, -1), or where it was lost: see `lost`.
+
+    machine: handle of (model, state, work, start, legs, scheme); the legs in lanes.
 
     A step that is lost, or whose last Newton correction is above the limit, is taken again from its
     `start` in 2, 4, ... 2^halvings pieces. Running out of halvings is a loss only if it is `lost`.
     """
-    return _advance(model, state, work, start, (in_lanes(legs),), steps, scheme)
+    model, state, work, start, legs, scheme = contents(machine)
+    return _advance(model, state, work, start, (in_lanes(legs),), scheme, steps)
 
 
 @kernel
-def advance_one_by_one(model, state, work, start, legs, steps, scheme):
+def advance_one_by_one(machine, steps):
     """`advance` for legs from `model.one_by_one`: the same equations in plain numbers, slower."""
-    return _advance(model, state, work, start, legs, steps, scheme)
+    model, state, work, start, legs, scheme = contents(machine)
+    return _advance(model, state, work, start, legs, scheme, steps)
 
 
 @helper
-def _advance(model, state, work, start, legs, steps, scheme):
+def _advance(model, state, work, start, legs, scheme, steps):
     for k in range(steps):
         copy(start.buffer, state.buffer)
         for halving in range(scheme.halvings + 1):

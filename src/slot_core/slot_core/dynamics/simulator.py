@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from slot_core.dynamics import integrator, observe
+from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.model import (
     build_model,
     build_scheme,
@@ -39,11 +40,11 @@ class Simulator:
         self.scene = scene
         self.model = build_model(robot, scene, servo)
         self.state = rest_state(self.model, scene.start.height)
-        self._start = state_space(scene.solver.nodes)
         self._legs = leg_lanes(self.model, self.state)
         self._work = work_space()
         self._segments = segments(scene.solver.nodes)
-        self._scheme = build_scheme(scene.solver)
+        start, scheme = state_space(scene.solver.nodes), build_scheme(scene.solver)
+        self._machine = Handle((self.model, self.state, self._work, start, self._legs, scheme))
         self._points = np.zeros((2, 4, scene.solver.nodes, 3))
         self._steps = 0
         self._settle()
@@ -56,9 +57,7 @@ class Simulator:
         """
         command = self.checked(command)
         self._legs.command[0] = command
-        done, where = integrator.advance(
-            self.model, self.state, self._work, self._start, self._legs, steps, self._scheme
-        )
+        done, where = integrator.advance(self._machine, steps)
         self._steps += done
         if where >= 0:
             raise Divergence(self._explain(where))
@@ -181,7 +180,7 @@ class Simulator:
         limit = self.robot.tendon.angle_max
         if command.shape != (4,):
             raise ValueError(f"command has the shape {command.shape}, not (4,)")
-        if not np.all((command >= 0.0) & (command <= limit)):
+        if not all(0.0 <= angle <= limit for angle in command.tolist()):
             raise ValueError(f"command {command} rad is not inside [0, {limit:.6f}]")
         return command
 
