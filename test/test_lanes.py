@@ -19,7 +19,6 @@ from slot_core.dynamics.model import (
     build_model,
     build_scheme,
     leg_lanes,
-    one_by_one,
     rest_state,
     state_space,
     work_space,
@@ -41,8 +40,7 @@ class Stepper:
         self.state = rest_state(self.model, scene.start.height)
         self.legs, self.work = leg_lanes(self.model, self.state), work_space()
         start, scheme = state_space(scene.solver.nodes), build_scheme(scene.solver)
-        legs = self.legs if in_lanes else one_by_one(self.legs)
-        self.machine = Handle((self.model, self.state, self.work, start, legs, scheme))
+        self.machine = Handle((self.model, self.state, self.work, start, self.legs, scheme))
         self.advance = integrator.advance if in_lanes else integrator.advance_one_by_one
 
     def run(self, command, steps):

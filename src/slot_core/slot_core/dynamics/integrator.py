@@ -34,7 +34,7 @@ from slot_core.dynamics.algebra import (
 from slot_core.dynamics.compiled import helper, kernel
 from slot_core.dynamics.elimination import add_to_torso, couple, eliminate, substitute
 from slot_core.dynamics.handle import contents
-from slot_core.dynamics.lanes import every, in_lanes
+from slot_core.dynamics.lanes import every, in_lanes, one_lane
 from slot_core.dynamics.rod import load, measure
 from slot_core.dynamics.servo import turning_rate
 from slot_core.dynamics.tendon import pull
@@ -56,9 +56,10 @@ def advance(machine, steps):
 
 @kernel
 def advance_one_by_one(machine, steps):
-    """`advance` for legs from `model.one_by_one`: the same equations in plain numbers, slower."""
+    """`advance` with one leg after the other: the same equations in plain numbers, slower."""
     model, state, work, start, legs, scheme = contents(machine)
-    return _advance(model, state, work, start, legs, scheme, steps)
+    singly = (one_lane(legs, 0), one_lane(legs, 1), one_lane(legs, 2), one_lane(legs, 3))
+    return _advance(model, state, work, start, singly, scheme, steps)
 
 
 @helper

@@ -9,6 +9,7 @@ Outside the kernels Lanes are the last axis (4,) of an array; `in_lanes` gives t
 """
 
 # mypy: disable-error-code="no-untyped-def,misc,no-untyped-call"
+# ruff: noqa: PLR0917 - a lowering takes its arguments by position
 
 from __future__ import annotations
 
@@ -254,28 +255,30 @@ _define_each(math.cos, 1)
 _define_each(math.atan2, 2)
 
 
-def _view(kind):
-    """Type of the lanes' view of a tuple of arrays."""
+def _part(kind, leaf):
+    """Type of a (nested) named tuple of arrays (..., 4) with `leaf(ndim)` in place of each."""
     if isinstance(kind, types.Array):
         if kind.layout != "C" or kind.dtype != types.float64:
             raise TypingError(f"{kind} has no lanes: they are the last axis of a contiguous array")
-        # not aligned: NumPy promises 16 bytes, a vector has 32
-        return types.Array(LANES, kind.ndim - 1, "C", aligned=False)
-    parts = [_view(part) for part in kind.types]
+        return leaf(kind.ndim - 1)
+    parts = [_part(part, leaf) for part in kind.types]
     if all(part == parts[0] for part in parts):
         return types.NamedUniTuple(parts[0], len(parts), kind.instance_class)
     return types.NamedTuple(parts, kind.instance_class)
 
 
-def _convert(context, builder, kind, out, value):
+def _convert(context, builder, kind, out, value, first):
+    """The arrays without their last axis, from lane `first` on."""
     if not isinstance(kind, types.Array):
         parts = cgutils.unpack_tuple(builder, value, len(kind.types))
-        parts = [_convert(context, builder, *part) for part in zip(kind.types, out.types, parts)]
+        triples = zip(kind.types, out.types, parts)
+        parts = [_convert(context, builder, *triple, first) for triple in triples]
         return context.make_tuple(builder, out, parts)
     source, view = make_array(kind)(context, builder, value), make_array(out)(context, builder)
-    shape, strides = (cgutils.unpack_tuple(builder, x) for x in (source.shape, source.strides))
-    data = builder.bitcast(source.data, view.data.type)
-    populate_array(view, data, shape[:-1], strides[:-1], 8 * COUNT, None)
+    shape, strides = (cgutils.unpack_tuple(builder, x)[:-1] for x in (source.shape, source.strides))
+    data = builder.bitcast(builder.gep(source.data, [first]), view.data.type)
+    itemsize = context.get_abi_sizeof(context.get_data_type(out.dtype))
+    populate_array(view, data, shape, strides, itemsize, None)
     return view._getvalue()
 
 
@@ -285,9 +288,21 @@ def in_lanes(typingctx, arrays):
 
     The view does not keep the memory alive: whoever calls the kernel does.
     """
-    out = _view(arrays)
+    # not aligned: NumPy promises 16 bytes, a vector has 32
+    out = _part(arrays, lambda ndim: types.Array(LANES, ndim, "C", aligned=False))
 
     def build(context, builder, sig, args):
-        return _convert(context, builder, arrays, out, args[0])
+        return _convert(context, builder, arrays, out, args[0], context.get_constant(types.intp, 0))
 
     return out(arrays), build
+
+
+@intrinsic
+def one_lane(typingctx, arrays, lane):
+    """View as `in_lanes`, of one lane: arrays (...) of float64, with steps in memory."""
+    out = _part(arrays, lambda ndim: types.Array(types.float64, ndim, "A"))
+
+    def build(context, builder, sig, args):
+        return _convert(context, builder, arrays, out, *args)
+
+    return out(arrays, types.intp), build

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -143,18 +143,6 @@ def leg_lanes(model: Model, state: State) -> Leg:
         rate=state.tendon_rate[None],
         tension=state.tension[None],
     )
-
-
-def one_by_one(legs: Leg) -> tuple[Leg, ...]:
-    """The legs of `leg_lanes` one by one, views of the same memory."""
-    return tuple(_pick(legs, leg) for leg in range(4))
-
-
-def _pick(part: Any, leg: int) -> Any:
-    """One leg of an array or of a named tuple of them."""
-    if isinstance(part, np.ndarray):
-        return part[..., leg]
-    return type(part)(*(_pick(inner, leg) for inner in part))
 
 
 def work_space() -> Work:
