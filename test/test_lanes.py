@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from numba import njit
-from numba.core.errors import TypingError
+from numba.core.errors import NumbaError, TypingError
 
 from slot_core import config
 from slot_core.control.gait import read_gaits
-from slot_core.dynamics import integrator
+from slot_core.dynamics import compiled, integrator
 from slot_core.dynamics.algebra import cosine_sine
 from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.lanes import every, in_lanes, largest, like, some, total, where
@@ -93,12 +93,12 @@ class Pair(NamedTuple):
 def on_lanes(function, count, *rows):
     """(count, 4) what a function of a Lanes array and an array for its results writes."""
     pair = Pair(np.array(rows, dtype=float), np.full((count, 4), 7.0))
-    compiled = njit(function)
+    inner = njit(function)
 
     @njit
     def run(pair):
         view = in_lanes(pair)
-        compiled(view.a, view.out)
+        inner(view.a, view.out)
 
     run(pair)
     return pair.out
@@ -163,3 +163,8 @@ def test_only_contiguous_numbers_have_lanes():
 def test_a_handle_is_not_copied_with_its_address():
     with pytest.raises(TypeError, match="no copy"):
         copy.deepcopy(Handle((1.0, np.zeros(3))))
+
+
+def test_a_kernel_that_allocates_does_not_compile():
+    with pytest.raises(NumbaError, match="NRT required"):
+        compiled.kernel(lambda n: np.zeros(n).size)(3)
