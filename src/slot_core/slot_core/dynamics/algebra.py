@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 
 from slot_core.dynamics.compiled import helper
+from slot_core.dynamics.lanes import every
 
 
 @helper
@@ -53,10 +54,11 @@ def orthonormalise(out, r):
 def rotation(out, wx, wy, wz):
     """Write into out (3, 3) the rotation by the vector w, rad (Rodrigues)."""
     square = wx * wx + wy * wy + wz * wz
-    if square < 1e-4:  # series, exact to double precision
+    if every(square < 1e-4):  # series, exact to double precision
         a = 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
         b = 0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0))
     else:
+        square = max(1e-12, square)  # a lane may be at rest
         angle = math.sqrt(square)
         a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / square
     out[0, 0], out[0, 1], out[0, 2] = (
@@ -74,6 +76,16 @@ def rotation(out, wx, wy, wz):
         b * wy * wz + a * wx,
         1.0 - b * (wx * wx + wy * wy),
     )
+
+
+@helper
+def cosine_sine(angle):
+    """cos and sin; a small angle by its series, exact to double precision."""
+    square = angle * angle
+    if every(square < 1e-4):
+        c = 1.0 - square / 2.0 * (1.0 - square / 12.0 * (1.0 - square / 30.0))
+        return c, angle * (1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0)))
+    return math.cos(angle), math.sin(angle)
 
 
 @helper

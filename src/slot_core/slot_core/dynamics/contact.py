@@ -15,6 +15,7 @@ import math
 from typing import NamedTuple
 
 from slot_core.dynamics.compiled import helper
+from slot_core.dynamics.lanes import like, where
 
 
 class Floor(NamedTuple):
@@ -33,7 +34,6 @@ def touch(floor, friction, gap, vn, vx, vy, vz):
     friction force is -c (v - vn n). Both are zero without contact.
     """
     normal = -floor.stiffness * gap - floor.damping * vn
-    if gap >= 0.0 or normal <= 0.0:
-        return 0.0, 0.0
+    normal = where(gap < 0.0, max(0.0, normal), like(0.0, normal))
     slip = vx * vx + vy * vy + vz * vz - vn * vn
-    return normal, friction * normal / math.sqrt(max(slip, 0.0) + floor.friction_velocity**2)
+    return normal, friction * normal / math.sqrt(max(0.0, slip) + floor.friction_velocity**2)

@@ -25,6 +25,7 @@ from typing import NamedTuple
 
 from slot_core.dynamics.compiled import helper
 from slot_core.dynamics.contact import touch
+from slot_core.dynamics.lanes import largest, like, some, total, where
 
 
 class Column(NamedTuple):
@@ -61,40 +62,41 @@ class Node(NamedTuple):
 
 
 @helper
-def eliminate(model, work, leg, inv, height):  # noqa: PLR0915 - one pivot reads best whole
-    """Eliminate the segments of a leg from tip to clamp; False where a pivot is not positive.
+def eliminate(model, leg, inv, height):  # noqa: PLR0915 - one pivot reads best whole
+    """Eliminate the segments of a leg from tip to clamp; says whether all pivots were positive.
 
     The form over (X, phi) stands in local variables, its rest over (q, lambda | 1) in `rest`.
     """
-    s, rest = work.segments, work.rest
+    s, rest = leg.segments, leg.rest
     viscous = 1.0 + model.rod.damping_time * inv
-    q1 = q2 = q3 = cable = one = Column(0.0, 0.0, 0.0)
-    xx = xz = zz = xf = zf = ff = 0.0
+    xx = xz = zz = xf = zf = ff = like(0.0, leg.friction[0])
+    q1 = q2 = q3 = cable = one = Column(xx, xx, xx)
     definite = True
-    rest[:] = 0.0
+    for r in range(4):
+        for c in range(5):
+            rest[r, c] = xx
     for i in range(s.length.size, 0, -1):
-        node = _node(model, work, leg, i, inv, height)
+        node = _node(model, leg, i, inv, height)
         xx, xz, zz = xx + node.cxx, xz + node.cxz, zz + node.czz
         q1, q2, q3 = _add(q1, node, 1.0), _add(q2, node, node.jx), _add(q3, node, node.jz)
         one = Column(one.x + node.gx, one.z + node.gz, one.phi)
-        _add_lateral(rest, node)
         # The segment between nodes k and i: X_i = X_k + s and phi_k = a.s; s is eliminated.
         k = i - 1
-        tx, tz, length = s.direction[k, 0], s.direction[k, 1], s.length[k]
-        force, moment = s.force[k], s.moment[k]
-        ax, az = -tz / length, tx / length
+        tx, tz, force, moment = s.direction[k, 0], s.direction[k, 1], s.force[k], s.moment[k]
+        length, per_length = s.length[k], s.per_length[k]
+        ax, az = -tz * per_length, tx * per_length
         bx, bz = xf + ax * ff, zf + az * ff
         x, z = (xx + ax * xf, xz + az * xf), (xz + ax * zf, zz + az * zf)
         # Its tangent: stretch, bending and the turning of its force, the turning of its moments.
         stretch, bend = viscous * model.rod.axial[k], viscous * model.rod.bending[k]
         across = bend + force * length
-        twist = (moment - s.moment[i]) / length
+        twist = (moment - s.moment[i]) * per_length
         p = _inverse(
             x[0] + bx * ax + stretch * tx * tx + across * ax * ax - 2.0 * twist * tx * ax,
             z[0] + bx * az + stretch * tx * tz + across * ax * az - twist * (tx * az + tz * ax),
             z[1] + bz * az + stretch * tz * tz + across * az * az - 2.0 * twist * tz * az,
         )
-        definite &= p.positive
+        definite = definite & p.positive
         # Right-hand sides r and solutions w: how s follows each of the other unknowns.
         along, around = model.tendon.along[k], model.tendon.around[k]
         phi = (-bend * ax, -bend * az)
@@ -104,7 +106,7 @@ def eliminate(model, work, leg, inv, height):  # noqa: PLR0915 - one pivot reads
         ro = (ro[0] + force * tx + moment * ax, ro[1] + force * tz + moment * az)
         wx, wz, wf = _over(p, x), _over(p, z), _over(p, phi)
         w1, w2, w3, wc, wo = _over(p, r1), _over(p, r2), _over(p, r3), _over(p, rc), _over(p, ro)
-        _store(work.back[leg, k], wx, wz, wf, w1, w2, w3, wc, wo)
+        _store(leg.back[k], wx, wz, wf, w1, w2, w3, wc, wo)
         # What is left acts on node k and on the segment before it.
         q1, q2, q3 = _fold(q1, x, z, phi, w1), _fold(q2, x, z, phi, w2), _fold(q3, x, z, phi, w3)
         cable, one = _fold(cable, x, z, phi, wc), _fold(one, x, z, phi, wo)
@@ -112,13 +114,12 @@ def eliminate(model, work, leg, inv, height):  # noqa: PLR0915 - one pivot reads
         one = Column(one.x, one.z, one.phi - moment)
         xx, xz, zz = xx - _dot(x, wx), xz - _dot(x, wz), zz - _dot(z, wz)
         xf, zf, ff = -_dot(x, wf), -_dot(z, wf), bend - _dot(phi, wf)
-        _gather(rest, r1, r2, r3, rc, w1, w2, w3, wc, wo)
-        work.lever[leg, k, 0], work.lever[leg, k, 1] = ax, az
-    node = _node(model, work, leg, 0, inv, height)
+        _gather(rest, node, r1, r2, r3, rc, w1, w2, w3, wc, wo)
+    node = _node(model, leg, 0, inv, height)
     xx, xz, zz = xx + node.cxx, xz + node.cxz, zz + node.czz
     _add_lateral(rest, node)
     one = Column(one.x + node.gx, one.z + node.gz, one.phi)
-    F = work.form
+    F = leg.form
     F[0, 0], F[0, 1], F[0, 2], F[1, 1], F[1, 2], F[2, 2] = xx, xz, xf, zz, zf, ff
     _write(F, 3, q1)
     _write(F, 4, q2)
@@ -135,42 +136,32 @@ def eliminate(model, work, leg, inv, height):  # noqa: PLR0915 - one pivot reads
 
 
 @helper
-def _node(model, work, leg, i, inv, height):
+def _node(model, leg, i, inv, height):
     """Inertia, weight and contact of a node."""
-    u, before, g, up = (
-        work.velocity[leg, i],
-        work.before[leg, i],
-        work.leg_field[1],
-        work.leg_field[0],
-    )
-    rx, ry, rz = model.root[leg, 0], model.root[leg, 1], model.root[leg, 2]
-    rx, rz = rx + work.stage[leg, i, 0], rz + work.stage[leg, i, 1]
+    ux, uy, uz = leg.velocity[i, 0], leg.velocity[i, 1], leg.velocity[i, 2]
+    upx, upy, upz = leg.field[0, 0], leg.field[0, 1], leg.field[0, 2]
+    rx, rz = leg.root[0] + leg.stage[i, 0], leg.root[2] + leg.stage[i, 1]
     mass = model.rod.mass[i]
-    gx = mass * ((u[0] - before[0]) * inv - g[0])
-    gy = mass * ((u[1] - before[1]) * inv - g[1])
-    gz = mass * ((u[2] - before[2]) * inv - g[2])
-    inertia = mass * inv * inv
-    gap = height + up[0] * rx + up[1] * ry + up[2] * rz
-    if gap < 0.0 and i > 0:  # the clamp is inside the torso, whose corners touch the floor
-        vn = up[0] * u[0] + up[1] * u[1] + up[2] * u[2]
-        normal, drag = touch(model.floor, model.friction[leg], gap, vn, u[0], u[1], u[2])
-        if normal > 0.0:
-            stiff = model.floor.stiffness + (model.floor.damping - drag) * inv
-            inertia += drag * inv
-            return Node(
-                inertia + stiff * up[0] * up[0],
-                stiff * up[0] * up[1],
-                stiff * up[0] * up[2],
-                inertia + stiff * up[1] * up[1],
-                stiff * up[1] * up[2],
-                inertia + stiff * up[2] * up[2],
-                gx - up[0] * (normal + drag * vn) + drag * u[0],
-                gy - up[1] * (normal + drag * vn) + drag * u[1],
-                gz - up[2] * (normal + drag * vn) + drag * u[2],
-                -rz,
-                rx,
-            )
-    return Node(inertia, 0.0, 0.0, inertia, 0.0, inertia, gx, gy, gz, -rz, rx)
+    gx = mass * ((ux - leg.before[i, 0]) * inv - leg.field[1, 0])
+    gy = mass * ((uy - leg.before[i, 1]) * inv - leg.field[1, 1])
+    gz = mass * ((uz - leg.before[i, 2]) * inv - leg.field[1, 2])
+    cxy = cxz = cyz = like(0.0, rx)
+    cxx = cyy = czz = like(mass * inv * inv, rx)
+    gap = height + upx * rx + upy * leg.root[1] + upz * rz
+    if i > 0 and some(gap < 0.0):  # the clamp is in the torso, whose corners touch the floor
+        vn = upx * ux + upy * uy + upz * uz
+        normal, drag = touch(model.floor, leg.friction[0], gap, vn, ux, uy, uz)
+        stiff = model.floor.stiffness + (model.floor.damping - drag) * inv
+        stiff = where(normal > 0.0, stiff, like(0.0, rx))
+        cxx += drag * inv + stiff * upx * upx
+        cyy += drag * inv + stiff * upy * upy
+        czz += drag * inv + stiff * upz * upz
+        cxy, cxz, cyz = stiff * upx * upy, stiff * upx * upz, stiff * upy * upz
+        push = normal + drag * vn
+        gx += drag * ux - upx * push
+        gy += drag * uy - upy * push
+        gz += drag * uz - upz * push
+    return Node(cxx, cxy, cxz, cyy, cyz, czz, gx, gy, gz, -rz, rx)
 
 
 @helper
@@ -198,7 +189,7 @@ def _add_lateral(rest, node):
 def _inverse(xx, xz, zz):
     det = xx * zz - xz * xz
     scale = 1.0 / det
-    return Pivot(zz * scale, -xz * scale, xx * scale, det > 0.0 and xx > 0.0)
+    return Pivot(zz * scale, -xz * scale, xx * scale, (det > 0.0) & (xx > 0.0))
 
 
 @helper
@@ -225,20 +216,21 @@ def _fold(column, x, z, phi, w):
 
 
 @helper
-def _gather(rest, r1, r2, r3, rc, w1, w2, w3, wc, wo):
-    """Subtract r.w from the form over (q, lambda | 1), upper half."""
-    rest[0, 0] -= _dot(r1, w1)
-    rest[0, 1] -= _dot(r1, w2)
-    rest[0, 2] -= _dot(r1, w3)
+def _gather(rest, node, r1, r2, r3, rc, w1, w2, w3, wc, wo):
+    """Add a node's share, subtract r.w: the form over (q, lambda | 1), upper half."""
+    jx, jz, c = node.jx, node.jz, node.cyy
+    rest[0, 0] += c - _dot(r1, w1)
+    rest[0, 1] += c * jx - _dot(r1, w2)
+    rest[0, 2] += c * jz - _dot(r1, w3)
     rest[0, 3] -= _dot(r1, wc)
-    rest[0, 4] -= _dot(r1, wo)
-    rest[1, 1] -= _dot(r2, w2)
-    rest[1, 2] -= _dot(r2, w3)
+    rest[0, 4] += node.gy - _dot(r1, wo)
+    rest[1, 1] += c * jx * jx - _dot(r2, w2)
+    rest[1, 2] += c * jx * jz - _dot(r2, w3)
     rest[1, 3] -= _dot(r2, wc)
-    rest[1, 4] -= _dot(r2, wo)
-    rest[2, 2] -= _dot(r3, w3)
+    rest[1, 4] += node.gy * jx - _dot(r2, wo)
+    rest[2, 2] += c * jz * jz - _dot(r3, w3)
     rest[2, 3] -= _dot(r3, wc)
-    rest[2, 4] -= _dot(r3, wo)
+    rest[2, 4] += node.gy * jz - _dot(r3, wo)
     rest[3, 3] -= _dot(rc, wc)
     rest[3, 4] -= _dot(rc, wo)
 
@@ -258,67 +250,86 @@ def _write(form, c, column):
 
 
 @helper
-def couple(model, work, leg, inv):
-    """Eliminate lambda and add the leg's form to the torso's system."""
-    F, tendon, release = work.form, model.tendon, work.release[leg]
-    stiffness = tendon.stiffness + tendon.damping * inv if work.tension[leg] > 0.0 else 0.0
+def couple(tendon, leg, inv):
+    """Eliminate lambda: what is left is the form over the displacements of the clamp."""
+    F, release, reduced = leg.form, leg.release, leg.reduced
+    taut = tendon.stiffness + tendon.damping * inv
+    stiffness = where(leg.pull[0] > 0.0, like(taut, F[6, 6]), like(0.0, F[6, 6]))
     factor = stiffness / (1.0 - stiffness * F[6, 6])
     for c in range(6):
         release[c] = factor * F[6, c]
     release[6] = factor * F[6, 7]
-    reduced, half, L = work.reduced, work.product, model.clamp[leg]
     for r in range(6):
         for c in range(6):
             reduced[r, c] = F[r, c] + F[r, 6] * release[c]
         reduced[r, 6] = F[r, 7] + F[r, 6] * release[6]
+
+
+@helper
+def add_to_torso(leg, matrix, vector):
+    """Add a leg's form to the torso's system; in lanes, the sum over the legs."""
+    reduced, half, L = leg.reduced, leg.product, leg.clamp
     for r in range(6):
         for c in range(6):
-            value = 0.0
-            for k in range(6):
+            value = reduced[r, 0] * L[0, c]
+            for k in range(1, 6):
                 value += reduced[r, k] * L[k, c]
             half[r, c] = value
-        half[r, 6] = reduced[r, 6]
     for r in range(6):
-        for k in range(6):
-            work.vector[r] += L[k, r] * half[k, 6]
-            for c in range(6):
-                work.matrix[r, c] += L[k, r] * half[k, c]
+        value = L[0, r] * reduced[0, 6]
+        for k in range(1, 6):
+            value += L[k, r] * reduced[k, 6]
+        vector[r] += total(value)
+        for c in range(r + 1):
+            value = L[0, r] * half[0, c]
+            for k in range(1, 6):
+                value += L[k, r] * half[k, c]
+            value = total(value)
+            matrix[r, c] += value
+            if c < r:
+                matrix[c, r] += value
 
 
 @helper
-def substitute(model, work, leg, inv):
+def substitute(leg, vector, inv):
     """Carry the torso's increments through a leg and update V; returns the largest |change|^2."""
-    largest = 0.0
-    L, x, release = model.clamp[leg], work.vector, work.release[leg]
-    rx, rz = model.root[leg, 0], model.root[leg, 2]
-    z = work.moved
-    z[7] = 1.0
-    z[6] = release[6]
+    L, release, moved = leg.clamp, leg.release, leg.moved
+    tension = release[6]
     for r in range(6):
-        value = 0.0
-        for c in range(6):
-            value += L[r, c] * x[c]
-        z[r] = value
-        z[6] += release[r] * value
-    work.tension[leg] = max(0.0, work.tension[leg] + z[6])
-    for i in range(work.stage.shape[1]):
+        value = L[r, 0] * vector[0]
+        for c in range(1, 6):
+            value += L[r, c] * vector[c]
+        moved[r] = value
+        tension += release[r] * value
+    leg.pull[0] = max(0.0, leg.pull[0] + tension)
+    X, q = (moved[0], moved[1], moved[2]), (moved[3], moved[4], moved[5], tension, 1.0)
+    most = like(0.0, tension)
+    for i in range(leg.stage.shape[0]):
         if i > 0:
-            follow(z, work.back[leg, i - 1], work.lever[leg, i - 1])
-        u, stage = work.velocity[leg, i], work.stage[leg, i]
-        u[0] += z[0] * inv
-        u[1] += (z[3] + (rx + stage[0]) * z[5] - (rz + stage[1]) * z[4]) * inv
-        u[2] += z[1] * inv
-        largest = max(largest, (z[0] * z[0] + z[1] * z[1]) * inv * inv)
-    return largest
+            X = follow(leg, i - 1, X, q)
+        rx, rz = leg.root[0] + leg.stage[i, 0], leg.root[2] + leg.stage[i, 1]
+        leg.velocity[i, 0] += X[0] * inv
+        leg.velocity[i, 1] += (q[0] + rx * q[2] - rz * q[1]) * inv
+        leg.velocity[i, 2] += X[1] * inv
+        most = max(most, X[0] * X[0] + X[1] * X[1])
+    return largest(most) * inv * inv
 
 
 @helper
-def follow(z, back, lever):
-    """Replace X and phi in z (8,), which begin a segment, by those at its end."""
-    sx = sz = 0.0
-    for c in range(8):
-        sx -= back[0, c] * z[c]
-        sz -= back[1, c] * z[c]
-    z[0] += sx
-    z[1] += sz
-    z[2] = lever[0] * sx + lever[1] * sz
+def follow(leg, k, X, q):
+    """Displacements (X_x, X_z, phi) at the end of segment k from those at its begin.
+
+    q = (q_1, q_2, q_3, lambda, 1). What does not wait for the segment before comes first.
+    """
+    sx = _constant(leg.back, k, 0, q) + leg.back[k, 0, 0] * X[0] + leg.back[k, 0, 1] * X[1]
+    sz = _constant(leg.back, k, 1, q) + leg.back[k, 1, 0] * X[0] + leg.back[k, 1, 1] * X[1]
+    sx = -(sx + leg.back[k, 0, 2] * X[2])
+    sz = -(sz + leg.back[k, 1, 2] * X[2])
+    turn = leg.segments.direction[k, 0] * sz - leg.segments.direction[k, 1] * sx
+    return X[0] + sx, X[1] + sz, turn * leg.segments.per_length[k]
+
+
+@helper
+def _constant(back, k, r, q):
+    value = back[k, r, 3] * q[0] + back[k, r, 4] * q[1] + back[k, r, 5] * q[2]
+    return value + back[k, r, 6] * q[3] + back[k, r, 7] * q[4]

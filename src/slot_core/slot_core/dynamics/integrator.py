@@ -32,7 +32,9 @@ from slot_core.dynamics.algebra import (
     times_transposed,
 )
 from slot_core.dynamics.compiled import helper, kernel
-from slot_core.dynamics.elimination import couple, eliminate, substitute
+from slot_core.dynamics.elimination import add_to_torso, couple, eliminate, substitute
+from slot_core.dynamics.handle import contents
+from slot_core.dynamics.lanes import every, in_lanes, one_lane
 from slot_core.dynamics.rod import load, measure
 from slot_core.dynamics.servo import turning_rate
 from slot_core.dynamics.tendon import pull
@@ -40,21 +42,37 @@ from slot_core.dynamics.torso import add_corners, add_inertia
 
 
 @kernel
-def advance(model, state, work, start, command, steps, scheme):
+def advance(machine, steps):
     """Advance by `steps` steps; returns (steps done, -1), or where it was lost: see `lost`.
+
+    machine: handle of (model, state, work, start, legs, scheme); the legs in lanes.
 
     A step that is lost, or whose last Newton correction is above the limit, is taken again from its
     `start` in 2, 4, ... 2^halvings pieces. Running out of halvings is a loss only if it is `lost`.
     """
+    model, state, work, start, legs, scheme = contents(machine)
+    return _advance(model, state, work, start, (in_lanes(legs),), scheme, steps)
+
+
+@kernel
+def advance_one_by_one(machine, steps):
+    """`advance` with one leg after the other: the same equations in plain numbers, slower."""
+    model, state, work, start, legs, scheme = contents(machine)
+    singly = (one_lane(legs, 0), one_lane(legs, 1), one_lane(legs, 2), one_lane(legs, 3))
+    return _advance(model, state, work, start, singly, scheme, steps)
+
+
+@helper
+def _advance(model, state, work, start, legs, scheme, steps):
     for k in range(steps):
         copy(start.buffer, state.buffer)
         for halving in range(scheme.halvings + 1):
             pieces = 2**halving
             where, correction = -1, 0.0
             for _ in range(pieces):
-                change = step(model, state, work, command, scheme.step / pieces, scheme)
+                change = step(model, state, work, legs, scheme.step / pieces, scheme)
                 correction = max(correction, change)
-                where = lost(state, model.speed_limit)
+                where = lost(state, legs, model.speed_limit)
                 if where >= 0:
                     break
             if where < 0 and correction <= scheme.correction_limit:
@@ -75,56 +93,75 @@ def copy(out, source):
 
 
 @helper
-def lost(state, limit):
+def lost(state, legs, limit):
     """-1 while all speeds are finite and below the limit, else 0 (torso) or 1 + leg N + node."""
     v, w = state.velocity, state.rate
     if not v[0] * v[0] + v[1] * v[1] + v[2] * v[2] < limit * limit:
         return 0
     if not w[0] * w[0] + w[1] * w[1] + w[2] * w[2] < limit * limit:
         return 0
-    legs, nodes = state.node_velocity.shape[:2]
+    fine = True
+    for leg in legs:
+        u = leg.node_velocity
+        for i in range(u.shape[0]):
+            square = u[i, 0] * u[i, 0] + u[i, 1] * u[i, 1] + u[i, 2] * u[i, 2]
+            fine = fine & every(square < limit * limit)
+    return -1 if fine else _which(state.node_velocity, limit)
+
+
+@helper
+def _which(velocity, limit):
+    """1 + leg N + node of the first node that is lost."""
+    legs, nodes = velocity.shape[:2]
     for leg in range(legs):
-        u = state.node_velocity[leg]
         for i in range(nodes):
-            if not u[i, 0] * u[i, 0] + u[i, 1] * u[i, 1] + u[i, 2] * u[i, 2] < limit * limit:
+            x, y, z = velocity[leg, i, 0], velocity[leg, i, 1], velocity[leg, i, 2]
+            if not x * x + y * y + z * z < limit * limit:
                 return 1 + leg * nodes + i
     return -1
 
 
 @helper
-def step(model, state, work, command, h, scheme):
+def step(model, state, work, legs, h, scheme):
     """One step of h, in place; returns the largest change of a node in the last iteration, m/s."""
     theta = scheme.theta
     tau = theta * h
+    inv = 1.0 / tau
     definite, change = True, 0.0
-    _predict(model, state, work, command, h, theta)
+    _predict(model, state, work, h, theta)
+    for leg in legs:
+        _predict_leg(model, state, leg, h, theta)
     for _ in range(scheme.iterations):
         height = _start_torso(model, state, work, tau)
-        for leg in range(4):
-            _to_leg_axes(model, work, leg)
-            _stage(model, work, leg, tau)
-            load_leg(model, state, work, leg, tau)
-            definite &= eliminate(model, work, leg, 1.0 / tau, height)
-            couple(model, work, leg, 1.0 / tau)
-        definite &= solve(work.matrix, work.vector)
+        for leg in legs:
+            _to_leg_axes(work, leg)
+            _stage(leg, tau)
+            load_leg(model, leg, tau)
+            definite = definite & every(eliminate(model, leg, inv, height))
+            couple(model.tendon, leg, inv)
+            add_to_torso(leg, work.matrix, work.vector)
+        definite = definite & solve(work.matrix, work.vector)
         change = 0.0
-        for leg in range(4):
-            change = max(change, substitute(model, work, leg, 1.0 / tau))
+        for leg in legs:
+            change = max(change, substitute(leg, work.vector, inv))
         for i in range(3):
-            work.motion[0, i] += work.vector[i] / tau
-            work.motion[1, i] += work.vector[3 + i] / tau
-    _finish(model, state, work, h, theta)
+            work.motion[0, i] += work.vector[i] * inv
+            work.motion[1, i] += work.vector[3 + i] * inv
+    _finish(state, work, h, theta)
+    for leg in legs:
+        _finish_leg(state, work, leg, h, theta)
+    _finish_rate(state, work, theta)
     work.counter[1] += 0.0 if definite else 1.0
     return math.sqrt(change)
 
 
 @helper
-def _predict(model, state, work, command, h, theta):
-    """Fix the step axes, the servos' rates and the first iterate V = V_n."""
+def _predict(model, state, work, h, theta):
+    """Fix the step axes and the first iterate V = V_n."""
     w, v, g = state.rate, state.velocity, model.gravity
     tau = theta * h
-    rotation(work.spare[0], tau * w[0], tau * w[1], tau * w[2])
-    product(work.rotation, state.rotation, work.spare[0])
+    rotation(work.turn, tau * w[0], tau * w[1], tau * w[2])
+    product(work.rotation, state.rotation, work.turn)
     motion, field = work.motion, work.field
     motion[0, 0], motion[0, 1], motion[0, 2] = times_transposed(work.rotation, v[0], v[1], v[2])
     field[1, 0], field[1, 1], field[1, 2] = times_transposed(work.rotation, g[0], g[1], g[2])
@@ -132,35 +169,30 @@ def _predict(model, state, work, command, h, theta):
         field[0, i] = work.rotation[2, i]
         motion[1, i] = motion[4, i] = w[i]
         motion[3, i] = motion[0, i]
-    for leg in range(4):
-        torque = model.tendon.spool_radius * state.tension[leg]
-        state.tendon_rate[leg] = turning_rate(
-            model.servo, command[leg], state.tendon_angle[leg], torque
-        )
-        _predict_leg(model, state, work, leg, h, theta)
 
 
 @helper
-def _predict_leg(model, state, work, leg, h, theta):
-    """Velocities of the step's start in step axes, and stage positions without their motion."""
-    w, root = state.rate, model.root[leg]
-    wx, wy, wz = times(model.axes[leg], w[0], w[1], w[2])
-    to_stage, to_end = work.spare[0], work.spare[1]
+def _predict_leg(model, state, leg, h, theta):
+    """The servo's rate; the start's velocities in step axes; stage positions without motion."""
+    torque = model.tendon.spool_radius * leg.tension[0]
+    leg.rate[0] = turning_rate(model.servo, leg.command[0], leg.angle[0], torque)
+    w, root = state.rate, leg.root
+    wx, wy, wz = times(leg.axes, w[0], w[1], w[2])
+    to_stage, to_end = leg.forth, leg.whole
     rotation(to_stage, -theta * h * wx, -theta * h * wy, -theta * h * wz)
     rotation(to_end, -h * wx, -h * wy, -h * wz)
     rest = (theta - 1.0) * h
-    rotation(work.turns[leg], rest * wx, rest * wy, rest * wz)
-    for i in range(state.node.shape[1]):
-        u = state.node_velocity[leg, i]
-        ux, uy, uz = times(to_stage, u[0], u[1], u[2])
-        u, before = work.velocity[leg, i], work.before[leg, i]
-        u[0] = before[0] = ux
-        u[1] = before[1] = uy
-        u[2] = before[2] = uz
-        x, z = state.node[leg, i, 0], state.node[leg, i, 1]
-        ex, _, ez = times(to_end, root[0] + x, root[1], root[2] + z)
-        work.base[leg, i, 0] = (1.0 - theta) * x + theta * (ex - root[0])
-        work.base[leg, i, 1] = (1.0 - theta) * z + theta * (ez - root[2])
+    rotation(leg.turns, rest * wx, rest * wy, rest * wz)
+    rx, ry, rz = root[0], root[1], root[2]
+    for i in range(leg.node.shape[0]):
+        u = leg.node_velocity
+        ux, uy, uz = times(to_stage, u[i, 0], u[i, 1], u[i, 2])
+        leg.velocity[i, 0], leg.velocity[i, 1], leg.velocity[i, 2] = ux, uy, uz
+        leg.before[i, 0], leg.before[i, 1], leg.before[i, 2] = ux, uy, uz
+        x, z = leg.node[i, 0], leg.node[i, 1]
+        ex, _, ez = times(to_end, rx + x, ry, rz + z)
+        leg.base[i, 0] = (1.0 - theta) * x + theta * (ex - rx)
+        leg.base[i, 1] = (1.0 - theta) * z + theta * (ez - rz)
 
 
 @helper
@@ -181,60 +213,60 @@ def _start_torso(model, state, work, tau):
 
 
 @helper
-def _to_leg_axes(model, work, leg):
+def _to_leg_axes(work, leg):
     """Torso's motion, floor's normal and gravity in the axes of a leg."""
     for k in range(3):
         x, y, z = work.motion[k, 0], work.motion[k, 1], work.motion[k, 2]
-        out = work.leg_motion[k]
-        out[0], out[1], out[2] = times(model.axes[leg], x, y, z)
+        leg.motion[k, 0], leg.motion[k, 1], leg.motion[k, 2] = times(leg.axes, x, y, z)
     for k in range(2):
         x, y, z = work.field[k, 0], work.field[k, 1], work.field[k, 2]
-        out = work.leg_field[k]
-        out[0], out[1], out[2] = times(model.axes[leg], x, y, z)
+        leg.field[k, 0], leg.field[k, 1], leg.field[k, 2] = times(leg.axes, x, y, z)
 
 
 @helper
-def _stage(model, work, leg, tau):
+def _stage(leg, tau):
     """Stage positions; lateral velocities from the torso's."""
-    root, v, w = model.root[leg], work.leg_motion[0], work.leg_motion[1]
-    rx, ry, rz = root[0], root[1], root[2]
-    stage, velocity, base = work.stage[leg], work.velocity[leg], work.base[leg]
-    turn, q = work.leg_motion[2], work.turns[leg]
-    stage[0, 0], stage[0, 1] = turn[1] * rz - turn[2] * ry, turn[0] * ry - turn[1] * rx
-    velocity[0, 0] = v[0] + w[1] * rz - w[2] * ry
-    velocity[0, 1] = v[1] + w[2] * rx - w[0] * rz
-    velocity[0, 2] = v[2] + w[0] * ry - w[1] * rx
+    stage, velocity, base, motion, q = leg.stage, leg.velocity, leg.base, leg.motion, leg.turns
+    rx, ry, rz = leg.root[0], leg.root[1], leg.root[2]
+    vx, vy, vz = motion[0, 0], motion[0, 1], motion[0, 2]
+    wx, wy, wz = motion[1, 0], motion[1, 1], motion[1, 2]
+    stage[0, 0] = motion[2, 1] * rz - motion[2, 2] * ry
+    stage[0, 1] = motion[2, 0] * ry - motion[2, 1] * rx
+    velocity[0, 0] = vx + wy * rz - wz * ry
+    velocity[0, 1] = vy + wz * rx - wx * rz
+    velocity[0, 2] = vz + wx * ry - wy * rx
     for i in range(1, stage.shape[0]):
         x, z = base[i, 0], base[i, 1]
-        sway = w[2] * (rx + x) - w[0] * (rz + z)
-        ux, _, uz = times(q, velocity[i, 0] - v[0], sway, velocity[i, 2] - v[2])
+        sway = wz * (rx + x) - wx * (rz + z)
+        ux, _, uz = times(q, velocity[i, 0] - vx, sway, velocity[i, 2] - vz)
         stage[i, 0], stage[i, 1] = x + tau * ux, z + tau * uz
-        velocity[i, 1] = v[1] + w[2] * (rx + stage[i, 0]) - w[0] * (rz + stage[i, 1])
+        velocity[i, 1] = vy + wz * (rx + stage[i, 0]) - wx * (rz + stage[i, 1])
 
 
 @helper
-def load_leg(model, state, work, leg, tau):
+def load_leg(model, leg, tau):
     """Geometry, tendon's tension and internal forces of a leg at the iterate."""
-    s, w, turn = work.segments, work.leg_motion[1], work.leg_motion[2]
-    measure(s, work.stage[leg], work.velocity[leg], -turn[1], -w[1])
-    rate = state.tendon_rate[leg]
-    work.tension[leg] = pull(s, model.tendon, state.tendon_angle[leg] + tau * rate, rate)
-    load(s, model.rod, model.tendon, work.tension[leg])
+    s = leg.segments
+    measure(s, leg.stage, leg.velocity, -leg.motion[2, 1], -leg.motion[1, 1])
+    rate = leg.rate[0]
+    leg.pull[0] = pull(s, model.tendon, leg.angle[0] + tau * rate, rate)
+    load(s, model.rod, model.tendon, leg.pull[0])
 
 
 @helper
-def _finish(model, state, work, h, theta):
-    """From the stage to the end of the step."""
-    v, w, v0, w0 = work.motion[0], work.motion[1], work.motion[3], work.motion[4]
+def _finish(state, work, h, theta):
+    """The torso from the stage to the end of the step, but for its rate: the legs need it."""
+    v, v0 = work.motion[0], work.motion[3]
     tau = theta * h
     for i in range(3):
         state.specific_force[i] = (v[i] - v0[i]) / tau - work.field[1, i]
         work.motion[2, i] = v0[i] + (v[i] - v0[i]) / theta
     _move(state, work, h)
-    for leg in range(4):
-        _finish_leg(model, state, work, leg, h, theta)
-        state.tension[leg] = work.tension[leg]
-        state.tendon_angle[leg] += h * state.tendon_rate[leg]
+
+
+@helper
+def _finish_rate(state, work, theta):
+    w, w0 = work.motion[1], work.motion[4]
     for i in range(3):
         state.rate[i] = w0[i] + (w[i] - w0[i]) / theta
 
@@ -249,32 +281,36 @@ def _move(state, work, h):
     state.position[2] += h * dz
     vx, vy, vz = times(work.rotation, motion[2, 0], motion[2, 1], motion[2, 2])
     state.velocity[0], state.velocity[1], state.velocity[2] = vx, vy, vz
-    rotation(work.spare[0], h * w[0], h * w[1], h * w[2])
-    product(work.spare[1], state.rotation, work.spare[0])
-    orthonormalise(state.rotation, work.spare[1])
+    rotation(work.turn, h * w[0], h * w[1], h * w[2])
+    product(work.next, state.rotation, work.turn)
+    orthonormalise(state.rotation, work.next)
 
 
 @helper
-def _finish_leg(model, state, work, leg, h, theta):
-    """Nodes at the end of the step in the axes of then."""
-    root, v, w, w0 = model.root[leg], work.motion[0], work.motion[1], state.rate
-    wx, wy, wz = times(model.axes[leg], w[0], w[1], w[2])
-    ox, oy, oz = times(model.axes[leg], w0[0], w0[1], w0[2])
-    vx, vy, vz = times(model.axes[leg], v[0], v[1], v[2])
-    whole, back, rest = work.spare[0], work.spare[1], work.spare[2]
+def _finish_leg(state, work, leg, h, theta):
+    """Nodes at the end of the step in the axes of then; the spool."""
+    root, v, w, w0 = leg.root, work.motion[0], work.motion[1], state.rate
+    wx, wy, wz = times(leg.axes, w[0], w[1], w[2])
+    ox, oy, oz = times(leg.axes, w0[0], w0[1], w0[2])
+    vx, vy, vz = times(leg.axes, v[0], v[1], v[2])
+    whole, back, rest = leg.whole, leg.back_turn, leg.forth
     past = 1.0 / theta
     rotation(whole, -h * wx, -h * wy, -h * wz)
     rotation(back, theta * h * ox, theta * h * oy, theta * h * oz)
     product(rest, whole, back)
-    for i in range(state.node.shape[1]):
-        u, u0, out = work.velocity[leg, i], work.before[leg, i], state.node_velocity[leg, i]
-        x, z = state.node[leg, i, 0], state.node[leg, i, 1]
+    rx, ry, rz = root[0], root[1], root[2]
+    for i in range(leg.node.shape[0]):
+        ux, uy, uz = leg.velocity[i, 0], leg.velocity[i, 1], leg.velocity[i, 2]
+        px, py, pz = leg.before[i, 0], leg.before[i, 1], leg.before[i, 2]
+        x, z = leg.node[i, 0], leg.node[i, 1]
         if i > 0:
-            ax, _, az = times(whole, root[0] + x, root[1], root[2] + z)
-            dx, _, dz = times(rest, u[0] - vx, u[1] - vy, u[2] - vz)
-            state.node[leg, i, 0] = ax + h * dx - root[0]
-            state.node[leg, i, 1] = az + h * dz - root[2]
-        ex = u0[0] + (u[0] - u0[0]) * past
-        ey = u0[1] + (u[1] - u0[1]) * past
-        ez = u0[2] + (u[2] - u0[2]) * past
-        out[0], out[1], out[2] = times(rest, ex, ey, ez)
+            ax, _, az = times(whole, rx + x, ry, rz + z)
+            dx, _, dz = times(rest, ux - vx, uy - vy, uz - vz)
+            leg.node[i, 0] = ax + h * dx - rx
+            leg.node[i, 1] = az + h * dz - rz
+        ex, ey, ez = px + (ux - px) * past, py + (uy - py) * past, pz + (uz - pz) * past
+        ex, ey, ez = times(rest, ex, ey, ez)
+        out = leg.node_velocity
+        out[i, 0], out[i, 1], out[i, 2] = ex, ey, ez
+    leg.tension[0] = leg.pull[0]
+    leg.angle[0] += h * leg.rate[0]

@@ -24,7 +24,7 @@ from slot_core.dynamics.compiled import kernel
 from slot_core.dynamics.contact import touch
 from slot_core.dynamics.elimination import couple, eliminate, follow, substitute
 from slot_core.dynamics.integrator import load_leg
-from slot_core.dynamics.model import Model, build_model, rest_state, work_space
+from slot_core.dynamics.model import Model, build_model, leg_space
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.robot import Array, Robot, read_robot
@@ -79,57 +79,56 @@ class StaticLeg:
             read_scene(scene), {"solver.nodes": nodes, "floor.friction": (0.0, 0.0, 0.0, 0.0)}
         )
         self.model: Model = build_model(robot, settings, read_servo())
-        self._state = rest_state(self.model, 0.0)
-        self._work = work_space(nodes)
-        self._work.stage[0] = self.model.rod.node
+        self._leg = leg_space(nodes)
+        self._leg.stage[:] = self.model.rod.node
 
     @property
     def node(self) -> Array:
         """(N, 2) present shape, m from the clamp; assign to choose where an iteration starts."""
-        return self._work.stage[0].copy()
+        return self._leg.stage.copy()
 
     @node.setter
     def node(self, node: Array) -> None:
-        self._work.stage[0] = node
+        self._leg.stage[:] = node
 
     def solve(self, angle: float, height: float) -> Equilibrium:
         """Equilibrium at a tendon angle (rad) and a clamp height (m), from the present shape.
 
         Raises NoEquilibriumError.
         """
-        self._state.tendon_angle[0] = angle
+        self._leg.angle[0] = angle
         for inv, tolerance in STAGES:
-            change = relax(self.model, self._state, self._work, height, inv, tolerance, ITERATIONS)
+            change = relax(self.model, self._leg, height, inv, tolerance, ITERATIONS)
         if not change <= TOLERANCE:
             raise NoEquilibriumError(
                 f"leg at {math.degrees(angle):.3f} deg, {height:.4f} m: a node still moves"
                 f" {change:.1e} m, limit {TOLERANCE:.0e} m"
             )
         out = np.zeros(2)
-        pressure(self.model, self._work, height, out)
-        slope = respond(self.model, self._work, height, 0.0, 1.0)
-        stiffness = respond(self.model, self._work, height, 1.0, 0.0)
-        tension = float(self._work.tension[0])
+        pressure(self.model, self._leg, height, out)
+        slope = respond(self.model, self._leg, height, 0.0, 1.0)
+        stiffness = respond(self.model, self._leg, height, 1.0, 0.0)
+        tension = float(self._leg.pull[0])
         return Equilibrium(out[0], slope, stiffness, out[1], tension, self.node)
 
 
 @kernel
-def relax(model, state, work, height, inv, tolerance, iterations):
+def relax(model, leg, height, inv, tolerance, iterations):
     """Pseudo time steps of 1/inv from rest at the present shape; returns the last correction, m."""
-    work.leg_motion[:] = 0.0
-    work.leg_field[0, :] = (0.0, 0.0, 1.0)
-    work.leg_field[1, :] = model.gravity
-    stage, velocity = work.stage[0], work.velocity[0]
-    state.tendon_rate[0] = 0.0
+    leg.motion[:] = 0.0
+    for i in range(3):
+        leg.field[0, i] = 1.0 if i == 2 else 0.0
+        leg.field[1, i] = model.gravity[i]
+    stage, velocity, held = leg.stage, leg.velocity, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    leg.rate[0] = 0.0
     change = 0.0
     for _ in range(iterations):
-        work.velocity[0] = 0.0
-        work.before[0] = 0.0
-        load_leg(model, state, work, 0, 0.0)
-        eliminate(model, work, 0, inv, height)
-        couple(model, work, 0, inv)
-        work.vector[:] = 0.0
-        substitute(model, work, 0, inv)
+        velocity[:] = 0.0
+        leg.before[:] = 0.0
+        load_leg(model, leg, 0.0)
+        eliminate(model, leg, inv, height)
+        couple(model.tendon, leg, inv)
+        substitute(leg, held, inv)
         change = 0.0
         for i in range(stage.shape[0]):
             dx, dz = velocity[i, 0] / inv, velocity[i, 2] / inv
@@ -143,10 +142,10 @@ def relax(model, state, work, height, inv, tolerance, iterations):
 
 
 @kernel
-def pressure(model, work, height, out):
+def pressure(model, leg, height, out):
     """Write out (2,): vertical force of the floor, N, and its centre from the clamp, m."""
     force = moment = 0.0
-    stage = work.stage[0]
+    stage = leg.stage
     for i in range(1, stage.shape[0]):
         normal, _ = touch(model.floor, 0.0, height + stage[i, 1], 0.0, 0.0, 0.0, 0.0)
         force += normal
@@ -156,22 +155,21 @@ def pressure(model, work, height, out):
 
 
 @kernel
-def respond(model, work, height, rise, turn):
+def respond(model, leg, height, rise, turn):
     """Change of the floor's force, N, as the clamp rises (m) and the spool turns (rad).
 
     From the last factorisation of `relax`, hence exact while the same nodes touch the floor.
     """
-    tendon, F, z = model.tendon, work.form, work.moved
-    stiffness = tendon.stiffness if work.tension[0] > 0.0 else 0.0
+    tendon, F = model.tendon, leg.form
+    stiffness = tendon.stiffness if leg.pull[0] > 0.0 else 0.0
     pull = F[6, 1] * rise + tendon.spool_radius * turn
-    z[:] = 0.0
-    z[1] = rise
-    z[6] = pull * stiffness / (1.0 - stiffness * F[6, 6])
+    tension = pull * stiffness / (1.0 - stiffness * F[6, 6])
+    X, q = (0.0, rise, 0.0), (0.0, 0.0, 0.0, tension, 0.0)
     force = 0.0
-    for i in range(work.lever.shape[1]):
-        follow(z, work.back[0, i], work.lever[0, i])
-        if height + work.stage[0, i + 1, 1] < 0.0:
-            force -= model.floor.stiffness * z[1]
+    for i in range(leg.back.shape[0]):
+        X = follow(leg, i, X, q)
+        if height + leg.stage[i + 1, 1] < 0.0:
+            force -= model.floor.stiffness * X[1]
     return force
 
 

@@ -49,60 +49,106 @@ class State(NamedTuple):
     rotation: Array  # (3, 3) base_link to odom
     velocity: Array  # (3,) m/s, odom
     rate: Array  # (3,) rad/s, base_link
+    specific_force: Array  # (3,) m/s^2, base_link, mean over the last step
     node: Array  # (4, N, 2) m from the clamp, leg axes (x, z)
     node_velocity: Array  # (4, N, 3) m/s, absolute, leg axes
     tendon_angle: Array  # (4,) rad
     tendon_rate: Array  # (4,) rad/s, over the last step
     tension: Array  # (4,) N, at the stage of the last step
-    specific_force: Array  # (3,) m/s^2, base_link, mean over the last step
 
 
-class Work(NamedTuple):
-    """Scratch space of a step: no step allocates memory. "Step axes" are those of the header."""
+class Leg(NamedTuple):
+    """All that a step needs of one leg, in leg axes; no step allocates memory.
 
-    stage: Array  # (4, N, 2) m, node at the stage
-    velocity: Array  # (4, N, 3) m/s, V
-    before: Array  # (4, N, 3) m/s, V_n in step axes
-    base: Array  # (4, N, 2) m, stage position without the part due to V
+    The arrays of four legs have one axis more, the last (`lanes.py`). "Step axes" are those of
+    `integrator.py`.
+    """
+
+    axes: Array  # (3, 3) base_link to leg axes
+    root: Array  # (3,) m, clamp from the torso's centre
+    clamp: Array  # (6, 6) torso increments to the displacements (X, phi, q) of the clamp
+    friction: Array  # (1,)
+    node: Array  # (N, 2), node_velocity (N, 3), angle, rate, tension (1,): views of the state
+    node_velocity: Array
+    angle: Array
+    rate: Array
+    tension: Array
+    command: Array  # (1,) rad, tendon angle asked for
+    stage: Array  # (N, 2) m, node at the stage
+    velocity: Array  # (N, 3) m/s, V
+    before: Array  # (N, 3) m/s, V_n in step axes
+    base: Array  # (N, 2) m, stage position without the part due to V
     segments: Segments
     form: Array  # (7, 8) F
     rest: Array  # (4, 5) form over (q, lambda | 1), upper half
-    moved: Array  # (8,) unknowns of the substitution
-    back: Array  # (4, N-1, 2, 8) rows for the substitution
-    lever: Array  # (4, N-1, 2) 1/m, phi_i = lever . (X_{i+1} - X_i)
-    tension: Array  # (4,) N, at the iterate
-    release: Array  # (4, 7) lambda = row . (displacements of the clamp, 1)
-    reduced: Array  # (6, 7) form of a leg over the displacements of its clamp
-    product: Array  # (6, 7)
-    matrix: Array  # (6, 6) of the torso
+    moved: Array  # (6,) displacements of the clamp
+    back: Array  # (N-1, 2, 8) rows for the substitution
+    pull: Array  # (1,) N, tension at the iterate
+    release: Array  # (7,) lambda = row . (displacements of the clamp, 1)
+    reduced: Array  # (6, 7) form over the displacements of the clamp
+    product: Array  # (6, 6)
+    turns: Array  # (3, 3) rotation by -(1 - theta) h omega_n
+    whole: Array  # (3, 3) scratch rotations
+    back_turn: Array  # (3, 3)
+    forth: Array  # (3, 3)
+    motion: Array  # (3, 3) torso: v, omega, turn
+    field: Array  # (2, 3) floor's normal and gravity
+
+
+class Work(NamedTuple):
+    """Scratch space of the torso. "Step axes" are those of `integrator.py`."""
+
+    matrix: Array  # (6, 6)
     vector: Array  # (6,)
-    turns: Array  # (4, 3, 3) in leg axes: rotation by -(1 - theta) h omega_n
-    spare: Array  # (3, 3, 3)
+    turn: Array  # (3, 3) scratch rotations
+    next: Array  # (3, 3)
     rotation: Array  # (3, 3) step axes to odom
     motion: Array  # (5, 3) torso in step axes: v, omega, theta h (omega - omega_n), v_n, omega_n
     field: Array  # (2, 3) floor's normal and gravity in step axes
-    leg_motion: Array  # (3, 3) v, omega, turn in leg axes
-    leg_field: Array  # (2, 3)
     counter: Array  # (2,) halvings, steps with a pivot that was not positive
 
 
 def state_space(nodes: int) -> State:
-    """A state of legs of N nodes, all zero."""
-    shapes = [(3,), (3, 3), (3,), (3,), (4, nodes, 2), (4, nodes, 3), (4,), (4,), (4,), (3,)]
+    """A state of legs of N nodes, all zero. The legs are the last axis in memory."""
+    shapes = [(3,), (3, 3), (3,), (3,), (3,), (nodes, 2, 4), (nodes, 3, 4), (4,), (4,), (4,)]
     ends = np.cumsum([np.prod(shape) for shape in shapes])
     buffer = np.zeros(ends[-1])
     parts = np.split(buffer, ends[:-1])
-    return State(buffer, *(part.reshape(shape) for part, shape in zip(parts, shapes)))
+    views = [part.reshape(shape) for part, shape in zip(parts, shapes)]
+    views[5:7] = [view.transpose(2, 0, 1) for view in views[5:7]]
+    return State(buffer, *views)
 
 
-def work_space(nodes: int) -> Work:
-    """Scratch space for legs of N nodes."""
+def leg_space(nodes: int, lanes: tuple[int, ...] = ()) -> Leg:
+    """A leg of N nodes, or with the axis `lanes` = (4,) four; all zero."""
     n = nodes - 1
-    shapes = [(4, nodes, 2), (4, nodes, 3), (4, nodes, 3), (4, nodes, 2), (), (7, 8), (4, 5), (8,)]
-    shapes += [(4, n, 2, 8), (4, n, 2), (4,), (4, 7), (6, 7), (6, 7), (6, 6), (6,), (4, 3, 3)]
-    shapes += [(3, 3, 3), (3, 3), (5, 3), (2, 3), (3, 3), (2, 3), (2,)]
-    space = [np.zeros(shape) if shape else segments(nodes) for shape in shapes]
-    return Work(*space)  # type: ignore[arg-type]
+    shapes = [(3, 3), (3,), (6, 6), (1,), (nodes, 2), (nodes, 3), (1,), (1,), (1,), (1,)]
+    shapes += [(nodes, 2), (nodes, 3), (nodes, 3), (nodes, 2), (), (7, 8), (4, 5), (6,), (n, 2, 8)]
+    shapes += [(1,), (7,), (6, 7), (6, 6), (3, 3), (3, 3), (3, 3), (3, 3), (3, 3), (2, 3)]
+    space = [np.zeros(shape + lanes) if shape else segments(nodes, lanes) for shape in shapes]
+    return Leg(*space)  # type: ignore[arg-type]
+
+
+def leg_lanes(model: Model, state: State) -> Leg:
+    """The four legs of a robot in lanes, on its state."""
+    legs = leg_space(len(model.rod.node), (4,))
+    legs.axes[:] = model.axes.transpose(1, 2, 0)
+    legs.root[:] = model.root.T
+    legs.clamp[:] = model.clamp.transpose(1, 2, 0)
+    legs.friction[0] = model.friction[:4]
+    return legs._replace(
+        node=state.node.transpose(1, 2, 0),
+        node_velocity=state.node_velocity.transpose(1, 2, 0),
+        angle=state.tendon_angle[None],
+        rate=state.tendon_rate[None],
+        tension=state.tension[None],
+    )
+
+
+def work_space() -> Work:
+    """Scratch space for the torso."""
+    shapes = [(6, 6), (6,), (3, 3), (3, 3), (3, 3), (5, 3), (2, 3), (2,)]
+    return Work(*(np.zeros(shape) for shape in shapes))
 
 
 def clamp_maps(axes: Array, root: Array) -> Array:

@@ -73,7 +73,7 @@ def _add_momentum(out, mass, r, v):
 
 
 @kernel
-def energy(model, state, work, position, velocity):
+def energy(model, state, segments, position, velocity):
     """J: kinetic, gravity (zero at odom's origin), rods, cables, floor springs below the legs."""
     w = state.rate
     lx, ly, lz = times(model.torso.inertia, w[0], w[1], w[2])
@@ -81,9 +81,9 @@ def energy(model, state, work, position, velocity):
     total += _point_energy(model, model.torso.mass, state.position, state.velocity)
     for leg in range(4):
         # turning rates are not used: any rate of the clamp will do
-        measure(work.segments, state.node[leg], state.node_velocity[leg], 0.0, 0.0)
-        total += elastic_energy(work.segments, model.rod)
-        total += cable_energy(work.segments, model.tendon, state.tendon_angle[leg])
+        measure(segments, state.node[leg], state.node_velocity[leg], 0.0, 0.0)
+        total += elastic_energy(segments, model.rod)
+        total += cable_energy(segments, model.tendon, state.tendon_angle[leg])
         for i in range(position.shape[1]):
             total += _point_energy(model, model.rod.mass[i], position[leg, i], velocity[leg, i])
             gap = min(0.0, position[leg, i, 2]) if i > 0 else 0.0

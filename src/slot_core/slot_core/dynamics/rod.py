@@ -21,7 +21,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.integrate import cumulative_simpson
 
+from slot_core.dynamics.algebra import cosine_sine
 from slot_core.dynamics.compiled import helper
+from slot_core.dynamics.lanes import every, like, where
 from slot_core.robot import Array, Leg
 
 
@@ -42,6 +44,7 @@ class Segments(NamedTuple):
 
     direction: Array  # (N-1, 2)
     length: Array  # (N-1,) m
+    per_length: Array  # (N-1,) 1/m
     stretch_rate: Array  # (N-1,) m/s
     turn: Array  # (N-1,) rad, psi at nodes 0 .. N-2
     turn_rate: Array  # (N-1,) rad/s
@@ -77,12 +80,11 @@ def build(leg: Leg, node: Array, arc_length: float) -> Rod:
     )
 
 
-def segments(nodes: int) -> Segments:
-    """Scratch space for one rod."""
+def segments(nodes: int, lanes: tuple[int, ...] = ()) -> Segments:
+    """Scratch space for one rod, or with the axis `lanes` = (4,) for four."""
     n = nodes - 1
-    length, stretch_rate, turn, turn_rate, force = np.zeros((5, n))
-    direction, moment = np.zeros((n, 2)), np.zeros(nodes)
-    return Segments(direction, length, stretch_rate, turn, turn_rate, force, moment)
+    shapes = [(n, 2), *[(n,)] * 6, (nodes,)]
+    return Segments(*(np.zeros(shape + lanes) for shape in shapes))
 
 
 def _equal_arcs(leg: Leg, nodes: int) -> Array:
@@ -102,14 +104,16 @@ def measure(s, node, velocity, clamp_angle, clamp_rate):
 
     node (N, 2) m, x and z; velocity (N, 3) m/s, y not used; clamp_angle phi_{-1}, rad.
     """
-    dx, dz, rate = math.cos(clamp_angle), math.sin(clamp_angle), clamp_rate
+    (dx, dz), rate = cosine_sine(clamp_angle), clamp_rate
     for i in range(s.length.size):
         ex, ez = node[i + 1, 0] - node[i, 0], node[i + 1, 1] - node[i, 1]
         length = math.sqrt(ex * ex + ez * ez)
-        ex, ez = ex / length, ez / length
+        per_length = 1.0 / length
+        ex, ez = ex * per_length, ez * per_length
         ux, uz = velocity[i + 1, 0] - velocity[i, 0], velocity[i + 1, 2] - velocity[i, 2]
-        turning = (ex * uz - ez * ux) / length
-        s.direction[i, 0], s.direction[i, 1], s.length[i] = ex, ez, length
+        turning = (ex * uz - ez * ux) * per_length
+        s.direction[i, 0], s.direction[i, 1] = ex, ez
+        s.length[i], s.per_length[i] = length, per_length
         s.stretch_rate[i] = ex * ux + ez * uz
         s.turn[i] = angle_between(dx, dz, ex, ez)
         s.turn_rate[i] = turning - rate
@@ -125,12 +129,13 @@ def angle_between(ax, az, bx, bz):
     """
     cross, dot = ax * bz - az * bx, ax * bx + az * bz
     y = cross / (1.0 + dot)
-    if not abs(y) < 0.25:
-        return math.atan2(cross, dot)
-    total = 0.0
+    small, total = y * y < 0.0625, like(0.0, y)
     for n in range(12, -1, -1):
         total = 1.0 / (2 * n + 1) - y * y * total
-    return 2.0 * y * total
+    angle = 2.0 * y * total
+    if every(small):
+        return angle
+    return where(small, angle, math.atan2(cross, dot))
 
 
 @helper

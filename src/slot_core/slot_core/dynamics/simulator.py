@@ -7,13 +7,16 @@ import math
 import numpy as np
 
 from slot_core.dynamics import integrator, observe
+from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.model import (
     build_model,
     build_scheme,
+    leg_lanes,
     rest_state,
     state_space,
     work_space,
 )
+from slot_core.dynamics.rod import segments
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.robot import LEGS, Array, Robot
@@ -37,9 +40,11 @@ class Simulator:
         self.scene = scene
         self.model = build_model(robot, scene, servo)
         self.state = rest_state(self.model, scene.start.height)
-        self._start = state_space(scene.solver.nodes)
-        self._work = work_space(scene.solver.nodes)
-        self._scheme = build_scheme(scene.solver)
+        self._legs = leg_lanes(self.model, self.state)
+        self._work = work_space()
+        self._segments = segments(scene.solver.nodes)
+        start, scheme = state_space(scene.solver.nodes), build_scheme(scene.solver)
+        self._machine = Handle((self.model, self.state, self._work, start, self._legs, scheme))
         self._points = np.zeros((2, 4, scene.solver.nodes, 3))
         self._steps = 0
         self._settle()
@@ -51,9 +56,8 @@ class Simulator:
         Divergence when a speed is not finite or beyond `scene.solver.speed_limit`.
         """
         command = self.checked(command)
-        done, where = integrator.advance(
-            self.model, self.state, self._work, self._start, command, steps, self._scheme
-        )
+        self._legs.command[0] = command
+        done, where = integrator.advance(self._machine, steps)
         self._steps += done
         if where >= 0:
             raise Divergence(self._explain(where))
@@ -158,7 +162,7 @@ class Simulator:
 
     def energy(self) -> float:
         """J: kinetic, gravity (zero at odom's origin), rods, cables, floor springs below legs."""
-        return float(observe.energy(self.model, self.state, self._work, *self._observe()))
+        return float(observe.energy(self.model, self.state, self._segments, *self._observe()))
 
     def _observe(self) -> tuple[Array, Array]:
         observe.points(self.model, self.state, self._points[0], self._points[1])
@@ -176,7 +180,7 @@ class Simulator:
         limit = self.robot.tendon.angle_max
         if command.shape != (4,):
             raise ValueError(f"command has the shape {command.shape}, not (4,)")
-        if not np.all((command >= 0.0) & (command <= limit)):
+        if not all(0.0 <= angle <= limit for angle in command.tolist()):
             raise ValueError(f"command {command} rad is not inside [0, {limit:.6f}]")
         return command
 

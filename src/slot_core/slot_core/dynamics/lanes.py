@@ -1,0 +1,308 @@
+"""Four numbers that the processor computes at once: one value for each leg, FL FR RL RR.
+
+`Lanes` is a type of the kernels: +, -, *, /, comparison, max, min and sqrt work lane by lane, and a
+plain number stands for four equal ones. A kernel written for numbers therefore serves for one leg
+(numbers) and for four (Lanes); what differs between the two is named below. LLVM turns Lanes into
+the vectors of the machine: one register of AVX, two of NEON.
+
+Outside the kernels Lanes are the last axis (4,) of an array; `in_lanes` gives the kernels' view.
+"""
+
+# mypy: disable-error-code="no-untyped-def,misc,no-untyped-call"
+# ruff: noqa: PLR0917 - a lowering takes its arguments by position
+
+from __future__ import annotations
+
+import math
+import operator
+
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.core.datamodel import models
+from numba.core.errors import TypingError
+from numba.core.imputils import lower_builtin, lower_cast
+from numba.core.typeconv.castgraph import Conversion
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import intrinsic, register_model
+from numba.np.arrayobj import make_array, populate_array
+
+COUNT = 4
+_NUMBERS = (types.Float, types.Integer)
+
+
+class _Lanes(types.Type):
+    """Four float64."""
+
+    def can_convert_from(self, typingctx, other):
+        return Conversion.safe if isinstance(other, _NUMBERS) else None
+
+
+class _Mask(types.Type):
+    """Four booleans."""
+
+    def can_convert_from(self, typingctx, other):
+        return Conversion.safe if isinstance(other, types.Boolean) else None
+
+
+LANES = _Lanes("Lanes")
+MASK = _Mask("Mask")
+_VECTOR = ir.VectorType(ir.DoubleType(), COUNT)
+_BITS = ir.VectorType(ir.IntType(1), COUNT)
+
+
+@register_model(_Lanes)
+class _LanesModel(models.PrimitiveModel):
+    def __init__(self, dmm, fe_type):
+        super().__init__(dmm, fe_type, _VECTOR)
+
+
+@register_model(_Mask)
+class _MaskModel(models.PrimitiveModel):
+    def __init__(self, dmm, fe_type):
+        super().__init__(dmm, fe_type, _BITS)
+
+
+def _spread(builder, value, vector):
+    """The vector with this value in all lanes."""
+    one = builder.insert_element(ir.Constant(vector, ir.Undefined), value, ir.IntType(32)(0))
+    mask = ir.Constant(ir.VectorType(ir.IntType(32), COUNT), [0] * COUNT)
+    return builder.shuffle_vector(one, ir.Constant(vector, ir.Undefined), mask)
+
+
+def _lane(builder, value, k):
+    return builder.extract_element(value, ir.IntType(32)(k))
+
+
+@lower_cast(types.Float, _Lanes)
+@lower_cast(types.Integer, _Lanes)
+def _number_to_lanes(context, builder, fromty, toty, value):
+    return _spread(builder, context.cast(builder, value, fromty, types.float64), _VECTOR)
+
+
+@lower_cast(types.Boolean, _Mask)
+def _boolean_to_mask(context, builder, fromty, toty, value):
+    return _spread(builder, builder.trunc(value, ir.IntType(1)), _BITS)
+
+
+def _is_lanes(args, number=_NUMBERS, lanes=_Lanes):
+    """Whether the arguments are Lanes and numbers, with Lanes among them."""
+    kinds = [isinstance(arg, lanes) for arg in args]
+    return any(kinds) and all(k or isinstance(arg, number) for k, arg in zip(kinds, args))
+
+
+def _define(function, count, result, build):
+    """Let `function` of `count` Lanes or numbers give `result`, computed by `build`."""
+
+    class Template(AbstractTemplate):
+        def generic(self, args, kws):
+            if len(args) == count and not kws and _is_lanes(args):
+                return signature(result, *[LANES] * count)
+            return None
+
+    infer_global(function)(Template)
+
+    @lower_builtin(function, *[_Lanes] * count)
+    def lower(context, builder, sig, args):
+        return build(builder, *args)
+
+
+def _operator(name):
+    def build(builder, a, b):
+        return getattr(builder, name)(a, b, flags=("contract",))
+
+    return build
+
+
+def _comparison(sign):
+    return lambda builder, a, b: builder.fcmp_ordered(sign, a, b)
+
+
+def _chooser(sign):
+    """max (>) and min (<) as Python has them: b where b is beyond a, else a."""
+    return lambda builder, a, b: builder.select(builder.fcmp_ordered(sign, b, a), b, a)
+
+
+def _sqrt(builder, a):
+    kind = ir.FunctionType(_VECTOR, [_VECTOR])
+    name = f"llvm.sqrt.v{COUNT}f64"
+    return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), [a])
+
+
+for _symbol, _name in (("add", "fadd"), ("sub", "fsub"), ("mul", "fmul"), ("truediv", "fdiv")):
+    _define(getattr(operator, _symbol), 2, LANES, _operator(_name))
+    _define(getattr(operator, f"i{_symbol}"), 2, LANES, _operator(_name))
+for _symbol, _name in (("lt", "<"), ("le", "<="), ("gt", ">"), ("ge", ">=")):
+    _define(getattr(operator, _symbol), 2, MASK, _comparison(_name))
+_define(operator.neg, 1, LANES, lambda builder, a: builder.fneg(a))
+_define(math.sqrt, 1, LANES, _sqrt)
+_define(max, 2, LANES, _chooser(">"))
+_define(min, 2, LANES, _chooser("<"))
+
+
+@infer_global(operator.and_)
+class _And(AbstractTemplate):
+    def generic(self, args, kws):
+        return signature(MASK, MASK, MASK) if _is_lanes(args, types.Boolean, _Mask) else None
+
+
+@lower_builtin(operator.and_, _Mask, _Mask)
+def _lower_and(context, builder, sig, args):
+    return builder.and_(*args)
+
+
+@intrinsic
+def where(typingctx, mask, a, b):
+    """a where the mask is set, else b."""
+    lanes = isinstance(mask, _Mask)
+    kind = LANES if lanes else types.float64
+
+    def build(context, builder, sig, args):
+        test = args[0] if lanes else builder.trunc(args[0], ir.IntType(1))
+        return builder.select(test, args[1], args[2])
+
+    return kind(mask, kind, kind), build
+
+
+def _bits(builder, mask):
+    return builder.bitcast(mask, ir.IntType(COUNT))
+
+
+@intrinsic
+def some(typingctx, mask):
+    """Whether the mask is set for at least one leg."""
+    if not isinstance(mask, _Mask):
+        return types.boolean(types.boolean), lambda context, builder, sig, args: args[0]
+
+    def build(context, builder, sig, args):
+        return builder.icmp_unsigned("!=", _bits(builder, args[0]), ir.IntType(COUNT)(0))
+
+    return types.boolean(MASK), build
+
+
+@intrinsic
+def every(typingctx, mask):
+    """Whether the mask is set for all legs."""
+    if not isinstance(mask, _Mask):
+        return types.boolean(types.boolean), lambda context, builder, sig, args: args[0]
+
+    def build(context, builder, sig, args):
+        return builder.icmp_unsigned("==", _bits(builder, args[0]), ir.IntType(COUNT)(-1))
+
+    return types.boolean(MASK), build
+
+
+@intrinsic
+def total(typingctx, value):
+    """Sum over the legs."""
+    if not isinstance(value, _Lanes):
+        return types.float64(types.float64), lambda context, builder, sig, args: args[0]
+
+    def build(context, builder, sig, args):
+        a, b, c, d = (_lane(builder, args[0], k) for k in range(COUNT))
+        return builder.fadd(builder.fadd(a, b), builder.fadd(c, d))
+
+    return types.float64(LANES), build
+
+
+@intrinsic
+def largest(typingctx, value):
+    """Largest over the legs."""
+    if not isinstance(value, _Lanes):
+        return types.float64(types.float64), lambda context, builder, sig, args: args[0]
+
+    def build(context, builder, sig, args):
+        best, *others = (_lane(builder, args[0], k) for k in range(COUNT))
+        for other in others:
+            best = builder.select(builder.fcmp_ordered(">", other, best), other, best)
+        return best
+
+    return types.float64(LANES), build
+
+
+@intrinsic
+def like(typingctx, value, sample):
+    """A number as the kind of the sample: itself, or as Lanes."""
+    kind = LANES if isinstance(sample, _Lanes) else types.float64
+    return kind(kind, sample), lambda context, builder, sig, args: args[0]
+
+
+def _each(function):
+    """An intrinsic that takes a function of the C library lane by lane (rarely used: slow)."""
+
+    def lower(context, builder, sig, args):
+        number = signature(types.float64, *[types.float64] * len(args))
+        compute = context.get_function(function, number)
+        out = ir.Constant(_VECTOR, ir.Undefined)
+        for k in range(COUNT):
+            value = compute(builder, [_lane(builder, arg, k) for arg in args])
+            out = builder.insert_element(out, value, ir.IntType(32)(k))
+        return out
+
+    return lower
+
+
+def _define_each(function, count):
+    class Template(AbstractTemplate):
+        def generic(self, args, kws):
+            return signature(LANES, *[LANES] * count) if _is_lanes(args) else None
+
+    infer_global(function)(Template)
+    lower_builtin(function, *[_Lanes] * count)(_each(function))
+
+
+_define_each(math.sin, 1)
+_define_each(math.cos, 1)
+_define_each(math.atan2, 2)
+
+
+def _part(kind, leaf):
+    """Type of a (nested) named tuple of arrays (..., 4) with `leaf(ndim)` in place of each."""
+    if isinstance(kind, types.Array):
+        if kind.layout != "C" or kind.dtype != types.float64:
+            raise TypingError(f"{kind} has no lanes: they are the last axis of a contiguous array")
+        return leaf(kind.ndim - 1)
+    parts = [_part(part, leaf) for part in kind.types]
+    if all(part == parts[0] for part in parts):
+        return types.NamedUniTuple(parts[0], len(parts), kind.instance_class)
+    return types.NamedTuple(parts, kind.instance_class)
+
+
+def _convert(context, builder, kind, out, value, first):
+    """The arrays without their last axis, from lane `first` on."""
+    if not isinstance(kind, types.Array):
+        parts = cgutils.unpack_tuple(builder, value, len(kind.types))
+        triples = zip(kind.types, out.types, parts)
+        parts = [_convert(context, builder, *triple, first) for triple in triples]
+        return context.make_tuple(builder, out, parts)
+    source, view = make_array(kind)(context, builder, value), make_array(out)(context, builder)
+    shape, strides = (cgutils.unpack_tuple(builder, x)[:-1] for x in (source.shape, source.strides))
+    data = builder.bitcast(builder.gep(source.data, [first]), view.data.type)
+    itemsize = context.get_abi_sizeof(context.get_data_type(out.dtype))
+    populate_array(view, data, shape, strides, itemsize, None)
+    return view._getvalue()
+
+
+@intrinsic
+def in_lanes(typingctx, arrays):
+    """View of a (nested) named tuple of arrays (..., 4): arrays (...) of Lanes.
+
+    The view does not keep the memory alive: whoever calls the kernel does.
+    """
+    # not aligned: NumPy promises 16 bytes, a vector has 32
+    out = _part(arrays, lambda ndim: types.Array(LANES, ndim, "C", aligned=False))
+
+    def build(context, builder, sig, args):
+        return _convert(context, builder, arrays, out, args[0], context.get_constant(types.intp, 0))
+
+    return out(arrays), build
+
+
+@intrinsic
+def one_lane(typingctx, arrays, lane):
+    """View as `in_lanes`, of one lane: arrays (...) of float64, with steps in memory."""
+    out = _part(arrays, lambda ndim: types.Array(types.float64, ndim, "A"))
+
+    def build(context, builder, sig, args):
+        return _convert(context, builder, arrays, out, *args)
+
+    return out(arrays, types.intp), build
