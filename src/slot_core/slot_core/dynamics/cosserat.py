@@ -28,7 +28,13 @@ from slot_core.dynamics.cosserat_model import (
     Support,
     build_mesh,
 )
-from slot_core.dynamics.cosserat_statics import Equilibrium, StaticSettings, follow
+from slot_core.dynamics.cosserat_statics import (
+    Equilibrium,
+    EquilibriumError,
+    Push,
+    StaticSettings,
+    follow,
+)
 from slot_core.robot import Array
 
 NO_LOADS = Loads()
@@ -118,6 +124,11 @@ class CosseratRod:
         return len(self.mesh.natural)
 
     @property
+    def mass(self) -> Array:
+        """(n, 3) kg, kg, kg m^2 of the nodes."""
+        return self.mesh.mass.copy()
+
+    @property
     def state(self) -> State:
         """A copy of poses and velocities."""
         return State(self._work.pose.copy(), self._work.velocity.copy())
@@ -130,6 +141,9 @@ class CosseratRod:
             if not np.all(np.isfinite(given)):
                 raise RodError("state must be finite")
             own[:] = given
+        self._work.stage[:] = self._work.pose
+        kernels.stress_of(self.mesh, self._work)
+        self._take(NO_LOADS)
         self._target[:] = self._work.pose[[0, -1]]
 
     def step(
@@ -165,28 +179,35 @@ class CosseratRod:
     def solve_static(
         self, loads: Loads = NO_LOADS, settings: StaticSettings = StaticSettings()
     ) -> Equilibrium:
-        """Move the rod to its equilibrium under loads, which grow from none to all of them.
+        """Move the rod to its equilibrium under loads, from the present ones to these in steps.
 
-        The path begins at the present state, which is to be one of equilibrium without loads, as is
-        the natural shape. Raises EquilibriumError, which holds the last load that was reached.
+        The present loads are those of the last step or equilibrium (none at first, or after the
+        state was set), under which the rod is to be near an equilibrium. Raises EquilibriumError,
+        which holds the last load factor reached; the rod then stands there.
         """
+        work, begin = self._work, Push(self._load.copy(), self._follower.copy())
         self._take(loads)
-        work = self._work
+        end = Push(self._load.copy(), self._follower.copy())
         work.stage[:] = work.pose
-        result = follow(self.mesh, work, self._load, self._follower, settings)
-        work.pose[:] = work.stage
-        work.velocity[:] = 0.0
-        self._target[:] = work.pose[[0, -1]]
-        return result
+        reached = 1.0
+        try:
+            return follow(self.mesh, work, begin, end, settings)
+        except EquilibriumError as error:
+            reached = error.load_factor
+            raise
+        finally:
+            work.pose[:] = work.stage
+            work.velocity[:] = 0.0
+            self._target[:] = work.pose[[0, -1]]
+            self._put(begin.toward(end, reached), loads if reached == 1.0 else None)
 
     def energy(self, loads: Loads = NO_LOADS) -> Energy:
         """Kinetic, elastic and potential energy, J."""
-        self._take(loads)
         pose, velocity = self._work.pose, self._work.velocity
         return Energy(
             kinetic=float((self.mesh.mass * velocity**2).sum() / 2),
             elastic=float(kernels.elastic_energy(self.mesh, pose)),
-            potential=-float((self._load * pose).sum()),
+            potential=-float((self._numbers(loads).dead * pose).sum()),
         )
 
     def momentum(self) -> tuple[float, float, float]:
@@ -198,10 +219,10 @@ class CosseratRod:
 
     def tangent(self, loads: Loads = NO_LOADS) -> Array:
         """Stiffness (3 n, 3 n) of the nodes' x, y, angle at the present poses; held parts too."""
-        self._take(loads)
         self._work.stage[:] = self._work.pose
+        kernels.stress_of(self.mesh, self._work)
         matrix = np.zeros((3 * self.nodes, 3 * self.nodes))
-        kernels.dense(self.mesh, self._work, self._load, self._follower, matrix)
+        kernels.dense(self.mesh, self._work, *self._numbers(loads), matrix)
         return matrix
 
     def free_unknowns(self) -> Array:
@@ -251,16 +272,22 @@ class CosseratRod:
             raise DivergenceError(f"not finite after t = {self.time:g} s, step {done}, node {node}")
 
     def _take(self, loads: Loads) -> None:
-        """Loads as numbers, unless they are those of the last call."""
-        if loads is self._loads:
-            return
+        """Make loads the present ones, unless they are so already."""
+        if loads is not self._loads:
+            self._put(self._numbers(loads), loads)
+
+    def _numbers(self, loads: Loads) -> Push:
         values = (*loads.gravity, *loads.force, loads.moment, *loads.follower)
         if not all(math.isfinite(value) for value in values):
             raise RodError(f"{loads} must be finite")
-        self._load[:, :2] = self.mesh.mass[:, :1] * np.asarray(loads.gravity)
-        self._load[:, 2] = 0.0
-        self._load[-1] += (*loads.force, loads.moment)
-        self._follower[:] = loads.follower
+        dead = np.zeros_like(self._load)
+        dead[:, :2] = self.mesh.mass[:, :1] * np.asarray(loads.gravity)
+        dead[-1] += (*loads.force, loads.moment)
+        return Push(dead, np.asarray(loads.follower, dtype=np.float64))
+
+    def _put(self, push: Push, loads: Loads | None) -> None:
+        """Take loads that are numbers already."""
+        self._load[:], self._follower[:] = push
         self._loads = loads
 
 

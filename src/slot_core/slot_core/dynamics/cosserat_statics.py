@@ -1,14 +1,16 @@
 """Equilibria of a rod: continuation in the load, with its stability from the tangent's pivots.
 
-The load factor goes from 0 to 1. Each step is Newton's method from the last equilibrium; it counts
-where it converges and no section turns by more than a limit, else the step is halved. So the path
-stays on its branch: at a fold it ends, in place of jumping to a far equilibrium.
+The load factor goes from 0, the present loads, to 1, the wanted ones. Each step is Newton's method from the last equilibrium; it counts
+where it converges and no section turns by much more than at the rate of the step before, else the step is
+halved. So the path stays on its branch: at a fold it ends, in place of jumping to another one.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import eigh
@@ -16,6 +18,10 @@ from scipy.linalg import eigh
 from slot_core.dynamics import cosserat_kernels as kernels
 from slot_core.dynamics.cosserat_model import Mesh, RodError
 from slot_core.robot import Array
+
+
+FIRST_PROBE = 64  # part of the first step that finds the first rate of turn
+GROWTH = 1.5  # of the step from one equilibrium to the next
 
 
 class Branch(Enum):
@@ -39,6 +45,8 @@ class StaticSettings:
     first_step: float = 0.1  # of the load
     least_step: float = 1e-7
     largest_turn: float = 0.5  # rad, of any section in one step
+    turn_growth: float = 3.0  # of the turn per load from step to step
+    turn_floor: float = 1e-4  # rad, turns that no rate is asked for
     iterations: int = 40
     tolerance: float = 1e-10  # of Newton's increment, rad and lengths
     critical_tolerance: float = 1e-6  # of the load
@@ -78,37 +86,55 @@ class EquilibriumError(ArithmeticError):
         self.negative_pivots = negative_pivots
 
 
+class Push(NamedTuple):
+    """Dead loads at the nodes and the follower force at the tip."""
+
+    dead: Array  # (n, 3) N, N, N m
+    follower: Array  # (2,) N
+
+    def toward(self, other: Push, factor: float) -> Push:
+        """The loads that lie between these and others."""
+        return Push(*(a + factor * (b - a) for a, b in zip(self, other)))
+
+
 class _Path:
-    """The equilibria from no load on."""
+    """The equilibria from one load to another."""
 
     def __init__(
         self,
         mesh: Mesh,
         work: kernels.Work,
-        load: Array,
-        follower: Array,
+        begin: Push,
+        end: Push,
         settings: StaticSettings,
     ) -> None:
         self.mesh, self.work, self.settings = mesh, work, settings
-        self.load, self.follower = load, follower
+        self.begin, self.end = begin, end
         self.factor, self.negative = 0.0, 0
         self.steps = self.iterations = 0
         self.critical: list[float] = []
-        self.left = False
+        self.left_at: float | None = None  # load factor at which an unstable branch was left
+        self.rate = math.inf  # rad, turn per load factor in the last step
 
     def correct(self, factor: float) -> int | None:
         """Newton's method at a load factor from work.stage; negative pivots, None: it failed."""
         start, stress = self.work.stage.copy(), self.work.stress.copy()
         size, negative, count = kernels.equilibrium(
-            self.mesh, self.work, factor * self.load, factor * self.follower, 0.0,
+            self.mesh, self.work, *self.begin.toward(self.end, factor), 0.0,
             self.settings.iterations, self.settings.tolerance,
         )  # fmt: skip
         self.iterations += count
         turn = np.abs(self.work.stage - start)[:, 2].max()
-        if size < self.settings.tolerance and turn <= self.settings.largest_turn:
+        if size < self.settings.tolerance and turn <= self.limit(factor):
             return int(negative)
         self.work.stage[:], self.work.stress[:] = start, stress
         return None
+
+    def limit(self, factor: float) -> float:
+        """Largest turn of a section up to a load factor, rad."""
+        s = self.settings
+        expected = self.rate * (factor - self.factor) if factor > self.factor else 0.0
+        return min(s.largest_turn, s.turn_growth * expected + s.turn_floor)
 
     def bisect(self, low: float, high: float, negative: int) -> float:
         """Load factor between two where the number of negative pivots leaves `negative`."""
@@ -135,6 +161,8 @@ class _Path:
             self.work.stage[:], self.work.stress[:] = after
             if negative > self.negative and self.settings.stay_stable:
                 negative = self.leave(factor)
+        turn = np.abs(self.work.stage - before[0])[:, 2].max()
+        self.rate = math.inf if self.left_at == factor else turn / (factor - self.factor)
         self.factor, self.negative, self.steps = factor, negative, self.steps + 1
         return True
 
@@ -144,7 +172,7 @@ class _Path:
         Raises EquilibriumError where none is found.
         """
         work, mesh = self.work, self.mesh
-        load, follower = factor * self.load, factor * self.follower
+        load, follower = self.begin.toward(self.end, factor)
         value, shape = self.critical_shape(load, follower)
         work.stage[:] += self.settings.side * self.settings.largest_turn / 10 * shape
         kernels.stress_of(mesh, work)
@@ -163,7 +191,7 @@ class _Path:
         self.iterations += count
         if not size < self.settings.tolerance or negative:
             raise EquilibriumError("no stable branch found", self.factor, self.negative)
-        self.left = True
+        self.left_at = factor
         return 0
 
     def critical_shape(self, load: Array, follower: Array) -> tuple[float, Array]:
@@ -191,30 +219,29 @@ class _Path:
         """Name of the branch reached."""
         if self.negative:
             return Branch.UNSTABLE
-        return Branch.SECONDARY if self.left or self.critical else Branch.PRIMARY
+        return Branch.SECONDARY if self.critical else Branch.PRIMARY
 
 
 def follow(
-    mesh: Mesh, work: kernels.Work, load: Array, follower: Array, settings: StaticSettings
+    mesh: Mesh, work: kernels.Work, begin: Push, end: Push, settings: StaticSettings
 ) -> Equilibrium:
-    """Follow the equilibria from work.stage at no load to the load (n, 3) and follower force (2,).
+    """Follow the equilibria from work.stage under the loads `begin` to the loads `end`.
 
     Leaves the equilibrium in work.stage. Raises EquilibriumError, with the last one in work.stage.
     """
-    path = _Path(mesh, work, load, follower, settings)
+    path = _Path(mesh, work, begin, end, settings)
     kernels.stress_of(mesh, work)
-    begin = path.correct(0.0)
-    if begin is None:
-        raise EquilibriumError("no equilibrium without load near the start", 0.0, 0)
-    path.negative = begin
-    step = settings.first_step
+    negative = path.correct(0.0)
+    if negative is None:
+        raise EquilibriumError("the present state is not near an equilibrium", 0.0, 0)
+    path.negative = negative
+    step = settings.first_step / FIRST_PROBE
     while path.factor < 1.0:
         if path.go(min(1.0, path.factor + step)):
-            step *= 1.5
+            step = max(GROWTH * step, settings.first_step if path.steps == 1 else 0.0)
             continue
         step /= 2
         if step < settings.least_step:
-            work.pose[:] = work.stage
             raise EquilibriumError("the branch ends or folds", path.factor, path.negative)
     return Equilibrium(
         path.branch(), path.negative, tuple(path.critical), path.steps, path.iterations
