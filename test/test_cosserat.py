@@ -281,8 +281,8 @@ def test_free_flight_keeps_momentum_for_a_second_and_energy_in_bounds():
         drift = max(drift, abs(rod.energy().total / energy - 1))
     scale = np.abs(before)
     np.testing.assert_array_less(np.abs(rod.momentum() - before), 1e-10 * scale)
-    # Measured 3e-4: the midpoint rule keeps no energy of its own, but does not lose it either.
-    assert drift < 2e-3
+    # The midpoint rule does not keep energy, nor does it lose any: it errs by 1e-4 to and fro.
+    assert drift < 5e-4
 
 
 def test_gravity_in_free_flight_changes_momentum_by_its_impulse():

@@ -1,6 +1,7 @@
 """A planar Cosserat rod on its own: statics, vibration and motion.
 
-    rod = CosseratRod(Material(1e7, 4e6, 1200.0, 5e-4), Geometry(0.2, Rectangle(0.02, (8e-3, 4e-3))))
+    leg = Geometry(0.2, Rectangle(0.02, (8e-3, 4e-3)))
+    rod = CosseratRod(Material(1e7, 4e6, 1200.0, 5e-4), leg)
     rod.solve_static(Loads(force=(0.0, 1.0)))
     for _ in range(1000):
         rod.step(1e-3)
@@ -15,6 +16,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from slot_core.dynamics import cosserat_kernels as kernels
@@ -38,6 +40,7 @@ from slot_core.dynamics.cosserat_statics import (
 from slot_core.robot import Array
 
 NO_LOADS = Loads()
+STATICS = StaticSettings()
 
 
 class DivergenceError(ArithmeticError):
@@ -62,6 +65,9 @@ class Scheme:
             raise RodError(f"theta {self.theta} must be within 0.5 .. 1")
         if self.iterations < 1:
             raise RodError(f"iterations {self.iterations} must be at least 1")
+
+
+MIDPOINT = Scheme()
 
 
 @dataclass(frozen=True)
@@ -96,7 +102,7 @@ class CosseratRod:
     Raises RodError for a description that no rod fulfils.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0917
         self,
         material: Material,
         geometry: Geometry,
@@ -106,7 +112,7 @@ class CosseratRod:
         pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
         shear: bool = True,
         rotary_inertia: bool = True,
-        scheme: Scheme = Scheme(),
+        scheme: Scheme = MIDPOINT,
     ) -> None:
         self.mesh = build_mesh(material, geometry, elements, base, tip, shear, rotary_inertia)
         self.mesh.natural[:] = _moved(self.mesh.natural, pose)
@@ -177,7 +183,7 @@ class CosseratRod:
         return record
 
     def solve_static(
-        self, loads: Loads = NO_LOADS, settings: StaticSettings = StaticSettings()
+        self, loads: Loads = NO_LOADS, settings: StaticSettings = STATICS
     ) -> Equilibrium:
         """Move the rod to its equilibrium under loads, from the present ones to these in steps.
 
@@ -225,7 +231,7 @@ class CosseratRod:
         kernels.dense(self.mesh, self._work, *self._numbers(loads), matrix)
         return matrix
 
-    def free_unknowns(self) -> Array:
+    def free_unknowns(self) -> NDArray[np.intp]:
         """Indices of the unknowns that no support holds."""
         held = np.zeros((self.nodes, 3), dtype=bool)
         held[[0, -1]] = self.mesh.held

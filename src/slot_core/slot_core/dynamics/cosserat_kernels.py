@@ -52,11 +52,15 @@ class Work(NamedTuple):
 def work_space(mesh: Mesh) -> Work:
     """A rod at rest in its natural shape."""
     elements, nodes = len(mesh.axial), len(mesh.natural)
-    zeros = [np.zeros((nodes, 3)) for _ in range(3)]
-    factor, last = np.zeros((elements, 9, 10)), np.zeros((3, 4))
-    stress = np.zeros((elements, 2, 2))
     return Work(
-        mesh.natural.copy(), zeros[0], mesh.natural.copy(), *zeros[1:], factor, last, stress
+        pose=mesh.natural.copy(),
+        velocity=np.zeros((nodes, 3)),
+        stage=mesh.natural.copy(),
+        speed=np.zeros((nodes, 3)),
+        change=np.zeros((nodes, 3)),
+        factor=np.zeros((elements, 9, 10)),
+        last=np.zeros((3, 4)),
+        stress=np.zeros((elements, 2, 2)),
     )
 
 
@@ -236,14 +240,8 @@ def advance(mesh, work, load, follower, target, h, theta, iterations, tolerance)
     q, v, stage, speed = work.pose, work.velocity, work.stage, work.speed
     reach, nodes = theta * h, q.shape[0]
     inv, size = 1.0 / reach, 0.0
-    for i in range(nodes):
-        for c in range(3):
-            speed[i, c] = v[i, c]
-    for end in range(2):
-        i = end * (nodes - 1)
-        for c in range(3):
-            if mesh.held[end, c]:
-                speed[i, c] = (target[end, c] - q[i, c]) / h
+    speed[:] = v
+    _lead(mesh, q, speed, target, h)
     for i in range(nodes):
         for c in range(3):
             stage[i, c] = q[i, c] + reach * speed[i, c]
@@ -260,14 +258,30 @@ def advance(mesh, work, load, follower, target, h, theta, iterations, tolerance)
     for i in range(nodes):
         for c in range(3):
             q[i, c] += h * speed[i, c]
-            extrapolate = mesh.mass[i, c] > 0.0
-            v[i, c] = v[i, c] + (speed[i, c] - v[i, c]) / theta if extrapolate else speed[i, c]
+            beyond = 1.0 / theta if mesh.mass[i, c] > 0.0 else 1.0
+            v[i, c] += (speed[i, c] - v[i, c]) * beyond
+    _keep(mesh, v, speed)
+    return size
+
+
+@helper
+def _lead(mesh, q, speed, target, h):
+    """Velocities that bring the held parts of the ends to their targets (2, 3)."""
     for end in range(2):
-        i = end * (nodes - 1)
+        i = end * (q.shape[0] - 1)
+        for c in range(3):
+            if mesh.held[end, c]:
+                speed[i, c] = (target[end, c] - q[i, c]) / h
+
+
+@helper
+def _keep(mesh, v, speed):
+    """Held parts have the velocity of the step: they are not extrapolated."""
+    for end in range(2):
+        i = end * (v.shape[0] - 1)
         for c in range(3):
             if mesh.held[end, c]:
                 v[i, c] = speed[i, c]
-    return size
 
 
 @kernel

@@ -1,8 +1,9 @@
 """Equilibria of a rod: continuation in the load, with its stability from the tangent's pivots.
 
-The load factor goes from 0, the present loads, to 1, the wanted ones. Each step is Newton's method from the last equilibrium; it counts
-where it converges and no section turns by much more than at the rate of the step before, else the step is
-halved. So the path stays on its branch: at a fold it ends, in place of jumping to another one.
+The load factor goes from 0, the present loads, to 1, the wanted ones. Each step is Newton's method
+from the last equilibrium; it counts where it converges and no section turns by much more than at
+the rate of the step before, else the step is halved. So the path stays on its branch: at a fold it
+ends, in place of jumping to another one.
 """
 
 from __future__ import annotations
@@ -18,7 +19,6 @@ from scipy.linalg import eigh
 from slot_core.dynamics import cosserat_kernels as kernels
 from slot_core.dynamics.cosserat_model import Mesh, RodError
 from slot_core.robot import Array
-
 
 FIRST_PROBE = 64  # part of the first step that finds the first rate of turn
 GROWTH = 1.5  # of the step from one equilibrium to the next
@@ -210,9 +210,8 @@ class _Path:
             np.diag(self.mesh.metric.ravel()[free]),
             subset_by_index=[0, 0],
         )
-        shape = np.zeros(3 * nodes)
-        shape[free] = vector[:, 0]
-        shape = shape.reshape(-1, 3)
+        shape = np.zeros((nodes, 3))
+        shape.ravel()[free] = vector[:, 0]
         return float(value[0]), shape / shape[np.abs(shape[:, 2]).argmax(), 2]
 
     def branch(self) -> Branch:
