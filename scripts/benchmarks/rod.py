@@ -8,6 +8,7 @@ the package `mujoco` is installed.
 """
 
 import importlib.util
+import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -16,11 +17,19 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from scipy.integrate import solve_bvp
 from scipy.optimize import brentq, fsolve
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
 from slot_core.dynamics.cosserat import CosseratRod, DivergenceError, Scheme, State
-from slot_core.dynamics.cosserat_model import FREE, Geometry, Loads, Material, Rectangle
+from slot_core.dynamics.cosserat_model import (
+    FREE,
+    RIGID_IN_SHEAR,
+    Geometry,
+    Loads,
+    Material,
+    Rectangle,
+)
 from slot_core.evaluation import palette
 from slot_core.evaluation.benchmark import Check, Row, at_least, at_most, cpu_time
 from slot_core.robot import Array
@@ -41,9 +50,9 @@ FREQUENCIES = {  # rad/s with EI = rho A = L = 1; the leg's in Hz
 }
 LARGEST_COST, LARGEST_ERROR = 0.0025, 0.5  # CPU s per simulated s; percent
 
-# MuJoCo's chain and the first prototypes of this project were measured at these.
-PEER_STEPS = (2e-3, 1e-3, 5e-4, 2e-4)
-PEER_LINKS = 30
+CHECKED_NODES = (7, 31)  # the fewest within the goal at any smaller step, and the standard
+PEER_STEPS = (1e-3, 5e-4, 2e-4)  # at 2 ms MuJoCo's chain is unstable
+PEER_LINKS = (10, 20, 30, 60)
 
 
 def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[Row], list[Check]]:
@@ -86,10 +95,34 @@ def bisshopp_drucker(p: float) -> Array:
     return np.array([math.sqrt(2 * math.sin(angle) / p), 1 - 2 * second / math.sqrt(p)])
 
 
+def modelled_tip(p: float) -> Array:
+    """Tip of the same cantilever with the stretch and the stiff shear of the rod, by collocation.
+
+    n = (0, p); angle' = M, r' = R (1 + n.t / EA, n.d / GA), M' = -r' x n; EI = L = 1.
+    """
+    axial, shear = THIN_MATERIAL.young_modulus * THIN, RIGID_IN_SHEAR
+
+    def slope(s: Array, y: Array) -> Array:
+        cos, sin = np.cos(y[0]), np.sin(y[0])
+        along, across = 1 + p * sin / axial, p * cos / shear
+        x, z = cos * along - sin * across, sin * along + cos * across
+        return np.array([y[1], -p * x, x, z])
+
+    def ends(a: Array, b: Array) -> Array:
+        return np.array([a[0], b[1], a[2], a[3]])
+
+    s = np.linspace(0.0, 1.0, 401)
+    guess = np.array([s, 1 - s, s, s**2 / 2])
+    solution = solve_bvp(slope, ends, s, guess, tol=1e-12, max_nodes=100_000)
+    tip: Array = solution.y[2:, -1]
+    return tip
+
+
 def elastica_rows(repeats: int) -> Iterable[dict[str, Any]]:
     """The cantilever under a dead load, N and load."""
     for p in (0.2, 1.0, 3.0, 10.0):
-        exact, loads = bisshopp_drucker(p), Loads(force=(0.0, p))
+        exact, modelled = bisshopp_drucker(p), modelled_tip(p)
+        loads = Loads(force=(0.0, p))
         for elements in ELEMENTS:
             rod = slender(elements)
             rest = rod.state
@@ -105,6 +138,7 @@ def elastica_rows(repeats: int) -> Iterable[dict[str, Any]]:
                 "load": p,
                 "nodes": rod.nodes,
                 "error": error,
+                "discretisation": math.dist(rod.state.pose[-1, :2], modelled),
                 "iterations": found.iterations,
                 "cpu_ms": 1e3 * cpu_time(solve, repeats).median,
             }
@@ -237,26 +271,25 @@ def deviation(tip: Array, exact: Array) -> float:
 def peer_rows(repeats: int) -> Iterable[dict[str, Any]]:
     """MuJoCo: links that turn in the plane, springs and dampers as stiff as the leg."""
     exact = fine_release(shear=False)
-    for h in PEER_STEPS:
-        tip, deflection, cost = hinge_chain(h, repeats)
+    for links, h in itertools.product(PEER_LINKS, PEER_STEPS):
+        tip, deflection, cost = hinge_chain(links, h, repeats)
         yield {
             "kind": "release",
             "model": "MuJoCo hinge chain",
-            "nodes": PEER_LINKS + 1,
+            "nodes": links + 1,
             "h": h,
             "percent": 100 * deviation(tip, exact) / deflection,
             "cpu_s": cost,
         }
 
 
-def hinge_chain(h: float, repeats: int) -> tuple[Array, float, float]:
+def hinge_chain(links: int, h: float, repeats: int) -> tuple[Array, float, float]:
     """(SAMPLES, 2) tip of the released chain, its initial deflection, CPU s per second."""
     import mujoco  # noqa: PLC0415 - a peer, not needed otherwise
 
-    link = LEG.length / PEER_LINKS
-    spring = chain_springs(link)
-    model = mujoco.MjModel.from_xml_string(chain_description(h, link, spring))
-    data, bent = mujoco.MjData(model), chain_equilibrium(link, spring)
+    spring = chain_springs(links)
+    model = mujoco.MjModel.from_xml_string(chain_description(h, spring))
+    data, bent = mujoco.MjData(model), chain_equilibrium(spring)
     every = round(DURATION / h) // SAMPLES
     tip = np.zeros((SAMPLES, 2))
 
@@ -269,39 +302,44 @@ def hinge_chain(h: float, repeats: int) -> tuple[Array, float, float]:
             sample[:] = data.site_xpos[0, [0, 2]]
 
     release()
+    if any(warning.number for warning in data.warning):  # it resets itself where it diverges
+        tip[:] = np.nan
     cost = cpu_time(release, repeats).median / DURATION
     angle = -np.cumsum(bent)
-    start = link * np.array([np.cos(angle).sum(), np.sin(angle).sum()])
+    start = LEG.length / links * np.array([np.cos(angle).sum(), np.sin(angle).sum()])
     return tip, math.dist(start, (LEG.length, 0.0)), cost
 
 
-def chain_springs(link: float) -> Array:
+def chain_springs(links: int) -> Array:
     """(links,) N m/rad; the first half cell bends between the clamp and the first link."""
-    at = np.arange(PEER_LINKS) / PEER_LINKS
-    at[0] = 0.25 / PEER_LINKS
-    extent = np.full(PEER_LINKS, link)
-    extent[0] = link / 2
+    at = np.arange(links) / links
+    at[0] = 0.25 / links
+    extent = np.full(links, LEG.length / links)
+    extent[0] /= 2
     return TPU.young_modulus * LEG.section.second_moment(at) / extent
 
 
-def chain_equilibrium(link: float, spring: Array) -> Array:
+def chain_equilibrium(spring: Array) -> Array:
     """Hinge angles under the push; positive turns x towards -z."""
+
+    link = LEG.length / len(spring)
 
     def moments(turn: Array) -> Array:
         angle = -np.cumsum(turn)
         arm = np.cumsum((link * np.cos(angle))[::-1])[::-1]  # from each hinge to the tip
         return spring * turn + arm * PUSH.force[1]
 
-    solution: Array = fsolve(moments, np.zeros(PEER_LINKS), xtol=1e-12)
+    solution: Array = fsolve(moments, np.zeros(len(spring)), xtol=1e-12)
     return solution
 
 
-def chain_description(h: float, link: float, spring: Array) -> str:
+def chain_description(h: float, spring: Array) -> str:
     """The chain as MuJoCo reads it."""
-    middle = (np.arange(PEER_LINKS) + 0.5) / PEER_LINKS
+    links, link = len(spring), LEG.length / len(spring)
+    middle = (np.arange(links) + 0.5) / links
     mass = TPU.density * LEG.section.area(middle) * link
     body = f'<site name="tip" pos="{link} 0 0" size="0.001"/>'
-    for i in reversed(range(PEER_LINKS)):
+    for i in reversed(range(links)):
         thick = mass[i] / (TPU.density * 0.02 * link)
         body = (
             f'<body pos="{link if i else 0} 0 0"><joint type="hinge" axis="0 1 0" '
@@ -326,13 +364,14 @@ def checks(rows: list[dict[str, Any]]) -> list[Check]:
     """The figures against the goals."""
     elastica = [row for row in rows if row["kind"] == "elastica"]
     standard = [row for row in rows if row.get("nodes") == 2 * STANDARD + 1]
-    order = min(elastica_order(elastica, load) for load in (3.0, 10.0))
     out = [
         at_most(f"elastica at 31 nodes, load {row['load']:g}", row["error"], 2e-4, "of the length")
         for row in standard
         if row["kind"] == "elastica"
     ]
-    out.append(at_least("elastica's order, 9 to 65 nodes, loads 3 and 10", order, 2.0))
+    for last in (31, 129):
+        order = min(elastica_order(elastica, load, last) for load in (3.0, 10.0))
+        out.append(at_least(f"elastica's order, 9 to {last} nodes, loads 3 and 10", order, 2.0))
     for row in standard:
         if row["kind"] == "circle":
             out.append(at_most("circle does not close by", row["error"], 1e-6, "of the length"))
@@ -346,25 +385,40 @@ def checks(rows: list[dict[str, Any]]) -> list[Check]:
     return out + release_checks([row for row in rows if row["kind"] == "release"])
 
 
-def elastica_order(rows: list[dict[str, Any]], load: float) -> float:
-    """Slope of the error over N between 9 and 65 nodes."""
-    error = {row["nodes"]: row["error"] for row in rows if row["load"] == load}
-    return math.log(error[9] / error[65]) / math.log(64 / 8)
+def elastica_order(rows: list[dict[str, Any]], load: float, last: int) -> float:
+    """Slope of the error over N between 9 and `last` nodes, against the rod as it is modelled.
+
+    The elastica itself neither stretches nor shears: 1e-6 of the length at load 10.
+    """
+    error = {row["nodes"]: row["discretisation"] for row in rows if row["load"] == load}
+    return math.log(error[9] / error[last]) / math.log((last - 1) / 8)
 
 
 def release_checks(rows: list[dict[str, Any]]) -> list[Check]:
-    """The release test at the goal's cost, and the distance from the peer."""
+    """The release test at settings named beforehand, and the distance from the peer.
+
+    Not the best of all rows: where errors of space and time cancel, that would be luck.
+    """
     out = []
-    for model in ("no shear", "shear"):
-        cheap = [r for r in rows if r["model"] == model and r["cpu_s"] <= LARGEST_COST]
-        least = min((r["percent"] for r in cheap if r["percent"] == r["percent"]), default=math.nan)
-        name = f"release within {LARGEST_COST} CPU s per s, {model}"
-        out.append(at_most(name, least, LARGEST_ERROR, "%"))
-    for peer in (row for row in rows if "MuJoCo" in row["model"]):
-        own = [r for r in rows if r["model"] == "no shear" and r["percent"] <= peer["percent"]]
-        ahead = peer["cpu_s"] / min((r["cpu_s"] for r in own), default=math.nan)
-        out.append(at_least(f"times faster than MuJoCo at h = {peer['h']:g} s", ahead, 3.0))
+    for nodes in CHECKED_NODES:
+        for model in ("no shear", "shear"):
+            row = setting(rows, model, nodes)
+            name = f"release, {nodes} nodes, 1 ms, 2 iterations, {model}"
+            out.append(at_most(f"{name}: error", row["percent"], LARGEST_ERROR, "%"))
+            out.append(at_most(f"{name}: cost", row["cpu_s"], LARGEST_COST, "CPU s per s"))
+    peers = [row for row in rows if "MuJoCo" in row["model"]]
+    own = setting(rows, "no shear", CHECKED_NODES[0])
+    for percent in (LARGEST_ERROR, 1.0) if peers else ():
+        rivals = [row["cpu_s"] for row in peers if row["percent"] <= percent]
+        ahead = min(rivals, default=math.inf) / own["cpu_s"]
+        out.append(at_least(f"times faster than MuJoCo within {percent:g} %", ahead, 3.0))
     return out
+
+
+def setting(rows: list[dict[str, Any]], model: str, nodes: int) -> dict[str, Any]:
+    """The row of the midpoint rule at 1 ms with two iterations."""
+    wanted = {"model": model, "nodes": nodes, "h": 1e-3, "theta": 0.5, "iterations": 2}
+    return next(row for row in rows if wanted.items() <= row.items())
 
 
 def draw(rows: list[Mapping[str, Any]], path: Path) -> None:
@@ -372,8 +426,8 @@ def draw(rows: list[Mapping[str, Any]], path: Path) -> None:
     figure = Figure(figsize=(8, 5.5), layout="constrained")
     FigureCanvasAgg(figure)
     ax = figure.subplots()
-    nodes = sorted({row["nodes"] for row in rows})
-    colour = dict(zip(nodes, [*palette.STAGE_COLOURS, palette.TRUE, palette.INK]))
+    nodes = sorted({row["nodes"] for row in rows if "MuJoCo" not in row["model"]})
+    colour = dict(zip(nodes, [*palette.STAGE_COLOURS, palette.TRUE]))
     for row in rows:
         if not row["percent"] < math.inf:
             continue
@@ -381,11 +435,11 @@ def draw(rows: list[Mapping[str, Any]], path: Path) -> None:
         mark = "X" if peer else {1: "o", 2: "s", 20: "D"}[row["iterations"]]
         if row.get("theta", 0.5) > 0.5:
             mark = "v"
-        face = colour[row["nodes"]] if row["model"] != "no shear" else "none"
-        edge = palette.SECOND if peer else colour[row["nodes"]]
+        edge = palette.INK if peer else colour[row["nodes"]]
+        face = edge if row["model"] != "no shear" else "none"
         ax.scatter(
             row["cpu_s"], row["percent"], 30, marker=mark, edgecolors=edge,
-            facecolors=edge if peer else face, linewidths=1.0,
+            facecolors=face, linewidths=1.0,
         )  # fmt: skip
     front = sorted((row["cpu_s"], row["percent"]) for row in rows if row["front"])
     ax.step(*zip(*front), where="post", color=palette.PALE, zorder=0, label="Pareto front")
