@@ -429,13 +429,28 @@ def test_step_and_run_are_the_same():
     np.testing.assert_array_equal(record[-1], one.state.pose[-1])
 
 
-def test_divergence_is_an_error_that_names_step_and_time():
+def test_divergence_is_an_error_that_names_time_step_and_node():
     rod = CosseratRod(Material(1e9, 3e8, 1200.0, 0.0), LEG, 15, scheme=Scheme(iterations=1))
     velocity = np.zeros((31, 3))
     velocity[1:, 1] = 1e200
     rod.state = State(rod.state.pose, velocity)
-    with pytest.raises(DivergenceError, match="step"):
+    with pytest.raises(DivergenceError, match=r"after t = 0 s in step 1 of 50 .* node \d+"):
         rod.run(1e-2, 50)
+
+
+def test_divergence_is_not_silent_while_numbers_are_finite():
+    """One iteration is too few for this step without shear: the tip would leave by many lengths."""
+    rod = CosseratRod(TPU, LEG, 6, shear=False, scheme=Scheme(iterations=1))
+    rod.solve_static(Loads(force=(0.0, -1.0)))
+    with pytest.raises(DivergenceError):
+        rod.run(4e-3, 250)
+
+
+@pytest.mark.parametrize(("iterations", "unconverged"), [(1, 50), (20, 0)])
+def test_steps_that_newton_did_not_finish_are_counted(iterations, unconverged):
+    rod = CosseratRod(TPU, LEG, 4, scheme=Scheme(iterations=iterations))
+    rod.run(1e-3, 50, Loads(force=(0.0, 0.5)))
+    assert rod.unconverged == unconverged
 
 
 @pytest.mark.parametrize(

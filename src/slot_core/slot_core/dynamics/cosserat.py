@@ -44,7 +44,7 @@ STATICS = StaticSettings()
 
 
 class DivergenceError(ArithmeticError):
-    """The motion stopped being finite; names step and time."""
+    """The motion diverged: Newton ended beyond a length, a radian or all numbers."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +128,11 @@ class CosseratRod:
     def nodes(self) -> int:
         """Number of nodes, 2 elements + 1."""
         return len(self.mesh.natural)
+
+    @property
+    def unconverged(self) -> int:
+        """Steps so far whose last Newton increment was above the scheme's tolerance."""
+        return int(self._work.unconverged[0])
 
     @property
     def mass(self) -> Array:
@@ -273,9 +278,12 @@ class CosseratRod:
         )  # fmt: skip
         self.time += h * done
         if done < steps:
-            bad = np.flatnonzero(~np.isfinite(self._work.pose).all(axis=1))
-            node = int(bad[0]) if bad.size else None
-            raise DivergenceError(f"not finite after t = {self.time:g} s, step {done}, node {node}")
+            change = np.abs(self._work.change)
+            node = int(np.nan_to_num(change, nan=np.inf).max(axis=1).argmax())
+            raise DivergenceError(
+                f"diverged after t = {self.time:g} s in step {done + 1} of {steps} "
+                f"(h = {h:g} s), largest change at node {node}"
+            )
 
     def _take(self, loads: Loads) -> None:
         """Make loads the present ones, unless they are so already."""

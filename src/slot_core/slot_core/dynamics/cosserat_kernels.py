@@ -36,6 +36,9 @@ NODES = ((float(SHAPE[0, 0]), float(SHAPE[0, 1]), float(SHAPE[0, 2])),
          (float(SHAPE[1, 0]), float(SHAPE[1, 1]), float(SHAPE[1, 2])))  # fmt: skip
 
 
+LARGEST_INCREMENT = 1.0  # lengths and rad; a step that ends with more has diverged
+
+
 class Work(NamedTuple):
     """State and scratch space of a rod: no step allocates memory."""
 
@@ -47,6 +50,7 @@ class Work(NamedTuple):
     factor: Array  # (E, 9, 10) tangent | -gradient of the elements, then their elimination
     last: Array  # (3, 4) the same of the last node
     stress: Array  # (E, 2, 2) N and Q, times weight
+    unconverged: Array  # (1,) steps whose last increment was above the tolerance
 
 
 def work_space(mesh: Mesh) -> Work:
@@ -61,6 +65,7 @@ def work_space(mesh: Mesh) -> Work:
         factor=np.zeros((elements, 9, 10)),
         last=np.zeros((3, 4)),
         stress=np.zeros((elements, 2, 2)),
+        unconverged=np.zeros(1, dtype=np.int64),
     )
 
 
@@ -288,13 +293,15 @@ def _keep(mesh, v, speed):
 def run(mesh, work, load, follower, target, h, theta, iterations, tolerance, steps, record):
     """Step `steps` times and write the tip's poses to record (m, 3), every steps/m steps.
 
-    Returns the steps done: fewer than `steps` where the state stopped being finite.
+    Returns the steps done: fewer than `steps` where Newton's last increment was not finite or above
+    a length or a radian.
     """
     every = max(1, steps // max(1, record.shape[0]))
     for n in range(steps):
         size = advance(mesh, work, load, follower, target, h, theta, iterations, tolerance)
-        if not size < math.inf:
+        if not size < LARGEST_INCREMENT:
             return n
+        work.unconverged[0] += size > tolerance
         if (n + 1) % every == 0 and (n + 1) // every <= record.shape[0]:
             for c in range(3):
                 record[(n + 1) // every - 1, c] = work.pose[-1, c]
