@@ -467,6 +467,12 @@ def test_steps_that_newton_did_not_finish_are_counted(iterations, unconverged):
         (lambda: slender().step(1e-3, Loads(moment=math.inf)), "must be finite"),
         (lambda: slender().natural_frequencies(1, Loads(follower=(1.0, 0.0))), "follower"),
         (lambda: StaticSettings(side=0), "side 0"),
+        (
+            lambda: slender().solve_static(
+                Loads(follower=(1.0, 0.0)), StaticSettings(stay_stable=True)
+            ),
+            "stay_stable needs",
+        ),
     ],
 )
 def test_nonsense_is_refused_by_name(act, rule):

@@ -194,8 +194,11 @@ class CosseratRod:
 
         The present loads are those of the last step or equilibrium (none at first, or after the
         state was set), under which the rod is to be near an equilibrium. Raises EquilibriumError,
-        which holds the last load factor reached; the rod then stands there.
+        which holds the last load factor reached; the rod then stands there. Raises RodError where
+        `stay_stable` meets a follower force: without an energy there is no way down.
         """
+        if settings.stay_stable and any(loads.follower):
+            raise RodError("stay_stable needs loads with a potential, not a follower force")
         work, begin = self._work, Push(self._load.copy(), self._follower.copy())
         self._take(loads)
         end = Push(self._load.copy(), self._follower.copy())

@@ -21,6 +21,7 @@ from slot_core.dynamics.cosserat_model import Mesh, RodError
 from slot_core.robot import Array
 
 FIRST_PROBE = 64  # part of the first step that finds the first rate of turn
+LEAVE_STEPS = 60  # damped steps from an unstable equilibrium, at most
 GROWTH = 1.5  # of the step from one equilibrium to the next
 
 
@@ -70,7 +71,7 @@ class Equilibrium:
 
     @property
     def stable(self) -> bool:
-        """Whether the energy has a minimum here."""
+        """Whether the energy has a minimum here; of flutter under a follower force it knows not."""
         return self.negative_pivots == 0
 
 
@@ -177,7 +178,9 @@ class _Path:
         work.stage[:] += self.settings.side * self.settings.largest_turn / 10 * shape
         kernels.stress_of(mesh, work)
         shift = -20 * value
-        while shift > 1e-3 * abs(value):
+        for _ in range(LEAVE_STEPS):
+            if shift < 1e-3 * abs(value):
+                break
             size, negative, count = kernels.equilibrium(
                 mesh, work, load, follower, shift, 10, self.settings.tolerance
             )
