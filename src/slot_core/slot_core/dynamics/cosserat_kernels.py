@@ -245,7 +245,9 @@ def advance(mesh, work, load, follower, target, h, theta, iterations, tolerance)
     q, v, stage, speed = work.pose, work.velocity, work.stage, work.speed
     reach, nodes = theta * h, q.shape[0]
     inv, size = 1.0 / reach, 0.0
-    speed[:] = v
+    for i in range(nodes):
+        for c in range(3):
+            speed[i, c] = v[i, c]
     _lead(mesh, q, speed, target, h)
     for i in range(nodes):
         for c in range(3):
