@@ -1,12 +1,9 @@
 """Fixtures for tests that start the graph as processes."""
 
 import os
-from pathlib import Path
 
 import pytest
-
-from slot_bringup import run
-from slot_bringup.graph import read_graph
+from graph_bag import record
 
 DOMAINS = 100  # beyond, the ports of DDS run into those that the system hands out
 
@@ -17,13 +14,6 @@ def domain():
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_DOMAIN_ID", str(1 + os.getpid() % DOMAINS))
         yield
-
-
-def record(bag: Path, *arguments: str) -> Path:
-    """Run the graph with a bag and return its directory."""
-    graph = read_graph()
-    run.run(run.parse([*arguments, "--bag", str(bag)], graph), graph, bag)
-    return bag
 
 
 @pytest.fixture(scope="session")

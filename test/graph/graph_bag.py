@@ -1,9 +1,20 @@
-"""A bag through the mcap library, which shares no code with the one that writes it."""
+"""Bags of the graph: recorded by it, read with the mcap library, which shares no code with that."""
 
 from collections import defaultdict
+from pathlib import Path
 
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+
+from slot_bringup import run
+from slot_bringup.graph import read_graph
+
+
+def record(bag: Path, *arguments: str) -> Path:
+    """Run the graph with a bag and return its directory."""
+    graph = read_graph()
+    run.run(run.parse([*arguments, "--bag", str(bag)], graph), graph, bag)
+    return bag
 
 
 def read(bag):

@@ -5,8 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from conftest import record
-from graph_bag import first_times, read, stamps
+from graph_bag import first_times, read, record, stamps
 from mcap.reader import make_reader
 
 from slot_core import decode
