@@ -217,8 +217,7 @@ def add_memory(usage: Usage, pids: Iterable[int]) -> None:
 
 def closed_loop_row(values: Mapping[str, Any], blocks: int) -> Row:
     """CPU time of controller and plant in one process per time walked, the median of blocks."""
-    velocity = np.array([values["vx"], values["vy"], 0.0])
-    loop = ClosedLoop(values["scene"], values["gait"], velocity, values["seed"])
+    loop = ClosedLoop(values["scene"], values["gait"], None, values["seed"])
     ticks = loop.run((blocks + 1) * BLOCK)  # the first one warms up
     figure = cpu_time(lambda: deque(islice(ticks, BLOCK), maxlen=0), blocks)
     duration = BLOCK * read_scene(values["scene"]).sensors.odometry.period

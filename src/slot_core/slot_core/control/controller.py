@@ -26,7 +26,12 @@ class Controller:
     """State estimator, gait scheduler, MPC and force map, one after the other."""
 
     def __init__(
-        self, robot: Robot, mpc: MpcSettings, timer: Callable[[], float], gait: str, velocity: Array
+        self,
+        robot: Robot,
+        mpc: MpcSettings,
+        timer: Callable[[], float],
+        gait: str,
+        velocity: Array | None,
     ):
         """Configuration from `config/*.yaml`; raises ConfigError as the stages do."""
         self.estimator = StateEstimator(read_estimator())

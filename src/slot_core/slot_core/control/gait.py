@@ -165,12 +165,15 @@ class GaitScheduler:
     waits until it is over. A run starts from the gait `stand`.
     """
 
-    def __init__(self, settings: GaitSettings, gait: str, velocity: Array):
+    def __init__(self, settings: GaitSettings, gait: str, velocity: Array | None):
         """Go from `stand` to `gait` at velocity [v_x, v_y, yaw rate] from the first tick on.
 
+        None stands for the gait's own velocity, straight ahead at its `cruise`.
         Raises ConfigError for an unknown gait or a velocity it cannot reach.
         """
         self._settings = settings
+        if velocity is None:
+            velocity = np.array([settings.find(gait).cruise, 0.0, 0.0])
         self.request(gait, velocity)
         self._before = self._now = _Stride("stand", settings.find("stand"), 0.0, 0)
         self._switched = 0  # stamp of the last change of stride, ns

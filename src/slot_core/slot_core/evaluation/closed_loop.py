@@ -26,7 +26,7 @@ class ClosedLoop:
     bit, and the same as the graph in lockstep.
     """
 
-    def __init__(self, scene: str, gait: str, velocity: Array, seed: int):
+    def __init__(self, scene: str, gait: str, velocity: Array | None, seed: int):
         """Stand in the scene; raises ConfigError when an argument or the configuration is bad."""
         robot = read_robot()
         mpc = config.replace(read_mpc(), {"acceptance.time_budget": math.inf})
