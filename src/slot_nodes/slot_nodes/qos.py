@@ -9,7 +9,6 @@ from rclpy.qos import (
     HistoryPolicy,
     QoSProfile,
     ReliabilityPolicy,
-    qos_profile_system_default,
 )
 
 SENSOR = QoSProfile(
@@ -36,6 +35,3 @@ CLOCK = QoSProfile(
     depth=1,
 )
 """As rclpy subscribes to /clock."""
-
-EVENTS = qos_profile_system_default
-"""Diagnostics and other rare messages."""
