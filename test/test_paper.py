@@ -255,8 +255,9 @@ def test_the_kernel_is_the_printed_equations_of_the_robot():
     inertia = 2.0 / 12 * np.array([b * b + c * c, a * a + c * c, a * a + b * b])
     corner = np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]]) * [a / 2, b / 2, 0]
     outward = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]) / math.sqrt(2)
-    h, touched = 4e-5, 0
-    for _ in range(20 * 25):
+    h, touched, earlier = 4e-5, 0, v
+    for k in range(20 * 25):
+        earlier = v if k == 19 * 25 else earlier
         touched += min(each.z[-1] for each in plain) < 0.0
         for each, angle in zip(plain, command):
             each.step(angle / math.radians(270) * 1.5 / 0.010, h)
@@ -273,6 +274,19 @@ def test_the_kernel_is_the_printed_equations_of_the_robot():
     np.testing.assert_allclose(sim.rotation, r.as_matrix(), atol=1e-10)
     np.testing.assert_allclose(sim.velocity, v, atol=1e-9)
     np.testing.assert_allclose(sim.angular_velocity, w, atol=1e-8)
+    felt = r.inv().apply((v - earlier) / 1e-3 + [0.0, 0.0, GRAVITY])
+    np.testing.assert_allclose(sim.specific_force, felt, atol=1e-6)
+
+
+def test_the_ground_force_is_that_of_the_tips_in_the_floor():
+    sim = simulator(start={"settle": 0.0}, **STABLE)
+    sim.legs.node[:2, -1, 1] = -1e-5
+    sim.legs.node[2:, -1, 1] = 1e-5
+    sim.legs.velocity[:, -1] = [-0.2, -0.3]
+    drag = PRINTED.friction * (ROBOT.leg.mass + ROBOT.mass / 4) * GRAVITY / math.sqrt(2)
+    normal = 1e5 * 1e-5 + 10.0 * 0.3
+    expected = [[drag, drag, normal], [drag, -drag, normal], [0, 0, 0], [0, 0, 0]]
+    np.testing.assert_allclose(sim.ground_force, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("theta_deg", [40.0, 63.0, 100.0])
