@@ -5,33 +5,46 @@ import pytest
 from numba import njit
 
 from slot_core import config
-from slot_core.dynamics.contact import Floor, touch
+from slot_core.dynamics.contact import grip, press
+from slot_core.dynamics.model import build_floor
+from slot_core.dynamics.rod import discretise
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulator import Simulator
 from slot_core.robot import GRAVITY, read_robot
 
-FLOOR = Floor(stiffness=2e4, damping=5.0, friction_velocity=1e-3)
-MU = 0.4
+ROBOT = read_robot()
+ROD = discretise(ROBOT.leg, 22, ROBOT.tendon.end_fraction)
+MU, STIFFNESS, DAMPING = 0.4, 2e4, 5.0
+
+
+def floor(**changes):
+    """The floor of the scene `flat` with changes of its settings."""
+    changes = {f"floor.{name}": value for name, value in changes.items()}
+    return build_floor(config.replace(read_scene("flat"), changes).floor, ROD)
 
 
 @njit
 def law(floor, friction, gap, v):
-    return touch(floor, friction, gap, v[2], v[0], v[1], v[2])
+    """Normal force and viscous drag of a point."""
+    normal = press(STIFFNESS, DAMPING, gap, v[2])
+    tangential = (v[0], v[1], 0.0)
+    hold = grip(floor, friction * normal, 0.0, STIFFNESS, DAMPING, tangential, tangential)
+    return normal, hold.drag
 
 
 def test_the_floor_only_pushes():
-    assert law(FLOOR, MU, 1e-6, np.array([0.0, 0.0, -1.0])) == (0.0, 0.0)  # above, falling
-    assert law(FLOOR, MU, -1e-6, np.array([0.1, 0.0, 1.0])) == (0.0, 0.0)  # below, leaving fast
-    normal, _ = law(FLOOR, MU, -1e-3, np.zeros(3))
+    assert law(floor(), MU, 1e-6, np.array([0.0, 0.0, -1.0])) == (0.0, 0.0)  # above, falling
+    assert law(floor(), MU, -1e-6, np.array([0.1, 0.0, 1.0])) == (0.0, 0.0)  # below, leaving fast
+    normal, _ = law(floor(), MU, -1e-3, np.zeros(3))
     assert normal == pytest.approx(20.0, rel=1e-12)
 
 
 @pytest.mark.parametrize("speed", [1e-5, 1e-3, 0.1, 10.0])
 def test_friction_stays_below_the_cone_and_reaches_it(speed):
     v = speed * np.array([0.6, 0.8, 0.0])
-    normal, drag = law(FLOOR, MU, -1e-3, v)
-    expected = MU * normal * speed / np.hypot(speed, FLOOR.friction_velocity)
+    normal, drag = law(floor(), MU, -1e-3, v)
+    expected = MU * normal * speed / np.hypot(speed, floor().friction_velocity)
     assert drag * speed == pytest.approx(expected, rel=1e-12)
     assert drag * speed < MU * normal
 

@@ -43,7 +43,7 @@ def energy(x, model, angle, height):
     dip = np.minimum(0.0, height + node[1:, 1])
     stored = rod.axial @ (length - rod.rest_length) ** 2
     stored += rod.bending @ (turn - rod.rest_angle) ** 2
-    stored += tendon.stiffness * cable**2 + floor.stiffness * dip @ dip
+    stored += tendon.stiffness * cable**2 + floor.stiffness[1:] @ dip**2
     return stored / 2 + GRAVITY * rod.mass @ node[:, 1]
 
 

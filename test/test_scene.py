@@ -10,9 +10,9 @@ from slot_core.dynamics.scene import read_scene
 @pytest.fixture
 def scenes(tmp_path, monkeypatch):
     """A configuration directory of its own, to which scenes can be added."""
-    source = config.config_dir() / "scene" / "flat.yaml"
-    (tmp_path / "scene").mkdir()
-    (tmp_path / "scene" / "flat.yaml").write_text(source.read_text())
+    for name in ("scene/flat.yaml", "solver/standard.yaml"):
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).write_text((config.config_dir() / name).read_text())
     monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
 
     def add(name, text):
@@ -35,6 +35,7 @@ def test_a_scene_like_another_holds_only_what_it_changes(scenes):
         ("like: bad\n", r"scene/bad\.yaml: like is not a setting"),
         ("like: flat\nfloor.grip: 1\n", r"scene/bad\.yaml: floor\.grip is not a setting"),
         ("like: flat\nsolver.step: 1.0\n", r"scene/bad\.yaml: solver\.step = 1\.0: outside"),
+        ("like: flat\nsolver: magic\n", r"no configuration 'solver/magic' \(known: standard\)"),
         ("", r"scene/bad\.yaml: expected a mapping of Scene, got None"),
     ],
 )

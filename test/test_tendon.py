@@ -22,29 +22,43 @@ ROBOT = read_robot()
 @njit
 def tension(s, tendon, node, angle, rate):
     measure(s, node, np.zeros((len(node), 3)), 0.0, 0.0)
-    return pull(s, tendon, angle, rate)
+    return pull(s, tendon, angle, rate, (0.0, 0.0), (0.0, 1.0))
 
 
 def straight(nodes):
     length = ROBOT.leg.arc_length()
     node = np.column_stack([np.linspace(0.0, length, nodes), np.zeros(nodes)])
-    return build(ROBOT.leg, node, length)
+    return build(ROBOT.leg, node, node[:, 0], round((nodes - 1) * ROBOT.tendon.end_fraction))
 
 
-@pytest.mark.parametrize("nodes", [10, 22, 23])
+@pytest.mark.parametrize("nodes", [10, 22, 31])
 def test_length_is_that_of_the_curve_at_the_offset(nodes):
     """On an arc bent by curvature k the curve d below has the length s (1 + k d)."""
     rod, settings = straight(nodes), ROBOT.tendon
     tendon = route(rod, settings)
-    curvature, ds = -2.0, rod.rest_length[0]
-    turn = curvature * ds * np.array([0.5, *np.ones(nodes - 2)])
+    curvature, bending = -2.0, section(rod)
+    turn = curvature * bending / rod.bending  # every hinge bends by its share
     length = tendon.along @ rod.rest_length + tendon.around @ turn
     reach = settings.end_fraction * ROBOT.leg.arc_length()
     assert length == pytest.approx(reach * (1.0 + curvature * settings.offset), rel=1e-12)
 
 
+def section(rod):
+    """(N-1,) EI at nodes 0 .. N-2, N m^2."""
+    leg, fraction = ROBOT.leg, rod.arc[:-1] / rod.arc[-1]
+    thick = leg.thickness_clamp + (leg.thickness_tip - leg.thickness_clamp) * fraction
+    return leg.young_modulus * leg.width * thick**3 / 12
+
+
+@pytest.mark.parametrize("nodes", [8, 23, 40])
+def test_any_number_of_nodes_puts_one_at_the_anchor(nodes):
+    rod = discretise(ROBOT.leg, nodes, ROBOT.tendon.end_fraction)
+    assert rod.arc[rod.anchor] / rod.arc[-1] == pytest.approx(ROBOT.tendon.end_fraction, rel=1e-12)
+    assert np.diff(rod.arc).max() / np.diff(rod.arc).min() < 1.5
+
+
 def test_a_slack_tendon_pulls_nothing():
-    rod = discretise(ROBOT.leg, 22)
+    rod = discretise(ROBOT.leg, 22, ROBOT.tendon.end_fraction)
     tendon = route(rod, ROBOT.tendon)
     slack_ends = ROBOT.tendon.slack / ROBOT.tendon.spool_radius
     for angle in (0.0, 0.99 * slack_ends):
@@ -55,7 +69,7 @@ def test_a_slack_tendon_pulls_nothing():
 
 
 def test_damping_acts_on_the_rate_of_the_cable():
-    rod = discretise(ROBOT.leg, 22)
+    rod = discretise(ROBOT.leg, 22, ROBOT.tendon.end_fraction)
     tendon = route(rod, ROBOT.tendon)
     taut = 0.4  # rad
     still = tension(segments(22), tendon, rod.node, taut, 0.0)

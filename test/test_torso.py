@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.dynamics.algebra import rotation, solve
-from slot_core.dynamics.contact import Floor
+from slot_core.dynamics.model import build_floor
+from slot_core.dynamics.rod import discretise
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulator import Simulator
@@ -18,6 +19,7 @@ from slot_core.dynamics.torso import add_corners, box
 from slot_core.robot import read_robot
 
 ROBOT = read_robot()
+FLOOR = build_floor(read_scene("flat").floor, discretise(ROBOT.leg, 10, 2 / 3))
 
 
 @njit
@@ -32,8 +34,8 @@ def solve_here(H, g):
 
 @njit
 def corners(H, g, torso, floor, pose):
-    zero = np.zeros(3)
-    add_corners(H, g, torso, floor, 0.0, 1.0, pose[0], pose[1], zero, zero, zero)
+    zero, held = np.zeros(3), (np.zeros((8, 3)), np.zeros(8), np.zeros((8, 2)))
+    add_corners(H, g, torso, floor, 1.0, pose[0], pose[1], zero, zero, zero, held)
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-6, 9e-3, 1.1e-2, 1.0, 3.0])
@@ -54,12 +56,13 @@ def test_solve_is_numpys_and_knows_an_indefinite_matrix():
 
 def test_corners_push_at_their_place():
     """Force, moment and stiffness of a box that dips one edge into the floor, by hand."""
-    torso, floor = box(ROBOT.torso), Floor(2e4, 0.0, 1e-3)
+    torso, floor = box(ROBOT.torso), FLOOR._replace(corner_damping=0.0, corner_friction=0.0)
     H, g = np.zeros((6, 6)), np.zeros(6)
     pitch = 0.02
     up, half = np.array([np.sin(-pitch), 0.0, np.cos(pitch)]), np.array(ROBOT.torso.size) / 2
     height = half[2]
-    corners(H, g, torso, floor, (height, up))
+    axes = np.array([np.cross([0.0, 1.0, 0.0], up), [0.0, 1.0, 0.0], up])
+    corners(H, g, torso, floor, (np.array([0.0, 0.0, height]), axes))
     depth = -(height - np.sin(pitch) * half[0] - np.cos(pitch) * half[2])
     force = 2 * 2e4 * depth  # two corners
     np.testing.assert_allclose(-g[:3], force * up, rtol=1e-9)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 
 from slot_core import config
-from slot_core.config import quantity
+from slot_core.config import choice, quantity
 
 Array = NDArray[np.float64]
 
@@ -88,6 +88,15 @@ class Tendon:
     slack: float = quantity("slack at tendon angle zero", "m", 0, 0.02)
     spool_radius: float = quantity("radius of the spool", "m", 1e-3, 0.05)
     angle_max_deg: float = quantity("largest tendon angle", "deg", 1, 360)
+    routing: str = choice("how it runs: through the leg, or from a pulley", "routed", "straight")
+    pulley_angle_deg: float = quantity("of the pulley from the clamp, 0: outward", "deg", -360, 360)
+    pulley_distance: float = quantity("of the pulley from the clamp", "m", 0.0, 0.2)
+
+    @property
+    def pulley(self) -> Array:
+        """(2,) m, the pulley of a straight tendon from the clamp, x and z in leg axes."""
+        angle = math.radians(self.pulley_angle_deg)
+        return self.pulley_distance * np.array([math.cos(angle), math.sin(angle)])
 
     @property
     def angle_max(self) -> float:

@@ -1,9 +1,17 @@
-"""Contact of a point with the floor: penalty normal force and regularised Coulomb friction.
+"""Contact of a point with the floor: penalty normal force, and one of two laws of friction.
 
-    N = max(0, -k gap - d v_n) where gap < 0,      friction = -mu N v_t / sqrt(v_t^2 + eps^2).
+Where the gap is below zero the floor pushes with N = max(0, -k gap - d v_n). Friction is
 
-In the tangent of a Newton step the coefficient mu N / sqrt(...) is lagged, which leaves the
-friction's matrix symmetric and dissipative.
+    viscous:   f = -mu N v_t / sqrt(v_t^2 + eps^2), Coulomb's law regularised, which creeps;
+    bristle:   f = -s (k_t z + d_t v_t),  s = min(1, mu N / |k_t z + d_t v_t|),  dz/dt = v_t,
+
+where the bristle z of a point, its deflection in the floor's plane, never exceeds mu N / k_t:
+elastic sticking and slip by return mapping (Simo and Hughes, Computational Inelasticity, 1998). It
+sticks without creep and then slips. In the tangent of a Newton step the factor of the
+law is lagged, which leaves the friction's matrix symmetric and dissipative.
+
+A leg's tip is an edge of stiffness k. Along the leg the floor is a line of stiffness k' (N/m^2), of
+which a node has k' ds; so the contact does not depend on the number of nodes.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -16,24 +24,104 @@ from typing import NamedTuple
 
 from slot_core.dynamics.compiled import helper
 from slot_core.dynamics.lanes import like, where
+from slot_core.dynamics.terrain import Terrain
+from slot_core.robot import Array
+
+UNIFORM, DIRECTION, PHASE = range(3)  # what a leg's friction depends on
+RELEASING = -1e-3  # rad/s, a tendon that turns faster than this way is being released
+TINY = 1e-12  # N or m, lest a zero is divided by
 
 
 class Floor(NamedTuple):
     """Numbers of the contact law."""
 
-    stiffness: float  # N/m for each point
-    damping: float  # N s/m for each point
+    stiffness: Array  # (N,) N/m of the nodes of a leg
+    damping: Array  # (N,) N s/m
+    first: int  # the first node that may touch
+    corner_stiffness: float  # N/m
+    corner_damping: float  # N s/m
+    corner_friction: float
     friction_velocity: float  # m/s, eps
+    varies: int  # UNIFORM, DIRECTION or PHASE
+    bristle: float  # tangential over normal stiffness and damping, 0: viscous
+    terrain: Terrain
+
+
+class Grip(NamedTuple):
+    """Friction -(drag v_t + hold): drag in N s/m, hold in N."""
+
+    drag: float
+    x: float
+    y: float
+    z: float
 
 
 @helper
-def touch(floor, friction, gap, vn, vx, vy, vz):
-    """Contact of one point: (normal force N, friction coefficient c in N s/m).
+def press(stiffness, damping, gap, vn):
+    """Normal force, N, at a gap (m) that changes by vn (m/s)."""
+    normal = max(0.0, -stiffness * gap - damping * vn)
+    return where(gap < 0.0, normal, like(0.0, normal))
 
-    v is the point's velocity, vn its part along the floor's normal (m/s), gap the height (m); the
-    friction force is -c (v - vn n). Both are zero without contact.
+
+@helper
+def coefficient(floor, own, other, rate, outward, slip):
+    """Coefficient of a leg's friction: `own`, and `other` for slip outward or a released tendon.
+
+    rate: rad/s of the tendon; outward: slip along the leg's x axis, slip: all of it squared.
     """
-    normal = -floor.stiffness * gap - floor.damping * vn
-    normal = where(gap < 0.0, max(0.0, normal), like(0.0, normal))
-    slip = vx * vx + vy * vy + vz * vz - vn * vn
-    return normal, friction * normal / math.sqrt(max(0.0, slip) + floor.friction_velocity**2)
+    if floor.varies == DIRECTION:
+        along = outward / math.sqrt(slip + floor.friction_velocity**2)
+        return 0.5 * (own + other) - 0.5 * (own - other) * along
+    if floor.varies == PHASE:
+        return where(rate < RELEASING, other, own)
+    return own
+
+
+@helper
+def grip(floor, limit, tau, stiffness, damping, bristle, v):
+    """Friction of a point whose normal force allows `limit` = mu N.
+
+    tau: s, how long the bristle (3 numbers, in the floor's plane) has followed v, the velocity in
+    that plane.
+    """
+    zero = like(0.0, limit)
+    if floor.bristle == 0.0:
+        slip = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+        return Grip(limit / math.sqrt(slip + floor.friction_velocity**2), zero, zero, zero)
+    k, d = floor.bristle * stiffness, floor.bristle * damping
+    rate = k * tau + d
+    fx, fy, fz = (
+        k * bristle[0] + rate * v[0],
+        k * bristle[1] + rate * v[1],
+        k * bristle[2] + rate * v[2],
+    )
+    share = min(1.0, limit / math.sqrt(fx * fx + fy * fy + fz * fz + TINY**2))
+    k = share * k
+    return Grip(share * rate, k * bristle[0], k * bristle[1], k * bristle[2])
+
+
+@helper
+def tangential(axes, bristle, up):
+    """A bristle (odom) in the axes whose odom axes are `axes`, without its part along `up`."""
+    a, b, c = bristle[0], bristle[1], bristle[2]
+    x = a * axes[0, 0] + b * axes[1, 0] + c * axes[2, 0]
+    y = a * axes[0, 1] + b * axes[1, 1] + c * axes[2, 1]
+    z = a * axes[0, 2] + b * axes[1, 2] + c * axes[2, 2]
+    along = x * up[0] + y * up[1] + z * up[2]
+    return x - along * up[0], y - along * up[1], z - along * up[2]
+
+
+@helper
+def bend(floor, bristle, limit, stiffness, slope, h, x, y, z):
+    """Carry a bristle (3,), odom, on by the velocity (x, y, z), m/s, for h; limit: mu N, N.
+
+    slope (2,): of the floor along odom's x and y.
+    """
+    a, b = slope[0], slope[1]
+    along = (z - a * x - b * y) / (1.0 + a * a + b * b)
+    x = bristle[0] + h * (x + along * a)
+    y = bristle[1] + h * (y + along * b)
+    z = bristle[2] + h * (z - along)
+    longest = limit / (floor.bristle * stiffness)
+    share = min(1.0, longest / math.sqrt(x * x + y * y + z * z + TINY**2))
+    bristle[0], bristle[1], bristle[2] = share * x, share * y, share * z

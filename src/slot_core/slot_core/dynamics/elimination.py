@@ -24,8 +24,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from slot_core.dynamics.compiled import helper
-from slot_core.dynamics.contact import touch
+from slot_core.dynamics.contact import coefficient, grip, press, tangential
 from slot_core.dynamics.lanes import largest, like, some, total, where
+from slot_core.dynamics.terrain import ground, is_uneven, tilted
 
 
 class Column(NamedTuple):
@@ -62,10 +63,11 @@ class Node(NamedTuple):
 
 
 @helper
-def eliminate(model, leg, inv, height):  # noqa: PLR0915 - one pivot reads best whole
+def eliminate(model, leg, inv, place):  # noqa: PLR0915 - one pivot reads best whole
     """Eliminate the segments of a leg from tip to clamp; says whether all pivots were positive.
 
-    The form over (X, phi) stands in local variables, its rest over (q, lambda | 1) in `rest`.
+    place: the torso's centre in odom, m. The form over (X, phi) stands in local variables, its rest
+    over (q, lambda | 1) in `rest`.
     """
     s, rest = leg.segments, leg.rest
     viscous = 1.0 + model.rod.damping_time * inv
@@ -76,7 +78,10 @@ def eliminate(model, leg, inv, height):  # noqa: PLR0915 - one pivot reads best 
         for c in range(5):
             rest[r, c] = xx
     for i in range(s.length.size, 0, -1):
-        node = _node(model, leg, i, inv, height)
+        node = _node(model, leg, i, inv, place)
+        if model.tendon.straight and i == model.tendon.anchor:
+            node = _pulled(leg, node)
+            cable = Column(cable.x + leg.line[0], cable.z + leg.line[1], cable.phi)
         xx, xz, zz = xx + node.cxx, xz + node.cxz, zz + node.czz
         q1, q2, q3 = _add(q1, node, 1.0), _add(q2, node, node.jx), _add(q3, node, node.jz)
         one = Column(one.x + node.gx, one.z + node.gz, one.phi)
@@ -115,10 +120,13 @@ def eliminate(model, leg, inv, height):  # noqa: PLR0915 - one pivot reads best 
         xx, xz, zz = xx - _dot(x, wx), xz - _dot(x, wz), zz - _dot(z, wz)
         xf, zf, ff = -_dot(x, wf), -_dot(z, wf), bend - _dot(phi, wf)
         _gather(rest, node, r1, r2, r3, rc, w1, w2, w3, wc, wo)
-    node = _node(model, leg, 0, inv, height)
+    node = _node(model, leg, 0, inv, place)
     xx, xz, zz = xx + node.cxx, xz + node.cxz, zz + node.czz
     _add_lateral(rest, node)
     one = Column(one.x + node.gx, one.z + node.gz, one.phi)
+    if model.tendon.straight:
+        one = _held(model.tendon, leg, leg.pull[0], one)
+        cable = _held(model.tendon, leg, like(1.0, leg.pull[0]), cable)
     F = leg.form
     F[0, 0], F[0, 1], F[0, 2], F[1, 1], F[1, 2], F[2, 2] = xx, xz, xf, zz, zf, ff
     _write(F, 3, q1)
@@ -136,32 +144,82 @@ def eliminate(model, leg, inv, height):  # noqa: PLR0915 - one pivot reads best 
 
 
 @helper
-def _node(model, leg, i, inv, height):
+def _node(model, leg, i, inv, place):
     """Inertia, weight and contact of a node."""
     ux, uy, uz = leg.velocity[i, 0], leg.velocity[i, 1], leg.velocity[i, 2]
-    upx, upy, upz = leg.field[0, 0], leg.field[0, 1], leg.field[0, 2]
     rx, rz = leg.root[0] + leg.stage[i, 0], leg.root[2] + leg.stage[i, 1]
     mass = model.rod.mass[i]
-    gx = mass * ((ux - leg.before[i, 0]) * inv - leg.field[1, 0])
-    gy = mass * ((uy - leg.before[i, 1]) * inv - leg.field[1, 1])
-    gz = mass * ((uz - leg.before[i, 2]) * inv - leg.field[1, 2])
-    cxy = cxz = cyz = like(0.0, rx)
-    cxx = cyy = czz = like(mass * inv * inv, rx)
-    gap = height + upx * rx + upy * leg.root[1] + upz * rz
-    if i > 0 and some(gap < 0.0):  # the clamp is in the torso, whose corners touch the floor
-        vn = upx * ux + upy * uy + upz * uz
-        normal, drag = touch(model.floor, leg.friction[0], gap, vn, ux, uy, uz)
-        stiff = model.floor.stiffness + (model.floor.damping - drag) * inv
-        stiff = where(normal > 0.0, stiff, like(0.0, rx))
-        cxx += drag * inv + stiff * upx * upx
-        cyy += drag * inv + stiff * upy * upy
-        czz += drag * inv + stiff * upz * upz
-        cxy, cxz, cyz = stiff * upx * upy, stiff * upx * upz, stiff * upy * upz
-        push = normal + drag * vn
-        gx += drag * ux - upx * push
-        gy += drag * uy - upy * push
-        gz += drag * uz - upz * push
-    return Node(cxx, cxy, cxz, cyy, cyz, czz, gx, gy, gz, -rz, rx)
+    gx = mass * ((ux - leg.before[i, 0]) * inv - leg.field[3, 0])
+    gy = mass * ((uy - leg.before[i, 1]) * inv - leg.field[3, 1])
+    gz = mass * ((uz - leg.before[i, 2]) * inv - leg.field[3, 2])
+    inertia, none = like(mass * inv * inv, rx), like(0.0, rx)
+    node = Node(inertia, none, none, inertia, none, inertia, gx, gy, gz, -rz, rx)
+    if i < model.floor.first:
+        return node
+    f = leg.field
+    gap = place[2] + f[2, 0] * rx + f[2, 1] * leg.root[1] + f[2, 2] * rz
+    up = (f[2, 0], f[2, 1], f[2, 2])
+    if is_uneven(model.floor.terrain):
+        east = place[0] + f[0, 0] * rx + f[0, 1] * leg.root[1] + f[0, 2] * rz
+        north = place[1] + f[1, 0] * rx + f[1, 1] * leg.root[1] + f[1, 2] * rz
+        below = ground(model.floor.terrain, east, north)
+        gap, up = tilted(f, below, gap - below.height)
+        if model.floor.bristle > 0.0:
+            leg.slope[i, 0], leg.slope[i, 1] = below.slope_x, below.slope_y
+    if some(gap < 0.0):
+        return _touch(model.floor, leg, i, inv, gap, up, node)
+    if model.floor.bristle > 0.0:
+        leg.limit[i] = none
+    return node
+
+
+@helper
+def _touch(floor, leg, i, inv, gap, up, node):
+    """Add the floor's force on a node and its tangent; up: the floor's normal in leg axes."""
+    ux, uy, uz = leg.velocity[i, 0], leg.velocity[i, 1], leg.velocity[i, 2]
+    vn = up[0] * ux + up[1] * uy + up[2] * uz
+    v = (ux - vn * up[0], uy - vn * up[1], uz - vn * up[2])
+    slip = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+    stiffness, damping = floor.stiffness[i], floor.damping[i]
+    normal = press(stiffness, damping, gap, vn)
+    mu = coefficient(floor, leg.friction[0], leg.friction[1], leg.rate[0], v[0], slip)
+    bristle = v
+    if floor.bristle > 0.0:
+        leg.limit[i] = mu * normal
+        bristle = tangential(leg.field, leg.bristle[i], up)
+    hold = grip(floor, mu * normal, 1.0 / inv, stiffness, damping, bristle, v)
+    drag = hold.drag * inv
+    stiff = where(normal > 0.0, stiffness + damping * inv - drag, like(0.0, drag))
+    return Node(
+        node.cxx + drag + stiff * up[0] * up[0],
+        stiff * up[0] * up[1],
+        stiff * up[0] * up[2],
+        node.cyy + drag + stiff * up[1] * up[1],
+        stiff * up[1] * up[2],
+        node.czz + drag + stiff * up[2] * up[2],
+        node.gx + hold.drag * v[0] + hold.x - normal * up[0],
+        node.gy + hold.drag * v[1] + hold.y - normal * up[1],
+        node.gz + hold.drag * v[2] + hold.z - normal * up[2],
+        node.jx,
+        node.jz,
+    )
+
+
+@helper
+def _pulled(leg, n):
+    """Add the pull of a straight tendon on its node, and how it turns about the pulley."""
+    ux, uz, pull, stiff = leg.line[0], leg.line[1], leg.pull[0], leg.pull[0] * leg.line[2]
+    cxx, cxz, czz = n.cxx + stiff * uz * uz, n.cxz - stiff * ux * uz, n.czz + stiff * ux * ux
+    gx, gz = n.gx + pull * ux, n.gz + pull * uz
+    return Node(cxx, n.cxy, cxz, n.cyy, n.cyz, czz, gx, n.gy, gz, n.jx, n.jz)
+
+
+@helper
+def _held(tendon, leg, pull, column):
+    """Add the other end of a straight tendon, the pulley, which moves with the clamp."""
+    ux, uz = pull * leg.line[0], pull * leg.line[1]
+    turning = tendon.pulley[0] * uz - tendon.pulley[1] * ux
+    return Column(column.x - ux, column.z - uz, column.phi - turning)
 
 
 @helper

@@ -32,13 +32,14 @@ from slot_core.dynamics.algebra import (
     times_transposed,
 )
 from slot_core.dynamics.compiled import helper, kernel
+from slot_core.dynamics.contact import bend
 from slot_core.dynamics.elimination import add_to_torso, couple, eliminate, substitute
 from slot_core.dynamics.handle import contents
-from slot_core.dynamics.lanes import every, in_lanes, one_lane
+from slot_core.dynamics.lanes import every, in_lanes, like, one_lane
 from slot_core.dynamics.rod import load, measure
-from slot_core.dynamics.servo import turning_rate
-from slot_core.dynamics.tendon import pull
-from slot_core.dynamics.torso import add_corners, add_inertia
+from slot_core.dynamics.servo import turn
+from slot_core.dynamics.tendon import pull, stretch_line
+from slot_core.dynamics.torso import add_corners, add_inertia, add_payload, add_push, at
 
 
 @kernel
@@ -132,12 +133,12 @@ def step(model, state, work, legs, h, scheme):
     for leg in legs:
         _predict_leg(model, state, leg, h, theta)
     for _ in range(scheme.iterations):
-        height = _start_torso(model, state, work, tau)
+        place = _start_torso(model, state, work, tau)
         for leg in legs:
             _to_leg_axes(work, leg)
             _stage(leg, tau)
             load_leg(model, leg, tau)
-            definite = definite & every(eliminate(model, leg, inv, height))
+            definite = definite & every(eliminate(model, leg, inv, place))
             couple(model.tendon, leg, inv)
             add_to_torso(leg, work.matrix, work.vector)
         definite = definite & solve(work.matrix, work.vector)
@@ -147,6 +148,10 @@ def step(model, state, work, legs, h, scheme):
         for i in range(3):
             work.motion[0, i] += work.vector[i] * inv
             work.motion[1, i] += work.vector[3 + i] * inv
+    if model.floor.bristle > 0.0:
+        _bend_corners(model, state, work, h)
+        for leg in legs:
+            _bend(model.floor, leg, h)
     _finish(state, work, h, theta)
     for leg in legs:
         _finish_leg(state, work, leg, h, theta)
@@ -164,9 +169,10 @@ def _predict(model, state, work, h, theta):
     product(work.rotation, state.rotation, work.turn)
     motion, field = work.motion, work.field
     motion[0, 0], motion[0, 1], motion[0, 2] = times_transposed(work.rotation, v[0], v[1], v[2])
-    field[1, 0], field[1, 1], field[1, 2] = times_transposed(work.rotation, g[0], g[1], g[2])
+    field[3, 0], field[3, 1], field[3, 2] = times_transposed(work.rotation, g[0], g[1], g[2])
     for i in range(3):
-        field[0, i] = work.rotation[2, i]
+        for k in range(3):
+            field[k, i] = work.rotation[k, i]
         motion[1, i] = motion[4, i] = w[i]
         motion[3, i] = motion[0, i]
 
@@ -175,7 +181,7 @@ def _predict(model, state, work, h, theta):
 def _predict_leg(model, state, leg, h, theta):
     """The servo's rate; the start's velocities in step axes; stage positions without motion."""
     torque = model.tendon.spool_radius * leg.tension[0]
-    leg.rate[0] = turning_rate(model.servo, leg.command[0], leg.angle[0], torque)
+    leg.rate[0] = turn(model.servo, leg.drive, leg.command[0], leg.angle[0], torque, h)
     w, root = state.rate, leg.root
     wx, wy, wz = times(leg.axes, w[0], w[1], w[2])
     to_stage, to_end = leg.forth, leg.whole
@@ -197,19 +203,24 @@ def _predict_leg(model, state, leg, h, theta):
 
 @helper
 def _start_torso(model, state, work, tau):
-    """Begin the torso's system with its own inertia and corners; returns its height, m."""
-    motion, up = work.motion, work.field[0]
-    v, w = motion[0], motion[1]
-    height = state.position[2] + tau * (up[0] * v[0] + up[1] * v[1] + up[2] * v[2])
+    """Begin the torso's system with all but its legs; returns its place at the stage, odom, m."""
+    motion, axes, gravity = work.motion, work.rotation, work.field[3]
+    v, w, v0, w0 = motion[0], motion[1], motion[3], motion[4]
+    dx, dy, dz = times(axes, v[0], v[1], v[2])
+    position = state.position
+    place = (position[0] + tau * dx, position[1] + tau * dy, position[2] + tau * dz)
     for i in range(3):
-        motion[2, i] = tau * (w[i] - motion[4, i])
+        motion[2, i] = tau * (w[i] - w0[i])
     work.matrix[:] = 0.0
     work.vector[:] = 0.0
     H, g, inv = work.matrix, work.vector, 1.0 / tau
-    add_inertia(H, g, model.torso, inv, work.field[1], v, motion[3], w, motion[4])
-    friction = model.friction[4]
-    add_corners(H, g, model.torso, model.floor, friction, inv, height, up, v, w, motion[2])
-    return height
+    add_inertia(H, g, model.torso, inv, gravity, v, v0, w, w0)
+    if model.payload[0] > 0.0:
+        add_payload(H, g, model.payload, inv, gravity, v, v0, w, w0)
+    add_push(g, model.push, axes)
+    held = (state.corner_bristle, work.limit, work.slope)
+    add_corners(H, g, model.torso, model.floor, inv, place, axes, v, w, motion[2], held)
+    return place
 
 
 @helper
@@ -218,7 +229,7 @@ def _to_leg_axes(work, leg):
     for k in range(3):
         x, y, z = work.motion[k, 0], work.motion[k, 1], work.motion[k, 2]
         leg.motion[k, 0], leg.motion[k, 1], leg.motion[k, 2] = times(leg.axes, x, y, z)
-    for k in range(2):
+    for k in range(4):
         x, y, z = work.field[k, 0], work.field[k, 1], work.field[k, 2]
         leg.field[k, 0], leg.field[k, 1], leg.field[k, 2] = times(leg.axes, x, y, z)
 
@@ -247,10 +258,36 @@ def _stage(leg, tau):
 def load_leg(model, leg, tau):
     """Geometry, tendon's tension and internal forces of a leg at the iterate."""
     s = leg.segments
-    measure(s, leg.stage, leg.velocity, -leg.motion[2, 1], -leg.motion[1, 1])
-    rate = leg.rate[0]
-    leg.pull[0] = pull(s, model.tendon, leg.angle[0] + tau * rate, rate)
+    rate, turned, turning = leg.rate[0], -leg.motion[2, 1], -leg.motion[1, 1]
+    measure(s, leg.stage, leg.velocity, turned, turning)
+    line = (like(0.0, rate), like(0.0, rate))
+    if model.tendon.straight:
+        line = stretch_line(leg.line, model.tendon, leg.stage, leg.velocity, turned, turning)
+    leg.pull[0] = pull(s, model.tendon, leg.angle[0] + tau * rate, rate, line, leg.fault)
     load(s, model.rod, model.tendon, leg.pull[0])
+
+
+@helper
+def _bend(floor, leg, h):
+    """Carry the bristles of a leg's nodes to the end of the step."""
+    f = leg.field
+    for i in range(floor.first, leg.velocity.shape[0]):
+        ux, uy, uz = leg.velocity[i, 0], leg.velocity[i, 1], leg.velocity[i, 2]
+        x = f[0, 0] * ux + f[0, 1] * uy + f[0, 2] * uz
+        y = f[1, 0] * ux + f[1, 1] * uy + f[1, 2] * uz
+        z = f[2, 0] * ux + f[2, 1] * uy + f[2, 2] * uz
+        bend(floor, leg.bristle[i], leg.limit[i], floor.stiffness[i], leg.slope[i], h, x, y, z)
+
+
+@helper
+def _bend_corners(model, state, work, h):
+    """Carry the bristles of the torso's corners to the end of the step."""
+    v, w, corners = work.motion[0], work.motion[1], model.torso.corners
+    for k in range(corners.shape[0]):
+        x, y, z = at(v, w, corners[k, 0], corners[k, 1], corners[k, 2])
+        x, y, z = times(work.rotation, x, y, z)
+        bristle, stiffness = state.corner_bristle[k], model.floor.corner_stiffness
+        bend(model.floor, bristle, work.limit[k], stiffness, work.slope[k], h, x, y, z)
 
 
 @helper
@@ -259,7 +296,7 @@ def _finish(state, work, h, theta):
     v, v0 = work.motion[0], work.motion[3]
     tau = theta * h
     for i in range(3):
-        state.specific_force[i] = (v[i] - v0[i]) / tau - work.field[1, i]
+        state.specific_force[i] = (v[i] - v0[i]) / tau - work.field[3, i]
         work.motion[2, i] = v0[i] + (v[i] - v0[i]) / theta
     _move(state, work, h)
 

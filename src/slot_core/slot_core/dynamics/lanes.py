@@ -19,7 +19,7 @@ import operator
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.datamodel import models
-from numba.core.errors import TypingError
+from numba.core.errors import RequireLiteralValue, TypingError
 from numba.core.imputils import lower_builtin, lower_cast
 from numba.core.typeconv.castgraph import Conversion
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
@@ -217,6 +217,30 @@ def largest(typingctx, value):
         return best
 
     return types.float64(LANES), build
+
+
+@intrinsic(prefer_literal=True)
+def lane(typingctx, value, number):
+    """The value of one leg; `number` is a constant."""
+    k = number.literal_value if isinstance(number, types.IntegerLiteral) else None
+    if k is None:
+        raise RequireLiteralValue("the number of a lane is a constant")
+    return types.float64(LANES, number), lambda context, builder, sig, args: _lane(
+        builder, args[0], k
+    )
+
+
+@intrinsic
+def join(typingctx, a, b, c, d):
+    """Lanes of four numbers."""
+
+    def build(context, builder, sig, args):
+        out = ir.Constant(_VECTOR, ir.Undefined)
+        for k, value in enumerate(args):
+            out = builder.insert_element(out, value, ir.IntType(32)(k))
+        return out
+
+    return LANES(*[types.float64] * COUNT), build
 
 
 @intrinsic

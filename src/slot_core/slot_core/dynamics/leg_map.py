@@ -21,7 +21,7 @@ import numpy as np
 from slot_core import config
 from slot_core.config import quantity
 from slot_core.dynamics.compiled import kernel
-from slot_core.dynamics.contact import touch
+from slot_core.dynamics.contact import press
 from slot_core.dynamics.elimination import couple, eliminate, follow, substitute
 from slot_core.dynamics.integrator import load_leg
 from slot_core.dynamics.model import Model, build_model, leg_space
@@ -117,8 +117,9 @@ def relax(model, leg, height, inv, tolerance, iterations):
     """Pseudo time steps of 1/inv from rest at the present shape; returns the last correction, m."""
     leg.motion[:] = 0.0
     for i in range(3):
-        leg.field[0, i] = 1.0 if i == 2 else 0.0
-        leg.field[1, i] = model.gravity[i]
+        for k in range(3):
+            leg.field[k, i] = 1.0 if i == k else 0.0
+        leg.field[3, i] = model.gravity[i]
     stage, velocity, held = leg.stage, leg.velocity, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     leg.rate[0] = 0.0
     change = 0.0
@@ -126,7 +127,7 @@ def relax(model, leg, height, inv, tolerance, iterations):
         velocity[:] = 0.0
         leg.before[:] = 0.0
         load_leg(model, leg, 0.0)
-        eliminate(model, leg, inv, height)
+        eliminate(model, leg, inv, (0.0, 0.0, height))
         couple(model.tendon, leg, inv)
         substitute(leg, held, inv)
         change = 0.0
@@ -146,8 +147,8 @@ def pressure(model, leg, height, out):
     """Write out (2,): vertical force of the floor, N, and its centre from the clamp, m."""
     force = moment = 0.0
     stage = leg.stage
-    for i in range(1, stage.shape[0]):
-        normal, _ = touch(model.floor, 0.0, height + stage[i, 1], 0.0, 0.0, 0.0, 0.0)
+    for i in range(model.floor.first, stage.shape[0]):
+        normal = press(model.floor.stiffness[i], 0.0, height + stage[i, 1], 0.0)
         force += normal
         moment += normal * stage[i, 0]
     out[0] = force
@@ -169,7 +170,7 @@ def respond(model, leg, height, rise, turn):
     for i in range(leg.back.shape[0]):
         X = follow(leg, i, X, q)
         if height + leg.stage[i + 1, 1] < 0.0:
-            force -= model.floor.stiffness * X[1]
+            force -= model.floor.stiffness[i + 1] * X[1]
     return force
 
 

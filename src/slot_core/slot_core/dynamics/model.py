@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from slot_core.dynamics.contact import Floor
 from slot_core.dynamics.rod import Rod, Segments, discretise, segments
-from slot_core.dynamics.scene import Scene, SolverSettings
+from slot_core.dynamics.scene import FloorSettings, Scene, SolverSettings
 from slot_core.dynamics.servo import Servo, ServoSettings, servo
 from slot_core.dynamics.tendon import Tendon, route
+from slot_core.dynamics.terrain import read_terrain
 from slot_core.dynamics.torso import Torso, box
 from slot_core.robot import Array, Robot
 
@@ -33,12 +35,15 @@ class Model(NamedTuple):
     torso: Torso
     floor: Floor
     servo: Servo
-    friction: Array  # (5,) of the legs and of the torso
+    friction: Array  # (2, 4) of the legs, and its other value where it varies
     gravity: Array  # (3,) m/s^2, odom
     axes: Array  # (4, 3, 3) base_link to leg axes
     root: Array  # (4, 3) m, clamp from the torso's centre, leg axes
     clamp: Array  # (4, 6, 6) torso increments to the displacements (X, phi, q) of a clamp
     speed_limit: float  # m/s
+    payload: Array  # (4,) kg and place, m, base_link
+    push: Array  # (6,) N and N m, odom, about the torso's centre
+    fault: Array  # (2, 4) m of additional slack, and 1 or 0 for a broken tendon
 
 
 class State(NamedTuple):
@@ -55,6 +60,9 @@ class State(NamedTuple):
     tendon_angle: Array  # (4,) rad
     tendon_rate: Array  # (4,) rad/s, over the last step
     tension: Array  # (4,) N, at the stage of the last step
+    drive: Array  # (4, 3) of the servos: see `servo.turn`
+    bristle: Array  # (4, N, 3) m, odom, and (8, 3) of the torso's corners; empty without bristles
+    corner_bristle: Array
 
 
 class Leg(NamedTuple):
@@ -67,12 +75,15 @@ class Leg(NamedTuple):
     axes: Array  # (3, 3) base_link to leg axes
     root: Array  # (3,) m, clamp from the torso's centre
     clamp: Array  # (6, 6) torso increments to the displacements (X, phi, q) of the clamp
-    friction: Array  # (1,)
+    friction: Array  # (2,)
+    fault: Array  # (2,)
     node: Array  # (N, 2), node_velocity (N, 3), angle, rate, tension (1,): views of the state
     node_velocity: Array
     angle: Array
     rate: Array
     tension: Array
+    drive: Array  # (3,), bristle (N or 0, 3): views of the state
+    bristle: Array
     command: Array  # (1,) rad, tendon angle asked for
     stage: Array  # (N, 2) m, node at the stage
     velocity: Array  # (N, 3) m/s, V
@@ -84,6 +95,9 @@ class Leg(NamedTuple):
     moved: Array  # (6,) displacements of the clamp
     back: Array  # (N-1, 2, 8) rows for the substitution
     pull: Array  # (1,) N, tension at the iterate
+    line: Array  # (3,) direction and 1 / length of a straight tendon
+    limit: Array  # (N or 0,) N, mu times the normal force
+    slope: Array  # (N or 0, 2) of the floor below
     release: Array  # (7,) lambda = row . (displacements of the clamp, 1)
     reduced: Array  # (6, 7) form over the displacements of the clamp
     product: Array  # (6, 6)
@@ -92,7 +106,7 @@ class Leg(NamedTuple):
     back_turn: Array  # (3, 3)
     forth: Array  # (3, 3)
     motion: Array  # (3, 3) torso: v, omega, turn
-    field: Array  # (2, 3) floor's normal and gravity
+    field: Array  # (4, 3) odom's axes and gravity
 
 
 class Work(NamedTuple):
@@ -104,50 +118,61 @@ class Work(NamedTuple):
     next: Array  # (3, 3)
     rotation: Array  # (3, 3) step axes to odom
     motion: Array  # (5, 3) torso in step axes: v, omega, theta h (omega - omega_n), v_n, omega_n
-    field: Array  # (2, 3) floor's normal and gravity in step axes
+    field: Array  # (4, 3) odom's axes and gravity in step axes
+    limit: Array  # (8,) N, mu times the normal force of the corners
+    slope: Array  # (8, 2) of the floor below the corners
     counter: Array  # (2,) halvings, steps with a pivot that was not positive
 
 
-def state_space(nodes: int) -> State:
+def state_space(nodes: int, bristles: bool = False) -> State:
     """A state of legs of N nodes, all zero. The legs are the last axis in memory."""
-    shapes = [(3,), (3, 3), (3,), (3,), (3,), (nodes, 2, 4), (nodes, 3, 4), (4,), (4,), (4,)]
-    ends = np.cumsum([np.prod(shape) for shape in shapes])
+    held, corners = (nodes, 8) if bristles else (0, 0)
+    shapes: list[tuple[int, ...]] = [(3,), (3, 3), (3,), (3,), (3,), (nodes, 2, 4), (nodes, 3, 4)]
+    shapes += [(4,), (4,), (4,), (3, 4), (held, 3, 4), (corners, 3)]
+    ends = np.cumsum([math.prod(shape) for shape in shapes])
     buffer = np.zeros(ends[-1])
     parts = np.split(buffer, ends[:-1])
     views = [part.reshape(shape) for part, shape in zip(parts, shapes)]
     views[5:7] = [view.transpose(2, 0, 1) for view in views[5:7]]
+    views[10], views[11] = views[10].T, views[11].transpose(2, 0, 1)
     return State(buffer, *views)
 
 
-def leg_space(nodes: int, lanes: tuple[int, ...] = ()) -> Leg:
+def leg_space(nodes: int, lanes: tuple[int, ...] = (), bristles: bool = False) -> Leg:
     """A leg of N nodes, or with the axis `lanes` = (4,) four; all zero."""
-    n = nodes - 1
-    shapes = [(3, 3), (3,), (6, 6), (1,), (nodes, 2), (nodes, 3), (1,), (1,), (1,), (1,)]
-    shapes += [(nodes, 2), (nodes, 3), (nodes, 3), (nodes, 2), (), (7, 8), (4, 5), (6,), (n, 2, 8)]
-    shapes += [(1,), (7,), (6, 7), (6, 6), (3, 3), (3, 3), (3, 3), (3, 3), (3, 3), (2, 3)]
+    n, held = nodes - 1, nodes if bristles else 0
+    shapes: list[tuple[int, ...]] = [(3, 3), (3,), (6, 6), (2,), (2,), (nodes, 2), (nodes, 3)]
+    shapes += [(1,), (1,), (1,), (3,), (held, 3), (1,), (nodes, 2), (nodes, 3), (nodes, 3)]
+    shapes += [(nodes, 2), (), (7, 8), (4, 5), (6,), (n, 2, 8), (1,), (3,), (held,), (held, 2)]
+    shapes += [(7,), (6, 7), (6, 6), *[(3, 3)] * 5, (4, 3)]
     space = [np.zeros(shape + lanes) if shape else segments(nodes, lanes) for shape in shapes]
-    return Leg(*space)  # type: ignore[arg-type]
+    legs = Leg(*space)  # type: ignore[arg-type]
+    legs.fault[1] = 1.0  # nothing is broken
+    return legs
 
 
 def leg_lanes(model: Model, state: State) -> Leg:
     """The four legs of a robot in lanes, on its state."""
-    legs = leg_space(len(model.rod.node), (4,))
+    legs = leg_space(len(model.rod.node), (4,), state.bristle.shape[1] > 0)
     legs.axes[:] = model.axes.transpose(1, 2, 0)
     legs.root[:] = model.root.T
     legs.clamp[:] = model.clamp.transpose(1, 2, 0)
-    legs.friction[0] = model.friction[:4]
     return legs._replace(
+        friction=model.friction,
+        fault=model.fault,
         node=state.node.transpose(1, 2, 0),
         node_velocity=state.node_velocity.transpose(1, 2, 0),
         angle=state.tendon_angle[None],
         rate=state.tendon_rate[None],
         tension=state.tension[None],
+        drive=state.drive.T,
+        bristle=state.bristle.transpose(1, 2, 0),
     )
 
 
 def work_space() -> Work:
     """Scratch space for the torso."""
-    shapes = [(6, 6), (6,), (3, 3), (3, 3), (3, 3), (5, 3), (2, 3), (2,)]
+    shapes = [(6, 6), (6,), (3, 3), (3, 3), (3, 3), (5, 3), (4, 3), (8,), (8, 2), (2,)]
     return Work(*(np.zeros(shape) for shape in shapes))
 
 
@@ -169,20 +194,46 @@ def build_model(robot: Robot, scene: Scene, settings: ServoSettings) -> Model:
     zero, one = np.zeros(4), np.ones(4)
     axes = np.array([[c, s, zero], [-s, c, zero], [zero, zero, one]]).transpose(2, 0, 1).copy()
     root = np.einsum("lij,lj->li", axes, robot.clamps)
-    rod = discretise(robot.leg, scene.solver.nodes)
-    floor = scene.floor
+    rod = discretise(robot.leg, scene.solver.nodes, robot.tendon.end_fraction)
+    payload = scene.payload
     return Model(
         rod=rod,
         tendon=route(rod, robot.tendon),
         torso=box(robot.torso),
-        floor=Floor(floor.stiffness, floor.damping, floor.friction_velocity),
+        floor=build_floor(scene.floor, rod),
         servo=servo(settings),
-        friction=np.array([*floor.friction, floor.torso_friction]),
+        friction=np.array([scene.floor.friction, scene.floor.friction_other]),
         gravity=np.array(scene.gravity),
         axes=axes,
         root=root,
         clamp=clamp_maps(axes, root),
         speed_limit=scene.solver.speed_limit,
+        payload=np.array([payload.mass, *payload.place]),
+        push=np.zeros(6),
+        fault=np.array([scene.tendons.slack, np.logical_not(scene.tendons.broken)], dtype=float),
+    )
+
+
+def build_floor(settings: FloorSettings, rod: Rod) -> Floor:
+    """The floor as the nodes of a rod meet it."""
+    step = np.diff(rod.arc)
+    line = settings.line_stiffness * (step[:-1] + step[1:]) / 2
+    # The clamp is in the torso, whose corners touch the floor.
+    stiffness = np.array([0.0, *line, settings.stiffness])
+    tip_only = settings.contact == "tip"
+    if tip_only:
+        stiffness[:-1] = 0.0
+    return Floor(
+        stiffness=stiffness,
+        damping=stiffness * (settings.damping / settings.stiffness),
+        first=len(stiffness) - 1 if tip_only else 1,
+        corner_stiffness=settings.stiffness,
+        corner_damping=settings.damping,
+        corner_friction=settings.torso_friction,
+        friction_velocity=settings.friction_velocity,
+        varies=("uniform", "direction", "phase").index(settings.friction_varies),
+        bristle=settings.bristle if settings.friction_law == "bristle" else 0.0,
+        terrain=read_terrain(settings.height_map, settings.spacing),
     )
 
 
@@ -199,7 +250,7 @@ def build_scheme(solver: SolverSettings) -> Scheme:
 
 def rest_state(model: Model, height: float) -> State:
     """Natural legs, slack tendons, level torso at a height (m), everything at rest."""
-    state = state_space(len(model.rod.node))
+    state = state_space(len(model.rod.node), model.floor.bristle > 0.0)
     state.position[2] = height
     state.rotation[:] = np.eye(3)
     state.node[:] = model.rod.node

@@ -5,11 +5,14 @@
 
 from __future__ import annotations
 
+import math
+
 from slot_core.dynamics.algebra import times, times_transposed
 from slot_core.dynamics.compiled import helper, kernel
-from slot_core.dynamics.contact import touch
+from slot_core.dynamics.contact import coefficient, grip, press
 from slot_core.dynamics.rod import elastic_energy, measure
-from slot_core.dynamics.tendon import cable_energy
+from slot_core.dynamics.tendon import cable_energy, straight_length
+from slot_core.dynamics.terrain import ground, is_uneven
 
 
 @kernel
@@ -35,17 +38,50 @@ def _to_odom(model, state, leg, x, y, z):
 
 
 @kernel
-def ground_forces(model, position, velocity, force):
+def ground_forces(model, state, position, velocity, force):
     """Write force (4, 3), N, odom: what the floor exerts on the nodes of each leg."""
     force[:] = 0.0
+    floor, friction = model.floor, model.friction
     for leg in range(4):
-        for i in range(1, position.shape[1]):
-            vx, vy, vz = velocity[leg, i, 0], velocity[leg, i, 1], velocity[leg, i, 2]
-            mu, gap = model.friction[leg], position[leg, i, 2]
-            normal, drag = touch(model.floor, mu, gap, vz, vx, vy, vz)
-            force[leg, 0] -= drag * vx
-            force[leg, 1] -= drag * vy
-            force[leg, 2] += normal
+        for i in range(floor.first, position.shape[1]):
+            gap, up = _gap(floor.terrain, position[leg, i])
+            if gap >= 0.0:
+                continue
+            u = velocity[leg, i]
+            vn = up[0] * u[0] + up[1] * u[1] + up[2] * u[2]
+            v = (u[0] - vn * up[0], u[1] - vn * up[1], u[2] - vn * up[2])
+            slip = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+            stiffness, damping = floor.stiffness[i], floor.damping[i]
+            normal = press(stiffness, damping, gap, vn)
+            outward = _outward(model, state, leg, v)
+            rate = state.tendon_rate[leg]
+            mu = coefficient(floor, friction[0, leg], friction[1, leg], rate, outward, slip)
+            bristle = v
+            if floor.bristle > 0.0:
+                held = state.bristle[leg, i]
+                bristle = (held[0], held[1], held[2])
+            hold = grip(floor, mu * normal, 0.0, stiffness, damping, bristle, v)
+            force[leg, 0] += normal * up[0] - hold.drag * v[0] - hold.x
+            force[leg, 1] += normal * up[1] - hold.drag * v[1] - hold.y
+            force[leg, 2] += normal * up[2] - hold.drag * v[2] - hold.z
+
+
+@helper
+def _gap(terrain, r):
+    """Gap (m) of a point in odom and the floor's normal there."""
+    if not is_uneven(terrain):
+        return r[2], (0.0, 0.0, 1.0)
+    below = ground(terrain, r[0], r[1])
+    a, b = below.slope_x, below.slope_y
+    tall = 1.0 / math.sqrt(1.0 + a * a + b * b)
+    return (r[2] - below.height) * tall, (-a * tall, -b * tall, tall)
+
+
+@helper
+def _outward(model, state, leg, v):
+    """Part of a velocity (odom) along a leg's x axis."""
+    x, y, z = times_transposed(state.rotation, v[0], v[1], v[2])
+    return times(model.axes[leg], x, y, z)[0]
 
 
 @kernel
@@ -53,6 +89,7 @@ def momenta(model, state, position, velocity, out):
     """Write out (2, 3): momentum (kg m/s) and angular momentum about odom's origin (kg m^2/s)."""
     out[:] = 0.0
     _add_momentum(out, model.torso.mass, state.position, state.velocity)
+    _add_momentum(out, model.payload[0], *_payload(model, state))
     w = state.rate
     lx, ly, lz = times(model.torso.inertia, w[0], w[1], w[2])
     lx, ly, lz = times(state.rotation, lx, ly, lz)
@@ -74,21 +111,63 @@ def _add_momentum(out, mass, r, v):
 
 @kernel
 def energy(model, state, segments, position, velocity):
-    """J: kinetic, gravity (zero at odom's origin), rods, cables, floor springs below the legs."""
+    """J: kinetic, gravity (zero at odom's origin), rods, cables, floor and bristles."""
     w = state.rate
     lx, ly, lz = times(model.torso.inertia, w[0], w[1], w[2])
     total = 0.5 * (w[0] * lx + w[1] * ly + w[2] * lz)
     total += _point_energy(model, model.torso.mass, state.position, state.velocity)
+    total += _point_energy(model, model.payload[0], *_payload(model, state))
+    total += _corner_energy(model, state)
     for leg in range(4):
         # turning rates are not used: any rate of the clamp will do
         measure(segments, state.node[leg], state.node_velocity[leg], 0.0, 0.0)
         total += elastic_energy(segments, model.rod)
-        total += cable_energy(segments, model.tendon, state.tendon_angle[leg])
+        angle, line = state.tendon_angle[leg], 0.0
+        if model.tendon.straight:
+            line = straight_length(model.tendon, state.node[leg])
+        fault = (model.fault[0, leg], model.fault[1, leg])
+        total += cable_energy(segments, model.tendon, angle, line, fault)
         for i in range(position.shape[1]):
             total += _point_energy(model, model.rod.mass[i], position[leg, i], velocity[leg, i])
-            gap = min(0.0, position[leg, i, 2]) if i > 0 else 0.0
-            total += 0.5 * model.floor.stiffness * gap * gap
+        for i in range(model.floor.first, position.shape[1]):
+            gap, _ = _gap(model.floor.terrain, position[leg, i])
+            total += 0.5 * model.floor.stiffness[i] * min(0.0, gap) ** 2
+            if model.floor.bristle > 0.0:
+                held = state.bristle[leg, i]
+                total += _bristle_energy(model.floor, model.floor.stiffness[i], held)
     return total
+
+
+@helper
+def _payload(model, state):
+    """Position and velocity of the payload in odom."""
+    _, x, y, z = model.payload
+    w = state.rate
+    px, py, pz = times(state.rotation, x, y, z)
+    u = times(state.rotation, w[1] * z - w[2] * y, w[2] * x - w[0] * z, w[0] * y - w[1] * x)
+    r, v = state.position, state.velocity
+    return (r[0] + px, r[1] + py, r[2] + pz), (v[0] + u[0], v[1] + u[1], v[2] + u[2])
+
+
+@helper
+def _corner_energy(model, state):
+    """J, floor springs and bristles of the torso's corners."""
+    total, stiffness = 0.0, model.floor.corner_stiffness
+    for k in range(model.torso.corners.shape[0]):
+        c = model.torso.corners[k]
+        x, y, z = times(state.rotation, c[0], c[1], c[2])
+        r = (state.position[0] + x, state.position[1] + y, state.position[2] + z)
+        gap, _ = _gap(model.floor.terrain, r)
+        total += 0.5 * stiffness * min(0.0, gap) ** 2
+        if model.floor.bristle > 0.0:
+            total += _bristle_energy(model.floor, stiffness, state.corner_bristle[k])
+    return total
+
+
+@helper
+def _bristle_energy(floor, stiffness, held):
+    square = held[0] * held[0] + held[1] * held[1] + held[2] * held[2]
+    return 0.5 * floor.bristle * stiffness * square
 
 
 @helper

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slot_core.dynamics.scene import Scene
+from slot_core.dynamics.scene import Push, Scene
 from slot_core.dynamics.sensors import (
     ImuReading,
     ImuSensor,
@@ -79,15 +79,21 @@ class Plant:
         """IMU and odometry at rest, stamped `stamp` (ns), without delay; the same for one stamp."""
         if not self._at_rest or stamp != self.now:
             self.now = stamp
-            self._at_rest = [*self._read_imu(), self._odometry.sample(self.simulator, stamp)]
+            imu = self._read_imu() if self._scene.sensors.imu.enabled else []
+            self._at_rest = [*imu, self._odometry.sample(self.simulator, stamp)]
         return self._at_rest
 
     def start(self, stamp: int) -> None:
         """Begin at `stamp` (ns); the first readings are due one period later."""
         self.now = stamp
-        self._every(self._scene.sensors.imu.period, self._read_imu)
-        self._every(self._scene.sensors.joint_period, self._read_joints)
-        self._every(self._scene.sensors.odometry.period, self._read_odometry)
+        sensors = self._scene.sensors
+        if sensors.imu.enabled:
+            self._every(sensors.imu.period, self._read_imu)
+        if sensors.joints:
+            self._every(sensors.joint_period, self._read_joints)
+        self._every(sensors.odometry.period, self._read_odometry)
+        for push in self._scene.pushes.values():
+            self._plan(push)
 
     def command(self, angle: Array) -> None:
         """Hold these tendon angles (4,), rad, from now on; raises ValueError on a bad vector."""
@@ -141,7 +147,21 @@ class Plant:
         reading = self._odometry.sample(self.simulator, self.now)
         delay = round(self._scene.sensors.odometry.delay * 1e9)
         self._at(self.now + delay, lambda: [reading])
-        return [self._true_state()]
+        return [self._true_state()] if self._scene.sensors.truth else []
+
+    def _plan(self, push: Push) -> None:
+        """Put the begin and the end of a push on the agenda; pushes add up."""
+
+        def change(sign: int) -> Callable[[], list[Reading]]:
+            def act() -> list[Reading]:
+                self.simulator.push(sign * np.array(push.force), sign * np.array(push.moment))
+                return []
+
+            return act
+
+        begin = self.now + round(push.time * 1e9)
+        self._at(begin, change(1))
+        self._at(begin + round(push.duration * 1e9), change(-1))
 
     def _true_state(self) -> TrueState:
         sim = self.simulator

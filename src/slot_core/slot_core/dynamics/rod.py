@@ -7,8 +7,10 @@ psi_i = phi_i - phi_{i-1}, where phi_{-1} is the clamp's tangent. Energy and Kel
     E   = sum EA_i (l_i - l0_i)^2 / (2 l0_i) + sum B_i (psi_i - psi0_i)^2 / 2
     n_i = EA_i/l0_i (l_i - l0_i + beta dl_i/dt),     m_i = B_i (psi_i - psi0_i + beta dpsi_i/dt)
 
-Bending stiffness B_i = E I_i / ds, and at the clamp E I(ds/4) / (ds/2): the first half cell bends
-between the clamp and the first segment. With a full cell there, convergence drops to first order.
+Bending stiffness B_i = E I_i / w_i: the chain's deflection is then a sum over its hinges in place
+of the integral over the curvature, with the weights w_i of the trapezoidal rule, corrected at the
+clamp and on both sides of the tendon's anchor, where the curvature jumps. Without the corrections
+the error at 22 nodes is four times as large; with a full cell at the clamp it is of first order.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -31,11 +33,14 @@ class Rod(NamedTuple):
     """A discretised rod: N nodes, N-1 segments."""
 
     node: Array  # (N, 2) m, natural shape, clamp at the origin
+    arc: Array  # (N,) m, arc length of the natural shape
     mass: Array  # (N,) kg
     rest_length: Array  # (N-1,) m
     rest_angle: Array  # (N-1,) rad, natural turning angles psi0 at nodes 0 .. N-2
     axial: Array  # (N-1,) N/m, EA/l0
     bending: Array  # (N-1,) N m/rad
+    anchor: int  # the node where the tendon ends
+    anchor_share: float  # of that node's bending that lies before the anchor
     damping_time: float  # s, beta
 
 
@@ -52,32 +57,70 @@ class Segments(NamedTuple):
     moment: Array  # (N,) N m, m_i; the last is the free end's zero
 
 
-def discretise(leg: Leg, nodes: int) -> Rod:
-    """Cut the leg into nodes at equal arc length of its natural shape."""
-    x = _equal_arcs(leg, nodes)
-    return build(leg, np.column_stack([x, leg.shape(x) - leg.shape(0.0)]), leg.arc_length())
+def discretise(leg: Leg, nodes: int, anchor: float) -> Rod:
+    """Cut the leg into nodes, at equal arc length on either side of its tendon's anchor.
+
+    anchor: arc length of the anchor over that of the leg.
+    """
+    arc, node = stations(nodes, anchor) * leg.arc_length(), np.zeros((nodes, 2))
+    x = np.linspace(0.0, leg.reach, 4001)
+    along = cumulative_simpson(np.hypot(1.0, leg.shape.deriv()(x)), x=x, initial=0.0)
+    node[:, 0] = np.interp(arc, along * (arc[-1] / along[-1]), x)
+    node[:, 1] = leg.shape(node[:, 0]) - leg.shape(0.0)
+    return build(leg, node, arc, round(anchor * (nodes - 1)))
 
 
-def build(leg: Leg, node: Array, arc_length: float) -> Rod:
-    """A rod with the leg's sections and material along natural nodes (N, 2) at equal arc length."""
+def stations(nodes: int, anchor: float) -> Array:
+    """(N,) places of the nodes from 0 to 1, with one at the anchor and equal steps on each side."""
+    before = round(anchor * (nodes - 1))
+    behind = np.linspace(anchor, 1.0, nodes - before)
+    return np.append(np.linspace(0.0, anchor, before + 1), behind[1:])
+
+
+def build(leg: Leg, node: Array, arc: Array, anchor: int) -> Rod:
+    """A rod with the leg's sections and material: natural nodes (N, 2) at arc lengths (N,), m."""
     chord = np.diff(node, axis=0)
     rest_length = np.hypot(chord[:, 0], chord[:, 1])
-    fraction = np.linspace(0.0, 1.0, len(node))
-    ds, cell = arc_length * fraction[1], fraction[1]
-    middle = (fraction[1:] + fraction[:-1]) / 2
-    bent = np.concatenate([[cell / 4], fraction[1:-1]])  # where the turning angles sit
-    extent = np.concatenate([[ds / 2], np.full(len(node) - 2, ds)])
-    half = leg.density * leg.width * ds / 2
+    step, fraction = np.diff(arc), arc / arc[-1]
+    before, behind = _weights(step[:anchor]), _weights(step[anchor:])
+    extent = np.append(before, np.zeros(len(node) - len(before)))
+    extent[anchor:] += behind
+    per_angle = leg.young_modulus * leg.width * _thickness(leg, fraction) ** 3 / 12
+    quarter = np.diff(fraction) / 4
+    half = leg.density * leg.width * step / 2
+    mass = np.append(half * _thickness(leg, fraction[:-1] + quarter), 0.0)
+    mass[1:] += half * _thickness(leg, fraction[1:] - quarter)
     return Rod(
         node=node,
-        mass=half * np.append(_thickness(leg, middle - cell / 4), 0.0)
-        + half * np.append(0.0, _thickness(leg, middle + cell / 4)),
+        arc=arc,
+        mass=mass,
         rest_length=rest_length,
         rest_angle=np.diff(np.arctan2(chord[:, 1], chord[:, 0]), prepend=0.0),
-        axial=leg.young_modulus * leg.width * _thickness(leg, middle) / rest_length,
-        bending=leg.young_modulus * leg.width * _thickness(leg, bent) ** 3 / 12 / extent,
+        axial=leg.young_modulus
+        * leg.width
+        * _thickness(leg, (fraction[1:] + fraction[:-1]) / 2)
+        / rest_length,
+        bending=(per_angle / extent)[:-1],
+        anchor=anchor,
+        anchor_share=float(before[-1] / extent[anchor]),
         damping_time=leg.damping_time,
     )
+
+
+def _weights(step: Array) -> Array:
+    """(n + 1,) weights of a sum over n equal steps: trapezoidal rule with Gregory's correction.
+
+    Of third order in the step where the summand is smooth, as the curvature is on each side of the
+    anchor; at the anchor it jumps by what the tendon leaves there.
+    """
+    weight = np.zeros(len(step) + 1)
+    weight[:-1] += step / 2
+    weight[1:] += step / 2
+    if len(step):
+        weight[[0, -1]] -= step[0] / 12
+        weight[1] += step[0] / 12
+        weight[-2] += step[0] / 12
+    return weight
 
 
 def segments(nodes: int, lanes: tuple[int, ...] = ()) -> Segments:
@@ -85,13 +128,6 @@ def segments(nodes: int, lanes: tuple[int, ...] = ()) -> Segments:
     n = nodes - 1
     shapes = [(n, 2), *[(n,)] * 6, (nodes,)]
     return Segments(*(np.zeros(shape + lanes) for shape in shapes))
-
-
-def _equal_arcs(leg: Leg, nodes: int) -> Array:
-    """Abscissae of the natural shape at equal arc length."""
-    x = np.linspace(0.0, leg.reach, 4001)
-    arc = cumulative_simpson(np.hypot(1.0, leg.shape.deriv()(x)), x=x, initial=0.0)
-    return np.interp(np.linspace(0.0, arc[-1], nodes), arc, x)
 
 
 def _thickness(leg: Leg, fraction: Array) -> Array:

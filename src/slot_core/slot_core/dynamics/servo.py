@@ -1,14 +1,21 @@
 """The servo of a tendon: a position loop whose speed the load bounds.
 
-The loop turns the spool at (command - angle) / lag. `torque_speed` bounds it by the line of a DC
-motor at full voltage, with load torque tau = r_spool T pulling back:
+`torque_speed` turns the spool at (command - angle) / lag, within the line of a DC motor at full
+voltage, with load torque tau = r_spool T pulling back:
 
     -w0 (1 + tau / tau_stall) <= rate <= w0 (1 - tau / tau_stall)
 
-(ROBOTIS XL430-W250: 1.4 N m stall, 57 rpm no load at 11.1 V). `ideal` bounds the rate only.
+(ROBOTIS XL430-W250: 1.4 N m stall, 57 rpm no load at 11.1 V). `ideal` bounds the rate only. `pid`
+is the loop inside the servo: duty u = clip(k_p e + k_i int e dt - k_d w, -1, 1) with e = command -
+angle; the integral rests while the duty is at its limit; the motor follows its line within
+motor_time: motor_time dw/dt = w0 (u - tau / tau_stall) - w.
+
+Backlash: the spool lies within half of it on either side of the motor, and a taut tendon pulls it
+to the lower side. The encoder, hence the loop, sees the spool.
 """
 
 # mypy: disable-error-code="no-untyped-def"
+# ruff: noqa: PLR0917 - kernels take their arguments by position
 
 from __future__ import annotations
 
@@ -19,17 +26,23 @@ from typing import NamedTuple
 from slot_core import config
 from slot_core.config import choice, quantity
 from slot_core.dynamics.compiled import helper
+from slot_core.dynamics.lanes import like, where
 
 
 @dataclass(frozen=True)
 class ServoSettings:
     """What `config/servo.yaml` holds on the servo as a mechanism."""
 
-    model: str = choice("how the load bounds the speed", "torque_speed", "ideal")
+    model: str = choice("how it follows the command", "torque_speed", "ideal", "pid")
     lag: float = quantity("time constant of the position loop", "s", 1e-3, 1.0)
     stall_torque: float = quantity("torque at rest and full voltage", "N m", 0.01, 100.0)
     no_load_rpm: float = quantity("speed without load", "rev/min", 1.0, 1000.0)
     ideal_rpm: float = quantity("largest speed of the ideal servo", "rev/min", 1.0, 1000.0)
+    proportional: float = quantity("of the pid: duty per angle", "1/rad", 0.0, 1e3)
+    integral: float = quantity("of the pid: duty per angle and time", "1/(rad s)", 0.0, 1e4)
+    derivative: float = quantity("of the pid: duty per speed", "s/rad", 0.0, 1e2)
+    motor_time: float = quantity("time constant of the motor behind the pid", "s", 0.0, 1.0)
+    backlash_deg: float = quantity("play between motor and spool", "deg", 0.0, 10.0)
 
 
 class Servo(NamedTuple):
@@ -38,6 +51,12 @@ class Servo(NamedTuple):
     gain: float  # 1/s
     speed: float  # rad/s
     yielding: float  # 1/(N m), relative loss of speed per torque
+    pid: bool
+    proportional: float  # 1/rad
+    integral: float  # 1/(rad s)
+    derivative: float  # s/rad
+    motor_time: float  # s
+    play: float  # rad, half the backlash
 
 
 def read_servo() -> ServoSettings:
@@ -53,13 +72,51 @@ def servo(settings: ServoSettings) -> Servo:
         gain=1.0 / settings.lag,
         speed=rpm * math.tau / 60.0,
         yielding=0.0 if ideal else 1.0 / settings.stall_torque,
+        pid=settings.model == "pid",
+        proportional=settings.proportional,
+        integral=settings.integral,
+        derivative=settings.derivative,
+        motor_time=settings.motor_time,
+        play=math.radians(settings.backlash_deg) / 2,
     )
 
 
 @helper
+def turn(law, drive, command, angle, torque, h):
+    """Mean rate of the tendon angle over the next h (s), rad/s, positive when pulling.
+
+    drive (3,): motor's angle from the spool's (rad), its speed (rad/s) and the integral's duty.
+    """
+    rate = (
+        regulate(law, drive, command, angle, torque, h)
+        if law.pid
+        else turning_rate(law, command, angle, torque)
+    )
+    if law.play == 0.0:
+        return rate
+    ahead = drive[0] + h * rate
+    free = min(max(ahead, like(-law.play, ahead)), like(law.play, ahead))
+    drive[0] = where(torque > 0.0, like(law.play, ahead), free)
+    return (ahead - drive[0]) / h
+
+
+@helper
 def turning_rate(law, command, angle, torque):
-    """Rate of the tendon angle, rad/s, positive when pulling."""
+    """Rate of the motor of the models without a pid, rad/s."""
     rate = law.gain * (command - angle)
     upper = law.speed * (1.0 - law.yielding * torque)
     lower = -law.speed * (1.0 + law.yielding * torque)
     return min(max(rate, lower), upper)
+
+
+@helper
+def regulate(law, drive, command, angle, torque, h):
+    """Rate of the motor behind a pid, rad/s; updates its speed and its integral."""
+    error = command - angle
+    grown = drive[2] + law.integral * h * error
+    duty = law.proportional * error + grown - law.derivative * drive[1]
+    bounded = min(max(duty, like(-1.0, duty)), like(1.0, duty))
+    drive[2] = where((duty - bounded) * error > 0.0, drive[2], grown)
+    target = law.speed * (bounded - law.yielding * torque)
+    drive[1] += (target - drive[1]) * (h / (law.motor_time + h))
+    return drive[1]

@@ -43,7 +43,9 @@ class Simulator:
         self._legs = leg_lanes(self.model, self.state)
         self._work = work_space()
         self._segments = segments(scene.solver.nodes)
-        start, scheme = state_space(scene.solver.nodes), build_scheme(scene.solver)
+        bristles = self.model.floor.bristle > 0.0
+        start = state_space(scene.solver.nodes, bristles)
+        scheme = build_scheme(scene.solver)
         self._machine = Handle((self.model, self.state, self._work, start, self._legs, scheme))
         self._points = np.zeros((2, 4, scene.solver.nodes, 3))
         self._steps = 0
@@ -69,6 +71,17 @@ class Simulator:
         arm = np.einsum("ij,lnj->lni", self.state.rotation.T, self.nodes - self.position)
         body = self.state.rotation.T @ velocity + np.cross(angular_velocity, arm)
         self.state.node_velocity[:] = np.einsum("lij,lnj->lni", self.model.axes, body)
+
+    def push(self, force: Array, moment: Array) -> None:
+        """Add an outer force (3,), N, and moment (3,), N m, on the torso's centre, in odom.
+
+        They act from now on; adding the opposite ends that.
+        """
+        self.model.push[:] += [*force, *moment]
+
+    def spoil_tendon(self, leg: int, slack: float = 0.0, broken: bool = False) -> None:
+        """From now on a leg's tendon is longer by `slack` (m), or broken."""
+        self.model.fault[:, leg] = slack, not broken
 
     @property
     def time(self) -> float:
@@ -151,7 +164,7 @@ class Simulator:
     def ground_force(self) -> Array:
         """(4, 3) N in odom, what the floor exerts on each leg now."""
         force = np.zeros((4, 3))
-        observe.ground_forces(self.model, *self._observe(), force)
+        observe.ground_forces(self.model, self.state, *self._observe(), force)
         return force
 
     def momentum(self) -> tuple[Array, Array]:
@@ -161,7 +174,7 @@ class Simulator:
         return out[0], out[1]
 
     def energy(self) -> float:
-        """J: kinetic, gravity (zero at odom's origin), rods, cables, floor springs below legs."""
+        """J: kinetic, gravity (zero at odom's origin), rods, cables, floor and bristles."""
         return float(observe.energy(self.model, self.state, self._segments, *self._observe()))
 
     def _observe(self) -> tuple[Array, Array]:

@@ -1,19 +1,25 @@
-"""The routed tendon: from the spool through the clamp, at offset d below the centre line.
+"""The tendon of a leg: routed along it, or straight from a pulley; slack or broken.
 
-Its length is l = sum_i w_i l_i + d sum_i v_i psi_i over the rod's segments and turning angles, with
-weights 1 up to the anchor and the covered fraction of the cell that holds the anchor (one half
-where the anchor is a node). The spool leaves l_cmd = l_natural + slack - r_spool theta, hence
+Routed, it runs from the spool through the clamp at offset d below the centre line. Its length is
+l = sum_i w_i l_i + d sum_i v_i psi_i over the rod's segments and turning angles, with weights 1 up
+to the node of the anchor, and there the share v of its bending that lies before it. Straight, it is
+the line from a pulley on the torso to the anchor, l = |r_a - p| (the paper's virtual pulley). The
+spool leaves l_cmd = l_natural + slack - r_spool theta, hence
 
     T = max(0, k (l - l_cmd) + c d(l - l_cmd)/dt),      nodal forces -T grad l.
 
-k is the cable in series with d^2 sum v_i (1 - v_i) / B_i, the bending of the anchor's own cell,
-which the weights leave out; it makes the convergence second order (with v = 1/2: d^2 / (4 B)).
+Routed, k is the cable in series with d^2 v (1 - v) / B of the anchor's node, whose bending the
+weight cannot divide; without it convergence is of first order. The tangent of a straight tendon
+leaves out how its direction turns with the torso: T/l, some N/mm, against the torso's inertia in
+a step, some kN/mm.
 """
 
 # mypy: disable-error-code="no-untyped-def"
+# ruff: noqa: PLR0917 - kernels take their arguments by position
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -27,8 +33,11 @@ from slot_core.robot import Tendon as TendonSettings
 class Tendon(NamedTuple):
     """Gradient weights, stiffness and spool of a tendon on a rod."""
 
-    along: Array  # (N-1,) w_i
-    around: Array  # (N-1,) m, d v_i
+    along: Array  # (N-1,) w_i, zero where straight
+    around: Array  # (N-1,) m, d v_i, zero where straight
+    straight: bool
+    anchor: int  # node where it ends
+    pulley: Array  # (2,) m from the clamp, x and z in leg axes
     relaxed: float  # m, l_cmd at tendon angle zero
     stiffness: float  # N/m
     damping: float  # N s/m
@@ -36,39 +45,75 @@ class Tendon(NamedTuple):
 
 
 def route(rod: Rod, settings: TendonSettings) -> Tendon:
-    """Lay the tendon along a rod in its natural shape."""
-    cells = len(rod.rest_length)
-    anchor = settings.end_fraction * cells  # in cells; node i bends over [i - 1/2, i + 1/2]
-    along = np.clip(anchor - np.arange(cells), 0.0, 1.0)
-    covered = np.clip(anchor - np.arange(cells) + 0.5, 0.0, 1.0)
-    covered[0] = 1.0  # the clamp's half cell
-    uncovered = np.sum(covered * (1.0 - covered) / rod.bending)
-    natural = along @ rod.rest_length + settings.offset * (covered @ rod.rest_angle)
+    """Lay the tendon on a rod in its natural shape."""
+    straight, end = settings.routing == "straight", rod.anchor
+    before: Array = (np.arange(len(rod.rest_length)) < end).astype(float)
+    around = settings.offset * before
+    give = 1.0 / settings.cable_stiffness
+    if end < len(around):
+        around[end] = settings.offset * rod.anchor_share
+        share = rod.anchor_share * (1.0 - rod.anchor_share)
+        give += (not straight) * settings.offset**2 * share / rod.bending[end]
+    natural = float(before @ rod.rest_length + around @ rod.rest_angle)
+    if straight:
+        natural = math.dist(rod.node[end], settings.pulley)
     return Tendon(
-        along=along,
-        around=settings.offset * covered,
-        relaxed=float(natural + settings.slack),
-        stiffness=float(1.0 / (1.0 / settings.cable_stiffness + settings.offset**2 * uncovered)),
+        along=before * (not straight),
+        around=around * (not straight),
+        straight=straight,
+        anchor=end,
+        pulley=settings.pulley,
+        relaxed=natural + settings.slack,
+        stiffness=1.0 / give,
         damping=settings.cable_damping,
         spool_radius=settings.spool_radius,
     )
 
 
 @helper
-def pull(s, tendon, angle, rate):
-    """Tension (N, zero when slack) at tendon angle (rad) and rate (rad/s), after `measure`."""
-    stretch = tendon.spool_radius * angle - tendon.relaxed
-    speed = tendon.spool_radius * rate
+def pull(s, tendon, angle, rate, line, fault):
+    """Tension (N, zero when slack) at tendon angle (rad) and rate (rad/s), after `measure`.
+
+    line: (length, its rate) of a straight tendon, else zero; fault (2,): slack (m) beside the usual
+    one, and 1, or 0 for a broken tendon.
+    """
+    stretch = tendon.spool_radius * angle - tendon.relaxed + line[0] - fault[0]
+    speed = tendon.spool_radius * rate + line[1]
     for i in range(s.length.size):
         stretch += tendon.along[i] * s.length[i] + tendon.around[i] * s.turn[i]
         speed += tendon.along[i] * s.stretch_rate[i] + tendon.around[i] * s.turn_rate[i]
-    return max(0.0, tendon.stiffness * stretch + tendon.damping * speed)
+    return fault[1] * max(0.0, tendon.stiffness * stretch + tendon.damping * speed)
 
 
 @helper
-def cable_energy(s, tendon, angle):
-    """J, stored in the taut cable, after `measure`."""
-    stretch = tendon.spool_radius * angle - tendon.relaxed
+def stretch_line(out, tendon, node, velocity, turn, turning):
+    """Length and rate of a straight tendon; writes out (3,): its direction and 1 / length.
+
+    node (N, 2), velocity (N, 3) in leg axes; turn (rad) and turning (rad/s) of the clamp.
+    """
+    a, px, pz = tendon.anchor, tendon.pulley[0], tendon.pulley[1]
+    x = node[a, 0] - (node[0, 0] + px - turn * pz)
+    z = node[a, 1] - (node[0, 1] + pz + turn * px)
+    vx = velocity[a, 0] - (velocity[0, 0] - turning * pz)
+    vz = velocity[a, 2] - (velocity[0, 2] + turning * px)
+    length = math.sqrt(x * x + z * z)
+    out[2] = 1.0 / length
+    out[0], out[1] = x * out[2], z * out[2]
+    return length, out[0] * vx + out[1] * vz
+
+
+@helper
+def straight_length(tendon, node):
+    """Length of a straight tendon on a leg at nodes (N, 2) from the clamp, m."""
+    x = node[tendon.anchor, 0] - tendon.pulley[0]
+    z = node[tendon.anchor, 1] - tendon.pulley[1]
+    return math.sqrt(x * x + z * z)
+
+
+@helper
+def cable_energy(s, tendon, angle, line, fault):
+    """J, stored in the taut cable, after `measure`; line and fault as for `pull`."""
+    stretch = tendon.spool_radius * angle - tendon.relaxed + line - fault[0]
     for i in range(s.length.size):
         stretch += tendon.along[i] * s.length[i] + tendon.around[i] * s.turn[i]
-    return 0.5 * tendon.stiffness * max(0.0, stretch) ** 2
+    return fault[1] * 0.5 * tendon.stiffness * max(0.0, stretch) ** 2
