@@ -217,7 +217,7 @@ def dynamics_rows(repeats: int = 9) -> Iterator[dict[str, Any]]:
     """Frequencies of modes and chain, and the dense algebra that modes would need in each step."""
     robot = straight(read_robot())
     for modes in TABLE:
-        leg = ModalLeg(robot, contacts()["tip"], modes, gravity=0.0)
+        leg = ModalLeg(robot, contacts()["tip"], modes)
         yield _frequency_row({"unknowns": modes.unknowns}, leg.frequencies())
     for nodes in (CHAIN_NODES, 31, 61):
         yield _frequency_row({"chain": nodes, "unknowns": 2 * (nodes - 1)}, chain(robot, nodes))

@@ -93,7 +93,6 @@ class ModalLeg:
         contact: Contact,
         modes: Modes = MODES,
         *,
-        gravity: float = GRAVITY,
         settings: Continuation = CONTINUATION,
         nodes: int = 22,
     ):
@@ -105,7 +104,6 @@ class ModalLeg:
         self._tip = self._rows(np.ones(1))[0]
         self._end_turn = self.basis.weight @ self.basis.curve
         self._stiffness = np.array(contact.stiffness)
-        self._gravity = gravity
         self.reset()
 
     def reset(self) -> None:
@@ -139,8 +137,11 @@ class ModalLeg:
         return Standing(float(self._state[-1]), self._equilibrium())
 
     def bend(self, force: tuple[float, float] = (0.0, 0.0), moment: float = 0.0) -> Array:
-        """Shape (nodes, 2), m, in the air under a dead force (N) and a moment (N m) at the tip."""
-        self._hang()
+        """Shape (nodes, 2), m, under a dead force (N) and a moment (N m) at the tip.
+
+        In the air, without weight, at tendon angle zero. Raises NoEquilibriumError.
+        """
+        self.reset()
         end = self._load._replace(force_x=force[0], force_z=force[1], moment=moment)
         self._follow(end, held=True)
         return self.shape()
@@ -184,7 +185,7 @@ class ModalLeg:
     def _hang(self) -> None:
         """In the air, at angle zero, by its own weight."""
         self.reset()
-        self._follow(self._load._replace(gravity=self._gravity), held=True)
+        self._follow(self._load._replace(gravity=GRAVITY), held=True)
         _, sin, grow = self._sections()
         touching = float(-(self._points @ (grow * sin)).min())
         self._place(touching)
@@ -212,7 +213,7 @@ class ModalLeg:
         """Whether the last equilibrium is on the path in the angle that is asked for."""
         load = self._load
         same = (load.height if held else load.carried) == value
-        return self._held == held and same and load[3:] == (self._gravity, 0.0, 0.0, 0.0)
+        return self._held == held and same and load[3:] == (GRAVITY, 0.0, 0.0, 0.0)
 
     def _follow(self, end: Load, held: bool) -> None:
         """Go to another load; raises NoEquilibriumError at the last equilibrium before it."""
