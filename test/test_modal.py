@@ -188,6 +188,15 @@ def test_end_of_the_branch_is_an_error_that_names_the_last_angle():
     assert min(beyond) > LOAD or max(beyond) < LOAD
 
 
+@pytest.mark.parametrize(("angle", "height"), [(np.nan, 0.05), (1.0, np.nan)])
+def test_nan_is_an_error_and_leaves_the_leg_usable(angle, height):
+    leg = ModalLeg(ROBOT, TIP)
+    before = leg.solve(1.0, 0.05).force
+    with pytest.raises(NoEquilibriumError, match="the branch ends"):
+        leg.solve(angle, height)
+    assert leg.solve(1.0, 0.05).force == pytest.approx(before, rel=1e-9)
+
+
 def test_a_leg_in_the_air_hangs_by_its_weight_and_carries_nothing():
     leg = ModalLeg(ROBOT, TIP)
     here = leg.solve(0.0, 0.12)

@@ -81,10 +81,10 @@ class Derivatives(NamedTuple):
 class ModalLeg:
     """One leg, its clamp horizontal and held or free to rise, on a floor without friction.
 
-    Dynamics in these modes would not pay. With 12 unknowns a step of four legs needs 7.6 us for the
-    products and factors of the dense mass matrices alone (two iterations), which is more than twice
-    the whole step of the chain of 22 nodes and as much as one of 61 nodes, whose third frequency is
-    as exact (0.3 %).
+    Dynamics in these modes would not pay. With 12 unknowns a step of four legs needs 7 to 10 us for
+    the products and factors of the dense mass matrices alone (two iterations), which is twice the
+    whole step of the chain of 22 nodes and as much as one of 61 nodes, whose third frequency is as
+    exact (0.3 %).
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class ModalLeg:
     ):
         """nodes: how many points of the shape an `Equilibrium` holds."""
         self.modes, self.basis = modes, build_basis(robot, modes, GAUSS_POINTS)
-        self.settings, self._tendon, self._contact = settings, robot.tendon, contact
+        self.settings, self._tendon = settings, robot.tendon
         self._nodes = self._rows(np.linspace(0.0, 1.0, nodes))
         self._points = self._rows(np.array(contact.fraction))
         self._tip = self._rows(np.ones(1))[0]
