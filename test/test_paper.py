@@ -15,7 +15,7 @@ from slot_core.dynamics.paper_model import read_paper
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.sensors import OdometryReading
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.simulator import Divergence
+from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.robot import GRAVITY, read_robot
 
 ROBOT = read_robot()
@@ -325,8 +325,8 @@ def test_at_the_printed_numbers_the_robot_is_lost_and_says_where():
 
 def test_a_plant_holds_it_in_place_of_the_simulator(monkeypatch):
     changed = functools.partial(PaperSimulator, settings=config.replace(PRINTED, STABLE))
-    monkeypatch.setattr(plant, "Simulator", changed)
-    scene = config.replace(read_scene("flat"), {"start.settle": 0.1})
+    monkeypatch.setitem(plant.MODELS, "paper", changed)
+    scene = config.replace(read_scene("paper"), {"start.settle": 0.1})
     robot = plant.Plant(ROBOT, scene, read_servo(), np.random.default_rng(1))
     robot.start(0)
     robot.command(np.full(4, 1.0))

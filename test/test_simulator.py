@@ -12,7 +12,8 @@ from slot_core.config import ConfigError
 from slot_core.dynamics import compiled
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.simulator import Divergence, Simulator
+from slot_core.dynamics.simulated_robot import Divergence
+from slot_core.dynamics.simulator import Simulator
 from slot_core.robot import GRAVITY, read_robot
 
 ROBOT = read_robot()

@@ -7,7 +7,7 @@ until the first command. So no run depends on the order of discovery.
 """
 
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from nav_msgs.msg import Odometry
@@ -23,7 +23,7 @@ from slot_core.dynamics.plant import JointReading, Plant, Reading, TrueState
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.sensors import ImuReading, OdometryReading
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.simulator import Divergence
+from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.robot import read_robot
 from slot_msgs.msg import LegStates
 from slot_nodes import messages, qos, runtime
@@ -50,7 +50,10 @@ class SimRobotNode(Node):
         settings = runtime.declare_settings(self, read_scene(scene), "scene.")
         servo = runtime.declare_settings(self, read_servo(), "servo.")
         self.get_logger().info("preparing; a first start compiles the dynamics, about 10 s")
-        self._plant = Plant(read_robot(), settings, servo, np.random.default_rng(seed))
+        try:
+            self._plant = Plant(read_robot(), settings, servo, np.random.default_rng(seed))
+        except Divergence as error:
+            self._give_up(error)
         self._frozen = True
         self._told = 0  # last time published on /clock, ns
         self._awaited = LOCKSTEP_START  # stamp of the odometry whose command lets the plant go on
@@ -138,8 +141,11 @@ class SimRobotNode(Node):
         try:
             yield from readings
         except Divergence as error:
-            self.get_logger().fatal(f"simulation stopped: {error}")
-            raise SystemExit(1) from None
+            self._give_up(error)
+
+    def _give_up(self, error: Divergence) -> NoReturn:
+        self.get_logger().fatal(f"simulation stopped: {error}")
+        raise SystemExit(1) from None
 
     def _publish(self, reading: Reading) -> None:
         if self._lockstep and self._told != self._plant.now:

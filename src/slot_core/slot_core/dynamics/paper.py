@@ -54,8 +54,6 @@ and its reaction moves the torso, without the gyroscopic term (eq. 4, 5):
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from slot_core.config import ConfigError
@@ -72,8 +70,7 @@ from slot_core.dynamics.paper_model import (
 )
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
-from slot_core.dynamics.simulated_robot import SimulatedRobot
-from slot_core.dynamics.simulator import Divergence
+from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
 from slot_core.robot import LEGS, Array, Robot
 
 
@@ -89,7 +86,7 @@ class PaperLeg:
         self.model = leg_model(robot, settings, touching=0, base_load=0.0)
         self.state = leg_state(self.model, 1)
         self._machine = Handle((self.model, self.state))
-        self._steps = 0
+        self.steps = 0
 
     def advance(self, steps: int, tension: float) -> None:
         """Advance `steps` steps of `settings.step` with a tension, N, held.
@@ -98,14 +95,14 @@ class PaperLeg:
         """
         self.state.tension[0] = tension
         done, lost = advance_legs(self._machine, steps, self.settings.step)
-        self._steps += done
+        self.steps += done
         if lost >= 0:
             raise _divergence(self.time, self.settings, f"node {lost}")
 
     @property
     def time(self) -> float:
         """Seconds since the start."""
-        return self._steps * self.settings.step
+        return self.steps * self.settings.step
 
     @property
     def nodes(self) -> Array:
@@ -133,9 +130,6 @@ class PaperSimulator(SimulatedRobot):
     `settings.step`; Divergence when settling is unstable, as it is with the printed numbers.
     """
 
-    halvings = 0  # of steps: there is no step control
-    indefinite_steps = 0
-
     def __init__(
         self,
         robot: Robot,
@@ -153,7 +147,6 @@ class PaperSimulator(SimulatedRobot):
         self.legs, self.state = leg_state(self.model, 4), torso_state(scene.start.height)
         self._machine = Handle((self.model, self.legs, self.torso, self.state))
         self._angle, self._rate = np.zeros(4), np.zeros(4)
-        self._steps = 0
         self._settle()
 
     def advance(self, steps: int, command: Array) -> None:
@@ -166,15 +159,10 @@ class PaperSimulator(SimulatedRobot):
         self._turn_spools(command, steps)
         h = self.scene.solver.step / self._pieces
         done, lost = advance_robot(self._machine, steps, self._pieces, h)
-        self._steps += done
+        self.steps += done
         if lost >= 0:
             leg, node = divmod(lost, self.settings.nodes)
             raise _divergence(self.time, self.settings, f"leg {LEGS[leg]} node {node}")
-
-    @property
-    def time(self) -> float:
-        """Seconds since the end of settling."""
-        return self._steps * self.scene.solver.step
 
     @property
     def tendon_angle(self) -> Array:
@@ -190,11 +178,6 @@ class PaperSimulator(SimulatedRobot):
     def tension(self) -> Array:
         """(4,) N."""
         return self.legs.tension.copy()
-
-    @property
-    def servo_torque(self) -> Array:
-        """(4,) N m: tension times spool radius."""
-        return self.legs.tension * self.robot.tendon.spool_radius
 
     @property
     def nodes(self) -> Array:
@@ -227,12 +210,6 @@ class PaperSimulator(SimulatedRobot):
             self.legs.tension[:] = self.settings.tension_scale * tension_of(
                 self.settings, self.robot, command
             )
-
-    def _settle(self) -> None:
-        start = self.scene.start
-        command = np.full(4, math.radians(start.tendon_angle_deg))
-        self.advance(round(start.settle / self.scene.solver.step), command)
-        self._steps = 0
 
 
 def _vertical(scene: Scene) -> float:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from slot_core.dynamics.paper import PaperSimulator
 from slot_core.dynamics.scene import Push, Scene
 from slot_core.dynamics.sensors import (
     ImuReading,
@@ -18,6 +19,7 @@ from slot_core.dynamics.sensors import (
     true_odometry,
 )
 from slot_core.dynamics.servo import ServoSettings
+from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.dynamics.simulator import Simulator
 from slot_core.robot import Array, Robot
 
@@ -55,6 +57,14 @@ class _Event:
     action: Callable[[], list[Reading]] = field(compare=False)
 
 
+MODELS: dict[str, type[SimulatedRobot]] = {"rod": Simulator, "paper": PaperSimulator}
+
+
+def simulate(robot: Robot, scene: Scene, servo: ServoSettings) -> SimulatedRobot:
+    """The robot with the legs that `scene.solver.legs` names, settled at its start."""
+    return MODELS[scene.solver.legs](robot, scene, servo)
+
+
 class Plant:
     """Simulator, servos and sensors on one clock; readings are handed out as they fall due.
 
@@ -64,7 +74,7 @@ class Plant:
 
     def __init__(self, robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator):
         odometry_rng, imu_rng = rng.spawn(2)
-        self.simulator = Simulator(robot, scene, servo)
+        self.simulator = simulate(robot, scene, servo)
         self.now = 0  # ns
         self._scene = scene
         self._step = round(scene.solver.step * 1e9)

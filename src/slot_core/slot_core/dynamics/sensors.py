@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slot_core.dynamics.scene import ImuSettings, OdometrySettings
-from slot_core.dynamics.simulator import Simulator
+from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.robot import Array
 
 
@@ -32,7 +32,7 @@ class ImuReading:
     specific_force: Array  # (3,) m/s^2
 
 
-def true_odometry(sim: Simulator, stamp: int) -> OdometryReading:
+def true_odometry(sim: SimulatedRobot, stamp: int) -> OdometryReading:
     """Odometry without noise."""
     velocity = sim.rotation.T @ sim.velocity
     return OdometryReading(stamp, sim.position, sim.quaternion, velocity, sim.angular_velocity)
@@ -44,7 +44,7 @@ class OdometrySensor:
     def __init__(self, settings: OdometrySettings, rng: np.random.Generator):
         self._settings, self._rng = settings, rng
 
-    def sample(self, sim: Simulator, stamp: int) -> OdometryReading:
+    def sample(self, sim: SimulatedRobot, stamp: int) -> OdometryReading:
         """Reading at `stamp` (ns); the noise of the orientation is a rotation vector in odom."""
         truth, noise = true_odometry(sim, stamp), self._rng.normal(size=(4, 3))
         s = self._settings
@@ -65,7 +65,7 @@ class ImuSensor:
         self._settings, self._rng = settings, rng
         self.bias = settings.rate_bias * rng.normal(size=3)
 
-    def sample(self, sim: Simulator, stamp: int) -> ImuReading:
+    def sample(self, sim: SimulatedRobot, stamp: int) -> ImuReading:
         """Reading at `stamp` (ns)."""
         rate_noise, force_noise = self._rng.normal(size=(2, 3))
         return ImuReading(

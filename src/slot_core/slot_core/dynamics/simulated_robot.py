@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from typing import Protocol
 
 import numpy as np
 
+from slot_core.config import ConfigError
 from slot_core.dynamics.scene import Scene
-from slot_core.dynamics.simulator import quaternion
+from slot_core.dynamics.servo import ServoSettings
 from slot_core.robot import Array, Robot
+
+
+class Divergence(RuntimeError):  # noqa: N818 - it names the event
+    """The solution is lost; the message names the time, the leg or the torso, and the node."""
 
 
 class RobotState(Protocol):
@@ -36,12 +42,80 @@ class RobotState(Protocol):
         """(3,) m/s^2, base_link, mean over the last step."""
 
 
-class SimulatedRobot:
-    """Readings of a robot's torso and the check of its command; all arrays returned are copies."""
+class SimulatedRobot(ABC):
+    """A robot in a scene, advanced in steps of `scene.solver.step`, whatever moves its legs.
+
+    All arrays that are returned are copies; legs are in the order FL FR RL RR.
+    """
 
     robot: Robot
     scene: Scene
     state: RobotState
+    steps = 0  # since the end of settling
+
+    @abstractmethod
+    def __init__(self, robot: Robot, scene: Scene, servo: ServoSettings) -> None:
+        """Settle at `scene.start`; time counts from then."""
+
+    @abstractmethod
+    def advance(self, steps: int, command: Array) -> None:
+        """Advance `steps` steps with the commanded tendon angles (4,), rad, held.
+
+        Raises ValueError on a command of the wrong shape, not finite or outside [0, angle_max], and
+        Divergence when a speed is not finite or beyond the limit.
+        """
+
+    def push(self, force: Array, moment: Array) -> None:
+        """Add an outer force (3,), N, and moment (3,), N m, on the torso's centre, in odom.
+
+        They act from now on; adding the opposite ends that. Raises ConfigError for a model without.
+        """
+        raise ConfigError(f"legs of the model {self.scene.solver.legs!r} know no pushes")
+
+    @property
+    def halvings(self) -> int:
+        """How often a step was taken again in pieces half as long."""
+        return 0
+
+    @property
+    def indefinite_steps(self) -> int:
+        """Steps in which a pivot was not positive: a sign of a fold or of too large a step."""
+        return 0
+
+    @property
+    def time(self) -> float:
+        """Seconds since the end of settling."""
+        return self.steps * self.scene.solver.step
+
+    @property
+    @abstractmethod
+    def tendon_angle(self) -> Array:
+        """(4,) rad, angle of the spools."""
+
+    @property
+    @abstractmethod
+    def tendon_rate(self) -> Array:
+        """(4,) rad/s, over the last step."""
+
+    @property
+    @abstractmethod
+    def tension(self) -> Array:
+        """(4,) N, of the tendons."""
+
+    @property
+    @abstractmethod
+    def nodes(self) -> Array:
+        """(4, N, 3) m, nodes of the legs in odom, clamp first."""
+
+    @property
+    @abstractmethod
+    def ground_force(self) -> Array:
+        """(4, 3) N in odom, what the floor exerts on each leg now."""
+
+    @property
+    def servo_torque(self) -> Array:
+        """(4,) N m, load on the servos: tension times spool radius."""
+        return self.tension * self.robot.tendon.spool_radius
 
     @property
     def position(self) -> Array:
@@ -80,6 +154,12 @@ class SimulatedRobot:
         """(3,) m/s^2, base_link: acceleration minus gravity at the centre, mean over a step."""
         return self.state.specific_force.copy()
 
+    def _settle(self) -> None:
+        start = self.scene.start
+        command = np.full(4, math.radians(start.tendon_angle_deg))
+        self.advance(round(start.settle / self.scene.solver.step), command)
+        self.steps = 0
+
     def checked(self, command: Array) -> Array:
         """The command as `advance` takes it; raises ValueError as it does."""
         command = np.array(command, dtype=np.float64)
@@ -89,3 +169,18 @@ class SimulatedRobot:
         if not all(0.0 <= angle <= limit for angle in command.tolist()):
             raise ValueError(f"command {command} rad is not inside [0, {limit:.6f}]")
         return command
+
+
+def quaternion(rotation: Array) -> Array:
+    """(4,) x y z w of a rotation matrix, w >= 0 (Bar-Itzhack: eigenvector of a 4 x 4 matrix)."""
+    r = rotation
+    k = np.array(
+        [
+            [r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[2, 0] + r[0, 2], r[2, 1] - r[1, 2]],
+            [0.0, r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2], r[0, 2] - r[2, 0]],
+            [0.0, 0.0, r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
+            [0.0, 0.0, 0.0, r[0, 0] + r[1, 1] + r[2, 2]],
+        ]
+    )
+    q = np.linalg.eigh(k, UPLO="U")[1][:, -1]
+    return q if q[3] >= 0.0 else -q
