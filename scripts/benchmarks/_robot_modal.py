@@ -17,9 +17,8 @@ from scipy.linalg import eigh
 
 from slot_core.dynamics.leg_map import StaticLeg
 from slot_core.dynamics.modal import ModalLeg
-from slot_core.dynamics.modal_basis import Contact, Modes, spread_contact, tip_contact
+from slot_core.dynamics.modal_basis import Contact, Modes, tip_contact
 from slot_core.dynamics.rod import discretise
-from slot_core.dynamics.scene import read_scene
 from slot_core.evaluation.benchmark import cpu_time
 from slot_core.robot import GRAVITY, Array, Robot, read_robot
 
@@ -147,8 +146,10 @@ def guess(leg: ModalLeg, third: float) -> list[float]:
 
 def contacts() -> dict[str, Contact]:
     """The tip alone, and the points of the simulator's nodes, each as stiff as in the scene."""
-    stiffness = read_scene("flat").floor.stiffness
-    return {"tip": tip_contact(stiffness), "nodes": spread_contact(CHAIN_NODES - 1, stiffness)}
+    model = StaticLeg(read_robot(), CHAIN_NODES).model
+    points, stiffness = model.rod.arc[1:] / model.rod.arc[-1], model.floor.stiffness[1:]
+    nodes = Contact(tuple(points), tuple(stiffness))
+    return {"tip": tip_contact(stiffness[-1]), "nodes": nodes}
 
 
 def exact_heights(robot: Robot, contact: Contact, angles: Array) -> Array:
@@ -236,7 +237,7 @@ def _frequency_row(what: dict[str, Any], hertz: Array) -> dict[str, Any]:
 
 def chain(robot: Robot, nodes: int) -> Array:
     """(2 N - 2,) Hz of the simulator's chain, clamped, about its natural shape."""
-    rod, n = discretise(robot.leg, nodes), nodes - 1
+    rod, n = discretise(robot.leg, nodes, robot.tendon.end_fraction), nodes - 1
     along, turned = np.zeros((n, nodes, 2)), np.zeros((n + 1, nodes, 2))
     for i, chord in enumerate(np.diff(rod.node, axis=0)):
         tangent = chord / np.hypot(*chord)
