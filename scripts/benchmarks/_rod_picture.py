@@ -1,1 +1,2 @@
-def draw(rows, path): pass
+def draw(rows, path):
+    pass

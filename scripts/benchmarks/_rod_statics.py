@@ -95,7 +95,7 @@ def leg_rows() -> Iterator[dict[str, Any]]:
 
 
 def buckling_row(column: str, load: float, force: bool) -> dict[str, Any]:
-    """Critical load of a clamped column, pressed at its tip or by its weight, over the exact one."""
+    """Critical load of a clamped column, by its tip or its own weight, over the exact one."""
     rod, push = slender(STANDARD), (-COLUMN_OVERLOAD * load, 0.0)
     found = rod.solve_static(Loads(force=push) if force else Loads(gravity=push))
     error = abs(COLUMN_OVERLOAD * found.critical[0] - 1)

@@ -16,7 +16,7 @@ import _rod_statics as statics
 from slot_core.evaluation.benchmark import Check, Row, at_most
 
 REQUIRES = ("mujoco", "elastica")
-ELEMENTS = {True: (20, 30, 80), False: (10, 20, 30, 60, 80)}  # of PyElastica, by `quick`
+ELEMENTS = {True: (20, 30, 100), False: (10, 20, 30, 60, 100)}  # of PyElastica, by `quick`
 
 
 def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[Row], list[Check]]:
