@@ -25,6 +25,7 @@ def rows(exact: Array, repeats: int) -> Iterator[dict[str, Any]]:
         yield {
             "kind": "release",
             "simulator": "MuJoCo hinge chain",
+            "version": mujoco.__version__,
             "physics": DAMPED.name,
             "nodes": links + 1,
             "h": h,

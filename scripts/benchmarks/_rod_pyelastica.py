@@ -10,6 +10,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib.metadata import version
 from typing import Any
 
 import elastica
@@ -61,6 +62,7 @@ def rows(exact: Array, elements: tuple[int, ...]) -> Iterator[dict[str, Any]]:
         yield {
             "kind": "release",
             "simulator": f"PyElastica, clamp {'moved' if moved else 'as documented'}",
+            "version": version("pyelastica"),
             "physics": UNDAMPED_SHEAR.name,
             "nodes": count + 1,
             "h": h,

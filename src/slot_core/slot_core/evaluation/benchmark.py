@@ -149,7 +149,7 @@ def _need(name: str, packages: Sequence[str]) -> None:
     missing = [package for package in packages if importlib.util.find_spec(package) is None]
     if missing:
         raise BenchmarkError(
-            f"benchmark {name}: needs {', '.join(missing)}; scripts/setup --bench installs it"
+            f"benchmark {name}: needs {', '.join(missing)}; run scripts/setup --bench"
         )
 
 
