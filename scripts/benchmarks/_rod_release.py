@@ -60,7 +60,7 @@ UNDAMPED_SHEAR = Physics("undamped, shear", shear=True, damped=False)
 
 @dataclass(frozen=True)
 class Setting:
-    """A setting of ours that checks name beforehand; two iterations of the midpoint rule.
+    """A setting of ours that checks name beforehand: the midpoint rule with a single iteration.
 
     Not the best of all rows: where errors of space and time cancel, that would be luck.
     """
@@ -73,7 +73,7 @@ class Setting:
         """Its row."""
         wanted = {
             "simulator": OURS, "physics": self.physics.name, "nodes": self.nodes, "h": self.h,
-            "theta": 0.5, "iterations": 2,
+            "theta": 0.5, "iterations": 1,
         }  # fmt: skip
         return next(row for row in rows if wanted.items() <= row.items())
 

@@ -102,13 +102,13 @@ def point(mesh, work, e, g, inv):
 
     Keeps in work.measure what `_restress` needs of it.
     """
-    beta, lateral_beta = mesh.damping_time, mesh.shear_damping_time
+    beta, viscous = mesh.damping_time, 1.0 + mesh.damping_time * inv
     c, s, along, across, bend = strain(mesh, work.stage, 2 * e, g)
     e1, e2, e3 = along - mesh.strain[e, g, 0], across - mesh.strain[e, g, 1], bend
     e3 -= mesh.strain[e, g, 2]
     if beta * inv > 0.0:
         r1, r2, r3 = strain_rate(mesh, work.speed, 2 * e, g, c, s, along, across)
-        e1, e2, e3 = e1 + beta * r1, e2 + lateral_beta * r2, e3 + beta * r3
+        e1, e2, e3 = e1 + beta * r1, e2 + beta * r2, e3 + beta * r3
     axial, shear, bending = mesh.axial[e, g], mesh.shear[e, g], mesh.bending[e, g]
     normal, lateral, moment = axial * e1, shear * e2, bending * e3
     measure = work.measure[e, g]
@@ -117,8 +117,7 @@ def point(mesh, work, e, g, inv):
     fx, fy = normal * c - lateral * s, normal * s + lateral * c
     turn = normal * across - lateral * along
     normal, lateral = work.stress[e, g, 0], work.stress[e, g, 1]
-    viscous, lateral_viscous = 1.0 + beta * inv, 1.0 + lateral_beta * inv
-    axial, shear, bending = axial * viscous, shear * lateral_viscous, bending * viscous
+    axial, shear, bending = axial * viscous, shear * viscous, bending * viscous
     hxx = axial * c * c + shear * s * s
     hxy = (axial - shear) * c * s
     hyy = axial * s * s + shear * c * c
@@ -377,13 +376,13 @@ def stress_of(mesh, work):
 @helper
 def _restress(mesh, work, inv):
     """Carry N and Q along Newton's increment: stiffness times the linearised strains."""
-    viscous, lateral_viscous = 1.0 + mesh.damping_time * inv, 1.0 + mesh.shear_damping_time * inv
+    viscous = 1.0 + mesh.damping_time * inv
     for e in range(mesh.axial.shape[0]):
         for g in range(2):
             m = work.measure[e, g]
             d1, d2, _ = strain_rate(mesh, work.change, 2 * e, g, m[0], m[1], m[2], m[3])
             work.stress[e, g, 0] = m[4] + mesh.axial[e, g] * viscous * d1
-            work.stress[e, g, 1] = m[5] + mesh.shear[e, g] * lateral_viscous * d2
+            work.stress[e, g, 1] = m[5] + mesh.shear[e, g] * viscous * d2
 
 
 @kernel
