@@ -41,7 +41,7 @@ def release_rows(
     quick: bool, repeats: int, progress: Callable[[str], None]
 ) -> list[dict[str, Any]]:
     """The release test, ours and the peers'."""
-    import _rod_mujoco as mujoco_peer  # noqa: PLC0415 - not needed by those who ask for a name
+    import _rod_mujoco as mujoco_peer  # noqa: PLC0415 - once REQUIRES is checked
     import _rod_pyelastica as pyelastica_peer  # noqa: PLC0415
 
     rows, exact = [], {}
