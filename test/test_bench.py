@@ -91,6 +91,24 @@ def test_module_without_run_is_refused_by_name(places, capsys):
     assert "benchmark empty: has no function run" in capsys.readouterr().err
 
 
+def test_packages_that_are_not_installed_are_named_in_one_line(places, capsys):
+    source = 'REQUIRES = ("json", "no_such_peer", "nor_this")\n'
+    (places[0] / "rival.py").write_text(f'"""Races."""\n{source}{TINY}')
+    assert bench(places, "rival") == 2
+    line = "benchmark rival: needs no_such_peer, nor_this; run scripts/setup --bench\n"
+    assert capsys.readouterr().err == f"scripts/bench: {line}"
+    assert not places[1].exists()
+
+
+def test_benchmark_imports_its_parts_by_name(places):
+    (places[0] / "_part_of_tiny.py").write_text("GOAL = 3\n")
+    source = TINY.replace('"rows", len(rows), 3', '"rows", len(rows), _part_of_tiny.GOAL')
+    (places[0] / "tiny.py").write_text(
+        source.replace("import numpy", "import _part_of_tiny, numpy")
+    )
+    assert bench(places, "tiny", "--quick") == 0
+
+
 def test_list_gives_each_name_with_what_it_measures(places, capsys):
     (places[0] / "other.py").write_text('"""Measures other things."""\nraise SystemExit(9)\n')
     assert bench(places, "--list") == 0
@@ -163,11 +181,17 @@ def test_revision_outside_git_is_unknown(tmp_path, monkeypatch):
     assert benchmark.revision(tmp_path) == {"commit": None, "describe": None, "dirty": None}
 
 
-def test_script_sets_up_sources_the_environment_and_passes_its_arguments_and_exit_code(tmp_path):
+@pytest.mark.parametrize("needs", [False, True])
+def test_script_sets_up_sources_the_environment_and_passes_its_arguments_and_exit_code(
+    tmp_path, needs
+):
     scripts = tmp_path / "scripts"
-    scripts.mkdir()
+    (scripts / "benchmarks").mkdir(parents=True)
+    (scripts / "benchmarks/graph.py").write_text('REQUIRES = ("peer",)\n' * needs)
     (scripts / "bench").write_bytes((ROOT / "scripts" / "bench").read_bytes())
-    (scripts / "setup").write_text(f"#!/bin/sh\necho setup >> {tmp_path}/order\n")
+    # The packages cannot be installed; the benchmark is to say so, not the setup.
+    setup = f"#!/bin/sh\necho setup $* >> {tmp_path}/order\n[ $# = 0 ]\n"
+    (scripts / "setup").write_text(setup)
     python = 'python() { echo "python $*" >> "$root/order"; exit 7; }\n'
     (scripts / "env").write_text(f'echo env >> "$root/order"\nexec() {{ "$@"; }}\n{python}')
     for name in ("bench", "setup"):
@@ -177,4 +201,5 @@ def test_script_sets_up_sources_the_environment_and_passes_its_arguments_and_exi
     )
     assert ended.returncode == 7
     order = (tmp_path / "order").read_text().splitlines()
-    assert order == ["setup", "env", "python -m slot_core.evaluation.benchmark graph --quick"]
+    setups = ["setup", "setup --bench"] if needs else ["setup"]
+    assert order == [*setups, "env", "python -m slot_core.evaluation.benchmark graph --quick"]

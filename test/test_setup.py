@@ -18,6 +18,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 REQUIREMENTS = ROOT / "scripts/requirements"
+REQUIREMENT_FILES = ("build", "ros", "runtime", "test", "bench")
 PINNED = re.compile(r"^([A-Za-z0-9._-]+)==(\S+) \\$")
 HASH = re.compile(r"^    --hash=sha256:[0-9a-f]{64}( \\)?$")
 ENOUGH = 60  # s for one setup of a copy; it takes some 3 s
@@ -216,6 +217,28 @@ def test_two_setups_at_once_build_once(done: Copy) -> None:
     assert len(done.calls) == builds + 1
 
 
+@pytest.mark.parametrize("extra", ["test", "bench"])
+def test_extra_packages_are_installed_once_and_again_when_their_pins_change(
+    done: Copy, extra: str
+) -> None:
+    said = f"setup: installing the packages for --{extra}\n"
+    assert done.setup(f"--{extra}") == (0, said)
+    assert done.setup(f"--{extra}") == (0, "")
+    (done.root / f"scripts/requirements/{extra}.txt").write_text("# changed\n")
+    assert done.setup(f"--{extra}") == (0, said)
+
+
+def test_extra_packages_that_cannot_be_installed_are_an_error_each_time(copy: Copy) -> None:
+    bench = copy.root / "scripts/requirements/bench.txt"
+    bench.write_text(f"no-such-package==1.0 --hash=sha256:{'0' * 64}\n")
+    copy.variables["PIP_NO_INDEX"] = "1"
+    for _ in range(2):
+        status, said = copy.setup("--bench")
+        assert status == 1
+        assert "no-such-package" in said
+        assert str(copy.home / "log/setup-bench.log") in said.splitlines()[-1]
+
+
 def test_without_rights_setup_prints_the_line_to_run(copy: Copy) -> None:
     copy.only_own_tools()
     status, said = copy.setup()
@@ -238,10 +261,10 @@ def test_with_sudo_setup_installs_what_is_missing_itself(copy: Copy) -> None:
 def test_a_wrong_argument_gets_one_line_and_status_2(copy: Copy) -> None:
     status, said = copy.setup("--tests")
     assert status == 2
-    assert said == "setup: unknown arguments: --tests; known: --test\n"
+    assert said == "setup: unknown arguments: --tests; known: --test, --bench\n"
 
 
-@pytest.mark.parametrize("name", ["build", "ros", "runtime", "test"])
+@pytest.mark.parametrize("name", REQUIREMENT_FILES)
 def test_every_requirement_is_one_version_with_its_hashes(name: str) -> None:
     lines = (REQUIREMENTS / f"{name}.txt").read_text().splitlines()
     assert lines
@@ -251,7 +274,7 @@ def test_every_requirement_is_one_version_with_its_hashes(name: str) -> None:
             assert HASH.match(following), line
 
 
-@pytest.mark.parametrize("name", ["build", "ros", "runtime", "test"])
+@pytest.mark.parametrize("name", REQUIREMENT_FILES)
 def test_everything_asked_for_is_pinned(name: str) -> None:
     asked = re.findall(r"^([A-Za-z][\w.-]*)", (REQUIREMENTS / f"{name}.in").read_text(), re.M)
     assert asked
@@ -260,7 +283,7 @@ def test_everything_asked_for_is_pinned(name: str) -> None:
 
 def test_no_two_requirement_files_differ_in_a_version() -> None:
     every: dict[str, str] = {}
-    for name in ("build", "ros", "runtime", "test"):
+    for name in REQUIREMENT_FILES:
         for package, version in pins(name).items():
             assert every.setdefault(package, version) == version, package
 

@@ -35,7 +35,6 @@ from slot_core.robot import Array
 NODES = ((float(SHAPE[0, 0]), float(SHAPE[0, 1]), float(SHAPE[0, 2])),
          (float(SHAPE[1, 0]), float(SHAPE[1, 1]), float(SHAPE[1, 2])))  # fmt: skip
 
-
 LARGEST_INCREMENT = 1.0  # lengths and rad; a step that ends with more has diverged
 
 
@@ -49,6 +48,8 @@ class Work(NamedTuple):
     change: Array  # (n, 3) Newton's increment
     factor: Array  # (E, 9, 10) tangent | -gradient of the elements, then their elimination
     last: Array  # (3, 4) the same of the last node
+    unknowns: Array  # (3 n,) the memory of change
+    measure: Array  # (E, 2, 6) cos, sin, t.r', d.r' at the stage, N and Q of these times weight
     stress: Array  # (E, 2, 2) N and Q, times weight
     unconverged: Array  # (1,) steps whose last increment was above the tolerance
 
@@ -56,14 +57,17 @@ class Work(NamedTuple):
 def work_space(mesh: Mesh) -> Work:
     """A rod at rest in its natural shape."""
     elements, nodes = len(mesh.axial), len(mesh.natural)
+    change = np.zeros((nodes, 3))
     return Work(
         pose=mesh.natural.copy(),
         velocity=np.zeros((nodes, 3)),
         stage=mesh.natural.copy(),
         speed=np.zeros((nodes, 3)),
-        change=np.zeros((nodes, 3)),
+        change=change,
+        unknowns=change.reshape(-1),
         factor=np.zeros((elements, 9, 10)),
         last=np.zeros((3, 4)),
+        measure=np.zeros((elements, 2, 6)),
         stress=np.zeros((elements, 2, 2)),
         unconverged=np.zeros(1, dtype=np.int64),
     )
@@ -93,49 +97,63 @@ def strain_rate(mesh, v, k, g, c, s, along, across):
 
 
 @helper
+def point(mesh, work, e, g, inv):
+    """Gradient (x, y, a, a') and tangent (xx, xy, yy, xa, ya, aa, a'a') at Gauss's point g.
+
+    Keeps in work.measure what `_restress` needs of it.
+    """
+    beta, viscous = mesh.damping_time, 1.0 + mesh.damping_time * inv
+    c, s, along, across, bend = strain(mesh, work.stage, 2 * e, g)
+    e1, e2, e3 = along - mesh.strain[e, g, 0], across - mesh.strain[e, g, 1], bend
+    e3 -= mesh.strain[e, g, 2]
+    if beta * inv > 0.0:
+        r1, r2, r3 = strain_rate(mesh, work.speed, 2 * e, g, c, s, along, across)
+        e1, e2, e3 = e1 + beta * r1, e2 + beta * r2, e3 + beta * r3
+    axial, shear, bending = mesh.axial[e, g], mesh.shear[e, g], mesh.bending[e, g]
+    normal, lateral, moment = axial * e1, shear * e2, bending * e3
+    measure = work.measure[e, g]
+    measure[0], measure[1], measure[2], measure[3] = c, s, along, across
+    measure[4], measure[5] = normal, lateral
+    fx, fy = normal * c - lateral * s, normal * s + lateral * c
+    turn = normal * across - lateral * along
+    normal, lateral = work.stress[e, g, 0], work.stress[e, g, 1]
+    axial, shear, bending = axial * viscous, shear * viscous, bending * viscous
+    hxx = axial * c * c + shear * s * s
+    hxy = (axial - shear) * c * s
+    hyy = axial * s * s + shear * c * c
+    u, v = axial * across - lateral, normal - shear * along
+    hxa, hya = u * c - v * s, u * s + v * c
+    haa = axial * across * across + shear * along * along - normal * along - lateral * across
+    return (fx, fy, turn, moment), (hxx, hxy, hyy, hxa, hya, haa, bending)
+
+
+@helper
 def element(mesh, work, e, inv, F):
-    """Add tangent (upper half) and negative gradient of element e to F (9, 10)."""
-    k, beta = 2 * e, mesh.damping_time
-    lateral_beta = mesh.shear_damping_time
-    viscous, lateral_viscous = 1.0 + beta * inv, 1.0 + lateral_beta * inv
-    for g in range(2):
-        c, s, along, across, bend = strain(mesh, work.stage, k, g)
-        e1, e2, e3 = along - mesh.strain[e, g, 0], across - mesh.strain[e, g, 1], bend
-        e3 -= mesh.strain[e, g, 2]
-        if beta * inv > 0.0:
-            r1, r2, r3 = strain_rate(mesh, work.speed, k, g, c, s, along, across)
-            e1, e2, e3 = e1 + beta * r1, e2 + lateral_beta * r2, e3 + beta * r3
-        axial, shear, bending = mesh.axial[e, g], mesh.shear[e, g], mesh.bending[e, g]
-        normal, lateral, moment = axial * e1, shear * e2, bending * e3
-        fx, fy = normal * c - lateral * s, normal * s + lateral * c
-        turn = normal * across - lateral * along
-        normal, lateral = work.stress[e, g, 0], work.stress[e, g, 1]
-        axial, shear, bending = axial * viscous, shear * lateral_viscous, bending * viscous
-        hxx = axial * c * c + shear * s * s
-        hxy = (axial - shear) * c * s
-        hyy = axial * s * s + shear * c * c
-        u, v = axial * across - lateral, normal - shear * along
-        hxa, hya = u * c - v * s, u * s + v * c
-        haa = axial * across * across + shear * along * along - normal * along - lateral * across
-        n, p = NODES[g], mesh.slope[g]
-        for a in range(3):
-            pa, na, i = p[a], n[a], 3 * a
-            F[i, 9] -= pa * fx
-            F[i + 1, 9] -= pa * fy
-            F[i + 2, 9] -= na * turn + pa * moment
-            xx, xy, yy, xa, ya = pa * hxx, pa * hxy, pa * hyy, pa * hxa, pa * hya
-            ax, ay, aa, bb = na * hxa, na * hya, na * haa, pa * bending
-            for b in range(a, 3):
-                pb, nb, j = p[b], n[b], 3 * b
-                F[i, j] += xx * pb
-                F[i, j + 1] += xy * pb
-                F[i, j + 2] += xa * nb
-                F[i + 1, j] += xy * pb
-                F[i + 1, j + 1] += yy * pb
-                F[i + 1, j + 2] += ya * nb
-                F[i + 2, j] += ax * pb
-                F[i + 2, j + 1] += ay * pb
-                F[i + 2, j + 2] += aa * nb + bb * pb
+    """Tangent (upper half) and negative gradient of element e into F (9, 10).
+
+    Nodes a, b; both Gauss's points at once: p, q are slopes and n, m shape functions at the one and
+    the other, as f, g and h, k are gradients and tangents.
+    """
+    f, h = point(mesh, work, e, 0, inv)
+    g, k = point(mesh, work, e, 1, inv)
+    (n0, m0), slope = NODES, mesh.slope
+    for a in range(3):
+        i, p, q, n, m = 3 * a, slope[0, a], slope[1, a], n0[a], m0[a]
+        F[i, 9] = -p * f[0] - q * g[0]
+        F[i + 1, 9] = -p * f[1] - q * g[1]
+        F[i + 2, 9] = -n * f[2] - m * g[2] - p * f[3] - q * g[3]
+        for b in range(a, 3):
+            j, pb, qb, nb, mb = 3 * b, slope[0, b], slope[1, b], n0[b], m0[b]
+            pp, qq = p * pb, q * qb
+            F[i, j] = pp * h[0] + qq * k[0]
+            F[i, j + 1] = pp * h[1] + qq * k[1]
+            F[i, j + 2] = p * nb * h[3] + q * mb * k[3]
+            F[i + 1, j] = pp * h[1] + qq * k[1]
+            F[i + 1, j + 1] = pp * h[2] + qq * k[2]
+            F[i + 1, j + 2] = p * nb * h[4] + q * mb * k[4]
+            F[i + 2, j] = n * pb * h[3] + m * qb * k[3]
+            F[i + 2, j + 1] = n * pb * h[4] + m * qb * k[4]
+            F[i + 2, j + 2] = n * nb * h[5] + m * mb * k[5] + pp * h[6] + qq * k[6]
 
 
 @helper
@@ -162,18 +180,22 @@ def hold(held, F, rows):
 
 @helper
 def eliminate(mesh, work, load, follower, inv, shift):
-    """Eliminate all unknowns from base to tip; returns the number of negative pivots."""
+    """Eliminate all unknowns from base to tip; returns the number of negative pivots.
+
+    Every pivot waits for the one before. Elements do not, so they are assembled beforehand: the
+    processor then works on several at once.
+    """
     negative, elements = 0, mesh.axial.shape[0]
     for e in range(elements):
+        element(mesh, work, e, inv, work.factor[e])
+    for e in range(elements):
         F = work.factor[e]
-        F[:] = 0.0
         if e > 0:
             before = work.factor[e - 1]
             for i in range(3):
-                F[i, 9] = before[6 + i, 9]
+                F[i, 9] += before[6 + i, 9]
                 for j in range(i, 3):
-                    F[i, j] = before[6 + i, 6 + j]
-        element(mesh, work, e, inv, F)
+                    F[i, j] += before[6 + i, 6 + j]
         node(mesh, work, load, 2 * e, inv, shift, F, 0)
         node(mesh, work, load, 2 * e + 1, inv, shift, F, 3)
         if e == 0:
@@ -218,24 +240,32 @@ def _last(mesh, work, load, follower, inv, shift):
 @helper
 def substitute(mesh, work):
     """Newton's increment into work.change; returns its largest entry, positions per length."""
-    x, F, tip, scale = work.change, work.last, work.change.shape[0] - 1, 1.0 / mesh.length
+    x, F, tip = work.unknowns, work.last, work.unknowns.size - 3
     for i in range(2, -1, -1):
         value = F[i, 3]
         for j in range(i + 1, 3):
-            value -= F[i, j] * x[tip, j]
-        x[tip, i] = value * F[i, i]
-    largest = max(max(abs(x[tip, 0]), abs(x[tip, 1])) * scale, abs(x[tip, 2]))
+            value -= F[i, j] * x[tip + j]
+        x[tip + i] = value * F[i, i]
     for e in range(mesh.axial.shape[0] - 1, -1, -1):
-        F, k = work.factor[e], 2 * e
+        F, k = work.factor[e], 6 * e
         for i in range(5, -1, -1):
             value = F[i, 9]
-            for j in range(i + 1, 9):
-                value -= F[i, j] * x[k + j // 3, j % 3]
-            value *= F[i, i]
-            x[k + i // 3, i % 3] = value
-            size = abs(value) if i % 3 == 2 else abs(value) * scale
-            if not size <= largest:  # keeps NaN, too
-                largest = size
+            for j in range(8, i, -1):  # the newest last: it is waited for
+                value -= F[i, j] * x[k + j]
+            x[k + i] = value * F[i, i]
+    return _largest(work.change, 1.0 / mesh.length)
+
+
+@helper
+def _largest(change, scale):
+    """Largest entry, positions times scale; NaN where there is one."""
+    largest = 0.0
+    for i in range(change.shape[0]):
+        for c in range(3):
+            size = abs(change[i, c]) * (scale if c < 2 else 1.0)
+            if math.isnan(size):
+                return size
+            largest = max(largest, size)
     return largest
 
 
@@ -334,23 +364,25 @@ def equilibrium(mesh, work, load, follower, shift, iterations, tolerance):
 @kernel
 def stress_of(mesh, work):
     """N and Q of the poses work.stage."""
-    work.change[:] = 0.0
-    _restress(mesh, work, 0.0)
+    for e in range(mesh.axial.shape[0]):
+        for g in range(2):
+            point(mesh, work, e, g, 0.0)
+            work.stress[e, g, 0], work.stress[e, g, 1] = (
+                work.measure[e, g, 4],
+                work.measure[e, g, 5],
+            )
 
 
 @helper
 def _restress(mesh, work, inv):
     """Carry N and Q along Newton's increment: stiffness times the linearised strains."""
-    beta, lateral_beta = mesh.damping_time * (inv > 0.0), mesh.shear_damping_time * (inv > 0.0)
+    viscous = 1.0 + mesh.damping_time * inv
     for e in range(mesh.axial.shape[0]):
         for g in range(2):
-            c, s, along, across, _ = strain(mesh, work.stage, 2 * e, g)
-            r1, r2, _ = strain_rate(mesh, work.speed, 2 * e, g, c, s, along, across)
-            d1, d2, _ = strain_rate(mesh, work.change, 2 * e, g, c, s, along, across)
-            e1 = along - mesh.strain[e, g, 0] + d1 + beta * (r1 + inv * d1)
-            e2 = across - mesh.strain[e, g, 1] + d2 + lateral_beta * (r2 + inv * d2)
-            work.stress[e, g, 0] = mesh.axial[e, g] * e1
-            work.stress[e, g, 1] = mesh.shear[e, g] * e2
+            m = work.measure[e, g]
+            d1, d2, _ = strain_rate(mesh, work.change, 2 * e, g, m[0], m[1], m[2], m[3])
+            work.stress[e, g, 0] = m[4] + mesh.axial[e, g] * viscous * d1
+            work.stress[e, g, 1] = m[5] + mesh.shear[e, g] * viscous * d2
 
 
 @kernel
@@ -359,7 +391,6 @@ def dense(mesh, work, load, follower, matrix):
     matrix[:] = 0.0
     F = work.factor[0]
     for e in range(mesh.axial.shape[0]):
-        F[:] = 0.0
         element(mesh, work, e, 0.0, F)
         for i in range(9):
             for j in range(9):

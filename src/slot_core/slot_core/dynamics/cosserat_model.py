@@ -17,7 +17,8 @@ import numpy as np
 from slot_core.robot import Array
 
 # Shear is switched off by a stiffness G A = 1e7 EI / L^2: a cantilever's tip then moves by 3e-7 of
-# its bending more than it should. Of a stiffer one the pivots keep fewer digits (1e8: four).
+# its bending more than it should. Of a stiffer one the pivots keep fewer digits (1e8: four). It is
+# damped like all else: undamped, single Newton iterations would feed its fast vibration.
 RIGID_IN_SHEAR = 1e7
 
 # Quadratic shape functions of nodes -1, 0, 1 at Gauss's points -1/sqrt(3), 1/sqrt(3), and their
@@ -190,7 +191,6 @@ class Mesh(NamedTuple):
     slope: Array  # (2, 3) 1/m, derivatives of the shape functions by s
     length: float  # m
     damping_time: float  # s
-    shear_damping_time: float  # s; nothing where shear is off
 
 
 def build_mesh(  # noqa: PLR0917
@@ -231,7 +231,6 @@ def build_mesh(  # noqa: PLR0917
         slope=slope,
         length=length,
         damping_time=material.damping_time,
-        shear_damping_time=material.damping_time * shear,
     )
 
 

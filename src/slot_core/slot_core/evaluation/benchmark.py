@@ -7,6 +7,9 @@ measures and which has a function
 
 A row is a mapping of names to plain values; files beside the result go to `out`. Whether the checks
 hold is what a benchmark finds out, so it does not change the exit code.
+
+Parts of a benchmark are in files `_*.py` beside it, which it imports by name. Packages that nothing
+else needs it names in `REQUIRES`, one line at its top level; scripts/setup --bench installs them.
 """
 
 from __future__ import annotations
@@ -132,10 +135,22 @@ def load(name: str, directory: Path) -> ModuleType:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # where dataclasses look up their annotations
+    if str(directory) not in sys.path:  # where its parts are
+        sys.path.append(str(directory))
     spec.loader.exec_module(module)
+    _need(name, getattr(module, "REQUIRES", ()))
     if not callable(getattr(module, "run", None)):
         raise BenchmarkError(f"benchmark {name}: has no function run(quick, out, progress)")
     return module
+
+
+def _need(name: str, packages: Sequence[str]) -> None:
+    """Raise BenchmarkError where a package is not installed: no peer is left out in silence."""
+    missing = [package for package in packages if importlib.util.find_spec(package) is None]
+    if missing:
+        raise BenchmarkError(
+            f"benchmark {name}: needs {', '.join(missing)}; run scripts/setup --bench"
+        )
 
 
 def revision(root: Path) -> dict[str, Any]:
