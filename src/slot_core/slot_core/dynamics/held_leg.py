@@ -1,0 +1,117 @@
+"""One leg with friction whose clamp is held horizontal, while its tendon is pulled slowly.
+
+The equations are those of the whole robot with the torso at rest, stepped with backward Euler:
+
+    M (V - V_n) / tau = F(x_n + tau V, V),      x_{n+1} = x_n + tau V.
+
+Friction makes the force depend on the way: the leg starts at rest without friction, tendon slack,
+and each later point continues the motion. `leg_map.py` solves the leg without friction.
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+
+from __future__ import annotations
+
+import math
+
+from slot_core import config
+from slot_core.dynamics.compiled import helper, kernel
+from slot_core.dynamics.contact import touch
+from slot_core.dynamics.elimination import couple, eliminate, substitute
+from slot_core.dynamics.integrator import load_leg
+from slot_core.dynamics.leg_map import NoEquilibriumError, StaticLeg
+from slot_core.dynamics.model import Model, build_model, leg_space
+from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.robot import Array, Robot
+
+STEP = 1e-3  # s; half of it changes the force by less than 1e-3 N
+ITERATIONS = 50
+TOLERANCE = 1e-8  # m, last correction of a node
+LIMIT = 1e-4  # m; a step that ends above has lost the motion
+
+
+class HeldLeg:
+    """One leg on a floor with friction, its clamp held at a height (m); remembers its motion."""
+
+    def __init__(self, robot: Robot, nodes: int, friction: float, height: float):
+        settings = config.replace(read_scene("flat"), {"solver.nodes": nodes})
+        self.height = height
+        self.model: Model = build_model(robot, settings, read_servo())
+        self._leg = leg_space(nodes)
+        self._leg.friction[0] = friction
+        self._leg.field[0, 2] = 1.0
+        self._leg.field[1, :] = self.model.gravity
+        resting = StaticLeg(robot, nodes)
+        self._leg.stage[:] = resting.solve(0.0, height).node
+
+    @property
+    def node(self) -> Array:
+        """(N, 2) present shape, m from the clamp."""
+        return self._leg.stage.copy()
+
+    def pull(self, angle: float, rate: float) -> float:
+        """Turn the spool to an angle (rad) at a rate (rad/s); the floor's force there, N.
+
+        The force is vertical, that of the last step. Raises NoEquilibriumError when the motion is
+        lost.
+        """
+        start = float(self._leg.angle[0])
+        steps = max(1, math.ceil(abs(angle - start) / (rate * STEP)))
+        change = haul(self.model, self._leg, self.height, (angle - start) / steps, steps)
+        if not change <= LIMIT:
+            raise NoEquilibriumError(
+                f"leg at {math.degrees(self._leg.angle[0]):.3f} deg, {self.height:.4f} m:"
+                f" a node still moves {change:.1e} m in a step, limit {LIMIT:.0e} m"
+            )
+        self._leg.angle[0] = angle  # without the rounding of the sum
+        return float(floor_force(self.model, self._leg, self.height))
+
+
+@kernel
+def haul(model, leg, height, turn, steps):
+    """Turn the spool in steps of `turn` (rad); returns the last correction of the last step, m.
+
+    A step that loses the motion is the last.
+    """
+    change = 0.0
+    for _ in range(steps):
+        leg.angle[0] += turn
+        change = creep(model, leg, height, STEP)
+        if not change <= LIMIT:
+            break
+    return change
+
+
+@helper
+def creep(model, leg, height, tau):
+    """One step of tau (s) with the clamp at rest, at the leg's tendon angle; last correction, m."""
+    stage, velocity, base, before = leg.stage, leg.velocity, leg.base, leg.before
+    held = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    for i in range(stage.shape[0]):
+        base[i, 0], base[i, 1] = stage[i, 0], stage[i, 1]
+        for k in range(3):
+            before[i, k] = velocity[i, k]
+    change = 0.0
+    for _ in range(ITERATIONS):
+        load_leg(model, leg, 0.0)
+        eliminate(model, leg, 1.0 / tau, height)
+        couple(model.tendon, leg, 1.0 / tau)
+        change = math.sqrt(substitute(leg, held, 1.0 / tau)) * tau
+        for i in range(stage.shape[0]):
+            stage[i, 0] = base[i, 0] + tau * velocity[i, 0]
+            stage[i, 1] = base[i, 1] + tau * velocity[i, 2]
+        if change <= TOLERANCE:
+            break
+    return change
+
+
+@kernel
+def floor_force(model, leg, height):
+    """Vertical force of the floor on the leg in its present motion, N."""
+    force = 0.0
+    for i in range(1, leg.stage.shape[0]):
+        vx, vz = leg.velocity[i, 0], leg.velocity[i, 2]
+        normal, _ = touch(model.floor, 0.0, height + leg.stage[i, 1], vz, vx, 0.0, vz)
+        force += normal
+    return force
