@@ -103,7 +103,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--plot", type=Path, metavar="PNG", help="picture to write")
     add("--free", nargs="+", metavar="NAME", default=FREE, help="default: " + " ".join(FREE))
     add("--start", metavar="SET", default="paper", help="set of config/parameters to start from")
-    add("--starts", type=_count, metavar="N", default=1, help="starts in all (default: 1)")
+    starts = "starts in all; the others scatter about the first (default: 8)"
+    add("--starts", type=_count, metavar="N", default=8, help=starts)
     add("--evaluate", action="store_true", help="fit nothing: what the data say at --start")
     add("--note", default="", metavar="TEXT", help="kept in the file")
     return parser

@@ -26,7 +26,9 @@ from slot_core.robot import Array, Robot
 
 LEVEL = 0.95  # of the intervals
 STEP = 0.01  # of a coordinate, for central differences; wide, because predictions have kinks
-RANK = 1e-6  # a singular value of the scaled Jacobian below this part of the largest is zero
+# A singular value of the scaled Jacobian below this part of the largest counts as zero: differences
+# of simulated figures carry some four digits.
+RANK = 1e-4
 SHARE = 1e-3  # of a parameter in a direction that the data leave free: it is not determined
 NO_ANSWER = 1e6  # residual where the model has no answer: such a trial is never taken
 TOLERANCE = 1e-6  # last step, of the coordinates; last gain, of the sum of squares
@@ -195,7 +197,6 @@ def estimate(problem: Problem, values: Sequence[float] | Array) -> Estimate:
     held = singular > RANK * singular[0]
     freedom = len(residual) - int(held.sum())
     chi_square = float(residual @ residual)
-    determined = np.all(np.abs(directions[~held]) < SHARE, axis=0) & (freedom > 0)
     scaled = directions[held].T / singular[held]
     covariance = scaled @ scaled.T / np.outer(length, length)
     known = np.all(np.abs(directions[~held]) < SHARE, axis=0)

@@ -28,7 +28,8 @@ from slot_core.robot import Array, Robot
 STEP = 1e-3  # s; half of it changes the force by less than 1e-3 N
 ITERATIONS = 50
 TOLERANCE = 1e-8  # m, last correction of a node
-LIMIT = 1e-4  # m; a step that ends above has lost the motion
+LIMIT = 1e-4  # m, last correction that is accepted
+HALVINGS = 6
 
 
 class HeldLeg:
@@ -72,15 +73,36 @@ class HeldLeg:
 def haul(model, leg, height, turn, steps):
     """Turn the spool in steps of `turn` (rad); returns the last correction of the last step, m.
 
-    A step that loses the motion is the last.
+    A step whose correction is above the limit is taken again in 2, 4, ... 2^HALVINGS pieces; one
+    that stays above is the last.
     """
     change = 0.0
     for _ in range(steps):
-        leg.angle[0] += turn
-        change = creep(model, leg, height, STEP)
+        begin = leg.angle[0]
+        keep(leg.node, leg.node_velocity, leg.stage, leg.velocity)
+        for halving in range(HALVINGS + 1):
+            pieces = 2**halving
+            for k in range(pieces):
+                leg.angle[0] = begin + turn * (k + 1) / pieces
+                change = creep(model, leg, height, STEP / pieces)
+                if not change <= LIMIT:
+                    break
+            if change <= LIMIT:
+                break
+            if halving < HALVINGS:
+                keep(leg.stage, leg.velocity, leg.node, leg.node_velocity)
         if not change <= LIMIT:
             break
     return change
+
+
+@helper
+def keep(place, speed, from_place, from_speed):
+    """Copy nodes and their velocities."""
+    for i in range(place.shape[0]):
+        place[i, 0], place[i, 1] = from_place[i, 0], from_place[i, 1]
+        for k in range(3):
+            speed[i, k] = from_speed[i, k]
 
 
 @helper
@@ -97,10 +119,13 @@ def creep(model, leg, height, tau):
         load_leg(model, leg, 0.0)
         eliminate(model, leg, 1.0 / tau, height)
         couple(model.tendon, leg, 1.0 / tau)
-        change = math.sqrt(substitute(leg, held, 1.0 / tau)) * tau
+        substitute(leg, held, 1.0 / tau)
+        change = 0.0
         for i in range(stage.shape[0]):
-            stage[i, 0] = base[i, 0] + tau * velocity[i, 0]
-            stage[i, 1] = base[i, 1] + tau * velocity[i, 2]
+            x, z = base[i, 0] + tau * velocity[i, 0], base[i, 1] + tau * velocity[i, 2]
+            change += (x - stage[i, 0]) ** 2 + (z - stage[i, 1]) ** 2
+            stage[i, 0], stage[i, 1] = x, z
+        change = math.sqrt(change)  # a sum, because a maximum could lose a NaN
         if change <= TOLERANCE:
             break
     return change
