@@ -171,7 +171,7 @@ def test_known_parameters_are_found_within_their_intervals():
         dataclasses.replace(row, value=v + row.sigma * e) for row, v, e in zip(rows, exact, noise)
     ]
     problem = build_problem(ROBOT, FREE, Data("synthetic", "", tuple(rows)), quick)
-    found = estimate(problem, fit.fit(problem, progress=lambda line: None))
+    found = estimate(problem, fit.fit(problem, progress=lambda line: None).values)
     true = np.array(list(truth.values()))
     assert found.determined.all()
     assert np.all(found.interval[:, 0] < true)
@@ -200,7 +200,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     rng, inside = np.random.default_rng(1), []
     for _ in range(400):
         problem, truth = beam_problem(rng)
-        interval = estimate(problem, fit.fit(problem, progress=lambda line: None)).interval
+        interval = estimate(problem, fit.fit(problem, progress=lambda line: None).values).interval
         inside.append((interval[:, 0] < truth) & (truth < interval[:, 1]))
     # 400 trials at 95 %: three standard deviations are 3.3 %.
     assert np.mean(inside, axis=0) == pytest.approx(0.95, abs=0.033)
@@ -213,7 +213,7 @@ def test_intervals_and_correlation_of_a_linear_model_are_those_of_regression():
     parameters = (Parameter("a", 0.5, 0.0, 1.0), Parameter("b", 0.5, 0.0, 2.0))
     problem = Problem(parameters, lambda v: v[0] + v[1] * x, y, np.full(12, 0.02))
     found, line = (
-        estimate(problem, fit.fit(problem, progress=lambda s: None)),
+        estimate(problem, fit.fit(problem, progress=lambda s: None).values),
         stats.linregress(x, y),
     )
     half = stats.t.ppf(0.975, 10) * np.array([line.intercept_stderr, line.stderr])
@@ -279,9 +279,21 @@ def test_a_start_without_an_answer_is_an_error_and_a_trial_without_one_is_not_ta
             (Parameter("a", start, 0.0, 1.0),), predict, np.array([0.45, 0.9]), np.ones(2)
         )
 
-    assert fit.fit(problem(0.1), progress=lambda line: None) == pytest.approx([0.45], abs=1e-6)
+    found = fit.fit(problem(0.1), progress=lambda line: None)
+    assert found.converged
+    assert found.values == pytest.approx([0.45], abs=1e-6)
     with pytest.raises(fit.FitError, match="no prediction at the start: too much"):
         fit.fit(problem(0.6), progress=lambda line: None)
+
+
+def test_a_fit_that_runs_out_of_trials_says_so_and_keeps_its_best_point(monkeypatch):
+    monkeypatch.setattr(fit, "TRIALS", 2)
+    problem, lines = beam_problem(np.random.default_rng(1))[0], []
+    found = fit.fit(problem, progress=lines.append)
+    start = problem.residuals(problem.coordinates([1e7, 0.01]))
+    assert not found.converged
+    assert found.chi_square < start @ start
+    assert lines[0].endswith("stopped after 2 trials")
 
 
 # --- line

@@ -48,11 +48,14 @@ def _run(options: argparse.Namespace) -> dict[str, object]:
     problem = build_problem(robot, options.free, data, settings)
     values = [p.start for p in problem.parameters]
     _say(f"{data.name}: {len(data.rows)} figures, {len(values)} free parameters")
+    origin = f"evaluation of {options.start}"
     if not options.evaluate:
-        values = _rounded(fit(problem, options.starts, _say))
+        found = fit(problem, options.starts, _say)
+        values = _rounded(found.values)
+        end = "" if found.converged else ", not converged"
+        origin = f"fit, {options.starts} starts from {options.start}{end}"
     result = estimate(problem, values)
     fitted = {**whole, **dict(zip(options.free, values))}
-    origin = f"{'evaluation' if options.evaluate else 'fit'}, started at {options.start}"
     content = parameter_file.record(data, options.free, result, fitted, origin, options.note)
     _write(options, data, result, content)
     return content

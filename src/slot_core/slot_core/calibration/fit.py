@@ -31,7 +31,7 @@ STEP = 0.01  # of a coordinate, for central differences; wide, because predictio
 RANK = 1e-4
 SHARE = 1e-3  # of a parameter in a direction that the data leave free: it is not determined
 NO_ANSWER = 1e6  # residual where the model has no answer: such a trial is never taken
-TOLERANCE = 1e-6  # last step, of the coordinates; last gain, of the sum of squares
+TOLERANCE = 1e-5  # last step, of the coordinates; last gain, of the sum of squares
 EDGE = 1e-6  # of a coordinate; the search keeps off a bound, a result so near to it stands on it
 TRIALS = 60
 SCATTER = 1.0  # of the coordinates of further starts: a factor e, or the width of the bounds
@@ -105,6 +105,15 @@ class Problem:
 
 
 @dataclass(frozen=True)
+class Found:
+    """Where a fit has ended; without convergence, the best point of its trials."""
+
+    values: Array  # (p,)
+    chi_square: float
+    converged: bool
+
+
+@dataclass(frozen=True)
 class Estimate:
     """Parameters and what the data say about them; what is not determined is NaN."""
 
@@ -133,8 +142,8 @@ def parameters_of(robot: Robot, names: Sequence[str]) -> tuple[Parameter, ...]:
     )
 
 
-def fit(problem: Problem, starts: int = 1, progress: Callable[[str], None] = print) -> Array:
-    """(p,) values of the least sum of squares, from the parameters' start and `starts` - 1 others.
+def fit(problem: Problem, starts: int = 1, progress: Callable[[str], None] = print) -> Found:
+    """The least sum of squares reached from the parameters' start and `starts` - 1 others.
 
     The others scatter about the first with a generator of fixed seed. Raises FitError where no
     start leads to a result.
@@ -142,25 +151,25 @@ def fit(problem: Problem, starts: int = 1, progress: Callable[[str], None] = pri
     rng = np.random.default_rng(0)
     first = problem.coordinates([p.start for p in problem.parameters])
     low, high = problem.bounds()
-    best, least, reason = None, math.inf, ""
+    best, reason = None, ""
     for k in range(starts):
         shift = SCATTER * rng.uniform(-1.0, 1.0, len(first)) if k else 0.0
         try:
-            u, chi_square = _descend(problem, np.clip(first + shift, low, high))
+            found = _descend(problem, np.clip(first + shift, low, high))
         except FitError as error:
             reason = str(error)
             progress(f"start {k + 1} of {starts}: {error}")
             continue
-        progress(f"start {k + 1} of {starts}: sum of squares {chi_square:.6g}")
-        if chi_square < least:
-            best, least = u, chi_square
+        end = "" if found.converged else f", stopped after {TRIALS} trials"
+        progress(f"start {k + 1} of {starts}: sum of squares {found.chi_square:.6g}{end}")
+        if best is None or found.chi_square < best.chi_square:
+            best = found
     if best is None:
         raise FitError(reason)
-    best = np.where(best - low < EDGE, low, np.where(high - best < EDGE, high, best))
-    return problem.values(best)
+    return best
 
 
-def _descend(problem: Problem, start: Array) -> tuple[Array, float]:
+def _descend(problem: Problem, start: Array) -> Found:
     try:
         problem.residuals(start)
     except PredictionError as error:
@@ -172,18 +181,19 @@ def _descend(problem: Problem, start: Array) -> tuple[Array, float]:
         except PredictionError:
             return np.full(len(problem.measured), NO_ANSWER)
 
-    found = least_squares(
+    low, high = problem.bounds()
+    end = least_squares(
         residuals,
         start,
         jac=problem.jacobian,
-        bounds=problem.bounds(),
+        bounds=(low, high),
+        x_scale="jac",
         xtol=TOLERANCE,
         ftol=TOLERANCE,
         max_nfev=TRIALS,
     )
-    if found.status == 0:
-        raise FitError(f"not converged in {TRIALS} trials; sum of squares {2 * found.cost:.6g}")
-    return found.x, float(2 * found.cost)
+    u = np.where(end.x - low < EDGE, low, np.where(high - end.x < EDGE, high, end.x))
+    return Found(problem.values(u), float(2 * end.cost), bool(end.status))
 
 
 def estimate(problem: Problem, values: Sequence[float] | Array) -> Estimate:
