@@ -25,7 +25,7 @@ def energy(x, model, angle):
     dip = np.minimum(0.0, HEIGHT + node[1:, 1])
     stored = rod.axial @ (length - rod.rest_length) ** 2
     stored += rod.bending @ (turn - rod.rest_angle) ** 2
-    stored += tendon.stiffness * cable**2 + floor.stiffness * dip @ dip
+    stored += tendon.stiffness * cable**2 + (floor.stiffness[1:] * dip) @ dip
     return stored / 2 + GRAVITY * rod.mass @ node[:, 1]
 
 
@@ -50,7 +50,7 @@ def test_what_shape_and_weight_leave_over_is_the_friction_of_the_sliding_foot(fr
     before = leg.pull(angle - 0.01, RATE), leg.node
     force, node = leg.pull(angle, RATE), leg.node
     slip = (node - before[1])[1:, 0]
-    normal = leg.model.floor.stiffness * np.maximum(0.0, -HEIGHT - node[1:, 1])
+    normal = leg.model.floor.stiffness[1:] * np.maximum(0.0, -HEIGHT - node[1:, 1])
     left = gradient(node[1:].ravel(), leg.model, angle).reshape(-1, 2)
     touching = normal > 0.0
     assert touching.any()

@@ -20,7 +20,8 @@ from slot_core.dynamics.held_leg import HeldLeg
 from slot_core.dynamics.leg_map import NoEquilibriumError, StaticLeg
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.simulator import Divergence, Simulator
+from slot_core.dynamics.simulated_robot import Divergence
+from slot_core.dynamics.simulator import Simulator
 from slot_core.robot import GRAVITY, LEGS, Array, Robot
 
 SAMPLE = 10e-3  # s between two looks at the markers
@@ -95,7 +96,8 @@ def marker_ranges(robot: Robot, rows: Sequence[Datum], settings: ExperimentSetti
         part = math.sin(math.pi / 2 * min(1.0, sim.time / settings.pull_time))
         sim.advance(steps, np.full(len(LEGS), math.radians(part * first.theta_deg)))
         heights.append(sim.nodes[0, :, 2])
-    return np.array([np.ptp([_at(row.place, height) for height in heights]) for row in rows])
+    arc = sim.model.rod.arc
+    return np.array([np.ptp([_at(row.place, arc, height) for height in heights]) for row in rows])
 
 
 def forces(robot: Robot, rows: Sequence[Datum], settings: ExperimentSettings) -> Array:
@@ -120,13 +122,13 @@ def deflections(robot: Robot, rows: Sequence[Datum], settings: ExperimentSetting
         mass[-1] += rows[i].load_N / GRAVITY
         leg.model = bare._replace(rod=bare.rod._replace(mass=mass))
         drop = start - leg.solve(angle, FREE_HEIGHT).node[:, 1]
-        out[i] = _at(rows[i].place, drop)
+        out[i] = _at(rows[i].place, bare.rod.arc, drop)
     return out
 
 
-def _at(place: float, along: Array) -> float:
-    """Value at a place, of values (N,) at nodes of equal distance from clamp to tip."""
-    return float(np.interp(place, np.linspace(0.0, 1.0, len(along)), along))
+def _at(place: float, arc: Array, along: Array) -> float:
+    """Value at a place, of values (N,) at the nodes, whose arc lengths are `arc` (N,)."""
+    return float(np.interp(place, arc / arc[-1], along))
 
 
 TESTS: dict[str, Callable[[Robot, Sequence[Datum], ExperimentSettings], Array]] = {

@@ -14,9 +14,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from slot_core import config
 from slot_core.dynamics.compiled import helper, kernel
-from slot_core.dynamics.contact import touch
+from slot_core.dynamics.contact import press
 from slot_core.dynamics.elimination import couple, eliminate, substitute
 from slot_core.dynamics.integrator import load_leg
 from slot_core.dynamics.leg_map import NoEquilibriumError, StaticLeg
@@ -36,13 +38,14 @@ class HeldLeg:
     """One leg on a floor with friction, its clamp held at a height (m); remembers its motion."""
 
     def __init__(self, robot: Robot, nodes: int, friction: float, height: float):
-        settings = config.replace(read_scene("flat"), {"solver.nodes": nodes})
+        changes = {"solver.nodes": nodes, "floor.friction_law": "viscous"}
+        settings = config.replace(read_scene("flat"), changes)
         self.height = height
         self.model: Model = build_model(robot, settings, read_servo())
         self._leg = leg_space(nodes)
-        self._leg.friction[0] = friction
-        self._leg.field[0, 2] = 1.0
-        self._leg.field[1, :] = self.model.gravity
+        self._leg.friction[:] = friction
+        self._leg.field[:3] = np.eye(3)
+        self._leg.field[3] = self.model.gravity
         resting = StaticLeg(robot, nodes)
         self._leg.stage[:] = resting.solve(0.0, height).node
 
@@ -117,7 +120,7 @@ def creep(model, leg, height, tau):
     change = 0.0
     for _ in range(ITERATIONS):
         load_leg(model, leg, 0.0)
-        eliminate(model, leg, 1.0 / tau, height)
+        eliminate(model, leg, 1.0 / tau, (0.0, 0.0, height))
         couple(model.tendon, leg, 1.0 / tau)
         substitute(leg, held, 1.0 / tau)
         change = 0.0
@@ -134,9 +137,8 @@ def creep(model, leg, height, tau):
 @kernel
 def floor_force(model, leg, height):
     """Vertical force of the floor on the leg in its present motion, N."""
-    force = 0.0
-    for i in range(1, leg.stage.shape[0]):
-        vx, vz = leg.velocity[i, 0], leg.velocity[i, 2]
-        normal, _ = touch(model.floor, 0.0, height + leg.stage[i, 1], vz, vx, 0.0, vz)
-        force += normal
+    force, floor = 0.0, model.floor
+    for i in range(floor.first, leg.stage.shape[0]):
+        gap = height + leg.stage[i, 1]
+        force += press(floor.stiffness[i], floor.damping[i], gap, leg.velocity[i, 2])
     return force
