@@ -1,10 +1,12 @@
 """Geometry, masses and frames of the robot."""
 
+import shutil
+
 import numpy as np
 import pytest
 
 from slot_core import config
-from slot_core.robot import LEGS, read_robot
+from slot_core.robot import LEGS, read_parameters, read_robot
 
 
 @pytest.fixture
@@ -68,3 +70,55 @@ def test_feet_stand_below_the_clamps_on_the_natural_shape(robot):
 def test_a_torso_that_cannot_be_is_refused(robot, mass):
     with pytest.raises(config.ConfigError, match=r"torso\.mass = .* outside \[0\.02, 20\.0\] kg"):
         config.replace(robot, {"torso.mass": mass})
+
+
+@pytest.fixture
+def settings(tmp_path, monkeypatch):
+    """A copy of the configuration that a test may change."""
+    shutil.copytree(config.config_dir(), tmp_path / "config")
+    monkeypatch.setenv("SLOT_CONFIG", str(tmp_path / "config"))
+    return tmp_path / "config"
+
+
+def test_another_parameter_set_changes_its_values_and_nothing_else(robot):
+    paper, values = read_robot("paper"), read_parameters("paper")
+    assert paper.leg.young_modulus == 1e7  # as printed
+    assert paper == config.replace(robot, values)
+
+
+def test_robot_takes_the_set_that_its_file_names(settings):
+    path = settings / "robot.yaml"
+    path.write_text(path.read_text().replace("parameters: calibrated", "parameters: paper"))
+    assert read_robot() == read_robot("paper") != read_robot("calibrated")
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ("{leg.width: 0.02}", r"^parameters/own\.yaml: leg\.width stands in robot\.yaml too"),
+        ("{leg.wiidth: 0.02}", r"leg\.wiidth is not a setting"),
+        ("{width: 0.02}", r"width is not a setting"),
+        ("{leg.width.deep: 1}", r"leg\.width\.deep is not a setting"),
+        ("{leg.slack: 1}", r"leg\.slack is not a setting"),
+        ("{leg.young_modulus: 1.0}", r"leg\.young_modulus = 1\.0: outside \[100000\.0, .*\] Pa"),
+        ("{leg.young_modulus: soft}", r"leg\.young_modulus = 'soft': expected a number"),
+        ("{leg.young_modulus: 1e7}", r"tendon\.offset is missing"),
+        ("[1]", r"^parameters/own\.yaml: values is missing"),
+        ("", r"^parameters/own\.yaml: values is missing"),
+    ],
+)
+def test_a_parameter_set_that_does_not_fit_is_refused(settings, values, message):
+    (settings / "parameters" / "own.yaml").write_text(f"values: {values}")
+    with pytest.raises(config.ConfigError, match=message):
+        read_robot("own")
+
+
+def test_an_unknown_parameter_set_names_the_known_ones():
+    with pytest.raises(config.ConfigError, match=r"'parameters/x' \(known: calibrated, paper\)"):
+        read_robot("x")
+
+
+def test_a_robot_without_a_parameter_set_is_refused(settings):
+    (settings / "robot.yaml").write_text("torso: {}")
+    with pytest.raises(config.ConfigError, match=r"^robot\.yaml: parameters is missing"):
+        read_robot()

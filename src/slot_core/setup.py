@@ -4,7 +4,14 @@ setup(
     name="slot_core",
     version="0.1.0",
     packages=find_packages(),
-    package_data={"slot_core": ["defaults/*.yaml", "defaults/*.csv", "defaults/scene/*.yaml"]},
+    package_data={
+        "slot_core": [
+            "defaults/*.yaml",
+            "defaults/*.csv",
+            "defaults/scene/*.yaml",
+            "defaults/parameters/*",
+        ]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/slot_core"]),
         ("share/slot_core", ["package.xml"]),

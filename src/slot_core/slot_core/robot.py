@@ -1,5 +1,7 @@
 """The robot: geometry, masses, limits, leg order and frames, once, from `config/robot.yaml`.
 
+What was fitted to data stands apart, in the set of `config/parameters` that robot.yaml names.
+
 Frames (REP-103, REP-105): `odom` is the world, z up. `base_link` is the torso's centre, x forward,
 y left, z up. Leg frame i is fixed to the torso at its corner: origin at the clamp, x outward along
 the leg's azimuth, z up; the leg deforms in its x-z plane.
@@ -10,6 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -17,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 
 from slot_core import config
-from slot_core.config import choice, quantity
+from slot_core.config import ConfigError, choice, quantity
 
 Array = NDArray[np.float64]
 
@@ -164,6 +167,37 @@ class Robot:
         return self.torso.inertia + np.trace(square) * np.eye(3) - square
 
 
-def read_robot() -> Robot:
-    """The robot of `config/robot.yaml`; raises ConfigError."""
-    return config.read(Robot, "robot")
+def read_robot(parameters: str | None = None) -> Robot:
+    """The robot of `config/robot.yaml` with a set of `config/parameters`; raises ConfigError.
+
+    The set is the one that robot.yaml names under `parameters`, or the one given here. A value
+    stands in one of the two files: one that stands in both is refused.
+    """
+    mapping = config.load("robot")
+    if not isinstance(mapping, dict) or "parameters" not in mapping:
+        raise ConfigError("robot.yaml: parameters is missing: the name of a set")
+    named = mapping.pop("parameters")
+    name = parameters or named
+    for dotted, value in read_parameters(name).items():
+        _insert(mapping, dotted, value, f"parameters/{name}.yaml")
+    return config.build(Robot, mapping, f"robot.yaml with parameters/{name}.yaml")
+
+
+def read_parameters(name: str) -> dict[str, Any]:
+    """Values by dotted name of the set `config/parameters/<name>.yaml`; raises ConfigError."""
+    mapping = config.load(f"parameters/{name}")
+    values = mapping.get("values") if isinstance(mapping, dict) else None
+    if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
+        raise ConfigError(f"parameters/{name}.yaml: values is missing: a mapping of dotted names")
+    return values
+
+
+def _insert(mapping: dict[str, Any], dotted: str, value: Any, source: str) -> None:
+    *parents, last = dotted.split(".")
+    for parent in parents:
+        mapping = mapping.get(parent, {})
+        if not isinstance(mapping, dict):
+            raise ConfigError(f"{source}: {dotted} is not a setting")
+    if last in mapping:
+        raise ConfigError(f"{source}: {dotted} stands in robot.yaml too; it may stand in one only")
+    mapping[last] = value

@@ -1,0 +1,1 @@
+"""Free parameters of a leg fitted to measurements: data, experiments, fit, parameter file."""

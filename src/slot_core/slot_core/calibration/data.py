@@ -1,0 +1,141 @@
+"""Measurements on single legs: a CSV file, one figure a row.
+
+    kind,theta_deg,load_N,height_m,friction,place,value,sigma
+    marker_range,116.28,4.905,,0.3,0,0.0886,0.002
+    force_angle,90,,0.105,0.3,,2.72,0.25
+    deflection,0,1.0,,,1,0.0235,0.0005
+
+Lines that begin with # are comments. Each kind has its conditions; the other cells stay empty:
+
+`marker_range`  the guided clamp carries `load_N` beside the leg; the tendon is pulled from rest to
+                `theta_deg`. Value: largest minus smallest height of the point at `place`, m.
+`force_angle`   the clamp is held at `height_m` and the tendon pulled from slack to `theta_deg`.
+                Value: vertical force of the floor, N.
+`deflection`    the leg hangs free from its clamp, the tendon held at `theta_deg`; a weight of
+                `load_N` is hung to its tip. Value: how far the point at `place` goes down, m.
+
+`theta_deg` is the angle of the tendon's spool; `friction` the floor's coefficient; `place` the arc
+length from the clamp over that of the leg, 0 to 1; `sigma` the value's standard uncertainty.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+CONDITIONS = {
+    "marker_range": ("theta_deg", "load_N", "friction", "place"),
+    "force_angle": ("theta_deg", "height_m", "friction"),
+    "deflection": ("theta_deg", "load_N", "place"),
+}
+BOUNDS = {
+    "theta_deg": (0.0, 360.0),
+    "load_N": (0.05, 49.0),  # a torso of 0.02 to 20 kg on four legs
+    "height_m": (0.0, 1.0),
+    "friction": (0.0, 5.0),
+    "place": (0.0, 1.0),
+    "value": (-1e6, 1e6),
+    "sigma": (1e-12, 1e6),
+}
+COLUMNS = ("kind", *BOUNDS)
+
+
+class DataError(ValueError):
+    """A measurement that cannot be used; the message names file, line, column and reason."""
+
+
+@dataclass(frozen=True)
+class Datum:
+    """One measured figure; conditions that its kind does not have are NaN."""
+
+    kind: str
+    theta_deg: float
+    load_N: float  # noqa: N815 - as the column
+    height_m: float
+    friction: float
+    place: float
+    value: float  # m or N
+    sigma: float  # of the value
+    line: int  # in the file
+
+    def conditions(self) -> dict[str, float]:
+        """The conditions of its kind by name."""
+        return {name: getattr(self, name) for name in CONDITIONS[self.kind]}
+
+
+@dataclass(frozen=True)
+class Data:
+    """The measurements of a file."""
+
+    name: str
+    sha256: str  # of the file
+    rows: tuple[Datum, ...]
+
+    def validity(self) -> dict[str, list[float]]:
+        """(least, largest) of each condition that the measurements span."""
+        values = {
+            name: [getattr(row, name) for row in self.rows if name in CONDITIONS[row.kind]]
+            for name in BOUNDS
+            if name not in {"place", "value", "sigma"}
+        }
+        return {name: [min(v), max(v)] for name, v in values.items() if v}
+
+
+def read_data(path: Path) -> Data:
+    """Read a file of measurements; raises DataError."""
+    try:
+        content = path.read_bytes()
+        text = content.decode("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"{path}: {error}") from None
+    lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if _holds_data(line)]
+    if not lines:
+        raise DataError(f"{path}: no line of column names")
+    (head, names), *rest = ((n, next(csv.reader([line]))) for n, line in lines)
+    where = f"{path}, line {head}"
+    columns = [name.strip() for name in names]
+    if missing := [name for name in COLUMNS if name not in columns]:
+        raise DataError(f"{where}: column {missing[0]} is missing")
+    if unknown := [name for name in columns if name not in COLUMNS]:
+        raise DataError(f"{where}: column {unknown[0]!r} is unknown (known: {', '.join(COLUMNS)})")
+    if len(columns) > len(COLUMNS):
+        raise DataError(f"{where}: a column stands twice")
+    if not rest:
+        raise DataError(f"{path}: no measurements")
+    rows = tuple(_row(columns, cells, n, f"{path}, line {n}") for n, cells in rest)
+    return Data(path.name, hashlib.sha256(content).hexdigest(), rows)
+
+
+def _holds_data(line: str) -> bool:
+    return bool(line.strip()) and not line.lstrip().startswith("#")
+
+
+def _row(columns: Sequence[str], cells: Sequence[str], line: int, where: str) -> Datum:
+    if len(cells) != len(columns):
+        raise DataError(f"{where}: {len(cells)} cells, {len(columns)} columns")
+    cell = {name: text.strip() for name, text in zip(columns, cells)}
+    kind = cell["kind"]
+    if kind not in CONDITIONS:
+        raise DataError(f"{where}, kind: {kind!r} is unknown (known: {', '.join(CONDITIONS)})")
+    needed = {*CONDITIONS[kind], "value", "sigma"}
+    numbers = {name: _number(cell, name, name in needed, kind, where) for name in BOUNDS}
+    return Datum(kind, line=line, **numbers)
+
+
+def _number(cell: Mapping[str, str], name: str, needed: bool, kind: str, where: str) -> float:
+    text, (low, high) = cell[name], BOUNDS[name]
+    if not needed:
+        if text:
+            raise DataError(f"{where}, {name}: {text!r}, but {kind} has none; leave it empty")
+        return math.nan
+    try:
+        value = float(text)
+    except ValueError:
+        raise DataError(f"{where}, {name}: {text!r} is not a number") from None
+    if not low <= value <= high:
+        raise DataError(f"{where}, {name}: {text} is outside [{low:g}, {high:g}]")
+    return value

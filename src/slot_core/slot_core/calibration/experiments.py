@@ -1,0 +1,143 @@
+"""What the model says to each measurement: the single-leg tests, done on the simulated leg.
+
+`data.py` describes the tests. Their legs are those of the simulator, with the floor of the scene
+`flat` but for the friction, which the measurement states. The tests are slow: friction acts at its
+Coulomb value and inertia hardly at all, but the way to a point counts and is followed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from slot_core import config
+from slot_core.calibration.data import DataError, Datum
+from slot_core.config import ConfigError, quantity
+from slot_core.dynamics.held_leg import HeldLeg
+from slot_core.dynamics.leg_map import NoEquilibriumError, StaticLeg
+from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.dynamics.simulated_robot import Divergence
+from slot_core.dynamics.simulator import Simulator
+from slot_core.robot import GRAVITY, LEGS, Array, Robot
+
+SAMPLE = 10e-3  # s between two looks at the markers
+FREE_HEIGHT = 10.0  # m, no floor in reach
+PULL_STEP = math.radians(5.0)  # of the hanging leg's tendon
+
+
+@dataclass(frozen=True)
+class ExperimentSettings:
+    """How the tests are done."""
+
+    nodes: int = quantity("nodes of the leg", "", 4, 401)
+    pull_time: float = quantity("of marker_range: theta sin(pi t / 2 T) up to T", "s", 0.1, 100)
+    hold_time: float = quantity("of marker_range: at the full angle", "s", 0, 100)
+    pull_rate_deg: float = quantity("of force_angle", "deg/s", 0.1, 1000)
+
+
+class PredictionError(RuntimeError):
+    """The model has no answer to a measurement; the message says why."""
+
+
+def read_settings() -> ExperimentSettings:
+    """The settings of `config/calibration.yaml`; raises ConfigError."""
+    return config.read(ExperimentSettings, "calibration")
+
+
+def predict(robot: Robot, rows: Sequence[Datum], settings: ExperimentSettings) -> Array:
+    """(n,) values that the model gives in place of the measured ones.
+
+    Raises DataError for a tendon angle beyond the robot's, and PredictionError.
+    """
+    for row in rows:
+        if row.theta_deg > robot.tendon.angle_max_deg:
+            raise DataError(
+                f"line {row.line}, theta_deg: {row.theta_deg:g} is above tendon.angle_max_deg"
+                f" = {robot.tendon.angle_max_deg:g}"
+            )
+    out = np.full(len(rows), np.nan)
+    for test in {_test(row): None for row in rows}:
+        members = [i for i, row in enumerate(rows) if _test(row) == test]
+        try:
+            out[members] = TESTS[test[0]](robot, [rows[i] for i in members], settings)
+        except (Divergence, NoEquilibriumError, ConfigError) as error:
+            raise PredictionError(f"{test[0]} of line {rows[members[0]].line}: {error}") from None
+    return out
+
+
+def _test(row: Datum) -> tuple[str, tuple[float, ...]]:
+    """Rows with the same are points of one test."""
+    shared = SHARED[row.kind]
+    return row.kind, tuple(getattr(row, name) for name in shared)
+
+
+def marker_ranges(robot: Robot, rows: Sequence[Datum], settings: ExperimentSettings) -> Array:
+    """Ranges in height of points of a leg that lifts its load, m.
+
+    Four legs lift four loads: by symmetry the torso neither tilts nor moves sideways, and is the
+    guided clamp of each. The servo follows the angle under any load.
+    """
+    first = rows[0]
+    changes = {
+        "floor.friction": (first.friction,) * 4,
+        "solver.nodes": settings.nodes,
+        "start.tendon_angle_deg": 0.0,
+    }
+    loaded = config.replace(robot, {"torso.mass": 4 * first.load_N / GRAVITY})
+    scene = config.replace(read_scene("flat"), changes)
+    sim = Simulator(loaded, scene, config.replace(read_servo(), {"model": "ideal"}))
+    steps = max(1, round(SAMPLE / scene.solver.step))
+    heights = [sim.nodes[0, :, 2]]
+    while sim.time < settings.pull_time + settings.hold_time:
+        part = math.sin(math.pi / 2 * min(1.0, sim.time / settings.pull_time))
+        sim.advance(steps, np.full(len(LEGS), math.radians(part * first.theta_deg)))
+        heights.append(sim.nodes[0, :, 2])
+    arc = sim.model.rod.arc
+    return np.array([np.ptp([_at(row.place, arc, height) for height in heights]) for row in rows])
+
+
+def forces(robot: Robot, rows: Sequence[Datum], settings: ExperimentSettings) -> Array:
+    """Vertical forces of the floor on a leg whose clamp is held, N."""
+    first = rows[0]
+    leg = HeldLeg(robot, settings.nodes, first.friction, first.height_m)
+    rate, out = math.radians(settings.pull_rate_deg), np.zeros(len(rows))
+    for i in np.argsort([row.theta_deg for row in rows], kind="stable"):
+        out[i] = leg.pull(math.radians(rows[i].theta_deg), rate)
+    return out
+
+
+def deflections(robot: Robot, rows: Sequence[Datum], settings: ExperimentSettings) -> Array:
+    """How far points of a hanging leg go down under weights at its tip, m."""
+    leg = StaticLeg(robot, settings.nodes)
+    angle, bare = math.radians(rows[0].theta_deg), leg.model
+    for part in np.linspace(0.0, angle, 1 + math.ceil(angle / PULL_STEP)):
+        start = leg.solve(part, FREE_HEIGHT).node[:, 1]
+    out = np.zeros(len(rows))
+    for i in np.argsort([row.load_N for row in rows], kind="stable"):
+        mass = bare.rod.mass.copy()
+        mass[-1] += rows[i].load_N / GRAVITY
+        leg.model = bare._replace(rod=bare.rod._replace(mass=mass))
+        drop = start - leg.solve(angle, FREE_HEIGHT).node[:, 1]
+        out[i] = _at(rows[i].place, bare.rod.arc, drop)
+    return out
+
+
+def _at(place: float, arc: Array, along: Array) -> float:
+    """Value at a place, of values (N,) at the nodes, whose arc lengths are `arc` (N,)."""
+    return float(np.interp(place, arc / arc[-1], along))
+
+
+TESTS: dict[str, Callable[[Robot, Sequence[Datum], ExperimentSettings], Array]] = {
+    "marker_range": marker_ranges,
+    "force_angle": forces,
+    "deflection": deflections,
+}
+SHARED = {
+    "marker_range": ("theta_deg", "load_N", "friction"),
+    "force_angle": ("height_m", "friction"),
+    "deflection": ("theta_deg",),
+}

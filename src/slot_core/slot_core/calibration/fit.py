@@ -1,0 +1,237 @@
+"""Weighted nonlinear least squares with bounds, and what the data say about its result.
+
+    min sum r_i^2,   r_i = (predicted_i - measured_i) / sigma_i
+
+over the coordinates u of the parameters: u = log(value) where the bounds are positive, else value
+over the width of its bounds. With the Jacobian J = dr/du, residual variance s^2 = r.r / (n - rank)
+and covariance C = s^2 (J^T J)^-1, the interval of a coordinate is u +- t sqrt(C_kk), t of Student's
+law with n - rank degrees of freedom (Seber and Wild, Nonlinear Regression, 1989, ch. 5). It takes
+the model for linear and knows no bounds: that of a parameter at its limit is a rough figure.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.stats import t as student
+
+from slot_core.calibration.experiments import PredictionError
+from slot_core.config import ConfigError, leaves
+from slot_core.robot import Array, Robot
+
+LEVEL = 0.95  # of the intervals
+STEP = 0.01  # of a coordinate, for central differences; wide, because predictions have kinks
+# A singular value of the scaled Jacobian below this part of the largest counts as zero: differences
+# of simulated figures carry some four digits.
+RANK = 1e-4
+SHARE = 1e-3  # of a parameter in a direction that the data leave free: it is not determined
+NO_ANSWER = 1e6  # residual where the model has no answer: such a trial is never taken
+TOLERANCE = 1e-5  # last step, of the coordinates; last gain, of the sum of squares
+EDGE = 1e-6  # of a coordinate; the search keeps off a bound, a result so near to it stands on it
+TRIALS = 60
+SCATTER = 1.0  # of the coordinates of further starts: a factor e, or the width of the bounds
+
+Predict = Callable[[Array], Array]  # values of the parameters (p,) to predictions (n,)
+
+
+class FitError(RuntimeError):
+    """The fit cannot be done; the message says why."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A free parameter."""
+
+    name: str
+    start: float
+    low: float
+    high: float
+
+    def coordinate(self, value: float) -> float:
+        """See the head of the file."""
+        return math.log(value) if self.low > 0.0 else value / (self.high - self.low)
+
+    def value(self, coordinate: float) -> float:
+        """Inverse of `coordinate`."""
+        if self.low > 0.0:
+            return float(np.exp(coordinate))
+        return coordinate * (self.high - self.low)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Parameters, model and measurements."""
+
+    parameters: tuple[Parameter, ...]
+    predict: Predict
+    measured: Array  # (n,)
+    sigma: Array  # (n,)
+
+    def coordinates(self, values: Sequence[float] | Array) -> Array:
+        """(p,) coordinates of values."""
+        return np.array([p.coordinate(v) for p, v in zip(self.parameters, values)])
+
+    def values(self, u: Array) -> Array:
+        """(p,) values at coordinates."""
+        return np.array([p.value(c) for p, c in zip(self.parameters, u)])
+
+    def residuals(self, u: Array) -> Array:
+        """(n,) weighted residuals; raises PredictionError."""
+        return (self.predict(self.values(u)) - self.measured) / self.sigma
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Least and largest coordinates (p,)."""
+        low = self.coordinates([p.low for p in self.parameters])
+        return low, self.coordinates([p.high for p in self.parameters])
+
+    def jacobian(self, u: Array) -> Array:
+        """(n, p) dr/du by central differences, one-sided at a bound; raises FitError."""
+        low, high = self.bounds()
+        columns = []
+        for k, name in enumerate(p.name for p in self.parameters):
+            up, down = u.copy(), u.copy()
+            up[k], down[k] = min(u[k] + STEP, high[k]), max(u[k] - STEP, low[k])
+            try:
+                change = self.residuals(up) - self.residuals(down)
+            except PredictionError as error:
+                raise FitError(f"no derivative by {name}: {error}") from None
+            columns.append(change / (up[k] - down[k]))
+        return np.column_stack(columns)
+
+
+@dataclass(frozen=True)
+class Found:
+    """Where a fit has ended; without convergence, the best point of its trials."""
+
+    values: Array  # (p,)
+    chi_square: float
+    converged: bool
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Parameters and what the data say about them; what is not determined is NaN."""
+
+    values: Array  # (p,)
+    predicted: Array  # (n,)
+    chi_square: float  # r.r
+    freedom: int  # n - rank
+    interval: Array  # (p, 2), least and largest value
+    correlation: Array  # (p, p), of the coordinates
+    determined: NDArray[np.bool_]  # (p,)
+    condition: float  # of the Jacobian with columns of length one
+    at_limit: NDArray[np.bool_]  # (p,) within a step of a bound
+
+
+def parameters_of(robot: Robot, names: Sequence[str]) -> tuple[Parameter, ...]:
+    """Free parameters by dotted name, with the bounds of their settings; raises ConfigError."""
+    known = {name: (v, meta) for name, v, meta in leaves(robot) if isinstance(v, float)}
+    for name in names:
+        if name not in known:
+            raise ConfigError(f"{name} is not a number of the robot (known: {', '.join(known)})")
+    if len(set(names)) < len(names):
+        raise ConfigError(f"a parameter is named twice: {', '.join(names)}")
+    return tuple(
+        Parameter(name, known[name][0], known[name][1]["low"], known[name][1]["high"])
+        for name in names
+    )
+
+
+def fit(problem: Problem, starts: int = 1, progress: Callable[[str], None] = print) -> Found:
+    """The least sum of squares reached from the parameters' start and `starts` - 1 others.
+
+    The others scatter about the first with a generator of fixed seed. Raises FitError where no
+    start leads to a result.
+    """
+    rng = np.random.default_rng(0)
+    first = problem.coordinates([p.start for p in problem.parameters])
+    low, high = problem.bounds()
+    best, reason = None, ""
+    for k in range(starts):
+        shift = SCATTER * rng.uniform(-1.0, 1.0, len(first)) if k else 0.0
+        try:
+            found = _descend(problem, np.clip(first + shift, low, high))
+        except FitError as error:
+            reason = str(error)
+            progress(f"start {k + 1} of {starts}: {error}")
+            continue
+        end = "" if found.converged else f", stopped after {TRIALS} trials"
+        progress(f"start {k + 1} of {starts}: sum of squares {found.chi_square:.6g}{end}")
+        if best is None or found.chi_square < best.chi_square:
+            best = found
+    if best is None:
+        raise FitError(reason)
+    return best
+
+
+def _descend(problem: Problem, start: Array) -> Found:
+    try:
+        problem.residuals(start)
+    except PredictionError as error:
+        raise FitError(f"no prediction at the start: {error}") from None
+
+    def residuals(u: Array) -> Array:
+        try:
+            return problem.residuals(u)
+        except PredictionError:
+            return np.full(len(problem.measured), NO_ANSWER)
+
+    low, high = problem.bounds()
+    end = least_squares(
+        residuals,
+        start,
+        jac=problem.jacobian,
+        bounds=(low, high),
+        x_scale="jac",
+        xtol=TOLERANCE,
+        ftol=TOLERANCE,
+        max_nfev=TRIALS,
+    )
+    u = np.where(end.x - low < EDGE, low, np.where(high - end.x < EDGE, high, end.x))
+    return Found(problem.values(u), float(2 * end.cost), bool(end.status))
+
+
+def estimate(problem: Problem, values: Sequence[float] | Array) -> Estimate:
+    """What the data say at given values of the parameters; raises PredictionError, FitError."""
+    u, (low, high) = problem.coordinates(values), problem.bounds()
+    residual, jacobian = problem.residuals(u), problem.jacobian(u)
+    length = np.linalg.norm(jacobian, axis=0)
+    length[length == 0.0] = 1.0
+    _, singular, directions = np.linalg.svd(jacobian / length)
+    singular = np.append(singular, np.zeros(len(u) - len(singular)))
+    held = singular > RANK * singular[0]
+    freedom = len(residual) - int(held.sum())
+    chi_square = float(residual @ residual)
+    scaled = directions[held].T / singular[held]
+    covariance = scaled @ scaled.T / np.outer(length, length)
+    known = np.all(np.abs(directions[~held]) < SHARE, axis=0)
+    width = np.full(len(u), np.nan)
+    if freedom:
+        deviation = np.sqrt(chi_square / freedom * np.diag(covariance))
+        width = np.where(known, student.ppf((1 + LEVEL) / 2, freedom) * deviation, np.nan)
+    return Estimate(
+        values=problem.values(u),
+        predicted=problem.measured + residual * problem.sigma,
+        chi_square=chi_square,
+        freedom=freedom,
+        interval=_intervals(problem, u, width),
+        correlation=_correlation(covariance, known),
+        determined=known & (freedom > 0),
+        condition=float(singular[0] / singular[-1]) if held.all() else math.inf,
+        at_limit=(u - low < STEP) | (high - u < STEP),
+    )
+
+
+def _intervals(problem: Problem, u: Array, width: Array) -> Array:
+    with np.errstate(over="ignore"):  # beyond all numbers is infinity
+        return np.column_stack([problem.values(u - width), problem.values(u + width)])
+
+
+def _correlation(covariance: Array, held: NDArray[np.bool_]) -> Array:
+    deviation = np.where(held, np.sqrt(np.diag(covariance)), np.nan)
+    return covariance / np.outer(deviation, deviation)
