@@ -8,7 +8,8 @@ setup(
         "slot_core": [
             "defaults/*.yaml",
             "defaults/*.csv",
-            "defaults/scene/*.yaml",
+            "defaults/scene/*",
+            "defaults/solver/*",
             "defaults/parameters/*",
         ]
     },
