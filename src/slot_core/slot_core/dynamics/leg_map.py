@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import csv
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -36,6 +37,7 @@ COLUMNS = (
     "slope_N_per_rad",
     "stiffness_N_per_m",
     "contact_x_m",
+    "tension_N",
 )
 TOLERANCE = 1e-11  # m, last Newton correction of a node
 ITERATIONS = 2000
@@ -175,7 +177,7 @@ def respond(model, leg, height, rise, turn):
 
 
 def tabulate(robot: Robot, grid: LegMapSettings) -> Array:
-    """The map, (angles x heights, 6) in the order of `COLUMNS`, angle by angle; SI and degrees."""
+    """The map, (angles x heights, 7) in the order of `COLUMNS`, angle by angle; SI and degrees."""
     angles = np.linspace(0.0, robot.tendon.angle_max, grid.angles)
     heights = np.linspace(grid.height_min, grid.height_max, grid.heights)
     columns = []
@@ -187,15 +189,14 @@ def tabulate(robot: Robot, grid: LegMapSettings) -> Array:
 
 
 def _pull(robot: Robot, grid: LegMapSettings, node: Array, height: float, angles: Array) -> Array:
-    """(angles, 6) rows of the map at one height, from the shape at angle zero."""
+    """(angles, 7) rows of the map at one height, from the shape at angle zero."""
     leg = StaticLeg(robot, grid.nodes)
     leg.node = node
     rows = []
     for before, angle in zip([0.0, *angles], angles):
         for between in np.linspace(before, angle, grid.substeps + 1)[1:]:
             here = leg.solve(between, height)
-        degrees = math.degrees(angle)
-        rows.append((degrees, height, here.force, here.slope, here.stiffness, here.contact_x))
+        rows.append((math.degrees(angle), height, *here[:-1]))
     return np.array(rows)
 
 
@@ -205,6 +206,28 @@ def write(path: Path, table: Array) -> None:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         writer.writerows([f"{value:.6g}" for value in row] for row in table)
+
+
+class LegMap(NamedTuple):
+    """The map on its grid."""
+
+    angle: Array  # (m,) rad
+    height: Array  # (n,) m
+    table: Array  # (m, n, columns asked for)
+
+
+def read_leg_map(columns: Sequence[str]) -> LegMap:
+    """Columns of `config/leg_map.csv`; raises ConfigError when it is missing or not a grid."""
+    names = ("theta_deg", "height_m", *columns)
+    try:
+        with (config.config_dir() / "leg_map.csv").open() as file:
+            rows = [[float(row[name]) for name in names] for row in csv.DictReader(file)]
+        theta_deg, height, *values = np.array(sorted(rows)).T
+        angles, heights = np.unique(theta_deg), np.unique(height)
+        table = np.array(values).T.reshape(len(angles), len(heights), len(columns))
+        return LegMap(np.radians(angles), heights, table)
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise config.ConfigError(f"leg_map.csv: no table of {names}: {error}") from None
 
 
 def main() -> None:
