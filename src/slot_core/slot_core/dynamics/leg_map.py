@@ -38,6 +38,8 @@ COLUMNS = (
     "stiffness_N_per_m",
     "contact_x_m",
     "tension_N",
+    "foot_m_per_rad",
+    "foot_m_per_m",
 )
 TOLERANCE = 1e-11  # m, last Newton correction of a node
 ITERATIONS = 2000
@@ -71,6 +73,10 @@ class Equilibrium(NamedTuple):
     contact_x: float  # m from the clamp, centre of pressure, or the tip where nothing touches
     tension: float  # N
     node: Array  # (N, 2) m from the clamp, x and z
+    # How the material on the floor shifts outward with angle (m/rad) and height (m/m), its mean by
+    # pressure; zero where nothing touches. A leg that rolls shifts less than its contact.
+    foot_slope: float = math.nan
+    foot_rise: float = math.nan
 
 
 class StaticLeg:
@@ -108,10 +114,11 @@ class StaticLeg:
             )
         out = np.zeros(2)
         pressure(self.model, self._leg, height, out)
-        slope = respond(self.model, self._leg, height, 0.0, 1.0)
-        stiffness = respond(self.model, self._leg, height, 1.0, 0.0)
+        slope, foot_slope = respond(self.model, self._leg, height, 0.0, 1.0)
+        stiffness, foot_rise = respond(self.model, self._leg, height, 1.0, 0.0)
         tension = float(self._leg.pull[0])
-        return Equilibrium(out[0], slope, stiffness, out[1], tension, self.node)
+        feet = foot_slope, foot_rise
+        return Equilibrium(out[0], slope, stiffness, out[1], tension, self.node, *feet)
 
 
 @kernel
@@ -161,6 +168,8 @@ def pressure(model, leg, height, out):
 def respond(model, leg, height, rise, turn):
     """Change of the floor's force, N, as the clamp rises (m) and the spool turns (rad).
 
+    And how the material on the floor shifts outward, m, weighted by its pressure.
+
     From the last factorisation of `relax`, hence exact while the same nodes touch the floor.
     """
     tendon, F = model.tendon, leg.form
@@ -168,16 +177,19 @@ def respond(model, leg, height, rise, turn):
     pull = F[6, 1] * rise + tendon.spool_radius * turn
     tension = pull * stiffness / (1.0 - stiffness * F[6, 6])
     X, q = (0.0, rise, 0.0), (0.0, 0.0, 0.0, tension, 0.0)
-    force = 0.0
+    force = shift = weight = 0.0
     for i in range(leg.back.shape[0]):
         X = follow(leg, i, X, q)
-        if height + leg.stage[i + 1, 1] < 0.0:
+        gap = height + leg.stage[i + 1, 1]
+        if gap < 0.0:
             force -= model.floor.stiffness[i + 1] * X[1]
-    return force
+            shift -= model.floor.stiffness[i + 1] * gap * X[0]
+            weight -= model.floor.stiffness[i + 1] * gap
+    return force, shift / weight if weight > 0.0 else 0.0
 
 
 def tabulate(robot: Robot, grid: LegMapSettings) -> Array:
-    """The map, (angles x heights, 7) in the order of `COLUMNS`, angle by angle; SI and degrees."""
+    """The map, (angles x heights, 9) in the order of `COLUMNS`, angle by angle; SI and degrees."""
     angles = np.linspace(0.0, robot.tendon.angle_max, grid.angles)
     heights = np.linspace(grid.height_min, grid.height_max, grid.heights)
     columns = []
@@ -189,14 +201,16 @@ def tabulate(robot: Robot, grid: LegMapSettings) -> Array:
 
 
 def _pull(robot: Robot, grid: LegMapSettings, node: Array, height: float, angles: Array) -> Array:
-    """(angles, 7) rows of the map at one height, from the shape at angle zero."""
+    """(angles, 9) rows of the map at one height, from the shape at angle zero."""
     leg = StaticLeg(robot, grid.nodes)
     leg.node = node
     rows = []
     for before, angle in zip([0.0, *angles], angles):
         for between in np.linspace(before, angle, grid.substeps + 1)[1:]:
             here = leg.solve(between, height)
-        rows.append((math.degrees(angle), height, *here[:-1]))
+        numbers = (here.force, here.slope, here.stiffness, here.contact_x, here.tension)
+        feet = (here.foot_slope, here.foot_rise)
+        rows.append((math.degrees(angle), height, *numbers, *feet))
     return np.array(rows)
 
 

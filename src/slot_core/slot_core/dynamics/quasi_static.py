@@ -4,6 +4,7 @@ A leg at tendon angle theta whose foot is eta below its clamp carries F(theta, e
 eta) outward from the clamp, under the tension T(theta, eta): `config/leg_map.csv`, of a leg on a
 frictionless floor. The foot is at r = c + x a - eta k in the torso's axes, with the clamp c, the
 leg's azimuth a and the torso's vertical k; eta is such that r is on the floor, whose normal is n.
+The material there shifts outward by x_theta and x_eta, other than x where the leg rolls.
 As the torso moves, n.dr = 0 gives d eta = (n.(dp + dphi x r) + n.a x_theta dtheta) / D with
 D = n.k - n.a x_eta, and the principle of virtual work, with friction f at r and m = x_eta a - k,
 
@@ -17,11 +18,10 @@ leg that is fully pulled and high up, dF/dt has no part of the height, lest it d
 What is left out: the legs' motion of their own (the first frequency of a leg is near 10 Hz); what
 friction does to a leg's shape beyond the foot's path; the tilt of gravity in a leg. Contact is that
 of the scene `flat`. The legs' mass and inertia belong to the torso, in their natural shape, with
-the centre of mass at the torso's own. Where a leg lies on the floor, x is the centre of
-pressure and its rate is taken for that of the material, although it may roll.
+the centre of mass at the torso's own.
 
 Between the grid's points the map is bilinear. Below the lowest and above the highest height force
-and tension go on along the plane of the edge's cell, the force down to zero, x stays. The table
+and tension go on along the plane of the edge's cell, the force down to zero; the rest stays. The table
 belongs to the robot of `config/robot.yaml`: after a change there run `scripts/tabulate_leg`.
 """
 
@@ -42,7 +42,7 @@ from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
 from slot_core.robot import Array, Robot
 
-COLUMNS = ("force_N", "contact_x_m", "tension_N")
+COLUMNS = ("force_N", "contact_x_m", "tension_N", "foot_m_per_rad", "foot_m_per_m")
 
 
 class MapSimulator(SimulatedRobot):

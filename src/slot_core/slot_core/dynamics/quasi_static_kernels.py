@@ -30,7 +30,9 @@ FREE = 0.25  # least D, lest a foot that runs ahead of the torso locks it
 class MapLegs(NamedTuple):
     """The four legs as numbers."""
 
-    table: Array  # (m, n, 3) force (N), contact's x (m), tension (N) over angle and height
+    # (m, n, 5) over angle and height: force (N), contact's x (m), tension (N), and how the material
+    # on the floor shifts outward (m/rad, m/m)
+    table: Array
     angle_step: float  # rad; the first angle is zero
     height_low: float  # m
     height_step: float  # m
@@ -49,7 +51,7 @@ class Feet(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """Row of the map with its derivatives over height and angle."""
+    """Row of the map, and force and tension derived over height and angle."""
 
     force: float
     force_h: float
@@ -191,9 +193,10 @@ def _draw(legs, angle, height):
     t = place - j
     da, dh = 1.0 / legs.angle_step, 1.0 / legs.height_step
     f, fh, fa = _cell(table, i, j, 0, u, t, dh, da)
-    x, xh, xa = _cell(table, i, j, 1, u, min(1.0, max(0.0, t)), dh, da)
-    if not 0.0 <= t <= 1.0:
-        xh = 0.0
+    inside = min(1.0, max(0.0, t))
+    x = _cell(table, i, j, 1, u, inside, dh, da)[0]
+    xa = _cell(table, i, j, 3, u, inside, dh, da)[0]
+    xh = _cell(table, i, j, 4, u, inside, dh, da)[0]
     s, sh, sa = _cell(table, i, j, 2, u, t, dh, da)
     if f <= 0.0:
         f = fh = fa = 0.0
