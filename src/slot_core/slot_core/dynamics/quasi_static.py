@@ -9,19 +9,19 @@ As the torso moves, n.dr = 0 gives d eta = (n.(dp + dphi x r) + n.a x_theta dthe
 D = n.k - n.a x_eta, and the principle of virtual work, with friction f at r and m = x_eta a - k,
 
     N = (F + beta dF/dt + f.m) / D          normal force at r,
-    T' = T + beta dT/dt - x_theta ((f + ..).a) / r_spool.
+    T' = T + beta dT/dt - x_theta (f.a + (F + beta dF/dt + f.m) n.a / D) / r_spool.
 
 beta is the Kelvin-Voigt time of the material: stress E (e + beta de/dt) makes F + beta dF/dt of F
 wherever F is linear in the deformation. Where the map's stiffness is positive, at the fold of a
 leg that is fully pulled and high up, dF/dt has no part of the height, lest it drives the motion.
 
-What is left out: the legs' motion of their own (the first frequency of a leg is near 10 Hz); what
+What is left out: the legs' motion of their own (first frequency: 10 Hz hanging, 25 Hz standing); what
 friction does to a leg's shape beyond the foot's path; the tilt of gravity in a leg. Contact is that
 of the scene `flat`. The legs' mass and inertia belong to the torso, in their natural shape, with
 the centre of mass at the torso's own.
 
 Between the grid's points the map is bilinear. Below the lowest and above the highest height force
-and tension go on along the plane of the edge's cell, the force down to zero; the rest stays. The table
+and tension go on along the plane of the edge's cell, down to zero; the rest stays. The table
 belongs to the robot of `config/robot.yaml`: after a change there run `scripts/tabulate_leg`.
 """
 

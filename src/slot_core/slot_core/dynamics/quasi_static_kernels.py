@@ -64,6 +64,16 @@ class Drawn(NamedTuple):
     tension_a: float
 
 
+class Foot(NamedTuple):
+    """Where a leg meets the floor, in step axes."""
+
+    place: tuple[float, float, float]  # m, r from the torso's centre
+    up: tuple[float, float, float]  # n
+    slope: float  # n.a
+    free: float  # D
+    path: tuple[float, float, float]  # m: how the foot goes in the torso as its drop grows
+
+
 @kernel
 def advance(machine, steps):
     """Advance by `steps` steps; returns (steps done, -1), or how the solution was lost.
@@ -123,56 +133,71 @@ def _step(model, legs, state, feet, work, scheme):
 @helper
 def _add_leg(model, legs, state, feet, work, k, place, tau):
     """Add leg k to the torso's system; keeps its foot, its tension and the floor's force."""
-    axes, v, w, small = work.rotation, work.motion[0], work.motion[1], work.motion[2]
-    inv, radius, rate = 1.0 / tau, model.tendon.spool_radius, state.tendon_rate[k]
-    a, c, whole = legs.outward[k], legs.clamps[k], model.fault[1, k]
+    axes, a, inv, beta = work.rotation, legs.outward[k], 1.0 / tau, legs.damping_time
+    radius, rate = model.tendon.spool_radius, state.tendon_rate[k]
+    angle = state.tendon_angle[k] + tau * rate - model.fault[0, k] / radius
+    rate *= model.fault[1, k] * (angle > 0.0)
+    here, foot = _meet(legs, state, work, k, place, model.fault[1, k] * max(0.0, angle))
+    falling, slip = _slide(work, a, here, foot, rate)
+    growing = min(0.0, here.force_h)
+    carried = max(0.0, here.force + beta * (growing * falling + here.force_a * rate))
+    carried *= here.force > 0.0
+    mu = _mu(model, state, k, slip, a)
+    hold, normal = _friction(model, state, axes, k, mu, tau, carried, slip, foot)
+    fx = -hold.drag * slip[0] - hold.x
+    fy = -hold.drag * slip[1] - hold.y
+    fz = -hold.drag * slip[2] - hold.z
+    stiff = -growing * (1.0 + beta * inv) / foot.free**2 * (carried > 0.0)
+    _load(work.vector, foot, normal, (fx, fy, fz))
+    _stiffen(work.matrix, foot, stiff, hold.drag * inv)
+    along = fx * a[0] + fy * a[1] + fz * a[2] + normal * foot.slope
+    tension = here.tension - here.x_a * along / radius
+    tension += beta * (here.tension_h * falling + here.tension_a * rate)
+    state.tension[k] = max(0.0, tension) * (here.tension > 0.0)
+    feet.limit[k] = mu * normal
+    up = foot.up
+    _keep(state.node_velocity[k, 0], axes, slip[0], slip[1], slip[2])
+    _keep(feet.force[k], axes, normal * up[0] + fx, normal * up[1] + fy, normal * up[2] + fz)
+
+
+@helper
+def _meet(legs, state, work, k, place, angle):
+    """Where leg k meets the floor, and the map there.
+
+    How far the foot is below the clamp follows from its place along the leg at the iterate before.
+    """
+    axes, small, a, c = work.rotation, work.motion[2], legs.outward[k], legs.clamps[k]
     ux, uy, uz = axes[2, 0], axes[2, 1], axes[2, 2]
-    phi = ux * a[0] + uy * a[1] + uz * a[2]
-    # How far the foot is below the clamp, at the last place along the leg; then its place now.
     x = state.node[k, 0, 0]
     px, py, pz = c[0] + x * a[0], c[1] + x * a[1], c[2] + x * a[2]
     px, py, pz = at((px, py, pz), small, px, py, pz)
     drop = (place[2] + ux * px + uy * py + uz * pz) / uz
-    angle = state.tendon_angle[k] + tau * rate - model.fault[0, k] / radius
-    here = _draw(legs, whole * max(0.0, angle), drop)
-    rate *= whole * (angle > 0.0)
-    px, py, pz = c[0] + here.x * a[0], c[1] + here.x * a[1], c[2] + here.x * a[2] - drop
-    free = max(FREE, uz - phi * here.x_h)
-    mx, my, mz = here.x_h * a[0], here.x_h * a[1], here.x_h * a[2] - 1.0
-    bx, by, bz = at(v, w, px, py, pz)
-    falling = (ux * bx + uy * by + uz * bz + phi * here.x_a * rate) / free
-    growing = here.force_h if here.force_h < 0.0 else 0.0
-    carried = here.force + legs.damping_time * (growing * falling + here.force_a * rate)
-    carried = max(0.0, carried) if here.force > 0.0 else 0.0
-    # Slip of the foot.
-    sx = bx + mx * falling + a[0] * here.x_a * rate
-    sy = by + my * falling + a[1] * here.x_a * rate
-    sz = bz + mz * falling + a[2] * here.x_a * rate
-    sn = ux * sx + uy * sy + uz * sz
-    slip = (sx - sn * ux, sy - sn * uy, sz - sn * uz)
-    mu = _mu(model, state, k, slip, a)
-    hold, normal = _friction(model, state, axes, k, mu, tau, carried, slip, (mx, my, mz), free)
-    fx = -hold.drag * slip[0] - hold.x
-    fy = -hold.drag * slip[1] - hold.y
-    fz = -hold.drag * slip[2] - hold.z
-    feet.limit[k] = mu * normal
-    _load(work.vector, (px, py, pz), (ux, uy, uz), normal, (fx, fy, fz))
-    _stiffen(
-        work.matrix,
-        (px, py, pz),
-        (ux, uy, uz),
-        (mx / free, my / free, mz / free),
-        -growing * (1.0 + legs.damping_time * inv) / (free * free) * (carried > 0.0),
-        hold.drag * inv,
+    here = _draw(legs, angle, drop)
+    x = here.x
+    state.node[k, 0, 0], state.node[k, 0, 1] = x, -drop
+    slope = ux * a[0] + uy * a[1] + uz * a[2]
+    foot = Foot(
+        place=(c[0] + x * a[0], c[1] + x * a[1], c[2] + x * a[2] - drop),
+        up=(ux, uy, uz),
+        slope=slope,
+        free=max(FREE, uz - slope * here.x_h),
+        path=(here.x_h * a[0], here.x_h * a[1], here.x_h * a[2] - 1.0),
     )
-    along = fx * (a[0] + mx * phi / free) + fy * (a[1] + my * phi / free)
-    along += fz * (a[2] + mz * phi / free) + carried * phi / free
-    tension = here.tension - here.x_a * along / radius
-    tension += legs.damping_time * (here.tension_h * falling + here.tension_a * rate)
-    state.tension[k] = max(0.0, tension) if here.tension > 0.0 else 0.0
-    state.node[k, 0, 0], state.node[k, 0, 1] = here.x, -drop
-    _keep(state.node_velocity[k, 0], axes, slip[0], slip[1], slip[2])
-    _keep(feet.force[k], axes, normal * ux + fx, normal * uy + fy, normal * uz + fz)
+    return here, foot
+
+
+@helper
+def _slide(work, a, here, foot, rate):
+    """Rate of the foot's distance below the clamp, m/s, and the foot's slip, step axes, m/s."""
+    p, up, m, turned = foot.place, foot.up, foot.path, here.x_a * rate
+    bx, by, bz = at(work.motion[0], work.motion[1], p[0], p[1], p[2])
+    normal = up[0] * bx + up[1] * by + up[2] * bz
+    falling = (normal + foot.slope * turned) / foot.free
+    sx = bx + m[0] * falling + a[0] * turned
+    sy = by + m[1] * falling + a[1] * turned
+    sz = bz + m[2] * falling + a[2] * turned
+    sn = up[0] * sx + up[1] * sy + up[2] * sz
+    return falling, (sx - sn * up[0], sy - sn * up[1], sz - sn * up[2])
 
 
 @helper
@@ -222,40 +247,42 @@ def _mu(model, state, k, slip, a):
 
 
 @helper
-def _friction(model, state, axes, k, mu, tau, carried, slip, m, free):
-    """Friction of foot k and its normal force: each depends on the other, hence twice."""
-    floor, up = model.floor, (axes[2, 0], axes[2, 1], axes[2, 2])
+def _friction(model, state, axes, k, mu, tau, carried, slip, foot):
+    """Friction of foot k and its normal force: each depends on the other, hence repeated."""
+    floor, m = model.floor, foot.path
     stiffness, damping, stuck = floor.stiffness[-1], floor.damping[-1], slip
     if floor.bristle > 0.0:
-        stuck = tangential(axes, state.bristle[k, 0], up)
-    normal = carried / free
+        stuck = tangential(axes, state.bristle[k, 0], foot.up)
+    normal = carried / foot.free
     hold = grip(floor, mu * normal, tau, stiffness, damping, stuck, slip)
     for _ in range(2):
         work = (hold.drag * slip[0] + hold.x) * m[0] + (hold.drag * slip[1] + hold.y) * m[1]
         work += (hold.drag * slip[2] + hold.z) * m[2]
-        normal = max(0.0, carried - work) / free
+        normal = max(0.0, carried - work) / foot.free
         hold = grip(floor, mu * normal, tau, stiffness, damping, stuck, slip)
     return hold, normal
 
 
 @helper
-def _load(g, p, up, push, f):
-    """g -= push (N) along the normal and friction f at p, with their moments."""
-    x, y, z = f[0] + push * up[0], f[1] + push * up[1], f[2] + push * up[2]
+def _load(g, foot, normal, f):
+    """g -= the normal force (N) and friction f on the foot, with their moments."""
+    p, up = foot.place, foot.up
+    x, y, z = f[0] + normal * up[0], f[1] + normal * up[1], f[2] + normal * up[2]
     force = (x, y, z, p[1] * z - p[2] * y, p[2] * x - p[0] * z, p[0] * y - p[1] * x)
     for i in range(6):
         g[i] -= force[i]
 
 
 @helper
-def _stiffen(H, p, up, m, stiff, drag):
-    """H += stiff n n^T + drag sum_i (e_i + m_i n)(e_i + m_i n)^T, e_i and n as rows at p."""
-    x, y, z = p
+def _stiffen(H, foot, stiff, drag):
+    """H += stiff n n^T + drag sum_i s_i s_i^T, s_i = e_i + m_i n / D; n, e_i: rows at the foot."""
+    x, y, z = foot.place
+    up, m, per = foot.up, foot.path, 1.0 / foot.free
     n = (up[0], up[1], up[2], y * up[2] - z * up[1], z * up[0] - x * up[2], x * up[1] - y * up[0])
     _add_row(H, stiff, n)
-    _add_row(H, drag, _plus((1.0, 0.0, 0.0, 0.0, z, -y), m[0], n))
-    _add_row(H, drag, _plus((0.0, 1.0, 0.0, -z, 0.0, x), m[1], n))
-    _add_row(H, drag, _plus((0.0, 0.0, 1.0, y, -x, 0.0), m[2], n))
+    _add_row(H, drag, _plus((1.0, 0.0, 0.0, 0.0, z, -y), m[0] * per, n))
+    _add_row(H, drag, _plus((0.0, 1.0, 0.0, -z, 0.0, x), m[1] * per, n))
+    _add_row(H, drag, _plus((0.0, 0.0, 1.0, y, -x, 0.0), m[2] * per, n))
 
 
 @helper
