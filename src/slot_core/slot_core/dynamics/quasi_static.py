@@ -15,10 +15,10 @@ beta is the Kelvin-Voigt time of the material: stress E (e + beta de/dt) makes F
 wherever F is linear in the deformation. Where the map's stiffness is positive, at the fold of a
 leg that is fully pulled and high up, dF/dt has no part of the height, lest it drives the motion.
 
-What is left out: the legs' motion of their own (first frequency: 10 Hz hanging, 25 Hz standing); what
-friction does to a leg's shape beyond the foot's path; the tilt of gravity in a leg. Contact is that
-of the scene `flat`. The legs' mass and inertia belong to the torso, in their natural shape, with
-the centre of mass at the torso's own.
+What is left out: the legs' motion of their own (first frequency: 10 Hz hanging, 25 Hz standing);
+what friction does to a leg's shape beyond the foot's path; the tilt of gravity in a leg. Contact is
+that of the scene `flat`. The legs' mass and inertia belong to the torso, in their natural shape,
+with the centre of mass at the torso's own.
 
 Between the grid's points the map is bilinear. Below the lowest and above the highest height force
 and tension go on along the plane of the edge's cell, down to zero; the rest stays. The table
