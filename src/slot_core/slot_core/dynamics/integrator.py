@@ -48,8 +48,9 @@ def advance(machine, steps):
 
     machine: handle of (model, state, work, start, legs, scheme); the legs in lanes.
 
-    A step that is lost, or whose last Newton correction is above the limit, is taken again from its
-    `start` in 2, 4, ... 2^halvings pieces. Running out of halvings is a loss only if it is `lost`.
+    A step that is lost, has a pivot that is not positive, or moves a node by more than the limit in
+    its last Newton correction, is taken again from its `start` in 2, 4, ... 2^halvings pieces.
+    Running out of halvings is counted, and a loss only if it is `lost`.
     """
     model, state, work, start, legs, scheme = contents(machine)
     return _advance(model, state, work, start, (in_lanes(legs),), scheme, steps)
@@ -76,11 +77,13 @@ def _advance(model, state, work, start, legs, scheme, steps):
                 where = lost(state, legs, model.speed_limit)
                 if where >= 0:
                     break
-            if where < 0 and correction <= scheme.correction_limit:
+            if where < 0 and correction * (scheme.step / pieces) <= scheme.correction_limit:
                 break
             if halving < scheme.halvings:
                 copy(state.buffer, start.buffer)
                 work.counter[0] += 1.0
+            else:
+                work.counter[2] += 1.0
         if where >= 0:
             return k, where
     return steps, -1
@@ -124,7 +127,10 @@ def _which(velocity, limit):
 
 @helper
 def step(model, state, work, legs, h, scheme):
-    """One step of h, in place; returns the largest change of a node in the last iteration, m/s."""
+    """One step of h, in place; returns the largest change of a node in the last iteration, m/s.
+
+    It is infinite if a pivot was not positive.
+    """
     theta = scheme.theta
     tau = theta * h
     inv = 1.0 / tau
@@ -157,7 +163,7 @@ def step(model, state, work, legs, h, scheme):
         _finish_leg(state, work, leg, h, theta)
     _finish_rate(state, work, theta)
     work.counter[1] += 0.0 if definite else 1.0
-    return math.sqrt(change)
+    return math.sqrt(change) if definite else math.inf
 
 
 @helper

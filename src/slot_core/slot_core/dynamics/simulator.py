@@ -41,7 +41,7 @@ class Simulator(SimulatedRobot):
         self._segments = segments(scene.solver.nodes)
         bristles = self.model.floor.bristle > 0.0
         start = state_space(scene.solver.nodes, bristles)
-        scheme = build_scheme(scene.solver)
+        scheme = build_scheme(scene.solver, self.model.floor)
         self._machine = Handle((self.model, self.state, self._work, start, self._legs, scheme))
         self._points = np.zeros((2, 4, scene.solver.nodes, 3))
         self._settle()
@@ -89,6 +89,11 @@ class Simulator(SimulatedRobot):
         return int(self._work.counter[1])
 
     @property
+    def unconverged_steps(self) -> int:
+        """Steps that ran out of halvings and were accepted with too large a correction."""
+        return int(self._work.counter[2])
+
+    @property
     def tendon_angle(self) -> Array:
         """(4,) rad, angle of the spools."""
         return self.state.tendon_angle.copy()
@@ -133,4 +138,7 @@ class Simulator(SimulatedRobot):
         leg, node = divmod(where - 1, self.scene.solver.nodes)
         place = f"leg {LEGS[leg]} node {node}" if where else "torso"
         limit = self.scene.solver.speed_limit
-        return f"solution lost at {self.time:.4f} s: {place} is beyond {limit} m/s or not a number"
+        return (
+            f"solution lost in step {self.steps + 1} at {self.time:.4f} s: {place} is beyond"
+            f" {limit} m/s or not a number"
+        )
