@@ -98,8 +98,13 @@ def copy(out, source):
 
 @helper
 def lost(state, legs, limit):
-    """-1 while all speeds are finite and below the limit, else 0 (torso) or 1 + leg N + node."""
-    v, w = state.velocity, state.rate
+    """-1 while speeds are below the limit and all is finite, else 0 (torso) or 1 + leg N + node.
+
+    An angle of a tendon that is no number is reported at the leg's node 0: a slack tendon hides it.
+    """
+    r, v, w = state.position, state.velocity, state.rate
+    if not r[0] * r[0] + r[1] * r[1] + r[2] * r[2] < math.inf:
+        return 0
     if not v[0] * v[0] + v[1] * v[1] + v[2] * v[2] < limit * limit:
         return 0
     if not w[0] * w[0] + w[1] * w[1] + w[2] * w[2] < limit * limit:
@@ -107,17 +112,20 @@ def lost(state, legs, limit):
     fine = True
     for leg in legs:
         u = leg.node_velocity
+        fine = fine & every(leg.angle[0] * leg.angle[0] < math.inf)
         for i in range(u.shape[0]):
             square = u[i, 0] * u[i, 0] + u[i, 1] * u[i, 1] + u[i, 2] * u[i, 2]
             fine = fine & every(square < limit * limit)
-    return -1 if fine else _which(state.node_velocity, limit)
+    return -1 if fine else _which(state.node_velocity, state.tendon_angle, limit)
 
 
 @helper
-def _which(velocity, limit):
+def _which(velocity, angle, limit):
     """1 + leg N + node of the first node that is lost."""
     legs, nodes = velocity.shape[:2]
     for leg in range(legs):
+        if not angle[leg] * angle[leg] < math.inf:
+            return 1 + leg * nodes
         for i in range(nodes):
             x, y, z = velocity[leg, i, 0], velocity[leg, i, 1], velocity[leg, i, 2]
             if not x * x + y * y + z * z < limit * limit:

@@ -70,12 +70,20 @@ class Simulator(SimulatedRobot):
     def push(self, force: Array, moment: Array) -> None:
         """Add an outer force (3,), N, and moment (3,), N m, on the torso's centre, in odom.
 
-        They act from now on; adding the opposite ends that.
+        They act from now on; adding the opposite ends that. Raises ValueError unless all is finite.
         """
-        self.model.push[:] += [*force, *moment]
+        push = np.array([*force, *moment], dtype=float)
+        if push.shape != (6,) or not np.isfinite(push).all():
+            raise ValueError(f"a push is a finite force (3,) and moment (3,), not {push}")
+        self.model.push[:] += push
 
     def spoil_tendon(self, leg: int, slack: float = 0.0, broken: bool = False) -> None:
-        """From now on a leg's tendon is longer by `slack` (m), or broken."""
+        """From now on the tendon of leg 0 .. 3 is longer by `slack` (m), or broken.
+
+        Raises ValueError on another leg or a slack that is negative or not finite.
+        """
+        if leg not in range(4) or not 0.0 <= slack < np.inf:
+            raise ValueError(f"leg {leg} must be 0 to 3, slack {slack} m not negative and finite")
         self.model.fault[:, leg] = slack, not broken
 
     @property
