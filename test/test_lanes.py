@@ -98,11 +98,9 @@ def test_lanes_move_as_the_legs_do_with_every_feature(feature):
     """From the start, pulled and then partly released, for 0.3 s: every leg on its own."""
     lanes, single = (Stepper(which, **FEATURES[feature]) for which in (True, False))
     plain = Stepper(True)
-    for k in range(10):
+    for degrees in [[90.0, 40.0, 60.0, 75.0]] * 6 + [[30.0, 70.0, 0.0, 75.0]] * 4:
         for stepper in (lanes, single, plain):
-            stepper.run(
-                np.radians([90.0, 40.0, 60.0, 75.0] if k < 6 else [30.0, 70.0, 0.0, 75.0]), 30
-            )
+            stepper.run(np.radians(degrees), 30)
         np.testing.assert_allclose(lanes.state.buffer, single.state.buffer, rtol=1e-6, atol=1e-5)
         np.testing.assert_allclose(lanes.state.node, single.state.node, rtol=0, atol=1e-7)
     assert np.abs(lanes.state.node - plain.state.node).max() > 1e-5  # m: the feature does something
