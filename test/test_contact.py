@@ -263,3 +263,18 @@ def test_a_leg_that_lies_flat_meets_the_same_floor_at_any_number_of_nodes(nodes)
     length = rod.arc[-1] - (step[0] + step[-1]) / 2  # clamp and tip have their own
     assert law.stiffness.sum() == pytest.approx(2e4 + 2.2e6 * length, rel=1e-12)
     np.testing.assert_allclose(law.damping[1:] / law.stiffness[1:], 5.0 / 2e4, rtol=1e-12)
+
+
+def test_ground_force_is_that_of_springs_dampers_and_friction_of_all_nodes():
+    """Of a robot that moves rigidly over the floor, by hand."""
+    sim = Simulator(read_robot(), read_scene("flat"), read_servo())
+    velocity, law = np.array([0.03, -0.02, -0.01]), floor()
+    sim.set_motion(velocity, np.zeros(3))
+    depth = np.maximum(0.0, -sim.nodes[:, :, 2])
+    depth[:, 0] = 0.0  # the clamp is the torso's
+    normal = np.where(depth > 0.0, law.stiffness * depth + law.damping * 0.01, 0.0).sum(1)
+    slip = np.hypot(0.03, 0.02)
+    drag = 0.4 * normal / np.hypot(slip, law.friction_velocity)
+    expected = np.column_stack([-drag * 0.03, drag * 0.02, normal])
+    assert (normal > 1.0).all()
+    np.testing.assert_allclose(sim.ground_force, expected, rtol=1e-9)

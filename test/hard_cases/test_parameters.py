@@ -2,10 +2,16 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 
+from slot_core import config
+from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.dynamics.simulator import Simulator
 from slot_core.evaluation.hard_cases import PARAMETERS
 from slot_core.evaluation.stress import examine
+from slot_core.robot import read_robot
 
 
 @pytest.mark.parametrize("name", PARAMETERS)
@@ -29,3 +35,18 @@ def test_the_limit_of_the_correction_follows_the_contact():
     # What leaves a node misplaced by 0.25 mm, as on the floor of 2e4 N/m.
     loose = {**case.scene, "solver.correction_limit": 0.3}
     assert examine(dataclasses.replace(case, scene=loose)).gained > case.limits.gained
+
+
+def test_every_step_with_a_pivot_that_is_not_positive_is_halved():
+    """Even where the correction may be as large as it likes; that alone would not keep the case."""
+    case = PARAMETERS["EA x 100"]
+    scene = config.replace(read_scene("flat"), {**case.scene, "solver.correction_limit": 1e6})
+    sim = Simulator(read_robot(), scene, read_servo())
+    case.start(sim)
+    seen = []
+    for _ in range(100):
+        before = sim.indefinite_steps, sim.halvings
+        sim.advance(1, np.full(4, 1.1))
+        seen.append((sim.indefinite_steps > before[0], sim.halvings > before[1]))
+    assert (True, True) in seen
+    assert (True, False) not in seen
