@@ -34,7 +34,7 @@ FINE = {"nodes": 121, "step": 1e-5, "theta": 0.5, "iterations": 3}
 SCHEMES = ((0.5, 1), (0.5, 2), (0.55, 1), (0.55, 2), (0.55, 4), (1.0, 1), (1.0, 2))
 NODES = (7, 10, 16, 22, 31, 61)
 STEPS = (5e-3, 2e-3, 1e-3, 5e-4, 2.5e-4)
-LEVELS = ("coarse", "standard", "fine")
+LEVELS = ("map", "coarse", "standard", "fine")
 LARGEST_ERROR = 0.3  # mm
 LARGEST_COST = {22: 5.0, 31: 7.0}  # us a step
 

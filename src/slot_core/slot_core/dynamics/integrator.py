@@ -143,11 +143,11 @@ def step(model, state, work, legs, h, scheme):
     tau = theta * h
     inv = 1.0 / tau
     definite, change = True, 0.0
-    _predict(model, state, work, h, theta)
+    predict_torso(model, state, work, h, theta)
     for leg in legs:
         _predict_leg(model, state, leg, h, theta)
     for _ in range(scheme.iterations):
-        place = _start_torso(model, state, work, tau)
+        place = start_torso(model, state, work, tau)
         for leg in legs:
             _to_leg_axes(work, leg)
             _stage(leg, tau)
@@ -163,19 +163,19 @@ def step(model, state, work, legs, h, scheme):
             work.motion[0, i] += work.vector[i] * inv
             work.motion[1, i] += work.vector[3 + i] * inv
     if model.floor.bristle > 0.0:
-        _bend_corners(model, state, work, h)
+        bend_corners(model, state, work, h)
         for leg in legs:
             _bend(model.floor, leg, h)
-    _finish(state, work, h, theta)
+    finish_torso(state, work, h, theta)
     for leg in legs:
         _finish_leg(state, work, leg, h, theta)
-    _finish_rate(state, work, theta)
+    finish_rate(state, work, theta)
     work.counter[1] += 0.0 if definite else 1.0
     return math.sqrt(change) if definite else math.inf
 
 
 @helper
-def _predict(model, state, work, h, theta):
+def predict_torso(model, state, work, h, theta):
     """Fix the step axes and the first iterate V = V_n."""
     w, v, g = state.rate, state.velocity, model.gravity
     tau = theta * h
@@ -216,7 +216,7 @@ def _predict_leg(model, state, leg, h, theta):
 
 
 @helper
-def _start_torso(model, state, work, tau):
+def start_torso(model, state, work, tau):
     """Begin the torso's system with all but its legs; returns its place at the stage, odom, m."""
     motion, axes, gravity = work.motion, work.rotation, work.field[3]
     v, w, v0, w0 = motion[0], motion[1], motion[3], motion[4]
@@ -294,7 +294,7 @@ def _bend(floor, leg, h):
 
 
 @helper
-def _bend_corners(model, state, work, h):
+def bend_corners(model, state, work, h):
     """Carry the bristles of the torso's corners to the end of the step."""
     v, w, corners = work.motion[0], work.motion[1], model.torso.corners
     for k in range(corners.shape[0]):
@@ -305,7 +305,7 @@ def _bend_corners(model, state, work, h):
 
 
 @helper
-def _finish(state, work, h, theta):
+def finish_torso(state, work, h, theta):
     """The torso from the stage to the end of the step, but for its rate: the legs need it."""
     v, v0 = work.motion[0], work.motion[3]
     tau = theta * h
@@ -316,7 +316,8 @@ def _finish(state, work, h, theta):
 
 
 @helper
-def _finish_rate(state, work, theta):
+def finish_rate(state, work, theta):
+    """The torso's rate at the end of the step."""
     w, w0 = work.motion[1], work.motion[4]
     for i in range(3):
         state.rate[i] = w0[i] + (w[i] - w0[i]) / theta

@@ -74,7 +74,7 @@ class MapSimulator(SimulatedRobot):
         self._feet = Feet(np.zeros(4), np.zeros((4, 3)), np.zeros(4), np.zeros(2))
         self._work = work_space()
         parts = (self.model, self.legs, self.state, self._feet, self._work)
-        self._machine = Handle((*parts, build_scheme(scene.solver)))
+        self._machine = Handle((*parts, build_scheme(scene.solver, self.model.floor)))
         self._settle()
 
     def advance(self, steps: int, command: Array) -> None:

@@ -12,14 +12,14 @@ from slot_core.dynamics.compiled import helper, kernel
 from slot_core.dynamics.contact import bend, coefficient, grip, tangential
 from slot_core.dynamics.handle import contents
 from slot_core.dynamics.integrator import (
-    _bend_corners,
-    _finish,
-    _finish_rate,
-    _predict,
-    _start_torso,
+    bend_corners,
+    finish_rate,
+    finish_torso,
+    predict_torso,
+    start_torso,
 )
 from slot_core.dynamics.servo import turn
-from slot_core.dynamics.torso import _add_row, at
+from slot_core.dynamics.torso import add_row, at
 from slot_core.robot import Array
 
 TOO_FAST, TOO_TILTED = range(2)  # how a solution is lost
@@ -104,13 +104,13 @@ def _step(model, legs, state, feet, work, scheme):
     """One step in place: the theta scheme of `integrator.py` for the torso's velocities alone."""
     h, theta = scheme.step, scheme.theta
     tau, definite = theta * h, True
-    _predict(model, state, work, h, theta)
+    predict_torso(model, state, work, h, theta)
     for k in range(4):
         angle, torque = state.tendon_angle[k], model.tendon.spool_radius * state.tension[k]
         rate = turn(model.servo, state.drive[k], feet.command[k], angle, torque, h)
         state.tendon_rate[k] = rate
     for _ in range(scheme.iterations):
-        place = _start_torso(model, state, work, tau)
+        place = start_torso(model, state, work, tau)
         for k in range(4):
             _add_leg(model, legs, state, feet, work, k, place, tau)
         definite = definite & solve(work.matrix, work.vector)
@@ -118,13 +118,13 @@ def _step(model, legs, state, feet, work, scheme):
             work.motion[0, i] += work.vector[i] / tau
             work.motion[1, i] += work.vector[3 + i] / tau
     if model.floor.bristle > 0.0:
-        _bend_corners(model, state, work, h)
+        bend_corners(model, state, work, h)
         for k in range(4):
             u, stiffness = state.node_velocity[k, 0], model.floor.stiffness[-1]
             bristle, limit = state.bristle[k, 0], feet.limit[k]
             bend(model.floor, bristle, limit, stiffness, feet.flat, h, u[0], u[1], u[2])
-    _finish(state, work, h, theta)
-    _finish_rate(state, work, theta)
+    finish_torso(state, work, h, theta)
+    finish_rate(state, work, theta)
     for k in range(4):
         state.tendon_angle[k] += h * state.tendon_rate[k]
     work.counter[1] += 0.0 if definite else 1.0
@@ -279,10 +279,10 @@ def _stiffen(H, foot, stiff, drag):
     x, y, z = foot.place
     up, m, per = foot.up, foot.path, 1.0 / foot.free
     n = (up[0], up[1], up[2], y * up[2] - z * up[1], z * up[0] - x * up[2], x * up[1] - y * up[0])
-    _add_row(H, stiff, n)
-    _add_row(H, drag, _plus((1.0, 0.0, 0.0, 0.0, z, -y), m[0] * per, n))
-    _add_row(H, drag, _plus((0.0, 1.0, 0.0, -z, 0.0, x), m[1] * per, n))
-    _add_row(H, drag, _plus((0.0, 0.0, 1.0, y, -x, 0.0), m[2] * per, n))
+    add_row(H, stiff, n)
+    add_row(H, drag, _plus((1.0, 0.0, 0.0, 0.0, z, -y), m[0] * per, n))
+    add_row(H, drag, _plus((0.0, 1.0, 0.0, -z, 0.0, x), m[1] * per, n))
+    add_row(H, drag, _plus((0.0, 0.0, 1.0, y, -x, 0.0), m[2] * per, n))
 
 
 @helper
