@@ -49,9 +49,7 @@ class PiqpSolver:
         # PIQP 0.6.4 rescales on update but leaves an unchanged P in its old scale: it then reports
         # the optimum of another problem as solved. The scale of the set-up serves all updates.
         options.preconditioner_reuse_on_update = True
-        self._solver.setup(
-            P=qp.P, A=qp.A, G=qp.G, h_u=qp.h, x_l=qp.lower.ravel(), **self._changing()
-        )
+        self._solver.setup(P=qp.P, A=qp.A, G=qp.G, x_l=qp.lower.ravel(), **self._changing())
 
     def solve(self) -> Solution:
         """Solve `qp` as it stands."""
@@ -64,4 +62,4 @@ class PiqpSolver:
 
     def _changing(self) -> dict[str, Array]:
         qp = self._qp
-        return {"c": qp.c, "b": qp.b.ravel(), "x_u": qp.upper.ravel()}
+        return {"c": qp.c, "b": qp.b.ravel(), "h_u": qp.h, "x_u": qp.upper.ravel()}
