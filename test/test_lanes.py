@@ -1,6 +1,7 @@
 """Lanes against NumPy, and four legs in lanes against the same equations leg by leg."""
 
 import copy
+import dataclasses
 import math
 from typing import NamedTuple
 
@@ -28,18 +29,19 @@ from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.robot import read_robot
 
-ROBOT, SCENE = read_robot(), read_scene("flat")
+ROBOT, SCENE, SERVO = read_robot(), read_scene("flat"), read_servo()
 
 
 class Stepper:
     """The kernels of a simulator without its checks, legs in lanes or one by one."""
 
-    def __init__(self, in_lanes, **changes):
+    def __init__(self, in_lanes, robot=ROBOT, servo=SERVO, **changes):
         scene = config.replace(SCENE, {k.replace("__", "."): v for k, v in changes.items()})
-        self.model = build_model(ROBOT, scene, read_servo())
+        self.model = build_model(robot, scene, servo)
         self.state = rest_state(self.model, scene.start.height)
         self.legs, self.work = leg_lanes(self.model, self.state), work_space()
-        start, scheme = state_space(scene.solver.nodes), build_scheme(scene.solver)
+        start = state_space(scene.solver.nodes, self.model.floor.bristle > 0.0)
+        scheme = build_scheme(scene.solver, self.model.floor)
         self.machine = Handle((self.model, self.state, self.work, start, self.legs, scheme))
         self.advance = integrator.advance if in_lanes else integrator.advance_one_by_one
 
@@ -70,9 +72,43 @@ def test_lanes_move_as_the_legs_do_one_by_one(motion):
     assert lanes.state.position[2] > 0.03  # m: it has not sunk to the floor
 
 
+FEATURES = {
+    "bristles": {"floor__friction_law": "bristle"},
+    "direction": {"floor__friction_varies": "direction", "floor__friction_other": [0.1] * 4},
+    "phase": {"floor__friction_varies": "phase", "floor__friction_other": [0.1] * 4},
+    "map": {"floor__height_map": "uneven.csv"},
+    "map with bristles": {"floor__height_map": "uneven.csv", "floor__friction_law": "bristle"},
+    "tips": {"floor__contact": "tip"},
+    "payload": {"payload__mass": 0.5, "payload__place": [0.02, 0.03, 0.04]},
+    "faults": {
+        "tendons__slack": [0.0, 2e-3, 0.0, 0.0],
+        "tendons__broken": [False, False, True, False],
+    },
+    "straight": {
+        "robot": config.replace(
+            ROBOT, {"tendon.routing": "straight", "tendon.pulley_angle_deg": 235.0}
+        )
+    },
+    "pid": {"servo": dataclasses.replace(SERVO, model="pid", integral=5.0, backlash_deg=2.0)},
+}
+
+
+@pytest.mark.parametrize("feature", FEATURES)
+def test_lanes_move_as_the_legs_do_with_every_feature(feature):
+    """From the start, pulled and then partly released, for 0.3 s: every leg on its own."""
+    lanes, single = (Stepper(which, **FEATURES[feature]) for which in (True, False))
+    plain = Stepper(True)
+    for degrees in [[90.0, 40.0, 60.0, 75.0]] * 6 + [[30.0, 70.0, 0.0, 75.0]] * 4:
+        for stepper in (lanes, single, plain):
+            stepper.run(np.radians(degrees), 30)
+        np.testing.assert_allclose(lanes.state.buffer, single.state.buffer, rtol=1e-6, atol=1e-5)
+        np.testing.assert_allclose(lanes.state.node, single.state.node, rtol=0, atol=1e-7)
+    assert np.abs(lanes.state.node - plain.state.node).max() > 1e-5  # m: the feature does something
+
+
 def test_lanes_halve_the_steps_that_the_legs_do_one_by_one():
     """An impact at 3 m/s with tendons pulled differently: contact and large angles in some."""
-    changes = {"start__height": 0.06, "solver__correction_limit": 0.3}
+    changes = {"start__height": 0.06, "solver__correction_limit": 1e-4}
     steppers = [Stepper(in_lanes, **changes) for in_lanes in (True, False)]
     for stepper in steppers:
         stepper.state.node_velocity[:, :, 2] = stepper.state.velocity[2] = -3.0

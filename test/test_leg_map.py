@@ -68,6 +68,23 @@ def test_slopes_are_the_differences_of_the_force(angle_deg):
     assert here.stiffness == pytest.approx((up - down) / (2 * step), rel=1e-4)
 
 
+def test_a_foot_on_its_tip_shifts_as_its_contact_does():
+    angle, height, step = np.radians(95.0), 0.1, 1e-6
+    leg, here = pulled(22, angle, height)
+    up, down = leg.solve(angle + step, height), leg.solve(angle - step, height)
+    assert here.foot_slope == pytest.approx((up.contact_x - down.contact_x) / (2 * step), rel=1e-4)
+    up, down = leg.solve(angle, height + step), leg.solve(angle, height - step)
+    assert here.foot_rise == pytest.approx((up.contact_x - down.contact_x) / (2 * step), rel=1e-4)
+
+
+def test_a_leg_that_rolls_on_its_belly_shifts_other_than_its_contact():
+    angle, step = np.radians(63.0), 1e-3
+    leg, here = pulled(61, angle, 0.03)
+    up, down = leg.solve(angle, 0.03 + step), leg.solve(angle, 0.03 - step)
+    assert (up.contact_x - down.contact_x) / (2 * step) > 0.2  # the contact goes outward,
+    assert here.foot_rise < -0.1  # what is on the floor goes inward
+
+
 def test_a_robot_stands_where_four_legs_carry_it():
     """Same nodes, no friction: at its height each leg's force is a quarter of the weight."""
     smooth = {"floor.friction": [0.0] * 4, "start.settle": 10.0}

@@ -6,6 +6,8 @@ from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 
+PUSH = "pushes: {left: {time: %s, duration: 1, force: [0, 0, 0], moment: [0, 0, 0]}}"
+
 
 @pytest.fixture
 def scenes(tmp_path, monkeypatch):
@@ -37,6 +39,18 @@ def test_a_scene_like_another_holds_only_what_it_changes(scenes):
         ("like: flat\nsolver.step: 1.0\n", r"scene/bad\.yaml: solver\.step = 1\.0: outside"),
         ("like: flat\nsolver: magic\n", r"no configuration 'solver/magic' \(known: standard\)"),
         ("", r"scene/bad\.yaml: expected a mapping of Scene, got None"),
+        ("like: flat\npayload.mass: 21\n", r"payload\.mass = 21\.0: outside \[0\.0, 20\.0\] kg"),
+        ("like: flat\npayload.place: [0, 2, 0]\n", r"payload\.place\[1\] = 2\.0: outside"),
+        ("like: flat\ntendons.slack: [0, 0, 0, 1]\n", r"tendons\.slack\[3\] = 1\.0: outside"),
+        ("like: flat\ntendons.broken: [0, 0, 0, 0]\n", r"tendons\.broken\[0\] = 0: expected bool"),
+        ("like: flat\nfloor.bristle: 0\n", r"floor\.bristle = 0\.0: outside \[0\.01, 100\.0\]"),
+        ("like: flat\nfloor.spacing: 0\n", r"floor\.spacing = 0\.0: outside"),
+        ("like: flat\nfloor.friction_law: dry\n", r"friction_law = 'dry': .* viscous, bristle"),
+        ("like: flat\nfloor.contact: heel\n", r"contact = 'heel': expected one of all, tip"),
+        ("like: flat\nfloor.friction_varies: 1\n", r"friction_varies = 1: expected str"),
+        (f"like: flat\n{PUSH % -1}\n", r"pushes\.left\.time = -1\.0: outside"),
+        (f"like: flat\n{PUSH % '.nan'}\n", r"pushes\.left\.time = nan: outside"),
+        ("like: flat\npushes: {left: {time: 1}}\n", r"pushes\.left\.duration is missing"),
     ],
 )
 def test_a_scene_that_cannot_be_is_refused_by_name(scenes, text, message):
@@ -53,3 +67,17 @@ def test_the_shipped_scenes_can_be_read():
         scene = read_scene(name)
         ratio = scene.sensors.odometry.period / scene.solver.step
         assert ratio == pytest.approx(round(ratio), abs=1e-9)
+
+
+def test_a_scene_without_any_of_it_has_no_payload_no_push_no_fault_and_a_plane():
+    scene = read_scene("flat")
+    assert scene.payload.mass == 0.0
+    assert scene.pushes == {}
+    assert not any(scene.tendons.broken)
+    assert scene.floor.height_map == ""
+
+
+def test_a_push_in_a_scene_is_read_by_name():
+    pushes = read_scene("push").pushes
+    assert list(pushes) == ["left", "behind"]
+    assert pushes["left"].force == (0.0, 4.0, 0.0)

@@ -6,10 +6,11 @@ import math
 import numpy as np
 import pytest
 from numba import njit
+from scipy.integrate import solve_ivp
 
 from slot_core import config
 from slot_core.config import ConfigError
-from slot_core.dynamics.servo import ServoSettings, read_servo, servo, turning_rate
+from slot_core.dynamics.servo import ServoSettings, read_servo, servo, turn, turning_rate
 
 SETTINGS = read_servo()
 NO_LOAD = 57.0 * math.tau / 60.0
@@ -56,3 +57,104 @@ def test_ideal_servo_ignores_the_load():
 def test_unknown_model_is_refused_by_name():
     with pytest.raises(ConfigError, match="magic"):
         config.build(ServoSettings, dataclasses.asdict(SETTINGS) | {"model": "magic"}, "test")
+
+
+@njit
+def run(law, drive, angle, command, torque, h):  # noqa: PLR0917
+    """Spool angle after each step of h; commands and torques (n,)."""
+    out = np.zeros(len(command))
+    for i in range(len(command)):
+        angle += h * turn(law, drive, command[i], angle, torque[i], h)
+        out[i] = angle
+    return out
+
+
+PID = dataclasses.replace(SETTINGS, model="pid", integral=12.0, derivative=0.05, motor_time=0.02)
+STALL = SETTINGS.stall_torque
+
+
+def respond(settings, command, torque, seconds, h):
+    steps = round(seconds / h)
+    full = np.full(steps, command), np.full(steps, torque)
+    return run(servo(settings), np.zeros(3), 0.0, *full, h)
+
+
+def exact_response(settings, command, torque, seconds):
+    """The equations of the pid and its motor, by an integrator of high order."""
+
+    def derivative(_, y):
+        angle, speed, integral = y
+        error = command - angle
+        duty = settings.proportional * error + integral - settings.derivative * speed
+        bounded = min(1.0, max(-1.0, duty))
+        rests = (duty - bounded) * error > 0.0
+        target = NO_LOAD * (bounded - torque / STALL)
+        growth = 0.0 if rests else settings.integral * error
+        return [speed, (target - speed) / settings.motor_time, growth]
+
+    options = {"rtol": 1e-9, "atol": 1e-12, "max_step": 1e-3}
+    return solve_ivp(derivative, (0.0, seconds), [0.0] * 3, **options).y[0, -1]
+
+
+@pytest.mark.parametrize(("command", "torque"), [(0.05, 0.0), (0.05, 0.3), (1.5, 0.5)])
+@pytest.mark.parametrize("seconds", [0.05, 0.15, 0.4])
+def test_pid_follows_its_differential_equation_to_first_order(command, torque, seconds):
+    exact = exact_response(PID, command, torque, seconds)
+    errors = [abs(respond(PID, command, torque, seconds, h)[-1] - exact) for h in (2e-4, 1e-4)]
+    # Euler's method: within the motion of one step, here up to 6 rad/s, and halved with it.
+    assert errors[0] < 6.0 * 2e-4
+    assert errors[1] < 0.6 * errors[0] + 1e-7
+
+
+def test_pid_without_integral_gives_way_to_a_load_and_with_it_does_not():
+    torque, command = 0.7, 0.5
+    soft = dataclasses.replace(PID, integral=0.0)
+    sag = torque / STALL / soft.proportional  # the duty that holds the load
+    assert respond(soft, command, torque, 5.0, 1e-3)[-1] == pytest.approx(command - sag, abs=1e-9)
+    assert respond(PID, command, torque, 5.0, 1e-3)[-1] == pytest.approx(command, abs=1e-6)
+
+
+def test_integral_rests_while_the_duty_is_at_its_limit():
+    """After two seconds against a load that stalls it, it comes to rest as if from anew."""
+    law, h = servo(PID), 1e-3
+    drive = np.zeros(3)
+    run(law, drive, 0.0, np.full(2000, 1.5), np.full(2000, 2 * STALL), h)
+    assert 0.0 <= drive[2] <= 1.0  # what winds up without the rest is 12 / (rad s) x 1.5 rad x 2 s
+    path = run(law, drive, 1.4, np.full(1000, 1.5), np.zeros(1000), h)
+    assert path.max() < 1.5 + 0.1  # the wound up integral would run on at full speed for 1 s
+
+
+def test_backlash_is_a_dead_band_between_motor_and_spool():
+    """Slow up and down without load: the spool follows by the play operator, by hand."""
+    play = math.radians(2.0)
+    law = servo(dataclasses.replace(SETTINGS, model="ideal", backlash_deg=4.0))
+    h, drive, motor, spool, expected = 1e-3, np.zeros(3), 0.0, 0.0, []
+    command = 0.3 * np.sin(np.linspace(0.0, 2 * math.tau, 4000))
+    for target in command:
+        motor += h * (target - spool) / SETTINGS.lag  # its encoder is on the spool
+        spool = min(max(spool, motor - play), motor + play)
+        expected.append(spool)
+    path = run(law, drive, 0.0, command, np.zeros(4000), h)
+    np.testing.assert_allclose(path, expected, atol=1e-12)
+    assert np.ptp(expected) > 0.3  # it moves beyond its play
+
+
+def test_a_taut_tendon_takes_up_the_backlash():
+    law = servo(dataclasses.replace(SETTINGS, backlash_deg=4.0))
+    drive = np.zeros(3)
+    path = run(law, drive, 0.5, np.full(3, 0.5), np.array([0.0, 0.2, 0.2]), 1e-3)
+    # Pulled back by half the backlash at once, and then it follows the motor.
+    assert path[0] == pytest.approx(0.5, abs=1e-12)
+    assert path[1] == pytest.approx(0.5 - math.radians(2.0), abs=1e-12)
+    assert path[2] > path[1]
+    assert drive[0] == pytest.approx(math.radians(2.0), abs=1e-12)
+
+
+def test_without_backlash_the_spool_is_the_motor():
+    drive, command = np.zeros(3), np.linspace(0.0, 0.2, 50)
+    path = run(servo(SETTINGS), drive, 0.0, command, np.full(50, 0.3), 1e-3)
+    angle = 0.0
+    for i, target in enumerate(command):
+        angle += 1e-3 * rate(servo(SETTINGS), target, angle, 0.3)
+        assert path[i] == angle
+    assert not drive.any()

@@ -216,7 +216,7 @@ def test_an_impact_ends_in_standing_and_adds_no_energy(speed):
     sim = simulator(start__height=0.03, start__settle=0.0)
     sim.set_motion(np.array([0.1, 0.0, -speed]), np.array([0.5, 0.2, 0.0]))
     before, peak = sim.energy(), 0.0
-    for _ in range(200):
+    for _ in range(300):  # it still swings by some mm after 2 s
         sim.advance(10, np.full(4, 1.1))
         peak = max(peak, sim.energy())
     # What the servos add: 4 x 70 N over 8 mm are 2 J, of which the legs keep 1 J at the start.
@@ -293,3 +293,20 @@ def test_no_place_for_the_cache_means_no_cache(tmp_path, monkeypatch):
 def test_an_unknown_scene_is_refused_with_the_known_ones():
     with pytest.raises(ConfigError, match=r"moon.*flat.*slippery"):
         read_scene("moon")
+
+
+def test_a_step_that_runs_out_of_halvings_is_counted():
+    changes = {"start__height": 0.03, "start__settle": 0.0, "solver__correction_limit": 1e-15}
+    for halvings in (0, 2):
+        sim = simulator(**changes, solver__halvings=halvings)
+        sim.set_motion(np.array([0.0, 0.0, -1.0]), np.zeros(3))
+        sim.advance(50, np.full(4, 1.1))
+        assert sim.unconverged_steps > 0
+        assert sim.halvings >= halvings * sim.unconverged_steps
+
+
+def test_walking_steps_are_neither_halved_nor_indefinite():
+    sim = simulator()
+    for k in range(20):
+        sim.advance(50, np.radians([[90.0, 30.0, 50.0, 75.0], [30.0, 90.0, 75.0, 50.0]][k % 2]))
+    assert (sim.halvings, sim.indefinite_steps, sim.unconverged_steps) == (0, 0, 0)

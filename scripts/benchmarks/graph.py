@@ -6,7 +6,6 @@ as a reference for what the algorithms take. Percentages of CPU are of one core.
 """
 
 import math
-import signal
 import statistics
 import tempfile
 import threading
@@ -28,7 +27,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from slot_bringup.graph import Graph, read_graph
 from slot_bringup.monitor import RunError, watch
-from slot_bringup.processes import Processes
+from slot_bringup.run import started
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.evaluation import palette
@@ -152,20 +151,13 @@ def walk(graph: Graph, values: Mapping[str, Any], duration: float) -> Walk:
 
 def record(graph: Graph, values: Mapping[str, Any], duration: float) -> Usage:
     """Run the graph until its clock has gone on by `duration` (s); raises RunError."""
-    specs = graph.nodes(values)
-    with tempfile.TemporaryDirectory() as logs:
-        processes = Processes(Path(logs))
-        try:
-            processes.start(specs)
-            pids = {spec.name: processes.pid(spec.name) for spec in specs}
-            with metered(pids) as usage:
-                watch(processes, duration)
-            add_memory(usage, pids.values())
-            return usage
-        finally:
-            before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # the end is under way already
-            processes.stop(last="recorder")
-            signal.signal(signal.SIGINT, before)
+    names = [spec.name for spec in graph.nodes(values)]
+    with tempfile.TemporaryDirectory() as logs, started(graph, values, Path(logs)) as processes:
+        pids = {name: processes.pid(name) for name in names}
+        with metered(pids) as usage:
+            watch(processes, duration)
+        add_memory(usage, pids.values())
+        return usage
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from _robot_hard import hard_rows
 from _robot_modal import dynamics_rows, modal_rows
 from _robot_picture import draw
 
@@ -34,7 +35,7 @@ FINE = {"nodes": 121, "step": 1e-5, "theta": 0.5, "iterations": 3}
 SCHEMES = ((0.5, 1), (0.5, 2), (0.55, 1), (0.55, 2), (0.55, 4), (1.0, 1), (1.0, 2))
 NODES = (7, 10, 16, 22, 31, 61)
 STEPS = (5e-3, 2e-3, 1e-3, 5e-4, 2.5e-4)
-LEVELS = ("coarse", "standard", "fine")
+LEVELS = ("map", "coarse", "standard", "fine")
 LARGEST_ERROR = 0.3  # mm
 LARGEST_COST = {22: 5.0, 31: 7.0}  # us a step
 
@@ -54,6 +55,9 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
     progress("leg in modes")
     rows += [{"kind": "modal"} | dict(row) for row in modal_rows(repeats)]
     rows += [{"kind": "modal dynamics"} | dict(row) for row in dynamics_rows(repeats)]
+    if not quick:
+        progress("hard cases")
+        rows += [{"kind": "hard case"} | row for row in hard_rows()]
     mark_front([row for row in rows if row["kind"] in {"stand and step", "level"}])
     draw(rows, out / "robot.png")
     return rows, checks(rows)
@@ -183,6 +187,9 @@ def checks(rows: list[dict[str, Any]]) -> list[Check]:
         if row["kind"] == "level" and row["level"] == "standard":
             name = "stand and step: 22 nodes, 1 ms, 2 iterations"
             out.append(at_most(name, row["error_mm"], LARGEST_ERROR, "mm RMS"))
+    hard = [row["holds"] for row in rows if row["kind"] == "hard case"]
+    if hard:
+        out.append(at_most(f"of {len(hard)} hard cases do not hold", hard.count(False), 0))
     flights = [row["momentum"] for row in rows if row["kind"] == "flight"]
     out.append(at_most("linear momentum in flight", max(flights), 1e-10, "of itself"))
     modal = [

@@ -8,7 +8,7 @@ import shutil
 import signal
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
@@ -106,19 +106,29 @@ def run(options: argparse.Namespace, graph: Graph, directory: Path) -> None:
 
     Raises RunError when a node ends, nothing moves for too long, or another graph runs already.
     """
-    require_solitude()
     values = vars(options) | {"bag": str(directory)}
-    with tempfile.TemporaryDirectory() as logs:
-        processes = Processes(Path(logs))
+    with started(graph, values, directory / "log") as processes:
+        watch(processes, options.duration)
+
+
+@contextmanager
+def started(graph: Graph, values: Mapping[str, Any], logs: Path) -> Iterator[Processes]:
+    """The graph's processes, which end with the block; then their logs are copied to `logs`.
+
+    Raises RunError where another graph runs already.
+    """
+    require_solitude()
+    with tempfile.TemporaryDirectory() as scratch:
+        processes = Processes(Path(scratch))
         try:
             with _deferred_interrupts():  # an exception that strikes a fork is lost
                 processes.start(graph.nodes(values))
-            watch(processes, options.duration)
+            yield processes
         finally:
             with _on_interrupt(signal.SIG_IGN):  # the end is under way already
                 processes.stop(last="recorder")
                 with suppress(OSError):  # what has gone wrong with the disk, the recorder has told
-                    shutil.copytree(logs, directory / "log", dirs_exist_ok=True)
+                    shutil.copytree(scratch, logs, dirs_exist_ok=True)
 
 
 @contextmanager

@@ -48,8 +48,9 @@ def advance(machine, steps):
 
     machine: handle of (model, state, work, start, legs, scheme); the legs in lanes.
 
-    A step that is lost, or whose last Newton correction is above the limit, is taken again from its
-    `start` in 2, 4, ... 2^halvings pieces. Running out of halvings is a loss only if it is `lost`.
+    A step that is lost, has a pivot that is not positive, or moves a node by more than the limit in
+    its last Newton correction, is taken again from its `start` in 2, 4, ... 2^halvings pieces.
+    Running out of halvings is counted, and a loss only if it is `lost`.
     """
     model, state, work, start, legs, scheme = contents(machine)
     return _advance(model, state, work, start, (in_lanes(legs),), scheme, steps)
@@ -76,11 +77,13 @@ def _advance(model, state, work, start, legs, scheme, steps):
                 where = lost(state, legs, model.speed_limit)
                 if where >= 0:
                     break
-            if where < 0 and correction <= scheme.correction_limit:
+            if where < 0 and correction * (scheme.step / pieces) <= scheme.correction_limit:
                 break
             if halving < scheme.halvings:
                 copy(state.buffer, start.buffer)
                 work.counter[0] += 1.0
+            else:
+                work.counter[2] += 1.0
         if where >= 0:
             return k, where
     return steps, -1
@@ -95,8 +98,13 @@ def copy(out, source):
 
 @helper
 def lost(state, legs, limit):
-    """-1 while all speeds are finite and below the limit, else 0 (torso) or 1 + leg N + node."""
-    v, w = state.velocity, state.rate
+    """-1 while speeds are below the limit and all is finite, else 0 (torso) or 1 + leg N + node.
+
+    An angle of a tendon that is no number is reported at the leg's node 0: a slack tendon hides it.
+    """
+    r, v, w = state.position, state.velocity, state.rate
+    if not r[0] * r[0] + r[1] * r[1] + r[2] * r[2] < math.inf:
+        return 0
     if not v[0] * v[0] + v[1] * v[1] + v[2] * v[2] < limit * limit:
         return 0
     if not w[0] * w[0] + w[1] * w[1] + w[2] * w[2] < limit * limit:
@@ -104,17 +112,20 @@ def lost(state, legs, limit):
     fine = True
     for leg in legs:
         u = leg.node_velocity
+        fine = fine & every(leg.angle[0] * leg.angle[0] < math.inf)
         for i in range(u.shape[0]):
             square = u[i, 0] * u[i, 0] + u[i, 1] * u[i, 1] + u[i, 2] * u[i, 2]
             fine = fine & every(square < limit * limit)
-    return -1 if fine else _which(state.node_velocity, limit)
+    return -1 if fine else _which(state.node_velocity, state.tendon_angle, limit)
 
 
 @helper
-def _which(velocity, limit):
+def _which(velocity, angle, limit):
     """1 + leg N + node of the first node that is lost."""
     legs, nodes = velocity.shape[:2]
     for leg in range(legs):
+        if not angle[leg] * angle[leg] < math.inf:
+            return 1 + leg * nodes
         for i in range(nodes):
             x, y, z = velocity[leg, i, 0], velocity[leg, i, 1], velocity[leg, i, 2]
             if not x * x + y * y + z * z < limit * limit:
@@ -124,16 +135,19 @@ def _which(velocity, limit):
 
 @helper
 def step(model, state, work, legs, h, scheme):
-    """One step of h, in place; returns the largest change of a node in the last iteration, m/s."""
+    """One step of h, in place; returns the largest change of a node in the last iteration, m/s.
+
+    It is infinite if a pivot was not positive.
+    """
     theta = scheme.theta
     tau = theta * h
     inv = 1.0 / tau
     definite, change = True, 0.0
-    _predict(model, state, work, h, theta)
+    predict_torso(model, state, work, h, theta)
     for leg in legs:
         _predict_leg(model, state, leg, h, theta)
     for _ in range(scheme.iterations):
-        place = _start_torso(model, state, work, tau)
+        place = start_torso(model, state, work, tau)
         for leg in legs:
             _to_leg_axes(work, leg)
             _stage(leg, tau)
@@ -149,19 +163,19 @@ def step(model, state, work, legs, h, scheme):
             work.motion[0, i] += work.vector[i] * inv
             work.motion[1, i] += work.vector[3 + i] * inv
     if model.floor.bristle > 0.0:
-        _bend_corners(model, state, work, h)
+        bend_corners(model, state, work, h)
         for leg in legs:
             _bend(model.floor, leg, h)
-    _finish(state, work, h, theta)
+    finish_torso(state, work, h, theta)
     for leg in legs:
         _finish_leg(state, work, leg, h, theta)
-    _finish_rate(state, work, theta)
+    finish_rate(state, work, theta)
     work.counter[1] += 0.0 if definite else 1.0
-    return math.sqrt(change)
+    return math.sqrt(change) if definite else math.inf
 
 
 @helper
-def _predict(model, state, work, h, theta):
+def predict_torso(model, state, work, h, theta):
     """Fix the step axes and the first iterate V = V_n."""
     w, v, g = state.rate, state.velocity, model.gravity
     tau = theta * h
@@ -202,7 +216,7 @@ def _predict_leg(model, state, leg, h, theta):
 
 
 @helper
-def _start_torso(model, state, work, tau):
+def start_torso(model, state, work, tau):
     """Begin the torso's system with all but its legs; returns its place at the stage, odom, m."""
     motion, axes, gravity = work.motion, work.rotation, work.field[3]
     v, w, v0, w0 = motion[0], motion[1], motion[3], motion[4]
@@ -280,7 +294,7 @@ def _bend(floor, leg, h):
 
 
 @helper
-def _bend_corners(model, state, work, h):
+def bend_corners(model, state, work, h):
     """Carry the bristles of the torso's corners to the end of the step."""
     v, w, corners = work.motion[0], work.motion[1], model.torso.corners
     for k in range(corners.shape[0]):
@@ -291,7 +305,7 @@ def _bend_corners(model, state, work, h):
 
 
 @helper
-def _finish(state, work, h, theta):
+def finish_torso(state, work, h, theta):
     """The torso from the stage to the end of the step, but for its rate: the legs need it."""
     v, v0 = work.motion[0], work.motion[3]
     tau = theta * h
@@ -302,7 +316,8 @@ def _finish(state, work, h, theta):
 
 
 @helper
-def _finish_rate(state, work, theta):
+def finish_rate(state, work, theta):
+    """The torso's rate at the end of the step."""
     w, w0 = work.motion[1], work.motion[4]
     for i in range(3):
         state.rate[i] = w0[i] + (w[i] - w0[i]) / theta

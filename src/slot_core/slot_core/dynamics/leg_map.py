@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import csv
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -36,6 +37,9 @@ COLUMNS = (
     "slope_N_per_rad",
     "stiffness_N_per_m",
     "contact_x_m",
+    "tension_N",
+    "foot_m_per_rad",
+    "foot_m_per_m",
 )
 TOLERANCE = 1e-11  # m, last Newton correction of a node
 ITERATIONS = 2000
@@ -69,6 +73,10 @@ class Equilibrium(NamedTuple):
     contact_x: float  # m from the clamp, centre of pressure, or the tip where nothing touches
     tension: float  # N
     node: Array  # (N, 2) m from the clamp, x and z
+    # How the material on the floor shifts outward with angle (m/rad) and height (m/m), its mean by
+    # pressure; zero where nothing touches. A leg that rolls shifts less than its contact.
+    foot_slope: float = math.nan
+    foot_rise: float = math.nan
 
 
 class StaticLeg:
@@ -106,10 +114,11 @@ class StaticLeg:
             )
         out = np.zeros(2)
         pressure(self.model, self._leg, height, out)
-        slope = respond(self.model, self._leg, height, 0.0, 1.0)
-        stiffness = respond(self.model, self._leg, height, 1.0, 0.0)
+        slope, foot_slope = respond(self.model, self._leg, height, 0.0, 1.0)
+        stiffness, foot_rise = respond(self.model, self._leg, height, 1.0, 0.0)
         tension = float(self._leg.pull[0])
-        return Equilibrium(out[0], slope, stiffness, out[1], tension, self.node)
+        feet = foot_slope, foot_rise
+        return Equilibrium(out[0], slope, stiffness, out[1], tension, self.node, *feet)
 
 
 @kernel
@@ -159,6 +168,8 @@ def pressure(model, leg, height, out):
 def respond(model, leg, height, rise, turn):
     """Change of the floor's force, N, as the clamp rises (m) and the spool turns (rad).
 
+    And how the material on the floor shifts outward, m, weighted by its pressure.
+
     From the last factorisation of `relax`, hence exact while the same nodes touch the floor.
     """
     tendon, F = model.tendon, leg.form
@@ -166,16 +177,19 @@ def respond(model, leg, height, rise, turn):
     pull = F[6, 1] * rise + tendon.spool_radius * turn
     tension = pull * stiffness / (1.0 - stiffness * F[6, 6])
     X, q = (0.0, rise, 0.0), (0.0, 0.0, 0.0, tension, 0.0)
-    force = 0.0
+    force = shift = weight = 0.0
     for i in range(leg.back.shape[0]):
         X = follow(leg, i, X, q)
-        if height + leg.stage[i + 1, 1] < 0.0:
+        gap = height + leg.stage[i + 1, 1]
+        if gap < 0.0:
             force -= model.floor.stiffness[i + 1] * X[1]
-    return force
+            shift -= model.floor.stiffness[i + 1] * gap * X[0]
+            weight -= model.floor.stiffness[i + 1] * gap
+    return force, shift / weight if weight > 0.0 else 0.0
 
 
 def tabulate(robot: Robot, grid: LegMapSettings) -> Array:
-    """The map, (angles x heights, 6) in the order of `COLUMNS`, angle by angle; SI and degrees."""
+    """The map, (angles x heights, 9) in the order of `COLUMNS`, angle by angle; SI and degrees."""
     angles = np.linspace(0.0, robot.tendon.angle_max, grid.angles)
     heights = np.linspace(grid.height_min, grid.height_max, grid.heights)
     columns = []
@@ -187,15 +201,16 @@ def tabulate(robot: Robot, grid: LegMapSettings) -> Array:
 
 
 def _pull(robot: Robot, grid: LegMapSettings, node: Array, height: float, angles: Array) -> Array:
-    """(angles, 6) rows of the map at one height, from the shape at angle zero."""
+    """(angles, 9) rows of the map at one height, from the shape at angle zero."""
     leg = StaticLeg(robot, grid.nodes)
     leg.node = node
     rows = []
     for before, angle in zip([0.0, *angles], angles):
         for between in np.linspace(before, angle, grid.substeps + 1)[1:]:
             here = leg.solve(between, height)
-        degrees = math.degrees(angle)
-        rows.append((degrees, height, here.force, here.slope, here.stiffness, here.contact_x))
+        numbers = (here.force, here.slope, here.stiffness, here.contact_x, here.tension)
+        feet = (here.foot_slope, here.foot_rise)
+        rows.append((math.degrees(angle), height, *numbers, *feet))
     return np.array(rows)
 
 
@@ -205,6 +220,28 @@ def write(path: Path, table: Array) -> None:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         writer.writerows([f"{value:.6g}" for value in row] for row in table)
+
+
+class LegMap(NamedTuple):
+    """The map on its grid."""
+
+    angle: Array  # (m,) rad
+    height: Array  # (n,) m
+    table: Array  # (m, n, columns asked for)
+
+
+def read_leg_map(columns: Sequence[str]) -> LegMap:
+    """Columns of `config/leg_map.csv`; raises ConfigError when it is missing or not a grid."""
+    names = ("theta_deg", "height_m", *columns)
+    try:
+        with (config.config_dir() / "leg_map.csv").open() as file:
+            rows = [[float(row[name]) for name in names] for row in csv.DictReader(file)]
+        theta_deg, height, *values = np.array(sorted(rows)).T
+        angles, heights = np.unique(theta_deg), np.unique(height)
+        table = np.array(values).T.reshape(len(angles), len(heights), len(columns))
+        return LegMap(np.radians(angles), heights, table)
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise config.ConfigError(f"leg_map.csv: no table of {names}: {error}") from None
 
 
 def main() -> None:

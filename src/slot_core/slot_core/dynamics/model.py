@@ -24,7 +24,7 @@ class Scheme(NamedTuple):
     theta: float
     iterations: int
     halvings: int
-    correction_limit: float  # m/s
+    correction_limit: float  # m, of a node in the last iteration
 
 
 class Model(NamedTuple):
@@ -121,7 +121,7 @@ class Work(NamedTuple):
     field: Array  # (4, 3) odom's axes and gravity in step axes
     limit: Array  # (8,) N, mu times the normal force of the corners
     slope: Array  # (8, 2) of the floor below the corners
-    counter: Array  # (2,) halvings, steps with a pivot that was not positive
+    counter: Array  # (3,) halvings, steps with a pivot not positive, steps out of halvings
 
 
 def state_space(nodes: int, bristles: bool = False) -> State:
@@ -172,7 +172,7 @@ def leg_lanes(model: Model, state: State) -> Leg:
 
 def work_space() -> Work:
     """Scratch space for the torso."""
-    shapes = [(6, 6), (6,), (3, 3), (3, 3), (3, 3), (5, 3), (4, 3), (8,), (8, 2), (2,)]
+    shapes = [(6, 6), (6,), (3, 3), (3, 3), (3, 3), (5, 3), (4, 3), (8,), (8, 2), (3,)]
     return Work(*(np.zeros(shape) for shape in shapes))
 
 
@@ -237,14 +237,18 @@ def build_floor(settings: FloorSettings, rod: Rod) -> Floor:
     )
 
 
-def build_scheme(solver: SolverSettings) -> Scheme:
-    """The numbers of the time stepping."""
+def build_scheme(solver: SolverSettings, floor: Floor) -> Scheme:
+    """The numbers of the time stepping.
+
+    A node that is misplaced by d leaves up to k d^2 / 2 in its contact of stiffness k.
+    """
+    stiffest = max(floor.stiffness.max(), floor.corner_stiffness)
     return Scheme(
         step=solver.step,
         theta=solver.theta,
         iterations=solver.iterations,
         halvings=solver.halvings,
-        correction_limit=solver.correction_limit,
+        correction_limit=math.sqrt(2.0 * solver.correction_limit / stiffest),
     )
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from slot_core.dynamics.paper import PaperSimulator
+from slot_core.dynamics.quasi_static import MapSimulator
 from slot_core.dynamics.scene import Push, Scene
 from slot_core.dynamics.sensors import (
     ImuReading,
@@ -57,7 +58,11 @@ class _Event:
     action: Callable[[], list[Reading]] = field(compare=False)
 
 
-MODELS: dict[str, type[SimulatedRobot]] = {"rod": Simulator, "paper": PaperSimulator}
+MODELS: dict[str, type[SimulatedRobot]] = {
+    "rod": Simulator,
+    "map": MapSimulator,
+    "paper": PaperSimulator,
+}
 
 
 def simulate(robot: Robot, scene: Scene, servo: ServoSettings) -> SimulatedRobot:

@@ -72,7 +72,9 @@ class SolverSettings:
     theta: float = quantity("stage of the theta scheme", "", 0.5, 1.0)
     iterations: int = quantity("Newton iterations per step", "", 1, 20)
     halvings: int = quantity("how often a step may be halved", "", 0, 12)
-    correction_limit: float = quantity("last Newton correction that is accepted", "m/s", 1e-9, 1e6)
+    correction_limit: float = quantity(
+        "energy that the last Newton correction may leave in a contact", "J", 1e-15, 1e6
+    )
     speed_limit: float = quantity("a faster node means a lost solution", "m/s", 1.0, 1e6)
 
 

@@ -41,7 +41,7 @@ class Simulator(SimulatedRobot):
         self._segments = segments(scene.solver.nodes)
         bristles = self.model.floor.bristle > 0.0
         start = state_space(scene.solver.nodes, bristles)
-        scheme = build_scheme(scene.solver)
+        scheme = build_scheme(scene.solver, self.model.floor)
         self._machine = Handle((self.model, self.state, self._work, start, self._legs, scheme))
         self._points = np.zeros((2, 4, scene.solver.nodes, 3))
         self._settle()
@@ -70,12 +70,20 @@ class Simulator(SimulatedRobot):
     def push(self, force: Array, moment: Array) -> None:
         """Add an outer force (3,), N, and moment (3,), N m, on the torso's centre, in odom.
 
-        They act from now on; adding the opposite ends that.
+        They act from now on; adding the opposite ends that. Raises ValueError unless all is finite.
         """
-        self.model.push[:] += [*force, *moment]
+        push = np.array([*force, *moment], dtype=float)
+        if push.shape != (6,) or not np.isfinite(push).all():
+            raise ValueError(f"a push is a finite force (3,) and moment (3,), not {push}")
+        self.model.push[:] += push
 
     def spoil_tendon(self, leg: int, slack: float = 0.0, broken: bool = False) -> None:
-        """From now on a leg's tendon is longer by `slack` (m), or broken."""
+        """From now on the tendon of leg 0 .. 3 is longer by `slack` (m), or broken.
+
+        Raises ValueError on another leg or a slack that is negative or not finite.
+        """
+        if leg not in range(4) or not 0.0 <= slack < np.inf:
+            raise ValueError(f"leg {leg} must be 0 to 3, slack {slack} m not negative and finite")
         self.model.fault[:, leg] = slack, not broken
 
     @property
@@ -87,6 +95,11 @@ class Simulator(SimulatedRobot):
     def indefinite_steps(self) -> int:
         """Steps in which a pivot was not positive: a sign of a fold or of too large a step."""
         return int(self._work.counter[1])
+
+    @property
+    def unconverged_steps(self) -> int:
+        """Steps that ran out of halvings and were accepted with too large a correction."""
+        return int(self._work.counter[2])
 
     @property
     def tendon_angle(self) -> Array:
@@ -133,4 +146,7 @@ class Simulator(SimulatedRobot):
         leg, node = divmod(where - 1, self.scene.solver.nodes)
         place = f"leg {LEGS[leg]} node {node}" if where else "torso"
         limit = self.scene.solver.speed_limit
-        return f"solution lost at {self.time:.4f} s: {place} is beyond {limit} m/s or not a number"
+        return (
+            f"solution lost in step {self.steps + 1} at {self.time:.4f} s: {place} is beyond"
+            f" {limit} m/s or not a number"
+        )

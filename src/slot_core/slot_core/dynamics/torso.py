@@ -155,10 +155,10 @@ def _add_point(H, g, x, y, z, f, stiff, drag, up):
     """Add force f and tangent C = stiff up up^T + drag I of a point (x, y, z) of the body."""
     _subtract(g, x, y, z, f)
     lever = (y * up[2] - z * up[1], z * up[0] - x * up[2], x * up[1] - y * up[0])
-    _add_row(H, stiff, (up[0], up[1], up[2], lever[0], lever[1], lever[2]))
-    _add_row(H, drag, (1.0, 0.0, 0.0, 0.0, z, -y))
-    _add_row(H, drag, (0.0, 1.0, 0.0, -z, 0.0, x))
-    _add_row(H, drag, (0.0, 0.0, 1.0, y, -x, 0.0))
+    add_row(H, stiff, (up[0], up[1], up[2], lever[0], lever[1], lever[2]))
+    add_row(H, drag, (1.0, 0.0, 0.0, 0.0, z, -y))
+    add_row(H, drag, (0.0, 1.0, 0.0, -z, 0.0, x))
+    add_row(H, drag, (0.0, 0.0, 1.0, y, -x, 0.0))
 
 
 @helper
@@ -170,7 +170,7 @@ def _subtract(g, x, y, z, f):
 
 
 @helper
-def _add_row(H, weight, row):
+def add_row(H, weight, row):
     """H += weight row row^T."""
     for i in range(6):
         for j in range(6):

@@ -1,0 +1,33 @@
+"""Falls, spins and sudden pulls: finite, no energy from nowhere, no sinking, one answer."""
+
+import dataclasses
+
+import pytest
+
+from slot_core.evaluation.hard_cases import FULL_DEG, IMPACTS, PULLS
+from slot_core.evaluation.stress import examine
+from slot_core.robot import read_robot
+
+
+@pytest.mark.parametrize("name", IMPACTS)
+def test_a_fall_keeps_its_limits(name):
+    record = examine(IMPACTS[name])
+    assert record.holds(IMPACTS[name].limits), record
+
+
+@pytest.mark.parametrize("name", PULLS)
+def test_a_sudden_pull_keeps_its_limits(name):
+    record = examine(PULLS[name])
+    assert record.holds(PULLS[name].limits), record
+    assert not record.unconverged
+
+
+def test_the_full_pull_is_that_of_the_robot():
+    assert read_robot().tendon.angle_max_deg == FULL_DEG
+
+
+def test_it_is_the_halving_that_keeps_a_tendon_wound_up_at_once():
+    case = PULLS["full pull within one step, in the air"]
+    whole = dataclasses.replace(case, scene={**case.scene, "solver.halvings": 0})
+    assert examine(case).halvings > 0
+    assert "beyond 100.0 m/s" in examine(whole).lost

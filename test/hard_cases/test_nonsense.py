@@ -1,0 +1,165 @@
+"""Nonsense is refused by name; a solution that is lost says when and where. No silent NaN."""
+
+import math
+
+import numpy as np
+import pytest
+
+from slot_core import config
+from slot_core.config import ConfigError
+from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.dynamics.simulated_robot import Divergence
+from slot_core.dynamics.simulator import Simulator
+from slot_core.robot import read_robot
+
+SETTINGS = {"robot": read_robot(), "scene": read_scene("flat"), "servo": read_servo()}
+BOUNDED = [
+    (source, name)
+    for source, settings in SETTINGS.items()
+    for name, value, meta in config.leaves(settings)
+    if "low" in meta and math.isfinite(meta["low"])
+]
+
+
+def replaced(source, name, make):
+    """A settings object with the value at a name made anew from value and bounds."""
+    value, meta = {n: (v, m) for n, v, m in config.leaves(SETTINGS[source])}[name]
+    new = make(value, meta)
+    new = [new, *value[1:]] if isinstance(value, tuple) else new
+    return config.replace(SETTINGS[source], {name: new})
+
+
+@pytest.mark.parametrize(("source", "name"), BOUNDED)
+@pytest.mark.parametrize("bound", ["low", "high"])
+def test_every_bounded_value_is_refused_beyond_its_bounds(source, name, bound):
+    def beyond(value, meta):
+        if isinstance(value, int):
+            return meta[bound] + (1 if bound == "high" else -1)
+        return math.nextafter(meta[bound], math.inf if bound == "high" else -math.inf)
+
+    with pytest.raises(ConfigError, match=rf"{name}.* = .*: outside \["):
+        replaced(source, name, beyond)
+
+
+@pytest.mark.parametrize(("source", "name"), BOUNDED)
+@pytest.mark.parametrize("nonsense", [math.nan, "much"])
+def test_no_bounded_value_may_be_nan_or_a_word(source, name, nonsense):
+    with pytest.raises(ConfigError, match=rf"{name}.* = {nonsense}|{name}.* = '{nonsense}'"):
+        replaced(source, name, lambda value, _: nonsense)
+
+
+@pytest.mark.parametrize(
+    ("source", "name", "value"),
+    [
+        ("robot", "leg.thickness_tip", -0.0035),
+        ("robot", "leg.thickness_tip", 0.0),
+        ("robot", "leg.width", -0.02),
+        ("robot", "leg.density", 0.0),
+        ("robot", "leg.young_modulus", -1e7),
+        ("robot", "leg.damping_time", -1e-3),
+        ("robot", "torso.mass", 0.0),
+        ("robot", "tendon.cable_stiffness", 0.0),
+        ("robot", "tendon.routing", "crosswise"),
+        ("scene", "solver.nodes", 1),
+        ("scene", "solver.nodes", 22.5),
+        ("scene", "solver.step", 0.0),
+        ("scene", "solver.theta", 0.4),
+        ("scene", "floor.stiffness", 0.0),
+        ("scene", "floor.friction", [0.4, 0.4, 0.4]),
+        ("scene", "floor.friction_law", "sticky"),
+        ("scene", "floor.friction_varies", "always"),
+        ("scene", "floor.contact", "none"),
+        ("scene", "payload.mass", -1.0),
+        ("scene", "tendons.slack", [-0.01, 0.0, 0.0, 0.0]),
+        ("scene", "tendons.broken", ["yes", False, False, False]),
+        ("servo", "backlash_deg", -1.0),
+    ],
+)
+def test_what_cannot_be_is_refused_by_its_name_and_value(source, name, value):
+    with pytest.raises(ConfigError, match=rf"{name}"):
+        config.replace(SETTINGS[source], {name: value})
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [(None, "uneven"), ("1.0\n", "2 x 2"), ("0,nan\n0,0\n", "finite"), ("0,a\n0,0\n", "bad.csv")],
+)
+def test_a_height_map_that_is_none_is_refused_by_name(tmp_path, monkeypatch, text, message):
+    (tmp_path / "scene").mkdir()
+    if text is not None:
+        (tmp_path / "scene" / "bad.csv").write_text(text)
+    name = "bad.csv" if text is not None else "uneven_elsewhere.csv"
+    scene = config.replace(read_scene("flat"), {"floor.height_map": name})
+    monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
+    with pytest.raises(ConfigError, match=message):
+        Simulator(SETTINGS["robot"], scene, SETTINGS["servo"])
+
+
+@pytest.fixture
+def sim():
+    """A robot in the air."""
+    changes = {"start.settle": 0.0, "start.height": 0.5}
+    return Simulator(
+        SETTINGS["robot"], config.replace(SETTINGS["scene"], changes), SETTINGS["servo"]
+    )
+
+
+@pytest.mark.parametrize("command", [[math.nan] * 4, [0.0, 0.0, 0.0, math.inf], [0.5], "pull"])
+def test_a_command_that_is_none_is_refused_and_nothing_moves(sim, command):
+    before = sim.state.buffer.copy()
+    with pytest.raises(ValueError, match=r".+"):
+        sim.advance(1, command)
+    np.testing.assert_array_equal(sim.state.buffer, before)
+    assert sim.steps == 0
+
+
+@pytest.mark.parametrize(
+    "act",
+    [
+        lambda sim: sim.push([math.nan, 0.0, 0.0], [0.0, 0.0, 0.0]),
+        lambda sim: sim.push([0.0, 0.0, 0.0], [0.0, math.inf, 0.0]),
+        lambda sim: sim.push([0.0, 0.0], [0.0, 0.0, 0.0]),
+        lambda sim: sim.spoil_tendon(4),
+        lambda sim: sim.spoil_tendon(-1, broken=True),
+        lambda sim: sim.spoil_tendon(0, slack=math.nan),
+        lambda sim: sim.spoil_tendon(0, slack=-1e-3),
+    ],
+)
+def test_a_push_or_fault_that_is_none_is_refused(sim, act):
+    with pytest.raises(ValueError, match=r"push|leg"):
+        act(sim)
+
+
+@pytest.mark.parametrize("halvings", [0, 6])
+@pytest.mark.parametrize(
+    ("part", "index", "place"),
+    [
+        ("position", 1, "torso"),
+        ("rotation", (0, 2), "torso"),
+        ("velocity", 0, "torso"),
+        ("rate", 2, "torso"),
+        ("node", (2, 9, 1), "torso"),  # one step spreads it all over: the torso is looked at first
+        ("node_velocity", (1, 21, 2), "torso"),
+        ("tendon_angle", 3, "leg RR node 0"),  # its tendon goes slack, which would hide it
+    ],
+)
+def test_a_number_that_is_none_ends_the_run_and_says_where(halvings, part, index, place):
+    changes = {"start.settle": 0.0, "solver.halvings": halvings}
+    scene = config.replace(SETTINGS["scene"], changes)
+    sim = Simulator(SETTINGS["robot"], scene, SETTINGS["servo"])
+    sim.advance(3, np.full(4, 1.0))
+    getattr(sim.state, part)[index] = math.nan
+    with pytest.raises(Divergence, match=rf"in step 4 at 0\.0030 s: {place} .* not a number"):
+        sim.advance(5, np.full(4, 1.0))
+    assert sim.steps == 3
+
+
+def test_a_node_that_is_too_fast_ends_the_run_and_says_which():
+    changes = {"start.settle": 0.0, "start.height": 0.5, "solver.speed_limit": 5.0}
+    sim = Simulator(
+        SETTINGS["robot"], config.replace(SETTINGS["scene"], changes), SETTINGS["servo"]
+    )
+    sim.state.node_velocity[2, 21] = [0.0, 0.0, 40.0]
+    with pytest.raises(Divergence, match=r"in step 1 at 0\.0000 s: leg RL node (19|20|21) .* 5\.0"):
+        sim.advance(1, np.zeros(4))
