@@ -17,7 +17,7 @@ from slot_core import config
 from slot_core.control.gait import GaitPreview
 from slot_core.control.mpc import Mpc, Status, read_mpc
 from slot_core.control.mpc_model import Horizon, HorizonQp, TorsoModel
-from slot_core.control.mpc_solver import PiqpSolver, Solution
+from slot_core.control.mpc_solver import Solution, make_solver
 from slot_core.robot import GRAVITY, read_robot
 
 ROBOT = read_robot()
@@ -173,7 +173,7 @@ def solve_whole_horizon(x0, ahead):
     """(H, 4, 3) forces by the controller's own problem and solver."""
     model = TorsoModel(ROBOT)
     qp = HorizonQp(SETTINGS.weights.q, SETTINGS.weights.r, H, model.predict(0.3, 0.1, DT))
-    solver = PiqpSolver(qp, SETTINGS.solver)
+    solver = make_solver(qp, SETTINGS.solver)
     force_ref = np.zeros((H, 4, 3))
     force_ref[..., 2] = ahead.normal_force[:H]
     limits = F_MAX * ahead.contact[:H]
@@ -325,8 +325,8 @@ def iteration_limit():
 
 
 def violation():
-    # standing keeps all limits with room to spare, a friction of zero cannot be met exactly
-    mpc = new_mpc(acceptance__violation_max=0.0)
+    # standing keeps all limits with room to spare, a friction of zero PIQP does not meet exactly
+    mpc = new_mpc(solver__name="piqp", acceptance__violation_max=0.0)
     slipping = state(rpy=(0.5, -0.5, 0), v=(0.1, 0, 0))
     return mpc, slipping, preview(normal_force=LOAD, friction=np.zeros((H + 1, 4)))
 
@@ -388,7 +388,7 @@ def test_a_solver_that_calls_nan_solved_is_not_believed(monkeypatch):
             self.count += 1
             return Solution(answers[max(self.count, 0)], fault="", iterations=1)
 
-    monkeypatch.setattr("slot_core.control.mpc.PiqpSolver", Careless)
+    monkeypatch.setattr("slot_core.control.mpc.make_solver", Careless)
     mpc = new_mpc()
     assert mpc.step(state(), preview()).status == Status.SOLVED
     result = mpc.step(state(), preview())
