@@ -17,7 +17,7 @@ from slot_core import config
 from slot_core.control.gait import GaitPreview
 from slot_core.control.mpc import Mpc, Status, read_mpc
 from slot_core.control.mpc_model import Horizon, HorizonQp, TorsoModel
-from slot_core.control.mpc_solver import PiqpSolver, Solution
+from slot_core.control.mpc_solver import Solution, make_solver
 from slot_core.robot import GRAVITY, read_robot
 
 ROBOT = read_robot()
@@ -174,7 +174,7 @@ def solve_whole_horizon(x0, ahead):
     model = TorsoModel(ROBOT)
     generic, weights = model.predict(0.3, 0.1, DT), SETTINGS.weights
     qp = HorizonQp(weights.q, weights.r, H, generic, SETTINGS.model, ROBOT.weight)
-    solver = PiqpSolver(qp, SETTINGS.solver)
+    solver = make_solver(qp, SETTINGS.solver)
     force_ref = np.zeros((H, 4, 3))
     force_ref[..., 2] = ahead.normal_force[:H]
     limits = F_MAX * ahead.contact[:H]
@@ -326,8 +326,8 @@ def iteration_limit():
 
 
 def violation():
-    # standing keeps all limits with room to spare, a friction of zero cannot be met exactly
-    mpc = new_mpc(acceptance__violation_max=0.0)
+    # standing keeps all limits with room to spare, a friction of zero PIQP does not meet exactly
+    mpc = new_mpc(solver__name="piqp", acceptance__violation_max=0.0)
     slipping = state(rpy=(0.5, -0.5, 0), v=(0.1, 0, 0))
     return mpc, slipping, preview(normal_force=LOAD, friction=np.zeros((H + 1, 4)))
 
@@ -389,7 +389,7 @@ def test_a_solver_that_calls_nan_solved_is_not_believed(monkeypatch):
             self.count += 1
             return Solution(answers[max(self.count, 0)], fault="", iterations=1)
 
-    monkeypatch.setattr("slot_core.control.mpc.PiqpSolver", Careless)
+    monkeypatch.setattr("slot_core.control.mpc.make_solver", Careless)
     mpc = new_mpc()
     assert mpc.step(state(), preview()).status == Status.SOLVED
     result = mpc.step(state(), preview())
@@ -595,7 +595,7 @@ def optimum(x0, ahead, rules=lambda u, x: [], extra=lambda u, x: 0.0):
 
 def test_a_soft_balance_is_the_optimum_with_its_cost():
     x0, ahead = hard_cases()["height error"]
-    mpc = new_mpc(model__support="soft", model__support_weight=30.0)
+    mpc = new_mpc(model__support="soft", model__support_weight=30.0, solver__name="piqp")
     u, cost = optimum(
         x0,
         ahead,
@@ -616,7 +616,8 @@ def test_an_exact_balance_is_kept_and_is_the_optimum(band):
         return [cvxpy.abs(cvxpy.sum(u[:, 2::3], axis=1) - ROBOT.weight) <= band]
 
     u, _ = optimum(x0, ahead, rules=balance)
-    result = new_mpc(model__support="equality", model__support_band=band).step(x0, ahead)
+    exact = {"model__support": "equality", "model__support_band": band, "solver__name": "piqp"}
+    result = new_mpc(**exact).step(x0, ahead)
     assert result.status == Status.SOLVED
     np.testing.assert_allclose(result.force.ravel(), u[0], atol=3e-4)
     assert result.slack_balance > -1e-6
@@ -625,7 +626,7 @@ def test_an_exact_balance_is_kept_and_is_the_optimum(band):
 
 def test_with_an_exact_balance_lifted_legs_are_a_fault_and_not_an_answer():
     """Two legs of 5 N cannot carry 21 N; before, four could."""
-    mpc = new_mpc(model__support="equality", force_max=6.0)
+    mpc = new_mpc(model__support="equality", force_max=6.0, solver__name="piqp")
     good = mpc.step(state(), preview(normal_force=np.full((H + 1, 4), HOVER)))
     assert good.status == Status.SOLVED
     lifted = np.tile([True, False, False, True], (H + 1, 1))
@@ -644,7 +645,7 @@ def test_a_soft_minimum_is_the_optimum_with_its_cost_and_always_feasible():
         return weight * (cvxpy.sum_squares(f_x) + cvxpy.sum_squares(f_z))
 
     u, cost = optimum(x0, ahead, extra=short)
-    mpc = new_mpc(model__least_force=least, model__least_weight=weight)
+    mpc = new_mpc(model__least_force=least, model__least_weight=weight, solver__name="piqp")
     result = mpc.step(x0, ahead)
     np.testing.assert_allclose(result.force.ravel(), u[0], atol=3e-4)
     assert result.cost == pytest.approx(cost, rel=1e-6)
@@ -683,7 +684,7 @@ def test_with_lag_the_controller_knows_the_forces_that_act_by_now():
     """A plant whose forces lag by 0.1 s: the MPC that knows it overshoots less."""
     swings = []
     for lag in (0.0, 0.1):
-        mpc = new_mpc(model__lag=lag, weights__force=[0.05] * 3)
+        mpc = new_mpc(model__lag=lag, weights__force=[0.05] * 3, solver__name="piqp")
         model, x = (
             TorsoModel(ROBOT, 0.1),
             np.append(state(p=(0, 0, 0.03)), np.tile([0, 0, HOVER], 4)),

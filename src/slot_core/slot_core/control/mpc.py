@@ -31,7 +31,7 @@ from slot_core.control.mpc_model import (
     condensed_condition,
     slacks,
 )
-from slot_core.control.mpc_solver import PiqpSolver, Solution, SolverSettings
+from slot_core.control.mpc_solver import Solution, SolverSettings, make_solver
 from slot_core.robot import GRAVITY, Array, Robot
 
 Vector3 = tuple[float, float, float]
@@ -175,12 +175,17 @@ class Mpc:
             TorsoModel(robot).predict(0.3, 0.1, settings.acceptance.stage[1]), settings
         )
         self._qp = HorizonQp(weights.q, weights.r, horizon, generic, settings.model, robot.weight)
-        self._solver = PiqpSolver(self._qp, settings.solver)
+        self._solver = make_solver(self._qp, settings.solver)
         self._solver.solve()  # the first solve pays for page faults: not on the robot's time
         self._stage = FirstStage(np.zeros(FEET), np.zeros(FEET), np.zeros((FEET, 3)))
         self._last: Array | None = None  # (4, 3) N, last feasible input
         self._before: _Past | None = None
         self._missed = 0  # consecutive cycles without an accepted solution
+
+    @property
+    def problem(self) -> HorizonQp:
+        """As the last step left it; to be read only."""
+        return self._qp
 
     def step(self, state: Array, preview: GaitPreview) -> MpcResult:
         """Forces for `state` (12,), stage 0 of `preview` being now.
