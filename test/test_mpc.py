@@ -17,7 +17,7 @@ from slot_core import config
 from slot_core.control.gait import GaitPreview
 from slot_core.control.mpc import Mpc, Status, read_mpc
 from slot_core.control.mpc_model import Horizon, HorizonQp, TorsoModel
-from slot_core.control.mpc_solver import PiqpSolver, Solution
+from slot_core.control.mpc_solver import Solution, make_solver
 from slot_core.robot import GRAVITY, read_robot
 
 ROBOT = read_robot()
@@ -172,13 +172,14 @@ def test_hover_reference_is_held_by_a_quarter_of_the_weight_on_each_leg():
 def solve_whole_horizon(x0, ahead):
     """(H, 4, 3) forces by the controller's own problem and solver."""
     model = TorsoModel(ROBOT)
-    qp = HorizonQp(SETTINGS.weights.q, SETTINGS.weights.r, H, model.predict(0.3, 0.1, DT))
-    solver = PiqpSolver(qp, SETTINGS.solver)
+    generic, weights = model.predict(0.3, 0.1, DT), SETTINGS.weights
+    qp = HorizonQp(weights.q, weights.r, H, generic, SETTINGS.model, ROBOT.weight)
+    solver = make_solver(qp, SETTINGS.solver)
     force_ref = np.zeros((H, 4, 3))
     force_ref[..., 2] = ahead.normal_force[:H]
     limits = F_MAX * ahead.contact[:H]
     stages = Horizon(limits, ahead.friction[:H], force_ref, ahead.reference[1 : H + 1])
-    qp.update(model.predict(x0[2], x0[5], ahead.dt), x0, stages)
+    qp.update(model.predict(x0[2], x0[5], ahead.dt), x0, stages, ROBOT.weight)
     return qp.forces(solver.solve().z)
 
 
@@ -325,8 +326,8 @@ def iteration_limit():
 
 
 def violation():
-    # standing keeps all limits with room to spare, a friction of zero cannot be met exactly
-    mpc = new_mpc(acceptance__violation_max=0.0)
+    # standing keeps all limits with room to spare, a friction of zero PIQP does not meet exactly
+    mpc = new_mpc(solver__name="piqp", acceptance__violation_max=0.0)
     slipping = state(rpy=(0.5, -0.5, 0), v=(0.1, 0, 0))
     return mpc, slipping, preview(normal_force=LOAD, friction=np.zeros((H + 1, 4)))
 
@@ -388,7 +389,7 @@ def test_a_solver_that_calls_nan_solved_is_not_believed(monkeypatch):
             self.count += 1
             return Solution(answers[max(self.count, 0)], fault="", iterations=1)
 
-    monkeypatch.setattr("slot_core.control.mpc.PiqpSolver", Careless)
+    monkeypatch.setattr("slot_core.control.mpc.make_solver", Careless)
     mpc = new_mpc()
     assert mpc.step(state(), preview()).status == Status.SOLVED
     result = mpc.step(state(), preview())
@@ -552,3 +553,158 @@ def test_roll_on_a_lagging_torso_recovers(yaw):
     assert np.abs(late[:, :2]).max() < 0.01  # a tenth of the disturbance
     assert np.abs(states[-1, 6:]).max() < 0.01  # rad/s and m/s: at rest
     assert np.abs(states[:, 5] - 0.04).max() < 0.01
+
+
+def lagged_prediction(yaw, height, dt, lag):
+    """Forces that follow their inputs, by the matrix exponential of torso, forces and inputs."""
+    a, b, g = continuous(yaw, height)
+    whole = np.zeros((37, 37))
+    whole[:12, :12], whole[:12, 12:24], whole[:12, 36] = a, b, g
+    whole[12:24, 12:24], whole[12:24, 24:36] = -np.eye(12) / lag, np.eye(12) / lag
+    held = expm(dt * whole)
+    return held[:24, :24], held[:24, 24:36], held[:24, 36]
+
+
+@pytest.mark.parametrize("lag", [0.015, 0.05, 0.3])
+def test_prediction_with_lag_is_the_exact_zero_order_hold(lag):
+    predicted = TorsoModel(ROBOT, lag).predict(0.7, 0.05, DT)
+    a, b, drift = lagged_prediction(0.7, 0.05, DT, lag)
+    np.testing.assert_allclose(predicted.a, a, atol=1e-13)
+    np.testing.assert_allclose(predicted.b, b, atol=1e-13)
+    np.testing.assert_allclose(predicted.drift, drift, atol=1e-13)
+
+
+def optimum(x0, ahead, rules=lambda u, x: [], extra=lambda u, x: 0.0):
+    """u (H, 12) of the problem with further rules and costs, by CVXPY and Clarabel."""
+    a, b, g = discrete(x0[2], x0[5], ahead.dt)
+    q, r = np.sqrt(SETTINGS.weights.q), np.sqrt(SETTINGS.weights.r)
+    x, u = cvxpy.Variable((H + 1, 12)), cvxpy.Variable((H, 12))
+    u_ref = np.zeros((H, 12))
+    u_ref[:, 2::3] = ahead.normal_force[:H]
+    mu_f_z = cvxpy.multiply(ahead.friction[:H], u[:, 2::3])
+    kept = [x[0] == x0, x[1:] == x[:-1] @ a.T + u @ b.T + np.tile(g, (H, 1))]
+    kept += [u[:, 2::3] >= 0, u[:, 2::3] <= F_MAX * ahead.contact[:H]]
+    kept += [cvxpy.abs(u[:, 0::3]) <= mu_f_z, cvxpy.abs(u[:, 1::3]) <= mu_f_z, *rules(u, x)]
+    error = (x[1:] - ahead.reference[1 : H + 1]) @ np.diag(q)
+    cost = cvxpy.sum_squares(error) + cvxpy.sum_squares((u - u_ref) @ np.diag(r)) + extra(u, x)
+    problem = cvxpy.Problem(cvxpy.Minimize(cost), kept)
+    problem.solve(solver=cvxpy.CLARABEL, tol_gap_abs=1e-11, tol_gap_rel=1e-11, tol_feas=1e-11)
+    assert problem.status == cvxpy.OPTIMAL
+    return u.value, problem.value
+
+
+def test_a_soft_balance_is_the_optimum_with_its_cost():
+    x0, ahead = hard_cases()["height error"]
+    mpc = new_mpc(model__support="soft", model__support_weight=30.0, solver__name="piqp")
+    u, cost = optimum(
+        x0,
+        ahead,
+        extra=lambda u, _: 30.0 * cvxpy.sum_squares(cvxpy.sum(u[:, 2::3], axis=1) - ROBOT.weight),
+    )
+    result = mpc.step(x0, ahead)
+    np.testing.assert_allclose(result.force.ravel(), u[0], atol=3e-4)
+    assert result.cost == pytest.approx(cost, rel=1e-6)
+    free = new_mpc().step(x0, ahead).force[:, 2].sum()
+    assert abs(result.force[:, 2].sum() - ROBOT.weight) < 0.5 * abs(free - ROBOT.weight)
+
+
+@pytest.mark.parametrize("band", [0.0, 0.01])
+def test_an_exact_balance_is_kept_and_is_the_optimum(band):
+    x0, ahead = hard_cases()["height error"]
+
+    def balance(u, _):
+        return [cvxpy.abs(cvxpy.sum(u[:, 2::3], axis=1) - ROBOT.weight) <= band]
+
+    u, _ = optimum(x0, ahead, rules=balance)
+    exact = {"model__support": "equality", "model__support_band": band, "solver__name": "piqp"}
+    result = new_mpc(**exact).step(x0, ahead)
+    assert result.status == Status.SOLVED
+    np.testing.assert_allclose(result.force.ravel(), u[0], atol=3e-4)
+    assert result.slack_balance > -1e-6
+    assert abs(result.force[:, 2].sum() - ROBOT.weight) < band + 1e-6
+
+
+def test_with_an_exact_balance_lifted_legs_are_a_fault_and_not_an_answer():
+    """Two legs of 5 N cannot carry 21 N; before, four could."""
+    mpc = new_mpc(model__support="equality", force_max=6.0, solver__name="piqp")
+    good = mpc.step(state(), preview(normal_force=np.full((H + 1, 4), HOVER)))
+    assert good.status == Status.SOLVED
+    lifted = np.tile([True, False, False, True], (H + 1, 1))
+    result = mpc.step(state(), preview(contact=lifted))
+    assert result.status == Status.NOT_SOLVED
+    assert np.isfinite(result.force).all()
+    assert result.slack_total < 0.0
+
+
+def test_a_soft_minimum_is_the_optimum_with_its_cost_and_always_feasible():
+    least, weight = (0.2, 7.0), 5.0
+    x0, ahead = state(p=(0, 0, 0.05)), preview()
+
+    def short(u, _):
+        f_x, f_z = cvxpy.pos(least[0] - u[:, 0::3]), cvxpy.pos(least[1] - u[:, 2::3])
+        return weight * (cvxpy.sum_squares(f_x) + cvxpy.sum_squares(f_z))
+
+    u, cost = optimum(x0, ahead, extra=short)
+    mpc = new_mpc(model__least_force=least, model__least_weight=weight, solver__name="piqp")
+    result = mpc.step(x0, ahead)
+    np.testing.assert_allclose(result.force.ravel(), u[0], atol=3e-4)
+    assert result.cost == pytest.approx(cost, rel=1e-6)
+    flight = preview(contact=np.zeros((H + 1, 4), dtype=bool))
+    assert mpc.step(x0, flight).status == Status.SOLVED
+
+
+def ticks(mpc, true, seconds=6.0):
+    """A rigid torso under the MPC's forces and what `true` (mass, bias) adds; last (12,) states."""
+    model, dt = TorsoModel(ROBOT), DT
+    x, states = state(), []
+    for k in range(round(seconds / dt)):
+        result = mpc.step(x, dataclasses.replace(preview(), stamp=round(k * dt * 1e9)))
+        assert result.status == Status.SOLVED
+        ahead = model.predict(x[2], x[5], dt, *true)
+        x = ahead.a @ x + ahead.b @ result.force.ravel() + ahead.drift
+        states.append(x)
+    return np.array(states[-30:]), result
+
+
+def test_the_observer_finds_mass_and_bias_and_takes_their_error_away():
+    bias = np.array([0.3, -0.2, 0.1, 0.05, -0.04, 0.0])
+    true = (1.2 * ROBOT.mass, bias)
+    without, _ = ticks(new_mpc(force_max=12.0), true)
+    observer = {"disturbance__time": 0.2, "disturbance__bias_angular": 20.0}
+    with_it, result = ticks(new_mpc(force_max=12.0, **observer), true)
+    assert result.mass == pytest.approx(true[0], rel=1e-3)
+    # without it the weight that is not known pulls the height down by millimetres
+    assert abs(without[-1, 5] - 0.04) > 1e-3
+    assert np.abs(with_it[:, 5] - 0.04).max() < 1e-4
+    # A tilt is left: the moment against the bias needs forces other than the gait's, which cost.
+    assert np.abs(with_it[:, :2]).max() < 0.5 * np.abs(without[:, :2]).max()
+
+
+def test_with_lag_the_controller_knows_the_forces_that_act_by_now():
+    """A plant whose forces lag by 0.1 s: the MPC that knows it overshoots less."""
+    swings = []
+    for lag in (0.0, 0.1):
+        mpc = new_mpc(model__lag=lag, weights__force=[0.05] * 3, solver__name="piqp")
+        model, x = (
+            TorsoModel(ROBOT, 0.1),
+            np.append(state(p=(0, 0, 0.03)), np.tile([0, 0, HOVER], 4)),
+        )
+        heights = []
+        for k in range(90):
+            ahead = dataclasses.replace(preview(), stamp=round(k * DT * 1e9))
+            force = mpc.step(x[:12], ahead).force.ravel()
+            step = model.predict(x[2], x[5], DT)
+            x = step.a @ x + step.b @ force + step.drift
+            heights.append(x[5])
+        swings.append(max(heights) - 0.04)
+    assert swings[1] < 0.3 * swings[0]
+
+
+@pytest.mark.parametrize("profile", ["paper", "published"])
+def test_profiles_change_what_they_name_and_nothing_else(profile):
+    settings = read_mpc(profile)
+    assert settings.model.support == "equality"
+    assert settings.weights.force == (1e-8, 1e-8, 1e-8)
+    assert settings.fallback == read_mpc().fallback
+    with pytest.raises(config.ConfigError, match="no configuration 'mpc/magic'"):
+        read_mpc("magic")

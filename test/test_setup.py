@@ -64,9 +64,10 @@ class Copy:
         bin_ = self.standin / "bin"
         bin_.mkdir(parents=True)
         (self.standin / "setup.bash").write_text('export PYTHONPATH="$STANDIN"\n')
-        warm_up = self.standin / "slot_core/dynamics/warm_up.py"
-        warm_up.parent.mkdir(parents=True)
-        warm_up.write_text("")
+        for part in ("dynamics", "control"):
+            warm_up = self.standin / f"slot_core/{part}/warm_up.py"
+            warm_up.parent.mkdir(parents=True)
+            warm_up.write_text("")
         executable(bin_ / "colcon", COLCON)
         for tool in ("cmake", "g++", "git", "make", "strace"):
             (bin_ / tool).symlink_to("/bin/true")

@@ -21,6 +21,7 @@ from slot_bringup.monitor import RunError, require_solitude, watch
 from slot_bringup.processes import Processes
 from slot_core.config import ConfigError
 from slot_core.control.gait import GaitScheduler, read_gaits
+from slot_core.control.mpc import read_mpc
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.evaluation import metrics, plots
@@ -83,6 +84,7 @@ def check(options: argparse.Namespace) -> None:
     v_x = gaits.find(options.gait).cruise if options.vx is None else options.vx
     GaitScheduler(gaits, options.gait, np.array([v_x, options.vy, 0.0]))
     read_scene(options.scene)
+    read_mpc(options.mpc)
     if not 0 <= options.seed < 2**63:
         raise ConfigError(f"--seed {options.seed}: outside [0, {2**63 - 1}]")
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"

@@ -10,6 +10,7 @@ setup(
             "defaults/*.csv",
             "defaults/scene/*",
             "defaults/solver/*",
+            "defaults/mpc/*",
             "defaults/parameters/*",
         ]
     },

@@ -150,10 +150,13 @@ def forces_to_msg(stamp: int, result: MpcResult) -> GroundReactionForces:
         iterations=result.iterations,
         solve_time=result.solve_time,
         violation=result.violation,
+        residual=result.residual,
+        mass=result.mass,
         slack_normal_min=result.slack_normal_min.tolist(),
         slack_normal_max=result.slack_normal_max.tolist(),
         slack_friction=result.slack_friction.tolist(),
         slack_total=result.slack_total,
+        slack_balance=result.slack_balance,
     )
 
 

@@ -5,7 +5,7 @@ import time
 from rclpy.node import Node
 
 from slot_core import decode
-from slot_core.control.mpc import Mpc, Status, read_mpc
+from slot_core.control.mpc import DEFAULT, Mpc, Status, read_mpc
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, GroundReactionForces, MpcState
 from slot_nodes import inputs, messages, qos, runtime
@@ -17,7 +17,8 @@ class MpcControllerNode(Node):
 
     def __init__(self) -> None:
         super().__init__("mpc_controller")
-        settings = runtime.declare_settings(self, read_mpc())
+        profile = runtime.declare(self, "profile", DEFAULT, "a file of config/mpc, or the default")
+        settings = runtime.declare_settings(self, read_mpc(profile))
         self._mpc = Mpc(read_robot(), settings, time.perf_counter)
         self._inputs = Rendezvous("state", "preview")
         self._forces = self.create_publisher(

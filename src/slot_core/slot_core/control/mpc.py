@@ -18,21 +18,25 @@ import numpy as np
 
 from slot_core import config
 from slot_core.config import quantity
+from slot_core.control.disturbance import Disturbance, DisturbanceSettings
 from slot_core.control.gait import GaitPreview
 from slot_core.control.mpc_model import (
     FEET,
     STATES,
     Horizon,
     HorizonQp,
+    Options,
     Prediction,
     TorsoModel,
     condensed_condition,
     slacks,
 )
-from slot_core.control.mpc_solver import PiqpSolver, Solution, SolverSettings
-from slot_core.robot import Array, Robot
+from slot_core.control.mpc_solver import Solution, SolverSettings, make_solver
+from slot_core.robot import GRAVITY, Array, Robot
 
 Vector3 = tuple[float, float, float]
+DEFAULT = "default"  # the profile of mpc.yaml alone
+LONGEST_GAP = 0.5  # s between ticks; after a longer one nothing is known of the forces
 
 
 class Status(enum.IntEnum):
@@ -90,6 +94,8 @@ class MpcSettings:
     """What `config/mpc.yaml` holds."""
 
     weights: Weights
+    model: Options
+    disturbance: DisturbanceSettings
     solver: SolverSettings
     acceptance: Acceptance
     fallback: Fallback
@@ -109,10 +115,13 @@ class MpcResult:
     iterations: int
     solve_time: float  # s, check, update and solve
     violation: float  # N, over the horizon of what the solver returned; NaN where it was not asked
+    residual: float  # largest error of the dynamics in it, SI; NaN where it was not asked
     slack_normal_min: Array  # (4,) N, first stage of `force`
     slack_normal_max: Array  # (4,) N
     slack_friction: Array  # (4,) N
     slack_total: float  # N, sum of contact f_max - m g
+    slack_balance: float  # N, band - |sum f_z - m g|; infinite where no balance is asked for
+    mass: float  # kg, that the model counted on
 
 
 @dataclass(frozen=True)
@@ -122,7 +131,18 @@ class _Account:
     elapsed: float  # s
     iterations: int
     violation: float  # N
+    residual: float
     cost: float
+
+
+@dataclass(frozen=True)
+class _Past:
+    """The last tick that was solved or fell back."""
+
+    stamp: int  # ns
+    state: Array  # (12,)
+    augmented: Array  # (12 or 24,) with the forces that acted then
+    force: Array  # (4, 3) N asked for
 
 
 @dataclass(frozen=True)
@@ -145,17 +165,27 @@ class Mpc:
 
     def __init__(self, robot: Robot, settings: MpcSettings, timer: Callable[[], float]):
         """`timer` returns seconds; raises ConfigError for weights that leave the forces vague."""
-        self._weight, self._settings, self._timer = robot.weight, settings, timer
-        self._model = TorsoModel(robot)
+        self._settings, self._timer = settings, timer
+        self._model = TorsoModel(robot, settings.model.lag)
+        self._disturbance = Disturbance(robot.mass, settings.disturbance)
+        self._mass = robot.mass
         weights, horizon = settings.weights, settings.horizon
         generic = self._model.predict(0.3, 0.1, settings.acceptance.stage[1])
-        _refuse_vague_forces(generic, settings)
-        self._qp = HorizonQp(weights.q, weights.r, horizon, generic)
-        self._solver = PiqpSolver(self._qp, settings.solver)
+        _refuse_vague_forces(
+            TorsoModel(robot).predict(0.3, 0.1, settings.acceptance.stage[1]), settings
+        )
+        self._qp = HorizonQp(weights.q, weights.r, horizon, generic, settings.model, robot.weight)
+        self._solver = make_solver(self._qp, settings.solver)
         self._solver.solve()  # the first solve pays for page faults: not on the robot's time
         self._stage = FirstStage(np.zeros(FEET), np.zeros(FEET), np.zeros((FEET, 3)))
         self._last: Array | None = None  # (4, 3) N, last feasible input
+        self._before: _Past | None = None
         self._missed = 0  # consecutive cycles without an accepted solution
+
+    @property
+    def problem(self) -> HorizonQp:
+        """As the last step left it; to be read only."""
+        return self._qp
 
     def step(self, state: Array, preview: GaitPreview) -> MpcResult:
         """Forces for `state` (12,), stage 0 of `preview` being now.
@@ -171,16 +201,38 @@ class Mpc:
         if fault := state_fault(state, self._settings):
             return self._reject(fault, start)
         x = np.asarray(state, dtype=float)
-        self._qp.update(self._model.predict(x[2], x[5], preview.dt), x, stages)
+        acting = self._look_back(x, stages, preview.stamp)
+        mass, bias = self._disturbance.mass, self._disturbance.bias
+        prediction = self._model.predict(x[2], x[5], preview.dt, mass, bias)
+        self._qp.update(prediction, np.append(x, acting), stages, mass * GRAVITY)
         solution = self._solver.solve()
-        return self._judge(solution, stages, self._timer() - start)
+        result = self._judge(solution, stages, self._timer() - start)
+        self._before = _Past(preview.stamp, x, np.append(x, acting), result.force)
+        return result
+
+    def _look_back(self, state: Array, stages: Horizon, stamp: int) -> Array:
+        """Let the observer learn from the last tick; (12 or 0,) N, the forces that act by now."""
+        past, lagging = self._before, self._settings.model.lag > 0.0
+        acting = stages.force_ref[0].ravel() if lagging else np.zeros(0)
+        dt = (stamp - past.stamp) * 1e-9 if past else 0.0
+        if past is None or not 0.0 < dt <= LONGEST_GAP:
+            return acting
+        disturbance = self._disturbance
+        model = self._model.predict(
+            past.state[2], past.state[5], dt, disturbance.mass, disturbance.bias
+        )
+        now = model.a @ past.augmented + model.b @ past.force.ravel() + model.drift
+        disturbance.correct(now[6:STATES], state[6:], dt)
+        return now[STATES:]
 
     def _read(self, preview: GaitPreview) -> Horizon:
         """The stages of the horizon."""
         now = np.arange(self._settings.horizon)
         following = np.minimum(now + 1, len(preview.reference) - 1)
         force = np.zeros((len(now), FEET, 3))
-        force[..., 2] = np.asarray(preview.normal_force)[now]
+        if self._settings.model.reference == "gait":
+            share = self._disturbance.mass / self._mass
+            force[..., 2] = share * np.asarray(preview.normal_force)[now]
         return Horizon(
             force_max=self._settings.force_max * np.asarray(preview.contact, dtype=float)[now],
             friction=np.asarray(preview.friction, dtype=float)[now],
@@ -189,15 +241,14 @@ class Mpc:
         )
 
     def _reject(self, fault: str, start: float) -> MpcResult:
-        account = _Account(self._timer() - start, 0, math.nan, math.nan)
+        account = _Account(self._timer() - start, 0, math.nan, math.nan, math.nan)
         return self._fall_back(Status.REJECTED, fault, account)
 
     def _judge(self, solution: Solution, stages: Horizon, elapsed: float) -> MpcResult:
         """Accept the solution, or replace it."""
-        limits, force = self._settings.acceptance, self._qp.forces(solution.z)
-        violation = -float(slacks(force, stages.force_max, stages.friction).min())
-        cost = self._qp.cost(solution.z)
-        account = _Account(elapsed, solution.iterations, max(violation, 0.0), cost)
+        limits, qp, z = self._settings.acceptance, self._qp, solution.z
+        force, violation = qp.forces(z), qp.violation(z)
+        account = _Account(elapsed, solution.iterations, violation, qp.residual(z), qp.cost(z))
         if solution.fault:
             return self._fall_back(Status.NOT_SOLVED, solution.fault, account)
         if not np.isfinite(solution.z).all():
@@ -226,6 +277,9 @@ class Mpc:
     def _result(self, force: Array, status: Status, message: str, account: _Account) -> MpcResult:
         stage = self._stage
         least, most, friction = slacks(force, stage.force_max, stage.friction)
+        weight, balance = self._disturbance.mass * GRAVITY, math.inf
+        if self._settings.model.support == "equality":
+            balance = self._settings.model.support_band - abs(float(force[:, 2].sum()) - weight)
         return MpcResult(
             force=force,
             status=status,
@@ -235,10 +289,13 @@ class Mpc:
             iterations=account.iterations,
             solve_time=account.elapsed,
             violation=account.violation,
+            residual=account.residual,
             slack_normal_min=least,
             slack_normal_max=most,
             slack_friction=friction,
-            slack_total=float(stage.force_max.sum() - self._weight),
+            slack_total=float(stage.force_max.sum() - weight),
+            slack_balance=balance,
+            mass=self._disturbance.mass,
         )
 
 
@@ -288,6 +345,12 @@ def _refuse_vague_forces(prediction: Prediction, settings: MpcSettings) -> None:
         )
 
 
-def read_mpc() -> MpcSettings:
-    """The settings of `config/mpc.yaml`; raises ConfigError."""
-    return config.read(MpcSettings, "mpc")
+def read_mpc(profile: str = DEFAULT) -> MpcSettings:
+    """The settings of `config/mpc.yaml`, or of a profile that changes them; raises ConfigError.
+
+    A profile `config/mpc/<name>.yaml` holds, by dotted name, only what it changes.
+    """
+    settings = config.read(MpcSettings, "mpc")
+    if profile == DEFAULT:
+        return settings
+    return config.replace(settings, config.load(f"mpc/{profile}"), f"mpc/{profile}.yaml")

@@ -7,13 +7,21 @@ odom. A single rigid body (Di Carlo et al., IROS 2018) on feet placed like those
     d/dt p   = v                       v'     = sum f_i / m - g e_z
 
 with I_w = R_z I R_z^T of torso and legs, r_i = R_z foot_i horizontally and r_z = -p_z, at the yaw
-and height of the present state. Over the stages k = 0 .. H-1 of the gait preview it minimises
+and height of the present state. The forces f are the inputs, or with actuator lag follow them,
+f' = (u - f) / lag. Over the stages k = 0 .. H-1 of the gait preview it minimises
 
     sum (x_k+1 - x_ref,k+1)' Q (x_k+1 - x_ref,k+1) + (u_k - u_ref,k)' R (u_k - u_ref,k)
     with  0 <= f_z <= contact f_max   and   |f_x|, |f_y| <= mu f_z   for every leg and stage,
 
-u_ref being the normal forces the gait expects. u = 0 is always allowed: the problem is feasible
-from every state.
+u_ref being the normal forces the gait expects, or zero. Options add to it, for every stage:
+
+    support: soft        + w (sum f_z - m g)^2
+    support: equality    |sum f_z - m g| <= band
+    soft minimum         + w s' s  with  f_x >= f_x,min - s_x,  f_z >= f_z,min - s_z,  s >= 0
+                         for every leg in contact.
+
+Without `equality`, u = 0 is always allowed: the problem is feasible from every state. With it, legs
+in contact must be able to carry the weight, and with four of them the height cannot be controlled.
 """
 
 from __future__ import annotations
@@ -24,25 +32,50 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from slot_core.config import choice, quantity
 from slot_core.robot import GRAVITY, LEGS, Array, Robot
 
 FEET = len(LEGS)
 STATES = 12
 INPUTS = 3 * FEET
-STAGE = INPUTS + STATES  # of the decision vector z = [u_0, x_1, u_1, x_2, ..., u_H-1, x_H]
-F_Z = slice(2, INPUTS, 3)
+F_X, F_Z = slice(0, INPUTS, 3), slice(2, INPUTS, 3)
 YAW = 2
 
 Slots = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
-class Prediction:
-    """x_k+1 = a x_k + b u_k + drift."""
+class Options:
+    """What the problem has beside weights and limits."""
 
-    a: Array  # (12, 12)
-    b: Array  # (12, 12)
-    drift: Array  # (12,) what gravity does in one stage
+    support: str = choice(
+        "whether the normal forces balance the weight", "free", "soft", "equality"
+    )
+    support_weight: float = quantity("soft: weight of the imbalance", "1/N^2", 0, 1e9)
+    support_band: float = quantity("equality: largest imbalance", "N", 0, 100)
+    lag: float = quantity("time constant of the forces behind their inputs, 0: none", "s", 0, 1)
+    reference: str = choice("what the inputs are weighed against", "gait", "zero")
+    least_force: tuple[float, float] = quantity("soft minimum of f_x and f_z", "N", -100, 100)
+    least_weight: float = quantity("of falling short of it, 0: no minimum", "1/N^2", 0, 1e9)
+
+    @property
+    def slacks(self) -> int:
+        """Slack variables of a stage."""
+        return 2 * FEET if self.least_weight > 0.0 else 0
+
+    @property
+    def states(self) -> int:
+        """States of a stage: the torso's, and the forces where they lag."""
+        return STATES + (INPUTS if self.lag > 0.0 else 0)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """x_k+1 = a x_k + b u_k + drift, with the forces behind the torso's states where they lag."""
+
+    a: Array  # (n, n), n = 12 or 24
+    b: Array  # (n, 12)
+    drift: Array  # (n,) what gravity and bias do in one stage
 
 
 @dataclass(frozen=True)
@@ -58,85 +91,233 @@ class Horizon:
 class TorsoModel:
     """Predicts the torso from the forces on its feet."""
 
-    def __init__(self, robot: Robot):
-        self._mass = robot.mass
-        self._feet = robot.feet
+    def __init__(self, robot: Robot, lag: float = 0.0):
+        """`lag` (s) of the forces behind their inputs; zero for none."""
+        self._feet, self._lag = robot.feet, lag
         self._inverse_inertia = np.linalg.inv(robot.inertia)
+        self._mass = robot.mass
 
-    def predict(self, yaw: float, height: float, dt: float) -> Prediction:
+    def predict(
+        self,
+        yaw: float,
+        height: float,
+        dt: float,
+        mass: float | None = None,
+        bias: Array | None = None,
+    ) -> Prediction:
         """Exact zero-order hold over dt (s) at a yaw (rad) and height (m).
 
-        With q = [rpy, p] and w = [omega, v] the model is q' = J w, w' = W u + g, a double
-        integrator: the series of the matrix exponential ends after dt^2.
+        mass: kg, else the robot's; bias (6,): angular and linear acceleration beside the forces'.
+        With q = [rpy, p] and w = [omega, v] the model is q' = J w, w' = W f + g. An input held for
+        dt moves the forces by f(t) = u + (f_0 - u) exp(-t / lag), whose integrals are closed.
         """
-        turn = _turn(yaw)
+        turn, nothing = _turn(yaw), np.zeros(6)
         jacobian = np.eye(6)
         jacobian[:3, :3] = turn.T
-        gain = np.zeros((6, INPUTS + 1))  # [W, g]
-        gain[:3, :INPUTS] = (
-            turn @ self._inverse_inertia @ turn.T @ _levers(turn, self._feet, height)
-        )
-        gain[3:, :INPUTS] = np.tile(np.eye(3) / self._mass, FEET)
-        gain[5, INPUTS] = -GRAVITY
-        step = np.vstack([dt**2 / 2 * jacobian @ gain, dt * gain])
-        a = np.eye(STATES)
-        a[:6, 6:] = dt * jacobian
-        return Prediction(a, step[:, :INPUTS], step[:, INPUTS])
+        gain = np.zeros((6, INPUTS))
+        gain[:3] = turn @ self._inverse_inertia @ turn.T @ _levers(turn, self._feet, height)
+        gain[3:] = np.tile(np.eye(3) / (mass or self._mass), FEET)
+        fall = (nothing if bias is None else bias) - GRAVITY * np.eye(6)[5]
+        kept, once, twice = self._memory(dt)
+        size = STATES + (INPUTS if self._lag > 0.0 else 0)
+        a, b, drift = np.eye(size), np.zeros((size, INPUTS)), np.zeros(size)
+        a[:6, 6:STATES] = dt * jacobian
+        a[:6, STATES:] = twice * (jacobian @ gain)[:, : size - STATES]
+        a[6:STATES, STATES:] = once * gain[:, : size - STATES]
+        a[STATES:, STATES:] *= kept
+        b[:6] = (dt**2 / 2 - twice) * jacobian @ gain
+        b[6:STATES] = (dt - once) * gain
+        b[STATES:] = (1.0 - kept) * np.eye(INPUTS)[: size - STATES]
+        drift[:6], drift[6:STATES] = dt**2 / 2 * jacobian @ fall, dt * fall
+        return Prediction(a, b, drift)
+
+    def _memory(self, dt: float) -> tuple[float, float, float]:
+        """Share of f_0 - u that is left after dt, its integral (s) and that one's (s^2)."""
+        if self._lag == 0.0:
+            return 0.0, 0.0, 0.0
+        kept = float(np.exp(-dt / self._lag))
+        once = self._lag * (1.0 - kept)
+        return kept, once, self._lag * (dt - once)
 
 
 class HorizonQp:
-    """min 1/2 z'Pz + c'z with A z = b, G z <= 0, lower <= z <= upper, updated in place.
+    """min 1/2 z'Pz + c'z with A z = b, G z <= h, lower <= z <= upper, updated in place.
 
-    The sparsity never changes; P never does. The arrays are scipy CSC matrices and vectors.
+    z = [u_0, s_0, x_1, u_1, s_1, x_2, ...]. The sparsity never changes; P never does. The arrays
+    are scipy CSC matrices and vectors; A holds the dynamics and then an exact balance, G friction,
+    a balance with a band, and the soft minimum.
     """
 
-    def __init__(self, q: Array, r: Array, horizon: int, pattern: Prediction):
-        """Weights q (12,) and r (12,); `pattern` has a non-zero wherever any prediction has one."""
-        self.horizon = horizon
-        self.weight = np.tile(np.concatenate([r, q]), horizon)
-        self.P = sparse.diags(self.weight, format="csc")
-        self.G, self._mu_slots = _friction_rows(horizon)
-        self.A, self._a_slots = _dynamics_rows(horizon, pattern)
+    def __init__(  # noqa: PLR0917
+        self, q: Array, r: Array, horizon: int, pattern: Prediction, options: Options, weight: float
+    ):
+        """Weights q (12,) and r (12,); `pattern` has a non-zero wherever any prediction has one.
+
+        weight: m g in N, for the balance.
+        """
+        self.horizon, self.options = horizon, options
+        self.states, slacks = options.states, options.slacks
+        self.stage = INPUTS + slacks + self.states
+        state = np.append(q, np.zeros(self.states - STATES))
+        costs = np.concatenate([r, np.full(slacks, options.least_weight), state])
+        self.weight = np.tile(costs, horizon)
+        self.P = _objective(self.weight, options, horizon, self.stage)
+        self._rows = _Rows(horizon, self.stage, INPUTS + slacks, pattern)
+        exact = options.support == "equality" and options.support_band == 0.0
+        banded = options.support == "equality" and not exact
+        self.A, self._a_slots = _stack(
+            [self._rows.dynamics(), *([self._rows.balance([1])] if exact else [])]
+        )
+        self.G, self._g_slots = _stack(
+            [
+                self._rows.friction(),
+                *([self._rows.balance([1, 2])] if banded else []),
+                *([self._rows.least()] if slacks else []),
+            ]
+        )
+        self.b = np.zeros(self.A.shape[0])
         self.h = np.zeros(self.G.shape[0])
-        self.b = np.zeros((horizon, STATES))
-        self.lower = np.full((horizon, STAGE), -np.inf)
+        self.lower = np.full((horizon, self.stage), -np.inf)
         self.lower[:, F_Z] = 0.0
-        self.upper = np.full((horizon, STAGE), np.inf)
-        self.target = np.zeros((horizon, STAGE))
+        self.lower[:, INPUTS : INPUTS + slacks] = 0.0
+        self.upper = np.full((horizon, self.stage), np.inf)
+        self.target = np.zeros((horizon, self.stage))
+        self._balance(weight)
         feet = np.zeros((horizon, FEET))
         forces, states = np.zeros((horizon, FEET, 3)), np.zeros((horizon, STATES))
-        self.update(pattern, np.zeros(STATES), Horizon(feet, feet, forces, states))
+        self.update(pattern, np.zeros(self.states), Horizon(feet, feet, forces, states), weight)
 
     @property
     def c(self) -> Array:
-        """(24 H,) linear cost: -P z_ref."""
-        return -self.weight * self.target.ravel()
+        """Linear cost: -W z_ref, and what a soft balance adds."""
+        linear = -self.weight.reshape(self.horizon, -1) * self.target
+        if self.options.support == "soft":
+            linear[:, F_Z] -= self.options.support_weight * self._load
+        return linear.ravel()
 
-    def update(self, prediction: Prediction, state: Array, stages: Horizon) -> None:
-        """Put in a prediction, the present state (12,) and the stages ahead.
+    def update(self, prediction: Prediction, state: Array, stages: Horizon, weight: float) -> None:
+        """Put in a prediction, the present state (12 or 24,), the stages ahead and m g (N).
 
         The targets' yaw is turned by as many full turns as bring it next to the state's.
         """
-        values = np.concatenate([[1.0], -prediction.a.ravel(), -prediction.b.ravel()])
+        friction = -stages.friction.ravel()
+        values = np.concatenate([[1.0, -1.0], -prediction.a.ravel(), -prediction.b.ravel()])
         self.A.data[:] = values[self._a_slots]
-        self.b[:] = prediction.drift
-        self.b[0] += prediction.a @ state
-        friction = np.concatenate([[1.0, -1.0], -stages.friction.ravel()])
-        self.G.data[:] = friction[self._mu_slots]
+        self.G.data[:] = np.concatenate([[1.0, -1.0], friction])[self._g_slots]
+        dynamics = self.b[: self.horizon * self.states].reshape(self.horizon, -1)
+        dynamics[:] = prediction.drift
+        dynamics[0] += prediction.a @ state
         self.upper[:, F_Z] = stages.force_max
         self.target[:, :INPUTS] = stages.force_ref.reshape(-1, INPUTS)
-        self.target[:, INPUTS:] = stages.state_ref
+        torso = self.target[:, self.stage - self.states :][:, :STATES]
+        torso[:] = stages.state_ref
         turns = np.round((state[YAW] - stages.state_ref[0, YAW]) / (2 * np.pi))
-        self.target[:, INPUTS + YAW] += 2 * np.pi * turns
+        torso[:, YAW] += 2 * np.pi * turns
+        self._balance(weight)
+        if self.options.slacks:
+            touching = stages.force_max > 0.0
+            least = -np.array(self.options.least_force)[:, None] * touching[:, None, :]
+            self.h[-least.size :] = least.ravel()
 
     def forces(self, z: Array) -> Array:
-        """(H, 4, 3) N: the inputs in z (24 H,)."""
-        return z.reshape(self.horizon, STAGE)[:, :INPUTS].reshape(self.horizon, FEET, 3).copy()
+        """(H, 4, 3) N: the inputs in z."""
+        return z.reshape(self.horizon, self.stage)[:, :INPUTS].reshape(-1, FEET, 3).copy()
 
     def cost(self, z: Array) -> float:
-        """The objective of the module's docstring at z (24 H,)."""
+        """The objective of the module's docstring at z."""
         error = z - self.target.ravel()
-        return float(error @ (self.weight * error))
+        cost = float(error @ (self.weight * error))
+        if self.options.support == "soft":
+            excess = self.forces(z)[..., 2].sum(axis=1) - self._load
+            cost += self.options.support_weight * float(excess @ excess)
+        return cost
+
+    def violation(self, z: Array) -> float:
+        """N, by which the inputs break their limits the most; zero where they keep all."""
+        inputs = slice(0, INPUTS + self.options.slacks)
+        flat = z.reshape(self.horizon, self.stage)[:, inputs]
+        balance = self.horizon * self.states
+        outside = [
+            (self.G @ z - self.h).max(),
+            (self.lower[:, inputs] - flat).max(),
+            (flat - self.upper[:, inputs]).max(),
+            np.abs(self.A[balance:] @ z - self.b[balance:]).max(initial=0.0),
+        ]
+        return float(max(0.0, *outside))
+
+    def residual(self, z: Array) -> float:
+        """Largest error of the dynamics in a stage, SI units."""
+        rows = self.horizon * self.states
+        return float(np.abs(self.A @ z - self.b)[:rows].max())
+
+    def _balance(self, weight: float) -> None:
+        """Let the normal forces balance a weight, N."""
+        self._load = weight
+        self.b[self.horizon * self.states :] = weight
+        start = self._rows.frictions
+        band = self.options.support_band
+        rows = self.h[start : start + self._rows.bands].reshape(-1, 2)
+        rows[:, 0], rows[:, 1] = weight + band, band - weight
+
+
+class _Rows:
+    """Rows of constraints as numbers of the values that go there: 1, 2, ... and 0 for none."""
+
+    def __init__(self, horizon: int, stage: int, first_state: int, pattern: Prediction):
+        self._horizon, self._stage, self._first, self._pattern = (
+            horizon,
+            stage,
+            first_state,
+            pattern,
+        )
+        self.frictions = horizon * 4 * FEET
+        self.bands = 0
+
+    def dynamics(self) -> NDArray[np.int64]:
+        """x_k+1 - a x_k - b u_k = drift; out of [1, -1, -a, -b]."""
+        size = len(self._pattern.drift)
+        number = 3 + np.arange(size * (size + INPUTS))
+        a = np.where(self._pattern.a != 0, number[: size**2].reshape(size, size), 0)
+        b = np.where(self._pattern.b != 0, number[size**2 :].reshape(size, INPUTS), 0)
+        rows = self._empty(size)
+        for k in range(self._horizon):
+            rows[k, :, k, :INPUTS] = b
+            rows[k, :, k, self._first :] = np.eye(size)
+            if k > 0:
+                rows[k, :, k - 1, self._first :] = a
+        return self._flat(rows)
+
+    def balance(self, signs: list[int]) -> NDArray[np.int64]:
+        """+- sum f_z of every stage; signs: 1 for plus, 2 for minus."""
+        rows = self._empty(len(signs))
+        for k in range(self._horizon):
+            rows[k, :, k, F_Z] = np.array(signs)[:, None]
+        self.bands = rows.shape[0] * rows.shape[1] if len(signs) == 2 else 0
+        return self._flat(rows)
+
+    def friction(self) -> NDArray[np.int64]:
+        """+-f_x - mu f_z <= 0 and +-f_y - mu f_z <= 0; out of [1, -1, -mu]."""
+        rows = self._empty(FEET * 4)
+        for k, leg in np.ndindex(self._horizon, FEET):
+            block = rows[k, 4 * leg : 4 * leg + 4, k, 3 * leg : 3 * leg + 3]
+            block[:, :2] = [[1, 0], [2, 0], [0, 1], [0, 2]]
+            block[:, 2] = 3 + k * FEET + leg
+        return self._flat(rows)
+
+    def least(self) -> NDArray[np.int64]:
+        """-f - s <= -least of f_x and then f_z of every leg."""
+        rows = self._empty(2 * FEET)
+        for k, row in np.ndindex(self._horizon, 2 * FEET):
+            part, leg = divmod(row, FEET)
+            rows[k, row, k, 3 * leg + 2 * part] = 2
+            rows[k, row, k, INPUTS + row] = 2
+        return self._flat(rows)
+
+    def _empty(self, count: int) -> NDArray[np.int64]:
+        return np.zeros((self._horizon, count, self._horizon, self._stage), dtype=np.int64)
+
+    def _flat(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        return rows.reshape(rows.shape[0] * rows.shape[1], -1)
 
 
 def slacks(force: Array, force_max: Array, friction: Array) -> Array:
@@ -154,17 +335,29 @@ def condensed_condition(prediction: Prediction, q: Array, r: Array, horizon: int
 
     Above it, roundoff and the solver's tolerance show in the forces: the objective is flat there.
     """
-    columns = np.zeros((horizon, STATES, INPUTS))  # S's first block column
+    size = len(prediction.drift)
+    columns = np.zeros((horizon, STATES, INPUTS))  # S's first block column, the torso's rows
     block = prediction.b
     for k in range(horizon):
-        columns[k] = block
+        columns[k] = block[:STATES]
         block = prediction.a @ block
+    assert block.shape == (size, INPUTS)
     s = np.zeros((horizon * STATES, horizon * INPUTS))
     for k in range(horizon):
         s[k * STATES :, k * INPUTS : (k + 1) * INPUTS] = columns[: horizon - k].reshape(-1, INPUTS)
     hessian = s.T @ (np.tile(q, horizon)[:, None] * s) + np.diag(np.tile(r, horizon))
     eigenvalues = np.linalg.eigvalsh(hessian)
     return float(eigenvalues[-1] / max(eigenvalues[0], np.finfo(float).tiny))
+
+
+def _objective(weight: Array, options: Options, horizon: int, stage: int) -> sparse.csc_matrix:
+    """P: the weights, and those of a soft balance between the normal forces of a stage."""
+    diagonal = sparse.diags(weight, format="csc")
+    if options.support != "soft":
+        return diagonal
+    block = np.zeros((stage, stage))
+    block[F_Z, F_Z] = options.support_weight
+    return sparse.csc_matrix(diagonal + sparse.block_diag([block] * horizon, format="csc"))
 
 
 def _turn(yaw: float) -> Array:
@@ -183,32 +376,7 @@ def _levers(turn: Array, feet: Array, height: float) -> Array:
     return levers
 
 
-def _dynamics_rows(horizon: int, pattern: Prediction) -> tuple[sparse.csc_matrix, Slots]:
-    """A of x_k+1 - a x_k - b u_k = drift; its entries are out of [1, -a, -b]."""
-    number = 2 + np.arange(STATES * (STATES + INPUTS))
-    a = np.where(pattern.a != 0, number[: STATES**2].reshape(STATES, STATES), 0)
-    b = np.where(pattern.b != 0, number[STATES**2 :].reshape(STATES, INPUTS), 0)
-    rows = np.zeros((horizon, STATES, horizon, STAGE), dtype=np.int64)
-    for k in range(horizon):
-        rows[k, :, k, :INPUTS] = b
-        rows[k, :, k, INPUTS:] = np.eye(STATES)
-        if k > 0:
-            rows[k, :, k - 1, INPUTS:] = a
-    return _numbered(rows.reshape(horizon * STATES, -1))
-
-
-def _friction_rows(horizon: int) -> tuple[sparse.csc_matrix, Slots]:
-    """G of +-f_x - mu f_z <= 0 and +-f_y - mu f_z <= 0; its entries are out of [1, -1, -mu]."""
-    rows = np.zeros((horizon, FEET, 4, horizon, FEET, 3), dtype=np.int64)
-    for k, leg in np.ndindex(horizon, FEET):
-        rows[k, leg, :, k, leg, :2] = [[1, 0], [2, 0], [0, 1], [0, 2]]
-        rows[k, leg, :, k, leg, 2] = 3 + k * FEET + leg
-    inputs = rows.reshape(horizon * 4 * FEET, horizon, INPUTS)
-    states = np.zeros((len(inputs), horizon, STATES), dtype=np.int64)
-    return _numbered(np.concatenate([inputs, states], axis=2).reshape(len(inputs), -1))
-
-
-def _numbered(numbers: NDArray[np.int64]) -> tuple[sparse.csc_matrix, Slots]:
-    """A matrix with the non-zeros of `numbers`, and where each entry's value stands: number - 1."""
-    matrix = sparse.csc_matrix(numbers.astype(float))
+def _stack(parts: list[NDArray[np.int64]]) -> tuple[sparse.csc_matrix, Slots]:
+    """A matrix with the non-zeros of the rows, and where each entry's value stands: number - 1."""
+    matrix = sparse.csc_matrix(np.vstack(parts).astype(float))
     return matrix, matrix.data.astype(np.intp) - 1

@@ -1,25 +1,36 @@
-"""The solver of the convex MPC: PIQP, called directly on the arrays of a `HorizonQp`."""
+"""The solvers of the convex MPC behind one interface: built on a `HorizonQp`, then `solve()`.
+
+Each reads the arrays of the problem as they stand, updates its own copy of the data in place and
+keeps what does not change. Only the chosen one is imported.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-import numpy as np
-import piqp
+from importlib import import_module
+from typing import Protocol
 
 from slot_core.config import choice, quantity
 from slot_core.control.mpc_model import HorizonQp
 from slot_core.robot import Array
 
+SOLVERS = {
+    "riccati": ("slot_core.control.riccati_solver", "RiccatiSolver"),
+    "piqp": ("slot_core.control.piqp_solver", "PiqpSolver"),
+    "clarabel": ("slot_core.control.clarabel_solver", "ClarabelSolver"),
+    "osqp": ("slot_core.control.osqp_solver", "OsqpSolver"),
+}
+
 
 @dataclass(frozen=True)
 class SolverSettings:
-    """PIQP: backend and termination."""
+    """Which solver, and when it ends."""
 
-    backend: str = choice("factorisation of the KKT system", "multistage", "ldlt")
+    name: str = choice("solver", *SOLVERS)
+    backend: str = choice("PIQP's factorisation of the KKT system", "multistage", "ldlt")
     tolerance_abs: float = quantity("absolute residual and duality gap", "", 1e-12, 1e-1)
     tolerance_rel: float = quantity("relative residual and duality gap", "", 1e-12, 1e-1)
-    iterations: int = quantity("limit of iterations", "", 1, 1000)
+    iterations: int = quantity("limit of iterations; OSQP's are many and cheap", "", 1, 100000)
 
 
 @dataclass(frozen=True)
@@ -29,39 +40,25 @@ class Solution:
     z: Array
     fault: str  # empty if solved
     iterations: int
+    residual_primal: float = 0.0  # as the solver reports it, in the units of the rows
+    residual_dual: float = 0.0
 
 
-class PiqpSolver:
-    """PIQP, a proximal interior-point method (Schwan et al., CDC 2023), data updated in place.
-
-    An interior-point method starts cold; PIQP offers no warm start.
-    """
+class QpSolver(Protocol):
+    """min 1/2 z'Pz + c'z with A z = b, G z <= h, lower <= z <= upper."""
 
     def __init__(self, qp: HorizonQp, settings: SolverSettings):
-        """Lay out the factorisation for the sparsity of `qp`."""
-        self._qp = qp
-        self._solver = piqp.SparseSolver()
-        options = self._solver.settings
-        options.kkt_solver = getattr(piqp.KKTSolver, f"sparse_{settings.backend}")
-        options.eps_abs = options.eps_duality_gap_abs = settings.tolerance_abs
-        options.eps_rel = options.eps_duality_gap_rel = settings.tolerance_rel
-        options.max_iter = settings.iterations
-        # PIQP 0.6.4 rescales on update but leaves an unchanged P in its old scale: it then reports
-        # the optimum of another problem as solved. The scale of the set-up serves all updates.
-        options.preconditioner_reuse_on_update = True
-        self._solver.setup(
-            P=qp.P, A=qp.A, G=qp.G, h_u=qp.h, x_l=qp.lower.ravel(), **self._changing()
-        )
+        """Lay out everything that depends on the sparsity of `qp` only.
+
+        Raises ConfigError where the solver does not cover a form of the problem.
+        """
 
     def solve(self) -> Solution:
-        """Solve `qp` as it stands."""
-        self._solver.update(A=self._qp.A, G=self._qp.G, **self._changing())
-        status = self._solver.solve()
-        result = self._solver.result
-        count = int(result.info.iter)
-        fault = "" if status == piqp.PIQP_SOLVED else f"{status.name} after {count} iterations"
-        return Solution(np.array(result.x), fault, count)
+        """Solve `qp` as it stands; raises nothing, and ends within `settings.iterations`."""
 
-    def _changing(self) -> dict[str, Array]:
-        qp = self._qp
-        return {"c": qp.c, "b": qp.b.ravel(), "x_u": qp.upper.ravel()}
+
+def make_solver(qp: HorizonQp, settings: SolverSettings) -> QpSolver:
+    """The solver that `settings.name` asks for."""
+    module, name = SOLVERS[settings.name]
+    solver: QpSolver = getattr(import_module(module), name)(qp, settings)
+    return solver

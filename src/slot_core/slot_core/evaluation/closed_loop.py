@@ -9,7 +9,7 @@ import numpy as np
 
 from slot_core import config
 from slot_core.control.controller import Controller, Tick
-from slot_core.control.mpc import read_mpc
+from slot_core.control.mpc import DEFAULT, read_mpc
 from slot_core.dynamics.plant import Plant, Reading
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.sensors import ImuReading, OdometryReading
@@ -26,10 +26,20 @@ class ClosedLoop:
     bit, and the same as the graph in lockstep.
     """
 
-    def __init__(self, scene: str, gait: str, velocity: Array | None, seed: int):
-        """Stand in the scene; raises ConfigError when an argument or the configuration is bad."""
+    def __init__(
+        self,
+        scene: str,
+        gait: str,
+        velocity: Array | None,
+        seed: int,
+        profile: str = DEFAULT,
+    ):
+        """Stand in the scene; raises ConfigError when an argument or the configuration is bad.
+
+        `profile` of the MPC: a file of config/mpc, or the default.
+        """
         robot = read_robot()
-        mpc = config.replace(read_mpc(), {"acceptance.time_budget": math.inf})
+        mpc = config.replace(read_mpc(profile), {"acceptance.time_budget": math.inf})
         self.controller = Controller(robot, mpc, lambda: 0.0, gait, velocity)
         self.plant = Plant(robot, read_scene(scene), read_servo(), np.random.default_rng(seed))
 
