@@ -18,7 +18,11 @@ class PiqpSolver:
 
     def __init__(self, qp: HorizonQp, settings: SolverSettings):
         """Lay out the factorisation for the sparsity of `qp`."""
-        self._qp = qp
+        self._qp, self._settings = qp, settings
+        self._set_up()
+
+    def _set_up(self) -> None:
+        qp, settings = self._qp, self._settings
         self._solver = piqp.SparseSolver()
         options = self._solver.settings
         options.kkt_solver = getattr(piqp.KKTSolver, f"sparse_{settings.backend}")
@@ -36,9 +40,12 @@ class PiqpSolver:
         status = self._solver.solve()
         info = self._solver.result.info
         count = int(info.iter)
-        fault = "" if status == piqp.PIQP_SOLVED else f"{status.name} after {count} iterations"
-        z = np.array(self._solver.result.x)
-        return Solution(z, fault, count, float(info.primal_res), float(info.dual_res))
+        z, residuals = np.array(self._solver.result.x), (info.primal_res, info.dual_res)
+        fault = ""
+        if status != piqp.PIQP_SOLVED:
+            fault = f"{status.name} after {count} iterations"
+            self._set_up()  # a NaN in its work space would stay, and fail every solve to come
+        return Solution(z, fault, count, *map(float, residuals))
 
     def _changing(self) -> dict[str, Array]:
         qp = self._qp

@@ -66,6 +66,8 @@ class RiccatiSolver:
         z = np.concatenate([it.u.reshape(-1, INPUTS), it.x], axis=1).ravel()
         error = float(np.abs(qp.A @ z - qp.b.ravel()).max())
         fault = "" if solved else f"not converged after {count} iterations"
+        if (qp.upper < 0.0).any():
+            fault = "infeasible: a force limit below zero"
         if solved and not error <= ROUNDOFF * max(1.0, float(np.abs(z).max())):
             fault = f"dynamics missed by {error:.1g}: not those of one double integrator"
         return Solution(z, fault, count, error, slope)
@@ -102,7 +104,8 @@ def _check(qp: HorizonQp) -> None:
         _refuse("model.support soft: a cost between the forces")
     if qp.A.shape[0] != stages * STATES or qp.G.shape[0] != stages * FRICTION_ROWS:
         _refuse("model.support equality: a row of all legs")
-    if np.any(qp.h != 0.0) or not np.all(qp.P.diagonal().reshape(stages, -1)[:, :INPUTS] > 0.0):
+    forces = qp.P.diagonal().reshape(stages, -1)[:, :INPUTS]
+    if np.any(qp.h != 0.0) or np.any(qp.lower[:, 2:INPUTS:3] != 0.0) or np.any(forces <= 0.0):
         _refuse("limits other than friction, or forces without a weight")
 
 

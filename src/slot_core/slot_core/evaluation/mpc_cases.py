@@ -1,0 +1,98 @@
+"""States and previews that are hard for the MPC's solvers."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from slot_core.control.gait import GaitPreview
+from slot_core.robot import Array
+
+HEIGHT = 0.04  # m, of standing
+DT = 0.033  # s
+LOAD = 5.2  # N, about a quarter of the weight
+
+Case = tuple[Array, GaitPreview]
+
+
+def state(
+    rpy: Any = (0, 0, 0), p: Any = (0, 0, HEIGHT), omega: Any = (0, 0, 0), v: Any = (0, 0, 0)
+) -> Array:
+    """(12,) rad, m, rad/s, m/s."""
+    return np.concatenate([rpy, p, omega, v]).astype(float)
+
+
+def standing(stages: int, **changes: Any) -> GaitPreview:
+    """A preview of standing still on all feet, with some arrays (`stages`, ...) replaced."""
+    values: dict[str, Any] = {
+        "contact": np.ones((stages, 4), dtype=bool),
+        "friction": np.full((stages, 4), 0.4),
+        "normal_force": np.full((stages, 4), LOAD),
+        "tendon_angle": np.ones((stages, 4)),
+        "reference": np.tile(state(), (stages, 1)),
+        "dt": DT,
+    }
+    return GaitPreview(stamp=0, gait="stand", phase=0.0, period=0.72, **(values | changes))
+
+
+def hard_cases(stages: int) -> dict[str, Case]:
+    """Cases by name; every one has a solution."""
+    zeros, none = np.zeros((stages, 4)), np.zeros((stages, 4), dtype=bool)
+    swing = np.ones((stages, 4), dtype=bool)
+    swing[stages // 3 : 2 * stages // 3, 1] = False
+    lifted, diagonal = (np.tile(feet, (stages, 1)) for feet in ([1, 0, 1, 1], [1, 0, 0, 1]))
+    landing = np.repeat(np.arange(stages) >= stages // 2, 4).reshape(stages, 4)
+    moving = state(rpy=(0.02, -0.01, 0.2), p=(0, 0, 0.05), omega=(0.1, 0, 0), v=(0.1, 0.05, 0))
+    on = standing(stages)
+    return {
+        "low": (state(p=(0, 0, 0.01)), on),
+        "tilt of 0.5 rad": (state(rpy=(0.5, -0.5, 0)), on),
+        "on its side": (state(rpy=(1.5, 0, 0)), on),
+        "turned by 1 rad": (state(rpy=(0.1, 0.05, 1.05)), on),
+        "height of 1000 m": (state(p=(0, 0, 1e3)), on),
+        "depth of 1000 m": (state(p=(0, 0, -1e3)), on),
+        "falling": (state(v=(0, 0, -1.0)), on),
+        "spinning": (state(omega=(2.0, -2.0, 1.0)), on),
+        "sliding": (state(v=(1.0, -1.0, 0)), on),
+        "no friction": (moving, standing(stages, friction=zeros)),
+        "hardly any friction": (moving, standing(stages, friction=zeros + 1e-6)),
+        "friction of 100": (moving, standing(stages, friction=zeros + 100.0)),
+        "flight": (moving, standing(stages, contact=none)),
+        "flight, then landing": (moving, standing(stages, contact=landing)),
+        "a leg swings": (moving, standing(stages, contact=swing)),
+        "a leg is lifted": (moving, standing(stages, contact=lifted)),
+        "diagonal stance": (moving, standing(stages, contact=diagonal)),
+        "load above the limit": (moving, standing(stages, normal_force=zeros + 15.0)),
+        "long stages": (moving, standing(stages, dt=0.09)),
+        "short stages": (moving, standing(stages, dt=0.001)),
+    }
+
+
+def random_case(rng: np.random.Generator, stages: int) -> Case:
+    """A disturbed state; feet come and go, friction from nothing to plenty."""
+    yaw = rng.uniform(-np.pi, np.pi)
+    x = state(
+        rpy=(*rng.normal(0, 0.1, 2), yaw),
+        p=(*rng.normal(0, 0.1, 2), rng.uniform(0.01, 0.12)),
+        omega=rng.normal(0, 0.5, 3),
+        v=rng.normal(0, 0.15, 3),
+    )
+    reference = np.tile(state(rpy=(0, 0, yaw + rng.normal(0, 0.2))), (stages, 1))
+    reference += np.linspace(0, 1, stages)[:, None] * rng.normal(0, 0.1, 12)
+    return x, standing(
+        stages,
+        contact=rng.random((stages, 4)) < rng.choice([0.5, 0.8, 1.0]),
+        friction=rng.uniform(0.0, 0.8, (stages, 4)),
+        normal_force=rng.uniform(0.0, 8.0, (stages, 4)),
+        reference=reference,
+    )
+
+
+def stretched(preview: GaitPreview, stages: int) -> GaitPreview:
+    """The preview over any number of stages, gone through again where it ends."""
+    rows = np.arange(stages) % len(preview.contact)
+    names = ("contact", "friction", "normal_force", "tendon_angle", "reference")
+    arrays: dict[str, Any] = {name: np.asarray(getattr(preview, name))[rows] for name in names}
+    return dataclasses.replace(preview, **arrays)
