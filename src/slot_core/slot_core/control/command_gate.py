@@ -23,7 +23,7 @@ SECOND = 1_000_000_000  # ns
 class Action(enum.Enum):
     """What becomes of the commands."""
 
-    PASS = "pass"  # the commands, slewed  # noqa: S105 - no password
+    PASS = "pass"  # the commands, slewed
     HOLD = "hold"  # the last angles again
     RELAX = "relax"  # a ramp to slack, then torque off
     OFF = "off"  # torque off at once
@@ -112,7 +112,7 @@ class CommandGate:
         return self._tell(action is Action.HOLD)
 
     def hurry(self, time: int) -> None:
-        """From now on count the time in which the rate grows to `rate_max`."""
+        """Let the rate grow from `approach_rate` to `rate_max` from `time` on."""
         self._since = time
 
     def _pass_time(self, time: int) -> float:

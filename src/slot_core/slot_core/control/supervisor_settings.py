@@ -53,7 +53,9 @@ class GateSettings:
 
     rate_max: float = quantity("rate while walking", "rad/s", 1, 200)
     burst: float = quantity("unused time that a step may use at once", "s", 1e-3, 0.2)
-    approach_rate: float = quantity("rate while standing and at first after a HOLD", "rad/s", 0.1, 6)
+    approach_rate: float = quantity(
+        "rate while standing and at first after a HOLD", "rad/s", 0.1, 6
+    )
     resume_time: float = quantity("from approach_rate to rate_max while walking", "s", 0.01, 10)
     relax_rate: float = quantity("rate of the ramp to slack", "rad/s", 0.1, 20)
     relax_time: float = quantity("torque goes off at the latest", "s", 0.1, 10)

@@ -34,12 +34,12 @@ import numpy as np
 
 from slot_core.config import ConfigError
 from slot_core.dynamics.handle import Handle
-from slot_core.leg_table import LegTable, read_leg_table
 from slot_core.dynamics.model import State, build_model, build_scheme, state_space, work_space
 from slot_core.dynamics.quasi_static_kernels import TOO_TILTED, UPRIGHT, Feet, MapLegs, advance
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
+from slot_core.leg_table import LegTable, read_leg_table
 from slot_core.robot import Array, Robot
 
 COLUMNS = ("force_N", "contact_x_m", "tension_N", "foot_m_per_rad", "foot_m_per_m")
