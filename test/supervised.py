@@ -13,6 +13,8 @@ from slot_core.control.supervisor_settings import read_supervisor
 from slot_core.control.supervisor_table import State
 from slot_core.control.tendon_watch import TendonLoad, read_tendon_watch
 from slot_core.control.vital_signs import ServoReading
+from slot_core.dynamics.plant import JointReading
+from slot_core.evaluation.closed_loop import ClosedLoop
 from slot_core.leg_table import read_leg_table
 from slot_core.robot import read_robot
 
@@ -146,3 +148,53 @@ class Bench:
         report = self.tick() if wanted not in {State.HOLD, State.RELAX} else None
         assert self.supervisor.state is wanted
         return report
+
+
+class SupervisedLoop(ClosedLoop):
+    """The simulated robot under its controller, with the supervisor before its servos.
+
+    It stands up first; `walk` lets it go. A servo without torque keeps its last goal here.
+    """
+
+    def __init__(self, scene, seed=0, **changes):
+        super().__init__(scene, "stand", None, seed)
+        self.supervisor = make(**{"estop_required": False, **changes})
+        self.reports = []  # (s since the start, report)
+
+    def walk(self):
+        self.controller.scheduler.request("walk", np.array([0.06, 0.0, 0.0]))
+        assert self.supervisor.request(self.plant.now, Request.WALK) == ""
+
+    def ticks(self, seconds):
+        """Each tick with the report on its command, the robot standing from the tenth on."""
+        s, nodes = self.supervisor, read_supervisor().nodes
+        for k, tick in enumerate(self.run(round(seconds / 0.033))):
+            now = self.plant.now
+            for node in nodes:
+                s.hear(now, node)
+            s.see_gait(now, tick.preview.period)
+            s.see_estimate(now, tick.estimate)
+            s.see_solver(now, tick.result.status, tick.result.fallback_cycles)
+            s.see_command(now, tick.estimate.stamp, tick.command.angle)
+            if k == 15:
+                assert s.request(now, Request.READY) == ""
+                assert s.request(now, Request.STAND) == ""
+            yield tick, self._step()
+
+    def _step(self):
+        report = self.supervisor.step(self.plant.now)
+        if report.command.torque:
+            self.plant.command(report.command.angle)
+        self.reports.append((self.plant.now * 1e-9 - 1.0, report))
+        return report
+
+    def _read(self, readings):
+        super()._read(self._listen(readings))
+
+    def _listen(self, readings):
+        for r in readings:
+            if isinstance(r, JointReading):
+                reading = servos(r.stamp, r.angle, torque=r.torque, rate=r.rate)
+                self.supervisor.see_servos(self.plant.now, r.stamp, reading)
+                self._step()
+            yield r

@@ -262,7 +262,7 @@ def test_odometry_that_stops_ends_in_hold(walking):
 
 @pytest.mark.parametrize("spoil", ["jump", "NaN", "stale"])
 def test_odometry_that_jumps_by_10_cm_is_nan_or_stops_is_coasted_over_for_three_cycles(spoil):
-    """With the estimator that rejects it: nobody follows the odometry to the wrong place at once."""
+    """With the estimator that rejects it: nobody follows the odometry to a wrong place at once."""
     bench = Bench()
     estimator, imu = StateEstimator(read_estimator()), START
     bench.silent |= {"estimate", "command"}  # both come from the estimator below
