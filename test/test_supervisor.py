@@ -11,7 +11,7 @@ from slot_core.control import supervisor_table as table
 from slot_core.control.command_gate import Action
 from slot_core.control.mpc import Status, read_mpc
 from slot_core.control.state_estimator import Estimate, StateEstimator, Validity, read_estimator
-from slot_core.control.supervisor import Request, Supervisor
+from slot_core.control.supervisor import Request, SteadyClock, Supervisor
 from slot_core.control.supervisor_settings import read_supervisor
 from slot_core.control.supervisor_table import Condition, State, next_state
 
@@ -194,6 +194,19 @@ def test_walking_starts_where_the_robot_stands():
     assert "from their command, limit 0.1 rad" in bench.supervisor.request(bench.now, Request.WALK)
 
 
+def test_walking_starts_slowly():
+    bench = Bench()
+    bench.bring(State.STANDING)
+    bench.run(2.0)
+    bench.ask(Request.WALK)
+    bench.command = np.full(4, 2.0)
+    bench.run(0.05)
+    # a tenth of resume_time: the rate has grown by a tenth of its way
+    gate = SETTINGS.gate
+    assert bench.angle.max() < 1.1 + 0.1 * gate.rate_max * (0.05 + gate.burst)
+    assert bench.angle.max() > 1.1
+
+
 # The fault table
 
 
@@ -321,6 +334,20 @@ def test_a_command_that_is_nan_or_out_of_range_is_rejected_whole_and_holds(walki
     assert (walking.reports[-1].command.angle == 1.1).all()
 
 
+def test_commands_that_stay_bad_are_as_good_as_none(walking):
+    walking.command = np.full(4, math.nan)
+    took = walking.until(State.RELAX, 1.0)
+    assert TIMING.command_lost - CHAIN <= took <= TIMING.command_lost + STEP
+
+
+def test_a_reason_that_comes_and_goes_keeps_the_hold(walking):
+    good = walking.command
+    for k in range(20):
+        walking.command = good if k % 2 else np.full(4, math.nan)
+        walking.run(CHAIN)
+    assert {r.state for r in walking.reports[-50:]} == {State.HOLD}
+
+
 def test_a_step_larger_than_the_rate_limit_is_slewed_and_flagged(walking):
     walking.command = np.array([0.0, 2.0, 1.1, 1.1])
     walking.silent.add("servos")  # they would follow faster than servos can
@@ -357,6 +384,12 @@ def test_an_answer_that_is_not_a_number_is_no_answer(walking):
     walking.servo_changes = {"torque": np.array([0.8, math.nan, 0.8, 0.8])}
     assert walking.until(State.RELAX, 1.0) <= TIMING.servo_silent + 2 * STEP
     assert "servo FR silent" in walking.reports[-1].reason
+
+
+def test_an_answer_from_the_future_is_no_answer(walking):
+    walking.servo_changes = {"answered": np.array([2**61, *[walking.now + 100 * TICK] * 3])}
+    assert walking.until(State.RELAX, 1.0) <= TIMING.servo_silent + 2 * STEP
+    assert "servo FL silent" in walking.reports[-1].reason
 
 
 @pytest.mark.parametrize(
@@ -480,6 +513,23 @@ def test_a_slack_or_broken_tendon_warns_and_stops_the_gait(walking):
     assert any("slack or broken tendon RL" in w for w in walking.reports[-1].warnings)
 
 
+def test_after_a_new_tendon_and_a_reset_the_robot_stands_again(walking):
+    walking.servo_changes = {"torque": np.array([0.8, 0.8, 0.0, 0.8])}
+    walking.until(State.FAULT, 10.0)
+    walking.servo_changes = {}
+    walking.angle = np.full(4, 1.1)
+    walking.ask(Request.RESET, Request.READY, Request.STAND)
+    report = walking.run(2.0)
+    assert (report.state, report.warnings) == (State.STANDING, ())
+
+
+def test_a_clock_that_slips_back_a_little_takes_no_time_back():
+    clock = SteadyClock(0.5)
+    times = [clock.advance(now) for now in (0, 100, 50, 60, 10**10, 10**10 + 5, 0, 7)]
+    assert times == [0, 100, 100, 110, 110, 115, 115, 122]
+    assert clock.jumped.startswith("clock jumped by -10 s")
+
+
 def test_relaxing_on_request_ends_idle(walking):
     walking.ask(Request.RELAX)
     assert walking.until(State.IDLE, 3.0) <= RELAX_TIME + 2 * STEP
@@ -490,6 +540,8 @@ def test_a_fault_while_relaxing_on_request_ends_in_fault(walking):
     walking.ask(Request.RELAX)
     walking.tick()
     walking.servo_changes = {"hardware_error": np.array([0x20, 0, 0, 0])}
+    walking.tick()
+    walking.servo_changes = {}
     assert walking.until(State.FAULT, 3.0) <= RELAX_TIME + 2 * STEP
 
 

@@ -84,6 +84,25 @@ def test_two_spoiled_tendons_are_both_named():
     assert state.spoiled.tolist() == [True, False, True, False]
 
 
+def test_what_a_spoiled_tendon_does_to_its_neighbours_is_not_blamed_on_them():
+    _, state = feed(watch(), 2.0, [0.006, 0.002, 0.002, 0.0])
+    assert (state.slack[:3] > LIMITS.slack_max).all()
+    assert state.spoiled.tolist() == [True, False, False, False]
+
+
+def test_a_slack_that_does_not_last_is_no_alarm():
+    """Twice over the limit for less than `confirm`; a longer tendon, then a shorter one."""
+    limits = dataclasses.replace(LIMITS, confirm=0.3)
+    watched, stamp, highest = read_tendon_watch(ROBOT, limits), 0, []
+    for _ in range(2):
+        stamp, _ = feed(watched, 2.0, start=stamp)
+        stamp, state = feed(watched, 0.4, [0.003] * 4, start=stamp)
+        highest.append(state.slack.max())
+        stamp, state = feed(watched, 0.2, [-0.012] * 4, start=stamp)
+    assert min(highest) > LIMITS.slack_max
+    assert not state.spoiled.any()
+
+
 def test_an_alarm_stays_until_it_is_reset():
     watched = watch()
     stamp, _ = feed(watched, 2.0, [0.003, 0.0, 0.0, 0.0])
