@@ -9,7 +9,6 @@ any height, so only the deviation from the gait's own load can carry information
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from slot_core import config
 from slot_core.config import choice, quantity
 from slot_core.control.gait import GaitPreview
+from slot_core.leg_table import read_leg_table
 from slot_core.robot import Array, Robot
 
 
@@ -107,12 +107,5 @@ def read_force_map() -> ForceMapSettings:
 
 def read_leg_slope() -> LegSlope:
     """The table of `config/leg_map.csv`; raises ConfigError when it is missing or not a grid."""
-    columns = ("theta_deg", "height_m", "slope_N_per_rad")
-    try:
-        with (config.config_dir() / "leg_map.csv").open() as file:
-            rows = [[float(row[name]) for name in columns] for row in csv.DictReader(file)]
-        theta_deg, height, slope = np.array(sorted(rows)).T
-        grid = (len(np.unique(theta_deg)), len(np.unique(height)))
-        return LegSlope(np.radians(np.unique(theta_deg)), np.unique(height), slope.reshape(grid))
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        raise config.ConfigError(f"leg_map.csv: no table of {columns}: {error}") from None
+    angle, height, table = read_leg_table(("slope_N_per_rad",))
+    return LegSlope(angle, height, table[..., 0])

@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import csv
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -220,28 +219,6 @@ def write(path: Path, table: Array) -> None:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         writer.writerows([f"{value:.6g}" for value in row] for row in table)
-
-
-class LegMap(NamedTuple):
-    """The map on its grid."""
-
-    angle: Array  # (m,) rad
-    height: Array  # (n,) m
-    table: Array  # (m, n, columns asked for)
-
-
-def read_leg_map(columns: Sequence[str]) -> LegMap:
-    """Columns of `config/leg_map.csv`; raises ConfigError when it is missing or not a grid."""
-    names = ("theta_deg", "height_m", *columns)
-    try:
-        with (config.config_dir() / "leg_map.csv").open() as file:
-            rows = [[float(row[name]) for name in names] for row in csv.DictReader(file)]
-        theta_deg, height, *values = np.array(sorted(rows)).T
-        angles, heights = np.unique(theta_deg), np.unique(height)
-        table = np.array(values).T.reshape(len(angles), len(heights), len(columns))
-        return LegMap(np.radians(angles), heights, table)
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        raise config.ConfigError(f"leg_map.csv: no table of {names}: {error}") from None
 
 
 def main() -> None:

@@ -34,12 +34,12 @@ import numpy as np
 
 from slot_core.config import ConfigError
 from slot_core.dynamics.handle import Handle
-from slot_core.dynamics.leg_map import LegMap, read_leg_map
 from slot_core.dynamics.model import State, build_model, build_scheme, state_space, work_space
 from slot_core.dynamics.quasi_static_kernels import TOO_TILTED, UPRIGHT, Feet, MapLegs, advance
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
+from slot_core.leg_table import LegTable, read_leg_table
 from slot_core.robot import Array, Robot
 
 COLUMNS = ("force_N", "contact_x_m", "tension_N", "foot_m_per_rad", "foot_m_per_m")
@@ -56,11 +56,11 @@ class MapSimulator(SimulatedRobot):
     state: State
 
     def __init__(
-        self, robot: Robot, scene: Scene, servo: ServoSettings, table: LegMap | None = None
+        self, robot: Robot, scene: Scene, servo: ServoSettings, table: LegTable | None = None
     ) -> None:
         _refuse(robot, scene)
         self.robot, self.scene = robot, scene
-        table = table or read_leg_map(COLUMNS)
+        table = table or read_leg_table(COLUMNS)
         model = build_model(robot, scene, servo)
         # The legs' mass moves with the torso.
         whole = model.torso._replace(mass=robot.mass, inertia=robot.inertia)
@@ -167,7 +167,7 @@ def _refuse(robot: Robot, scene: Scene) -> None:
             )
 
 
-def map_legs(robot: Robot, table: LegMap) -> MapLegs:
+def map_legs(robot: Robot, table: LegTable) -> MapLegs:
     """The legs as numbers; raises ConfigError where the grid is not even or not from zero."""
     angle, height = table.angle, table.height
     for values in (angle, height):
@@ -187,7 +187,7 @@ def map_legs(robot: Robot, table: LegMap) -> MapLegs:
     )
 
 
-def _reach(table: LegMap) -> tuple[Array, Array]:
+def _reach(table: LegTable) -> tuple[Array, Array]:
     """Angles (rad) and how far below its clamp a leg can touch there (m)."""
     carries = np.pad(table.table[:, :, 0] > 0.0, ((0, 0), (0, 1)))
     first = np.minimum(np.argmin(carries, axis=1), len(table.height) - 1)
