@@ -199,9 +199,7 @@ def _read(path: Path) -> Iterator[dict[str, Any]]:
         with path.open(newline="") as file:
             for row in csv.DictReader(file):
                 if row["failed"] is not None:
-                    yield {
-                        k: float(v) if k in RANGES or k in LIMITS else v for k, v in row.items()
-                    }
+                    yield {k: float(v) if k in RANGES or k in LIMITS else v for k, v in row.items()}
 
 
 def interval(failures: int, count: int) -> tuple[float, float]:

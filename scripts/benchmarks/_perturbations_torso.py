@@ -58,9 +58,7 @@ class Body:
 
 def body(robot: Robot, friction: float, lag: float = LAG, mass_factor: float = 1.0) -> Body:
     """The robot as a rigid body; its inertia grows with its mass."""
-    return Body(
-        mass_factor * robot.mass, mass_factor * robot.inertia, robot.feet, friction, lag
-    )
+    return Body(mass_factor * robot.mass, mass_factor * robot.inertia, robot.feet, friction, lag)
 
 
 class RigidTorso:
@@ -80,9 +78,7 @@ class RigidTorso:
         """(12,) [roll pitch yaw, p, omega, v] in odom."""
         turn = Rotation.from_quat(self.y[TURN])
         rpy = turn.as_euler("ZYX")[::-1]
-        return np.concatenate(
-            [rpy, self.y[POSITION], turn.apply(self.y[RATE]), self.y[VELOCITY]]
-        )
+        return np.concatenate([rpy, self.y[POSITION], turn.apply(self.y[RATE]), self.y[VELOCITY]])
 
     def advance(self, command: Array, dt: float) -> None:
         """Hold the commanded forces (4, 3), N, for dt (s), on feet placed now."""
@@ -183,9 +179,7 @@ def run_torso(
     entries, infeasible = [], 0
     for step in range(round(duration / DT)):
         now = loop.plant.state
-        result = loop.tick(
-            lambda x: x if noise is None else x + NOISE * noise.normal(size=len(x))
-        )
+        result = loop.tick(lambda x: x if noise is None else x + NOISE * noise.normal(size=len(x)))
         infeasible += result.status != Status.SOLVED
         entries.append((step * DT, result.cost, now[P_Z], float(tilt(now[:3]))))
     return Run(*np.array(entries).T, infeasible=infeasible)
@@ -208,7 +202,12 @@ def _quaternion_rate(q: Array, rate: Array) -> Array:
     x, y, z, w = q
     a, b, c = rate
     return 0.5 * np.array(
-        [w * a + y * c - z * b, w * b + z * a - x * c, w * c + x * b - y * a, -x * a - y * b - z * c]
+        [
+            w * a + y * c - z * b,
+            w * b + z * a - x * c,
+            w * c + x * b - y * a,
+            -x * a - y * b - z * c,
+        ]
     )
 
 
