@@ -22,20 +22,19 @@ STUDIES = {
     "torso": "(b) default profile, rigid torso with 50 ms of lag",
     "robot": "(c) default profile, Cosserat robot, standing",
 }
-COLOURS = dict(
-    zip(CASES, (palette.INK, palette.TRUE, *palette.STAGE_COLOURS[:3], "#CC79A7", palette.PALE))
-)
+COLOURS = dict(zip(CASES, (palette.INK, palette.TRUE, *palette.STAGE_COLOURS, palette.TORSO)))
 STYLES = {"Roll": "--", "Velocity": "-.", "Noise": ":"}
 LEAST_COST = 1e-6
 BINS = 6
+LIMIT_COLOURS = (palette.SECOND, "#CC79A7", "#E69F00", "#56B4E9", "#009E73", palette.INK, "k")
 PAIRS = (("payload", "friction"), ("push", "friction"), ("lag", "noise"))
 
 
 def draw_costs(runs: Mapping[str, Mapping[str, Run]], rows: Sequence[Row], path: Path) -> None:
     """Costs over time, one panel for each study, and the table of the metrics below."""
-    figure = Figure(figsize=(14, 10), layout="constrained")
+    figure = Figure(figsize=(15, 7.2), layout="constrained")
     FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(2, 3, height_ratios=(1.0, 1.15))
+    grid = figure.add_gridspec(2, 3, height_ratios=(2.6, 1.0))
     for column, (study, title) in enumerate(STUDIES.items()):
         ax = figure.add_subplot(grid[0, column], label=study)
         for name, run in runs[study].items():
@@ -44,7 +43,8 @@ def draw_costs(runs: Mapping[str, Mapping[str, Run]], rows: Sequence[Row], path:
             ax.semilogy(run.time, cost, label=name, **style)
         ax.axhline(SETTLED, color=palette.INK, lw=0.6)
         end = max(run.time[-1] for run in runs[study].values())
-        ax.set(xlim=(0.0, end), xlabel="time (s)", title=title)
+        ax.set(xlim=(0.0, end), xlabel="time (s)")
+        ax.set_title(title, fontsize=10, loc="left")
         ax.grid(color="#e3e7eb", lw=0.6)
     figure.axes[0].set_ylabel("cost of the MPC")
     figure.axes[0].legend(fontsize=8, loc="lower left")
@@ -56,10 +56,11 @@ def draw_costs(runs: Mapping[str, Mapping[str, Run]], rows: Sequence[Row], path:
 def draw_table(ax: Axes, rows: Sequence[Row]) -> None:
     """The paper's table beside ours."""
     ax.set_axis_off()
-    lines = table_lines(rows)
-    ax.text(
-        0.0, 1.0, "\n".join(lines), family="monospace", fontsize=8.4, va="top", linespacing=1.35
-    )
+    shown = ax.text(
+        0.0, 1.0, "\n".join(table_lines(rows)), family="monospace", fontsize=6.6, va="top",
+        linespacing=1.5,
+    )  # fmt: skip
+    shown.set_in_layout(False)  # wide text must not narrow the panels above
 
 
 def table_lines(rows: Sequence[Row]) -> list[str]:
@@ -124,16 +125,14 @@ def draw_rate(ax: Axes, rows: Sequence[Row], name: str) -> None:
 
 def draw_plane(ax: Axes, rows: Sequence[Row], x: str, y: str) -> None:
     """Every sample in a plane of two parameters, coloured by the first limit it exceeds."""
-    colours = dict(
-        zip(LIMITS, (palette.SECOND, "#CC79A7", "#E69F00", "#56B4E9", "#009E73", "k", "k"))
-    )
+    colours = dict(zip(LIMITS, LIMIT_COLOURS))
     fine = [row for row in rows if not row["failed"]]
     ax.scatter([r[x] for r in fine], [r[y] for r in fine], 12, color=palette.PALE, label="recovers")
     for limit, colour in colours.items():
         bad = [row for row in rows if row["failed"].split("+")[0] == limit]
         if bad:
             places = ([r[x] for r in bad], [r[y] for r in bad])
-            ax.scatter(*places, 18, color=colour, marker="x", label=f"{limit} and others")
+            ax.scatter(*places, 18, color=colour, marker="x", label=f"{limit} first")
     ax.set(xlim=RANGES[x], ylim=RANGES[y], xlabel=LABELS[x], ylabel=LABELS[y])
 
 

@@ -1,4 +1,4 @@
-"""The perturbations as the paper ran them: on the MPC's own linear model, with its published problem.
+"""The perturbations as the paper ran them: the published problem on its own linear model.
 
     minimise    sum_k=0^14 (x_k - x_ref)' Q (x_k - x_ref) + 1e-8 u_k'u_k + 0.01 (f_x,l - a_l)^2
     subject to  x_k+1 = x_k + dt (A x_k + B u_k - g e_vz)        explicit Euler
@@ -155,7 +155,7 @@ def published_model(robot: Robot) -> tuple[Array, Array, Array]:
     a[9:, 9:] = -np.diag(DRAG)
     inertia = robot.torso.inertia * MASS / robot.torso.mass
     for leg, clamp in enumerate(robot.clamps):
-        x, y, z = clamp + [*(np.sign(clamp[:2]) * FOOT_WAY), -FOOT_DROP]
+        x, y, z = clamp + np.append(np.sign(clamp[:2]) * FOOT_WAY, -FOOT_DROP)
         lever = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         b[6:9, AXES * leg : AXES * leg + AXES] = np.linalg.solve(inertia, lever)
         b[9:, AXES * leg : AXES * leg + AXES] = np.eye(AXES) / MASS

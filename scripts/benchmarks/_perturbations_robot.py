@@ -1,12 +1,12 @@
 """The perturbations on the Cosserat robot under the whole controller, as far as it can be so put.
 
-It stands (`stand`): the walk's own sway is larger than what is to settle. A state of the torso alone
-cannot be changed: turned by 0.1 rad about its centre the feet would be 18 mm under the floor. So
+It stands (`stand`): the walk's own sway is larger than what is to settle. The torso's state alone
+cannot be changed: turned by 0.1 rad about its centre, its feet would be 18 mm under the floor. So
 
     roll, pitch    a moment pulse of three ticks, as large as turns the torso that far at its peak
     p_z            the tendon angle while it settles, as low as the torso gets: with its underside
                    17 mm below the centre it rests on the floor before it reaches 10 mm
-    v_x            the whole robot is given the difference from the reference, which is 0 and not 0.08
+    v_x            the whole robot is given the difference from the reference, here 0 and not 0.08
     noise          of the odometry, on every state; nothing else is noisy
 """
 

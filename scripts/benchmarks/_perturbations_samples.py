@@ -1,6 +1,7 @@
 """Random samples of mass, friction, lag, pushes and noise: which limits does the robot exceed?
 
-A sample stands at the reference, is pushed after a second and has the rest of its time to recover.
+A sample begins at the reference, with a payload from then on that nobody has told the controller
+of, is pushed after a second and has the rest of its time to recover.
 Its parameters are uniform within `RANGES` and depend on the seed and its number alone, so that any
 sample can be run again, anywhere. Two plants: the rigid torso with lag, which follows height and
 speed, and the Cosserat robot under the whole controller, which stands.
@@ -163,7 +164,7 @@ def _sensor_noise() -> Array:
 
 
 class Record:
-    """The samples of one revision, seed, plant and observer in a CSV file, to which results are added."""
+    """Samples of one revision, seed, plant and observer in a CSV file; results are added to it."""
 
     def __init__(self, path: Path, revision: str, like: Sample):
         """What other revisions, seeds, plants and observers left there is kept, not counted."""

@@ -93,12 +93,12 @@ class RigidTorso:
             self.y[TURN] /= math.sqrt(self.y[TURN] @ self.y[TURN])
 
     def place_feet(self, ahead: float) -> Array:
-        """(4, 3) m in odom: on the floor, where the legs end in the heading, `ahead` (s) from now."""
+        """(4, 3) m in odom: on the floor, where the legs will end `ahead` (s) from now."""
         yaw = self.state[2]
         c, s = math.cos(yaw), math.sin(yaw)
         x, y = self.body.feet[:, 0], self.body.feet[:, 1]
         place = np.column_stack([c * x - s * y, s * x + c * y, np.zeros(4)])
-        return place + [*(self.y[:2] + ahead * self.y[VELOCITY][:2]), 0.0]
+        return place + np.append(self.y[:2] + ahead * self.y[VELOCITY][:2], 0.0)
 
     def slope(self, y: Array, u: Array, feet: Array) -> Array:
         """(25,) d/dt of the state with its forces."""

@@ -30,7 +30,7 @@ NOTES = (
     "Pitch: 9 % above the paper whatever the sign; its first forces hang on the solver's accuracy",
     "mean cost and settling time: what the paper averages over and counts from is not published",
     "(a) starts with every state zero but the perturbation; at the reference the cost would be 0",
-    "(b), (c): other weights, so only settling and feasibility compare with the paper, not the cost",
+    "(b), (c): other weights: settling and feasibility compare with the paper, the cost does not",
     "(c) stands still: the walk's own sway is larger than what is to settle",
     "(c) Height: the torso's underside reaches the floor at 17 mm, 10 mm cannot be had",
 )
@@ -50,7 +50,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(  # noqa: PLR0913 - the options, by name
+def run(
     quick: bool,
     out: Path,
     progress: Callable[[str], None],
@@ -77,7 +77,7 @@ def cases(
     duration: float, progress: Callable[[str], None]
 ) -> tuple[dict[str, dict[str, Run]], list[dict[str, Any]]]:
     """Every case of every study; (a) always over the paper's time."""
-    # The parts import what REQUIRES names, so only once that is checked.
+    # Once REQUIRES is checked.
     from _perturbations_published import run_published  # noqa: PLC0415
     from _perturbations_robot import run_robot  # noqa: PLC0415
     from _perturbations_torso import run_torso  # noqa: PLC0415
