@@ -169,6 +169,7 @@ class Record:
     def __init__(self, path: Path, revision: str, like: Sample):
         """What other revisions, seeds, plants and observers left there is kept, not counted."""
         self._path = path
+        _drop_cut_line(path)
         self._head = {"revision": revision, "seed": like.seed, "plant": like.plant}
         self._head["observer"] = like.observer
         self.rows = [row for row in _read(path) if self._is_ours(row)]
@@ -181,10 +182,9 @@ class Record:
     def add(self, result: Mapping[str, Any]) -> None:
         """Write one result at once: what is there survives an interruption."""
         row = self._head | dict(result)
-        new = not self._path.exists()
         with self._path.open("a", newline="") as file:
-            writer = csv.DictWriter(file, FIELDS)
-            if new:
+            writer = csv.DictWriter(file, FIELDS, lineterminator="\n")
+            if file.tell() == 0:
                 writer.writeheader()
             writer.writerow(row)
         self.rows.append(row)
@@ -194,13 +194,20 @@ class Record:
         return all(row[name] == str(value) for name, value in self._head.items())
 
 
-def _read(path: Path) -> Iterator[dict[str, Any]]:
-    """The whole rows of a file; the last one may have been cut by an interruption."""
+def _drop_cut_line(path: Path) -> None:
+    """Cut off a last line without its end, which an interruption has left."""
     if path.exists():
-        with path.open(newline="") as file:
-            for row in csv.DictReader(file):
-                if row["failed"] is not None:
-                    yield {k: float(v) if k in RANGES or k in LIMITS else v for k, v in row.items()}
+        text = path.read_text()
+        path.write_text(text[: text.rfind("\n") + 1])
+
+
+def _read(path: Path) -> Iterator[dict[str, Any]]:
+    """The rows of a file, parameters and measurements as numbers."""
+    if not path.exists():
+        return
+    with path.open(newline="") as file:
+        for row in csv.DictReader(file):
+            yield {k: float(v) if k in RANGES or k in LIMITS else v for k, v in row.items()}
 
 
 def interval(failures: int, count: int) -> tuple[float, float]:

@@ -127,14 +127,16 @@ def map_figure(found: ConstraintMap) -> Figure:
     edges = _edges(found.time)
     groups = np.arange(0, len(found.time), -(-len(found.time) // CAPACITY))
     rows = np.fmin.reduceat(found.slack, groups, axis=1)  # NaN only where all are
-    bound = float(np.nanmax(np.abs(rows), initial=TOLERANCE))
+    # The legs set the scale: the support of all of them together would leave them pale.
+    legs = [name not in WHOLE.values() for name in found.constraints]
+    bound = float(np.nanmax(np.abs(rows[legs]), initial=TOLERANCE))
     times = np.append(edges[groups], edges[-1])
     shown = np.where((rows < 0) & (rows >= -TOLERANCE), 0.0, rows)
     mesh = ax.pcolormesh(
         times, np.arange(len(rows) + 1), shown, cmap=COLOURS,
         norm=TwoSlopeNorm(0.0, -bound, bound), rasterized=True,
     )  # fmt: skip
-    figure.colorbar(mesh, ax=ax, label="slack (N), red: violated", pad=0.01)
+    figure.colorbar(mesh, ax=ax, label="slack (N), red: violated", pad=0.01, extend="both")
     _mark(ax, found, edges)
     _finish(ax, found)
     return figure
