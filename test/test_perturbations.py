@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
@@ -261,7 +262,10 @@ def test_two_local_workers_give_what_one_process_gives(samples, tmp_path):
     like = samples.draw("torso", 1, 0.0, 0)
     record = samples.Record(tmp_path / "samples.csv", "abc", like)
     with farm.workers("", 2) as client:
-        assert client.scheduler.address.startswith("tcp://127.0.0.1:")
+        us = psutil.Process()
+        sockets = [c for p in (us, *us.children(recursive=True)) for c in p.net_connections()]
+        listening = {c.laddr.ip for c in sockets if c.status == psutil.CONN_LISTEN}
+        assert listening == {"127.0.0.1"}
         rows = farm.run_samples(client, record, like, 2, lambda line: None)
     here = {index: samples.run_sample(samples.draw("torso", 1, 0.0, index)) for index in (0, 1)}
     for row in rows:

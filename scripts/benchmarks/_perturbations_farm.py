@@ -12,6 +12,7 @@ from _perturbations_samples import Record, Sample, draw, run_sample
 from distributed import Client, LocalCluster, as_completed
 
 PARTS = ("cases", "torso", "samples")  # files that a worker needs, in the order of their imports
+LOOPBACK = "127.0.0.1"
 REPORTS = 20  # lines of progress
 
 
@@ -27,9 +28,11 @@ def workers(scheduler: str, count: int | None = None) -> Iterator[Client]:
             yield client
         return
     cores = count or len(os.sched_getaffinity(0))
-    local = {"host": "127.0.0.1", "dashboard_address": None, "processes": True}
+    local = {"host": LOOPBACK, "processes": True, "threads_per_worker": 1}
+    # By default their web servers listen on every interface.
+    pages = dict.fromkeys(("dashboard_address", "worker_dashboard_address"), f"{LOOPBACK}:0")
     with (
-        LocalCluster(n_workers=cores, threads_per_worker=1, **local) as here,
+        LocalCluster(n_workers=cores, **local, **pages) as here,
         Client(here) as client,
     ):
         yield client

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _perturbations_cases import CASES, DURATION, SETTLED, TABLE, Run
+from _perturbations_cases import CASES, SETTLED, TABLE, Run
 from _perturbations_samples import LIMITS, RANGES, interval
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -34,7 +34,7 @@ def draw_costs(runs: Mapping[str, Mapping[str, Run]], rows: Sequence[Row], path:
     """Costs over time, one panel for each study, and the table of the metrics below."""
     figure = Figure(figsize=(15, 7.2), layout="constrained")
     FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(2, 3, height_ratios=(2.6, 1.0))
+    grid = figure.add_gridspec(2, 3, height_ratios=(2.4, 1.0))
     for column, (study, title) in enumerate(STUDIES.items()):
         ax = figure.add_subplot(grid[0, column], label=study)
         for name, run in runs[study].items():
@@ -48,7 +48,7 @@ def draw_costs(runs: Mapping[str, Mapping[str, Run]], rows: Sequence[Row], path:
         ax.grid(color="#e3e7eb", lw=0.6)
     figure.axes[0].set_ylabel("cost of the MPC")
     figure.axes[0].legend(fontsize=8, loc="lower left")
-    figure.suptitle(f"The paper's perturbations over {DURATION:g} s; line: settled")
+    figure.suptitle("The paper's perturbations; horizontal line: settled")
     draw_table(figure.add_subplot(grid[1, :], label="table"), rows)
     figure.savefig(path, dpi=110)
 
@@ -57,7 +57,7 @@ def draw_table(ax: Axes, rows: Sequence[Row]) -> None:
     """The paper's table beside ours."""
     ax.set_axis_off()
     shown = ax.text(
-        0.0, 1.0, "\n".join(table_lines(rows)), family="monospace", fontsize=6.6, va="top",
+        0.0, 1.0, "\n".join(table_lines(rows)), family="monospace", fontsize=8.0, va="top",
         linespacing=1.5,
     )  # fmt: skip
     shown.set_in_layout(False)  # wide text must not narrow the panels above
@@ -69,7 +69,7 @@ def table_lines(rows: Sequence[Row]) -> list[str]:
     head = f"{'':<10}{'paper':^34}|" + "|".join(f"{study:^50}" for study in STUDIES)
     names = f"{'':<10}{'max':>8}{'mean':>8}{'final':>8}{'settled':>10}|"
     names += "|".join(
-        f"{'max':>9}{'mean':>8}{'final':>8}{'cost s':>9}{'torso s':>9}{'inf.':>6} " for _ in STUDIES
+        f"{'max':>9}{'mean':>8}{'final':>8}{'cost s':>9}{'still s':>9}{'inf.':>6} " for _ in STUDIES
     )
     lines = [head, names]
     for case, (most, mean, final, settled) in TABLE.items():

@@ -6,6 +6,8 @@ study over mass, friction, lag, pushes and noise. The parts say what each does e
 """
 
 import argparse
+import hashlib
+import subprocess
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -131,9 +133,11 @@ def title(total: Row, like: Any) -> str:
 
 
 def state_of_code() -> str:
-    """Commit, marked where the work tree differs: what samples must share to be put together."""
-    state = revision(ROOT)
-    return f"{state['commit']}{'-dirty' if state['dirty'] else ''}"
+    """Commit and, where files differ from it, a digest of how: what samples put together share."""
+    commit = revision(ROOT)["commit"] or "unknown"
+    diff = subprocess.run(["git", "-C", ROOT, "diff", "HEAD"], capture_output=True, check=False)
+    change = hashlib.sha256(diff.stdout).hexdigest()[:12] if diff.stdout else ""
+    return "-".join(filter(None, [commit, change]))
 
 
 def checks(rows: Iterable[Row]) -> list[Check]:
