@@ -11,8 +11,10 @@ every 2.5 s, with friction 0.6 pulled and 0.2 released; it is 0.1 at the rear. A
 v_x and v_y and -0.5 on v_z. Fifteen steps solve and apply u_0, five hold it. Over the first three
 steps every f_z is at least m g / 4 + 0.2 N, whatever the MPC asked for.
 
-All of this is in the authors' scripts and hardly any of it in the paper. Where they solve with SCS
-at its default accuracy, Clarabel gives the optimum here.
+Problem, model and the greater forces are those of the authors' published walk; references, starts
+and cycles are the paper's. Their script of the table itself is not at hand. The 5 ms lag of their
+actuators is left out, and where they solve with SCS at its default accuracy, Clarabel gives the
+optimum here.
 """
 
 from __future__ import annotations

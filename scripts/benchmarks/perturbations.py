@@ -29,7 +29,8 @@ MOST_DEVIATION = 0.5  # % of the paper's maximum cost
 LATEST = 2.0  # s
 NOTES = (
     "Noise: neither seed nor clipping are published; here seed 1, clipped at 1 (SI)",
-    "Pitch: 9 % above the paper whatever the sign; its first forces hang on the solver's accuracy",
+    "Pitch: 9 % above the paper, with either sign of the angle; the cause is not known",
+    "(a): cost and limits of the authors' walk; without its cost on f_x Baseline is 9 % above",
     "mean cost and settling time: what the paper averages over and counts from is not published",
     "(a) starts with every state zero but the perturbation; at the reference the cost would be 0",
     "(b), (c): other weights: settling and feasibility compare with the paper, the cost does not",
