@@ -5,6 +5,12 @@ measures and which has a function
 
     run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[Row], list[Check]]
 
+It may have options of its own on the command line: a function
+
+    options(parser: argparse.ArgumentParser) -> None
+
+adds them, each with a default, and `run` takes their values by name beside the rest.
+
 A row is a mapping of names to plain values; files beside the result go to `out`. Whether the checks
 hold is what a benchmark finds out, so it does not change the exit code.
 
@@ -103,18 +109,25 @@ def known(directory: Path) -> dict[str, Path]:
 
 
 def run(
-    name: str, directory: Path, quick: bool, out: Path, progress: Callable[[str], None]
+    name: str,
+    directory: Path,
+    quick: bool,
+    out: Path,
+    progress: Callable[[str], None],
+    **chosen: Any,
 ) -> Path:
     """Run a benchmark and write `out/NAME.json`; returns its path.
 
-    Raises BenchmarkError for an unknown name or a module without `run`.
+    `chosen` are the values of its own options, by name. Raises BenchmarkError for an unknown name,
+    a module without `run`, and as the benchmark does.
     """
     module = load(name, directory)
     out.mkdir(parents=True, exist_ok=True)
-    rows, checks = module.run(quick, out, progress)
+    rows, checks = module.run(quick, out, progress, **chosen)
     result = {
         "name": name,
         "quick": quick,
+        "options": chosen,
         "revision": revision(ROOT),
         "machine": machine(),
         "rows": [dict(row) for row in rows],
@@ -179,6 +192,12 @@ def machine() -> dict[str, Any]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/bench`; returns the exit code."""
     parser = _parser()
+    common, _ = _parser(add_help=False).parse_known_args(arguments)
+    try:
+        own = _add_own(parser, common)
+    except BenchmarkError as error:
+        print(f"scripts/bench: {error}", file=sys.stderr)
+        return UNKNOWN_NAME
     options = parser.parse_args(arguments)
     if options.list:
         _list(options.benchmarks)
@@ -186,9 +205,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.name is None:
         parser.error(f"which one? (known: {', '.join(known(options.benchmarks)) or 'none'})")
     out = options.out or Path("results") / options.name
+    chosen = {name: getattr(options, name) for name in own}
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        path = run(options.name, options.benchmarks, options.quick, out, _say)
+        path = run(options.name, options.benchmarks, options.quick, out, _say, **chosen)
     except BenchmarkError as error:
         print(f"scripts/bench: {error}", file=sys.stderr)
         return UNKNOWN_NAME
@@ -211,9 +231,23 @@ def check_lines(checks: Sequence[Mapping[str, Any]]) -> list[str]:
     ]
 
 
-def _parser() -> argparse.ArgumentParser:
+def _add_own(parser: argparse.ArgumentParser, common: argparse.Namespace) -> list[str]:
+    """Add the options of the benchmark that is named, if any; their names."""
+    if common.name is None or common.list:
+        return []
+    add = getattr(load(common.name, common.benchmarks), "options", None)
+    if add is None:
+        return []
+    add(parser)
+    return sorted(vars(parser.parse_args([common.name])).keys() - vars(common).keys())
+
+
+def _parser(add_help: bool = True) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="scripts/bench", description="Runs a benchmark and writes DIR/NAME.json."
+        prog="scripts/bench",
+        description="Runs a benchmark and writes DIR/NAME.json.",
+        epilog="NAME --help also names the options of that benchmark.",
+        add_help=add_help,
     )
     parser.add_argument("name", nargs="?", metavar="NAME", help="benchmark, see --list")
     parser.add_argument("--quick", action="store_true", help="fewer repeats, rougher figures")
