@@ -49,7 +49,12 @@ def draw_errors(ax: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
             place = (row["median_ms"], max(ROUNDOFF, row["error_max"]))
             ax.plot(*place, "s", color=palette.TORSO)
             ax.annotate(
-                row["solver"], place, (-5, 7), textcoords="offset points", size=7, ha="right"
+                f"{row['solver']} (walk only)",
+                place,
+                (-5, 7),
+                textcoords="offset points",
+                size=7,
+                ha="right",
             )
     front = sorted((row["median_ms"], worst(row)) for row in runs if row["front"])
     ax.step(*zip(*front), where="post", color=palette.INK, lw=1.2, ls=":", label="Pareto front")
