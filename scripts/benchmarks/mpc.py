@@ -4,12 +4,14 @@ Times are of the CPU and of a whole cycle of the controller: check, update of th
 Errors are of the first forces, the ones applied, against a dual active-set method (`_mpc_oracle`).
 """
 
+import itertools
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 from _mpc_oracle import optimum
 from _mpc_picture import draw
 from _mpc_restated import restated
@@ -36,6 +38,7 @@ HORIZONS = (5, 10, 15, 30, 45, 60)
 STATES, RANDOM = 220, 60
 SEED = 1
 WRONG = 1e-3  # N
+MINUTE, HOUR = 1800, 108_000  # cycles
 
 
 def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[Row], list[Check]]:
@@ -56,6 +59,9 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
     rows += horizon_rows(settings, walk[: 20 if quick else 100])
     progress("CVXPY")
     rows += cvxpy_rows(settings, walk[10 : 12 if quick else 18], exact.walk[10:])
+    if not quick:
+        progress("an hour of cycles")
+        rows.append(hour_row(settings, walk))
     draw(rows, out / "mpc.png")
     return rows, checks(rows, settings)
 
@@ -88,6 +94,17 @@ class Exact:
             self._mpc.step(state, preview)
             optima.append(optimum(self._mpc.problem)[0])
         return np.array(optima)
+
+
+def hour_row(settings: MpcSettings, walk: Sequence[Case]) -> dict[str, Any]:
+    """Memory that the controller gains in an hour of cycles at 30 Hz, after the first minute."""
+    mpc, process = Mpc(read_robot(), settings, time.process_time), psutil.Process()
+    for n, (state, preview) in zip(range(HOUR), itertools.cycle(walk)):
+        if n == MINUTE:
+            before = process.memory_info().rss
+        mpc.step(state, preview)
+    gained = (process.memory_info().rss - before) / 2**20
+    return {"kind": "hour", "cycles": HOUR, "gained_MB": gained}
 
 
 def controller(settings: MpcSettings, solver: str, tolerance: float) -> Mpc:
@@ -226,7 +243,9 @@ def checks(rows: Sequence[dict[str, Any]], settings: MpcSettings) -> list[Check]
     row = next(r for r in mine if r["kind"] == "solver" and r["tolerance"] == chosen.tolerance_abs)
     time_of = {r["stages"]: r["median_ms"] for r in mine if r["kind"] == "horizon"}
     cached, published = (r["median_ms"] for r in rows if r["kind"] == "cvxpy")
+    hour = [row["gained_MB"] for row in rows if row["kind"] == "hour"]
     return [
+        *(at_most("memory gained in an hour of cycles", gained, 1.0, "MB") for gained in hour),
         at_most(f"{name}: cycle, median", row["median_ms"], 0.6, "ms of CPU"),
         at_most("p99 over median", row["p99_ms"] / row["median_ms"], 3.0),
         at_most("error of the first forces, walk", row["error_max"], 1e-3, "N"),
