@@ -90,6 +90,11 @@ class Bus:
         data = self._exchange(identity, lambda: self._ping(identity), 3, "ping")
         return data[0] | data[1] << 8, data[2]
 
+    def scan(self) -> dict[int, tuple[int, int]]:
+        """Model and firmware of all servos that answer on the line, by id; takes about a second."""
+        found, _ = self._handler.broadcastPing(self.port)
+        return {identity: (model, firmware) for identity, (model, firmware) in found.items()}
+
     def read(self, identity: int, first: str, last: str | None = None) -> dict[str, int]:
         """Values from one register to another; raises CommunicationError, InstructionError."""
         address, size = span(first, last or first)

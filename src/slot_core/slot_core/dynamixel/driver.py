@@ -106,6 +106,10 @@ class Driver:
         self._wanted = wanted.copy()
         return Verdict(True)
 
+    def goals(self) -> Array:
+        """Tendon angles (4,) that have been sent, rad."""
+        return self._goal.copy()
+
     def hold(self) -> None:
         """Stay at what was sent last."""
         self._wanted = self._goal.copy()
