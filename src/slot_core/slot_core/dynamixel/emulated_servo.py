@@ -223,6 +223,10 @@ class EmulatedServo:
         if not memory["min_voltage_limit"] <= volts <= memory["max_voltage_limit"]:
             self.trip(HardwareError.INPUT_VOLTAGE)
 
+    def moving(self) -> bool:
+        """Whether it turns faster than its threshold."""
+        return abs(self._velocity()) > self.memory["moving_threshold"]
+
     def temperature(self) -> float:
         """Temperature that the servo sees, degC."""
         forced = self.forced_temperature
@@ -236,7 +240,7 @@ class EmulatedServo:
         memory["present_position"] = self.position()
         memory["present_velocity"] = round(self._velocity())
         memory["present_load"] = reverse * round(min(max(load, -1.0), 1.0) * LOAD_FULL)
-        memory["moving"] = int(abs(memory["present_velocity"]) > memory["moving_threshold"])
+        memory["moving"] = int(self.moving())
         memory["position_trajectory"] = round(self._trajectory)
         memory["present_input_voltage"] = round(self.voltage / VOLTAGE_UNIT)
         memory["present_temperature"] = round(min(max(self.temperature(), 0.0), 255.0))

@@ -90,7 +90,7 @@ def _on_reboot(each: EmulatedServo, packet: Packet) -> bytes:
 def _on_clear(each: EmulatedServo, packet: Packet) -> bytes:
     if packet.parameters != CLEAR_TURNS:
         raise RegisterError(Error.DATA_RANGE)
-    if each.memory["moving"]:
+    if each.moving():
         raise RegisterError(Error.RESULT_FAIL)
     each.clear_turns()
     return b""
