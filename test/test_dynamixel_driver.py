@@ -19,7 +19,7 @@ from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT
 
 # A busy machine may keep the emulator's thread waiting: more time than on the robot.
-PATIENT = {"bus.timeout": 0.1}
+PATIENT = {"bus.timeout": 0.05}
 ONE_COUNT = 1.01 * RAD_PER_COUNT
 STANDING = (0.1, 0.2, 0.3, 0.4)
 
@@ -258,9 +258,9 @@ def test_a_wrong_command_is_rejected_as_a_whole(rig, goals):
 
 def test_a_step_beyond_the_speed_limit_is_slewed_and_flagged(build):
     rig = build({"joints.speed_limit": 1.0}, angles=(0.0,) * 4).start()
-    first, *rest = rig.run(0.5, (1.0, 0.001, 0.0, 0.0))
-    assert rest[0].slewed == (True, False, False, False)
-    assert rig.driver.goals()[0] == pytest.approx(0.49)
+    cycles = rig.run(0.5, (1.0, 0.001, 0.0, 0.0))
+    assert cycles[1].slewed == (True, False, False, False)
+    assert rig.driver.goals()[0] == pytest.approx(0.49, abs=ONE_COUNT)  # it starts on a count
     assert rig.legs.angles()[0] < 0.5
 
 
@@ -281,7 +281,8 @@ def test_a_silent_servo_has_no_reading_and_the_others_keep_theirs(rig):
         assert [reading is None for reading in cycle.readings] == [True, False, False, False]
     assert rig.driver.silent_for("FL") >= 0.05
     assert rig.driver.silent_for("FR") < 0.02
-    assert rig.driver.health[0].error_rate > 0 == rig.driver.health[1].error_rate
+    # The others have one failure: the joint answer that FL has broken.
+    assert rig.driver.health[0].error_rate > 5 * rig.driver.health[1].error_rate > 0
     rig.bus.clear(BusFault("silent", "FL", 0, 0, 0))
     assert rig.run(0.02, (0.5,) * 4)[-1].complete
 
@@ -321,8 +322,7 @@ def test_an_unplugged_port_is_an_error_and_the_watchdog_stops_the_servos(rig):
     rig.run(0.1, (1.5,) * 4)
     rig.terminal.close()
     with pytest.raises(PortError):
-        for _ in range(3):
-            rig.driver.cycle()
+        rig.driver.cycle()
     assert not rig.driver.torque_off().complete
     for _ in range(101):
         rig.legs.advance(0.001)
@@ -424,7 +424,7 @@ def test_a_refusal_is_not_taken_for_data(rig):
     """A refusing status packet has no data: the SDK's own reading would return its CRC."""
     rig.driver.configure()
     handler = rig.driver.bus
-    with pytest.raises(InstructionError, match="out of range|exceeds the limit"):
+    with pytest.raises(InstructionError, match="exceeds the limit"):
         handler.write(5, "goal_position", 4095)
     rig.fault("silent", "FL")
     with pytest.raises(CommunicationError, match=r"servo FL.*reading led.*no status packet"):

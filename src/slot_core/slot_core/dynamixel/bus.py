@@ -146,7 +146,8 @@ class Bus:
         """Values of those servos that answered; `fast` where all of them know fast sync read.
 
         Who does not answer is asked again by itself, `retries` times; who did not answer then is
-        asked once a call, and last, until it does.
+        asked once a call, and last, until it does. Where a fast answer fails, it counts as failed
+        for all: whose fault it was cannot be told.
         """
         wanted = sorted(ids, key=lambda identity: identity in self._silent)  # stable
         address, size = span(first, last)
@@ -163,6 +164,10 @@ class Bus:
             identity: Answer(decode_span(address, status.data), bool(status.error & ALERT))
             for identity, status in found.items()
         }
+
+    def forget_silence(self) -> None:
+        """Ask all servos as if they had always answered."""
+        self._silent.clear()
 
     def _fast_read(self, ids: list[int], address: int, size: int) -> dict[int, _Status]:
         result = self._handler.syncReadTx(self.port, address, size, ids, len(ids), True)

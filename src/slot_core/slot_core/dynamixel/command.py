@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.checks import differences, examine, expected, hardware_errors
@@ -135,7 +136,10 @@ def emulate(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     from slot_core.dynamixel.legs import EmulatedLegs  # noqa: PLC0415
     from slot_core.dynamixel.pseudo_terminal import PseudoTerminal  # noqa: PLC0415
 
-    legs = EmulatedLegs(settings, read_emulator())
+    emulator = read_emulator()
+    if options.usb_latency is not None:
+        emulator = config.replace(emulator, {"usb_latency": options.usb_latency})
+    legs = EmulatedLegs(settings, emulator)
     with PseudoTerminal(legs.bus, options.link) as terminal:
         print(terminal.name, flush=True)
         last = time.monotonic()
@@ -187,6 +191,7 @@ def _parser() -> argparse.ArgumentParser:
             sub.add_argument("--write", action="store_true", help="into config/dynamixel.yaml")
         if name == "emulate":
             sub.add_argument("--link", type=Path, help="name for the port")
+            sub.add_argument("--usb-latency", type=float, help="of the adapter, s")
     return parser
 
 

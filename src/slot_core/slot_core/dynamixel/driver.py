@@ -128,7 +128,7 @@ class Driver:
             readings, duty = self._read(), None
         self._look_around(readings)
         end = self._clock()
-        return Cycle(end, end - start, readings, tuple(slewed), duty)
+        return Cycle(end, end - start, readings, tuple(map(bool, slewed)), duty)
 
     def relax(self, duration: float, period: float, sleep: Callable[[float], None]) -> TorqueOff:
         """Slacken the tendons within `duration` s, then torque off; blocks, never raises."""

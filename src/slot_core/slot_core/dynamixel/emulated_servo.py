@@ -109,6 +109,11 @@ class EmulatedServo:
         self.memory.reset(eeprom=True, keep=keep)
         self.reboot()
 
+    def revive(self, image: bytes) -> None:
+        """Back to an earlier content of the memory, awake, nothing registered."""
+        self.memory.load(image)
+        self._booting, self._shut, self.registered = 0.0, False, None
+
     def clear_turns(self) -> None:
         """Count the position within one turn again."""
         self._turns = math.floor(self.shaft.angle / math.tau)

@@ -49,6 +49,14 @@ class Memory:
         register = TABLE[name]
         self._bytes[register.address : register.end] = register.encode(value)
 
+    def image(self) -> bytes:
+        """All bytes, to be put back by `load`."""
+        return bytes(self._bytes)
+
+    def load(self, image: bytes) -> None:
+        """Put back what `image` gave."""
+        self._bytes[:] = image
+
     def reset(self, eeprom: bool, keep: tuple[str, ...] = ()) -> None:
         """Initial values in RAM, and in EEPROM but for `keep` if asked; what is read only stays."""
         for register in REGISTERS:

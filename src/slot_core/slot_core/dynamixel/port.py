@@ -9,6 +9,7 @@ PortError.
 from __future__ import annotations
 
 import select
+import termios
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -58,7 +59,7 @@ class SerialPort(PortHandler):
                 write_timeout=WRITE_TIMEOUT,
                 exclusive=True,
             )
-        except (serial.SerialException, OSError, ValueError) as error:
+        except (OSError, termios.error, ValueError) as error:
             raise PortError(f"{self.port_name}: {error}") from None
         self.is_open = True
         self.tx_time_per_byte = 1e3 * BITS_PER_BYTE / self.baudrate
@@ -111,8 +112,8 @@ class SerialPort(PortHandler):
             if self.ser is None or not self.ser.is_open:
                 raise OSError("the port is not open")
             return action()
-        except (OSError, serial.SerialException, TypeError, ValueError) as error:
-            self.is_using = False
+        except (OSError, termios.error, TypeError, ValueError) as error:
+            self.is_using = False  # TypeError, ValueError: closed by another thread meanwhile
             raise PortError(f"{self.port_name}: {error}") from None
 
 
