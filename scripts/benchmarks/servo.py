@@ -112,7 +112,7 @@ def share_row(duration: float) -> Row:
 
 
 def step_row(control: str, load: float) -> dict[str, Any]:
-    """Response of all legs to a step, sampled in every cycle of 10 ms; `load`: N m on the tendon."""
+    """Response to a step, sampled every 10 ms; `load`: N m on the tendons' angles."""
     settings = config.replace(read_settings(), {"control": control, "bus.timeout": 0.1})
     legs = EmulatedLegs(settings, read_emulator(), (STEP[0],) * 4)
     clock = [0.0]
