@@ -14,7 +14,6 @@ import dataclasses
 import math
 import os
 import resource
-import signal
 import statistics
 import subprocess
 import sys
@@ -168,8 +167,8 @@ def emulated(changes: dict[str, Any], latency: float) -> Iterator[Driver]:
             assert process.stdout is not None
             yield _driver(settings, process.stdout.readline().strip())
         finally:
-            process.send_signal(signal.SIGINT)
-            process.wait()
+            process.terminate()
+            process.wait(10)
 
 
 def _driver(settings: DynamixelSettings, name: str) -> Driver:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
+import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -140,6 +141,8 @@ def emulate(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     if options.usb_latency is not None:
         emulator = config.replace(emulator, {"usb_latency": options.usb_latency})
     legs = EmulatedLegs(settings, emulator)
+    for end in (signal.SIGINT, signal.SIGTERM):  # a shell's `&` would have SIGINT ignored
+        signal.signal(end, signal.default_int_handler)
     with PseudoTerminal(legs.bus, options.link) as terminal:
         print(terminal.name, flush=True)
         last = time.monotonic()

@@ -117,7 +117,7 @@ class Driver:
     def cycle(self) -> Cycle:
         """One exchange with all servos; raises PortError where the port has gone."""
         start = self._clock()
-        h = None if self._last is None else start - self._last
+        h = 0.0 if self._last is None else max(start - self._last, 0.0)
         self._last = start
         slewed = self._slew(h)
         if self.settings.mode is Mode.PWM:
@@ -217,9 +217,9 @@ class Driver:
             self.bus.confirm(joint.id, register, value)
         return []
 
-    def _slew(self, h: float | None) -> npt.NDArray[np.bool_]:
+    def _slew(self, h: float) -> npt.NDArray[np.bool_]:
         """Move the goals towards what is wanted, within the speed limit; which were held back."""
-        reach = self.settings.joints.speed_limit * min(h or 0.0, LONGEST_STEP)
+        reach = self.settings.joints.speed_limit * min(h, LONGEST_STEP)
         step = self._wanted - self._goal
         slewed = np.abs(step) > reach
         self._goal = np.where(slewed, self._goal + np.clip(step, -reach, reach), self._wanted)
@@ -232,8 +232,8 @@ class Driver:
                 "goal_position", {joint.id: joint.counts(goal) for joint, goal in goals}
             )
 
-    def _regulate(self, readings: tuple[Reading | None, ...], h: float | None) -> Array:
-        if not self.active or h is None:
+    def _regulate(self, readings: tuple[Reading | None, ...], h: float) -> Array:
+        if not self.active or h == 0.0:
             return self._pid.duty.copy()
         angle = np.array([np.nan if r is None else r.angle for r in readings])
         speed = np.array([np.nan if r is None else r.rate for r in readings])

@@ -22,6 +22,7 @@ from slot_core.dynamixel.emulator import EmulatedBus
 from slot_core.dynamixel.port import BITS_PER_BYTE, Clock
 
 CHUNK = 4096
+TURN = 0.01  # s, between two looks at whether it is to end
 PAUSE = 0.005  # s: a packet does not stop for so long
 RATES = {
     getattr(termios, name): int(name[1:])
@@ -31,45 +32,33 @@ RATES = {
 
 
 class PseudoTerminal:
-    """A thread that answers for the bus; `name` is the port for the driver."""
+    """A thread that answers for the bus; `name` is the port for the driver.
+
+    While the bus is unplugged there is no port: what the driver holds is dead. Plugged in again, it
+    is there under `link`, if one was given; without one the name may be another.
+    """
 
     def __init__(
         self, bus: EmulatedBus, link: Path | None = None, clock: Clock = time.monotonic
     ) -> None:
         self._bus, self._link, self._clock = bus, link, clock
-        self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
         self._free = 0.0  # when the line is free again
-        self.slave = ""
-        self.plug()
+        self._heard = clock()
+        self.slave = ""  # device of the driver's side; empty while unplugged
+        self._plug()
+        self._thread = threading.Thread(target=self._serve, name="emulated bus", daemon=True)
+        self._thread.start()
 
     @property
     def name(self) -> str:
         """The port: the link, if one was asked for."""
         return str(self._link or self.slave)
 
-    def plug(self) -> None:
-        """Open the pseudo-terminal and answer, unless it is so."""
-        if self._thread is not None:
-            return
-        self._bus.unplugged = False
-        self._master, self._held = os.openpty()
-        tty.setraw(self._held)
-        os.set_blocking(self._master, False)
-        self.slave = os.ttyname(self._held)
-        if self._link is not None:
-            self._link.unlink(missing_ok=True)
-            self._link.symlink_to(self.slave)
-        self._stopping.clear()
-        self._thread = threading.Thread(target=self._serve, name="emulated bus", daemon=True)
-        self._thread.start()
-
     def close(self) -> None:
-        """Pull the plug; what the driver holds is dead then. May be done again."""
+        """Pull the plug for good; may be done again."""
         self._stopping.set()
-        if self._thread is not None:
-            self._thread.join()
-        self._thread = None
+        self._thread.join()
 
     def __enter__(self) -> PseudoTerminal:
         return self
@@ -83,18 +72,27 @@ class PseudoTerminal:
         self.close()
 
     def _serve(self) -> None:
-        last = self._clock()
-        while not self._stopping.is_set() and not self._bus.unplugged:
-            ready, _, _ = select.select([self._master], [], [], 0.02)
-            if not ready:
+        while not self._stopping.is_set():
+            if self._bus.unplugged:
+                self._unplug()
+                self._stopping.wait(TURN)
                 continue
-            now = self._clock()
-            if now - last > PAUSE:
-                self._bus.hush()
-            last = now
-            with contextlib.suppress(BlockingIOError):
-                self._respond(os.read(self._master, CHUNK), now)
+            if not self.slave:
+                self._plug()
+            self._listen()
         self._unplug()
+
+    def _listen(self) -> None:
+        """Answer what comes, for a moment at most."""
+        ready, _, _ = select.select([self._master], [], [], TURN)
+        if not ready:
+            return
+        now = self._clock()
+        if now - self._heard > PAUSE:
+            self._bus.hush()
+        self._heard = now
+        with contextlib.suppress(BlockingIOError):
+            self._respond(os.read(self._master, CHUNK), now)
 
     def _respond(self, data: bytes, now: float) -> None:
         baud = self._baud()
@@ -118,7 +116,19 @@ class PseudoTerminal:
     def _baud(self) -> int:
         return RATES.get(termios.tcgetattr(self._held)[4], 0) or 1
 
+    def _plug(self) -> None:
+        self._master, self._held = os.openpty()
+        tty.setraw(self._held)
+        os.set_blocking(self._master, False)
+        self.slave = os.ttyname(self._held)
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+            self._link.symlink_to(self.slave)
+
     def _unplug(self) -> None:
+        if not self.slave:
+            return
+        self.slave = ""
         os.close(self._held)
         os.close(self._master)
         if self._link is not None:
