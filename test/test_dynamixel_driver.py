@@ -211,6 +211,27 @@ def test_a_servo_lost_during_activation_leaves_no_torque_on(rig):
     assert rig.torque() == [0] * 4
 
 
+def test_no_servo_has_torque_without_its_watchdog(rig):
+    rig.driver.configure()
+    confirm, armed = rig.driver.bus.confirm, []
+
+    def watch(identity, register, value):
+        if register == "torque_enable" and value:
+            armed.append([servo.memory["bus_watchdog"] for servo in rig.bus.servos])
+        confirm(identity, register, value)
+
+    rig.driver.bus.confirm = watch
+    rig.driver.activate()
+    assert armed == [[5] * 4] * 4
+
+
+def test_activating_twice_is_refused_and_keeps_torque_on(rig):
+    rig.start()
+    with pytest.raises(RefusedError, match="already"):
+        rig.driver.activate()
+    assert rig.torque() == [1] * 4
+
+
 def test_gains_and_watchdog_are_those_of_the_configuration(rig):
     rig.start()
     for servo in rig.bus.servos:
@@ -437,6 +458,17 @@ def test_relax_slackens_the_tendons_before_torque_goes_off(rig):
     assert off.complete
     # The servo's P loop follows a ramp of 2 rad/s at a distance of 2/27 rad.
     assert np.abs(rig.legs.angles()).max() < 0.12
+
+
+def test_an_interrupt_while_relaxing_leaves_no_torque_on(rig):
+    rig.start()
+
+    def interrupted(period):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        rig.driver.relax(0.5, 0.01, interrupted)
+    assert rig.torque() == [0] * 4
 
 
 def test_a_refusal_is_not_taken_for_data(rig):

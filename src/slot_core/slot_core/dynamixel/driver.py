@@ -63,6 +63,7 @@ class Driver:
 
     def configure(self) -> tuple[ServoInfo, ...]:
         """Open the port and check every servo; raises PortError, RefusedError (all reasons)."""
+        self.active = False
         check_latency(self._port.port_name, self.settings.bus.latency_limit)
         self._port.open()
         found = [examine(self.bus, self.settings, joint) for joint in self.joints]
@@ -70,24 +71,27 @@ class Driver:
         if reasons := [reason for _, reasons in found for reason in reasons]:
             self._port.close()
             raise RefusedError(reasons)
+        now = self._clock()
+        self.health = tuple(replace(health, last_answer=now) for health in self.health)
         oldest = min(info.firmware for info in infos)
         self._fast = oldest >= self.settings.servo.fast_from_firmware
         return infos
 
     def activate(self) -> None:
         """Torque on where the servos stand, without motion; else all off and RefusedError."""
+        if self.active:
+            raise RefusedError(["activate: torque is on already"])
         try:
             self._prepare()
-            for joint in self.joints:
+            for index, joint in enumerate(self.joints):
                 self.bus.confirm(joint.id, "torque_enable", 1)
-            for joint in self.joints:
-                code = self.settings.servo.watchdog_code()
-                self.bus.confirm(joint.id, "bus_watchdog", code)
+                self._set_health(index, replace(self.health[index], torque=True))
+        except RefusedError:
+            self.torque_off()
+            raise
         except ServoError as error:
             self.torque_off()
-            raise (
-                error if isinstance(error, RefusedError) else RefusedError([str(error)])
-            ) from error
+            raise RefusedError([str(error)]) from error
         self.active = True
 
     def command(self, angles: Sequence[float] | Array) -> Verdict:
@@ -131,17 +135,23 @@ class Driver:
         return Cycle(end, end - start, readings, tuple(map(bool, slewed)), duty)
 
     def relax(self, duration: float, period: float, sleep: Callable[[float], None]) -> TorqueOff:
-        """Slacken the tendons within `duration` s, then torque off; blocks, never raises."""
-        start, begin = self._goal.copy(), self._clock()
+        """Slacken the tendons within `duration` s, then torque off, whatever happens; blocks."""
         try:
-            while self.active and (share := (self._clock() - begin) / duration) < 1.0:
-                low = np.array([joint.low for joint in self.joints])
-                self._wanted = start + share * (np.minimum(start, low) - start)
-                self.cycle()
-                sleep(period)
+            self._slacken(duration, period, sleep)
         except ServoError:
-            pass  # torque off says what is left to say
+            return self.torque_off()
+        except BaseException:  # an interrupt too must not leave torque on
+            self.torque_off()
+            raise
         return self.torque_off()
+
+    def _slacken(self, duration: float, period: float, sleep: Callable[[float], None]) -> None:
+        start, begin = self._goal.copy(), self._clock()
+        end = np.minimum(start, [joint.low for joint in self.joints])
+        while self.active and (share := (self._clock() - begin) / duration) < 1.0:
+            self._wanted = start + share * (end - start)
+            self.cycle()
+            sleep(period)
 
     def torque_off(self) -> TorqueOff:
         """Switch all torque off and read it back; never raises."""
@@ -149,7 +159,7 @@ class Driver:
         self._pid.reset()
         with contextlib.suppress(ServoError):  # all at once, before one that is silent takes time
             self.bus.sync_write("torque_enable", {joint.id: 0 for joint in self.joints})
-        reasons = [self._confirm_off(joint) for joint in self.joints]
+        reasons = [self._confirm_off(index, joint) for index, joint in enumerate(self.joints)]
         return TorqueOff(
             tuple(not reason for reason in reasons), tuple(reason for reason in reasons if reason)
         )
@@ -200,6 +210,8 @@ class Driver:
                 " turn it back by hand, or zero it"
             ]
         self._goal[index] = joint.tendon(present)
+        # Armed before torque is on: it watches from the first moment.
+        self.bus.confirm(joint.id, "bus_watchdog", self.settings.servo.watchdog_code())
         if self.settings.mode is Mode.PWM:
             self.bus.confirm(joint.id, "goal_pwm", 0)
             return []
@@ -303,7 +315,7 @@ class Driver:
     def _set_health(self, index: int, health: Health) -> None:
         self.health = (*self.health[:index], health, *self.health[index + 1 :])
 
-    def _confirm_off(self, joint: Joint) -> str:
+    def _confirm_off(self, index: int, joint: Joint) -> str:
         """Torque off; why it is not confirmed, or nothing."""
         reason = ""
         for _ in range(TORQUE_OFF_ATTEMPTS):
@@ -312,6 +324,7 @@ class Driver:
             except ServoError as error:
                 reason = str(error)
                 continue
+            self._set_health(index, replace(self.health[index], torque=False))
             with contextlib.suppress(ServoError):  # it does not matter with torque off
                 self.bus.write(joint.id, "bus_watchdog", 0)
             return ""
