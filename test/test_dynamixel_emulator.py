@@ -173,6 +173,11 @@ def test_fast_sync_read_is_answered_by_all_in_one_packet(bus):
     assert reply.data == fast_status([(5, 0, b"\0\x08\0\0"), (3, 0, b"\0\x08\0\0")])
 
 
+def test_a_fast_read_of_more_than_a_packet_holds_is_not_answered(bus):
+    request = b"\x84\0\xff\xff\5\4"
+    assert bus.receive(build(BROADCAST, Instruction.FAST_SYNC_READ, request), BAUD) == []
+
+
 def test_who_is_behind_a_silent_servo_in_the_chain_is_silent_too(bus):
     bus.inject(BusFault("silent", "FR", 0, 0, 0))  # id 4
     read_led = place("led")

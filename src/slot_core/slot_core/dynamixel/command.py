@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def scan(settings: DynamixelSettings, options: argparse.Namespace) -> int:
-    """Ask every id at every rate that port and servos share, the configured one first."""
+    """Ask every id at every rate that port and servos share, fastest first."""
     rates = [options.baud] if options.baud else sorted(BAUD_RATES, key=lambda b: -b)
     found = 0
     for baud in rates:

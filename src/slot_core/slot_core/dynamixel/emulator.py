@@ -23,6 +23,7 @@ from slot_core.dynamixel.faults import ALL, BusFault, LineFaults, damaged
 from slot_core.dynamixel.instructions import execute, read_data, word
 from slot_core.dynamixel.packet import (
     BROADCAST,
+    LONGEST,
     Error,
     Instruction,
     Packet,
@@ -34,6 +35,7 @@ from slot_core.dynamixel.settings import LEGS
 from slot_core.dynamixel.shaft import Motor
 from slot_core.dynamixel.table import BAUD_RATES, RETURN_DELAY_UNIT, HardwareError
 
+FAST_BYTES = 4  # of each servo in a fast answer, beside its data
 ANSWER_READS, ANSWER_ALL = 1, 2  # status return levels beside 0, ping alone
 
 
@@ -190,7 +192,10 @@ class EmulatedBus:
         by_id = {each.memory["id"]: (index, each) for index, each in there}
         fast = packet.instruction in {Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ}
         parts, delay = [], 0.0
-        for identity, address, size in _requests(packet):
+        asked = list(_requests(packet))
+        if fast and sum(size + FAST_BYTES for _, _, size in asked) > LONGEST:
+            return  # no packet can hold the answer
+        for identity, address, size in asked:
             index, each = by_id.get(identity, (-1, None))
             if each is None or self._line[index].silent:
                 break
@@ -203,7 +208,7 @@ class EmulatedBus:
                 continue
             yield from self._answer(index, status(identity, error, data))
         if parts:
-            yield from self._fast_answer(parts, len(list(_requests(packet))), delay)
+            yield from self._fast_answer(parts, len(asked), delay)
 
     def _fast_answer(
         self, parts: list[tuple[int, tuple[int, int, bytes]]], wanted: int, delay: float
