@@ -45,6 +45,7 @@ def test_core_imports_nothing_of_ros():
         ("dynamics", ("control", "dynamixel", "evaluation", "calibration")),
         ("control", ("dynamics", "dynamixel", "evaluation", "calibration")),
         ("calibration", ("control", "dynamixel")),
+        ("dynamixel", ("control", "evaluation", "calibration")),
     ],
 )
 def test_a_package_knows_only_those_below_it(package, forbidden):

@@ -1,0 +1,83 @@
+"""Whether the servos are the ones expected and set up as they must be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from slot_core.dynamixel.bus import Bus
+from slot_core.dynamixel.errors import CommunicationError, InstructionError
+from slot_core.dynamixel.joints import Joint
+from slot_core.dynamixel.settings import DynamixelSettings
+from slot_core.dynamixel.table import BAUD_RATES, HardwareError
+
+
+@dataclass(frozen=True)
+class ServoInfo:
+    """What a servo says it is; `values`: its EEPROM by register."""
+
+    leg: str
+    id: int
+    model: int
+    firmware: int
+    values: Mapping[str, int]
+
+
+def inspect(bus: Bus, joint: Joint) -> ServoInfo:
+    """Read what a servo is; raises CommunicationError, InstructionError."""
+    model, firmware = bus.ping(joint.id)
+    values: dict[str, int] = {}
+    for first, last in (
+        ("id", "protocol_type"),
+        ("homing_offset", "moving_threshold"),
+        ("temperature_limit", "pwm_limit"),
+        ("velocity_limit", "min_position_limit"),
+        ("startup_configuration", None),
+        ("shutdown", None),
+    ):
+        values |= bus.read(joint.id, first, last)
+    return ServoInfo(joint.leg, joint.id, model, firmware, values)
+
+
+def expected(settings: DynamixelSettings, joint: Joint) -> dict[str, int]:
+    """What a servo's EEPROM must hold, by register."""
+    low, high = joint.limits()
+    return settings.servo.eeprom() | {
+        "operating_mode": settings.mode,
+        "min_position_limit": low,
+        "max_position_limit": high,
+        "baud_rate": BAUD_RATES.index(settings.bus.baud),
+    }
+
+
+def differences(settings: DynamixelSettings, joint: Joint, info: ServoInfo) -> list[str]:
+    """What is wrong with a servo, one line each; nothing where all is right."""
+    setup, reasons = settings.servo, []
+    if info.model != setup.model:
+        reasons.append(f"{joint.name}: model {info.model}, expected {setup.model}")
+    if info.firmware < setup.firmware_min:
+        reasons.append(
+            f"{joint.name}: firmware {info.firmware}, expected {setup.firmware_min} or newer"
+        )
+    return reasons + [
+        f"{joint.name}: {name} is {info.values[name]}, expected {value}"
+        for name, value in expected(settings, joint).items()
+        if info.values[name] != value
+    ]
+
+
+def examine(
+    bus: Bus, settings: DynamixelSettings, joint: Joint
+) -> tuple[ServoInfo | None, list[str]]:
+    """What a servo is and what is wrong with it; None where it does not answer."""
+    try:
+        info = inspect(bus, joint)
+    except (CommunicationError, InstructionError) as error:
+        return None, [str(error)]
+    return info, differences(settings, joint, info)
+
+
+def hardware_errors(bits: int) -> str:
+    """Names of the bits of the hardware error status."""
+    names = [error.name.lower() for error in HardwareError if bits & error and error.name]
+    return ", ".join(names) or "none"

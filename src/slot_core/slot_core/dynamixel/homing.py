@@ -1,0 +1,88 @@
+"""Finding the zero of a servo and writing it into the configuration.
+
+By hand: with torque off and the tendon just slack, the position is read, and must rest. By load:
+the servo pulls slowly until the tendon resists; the angle there is the zero.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import statistics
+from collections.abc import Callable
+from pathlib import Path
+
+import yaml
+
+from slot_core import config
+from slot_core.dynamixel.bus import Bus
+from slot_core.dynamixel.driver import Driver
+from slot_core.dynamixel.errors import RefusedError, ServoError
+from slot_core.dynamixel.joints import Joint
+from slot_core.dynamixel.settings import LEGS, DynamixelSettings
+from slot_core.dynamixel.table import RAD_PER_COUNT
+
+Sleep = Callable[[float], None]
+SAMPLES = 20
+SAMPLE_PERIOD = 0.02  # s
+STILL = 3  # counts that a resting encoder may spread
+PULL_SPEED = 0.2  # rad/s of the tendon angle
+CYCLE = 0.01  # s
+NUMBER = r"-?\d+(?:\.\d+)?"
+
+
+def measure_zero(bus: Bus, joint: Joint, sleep: Sleep) -> float:
+    """Servo's angle (deg) where the leg rests now, torque off; raises ServoError."""
+    bus.confirm(joint.id, "torque_enable", 0)
+    found = []
+    for _ in range(SAMPLES):
+        found.append(bus.read(joint.id, "present_position")["present_position"])
+        sleep(SAMPLE_PERIOD)
+    moved = max(found) - min(found)
+    if moved > STILL:
+        raise RefusedError([f"{joint.name}: moves by {moved} counts, limit {STILL}; hold it still"])
+    return math.degrees(statistics.fmean(found) * RAD_PER_COUNT)
+
+
+def find_taut(driver: Driver, leg: str, load: float, sleep: Sleep) -> float:
+    """Servo's angle (deg) at which the tendon of `leg` begins to resist with `load`, of stall.
+
+    The driver must be active, the tendon slack. Raises ServoError where nothing resists within the
+    leg's range, or the servo does not answer.
+    """
+    index, joint = LEGS.index(leg), driver.joints[LEGS.index(leg)]
+    goals = [clamp(angle, j.low, j.high) for angle, j in zip(driver.goals(), driver.joints)]
+    while goals[index] < joint.high:
+        goals[index] = min(goals[index] + PULL_SPEED * CYCLE, joint.high)
+        driver.command(goals)
+        reading = driver.cycle().readings[index]
+        sleep(CYCLE)
+        if reading is None:
+            raise ServoError(f"{joint.name}: does not answer")
+        if reading.load > load:
+            return math.degrees(joint.zero + joint.direction * joint.ratio * reading.angle)
+    raise ServoError(f"{joint.name}: nothing resists with {load:g} of the stall torque")
+
+
+def clamp(value: float, low: float, high: float) -> float:
+    """The nearest number within [low, high]."""
+    return min(max(value, low), high)
+
+
+def write_zero(leg: str, zero_deg: float, path: Path | None = None) -> Path:
+    """Put a zero into `config/dynamixel.yaml`, and leave the rest of the file as it is.
+
+    Raises ConfigError where the file has no such line or the value is out of bounds; nothing is
+    written then.
+    """
+    path = path or config.config_dir() / "dynamixel.yaml"
+    text = path.read_text()
+    line = re.search(rf"^(\s*zero_deg:\s*\[)({NUMBER}(?:\s*,\s*{NUMBER}){{3}})(\])", text, re.M)
+    if line is None:
+        raise config.ConfigError(f"{path}: no line zero_deg: [FL, FR, RL, RR]")
+    values = [value.strip() for value in line[2].split(",")]
+    values[LEGS.index(leg)] = f"{zero_deg:.2f}"
+    changed = text[: line.start(2)] + ", ".join(values) + text[line.end(2) :]
+    config.build(DynamixelSettings, yaml.safe_load(changed), path.name)
+    path.write_text(changed)
+    return path

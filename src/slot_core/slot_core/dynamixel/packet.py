@@ -1,0 +1,176 @@
+"""Packets of Protocol 2.0: CRC, byte stuffing, building, and finding them in a stream of bytes.
+
+    FF FF FD 00 | id | length (2) | instruction | parameters | CRC (2)
+
+`length` counts everything behind itself. Where FF FF FD would stand between the length and the CRC,
+another FD follows it (stuffing). The CRC is CRC-16 with the polynomial x^16 + x^15 + x^2 + 1, most
+significant bit first, initial value 0, over all bytes before it. A status packet has instruction
+0x55 and an error byte before its parameters. Source: ROBOTIS e-manual, Protocol 2.0.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+HEADER = b"\xff\xff\xfd\x00"
+BROADCAST = 0xFE
+ID_MAX = 0xFC
+LONGEST = 1024  # bytes that a receiver keeps, as in dynamixel-sdk
+SHORTEST = 3  # value of `length` without parameters: instruction and CRC
+OVERHEAD = 7  # bytes up to and with the length
+ALERT = 0x80  # of the error byte: look at Hardware Error Status (70)
+_POLYNOMIAL = 0x8005
+_PATTERN = b"\xff\xff\xfd"
+
+
+class Instruction(enum.IntEnum):
+    """What a packet asks for."""
+
+    PING = 0x01
+    READ = 0x02
+    WRITE = 0x03
+    REG_WRITE = 0x04
+    ACTION = 0x05
+    FACTORY_RESET = 0x06
+    REBOOT = 0x08
+    CLEAR = 0x10
+    STATUS = 0x55
+    SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
+    FAST_SYNC_READ = 0x8A
+    BULK_READ = 0x92
+    BULK_WRITE = 0x93
+    FAST_BULK_READ = 0x9A
+
+
+class Error(enum.IntEnum):
+    """Error number of a status packet, bits 0 to 6 of its error byte."""
+
+    NONE = 0
+    RESULT_FAIL = 1
+    INSTRUCTION = 2
+    CRC = 3
+    DATA_RANGE = 4
+    DATA_LENGTH = 5
+    DATA_LIMIT = 6
+    ACCESS = 7
+
+
+@dataclass(frozen=True)
+class Packet:
+    """A received packet, without stuffing; `intact`: its CRC matched."""
+
+    id: int
+    instruction: int
+    parameters: bytes
+    size: int  # bytes on the wire
+    intact: bool = True
+
+
+def _crc_row(index: int) -> int:
+    value = index << 8
+    for _ in range(8):
+        value = (value << 1) ^ (_POLYNOMIAL if value & 0x8000 else 0)
+    return value & 0xFFFF
+
+
+_CRC_TABLE = tuple(_crc_row(index) for index in range(256))
+
+
+def crc(data: bytes, value: int = 0) -> int:
+    """CRC of `data`, going on from `value`."""
+    for byte in data:
+        value = ((value << 8) & 0xFFFF) ^ _CRC_TABLE[(value >> 8) ^ byte]
+    return value
+
+
+def stuff(body: bytes) -> bytes:
+    """Instruction and parameters with an FD behind every FF FF FD."""
+    return body.replace(_PATTERN, _PATTERN + b"\xfd")
+
+
+def unstuff(body: bytes) -> bytes:
+    """The inverse of `stuff`."""
+    return body.replace(_PATTERN + b"\xfd", _PATTERN)
+
+
+def build(identity: int, instruction: int, parameters: bytes = b"") -> bytes:
+    """A packet as it goes over the wire."""
+    body = stuff(bytes([instruction]) + parameters)
+    head = HEADER + bytes([identity]) + (len(body) + 2).to_bytes(2, "little")
+    return sealed(head + body)
+
+
+def status(identity: int, error: int, parameters: bytes = b"") -> bytes:
+    """A status packet as it goes over the wire."""
+    return build(identity, Instruction.STATUS, bytes([error]) + parameters)
+
+
+def sealed(data: bytes) -> bytes:
+    """`data` with its CRC behind it."""
+    return data + crc(data).to_bytes(2, "little")
+
+
+def fast_status(replies: list[tuple[int, int, bytes]]) -> bytes:
+    """The one packet with which several servos answer a fast sync read, from (id, error, data).
+
+    Each adds its error, id, data and the CRC of all bytes so far; nothing is stuffed.
+    """
+    length = 1 + sum(len(data) + 4 for _, _, data in replies)
+    packet = HEADER + bytes([BROADCAST]) + length.to_bytes(2, "little")
+    packet += bytes([Instruction.STATUS])
+    for identity, error, data in replies:
+        packet = sealed(packet + bytes([error, identity]) + data)
+    return packet
+
+
+class Parser:
+    """Finds packets in a stream of bytes, whatever else is in it."""
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+
+    def reset(self) -> None:
+        """Forget a packet that has come in part."""
+        self._buffer.clear()
+
+    @property
+    def pending(self) -> bool:
+        """Whether part of a packet waits for its rest."""
+        return bool(self._buffer)
+
+    def feed(self, data: bytes) -> Iterator[Packet]:
+        """The packets that `data` completes, damaged ones too; behind those it looks again."""
+        self._buffer += data
+        while (packet := self._next()) is not None:
+            yield packet
+
+    def _next(self) -> Packet | None:
+        buffer = self._buffer
+        while self._align():
+            length = int.from_bytes(buffer[5:7], "little")
+            if not SHORTEST <= length <= LONGEST - OVERHEAD or buffer[4] > BROADCAST:
+                del buffer[:1]  # no packet begins here
+                continue
+            if len(buffer) < length + OVERHEAD:
+                return None
+            return self._take(length + OVERHEAD)
+        return None
+
+    def _align(self) -> bool:
+        """Drop what precedes a header; whether a head is complete."""
+        start = self._buffer.find(HEADER)
+        if start < 0:
+            start = max(len(self._buffer) - len(HEADER) + 1, 0)
+            while start < len(self._buffer) and not HEADER.startswith(self._buffer[start:]):
+                start += 1
+        del self._buffer[:start]
+        return len(self._buffer) >= OVERHEAD
+
+    def _take(self, size: int) -> Packet:
+        data = bytes(self._buffer[:size])
+        intact = crc(data[:-2]) == int.from_bytes(data[-2:], "little")
+        del self._buffer[: size if intact else 1]
+        return Packet(data[4], data[7], unstuff(data[8:-2]), size, intact)

@@ -1,0 +1,137 @@
+"""The serial port under dynamixel-sdk.
+
+What differs from the SDK's own port: the clock is passed in (the SDK takes the wall clock, which
+jumps); it sleeps until bytes come instead of asking for them in a loop; the time allowed for an
+answer is set, where the SDK takes 34 ms; nobody else may open the port; and what goes wrong is a
+PortError.
+"""
+
+from __future__ import annotations
+
+import select
+import termios
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import serial
+from dynamixel_sdk import PortHandler
+
+from slot_core.dynamixel.errors import PortError
+
+Clock = Callable[[], float]
+BITS_PER_BYTE = 10  # with start and stop bit
+WRITE_TIMEOUT = 0.5  # s, where nobody takes the bytes
+TTY_CLASS = Path("/sys/class/tty")
+UDEV_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
+
+
+class SerialPort(PortHandler):
+    """A port of the SDK's kind (hence the names of its methods)."""
+
+    def __init__(self, name: str, baud: int, timeout: float, clock: Clock = time.monotonic) -> None:
+        super().__init__(name)
+        self._clock = clock
+        self._timeout = timeout
+        self.baudrate = baud
+
+    def open(self) -> None:
+        """Open the port at its rate; raises PortError with the cause."""
+        if not self.setBaudRate(self.baudrate):
+            raise PortError(f"{self.port_name}: {self.baudrate} baud is not supported")
+
+    def close(self) -> None:
+        """Close the port; may be done again."""
+        if self.ser is not None:
+            self.ser.close()
+        self.is_open = False
+        self.is_using = False
+
+    def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802
+        """Open the device, for this process alone."""
+        self.close()
+        try:
+            self.ser = serial.Serial(
+                port=self.port_name,
+                baudrate=cflag_baud,
+                timeout=0,
+                write_timeout=WRITE_TIMEOUT,
+                exclusive=True,
+            )
+        except (OSError, termios.error, ValueError) as error:
+            raise PortError(f"{self.port_name}: {error}") from None
+        self.is_open = True
+        self.tx_time_per_byte = 1e3 * BITS_PER_BYTE / self.baudrate
+        return True
+
+    def clearPort(self) -> None:  # noqa: N802
+        """Drop what has come in."""
+        self._guard(self._discard)
+
+    def readPort(self, length: int) -> bytes:  # noqa: N802
+        """Up to `length` bytes: those there are, else the next to come within the time left."""
+        left = (self.packet_timeout - self.getTimeSinceStart()) * 1e-3
+        return bytes(self._guard(lambda: self._await(length, max(left, 0.0))))
+
+    def writePort(self, packet: list[int]) -> int:  # noqa: N802
+        """Send; returns the number of bytes."""
+        return int(self._guard(lambda: self.ser.write(bytes(packet))))
+
+    def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
+        """Start waiting for so many bytes."""
+        self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + 1e3 * self._timeout)
+
+    def getCurrentTime(self) -> float:  # noqa: N802
+        """Time in ms."""
+        return 1e3 * self._clock()
+
+    def drain(self, quiet: float) -> int:
+        """Drop what comes until nothing has come for `quiet` s; returns how many bytes came."""
+        dropped = 0
+        end = self._clock() + self._timeout + quiet  # whatever babbles there
+        while self._clock() < end:
+            data = self._guard(lambda: self._await(self.ser.in_waiting or 1, quiet))
+            if not data:
+                break
+            dropped += len(data)
+        return dropped
+
+    def _discard(self) -> None:
+        self.ser.reset_input_buffer()
+
+    def _await(self, length: int, timeout: float) -> bytes:
+        if length <= 0:  # the SDK asks for that where a damaged length says so
+            return b""
+        ready, _, _ = select.select([self.ser.fileno()], [], [], timeout)
+        return bytes(self.ser.read(length)) if ready else b""
+
+    def _guard(self, action: Callable[[], Any]) -> Any:
+        """What `action` returns; whatever the system says against it becomes a PortError."""
+        try:
+            if self.ser is None or not self.ser.is_open:
+                raise OSError("the port is not open")
+            return action()
+        except (OSError, termios.error, TypeError, ValueError) as error:
+            self.is_using = False  # TypeError, ValueError: closed by another thread meanwhile
+            raise PortError(f"{self.port_name}: {error}") from None
+
+
+def check_latency(name: str, limit: int, tty_class: Path = TTY_CLASS) -> int | None:
+    """Latency timer (ms) of a USB serial port; None where the port has none.
+
+    FTDI's chips keep what they receive for this time, 16 ms by default. Raises PortError where it
+    is above `limit`, with the udev rule that sets it.
+    """
+    device = Path(name).resolve().name  # /dev/serial/by-id/... are links
+    path = tty_class / device / "device" / "latency_timer"
+    try:
+        found = int(path.read_text())
+    except (OSError, ValueError):
+        return None
+    if found > limit:
+        raise PortError(
+            f"{name}: latency timer {found} ms, limit {limit} ms;"
+            f" put into /etc/udev/rules.d/99-dynamixel.rules: {UDEV_RULE}"
+        )
+    return found

@@ -1,0 +1,71 @@
+"""The position loop on the host, promise by promise."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from slot_core.dynamixel.host_pid import HostPid
+from slot_core.dynamixel.settings import HostPidSettings
+
+SETTINGS = HostPidSettings(
+    p=2.0, i=0.0, d=0.0, filter_time=0.0, duty_limit=1.0, duty_rate=1e4, blind_time=0.03
+)
+H = 0.01
+FOUR = np.ones(4)
+
+
+def pid(**changes):
+    return HostPid(dataclasses.replace(SETTINGS, **changes))
+
+
+def test_duty_is_p_of_the_error_minus_d_of_the_speed():
+    duty = pid(d=0.1).step(0.3 * FOUR, 0.1 * FOUR, 2.0 * FOUR, H)
+    assert duty == pytest.approx(2.0 * 0.2 - 0.1 * 2.0)
+
+
+def test_a_step_of_the_goal_gives_no_kick_of_the_derivative():
+    loop, other = pid(d=0.5), pid()
+    assert loop.step(FOUR, 0.9 * FOUR, 0 * FOUR, H) == pytest.approx(
+        other.step(FOUR, 0.9 * FOUR, 0 * FOUR, H)
+    )
+
+
+def test_the_integral_grows_with_error_and_time():
+    loop = pid(p=0.0, i=3.0)
+    for _ in range(10):
+        duty = loop.step(0.2 * FOUR, 0 * FOUR, 0 * FOUR, H)
+    assert duty == pytest.approx(3.0 * 0.2 * 10 * H)
+
+
+def test_the_integral_rests_while_the_duty_is_at_its_limit():
+    loop = pid(p=1.0, i=5.0, duty_limit=0.5)
+    for _ in range(500):
+        assert np.all(loop.step(FOUR, 0 * FOUR, 0 * FOUR, H) <= 0.5)
+    # The P part alone is beyond the limit, so nothing may have been summed up.
+    assert loop.integral == pytest.approx(0.0)
+    assert np.all(loop.step(0.9 * FOUR, FOUR, 0 * FOUR, H) < 0.0)
+
+
+def test_the_duty_changes_no_faster_than_its_rate():
+    loop, before = pid(p=100.0, duty_rate=20.0), np.zeros(4)
+    for goal in (1.0, 1.0, -1.0, -1.0, -1.0):
+        duty = loop.step(goal * FOUR, 0 * FOUR, 0 * FOUR, H)
+        assert np.all(np.abs(duty - before) <= 20.0 * H + 1e-12)
+        before = duty
+
+
+def test_a_leg_without_a_reading_keeps_its_duty_for_a_while_then_gets_none():
+    loop = pid()
+    angle = np.zeros(4)
+    loop.step(0.2 * FOUR, angle, 0 * FOUR, H)
+    angle[1] = np.nan
+    duties = [loop.step(0.1 * FOUR, angle, 0 * FOUR, H) for _ in range(5)]
+    assert [duty[1] for duty in duties] == pytest.approx([0.4, 0.4, 0.4, 0.0, 0.0])
+    assert duties[-1][0] == pytest.approx(0.2)
+    assert np.all(np.isfinite(duties))
+
+
+def test_time_that_stands_still_is_a_programmers_error():
+    with pytest.raises(ValueError, match="positive time"):
+        pid().step(FOUR, FOUR, FOUR, 0.0)

@@ -1,0 +1,169 @@
+"""Packets against the SDK's own CRC and packet builder and the examples of the e-manual."""
+
+import re
+
+import numpy as np
+import pytest
+from dynamixel_sdk import COMM_SUCCESS, GroupSyncRead, GroupSyncWrite, PacketHandler
+
+from slot_core.dynamixel.packet import (
+    BROADCAST,
+    Instruction,
+    Parser,
+    build,
+    crc,
+    fast_status,
+    status,
+    stuff,
+    unstuff,
+)
+
+SDK = PacketHandler(2.0)
+
+
+class Wire:
+    """A port of the SDK's kind: keeps what is sent, gives what it was told to."""
+
+    def __init__(self, incoming=b""):
+        self.sent, self.incoming = b"", bytearray(incoming)
+        self.is_using, self.packet_timeout = False, 1.0
+
+    def clearPort(self):  # noqa: N802
+        pass
+
+    def writePort(self, packet):  # noqa: N802
+        self.sent = bytes(packet)
+        return len(packet)
+
+    def readPort(self, length):  # noqa: N802
+        data = bytes(self.incoming[:length])
+        del self.incoming[:length]
+        return data
+
+    def setPacketTimeout(self, length):  # noqa: N802
+        pass
+
+    def isPacketTimeout(self):  # noqa: N802
+        return not self.incoming
+
+
+# ROBOTIS e-manual, Protocol 2.0, the examples of each instruction and its status packets.
+EXAMPLES = [
+    (build(1, Instruction.PING), "FFFFFD00 01 0300 01 194E"),
+    (build(BROADCAST, Instruction.PING), "FFFFFD00 FE 0300 01 3142"),
+    (status(1, 0, b"\x06\x04\x26"), "FFFFFD00 01 0700 55 00 060426 655D"),
+    (status(2, 0, b"\x06\x04\x26"), "FFFFFD00 02 0700 55 00 060426 6F6D"),
+    (build(1, Instruction.READ, b"\x84\0\4\0"), "FFFFFD00 01 0700 02 84000400 1D15"),
+    (status(1, 0, b"\xa6\0\0\0"), "FFFFFD00 01 0800 55 00 A6000000 8CC0"),
+    (build(1, Instruction.WRITE, b"\x74\0\0\2\0\0"), "FFFFFD00 01 0900 03 740000020000 CA89"),
+    (status(1, 0), "FFFFFD00 01 0400 55 00 A10C"),
+    (build(1, Instruction.REG_WRITE, b"\x68\0\xc8\0\0\0"), "FFFFFD00 01 0900 04 6800C8000000 AE8E"),
+    (build(1, Instruction.ACTION), "FFFFFD00 01 0300 05 02CE"),
+    (build(1, Instruction.FACTORY_RESET, b"\1"), "FFFFFD00 01 0400 06 01 A1E6"),
+    (build(1, Instruction.REBOOT), "FFFFFD00 01 0300 08 2F4E"),
+    (build(1, Instruction.CLEAR, b"\x01\x44\x58\x4c\x22"), "FFFFFD00 01 0800 10 0144584C22 B1DC"),
+    (
+        build(BROADCAST, Instruction.SYNC_READ, b"\x84\0\4\0\1\2"),
+        "FFFFFD00 FE 0900 82 840004000102 CEFA",
+    ),
+    (
+        build(BROADCAST, Instruction.SYNC_WRITE, b"\x74\0\4\0\1\x96\0\0\0\2\xaa\0\0\0"),
+        "FFFFFD00 FE 1100 83 74000400 0196000000 02AA000000 8287",
+    ),
+    (
+        build(BROADCAST, Instruction.BULK_READ, b"\1\x90\0\2\0\2\x92\0\1\0"),
+        "FFFFFD00 FE 0D00 92 0190000200 0292000100 1A05",
+    ),
+    (
+        build(BROADCAST, Instruction.BULK_WRITE, b"\1\x20\0\2\0\xa0\0\2\x1f\0\1\0\x50"),
+        "FFFFFD00 FE 1000 93 01200002 00A000 021F00010050 B768",
+    ),
+]
+
+
+@pytest.mark.parametrize(("packet", "example"), EXAMPLES)
+def test_packets_are_those_of_the_manual(packet, example):
+    assert packet == bytes.fromhex(example.replace(" ", ""))
+
+
+def test_crc_is_the_one_of_the_sdk():
+    rng = np.random.default_rng(1)
+    for size in range(1, 100):
+        data = rng.bytes(size)
+        assert crc(data) == SDK.updateCRC(0, list(data), size)
+
+
+def test_sync_write_is_the_packet_that_the_sdk_builds():
+    wire = Wire()
+    group = GroupSyncWrite(wire, SDK, 116, 4)
+    for identity, goal in ((5, 2000), (4, 100), (2, -7)):
+        assert group.addParam(identity, list(goal.to_bytes(4, "little", signed=True)))
+    assert group.txPacket() == COMM_SUCCESS
+    data = b"".join(
+        bytes([identity]) + goal.to_bytes(4, "little", signed=True)
+        for identity, goal in ((5, 2000), (4, 100), (2, -7))
+    )
+    assert wire.sent == build(BROADCAST, Instruction.SYNC_WRITE, b"\x74\0\4\0" + data)
+
+
+def test_stuffing_leaves_no_header_inside_and_is_undone():
+    rng = np.random.default_rng(2)
+    for size in range(1, 60):
+        body = bytes(rng.choice(np.array([0xFF, 0xFD, 0x00], dtype=np.uint8), size))
+        stuffed = stuff(body)
+        assert unstuff(stuffed) == body
+        assert re.search(b"\xff\xff\xfd(?!\xfd)", stuffed) is None
+
+
+def test_sdk_reads_a_stuffed_answer():
+    """Load -1, velocity -3 and position 253: FF FF | FD FF FF FF | FD 00 00 00, stuffed twice."""
+    data = bytes.fromhex("FFFF FDFFFFFF FD000000")
+    wire = Wire(status(5, 0, data))
+    assert len(wire.incoming) == 11 + len(data) + 2
+    found, result, error = SDK.readTxRx(wire, 5, 126, 10)
+    assert (bytes(found), result, error) == (data, COMM_SUCCESS, 0)
+
+
+def test_sdk_reads_the_joint_answer_of_a_fast_sync_read():
+    values = {5: 2000, 4: 1, 2: 4095, 3: 0x00FDFFFF}  # the last is not stuffed there
+    replies = [(i, 0, v.to_bytes(4, "little")) for i, v in values.items()]
+    wire = Wire(fast_status(replies))
+    group = GroupSyncRead(wire, SDK, 132, 4)
+    for identity in values:
+        group.addParam(identity)
+    assert group.fastSyncRead() == COMM_SUCCESS
+    assert {identity: group.getData(identity, 132, 4) for identity in values} == values
+
+
+def test_parser_finds_packets_in_noise_whatever_the_pieces():
+    rng = np.random.default_rng(3)
+    packets = [build(int(rng.integers(253)), 3, rng.bytes(rng.integers(1, 30))) for _ in range(200)]
+    noise = [bytes(rng.integers(0, 0xF0, rng.integers(0, 20), dtype=np.uint8)) for _ in packets]
+    stream = b"".join(n + p for n, p in zip(noise, packets))
+    parser, found, at = Parser(), [], 0
+    while at < len(stream):
+        step = int(rng.integers(1, 40))
+        found += [p for p in parser.feed(stream[at : at + step]) if p.intact]
+        at += step
+    assert [build(p.id, p.instruction, p.parameters) for p in found] == packets
+
+
+def test_no_packet_with_one_or_two_wrong_bits_is_intact():
+    """CRC-16 with this polynomial finds all errors of two bits within 32767 (x + 1 is a factor)."""
+    packet = build(5, Instruction.WRITE, b"\x74\0\0\2\0\0")
+    bits = 8 * len(packet)
+    for first in range(bits):
+        for second in range(first, bits):
+            data = bytearray(packet)
+            data[first // 8] ^= 1 << first % 8
+            if second != first:
+                data[second // 8] ^= 1 << second % 8
+            assert not any(p.intact for p in Parser().feed(bytes(data)))
+
+
+def test_a_good_packet_behind_a_damaged_one_is_found():
+    good = build(5, Instruction.PING)
+    damaged = bytearray(build(5, Instruction.WRITE, bytes(20)))
+    damaged[5] += 10  # its length: it seems to reach into the next packet
+    found = [p for p in Parser().feed(bytes(damaged) + good) if p.intact]
+    assert [(p.id, p.instruction) for p in found] == [(5, Instruction.PING)]
