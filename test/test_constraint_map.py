@@ -1,19 +1,17 @@
 """The Dynamic Constraint Map of made-up bags, and of one whose messages are older."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+import synthetic_walk
 from matplotlib.image import imread
 from synthetic_walk import WALL, encode, message
 
 from slot_core.control.mpc import Status
-from slot_core.evaluation import constraint_map
+from slot_core.evaluation import constraint_map, message_types
 from slot_core.evaluation.bag import Bag, BagError, BagWriter, read_record_settings
 from slot_core.evaluation.constraint_map import TOPIC, draw_map, main, map_figure, read_map
 
 TYPE = "slot_msgs/msg/GroundReactionForces"
-BAGS = Path(__file__).resolve().parent / "bags"
 
 
 def write_cycles(path, cycles):
@@ -96,9 +94,24 @@ def test_a_single_violated_cycle_shows_in_a_long_walk(tmp_path, monkeypatch):
     assert (shown < 0).sum() == 1
 
 
-def test_fields_that_older_messages_lack_are_named_and_left_out():
-    """test/bags/walk was recorded before the balance had a slack."""
-    found = read_map(Bag(BAGS / "walk"))
+@pytest.fixture
+def older_messages(tmp_path, monkeypatch):
+    """The installed definitions without the slack of the balance."""
+    folder = tmp_path / "share" / "slot_msgs" / "msg"
+    folder.mkdir(parents=True)
+    for path in message_types._message_files():
+        lines = path.read_text().splitlines(keepends=True)
+        kept = [line for line in lines if "slack_balance" not in line]
+        (folder / path.name).write_text("".join(kept))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    monkeypatch.setattr(synthetic_walk, "TYPES", message_types.message_types())
+
+
+@pytest.mark.usefixtures("older_messages")
+def test_fields_that_older_messages_lack_are_named_and_left_out(tmp_path):
+    fields = cycle()
+    del fields["slack_balance"]
+    found = read_map(Bag(write_cycles(tmp_path / "older", [fields] * 30)))
     assert found.missing == ("slack_balance",)
     assert not any("balance" in name for name in found.constraints)
     assert "slack_balance: not in the messages of this bag" in constraint_map.summary_lines(found)

@@ -25,7 +25,7 @@ NODES = {spec.name: spec for spec in GRAPH.nodes(DEFAULTS | {"bag": "bag"})}
 RUN = [sys.executable, "-m", "slot_bringup"]
 
 
-def wait_until(condition, limit=30.0):
+def wait_until(condition, limit=90.0):
     """Wait for a condition, at most `limit` seconds."""
     end = time.monotonic() + limit
     while not condition():

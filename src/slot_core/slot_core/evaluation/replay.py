@@ -189,12 +189,17 @@ def _numbers(value: Any) -> np.ndarray:
 
 
 def _distance(recorded: np.ndarray, replayed: np.ndarray) -> np.ndarray:
-    """|difference|, zero where both are NaN, infinite where one is or the shapes differ."""
+    """|difference|, zero where both are the same or NaN; infinite where one is not finite.
+
+    Infinite, too, where the shapes differ.
+    """
     if recorded.shape != replayed.shape:
         return np.full(max(len(recorded), 1), math.inf)
-    distance = np.abs(recorded - replayed)
-    one_nan = np.isnan(recorded) != np.isnan(replayed)
-    return np.where(one_nan, math.inf, np.nan_to_num(distance, nan=0.0))
+    same = (recorded == replayed) | (np.isnan(recorded) & np.isnan(replayed))
+    finite = np.isfinite(recorded) & np.isfinite(replayed)
+    distance = np.where(same, 0.0, math.inf)
+    distance[finite] = np.abs(recorded[finite] - replayed[finite])
+    return distance
 
 
 def _tolerance(text: str) -> float:
