@@ -24,10 +24,13 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from rclpy.serialization import deserialize_message, serialize_message
 
 from slot_bringup.graph import Graph, read_graph
 from slot_bringup.monitor import RunError, watch
 from slot_bringup.run import started
+from slot_core import decode
+from slot_core.control.mpc import Mpc, read_mpc
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.evaluation import palette
@@ -44,11 +47,14 @@ from slot_core.evaluation.benchmark import (
 from slot_core.evaluation.closed_loop import ClosedLoop
 from slot_core.evaluation.metrics import Latency, WalkMetrics, walk_metrics
 from slot_core.evaluation.walk import STAGES, Ticks, read_motion, read_ticks
-from slot_core.robot import Array
+from slot_core.robot import Array, read_robot
+from slot_msgs.msg import GaitPreview, MpcState
+from slot_nodes import messages
 
 STANDING = 1.0  # s, at most, from the first state to the first command: the robot is frozen
 SAMPLE_PERIOD = 0.25  # s between looks at the processes; the kernel counts CPU time in 10 ms
 BLOCK = 30  # ticks of the closed loop per repeat, about a second
+CYCLE, CYCLES, CYCLE_MS = 0.033, 120, 2.0  # s between cycles, how many, goal of their median
 END_TO_END = "end to end"
 WHOLE = "all nodes"
 NODE_FIGURES = ("cpu_percent", "rss_mb", "pss_mb")
@@ -118,6 +124,8 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
     values = {argument.name: argument.default for argument in graph.arguments}
     progress("closed loop in one process")
     loop = closed_loop_row(values, plan.blocks)  # compiles what the nodes will load, too
+    progress("cycle of the MPC's node")
+    cycle = cycle_row(CYCLES)
     progress("lockstep")
     lockstep = walk(graph, values | {"lockstep": True}, plan.lockstep)
     walks = []
@@ -128,7 +136,11 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
     rows = [row for repeat, one in enumerate(walks) for row in walk_rows(repeat, one)]
     rows += medians(rows)
     speed = lockstep.metrics.real_time_factor
-    rows += [{"kind": "lockstep", "duration_s": lockstep.metrics.duration, "speed": speed}, loop]
+    rows += [
+        {"kind": "lockstep", "duration_s": lockstep.metrics.duration, "speed": speed},
+        loop,
+        cycle,
+    ]
     return rows, checks(rows, plan, walks[0].metrics.period)
 
 
@@ -158,6 +170,31 @@ def record(graph: Graph, values: Mapping[str, Any], duration: float) -> Usage:
             watch(processes, duration)
         add_memory(usage, pids.values())
         return usage
+
+
+def cycle_row(ticks: int) -> dict[str, Any]:
+    """What the MPC's node does between two messages and one, paced at 30 Hz without DDS."""
+    loop = ClosedLoop("flat", "walk", None, 0)
+    walk = [
+        (messages.preview_to_msg(tick.preview), messages.state_to_msg(tick.estimate))
+        for tick in loop.run(ticks)
+    ]
+    inputs = [tuple(map(serialize_message, pair)) for pair in walk]
+    mpc, elapsed, cpu = Mpc(read_robot(), read_mpc(), time.perf_counter), [], []
+    for preview, state in inputs:
+        time.sleep(CYCLE)
+        start, busy = time.perf_counter(), time.process_time()
+        stamp, x, *_ = decode.state(deserialize_message(state, MpcState))
+        result = mpc.step(x, decode.preview(deserialize_message(preview, GaitPreview)))
+        serialize_message(messages.forces_to_msg(stamp, result))
+        elapsed.append(time.perf_counter() - start)
+        cpu.append(time.process_time() - busy)
+    return {
+        "kind": "cycle",
+        "median_ms": 1e3 * np.median(elapsed),
+        "p99_ms": 1e3 * np.percentile(elapsed, 99),
+        "cpu_ms": 1e3 * np.median(cpu),
+    }
 
 
 @contextmanager
@@ -297,6 +334,10 @@ def checks(rows: Sequence[Row], plan: Plan, period: float) -> list[Check]:
         at_most("largest tilt", max(worst("tilt_max_rad")), LARGEST_TILT, "rad"),
         at_most("CPU of all nodes", cpu, CPU_PERCENT, "% of one core"),
         at_most("memory of all nodes", max(worst("pss_mb", "node", node=WHOLE)), PSS_MB, "MB"),
+        at_most("cycle of the MPC's node", column("median_ms", kind="cycle")[0], CYCLE_MS, "ms"),
+        at_most(
+            "its CPU at 200 Hz", 20.0 * column("cpu_ms", kind="cycle")[0], 100.0, "% of a core"
+        ),
         at_least("lockstep speed", column("speed", kind="lockstep")[0], LOCKSTEP_SPEED, "x"),
         at_most("closed loop CPU", column("cpu_s_per_s")[0], LOOP_CPU, "s per s"),
     ]
