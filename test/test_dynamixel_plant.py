@@ -22,7 +22,8 @@ ROBOT = read_robot()
 def make(**changes):
     scene = read_scene("flat")
     servo = dataclasses.replace(read_servo(), **changes)
-    return BusPlant(ROBOT, scene, servo, np.random.default_rng(1), read_settings(), read_emulator())
+    rng = np.random.default_rng(1)
+    return BusPlant(ROBOT, scene, servo, rng, settings=read_settings(), emulator=read_emulator())
 
 
 @pytest.fixture

@@ -60,7 +60,7 @@ class DynamixelDriverNode(LifecycleNode):
         stall = read_servo().stall_torque
         self._stall = np.array([abs(joint.tendon_torque(stall)) for joint in joints])
         self._open = False
-        self._refusal = ""
+        self._refusal, self._starting = "", False
         self._cycle: Cycle | None = None
         self._timer: Timer | None = None
         self._create_outputs()
@@ -135,8 +135,10 @@ class DynamixelDriverNode(LifecycleNode):
             self.get_logger().info(f"waiting for {self._port}", throttle_duration_sec=5.0)
             return
         self.destroy_timer(self._starter)
+        self._starting = True
         if self.trigger_configure() == SUCCESS:
             if self.trigger_activate() == SUCCESS:
+                self._starting = False
                 return
             self.trigger_cleanup()
         self.get_logger().fatal(self._refusal)
@@ -197,7 +199,8 @@ class DynamixelDriverNode(LifecycleNode):
 
     def _refuse(self, reason: str) -> TransitionCallbackReturn:
         self._refusal = reason
-        self.get_logger().error(reason)
+        if not self._starting:  # then it is said once, at the end
+            self.get_logger().error(reason)
         return FAILURE
 
     def _end_cycles(self) -> None:
@@ -209,9 +212,9 @@ class DynamixelDriverNode(LifecycleNode):
         """Slack and torque off; whether every servo has confirmed it."""
         off = self._session.stop()
         if off.complete:
-            self.get_logger().info("torque off, confirmed by every servo")
+            runtime.last_logger(self).info("torque off, confirmed by every servo")
         else:
-            self.get_logger().error("torque NOT off: " + "; ".join(off.reasons))
+            runtime.last_logger(self).error("torque NOT off: " + "; ".join(off.reasons))
         return off.complete
 
     def _close(self) -> None:

@@ -44,9 +44,10 @@ LOCKSTEP_START = 1_000_000_000  # ns; a stamp of zero means "no time" in ROS
 WAIT_PERIOD = 0.1  # s, between the readings of the frozen robot
 REAL_TIME_PERIOD = 0.002  # s, between looks at the clock
 CATCH_UP = 20_000_000  # ns of simulation per callback at most, so that commands get through
+BUS_CATCH_UP = 4_000_000  # ns, so that the servos' time does not run away from their driver's
 LAG_WARNING = 100_000_000  # ns behind real time
 OUTLAST = 3.0  # s for the driver to switch the servos off
-BUS_SILENCE = 0.5  # s after which no driver is there any more
+BUS_SILENCE = 0.3  # s after which the driver has ended
 THREAD_SWITCH = 5e-4  # s: how long the simulation keeps the bus from answering
 
 
@@ -85,7 +86,8 @@ class SimRobotNode(Node):
             return Plant(read_robot(), scene, servo, rng)
         if self._lockstep:
             raise ConfigError("sim_robot: servos on a bus move in real time: no lockstep with them")
-        return BusPlant(read_robot(), scene, servo, rng, read_settings(), read_emulator())
+        settings, emulator = read_settings(), read_emulator()
+        return BusPlant(read_robot(), scene, servo, rng, settings=settings, emulator=emulator)
 
     def _open_bus(self, link: Path) -> PseudoTerminal:
         """Let the emulated servos answer at `link`; raises ConfigError where something else is."""
@@ -169,7 +171,7 @@ class SimRobotNode(Node):
                 f"simulation is {lag:.2f} s behind real time (limit {LAG_WARNING * 1e-9} s)",
                 throttle_duration_sec=1.0,
             )
-        until = min(now, self._plant.now + CATCH_UP)
+        until = min(now, self._plant.now + (BUS_CATCH_UP if self._terminal else CATCH_UP))
         for reading in self._guarded(self._plant.advance(until)):
             self._publish(reading)
 
@@ -195,7 +197,7 @@ class SimRobotNode(Node):
         assert isinstance(self._plant, BusPlant)
         last = time.monotonic()
         end = last + OUTLAST
-        while self._plant.powered() and terminal.silence < BUS_SILENCE and last < end:
+        while terminal.silence < BUS_SILENCE and last < end:
             time.sleep(REAL_TIME_PERIOD)
             now = time.monotonic()
             if not self._frozen:
@@ -203,7 +205,7 @@ class SimRobotNode(Node):
                     pass  # nobody listens any more
             last = now
         left = ", ".join(self._plant.powered())
-        self.get_logger().info(f"servos left under torque: {left or 'none'}")
+        runtime.last_logger(self).info(f"servos left under torque: {left or 'none'}")
 
     def _publish(self, reading: Reading) -> None:
         if self._lockstep and self._told != self._plant.now:

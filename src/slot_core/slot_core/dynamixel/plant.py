@@ -41,6 +41,7 @@ class BusPlant(Plant):
         scene: Scene,
         servo: ServoSettings,
         rng: np.random.Generator,
+        *,
         settings: DynamixelSettings,
         emulator: EmulatorSettings,
     ) -> None:
