@@ -11,7 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rclpy
 from graph_bag import read
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from std_srvs.srv import SetBool
 
 from slot_bringup.graph import read_graph
 from slot_bringup.processes import command_line
@@ -164,6 +168,43 @@ def test_a_driver_that_is_asked_to_end_switches_the_servos_off(environment, tmp_
         assert driver.wait(20) == 0, log.read_text()
         assert "torque off, confirmed by every servo" in log.read_text()
     assert "servos left under torque: none" in (tmp_path / "sim_robot.log").read_text()
+
+
+def test_the_torque_service_slackens_and_brings_torque_back(environment, tmp_path):
+    log = tmp_path / "dynamixel_driver.log"
+    with (
+        nodes(environment, tmp_path, "sim_robot", "dynamixel_driver") as children,
+        torque_client() as switch,
+    ):
+        alive = children["dynamixel_driver"].poll
+        wait_for(lambda: "torque on" in log.read_text() or alive() is not None)
+        assert switch(True) == (False, "activate: torque is on already")
+        assert switch(False) == (True, "slackening, then torque off")
+        wait_for(lambda: "OFF torque off, after: torque switched off" in log.read_text())
+        assert switch(True) == (True, "torque on")
+
+
+@contextmanager
+def torque_client():
+    """A function that calls the torque service and returns success and message."""
+    context = Context()
+    rclpy.init(args=[], context=context)
+    node = rclpy.create_node("operator", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    client = node.create_client(SetBool, "/dynamixel_driver/torque")
+
+    def switch(on):
+        assert client.wait_for_service(30.0)
+        future = client.call_async(SetBool.Request(data=on))
+        executor.spin_until_future_complete(future, 20.0)
+        return future.result().success, future.result().message
+
+    try:
+        yield switch
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
 
 
 @pytest.mark.parametrize("hardware", ["fake_bus", "real"])
