@@ -38,6 +38,29 @@ def test_arguments_reach_the_nodes_with_their_types(graph):
     assert nodes["sim_robot"].parameters["seed"] == 3
 
 
+def test_driver_and_emulated_servos_meet_at_one_port(graph):
+    nodes = {s.name: s for s in graph.nodes(values(graph, hardware="fake_bus"))}
+    port = nodes["dynamixel_driver"].parameters["bus.port"]
+    assert port
+    assert nodes["sim_robot"].parameters["bus"] == port
+
+
+def test_real_servos_differ_from_emulated_ones_in_the_port_alone(graph):
+    specs = graph.nodes(values(graph, hardware="real", port="/dev/ttyUSB7"))
+    real = {s.name: s for s in specs}
+    assert "sim_robot" not in real
+    emulated = {s.name: s for s in graph.nodes(values(graph, hardware="fake_bus"))}
+    for name, spec in real.items():
+        changes = {"bus.port": "/dev/ttyUSB7"} if name == "dynamixel_driver" else {}
+        assert spec.parameters == emulated[name].parameters | changes
+
+
+def test_simulated_servos_need_no_driver(graph):
+    nodes = {s.name: s for s in graph.nodes(values(graph))}
+    assert "dynamixel_driver" not in nodes
+    assert "bus" not in nodes["sim_robot"].parameters
+
+
 def test_lockstep_makes_every_node_follow_the_simulators_clock(graph):
     for spec in graph.nodes(values(graph, lockstep=True)):
         assert spec.parameters["use_sim_time"] is True

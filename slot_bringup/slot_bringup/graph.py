@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import yaml
@@ -68,6 +71,7 @@ class Graph:
 
     def nodes(self, values: Mapping[str, Any]) -> list[NodeSpec]:
         """The nodes to start for a value of every argument."""
+        values = {**values, **_ports(values["hardware"], values["port"])}
         return [
             NodeSpec(name, entry["package"], self._parameters(entry, values))
             for name, entry in self._nodes.items()
@@ -83,6 +87,14 @@ class Graph:
             if isinstance(value, str) and value.startswith("$"):
                 parameters[name] = values[value[1:]]
         return {name: value for name, value in parameters.items() if value is not None}
+
+
+def _ports(hardware: str, port: str | None) -> dict[str, str | None]:
+    """Where the driver finds the servos, and where emulated ones are to be found."""
+    if hardware != "fake_bus":
+        return {"driver_port": port, "emulated_port": None}
+    link = port or str(Path(tempfile.gettempdir(), f"slot_bus_{os.getpid()}"))
+    return {"driver_port": link, "emulated_port": link}
 
 
 def read_graph() -> Graph:

@@ -85,6 +85,8 @@ def check(options: argparse.Namespace) -> None:
     GaitScheduler(gaits, options.gait, np.array([v_x, options.vy, 0.0]))
     read_scene(options.scene)
     read_mpc(options.mpc)
+    if options.lockstep and options.hardware != "sim":
+        raise ConfigError(f"--lockstep: servos of --hardware {options.hardware} move in real time")
     if not 0 <= options.seed < 2**63:
         raise ConfigError(f"--seed {options.seed}: outside [0, {2**63 - 1}]")
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"

@@ -1,6 +1,7 @@
 from setuptools import find_packages, setup
 
 NODES = (
+    "dynamixel_driver",
     "force_mapper",
     "gait_scheduler",
     "mpc_controller",

@@ -29,6 +29,7 @@ if TYPE_CHECKING:  # a node imports only the cores it runs
     from slot_core.control.state_estimator import Estimate
     from slot_core.dynamics.plant import JointReading, TrueState
     from slot_core.dynamics.sensors import ImuReading, OdometryReading
+    from slot_core.servo_session import MeasuredJoints
 
 
 def ns_to_stamp(ns: int) -> Time:
@@ -71,7 +72,7 @@ def imu_to_msg(reading: ImuReading) -> Imu:
     return message
 
 
-def joints_to_msg(reading: JointReading) -> JointState:
+def joints_to_msg(reading: JointReading | MeasuredJoints) -> JointState:
     """Tendon angle, rate and servo torque."""
     return JointState(
         header=header(reading.stamp, BASE_FRAME),

@@ -15,6 +15,8 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
+from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -81,6 +83,11 @@ def declare(node: Node, name: str, default: Any, description: str, **descriptor:
 def wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer:
     """A timer on the wall clock: the ROS clock stands still until somebody carries it."""
     return node.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+
+def last_logger(node: Node) -> RcutilsLogger:
+    """A logger that also serves after the end of the context: /rosout does not have its lines."""
+    return get_logger(f"{node.get_name()}.end")
 
 
 def subscribe(

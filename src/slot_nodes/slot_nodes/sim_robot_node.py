@@ -4,9 +4,16 @@ In real time the plant follows the ROS clock. In lockstep it carries the clock: 
 odometry reading until the command with that reading's stamp has come, and publishes `/clock`.
 Either way the robot stands frozen: silent until it is recorded, where it is to be, and at rest
 until the first command. So no run depends on the order of discovery.
+
+With `bus` set, the commands come over an emulated bus of servos behind a pseudo-terminal of that
+name. The robot is then silent until all servos are under torque, and it outlasts its driver, so
+that the driver can switch them off.
 """
 
+import sys
+import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
@@ -19,11 +26,16 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Bool
 
 from slot_core import decode
+from slot_core.config import ConfigError
 from slot_core.dynamics.plant import JointReading, Plant, Reading, TrueState
-from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.sensors import ImuReading, OdometryReading
-from slot_core.dynamics.servo import read_servo
+from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.dynamics.simulated_robot import Divergence
+from slot_core.dynamixel.emulator import read_emulator
+from slot_core.dynamixel.plant import BusPlant
+from slot_core.dynamixel.pseudo_terminal import PseudoTerminal
+from slot_core.dynamixel.settings import LEGS, read_settings
 from slot_core.robot import read_robot
 from slot_msgs.msg import LegStates
 from slot_nodes import messages, qos, runtime
@@ -32,7 +44,11 @@ LOCKSTEP_START = 1_000_000_000  # ns; a stamp of zero means "no time" in ROS
 WAIT_PERIOD = 0.1  # s, between the readings of the frozen robot
 REAL_TIME_PERIOD = 0.002  # s, between looks at the clock
 CATCH_UP = 20_000_000  # ns of simulation per callback at most, so that commands get through
+BUS_CATCH_UP = 4_000_000  # ns, so that the servos' time does not run away from their driver's
 LAG_WARNING = 100_000_000  # ns behind real time
+OUTLAST = 3.0  # s for the driver to switch the servos off
+BUS_SILENCE = 0.3  # s after which the driver has ended
+THREAD_SWITCH = 5e-4  # s: how long the simulation keeps the bus from answering
 
 
 class SimRobotNode(Node):
@@ -47,13 +63,15 @@ class SimRobotNode(Node):
         self._recorded = not runtime.declare(
             self, "wait_for_recording", False, "be silent until /recording"
         )
+        link = runtime.declare(self, "bus", "", "port of emulated servos; none: servo.yaml's")
         settings = runtime.declare_settings(self, read_scene(scene), "scene.")
         servo = runtime.declare_settings(self, read_servo(), "servo.")
         self.get_logger().info("preparing; a first start compiles the dynamics, about 10 s")
         try:
-            self._plant = Plant(read_robot(), settings, servo, np.random.default_rng(seed))
+            self._plant = self._make_plant(settings, servo, seed, bool(link))
         except Divergence as error:
             self._give_up(error)
+        self._terminal = self._open_bus(Path(link)) if link else None
         self._frozen = True
         self._told = 0  # last time published on /clock, ns
         self._awaited = LOCKSTEP_START  # stamp of the odometry whose command lets the plant go on
@@ -61,6 +79,23 @@ class SimRobotNode(Node):
         self.create_subscription(JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
         self.create_subscription(Bool, "recording", self._on_recording, qos.CONTROL)
         self._timer = runtime.wall_timer(self, WAIT_PERIOD, self._publish_frozen)
+
+    def _make_plant(self, scene: Scene, servo: ServoSettings, seed: int, bus: bool) -> Plant:
+        rng = np.random.default_rng(seed)
+        if not bus:
+            return Plant(read_robot(), scene, servo, rng)
+        if self._lockstep:
+            raise ConfigError("sim_robot: servos on a bus move in real time: no lockstep with them")
+        settings, emulator = read_settings(), read_emulator()
+        return BusPlant(read_robot(), scene, servo, rng, settings=settings, emulator=emulator)
+
+    def _open_bus(self, link: Path) -> PseudoTerminal:
+        """Let the emulated servos answer at `link`; raises ConfigError where something else is."""
+        assert isinstance(self._plant, BusPlant)
+        if link.exists() and Path("/dev/pts") not in link.resolve().parents:
+            raise ConfigError(f"sim_robot: bus = {link}: exists already")
+        sys.setswitchinterval(THREAD_SWITCH)
+        return PseudoTerminal(self._plant.legs.bus, link)
 
     def _create_publishers(self) -> None:
         self._clock_topic = self.create_publisher(ClockMessage, "/clock", qos.CLOCK)
@@ -80,11 +115,15 @@ class SimRobotNode(Node):
 
     def _publish_frozen(self) -> None:
         """Report the robot at rest until a command shows that the whole graph is there."""
-        if not self._recorded or not self._is_matched():
+        if not (self._recorded and self._is_powered() and self._is_matched()):
             return
         stamp = LOCKSTEP_START if self._lockstep else self.get_clock().now().nanoseconds
         for reading in self._plant.present(stamp):
             self._publish(reading)
+
+    def _is_powered(self) -> bool:
+        """Whether the servos follow commands."""
+        return not isinstance(self._plant, BusPlant) or len(self._plant.powered()) == len(LEGS)
 
     def _is_matched(self) -> bool:
         """Whether every subscriber that is known will hear what is published now."""
@@ -104,7 +143,7 @@ class SimRobotNode(Node):
         except ValueError as error:
             self.get_logger().error(f"command refused: {error}", throttle_duration_sec=1.0)
             return
-        if self._frozen:
+        if self._frozen and self._is_powered():
             self._start()
         if self._lockstep and stamp == self._awaited:
             self._advance_one_tick()
@@ -132,7 +171,7 @@ class SimRobotNode(Node):
                 f"simulation is {lag:.2f} s behind real time (limit {LAG_WARNING * 1e-9} s)",
                 throttle_duration_sec=1.0,
             )
-        until = min(now, self._plant.now + CATCH_UP)
+        until = min(now, self._plant.now + (BUS_CATCH_UP if self._terminal else CATCH_UP))
         for reading in self._guarded(self._plant.advance(until)):
             self._publish(reading)
 
@@ -146,6 +185,27 @@ class SimRobotNode(Node):
     def _give_up(self, error: Divergence) -> NoReturn:
         self.get_logger().fatal(f"simulation stopped: {error}")
         raise SystemExit(1) from None
+
+    def destroy_node(self) -> None:
+        """Let the driver switch off before its bus goes."""
+        if self._terminal is not None:
+            self._outlast_driver(self._terminal)
+            self._terminal.close()
+        super().destroy_node()
+
+    def _outlast_driver(self, terminal: PseudoTerminal) -> None:
+        assert isinstance(self._plant, BusPlant)
+        last = time.monotonic()
+        end = last + OUTLAST
+        while terminal.silence < BUS_SILENCE and last < end:
+            time.sleep(REAL_TIME_PERIOD)
+            now = time.monotonic()
+            if not self._frozen:
+                for _ in self._plant.advance(self._plant.now + round((now - last) * 1e9)):
+                    pass  # nobody listens any more
+            last = now
+        left = ", ".join(self._plant.powered())
+        runtime.last_logger(self).info(f"servos left under torque: {left or 'none'}")
 
     def _publish(self, reading: Reading) -> None:
         if self._lockstep and self._told != self._plant.now:

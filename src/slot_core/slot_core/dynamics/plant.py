@@ -147,8 +147,11 @@ class Plant:
         """Whole time steps only: the periods of `config/scene` are multiples of the step."""
         steps = (until - self.now) // self._step
         if steps > 0:
-            self.simulator.advance(steps, self._command)
+            self._move(steps)
             self.now += steps * self._step
+
+    def _move(self, steps: int) -> None:
+        self.simulator.advance(steps, self._command)
 
     def _read_imu(self) -> list[Reading]:
         return [self._imu.sample(self.simulator, self.now)]

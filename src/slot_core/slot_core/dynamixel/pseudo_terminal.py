@@ -55,6 +55,11 @@ class PseudoTerminal:
         """The port: the link, if one was asked for."""
         return str(self._link or self.slave)
 
+    @property
+    def silence(self) -> float:
+        """Time since the driver sent something, s."""
+        return self._clock() - self._heard
+
     def close(self) -> None:
         """Pull the plug for good; may be done again."""
         self._stopping.set()

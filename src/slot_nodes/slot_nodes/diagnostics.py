@@ -1,0 +1,70 @@
+"""What is known of servos and bus as diagnostics."""
+
+from __future__ import annotations
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from slot_core.control.command_gate import Action
+from slot_core.dynamixel.checks import hardware_errors
+from slot_core.dynamixel.state import Cycle, Health
+from slot_core.servo_session import Pace, ServoSession
+from slot_nodes import messages
+
+ERROR_RATE_WARNING = 0.05  # share of exchanges that failed
+
+
+def to_msg(stamp: int, session: ServoSession, pace: Pace, cycle: Cycle | None) -> DiagnosticArray:
+    """One status of the bus, one of each servo."""
+    silent = session.silent()
+    readings = cycle.readings if cycle is not None else (None,) * len(session.driver.health)
+    servos = [
+        _servo(health, session.driver.active, silent, None if reading is None else reading.load)
+        for health, reading in zip(session.driver.health, readings)
+    ]
+    return DiagnosticArray(header=messages.header(stamp, ""), status=[_bus(session, pace), *servos])
+
+
+def _bus(session: ServoSession, pace: Pace) -> DiagnosticStatus:
+    calm = session.action is Action.PASS or not session.reason.startswith("no command for")
+    return _status(
+        "servo bus",
+        DiagnosticStatus.OK if calm else DiagnosticStatus.ERROR,
+        session.reason or "commands pass",
+        action=session.action.value,
+        rate_Hz=f"{pace.rate:.1f}",
+        cycle_mean_ms=f"{1e3 * pace.mean:.2f}",
+        cycle_longest_ms=f"{1e3 * pace.longest:.2f}",
+        overruns=str(pace.overruns),
+    )
+
+
+def _servo(health: Health, active: bool, silent: list[str], load: float | None) -> DiagnosticStatus:
+    name = f"servo {health.leg} (id {health.id})"
+    faults = health.faults(active) + [line for line in silent if line.startswith(name)]
+    level = DiagnosticStatus.ERROR if faults else DiagnosticStatus.OK
+    if not faults and health.error_rate > ERROR_RATE_WARNING:
+        level = DiagnosticStatus.WARN
+    errors = health.hardware_error
+    return _status(
+        name,
+        level,
+        "; ".join(faults) or "sound",
+        temperature_C=_number(health.temperature),
+        voltage_V=_number(health.voltage),
+        load_share=_number(load),
+        torque={None: "", True: "on", False: "off"}[health.torque],
+        hardware_errors="" if errors is None else hardware_errors(errors),
+        error_rate=f"{health.error_rate:.4f}",
+    )
+
+
+def _status(name: str, level: bytes, message: str, **values: str) -> DiagnosticStatus:
+    pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
+    return DiagnosticStatus(
+        level=level, name=name, message=message, hardware_id="dynamixel", values=pairs
+    )
+
+
+def _number(value: float | None) -> str:
+    """Three digits; nothing where it is not known."""
+    return "" if value is None else f"{value:.3g}"

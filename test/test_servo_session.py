@@ -1,0 +1,189 @@
+"""Commands, silence and faults between a controller and emulated servos."""
+
+import numpy as np
+import pytest
+
+from slot_core import config
+from slot_core.control.command_gate import Action
+from slot_core.control.supervisor_settings import read_supervisor
+from slot_core.dynamixel.driver import Driver
+from slot_core.dynamixel.emulator import read_emulator
+from slot_core.dynamixel.errors import PortError, RefusedError
+from slot_core.dynamixel.faults import BusFault
+from slot_core.dynamixel.legs import EmulatedLegs
+from slot_core.dynamixel.port import SerialPort
+from slot_core.dynamixel.pseudo_terminal import PseudoTerminal
+from slot_core.dynamixel.settings import read_settings
+from slot_core.dynamixel.table import RAD_PER_COUNT
+from slot_core.robot import read_robot
+from slot_core.servo_session import ServoSession, measured
+
+PERIOD = 0.01  # s
+STANDING = np.array([0.1, 0.2, 0.3, 0.4])
+SLIGHTLY = STANDING + 0.02
+ONE_COUNT = 1.01 * RAD_PER_COUNT
+TIMING = read_supervisor().timing
+
+
+class Rig:
+    """A session whose time, and that of the servos, passes in `run` alone."""
+
+    def __init__(self):
+        # a busy machine may keep the emulator's thread waiting
+        settings = config.replace(read_settings(), {"bus.timeout": 0.05})
+        self.legs = EmulatedLegs(settings, read_emulator(), STANDING)
+        self.terminal = PseudoTerminal(self.legs.bus)
+        self.time = 0.0
+        port = SerialPort(self.terminal.name, settings.bus.baud, settings.bus.timeout)
+        self.driver = Driver(port, settings, clock=lambda: self.time)
+        self.driver.configure()
+        self.session = ServoSession(
+            self.driver, read_supervisor(), read_robot().tendon.angle_max, PERIOD, self.sleep
+        )
+        self.session.start()
+
+    @property
+    def now(self):
+        return round(self.time * 1e9)
+
+    def sleep(self, duration):
+        self.legs.advance(duration)
+        self.time += duration
+
+    def run(self, duration, angle=None):
+        """Steps for a time (s), a command before each; the time of every change of action (s)."""
+        changes = []
+        for _ in range(round(duration / PERIOD)):
+            before = self.session.action
+            if angle is not None:
+                self.session.offer(self.now, angle)
+            self.cycle = self.session.step(self.now)
+            if self.session.action is not before:
+                changes.append((self.session.action, self.time))
+            self.sleep(PERIOD)
+        return changes
+
+    def powered(self):
+        return [servo.memory["torque_enable"] for servo in self.legs.bus.servos]
+
+
+@pytest.fixture
+def rig():
+    made = Rig()
+    yield made
+    made.driver.close()
+    made.terminal.close()
+
+
+def test_nothing_moves_before_the_first_command(rig):
+    assert rig.run(2 * TIMING.command_lost) == []
+    assert rig.session.action is Action.HOLD
+    assert rig.legs.angles() == pytest.approx(STANDING, abs=ONE_COUNT)
+    assert rig.powered() == [1] * 4
+
+
+def test_commands_reach_the_servos(rig):
+    assert rig.run(0.5, SLIGHTLY) == [(Action.PASS, 0.0)]
+    assert rig.driver.goals() == pytest.approx(SLIGHTLY)
+    assert rig.legs.angles() == pytest.approx(SLIGHTLY, abs=0.01)
+
+
+def test_silence_holds_then_slackens_then_switches_off(rig):
+    rig.run(0.1, SLIGHTLY)
+    last = rig.time - PERIOD  # of the last command
+    (hold, held), (relax, relaxed), (off, ended) = rig.run(2.0)
+    assert (hold, relax, off) == (Action.HOLD, Action.RELAX, Action.OFF)
+    # the first step beyond the limit
+    assert held - last == pytest.approx(TIMING.command_hold + PERIOD, abs=1.01 * PERIOD)
+    assert relaxed - last == pytest.approx(TIMING.command_lost + PERIOD, abs=1.01 * PERIOD)
+    assert ended - relaxed <= read_supervisor().gate.relax_time + PERIOD
+    assert rig.powered() == [0] * 4
+    assert "torque off, after: no command for 0.5" in rig.session.reason
+
+
+def test_a_command_that_comes_back_ends_hold_but_not_relax(rig):
+    rig.run(0.1, SLIGHTLY)
+    rig.run(0.2)
+    assert rig.run(0.1, SLIGHTLY)[0][0] is Action.PASS
+    rig.run(0.6)
+    assert rig.session.action is Action.RELAX
+    rig.run(2.0, SLIGHTLY)
+    assert rig.session.action is Action.OFF
+    assert rig.powered() == [0] * 4
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -0.1, 3.0])
+def test_a_command_that_cannot_be_is_no_command(rig, wrong):
+    rig.run(0.1, SLIGHTLY)
+    goals = rig.driver.goals()
+    spoiled = np.array([0.2, 0.2, wrong, 0.2])
+    assert "RL" in rig.session.offer(rig.now, spoiled)
+    assert [action for action, _ in rig.run(0.2, spoiled)] == [Action.HOLD]
+    assert rig.driver.goals() == pytest.approx(goals)
+
+
+@pytest.mark.parametrize("kind", ["overload", "watchdog"])
+def test_a_fault_of_one_servo_slackens_all_and_names_it(rig, kind):
+    rig.run(0.2, SLIGHTLY)
+    rig.legs.bus.inject(BusFault(kind, "RL", 0.0, 0.0, 0.0))
+    actions = [action for action, _ in rig.run(2.0, SLIGHTLY)]
+    assert actions == [Action.RELAX, Action.OFF]
+    assert "servo RL (id 2): " in rig.session.reason
+    assert rig.powered() == [0] * 4
+
+
+def test_a_silent_servo_slackens_all_after_its_time(rig):
+    rig.run(0.2, SLIGHTLY)
+    rig.legs.bus.inject(BusFault("silent", "RR", 0.0, 0.0, 0.0))
+    (action, when), *_ = rig.run(TIMING.servo_silent + 0.1, SLIGHTLY)
+    assert action is Action.RELAX
+    assert when - 0.2 == pytest.approx(TIMING.servo_silent, abs=2 * PERIOD)
+    assert "servo RR (id 3): no answer for 0.5" in rig.session.reason
+
+
+def test_started_again_it_stays_where_it_stands(rig):
+    rig.run(0.1, SLIGHTLY)
+    rig.run(2.0)
+    stood = rig.legs.angles()
+    rig.session.start()
+    rig.run(0.2)
+    assert rig.session.action is Action.HOLD
+    # slack tendons lie at the end of the range, to a count
+    assert rig.legs.angles() == pytest.approx(stood, abs=2 * ONE_COUNT)
+    with pytest.raises(RefusedError, match="torque is on already"):
+        rig.session.start()
+
+
+def test_stop_slackens_and_confirms_also_in_the_middle_of_an_exchange(rig):
+    rig.run(0.2, SLIGHTLY)
+    rig.driver.bus.port.is_using = True  # as an interrupt leaves it
+    assert rig.session.stop().complete
+    assert rig.powered() == [0] * 4
+    # they follow a ramp of 2 rad/s 2 / (4.6 5.97) = 0.07 rad behind, and a step of 0.02 rad
+    assert rig.legs.angles() == pytest.approx(np.zeros(4), abs=0.1)
+    assert rig.session.action is Action.OFF
+
+
+def test_a_port_that_goes_is_an_error_and_stop_does_not_claim_success(rig):
+    rig.run(0.1, SLIGHTLY)
+    rig.terminal.close()
+    with pytest.raises(PortError):
+        rig.run(0.1, SLIGHTLY)
+    assert not any(rig.session.stop().confirmed)
+
+
+def test_late_steps_are_counted(rig):
+    rig.run(0.1, SLIGHTLY)
+    rig.sleep(0.03)
+    rig.run(0.1, SLIGHTLY)
+    assert rig.session.overruns == 1
+
+
+def test_a_cycle_with_a_silent_servo_is_no_measurement(rig):
+    rig.run(0.1, SLIGHTLY)
+    reading = measured(7, rig.cycle, np.full(4, 1.4))
+    assert reading is not None
+    assert reading.angle == pytest.approx(rig.legs.angles(), abs=0.02)
+    rig.legs.bus.inject(BusFault("silent", "RR", 0.0, 0.0, 0.0))
+    rig.run(0.02, SLIGHTLY)
+    assert measured(8, rig.cycle, np.full(4, 1.4)) is None
