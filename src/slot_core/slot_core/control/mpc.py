@@ -201,21 +201,23 @@ class Mpc:
         if fault := state_fault(state, self._settings):
             return self._reject(fault, start)
         x = np.asarray(state, dtype=float)
-        acting = self._look_back(x, stages, preview.stamp)
+        augmented = np.append(x, self._look_back(x, stages, preview.stamp))
         mass, bias = self._disturbance.mass, self._disturbance.bias
         prediction = self._model.predict(x[2], x[5], preview.dt, mass, bias)
-        self._qp.update(prediction, np.append(x, acting), stages, mass * GRAVITY)
+        self._qp.update(prediction, augmented, stages, mass * GRAVITY)
         solution = self._solver.solve()
         result = self._judge(solution, stages, self._timer() - start)
-        self._before = _Past(preview.stamp, x, np.append(x, acting), result.force)
+        self._before = _Past(preview.stamp, x, augmented, result.force)
         return result
 
     def _look_back(self, state: Array, stages: Horizon, stamp: int) -> Array:
         """Let the observer learn from the last tick; (12 or 0,) N, the forces that act by now."""
         past, lagging = self._before, self._settings.model.lag > 0.0
         acting = stages.force_ref[0].ravel() if lagging else np.zeros(0)
-        dt = (stamp - past.stamp) * 1e-9 if past else 0.0
-        if past is None or not 0.0 < dt <= LONGEST_GAP:
+        if past is None or not (lagging or self._settings.disturbance.time > 0.0):
+            return acting
+        dt = (stamp - past.stamp) * 1e-9
+        if not 0.0 < dt <= LONGEST_GAP:
             return acting
         disturbance = self._disturbance
         model = self._model.predict(

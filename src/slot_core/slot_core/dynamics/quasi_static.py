@@ -34,26 +34,25 @@ import numpy as np
 
 from slot_core.config import ConfigError
 from slot_core.dynamics.handle import Handle
-from slot_core.dynamics.model import State, build_model, build_scheme, state_space, work_space
+from slot_core.dynamics.mechanical_robot import MechanicalRobot
+from slot_core.dynamics.model import build_model, build_scheme, state_space, work_space
 from slot_core.dynamics.quasi_static_kernels import TOO_TILTED, UPRIGHT, Feet, MapLegs, advance
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings
-from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
+from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.leg_table import LegTable, read_leg_table
 from slot_core.robot import Array, Robot
 
 COLUMNS = ("force_N", "contact_x_m", "tension_N", "foot_m_per_rad", "foot_m_per_m")
 
 
-class MapSimulator(SimulatedRobot):
+class MapSimulator(MechanicalRobot):
     """The robot, as `Simulator` is one, on legs from a table.
 
     Raises ConfigError, which names the setting, for what the table does not hold: a floor that is
     uneven or of another stiffness, contact of the tips alone, halved steps, a straight tendon. A
     torso tilted by more than 60 deg is a Divergence: the legs know what is below it alone.
     """
-
-    state: State
 
     def __init__(
         self, robot: Robot, scene: Scene, servo: ServoSettings, table: LegTable | None = None
@@ -96,33 +95,6 @@ class MapSimulator(SimulatedRobot):
         """Let the torso move: (3,) m/s in odom, (3,) rad/s in base_link."""
         self.state.velocity[:] = velocity
         self.state.rate[:] = angular_velocity
-
-    def push(self, force: Array, moment: Array) -> None:
-        """Add an outer force (3,), N, and moment (3,), N m, on the torso's centre, in odom.
-
-        They act from now on; adding the opposite ends that.
-        """
-        self.model.push[:] += [*force, *moment]
-
-    @property
-    def indefinite_steps(self) -> int:
-        """Steps in which a pivot was not positive."""
-        return int(self._work.counter[1])
-
-    @property
-    def tendon_angle(self) -> Array:
-        """(4,) rad, angle of the spools."""
-        return self.state.tendon_angle.copy()
-
-    @property
-    def tendon_rate(self) -> Array:
-        """(4,) rad/s, over the last step."""
-        return self.state.tendon_rate.copy()
-
-    @property
-    def tension(self) -> Array:
-        """(4,) N, of the tendons, at the stage of the last step."""
-        return self.state.tension.copy()
 
     @property
     def nodes(self) -> Array:
