@@ -1,7 +1,6 @@
 """The references of the rod's benchmark against derivations of their own, and its comparisons."""
 
 import math
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,23 +15,15 @@ from slot_core.evaluation import benchmark
 BENCHMARKS = Path(__file__).resolve().parents[1] / "scripts" / "benchmarks"
 
 
-@pytest.fixture(scope="module", autouse=True)
-def parts():
-    """The benchmark's parts are found as the benchmark itself finds them."""
-    sys.path.append(str(BENCHMARKS))
-    yield
-    sys.path.remove(str(BENCHMARKS))
-
-
 @pytest.fixture(scope="module")
-def exact(parts):
+def exact():
     import _rod_exact  # noqa: PLC0415
 
     return _rod_exact
 
 
 @pytest.fixture(scope="module")
-def release(parts):
+def release():
     import _rod_release  # noqa: PLC0415
 
     return _rod_release

@@ -1,22 +1,16 @@
 """Random and mutated packets at emulator and driver; scripts/bench servo throws a million."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-BENCHMARKS = Path(__file__).resolve().parents[1] / "scripts" / "benchmarks"
 COUNT = 5000
 
 
 @pytest.fixture(scope="module")
 def fuzz():
-    sys.path.append(str(BENCHMARKS))
     import _servo_fuzz  # noqa: PLC0415
 
-    yield _servo_fuzz
-    sys.path.remove(str(BENCHMARKS))
+    return _servo_fuzz
 
 
 def test_no_damaged_packet_crashes_moves_or_changes_a_servo(fuzz):

@@ -2,8 +2,6 @@
 
 import copy
 import itertools
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +14,6 @@ from slot_core.evaluation.mpc_cases import hard_cases, random_case, standing, st
 from slot_core.evaluation.mpc_reference import Reference
 from slot_core.robot import read_robot
 
-BENCHMARKS = Path(__file__).resolve().parents[1] / "scripts" / "benchmarks"
 ROBOT = read_robot()
 # no deadline: the tests must not depend on the machine's load
 SETTINGS = config.replace(read_mpc(), {"acceptance.time_budget": np.inf})
@@ -47,11 +44,9 @@ def controller(solver, **changes):
 
 @pytest.fixture(scope="module")
 def optimum():
-    sys.path.append(str(BENCHMARKS))
     from _mpc_oracle import optimum  # noqa: PLC0415
 
-    yield optimum
-    sys.path.remove(str(BENCHMARKS))
+    return optimum
 
 
 @pytest.fixture(params=SOLVER_CHANGES)

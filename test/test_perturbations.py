@@ -2,7 +2,6 @@
 
 import importlib.util
 import math
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -20,37 +19,29 @@ BENCHMARKS = Path(__file__).resolve().parents[1] / "scripts" / "benchmarks"
 ROBOT = read_robot()
 
 
-@pytest.fixture(scope="module", autouse=True)
-def parts():
-    """The benchmark's parts are found as the benchmark itself finds them."""
-    sys.path.append(str(BENCHMARKS))
-    yield
-    sys.path.remove(str(BENCHMARKS))
-
-
 @pytest.fixture(scope="module")
-def cases(parts):
+def cases():
     import _perturbations_cases  # noqa: PLC0415
 
     return _perturbations_cases
 
 
 @pytest.fixture(scope="module")
-def published(parts):
+def published():
     import _perturbations_published  # noqa: PLC0415
 
     return _perturbations_published
 
 
 @pytest.fixture(scope="module")
-def torso(parts):
+def torso():
     import _perturbations_torso  # noqa: PLC0415
 
     return _perturbations_torso
 
 
 @pytest.fixture(scope="module")
-def samples(parts):
+def samples():
     import _perturbations_samples  # noqa: PLC0415
 
     return _perturbations_samples
