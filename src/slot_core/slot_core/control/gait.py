@@ -263,8 +263,10 @@ class GaitScheduler:
         """(n, 20) course, from the stride before to the one now."""
         elapsed = (stamp - self._switched) * 1e-9 + times
         weight = np.clip(elapsed / max(self._settings.transition, 1e-9), 0.0, 1.0)[:, None]
-        before, now = self._before.course(stamp, times), self._now.course(stamp, times)
-        return (1 - weight) * before + weight * now
+        now = self._now.course(stamp, times)
+        if weight.min() == 1.0:
+            return now
+        return (1 - weight) * self._before.course(stamp, times) + weight * now
 
     @property
     def _transition(self) -> int:

@@ -241,7 +241,7 @@ class HorizonQp:
             (self.G @ z - self.h).max(),
             (self.lower[:, inputs] - flat).max(),
             (flat - self.upper[:, inputs]).max(),
-            np.abs(self.A[balance:] @ z - self.b[balance:]).max(initial=0.0),
+            np.abs((self.A @ z - self.b)[balance:]).max(initial=0.0),
         ]
         return float(max(0.0, *outside))
 

@@ -169,7 +169,8 @@ def _angles(
     force_map = ForceMap(robot, read_force_map(), read_leg_slope())
 
     def angle(stamp: int, force: Any, status: int) -> Any:
-        return command_for(force_map, force, status, previews[stamp], states[stamp][1]).angle
+        slope = force_map.slope(previews[stamp], states[stamp][1])
+        return command_for(force_map, force, status, previews[stamp], slope).angle
 
     return {
         stamp: {"position": angle(stamp, force, status)}
