@@ -39,16 +39,13 @@ class DirectExecutor(SingleThreadedExecutor):
         Raises ExternalShutdownException when the context has ended, and what a callback raises.
         """
         self._wait(timeout_sec)
-        ready = {kind: self._wait_set.get_ready_entities(kind) for kind in KINDS}
-        events = [waitable.is_ready(self._wait_set) for waitable in self._waitables]
-        timers, subscriptions = (self._those(kind, ready) for kind in ("timer", "subscription"))
+        timers, subscriptions = self._ready("timer"), self._ready("subscription")
         for timer in timers:
             if _is_due(timer):
                 _call(self._take_timer(timer))
         for subscription in subscriptions:
             _call(self._take_subscription(subscription))
-        others = (ready[kind] for kind in ("guard_condition", "client", "service"))
-        if self._context.ok() and any([*events, *others]):
+        if self._context.ok() and self._has_others():
             self._is_stale = True  # a node may have come or gone
             super().spin_once(timeout_sec=0.0)
 
@@ -86,8 +83,16 @@ class DirectExecutor(SingleThreadedExecutor):
             *(getattr(count, name) for name in NumberOfEntities.__slots__), self._context.handle
         )
 
-    def _those(self, kind: str, ready: dict[str, list[int]]) -> list[Any]:
-        return [e for e in self._entities[kind] if e.handle.pointer in ready[kind]]
+    def _ready(self, kind: str) -> list[Any]:
+        ready = self._wait_set.get_ready_entities(kind)
+        return [e for e in self._entities[kind] if e.handle.pointer in ready] if ready else []
+
+    def _has_others(self) -> bool:
+        """Whether anything but a message or a timer has ended the wait."""
+        kinds = ("guard_condition", "client", "service")
+        return any(map(self._wait_set.get_ready_entities, kinds)) or any(
+            waitable.is_ready(self._wait_set) for waitable in self._waitables
+        )
 
 
 def _is_due(timer: Timer) -> bool:
