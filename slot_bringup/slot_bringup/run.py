@@ -110,7 +110,7 @@ def run(options: argparse.Namespace, graph: Graph, directory: Path) -> None:
     """
     values = vars(options) | {"bag": str(directory)}
     with started(graph, values, directory / "log") as processes:
-        watch(processes, options.duration)
+        watch(processes, options.duration, attended=options.hardware == "real")
 
 
 @contextmanager

@@ -91,11 +91,13 @@ class Plant:
         self._number = itertools.count()
 
     def present(self, stamp: int) -> list[Reading]:
-        """IMU and odometry at rest, stamped `stamp` (ns), without delay; the same for one stamp."""
+        """What the sensors read at rest, at `stamp` (ns), without delay; the same for one stamp."""
         if not self._at_rest or stamp != self.now:
             self.now = stamp
-            imu = self._read_imu() if self._scene.sensors.imu.enabled else []
-            self._at_rest = [*imu, self._odometry.sample(self.simulator, stamp)]
+            sensors = self._scene.sensors
+            imu = self._read_imu() if sensors.imu.enabled else []
+            joints = self._read_joints() if sensors.joints else []
+            self._at_rest = [*imu, *joints, self._odometry.sample(self.simulator, stamp)]
         return self._at_rest
 
     def start(self, stamp: int) -> None:
