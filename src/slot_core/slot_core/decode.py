@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from slot_core import config
 from slot_core.control.gait import GaitPreview
+from slot_core.faults import Fault
 from slot_core.robot import LEGS, TENDON_JOINTS, Array
 
 
@@ -90,3 +92,10 @@ def preview(message: Any) -> GaitPreview:
 def forces(message: Any) -> tuple[int, Array, int]:
     """(stamp, force (4, 3) N in odom, status)."""
     return stamp(message), np.array([vector(f) for f in message.force]), int(message.status)
+
+
+def fault(request: Any) -> Fault:
+    """Fault that a request to inject or clear one names; raises ConfigError where it cannot be."""
+    names = ("kind", "leg", "duration", "value")
+    wanted = {name: getattr(request, name) for name in names}
+    return config.build(Fault, wanted | {"time": 0.0}, "inject: fault")
