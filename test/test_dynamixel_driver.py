@@ -319,6 +319,20 @@ def test_a_silent_servo_is_asked_a_bounded_number_of_times(rig):
         assert rig.driver.bus.quality[5].exchanges - before == expected
 
 
+def test_a_servo_that_takes_another_id_is_silent_and_then_refused_by_name(rig):
+    rig.start()
+    rig.run(0.05, STANDING)
+    rig.fault("wrong_id", "RL", 9)
+    for cycle in rig.run(0.05, STANDING):
+        assert [reading is None for reading in cycle.readings] == [False, False, True, False]
+    rig.driver.close()
+    with pytest.raises(RefusedError, match=r"^servo RL \(id 2\): ping: "):
+        rig.driver.configure()
+    rig.bus.clear(Fault("wrong_id", "RL", 0, 0, 9))
+    rig.start()
+    assert rig.run(0.02, STANDING)[-1].complete
+
+
 def test_noise_never_becomes_a_reading(build):
     rig = build({"bus.timeout": 0.02}).start()  # damaged lengths make it wait
     rig.fault("corrupt", "all", 0.3)
