@@ -16,7 +16,10 @@ from sensor_msgs.msg import JointState
 
 from slot_bringup.graph import NodeSpec
 from slot_bringup.processes import command_line
-from slot_core import decode
+from slot_core import config, decode
+from slot_core.dynamixel.driver import Driver
+from slot_core.dynamixel.port import SerialPort
+from slot_core.dynamixel.settings import read_settings
 from slot_core.robot import TENDON_JOINTS
 from slot_msgs.msg import LegStates
 from slot_msgs.srv import InjectFault
@@ -145,9 +148,9 @@ def test_the_service_says_why_not(tmp_path):
             assert not success
             assert message.startswith(reason)
         told = frozen.inject("tendon_slack", value=0.2)
-        assert told == (False, "inject: fault.value = 0.2: outside [0.0, 0.1] m")
+        assert told == (False, "inject: fault.value = 0.2: outside [0.0001, 0.1] m")
         told = frozen.inject("tendon_broken", "RL", clear=True)
-        assert told == (False, "no fault 'tendon_broken' at RL")
+        assert told == (False, "no fault 'tendon_broken' at 'RL'")
 
 
 def test_the_service_pulls_the_plug_of_the_servos_and_puts_it_back(tmp_path):
@@ -158,6 +161,27 @@ def test_the_service_pulls_the_plug_of_the_servos_and_puts_it_back(tmp_path):
         frozen.spin_until(lambda: not port.exists())
         assert frozen.inject("unplugged", "all", clear=True) == (True, "")
         frozen.spin_until(port.exists)
+
+
+def test_a_lost_simulation_lets_the_driver_switch_its_servos_off(tmp_path):
+    settings = config.replace(read_settings(), {"bus.timeout": 0.1})  # a busy machine
+    link = tmp_path / "servos"
+    with robot(tmp_path, bus=str(link)) as lost:
+        lost.spin_until(link.exists)
+        port = SerialPort(str(link), settings.bus.baud, settings.bus.timeout)
+        driver = Driver(port, settings)
+        driver.configure()
+        driver.activate()
+        lost.spin_until(lambda: lost.waiting)
+        assert lost.inject("nan", "RL") == (True, "")
+        lost.answer()
+        lost.spin_until(lambda: driver.cycle() and "simulation stopped" in lost.log.read_text())
+        assert driver.torque_off().complete
+        driver.close()
+        lost.spin_until(lambda: lost.process.poll() is not None)
+        assert lost.process.returncode == 1
+    assert "Traceback" not in lost.log.read_text()
+    assert "servos left under torque: none" in lost.log.read_text()
 
 
 @pytest.mark.parametrize("dump", ["", "kept"])

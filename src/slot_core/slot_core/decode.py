@@ -95,7 +95,7 @@ def forces(message: Any) -> tuple[int, Array, int]:
 
 
 def fault(request: Any) -> Fault:
-    """Fault that a request to inject or clear one names; raises ConfigError where it cannot be."""
+    """Fault that a request to inject one names; raises ConfigError where it cannot be."""
     names = ("kind", "leg", "duration", "value")
     wanted = {name: getattr(request, name) for name in names}
     return config.build(Fault, wanted | {"time": 0.0}, "inject: fault")

@@ -16,13 +16,13 @@ BUS_KINDS = (
     "silent", "corrupt", "late", "wrong_id", "overload", "overheating", "undervoltage",
     "watchdog", "unplugged",
 )  # fmt: skip
-VALUES = {  # least, greatest and unit of the value; the other kinds have none
-    "corrupt": (0.0, 1.0, "of the answers"),
-    "late": (0.0, 10.0, "s"),
+VALUES = {  # least, greatest and unit of the value; the least does something, as zero would not
+    "corrupt": (1e-3, 1.0, "of the answers"),
+    "late": (1e-3, 10.0, "s"),
     "wrong_id": (0.0, 252.0, "as an id"),
-    "overheating": (0.0, 200.0, "degC"),
+    "overheating": (30.0, 200.0, "degC"),
     "undervoltage": (0.0, 16.0, "V"),
-    SLACK: (0.0, 0.1, "m"),
+    SLACK: (1e-4, 0.1, "m"),
 }
 
 
@@ -47,8 +47,13 @@ class Fault:
 
     @property
     def legs(self) -> tuple[str, ...]:
-        """Which legs have it; the port is that of all servos."""
-        return LEGS if self.leg == ALL or self.kind == "unplugged" else (self.leg,)
+        """Which legs have it."""
+        return legs_of(self.kind, self.leg)
+
+
+def legs_of(kind: str, leg: str) -> tuple[str, ...]:
+    """Which legs are meant by `leg`, all of them for the port of the servos."""
+    return LEGS if leg == ALL or kind == "unplugged" else (leg,)
 
 
 def refuse_without_bus(fault: Fault) -> None:

@@ -21,16 +21,15 @@ def _inject(
     node: Node, plant: Plant, request: InjectFault.Request, response: InjectFault.Response
 ) -> InjectFault.Response:
     try:
-        fault = decode.fault(request)
         if request.clear:
-            plant.clear(fault.kind, fault.legs)
+            plant.clear(request.kind, request.leg)
         else:
-            plant.inject(fault)
+            plant.inject(decode.fault(request))
     except ValueError as error:
         response.message = str(error)
         return response
     done = "cleared" if request.clear else "injected"
-    node.get_logger().warning(f"fault {done}: {fault.kind} at {fault.leg}")
+    node.get_logger().warning(f"fault {done}: {request.kind} at {request.leg}")
     response.success = True
     return response
 

@@ -192,6 +192,7 @@ class SimRobotNode(Node):
             self._give_up(error)
 
     def _give_up(self, error: Divergence) -> NoReturn:
+        self._frozen = True  # while the driver switches off
         self.get_logger().fatal(f"simulation stopped: {error}; {self._keep_state(error)}")
         raise SystemExit(1) from None
 

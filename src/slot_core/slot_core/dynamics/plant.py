@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -25,7 +25,7 @@ from slot_core.dynamics.sensors import (
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.dynamics.simulator import Simulator
-from slot_core.faults import BROKEN, NAN, SLACK, Fault, refuse_without_bus
+from slot_core.faults import BROKEN, NAN, SLACK, Fault, legs_of, refuse_without_bus
 from slot_core.robot import LEGS, Array, Robot
 
 
@@ -131,21 +131,21 @@ class Plant:
         self._refuse(fault)
         for leg in fault.legs:
             self._faults[fault.kind, leg] = fault
-            self._begin(fault, leg)
-        if self._agenda:
+            self._switch(fault, leg, True)
+        if self._agenda:  # the clock runs
             self._end_later(fault)
 
-    def clear(self, kind: str, legs: Sequence[str]) -> None:
-        """Take back the faults of a kind; raises ValueError where there is none.
+    def clear(self, kind: str, leg: str) -> None:
+        """Take back the faults of a kind at a leg or all; raises ValueError where there is none.
 
-        An overload and a watchdog's trip stay until the servo is told, a state without numbers for
-        good.
+        Errors that a servo has found stay until it is rebooted, a watchdog's trip until it is
+        cleared.
         """
-        there = [leg for leg in legs if (kind, leg) in self._faults]
+        there = [(kind, each) for each in legs_of(kind, leg) if (kind, each) in self._faults]
         if not there:
-            raise ValueError(f"no fault {kind!r} at {', '.join(legs)}")
-        for leg in there:
-            self._end(self._faults.pop((kind, leg)), leg)
+            raise ValueError(f"no fault {kind!r} at {leg!r}")
+        for place in there:
+            self._end(*place)
 
     def command(self, angle: Array) -> None:
         """Hold these tendon angles (4,), rad, from now on; raises ValueError on a bad vector."""
@@ -226,9 +226,9 @@ class Plant:
 
     def _expire(self, fault: Fault) -> None:
         """End a fault where nobody has cleared or replaced it."""
-        legs = [leg for leg in fault.legs if self._faults.get((fault.kind, leg)) is fault]
-        if legs:
-            self.clear(fault.kind, legs)
+        for leg in fault.legs:
+            if self._faults.get((fault.kind, leg)) is fault:
+                self._end(fault.kind, leg)
 
     def _refuse(self, fault: Fault) -> None:
         """Raise ConfigError where this robot cannot have a fault."""
@@ -237,16 +237,16 @@ class Plant:
             model = self._scene.solver.legs
             raise ConfigError(f"fault {fault.kind!r}: legs of the model {model!r} cannot have it")
 
-    def _begin(self, fault: Fault, leg: str) -> None:
-        if fault.kind == NAN:
-            assert isinstance(self.simulator, Simulator)
-            self.simulator.spoil_node(LEGS.index(leg))
-        else:
-            self._set_tendon(leg)
+    def _end(self, kind: str, leg: str) -> None:
+        self._switch(self._faults.pop((kind, leg)), leg, False)
 
-    def _end(self, fault: Fault, leg: str) -> None:
+    def _switch(self, fault: Fault, leg: str, on: bool) -> None:
+        """Let a fault that has been noted act on a leg, or no longer."""
         if fault.kind != NAN:
             self._set_tendon(leg)
+        elif on:
+            assert isinstance(self.simulator, Simulator)
+            self.simulator.spoil_node(LEGS.index(leg))
 
     def _set_tendon(self, leg: str) -> None:
         """Let a tendon be as the scene and the present faults have it."""

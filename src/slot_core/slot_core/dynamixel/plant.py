@@ -61,17 +61,12 @@ class BusPlant(Plant):
         if fault.kind not in BUS_KINDS:
             super()._refuse(fault)
 
-    def _begin(self, fault: Fault, leg: str) -> None:
-        if fault.kind in BUS_KINDS:
-            self.legs.bus.inject(dataclasses.replace(fault, leg=leg))
-        else:
-            super()._begin(fault, leg)
-
-    def _end(self, fault: Fault, leg: str) -> None:
-        if fault.kind in BUS_KINDS:
-            self.legs.bus.clear(dataclasses.replace(fault, leg=leg))
-        else:
-            super()._end(fault, leg)
+    def _switch(self, fault: Fault, leg: str, on: bool) -> None:
+        if fault.kind not in BUS_KINDS:
+            super()._switch(fault, leg, on)
+            return
+        act = self.legs.bus.inject if on else self.legs.bus.clear
+        act(dataclasses.replace(fault, leg=leg))
 
     def _move(self, steps: int) -> None:
         for _ in range(steps):
