@@ -10,12 +10,12 @@ from slot_core.control.supervisor_settings import read_supervisor
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.emulator import read_emulator
 from slot_core.dynamixel.errors import PortError, RefusedError
-from slot_core.dynamixel.faults import BusFault
 from slot_core.dynamixel.legs import EmulatedLegs
 from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.pseudo_terminal import PseudoTerminal
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT
+from slot_core.faults import Fault
 from slot_core.robot import read_robot
 from slot_core.servo_session import ServoSession, measured
 
@@ -183,7 +183,7 @@ def test_a_command_that_cannot_be_is_no_command(rig, wrong):
 @pytest.mark.parametrize("kind", ["overload", "watchdog"])
 def test_a_fault_of_one_servo_slackens_all_and_names_it(rig, kind):
     rig.run(0.2, SLIGHTLY)
-    rig.legs.bus.inject(BusFault(kind, "RL", 0.0, 0.0, 0.0))
+    rig.legs.bus.inject(Fault(kind, "RL", 0.0, 0.0, 0.0))
     actions = [action for action, _ in rig.run(2.0, SLIGHTLY)]
     assert actions == [Action.RELAX, Action.OFF]
     assert "servo RL (id 2): " in rig.session.reason
@@ -192,7 +192,7 @@ def test_a_fault_of_one_servo_slackens_all_and_names_it(rig, kind):
 
 def test_a_silent_servo_slackens_all_after_its_time(rig):
     rig.run(0.2, SLIGHTLY)
-    rig.legs.bus.inject(BusFault("silent", "RR", 0.0, 0.0, 0.0))
+    rig.legs.bus.inject(Fault("silent", "RR", 0.0, 0.0, 0.0))
     (action, when), *_ = rig.run(TIMING.servo_silent + 0.1, SLIGHTLY)
     assert action is Action.RELAX
     assert when - 0.2 == pytest.approx(TIMING.servo_silent, abs=2 * PERIOD)
@@ -243,6 +243,6 @@ def test_a_cycle_with_a_silent_servo_is_no_measurement(rig):
     reading = measured(7, rig.cycle, np.full(4, 1.4))
     assert reading is not None
     assert reading.angle == pytest.approx(rig.legs.angles(), abs=0.02)
-    rig.legs.bus.inject(BusFault("silent", "RR", 0.0, 0.0, 0.0))
+    rig.legs.bus.inject(Fault("silent", "RR", 0.0, 0.0, 0.0))
     rig.run(0.02, SLIGHTLY)
     assert measured(8, rig.cycle, np.full(4, 1.4)) is None

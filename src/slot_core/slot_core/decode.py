@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from slot_core import config
 from slot_core.control.command_gate import Action
 from slot_core.control.gait import GaitPreview
 from slot_core.control.servo_health import ServoHealth
 from slot_core.control.supervisor_table import State
+from slot_core.faults import Fault
 from slot_core.robot import LEGS, TENDON_JOINTS, Array
 
 ACTIONS = (Action.OFF, Action.RELAX, Action.HOLD, Action.PASS)  # as RobotState numbers them
@@ -126,3 +128,10 @@ def _action(number: int) -> Action:
     if number >= len(ACTIONS):
         raise ValueError(f"action {number}: expected at most {len(ACTIONS) - 1}")
     return ACTIONS[number]
+
+
+def fault(request: Any) -> Fault:
+    """Fault that a request to inject one names; raises ConfigError where it cannot be."""
+    names = ("kind", "leg", "duration", "value")
+    wanted = {name: getattr(request, name) for name in names}
+    return config.build(Fault, wanted | {"time": 0.0}, "inject: fault")

@@ -7,6 +7,9 @@ reading's stamp has come, and publishes `/clock`. Either way the robot stands fr
 it is recorded, where it is to be, and at rest until the first command that passes. So no run
 depends on the order of discovery.
 
+A fault comes from the scene, or by the service `~/inject`. A simulation that is lost ends the node;
+its state is written to a file.
+
 With `bus` set, the commands come over an emulated bus of servos behind a pseudo-terminal of that
 name. The robot is then silent until all servos are under torque, and it outlasts its driver, so
 that the driver can switch them off.
@@ -15,6 +18,7 @@ that the driver can switch them off.
 import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -44,7 +48,7 @@ from slot_core.dynamixel.pseudo_terminal import PseudoTerminal
 from slot_core.dynamixel.settings import LEGS, read_settings
 from slot_core.robot import read_robot
 from slot_msgs.msg import LegStates, RobotState
-from slot_nodes import inputs, messages, qos, runtime
+from slot_nodes import faults, inputs, messages, qos, runtime
 
 LOCKSTEP_START = 1_000_000_000  # ns; a stamp of zero means "no time" in ROS
 WAIT_PERIOD = 0.1  # s, between the readings of the frozen robot in lockstep
@@ -69,6 +73,10 @@ class SimRobotNode(Node):
         self._recorded = not runtime.declare(
             self, "wait_for_recording", False, "be silent until /recording"
         )
+        dump = runtime.declare(
+            self, "dump", "", "where the state of a lost simulation goes; none: working directory"
+        )
+        self._keep_state = partial(faults.keep_state, dump, scene)
         link = runtime.declare(self, "bus", "", "port of emulated servos; none: servo.yaml's")
         settings = runtime.declare_settings(self, read_scene(scene), "scene.")
         servo = runtime.declare_settings(self, read_servo(), "servo.")
@@ -82,6 +90,7 @@ class SimRobotNode(Node):
         self._told = 0  # last time published on /clock, ns
         self._awaited = LOCKSTEP_START  # stamp of the odometry whose command lets the plant go on
         self._create_publishers()
+        faults.serve(self, self._plant)
         self._watchdog = self._make_watchdog()
         self._torque = True
         inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
@@ -225,7 +234,8 @@ class SimRobotNode(Node):
             self._give_up(error)
 
     def _give_up(self, error: Divergence) -> NoReturn:
-        self.get_logger().fatal(f"simulation stopped: {error}")
+        self._frozen = True  # while the driver switches off
+        self.get_logger().fatal(f"simulation stopped: {error}; {self._keep_state(error)}")
         raise SystemExit(1) from None
 
     def destroy_node(self) -> None:
