@@ -29,8 +29,8 @@ class MpcControllerNode(Node):
             GroundReactionForces, "ground_reaction_forces", qos.CONTROL
         )
         # rclpy passes the second argument too; its annotation knows the first alone
-        self.create_subscription(MpcState, "mpc_state", cast(Any, self._on_state), qos.NEWEST)
-        inputs.subscribe(self, GaitPreview, "gait_preview", self._on_preview, qos.NEWEST)
+        self.create_subscription(MpcState, "mpc_state", cast(Any, self._on_state), qos.STATE)
+        inputs.subscribe(self, GaitPreview, "gait_preview", self._on_preview, qos.STATE)
 
     def _on_state(self, message: MpcState, info: Mapping[str, int]) -> None:
         stamp, state, _ = decode.state(message)

@@ -28,14 +28,14 @@ CONTROL = QoSProfile(
 """What the controller passes on: a late subscriber gets the last values too, so that the first
 tick of a run reaches every node and the bag whatever the order of discovery."""
 
-NEWEST = QoSProfile(
+STATE = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
     history=HistoryPolicy.KEEP_LAST,
     depth=1,
 )
-"""What the controller passes on, for a subscriber that may be slow: the older is dropped, not
-queued."""
+"""What holds until it is replaced: only the newest counts. A slow subscriber to what the controller
+passes on drops the older with it, instead of a queue."""
 
 CLOCK = QoSProfile(
     reliability=ReliabilityPolicy.BEST_EFFORT,

@@ -38,7 +38,7 @@ def run(make_node: Callable[[], Node]) -> None:
     try:
         _init()
         node = make_node()
-        gc.freeze()  # what has been loaded will live as long as the node
+        gc.freeze()  # no collection has to look through all that was loaded
         rclpy.spin(node, DirectExecutor())
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
