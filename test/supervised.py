@@ -6,13 +6,14 @@ import math
 import numpy as np
 
 from slot_core import config
+from slot_core.control.command_gate import Action
 from slot_core.control.mpc import Status
+from slot_core.control.servo_health import ServoHealth
 from slot_core.control.state_estimator import Estimate, Validity
 from slot_core.control.supervisor import Request, Supervisor
 from slot_core.control.supervisor_settings import read_supervisor
 from slot_core.control.supervisor_table import State
 from slot_core.control.tendon_watch import TendonLoad, read_tendon_watch
-from slot_core.control.vital_signs import ServoReading
 from slot_core.dynamics.plant import JointReading
 from slot_core.evaluation.closed_loop import ClosedLoop
 from slot_core.leg_table import read_leg_table
@@ -36,21 +37,21 @@ def state(roll=0.0, pitch=0.0):
     return x
 
 
-def servos(now, angle, **changes):
-    """Four servos that stand under the load of the tabulated leg."""
-    angle = np.asarray(angle, dtype=float)
-    torque, _ = LOAD(angle, np.full(4, HEIGHT))
-    reading = ServoReading(
-        answered=np.full(4, now),
-        angle=angle,
-        rate=np.zeros(4),
-        torque=torque,
-        temperature=np.full(4, 40.0),
-        voltage=np.full(4, 11.1),
+def load(angle):
+    """Torque of the tabulated leg at tendon angles, the robot standing."""
+    return LOAD(np.asarray(angle, dtype=float), np.full(4, HEIGHT))[0]
+
+
+def health(**changes):
+    """A driver that does what it is told with four sound servos."""
+    sound = ServoHealth(
+        action=Action.PASS,
+        reason="",
+        torque=np.ones(4, dtype=bool),
+        silence=np.zeros(4),
         hardware_error=np.zeros(4, dtype=np.int64),
-        comm_errors=np.zeros(4, dtype=np.int64),
     )
-    return dataclasses.replace(reading, **changes)
+    return dataclasses.replace(sound, **changes)
 
 
 class Bench:
@@ -67,7 +68,8 @@ class Bench:
         self.validity = Validity.VALID
         self.status, self.fallback_cycles = Status.SOLVED, 0
         self.pressed = False
-        self.servo_changes = {}
+        self.torque = None  # N m, else that of the tabulated leg
+        self.health = None  # of the driver, if there is one
         self.reports = []
         self._ticks = 0
 
@@ -81,7 +83,10 @@ class Bench:
         if "estop" not in self.silent:
             s.see_estop(now, self.pressed)
         if "servos" not in self.silent:
-            s.see_servos(now, now, servos(now, self.angle, **self.servo_changes))
+            torque = load(self.angle) if self.torque is None else self.torque
+            s.see_joints(now, now, self.angle, torque)
+        if self.health is not None:
+            s.see_health(now, now, self.health)
         if self._ticks % 3 == 0:  # as the odometry, every 30 ms
             self.chain(now)
         self._ticks += 1
@@ -194,7 +199,6 @@ class SupervisedLoop(ClosedLoop):
     def _listen(self, readings):
         for r in readings:
             if isinstance(r, JointReading):
-                reading = servos(r.stamp, r.angle, torque=r.torque, rate=r.rate)
-                self.supervisor.see_servos(self.plant.now, r.stamp, reading)
+                self.supervisor.see_joints(self.plant.now, r.stamp, r.angle, r.torque)
                 self._step()
             yield r

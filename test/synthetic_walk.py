@@ -141,6 +141,8 @@ def _ticks(walk: Walk) -> list[tuple[int, str, Any]]:
                 entries.append((_wall(walk, t, delay), name, built))
         entries.append((_wall(walk, t), "/odom", _odometry(walk, "/odom", t)))
         entries.append((_wall(walk, t, latency[-1]), "/force_map/status", _status(walk, t)))
+        for topic in ("/robot_state", "/servo_health"):
+            entries.append((_wall(walk, t), topic, message(topic, walk.start + t, action=3)))
     return entries
 
 

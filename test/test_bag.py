@@ -41,12 +41,12 @@ def independent_messages(path):
 
 def plain(value):
     """Nested lists of a message's values, of any library's message classes."""
+    if isinstance(value, bytes):  # a scalar to NumPy
+        return list(value)
     if isinstance(value, (str, bool, int, float)) or np.isscalar(value):
         return value
     if isinstance(value, (list, tuple, np.ndarray)):
         return [plain(item) for item in value]
-    if isinstance(value, bytes):
-        return list(value)
     names = getattr(value, "__slots__", None) or list(vars(value))
     fields = [n for n in names if not n.startswith("_") and not n.isupper()]  # no constants
     return {n: plain(getattr(value, n)) for n in fields}

@@ -10,13 +10,13 @@ from slot_core import config
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.emulator import read_emulator
 from slot_core.dynamixel.errors import CommunicationError, InstructionError, PortError, RefusedError
-from slot_core.dynamixel.faults import BusFault
 from slot_core.dynamixel.homing import find_taut
 from slot_core.dynamixel.legs import EmulatedLegs
 from slot_core.dynamixel.port import SerialPort, check_latency
 from slot_core.dynamixel.pseudo_terminal import PseudoTerminal
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT
+from slot_core.faults import Fault
 
 # A busy machine may keep the emulator's thread waiting: more time than on the robot.
 PATIENT = {"bus.timeout": 0.05}
@@ -54,7 +54,7 @@ class Rig:
         return cycles
 
     def fault(self, kind, leg="FL", value=0.0):
-        self.bus.inject(BusFault(kind, leg, 0.0, 0.0, value))
+        self.bus.inject(Fault(kind, leg, 0.0, 0.0, value))
 
     def torque(self):
         return [servo.memory["torque_enable"] for servo in self.bus.servos]
@@ -317,7 +317,7 @@ def test_a_silent_servo_has_no_reading_and_the_others_keep_theirs(rig):
     assert rig.driver.silent_for("FR") < 0.02
     # The others have one failure: the joint answer that FL has broken.
     assert rig.driver.health[0].error_rate > 5 * rig.driver.health[1].error_rate > 0
-    rig.bus.clear(BusFault("silent", "FL", 0, 0, 0))
+    rig.bus.clear(Fault("silent", "FL", 0, 0, 0))
     assert rig.run(0.02, (0.5,) * 4)[-1].complete
 
 
@@ -329,6 +329,20 @@ def test_a_silent_servo_is_asked_a_bounded_number_of_times(rig):
         before = rig.driver.bus.quality[5].exchanges
         rig.driver.cycle()
         assert rig.driver.bus.quality[5].exchanges - before == expected
+
+
+def test_a_servo_that_takes_another_id_is_silent_and_then_refused_by_name(rig):
+    rig.start()
+    rig.run(0.05, STANDING)
+    rig.fault("wrong_id", "RL", 9)
+    for cycle in rig.run(0.05, STANDING):
+        assert [reading is None for reading in cycle.readings] == [False, False, True, False]
+    rig.driver.close()
+    with pytest.raises(RefusedError, match=r"^servo RL \(id 2\): ping: "):
+        rig.driver.configure()
+    rig.bus.clear(Fault("wrong_id", "RL", 0, 0, 9))
+    rig.start()
+    assert rig.run(0.02, STANDING)[-1].complete
 
 
 def test_noise_never_becomes_a_reading(build):
@@ -379,7 +393,7 @@ def test_a_port_that_is_plugged_in_again_serves_a_new_driver(build, tmp_path):
     rig.driver.close()
     with pytest.raises(PortError, match="servos"):
         rig.driver.configure()
-    rig.bus.clear(BusFault("unplugged", "all", 0, 0, 0))
+    rig.bus.clear(Fault("unplugged", "all", 0, 0, 0))
     while not (tmp_path / "servos").exists():
         assert time.monotonic() < deadline
     rig.start()

@@ -11,7 +11,6 @@ from slot_core import config
 from slot_core.dynamics.servo import read_servo, servo, turn
 from slot_core.dynamixel.emulated_servo import EmulatedServo
 from slot_core.dynamixel.emulator import EmulatedBus, read_emulator
-from slot_core.dynamixel.faults import BusFault
 from slot_core.dynamixel.joints import joints
 from slot_core.dynamixel.legs import EmulatedLegs
 from slot_core.dynamixel.packet import (
@@ -26,6 +25,7 @@ from slot_core.dynamixel.packet import (
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.shaft import Motor
 from slot_core.dynamixel.table import COUNTS, RAD_PER_COUNT, TABLE, Mode
+from slot_core.faults import Fault
 
 BAUD = 57600  # of a servo as delivered
 HALF = math.pi  # rad, in the middle of the encoder's turn
@@ -179,7 +179,7 @@ def test_a_fast_read_of_more_than_a_packet_holds_is_not_answered(bus):
 
 
 def test_who_is_behind_a_silent_servo_in_the_chain_is_silent_too(bus):
-    bus.inject(BusFault("silent", "FR", 0, 0, 0))  # id 4
+    bus.inject(Fault("silent", "FR", 0, 0, 0))  # id 4
     read_led = place("led")
     answers = send(bus, BROADCAST, Instruction.SYNC_READ, read_led + b"\5\4\2\3")
     assert [answer[0] for answer in answers] == [5]
@@ -255,13 +255,13 @@ def test_hardware_errors_switch_torque_off_until_reboot(bus, kind):
     write(bus, "shutdown", 53)
     write(bus, "torque_enable", 1)
     value = {"overload": 0.0, "overheating": 90.0, "undervoltage": 5.0}[kind]
-    bus.inject(BusFault(kind, "FL", 0, 0, value))
+    bus.inject(Fault(kind, "FL", 0, 0, value))
     run(bus, 0.002)
     assert send(bus, 5, Instruction.PING)[0][1] == ALERT
     bit = {"overload": 0x20, "overheating": 0x04, "undervoltage": 0x01}[kind]
     assert (read(bus, "hardware_error_status"), read(bus, "torque_enable")) == (bit, 0)
     assert write(bus, "torque_enable", 1) == ALERT | Error.RESULT_FAIL
-    bus.clear(BusFault(kind, "FL", 0, 0, value))
+    bus.clear(Fault(kind, "FL", 0, 0, value))
     run(bus, 0.002)
     assert read(bus, "hardware_error_status") == bit
     send(bus, 5, Instruction.REBOOT)
@@ -279,7 +279,7 @@ def test_a_stalled_servo_protects_itself_from_overload(bus):
 
 def test_input_voltage_only_trips_if_shutdown_says_so(bus):
     write(bus, "torque_enable", 1)  # shutdown as delivered: not for input voltage
-    bus.inject(BusFault("undervoltage", "FL", 0, 0, 5.0))
+    bus.inject(Fault("undervoltage", "FL", 0, 0, 5.0))
     run(bus, 0.002)
     assert (read(bus, "hardware_error_status"), read(bus, "torque_enable")) == (1, 1)
 
@@ -340,17 +340,6 @@ def test_temperature_rises_as_the_heat_balance_says(bus):
     warm = s.room + s.thermal_resistance * s.stall_power * 0.25
     closed = warm + (s.room - warm) * math.exp(-100.0 / s.thermal_time)
     assert shaft.temperature == pytest.approx(closed, abs=0.1)  # Euler at h/tau = 1/360
-
-
-def test_scheduled_faults_come_and_go(bus):
-    plan = {"a": {"kind": "silent", "leg": "FL", "time": 0.01, "duration": 0.02, "value": 0}}
-    bus.schedule({k: config.build(BusFault, v, "scene") for k, v in plan.items()})
-    heard = []
-    for _ in range(50):
-        bus.advance(0.001)
-        heard.append(bool(send(bus, 5, Instruction.PING)))
-    assert heard.index(False) == 9
-    assert heard.count(False) == 20
 
 
 def test_legs_give_tendon_angles_and_take_tendon_torques():

@@ -6,13 +6,18 @@ import math
 import numpy as np
 import pytest
 
+from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
+from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.emulator import read_emulator
 from slot_core.dynamixel.plant import BusPlant, imposed
+from slot_core.dynamixel.port import SerialPort
+from slot_core.dynamixel.pseudo_terminal import PseudoTerminal
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT
+from slot_core.faults import Fault
 from slot_core.robot import read_robot
 
 MS = 1_000_000  # ns
@@ -114,3 +119,33 @@ def test_the_range_of_the_tendons_bounds_the_spools(plant):
     run(plant, 1.0)
     assert plant.legs.angles().max() < 0.0
     assert (plant.simulator.tendon_angle >= 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "most"), [("tendon_broken", 0.0, 0.01), ("tendon_slack", 0.003, 0.4)]
+)
+def test_the_driver_measures_that_a_tendon_gives_way(plant, kind, value, most):
+    """Seen: 0.47 of the stall torque at all servos, then 0 or 0.37 at this one."""
+    settings = config.replace(read_settings(), {"bus.timeout": 0.05})  # a busy machine
+    with PseudoTerminal(plant.legs.bus) as terminal:
+        port = SerialPort(terminal.name, settings.bus.baud, settings.bus.timeout)
+        driver = Driver(port, settings, clock=lambda: plant.now * 1e-9)
+        driver.configure()
+        driver.activate()
+        plant.start(0)
+
+        def loads(cycles):
+            for _ in range(cycles):
+                cycle = driver.cycle()
+                run(plant, 0.01)
+            return np.array([reading.load for reading in cycle.readings])
+
+        before = loads(50)
+        plant.inject(Fault(kind, "RL", 0.0, 0.0, value))
+        after = loads(50)
+        driver.close()
+    count = 0.0071  # of the encoder, as the share of the stall torque that the P gain makes of it
+    assert np.ptp(before) <= 2 * count
+    assert np.argmin(after) == 2
+    assert after[2] < most
+    assert after[[0, 3]].min() > before.min() + 2 * count  # the torso tips onto its neighbours

@@ -32,10 +32,19 @@ def test_the_recorder_runs_only_with_a_bag(graph):
 
 
 def test_arguments_reach_the_nodes_with_their_types(graph):
-    nodes = {s.name: s for s in graph.nodes(values(graph, vx=0.05, seed=3, gait="stand"))}
-    assert nodes["gait_scheduler"].parameters["v_x"] == 0.05
-    assert nodes["gait_scheduler"].parameters["gait"] == "stand"
+    nodes = {s.name: s for s in graph.nodes(values(graph, vx=0.05, seed=3, gait="walk"))}
+    assert nodes["supervisor"].parameters["v_x"] == 0.05
+    assert nodes["supervisor"].parameters["gait"] == "walk"
     assert nodes["sim_robot"].parameters["seed"] == 3
+
+
+def test_the_gait_begins_on_request_and_in_lockstep_at_once(graph):
+    nodes = {s.name: s for s in graph.nodes(values(graph, vx=0.05))}
+    assert nodes["gait_scheduler"].parameters["gait"] == "stand"
+    nodes = {s.name: s for s in graph.nodes(values(graph, vx=0.05, lockstep=True))}
+    assert "supervisor" not in nodes
+    assert nodes["gait_scheduler"].parameters["gait"] == "walk"
+    assert nodes["gait_scheduler"].parameters["v_x"] == 0.05
 
 
 def test_driver_and_emulated_servos_meet_at_one_port(graph):
@@ -45,14 +54,19 @@ def test_driver_and_emulated_servos_meet_at_one_port(graph):
     assert nodes["sim_robot"].parameters["bus"] == port
 
 
-def test_real_servos_differ_from_emulated_ones_in_the_port_alone(graph):
+def test_real_servos_differ_from_emulated_ones_in_the_port_and_in_who_starts_them(graph):
+    """An operator, with an e-stop at hand."""
     specs = graph.nodes(values(graph, hardware="real", port="/dev/ttyUSB7"))
     real = {s.name: s for s in specs}
     assert "sim_robot" not in real
     emulated = {s.name: s for s in graph.nodes(values(graph, hardware="fake_bus"))}
     for name, spec in real.items():
-        changes = {"bus.port": "/dev/ttyUSB7"} if name == "dynamixel_driver" else {}
-        assert spec.parameters == emulated[name].parameters | changes
+        changes = {
+            "dynamixel_driver": {"bus.port": "/dev/ttyUSB7"}, "supervisor": {"autostart": False}
+        }.get(name, {})  # fmt: skip
+        alike = emulated[name].parameters | changes
+        assert alike.pop("estop_required", False) is False  # config/supervisor.yaml has true
+        assert spec.parameters == alike
 
 
 def test_simulated_servos_need_no_driver(graph):
@@ -78,7 +92,7 @@ def test_parameters_are_written_as_ros_reads_them(graph):
 
 def test_a_parameter_that_is_not_asked_for_is_left_to_the_node(graph):
     nodes = {s.name: s for s in graph.nodes(values(graph))}
-    assert "v_x" not in nodes["gait_scheduler"].parameters
+    assert "v_x" not in nodes["supervisor"].parameters
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,12 @@
 """The command line of scripts/run."""
 
+import shutil
+
 import pytest
 
 from slot_bringup import run
 from slot_bringup.graph import read_graph
+from slot_core.config import config_dir
 
 
 @pytest.mark.parametrize(
@@ -56,6 +59,22 @@ def test_help_names_every_option(capsys):
     for option in ("gait", "duration", "vx", "vy", "hardware", "bag", "lockstep", "seed", "no-bag",
                    "scene"):  # fmt: skip
         assert f"--{option}" in shown
+
+
+def test_a_scene_with_a_fault_of_the_servos_is_refused_where_there_are_none(
+    tmp_path, monkeypatch, capsys
+):
+    directory = tmp_path / "config"
+    shutil.copytree(config_dir(), directory)
+    fault = "{kind: silent, leg: FL, time: 1, duration: 0, value: 0}"
+    (directory / "scene" / "mute.yaml").write_text(f"like: flat\nfaults: {{fl: {fault}}}\n")
+    monkeypatch.setenv("SLOT_CONFIG", str(directory))
+    with pytest.raises(SystemExit) as refusal:
+        run.parse(["--scene", "mute"], read_graph())
+    assert refusal.value.code == 2
+    told = "fault 'silent': only the servos of hardware fake_bus can have it"
+    assert capsys.readouterr().err == f"scripts/run: {told}\n"
+    assert run.parse(["--scene", "mute", "--hardware", "fake_bus"], read_graph()).scene == "mute"
 
 
 def test_standing_needs_no_velocity():

@@ -5,16 +5,17 @@ import pytest
 
 from slot_core import config
 from slot_core.control.command_gate import Action
+from slot_core.control.command_watchdog import Word
 from slot_core.control.supervisor_settings import read_supervisor
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.emulator import read_emulator
 from slot_core.dynamixel.errors import PortError, RefusedError
-from slot_core.dynamixel.faults import BusFault
 from slot_core.dynamixel.legs import EmulatedLegs
 from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.pseudo_terminal import PseudoTerminal
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT
+from slot_core.faults import Fault
 from slot_core.robot import read_robot
 from slot_core.servo_session import ServoSession, measured
 
@@ -50,13 +51,19 @@ class Rig:
         self.legs.advance(duration)
         self.time += duration
 
-    def run(self, duration, angle=None):
-        """Steps for a time (s), a command before each; the time of every change of action (s)."""
+    def say(self, action, reason="the supervisor's reason"):
+        """A word of the supervisor."""
+        self.session.permit(Word(self.now, action, True, reason))
+
+    def run(self, duration, angle=None, word=Action.PASS):
+        """Steps for a time (s), a word and a command before each; every change of action (s)."""
         changes = []
         for _ in range(round(duration / PERIOD)):
             before = self.session.action
+            if word is not None:
+                self.say(word)
             if angle is not None:
-                self.session.offer(self.now, angle)
+                self.session.offer(self.now, self.now, angle)
             self.cycle = self.session.step(self.now)
             if self.session.action is not before:
                 changes.append((self.session.action, self.time))
@@ -88,6 +95,57 @@ def test_commands_reach_the_servos(rig):
     assert rig.legs.angles() == pytest.approx(SLIGHTLY, abs=0.01)
 
 
+def test_nothing_moves_before_the_supervisors_first_word(rig):
+    rig.run(2 * TIMING.command_lost, SLIGHTLY, word=None)
+    assert (rig.session.action, rig.session.reason) == (
+        Action.HOLD,
+        "no word of the supervisor yet",
+    )
+    assert rig.legs.angles() == pytest.approx(STANDING, abs=ONE_COUNT)
+
+
+def test_a_supervisor_that_is_silent_holds_then_slackens_then_switches_off(rig):
+    rig.run(0.1, SLIGHTLY)
+    last = rig.time - PERIOD
+    (hold, held), (relax, relaxed), (off, _) = rig.run(2.0, SLIGHTLY, word=None)
+    assert (hold, relax, off) == (Action.HOLD, Action.RELAX, Action.OFF)
+    assert held - last == pytest.approx(TIMING.command_hold + PERIOD, abs=1.01 * PERIOD)
+    assert relaxed - last == pytest.approx(TIMING.command_lost + PERIOD, abs=1.01 * PERIOD)
+    assert "no word of the supervisor for 0.5" in rig.session.reason
+    rig.run(0.5, SLIGHTLY)  # PASS does not bring torque back
+    assert rig.powered() == [0] * 4
+
+
+@pytest.mark.parametrize("word", [Action.HOLD, Action.RELAX])
+def test_the_supervisors_word_is_obeyed_with_its_reason(rig, word):
+    rig.run(0.2, SLIGHTLY)
+    goals = rig.driver.goals()
+    rig.run(PERIOD, STANDING, word)
+    assert (rig.session.action, rig.session.reason) == (word, "the supervisor's reason")
+    rig.run(1.0, STANDING, word)
+    if word is Action.HOLD:  # without a need for commands
+        assert rig.driver.goals() == pytest.approx(goals)
+        assert rig.powered() == [1] * 4
+    else:
+        assert rig.powered() == [0] * 4
+
+
+def test_off_is_torque_off_before_the_next_cycle(rig):
+    rig.run(0.2, SLIGHTLY)
+    rig.say(Action.OFF, "e-stop pressed")
+    assert rig.powered() == [0] * 4
+    assert rig.session.reason == "torque off, after: e-stop pressed"
+
+
+def test_a_stamp_is_written_once_and_at_once(rig):
+    rig.say(Action.PASS)
+    rig.session.offer(rig.now, 123, SLIGHTLY)
+    rig.session.step(rig.now)
+    assert (rig.session.commanded, rig.session.written) == (123, rig.time)
+    rig.run(0.05)
+    assert (rig.session.commanded, rig.session.written) == (123, 0.0)
+
+
 def test_silence_holds_then_slackens_then_switches_off(rig):
     rig.run(0.1, SLIGHTLY)
     last = rig.time - PERIOD  # of the last command
@@ -117,7 +175,7 @@ def test_a_command_that_cannot_be_is_no_command(rig, wrong):
     rig.run(0.1, SLIGHTLY)
     goals = rig.driver.goals()
     spoiled = np.array([0.2, 0.2, wrong, 0.2])
-    assert "RL" in rig.session.offer(rig.now, spoiled)
+    assert "RL" in rig.session.offer(rig.now, rig.now, spoiled)
     assert [action for action, _ in rig.run(0.2, spoiled)] == [Action.HOLD]
     assert rig.driver.goals() == pytest.approx(goals)
 
@@ -125,7 +183,7 @@ def test_a_command_that_cannot_be_is_no_command(rig, wrong):
 @pytest.mark.parametrize("kind", ["overload", "watchdog"])
 def test_a_fault_of_one_servo_slackens_all_and_names_it(rig, kind):
     rig.run(0.2, SLIGHTLY)
-    rig.legs.bus.inject(BusFault(kind, "RL", 0.0, 0.0, 0.0))
+    rig.legs.bus.inject(Fault(kind, "RL", 0.0, 0.0, 0.0))
     actions = [action for action, _ in rig.run(2.0, SLIGHTLY)]
     assert actions == [Action.RELAX, Action.OFF]
     assert "servo RL (id 2): " in rig.session.reason
@@ -134,7 +192,7 @@ def test_a_fault_of_one_servo_slackens_all_and_names_it(rig, kind):
 
 def test_a_silent_servo_slackens_all_after_its_time(rig):
     rig.run(0.2, SLIGHTLY)
-    rig.legs.bus.inject(BusFault("silent", "RR", 0.0, 0.0, 0.0))
+    rig.legs.bus.inject(Fault("silent", "RR", 0.0, 0.0, 0.0))
     (action, when), *_ = rig.run(TIMING.servo_silent + 0.1, SLIGHTLY)
     assert action is Action.RELAX
     assert when - 0.2 == pytest.approx(TIMING.servo_silent, abs=2 * PERIOD)
@@ -145,6 +203,7 @@ def test_started_again_it_stays_where_it_stands(rig):
     rig.run(0.1, SLIGHTLY)
     rig.run(2.0)
     stood = rig.legs.angles()
+    rig.say(Action.OFF)
     rig.session.start()
     rig.run(0.2)
     assert rig.session.action is Action.HOLD
@@ -184,6 +243,6 @@ def test_a_cycle_with_a_silent_servo_is_no_measurement(rig):
     reading = measured(7, rig.cycle, np.full(4, 1.4))
     assert reading is not None
     assert reading.angle == pytest.approx(rig.legs.angles(), abs=0.02)
-    rig.legs.bus.inject(BusFault("silent", "RR", 0.0, 0.0, 0.0))
+    rig.legs.bus.inject(Fault("silent", "RR", 0.0, 0.0, 0.0))
     rig.run(0.02, SLIGHTLY)
     assert measured(8, rig.cycle, np.full(4, 1.4)) is None

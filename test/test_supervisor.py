@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from supervised import ROBOT, START, TICK, Bench, servos, state
+from supervised import ROBOT, START, TICK, Bench, health, load, state
 
 from slot_core.control import supervisor_table as table
 from slot_core.control.command_gate import Action
@@ -365,13 +365,10 @@ def test_a_step_larger_than_the_rate_limit_is_slewed_and_flagged(walking):
 
 
 def test_one_silent_servo_ends_in_relax_of_all_after_500_ms(walking):
-    frozen = walking.now
-    walking.servo_changes = {"answered": np.array([walking.now] * 4)}
     start = walking.now
     while walking.supervisor.state is State.WALKING:
-        answered = np.full(4, walking.now + TICK)
-        answered[2] = frozen
-        walking.servo_changes = {"answered": answered}
+        silence = np.array([0.0, 0.0, (walking.now + TICK - start) * 1e-9, 0.0])
+        walking.health = health(silence=silence)
         walking.tick()
     took = (walking.now - start) * 1e-9
     assert TIMING.servo_silent < took <= TIMING.servo_silent + 2 * STEP
@@ -381,39 +378,56 @@ def test_one_silent_servo_ends_in_relax_of_all_after_500_ms(walking):
 
 
 def test_an_answer_that_is_not_a_number_is_no_answer(walking):
-    walking.servo_changes = {"torque": np.array([0.8, math.nan, 0.8, 0.8])}
+    walking.torque = np.array([0.8, math.nan, 0.8, 0.8])
     assert walking.until(State.RELAX, 1.0) <= TIMING.servo_silent + 2 * STEP
     assert "servo FR silent" in walking.reports[-1].reason
 
 
-def test_an_answer_from_the_future_is_no_answer(walking):
-    walking.servo_changes = {"answered": np.array([2**61, *[walking.now + 100 * TICK] * 3])}
-    assert walking.until(State.RELAX, 1.0) <= TIMING.servo_silent + 2 * STEP
-    assert "servo FL silent" in walking.reports[-1].reason
+@pytest.mark.parametrize("silence", [math.nan, math.inf, -3.0])
+def test_a_silence_that_is_no_time_is_no_answer(walking, silence):
+    walking.health = health(silence=np.array([0.0, silence, 0.0, 0.0]))
+    assert walking.until(State.RELAX, 1.0) <= 2 * STEP
+    assert "servo FR silent for ever" in walking.reports[-1].reason
 
 
 @pytest.mark.parametrize(
-    ("change", "text"),
+    ("errors", "text"),
     [
-        ({"hardware_error": np.array([0, 0x20, 0, 0])}, "servo FR: overload error"),
-        ({"hardware_error": np.array([0, 0, 0x04, 0])}, "servo RL: overheating error"),
-        ({"hardware_error": np.array([0x01, 0, 0, 0])}, "servo FL: input voltage error"),
-        ({"temperature": np.array([40, 40, 40, 73.0])}, "servo RR: 73 degC, limit 72 degC"),
-        ({"voltage": np.array([6.4, 11, 11, 11])}, "servo FL: 6.4 V, limit 6.5 V"),
+        ([0, 0x20, 0, 0], "servo FR: overload error"),
+        ([0, 0, 0x04, 0], "servo RL: overheating error"),
+        ([0x01, 0, 0, 0], "servo FL: input voltage error"),
     ],
-    ids=["overload", "overheating", "voltage bit", "temperature", "low voltage"],
+    ids=["overload", "overheating", "low voltage"],
 )
-def test_a_servo_fault_relaxes_all_legs_and_does_not_reset_itself(walking, change, text):
-    walking.servo_changes = change
+def test_a_servo_fault_relaxes_all_legs_and_does_not_reset_itself(walking, errors, text):
+    walking.health = health(hardware_error=np.array(errors))
     assert walking.until(State.RELAX, 1.0) <= 2 * STEP
     assert text in walking.reports[-1].reason
     assert ends_in_fault(walking)
     refusal = walking.supervisor.request(walking.now, Request.RESET)
     assert refusal.startswith("RESET refused in FAULT")  # while it is there
-    walking.servo_changes = {}
+    walking.health = health()
     assert walking.run(1.0).state is State.FAULT
     walking.ask(Request.RESET)
     assert walking.tick().state is State.IDLE
+
+
+@pytest.mark.parametrize("action", [Action.RELAX, Action.OFF])
+def test_a_driver_that_lets_go_by_itself_ends_in_fault_with_its_reason(walking, action):
+    walking.health = health(action=action, reason="servo RL (id 2): torque is off")
+    assert walking.until(State.RELAX, 1.0) <= 2 * STEP
+    assert walking.reports[-1].reason == "driver: servo RL (id 2): torque is off"
+    assert ends_in_fault(walking)
+
+
+def test_a_driver_that_does_not_switch_torque_on_is_a_fault_in_time():
+    bench = Bench()
+    bench.health = health(action=Action.OFF, reason="stopped", torque=np.zeros(4, dtype=bool))
+    bench.bring(State.READY)
+    refused = bench.supervisor.request(bench.now, Request.STAND)
+    assert refused == "STAND refused in READY: servo FL without torque"
+    assert bench.until(State.RELAX, 2.0) == pytest.approx(TIMING.obey, abs=3 * STEP)
+    assert bench.reports[-1].reason == "driver: stopped"
 
 
 @pytest.mark.parametrize("moving", [State.READY, State.STANDING, State.WALKING, State.RELAX])
@@ -469,9 +483,9 @@ def test_a_clock_that_jumps_holds_and_then_goes_on(walking, jump):
     assert walking.until(State.WALKING, 1.0) <= TIMING.recovery + CHAIN + STEP
 
 
-@pytest.mark.parametrize("source", ["command", "estimate", "servos"])
+@pytest.mark.parametrize("source", ["command", "estimate", "joints"])
 def test_stamps_of_another_clock_are_refused(walking, source):
-    walking.silent.add(source)
+    walking.silent.add(source if source != "joints" else "servos")
     wall = 1_700_000_000_000_000_000
     walking.tick()
     s, now = walking.supervisor, walking.now
@@ -480,7 +494,8 @@ def test_stamps_of_another_clock_are_refused(walking, source):
     elif source == "estimate":
         s.see_estimate(now, Estimate(wall, state(roll=1.0), np.eye(12), Validity.VALID))
     else:
-        s.see_servos(now, wall, servos(wall, walking.angle, hardware_error=np.full(4, 32)))
+        s.see_joints(now, wall, walking.angle, load(walking.angle))
+        s.see_health(now, wall, health(hardware_error=np.full(4, 32)))
     report = walking.tick()
     assert report.state is State.WALKING
     assert (report.command.angle == 1.1).all()
@@ -504,19 +519,19 @@ def test_a_node_that_dies_stops_the_gait(walking, node):
 
 
 def test_a_slack_or_broken_tendon_warns_and_stops_the_gait(walking):
-    walking.servo_changes = {"torque": np.array([0.8, 0.8, 0.0, 0.8])}
+    walking.torque = np.array([0.8, 0.8, 0.0, 0.8])
     walking.until(State.HOLD, 2.0)
     assert walking.reports[-1].reason.startswith("slack or broken tendon RL")
-    walking.servo_changes = {}
+    walking.torque = None
     walking.run(1.0)
     assert walking.supervisor.state is State.HOLD  # it does not heal by itself
     assert any("slack or broken tendon RL" in w for w in walking.reports[-1].warnings)
 
 
 def test_after_a_new_tendon_and_a_reset_the_robot_stands_again(walking):
-    walking.servo_changes = {"torque": np.array([0.8, 0.8, 0.0, 0.8])}
+    walking.torque = np.array([0.8, 0.8, 0.0, 0.8])
     walking.until(State.FAULT, 10.0)
-    walking.servo_changes = {}
+    walking.torque = None
     walking.angle = np.full(4, 1.1)
     walking.ask(Request.RESET, Request.READY, Request.STAND)
     report = walking.run(2.0)
@@ -539,9 +554,9 @@ def test_relaxing_on_request_ends_idle(walking):
 def test_a_fault_while_relaxing_on_request_ends_in_fault(walking):
     walking.ask(Request.RELAX)
     walking.tick()
-    walking.servo_changes = {"hardware_error": np.array([0x20, 0, 0, 0])}
+    walking.health = health(hardware_error=np.array([0x20, 0, 0, 0]))
     walking.tick()
-    walking.servo_changes = {}
+    walking.health = health()
     assert walking.until(State.FAULT, 3.0) <= RELAX_TIME + 2 * STEP
 
 
@@ -561,11 +576,12 @@ def wild_inputs(rng, bench: Bench, supervisor: Supervisor):
         valid = rng.choice(list(Validity), p=[0.85, 0.03, 0.1, 0.02])
         supervisor.see_estimate(now, Estimate(stamp, tilt + wrong, np.eye(12), Validity(valid)))
     elif kind == 3:
-        reading = servos(now, np.clip(bench.angle + rng.normal(0, 0.01, 4), 0, 2.0))
+        angle = np.clip(bench.angle + rng.normal(0, 0.01, 4), 0, 2.0)
+        torque = load(angle)
+        angle[rng.integers(4)] += wrong
+        supervisor.see_joints(now, now, angle, torque)
         bits = rng.choice([0, 0x20], size=4, p=[0.9995, 0.0005])
-        reading.angle[rng.integers(4)] += wrong
-        reading.hardware_error[:] = bits
-        supervisor.see_servos(now, now, reading)
+        supervisor.see_health(now, now, health(hardware_error=bits))
     elif kind == 4:
         supervisor.see_solver(now, int(rng.choice([0, 1, 4], p=[0.9, 0.09, 0.01])), 0)
     elif kind == 5:

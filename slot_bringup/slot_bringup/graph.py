@@ -12,6 +12,8 @@ from typing import Any
 
 import yaml
 
+from slot_core.control.gait import STAND
+
 KINDS: dict[str, type] = {"str": str, "int": int, "float": float, "bool": bool}
 
 
@@ -71,12 +73,13 @@ class Graph:
 
     def nodes(self, values: Mapping[str, Any]) -> list[NodeSpec]:
         """The nodes to start for a value of every argument."""
-        values = {**values, **_ports(values["hardware"], values["port"])}
+        values = {**values, **_ports(values["hardware"], values["port"]), **_start(values)}
         return [
             NodeSpec(name, entry["package"], self._parameters(entry, values))
             for name, entry in self._nodes.items()
             if values["hardware"] in entry.get("hardware", [values["hardware"]])
             and ("needs" not in entry or values[entry["needs"]])
+            and ("unless" not in entry or not values[entry["unless"]])
         ]
 
     def _parameters(self, entry: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
@@ -95,6 +98,20 @@ def _ports(hardware: str, port: str | None) -> dict[str, str | None]:
         return {"driver_port": port, "emulated_port": None}
     link = port or str(Path(tempfile.gettempdir(), f"slot_bus_{os.getpid()}"))
     return {"driver_port": link, "emulated_port": link}
+
+
+def _start(values: Mapping[str, Any]) -> dict[str, Any]:
+    """How the robot comes to walk: simulated ones by themselves, real ones when they are asked to.
+
+    In lockstep nobody asks: the gait is there from the first tick on.
+    """
+    real = values["hardware"] == "real"
+    start = {"autostart": not real, "estop_required": None if real else False}
+    if values["lockstep"]:
+        first = {"gait": values["gait"], "vx": values["vx"], "vy": values["vy"]}
+    else:
+        first = {"gait": STAND, "vx": 0.0, "vy": 0.0}
+    return start | {f"first_{name}": value for name, value in first.items()}
 
 
 def read_graph() -> Graph:

@@ -17,13 +17,16 @@ from rclpy.signals import SignalHandlerOptions
 
 from slot_bringup.processes import Processes
 from slot_core import decode
+from slot_core.control.command_gate import Action
+from slot_core.control.supervisor_table import State
 from slot_core.robot import Array
-from slot_msgs.msg import MpcState
+from slot_msgs.msg import MpcState, RobotState
 from slot_nodes import qos
 
 START_TIMEOUT = 90.0  # s until the first state; the first start after installation compiles
 SILENCE_TIMEOUT = 10.0  # s without a new state
 DISCOVERY_TIME = 1.0  # s in which a graph that runs already shows itself
+SLACK = (State.RELAX, State.ESTOP, State.FAULT)
 REFRESH_TERMINAL, REFRESH_LOG = 0.2, 5.0  # s between progress lines
 
 
@@ -32,25 +35,34 @@ class RunError(RuntimeError):
 
 
 class Progress:
-    """What has been seen of a run so far: graph time, and state of the torso."""
+    """What has been seen of a run so far: graph time, state of the torso, and the supervisor's."""
 
-    def __init__(self) -> None:
-        self.stamp = self.origin = 0.0  # s, graph time of the last and first state
+    def __init__(self, supervised: bool) -> None:
+        """A supervised run begins when commands pass, another with the first state."""
+        self.stamp = self.origin = 0.0  # s, graph time of the last state and of the begin
         self.state: Array | None = None
+        self.robot: State | None = None
+        self.reason = ""  # why it is in this state
+        self._begun = not supervised
         self._start = np.zeros(12)
         self._heard = time.monotonic()
 
     def add(self, message: MpcState) -> None:
-        """Take in a state."""
+        """Take in a state of the torso."""
         stamp, state, _ = decode.state(message)
         self.stamp, self._heard = stamp * 1e-9, time.monotonic()
-        if self.state is None:
+        if self.state is None or not self._begun:
             self.origin, self._start = self.stamp, state
         self.state = state
 
+    def hear(self, message: RobotState) -> None:
+        """Take in a state of the robot."""
+        _, self.robot, action, self.reason = decode.robot_state(message)
+        self._begun = self._begun or action is Action.PASS
+
     @property
     def elapsed(self) -> float:
-        """Graph time since the first state, s."""
+        """Graph time since the begin, s."""
         return self.stamp - self.origin
 
     @property
@@ -60,6 +72,8 @@ class Progress:
 
     def line(self) -> str:
         """One line on where the robot is."""
+        if not self._begun and self.robot is not None:
+            return f"{self.robot.name}: {self.reason}"
         if self.state is None:
             return f"waiting for the first state ({self.silence:.0f} s)"
         if not np.isfinite(self.state).all():
@@ -69,18 +83,21 @@ class Progress:
         return (
             f"t {self.elapsed:6.1f} s   x {x:+.3f} m   y {y:+.3f} m   "
             f"z {1e3 * self.state[5]:3.0f} mm   tilt {tilt:4.1f} deg"
+            + (f"   {self.robot.name}" if self.robot is not None else "")
         )
 
 
-def watch(processes: Processes, duration: float) -> None:
-    """Return when the robot's clock has run for `duration` (s) since the first state.
+def watch(processes: Processes, duration: float, attended: bool = False) -> None:
+    """Return when the robot's clock has run for `duration` (s) since it began to move.
 
-    Raises RunError when a node ends or the states stay away.
+    Raises RunError when a node ends, the states stay away or, unless an operator attends to it, the
+    robot goes slack.
     """
     with _listener() as (node, executor):
-        progress = Progress()
+        progress = Progress("supervisor" in processes)
         node.create_subscription(MpcState, "mpc_state", progress.add, qos.CONTROL)
-        _watch(executor, progress, processes, duration)
+        node.create_subscription(RobotState, "robot_state", progress.hear, qos.STATE)
+        _watch(executor, progress, processes, duration, attended)
 
 
 def require_solitude() -> None:
@@ -117,25 +134,33 @@ def _listener() -> Iterator[tuple[Node, SingleThreadedExecutor]]:
 
 
 def _watch(
-    executor: SingleThreadedExecutor, progress: Progress, processes: Processes, duration: float
+    executor: SingleThreadedExecutor,
+    progress: Progress,
+    processes: Processes,
+    duration: float,
+    attended: bool,
 ) -> None:
     terminal = sys.stderr.isatty()
     refresh, end = (REFRESH_TERMINAL, "\r") if terminal else (REFRESH_LOG, "\n")
     shown = time.monotonic()
     while progress.elapsed < duration:
         executor.spin_once(timeout_sec=0.1)
-        _check(progress, processes)
+        _check(progress, processes, attended)
         if time.monotonic() - shown > refresh:
             shown = time.monotonic()
             print(f"{progress.line()} of {duration:g} s", end=end, file=sys.stderr, flush=True)
     print(progress.line(), file=sys.stderr)
 
 
-def _check(progress: Progress, processes: Processes) -> None:
+def _check(progress: Progress, processes: Processes, attended: bool) -> None:
     failure = processes.failed()
     if failure is not None:
         name, code = failure
         raise RunError(f"{name} ended with exit code {code}: {processes.last_words(name)}")
+    if progress.robot in SLACK and not attended:
+        raise RunError(f"the robot is in {progress.robot.name}: {progress.reason}")
+    if attended and progress.state is None:
+        return  # nothing moves before the operator says so
     limit = START_TIMEOUT if progress.state is None else SILENCE_TIMEOUT
     if progress.silence > limit:
         raise RunError(f"no /mpc_state for {progress.silence:.0f} s (limit {limit:g} s)")

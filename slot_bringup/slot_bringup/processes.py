@@ -43,6 +43,10 @@ class Processes:
                     preexec_fn=_die_with_parent,  # noqa: PLW1509 - no threads yet
                 )
 
+    def __contains__(self, name: str) -> bool:
+        """Whether a node of that name was started."""
+        return name in self._children
+
     def log_path(self, name: str) -> Path:
         """File with the output of a node."""
         return self.log_dir / f"{name}.log"

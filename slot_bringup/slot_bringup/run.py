@@ -27,6 +27,7 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.evaluation import metrics, plots
 from slot_core.evaluation.bag import Bag, BagError, read_record_settings
 from slot_core.evaluation.report import summary_lines
+from slot_core.faults import refuse_without_bus
 
 INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # SIGHUP: the terminal is closed
 DOMAIN_MAX = 232  # beyond it the port numbers of DDS come to an end
@@ -83,10 +84,13 @@ def check(options: argparse.Namespace) -> None:
     gaits = read_gaits()
     v_x = gaits.find(options.gait).cruise if options.vx is None else options.vx
     GaitScheduler(gaits, options.gait, np.array([v_x, options.vy, 0.0]))
-    read_scene(options.scene)
+    scene = read_scene(options.scene)
     read_mpc(options.mpc)
     if options.lockstep and options.hardware != "sim":
         raise ConfigError(f"--lockstep: servos of --hardware {options.hardware} move in real time")
+    if options.hardware == "sim":
+        for fault in scene.faults.values():
+            refuse_without_bus(fault)
     if not 0 <= options.seed < 2**63:
         raise ConfigError(f"--seed {options.seed}: outside [0, {2**63 - 1}]")
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"
@@ -110,7 +114,7 @@ def run(options: argparse.Namespace, graph: Graph, directory: Path) -> None:
     """
     values = vars(options) | {"bag": str(directory)}
     with started(graph, values, directory / "log") as processes:
-        watch(processes, options.duration)
+        watch(processes, options.duration, attended=options.hardware == "real")
 
 
 @contextmanager

@@ -8,6 +8,7 @@ NODES = (
     "recorder",
     "sim_robot",
     "state_estimator",
+    "supervisor",
 )
 
 setup(

@@ -82,12 +82,14 @@ def build(cls: type[T], mapping: Any, where: str) -> T:
         )
     if missing := [name for name in fields if name not in mapping]:
         raise ConfigError(f"{_inside(where, missing[0])} is missing")
-    return cls(
-        **{
-            name: _convert(mapping[name], hints[name], field.metadata, _inside(where, name))
-            for name, field in fields.items()
-        }
-    )
+    values = {
+        name: _convert(mapping[name], hints[name], field.metadata, _inside(where, name))
+        for name, field in fields.items()
+    }
+    try:
+        return cls(**values)
+    except ConfigError as error:  # of values that do not go together
+        raise ConfigError(_inside(where, str(error))) from None
 
 
 def leaves(settings: Any, prefix: str = "") -> Iterator[tuple[str, Any, Mapping[str, Any]]]:

@@ -10,8 +10,15 @@ from typing import Any
 
 import numpy as np
 
+from slot_core import config
+from slot_core.control.command_gate import Action
 from slot_core.control.gait import GaitPreview
+from slot_core.control.servo_health import ServoHealth
+from slot_core.control.supervisor_table import State
+from slot_core.faults import Fault
 from slot_core.robot import LEGS, TENDON_JOINTS, Array
+
+ACTIONS = (Action.OFF, Action.RELAX, Action.HOLD, Action.PASS)  # as RobotState numbers them
 
 
 def stamp(message: Any) -> int:
@@ -50,11 +57,20 @@ def velocity(message: Any) -> tuple[int, Array]:
 
 def joint_angles(message: Any) -> tuple[int, Array]:
     """(stamp, angles in the order of LEGS); raises ValueError unless each joint is there once."""
-    names, position = list(message.name), list(message.position)
-    if sorted(names) != sorted(TENDON_JOINTS) or len(position) != len(LEGS):
+    return stamp(message), _of_joints(message, message.position)
+
+
+def joint_loads(message: Any) -> tuple[int, Array, Array]:
+    """(stamp, angles, torques in the order of LEGS); raises ValueError as `joint_angles`."""
+    return *joint_angles(message), _of_joints(message, message.effort)
+
+
+def _of_joints(message: Any, values: Any) -> Array:
+    names = list(message.name)
+    if sorted(names) != sorted(TENDON_JOINTS) or len(values) != len(LEGS):
         raise ValueError(f"joints {names}: expected {', '.join(TENDON_JOINTS)} once each")
-    angles = dict(zip(names, position))
-    return stamp(message), np.array([angles[joint] for joint in TENDON_JOINTS])
+    by_name = dict(zip(names, values))
+    return np.array([by_name[joint] for joint in TENDON_JOINTS])
 
 
 def state(message: Any) -> tuple[int, Array, int]:
@@ -90,3 +106,32 @@ def preview(message: Any) -> GaitPreview:
 def forces(message: Any) -> tuple[int, Array, int]:
     """(stamp, force (4, 3) N in odom, status)."""
     return stamp(message), np.array([vector(f) for f in message.force]), int(message.status)
+
+
+def robot_state(message: Any) -> tuple[int, State, Action, str]:
+    """(stamp, state, what the servos are to do, reason); raises ValueError on unknown numbers."""
+    return stamp(message), State(message.state), _action(message.action), message.reason
+
+
+def servo_health(message: Any) -> tuple[int, ServoHealth]:
+    """(stamp, health); raises ValueError on an unknown action."""
+    return stamp(message), ServoHealth(
+        action=_action(message.action),
+        reason=message.reason,
+        torque=np.array(message.torque, dtype=bool),
+        silence=np.array(message.silence, dtype=np.float64),
+        hardware_error=np.array(message.hardware_error, dtype=np.int64),
+    )
+
+
+def _action(number: int) -> Action:
+    if number >= len(ACTIONS):
+        raise ValueError(f"action {number}: expected at most {len(ACTIONS) - 1}")
+    return ACTIONS[number]
+
+
+def fault(request: Any) -> Fault:
+    """Fault that a request to inject one names; raises ConfigError where it cannot be."""
+    names = ("kind", "leg", "duration", "value")
+    wanted = {name: getattr(request, name) for name in names}
+    return config.build(Fault, wanted | {"time": 0.0}, "inject: fault")

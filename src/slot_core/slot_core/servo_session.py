@@ -1,12 +1,7 @@
-"""Commands to servos: the driver behind the gate, and what becomes of silence and faults.
+"""Commands to servos: the driver behind the command watchdog, and the pace of its bus.
 
-    no command yet            HOLD: the servos stay where they were switched on
-    a command                 PASS: the goals follow it, slewed
-    silence > command_hold    HOLD
-    silence > command_lost    RELAX: a ramp to slack, then torque off
-    a fault of a servo        RELAX
-
-RELAX stays until `start`. Times are those of a clock that never goes back, ns.
+The watchdog (`control/command_watchdog.py`) says what becomes of the supervisor's word, of
+commands, silence and faults. Times are those of a clock that never goes back, ns.
 """
 
 from __future__ import annotations
@@ -17,9 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slot_core.control.command_gate import SECOND, Action, CommandGate
+from slot_core.control.command_gate import SECOND, Action
+from slot_core.control.command_watchdog import CommandWatchdog, Word
 from slot_core.control.supervisor_settings import SupervisorSettings
 from slot_core.dynamixel.driver import Driver
+from slot_core.dynamixel.errors import RefusedError
 from slot_core.dynamixel.state import Cycle, TorqueOff
 from slot_core.robot import LEGS, Array
 
@@ -63,44 +60,63 @@ class ServoSession:
         self.period = period
         self.action, self.reason = Action.OFF, "not started"
         self.overruns = 0
-        self._settings, self._gate, self._sleep = settings, CommandGate(settings.gate, limit), sleep
-        self._heard: int | None = None  # time of the last good command
-        self._relaxing = ""  # why
+        self.commanded = 0  # ns, stamp of the last command whose goals were written
+        self.written = 0.0  # s of the driver's clock, when they were
+        self._settings, self._sleep = settings, sleep
+        self._watchdog = CommandWatchdog(settings, limit)
+        self._offered = 0  # stamp of the last good command
         self._stepped: int | None = None
         self._looked: int | None = None
         self._durations: list[float] = []
 
     def start(self) -> None:
         """Torque on without motion; raises RefusedError, and then all torque is off."""
-        self.driver.activate()
-        self._gate.engage(self.driver.goals())
-        self._heard, self._relaxing, self._stepped = None, "", None
-        self.action, self.reason = Action.HOLD, "no command yet"
+        try:
+            self.driver.activate()
+        except RefusedError as error:
+            self.action, self.reason = Action.OFF, f"torque refused: {error}"
+            raise
+        self._watchdog.engage(self.driver.goals())
+        self._stepped = None
+        self.action, self.reason = Action.HOLD, "torque comes on"
 
-    def offer(self, now: int, angle: Array) -> str:
-        """Take tendon angles (4,), rad, as a whole; or refuse them and say why."""
-        fault = self._gate.offer(angle)
+    def offer(self, now: int, stamp: int, angle: Array) -> str:
+        """Take tendon angles (4,), rad, of a `stamp`, as a whole; or refuse them and say why."""
+        fault = self._watchdog.offer(now, angle)
         if not fault:
-            self._heard = now
+            self._offered = stamp
         return fault
+
+    def permit(self, word: Word) -> None:
+        """Hear the supervisor; OFF is obeyed at once."""
+        self._watchdog.permit(word)
+        if word.action is Action.OFF and self.driver.active:
+            self._switch_off(word.reason)
 
     def relax(self, reason: str) -> None:
         """Slacken the tendons in the steps to come, then torque off."""
-        self._relaxing = self._relaxing or reason
+        self._watchdog.relax(reason)
 
     def step(self, now: int) -> Cycle:
         """One bus cycle; raises PortError where the port has gone."""
         self._count(now)
         if self.driver.active:
-            self.action, self.reason = self._decide(now)
-            gated = self._gate.step(now, self.action, fast=True)
-            if gated.torque:
-                self.driver.command(gated.angle)
-            else:
-                self._switch_off()
+            self._command(now)
         cycle = self.driver.cycle()
         self._durations.append(cycle.duration)
+        if self.action is Action.PASS and self.commanded != self._offered:
+            self.commanded, self.written = self._offered, cycle.written
         return cycle
+
+    def _command(self, now: int) -> None:
+        for fault in (self.driver.faults() + self.silent())[:1]:
+            self.relax(fault)
+        gated = self._watchdog.step(now)
+        self.action, self.reason = self._watchdog.action, self._watchdog.reason
+        if gated.torque:
+            self.driver.command(gated.angle)
+        else:
+            self._switch_off(self.reason)
 
     def stop(self) -> TorqueOff:
         """Slacken the tendons, then torque off, read back; blocks for as long as the ramp takes."""
@@ -110,7 +126,8 @@ class ServoSession:
             off = self.driver.relax(ramp, self.period, self._sleep)
         else:
             off = self.driver.torque_off()
-        self.action, self.reason = Action.OFF, "stopped"
+        if self.action is not Action.OFF:
+            self.action, self.reason = Action.OFF, "stopped"
         return off
 
     def pace(self, now: int) -> Pace:
@@ -132,25 +149,10 @@ class ServoSession:
             if age > limit
         ]
 
-    def _decide(self, now: int) -> tuple[Action, str]:
-        timing = self._settings.timing
-        for fault in (self.driver.faults() + self.silent())[:1]:
-            self.relax(fault)
-        age = 0.0 if self._heard is None else (now - self._heard) / SECOND
-        if age > timing.command_lost:
-            self.relax(f"no command for {age:.2f} s, limit {timing.command_lost:g} s")
-        if self._relaxing:
-            return Action.RELAX, self._relaxing
-        if self._heard is None:
-            return Action.HOLD, "no command yet"
-        if age > timing.command_hold:
-            return Action.HOLD, f"no command for {age:.2f} s, limit {timing.command_hold:g} s"
-        return Action.PASS, ""
-
-    def _switch_off(self) -> None:
+    def _switch_off(self, reason: str) -> None:
         off = self.driver.torque_off()
         words = "torque off" if off.complete else "torque NOT off: " + "; ".join(off.reasons)
-        self.action, self.reason = Action.OFF, f"{words}, after: {self._relaxing}"
+        self.action, self.reason = Action.OFF, f"{words}, after: {reason}"
 
     def _count(self, now: int) -> None:
         late = self._stepped is not None and now - self._stepped > LATE * self.period * SECOND

@@ -1,17 +1,20 @@
-"""The servos on their bus: `/desired_joint_angles` in, `/joint_states` and `/diagnostics` out.
+"""The servos on their bus: commands and the supervisor's word in, joints and health out.
 
-    configure    open the port, check every servo
-    activate     torque on where the servos stand, then a bus cycle every period
+    configure    open the port, check every servo; from then on a bus cycle every period
+    activate     torque on where the servos stand
     deactivate   slacken the tendons, torque off, read back
     cleanup      close the port
 
-However the process ends, but by SIGKILL, it first does what deactivate does; that needs no ROS
-context. The lifecycle is walked by itself with `autostart`; a refusal is then the end, exit code 1.
+With `autostart` the node configures itself; a refusal is then the end, exit code 1. `/robot_state`
+activates it by HOLD or PASS and deactivates it by OFF. However the process ends, but by SIGKILL, it
+first does what deactivate does; that needs no ROS context.
 """
 
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -23,19 +26,25 @@ from std_srvs.srv import SetBool, Trigger
 
 from slot_core import decode
 from slot_core.config import ConfigError
+from slot_core.control.command_gate import Action
+from slot_core.control.command_watchdog import Word
 from slot_core.control.supervisor_settings import read_supervisor
+from slot_core.control.supervisor_table import State
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamixel.driver import Driver
-from slot_core.dynamixel.errors import PortError, ServoError
+from slot_core.dynamixel.errors import PortError, RefusedError, ServoError
+from slot_core.dynamixel.homing import measure_zero, write_zero
 from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.settings import LEGS, DynamixelSettings, read_settings
 from slot_core.dynamixel.state import Cycle
 from slot_core.robot import read_robot
 from slot_core.servo_session import ServoSession, measured
+from slot_msgs.msg import RobotState, ServoHealth
 from slot_nodes import diagnostics, inputs, messages, qos, runtime
 
 LOOK_PERIOD = 0.1  # s, between looks at whether the port is there
 DIAGNOSTICS_PERIOD = 1.0  # s
+HEALTH_PERIOD = 50_000_000  # ns, between two reports of the servos' health without an event
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
@@ -53,29 +62,36 @@ class DynamixelDriverNode(LifecycleNode):
         self._patience = runtime.declare(
             self, "wait_for_port", 60.0, "how long [s]", floating_point_range=waits
         )
-        autostart = runtime.declare(self, "autostart", True, "configure and activate at start")
+        self._autostart = runtime.declare(self, "autostart", True, "configure at start")
         self._port = settings.bus.port
         self._session = make_session(settings, 1.0 / rate)
         joints = self._session.driver.joints
         stall = read_servo().stall_torque
         self._stall = np.array([abs(joint.tendon_torque(stall)) for joint in joints])
-        self._open = False
-        self._refusal, self._starting = "", False
+        self._open = self._active = False
+        self._let_go = False  # torque has gone off by itself or was refused: until the word OFF
+        self._refusal = ""
         self._cycle: Cycle | None = None
+        self._told: tuple[Any, ...] = ()  # what the last report of health said
+        self._told_at = 0  # ns
         self._timer: Timer | None = None
         self._create_outputs()
         inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
-        if autostart:
-            self._end_of_wait = time.monotonic() + self._patience
-            self._starter = runtime.wall_timer(self, LOOK_PERIOD, self._start_by_itself)
+        inputs.subscribe(self, RobotState, "robot_state", self._on_robot_state, qos.STATE)
+        self._end_of_wait = time.monotonic() + self._patience
+        self._starter = runtime.wall_timer(self, LOOK_PERIOD, self._start_by_itself)
+        if not self._autostart:
+            self._starter.cancel()
 
     def _create_outputs(self) -> None:
         self._joints = self.create_publisher(JointState, "joint_states", qos.SENSOR)
-        self._health = self.create_publisher(DiagnosticArray, "/diagnostics", qos.SENSOR)
-        runtime.wall_timer(self, DIAGNOSTICS_PERIOD, self._publish_health)
+        self._health = self.create_publisher(ServoHealth, "servo_health", qos.SENSOR)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.SENSOR)
+        runtime.wall_timer(self, DIAGNOSTICS_PERIOD, self._publish_diagnostics)
         self.create_service(SetBool, "~/torque", self._on_torque)
         for leg in LEGS:
-            self.create_service(Trigger, f"~/reboot_{leg.lower()}", self._reboot(leg))
+            self._offer(f"~/reboot_{leg.lower()}", partial(self._reboot, leg))
+            self._offer(f"~/zero_{leg.lower()}", partial(self._zero, leg))
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open the port and check every servo."""
@@ -87,6 +103,7 @@ class DynamixelDriverNode(LifecycleNode):
         self._open = True
         firmware = ", ".join(f"{info.leg} id {info.id} v{info.firmware}" for info in infos)
         self.get_logger().info(f"servos on {self._port}: {firmware}")
+        self._timer = runtime.wall_timer(self, self._session.period, self._step)
         return SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -95,13 +112,13 @@ class DynamixelDriverNode(LifecycleNode):
             self._session.start()
         except ServoError as error:
             return self._refuse(f"torque refused: {error}")
+        self._active = True
         self.get_logger().info("torque on")
-        self._timer = runtime.wall_timer(self, self._session.period, self._step)
         return SUCCESS
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Slack, torque off; an error where a servo has not confirmed it."""
-        self._end_cycles()
+        self._active = False
         return SUCCESS if self._stop() else TransitionCallbackReturn.ERROR
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -119,8 +136,11 @@ class DynamixelDriverNode(LifecycleNode):
         return SUCCESS
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Back to the beginning, from where it may be configured again."""
-        return self.on_shutdown(state)
+        """Back to the beginning; with `autostart` the servos are looked for again."""
+        self.on_shutdown(state)
+        if self._autostart:
+            self._starter.reset()
+        return SUCCESS
 
     def destroy_node(self) -> None:
         """Torque off before anything else goes."""
@@ -130,76 +150,109 @@ class DynamixelDriverNode(LifecycleNode):
         super().destroy_node()
 
     def _start_by_itself(self) -> None:
-        """Walk the lifecycle once the port is there, or has been awaited for long enough."""
+        """Configure once the port is there, or has been awaited for long enough.
+
+        A first refusal is the end; after an error it is tried again and again.
+        """
         if not Path(self._port).exists() and time.monotonic() < self._end_of_wait:
             self.get_logger().info(f"waiting for {self._port}", throttle_duration_sec=5.0)
             return
-        self.destroy_timer(self._starter)
-        self._starting = True
         if self.trigger_configure() == SUCCESS:
-            if self.trigger_activate() == SUCCESS:
-                self._starting = False
-                return
-            self.trigger_cleanup()
-        self.get_logger().fatal(self._refusal)
-        raise SystemExit(1)
+            self._starter.cancel()
+        elif self._cycle is None:
+            self.get_logger().fatal(self._refusal)
+            raise SystemExit(1)
 
     def _on_command(self, message: JointState) -> None:
-        _, angle = decode.joint_angles(message)
-        if fault := self._session.offer(time.monotonic_ns(), angle):
+        stamp, angle = decode.joint_angles(message)
+        if fault := self._session.offer(time.monotonic_ns(), stamp, angle):
             raise ValueError(fault)
+        if self._timer is not None:
+            self._step()  # the servos need not wait for the timer
+
+    def _on_robot_state(self, message: RobotState) -> None:
+        _, state, action, reason = decode.robot_state(message)
+        fast = state is State.WALKING
+        self._session.permit(Word(time.monotonic_ns(), action, fast, reason))
+        if action is Action.OFF:
+            self._let_go = False
+            if self._active:
+                self.trigger_deactivate()
+        elif action is not Action.RELAX and self._timer and not (self._active or self._let_go):
+            self._let_go = self.trigger_activate() != SUCCESS
 
     def _step(self) -> None:
         before = self._session.action
         try:
-            self._cycle = self._session.step(time.monotonic_ns())
+            self._cycle = cycle = self._session.step(time.monotonic_ns())
         except PortError as error:
             self._close()
             self.get_logger().fatal(f"{error}; their bus watchdogs stop the servos")
             raise SystemExit(1) from None
+        self._let_go = self._let_go or (self._active and not self._session.driver.active)
         if self._session.action is not before:
             self.get_logger().info(f"{self._session.action.name} {self._session.reason}".strip())
+        self._publish(cycle)
+
+    def _publish(self, cycle: Cycle) -> None:
         stamp = self.get_clock().now().nanoseconds
-        reading = measured(stamp, self._cycle, self._stall)
+        reading = measured(stamp, cycle, self._stall)
         if reading is not None:
             self._joints.publish(messages.joints_to_msg(reading))
+        health = self._session.driver.health
+        news = (
+            self._session.action,
+            self._session.commanded,
+            *((servo.torque, servo.hardware_error) for servo in health),
+        )
+        if news != self._told or stamp - self._told_at >= HEALTH_PERIOD:
+            self._told, self._told_at = news, stamp
+            self._health.publish(messages.health_to_msg(stamp, self._session))
 
-    def _publish_health(self) -> None:
+    def _publish_diagnostics(self) -> None:
         pace = self._session.pace(time.monotonic_ns())
         stamp = self.get_clock().now().nanoseconds
-        self._health.publish(diagnostics.to_msg(stamp, self._session, pace, self._cycle))
+        self._diagnostics.publish(diagnostics.to_msg(stamp, self._session, pace, self._cycle))
 
     def _on_torque(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        if self._timer is None:
-            response.success, response.message = False, "not active"
-        elif request.data:
-            response.success, response.message = self._try(self._session.start, "torque on")
-        else:
+        if not request.data:
             self._session.relax("torque switched off by the operator")
             response.success, response.message = True, "slackening, then torque off"
+        elif self._timer is None or self._active:
+            response.message = "torque is on already" if self._active else "not configured"
+        else:
+            response.success = self.trigger_activate() == SUCCESS
+            response.message = "torque on" if response.success else self._refusal
         return response
 
-    def _reboot(self, leg: str) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
-        def reboot(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            driver = self._session.driver
-            response.success, response.message = self._try(
-                lambda: driver.reboot(leg), f"servo {leg} restarts"
-            )
+    def _offer(self, name: str, action: Callable[[], str]) -> None:
+        """A service that does something to one servo without torque, and says what it has done."""
+
+        def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            try:
+                if self._timer is None or self._session.driver.active:
+                    raise RefusedError(["needs a configured driver, torque off"])
+                response.success, response.message = True, action()
+            except (ServoError, ConfigError, OSError) as error:
+                response.success, response.message = False, str(error)
             return response
 
-        return reboot
+        self.create_service(Trigger, name, serve)
 
-    def _try(self, action: Callable[[], None], done: str) -> tuple[bool, str]:
-        """Whether it was done, and the words for either case."""
-        try:
-            action()
-        except ServoError as error:
-            return False, str(error)
-        return True, done
+    def _reboot(self, leg: str) -> str:
+        self._session.driver.reboot(leg)
+        return f"servo {leg} restarts"
+
+    def _zero(self, leg: str) -> str:
+        """The leg rests, its tendon just slack: its zero from now on, and at later starts."""
+        driver = self._session.driver
+        angle = measure_zero(driver.bus, driver.joints[LEGS.index(leg)], time.sleep)
+        driver.set_zero(leg, angle)
+        return f"zero of {leg} at {angle:.2f} deg, written to {write_zero(leg, angle)}"
 
     def _refuse(self, reason: str) -> TransitionCallbackReturn:
         self._refusal = reason
-        if not self._starting:  # then it is said once, at the end
+        if self._cycle is not None or not self._autostart:  # else it is said once, at the end
             self.get_logger().error(reason)
         return FAILURE
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,7 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
+from slot_core import decode
 from slot_core.control import gait
 from slot_core.robot import BASE_FRAME, ODOM_FRAME, TENDON_JOINTS, Array
 from slot_msgs.msg import (
@@ -21,15 +23,19 @@ from slot_msgs.msg import (
     GroundReactionForces,
     LegStates,
     MpcState,
+    RobotState,
+    ServoHealth,
 )
+from slot_msgs.srv import SetGait
 
 if TYPE_CHECKING:  # a node imports only the cores it runs
     from slot_core.control.force_map import TendonCommand
     from slot_core.control.mpc import MpcResult
     from slot_core.control.state_estimator import Estimate
+    from slot_core.control.supervisor import Report
     from slot_core.dynamics.plant import JointReading, TrueState
     from slot_core.dynamics.sensors import ImuReading, OdometryReading
-    from slot_core.servo_session import MeasuredJoints
+    from slot_core.servo_session import MeasuredJoints, ServoSession
 
 
 def ns_to_stamp(ns: int) -> Time:
@@ -171,3 +177,44 @@ def map_status_to_msg(stamp: int, command: TendonCommand) -> ForceMapStatus:
         angle_unclamped=command.angle_unclamped.tolist(),
         saturated=command.saturated.tolist(),
     )
+
+
+def health_to_msg(stamp: int, session: ServoSession) -> ServoHealth:
+    """What the driver knows of its servos and does with them."""
+    driver = session.driver
+    age = round((driver.clock() - session.written) * 1e9)
+    return ServoHealth(
+        header=header(stamp, BASE_FRAME),
+        action=decode.ACTIONS.index(session.action),
+        reason=session.reason,
+        commanded=ns_to_stamp(session.commanded),
+        written=ns_to_stamp(stamp - age if session.commanded else 0),
+        torque=[bool(servo.torque) for servo in driver.health],
+        silence=[driver.silent_for(servo.leg) for servo in driver.health],
+        temperature=[_known(servo.temperature) for servo in driver.health],
+        voltage=[_known(servo.voltage) for servo in driver.health],
+        hardware_error=[servo.hardware_error or 0 for servo in driver.health],
+        error_rate=[servo.error_rate for servo in driver.health],
+    )
+
+
+def robot_state_to_msg(stamp: int, report: Report) -> RobotState:
+    """State of the robot, and what the servos are to do."""
+    return RobotState(
+        header=header(stamp, BASE_FRAME),
+        state=int(report.state),
+        action=decode.ACTIONS.index(report.command.action),
+        reason=report.reason,
+        since=ns_to_stamp(report.since),
+        warnings=list(report.warnings),
+        slack=report.slack,
+    )
+
+
+def _known(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def gait_request(name: str, v_x: float, v_y: float) -> SetGait.Request:
+    """A gait at a velocity (m/s) in base_link, straight ahead."""
+    return SetGait.Request(gait=name, velocity=Vector3(x=v_x, y=v_y))

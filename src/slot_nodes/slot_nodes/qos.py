@@ -28,6 +28,14 @@ CONTROL = QoSProfile(
 """What the controller passes on: a late subscriber gets the last values too, so that the first
 tick of a run reaches every node and the bag whatever the order of discovery."""
 
+STATE = QoSProfile(
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+)
+"""What holds until it is replaced: only the newest counts."""
+
 CLOCK = QoSProfile(
     reliability=ReliabilityPolicy.BEST_EFFORT,
     durability=DurabilityPolicy.VOLATILE,

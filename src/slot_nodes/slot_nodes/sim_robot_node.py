@@ -1,9 +1,14 @@
 """The simulated robot: `/desired_joint_angles` in, sensors and ground truth out.
 
-In real time the plant follows the ROS clock. In lockstep it carries the clock: it stops at every
-odometry reading until the command with that reading's stamp has come, and publishes `/clock`.
-Either way the robot stands frozen: silent until it is recorded, where it is to be, and at rest
-until the first command. So no run depends on the order of discovery.
+In real time the plant follows the ROS clock, and its servos obey `/robot_state` as real ones do; a
+servo without torque lets its tendon unwind as fast as it turns. In lockstep there is no supervisor
+and the plant carries the clock: it stops at every odometry reading until the command with that
+reading's stamp has come, and publishes `/clock`. Either way the robot stands frozen: silent until
+it is recorded, where it is to be, and at rest until the first command that passes. So no run
+depends on the order of discovery.
+
+A fault comes from the scene, or by the service `~/inject`. A simulation that is lost ends the node;
+its state is written to a file.
 
 With `bus` set, the commands come over an emulated bus of servos behind a pseudo-terminal of that
 name. The robot is then silent until all servos are under torque, and it outlasts its driver, so
@@ -13,6 +18,7 @@ that the driver can switch them off.
 import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -27,6 +33,10 @@ from std_msgs.msg import Bool
 
 from slot_core import decode
 from slot_core.config import ConfigError
+from slot_core.control.command_gate import Action
+from slot_core.control.command_watchdog import CommandWatchdog, Word
+from slot_core.control.supervisor_settings import read_supervisor
+from slot_core.control.supervisor_table import State
 from slot_core.dynamics.plant import JointReading, Plant, Reading, TrueState
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.sensors import ImuReading, OdometryReading
@@ -37,11 +47,11 @@ from slot_core.dynamixel.plant import BusPlant
 from slot_core.dynamixel.pseudo_terminal import PseudoTerminal
 from slot_core.dynamixel.settings import LEGS, read_settings
 from slot_core.robot import read_robot
-from slot_msgs.msg import LegStates
-from slot_nodes import messages, qos, runtime
+from slot_msgs.msg import LegStates, RobotState
+from slot_nodes import faults, inputs, messages, qos, runtime
 
 LOCKSTEP_START = 1_000_000_000  # ns; a stamp of zero means "no time" in ROS
-WAIT_PERIOD = 0.1  # s, between the readings of the frozen robot
+WAIT_PERIOD = 0.1  # s, between the readings of the frozen robot in lockstep
 REAL_TIME_PERIOD = 0.002  # s, between looks at the clock
 CATCH_UP = 20_000_000  # ns of simulation per callback at most, so that commands get through
 BUS_CATCH_UP = 4_000_000  # ns, so that the servos' time does not run away from their driver's
@@ -63,6 +73,10 @@ class SimRobotNode(Node):
         self._recorded = not runtime.declare(
             self, "wait_for_recording", False, "be silent until /recording"
         )
+        dump = runtime.declare(
+            self, "dump", "", "where the state of a lost simulation goes; none: working directory"
+        )
+        self._keep_state = partial(faults.keep_state, dump, scene)
         link = runtime.declare(self, "bus", "", "port of emulated servos; none: servo.yaml's")
         settings = runtime.declare_settings(self, read_scene(scene), "scene.")
         servo = runtime.declare_settings(self, read_servo(), "servo.")
@@ -76,9 +90,13 @@ class SimRobotNode(Node):
         self._told = 0  # last time published on /clock, ns
         self._awaited = LOCKSTEP_START  # stamp of the odometry whose command lets the plant go on
         self._create_publishers()
-        self.create_subscription(JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
+        faults.serve(self, self._plant)
+        self._watchdog = self._make_watchdog()
+        self._torque = True
+        inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
         self.create_subscription(Bool, "recording", self._on_recording, qos.CONTROL)
-        self._timer = runtime.wall_timer(self, WAIT_PERIOD, self._publish_frozen)
+        waiting = WAIT_PERIOD if self._lockstep else settings.sensors.odometry.period
+        self._timer = runtime.wall_timer(self, waiting, self._publish_frozen)
 
     def _make_plant(self, scene: Scene, servo: ServoSettings, seed: int, bus: bool) -> Plant:
         rng = np.random.default_rng(seed)
@@ -96,6 +114,15 @@ class SimRobotNode(Node):
             raise ConfigError(f"sim_robot: bus = {link}: exists already")
         sys.setswitchinterval(THREAD_SWITCH)
         return PseudoTerminal(self._plant.legs.bus, link)
+
+    def _make_watchdog(self) -> CommandWatchdog | None:
+        """What guards simulated servos in real time: those on a bus have their driver."""
+        if self._lockstep or self._terminal:
+            return None
+        watchdog = CommandWatchdog(read_supervisor(), read_robot().tendon.angle_max)
+        watchdog.engage(self._plant.simulator.tendon_angle)
+        inputs.subscribe(self, RobotState, "robot_state", self._on_robot_state, qos.STATE)
+        return watchdog
 
     def _create_publishers(self) -> None:
         self._clock_topic = self.create_publisher(ClockMessage, "/clock", qos.CLOCK)
@@ -122,8 +149,15 @@ class SimRobotNode(Node):
             self._publish(reading)
 
     def _is_powered(self) -> bool:
-        """Whether the servos follow commands."""
+        """Whether the servos are under torque."""
         return not isinstance(self._plant, BusPlant) or len(self._plant.powered()) == len(LEGS)
+
+    def _is_free(self) -> bool:
+        """Whether the servos follow commands, so that time may begin."""
+        if self._watchdog is None:
+            return self._is_powered()
+        self._watchdog.step(time.monotonic_ns())
+        return self._watchdog.action is Action.PASS
 
     def _is_matched(self) -> bool:
         """Whether every subscriber that is known will hear what is published now."""
@@ -136,17 +170,32 @@ class SimRobotNode(Node):
     def _on_recording(self, message: Bool) -> None:
         self._recorded = message.data
 
+    def _on_robot_state(self, message: RobotState) -> None:
+        _, state, action, reason = decode.robot_state(message)
+        assert self._watchdog is not None
+        self._watchdog.permit(Word(time.monotonic_ns(), action, state is State.WALKING, reason))
+
     def _on_command(self, message: JointState) -> None:
-        try:
-            stamp, angle = decode.joint_angles(message)
+        stamp, angle = decode.joint_angles(message)
+        if self._watchdog is None:
             self._plant.command(angle)
-        except ValueError as error:
-            self.get_logger().error(f"command refused: {error}", throttle_duration_sec=1.0)
-            return
-        if self._frozen and self._is_powered():
+        elif fault := self._watchdog.offer(time.monotonic_ns(), angle):
+            raise ValueError(fault)
+        if self._frozen and self._is_free():
             self._start()
         if self._lockstep and stamp == self._awaited:
             self._advance_one_tick()
+
+    def _obey(self, watchdog: CommandWatchdog) -> None:
+        """Give the simulated servos what the watchdog lets through."""
+        before, gated = watchdog.action, watchdog.step(time.monotonic_ns())
+        if gated.torque and not self._torque:
+            watchdog.engage(self._plant.simulator.tendon_angle)
+            gated = watchdog.step(time.monotonic_ns())
+        self._torque = gated.torque
+        self._plant.command(gated.angle if gated.torque else np.zeros(len(LEGS)))
+        if watchdog.action is not before:
+            self.get_logger().info(f"{watchdog.action.name} {watchdog.reason}".strip())
 
     def _start(self) -> None:
         self._frozen = False
@@ -164,6 +213,8 @@ class SimRobotNode(Node):
 
     def _follow_clock(self) -> None:
         """Advance the plant to the present, in bounded portions."""
+        if self._watchdog is not None:
+            self._obey(self._watchdog)
         now = self.get_clock().now().nanoseconds
         if now - self._plant.now > LAG_WARNING:
             lag = (now - self._plant.now) * 1e-9
@@ -183,7 +234,8 @@ class SimRobotNode(Node):
             self._give_up(error)
 
     def _give_up(self, error: Divergence) -> NoReturn:
-        self.get_logger().fatal(f"simulation stopped: {error}")
+        self._frozen = True  # while the driver switches off
+        self.get_logger().fatal(f"simulation stopped: {error}; {self._keep_state(error)}")
         raise SystemExit(1) from None
 
     def destroy_node(self) -> None:

@@ -21,6 +21,7 @@ from slot_core.config import quantity
 from slot_core.control.reference import reference
 from slot_core.robot import Array
 
+STAND = "stand"  # the gait that stays where it is
 Harmonics = tuple[float, float, float, float, float]
 FourHarmonics = tuple[Harmonics, Harmonics, Harmonics, Harmonics]
 
@@ -175,7 +176,7 @@ class GaitScheduler:
         if velocity is None:
             velocity = np.array([settings.find(gait).cruise, 0.0, 0.0])
         self.request(gait, velocity)
-        self._before = self._now = _Stride("stand", settings.find("stand"), 0.0, 0)
+        self._before = self._now = _Stride(STAND, settings.find(STAND), 0.0, 0)
         self._switched = 0  # stamp of the last change of stride, ns
         self._stamp: int | None = None
         self._heading = 0.0

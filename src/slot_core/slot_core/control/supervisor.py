@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slot_core.control.command_gate import CommandGate, Gated
+from slot_core.control.servo_health import ServoHealth
 from slot_core.control.state_estimator import Estimate
 from slot_core.control.supervisor_settings import SupervisorSettings
 from slot_core.control.supervisor_table import (
@@ -27,11 +28,12 @@ from slot_core.control.supervisor_table import (
     next_state,
 )
 from slot_core.control.tendon_watch import TendonState, TendonWatch
-from slot_core.control.vital_signs import ServoReading, VitalSigns
+from slot_core.control.vital_signs import VitalSigns
 from slot_core.robot import LEGS, Array, Robot
 
 SECOND = 1_000_000_000  # ns
 MOVING = (State.STANDING, State.WALKING)
+UNDER_TORQUE = (State.READY, *MOVING, State.HOLD)
 
 
 class Request(enum.Enum):
@@ -104,6 +106,7 @@ class Supervisor:
         self._state, self._reason, self._since = State.IDLE, "started", 0
         self._resume = State.STANDING  # where HOLD leads back to
         self._entered = 0  # steady time of the last transition
+        self._powered = 0  # steady time of the last READY
         self._clear: int | None = None  # steady time since when nothing speaks for HOLD
         self._faulty = False  # whether RELAX ends in FAULT
         self._servo_angle = np.full(len(LEGS), np.nan)
@@ -152,22 +155,23 @@ class Supervisor:
         self._signs.see_command(time, fault)
         return fault
 
-    def see_servos(self, now: int, stamp: int, reading: ServoReading) -> None:
-        """What the servos say at `stamp`."""
+    def see_joints(self, now: int, stamp: int, angle: Array, torque: Array) -> None:
+        """Tendon angles (4,), rad, and the servos' torques on them (4,), N m, at `stamp`."""
         time = self._pass(now)
-        if self._refuse("servos", now, stamp):
+        if self._refuse("joints", now, stamp):
             return
-        limit = round(self._settings.timing.clock_jump * SECOND)
-        ages = [now - int(answered) for answered in reading.answered]
-        ages = [age if -limit <= age else 2**62 for age in ages]  # from a future: never answered
-        self._signs.see_servos(reading, [time - max(age, 0) for age in ages])
-        self._servo_angle = np.array(reading.angle, dtype=np.float64)
+        self._signs.see_joints(time - max(now - stamp, 0), angle, torque)
+        self._servo_angle = np.array(angle, dtype=np.float64)
         if self._state in MOVING:
-            self._tendons = self._watch.observe(
-                stamp, reading.angle, reading.torque, self._height, self._stride
-            )
+            self._tendons = self._watch.observe(stamp, angle, torque, self._height, self._stride)
 
-    def request(self, now: int, request: Request) -> str:
+    def see_health(self, now: int, stamp: int, health: ServoHealth) -> None:
+        """What the driver says of its servos at `stamp`; not needed where no driver is."""
+        time = self._pass(now)
+        if not self._refuse("servo health", now, stamp):
+            self._signs.see_health(time - max(now - stamp, 0), health)
+
+    def request(self, now: int, request: Request, by: str = "the operator") -> str:
         """Ask for a transition, made at once; returns why it is refused, or "".
 
         STAND in HOLD is granted for the time after it: the robot will not walk on by itself.
@@ -189,7 +193,7 @@ class Supervisor:
             against = self._hindrances(request)
         if against:
             return f"{request.name} refused in {before.name}: {against[0]}"
-        self._go(now, time, condition, f"{condition.value} by the operator")
+        self._go(now, time, condition, f"{condition.value} by {by}")
         return ""
 
     def step(self, now: int) -> Report:
@@ -240,12 +244,19 @@ class Supervisor:
             found[Condition.CLOCK_JUMPED] = self._clock.jumped
         if self._tendons.spoiled.any():
             found[Condition.TENDON_SPOILED] = self._tendons.message
+        if reason := self._disobedience(time):
+            found.setdefault(Condition.SERVO_FAULT, reason)
         if self._state is State.HOLD:
             self._weigh_hold(time, found)
         if self._state is State.RELAX and self._gate.relaxed:
             ending = Condition.RELAXED_AFTER_FAULT if self._faulty else Condition.RELAXED
             found[ending] = f"slack after: {self._reason}"
         return found
+
+    def _disobedience(self, time: int) -> str:
+        """Why the driver is slack though it has had time to switch torque on, or ""."""
+        late = time - self._powered > self._settings.timing.obey * SECOND
+        return self._signs.released() if self._state in UNDER_TORQUE and late else ""
 
     def _weigh_hold(self, time: int, found: dict[Condition, str]) -> None:
         """Add what ends HOLD."""
@@ -279,6 +290,8 @@ class Supervisor:
         """What no condition says."""
         if request is Request.READY:
             return self._misplaced()
+        if request is Request.STAND and (without := self._signs.unpowered()):
+            return without
         limit, distance = self._settings.gate.arrived, self._gate.distance
         if request is Request.WALK and distance > limit:
             return [f"the legs are {distance:.3g} rad from their command, limit {limit:g} rad"]
@@ -300,6 +313,7 @@ class Supervisor:
         if after is State.HOLD:
             self._resume = before
         elif after is State.READY:
+            self._powered = time
             self._gate.engage(self._servo_angle)
             self._watch.reset()
             self._tendons = self._watch.state

@@ -20,6 +20,7 @@ class Timing:
     heartbeat: float = quantity("silence of a node", "s", 0.05, 10)
     estop: float = quantity("silence of the e-stop's source", "s", 0.05, 2)
     servo_silent: float = quantity("silence of one servo", "s", 0.05, 2)
+    obey: float = quantity("within which the driver does what it is told", "s", 0.05, 5)
 
 
 @dataclass(frozen=True)
@@ -42,8 +43,6 @@ class SolverLimits:
 class ServoLimits:
     """What a servo may report."""
 
-    temperature_max: float = quantity("temperature", "degC", 20, 100)
-    voltage_min: float = quantity("input voltage", "V", 5, 15)
     angle_tolerance: float = quantity("measured angle beyond the range", "rad", 0, 0.5)
 
 

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from slot_core.control.command_gate import Action
 from slot_core.control.mpc import Status
+from slot_core.control.servo_health import ServoHealth
 from slot_core.control.state_estimator import Estimate, Validity
 from slot_core.control.supervisor_settings import SupervisorSettings
 from slot_core.control.supervisor_table import Condition
@@ -32,20 +32,6 @@ USABLE = (Validity.VALID, Validity.IMU_MISSING)
 Finding = tuple[Condition, str]
 
 
-@dataclass(frozen=True)
-class ServoReading:
-    """What the four servos last answered, each (4,); NaN stands for what is not measured."""
-
-    answered: NDArray[np.int64]  # ns, stamp of each servo's last valid answer
-    angle: Array  # rad, of the tendon
-    rate: Array  # rad/s
-    torque: Array  # N m
-    temperature: Array  # degC
-    voltage: Array  # V
-    hardware_error: NDArray[np.int64]  # register 70
-    comm_errors: NDArray[np.int64]  # failed cycles in a row
-
-
 class VitalSigns:
     """The newest of every input, and the conditions that follow from it."""
 
@@ -59,7 +45,7 @@ class VitalSigns:
         self._stopped = ""  # why the solver counts as stopped
         self._rejected = ""  # why the newest command was refused
         self._answered: list[int | None] = [None] * len(LEGS)
-        self._ailing: tuple[str, ...] = ()  # what the servos complain of
+        self._health: ServoHealth | None = None  # stays so where no driver is
 
     def hear(self, time: int, source: str) -> None:
         """A sign of life of a node."""
@@ -94,12 +80,31 @@ class VitalSigns:
         if not fault:
             self._heard["command"] = time
 
-    def see_servos(self, reading: ServoReading, answered: list[int]) -> None:
-        """What the servos say; `answered` are the times of their last answers."""
-        finite = np.isfinite(reading.angle) & np.isfinite(reading.torque)
-        for leg in np.flatnonzero(finite):
-            self._answered[leg] = answered[leg]
-        self._ailing = tuple(self._complaints(reading))
+    def see_joints(self, time: int, angle: Array, torque: Array) -> None:
+        """A measurement of the servos; one that is not finite is none."""
+        for leg in np.flatnonzero(np.isfinite(angle) & np.isfinite(torque)):
+            self._answered[leg] = time
+
+    def see_health(self, time: int, health: ServoHealth) -> None:
+        """What the driver says; of a silence that is no time a servo never answered."""
+        self._health = health
+        for leg, silence in enumerate(health.silence):
+            known = math.isfinite(silence) and silence >= 0.0
+            self._answered[leg] = time - round(silence * SECOND) if known else None
+
+    def unpowered(self) -> list[str]:
+        """Servos that are not under torque, as far as a driver says so, one line each."""
+        if self._health is None:
+            return []
+        return [
+            f"servo {leg} without torque" for leg, on in zip(LEGS, self._health.torque) if not on
+        ]
+
+    def released(self) -> str:
+        """Why the driver keeps the legs slack or makes them so, or ""."""
+        if self._health is None or self._health.action in (Action.PASS, Action.HOLD):
+            return ""
+        return f"driver: {self._health.reason}"
 
     def conditions(self, time: int) -> dict[Condition, str]:
         """Each condition that holds, with one line: what, value and limit."""
@@ -124,8 +129,8 @@ class VitalSigns:
 
     def _servos(self, time: int) -> Iterator[Finding]:
         limit = self._settings.timing.servo_silent
-        if self._ailing:
-            yield Condition.SERVO_FAULT, "; ".join(self._ailing)
+        if errors := list(self._hardware_errors()):
+            yield Condition.SERVO_FAULT, "; ".join(errors)
         for leg, answered in zip(LEGS, self._answered):
             age = math.inf if answered is None else (time - answered) / SECOND
             if age > limit:
@@ -170,19 +175,14 @@ class VitalSigns:
             if age > limit:
                 yield condition, f"no command for {_span(age)}, limit {limit:g} s"
 
-    def _complaints(self, reading: ServoReading) -> Iterator[str]:
-        """One line for each error bit, temperature and voltage beyond its limit."""
-        limits = self._settings.servo
-        for i, leg in enumerate(LEGS):
-            bits = int(reading.hardware_error[i])
+    def _hardware_errors(self) -> Iterator[str]:
+        """One line for each servo with error bits."""
+        if self._health is None:
+            return
+        for leg, bits in zip(LEGS, map(int, self._health.hardware_error)):
             names = [HARDWARE_ERRORS.get(k, f"bit {k}") for k in range(8) if bits >> k & 1]
             if names:
                 yield f"servo {leg}: {', '.join(names)} error, register 70 = 0x{bits:02x}, limit 0"
-            if reading.temperature[i] > limits.temperature_max:
-                value = f"{reading.temperature[i]:g} degC, limit {limits.temperature_max:g} degC"
-                yield f"servo {leg}: {value}"
-            if reading.voltage[i] < limits.voltage_min:
-                yield f"servo {leg}: {reading.voltage[i]:g} V, limit {limits.voltage_min:g} V"
 
 
 def _span(age: float) -> str:

@@ -54,6 +54,9 @@ and its reaction moves the torso, without the gyroscopic term (eq. 4, 5):
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from slot_core.config import ConfigError
@@ -162,7 +165,8 @@ class PaperSimulator(SimulatedRobot):
         self.steps += done
         if lost >= 0:
             leg, node = divmod(lost, self.settings.nodes)
-            raise _divergence(self.time, self.settings, f"leg {LEGS[leg]} node {node}")
+            state = self.snapshot() | {"command": command}
+            raise _divergence(self.time, self.settings, f"leg {LEGS[leg]} node {node}", state)
 
     @property
     def tendon_angle(self) -> Array:
@@ -228,8 +232,13 @@ def _pieces(scene: Scene, settings: PaperSettings) -> int:
     return round(ratio)
 
 
-def _divergence(time: float, settings: PaperSettings, place: str) -> Divergence:
+def _divergence(
+    time: float,
+    settings: PaperSettings,
+    place: str,
+    state: Mapping[str, Any] | None = None,
+) -> Divergence:
     limit = settings.speed_limit
     return Divergence(
-        f"solution lost at {time:.4f} s: {place} is beyond {limit} m/s or not a number"
+        f"solution lost at {time:.4f} s: {place} is beyond {limit} m/s or not a number", state
     )

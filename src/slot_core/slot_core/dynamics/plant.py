@@ -6,9 +6,12 @@ import heapq
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
+from slot_core.config import ConfigError
+from slot_core.dynamics.mechanical_robot import MechanicalRobot
 from slot_core.dynamics.paper import PaperSimulator
 from slot_core.dynamics.quasi_static import MapSimulator
 from slot_core.dynamics.scene import Push, Scene
@@ -22,7 +25,8 @@ from slot_core.dynamics.sensors import (
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.dynamics.simulator import Simulator
-from slot_core.robot import Array, Robot
+from slot_core.faults import BROKEN, NAN, SLACK, Fault, legs_of, refuse_without_bus
+from slot_core.robot import LEGS, Array, Robot
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,7 @@ MODELS: dict[str, type[SimulatedRobot]] = {
     "map": MapSimulator,
     "paper": PaperSimulator,
 }
+SUFFERERS = {SLACK: MechanicalRobot, BROKEN: MechanicalRobot, NAN: Simulator}
 
 
 def simulate(robot: Robot, scene: Scene, servo: ServoSettings) -> SimulatedRobot:
@@ -74,7 +79,8 @@ class Plant:
     """Simulator, servos and sensors on one clock; readings are handed out as they fall due.
 
     Odometry falls due `delay` after its stamp, everything else at its stamp. The robot is frozen in
-    its starting pose until `start` gives the clock a time.
+    its starting pose until `start` gives the clock a time. Raises ConfigError where the scene has a
+    fault that such a robot cannot have.
     """
 
     def __init__(self, robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator):
@@ -89,13 +95,18 @@ class Plant:
         self._at_rest: list[Reading] = []
         self._agenda: list[_Event] = []
         self._number = itertools.count()
+        self._faults: dict[tuple[str, str], Fault] = {}  # by kind and leg
+        for fault in scene.faults.values():
+            self._refuse(fault)
 
     def present(self, stamp: int) -> list[Reading]:
-        """IMU and odometry at rest, stamped `stamp` (ns), without delay; the same for one stamp."""
+        """What the sensors read at rest, at `stamp` (ns), without delay; the same for one stamp."""
         if not self._at_rest or stamp != self.now:
             self.now = stamp
-            imu = self._read_imu() if self._scene.sensors.imu.enabled else []
-            self._at_rest = [*imu, self._odometry.sample(self.simulator, stamp)]
+            sensors = self._scene.sensors
+            imu = self._read_imu() if sensors.imu.enabled else []
+            joints = self._read_joints() if sensors.joints else []
+            self._at_rest = [*imu, *joints, self._odometry.sample(self.simulator, stamp)]
         return self._at_rest
 
     def start(self, stamp: int) -> None:
@@ -109,6 +120,34 @@ class Plant:
         self._every(sensors.odometry.period, self._read_odometry)
         for push in self._scene.pushes.values():
             self._plan(push)
+        for present in self._faults.values():
+            self._end_later(present)
+        for fault in self._scene.faults.values():
+            self._do(self.now + round(fault.time * 1e9), partial(self.inject, fault))
+
+    def inject(self, fault: Fault) -> None:
+        """Let a fault begin now, whatever its time says, in place of one of its kind at that leg.
+
+        Its duration runs on the plant's clock. Raises ConfigError where there can be no such fault.
+        """
+        self._refuse(fault)
+        for leg in fault.legs:
+            self._faults[fault.kind, leg] = fault
+            self._switch(fault, leg, True)
+        if self._agenda:  # the clock runs
+            self._end_later(fault)
+
+    def clear(self, kind: str, leg: str) -> None:
+        """Take back the faults of a kind at a leg or all; raises ValueError where there is none.
+
+        Errors that a servo has found stay until it is rebooted, a watchdog's trip until it is
+        cleared.
+        """
+        there = [(kind, each) for each in legs_of(kind, leg) if (kind, each) in self._faults]
+        if not there:
+            raise ValueError(f"no fault {kind!r} at {leg!r}")
+        for place in there:
+            self._end(*place)
 
     def command(self, angle: Array) -> None:
         """Hold these tendon angles (4,), rad, from now on; raises ValueError on a bad vector."""
@@ -143,6 +182,15 @@ class Plant:
     def _at(self, due: int, action: Callable[[], list[Reading]]) -> None:
         heapq.heappush(self._agenda, _Event(due, next(self._number), action))
 
+    def _do(self, due: int, act: Callable[[], None]) -> None:
+        """Put something on the agenda that reads nothing."""
+
+        def action() -> list[Reading]:
+            act()
+            return []
+
+        self._at(due, action)
+
     def _simulate(self, until: int) -> None:
         """Whole time steps only: the periods of `config/scene` are multiples of the step."""
         steps = (until - self.now) // self._step
@@ -169,17 +217,47 @@ class Plant:
 
     def _plan(self, push: Push) -> None:
         """Put the begin and the end of a push on the agenda; pushes add up."""
-
-        def change(sign: int) -> Callable[[], list[Reading]]:
-            def act() -> list[Reading]:
-                self.simulator.push(sign * np.array(push.force), sign * np.array(push.moment))
-                return []
-
-            return act
-
+        force, moment = np.array(push.force), np.array(push.moment)
         begin = self.now + round(push.time * 1e9)
-        self._at(begin, change(1))
-        self._at(begin + round(push.duration * 1e9), change(-1))
+        self._do(begin, partial(self.simulator.push, force, moment))
+        self._do(begin + round(push.duration * 1e9), partial(self.simulator.push, -force, -moment))
+
+    def _end_later(self, fault: Fault) -> None:
+        if fault.duration:
+            self._do(self.now + round(fault.duration * 1e9), partial(self._expire, fault))
+
+    def _expire(self, fault: Fault) -> None:
+        """End a fault where nobody has cleared or replaced it."""
+        for leg in fault.legs:
+            if self._faults.get((fault.kind, leg)) is fault:
+                self._end(fault.kind, leg)
+
+    def _refuse(self, fault: Fault) -> None:
+        """Raise ConfigError where this robot cannot have a fault."""
+        refuse_without_bus(fault)
+        if not isinstance(self.simulator, SUFFERERS[fault.kind]):
+            model = self._scene.solver.legs
+            raise ConfigError(f"fault {fault.kind!r}: legs of the model {model!r} cannot have it")
+
+    def _end(self, kind: str, leg: str) -> None:
+        self._switch(self._faults.pop((kind, leg)), leg, False)
+
+    def _switch(self, fault: Fault, leg: str, on: bool) -> None:
+        """Let a fault that has been noted act on a leg, or no longer."""
+        if fault.kind != NAN:
+            self._set_tendon(leg)
+        elif on:
+            assert isinstance(self.simulator, Simulator)
+            self.simulator.spoil_node(LEGS.index(leg))
+
+    def _set_tendon(self, leg: str) -> None:
+        """Let a tendon be as the scene and the present faults have it."""
+        assert isinstance(self.simulator, MechanicalRobot)
+        index, state = LEGS.index(leg), self._scene.tendons
+        longer = self._faults.get((SLACK, leg))
+        slack = state.slack[index] + (longer.value if longer else 0.0)
+        broken = state.broken[index] or (BROKEN, leg) in self._faults
+        self.simulator.spoil_tendon(index, slack, broken)
 
     def _true_state(self) -> TrueState:
         sim = self.simulator

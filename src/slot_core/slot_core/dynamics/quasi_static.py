@@ -89,7 +89,8 @@ class MapSimulator(MechanicalRobot):
             limit = f"torso is beyond {self.scene.solver.speed_limit} m/s or not a number"
             if lost == TOO_TILTED:
                 limit = f"torso is tilted by more than {math.degrees(math.acos(UPRIGHT)):.0f} deg"
-            raise Divergence(f"solution lost at {self.time:.4f} s: {limit}")
+            state = self.snapshot() | {"command": self._feet.command.copy()}
+            raise Divergence(f"solution lost at {self.time:.4f} s: {limit}", state)
 
     def set_motion(self, velocity: Array, angular_velocity: Array) -> None:
         """Let the torso move: (3,) m/s in odom, (3,) rad/s in base_link."""

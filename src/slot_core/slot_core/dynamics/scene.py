@@ -7,6 +7,7 @@ from typing import Any
 
 from slot_core import config
 from slot_core.config import choice, flag, quantity, text
+from slot_core.faults import Fault
 
 
 @dataclass(frozen=True)
@@ -132,6 +133,7 @@ class Scene:
     payload: PayloadSettings
     tendons: TendonState
     pushes: dict[str, Push] = text("pushes by name")
+    faults: dict[str, Fault] = text("faults by name")
     gravity: tuple[float, float, float] = quantity(
         "in odom, z normal to the floor", "m/s^2", -50, 50
     )

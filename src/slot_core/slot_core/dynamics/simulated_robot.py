@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import Protocol
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -13,9 +15,26 @@ from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.robot import Array, Robot
 
+SNAPSHOT = (
+    "time", "halvings", "indefinite_steps", "position", "rotation", "velocity", "angular_velocity",
+    "tendon_angle", "tendon_rate", "tension", "nodes",
+)  # fmt: skip
+
 
 class Divergence(RuntimeError):  # noqa: N818 - it names the event
-    """The solution is lost; the message names the time, the leg or the torso, and the node."""
+    """The solution is lost; the message names the time, the leg or the torso, and the node.
+
+    `state` holds arrays by name: what `SimulatedRobot.snapshot` says.
+    """
+
+    def __init__(self, message: str, state: Mapping[str, Any] | None = None) -> None:
+        super().__init__(message)
+        self.state = dict(state or {})
+
+    def save(self, path: Path, scene: str) -> None:
+        """Write state, message and the scene's name for `numpy.load`; raises OSError."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez(path, scene=scene, message=str(self), **self.state)
 
 
 class RobotState(Protocol):
@@ -71,6 +90,10 @@ class SimulatedRobot(ABC):
         They act from now on; adding the opposite ends that. Raises ConfigError for a model without.
         """
         raise ConfigError(f"legs of the model {self.scene.solver.legs!r} know no pushes")
+
+    def snapshot(self) -> dict[str, Any]:
+        """Copies of time, counters, motion, tendons and nodes by the properties' names."""
+        return {name: getattr(self, name) for name in SNAPSHOT}
 
     @property
     def halvings(self) -> int:

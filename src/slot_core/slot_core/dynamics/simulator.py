@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from slot_core.dynamics import integrator, observe
@@ -38,9 +40,10 @@ class Simulator(MechanicalRobot):
         self._work = work_space()
         self._segments = segments(scene.solver.nodes)
         bristles = self.model.floor.bristle > 0.0
-        start = state_space(scene.solver.nodes, bristles)
+        self._start = state_space(scene.solver.nodes, bristles)
         scheme = build_scheme(scene.solver, self.model.floor)
-        self._machine = Handle((self.model, self.state, self._work, start, self._legs, scheme))
+        parts = (self.model, self.state, self._work, self._start, self._legs)
+        self._machine = Handle((*parts, scheme))
         self._points = np.zeros((2, 4, scene.solver.nodes, 3))
         self._settle()
 
@@ -55,7 +58,7 @@ class Simulator(MechanicalRobot):
         done, where = integrator.advance(self._machine, steps)
         self.steps += done
         if where >= 0:
-            raise Divergence(self._explain(where))
+            raise Divergence(self._explain(where), self.snapshot() | {"command": command})
 
     def set_motion(self, velocity: Array, angular_velocity: Array) -> None:
         """Let the whole robot move rigidly: (3,) m/s in odom, (3,) rad/s in base_link."""
@@ -64,6 +67,27 @@ class Simulator(MechanicalRobot):
         arm = np.einsum("ij,lnj->lni", self.state.rotation.T, self.nodes - self.position)
         body = self.state.rotation.T @ velocity + np.cross(angular_velocity, arm)
         self.state.node_velocity[:] = np.einsum("lij,lnj->lni", self.model.axes, body)
+
+    def spoil_node(self, leg: int) -> None:
+        """Let the tip of leg 0 .. 3 be nowhere (NaN), as a lost solution has it."""
+        self.state.node[leg, -1] = np.nan
+
+    def snapshot(self) -> dict[str, Any]:
+        """That of every robot, the nodes' velocities, and as `before_..` the last step's begin."""
+        before = self._start
+        nodes, node_velocity = np.zeros_like(self._points)
+        observe.points(self.model, before, nodes, node_velocity)
+        return super().snapshot() | {
+            "unconverged_steps": self.unconverged_steps,
+            "node_velocity": self._observe()[1].copy(),
+            "before_nodes": nodes,
+            "before_node_velocity": node_velocity,
+            "before_position": before.position.copy(),
+            "before_rotation": before.rotation.copy(),
+            "before_velocity": before.velocity.copy(),
+            "before_angular_velocity": before.rate.copy(),
+            "before_tendon_angle": before.tendon_angle.copy(),
+        }
 
     @property
     def unconverged_steps(self) -> int:

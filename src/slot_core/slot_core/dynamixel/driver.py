@@ -19,8 +19,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from slot_core import config
 from slot_core.dynamixel.bus import Answer, Bus
-from slot_core.dynamixel.checks import ServoInfo, examine, hardware_errors
+from slot_core.dynamixel.checks import ServoInfo, examine, expected, hardware_errors
 from slot_core.dynamixel.errors import PortError, RefusedError, ServoError
 from slot_core.dynamixel.host_pid import HostPid
 from slot_core.dynamixel.joints import Joint, joints
@@ -53,7 +54,7 @@ class Driver:
         self.bus = Bus(port, settings.bus, {joint.id: joint.name for joint in self.joints})
         self.active = False
         self.health = tuple(Health(joint.leg, joint.id) for joint in self.joints)
-        self._port, self._clock = port, clock
+        self.clock, self._port = clock, port
         self._fast = False
         self._pid = HostPid(settings.host_pid)
         self._wanted: Array = np.zeros(len(LEGS))  # rad, of the tendons
@@ -72,7 +73,7 @@ class Driver:
         if reasons := [reason for _, reasons in found for reason in reasons]:
             self._port.close()
             raise RefusedError(reasons)
-        now = self._clock()
+        now = self.clock()
         self.health = tuple(replace(health, last_answer=now) for health in self.health)
         oldest = min(info.firmware for info in infos)
         self._fast = oldest >= self.settings.servo.fast_from_firmware
@@ -121,19 +122,21 @@ class Driver:
 
     def cycle(self) -> Cycle:
         """One exchange with all servos; raises PortError where the port has gone."""
-        start = self._clock()
+        start = self.clock()
         h = 0.0 if self._last is None else max(start - self._last, 0.0)
         self._last = start
         slewed = self._slew(h)
         if self.settings.mode is Mode.PWM:
             readings = self._read()
             duty = self._regulate(readings, h)
+            written = self.clock()
         else:
             self._write_positions()
+            written = self.clock()
             readings, duty = self._read(), None
         self._look_around(readings)
-        end = self._clock()
-        return Cycle(end, end - start, readings, tuple(map(bool, slewed)), duty)
+        end = self.clock()
+        return Cycle(end, end - start, written, readings, tuple(map(bool, slewed)), duty)
 
     def relax(self, duration: float, period: float, sleep: Callable[[float], None]) -> TorqueOff:
         """Slacken the tendons within `duration` s, then torque off, whatever happens; blocks."""
@@ -147,9 +150,9 @@ class Driver:
         return self.torque_off()
 
     def _slacken(self, duration: float, period: float, sleep: Callable[[float], None]) -> None:
-        start, begin = self._goal.copy(), self._clock()
+        start, begin = self._goal.copy(), self.clock()
         end = np.minimum(start, [joint.low for joint in self.joints])
-        while self.active and (share := (self._clock() - begin) / duration) < 1.0:
+        while self.active and (share := (self.clock() - begin) / duration) < 1.0:
             self._wanted = start + share * (end - start)
             self.cycle()
             sleep(period)
@@ -171,6 +174,22 @@ class Driver:
             raise RefusedError(["reboot: torque is on; switch it off first"])
         self.bus.reboot(self.joints[LEGS.index(leg)].id)
 
+    def set_zero(self, leg: str, zero_deg: float) -> None:
+        """Let a leg be relaxed at an angle of its servo (deg), whose own limits move with it.
+
+        Raises ConfigError where the angle is out of bounds, ServoError where torque is on.
+        """
+        if self.active:
+            raise RefusedError(["set_zero: torque is on; switch it off first"])
+        index = LEGS.index(leg)
+        zeros = list(self.settings.joints.zero_deg)
+        zeros[index] = zero_deg
+        self.settings = config.replace(self.settings, {"joints.zero_deg": tuple(zeros)})
+        self.joints = joints(self.settings.joints)
+        joint = self.joints[index]
+        for register in ("min_position_limit", "max_position_limit"):
+            self.bus.confirm(joint.id, register, expected(self.settings, joint)[register])
+
     def close(self) -> None:
         """Close the port; torque stays as it is."""
         self._port.close()
@@ -178,7 +197,7 @@ class Driver:
     def silent_for(self, leg: str) -> float:
         """Time since a servo answered last, s; infinite if it never has."""
         last = self.health[LEGS.index(leg)].last_answer
-        return np.inf if last is None else self._clock() - last
+        return np.inf if last is None else self.clock() - last
 
     def faults(self) -> list[str]:
         """What is wrong with the servos, in words."""
@@ -270,7 +289,7 @@ class Driver:
     def _reading(self, joint: Joint, answer: Answer) -> Reading:
         values = answer.values
         return Reading(
-            time=self._clock(),
+            time=self.clock(),
             angle=joint.tendon(values["present_position"]),
             rate=joint.tendon_rate(values["present_velocity"]),
             load=joint.direction * values["present_load"] / LOAD_FULL,

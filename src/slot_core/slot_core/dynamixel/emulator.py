@@ -19,7 +19,7 @@ from slot_core import config
 from slot_core.config import quantity
 from slot_core.dynamics.servo import read_servo, servo
 from slot_core.dynamixel.emulated_servo import EmulatedServo, ServoModel
-from slot_core.dynamixel.faults import ALL, BusFault, LineFaults, damaged
+from slot_core.dynamixel.faults import LineFaults, damaged
 from slot_core.dynamixel.instructions import execute, read_data, word
 from slot_core.dynamixel.packet import (
     BROADCAST,
@@ -34,6 +34,7 @@ from slot_core.dynamixel.packet import (
 from slot_core.dynamixel.settings import LEGS
 from slot_core.dynamixel.shaft import Motor
 from slot_core.dynamixel.table import BAUD_RATES, RETURN_DELAY_UNIT, HardwareError
+from slot_core.faults import Fault
 
 FAST_BYTES = 4  # of each servo in a fast answer, beside its data
 ANSWER_READS, ANSWER_ALL = 1, 2  # status return levels beside 0, ping alone
@@ -76,8 +77,6 @@ class EmulatedBus:
         self._parser = Parser()
         self._rng = np.random.default_rng(settings.seed)
         self._lock = threading.RLock()
-        self._plan: dict[str, BusFault] = {}
-        self._present: set[str] = set()
 
     def receive(self, data: bytes, baud: int) -> list[Reply]:
         """Answers to bytes that come in at a rate; servos of another rate do not hear them."""
@@ -98,39 +97,23 @@ class EmulatedBus:
         """Let dt s pass under load torques (N m) on the servos; returns their angles (rad)."""
         with self._lock:
             self.time += dt
-            self._follow_plan()
             for each, load in zip(self.servos, loads):
                 each.advance(dt, float(load))
             return np.array([each.shaft.angle for each in self.servos])
 
-    def schedule(self, plan: dict[str, BusFault]) -> None:
-        """Faults to come, by name, on the time of `advance`."""
-        with self._lock:
-            self._plan = dict(plan)
-
-    def inject(self, fault: BusFault) -> None:
+    def inject(self, fault: Fault) -> None:
         """A fault from now on, whatever its time says."""
         with self._lock:
-            for index in _indices(fault.leg):
-                self._set(index, fault, True)
+            for leg in fault.legs:
+                self._set(LEGS.index(leg), fault, True)
 
-    def clear(self, fault: BusFault) -> None:
+    def clear(self, fault: Fault) -> None:
         """Take a fault back; hardware errors stay until a servo is rebooted."""
         with self._lock:
-            for index in _indices(fault.leg):
-                self._set(index, fault, False)
+            for leg in fault.legs:
+                self._set(LEGS.index(leg), fault, False)
 
-    def _follow_plan(self) -> None:
-        for name, fault in self._plan.items():
-            due, there = fault.at(self.time), name in self._present
-            if due and not there:
-                self._present.add(name)
-                self.inject(fault)
-            elif there and not due:
-                self._present.discard(name)
-                self.clear(fault)
-
-    def _set(self, index: int, fault: BusFault, on: bool) -> None:
+    def _set(self, index: int, fault: Fault, on: bool) -> None:
         each, line = self.servos[index], self._line[index]
         if fault.kind == "silent":
             line.silent = on
@@ -250,10 +233,6 @@ _SUDDEN = {
 def read_emulator() -> EmulatorSettings:
     """The settings of `config/emulator.yaml`; raises ConfigError."""
     return config.read(EmulatorSettings, "emulator")
-
-
-def _indices(leg: str) -> range:
-    return range(len(LEGS)) if leg == ALL else range(LEGS.index(leg), LEGS.index(leg) + 1)
 
 
 def _requests(packet: Packet) -> Iterator[tuple[int, int, int]]:

@@ -19,6 +19,7 @@ from slot_core.dynamixel.emulator import EmulatorSettings
 from slot_core.dynamixel.legs import EmulatedLegs
 from slot_core.dynamixel.settings import LEGS, DynamixelSettings
 from slot_core.dynamixel.table import PWM_FULL, RAD_PER_COUNT
+from slot_core.faults import BUS_KINDS, Fault
 from slot_core.robot import Array, Robot
 
 UNBOUNDED_RPM = 1e6  # a speed that no shaft reaches
@@ -75,6 +76,17 @@ class BusPlant(Plant):
         """The legs whose servos are under torque."""
         servos = zip(LEGS, self.legs.bus.servos)
         return tuple(leg for leg, servo in servos if servo.memory["torque_enable"])
+
+    def _refuse(self, fault: Fault) -> None:
+        if fault.kind not in BUS_KINDS:
+            super()._refuse(fault)
+
+    def _switch(self, fault: Fault, leg: str, on: bool) -> None:
+        if fault.kind not in BUS_KINDS:
+            super()._switch(fault, leg, on)
+            return
+        act = self.legs.bus.inject if on else self.legs.bus.clear
+        act(dataclasses.replace(fault, leg=leg))
 
     def _move(self, steps: int) -> None:
         for _ in range(steps):

@@ -63,6 +63,7 @@ class Cycle:
 
     time: float  # s, of its end
     duration: float  # s
+    written: float  # s, of the clock, when the goals had been handed to the port
     readings: tuple[Reading | None, ...]
     slewed: tuple[bool, ...]  # whether the goal was held back by the speed limit
     duty: Array | None  # of the host's loop, else None

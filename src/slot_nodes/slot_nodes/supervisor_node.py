@@ -1,0 +1,150 @@
+"""What the robot may do: the whole graph in, `/robot_state` out, requests as services.
+
+The servos' driver and the simulated robot obey `/robot_state`; commands go to them directly. Going
+to WALKING it asks the gait scheduler for the gait, going anywhere else but to HOLD for standing.
+"""
+
+from functools import partial
+
+import numpy as np
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+from slot_core import decode
+from slot_core.control.gait import STAND, GaitScheduler, read_gaits
+from slot_core.control.start_up import StartUp
+from slot_core.control.state_estimator import Estimate, Validity
+from slot_core.control.supervisor import Report, Request, Supervisor
+from slot_core.control.supervisor_settings import read_supervisor
+from slot_core.control.supervisor_table import State
+from slot_core.control.tendon_watch import read_tendon_watch
+from slot_core.robot import read_robot
+from slot_msgs.msg import GaitPreview, GroundReactionForces, MpcState, RobotState, ServoHealth
+from slot_msgs.srv import SetGait
+from slot_nodes import inputs, messages, qos, runtime
+
+PERIOD = 0.01  # s, between decisions
+REPEAT = 0.02  # s, between reports without news
+
+
+class SupervisorNode(Node):
+    """Hears, decides every 10 ms, and tells."""
+
+    def __init__(self) -> None:
+        super().__init__("supervisor")
+        robot, settings = read_robot(), runtime.declare_settings(self, read_supervisor())
+        self._supervisor = Supervisor(robot, settings, read_tendon_watch(robot, settings.tendon))
+        self._walk = self._declare_gait()
+        autostart = runtime.declare(self, "autostart", False, "stand up and walk off by itself")
+        self._start_up = StartUp(*self._steps() if autostart else ())
+        self._told: Report | None = None
+        self._told_at = 0  # ns
+        self._state = self.create_publisher(RobotState, "robot_state", qos.STATE)
+        self._set_gait = self.create_client(SetGait, "set_gait")
+        self._hear_controller()
+        self._hear_robot()
+        for request in Request:
+            serve = partial(self._on_request, request)
+            self.create_service(Trigger, f"~/{request.name.lower()}", serve)
+        runtime.wall_timer(self, PERIOD, self._step)
+
+    def _declare_gait(self) -> SetGait.Request:
+        """The gait of WALKING; raises ConfigError where it cannot be."""
+        gaits = read_gaits()
+        gait = runtime.declare(self, "gait", STAND, "gait of WALKING, of config/gait.yaml")
+        v_x = runtime.declare(self, "v_x", gaits.find(gait).cruise, "its forward velocity [m/s]")
+        v_y = runtime.declare(self, "v_y", 0.0, "its lateral velocity [m/s]")
+        GaitScheduler(gaits, gait, np.array([v_x, v_y, 0.0]))
+        return messages.gait_request(gait, v_x, v_y)
+
+    def _steps(self) -> list[Request]:
+        walks = self._walk.gait != STAND
+        return [Request.READY, Request.STAND, *[Request.WALK][:walks]]
+
+    def _hear_controller(self) -> None:
+        inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.CONTROL)
+        inputs.subscribe(self, GaitPreview, "gait_preview", self._on_preview, qos.CONTROL)
+        inputs.subscribe(
+            self, GroundReactionForces, "ground_reaction_forces", self._on_forces, qos.CONTROL
+        )
+        inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
+
+    def _hear_robot(self) -> None:
+        inputs.subscribe(self, JointState, "joint_states", self._on_joints, qos.SENSOR)
+        inputs.subscribe(self, ServoHealth, "servo_health", self._on_health, qos.SENSOR)
+        inputs.subscribe(self, Bool, "estop", self._on_estop, qos.SENSOR)
+
+    def _now(self) -> int:
+        return self.get_clock().now().nanoseconds
+
+    def _on_state(self, message: MpcState) -> None:
+        now = self._now()
+        stamp, state, validity = decode.state(message)
+        covariance = np.array(message.covariance).reshape(12, 12)
+        self._supervisor.hear(now, "state_estimator")
+        self._supervisor.see_estimate(now, Estimate(stamp, state, covariance, Validity(validity)))
+
+    def _on_preview(self, message: GaitPreview) -> None:
+        self._supervisor.hear(self._now(), "gait_scheduler")
+        self._supervisor.see_gait(self._now(), message.period)
+
+    def _on_forces(self, message: GroundReactionForces) -> None:
+        self._supervisor.hear(self._now(), "mpc_controller")
+        self._supervisor.see_solver(self._now(), message.status, message.fallback_cycles)
+
+    def _on_command(self, message: JointState) -> None:
+        self._supervisor.hear(self._now(), "force_mapper")
+        if fault := self._supervisor.see_command(self._now(), *decode.joint_angles(message)):
+            self._step()
+            raise ValueError(fault)
+
+    def _on_joints(self, message: JointState) -> None:
+        self._supervisor.see_joints(self._now(), *decode.joint_loads(message))
+
+    def _on_health(self, message: ServoHealth) -> None:
+        self._supervisor.see_health(self._now(), *decode.servo_health(message))
+
+    def _on_estop(self, message: Bool) -> None:
+        self._supervisor.see_estop(self._now(), message.data)
+        if message.data:
+            self._step()
+
+    def _on_request(
+        self, request: Request, _: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        response.message = self._supervisor.request(self._now(), request)
+        response.success = not response.message
+        self._step()
+        return response
+
+    def _step(self) -> None:
+        now = self._now()
+        if waiting := self._start_up.urge(self._supervisor, now):
+            self.get_logger().info(waiting, throttle_duration_sec=5.0, skip_first=True)
+        report, told = self._supervisor.step(now), self._told
+        news = told is None or report.warnings != told.warnings
+        if told is None or (report.state, report.since) != (told.state, told.since):
+            self._announce(report)
+            news = True
+        if news or now - self._told_at >= REPEAT * 1e9:
+            self._told, self._told_at = report, now
+            self._state.publish(messages.robot_state_to_msg(now, report))
+
+    def _announce(self, report: Report) -> None:
+        """Log a transition, and have the gait that belongs to the state."""
+        line = f"{report.state.name}: {report.reason}"
+        if report.state in (State.HOLD, State.RELAX, State.ESTOP, State.FAULT):
+            self.get_logger().warning(line)
+        else:
+            self.get_logger().info(line)
+        if report.state is not State.HOLD and self._set_gait.service_is_ready():
+            walking = report.state is State.WALKING
+            wanted = self._walk if walking else messages.gait_request(STAND, 0.0, 0.0)
+            self._set_gait.call_async(wanted)
+
+
+def main() -> None:
+    """Entry point of the node."""
+    runtime.run(SupervisorNode)
