@@ -38,7 +38,7 @@ def equal_law(servo: ServoSettings, settings: DynamixelSettings, period: float) 
     """The `pid` of dynamics/servo.py that does to the tendons what emulated servos do.
 
     The motor is that of `servo`, the gains are those of the servos' own loop (position control),
-    `period` (s) is that loop's; angles, speeds and torques become the tendon's by the ratio of both.
+    `period` (s) is that loop's; angles, speeds and torques become the tendon's.
     """
     ratio, gains = settings.joints.servo_per_tendon, settings.gains
     duty = ratio / RAD_PER_COUNT / PWM_FULL  # of a tendon angle (rad), as registers of gain 1

@@ -33,6 +33,7 @@ class ClosedLoop:
         velocity: Array | None,
         seed: int,
         profile: str = DEFAULT,
+        *,
         make: Callable[[Robot, Scene, ServoSettings, np.random.Generator], Plant] = Plant,
     ):
         """Stand in the scene; raises ConfigError when an argument or the configuration is bad.

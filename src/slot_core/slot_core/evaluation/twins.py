@@ -1,8 +1,8 @@
 """One walk on servos of three kinds, on one simulated clock: how far the torso's ways part.
 
-    sim    servo.yaml, as with `--hardware sim`
-    law    the emulated servos' loop and motor in the simulator: no bus, no counts
-    bus    driver, bus and emulated servos, as with `--hardware fake_bus`
+sim    servo.yaml, as with `--hardware sim`
+law    the emulated servos' loop and motor in the simulator: no bus, no counts
+bus    driver, bus and emulated servos, as with `--hardware fake_bus`
 """
 
 from __future__ import annotations
