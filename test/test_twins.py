@@ -6,7 +6,6 @@ import pytest
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.emulator import read_emulator
-from slot_core.dynamixel.faults import BusFault
 from slot_core.dynamixel.legs import EmulatedLegs
 from slot_core.dynamixel.memory_port import MemoryPort
 from slot_core.dynamixel.plant import equal_law
@@ -14,6 +13,7 @@ from slot_core.dynamixel.settings import LEGS, read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.evaluation.closed_loop import ClosedLoop
 from slot_core.evaluation.twins import TWINS, VELOCITY, apart, walk
+from slot_core.faults import Fault
 
 TICK = 0.033  # s
 TEN_SECONDS = round(10.0 / TICK)
@@ -75,7 +75,7 @@ def test_a_goal_is_held_where_the_p_gain_balances_the_load(load):
 
 def test_a_silent_servo_is_silent_in_memory_too():
     legs, driver = driven()
-    legs.bus.inject(BusFault("silent", "RR", 0.0, 0.0, 0.0))
+    legs.bus.inject(Fault("silent", "RR", 0.0, 0.0, 0.0))
     found = driver.cycle()
     assert [reading is None for reading in found.readings] == [False, False, False, True]
 

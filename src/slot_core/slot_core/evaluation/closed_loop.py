@@ -16,6 +16,7 @@ from slot_core.dynamics.sensors import ImuReading, OdometryReading
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.robot import Array, Robot, read_robot
 
+PlantMaker = Callable[[Robot, Scene, ServoSettings, np.random.Generator], Plant]
 START = 1_000_000_000  # ns; a stamp of zero means "no time" in ROS
 
 
@@ -34,7 +35,7 @@ class ClosedLoop:
         seed: int,
         profile: str = DEFAULT,
         *,
-        make: Callable[[Robot, Scene, ServoSettings, np.random.Generator], Plant] = Plant,
+        make: PlantMaker = Plant,
     ):
         """Stand in the scene; raises ConfigError when an argument or the configuration is bad.
 

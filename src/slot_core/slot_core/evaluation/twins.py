@@ -7,8 +7,6 @@ bus    driver, bus and emulated servos, as with `--hardware fake_bus`
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from slot_core.dynamics.plant import Plant
@@ -18,10 +16,9 @@ from slot_core.dynamixel.driven_plant import DrivenPlant
 from slot_core.dynamixel.emulator import read_emulator
 from slot_core.dynamixel.plant import equal_law
 from slot_core.dynamixel.settings import read_settings
-from slot_core.evaluation.closed_loop import ClosedLoop
+from slot_core.evaluation.closed_loop import ClosedLoop, PlantMaker
 from slot_core.robot import Array, Robot
 
-Maker = Callable[[Robot, Scene, ServoSettings, np.random.Generator], Plant]
 VELOCITY = (0.06, 0.0, 0.0)  # m/s, m/s, rad/s: as gait.yaml's cruise
 BUS_PERIOD = 0.01  # s, as the driver's node
 
@@ -43,10 +40,10 @@ def _bus(robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Genera
     )
 
 
-TWINS: dict[str, Maker] = {"sim": Plant, "law": _law, "bus": _bus}
+TWINS: dict[str, PlantMaker] = {"sim": Plant, "law": _law, "bus": _bus}
 
 
-def walk(make: Maker, ticks: int, scene: str = "flat", seed: int = 0) -> Array:
+def walk(make: PlantMaker, ticks: int, scene: str = "flat", seed: int = 0) -> Array:
     """Places of the torso's centre (ticks, 3), m in odom, one at every odometry reading."""
     loop = ClosedLoop(scene, "walk", np.array(VELOCITY), seed, make=make)
     return np.array([loop.plant.simulator.position for _ in loop.run(ticks)])
