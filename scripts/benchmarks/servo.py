@@ -24,6 +24,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import _servo_age as age
 import _servo_twins as twins
 import numpy as np
 import numpy.typing as npt
@@ -61,11 +62,15 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
     ways = twins.walks()
     twin = list(twins.rows(ways))
     twins.draw(ways, out / "servo_twins.png")
+    progress("age of a command, in real time")
+    ages = age.walk(6.0 if quick else 60.0)
+    age.draw(ages, out / "servo_age.png")
+    aged = age.row(ages)
     progress("fuzz")
     fuzz = list(fuzz_rows(20000 if quick else 1000000))
     shown = [{k: v for k, v in row.items() if k != "trace"} for row in steps]
-    promises = [*checks(cycles, share, fuzz), *twins.checks(twin)]
-    return [*cycles, share, *shown, *twin, *fuzz], promises
+    promises = [*checks(cycles, share, fuzz), *age.checks(aged), *twins.checks(twin)]
+    return [*cycles, share, *shown, aged, *twin, *fuzz], promises
 
 
 def checks(cycles: list[Row], share: Row, fuzz: list[Row]) -> list[Check]:

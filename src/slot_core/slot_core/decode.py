@@ -23,7 +23,12 @@ ACTIONS = (Action.OFF, Action.RELAX, Action.HOLD, Action.PASS)  # as RobotState 
 
 def stamp(message: Any) -> int:
     """Nanoseconds of the header's stamp."""
-    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
+    return time(message.header.stamp)
+
+
+def time(message: Any) -> int:
+    """Nanoseconds of a Time."""
+    return int(message.sec) * 1_000_000_000 + int(message.nanosec)
 
 
 def vector(message: Any) -> Array:
