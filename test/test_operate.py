@@ -173,6 +173,12 @@ def test_the_screen_tells_what_the_driver_complains_of():
     assert not any("sound" in line for line in shown)
 
 
+def test_the_state_at_the_start_has_no_age():
+    first = state(State.IDLE, reason="started")
+    first.since = Time()
+    assert screen(state=first)[0] == "IDLE: started"
+
+
 def test_a_state_that_is_old_is_not_shown():
     shown = screen(heard=NOW - SILENCE - 0.1)
     assert shown[0] == f"NO WORD of the supervisor for 0.6 s, limit {SILENCE:g} s"

@@ -218,7 +218,7 @@ def _draw(view: operator_screen.View) -> None:
     width, height = shutil.get_terminal_size()
     first, *others = (line[:width] for line in operator_screen.lines(view, now)[:height])
     colour = "\x1b[1;31m" if view.alarming(now) else "\x1b[1m"
-    picture = "\x1b[K\r\n".join((f"{colour}{first}\x1b[0m", *others))
+    picture = "\x1b[K\n".join((f"{colour}{first}\x1b[0m", *others))
     print(f"\x1b[H{picture}\x1b[K\x1b[J", end="", flush=True)
 
 

@@ -45,8 +45,11 @@ def state_lines(message: RobotState) -> list[str]:
     """The state, for how long and why; then what speaks against motion, one line each."""
     since = message.since.sec * 1_000_000_000 + message.since.nanosec
     held = (decode.stamp(message) - since) * 1e-9
-    first = f"{State(message.state).name} for {held:.1f} s: {message.reason}"
-    return [first, *(f"  ! {warning}" for warning in message.warnings)]
+    span = f" for {held:.1f} s" if since else ""  # since its start nobody knows
+    return [
+        f"{State(message.state).name}{span}: {message.reason}",
+        *(f"  ! {warning}" for warning in message.warnings),
+    ]
 
 
 def lines(view: View, now: float) -> list[str]:
