@@ -2,7 +2,7 @@ from glob import glob
 
 from setuptools import find_packages, setup
 
-FOLDERS = ("dds", "foxglove", "launch", "rviz", "urdf")
+FOLDERS = ("dds", "foxglove", "launch", "rviz", "udev", "urdf")
 
 setup(
     name="slot_bringup",

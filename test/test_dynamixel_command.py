@@ -4,6 +4,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -13,6 +14,7 @@ from slot_core.dynamixel.command import main
 from slot_core.dynamixel.emulator import read_emulator
 from slot_core.dynamixel.homing import write_zero
 from slot_core.dynamixel.legs import EmulatedLegs
+from slot_core.dynamixel.port import UDEV_RULE
 from slot_core.dynamixel.pseudo_terminal import PseudoTerminal
 from slot_core.dynamixel.settings import read_settings
 
@@ -123,3 +125,8 @@ def test_emulate_answers_behind_its_link_until_interrupted(tmp_path, place):
         process.send_signal(signal.SIGINT)
     assert process.wait(10) == 0
     assert not link.exists()
+
+
+def test_the_udev_rule_that_is_shipped_is_the_one_that_the_refusal_names():
+    shipped = Path(__file__).parents[1] / "slot_bringup" / "udev" / "99-dynamixel.rules"
+    assert UDEV_RULE in shipped.read_text().splitlines()

@@ -69,6 +69,13 @@ def test_real_servos_differ_from_emulated_ones_in_the_port_and_in_who_starts_the
         assert spec.parameters == alike
 
 
+@pytest.mark.parametrize("hardware", ["sim", "fake_bus"])
+def test_an_attended_robot_waits_for_its_operator_as_a_real_one_does(graph, hardware):
+    real = {s.name: s for s in graph.nodes(values(graph, hardware="real"))}
+    attended = {s.name: s for s in graph.nodes(values(graph, hardware=hardware, attended=True))}
+    assert attended["supervisor"].parameters == real["supervisor"].parameters
+
+
 def test_simulated_servos_need_no_driver(graph):
     nodes = {s.name: s for s in graph.nodes(values(graph))}
     assert "dynamixel_driver" not in nodes

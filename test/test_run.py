@@ -26,6 +26,7 @@ from slot_core.config import config_dir
         (["--bag", "."], "--bag .: exists already"),
         (["--seed", "-1"], "--seed -1: outside [0, 9223372036854775807]"),
         (["--seed", "99999999999999999999"], "--seed 99999999999999999999: outside [0, "),
+        (["--lockstep", "--attended"], "--lockstep has no supervisor, which --attended needs"),
         (["--speed", "1"], "unrecognized arguments: --speed 1"),
     ],
 )

@@ -101,12 +101,12 @@ def _ports(hardware: str, port: str | None) -> dict[str, str | None]:
 
 
 def _start(values: Mapping[str, Any]) -> dict[str, Any]:
-    """How the robot comes to walk: simulated ones by themselves, real ones when they are asked to.
+    """How the robot comes to walk: by itself, or attended when it is asked to; real ones always so.
 
     In lockstep nobody asks: the gait is there from the first tick on.
     """
-    real = values["hardware"] == "real"
-    start = {"autostart": not real, "estop_required": None if real else False}
+    attended = values["attended"] or values["hardware"] == "real"
+    start = {"autostart": not attended, "estop_required": None if attended else False}
     if values["lockstep"]:
         first = {"gait": values["gait"], "vx": values["vx"], "vy": values["vy"]}
     else:

@@ -93,7 +93,7 @@ def watch(processes: Processes, duration: float, attended: bool = False) -> None
     Raises RunError when a node ends, the states stay away or, unless an operator attends to it, the
     robot goes slack.
     """
-    with _listener() as (node, executor):
+    with listener("run") as (node, executor):
         progress = Progress("supervisor" in processes)
         node.create_subscription(MpcState, "mpc_state", progress.add, qos.CONTROL)
         node.create_subscription(RobotState, "robot_state", progress.hear, qos.STATE)
@@ -105,7 +105,7 @@ def require_solitude() -> None:
 
     Heard, not looked up: of a node that was killed, DDS tells for another 20 s.
     """
-    with _listener() as (node, executor):
+    with listener("run") as (node, executor):
         heard: list[MpcState] = []
         node.create_subscription(MpcState, "mpc_state", heard.append, qos.CONTROL)
         end = time.monotonic() + DISCOVERY_TIME
@@ -119,12 +119,12 @@ def require_solitude() -> None:
 
 
 @contextmanager
-def _listener() -> Iterator[tuple[Node, SingleThreadedExecutor]]:
-    """A node that leaves the signals alone, with its executor."""
+def listener(name: str) -> Iterator[tuple[Node, SingleThreadedExecutor]]:
+    """A node of that name that leaves the signals alone, with its executor."""
     context = Context()
     rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
     try:
-        node = rclpy.create_node("run", context=context)
+        node = rclpy.create_node(name, context=context)
         executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
         yield node, executor

@@ -88,6 +88,8 @@ def check(options: argparse.Namespace) -> None:
     read_mpc(options.mpc)
     if options.lockstep and options.hardware != "sim":
         raise ConfigError(f"--lockstep: servos of --hardware {options.hardware} move in real time")
+    if options.lockstep and options.attended:
+        raise ConfigError("--lockstep has no supervisor, which --attended needs")
     if options.hardware == "sim":
         for fault in scene.faults.values():
             refuse_without_bus(fault)
@@ -114,7 +116,8 @@ def run(options: argparse.Namespace, graph: Graph, directory: Path) -> None:
     """
     values = vars(options) | {"bag": str(directory)}
     with started(graph, values, directory / "log") as processes:
-        watch(processes, options.duration, attended=options.hardware == "real")
+        attended = options.attended or options.hardware == "real"
+        watch(processes, options.duration, attended)
 
 
 @contextmanager

@@ -1,13 +1,11 @@
 """The graph on emulated servos: the real driver at a pseudo-terminal."""
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import time
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,28 +21,6 @@ from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.robot import TENDON_JOINTS, read_robot
 
 RUN = [sys.executable, "-m", "slot_bringup", "--hardware", "fake_bus"]
-# A busy machine keeps processes waiting for longer than a robot may: time limits that it keeps.
-PATIENT = {
-    "dynamixel.yaml": {"  timeout: 0.008": "  timeout: 0.1", "  watchdog: 0.1": "  watchdog: 2.0"},
-    "supervisor.yaml": {
-        "command_hold: 0.1": "command_hold: 1.0", "command_lost: 0.5": "command_lost: 5.0",
-        "servo_silent: 0.5": "servo_silent: 2.0",
-    },
-}  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def environment(tmp_path_factory):
-    """Environment with a configuration of longer time limits."""
-    config = tmp_path_factory.mktemp("patient") / "config"
-    shutil.copytree(Path(__file__).parents[2] / "config", config)
-    for name, changes in PATIENT.items():
-        text = (config / name).read_text()
-        for before, after in changes.items():
-            assert text.count(before) == 1, before
-            text = text.replace(before, after)
-        (config / name).write_text(text)
-    return os.environ | {"SLOT_CONFIG": str(config)}
 
 
 @pytest.fixture(scope="module")

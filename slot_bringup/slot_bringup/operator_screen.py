@@ -1,0 +1,112 @@
+"""What the operator's terminal shows: lines from the newest message of every topic."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from sensor_msgs.msg import JointState
+
+from slot_core import decode
+from slot_core.control.supervisor_table import State
+from slot_core.dynamixel.checks import hardware_errors
+from slot_core.robot import LEGS
+from slot_msgs.msg import RobotState, ServoHealth
+
+SILENCE = 0.5  # s, older than that a state of the robot is no longer shown as its state
+ALARMS = (State.RELAX, State.ESTOP, State.FAULT)
+HELP = "r ready   s stand   w walk   x relax   SPACE E-STOP   R reset   q quit"
+HEADER = "     angle deg  torque N m  slack mm  silent s  degC     V  lost %  power  errors"
+
+
+@dataclass
+class View:
+    """The newest of everything; None before the first."""
+
+    state: RobotState | None = None
+    heard: float = -math.inf  # s, when the state came
+    joints: JointState | None = None
+    health: ServoHealth | None = None
+    diagnostics: DiagnosticArray | None = None
+    sources: int = 1  # of the e-stop, this terminal among them
+    answer: str = ""  # to the last request
+
+    def silent(self, now: float) -> bool:
+        """Whether the supervisor has been silent for too long at `now` (s)."""
+        return now - self.heard > SILENCE
+
+    def alarming(self, now: float) -> bool:
+        """Whether somebody should look."""
+        return self.state is None or self.silent(now) or State(self.state.state) in ALARMS
+
+
+def state_lines(message: RobotState) -> list[str]:
+    """The state, for how long and why; then what speaks against motion, one line each."""
+    since = message.since.sec * 1_000_000_000 + message.since.nanosec
+    held = (decode.stamp(message) - since) * 1e-9
+    span = f" for {held:.1f} s" if since else ""  # since its start nobody knows
+    return [
+        f"{State(message.state).name}{span}: {message.reason}",
+        *(f"  ! {warning}" for warning in message.warnings),
+    ]
+
+
+def lines(view: View, now: float) -> list[str]:
+    """The whole screen at `now` (s)."""
+    return [
+        *_robot(view, now),
+        "",
+        HEADER,
+        *(_leg(view, k) for k in range(len(LEGS))),
+        "",
+        *_driver(view),
+        *_sources(view),
+        f"> {view.answer}",
+        HELP,
+    ]
+
+
+def _robot(view: View, now: float) -> list[str]:
+    if view.state is None:
+        return ["no word of a supervisor yet"]
+    if view.silent(now):
+        return [f"NO WORD of the supervisor for {now - view.heard:.1f} s, limit {SILENCE:g} s"]
+    return state_lines(view.state)
+
+
+def _leg(view: View, k: int) -> str:
+    joints, health = view.joints, view.health
+    angle = torque = slack = math.nan
+    if joints is not None:
+        _, angles, torques = decode.joint_loads(joints)
+        angle, torque = math.degrees(angles[k]), torques[k]
+    if view.state is not None:
+        slack = 1e3 * view.state.slack[k]
+    row = f"{LEGS[k]} {angle:11.1f} {torque:11.2f} {slack:9.1f}"
+    if health is None:
+        return row
+    return (
+        f"{row} {health.silence[k]:9.2f} {health.temperature[k]:5.0f} {health.voltage[k]:5.1f}"
+        f" {100.0 * health.error_rate[k]:7.1f} {'on' if health.torque[k] else 'off':>6}"
+        f"  {hardware_errors(int(health.hardware_error[k]))}"
+    )
+
+
+def _driver(view: View) -> list[str]:
+    """What the driver does, the pace of its bus, and what it complains of."""
+    if view.health is None:
+        return ["no driver of servos"]
+    action = decode.ACTIONS[view.health.action].name
+    status = view.diagnostics.status if view.diagnostics is not None else []
+    pace = [f"{v.key} {v.value}" for s in status for v in s.values if s.name == "servo bus"]
+    bad = [f"  ! {s.name}: {s.message}" for s in status if s.level != DiagnosticStatus.OK]
+    first = f"driver: {action} {view.health.reason}".rstrip()
+    return [first, *(["  " + ", ".join(pace)] if pace else []), *bad]
+
+
+def _sources(view: View) -> list[str]:
+    """One of several may be lost without being missed."""
+    if view.sources < 2:
+        return []
+    return [f"  ! {view.sources} sources of the e-stop: closing this terminal may not stop it"]
