@@ -1,5 +1,6 @@
 """A graph of processes to be harmed: started, heard, asked, and brought back to walking."""
 
+import contextlib
 import os
 import shutil
 import signal
@@ -10,6 +11,7 @@ from collections import defaultdict
 from pathlib import Path
 
 import rclpy
+import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 from rclpy.context import Context
@@ -49,7 +51,7 @@ PATIENT = {
     "supervisor.yaml": {
         "command_hold: 0.1": "command_hold: 0.5", "command_lost: 0.5": "command_lost: 2.0",
         "clock_jump: 0.5": "clock_jump: 10.0", "heartbeat: 0.5": "heartbeat: 3.0",
-        "servo_silent: 0.5": "servo_silent: 2.0", "obey: 1.0": "obey: 5.0",
+        "servo_silent: 0.5": "servo_silent: 2.0", "obey: 1.0": "obey: 2.0",
         "coast_cycles: 3 ": "coast_cycles: 30 ", "sample_gap: 0.05": "sample_gap: 0.5",
     },
     "mpc.yaml": {"time_budget: 0.02": "time_budget: 0.2"},
@@ -107,10 +109,8 @@ class Rig:
         self._thread.start()
 
     def _spin(self):
-        try:
+        with contextlib.suppress(ExternalShutdownException):
             self._executor.spin()
-        except ExternalShutdownException:
-            pass
 
     def _on_state(self, message):
         now = (nanoseconds(message.since), State(message.state), message.reason)
@@ -170,7 +170,7 @@ class Rig:
             [*map(str, self.transitions[-12:]), *(f"{n}:\n{t}" for n, t in logs.items())]
         )
 
-    def call(self, kind, service, **request):
+    def call(self, kind, service, /, **request):
         """The answer of a service."""
         if service not in self._clients:
             self._clients[service] = self.node.create_client(kind, service)
@@ -205,6 +205,10 @@ class Rig:
     def since(self, topic, time):
         """Messages of a topic stamped at or after a time."""
         return [message for message in list(self.heard[topic]) if decode.stamp(message) >= time]
+
+    def limit(self, name):
+        """A limit of `timing` in supervisor.yaml that is in force, s."""
+        return yaml.safe_load((self.config / "supervisor.yaml").read_text())["timing"][name]
 
     def reached(self, state, time, limit=PATIENCE):
         """(since, reason) of the first transition to a state after a time; waits for it."""
