@@ -24,6 +24,9 @@ from slot_bringup.graph import read_graph
 from slot_bringup.processes import command_line
 from slot_core import decode
 from slot_core.control.supervisor_table import State
+from slot_core.dynamixel.bus import Bus
+from slot_core.dynamixel.port import SerialPort
+from slot_core.dynamixel.settings import read_settings
 from slot_msgs.msg import LegStates, RobotState, ServoHealth
 from slot_msgs.srv import InjectFault
 from slot_nodes import qos
@@ -44,6 +47,13 @@ NEXT = {
     State.ESTOP: "reset", State.FAULT: "reset",
     State.IDLE: "ready", State.READY: "stand", State.STANDING: "walk",
 }  # fmt: skip
+# s, from a limit to the reaction: two periods of the supervisor (10 ms) or of a bus cycle, and how
+# long a busy machine lets a process wait.
+LATE = 0.3
+# counts: the friction of a gearbox without torque holds up to 0.1 of the stall torque (emulator.yaml);
+# a position loop of 800/128 of its 885 steps a count gives way by this to hold as much.
+SAG = 0.1 * 885 * 128 / 800 + 1
+RAMP = 1.2  # s, the longest way to slack: relax_time of supervisor.yaml
 # A busy machine keeps processes waiting for longer than a robot may: limits that it keeps. What is
 # promised is that the limit is kept, whichever it is; `limits` has those that are in force.
 PATIENT = {
@@ -117,19 +127,17 @@ class Rig:
         if not self.transitions or self.transitions[-1] != now:
             self.transitions.append(now)
 
-    def start(self, *names):
-        """Start nodes, also again."""
+    def start(self, *names, parameters=None, program=()):
+        """Start nodes, also again; `parameters` and another `program` for this time alone."""
         environment = os.environ | {"SLOT_CONFIG": str(self.config)}
         for name in names:
-            more = [
-                word
-                for key, value in self._more.get(name, {}).items()
-                for word in ("-p", f"{key}:={value}")
-            ]
+            executable, *arguments = command_line(self.specs[name])
+            more = {**self._more.get(name, {}), **(parameters or {})}
+            options = [w for key, value in more.items() for w in ("-p", f"{key}:={value}")]
             remaps = [w for a, b in self._remaps.get(name, {}).items() for w in ("-r", f"{a}:={b}")]
             with self._log(name).open("ab") as log:
                 self.children[name] = subprocess.Popen(
-                    [*command_line(self.specs[name]), *more, *remaps],
+                    [*(program or [executable]), *arguments, *options, *remaps],
                     env=environment, stdout=log, stderr=log, start_new_session=True,
                     cwd=self.directory,
                 )  # fmt: skip
@@ -140,6 +148,10 @@ class Rig:
     def log(self, name):
         """What a node has written so far."""
         return self._log(name).read_text(errors="replace")
+
+    def log_lines(self, name):
+        """The same by lines."""
+        return self.log(name).splitlines()
 
     def send(self, name, number):
         """A signal to a node; returns the time before it."""
@@ -219,6 +231,25 @@ class Rig:
 
         return self.wait_for(found, limit, f"never {state.name}")
 
+    def slack(self, time):
+        """The first report after a time that torque is off at every servo; waits for it."""
+        found = self.wait_for(
+            lambda: [m for m in self.since("/servo_health", time) if not any(m.torque)],
+            what="torque stays on",
+        )
+        return found[0]
+
+    def registers(self, name):
+        """A register of every servo, while no driver is there."""
+        settings = read_settings()
+        port = SerialPort(str(self.bus), settings.bus.baud, 0.5)
+        port.open()
+        try:
+            bus = Bus(port, settings.bus)
+            return [bus.read(identity, name)[name] for identity in settings.joints.ids]
+        finally:
+            port.close()
+
     def walk(self, limit=PATIENCE):
         """Bring the robot to WALKING, from wherever it is, as an operator would."""
         end = time.monotonic() + limit
@@ -228,6 +259,12 @@ class Rig:
             if self.state in NEXT:
                 refusal = self.ask(NEXT[self.state])
             time.sleep(0.05)
+
+    def stop(self, name):
+        """Interrupt a node, unless it has ended, and wait for its end."""
+        if self.children[name].poll() is None:
+            self.send(name, signal.SIGINT)
+        return self.exit_code(name)
 
     def close(self):
         """End every node; returns the exit codes."""

@@ -5,24 +5,14 @@ import signal
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from rig import LATE, RAMP, SAG
 from std_srvs.srv import SetBool, Trigger
 
 from slot_core import decode
 from slot_core.control.command_gate import Action
 from slot_core.control.supervisor_table import State
-from slot_core.dynamixel.bus import Bus
-from slot_core.dynamixel.port import SerialPort
-from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.robot import LEGS, read_robot
-
-# s, from a limit to the reaction: two periods of the supervisor (10 ms) or of a bus cycle, and how
-# long a busy machine lets a process wait.
-LATE = 0.3
-# counts: a switched-off gearbox holds up to 0.1 of the stall torque by friction (emulator.yaml), which
-# costs a position loop of 800/128 of its 885 steps a count this much.
-SAG = 0.1 * 885 * 128 / 800 + 1
-RAMP = 1.2  # s, the longest way to slack: relax_time of supervisor.yaml
 
 
 @pytest.fixture(scope="module")
@@ -45,15 +35,6 @@ def in_range(time, limit, late=LATE):
     return limit <= time <= limit + late
 
 
-def slack(rig, since):
-    """The first report after a time that torque is off at every servo."""
-    found = rig.wait_for(
-        lambda: [m for m in rig.since("/servo_health", since) if not any(m.torque)],
-        what="torque stays on",
-    )
-    return found[0]
-
-
 def errors(rig, since):
     """Lines of /diagnostics at the level of an error."""
     return [
@@ -64,25 +45,13 @@ def errors(rig, since):
     ]
 
 
-def registers(rig, name):
-    """A register of every servo, while no driver is there."""
-    settings = read_settings()
-    port = SerialPort(str(rig.bus), settings.bus.baud, 0.5)
-    port.open()
-    try:
-        bus = Bus(port, settings.bus)
-        return [bus.read(identity, name)[name] for identity in settings.joints.ids]
-    finally:
-        port.close()
-
-
 def test_commands_that_stop_hold_then_relax_with_an_error_on_diagnostics(rig):
     hold, lost = rig.limit("command_hold"), rig.limit("command_lost")
     stopped = rig.send("force_mapper", signal.SIGSTOP)
     held, why = rig.reached(State.HOLD, stopped)
     last = decode.stamp(rig.last("/desired_joint_angles"))  # older than its coming
     relaxed, _ = rig.reached(State.RELAX, stopped)
-    off = slack(rig, relaxed)
+    off = rig.slack(relaxed)
     assert why.startswith("no command for")
     assert hold <= seconds(last, held)
     assert seconds(stopped, held) <= hold + LATE
@@ -144,7 +113,7 @@ def test_a_hardware_error_slackens_all_until_reboot_and_reset(rig, kind, value, 
     begin = rig.inject(kind, "FR", value=value)
     relaxed, why = rig.reached(State.RELAX, begin)
     assert f"servo FR: {name}" in why
-    slack(rig, relaxed)
+    rig.slack(relaxed)
     rig.reached(State.FAULT, relaxed)
     rig.inject(kind, "FR", clear=True)
     assert name in rig.ask("reset")  # it is not rebooted by itself, so the error stays
@@ -164,10 +133,10 @@ def stops_and_comes_back(rig, begin, why):
     end = begin + round((watchdog + 2 * LATE) * 1e9)
     rig.wait_for(lambda: decode.stamp(rig.last("/ground_truth/odom")) > end)
     rig.wait_for(rig.bus.exists)
-    assert registers(rig, "bus_watchdog") == [-1] * 4
+    assert rig.registers("bus_watchdog") == [-1] * 4
     restarted = rig.now()
     rig.start("dynamixel_driver")
-    assert not any(slack(rig, restarted).torque)  # FAULT: what was left under torque goes slack
+    assert not any(rig.slack(restarted).torque)  # FAULT: what was left under torque goes slack
     rig.wait_for(lambda: not rig.ask("reset"))
     rig.wait_for(lambda: len(rig.since("/joint_states", restarted)) > 20)
     before = rig.last("/joint_states").position
@@ -209,7 +178,7 @@ def test_a_spoiled_tendon_stops_the_gait_and_names_the_leg(rig, kind, leg, value
 def test_estop_is_torque_off_at_once_until_reset(rig):
     begin = rig.now()
     assert rig.ask("estop") == ""
-    off = slack(rig, begin)
+    off = rig.slack(begin)
     assert seconds(begin, decode.stamp(off)) <= LATE
     assert "READY" in rig.ask("ready")
     assert rig.state is State.ESTOP
@@ -223,7 +192,7 @@ def test_the_torque_service_takes_precedence_over_a_supervisor_that_walks(rig):
     _, why = rig.reached(State.RELAX, begin)
     assert why.startswith("driver: ")
     assert why.endswith("torque switched off by the operator")
-    slack(rig, begin)
+    rig.slack(begin)
     rig.reached(State.FAULT, begin)
 
 
@@ -232,7 +201,7 @@ def test_relax_ends_in_idle_without_torque(rig):
     assert rig.ask("relax") == ""
     since, _ = rig.reached(State.IDLE, begin)
     assert seconds(begin, since) <= RAMP + LATE
-    slack(rig, since)
+    rig.slack(since)
 
 
 def test_the_nodes_end_with_every_servo_confirmed_slack(graph):
