@@ -236,7 +236,7 @@ def test_stop_slackens_and_confirms_also_in_the_middle_of_an_exchange(rig):
     rig.driver.bus.port.is_using = True  # as an interrupt leaves it
     assert rig.session.stop().complete
     assert rig.powered() == [0] * 4
-    # they follow a ramp of 2 rad/s 2 / (4.6 5.97) = 0.07 rad behind, and a step of 0.02 rad
+    # they follow a ramp of 2 rad/s 0.05 rad behind with the gains of dynamixel.yaml
     assert rig.legs.angles() == pytest.approx(np.zeros(4), abs=0.1)
     assert rig.session.action is Action.OFF
 
