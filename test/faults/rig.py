@@ -10,6 +10,7 @@ import time
 from collections import defaultdict
 from pathlib import Path
 
+import numpy as np
 import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
@@ -27,6 +28,7 @@ from slot_core.control.supervisor_table import State
 from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.settings import read_settings
+from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_msgs.msg import LegStates, RobotState, ServoHealth
 from slot_msgs.srv import InjectFault
 from slot_nodes import qos
@@ -50,9 +52,9 @@ NEXT = {
 # s, from a limit to the reaction: two periods of the supervisor (10 ms) or of a bus cycle, and how
 # long a busy machine lets a process wait.
 LATE = 0.3
-# counts: the friction of a gearbox without torque holds up to 0.1 of the stall torque (emulator.yaml);
-# a position loop of 800/128 of its 885 steps a count gives way by this to hold as much.
-SAG = 0.1 * 885 * 128 / 800 + 1
+# counts that a servo gives way by where torque comes on: until then the friction of its gearbox has
+# held up to 0.1 of the stall torque (emulator.yaml), now a loop of p/128 of 885 steps a count does.
+SAG = 1 + 0.1 * 885 * 128 / read_settings().gains.p
 RAMP = 1.2  # s, the longest way to slack: relax_time of supervisor.yaml
 # A busy machine keeps processes waiting for longer than a robot may: limits that it keeps. What is
 # promised is that the limit is kept, whichever it is; `limits` has those that are in force.
@@ -147,7 +149,8 @@ class Rig:
 
     def log(self, name):
         """What a node has written so far."""
-        return self._log(name).read_text(errors="replace")
+        log = self._log(name)
+        return log.read_text(errors="replace") if log.exists() else ""
 
     def log_lines(self, name):
         """The same by lines."""
@@ -238,6 +241,23 @@ class Rig:
             what="torque stays on",
         )
         return found[0]
+
+    def rest(self):
+        """Wait until the servos have not moved for half a second; returns their angles, rad."""
+        begin = self.now()
+
+        def still():
+            angles = [m.position for m in self.since("/joint_states", begin)[-50:]]
+            return len(angles) == 50 and np.ptp(angles, axis=0).max() < 1.5 * RAD_PER_COUNT
+
+        self.wait_for(still, what="never at rest")
+        return np.array(self.last("/joint_states").position)
+
+    def moved(self, before, time):
+        """Least and largest way of any servo from where it was, since a time, counts."""
+        angles = [message.position for message in self.since("/joint_states", time)]
+        ways = (np.array(angles) - before) / RAD_PER_COUNT
+        return ways.min(), ways.max()
 
     def registers(self, name):
         """A register of every servo, while no driver is there."""

@@ -138,14 +138,12 @@ def stops_and_comes_back(rig, begin, why):
     rig.start("dynamixel_driver")
     assert not any(rig.slack(restarted).torque)  # FAULT: what was left under torque goes slack
     rig.wait_for(lambda: not rig.ask("reset"))
-    rig.wait_for(lambda: len(rig.since("/joint_states", restarted)) > 20)
-    before = rig.last("/joint_states").position
+    before, ready = rig.rest(), rig.now()
     assert rig.ask("ready") == ""
-    ready = rig.now()
     rig.wait_for(lambda: all(rig.last("/servo_health").torque))
-    rig.wait_for(lambda: len(rig.since("/joint_states", ready)) > 30)
-    moved = np.subtract(rig.last("/joint_states").position, before) / RAD_PER_COUNT
-    assert -SAG < moved.min() <= moved.max() < 1.5  # one count, where a position lies between two
+    rig.wait_for(lambda: len(rig.since("/joint_states", ready)) > 60)
+    sag, pull = rig.moved(before, ready)
+    assert -SAG < sag <= pull < 1.5  # one count, where a position lies between two
 
 
 def test_an_unplugged_bus_ends_the_driver_and_a_new_one_comes_back_without_motion(rig):

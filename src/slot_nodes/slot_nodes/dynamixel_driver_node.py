@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import FloatingPointRange
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.timer import Timer
@@ -76,6 +77,7 @@ class DynamixelDriverNode(LifecycleNode):
         self._told_at = 0  # ns
         self._timer: Timer | None = None
         self._create_outputs()
+        self._refuse_wrong_transitions()
         inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
         inputs.subscribe(self, RobotState, "robot_state", self._on_robot_state, qos.STATE)
         self._end_of_wait = time.monotonic() + self._patience
@@ -92,6 +94,20 @@ class DynamixelDriverNode(LifecycleNode):
         for leg in LEGS:
             self._offer(f"~/reboot_{leg.lower()}", partial(self._reboot, leg))
             self._offer(f"~/zero_{leg.lower()}", partial(self._zero, leg))
+
+    def _refuse_wrong_transitions(self) -> None:
+        """Answer a transition that the present state does not have; rclpy 7.1 lets the node die."""
+        change = self._service_change_state.callback
+
+        def serve(request: ChangeState.Request, response: ChangeState.Response) -> Any:
+            try:
+                return change(request, response)
+            except RuntimeError as error:  # an RCLError
+                self.get_logger().error(f"transition {request.transition.id} refused: {error}")
+                response.success = False
+                return response
+
+        self._service_change_state.callback = serve
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open the port and check every servo."""
