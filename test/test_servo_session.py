@@ -148,6 +148,16 @@ def test_the_supervisors_word_is_obeyed_with_its_reason(rig, word):
         assert rig.powered() == [0] * 4
 
 
+def test_only_what_it_lets_go_by_its_own_rule_waits_for_the_word_off(rig):
+    rig.run(0.2, SLIGHTLY)
+    rig.run(1.0, SLIGHTLY, Action.RELAX)
+    assert (rig.session.action, rig.session.letting_go) == (Action.OFF, "")
+    rig.session.start()
+    rig.run(0.1, SLIGHTLY)
+    rig.run(2.0)
+    assert "no command for 0.5" in rig.session.letting_go
+
+
 def test_off_is_torque_off_before_the_next_cycle(rig):
     rig.run(0.2, SLIGHTLY)
     rig.say(Action.OFF, "e-stop pressed")

