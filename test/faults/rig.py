@@ -22,7 +22,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from slot_bringup.graph import read_graph
-from slot_bringup.processes import command_line
+from slot_bringup.processes import command_line, die_with_parent
 from slot_core import decode
 from slot_core.control.supervisor_table import State
 from slot_core.dynamixel.bus import Bus
@@ -143,7 +143,7 @@ class Rig:
                 self.children[name] = subprocess.Popen(
                     [*(program or [executable]), *arguments, *options, *remaps],
                     env=environment, stdout=log, stderr=log, start_new_session=True,
-                    cwd=self.directory,
+                    cwd=self.directory, preexec_fn=die_with_parent,  # noqa: PLW1509 - one system call
                 )  # fmt: skip
 
     def _log(self, name):

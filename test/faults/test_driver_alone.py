@@ -20,7 +20,7 @@ BROKEN_DRIVER = """
 from slot_nodes import diagnostics, dynamixel_driver_node
 told = diagnostics.to_msg
 def to_msg(stamp, session, *rest):
-    return told(stamp / (not session.driver.active), session, *rest)
+    return told(stamp // (not session.driver.active), session, *rest)
 diagnostics.to_msg = to_msg
 dynamixel_driver_node.main()
 """
