@@ -12,7 +12,7 @@ from slot_core import decode
 from slot_core.control.command_gate import Action
 from slot_core.control.supervisor_table import State
 from slot_core.dynamixel.table import RAD_PER_COUNT
-from slot_core.robot import LEGS, read_robot
+from slot_core.robot import read_robot
 
 
 @pytest.fixture(scope="module")
@@ -205,4 +205,3 @@ def test_the_nodes_end_with_every_servo_confirmed_slack(graph):
     assert set(graph.close().values()) == {0}
     assert "torque off, confirmed by every servo" in graph.log("dynamixel_driver").splitlines()[-1]
     assert "servos left under torque: none" in graph.log("sim_robot")
-    assert len(LEGS) == 4
