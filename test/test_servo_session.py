@@ -29,18 +29,18 @@ TIMING = read_supervisor().timing
 class Rig:
     """A session whose time, and that of the servos, passes in `run` alone."""
 
-    def __init__(self):
+    def __init__(self, angles=STANDING):
         # a busy machine may keep the emulator's thread waiting
         settings = config.replace(read_settings(), {"bus.timeout": 0.05})
-        self.legs = EmulatedLegs(settings, read_emulator(), STANDING)
+        self.legs = EmulatedLegs(settings, read_emulator(), angles)
         self.terminal = PseudoTerminal(self.legs.bus)
         self.time = 0.0
         port = SerialPort(self.terminal.name, settings.bus.baud, settings.bus.timeout)
         self.driver = Driver(port, settings, clock=lambda: self.time)
-        self.driver.configure()
         self.session = ServoSession(
             self.driver, read_supervisor(), read_robot().tendon.angle_max, PERIOD, self.sleep
         )
+        self.session.configure()
         self.session.start()
 
     @property
@@ -89,6 +89,24 @@ def test_nothing_moves_before_the_first_command(rig):
     assert rig.powered() == [1] * 4
 
 
+def test_tendons_slacker_than_commands_may_be_stay_so_when_torque_comes_on():
+    beyond = np.array([-0.03, 0.2, -0.02, 0.4])
+    rig = Rig(beyond)
+    rig.run(0.3, SLIGHTLY, Action.HOLD)
+    assert rig.legs.angles() == pytest.approx(beyond, abs=ONE_COUNT)
+    rig.driver.close()
+    rig.terminal.close()
+
+
+def test_what_a_killed_driver_has_left_under_torque_is_switched_off_by_the_next(rig):
+    rig.run(0.2, SLIGHTLY)
+    rig.driver.close()  # as the kernel does for it
+    rig.sleep(1.0)
+    assert rig.powered() == [1] * 4
+    rig.session.configure()
+    assert rig.powered() == [0] * 4
+
+
 def test_commands_reach_the_servos(rig):
     assert rig.run(0.5, SLIGHTLY) == [(Action.PASS, 0.0)]
     assert rig.driver.goals() == pytest.approx(SLIGHTLY)
@@ -128,6 +146,16 @@ def test_the_supervisors_word_is_obeyed_with_its_reason(rig, word):
         assert rig.powered() == [1] * 4
     else:
         assert rig.powered() == [0] * 4
+
+
+def test_only_what_it_lets_go_by_its_own_rule_waits_for_the_word_off(rig):
+    rig.run(0.2, SLIGHTLY)
+    rig.run(1.0, SLIGHTLY, Action.RELAX)
+    assert (rig.session.action, rig.session.letting_go) == (Action.OFF, "")
+    rig.session.start()
+    rig.run(0.1, SLIGHTLY)
+    rig.run(2.0)
+    assert "no command for 0.5" in rig.session.letting_go
 
 
 def test_off_is_torque_off_before_the_next_cycle(rig):

@@ -40,7 +40,7 @@ class Processes:
                     stderr=subprocess.STDOUT,
                     env=self._environment,
                     start_new_session=True,  # a Ctrl-C on the terminal is ours to pass on
-                    preexec_fn=_die_with_parent,  # noqa: PLW1509 - no threads yet
+                    preexec_fn=die_with_parent,  # noqa: PLW1509 - no threads yet
                 )
 
     def __contains__(self, name: str) -> bool:
@@ -111,7 +111,7 @@ def _yaml(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value)
 
 
-def _die_with_parent() -> None:
+def die_with_parent() -> None:
     """Have the kernel end the child when its parent is gone, however that came.
 
     By SIGTERM: SIGINT is lost when it comes while Python imports a module that catches it.

@@ -1,6 +1,6 @@
 """The servos on their bus: commands and the supervisor's word in, joints and health out.
 
-    configure    open the port, check every servo; from then on a bus cycle every period
+    configure    open the port, check every servo, torque off; then a bus cycle every period
     activate     torque on where the servos stand
     deactivate   slacken the tendons, torque off, read back
     cleanup      close the port
@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import FloatingPointRange
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.timer import Timer
@@ -76,6 +77,7 @@ class DynamixelDriverNode(LifecycleNode):
         self._told_at = 0  # ns
         self._timer: Timer | None = None
         self._create_outputs()
+        self._refuse_wrong_transitions()
         inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
         inputs.subscribe(self, RobotState, "robot_state", self._on_robot_state, qos.STATE)
         self._end_of_wait = time.monotonic() + self._patience
@@ -93,10 +95,24 @@ class DynamixelDriverNode(LifecycleNode):
             self._offer(f"~/reboot_{leg.lower()}", partial(self._reboot, leg))
             self._offer(f"~/zero_{leg.lower()}", partial(self._zero, leg))
 
+    def _refuse_wrong_transitions(self) -> None:
+        """Answer a transition that the present state does not have; rclpy 7.1 lets the node die."""
+        change = self._service_change_state.callback
+
+        def serve(request: ChangeState.Request, response: ChangeState.Response) -> Any:
+            try:
+                return change(request, response)
+            except RuntimeError as error:  # an RCLError
+                self.get_logger().error(f"transition {request.transition.id} refused: {error}")
+                response.success = False
+                return response
+
+        self._service_change_state.callback = serve
+
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open the port and check every servo."""
         try:
-            infos = self._session.driver.configure()
+            infos = self._session.configure()
         except ServoError as error:
             self._session.driver.close()
             return self._refuse(f"servos refused: {error}")
@@ -189,10 +205,12 @@ class DynamixelDriverNode(LifecycleNode):
             self._close()
             self.get_logger().fatal(f"{error}; their bus watchdogs stop the servos")
             raise SystemExit(1) from None
-        self._let_go = self._let_go or (self._active and not self._session.driver.active)
         if self._session.action is not before:
             self.get_logger().info(f"{self._session.action.name} {self._session.reason}".strip())
         self._publish(cycle)
+        if self._active and not self._session.driver.active:
+            self._let_go = bool(self._session.letting_go)
+            self.trigger_deactivate()
 
     def _publish(self, cycle: Cycle) -> None:
         stamp = self.get_clock().now().nanoseconds
@@ -253,7 +271,7 @@ class DynamixelDriverNode(LifecycleNode):
     def _refuse(self, reason: str) -> TransitionCallbackReturn:
         self._refusal = reason
         if self._cycle is not None or not self._autostart:  # else it is said once, at the end
-            self.get_logger().error(reason)
+            self.get_logger().error(reason, throttle_duration_sec=5.0)
         return FAILURE
 
     def _end_cycles(self) -> None:
