@@ -1,5 +1,6 @@
 """A graph of processes to be harmed: started, heard, asked, and brought back to walking."""
 
+import contextlib
 import os
 import shutil
 import signal
@@ -10,6 +11,7 @@ from collections import defaultdict
 from pathlib import Path
 
 import rclpy
+import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 from rclpy.context import Context
@@ -22,11 +24,14 @@ from slot_bringup.graph import read_graph
 from slot_bringup.processes import command_line
 from slot_core import decode
 from slot_core.control.supervisor_table import State
+from slot_core.dynamixel.bus import Bus
+from slot_core.dynamixel.port import SerialPort
+from slot_core.dynamixel.settings import read_settings
 from slot_msgs.msg import LegStates, RobotState, ServoHealth
 from slot_msgs.srv import InjectFault
 from slot_nodes import qos
 
-PATIENCE = 60.0  # s that anything may take on a busy machine
+PATIENCE = 20.0  # s that anything may take on a busy machine
 TOPICS = {
     "/robot_state": (RobotState, qos.STATE),
     "/servo_health": (ServoHealth, qos.SENSOR),
@@ -42,6 +47,13 @@ NEXT = {
     State.ESTOP: "reset", State.FAULT: "reset",
     State.IDLE: "ready", State.READY: "stand", State.STANDING: "walk",
 }  # fmt: skip
+# s, from a limit to the reaction: two periods of the supervisor (10 ms) or of a bus cycle, and how
+# long a busy machine lets a process wait.
+LATE = 0.3
+# counts that a servo gives way by where torque comes on: until then the friction of its gearbox has
+# held up to 0.1 of the stall torque (emulator.yaml), now a loop of p/128 of 885 steps a count does.
+SAG = 1 + 0.1 * 885 * 128 / read_settings().gains.p
+RAMP = 1.2  # s, the longest way to slack: relax_time of supervisor.yaml
 # A busy machine keeps processes waiting for longer than a robot may: limits that it keeps. What is
 # promised is that the limit is kept, whichever it is; `limits` has those that are in force.
 PATIENT = {
@@ -49,7 +61,7 @@ PATIENT = {
     "supervisor.yaml": {
         "command_hold: 0.1": "command_hold: 0.5", "command_lost: 0.5": "command_lost: 2.0",
         "clock_jump: 0.5": "clock_jump: 10.0", "heartbeat: 0.5": "heartbeat: 3.0",
-        "servo_silent: 0.5": "servo_silent: 2.0", "obey: 1.0": "obey: 5.0",
+        "servo_silent: 0.5": "servo_silent: 2.0", "obey: 1.0": "obey: 2.0",
         "coast_cycles: 3 ": "coast_cycles: 30 ", "sample_gap: 0.05": "sample_gap: 0.5",
     },
     "mpc.yaml": {"time_budget: 0.02": "time_budget: 0.2"},
@@ -107,39 +119,50 @@ class Rig:
         self._thread.start()
 
     def _spin(self):
-        try:
+        with contextlib.suppress(ExternalShutdownException):
             self._executor.spin()
-        except ExternalShutdownException:
-            pass
+
+    def listen(self, topic, kind, profile):
+        """Hear one more topic."""
+        self.node.create_subscription(kind, topic, self.heard[topic].append, profile)
 
     def _on_state(self, message):
         now = (nanoseconds(message.since), State(message.state), message.reason)
         if not self.transitions or self.transitions[-1] != now:
             self.transitions.append(now)
 
-    def start(self, *names):
-        """Start nodes, also again."""
+    def start(self, *names, parameters=None, program=()):
+        """Start nodes, also again; `parameters` and another `program` for this time alone."""
         environment = os.environ | {"SLOT_CONFIG": str(self.config)}
         for name in names:
-            more = [
-                word
-                for key, value in self._more.get(name, {}).items()
-                for word in ("-p", f"{key}:={value}")
-            ]
+            executable, *arguments = command_line(self.specs[name])
+            more = {**self._more.get(name, {}), **(parameters or {})}
+            options = [w for key, value in more.items() for w in ("-p", f"{key}:={value}")]
             remaps = [w for a, b in self._remaps.get(name, {}).items() for w in ("-r", f"{a}:={b}")]
             with self._log(name).open("ab") as log:
                 self.children[name] = subprocess.Popen(
-                    [*command_line(self.specs[name]), *more, *remaps],
+                    [*(program or [executable]), *arguments, *options, *remaps],
                     env=environment, stdout=log, stderr=log, start_new_session=True,
                     cwd=self.directory,
                 )  # fmt: skip
+
+    def kill(self, name):
+        """SIGKILL, and nothing left of the node; returns the time before it."""
+        begin = self.send(name, signal.SIGKILL)
+        self.exit_code(name)
+        return begin
 
     def _log(self, name):
         return self.directory / f"{name}.log"
 
     def log(self, name):
         """What a node has written so far."""
-        return self._log(name).read_text(errors="replace")
+        log = self._log(name)
+        return log.read_text(errors="replace") if log.exists() else ""
+
+    def log_lines(self, name):
+        """The same by lines."""
+        return self.log(name).splitlines()
 
     def send(self, name, number):
         """A signal to a node; returns the time before it."""
@@ -170,7 +193,7 @@ class Rig:
             [*map(str, self.transitions[-12:]), *(f"{n}:\n{t}" for n, t in logs.items())]
         )
 
-    def call(self, kind, service, **request):
+    def call(self, kind, service, /, **request):
         """The answer of a service."""
         if service not in self._clients:
             self._clients[service] = self.node.create_client(kind, service)
@@ -206,6 +229,10 @@ class Rig:
         """Messages of a topic stamped at or after a time."""
         return [message for message in list(self.heard[topic]) if decode.stamp(message) >= time]
 
+    def limit(self, name):
+        """A limit of `timing` in supervisor.yaml that is in force, s."""
+        return yaml.safe_load((self.config / "supervisor.yaml").read_text())["timing"][name]
+
     def reached(self, state, time, limit=PATIENCE):
         """(since, reason) of the first transition to a state after a time; waits for it."""
 
@@ -215,6 +242,25 @@ class Rig:
 
         return self.wait_for(found, limit, f"never {state.name}")
 
+    def slack(self, time):
+        """The first report after a time that torque is off at every servo; waits for it."""
+        found = self.wait_for(
+            lambda: [m for m in self.since("/servo_health", time) if not any(m.torque)],
+            what="torque stays on",
+        )
+        return found[0]
+
+    def registers(self, name):
+        """A register of every servo, while no driver is there."""
+        settings = read_settings()
+        port = SerialPort(str(self.bus), settings.bus.baud, 0.5)
+        port.open()
+        try:
+            bus = Bus(port, settings.bus)
+            return [bus.read(identity, name)[name] for identity in settings.joints.ids]
+        finally:
+            port.close()
+
     def walk(self, limit=PATIENCE):
         """Bring the robot to WALKING, from wherever it is, as an operator would."""
         end = time.monotonic() + limit
@@ -223,6 +269,18 @@ class Rig:
             assert time.monotonic() < end, f"{refusal}: {self.story()}"
             if self.state in NEXT:
                 refusal = self.ask(NEXT[self.state])
+            time.sleep(0.05)
+
+    def stop(self, name):
+        """Interrupt a node, unless it has ended, and wait for its end."""
+        if self.children[name].poll() is None:
+            self.send(name, signal.SIGINT)
+        return self.exit_code(name)
+
+    def walk_on(self):
+        """Bring the robot to WALKING for half a second at least: it is under way."""
+        while self.state is not State.WALKING or self.now() - self.transitions[-1][0] < 5e8:
+            self.walk()
             time.sleep(0.05)
 
     def close(self):
