@@ -236,7 +236,8 @@ def test_gains_and_watchdog_are_those_of_the_configuration(rig):
     rig.start()
     for servo in rig.bus.servos:
         found = [servo.memory[f"position_{name}_gain"] for name in "pid"]
-        assert found == [800, 0, 0]
+        gains = rig.settings.gains
+        assert found == [gains.p, gains.i, gains.d]
         assert servo.memory["bus_watchdog"] == 5  # 100 ms
 
 
@@ -260,7 +261,8 @@ def test_the_hosts_integral_takes_up_the_load_where_the_servos_p_alone_sags(buil
         rig.run(3.0, (1.0,) * 4, torque)
         sag[control] = 1.0 - rig.legs.angles()[0]
     servo_torque = 0.3 / 1.03199
-    droop = servo_torque / 1.4 / (800 / 128 / 885 / RAD_PER_COUNT) / 1.03199
+    gain = rig.settings.gains.p / 128 / 885 / RAD_PER_COUNT
+    droop = servo_torque / 1.4 / gain / 1.03199
     assert sag["position"] == pytest.approx(droop, abs=2 * RAD_PER_COUNT)
     assert abs(sag["pwm"]) < 3 * RAD_PER_COUNT
 
@@ -284,6 +286,16 @@ def test_a_step_beyond_the_speed_limit_is_slewed_and_flagged(build):
     assert cycles[1].slewed == (True, False, False, False)
     assert rig.driver.goals()[0] == pytest.approx(0.49, abs=ONE_COUNT)  # it starts on a count
     assert rig.legs.angles()[0] < 0.5
+
+
+def test_a_command_between_two_cycles_goes_as_far_as_one_at_a_cycle(build):
+    """Time in which the goals rested counts, up to 0.05 s, and no more."""
+    rig = build({"joints.speed_limit": 10.0}, angles=(0.0,) * 4).start()
+    rig.run(0.1, (0.0,) * 4)
+    rig.run(0.001, (0.4, 0.6, 0.0, 0.0), period=0.001)
+    assert rig.driver.goals()[:2] == pytest.approx([0.4, 0.5], abs=1e-9)
+    rig.run(0.001, (0.4, 0.6, 0.0, 0.0), period=0.001)
+    assert rig.driver.goals()[1] == pytest.approx(0.51, abs=1e-9)
 
 
 def test_no_command_is_taken_with_torque_off(rig):

@@ -41,6 +41,10 @@ def state(height=HEIGHT, rpy=(0, 0, 0)):
     return x
 
 
+def mapped(force_map, force, demand, torso):
+    return force_map.step(force, demand, force_map.slope(demand, torso))
+
+
 @pytest.fixture
 def make():
     def build(**changes):
@@ -51,7 +55,7 @@ def make():
 
 
 def test_the_paper_map_is_the_line_of_the_paper(make):
-    command = make(map="paper").step(forces(0.0, 2.0, 4.0, 5.0), preview(), state())
+    command = mapped(make(map="paper"), forces(0.0, 2.0, 4.0, 5.0), preview(), state())
     expected = (np.array([0.0, 2.0, 4.0, 5.0]) + 6.91) / 0.107
     assert np.degrees(command.angle) == pytest.approx(expected)
     assert not command.saturated.any()
@@ -59,33 +63,33 @@ def test_the_paper_map_is_the_line_of_the_paper(make):
 
 def test_the_paper_map_saturates_where_the_servo_ends(make):
     """6 N, the paper's bound, asks for 120.65 deg; the servo ends at 116.28 deg = 5.532 N."""
-    command = make(map="paper").step(forces(5.53, 5.54, 6.0, 1.0), preview(), state())
+    command = mapped(make(map="paper"), forces(5.53, 5.54, 6.0, 1.0), preview(), state())
     assert command.saturated.tolist() == [False, True, True, False]
     assert np.degrees(command.angle[1:3]) == pytest.approx(116.28)
     assert np.degrees(command.angle_unclamped[2]) == pytest.approx(120.65, abs=0.01)
 
 
 def test_the_gaits_own_load_gives_the_gaits_own_angle(make):
-    command = make().step(forces(5.3, 5.3, 5.3, 5.3), preview(), state())
+    command = mapped(make(), forces(5.3, 5.3, 5.3, 5.3), preview(), state())
     assert np.degrees(command.angle) == pytest.approx(60.0)
 
 
 def test_a_deviation_is_divided_by_the_slope_at_angle_and_height(make):
-    command = make().step(forces(5.3, 5.8, 4.8, 6.3), preview(), state())
+    command = mapped(make(), forces(5.3, 5.8, 4.8, 6.3), preview(), state())
     assert command.slope == pytest.approx(9.0)
     assert command.angle - np.radians(60) == pytest.approx(np.array([0, 0.5, -0.5, 1.0]) / 9.0)
 
 
 def test_a_tilted_torso_has_its_clamps_at_different_heights(make):
     rpy = (0.05, -0.08, 0.7)
-    command = make().step(forces(*[5.3] * 4), preview(), state(HEIGHT, rpy))
+    command = mapped(make(), forces(*[5.3] * 4), preview(), state(HEIGHT, rpy))
     rotation = Rotation.from_euler("ZYX", rpy[::-1]).as_matrix()
     heights = HEIGHT + (read_robot().clamps @ rotation.T)[:, 2]
     assert command.slope == pytest.approx(9.0 + (heights - 0.06) / 0.04)
 
 
 def test_the_correction_is_bounded(make):
-    command = make(correction_max_deg=10.0).step(forces(0, 50, 5.3, 5.3), preview(), state())
+    command = mapped(make(correction_max_deg=10.0), forces(0, 50, 5.3, 5.3), preview(), state())
     assert np.degrees(command.angle) == pytest.approx([50.0, 70.0, 60.0, 60.0])
 
 
@@ -94,7 +98,9 @@ def test_no_force_takes_an_angle_out_of_its_limits(make):
     force_map, limit = make(correction_max_deg=120.0), read_robot().tendon.angle_max
     for _ in range(200):
         demand = preview(rng.uniform(0, 116))
-        command = force_map.step(forces(*rng.normal(5, 20, 4)), demand, state(rng.uniform(0, 0.2)))
+        command = mapped(
+            force_map, forces(*rng.normal(5, 20, 4)), demand, state(rng.uniform(0, 0.2))
+        )
         assert command.angle.min() >= 0.0
         assert command.angle.max() <= limit
         assert (command.saturated == (command.angle != command.angle_unclamped)).all()
@@ -103,7 +109,7 @@ def test_no_force_takes_an_angle_out_of_its_limits(make):
 def test_holding_repeats_the_last_angles(make):
     force_map = make()
     assert np.degrees(force_map.hold(preview(70.0)).angle) == pytest.approx(70.0)
-    last = force_map.step(forces(5.0, 5.3, 5.6, 5.9), preview(), state())
+    last = mapped(force_map, forces(5.0, 5.3, 5.6, 5.9), preview(), state())
     held = force_map.hold(preview(70.0))
     assert held.map == "hold"
     assert (held.angle == last.angle).all()

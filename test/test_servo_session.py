@@ -29,18 +29,18 @@ TIMING = read_supervisor().timing
 class Rig:
     """A session whose time, and that of the servos, passes in `run` alone."""
 
-    def __init__(self):
+    def __init__(self, angles=STANDING):
         # a busy machine may keep the emulator's thread waiting
         settings = config.replace(read_settings(), {"bus.timeout": 0.05})
-        self.legs = EmulatedLegs(settings, read_emulator(), STANDING)
+        self.legs = EmulatedLegs(settings, read_emulator(), angles)
         self.terminal = PseudoTerminal(self.legs.bus)
         self.time = 0.0
         port = SerialPort(self.terminal.name, settings.bus.baud, settings.bus.timeout)
         self.driver = Driver(port, settings, clock=lambda: self.time)
-        self.driver.configure()
         self.session = ServoSession(
             self.driver, read_supervisor(), read_robot().tendon.angle_max, PERIOD, self.sleep
         )
+        self.session.configure()
         self.session.start()
 
     @property
@@ -87,6 +87,24 @@ def test_nothing_moves_before_the_first_command(rig):
     assert rig.session.action is Action.HOLD
     assert rig.legs.angles() == pytest.approx(STANDING, abs=ONE_COUNT)
     assert rig.powered() == [1] * 4
+
+
+def test_tendons_slacker_than_commands_may_be_stay_so_when_torque_comes_on():
+    beyond = np.array([-0.03, 0.2, -0.02, 0.4])
+    rig = Rig(beyond)
+    rig.run(0.3, SLIGHTLY, Action.HOLD)
+    assert rig.legs.angles() == pytest.approx(beyond, abs=ONE_COUNT)
+    rig.driver.close()
+    rig.terminal.close()
+
+
+def test_what_a_killed_driver_has_left_under_torque_is_switched_off_by_the_next(rig):
+    rig.run(0.2, SLIGHTLY)
+    rig.driver.close()  # as the kernel does for it
+    rig.sleep(1.0)
+    assert rig.powered() == [1] * 4
+    rig.session.configure()
+    assert rig.powered() == [0] * 4
 
 
 def test_commands_reach_the_servos(rig):
@@ -218,7 +236,7 @@ def test_stop_slackens_and_confirms_also_in_the_middle_of_an_exchange(rig):
     rig.driver.bus.port.is_using = True  # as an interrupt leaves it
     assert rig.session.stop().complete
     assert rig.powered() == [0] * 4
-    # they follow a ramp of 2 rad/s 2 / (4.6 5.97) = 0.07 rad behind, and a step of 0.02 rad
+    # they follow a ramp of 2 rad/s 0.05 rad behind with the gains of dynamixel.yaml
     assert rig.legs.angles() == pytest.approx(np.zeros(4), abs=0.1)
     assert rig.session.action is Action.OFF
 

@@ -31,6 +31,7 @@ from slot_bringup.monitor import RunError, watch
 from slot_bringup.run import started
 from slot_core import decode
 from slot_core.control.mpc import Mpc, read_mpc
+from slot_core.control.pace import Pace
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.evaluation import palette
@@ -186,7 +187,7 @@ def cycle_row(ticks: int) -> dict[str, Any]:
         start, busy = time.perf_counter(), time.process_time()
         stamp, x, *_ = decode.state(deserialize_message(state, MpcState))
         result = mpc.step(x, decode.preview(deserialize_message(preview, GaitPreview)))
-        serialize_message(messages.forces_to_msg(stamp, result))
+        serialize_message(messages.forces_to_msg(stamp, result, Pace()))
         elapsed.append(time.perf_counter() - start)
         cpu.append(time.process_time() - busy)
     return {

@@ -1,11 +1,11 @@
-"""The servo bus: rate, CPU share, step responses of both control loops, protocol fuzz.
+"""The servo bus: rate, CPU share, step responses of both control loops, the walk, protocol fuzz.
 
 The servos are emulated behind a pseudo-terminal in a process of their own, with the time that the
 bytes take at 1 Mbaud; the CPU time is the driver's alone, and the rate is that of the median cycle,
-because other processes share the machine. Step responses run in the emulated
-servos' time. Fuzz: `corruption` counts packets that were accepted though the SDK's own CRC does not
-fit; `collisions` packets other than the one sent whose CRC fits by chance (one random packet in
-65536), which no receiver can tell.
+because other processes share the machine. Step responses run in the emulated servos' time, the
+walks in the simulator's. Fuzz: `corruption` counts packets that were accepted though the SDK's own
+CRC does not fit; `collisions` packets other than the one sent whose CRC fits by chance (one random
+packet in 65536), which no receiver can tell.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import _servo_twins as twins
 import numpy as np
 import numpy.typing as npt
 from _servo_fuzz import Tally, fuzz_driver, fuzz_emulator, fuzz_instructions
@@ -56,10 +57,15 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
     progress("step responses")
     steps = [step_row(control, load) for control in ("position", "pwm") for load in LOADS]
     draw(steps, out / "servo_step.png")
+    progress("walks with the bus and without")
+    ways = twins.walks()
+    twin = list(twins.rows(ways))
+    twins.draw(ways, out / "servo_twins.png")
     progress("fuzz")
     fuzz = list(fuzz_rows(20000 if quick else 1000000))
     shown = [{k: v for k, v in row.items() if k != "trace"} for row in steps]
-    return [*cycles, share, *shown, *fuzz], checks(cycles, share, fuzz)
+    promises = [*checks(cycles, share, fuzz), *twins.checks(twin)]
+    return [*cycles, share, *shown, *twin, *fuzz], promises
 
 
 def checks(cycles: list[Row], share: Row, fuzz: list[Row]) -> list[Check]:

@@ -15,6 +15,7 @@ import numpy as np
 from slot_core.control.command_gate import SECOND, Action
 from slot_core.control.command_watchdog import CommandWatchdog, Word
 from slot_core.control.supervisor_settings import SupervisorSettings
+from slot_core.dynamixel.checks import ServoInfo
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.errors import RefusedError
 from slot_core.dynamixel.state import Cycle, TorqueOff
@@ -69,6 +70,17 @@ class ServoSession:
         self._looked: int | None = None
         self._durations: list[float] = []
 
+    def configure(self) -> tuple[ServoInfo, ...]:
+        """Open the port, check every servo, switch off what a killed driver has left under torque.
+
+        Raises PortError, RefusedError.
+        """
+        infos = self.driver.configure()
+        off = self.driver.torque_off()
+        if not off.complete:
+            raise RefusedError(list(off.reasons))
+        return infos
+
     def start(self) -> None:
         """Torque on without motion; raises RefusedError, and then all torque is off."""
         try:
@@ -113,7 +125,9 @@ class ServoSession:
             self.relax(fault)
         gated = self._watchdog.step(now)
         self.action, self.reason = self._watchdog.action, self._watchdog.reason
-        if gated.torque:
+        if gated.torque and gated.action is Action.HOLD:
+            self.driver.hold()  # also where a slack tendon lies beyond the range of commands
+        elif gated.torque:
             self.driver.command(gated.angle)
         else:
             self._switch_off(self.reason)

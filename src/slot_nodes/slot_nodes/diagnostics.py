@@ -11,6 +11,7 @@ from slot_core.servo_session import Pace, ServoSession
 from slot_nodes import messages
 
 ERROR_RATE_WARNING = 0.05  # share of exchanges that failed
+MISSED = ("no command for", "no word of the supervisor for")  # reasons that are errors
 
 
 def to_msg(stamp: int, session: ServoSession, pace: Pace, cycle: Cycle | None) -> DiagnosticArray:
@@ -25,7 +26,7 @@ def to_msg(stamp: int, session: ServoSession, pace: Pace, cycle: Cycle | None) -
 
 
 def _bus(session: ServoSession, pace: Pace) -> DiagnosticStatus:
-    calm = session.action is Action.PASS or not session.reason.startswith("no command for")
+    calm = session.action is Action.PASS or not any(why in session.reason for why in MISSED)
     return _status(
         "servo bus",
         DiagnosticStatus.OK if calm else DiagnosticStatus.ERROR,

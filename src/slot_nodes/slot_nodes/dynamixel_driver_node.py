@@ -1,6 +1,6 @@
 """The servos on their bus: commands and the supervisor's word in, joints and health out.
 
-    configure    open the port, check every servo; from then on a bus cycle every period
+    configure    open the port, check every servo, torque off; then a bus cycle every period
     activate     torque on where the servos stand
     deactivate   slacken the tendons, torque off, read back
     cleanup      close the port
@@ -96,7 +96,7 @@ class DynamixelDriverNode(LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open the port and check every servo."""
         try:
-            infos = self._session.driver.configure()
+            infos = self._session.configure()
         except ServoError as error:
             self._session.driver.close()
             return self._refuse(f"servos refused: {error}")
@@ -189,10 +189,12 @@ class DynamixelDriverNode(LifecycleNode):
             self._close()
             self.get_logger().fatal(f"{error}; their bus watchdogs stop the servos")
             raise SystemExit(1) from None
-        self._let_go = self._let_go or (self._active and not self._session.driver.active)
         if self._session.action is not before:
             self.get_logger().info(f"{self._session.action.name} {self._session.reason}".strip())
         self._publish(cycle)
+        if self._active and not self._session.driver.active:
+            self._let_go = True
+            self.trigger_deactivate()
 
     def _publish(self, cycle: Cycle) -> None:
         stamp = self.get_clock().now().nanoseconds

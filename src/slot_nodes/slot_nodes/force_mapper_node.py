@@ -19,7 +19,8 @@ class ForceMapperNode(Node):
         super().__init__("force_mapper")
         settings = runtime.declare_settings(self, read_force_map())
         self._map = ForceMap(read_robot(), settings, read_leg_slope())
-        self._inputs = Rendezvous("forces", "preview", "state")
+        self._nominal = Rendezvous("preview", "state")
+        self._inputs = Rendezvous("forces", "nominal")
         self._angles = self.create_publisher(JointState, "desired_joint_angles", qos.CONTROL)
         self._status = self.create_publisher(ForceMapStatus, "force_map/status", qos.CONTROL)
         inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.CONTROL)
@@ -31,25 +32,33 @@ class ForceMapperNode(Node):
     def _on_state(self, message: MpcState) -> None:
         stamp, state, _ = decode.state(message)
         inputs.require_finite("state", state)
-        self._command(stamp, self._inputs.add("state", stamp, state))
+        self._prepare(stamp, self._nominal.add("state", stamp, state))
 
     def _on_preview(self, message: GaitPreview) -> None:
         preview = decode.preview(message)
         inputs.require_nominal(preview)
-        self._command(preview.stamp, self._inputs.add("preview", preview.stamp, preview))
+        self._prepare(preview.stamp, self._nominal.add("preview", preview.stamp, preview))
 
     def _on_forces(self, message: GroundReactionForces) -> None:
         stamp, *forces = decode.forces(message)
         inputs.require_finite("force", forces[0])
         self._command(stamp, self._inputs.add("forces", stamp, forces))
 
+    def _prepare(self, stamp: int, inputs: tuple | None) -> None:
+        """What does not need the forces, which come last."""
+        if inputs is None:
+            return
+        preview, state = inputs
+        nominal = preview, self._map.slope(preview, state)
+        self._command(stamp, self._inputs.add("nominal", stamp, nominal))
+
     def _command(self, stamp: int, inputs: tuple | None) -> None:
         if inputs is None:
             return
-        (force, status), preview, state = inputs
-        command = command_for(self._map, force, status, preview, state)
-        self._status.publish(messages.map_status_to_msg(stamp, command))
+        (force, status), nominal = inputs
+        command = command_for(self._map, force, status, *nominal)
         self._angles.publish(messages.command_to_msg(stamp, command.angle))
+        self._status.publish(messages.map_status_to_msg(stamp, command))
         if command.saturated.any():
             legs = ", ".join(leg for leg, hit in zip(LEGS, command.saturated) if hit)
             self.get_logger().info(f"tendon angle at its limit: {legs}", throttle_duration_sec=5.0)

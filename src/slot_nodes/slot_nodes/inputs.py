@@ -30,10 +30,11 @@ def subscribe(
 def require_finite(name: str, values: Any) -> None:
     """Raise ValueError naming the first element that is infinite or no number."""
     array = np.asarray(values, dtype=float)
-    lost = np.argwhere(~np.isfinite(array))
-    if len(lost):
-        place = ", ".join(str(int(i)) for i in lost[0])
-        raise ValueError(f"{name}[{place}] = {array[tuple(lost[0])]}: expected a finite number")
+    finite = np.isfinite(array)
+    if not finite.all():
+        lost = np.argwhere(~finite)[0]
+        place = ", ".join(str(int(i)) for i in lost)
+        raise ValueError(f"{name}[{place}] = {array[tuple(lost)]}: expected a finite number")
 
 
 def require_present(stamp: int, now: int, limit: float) -> None:

@@ -31,6 +31,7 @@ from slot_msgs.srv import SetGait
 if TYPE_CHECKING:  # a node imports only the cores it runs
     from slot_core.control.force_map import TendonCommand
     from slot_core.control.mpc import MpcResult
+    from slot_core.control.pace import Pace
     from slot_core.control.state_estimator import Estimate
     from slot_core.control.supervisor import Report
     from slot_core.dynamics.plant import JointReading, TrueState
@@ -145,8 +146,8 @@ def preview_to_msg(preview: gait.GaitPreview) -> GaitPreview:
     )
 
 
-def forces_to_msg(stamp: int, result: MpcResult) -> GroundReactionForces:
-    """Forces with the account of the solve."""
+def forces_to_msg(stamp: int, result: MpcResult, pace: Pace) -> GroundReactionForces:
+    """Forces with the account of the solve, and of those before it."""
     return GroundReactionForces(
         header=header(stamp),
         force=[_vector(f) for f in result.force],
@@ -156,6 +157,8 @@ def forces_to_msg(stamp: int, result: MpcResult) -> GroundReactionForces:
         cost=result.cost,
         iterations=result.iterations,
         solve_time=result.solve_time,
+        overruns=pace.overruns,
+        skipped=pace.skipped,
         violation=result.violation,
         residual=result.residual,
         mass=result.mass,

@@ -1,11 +1,14 @@
 """`/mpc_state` and the gait preview to ground reaction forces."""
 
 import time
+from collections.abc import Mapping
+from typing import Any, cast
 
 from rclpy.node import Node
 
 from slot_core import decode
 from slot_core.control.mpc import DEFAULT, Mpc, Status, read_mpc
+from slot_core.control.pace import Pace
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, GroundReactionForces, MpcState
 from slot_nodes import inputs, messages, qos, runtime
@@ -13,23 +16,26 @@ from slot_nodes.rendezvous import Rendezvous
 
 
 class MpcControllerNode(Node):
-    """Solves the MPC once for every state and preview of one stamp."""
+    """Solves the MPC for the newest state and its preview; skips what it is late for."""
 
     def __init__(self) -> None:
         super().__init__("mpc_controller")
         profile = runtime.declare(self, "profile", DEFAULT, "a file of config/mpc, or the default")
         settings = runtime.declare_settings(self, read_mpc(profile))
         self._mpc = Mpc(read_robot(), settings, time.perf_counter)
+        self._pace = Pace()
         self._inputs = Rendezvous("state", "preview")
         self._forces = self.create_publisher(
             GroundReactionForces, "ground_reaction_forces", qos.CONTROL
         )
-        self.create_subscription(MpcState, "mpc_state", self._on_state, qos.CONTROL)
-        inputs.subscribe(self, GaitPreview, "gait_preview", self._on_preview, qos.CONTROL)
+        # rclpy passes the second argument too; its annotation knows the first alone
+        self.create_subscription(MpcState, "mpc_state", cast(Any, self._on_state), qos.STATE)
+        inputs.subscribe(self, GaitPreview, "gait_preview", self._on_preview, qos.STATE)
 
-    def _on_state(self, message: MpcState) -> None:
-        stamp, *state = decode.state(message)
-        self._solve(stamp, self._inputs.add("state", stamp, state))
+    def _on_state(self, message: MpcState, info: Mapping[str, int]) -> None:
+        stamp, state, _ = decode.state(message)
+        number = info["publication_sequence_number"]
+        self._solve(stamp, self._inputs.add("state", stamp, (number, state)))
 
     def _on_preview(self, message: GaitPreview) -> None:
         preview = decode.preview(message)
@@ -38,9 +44,10 @@ class MpcControllerNode(Node):
     def _solve(self, stamp: int, inputs: tuple | None) -> None:
         if inputs is None:
             return
-        (state, _), preview = inputs
+        (number, state), preview = inputs
         result = self._mpc.step(state, preview)
-        self._forces.publish(messages.forces_to_msg(stamp, result))
+        self._pace.add(number, result.solve_time, preview.dt)
+        self._forces.publish(messages.forces_to_msg(stamp, result, self._pace))
         if result.status != Status.SOLVED:
             self.get_logger().warning(
                 f"{result.status.name}, fallback cycle {result.fallback_cycles}: {result.message}",

@@ -34,7 +34,8 @@ STATE = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=1,
 )
-"""What holds until it is replaced: only the newest counts."""
+"""What holds until it is replaced: only the newest counts. A slow subscriber to what the controller
+passes on drops the older with it, instead of a queue."""
 
 CLOCK = QoSProfile(
     reliability=ReliabilityPolicy.BEST_EFFORT,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import signal
 import sys
@@ -23,6 +24,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.timer import Timer
 
 from slot_core import config
+from slot_nodes.executor import DirectExecutor
 
 T = TypeVar("T")
 
@@ -36,7 +38,8 @@ def run(make_node: Callable[[], Node]) -> None:
     try:
         _init()
         node = make_node()
-        rclpy.spin(node)
+        gc.freeze()  # no collection has to look through all that was loaded
+        rclpy.spin(node, DirectExecutor())
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except (config.ConfigError, ParameterException) as error:

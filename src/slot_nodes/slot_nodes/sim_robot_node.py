@@ -85,7 +85,7 @@ class SimRobotNode(Node):
             self._plant = self._make_plant(settings, servo, seed, bool(link))
         except Divergence as error:
             self._give_up(error)
-        self._terminal = self._open_bus(Path(link)) if link else None
+        self._terminal: PseudoTerminal | None = None
         self._frozen = True
         self._told = 0  # last time published on /clock, ns
         self._awaited = LOCKSTEP_START  # stamp of the odometry whose command lets the plant go on
@@ -97,6 +97,8 @@ class SimRobotNode(Node):
         self.create_subscription(Bool, "recording", self._on_recording, qos.CONTROL)
         waiting = WAIT_PERIOD if self._lockstep else settings.sensors.odometry.period
         self._timer = runtime.wall_timer(self, waiting, self._publish_frozen)
+        if link:  # at last: what has come before would keep its servos from answering
+            self._terminal = self._open_bus(Path(link))
 
     def _make_plant(self, scene: Scene, servo: ServoSettings, seed: int, bus: bool) -> Plant:
         rng = np.random.default_rng(seed)
@@ -117,7 +119,7 @@ class SimRobotNode(Node):
 
     def _make_watchdog(self) -> CommandWatchdog | None:
         """What guards simulated servos in real time: those on a bus have their driver."""
-        if self._lockstep or self._terminal:
+        if self._lockstep or isinstance(self._plant, BusPlant):
             return None
         settings = read_supervisor()
         self._clock_jump = settings.timing.clock_jump

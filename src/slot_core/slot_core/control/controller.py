@@ -46,14 +46,15 @@ class Controller:
             return None
         preview = self.scheduler.step(estimate.stamp, estimate.state)
         result = self.mpc.step(estimate.state, preview)
-        command = command_for(self.force_map, result.force, result.status, preview, estimate.state)
+        slope = self.force_map.slope(preview, estimate.state)
+        command = command_for(self.force_map, result.force, result.status, preview, slope)
         return Tick(estimate, preview, result, command)
 
 
 def command_for(
-    force_map: ForceMap, force: Array, status: Status | int, preview: GaitPreview, state: Array
+    force_map: ForceMap, force: Array, status: Status | int, preview: GaitPreview, slope: Array
 ) -> TendonCommand:
     """Angles for the MPC's forces; once it has stopped, the last angles stay."""
     if status == Status.STOPPED:
         return force_map.hold(preview)
-    return force_map.step(force, preview, state)
+    return force_map.step(force, preview, slope)

@@ -68,15 +68,19 @@ class ForceMap:
         self._robot, self._settings, self._slope = robot, settings, slope
         self._last: Array | None = None
 
-    def step(self, force: Array, preview: GaitPreview, state: Array) -> TendonCommand:
-        """Angles for forces (4, 3) N in odom at the first stage of `preview` and `state` (12,)."""
+    def slope(self, preview: GaitPreview, state: Array) -> Array:
+        """(4,) N/rad at the first stage of `preview` and `state` (12,): known before the forces."""
+        if self._settings.map == "paper":
+            return np.full(4, np.degrees(self._settings.line_slope))
+        slope = self._slope(preview.tendon_angle[0], self._clamp_heights(state))
+        return np.maximum(slope, self._settings.slope_min)
+
+    def step(self, force: Array, preview: GaitPreview, slope: Array) -> TendonCommand:
+        """Angles for forces (4, 3) N in odom at the first stage of `preview` and its `slope`."""
         normal = force[:, 2]
         if self._settings.map == "paper":
-            slope = np.full(4, np.degrees(self._settings.line_slope))
             angle = (normal + self._settings.line_offset) / slope
         else:
-            slope = self._slope(preview.tendon_angle[0], self._clamp_heights(state))
-            slope = np.maximum(slope, self._settings.slope_min)
             angle = preview.tendon_angle[0] + self._correction(normal, preview, slope)
         clamped = self._clamp(angle)
         self._last = clamped

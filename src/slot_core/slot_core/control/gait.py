@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,38 @@ Harmonics = tuple[float, float, float, float, float]
 FourHarmonics = tuple[Harmonics, Harmonics, Harmonics, Harmonics]
 
 
+class Waves(NamedTuple):
+    """The four harmonics at n phases, and their derivatives with respect to the phase."""
+
+    value: Array  # (n, 4) cos p, sin p, cos 2p, sin 2p with p = 2 pi phase
+    slope: Array  # (n, 4)
+
+    @classmethod
+    def at(cls, phase: Array) -> Waves:
+        """The waves at phases (n,)."""
+        turn = 2 * np.pi
+        p = turn * phase
+        value = np.column_stack([np.cos(p), np.sin(p), np.cos(2 * p), np.sin(2 * p)])
+        slope = [-value[:, 1], value[:, 0], -2 * value[:, 3], 2 * value[:, 2]]
+        return cls(value, np.column_stack(slope) * turn)
+
+
+class Series:
+    """Sums of harmonics: m + amplitude (c1 cos p + s1 sin p + c2 cos 2p + s2 sin 2p)."""
+
+    def __init__(self, table: Sequence[Harmonics]):
+        mean, weights = np.split(np.array(table), [1], axis=1)
+        self._mean, self._weights = mean.T, weights.T
+
+    def values(self, waves: Waves, amplitude: float) -> Array:
+        """(n, rows of the table)."""
+        return self._mean + amplitude * waves.value @ self._weights
+
+    def rates(self, waves: Waves, amplitude: float) -> Array:
+        """(n, rows of the table), their derivatives with respect to the phase."""
+        return amplitude * waves.slope @ self._weights
+
+
 @dataclass(frozen=True)
 class Sway:
     """Periodic motion of the torso; coefficients in the order m, c1, s1, c2, s2."""
@@ -36,17 +69,19 @@ class Sway:
     v_x: Harmonics = quantity("forward velocity about its mean", "m/s", -1, 1)
     v_y: Harmonics = quantity("lateral velocity about its mean", "m/s", -1, 1)
 
-    def rows(self, phase: Array, amplitude: float, period: float) -> Array:
+    def rows(self, waves: Waves, amplitude: float, period: float) -> Array:
         """(n, 12) [roll pitch 0, 0 0 z, rates, v_x v_y v_z] in the heading frame.
 
         Angular velocity is taken as the rate of roll and pitch, right to first order in them.
         """
-        table = (self.roll, self.pitch, self.height, self.v_x, self.v_y)
-        value, rate = harmonics(table, phase, amplitude)
-        rows = np.zeros((len(phase), 12))
-        rows[:, [0, 1, 5, 9, 10]] = value
-        rows[:, [6, 7, 11]] = rate[:, :3] / period
+        rows = np.zeros((len(waves.value), 12))
+        rows[:, [0, 1, 5, 9, 10]] = self._series.values(waves, amplitude)
+        rows[:, [6, 7, 11]] = self._series.rates(waves, amplitude)[:, :3] / period
         return rows
+
+    @cached_property
+    def _series(self) -> Series:
+        return Series((self.roll, self.pitch, self.height, self.v_x, self.v_y))
 
 
 @dataclass(frozen=True)
@@ -75,19 +110,29 @@ class Gait:
 
     def course(self, phase: Array, amplitude: float) -> Array:
         """(n, 20): four tendon angles (rad), four normal forces (N), sway (12), at phases (n,)."""
-        angle = self._mean_angle + amplitude * (self._full_angle(phase) - self._mean_angle)
-        load, _ = harmonics(self.normal_force, phase, amplitude)
-        sway = self.sway.rows(phase, amplitude, self.period)
+        waves = Waves.at(phase)
+        angle = self._mean_angle + amplitude * (self._full_angle(waves) - self._mean_angle)
+        load = self._load.values(waves, amplitude)
+        sway = self.sway.rows(waves, amplitude, self.period)
         return np.hstack([angle, np.maximum(load, 0.0), sway])
 
-    def _full_angle(self, phase: Array) -> Array:
+    def _full_angle(self, waves: Waves) -> Array:
         """(n, 4) tendon angles at full amplitude, rad."""
-        return np.radians(np.clip(harmonics(self.angle_deg, phase, 1.0)[0], *self.range_deg))
+        return np.radians(np.clip(self._angle.values(waves, 1.0), *self.range_deg))
+
+    @cached_property
+    def _angle(self) -> Series:
+        return Series(self.angle_deg)
+
+    @cached_property
+    def _load(self) -> Series:
+        return Series(self.normal_force)
 
     @cached_property
     def _mean_angle(self) -> Array:
         """(4,) mean over the stride, about which the amplitude scales: clipping moves it off m."""
-        return self._full_angle(np.linspace(0.0, 1.0, 1000, endpoint=False)).mean(axis=0)
+        stride = Waves.at(np.linspace(0.0, 1.0, 1000, endpoint=False))
+        return self._full_angle(stride).mean(axis=0)
 
 
 @dataclass(frozen=True)
@@ -126,19 +171,6 @@ class GaitPreview:
     normal_force: Array  # (n, 4) N, expected by the gait
     tendon_angle: Array  # (n, 4) rad, nominal
     reference: Array  # (n, 12) [roll pitch yaw, p, omega, v]
-
-
-def harmonics(table: Sequence[Harmonics], phase: Array, amplitude: float) -> tuple[Array, Array]:
-    """Values and their derivatives with respect to the phase, each (n, rows of the table).
-
-    m + amplitude (c1 cos p + s1 sin p + c2 cos 2p + s2 sin 2p) with p = 2 pi phase.
-    """
-    turn = 2 * np.pi
-    p = turn * phase
-    basis = np.column_stack([np.cos(p), np.sin(p), np.cos(2 * p), np.sin(2 * p)])
-    slope = np.column_stack([-basis[:, 1], basis[:, 0], -2 * basis[:, 3], 2 * basis[:, 2]]) * turn
-    mean, waves = np.split(np.array(table), [1], axis=1)
-    return mean.T + amplitude * basis @ waves.T, amplitude * slope @ waves.T
 
 
 @dataclass(frozen=True)
@@ -264,8 +296,10 @@ class GaitScheduler:
         """(n, 20) course, from the stride before to the one now."""
         elapsed = (stamp - self._switched) * 1e-9 + times
         weight = np.clip(elapsed / max(self._settings.transition, 1e-9), 0.0, 1.0)[:, None]
-        before, now = self._before.course(stamp, times), self._now.course(stamp, times)
-        return (1 - weight) * before + weight * now
+        now = self._now.course(stamp, times)
+        if weight.min() == 1.0:
+            return now
+        return (1 - weight) * self._before.course(stamp, times) + weight * now
 
     @property
     def _transition(self) -> int:

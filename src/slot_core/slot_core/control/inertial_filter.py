@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -116,6 +117,15 @@ class Motion:
     rate: Array
 
 
+class Propagated(NamedTuple):
+    """What `InertialFilter.propagate` changes."""
+
+    attitude: Rotation
+    position: Array
+    velocity: Array
+    cov: Array  # (15, 15)
+
+
 class InertialFilter:
     """The error-state filter: the nominal state, its covariance (15, 15), and the steps on them."""
 
@@ -139,6 +149,15 @@ class InertialFilter:
         self._cov[:9, :9] = spread @ self._odometry_cov @ spread.T
         self._rate, self._rate_variance = motion.rate, self._settings.odometry.rate_noise**2
         self._gyro_share = 0.0
+
+    @property
+    def propagated(self) -> Propagated:
+        """Where propagation has led; to be given back with `go_to`."""
+        return Propagated(self._attitude, self._position, self._velocity, self._cov)
+
+    def go_to(self, point: Propagated) -> None:
+        """Be where propagation has led before; nothing may have been corrected in between."""
+        self._attitude, self._position, self._velocity, self._cov = point
 
     def use_gyro(self, gyro: Array, amplification: float, late: float) -> None:
         """Take the angular velocity from the gyro (3,), followed on for `late` s since its sample.

@@ -328,10 +328,10 @@ def _fault(name: str, value: Any, shape: tuple[int, ...], low: float, high: floa
     usable = array[: shape[0]].shape if array.ndim == len(shape) == 2 else array.shape
     if usable != shape:
         return f"{name}: shape {array.shape}, needs {shape}"
-    outside = np.argwhere(~((array >= low) & (array <= high)))  # NaN is not inside
-    if not len(outside):
+    inside = (array >= low) & (array <= high)  # NaN is not
+    if inside.all():
         return ""
-    index = tuple(int(i) for i in outside[0])
+    index = tuple(int(i) for i in np.argwhere(~inside)[0])
     where = f"[{', '.join(map(str, index))}]" if index else ""
     return f"{name}{where} = {array[index]:g}: outside [{low:g}, {high:g}]"
 

@@ -241,8 +241,9 @@ class HorizonQp:
             (self.G @ z - self.h).max(),
             (self.lower[:, inputs] - flat).max(),
             (flat - self.upper[:, inputs]).max(),
-            np.abs(self.A[balance:] @ z - self.b[balance:]).max(initial=0.0),
         ]
+        if balance < len(self.b):
+            outside.append(np.abs((self.A @ z - self.b)[balance:]).max())
         return float(max(0.0, *outside))
 
     def residual(self, z: Array) -> float:

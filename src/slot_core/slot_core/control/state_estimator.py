@@ -18,7 +18,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
-from slot_core.control.inertial_filter import EstimatorSettings, InertialFilter, Motion
+from slot_core.control.inertial_filter import (
+    EstimatorSettings,
+    InertialFilter,
+    Motion,
+    Propagated,
+)
 from slot_core.robot import Array
 
 SECOND = 1_000_000_000  # ns
@@ -72,6 +77,7 @@ class StateEstimator:
         self._waiting: deque[tuple[int, Motion | None]] = deque()
         self._rejected: deque[Motion | None] = deque(maxlen=self._settings.gate.max_rejections)
         self._stamp: int | None = None  # of the filter's state; None: it has none
+        self._ahead: list[tuple[int, Propagated]] = []  # at the samples since `_stamp`
         self._accepted_stamp = 0
         self._accepted = 0  # in a row since the start
 
@@ -88,6 +94,8 @@ class StateEstimator:
             return
         self._imu.append((stamp, np.concatenate([rate, force])))
         self._work_off()
+        if not self._ready:
+            self._look_ahead()
 
     def add_odometry(
         self,
@@ -138,11 +146,30 @@ class StateEstimator:
         """Process the readings that the IMU has reached, or that have waited long enough."""
         while self._waiting and self._is_due(self._waiting[0][0]):
             self._process(*self._waiting.popleft())
+            self._ahead.clear()
 
     def _is_due(self, stamp: int) -> bool:
         waited = self._waiting[-1][0] - stamp > self._settings.timing.imu_wait * SECOND
         crowded = len(self._waiting) > self._settings.buffers.odometry
         return self._newest.get("imu", stamp - 1) >= stamp or waited or crowded
+
+    def _look_ahead(self) -> None:
+        """Propagate to the newest sample: the next reading then finds little left to do."""
+        if self._stamp is None:
+            return
+        now, samples = self._filter.propagated, list(self._imu)
+        reached, point = self._ahead[-1] if self._ahead else (self._stamp, now)
+        self._filter.go_to(point)
+        for stamp, _ in samples:
+            if reached < stamp <= self._stamp + self._settings.timing.odometry_gap * SECOND:
+                self._step(samples, reached, stamp)
+                reached = stamp
+                self._ahead.append((stamp, self._filter.propagated))
+        self._filter.go_to(now)
+
+    def _step(self, samples: Sequence[tuple[int, Array]], begin: int, end: int) -> None:
+        imu, _ = _interpolate(samples, (begin + end) // 2)
+        self._filter.propagate(imu, (end - begin) / SECOND)
 
     def _process(self, stamp: int, motion: Motion | None) -> None:
         gap = self._settings.timing.odometry_gap * SECOND
@@ -178,14 +205,26 @@ class StateEstimator:
         if not samples or longest > self._settings.timing.imu_gap * SECOND:
             self._filter.propagate_blind((stamp - start) / SECOND)
             return False
-        for begin, end in pairwise(knots):
-            imu, _ = _interpolate(samples, (begin + end) // 2)
-            self._filter.propagate(imu, (end - begin) / SECOND)
+        reached = self._go_ahead(samples, start, stamp)
+        for begin, end in pairwise([reached, *(t for t in knots if t > reached)]):
+            self._step(samples, begin, end)
         imu, amplification = _interpolate(samples, stamp)
         self._filter.use_gyro(imu[:3], amplification, (stamp - samples[-1][0]) / SECOND)
         while len(self._imu) > 2 and self._imu[2][0] <= stamp:  # two to extrapolate from
             self._imu.popleft()
         return True
+
+    def _go_ahead(self, samples: Sequence[tuple[int, Array]], start: int, stamp: int) -> int:
+        """Take over what has been done up to `stamp`; return where that ends.
+
+        Without a sample before `start` the first step follows those after it, which may be newer.
+        """
+        done = [entry for entry in self._ahead if entry[0] <= stamp]
+        if not done or samples[0][0] > start:
+            return start
+        reached, point = done[-1]
+        self._filter.go_to(point)
+        return reached
 
     def _accept(self, stamp: int) -> None:
         self._accepted_stamp = stamp

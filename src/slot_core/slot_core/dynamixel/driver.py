@@ -59,6 +59,7 @@ class Driver:
         self._pid = HostPid(settings.host_pid)
         self._wanted: Array = np.zeros(len(LEGS))  # rad, of the tendons
         self._goal: Array = np.zeros(len(LEGS))  # what has been sent
+        self._unused: Array = np.zeros(len(LEGS))  # s in which the goals might have moved
         self._last: float | None = None
         self._turn = 0
 
@@ -249,11 +250,16 @@ class Driver:
         return []
 
     def _slew(self, h: float) -> npt.NDArray[np.bool_]:
-        """Move the goals towards what is wanted, within the speed limit; which were held back."""
-        reach = self.settings.joints.speed_limit * min(h, LONGEST_STEP)
-        step = self._wanted - self._goal
+        """Move the goals towards what is wanted, within the speed limit; which were held back.
+
+        Time in which they rested counts, else a command soon after a cycle would wait for the next.
+        """
+        limit = self.settings.joints.speed_limit
+        self._unused = np.minimum(self._unused + h, LONGEST_STEP)
+        step, reach = self._wanted - self._goal, limit * self._unused
         slewed = np.abs(step) > reach
         self._goal = np.where(slewed, self._goal + np.clip(step, -reach, reach), self._wanted)
+        self._unused = np.where(slewed, 0.0, self._unused - np.abs(step) / limit)
         return slewed
 
     def _write_positions(self) -> None:

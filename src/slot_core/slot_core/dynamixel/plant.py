@@ -18,6 +18,7 @@ from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamixel.emulator import EmulatorSettings
 from slot_core.dynamixel.legs import EmulatedLegs
 from slot_core.dynamixel.settings import LEGS, DynamixelSettings
+from slot_core.dynamixel.table import PWM_FULL, RAD_PER_COUNT
 from slot_core.faults import BUS_KINDS, Fault
 from slot_core.robot import Array, Robot
 
@@ -31,6 +32,25 @@ def imposed(servo: ServoSettings, step: float) -> ServoSettings:
             f"servo.yaml: backlash_deg = {servo.backlash_deg}: emulated servos have none"
         )
     return dataclasses.replace(servo, model="ideal", lag=step, ideal_rpm=UNBOUNDED_RPM)
+
+
+def equal_law(servo: ServoSettings, settings: DynamixelSettings, period: float) -> ServoSettings:
+    """The `pid` of dynamics/servo.py that does to the tendons what emulated servos do.
+
+    The motor is that of `servo`, the gains are those of the servos' own loop (position control),
+    `period` (s) is that loop's; angles, speeds and torques become the tendon's.
+    """
+    ratio, gains = settings.joints.servo_per_tendon, settings.gains
+    duty = ratio / RAD_PER_COUNT / PWM_FULL  # of a tendon angle (rad), as registers of gain 1
+    return dataclasses.replace(
+        servo,
+        model="pid",
+        proportional=gains.p / 128 * duty,
+        integral=gains.i / 65536 * duty / period,
+        derivative=gains.d / 16 * duty * period,
+        no_load_rpm=servo.no_load_rpm / ratio,
+        stall_torque=servo.stall_torque * ratio,
+    )
 
 
 class BusPlant(Plant):

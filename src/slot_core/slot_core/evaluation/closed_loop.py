@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
@@ -11,11 +11,12 @@ from slot_core import config
 from slot_core.control.controller import Controller, Tick
 from slot_core.control.mpc import DEFAULT, read_mpc
 from slot_core.dynamics.plant import Plant, Reading
-from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.sensors import ImuReading, OdometryReading
-from slot_core.dynamics.servo import read_servo
-from slot_core.robot import Array, read_robot
+from slot_core.dynamics.servo import ServoSettings, read_servo
+from slot_core.robot import Array, Robot, read_robot
 
+PlantMaker = Callable[[Robot, Scene, ServoSettings, np.random.Generator], Plant]
 START = 1_000_000_000  # ns; a stamp of zero means "no time" in ROS
 
 
@@ -33,15 +34,17 @@ class ClosedLoop:
         velocity: Array | None,
         seed: int,
         profile: str = DEFAULT,
+        *,
+        make: PlantMaker = Plant,
     ):
         """Stand in the scene; raises ConfigError when an argument or the configuration is bad.
 
-        `profile` of the MPC: a file of config/mpc, or the default.
+        `profile` of the MPC: a file of config/mpc, or the default; `make` builds the plant.
         """
         robot = read_robot()
         mpc = config.replace(read_mpc(profile), {"acceptance.time_budget": math.inf})
         self.controller = Controller(robot, mpc, lambda: 0.0, gait, velocity)
-        self.plant = Plant(robot, read_scene(scene), read_servo(), np.random.default_rng(seed))
+        self.plant = make(robot, read_scene(scene), read_servo(), np.random.default_rng(seed))
 
     def run(self, ticks: int) -> Iterator[Tick]:
         """Hand out each tick once its command is in force; then the plant goes on to the next.

@@ -11,7 +11,7 @@ import argparse
 import dataclasses
 import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -72,7 +72,9 @@ def replay(bag: Bag, tolerance: float) -> list[Comparison]:
     forces = _by_stamp(bag, "/ground_reaction_forces", decode.forces)
     return [
         compare(bag, "/mpc_state", _estimates(bag), tolerance),
-        compare(bag, "/ground_reaction_forces", _solves(robot, states, previews), tolerance),
+        compare(
+            bag, "/ground_reaction_forces", _solves(robot, states, previews, forces), tolerance
+        ),
         compare(bag, "/desired_joint_angles", _angles(robot, forces, previews, states), tolerance),
     ]
 
@@ -140,15 +142,21 @@ def _state_fields(estimate: Estimate) -> Fields:
 
 
 def _solves(
-    robot: Robot, states: Mapping[int, Any], previews: Mapping[int, Any]
+    robot: Robot,
+    states: Mapping[int, Any],
+    previews: Mapping[int, Any],
+    answered: Container[int],
 ) -> dict[int, Fields]:
-    """Results of the MPC, as fields of GroundReactionForces, in the order of the states."""
+    """Results of the MPC, as fields of GroundReactionForces, in the order of the states.
+
+    It remembers: a state that it skipped, by stamp not in `answered`, is skipped again.
+    """
     settings = config.replace(read_mpc(), {"acceptance.time_budget": math.inf})
     mpc = Mpc(robot, settings, timer=lambda: 0.0)
     return {
         stamp: _forces_fields(mpc.step(state, previews[stamp]))
         for stamp, (_, state, _) in states.items()
-        if stamp in previews
+        if stamp in previews and stamp in answered
     }
 
 
@@ -169,7 +177,8 @@ def _angles(
     force_map = ForceMap(robot, read_force_map(), read_leg_slope())
 
     def angle(stamp: int, force: Any, status: int) -> Any:
-        return command_for(force_map, force, status, previews[stamp], states[stamp][1]).angle
+        slope = force_map.slope(previews[stamp], states[stamp][1])
+        return command_for(force_map, force, status, previews[stamp], slope).angle
 
     return {
         stamp: {"position": angle(stamp, force, status)}
