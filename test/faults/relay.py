@@ -2,7 +2,6 @@
 
 from contextlib import contextmanager
 
-from geometry_msgs.msg import Vector3
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
 

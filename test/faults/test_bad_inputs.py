@@ -169,7 +169,9 @@ def test_a_step_larger_than_the_rate_allows_is_slewed_and_flagged(walking):
     def jump(message):
         message.position = [next(ends)] * 4
 
-    calm = lambda: not any(m.warnings for m in walking.heard["/robot_state"][-15:])  # 0.3 s
+    def calm():
+        return not any(m.warnings for m in walking.heard["/robot_state"][-15:])  # 0.3 s
+
     walking.wait_for(calm)  # the usual gait is not too fast
     with walking.relays["desired_joint_angles"].changed(jump) as begin:
         warned(walking, begin, "command slewed")

@@ -1,12 +1,17 @@
-"""Driver and simulated robot are killed with SIGKILL while the robot walks on emulated servos.
+"""Driver and simulated robot are killed with SIGKILL while the robot walks on emulated servos; and
+commands of another clock on the way to them.
 
 Times are those of the messages' stamps. BUSY is what a busy machine may add to a limit.
 """
 
+import copy
+
 import pytest
 from rig import PATIENT
+from sensor_msgs.msg import JointState
 
 from slot_core.control.supervisor_table import State
+from slot_nodes import qos
 
 BUSY = 0.3  # s
 # A driver that starts beside others is kept waiting for longer than one that runs.
@@ -26,10 +31,26 @@ def walking(rig):
     return rig
 
 
+def test_the_driver_refuses_commands_of_another_clock(walking):
+    """The wire goes past the supervisor: it looks itself."""
+    foreign = copy.deepcopy(walking.last("/desired_joint_angles"))
+    foreign.header.stamp.sec -= 100
+    foreign.position = [0.0] * 4
+    out = walking.node.create_publisher(JointState, "/desired_joint_angles", qos.CONTROL)
+    told = "desired_joint_angles refused: stamped -1"
+
+    def refused():
+        out.publish(foreign)
+        return told in walking.log("dynamixel_driver")
+
+    walking.wait_for(refused)
+    walking.node.destroy_publisher(out)
+
+
 def relaxed(rig, begin):
     """Seconds to RELAX, which silent servos cause; then to FAULT, until somebody asks."""
     since, reason = rig.reached(State.RELAX, begin)
-    assert reason.startswith("servo FL silent for "), rig.story()
+    assert reason.startswith("servo FL silent for ")
     rig.reached(State.FAULT, since)
     return (since - begin) * 1e-9
 

@@ -38,7 +38,7 @@ def require_finite(name: str, values: Any) -> None:
 
 
 def require_present(stamp: int, now: int, limit: float) -> None:
-    """Raise ValueError for a stamp further than `limit` (s) from `now`, both ns: another clock's."""
+    """Raise ValueError for another clock's stamp: further than `limit` (s) from `now`; both ns."""
     off = (stamp - now) * 1e-9
     if abs(off) > limit:
         raise ValueError(f"stamped {off:+.3g} s from now, limit {limit:g} s")
