@@ -126,6 +126,10 @@ class Rig:
         with contextlib.suppress(ExternalShutdownException):
             self._executor.spin()
 
+    def listen(self, topic, kind, profile):
+        """Hear one more topic."""
+        self.node.create_subscription(kind, topic, self.heard[topic].append, profile)
+
     def _on_state(self, message):
         now = (nanoseconds(message.since), State(message.state), message.reason)
         if not self.transitions or self.transitions[-1] != now:
@@ -145,6 +149,12 @@ class Rig:
                     env=environment, stdout=log, stderr=log, start_new_session=True,
                     cwd=self.directory, preexec_fn=die_with_parent,  # noqa: PLW1509 - one system call
                 )  # fmt: skip
+
+    def kill(self, name):
+        """SIGKILL, and nothing left of the node; returns the time before it."""
+        begin = self.send(name, signal.SIGKILL)
+        self.exit_code(name)
+        return begin
 
     def _log(self, name):
         return self.directory / f"{name}.log"
@@ -297,6 +307,12 @@ class Rig:
         if self.children[name].poll() is None:
             self.send(name, signal.SIGINT)
         return self.exit_code(name)
+
+    def walk_on(self):
+        """Bring the robot to WALKING for half a second at least: it is under way."""
+        while self.state is not State.WALKING or self.now() - self.transitions[-1][0] < 5e8:
+            self.walk()
+            time.sleep(0.05)
 
     def close(self):
         """End every node; returns the exit codes."""

@@ -196,7 +196,7 @@ def test_a_burst_from_another_time_is_forgotten(graph, topic, shift):
         ("mpc_state", sets(position__x=NAN), "gait_scheduler",
          "mpc_state refused: state[3] = nan: expected a finite number"),
         ("desired_joint_angles", sets(position=[-0.1] * 4), "sim_robot",
-         "command refused: command [-0.1 -0.1 -0.1 -0.1] rad is not inside [0, 2.029469]"),
+         "desired_joint_angles refused: command FL = -0.1 rad is not inside [0, 2.029]"),
     ],
 )  # fmt: skip
 def test_what_is_refused_is_named_with_its_value_and_limit(graph, topic, change, name, line):

@@ -65,6 +65,7 @@ class DynamixelDriverNode(LifecycleNode):
         )
         self._autostart = runtime.declare(self, "autostart", True, "configure at start")
         self._port = settings.bus.port
+        self._clock_jump = read_supervisor().timing.clock_jump
         self._session = make_session(settings, 1.0 / rate)
         joints = self._session.driver.joints
         stall = read_servo().stall_torque
@@ -181,6 +182,7 @@ class DynamixelDriverNode(LifecycleNode):
 
     def _on_command(self, message: JointState) -> None:
         stamp, angle = decode.joint_angles(message)
+        inputs.require_present(stamp, self.get_clock().now().nanoseconds, self._clock_jump)
         if fault := self._session.offer(time.monotonic_ns(), stamp, angle):
             raise ValueError(fault)
         if self._timer is not None:

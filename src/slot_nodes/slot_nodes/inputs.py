@@ -37,6 +37,13 @@ def require_finite(name: str, values: Any) -> None:
         raise ValueError(f"{name}[{place}] = {array[tuple(lost)]}: expected a finite number")
 
 
+def require_present(stamp: int, now: int, limit: float) -> None:
+    """Raise ValueError for another clock's stamp: further than `limit` (s) from `now`; both ns."""
+    off = (stamp - now) * 1e-9
+    if abs(off) > limit:
+        raise ValueError(f"stamped {off:+.3g} s from now, limit {limit:g} s")
+
+
 def require_nominal(preview: GaitPreview) -> None:
     """Raise ValueError unless the preview has finite angles and loads of every leg."""
     for name in ("tendon_angle", "normal_force"):

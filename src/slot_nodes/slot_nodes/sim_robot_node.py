@@ -46,7 +46,7 @@ from slot_core.dynamixel.emulator import read_emulator
 from slot_core.dynamixel.plant import BusPlant
 from slot_core.dynamixel.pseudo_terminal import PseudoTerminal
 from slot_core.dynamixel.settings import LEGS, read_settings
-from slot_core.robot import read_robot
+from slot_core.robot import Array, read_robot
 from slot_msgs.msg import LegStates, RobotState
 from slot_nodes import faults, inputs, messages, qos, runtime
 
@@ -121,7 +121,9 @@ class SimRobotNode(Node):
         """What guards simulated servos in real time: those on a bus have their driver."""
         if self._lockstep or isinstance(self._plant, BusPlant):
             return None
-        watchdog = CommandWatchdog(read_supervisor(), read_robot().tendon.angle_max)
+        settings = read_supervisor()
+        self._clock_jump = settings.timing.clock_jump
+        watchdog = CommandWatchdog(settings, read_robot().tendon.angle_max)
         watchdog.engage(self._plant.simulator.tendon_angle)
         inputs.subscribe(self, RobotState, "robot_state", self._on_robot_state, qos.STATE)
         return watchdog
@@ -181,12 +183,18 @@ class SimRobotNode(Node):
         stamp, angle = decode.joint_angles(message)
         if self._watchdog is None:
             self._plant.command(angle)
-        elif fault := self._watchdog.offer(time.monotonic_ns(), angle):
-            raise ValueError(fault)
+        else:
+            self._offer(self._watchdog, stamp, angle)
         if self._frozen and self._is_free():
             self._start()
         if self._lockstep and stamp == self._awaited:
             self._advance_one_tick()
+
+    def _offer(self, watchdog: CommandWatchdog, stamp: int, angle: Array) -> None:
+        """Raises ValueError for what the simulated servos must not follow."""
+        inputs.require_present(stamp, self.get_clock().now().nanoseconds, self._clock_jump)
+        if fault := watchdog.offer(time.monotonic_ns(), angle):
+            raise ValueError(fault)
 
     def _obey(self, watchdog: CommandWatchdog) -> None:
         """Give the simulated servos what the watchdog lets through."""
