@@ -528,6 +528,18 @@ def test_a_slack_or_broken_tendon_warns_and_stops_the_gait(walking):
     assert any("slack or broken tendon RL" in w for w in walking.reports[-1].warnings)
 
 
+def test_a_tendon_is_judged_only_once_the_legs_follow_the_gait_again(walking):
+    walking.silent.add("command")
+    assert walking.until(State.HOLD, 1.0) < 1.0
+    walking.silent.clear()
+    assert walking.until(State.WALKING, 1.0) < 1.0
+    walking.torque = np.array([0.8, 0.8, 0.0, 0.8])
+    took = walking.until(State.HOLD, 5.0)
+    least = SETTINGS.gate.resume_time + SETTINGS.tendon.window_min
+    assert least <= took < least + 1.0
+    assert walking.reports[-1].reason.startswith("slack or broken tendon RL")
+
+
 def test_after_a_new_tendon_and_a_reset_the_robot_stands_again(walking):
     walking.torque = np.array([0.8, 0.8, 0.0, 0.8])
     walking.until(State.FAULT, 10.0)

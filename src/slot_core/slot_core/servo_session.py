@@ -104,6 +104,8 @@ class ServoSession:
         self._watchdog.permit(word)
         if word.action is Action.OFF and self.driver.active:
             self._switch_off(word.reason)
+        elif word.action is Action.OFF:
+            self.reason = word.reason
 
     def relax(self, reason: str) -> None:
         """Slacken the tendons in the steps to come, then torque off."""

@@ -111,6 +111,7 @@ class Supervisor:
         self._faulty = False  # whether RELAX ends in FAULT
         self._servo_angle = np.full(len(LEGS), np.nan)
         self._height = np.full(len(LEGS), np.nan)  # m, of the clamps
+        self._seen = 0  # steady time of the estimate that they are from
         self._stride = settings.tendon.window_min  # s
         self._tendons: TendonState = watch.state
 
@@ -144,7 +145,7 @@ class Supervisor:
         if self._refuse("estimate", now, estimate.stamp):
             return
         self._signs.see_estimate(time, estimate)
-        self._height = self._clamp_heights(estimate.state)
+        self._height, self._seen = self._clamp_heights(estimate.state), time
 
     def see_command(self, now: int, stamp: int, angle: Array) -> str:
         """Tendon angles (4,), rad, of the controller; returns why they are refused, or ""."""
@@ -162,7 +163,7 @@ class Supervisor:
             return
         self._signs.see_joints(time - max(now - stamp, 0), angle, torque)
         self._servo_angle = np.array(angle, dtype=np.float64)
-        if self._state in MOVING:
+        if self._strides(time):
             self._tendons = self._watch.observe(stamp, angle, torque, self._height, self._stride)
 
     def see_health(self, now: int, stamp: int, health: ServoHealth) -> None:
@@ -220,6 +221,7 @@ class Supervisor:
     def _pass(self, now: int) -> int:
         """Steady time; after a jump all stamps are new."""
         time = self._clock.advance(now)
+        self._since = self._since or now
         if self._clock.jumped:
             self._newest.clear()
         return time
@@ -252,6 +254,13 @@ class Supervisor:
             ending = Condition.RELAXED_AFTER_FAULT if self._faulty else Condition.RELAXED
             found[ending] = f"slack after: {self._reason}"
         return found
+
+    def _strides(self, time: int) -> bool:
+        """Whether the legs follow the gait, and where the torso is is known: no slewing after a
+        HOLD, no estimate that is missed."""
+        moving = time - self._entered > self._settings.gate.resume_time * SECOND
+        known = time - self._seen <= 2.0 * self._settings.estimate.period * SECOND
+        return self._state in MOVING and moving and known
 
     def _disobedience(self, time: int) -> str:
         """Why the driver is slack though it has had time to switch torque on, or ""."""
