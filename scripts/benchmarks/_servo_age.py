@@ -1,4 +1,4 @@
-"""The age of a command at the servos: all nodes as processes, emulated servos, real time.
+"""The age of a command at the servos: all nodes as processes, emulated servos, real time, no bag.
 
 From the publication of an odometry reading to the moment when the goals that follow from it have
 been handed to the port. The delay of the odometry itself is the sensor's and not counted; the time
@@ -8,20 +8,25 @@ of the bytes on the wire is 0.34 ms at 1 Mbaud for four goals and not counted ei
 from __future__ import annotations
 
 import tempfile
+import time
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
+from nav_msgs.msg import Odometry
 
 from slot_bringup.graph import read_graph
-from slot_bringup.monitor import RunError, watch
+from slot_bringup.monitor import START_TIMEOUT, listener
 from slot_bringup.run import started
 from slot_core import decode
-from slot_core.evaluation.bag import Bag, BagError, read_record_settings
+from slot_core.evaluation.bag import read_record_settings
 from slot_core.evaluation.benchmark import BenchmarkError, Check, at_most
 from slot_core.evaluation.palette import INK, SECOND
+from slot_msgs.msg import ServoHealth
+from slot_nodes import qos
 
 AGE_GOAL = 8.0  # ms, of the 99th percentile
 
@@ -32,31 +37,37 @@ def walk(duration: float) -> Ages:
     """Ages (s) of every command of a walk, the warm-up left out; raises BenchmarkError."""
     graph, warm_up = read_graph(), read_record_settings().warm_up
     values = {argument.name: argument.default for argument in graph.arguments}
-    with tempfile.TemporaryDirectory() as scratch:
-        bag, logs = Path(scratch, "bag"), Path(scratch, "log")
-        values |= {"hardware": "fake_bus", "bag": str(bag)}
-        try:
-            with started(graph, values, logs) as processes:
-                watch(processes, warm_up + duration)
-            return ages(Bag(bag), warm_up)
-        except (RunError, BagError) as error:
-            raise BenchmarkError(f"the graph did not walk: {error}") from error
-
-
-def ages(bag: Bag, warm_up: float) -> Ages:
-    """From an odometry's publication to its goals written, s, in the order of time.
-
-    `warm_up` (s) counts from the first goals.
-    """
-    published = {decode.stamp(odom): time for time, odom in bag.messages("/odom")}
+    published: dict[int, int] = {}  # ns, by the odometry's stamp
     written: dict[int, int] = {}
-    for _, health in bag.messages("/servo_health"):
-        written.setdefault(decode.time(health.commanded), decode.time(health.written))
-    written.pop(0, None)  # before the first command
-    begin = min(written.values()) + warm_up * 1e9
-    return np.array(
-        [1e-9 * (at - published[stamp]) for stamp, at in written.items() if at >= begin]
-    )
+
+    def on_odom(message: Odometry, info: Mapping[str, int]) -> None:
+        published[decode.stamp(message)] = info["source_timestamp"]
+
+    def on_health(message: ServoHealth) -> None:
+        written.setdefault(decode.time(message.commanded), decode.time(message.written))
+
+    with (
+        tempfile.TemporaryDirectory() as logs,
+        started(graph, values | {"hardware": "fake_bus"}, Path(logs)) as processes,
+        listener("age") as (node, executor),
+    ):
+        # rclpy passes the second argument too; its annotation knows the first alone
+        node.create_subscription(Odometry, "odom", cast(Any, on_odom), qos.SENSOR)
+        node.create_subscription(ServoHealth, "servo_health", on_health, qos.SENSOR)
+        limit = time.monotonic() + START_TIMEOUT
+        while span(written) < warm_up + duration:
+            executor.spin_once(timeout_sec=0.1)
+            if (failure := processes.failed()) or time.monotonic() > limit + duration:
+                raise BenchmarkError(f"the graph did not walk: {failure or 'no commands'}")
+    begin = min(filter(None, written)) + warm_up * 1e9
+    aged = [1e-9 * (at - published[s]) for s, at in written.items() if s in published and s > begin]
+    return np.array(aged)
+
+
+def span(written: Mapping[int, int]) -> float:
+    """Time from the first command to the last, s; the stamp of none is zero."""
+    stamps = list(filter(None, written))
+    return 1e-9 * (max(stamps) - min(stamps)) if stamps else 0.0
 
 
 def row(found: Ages) -> dict[str, Any]:

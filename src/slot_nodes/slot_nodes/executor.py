@@ -40,11 +40,11 @@ class DirectExecutor(SingleThreadedExecutor):
         """
         self._wait(timeout_sec)
         timers, subscriptions = self._ready("timer"), self._ready("subscription")
+        for subscription in subscriptions:
+            _call(self._take_subscription(subscription))
         for timer in timers:
             if _is_due(timer):
                 _call(self._take_timer(timer))
-        for subscription in subscriptions:
-            _call(self._take_subscription(subscription))
         if self._context.ok() and self._has_others():
             self._is_stale = True  # a node may have come or gone
             super().spin_once(timeout_sec=0.0)

@@ -21,7 +21,7 @@ from slot_core.control.supervisor_settings import read_supervisor
 from slot_core.control.supervisor_table import State
 from slot_core.control.tendon_watch import read_tendon_watch
 from slot_core.robot import read_robot
-from slot_msgs.msg import GaitPreview, GroundReactionForces, MpcState, RobotState, ServoHealth
+from slot_msgs.msg import GroundReactionForces, MpcState, RobotState, ServoHealth
 from slot_msgs.srv import SetGait
 from slot_nodes import inputs, messages, qos, runtime
 
@@ -55,6 +55,7 @@ class SupervisorNode(Node):
         v_x = runtime.declare(self, "v_x", gaits.find(gait).cruise, "its forward velocity [m/s]")
         v_y = runtime.declare(self, "v_y", 0.0, "its lateral velocity [m/s]")
         GaitScheduler(gaits, gait, np.array([v_x, v_y, 0.0]))
+        self._supervisor.see_gait(self._now(), gaits.find(gait).period)
         return messages.gait_request(gait, v_x, v_y)
 
     def _steps(self) -> list[Request]:
@@ -62,8 +63,8 @@ class SupervisorNode(Node):
         return [Request.READY, Request.STAND, *[Request.WALK][:walks]]
 
     def _hear_controller(self) -> None:
+        """Not the preview of the gait: without it there are no forces."""
         inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.CONTROL)
-        inputs.subscribe(self, GaitPreview, "gait_preview", self._on_preview, qos.CONTROL)
         inputs.subscribe(
             self, GroundReactionForces, "ground_reaction_forces", self._on_forces, qos.CONTROL
         )
@@ -83,10 +84,6 @@ class SupervisorNode(Node):
         covariance = np.array(message.covariance).reshape(12, 12)
         self._supervisor.hear(now, "state_estimator")
         self._supervisor.see_estimate(now, Estimate(stamp, state, covariance, Validity(validity)))
-
-    def _on_preview(self, message: GaitPreview) -> None:
-        self._supervisor.hear(self._now(), "gait_scheduler")
-        self._supervisor.see_gait(self._now(), message.period)
 
     def _on_forces(self, message: GroundReactionForces) -> None:
         self._supervisor.hear(self._now(), "mpc_controller")
