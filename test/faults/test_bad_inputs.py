@@ -210,9 +210,14 @@ def test_forces_beyond_the_map_are_clamped_to_the_last_angle_and_flagged(walking
 
         walking.wait_for(saturated)
     status = saturated()[0]
-    command = next(
-        m for m in walking.heard["/desired_joint_angles"] if m.header.stamp == status.header.stamp
+    commands = walking.wait_for(
+        lambda: [
+            m
+            for m in walking.heard["/desired_joint_angles"]
+            if m.header.stamp == status.header.stamp
+        ]
     )
+    command = commands[0]
     for angle, wanted, hit in zip(command.position, status.angle_unclamped, status.saturated):
         assert angle == pytest.approx(ANGLE_MAX if hit else wanted, abs=1e-12)
         assert hit == (wanted > ANGLE_MAX)

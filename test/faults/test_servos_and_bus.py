@@ -137,7 +137,7 @@ def stops_and_comes_back(rig, begin):
     assert not any(rig.slack(restarted).torque)  # FAULT: what was left under torque goes slack
     rig.wait_for(lambda: not rig.ask("reset"))
     before, ready = rig.rest(), rig.now()
-    assert rig.ask("ready") == ""
+    rig.wait_for(lambda: not rig.ask("ready"))  # the supervisor may not have heard it yet
     rig.wait_for(lambda: all(rig.last("/servo_health").torque))
     rig.wait_for(lambda: len(rig.since("/joint_states", ready)) > 60)
     sag, pull = rig.moved(before, ready)

@@ -55,6 +55,8 @@ WAIT_PERIOD = 0.1  # s, between the readings of the frozen robot in lockstep
 REAL_TIME_PERIOD = 0.002  # s, between looks at the clock
 CATCH_UP = 20_000_000  # ns of simulation per callback at most, so that commands get through
 BUS_CATCH_UP = 4_000_000  # ns, so that the servos' time does not run away from their driver's
+RECORDER = "recorder"
+RECORDER_KNOWN = 5.0  # s after which a topic that it is not known to record is not recorded
 LAG_WARNING = 100_000_000  # ns behind real time
 OUTLAST = 3.0  # s for the driver to switch the servos off
 BUS_SILENCE = 0.3  # s after which the driver has ended
@@ -70,9 +72,10 @@ class SimRobotNode(Node):
         seeds = [IntegerRange(from_value=0, to_value=2**63 - 1)]
         seed = runtime.declare(self, "seed", 0, "of the sensor noise", integer_range=seeds)
         scene = runtime.declare(self, "scene", "flat", "a file of config/scene")
-        self._recorded = not runtime.declare(
+        self._records = runtime.declare(
             self, "wait_for_recording", False, "be silent until /recording"
         )
+        self._recorded_since: float | None = None  # s, monotonic
         dump = runtime.declare(
             self, "dump", "", "where the state of a lost simulation goes; none: working directory"
         )
@@ -146,7 +149,9 @@ class SimRobotNode(Node):
 
     def _publish_frozen(self) -> None:
         """Report the robot at rest until a command shows that the whole graph is there."""
-        if not (self._recorded and self._is_powered() and self._is_matched()):
+        if self._records and self._recorded_since is None:
+            return
+        if not (self._is_powered() and self._is_matched()):
             return
         stamp = LOCKSTEP_START if self._lockstep else self.get_clock().now().nanoseconds
         for reading in self._plant.present(stamp):
@@ -164,15 +169,22 @@ class SimRobotNode(Node):
         return self._watchdog.action is Action.PASS
 
     def _is_matched(self) -> bool:
-        """Whether every subscriber that is known will hear what is published now."""
+        """Whether every subscriber that is known will hear what is published now.
+
+        The recorder has to be known: that it records may be heard before it is.
+        """
         publishers = [publisher for publisher, _ in self._outputs.values()]
-        return all(
-            publisher.get_subscription_count() >= self.count_subscribers(publisher.topic_name)
-            for publisher in (*publishers, self._truth, self._legs)
-        )
+        late = self._recorded_since and time.monotonic() - self._recorded_since > RECORDER_KNOWN
+        for publisher in (*publishers, self._truth, self._legs):
+            readers = self.get_subscriptions_info_by_topic(publisher.topic_name)
+            if publisher.get_subscription_count() < len(readers):
+                return False
+            if self._records and not late and RECORDER not in {r.node_name for r in readers}:
+                return False
+        return True
 
     def _on_recording(self, message: Bool) -> None:
-        self._recorded = message.data
+        self._recorded_since = time.monotonic()
 
     def _on_robot_state(self, message: RobotState) -> None:
         _, state, action, reason = decode.robot_state(message)
