@@ -100,12 +100,17 @@ def _ports(hardware: str, port: str | None) -> dict[str, str | None]:
     return {"driver_port": link, "emulated_port": link}
 
 
+def is_attended(values: Mapping[str, Any]) -> bool:
+    """Whether an operator has the robot stand and walk."""
+    return bool(values["attended"] or values["hardware"] == "real")
+
+
 def _start(values: Mapping[str, Any]) -> dict[str, Any]:
     """How the robot comes to walk: by itself, or attended when it is asked to; real ones always so.
 
     In lockstep nobody asks: the gait is there from the first tick on.
     """
-    attended = values["attended"] or values["hardware"] == "real"
+    attended = is_attended(values)
     start = {"autostart": not attended, "estop_required": None if attended else False}
     if values["lockstep"]:
         first = {"gait": values["gait"], "vx": values["vx"], "vy": values["vy"]}

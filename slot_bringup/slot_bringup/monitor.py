@@ -18,7 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from slot_bringup.processes import Processes
 from slot_core import decode
 from slot_core.control.command_gate import Action
-from slot_core.control.supervisor_table import State
+from slot_core.control.supervisor_table import LET_GO, State
 from slot_core.robot import Array
 from slot_msgs.msg import MpcState, RobotState
 from slot_nodes import qos
@@ -26,7 +26,6 @@ from slot_nodes import qos
 START_TIMEOUT = 90.0  # s until the first state; the first start after installation compiles
 SILENCE_TIMEOUT = 10.0  # s without a new state
 DISCOVERY_TIME = 1.0  # s in which a graph that runs already shows itself
-SLACK = (State.RELAX, State.ESTOP, State.FAULT)
 REFRESH_TERMINAL, REFRESH_LOG = 0.2, 5.0  # s between progress lines
 
 
@@ -157,7 +156,7 @@ def _check(progress: Progress, processes: Processes, attended: bool) -> None:
     if failure is not None:
         name, code = failure
         raise RunError(f"{name} ended with exit code {code}: {processes.last_words(name)}")
-    if progress.robot in SLACK and not attended:
+    if progress.robot in LET_GO and not attended:
         raise RunError(f"the robot is in {progress.robot.name}: {progress.reason}")
     if attended and progress.state is None:
         return  # nothing moves before the operator says so

@@ -9,13 +9,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import JointState
 
 from slot_core import decode
-from slot_core.control.supervisor_table import State
+from slot_core.control.supervisor_table import LET_GO, State
 from slot_core.dynamixel.checks import hardware_errors
 from slot_core.robot import LEGS
 from slot_msgs.msg import RobotState, ServoHealth
 
 SILENCE = 0.5  # s, older than that a state of the robot is no longer shown as its state
-ALARMS = (State.RELAX, State.ESTOP, State.FAULT)
 HELP = "r ready   s stand   w walk   x relax   SPACE E-STOP   R reset   q quit"
 HEADER = "     angle deg  torque N m  slack mm  silent s  degC     V  lost %  power  errors"
 
@@ -38,12 +37,12 @@ class View:
 
     def alarming(self, now: float) -> bool:
         """Whether somebody should look."""
-        return self.state is None or self.silent(now) or State(self.state.state) in ALARMS
+        return self.state is None or self.silent(now) or State(self.state.state) in LET_GO
 
 
 def state_lines(message: RobotState) -> list[str]:
     """The state, for how long and why; then what speaks against motion, one line each."""
-    since = message.since.sec * 1_000_000_000 + message.since.nanosec
+    since = decode.time(message.since)
     held = (decode.stamp(message) - since) * 1e-9
     span = f" for {held:.1f} s" if since else ""  # since its start nobody knows
     return [

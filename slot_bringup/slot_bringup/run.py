@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from slot_bringup.graph import Graph, read_graph
+from slot_bringup.graph import Graph, is_attended, read_graph
 from slot_bringup.monitor import RunError, require_solitude, watch
 from slot_bringup.processes import Processes
 from slot_core.config import ConfigError
@@ -116,8 +116,7 @@ def run(options: argparse.Namespace, graph: Graph, directory: Path) -> None:
     """
     values = vars(options) | {"bag": str(directory)}
     with started(graph, values, directory / "log") as processes:
-        attended = options.attended or options.hardware == "real"
-        watch(processes, options.duration, attended)
+        watch(processes, options.duration, is_attended(values))
 
 
 @contextmanager

@@ -1,19 +1,8 @@
 """Fixtures for tests that harm a running graph."""
 
-import os
-
 import pytest
+from real_graph import domain  # noqa: F401 - a fixture
 from rig import Rig
-
-DOMAINS = 100  # beyond, the ports of DDS run into those that the system hands out
-
-
-@pytest.fixture(scope="session", autouse=True)
-def domain():
-    """A ROS domain for every process that runs tests: their graphs do not hear each other."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", str(1 + os.getpid() % DOMAINS))
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -2,13 +2,11 @@
 
 import contextlib
 import os
-import shutil
 import signal
 import subprocess
 import threading
 import time
 from collections import defaultdict
-from pathlib import Path
 
 import numpy as np
 import rclpy
@@ -18,6 +16,7 @@ from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
+from real_graph import changed_config
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -49,7 +48,7 @@ NEXT = {
     State.ESTOP: "reset", State.FAULT: "reset",
     State.IDLE: "ready", State.READY: "stand", State.STANDING: "walk",
 }  # fmt: skip
-# s, from a limit to the reaction: two periods of the supervisor (10 ms) or of a bus cycle, and how
+# s, from a limit to the reaction: two periods of the supervisor (20 ms) or of a bus cycle, and how
 # long a busy machine lets a process wait.
 LATE = 0.5
 # counts that a servo gives way by where torque comes on: until then the friction of its gearbox has
@@ -69,19 +68,6 @@ PATIENT = {
     },
     "mpc.yaml": {"time_budget: 0.02": "time_budget: 0.2"},
 }  # fmt: skip
-
-
-def changed_config(directory, changes):
-    """A copy of config/ below `directory` with texts replaced: {file: {before: after}}."""
-    config = directory / "config"
-    shutil.copytree(Path(__file__).parents[2] / "config", config)
-    for name, replaced in changes.items():
-        text = (config / name).read_text()
-        for before, after in replaced.items():
-            assert text.count(before) == 1, before
-            text = text.replace(before, after)
-        (config / name).write_text(text)
-    return config
 
 
 class Rig:

@@ -1,13 +1,11 @@
 """Fixtures for tests that start the graph as processes."""
 
 import os
-import shutil
-from pathlib import Path
 
 import pytest
 from graph_bag import record
+from real_graph import changed_config, domain  # noqa: F401 - a fixture
 
-DOMAINS = 100  # beyond, the ports of DDS run into those that the system hands out
 # A busy machine keeps processes waiting for longer than a robot may: time limits that it keeps.
 PATIENT = {
     "dynamixel.yaml": {"  timeout: 0.008": "  timeout: 0.1", "  watchdog: 0.1": "  watchdog: 2.0"},
@@ -20,25 +18,10 @@ PATIENT = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="session", autouse=True)
-def domain():
-    """A ROS domain for every process that runs tests: their graphs do not hear each other."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", str(1 + os.getpid() % DOMAINS))
-        yield
-
-
 @pytest.fixture(scope="session")
 def environment(tmp_path_factory):
     """Environment with a configuration of longer time limits."""
-    config = tmp_path_factory.mktemp("patient") / "config"
-    shutil.copytree(Path(__file__).parents[2] / "config", config)
-    for name, changes in PATIENT.items():
-        text = (config / name).read_text()
-        for before, after in changes.items():
-            assert text.count(before) == 1, before
-            text = text.replace(before, after)
-        (config / name).write_text(text)
+    config = changed_config(tmp_path_factory.mktemp("patient"), PATIENT)
     return os.environ | {"SLOT_CONFIG": str(config)}
 
 

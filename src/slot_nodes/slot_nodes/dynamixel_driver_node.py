@@ -29,7 +29,7 @@ from slot_core import decode
 from slot_core.config import ConfigError
 from slot_core.control.command_gate import Action
 from slot_core.control.command_watchdog import Word
-from slot_core.control.supervisor_settings import read_supervisor
+from slot_core.control.supervisor_settings import SupervisorSettings, read_supervisor
 from slot_core.control.supervisor_table import State
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamixel.driver import Driver
@@ -65,8 +65,9 @@ class DynamixelDriverNode(LifecycleNode):
         )
         self._autostart = runtime.declare(self, "autostart", True, "configure at start")
         self._port = settings.bus.port
-        self._clock_jump = read_supervisor().timing.clock_jump
-        self._session = make_session(settings, 1.0 / rate)
+        supervisor = read_supervisor()
+        self._clock_jump = supervisor.timing.clock_jump
+        self._session = make_session(settings, supervisor, 1.0 / rate)
         joints = self._session.driver.joints
         stall = read_servo().stall_torque
         self._stall = np.array([abs(joint.tendon_torque(stall)) for joint in joints])
@@ -295,14 +296,16 @@ class DynamixelDriverNode(LifecycleNode):
         self._session.driver.close()
 
 
-def make_session(settings: DynamixelSettings, period: float) -> ServoSession:
+def make_session(
+    settings: DynamixelSettings, supervisor: SupervisorSettings, period: float
+) -> ServoSession:
     """Driver and gate; raises ConfigError where the settings contradict each other."""
     port = SerialPort(settings.bus.port, settings.bus.baud, settings.bus.timeout)
     try:
         driver = Driver(port, settings)
     except ValueError as error:
         raise ConfigError(f"dynamixel.yaml: {error}") from None
-    return ServoSession(driver, read_supervisor(), read_robot().tendon.angle_max, period)
+    return ServoSession(driver, supervisor, read_robot().tendon.angle_max, period)
 
 
 def main() -> None:

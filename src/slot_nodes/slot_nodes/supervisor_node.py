@@ -18,7 +18,7 @@ from slot_core.control.start_up import StartUp
 from slot_core.control.state_estimator import Estimate, Validity
 from slot_core.control.supervisor import Report, Request, Supervisor
 from slot_core.control.supervisor_settings import read_supervisor
-from slot_core.control.supervisor_table import State
+from slot_core.control.supervisor_table import LET_GO, State
 from slot_core.control.tendon_watch import read_tendon_watch
 from slot_core.robot import read_robot
 from slot_msgs.msg import GroundReactionForces, MpcState, RobotState, ServoHealth
@@ -127,7 +127,7 @@ class SupervisorNode(Node):
     def _announce(self, report: Report) -> None:
         """Log a transition, and have the gait that belongs to the state."""
         line = f"{report.state.name}: {report.reason}"
-        if report.state in (State.HOLD, State.RELAX, State.ESTOP, State.FAULT):
+        if report.state in (State.HOLD, *LET_GO):
             self.get_logger().warning(line)
         else:
             self.get_logger().info(line)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from slot_core.control.supervisor import Request, Supervisor
-from slot_core.control.supervisor_table import State
+from slot_core.control.supervisor_table import LET_GO
 
 
 class StartUp:
@@ -17,7 +17,7 @@ class StartUp:
 
         Once the robot has been slack for a reason, an operator decides.
         """
-        if supervisor.state in (State.RELAX, State.ESTOP, State.FAULT):
+        if supervisor.state in LET_GO:
             self._left.clear()
         if not self._left:
             return ""

@@ -256,8 +256,10 @@ class Supervisor:
         return found
 
     def _strides(self, time: int) -> bool:
-        """Whether the legs follow the gait, and where the torso is is known: no slewing after a
-        HOLD, no estimate that is missed."""
+        """Whether the legs follow the gait and the torso's place is known.
+
+        Not while they catch up after a HOLD, nor where estimates are missed.
+        """
         moving = time - self._entered > self._settings.gate.resume_time * SECOND
         known = time - self._seen <= 2.0 * self._settings.estimate.period * SECOND
         return self._state in MOVING and moving and known

@@ -53,6 +53,10 @@ class State(enum.IntEnum):
     FAULT = 7  # torque off, until reset
 
 
+# Where the robot has let go, or is about to, for a reason.
+LET_GO = (State.RELAX, State.ESTOP, State.FAULT)
+
+
 class Condition(enum.Enum):
     """What moves the robot from one state to another, the most urgent first."""
 
