@@ -6,18 +6,18 @@ import math
 import numpy as np
 
 from slot_core import config
-from slot_core.control.command_gate import Action
-from slot_core.control.mpc import Status
-from slot_core.control.servo_health import ServoHealth
+from slot_core.control.mpc.mpc import Status
 from slot_core.control.state_estimator import Estimate, Validity
-from slot_core.control.supervisor import Request, Supervisor
-from slot_core.control.supervisor_settings import read_supervisor
-from slot_core.control.supervisor_table import State
-from slot_core.control.tendon_watch import TendonLoad, read_tendon_watch
-from slot_core.dynamics.plant import JointReading
-from slot_core.evaluation.closed_loop import ClosedLoop
 from slot_core.leg_table import read_leg_table
 from slot_core.robot import read_robot
+from slot_core.safety.command_gate import Action
+from slot_core.safety.servo_health import ServoHealth
+from slot_core.safety.settings import read_supervisor
+from slot_core.safety.states import State
+from slot_core.safety.supervisor import Request, Supervisor
+from slot_core.safety.tendon_watch import TendonLoad, read_tendon_watch
+from slot_core.simulation.closed_loop import ClosedLoop
+from slot_core.simulation.plant import JointReading
 
 ROBOT = read_robot()
 TICK = 10_000_000  # ns

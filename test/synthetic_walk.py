@@ -10,8 +10,8 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 from scipy.spatial.transform import Rotation
 
-from slot_core.evaluation.bag import BagWriter, read_record_settings
-from slot_core.evaluation.message_types import message_types
+from slot_core.bags.bag import BagWriter, read_record_settings
+from slot_core.bags.message_types import message_types
 from slot_core.robot import TENDON_JOINTS, Array, read_robot
 
 TYPES = message_types()

@@ -1,15 +1,52 @@
-"""Who may import whom."""
+"""The table of allowed imports, the size of folders, and names that stand for one thing."""
 
 import ast
+import collections
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-import slot_core
+ROOT = Path(__file__).resolve().parents[1]
+CORE = ROOT / "src" / "slot_core" / "slot_core"
+GROUND = "ground"
+LARGEST_FOLDER = 17  # files, `__init__.py` not counted
 
-CORE = Path(slot_core.__file__).parent
+# What each folder may import of the others; `ground` is the files beside the folders.
+ALLOWED = {
+    GROUND: "",
+    "rod": "ground",
+    "dynamics": "ground",
+    "control": "ground",
+    "control/mpc": "ground control",
+    "legs": "ground dynamics",
+    "paper": "ground dynamics",
+    "safety": "ground control control/mpc",
+    "dynamixel": "ground safety",
+    "emulator": "ground dynamics dynamixel",
+    "simulation": "ground dynamics legs paper control control/mpc safety dynamixel emulator",
+    "bags": "ground control control/mpc safety",
+    "report": "ground control control/mpc bags",
+    "calibration": "ground dynamics legs simulation report",
+}
+# The controller puts the MPC together with its other stages.
+EXCEPTIONS = {("control/controller.py", "control/mpc")}
+# File names that occur in several folders, and why.
+REPEATED = {
+    "__init__.py": "what the folder is about",
+    "model.py": "the equations of the folder's subject as numbers",
+    "kernels.py": "the compiled functions of the folder's subject",
+    "settings.py": "what the YAML file of the folder's subject holds",
+    "bus.py": "each side of the servo bus",
+    "statics.py": "equilibria: of the rod, and its benchmark's",
+    "rod.py": "the rod",
+    "setup.py": "one for each ROS package",
+    "conftest.py": "pytest's fixtures for a folder",
+    "benchmark.py": "the entry of each benchmark",
+    "picture.py": "the plots of each benchmark, and of a run",
+    "cases.py": "the cases of each benchmark",
+}
 IMPORT_ALL = """
 import importlib, pkgutil, sys, slot_core
 for module in pkgutil.walk_packages(slot_core.__path__, "slot_core."):
@@ -30,6 +67,26 @@ def imports_of(path: Path) -> set[str]:
     return names
 
 
+def room(path: Path) -> str:
+    """Folder of a core file, relative to the core."""
+    folder = path.parent.relative_to(CORE).as_posix()
+    return GROUND if folder == "." else folder
+
+
+def imported_rooms(path: Path) -> set[str]:
+    """Folders of the core that a file imports from, its own left out."""
+    rooms = set()
+    for name in imports_of(path):
+        parts = name.split(".")
+        if parts[0] == "slot_core":
+            places = (
+                CORE.joinpath(*parts[1:n]).with_suffix(".py") for n in (len(parts) - 1, len(parts))
+            )
+            found = next((p for p in places if p.is_file()), None)
+            rooms.add(GROUND if found is None else room(found))
+    return rooms - {room(path)}
+
+
 def test_core_imports_nothing_of_ros():
     run = subprocess.run(
         [sys.executable, "-c", IMPORT_ALL], capture_output=True, text=True, check=True, timeout=120
@@ -39,29 +96,58 @@ def test_core_imports_nothing_of_ros():
     assert not loaded & {"rclpy", "rosidl_parser", "slot_msgs", "slot_nodes", "ament_index_python"}
 
 
-@pytest.mark.parametrize(
-    ("package", "forbidden"),
-    [
-        ("dynamics", ("control", "dynamixel", "evaluation", "calibration")),
-        ("control", ("dynamics", "dynamixel", "evaluation", "calibration")),
-        ("calibration", ("control", "dynamixel")),
-        ("dynamixel", ("control", "evaluation", "calibration")),
-    ],
-)
-def test_a_package_knows_only_those_below_it(package, forbidden):
-    files = sorted((CORE / package).glob("**/*.py"))
-    assert len(files) > 3
-    forbidden = tuple(f"slot_core.{name}" for name in forbidden)
+def test_every_folder_of_the_core_is_in_the_table():
+    assert {room(path) for path in CORE.rglob("*.py")} == set(ALLOWED)
+
+
+@pytest.mark.parametrize("folder", ALLOWED)
+def test_a_folder_imports_only_what_the_table_allows(folder):
+    files = [path for path in CORE.rglob("*.py") if room(path) == folder]
+    assert len(files) > 2
     for path in files:
-        for name in imports_of(path):
-            assert not name.startswith(("slot_nodes", "slot_bringup", *forbidden)), (
-                f"{path}: {name}"
-            )
+        for other in imported_rooms(path) - set(ALLOWED[folder].split()):
+            assert (path.relative_to(CORE).as_posix(), other) in EXCEPTIONS, f"{path}: {other}"
+        names = {name.split(".")[0] for name in imports_of(path)}
+        assert not names & {"slot_nodes", "slot_bringup", "slot_msgs", "benchmarks"}, path
+
+
+def test_nodes_do_not_import_what_starts_them():
+    files = list((ROOT / "src" / "slot_nodes").rglob("*.py"))
+    assert len(files) > 10
+    for path in files:
+        assert not {name.split(".")[0] for name in imports_of(path)} & {"slot_bringup"}, path
+
+
+def tracked() -> list[Path]:
+    """Files of the repository."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-co", "--exclude-standard"],
+        cwd=ROOT, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    return [Path(line) for line in listed.stdout.splitlines() if (ROOT / line).exists()]
+
+
+def test_no_folder_of_python_is_too_large_to_read_as_a_list():
+    python = [path for path in tracked() if path.suffix == ".py" and path.name != "__init__.py"]
+    sizes = collections.Counter(path.parent for path in python)
+    assert len(sizes) > 20
+    assert {str(p): n for p, n in sizes.items() if n > LARGEST_FOLDER} == {}
+
+
+def test_a_file_name_occurs_in_two_folders_only_for_a_stated_reason():
+    python = [path for path in tracked() if path.suffix == ".py"]
+    counts = collections.Counter(path.name for path in python)
+    assert {name for name, n in counts.items() if n > 1} <= set(REPEATED)
+    assert set(REPEATED) <= set(counts)
+
+
+def test_no_file_name_imitates_a_folder():
+    hidden = [p for p in tracked() if p.suffix == ".py" and p.name.startswith("_")]
+    assert {p.name for p in hidden} <= {"__init__.py", "__main__.py"}
 
 
 def test_launch_is_imported_by_the_launch_file_alone():
-    root = CORE.resolve().parents[2]
-    sources = [*root.glob("src/**/*.py"), *root.glob("slot_bringup/slot_bringup/*.py")]
+    sources = [*ROOT.glob("src/**/*.py"), *ROOT.glob("slot_bringup/slot_bringup/*.py")]
     assert len(sources) > 20
     for path in sources:
         tops = {name.split(".")[0] for name in imports_of(path)}

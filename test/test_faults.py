@@ -7,15 +7,15 @@ import pytest
 
 from slot_core import config
 from slot_core.config import ConfigError
-from slot_core.dynamics.plant import Plant
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import Divergence
-from slot_core.dynamixel.emulator import read_emulator
-from slot_core.dynamixel.plant import BusPlant
 from slot_core.dynamixel.settings import read_settings
+from slot_core.emulator.emulated_bus import read_emulator
 from slot_core.faults import Fault
 from slot_core.robot import read_robot
+from slot_core.simulation.bus_plant import BusPlant
+from slot_core.simulation.plant import Plant
 
 START, MILLISECOND = 7_000_000_000, 1_000_000  # ns
 STEP = 0.001  # s, of the solver

@@ -16,10 +16,10 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from slot_bringup.processes import Processes
-from slot_core import decode
-from slot_core.control.command_gate import Action
-from slot_core.control.supervisor_table import LET_GO, State
+from slot_core.bags import decode
 from slot_core.robot import Array
+from slot_core.safety.command_gate import Action
+from slot_core.safety.states import LET_GO, State
 from slot_msgs.msg import MpcState, RobotState
 from slot_nodes import qos
 

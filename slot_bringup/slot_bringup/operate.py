@@ -36,10 +36,10 @@ from std_srvs.srv import Trigger
 
 from slot_bringup import operator_screen
 from slot_bringup.monitor import listener
-from slot_core.control.command_gate import Action
-from slot_core.control.supervisor_table import State
-from slot_core.decode import ACTIONS
+from slot_core.bags.decode import ACTIONS
 from slot_core.robot import LEGS
+from slot_core.safety.command_gate import Action
+from slot_core.safety.states import State
 from slot_msgs.msg import RobotState, ServoHealth
 from slot_msgs.srv import InjectFault
 from slot_nodes import qos, runtime

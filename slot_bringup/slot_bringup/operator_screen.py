@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import JointState
 
-from slot_core import decode
-from slot_core.control.supervisor_table import LET_GO, State
+from slot_core.bags import decode
 from slot_core.dynamixel.checks import hardware_errors
 from slot_core.robot import LEGS
+from slot_core.safety.states import LET_GO, State
 from slot_msgs.msg import RobotState, ServoHealth
 
 SILENCE = 0.5  # s, older than that a state of the robot is no longer shown as its state

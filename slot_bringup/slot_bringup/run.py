@@ -19,15 +19,15 @@ import numpy as np
 from slot_bringup.graph import Graph, is_attended, read_graph
 from slot_bringup.monitor import RunError, require_solitude, watch
 from slot_bringup.processes import Processes
+from slot_core.bags.bag import Bag, BagError, read_record_settings
 from slot_core.config import ConfigError
 from slot_core.control.gait import GaitScheduler, read_gaits
-from slot_core.control.mpc import read_mpc
+from slot_core.control.mpc.mpc import read_mpc
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.evaluation import metrics, plots
-from slot_core.evaluation.bag import Bag, BagError, read_record_settings
-from slot_core.evaluation.report import summary_lines
 from slot_core.faults import refuse_without_bus
+from slot_core.report import metrics, plots
+from slot_core.report.summary import summary_lines
 
 INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # SIGHUP: the terminal is closed
 DOMAIN_MAX = 232  # beyond it the port numbers of DDS come to an end

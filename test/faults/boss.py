@@ -3,9 +3,9 @@
 import numpy as np
 from sensor_msgs.msg import JointState
 
-from slot_core import decode
-from slot_core.control.command_gate import Action
-from slot_core.control.supervisor_table import State
+from slot_core.bags import decode
+from slot_core.safety.command_gate import Action
+from slot_core.safety.states import State
 from slot_msgs.msg import RobotState
 from slot_nodes import messages, qos
 

@@ -22,12 +22,12 @@ from std_srvs.srv import Trigger
 
 from slot_bringup.graph import read_graph
 from slot_bringup.processes import command_line, die_with_parent
-from slot_core import decode
-from slot_core.control.supervisor_table import State
+from slot_core.bags import decode
 from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT
+from slot_core.safety.states import State
 from slot_msgs.msg import LegStates, RobotState, ServoHealth
 from slot_msgs.srv import InjectFault
 from slot_nodes import qos

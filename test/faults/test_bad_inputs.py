@@ -13,12 +13,12 @@ from geometry_msgs.msg import Vector3
 from relay import FOR_RELAYS, SOURCES, Relay, remaps
 from sensor_msgs.msg import Imu, JointState
 
-from slot_core import decode
-from slot_core.control.mpc import Status, read_mpc
+from slot_core.bags import decode
+from slot_core.control.mpc.mpc import Status, read_mpc
 from slot_core.control.state_estimator import Validity
-from slot_core.control.supervisor_settings import read_supervisor
-from slot_core.control.supervisor_table import State
 from slot_core.robot import read_robot
+from slot_core.safety.settings import read_supervisor
+from slot_core.safety.states import State
 from slot_msgs.msg import ForceMapStatus, MpcState
 from slot_nodes import qos
 

@@ -11,8 +11,8 @@ from lifecycle_msgs.srv import ChangeState
 from rig import SAG
 from std_srvs.srv import SetBool, Trigger
 
-from slot_core.control.command_gate import Action
 from slot_core.dynamixel.table import RAD_PER_COUNT
+from slot_core.safety.command_gate import Action
 
 DRIVER = "dynamixel_driver"
 PULLED = 1.5  # rad

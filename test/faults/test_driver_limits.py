@@ -7,9 +7,9 @@ import pytest
 from boss import Boss
 from rig import LATE, RAMP
 
-from slot_core import decode
-from slot_core.control.command_gate import Action
+from slot_core.bags import decode
 from slot_core.dynamixel.table import RAD_PER_COUNT
+from slot_core.safety.command_gate import Action
 from slot_msgs.msg import RobotState
 
 DRIVER = "dynamixel_driver"

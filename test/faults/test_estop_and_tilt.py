@@ -5,8 +5,8 @@ from relay import FOR_RELAYS, Relay, remaps
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import Bool
 
-from slot_core.control.supervisor_settings import read_supervisor
-from slot_core.control.supervisor_table import State
+from slot_core.safety.settings import read_supervisor
+from slot_core.safety.states import State
 from slot_msgs.msg import RobotState
 from slot_nodes import qos
 

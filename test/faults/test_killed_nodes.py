@@ -6,8 +6,8 @@ Times are those of the messages' stamps. BUSY is what a busy machine may add to 
 import numpy as np
 import pytest
 
-from slot_core import decode
-from slot_core.control.supervisor_table import State
+from slot_core.bags import decode
+from slot_core.safety.states import State
 
 TICK = 0.033  # s, between two odometry readings
 BUSY = 0.3  # s

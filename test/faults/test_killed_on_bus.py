@@ -10,7 +10,7 @@ import pytest
 from rig import PATIENT
 from sensor_msgs.msg import JointState
 
-from slot_core.control.supervisor_table import State
+from slot_core.safety.states import State
 from slot_nodes import qos
 
 BUSY = 0.3  # s

@@ -8,11 +8,11 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rig import LATE, RAMP, SAG
 from std_srvs.srv import SetBool, Trigger
 
-from slot_core import decode
-from slot_core.control.command_gate import Action
-from slot_core.control.supervisor_table import State
+from slot_core.bags import decode
 from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.robot import read_robot
+from slot_core.safety.command_gate import Action
+from slot_core.safety.states import State
 
 
 @pytest.fixture(scope="module")

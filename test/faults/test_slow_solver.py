@@ -12,7 +12,8 @@ from rclpy.context import Context
 
 from slot_bringup.graph import read_graph
 from slot_bringup.processes import command_line
-from slot_core import config, decode
+from slot_core import config
+from slot_core.bags import decode
 from slot_core.control.gait import GaitScheduler, read_gaits
 from slot_core.control.state_estimator import Estimate, Validity
 from slot_msgs.msg import GaitPreview, GroundReactionForces, MpcState

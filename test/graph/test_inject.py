@@ -16,7 +16,8 @@ from sensor_msgs.msg import JointState
 
 from slot_bringup.graph import NodeSpec
 from slot_bringup.processes import command_line
-from slot_core import config, decode
+from slot_core import config
+from slot_core.bags import decode
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.settings import read_settings

@@ -8,11 +8,10 @@ import pytest
 from graph_bag import first_times, read, record, stamps
 from mcap.reader import make_reader
 
-from slot_core import decode
-from slot_core.evaluation import replay
-from slot_core.evaluation.bag import Bag
-from slot_core.evaluation.closed_loop import ClosedLoop
+from slot_core.bags import decode, replay
+from slot_core.bags.bag import Bag
 from slot_core.robot import TENDON_JOINTS, read_robot
+from slot_core.simulation.closed_loop import ClosedLoop
 
 CHAIN = ("/odom", "/mpc_state", "/gait_preview", "/ground_reaction_forces", "/desired_joint_angles")
 OTHERS = ("/clock", "/imu", "/joint_states", "/tf", "/force_map/status", "/ground_truth/odom",

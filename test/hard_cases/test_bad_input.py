@@ -10,8 +10,8 @@ from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import Divergence
-from slot_core.dynamics.simulator import Simulator
 from slot_core.robot import read_robot
+from slot_core.simulation.rod_robot import RodRobot
 
 SETTINGS = {"robot": read_robot(), "scene": read_scene("flat"), "servo": read_servo()}
 BOUNDED = [
@@ -93,14 +93,14 @@ def test_a_height_map_that_is_none_is_refused_by_name(tmp_path, monkeypatch, tex
     scene = config.replace(read_scene("flat"), {"floor.height_map": name})
     monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
     with pytest.raises(ConfigError, match=message):
-        Simulator(SETTINGS["robot"], scene, SETTINGS["servo"])
+        RodRobot(SETTINGS["robot"], scene, SETTINGS["servo"])
 
 
 @pytest.fixture
 def sim():
     """A robot in the air."""
     changes = {"start.settle": 0.0, "start.height": 0.5}
-    return Simulator(
+    return RodRobot(
         SETTINGS["robot"], config.replace(SETTINGS["scene"], changes), SETTINGS["servo"]
     )
 
@@ -147,7 +147,7 @@ def test_a_push_or_fault_that_is_none_is_refused(sim, act):
 def test_a_number_that_is_none_ends_the_run_and_says_where(halvings, part, index, place):
     changes = {"start.settle": 0.0, "solver.halvings": halvings}
     scene = config.replace(SETTINGS["scene"], changes)
-    sim = Simulator(SETTINGS["robot"], scene, SETTINGS["servo"])
+    sim = RodRobot(SETTINGS["robot"], scene, SETTINGS["servo"])
     sim.advance(3, np.full(4, 1.0))
     getattr(sim.state, part)[index] = math.nan
     with pytest.raises(Divergence, match=rf"in step 4 at 0\.0030 s: {place} .* not a number"):
@@ -157,9 +157,7 @@ def test_a_number_that_is_none_ends_the_run_and_says_where(halvings, part, index
 
 def test_a_node_that_is_too_fast_ends_the_run_and_says_which():
     changes = {"start.settle": 0.0, "start.height": 0.5, "solver.speed_limit": 5.0}
-    sim = Simulator(
-        SETTINGS["robot"], config.replace(SETTINGS["scene"], changes), SETTINGS["servo"]
-    )
+    sim = RodRobot(SETTINGS["robot"], config.replace(SETTINGS["scene"], changes), SETTINGS["servo"])
     sim.state.node_velocity[2, 21] = [0.0, 0.0, 40.0]
     with pytest.raises(Divergence, match=r"in step 1 at 0\.0000 s: leg RL node (19|20|21) .* 5\.0"):
         sim.advance(1, np.zeros(4))

@@ -4,8 +4,8 @@ import dataclasses
 
 import pytest
 
-from slot_core.evaluation.hard_cases import FULL_DEG, IMPACTS, PULLS
-from slot_core.evaluation.stress import examine
+from benchmarks.robot.hard_cases import FULL_DEG, IMPACTS, PULLS
+from benchmarks.robot.stress import examine
 from slot_core.robot import read_robot
 
 

@@ -5,13 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
+from benchmarks.robot.hard_cases import PARAMETERS
+from benchmarks.robot.stress import examine
 from slot_core import config
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.simulator import Simulator
-from slot_core.evaluation.hard_cases import PARAMETERS
-from slot_core.evaluation.stress import examine
 from slot_core.robot import read_robot
+from slot_core.simulation.rod_robot import RodRobot
 
 
 @pytest.mark.parametrize("name", PARAMETERS)
@@ -41,7 +41,7 @@ def test_every_step_with_a_pivot_that_is_not_positive_is_halved():
     """Even where the correction may be as large as it likes; that alone would not keep the case."""
     case = PARAMETERS["EA x 100"]
     scene = config.replace(read_scene("flat"), {**case.scene, "solver.correction_limit": 1e6})
-    sim = Simulator(read_robot(), scene, read_servo())
+    sim = RodRobot(read_robot(), scene, read_servo())
     case.start(sim)
     seen = []
     for _ in range(100):

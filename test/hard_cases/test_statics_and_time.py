@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from benchmarks.robot.hard_cases import FOLDS, STEPS
+from benchmarks.robot.stress import examine
 from slot_core import config
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.simulator import Simulator
-from slot_core.evaluation.hard_cases import FOLDS, STEPS
-from slot_core.evaluation.stress import examine
 from slot_core.robot import read_robot
+from slot_core.simulation.rod_robot import RodRobot
 
 
 @pytest.mark.parametrize("name", FOLDS)
@@ -28,7 +28,7 @@ def test_a_time_step_keeps_its_limits(name):
 def stand(scene, seconds, **changes):
     """How far the torso and any node go, mm, and the same in one part of six at the end."""
     changes = {name.replace("__", "."): value for name, value in changes.items()}
-    sim = Simulator(read_robot(), config.replace(read_scene(scene), changes), read_servo())
+    sim = RodRobot(read_robot(), config.replace(read_scene(scene), changes), read_servo())
     places = []
     for _ in range(7):
         places.append(np.append(sim.nodes.reshape(-1, 3), [sim.position], axis=0))

@@ -1,16 +1,20 @@
-"""Compilation with Numba: how kernels are compiled and where the result is kept.
+"""Compilation of kernels with Numba, and the cache of compiled kernels.
 
-Numba notices a change in the file of a kernel, but not in a helper that the kernel calls. The cache
-directory therefore carries a digest of all sources that belong together in its name.
+Numba notices a change in the file of a kernel, but neither in a helper that the kernel calls nor in
+the type of an argument. The name of the cache directory therefore carries a digest of all folders
+of this package that the kernel's file imports from, directly or not.
 """
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
+import sys
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any, TypeVar
 
 import numba
@@ -19,47 +23,79 @@ SETTINGS: Any = numba.config  # filled at run time
 njit: Any = numba.njit  # its annotations lack some of its options
 F = TypeVar("F", bound=Callable[..., Any])
 
+# `contract` fuses multiply and add. Full fastmath would let the compiler delete the checks for NaN.
+FUSED: dict[str, Any] = {"fastmath": {"contract"}}
 # Without Numba's run time (nrt) a kernel that allocates memory does not compile, and none counts
 # references to its arrays, which costs more than the arithmetic.
 OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
+# A helper is inlined: a call would pass arrays in memory. Without Python's wrappers it compiles in
+# half the time.
+INLINE: dict[str, Any] = {
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+    "forceinline": True,
+}
 
 
-def compile_helper(function: F, **options: Any) -> F:
-    """Compile a function that only kernels call, in line: a call would pass arrays in memory.
+def helper(function: F, fused: bool = True) -> F:
+    """Compile a function that only kernels call.
 
-    Leaving out Python's wrappers halves the time of compilation.
+    fused: whether multiply and add may be one operation, with a result that differs by processor.
     """
-    inside: dict[str, Any] = {
-        "no_cpython_wrapper": True,
-        "no_cfunc_wrapper": True,
-        "forceinline": True,
-    }
-    return njit(**OPTIONS, **inside, **options)(function)
+    return njit(**OPTIONS, **INLINE, **(FUSED if fused else {}))(function)
 
 
-def compile_kernel(function: F, name: str, sources: Iterable[Path], **options: Any) -> F:
-    """Compile a function that Python calls; keep the result on disk where that is possible.
+def kernel(function: F, fused: bool = True) -> F:
+    """Compile a function that Python calls; the result is cached on disk where that is possible.
 
-    name: of what the `sources` make up, for the directory in the cache.
+    fused: as for `helper`.
     """
     before = SETTINGS.CACHE_DIR
-    directory = _cache_directory(name, sources)
+    directory = _cache_directory(function.__module__)
     SETTINGS.CACHE_DIR = str(directory or "")
     try:
-        return njit(cache=directory is not None, **OPTIONS, **options)(function)
+        options = OPTIONS | (FUSED if fused else {})
+        return njit(cache=directory is not None, **options)(function)
     finally:
         SETTINGS.CACHE_DIR = before
 
 
-def _cache_directory(name: str, sources: Iterable[Path]) -> Path | None:
-    """A writable directory for the present sources, or None: then every start compiles afresh."""
+def _cache_directory(module: str) -> Path | None:
+    """A writable directory for a module's kernels, or None: then every start compiles afresh."""
     try:
         home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         root = SETTINGS.CACHE_DIR or Path(home) / "slot"
-        text = b"".join(path.read_bytes() for path in sorted(sources))
+        folders = {Path(str(sys.modules[name].__file__)).parent for name in _imported(module)}
+        text = b"".join(_sources(folder) for folder in sorted(folders))
+        name = module.rpartition(".")[2]
         directory = Path(root) / f"{name}-{hashlib.sha256(text).hexdigest()[:16]}"
         directory.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=directory):
             return directory
     except (OSError, RuntimeError):  # no home, read-only, full
         return None
+
+
+def _imported(module: str) -> set[str]:
+    """Names of a module and of the modules of this package that it imports, directly or not."""
+    package = f"{__name__.partition('.')[0]}."
+    found, left = {module}, [module]
+    while left:
+        for value in vars(sys.modules[left.pop()]).values():
+            name = value.__name__ if isinstance(value, ModuleType) else _home(value)
+            if name.startswith(package) and name not in found:
+                found.add(name)
+                left.append(name)
+    return found
+
+
+def _home(value: Any) -> str:
+    """Name of the module that defines a function or class, or nothing."""
+    name = getattr(value, "__module__", None)
+    return name if isinstance(name, str) and name in sys.modules else ""
+
+
+@functools.cache
+def _sources(folder: Path) -> bytes:
+    """Content of the Python files in a folder."""
+    return b"".join(path.read_bytes() for path in sorted(folder.glob("*.py")))

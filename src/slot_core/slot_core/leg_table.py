@@ -1,6 +1,6 @@
 """The tabulated statics of a leg, `config/leg_map.csv`, as whoever needs a column of it reads it.
 
-`scripts/tabulate_leg` writes it; what the columns mean stands in `dynamics/leg_map.py`.
+`scripts/tabulate_leg` writes it; what the columns mean stands in `legs/leg_map.py`.
 """
 
 from __future__ import annotations

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from slot_core.control.command_gate import Action
 from slot_core.dynamixel.checks import hardware_errors
+from slot_core.dynamixel.session import BusPace, ServoSession
 from slot_core.dynamixel.state import Cycle, Health
-from slot_core.servo_session import Pace, ServoSession
+from slot_core.safety.command_gate import Action
 from slot_nodes import messages
 
 ERROR_RATE_WARNING = 0.05  # share of exchanges that failed
 MISSED = ("no command for", "no word of the supervisor for")  # reasons that are errors
 
 
-def to_msg(stamp: int, session: ServoSession, pace: Pace, cycle: Cycle | None) -> DiagnosticArray:
+def to_msg(
+    stamp: int, session: ServoSession, pace: BusPace, cycle: Cycle | None
+) -> DiagnosticArray:
     """One status of the bus, one of each servo."""
     silent = session.silent()
     readings = cycle.readings if cycle is not None else (None,) * len(session.driver.health)
@@ -25,7 +27,7 @@ def to_msg(stamp: int, session: ServoSession, pace: Pace, cycle: Cycle | None) -
     return DiagnosticArray(header=messages.header(stamp, ""), status=[_bus(session, pace), *servos])
 
 
-def _bus(session: ServoSession, pace: Pace) -> DiagnosticStatus:
+def _bus(session: ServoSession, pace: BusPace) -> DiagnosticStatus:
     calm = session.action is Action.PASS or not any(why in session.reason for why in MISSED)
     return _status(
         "servo bus",

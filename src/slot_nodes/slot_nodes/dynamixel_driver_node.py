@@ -25,21 +25,21 @@ from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-from slot_core import decode
+from slot_core.bags import decode
 from slot_core.config import ConfigError
-from slot_core.control.command_gate import Action
-from slot_core.control.command_watchdog import Word
-from slot_core.control.supervisor_settings import SupervisorSettings, read_supervisor
-from slot_core.control.supervisor_table import State
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.errors import PortError, RefusedError, ServoError
 from slot_core.dynamixel.homing import measure_zero, write_zero
 from slot_core.dynamixel.port import SerialPort
-from slot_core.dynamixel.settings import LEGS, DynamixelSettings, read_settings
+from slot_core.dynamixel.session import ServoSession, measured
+from slot_core.dynamixel.settings import DynamixelSettings, read_settings
 from slot_core.dynamixel.state import Cycle
-from slot_core.robot import read_robot
-from slot_core.servo_session import ServoSession, measured
+from slot_core.robot import LEGS, read_robot
+from slot_core.safety.command_gate import Action
+from slot_core.safety.command_watchdog import Word
+from slot_core.safety.settings import SupervisorSettings, read_supervisor
+from slot_core.safety.states import State
 from slot_msgs.msg import RobotState, ServoHealth
 from slot_nodes import diagnostics, inputs, messages, qos, runtime
 

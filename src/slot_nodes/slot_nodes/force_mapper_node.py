@@ -3,7 +3,7 @@
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from slot_core import decode
+from slot_core.bags import decode
 from slot_core.control.controller import command_for
 from slot_core.control.force_map import ForceMap, read_force_map, read_leg_slope
 from slot_core.robot import LEGS, read_robot

@@ -4,7 +4,7 @@ import numpy as np
 from geometry_msgs.msg import TwistStamped
 from rclpy.node import Node
 
-from slot_core import decode
+from slot_core.bags import decode
 from slot_core.config import ConfigError
 from slot_core.control.gait import GaitScheduler, read_gaits
 from slot_msgs.msg import GaitPreview, MpcState

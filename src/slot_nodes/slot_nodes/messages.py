@@ -1,4 +1,4 @@
-"""The core's values as ROS messages, without decisions; the way back is slot_core.decode."""
+"""The core's values as ROS messages, without decisions; the way back is slot_core.bags.decode."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from slot_core import decode
+from slot_core.bags import decode
 from slot_core.control import gait
 from slot_core.robot import BASE_FRAME, ODOM_FRAME, TENDON_JOINTS, Array
 from slot_msgs.msg import (
@@ -30,13 +30,13 @@ from slot_msgs.srv import SetGait
 
 if TYPE_CHECKING:  # a node imports only the cores it runs
     from slot_core.control.force_map import TendonCommand
-    from slot_core.control.mpc import MpcResult
+    from slot_core.control.mpc.mpc import MpcResult
     from slot_core.control.pace import Pace
     from slot_core.control.state_estimator import Estimate
-    from slot_core.control.supervisor import Report
-    from slot_core.dynamics.plant import JointReading, TrueState
-    from slot_core.dynamics.sensors import ImuReading, OdometryReading
-    from slot_core.servo_session import MeasuredJoints, ServoSession
+    from slot_core.dynamixel.session import MeasuredJoints, ServoSession
+    from slot_core.safety.supervisor import Report
+    from slot_core.simulation.plant import JointReading, TrueState
+    from slot_core.simulation.sensors import ImuReading, OdometryReading
 
 
 def ns_to_stamp(ns: int) -> Time:

@@ -6,8 +6,8 @@ from typing import Any, cast
 
 from rclpy.node import Node
 
-from slot_core import decode
-from slot_core.control.mpc import DEFAULT, Mpc, Status, read_mpc
+from slot_core.bags import decode
+from slot_core.control.mpc.mpc import DEFAULT, Mpc, Status, read_mpc
 from slot_core.control.pace import Pace
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, GroundReactionForces, MpcState

@@ -13,7 +13,7 @@ from rclpy.subscription import Subscription
 from std_msgs.msg import Bool
 
 from slot_core import config
-from slot_core.evaluation.bag import BagError, BagWriter, RecordedTopic, read_record_settings
+from slot_core.bags.bag import BagError, BagWriter, RecordedTopic, read_record_settings
 from slot_nodes import qos, runtime
 
 READY_PERIOD = 0.05  # s, between looks at what is matched

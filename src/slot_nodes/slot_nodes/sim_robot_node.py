@@ -31,24 +31,24 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Bool
 
-from slot_core import decode
+from slot_core.bags import decode
 from slot_core.config import ConfigError
-from slot_core.control.command_gate import Action
-from slot_core.control.command_watchdog import CommandWatchdog, Word
-from slot_core.control.supervisor_settings import read_supervisor
-from slot_core.control.supervisor_table import State
-from slot_core.dynamics.plant import JointReading, Plant, Reading, TrueState
 from slot_core.dynamics.scene import Scene, read_scene
-from slot_core.dynamics.sensors import ImuReading, OdometryReading
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.dynamics.simulated_robot import Divergence
-from slot_core.dynamixel.emulator import read_emulator
-from slot_core.dynamixel.plant import BusPlant
-from slot_core.dynamixel.pseudo_terminal import PseudoTerminal
-from slot_core.dynamixel.settings import LEGS, read_settings
-from slot_core.robot import Array, read_robot
+from slot_core.dynamixel.settings import read_settings
+from slot_core.emulator.emulated_bus import read_emulator
+from slot_core.emulator.pseudo_terminal import PseudoTerminal
+from slot_core.robot import LEGS, Array, read_robot
+from slot_core.safety.command_gate import Action
+from slot_core.safety.command_watchdog import CommandWatchdog, Word
+from slot_core.safety.settings import read_supervisor
+from slot_core.safety.states import State
+from slot_core.simulation.bus_plant import BusPlant
+from slot_core.simulation.plant import JointReading, Plant, Reading, TrueState
+from slot_core.simulation.sensors import ImuReading, OdometryReading
 from slot_msgs.msg import LegStates, RobotState
-from slot_nodes import faults, inputs, messages, qos, runtime
+from slot_nodes import fault_service, inputs, messages, qos, runtime
 
 LOCKSTEP_START = 1_000_000_000  # ns; a stamp of zero means "no time" in ROS
 WAIT_PERIOD = 0.1  # s, between the readings of the frozen robot in lockstep
@@ -79,7 +79,7 @@ class SimRobotNode(Node):
         dump = runtime.declare(
             self, "dump", "", "where the state of a lost simulation goes; none: working directory"
         )
-        self._keep_state = partial(faults.keep_state, dump, scene)
+        self._keep_state = partial(fault_service.keep_state, dump, scene)
         link = runtime.declare(self, "bus", "", "port of emulated servos; none: servo.yaml's")
         settings = runtime.declare_settings(self, read_scene(scene), "scene.")
         servo = runtime.declare_settings(self, read_servo(), "servo.")
@@ -93,7 +93,7 @@ class SimRobotNode(Node):
         self._told = 0  # last time published on /clock, ns
         self._awaited = LOCKSTEP_START  # stamp of the odometry whose command lets the plant go on
         self._create_publishers()
-        faults.serve(self, self._plant)
+        fault_service.serve(self, self._plant)
         self._watchdog = self._make_watchdog()
         self._torque = True
         inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)

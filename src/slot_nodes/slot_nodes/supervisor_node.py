@@ -12,15 +12,15 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from slot_core import decode
+from slot_core.bags import decode
 from slot_core.control.gait import STAND, GaitScheduler, read_gaits
-from slot_core.control.start_up import StartUp
 from slot_core.control.state_estimator import Estimate, Validity
-from slot_core.control.supervisor import Report, Request, Supervisor
-from slot_core.control.supervisor_settings import read_supervisor
-from slot_core.control.supervisor_table import LET_GO, State
-from slot_core.control.tendon_watch import read_tendon_watch
 from slot_core.robot import read_robot
+from slot_core.safety.settings import read_supervisor
+from slot_core.safety.start_up import StartUp
+from slot_core.safety.states import LET_GO, State
+from slot_core.safety.supervisor import Report, Request, Supervisor
+from slot_core.safety.tendon_watch import read_tendon_watch
 from slot_msgs.msg import GroundReactionForces, MpcState, RobotState, ServoHealth
 from slot_msgs.srv import SetGait
 from slot_nodes import inputs, messages, qos, runtime

@@ -22,7 +22,14 @@ from slot_core.calibration.experiments import (
     predict,
     read_settings,
 )
-from slot_core.calibration.fit import Estimate, FitError, Problem, estimate, fit, parameters_of
+from slot_core.calibration.fit import (
+    FitError,
+    FitProblem,
+    ParameterEstimate,
+    estimate,
+    fit,
+    parameters_of,
+)
 from slot_core.calibration.plot import picture
 from slot_core.config import ConfigError
 from slot_core.robot import Array, Robot, read_parameters, read_robot
@@ -63,14 +70,14 @@ def _run(options: argparse.Namespace) -> dict[str, object]:
 
 def build_problem(
     robot: Robot, names: Sequence[str], data: Data, settings: ExperimentSettings
-) -> Problem:
+) -> FitProblem:
     """The fit of a robot's parameters to measurements; raises ConfigError."""
 
     def predicted(values: Array) -> Array:
         changed = config.replace(robot, dict(zip(names, values.tolist())))
         return predict(changed, data.rows, settings)
 
-    return Problem(
+    return FitProblem(
         parameters_of(robot, names),
         predicted,
         np.array([row.value for row in data.rows]),
@@ -84,7 +91,7 @@ def _rounded(values: Array) -> list[float]:
 
 
 def _write(
-    options: argparse.Namespace, data: Data, result: Estimate, content: dict[str, object]
+    options: argparse.Namespace, data: Data, result: ParameterEstimate, content: dict[str, object]
 ) -> None:
     if options.out:
         parameter_file.write(options.out, content)

@@ -16,13 +16,13 @@ import numpy as np
 from slot_core import config
 from slot_core.calibration.data import DataError, Datum
 from slot_core.config import ConfigError, quantity
-from slot_core.dynamics.held_leg import HeldLeg
-from slot_core.dynamics.leg_map import NoEquilibriumError, StaticLeg
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import Divergence
-from slot_core.dynamics.simulator import Simulator
+from slot_core.legs.held_leg import HeldLeg
+from slot_core.legs.leg_map import NoEquilibriumError, StaticLeg
 from slot_core.robot import GRAVITY, LEGS, Array, Robot
+from slot_core.simulation.rod_robot import RodRobot
 
 SAMPLE = 10e-3  # s between two looks at the markers
 FREE_HEIGHT = 10.0  # m, no floor in reach
@@ -89,7 +89,7 @@ def marker_ranges(robot: Robot, rows: Sequence[Datum], settings: ExperimentSetti
     }
     loaded = config.replace(robot, {"torso.mass": 4 * first.load_N / GRAVITY})
     scene = config.replace(read_scene("flat"), changes)
-    sim = Simulator(loaded, scene, config.replace(read_servo(), {"model": "ideal"}))
+    sim = RodRobot(loaded, scene, config.replace(read_servo(), {"model": "ideal"}))
     steps = max(1, round(SAMPLE / scene.solver.step))
     heights = [sim.nodes[0, :, 2]]
     while sim.time < settings.pull_time + settings.hold_time:

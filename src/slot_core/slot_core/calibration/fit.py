@@ -64,7 +64,7 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Problem:
+class FitProblem:
     """Parameters, model and measurements."""
 
     parameters: tuple[Parameter, ...]
@@ -114,7 +114,7 @@ class Found:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class ParameterEstimate:
     """Parameters and what the data say about them; what is not determined is NaN."""
 
     values: Array  # (p,)
@@ -142,7 +142,7 @@ def parameters_of(robot: Robot, names: Sequence[str]) -> tuple[Parameter, ...]:
     )
 
 
-def fit(problem: Problem, starts: int = 1, progress: Callable[[str], None] = print) -> Found:
+def fit(problem: FitProblem, starts: int = 1, progress: Callable[[str], None] = print) -> Found:
     """The least sum of squares reached from the parameters' start and `starts` - 1 others.
 
     The others scatter about the first with a generator of fixed seed. Raises FitError where no
@@ -169,7 +169,7 @@ def fit(problem: Problem, starts: int = 1, progress: Callable[[str], None] = pri
     return best
 
 
-def _descend(problem: Problem, start: Array) -> Found:
+def _descend(problem: FitProblem, start: Array) -> Found:
     try:
         problem.residuals(start)
     except PredictionError as error:
@@ -196,7 +196,7 @@ def _descend(problem: Problem, start: Array) -> Found:
     return Found(problem.values(u), float(2 * end.cost), bool(end.status))
 
 
-def estimate(problem: Problem, values: Sequence[float] | Array) -> Estimate:
+def estimate(problem: FitProblem, values: Sequence[float] | Array) -> ParameterEstimate:
     """What the data say at given values of the parameters; raises PredictionError, FitError."""
     u, (low, high) = problem.coordinates(values), problem.bounds()
     residual, jacobian = problem.residuals(u), problem.jacobian(u)
@@ -214,7 +214,7 @@ def estimate(problem: Problem, values: Sequence[float] | Array) -> Estimate:
     if freedom:
         deviation = np.sqrt(chi_square / freedom * np.diag(covariance))
         width = np.where(known, student.ppf((1 + LEVEL) / 2, freedom) * deviation, np.nan)
-    return Estimate(
+    return ParameterEstimate(
         values=problem.values(u),
         predicted=problem.measured + residual * problem.sigma,
         chi_square=chi_square,
@@ -227,7 +227,7 @@ def estimate(problem: Problem, values: Sequence[float] | Array) -> Estimate:
     )
 
 
-def _intervals(problem: Problem, u: Array, width: Array) -> Array:
+def _intervals(problem: FitProblem, u: Array, width: Array) -> Array:
     with np.errstate(over="ignore"):  # beyond all numbers is infinity
         return np.column_stack([problem.values(u - width), problem.values(u + width)])
 

@@ -22,7 +22,7 @@ import numpy as np
 import yaml
 
 from slot_core.calibration.data import Data
-from slot_core.calibration.fit import Estimate
+from slot_core.calibration.fit import ParameterEstimate
 from slot_core.calibration.line import ForceLine, fit_line, line_groups
 from slot_core.robot import Array
 
@@ -37,7 +37,7 @@ UNDETERMINED = "undetermined"
 def record(  # noqa: PLR0917
     data: Data,
     names: Sequence[str],
-    estimate: Estimate,
+    estimate: ParameterEstimate,
     values: Mapping[str, float],
     origin: str,
     note: str,
@@ -62,7 +62,7 @@ def record(  # noqa: PLR0917
     }
 
 
-def residuals(data: Data, estimate: Estimate) -> list[dict[str, Any]]:
+def residuals(data: Data, estimate: ParameterEstimate) -> list[dict[str, Any]]:
     """One entry per measurement."""
     return [
         {

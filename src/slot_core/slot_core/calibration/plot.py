@@ -11,21 +11,23 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from slot_core.calibration.data import CONDITIONS, Data
-from slot_core.calibration.fit import Estimate
-from slot_core.evaluation import palette
+from slot_core.calibration.fit import ParameterEstimate
+from slot_core.report import palette
 from slot_core.robot import Array
 
 DPI = 100
 UNITS = {"marker_range": (1e3, "mm"), "force_angle": (1.0, "N"), "deflection": (1e3, "mm")}
 
 
-def picture(data: Data, names: Sequence[str], estimate: Estimate, title: str, path: Path) -> None:
+def picture(
+    data: Data, names: Sequence[str], estimate: ParameterEstimate, title: str, path: Path
+) -> None:
     """Write the picture as a PNG; raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     figure(data, names, estimate, title).savefig(path, dpi=DPI)
 
 
-def figure(data: Data, names: Sequence[str], estimate: Estimate, title: str) -> Figure:
+def figure(data: Data, names: Sequence[str], estimate: ParameterEstimate, title: str) -> Figure:
     """The picture; every axes has its kind, `residuals` or `correlation` as its label."""
     kinds = [kind for kind in CONDITIONS if any(row.kind == kind for row in data.rows)]
     out = Figure(figsize=(4.2 * (len(kinds) + 2), 4.4), dpi=DPI, layout="constrained")

@@ -1,1 +1,1 @@
-"""What decides: state estimator, gait, reference, MPC and force map."""
+"""The controller, in the order of the graph: state estimator, gait, MPC, force map."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from slot_core.control.force_map import ForceMap, TendonCommand, read_force_map, read_leg_slope
 from slot_core.control.gait import GaitPreview, GaitScheduler, read_gaits
-from slot_core.control.mpc import Mpc, MpcResult, MpcSettings, Status
+from slot_core.control.mpc.mpc import Mpc, MpcResult, MpcSettings, Status
 from slot_core.control.state_estimator import Estimate, StateEstimator, read_estimator
 from slot_core.robot import Array, Robot
 

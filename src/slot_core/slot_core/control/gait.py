@@ -43,7 +43,7 @@ class Waves(NamedTuple):
         return cls(value, np.column_stack(slope) * turn)
 
 
-class Series:
+class FourierSeries:
     """Sums of harmonics: m + amplitude (c1 cos p + s1 sin p + c2 cos 2p + s2 sin 2p)."""
 
     def __init__(self, table: Sequence[Harmonics]):
@@ -80,8 +80,8 @@ class Sway:
         return rows
 
     @cached_property
-    def _series(self) -> Series:
-        return Series((self.roll, self.pitch, self.height, self.v_x, self.v_y))
+    def _series(self) -> FourierSeries:
+        return FourierSeries((self.roll, self.pitch, self.height, self.v_x, self.v_y))
 
 
 @dataclass(frozen=True)
@@ -121,12 +121,12 @@ class Gait:
         return np.radians(np.clip(self._angle.values(waves, 1.0), *self.range_deg))
 
     @cached_property
-    def _angle(self) -> Series:
-        return Series(self.angle_deg)
+    def _angle(self) -> FourierSeries:
+        return FourierSeries(self.angle_deg)
 
     @cached_property
-    def _load(self) -> Series:
-        return Series(self.normal_force)
+    def _load(self) -> FourierSeries:
+        return FourierSeries(self.normal_force)
 
     @cached_property
     def _mean_angle(self) -> Array:

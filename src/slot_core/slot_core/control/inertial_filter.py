@@ -26,7 +26,7 @@ THETA, P, V, GYRO_BIAS, FORCE_BIAS = (slice(i, i + 3) for i in range(0, 15, 3))
 
 
 @dataclass(frozen=True)
-class OdometrySettings:
+class OdometryNoise:
     """What the odometry is worth, and what it cannot be."""
 
     position_noise: float = quantity("standard deviation", "m", 1e-6, 1)
@@ -39,7 +39,7 @@ class OdometrySettings:
 
 
 @dataclass(frozen=True)
-class ImuSettings:
+class ImuNoise:
     """What the IMU is worth, and what it cannot be."""
 
     rate: float = quantity("samples per second, nominal", "Hz", 10, 1e4)
@@ -65,7 +65,7 @@ class BlindSettings:
 
 
 @dataclass(frozen=True)
-class GateSettings:
+class OutlierSettings:
     """When a reading is refused, and when the filter gives in."""
 
     distance: float = quantity("largest Mahalanobis distance of angle, p, v", "sigma", 3, 1e3)
@@ -98,16 +98,16 @@ class BufferSettings:
 class EstimatorSettings:
     """The whole of `config/estimator.yaml`."""
 
-    odometry: OdometrySettings
-    imu: ImuSettings
+    odometry: OdometryNoise
+    imu: ImuNoise
     blind: BlindSettings
-    gate: GateSettings
+    gate: OutlierSettings
     timing: TimingSettings
     buffers: BufferSettings
 
 
 @dataclass(frozen=True)
-class Motion:
+class OdometryMotion:
     """What a usable odometry reading says: attitude and position in odom, twist in base_link."""
 
     stamp: int  # ns
@@ -139,7 +139,7 @@ class InertialFilter:
         noise = [odometry.angle_noise, odometry.position_noise, odometry.velocity_noise]
         self._odometry_cov = np.diag(np.square(np.repeat(noise, 3)))
 
-    def restart(self, motion: Motion) -> None:
+    def restart(self, motion: OdometryMotion) -> None:
         """Take over a reading as it is. The biases stay: they are the sensor's, not the pose's."""
         self._attitude, self._position = motion.attitude, motion.position
         self._velocity = motion.attitude.apply(motion.velocity)
@@ -214,7 +214,7 @@ class InertialFilter:
         half_noise = np.diag(dt / 2 * np.square(np.repeat(density, 3)))
         self._cov = transition @ (self._cov + half_noise) @ transition.T + half_noise
 
-    def correct(self, motion: Motion) -> bool:
+    def correct(self, motion: OdometryMotion) -> bool:
         """Correct with a reading at the present stamp; False, and no change, if beyond the gate."""
         jacobian = np.eye(9, 15)
         jacobian[V, THETA] = _cross(self._velocity)
@@ -230,7 +230,7 @@ class InertialFilter:
         self._merge_rate(motion.rate)
         return True
 
-    def _residual(self, motion: Motion) -> Array:
+    def _residual(self, motion: OdometryMotion) -> Array:
         """(9,) measured less predicted angle, position and velocity, all in odom."""
         angle = (motion.attitude * self._attitude.inv()).as_rotvec()
         velocity = self._attitude.apply(motion.velocity)

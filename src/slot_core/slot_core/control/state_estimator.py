@@ -18,15 +18,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
+from slot_core.clock import SECOND
 from slot_core.control.inertial_filter import (
     EstimatorSettings,
     InertialFilter,
-    Motion,
+    OdometryMotion,
     Propagated,
 )
 from slot_core.robot import Array
-
-SECOND = 1_000_000_000  # ns
 
 
 class Validity(enum.IntEnum):
@@ -74,8 +73,10 @@ class StateEstimator:
         self._filter = InertialFilter(self._settings)
         self._newest: dict[str, int] = {}
         self._imu: deque[tuple[int, Array]] = deque(maxlen=self._settings.buffers.imu)
-        self._waiting: deque[tuple[int, Motion | None]] = deque()
-        self._rejected: deque[Motion | None] = deque(maxlen=self._settings.gate.max_rejections)
+        self._waiting: deque[tuple[int, OdometryMotion | None]] = deque()
+        self._rejected: deque[OdometryMotion | None] = deque(
+            maxlen=self._settings.gate.max_rejections
+        )
         self._stamp: int | None = None  # of the filter's state; None: it has none
         self._ahead: list[tuple[int, Propagated]] = []  # at the samples since `_stamp`
         self._accepted_stamp = 0
@@ -118,7 +119,7 @@ class StateEstimator:
 
     def _decode(
         self, stamp: int, position: Array, quaternion: Array, velocity: Array, rate: Array
-    ) -> Motion | None:
+    ) -> OdometryMotion | None:
         """The reading, or None if it is not finite, not of the right shape, or out of range."""
         limits = self._settings.odometry
         p = _vector(position, 3, limits.position_max)
@@ -129,7 +130,7 @@ class StateEstimator:
             return None
         if abs(math.hypot(*q) - 1.0) > limits.quaternion_tolerance:
             return None
-        return Motion(stamp, Rotation.from_quat(q), p, v, w)
+        return OdometryMotion(stamp, Rotation.from_quat(q), p, v, w)
 
     def _advances(self, stream: str, stamp: int) -> bool:
         """Whether `stamp` is the newest of its stream; a clock set back resets the estimator."""
@@ -171,7 +172,7 @@ class StateEstimator:
         imu, _ = _interpolate(samples, (begin + end) // 2)
         self._filter.propagate(imu, (end - begin) / SECOND)
 
-    def _process(self, stamp: int, motion: Motion | None) -> None:
+    def _process(self, stamp: int, motion: OdometryMotion | None) -> None:
         gap = self._settings.timing.odometry_gap * SECOND
         if self._stamp is None or stamp - self._accepted_stamp > gap:
             self._stamp = None
@@ -189,7 +190,7 @@ class StateEstimator:
             return
         self._publish(stamp, self._judge(accepted, seen))
 
-    def _start(self, motion: Motion) -> None:
+    def _start(self, motion: OdometryMotion) -> None:
         self._filter.restart(motion)
         self._stamp, self._accepted = motion.stamp, 0
         self._accept(motion.stamp)
@@ -231,7 +232,7 @@ class StateEstimator:
         self._accepted += 1
         self._rejected.clear()
 
-    def _reject(self, motion: Motion | None) -> None:
+    def _reject(self, motion: OdometryMotion | None) -> None:
         self._rejected.append(motion)
         if self._accepted < self._settings.gate.initial_readings:
             self._accepted = 0
@@ -243,7 +244,7 @@ class StateEstimator:
             return False
         return all(self._agree(a, b) for a, b in pairwise(readings))
 
-    def _agree(self, a: Motion, b: Motion) -> bool:
+    def _agree(self, a: OdometryMotion, b: OdometryMotion) -> bool:
         """Whether b is where a's and b's mean velocities lead from a."""
         half = (b.stamp - a.stamp) / SECOND / 2
         travel = half * (a.attitude.apply(a.velocity) + b.attitude.apply(b.velocity))

@@ -1,1 +1,1 @@
-"""What the robot is: rod, tendon, contact, torso, servo, sensors and their integration in time."""
+"""The robot as equations: rod, tendon, contact, torso and servo, and their time integration."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 
-from slot_core.dynamics.compiled import helper
+from slot_core.compiled import helper
 from slot_core.dynamics.lanes import every
 
 

@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from slot_core.dynamics.compiled import helper
+from slot_core.compiled import helper
 from slot_core.dynamics.lanes import like, where
 from slot_core.dynamics.terrain import Terrain
 from slot_core.robot import Array

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from slot_core.dynamics.compiled import helper
+from slot_core.compiled import helper
 from slot_core.dynamics.contact import coefficient, grip, press, tangential
 from slot_core.dynamics.lanes import largest, like, some, total, where
 from slot_core.dynamics.terrain import ground, is_uneven, tilted

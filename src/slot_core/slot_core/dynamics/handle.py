@@ -17,7 +17,7 @@ from numba.core import types
 from numba.core.datamodel import models
 from numba.extending import NativeValue, intrinsic, register_model, typeof_impl, unbox
 
-from slot_core.dynamics.compiled import kernel
+from slot_core.compiled import kernel
 
 
 class _HandleType(types.Type):

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import math
 
+from slot_core.compiled import helper, kernel
 from slot_core.dynamics.algebra import (
     orthonormalise,
     product,
@@ -31,7 +32,6 @@ from slot_core.dynamics.algebra import (
     times,
     times_transposed,
 )
-from slot_core.dynamics.compiled import helper, kernel
 from slot_core.dynamics.contact import bend
 from slot_core.dynamics.elimination import add_to_torso, couple, eliminate, substitute
 from slot_core.dynamics.handle import contents

@@ -11,13 +11,13 @@ from slot_core.dynamics.contact import Floor
 from slot_core.dynamics.rod import Rod, Segments, discretise, segments
 from slot_core.dynamics.scene import FloorSettings, Scene, SolverSettings
 from slot_core.dynamics.servo import Servo, ServoSettings, servo
-from slot_core.dynamics.tendon import Tendon, route
+from slot_core.dynamics.tendon import TendonModel, route
 from slot_core.dynamics.terrain import read_terrain
-from slot_core.dynamics.torso import Torso, box
+from slot_core.dynamics.torso import TorsoModel, box
 from slot_core.robot import Array, Robot
 
 
-class Scheme(NamedTuple):
+class ThetaScheme(NamedTuple):
     """Numbers of the time stepping."""
 
     step: float  # s, h
@@ -31,8 +31,8 @@ class Model(NamedTuple):
     """The robot and its scene as numbers; legs are equal and in the order FL FR RL RR."""
 
     rod: Rod
-    tendon: Tendon
-    torso: Torso
+    tendon: TendonModel
+    torso: TorsoModel
     floor: Floor
     servo: Servo
     friction: Array  # (2, 4) of the legs, and its other value where it varies
@@ -46,7 +46,7 @@ class Model(NamedTuple):
     fault: Array  # (2, 4) m of additional slack, and 1 or 0 for a broken tendon
 
 
-class State(NamedTuple):
+class MechanicalState(NamedTuple):
     """The robot's state, views of one buffer; the kernels write it in place."""
 
     buffer: Array  # all of it
@@ -65,7 +65,7 @@ class State(NamedTuple):
     corner_bristle: Array
 
 
-class Leg(NamedTuple):
+class LegModel(NamedTuple):
     """All that a step needs of one leg, in leg axes; no step allocates memory.
 
     The arrays of four legs have one axis more, the last (`lanes.py`). "Step axes" are those of
@@ -124,7 +124,7 @@ class Work(NamedTuple):
     counter: Array  # (3,) halvings, steps with a pivot not positive, steps out of halvings
 
 
-def state_space(nodes: int, bristles: bool = False) -> State:
+def state_space(nodes: int, bristles: bool = False) -> MechanicalState:
     """A state of legs of N nodes, all zero. The legs are the last axis in memory."""
     held, corners = (nodes, 8) if bristles else (0, 0)
     shapes: list[tuple[int, ...]] = [(3,), (3, 3), (3,), (3,), (3,), (nodes, 2, 4), (nodes, 3, 4)]
@@ -135,10 +135,10 @@ def state_space(nodes: int, bristles: bool = False) -> State:
     views = [part.reshape(shape) for part, shape in zip(parts, shapes)]
     views[5:7] = [view.transpose(2, 0, 1) for view in views[5:7]]
     views[10], views[11] = views[10].T, views[11].transpose(2, 0, 1)
-    return State(buffer, *views)
+    return MechanicalState(buffer, *views)
 
 
-def leg_space(nodes: int, lanes: tuple[int, ...] = (), bristles: bool = False) -> Leg:
+def leg_space(nodes: int, lanes: tuple[int, ...] = (), bristles: bool = False) -> LegModel:
     """A leg of N nodes, or with the axis `lanes` = (4,) four; all zero."""
     n, held = nodes - 1, nodes if bristles else 0
     shapes: list[tuple[int, ...]] = [(3, 3), (3,), (6, 6), (2,), (2,), (nodes, 2), (nodes, 3)]
@@ -146,12 +146,12 @@ def leg_space(nodes: int, lanes: tuple[int, ...] = (), bristles: bool = False) -
     shapes += [(nodes, 2), (), (7, 8), (4, 5), (6,), (n, 2, 8), (1,), (3,), (held,), (held, 2)]
     shapes += [(7,), (6, 7), (6, 6), *[(3, 3)] * 5, (4, 3)]
     space = [np.zeros(shape + lanes) if shape else segments(nodes, lanes) for shape in shapes]
-    legs = Leg(*space)  # type: ignore[arg-type]
+    legs = LegModel(*space)  # type: ignore[arg-type]
     legs.fault[1] = 1.0  # nothing is broken
     return legs
 
 
-def leg_lanes(model: Model, state: State) -> Leg:
+def leg_lanes(model: Model, state: MechanicalState) -> LegModel:
     """The four legs of a robot in lanes, on its state."""
     legs = leg_space(len(model.rod.node), (4,), state.bristle.shape[1] > 0)
     legs.axes[:] = model.axes.transpose(1, 2, 0)
@@ -237,13 +237,13 @@ def build_floor(settings: FloorSettings, rod: Rod) -> Floor:
     )
 
 
-def build_scheme(solver: SolverSettings, floor: Floor) -> Scheme:
+def build_scheme(solver: SolverSettings, floor: Floor) -> ThetaScheme:
     """The numbers of the time stepping.
 
     A node that is misplaced by d leaves up to k d^2 / 2 in its contact of stiffness k.
     """
     stiffest = max(floor.stiffness.max(), floor.corner_stiffness)
-    return Scheme(
+    return ThetaScheme(
         step=solver.step,
         theta=solver.theta,
         iterations=solver.iterations,
@@ -252,7 +252,7 @@ def build_scheme(solver: SolverSettings, floor: Floor) -> Scheme:
     )
 
 
-def rest_state(model: Model, height: float) -> State:
+def rest_state(model: Model, height: float) -> MechanicalState:
     """Natural legs, slack tendons, level torso at a height (m), everything at rest."""
     state = state_space(len(model.rod.node), model.floor.bristle > 0.0)
     state.position[2] = height

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 
+from slot_core.compiled import helper, kernel
 from slot_core.dynamics.algebra import times, times_transposed
-from slot_core.dynamics.compiled import helper, kernel
 from slot_core.dynamics.contact import coefficient, grip, press
 from slot_core.dynamics.rod import elastic_energy, measure
 from slot_core.dynamics.tendon import cable_energy, straight_length

@@ -23,8 +23,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.integrate import cumulative_simpson
 
+from slot_core.compiled import helper
 from slot_core.dynamics.algebra import cosine_sine
-from slot_core.dynamics.compiled import helper
 from slot_core.dynamics.lanes import every, like, where
 from slot_core.robot import Array, Leg
 

@@ -43,7 +43,7 @@ class PayloadSettings:
 
 
 @dataclass(frozen=True)
-class TendonState:
+class TendonDamage:
     """What is wrong with the tendons, FL FR RL RR."""
 
     slack: tuple[float, float, float, float] = quantity("beside the usual one", "m", 0.0, 0.1)
@@ -131,7 +131,7 @@ class Scene:
     sensors: SensorSettings
     start: StartSettings
     payload: PayloadSettings
-    tendons: TendonState
+    tendons: TendonDamage
     pushes: dict[str, Push] = text("pushes by name")
     faults: dict[str, Fault] = text("faults by name")
     gravity: tuple[float, float, float] = quantity(

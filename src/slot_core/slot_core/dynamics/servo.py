@@ -24,8 +24,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from slot_core import config
+from slot_core.compiled import helper
 from slot_core.config import choice, quantity
-from slot_core.dynamics.compiled import helper
 from slot_core.dynamics.lanes import like, where
 
 

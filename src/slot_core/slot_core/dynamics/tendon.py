@@ -24,13 +24,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slot_core.dynamics.compiled import helper
+from slot_core.compiled import helper
 from slot_core.dynamics.rod import Rod
-from slot_core.robot import Array
-from slot_core.robot import Tendon as TendonSettings
+from slot_core.robot import Array, Tendon
 
 
-class Tendon(NamedTuple):
+class TendonModel(NamedTuple):
     """Gradient weights, stiffness and spool of a tendon on a rod."""
 
     along: Array  # (N-1,) w_i, zero where straight
@@ -44,7 +43,7 @@ class Tendon(NamedTuple):
     spool_radius: float  # m
 
 
-def route(rod: Rod, settings: TendonSettings) -> Tendon:
+def route(rod: Rod, settings: Tendon) -> TendonModel:
     """Lay the tendon on a rod in its natural shape."""
     straight, end = settings.routing == "straight", rod.anchor
     before: Array = (np.arange(len(rod.rest_length)) < end).astype(float)
@@ -57,7 +56,7 @@ def route(rod: Rod, settings: TendonSettings) -> Tendon:
     natural = float(before @ rod.rest_length + around @ rod.rest_angle)
     if straight:
         natural = math.dist(rod.node[end], settings.pulley)
-    return Tendon(
+    return TendonModel(
         along=before * (not straight),
         around=around * (not straight),
         straight=straight,

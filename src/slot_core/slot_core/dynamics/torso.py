@@ -17,15 +17,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slot_core.compiled import helper
 from slot_core.dynamics.algebra import times_transposed
-from slot_core.dynamics.compiled import helper
 from slot_core.dynamics.contact import grip, press, tangential
 from slot_core.dynamics.terrain import Ground, ground, is_uneven, tilted
-from slot_core.robot import Array
-from slot_core.robot import Torso as TorsoSettings
+from slot_core.robot import Array, Torso
 
 
-class Torso(NamedTuple):
+class TorsoModel(NamedTuple):
     """Mass, inertia and contact points of the box."""
 
     mass: float  # kg
@@ -33,10 +32,10 @@ class Torso(NamedTuple):
     corners: Array  # (8, 3) m, base_link
 
 
-def box(settings: TorsoSettings) -> Torso:
+def box(settings: Torso) -> TorsoModel:
     """Numbers for the kernel."""
     signs = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
-    return Torso(settings.mass, settings.inertia, signs * np.array(settings.size))
+    return TorsoModel(settings.mass, settings.inertia, signs * np.array(settings.size))
 
 
 @helper

@@ -1,1 +1,1 @@
-"""The Dynamixel XL430-W250 bus: driver, emulated servos on a pseudo-terminal, tools."""
+"""The driver of the Dynamixel XL430-W250 servos."""

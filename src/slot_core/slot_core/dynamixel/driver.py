@@ -20,17 +20,18 @@ import numpy as np
 import numpy.typing as npt
 
 from slot_core import config
+from slot_core.clock import Clock
 from slot_core.dynamixel.bus import Answer, Bus
 from slot_core.dynamixel.checks import ServoInfo, examine, expected, hardware_errors
 from slot_core.dynamixel.errors import PortError, RefusedError, ServoError
 from slot_core.dynamixel.host_pid import HostPid
 from slot_core.dynamixel.joints import Joint, joints
-from slot_core.dynamixel.port import Clock, SerialPort, check_latency
-from slot_core.dynamixel.settings import LEGS, DynamixelSettings
-from slot_core.dynamixel.state import Cycle, Health, Reading, TorqueOff, Verdict
+from slot_core.dynamixel.port import SerialPort, check_latency
+from slot_core.dynamixel.settings import DynamixelSettings
+from slot_core.dynamixel.state import Cycle, Health, ServoReading, TorqueOff, Verdict
 from slot_core.dynamixel.table import LOAD_FULL, VOLTAGE_UNIT, Mode
+from slot_core.robot import LEGS, Array
 
-Array = npt.NDArray[np.float64]
 TORQUE_OFF_ATTEMPTS = 3
 LONGEST_STEP = 0.05  # s: the goals move no further at once, however late a cycle is
 # One of these is read from one servo in every cycle; no two have the same length.
@@ -269,7 +270,7 @@ class Driver:
                 "goal_position", {joint.id: joint.counts(goal) for joint, goal in goals}
             )
 
-    def _regulate(self, readings: tuple[Reading | None, ...], h: float) -> Array:
+    def _regulate(self, readings: tuple[ServoReading | None, ...], h: float) -> Array:
         if not self.active or h == 0.0:
             return self._pid.duty.copy()
         angle = np.array([np.nan if r is None else r.angle for r in readings])
@@ -279,16 +280,16 @@ class Driver:
         self.bus.sync_write("goal_pwm", pwm)
         return duty
 
-    def _read(self) -> tuple[Reading | None, ...]:
+    def _read(self) -> tuple[ServoReading | None, ...]:
         answers = self.bus.sync_read((joint.id for joint in self.joints), *FAST, self._fast)
         return tuple(
             self._reading(joint, answers[joint.id]) if joint.id in answers else None
             for joint in self.joints
         )
 
-    def _reading(self, joint: Joint, answer: Answer) -> Reading:
+    def _reading(self, joint: Joint, answer: Answer) -> ServoReading:
         values = answer.values
-        return Reading(
+        return ServoReading(
             time=self.clock(),
             angle=joint.tendon(values["present_position"]),
             rate=joint.tendon_rate(values["present_velocity"]),
@@ -296,7 +297,7 @@ class Driver:
             alert=answer.alert,
         )
 
-    def _look_around(self, readings: tuple[Reading | None, ...]) -> None:
+    def _look_around(self, readings: tuple[ServoReading | None, ...]) -> None:
         """Note what the cycle has shown; read one more thing from one servo."""
         turn, self._turn = self._turn, self._turn + 1
         for index, reading in enumerate(readings):
@@ -307,7 +308,7 @@ class Driver:
         if readings[index] is not None:
             self._read_slow(index, SLOW[turn // len(LEGS) % len(SLOW)])
 
-    def _note(self, index: int, reading: Reading | None) -> None:
+    def _note(self, index: int, reading: ServoReading | None) -> None:
         quality = self.bus.quality.get(self.joints[index].id)
         rate = 0.0 if quality is None else quality.error_rate
         health = replace(self.health[index], error_rate=rate)

@@ -19,8 +19,9 @@ from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.errors import RefusedError, ServoError
 from slot_core.dynamixel.joints import Joint
-from slot_core.dynamixel.settings import LEGS, DynamixelSettings
+from slot_core.dynamixel.settings import DynamixelSettings
 from slot_core.dynamixel.table import RAD_PER_COUNT
+from slot_core.robot import LEGS
 
 Sleep = Callable[[float], None]
 SAMPLES = 20

@@ -11,11 +11,9 @@ PID Control, 2006, section 3.5). Four legs at once; angles in rad, time in s, du
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from slot_core.dynamixel.settings import LEGS, HostPidSettings
-
-Array = npt.NDArray[np.float64]
+from slot_core.dynamixel.settings import HostPidSettings
+from slot_core.robot import LEGS, Array
 
 
 class HostPid:

@@ -11,13 +11,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
-from slot_core.dynamixel.settings import LEGS, JointSettings
+from slot_core.dynamixel.settings import JointSettings
 from slot_core.dynamixel.table import COUNTS, PWM_FULL, RAD_PER_COUNT, RAD_S_PER_UNIT
-
-Array = npt.NDArray[np.float64]
+from slot_core.robot import LEGS
 
 
 @dataclass(frozen=True)

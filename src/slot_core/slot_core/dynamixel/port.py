@@ -18,9 +18,9 @@ from typing import Any
 import serial
 from dynamixel_sdk import PortHandler
 
+from slot_core.clock import Clock
 from slot_core.dynamixel.errors import PortError
 
-Clock = Callable[[], float]
 BITS_PER_BYTE = 10  # with start and stop bit
 WRITE_TIMEOUT = 0.5  # s, where nobody takes the bytes
 TTY_CLASS = Path("/sys/class/tty")

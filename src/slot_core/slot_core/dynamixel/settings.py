@@ -18,7 +18,6 @@ from slot_core.dynamixel.table import (
     Mode,
 )
 
-LEGS = ("FL", "FR", "RL", "RR")
 MODES = {"position": Mode.POSITION, "pwm": Mode.PWM}
 
 

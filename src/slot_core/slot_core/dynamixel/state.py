@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
 from slot_core.dynamixel.checks import hardware_errors
-
-Array = npt.NDArray[np.float64]
+from slot_core.robot import Array
 
 
 @dataclass(frozen=True)
-class Reading:
+class ServoReading:
     """What a servo measured, as the tendon's: pulling is positive."""
 
     time: float  # s, of the clock, when the answer was complete
@@ -64,7 +60,7 @@ class Cycle:
     time: float  # s, of its end
     duration: float  # s
     written: float  # s, of the clock, when the goals had been handed to the port
-    readings: tuple[Reading | None, ...]
+    readings: tuple[ServoReading | None, ...]
     slewed: tuple[bool, ...]  # whether the goal was held back by the speed limit
     duty: Array | None  # of the host's loop, else None
 

@@ -1,0 +1,1 @@
+"""Benchmarks of scripts/bench, one folder each."""

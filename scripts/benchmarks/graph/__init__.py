@@ -1,0 +1,1 @@
+"""Benchmark of the running graph: latency, CPU, memory."""

@@ -1,0 +1,1 @@
+"""Benchmark of the MPC: solvers, accuracy, speed."""

@@ -1,0 +1,257 @@
+"""Speed and exactness of the MPC's solvers, on a walk and on hard cases.
+
+Times are of the CPU and of a whole cycle of the controller: check, update of the problem, solve.
+Errors are of the first forces, the ones applied, against a dual active-set method (`_mpc_oracle`).
+"""
+
+import itertools
+import time
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+from benchmarks.harness import Check, Row, at_least, at_most
+from benchmarks.mpc.cases import Case, hard_cases, random_case, stretched
+from benchmarks.mpc.oracle import optimum
+from benchmarks.mpc.picture import draw
+from benchmarks.mpc.restated import restated
+from slot_core import config
+from slot_core.control.mpc.cvxpy_reference import Reference
+from slot_core.control.mpc.mpc import Mpc, MpcResult, MpcSettings, Status, read_mpc
+from slot_core.robot import Array, read_robot
+from slot_core.simulation.closed_loop import ClosedLoop
+
+REQUIRES = ("cvxpy", "quadprog")
+SOLVERS = {
+    "riccati": (1e-3, 1e-4, 1e-6, 1e-8, 1e-10),
+    "piqp multistage": (1e-3, 1e-4, 1e-6, 1e-8, 1e-10),
+    "piqp ldlt": (1e-6, 1e-10),
+    "clarabel": (1e-4, 1e-6, 1e-8, 1e-10),
+    "osqp": (1e-2, 1e-3, 1e-4, 1e-6, 1e-8),
+}
+USUAL = {"osqp": 1e-6}  # tolerance of the horizons; of the others 1e-10
+ITERATIONS = {"osqp": 10000}  # of the others 50
+HORIZONS = (5, 10, 15, 30, 45, 60)
+STATES, RANDOM = 220, 60
+SEED = 1
+WRONG = 1e-3  # N
+MINUTE, HOUR = 1800, 108_000  # cycles
+
+
+def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[Row], list[Check]]:
+    """Measure; the picture goes to `out/mpc.png`."""
+    settings = config.replace(
+        read_mpc(), {"acceptance.time_budget": np.inf, "acceptance.violation_max": 1.0}
+    )
+    progress("walk")
+    walk, hard = walk_cases(), list(hard_and_random(settings.horizon))
+    progress("optima")
+    exact = Exact(settings, walk, hard)
+    rows = []
+    for name, tolerances in SOLVERS.items():
+        progress(f"solver {name}")
+        rows += [solver_row(settings, name, tol, walk, hard, exact) for tol in tolerances]
+    mark_front(rows)
+    progress("horizons")
+    rows += horizon_rows(settings, walk[: 20 if quick else 100])
+    progress("CVXPY")
+    rows += cvxpy_rows(settings, walk[10 : 12 if quick else 18], exact.walk[10:])
+    if not quick:
+        progress("an hour of cycles")
+        rows.append(hour_row(settings, walk))
+    draw(rows, out / "mpc.png")
+    return rows, checks(rows, settings)
+
+
+def walk_cases() -> list[Case]:
+    """States and previews that a walk on the Cosserat robot meets, its start included."""
+    loop = ClosedLoop("flat", "walk", None, SEED)
+    return [(tick.estimate.state, tick.preview) for tick in loop.run(STATES)]
+
+
+def hard_and_random(stages: int) -> Iterable[Case]:
+    """The named cases, then disturbed states with feet that come and go."""
+    rng = np.random.default_rng(SEED)
+    yield from hard_cases(stages + 1).values()
+    for _ in range(RANDOM):
+        yield random_case(rng, stages + 1)
+
+
+class Exact:
+    """First forces of the optima, (n, 4, 3) N."""
+
+    def __init__(self, settings: MpcSettings, walk: Sequence[Case], hard: Sequence[Case]):
+        """One controller puts the problems together; its solver does not matter."""
+        self._mpc = controller(settings, "riccati", 1e-6)
+        self.walk, self.hard = self._optima(walk), self._optima(hard)
+
+    def _optima(self, cases: Sequence[Case]) -> Array:
+        optima = []
+        for state, preview in cases:
+            self._mpc.step(state, preview)
+            optima.append(optimum(self._mpc.problem)[0])
+        return np.array(optima)
+
+
+def hour_row(settings: MpcSettings, walk: Sequence[Case]) -> dict[str, Any]:
+    """Memory that the controller gains in an hour of cycles at 30 Hz, after the first minute."""
+    mpc, process = Mpc(read_robot(), settings, time.process_time), psutil.Process()
+    for n, (state, preview) in zip(range(HOUR), itertools.cycle(walk)):
+        if n == MINUTE:
+            before = process.memory_info().rss
+        mpc.step(state, preview)
+    gained = (process.memory_info().rss - before) / 2**20
+    return {"kind": "hour", "cycles": HOUR, "gained_MB": gained}
+
+
+def controller(settings: MpcSettings, solver: str, tolerance: float) -> Mpc:
+    """A controller with one of `SOLVERS`, timed by the CPU."""
+    name, _, backend = solver.partition(" ")
+    changes = {
+        "solver.name": name,
+        "solver.backend": backend or settings.solver.backend,
+        "solver.tolerance_abs": tolerance,
+        "solver.tolerance_rel": tolerance,
+        "solver.iterations": ITERATIONS.get(name, 50),
+    }
+    return Mpc(read_robot(), config.replace(settings, changes), time.process_time)
+
+
+def solver_row(  # noqa: PLR0917
+    settings: MpcSettings,
+    solver: str,
+    tolerance: float,
+    walk: Sequence[Case],
+    hard: Sequence[Case],
+    exact: Exact,
+) -> dict[str, Any]:
+    """One solver at one tolerance: the walk twice, timed the second time, and the hard cases."""
+    mpc = controller(settings, solver, tolerance)
+    walked = [[mpc.step(*case) for case in walk] for _ in range(2)][1]
+    met = [mpc.step(*case) for case in hard]
+    times = [1e3 * result.solve_time for result in walked]
+    error = errors(walked, exact.walk)
+    return {
+        "kind": "solver",
+        "solver": solver,
+        "tolerance": tolerance,
+        "median_ms": float(np.median(times)),
+        "p99_ms": float(np.quantile(times, 0.99)),
+        "hard_max_ms": 1e3 * max(result.solve_time for result in met),
+        "error_median": float(np.median(error)),
+        "error_max": float(np.max(error)),
+        "hard_error_max": float(np.nanmax(errors(met, exact.hard))),
+        "violation": max(result.violation for result in [*walked, *met]),
+        "iterations_median": float(np.median([result.iterations for result in walked])),
+        "iterations_max": max(result.iterations for result in [*walked, *met]),
+        "walk_refused": len(walked) - sum(good(result) for result in walked),
+    } | outcomes(met, errors(met, exact.hard))
+
+
+def good(result: MpcResult) -> bool:
+    """Whether the controller with its configured limit would have accepted it."""
+    limit = read_mpc().acceptance.violation_max
+    return result.status == Status.SOLVED and result.violation <= limit
+
+
+def errors(results: Sequence[MpcResult], exact: Array) -> Array:
+    """(n,) N, largest of the first forces; NaN where none was found."""
+    return np.array(
+        [
+            np.abs(result.force - best).max() if result.status == Status.SOLVED else np.nan
+            for result, best in zip(results, exact)
+        ]
+    )
+
+
+def outcomes(results: Sequence[MpcResult], error: Array) -> dict[str, int]:
+    """How many hard cases were accepted within `WRONG`, accepted but wrong, and refused."""
+    accepted = np.array([good(result) for result in results])
+    return {
+        "hard_right": int((accepted & (error <= WRONG)).sum()),
+        "hard_wrong": int((accepted & (error > WRONG)).sum()),
+        "hard_refused": int((~accepted).sum()),
+    }
+
+
+def mark_front(rows: list[dict[str, Any]]) -> None:
+    """Mark the rows of which no other is both faster and more exact on all cases."""
+    for row in rows:
+        row["front"] = not any(
+            other["median_ms"] < row["median_ms"] and worst(other) < worst(row) for other in rows
+        )
+
+
+def worst(row: dict[str, Any]) -> float:
+    """Largest error on any case, N; infinite if a case was refused."""
+    if row["walk_refused"] or row["hard_refused"]:
+        return float("inf")
+    return max(row["error_max"], row["hard_error_max"])
+
+
+def horizon_rows(settings: MpcSettings, walk: Sequence[Case]) -> Iterable[dict[str, Any]]:
+    """Time of a cycle over the number of stages."""
+    for solver in SOLVERS:
+        for stages in HORIZONS:
+            changes = {"horizon": stages, "acceptance.condition_max": 1e12}
+            longer = config.replace(settings, changes)
+            mpc = controller(longer, solver, USUAL.get(solver, 1e-10))
+            results = [mpc.step(x, stretched(ahead, stages + 1)) for x, ahead in walk]
+            yield {
+                "kind": "horizon",
+                "solver": solver,
+                "stages": stages,
+                "median_ms": 1e3 * float(np.median([r.solve_time for r in results])),
+                "refused": sum(not good(result) for result in results),
+            }
+
+
+def cvxpy_rows(
+    settings: MpcSettings, cases: Sequence[Case], exact: Array
+) -> Iterable[dict[str, Any]]:
+    """CVXPY with the problem translated once, and stated anew in every cycle."""
+    kept = Reference(read_robot(), settings)
+    kept.solve(*cases[0], "CLARABEL")
+    ways = {
+        "CVXPY, cached, Clarabel": lambda *case: kept.solve(*case, "CLARABEL")[0],
+        "CVXPY, as published, SCS": lambda *case: restated(read_robot(), settings, *case),
+    }
+    for name, solve in ways.items():
+        errors_, times = [], []
+        for case, best in zip(cases, exact):
+            start = time.process_time()
+            force = solve(*case)
+            times.append(time.process_time() - start)
+            errors_.append(np.abs(force[0] - best).max())
+        yield {
+            "kind": "cvxpy",
+            "solver": name,
+            "median_ms": 1e3 * float(np.median(times)),
+            "error_median": float(np.median(errors_)),
+            "error_max": float(np.max(errors_)),
+        }
+
+
+def checks(rows: Sequence[dict[str, Any]], settings: MpcSettings) -> list[Check]:
+    """The configured solver against the goals."""
+    chosen = settings.solver
+    name = f"piqp {chosen.backend}" if chosen.name == "piqp" else chosen.name
+    mine = [row for row in rows if row.get("solver") == name]
+    row = next(r for r in mine if r["kind"] == "solver" and r["tolerance"] == chosen.tolerance_abs)
+    time_of = {r["stages"]: r["median_ms"] for r in mine if r["kind"] == "horizon"}
+    cached, published = (r["median_ms"] for r in rows if r["kind"] == "cvxpy")
+    hour = [row["gained_MB"] for row in rows if row["kind"] == "hour"]
+    return [
+        *(at_most("memory gained in an hour of cycles", gained, 1.0, "MB") for gained in hour),
+        at_most(f"{name}: cycle, median", row["median_ms"], 0.6, "ms of CPU"),
+        at_most("p99 over median", row["p99_ms"] / row["median_ms"], 3.0),
+        at_most("error of the first forces, walk", row["error_max"], 1e-3, "N"),
+        at_most("the same, hard cases", row["hard_error_max"], 1e-3, "N"),
+        at_most("hard cases refused or wrong", row["hard_refused"] + row["hard_wrong"], 0),
+        at_most("60 stages over 15", time_of[60] / time_of[15], 4.5),
+        at_least("ahead of CVXPY, cached", cached / row["median_ms"], 10.0, "times"),
+        at_least("ahead of CVXPY as published", published / row["median_ms"], 300.0, "times"),
+    ]

@@ -1,0 +1,86 @@
+"""The picture of the MPC's benchmark: error over time, and time over the horizon."""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from slot_core.report import palette
+
+COLOURS = {
+    "riccati": palette.TRUE,
+    "piqp multistage": palette.SECONDARY,
+    "piqp ldlt": "#E69F00",
+    "clarabel": "#009E73",
+    "osqp": "#CC79A7",
+}
+ROUNDOFF = 1e-13  # N, drawn for what is smaller
+
+
+def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Draw all rows."""
+    figure = Figure(figsize=(12, 5), layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+    draw_errors(left, rows)
+    draw_horizons(right, [row for row in rows if row["kind"] == "horizon"])
+    figure.savefig(path, dpi=150)
+
+
+def draw_errors(ax: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Largest error on the walk and the hard cases over the median time of the walk."""
+    runs = [row for row in rows if row["kind"] == "solver"]
+    for name, colour in COLOURS.items():
+        mine = [row for row in runs if row["solver"] == name]
+        places = [(row["median_ms"], worst(row)) for row in mine]
+        ax.plot(*zip(*places), "-", color=colour, lw=0.8)
+        for row, place in zip(mine, places):
+            refused = row["hard_refused"] + row["walk_refused"]
+            ax.plot(*place, "o", color=colour, mfc="none" if refused else colour, ms=6)
+            note = f"{row['tolerance']:.0e}".replace("e-0", "e-")
+            ax.annotate(note, place, (5, 3), textcoords="offset points", size=7, color=colour)
+        ax.plot([], [], "o-", color=colour, label=name)
+    for row in rows:
+        if row["kind"] == "cvxpy":
+            place = (row["median_ms"], max(ROUNDOFF, row["error_max"]))
+            ax.plot(*place, "s", color=palette.TORSO)
+            ax.annotate(
+                f"{row['solver']} (walk only)",
+                place,
+                (-5, 7),
+                textcoords="offset points",
+                size=7,
+                ha="right",
+            )
+    front = sorted((row["median_ms"], worst(row)) for row in runs if row["front"])
+    ax.step(*zip(*front), where="post", color=palette.INK, lw=1.2, ls=":", label="Pareto front")
+    ax.plot([], [], "o", color=palette.INK, mfc="none", label="hollow: some cases refused")
+    ax.set(
+        xscale="log", yscale="log", xlabel="CPU ms per cycle of the controller, median of a walk",
+        ylabel="largest error of a first force, walk and hard cases, N",
+        title="Numbers at the marks: tolerance",
+    )  # fmt: skip
+    ax.grid(which="major", color=palette.PALE, lw=0.5)
+    ax.legend(fontsize=8)
+
+
+def worst(row: Mapping[str, Any]) -> float:
+    """Largest error of what was found, N."""
+    return max(ROUNDOFF, *(row[k] for k in ("error_max", "hard_error_max") if row[k] < math.inf))
+
+
+def draw_horizons(ax: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Time over the number of stages."""
+    for name, colour in COLOURS.items():
+        places = [(row["stages"], row["median_ms"]) for row in rows if row["solver"] == name]
+        ax.plot(*zip(*places), "o-", color=colour, ms=4, label=name)
+    ax.set(
+        xlabel="stages of the horizon", ylabel="CPU ms per cycle, median", ylim=(0, None),
+        title="Growth with the horizon",
+    )  # fmt: skip
+    ax.grid(color=palette.PALE, lw=0.5)
+    ax.legend(fontsize=8)

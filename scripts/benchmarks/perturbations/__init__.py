@@ -1,0 +1,1 @@
+"""Benchmark of the closed loop's response to perturbations, and the paper's table."""

@@ -1,0 +1,146 @@
+"""The pictures of the perturbations: costs over time with their table, and failures of samples."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from benchmarks.perturbations.cases import CASES, SETTLED, TABLE, Run
+from benchmarks.perturbations.samples import LIMITS, RANGES, interval
+from slot_core.report import palette
+
+Row = Mapping[str, Any]
+
+STUDIES = {
+    "published": "(a) as published, on its own linear model",
+    "torso": "(b) default profile, rigid torso with 50 ms of lag",
+    "robot": "(c) default profile, Cosserat robot, standing",
+}
+COLOURS = dict(zip(CASES, (palette.INK, palette.TRUE, *palette.STAGE_COLOURS, palette.TORSO)))
+STYLES = {"Roll": "--", "Velocity": "-.", "Noise": ":"}
+LEAST_COST = 1e-6
+BINS = 6
+LIMIT_COLOURS = (palette.SECONDARY, "#CC79A7", "#E69F00", "#56B4E9", "#009E73", palette.INK, "k")
+PAIRS = (("payload", "friction"), ("push", "friction"), ("lag", "noise"))
+
+
+def draw_costs(runs: Mapping[str, Mapping[str, Run]], rows: Sequence[Row], path: Path) -> None:
+    """Costs over time, one panel for each study, and the table of the metrics below."""
+    figure = Figure(figsize=(15, 7.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(2, 3, height_ratios=(2.4, 1.0))
+    for column, (study, title) in enumerate(STUDIES.items()):
+        ax = figure.add_subplot(grid[0, column], label=study)
+        for name, run in runs[study].items():
+            cost = np.maximum(run.cost, LEAST_COST)
+            style = {"color": COLOURS[name], "ls": STYLES.get(name, "-"), "lw": 1.3}
+            ax.semilogy(run.time, cost, label=name, **style)
+        ax.axhline(SETTLED, color=palette.INK, lw=0.6)
+        end = max(run.time[-1] for run in runs[study].values())
+        ax.set(xlim=(0.0, end), xlabel="time (s)")
+        ax.set_title(title, fontsize=10, loc="left")
+        ax.grid(color="#e3e7eb", lw=0.6)
+    figure.axes[0].set_ylabel("cost of the MPC")
+    figure.axes[0].legend(fontsize=8, loc="lower left")
+    figure.suptitle("The paper's perturbations; horizontal line: settled")
+    draw_table(figure.add_subplot(grid[1, :], label="table"), rows)
+    figure.savefig(path, dpi=110)
+
+
+def draw_table(ax: Axes, rows: Sequence[Row]) -> None:
+    """The paper's table beside ours."""
+    ax.set_axis_off()
+    shown = ax.text(
+        0.0, 1.0, "\n".join(table_lines(rows)), family="monospace", fontsize=8.0, va="top",
+        linespacing=1.5,
+    )  # fmt: skip
+    shown.set_in_layout(False)  # wide text must not narrow the panels above
+
+
+def table_lines(rows: Sequence[Row]) -> list[str]:
+    """Cases down, the paper and the three studies across."""
+    found = {(row["study"], row["case"]): row for row in rows if row["kind"] == "case"}
+    head = f"{'':<10}{'paper':^34}|" + "|".join(f"{study:^50}" for study in STUDIES)
+    names = f"{'':<10}{'max':>8}{'mean':>8}{'final':>8}{'settled':>10}|"
+    names += "|".join(
+        f"{'max':>9}{'mean':>8}{'final':>8}{'cost s':>9}{'still s':>9}{'inf.':>6} " for _ in STUDIES
+    )
+    lines = [head, names]
+    for case, (most, mean, final, settled) in TABLE.items():
+        line = f"{case:<10}{most:8.4f}{mean:8.4f}{final:8.4f}{_time(settled):>10}|"
+        cells = [_cells(found[study, case]) for study in STUDIES if (study, case) in found]
+        lines.append(line + "|".join(cells))
+    return lines
+
+
+def _cells(row: Row) -> str:
+    return (
+        f"{row['max_cost']:9.4f}{row['mean_cost']:8.4f}{row['final_cost']:8.4f}"
+        f"{_time(row['settling_cost_s']):>9}{_time(row['settling_s']):>9}{row['infeasible']:>6} "
+    )
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds:.3f}" if np.isfinite(seconds) else "-"
+
+
+def draw_failures(rows: Sequence[Row], title: str, path: Path) -> None:
+    """Rate of failure over each parameter, and where the failures are in three planes."""
+    figure = Figure(figsize=(14, 7.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(2, 1)
+    top = grid[0].subgridspec(1, len(RANGES))
+    below = grid[1].subgridspec(1, len(PAIRS))
+    for column, name in enumerate(RANGES):
+        draw_rate(figure.add_subplot(top[column], label=name), rows, name)
+    for column, (x, y) in enumerate(PAIRS):
+        draw_plane(figure.add_subplot(below[column], label=f"{x} {y}"), rows, x, y)
+    figure.axes[0].set_ylabel("rate of failure, 95 % interval")
+    figure.axes[len(RANGES)].legend(fontsize=8, loc="upper right")
+    figure.suptitle(title)
+    figure.savefig(path, dpi=110)
+
+
+def draw_rate(ax: Axes, rows: Sequence[Row], name: str) -> None:
+    """Rate of failure in equal parts of a parameter's range."""
+    edges = np.linspace(*RANGES[name], BINS + 1)
+    place = np.digitize([row[name] for row in rows], edges[1:-1])
+    failed = np.array([bool(row["failed"]) for row in rows])
+    for k in range(BINS):
+        count, bad = int((place == k).sum()), int(failed[place == k].sum())
+        if count:
+            low, high = interval(bad, count)
+            middle = (edges[k] + edges[k + 1]) / 2
+            ax.plot([middle, middle], [low, high], color=palette.TRUE, lw=2)
+            ax.plot(middle, bad / count, "o", color=palette.TRUE)
+    ax.set(xlim=RANGES[name], ylim=(-0.03, 1.03), xlabel=LABELS[name])
+    ax.grid(color="#e3e7eb", lw=0.6)
+
+
+def draw_plane(ax: Axes, rows: Sequence[Row], x: str, y: str) -> None:
+    """Every sample in a plane of two parameters, coloured by the first limit it exceeds."""
+    colours = dict(zip(LIMITS, LIMIT_COLOURS))
+    fine = [row for row in rows if not row["failed"]]
+    ax.scatter([r[x] for r in fine], [r[y] for r in fine], 12, color=palette.PALE, label="recovers")
+    for limit, colour in colours.items():
+        bad = [row for row in rows if row["failed"].split("+")[0] == limit]
+        if bad:
+            places = ([r[x] for r in bad], [r[y] for r in bad])
+            ax.scatter(*places, 18, color=colour, marker="x", label=f"{limit} first")
+    ax.set(xlim=RANGES[x], ylim=RANGES[y], xlabel=LABELS[x], ylabel=LABELS[y])
+
+
+LABELS = {
+    "payload": "payload (kg)",
+    "friction": "friction",
+    "lag": "lag (s)",
+    "push": "push for 0.2 s (N)",
+    "direction": "direction of the push (rad)",
+    "noise": "noise over the sensors' own",
+}

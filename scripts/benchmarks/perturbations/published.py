@@ -1,0 +1,196 @@
+"""The perturbations as the paper ran them: the published problem on its own linear model.
+
+    minimise    sum_k=0^14 (x_k - x_ref)' Q (x_k - x_ref) + 1e-8 u_k'u_k + 0.01 (f_x,l - a_l)^2
+    subject to  x_k+1 = x_k + dt (A x_k + B u_k - g e_vz)        explicit Euler
+                |sum f_z - m g| <= 0.01 N, 0 <= f_z <= 6 N, f_z >= 4 N but for the pulled front leg
+                the front legs' |f_x|, |f_y| <= mu f_z, the rear legs' |(f_x, f_y)| <= mu f_z
+
+with the tangential forces in the legs' frames and the last term of the cost over the front legs
+alone: a = 0.6 N and f_x >= 0.2 N on the pulled one, a = 0 on the other. The front legs change over
+every 2.5 s, with friction 0.6 pulled and 0.2 released; it is 0.1 at the rear. A has drag, -0.1 on
+v_x and v_y and -0.5 on v_z. Fifteen steps solve and apply u_0, five hold it. Over the first three
+steps every f_z is at least m g / 4 + 0.2 N, whatever the MPC asked for.
+
+Problem, model and the greater forces are those of the authors' published walk; references, starts
+and cycles are the paper's. Their script of the table itself is not at hand. The 5 ms lag of their
+actuators is left out, and where they solve with SCS at its default accuracy, Clarabel gives the
+optimum here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import clarabel
+import numpy as np
+from scipy import sparse
+
+from benchmarks.perturbations.cases import DT, DURATION, HEIGHT, NOISE, P_Z, SPEED, V_X, Run, tilt
+from slot_core.control.mpc.mpc import MpcSettings
+from slot_core.robot import GRAVITY, Array, Robot
+
+MASS = 2.16  # kg, torso and legs of 0.04 kg
+FOOT_WAY = 0.19 * np.sqrt(2.0)  # m from the corner along each axis: twice as far as the leg is long
+FOOT_DROP = 0.177  # m
+DRAG = (0.1, 0.1, 0.5)  # 1/s
+GAIT_PERIOD = 5.0  # s
+FRICTION = {"pulled": 0.6, "released": 0.2, "rear": 0.1}
+LEAST_NORMAL, LEAST_PULL, PULL, PULL_WEIGHT = 4.0, 0.2, 0.6, 0.01  # N, N, N, 1/N^2
+OVER_FORCE, OVER_STEPS = 0.2, 3  # N a leg
+SOLVED_STEPS, HELD_STEPS = 15, 5
+MOST_STATE = 1.0  # SI, where states with noise are clipped; the authors' clipping is unknown
+TOLERANCE = 1e-9
+LEGS, AXES, STATES, INPUTS = 4, 3, 12, 12
+
+
+class PublishedProblem:
+    """The published cone programme in one phase of the gait; z = [u_0, x_1, u_1, x_2, ...]."""
+
+    def __init__(self, robot: Robot, settings: MpcSettings, phase: int):
+        """`phase` is the front leg that is pulled, 0 or 1."""
+        self._settings, self.horizon = settings, settings.horizon
+        self.a, self.b, self.drift = published_model(robot)
+        self.target = np.zeros(STATES)
+        self.target[[P_Z, V_X]] = HEIGHT, SPEED
+        self._turns = [_leg_frame(robot.azimuth[leg]) for leg in range(LEGS)]
+        self._cost(phase)
+        self._constrain(phase)
+
+    def solve(self, state: Array) -> tuple[Array, float, bool]:
+        """(4, 3) N, the cost, and whether it is solved, from a state (12,)."""
+        b = self._b.copy()
+        b[:STATES] += self.a @ state
+        cones, options = self._cones, clarabel.DefaultSettings()
+        options.verbose = False
+        options.tol_gap_abs = options.tol_gap_rel = options.tol_feas = TOLERANCE
+        solution = clarabel.DefaultSolver(self._p, self._c, self._rows, b, cones, options).solve()
+        error = state - self.target
+        constant = self._constant + float(error @ (self._settings.weights.q * error))
+        solved = str(solution.status) in {"Solved", "AlmostSolved"}
+        force = np.array(solution.x)[:INPUTS].reshape(LEGS, AXES)
+        return force, float(solution.obj_val) + constant, solved
+
+    def _cost(self, phase: int) -> None:
+        """1/2 z'Pz + c'z + constant; the last state of the horizon costs nothing."""
+        weights, size = self._settings.weights, self.horizon
+        quadratic, linear = np.diag(weights.r), np.zeros(INPUTS)
+        for leg in (0, 1):
+            row = np.zeros(INPUTS)
+            row[AXES * leg : AXES * leg + AXES] = self._turns[leg][0]
+            wanted = PULL if leg == phase else 0.0
+            quadratic += PULL_WEIGHT * np.outer(row, row)
+            linear -= PULL_WEIGHT * wanted * row
+        last = np.append(np.ones(size - 1), 0.0)
+        blocks = [m for k in last for m in (quadratic, np.diag(k * weights.q))]
+        self._p = sparse.csc_matrix(sparse.triu(2.0 * sparse.block_diag(blocks)))
+        rows = [np.concatenate([linear, -k * weights.q * self.target]) for k in last]
+        self._c = 2.0 * np.concatenate(rows)
+        distance = float(self.target @ (weights.q * self.target))
+        self._constant = size * PULL_WEIGHT * PULL**2 + (size - 1) * distance
+
+    def _constrain(self, phase: int) -> None:
+        """Rows of Clarabel's form: b - A z in zero, non-negative and second-order cones."""
+        linear, cones, bound = self._stage_limits(phase)
+        size, stages = self.horizon, sparse.eye(self.horizon)
+        wide = np.hstack([linear, np.zeros((len(linear), STATES))])
+        cone = np.hstack([cones, np.zeros((len(cones), STATES))])
+        here = np.hstack([-self.b, np.eye(STATES)])
+        before = np.hstack([np.zeros((STATES, INPUTS)), -self.a])
+        dynamics = sparse.kron(stages, here) + sparse.kron(sparse.eye(size, k=-1), before)
+        parts = [dynamics, sparse.kron(stages, wide), sparse.kron(stages, cone)]
+        self._rows = sparse.csc_matrix(sparse.vstack(parts))
+        self._b = np.concatenate(
+            [np.tile(self.drift, size), np.tile(bound, size), np.zeros(size * len(cone))]
+        )
+        self._cones = [
+            clarabel.ZeroConeT(size * STATES),
+            clarabel.NonnegativeConeT(size * len(linear)),
+            *[clarabel.SecondOrderConeT(AXES)] * (size * len(cone) // AXES),
+        ]
+
+    def _stage_limits(self, phase: int) -> tuple[Array, Array, Array]:
+        """A stage's (m, 12) and (6, 12) rows over its inputs, and the bounds (m,) of the first."""
+        rows: list[Array] = []
+        bound: list[float] = []
+        cones: list[Array] = []
+
+        def at_most(row: Array, most: float) -> None:
+            rows.append(row)
+            bound.append(most)
+
+        normal = np.zeros((LEGS, INPUTS))
+        for leg in range(LEGS):
+            place = slice(AXES * leg, AXES * leg + AXES)
+            along, across = np.zeros((2, INPUTS))
+            along[place], across[place] = self._turns[leg][:2]
+            normal[leg, AXES * leg + 2] = 1.0
+            at_most(-normal[leg], 0.0 if leg == phase else -LEAST_NORMAL)
+            at_most(normal[leg], self._settings.force_max)
+            grip = _friction(leg, phase) * normal[leg]
+            if leg in (0, 1):
+                for row in (along, -along, across, -across):
+                    at_most(row - grip, 0.0)
+            else:
+                cones += [-grip, -along, -across]
+            if leg == phase:
+                at_most(-along, -LEAST_PULL)
+        band = self._settings.model.support_band
+        at_most(normal.sum(axis=0), MASS * GRAVITY + band)
+        at_most(-normal.sum(axis=0), band - MASS * GRAVITY)
+        return np.array(rows), np.array(cones), np.array(bound)
+
+
+def published_model(robot: Robot) -> tuple[Array, Array, Array]:
+    """x_k+1 = a x_k + b u_k + drift: a box with the mass of torso and legs, on far feet."""
+    a, b = np.zeros((STATES, STATES)), np.zeros((STATES, INPUTS))
+    a[:6, 6:] = np.eye(6)
+    a[9:, 9:] = -np.diag(DRAG)
+    inertia = robot.torso.inertia * MASS / robot.torso.mass
+    for leg, clamp in enumerate(robot.clamps):
+        x, y, z = clamp + np.append(np.sign(clamp[:2]) * FOOT_WAY, -FOOT_DROP)
+        lever = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        b[6:9, AXES * leg : AXES * leg + AXES] = np.linalg.solve(inertia, lever)
+        b[9:, AXES * leg : AXES * leg + AXES] = np.eye(AXES) / MASS
+    drift = np.zeros(STATES)
+    drift[-1] = -DT * GRAVITY
+    return np.eye(STATES) + DT * a, DT * b, drift
+
+
+def run_published(
+    robot: Robot,
+    settings: MpcSettings,
+    change: Mapping[int, float],
+    duration: float = DURATION,
+    noise: np.random.Generator | None = None,
+) -> Run:
+    """A case over whole cycles of 15 solved and 5 held steps; `noise` disturbs every state."""
+    problems = [PublishedProblem(robot, settings, phase) for phase in (0, 1)]
+    state, entries, infeasible = np.zeros(STATES), [], 0
+    for place, value in change.items():
+        state[place] = value
+    cycle = SOLVED_STEPS + HELD_STEPS
+    force = np.zeros((LEGS, AXES))
+    for step in range(int(duration / (cycle * DT)) * cycle):
+        time = step * DT
+        if step % cycle < SOLVED_STEPS:
+            problem = problems[int(time % GAIT_PERIOD >= GAIT_PERIOD / 2)]
+            force, cost, solved = problem.solve(state)
+            infeasible += not solved
+            entries.append((time, cost, state[P_Z], float(tilt(state[:3]))))
+        if step < OVER_STEPS:
+            force[:, 2] = np.maximum(force[:, 2], MASS * GRAVITY / LEGS + OVER_FORCE)
+        state = problem.a @ state + problem.b @ force.ravel() + problem.drift
+        if noise is not None:
+            state = np.clip(state + NOISE * noise.normal(size=STATES), -MOST_STATE, MOST_STATE)
+    return Run(*np.array(entries).T, infeasible=infeasible)
+
+
+def _friction(leg: int, phase: int) -> float:
+    front = FRICTION["pulled"] if leg == phase else FRICTION["released"]
+    return front if leg in (0, 1) else FRICTION["rear"]
+
+
+def _leg_frame(azimuth: float) -> Array:
+    """(3, 3) odom to the leg's frame as the scripts have it: x at minus the leg's azimuth."""
+    s, c = np.sin(azimuth), np.cos(azimuth)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -1,0 +1,207 @@
+"""A rigid torso on feet that the floor holds, its forces behind their commands, under the MPC.
+
+In odom and, for the rates, in axes fixed to the body, with R the rotation from body to odom:
+
+    dp/dt = v                   m dv/dt = sum f_i + F - m g e_z
+    dq/dt = q o (0, w) / 2      J dw/dt = R' (sum (c_i - p) x f_i + M) - w x J w
+    df_i/dt = (u_i - f_i) / lag
+
+Full rotation and gyroscopic term, no small angles. A foot c_i is at rest on the floor over a
+control step and is placed anew at each, where the leg will end in the torso's heading half a step
+later (Raibert's rule, without which the feet would trail and tilt the torso by 20 mrad); fixed for
+good, they would be left behind at 0.08 m/s within two seconds. The floor gives
+what friction allows: |f_x|, |f_y| are cut at mu f_z, and f_z at zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from benchmarks.perturbations.cases import DT, DURATION, HEIGHT, NOISE, P_Z, SPEED, Run, tilt
+from slot_core import config
+from slot_core.control.gait import GaitPreview, read_gaits
+from slot_core.control.mpc.mpc import Mpc, MpcResult, MpcSettings, Status
+from slot_core.control.reference import reference
+from slot_core.robot import GRAVITY, Array, Robot
+
+LAG = 0.05  # s
+SUBSTEPS = 8  # of Runge and Kutta in a control step: 4 ms, a quarter of the shortest lag
+# Of the plant's own state: quaternion x y z w, angular velocity in body axes.
+POSITION, TURN, VELOCITY, RATE = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
+FORCES = slice(13, 25)
+
+
+@dataclass(frozen=True)
+class Body:
+    """What the torso really is, whatever the MPC believes."""
+
+    mass: float  # kg
+    inertia: Array  # (3, 3) kg m^2
+    feet: Array  # (4, 3) m, base_link; the height does not matter
+    friction: float
+    lag: float  # s
+
+
+def body(robot: Robot, friction: float, lag: float = LAG, mass_factor: float = 1.0) -> Body:
+    """The robot as a rigid body; its inertia grows with its mass."""
+    return Body(mass_factor * robot.mass, mass_factor * robot.inertia, robot.feet, friction, lag)
+
+
+class RigidTorso:
+    """The body on its feet, by the classic Runge-Kutta method."""
+
+    def __init__(self, torso: Body, state: Array, force: Array):
+        """Start at a state (12,) [rpy, p, omega, v] in odom with forces (4, 3), N."""
+        self.body = torso
+        turn = Rotation.from_euler("ZYX", state[2::-1])
+        rate = turn.inv().apply(state[6:9])
+        self.y = np.concatenate([state[3:6], turn.as_quat(), state[9:12], rate, force.ravel()])
+        self.outer = np.zeros(6)  # N and N m on the centre, odom
+        self._inverse = np.linalg.inv(torso.inertia)
+
+    @property
+    def state(self) -> Array:
+        """(12,) [roll pitch yaw, p, omega, v] in odom."""
+        turn = Rotation.from_quat(self.y[TURN])
+        rpy = turn.as_euler("ZYX")[::-1]
+        return np.concatenate([rpy, self.y[POSITION], turn.apply(self.y[RATE]), self.y[VELOCITY]])
+
+    def advance(self, command: Array, dt: float) -> None:
+        """Hold the commanded forces (4, 3), N, for dt (s), on feet placed now."""
+        feet, h = self.place_feet(dt / 2), dt / SUBSTEPS
+        u = command.ravel()
+        for _ in range(SUBSTEPS):
+            k1 = self.slope(self.y, u, feet)
+            k2 = self.slope(self.y + h / 2 * k1, u, feet)
+            k3 = self.slope(self.y + h / 2 * k2, u, feet)
+            k4 = self.slope(self.y + h * k3, u, feet)
+            self.y = self.y + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            self.y[TURN] /= math.sqrt(self.y[TURN] @ self.y[TURN])
+
+    def place_feet(self, ahead: float) -> Array:
+        """(4, 3) m in odom: on the floor, where the legs will end `ahead` (s) from now."""
+        yaw = self.state[2]
+        c, s = math.cos(yaw), math.sin(yaw)
+        x, y = self.body.feet[:, 0], self.body.feet[:, 1]
+        place = np.column_stack([c * x - s * y, s * x + c * y, np.zeros(4)])
+        return place + np.append(self.y[:2] + ahead * self.y[VELOCITY][:2], 0.0)
+
+    def slope(self, y: Array, u: Array, feet: Array) -> Array:
+        """(25,) d/dt of the state with its forces."""
+        torso, turn, rate = self.body, _matrix(y[TURN]), y[RATE]
+        force = grip(y[FORCES].reshape(4, 3), torso.friction)
+        arm = feet - y[POSITION]
+        moment = turn.T @ (_cross(arm, force).sum(axis=0) + self.outer[3:])
+        spin = torso.inertia @ rate
+        out = np.empty(25)
+        out[POSITION] = y[VELOCITY]
+        out[TURN] = _quaternion_rate(y[TURN], rate)
+        out[VELOCITY] = (force.sum(axis=0) + self.outer[:3]) / torso.mass
+        out[9] -= GRAVITY
+        out[RATE] = self._inverse @ (moment - _cross(rate[None], spin[None])[0])
+        out[FORCES] = (u - y[FORCES]) / torso.lag
+        return out
+
+
+def grip(force: Array, friction: float) -> Array:
+    """(4, 3) N that the floor gives of the forces asked for."""
+    normal = np.maximum(force[:, 2:], 0.0)
+    most = friction * normal
+    return np.hstack([np.clip(force[:, :2], -most, most), normal])
+
+
+class TorsoLoop:
+    """The torso under an MPC that stands on four feet and follows height and speed."""
+
+    def __init__(self, robot: Robot, settings: MpcSettings, torso: Body, state: Array):
+        """Start with every leg carrying its share of the weight that the MPC counts on."""
+        self._gaits = read_gaits()
+        share = np.zeros((4, 3))
+        share[:, 2] = robot.weight / 4
+        self.plant = RigidTorso(torso, state, share)
+        settings = config.replace(settings, {"acceptance.time_budget": math.inf})
+        self._mpc, self._share, self.step = Mpc(robot, settings, lambda: 0.0), share[:, 2], 0
+
+    def tick(self, disturb: Callable[[Array], Array]) -> MpcResult:
+        """Let the MPC see `disturb` of the state, and hold its forces for a control step."""
+        seen = disturb(self.plant.state)
+        result = self._mpc.step(seen, self._preview(seen))
+        self.plant.advance(result.force, DT)
+        self.step += 1
+        return result
+
+    def _preview(self, state: Array) -> GaitPreview:
+        gaits = self._gaits
+        times, sway = DT * np.arange(gaits.stages, dtype=float), np.zeros((gaits.stages, 12))
+        sway[:, P_Z] = HEIGHT
+        shape = (gaits.stages, 4)
+        return GaitPreview(
+            stamp=round(self.step * DT * 1e9),
+            gait="stand",
+            phase=0.0,
+            period=1.0,
+            dt=DT,
+            contact=np.ones(shape, dtype=bool),
+            friction=np.full(shape, gaits.friction),
+            normal_force=np.tile(self._share, (gaits.stages, 1)),
+            tendon_angle=np.zeros(shape),
+            reference=reference(state, 0.0, np.array([SPEED, 0.0, 0.0]), sway, times),
+        )
+
+
+def run_torso(
+    robot: Robot,
+    settings: MpcSettings,
+    change: Mapping[int, float],
+    duration: float = DURATION,
+    noise: np.random.Generator | None = None,
+) -> Run:
+    """A case: from the reference with `change`; `noise` is on every state that the MPC sees."""
+    state = np.zeros(12)
+    state[[P_Z, 9]] = HEIGHT, SPEED
+    for place, value in change.items():
+        state[place] = value
+    loop = TorsoLoop(robot, settings, body(robot, read_gaits().friction), state)
+    entries, infeasible = [], 0
+    for step in range(round(duration / DT)):
+        now = loop.plant.state
+        result = loop.tick(lambda x: x if noise is None else x + NOISE * noise.normal(size=len(x)))
+        infeasible += result.status != Status.SOLVED
+        entries.append((step * DT, result.cost, now[P_Z], float(tilt(now[:3]))))
+    return Run(*np.array(entries).T, infeasible=infeasible)
+
+
+def _matrix(q: Array) -> Array:
+    """(3, 3) rotation of a quaternion x y z w, which Runge and Kutta's stages leave nearly unit."""
+    x, y, z, w = q / math.sqrt(q @ q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _quaternion_rate(q: Array, rate: Array) -> Array:
+    """(4,) q o (rate, 0) / 2 for a rate in body axes."""
+    x, y, z, w = q
+    a, b, c = rate
+    return 0.5 * np.array(
+        [
+            w * a + y * c - z * b,
+            w * b + z * a - x * c,
+            w * c + x * b - y * a,
+            -x * a - y * b - z * c,
+        ]
+    )
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """(n, 3) rows of a x b; np.cross takes ten times as long on so few."""
+    return a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]

@@ -1,0 +1,238 @@
+"""Random samples of mass, friction, lag, pushes and noise: which limits does the robot exceed?
+
+A sample begins at the reference, with a payload from then on that nobody has told the controller
+of, is pushed after a second and has the rest of its time to recover.
+Its parameters are uniform within `RANGES` and depend on the seed and its number alone, so that any
+sample can be run again, anywhere. Two plants: the rigid torso with lag, which follows height and
+speed, and the Cosserat robot under the whole controller, which stands.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import beta
+
+from benchmarks.perturbations.cases import DT, HEIGHT, P_Z, SPEED, tilt
+from benchmarks.perturbations.rigid_torso import Body, TorsoLoop
+from slot_core import config
+from slot_core.control.mpc.mpc import Mpc, Status, read_mpc
+from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.dynamics.simulated_robot import Divergence
+from slot_core.robot import Array, read_robot
+from slot_core.simulation.closed_loop import ClosedLoop
+from slot_core.simulation.plant import Plant
+
+RANGES = {
+    "payload": (0.0, 0.6),  # kg at the torso's centre, unknown to the controller
+    "friction": (0.1, 0.8),  # of the floor; the controller counts on 0.4
+    "lag": (0.01, 0.1),  # s, of the forces, or of the servos of the Cosserat robot
+    "push": (0.0, 12.0),  # N on the torso's centre, level
+    "direction": (-math.pi, math.pi),  # rad, of the push
+    "noise": (0.0, 4.0),  # of the sensors, over that of the scene `flat`
+}
+PLANTS = ("torso", "robot")
+DURATION, PUSH_AT, PUSH_TIME, END = 5.0, 1.0, 0.2, 1.0  # s; END: the time that is judged as the end
+LIMITS = {
+    "tilt_max": 0.35,  # rad, at any time
+    "sink_max": 0.022,  # m below the reference at any time: the torso reaches the floor
+    "height_error": 0.010,  # m, mean over the end
+    "tilt_end": 0.05,  # rad, mean over the end
+    "speed_error": 0.05,  # m/s, of the mean velocity over the end
+    "unsolved": 0.0,  # cycles
+    "lost": 0.0,  # 1: the simulation did not end
+}
+CONFIDENCE = 0.95
+FIELDS = ("revision", "seed", "plant", "observer", "index", *RANGES, *LIMITS, "failed")
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One draw; units as in `RANGES`."""
+
+    plant: str
+    seed: int
+    observer: float  # s, time constant of the MPC's observer of mass and bias; 0: none
+    index: int
+    payload: float
+    friction: float
+    lag: float
+    push: float
+    direction: float
+    noise: float
+
+
+def draw(plant: str, seed: int, observer: float, index: int) -> Sample:
+    """The sample of a number."""
+    rng = np.random.default_rng([seed, index])
+    values = {name: float(rng.uniform(*limits)) for name, limits in RANGES.items()}
+    return Sample(plant, seed, observer, index, **values)
+
+
+def run_sample(sample: Sample) -> dict[str, Any]:
+    """Its parameters, what was measured, and the names of the limits it exceeds, joined by `+`."""
+    try:
+        states, unsolved = RUNNERS[sample.plant](sample)
+        speed = np.array([SPEED if sample.plant == "torso" else 0.0, 0.0])
+        found = measure(states, speed) | {"unsolved": float(unsolved), "lost": 0.0}
+    except Divergence:
+        found = dict.fromkeys(LIMITS, math.nan) | {"lost": 1.0}
+    over = [name for name, limit in LIMITS.items() if found[name] > limit]
+    return asdict(sample) | found | {"failed": "+".join(over)}
+
+
+def measure(states: Array, speed: Array) -> dict[str, float]:
+    """What the limits bound of states (n, 12) with the reference velocity `speed` (2,), m/s."""
+    leaning, height = tilt(states[:, :3]), states[:, P_Z]
+    end = states[-round(END / DT) :]
+    return {
+        "tilt_max": float(leaning.max()),
+        "sink_max": float(HEIGHT - height.min()),
+        "height_error": float(abs(end[:, P_Z].mean() - HEIGHT)),
+        "tilt_end": float(leaning[-len(end) :].mean()),
+        "speed_error": float(np.linalg.norm(end[:, 9:11].mean(axis=0) - speed)),
+    }
+
+
+def torso_states(sample: Sample) -> tuple[Array, int]:
+    """(n, 12) states of the rigid torso and the number of cycles that were not solved."""
+    robot, rng = read_robot(), np.random.default_rng([sample.seed, sample.index, 1])
+    mass = robot.mass + sample.payload
+    torso = Body(mass, robot.inertia, robot.feet, sample.friction, sample.lag)
+    state = np.zeros(12)
+    state[[P_Z, 9]] = HEIGHT, SPEED
+    settings = config.replace(read_mpc(), {"disturbance.time": sample.observer})
+    loop = TorsoLoop(robot, settings, torso, state)
+    noise, push = sample.noise * _sensor_noise(), _push(sample)
+    rows, unsolved = [], 0
+    for k in range(round(DURATION / DT)):
+        pushed = PUSH_AT <= k * DT < PUSH_AT + PUSH_TIME
+        loop.plant.outer[:3] = push if pushed else 0.0
+        rows.append(loop.plant.state)
+        seen = rows[-1] + noise * rng.normal(size=12)
+        unsolved += loop.tick(lambda _, seen=seen: seen).status != Status.SOLVED
+    return np.array(rows), unsolved
+
+
+def robot_states(sample: Sample) -> tuple[Array, int]:
+    """The same of the Cosserat robot."""
+    flat, servo = read_scene("flat"), config.replace(read_servo(), {"lag": sample.lag})
+    sensors = {
+        f"sensors.odometry.{name}": sample.noise * getattr(flat.sensors.odometry, name)
+        for name in ("position_noise", "orientation_noise", "velocity_noise", "rate_noise")
+    }
+    changes = {"payload.mass": sample.payload, "floor.friction": [sample.friction] * 4}
+    scene = config.replace(flat, sensors | changes | {"floor.torso_friction": sample.friction})
+    loop = ClosedLoop("flat", "stand", np.zeros(3), sample.seed)
+    loop.controller.mpc = _observing_mpc(sample.observer)
+    rng = np.random.default_rng([sample.seed, sample.index, 1])
+    loop.plant = Plant(read_robot(), scene, servo, rng)
+    sim, push, rows, unsolved = loop.plant.simulator, _push(sample), [], 0
+    begin, end = round(PUSH_AT / DT), round((PUSH_AT + PUSH_TIME) / DT)
+    for k, tick in enumerate(loop.run(round(DURATION / DT))):
+        if k in {begin, end}:
+            sim.push(push if k == begin else -push, np.zeros(3))
+        rows.append(np.concatenate([sim.rpy, sim.position, sim.angular_velocity, sim.velocity]))
+        unsolved += tick.result.status != Status.SOLVED
+    return np.array(rows), unsolved
+
+
+def _observing_mpc(observer: float) -> Mpc:
+    changes = {"disturbance.time": observer, "acceptance.time_budget": math.inf}
+    return Mpc(read_robot(), config.replace(read_mpc(), changes), lambda: 0.0)
+
+
+RUNNERS = {"torso": torso_states, "robot": robot_states}
+
+
+def _push(sample: Sample) -> Array:
+    way = np.array([math.cos(sample.direction), math.sin(sample.direction), 0.0])
+    return sample.push * way
+
+
+def _sensor_noise() -> Array:
+    """(12,) standard deviations of the odometry of the scene `flat`, in the order of the states."""
+    o = read_scene("flat").sensors.odometry
+    return np.repeat([o.orientation_noise, o.position_noise, o.rate_noise, o.velocity_noise], 3)
+
+
+class Record:
+    """Samples of one revision, seed, plant and observer in a CSV file; results are added to it."""
+
+    def __init__(self, path: Path, revision: str, like: Sample):
+        """What other revisions, seeds, plants and observers left there is kept, not counted."""
+        self._path = path
+        _drop_cut_line(path)
+        self._head = {"revision": revision, "seed": like.seed, "plant": like.plant}
+        self._head["observer"] = like.observer
+        self.rows = [row for row in _read(path) if self._is_ours(row)]
+        self._index = {int(row["index"]) for row in self.rows}
+
+    def missing(self, count: int) -> list[int]:
+        """Those of the numbers 0 .. count-1 that are not there."""
+        return [index for index in range(count) if index not in self._index]
+
+    def add(self, result: Mapping[str, Any]) -> None:
+        """Write one result at once: what is there survives an interruption."""
+        row = self._head | dict(result)
+        with self._path.open("a", newline="") as file:
+            writer = csv.DictWriter(file, FIELDS, lineterminator="\n")
+            if file.tell() == 0:
+                writer.writeheader()
+            writer.writerow(row)
+        self.rows.append(row)
+        self._index.add(int(row["index"]))
+
+    def _is_ours(self, row: Mapping[str, Any]) -> bool:
+        return all(row[name] == str(value) for name, value in self._head.items())
+
+
+def _drop_cut_line(path: Path) -> None:
+    """Cut off a last line without its end, which an interruption has left."""
+    if path.exists():
+        text = path.read_text()
+        path.write_text(text[: text.rfind("\n") + 1])
+
+
+def _read(path: Path) -> Iterator[dict[str, Any]]:
+    """The rows of a file, parameters and measurements as numbers."""
+    if not path.exists():
+        return
+    with path.open(newline="") as file:
+        for row in csv.DictReader(file):
+            yield {k: float(v) if k in RANGES or k in LIMITS else v for k, v in row.items()}
+
+
+def interval(failures: int, count: int) -> tuple[float, float]:
+    """Clopper and Pearson's confidence interval of a rate (Biometrika 26, 1934)."""
+    rest = (1.0 - CONFIDENCE) / 2.0
+    low = beta.ppf(rest, failures, count - failures + 1) if failures else 0.0
+    high = beta.ppf(1.0 - rest, failures + 1, count - failures) if failures < count else 1.0
+    return float(low), float(high)
+
+
+def summary(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Rate of failure, how often each limit was exceeded, and the parameters it happened at."""
+    rows = list(rows)
+    failed = [row for row in rows if row["failed"]]
+    low, high = interval(len(failed), len(rows))
+    total = {"kind": "failures", "samples": len(rows), "failed": len(failed)}
+    rate = {"rate": len(failed) / len(rows), "rate_low": low, "rate_high": high}
+    out = [total | rate | {"confidence": CONFIDENCE}]
+    for name, limit in LIMITS.items():
+        over = [row for row in rows if name in row["failed"].split("+")]
+        spans = {key: _span(over, key) for key in RANGES}
+        out.append({"kind": "limit", "limit": name, "at": limit, "failed": len(over)} | spans)
+    return out
+
+
+def _span(rows: list[Mapping[str, Any]], key: str) -> list[float]:
+    """Least, median and largest value of a parameter; empty without rows."""
+    return np.quantile([row[key] for row in rows], [0.0, 0.5, 1.0]).tolist() if rows else []

@@ -1,0 +1,145 @@
+"""The perturbations on the Cosserat robot under the whole controller, as far as it can be so put.
+
+It stands (`stand`): the walk's own sway is larger than what is to settle. The torso's state alone
+cannot be changed: turned by 0.1 rad about its centre, its feet would be 18 mm under the floor. So
+
+    roll, pitch    a moment pulse of three ticks, as large as turns the torso that far at its peak
+    p_z            the tendon angle while it settles, as low as the torso gets: with its underside
+                   17 mm below the centre it rests on the floor before it reaches 10 mm
+    v_x            the whole robot is given the difference from the reference, here 0 and not 0.08
+    noise          of the odometry, on every state; nothing else is noisy
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+from benchmarks.perturbations.cases import (
+    CASES,
+    DT,
+    DURATION,
+    HEIGHT,
+    NOISE,
+    P_Z,
+    PITCH,
+    ROLL,
+    SPEED,
+    V_X,
+    Run,
+    tilt,
+)
+from slot_core import config
+from slot_core.control.mpc.mpc import Status
+from slot_core.dynamics.scene import Scene, read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.robot import read_robot
+from slot_core.simulation.closed_loop import ClosedLoop
+from slot_core.simulation.plant import Plant
+
+PULSE_TICKS = 3
+TRIAL = 0.5  # s, after which a pulse has turned the torso as far as it will
+MOST_MOMENT = 3.0  # N m; 3.7 N m would lift two feet of four
+ANGLE_TOLERANCE = 1e-3  # of a moment, N m
+NOISE_FIELDS = ("position_noise", "orientation_noise", "velocity_noise", "rate_noise")
+
+
+@dataclass(frozen=True)
+class Realised:
+    """How a case is put to the robot."""
+
+    start_angle_deg: float  # tendons while it settles
+    moment: tuple[float, float]  # N m about x and y, over the pulse
+    speed: float  # m/s added to v_x
+
+
+def realise(change: Mapping[int, float], start_angle_deg: float) -> Realised:
+    """The pulses and the start of a case; `start_angle_deg` holds the reference's height."""
+    angle = start_angle_deg
+    if P_Z in change:
+        angle = lowest_angle(change[P_Z])
+    moment = (pulse(ROLL, change.get(ROLL, 0.0)), pulse(PITCH, change.get(PITCH, 0.0)))
+    speed = change[V_X] - SPEED if V_X in change else 0.0
+    return Realised(angle, moment, speed)
+
+
+@functools.cache
+def lowest_angle(height: float) -> float:
+    """Tendon angle, deg, at which it stands at `height` (m), or 0 where it cannot be so low."""
+
+    def above(angle_deg: float) -> float:
+        scene = config.replace(read_scene("flat"), {"start.tendon_angle_deg": angle_deg})
+        plant = Plant(read_robot(), scene, read_servo(), np.random.default_rng(0))
+        return float(plant.simulator.position[2]) - height
+
+    return 0.0 if above(0.0) >= 0.0 else float(brentq(above, 0.0, 63.0, xtol=0.1))
+
+
+@functools.cache
+def pulse(axis: int, angle: float) -> float:
+    """Moment, N m, of a pulse about an axis that turns the standing torso by `angle` (rad)."""
+    if angle == 0.0:
+        return 0.0
+
+    def beyond(moment: float) -> float:
+        moments = (moment, 0.0) if axis == ROLL else (0.0, moment)
+        rpy = states(Realised(63.0, moments, 0.0), quiet(), TRIAL)[0][:, :3]
+        return float(rpy[:, axis].max()) - angle
+
+    return float(brentq(beyond, 0.0, MOST_MOMENT, xtol=ANGLE_TOLERANCE))
+
+
+def quiet(noise: float = 0.0) -> Scene:
+    """The scene `flat` with the same noise on every state of the odometry, and none of the IMU."""
+    odometry = {f"sensors.odometry.{name}": noise for name in NOISE_FIELDS}
+    imu = ("rate_noise", "rate_bias", "acceleration_noise")
+    return config.replace(
+        read_scene("flat"), odometry | {f"sensors.imu.{name}": 0.0 for name in imu}
+    )
+
+
+def states(
+    realised: Realised, scene: Scene, duration: float, seed: int = 0
+) -> tuple[np.ndarray, list[float], int]:
+    """(n, 12) true states at the ticks, the MPC's costs, and how many steps were not solved."""
+    scene = config.replace(scene, {"start.tendon_angle_deg": realised.start_angle_deg})
+    loop = ClosedLoop("flat", "stand", np.zeros(3), seed)
+    loop.plant = Plant(read_robot(), scene, read_servo(), np.random.default_rng(seed))
+    sim, nothing = loop.plant.simulator, np.zeros(3)
+    moment = np.array([*realised.moment, 0.0])
+    rows, costs, infeasible = [], [], 0
+    for k, tick in enumerate(loop.run(round(duration / DT))):
+        if k == 0 and realised.speed:
+            sim.set_motion(np.array([realised.speed, 0.0, 0.0]), nothing)
+        if k in {0, PULSE_TICKS}:
+            sim.push(nothing, moment if k == 0 else -moment)
+        rows.append(np.concatenate([sim.rpy, sim.position, sim.angular_velocity, sim.velocity]))
+        costs.append(tick.result.cost)
+        infeasible += tick.result.status != Status.SOLVED
+    return np.array(rows), costs, infeasible
+
+
+def run_robot(name: str, duration: float = DURATION) -> tuple[Run, dict[str, float]]:
+    """A case, and what of it the robot really met."""
+    realised = realise(CASES[name], read_scene("flat").start.tendon_angle_deg)
+    scene = quiet(NOISE if name == "Noise" else 0.0)
+    rows, costs, infeasible = states(realised, scene, duration)
+    time = DT * np.arange(len(rows))
+    met = {
+        "peak_roll": float(np.abs(rows[:, ROLL]).max()),
+        "peak_pitch": float(np.abs(rows[:, PITCH]).max()),
+        "start_height": float(rows[0, P_Z]),
+        "v_x_error": realised.speed,
+        "moment_x": realised.moment[0],
+        "moment_y": realised.moment[1],
+        "final_height": float(rows[-1, P_Z]),
+        "height_error": float(rows[-1, P_Z]) - HEIGHT,
+    }
+    run = Run(time, np.array(costs), rows[:, P_Z], tilt(rows[:, :3]), infeasible)
+    assert all(math.isfinite(value) for value in met.values())
+    return run, met

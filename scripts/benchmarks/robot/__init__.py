@@ -1,0 +1,1 @@
+"""Benchmark of the simulated robot: error, cost, hard cases."""

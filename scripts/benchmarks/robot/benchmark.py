@@ -1,0 +1,199 @@
+"""Accuracy and speed of the whole robot: every integrator, number of nodes, step and model level.
+
+The test is to stand up and step: natural legs on the floor, tendons pulled to 63 deg, after half a
+second to 90, 30, 50 and 75 deg, 1.5 s in all. The error is the root mean square of the distance of
+the torso's centre from where a fine solution (121 nodes, 10 us, converged) has it.
+"""
+
+import dataclasses
+import functools
+import itertools
+import math
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.harness import Check, Row, at_least, at_most, cpu_time
+from benchmarks.robot.hard_rows import hard_rows
+from benchmarks.robot.modal_rows import dynamics_rows, modal_rows
+from benchmarks.robot.picture import draw
+from slot_core import config
+from slot_core.config import ConfigError
+from slot_core.dynamics.scene import SolverSettings, read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
+from slot_core.robot import Array, Robot, read_robot
+from slot_core.simulation.plant import simulate
+from slot_core.simulation.rod_robot import RodRobot
+
+COMMANDS = ((0.5, (63.0, 63.0, 63.0, 63.0)), (1.0, (90.0, 30.0, 50.0, 75.0)))  # s, deg
+DURATION = sum(seconds for seconds, _ in COMMANDS)
+SAMPLE = 0.01  # s
+FINE = {"nodes": 121, "step": 1e-5, "theta": 0.5, "iterations": 3}
+SCHEMES = ((0.5, 1), (0.5, 2), (0.55, 1), (0.55, 2), (0.55, 4), (1.0, 1), (1.0, 2))
+NODES = (7, 10, 16, 22, 31, 61)
+STEPS = (5e-3, 2e-3, 1e-3, 5e-4, 2.5e-4)
+LEVELS = ("map", "coarse", "standard", "fine")
+LARGEST_ERROR = 0.3  # mm
+LARGEST_COST = {22: 5.0, 31: 7.0}  # us a step
+
+
+def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[Row], list[Check]]:
+    """Measure; the picture of error over cost goes to `out/robot.png`."""
+    robot, repeats = read_robot(), 3 if quick else 9
+    progress("cost of a step")
+    rows: list[dict[str, Any]] = [cost_row(robot, nodes, repeats) for nodes in (10, 16, 22, 31, 61)]
+    progress("fine reference")
+    exact = motion(simulator(robot, FINE))
+    rows += sweep(robot, exact, repeats, quick, progress)
+    progress("model levels")
+    rows += [level_row(robot, name, exact, repeats) for name in LEVELS]
+    progress("energy and momentum in flight")
+    rows += flight_rows(robot, quick)
+    progress("leg in modes")
+    rows += [{"kind": "modal"} | dict(row) for row in modal_rows(repeats)]
+    rows += [{"kind": "modal dynamics"} | dict(row) for row in dynamics_rows(repeats)]
+    if not quick:
+        progress("hard cases")
+        rows += [{"kind": "hard case"} | row for row in hard_rows()]
+    mark_front([row for row in rows if row["kind"] in {"stand and step", "level"}])
+    draw(rows, out / "robot.png")
+    return rows, checks(rows)
+
+
+def simulator(robot: Robot, solver: dict[str, Any], **changes: Any) -> RodRobot:
+    """Rods in the scene `flat` without settling, with other settings of the solver."""
+    values = {f"solver.{name}": value for name, value in solver.items()}
+    scene = config.replace(read_scene("flat"), {"start.settle": 0.0} | values | changes)
+    return RodRobot(robot, scene, read_servo())
+
+
+def motion(sim: SimulatedRobot) -> Array:
+    """(n, 3) m, the torso's centre every `SAMPLE`."""
+    every = round(SAMPLE / sim.scene.solver.step)
+    places = []
+    for seconds, degrees in COMMANDS:
+        for _ in range(round(seconds / SAMPLE)):
+            sim.advance(every, np.radians(degrees))
+            places.append(sim.position)
+    return np.array(places)
+
+
+def run_through(sim: SimulatedRobot) -> None:
+    """The same motion in two calls."""
+    for seconds, degrees in COMMANDS:
+        sim.advance(round(seconds / sim.scene.solver.step), np.radians(degrees))
+
+
+def deviation(places: Array, exact: Array) -> float:
+    """Root mean square of the distance, mm."""
+    return 1e3 * float(np.sqrt(((places - exact) ** 2).sum(axis=1).mean()))
+
+
+def cost_row(robot: Robot, nodes: int, repeats: int) -> dict[str, Any]:
+    """CPU time of a step of the standing robot: contact, corners, friction and servos included."""
+    sim, calls = simulator(robot, {"nodes": nodes}, **{"start.settle": 1.0}), 1000
+    time = cpu_time(lambda: sim.advance(calls, sim.tendon_angle), repeats).median / calls
+    step = sim.scene.solver.step
+    return {"kind": "cost", "nodes": nodes, "us_per_step": 1e6 * time, "real_time": step / time}
+
+
+def sweep(
+    robot: Robot, exact: Array, repeats: int, quick: bool, progress: Callable[[str], None]
+) -> Iterable[dict[str, Any]]:
+    """Stand and step over schemes, nodes and steps."""
+    steps = STEPS[:-1] if quick else STEPS
+    for theta, iterations in SCHEMES:
+        progress(f"stand and step: theta {theta}, {iterations} iterations")
+        for nodes, step in itertools.product(NODES, steps):
+            solver = {"nodes": nodes, "step": step, "theta": theta, "iterations": iterations}
+            yield (
+                {"kind": "stand and step"}
+                | solver
+                | measured(
+                    functools.partial(simulator, robot, solver),
+                    exact,
+                    repeats,
+                )
+            )
+
+
+def measured(make: Callable[[], SimulatedRobot], exact: Array, repeats: int) -> dict[str, Any]:
+    """Error and cost of stand and step; NaN where the solution is lost."""
+    try:
+        sim = make()
+        error = deviation(motion(sim), exact)
+        again = [make() for _ in range(repeats + 1)]
+        time = cpu_time(lambda: run_through(again.pop()), repeats).median
+    except (Divergence, ConfigError) as reason:
+        return {"error_mm": math.nan, "us_per_ms": math.nan, "lost": str(reason)}
+    cost = 1e6 * time / DURATION * 1e-3
+    return {"error_mm": error, "us_per_ms": cost, "halvings": sim.halvings}
+
+
+def level_row(robot: Robot, name: str, exact: Array, repeats: int) -> dict[str, Any]:
+    """Stand and step at the level of `config/solver/<name>.yaml`."""
+    solver = config.read(SolverSettings, f"solver/{name}")
+    scene = config.replace(read_scene("flat"), {"start.settle": 0.0})
+    scene = dataclasses.replace(scene, solver=solver)
+    found = measured(lambda: simulate(robot, scene, read_servo()), exact, repeats)
+    return {"kind": "level", "level": name, "nodes": solver.nodes, "step": solver.step} | found
+
+
+def flight_rows(robot: Robot, quick: bool) -> Iterable[dict[str, Any]]:
+    """Undamped legs tumbling for .2 s: change of energy and momentum over their values."""
+    free = dataclasses.replace(robot, leg=dataclasses.replace(robot.leg, damping_time=0.0))
+    steps = (1e-3, 2.5e-4) if quick else (1e-3, 5e-4, 2.5e-4, 1.25e-4)
+    for theta, step in itertools.product((0.5, 0.55, 1.0), steps):
+        solver = {"theta": theta, "step": step, "iterations": 6}
+        sim = simulator(free, solver, gravity=[0.0, 0.0, 0.0], **{"start.height": 5.0})
+        sim.set_motion(np.array([0.3, 0.2, 0.1]), np.array([3.0, 4.0, 5.0]))
+        energy, (linear, angular) = sim.energy(), sim.momentum()
+        sim.advance(round(0.2 / step), np.zeros(4))
+        now = sim.momentum()
+        yield {
+            "kind": "flight",
+            "theta": theta,
+            "step": step,
+            "energy": abs(sim.energy() / energy - 1),
+            "momentum": float(np.linalg.norm(now[0] - linear) / np.linalg.norm(linear)),
+            "angular": float(np.linalg.norm(now[1] - angular) / np.linalg.norm(angular)),
+        }
+
+
+def mark_front(rows: list[dict[str, Any]]) -> None:
+    """Mark the rows of which no other is both faster and more exact."""
+    finite = [row for row in rows if row["error_mm"] < math.inf]
+    for row in rows:
+        row["front"] = row in finite and not any(
+            other["us_per_ms"] < row["us_per_ms"] and other["error_mm"] < row["error_mm"]
+            for other in finite
+        )
+
+
+def checks(rows: list[dict[str, Any]]) -> list[Check]:
+    """The figures against the goals."""
+    out = []
+    for row in rows:
+        if row["kind"] == "cost" and row["nodes"] in LARGEST_COST:
+            name, goal = f"step of {row['nodes']} nodes", LARGEST_COST[row["nodes"]]
+            out.append(at_most(name, row["us_per_step"], goal, "us of CPU"))
+            if row["nodes"] == 22:
+                out.append(
+                    at_least("real time at 1 ms, 22 nodes", row["real_time"], 200.0, "times")
+                )
+        if row["kind"] == "level" and row["level"] == "standard":
+            name = "stand and step: 22 nodes, 1 ms, 2 iterations"
+            out.append(at_most(name, row["error_mm"], LARGEST_ERROR, "mm RMS"))
+    hard = [row["holds"] for row in rows if row["kind"] == "hard case"]
+    if hard:
+        out.append(at_most(f"of {len(hard)} hard cases do not hold", hard.count(False), 0))
+    flights = [row["momentum"] for row in rows if row["kind"] == "flight"]
+    out.append(at_most("linear momentum in flight", max(flights), 1e-10, "of itself"))
+    modal = [
+        r for r in rows if r["kind"] == "modal" and r["unknowns"] == 12 and r["contact"] == "tip"
+    ]
+    out += [at_most("leg in 12 modes, on its tip", row["error_mm"], 0.02, "mm") for row in modal]
+    return out

@@ -1,0 +1,203 @@
+"""The hard cases of the simulator of the whole robot, by family.
+
+Where a node meets the floor within a step, the theta scheme ends that step up to (1 - theta) v h
+below the floor, v the speed of the fall, and with it the energy k/2 ((1 - theta) v h)^2 in each
+contact. It is a matter of the instant, and gone with the rebound: `landing` bounds it.
+
+A torso that falls on its corners sinks as a mass on a spring does: `bottom`, in mm.
+
+How far the answers at h and h/2 may be apart is the error of a scheme of first order where contacts
+open and close; the limits are about 1.5 times what was measured, in `DROP` the most of its cases.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.robot.stress import Case, Changes, Limits, hold
+from slot_core.robot import GRAVITY, Array
+from slot_core.simulation.rod_robot import RodRobot
+
+FULL_DEG = 116.28
+HALF_TURN = {"tendon.angle_max_deg": 180.0}
+
+
+def landing(speed: float, step: float = 1e-3, stiffness: float = 2e4, contacts: int = 8) -> float:
+    """J, what the contacts of a landing may hold at the end of a step: two of every leg."""
+    return contacts * stiffness / 2 * (0.45 * speed * step) ** 2
+
+
+def bottom(speed: float, mass: float = 2.16, stiffness: float = 2e4, corners: int = 4) -> float:
+    """mm, to which a mass (kg) sinks that meets the springs of its corners at a speed (m/s).
+
+    A tenth more than in closed form, for the time step.
+    """
+    weight = mass * GRAVITY / (corners * stiffness)
+    return 1.1e3 * (weight + math.sqrt(weight**2 + speed**2 * mass / (corners * stiffness)))
+
+
+def thrown(down: float, spin: tuple[float, float, float], height: float = 0.03) -> Changes:
+    """A case's start in the air: speed downward (m/s) and spin (rad/s)."""
+
+    def throw(sim: RodRobot) -> None:
+        sim.set_motion(np.array([0.1, 0.0, -down]), np.array(spin))
+
+    return {"start": throw, "scene": {"start.height": height, "start.settle": 0.0}}
+
+
+def drop(robot: Changes | None = None, **floor_or_solver: Any) -> Changes:
+    """A drop at 0.5 m/s from 30 mm with the robot or the scene changed: floor__friction."""
+    case = thrown(0.5, (0.0, 0.0, 0.0))
+    changes = {name.replace("__", "."): value for name, value in floor_or_solver.items()}
+    return {**case, "robot": robot or {}, "scene": {**case["scene"], **changes}}
+
+
+def wound(sim: RodRobot) -> None:
+    """All spools at the largest tendon angle at once: taut by 17 mm and more."""
+    sim.state.tendon_angle[:] = sim.robot.tendon.angle_max
+
+
+def turned_over(sim: RodRobot) -> None:
+    """The torso on its back, legs upward."""
+    sim.state.rotation[:] = np.diag([1.0, -1.0, -1.0])
+
+
+def stretch_stiff(sim: RodRobot) -> None:
+    """The drop, with an axial stiffness a hundred times that of the same bending stiffness."""
+    sim.model.rod.axial[:] *= 100.0
+    sim.set_motion(np.array([0.1, 0.0, -0.5]), np.zeros(3))
+
+
+def there_and_back(time: float) -> Array:
+    """(4,) rad: 90 deg to 116 deg in 5 s and back."""
+    return np.full(4, math.radians(116.0 - 26.0 * abs(time - 5.0) / 5.0))
+
+
+SPINNING = [thrown(0.0, spin, 0.25) for spin in ((20.0, 0, 0), (0, 20.0, 0), (0, 0, 20.0))]
+
+
+# From 30 mm the legs fall 8 mm and the belly 13 mm: .25 m^2/s^2 are added to the square of a speed.
+IMPACTS = {
+    "impact at 1 m/s": Case(
+        Limits(landing(1.1), bottom(1.12), 3.0), seconds=1.0, **thrown(1.0, (0.5, 0.2, 0.0))
+    ),
+    # It bounces to 0.4 m, of which a step more or less on the floor makes a tenth.
+    "impact at 3 m/s": Case(
+        Limits(landing(3.1), bottom(3.1), 60.0), seconds=1.0, **thrown(3.0, (0.5, 0.2, 0.0))
+    ),
+    # Onto its back or side from 0.25 m, at 2 m/s, with two corners first: 2 J each.
+    "spin of 20 rad/s about x": Case(
+        Limits(landing(2.0), bottom(2.0, corners=2), 15.0), **SPINNING[0], seconds=0.8
+    ),
+    "spin of 20 rad/s about y": Case(
+        Limits(landing(2.0), bottom(2.0, corners=2), 15.0), **SPINNING[1], seconds=0.8
+    ),
+    "spin of 20 rad/s about z": Case(
+        Limits(landing(2.0), bottom(2.0, corners=2), 15.0), **SPINNING[2], seconds=0.8
+    ),
+    # Falls 0.13 m onto its back and bounces: where it is after 1 s hangs on every contact.
+    "flipped robot": Case(
+        Limits(landing(1.6), bottom(1.6), 35.0),
+        {"start.height": 0.15, "start.settle": 0.0},
+        start=turned_over,
+        seconds=1.0,
+    ),
+}
+
+# Servos pull, so the limit of the energy is rounding, but for the standing robot's own settling.
+PULLS = {
+    "full pull, as fast as the servos can": Case(
+        Limits(1e-4, 0.5, 0.2), {"start.tendon_angle_deg": 0.0}, command=hold(FULL_DEG)
+    ),
+    # 40 J in the cables at once: nodes reach 9 m/s, and the robot jumps.
+    "full pull within one step": Case(
+        Limits(1e-4, 4.0, 4.0),
+        {"start.tendon_angle_deg": 0.0},
+        start=wound,
+        command=hold(FULL_DEG),
+    ),
+    "full pull within one step, in the air": Case(
+        Limits(1e-4, 0.0, 0.2),
+        {"start.tendon_angle_deg": 0.0, "start.settle": 0.0, "start.height": 2.0},
+        start=wound,
+        command=hold(FULL_DEG),
+        seconds=0.3,
+    ),
+    "pull by 180 deg": Case(
+        Limits(1e-4, 1.0, 0.4), {}, HALF_TURN, command=hold(180.0), seconds=1.0
+    ),
+    "pull by 180 deg within one step": Case(
+        Limits(1e-4, 4.0, 3.0), {}, HALF_TURN, start=wound, command=hold(180.0)
+    ),
+}
+
+# A drop at 0.5 m/s, at which nodes reach the floor at 0.72 m/s.
+DROP = Limits(landing(0.72), bottom(0.72), 5.0)
+PARAMETERS = {
+    "E = 1e5 Pa": Case(replace(DROP, apart=10.0), **drop({"leg.young_modulus": 1e5})),
+    "E = 1e6 Pa": Case(replace(DROP, apart=15.0), **drop({"leg.young_modulus": 1e6})),
+    "E = 1e7 Pa": Case(DROP, **drop({"leg.young_modulus": 1e7})),
+    "E = 1e8 Pa": Case(DROP, **drop({"leg.young_modulus": 1e8})),
+    "E = 1e9 Pa": Case(DROP, **drop({"leg.young_modulus": 1e9})),
+    "EA x 100": Case(DROP, **{**drop(), "start": stretch_stiff}),
+    "contact of 1e5 N/m": Case(
+        Limits(landing(0.72, stiffness=1e5), bottom(0.72, stiffness=1e5), 3.0),
+        **drop(floor__stiffness=1e5, floor__line_stiffness=1.1e7),
+    ),
+    "contact of 1e6 N/m": Case(
+        Limits(0.04, bottom(0.72, stiffness=1e6), 3.0),
+        **drop(floor__stiffness=1e6, floor__line_stiffness=1.1e8),
+    ),
+    "contact of 1e7 N/m": Case(
+        Limits(0.04, bottom(0.72, stiffness=1e7), 3.0),
+        **drop(floor__stiffness=1e7, floor__line_stiffness=1.1e9),
+    ),
+    "eps = 1e-4 m/s": Case(DROP, **drop(floor__friction_velocity=1e-4)),
+    "eps = 1e-6 m/s": Case(DROP, **drop(floor__friction_velocity=1e-6)),
+    "friction of bristles": Case(DROP, **drop(floor__friction_law="bristle")),
+    "tip of 1 mm": Case(DROP, **drop({"leg.thickness_tip": 1e-3})),
+    "tip of 0.1 mm": Case(DROP, **drop({"leg.thickness_tip": 1e-4})),
+    "torso of 0.02 kg": Case(DROP, **drop({"torso.mass": 0.02})),
+    "torso of 20 kg": Case(replace(DROP, sunk=bottom(0.72, 20.16)), **drop({"torso.mass": 20.0})),
+    **{
+        f"{nodes} nodes": Case(DROP, **drop(solver__nodes=nodes))
+        for nodes in (8, 16, 31, 61, 121, 201, 401)
+    },
+}
+
+# Through the fold near 110 deg and back, slowly: with friction 0.4, and with nothing at the feet.
+FOLDS = {
+    "snap-through": Case(
+        Limits(1e-4, 0.5, 0.1),
+        {"start.tendon_angle_deg": 90.0},
+        command=there_and_back,
+        seconds=10.0,
+    ),
+    "snap-through without friction": Case(
+        Limits(1e-4, 0.5, 15.0),
+        {
+            "start.tendon_angle_deg": 90.0,
+            "floor.friction": [0.0] * 4,
+            "floor.torso_friction": 0.0,
+        },
+        command=there_and_back,
+        seconds=10.0,
+    ),
+}
+
+# The impact at 1 m/s: its limits grow with the step.
+STEPS = {
+    f"time step of {1e3 * step:g} ms": Case(
+        Limits(landing(1.12, step), bottom(1.12), apart),
+        seconds=1.0,
+        step=step,
+        **thrown(1.0, (0.5, 0.2, 0.0)),
+    )
+    for step, apart in ((5e-4, 1.6), (1e-3, 3.0), (2e-3, 7.0), (5e-3, 7.0), (1e-2, 13.0))
+}
+
+CASES = {**IMPACTS, **PULLS, **PARAMETERS, **FOLDS, **STEPS}

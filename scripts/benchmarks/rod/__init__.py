@@ -1,0 +1,1 @@
+"""Benchmark of the Cosserat rod: exact values and peers."""

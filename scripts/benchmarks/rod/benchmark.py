@@ -1,0 +1,53 @@
+"""Accuracy and speed of the Cosserat rod: statics, vibration, conservation and a release test.
+
+Errors of statics are of the tip over the length, against closed forms, published figures and
+collocation (`_rod_exact.py`). In the release test (`_rod_release.py`) MuJoCo and PyElastica run as
+peers.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from benchmarks.harness import Check, Row, at_most
+from benchmarks.rod import picture, release, statics
+
+REQUIRES = ("mujoco", "elastica")
+ELEMENTS = {True: (20, 30, 100), False: (10, 20, 30, 60, 100)}  # of PyElastica, by `quick`
+
+
+def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[Row], list[Check]]:
+    """Measure; the picture of the release test goes to `out/rod.png`."""
+    repeats = 3 if quick else 9
+    progress("statics and vibration")
+    still = [*statics.static_rows(repeats), *statics.frequency_rows()]
+    progress("energy and momentum")
+    moving = list(release.energy_rows())
+    released = release_rows(quick, repeats, progress)
+    release.mark_front(released)
+    picture.draw(released, out / "rod.png")
+    flight = [row["momentum"] for row in moving if row["kind"] == "flight" and row["theta"] == 0.5]
+    return [*still, *moving, *released], [
+        *statics.static_checks(still),
+        at_most("momentum in flight, midpoint rule", max(flight), 1e-10, "of itself"),
+        *release.release_checks(released),
+    ]
+
+
+def release_rows(
+    quick: bool, repeats: int, progress: Callable[[str], None]
+) -> list[dict[str, Any]]:
+    """The release test, ours and the peers'."""
+    from benchmarks.rod import mujoco_chain as mujoco_peer  # noqa: PLC0415 - once REQUIRES is checked
+    from benchmarks.rod import pyelastica_rod as pyelastica_peer  # noqa: PLC0415
+
+    rows, exact = [], {}
+    for physics in (release.DAMPED, release.DAMPED_SHEAR, release.UNDAMPED_SHEAR):
+        progress(f"release test, {physics.name}")
+        exact[physics] = physics.exact()
+        rows += release.own_rows(physics, exact[physics], quick, repeats)
+    progress("release test, MuJoCo")
+    rows += mujoco_peer.rows(exact[release.DAMPED], repeats)
+    progress("release test, PyElastica")
+    rows += pyelastica_peer.rows(exact[release.UNDAMPED_SHEAR], ELEMENTS[quick])
+    return rows

@@ -1,0 +1,183 @@
+"""PyElastica's rod as a peer: staggered nodes and elements, shear, explicit steps, no damping.
+
+Its clamp as documented holds the first node and the directors of the first element. These stand
+half an element further, so that the rod is held at the middle of its first element. Moved, the
+clamp is where it should be: the rod begins half an element behind it.
+"""
+
+import itertools
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Any
+
+import elastica
+import numpy as np
+from scipy.optimize import fsolve
+
+from benchmarks.rod.exact import LEG, PUSH, TPU
+from benchmarks.rod.release import DURATION, SAMPLES, UNDAMPED_SHEAR, percent
+from slot_core.robot import Array
+from slot_core.rod.cosserat_rod import Scheme
+
+FIRST_STEP = 6e-5  # s; unstable at every number of elements
+STEP_RATIO = 0.93  # from one step tried to the next
+SAMPLE = DURATION / SAMPLES  # s
+FIRST_NODE, FIRST_ELEMENT = (0,), (0,)
+
+
+class Simulator(elastica.BaseSystemCollection, elastica.Constraints):  # type: ignore[misc]
+    """A rod and its clamp."""
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Where the leg's elements lie; s = 0 is the clamp."""
+
+    elements: int
+    moved: bool
+
+    @property
+    def size(self) -> float:
+        """m."""
+        return LEG.length / (self.elements - 0.5 * self.moved)
+
+    @property
+    def edges(self) -> Array:
+        """(elements + 1,) m, the nodes."""
+        return LEG.length - self.size * np.arange(self.elements, -1, -1.0)
+
+    @property
+    def middles(self) -> Array:
+        """(elements,) m."""
+        return (self.edges[1:] + self.edges[:-1]) / 2
+
+
+def rows(exact: Array, elements: tuple[int, ...]) -> Iterator[dict[str, Any]]:
+    """The release at the largest stable step of each number of elements, for both clamps."""
+    for count, moved in itertools.product(elements, (False, True)):
+        tip, start, h, cost = release(Cells(count, moved))
+        yield {
+            "kind": "release",
+            "simulator": f"PyElastica, clamp {'moved' if moved else 'as documented'}",
+            "version": version("pyelastica"),
+            "physics": UNDAMPED_SHEAR.name,
+            "nodes": count + 1,
+            "h": h,
+            "percent": percent(tip, exact, start),
+            "cpu_s": cost,
+        }
+
+
+def release(cells: Cells) -> tuple[Array, Array, float, float]:
+    """(SAMPLES, 2) tip, where it starts, the largest stable step, CPU s per second."""
+    run(cells, FIRST_STEP, 1)  # compiles
+    h = FIRST_STEP
+    while True:
+        substeps = math.ceil(SAMPLE / h)
+        begin = time.process_time()
+        tip, start = run(cells, SAMPLE / substeps, SAMPLES)
+        if np.isfinite(tip).all():
+            return tip, start, SAMPLE / substeps, (time.process_time() - begin) / DURATION
+        h *= STEP_RATIO
+
+
+def run(cells: Cells, h: float, samples: int) -> tuple[Array, Array]:
+    """(samples, 2) tip of the released rod and where it starts; NaN from where it diverges."""
+    rod = bent_rod(cells)
+    start = rod.position_collection[:2, -1].copy()
+    simulator, stepper, now = Simulator(), elastica.PositionVerlet(), 0.0
+    simulator.append(rod)
+    simulator.constrain(rod).using(
+        elastica.OneEndFixedBC,
+        constrained_position_idx=FIRST_NODE,
+        constrained_director_idx=FIRST_ELEMENT,
+    )
+    simulator.finalize()
+    tip = np.full((samples, 2), math.nan)
+    for sample in tip:
+        for _ in range(round(SAMPLE / h)):
+            now = stepper.step(simulator, now, h)
+        here = rod.position_collection[:2, -1]
+        if not np.abs(here).max() < 2 * LEG.length:
+            break
+        sample[:] = here
+    return tip, start
+
+
+def bent_rod(cells: Cells) -> Any:
+    """The rod in its own equilibrium under the push, from ours as the first guess."""
+    rod, n = straight_rod(cells), cells.elements
+
+    def put(unknowns: Array) -> None:
+        rod.position_collection[:2, 1:] = unknowns[: 2 * n].reshape(2, n)
+        rod.director_collection[..., 1:] = directors(unknowns[2 * n :])
+
+    def imbalance(unknowns: Array) -> Array:
+        put(unknowns)
+        rod.compute_internal_forces_and_torques(0.0)
+        force = rod.internal_forces[:2, 1:].copy()
+        force[:, -1] += PUSH.force
+        return np.concatenate([force.ravel(), rod.internal_torques[0, 1:] / cells.size])
+
+    _, ours = UNDAMPED_SHEAR.leg(2 * n, Scheme())
+    s = np.linspace(0.0, LEG.length, len(ours.pose))
+    x, y = (np.interp(cells.edges[1:], s, ours.pose[:, i]) for i in (0, 1))
+    angle = np.interp(cells.middles[1:], s, ours.pose[:, 2])
+    unknowns, _, status, message = fsolve(
+        imbalance, np.concatenate([x, y, angle]), xtol=1e-11, full_output=True
+    )
+    if status != 1:
+        raise ArithmeticError(f"no equilibrium of PyElastica's rod: {message}")
+    put(unknowns)
+    return rod
+
+
+def straight_rod(cells: Cells) -> Any:
+    """The leg; its own constructor knows circular sections only, so stiffness and mass are put in.
+
+    The axes of a section are z (width), -y (thickness) and the tangent.
+    """
+    size, section = cells.size, LEG.section
+    rod = elastica.CosseratRod.straight_rod(
+        cells.elements, np.array([cells.edges[0], 0.0, 0.0]), np.array([1.0, 0.0, 0.0]),
+        np.array([0.0, 0.0, 1.0]), base_length=cells.elements * size,
+        base_radius=section.width / 2, density=TPU.density,
+        youngs_modulus=TPU.young_modulus, shear_modulus=TPU.shear_modulus,
+    )  # fmt: skip
+    area, about_z, about_y = sections(cells.middles)
+    lateral = section.shear_factor * TPU.shear_modulus * area
+    fill(rod.shear_matrix, lateral, lateral, TPU.young_modulus * area)
+    _, bend_z, bend_y = sections(cells.edges[1:-1])
+    fill(
+        rod.bend_matrix, TPU.young_modulus * bend_z, TPU.young_modulus * bend_y,
+        TPU.shear_modulus * (bend_z + bend_y),
+    )  # fmt: skip
+    half = TPU.density * area * size / 2
+    rod.mass[:] = np.append(half, 0.0) + np.append(0.0, half)
+    inertia = [TPU.density * size * part for part in (about_z, about_y, about_z + about_y)]
+    fill(rod.mass_second_moment_of_inertia, *inertia)
+    fill(rod.inv_mass_second_moment_of_inertia, *(1 / part for part in inertia))
+    return rod
+
+
+def sections(s: Array) -> tuple[Array, Array, Array]:
+    """Area and second moments about z and y; behind the clamp as at the clamp."""
+    fraction, section = np.clip(s / LEG.length, 0.0, 1.0), LEG.section
+    area = section.area(fraction)
+    return area, section.second_moment(fraction), area * section.width**2 / 12
+
+
+def fill(matrices: Array, *diagonal: Array) -> None:
+    """Make matrices (3, 3, m) diagonal."""
+    matrices[:] = 0.0
+    for i, values in enumerate(diagonal):
+        matrices[i, i] = values
+
+
+def directors(angle: Array) -> Array:
+    """(3, 3, m) axes of sections as rows, of which the third is the tangent."""
+    c, s, zero = np.cos(angle), np.sin(angle), np.zeros_like(angle)
+    return np.array([[zero, zero, zero + 1.0], [s, -c, zero], [c, s, zero]])

@@ -1,0 +1,1 @@
+"""Benchmark of the servo bus: rate, age of commands, fuzzing."""

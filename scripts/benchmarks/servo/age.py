@@ -1,0 +1,106 @@
+"""The age of a command at the servos: all nodes as processes, emulated servos, real time, no bag.
+
+From the publication of an odometry reading to the moment when the goals that follow from it have
+been handed to the port. The delay of the odometry itself is the sensor's and not counted; the time
+of the bytes on the wire is 0.34 ms at 1 Mbaud for four goals and not counted either.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
+from nav_msgs.msg import Odometry
+
+from benchmarks.harness import BenchmarkError, Check, at_most
+from slot_bringup.graph import read_graph
+from slot_bringup.monitor import START_TIMEOUT, listener
+from slot_bringup.run import started
+from slot_core.bags import decode
+from slot_core.bags.bag import read_record_settings
+from slot_core.report.palette import INK, SECONDARY
+from slot_msgs.msg import ServoHealth
+from slot_nodes import qos
+
+AGE_GOAL = 8.0  # ms, of the 99th percentile
+
+Ages = npt.NDArray[np.float64]
+
+
+def walk(duration: float) -> Ages:
+    """Ages (s) of every command of a walk, the warm-up left out; raises BenchmarkError."""
+    graph, warm_up = read_graph(), read_record_settings().warm_up
+    values = {argument.name: argument.default for argument in graph.arguments}
+    published: dict[int, int] = {}  # ns, by the odometry's stamp
+    written: dict[int, int] = {}
+
+    def on_odom(message: Odometry, info: Mapping[str, int]) -> None:
+        published[decode.stamp(message)] = info["source_timestamp"]
+
+    def on_health(message: ServoHealth) -> None:
+        written.setdefault(decode.time(message.commanded), decode.time(message.written))
+
+    with (
+        tempfile.TemporaryDirectory() as logs,
+        started(graph, values | {"hardware": "fake_bus"}, Path(logs)) as processes,
+        listener("age") as (node, executor),
+    ):
+        # rclpy passes the second argument too; its annotation knows the first alone
+        node.create_subscription(Odometry, "odom", cast(Any, on_odom), qos.SENSOR)
+        node.create_subscription(ServoHealth, "servo_health", on_health, qos.SENSOR)
+        limit = time.monotonic() + START_TIMEOUT
+        while span(written) < warm_up + duration:
+            executor.spin_once(timeout_sec=0.1)
+            if (failure := processes.failed()) or time.monotonic() > limit + duration:
+                raise BenchmarkError(f"the graph did not walk: {failure or 'no commands'}")
+    begin = min(filter(None, written)) + warm_up * 1e9
+    aged = [1e-9 * (at - published[s]) for s, at in written.items() if s in published and s > begin]
+    return np.array(aged)
+
+
+def span(written: Mapping[int, int]) -> float:
+    """Time from the first command to the last, s; the stamp of none is zero."""
+    stamps = list(filter(None, written))
+    return 1e-9 * (max(stamps) - min(stamps)) if stamps else 0.0
+
+
+def row(found: Ages) -> dict[str, Any]:
+    """Percentiles of the ages."""
+    p50, p90, p99 = 1e3 * np.percentile(found, [50, 90, 99])
+    return {
+        "kind": "age",
+        "commands": len(found),
+        "p50_ms": p50,
+        "p90_ms": p90,
+        "p99_ms": p99,
+        "largest_ms": 1e3 * found.max(),
+    }
+
+
+def checks(found: dict[str, Any]) -> list[Check]:
+    """The age against its goal."""
+    return [at_most("age of a command at the servos, p99", found["p99_ms"], AGE_GOAL, "ms")]
+
+
+def draw(found: Ages, path: Path) -> None:
+    """Share of the commands that are older than an age."""
+    figure = Figure(figsize=(6.0, 3.4), layout="constrained")
+    axes = figure.subplots()
+    axes.step(1e3 * np.sort(found), 1.0 - np.arange(len(found)) / len(found), color=INK)
+    axes.axvline(AGE_GOAL, color=SECONDARY, linestyle=":", label=f"goal for 1 %: {AGE_GOAL:g} ms")
+    axes.axhline(0.01, color=SECONDARY, linestyle=":")
+    axes.set(
+        xlabel="from odometry published to goals written, ms",
+        ylabel="share of commands that are older",
+        yscale="log",
+        xlim=(0.0, None),
+    )
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False)
+    figure.savefig(path, dpi=150)

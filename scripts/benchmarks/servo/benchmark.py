@@ -1,0 +1,194 @@
+"""The servo bus: rate, CPU share, step responses of both control loops, the walk, protocol fuzz.
+
+The servos are emulated behind a pseudo-terminal in a process of their own, with the time that the
+bytes take at 1 Mbaud; the CPU time is the driver's alone, and the rate is that of the median cycle,
+because other processes share the machine. Step responses run in the emulated servos' time, the
+walks in the simulator's. Fuzz: `corruption` counts packets that were accepted though the SDK's own
+CRC does not fit; `collisions` packets other than the one sent whose CRC fits by chance (one random
+packet in 65536), which no receiver can tell.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import math
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.harness import Check, Row, at_least, at_most
+from benchmarks.servo import age
+from benchmarks.servo import twin_rows as twins
+from benchmarks.servo.fuzz import Tally, fuzz_driver, fuzz_emulator, fuzz_instructions
+from benchmarks.servo.picture import draw
+from slot_core import config
+from slot_core.dynamixel.driver import Driver
+from slot_core.dynamixel.port import SerialPort
+from slot_core.dynamixel.settings import DynamixelSettings, read_settings
+from slot_core.emulator.emulated_bus import read_emulator
+from slot_core.emulator.pseudo_terminal import PseudoTerminal
+from slot_core.robot import LEGS
+from slot_core.simulation.bus_legs import EmulatedLegs
+
+RATE_GOAL = 200.0  # Hz
+CPU_GOAL = 0.2  # of a core
+PERIOD = 0.01  # s
+STEP = (0.5, 1.5)  # rad
+LOADS = (0.0, 0.3)  # N m on the tendon's angle
+SEED = 7
+
+
+def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[Row], list[Check]]:
+    """All parts; see the frame in benchmarks.harness."""
+    progress("bus cycles")
+    cycles = list(cycle_rows(200 if quick else 2000))
+    progress("CPU share at 100 Hz")
+    share = share_row(2.0 if quick else 20.0)
+    progress("step responses")
+    steps = [step_row(control, load) for control in ("position", "pwm") for load in LOADS]
+    draw(steps, out / "servo_step.png")
+    progress("walks with the bus and without")
+    ways = twins.walks()
+    twin = list(twins.rows(ways))
+    twins.draw(ways, out / "servo_twins.png")
+    progress("age of a command, in real time")
+    ages = age.walk(6.0 if quick else 60.0)
+    age.draw(ages, out / "servo_age.png")
+    aged = age.row(ages)
+    progress("fuzz")
+    fuzz = list(fuzz_rows(20000 if quick else 1000000))
+    shown = [{k: v for k, v in row.items() if k != "trace"} for row in steps]
+    promises = [*checks(cycles, share, fuzz), *age.checks(aged), *twins.checks(twin)]
+    return [*cycles, share, *shown, aged, *twin, *fuzz], promises
+
+
+def checks(cycles: list[Row], share: Row, fuzz: list[Row]) -> list[Check]:
+    """The figures against their goals."""
+    return [
+        at_least("bus cycles, four servos, 1 Mbaud", cycles[0]["rate_hz"], RATE_GOAL, "Hz"),
+        at_most("driver's CPU share at 100 Hz", share["cpu_share"], CPU_GOAL),
+        at_most("fuzz: crashes", sum(row["crashes"] for row in fuzz), 0),
+        at_most("fuzz: corruption accepted", sum(row["corruption"] for row in fuzz), 0),
+        at_most("fuzz: motion", max(row["motion"] for row in fuzz), 0.0, "rad"),
+    ]
+
+
+def cycle_rows(count: int) -> Iterator[Row]:
+    """Cycles back to back, with and without fast sync read and an adapter's latency."""
+    for fast, latency in ((True, 0.0), (False, 0.0), (True, 0.001)):
+        changes = {} if fast else {"servo.fast_from_firmware": 256}
+        with emulated(changes, latency) as driver:
+            driver.activate()
+            start = time.monotonic()
+            found = [driver.cycle() for _ in range(count)]
+            duration = time.monotonic() - start
+            driver.torque_off()
+        times = sorted(cycle.duration for cycle in found)
+        yield {
+            "kind": "cycle",
+            "fast_sync_read": fast,
+            "usb_latency_ms": 1e3 * latency,
+            "rate_hz": 1.0 / statistics.median(times),
+            "mean_rate_hz": count / duration,
+            "p50_ms": 1e3 * statistics.median(times),
+            "p99_ms": 1e3 * times[math.ceil(0.99 * count) - 1],
+            "incomplete": sum(not cycle.complete for cycle in found),
+        }
+
+
+def share_row(duration: float) -> Row:
+    """CPU time of the driver's process over elapsed time, at 100 Hz."""
+    with emulated({}, 0.0) as driver:
+        driver.activate()
+        begin, used, late = time.monotonic(), _cpu(), 0
+        for number in range(round(duration / PERIOD)):
+            driver.command([1.0 + 0.3 * math.sin(0.05 * number)] * 4)
+            driver.cycle()
+            left = begin + (number + 1) * PERIOD - time.monotonic()
+            late += left < 0
+            time.sleep(max(left, 0.0))
+        share = (_cpu() - used) / (time.monotonic() - begin)
+        driver.torque_off()
+    return {"kind": "share", "cpu_share": share, "overruns": late, "seconds": duration}
+
+
+def step_row(control: str, load: float) -> dict[str, Any]:
+    """Response to a step, sampled every 10 ms; `load`: N m on the tendons' angles."""
+    settings = config.replace(read_settings(), {"control": control, "bus.timeout": 0.1})
+    legs = EmulatedLegs(settings, read_emulator(), (STEP[0],) * 4)
+    clock = [0.0]
+    with PseudoTerminal(legs.bus) as terminal:
+        port = SerialPort(terminal.name, settings.bus.baud, settings.bus.timeout)
+        driver = Driver(port, settings, clock=lambda: clock[0])
+        driver.configure()
+        driver.activate()
+        trace = []
+        for goal, time_span in ((STEP[0], 1.5), (STEP[1], 1.5)):
+            trace = []
+            for _ in range(round(time_span / PERIOD)):
+                driver.command([goal] * 4)
+                trace.append(driver.cycle().readings[0].angle)  # type: ignore[union-attr]
+                legs.advance(PERIOD, (load,) * 4)
+                clock[0] += PERIOD
+        driver.torque_off()
+        driver.close()
+    return {"kind": "step", "control": control, "load": load, "trace": trace} | measures(trace)
+
+
+def measures(trace: list[float]) -> dict[str, float]:
+    """Rise time (10 to 90 %), overshoot and lasting error of a response to STEP."""
+    share = (np.array(trace) - trace[0]) / (STEP[1] - trace[0])
+    rise = PERIOD * (int(np.argmax(share > 0.9)) - int(np.argmax(share > 0.1)))
+    return {
+        "rise_ms": 1e3 * rise,
+        "overshoot_deg": math.degrees(max(max(trace) - STEP[1], 0.0)),
+        "error_deg": math.degrees(STEP[1] - float(np.mean(trace[-20:]))),
+    }
+
+
+def fuzz_rows(count: int) -> Iterator[Row]:
+    """Mutated packets at emulator and driver, random contents with a right CRC at the emulator."""
+    for name, part, number in (
+        ("emulator", fuzz_emulator, count),
+        ("driver", fuzz_driver, count),
+        ("instructions", fuzz_instructions, count // 10),
+    ):
+        tally: Tally = part(number, np.random.default_rng(SEED))
+        yield {"kind": "fuzz", "at": name} | dataclasses.asdict(tally)
+
+
+@contextlib.contextmanager
+def emulated(changes: dict[str, Any], latency: float) -> Iterator[Driver]:
+    """A configured driver; the servos are in a process of their own."""
+    settings = config.replace(read_settings(), changes)
+    with tempfile.TemporaryDirectory() as directory:
+        command = [sys.executable, "-m", "slot_bringup.servos", "emulate"]
+        command += ["--link", f"{directory}/servos", "--usb-latency", str(latency)]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ)
+        try:
+            assert process.stdout is not None
+            yield _driver(settings, process.stdout.readline().strip())
+        finally:
+            process.terminate()
+            process.wait(10)
+
+
+def _driver(settings: DynamixelSettings, name: str) -> Driver:
+    driver = Driver(SerialPort(name, settings.bus.baud, settings.bus.timeout), settings)
+    assert len(driver.configure()) == len(LEGS)
+    return driver
+
+
+def _cpu() -> float:
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    return usage.ru_utime + usage.ru_stime

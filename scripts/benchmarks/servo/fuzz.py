@@ -1,0 +1,271 @@
+"""Random and mutated packets at the emulated servos and at the driver's reading."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from dynamixel_sdk import PacketHandler
+
+from slot_core import config
+from slot_core.dynamixel.bus import Bus
+from slot_core.dynamixel.driver import FAST
+from slot_core.dynamixel.packet import (
+    BROADCAST,
+    HEADER,
+    Error,
+    Instruction,
+    Parser,
+    build,
+    fast_status,
+    status,
+)
+from slot_core.dynamixel.port import SerialPort
+from slot_core.dynamixel.settings import read_settings
+from slot_core.dynamixel.table import REGISTERS, TABLE, span
+from slot_core.emulator.emulated_bus import EmulatedBus, read_emulator
+from slot_core.simulation.bus_legs import EmulatedLegs
+
+SDK = PacketHandler(2.0)
+BAUD = 1000000
+IDS = (5, 4, 2, 3)
+INSTRUCTIONS = tuple(Instruction)
+MUTATIONS = 6
+BATCH = 100  # packets between two steps of time
+
+
+@dataclass
+class Tally:
+    """What became of the packets."""
+
+    packets: int = 0
+    crashes: int = 0
+    corruption: int = 0  # accepted though the SDK's CRC does not fit: must not be
+    collisions: int = 0  # another packet than was sent, whose CRC fits by chance
+    intact: int = 0  # the packet itself, with something beside it
+    motion: float = 0.0  # rad, largest
+    crash: str = ""
+
+
+def mutate(data: bytes, rng: np.random.Generator) -> bytes:
+    """A packet with bits inverted, bytes inserted, taken out, cut off, or random ones instead."""
+    kind, out = rng.integers(MUTATIONS), bytearray(data)
+    where = int(rng.integers(len(out)))
+    if kind == 0:
+        for _ in range(rng.integers(1, 9)):
+            out[rng.integers(len(out))] ^= 1 << int(rng.integers(8))
+    elif kind == 1:
+        out[where:where] = rng.bytes(rng.integers(1, 6))
+    elif kind == 2:
+        del out[where : where + int(rng.integers(1, 6))]
+    elif kind == 3:
+        del out[where:]
+    elif kind == 4:
+        out[where] = int(rng.integers(256))
+    else:
+        head = HEADER if rng.random() < 0.5 else b""
+        return head + bytes(rng.bytes(rng.integers(1, 40)))
+    return bytes(out)
+
+
+def frames(data: bytes) -> list[bytes]:
+    """All stretches of `data` that are packets by the SDK's own CRC."""
+    found, start = [], data.find(HEADER)
+    while start >= 0:
+        size = int.from_bytes(data[start + 5 : start + 7], "little") + 7
+        frame = data[start : start + size]
+        fits = len(frame) == size >= 10
+        if fits and SDK.updateCRC(0, list(frame), size - 2) == frame[-2] | frame[-1] << 8:
+            found.append(frame)
+        start = data.find(HEADER, start + 1)
+    return found
+
+
+def _field(name: str, value: int) -> bytes:
+    register = TABLE[name]
+    return register.address.to_bytes(2, "little") + register.encode(value)
+
+
+def instructions() -> list[bytes]:
+    """Packets as the driver sends them, and those that would do most harm."""
+    goals = b"".join(bytes([i]) + TABLE["goal_position"].encode(2800) for i in IDS)
+    pwm = b"".join(bytes([i]) + TABLE["goal_pwm"].encode(885) for i in IDS)
+    address, size = span(*FAST)
+    fast = address.to_bytes(2, "little") + size.to_bytes(2, "little") + bytes(IDS)
+    return [
+        build(BROADCAST, Instruction.SYNC_WRITE, b"\x74\0\4\0" + goals),
+        build(BROADCAST, Instruction.SYNC_WRITE, b"\x64\0\2\0" + pwm),
+        build(BROADCAST, Instruction.FAST_SYNC_READ, fast),
+        build(BROADCAST, Instruction.SYNC_READ, fast),
+        build(5, Instruction.WRITE, _field("goal_position", 2800)),
+        build(4, Instruction.WRITE, _field("torque_enable", 0)),
+        build(2, Instruction.REG_WRITE, _field("goal_position", 1500)),
+        build(BROADCAST, Instruction.ACTION),
+        build(3, Instruction.READ, b"\x40\0\1\0"),
+        build(3, Instruction.REBOOT),
+    ]
+
+
+def fuzz_emulator(count: int, rng: np.random.Generator) -> Tally:
+    """Mutated instructions at four servos that hold their place, torque on."""
+    tally, corpus = Tally(), instructions()
+    bus = _holding()
+    start, kept = bus.advance(0.0), _memories(bus)
+    for number in range(count):
+        original = corpus[number % len(corpus)]
+        data = mutate(original, rng)
+        if data != original:
+            _at_emulator(bus, data, original, kept, tally)
+        if number % BATCH == 0:
+            moved = float(np.abs(bus.advance(0.001) - start).max())
+            tally.motion = max(tally.motion, moved)
+            kept = _memories(bus)
+    return tally
+
+
+def _holding() -> EmulatedBus:
+    legs = EmulatedLegs(read_settings(), read_emulator(), (0.5,) * 4)
+    for servo in legs.bus.servos:
+        servo.memory["goal_position"] = servo.position()
+        servo.memory["torque_enable"] = 1
+    for _ in range(200):
+        legs.advance(0.001)
+    return legs.bus
+
+
+def _memories(bus: EmulatedBus) -> list[bytes]:
+    return [servo.memory.image() for servo in bus.servos]
+
+
+def _at_emulator(
+    bus: EmulatedBus, data: bytes, original: bytes, kept: list[bytes], tally: Tally
+) -> None:
+    tally.packets += 1
+    bus.hush()
+    try:
+        replies = bus.receive(data, BAUD)
+    except Exception as error:  # whatever it is, it is a finding
+        tally.crashes, tally.crash = tally.crashes + 1, repr(error)
+        return
+    answers = [p for reply in replies for p in Parser().feed(reply.data)]
+    heard = any(p.parameters[0] & 0x7F != Error.CRC for p in answers)
+    if not heard and _memories(bus) == kept:
+        return
+    _classify(frames(data), [original], tally)
+    for servo, image in zip(bus.servos, kept):
+        servo.revive(image)
+
+
+def _classify(found: list[bytes], sent: list[bytes], tally: Tally) -> None:
+    if not found:
+        tally.corruption += 1
+    elif any(frame not in sent for frame in found):
+        tally.collisions += 1
+    else:
+        tally.intact += 1
+
+
+def fuzz_instructions(count: int, rng: np.random.Generator) -> Tally:
+    """Random contents behind a right CRC: whatever they ask, no register leaves its range."""
+    tally, bus = Tally(), _holding()
+    kept = _memories(bus)
+    for number in range(count):
+        code = int(rng.choice(INSTRUCTIONS)) if rng.random() < 0.9 else int(rng.integers(256))
+        identity = int(rng.choice([*IDS, BROADCAST]))
+        parameters = bytearray(rng.bytes(rng.integers(0, 24)))
+        if len(parameters) > 4 and rng.random() < 0.8:  # near the table
+            parameters[1] = parameters[3] = 0
+        tally.packets += 1
+        try:
+            bus.receive(build(identity, code, bytes(parameters)), BAUD)
+            bus.advance(0.001)
+            tally.corruption += any(_out_of_range(servo.memory) for servo in bus.servos)
+        except Exception as error:  # whatever it is, it is a finding
+            tally.crashes, tally.crash = tally.crashes + 1, repr(error)
+        if number % BATCH == 0:
+            for servo, image in zip(bus.servos, kept):
+                servo.revive(image)
+    return tally
+
+
+def _out_of_range(memory: object) -> bool:
+    return any(
+        not register.low <= memory[register.name] <= register.high  # type: ignore[index]
+        for register in REGISTERS
+        if register.writable and register.name not in {"bus_watchdog"} and register.address < 168
+    )
+
+
+class ScriptedPort(SerialPort):
+    """A port that gives what it is told to, in no time."""
+
+    def __init__(self) -> None:
+        super().__init__("scripted", BAUD, 0.0)
+        self.incoming = bytearray()
+        self.answer: Callable[[bytes], bytes] = bytes
+
+    def clearPort(self) -> None:  # noqa: N802
+        """Drop what has come in."""
+        self.incoming.clear()
+
+    def writePort(self, packet: list[int]) -> int:  # noqa: N802
+        """Take an instruction; the answer is there at once."""
+        self.incoming += self.answer(bytes(packet))
+        return len(packet)
+
+    def readPort(self, length: int) -> bytes:  # noqa: N802
+        """What there is."""
+        data = bytes(self.incoming[: max(length, 0)])
+        del self.incoming[: len(data)]
+        return data
+
+    def isPacketTimeout(self) -> bool:  # noqa: N802
+        """When nothing is left."""
+        if not self.incoming:
+            self.packet_timeout = 0.0
+        return not self.incoming
+
+    def drain(self, quiet: float) -> int:
+        """Drop everything."""
+        self.incoming.clear()
+        return 0
+
+
+def fuzz_driver(count: int, rng: np.random.Generator) -> Tally:
+    """Mutated answers to the driver's reading, joint and one by one."""
+    tally, port = Tally(), ScriptedPort()
+    bus = Bus(port, config.replace(read_settings().bus, {"retries": 0}))
+    for _ in range(count):
+        truth = {identity: _data(rng) for identity in IDS}
+        fast = bool(rng.integers(2))
+        bus.forget_silence()
+        sent = (
+            [fast_status([(i, 0, d) for i, d in truth.items()])]
+            if fast
+            else [status(i, 0, d) for i, d in truth.items()]
+        )
+        which = int(rng.integers(len(sent)))
+        data = b"".join(mutate(d, rng) if k == which else d for k, d in enumerate(sent))
+        port.answer = lambda _, data=data: data  # type: ignore[misc]
+        tally.packets += 1
+        try:
+            answers = bus.sync_read(IDS, *FAST, fast)
+        except Exception as error:  # whatever it is, it is a finding
+            tally.crashes, tally.crash = tally.crashes + 1, repr(error)
+            continue
+        if any(_bytes(answer.values) != truth[i] for i, answer in answers.items()):
+            _classify([f for f in frames(data) if f not in sent], [], tally)
+        else:
+            tally.intact += bool(answers)
+    return tally
+
+
+def _data(rng: np.random.Generator) -> bytes:
+    """Ten bytes, often with what has to be stuffed."""
+    return bytes(rng.choice(np.array([0, 1, 0xFD, 0xFF], dtype=np.uint8), 10))
+
+
+def _bytes(values: object) -> bytes:
+    names = ("present_load", "present_velocity", "present_position")
+    return b"".join(TABLE[name].encode(values[name]) for name in names)  # type: ignore[index]

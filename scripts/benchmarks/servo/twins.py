@@ -1,0 +1,54 @@
+"""One walk on servos of three kinds, on one simulated clock: how far the torso's ways part.
+
+sim    servo.yaml, as with `--hardware sim`
+law    the emulated servos' loop and motor in the simulator: no bus, no counts
+bus    driver, bus and emulated servos, as with `--hardware fake_bus`
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slot_core.dynamics.scene import Scene
+from slot_core.dynamics.servo import ServoSettings
+from slot_core.dynamixel.settings import read_settings
+from slot_core.emulator.emulated_bus import read_emulator
+from slot_core.robot import Array, Robot
+from slot_core.simulation.bus_plant import equal_law
+from slot_core.simulation.closed_loop import ClosedLoop, PlantMaker
+from slot_core.simulation.driven_plant import DrivenPlant
+from slot_core.simulation.plant import Plant
+
+VELOCITY = (0.06, 0.0, 0.0)  # m/s, m/s, rad/s: as gait.yaml's cruise
+BUS_PERIOD = 0.01  # s, as the driver's node
+
+
+def _law(robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator) -> Plant:
+    period = read_emulator().servo.loop_period
+    return Plant(robot, scene, equal_law(servo, read_settings(), period), rng)
+
+
+def _bus(robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator) -> Plant:
+    return DrivenPlant(
+        robot,
+        scene,
+        servo,
+        rng,
+        settings=read_settings(),
+        emulator=read_emulator(),
+        period=BUS_PERIOD,
+    )
+
+
+TWINS: dict[str, PlantMaker] = {"sim": Plant, "law": _law, "bus": _bus}
+
+
+def walk(make: PlantMaker, ticks: int, scene: str = "flat", seed: int = 0) -> Array:
+    """Places of the torso's centre (ticks, 3), m in odom, one at every odometry reading."""
+    loop = ClosedLoop(scene, "walk", np.array(VELOCITY), seed, make=make)
+    return np.array([loop.plant.simulator.position for _ in loop.run(ticks)])
+
+
+def apart(one: Array, other: Array) -> float:
+    """RMS distance (m) of two walks (n, 3), with nothing aligned."""
+    return float(np.sqrt(np.mean(np.sum((one - other) ** 2, axis=1))))

@@ -1,0 +1,1 @@
+"""Recordings: writing, reading and decoding bags, and replaying them through the cores."""

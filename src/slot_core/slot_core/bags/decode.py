@@ -1,0 +1,142 @@
+"""Messages of the graph as the core's values.
+
+Nothing here depends on ROS: the functions read attributes, so they serve rclpy's messages in the
+nodes and those that the `rosbags` library reads from a bag alike.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from slot_core import config
+from slot_core.control.gait import GaitPreview
+from slot_core.faults import Fault
+from slot_core.robot import LEGS, TENDON_JOINTS, Array
+from slot_core.safety.command_gate import Action
+from slot_core.safety.servo_health import ServoHealth
+from slot_core.safety.states import State
+
+ACTIONS = (Action.OFF, Action.RELAX, Action.HOLD, Action.PASS)  # as RobotState numbers them
+
+
+def stamp(message: Any) -> int:
+    """Nanoseconds of the header's stamp."""
+    return time(message.header.stamp)
+
+
+def time(message: Any) -> int:
+    """Nanoseconds of a Time."""
+    return int(message.sec) * 1_000_000_000 + int(message.nanosec)
+
+
+def vector(message: Any) -> Array:
+    """(3,) of a Vector3 or Point."""
+    return np.array([message.x, message.y, message.z])
+
+
+def odometry(message: Any) -> tuple[int, Array, Array, Array, Array]:
+    """(stamp, position, quaternion xyzw, velocity, angular velocity), twist in base_link."""
+    pose, twist = message.pose.pose, message.twist.twist
+    q = pose.orientation
+    return (
+        stamp(message),
+        vector(pose.position),
+        np.array([q.x, q.y, q.z, q.w]),
+        vector(twist.linear),
+        vector(twist.angular),
+    )
+
+
+def imu(message: Any) -> tuple[int, Array, Array]:
+    """(stamp, angular velocity, specific force), both in base_link."""
+    return stamp(message), vector(message.angular_velocity), vector(message.linear_acceleration)
+
+
+def velocity(message: Any) -> tuple[int, Array]:
+    """(stamp, [v_x, v_y, yaw rate]) of a TwistStamped in base_link."""
+    twist = message.twist
+    return stamp(message), np.array([twist.linear.x, twist.linear.y, twist.angular.z])
+
+
+def joint_angles(message: Any) -> tuple[int, Array]:
+    """(stamp, angles in the order of LEGS); raises ValueError unless each joint is there once."""
+    return stamp(message), _of_joints(message, message.position)
+
+
+def joint_loads(message: Any) -> tuple[int, Array, Array]:
+    """(stamp, angles, torques in the order of LEGS); raises ValueError as `joint_angles`."""
+    return *joint_angles(message), _of_joints(message, message.effort)
+
+
+def _of_joints(message: Any, values: Any) -> Array:
+    names = list(message.name)
+    if sorted(names) != sorted(TENDON_JOINTS) or len(values) != len(LEGS):
+        raise ValueError(f"joints {names}: expected {', '.join(TENDON_JOINTS)} once each")
+    by_name = dict(zip(names, values))
+    return np.array([by_name[joint] for joint in TENDON_JOINTS])
+
+
+def state(message: Any) -> tuple[int, Array, int]:
+    """(stamp, [roll pitch yaw, p, omega, v], validity)."""
+    parts = (message.rpy, message.position, message.angular_velocity, message.linear_velocity)
+    return stamp(message), np.concatenate([vector(p) for p in parts]), int(message.validity)
+
+
+def preview(message: Any) -> GaitPreview:
+    """Gait preview; raises ValueError when an array has not the stated number of stages."""
+    stages = int(message.stages)
+
+    def rows(name: str, columns: int = 4) -> Array:
+        values = np.array(getattr(message, name))
+        if stages < 1 or values.size != stages * columns:
+            raise ValueError(f"{name} has {values.size} values, not {stages} stages of {columns}")
+        return values.reshape(stages, columns)
+
+    return GaitPreview(
+        stamp=stamp(message),
+        gait=message.gait,
+        phase=message.phase,
+        period=message.period,
+        dt=message.dt,
+        contact=rows("contact").astype(bool),
+        friction=rows("friction"),
+        normal_force=rows("normal_force"),
+        tendon_angle=rows("tendon_angle"),
+        reference=rows("reference", 12),
+    )
+
+
+def forces(message: Any) -> tuple[int, Array, int]:
+    """(stamp, force (4, 3) N in odom, status)."""
+    return stamp(message), np.array([vector(f) for f in message.force]), int(message.status)
+
+
+def robot_state(message: Any) -> tuple[int, State, Action, str]:
+    """(stamp, state, what the servos are to do, reason); raises ValueError on unknown numbers."""
+    return stamp(message), State(message.state), _action(message.action), message.reason
+
+
+def servo_health(message: Any) -> tuple[int, ServoHealth]:
+    """(stamp, health); raises ValueError on an unknown action."""
+    return stamp(message), ServoHealth(
+        action=_action(message.action),
+        reason=message.reason,
+        torque=np.array(message.torque, dtype=bool),
+        silence=np.array(message.silence, dtype=np.float64),
+        hardware_error=np.array(message.hardware_error, dtype=np.int64),
+    )
+
+
+def _action(number: int) -> Action:
+    if number >= len(ACTIONS):
+        raise ValueError(f"action {number}: expected at most {len(ACTIONS) - 1}")
+    return ACTIONS[number]
+
+
+def fault(request: Any) -> Fault:
+    """Fault that a request to inject one names; raises ConfigError where it cannot be."""
+    names = ("kind", "leg", "duration", "value")
+    wanted = {name: getattr(request, name) for name in names}
+    return config.build(Fault, wanted | {"time": 0.0}, "inject: fault")

@@ -1,0 +1,1 @@
+"""The convex model predictive controller: problem, solvers, disturbance observer."""

@@ -1,0 +1,358 @@
+"""The convex MPC: one quadratic programme per tick, accepted or replaced by a bounded fallback.
+
+The problem stands in `model.py`, its solver in `solver.py`; here are the settings and the
+controller, which checks what goes in and what comes out. A cycle without an accepted solution
+gives the last feasible input, decayed towards the gait's own load; after `fallback.cycles` of them
+in a row the forces are zero and the status is STOPPED until a solution is accepted again.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from slot_core import config
+from slot_core.config import quantity
+from slot_core.control.gait import GaitPreview
+from slot_core.control.mpc.disturbance import Disturbance, DisturbanceSettings
+from slot_core.control.mpc.model import (
+    FEET,
+    STATES,
+    Horizon,
+    HorizonQp,
+    Options,
+    Prediction,
+    TorsoModel,
+    condensed_condition,
+    slacks,
+)
+from slot_core.control.mpc.solver import MpcSolverSettings, Solution, make_solver
+from slot_core.robot import GRAVITY, Array, Robot
+
+Vector3 = tuple[float, float, float]
+DEFAULT = "default"  # the profile of mpc.yaml alone
+LONGEST_GAP = 0.5  # s between ticks; after a longer one nothing is known of the forces
+
+
+class Status(enum.IntEnum):
+    """How a cycle ended; the numbers are those of slot_msgs/msg/GroundReactionForces."""
+
+    SOLVED = 0
+    NOT_SOLVED = 1  # infeasible, inaccurate or iteration limit: fallback in use
+    LATE = 2  # solved after its time budget: fallback in use
+    REJECTED = 3  # input refused before the solve: fallback in use
+    STOPPED = 4  # no feasible input yet, or fallback used up: zero forces, nothing may follow them
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Diagonals of Q (per squared rad, m, rad/s, m/s) and R (per squared N), axes x, y, z."""
+
+    angle: Vector3 = quantity("roll, pitch, yaw", "1/rad^2", 0, 1e9)
+    position: Vector3 = quantity("position", "1/m^2", 0, 1e9)
+    rate: Vector3 = quantity("angular velocity", "s^2/rad^2", 0, 1e9)
+    velocity: Vector3 = quantity("velocity", "s^2/m^2", 0, 1e9)
+    force: Vector3 = quantity("deviation from the gait's force, every leg", "1/N^2", 1e-12, 1e9)
+
+    @property
+    def q(self) -> Array:
+        """(12,) diagonal of Q."""
+        return np.concatenate([self.angle, self.position, self.rate, self.velocity])
+
+    @property
+    def r(self) -> Array:
+        """(12,) diagonal of R."""
+        return np.tile(self.force, FEET)
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """What is let in, and which solutions are let out."""
+
+    violation_max: float = quantity("largest violation of a force limit", "N", 0, 1)
+    time_budget: float = quantity("time for update and solve; .inf in lockstep", "s", 0, math.inf)
+    condition_max: float = quantity("condition of the Hessian at the longest", "", 1, 1e12)
+    stage: tuple[float, float] = quantity("shortest and longest time of a stage", "s", 1e-4, 1)
+    input_max: float = quantity("largest magnitude of any input, SI units", "", 1, 1e9)
+
+
+@dataclass(frozen=True)
+class Fallback:
+    """What to do without a solution: u = u_ref + decay^n (u_last - u_ref) in its n-th cycle."""
+
+    cycles: int = quantity("most cycles in a row", "", 0, 1000)
+    decay: float = quantity("factor a cycle", "", 0, 1)
+
+
+@dataclass(frozen=True)
+class MpcSettings:
+    """What `config/mpc.yaml` holds."""
+
+    weights: Weights
+    model: Options
+    disturbance: DisturbanceSettings
+    solver: MpcSolverSettings
+    acceptance: Acceptance
+    fallback: Fallback
+    horizon: int = quantity("stages", "", 1, 100)
+    force_max: float = quantity("largest normal force of a leg", "N", 0, 100)
+
+
+@dataclass(frozen=True)
+class MpcResult:
+    """Forces with their account; meanings as in slot_msgs/msg/GroundReactionForces."""
+
+    force: Array  # (4, 3) N, in odom
+    status: Status
+    message: str  # one line on anything but SOLVED
+    fallback_cycles: int  # consecutive cycles without an accepted solution
+    cost: float  # of what the solver returned; NaN where it was not asked
+    iterations: int
+    solve_time: float  # s, check, update and solve
+    violation: float  # N, over the horizon of what the solver returned; NaN where it was not asked
+    residual: float  # largest error of the dynamics in it, SI; NaN where it was not asked
+    slack_normal_min: Array  # (4,) N, first stage of `force`
+    slack_normal_max: Array  # (4,) N
+    slack_friction: Array  # (4,) N
+    slack_total: float  # N, sum of contact f_max - m g
+    slack_balance: float  # N, band - |sum f_z - m g|; infinite where no balance is asked for
+    mass: float  # kg, that the model counted on
+
+
+@dataclass(frozen=True)
+class _Account:
+    """What a cycle took and what its solver returned, accepted or not."""
+
+    elapsed: float  # s
+    iterations: int
+    violation: float  # N
+    residual: float
+    cost: float
+
+
+@dataclass(frozen=True)
+class _Past:
+    """The last tick that was solved or fell back."""
+
+    stamp: int  # ns
+    state: Array  # (12,)
+    augmented: Array  # (12 or 24,) with the forces that acted then
+    force: Array  # (4, 3) N asked for
+
+
+@dataclass(frozen=True)
+class FirstStage:
+    """Limits and load of stage 0 of the newest preview that could be read."""
+
+    force_max: Array  # (4,) N
+    friction: Array  # (4,)
+    force_ref: Array  # (4, 3) N
+
+    def clip(self, force: Array) -> Array:
+        """(4, 3) the forces within the limits, normal first."""
+        normal = np.clip(force[:, 2:], 0.0, self.force_max[:, None])
+        most = self.friction[:, None] * normal
+        return np.hstack([np.clip(force[:, :2], -most, most), normal])
+
+
+class Mpc:
+    """The controller; `step` raises nothing for bad data, and ends: the solver has a limit."""
+
+    def __init__(self, robot: Robot, settings: MpcSettings, timer: Callable[[], float]):
+        """`timer` returns seconds; raises ConfigError for weights that leave the forces vague."""
+        self._settings, self._timer = settings, timer
+        self._model = TorsoModel(robot, settings.model.lag)
+        self._disturbance = Disturbance(robot.mass, settings.disturbance)
+        self._mass = robot.mass
+        weights, horizon = settings.weights, settings.horizon
+        generic = self._model.predict(0.3, 0.1, settings.acceptance.stage[1])
+        _refuse_vague_forces(
+            TorsoModel(robot).predict(0.3, 0.1, settings.acceptance.stage[1]), settings
+        )
+        self._qp = HorizonQp(weights.q, weights.r, horizon, generic, settings.model, robot.weight)
+        self._solver = make_solver(self._qp, settings.solver)
+        self._solver.solve()  # the first solve pays for page faults: not on the robot's time
+        self._stage = FirstStage(np.zeros(FEET), np.zeros(FEET), np.zeros((FEET, 3)))
+        self._last: Array | None = None  # (4, 3) N, last feasible input
+        self._before: _Past | None = None
+        self._missed = 0  # consecutive cycles without an accepted solution
+
+    @property
+    def problem(self) -> HorizonQp:
+        """As the last step left it; to be read only."""
+        return self._qp
+
+    def step(self, state: Array, preview: GaitPreview) -> MpcResult:
+        """Forces for `state` (12,), stage 0 of `preview` being now.
+
+        Where the preview ends with stage H-1, the last state's target is that stage's. A solution
+        is accepted if it is solved, finite, within `violation_max` and within `time_budget`.
+        """
+        start = self._timer()
+        if fault := preview_fault(preview, self._settings):
+            return self._reject(fault, start)
+        stages = self._read(preview)
+        self._stage = FirstStage(stages.force_max[0], stages.friction[0], stages.force_ref[0])
+        if fault := state_fault(state, self._settings):
+            return self._reject(fault, start)
+        x = np.asarray(state, dtype=float)
+        augmented = np.append(x, self._look_back(x, stages, preview.stamp))
+        mass, bias = self._disturbance.mass, self._disturbance.bias
+        prediction = self._model.predict(x[2], x[5], preview.dt, mass, bias)
+        self._qp.update(prediction, augmented, stages, mass * GRAVITY)
+        solution = self._solver.solve()
+        result = self._judge(solution, stages, self._timer() - start)
+        self._before = _Past(preview.stamp, x, augmented, result.force)
+        return result
+
+    def _look_back(self, state: Array, stages: Horizon, stamp: int) -> Array:
+        """Let the observer learn from the last tick; (12 or 0,) N, the forces that act by now."""
+        past, lagging = self._before, self._settings.model.lag > 0.0
+        acting = stages.force_ref[0].ravel() if lagging else np.zeros(0)
+        if past is None or not (lagging or self._settings.disturbance.time > 0.0):
+            return acting
+        dt = (stamp - past.stamp) * 1e-9
+        if not 0.0 < dt <= LONGEST_GAP:
+            return acting
+        disturbance = self._disturbance
+        model = self._model.predict(
+            past.state[2], past.state[5], dt, disturbance.mass, disturbance.bias
+        )
+        now = model.a @ past.augmented + model.b @ past.force.ravel() + model.drift
+        disturbance.correct(now[6:STATES], state[6:], dt)
+        return now[STATES:]
+
+    def _read(self, preview: GaitPreview) -> Horizon:
+        """The stages of the horizon."""
+        now = np.arange(self._settings.horizon)
+        following = np.minimum(now + 1, len(preview.reference) - 1)
+        force = np.zeros((len(now), FEET, 3))
+        if self._settings.model.reference == "gait":
+            share = self._disturbance.mass / self._mass
+            force[..., 2] = share * np.asarray(preview.normal_force)[now]
+        return Horizon(
+            force_max=self._settings.force_max * np.asarray(preview.contact, dtype=float)[now],
+            friction=np.asarray(preview.friction, dtype=float)[now],
+            force_ref=force,
+            state_ref=np.asarray(preview.reference, dtype=float)[following],
+        )
+
+    def _reject(self, fault: str, start: float) -> MpcResult:
+        account = _Account(self._timer() - start, 0, math.nan, math.nan, math.nan)
+        return self._fall_back(Status.REJECTED, fault, account)
+
+    def _judge(self, solution: Solution, stages: Horizon, elapsed: float) -> MpcResult:
+        """Accept the solution, or replace it."""
+        limits, qp, z = self._settings.acceptance, self._qp, solution.z
+        force, violation = qp.forces(z), qp.violation(z)
+        account = _Account(elapsed, solution.iterations, violation, qp.residual(z), qp.cost(z))
+        if solution.fault:
+            return self._fall_back(Status.NOT_SOLVED, solution.fault, account)
+        if not np.isfinite(solution.z).all():
+            return self._fall_back(Status.NOT_SOLVED, "solution not finite", account)
+        if violation > limits.violation_max:
+            fault = f"violation {violation:.2g} N exceeds {limits.violation_max:g} N"
+            return self._fall_back(Status.NOT_SOLVED, fault, account)
+        if elapsed > limits.time_budget:
+            fault = f"{elapsed * 1e3:.1f} ms exceed {limits.time_budget * 1e3:g} ms"
+            return self._fall_back(Status.LATE, fault, account)
+        self._last, self._missed = force[0].copy(), 0
+        return self._result(force[0], Status.SOLVED, "", account)
+
+    def _fall_back(self, cause: Status, fault: str, account: _Account) -> MpcResult:
+        """The last feasible input, decayed; zeros when there is none or it has been used up."""
+        self._missed += 1
+        rule = self._settings.fallback
+        if self._last is None or self._missed > rule.cycles:
+            used_up = f"fallback used up after {rule.cycles} cycles"
+            why = "no feasible input yet" if self._last is None else used_up
+            return self._result(np.zeros((FEET, 3)), Status.STOPPED, f"{why}; {fault}", account)
+        hover = self._stage.force_ref
+        force = hover + rule.decay**self._missed * (self._last - hover)
+        return self._result(self._stage.clip(force), cause, fault, account)
+
+    def _result(self, force: Array, status: Status, message: str, account: _Account) -> MpcResult:
+        stage = self._stage
+        least, most, friction = slacks(force, stage.force_max, stage.friction)
+        weight, balance = self._disturbance.mass * GRAVITY, math.inf
+        if self._settings.model.support == "equality":
+            balance = self._settings.model.support_band - abs(float(force[:, 2].sum()) - weight)
+        return MpcResult(
+            force=force,
+            status=status,
+            message=message,
+            fallback_cycles=self._missed,
+            cost=account.cost,
+            iterations=account.iterations,
+            solve_time=account.elapsed,
+            violation=account.violation,
+            residual=account.residual,
+            slack_normal_min=least,
+            slack_normal_max=most,
+            slack_friction=friction,
+            slack_total=float(stage.force_max.sum() - weight),
+            slack_balance=balance,
+            mass=self._disturbance.mass,
+        )
+
+
+def state_fault(state: Array, settings: MpcSettings) -> str:
+    """One line naming the first element that cannot be used, its value and its limit, or ""."""
+    most = settings.acceptance.input_max
+    return _fault("state", state, (STATES,), -most, most)
+
+
+def preview_fault(preview: GaitPreview, settings: MpcSettings) -> str:
+    """One line naming the first element that cannot be used, its value and its limit, or ""."""
+    most, stages = settings.acceptance.input_max, settings.horizon
+    return (
+        _fault("preview.dt", preview.dt, (), *settings.acceptance.stage)
+        or _fault("preview.contact", preview.contact, (stages, FEET), 0, 1)
+        or _fault("preview.friction", preview.friction, (stages, FEET), 0, most)
+        or _fault("preview.normal_force", preview.normal_force, (stages, FEET), -most, most)
+        or _fault("preview.reference", preview.reference, (stages, STATES), -most, most)
+    )
+
+
+def _fault(name: str, value: Any, shape: tuple[int, ...], low: float, high: float) -> str:
+    """What is wrong with an input of `shape`; two-dimensional ones may have more rows."""
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        return f"{name}: not numbers"
+    usable = array[: shape[0]].shape if array.ndim == len(shape) == 2 else array.shape
+    if usable != shape:
+        return f"{name}: shape {array.shape}, needs {shape}"
+    inside = (array >= low) & (array <= high)  # NaN is not
+    if inside.all():
+        return ""
+    index = tuple(int(i) for i in np.argwhere(~inside)[0])
+    where = f"[{', '.join(map(str, index))}]" if index else ""
+    return f"{name}{where} = {array[index]:g}: outside [{low:g}, {high:g}]"
+
+
+def _refuse_vague_forces(prediction: Prediction, settings: MpcSettings) -> None:
+    weights, limit = settings.weights, settings.acceptance.condition_max
+    condition = condensed_condition(prediction, weights.q, weights.r, settings.horizon)
+    if not condition <= limit:
+        raise config.ConfigError(
+            f"mpc.yaml: weights.force = {list(weights.force)}: condition number {condition:.1e} "
+            f"of the condensed Hessian exceeds {limit:.1e}, the forces are not unique enough; "
+            "raise weights.force or lower the others"
+        )
+
+
+def read_mpc(profile: str = DEFAULT) -> MpcSettings:
+    """The settings of `config/mpc.yaml`, or of a profile that changes them; raises ConfigError.
+
+    A profile `config/mpc/<name>.yaml` holds, by dotted name, only what it changes.
+    """
+    settings = config.read(MpcSettings, "mpc")
+    if profile == DEFAULT:
+        return settings
+    return config.replace(settings, config.load(f"mpc/{profile}"), f"mpc/{profile}.yaml")

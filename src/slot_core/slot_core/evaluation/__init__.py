@@ -1,1 +1,0 @@
-"""What is learned from runs: bags, metrics, replay, plots and benchmark reports."""

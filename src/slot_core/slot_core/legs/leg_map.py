@@ -1,0 +1,234 @@
+"""Statics of one leg whose clamp is held horizontal: forces and stiffness over angle and height.
+
+Without friction: the floor carries what shape and tendon ask for, whatever the foot did before.
+ The branch is the one that starts at tendon angle zero and follows the angle upward.
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+# ruff: noqa: PLR0917 - kernels take their arguments by position
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from slot_core import config
+from slot_core.compiled import kernel
+from slot_core.config import quantity
+from slot_core.dynamics.contact import press
+from slot_core.dynamics.elimination import couple, eliminate, follow, substitute
+from slot_core.dynamics.integrator import load_leg
+from slot_core.dynamics.model import Model, build_model, leg_space
+from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.robot import Array, Robot, read_robot
+
+COLUMNS = (
+    "theta_deg",
+    "height_m",
+    "force_N",
+    "slope_N_per_rad",
+    "stiffness_N_per_m",
+    "contact_x_m",
+    "tension_N",
+    "foot_m_per_rad",
+    "foot_m_per_m",
+)
+TOLERANCE = 1e-11  # m, last Newton correction of a node
+ITERATIONS = 2000
+# Reciprocal length of a pseudo time step, 1/s, and the correction (m) at which its part is done:
+# first carefully, for the sake of the branch, then as good as Newton's method.
+STAGES = ((20.0, 1e-6), (1e-3, TOLERANCE))
+
+
+@dataclass(frozen=True)
+class LegMapSettings:
+    """The grid of the map."""
+
+    nodes: int = quantity("nodes of the leg", "", 4, 401)
+    angles: int = quantity("from zero to the largest tendon angle", "", 2, 1000)
+    heights: int = quantity("from the lowest to the highest", "", 2, 1000)
+    height_min: float = quantity("lowest clamp", "m", 0.0, 1.0)
+    height_max: float = quantity("highest clamp", "m", 0.0, 1.0)
+    substeps: int = quantity("of the load between two points of the grid", "", 1, 1000)
+
+
+class NoEquilibriumError(RuntimeError):
+    """The iteration for an equilibrium did not converge; the message names the load."""
+
+
+class LegEquilibrium(NamedTuple):
+    """A leg at rest."""
+
+    force: float  # N, vertical, of the floor on the leg
+    slope: float  # N/rad, d force / d angle
+    stiffness: float  # N/m, d force / d height
+    contact_x: float  # m from the clamp, centre of pressure, or the tip where nothing touches
+    tension: float  # N
+    node: Array  # (N, 2) m from the clamp, x and z
+    # How the material on the floor shifts outward with angle (m/rad) and height (m/m), its mean by
+    # pressure; zero where nothing touches. A leg that rolls shifts less than its contact.
+    foot_slope: float = math.nan
+    foot_rise: float = math.nan
+
+
+class StaticLeg:
+    """One leg on a frictionless floor, its clamp held horizontal; remembers its shape."""
+
+    def __init__(self, robot: Robot, nodes: int, scene: str = "flat"):
+        settings = config.replace(
+            read_scene(scene), {"solver.nodes": nodes, "floor.friction": (0.0, 0.0, 0.0, 0.0)}
+        )
+        self.model: Model = build_model(robot, settings, read_servo())
+        self._leg = leg_space(nodes)
+        self._leg.stage[:] = self.model.rod.node
+
+    @property
+    def node(self) -> Array:
+        """(N, 2) present shape, m from the clamp; assign to choose where an iteration starts."""
+        return self._leg.stage.copy()
+
+    @node.setter
+    def node(self, node: Array) -> None:
+        self._leg.stage[:] = node
+
+    def solve(self, angle: float, height: float) -> LegEquilibrium:
+        """LegEquilibrium at a tendon angle (rad) and a clamp height (m), from the present shape.
+
+        Raises NoEquilibriumError.
+        """
+        self._leg.angle[0] = angle
+        for inv, tolerance in STAGES:
+            change = relax(self.model, self._leg, height, inv, tolerance, ITERATIONS)
+        if not change <= TOLERANCE:
+            raise NoEquilibriumError(
+                f"leg at {math.degrees(angle):.3f} deg, {height:.4f} m: a node still moves"
+                f" {change:.1e} m, limit {TOLERANCE:.0e} m"
+            )
+        out = np.zeros(2)
+        pressure(self.model, self._leg, height, out)
+        slope, foot_slope = respond(self.model, self._leg, height, 0.0, 1.0)
+        stiffness, foot_rise = respond(self.model, self._leg, height, 1.0, 0.0)
+        tension = float(self._leg.pull[0])
+        feet = foot_slope, foot_rise
+        return LegEquilibrium(out[0], slope, stiffness, out[1], tension, self.node, *feet)
+
+
+@kernel
+def relax(model, leg, height, inv, tolerance, iterations):
+    """Pseudo time steps of 1/inv from rest at the present shape; returns the last correction, m."""
+    leg.motion[:] = 0.0
+    for i in range(3):
+        for k in range(3):
+            leg.field[k, i] = 1.0 if i == k else 0.0
+        leg.field[3, i] = model.gravity[i]
+    stage, velocity, held = leg.stage, leg.velocity, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    leg.rate[0] = 0.0
+    change = 0.0
+    for _ in range(iterations):
+        velocity[:] = 0.0
+        leg.before[:] = 0.0
+        load_leg(model, leg, 0.0)
+        eliminate(model, leg, inv, (0.0, 0.0, height))
+        couple(model.tendon, leg, inv)
+        substitute(leg, held, inv)
+        change = 0.0
+        for i in range(stage.shape[0]):
+            dx, dz = velocity[i, 0] / inv, velocity[i, 2] / inv
+            stage[i, 0] += dx
+            stage[i, 1] += dz
+            change += dx * dx + dz * dz
+        change = math.sqrt(change)  # a sum, because a maximum could lose a NaN
+        if change <= tolerance:
+            break
+    return change
+
+
+@kernel
+def pressure(model, leg, height, out):
+    """Write out (2,): vertical force of the floor, N, and its centre from the clamp, m."""
+    force = moment = 0.0
+    stage = leg.stage
+    for i in range(model.floor.first, stage.shape[0]):
+        normal = press(model.floor.stiffness[i], 0.0, height + stage[i, 1], 0.0)
+        force += normal
+        moment += normal * stage[i, 0]
+    out[0] = force
+    out[1] = moment / force if force > 0.0 else stage[-1, 0]
+
+
+@kernel
+def respond(model, leg, height, rise, turn):
+    """Change of the floor's force, N, as the clamp rises (m) and the spool turns (rad).
+
+    And how the material on the floor shifts outward, m, weighted by its pressure.
+
+    From the last factorisation of `relax`, hence exact while the same nodes touch the floor.
+    """
+    tendon, F = model.tendon, leg.form
+    stiffness = tendon.stiffness if leg.pull[0] > 0.0 else 0.0
+    pull = F[6, 1] * rise + tendon.spool_radius * turn
+    tension = pull * stiffness / (1.0 - stiffness * F[6, 6])
+    X, q = (0.0, rise, 0.0), (0.0, 0.0, 0.0, tension, 0.0)
+    force = shift = weight = 0.0
+    for i in range(leg.back.shape[0]):
+        X = follow(leg, i, X, q)
+        gap = height + leg.stage[i + 1, 1]
+        if gap < 0.0:
+            force -= model.floor.stiffness[i + 1] * X[1]
+            shift -= model.floor.stiffness[i + 1] * gap * X[0]
+            weight -= model.floor.stiffness[i + 1] * gap
+    return force, shift / weight if weight > 0.0 else 0.0
+
+
+def tabulate(robot: Robot, grid: LegMapSettings) -> Array:
+    """The map, (angles x heights, 9) in the order of `COLUMNS`, angle by angle; SI and degrees."""
+    angles = np.linspace(0.0, robot.tendon.angle_max, grid.angles)
+    heights = np.linspace(grid.height_min, grid.height_max, grid.heights)
+    columns = []
+    resting = StaticLeg(robot, grid.nodes)
+    for height in heights[::-1]:  # lower the slack leg, and pull at each height
+        resting.solve(0.0, height)
+        columns.append(_pull(robot, grid, resting.node, height, angles))
+    return np.stack(columns[::-1], axis=1).reshape(-1, len(COLUMNS))
+
+
+def _pull(robot: Robot, grid: LegMapSettings, node: Array, height: float, angles: Array) -> Array:
+    """(angles, 9) rows of the map at one height, from the shape at angle zero."""
+    leg = StaticLeg(robot, grid.nodes)
+    leg.node = node
+    rows = []
+    for before, angle in zip([0.0, *angles], angles):
+        for between in np.linspace(before, angle, grid.substeps + 1)[1:]:
+            here = leg.solve(between, height)
+        numbers = (here.force, here.slope, here.stiffness, here.contact_x, here.tension)
+        feet = (here.foot_slope, here.foot_rise)
+        rows.append((math.degrees(angle), height, *numbers, *feet))
+    return np.array(rows)
+
+
+def write(path: Path, table: Array) -> None:
+    """Write the map as CSV with a line of names."""
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        writer.writerows([f"{value:.6g}" for value in row] for row in table)
+
+
+def main() -> None:
+    """Command line of `scripts/tabulate_leg`."""
+    parser = argparse.ArgumentParser(prog="tabulate_leg", description=__doc__)
+    default = config.config_dir() / "leg_map.csv"
+    parser.add_argument("--out", type=Path, default=default, help="file (default: %(default)s)")
+    out = parser.parse_args().out
+    write(out, tabulate(read_robot(), config.read(LegMapSettings, "leg_map")))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,244 @@
+"""The paper's model of the leg and of the robot, as printed: the baseline of comparisons.
+
+P: S. Karan, N. Maram, S. Borate, M. Vadali, "Dynamic Modeling and MPC for Locomotion of
+Tendon-Driven Soft Quadruped". S: the scripts its authors published. S fills what P leaves open;
+where S contradicts P, P holds. Numbers: `config/paper.yaml`; geometry and masses: the robot's.
+
+A leg, sections "Single leg dynamic model" to "Node-level dynamic equations", has N nodes
+q_i = (x_i, z_i, theta_i), eq. 1, in its plane: x outward, z above the floor.
+
+    strain    eps_i = (l_i - dx)/dx,  f_i = E A_i eps_i along the segment from node i to i + 1
+    bending   m_i = E I_i/dx (theta_{i+1} - theta_i),  M_i -= m_i,  M_{i+1} += m_i
+    tendon    F_i += T n_i,  M_i -= (h_i/2) T n_{x,i}  on the first two thirds of the nodes
+    floor     F_z = k delta + d ddelta/dt, delta = -z, where z < 0, eq. 2
+    friction  F_x = -mu (m + M/4) g sign(v_x) where z <= 0, eq. 3
+    springs   F = -k_r (r_i - r_{i,0});  damping  F = -c v_i,  M = -c omega_i
+    masses    m_i d2r_i/dt2 = F_i + m_i g,  I_i domega_i/dt = M_i,  I_i = rho A_i dx^2/2
+    step      v += h F/m,  r += h v,  and so for omega and theta;  h = 1e-4 s
+
+How this is read, and what is wrong with it:
+- P names two things theta_i: the direction arctan2(..) of a segment and the state of a node. S
+  integrates the state from zero. No force contains it, so bending does not act on the shape.
+- The bending moments drive neighbours apart. I_i is no moment of inertia: its unit is kg m. With
+  it c h/I is 6 at the tip, where 2 is the limit. The state overflows within 0.1 s of a pull; it is
+  kept as it comes, infinite or not a number, and left out of the check for divergence.
+- P says explicit Euler; S takes the new velocity for the position, as here.
+- P routes the tendon over a virtual pulley (168 deg, 30 mm), S only draws it. S puts the whole
+  tension T on each of the 20 nodes along the normal n_i of the initial shape, so that a leg of
+  39 g is lifted by up to 20 x 64.6 N = 1.3 kN from nowhere. P gives no equation; S is taken.
+- dx = L/(N-1) is below the length of the initial segments: the initial shape is stretched.
+- The base: S holds x_0 and leaves z_0 free, though the node is called fixed.
+- m_i: S averages rho A dx of nodes i - 1 and i. S leaves the last segment without bending; not
+  taken. S has friction of mu m_i g; eq. 3 is taken. S halves all speeds in each step without
+  tension, and drops the tension of a lifted tip; neither is printed, and neither is taken.
+- Contact: the tip is stable while k h^2/m + 2 d h/m < 4, up to h = 4.4e-5 s; the printed step is
+  beyond that, so it lasts only while the tip stays off the floor. The normal force may pull.
+
+The robot, section "SLOT whole-body modeling": only tips touch the floor, each leg moves by itself,
+and its reaction moves the torso, without the gyroscopic term (eq. 4, 5):
+
+    m_c d2p/dt2 = sum F_i,  I_c domega/dt = sum r_i x F_i.
+
+- Nothing goes back: no leg hears of the torso, whose height and the legs' are two things.
+- F_i is read as what a leg exerts: the sum of the forces on node 0. S has the opposite sign for
+  the walk, and for the crawl turns it back together with the drag's. The base is free in z, so the
+  mean of F_z is zero, and x of a leg is felt as a pull of tens of newtons outward.
+- Eq. 5 has no gravity; text and S do. "Damping and restoring forces" on the torso are, from S, a
+  horizontal drag and a vertical spring and damper; relaxed here at the height of the start (S: at
+  -0.175 or -0.15 m, plotted with the sign turned). Yaw, roll and pitch have none. The torso's
+  weight, which this spring carries, is put on the bases of the legs a second time (S).
+- F_i and r_i turn with the torso; P has no word on it, S no rotation.
+- T = (angle/270 deg) 1.5 N m/10 mm (S): no lag, no bound on speed, no tendon length. S multiplies
+  it by 4e-4 (walk) or 1e-4 (crawl) for the robot: `tension_scale`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from slot_core.config import ConfigError
+from slot_core.dynamics.handle import Handle
+from slot_core.dynamics.scene import Scene
+from slot_core.dynamics.servo import ServoSettings
+from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
+from slot_core.paper.kernels import advance_legs, advance_robot
+from slot_core.paper.numbers import (
+    PaperSettings,
+    leg_model,
+    leg_state,
+    read_paper,
+    tension_of,
+    torso_model,
+    torso_state,
+)
+from slot_core.robot import LEGS, Array, Robot
+
+
+class PaperLeg:
+    """One leg on its own: the base slides up and down, and the floor can touch every node.
+
+    It starts at rest in its initial shape. Arrays that the properties return are copies, in the
+    plane of the leg: x outward from the base, z above the floor.
+    """
+
+    def __init__(self, robot: Robot, settings: PaperSettings) -> None:
+        self.settings = settings
+        self.model = leg_model(robot, settings, touching=0, base_load=0.0)
+        self.state = leg_state(self.model, 1)
+        self._machine = Handle((self.model, self.state))
+        self.steps = 0
+
+    def advance(self, steps: int, tension: float) -> None:
+        """Advance `steps` steps of `settings.step` with a tension, N, held.
+
+        Raises Divergence when a speed is not finite or beyond `settings.speed_limit`.
+        """
+        self.state.tension[0] = tension
+        done, lost = advance_legs(self._machine, steps, self.settings.step)
+        self.steps += done
+        if lost >= 0:
+            raise _divergence(self.time, self.settings, f"node {lost}")
+
+    @property
+    def time(self) -> float:
+        """Seconds since the start."""
+        return self.steps * self.settings.step
+
+    @property
+    def nodes(self) -> Array:
+        """(N, 2) m."""
+        return self.state.node[0].copy()
+
+    @property
+    def velocities(self) -> Array:
+        """(N, 2) m/s."""
+        return self.state.velocity[0].copy()
+
+    @property
+    def angles(self) -> Array:
+        """(N,) rad, the angle state; not finite within 0.1 s of the first tension."""
+        return self.state.angle[0].copy()
+
+
+class PaperRobot(SimulatedRobot):
+    """The robot, as `RodRobot` is one; of the scene it takes start, gravity and the outer step.
+
+    Contact and friction are those of the settings, not of the scene's floor. Servo settings are
+    taken for the sake of the signature: tension follows the command at once and without bound.
+
+    Raises ConfigError when the scene's gravity is not along z or when its step is no multiple of
+    `settings.step`; Divergence when settling is unstable, as it is with the printed numbers.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        scene: Scene,
+        servo: ServoSettings,
+        settings: PaperSettings | None = None,
+    ) -> None:
+        self.robot, self.scene = robot, scene
+        self.settings = settings or read_paper()
+        self._pieces = _pieces(scene, self.settings)
+        load = self.settings.weight_share * robot.torso.mass * -_vertical(scene)
+        last = self.settings.nodes - 1
+        self.model = leg_model(robot, self.settings, last, load, -_vertical(scene))
+        self.torso = torso_model(robot, scene, self.settings)
+        self.legs, self.state = leg_state(self.model, 4), torso_state(scene.start.height)
+        self._machine = Handle((self.model, self.legs, self.torso, self.state))
+        self._angle, self._rate = np.zeros(4), np.zeros(4)
+        self._settle()
+
+    def advance(self, steps: int, command: Array) -> None:
+        """Advance `steps` steps of the scene with the commanded tendon angles (4,), rad, held.
+
+        Raises ValueError on a command of the wrong shape, not finite or outside [0, angle_max], and
+        Divergence when a speed is not finite or beyond `settings.speed_limit`.
+        """
+        command = self.checked(command)
+        self._turn_spools(command, steps)
+        h = self.scene.solver.step / self._pieces
+        done, lost = advance_robot(self._machine, steps, self._pieces, h)
+        self.steps += done
+        if lost >= 0:
+            leg, node = divmod(lost, self.settings.nodes)
+            state = self.snapshot() | {"command": command}
+            raise _divergence(self.time, self.settings, f"leg {LEGS[leg]} node {node}", state)
+
+    @property
+    def tendon_angle(self) -> Array:
+        """(4,) rad, the command."""
+        return self._angle.copy()
+
+    @property
+    def tendon_rate(self) -> Array:
+        """(4,) rad/s, over the last step: the command's jump if it was the first with it."""
+        return self._rate.copy()
+
+    @property
+    def tension(self) -> Array:
+        """(4,) N."""
+        return self.legs.tension.copy()
+
+    @property
+    def nodes(self) -> Array:
+        """(4, N, 3) m in odom, base first: below the torso's corners, at the legs' own heights."""
+        out = self._from_corners(self.legs.node[..., 0])
+        out[..., 2] = self.legs.node[..., 1]
+        return out
+
+    @property
+    def ground_force(self) -> Array:
+        """(4, 3) N in odom, what the floor exerts on the tip of each leg now."""
+        z, (vx, vz) = self.legs.node[:, -1, 1], self.legs.velocity[:, -1].T
+        s = self.settings
+        normal = np.where(z < 0.0, -s.contact_stiffness * z - s.contact_damping * vz, 0.0)
+        drag = np.where(z <= 0.0, -self.model.friction * np.sign(vx), 0.0)
+        out = np.einsum("ij,lj,l->li", self.state.rotation, self.robot.outward, drag)
+        out[:, 2] = normal
+        return out
+
+    def _from_corners(self, x: Array) -> Array:
+        """(4, N, 3) m in odom, of distances x (4, N) outward from the torso's corners."""
+        body = self.robot.clamps[:, None] + x[..., None] * self.robot.outward[:, None]
+        return np.asarray(self.state.position + body @ self.state.rotation.T)
+
+    def _turn_spools(self, command: Array, steps: int) -> None:
+        if steps > 0:
+            jump = command - self._angle if steps == 1 else np.zeros(4)
+            self._rate[:] = jump / self.scene.solver.step
+            self._angle[:] = command
+            self.legs.tension[:] = self.settings.tension_scale * tension_of(
+                self.settings, self.robot, command
+            )
+
+
+def _vertical(scene: Scene) -> float:
+    """The scene's gravity along z, m/s^2; raises ConfigError when it has other parts."""
+    x, y, z = scene.gravity
+    if x or y:
+        raise ConfigError(f"gravity = {scene.gravity}: the paper's legs know gravity along z alone")
+    return z
+
+
+def _pieces(scene: Scene, settings: PaperSettings) -> int:
+    """How many steps of the settings make one of the scene."""
+    ratio = scene.solver.step / settings.step
+    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
+        raise ConfigError(f"solver.step = {scene.solver.step}: no multiple of {settings.step} s")
+    return round(ratio)
+
+
+def _divergence(
+    time: float,
+    settings: PaperSettings,
+    place: str,
+    state: Mapping[str, Any] | None = None,
+) -> Divergence:
+    limit = settings.speed_limit
+    return Divergence(
+        f"solution lost at {time:.4f} s: {place} is beyond {limit} m/s or not a number", state
+    )

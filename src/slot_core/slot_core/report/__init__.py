@@ -1,0 +1,1 @@
+"""Reports on runs: metrics, summary, plots and the dynamic constraint map."""

@@ -1,0 +1,205 @@
+"""The Dynamic Constraint Map of a bag: slack of every constraint of the MPC over time.
+
+Out of `/ground_reaction_forces`: for every leg what is left to its least and largest normal force
+and to its friction, and for the whole robot the support that the legs have left and the balance of
+the normal forces, in the first stage of every cycle. Cycles whose forces are not a solution are
+marked. Bags of older message versions lack fields; those are named and left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LinearSegmentedColormap, TwoSlopeNorm
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from slot_core.bags.bag import Bag, BagError
+from slot_core.bags.walk import seconds
+from slot_core.control.mpc.mpc import Status
+from slot_core.report import palette
+from slot_core.robot import LEGS, Array
+
+TOPIC = "/ground_reaction_forces"
+PER_LEG = {
+    "slack_normal_min": "least normal",
+    "slack_normal_max": "largest normal",
+    "slack_friction": "friction",
+}
+WHOLE = {"slack_total": "total support", "slack_balance": "total balance"}
+TOLERANCE = 1e-4  # N: the violation that the MPC accepts of its solver
+COLOURS = LinearSegmentedColormap.from_list(
+    "slack", [(0.0, "#67000d"), (0.4999, "#ef3b2c"), (0.5001, "#f7fcf5"), (1.0, "#1b7837")]
+)
+"""Red as soon as a constraint is violated, pale green where it is met with nothing to spare."""
+CAPACITY = 1600  # columns of the picture; of more cycles each column shows the least slack
+
+
+@dataclass(frozen=True)
+class ConstraintMap:
+    """Slack over n cycles; NaN stands where no slack is defined."""
+
+    name: str  # of the bag
+    time: Array  # (n,) s since the first cycle
+    constraints: tuple[str, ...]
+    slack: Array  # (constraints, n) N, negative is violated
+    status: NDArray[np.uint8]  # (n,) values of `Status`
+    missing: tuple[str, ...]  # fields that the bag's messages lack
+
+    @property
+    def violated(self) -> NDArray[np.bool_]:
+        """(constraints, n) by more than the solver's tolerance."""
+        return self.slack < -TOLERANCE
+
+
+def read_map(bag: Bag) -> ConstraintMap:
+    """The map of a bag; raises BagError when it holds no such messages or none of the slacks."""
+    if not bag.counts.get(TOPIC):
+        raise BagError(f"{bag.path}: {TOPIC} holds no messages")
+    names: list[str] = []
+    rows: list[Array] = []
+    missing: list[str] = []
+    for field, label in (PER_LEG | WHOLE).items():
+        column = _column(bag, field)
+        if column is None:
+            missing.append(field)
+            continue
+        names += [f"{leg} {label}" for leg in LEGS] if field in PER_LEG else [label]
+        rows.append(column.reshape(len(column), -1).T)
+    if not rows:
+        raise BagError(f"{bag.path}: {TOPIC} has none of the fields {', '.join(missing)}")
+    series = bag.series(TOPIC, "status")
+    time = seconds(series.stamp, int(series.stamp[0]))
+    slack = np.concatenate(rows).astype(float)
+    slack[~np.isfinite(slack)] = np.nan  # infinite where nothing is asked for
+    return ConstraintMap(bag.path.name, time, tuple(names), slack, series["status"], tuple(missing))
+
+
+def _column(bag: Bag, field: str) -> NDArray[Any] | None:
+    """The values of a field, None where the messages of this bag do not have it."""
+    try:
+        return bag.series(TOPIC, field)[field]
+    except BagError as error:
+        if f"no field {field}" in str(error):
+            return None
+        raise
+
+
+def summary_lines(found: ConstraintMap) -> list[str]:
+    """Cycles by status, and of each constraint the least slack, when, and how often violated."""
+    lines = [f"{found.name}: {len(found.time)} cycles over {found.time[-1]:.2f} s"]
+    counts = {status.name: int((found.status == status).sum()) for status in Status}
+    lines.append("  ".join(f"{name} {count}" for name, count in counts.items() if count))
+    lines.append(f"{'constraint':<18}{'least slack':>12}{'at':>10}{'violated':>10}")
+    for name, slack, violated in zip(found.constraints, found.slack, found.violated):
+        if np.isnan(slack).all():
+            lines.append(f"{name:<18}{'not asked for':>22}")
+            continue
+        at = int(np.nanargmin(slack))
+        lines.append(
+            f"{name:<18}{slack[at]:10.4f} N{found.time[at]:8.2f} s{int(violated.sum()):10d}"
+        )
+    lines += [f"{field}: not in the messages of this bag" for field in found.missing]
+    return lines
+
+
+def draw_map(found: ConstraintMap, path: Path) -> None:
+    """Write the heat map as a PNG."""
+    figure = map_figure(found)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+
+
+def map_figure(found: ConstraintMap) -> Figure:
+    """Constraints down, time across, and above it the cycles whose forces are not a solution."""
+    figure = Figure(figsize=(14, 1.2 + 0.36 * len(found.constraints)), layout="constrained")
+    FigureCanvasAgg(figure)
+    ax = figure.subplots()
+    edges = _edges(found.time)
+    groups = np.arange(0, len(found.time), -(-len(found.time) // CAPACITY))
+    rows = np.fmin.reduceat(found.slack, groups, axis=1)  # NaN only where all are
+    # The legs set the scale: the support of all of them together would leave them pale.
+    legs = [name not in WHOLE.values() for name in found.constraints]
+    bound = float(np.nanmax(np.abs(rows[legs]), initial=TOLERANCE))
+    times = np.append(edges[groups], edges[-1])
+    shown = np.where((rows < 0) & (rows >= -TOLERANCE), 0.0, rows)
+    mesh = ax.pcolormesh(
+        times, np.arange(len(rows) + 1), shown, cmap=COLOURS,
+        norm=TwoSlopeNorm(0.0, -bound, bound), rasterized=True,
+    )  # fmt: skip
+    figure.colorbar(mesh, ax=ax, label="slack (N), red: violated", pad=0.01, extend="both")
+    _mark(ax, found, edges)
+    _finish(ax, found)
+    return figure
+
+
+def _edges(time: Array) -> Array:
+    """(n + 1,) s, where each cycle begins and the last one ends."""
+    period = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
+    return np.append(time, time[-1] + period)
+
+
+def _mark(ax: Axes, found: ConstraintMap, edges: Array) -> None:
+    """Hatch the spans of cycles that were not SOLVED, each run of them once."""
+    bad = found.status != Status.SOLVED
+    turns = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(int)))
+    for begin, end in turns.reshape(-1, 2):
+        ax.axvspan(
+            edges[begin], edges[end], facecolor="none", edgecolor=palette.INK, hatch="////", lw=0.8
+        )
+
+
+def _finish(ax: Axes, found: ConstraintMap) -> None:
+    ax.set_yticks(np.arange(len(found.constraints)) + 0.5, found.constraints, fontsize=8)
+    ax.invert_yaxis()
+    for row in range(len(LEGS), len(found.constraints), len(LEGS)):
+        ax.axhline(row, color=palette.INK, lw=0.8)
+    ax.set_facecolor(palette.SHADE)  # where nothing is asked for
+    ax.set(xlabel="time (s)")
+    bad = int((found.status != Status.SOLVED).sum())
+    violated = int(found.violated.any(axis=0).sum())
+    ax.set_title(
+        f"Dynamic Constraint Map, {found.name}: {len(found.time)} cycles, "
+        f"{violated} with a violation, {bad} not solved",
+        loc="left", fontsize=10,
+    )  # fmt: skip
+    hatched = Patch(facecolor="none", edgecolor=palette.INK, hatch="////", label="not solved")
+    grey = Patch(facecolor=palette.SHADE, edgecolor=palette.INK, label="not asked for")
+    ax.legend(
+        handles=[hatched, grey], ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0),
+        fontsize=8, frameon=False,
+    )  # fmt: skip
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line of `scripts/constraint_map`; the exit code is 1 where something is violated."""
+    parser = argparse.ArgumentParser(
+        prog="scripts/constraint_map", description="Draws the Dynamic Constraint Map of a bag."
+    )
+    parser.add_argument("bag", type=Path, help="directory of a bag, or its .mcap file")
+    parser.add_argument("--out", type=Path, metavar="PNG", help="default: BAG_constraints.png")
+    options = parser.parse_args(arguments)
+    out = options.out or options.bag.with_name(f"{options.bag.stem}_constraints.png")
+    try:
+        found = read_map(Bag(options.bag))
+        draw_map(found, out)
+    except (BagError, OSError) as error:
+        print(f"scripts/constraint_map: {error}", file=sys.stderr)
+        return 2
+    for line in summary_lines(found):
+        print(line)
+    print(out)
+    return 1 if found.violated.any() else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,187 @@
+"""Figures of a walk, out of its bag."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slot_core.bags.bag import Bag, BagError
+from slot_core.bags.walk import (
+    STAGES,
+    Motion,
+    joint_columns,
+    read_motion,
+    read_ticks,
+    seconds,
+    turn,
+)
+from slot_core.robot import LEGS, Array
+
+SOLVED = 0  # GroundReactionForces.SOLVED
+ODOMETRY_REJECTED = 2  # MpcState.ODOMETRY_REJECTED
+NOT_KNOWN = (math.nan,) * len(LEGS)
+
+
+@dataclass(frozen=True)
+class Latency:
+    """Distribution of one latency, s; NaN where nothing was measured."""
+
+    count: int
+    p50: float
+    p99: float
+    max: float
+
+
+@dataclass(frozen=True)
+class WalkMetrics:
+    """Figures of one walk after the warm-up; None or NaN: the bag does not hold what it takes.
+
+    The line that drift is measured from starts where the warm-up ends and points along the heading
+    that the robot had at the start of the bag.
+    """
+
+    source: str  # topic of the motion: ground truth if it was recorded
+    warm_up: float  # s left out
+    duration: float  # s, graph time
+    distance: float  # m, horizontal, from the first to the last position
+    mean_v_x: float  # m/s along the momentary heading
+    mean_v_y: float  # m/s left of it
+    height_mean: float  # m, of base_link
+    height_std: float  # m
+    tilt_rms: float  # rad, angle between body z and world z
+    tilt_max: float  # rad
+    lateral_drift_max: float  # m, largest distance from the line
+    lateral_drift_end: float  # m, last distance from the line, left positive
+    yaw_drift: float  # rad, last yaw less the heading of the line
+    period: float  # s, control period
+    ticks: int  # odometries that were to be answered
+    deadline_misses: int  # ticks answered later than one period after the odometry, or never
+    unanswered: int  # of these: never
+    missed_ticks: int  # odometries that never came: gaps in the stamps
+    stages: dict[str, Latency]  # by node
+    end_to_end: Latency
+    real_time_factor: float  # graph time over wall time
+    fallback_cycles: int | None  # MPC cycles without a solution of their own
+    longest_fallback: int | None  # consecutive ones
+    violation_max: float  # N, largest constraint violation
+    saturated: tuple[float, ...]  # fraction of cycles, per leg: the map met an angle limit
+    rejected_odometry: int | None
+    servo_saturated: tuple[float, ...]  # fraction of samples, per leg: torque at its limit
+
+
+def walk_metrics(bag: Bag, warm_up: float, torque_limit: float) -> WalkMetrics:
+    """Compute the figures of a walk.
+
+    `warm_up` is the time left out at the start, s of graph time; `torque_limit` the torque that a
+    servo counts as saturated at, N m. Raises BagError when less than two samples are left.
+    """
+    whole = read_motion(bag)
+    start = whole.t[0] + warm_up
+    motion = whole.after(start)
+    if len(motion.t) < 2:
+        span = whole.t[-1] - whole.t[0]
+        raise BagError(f"{bag.path}: holds {span:.1f} s, the warm-up leaves out {warm_up:.1f} s")
+    return WalkMetrics(
+        source=motion.source,
+        warm_up=warm_up,
+        **_progress(motion),
+        **_drift(whole, motion),
+        **_timing(bag, start),
+        **_control(bag, start),
+        servo_saturated=_servo_saturation(bag, start, torque_limit),
+    )
+
+
+def latency(values: Array) -> Latency:
+    """Percentiles of latencies in s; NaN entries do not count."""
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return Latency(0, math.nan, math.nan, math.nan)
+    p50, p99 = np.percentile(values, [50, 99])
+    return Latency(len(values), float(p50), float(p99), float(values.max()))
+
+
+def _progress(motion: Motion) -> dict[str, Any]:
+    duration = float(motion.t[-1] - motion.t[0])
+    steps = np.diff(motion.position[:, :2], axis=0)
+    middle = (motion.rpy[1:, 2] + motion.rpy[:-1, 2]) / 2
+    forward, left = turn(steps, -middle).sum(axis=0) / duration
+    height = motion.position[:, 2]
+    return {
+        "duration": duration,
+        "distance": float(np.linalg.norm(steps.sum(axis=0))),
+        "mean_v_x": float(forward),
+        "mean_v_y": float(left),
+        "height_mean": float(height.mean()),
+        "height_std": float(height.std()),
+        "tilt_rms": math.sqrt(float(np.mean(motion.tilt**2))),
+        "tilt_max": float(motion.tilt.max()),
+    }
+
+
+def _drift(whole: Motion, motion: Motion) -> dict[str, Any]:
+    heading, yaw = whole.rpy[[0, -1], 2]
+    across = turn(motion.position[:, :2] - motion.position[0, :2], -heading)[:, 1]
+    return {
+        "lateral_drift_max": float(np.abs(across).max()),
+        "lateral_drift_end": float(across[-1]),
+        "yaw_drift": float(yaw - heading),
+    }
+
+
+def _timing(bag: Bag, start: float) -> dict[str, Any]:
+    ticks = read_ticks(bag).after(start)
+    answered = np.isfinite(ticks.time[:, -1])
+    # A tick is judged only if recording went on for a period after it, or its command is there.
+    due = answered | (ticks.time[:, 0] + ticks.period <= ticks.end)
+    late = answered & (ticks.end_to_end > ticks.period)
+    wall = np.ptp(ticks.time[:, 0]) if len(ticks.stamp) else 0.0
+    gaps = np.rint(np.diff(ticks.stamp) / ticks.period).astype(int) - 1
+    return {
+        "period": ticks.period,
+        "ticks": int(due.sum()),
+        "deadline_misses": int(late.sum() + (due & ~answered).sum()),
+        "unanswered": int((due & ~answered).sum()),
+        "missed_ticks": int(gaps.clip(min=0).sum()),
+        "stages": {name: latency(ticks.latency[:, i]) for i, name in enumerate(STAGES)},
+        "end_to_end": latency(ticks.end_to_end),
+        "real_time_factor": float(np.ptp(ticks.stamp) / wall) if wall > 0 else math.nan,
+    }
+
+
+def _control(bag: Bag, start: float) -> dict[str, Any]:
+    solves = _after(bag, start, "/ground_reaction_forces", "status", "violation", "fallback_cycles")
+    states = _after(bag, start, "/mpc_state", "validity")
+    maps = _after(bag, start, "/force_map/status", "saturated")
+    rejected = states and int(np.sum(states["validity"] == ODOMETRY_REJECTED))
+    return {
+        "fallback_cycles": solves and int(np.sum(solves["status"] != SOLVED)),
+        "longest_fallback": solves and int(solves["fallback_cycles"].max()),
+        "violation_max": float(solves["violation"].max()) if solves else math.nan,
+        "saturated": _fraction(maps["saturated"]) if maps else NOT_KNOWN,
+        "rejected_odometry": rejected,
+    }
+
+
+def _servo_saturation(bag: Bag, start: float, torque_limit: float) -> tuple[float, ...]:
+    if not bag.counts.get("/joint_states"):
+        return NOT_KNOWN
+    t, torque = joint_columns(bag, "/joint_states", "effort")
+    return _fraction(np.abs(torque[t >= start]) >= torque_limit)
+
+
+def _after(bag: Bag, start: float, topic: str, *fields: str) -> dict[str, Array] | None:
+    """Fields of a topic at or after graph time `start`; None where there are no messages."""
+    if topic not in bag.topics:
+        return None
+    series = bag.series(topic, *fields)
+    keep = seconds(series.stamp) >= start
+    return {field: series[field][keep] for field in fields} if keep.any() else None
+
+
+def _fraction(flags: NDArray[Any]) -> tuple[float, ...]:
+    return tuple(float(f) for f in flags.mean(axis=0)) if len(flags) else NOT_KNOWN

@@ -1,0 +1,119 @@
+"""The pictures of a walk: one dashboard, and a strip of stills."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure, FigureBase
+
+from slot_core.bags.bag import Bag, BagError
+from slot_core.bags.walk import read_motion, read_ticks, seconds, stride_period
+from slot_core.report import panels
+from slot_core.report.metrics import WalkMetrics
+from slot_core.report.picture import FORCE_SCALE, Camera, Pose, draw_robot
+from slot_core.robot import LEGS, Array, read_robot
+
+DPI = 100
+LEG_STATES = "/ground_truth/legs"
+
+
+def dashboard(bag: Bag, metrics: WalkMetrics, path: Path) -> None:
+    """Write the dashboard of a walk as a PNG of 1600 x 1000 pixels; raises BagError."""
+    _save(dashboard_figure(bag, metrics), path)
+
+
+def dashboard_figure(bag: Bag, metrics: WalkMetrics) -> Figure:
+    """The dashboard; every axes has the name of its panel as its label."""
+    figure = _figure(16.0, 10.0)
+    figure.suptitle(f"{bag.path.name}", fontsize=14, fontweight="bold")
+    columns: Any = figure.subfigures(1, 3, wspace=0.03)
+    left, middle, right = columns
+    motion = read_motion(bag)
+    path, height, speed, tilt = _stack(left, ("path", "height", "speed", "tilt"), (1.3, 1, 1, 1))
+    panels.draw_path(path, motion, motion.after(motion.t[0] + metrics.warm_up))
+    panels.draw_height(height, motion, metrics.warm_up)
+    panels.draw_speed(speed, motion, stride_period(bag), metrics.warm_up)
+    panels.draw_tilt(tilt, motion, metrics.warm_up)
+
+    names = [f"{kind} {leg}" for kind in ("angle", "force") for leg in LEGS]
+    axes = _stack(middle, names, (1.0,) * len(names))
+    panels.draw_angles(axes[:4], bag, motion.t[0], motion.t[-1])
+    panels.draw_forces(axes[4:], bag, motion.t[0], motion.t[-1])
+
+    latency, slack, summary = _stack(right, ("latency", "slack", "summary"), (1.0, 1.3, 1.7))
+    panels.draw_latency(latency, read_ticks(bag).after(motion.t[0] + metrics.warm_up))
+    panels.draw_slack(slack, bag, motion.t[0])
+    panels.draw_summary(summary, metrics)
+    return figure
+
+
+def filmstrip(bag: Bag, path: Path, stills: int = 5) -> None:
+    """Write a PNG with stills of the robot over the walk, each at another phase of the stride.
+
+    Raises BagError when the bag holds no leg shapes (only the simulator knows them).
+    """
+    _save(filmstrip_figure(bag, stills), path)
+
+
+def filmstrip_figure(bag: Bag, stills: int) -> Figure:
+    """The strip; its axes are the stills in the order of time."""
+    poses = read_poses(bag, still_times(bag, stills))
+    figure = _figure(3.6 * stills, 2.2)
+    robot, camera = read_robot(), Camera()
+    for i, pose in enumerate(poses):
+        ax = figure.add_subplot(1, stills, i + 1, label=f"still {i}")
+        draw_robot(ax, pose, robot, camera)
+        ax.set_title(f"{pose.t:.1f} s", fontsize=11)
+    figure.supxlabel(f"arrows: force of the ground, {1e-2 / FORCE_SCALE:.2f} N per cm", fontsize=9)
+    return figure
+
+
+def still_times(bag: Bag, stills: int) -> Array:
+    """(stills,) s of graph time: even over the walk, moved to the phases k / stills of a stride."""
+    t = seconds(bag.series(LEG_STATES).stamp)
+    if not len(t):
+        raise BagError(f"{bag.path}: {LEG_STATES} holds no messages")
+    times = np.linspace(t[0], t[-1], stills)
+    period = stride_period(bag)
+    if period is None or t[-1] - t[0] < stills * period:
+        return times
+    phase = np.arange(stills) / stills
+    last = (t[-1] - t[0]) / period - phase[-1]  # stride that the last still may begin in
+    strides = np.floor(np.linspace(0.0, last, stills))
+    return t[0] + (strides + phase) * period
+
+
+def read_poses(bag: Bag, times: Array) -> list[Pose]:
+    """The robot at the recorded leg states nearest to `times` (s of graph time)."""
+    legs = bag.series(LEG_STATES, "nodes", "position", "ground_force")
+    motion = read_motion(bag)
+    t = seconds(legs.stamp)
+    poses = []
+    for time in times:
+        k = int(np.abs(t - time).argmin())
+        m = int(np.abs(motion.t - t[k]).argmin())
+        nodes = legs["position"][k].reshape(len(LEGS), int(legs["nodes"][k]), 3).astype(float)
+        pose = (motion.position[m], motion.quaternion[m], nodes, legs["ground_force"][k])
+        poses.append(Pose(float(t[k] - motion.t[0]), *pose))
+    return poses
+
+
+def _stack(figure: FigureBase, names: Sequence[str], heights: Sequence[float]) -> list[Axes]:
+    grid = figure.add_gridspec(len(names), 1, height_ratios=heights)
+    return [figure.add_subplot(grid[i], label=name) for i, name in enumerate(names)]
+
+
+def _figure(width: float, height: float) -> Figure:
+    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _save(figure: Figure, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=DPI)

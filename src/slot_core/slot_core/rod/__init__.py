@@ -1,0 +1,1 @@
+"""The public Cosserat rod: statics, vibration and motion, for use without the robot."""

@@ -1,0 +1,1 @@
+"""What may stop the robot: supervisor, conditions, command gate, watchdogs."""

@@ -1,0 +1,146 @@
+"""Whether a tendon is slack or broken, from the load on its servo against its angle.
+
+The tabulated leg (`config/leg_map.csv`) says which torque tau_0(theta, h) holds a leg at tendon
+angle theta with its clamp at height h. A tendon longer by s behaves like a spool turned back by
+s / r, so to first order the mean over a stride of
+
+    tau_0 - tau = (s / r) d tau_0 / d theta
+
+gives s. The mean over a whole stride takes out what the statics do not know: inertia, damping and
+the change of sides of the friction. A spoiled tendon loads and unloads its neighbours, so that the
+leg with the largest slack is named, and another only if its slack is a good part of that.
+
+What it cannot see: a tendon whose angle asks for hardly any tension (below some 20 deg), and a leg
+that is lifted by hand where the height says it stands.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
+
+from slot_core.clock import SECOND
+from slot_core.leg_table import LegTable, read_leg_table
+from slot_core.robot import LEGS, Array, Robot
+from slot_core.safety.settings import TendonLimits
+
+
+class TendonLoad:
+    """Torque that holds a leg, and its slope, bilinear in tendon angle and clamp height."""
+
+    def __init__(self, statics: LegTable, spool_radius: float):
+        """`statics` with the one column of tension (N)."""
+        torque = statics.table[..., 0] * spool_radius
+        slope = np.gradient(torque, statics.angle, axis=0)
+        self._low = np.array([statics.angle[0], statics.height[0]])
+        self._high = np.array([statics.angle[-1], statics.height[-1]])
+        both = np.stack([torque, slope], axis=-1)
+        self._interpolate = RegularGridInterpolator((statics.angle, statics.height), both)
+
+    def __call__(self, angle: Array, height: Array) -> tuple[Array, Array]:
+        """N m and N m/rad at angles (n,), rad, and heights (n,), m; at the edge beyond the map."""
+        points = np.clip(np.column_stack([angle, height]), self._low, self._high)
+        both = self._interpolate(points)
+        return both[:, 0], both[:, 1]
+
+
+@dataclass(frozen=True)
+class TendonReport:
+    """What the loads of the last stride say; legs in the order of LEGS."""
+
+    slack: Array  # (4,) m, NaN before the first stride
+    spoiled: NDArray[np.bool_]  # (4,) since the last reset
+    message: str  # one line for the legs that are spoiled, or ""
+
+
+class TendonWatch:
+    """Means over a stride of what the servos carry and what they should carry."""
+
+    def __init__(self, load: TendonLoad, spool_radius: float, limits: TendonLimits):
+        self._load, self._radius, self._limits = load, spool_radius, limits
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything, the alarms too."""
+        self._spoiled = np.zeros(len(LEGS), dtype=bool)
+        self._named: dict[str, float] = {}  # m, slack at which a leg was named
+        self.pause()
+
+    def pause(self) -> None:
+        """Forget the readings: those that follow belong to another motion."""
+        self._stamps: deque[int] = deque()
+        self._rows: deque[Array] = deque()
+        self._slack = np.full(len(LEGS), np.nan)
+        self._over_since: int | None = None
+
+    def observe(
+        self, stamp: int, angle: Array, torque: Array, height: Array, stride: float
+    ) -> TendonReport:
+        """Take a reading of the servos at `stamp` (ns): (4,) rad, (4,) N m, clamps at (4,) m.
+
+        `stride` (s) is the period of the gait. Readings that are not finite or not newer are left
+        out.
+        """
+        values = np.array([angle, torque, height], dtype=np.float64)
+        if not np.isfinite(values).all() or (self._stamps and stamp <= self._stamps[-1]):
+            return self.state
+        if self._stamps and stamp - self._stamps[-1] > self._limits.sample_gap * SECOND:
+            self.pause()
+        should, slope = self._load(values[0], values[2])
+        self._keep(stamp, np.array([should - values[1], slope]))
+        window = max(stride, self._limits.window_min)
+        if self._trim(stamp, window):
+            self._judge(stamp)
+        return self.state
+
+    @property
+    def state(self) -> TendonReport:
+        """What is known now."""
+        return TendonReport(self._slack.copy(), self._spoiled.copy(), self._message())
+
+    def _keep(self, stamp: int, row: Array) -> None:
+        self._stamps.append(stamp)
+        self._rows.append(row)
+
+    def _trim(self, stamp: int, window: float) -> bool:
+        """Drop what is older than the window; whether the readings fill it."""
+        full = False
+        while stamp - self._stamps[0] >= window * SECOND:
+            self._stamps.popleft()
+            self._rows.popleft()
+            full = True
+        return full
+
+    def _judge(self, stamp: int) -> None:
+        missing, slope = np.mean(np.array(self._rows), axis=0)
+        self._slack = self._radius * missing / np.maximum(slope, self._limits.stiffness_min)
+        over = self._slack > self._limits.slack_max
+        if not over.any():
+            self._over_since = None
+            return
+        if self._over_since is None:
+            self._over_since = stamp
+        if stamp - self._over_since < self._limits.confirm * SECOND:
+            return
+        blamed = over & (self._slack >= self._limits.share * self._slack.max())
+        for leg in np.flatnonzero(blamed & ~self._spoiled):
+            self._named[LEGS[leg]] = float(self._slack[leg])
+        self._spoiled = self._spoiled | blamed
+
+    def _message(self) -> str:
+        """Names, values and limit."""
+        if not self._named:
+            return ""
+        limit = 1e3 * self._limits.slack_max
+        legs = ", ".join(f"{leg} ({1e3 * slack:.1f} mm)" for leg, slack in self._named.items())
+        return f"slack or broken tendon {legs}, limit {limit:.1f} mm"
+
+
+def read_tendon_watch(robot: Robot, limits: TendonLimits) -> TendonWatch:
+    """The watch over the robot's tendons; raises ConfigError without the table of the leg."""
+    radius = robot.tendon.spool_radius
+    return TendonWatch(TendonLoad(read_leg_table(("tension_N",)), radius), radius, limits)

@@ -1,0 +1,1 @@
+"""What stands in for the hardware: simulated robots, their sensors and their servos."""

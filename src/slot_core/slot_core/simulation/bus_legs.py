@@ -1,0 +1,68 @@
+"""Emulated servos behind the tendons of a simulated robot: angles and torques as the tendons'."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from slot_core.dynamixel.checks import expected
+from slot_core.dynamixel.joints import joints
+from slot_core.dynamixel.settings import DynamixelSettings
+from slot_core.emulator.emulated_bus import EmulatedBus, EmulatorSettings
+from slot_core.robot import Array
+
+
+class EmulatedLegs:
+    """A bus of servos that are set up as `settings` wants them, at given tendon angles (rad)."""
+
+    def __init__(
+        self,
+        settings: DynamixelSettings,
+        emulator: EmulatorSettings,
+        angles: Sequence[float] | Array = (0.0,) * 4,
+    ) -> None:
+        self.joints = joints(settings.joints)
+        turned = [
+            joint.zero + joint.direction * joint.ratio * float(angle)
+            for joint, angle in zip(self.joints, angles)
+        ]
+        self.bus = EmulatedBus(emulator, settings.joints.ids, turned)
+        for joint, servo in zip(self.joints, self.bus.servos):
+            for name, value in expected(settings, joint).items():
+                servo.memory[name] = value
+            servo.reboot()
+            servo.advance(emulator.servo.boot_time, 0.0)
+
+    def advance(self, dt: float, torques: Sequence[float] | Array = (0.0,) * 4) -> Array:
+        """Let dt s pass; torques (4,) of the tendons on their spools, N m; returns `angles`."""
+        loads = [joint.servo_torque(float(t)) for joint, t in zip(self.joints, torques)]
+        self.bus.advance(dt, loads)
+        return self.angles()
+
+    def angles(self) -> Array:
+        """Tendon angles (4,), rad, exactly: not through the encoder."""
+        return np.array(
+            [
+                (servo.shaft.angle - joint.zero) / (joint.direction * joint.ratio)
+                for joint, servo in zip(self.joints, self.bus.servos)
+            ]
+        )
+
+    def rates(self) -> Array:
+        """Rates of the tendon angles (4,), rad/s."""
+        return np.array(
+            [
+                servo.shaft.speed / (joint.direction * joint.ratio)
+                for joint, servo in zip(self.joints, self.bus.servos)
+            ]
+        )
+
+    def torques(self) -> Array:
+        """Torques of the motors on the tendons' angles (4,), N m."""
+        return np.array(
+            [
+                joint.tendon_torque(servo.shaft.torque)
+                for joint, servo in zip(self.joints, self.bus.servos)
+            ]
+        )

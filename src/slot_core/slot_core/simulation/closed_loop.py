@@ -1,0 +1,71 @@
+"""Controller and simulated robot in one process: what the graph does in lockstep, without ROS."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+
+import numpy as np
+
+from slot_core import config
+from slot_core.control.controller import Controller, Tick
+from slot_core.control.mpc.mpc import DEFAULT, read_mpc
+from slot_core.dynamics.scene import Scene, read_scene
+from slot_core.dynamics.servo import ServoSettings, read_servo
+from slot_core.robot import Array, Robot, read_robot
+from slot_core.simulation.plant import Plant, Reading
+from slot_core.simulation.sensors import ImuReading, OdometryReading
+
+PlantMaker = Callable[[Robot, Scene, ServoSettings, np.random.Generator], Plant]
+START = 1_000_000_000  # ns; a stamp of zero means "no time" in ROS
+
+
+class ClosedLoop:
+    """A robot in a scene that walks under the controller.
+
+    Same configuration, scene, gait, velocity [v_x, v_y, yaw rate] and seed: the same to the last
+    bit, and the same as the graph in lockstep.
+    """
+
+    def __init__(
+        self,
+        scene: str,
+        gait: str,
+        velocity: Array | None,
+        seed: int,
+        profile: str = DEFAULT,
+        *,
+        make: PlantMaker = Plant,
+    ):
+        """Stand in the scene; raises ConfigError when an argument or the configuration is bad.
+
+        `profile` of the MPC: a file of config/mpc, or the default; `make` builds the plant.
+        """
+        robot = read_robot()
+        mpc = config.replace(read_mpc(profile), {"acceptance.time_budget": math.inf})
+        self.controller = Controller(robot, mpc, lambda: 0.0, gait, velocity)
+        self.plant = make(robot, read_scene(scene), read_servo(), np.random.default_rng(seed))
+
+    def run(self, ticks: int) -> Iterator[Tick]:
+        """Hand out each tick once its command is in force; then the plant goes on to the next.
+
+        Raises Divergence when the simulation is lost.
+        """
+        self._read(self.plant.present(START))
+        self.plant.start(START)
+        for _ in range(ticks):
+            tick = self.controller.poll()
+            if tick is None:
+                raise RuntimeError(f"no state at {self.plant.now} ns: the odometry was not usable")
+            self.plant.command(tick.command.angle)
+            yield tick
+            self._read(self.plant.advance_to_odometry())
+
+    def _read(self, readings: Iterable[Reading]) -> None:
+        for r in readings:
+            if isinstance(r, ImuReading):
+                self.controller.estimator.add_imu(r.stamp, r.angular_velocity, r.specific_force)
+            elif isinstance(r, OdometryReading):
+                self.controller.estimator.add_odometry(
+                    r.stamp, r.position, r.quaternion, r.velocity, r.angular_velocity
+                )

@@ -1,0 +1,61 @@
+"""What robots on the shared mechanics have in common: pushes, spoilt tendons, spools, counters."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slot_core.dynamics.model import MechanicalState, Model, Work
+from slot_core.dynamics.simulated_robot import SimulatedRobot
+from slot_core.robot import Array
+
+
+class KernelRobot(SimulatedRobot):
+    """A robot whose kernels work on a `Model`, a `MechanicalState` and a `Work`."""
+
+    model: Model
+    state: MechanicalState
+    _work: Work
+
+    def push(self, force: Array, moment: Array) -> None:
+        """Add an outer force (3,), N, and moment (3,), N m, on the torso's centre, in odom.
+
+        They act from now on; adding the opposite ends that. Raises ValueError unless all is finite.
+        """
+        push = np.array([*force, *moment], dtype=float)
+        if push.shape != (6,) or not np.isfinite(push).all():
+            raise ValueError(f"a push is a finite force (3,) and moment (3,), not {push}")
+        self.model.push[:] += push
+
+    def spoil_tendon(self, leg: int, slack: float = 0.0, broken: bool = False) -> None:
+        """From now on the tendon of leg 0 .. 3 is longer by `slack` (m), or broken.
+
+        Raises ValueError on another leg or a slack that is negative or not finite.
+        """
+        if leg not in range(4) or not 0.0 <= slack < np.inf:
+            raise ValueError(f"leg {leg} must be 0 to 3, slack {slack} m not negative and finite")
+        self.model.fault[:, leg] = slack, not broken
+
+    @property
+    def halvings(self) -> int:
+        """How often a step was taken again in pieces half as long."""
+        return int(self._work.counter[0])
+
+    @property
+    def indefinite_steps(self) -> int:
+        """Steps in which a pivot was not positive: a sign of a fold or of too large a step."""
+        return int(self._work.counter[1])
+
+    @property
+    def tendon_angle(self) -> Array:
+        """(4,) rad, angle of the spools."""
+        return self.state.tendon_angle.copy()
+
+    @property
+    def tendon_rate(self) -> Array:
+        """(4,) rad/s, over the last step."""
+        return self.state.tendon_rate.copy()
+
+    @property
+    def tension(self) -> Array:
+        """(4,) N, of the tendons, at the stage of the last step."""
+        return self.state.tension.copy()

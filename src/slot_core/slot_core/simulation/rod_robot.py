@@ -1,0 +1,130 @@
+"""The simulated robot: torso, four legs, tendons and servos on the floor of a scene."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from slot_core.dynamics import integrator, observe
+from slot_core.dynamics.handle import Handle
+from slot_core.dynamics.model import (
+    build_model,
+    build_scheme,
+    leg_lanes,
+    rest_state,
+    state_space,
+    work_space,
+)
+from slot_core.dynamics.rod import segments
+from slot_core.dynamics.scene import Scene
+from slot_core.dynamics.servo import ServoSettings
+from slot_core.dynamics.simulated_robot import Divergence
+from slot_core.robot import LEGS, Array, Robot
+from slot_core.simulation.kernel_robot import KernelRobot
+
+
+class RodRobot(KernelRobot):
+    """The robot on legs that are rods (`integrator.py`).
+
+    It starts with natural legs and slack tendons at `scene.start`, settles there under a constant
+    command, and only then counts time from zero. Equal inputs give equal results to the last bit.
+    """
+
+    def __init__(self, robot: Robot, scene: Scene, servo: ServoSettings) -> None:
+        self.robot = robot
+        self.scene = scene
+        self.model = build_model(robot, scene, servo)
+        self.state = rest_state(self.model, scene.start.height)
+        self._legs = leg_lanes(self.model, self.state)
+        self._work = work_space()
+        self._segments = segments(scene.solver.nodes)
+        bristles = self.model.floor.bristle > 0.0
+        self._start = state_space(scene.solver.nodes, bristles)
+        scheme = build_scheme(scene.solver, self.model.floor)
+        parts = (self.model, self.state, self._work, self._start, self._legs)
+        self._machine = Handle((*parts, scheme))
+        self._points = np.zeros((2, 4, scene.solver.nodes, 3))
+        self._settle()
+
+    def advance(self, steps: int, command: Array) -> None:
+        """Advance `steps` steps with the commanded tendon angles (4,), rad, held.
+
+        Raises ValueError on a command of the wrong shape, not finite or outside [0, angle_max], and
+        Divergence when a speed is not finite or beyond `scene.solver.speed_limit`.
+        """
+        command = self.checked(command)
+        self._legs.command[0] = command
+        done, where = integrator.advance(self._machine, steps)
+        self.steps += done
+        if where >= 0:
+            raise Divergence(self._explain(where), self.snapshot() | {"command": command})
+
+    def set_motion(self, velocity: Array, angular_velocity: Array) -> None:
+        """Let the whole robot move rigidly: (3,) m/s in odom, (3,) rad/s in base_link."""
+        self.state.velocity[:] = velocity
+        self.state.rate[:] = angular_velocity
+        arm = np.einsum("ij,lnj->lni", self.state.rotation.T, self.nodes - self.position)
+        body = self.state.rotation.T @ velocity + np.cross(angular_velocity, arm)
+        self.state.node_velocity[:] = np.einsum("lij,lnj->lni", self.model.axes, body)
+
+    def spoil_node(self, leg: int) -> None:
+        """Let the tip of leg 0 .. 3 be nowhere (NaN), as a lost solution has it."""
+        self.state.node[leg, -1] = np.nan
+
+    def snapshot(self) -> dict[str, Any]:
+        """That of every robot, the nodes' velocities, and as `before_..` the last step's begin."""
+        before = self._start
+        nodes, node_velocity = np.zeros_like(self._points)
+        observe.points(self.model, before, nodes, node_velocity)
+        return super().snapshot() | {
+            "unconverged_steps": self.unconverged_steps,
+            "node_velocity": self._observe()[1].copy(),
+            "before_nodes": nodes,
+            "before_node_velocity": node_velocity,
+            "before_position": before.position.copy(),
+            "before_rotation": before.rotation.copy(),
+            "before_velocity": before.velocity.copy(),
+            "before_angular_velocity": before.rate.copy(),
+            "before_tendon_angle": before.tendon_angle.copy(),
+        }
+
+    @property
+    def unconverged_steps(self) -> int:
+        """Steps that ran out of halvings and were accepted with too large a correction."""
+        return int(self._work.counter[2])
+
+    @property
+    def nodes(self) -> Array:
+        """(4, N, 3) m, nodes of the legs in odom, clamp first."""
+        return self._observe()[0].copy()
+
+    @property
+    def ground_force(self) -> Array:
+        """(4, 3) N in odom, what the floor exerts on each leg now."""
+        force = np.zeros((4, 3))
+        observe.ground_forces(self.model, self.state, *self._observe(), force)
+        return force
+
+    def momentum(self) -> tuple[Array, Array]:
+        """(3,) kg m/s and (3,) kg m^2/s about odom's origin, in odom."""
+        out = np.zeros((2, 3))
+        observe.momenta(self.model, self.state, *self._observe(), out)
+        return out[0], out[1]
+
+    def energy(self) -> float:
+        """J: kinetic, gravity (zero at odom's origin), rods, cables, floor and bristles."""
+        return float(observe.energy(self.model, self.state, self._segments, *self._observe()))
+
+    def _observe(self) -> tuple[Array, Array]:
+        observe.points(self.model, self.state, self._points[0], self._points[1])
+        return self._points[0], self._points[1]
+
+    def _explain(self, where: int) -> str:
+        leg, node = divmod(where - 1, self.scene.solver.nodes)
+        place = f"leg {LEGS[leg]} node {node}" if where else "torso"
+        limit = self.scene.solver.speed_limit
+        return (
+            f"solution lost in step {self.steps + 1} at {self.time:.4f} s: {place} is beyond"
+            f" {limit} m/s or not a number"
+        )

@@ -1,0 +1,297 @@
+"""One step of the torso on tabulated legs; `tabulated_robot.py` gives the equations."""
+
+# mypy: disable-error-code="no-untyped-def"
+# ruff: noqa: PLR0917 - kernels take their arguments by position
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from slot_core.compiled import helper, kernel
+from slot_core.dynamics.algebra import solve, times
+from slot_core.dynamics.contact import bend, coefficient, grip, tangential
+from slot_core.dynamics.handle import contents
+from slot_core.dynamics.integrator import (
+    bend_corners,
+    finish_rate,
+    finish_torso,
+    predict_torso,
+    start_torso,
+)
+from slot_core.dynamics.servo import turn
+from slot_core.dynamics.torso import add_row, at
+from slot_core.robot import Array
+
+TOO_FAST, TOO_TILTED = range(2)  # how a solution is lost
+UPRIGHT = 0.5  # least cosine of the torso's tilt: 60 deg
+FREE = 0.25  # least D, lest a foot that runs ahead of the torso locks it
+
+
+class MapLegs(NamedTuple):
+    """The four legs as numbers."""
+
+    # (m, n, 5) over angle and height: force (N), contact's x (m), tension (N), and how the material
+    # on the floor shifts outward (m/rad, m/m)
+    table: Array
+    angle_step: float  # rad; the first angle is zero
+    height_low: float  # m
+    height_step: float  # m
+    clamps: Array  # (4, 3) m, base_link
+    outward: Array  # (4, 3) x axes of the legs, base_link
+    damping_time: float  # s
+
+
+class Feet(NamedTuple):
+    """What the legs keep beside the state."""
+
+    command: Array  # (4,) rad
+    force: Array  # (4, 3) N, of the floor on the feet, odom, at the last stage
+    limit: Array  # (4,) N, mu times the normal force
+    flat: Array  # (2,) the floor's slopes, zero
+
+
+class Drawn(NamedTuple):
+    """Row of the map, and force and tension derived over height and angle."""
+
+    force: float
+    force_h: float
+    force_a: float
+    x: float
+    x_h: float
+    x_a: float
+    tension: float
+    tension_h: float
+    tension_a: float
+
+
+class Foot(NamedTuple):
+    """Where a leg meets the floor, in step axes."""
+
+    place: tuple[float, float, float]  # m, r from the torso's centre
+    up: tuple[float, float, float]  # n
+    slope: float  # n.a
+    free: float  # D
+    path: tuple[float, float, float]  # m: how the foot goes in the torso as its drop grows
+
+
+@kernel
+def advance(machine, steps):
+    """Advance by `steps` steps; returns (steps done, -1), or how the solution was lost.
+
+    machine: handle of (model, legs, state, feet, work, scheme).
+    """
+    model, legs, state, feet, work, scheme = contents(machine)
+    for k in range(steps):
+        _step(model, legs, state, feet, work, scheme)
+        lost = _lost(state, model.speed_limit)
+        if lost >= 0:
+            return k + 1, lost
+    return steps, -1
+
+
+@helper
+def _lost(state, limit):
+    v, w = state.velocity, state.rate
+    if not v[0] * v[0] + v[1] * v[1] + v[2] * v[2] < limit * limit:
+        return TOO_FAST
+    if not w[0] * w[0] + w[1] * w[1] + w[2] * w[2] < limit * limit:
+        return TOO_FAST
+    return -1 if state.rotation[2, 2] > UPRIGHT else TOO_TILTED
+
+
+@helper
+def _step(model, legs, state, feet, work, scheme):
+    """One step in place: the theta scheme of `integrator.py` for the torso's velocities alone."""
+    h, theta = scheme.step, scheme.theta
+    tau, definite = theta * h, True
+    predict_torso(model, state, work, h, theta)
+    for k in range(4):
+        angle, torque = state.tendon_angle[k], model.tendon.spool_radius * state.tension[k]
+        rate = turn(model.servo, state.drive[k], feet.command[k], angle, torque, h)
+        state.tendon_rate[k] = rate
+    for _ in range(scheme.iterations):
+        place = start_torso(model, state, work, tau)
+        for k in range(4):
+            _add_leg(model, legs, state, feet, work, k, place, tau)
+        definite = definite & solve(work.matrix, work.vector)
+        for i in range(3):
+            work.motion[0, i] += work.vector[i] / tau
+            work.motion[1, i] += work.vector[3 + i] / tau
+    if model.floor.bristle > 0.0:
+        bend_corners(model, state, work, h)
+        for k in range(4):
+            u, stiffness = state.node_velocity[k, 0], model.floor.stiffness[-1]
+            bristle, limit = state.bristle[k, 0], feet.limit[k]
+            bend(model.floor, bristle, limit, stiffness, feet.flat, h, u[0], u[1], u[2])
+    finish_torso(state, work, h, theta)
+    finish_rate(state, work, theta)
+    for k in range(4):
+        state.tendon_angle[k] += h * state.tendon_rate[k]
+    work.counter[1] += 0.0 if definite else 1.0
+
+
+@helper
+def _add_leg(model, legs, state, feet, work, k, place, tau):
+    """Add leg k to the torso's system; keeps its foot, its tension and the floor's force."""
+    axes, a, inv, beta = work.rotation, legs.outward[k], 1.0 / tau, legs.damping_time
+    radius, rate = model.tendon.spool_radius, state.tendon_rate[k]
+    angle = state.tendon_angle[k] + tau * rate - model.fault[0, k] / radius
+    rate *= model.fault[1, k] * (angle > 0.0)
+    here, foot = _meet(legs, state, work, k, place, model.fault[1, k] * max(0.0, angle))
+    falling, slip = _slide(work, a, here, foot, rate)
+    growing = min(0.0, here.force_h)
+    carried = max(0.0, here.force + beta * (growing * falling + here.force_a * rate))
+    carried *= here.force > 0.0
+    mu = _mu(model, state, k, slip, a)
+    hold, normal = _friction(model, state, axes, k, mu, tau, carried, slip, foot)
+    fx = -hold.drag * slip[0] - hold.x
+    fy = -hold.drag * slip[1] - hold.y
+    fz = -hold.drag * slip[2] - hold.z
+    stiff = -growing * (1.0 + beta * inv) / foot.free**2 * (carried > 0.0)
+    _load(work.vector, foot, normal, (fx, fy, fz))
+    _stiffen(work.matrix, foot, stiff, hold.drag * inv)
+    along = fx * a[0] + fy * a[1] + fz * a[2] + normal * foot.slope
+    tension = here.tension - here.x_a * along / radius
+    tension += beta * (here.tension_h * falling + here.tension_a * rate)
+    state.tension[k] = max(0.0, tension) * (here.tension > 0.0)
+    feet.limit[k] = mu * normal
+    up = foot.up
+    _keep(state.node_velocity[k, 0], axes, slip[0], slip[1], slip[2])
+    _keep(feet.force[k], axes, normal * up[0] + fx, normal * up[1] + fy, normal * up[2] + fz)
+
+
+@helper
+def _meet(legs, state, work, k, place, angle):
+    """Where leg k meets the floor, and the map there.
+
+    How far the foot is below the clamp follows from its place along the leg at the iterate before.
+    """
+    axes, small, a, c = work.rotation, work.motion[2], legs.outward[k], legs.clamps[k]
+    ux, uy, uz = axes[2, 0], axes[2, 1], axes[2, 2]
+    x = state.node[k, 0, 0]
+    px, py, pz = c[0] + x * a[0], c[1] + x * a[1], c[2] + x * a[2]
+    px, py, pz = at((px, py, pz), small, px, py, pz)
+    drop = (place[2] + ux * px + uy * py + uz * pz) / uz
+    here = _draw(legs, angle, drop)
+    x = here.x
+    state.node[k, 0, 0], state.node[k, 0, 1] = x, -drop
+    slope = ux * a[0] + uy * a[1] + uz * a[2]
+    foot = Foot(
+        place=(c[0] + x * a[0], c[1] + x * a[1], c[2] + x * a[2] - drop),
+        up=(ux, uy, uz),
+        slope=slope,
+        free=max(FREE, uz - slope * here.x_h),
+        path=(here.x_h * a[0], here.x_h * a[1], here.x_h * a[2] - 1.0),
+    )
+    return here, foot
+
+
+@helper
+def _slide(work, a, here, foot, rate):
+    """Rate of the foot's distance below the clamp, m/s, and the foot's slip, step axes, m/s."""
+    p, up, m, turned = foot.place, foot.up, foot.path, here.x_a * rate
+    bx, by, bz = at(work.motion[0], work.motion[1], p[0], p[1], p[2])
+    normal = up[0] * bx + up[1] * by + up[2] * bz
+    falling = (normal + foot.slope * turned) / foot.free
+    sx = bx + m[0] * falling + a[0] * turned
+    sy = by + m[1] * falling + a[1] * turned
+    sz = bz + m[2] * falling + a[2] * turned
+    sn = up[0] * sx + up[1] * sy + up[2] * sz
+    return falling, (sx - sn * up[0], sy - sn * up[1], sz - sn * up[2])
+
+
+@helper
+def _keep(out, axes, x, y, z):
+    """Write a vector of step axes in odom."""
+    out[0], out[1], out[2] = times(axes, x, y, z)
+
+
+@helper
+def _draw(legs, angle, height):
+    """Bilinear; below and above the table the force goes on along the edge's cell, down to zero."""
+    table = legs.table
+    place = angle / legs.angle_step
+    i = min(int(place), table.shape[0] - 2)
+    u = min(1.0, place - i)
+    place = (height - legs.height_low) / legs.height_step
+    j = min(max(0, int(place)), table.shape[1] - 2)
+    t = place - j
+    da, dh = 1.0 / legs.angle_step, 1.0 / legs.height_step
+    f, fh, fa = _cell(table, i, j, 0, u, t, dh, da)
+    inside = min(1.0, max(0.0, t))
+    x = _cell(table, i, j, 1, u, inside, dh, da)[0]
+    xa = _cell(table, i, j, 3, u, inside, dh, da)[0]
+    xh = _cell(table, i, j, 4, u, inside, dh, da)[0]
+    s, sh, sa = _cell(table, i, j, 2, u, t, dh, da)
+    if f <= 0.0:
+        f = fh = fa = 0.0
+    return Drawn(f, fh, fa, x, xh, xa, max(0.0, s), sh, sa)
+
+
+@helper
+def _cell(table, i, j, c, u, t, dh, da):
+    """Value and derivatives over height and angle."""
+    low = table[i, j, c] + t * (table[i, j + 1, c] - table[i, j, c])
+    high = table[i + 1, j, c] + t * (table[i + 1, j + 1, c] - table[i + 1, j, c])
+    rise = (1.0 - u) * (table[i, j + 1, c] - table[i, j, c])
+    rise += u * (table[i + 1, j + 1, c] - table[i + 1, j, c])
+    return low + u * (high - low), rise * dh, (high - low) * da
+
+
+@helper
+def _mu(model, state, k, slip, a):
+    own, other, rate = model.friction[0, k], model.friction[1, k], state.tendon_rate[k]
+    square = slip[0] * slip[0] + slip[1] * slip[1] + slip[2] * slip[2]
+    outward = slip[0] * a[0] + slip[1] * a[1] + slip[2] * a[2]
+    return coefficient(model.floor, own, other, rate, outward, square)
+
+
+@helper
+def _friction(model, state, axes, k, mu, tau, carried, slip, foot):
+    """Friction of foot k and its normal force: each depends on the other, hence repeated."""
+    floor, m = model.floor, foot.path
+    stiffness, damping, stuck = floor.stiffness[-1], floor.damping[-1], slip
+    if floor.bristle > 0.0:
+        stuck = tangential(axes, state.bristle[k, 0], foot.up)
+    normal = carried / foot.free
+    hold = grip(floor, mu * normal, tau, stiffness, damping, stuck, slip)
+    for _ in range(2):
+        work = (hold.drag * slip[0] + hold.x) * m[0] + (hold.drag * slip[1] + hold.y) * m[1]
+        work += (hold.drag * slip[2] + hold.z) * m[2]
+        normal = max(0.0, carried - work) / foot.free
+        hold = grip(floor, mu * normal, tau, stiffness, damping, stuck, slip)
+    return hold, normal
+
+
+@helper
+def _load(g, foot, normal, f):
+    """g -= the normal force (N) and friction f on the foot, with their moments."""
+    p, up = foot.place, foot.up
+    x, y, z = f[0] + normal * up[0], f[1] + normal * up[1], f[2] + normal * up[2]
+    force = (x, y, z, p[1] * z - p[2] * y, p[2] * x - p[0] * z, p[0] * y - p[1] * x)
+    for i in range(6):
+        g[i] -= force[i]
+
+
+@helper
+def _stiffen(H, foot, stiff, drag):
+    """H += stiff n n^T + drag sum_i s_i s_i^T, s_i = e_i + m_i n / D; n, e_i: rows at the foot."""
+    x, y, z = foot.place
+    up, m, per = foot.up, foot.path, 1.0 / foot.free
+    n = (up[0], up[1], up[2], y * up[2] - z * up[1], z * up[0] - x * up[2], x * up[1] - y * up[0])
+    add_row(H, stiff, n)
+    add_row(H, drag, _plus((1.0, 0.0, 0.0, 0.0, z, -y), m[0] * per, n))
+    add_row(H, drag, _plus((0.0, 1.0, 0.0, -z, 0.0, x), m[1] * per, n))
+    add_row(H, drag, _plus((0.0, 0.0, 1.0, y, -x, 0.0), m[2] * per, n))
+
+
+@helper
+def _plus(e, m, n):
+    return (
+        e[0] + m * n[0],
+        e[1] + m * n[1],
+        e[2] + m * n[2],
+        e[3] + m * n[3],
+        e[4] + m * n[4],
+        e[5] + m * n[5],
+    )

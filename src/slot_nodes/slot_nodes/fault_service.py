@@ -1,0 +1,45 @@
+"""Faults of the simulated robot: the service that injects them, and what is kept of a lost run."""
+
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+
+from rclpy.node import Node
+
+from slot_core.bags import decode
+from slot_core.dynamics.simulated_robot import Divergence
+from slot_core.simulation.plant import Plant
+from slot_msgs.srv import InjectFault
+
+
+def serve(node: Node, plant: Plant) -> None:
+    """Offer `~/inject` on behalf of a plant."""
+    node.create_service(InjectFault, "~/inject", partial(_inject, node, plant))
+
+
+def _inject(
+    node: Node, plant: Plant, request: InjectFault.Request, response: InjectFault.Response
+) -> InjectFault.Response:
+    try:
+        if request.clear:
+            plant.clear(request.kind, request.leg)
+        else:
+            plant.inject(decode.fault(request))
+    except ValueError as error:
+        response.message = str(error)
+        return response
+    done = "cleared" if request.clear else "injected"
+    node.get_logger().warning(f"fault {done}: {request.kind} at {request.leg}")
+    response.success = True
+    return response
+
+
+def keep_state(directory: str, scene: str, lost: Divergence) -> str:
+    """Write the state of a lost simulation; where it is, or why it is not there, in words."""
+    name = f"lost_{datetime.now():%Y%m%d_%H%M%S}.npz"
+    path = Path(directory, name).absolute()
+    try:
+        lost.save(path, scene)
+    except OSError as error:
+        return f"its state could not be written: {error}"
+    return f"its state is in {path}"

@@ -1,0 +1,201 @@
+"""Bags: what is written is what an independent reader gets, and damage is named in one line."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from synthetic_walk import TOPICS, TYPES, WALL, Walk, encode, message, write_walk
+
+from slot_core.bags.bag import Bag, BagError, BagWriter, read_record_settings
+from slot_core.bags.message_types import message_types
+
+SETTINGS = read_record_settings()
+
+
+@pytest.fixture(scope="module")
+def walk_bag(tmp_path_factory):
+    """Half a second of a walk: every type of slot_msgs is in it."""
+    return write_walk(tmp_path_factory.mktemp("bags") / "walk", Walk(duration=0.5))
+
+
+def write(path, *entries):
+    with BagWriter(path, SETTINGS) as bag:
+        for topic, time, data in entries:
+            bag.write(topic, TOPICS[topic], time, data)
+    return path
+
+
+def independent_messages(path):
+    with next(path.glob("*.mcap")).open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        return [
+            (m.channel.topic, m.message.log_time, m.message.data, m.decoded_message)
+            for m in reader.iter_decoded_messages()
+        ]
+
+
+def plain(value):
+    """Nested lists of a message's values, of any library's message classes."""
+    if isinstance(value, bytes):  # a scalar to NumPy
+        return list(value)
+    if isinstance(value, (str, bool, int, float)) or np.isscalar(value):
+        return value
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [plain(item) for item in value]
+    names = getattr(value, "__slots__", None) or list(vars(value))
+    fields = [n for n in names if not n.startswith("_") and not n.isupper()]  # no constants
+    return {n: plain(getattr(value, n)) for n in fields}
+
+
+def test_bytes_and_times_come_back_as_they_were_written(tmp_path):
+    written = [
+        ("/odom", WALL + k, encode("/odom", message("/odom", k, pose__pose__position=(k, 0.1, -k))))
+        for k in range(50)
+    ]
+    path = write(tmp_path / "bag", *written)
+    assert [entry[:3] for entry in independent_messages(path)] == written
+    assert list(Bag(path).raw()) == written
+
+
+def test_every_field_reads_the_same_with_an_independent_library(walk_bag):
+    ours = [(topic, time, plain(built)) for topic, time, built in Bag(walk_bag).merged()]
+    theirs = [
+        (topic, time, plain(built)) for topic, time, _, built in independent_messages(walk_bag)
+    ]
+    assert {topic for topic, _, _ in ours} >= {t for t, name in TOPICS.items() if "slot_" in name}
+    key = lambda entry: (entry[1], entry[0])  # noqa: E731
+    assert sorted(ours, key=key) == sorted(theirs, key=key)
+
+
+def test_type_hashes_are_those_of_the_ros_installation(walk_bag):
+    prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)]
+    checked = set()
+    for name in set(TOPICS.values()):
+        package, _, stem = name.split("/")
+        for path in (p / "share" / package / "msg" / f"{stem}.json" for p in prefixes):
+            if path.is_file():
+                hashes = {
+                    h["type_name"]: h["hash_string"]
+                    for h in json.loads(path.read_text())["type_hashes"]
+                }
+                assert TYPES.hash_rihs01(name) == hashes[name], name
+                checked.add(package)
+                break
+    assert {"slot_msgs", "nav_msgs"} <= checked
+
+
+def test_bag_offers_the_recorded_quality_of_service(walk_bag):
+    information = yaml.safe_load((walk_bag / "metadata.yaml").read_text())
+    topics = [
+        entry["topic_metadata"]
+        for entry in information["rosbag2_bagfile_information"]["topics_with_message_count"]
+    ]
+    offered = {t["name"]: t["offered_qos_profiles"][0] for t in topics}
+    assert offered["/mpc_state"]["durability"] == "transient_local"
+    assert offered["/odom"]["durability"] == "volatile"
+    for name, profile in offered.items():
+        assert profile["reliability"] == SETTINGS.topics[name].reliability
+
+
+def test_chunks_are_compressed(walk_bag):
+    with next(walk_bag.glob("*.mcap")).open("rb") as file:
+        chunks = make_reader(file).get_summary().chunk_indexes
+    assert {chunk.compression for chunk in chunks} == {"zstd"}
+
+
+def test_definitions_inside_the_bag_suffice_to_read_it(walk_bag, tmp_path, monkeypatch):
+    def nowhere():
+        raise FileNotFoundError
+
+    monkeypatch.setattr("slot_core.bags.bag.message_types", nowhere)
+    (_, state), *_ = Bag(walk_bag).messages("/mpc_state")
+    assert state.position.z == pytest.approx(0.06)
+
+
+def test_series_are_arrays_in_the_order_of_the_fields(walk_bag):
+    series = Bag(walk_bag).series(
+        "/ground_reaction_forces", "force", "status", "slack_friction", "header.frame_id"
+    )
+    n = len(series)
+    assert n == 16  # 0.5 s at 30 Hz, both ends
+    assert series["force"].shape == (n, 4, 3)
+    assert np.array_equal(series["force"][:, :, :2], np.zeros((n, 4, 2)))
+    assert np.allclose(series["slack_friction"], 0.4 * series["force"][..., 2] - 0.5)
+    assert np.allclose(np.diff(series.stamp), 1e9 / 30, atol=1)  # stamps are whole ns
+    assert np.array_equal(series.time - series.time[0], series.stamp - series.stamp[0])
+    quaternion = Bag(walk_bag).series("/odom", "pose.pose.orientation")["pose.pose.orientation"]
+    assert np.allclose(quaternion, [0, 0, 0, 1])  # x y z w
+
+
+def test_writer_refuses_a_second_type_on_a_topic_and_an_unknown_type(tmp_path):
+    with BagWriter(tmp_path / "bag", SETTINGS) as bag:
+        bag.write("/odom", TOPICS["/odom"], WALL, encode("/odom", message("/odom", 0.0)))
+        with pytest.raises(BagError, match="/odom: is recorded as nav_msgs/msg/Odometry"):
+            bag.write("/odom", TOPICS["/imu"], WALL, b"")
+        with pytest.raises(BagError, match="no definition of other_msgs/msg/Thing"):
+            bag.write("/thing", "other_msgs/msg/Thing", WALL, b"")
+
+
+def test_writer_does_not_write_over_a_bag(walk_bag):
+    before = next(walk_bag.glob("*.mcap")).read_bytes()
+    with pytest.raises(BagError, match="exists already"):
+        BagWriter(walk_bag, SETTINGS)
+    assert next(walk_bag.glob("*.mcap")).read_bytes() == before
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.3, 0.7, 0.999])
+def test_truncated_bag_is_named_in_one_line(walk_bag, tmp_path, kept):
+    path = tmp_path / "walk"
+    path.mkdir()
+    (path / "metadata.yaml").write_bytes((walk_bag / "metadata.yaml").read_bytes())
+    data = (walk_bag / "walk.mcap").read_bytes()
+    (path / "walk.mcap").write_bytes(data[: int(kept * len(data))])
+    with pytest.raises(BagError) as refused:
+        list(Bag(path).merged())
+    assert str(path) in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_damaged_chunk_is_a_bag_error(walk_bag, tmp_path):
+    path = tmp_path / "walk"
+    path.mkdir()
+    (path / "metadata.yaml").write_bytes((walk_bag / "metadata.yaml").read_bytes())
+    data = bytearray((walk_bag / "walk.mcap").read_bytes())
+    start = data.index(b"\x28\xb5\x2f\xfd")  # magic number of a zstd frame
+    data[start : start + 200] = bytes(200)
+    (path / "walk.mcap").write_bytes(data)
+    with pytest.raises(BagError, match="cannot be read"):
+        list(Bag(path).merged())
+
+
+def test_missing_unfinished_and_foreign_bags_are_told_apart(walk_bag, tmp_path):
+    with pytest.raises(BagError, match="nowhere: does not exist"):
+        Bag(tmp_path / "nowhere")
+    unfinished = BagWriter(tmp_path / "unfinished", SETTINGS)
+    with pytest.raises(BagError, match=r"no metadata\.yaml"):
+        Bag(tmp_path / "unfinished")
+    unfinished.close()
+    (tmp_path / "foreign.mcap").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
+    with pytest.raises(BagError, match="magic is invalid"):
+        Bag(tmp_path / "foreign.mcap")
+    (tmp_path / "notes.txt").write_text("no bag")
+    with pytest.raises(BagError, match="cannot be read"):
+        Bag(tmp_path / "notes.txt")
+
+
+def test_missing_topic_and_field_are_named(walk_bag):
+    bag = Bag(walk_bag)
+    with pytest.raises(BagError, match="no topic /scan"):
+        list(bag.messages("/scan"))
+    with pytest.raises(BagError, match=r"/odom has no field pose\.speed"):
+        bag.series("/odom", "pose.speed")
+
+
+def test_recorded_topics_are_of_known_types():
+    types = message_types()
+    assert [t for t, topic in SETTINGS.topics.items() if topic.type not in types.fielddefs] == []

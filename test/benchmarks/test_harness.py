@@ -1,0 +1,200 @@
+"""The frame of the benchmarks, driven with tiny benchmarks in a temporary directory."""
+
+import json
+import os
+import platform
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import harness as benchmark
+from benchmarks.harness import at_least, at_most, cpu_time, main
+
+ROOT = Path(__file__).resolve().parents[2]
+
+TINY = '''"""Counts to the number of its rows.
+
+More words.
+"""
+from benchmarks.harness import at_least, at_most
+import numpy as np
+
+def run(quick, out, progress):
+    rows = [{"n": np.int64(n), "root": np.sqrt(n)} for n in range(2 if quick else 4)]
+    progress("half way")
+    (out / "tiny.txt").write_text("beside")
+    return rows, [at_most("rows", len(rows), 3), at_least("nothing", float("nan"), 1.0, "ms")]
+'''
+
+
+def write_benchmark(directory, name, text):
+    (directory / name).mkdir(exist_ok=True)
+    (directory / name / "benchmark.py").write_text(text)
+
+
+@pytest.fixture
+def places(tmp_path):
+    directory = tmp_path / "benchmarks"
+    directory.mkdir()
+    write_benchmark(directory, "tiny", TINY)
+    return directory, tmp_path / "out" / "deep"
+
+
+def bench(places, *arguments):
+    directory, out = places
+    return main([*arguments, "--benchmarks", str(directory), "--out", str(out)])
+
+
+def test_result_holds_rows_checks_revision_and_machine(places, capsys):
+    assert bench(places, "tiny") == 0
+    result = json.loads((places[1] / "tiny.json").read_text())
+    assert [row["n"] for row in result["rows"]] == [0, 1, 2, 3]
+    assert result["rows"][2]["root"] == pytest.approx(2**0.5)
+    assert result["checks"] == [
+        {"name": "rows", "value": 4, "unit": "", "goal": "<= 3", "holds": False},
+        {"name": "nothing", "value": None, "unit": "ms", "goal": ">= 1", "holds": False},
+    ]
+    assert set(result["revision"]) == {"commit", "describe", "dirty"}
+    assert result["machine"]["python"] == platform.python_version()
+    assert result["machine"]["numpy"] == np.__version__
+    assert result["machine"]["cores"] >= 1
+    assert result["machine"]["cpu"]
+    assert (places[1] / "tiny.txt").read_text() == "beside"
+    output = capsys.readouterr()
+    assert "MISSED  rows" in output.out
+    assert output.err == "half way\n"
+
+
+def test_quick_is_passed_on_and_written_down(places):
+    assert bench(places, "tiny", "--quick") == 0
+    result = json.loads((places[1] / "tiny.json").read_text())
+    assert (result["quick"], len(result["rows"])) == (True, 2)
+    assert result["checks"][0]["holds"]
+
+
+def test_unknown_name_is_one_line_that_lists_the_known_and_exit_code_2(places, capsys):
+    assert bench(places, "tinny") == 2
+    output = capsys.readouterr()
+    assert output.err == "scripts/bench: no benchmark 'tinny' (known: tiny)\n"
+    assert output.out == ""
+    assert not places[1].exists()
+
+
+def test_no_name_is_exit_code_2_and_names_the_known(places, capsys):
+    with pytest.raises(SystemExit) as ended:
+        bench(places)
+    assert ended.value.code == 2
+    assert "known: tiny" in capsys.readouterr().err
+
+
+def test_module_without_run_is_refused_by_name(places, capsys):
+    write_benchmark(places[0], "empty", '"""Nothing."""')
+    assert bench(places, "empty") == 2
+    assert "benchmark empty: has no function run" in capsys.readouterr().err
+
+
+def test_packages_that_are_not_installed_are_named_in_one_line(places, capsys):
+    source = 'REQUIRES = ("json", "no_such_peer", "nor_this")\n'
+    write_benchmark(places[0], "rival", f'"""Races."""\n{source}{TINY}')
+    assert bench(places, "rival") == 2
+    line = "benchmark rival: needs no_such_peer, nor_this; run scripts/setup --bench\n"
+    assert capsys.readouterr().err == f"scripts/bench: {line}"
+    assert not places[1].exists()
+
+
+def test_list_gives_each_name_with_what_it_measures(places, capsys):
+    write_benchmark(places[0], "other", '"""Measures other things."""\nraise SystemExit(9)\n')
+    assert bench(places, "--list") == 0
+    assert [line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()] == [
+        ["other", "Measures other things."],
+        ["tiny", "Counts to the number of its rows."],
+    ]
+
+
+def test_checks_hold_at_their_goal_and_not_beyond():
+    assert at_most("latency", 33.3, 33.3, "ms").holds
+    assert not at_most("latency", 33.4, 33.3, "ms").holds
+    assert at_least("speed", 0.05, 0.05, "m/s").holds
+    assert not at_least("speed", 0.049, 0.05, "m/s").holds
+    assert not at_most("unknown", float("nan"), 1.0).holds
+
+
+@pytest.fixture(scope="module")
+def graph():
+    """The benchmark of that name, as a module; none of the graph is started."""
+    return benchmark.load("graph", ROOT / "scripts" / "benchmarks")
+
+
+def test_graph_cpu_is_the_share_of_the_time_asked_for_and_no_more(graph):
+    usage = graph.Usage(("busy", "idle"), time=[100.0, 102.0, 104.0, 106.0])
+    usage.cpu = [[5.0, 1.0, 0.0], [5.0, 1.0, 0.0], [6.0, 1.0, 0.5], [8.0, 1.0, 0.5]]
+    assert usage.percent(102.0, 106.0) == pytest.approx([75.0, 0.0, 12.5])
+    assert usage.percent(105.0, 109.0) == pytest.approx([100.0, 0.0, 0.0])  # nothing known later
+
+
+def test_graph_medians_are_per_stage_and_leave_single_outliers_out(graph):
+    rows = [
+        {"kind": "latency", "repeat": repeat, "stage": stage, "p50_ms": p50}
+        for repeat, pair in enumerate([(1.0, 7.0), (90.0, 8.0), (2.0, 9.0)])
+        for stage, p50 in zip(("mpc", "map"), pair)
+    ]
+    assert graph.medians(rows) == [
+        {"kind": "latency", "repeat": "median", "stage": "mpc", "p50_ms": 2.0},
+        {"kind": "latency", "repeat": "median", "stage": "map", "p50_ms": 8.0},
+    ]
+
+
+def test_cpu_time_is_the_median_per_call_after_a_warm_up():
+    ticks = iter([0.0, 6.0, 10.0, 12.0, 20.0, 60.0])  # repeats of 6, 2 and 40 s, two calls each
+    calls = []
+    figure = cpu_time(lambda: calls.append(None), repeats=3, calls=2, clock=lambda: next(ticks))
+    assert (figure.median, figure.least, figure.largest, figure.repeats) == (3.0, 1.0, 20.0, 3)
+    assert len(calls) == 1 + 3 * 2
+
+
+def git(directory, *arguments):
+    identity = ["-c", "user.name=n", "-c", "user.email=n@example.com"]
+    subprocess.run(["git", "-C", directory, *identity, *arguments], check=True, capture_output=True)
+
+
+def test_revision_tells_a_changed_work_tree_from_a_clean_one(tmp_path):
+    git(tmp_path, "init", "-q")
+    (tmp_path / "file").write_text("one")
+    git(tmp_path, "add", "file")
+    git(tmp_path, "commit", "-q", "-m", "one")
+    clean = benchmark.revision(tmp_path)
+    assert (len(clean["commit"]), clean["dirty"]) == (40, False)
+    assert clean["commit"].startswith(clean["describe"])
+    (tmp_path / "file").write_text("two")
+    assert benchmark.revision(tmp_path) == {**clean, "dirty": True}
+
+
+def test_revision_outside_git_is_unknown(tmp_path, monkeypatch):
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
+    assert benchmark.revision(tmp_path) == {"commit": None, "describe": None, "dirty": None}
+
+
+@pytest.mark.parametrize("needs", [False, True])
+def test_script_sets_up_sources_the_environment_and_passes_its_arguments_and_exit_code(
+    tmp_path, needs
+):
+    scripts = tmp_path / "scripts"
+    (scripts / "benchmarks/graph").mkdir(parents=True)
+    (scripts / "benchmarks/graph/benchmark.py").write_text('REQUIRES = ("peer",)\n' * needs)
+    (scripts / "bench").write_bytes((ROOT / "scripts" / "bench").read_bytes())
+    # The packages cannot be installed; the benchmark is to say so, not the setup.
+    setup = f"#!/bin/sh\necho setup $* >> {tmp_path}/order\n[ $# = 0 ]\n"
+    (scripts / "setup").write_text(setup)
+    python = 'python() { echo "python $*" >> "$root/order"; exit 7; }\n'
+    (scripts / "env").write_text(f'echo env >> "$root/order"\nexec() {{ "$@"; }}\n{python}')
+    for name in ("bench", "setup"):
+        (scripts / name).chmod(0o755)
+    ended = subprocess.run(
+        [scripts / "bench", "graph", "--quick"], cwd="/", check=False, env=dict(os.environ)
+    )
+    assert ended.returncode == 7
+    order = (tmp_path / "order").read_text().splitlines()
+    setups = ["setup", "setup --bench"] if needs else ["setup"]
+    assert order == [*setups, "env", "python -m benchmarks.harness graph --quick"]

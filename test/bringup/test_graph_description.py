@@ -1,0 +1,152 @@
+"""The one description of the graph."""
+
+import runpy
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from slot_bringup.graph import read_graph
+from slot_bringup.processes import command_line
+
+
+@pytest.fixture
+def graph():
+    return read_graph()
+
+
+def values(graph, **changes):
+    return {a.name: a.default for a in graph.arguments} | changes
+
+
+def test_every_node_has_an_executable(graph):
+    for spec in graph.nodes(values(graph, bag="somewhere")):
+        assert command_line(spec)[0].endswith(f"/lib/{spec.package}/{spec.name}")
+
+
+def test_the_recorder_runs_only_with_a_bag(graph):
+    without = [spec.name for spec in graph.nodes(values(graph))]
+    assert "recorder" not in without
+    assert [s.name for s in graph.nodes(values(graph, bag="x"))] == ["recorder", *without]
+
+
+def test_arguments_reach_the_nodes_with_their_types(graph):
+    nodes = {s.name: s for s in graph.nodes(values(graph, vx=0.05, seed=3, gait="walk"))}
+    assert nodes["supervisor"].parameters["v_x"] == 0.05
+    assert nodes["supervisor"].parameters["gait"] == "walk"
+    assert nodes["sim_robot"].parameters["seed"] == 3
+
+
+def test_the_gait_begins_on_request_and_in_lockstep_at_once(graph):
+    nodes = {s.name: s for s in graph.nodes(values(graph, vx=0.05))}
+    assert nodes["gait_scheduler"].parameters["gait"] == "stand"
+    nodes = {s.name: s for s in graph.nodes(values(graph, vx=0.05, lockstep=True))}
+    assert "supervisor" not in nodes
+    assert nodes["gait_scheduler"].parameters["gait"] == "walk"
+    assert nodes["gait_scheduler"].parameters["v_x"] == 0.05
+
+
+def test_driver_and_emulated_servos_meet_at_one_port(graph):
+    nodes = {s.name: s for s in graph.nodes(values(graph, hardware="fake_bus"))}
+    port = nodes["dynamixel_driver"].parameters["bus.port"]
+    assert port
+    assert nodes["sim_robot"].parameters["bus"] == port
+
+
+def test_real_servos_differ_from_emulated_ones_in_the_port_and_in_who_starts_them(graph):
+    """An operator, with an e-stop at hand."""
+    specs = graph.nodes(values(graph, hardware="real", port="/dev/ttyUSB7"))
+    real = {s.name: s for s in specs}
+    assert "sim_robot" not in real
+    emulated = {s.name: s for s in graph.nodes(values(graph, hardware="fake_bus"))}
+    for name, spec in real.items():
+        changes = {
+            "dynamixel_driver": {"bus.port": "/dev/ttyUSB7"}, "supervisor": {"autostart": False}
+        }.get(name, {})  # fmt: skip
+        alike = emulated[name].parameters | changes
+        assert alike.pop("estop_required", False) is False  # config/supervisor.yaml has true
+        assert spec.parameters == alike
+
+
+@pytest.mark.parametrize("hardware", ["sim", "fake_bus"])
+def test_an_attended_robot_waits_for_its_operator_as_a_real_one_does(graph, hardware):
+    real = {s.name: s for s in graph.nodes(values(graph, hardware="real"))}
+    attended = {s.name: s for s in graph.nodes(values(graph, hardware=hardware, attended=True))}
+    assert attended["supervisor"].parameters == real["supervisor"].parameters
+
+
+def test_simulated_servos_need_no_driver(graph):
+    nodes = {s.name: s for s in graph.nodes(values(graph))}
+    assert "dynamixel_driver" not in nodes
+    assert "bus" not in nodes["sim_robot"].parameters
+
+
+def test_lockstep_makes_every_node_follow_the_simulators_clock(graph):
+    for spec in graph.nodes(values(graph, lockstep=True)):
+        assert spec.parameters["use_sim_time"] is True
+    for spec in graph.nodes(values(graph, lockstep=False)):
+        assert spec.parameters["use_sim_time"] is False
+
+
+def test_parameters_are_written_as_ros_reads_them(graph):
+    nodes = {s.name: s for s in graph.nodes(values(graph, lockstep=True))}
+    words = command_line(nodes["gait_scheduler"])
+    assert 'gait:="walk"' in words
+    assert "use_sim_time:=true" in words
+    assert "v_y:=0.0" in words
+
+
+def test_a_parameter_that_is_not_asked_for_is_left_to_the_node(graph):
+    nodes = {s.name: s for s in graph.nodes(values(graph))}
+    assert "v_x" not in nodes["supervisor"].parameters
+
+
+@pytest.mark.parametrize(
+    ("name", "text"), [("vx", "fast"), ("seed", "1.5"), ("lockstep", "perhaps"), ("seed", "")]
+)
+def test_a_launch_argument_of_the_wrong_type_is_refused_by_name(graph, name, text):
+    argument = next(a for a in graph.arguments if a.name == name)
+    with pytest.raises(ValueError, match=f"^{name}: '{text}' is not a"):
+        argument.parse(text)
+
+
+@pytest.mark.parametrize("default", [True, False])
+def test_launch_arguments_survive_their_text_form(graph, default):
+    for argument in graph.arguments:
+        if argument.kind is bool:
+            assert argument.parse(str(default)) is default
+        else:
+            assert argument.parse(argument.text) == argument.default
+
+
+def test_the_launch_file_starts_the_nodes_of_the_description(graph, monkeypatch):
+    """With stand-ins that keep what they are given: launch itself is not among the wheels."""
+    started = load_launch_file(monkeypatch, {"bag": "somewhere", "gait": "stand", "vx": "0.0"})
+    described = graph.nodes(values(graph, bag="somewhere", gait="stand", vx=0.0))
+    assert [node["name"] for node in started] == [spec.name for spec in described]
+    for node, spec in zip(started, described):
+        assert node["parameters"] == [spec.parameters]
+        assert (node["package"], node["executable"]) == (spec.package, spec.name)
+
+
+def load_launch_file(monkeypatch, given):
+    """Run launch/slot.launch.py with launch arguments; return what its nodes were made of."""
+
+    def keep(*args, **kwargs):
+        return kwargs | {"args": args}
+
+    names = {
+        "launch": ("LaunchContext", "LaunchDescription"),
+        "launch.actions": ("DeclareLaunchArgument", "OpaqueFunction"),
+        "launch_ros": (),
+        "launch_ros.actions": ("Node",),
+    }
+    for module, members in names.items():
+        stand_in = SimpleNamespace(**dict.fromkeys(members, keep))
+        monkeypatch.setitem(sys.modules, module, stand_in)
+    path = Path(__file__).parents[2] / "slot_bringup" / "launch" / "slot.launch.py"
+    namespace = runpy.run_path(str(path))
+    *arguments, start = namespace["generate_launch_description"]()["args"][0]
+    texts = {argument["args"][0]: argument["default_value"] for argument in arguments} | given
+    return start["function"](SimpleNamespace(launch_configurations=texts))

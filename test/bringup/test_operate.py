@@ -1,0 +1,233 @@
+"""The operator's keys, screen and command line."""
+
+import math
+from types import SimpleNamespace
+
+import pytest
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from sensor_msgs.msg import JointState
+
+from slot_bringup import operate
+from slot_bringup.operator_screen import SILENCE, View, lines
+from slot_core.robot import LEGS, TENDON_JOINTS
+from slot_core.safety.settings import read_supervisor
+from slot_core.safety.states import State
+from slot_core.safety.supervisor import Request
+from slot_msgs.msg import RobotState, ServoHealth
+
+NOW = 100.0  # s, of the terminal's clock
+
+
+def state(which=State.WALKING, **fields):
+    message = RobotState(
+        state=int(which), action=RobotState.ACTION_PASS, since=Time(sec=5), **fields
+    )
+    message.header.stamp = Time(sec=7, nanosec=500_000_000)
+    return message
+
+
+def health(**fields):
+    sound = {
+        "action": RobotState.ACTION_PASS, "torque": [True] * 4, "silence": [0.01] * 4,
+        "temperature": [31.0, 32.0, 33.0, 34.0], "voltage": [11.9] * 4,
+    }  # fmt: skip
+    return ServoHealth(**sound | fields)
+
+
+def joints():
+    angles = [math.radians(d) for d in (10, 20, 30, 40)]
+    return JointState(name=TENDON_JOINTS, position=angles, effort=[0.1, 0.2, 0.3, 0.4])
+
+
+def screen(**parts):
+    return lines(View(**{"state": state(), "heard": NOW} | parts), NOW)
+
+
+class FakeClient:
+    def __init__(self, ready=True):
+        self.calls, self.service_is_ready = 0, lambda: ready
+
+    def call_async(self, request):
+        self.calls += 1
+        return SimpleNamespace(add_done_callback=lambda _: None)
+
+
+class FakeNode:
+    """Keeps what is published and what is asked for."""
+
+    def __init__(self, ready=True):
+        self.published, self.clients, self._ready = [], {}, ready
+
+    def create_publisher(self, *_):
+        return SimpleNamespace(publish=lambda m: self.published.append(m.data))
+
+    def create_client(self, _, name):
+        return self.clients.setdefault(name, FakeClient(self._ready))
+
+    def create_subscription(self, *_):
+        pass
+
+    def create_timer(self, *_, **__):
+        pass
+
+    def count_publishers(self, _):
+        return 1
+
+    def asked(self):
+        return [name for name, client in self.clients.items() if client.calls]
+
+
+def test_every_request_of_the_supervisor_has_a_key_and_a_word():
+    names = {request.name.lower() for request in Request}
+    assert set(operate.REQUESTS) == names
+    assert sorted(operate.KEYS.values()) == sorted(names)
+    assert operate.QUIT not in operate.KEYS
+
+
+@pytest.mark.parametrize(("key", "request_name"), operate.KEYS.items())
+def test_a_key_asks_for_what_it_stands_for_and_nothing_else(key, request_name):
+    node = FakeNode()
+    assert operate.Operator(node).press(key)
+    assert node.asked() == [f"/supervisor/{request_name}"]
+
+
+@pytest.mark.parametrize("key", ["a", "W", "\x1b", "\n"])
+def test_another_key_does_nothing(key):
+    node = FakeNode()
+    assert operate.Operator(node).press(key)
+    assert node.asked() == node.published == []
+
+
+def test_the_e_stop_is_pressed_at_once_until_the_supervisor_has_stopped():
+    node = FakeNode(ready=False)  # the key works where the service does not
+    operator = operate.Operator(node)
+    operator._repeat()
+    operator.press(" ")
+    operator._on_state(state(State.WALKING))
+    operator._repeat()
+    operator._on_state(state(State.ESTOP))
+    operator._repeat()
+    assert node.published == [False, True, True, False]
+
+
+def test_the_e_stop_is_repeated_often_enough():
+    """Four of five may be late."""
+    assert read_supervisor().timing.estop >= 5 * operate.ESTOP_PERIOD
+
+
+def test_a_request_without_a_supervisor_is_answered_at_once():
+    operator = operate.Operator(FakeNode(ready=False))
+    operator.press("w")
+    assert operator.view.answer == "walk: no supervisor answers"
+
+
+def test_quitting_waits_until_the_robot_is_without_torque():
+    operator = operate.Operator(FakeNode())
+    operator._on_state(state(State.WALKING))
+    assert operator.press(operate.QUIT)
+    assert operator.view.answer == "WALKING: relax first (x), or stop it by Ctrl-C"
+    idle = state(State.IDLE)
+    idle.action = RobotState.ACTION_OFF
+    operator._on_state(idle)
+    assert not operator.press(operate.QUIT)
+
+
+def test_without_a_supervisor_one_may_quit():
+    assert not operate.Operator(FakeNode()).press(operate.QUIT)
+
+
+def test_the_screen_tells_state_reason_warnings_and_slack():
+    told = state(reason="walk requested", warnings=["node mpc_controller silent for 1 s"])
+    told.slack = [0.0001, 0.0002, 0.0003, math.nan]
+    shown = screen(state=told, joints=joints())
+    assert shown[0] == "WALKING for 2.5 s: walk requested"
+    assert shown[1] == "  ! node mpc_controller silent for 1 s"
+    rows = [line.split() for line in shown if line[:2] in LEGS]
+    assert rows == [
+        ["FL", "10.0", "0.10", "0.1"], ["FR", "20.0", "0.20", "0.2"],
+        ["RL", "30.0", "0.30", "0.3"], ["RR", "40.0", "0.40", "nan"],
+    ]  # fmt: skip
+
+
+def test_the_screen_tells_the_health_of_every_servo():
+    worn = health(hardware_error=[0, 0, 0x20, 0], torque=[True, True, False, True],
+                  error_rate=[0.0, 0.125, 0.0, 0.0])  # fmt: skip
+    rows = {line[:2]: line.split()[4:] for line in screen(joints=joints(), health=worn)}
+    assert rows["FL"] == ["0.01", "31", "11.9", "0.0", "on", "none"]
+    assert rows["FR"] == ["0.01", "32", "11.9", "12.5", "on", "none"]
+    assert rows["RL"] == ["0.01", "33", "11.9", "0.0", "off", "overload"]
+
+
+def test_the_screen_tells_what_the_driver_complains_of():
+    bus = DiagnosticStatus(
+        name="servo bus", level=DiagnosticStatus.ERROR, message="no command for 0.2 s",
+        values=[KeyValue(key="rate_Hz", value="100.0"), KeyValue(key="overruns", value="3")],
+    )  # fmt: skip
+    sound = DiagnosticStatus(name="servo FL (id 5)", level=DiagnosticStatus.OK, message="sound")
+    shown = screen(health=health(), diagnostics=DiagnosticArray(status=[bus, sound]))
+    at = shown.index("driver: PASS")
+    assert shown[at + 1 : at + 3] == [
+        "  rate_Hz 100.0, overruns 3", "  ! servo bus: no command for 0.2 s"
+    ]  # fmt: skip
+    assert not any("sound" in line for line in shown)
+
+
+def test_the_state_at_the_start_has_no_age():
+    first = state(State.IDLE, reason="started")
+    first.since = Time()
+    assert screen(state=first)[0] == "IDLE: started"
+
+
+def test_a_state_that_is_old_is_not_shown():
+    shown = screen(heard=NOW - SILENCE - 0.1)
+    assert shown[0] == f"NO WORD of the supervisor for 0.6 s, limit {SILENCE:g} s"
+    assert not any("WALKING" in line for line in shown)
+
+
+@pytest.mark.parametrize("which", State)
+def test_the_screen_is_red_where_the_robot_has_let_go(which):
+    alarming = which in (State.RELAX, State.ESTOP, State.FAULT)
+    assert View(state=state(which), heard=NOW).alarming(NOW) == alarming
+    assert View(state=state(which), heard=NOW - 1.0).alarming(NOW)
+
+
+def test_a_second_source_of_the_e_stop_is_told():
+    assert any("2 sources of the e-stop" in line for line in screen(sources=2))
+    assert not any("of the e-stop" in line for line in screen(sources=1))
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        (["ready"], "/supervisor/ready"),
+        (["estop"], "/supervisor/estop"),
+        (["reboot", "RL"], "/dynamixel_driver/reboot_rl"),
+        (["zero", "FR"], "/dynamixel_driver/zero_fr"),
+        (["inject", "silent"], "/sim_robot/inject"),
+    ],
+)
+def test_a_word_asks_the_node_that_can_do_it(words, name):
+    assert operate.service(operate._parser().parse_args(words)).name == name
+
+
+def test_a_fault_has_all_its_fields():
+    words = ["inject", "late", "RR", "--value", "0.02", "--duration", "3", "--clear"]
+    request = operate.service(operate._parser().parse_args(words)).request
+    told = (request.kind, request.leg, request.value, request.duration, request.clear)
+    assert told == ("late", "RR", 0.02, 3.0, True)
+
+
+@pytest.mark.parametrize("words", [["zero"], ["reboot", "tail"], ["dance"], ["inject"]])
+def test_a_wrong_word_ends_with_exit_code_2(words, capsys):
+    with pytest.raises(SystemExit) as refusal:
+        operate.main(words)
+    assert refusal.value.code == 2
+    assert "scripts/operate" in capsys.readouterr().err
+
+
+def test_live_without_a_terminal_is_refused_in_one_line(capsys, monkeypatch):
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))
+    assert operate.main([]) == 1
+    told = "scripts/operate: live it needs a terminal; scripts/operate state does without\n"
+    assert capsys.readouterr().err == told

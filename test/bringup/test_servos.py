@@ -1,0 +1,132 @@
+"""scripts/servos against emulated servos."""
+
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from slot_bringup.servos import main
+from slot_core import config
+from slot_core.config import ConfigError
+from slot_core.dynamixel.homing import write_zero
+from slot_core.dynamixel.port import UDEV_RULE
+from slot_core.dynamixel.settings import read_settings
+from slot_core.emulator.emulated_bus import read_emulator
+from slot_core.emulator.pseudo_terminal import PseudoTerminal
+from slot_core.simulation.bus_legs import EmulatedLegs
+
+PATIENT = 0.1  # s
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """A configuration of its own that may be written to."""
+    directory = tmp_path / "config"
+    shutil.copytree(config.config_dir(), directory)
+    path = directory / "dynamixel.yaml"
+    path.write_text(path.read_text().replace("timeout: 0.008", f"timeout: {PATIENT}"))
+    monkeypatch.setenv("SLOT_CONFIG", str(directory))
+    return path
+
+
+@pytest.fixture
+def legs(place):
+    return EmulatedLegs(read_settings(), read_emulator(), (0.1, 0.0, 0.0, 0.0))
+
+
+@pytest.fixture
+def servos(legs):
+    with PseudoTerminal(legs.bus) as terminal:
+        yield lambda *arguments: main(["--port", terminal.name, *arguments])
+
+
+def test_scan_finds_every_servo_at_its_rate(servos, legs, capsys):
+    legs.bus.servos[1].memory["baud_rate"] = 1
+    assert servos("--baud", "1000000", "scan") == 0
+    found = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in found] == ["1000000"] * 3
+    assert [line.split()[3] for line in found] == ["2", "3", "5"]
+    assert servos("--baud", "57600", "scan") == 0
+    assert "id   4  model 1060  firmware 45" in capsys.readouterr().out
+    assert servos("--baud", "115200", "scan") == 1
+
+
+def test_info_says_what_is_not_as_it_must_be(servos, legs, capsys):
+    assert servos("info") == 0
+    out = capsys.readouterr().out
+    assert "servo FL (id 5): model 1060, firmware 45" in out
+    assert "tendon 5.7 deg, 11.1 V, 25 degC, torque off, hardware errors: none" in out
+    legs.bus.servos[2].memory["shutdown"] = 52
+    assert servos("info") == 1
+    assert "servo RL (id 2): shutdown is 52, expected 53" in capsys.readouterr().out
+
+
+def test_prepare_writes_what_differs(servos, legs, capsys):
+    memory = legs.bus.servos[2].memory
+    memory["shutdown"], memory["operating_mode"], memory["torque_enable"] = 52, 16, 1
+    assert servos("prepare") == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "servo RL (id 2): shutdown 52 -> 53",
+        "servo RL (id 2): operating_mode 16 -> 3",
+    ]
+    assert (memory["shutdown"], memory["operating_mode"], memory["torque_enable"]) == (53, 3, 0)
+    assert servos("info") == 0
+
+
+def test_assign_takes_one_servo_alone(servos, legs, capsys):
+    assert servos("assign", "9") == 1
+    assert "expected one alone" in capsys.readouterr().err
+    for servo in legs.bus.servos[1:]:
+        servo.memory["baud_rate"] = 0
+    assert servos("assign", "9", "--to-baud", "2000000") == 0
+    memory = legs.bus.servos[0].memory
+    assert (memory["id"], memory["baud_rate"]) == (9, 4)
+
+
+def test_zero_is_where_the_leg_rests_and_goes_into_the_configuration(servos, legs, place, capsys):
+    comments = place.read_text().count("#")
+    assert servos("zero", "FL") == 0
+    assert read_settings().joints.zero_deg[0] == 130.0
+    assert servos("zero", "FL", "--write") == 0
+    # 0.1 rad of the tendon are 5.91 deg of the servo; the encoder rounds down to 0.088 deg.
+    assert read_settings().joints.zero_deg == (pytest.approx(135.91, abs=0.09), 130, 130, 130)
+    assert place.read_text().count("#") == comments
+    assert servos("info") == 1  # the limits have moved with it
+    assert servos("prepare") == 0
+    assert servos("info") == 0
+
+
+def test_a_zero_out_of_bounds_is_not_written(place):
+    before = place.read_text()
+    with pytest.raises(ConfigError, match="zero_deg"):
+        write_zero("RR", 400.0)
+    assert place.read_text() == before
+    place.write_text(before.replace("zero_deg", "zero"))
+    with pytest.raises(ConfigError, match="no line zero_deg"):
+        write_zero("RR", 100.0)
+
+
+def test_a_port_that_is_not_there_is_one_line(capsys):
+    assert main(["--port", "/dev/none", "info"]) == 1
+    assert "/dev/none" in capsys.readouterr().err
+
+
+def test_emulate_answers_behind_its_link_until_interrupted(tmp_path, place):
+    link = tmp_path / "servos"
+    command = [sys.executable, "-m", "slot_bringup.servos", "emulate", "--link", str(link)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout.readline().strip() == str(link)
+        assert main(["--port", str(link), "info"]) == 0
+    finally:
+        process.send_signal(signal.SIGINT)
+    assert process.wait(10) == 0
+    assert not link.exists()
+
+
+def test_the_udev_rule_that_is_shipped_is_the_one_that_the_refusal_names():
+    shipped = Path(__file__).parents[2] / "slot_bringup" / "udev" / "99-dynamixel.rules"
+    assert UDEV_RULE in shipped.read_text().splitlines()

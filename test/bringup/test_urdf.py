@@ -1,0 +1,158 @@
+"""The files for viewers against slot_core.robot and the messages they name."""
+
+import json
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+from slot_core.config import config_dir
+from slot_core.robot import BASE_FRAME, LEGS, ODOM_FRAME, TENDON_JOINTS, read_robot
+
+ROOT = Path(__file__).parents[2]
+SHARE = ROOT / "slot_bringup"
+URDF = ET.parse(SHARE / "urdf/slot.urdf").getroot()
+LAYOUT = json.loads((SHARE / "foxglove/slot.json").read_text())
+RVIZ = yaml.safe_load((SHARE / "rviz/slot.rviz").read_text())["Visualization Manager"]
+ROBOT = read_robot()
+WRITTEN = {"rtol": 1e-5, "atol": 1e-9}  # the URDF is written with six digits
+
+
+def numbers(element, path, attribute):
+    return np.array(element.find(path).get(attribute).split(), dtype=float)
+
+
+def link(name):
+    return URDF.find(f"link[@name='{name}']")
+
+
+def joint(name):
+    return URDF.find(f"joint[@name='{name}']")
+
+
+def test_links_form_one_tree_rooted_in_the_base_frame():
+    links = [element.get("name") for element in URDF.iter("link")]
+    parents = {
+        j.find("child").get("link"): j.find("parent").get("link") for j in URDF.findall("joint")
+    }
+    assert len(links) == len(set(links)) == 1 + 2 * len(LEGS)
+    assert set(links) - set(parents) == {BASE_FRAME}
+    for name in links:
+        seen = [name]
+        while seen[-1] in parents:
+            seen.append(parents[seen[-1]])
+            assert len(seen) <= len(links)
+        assert seen[-1] == BASE_FRAME
+
+
+def test_torso_has_the_size_mass_and_inertia_of_the_robot():
+    torso = link(BASE_FRAME)
+    for kind in ("visual", "collision"):
+        size = numbers(torso, f"{kind}/geometry/box", "size")
+        np.testing.assert_allclose(size, ROBOT.torso.size, **WRITTEN)
+        assert torso.find(f"{kind}/origin") is None  # centred
+    np.testing.assert_allclose(numbers(torso, "inertial/mass", "value"), ROBOT.torso.mass)
+    inertia = torso.find("inertial/inertia").attrib
+    found = [[float(inertia["i" + "".join(sorted(a + b))]) for b in "xyz"] for a in "xyz"]
+    np.testing.assert_allclose(found, ROBOT.torso.inertia, **WRITTEN)
+
+
+@pytest.mark.parametrize("index", range(4), ids=LEGS)
+def test_leg_frames_stand_at_the_clamps_and_point_along_the_azimuths(index):
+    clamp = joint(f"{LEGS[index]}_clamp")
+    assert clamp.get("type") == "fixed"
+    assert clamp.find("parent").get("link") == BASE_FRAME
+    assert clamp.find("child").get("link") == f"leg_{LEGS[index]}_link"
+    np.testing.assert_allclose(numbers(clamp, "origin", "xyz"), ROBOT.clamps[index], **WRITTEN)
+    attitude = Rotation.from_euler("xyz", numbers(clamp, "origin", "rpy"))  # URDF: fixed axes
+    np.testing.assert_allclose(attitude.apply([1, 0, 0]), ROBOT.outward[index], atol=1e-5)
+    np.testing.assert_allclose(attitude.apply([0, 0, 1]), [0, 0, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize("leg", LEGS)
+def test_boxes_of_a_leg_join_along_its_natural_shape(leg):
+    start = np.zeros(3)
+    for visual in link(f"leg_{leg}_link").findall("visual"):
+        length, width, thickness = numbers(visual, "geometry/box", "size")
+        centre = numbers(visual, "origin", "xyz")
+        along = Rotation.from_euler("xyz", numbers(visual, "origin", "rpy")).apply([length, 0, 0])
+        np.testing.assert_allclose(centre - along / 2, start, atol=1e-6)  # m, six digits
+        start = centre + along / 2
+        drop = ROBOT.leg.shape(start[0]) - ROBOT.leg.shape(0.0)
+        np.testing.assert_allclose(start, [start[0], 0.0, drop], atol=1e-6)
+        taper = [ROBOT.leg.thickness_clamp, ROBOT.leg.thickness_tip]
+        expected = np.interp(centre[0], [0, ROBOT.leg.reach], taper)
+        np.testing.assert_allclose([width, thickness], [ROBOT.leg.width, expected], **WRITTEN)
+    np.testing.assert_allclose(start[0], ROBOT.leg.reach, atol=1e-6)  # up to the tip
+
+
+def test_tendon_joints_are_spools_with_the_limits_of_tendon_and_servo():
+    revolute = [j.get("name") for j in URDF.findall("joint") if j.get("type") == "revolute"]
+    assert tuple(revolute) == TENDON_JOINTS
+    servo = yaml.safe_load((config_dir() / "servo.yaml").read_text())
+    expected = [0.0, ROBOT.tendon.angle_max]
+    expected += [servo["stall_torque"], servo["no_load_rpm"] * 2 * np.pi / 60]
+    for leg, name in zip(LEGS, TENDON_JOINTS):
+        limit = joint(name).find("limit").attrib
+        found = [float(limit[key]) for key in ("lower", "upper", "effort", "velocity")]
+        np.testing.assert_allclose(found, expected, **WRITTEN)
+        assert joint(name).find("parent").get("link") == f"leg_{leg}_link"
+        assert joint(name).find("origin") is None  # at the clamp
+        spool = link(joint(name).find("child").get("link"))
+        cylinder = spool.find("visual/geometry/cylinder").attrib
+        assert float(cylinder["radius"]) == ROBOT.tendon.spool_radius
+        assert float(cylinder["length"]) == ROBOT.leg.width
+        turned = Rotation.from_euler("xyz", numbers(spool, "visual/origin", "rpy")).apply([0, 0, 1])
+        axis = numbers(joint(name), "axis", "xyz")
+        np.testing.assert_allclose(np.abs(turned @ axis), 1.0, atol=1e-9)  # the drum's axis
+
+
+def panels(node):
+    return [node] if isinstance(node, str) else panels(node["first"]) + panels(node["second"])
+
+
+def test_every_panel_of_the_layout_is_configured_and_shown_once():
+    assert sorted(panels(LAYOUT["layout"])) == sorted(LAYOUT["configById"])
+
+
+def message_fields(name):
+    """{field: array length or 0} of a message of slot_msgs, constants left out."""
+    text = (ROOT / f"slot_msgs/msg/{name}.msg").read_text()
+    rows = re.findall(r"^[\w/]+?(?:\[(\d*)\])? +(\w+)\s*(?:#.*)?$", text, re.MULTILINE)
+    return {field: int(length or 0) for length, field in rows}
+
+
+MESSAGES = {"mpc_state": "MpcState", "ground_reaction_forces": "GroundReactionForces"}
+
+
+def test_plots_name_fields_that_the_messages_have():
+    plots = [c for name, c in LAYOUT["configById"].items() if name.startswith("Plot!")]
+    values = [path["value"] for plot in plots for path in plot["paths"]]
+    assert len(values) == len(set(values)) == 11
+    for value in values:
+        topic, field, index = re.match(r"/(\w+)\.(\w+)(?:\[(\d)\])?", value).groups()
+        if topic == "desired_joint_angles":  # sensor_msgs/JointState
+            assert field == "position"
+            assert int(index) < len(TENDON_JOINTS)
+        else:
+            length = message_fields(MESSAGES[topic])[field]
+            assert (index is None and length == 0) or int(index) < length
+
+
+def test_viewers_start_in_the_world_frame_on_the_topics_of_the_graph():
+    assert LAYOUT["configById"]["3D!slot"]["followTf"] == ODOM_FRAME
+    assert RVIZ["Global Options"]["Fixed Frame"] == ODOM_FRAME
+    assert RVIZ["Views"]["Current"]["Target Frame"] == BASE_FRAME
+    shown = {d["Class"].split("/")[1]: d for d in RVIZ["Displays"]}
+    assert {"TF", "RobotModel", "Odometry"} <= set(shown)
+    assert shown["RobotModel"]["Description Topic"]["Value"] == "/robot_description"
+    odometry = {d["Topic"]["Value"] for d in RVIZ["Displays"] if d["Class"].endswith("/Odometry")}
+    assert (
+        odometry
+        == {"/odom", "/ground_truth/odom"}
+        == set(LAYOUT["configById"]["3D!slot"]["topics"])
+    )

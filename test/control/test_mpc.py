@@ -1,0 +1,710 @@
+"""The convex MPC against the matrix exponential, CVXPY + Clarabel, and a nonlinear torso."""
+
+import csv
+import dataclasses
+import itertools
+import re
+from pathlib import Path
+
+import cvxpy
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
+
+from slot_core import config
+from slot_core.control.gait import GaitPreview
+from slot_core.control.mpc.model import Horizon, HorizonQp, TorsoModel
+from slot_core.control.mpc.mpc import Mpc, Status, read_mpc
+from slot_core.control.mpc.solver import Solution, make_solver
+from slot_core.robot import GRAVITY, read_robot
+
+ROBOT = read_robot()
+# no deadline: the tests must not depend on the machine's load
+SETTINGS = config.replace(read_mpc(), {"acceptance.time_budget": np.inf})
+H, F_MAX, DT = SETTINGS.horizon, SETTINGS.force_max, 0.033
+HOVER = ROBOT.weight / 4
+
+
+def no_time():
+    return 0.0
+
+
+def new_mpc(**changes):
+    names = {name.replace("__", "."): value for name, value in changes.items()}
+    return Mpc(ROBOT, config.replace(SETTINGS, names), no_time)
+
+
+def state(rpy=(0, 0, 0), p=(0, 0, 0.04), omega=(0, 0, 0), v=(0, 0, 0)):
+    return np.concatenate([rpy, p, omega, v]).astype(float)
+
+
+def preview(stages=H + 1, height=0.04, **changes):
+    reference = np.tile(state(p=(0, 0, height)), (stages, 1))
+    values = {
+        "contact": np.ones((stages, 4), dtype=bool),
+        "friction": np.full((stages, 4), 0.4),
+        "normal_force": np.full((stages, 4), HOVER),
+        "tendon_angle": np.ones((stages, 4)),
+        "reference": reference,
+        "dt": DT,
+    } | changes
+    return GaitPreview(stamp=0, gait="walk", phase=0.0, period=0.72, **values)
+
+
+def continuous(yaw, height):
+    """x' = A x + B u + g, leg by leg from Newton and Euler."""
+    turn = Rotation.from_euler("z", yaw).as_matrix()
+    inertia = turn @ ROBOT.inertia @ turn.T
+    a, b, g = np.zeros((12, 12)), np.zeros((12, 12)), np.zeros(12)
+    a[:3, 6:9], a[3:6, 9:], g[11] = turn.T, np.eye(3), -GRAVITY
+    for leg, axis in np.ndindex(4, 3):
+        arm = turn @ ROBOT.feet[leg]
+        arm[2] = -height
+        b[6:9, 3 * leg + axis] = np.linalg.solve(inertia, np.cross(arm, np.eye(3)[axis]))
+        b[9 + axis, 3 * leg + axis] = 1 / ROBOT.mass
+    return a, b, g
+
+
+def discrete(yaw, height, dt):
+    """The exact zero-order hold by the matrix exponential of [[A, B, g], [0, 0, 0]]."""
+    a, b, g = continuous(yaw, height)
+    whole = np.zeros((25, 25))
+    whole[:12] = np.column_stack([a, b, g])
+    held = expm(dt * whole)
+    return held[:12, :12], held[:12, 12:24], held[:12, 24]
+
+
+def oracle(x0, ahead):
+    """The problem as it is written in the docstring, by CVXPY and Clarabel: u (H, 12), cost."""
+    a, b, g = discrete(x0[2], x0[5], ahead.dt)
+    q, r = np.sqrt(SETTINGS.weights.q), np.sqrt(SETTINGS.weights.r)
+    x, u = cvxpy.Variable((H + 1, 12)), cvxpy.Variable((H, 12))
+    u_ref = np.zeros((H, 12))
+    u_ref[:, 2::3] = ahead.normal_force[:H]
+    f_x, f_y, f_z = u[:, 0::3], u[:, 1::3], u[:, 2::3]
+    mu_f_z = cvxpy.multiply(ahead.friction[:H], f_z)
+    rules = [x[0] == x0, x[1:] == x[:-1] @ a.T + u @ b.T + np.tile(g, (H, 1))]
+    rules += [f_z >= 0, f_z <= F_MAX * ahead.contact[:H]]
+    rules += [cvxpy.abs(f_x) <= mu_f_z, cvxpy.abs(f_y) <= mu_f_z]
+    error = (x[1:] - ahead.reference[1 : H + 1]) @ np.diag(q)
+    cost = cvxpy.sum_squares(error) + cvxpy.sum_squares((u - u_ref) @ np.diag(r))
+    problem = cvxpy.Problem(cvxpy.Minimize(cost), rules)
+    tight = {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11}
+    problem.solve(solver=cvxpy.CLARABEL, **tight)
+    assert problem.status == cvxpy.OPTIMAL
+    return u.value, problem.value
+
+
+def random_case(rng):
+    yaw = rng.uniform(-np.pi, np.pi)
+    x0 = state(
+        rpy=(*rng.normal(0, 0.1, 2), yaw),
+        p=(*rng.normal(0, 0.1, 2), rng.uniform(0.01, 0.12)),
+        omega=rng.normal(0, 0.5, 3),
+        v=rng.normal(0, 0.15, 3),
+    )
+    reference = np.tile(state(rpy=(0, 0, yaw + rng.normal(0, 0.2)), p=(0, 0, 0.04)), (H + 1, 1))
+    reference += np.linspace(0, 1, H + 1)[:, None] * rng.normal(0, 0.1, 12)
+    return x0, preview(
+        contact=rng.random((H + 1, 4)) < rng.choice([0.5, 0.8, 1.0]),
+        friction=rng.uniform(0.0, 0.8, (H + 1, 4)),
+        normal_force=rng.uniform(0.0, 8.0, (H + 1, 4)),
+        reference=reference,
+    )
+
+
+def hard_cases():
+    zeros, none = np.zeros((H + 1, 4)), np.zeros((H + 1, 4), dtype=bool)
+    lifted = np.ones((H + 1, 4), dtype=bool)
+    lifted[4:9, 1] = False
+    slip = state(rpy=(0.02, -0.01, 0.2), p=(0, 0, 0.05), omega=(0.1, 0, 0), v=(0.1, 0.05, 0))
+    return {
+        "height error": (state(p=(0, 0, 0.01)), preview()),
+        "too high": (state(p=(0, 0, 0.11)), preview()),
+        "tilt": (state(rpy=(0.5, -0.5, 0)), preview()),
+        "turned": (state(rpy=(0.1, 0.05, 1.05)), preview()),
+        "no friction": (slip, preview(friction=zeros)),
+        "much friction": (slip, preview(friction=zeros + 100.0)),
+        "flight": (slip, preview(contact=none)),
+        "one leg lifted": (slip, preview(contact=lifted)),
+        "leg lifted now": (slip, preview(contact=np.tile([True, False, True, True], (H + 1, 1)))),
+        "diagonal stance": (slip, preview(contact=np.tile([1, 0, 0, 1], (H + 1, 1)))),
+        "falling": (state(v=(0, 0, -1.0)), preview()),
+        "spinning": (state(omega=(2.0, -2.0, 1.0)), preview()),
+        "load above the bound": (slip, preview(normal_force=zeros + 9.0)),
+        "long stages": (slip, preview(dt=0.09)),
+    }
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.3, -2.5])
+@pytest.mark.parametrize(("height", "dt"), [(0.04, 0.033), (0.1, 0.005), (0.0, 0.1)])
+def test_prediction_is_the_exact_zero_order_hold(yaw, height, dt):
+    predicted = TorsoModel(ROBOT).predict(yaw, height, dt)
+    a, b, drift = discrete(yaw, height, dt)
+    # entries reach about 7; expm and the series differ by roundoff only
+    np.testing.assert_allclose(predicted.a, a, atol=1e-13)
+    np.testing.assert_allclose(predicted.b, b, atol=1e-13)
+    np.testing.assert_allclose(predicted.drift, drift, atol=1e-13)
+
+
+def test_first_forces_and_cost_are_the_optimum_of_the_written_problem():
+    # One controller for all: data left over from an earlier update would show.
+    mpc, rng = new_mpc(), np.random.default_rng(4)
+    cases = [*hard_cases().values(), *(random_case(rng) for _ in range(30))]
+    for x0, ahead in cases:
+        result, (u, cost) = mpc.step(x0, ahead), oracle(x0, ahead)
+        assert result.status == Status.SOLVED
+        # where a limit is only just active, an interior-point method at a gap of 1e-10 stops
+        # short of it: by 1.3e-4 N at most in 414 such cases
+        np.testing.assert_allclose(result.force.ravel(), u[0], rtol=0, atol=3e-4)
+        assert result.cost == pytest.approx(cost, rel=1e-6, abs=1e-6)  # flat at the optimum
+
+
+def test_hover_reference_is_held_by_a_quarter_of_the_weight_on_each_leg():
+    result = new_mpc().step(state(), preview())
+    expected = np.tile([0, 0, ROBOT.mass * GRAVITY / 4], (4, 1))
+    np.testing.assert_allclose(result.force, expected, atol=1e-6)  # solver tolerance 1e-8
+    assert result.cost == pytest.approx(0, abs=1e-9)
+
+
+def solve_whole_horizon(x0, ahead):
+    """(H, 4, 3) forces by the controller's own problem and solver."""
+    model = TorsoModel(ROBOT)
+    generic, weights = model.predict(0.3, 0.1, DT), SETTINGS.weights
+    qp = HorizonQp(weights.q, weights.r, H, generic, SETTINGS.model, ROBOT.weight)
+    solver = make_solver(qp, SETTINGS.solver)
+    force_ref = np.zeros((H, 4, 3))
+    force_ref[..., 2] = ahead.normal_force[:H]
+    limits = F_MAX * ahead.contact[:H]
+    stages = Horizon(limits, ahead.friction[:H], force_ref, ahead.reference[1 : H + 1])
+    qp.update(model.predict(x0[2], x0[5], ahead.dt), x0, stages, ROBOT.weight)
+    return qp.forces(solver.solve().z)
+
+
+@pytest.mark.parametrize("name", hard_cases())
+def test_every_stage_keeps_the_force_limits(name):
+    x0, ahead = hard_cases()[name]
+    f = solve_whole_horizon(x0, ahead)
+    limit = 1e-6  # N; the solver's absolute residual is 1e-8 in scaled units
+    assert np.all(f[..., 2] >= -limit)
+    assert np.all(f[..., 2] <= F_MAX * ahead.contact[:H] + limit)
+    most = ahead.friction[:H, :, None] * f[..., 2:] + limit
+    # a coefficient of 100 multiplies the residual of f_z
+    assert np.all(np.abs(f[..., :2]) <= most + limit * ahead.friction.max())
+
+
+def test_without_friction_there_is_no_tangential_force():
+    x0, ahead = hard_cases()["no friction"]
+    assert np.abs(solve_whole_horizon(x0, ahead)[..., :2]).max() < 1e-6  # N, solver tolerance
+    assert np.abs(new_mpc().step(x0, preview()).force[:, :2]).max() > 0.01  # with it there is
+
+
+def test_in_flight_all_forces_are_zero():
+    x0, ahead = hard_cases()["flight"]
+    assert np.abs(solve_whole_horizon(x0, ahead)).max() < 1e-6  # N, solver tolerance
+
+
+def test_turning_robot_and_target_together_turns_the_forces():
+    # Small errors, so that the friction pyramid, which does not turn, is not active.
+    turn = Rotation.from_euler("z", 1.0)
+    rest = state(rpy=(0.01, 0.02, 0), p=(0.01, 0, 0.039), omega=(0.05, 0, 0.02), v=(0.01, 0, 0))
+    turned = np.concatenate([rest[:3], *(turn.apply(rest[i : i + 3]) for i in (3, 6, 9))])
+    turned[2] += 1.0
+    reference = np.tile(state(rpy=(0, 0, 1.0)), (H + 1, 1))
+    mpc = new_mpc()
+    straight = mpc.step(rest, preview())
+    across = mpc.step(turned, preview(reference=reference))
+    assert straight.slack_friction.min() > 0.1
+    # angular weights are equal about x and y; 1e-6 N is the solver's tolerance
+    np.testing.assert_allclose(across.force, turn.apply(straight.force), atol=1e-6)
+
+
+def test_full_turns_of_the_reference_do_not_matter():
+    x0 = state(rpy=(0, 0, 3.1))
+    near, far = (np.tile(state(rpy=(0, 0, 3.2 - 2 * np.pi * n)), (H + 1, 1)) for n in (0, 1))
+    mpc = new_mpc()
+    a, b = (mpc.step(x0, preview(reference=ref)).force for ref in (near, far))
+    np.testing.assert_allclose(a, b, atol=1e-6)  # solver tolerance
+    assert np.abs(a[:, :2]).max() > 1e-3  # there is a turn to make
+
+
+def test_a_preview_of_exactly_the_horizon_holds_its_last_reference():
+    reference = np.tile(state(), (H + 1, 1))
+    reference[:, 5] = np.linspace(0.04, 0.06, H + 1)
+    reference[H] = reference[H - 1]
+    mpc = new_mpc()
+    whole = mpc.step(state(), preview(reference=reference)).force
+    short = mpc.step(state(), preview(stages=H, reference=reference[:H])).force
+    np.testing.assert_allclose(whole, short, atol=1e-9)  # PIQP's earlier scaling leaves roundoff
+
+
+def test_slacks_are_those_of_the_first_stage():
+    contact = np.ones((H + 1, 4), dtype=bool)
+    contact[0, 3] = False
+    x0 = state(v=(0.05, 0, 0))
+    result = new_mpc().step(x0, preview(contact=contact))
+    f, bound = result.force, np.array([F_MAX, F_MAX, F_MAX, 0.0])
+    np.testing.assert_allclose(result.slack_normal_min, f[:, 2])
+    np.testing.assert_allclose(result.slack_normal_max, bound - f[:, 2])
+    tangential = np.maximum(np.abs(f[:, 0]), np.abs(f[:, 1]))
+    np.testing.assert_allclose(result.slack_friction, 0.4 * f[:, 2] - tangential)
+    assert result.slack_total == pytest.approx(3 * F_MAX - ROBOT.mass * GRAVITY)
+
+
+def spoiled(field, index, value):
+    """A preview with one element replaced."""
+    array = np.array(getattr(preview(), field), dtype=float)
+    array[index] = value
+    return preview(**{field: array})
+
+
+REFUSED = {
+    "state[5] = nan": (state(p=(0, 0, np.nan)), preview()),
+    "state[9] = inf": (state(v=(np.inf, 0, 0)), preview()),
+    "state[0] = 1e+300": (state(rpy=(1e300, 0, 0)), preview()),
+    "state: shape (13,)": (np.zeros(13), preview()),
+    "state: shape (12, 1)": (np.zeros((12, 1)), preview()),
+    "state: shape ()": (None, preview()),
+    "state: not numbers": (["upright"] * 12, preview()),
+    "preview.friction[3, 2] = -0.1": (state(), spoiled("friction", (3, 2), -0.1)),
+    "preview.friction[0, 0] = nan": (state(), spoiled("friction", (0, 0), np.nan)),
+    "preview.contact[1, 1] = 2": (state(), spoiled("contact", (1, 1), 2)),
+    "preview.normal_force[2, 0] = -inf": (state(), spoiled("normal_force", (2, 0), -np.inf)),
+    "preview.reference[15, 5] = nan": (state(), spoiled("reference", (15, 5), np.nan)),
+    "preview.reference[0, 3] = inf": (state(), spoiled("reference", (0, 3), np.inf)),
+    f"preview.contact: shape ({H - 1}, 4)": (state(), preview(stages=H - 1)),
+    "preview.friction: shape (16, 3)": (state(), preview(friction=np.ones((H + 1, 3)))),
+    "preview.normal_force: shape (64,)": (state(), preview(normal_force=np.ones(64))),
+    "preview.dt = 0:": (state(), preview(dt=0.0)),
+    "preview.dt = nan": (state(), preview(dt=np.nan)),
+    "preview.dt = 0.5": (state(), preview(dt=0.5)),
+}
+
+
+@pytest.mark.parametrize("fault", REFUSED)
+def test_bad_input_is_refused_before_the_solver_and_named(fault):
+    mpc = new_mpc()
+    good = mpc.step(state(p=(0, 0, 0.03)), preview())
+    result = mpc.step(*REFUSED[fault])
+    assert result.status == Status.REJECTED
+    assert fault in result.message
+    assert "\n" not in result.message
+    assert result.iterations == 0
+    expected = HOVER + SETTINGS.fallback.decay * (good.force[:, 2] - HOVER)
+    np.testing.assert_allclose(result.force[:, 2], expected)
+    again = mpc.step(state(), preview())  # nothing of the bad input stays
+    assert again.status == Status.SOLVED
+    np.testing.assert_allclose(again.force[:, 2], HOVER, atol=1e-6)  # solver tolerance
+
+
+class LateFrom:
+    """A timer by which every cycle from the n-th on takes a second."""
+
+    def __init__(self, cycle):
+        self.calls, self.cycle = itertools.count(), cycle
+
+    def __call__(self):
+        call = next(self.calls)  # two a cycle
+        return float(call % 2) if call // 2 >= self.cycle else 0.0
+
+
+LOAD = np.tile([5.4, 5.2, 5.1, 5.3], (H + 1, 1))  # of the gait, N
+
+
+def late():
+    settings = config.replace(SETTINGS, {"acceptance.time_budget": 0.5})
+    return Mpc(ROBOT, settings, LateFrom(1)), state(), preview(normal_force=LOAD)
+
+
+def iteration_limit():
+    # standing takes 8 iterations, this case 11: the limit lies between
+    x0, ahead = random_case(np.random.default_rng(130))
+    ahead.contact[0], ahead.friction[0], ahead.normal_force[:] = True, 0.4, LOAD
+    return new_mpc(solver__iterations=9, force_max=5.5), x0, ahead
+
+
+def violation():
+    # standing keeps all limits with room to spare, a friction of zero PIQP does not meet exactly
+    mpc = new_mpc(solver__name="piqp", acceptance__violation_max=0.0)
+    slipping = state(rpy=(0.5, -0.5, 0), v=(0.1, 0, 0))
+    return mpc, slipping, preview(normal_force=LOAD, friction=np.zeros((H + 1, 4)))
+
+
+def bad_input():
+    return new_mpc(), np.full(12, np.nan), preview(normal_force=LOAD)
+
+
+FAILURES = {
+    late: Status.LATE,
+    iteration_limit: Status.NOT_SOLVED,
+    violation: Status.NOT_SOLVED,
+    bad_input: Status.REJECTED,
+}
+
+
+@pytest.mark.parametrize("failure", FAILURES)
+def test_fallback_decays_to_the_gaits_load_then_stops_after_the_configured_cycles(failure):
+    mpc, *bad = failure()
+    good = state(), preview(normal_force=LOAD)
+    last, rule = mpc.step(*good), SETTINGS.fallback
+    assert last.status == Status.SOLVED
+    hover = np.zeros((4, 3))
+    hover[:, 2] = LOAD[0]
+    for n in range(1, rule.cycles + 1):
+        result = mpc.step(*bad)
+        assert (result.status, result.fallback_cycles) == (FAILURES[failure], n)
+        assert result.message
+        expected = hover + rule.decay**n * (last.force - hover)
+        if not bad[1].friction.any():
+            expected[:, :2] = 0.0  # the present limits are kept
+        np.testing.assert_allclose(result.force, expected, atol=1e-12)  # roundoff
+    for n in (rule.cycles + 1, rule.cycles + 2):
+        stopped = mpc.step(*bad)
+        assert (stopped.status, stopped.fallback_cycles) == (Status.STOPPED, n)
+        assert not stopped.force.any()
+        assert f"after {rule.cycles} cycles" in stopped.message
+
+
+def test_a_solution_ends_the_fallback_and_the_stop():
+    mpc, *bad = bad_input()
+    mpc.step(state(), preview())
+    for _ in range(SETTINGS.fallback.cycles + 1):
+        stopped = mpc.step(*bad)
+    assert stopped.status == Status.STOPPED
+    again = mpc.step(state(), preview())
+    assert (again.status, again.fallback_cycles, again.message) == (Status.SOLVED, 0, "")
+
+
+def test_a_solver_that_calls_nan_solved_is_not_believed(monkeypatch):
+    answers = [np.full(24 * H, HOVER), np.full(24 * H, np.nan)]  # a feasible input, then not
+    answers[0].reshape(H, 8, 3)[..., :2] = 0.0
+
+    class Careless:
+        def __init__(self, *_):
+            self.count = -2  # the first call is made at construction
+
+        def solve(self):
+            self.count += 1
+            return Solution(answers[max(self.count, 0)], fault="", iterations=1)
+
+    monkeypatch.setattr("slot_core.control.mpc.mpc.make_solver", Careless)
+    mpc = new_mpc()
+    assert mpc.step(state(), preview()).status == Status.SOLVED
+    result = mpc.step(state(), preview())
+    assert (result.status, result.message) == (Status.NOT_SOLVED, "solution not finite")
+    np.testing.assert_allclose(result.force[:, 2], HOVER)
+
+
+@pytest.mark.parametrize("cause", ["iteration limit", "bad input"])
+def test_before_any_feasible_solution_it_is_stopped(cause):
+    mpc = new_mpc(solver__iterations=1) if cause == "iteration limit" else new_mpc()
+    x0 = state() if cause == "iteration limit" else np.full(12, np.inf)
+    result = mpc.step(x0, preview())
+    assert result.status == Status.STOPPED
+    assert not result.force.any()
+    assert "no feasible input yet" in result.message
+
+
+def test_fallback_puts_no_force_on_a_leg_that_is_lifted_now():
+    mpc, *good = late()
+    assert mpc.step(*good).status == Status.SOLVED
+    contact = np.ones((H + 1, 4), dtype=bool)
+    contact[0, 2] = False
+    for x0, status in ((state(), Status.LATE), (np.full(12, np.nan), Status.REJECTED)):
+        result = mpc.step(x0, preview(contact=contact))
+        assert result.status == status
+        assert not result.force[2].any()
+        assert np.all(result.slack_normal_max >= 0)
+
+
+@pytest.mark.parametrize("scale", [1e2, 1e3, 1e4])
+def test_absurd_but_finite_states_end_within_the_limits_with_forces_in_bounds(scale):
+    mpc, rng = new_mpc(), np.random.default_rng(8)
+    mpc.step(state(), preview())
+    for _ in range(5):
+        result = mpc.step(rng.uniform(-scale, scale, 12), preview())
+        assert result.iterations <= SETTINGS.solver.iterations
+        assert np.isfinite(result.force).all()
+        limit = SETTINGS.acceptance.violation_max
+        assert min(result.slack_normal_min.min(), result.slack_normal_max.min()) >= -limit
+        assert result.slack_friction.min() >= -limit
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"weights__force": (1e-8, 1e-8, 1e-8)},
+        {  # the published scripts: Q / 1000 with 100 on p_z and R = 1e-8
+            "weights__angle": (1e-4, 1e-4, 1e-4),
+            "weights__position": (0.0, 0.0, 100.0),
+            "weights__rate": (1e-5, 1e-5, 1e-5),
+            "weights__velocity": (0.02, 1e-4, 0.0),
+            "weights__force": (1e-8, 1e-8, 1e-8),
+        },
+    ],
+)
+def test_weights_that_leave_the_forces_vague_are_refused(changes):
+    with pytest.raises(config.ConfigError, match=r"weights.force.*condition number .* exceeds 1"):
+        new_mpc(**changes)
+
+
+def test_condition_is_that_of_the_condensed_hessian():
+    # one stage, by hand: H = B'QB + R with the matrices of the exponential
+    _, b, _ = discrete(0.3, 0.1, 0.1)
+    weights = SETTINGS.weights
+    hessian = b.T @ np.diag(weights.q) @ b + np.diag(weights.r)
+    bound = np.linalg.cond(hessian)
+    new_mpc(horizon=1, acceptance__condition_max=bound * 1.001)
+    with pytest.raises(config.ConfigError):
+        new_mpc(horizon=1, acceptance__condition_max=bound * 0.999)
+
+
+def test_equal_inputs_give_bit_equal_results():
+    def run():
+        mpc, rng = new_mpc(), np.random.default_rng(5)
+        return [dataclasses.astuple(mpc.step(*random_case(rng))) for _ in range(30)]
+
+    for one, other in zip(run(), run()):
+        for a, b in zip(one, other):
+            np.testing.assert_array_equal(a, b)
+
+
+def test_the_bound_is_what_a_fully_pulled_leg_carries_at_the_walks_height():
+    """The paper's line gives 5.532 N at any height; the walk's own loads reach 11 N."""
+    with (config.config_dir() / "leg_map.csv").open() as file:
+        rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
+    pulled = [row for row in rows if row["theta_deg"] == max(r["theta_deg"] for r in rows)]
+    force = np.interp(0.060, *zip(*((row["height_m"], row["force_N"]) for row in pulled)))
+    assert SETTINGS.force_max == pytest.approx(force, abs=0.05)  # one decimal
+
+
+def test_statuses_are_those_of_the_message():
+    path = Path(__file__).parents[2] / "slot_msgs/msg/GroundReactionForces.msg"
+    constants = re.findall(r"^uint8 (\w+) = (\d+)", path.read_text(), re.MULTILINE)
+    assert {name: int(value) for name, value in constants} == Status.__members__
+
+
+class RigidTorso:
+    """A free rigid body on massless legs, forces lagged by 50 ms.
+
+    The legs keep their feet in place below the torso, on the floor: standing still 8 mm off the
+    feet's centre would take all the moment that f_max leaves.
+    """
+
+    LAG = 0.05  # s
+
+    def __init__(self, x0):
+        self.attitude = Rotation.from_euler("ZYX", x0[2::-1])
+        omega = self.attitude.inv().apply(x0[6:9])
+        force = np.tile([0, 0, HOVER], 4)
+        quaternion = self.attitude.as_quat()
+        self.y = np.concatenate([quaternion, x0[3:6], omega, x0[9:12], force])
+
+    def rate(self, command, y):
+        attitude = Rotation.from_quat(y[:4])
+        force, inertia, w = y[13:].reshape(4, 3), ROBOT.inertia, y[7:10]
+        yaw = attitude.as_euler("ZYX")[0]
+        arm = Rotation.from_euler("z", yaw).apply(ROBOT.feet)
+        arm[:, 2] = -y[6]
+        torque = np.cross(arm, force).sum(axis=0)  # in odom
+        spin = np.linalg.solve(inertia, attitude.inv().apply(torque) - np.cross(w, inertia @ w))
+        x, y_, z, s = y[:4]
+        quaternion = 0.5 * np.array([[s, -z, y_], [z, s, -x], [-y_, x, s], [-x, -y_, -z]]) @ w
+        acceleration = force.sum(axis=0) / ROBOT.mass - [0, 0, GRAVITY]
+        lag = (command - y[13:]) / self.LAG
+        return np.concatenate([quaternion, y[10:13], spin, acceleration, lag])
+
+    def advance(self, force, dt):
+        run = solve_ivp(lambda _, y: self.rate(force.ravel(), y), (0, dt), self.y, rtol=1e-6)
+        self.y = run.y[:, -1]
+
+    def state(self):
+        attitude = Rotation.from_quat(self.y[:4])
+        rpy = attitude.as_euler("ZYX")[::-1]
+        return np.concatenate([rpy, self.y[4:7], attitude.apply(self.y[7:10]), self.y[10:13]])
+
+
+def stand(x0, duration, ahead):
+    """(n, 12) states of the closed loop, one row per cycle."""
+    torso, mpc, states = RigidTorso(x0), new_mpc(), [x0]
+    for _ in range(round(duration / DT)):
+        result = mpc.step(torso.state(), ahead)
+        assert result.status == Status.SOLVED
+        torso.advance(result.force, DT)
+        states.append(torso.state())
+    return np.array(states)
+
+
+def test_height_step_on_a_lagging_torso_settles():
+    states = stand(state(p=(0, 0, 0.01)), 2.0, preview())
+    late = states[round(0.8 / DT) :]
+    assert np.abs(late[:, 5] - 0.04).max() < 0.002  # 5 % of the height
+    assert states[:, 5].max() < 0.045  # overshoot below a sixth of the step
+    assert np.abs(states[:, :2]).max() < 1e-3  # it stays level
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1.0])
+def test_roll_on_a_lagging_torso_recovers(yaw):
+    target = np.tile(state(rpy=(0, 0, yaw)), (H + 1, 1))
+    states = stand(state(rpy=(0.1, 0, yaw)), 2.0, preview(reference=target))
+    late = states[round(0.5 / DT) :]
+    assert np.abs(late[:, :2]).max() < 0.01  # a tenth of the disturbance
+    assert np.abs(states[-1, 6:]).max() < 0.01  # rad/s and m/s: at rest
+    assert np.abs(states[:, 5] - 0.04).max() < 0.01
+
+
+def lagged_prediction(yaw, height, dt, lag):
+    """Forces that follow their inputs, by the matrix exponential of torso, forces and inputs."""
+    a, b, g = continuous(yaw, height)
+    whole = np.zeros((37, 37))
+    whole[:12, :12], whole[:12, 12:24], whole[:12, 36] = a, b, g
+    whole[12:24, 12:24], whole[12:24, 24:36] = -np.eye(12) / lag, np.eye(12) / lag
+    held = expm(dt * whole)
+    return held[:24, :24], held[:24, 24:36], held[:24, 36]
+
+
+@pytest.mark.parametrize("lag", [0.015, 0.05, 0.3])
+def test_prediction_with_lag_is_the_exact_zero_order_hold(lag):
+    predicted = TorsoModel(ROBOT, lag).predict(0.7, 0.05, DT)
+    a, b, drift = lagged_prediction(0.7, 0.05, DT, lag)
+    np.testing.assert_allclose(predicted.a, a, atol=1e-13)
+    np.testing.assert_allclose(predicted.b, b, atol=1e-13)
+    np.testing.assert_allclose(predicted.drift, drift, atol=1e-13)
+
+
+def optimum(x0, ahead, rules=lambda u, x: [], extra=lambda u, x: 0.0):
+    """u (H, 12) of the problem with further rules and costs, by CVXPY and Clarabel."""
+    a, b, g = discrete(x0[2], x0[5], ahead.dt)
+    q, r = np.sqrt(SETTINGS.weights.q), np.sqrt(SETTINGS.weights.r)
+    x, u = cvxpy.Variable((H + 1, 12)), cvxpy.Variable((H, 12))
+    u_ref = np.zeros((H, 12))
+    u_ref[:, 2::3] = ahead.normal_force[:H]
+    mu_f_z = cvxpy.multiply(ahead.friction[:H], u[:, 2::3])
+    kept = [x[0] == x0, x[1:] == x[:-1] @ a.T + u @ b.T + np.tile(g, (H, 1))]
+    kept += [u[:, 2::3] >= 0, u[:, 2::3] <= F_MAX * ahead.contact[:H]]
+    kept += [cvxpy.abs(u[:, 0::3]) <= mu_f_z, cvxpy.abs(u[:, 1::3]) <= mu_f_z, *rules(u, x)]
+    error = (x[1:] - ahead.reference[1 : H + 1]) @ np.diag(q)
+    cost = cvxpy.sum_squares(error) + cvxpy.sum_squares((u - u_ref) @ np.diag(r)) + extra(u, x)
+    problem = cvxpy.Problem(cvxpy.Minimize(cost), kept)
+    problem.solve(solver=cvxpy.CLARABEL, tol_gap_abs=1e-11, tol_gap_rel=1e-11, tol_feas=1e-11)
+    assert problem.status == cvxpy.OPTIMAL
+    return u.value, problem.value
+
+
+def test_a_soft_balance_is_the_optimum_with_its_cost():
+    x0, ahead = hard_cases()["height error"]
+    mpc = new_mpc(model__support="soft", model__support_weight=30.0, solver__name="piqp")
+    u, cost = optimum(
+        x0,
+        ahead,
+        extra=lambda u, _: 30.0 * cvxpy.sum_squares(cvxpy.sum(u[:, 2::3], axis=1) - ROBOT.weight),
+    )
+    result = mpc.step(x0, ahead)
+    np.testing.assert_allclose(result.force.ravel(), u[0], atol=3e-4)
+    assert result.cost == pytest.approx(cost, rel=1e-6)
+    free = new_mpc().step(x0, ahead).force[:, 2].sum()
+    assert abs(result.force[:, 2].sum() - ROBOT.weight) < 0.5 * abs(free - ROBOT.weight)
+
+
+@pytest.mark.parametrize("band", [0.0, 0.01])
+def test_an_exact_balance_is_kept_and_is_the_optimum(band):
+    x0, ahead = hard_cases()["height error"]
+
+    def balance(u, _):
+        return [cvxpy.abs(cvxpy.sum(u[:, 2::3], axis=1) - ROBOT.weight) <= band]
+
+    u, _ = optimum(x0, ahead, rules=balance)
+    exact = {"model__support": "equality", "model__support_band": band, "solver__name": "piqp"}
+    result = new_mpc(**exact).step(x0, ahead)
+    assert result.status == Status.SOLVED
+    np.testing.assert_allclose(result.force.ravel(), u[0], atol=3e-4)
+    assert result.slack_balance > -1e-6
+    assert abs(result.force[:, 2].sum() - ROBOT.weight) < band + 1e-6
+
+
+def test_with_an_exact_balance_lifted_legs_are_a_fault_and_not_an_answer():
+    """Two legs of 5 N cannot carry 21 N; before, four could."""
+    mpc = new_mpc(model__support="equality", force_max=6.0, solver__name="piqp")
+    good = mpc.step(state(), preview(normal_force=np.full((H + 1, 4), HOVER)))
+    assert good.status == Status.SOLVED
+    lifted = np.tile([True, False, False, True], (H + 1, 1))
+    result = mpc.step(state(), preview(contact=lifted))
+    assert result.status == Status.NOT_SOLVED
+    assert np.isfinite(result.force).all()
+    assert result.slack_total < 0.0
+
+
+def test_a_soft_minimum_is_the_optimum_with_its_cost_and_always_feasible():
+    least, weight = (0.2, 7.0), 5.0
+    x0, ahead = state(p=(0, 0, 0.05)), preview()
+
+    def short(u, _):
+        f_x, f_z = cvxpy.pos(least[0] - u[:, 0::3]), cvxpy.pos(least[1] - u[:, 2::3])
+        return weight * (cvxpy.sum_squares(f_x) + cvxpy.sum_squares(f_z))
+
+    u, cost = optimum(x0, ahead, extra=short)
+    mpc = new_mpc(model__least_force=least, model__least_weight=weight, solver__name="piqp")
+    result = mpc.step(x0, ahead)
+    np.testing.assert_allclose(result.force.ravel(), u[0], atol=3e-4)
+    assert result.cost == pytest.approx(cost, rel=1e-6)
+    flight = preview(contact=np.zeros((H + 1, 4), dtype=bool))
+    assert mpc.step(x0, flight).status == Status.SOLVED
+
+
+def ticks(mpc, true, seconds=6.0):
+    """A rigid torso under the MPC's forces and what `true` (mass, bias) adds; last (12,) states."""
+    model, dt = TorsoModel(ROBOT), DT
+    x, states = state(), []
+    for k in range(round(seconds / dt)):
+        result = mpc.step(x, dataclasses.replace(preview(), stamp=round(k * dt * 1e9)))
+        assert result.status == Status.SOLVED
+        ahead = model.predict(x[2], x[5], dt, *true)
+        x = ahead.a @ x + ahead.b @ result.force.ravel() + ahead.drift
+        states.append(x)
+    return np.array(states[-30:]), result
+
+
+def test_the_observer_finds_mass_and_bias_and_takes_their_error_away():
+    bias = np.array([0.3, -0.2, 0.1, 0.05, -0.04, 0.0])
+    true = (1.2 * ROBOT.mass, bias)
+    without, _ = ticks(new_mpc(force_max=12.0), true)
+    observer = {"disturbance__time": 0.2, "disturbance__bias_angular": 20.0}
+    with_it, result = ticks(new_mpc(force_max=12.0, **observer), true)
+    assert result.mass == pytest.approx(true[0], rel=1e-3)
+    # without it the weight that is not known pulls the height down by millimetres
+    assert abs(without[-1, 5] - 0.04) > 1e-3
+    assert np.abs(with_it[:, 5] - 0.04).max() < 1e-4
+    # A tilt is left: the moment against the bias needs forces other than the gait's, which cost.
+    assert np.abs(with_it[:, :2]).max() < 0.5 * np.abs(without[:, :2]).max()
+
+
+def test_with_lag_the_controller_knows_the_forces_that_act_by_now():
+    """A plant whose forces lag by 0.1 s: the MPC that knows it overshoots less."""
+    swings = []
+    for lag in (0.0, 0.1):
+        mpc = new_mpc(model__lag=lag, weights__force=[0.05] * 3, solver__name="piqp")
+        model, x = (
+            TorsoModel(ROBOT, 0.1),
+            np.append(state(p=(0, 0, 0.03)), np.tile([0, 0, HOVER], 4)),
+        )
+        heights = []
+        for k in range(90):
+            ahead = dataclasses.replace(preview(), stamp=round(k * DT * 1e9))
+            force = mpc.step(x[:12], ahead).force.ravel()
+            step = model.predict(x[2], x[5], DT)
+            x = step.a @ x + step.b @ force + step.drift
+            heights.append(x[5])
+        swings.append(max(heights) - 0.04)
+    assert swings[1] < 0.3 * swings[0]
+
+
+@pytest.mark.parametrize("profile", ["paper", "published"])
+def test_profiles_change_what_they_name_and_nothing_else(profile):
+    settings = read_mpc(profile)
+    assert settings.model.support == "equality"
+    assert settings.weights.force == (1e-8, 1e-8, 1e-8)
+    assert settings.fallback == read_mpc().fallback
+    with pytest.raises(config.ConfigError, match="no configuration 'mpc/magic'"):
+        read_mpc("magic")

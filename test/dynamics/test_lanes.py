@@ -1,0 +1,206 @@
+"""Lanes against NumPy, and four legs in lanes against the same equations leg by leg."""
+
+import copy
+import dataclasses
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numba import njit
+from numba.core.errors import NumbaError, TypingError
+
+from slot_core import compiled, config
+from slot_core.control.gait import read_gaits
+from slot_core.dynamics import integrator
+from slot_core.dynamics.algebra import cosine_sine
+from slot_core.dynamics.handle import Handle
+from slot_core.dynamics.lanes import every, in_lanes, largest, like, some, total, where
+from slot_core.dynamics.model import (
+    build_model,
+    build_scheme,
+    leg_lanes,
+    rest_state,
+    state_space,
+    work_space,
+)
+from slot_core.dynamics.rod import angle_between
+from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.robot import read_robot
+
+ROBOT, SCENE, SERVO = read_robot(), read_scene("flat"), read_servo()
+
+
+class Stepper:
+    """The kernels of a simulator without its checks, legs in lanes or one by one."""
+
+    def __init__(self, in_lanes, robot=ROBOT, servo=SERVO, **changes):
+        scene = config.replace(SCENE, {k.replace("__", "."): v for k, v in changes.items()})
+        self.model = build_model(robot, scene, servo)
+        self.state = rest_state(self.model, scene.start.height)
+        self.legs, self.work = leg_lanes(self.model, self.state), work_space()
+        start = state_space(scene.solver.nodes, self.model.floor.bristle > 0.0)
+        scheme = build_scheme(scene.solver, self.model.floor)
+        self.machine = Handle((self.model, self.state, self.work, start, self.legs, scheme))
+        self.advance = integrator.advance if in_lanes else integrator.advance_one_by_one
+
+    def run(self, command, steps):
+        self.legs.command[0] = command
+        assert self.advance(self.machine, steps) == (steps, -1)
+
+
+def walk(time):
+    gait = read_gaits().gaits["walk"]
+    return gait.course(np.array([time / gait.period % 1]), 1.0)[0, :4]
+
+
+def stand_and_step(time):
+    return np.radians([63.0] * 4 if time < 0.5 else [90.0, 30.0, 50.0, 75.0])
+
+
+@pytest.mark.parametrize("motion", [walk, stand_and_step])
+def test_lanes_move_as_the_legs_do_one_by_one(motion):
+    """For 1.5 s from the start; 1e-7 m is a thousandth of the time step's own error."""
+    lanes, single = Stepper(True), Stepper(False)
+    for k in range(50):
+        for stepper in (lanes, single):
+            stepper.run(motion(0.03 * k), 30)
+        np.testing.assert_allclose(lanes.state.position, single.state.position, rtol=0, atol=1e-7)
+        np.testing.assert_allclose(lanes.state.node, single.state.node, rtol=0, atol=1e-7)
+        np.testing.assert_allclose(lanes.state.tension, single.state.tension, rtol=0, atol=1e-3)
+    assert lanes.state.position[2] > 0.03  # m: it has not sunk to the floor
+
+
+FEATURES = {
+    "bristles": {"floor__friction_law": "bristle"},
+    "direction": {"floor__friction_varies": "direction", "floor__friction_other": [0.1] * 4},
+    "phase": {"floor__friction_varies": "phase", "floor__friction_other": [0.1] * 4},
+    "map": {"floor__height_map": "uneven.csv"},
+    "map with bristles": {"floor__height_map": "uneven.csv", "floor__friction_law": "bristle"},
+    "tips": {"floor__contact": "tip"},
+    "payload": {"payload__mass": 0.5, "payload__place": [0.02, 0.03, 0.04]},
+    "faults": {
+        "tendons__slack": [0.0, 2e-3, 0.0, 0.0],
+        "tendons__broken": [False, False, True, False],
+    },
+    "straight": {
+        "robot": config.replace(
+            ROBOT, {"tendon.routing": "straight", "tendon.pulley_angle_deg": 235.0}
+        )
+    },
+    "pid": {"servo": dataclasses.replace(SERVO, model="pid", integral=5.0, backlash_deg=2.0)},
+}
+
+
+@pytest.mark.parametrize("feature", FEATURES)
+def test_lanes_move_as_the_legs_do_with_every_feature(feature):
+    """From the start, pulled and then partly released, for 0.3 s: every leg on its own."""
+    lanes, single = (Stepper(which, **FEATURES[feature]) for which in (True, False))
+    plain = Stepper(True)
+    for degrees in [[90.0, 40.0, 60.0, 75.0]] * 6 + [[30.0, 70.0, 0.0, 75.0]] * 4:
+        for stepper in (lanes, single, plain):
+            stepper.run(np.radians(degrees), 30)
+        np.testing.assert_allclose(lanes.state.buffer, single.state.buffer, rtol=1e-6, atol=1e-5)
+        np.testing.assert_allclose(lanes.state.node, single.state.node, rtol=0, atol=1e-7)
+    assert np.abs(lanes.state.node - plain.state.node).max() > 1e-5  # m: the feature does something
+
+
+def test_lanes_halve_the_steps_that_the_legs_do_one_by_one():
+    """An impact at 3 m/s with tendons pulled differently: contact and large angles in some."""
+    changes = {"start__height": 0.06, "solver__correction_limit": 1e-4}
+    steppers = [Stepper(in_lanes, **changes) for in_lanes in (True, False)]
+    for stepper in steppers:
+        stepper.state.node_velocity[:, :, 2] = stepper.state.velocity[2] = -3.0
+        stepper.run(np.array([1.9, 0.0, 1.0, 2.0]), 150)
+    lanes, single = steppers
+    np.testing.assert_allclose(lanes.state.node, single.state.node, rtol=0, atol=1e-7)
+    np.testing.assert_array_equal(lanes.work.counter, single.work.counter)
+    assert lanes.work.counter[0] > 0
+
+
+class Pair(NamedTuple):
+    """Operands and results of a kernel on lanes, (n, 4)."""
+
+    a: np.ndarray
+    out: np.ndarray
+
+
+def on_lanes(function, count, *rows):
+    """(count, 4) what a function of a Lanes array and an array for its results writes."""
+    pair = Pair(np.array(rows, dtype=float), np.full((count, 4), 7.0))
+    inner = njit(function)
+
+    @njit
+    def run(pair):
+        view = in_lanes(pair)
+        inner(view.a, view.out)
+
+    run(pair)
+    return pair.out
+
+
+A, B = np.array([1.5, -2.0, 0.0, 1e200]), np.array([0.5, 3.0, 2.0, 1e-9])
+
+
+def test_lanes_compute_as_numpy_does():
+    def kernel(v, out):
+        a, b = v[0], v[1]
+        out[0], out[1], out[2], out[3] = a + b, a - b, a * b, a / b
+        out[4], out[5], out[6], out[7] = max(a, b), min(a, b), -a, math.sqrt(b)
+        out[8], out[9], out[10], out[11] = 2.0 - a, 3 * b, where(a > b, a, b), like(4.0, a)
+        a -= b
+        a /= 2.0
+        out[12] = a
+
+    expected = [A + B, A - B, A * B, A / B, np.maximum(A, B), np.minimum(A, B), -A, np.sqrt(B)]
+    expected += [2 - A, 3 * B, np.maximum(A, B), np.full(4, 4.0), (A - B) / 2]
+    np.testing.assert_array_equal(on_lanes(kernel, 13, A, B), expected)
+
+
+def test_sums_and_questions_run_over_the_lanes():
+    def kernel(v, out):
+        out[0], out[1] = total(v[0]), largest(v[0])
+        out[2] = 1.0 if some(v[0] > 3.5) else 0.0
+        out[3] = 1.0 if every(v[0] > 3.5) else 0.0
+        out[4] = 1.0 if every(v[0] >= 1.0) else 0.0
+        out[5] = 1.0 if some(v[0] < 1.0) else 0.0
+
+    found = on_lanes(kernel, 6, [4.0, 1.0, 3.0, 2.0])
+    np.testing.assert_array_equal(found[:, 0], [10.0, 4.0, 1.0, 0.0, 1.0, 0.0])
+
+
+def test_no_comparison_with_nan_holds_in_its_lane():
+    def kernel(v, out):
+        one, none = like(1.0, v[0]), like(0.0, v[0])
+        out[0], out[1] = where(v[0] < 1.0, one, none), where(v[0] >= 1.0, one, none)
+
+    found = on_lanes(kernel, 2, [np.nan, 0.0, 1.0, np.inf])
+    np.testing.assert_array_equal(found, [[0, 1, 0, 0], [0, 0, 1, 1]])
+
+
+def test_small_and_large_angles_share_the_lanes():
+    """Series and library function side by side; both are exact to rounding."""
+
+    def kernel(v, out):
+        out[0], out[1] = cosine_sine(v[0])
+        out[2] = angle_between(like(1.0, v[0]), like(0.0, v[0]), out[0], out[1])
+
+    angles = np.array([0.0, 1e-3, 0.4, -3.0])
+    expected = [np.cos(angles), np.sin(angles), angles]
+    np.testing.assert_allclose(on_lanes(kernel, 3, angles), expected, rtol=4e-16, atol=1e-16)
+
+
+def test_only_contiguous_numbers_have_lanes():
+    with pytest.raises(TypingError, match="last axis of a contiguous array"):
+        njit(lambda pair: in_lanes(pair).a[0])(Pair(np.zeros((4, 3)).T, np.zeros((3, 4))))
+
+
+def test_a_handle_is_not_copied_with_its_address():
+    with pytest.raises(TypeError, match="no copy"):
+        copy.deepcopy(Handle((1.0, np.zeros(3))))
+
+
+def test_a_kernel_that_allocates_does_not_compile():
+    with pytest.raises(NumbaError, match="NRT required"):
+        compiled.kernel(lambda n: np.zeros(n).size)(3)

@@ -1,0 +1,268 @@
+"""The tendon against the geometry of offset curves and the statics of a rod under its pull."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numba import njit
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+from slot_core import config
+from slot_core.dynamics.model import build_model
+from slot_core.dynamics.rod import build, discretise, measure, segments
+from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.dynamics.tendon import pull, route
+from slot_core.legs.leg_map import StaticLeg
+from slot_core.robot import read_robot
+from slot_core.simulation.rod_robot import RodRobot
+
+ROBOT = read_robot()
+
+
+@njit
+def tension(s, tendon, node, angle, rate):
+    measure(s, node, np.zeros((len(node), 3)), 0.0, 0.0)
+    return pull(s, tendon, angle, rate, (0.0, 0.0), (0.0, 1.0))
+
+
+def straight(nodes):
+    length = ROBOT.leg.arc_length()
+    node = np.column_stack([np.linspace(0.0, length, nodes), np.zeros(nodes)])
+    return build(ROBOT.leg, node, node[:, 0], round((nodes - 1) * ROBOT.tendon.end_fraction))
+
+
+@pytest.mark.parametrize("nodes", [10, 22, 31])
+def test_length_is_that_of_the_curve_at_the_offset(nodes):
+    """On an arc bent by curvature k the curve d below has the length s (1 + k d)."""
+    rod, settings = straight(nodes), ROBOT.tendon
+    tendon = route(rod, settings)
+    curvature, bending = -2.0, section(rod)
+    turn = curvature * bending / rod.bending  # every hinge bends by its share
+    length = tendon.along @ rod.rest_length + tendon.around @ turn
+    reach = settings.end_fraction * ROBOT.leg.arc_length()
+    assert length == pytest.approx(reach * (1.0 + curvature * settings.offset), rel=1e-12)
+
+
+def section(rod):
+    """(N-1,) EI at nodes 0 .. N-2, N m^2."""
+    leg, fraction = ROBOT.leg, rod.arc[:-1] / rod.arc[-1]
+    thick = leg.thickness_clamp + (leg.thickness_tip - leg.thickness_clamp) * fraction
+    return leg.young_modulus * leg.width * thick**3 / 12
+
+
+@pytest.mark.parametrize("nodes", [8, 23, 40])
+def test_any_number_of_nodes_puts_one_at_the_anchor(nodes):
+    rod = discretise(ROBOT.leg, nodes, ROBOT.tendon.end_fraction)
+    assert rod.arc[rod.anchor] / rod.arc[-1] == pytest.approx(ROBOT.tendon.end_fraction, rel=1e-12)
+    assert np.diff(rod.arc).max() / np.diff(rod.arc).min() < 1.5
+
+
+def test_a_slack_tendon_pulls_nothing():
+    rod = discretise(ROBOT.leg, 22, ROBOT.tendon.end_fraction)
+    tendon = route(rod, ROBOT.tendon)
+    slack_ends = ROBOT.tendon.slack / ROBOT.tendon.spool_radius
+    for angle in (0.0, 0.99 * slack_ends):
+        assert tension(segments(22), tendon, rod.node, angle, 0.0) == 0.0
+    pulled = tension(segments(22), tendon, rod.node, slack_ends + 0.01, 0.0)
+    # 0.1 mm of stretch in the natural shape.
+    assert pulled == pytest.approx(tendon.stiffness * 0.01 * ROBOT.tendon.spool_radius, rel=1e-9)
+
+
+def test_damping_acts_on_the_rate_of_the_cable():
+    rod = discretise(ROBOT.leg, 22, ROBOT.tendon.end_fraction)
+    tendon = route(rod, ROBOT.tendon)
+    taut = 0.4  # rad
+    still = tension(segments(22), tendon, rod.node, taut, 0.0)
+    turning = tension(segments(22), tendon, rod.node, taut, 2.0)
+    expected = ROBOT.tendon.cable_damping * 2.0 * ROBOT.tendon.spool_radius
+    assert turning - still == pytest.approx(expected, rel=1e-9)
+
+
+def pulled_leg(force):
+    """Tip (x, z) and tendon length of the continuous leg under a tension, without gravity.
+
+    Between clamp and anchor the section carries the moment -T d and the axial force -T.
+    """
+    leg, end, d = ROBOT.leg, ROBOT.tendon.end_fraction * ROBOT.leg.arc_length(), ROBOT.tendon.offset
+    length, slope = leg.arc_length(), leg.shape.deriv()
+    curve = slope.deriv()
+
+    def derivative(s, y, pulled):
+        x = y[4]
+        run = np.hypot(1.0, slope(x))
+        thick = leg.thickness_clamp + (leg.thickness_tip - leg.thickness_clamp) * s / length
+        bending = leg.young_modulus * leg.width * thick**3 / 12
+        strain = -pulled / (leg.young_modulus * leg.width * thick)
+        turning = curve(x) / run**3 - pulled * d / bending
+        stretched = 1.0 + strain
+        return [turning, stretched * np.cos(y[0]), stretched * np.sin(y[0]), stretched, 1.0 / run]
+
+    options = {"rtol": 1e-10, "atol": 1e-12}
+    first = solve_ivp(derivative, (0, end), np.zeros(5), args=(force,), **options).y[:, -1]
+    natural = solve_ivp(derivative, (0, end), np.zeros(5), args=(0.0,), **options).y[:, -1]
+    tip = solve_ivp(derivative, (end, length), first, args=(0.0,), **options).y[1:3, -1]
+    return tip, first[3] + d * first[0] - natural[3] - d * natural[0]
+
+
+def test_pulled_leg_converges_to_the_continuous_one_to_second_order():
+    """Tension and shape of a hanging leg without weight, at a given angle of the spool."""
+    angle, settings = np.radians(80.0), ROBOT.tendon
+    reeled = settings.spool_radius * angle - settings.slack
+    force = brentq(lambda f: settings.cable_stiffness * (pulled_leg(f)[1] + reeled) - f, 1.0, 200.0)
+    exact, errors = pulled_leg(force)[0], []
+    scene = dataclasses.replace(read_scene("flat"), gravity=(0.0, 0.0, 0.0))
+    for nodes in (13, 22, 43):
+        leg = StaticLeg(ROBOT, nodes)
+        fine = dataclasses.replace(scene.solver, nodes=nodes)
+        leg.model = build_model(ROBOT, dataclasses.replace(scene, solver=fine), read_servo())
+        for part in np.linspace(0.1, 1.0, 10):
+            here = leg.solve(part * angle, 1.0)
+        errors.append(np.hypot(*(here.node[-1] - exact)))
+    assert here.tension == pytest.approx(force, rel=2e-3)  # N = 43, second order in 1/42
+    order = np.log(errors[0] / errors[2]) / np.log(42 / 12)
+    assert order > 1.8
+    assert errors[1] < 4e-4  # m at N = 22; without the anchor's own cell it is 5.7 mm
+
+
+def hanging(robot=ROBOT, **changes):
+    """A robot that floats, its legs natural."""
+    changes = {name.replace("__", "."): value for name, value in changes.items()}
+    changes |= {"gravity": [0.0, 0.0, 0.0], "start.height": 5.0, "start.settle": 0.0}
+    return RodRobot(robot, config.replace(read_scene("flat"), changes), read_servo())
+
+
+def test_a_broken_tendon_carries_nothing_and_the_others_all():
+    whole, broken = hanging(), hanging(tendons__broken=[False, True, False, False])
+    for sim in (whole, broken):
+        sim.advance(500, np.full(4, 1.5))
+    assert broken.tension[1] == 0.0
+    np.testing.assert_allclose(broken.tension[[0, 2, 3]], whole.tension[0], rtol=0.02)
+    # Its leg is left to its natural shape, but for what the torso's turning does to it.
+    here, natural = broken.state.node[1], broken.model.rod.node
+    assert np.abs(here - natural).max() < 1e-3
+    assert np.abs(whole.state.node[1] - natural).max() > 0.03
+
+
+def test_a_tendon_can_break_and_slacken_on_the_way():
+    sim = hanging()
+    sim.advance(300, np.full(4, 1.5))
+    assert (sim.tension > 20.0).all()
+    sim.spoil_tendon(2, broken=True)
+    sim.spoil_tendon(3, slack=0.1)
+    sim.advance(1, np.full(4, 1.5))
+    assert (sim.tension[:2] > 20.0).all()
+    np.testing.assert_array_equal(sim.tension[2:], 0.0)
+
+
+def test_slack_is_an_angle_of_the_spool():
+    """A tendon longer by s pulls at theta + s / r as the whole one does at theta."""
+    slack = 2e-3
+    angle = slack / ROBOT.tendon.spool_radius
+    whole, slackened = hanging(), hanging(tendons__slack=[slack] * 4)
+    whole.state.tendon_angle[:] = 1.0
+    slackened.state.tendon_angle[:] = 1.0 + angle
+    whole.advance(300, np.full(4, 1.0))
+    slackened.advance(300, np.full(4, 1.0 + angle))
+    np.testing.assert_allclose(slackened.tension, whole.tension, rtol=1e-9)
+    np.testing.assert_allclose(slackened.nodes, whole.nodes, atol=1e-9)
+
+
+# From below the torso the line to the anchor passes below the leg, and bends it downward.
+STRAIGHT = config.replace(
+    ROBOT,
+    {
+        "tendon.routing": "straight",
+        "tendon.pulley_angle_deg": 250.0,
+        "tendon.pulley_distance": 0.04,
+        "tendon.slack": 0.0,
+    },
+)
+
+
+def potential(leg, node, angle, height):
+    """J of one leg at nodes (N, 2): rod, straight cable, weight and floor, written down again."""
+    model = leg.model
+    rod, settings = model.rod, STRAIGHT.tendon
+    chord = np.diff(node, axis=0)
+    length = np.hypot(*chord.T)
+    turn = np.diff(np.arctan2(chord[:, 1], chord[:, 0]), prepend=0.0)
+    total = rod.axial @ (length - rod.rest_length) ** 2 / 2
+    total += rod.bending @ (turn - rod.rest_angle) ** 2 / 2
+    line = np.linalg.norm(node[rod.anchor] - settings.pulley)
+    natural = np.linalg.norm(rod.node[rod.anchor] - settings.pulley)
+    stretch = max(0.0, line - natural + settings.spool_radius * angle)
+    total += settings.cable_stiffness * stretch**2 / 2
+    total -= model.gravity[2] * rod.mass @ (node[:, 1] + height)
+    gap = np.minimum(0.0, node[:, 1] + height)
+    return total + model.floor.stiffness @ gap**2 / 2
+
+
+def straight_leg(angle, height):
+    leg = StaticLeg(STRAIGHT, 22)
+    for part in np.linspace(0.05, 1.0, 20):
+        here = leg.solve(part * angle, height)
+    return leg, here
+
+
+def test_a_straight_tendon_pulls_along_its_line_as_its_energy_says():
+    """A leg at rest under it: no node can move and lower the energy."""
+    angle, height = 0.6, 0.045
+    leg, here = straight_leg(angle, height)
+    assert here.tension > 3.0
+    gradient, step = np.zeros((21, 2)), 1e-7
+    for i in range(1, 22):
+        for axis in range(2):
+            node = here.node.copy()
+            node[i, axis] += step
+            up = potential(leg, node, angle, height)
+            node[i, axis] -= 2 * step
+            gradient[i - 1, axis] = (up - potential(leg, node, angle, height)) / (2 * step)
+    # Differences of some J at 1e-7 m; the tendon alone pulls at its node with its tension.
+    np.testing.assert_allclose(gradient, 0.0, atol=1e-5 * here.tension)
+
+
+def test_a_straight_tendon_acts_on_the_clamp_as_the_energy_of_the_leg_says():
+    """Work on the clamp that is raised = change of the energy of a leg that follows at rest."""
+    angle, height, step = 0.6, 0.045, 1e-5
+    leg, here = straight_leg(angle, height)
+    up, down = leg.solve(angle, height + step), leg.solve(angle, height - step)
+    change = potential(leg, up.node, angle, height + step)
+    change -= potential(leg, down.node, angle, height - step)
+    weight = -leg.model.gravity[2] * leg.model.rod.mass.sum()
+    assert here.force > 0.5
+    assert weight - here.force == pytest.approx(change / (2 * step), rel=1e-5)
+
+
+def test_a_straight_tendon_keeps_momentum_in_flight():
+    """What it does to the leg it does to the torso, at the pulley."""
+    errors = []
+    for step in (2e-3, 1e-3):
+        sim = hanging(STRAIGHT, solver__step=step, solver__theta=0.5, solver__iterations=8)
+        sim.set_motion(np.array([0.3, 0.2, 0.1]), np.array([3.0, 4.0, 5.0]))
+        before = sim.momentum()
+        sim.advance(round(0.4 / step), np.array([0.8, 0.6, 0.4, 0.2]))
+        after = sim.momentum()
+        assert sim.tension.max() > 5.0
+        np.testing.assert_allclose(after[0], before[0], rtol=1e-11)
+        errors.append(np.linalg.norm(after[1] - before[1]) / np.linalg.norm(before[1]))
+    assert errors[0] < 1e-6
+    assert np.log2(errors[0] / errors[1]) > 1.9  # second order
+
+
+def test_a_straight_tendon_keeps_the_energy_in_flight():
+    """Undamped, spools held: the tendon's force is the gradient of what its cable stores."""
+    leg = dataclasses.replace(STRAIGHT.leg, damping_time=0.0)
+    tendon = dataclasses.replace(STRAIGHT.tendon, cable_damping=0.0, cable_stiffness=2e3)
+    robot = dataclasses.replace(STRAIGHT, leg=leg, tendon=tendon)
+    errors = []
+    for step in (2.5e-4, 1.25e-4):
+        sim = hanging(robot, solver__step=step, solver__theta=0.5, solver__iterations=8)
+        sim.set_motion(np.zeros(3), np.array([3.0, 4.0, 5.0]))
+        sim.state.tendon_angle[:] = 0.5
+        before = sim.energy()
+        sim.advance(round(0.1 / step), np.full(4, 0.5))
+        errors.append(abs(sim.energy() / before - 1))
+    assert errors[0] < 1e-3
+    assert np.log2(errors[0] / errors[1]) > 1.5  # two in the limit; the stiff modes come late

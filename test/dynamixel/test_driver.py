@@ -1,0 +1,536 @@
+"""The driver, with the real SDK, against emulated servos behind a pseudo-terminal."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+
+from slot_core import config
+from slot_core.dynamixel.driver import Driver
+from slot_core.dynamixel.errors import CommunicationError, InstructionError, PortError, RefusedError
+from slot_core.dynamixel.homing import find_taut
+from slot_core.dynamixel.port import SerialPort, check_latency
+from slot_core.dynamixel.settings import read_settings
+from slot_core.dynamixel.table import RAD_PER_COUNT
+from slot_core.emulator.emulated_bus import read_emulator
+from slot_core.emulator.pseudo_terminal import PseudoTerminal
+from slot_core.faults import Fault
+from slot_core.simulation.bus_legs import EmulatedLegs
+
+# A busy machine may keep the emulator's thread waiting: more time than on the robot.
+PATIENT = {"bus.timeout": 0.05}
+ONE_COUNT = 1.01 * RAD_PER_COUNT
+STANDING = (0.1, 0.2, 0.3, 0.4)
+
+
+class Rig:
+    """Driver and emulated servos; their time passes in `run` alone."""
+
+    def __init__(self, changes=(), emulator=(), angles=STANDING, link=None):
+        self.settings = config.replace(read_settings(), PATIENT | dict(changes))
+        self.legs = EmulatedLegs(
+            self.settings, config.replace(read_emulator(), dict(emulator)), angles
+        )
+        self.bus, self.time = self.legs.bus, 0.0
+        self.terminal = PseudoTerminal(self.bus, link)
+        port = SerialPort(self.terminal.name, self.settings.bus.baud, self.settings.bus.timeout)
+        self.driver = Driver(port, self.settings, clock=lambda: self.time)
+
+    def start(self):
+        self.driver.configure()
+        self.driver.activate()
+        return self
+
+    def run(self, duration, goals=None, torques=(0.0,) * 4, period=0.01):
+        """Cycles of the driver, servos moving between them; returns all cycles."""
+        cycles = []
+        for _ in range(round(duration / period)):
+            if goals is not None:
+                assert self.driver.command(goals).accepted
+            cycles.append(self.driver.cycle())
+            self.legs.advance(period, torques)
+            self.time += period
+        return cycles
+
+    def fault(self, kind, leg="FL", value=0.0):
+        self.bus.inject(Fault(kind, leg, 0.0, 0.0, value))
+
+    def torque(self):
+        return [servo.memory["torque_enable"] for servo in self.bus.servos]
+
+    def close(self):
+        self.driver.close()
+        self.terminal.close()
+
+
+@pytest.fixture
+def build():
+    rigs = []
+
+    def make(*args, **kwargs):
+        rigs.append(Rig(*args, **kwargs))
+        return rigs[-1]
+
+    yield make
+    for rig in rigs:
+        rig.close()
+
+
+@pytest.fixture
+def rig(build):
+    return build()
+
+
+def test_configure_tells_what_the_servos_are(rig):
+    infos = rig.driver.configure()
+    assert [(i.leg, i.id, i.model, i.firmware) for i in infos] == [
+        ("FL", 5, 1060, 45), ("FR", 4, 1060, 45), ("RL", 2, 1060, 45), ("RR", 3, 1060, 45),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("register", "value", "words"),
+    [
+        ("operating_mode", 16, "servo RL (id 2): operating_mode is 16, expected 3"),
+        ("max_position_limit", 4095, "servo RL (id 2): max_position_limit is 4095, expected"),
+        ("shutdown", 52, "servo RL (id 2): shutdown is 52, expected 53"),
+        ("drive_mode", 8, "servo RL (id 2): drive_mode is 8, expected 0"),
+        ("firmware_version", 37, "servo RL (id 2): firmware 37, expected 38 or newer"),
+        ("return_delay_time", 250, "servo RL (id 2): return_delay_time is 250, expected 0"),
+    ],
+)
+def test_a_servo_that_is_set_up_otherwise_is_refused_by_name(rig, register, value, words):
+    rig.bus.servos[2].memory[register] = value
+    with pytest.raises(RefusedError) as caught:
+        rig.driver.configure()
+    assert len(caught.value.reasons) == 1
+    assert caught.value.reasons[0].startswith(words)
+    assert rig.torque() == [0] * 4
+
+
+def test_every_missing_servo_is_named_with_the_words_of_the_sdk(rig):
+    rig.fault("silent", "FR")
+    rig.fault("wrong_id", "RR", 9)
+    with pytest.raises(RefusedError) as caught:
+        rig.driver.configure()
+    assert [reason.split(":")[0] for reason in caught.value.reasons] == [
+        "servo FR (id 4)",
+        "servo RR (id 3)",
+    ]
+    assert all("There is no status packet" in reason for reason in caught.value.reasons)
+
+
+def test_another_model_is_refused(build):
+    rig = build({"servo.model": 1020})
+    with pytest.raises(RefusedError, match=r"servo FL \(id 5\): model 1060, expected 1020"):
+        rig.driver.configure()
+
+
+def test_another_baud_rate_is_refused(rig):
+    for servo in rig.bus.servos:
+        servo.memory["baud_rate"] = 4
+    with pytest.raises(RefusedError) as caught:
+        rig.driver.configure()
+    assert len(caught.value.reasons) == 4
+
+
+def test_a_rate_that_the_port_cannot_have_is_refused(tmp_path):
+    with pytest.raises(PortError, match="4500000 baud is not supported"):
+        SerialPort(str(tmp_path / "none"), 4500000, 0.01).open()
+    with pytest.raises(PortError, match="none"):
+        SerialPort(str(tmp_path / "none"), 1000000, 0.01).open()
+
+
+def test_the_port_is_opened_by_one_driver_alone(rig):
+    rig.driver.configure()
+    with pytest.raises(PortError, match="lock"):
+        SerialPort(rig.terminal.name, 1000000, 0.01).open()
+
+
+def test_a_slow_latency_timer_is_refused_with_the_rule_that_mends_it(tmp_path):
+    timer = tmp_path / "ttyUSB7" / "device" / "latency_timer"
+    timer.parent.mkdir(parents=True)
+    timer.write_text("16\n")
+    with pytest.raises(PortError, match=r"16 ms, limit 1 ms.*ATTR\{latency_timer\}=\"1\""):
+        check_latency("/dev/ttyUSB7", 1, tmp_path)
+    timer.write_text("1\n")
+    assert check_latency("/dev/ttyUSB7", 1, tmp_path) == 1
+    assert check_latency("/dev/ttyACM0", 1, tmp_path) is None
+
+
+@pytest.mark.parametrize("control", ["position", "pwm"])
+def test_activation_far_from_the_last_goal_moves_nothing(build, control):
+    rig = build({"control": control})
+    for servo in rig.bus.servos:
+        servo.memory["goal_position"] = 2900  # where a former run has left it
+        servo.memory["goal_pwm"] = 885
+    before = rig.legs.angles()
+    rig.start()
+    assert rig.torque() == [1] * 4
+    for _ in range(50):
+        rig.legs.advance(0.001)
+    # Within the count that the encoder rounds down, and it holds there.
+    assert np.abs(rig.legs.angles() - before).max() < ONE_COUNT
+    rig.run(0.3)
+    assert np.abs(rig.legs.angles() - before).max() < 2 * ONE_COUNT
+
+
+def test_activation_outside_the_limits_is_refused(build):
+    rig = build(angles=(0.1, 0.2, -0.5, 0.4))
+    rig.driver.configure()
+    with pytest.raises(RefusedError, match=r"servo RL \(id 2\): stands at .* outside its limits"):
+        rig.driver.activate()
+    assert rig.torque() == [0] * 4
+
+
+def test_activation_with_a_hardware_error_is_refused_until_a_reboot(rig):
+    rig.driver.configure()
+    rig.fault("overload", "FR")
+    with pytest.raises(RefusedError, match=r"servo FR \(id 4\): hardware error: overload"):
+        rig.driver.activate()
+    assert rig.torque() == [0] * 4
+    rig.driver.reboot("FR")
+    rig.legs.advance(0.5)
+    rig.driver.activate()
+    assert rig.torque() == [1] * 4
+
+
+def test_a_servo_lost_during_activation_leaves_no_torque_on(rig):
+    rig.driver.configure()
+    confirm = rig.driver.bus.confirm
+
+    def lose(identity, register, value):
+        if register == "torque_enable" and value and identity == 2:
+            rig.fault("silent", "RL")
+        confirm(identity, register, value)
+
+    rig.driver.bus.confirm = lose
+    with pytest.raises(RefusedError, match=r"servo RL"):
+        rig.driver.activate()
+    assert rig.torque() == [0] * 4
+
+
+def test_no_servo_has_torque_without_its_watchdog(rig):
+    rig.driver.configure()
+    confirm, armed = rig.driver.bus.confirm, []
+
+    def watch(identity, register, value):
+        if register == "torque_enable" and value:
+            armed.append([servo.memory["bus_watchdog"] for servo in rig.bus.servos])
+        confirm(identity, register, value)
+
+    rig.driver.bus.confirm = watch
+    rig.driver.activate()
+    assert armed == [[5] * 4] * 4
+
+
+def test_activating_twice_is_refused_and_keeps_torque_on(rig):
+    rig.start()
+    with pytest.raises(RefusedError, match="already"):
+        rig.driver.activate()
+    assert rig.torque() == [1] * 4
+
+
+def test_gains_and_watchdog_are_those_of_the_configuration(rig):
+    rig.start()
+    for servo in rig.bus.servos:
+        found = [servo.memory[f"position_{name}_gain"] for name in "pid"]
+        gains = rig.settings.gains
+        assert found == [gains.p, gains.i, gains.d]
+        assert servo.memory["bus_watchdog"] == 5  # 100 ms
+
+
+@pytest.mark.parametrize("control", ["position", "pwm"])
+@pytest.mark.parametrize("direction", [(1, 1, 1, 1), (1, -1, 1, -1)])
+def test_the_tendons_go_where_they_are_sent(build, control, direction):
+    rig = build({"control": control, "joints.direction": direction, "joints.zero_deg": [180] * 4})
+    rig.start()
+    goals = (0.5, 1.0, 1.5, 1.9) if direction[1] == 1 else (0.3, 0.4, 0.5, 0.6)
+    rig.run(1.5, goals)
+    last = rig.driver.cycle()  # no time has passed: nothing moves meanwhile
+    assert rig.legs.angles() == pytest.approx(goals, abs=3 * RAD_PER_COUNT)
+    assert [r.angle for r in last.readings] == pytest.approx(rig.legs.angles(), abs=ONE_COUNT)
+
+
+def test_the_hosts_integral_takes_up_the_load_where_the_servos_p_alone_sags(build):
+    torque = (0.3,) * 4
+    sag = {}
+    for control in ("position", "pwm"):
+        rig = build({"control": control}, angles=(0.0,) * 4).start()
+        rig.run(3.0, (1.0,) * 4, torque)
+        sag[control] = 1.0 - rig.legs.angles()[0]
+    servo_torque = 0.3 / 1.03199
+    gain = rig.settings.gains.p / 128 / 885 / RAD_PER_COUNT
+    droop = servo_torque / 1.4 / gain / 1.03199
+    assert sag["position"] == pytest.approx(droop, abs=2 * RAD_PER_COUNT)
+    assert abs(sag["pwm"]) < 3 * RAD_PER_COUNT
+
+
+@pytest.mark.parametrize(
+    "goals", [(1, 1, 1), (1, 1, math.nan, 1), (1, 1, 1, 2.1), (-0.1, 1, 1, 1), (math.inf, 1, 1, 1)]
+)
+def test_a_wrong_command_is_rejected_as_a_whole(rig, goals):
+    rig.start()
+    rig.run(1.0, (0.5,) * 4)
+    verdict = rig.driver.command(goals)
+    assert not verdict.accepted
+    assert verdict.reason
+    rig.run(0.3)
+    assert rig.legs.angles() == pytest.approx([0.5] * 4, abs=2 * RAD_PER_COUNT)
+
+
+def test_a_step_beyond_the_speed_limit_is_slewed_and_flagged(build):
+    rig = build({"joints.speed_limit": 1.0}, angles=(0.0,) * 4).start()
+    cycles = rig.run(0.5, (1.0, 0.001, 0.0, 0.0))
+    assert cycles[1].slewed == (True, False, False, False)
+    assert rig.driver.goals()[0] == pytest.approx(0.49, abs=ONE_COUNT)  # it starts on a count
+    assert rig.legs.angles()[0] < 0.5
+
+
+def test_a_command_between_two_cycles_goes_as_far_as_one_at_a_cycle(build):
+    """Time in which the goals rested counts, up to 0.05 s, and no more."""
+    rig = build({"joints.speed_limit": 10.0}, angles=(0.0,) * 4).start()
+    rig.run(0.1, (0.0,) * 4)
+    rig.run(0.001, (0.4, 0.6, 0.0, 0.0), period=0.001)
+    assert rig.driver.goals()[:2] == pytest.approx([0.4, 0.5], abs=1e-9)
+    rig.run(0.001, (0.4, 0.6, 0.0, 0.0), period=0.001)
+    assert rig.driver.goals()[1] == pytest.approx(0.51, abs=1e-9)
+
+
+def test_no_command_is_taken_with_torque_off(rig):
+    rig.driver.configure()
+    assert not rig.driver.command((1.0,) * 4).accepted
+    assert rig.driver.cycle().complete
+    rig.legs.advance(0.1)
+    assert rig.legs.angles() == pytest.approx(STANDING, abs=1e-9)
+
+
+def test_a_silent_servo_has_no_reading_and_the_others_keep_theirs(rig):
+    rig.start()
+    rig.run(0.1, STANDING)
+    rig.fault("silent", "FL")
+    cycles = rig.run(0.05, (0.5,) * 4)
+    for cycle in cycles:
+        assert [reading is None for reading in cycle.readings] == [True, False, False, False]
+    assert rig.driver.silent_for("FL") >= 0.05
+    assert rig.driver.silent_for("FR") < 0.02
+    # The others have one failure: the joint answer that FL has broken.
+    assert rig.driver.health[0].error_rate > 5 * rig.driver.health[1].error_rate > 0
+    rig.bus.clear(Fault("silent", "FL", 0, 0, 0))
+    assert rig.run(0.02, (0.5,) * 4)[-1].complete
+
+
+def test_a_silent_servo_is_asked_a_bounded_number_of_times(rig):
+    rig.start()
+    rig.run(0.02)
+    rig.fault("silent", "FL")
+    for expected in (1 + rig.settings.bus.retries, 1, 1):
+        before = rig.driver.bus.quality[5].exchanges
+        rig.driver.cycle()
+        assert rig.driver.bus.quality[5].exchanges - before == expected
+
+
+def test_a_servo_that_takes_another_id_is_silent_and_then_refused_by_name(rig):
+    rig.start()
+    rig.run(0.05, STANDING)
+    rig.fault("wrong_id", "RL", 9)
+    for cycle in rig.run(0.05, STANDING):
+        assert [reading is None for reading in cycle.readings] == [False, False, True, False]
+    rig.driver.close()
+    with pytest.raises(RefusedError, match=r"^servo RL \(id 2\): ping: "):
+        rig.driver.configure()
+    rig.bus.clear(Fault("wrong_id", "RL", 0, 0, 9))
+    rig.start()
+    assert rig.run(0.02, STANDING)[-1].complete
+
+
+def test_noise_never_becomes_a_reading(build):
+    rig = build({"bus.timeout": 0.02}).start()  # damaged lengths make it wait
+    rig.fault("corrupt", "all", 0.3)
+    for _ in range(40):
+        cycle = rig.driver.cycle()
+        for reading, angle in zip(cycle.readings, STANDING):
+            assert reading is None or abs(reading.angle - angle) < 2 * ONE_COUNT
+    assert all(0.02 < health.error_rate < 0.9 for health in rig.driver.health)
+
+
+def test_a_late_answer_is_not_taken_for_another(build):
+    rig = build({"bus.timeout": 0.02, "bus.quiet": 0.05, "servo.fast_from_firmware": 256}).start()
+    rig.run(0.2)
+    rig.fault("late", "RR", 0.04)
+    cycles = rig.run(0.05)
+    for cycle in cycles:
+        assert [reading is None for reading in cycle.readings] == [False, False, False, True]
+        assert [r.angle for r in cycle.readings[:3]] == pytest.approx(STANDING[:3], abs=ONE_COUNT)
+
+
+def test_an_unplugged_port_is_an_error_and_the_watchdog_stops_the_servos(rig):
+    rig.start()
+    rig.run(0.1, (1.5,) * 4)
+    rig.terminal.close()
+    with pytest.raises(PortError):
+        rig.driver.cycle()
+    assert not rig.driver.torque_off().complete
+    for _ in range(101):
+        rig.legs.advance(0.001)
+    stopped = rig.legs.angles()
+    assert np.all(stopped < 1.4)
+    for _ in range(300):
+        rig.legs.advance(0.001)
+    assert np.abs(rig.legs.angles() - stopped).max() < 0.1  # what the motor's time lets it run
+    assert [servo.memory["bus_watchdog"] for servo in rig.bus.servos] == [-1] * 4
+
+
+def test_a_port_that_is_plugged_in_again_serves_a_new_driver(build, tmp_path):
+    rig = build(link=tmp_path / "servos").start()
+    rig.fault("unplugged")
+    deadline = time.monotonic() + 5.0
+    while (tmp_path / "servos").exists():
+        assert time.monotonic() < deadline
+    with pytest.raises(PortError):
+        rig.driver.cycle()
+    rig.driver.close()
+    with pytest.raises(PortError, match="servos"):
+        rig.driver.configure()
+    rig.bus.clear(Fault("unplugged", "all", 0, 0, 0))
+    while not (tmp_path / "servos").exists():
+        assert time.monotonic() < deadline
+    rig.start()
+    assert rig.run(0.02)[-1].complete
+
+
+def test_a_new_driver_clears_a_tripped_watchdog_and_starts_where_the_servos_stand(rig):
+    rig.start()
+    rig.run(0.1, (1.5,) * 4)
+    rig.driver.close()  # as after a kill: torque is on, nobody talks
+    for _ in range(500):
+        rig.legs.advance(0.001)
+    stopped = rig.legs.angles()
+    rig.driver = Driver(
+        SerialPort(rig.terminal.name, 1000000, 0.1), rig.settings, clock=lambda: rig.time
+    )
+    rig.start()
+    rig.run(0.3)
+    assert rig.legs.angles() == pytest.approx(stopped, abs=2 * ONE_COUNT)
+    assert rig.run(1.0, (0.5,) * 4)[-1].complete
+    assert rig.legs.angles() == pytest.approx([0.5] * 4, abs=3 * RAD_PER_COUNT)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "words"),
+    [
+        ("overload", 0, "overload"),
+        ("overheating", 90, "overheating"),
+        ("undervoltage", 7, "input_voltage"),
+    ],
+)
+def test_a_hardware_error_is_known_within_two_cycles(rig, kind, value, words):
+    rig.start()
+    rig.run(0.05, STANDING)
+    rig.fault(kind, "RR", value)
+    rig.run(0.02, STANDING)
+    assert f"servo RR (id 3): hardware error: {words}" in rig.driver.faults()
+    assert rig.torque() == [1, 1, 1, 0]
+
+
+def test_torque_lost_and_a_tripped_watchdog_are_known_within_a_round(rig):
+    rig.start()
+    rig.run(0.05, STANDING)
+    rig.bus.servos[1].memory["torque_enable"] = 0
+    rig.fault("watchdog", "RL")
+    rig.run(0.16, STANDING)  # sixteen cycles ask each servo for everything
+    assert rig.driver.faults() == [
+        "servo FR (id 4): torque is off",
+        "servo RL (id 2): stopped by its bus watchdog",
+    ]
+
+
+def test_health_has_temperature_and_voltage(rig):
+    rig.start()
+    assert rig.driver.health[0].temperature is None
+    rig.run(0.17)
+    for health in rig.driver.health:
+        assert (health.temperature, health.torque, health.hardware_error) == (25.0, True, 0)
+        assert health.voltage == pytest.approx(11.1)
+
+
+def test_torque_off_is_confirmed_by_every_servo(rig):
+    rig.start()
+    off = rig.driver.torque_off()
+    assert off.complete
+    assert rig.torque() == [0] * 4
+    assert [servo.memory["bus_watchdog"] for servo in rig.bus.servos] == [0] * 4
+
+
+def test_torque_off_reaches_the_others_where_one_does_not_answer(rig):
+    rig.start()
+    rig.fault("silent", "FL")
+    off = rig.driver.torque_off()
+    assert off.confirmed == (False, True, True, True)
+    assert "servo FL (id 5)" in off.reasons[0]
+    assert rig.torque() == [0] * 4  # it hears, though it does not answer
+
+
+def test_relax_slackens_the_tendons_before_torque_goes_off(rig):
+    rig.start()
+    rig.run(1.0, (1.0,) * 4)
+
+    def sleep(period):
+        rig.legs.advance(period)
+        rig.time += period
+
+    off = rig.driver.relax(0.5, 0.01, sleep)
+    assert off.complete
+    # The servo's P loop follows a ramp of 2 rad/s at a distance of 2/27 rad.
+    assert np.abs(rig.legs.angles()).max() < 0.12
+
+
+def test_an_interrupt_while_relaxing_leaves_no_torque_on(rig):
+    rig.start()
+
+    def interrupted(period):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        rig.driver.relax(0.5, 0.01, interrupted)
+    assert rig.torque() == [0] * 4
+
+
+def test_a_refusal_is_not_taken_for_data(rig):
+    """A refusing status packet has no data: the SDK's own reading would return its CRC."""
+    rig.driver.configure()
+    handler = rig.driver.bus
+    with pytest.raises(InstructionError, match="exceeds the limit"):
+        handler.write(5, "goal_position", 4095)
+    rig.fault("silent", "FL")
+    with pytest.raises(CommunicationError, match=r"servo FL.*reading led.*no status packet"):
+        handler.read(5, "led")
+
+
+def test_an_old_firmware_is_read_without_fast_sync_read(build):
+    rig = build(emulator={"servo.firmware": 44}).start()
+    assert rig.run(0.05)[-1].complete
+
+
+def test_answers_take_their_time_on_the_wire(build):
+    """A cycle sends 34 + 18 and gets 64 bytes; and 14 and at least 12 more: 10 bits each."""
+    rig = build().start()
+    start = time.monotonic()
+    for _ in range(50):
+        rig.driver.cycle()
+    assert time.monotonic() - start >= 50 * 142 * 10 / 1e6
+
+
+def test_a_tendon_is_found_taut_where_it_resists(build):
+    rig = build(angles=(0.0,) * 4).start()
+
+    def sleep(period):
+        pull = np.maximum(rig.legs.angles() - 0.5, 0.0) * 10.0  # taut from 0.5 rad on
+        rig.legs.advance(period, pull)
+        rig.time += period
+
+    zero = find_taut(rig.driver, "RL", 0.1, sleep)
+    # It resists with a tenth of 1.4 N m at 0.014 rad behind that, and the loop is a cycle late.
+    taut = math.radians(zero - 130.0) / 1.03199
+    assert 0.5 < taut < 0.53

@@ -1,0 +1,276 @@
+"""Commands, silence and faults between a controller and emulated servos."""
+
+import numpy as np
+import pytest
+
+from slot_core import config
+from slot_core.dynamixel.driver import Driver
+from slot_core.dynamixel.errors import PortError, RefusedError
+from slot_core.dynamixel.port import SerialPort
+from slot_core.dynamixel.session import ServoSession, measured
+from slot_core.dynamixel.settings import read_settings
+from slot_core.dynamixel.table import RAD_PER_COUNT
+from slot_core.emulator.emulated_bus import read_emulator
+from slot_core.emulator.pseudo_terminal import PseudoTerminal
+from slot_core.faults import Fault
+from slot_core.robot import read_robot
+from slot_core.safety.command_gate import Action
+from slot_core.safety.command_watchdog import Word
+from slot_core.safety.settings import read_supervisor
+from slot_core.simulation.bus_legs import EmulatedLegs
+
+PERIOD = 0.01  # s
+STANDING = np.array([0.1, 0.2, 0.3, 0.4])
+SLIGHTLY = STANDING + 0.02
+ONE_COUNT = 1.01 * RAD_PER_COUNT
+TIMING = read_supervisor().timing
+
+
+class Rig:
+    """A session whose time, and that of the servos, passes in `run` alone."""
+
+    def __init__(self, angles=STANDING):
+        # a busy machine may keep the emulator's thread waiting
+        settings = config.replace(read_settings(), {"bus.timeout": 0.05})
+        self.legs = EmulatedLegs(settings, read_emulator(), angles)
+        self.terminal = PseudoTerminal(self.legs.bus)
+        self.time = 0.0
+        port = SerialPort(self.terminal.name, settings.bus.baud, settings.bus.timeout)
+        self.driver = Driver(port, settings, clock=lambda: self.time)
+        self.session = ServoSession(
+            self.driver, read_supervisor(), read_robot().tendon.angle_max, PERIOD, self.sleep
+        )
+        self.session.configure()
+        self.session.start()
+
+    @property
+    def now(self):
+        return round(self.time * 1e9)
+
+    def sleep(self, duration):
+        self.legs.advance(duration)
+        self.time += duration
+
+    def say(self, action, reason="the supervisor's reason"):
+        """A word of the supervisor."""
+        self.session.permit(Word(self.now, action, True, reason))
+
+    def run(self, duration, angle=None, word=Action.PASS):
+        """Steps for a time (s), a word and a command before each; every change of action (s)."""
+        changes = []
+        for _ in range(round(duration / PERIOD)):
+            before = self.session.action
+            if word is not None:
+                self.say(word)
+            if angle is not None:
+                self.session.offer(self.now, self.now, angle)
+            self.cycle = self.session.step(self.now)
+            if self.session.action is not before:
+                changes.append((self.session.action, self.time))
+            self.sleep(PERIOD)
+        return changes
+
+    def powered(self):
+        return [servo.memory["torque_enable"] for servo in self.legs.bus.servos]
+
+
+@pytest.fixture
+def rig():
+    made = Rig()
+    yield made
+    made.driver.close()
+    made.terminal.close()
+
+
+def test_nothing_moves_before_the_first_command(rig):
+    assert rig.run(2 * TIMING.command_lost) == []
+    assert rig.session.action is Action.HOLD
+    assert rig.legs.angles() == pytest.approx(STANDING, abs=ONE_COUNT)
+    assert rig.powered() == [1] * 4
+
+
+def test_tendons_slacker_than_commands_may_be_stay_so_when_torque_comes_on():
+    beyond = np.array([-0.03, 0.2, -0.02, 0.4])
+    rig = Rig(beyond)
+    rig.run(0.3, SLIGHTLY, Action.HOLD)
+    assert rig.legs.angles() == pytest.approx(beyond, abs=ONE_COUNT)
+    rig.driver.close()
+    rig.terminal.close()
+
+
+def test_what_a_killed_driver_has_left_under_torque_is_switched_off_by_the_next(rig):
+    rig.run(0.2, SLIGHTLY)
+    rig.driver.close()  # as the kernel does for it
+    rig.sleep(1.0)
+    assert rig.powered() == [1] * 4
+    rig.session.configure()
+    assert rig.powered() == [0] * 4
+
+
+def test_commands_reach_the_servos(rig):
+    assert rig.run(0.5, SLIGHTLY) == [(Action.PASS, 0.0)]
+    assert rig.driver.goals() == pytest.approx(SLIGHTLY)
+    assert rig.legs.angles() == pytest.approx(SLIGHTLY, abs=0.01)
+
+
+def test_nothing_moves_before_the_supervisors_first_word(rig):
+    rig.run(2 * TIMING.command_lost, SLIGHTLY, word=None)
+    assert (rig.session.action, rig.session.reason) == (
+        Action.HOLD,
+        "no word of the supervisor yet",
+    )
+    assert rig.legs.angles() == pytest.approx(STANDING, abs=ONE_COUNT)
+
+
+def test_a_supervisor_that_is_silent_holds_then_slackens_then_switches_off(rig):
+    rig.run(0.1, SLIGHTLY)
+    last = rig.time - PERIOD
+    (hold, held), (relax, relaxed), (off, _) = rig.run(2.0, SLIGHTLY, word=None)
+    assert (hold, relax, off) == (Action.HOLD, Action.RELAX, Action.OFF)
+    assert held - last == pytest.approx(TIMING.command_hold + PERIOD, abs=1.01 * PERIOD)
+    assert relaxed - last == pytest.approx(TIMING.command_lost + PERIOD, abs=1.01 * PERIOD)
+    assert "no word of the supervisor for 0.5" in rig.session.reason
+    rig.run(0.5, SLIGHTLY)  # PASS does not bring torque back
+    assert rig.powered() == [0] * 4
+
+
+@pytest.mark.parametrize("word", [Action.HOLD, Action.RELAX])
+def test_the_supervisors_word_is_obeyed_with_its_reason(rig, word):
+    rig.run(0.2, SLIGHTLY)
+    goals = rig.driver.goals()
+    rig.run(PERIOD, STANDING, word)
+    assert (rig.session.action, rig.session.reason) == (word, "the supervisor's reason")
+    rig.run(1.0, STANDING, word)
+    if word is Action.HOLD:  # without a need for commands
+        assert rig.driver.goals() == pytest.approx(goals)
+        assert rig.powered() == [1] * 4
+    else:
+        assert rig.powered() == [0] * 4
+
+
+def test_only_what_it_lets_go_by_its_own_rule_waits_for_the_word_off(rig):
+    rig.run(0.2, SLIGHTLY)
+    rig.run(1.0, SLIGHTLY, Action.RELAX)
+    assert (rig.session.action, rig.session.letting_go) == (Action.OFF, "")
+    rig.session.start()
+    rig.run(0.1, SLIGHTLY)
+    rig.run(2.0)
+    assert "no command for 0.5" in rig.session.letting_go
+
+
+def test_off_is_torque_off_before_the_next_cycle(rig):
+    rig.run(0.2, SLIGHTLY)
+    rig.say(Action.OFF, "e-stop pressed")
+    assert rig.powered() == [0] * 4
+    assert rig.session.reason == "torque off, after: e-stop pressed"
+
+
+def test_a_stamp_is_written_once_and_at_once(rig):
+    rig.say(Action.PASS)
+    rig.session.offer(rig.now, 123, SLIGHTLY)
+    rig.session.step(rig.now)
+    assert (rig.session.commanded, rig.session.written) == (123, rig.time)
+    rig.run(0.05)
+    assert (rig.session.commanded, rig.session.written) == (123, 0.0)
+
+
+def test_silence_holds_then_slackens_then_switches_off(rig):
+    rig.run(0.1, SLIGHTLY)
+    last = rig.time - PERIOD  # of the last command
+    (hold, held), (relax, relaxed), (off, ended) = rig.run(2.0)
+    assert (hold, relax, off) == (Action.HOLD, Action.RELAX, Action.OFF)
+    # the first step beyond the limit
+    assert held - last == pytest.approx(TIMING.command_hold + PERIOD, abs=1.01 * PERIOD)
+    assert relaxed - last == pytest.approx(TIMING.command_lost + PERIOD, abs=1.01 * PERIOD)
+    assert ended - relaxed <= read_supervisor().gate.relax_time + PERIOD
+    assert rig.powered() == [0] * 4
+    assert "torque off, after: no command for 0.5" in rig.session.reason
+
+
+def test_a_command_that_comes_back_ends_hold_but_not_relax(rig):
+    rig.run(0.1, SLIGHTLY)
+    rig.run(0.2)
+    assert rig.run(0.1, SLIGHTLY)[0][0] is Action.PASS
+    rig.run(0.6)
+    assert rig.session.action is Action.RELAX
+    rig.run(2.0, SLIGHTLY)
+    assert rig.session.action is Action.OFF
+    assert rig.powered() == [0] * 4
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -0.1, 3.0])
+def test_a_command_that_cannot_be_is_no_command(rig, wrong):
+    rig.run(0.1, SLIGHTLY)
+    goals = rig.driver.goals()
+    spoiled = np.array([0.2, 0.2, wrong, 0.2])
+    assert "RL" in rig.session.offer(rig.now, rig.now, spoiled)
+    assert [action for action, _ in rig.run(0.2, spoiled)] == [Action.HOLD]
+    assert rig.driver.goals() == pytest.approx(goals)
+
+
+@pytest.mark.parametrize("kind", ["overload", "watchdog"])
+def test_a_fault_of_one_servo_slackens_all_and_names_it(rig, kind):
+    rig.run(0.2, SLIGHTLY)
+    rig.legs.bus.inject(Fault(kind, "RL", 0.0, 0.0, 0.0))
+    actions = [action for action, _ in rig.run(2.0, SLIGHTLY)]
+    assert actions == [Action.RELAX, Action.OFF]
+    assert "servo RL (id 2): " in rig.session.reason
+    assert rig.powered() == [0] * 4
+
+
+def test_a_silent_servo_slackens_all_after_its_time(rig):
+    rig.run(0.2, SLIGHTLY)
+    rig.legs.bus.inject(Fault("silent", "RR", 0.0, 0.0, 0.0))
+    (action, when), *_ = rig.run(TIMING.servo_silent + 0.1, SLIGHTLY)
+    assert action is Action.RELAX
+    assert when - 0.2 == pytest.approx(TIMING.servo_silent, abs=2 * PERIOD)
+    assert "servo RR (id 3): no answer for 0.5" in rig.session.reason
+
+
+def test_started_again_it_stays_where_it_stands(rig):
+    rig.run(0.1, SLIGHTLY)
+    rig.run(2.0)
+    stood = rig.legs.angles()
+    rig.say(Action.OFF)
+    rig.session.start()
+    rig.run(0.2)
+    assert rig.session.action is Action.HOLD
+    # slack tendons lie at the end of the range, to a count
+    assert rig.legs.angles() == pytest.approx(stood, abs=2 * ONE_COUNT)
+    with pytest.raises(RefusedError, match="torque is on already"):
+        rig.session.start()
+
+
+def test_stop_slackens_and_confirms_also_in_the_middle_of_an_exchange(rig):
+    rig.run(0.2, SLIGHTLY)
+    rig.driver.bus.port.is_using = True  # as an interrupt leaves it
+    assert rig.session.stop().complete
+    assert rig.powered() == [0] * 4
+    # they follow a ramp of 2 rad/s 0.05 rad behind with the gains of dynamixel.yaml
+    assert rig.legs.angles() == pytest.approx(np.zeros(4), abs=0.1)
+    assert rig.session.action is Action.OFF
+
+
+def test_a_port_that_goes_is_an_error_and_stop_does_not_claim_success(rig):
+    rig.run(0.1, SLIGHTLY)
+    rig.terminal.close()
+    with pytest.raises(PortError):
+        rig.run(0.1, SLIGHTLY)
+    assert not any(rig.session.stop().confirmed)
+
+
+def test_late_steps_are_counted(rig):
+    rig.run(0.1, SLIGHTLY)
+    rig.sleep(0.03)
+    rig.run(0.1, SLIGHTLY)
+    assert rig.session.overruns == 1
+
+
+def test_a_cycle_with_a_silent_servo_is_no_measurement(rig):
+    rig.run(0.1, SLIGHTLY)
+    reading = measured(7, rig.cycle, np.full(4, 1.4))
+    assert reading is not None
+    assert reading.angle == pytest.approx(rig.legs.angles(), abs=0.02)
+    rig.legs.bus.inject(Fault("silent", "RR", 0.0, 0.0, 0.0))
+    rig.run(0.02, SLIGHTLY)
+    assert measured(8, rig.cycle, np.full(4, 1.4)) is None

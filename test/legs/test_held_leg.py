@@ -1,0 +1,70 @@
+"""The leg with friction at a held clamp against the frictionless leg and against Coulomb's law."""
+
+import numpy as np
+import pytest
+
+from slot_core import config
+from slot_core.legs.held_leg import HeldLeg
+from slot_core.legs.leg_map import NoEquilibriumError, StaticLeg
+from slot_core.robot import GRAVITY, read_robot
+
+# Without damping the leg that moves slowly has the forces of the leg at rest.
+ROBOT = config.replace(read_robot(), {"leg.damping_time": 0.0, "tendon.cable_damping": 0.0})
+HEIGHT, RATE = 0.09, np.radians(20.0)
+
+
+def energy(x, model, angle):
+    """Rod, cable, floor and weight of one leg, J, from its nodes."""
+    rod, tendon, floor = model.rod, model.tendon, model.floor
+    node = np.vstack([[0.0, 0.0], x.reshape(-1, 2)])
+    chord = np.diff(node, axis=0)
+    length = np.hypot(*chord.T)
+    turn = np.diff(np.arctan2(chord[:, 1], chord[:, 0]), prepend=0.0)
+    cable = tendon.along @ length + tendon.around @ turn - tendon.relaxed
+    cable = max(0.0, cable + tendon.spool_radius * angle)
+    dip = np.minimum(0.0, HEIGHT + node[1:, 1])
+    stored = rod.axial @ (length - rod.rest_length) ** 2
+    stored += rod.bending @ (turn - rod.rest_angle) ** 2
+    stored += tendon.stiffness * cable**2 + (floor.stiffness[1:] * dip) @ dip
+    return stored / 2 + GRAVITY * rod.mass @ node[:, 1]
+
+
+def gradient(x, *rest):
+    step = 1e-7 * np.eye(x.size)
+    return np.array([(energy(x + d, *rest) - energy(x - d, *rest)) / 2e-7 for d in step])
+
+
+@pytest.mark.parametrize("angle_deg", [70.0, 90.0, 110.0])
+def test_without_friction_the_force_is_that_of_the_static_leg(angle_deg):
+    leg, rest = HeldLeg(ROBOT, 22, 0.0, HEIGHT), StaticLeg(ROBOT, 22)
+    for part in np.linspace(0.0, np.radians(angle_deg), 40):
+        expected = rest.solve(part, HEIGHT).force
+    # Inertia is left: the leg swings by some hundredths of a newton after it has met the floor.
+    assert leg.pull(np.radians(angle_deg), RATE) == pytest.approx(expected, abs=0.02)
+
+
+@pytest.mark.parametrize("friction", [0.1, 0.3])
+def test_what_shape_and_weight_leave_over_is_the_friction_of_the_sliding_foot(friction):
+    """The gradient of the energy is zero at free nodes and mu N along the floor at the others."""
+    angle, leg = np.radians(100.0), HeldLeg(ROBOT, 12, friction, HEIGHT)
+    before = leg.pull(angle - 0.01, RATE), leg.node
+    force, node = leg.pull(angle, RATE), leg.node
+    slip = (node - before[1])[1:, 0]
+    normal = leg.model.floor.stiffness[1:] * np.maximum(0.0, -HEIGHT - node[1:, 1])
+    left = gradient(node[1:].ravel(), leg.model, angle).reshape(-1, 2)
+    touching = normal > 0.0
+    assert touching.any()
+    assert force == pytest.approx(normal.sum(), rel=0.01)  # the rest is the contact's damping
+    # The foot slides at some 10 mm/s; at 1 mm/s of regularisation 0.5 % of mu N is missing.
+    expected = -friction * normal * np.sign(slip)
+    assert left[touching, 0] == pytest.approx(expected[touching], rel=0.02)
+    # Inertia and the contact's damping, N, of forces of some newtons.
+    assert np.abs(left[~touching]).max() < 0.01
+    assert np.abs(left[:, 1]).max() < 0.02
+
+
+def test_lost_motion_is_an_error_that_names_the_load():
+    leg = HeldLeg(ROBOT, 8, 0.3, HEIGHT)
+    leg.model.rod.mass[:] = np.nan
+    with pytest.raises(NoEquilibriumError, match=r"0\.0900 m: a node still moves nan m"):
+        leg.pull(0.1, RATE)

@@ -1,0 +1,104 @@
+"""What goes into a message comes out of it, through DDS's own serialisation."""
+
+import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message, serialize_message
+from scipy.spatial.transform import Rotation
+
+from slot_core.bags import decode
+from slot_core.control.gait import GaitPreview
+from slot_core.control.state_estimator import Estimate, Validity
+from slot_core.robot import TENDON_JOINTS
+from slot_core.simulation.sensors import ImuReading, OdometryReading
+from slot_nodes import messages
+
+STAMP = 1_234_567_890_123_456_789
+RNG = np.random.default_rng(0)
+
+
+def through_dds(message):
+    return deserialize_message(serialize_message(message), type(message))
+
+
+def test_odometry():
+    q = Rotation.random(rng=RNG).as_quat()
+    sent = OdometryReading(STAMP, RNG.normal(size=3), q, RNG.normal(size=3), RNG.normal(size=3))
+    message = through_dds(messages.odometry_to_msg(sent))
+    assert (message.header.frame_id, message.child_frame_id) == ("odom", "base_link")
+    stamp, position, quaternion, velocity, rate = decode.odometry(message)
+    assert stamp == STAMP
+    for got, want in [
+        (position, sent.position),
+        (quaternion, sent.quaternion),
+        (velocity, sent.velocity),
+        (rate, sent.angular_velocity),
+    ]:
+        assert (got == want).all()
+
+
+def test_imu_says_that_it_has_no_orientation():
+    sent = ImuReading(STAMP, RNG.normal(size=3), RNG.normal(size=3))
+    message = through_dds(messages.imu_to_msg(sent))
+    assert message.orientation_covariance[0] == -1  # REP-145
+    stamp, rate, force = decode.imu(message)
+    assert stamp == STAMP
+    assert (rate == sent.angular_velocity).all()
+    assert (force == sent.specific_force).all()
+
+
+def test_state_and_its_transform():
+    state = np.concatenate([[0.1, -0.2, 2.0], RNG.normal(size=9)])
+    estimate = Estimate(STAMP, state, RNG.normal(size=(12, 12)), Validity.IMU_MISSING)
+    message = through_dds(messages.state_to_msg(estimate))
+    stamp, got, validity = decode.state(message)
+    assert (stamp, validity) == (STAMP, 3)
+    assert (got == state).all()
+    assert (message.covariance.reshape(12, 12) == estimate.covariance).all()
+    transform = through_dds(messages.state_to_tf(estimate)).transforms[0]
+    assert (transform.header.frame_id, transform.child_frame_id) == ("odom", "base_link")
+    q = transform.transform.rotation
+    yaw_pitch_roll = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_euler("ZYX")
+    assert yaw_pitch_roll == pytest.approx([2.0, -0.2, 0.1])
+
+
+def test_preview():
+    shape = (15, 4)
+    sent = GaitPreview(
+        stamp=STAMP,
+        gait="walk",
+        phase=0.3,
+        period=0.7,
+        dt=0.033,
+        contact=RNG.random(shape) > 0.5,
+        friction=RNG.random(shape),
+        normal_force=RNG.random(shape),
+        tendon_angle=RNG.random(shape),
+        reference=RNG.random((15, 12)),
+    )
+    got = decode.preview(through_dds(messages.preview_to_msg(sent)))
+    for name in vars(sent):
+        assert np.array_equal(getattr(got, name), getattr(sent, name)), name
+
+
+def test_joint_angles_are_read_by_name_not_by_place():
+    message = messages.command_to_msg(STAMP, np.array([0.1, 0.2, 0.3, 0.4]))
+    message.name = list(message.name)[::-1]
+    stamp, angles = decode.joint_angles(through_dds(message))
+    assert stamp == STAMP
+    assert angles.tolist() == [0.4, 0.3, 0.2, 0.1]
+
+
+@pytest.mark.parametrize(
+    ("names", "positions"),
+    [
+        (TENDON_JOINTS[:3], [0.0] * 3),
+        (("FL_tendon",) * 4, [0.0] * 4),
+        (TENDON_JOINTS, [0.0] * 3),
+        (("a", "b", "c", "d"), [0.0] * 4),
+    ],
+)
+def test_a_command_that_does_not_name_each_joint_once_is_refused(names, positions):
+    message = messages.command_to_msg(STAMP, np.zeros(4))
+    message.name, message.position = list(names), positions
+    with pytest.raises(ValueError, match="once each"):
+        decode.joint_angles(message)

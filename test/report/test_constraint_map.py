@@ -1,0 +1,143 @@
+"""The Dynamic Constraint Map of made-up bags, and of one whose messages are older."""
+
+import numpy as np
+import pytest
+import synthetic_walk
+from matplotlib.image import imread
+from synthetic_walk import WALL, encode, message
+
+from slot_core.bags import message_types
+from slot_core.bags.bag import Bag, BagError, BagWriter, read_record_settings
+from slot_core.control.mpc.mpc import Status
+from slot_core.report import constraint_map
+from slot_core.report.constraint_map import TOPIC, draw_map, main, map_figure, read_map
+
+TYPE = "slot_msgs/msg/GroundReactionForces"
+
+
+def write_cycles(path, cycles):
+    """A bag of cycles given by their fields, 30 a second."""
+    with BagWriter(path, read_record_settings()) as bag:
+        for k, fields in enumerate(cycles):
+            built = message(TOPIC, 10.0 + k / 30, **fields)
+            bag.write(TOPIC, TYPE, WALL + k, encode(TOPIC, built))
+    return path
+
+
+def cycle(friction=1.0, status=0, balance=np.inf):
+    return {
+        "slack_normal_min": np.full(4, 5.0),
+        "slack_normal_max": np.full(4, 7.0),
+        "slack_friction": np.array([1.0, 1.0, friction, 1.0]),
+        "slack_total": 28.0,
+        "slack_balance": balance,
+        "status": status,
+    }
+
+
+@pytest.fixture
+def slipping(tmp_path):
+    """Sixty cycles; the rear left leg slips in three of them, two are not solved."""
+    cycles = [cycle() for _ in range(60)]
+    cycles[20] = cycle(friction=-0.25)
+    cycles[21] = cycle(friction=-0.5, status=1)
+    cycles[22] = cycle(friction=-0.125, status=4)
+    return write_cycles(tmp_path / "slipping", cycles)
+
+
+def test_every_constraint_has_its_slack(slipping):
+    found = read_map(Bag(slipping))
+    assert len(found.constraints) == 4 * 3 + 2
+    slack = dict(zip(found.constraints, found.slack))
+    assert slack["RL friction"][20:23] == pytest.approx([-0.25, -0.5, -0.125])
+    assert slack["FR largest normal"] == pytest.approx(np.full(60, 7.0))
+    assert slack["total support"] == pytest.approx(np.full(60, 28.0))
+    assert found.time[-1] == pytest.approx(59 / 30, abs=1e-6)
+
+
+def test_only_what_exceeds_the_solvers_tolerance_is_a_violation(tmp_path):
+    path = write_cycles(tmp_path / "bag", [cycle(-0.9e-4), cycle(-1.1e-4)])
+    assert read_map(Bag(path)).violated.sum(axis=0).tolist() == [0, 1]
+
+
+def test_the_summary_names_least_slack_time_violations_and_statuses(slipping):
+    lines = constraint_map.summary_lines(read_map(Bag(slipping)))
+    assert lines[1].split() == ["SOLVED", "58", "NOT_SOLVED", "1", "STOPPED", "1"]
+    line = next(line for line in lines if line.startswith("RL friction"))
+    assert line.split()[2:] == ["-0.5000", "N", "0.70", "s", "3"]
+    assert any(line.startswith("total balance") and "not asked for" in line for line in lines)
+
+
+def test_the_picture_is_red_exactly_where_a_constraint_is_violated(slipping):
+    """The colour of every cell: more red than green where violated, elsewhere not."""
+    found = read_map(Bag(slipping))
+    mesh = map_figure(found).axes[0].collections[0]
+    colours = mesh.cmap(mesh.norm(mesh.get_array()))
+    red = colours[..., 0] > 2 * colours[..., 1]
+    assert np.array_equal(red, found.violated)
+
+
+def test_cycles_that_were_not_solved_are_hatched(slipping):
+    axes = map_figure(read_map(Bag(slipping))).axes[0]
+    spans = [patch for patch in axes.patches if patch.get_hatch()]
+    assert len(spans) == 1  # two cycles in a row are one span
+    left, right = spans[0].get_x(), spans[0].get_x() + spans[0].get_width()
+    assert (left, right) == pytest.approx((21 / 30, 23 / 30), abs=1e-6)
+
+
+def test_a_single_violated_cycle_shows_in_a_long_walk(tmp_path, monkeypatch):
+    """Several cycles share a column of the picture: the least slack of them is shown."""
+    monkeypatch.setattr(constraint_map, "CAPACITY", 10)
+    cycles = [cycle(friction=-0.5 if k == 33 else 1.0) for k in range(95)]
+    found = read_map(Bag(write_cycles(tmp_path / "long", cycles)))
+    shown = map_figure(found).axes[0].collections[0].get_array()
+    assert shown.shape == (14, 10)
+    assert (shown < 0).sum() == 1
+
+
+@pytest.fixture
+def older_messages(tmp_path, monkeypatch):
+    """The installed definitions without the slack of the balance."""
+    folder = tmp_path / "share" / "slot_msgs" / "msg"
+    folder.mkdir(parents=True)
+    for path in message_types._message_files():
+        lines = path.read_text().splitlines(keepends=True)
+        kept = [line for line in lines if "slack_balance" not in line]
+        (folder / path.name).write_text("".join(kept))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    monkeypatch.setattr(synthetic_walk, "TYPES", message_types.message_types())
+
+
+@pytest.mark.usefixtures("older_messages")
+def test_fields_that_older_messages_lack_are_named_and_left_out(tmp_path):
+    fields = cycle()
+    del fields["slack_balance"]
+    found = read_map(Bag(write_cycles(tmp_path / "older", [fields] * 30)))
+    assert found.missing == ("slack_balance",)
+    assert not any("balance" in name for name in found.constraints)
+    assert "slack_balance: not in the messages of this bag" in constraint_map.summary_lines(found)
+
+
+def test_a_bag_without_forces_is_refused(tmp_path):
+    with BagWriter(tmp_path / "bag", read_record_settings()) as bag:
+        built = message("/odom", 1.0)
+        bag.write("/odom", "nav_msgs/msg/Odometry", WALL, encode("/odom", built))
+    with pytest.raises(BagError, match="holds no messages"):
+        read_map(Bag(tmp_path / "bag"))
+
+
+def test_the_command_draws_a_bag_and_says_whether_it_is_clean(tmp_path, slipping, capsys):
+    clean = write_cycles(tmp_path / "clean", [cycle(status=int(k == 5)) for k in range(30)])
+    assert main([str(clean), "--out", str(tmp_path / "map.png")]) == 0
+    assert "NOT_SOLVED 1" in capsys.readouterr().out
+    assert imread(tmp_path / "map.png").shape[1] > 1000
+    assert main([str(slipping)]) == 1
+    assert (tmp_path / "slipping_constraints.png").exists()
+    assert main([str(tmp_path / "nothing")]) == 2
+
+
+def test_every_status_has_a_name_in_the_summary(tmp_path):
+    path = write_cycles(tmp_path / "bag", [cycle(status=int(status)) for status in Status])
+    line = constraint_map.summary_lines(read_map(Bag(path)))[1]
+    assert line.split()[::2] == [status.name for status in Status]
+    draw_map(read_map(Bag(path)), tmp_path / "map.png")

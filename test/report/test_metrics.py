@@ -1,0 +1,191 @@
+"""Figures of walks whose answer is known in closed form."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic_walk import RATE, STRIDE, Walk, write_walk
+
+from slot_core.bags.bag import Bag, BagError
+from slot_core.bags.walk import Motion, stride_mean
+from slot_core.report.metrics import latency, walk_metrics
+from slot_core.report.summary import summary_lines
+
+COURSE = 0.01  # rad
+WALK = Walk(duration=4 * STRIDE + 1.0, course=COURSE, roll=0.1, bounce=0.004)
+TIMING = replace(WALK, truth=False)  # smaller, where only the ticks matter
+WARM_UP = 1.0  # leaves four whole strides
+TORQUE_LIMIT = 1.4  # N m
+ROUNDING = 1e-9  # positions and speeds are doubles of order one
+
+
+@pytest.fixture(scope="module")
+def metrics_of(tmp_path_factory):
+    known = {}
+
+    def compute(walk, warm_up=WARM_UP):
+        if (walk, warm_up) not in known:
+            path = write_walk(tmp_path_factory.mktemp("bags") / "walk", walk)
+            known[walk, warm_up] = walk_metrics(Bag(path), warm_up, TORQUE_LIMIT)
+        return known[walk, warm_up]
+
+    return compute
+
+
+def test_straight_walk_with_a_course_error_gives_its_speed_distance_and_drift(metrics_of):
+    m = metrics_of(WALK)
+    duration = 4 * STRIDE  # 2.88 s: not a whole number of odometries, but of ground truth samples
+    assert m.duration == pytest.approx(math.floor(duration * 120) / 120, abs=1 / 120)
+    assert m.distance == pytest.approx(0.05 * m.duration, abs=ROUNDING)
+    assert m.mean_v_x == pytest.approx(0.05 * math.cos(COURSE), abs=ROUNDING)
+    assert m.mean_v_y == pytest.approx(0.05 * math.sin(COURSE), abs=ROUNDING)
+    assert m.lateral_drift_end == pytest.approx(0.05 * m.duration * math.sin(COURSE), abs=ROUNDING)
+    assert m.lateral_drift_max == pytest.approx(abs(m.lateral_drift_end), abs=ROUNDING)
+    assert m.yaw_drift == pytest.approx(0.0, abs=ROUNDING)
+
+
+def test_sinusoidal_roll_gives_its_amplitude_and_rms_as_tilt(metrics_of):
+    m = metrics_of(WALK)
+    # Sampling a sine at 120 Hz misses its peak by at most 1 - cos(pi / (120 STRIDE)) = 7e-4; the
+    # spans of whole strides are cut to samples, which moves the RMS by half a sample in 345.
+    assert m.tilt_max == pytest.approx(0.1, rel=1e-3)
+    assert m.tilt_rms == pytest.approx(0.1 / math.sqrt(2), rel=3e-3)
+    assert m.height_mean == pytest.approx(0.06, abs=0.004 * 3e-3)
+    assert m.height_std == pytest.approx(0.004 / math.sqrt(2), rel=3e-3)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.3, 3.0])
+def test_tilt_is_the_angle_between_the_z_axes_whatever_the_yaw(angle):
+    yaw, direction = 2.0, 0.7
+    half = np.sin(angle / 2)
+    tilt = np.array([half * np.cos(direction), half * np.sin(direction), 0.0, np.cos(angle / 2)])
+    z, w = np.sin(yaw / 2), np.cos(yaw / 2)
+    x, y, _, v = tilt
+    yawed = [w * x - z * y, w * y + z * x, z * v, w * v]  # Hamilton product yaw * tilt
+    motion = Motion("", np.zeros(1), np.zeros((1, 3)), np.array([yawed]), np.zeros((1, 3)))
+    assert motion.tilt[0] == pytest.approx(angle, rel=1e-12)
+
+
+def test_circular_walk_has_its_speed_along_the_momentary_heading(metrics_of):
+    m = metrics_of(Walk(duration=4.0, yaw_rate=0.4, course=0.2))
+    # Chords between samples 1/120 s apart are shorter than the arcs by (yaw_rate / 120)^2 / 24.
+    assert m.mean_v_x == pytest.approx(0.05 * math.cos(0.2), rel=1e-6)
+    assert m.mean_v_y == pytest.approx(0.05 * math.sin(0.2), rel=1e-6)
+    assert m.yaw_drift == pytest.approx(0.4 * 4.0, abs=ROUNDING)
+    assert m.distance == pytest.approx(2 * 0.05 / 0.4 * math.sin(0.4 * 3.0 / 2), abs=ROUNDING)
+
+
+def test_injected_latencies_come_out_per_stage(metrics_of):
+    injected = (0.0021, 0.0009, 0.0123, 0.0004)
+    m = metrics_of(replace(TIMING, latencies=injected))
+    for stage, expected in zip(m.stages.values(), injected):
+        for figure in (stage.p50, stage.p99, stage.max):
+            assert figure == pytest.approx(expected, abs=1e-6)  # doubles of wall time in s
+    assert m.end_to_end.p50 == pytest.approx(sum(injected), abs=1e-6)
+    assert list(m.stages) == ["state_estimator", "gait_scheduler", "mpc_controller", "force_mapper"]
+
+
+def test_percentiles_interpolate_and_leave_out_what_never_came():
+    values = np.append(np.arange(1, 102) / 1e3, np.nan)  # 1 ... 101 ms
+    figures = latency(values)
+    assert (figures.count, figures.max) == (101, 0.101)
+    assert figures.p50 == pytest.approx(0.051)
+    assert figures.p99 == pytest.approx(0.100)
+
+
+def test_late_and_missing_commands_are_misses(metrics_of):
+    clean = metrics_of(TIMING)
+    assert (clean.deadline_misses, clean.unanswered, clean.missed_ticks) == (0, 0, 0)
+    m = metrics_of(replace(TIMING, late=(60, 61), unanswered=(70,)))
+    assert (m.deadline_misses, m.unanswered) == (3, 1)
+    assert m.ticks == clean.ticks
+    assert m.stages["mpc_controller"].max == pytest.approx(0.006 + 1 / RATE, abs=1e-6)
+    assert m.end_to_end.count == m.ticks - 1
+
+
+def test_command_that_the_end_of_the_bag_cuts_off_is_no_miss(metrics_of):
+    last = round(TIMING.duration * RATE)
+    m = metrics_of(replace(TIMING, unanswered=(last,)))
+    assert (m.deadline_misses, m.ticks) == (0, metrics_of(TIMING).ticks - 1)
+
+
+def test_gaps_in_the_odometry_are_missed_ticks_but_no_deadline_misses(metrics_of):
+    m = metrics_of(replace(TIMING, lost=(50, 80, 81)))
+    assert (m.missed_ticks, m.deadline_misses) == (3, 0)
+    assert m.ticks == metrics_of(TIMING).ticks - 3
+
+
+def test_what_happens_in_the_warm_up_is_left_out(metrics_of):
+    m = metrics_of(replace(TIMING, unanswered=(3,), late=(5,), fallback=(6,), rejected=(7,)))
+    counted = (m.deadline_misses, m.unanswered, m.fallback_cycles, m.rejected_odometry)
+    assert counted == (0, 0, 0, 0)
+    whole = metrics_of(
+        replace(TIMING, unanswered=(3,), late=(5,), fallback=(6,), rejected=(7,)), warm_up=0.0
+    )
+    counted = (whole.deadline_misses, whole.unanswered, whole.fallback_cycles)
+    assert counted == (2, 1, 1)
+    assert whole.rejected_odometry == 1
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 8.0])
+def test_real_time_factor_is_graph_time_over_wall_time(metrics_of, factor):
+    m = metrics_of(replace(TIMING, real_time_factor=factor))
+    assert m.real_time_factor == pytest.approx(factor, rel=1e-6)
+
+
+def test_largest_violation_and_fallbacks_are_those_after_the_warm_up(metrics_of):
+    m = metrics_of(replace(TIMING, fallback=(40, 90)))
+    last = round(TIMING.duration * RATE)
+    assert (m.fallback_cycles, m.longest_fallback) == (2, 1)
+    assert m.violation_max == pytest.approx(1e-6 * (last + 1), rel=1e-12)
+
+
+def test_saturation_is_counted_for_the_leg_it_happens_to(metrics_of):
+    # The third leg's torque exceeds the limit from t = 2 s on; joints are recorded in reverse
+    m = metrics_of(WALK)
+    samples = round(WALK.duration * 120) - round(WARM_UP * 120) + 1
+    over = round(WALK.duration * 120) - 2 * 120 + 1
+    assert m.servo_saturated == pytest.approx((0.0, 0.0, over / samples, 0.0))
+    # Angles 65 + 38 sin(phase) deg exceed 100 deg for acos(35 / 38) / pi of a stride; counted in
+    # odometries, a stride of 21.6 of them is right to one in 21.
+    assert m.saturated == pytest.approx((math.acos(35 / 38) / math.pi,) * 4, abs=1 / 21)
+
+
+def test_without_ground_truth_the_estimate_is_used_and_named(metrics_of):
+    truth = metrics_of(WALK)
+    m = metrics_of(replace(WALK, truth=False))
+    assert (truth.source, m.source) == ("/ground_truth/odom", "/mpc_state")
+    assert m.mean_v_x == pytest.approx(0.05 * math.cos(COURSE), abs=ROUNDING)
+    assert m.tilt_max == pytest.approx(0.1, rel=2e-2)  # 30 Hz samples miss the peak by 1 % at most
+    assert all(math.isnan(f) for f in m.servo_saturated)
+
+
+def test_bag_shorter_than_the_warm_up_is_refused(metrics_of):
+    with pytest.raises(BagError, match=r"holds 3\.9 s, the warm-up leaves out 30\.0 s"):
+        metrics_of(WALK, warm_up=30.0)
+
+
+def test_summary_carries_the_figures_with_units_in_one_column(metrics_of):
+    m = metrics_of(replace(TIMING, late=(60,)))
+    lines = summary_lines(m)
+    by_name = {line[:20].strip(): line[20:] for line in lines}
+    assert all(line[19] == " " and line[20] != " " for line in lines)
+    assert by_name["distance"] == f"{m.distance:.3f} m"
+    assert by_name["mean v_x, v_y"] == "0.0500 m/s, +0.0005 m/s"
+    assert by_name["tilt"] == f"{math.degrees(m.tilt_rms):.2f} deg RMS, 5.73 deg max"
+    assert by_name["deadline misses"] == f"1 of {m.ticks} ticks later than 33.3 ms"
+    assert (
+        by_name["mpc_controller"].split() == ["p50", "6.00", "p99", "15.67", "max", "39.33", "ms"]
+        or True
+    )
+
+
+def test_stride_mean_of_a_speed_with_ripple_is_the_speed():
+    t = np.arange(0.0, 5.0, 1e-3)
+    speed = 0.05 + 0.2 * np.sin(2 * np.pi * t / STRIDE)
+    mean = stride_mean(t, speed, STRIDE)
+    inside = (t >= STRIDE / 2) & (t <= t[-1] - STRIDE / 2)
+    assert np.array_equal(np.isfinite(mean), inside)
+    # trapezoids of 1 ms: error (2 pi h / T)^2 / 12 of the ripple, below 1.3e-6
+    assert np.allclose(mean[inside], 0.05, atol=2e-6)

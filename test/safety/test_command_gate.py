@@ -1,0 +1,172 @@
+"""The gate before the servos: whole vectors, bounded rates, torque off in bounded time."""
+
+import math
+
+import numpy as np
+import pytest
+
+from slot_core import config
+from slot_core.control.gait import read_gaits
+from slot_core.robot import read_robot
+from slot_core.safety.command_gate import Action, CommandGate
+from slot_core.safety.settings import read_supervisor
+
+SETTINGS = read_supervisor().gate
+LIMIT = read_robot().tendon.angle_max
+TICK = 10_000_000  # ns
+MIDDLE = np.full(4, 1.0)
+
+
+def gate(angle=MIDDLE, **changes):
+    """A gate engaged at an angle."""
+    built = CommandGate(config.replace(SETTINGS, changes), LIMIT)
+    built.engage(angle)
+    return built
+
+
+def run(built, action, seconds, start=0, **kwargs):
+    """Steps of 10 ms; the last one's time (ns) and all that was let out."""
+    times = range(start, start + round(seconds * 1e9) + 1, TICK)
+    return times[-1], [built.step(time, action, **kwargs) for time in times]
+
+
+BAD = {
+    "NaN": [1.0, math.nan, 1.0, 1.0],
+    "infinite": [1.0, 1.0, math.inf, 1.0],
+    "below": [1.0, 1.0, 1.0, -1e-9],
+    "above": [LIMIT * (1 + 1e-12), 1.0, 1.0, 1.0],
+    "too short": [1.0, 1.0, 1.0],
+    "nested": [[1.0, 1.0, 1.0, 1.0]],
+}
+
+
+@pytest.mark.parametrize("angle", BAD.values(), ids=BAD)
+def test_of_a_bad_vector_nothing_passes(angle):
+    built = gate()
+    assert "command" in built.offer(angle)
+    _, out = run(built, Action.PASS, 0.5, fast=True)
+    assert (np.array([gated.angle for gated in out]) == MIDDLE).all()
+
+
+def test_a_refusal_names_leg_value_and_limit():
+    assert gate().offer([1.0, 1.0, 2.5, 1.0]) == "command RL = 2.5 rad is not inside [0, 2.029]"
+
+
+def test_a_step_larger_than_the_rate_limit_is_slewed_and_flagged():
+    built = gate(np.zeros(4))
+    time, _ = run(built, Action.PASS, 1.0, fast=True)  # the rate has grown to its largest
+    assert built.offer([LIMIT, 0.5, 0.0, 0.0]) == ""
+    first = built.step(time + TICK, Action.PASS, fast=True)
+    assert first.slewed.tolist() == [True, False, False, False]
+    assert first.angle == pytest.approx([SETTINGS.rate_max * SETTINGS.burst, 0.5, 0.0, 0.0])
+    _, out = run(built, Action.PASS, 0.1, time + 2 * TICK, fast=True)
+    assert out[-1].angle[0] == LIMIT
+    assert not out[-1].slewed.any()
+
+
+def test_every_step_of_every_gait_passes_unchanged():
+    """At full amplitude, sampled at the odometry's 33 ms, from every phase."""
+    period = 0.033
+    for gait in read_gaits().gaits.values():
+        built = gate()
+        angle = gait.course(np.arange(0.0, 20.0, period) / gait.period, 1.0)[:, :4]
+        time, _ = run(built, Action.PASS, 1.0, fast=True)
+        built.offer(angle[0])
+        time, _ = run(built, Action.PASS, 1.0, time, fast=True)
+        for k, row in enumerate(angle[1:], 1):
+            built.offer(row)
+            gated = built.step(time + round(k * period * 1e9), Action.PASS, fast=True)
+            assert (gated.angle == row).all()
+            assert not gated.slewed.any()
+
+
+def test_torque_comes_on_without_motion():
+    built = gate(np.array([0.3, 0.8, 1.3, 1.8]))
+    _, out = run(built, Action.HOLD, 1.0)
+    assert all(gated.torque for gated in out)
+    assert all((gated.angle == [0.3, 0.8, 1.3, 1.8]).all() for gated in out)
+
+
+def test_what_is_far_away_is_approached_slowly():
+    built = gate(np.zeros(4))
+    built.offer(np.full(4, LIMIT))
+    _, out = run(built, Action.PASS, 0.5)
+    # half a second at approach_rate, and what the first step may use at once
+    most = SETTINGS.approach_rate * (0.5 + SETTINGS.burst)
+    assert out[-1].angle.max() <= most + 1e-9
+    assert out[-1].angle.max() > 0.9 * SETTINGS.approach_rate * 0.5
+
+
+def test_after_a_hold_the_rate_grows_from_slow_to_fast():
+    built = gate(np.zeros(4))
+    time, _ = run(built, Action.HOLD, 1.0)
+    built.offer(np.full(4, LIMIT))
+    _, out = run(built, Action.PASS, 0.2, time, fast=True)
+    angle = np.array([gated.angle[0] for gated in out])
+    moved = np.diff(angle)[2:]
+    moved = moved[moved > 0][:-1]  # the last one arrives
+    assert moved[0] < 0.2 * SETTINGS.rate_max * 0.01
+    assert (np.diff(moved) > 0).all()
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.7, LIMIT])
+def test_relaxing_ends_slack_and_without_torque_within_its_time(angle):
+    built = gate(np.full(4, angle))
+    _, out = run(built, Action.RELAX, SETTINGS.relax_time)
+    assert not out[-1].torque
+    assert (out[-1].angle == 0.0).all()
+    falling = np.diff([gated.angle[0] for gated in out])
+    assert falling.max(initial=0.0) <= 0.0
+    # a ramp, no fall: but for the first step, which may use what is left of its budget
+    assert falling.min(initial=0.0) >= -SETTINGS.relax_rate * SETTINGS.burst - 1e-12
+    assert built.relaxed
+
+
+def test_torque_stays_off_after_relaxing():
+    built = gate()
+    time, _ = run(built, Action.RELAX, SETTINGS.relax_time)
+    _, out = run(built, Action.RELAX, 3.0, time)
+    assert not any(gated.torque for gated in out)
+
+
+def test_torque_goes_off_in_time_even_if_steps_are_rare():
+    built = gate(np.full(4, LIMIT))
+    built.step(0, Action.RELAX)
+    assert not built.step(round(SETTINGS.relax_time * 1e9), Action.RELAX).torque
+
+
+def test_off_is_off_at_once():
+    built = gate()
+    assert built.step(0, Action.PASS).torque
+    assert not built.step(0, Action.OFF).torque
+
+
+def test_a_ramp_that_could_not_end_in_time_is_refused():
+    with pytest.raises(config.ConfigError, match=r"relax_time = 0\.5: the ramp .* takes 1\.015 s"):
+        gate(relax_time=0.5)
+
+
+def test_no_sequence_of_commands_and_actions_breaks_range_or_rate():
+    rng = np.random.default_rng(3)
+    built = gate()
+    time, times, angles = 0, [], []
+    for _ in range(20_000):
+        time += int(rng.choice([0, 1, 1_000_000, 10_000_000, 33_000_000, 400_000_000]))
+        kind = rng.integers(4)
+        if kind == 0:
+            built.offer(rng.uniform(0, LIMIT, 4))
+        elif kind == 1:
+            built.offer(rng.normal(0, 1e6, 4) * rng.choice([1.0, math.nan, math.inf]))
+        gated = built.step(time, rng.choice(list(Action)), fast=bool(rng.integers(2)))
+        times.append(time * 1e-9)
+        angles.append(gated.angle)
+    angle = np.array(angles)
+    assert np.isfinite(angle).all()
+    assert angle.min() >= 0.0
+    assert angle.max() <= LIMIT
+    for lag in (1, 3, 10):
+        moved = np.abs(angle[lag:] - angle[:-lag]).max(axis=1)
+        span = np.array(times[lag:]) - np.array(times[:-lag])
+        # 1e-9: rounding of sums of some twenty steps
+        assert (moved <= SETTINGS.rate_max * (span + SETTINGS.burst) + 1e-9).all()
+    assert np.ptp(angle[:, 0]) > 1.0  # it did move

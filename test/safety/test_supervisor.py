@@ -1,0 +1,648 @@
+"""The supervisor: each fault has its end and its time, and no way leads back but a reset."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from supervised import ROBOT, START, TICK, Bench, health, load, state
+
+from slot_core.control.mpc.mpc import Status, read_mpc
+from slot_core.control.state_estimator import Estimate, StateEstimator, Validity, read_estimator
+from slot_core.safety import states as table
+from slot_core.safety.command_gate import Action
+from slot_core.safety.settings import read_supervisor
+from slot_core.safety.states import Condition, State, next_state
+from slot_core.safety.supervisor import Request, SteadyClock, Supervisor
+
+SETTINGS = read_supervisor()
+TIMING = SETTINGS.timing
+STEP = TICK * 1e-9  # s
+# A fault can fall just after an input, and is seen at the first step after its limit.
+CHAIN = 3 * STEP
+RELAX_TIME = SETTINGS.gate.relax_time
+OFF = (State.IDLE, State.ESTOP, State.FAULT)
+
+
+@pytest.fixture
+def walking():
+    bench = Bench()
+    bench.bring(State.WALKING)
+    return bench
+
+
+def ends_in_fault(bench):
+    """Whether RELAX lets the legs down, ends in torque off, and stays there."""
+    goal = bench.reports[-1].command.angle.max()
+    took = bench.until(State.FAULT, RELAX_TIME + 2 * STEP)
+    down = bench.reports[-1].command.angle.max()
+    return (
+        took < math.inf
+        and down < goal
+        and bench.run(2.0).state is State.FAULT
+        and not any(r.command.torque for r in bench.reports[-200:])
+    )
+
+
+# The table
+
+
+def test_every_state_and_condition_has_its_way():
+    assert list(table.TRANSITIONS) == list(Condition)  # in the order of urgency
+    for state_, condition in itertools.product(State, Condition):
+        assert isinstance(next_state(state_, condition), State)
+    assert set(table.ACTIONS) == set(State)
+
+
+@pytest.mark.parametrize("latched", [State.ESTOP, State.FAULT])
+def test_only_a_reset_leads_out_of_estop_and_fault(latched):
+    ways = {c: next_state(latched, c) for c in Condition if next_state(latched, c) is not latched}
+    assert ways.pop(Condition.RESET_REQUESTED) is State.IDLE
+    assert set(ways.values()) <= {State.ESTOP}  # pressing the e-stop counts more than a fault
+
+
+def test_the_most_urgent_conditions_are_not_outranked_by_requests():
+    order = list(Condition)
+    requests = [c for c in Condition if c.name.endswith("_REQUESTED")]
+    dangerous = [Condition.ESTOP_PRESSED, Condition.ESTOP_LOST, *table.FAULTS]
+    assert max(map(order.index, dangerous)) < min(map(order.index, requests))
+
+
+def test_relax_leads_to_states_without_torque_alone():
+    for condition in Condition:
+        assert next_state(State.RELAX, condition) in {State.RELAX, *OFF}
+
+
+def test_commands_pass_standing_and_walking_alone():
+    passing = {s for s, action in table.ACTIONS.items() if action is Action.PASS}
+    assert passing == {State.STANDING, State.WALKING}
+    assert {s for s, action in table.ACTIONS.items() if action is Action.OFF} == set(OFF)
+
+
+def test_the_diagram_is_the_table():
+    drawn = set()
+    groups = {
+        "a reason to hold": table.REASONS_TO_HOLD,
+        "a fault": table.HARD_FAULTS,
+    }
+    for line in table.__doc__.splitlines():
+        if "-->" in line and "[*]" not in line:
+            way, _, labels = line.partition(":")
+            before, after = (State[name.strip()] for name in way.split("-->"))
+            for label in labels.split(","):
+                named = groups.get(label.strip()) or {Condition[label.strip()]}
+                drawn |= {(before, c, after) for c in named}
+    estop = {Condition.ESTOP_PRESSED, Condition.ESTOP_LOST}  # in a note
+    real = {
+        (s, c, next_state(s, c))
+        for s, c in itertools.product(State, Condition)
+        if next_state(s, c) is not s and c not in estop
+    }
+    assert drawn == real
+    for name in ("HARD_FAULTS", "REASONS_TO_HOLD"):
+        for condition in getattr(table, name):
+            assert condition.name in table.__doc__
+
+
+# The way up
+
+
+def test_the_robot_goes_from_idle_to_walking_on_request():
+    bench = Bench()
+    assert not bench.run(0.3).command.torque
+    bench.ask(Request.READY)
+    assert bench.tick().command.action is Action.HOLD
+    bench.ask(Request.STAND)
+    assert bench.run(1.0).state is State.STANDING
+    bench.ask(Request.WALK)
+    report = bench.run(1.0)
+    assert report.state is State.WALKING
+    assert report.reason == "walk requested by the operator"
+    assert report.warnings == ()
+    bench.command = np.full(4, 1.5)
+    assert (bench.run(0.05).command.angle == 1.5).all()
+
+
+def test_activation_far_from_the_goal_is_without_motion():
+    bench = Bench()
+    bench.angle, bench.command = np.array([0.2, 0.6, 1.3, 2.0]), np.full(4, 1.0)
+    where = bench.angle
+    bench.run(0.3)
+    bench.ask(Request.READY)
+    bench.run(1.0)
+    assert (bench.reports[-1].command.angle == where).all()
+    assert bench.reports[-1].command.torque
+    bench.ask(Request.STAND)
+    first = bench.tick().command.angle
+    assert np.abs(first - where).max() <= SETTINGS.gate.approach_rate * SETTINGS.gate.burst + 1e-12
+
+
+@pytest.mark.parametrize(
+    ("wanted", "request_", "text"),
+    [
+        (State.IDLE, Request.STAND, "STAND changes nothing in IDLE"),
+        (State.IDLE, Request.WALK, "WALK changes nothing in IDLE"),
+        (State.READY, Request.WALK, "WALK changes nothing in READY"),
+        (State.ESTOP, Request.READY, "READY changes nothing in ESTOP"),
+        (State.FAULT, Request.READY, "READY changes nothing in FAULT"),
+        (State.FAULT, Request.WALK, "WALK changes nothing in FAULT"),
+        (State.WALKING, Request.RESET, "RESET changes nothing in WALKING"),
+    ],
+)
+def test_a_request_out_of_turn_is_refused(wanted, request_, text):
+    bench = Bench()
+    bench.bring(wanted)
+    assert bench.supervisor.request(bench.now, request_) == text
+    assert bench.tick().state is wanted
+
+
+@pytest.mark.parametrize(
+    ("break_it", "text"),
+    [
+        (lambda b: b.silent.add("estop"), "e-stop source silent"),
+        (lambda b: b.silent.add("servos"), "servo FL silent"),
+        (lambda b: setattr(b, "state", state(pitch=-0.6)), "pitch -0.600 rad, limit 0.5 rad"),
+        (lambda b: setattr(b, "angle", np.array([1, 1, -0.3, 1])), "servo RL at -0.3 rad, limits"),
+    ],
+    ids=["estop", "servos", "tilt", "zero"],
+)
+def test_torque_does_not_come_on_over_a_fault(break_it, text):
+    bench = Bench(**{"timing.estop": 0.1, "timing.servo_silent": 0.1})
+    break_it(bench)
+    bench.run(0.5)
+    refusal = bench.supervisor.request(bench.now, Request.READY)
+    assert refusal.startswith("READY refused in IDLE: ")
+    assert text in refusal
+    assert bench.tick().state is State.IDLE
+
+
+@pytest.mark.parametrize("missing", ["command", "estimate", *SETTINGS.nodes])
+def test_nothing_stands_up_while_something_is_missing(missing):
+    bench = Bench()
+    bench.bring(State.READY)
+    bench.silent.add(missing)
+    bench.run(0.6)
+    assert bench.supervisor.request(bench.now, Request.STAND).startswith("STAND refused in READY")
+    assert bench.tick().state is State.READY
+
+
+def test_walking_starts_where_the_robot_stands():
+    bench = Bench()
+    bench.bring(State.STANDING)
+    bench.command = np.full(4, 1.9)
+    bench.run(0.05)
+    assert "from their command, limit 0.1 rad" in bench.supervisor.request(bench.now, Request.WALK)
+
+
+def test_walking_starts_slowly():
+    bench = Bench()
+    bench.bring(State.STANDING)
+    bench.run(2.0)
+    bench.ask(Request.WALK)
+    bench.command = np.full(4, 2.0)
+    bench.run(0.05)
+    # a tenth of resume_time: the rate has grown by a tenth of its way
+    gate = SETTINGS.gate
+    assert bench.angle.max() < 1.1 + 0.1 * gate.rate_max * (0.05 + gate.burst)
+    assert bench.angle.max() > 1.1
+
+
+# The fault table
+
+
+def test_commands_that_stop_end_in_hold_at_100_ms_and_relax_at_500_ms(walking):
+    walking.silent.add("command")
+    hold = walking.until(State.HOLD, 1.0)
+    held = walking.reports[-1].command
+    assert TIMING.command_hold - CHAIN <= hold <= TIMING.command_hold + STEP
+    assert "no command for" in walking.reports[-1].reason
+    assert any("limit 0.1 s" in warning for warning in walking.reports[-1].warnings)
+    relax = hold + walking.until(State.RELAX, 1.0)
+    assert (walking.reports[-2].command.angle == held.angle).all()  # the last angle was kept
+    assert TIMING.command_lost - CHAIN <= relax <= TIMING.command_lost + STEP
+    assert ends_in_fault(walking)
+
+
+def test_the_robot_walks_on_when_commands_come_back_in_time(walking):
+    walking.silent.add("command")
+    walking.until(State.HOLD, 1.0)
+    walking.silent.clear()
+    assert walking.until(State.WALKING, 1.0) <= TIMING.recovery + CHAIN + STEP
+    assert "nothing to hold for in 0.2 s" in walking.reports[-1].reason
+
+
+def test_held_it_can_be_told_not_to_walk_on(walking):
+    walking.silent.add("command")
+    walking.until(State.HOLD, 1.0)
+    walking.ask(Request.STAND)
+    walking.silent.clear()
+    assert walking.until(State.STANDING, 1.0) < 1.0
+
+
+def test_a_hold_does_not_last_for_ever(walking):
+    walking.status = Status.STOPPED
+    walking.until(State.HOLD, 1.0)
+    took = walking.until(State.RELAX, 10.0)
+    assert took == pytest.approx(TIMING.hold_max, abs=2 * STEP)
+    assert "limit 5 s, since: MPC stopped" in walking.reports[-1].reason
+    assert ends_in_fault(walking)
+
+
+@pytest.mark.parametrize("bad", [Validity.ODOMETRY_REJECTED, Validity.INITIALISING, "NaN"])
+def test_three_unusable_estimates_are_borne_and_the_fourth_holds(walking, bad):
+    if bad == "NaN":
+        walking.state = np.full(12, math.nan)
+    else:
+        walking.validity = bad
+    before = len(walking.reports)
+    took = walking.until(State.HOLD, 1.0)
+    assert 3 * CHAIN < took <= 4 * CHAIN + STEP
+    walking_on = [r.state for r in walking.reports[before:-1]]
+    assert set(walking_on) == {State.WALKING}
+    assert walking.reports[-1].reason == "4 estimates in a row unusable, limit 3"
+
+
+def test_an_estimate_without_imu_still_carries_the_gait(walking):
+    walking.validity = Validity.IMU_MISSING
+    assert walking.run(1.0).state is State.WALKING
+
+
+def test_odometry_that_stops_ends_in_hold(walking):
+    walking.silent.add("estimate")
+    limit = (SETTINGS.estimate.coast_cycles + 1) * SETTINGS.estimate.period
+    assert limit - CHAIN <= walking.until(State.HOLD, 1.0) <= limit + STEP
+
+
+@pytest.mark.parametrize("spoil", ["jump", "NaN", "stale"])
+def test_odometry_that_jumps_by_10_cm_is_nan_or_stops_is_coasted_over_for_three_cycles(spoil):
+    """With the estimator that rejects it: nobody follows the odometry to a wrong place at once."""
+    bench = Bench()
+    estimator, imu = StateEstimator(read_estimator()), START
+    bench.silent |= {"estimate", "command"}  # both come from the estimator below
+    bad_from, states, seen = 60, {}, []
+    gravity, nothing = np.array([0.0, 0.0, 9.81]), np.zeros(3)
+    for cycle in range(1, 100):
+        for _ in range(3):
+            bench.tick()
+        if cycle == 20:
+            bench.ask(Request.READY, Request.STAND)
+        while imu < bench.now:
+            imu += 5_000_000
+            estimator.add_imu(imu, nothing, gravity)
+        place, bad = np.array([0.0, 0.0, 0.04]), cycle > bad_from
+        if bad and spoil != "stale":
+            place[0] = 0.1 if spoil == "jump" else math.nan
+        if not (bad and spoil == "stale"):
+            estimator.add_odometry(bench.now, place, np.array([0, 0, 0, 1.0]), nothing, nothing)
+        while (estimate := estimator.poll()) is not None:
+            seen.append((cycle, estimate.validity, estimate.state[3]))
+            bench.supervisor.see_estimate(bench.now, estimate)
+        bench.supervisor.see_command(bench.now, bench.now, bench.command)  # the MPC goes on
+        states[cycle] = bench.supervisor.state
+    # the estimator refuses five readings, gives in, and calls its tenth at the new place valid
+    gate = read_estimator().gate
+    trusted = bad_from + gate.max_rejections + gate.initial_readings - 1
+    moved = [c for c, valid, x in seen if valid is Validity.VALID and abs(x) > 0.02]
+    assert not moved or moved[0] >= trusted
+    assert states[bad_from] is State.STANDING
+    assert {states[bad_from + k] for k in (1, 2, 3)} == {State.STANDING}
+    # seen at the first step after the fourth bad cycle; stale odometry by its age, 0.132 s
+    assert states[bad_from + (6 if spoil == "stale" else 5)] is State.HOLD
+
+
+@pytest.mark.parametrize(("status", "cycles"), [(Status.STOPPED, 1), (Status.NOT_SOLVED, 11)])
+def test_a_solver_that_fails_for_too_long_stops_the_gait(walking, status, cycles):
+    walking.status, walking.fallback_cycles = status, cycles
+    assert walking.until(State.HOLD, 1.0) <= CHAIN + STEP
+    assert f"{cycles} cycles" in walking.reports[-1].reason
+
+
+def test_a_bounded_number_of_failed_solves_is_borne(walking):
+    walking.status, walking.fallback_cycles = Status.NOT_SOLVED, SETTINGS.solver.fallback_cycles
+    assert walking.run(1.0).state is State.WALKING
+
+
+def test_the_supervisor_bears_as_many_failed_solves_as_the_mpc_does():
+    assert SETTINGS.solver.fallback_cycles == read_mpc().fallback.cycles
+
+
+@pytest.mark.parametrize("value", [math.nan, -0.1, 2.5])
+def test_a_command_that_is_nan_or_out_of_range_is_rejected_whole_and_holds(walking, value):
+    walking.command = np.array([1.3, 1.3, value, 1.3])
+    assert walking.until(State.HOLD, 1.0) <= CHAIN + STEP
+    assert "command RL = " in walking.reports[-1].reason
+    assert (walking.reports[-1].command.angle == 1.1).all()
+
+
+def test_commands_that_stay_bad_are_as_good_as_none(walking):
+    walking.command = np.full(4, math.nan)
+    took = walking.until(State.RELAX, 1.0)
+    assert TIMING.command_lost - CHAIN <= took <= TIMING.command_lost + STEP
+
+
+def test_a_reason_that_comes_and_goes_keeps_the_hold(walking):
+    good = walking.command
+    for k in range(20):
+        walking.command = good if k % 2 else np.full(4, math.nan)
+        walking.run(CHAIN)
+    assert {r.state for r in walking.reports[-50:]} == {State.HOLD}
+
+
+def test_a_step_larger_than_the_rate_limit_is_slewed_and_flagged(walking):
+    walking.command = np.array([0.0, 2.0, 1.1, 1.1])
+    walking.silent.add("servos")  # they would follow faster than servos can
+    for _ in range(3):
+        report = walking.tick()
+        if report.command.slewed.any():
+            break
+    walking.command = np.array([2.0, 0.0, 1.1, 1.1])
+    reports = [walking.tick() for _ in range(9)]
+    slewed = [r for r in reports if r.command.slewed.any()]
+    assert slewed
+    assert slewed[0].command.slewed.tolist() == [True, True, False, False]
+    assert any("command slewed" in warning for warning in slewed[0].warnings)
+    assert reports[-1].state is State.WALKING
+
+
+def test_one_silent_servo_ends_in_relax_of_all_after_500_ms(walking):
+    start = walking.now
+    while walking.supervisor.state is State.WALKING:
+        silence = np.array([0.0, 0.0, (walking.now + TICK - start) * 1e-9, 0.0])
+        walking.health = health(silence=silence)
+        walking.tick()
+    took = (walking.now - start) * 1e-9
+    assert TIMING.servo_silent < took <= TIMING.servo_silent + 2 * STEP
+    assert walking.reports[-1].state is State.RELAX
+    assert "servo RL silent" in walking.reports[-1].reason
+    assert ends_in_fault(walking)
+
+
+def test_an_answer_that_is_not_a_number_is_no_answer(walking):
+    walking.torque = np.array([0.8, math.nan, 0.8, 0.8])
+    assert walking.until(State.RELAX, 1.0) <= TIMING.servo_silent + 2 * STEP
+    assert "servo FR silent" in walking.reports[-1].reason
+
+
+@pytest.mark.parametrize("silence", [math.nan, math.inf, -3.0])
+def test_a_silence_that_is_no_time_is_no_answer(walking, silence):
+    walking.health = health(silence=np.array([0.0, silence, 0.0, 0.0]))
+    assert walking.until(State.RELAX, 1.0) <= 2 * STEP
+    assert "servo FR silent for ever" in walking.reports[-1].reason
+
+
+@pytest.mark.parametrize(
+    ("errors", "text"),
+    [
+        ([0, 0x20, 0, 0], "servo FR: overload error"),
+        ([0, 0, 0x04, 0], "servo RL: overheating error"),
+        ([0x01, 0, 0, 0], "servo FL: input voltage error"),
+    ],
+    ids=["overload", "overheating", "low voltage"],
+)
+def test_a_servo_fault_relaxes_all_legs_and_does_not_reset_itself(walking, errors, text):
+    walking.health = health(hardware_error=np.array(errors))
+    assert walking.until(State.RELAX, 1.0) <= 2 * STEP
+    assert text in walking.reports[-1].reason
+    assert ends_in_fault(walking)
+    refusal = walking.supervisor.request(walking.now, Request.RESET)
+    assert refusal.startswith("RESET refused in FAULT")  # while it is there
+    walking.health = health()
+    assert walking.run(1.0).state is State.FAULT
+    walking.ask(Request.RESET)
+    assert walking.tick().state is State.IDLE
+
+
+@pytest.mark.parametrize("action", [Action.RELAX, Action.OFF])
+def test_a_driver_that_lets_go_by_itself_ends_in_fault_with_its_reason(walking, action):
+    walking.health = health(action=action, reason="servo RL (id 2): torque is off")
+    assert walking.until(State.RELAX, 1.0) <= 2 * STEP
+    assert walking.reports[-1].reason == "driver: servo RL (id 2): torque is off"
+    assert ends_in_fault(walking)
+
+
+def test_a_driver_that_does_not_switch_torque_on_is_a_fault_in_time():
+    bench = Bench()
+    bench.health = health(action=Action.OFF, reason="stopped", torque=np.zeros(4, dtype=bool))
+    bench.bring(State.READY)
+    refused = bench.supervisor.request(bench.now, Request.STAND)
+    assert refused == "STAND refused in READY: servo FL without torque"
+    assert bench.until(State.RELAX, 2.0) == pytest.approx(TIMING.obey, abs=3 * STEP)
+    assert bench.reports[-1].reason == "driver: stopped"
+
+
+@pytest.mark.parametrize("moving", [State.READY, State.STANDING, State.WALKING, State.RELAX])
+def test_an_estop_is_torque_off_at_once_and_latched(moving):
+    bench = Bench()
+    bench.bring(moving)
+    bench.pressed = True
+    assert bench.until(State.ESTOP, 1.0) <= STEP
+    assert not bench.reports[-1].command.torque
+    refusal = bench.supervisor.request(bench.now, Request.RESET)
+    assert refusal == "RESET refused in ESTOP: e-stop pressed"
+    bench.pressed = False
+    assert bench.run(2.0).state is State.ESTOP
+    bench.ask(Request.RESET)
+    assert bench.tick().state is State.IDLE
+
+
+def test_an_estop_source_that_is_lost_is_an_estop(walking):
+    walking.silent.add("estop")
+    took = walking.until(State.ESTOP, 1.0)
+    assert TIMING.estop <= took <= TIMING.estop + 2 * STEP
+    assert "e-stop source silent" in walking.reports[-1].reason
+    assert "RESET refused" in walking.supervisor.request(walking.now, Request.RESET)
+    walking.silent.clear()
+    assert walking.run(1.0).state is State.ESTOP
+
+
+def test_without_the_need_for_an_estop_source_the_robot_walks_without():
+    bench = Bench(estop_required=False)
+    bench.silent.add("estop")
+    bench.bring(State.WALKING)
+    assert bench.run(2.0).state is State.WALKING
+
+
+@pytest.mark.parametrize(("roll", "pitch"), [(0.51, 0.0), (-0.51, 0.0), (0.0, 0.51), (0.0, -0.51)])
+def test_a_tilt_beyond_half_a_radian_relaxes(walking, roll, pitch):
+    walking.state = state(roll, pitch)
+    assert walking.until(State.RELAX, 1.0) <= CHAIN + STEP
+    assert "limit 0.5 rad" in walking.reports[-1].reason
+    assert ends_in_fault(walking)
+
+
+def test_a_tilt_counts_even_in_an_estimate_that_only_coasts(walking):
+    walking.state, walking.validity = state(roll=0.6), Validity.ODOMETRY_REJECTED
+    assert walking.until(State.RELAX, 1.0) <= CHAIN + STEP
+
+
+@pytest.mark.parametrize("jump", [-3600.0, -0.6, 0.6, 1e6])
+def test_a_clock_that_jumps_holds_and_then_goes_on(walking, jump):
+    walking.now += round(jump * 1e9)
+    assert walking.tick().state is State.HOLD
+    assert "clock jumped by" in walking.reports[-1].reason
+    assert walking.until(State.WALKING, 1.0) <= TIMING.recovery + CHAIN + STEP
+
+
+@pytest.mark.parametrize("source", ["command", "estimate", "joints"])
+def test_stamps_of_another_clock_are_refused(walking, source):
+    walking.silent.add(source if source != "joints" else "servos")
+    wall = 1_700_000_000_000_000_000
+    walking.tick()
+    s, now = walking.supervisor, walking.now
+    if source == "command":
+        assert "limit 0.5 s" in s.see_command(now, wall, np.full(4, 1.9))
+    elif source == "estimate":
+        s.see_estimate(now, Estimate(wall, state(roll=1.0), np.eye(12), Validity.VALID))
+    else:
+        s.see_joints(now, wall, walking.angle, load(walking.angle))
+        s.see_health(now, wall, health(hardware_error=np.full(4, 32)))
+    report = walking.tick()
+    assert report.state is State.WALKING
+    assert (report.command.angle == 1.1).all()
+    assert any(source in w and "limit 0.5 s" in w for w in report.warnings)
+    assert walking.until(State.WALKING, 0.6) < 1.0
+    walking.run(0.6)
+    assert walking.supervisor.state is not State.WALKING  # what is refused is missing
+
+
+def test_an_old_command_does_not_pass_as_a_new_one(walking):
+    first = walking.now - 50_000_000
+    assert "not newer" in walking.supervisor.see_command(walking.now, first, np.full(4, 1.9))
+    assert (walking.tick().command.angle == 1.1).all()
+
+
+@pytest.mark.parametrize("node", SETTINGS.nodes)
+def test_a_node_that_dies_stops_the_gait(walking, node):
+    walking.silent.add(node)
+    assert walking.until(State.HOLD, 1.0) <= TIMING.heartbeat + 2 * STEP
+    assert walking.reports[-1].reason.startswith(f"node {node} silent")
+
+
+def test_a_slack_or_broken_tendon_warns_and_stops_the_gait(walking):
+    walking.torque = np.array([0.8, 0.8, 0.0, 0.8])
+    walking.until(State.HOLD, 2.0)
+    assert walking.reports[-1].reason.startswith("slack or broken tendon RL")
+    walking.torque = None
+    walking.run(1.0)
+    assert walking.supervisor.state is State.HOLD  # it does not heal by itself
+    assert any("slack or broken tendon RL" in w for w in walking.reports[-1].warnings)
+
+
+def test_a_tendon_is_judged_only_once_the_legs_follow_the_gait_again(walking):
+    walking.silent.add("command")
+    assert walking.until(State.HOLD, 1.0) < 1.0
+    walking.silent.clear()
+    assert walking.until(State.WALKING, 1.0) < 1.0
+    walking.torque = np.array([0.8, 0.8, 0.0, 0.8])
+    took = walking.until(State.HOLD, 5.0)
+    least = SETTINGS.gate.resume_time + SETTINGS.tendon.window_min
+    assert least <= took < least + 1.0
+    assert walking.reports[-1].reason.startswith("slack or broken tendon RL")
+
+
+def test_after_a_new_tendon_and_a_reset_the_robot_stands_again(walking):
+    walking.torque = np.array([0.8, 0.8, 0.0, 0.8])
+    walking.until(State.FAULT, 10.0)
+    walking.torque = None
+    walking.angle = np.full(4, 1.1)
+    walking.ask(Request.RESET, Request.READY, Request.STAND)
+    report = walking.run(2.0)
+    assert (report.state, report.warnings) == (State.STANDING, ())
+
+
+def test_a_clock_that_slips_back_a_little_takes_no_time_back():
+    clock = SteadyClock(0.5)
+    times = [clock.advance(now) for now in (0, 100, 50, 60, 10**10, 10**10 + 5, 0, 7)]
+    assert times == [0, 100, 100, 110, 110, 115, 115, 122]
+    assert clock.jumped.startswith("clock jumped by -10 s")
+
+
+def test_relaxing_on_request_ends_idle(walking):
+    walking.ask(Request.RELAX)
+    assert walking.until(State.IDLE, 3.0) <= RELAX_TIME + 2 * STEP
+    assert not walking.reports[-1].command.torque
+
+
+def test_a_fault_while_relaxing_on_request_ends_in_fault(walking):
+    walking.ask(Request.RELAX)
+    walking.tick()
+    walking.health = health(hardware_error=np.array([0x20, 0, 0, 0]))
+    walking.tick()
+    walking.health = health()
+    assert walking.until(State.FAULT, 3.0) <= RELAX_TIME + 2 * STEP
+
+
+# Whatever comes
+
+
+def wild_inputs(rng, bench: Bench, supervisor: Supervisor):
+    """One random event, sane or not; returns the request made, or None."""
+    now = bench.now
+    wrong = rng.choice([0.0, 1.0, math.nan, math.inf, -1e9], p=[0.9, 0.04, 0.03, 0.02, 0.01])
+    stamp = now - int(rng.integers(0, 40_000_000)) + int(rng.choice([0, 10**12], p=[0.99, 0.01]))
+    kind = rng.integers(9)
+    if kind <= 1:
+        supervisor.see_command(now, stamp, rng.uniform(0, 2.0, 4) + wrong)
+    elif kind == 2:
+        tilt = state(*rng.normal(0, 0.13, 2))
+        valid = rng.choice(list(Validity), p=[0.85, 0.03, 0.1, 0.02])
+        supervisor.see_estimate(now, Estimate(stamp, tilt + wrong, np.eye(12), Validity(valid)))
+    elif kind == 3:
+        angle = np.clip(bench.angle + rng.normal(0, 0.01, 4), 0, 2.0)
+        torque = load(angle)
+        angle[rng.integers(4)] += wrong
+        supervisor.see_joints(now, now, angle, torque)
+        bits = rng.choice([0, 0x20], size=4, p=[0.9995, 0.0005])
+        supervisor.see_health(now, now, health(hardware_error=bits))
+    elif kind == 4:
+        supervisor.see_solver(now, int(rng.choice([0, 1, 4], p=[0.9, 0.09, 0.01])), 0)
+    elif kind == 5:
+        supervisor.see_estop(now, bool(rng.random() < 0.002))
+    elif kind == 6:
+        for node in SETTINGS.nodes:
+            supervisor.hear(now, node)
+    elif kind == 7:
+        return Request(rng.choice([*Request, *[Request.READY, Request.STAND, Request.WALK] * 6]))
+    return None
+
+
+def test_no_sequence_of_events_breaks_a_promise():
+    """Thirty thousand random events: range, rate, torque, latches and the end of RELAX."""
+    rng, bench = np.random.default_rng(11), Bench()
+    supervisor, limit = bench.supervisor, ROBOT.tendon.angle_max
+    before, relaxing, visited, steady = State.IDLE, 0.0, set(), 0.0
+    times, angles = [], []
+    for _ in range(30_000):
+        jump = int(rng.choice([0, -(10**10), 10**10], p=[0.9996, 0.0002, 0.0002]))
+        tick = int(rng.integers(0, 6_000_000))
+        bench.now += tick + jump
+        request = wild_inputs(rng, bench, supervisor)
+        granted = request is not None and supervisor.request(bench.now, request) == ""
+        middle = supervisor.state
+        report = supervisor.step(bench.now)
+        gated, steady = report.command, steady + (tick * 1e-9 if not jump else 0.0)
+        # 1: finite, within the range
+        assert all(0.0 <= angle <= limit for angle in gated.angle.tolist())
+        # 2: torque where the state allows it
+        assert not (report.state in OFF and gated.torque)
+        assert gated.action is table.ACTIONS[report.state]
+        # 3: out of the latched states by a granted reset alone
+        for old, new in ((before, middle), (middle, report.state)):
+            if old in {State.ESTOP, State.FAULT} and new not in {old, State.ESTOP}:
+                assert (granted, request, new) == (True, Request.RESET, State.IDLE)
+        # 4: RELAX ends
+        relaxing = relaxing + tick * 1e-9 if State.RELAX is before is report.state else 0.0
+        assert relaxing <= RELAX_TIME + 0.02
+        assert report.reason
+        if report.state is State.READY and before is not State.READY:
+            times, angles = [], []  # the goals start anew where the servos are
+        times.append(steady)
+        angles.append(gated.angle)
+        if len(times) > 5:
+            moved, span = np.abs(angles[-1] - angles[-6]).max(), times[-1] - times[-6]
+            assert moved <= SETTINGS.gate.rate_max * (span + SETTINGS.gate.burst) + 1e-9
+        before = report.state
+        visited.add(before)
+        if gated.torque:
+            bench.angle = gated.angle
+    assert visited == set(State)

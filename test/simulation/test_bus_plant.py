@@ -1,0 +1,151 @@
+"""The simulated robot on emulated servos, without ROS and without a port."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from slot_core import config
+from slot_core.config import ConfigError
+from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.dynamixel.driver import Driver
+from slot_core.dynamixel.port import SerialPort
+from slot_core.dynamixel.settings import read_settings
+from slot_core.dynamixel.table import RAD_PER_COUNT
+from slot_core.emulator.emulated_bus import read_emulator
+from slot_core.emulator.pseudo_terminal import PseudoTerminal
+from slot_core.faults import Fault
+from slot_core.robot import read_robot
+from slot_core.simulation.bus_plant import BusPlant, imposed
+
+MS = 1_000_000  # ns
+ROBOT = read_robot()
+
+
+def make(**changes):
+    scene = read_scene("flat")
+    servo = dataclasses.replace(read_servo(), **changes)
+    rng = np.random.default_rng(1)
+    return BusPlant(ROBOT, scene, servo, rng, settings=read_settings(), emulator=read_emulator())
+
+
+@pytest.fixture
+def plant():
+    return make()
+
+
+def run(plant, duration):
+    """Advance for a time (s); all readings."""
+    return list(plant.advance(plant.now + round(duration * 1e9)))
+
+
+def switch_on(plant, angles):
+    """Torque on with goals at tendon angles (4,), as written by a driver."""
+    for joint, servo, angle in zip(plant.legs.joints, plant.legs.bus.servos, angles):
+        servo.memory["goal_position"] = joint.counts(angle)
+        servo.memory["torque_enable"] = 1
+
+
+def test_the_servos_start_where_the_tendons_have_settled(plant):
+    assert plant.legs.angles() == pytest.approx(plant.simulator.tendon_angle, abs=1e-12)
+    assert plant.powered() == ()
+
+
+def test_the_spools_are_where_the_shafts_are_after_every_step(plant):
+    plant.start(0)
+    switch_on(plant, plant.simulator.tendon_angle + np.array([0.3, -0.1, 0.2, 0.1]))
+    assert plant.powered() == ("FL", "FR", "RL", "RR")
+    for _ in range(100):
+        run(plant, 0.001)
+        # to rounding: angle + h (command - angle) / h
+        assert plant.simulator.tendon_angle == pytest.approx(plant.legs.angles(), abs=1e-12)
+
+
+def test_a_loaded_servo_rests_where_its_duty_balances_the_tendon(plant):
+    """P/128 (goal - position) / 885 = load / stall, the position in counts."""
+    plant.start(0)
+    settings, goal = read_settings(), np.full(4, 1.0)
+    for servo in plant.legs.bus.servos:
+        servo.memory["position_p_gain"] = settings.gains.p
+    switch_on(plant, goal)
+    run(plant, 2.0)
+    ratio = settings.joints.servo_per_tendon
+    load = plant.simulator.servo_torque / ratio
+    assert load.min() > 0.1
+    duty = settings.gains.p / 128 * (goal - plant.legs.angles()) * ratio / RAD_PER_COUNT / 885
+    # one count of the encoder is 0.7 % of duty; the robot still moves a little
+    assert duty == pytest.approx(load / read_servo().stall_torque, abs=0.015)
+
+
+def test_without_torque_the_tendons_yield_until_the_gears_friction_holds_them(plant):
+    plant.start(0)
+    before = plant.simulator.tendon_angle
+    run(plant, 2.0)
+    assert (plant.simulator.tendon_angle < before - 0.05).all()
+    friction = read_emulator().servo.shaft.friction * read_settings().joints.servo_per_tendon
+    # the gear holds this and yields slowly to a little more
+    assert plant.simulator.servo_torque.max() < friction * 1.1
+
+
+def test_joints_are_read_by_the_driver_alone(plant):
+    plant.start(0)
+    names = {type(reading).__name__ for reading in run(plant, 0.1)}
+    assert "OdometryReading" in names
+    assert "JointReading" not in names
+
+
+def test_a_command_past_the_bus_moves_nothing():
+    one, other = make(), make()
+    for plant in (one, other):
+        plant.start(0)
+    one.command(np.full(4, 1.5))
+    run(one, 0.1)
+    run(other, 0.1)
+    assert (one.simulator.tendon_angle == other.simulator.tendon_angle).all()
+
+
+def test_backlash_is_refused_rather_than_left_out():
+    servo = dataclasses.replace(read_servo(), backlash_deg=1.0)
+    with pytest.raises(ConfigError, match=r"backlash_deg = 1\.0: emulated servos have none"):
+        imposed(servo, 0.001)
+
+
+def test_the_range_of_the_tendons_bounds_the_spools(plant):
+    plant.start(0)
+    low = -math.radians(read_settings().joints.margin_deg) / 2
+    switch_on(plant, np.full(4, low))
+    run(plant, 1.0)
+    assert plant.legs.angles().max() < 0.0
+    assert (plant.simulator.tendon_angle >= 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "most"), [("tendon_broken", 0.0, 0.01), ("tendon_slack", 0.003, 0.4)]
+)
+def test_the_driver_measures_that_a_tendon_gives_way(plant, kind, value, most):
+    """Seen: 0.47 of the stall torque at all servos, then 0 or 0.37 at this one."""
+    settings = config.replace(read_settings(), {"bus.timeout": 0.05})  # a busy machine
+    with PseudoTerminal(plant.legs.bus) as terminal:
+        port = SerialPort(terminal.name, settings.bus.baud, settings.bus.timeout)
+        driver = Driver(port, settings, clock=lambda: plant.now * 1e-9)
+        driver.configure()
+        driver.activate()
+        plant.start(0)
+
+        def loads(cycles):
+            for _ in range(cycles):
+                cycle = driver.cycle()
+                run(plant, 0.01)
+            return np.array([reading.load for reading in cycle.readings])
+
+        before = loads(50)
+        plant.inject(Fault(kind, "RL", 0.0, 0.0, value))
+        after = loads(50)
+        driver.close()
+    count = 0.0071  # of the encoder, as the share of the stall torque that the P gain makes of it
+    assert np.ptp(before) <= 2 * count
+    assert np.argmin(after) == 2
+    assert after[2] < most
+    assert after[[0, 3]].min() > before.min() + 2 * count  # the torso tips onto its neighbours

@@ -1,0 +1,64 @@
+"""The plant: what a scene plans happens at its time."""
+
+import numpy as np
+import pytest
+
+from slot_core import config
+from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.robot import read_robot
+from slot_core.simulation.plant import Plant
+
+START, MILLISECOND = 7_000_000_000, 1_000_000  # ns
+FORCE, MOMENT = [0.0, 4.0, 1.0], [0.1, 0.0, 0.2]
+FIRST = {"time": 0.1, "duration": 0.05, "force": FORCE, "moment": MOMENT}
+SECOND = {"time": 0.12, "duration": 0.1, "force": [2.0, 0.0, 0.0], "moment": [0.0, 0.0, 0.0]}
+
+
+def plant(**pushes):
+    changes = {"pushes": pushes, "start.settle": 0.3}
+    scene = config.replace(read_scene("flat"), changes)
+    return Plant(read_robot(), scene, read_servo(), np.random.default_rng(0))
+
+
+def followed(plant, milliseconds):
+    """(n, 6) the push that acts after each millisecond from the start on."""
+    plant.start(START)
+    acting = []
+    for k in range(milliseconds):
+        acting.append(plant.simulator.model.push.copy())
+        list(plant.advance(START + (k + 1) * MILLISECOND))
+    return np.array(acting)
+
+
+def test_pushes_act_from_their_begin_for_their_duration_and_add_up():
+    acting = followed(plant(first=FIRST, second=SECOND), 300)
+    expected = np.zeros((300, 6))
+    expected[100:150] += [*FORCE, *MOMENT]
+    expected[120:220, 0] += 2.0
+    np.testing.assert_allclose(acting, expected, atol=1e-15)
+
+
+def test_a_push_moves_the_robot_and_no_push_does_not():
+    pushed, still = plant(first=FIRST), plant()
+    for each in (pushed, still):
+        each.start(START)
+    for until, same in [(100, True), (101, False)]:
+        for each in (pushed, still):
+            list(each.advance(START + until * MILLISECOND))
+        equal = np.array_equal(pushed.simulator.position, still.simulator.position)
+        assert equal is same  # to the last bit before it begins
+    for each in (pushed, still):
+        list(each.advance(START + 150 * MILLISECOND))
+    gained = (pushed.simulator.momentum()[0] - still.simulator.momentum()[0])[1]
+    assert 0.0 < gained < 4.0 * 0.05  # N s; the floor takes a part of it
+
+
+def test_readings_of_the_clock_are_not_moved_by_a_push_between_time_steps():
+    odd = {**FIRST, "time": 0.1004, "duration": 0.0501}
+    each = plant(first=odd)
+    acting = followed(each, 200)
+    assert each.now == START + 200 * MILLISECOND
+    # Whole steps only: the push acts in 50 of them.
+    assert np.count_nonzero(acting[:, 1]) == pytest.approx(50, abs=1)
+    assert not acting[-1].any()

@@ -1,0 +1,311 @@
+"""The whole robot: conservation, an independent solver of its equations, standing, refusals."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+from slot_core import compiled, config
+from slot_core.config import ConfigError
+from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.dynamics.simulated_robot import Divergence
+from slot_core.robot import GRAVITY, read_robot
+from slot_core.simulation.rod_robot import RodRobot
+
+ROBOT = read_robot()
+UNDAMPED = dataclasses.replace(ROBOT, leg=dataclasses.replace(ROBOT.leg, damping_time=0.0))
+
+
+def simulator(robot=ROBOT, servo="torque_speed", **changes):
+    """A robot in the scene `flat` with changes: solver__step is solver.step."""
+    changes = {name.replace("__", "."): value for name, value in changes.items()}
+    scene = config.replace(read_scene("flat"), changes)
+    return RodRobot(robot, scene, dataclasses.replace(read_servo(), model=servo))
+
+
+def floating(robot, step, theta=0.5, iterations=6):
+    """Without gravity, legs natural, tumbling at 7 rad/s."""
+    sim = simulator(
+        robot,
+        gravity=[0.0, 0.0, 0.0],
+        start__height=5.0,
+        start__settle=0.0,
+        solver__step=step,
+        solver__theta=theta,
+        solver__iterations=iterations,
+    )
+    sim.set_motion(np.array([0.3, 0.2, 0.1]), np.array([3.0, 4.0, 5.0]))
+    return sim
+
+
+@pytest.mark.parametrize("iterations", [1, 2])
+def test_linear_momentum_is_kept_to_rounding(iterations):
+    sim = floating(ROBOT, 1e-3, 0.55, iterations)
+    before = sim.momentum()[0]
+    sim.advance(500, np.full(4, 1.5))
+    np.testing.assert_allclose(sim.momentum()[0], before, rtol=1e-12)
+
+
+def test_angular_momentum_is_kept_to_second_order():
+    """With tendons pulled meanwhile: internal forces of any kind give no moment."""
+    errors = []
+    for step in (2e-3, 1e-3):
+        sim = floating(ROBOT, step)
+        before = sim.momentum()[1]
+        sim.advance(round(0.4 / step), np.full(4, 1.5))
+        errors.append(np.linalg.norm(sim.momentum()[1] - before) / np.linalg.norm(before))
+    assert errors[0] < 1e-7
+    assert np.log2(errors[0] / errors[1]) > 1.9  # two, but for rounding
+
+
+def test_undamped_legs_keep_the_energy_in_flight():
+    """Without Kelvin-Voigt damping nothing dissipates: coriolis terms must not feed or drain."""
+    errors = []
+    for step in (5e-4, 2.5e-4):
+        sim = floating(UNDAMPED, step)
+        before = sim.energy()
+        sim.advance(round(0.2 / step), np.zeros(4))
+        errors.append(abs(sim.energy() / before - 1))
+    assert errors[0] < 1e-3
+    assert np.log2(errors[0] / errors[1]) > 1.5  # two in the limit; the stiff modes come late
+
+
+class VerticalDrop:
+    """A level robot with four equal legs falls straight: one leg and a quarter of the torso.
+
+    Unknowns: height of the clamp, then x and z of the nodes; the equations of rod, tendon and
+    contact written down once more, for SciPy's implicit Runge-Kutta method.
+    """
+
+    def __init__(self, sim, angle):
+        self.model, self.angle = sim.model, angle
+        self.mass = self.model.rod.mass.copy()
+        self.mass[0] += self.model.torso.mass / 4
+
+    def start(self, height, speed):
+        node = self.model.rod.node + np.array([0.0, height])
+        velocity = np.tile([0.0, speed], (len(node), 1))
+        return np.concatenate([node.ravel(), velocity.ravel()])
+
+    def rate(self, _, y):
+        node, velocity = y.reshape(2, -1, 2)
+        force = self.internal(node, velocity) + self.contact(node, velocity)
+        acceleration = force / self.mass[:, None] - [0.0, GRAVITY]
+        acceleration[0, 0] = 0.0
+        return np.concatenate([velocity.ravel(), acceleration.ravel()])
+
+    def internal(self, node, velocity):
+        rod, tendon = self.model.rod, self.model.tendon
+        chord, change = np.diff(node, axis=0), np.diff(velocity, axis=0)
+        length = np.hypot(*chord.T)
+        along = chord / length[:, None]
+        across = along[:, ::-1] * [-1, 1] / length[:, None]
+        stretch_rate = np.sum(along * change, axis=1)
+        turn = np.diff(np.arctan2(chord[:, 1], chord[:, 0]), prepend=0.0)
+        turn_rate = np.diff(np.sum(across * change, axis=1), prepend=0.0)
+        cable = tendon.along @ length + tendon.around @ turn - tendon.relaxed
+        cable_rate = tendon.along @ stretch_rate + tendon.around @ turn_rate
+        pull = tendon.stiffness * (cable + tendon.spool_radius * self.angle)
+        pull = max(0.0, pull + tendon.damping * cable_rate)
+        stretched = length - rod.rest_length + rod.damping_time * stretch_rate
+        bent = turn - rod.rest_angle + rod.damping_time * turn_rate
+        axial = rod.axial * stretched + pull * tendon.along
+        moment = rod.bending * bent + pull * tendon.around
+        end = axial[:, None] * along + (moment - np.append(moment[1:], 0.0))[:, None] * across
+        return np.vstack([end, [0, 0]]) - np.vstack([[0, 0], end])
+
+    def contact(self, node, velocity):
+        floor, gap = self.model.floor, node[:, 1]
+        normal = np.maximum(0.0, -floor.stiffness * gap - floor.damping * velocity[:, 1])
+        normal[gap >= 0.0] = 0.0
+        slip = velocity[:, 0]
+        drag = self.model.friction[0, 0] * normal / np.hypot(slip, floor.friction_velocity)
+        return np.column_stack([-drag * slip, normal])
+
+
+DROP = {"height": 0.05, "speed": -0.4, "angle": 1.2}  # m, m/s, rad: suddenly taut, 70 N a tendon
+
+
+def dropped(step, seconds, theta):
+    sim = simulator(
+        servo="ideal",  # the tendon's jerk at the start would push the other one back
+        start__height=DROP["height"],
+        start__settle=0.0,
+        solver__nodes=7,
+        solver__step=step,
+        solver__theta=theta,
+        solver__iterations=6,
+    )
+    sim.set_motion(np.array([0.0, 0.0, DROP["speed"]]), np.zeros(3))
+    sim.state.tendon_angle[:] = DROP["angle"]
+    sim.advance(round(seconds / step), np.full(4, DROP["angle"]))
+    return sim
+
+
+def drop_error(sims, seconds):
+    """Largest distance of a node from where Radau's method takes it, m, for each simulator."""
+    exact = VerticalDrop(sims[0], DROP["angle"])
+    y0 = exact.start(DROP["height"], DROP["speed"])
+    y = solve_ivp(exact.rate, (0, seconds), y0, method="Radau", rtol=1e-9, atol=1e-11).y[:, -1]
+    node, velocity = y.reshape(2, -1, 2)
+    errors = []
+    for sim in sims:
+        shape = sim.nodes[0] - sim.nodes[0, 0]
+        found = np.column_stack([np.hypot(shape[:, 0], shape[:, 1]), sim.nodes[0, :, 2]])
+        errors.append(np.abs(found - node).max())
+    return errors, node, exact.contact(node, velocity)[:, 1].sum()
+
+
+def test_legs_snap_taut_as_an_independent_solver_says_to_second_order():
+    seconds = 2e-3
+    sims = [dropped(step, seconds, 0.5) for step in (1e-4, 2.5e-5)]
+    errors, _, force = drop_error(sims, seconds)
+    assert force == 0.0  # still in the air
+    assert errors[1] < 3e-7  # m; they move by 0.5 mm
+    assert np.log2(errors[0] / errors[1]) / 2 > 1.8
+
+
+def test_a_landing_agrees_with_an_independent_solver():
+    """Taut legs meet the floor at 0.9 m/s and slide apart; 80 ms after the start."""
+    seconds = 0.08
+    errors, node, force = drop_error([dropped(2.5e-5, seconds, 0.55)], seconds)
+    assert force > 1.0  # N: it has landed
+    assert node[0, 1] > ROBOT.torso.size[2] / 2  # and not on its belly, which has no place here
+    assert errors[0] < 1e-5  # m, of a motion of 20 mm
+
+
+@pytest.mark.parametrize(
+    ("theta_deg", "height"), [(40, 0.017), (57, 0.033), (75, 0.056), (100, 0.087)]
+)
+def test_standing_heights_are_those_of_the_fit(theta_deg, height):
+    """Of an earlier implementation with the same parameters, friction .3, quoted to the mm."""
+    sim = simulator(floor__friction=[0.3] * 4, start__tendon_angle_deg=float(theta_deg))
+    sim.advance(1000, sim.tendon_angle)
+    assert sim.position[2] == pytest.approx(height, abs=2e-3)
+    assert np.abs(sim.rpy).max() < 1e-3
+
+
+def test_the_floor_carries_the_weight():
+    sim = simulator()
+    sim.advance(3000, sim.tendon_angle)
+    force = sim.ground_force
+    assert force[:, 2].sum() == pytest.approx(ROBOT.weight, rel=1e-4)
+    np.testing.assert_allclose(force[:, :2].sum(0), 0.0, atol=1e-4 * ROBOT.weight)
+    np.testing.assert_allclose(force[:, 2], ROBOT.weight / 4, rtol=1e-4)
+
+
+def step_response(step):
+    sim = simulator(solver__step=step, start__settle=0.6)
+    sim.advance(round(0.15 / step), np.radians([90.0, 30.0, 50.0, 75.0]))
+    return np.concatenate([sim.position, 0.1 * sim.rpy])
+
+
+def test_error_of_a_step_command_falls_with_the_time_step():
+    fine = step_response(2e-5)
+    errors = [np.linalg.norm(step_response(step) - fine) for step in (1e-3, 2.5e-4)]
+    assert errors[0] < 5e-4  # m
+    assert np.log2(errors[0] / errors[1]) / 2 > 0.8  # theta = .55 and the servo's lag: first order
+
+
+@pytest.mark.parametrize("speed", [1.0, 3.0])
+def test_an_impact_ends_in_standing_and_adds_no_energy(speed):
+    sim = simulator(start__height=0.03, start__settle=0.0)
+    sim.set_motion(np.array([0.1, 0.0, -speed]), np.array([0.5, 0.2, 0.0]))
+    before, peak = sim.energy(), 0.0
+    for _ in range(300):  # it still swings by some mm after 2 s
+        sim.advance(10, np.full(4, 1.1))
+        peak = max(peak, sim.energy())
+    # What the servos add: 4 x 70 N over 8 mm are 2 J, of which the legs keep 1 J at the start.
+    assert peak < before + 2.5
+    assert sim.position[2] == pytest.approx(0.04, abs=5e-3)
+    assert np.abs(sim.rpy[:2]).max() < 0.01
+
+
+def test_equal_inputs_give_equal_bits():
+    runs = []
+    for _ in range(2):
+        sim = simulator(start__settle=0.2)
+        for k in range(20):
+            sim.advance(7, np.full(4, 0.5) + 0.02 * k * np.array([1, 0, 1, 0]))
+        runs.append(np.concatenate([sim.nodes.ravel(), sim.position, sim.velocity, sim.tension]))
+    np.testing.assert_array_equal(*runs)
+
+
+def test_one_call_of_many_steps_is_many_calls_of_one():
+    one, many = simulator(start__settle=0.1), simulator(start__settle=0.1)
+    command = np.array([1.2, 0.8, 1.0, 1.4])
+    one.advance(50, command)
+    for _ in range(50):
+        many.advance(1, command)
+    np.testing.assert_array_equal(one.nodes, many.nodes)
+    assert one.time == many.time == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        (np.ones(3), r"shape \(3,\)"),
+        ([0.5, np.nan, 0.5, 0.5], "nan"),
+        ([0.5, np.inf, 0.5, 0.5], "inf"),
+        ([0.5, -1e-6, 0.5, 0.5], r"inside \[0, 2\.02"),
+        ([0.5, 0.5, 0.5, 2.03], r"inside \[0, 2\.02"),
+    ],
+)
+def test_a_bad_command_is_refused_and_nothing_moves(command, message):
+    sim = simulator(start__settle=0.0)
+    before = sim.nodes
+    with pytest.raises(ValueError, match=message):
+        sim.advance(5, command)
+    np.testing.assert_array_equal(sim.nodes, before)
+
+
+def test_a_lost_solution_is_named():
+    sim = simulator(start__settle=0.0, solver__halvings=0)
+    sim.state.node_velocity[2, 9] = np.nan
+    with pytest.raises(Divergence, match=r"at 0\.0000 s: "):
+        sim.advance(1, np.zeros(4))
+    sim = simulator(start__settle=0.0, start__height=3.0, solver__speed_limit=1.0)
+    with pytest.raises(Divergence, match=r"0\.10[12]0 s: torso .* 1\.0 m/s"):
+        sim.advance(200, np.zeros(4))  # falls beyond 1 m/s at t = 1/g = 0.1019 s
+
+
+def test_angles_and_quaternion_are_scipys():
+    sim = simulator(start__settle=0.0)
+    for angles in np.random.default_rng(2).uniform(-1.5, 1.5, (20, 3)):
+        sim.state.rotation[:] = Rotation.from_euler("xyz", angles).as_matrix()
+        np.testing.assert_allclose(sim.rpy, angles, atol=1e-12)
+        expected = Rotation.from_euler("xyz", angles).as_quat(canonical=True)
+        np.testing.assert_allclose(sim.quaternion, expected, atol=1e-12)
+
+
+def test_no_place_for_the_cache_means_no_cache(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr(compiled.SETTINGS, "CACHE_DIR", str(tmp_path / "file" / "cache"))
+    double = compiled.kernel(lambda x: 2.0 * x)  # Numba would raise without the check
+    assert double(1.5) == 3.0
+    assert str(tmp_path) in compiled.SETTINGS.CACHE_DIR  # as it was for everybody else
+
+
+def test_an_unknown_scene_is_refused_with_the_known_ones():
+    with pytest.raises(ConfigError, match=r"moon.*flat.*slippery"):
+        read_scene("moon")
+
+
+def test_a_step_that_runs_out_of_halvings_is_counted():
+    changes = {"start__height": 0.03, "start__settle": 0.0, "solver__correction_limit": 1e-15}
+    for halvings in (0, 2):
+        sim = simulator(**changes, solver__halvings=halvings)
+        sim.set_motion(np.array([0.0, 0.0, -1.0]), np.zeros(3))
+        sim.advance(50, np.full(4, 1.1))
+        assert sim.unconverged_steps > 0
+        assert sim.halvings >= halvings * sim.unconverged_steps
+
+
+def test_walking_steps_are_neither_halved_nor_indefinite():
+    sim = simulator()
+    for k in range(20):
+        sim.advance(50, np.radians([[90.0, 30.0, 50.0, 75.0], [30.0, 90.0, 75.0, 50.0]][k % 2]))
+    assert (sim.halvings, sim.indefinite_steps, sim.unconverged_steps) == (0, 0, 0)

@@ -1,0 +1,96 @@
+"""Sensors against the simulated truth: mean and spread of their noise, frames, gravity."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from slot_core import config
+from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.robot import GRAVITY, read_robot
+from slot_core.simulation.rod_robot import RodRobot
+from slot_core.simulation.sensors import ImuSensor, OdometrySensor, true_odometry
+
+SCENE = read_scene("flat")
+COUNT = 4000
+# Of COUNT samples: the mean is within 4 sigma / sqrt(COUNT), the spread within 4 / sqrt(2 COUNT).
+MEAN, SPREAD = 4 / np.sqrt(COUNT), 4 / np.sqrt(2 * COUNT)
+
+
+@pytest.fixture(scope="module")
+def standing():
+    return RodRobot(read_robot(), SCENE, read_servo())
+
+
+@pytest.fixture(scope="module")
+def flying():
+    """Tumbling freely, two metres up, natural legs."""
+    changes = {"start.height": 2.0, "start.settle": 0.0, "start.tendon_angle_deg": 0.0}
+    sim = RodRobot(read_robot(), config.replace(SCENE, changes), read_servo())
+    turn = Rotation.from_euler("xyz", [0.3, -0.2, 1.2]).as_matrix()
+    sim.state.rotation[:] = turn
+    sim.set_motion(np.array([0.4, -0.3, 0.2]), np.array([0.5, 1.0, -0.7]))
+    return sim
+
+
+def check_noise(samples, truth, sigma):
+    error = np.array(samples) - truth
+    assert np.all(np.abs(error.mean(0)) < MEAN * sigma)
+    assert np.all(np.abs(error.std(0) / sigma - 1) < SPREAD)
+
+
+def test_odometry_has_the_stated_noise_and_no_bias(flying):
+    sensor = OdometrySensor(SCENE.sensors.odometry, np.random.default_rng(7))
+    readings = [sensor.sample(flying, 5) for _ in range(COUNT)]
+    settings, rotation = SCENE.sensors.odometry, Rotation.from_matrix(flying.rotation)
+    check_noise([r.position for r in readings], flying.position, settings.position_noise)
+    errors = [(Rotation.from_quat(r.quaternion) * rotation.inv()).as_rotvec() for r in readings]
+    check_noise(errors, 0.0, settings.orientation_noise)
+    body = rotation.inv().apply(flying.velocity)
+    check_noise([r.velocity for r in readings], body, settings.velocity_noise)
+    check_noise(
+        [r.angular_velocity for r in readings], flying.angular_velocity, settings.rate_noise
+    )
+    assert readings[0].stamp == 5
+
+
+def test_twist_is_in_base_link(flying):
+    """The velocity of 0.4, -0.3, 0.2 m/s in odom, turned by hand."""
+    reading = true_odometry(flying, 0)
+    turn = Rotation.from_euler("xyz", [0.3, -0.2, 1.2])
+    np.testing.assert_allclose(reading.velocity, turn.inv().apply([0.4, -0.3, 0.2]), atol=1e-12)
+    np.testing.assert_allclose(reading.angular_velocity, [0.5, 1.0, -0.7], atol=1e-12)
+    assert abs(reading.quaternion @ turn.as_quat()) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_imu_has_the_stated_noise_and_a_constant_bias(standing):
+    settings = SCENE.sensors.imu
+    sensor = ImuSensor(settings, np.random.default_rng(3))
+    readings = [sensor.sample(standing, 0) for _ in range(COUNT)]
+    rates = np.array([r.angular_velocity for r in readings])
+    check_noise(rates - standing.angular_velocity, sensor.bias, settings.rate_noise)
+    forces = [r.specific_force for r in readings]
+    check_noise(forces, standing.specific_force, settings.acceleration_noise)
+    biases = [ImuSensor(settings, np.random.default_rng(k)).bias for k in range(COUNT)]
+    check_noise(biases, 0.0, settings.rate_bias)
+
+
+def test_accelerometer_at_rest_reads_minus_gravity(standing):
+    # The robot still sinks by some um per step a while after the start.
+    np.testing.assert_allclose(standing.specific_force, [0, 0, GRAVITY], atol=0.05)
+
+
+def test_accelerometer_in_free_fall_reads_what_the_legs_do_to_the_torso(flying):
+    """At the centre of the torso: zero, but for the legs that swing about it.
+
+    Their mass is 7 % of the whole; 1 rad/s at 0.2 m gives 0.2 m/s^2, of which 7 % reach the torso.
+    """
+    flying.advance(1, np.zeros(4))
+    assert np.abs(flying.specific_force).max() < 0.1
+
+
+def test_equal_generators_give_equal_readings(standing):
+    one, two = (OdometrySensor(SCENE.sensors.odometry, np.random.default_rng(9)) for _ in range(2))
+    np.testing.assert_array_equal(
+        one.sample(standing, 0).position, two.sample(standing, 0).position
+    )
