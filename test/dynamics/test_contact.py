@@ -5,7 +5,7 @@ import pytest
 from numba import njit
 
 from slot_core import config
-from slot_core.dynamics.contact import RELEASING, bend, coefficient, grip, press
+from slot_core.dynamics.contact import RELEASING, bend, coefficient, friction_force, normal_force
 from slot_core.dynamics.model import build_floor
 from slot_core.dynamics.rod import discretise
 from slot_core.dynamics.scene import read_scene
@@ -27,9 +27,9 @@ def floor(**changes):
 @njit
 def law(floor, friction, gap, v):
     """Normal force and viscous drag of a point."""
-    normal = press(STIFFNESS, DAMPING, gap, v[2])
+    normal = normal_force(STIFFNESS, DAMPING, gap, v[2])
     tangential = (v[0], v[1], 0.0)
-    hold = grip(floor, friction * normal, 0.0, STIFFNESS, DAMPING, tangential, tangential)
+    hold = friction_force(floor, friction * normal, 0.0, STIFFNESS, DAMPING, tangential, tangential)
     return normal, hold.drag
 
 
@@ -112,7 +112,7 @@ def drag_along(floor, path, limit, slope, h):
 
 @njit
 def force_at(floor, limit, tau, bristle, v):
-    hold = grip(floor, limit, tau, STIFFNESS, DAMPING, bristle, v)
+    hold = friction_force(floor, limit, tau, STIFFNESS, DAMPING, bristle, v)
     return np.array(
         [hold.drag * v[0] + hold.x, hold.drag * v[1] + hold.y, hold.drag * v[2] + hold.z]
     )

@@ -120,10 +120,10 @@ def test_a_command_that_is_none_is_refused_and_nothing_moves(sim, command):
         lambda sim: sim.push([math.nan, 0.0, 0.0], [0.0, 0.0, 0.0]),
         lambda sim: sim.push([0.0, 0.0, 0.0], [0.0, math.inf, 0.0]),
         lambda sim: sim.push([0.0, 0.0], [0.0, 0.0, 0.0]),
-        lambda sim: sim.spoil_tendon(4),
-        lambda sim: sim.spoil_tendon(-1, broken=True),
-        lambda sim: sim.spoil_tendon(0, slack=math.nan),
-        lambda sim: sim.spoil_tendon(0, slack=-1e-3),
+        lambda sim: sim.damage_tendon(4),
+        lambda sim: sim.damage_tendon(-1, broken=True),
+        lambda sim: sim.damage_tendon(0, slack=math.nan),
+        lambda sim: sim.damage_tendon(0, slack=-1e-3),
     ],
 )
 def test_a_push_or_fault_that_is_none_is_refused(sim, act):

@@ -51,7 +51,7 @@ def test_a_tendon_three_millimetres_longer_is_measured_and_named(leg):
     slack = np.zeros(4)
     slack[leg] = 3e-3
     _, state = feed(watch(), 2.0, slack)
-    assert state.spoiled.tolist() == [i == leg for i in range(4)]
+    assert state.damaged.tolist() == [i == leg for i in range(4)]
     assert state.message.startswith(f"slack or broken tendon {LEGS[leg]} (")
     assert state.message.endswith("limit 1.4 mm")
     # the slope is taken at the angle, the load 17 deg below, where it is a little flatter
@@ -62,14 +62,14 @@ def test_a_tendon_three_millimetres_longer_is_measured_and_named(leg):
 def test_sound_tendons_have_no_slack():
     _, state = feed(watch(), 5.0)
     assert state.message == ""
-    assert not state.spoiled.any()
+    assert not state.damaged.any()
     assert state.slack == pytest.approx(0.0, abs=1e-9)
 
 
 def test_before_a_whole_stride_nothing_is_said():
     _, state = feed(watch(), STRIDE - 0.02, [0.01] * 4)
     assert np.isnan(state.slack).all()
-    assert not state.spoiled.any()
+    assert not state.damaged.any()
 
 
 def test_a_gap_in_the_readings_starts_afresh():
@@ -81,13 +81,13 @@ def test_a_gap_in_the_readings_starts_afresh():
 
 def test_two_spoiled_tendons_are_both_named():
     _, state = feed(watch(), 2.0, [0.003, 0.0, 0.0025, 0.0])
-    assert state.spoiled.tolist() == [True, False, True, False]
+    assert state.damaged.tolist() == [True, False, True, False]
 
 
 def test_what_a_spoiled_tendon_does_to_its_neighbours_is_not_blamed_on_them():
     _, state = feed(watch(), 2.0, [0.006, 0.002, 0.002, 0.0])
     assert (state.slack[:3] > LIMITS.slack_max).all()
-    assert state.spoiled.tolist() == [True, False, False, False]
+    assert state.damaged.tolist() == [True, False, False, False]
 
 
 def test_a_slack_that_does_not_last_is_no_alarm():
@@ -100,16 +100,16 @@ def test_a_slack_that_does_not_last_is_no_alarm():
         highest.append(state.slack.max())
         stamp, state = feed(watched, 0.2, [-0.012] * 4, start=stamp)
     assert min(highest) > LIMITS.slack_max
-    assert not state.spoiled.any()
+    assert not state.damaged.any()
 
 
 def test_an_alarm_stays_until_it_is_reset():
     watched = watch()
     stamp, _ = feed(watched, 2.0, [0.003, 0.0, 0.0, 0.0])
     _, state = feed(watched, 2.0, start=stamp)
-    assert state.spoiled[0]
+    assert state.damaged[0]
     watched.reset()
-    assert not watched.state.spoiled.any()
+    assert not watched.state.damaged.any()
     assert watched.state.message == ""
 
 
@@ -119,7 +119,7 @@ def test_a_short_dip_of_the_load_is_no_alarm():
     stamp, _ = feed(watched, 2.0)
     stamp, _ = feed(watched, 0.1, start=stamp, share=0.5)
     _, state = feed(watched, 2.0, start=stamp)
-    assert not state.spoiled.any()
+    assert not state.damaged.any()
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
@@ -163,7 +163,7 @@ def test_a_tendon_spoiled_while_walking_stops_the_gait_within_a_stride(leg, faul
             loop.walk()
         if k == 121:
             assert report.state is State.WALKING
-            loop.plant.simulator.spoil_tendon(leg, **fault)
+            loop.plant.simulator.damage_tendon(leg, **fault)
     held = [(time, r) for time, r in loop.reports if r.state is State.HOLD]
     assert held, dataclasses.astuple(report)
     assert held[0][0] - 121 * 0.033 <= limit

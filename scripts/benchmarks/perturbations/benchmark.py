@@ -82,8 +82,8 @@ def cases(
     """Every case of every study; (a) always over the paper's time."""
     # Once REQUIRES is checked.
     from benchmarks.perturbations.published import run_published  # noqa: PLC0415
-    from benchmarks.perturbations.simulated import run_robot  # noqa: PLC0415
     from benchmarks.perturbations.rigid_torso import run_torso  # noqa: PLC0415
+    from benchmarks.perturbations.simulated import run_robot  # noqa: PLC0415
 
     robot, published, default = read_robot(), read_mpc("published"), read_mpc()
     runs: dict[str, dict[str, Run]] = {"published": {}, "torso": {}, "robot": {}}

@@ -47,7 +47,7 @@ class Floor(NamedTuple):
     terrain: Terrain
 
 
-class Grip(NamedTuple):
+class Friction(NamedTuple):
     """Friction -(drag v_t + hold): drag in N s/m, hold in N."""
 
     drag: float
@@ -57,7 +57,7 @@ class Grip(NamedTuple):
 
 
 @helper
-def press(stiffness, damping, gap, vn):
+def normal_force(stiffness, damping, gap, vn):
     """Normal force, N, at a gap (m) that changes by vn (m/s)."""
     normal = max(0.0, -stiffness * gap - damping * vn)
     return where(gap < 0.0, normal, like(0.0, normal))
@@ -78,7 +78,7 @@ def coefficient(floor, own, other, rate, outward, slip):
 
 
 @helper
-def grip(floor, limit, tau, stiffness, damping, bristle, v):
+def friction_force(floor, limit, tau, stiffness, damping, bristle, v):
     """Friction of a point whose normal force allows `limit` = mu N.
 
     tau: s, how long the bristle (3 numbers, in the floor's plane) has followed v, the velocity in
@@ -87,7 +87,7 @@ def grip(floor, limit, tau, stiffness, damping, bristle, v):
     zero = like(0.0, limit)
     if floor.bristle == 0.0:
         slip = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
-        return Grip(limit / math.sqrt(slip + floor.friction_velocity**2), zero, zero, zero)
+        return Friction(limit / math.sqrt(slip + floor.friction_velocity**2), zero, zero, zero)
     k, d = floor.bristle * stiffness, floor.bristle * damping
     rate = k * tau + d
     fx, fy, fz = (
@@ -97,7 +97,7 @@ def grip(floor, limit, tau, stiffness, damping, bristle, v):
     )
     share = min(1.0, limit / math.sqrt(fx * fx + fy * fy + fz * fz + TINY**2))
     k = share * k
-    return Grip(share * rate, k * bristle[0], k * bristle[1], k * bristle[2])
+    return Friction(share * rate, k * bristle[0], k * bristle[1], k * bristle[2])
 
 
 @helper

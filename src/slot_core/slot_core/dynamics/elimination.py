@@ -24,7 +24,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from slot_core.compiled import helper
-from slot_core.dynamics.contact import coefficient, grip, press, tangential
+from slot_core.dynamics.contact import coefficient, friction_force, normal_force, tangential
 from slot_core.dynamics.lanes import largest, like, some, total, where
 from slot_core.dynamics.terrain import ground, is_uneven, tilted
 
@@ -181,13 +181,13 @@ def _touch(floor, leg, i, inv, gap, up, node):
     v = (ux - vn * up[0], uy - vn * up[1], uz - vn * up[2])
     slip = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
     stiffness, damping = floor.stiffness[i], floor.damping[i]
-    normal = press(stiffness, damping, gap, vn)
+    normal = normal_force(stiffness, damping, gap, vn)
     mu = coefficient(floor, leg.friction[0], leg.friction[1], leg.rate[0], v[0], slip)
     bristle = v
     if floor.bristle > 0.0:
         leg.limit[i] = mu * normal
         bristle = tangential(leg.field, leg.bristle[i], up)
-    hold = grip(floor, mu * normal, 1.0 / inv, stiffness, damping, bristle, v)
+    hold = friction_force(floor, mu * normal, 1.0 / inv, stiffness, damping, bristle, v)
     drag = hold.drag * inv
     stiff = where(normal > 0.0, stiffness + damping * inv - drag, like(0.0, drag))
     return Node(

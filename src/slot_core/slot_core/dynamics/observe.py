@@ -9,7 +9,7 @@ import math
 
 from slot_core.compiled import helper, kernel
 from slot_core.dynamics.algebra import times, times_transposed
-from slot_core.dynamics.contact import coefficient, grip, press
+from slot_core.dynamics.contact import coefficient, friction_force, normal_force
 from slot_core.dynamics.rod import elastic_energy, measure
 from slot_core.dynamics.tendon import cable_energy, straight_length
 from slot_core.dynamics.terrain import ground, is_uneven
@@ -52,7 +52,7 @@ def ground_forces(model, state, position, velocity, force):
             v = (u[0] - vn * up[0], u[1] - vn * up[1], u[2] - vn * up[2])
             slip = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
             stiffness, damping = floor.stiffness[i], floor.damping[i]
-            normal = press(stiffness, damping, gap, vn)
+            normal = normal_force(stiffness, damping, gap, vn)
             outward = _outward(model, state, leg, v)
             rate = state.tendon_rate[leg]
             mu = coefficient(floor, friction[0, leg], friction[1, leg], rate, outward, slip)
@@ -60,7 +60,7 @@ def ground_forces(model, state, position, velocity, force):
             if floor.bristle > 0.0:
                 held = state.bristle[leg, i]
                 bristle = (held[0], held[1], held[2])
-            hold = grip(floor, mu * normal, 0.0, stiffness, damping, bristle, v)
+            hold = friction_force(floor, mu * normal, 0.0, stiffness, damping, bristle, v)
             force[leg, 0] += normal * up[0] - hold.drag * v[0] - hold.x
             force[leg, 1] += normal * up[1] - hold.drag * v[1] - hold.y
             force[leg, 2] += normal * up[2] - hold.drag * v[2] - hold.z

@@ -19,7 +19,7 @@ import numpy as np
 
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import times_transposed
-from slot_core.dynamics.contact import grip, press, tangential
+from slot_core.dynamics.contact import friction_force, normal_force, tangential
 from slot_core.dynamics.terrain import Ground, ground, is_uneven, tilted
 from slot_core.robot import Array, Torso
 
@@ -112,12 +112,14 @@ def add_corners(H, g, torso, floor, inv, place, axes, v, w, turn, held):
         ux, uy, uz = at(v, w, x, y, z)
         vn = up[0] * ux + up[1] * uy + up[2] * uz
         u = (ux - vn * up[0], uy - vn * up[1], uz - vn * up[2])
-        normal = press(floor.corner_stiffness, floor.corner_damping, gap, vn)
+        normal = normal_force(floor.corner_stiffness, floor.corner_damping, gap, vn)
         most, stuck = floor.corner_friction * normal, u
         if floor.bristle > 0.0:
             limit[k] = most
             stuck = tangential(axes, bristle[k], up)
-        hold = grip(floor, most, 1.0 / inv, floor.corner_stiffness, floor.corner_damping, stuck, u)
+        hold = friction_force(
+            floor, most, 1.0 / inv, floor.corner_stiffness, floor.corner_damping, stuck, u
+        )
         if normal > 0.0:
             f = (
                 up[0] * normal - hold.drag * u[0] - hold.x,

@@ -18,7 +18,7 @@ import numpy as np
 
 from slot_core import config
 from slot_core.compiled import helper, kernel
-from slot_core.dynamics.contact import press
+from slot_core.dynamics.contact import normal_force
 from slot_core.dynamics.elimination import couple, eliminate, substitute
 from slot_core.dynamics.integrator import load_leg
 from slot_core.dynamics.model import Model, build_model, leg_space
@@ -140,5 +140,5 @@ def floor_force(model, leg, height):
     force, floor = 0.0, model.floor
     for i in range(floor.first, leg.stage.shape[0]):
         gap = height + leg.stage[i, 1]
-        force += press(floor.stiffness[i], floor.damping[i], gap, leg.velocity[i, 2])
+        force += normal_force(floor.stiffness[i], floor.damping[i], gap, leg.velocity[i, 2])
     return force

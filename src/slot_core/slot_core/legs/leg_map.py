@@ -21,7 +21,7 @@ import numpy as np
 from slot_core import config
 from slot_core.compiled import kernel
 from slot_core.config import quantity
-from slot_core.dynamics.contact import press
+from slot_core.dynamics.contact import normal_force
 from slot_core.dynamics.elimination import couple, eliminate, follow, substitute
 from slot_core.dynamics.integrator import load_leg
 from slot_core.dynamics.model import Model, build_model, leg_space
@@ -156,7 +156,7 @@ def pressure(model, leg, height, out):
     force = moment = 0.0
     stage = leg.stage
     for i in range(model.floor.first, stage.shape[0]):
-        normal = press(model.floor.stiffness[i], 0.0, height + stage[i, 1], 0.0)
+        normal = normal_force(model.floor.stiffness[i], 0.0, height + stage[i, 1], 0.0)
         force += normal
         moment += normal * stage[i, 0]
     out[0] = force

@@ -27,7 +27,7 @@ stateDiagram-v2
   note right of FAULT: faults are SERVO_FAULT, SERVO_SILENT, TILTED
   note right of HOLD
     reasons to hold are CLOCK_JUMPED, NODE_LOST,
-    TENDON_SPOILED, SOLVER_STOPPED, ESTIMATE_LOST,
+    TENDON_DAMAGED, SOLVER_STOPPED, ESTIMATE_LOST,
     COMMAND_REJECTED, COMMAND_STALE
   end note
 ```
@@ -70,7 +70,7 @@ class Condition(enum.Enum):
     RELAX_REQUESTED = "relax requested"
     CLOCK_JUMPED = "clock jumped"
     NODE_LOST = "node lost"
-    TENDON_SPOILED = "tendon spoiled"
+    TENDON_DAMAGED = "tendon damaged"
     SOLVER_STOPPED = "solver stopped"
     ESTIMATE_LOST = "estimate lost"
     COMMAND_REJECTED = "command rejected"
@@ -100,7 +100,7 @@ TRANSITIONS: dict[Condition, tuple[State, ...]] = {
     Condition.RELAX_REQUESTED:     (_I, _X, _X, _X, _X, _X, _E, _F),
     Condition.CLOCK_JUMPED:        (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.NODE_LOST:           (_I, _R, _H, _H, _H, _X, _E, _F),
-    Condition.TENDON_SPOILED:      (_I, _R, _H, _H, _H, _X, _E, _F),
+    Condition.TENDON_DAMAGED:      (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.SOLVER_STOPPED:      (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.ESTIMATE_LOST:       (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.COMMAND_REJECTED:    (_I, _R, _H, _H, _H, _X, _E, _F),

@@ -1,7 +1,7 @@
 """The supervisor: what the robot may do, why, and what the servos are told.
 
 States and transitions are data (`states.py`); what speaks against motion is found in
-`conditions.py`, spoiled tendons in `tendon_watch.py`; what goes out passes `command_gate.py`.
+`conditions.py`, damaged tendons in `tendon_watch.py`; what goes out passes `command_gate.py`.
 Every input and `step` carry the present time `now` (ns) of one clock, that of the messages' stamps.
 Nothing raises for bad data: it is refused, and then missing.
 """
@@ -244,8 +244,8 @@ class Supervisor:
         found = self._signs.conditions(time)
         if self._clock.jumped:
             found[Condition.CLOCK_JUMPED] = self._clock.jumped
-        if self._tendons.spoiled.any():
-            found[Condition.TENDON_SPOILED] = self._tendons.message
+        if self._tendons.damaged.any():
+            found[Condition.TENDON_DAMAGED] = self._tendons.message
         if reason := self._disobedience(time):
             found.setdefault(Condition.SERVO_FAULT, reason)
         if self._state is State.HOLD:

@@ -7,7 +7,7 @@ s / r, so to first order the mean over a stride of
     tau_0 - tau = (s / r) d tau_0 / d theta
 
 gives s. The mean over a whole stride takes out what the statics do not know: inertia, damping and
-the change of sides of the friction. A spoiled tendon loads and unloads its neighbours, so that the
+the change of sides of the friction. A damaged tendon loads and unloads its neighbours, so that the
 leg with the largest slack is named, and another only if its slack is a good part of that.
 
 What it cannot see: a tendon whose angle asks for hardly any tension (below some 20 deg), and a leg
@@ -53,8 +53,8 @@ class TendonReport:
     """What the loads of the last stride say; legs in the order of LEGS."""
 
     slack: Array  # (4,) m, NaN before the first stride
-    spoiled: NDArray[np.bool_]  # (4,) since the last reset
-    message: str  # one line for the legs that are spoiled, or ""
+    damaged: NDArray[np.bool_]  # (4,) since the last reset
+    message: str  # one line for the legs that are damaged, or ""
 
 
 class TendonWatch:

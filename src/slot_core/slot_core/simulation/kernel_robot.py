@@ -1,4 +1,4 @@
-"""What robots on the shared mechanics have in common: pushes, spoilt tendons, spools, counters."""
+"""What robots on the shared mechanics have in common: pushes, damaged tendons, spools, counters."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class KernelRobot(SimulatedRobot):
             raise ValueError(f"a push is a finite force (3,) and moment (3,), not {push}")
         self.model.push[:] += push
 
-    def spoil_tendon(self, leg: int, slack: float = 0.0, broken: bool = False) -> None:
+    def damage_tendon(self, leg: int, slack: float = 0.0, broken: bool = False) -> None:
         """From now on the tendon of leg 0 .. 3 is longer by `slack` (m), or broken.
 
         Raises ValueError on another leg or a slack that is negative or not finite.

@@ -248,7 +248,7 @@ class Plant:
             self._set_tendon(leg)
         elif on:
             assert isinstance(self.simulator, RodRobot)
-            self.simulator.spoil_node(LEGS.index(leg))
+            self.simulator.lose_node(LEGS.index(leg))
 
     def _set_tendon(self, leg: str) -> None:
         """Let a tendon be as the scene and the present faults have it."""
@@ -257,7 +257,7 @@ class Plant:
         longer = self._faults.get((SLACK, leg))
         slack = state.slack[index] + (longer.value if longer else 0.0)
         broken = state.broken[index] or (BROKEN, leg) in self._faults
-        self.simulator.spoil_tendon(index, slack, broken)
+        self.simulator.damage_tendon(index, slack, broken)
 
     def _true_state(self) -> TrueState:
         sim = self.simulator

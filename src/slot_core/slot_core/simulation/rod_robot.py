@@ -68,7 +68,7 @@ class RodRobot(KernelRobot):
         body = self.state.rotation.T @ velocity + np.cross(angular_velocity, arm)
         self.state.node_velocity[:] = np.einsum("lij,lnj->lni", self.model.axes, body)
 
-    def spoil_node(self, leg: int) -> None:
+    def lose_node(self, leg: int) -> None:
         """Let the tip of leg 0 .. 3 be nowhere (NaN), as a lost solution has it."""
         self.state.node[leg, -1] = np.nan
 

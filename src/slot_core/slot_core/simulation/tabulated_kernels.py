@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from slot_core.compiled import helper, kernel
 from slot_core.dynamics.algebra import solve, times
-from slot_core.dynamics.contact import bend, coefficient, grip, tangential
+from slot_core.dynamics.contact import bend, coefficient, friction_force, tangential
 from slot_core.dynamics.handle import contents
 from slot_core.dynamics.integrator import (
     bend_corners,
@@ -254,12 +254,12 @@ def _friction(model, state, axes, k, mu, tau, carried, slip, foot):
     if floor.bristle > 0.0:
         stuck = tangential(axes, state.bristle[k, 0], foot.up)
     normal = carried / foot.free
-    hold = grip(floor, mu * normal, tau, stiffness, damping, stuck, slip)
+    hold = friction_force(floor, mu * normal, tau, stiffness, damping, stuck, slip)
     for _ in range(2):
         work = (hold.drag * slip[0] + hold.x) * m[0] + (hold.drag * slip[1] + hold.y) * m[1]
         work += (hold.drag * slip[2] + hold.z) * m[2]
         normal = max(0.0, carried - work) / foot.free
-        hold = grip(floor, mu * normal, tau, stiffness, damping, stuck, slip)
+        hold = friction_force(floor, mu * normal, tau, stiffness, damping, stuck, slip)
     return hold, normal
 
 
