@@ -18,6 +18,6 @@ setup(
     zip_safe=False,
     maintainer="SLOT maintainers",
     maintainer_email="slot@example.com",
-    description="The one description of the SLOT graph, and what starts it.",
+    description="Node graph, launch file, runner and operator's terminal of the SLOT robot.",
     license="Apache-2.0",
 )

@@ -1,4 +1,4 @@
-"""Starts the graph on a ROS 2 installation: ros2 launch slot_bringup slot.launch.py gait:=walk."""
+"""Launch file of the node graph: ros2 launch slot_bringup slot.launch.py gait:=walk."""
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
@@ -10,7 +10,7 @@ GRAPH = read_graph()
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Declare the arguments of the graph, then start its nodes."""
+    """Declare the arguments of `graph.yaml`, then start its nodes."""
     return LaunchDescription(
         [
             *(

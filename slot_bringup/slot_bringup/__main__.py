@@ -1,7 +1,9 @@
-"""Entry point of scripts/run: an interrupt while the modules load ends in one line, too."""
+"""Entry point of scripts/run; an interrupt during the imports also ends with a one-line message."""
 
 import signal
 import sys
+
+from slot_bringup import INTERRUPTS
 
 try:
     from slot_bringup.run import main
@@ -10,6 +12,6 @@ try:
 except KeyboardInterrupt:
     print("scripts/run: interrupted", file=sys.stderr)
     code = 130
-for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-    signal.signal(number, signal.SIG_IGN)  # Python would die of it while it takes its leave
+for number in INTERRUPTS:
+    signal.signal(number, signal.SIG_IGN)  # else one during finalisation would kill the interpreter
 sys.exit(code)

@@ -1,4 +1,4 @@
-"""The graph of `graph.yaml`: arguments in, node specifications out, for whoever starts them."""
+"""Node graph of `graph.yaml`: computes the nodes to start from the values of the arguments."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ KINDS: dict[str, type] = {"str": str, "int": int, "float": float, "bool": bool}
 
 @dataclass(frozen=True)
 class Argument:
-    """One thing a user may choose when starting the graph."""
+    """Argument that a user may set when starting the graph."""
 
     name: str
     kind: type
@@ -29,11 +29,14 @@ class Argument:
 
     @property
     def text(self) -> str:
-        """The default as a launch argument's text."""
+        """The default in the text form of a launch argument."""
         return "" if self.default is None else str(self.default)
 
     def parse(self, text: str) -> Any:
-        """The value that a launch argument's text stands for; raises ValueError naming it."""
+        """Convert a launch argument's text to its value.
+
+        Raises ValueError, which names the argument, where the type is wrong.
+        """
         if self.default is None and not text:
             return None
         try:
@@ -47,7 +50,7 @@ class Argument:
 
 @dataclass(frozen=True)
 class NodeSpec:
-    """One process of the graph; the node bears the name of its executable."""
+    """Node of the graph, one process; its name is that of its executable."""
 
     name: str
     package: str
@@ -55,7 +58,7 @@ class NodeSpec:
 
 
 class Graph:
-    """Arguments and nodes as `graph.yaml` describes them."""
+    """Arguments and nodes of the graph, as described by `graph.yaml`."""
 
     def __init__(self, description: Mapping[str, Any]):
         self.arguments = tuple(
@@ -72,8 +75,8 @@ class Graph:
         self._nodes = description["nodes"]
 
     def nodes(self, values: Mapping[str, Any]) -> list[NodeSpec]:
-        """The nodes to start for a value of every argument."""
-        values = {**values, **_ports(values["hardware"], values["port"]), **_start(values)}
+        """Nodes to start; `values` holds the value of every argument by name."""
+        values = {**values, **_ports(values["hardware"], values["port"]), **_start_up(values)}
         return [
             NodeSpec(name, entry["package"], self._parameters(entry, values))
             for name, entry in self._nodes.items()
@@ -84,8 +87,8 @@ class Graph:
 
     def _parameters(self, entry: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
         parameters = {**self._common, **entry.get("parameters", {})}
-        for argument, more in entry.get("parameters_with", {}).items():
-            parameters |= more if values[argument] else {}
+        for argument, extra in entry.get("parameters_with", {}).items():
+            parameters |= extra if values[argument] else {}
         for name, value in parameters.items():
             if isinstance(value, str) and value.startswith("$"):
                 parameters[name] = values[value[1:]]
@@ -93,7 +96,7 @@ class Graph:
 
 
 def _ports(hardware: str, port: str | None) -> dict[str, str | None]:
-    """Where the driver finds the servos, and where emulated ones are to be found."""
+    """Serial port that the driver opens, and that of the emulated servos (fake_bus only)."""
     if hardware != "fake_bus":
         return {"driver_port": port, "emulated_port": None}
     link = port or str(Path(tempfile.gettempdir(), f"slot_bus_{os.getpid()}"))
@@ -101,14 +104,16 @@ def _ports(hardware: str, port: str | None) -> dict[str, str | None]:
 
 
 def is_attended(values: Mapping[str, Any]) -> bool:
-    """Whether an operator has the robot stand and walk."""
+    """Whether the robot stands and walks only at an operator's request: always with real servos."""
     return bool(values["attended"] or values["hardware"] == "real")
 
 
-def _start(values: Mapping[str, Any]) -> dict[str, Any]:
-    """How the robot comes to walk: by itself, or attended when it is asked to; real ones always so.
+def _start_up(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters of supervisor and gait scheduler at the start.
 
-    In lockstep nobody asks: the gait is there from the first tick on.
+    Unattended, the supervisor starts to walk by itself and needs no e-stop source; attended, it
+    waits for requests. The gait scheduler starts with STAND; the supervisor sets the gait later. In
+    lockstep there is no supervisor, so the gait is set from the first tick on.
     """
     attended = is_attended(values)
     start = {"autostart": not attended, "estop_required": None if attended else False}
@@ -120,5 +125,5 @@ def _start(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_graph() -> Graph:
-    """The graph that comes with this package."""
+    """Read the `graph.yaml` of this package."""
     return Graph(yaml.safe_load((files("slot_bringup") / "graph.yaml").read_text()))

@@ -1,4 +1,4 @@
-"""Watches a running graph from outside: progress, silence, and nodes that end."""
+"""Monitor of a running graph: prints progress, detects missing messages and nodes that end."""
 
 from __future__ import annotations
 
@@ -19,43 +19,43 @@ from slot_bringup.processes import Processes
 from slot_core.bags import decode
 from slot_core.robot import Array
 from slot_core.safety.command_gate import Action
-from slot_core.safety.states import LET_GO, State
+from slot_core.safety.states import RELEASED, State
 from slot_msgs.msg import MpcState, RobotState
 from slot_nodes import qos
 
-START_TIMEOUT = 90.0  # s until the first state; the first start after installation compiles
-SILENCE_TIMEOUT = 10.0  # s without a new state
-DISCOVERY_TIME = 1.0  # s in which a graph that runs already shows itself
+START_TIMEOUT = 90.0  # s until the first /mpc_state; the first start compiles kernels
+SILENCE_TIMEOUT = 10.0  # s without a new /mpc_state
+DISCOVERY_TIME = 1.0  # s to wait for messages of a graph that runs already
 REFRESH_TERMINAL, REFRESH_LOG = 0.2, 5.0  # s between progress lines
 
 
 class RunError(RuntimeError):
-    """The run came to an end it should not have; the message is one line."""
+    """A run failed; the message is one line."""
 
 
 class Progress:
-    """What has been seen of a run so far: graph time, state of the torso, and the supervisor's."""
+    """Progress of a run: graph time, newest state of the torso and of the supervisor."""
 
     def __init__(self, supervised: bool) -> None:
-        """A supervised run begins when commands pass, another with the first state."""
-        self.stamp = self.origin = 0.0  # s, graph time of the last state and of the begin
-        self.state: Array | None = None
+        """The run begins at the first action PASS if supervised, else at the first torso state."""
+        self.stamp = self.origin = 0.0  # s, graph time of the last torso state and of the begin
+        self.state: Array | None = None  # (12,), as MpcState, SI
         self.robot: State | None = None
-        self.reason = ""  # why it is in this state
+        self.reason = ""  # of the supervisor's last transition
         self._begun = not supervised
-        self._start = np.zeros(12)
-        self._heard = time.monotonic()
+        self._start = np.zeros(12)  # torso state at the begin
+        self._updated = time.monotonic()
 
-    def add(self, message: MpcState) -> None:
-        """Take in a state of the torso."""
+    def update_torso(self, message: MpcState) -> None:
+        """Take the newest /mpc_state."""
         stamp, state, _ = decode.state(message)
-        self.stamp, self._heard = stamp * 1e-9, time.monotonic()
+        self.stamp, self._updated = stamp * 1e-9, time.monotonic()
         if self.state is None or not self._begun:
             self.origin, self._start = self.stamp, state
         self.state = state
 
-    def hear(self, message: RobotState) -> None:
-        """Take in a state of the robot."""
+    def update_robot(self, message: RobotState) -> None:
+        """Take the newest /robot_state."""
         _, self.robot, action, self.reason = decode.robot_state(message)
         self._begun = self._begun or action is Action.PASS
 
@@ -66,11 +66,11 @@ class Progress:
 
     @property
     def silence(self) -> float:
-        """Wall time since the last state, s."""
-        return time.monotonic() - self._heard
+        """Wall time since the last /mpc_state, s."""
+        return time.monotonic() - self._updated
 
     def line(self) -> str:
-        """One line on where the robot is."""
+        """Progress line: graph time, displacement since the begin, height, tilt and state."""
         if not self._begun and self.robot is not None:
             return f"{self.robot.name}: {self.reason}"
         if self.state is None:
@@ -87,30 +87,31 @@ class Progress:
 
 
 def watch(processes: Processes, duration: float, attended: bool = False) -> None:
-    """Return when the robot's clock has run for `duration` (s) since it began to move.
+    """Return when the robot's clock has run for `duration` (s) since the begin of the run.
 
-    Raises RunError when a node ends, the states stay away or, unless an operator attends to it, the
+    Raises RunError when a node ends, no /mpc_state arrives for too long or, unless `attended`, the
     robot goes slack.
     """
     with listener("run") as (node, executor):
         progress = Progress("supervisor" in processes)
-        node.create_subscription(MpcState, "mpc_state", progress.add, qos.CONTROL)
-        node.create_subscription(RobotState, "robot_state", progress.hear, qos.STATE)
+        node.create_subscription(MpcState, "mpc_state", progress.update_torso, qos.CONTROL)
+        node.create_subscription(RobotState, "robot_state", progress.update_robot, qos.STATE)
         _watch(executor, progress, processes, duration, attended)
 
 
 def require_solitude() -> None:
-    """Raise RunError if a graph runs in this ROS domain already: each would obey the other.
+    """Raise RunError if a graph runs in this ROS domain already.
 
-    Heard, not looked up: of a node that was killed, DDS tells for another 20 s.
+    Two graphs would follow each other's commands. A running graph is recognised by its
+    messages: DDS lists a killed node for another 20 s.
     """
     with listener("run") as (node, executor):
-        heard: list[MpcState] = []
-        node.create_subscription(MpcState, "mpc_state", heard.append, qos.CONTROL)
+        received: list[MpcState] = []
+        node.create_subscription(MpcState, "mpc_state", received.append, qos.CONTROL)
         end = time.monotonic() + DISCOVERY_TIME
         while time.monotonic() < end:
             executor.spin_once(timeout_sec=0.05)
-            if heard:
+            if received:
                 domain = node.context.get_domain_id()
                 raise RunError(
                     f"another graph runs in ROS domain {domain}: set another ROS_DOMAIN_ID"
@@ -119,7 +120,7 @@ def require_solitude() -> None:
 
 @contextmanager
 def listener(name: str) -> Iterator[tuple[Node, SingleThreadedExecutor]]:
-    """A node of that name that leaves the signals alone, with its executor."""
+    """Node `name` in a context of its own, with an executor; installs no signal handlers."""
     context = Context()
     rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
     try:
@@ -155,11 +156,11 @@ def _check(progress: Progress, processes: Processes, attended: bool) -> None:
     failure = processes.failed()
     if failure is not None:
         name, code = failure
-        raise RunError(f"{name} ended with exit code {code}: {processes.last_words(name)}")
-    if progress.robot in LET_GO and not attended:
+        raise RunError(f"{name} ended with exit code {code}: {processes.last_line(name)}")
+    if progress.robot in RELEASED and not attended:
         raise RunError(f"the robot is in {progress.robot.name}: {progress.reason}")
     if attended and progress.state is None:
-        return  # nothing moves before the operator says so
+        return  # nothing moves before the operator's first request
     limit = START_TIMEOUT if progress.state is None else SILENCE_TIMEOUT
     if progress.silence > limit:
         raise RunError(f"no /mpc_state for {progress.silence:.0f} s (limit {limit:g} s)")

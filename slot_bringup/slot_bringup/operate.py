@@ -1,11 +1,11 @@
-"""The operator's terminal; without an action live, as the source of the e-stop, else one request.
+"""Operator's terminal: without an action a live display and e-stop source, else a single request.
 
-ready     torque on where the legs are     stand     commands pass, slowly
-walk      commands pass                    relax     a ramp to slack, then torque off
-estop     torque off at once               reset     back from ESTOP and FAULT
-state     what the robot does and why      reboot    restart a servo, torque off
-zero      take a leg's position as its relaxed one, torque off
-inject    a fault of the simulated robot
+ready     torque on, legs hold their angles     stand     follow commands slowly
+walk      follow commands                       relax     ramp to slack, then torque off
+estop     torque off at once                    reset     return from ESTOP or FAULT to IDLE
+state     print state, reason and warnings      reboot    restart a servo, torque off
+zero      set a leg's relaxed angle to its present one, torque off
+inject    inject a fault into the simulated robot
 """
 
 from __future__ import annotations
@@ -47,29 +47,29 @@ from slot_nodes import qos, runtime
 REQUESTS = ("ready", "stand", "walk", "relax", "estop", "reset")
 KEYS = {"r": "ready", "s": "stand", "w": "walk", "x": "relax", " ": "estop", "R": "reset"}
 QUIT = "q"
-SEARCH_TIME = 5.0  # s until a node counts as not there
-ANSWER_TIME = 10.0  # s; a servo's zero is measured for half a second
-ESTOP_PERIOD = 0.1  # s, a fifth of timing.estop
-REFRESH = 0.2  # s between two pictures
+SEARCH_TIME = 5.0  # s to wait for a service or a message
+ANSWER_TIME = 10.0  # s to wait for an answer; measuring a zero takes 0.5 s
+ESTOP_PERIOD = 0.1  # s, a fifth of timing.estop of config/supervisor.yaml
+REFRESH = 0.2  # s between two redraws
 NEWEST = QoSProfile(depth=1)
 
 
 class OperateError(RuntimeError):
-    """A request that could not be made; the message is one line."""
+    """A request failed; the message is one line."""
 
 
 @dataclass(frozen=True)
 class Service:
-    """A request to one node of the graph."""
+    """Service call to one node of the graph."""
 
-    server: str  # what to call the node
+    server: str  # the node's name in messages
     name: str
     kind: Any
     request: Any
 
 
 def service(options: argparse.Namespace) -> Service:
-    """What an action of the command line asks, and whom."""
+    """Service call of an action of the command line."""
     if options.action in REQUESTS:
         return Service("supervisor", f"/supervisor/{options.action}", Trigger, Trigger.Request())
     if options.action == "inject":
@@ -80,44 +80,44 @@ def service(options: argparse.Namespace) -> Service:
     return Service("driver of servos", name, Trigger, Trigger.Request())
 
 
-def ask(wanted: Service) -> tuple[bool, str]:
-    """Success and message of the answer; raises OperateError where there is none."""
+def call(wanted: Service) -> tuple[bool, str]:
+    """Call a service; return success and message, raise OperateError if there is no answer."""
     with listener("operate") as (node, executor):
         client = node.create_client(wanted.kind, wanted.name)
         if not client.wait_for_service(SEARCH_TIME):
-            raise OperateError(_nobody(node, wanted.server, SEARCH_TIME))
+            raise OperateError(_no_answer(node, wanted.server, SEARCH_TIME))
         answer = client.call_async(wanted.request)
         executor.spin_until_future_complete(answer, ANSWER_TIME)
         if not answer.done():
-            raise OperateError(_nobody(node, wanted.server, ANSWER_TIME))
+            raise OperateError(_no_answer(node, wanted.server, ANSWER_TIME))
         return answer.result().success, answer.result().message
 
 
-def hear_state() -> RobotState:
-    """The robot's present state; raises OperateError where nobody tells it."""
+def receive_state() -> RobotState:
+    """Receive one /robot_state; raises OperateError if none arrives."""
     with listener("operate") as (node, executor):
-        heard: list[RobotState] = []
-        node.create_subscription(RobotState, "robot_state", heard.append, qos.STATE)
+        received: list[RobotState] = []
+        node.create_subscription(RobotState, "robot_state", received.append, qos.STATE)
         end = time.monotonic() + SEARCH_TIME
-        while not heard:
+        while not received:
             if time.monotonic() > end:
-                raise OperateError(_nobody(node, "supervisor", SEARCH_TIME))
+                raise OperateError(_no_answer(node, "supervisor", SEARCH_TIME))
             executor.spin_once(timeout_sec=0.1)
-        return heard[0]
+        return received[0]
 
 
-def _nobody(node: Node, who: str, limit: float) -> str:
+def _no_answer(node: Node, server: str, limit: float) -> str:
     domain = node.context.get_domain_id()
-    return f"no {who} answers in ROS domain {domain} within {limit:g} s: does scripts/run run?"
+    return f"no {server} answers in ROS domain {domain} within {limit:g} s: does scripts/run run?"
 
 
 class Operator:
-    """The live terminal's part in the graph: the source of the e-stop, requests, and a view."""
+    """ROS interface of the live display: e-stop publisher, service clients, subscriptions."""
 
     def __init__(self, node: Node) -> None:
         self.view = operator_screen.View()
         self._node = node
-        self._pressed = False
+        self._estop_pressed = False
         self._estop = node.create_publisher(Bool, "estop", qos.SENSOR)
         self._clients = {
             name: node.create_client(Trigger, f"/supervisor/{name}") for name in REQUESTS
@@ -129,31 +129,31 @@ class Operator:
             (DiagnosticArray, "/diagnostics", "diagnostics"),
         ):
             node.create_subscription(kind, topic, partial(setattr, self.view, name), NEWEST)
-        runtime.wall_timer(node, ESTOP_PERIOD, self._repeat)
+        runtime.wall_timer(node, ESTOP_PERIOD, self._publish_estop)
 
     def press(self, key: str) -> bool:
-        """Do what a key stands for; False to quit."""
+        """Handle a key; return False to quit."""
         if key == QUIT:
             return not self._may_quit()
         request = KEYS.get(key)
         if request == "estop":
-            self._pressed = True
-            self._repeat()
+            self._estop_pressed = True
+            self._publish_estop()
         if request is not None:
-            self._ask(request)
+            self._call(request)
         return True
 
     def _may_quit(self) -> bool:
-        """Under torque the robot would drop."""
+        """False under torque: without its e-stop source the robot would drop."""
         state = self.view.state
         if state is None or self.view.silent(time.monotonic()):
             return True
         if ACTIONS[state.action] is Action.OFF:
             return True
-        self.view.answer = f"{State(state.state).name}: relax first (x), or stop it by Ctrl-C"
+        self.view.answer = f"{State(state.state).name}: relax first (x), or stop with Ctrl-C"
         return False
 
-    def _ask(self, request: str) -> None:
+    def _call(self, request: str) -> None:
         client = self._clients[request]
         if not client.service_is_ready():
             self.view.answer = f"{request}: no supervisor answers"
@@ -162,26 +162,26 @@ class Operator:
         client.call_async(Trigger.Request()).add_done_callback(partial(self._on_answer, request))
 
     def _on_answer(self, request: str, answer: Future) -> None:
-        self.view.answer = verdict(request, answer.result().message)
+        self.view.answer = answer_text(request, answer.result().message)
 
     def _on_state(self, message: RobotState) -> None:
-        self.view.state, self.view.heard = message, time.monotonic()
+        self.view.state, self.view.state_time = message, time.monotonic()
         if message.state == RobotState.ESTOP:
-            self._pressed = False  # it has been heard, and is latched
+            self._estop_pressed = False  # received, and latched by the supervisor
 
-    def _repeat(self) -> None:
-        self._estop.publish(Bool(data=self._pressed))
+    def _publish_estop(self) -> None:
+        self._estop.publish(Bool(data=self._estop_pressed))
         self.view.sources = self._node.count_publishers("estop")
 
 
-def verdict(action: str, message: str) -> str:
-    """What to tell of an answer."""
+def answer_text(action: str, message: str) -> str:
+    """Text shown for the answer to an action."""
     return message or f"{action}: granted"
 
 
 @contextmanager
 def _terminal() -> Iterator[int]:
-    """Keys as they are pressed, and a page of our own; given back however it ends."""
+    """Set the terminal to unbuffered keys and the alternate screen; restored on exit."""
     keyboard = sys.stdin.fileno()
     before = termios.tcgetattr(keyboard)
     try:
@@ -189,13 +189,13 @@ def _terminal() -> Iterator[int]:
         print("\x1b[?1049h\x1b[?25l", end="", flush=True)
         yield keyboard
     finally:
-        with suppress(OSError, termios.error):  # a terminal that has been closed
+        with suppress(OSError, termios.error):  # the terminal may have been closed
             termios.tcsetattr(keyboard, termios.TCSANOW, before)
             print("\x1b[?25h\x1b[?1049l", end="", flush=True)
 
 
 def live() -> None:
-    """Show the robot and take keys until the operator quits or the terminal is closed."""
+    """Show the robot's state and handle keys until the operator quits or the terminal is closed."""
     with listener("operate") as (node, executor), _terminal() as keyboard:
         operator = Operator(node)
         while _serve(executor, operator, keyboard):
@@ -203,7 +203,7 @@ def live() -> None:
 
 
 def _serve(executor: SingleThreadedExecutor, operator: Operator, keyboard: int) -> bool:
-    """Messages and keys until the next picture; False at the end."""
+    """Handle messages and keys until the next redraw; return False to quit."""
     end = time.monotonic() + REFRESH
     while time.monotonic() < end:
         executor.spin_once(timeout_sec=0.05)
@@ -218,8 +218,8 @@ def _draw(view: operator_screen.View) -> None:
     width, height = shutil.get_terminal_size()
     first, *others = (line[:width] for line in operator_screen.lines(view, now)[:height])
     colour = "\x1b[1;31m" if view.alarming(now) else "\x1b[1m"
-    picture = "\x1b[K\n".join((f"{colour}{first}\x1b[0m", *others))
-    print(f"\x1b[H{picture}\x1b[K\x1b[J", end="", flush=True)
+    screen = "\x1b[K\n".join((f"{colour}{first}\x1b[0m", *others))
+    print(f"\x1b[H{screen}\x1b[K\x1b[J", end="", flush=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -239,15 +239,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _act(options: argparse.Namespace) -> int:
     if options.action is None:
         if not (sys.stdin.isatty() and sys.stdout.isatty()):
-            raise OperateError("live it needs a terminal; scripts/operate state does without")
+            raise OperateError("the live display needs a terminal, scripts/operate state none")
         live()
     elif options.action == "state":
-        print("\n".join(operator_screen.state_lines(hear_state())))
+        print("\n".join(operator_screen.state_lines(receive_state())))
     else:
-        success, message = ask(service(options))
+        success, message = call(service(options))
         if not success:
             raise OperateError(message)
-        print(verdict(options.action, message))
+        print(answer_text(options.action, message))
     return 0
 
 
@@ -263,11 +263,11 @@ def _parser() -> argparse.ArgumentParser:
     for name in ("reboot", "zero"):
         actions.add_parser(name).add_argument("leg", choices=LEGS)
     inject = actions.add_parser("inject")
-    inject.add_argument("kind", help="as in config/scene")
+    inject.add_argument("kind", help="kind of fault, as in config/scene")
     inject.add_argument("leg", choices=(*LEGS, "all"), nargs="?", default="all")
-    inject.add_argument("--value", type=float, default=0.0, help="what the kind says")
-    inject.add_argument("--duration", type=float, default=0.0, help="s, else until cleared")
-    inject.add_argument("--clear", action="store_true", help="take such a fault back")
+    inject.add_argument("--value", type=float, default=0.0, help="in the unit of the kind")
+    inject.add_argument("--duration", type=float, default=0.0, help="s; 0 (default): until cleared")
+    inject.add_argument("--clear", action="store_true", help="clear this kind at this leg")
     return parser
 
 

@@ -1,4 +1,4 @@
-"""What the operator's terminal shows: lines from the newest message of every topic."""
+"""Screen of the operator's terminal, made from the newest message of every topic."""
 
 from __future__ import annotations
 
@@ -11,40 +11,40 @@ from sensor_msgs.msg import JointState
 from slot_core.bags import decode
 from slot_core.dynamixel.checks import hardware_errors
 from slot_core.robot import LEGS
-from slot_core.safety.states import LET_GO, State
+from slot_core.safety.states import RELEASED, State
 from slot_msgs.msg import RobotState, ServoHealth
 
-SILENCE = 0.5  # s, older than that a state of the robot is no longer shown as its state
+SILENCE = 0.5  # s, age from which on a /robot_state is no longer shown
 HELP = "r ready   s stand   w walk   x relax   SPACE E-STOP   R reset   q quit"
 HEADER = "     angle deg  torque N m  slack mm  silent s  degC     V  lost %  power  errors"
 
 
 @dataclass
 class View:
-    """The newest of everything; None before the first."""
+    """Newest messages; None before the first."""
 
     state: RobotState | None = None
-    heard: float = -math.inf  # s, when the state came
+    state_time: float = -math.inf  # s, arrival of `state` on the monotonic clock
     joints: JointState | None = None
     health: ServoHealth | None = None
     diagnostics: DiagnosticArray | None = None
-    sources: int = 1  # of the e-stop, this terminal among them
-    answer: str = ""  # to the last request
+    sources: int = 1  # publishers of /estop, this terminal included
+    answer: str = ""  # to the operator's last request
 
     def silent(self, now: float) -> bool:
-        """Whether the supervisor has been silent for too long at `now` (s)."""
-        return now - self.heard > SILENCE
+        """Whether the last /robot_state is older than SILENCE at `now` (s)."""
+        return now - self.state_time > SILENCE
 
     def alarming(self, now: float) -> bool:
-        """Whether somebody should look."""
-        return self.state is None or self.silent(now) or State(self.state.state) in LET_GO
+        """Whether the first line is shown in red: no present state, or RELAX, ESTOP or FAULT."""
+        return self.state is None or self.silent(now) or State(self.state.state) in RELEASED
 
 
 def state_lines(message: RobotState) -> list[str]:
-    """The state, for how long and why; then what speaks against motion, one line each."""
+    """State, its age and reason in one line; then each warning in a line."""
     since = decode.time(message.since)
     held = (decode.stamp(message) - since) * 1e-9
-    span = f" for {held:.1f} s" if since else ""  # since its start nobody knows
+    span = f" for {held:.1f} s" if since else ""  # 0: not set yet
     return [
         f"{State(message.state).name}{span}: {message.reason}",
         *(f"  ! {warning}" for warning in message.warnings),
@@ -52,7 +52,7 @@ def state_lines(message: RobotState) -> list[str]:
 
 
 def lines(view: View, now: float) -> list[str]:
-    """The whole screen at `now` (s)."""
+    """All lines of the screen at `now` (s)."""
     return [
         *_robot(view, now),
         "",
@@ -68,9 +68,11 @@ def lines(view: View, now: float) -> list[str]:
 
 def _robot(view: View, now: float) -> list[str]:
     if view.state is None:
-        return ["no word of a supervisor yet"]
+        return ["no state from the supervisor yet"]
     if view.silent(now):
-        return [f"NO WORD of the supervisor for {now - view.heard:.1f} s, limit {SILENCE:g} s"]
+        return [
+            f"NO STATE from the supervisor for {now - view.state_time:.1f} s, limit {SILENCE:g} s"
+        ]
     return state_lines(view.state)
 
 
@@ -93,19 +95,19 @@ def _leg(view: View, k: int) -> str:
 
 
 def _driver(view: View) -> list[str]:
-    """What the driver does, the pace of its bus, and what it complains of."""
+    """Action and reason of the driver, figures of its bus, and diagnostics that are not OK."""
     if view.health is None:
         return ["no driver of servos"]
     action = decode.ACTIONS[view.health.action].name
     status = view.diagnostics.status if view.diagnostics is not None else []
-    pace = [f"{v.key} {v.value}" for s in status for v in s.values if s.name == "servo bus"]
-    bad = [f"  ! {s.name}: {s.message}" for s in status if s.level != DiagnosticStatus.OK]
+    bus = [f"{v.key} {v.value}" for s in status for v in s.values if s.name == "servo bus"]
+    problems = [f"  ! {s.name}: {s.message}" for s in status if s.level != DiagnosticStatus.OK]
     first = f"driver: {action} {view.health.reason}".rstrip()
-    return [first, *(["  " + ", ".join(pace)] if pace else []), *bad]
+    return [first, *(["  " + ", ".join(bus)] if bus else []), *problems]
 
 
 def _sources(view: View) -> list[str]:
-    """One of several may be lost without being missed."""
+    """Warning of more than one e-stop source: the loss of one of them goes unnoticed."""
     if view.sources < 2:
         return []
     return [f"  ! {view.sources} sources of the e-stop: closing this terminal may not stop it"]

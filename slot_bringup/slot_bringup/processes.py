@@ -1,4 +1,4 @@
-"""The nodes of the graph as child processes: started together, watched, ended without orphans."""
+"""Child processes of the graph's nodes: start, supervision, and stop without orphans."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LIBC = ctypes.CDLL(None)
 
 
 class Processes:
-    """Child processes by node name, each in a session of its own with its output in a file."""
+    """Child processes by node name, each in its own session with its output in a log file."""
 
     def __init__(self, log_dir: Path, environment: dict[str, str] | None = None):
         self.log_dir = log_dir
@@ -39,7 +39,7 @@ class Processes:
                     stdout=log,
                     stderr=subprocess.STDOUT,
                     env=self._environment,
-                    start_new_session=True,  # a Ctrl-C on the terminal is ours to pass on
+                    start_new_session=True,  # Ctrl-C reaches only us; `stop` ends the nodes
                     preexec_fn=die_with_parent,  # noqa: PLW1509 - no threads yet
                 )
 
@@ -51,8 +51,8 @@ class Processes:
         """File with the output of a node."""
         return self.log_dir / f"{name}.log"
 
-    def last_words(self, name: str) -> str:
-        """Last line that a node has written."""
+    def last_line(self, name: str) -> str:
+        """Last line of a node's output that is not blank."""
         lines = self.log_path(name).read_text(errors="replace").split("\n")
         return next((line for line in reversed(lines) if line.strip()), "(no output)")
 
@@ -67,8 +67,8 @@ class Processes:
                 return name, child.returncode
         return None
 
-    def stop(self, last: str = "", patience: float = 5.0) -> dict[str, int]:
-        """Interrupt every node, the one named `last` after the others; kill what stays.
+    def stop(self, last: str = "", timeout: float = 5.0) -> dict[str, int]:
+        """Send SIGINT to every node, to `last` after the others; SIGKILL after `timeout` (s).
 
         Returns the exit code of every node.
         """
@@ -77,7 +77,7 @@ class Processes:
             [n for n in self._children if n == last],
         ):
             self._signal(names, signal.SIGINT)
-            deadline = time.monotonic() + patience
+            deadline = time.monotonic() + timeout
             for name in names:
                 try:
                     self._children[name].wait(max(0.0, deadline - time.monotonic()))
@@ -93,12 +93,12 @@ class Processes:
 
 
 def command_line(spec: NodeSpec) -> list[str]:
-    """Arguments that start a node; raises PackageNotFoundError when it is not installed."""
+    """Command line of a node; raises PackageNotFoundError if its package is not installed."""
     executable = Path(get_package_prefix(spec.package), "lib", spec.package, spec.name)
     parameters = [
-        word
+        argument
         for name, value in spec.parameters.items()
-        for word in ("-p", f"{name}:={_yaml(value)}")
+        for argument in ("-p", f"{name}:={_yaml(value)}")
     ]
     return [str(executable), "--ros-args", "-r", f"__node:={spec.name}", *parameters]
 
@@ -112,8 +112,8 @@ def _yaml(value: Any) -> str:
 
 
 def die_with_parent() -> None:
-    """Have the kernel end the child when its parent is gone, however that came.
+    """Have the kernel send SIGTERM to this process when its parent ends, for whatever reason.
 
-    By SIGTERM: SIGINT is lost when it comes while Python imports a module that catches it.
+    Not SIGINT, which is lost if it arrives while Python imports a module that catches it.
     """
     _LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -1,4 +1,4 @@
-"""Runs the graph as separate processes for a while, records it, and sums up what it did."""
+"""Runs the node graph for a given time, a process a node, records a bag and prints a summary."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from slot_bringup import INTERRUPTS
 from slot_bringup.graph import Graph, is_attended, read_graph
 from slot_bringup.monitor import RunError, require_solitude, watch
 from slot_bringup.processes import Processes
@@ -29,8 +30,7 @@ from slot_core.faults import refuse_without_bus
 from slot_core.report import metrics, plots
 from slot_core.report.summary import summary_lines
 
-INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # SIGHUP: the terminal is closed
-DOMAIN_MAX = 232  # beyond it the port numbers of DDS come to an end
+DOMAIN_MAX = 232  # beyond it the ports of DDS, 7400 + 250 domain, exceed 65535
 
 
 class _Parser(argparse.ArgumentParser):
@@ -39,7 +39,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def parse(arguments: Sequence[str] | None, graph: Graph) -> argparse.Namespace:
-    """Command line to options; exits with code 2 and one line on a wrong value."""
+    """Parse the command line; a wrong value exits with code 2 and one line."""
     parser = _Parser(prog="scripts/run", description=__doc__)
     for argument in graph.arguments:
         if argument.name == "bag":
@@ -61,16 +61,16 @@ def parse(arguments: Sequence[str] | None, graph: Graph) -> argparse.Namespace:
         type=_duration,
         default=20.0,
         metavar="S",
-        help="time to run on the robot's clock, s (default: 20)",
+        help="length of the run on the robot's clock, s (default: 20)",
     )
     keep = parser.add_mutually_exclusive_group()
     keep.add_argument(
         "--bag",
         type=Path,
         metavar="DIR",
-        help="where to keep bag, logs, summary and plots (default: bags/GAIT_DATE_TIME)",
+        help="directory for bag, logs, summary and plots (default: bags/GAIT_DATE_TIME)",
     )
-    keep.add_argument("--no-bag", action="store_true", help="keep nothing, only print the summary")
+    keep.add_argument("--no-bag", action="store_true", help="write nothing, only print the summary")
     options = parser.parse_args(arguments)
     try:
         check(options)
@@ -80,7 +80,7 @@ def parse(arguments: Sequence[str] | None, graph: Graph) -> argparse.Namespace:
 
 
 def check(options: argparse.Namespace) -> None:
-    """Refuse, before anything starts, what a node would refuse; raises ConfigError."""
+    """Check the options before any node starts; raises ConfigError for what a node would refuse."""
     gaits = read_gaits()
     v_x = gaits.find(options.gait).cruise if options.vx is None else options.vx
     GaitScheduler(gaits, options.gait, np.array([v_x, options.vy, 0.0]))
@@ -110,9 +110,10 @@ def _duration(text: str) -> float:
 
 
 def run(options: argparse.Namespace, graph: Graph, directory: Path) -> None:
-    """Run the graph for the duration; bag and logs go to `directory`, which must be writable.
+    """Run the graph for `options.duration`; bag and logs go to `directory`, which must be writable.
 
-    Raises RunError when a node ends, nothing moves for too long, or another graph runs already.
+    Raises RunError when a node ends, no torso state arrives for too long, an unattended robot goes
+    slack, or another graph runs already.
     """
     values = vars(options) | {"bag": str(directory)}
     with started(graph, values, directory / "log") as processes:
@@ -121,50 +122,50 @@ def run(options: argparse.Namespace, graph: Graph, directory: Path) -> None:
 
 @contextmanager
 def started(graph: Graph, values: Mapping[str, Any], logs: Path) -> Iterator[Processes]:
-    """The graph's processes, which end with the block; then their logs are copied to `logs`.
+    """Start the graph's processes; on exit stop them and copy their logs to `logs`.
 
-    Raises RunError where another graph runs already.
+    Raises RunError if another graph runs already.
     """
     require_solitude()
     with tempfile.TemporaryDirectory() as scratch:
         processes = Processes(Path(scratch))
         try:
-            with _deferred_interrupts():  # an exception that strikes a fork is lost
+            with _deferred_interrupts():  # an exception raised during a fork is lost
                 processes.start(graph.nodes(values))
             yield processes
         finally:
-            with _on_interrupt(signal.SIG_IGN):  # the end is under way already
+            with _on_interrupt(signal.SIG_IGN):  # the nodes are already being stopped
                 processes.stop(last="recorder")
-                with suppress(OSError):  # what has gone wrong with the disk, the recorder has told
+                with suppress(OSError):  # the recorder has reported errors of the disk
                     shutil.copytree(scratch, logs, dirs_exist_ok=True)
 
 
 @contextmanager
 def _on_interrupt(handler: Any) -> Iterator[None]:
-    """Another handler for what interrupts a run; what the caller ignores (nohup) stays ignored."""
+    """Handle INTERRUPTS with `handler` in the block; those ignored by the caller (nohup) stay so."""
     before = {number: signal.getsignal(number) for number in INTERRUPTS}
-    heeded = [number for number in before if before[number] != signal.SIG_IGN]
+    handled = [number for number in before if before[number] != signal.SIG_IGN]
     try:
-        for number in heeded:
+        for number in handled:
             signal.signal(number, handler)
         yield
     finally:
-        for number in heeded:
+        for number in handled:
             signal.signal(number, before[number])
 
 
 @contextmanager
 def _deferred_interrupts() -> Iterator[None]:
-    """Raise KeyboardInterrupt at the end, if an interrupt came meanwhile."""
-    came: list[int] = []
-    with _on_interrupt(lambda number, _: came.append(number)):
+    """Delay interrupts to the end of the block, then raise KeyboardInterrupt if there was one."""
+    received: list[int] = []
+    with _on_interrupt(lambda number, _: received.append(number)):
         yield
-    if came:
+    if received:
         raise KeyboardInterrupt
 
 
 def report(directory: Path, keep: bool) -> None:
-    """Print the summary of the bag; if it is kept, write it and the plots beside the bag."""
+    """Print the summary of the bag; with `keep` also write it and the plots into `directory`."""
     bag = Bag(directory)
     figures = metrics.walk_metrics(bag, read_record_settings().warm_up, read_servo().stall_torque)
     summary = "\n".join(summary_lines(figures))
@@ -187,28 +188,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             run(options, graph, directory)
         except RunError as error:
-            _say(str(error))
+            _print_error(str(error))
             code = 1
         except KeyboardInterrupt:
-            _say("interrupted, all nodes stopped")
+            _print_error("interrupted, all nodes stopped")
             code = 130
         try:
             report(directory, keep=not options.no_bag)
         except (BagError, ConfigError, OSError) as error:
-            _say(f"no summary: {error}")
+            _print_error(f"no summary: {error}")
         except KeyboardInterrupt:
-            _say("interrupted while summing up; the bag is whole")
+            _print_error("interrupted while computing the summary; the bag is complete")
             code = 130
     return code
 
 
-def _say(line: str) -> None:
-    with suppress(OSError):  # a terminal that has been closed
+def _print_error(line: str) -> None:
+    with suppress(OSError):  # the terminal may have been closed
         print(f"scripts/run: {line}", file=sys.stderr)
-
-
-if __name__ == "__main__":
-    exit_code = main()
-    for interrupt in INTERRUPTS:  # nothing is left that could be interrupted
-        signal.signal(interrupt, signal.SIG_IGN)
-    sys.exit(exit_code)

@@ -1,4 +1,4 @@
-"""The one description of the graph."""
+"""Graph description, and the launch file that starts it."""
 
 import runpy
 import sys
@@ -38,7 +38,7 @@ def test_arguments_reach_the_nodes_with_their_types(graph):
     assert nodes["sim_robot"].parameters["seed"] == 3
 
 
-def test_the_gait_begins_on_request_and_in_lockstep_at_once(graph):
+def test_the_scheduler_starts_with_stand_and_in_lockstep_with_the_gait(graph):
     nodes = {s.name: s for s in graph.nodes(values(graph, vx=0.05))}
     assert nodes["gait_scheduler"].parameters["gait"] == "stand"
     nodes = {s.name: s for s in graph.nodes(values(graph, vx=0.05, lockstep=True))}
@@ -47,15 +47,14 @@ def test_the_gait_begins_on_request_and_in_lockstep_at_once(graph):
     assert nodes["gait_scheduler"].parameters["v_x"] == 0.05
 
 
-def test_driver_and_emulated_servos_meet_at_one_port(graph):
+def test_driver_and_emulated_servos_share_one_port(graph):
     nodes = {s.name: s for s in graph.nodes(values(graph, hardware="fake_bus"))}
     port = nodes["dynamixel_driver"].parameters["bus.port"]
     assert port
     assert nodes["sim_robot"].parameters["bus"] == port
 
 
-def test_real_servos_differ_from_emulated_ones_in_the_port_and_in_who_starts_them(graph):
-    """An operator, with an e-stop at hand."""
+def test_real_servos_differ_from_emulated_ones_in_the_port_and_in_needing_an_operator(graph):
     specs = graph.nodes(values(graph, hardware="real", port="/dev/ttyUSB7"))
     real = {s.name: s for s in specs}
     assert "sim_robot" not in real
@@ -64,13 +63,13 @@ def test_real_servos_differ_from_emulated_ones_in_the_port_and_in_who_starts_the
         changes = {
             "dynamixel_driver": {"bus.port": "/dev/ttyUSB7"}, "supervisor": {"autostart": False}
         }.get(name, {})  # fmt: skip
-        alike = emulated[name].parameters | changes
-        assert alike.pop("estop_required", False) is False  # config/supervisor.yaml has true
-        assert spec.parameters == alike
+        expected = emulated[name].parameters | changes
+        assert expected.pop("estop_required", False) is False  # config/supervisor.yaml has true
+        assert spec.parameters == expected
 
 
 @pytest.mark.parametrize("hardware", ["sim", "fake_bus"])
-def test_an_attended_robot_waits_for_its_operator_as_a_real_one_does(graph, hardware):
+def test_an_attended_simulation_waits_for_an_operator_like_the_real_robot(graph, hardware):
     real = {s.name: s for s in graph.nodes(values(graph, hardware="real"))}
     attended = {s.name: s for s in graph.nodes(values(graph, hardware=hardware, attended=True))}
     assert attended["supervisor"].parameters == real["supervisor"].parameters
@@ -89,15 +88,15 @@ def test_lockstep_makes_every_node_follow_the_simulators_clock(graph):
         assert spec.parameters["use_sim_time"] is False
 
 
-def test_parameters_are_written_as_ros_reads_them(graph):
+def test_parameters_are_written_in_the_yaml_that_ros_parses(graph):
     nodes = {s.name: s for s in graph.nodes(values(graph, lockstep=True))}
-    words = command_line(nodes["gait_scheduler"])
-    assert 'gait:="walk"' in words
-    assert "use_sim_time:=true" in words
-    assert "v_y:=0.0" in words
+    arguments = command_line(nodes["gait_scheduler"])
+    assert 'gait:="walk"' in arguments
+    assert "use_sim_time:=true" in arguments
+    assert "v_y:=0.0" in arguments
 
 
-def test_a_parameter_that_is_not_asked_for_is_left_to_the_node(graph):
+def test_a_parameter_without_a_value_keeps_the_nodes_default(graph):
     nodes = {s.name: s for s in graph.nodes(values(graph))}
     assert "v_x" not in nodes["supervisor"].parameters
 
@@ -112,7 +111,7 @@ def test_a_launch_argument_of_the_wrong_type_is_refused_by_name(graph, name, tex
 
 
 @pytest.mark.parametrize("default", [True, False])
-def test_launch_arguments_survive_their_text_form(graph, default):
+def test_launch_arguments_keep_their_value_through_the_text_form(graph, default):
     for argument in graph.arguments:
         if argument.kind is bool:
             assert argument.parse(str(default)) is default
@@ -121,7 +120,7 @@ def test_launch_arguments_survive_their_text_form(graph, default):
 
 
 def test_the_launch_file_starts_the_nodes_of_the_description(graph, monkeypatch):
-    """With stand-ins that keep what they are given: launch itself is not among the wheels."""
+    """Against stubs of launch and launch_ros, which are not among the Python wheels."""
     started = load_launch_file(monkeypatch, {"bag": "somewhere", "gait": "stand", "vx": "0.0"})
     described = graph.nodes(values(graph, bag="somewhere", gait="stand", vx=0.0))
     assert [node["name"] for node in started] == [spec.name for spec in described]
@@ -131,9 +130,9 @@ def test_the_launch_file_starts_the_nodes_of_the_description(graph, monkeypatch)
 
 
 def load_launch_file(monkeypatch, given):
-    """Run launch/slot.launch.py with launch arguments; return what its nodes were made of."""
+    """Run launch/slot.launch.py with launch arguments; return the arguments of its nodes."""
 
-    def keep(*args, **kwargs):
+    def record(*args, **kwargs):
         return kwargs | {"args": args}
 
     names = {
@@ -143,8 +142,8 @@ def load_launch_file(monkeypatch, given):
         "launch_ros.actions": ("Node",),
     }
     for module, members in names.items():
-        stand_in = SimpleNamespace(**dict.fromkeys(members, keep))
-        monkeypatch.setitem(sys.modules, module, stand_in)
+        stub = SimpleNamespace(**dict.fromkeys(members, record))
+        monkeypatch.setitem(sys.modules, module, stub)
     path = Path(__file__).parents[2] / "slot_bringup" / "launch" / "slot.launch.py"
     namespace = runpy.run_path(str(path))
     *arguments, start = namespace["generate_launch_description"]()["args"][0]

@@ -1,4 +1,4 @@
-"""The operator's keys, screen and command line."""
+"""Keys, screen and command line of the operator's terminal."""
 
 import math
 from types import SimpleNamespace
@@ -16,7 +16,7 @@ from slot_core.safety.states import State
 from slot_core.safety.supervisor import Request
 from slot_msgs.msg import RobotState, ServoHealth
 
-NOW = 100.0  # s, of the terminal's clock
+NOW = 100.0  # s, on the terminal's clock
 
 
 def state(which=State.WALKING, **fields):
@@ -41,7 +41,7 @@ def joints():
 
 
 def screen(**parts):
-    return lines(View(**{"state": state(), "heard": NOW} | parts), NOW)
+    return lines(View(**{"state": state(), "state_time": NOW} | parts), NOW)
 
 
 class FakeClient:
@@ -54,7 +54,7 @@ class FakeClient:
 
 
 class FakeNode:
-    """Keeps what is published and what is asked for."""
+    """Node that records published messages and service calls."""
 
     def __init__(self, ready=True):
         self.published, self.clients, self._ready = [], {}, ready
@@ -74,11 +74,11 @@ class FakeNode:
     def count_publishers(self, _):
         return 1
 
-    def asked(self):
+    def called(self):
         return [name for name, client in self.clients.items() if client.calls]
 
 
-def test_every_request_of_the_supervisor_has_a_key_and_a_word():
+def test_every_request_of_the_supervisor_has_a_key_and_a_command():
     names = {request.name.lower() for request in Request}
     assert set(operate.REQUESTS) == names
     assert sorted(operate.KEYS.values()) == sorted(names)
@@ -86,61 +86,60 @@ def test_every_request_of_the_supervisor_has_a_key_and_a_word():
 
 
 @pytest.mark.parametrize(("key", "request_name"), operate.KEYS.items())
-def test_a_key_asks_for_what_it_stands_for_and_nothing_else(key, request_name):
+def test_a_key_calls_its_service_and_no_other(key, request_name):
     node = FakeNode()
     assert operate.Operator(node).press(key)
-    assert node.asked() == [f"/supervisor/{request_name}"]
+    assert node.called() == [f"/supervisor/{request_name}"]
 
 
 @pytest.mark.parametrize("key", ["a", "W", "\x1b", "\n"])
-def test_another_key_does_nothing(key):
+def test_any_other_key_has_no_effect(key):
     node = FakeNode()
     assert operate.Operator(node).press(key)
-    assert node.asked() == node.published == []
+    assert node.called() == node.published == []
 
 
-def test_the_e_stop_is_pressed_at_once_until_the_supervisor_has_stopped():
-    node = FakeNode(ready=False)  # the key works where the service does not
+def test_the_e_stop_is_published_at_once_and_until_the_supervisor_is_in_estop():
+    node = FakeNode(ready=False)  # the topic works without the service
     operator = operate.Operator(node)
-    operator._repeat()
+    operator._publish_estop()
     operator.press(" ")
     operator._on_state(state(State.WALKING))
-    operator._repeat()
+    operator._publish_estop()
     operator._on_state(state(State.ESTOP))
-    operator._repeat()
+    operator._publish_estop()
     assert node.published == [False, True, True, False]
 
 
-def test_the_e_stop_is_repeated_often_enough():
-    """Four of five may be late."""
+def test_four_of_five_e_stop_messages_may_be_lost():
     assert read_supervisor().timing.estop >= 5 * operate.ESTOP_PERIOD
 
 
-def test_a_request_without_a_supervisor_is_answered_at_once():
+def test_a_request_without_a_supervisor_is_refused_at_once():
     operator = operate.Operator(FakeNode(ready=False))
     operator.press("w")
     assert operator.view.answer == "walk: no supervisor answers"
 
 
-def test_quitting_waits_until_the_robot_is_without_torque():
+def test_quitting_is_refused_under_torque():
     operator = operate.Operator(FakeNode())
     operator._on_state(state(State.WALKING))
     assert operator.press(operate.QUIT)
-    assert operator.view.answer == "WALKING: relax first (x), or stop it by Ctrl-C"
+    assert operator.view.answer == "WALKING: relax first (x), or stop with Ctrl-C"
     idle = state(State.IDLE)
     idle.action = RobotState.ACTION_OFF
     operator._on_state(idle)
     assert not operator.press(operate.QUIT)
 
 
-def test_without_a_supervisor_one_may_quit():
+def test_quitting_is_allowed_without_a_supervisor():
     assert not operate.Operator(FakeNode()).press(operate.QUIT)
 
 
-def test_the_screen_tells_state_reason_warnings_and_slack():
-    told = state(reason="walk requested", warnings=["node mpc_controller silent for 1 s"])
-    told.slack = [0.0001, 0.0002, 0.0003, math.nan]
-    shown = screen(state=told, joints=joints())
+def test_the_screen_shows_state_reason_warnings_and_slack():
+    message = state(reason="walk requested", warnings=["node mpc_controller silent for 1 s"])
+    message.slack = [0.0001, 0.0002, 0.0003, math.nan]
+    shown = screen(state=message, joints=joints())
     assert shown[0] == "WALKING for 2.5 s: walk requested"
     assert shown[1] == "  ! node mpc_controller silent for 1 s"
     rows = [line.split() for line in shown if line[:2] in LEGS]
@@ -150,16 +149,16 @@ def test_the_screen_tells_state_reason_warnings_and_slack():
     ]  # fmt: skip
 
 
-def test_the_screen_tells_the_health_of_every_servo():
-    worn = health(hardware_error=[0, 0, 0x20, 0], torque=[True, True, False, True],
-                  error_rate=[0.0, 0.125, 0.0, 0.0])  # fmt: skip
-    rows = {line[:2]: line.split()[4:] for line in screen(joints=joints(), health=worn)}
+def test_the_screen_shows_the_health_of_every_servo():
+    overloaded = health(hardware_error=[0, 0, 0x20, 0], torque=[True, True, False, True],
+                        error_rate=[0.0, 0.125, 0.0, 0.0])  # fmt: skip
+    rows = {line[:2]: line.split()[4:] for line in screen(joints=joints(), health=overloaded)}
     assert rows["FL"] == ["0.01", "31", "11.9", "0.0", "on", "none"]
     assert rows["FR"] == ["0.01", "32", "11.9", "12.5", "on", "none"]
     assert rows["RL"] == ["0.01", "33", "11.9", "0.0", "off", "overload"]
 
 
-def test_the_screen_tells_what_the_driver_complains_of():
+def test_the_screen_shows_bus_figures_and_only_diagnostics_that_are_not_ok():
     bus = DiagnosticStatus(
         name="servo bus", level=DiagnosticStatus.ERROR, message="no command for 0.2 s",
         values=[KeyValue(key="rate_Hz", value="100.0"), KeyValue(key="overruns", value="3")],
@@ -179,26 +178,26 @@ def test_the_state_at_the_start_has_no_age():
     assert screen(state=first)[0] == "IDLE: started"
 
 
-def test_a_state_that_is_old_is_not_shown():
-    shown = screen(heard=NOW - SILENCE - 0.1)
-    assert shown[0] == f"NO WORD of the supervisor for 0.6 s, limit {SILENCE:g} s"
+def test_an_outdated_state_is_not_shown():
+    shown = screen(state_time=NOW - SILENCE - 0.1)
+    assert shown[0] == f"NO STATE from the supervisor for 0.6 s, limit {SILENCE:g} s"
     assert not any("WALKING" in line for line in shown)
 
 
 @pytest.mark.parametrize("which", State)
-def test_the_screen_is_red_where_the_robot_has_let_go(which):
+def test_the_first_line_is_red_in_relax_estop_and_fault_and_without_a_present_state(which):
     alarming = which in (State.RELAX, State.ESTOP, State.FAULT)
-    assert View(state=state(which), heard=NOW).alarming(NOW) == alarming
-    assert View(state=state(which), heard=NOW - 1.0).alarming(NOW)
+    assert View(state=state(which), state_time=NOW).alarming(NOW) == alarming
+    assert View(state=state(which), state_time=NOW - 1.0).alarming(NOW)
 
 
-def test_a_second_source_of_the_e_stop_is_told():
+def test_the_screen_warns_of_a_second_e_stop_source():
     assert any("2 sources of the e-stop" in line for line in screen(sources=2))
     assert not any("of the e-stop" in line for line in screen(sources=1))
 
 
 @pytest.mark.parametrize(
-    ("words", "name"),
+    ("arguments", "name"),
     [
         (["ready"], "/supervisor/ready"),
         (["estop"], "/supervisor/estop"),
@@ -207,27 +206,27 @@ def test_a_second_source_of_the_e_stop_is_told():
         (["inject", "silent"], "/sim_robot/inject"),
     ],
 )
-def test_a_word_asks_the_node_that_can_do_it(words, name):
-    assert operate.service(operate._parser().parse_args(words)).name == name
+def test_an_action_calls_the_service_of_its_node(arguments, name):
+    assert operate.service(operate._parser().parse_args(arguments)).name == name
 
 
-def test_a_fault_has_all_its_fields():
-    words = ["inject", "late", "RR", "--value", "0.02", "--duration", "3", "--clear"]
-    request = operate.service(operate._parser().parse_args(words)).request
-    told = (request.kind, request.leg, request.value, request.duration, request.clear)
-    assert told == ("late", "RR", 0.02, 3.0, True)
+def test_inject_passes_every_field_of_the_fault():
+    arguments = ["inject", "late", "RR", "--value", "0.02", "--duration", "3", "--clear"]
+    request = operate.service(operate._parser().parse_args(arguments)).request
+    fields = (request.kind, request.leg, request.value, request.duration, request.clear)
+    assert fields == ("late", "RR", 0.02, 3.0, True)
 
 
-@pytest.mark.parametrize("words", [["zero"], ["reboot", "tail"], ["dance"], ["inject"]])
-def test_a_wrong_word_ends_with_exit_code_2(words, capsys):
+@pytest.mark.parametrize("arguments", [["zero"], ["reboot", "tail"], ["dance"], ["inject"]])
+def test_wrong_arguments_end_with_exit_code_2(arguments, capsys):
     with pytest.raises(SystemExit) as refusal:
-        operate.main(words)
+        operate.main(arguments)
     assert refusal.value.code == 2
     assert "scripts/operate" in capsys.readouterr().err
 
 
-def test_live_without_a_terminal_is_refused_in_one_line(capsys, monkeypatch):
+def test_the_live_display_without_a_terminal_is_refused_in_one_line(capsys, monkeypatch):
     monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))
     assert operate.main([]) == 1
-    told = "scripts/operate: live it needs a terminal; scripts/operate state does without\n"
-    assert capsys.readouterr().err == told
+    message = "the live display needs a terminal, scripts/operate state none"
+    assert capsys.readouterr().err == f"scripts/operate: {message}\n"

@@ -1,4 +1,4 @@
-"""The command line of scripts/run."""
+"""Command line of scripts/run."""
 
 import shutil
 
@@ -41,8 +41,8 @@ def test_a_wrong_value_is_refused_with_one_line_and_exit_code_2(capsys, argument
 
 
 @pytest.mark.parametrize("domain", ["abc", "-1", "233"])
-def test_a_ros_domain_that_is_none_is_refused(monkeypatch, capsys, domain):
-    """Fast DDS would end the whole process, and leave the nodes to themselves."""
+def test_an_invalid_ros_domain_is_refused(monkeypatch, capsys, domain):
+    """Fast DDS would abort the process, and the nodes would keep running."""
     monkeypatch.setenv("ROS_DOMAIN_ID", domain)
     with pytest.raises(SystemExit) as refusal:
         run.parse([], read_graph())
@@ -62,9 +62,7 @@ def test_help_names_every_option(capsys):
         assert f"--{option}" in shown
 
 
-def test_a_scene_with_a_fault_of_the_servos_is_refused_where_there_are_none(
-    tmp_path, monkeypatch, capsys
-):
+def test_a_scene_with_a_servo_fault_is_refused_without_a_servo_bus(tmp_path, monkeypatch, capsys):
     directory = tmp_path / "config"
     shutil.copytree(config_dir(), directory)
     fault = "{kind: silent, leg: FL, time: 1, duration: 0, value: 0}"
@@ -73,16 +71,16 @@ def test_a_scene_with_a_fault_of_the_servos_is_refused_where_there_are_none(
     with pytest.raises(SystemExit) as refusal:
         run.parse(["--scene", "mute"], read_graph())
     assert refusal.value.code == 2
-    told = "fault 'silent': only the servos of hardware fake_bus can have it"
-    assert capsys.readouterr().err == f"scripts/run: {told}\n"
+    message = "fault 'silent': only the servos of hardware fake_bus can have it"
+    assert capsys.readouterr().err == f"scripts/run: {message}\n"
     assert run.parse(["--scene", "mute", "--hardware", "fake_bus"], read_graph()).scene == "mute"
 
 
-def test_standing_needs_no_velocity():
+def test_the_gait_stand_needs_no_velocity():
     assert run.parse(["--gait", "stand"], read_graph()).vx is None
 
 
-def test_the_defaults_walk():
+def test_by_default_the_simulated_robot_walks_for_20_s_in_real_time():
     options = run.parse([], read_graph())
     assert (options.hardware, options.gait, options.duration) == ("sim", "walk", 20.0)
     assert not options.lockstep

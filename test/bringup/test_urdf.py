@@ -1,4 +1,4 @@
-"""The files for viewers against slot_core.robot and the messages they name."""
+"""URDF, RViz and Foxglove files against slot_core.robot and the messages of the graph."""
 
 import json
 import re
@@ -62,7 +62,7 @@ def test_torso_has_the_size_mass_and_inertia_of_the_robot():
 
 
 @pytest.mark.parametrize("index", range(4), ids=LEGS)
-def test_leg_frames_stand_at_the_clamps_and_point_along_the_azimuths(index):
+def test_leg_frames_are_at_the_clamps_and_point_along_the_azimuths(index):
     clamp = joint(f"{LEGS[index]}_clamp")
     assert clamp.get("type") == "fixed"
     assert clamp.find("parent").get("link") == BASE_FRAME
@@ -120,7 +120,7 @@ def test_every_panel_of_the_layout_is_configured_and_shown_once():
 
 
 def message_fields(name):
-    """{field: array length or 0} of a message of slot_msgs, constants left out."""
+    """{field: array length or 0} of a message of slot_msgs, without its constants."""
     text = (ROOT / f"slot_msgs/msg/{name}.msg").read_text()
     rows = re.findall(r"^[\w/]+?(?:\[(\d*)\])? +(\w+)\s*(?:#.*)?$", text, re.MULTILINE)
     return {field: int(length or 0) for length, field in rows}
