@@ -21,6 +21,6 @@ setup(
     zip_safe=False,
     maintainer="SLOT maintainers",
     maintainer_email="slot@example.com",
-    description="Dynamics, control and evaluation of the SLOT soft quadruped, free of ROS.",
+    description="Algorithms of the SLOT soft quadruped without ROS: dynamics, control, safety, servo driver.",
     license="Apache-2.0",
 )
