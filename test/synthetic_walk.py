@@ -1,4 +1,4 @@
-"""Bags of made-up walks whose figures are known in closed form; no ROS, no simulator."""
+"""Bags of synthetic walks whose metrics are known in closed form; without ROS and simulator."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def message(topic: str, stamp: float, **fields: Any) -> Any:
 
 
 def _fill(old: Any, value: Any) -> Any:
-    """`value` in the form of the field's old value: numbers into a message's fields in order."""
+    """`value` in the type of the field's old value; numbers fill a message's fields in order."""
     if hasattr(old, "__dataclass_fields__"):
         names = list(old.__dataclass_fields__)
         return type(old)(**dict(zip(names, (float(v) for v in value))))
@@ -84,20 +84,20 @@ class Walk:
     latencies: tuple[float, ...] = (0.002, 0.001, 0.006, 0.001)  # s per stage
     real_time_factor: float = 1.0
     unanswered: tuple[int, ...] = ()  # ticks without a command
-    lost: tuple[int, ...] = ()  # ticks without odometry and all that follows
-    late: tuple[int, ...] = ()  # ticks whose MPC takes a control period more
-    fallback: tuple[int, ...] = ()  # ticks whose MPC did not solve
-    rejected: tuple[int, ...] = ()  # ticks whose odometry was refused
+    lost: tuple[int, ...] = ()  # ticks without odometry, and so without any other message
+    late: tuple[int, ...] = ()  # ticks whose MPC takes a control period longer
+    fallback: tuple[int, ...] = ()  # ticks whose MPC found no solution
+    rejected: tuple[int, ...] = ()  # ticks whose odometry the estimator rejected
     truth: bool = True  # ground truth is recorded
     start: float = 100.0  # s, graph time of the first tick
 
     def position(self, t: float) -> Array:
         """(3,) m at time t after the start."""
         turned = self.yaw_rate * t
-        chord = self.speed * t * np.sinc(turned / (2 * np.pi))  # of an arc that turns so far
-        way = self.course + turned / 2
+        chord = self.speed * t * np.sinc(turned / (2 * np.pi))  # of an arc with that turn
+        direction = self.course + turned / 2
         height = TORSO_HEIGHT + self.bounce * np.sin(2 * np.pi * t / STRIDE)
-        return np.array([chord * np.cos(way), chord * np.sin(way), height])
+        return np.array([chord * np.cos(direction), chord * np.sin(direction), height])
 
     def rpy(self, t: float) -> Array:
         """(3,) rad."""
@@ -107,8 +107,8 @@ class Walk:
         """(3,) m/s in odom."""
         rate = 2 * np.pi / STRIDE
         lift = self.bounce * rate * np.cos(rate * t)
-        way = self.course + self.yaw_rate * t
-        return np.array([self.speed * np.cos(way), self.speed * np.sin(way), lift])
+        course = self.course + self.yaw_rate * t
+        return np.array([self.speed * np.cos(course), self.speed * np.sin(course), lift])
 
 
 def write_walk(path: Path, walk: Walk) -> Path:
@@ -191,7 +191,7 @@ def _status(walk: Walk, t: float) -> Any:
 
 
 def angles(t: float) -> Array:
-    """(4,) rad, plausible tendon angles; front and rear in turn."""
+    """(4,) rad, plausible tendon angles: a sine per leg, each at another phase."""
     phase = 2 * np.pi * t / STRIDE + np.array([0.0, np.pi, np.pi / 2, -np.pi / 2])
     return np.radians(65.0 + 38.0 * np.sin(phase))
 
@@ -215,7 +215,7 @@ def _truth(walk: Walk) -> list[tuple[int, str, Any]]:
 
 
 def joints(stamp: float, t: float) -> Any:
-    """Joint states in an order other than that of the legs, as a driver may send them."""
+    """Joint states in the reverse order of the legs: a driver may publish any order."""
     torque = np.array([0.5, 0.5, 2.0, 0.5]) if t >= 2.0 else np.full(4, 0.5)
     return message(
         "/joint_states",
@@ -228,7 +228,7 @@ def joints(stamp: float, t: float) -> Any:
 
 
 def leg_nodes(walk: Walk, t: float) -> Array:
-    """(4, NODES, 3) m: arcs from the clamps to feet on the ground at their natural place."""
+    """(4, NODES, 3) m: arcs from the clamps to the feet, which lift off the ground in turn."""
     rotation = Rotation.from_euler("xyz", walk.rpy(t))
     clamps = walk.position(t) + rotation.apply(ROBOT.clamps)
     feet = walk.position(t) + ROBOT.clamps + 0.145 * ROBOT.outward

@@ -1,4 +1,4 @@
-"""Bags: what is written is what an independent reader gets, and damage is named in one line."""
+"""Bags: an independent reader gets what was written; damage is reported in one line."""
 
 import json
 import os
@@ -19,7 +19,7 @@ SETTINGS = read_record_settings()
 
 @pytest.fixture(scope="module")
 def walk_bag(tmp_path_factory):
-    """Half a second of a walk: every type of slot_msgs is in it."""
+    """Half a second of a walk, with every recorded type of slot_msgs."""
     return write_walk(tmp_path_factory.mktemp("bags") / "walk", Walk(duration=0.5))
 
 
@@ -40,7 +40,7 @@ def independent_messages(path):
 
 
 def plain(value):
-    """Nested lists of a message's values, of any library's message classes."""
+    """Nested lists and mappings of a message's values, for the message classes of any library."""
     if isinstance(value, bytes):  # a scalar to NumPy
         return list(value)
     if isinstance(value, (str, bool, int, float)) or np.isscalar(value):
@@ -48,11 +48,11 @@ def plain(value):
     if isinstance(value, (list, tuple, np.ndarray)):
         return [plain(item) for item in value]
     names = getattr(value, "__slots__", None) or list(vars(value))
-    fields = [n for n in names if not n.startswith("_") and not n.isupper()]  # no constants
+    fields = [n for n in names if not n.startswith("_") and not n.isupper()]  # without constants
     return {n: plain(getattr(value, n)) for n in fields}
 
 
-def test_bytes_and_times_come_back_as_they_were_written(tmp_path):
+def test_bytes_and_times_are_read_as_they_were_written(tmp_path):
     written = [
         ("/odom", WALL + k, encode("/odom", message("/odom", k, pose__pose__position=(k, 0.1, -k))))
         for k in range(50)
@@ -108,7 +108,7 @@ def test_chunks_are_compressed(walk_bag):
     assert {chunk.compression for chunk in chunks} == {"zstd"}
 
 
-def test_definitions_inside_the_bag_suffice_to_read_it(walk_bag, tmp_path, monkeypatch):
+def test_a_bag_is_readable_with_its_own_definitions_alone(walk_bag, monkeypatch):
     def nowhere():
         raise FileNotFoundError
 
@@ -141,7 +141,7 @@ def test_writer_refuses_a_second_type_on_a_topic_and_an_unknown_type(tmp_path):
             bag.write("/thing", "other_msgs/msg/Thing", WALL, b"")
 
 
-def test_writer_does_not_write_over_a_bag(walk_bag):
+def test_writer_does_not_overwrite_a_bag(walk_bag):
     before = next(walk_bag.glob("*.mcap")).read_bytes()
     with pytest.raises(BagError, match="exists already"):
         BagWriter(walk_bag, SETTINGS)
@@ -149,7 +149,7 @@ def test_writer_does_not_write_over_a_bag(walk_bag):
 
 
 @pytest.mark.parametrize("kept", [0.0, 0.3, 0.7, 0.999])
-def test_truncated_bag_is_named_in_one_line(walk_bag, tmp_path, kept):
+def test_truncated_bag_is_an_error_of_one_line(walk_bag, tmp_path, kept):
     path = tmp_path / "walk"
     path.mkdir()
     (path / "metadata.yaml").write_bytes((walk_bag / "metadata.yaml").read_bytes())
@@ -173,7 +173,7 @@ def test_damaged_chunk_is_a_bag_error(walk_bag, tmp_path):
         list(Bag(path).merged())
 
 
-def test_missing_unfinished_and_foreign_bags_are_told_apart(walk_bag, tmp_path):
+def test_missing_unfinished_and_foreign_bags_have_errors_of_their_own(tmp_path):
     with pytest.raises(BagError, match="nowhere: does not exist"):
         Bag(tmp_path / "nowhere")
     unfinished = BagWriter(tmp_path / "unfinished", SETTINGS)
@@ -188,7 +188,7 @@ def test_missing_unfinished_and_foreign_bags_are_told_apart(walk_bag, tmp_path):
         Bag(tmp_path / "notes.txt")
 
 
-def test_missing_topic_and_field_are_named(walk_bag):
+def test_error_names_the_missing_topic_or_field(walk_bag):
     bag = Bag(walk_bag)
     with pytest.raises(BagError, match="no topic /scan"):
         list(bag.messages("/scan"))

@@ -1,4 +1,4 @@
-"""A recorded walk is what the cores still do; a change is named by topic, stamp and field."""
+"""The cores reproduce a recorded walk; a change is reported by topic, stamp and field."""
 
 import shutil
 from pathlib import Path
@@ -16,7 +16,7 @@ TOPICS = ["/mpc_state", "/ground_reaction_forces", "/desired_joint_angles"]
 
 @pytest.fixture
 def configure(tmp_path, monkeypatch):
-    """Change one value of one configuration file."""
+    """Function that changes one value of one configuration file."""
     directory = tmp_path / "config"
     shutil.copytree(config.config_dir(), directory)
     monkeypatch.setenv("SLOT_CONFIG", str(directory))
@@ -57,14 +57,14 @@ def test_the_recorded_walk_replays():
         ("force_map", ("correction_max_deg",), 0.0, "/desired_joint_angles"),
     ],
 )
-def test_a_change_shows_at_its_own_stage_and_no_other(configure, file, path, value, topic):
+def test_a_change_shows_only_at_its_own_stage(configure, file, path, value, topic):
     configure(file, *path, value=value)
     differences = first_differences()
     assert differences.pop(topic) is not None
     assert set(differences.values()) == {None}
 
 
-def test_the_first_difference_is_named(configure, capsys):
+def test_the_first_difference_is_reported(configure, capsys):
     configure("mpc", "weights", "force", value=[2.1, 2.1, 2.1])
     assert replay.main([str(WALK)]) == 1
     line = capsys.readouterr().out.strip().splitlines()[-1]
@@ -72,14 +72,14 @@ def test_the_first_difference_is_named(configure, capsys):
     assert " s: force[" in line
 
 
-def test_replaying_reports_what_it_compared(capsys):
+def test_replay_reports_every_compared_topic(capsys):
     assert replay.main([str(WALK)]) == 0
     shown = capsys.readouterr().out
     for topic in TOPICS:
         assert topic in shown
 
 
-def test_a_bag_that_is_none_is_refused_with_one_line(tmp_path, capsys):
+def test_a_missing_bag_is_an_error_of_one_line(tmp_path, capsys):
     assert replay.main([str(tmp_path / "nothing")]) == 2
     errors = capsys.readouterr().err
     assert errors.startswith("scripts/replay: ")
@@ -87,7 +87,7 @@ def test_a_bag_that_is_none_is_refused_with_one_line(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("tolerance", ["nan", "-1", "inf"])
-def test_a_tolerance_that_would_hide_or_invent_differences_is_refused(tolerance, capsys):
+def test_a_tolerance_that_is_negative_or_not_finite_is_refused(tolerance, capsys):
     with pytest.raises(SystemExit) as refusal:
         replay.main([str(WALK), "--tolerance", tolerance])
     assert refusal.value.code == 2

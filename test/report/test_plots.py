@@ -1,4 +1,4 @@
-"""Pictures: the right data in the right axes, and files of the promised size that are not blank."""
+"""Plots of a walk: the data in each panel, the size of the files, and that they are not blank."""
 
 import matplotlib.image
 import numpy as np
@@ -95,8 +95,8 @@ def test_leg_panels_show_desired_and_true_of_their_leg_in_its_colour(axes, i):
     assert np.allclose(desired, [np.degrees(angles(s))[i] for s in t], atol=1e-4)
     t, true = line(ax, "true")
     assert np.allclose(true, [0.97 * np.degrees(angles(s - 0.04))[i] for s in t], atol=1e-4)
-    t, wanted = line(axes[f"force {LEGS[i]}"], "MPC")
-    assert np.allclose(wanted, [normal_forces(s)[i] for s in t], atol=ROUNDING * 10)
+    t, commanded = line(axes[f"force {LEGS[i]}"], "MPC")
+    assert np.allclose(commanded, [normal_forces(s)[i] for s in t], atol=ROUNDING * 10)
     t, true = line(axes[f"force {LEGS[i]}"], "true")
     assert np.allclose(true, [1.05 * normal_forces(s - 0.03)[i] for s in t], atol=ROUNDING * 10)
     for kind in ("angle", "force"):
@@ -116,7 +116,7 @@ def test_slack_map_has_a_row_per_constraint_and_zero_in_the_middle_of_its_colour
     assert [t.get_text() for t in axes["slack"].get_yticklabels()][:2] == ["FL min", "FR min"]
 
 
-def test_latency_panel_counts_every_judged_tick_once_per_stage(axes, metrics):
+def test_latency_panel_counts_every_tick_once_per_stage(axes, metrics):
     drawn = {patch.get_label(): patch.get_xy() for patch in axes["latency"].patches}
     assert list(drawn) == [*metrics.stages, "end to end"]
     late = {"mpc_controller": 1, "end to end": 1}

@@ -1,8 +1,8 @@
 """Bags: rosbag2 recordings in MCAP, written from raw CDR bytes and read as NumPy arrays.
 
 A bag is a directory `NAME/` with `NAME.mcap` and `metadata.yaml`, as `ros2 bag record` makes it.
-The message definitions stand inside, so a bag stays readable whatever becomes of slot_msgs. The
-time of a message is its publisher's wall clock at publishing; its stamp is the graph's time.
+A bag contains its message definitions, so it stays readable when slot_msgs changes. The time of a
+message is its publisher's wall clock at publication; its stamp is graph time.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ FOREVER = QosTime(9223372036, 854775807)  # how rosbag2 writes an infinite durat
 
 
 class BagError(ValueError):
-    """A bag that cannot be read or written; the message is one line with its path and why."""
+    """A bag that cannot be read or written; the message is one line with its path and the cause."""
 
 
 @dataclass(frozen=True)
 class RecordedTopic:
-    """One recorded topic: its type and the quality of service asked for and kept in the bag."""
+    """One recorded topic: its type, and the quality of service requested and stored in the bag."""
 
     type: str = text("message type, package/msg/Name")
     reliability: str = choice("reliability", "reliable", "best_effort")
@@ -60,7 +60,7 @@ class RecordedTopic:
 
 @dataclass(frozen=True)
 class RecordSettings:
-    """What is recorded and what of it the metrics leave out (`config/record.yaml`)."""
+    """Recorded topics, and the warm-up that the metrics leave out (`config/record.yaml`)."""
 
     warm_up: float = quantity("time at the start left out by the metrics", "s", 0.0, 60.0)
     depth: int = quantity("queue of each subscription", "messages", 1, 100_000)
@@ -75,8 +75,8 @@ def read_record_settings() -> RecordSettings:
 class BagWriter:
     """Writes a rosbag2 MCAP bag with zstd chunks; a context manager.
 
-    An existing `path` is refused with BagError. A bag is whole only once closed: until then it has
-    no index and no metadata.yaml.
+    Raises BagError if `path` exists or cannot be written. Until it is closed, a bag has no index
+    and no metadata.yaml.
     """
 
     def __init__(self, path: Path | str, settings: RecordSettings) -> None:
@@ -161,7 +161,7 @@ class Series:
 class Bag:
     """Reads a rosbag2 bag (a directory, or one .mcap file).
 
-    Raises BagError, also while reading, when it is missing, unfinished, truncated or no bag.
+    Raises BagError, also while reading, if the bag is missing, unfinished, truncated or not a bag.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -176,7 +176,7 @@ class Bag:
             self._types: Types = types_inside(self._definitions.items())
 
     def raw(self, *topics: str) -> Iterator[tuple[str, int, bytes]]:
-        """Yield (topic, time in ns, CDR bytes) of these topics (none: of all), by time."""
+        """Yield (topic, time in ns, CDR bytes) of these topics (default: all), ordered by time."""
         self._require(*topics)
         with self._open() as reader:
             wanted = [c for c in reader.connections if not topics or c.topic in topics]
@@ -184,22 +184,22 @@ class Bag:
                 yield connection.topic, time, bytes(data)
 
     def merged(self, *topics: str) -> Iterator[tuple[str, int, Any]]:
-        """Yield (topic, time in ns, message) of these topics (none: of all), by time."""
+        """Yield (topic, time in ns, message) of these topics (default: all), ordered by time."""
         for topic, time, data in self.raw(*topics):
             with self._readable():
                 message = self._types.deserialize_cdr(data, self.topics[topic])
             yield topic, time, message
 
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
-        """Yield (time in ns, message) of one topic, by time."""
+        """Yield (time in ns, message) of one topic, ordered by time."""
         return ((time, message) for _, time, message in self.merged(topic))
 
     def series(self, topic: str, *fields: str) -> Series:
         """Fields (dotted, as `pose.pose.position`) as arrays over the messages of a topic.
 
         A field that is a message becomes the vector of its own fields, so a Vector3[4] is (n, 4, 3)
-        and a quaternion (n, 4) in the order x y z w. Raises BagError for a field that the type does
-        not have or whose shape changes.
+        and a quaternion (n, 4) in the order x y z w. Raises BagError if the type lacks a field or
+        the field's shape changes.
         """
         if topic not in self._cache:
             self._cache[topic] = list(self.messages(topic))
@@ -232,23 +232,23 @@ class Bag:
 
     @contextmanager
     def _readable(self) -> Iterator[None]:
-        """Turn whatever the reading library meets in a damaged file into a BagError."""
+        """Turn every error of the reading library into a BagError."""
         try:
             yield
         except BagError:
             raise
         except FileNotFoundError:
-            unfinished = "no metadata.yaml: no bag, or its recording did not end"
+            unfinished = "no metadata.yaml: not a bag, or its recording did not end"
             raise BagError(
                 f"{self.path}: {unfinished if self.path.exists() else 'does not exist'}"
             ) from None
         except Exception as error:
-            # The library lets struct, zstd, assertion and type errors through from a damaged file.
+            # On a damaged file the library also raises struct, zstd, assertion and type errors.
             raise BagError(f"{self.path}: cannot be read: {_one_line(error)}") from error
 
 
 def _stamp(message: Any, time: int) -> int:
-    """Graph time of a message in ns: its stamp, a clock's value, else the time of the bag."""
+    """Graph time of a message in ns: its stamp, a clock's value, else its time in the bag."""
     stamp = message.header.stamp if hasattr(message, "header") else getattr(message, "clock", None)
     return time if stamp is None else int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 

@@ -16,7 +16,7 @@ PACKAGE = "slot_msgs"
 
 
 def message_types() -> Types:
-    """The types of Jazzy and of slot_msgs; raises FileNotFoundError when slot_msgs is nowhere."""
+    """The types of Jazzy and of slot_msgs; raises FileNotFoundError if slot_msgs is not found."""
     types = get_typestore(Stores.ROS2_JAZZY)
     add_definitions(
         types,
@@ -26,14 +26,14 @@ def message_types() -> Types:
 
 
 def types_inside(definitions: Iterable[tuple[str, str]]) -> Types:
-    """The types of Jazzy and those of (type name, definition) pairs out of a bag."""
+    """The types of Jazzy and those of (type name, definition) pairs from a bag."""
     types = get_typestore(Stores.ROS2_JAZZY)
     add_definitions(types, dict(definitions))
     return types
 
 
 def add_definitions(types: Types, definitions: dict[str, str]) -> None:
-    """Register definitions in .msg syntax, but never a second one of a type."""
+    """Register definitions in .msg syntax; types that are registered already stay as they are."""
     found = {
         name: definition
         for typename, text in definitions.items()
@@ -45,7 +45,7 @@ def add_definitions(types: Types, definitions: dict[str, str]) -> None:
 
 
 def _message_files() -> list[Path]:
-    """The .msg files of the first installation that has slot_msgs, else of the source tree."""
+    """The .msg files from the first installation that has slot_msgs, else from the source tree."""
     prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
     places = [prefix / "share" / PACKAGE / "msg" for prefix in prefixes]
     places.append(Path(__file__).resolve().parents[4] / PACKAGE / "msg")

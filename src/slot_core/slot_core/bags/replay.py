@@ -1,8 +1,8 @@
-"""Replays a bag through the cores, without ROS, and compares what they give with what it holds.
+"""Replays a bag through the cores, without ROS, and compares their outputs with the recorded ones.
 
-Every stage is fed with the recorded input of its node, so the first difference names the stage that
-has changed: `/odom` and `/imu` go to the state estimator, recorded states and gait previews to the
-MPC, recorded forces, previews and states to the force map.
+Every stage gets the recorded input of its node, so the first difference names the stage that has
+changed: `/odom` and `/imu` go to the state estimator, recorded states and gait previews to the MPC,
+recorded forces, previews and states to the force map.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from slot_core.control.state_estimator import Estimate, StateEstimator, read_est
 from slot_core.robot import Robot, read_robot
 
 Fields = dict[str, Any]
-"""Values by name of the message's field."""
+"""Values by the name of the message's field."""
 
 TOLERANCE = 1e-6
-"""Largest difference by default, in the field's SI unit: between machines, the order of summation
-in linear algebra moves the states by 1e-12 and the forces by the solver's own tolerance."""
+"""Default of the largest difference, in the field's SI unit. On another machine the order of
+summation in linear algebra changes the states by 1e-12 and the forces by the solver's tolerance."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """The first place where a replayed field is not the recorded one."""
+    """The first replayed value that differs from the recorded one."""
 
     topic: str
     stamp: int  # ns
@@ -48,13 +48,13 @@ class Difference:
     def __str__(self) -> str:
         return (
             f"{self.topic} at {self.stamp * 1e-9:.6f} s: {self.field} "
-            f"was {self.recorded!r}, is {self.replayed!r}"
+            f"recorded {self.recorded!r}, replayed {self.replayed!r}"
         )
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Recorded against replayed messages of one topic."""
+    """Result of comparing recorded and replayed messages of one topic."""
 
     topic: str
     compared: int
@@ -65,7 +65,7 @@ class Comparison:
 def replay(bag: Bag, tolerance: float) -> list[Comparison]:
     """Compare every stage of the bag, in the order of the graph.
 
-    Raises BagError when the bag lacks a topic, ConfigError when the configuration is unusable.
+    Raises BagError if the bag lacks a topic, ConfigError if the configuration is invalid.
     """
     robot = read_robot()
     states = _by_stamp(bag, "/mpc_state", decode.state)
@@ -83,8 +83,8 @@ def replay(bag: Bag, tolerance: float) -> list[Comparison]:
 def compare(bag: Bag, topic: str, replayed: Mapping[int, Fields], tolerance: float) -> Comparison:
     """Compare the recorded messages of a topic with replayed fields by stamp (ns).
 
-    A recording that was cut off may hold an output without its input: what comes after the last
-    replayed stamp is left out. Raises BagError when nothing is left to compare.
+    The end of a recording may hold an output without its input, so messages after the last replayed
+    stamp are skipped. Raises BagError if no message is left to compare.
     """
     compared, largest, first = 0, 0.0, None
     for _, message in bag.messages(topic):
@@ -146,18 +146,19 @@ def _solves(
     robot: Robot,
     states: Mapping[int, Any],
     previews: Mapping[int, Any],
-    answered: Container[int],
+    solved: Container[int],
 ) -> dict[int, Fields]:
     """Results of the MPC, as fields of GroundReactionForces, in the order of the states.
 
-    It remembers: a state that it skipped, by stamp not in `answered`, is skipped again.
+    The MPC keeps state between cycles. A state that the recorded controller skipped (its stamp is
+    not in `solved`) is therefore skipped again.
     """
     settings = config.replace(read_mpc(), {"acceptance.time_budget": math.inf})
     mpc = Mpc(robot, settings, timer=lambda: 0.0)
     return {
         stamp: _forces_fields(mpc.step(state, previews[stamp]))
         for stamp, (_, state, _) in states.items()
-        if stamp in previews and stamp in answered
+        if stamp in previews and stamp in solved
     }
 
 
@@ -199,9 +200,9 @@ def _numbers(value: Any) -> np.ndarray:
 
 
 def _distance(recorded: np.ndarray, replayed: np.ndarray) -> np.ndarray:
-    """|difference|, zero where both are the same or NaN; infinite where one is not finite.
+    """|recorded - replayed|; zero where both are equal or both NaN.
 
-    Infinite, too, where the shapes differ.
+    Infinite where they differ and one is not finite, and where the shapes differ.
     """
     if recorded.shape != replayed.shape:
         return np.full(max(len(recorded), 1), math.inf)
@@ -214,13 +215,13 @@ def _distance(recorded: np.ndarray, replayed: np.ndarray) -> np.ndarray:
 
 def _tolerance(text: str) -> float:
     value = float(text)
-    if not 0.0 <= value < math.inf:  # with NaN nothing would ever differ
+    if not 0.0 <= value < math.inf:  # no difference exceeds NaN
         raise argparse.ArgumentTypeError(f"{text}: outside [0, inf)")
     return value
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point of `scripts/replay`; exit code 0: no difference, 1: one, 2: unusable bag."""
+    """Command line of `scripts/replay`; exit code 0: equal, 1: a difference, 2: no replay."""
     parser = argparse.ArgumentParser(prog="scripts/replay", description=__doc__.split("\n\n")[0])
     parser.add_argument("bag", type=Path, help="directory of the bag")
     parser.add_argument(
@@ -232,7 +233,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (BagError, config.ConfigError) as error:
         print(f"scripts/replay: {error}", file=sys.stderr)
         return 2
-    except ValueError as error:  # a recorded message that its node has refused
+    except ValueError as error:  # a recorded message that its node has rejected
         print(f"scripts/replay: {options.bag}: cannot be replayed: {error}", file=sys.stderr)
         return 2
     for c in comparisons:

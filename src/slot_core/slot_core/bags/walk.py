@@ -1,4 +1,4 @@
-"""A walk as arrays, out of a bag: the torso's motion, and the ticks of the chain of nodes."""
+"""Arrays of a recorded walk: the torso's motion, and the publication times of each control tick."""
 
 from __future__ import annotations
 
@@ -59,21 +59,21 @@ class Motion:
 
 @dataclass(frozen=True)
 class Ticks:
-    """When the messages of each tick were published; a tick is one message on /odom."""
+    """Publication times of the messages of each tick; a tick is one message on /odom."""
 
     stamp: Array  # (n,) s, graph time
-    time: Array  # (n, 5) s, wall clock by topic of CHAIN; NaN: never
+    time: Array  # (n, 5) s, wall clock by topic of CHAIN; NaN: not published
     period: float  # s, control period: the median distance of the stamps
     end: float  # s, wall clock when the bag ends
 
     @property
     def latency(self) -> Array:
-        """(n, 4) s of each stage: from its input's publishing to its output's."""
+        """(n, 4) s, from the publication of each stage's input to that of its output."""
         return np.diff(self.time, axis=1)
 
     @property
     def end_to_end(self) -> Array:
-        """(n,) s from the odometry's publishing to its command's."""
+        """(n,) s, from the publication of the odometry to that of its command."""
         return self.time[:, -1] - self.time[:, 0]
 
     def after(self, t: float) -> Ticks:
@@ -90,10 +90,10 @@ def turn(vectors: Array, angle: Array | float) -> Array:
 
 
 def stride_mean(t: Array, values: Array, period: float) -> Array:
-    """Mean of values (n,) over the stride around each t, by the integral over `period` s.
+    """(n,) mean of values (n,) over the stride of `period` (s) centred at each t.
 
-    The trapezoidal integral is differenced half a period before and after; nearer to the ends than
-    that the result is NaN.
+    Difference of the trapezoidal integral between half a period after and half a period before; NaN
+    within half a period of either end.
     """
     integral = np.concatenate([[0.0], np.cumsum(np.diff(t) * (values[1:] + values[:-1]) / 2)])
     before, after = t - period / 2, t + period / 2
@@ -102,7 +102,7 @@ def stride_mean(t: Array, values: Array, period: float) -> Array:
 
 
 def stride_period(bag: Bag) -> float | None:
-    """Period of the gait, s, the median over the walk; None without a periodic gait."""
+    """Median period of the gait over the walk, s; None without a periodic gait."""
     if not bag.counts.get("/gait_preview"):
         return None
     period = float(np.median(bag.series("/gait_preview", "period")["period"]))
@@ -114,14 +114,15 @@ def seconds(ns: Stamps, origin: int = 0) -> Array:
     return (ns - origin) / 1e9
 
 
-def read_motion(bag: Bag, truth: bool = True) -> Motion:
-    """The motion from ground truth if wanted and there, else from the state estimate.
+def read_motion(bag: Bag) -> Motion:
+    """The motion from ground truth if recorded, else from the state estimate.
 
-    Raises BagError when the bag holds neither, or fewer than two samples.
+    Raises BagError if the bag holds neither, or fewer than two samples.
     """
-    topic = GROUND_TRUTH if truth and bag.counts.get(GROUND_TRUTH) else ESTIMATE
+    topic = GROUND_TRUTH if bag.counts.get(GROUND_TRUTH) else ESTIMATE
     if bag.counts.get(topic, 0) < 2:
-        raise BagError(f"{bag.path}: {topic} holds {bag.counts.get(topic, 0)} messages, no motion")
+        held = bag.counts.get(topic, 0)
+        raise BagError(f"{bag.path}: {topic} holds {held} messages, less than 2")
     return _true_motion(bag) if topic == GROUND_TRUTH else _estimated_motion(bag)
 
 
@@ -146,11 +147,11 @@ def _estimated_motion(bag: Bag) -> Motion:
 
 
 def read_ticks(bag: Bag) -> Ticks:
-    """The ticks of the chain; raises BagError when /odom holds fewer than two stamps."""
+    """The ticks of the chain of nodes; raises BagError if /odom holds fewer than two stamps."""
     odom = bag.series(CHAIN[0])
     stamps = np.unique(odom.stamp)
     if len(stamps) < 2:
-        raise BagError(f"{bag.path}: /odom holds {len(stamps)} stamps, no ticks")
+        raise BagError(f"{bag.path}: /odom holds {len(stamps)} stamps, less than 2")
     origin = int(odom.time.min())
     times = [_first_times(bag, topic, stamps, origin) for topic in CHAIN]
     period = float(np.median(np.diff(stamps))) / 1e9
@@ -159,7 +160,7 @@ def read_ticks(bag: Bag) -> Ticks:
 
 
 def _first_times(bag: Bag, topic: str, stamps: Stamps, origin: int) -> Array:
-    """(n,) s since origin of the first message with each of the sorted stamps; NaN: none."""
+    """(n,) s since origin (ns) of the first message with each of the sorted stamps; NaN: none."""
     times = np.full(len(stamps), np.nan)
     if topic not in bag.topics:
         return times
@@ -173,7 +174,7 @@ def _first_times(bag: Bag, topic: str, stamps: Stamps, origin: int) -> Array:
 def joint_columns(bag: Bag, topic: str, quantity: str) -> tuple[Array, Array]:
     """(t (n,) s, values (n, 4)) of a JointState topic in the order of the legs.
 
-    `quantity` is position, velocity or effort. Raises BagError where a message names other joints.
+    `quantity` is position, velocity or effort. Raises BagError if a message names other joints.
     """
     series = bag.series(topic, "name", quantity)
     t, names, values = seconds(series.stamp), series["name"], series[quantity]

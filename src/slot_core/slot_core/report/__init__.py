@@ -1,1 +1,1 @@
-"""Reports on runs: metrics, summary, plots and the dynamic constraint map."""
+"""Reports on walks: metrics, summary, plots and the Dynamic Constraint Map."""

@@ -1,9 +1,9 @@
 """The Dynamic Constraint Map of a bag: slack of every constraint of the MPC over time.
 
-Out of `/ground_reaction_forces`: for every leg what is left to its least and largest normal force
-and to its friction, and for the whole robot the support that the legs have left and the balance of
-the normal forces, in the first stage of every cycle. Cycles whose forces are not a solution are
-marked. Bags of older message versions lack fields; those are named and left out.
+Read from `/ground_reaction_forces`, first stage of every cycle: for each leg the slack of the least
+and the largest normal force and of friction; for the whole robot the slack of the total support and
+of the balance of the normal forces. Cycles without a solution are hatched. Fields that the messages
+of an older bag lack are listed and left out.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ PER_LEG = {
     "slack_friction": "friction",
 }
 WHOLE = {"slack_total": "total support", "slack_balance": "total balance"}
-TOLERANCE = 1e-4  # N: the violation that the MPC accepts of its solver
+TOLERANCE = 1e-4  # N: the violation that the MPC accepts from its solver
 COLOURS = LinearSegmentedColormap.from_list(
     "slack", [(0.0, "#67000d"), (0.4999, "#ef3b2c"), (0.5001, "#f7fcf5"), (1.0, "#1b7837")]
 )
-"""Red as soon as a constraint is violated, pale green where it is met with nothing to spare."""
-CAPACITY = 1600  # columns of the picture; of more cycles each column shows the least slack
+"""Red where a constraint is violated, pale green where it is met with zero slack."""
+CAPACITY = 1600  # columns of the picture; with more cycles each column shows its least slack
 
 
 @dataclass(frozen=True)
 class ConstraintMap:
-    """Slack over n cycles; NaN stands where no slack is defined."""
+    """Slack over n cycles; NaN where a constraint is inactive."""
 
     name: str  # of the bag
     time: Array  # (n,) s since the first cycle
@@ -57,12 +57,12 @@ class ConstraintMap:
 
     @property
     def violated(self) -> NDArray[np.bool_]:
-        """(constraints, n) by more than the solver's tolerance."""
+        """(constraints, n), true where violated by more than the solver's tolerance."""
         return self.slack < -TOLERANCE
 
 
 def read_map(bag: Bag) -> ConstraintMap:
-    """The map of a bag; raises BagError when it holds no such messages or none of the slacks."""
+    """The map of a bag; raises BagError if it holds no forces or none of the slacks."""
     if not bag.counts.get(TOPIC):
         raise BagError(f"{bag.path}: {TOPIC} holds no messages")
     names: list[str] = []
@@ -80,12 +80,12 @@ def read_map(bag: Bag) -> ConstraintMap:
     series = bag.series(TOPIC, "status")
     time = seconds(series.stamp, int(series.stamp[0]))
     slack = np.concatenate(rows).astype(float)
-    slack[~np.isfinite(slack)] = np.nan  # infinite where nothing is asked for
+    slack[~np.isfinite(slack)] = np.nan  # infinite where the constraint is inactive
     return ConstraintMap(bag.path.name, time, tuple(names), slack, series["status"], tuple(missing))
 
 
 def _column(bag: Bag, field: str) -> NDArray[Any] | None:
-    """The values of a field, None where the messages of this bag do not have it."""
+    """The values of a field, None if the messages of this bag do not have it."""
     try:
         return bag.series(TOPIC, field)[field]
     except BagError as error:
@@ -95,14 +95,14 @@ def _column(bag: Bag, field: str) -> NDArray[Any] | None:
 
 
 def summary_lines(found: ConstraintMap) -> list[str]:
-    """Cycles by status, and of each constraint the least slack, when, and how often violated."""
+    """Cycles by status, and for each constraint its least slack, when, and how often violated."""
     lines = [f"{found.name}: {len(found.time)} cycles over {found.time[-1]:.2f} s"]
     counts = {status.name: int((found.status == status).sum()) for status in Status}
     lines.append("  ".join(f"{name} {count}" for name, count in counts.items() if count))
     lines.append(f"{'constraint':<18}{'least slack':>12}{'at':>10}{'violated':>10}")
     for name, slack, violated in zip(found.constraints, found.slack, found.violated):
         if np.isnan(slack).all():
-            lines.append(f"{name:<18}{'not asked for':>22}")
+            lines.append(f"{name:<18}{'inactive':>22}")
             continue
         at = int(np.nanargmin(slack))
         lines.append(
@@ -120,14 +120,14 @@ def draw_map(found: ConstraintMap, path: Path) -> None:
 
 
 def map_figure(found: ConstraintMap) -> Figure:
-    """Constraints down, time across, and above it the cycles whose forces are not a solution."""
+    """Heat map: constraints down, time across; cycles without a solution are hatched."""
     figure = Figure(figsize=(14, 1.2 + 0.36 * len(found.constraints)), layout="constrained")
     FigureCanvasAgg(figure)
     ax = figure.subplots()
     edges = _edges(found.time)
     groups = np.arange(0, len(found.time), -(-len(found.time) // CAPACITY))
     rows = np.fmin.reduceat(found.slack, groups, axis=1)  # NaN only where all are
-    # The legs set the scale: the support of all of them together would leave them pale.
+    # Scaled by the legs' slack: the total support is larger and would leave the legs pale.
     legs = [name not in WHOLE.values() for name in found.constraints]
     bound = float(np.nanmax(np.abs(rows[legs]), initial=TOLERANCE))
     times = np.append(edges[groups], edges[-1])
@@ -143,16 +143,16 @@ def map_figure(found: ConstraintMap) -> Figure:
 
 
 def _edges(time: Array) -> Array:
-    """(n + 1,) s, where each cycle begins and the last one ends."""
+    """(n + 1,) s, the starts of the cycles and the end of the last one."""
     period = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
     return np.append(time, time[-1] + period)
 
 
 def _mark(ax: Axes, found: ConstraintMap, edges: Array) -> None:
-    """Hatch the spans of cycles that were not SOLVED, each run of them once."""
+    """Hatch the cycles that were not SOLVED, one span for consecutive ones."""
     bad = found.status != Status.SOLVED
-    turns = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(int)))
-    for begin, end in turns.reshape(-1, 2):
+    changes = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(int)))
+    for begin, end in changes.reshape(-1, 2):
         ax.axvspan(
             edges[begin], edges[end], facecolor="none", edgecolor=palette.INK, hatch="////", lw=0.8
         )
@@ -163,7 +163,7 @@ def _finish(ax: Axes, found: ConstraintMap) -> None:
     ax.invert_yaxis()
     for row in range(len(LEGS), len(found.constraints), len(LEGS)):
         ax.axhline(row, color=palette.INK, lw=0.8)
-    ax.set_facecolor(palette.SHADE)  # where nothing is asked for
+    ax.set_facecolor(palette.SHADE)  # shows where a constraint is inactive
     ax.set(xlabel="time (s)")
     bad = int((found.status != Status.SOLVED).sum())
     violated = int(found.violated.any(axis=0).sum())
@@ -173,7 +173,7 @@ def _finish(ax: Axes, found: ConstraintMap) -> None:
         loc="left", fontsize=10,
     )  # fmt: skip
     hatched = Patch(facecolor="none", edgecolor=palette.INK, hatch="////", label="not solved")
-    grey = Patch(facecolor=palette.SHADE, edgecolor=palette.INK, label="not asked for")
+    grey = Patch(facecolor=palette.SHADE, edgecolor=palette.INK, label="inactive")
     ax.legend(
         handles=[hatched, grey], ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0),
         fontsize=8, frameon=False,
@@ -181,7 +181,7 @@ def _finish(ax: Axes, found: ConstraintMap) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line of `scripts/constraint_map`; the exit code is 1 where something is violated."""
+    """Command line of `scripts/constraint_map`; exit code 0: clean, 1: a violation, 2: no map."""
     parser = argparse.ArgumentParser(
         prog="scripts/constraint_map", description="Draws the Dynamic Constraint Map of a bag."
     )

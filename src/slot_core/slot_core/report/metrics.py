@@ -1,4 +1,4 @@
-"""Figures of a walk, out of its bag."""
+"""Metrics of a recorded walk: motion, timing, MPC and servos."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ class Latency:
 
 @dataclass(frozen=True)
 class WalkMetrics:
-    """Figures of one walk after the warm-up; None or NaN: the bag does not hold what it takes.
+    """Metrics of one walk after the warm-up; None or NaN where the bag lacks the data.
 
-    The line that drift is measured from starts where the warm-up ends and points along the heading
-    that the robot had at the start of the bag.
+    Drift is measured from a straight line, which starts where the warm-up ends and points along the
+    robot's heading at the start of the bag.
     """
 
     source: str  # topic of the motion: ground truth if it was recorded
@@ -56,28 +56,28 @@ class WalkMetrics:
     tilt_max: float  # rad
     lateral_drift_max: float  # m, largest distance from the line
     lateral_drift_end: float  # m, last distance from the line, left positive
-    yaw_drift: float  # rad, last yaw less the heading of the line
+    yaw_drift: float  # rad, last yaw minus the heading of the line
     period: float  # s, control period
-    ticks: int  # odometries that were to be answered
-    deadline_misses: int  # ticks answered later than one period after the odometry, or never
-    unanswered: int  # of these: never
-    missed_ticks: int  # odometries that never came: gaps in the stamps
+    ticks: int  # odometry readings that require a command
+    deadline_misses: int  # ticks whose command came more than one period later, or never
+    unanswered: int  # ticks without a command
+    missed_ticks: int  # missing odometry readings: gaps in the stamps
     stages: dict[str, Latency]  # by node
     end_to_end: Latency
     real_time_factor: float  # graph time over wall time
-    fallback_cycles: int | None  # MPC cycles without a solution of their own
+    fallback_cycles: int | None  # MPC cycles without a solution
     longest_fallback: int | None  # consecutive ones
     violation_max: float  # N, largest constraint violation
-    saturated: tuple[float, ...]  # fraction of cycles, per leg: the map met an angle limit
+    saturated: tuple[float, ...]  # fraction of cycles, per leg: force map at an angle limit
     rejected_odometry: int | None
     servo_saturated: tuple[float, ...]  # fraction of samples, per leg: torque at its limit
 
 
 def walk_metrics(bag: Bag, warm_up: float, torque_limit: float) -> WalkMetrics:
-    """Compute the figures of a walk.
+    """Compute the metrics of a walk.
 
-    `warm_up` is the time left out at the start, s of graph time; `torque_limit` the torque that a
-    servo counts as saturated at, N m. Raises BagError when less than two samples are left.
+    `warm_up` is the time left out at the start, s of graph time; `torque_limit` is the torque from
+    which a servo counts as saturated, N m. Raises BagError if less than two samples are left.
     """
     whole = read_motion(bag)
     start = whole.t[0] + warm_up
@@ -97,7 +97,7 @@ def walk_metrics(bag: Bag, warm_up: float, torque_limit: float) -> WalkMetrics:
 
 
 def latency(values: Array) -> Latency:
-    """Percentiles of latencies in s; NaN entries do not count."""
+    """Percentiles of latencies in s; NaN entries are ignored."""
     values = values[np.isfinite(values)]
     if not len(values):
         return Latency(0, math.nan, math.nan, math.nan)
@@ -136,7 +136,7 @@ def _drift(whole: Motion, motion: Motion) -> dict[str, Any]:
 def _timing(bag: Bag, start: float) -> dict[str, Any]:
     ticks = read_ticks(bag).after(start)
     answered = np.isfinite(ticks.time[:, -1])
-    # A tick is judged only if recording went on for a period after it, or its command is there.
+    # A tick counts only if its command was recorded or the recording went on for a period after it.
     due = answered | (ticks.time[:, 0] + ticks.period <= ticks.end)
     late = answered & (ticks.end_to_end > ticks.period)
     wall = np.ptp(ticks.time[:, 0]) if len(ticks.stamp) else 0.0
@@ -175,7 +175,7 @@ def _servo_saturation(bag: Bag, start: float, torque_limit: float) -> tuple[floa
 
 
 def _after(bag: Bag, start: float, topic: str, *fields: str) -> dict[str, Array] | None:
-    """Fields of a topic at or after graph time `start`; None where there are no messages."""
+    """Fields of a topic at or after graph time `start`; None if there are no messages."""
     if topic not in bag.topics:
         return None
     series = bag.series(topic, *fields)

@@ -1,4 +1,4 @@
-"""Colours of every picture: Okabe and Ito's, which the colour-blind tell apart; a leg keeps its."""
+"""Colours of all plots: Okabe and Ito's palette for colour-blind readers; each leg has its own."""
 
 from slot_core.robot import LEGS
 

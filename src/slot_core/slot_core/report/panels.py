@@ -1,4 +1,4 @@
-"""The panels of a walk's dashboard: each draws one thing into an axes it is given."""
+"""The panels of a walk's dashboard; each function draws one panel into the given axes."""
 
 from __future__ import annotations
 
@@ -17,15 +17,18 @@ from slot_core.report.metrics import WalkMetrics
 from slot_core.report.summary import summary_lines
 from slot_core.robot import LEGS, Array
 
-WINDOW = 4.0  # s at the end of the walk: what changes within a stride is shown this long
+WINDOW = 4.0  # s at the end of the walk, shown in the panels of the legs
 LATENCY_BINS = 60
 SLACKS = (("slack_normal_min", "min"), ("slack_normal_max", "max"), ("slack_friction", "fric"))
 
 
-def draw_path(ax: Axes, motion: Motion, judged: Motion) -> None:
-    """Top view of the torso's path, and the straight line that the drift is measured from."""
-    start, heading = judged.position[0, :2], motion.rpy[0, 2]
-    along = turn(judged.position[:, :2] - start, -heading)[:, 0].max()
+def draw_path(ax: Axes, motion: Motion, measured: Motion) -> None:
+    """Top view of the torso's path, and the straight line from which drift is measured.
+
+    `measured` is the motion after the warm-up.
+    """
+    start, heading = measured.position[0, :2], motion.rpy[0, 2]
+    along = turn(measured.position[:, :2] - start, -heading)[:, 0].max()
     end = start + turn(np.array([along, 0.0]), heading)
     ax.plot(*motion.position[:, :2].T, color=palette.TRUE, lw=1.6, label="torso")
     ax.plot(*np.array([start, end]).T, color=palette.INK, lw=1, ls="--", label="initial heading")
@@ -77,9 +80,9 @@ def draw_angles(axes: Sequence[Axes], bag: Bag, start: float, end: float) -> Non
 
 
 def draw_forces(axes: Sequence[Axes], bag: Bag, start: float, end: float) -> None:
-    """Normal forces of each leg, wanted by the MPC and true, over the last strides."""
-    wanted = ("/ground_reaction_forces", "force", "MPC")
-    for topic, field, label in (wanted, ("/ground_truth/legs", "ground_force", "true")):
+    """Normal forces of each leg, commanded by the MPC and true, over the last strides."""
+    commanded = ("/ground_reaction_forces", "force", "MPC")
+    for topic, field, label in (commanded, ("/ground_truth/legs", "ground_force", "true")):
         if bag.counts.get(topic):
             series = bag.series(topic, field)
             _per_leg(axes, seconds(series.stamp) - start, series[field][:, :, 2], label)
@@ -98,7 +101,7 @@ def draw_latency(ax: Axes, ticks: Ticks) -> None:
         for values, name, colour in zip(ms, (*STAGES, "end to end"), LATENCY_COLOURS):
             ax.hist(values, bins, histtype="stepfilled", color=colour, alpha=0.75, label=name)
         ax.set_xscale("log")
-        ax.set_yscale("log")  # a single late tick is to be seen
+        ax.set_yscale("log")  # a single late tick stays visible
     ax.axvline(1e3 * ticks.period, color=palette.INK, ls="--", lw=1, label="control period")
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     _finish(ax, "latency", "ticks", "latency (ms, logarithmic)")

@@ -1,4 +1,4 @@
-"""Pictures of the robot: solids in an orthographic view, painted from far to near."""
+"""Drawings of the robot: solids in an orthographic view, painted from far to near."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from slot_core.robot import LEGS, Array, Robot
 SUN = np.array([0.25, -0.45, 0.86]) / np.linalg.norm([0.25, -0.45, 0.86])
 AMBIENT = 0.55  # brightness of a face turned away from the sun
 FORCE_SCALE = 0.012  # m of arrow per N
-LEAST_FORCE = 0.2  # N, shorter arrows are left out
+LEAST_FORCE = 0.2  # N, smaller forces are not drawn
 GROUND_HALF = (0.26, 0.22)  # m, of the ground drawn around the robot, along x and y
 GROUND_LINE = 0.1  # m between lines on the ground
 MARK: dict[str, Any] = {
@@ -29,7 +29,7 @@ BOX_FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4
 
 @dataclass(frozen=True)
 class Pose:
-    """What there is to see of the robot at one time, all in odom."""
+    """Torso pose, leg shapes and ground forces at one time, in odom."""
 
     t: float  # s since the start
     position: Array  # (3,) m
@@ -70,8 +70,8 @@ class Solid:
 def draw_robot(ax: Axes, pose: Pose, robot: Robot, camera: Camera) -> None:
     """Draw ground, shadow, legs, torso and ground forces into `ax`, whose unit is the metre.
 
-    The picture's origin is the point of the ground below the torso; lines on the ground are fixed
-    in odom and carry their x.
+    The picture's origin is the point of the ground below the torso. Lines on the ground are fixed
+    in odom and labelled with their x.
     """
     centre = np.array([pose.position[0], pose.position[1], 0.0])
     solids = [torso_solid(pose, robot), *leg_solids(pose, robot)]

@@ -1,4 +1,4 @@
-"""The pictures of a walk: one dashboard, and a strip of stills."""
+"""Plots of a walk: the dashboard, and a filmstrip of the robot."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def dashboard(bag: Bag, metrics: WalkMetrics, path: Path) -> None:
 
 
 def dashboard_figure(bag: Bag, metrics: WalkMetrics) -> Figure:
-    """The dashboard; every axes has the name of its panel as its label."""
+    """The dashboard; the label of each axes is the name of its panel."""
     figure = _figure(16.0, 10.0)
     figure.suptitle(f"{bag.path.name}", fontsize=14, fontweight="bold")
     columns: Any = figure.subfigures(1, 3, wspace=0.03)
@@ -55,13 +55,13 @@ def dashboard_figure(bag: Bag, metrics: WalkMetrics) -> Figure:
 def filmstrip(bag: Bag, path: Path, stills: int = 5) -> None:
     """Write a PNG with stills of the robot over the walk, each at another phase of the stride.
 
-    Raises BagError when the bag holds no leg shapes (only the simulator knows them).
+    Raises BagError if the bag holds no leg shapes (only the simulator publishes them).
     """
     _save(filmstrip_figure(bag, stills), path)
 
 
 def filmstrip_figure(bag: Bag, stills: int) -> Figure:
-    """The strip; its axes are the stills in the order of time."""
+    """The filmstrip; its axes are the stills in the order of time."""
     poses = read_poses(bag, still_times(bag, stills))
     figure = _figure(3.6 * stills, 2.2)
     robot, camera = read_robot(), Camera()
@@ -74,7 +74,11 @@ def filmstrip_figure(bag: Bag, stills: int) -> Figure:
 
 
 def still_times(bag: Bag, stills: int) -> Array:
-    """(stills,) s of graph time: even over the walk, moved to the phases k / stills of a stride."""
+    """(stills,) s of graph time, evenly over the walk; still k is at phase k / stills of a stride.
+
+    Without a periodic gait, or in a walk shorter than `stills` strides, the phases are not set.
+    Raises BagError if the bag holds no leg shapes.
+    """
     t = seconds(bag.series(LEG_STATES).stamp)
     if not len(t):
         raise BagError(f"{bag.path}: {LEG_STATES} holds no messages")
@@ -83,7 +87,7 @@ def still_times(bag: Bag, stills: int) -> Array:
     if period is None or t[-1] - t[0] < stills * period:
         return times
     phase = np.arange(stills) / stills
-    last = (t[-1] - t[0]) / period - phase[-1]  # stride that the last still may begin in
+    last = (t[-1] - t[0]) / period - phase[-1]  # latest stride of the last still
     strides = np.floor(np.linspace(0.0, last, stills))
     return t[0] + (strides + phase) * period
 

@@ -1,4 +1,4 @@
-"""The short summary at the end of a run."""
+"""Text summary of a walk's metrics."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ NAME_WIDTH = 20
 
 
 def summary_lines(metrics: WalkMetrics) -> list[str]:
-    """Aligned lines `name  values`, with units; a dash stands for what the bag does not tell."""
+    """Aligned lines `name  values`, with units; a dash where the bag lacks the data."""
     m = metrics
     misses = f"{m.deadline_misses} of {m.ticks} ticks later than {1e3 * m.period:.1f} ms"
     unanswered = f"{m.unanswered} ticks, {m.missed_ticks} odometries missing"
