@@ -1,4 +1,4 @@
-"""The Cosserat rod against closed forms, boundary value problems and an independent integration."""
+"""Cosserat rod against closed forms, boundary value problems and an independent integration."""
 
 import math
 
@@ -34,7 +34,7 @@ TPU = Material(1e7, 1e7 / 3, 1200.0, 5e-4)
 
 
 def slender(elements=15, **options):
-    """A rod with L = EI = rho A = 1 that hardly stretches (1e-7) and neither shears nor spins."""
+    """Rod with L = EI = rho A = 1, strain 1e-7 under a unit force, no shear, no rotary inertia."""
     return CosseratRod(SLENDER, STRIP, elements, shear=False, rotary_inertia=False, **options)
 
 
@@ -54,7 +54,7 @@ def bisshopp_drucker(p):
 def reissner(material, geometry, loads, shear=True):
     """Tip pose of a clamped rod by collocation of Reissner's equations.
 
-    r' = R (strain + (1, 0)), angle' = M/EI + curvature, M' = -r' x n, with n the load beyond s.
+    r' = R (strain + (1, 0)), angle' = M/EI + curvature, M' = -r' x n, n the load between s and L.
     """
     length, section = geometry.length, geometry.section
     samples = np.linspace(0.0, 1.0, 20001)
@@ -92,7 +92,7 @@ def turned(vector, angle):
     return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]])
 
 
-def test_elliptic_integrals_of_the_test_give_the_published_figures():
+def test_elliptic_integrals_used_here_give_the_published_values():
     np.testing.assert_allclose(bisshopp_drucker(1.0), [0.9435667637, 0.3017207738], atol=1e-9)
     np.testing.assert_allclose(bisshopp_drucker(10.0), [0.4450044022, 0.8106090249], atol=1e-9)
 
@@ -106,7 +106,7 @@ def test_cantilever_follows_the_elastica_to_fourth_order(p):
         assert found.branch is Branch.PRIMARY
         errors.append(np.hypot(*(rod.state.pose[-1, :2] - exact)))
     assert errors[2] < 5e-6  # of the length, at 31 nodes; 2.1e-6 at p = 10
-    # Up to p = 1 the last error is near the stretch of the slender rod, p / EA L^2 = 1e-7.
+    # Up to p = 1 the last error is close to the stretch of the rod, p / (EA L^2) = 1e-7.
     if p > 1:
         assert np.log(errors[0] / errors[2]) / np.log(15 / 4) > 3.7
 
@@ -116,7 +116,7 @@ def test_end_moment_closes_the_circle(elements):
     rod = slender(elements)
     rod.solve_static(Loads(moment=2 * math.pi))
     assert rod.state.pose[-1, 2] == pytest.approx(2 * math.pi, rel=1e-12)
-    # A circle is exact at any number of elements; what is left is Newton's tolerance.
+    # The elements represent a circle exactly; the error left is Newton's tolerance.
     assert np.hypot(*rod.state.pose[-1, :2]) < 1e-9
 
 
@@ -125,32 +125,32 @@ def test_end_moment_closes_the_circle(elements):
     "loads",
     [
         Loads(force=(0.0, -1.0)),
-        Loads(gravity=(30.0, -60.0)),  # along and across: any direction
+        Loads(gravity=(30.0, -60.0)),  # along and across
         Loads(follower=(0.0, 2.0)),
         Loads(force=(0.5, 0.0), moment=0.05, follower=(-0.5, 0.3), gravity=(0.0, 9.81)),
     ],
 )
-def test_curved_tapered_leg_bends_as_reissners_equations_say(loads, shear):
+def test_curved_tapered_leg_bends_as_in_reissners_equations(loads, shear):
     geometry = Geometry(LEG.length, LEG.section, curvature=3.0)
     exact, errors = reissner(TPU, geometry, loads, shear), []
     for elements in (15, 30):
         rod = CosseratRod(TPU, geometry, elements, shear=shear)
         rod.solve_static(loads)
         errors.append(rod.state.pose[-1] - exact)
-    assert np.abs(errors[1]).max() < 2e-5  # m and rad, of which the tip turns by some
+    assert np.abs(errors[1]).max() < 2e-5  # m and rad; the tip turns by about 1 rad
     assert np.hypot(*errors[1][:2]) < 2e-6
     assert np.abs(errors[0]).max() / np.abs(errors[1]).max() > 10  # fourth order gives 16
 
 
-def test_short_cantilever_bends_and_shears_as_timoshenko_says():
-    material, side, push = Material(1e7, 4e6, 1e3, 0.0), 0.05, 1e-3
+def test_short_cantilever_deflects_as_timoshenkos_beam():
+    material, side, force = Material(1e7, 4e6, 1e3, 0.0), 0.05, 1e-3
     section = Rectangle(side, (side, side))
     rod = CosseratRod(material, Geometry(0.2, section), 1)
-    rod.solve_static(Loads(force=(0.0, push)))
-    bending = push * 0.2**3 / (3 * 1e7 * side**4 / 12)
-    shearing = push * 0.2 / (5 / 6 * 4e6 * side**2)
-    # The load is so small that squares of the slope, 1e-5^2, do not show; one element is exact but
-    # for rounding at a tip that moves by 5e-6 of the length.
+    rod.solve_static(Loads(force=(0.0, force)))
+    bending = force * 0.2**3 / (3 * 1e7 * side**4 / 12)
+    shearing = force * 0.2 / (5 / 6 * 4e6 * side**2)
+    # Squares of the slope, 1e-5^2, are negligible. One element is exact up to rounding, at a tip
+    # that moves by 5e-6 of the length.
     assert rod.state.pose[-1, 1] == pytest.approx(bending + shearing, rel=1e-8)
 
 
@@ -158,17 +158,17 @@ def test_short_cantilever_bends_and_shears_as_timoshenko_says():
     ("base", "tip", "load"),
     [(CLAMPED, FREE, math.pi**2 / 4), (PINNED, ROLLER, math.pi**2)],
 )
-def test_column_loses_its_stability_at_eulers_load(base, tip, load):
+def test_column_becomes_unstable_at_eulers_load(base, tip, load):
     rod = slender(base=base, tip=tip)
     found = rod.solve_static(Loads(force=(-1.2 * load, 0.0)))
     assert found.branch is Branch.UNSTABLE
     assert found.negative_pivots == 1
-    # Rounding of pivots among stretch and shear 1e7 times as stiff; the order leaves less.
+    # Rounding of the pivots, beside stretch and shear 1e7 times as stiff, exceeds the truncation.
     assert found.critical[0] * 1.2 == pytest.approx(1.0, rel=1e-4)
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_buckled_column_stands_where_the_elastica_stands(side):
+def test_buckled_column_has_the_shape_of_the_elastica(side):
     load = 3.0
     rod = slender()
     found = rod.solve_static(Loads(force=(-load, 0.0)), StaticSettings(stay_stable=True, side=side))
@@ -179,8 +179,8 @@ def test_buckled_column_stands_where_the_elastica_stands(side):
     assert rod.state.pose[-1, 1] == pytest.approx(side * height, rel=1e-5)
 
 
-def test_snap_through_ends_in_an_error_that_holds_the_last_load():
-    thickness, curvature = 0.03, 0.28  # rise 35 mm: it snaps, and no unsymmetric branch precedes
+def test_snap_through_is_an_error_with_the_last_load_factor():
+    thickness, curvature = 0.03, 0.28  # rise 35 mm: it snaps before any unsymmetric buckling
     material = Material(12 / thickness**3, 4 / thickness**3, 1 / thickness, 0.0)
     geometry = Geometry(1.0, Rectangle(1.0, (thickness, thickness)), -curvature)
     pose = (0.0, 0.0, curvature / 2)
@@ -190,7 +190,7 @@ def test_snap_through_ends_in_an_error_that_holds_the_last_load():
     with pytest.raises(EquilibriumError, match="load factor 0") as caught:
         rod.solve_static(Loads(gravity=(0.0, -400.0)))
     last = np.linalg.eigvalsh(rod.tangent()[np.ix_(free, free)])[0]
-    # A fold: the rod stands where its tangent is next to singular, still above the chord.
+    # A fold: the rod is left where its tangent is nearly singular, still above the chord.
     assert 0.0 < caught.value.load_factor < 1.0
     assert 0.0 <= last < 0.05 * first
     assert rod.state.pose[8, 1] > 0.0
@@ -199,12 +199,12 @@ def test_snap_through_ends_in_an_error_that_holds_the_last_load():
 BEAM = np.array([1.8751040687, 4.6940911330, 7.8547574382]) ** 2
 
 
-def test_uniform_cantilever_vibrates_at_bernoullis_frequencies():
+def test_uniform_cantilever_has_bernoullis_frequencies():
     found = slender().natural_frequencies(3) * 2 * math.pi
     np.testing.assert_array_less(np.abs(found / BEAM - 1), [2e-6, 2e-5, 2e-4])  # fourth order
 
 
-def test_tapered_cantilever_vibrates_at_its_frequencies():
+def test_tapered_cantilever_has_its_known_frequencies():
     geometry = Geometry(1.0, Rectangle(1.0, (THICKNESS, THICKNESS / 2)))
     rod = CosseratRod(SLENDER, geometry, 15, shear=False, rotary_inertia=False)
     exact = [3.8237848473, 18.3172609042, 47.2648270105]
@@ -212,22 +212,22 @@ def test_tapered_cantilever_vibrates_at_its_frequencies():
     np.testing.assert_array_less(np.abs(found / exact - 1), [2e-6, 2e-5, 2e-4])
 
 
-def test_leg_vibrates_at_its_frequencies_without_shear():
+def test_leg_without_shear_has_its_known_frequencies():
     rod = CosseratRod(TPU, LEG, 15, shear=False, rotary_inertia=False)
     exact = [6.5209720302, 25.5124367433, 61.3511026964]  # Bernoulli's beam, Hz
     np.testing.assert_array_less(np.abs(rod.natural_frequencies(3) / exact - 1), [2e-6, 2e-5, 2e-4])
 
 
-def test_free_rod_has_three_rigid_motions_and_bernoullis_frequencies():
+def test_free_rod_has_three_rigid_modes_and_bernoullis_frequencies():
     rod = slender(base=FREE, tip=FREE)
     found = rod.natural_frequencies(5) * 2 * math.pi
-    # Rounding of the axial stiffness, 1e-16 * 1e7 * 30^2, stands below the square of the frequency.
+    # Error of the squared frequency: rounding of the axial stiffness, 1e-16 * 1e7 * 30^2.
     assert np.abs(found[:3]).max() < 0.1
     exact = np.array([4.7300407449, 7.8532046241]) ** 2
     np.testing.assert_allclose(found[3:], exact, rtol=2e-4)
 
 
-def test_stocky_beam_vibrates_at_timoshenkos_frequencies():
+def test_stocky_beam_has_timoshenkos_frequencies():
     """Simply supported, wave number k: (k^2 EI/s - rho I w^2 + s)(k^2 s - rho A w^2) = s^2 k^2."""
     material, length, side = Material(1e7, 4e6, 1e3, 0.0), 0.2, 0.03
     section = Rectangle(side, (side, side))
@@ -242,37 +242,37 @@ def test_stocky_beam_vibrates_at_timoshenkos_frequencies():
         square = (b - math.sqrt(b * b - 4 * mass * inertia * c)) / (2 * mass * inertia)
         exact.append(math.sqrt(square) / (2 * math.pi))
     found = rod.natural_frequencies(6)
-    nearest = [found[np.abs(found - f).argmin()] for f in exact]  # axial modes lie between
+    nearest = [found[np.abs(found - f).argmin()] for f in exact]  # axial modes lie in between
     np.testing.assert_allclose(nearest, exact, rtol=2e-4)  # fourth order in 3 pi / 15
 
 
 @pytest.mark.parametrize(("load", "flutters"), [(19.95, False), (20.15, True)])
-def test_follower_force_makes_the_column_flutter_beyond_becks_load(load, flutters):
+def test_column_under_a_follower_force_flutters_beyond_becks_load(load, flutters):
     """Beck (1952): P L^2/(EI) = 20.05."""
     rod = slender()
     rod.solve_static(Loads(follower=(-load, 0.0)))
     free = rod.free_unknowns()
     stiffness = rod.tangent(Loads(follower=(-load, 0.0)))[np.ix_(free, free)]
     mass = np.diag(rod.mass.ravel()[free])
-    flexibility = eig(mass, stiffness, right=False)  # 1 / omega^2; zero for the massless angles
+    flexibility = eig(mass, stiffness, right=False)  # 1 / omega^2; zero for massless angles
     lowest = flexibility[np.argsort(-np.abs(flexibility))[:2]]
     assert (np.abs(lowest.imag).max() > 1e-3 * np.abs(lowest).max()) == flutters
 
 
 def flying(scheme):
-    """A curved, tapered, undamped leg that is thrown, spins and vibrates."""
+    """Curved, tapered, undamped leg in free flight that translates, spins and vibrates."""
     geometry = Geometry(LEG.length, LEG.section, curvature=4.0)
     material = Material(1e7, 1e7 / 3, 1200.0, 0.0)
     rod = CosseratRod(material, geometry, 8, base=FREE, tip=FREE, scheme=scheme)
     pose = rod.state.pose
     velocity = 8.0 * np.column_stack([-pose[:, 1], pose[:, 0], np.ones(len(pose))])
     velocity[:, :2] += [0.3, -0.2]
-    velocity[:, 1] += 60.0 * (pose[:, 0] - 0.1) ** 2  # bends it
+    velocity[:, 1] += 60.0 * (pose[:, 0] - 0.1) ** 2  # bends the leg
     rod.state = RodState(pose, velocity)
     return rod
 
 
-def test_free_flight_keeps_momentum_for_a_second_and_energy_in_bounds():
+def test_free_flight_conserves_momentum_for_a_second_and_bounds_the_energy_error():
     rod = flying(Scheme(theta=0.5, tolerance=1e-13))
     before, energy = np.array(rod.momentum()), rod.energy().total
     drift = 0.0
@@ -281,7 +281,7 @@ def test_free_flight_keeps_momentum_for_a_second_and_energy_in_bounds():
         drift = max(drift, abs(rod.energy().total / energy - 1))
     scale = np.abs(before)
     np.testing.assert_array_less(np.abs(rod.momentum() - before), 1e-10 * scale)
-    # The midpoint rule does not keep energy, nor does it lose any: it errs by 1e-4 to and fro.
+    # The midpoint rule does not conserve energy; the error oscillates by 1e-4 without drift.
     assert drift < 5e-4
 
 
@@ -294,7 +294,7 @@ def test_gravity_in_free_flight_changes_momentum_by_its_impulse():
 
 
 class Independent:
-    """The rod of E quadratic elements written down again with polynomials and complex steps."""
+    """Second implementation of E quadratic elements: polynomials and complex-step derivatives."""
 
     def __init__(self, material, geometry, elements, held):
         self.material, self.section = material, geometry.section
@@ -343,7 +343,7 @@ class Independent:
         return a
 
 
-def test_motion_is_that_of_an_independent_integration_to_second_order():
+def test_motion_converges_to_an_independent_integration_with_second_order():
     elements, end = 2, 0.03
     own = Independent(TPU, LEG, elements, held=slice(0, 3))
     load = np.zeros(3 * own.nodes)
@@ -362,11 +362,11 @@ def test_motion_is_that_of_an_independent_integration_to_second_order():
         rod = CosseratRod(TPU, LEG, elements)
         rod.run(end / steps, steps, Loads(force=(0.0, 0.5)))
         errors.append(np.hypot(*(rod.state.pose[-1, :2] - tip)))
-    assert errors[0] / errors[2] > 12  # 16 where nothing but the second order is left
+    assert errors[0] / errors[2] > 12  # pure second order gives 16
     assert errors[2] < 2e-5  # m, of a motion of some centimetres
 
 
-def test_accelerated_clamp_is_the_same_as_gravity():
+def test_accelerated_clamp_is_equivalent_to_gravity():
     """Equivalence principle: seen from a base with acceleration a, gravity is -a."""
     a, h, steps = np.array([4.0, -7.0]), 1e-3, 60
     carried, hanging = CosseratRod(TPU, LEG, 5), CosseratRod(TPU, LEG, 5)
@@ -375,9 +375,9 @@ def test_accelerated_clamp_is_the_same_as_gravity():
         carried.step(h, base=(shift[0], shift[1], 0.0))
         hanging.step(h, Loads(gravity=(-a[0], -a[1])))
     seen = carried.state.pose[:, :2] - shift
-    # The midpoint rule takes the parabola exactly; Newton's tolerance is 1e-9.
+    # The midpoint rule integrates the parabola exactly; Newton's tolerance is 1e-9.
     np.testing.assert_allclose(seen, hanging.state.pose[:, :2], atol=1e-8)
-    assert np.ptp(seen[:, 1]) > 1e-3  # it did bend
+    assert np.ptp(seen[:, 1]) > 1e-3  # the rod bends
 
 
 def test_pinned_rod_swings_as_a_pendulum():
@@ -394,11 +394,11 @@ def test_pinned_rod_swings_as_a_pendulum():
     period = 2 * math.pi / math.sqrt(1.5 * 9.81 / 0.3)
     steps = 400
     rod.run(period / steps, steps, Loads(gravity=(0.0, -9.81)))
-    # Rotary inertia lengthens it by (d/L)^2 3/32 = 1e-4 of the phase, a cosine at its crest.
+    # Rotary inertia shifts the phase by (d/L)^2 3/32 = 1e-4, at a maximum of the cosine.
     assert rod.state.pose[-1, 2] + math.pi / 2 == pytest.approx(tilt, rel=1e-5)
 
 
-def test_damped_rod_comes_to_its_static_equilibrium():
+def test_damped_rod_settles_at_its_static_equilibrium():
     loads = Loads(force=(0.0, -0.5), gravity=(0.0, -9.81))
     material = Material(1e7, 1e7 / 3, 1200.0, 2e-2)
     moved, solved = CosseratRod(material, LEG, 4), CosseratRod(material, LEG, 4)
@@ -416,10 +416,10 @@ def test_stepping_allocates_no_memory():
         before = rtsys.get_allocation_stats().alloc
         rod._run(1e-3, steps, loads, record)
         counts.append(rtsys.get_allocation_stats().alloc - before)
-    assert counts[1] == counts[2]  # what a call takes for its arguments, no more
+    assert counts[1] == counts[2]  # allocations per call, for its arguments, not per step
 
 
-def test_step_and_run_are_the_same():
+def test_run_equals_repeated_step():
     one, other = CosseratRod(TPU, LEG, 4), CosseratRod(TPU, LEG, 4)
     loads = Loads(force=(0.0, 0.3))
     record = one.run(1e-3, 20, loads, samples=4)
@@ -429,7 +429,7 @@ def test_step_and_run_are_the_same():
     np.testing.assert_array_equal(record[-1], one.state.pose[-1])
 
 
-def test_divergence_is_an_error_that_names_time_step_and_node():
+def test_divergence_is_an_error_with_time_step_and_node():
     rod = CosseratRod(Material(1e9, 3e8, 1200.0, 0.0), LEG, 15, scheme=Scheme(iterations=1))
     velocity = np.zeros((31, 3))
     velocity[1:, 1] = 1e200
@@ -440,21 +440,21 @@ def test_divergence_is_an_error_that_names_time_step_and_node():
 
 @pytest.mark.parametrize("shear", [True, False])
 @pytest.mark.parametrize("elements", [8, 20])
-def test_one_iteration_of_a_damped_rod_stays_with_the_converged_motion(elements, shear):
-    """Released and at 1 ms; without shear, too, whose place a stiff and damped spring takes."""
-    ways = []
+def test_one_newton_iteration_per_step_follows_the_converged_damped_motion(elements, shear):
+    """Released from 1 N, steps of 1 ms; shear that is off is a stiff, damped shear stiffness."""
+    paths = []
     for iterations in (1, 20):
         scheme = Scheme(iterations=iterations)
         rod = CosseratRod(TPU, LEG, elements, shear=shear, rotary_inertia=shear, scheme=scheme)
         rod.solve_static(Loads(force=(0.0, -1.0)))
         start = rod.state.pose[-1, 1]
-        ways.append(rod.run(1e-3, 1000, samples=100)[:, :2])
-    # 1.2e-4 of the deflection; what the step itself is wrong by is 2e-3.
-    assert np.abs(ways[0] - ways[1]).max() < 5e-4 * abs(start)
+        paths.append(rod.run(1e-3, 1000, samples=100)[:, :2])
+    # Measured: 1.2e-4 of the deflection; the error of the time step is 2e-3.
+    assert np.abs(paths[0] - paths[1]).max() < 5e-4 * abs(start)
 
 
-def test_divergence_is_not_silent_while_numbers_are_finite():
-    """One iteration is too few for this step without damping: the tip would leave by lengths."""
+def test_divergence_with_finite_numbers_is_an_error():
+    """One iteration is too few for this step without damping: the tip would move by rod lengths."""
     undamped = Material(1e7, 1e7 / 3, 1200.0, 0.0)
     rod = CosseratRod(undamped, LEG, 6, shear=False, scheme=Scheme(iterations=1))
     rod.solve_static(Loads(force=(0.0, -1.0)))
@@ -463,7 +463,7 @@ def test_divergence_is_not_silent_while_numbers_are_finite():
 
 
 @pytest.mark.parametrize(("iterations", "unconverged"), [(1, 50), (20, 0)])
-def test_steps_that_newton_did_not_finish_are_counted(iterations, unconverged):
+def test_unconverged_steps_are_counted(iterations, unconverged):
     rod = CosseratRod(TPU, LEG, 4, scheme=Scheme(iterations=iterations))
     rod.run(1e-3, 50, Loads(force=(0.0, 0.5)))
     assert rod.unconverged == unconverged
@@ -491,14 +491,14 @@ def test_steps_that_newton_did_not_finish_are_counted(iterations, unconverged):
         ),
     ],
 )
-def test_nonsense_is_refused_by_name(act, rule):
+def test_invalid_arguments_are_refused_by_name(act, rule):
     with pytest.raises(RodError, match=rule):
         act()
 
 
-def test_guided_end_carries_twelve_times_a_cantilevers_quarter():
-    """Clamped, and guided at the tip: deflection P L^3 / (12 EI)."""
+def test_guided_tip_deflects_by_a_twelfth_of_the_unit_load():
+    """Clamped at the base, guided at the tip: deflection P L^3 / (12 EI)."""
     rod = slender(tip=Support(x=False, y=False, angle=True))
-    push = 1e-5
-    rod.solve_static(Loads(force=(0.0, push)))
-    assert rod.state.pose[-1, 1] == pytest.approx(push / 12, rel=2e-6)  # shear off: 12e-7
+    force = 1e-5
+    rod.solve_static(Loads(force=(0.0, force)))
+    assert rod.state.pose[-1, 1] == pytest.approx(force / 12, rel=2e-6)  # shear off: 12e-7

@@ -1,1 +1,1 @@
-"""The public Cosserat rod: statics, vibration and motion, for use without the robot."""
+"""A public planar Cosserat rod, usable without the robot: statics, vibration and motion."""

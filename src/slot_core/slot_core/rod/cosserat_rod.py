@@ -1,4 +1,4 @@
-"""A planar Cosserat rod on its own: statics, vibration and motion.
+"""Planar Cosserat rod: statics, natural frequencies and motion, independent of the robot.
 
     leg = Geometry(0.2, Rectangle(0.02, (8e-3, 4e-3)))
     rod = CosseratRod(Material(1e7, 4e6, 1200.0, 5e-4), leg)
@@ -6,8 +6,8 @@
     for _ in range(1000):
         rod.step(1e-3)
 
-Elements are quadratic with two Gauss's points and lumped masses: errors fall with the fourth power
-of their size. Elements, tangent and elimination are in `kernels`.
+The elements are quadratic, with two Gauss points and lumped masses; the error falls with the fourth
+power of the element size. Elements, tangent and elimination are in `kernels.py`.
 """
 
 from __future__ import annotations
@@ -38,21 +38,24 @@ STATICS = StaticSettings()
 
 
 class DivergenceError(ArithmeticError):
-    """The motion diverged: Newton ended beyond a length, a radian or all numbers."""
+    """The motion diverged: the last Newton increment is not finite or above 1 rad or rod length."""
 
 
 @dataclass(frozen=True)
 class Scheme:
-    """Theta scheme: forces at t + theta h. 1/2 is the implicit midpoint rule.
+    """Theta time integration: forces are evaluated at t + theta h.
 
-    The midpoint rule is of second order and keeps linear and angular momentum, up to `tolerance`;
-    energy is not kept but, where the step resolves the motion, oscillates about its value. Above
-    1/2 the scheme is of first order and takes energy out of what the step does not resolve.
+    theta = 1/2 is the implicit midpoint rule. It is of second order and conserves linear and
+    angular momentum up to `tolerance`. It does not conserve energy: where the step resolves the
+    motion, the energy oscillates about its initial value. Above 1/2 the scheme is of first order
+    and damps motion that the step does not resolve.
+
+    Raises RodError for theta outside of 0.5 .. 1 or fewer than one iteration.
     """
 
     theta: float = 0.5
-    iterations: int = 20  # at most, of Newton's method
-    tolerance: float = 1e-9  # of the last increment, rad and lengths
+    iterations: int = 20  # of Newton's method, at most
+    tolerance: float = 1e-9  # of Newton's last increment, in rad and rod lengths
 
     def __post_init__(self) -> None:
         if not 0.5 <= self.theta <= 1.0:
@@ -66,7 +69,7 @@ MIDPOINT = Scheme()
 
 @dataclass(frozen=True)
 class RodState:
-    """Poses (n, 3) in m, m, rad and velocities (n, 3) of the nodes."""
+    """Poses (n, 3), m, m, rad, and velocities (n, 3), m/s, m/s, rad/s, of the nodes."""
 
     pose: Array
     velocity: Array
@@ -74,7 +77,7 @@ class RodState:
 
 @dataclass(frozen=True)
 class Energy:
-    """J; potential is that of gravity and dead loads, with its zero at the origin."""
+    """Energies, J. The potential is that of gravity and dead loads, zero at the origin."""
 
     kinetic: float
     elastic: float
@@ -82,18 +85,21 @@ class Energy:
 
     @property
     def total(self) -> float:
-        """J."""
+        """Sum of the three, J."""
         return self.kinetic + self.elastic + self.potential
 
 
 class CosseratRod:
-    """A planar geometrically exact rod with stretch, bending and, unless switched off, shear.
+    """Planar geometrically exact rod with stretch, bending and, optionally, shear.
 
-    `elements` is any number from 1 on; the rod has 2 elements + 1 nodes. `pose` (x, y, angle) is
-    where its base lies and `shear`, `rotary_inertia` say what the sections can do. The rod begins
-    at rest in its natural shape. No step allocates memory.
+    elements: number of elements, at least 1; the rod has 2 elements + 1 nodes.
+    base, tip: supports of the ends.
+    pose: (x, y, angle) of the base, m, m, rad.
+    shear, rotary_inertia: whether the sections shear and have a moment of inertia.
 
-    Raises RodError for a description that no rod fulfils.
+    The rod starts at rest in its natural shape. A step allocates no memory.
+
+    Raises RodError for invalid material, geometry or number of elements.
     """
 
     def __init__(  # noqa: PLR0917
@@ -116,7 +122,7 @@ class CosseratRod:
         self._target = self._work.pose[[0, -1]].copy()
         self._loads: Loads | None = None
         self._load, self._follower = np.zeros_like(self.mesh.natural), np.zeros(2)
-        self._nothing = np.zeros((0, 3))
+        self._no_record = np.zeros((0, 3))
 
     @property
     def nodes(self) -> int:
@@ -130,7 +136,7 @@ class CosseratRod:
 
     @property
     def mass(self) -> Array:
-        """(n, 3) kg, kg, kg m^2 of the nodes."""
+        """(n, 3) lumped masses of the nodes, kg, kg, kg m^2."""
         return self.mesh.mass.copy()
 
     @property
@@ -148,7 +154,7 @@ class CosseratRod:
             own[:] = given
         self._work.stage[:] = self._work.pose
         kernels.stress_of(self.mesh, self._work)
-        self._take(NO_LOADS)
+        self._apply(NO_LOADS)
         self._target[:] = self._work.pose[[0, -1]]
 
     def step(
@@ -158,22 +164,27 @@ class CosseratRod:
         base: tuple[float, float, float] | None = None,
         tip: tuple[float, float, float] | None = None,
     ) -> None:
-        """Go on by h (s) under loads; held parts of the ends move to the poses base and tip.
+        """Advance the motion by h (s) under loads.
 
-        A held part moves at constant rate within the step. Without a pose it stays where it is.
-        Raises DivergenceError, and RodError for a step or pose that is not a number.
+        base, tip: poses (x, y, angle), m, m, rad, that the supported components of the ends reach
+        at the end of the step, at a constant rate. Without a pose they stay in place.
+
+        Raises DivergenceError, and RodError for a step, load or pose that is not finite or for a
+        step that is not above 0.
         """
         for end, pose in ((0, base), (1, tip)):
             if pose is not None:
                 if not all(math.isfinite(part) for part in pose):
                     raise RodError(f"pose {pose} must be finite")
                 self._target[end] = pose
-        self._run(h, 1, loads, self._nothing)
+        self._run(h, 1, loads, self._no_record)
 
     def run(self, h: float, steps: int, loads: Loads = NO_LOADS, samples: int = 0) -> Array:
-        """Take equal steps with held ends at rest; (samples, 3) poses of the tip, evenly spaced.
+        """Advance by `steps` equal steps of h (s) with the supports at rest, in a compiled loop.
 
-        The loop is compiled. Raises DivergenceError as `step` does.
+        Returns (samples, 3) poses of the tip at evenly spaced times, the last at the end.
+
+        Raises RodError where `samples` does not divide `steps`, and the errors of `step`.
         """
         if samples and steps % samples:
             raise RodError(f"samples {samples} must divide steps {steps}")
@@ -184,17 +195,19 @@ class CosseratRod:
     def solve_static(
         self, loads: Loads = NO_LOADS, settings: StaticSettings = STATICS
     ) -> Equilibrium:
-        """Move the rod to its equilibrium under loads, from the present ones to these in steps.
+        """Move the rod to its equilibrium under loads, by continuation from the present loads.
 
-        The present loads are those of the last step or equilibrium (none at first, or after the
-        state was set), under which the rod is to be near an equilibrium. Raises EquilibriumError,
-        which holds the last load factor reached; the rod then stands there. Raises RodError where
-        `stay_stable` meets a follower force: without an energy there is no way down.
+        The present loads are those of the last step or equilibrium; they are zero at first and
+        after the state was set. The rod must be near an equilibrium under them.
+
+        Raises EquilibriumError with the last load factor that was reached; the rod is then in that
+        equilibrium. Raises RodError for `stay_stable` with a follower force, which has no potential
+        to descend.
         """
         if settings.stay_stable and any(loads.follower):
             raise RodError("stay_stable needs loads with a potential, not a follower force")
         work, begin = self._work, RodLoads(self._load.copy(), self._follower.copy())
-        self._take(loads)
+        self._apply(loads)
         end = RodLoads(self._load.copy(), self._follower.copy())
         work.stage[:] = work.pose
         reached = 1.0
@@ -207,15 +220,15 @@ class CosseratRod:
             work.pose[:] = work.stage
             work.velocity[:] = 0.0
             self._target[:] = work.pose[[0, -1]]
-            self._put(begin.toward(end, reached), loads if reached == 1.0 else None)
+            self._set(begin.toward(end, reached), loads if reached == 1.0 else None)
 
     def energy(self, loads: Loads = NO_LOADS) -> Energy:
-        """Kinetic, elastic and potential energy, J."""
+        """Kinetic, elastic and potential energy of the present state under loads, J."""
         pose, velocity = self._work.pose, self._work.velocity
         return Energy(
             kinetic=float((self.mesh.mass * velocity**2).sum() / 2),
             elastic=float(kernels.elastic_energy(self.mesh, pose)),
-            potential=-float((self._numbers(loads).dead * pose).sum()),
+            potential=-float((self._nodal(loads).dead * pose).sum()),
         )
 
     def momentum(self) -> tuple[float, float, float]:
@@ -226,25 +239,26 @@ class CosseratRod:
         return float(p[:, 0].sum()), float(p[:, 1].sum()), float(angular)
 
     def tangent(self, loads: Loads = NO_LOADS) -> Array:
-        """Stiffness (3 n, 3 n) of the nodes' x, y, angle at the present poses; held parts too."""
+        """(3 n, 3 n) tangent stiffness over the nodes' x, y, angle, supported ones included."""
         self._work.stage[:] = self._work.pose
         kernels.stress_of(self.mesh, self._work)
         matrix = np.zeros((3 * self.nodes, 3 * self.nodes))
-        kernels.dense(self.mesh, self._work, *self._numbers(loads), matrix)
+        kernels.dense(self.mesh, self._work, *self._nodal(loads), matrix)
         return matrix
 
     def free_unknowns(self) -> NDArray[np.intp]:
-        """Indices of the unknowns that no support holds."""
+        """Indices of the unknowns that no support prescribes."""
         held = np.zeros((self.nodes, 3), dtype=bool)
         held[[0, -1]] = self.mesh.held
         return np.flatnonzero(~held.ravel())
 
     def natural_frequencies(self, count: int, loads: Loads = NO_LOADS) -> Array:
-        """Lowest frequencies (count,) in Hz about the present poses, without damping.
+        """Lowest undamped natural frequencies (count,), Hz, about the present poses.
 
-        K x = (2 pi f)^2 M x on the free unknowns. Where the state is unstable, growth rates over
-        2 pi come first, with a negative sign. Raises RodError for a follower force, whose K is not
-        symmetric; use `tangent` there.
+        Solves K x = (2 pi f)^2 M x on the free unknowns. In an unstable state the growth rates over
+        2 pi come first, with a negative sign.
+
+        Raises RodError for a follower force, whose K is not symmetric; use `tangent` there.
         """
         if any(loads.follower):
             raise RodError("natural frequencies need loads with a potential, not a follower force")
@@ -252,8 +266,8 @@ class CosseratRod:
         stiffness = self.tangent(loads)[np.ix_(free, free)]
         mass = np.diag(self.mesh.mass.ravel()[free])
         metric = np.diag(self.mesh.metric.ravel()[free])
-        # M x = mu (K + a M) x has its largest mu at the lowest frequencies, where they are exact,
-        # and takes angles without inertia.
+        # M x = mu (K + a M) x: the lowest frequencies have the largest mu, which are the most
+        # accurate, and angles without inertia are allowed.
         shift = 1e-3 * stiffness.trace() / metric.trace() / len(free) ** 3
         while True:
             try:
@@ -267,7 +281,7 @@ class CosseratRod:
     def _run(self, h: float, steps: int, loads: Loads, record: Array) -> None:
         if not 0.0 < h < math.inf:
             raise RodError(f"step {h} must be above 0 and finite")
-        self._take(loads)
+        self._apply(loads)
         scheme = self.scheme
         done = kernels.run(
             self.mesh, self._work, self._load, self._follower, self._target, h,
@@ -282,12 +296,13 @@ class CosseratRod:
                 f"(h = {h:g} s), largest change at node {node}"
             )
 
-    def _take(self, loads: Loads) -> None:
-        """Make loads the present ones, unless they are so already."""
+    def _apply(self, loads: Loads) -> None:
+        """Set the present loads, unless they are set already."""
         if loads is not self._loads:
-            self._put(self._numbers(loads), loads)
+            self._set(self._nodal(loads), loads)
 
-    def _numbers(self, loads: Loads) -> RodLoads:
+    def _nodal(self, loads: Loads) -> RodLoads:
+        """Loads at the nodes; raises RodError for a load that is not finite."""
         values = (*loads.gravity, *loads.force, loads.moment, *loads.follower)
         if not all(math.isfinite(value) for value in values):
             raise RodError(f"{loads} must be finite")
@@ -296,14 +311,14 @@ class CosseratRod:
         dead[-1] += (*loads.force, loads.moment)
         return RodLoads(dead, np.asarray(loads.follower, dtype=np.float64))
 
-    def _put(self, push: RodLoads, loads: Loads | None) -> None:
-        """Take loads that are numbers already."""
-        self._load[:], self._follower[:] = push
+    def _set(self, nodal: RodLoads, loads: Loads | None) -> None:
+        """Set the present loads from nodal loads."""
+        self._load[:], self._follower[:] = nodal
         self._loads = loads
 
 
 def _moved(shape: Array, pose: tuple[float, float, float]) -> Array:
-    """A shape (n, 3) from the origin along x, moved to a pose."""
+    """Shape (n, 3), given from the origin along x, moved to a pose (x, y, angle)."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     turned = shape[:, :2] @ np.array([[c, s], [-s, c]])
     return np.column_stack([turned + pose[:2], shape[:, 2] + pose[2]])

@@ -1,21 +1,22 @@
-"""Elements, elimination and time step of the planar Cosserat rod.
+"""Compiled kernels of the planar Cosserat rod: elements, block elimination, time step.
 
-Geometrically exact rod after Reissner (1972) and Simo (1985). With t = (cos a, sin a) and
-d = (-sin a, cos a) of the section's angle a, the strains are t.r', d.r' and a'; less their natural
-values they give the normal force N, shear force Q and moment M by EA, kappa GA and EI. With
-f = N t + Q d the elements' gradient is, over two Gauss's points of weight w,
+Geometrically exact rod after Reissner (1972) and Simo (1985). With the section's angle a,
+t = (cos a, sin a) and d = (-sin a, cos a), the strains are t.r', d.r' and a'. Their differences
+from the natural values, times EA, kappa GA and EI, are the normal force N, the shear force Q and
+the moment M. With f = N t + Q d, the gradient of the energy over two Gauss points of weight w is
 
-    dE = sum w ( f.dr' + (N d.r' - Q t.r') da + M da' ),
+    dE = sum w ( f.dr' + (N d.r' - Q t.r') da + M da' ).
 
-and Kelvin-Voigt damping adds beta times the strains' rates. The tangent of one element is 9 x 9;
-elimination goes from base to tip, six unknowns an element, so that the unsymmetric term of a
-follower force at the tip only meets the last 3 x 3 block. A negative pivot says that the tangent is
-not positive: below each the rod could move without being pushed.
+Kelvin-Voigt damping adds beta times the strain rates to the strains. An element's tangent is
+9 x 9. The elimination goes from base to tip, six unknowns an element, so that the unsymmetric term
+of a follower force at the tip enters the last 3 x 3 block alone. A negative pivot means that the
+tangent is not positive definite: the number of negative pivots is the number of unstable
+directions.
 
-N and Q are unknowns of their own at Gauss's points and enter the geometric stiffness (mixed
+N and Q are independent unknowns at the Gauss points and enter the geometric stiffness (mixed
 integration points; Magisano, Leonetti, Garcea 2017). The solution is the same, but Newton's method
-reaches it in fewer steps and from farther where stretch and shear are much stiffer than bending;
-without this it fails where shear is switched off.
+converges in fewer iterations and from farther away where stretch and shear are much stiffer than
+bending; without this it fails where shear is switched off.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -35,27 +36,27 @@ from slot_core.rod.model import SHAPE, Mesh
 NODES = ((float(SHAPE[0, 0]), float(SHAPE[0, 1]), float(SHAPE[0, 2])),
          (float(SHAPE[1, 0]), float(SHAPE[1, 1]), float(SHAPE[1, 2])))  # fmt: skip
 
-LARGEST_INCREMENT = 1.0  # lengths and rad; a step that ends with more has diverged
+LARGEST_INCREMENT = 1.0  # rod lengths and rad; a step that ends with more has diverged
 
 
 class RodWork(NamedTuple):
-    """State and scratch space of a rod: no step allocates memory."""
+    """State and scratch arrays of a rod, allocated once."""
 
     pose: Array  # (n, 3) m, m, rad
-    velocity: Array  # (n, 3)
-    stage: Array  # (n, 3) pose at the stage
+    velocity: Array  # (n, 3) m/s, m/s, rad/s
+    stage: Array  # (n, 3) pose at the stage t + theta h
     speed: Array  # (n, 3) V, velocity at the stage
-    change: Array  # (n, 3) Newton's increment
-    factor: Array  # (E, 9, 10) tangent | -gradient of the elements, then their elimination
-    last: Array  # (3, 4) the same of the last node
-    unknowns: Array  # (3 n,) the memory of change
-    measure: Array  # (E, 2, 6) cos, sin, t.r', d.r' at the stage, N and Q of these times weight
-    stress: Array  # (E, 2, 2) N and Q, times weight
+    change: Array  # (n, 3) Newton increment
+    factor: Array  # (E, 9, 10) tangent | -gradient of the elements, factorised in place
+    last: Array  # (3, 4) the same of the tip node
+    unknowns: Array  # (3 n,) view of change
+    measure: Array  # (E, 2, 6) cos, sin, t.r', d.r' at the stage; their N and Q times weight
+    stress: Array  # (E, 2, 2) independent N and Q, times weight
     unconverged: Array  # (1,) steps whose last increment was above the tolerance
 
 
 def work_space(mesh: Mesh) -> RodWork:
-    """A rod at rest in its natural shape."""
+    """Work arrays of a rod at rest in its natural shape."""
     elements, nodes = len(mesh.axial), len(mesh.natural)
     change = np.zeros((nodes, 3))
     return RodWork(
@@ -75,7 +76,7 @@ def work_space(mesh: Mesh) -> RodWork:
 
 @helper
 def strain(mesh, q, k, g):
-    """cos, sin of the angle and the strains t.r', d.r', a' at Gauss's point g from node k on."""
+    """cos, sin of the angle, strains t.r', d.r', a' at Gauss point g; the element starts at k."""
     n, p = NODES[g], mesh.slope[g]
     x = p[0] * q[k, 0] + p[1] * q[k + 1, 0] + p[2] * q[k + 2, 0]
     y = p[0] * q[k, 1] + p[1] * q[k + 1, 1] + p[2] * q[k + 2, 1]
@@ -87,7 +88,7 @@ def strain(mesh, q, k, g):
 
 @helper
 def strain_rate(mesh, v, k, g, c, s, along, across):
-    """Rates of the three strains at the velocities or increments v."""
+    """Rates of the three strains under the velocities or increments v."""
     n, p = NODES[g], mesh.slope[g]
     x = p[0] * v[k, 0] + p[1] * v[k + 1, 0] + p[2] * v[k + 2, 0]
     y = p[0] * v[k, 1] + p[1] * v[k + 1, 1] + p[2] * v[k + 2, 1]
@@ -98,9 +99,9 @@ def strain_rate(mesh, v, k, g, c, s, along, across):
 
 @helper
 def point(mesh, work, e, g, inv):
-    """Gradient (x, y, a, a') and tangent (xx, xy, yy, xa, ya, aa, a'a') at Gauss's point g.
+    """Gradient (x, y, a, a') and tangent (xx, xy, yy, xa, ya, aa, a'a') at Gauss point g.
 
-    Keeps in work.measure what `_restress` needs of it.
+    inv is 1 / (theta h), and 0 in statics. Writes work.measure for `_update_stress`.
     """
     beta, viscous = mesh.damping_time, 1.0 + mesh.damping_time * inv
     c, s, along, across, bend = strain(mesh, work.stage, 2 * e, g)
@@ -129,10 +130,10 @@ def point(mesh, work, e, g, inv):
 
 @helper
 def element(mesh, work, e, inv, F):
-    """Tangent (upper half) and negative gradient of element e into F (9, 10).
+    """Write the tangent (upper half) and the negative gradient of element e to F (9, 10).
 
-    Nodes a, b; both Gauss's points at once: p, q are slopes and n, m shape functions at the one and
-    the other, as f, g and h, k are gradients and tangents.
+    a and b are nodes. At the first and the second Gauss point: p and q are slopes, n and m shape
+    functions, f and g gradients, h and k tangents.
     """
     f, h = point(mesh, work, e, 0, inv)
     g, k = point(mesh, work, e, 1, inv)
@@ -158,17 +159,17 @@ def element(mesh, work, e, inv, F):
 
 @helper
 def node(mesh, work, load, i, inv, shift, F, row):
-    """Add inertia, loads and shift of node i to the diagonal and the last column of F."""
+    """Add inertia, shift and loads of node i to the diagonal and the last column of F."""
     for c in range(3):
         mass = mesh.mass[i, c] * inv
         F[row + c, row + c] += mass * inv + shift * mesh.metric[i, c]
-        push = load[i, c] - mass * (work.speed[i, c] - work.velocity[i, c])
-        F[row + c, F.shape[1] - 1] += push
+        force = load[i, c] - mass * (work.speed[i, c] - work.velocity[i, c])
+        F[row + c, F.shape[1] - 1] += force
 
 
 @helper
-def hold(held, F, rows):
-    """Take the held unknowns among the first three out of F."""
+def prescribe(held, F, rows):
+    """Replace the equations of the prescribed unknowns among the first three of F by x = 0."""
     for c in range(3):
         if held[c]:
             for j in range(F.shape[1]):
@@ -180,10 +181,10 @@ def hold(held, F, rows):
 
 @helper
 def eliminate(mesh, work, load, follower, inv, shift):
-    """Eliminate all unknowns from base to tip; returns the number of negative pivots.
+    """Factorise the tangent from base to tip; returns the number of negative pivots.
 
-    Every pivot waits for the one before. Elements do not, so they are assembled beforehand: the
-    processor then works on several at once.
+    Each pivot depends on the one before. The elements are independent and are therefore assembled
+    first, which lets the processor work on several at once.
     """
     negative, elements = 0, mesh.axial.shape[0]
     for e in range(elements):
@@ -199,7 +200,7 @@ def eliminate(mesh, work, load, follower, inv, shift):
         node(mesh, work, load, 2 * e, inv, shift, F, 0)
         node(mesh, work, load, 2 * e + 1, inv, shift, F, 3)
         if e == 0:
-            hold(mesh.held[0], F, 9)
+            prescribe(mesh.held[0], F, 9)
         for i in range(6):
             negative += F[i, i] < 0.0
             pivot = 1.0 / F[i, i]
@@ -213,7 +214,7 @@ def eliminate(mesh, work, load, follower, inv, shift):
 
 @helper
 def _last(mesh, work, load, follower, inv, shift):
-    """The tip's block, with the follower force, which is not symmetric."""
+    """Factorise the tip's block with the unsymmetric term of the follower force."""
     F, before = work.last, work.factor[-1]
     tip = work.stage.shape[0] - 1
     for i in range(3):
@@ -225,7 +226,7 @@ def _last(mesh, work, load, follower, inv, shift):
     fx, fy = c * follower[0] - s * follower[1], s * follower[0] + c * follower[1]
     F[0, 3], F[1, 3] = F[0, 3] + fx, F[1, 3] + fy
     F[0, 2], F[1, 2] = F[0, 2] + fy, F[1, 2] - fx
-    hold(mesh.held[1], F, 3)
+    prescribe(mesh.held[1], F, 3)
     negative = 0
     for i in range(3):
         negative += F[i, i] < 0.0
@@ -239,7 +240,7 @@ def _last(mesh, work, load, follower, inv, shift):
 
 @helper
 def substitute(mesh, work):
-    """Newton's increment into work.change; returns its largest entry, positions per length."""
+    """Write the Newton increment to work.change; returns its largest entry, rad or rod lengths."""
     x, F, tip = work.unknowns, work.last, work.unknowns.size - 3
     for i in range(2, -1, -1):
         value = F[i, 3]
@@ -250,7 +251,7 @@ def substitute(mesh, work):
         F, k = work.factor[e], 6 * e
         for i in range(5, -1, -1):
             value = F[i, 9]
-            for j in range(8, i, -1):  # the newest last: it is waited for
+            for j in range(8, i, -1):  # the newest entry last: it is available last
                 value -= F[i, j] * x[k + j]
             x[k + i] = value * F[i, i]
     return _largest(work.change, 1.0 / mesh.length)
@@ -258,7 +259,7 @@ def substitute(mesh, work):
 
 @helper
 def _largest(change, scale):
-    """Largest entry, positions times scale; NaN where there is one."""
+    """Largest absolute entry, positions times scale; NaN if any entry is NaN."""
     largest = 0.0
     for i in range(change.shape[0]):
         for c in range(3):
@@ -271,21 +272,24 @@ def _largest(change, scale):
 
 @helper
 def advance(mesh, work, load, follower, target, h, theta, iterations, tolerance):
-    """One step; returns the largest entry of the last Newton increment."""
+    """One step of the theta scheme; returns the largest entry of the last Newton increment.
+
+    The Newton iteration starts from the velocity of the step before.
+    """
     q, v, stage, speed = work.pose, work.velocity, work.stage, work.speed
     reach, nodes = theta * h, q.shape[0]
     inv, size = 1.0 / reach, 0.0
     for i in range(nodes):
         for c in range(3):
             speed[i, c] = v[i, c]
-    _lead(mesh, q, speed, target, h)
+    _drive_supports(mesh, q, speed, target, h)
     for i in range(nodes):
         for c in range(3):
             stage[i, c] = q[i, c] + reach * speed[i, c]
     for _ in range(iterations):
         eliminate(mesh, work, load, follower, inv, 0.0)
         size = substitute(mesh, work)
-        _restress(mesh, work, inv)
+        _update_stress(mesh, work, inv)
         for i in range(nodes):
             for c in range(3):
                 stage[i, c] += work.change[i, c]
@@ -295,15 +299,15 @@ def advance(mesh, work, load, follower, target, h, theta, iterations, tolerance)
     for i in range(nodes):
         for c in range(3):
             q[i, c] += h * speed[i, c]
-            beyond = 1.0 / theta if mesh.mass[i, c] > 0.0 else 1.0
-            v[i, c] += (speed[i, c] - v[i, c]) * beyond
-    _keep(mesh, v, speed)
+            factor = 1.0 / theta if mesh.mass[i, c] > 0.0 else 1.0
+            v[i, c] += (speed[i, c] - v[i, c]) * factor
+    _support_velocity(mesh, v, speed)
     return size
 
 
 @helper
-def _lead(mesh, q, speed, target, h):
-    """Velocities that bring the held parts of the ends to their targets (2, 3)."""
+def _drive_supports(mesh, q, speed, target, h):
+    """Set the velocities that move the supported components to their targets (2, 3) within h."""
     for end in range(2):
         i = end * (q.shape[0] - 1)
         for c in range(3):
@@ -312,8 +316,8 @@ def _lead(mesh, q, speed, target, h):
 
 
 @helper
-def _keep(mesh, v, speed):
-    """Held parts have the velocity of the step: they are not extrapolated."""
+def _support_velocity(mesh, v, speed):
+    """Set supported components to the velocity of the stage, without extrapolation."""
     for end in range(2):
         i = end * (v.shape[0] - 1)
         for c in range(3):
@@ -323,10 +327,10 @@ def _keep(mesh, v, speed):
 
 @kernel
 def run(mesh, work, load, follower, target, h, theta, iterations, tolerance, steps, record):
-    """Step `steps` times and write the tip's poses to record (m, 3), every steps/m steps.
+    """Advance `steps` steps; writes the tip's pose to record (m, 3) every steps/m steps.
 
-    Returns the steps done: fewer than `steps` where Newton's last increment was not finite or above
-    a length or a radian.
+    Returns the number of steps done. It is less than `steps` where the last Newton increment of a
+    step was not finite or above LARGEST_INCREMENT.
     """
     every = max(1, steps // max(1, record.shape[0]))
     for n in range(steps):
@@ -342,9 +346,10 @@ def run(mesh, work, load, follower, target, h, theta, iterations, tolerance, ste
 
 @kernel
 def equilibrium(mesh, work, load, follower, shift, iterations, tolerance):
-    """Newton's method from work.stage; returns (last increment, negative pivots, iterations).
+    """Newton's method for an equilibrium, from work.stage.
 
-    `shift` > 0 is one damped step after another instead: the tangent plus shift times a metric.
+    With shift > 0 the tangent is augmented by shift times the metric: the iterations are then
+    damped steps. Returns (largest entry of the last increment, negative pivots, iterations).
     """
     size, negative = math.inf, 0
     for n in range(iterations):
@@ -352,7 +357,7 @@ def equilibrium(mesh, work, load, follower, shift, iterations, tolerance):
         size = substitute(mesh, work)
         if not size < math.inf:
             return size, negative, n + 1
-        _restress(mesh, work, 0.0)
+        _update_stress(mesh, work, 0.0)
         for i in range(work.stage.shape[0]):
             for c in range(3):
                 work.stage[i, c] += work.change[i, c]
@@ -363,7 +368,7 @@ def equilibrium(mesh, work, load, follower, shift, iterations, tolerance):
 
 @kernel
 def stress_of(mesh, work):
-    """N and Q of the poses work.stage."""
+    """Set the independent N and Q to those of the poses work.stage."""
     for e in range(mesh.axial.shape[0]):
         for g in range(2):
             point(mesh, work, e, g, 0.0)
@@ -374,8 +379,8 @@ def stress_of(mesh, work):
 
 
 @helper
-def _restress(mesh, work, inv):
-    """Carry N and Q along Newton's increment: stiffness times the linearised strains."""
+def _update_stress(mesh, work, inv):
+    """Update N and Q by the Newton increment: stiffness times the linearised strains."""
     viscous = 1.0 + mesh.damping_time * inv
     for e in range(mesh.axial.shape[0]):
         for g in range(2):
@@ -387,7 +392,7 @@ def _restress(mesh, work, inv):
 
 @kernel
 def dense(mesh, work, load, follower, matrix):
-    """Tangent of the rod at work.stage into matrix (3 n, 3 n), held unknowns included."""
+    """Write the tangent at work.stage to matrix (3 n, 3 n), supported unknowns included."""
     matrix[:] = 0.0
     F = work.factor[0]
     for e in range(mesh.axial.shape[0]):
@@ -403,7 +408,7 @@ def dense(mesh, work, load, follower, matrix):
 
 @kernel
 def elastic_energy(mesh, pose):
-    """J."""
+    """Elastic energy of poses (n, 3), J."""
     total = 0.0
     for e in range(mesh.axial.shape[0]):
         for g in range(2):

@@ -1,8 +1,9 @@
-"""What a rod is made of: material, section, supports and loads, and its quadratic elements.
+"""Description of a rod (material, section, supports, loads) and its quadratic elements.
 
-The plane has axes x and y. A rod of length L is clamped, pinned or free at its base (s = 0) and its
-tip (s = L). Its nodes lie at equal arc length, two per element and one more; node k has the
-pose (x, y, angle) with the angle of the section's normal, which is the tangent where shear is off.
+The rod lies in the plane of x and y. It has the length L, its base at s = 0 and its tip at s = L,
+and a support at each. E elements have 2 E + 1 nodes at equal distances of arc length. The pose of a
+node is (x, y, angle), with the angle of the section's normal, which is the tangent where shear is
+off.
 """
 
 from __future__ import annotations
@@ -16,12 +17,13 @@ import numpy as np
 
 from slot_core.robot import Array
 
-# Shear is switched off by a stiffness G A = 1e7 EI / L^2: a cantilever's tip then moves by 3e-7 of
-# its bending more than it should. Of a stiffer one the pivots keep fewer digits (1e8: four). It is
-# damped like all else: undamped, single Newton iterations would feed its fast vibration.
+# Shear is switched off by a shear stiffness of 1e7 EI / L^2. The tip of a cantilever then moves by
+# 3e-7 of its bending too far. A stiffer one leaves fewer digits in the pivots (1e8: four). It is
+# damped like the other strains: without damping, single Newton iterations would excite its fast
+# vibration.
 RIGID_IN_SHEAR = 1e7
 
-# Quadratic shape functions of nodes -1, 0, 1 at Gauss's points -1/sqrt(3), 1/sqrt(3), and their
+# Quadratic shape functions of nodes -1, 0, 1 at the Gauss points -1/sqrt(3), 1/sqrt(3), and their
 # derivatives: two points integrate a quadratic element without locking and to fourth order.
 GAUSS = 1.0 / math.sqrt(3.0)
 SHAPE = np.array([[(x * x - x) / 2, 1 - x * x, (x * x + x) / 2] for x in (-GAUSS, GAUSS)])
@@ -29,14 +31,14 @@ SLOPE = np.array([[x - 0.5, -2 * x, x + 0.5] for x in (-GAUSS, GAUSS)])
 
 
 class RodError(ValueError):
-    """A description that no rod fulfils; names rule, value and limit."""
+    """Invalid argument of a rod; the message names the quantity, its value and the limit."""
 
 
 @dataclass(frozen=True)
 class Material:
-    """A Kelvin-Voigt material.
+    """Kelvin-Voigt material: stress = modulus (strain + damping_time d(strain)/dt), all strains.
 
-    damping_time is beta: stress follows strain + beta d(strain)/dt, in all strains alike.
+    Raises RodError for values that are not finite or not positive (damping_time: negative).
     """
 
     young_modulus: float  # Pa
@@ -52,22 +54,25 @@ class Material:
 
 
 class Section(Protocol):
-    """A cross-section along the rod; fraction is s / L."""
+    """Cross-section along the rod, over the fraction s / L."""
 
     @property
     def shear_factor(self) -> float:
-        """Timoshenko's coefficient: shear force = factor G A times shear."""
+        """Timoshenko's shear coefficient kappa: shear force = kappa G A times shear strain."""
 
     def area(self, fraction: Array) -> Array:
-        """m^2."""
+        """Area, m^2."""
 
     def second_moment(self, fraction: Array) -> Array:
-        """m^4, for bending in the plane."""
+        """Second moment of area for bending in the plane, m^4."""
 
 
 @dataclass(frozen=True)
 class Rectangle:
-    """A width across the plane and a thickness in it that changes linearly from base to tip."""
+    """Rectangle: constant width across the plane, thickness linear from base to tip.
+
+    Raises RodError for dimensions that are not positive and finite.
+    """
 
     width: float  # m
     thickness: tuple[float, float]  # m, at base and tip
@@ -79,11 +84,11 @@ class Rectangle:
         _need_finite(self.width, *self.thickness)
 
     def area(self, fraction: Array) -> Array:
-        """m^2."""
+        """Area, m^2."""
         return self.width * self._thickness(fraction)
 
     def second_moment(self, fraction: Array) -> Array:
-        """m^4."""
+        """Second moment of area, m^4."""
         return self.width * self._thickness(fraction) ** 3 / 12
 
     def _thickness(self, fraction: Array) -> Array:
@@ -92,7 +97,10 @@ class Rectangle:
 
 @dataclass(frozen=True)
 class Circle:
-    """A full circle whose diameter changes linearly from base to tip."""
+    """Solid circle, diameter linear from base to tip.
+
+    Raises RodError for diameters that are not positive and finite.
+    """
 
     diameter: tuple[float, float]  # m, at base and tip
     shear_factor: float = 0.9
@@ -102,11 +110,11 @@ class Circle:
         _need_finite(*self.diameter)
 
     def area(self, fraction: Array) -> Array:
-        """m^2."""
+        """Area, m^2."""
         return math.pi / 4 * self._diameter(fraction) ** 2
 
     def second_moment(self, fraction: Array) -> Array:
-        """m^4."""
+        """Second moment of area, m^4."""
         return math.pi / 64 * self._diameter(fraction) ** 4
 
     def _diameter(self, fraction: Array) -> Array:
@@ -115,7 +123,10 @@ class Circle:
 
 @dataclass(frozen=True)
 class Geometry:
-    """Length, section and natural curvature (1/m, a number or a function of s in m)."""
+    """Length, section and natural curvature of a rod.
+
+    curvature: 1/m, a number or a function of s (m). Raises RodError for an invalid length.
+    """
 
     length: float  # m
     section: Section
@@ -126,9 +137,10 @@ class Geometry:
         _need_finite(self.length)
 
     def natural_shape(self, nodes: int) -> Array:
-        """(nodes, 3) stress-free poses from the origin along x: angle' = curvature, r' = tangent.
+        """(nodes, 3) stress-free poses, m, m, rad, from the origin along x.
 
-        Gauss's rule on each interval, and on parts of it for the angle at its points: exact but for
+        Integrates angle' = curvature and r' = (cos angle, sin angle) with Gauss's rule on each
+        interval, and on parts of it for the angle at the Gauss points. The error is that of
         rounding where the curvature is smooth.
         """
         x, w = np.polynomial.legendre.leggauss(8)
@@ -150,7 +162,7 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Support:
-    """Which parts of an end's pose are prescribed."""
+    """Components of an end's pose that are prescribed."""
 
     x: bool
     y: bool
@@ -160,35 +172,34 @@ class Support:
 CLAMPED = Support(x=True, y=True, angle=True)
 PINNED = Support(x=True, y=True, angle=False)
 FREE = Support(x=False, y=False, angle=False)
-GUIDED = Support(x=True, y=False, angle=True)  # slides along y without turning
 ROLLER = Support(x=False, y=True, angle=False)  # slides along x
 
 
 @dataclass(frozen=True)
 class Loads:
-    """Dead loads keep their direction in the plane; the follower force turns with the tip."""
+    """Dead loads, of fixed direction, and a follower force, which turns with the tip."""
 
     gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2
     force: tuple[float, float] = (0.0, 0.0)  # N, at the tip
     moment: float = 0.0  # N m, at the tip
-    follower: tuple[float, float] = (0.0, 0.0)  # N, at the tip, along its normal and across
+    follower: tuple[float, float] = (0.0, 0.0)  # N, at the tip: normal to its section, and along it
 
 
 class Mesh(NamedTuple):
-    """A rod of E quadratic elements as numbers; n = 2 E + 1 nodes, two Gauss's points an element.
+    """Numbers of a rod of E quadratic elements: n = 2 E + 1 nodes, two Gauss points an element.
 
-    axial, shear and bending are the stiffnesses at Gauss's points times their weight in m.
+    axial, shear and bending are the stiffnesses at the Gauss points times their weights w (m).
     """
 
     natural: Array  # (n, 3) stress-free poses
-    strain: Array  # (E, 2, 3) natural R^T r' and angle'
+    strain: Array  # (E, 2, 3) natural strains R^T r' and angle'
     axial: Array  # (E, 2) EA w, N m
     shear: Array  # (E, 2) kappa GA w, N m
     bending: Array  # (E, 2) EI w, N m^3
     mass: Array  # (n, 3) kg, kg, kg m^2
-    metric: Array  # (n, 3) positive weights of the unknowns, as mass but never zero
-    held: Array  # (2, 3) bool, at base and tip
-    slope: Array  # (2, 3) 1/m, derivatives of the shape functions by s
+    metric: Array  # (n, 3) mass with a positive rotary term: norm of the unknowns
+    held: Array  # (2, 3) bool, prescribed components at base and tip
+    slope: Array  # (2, 3) 1/m, derivatives of the shape functions with respect to s
     length: float  # m
     damping_time: float  # s
 
@@ -202,10 +213,10 @@ def build_mesh(  # noqa: PLR0917
     shear: bool,
     rotary_inertia: bool,
 ) -> Mesh:
-    """Cut a rod into elements.
+    """Divide a rod into elements; raises RodError for fewer than one.
 
-    Masses are lumped by Simpson's rule, the shape functions' own quadrature: it keeps the order of
-    the elements, leaves a diagonal and gives the exact mass of a section quadratic in s.
+    Masses are lumped by Simpson's rule. It keeps the order of the elements, makes the mass matrix
+    diagonal and gives the exact mass of a section whose area is quadratic in s.
     """
     _need(elements >= 1, f"elements {elements} must be at least 1")
     section, length = geometry.section, geometry.length
@@ -235,14 +246,14 @@ def build_mesh(  # noqa: PLR0917
 
 
 def _simpson(elements: int) -> Array:
-    """(2 E + 1,) weights over [0, 1]."""
+    """(2 E + 1,) weights of Simpson's rule over [0, 1]."""
     weight = np.where(np.arange(2 * elements + 1) % 2, 4.0, 2.0)
     weight[[0, -1]] = 1.0
     return weight / (6 * elements)
 
 
 def _strains(pose: Array, slope: Array) -> Array:
-    """(E, 2, 3) strains R^T r' and angle' of poses (n, 3) at Gauss's points."""
+    """(E, 2, 3) strains R^T r' and angle' of poses (n, 3) at the Gauss points."""
     element = pose[np.arange(0, len(pose) - 1, 2)[:, None] + np.arange(3)]
     rate = np.einsum("ga,eai->egi", slope, element)
     angle = np.einsum("ga,ea->eg", SHAPE, element[..., 2])

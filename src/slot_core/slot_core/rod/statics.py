@@ -1,9 +1,9 @@
-"""Equilibria of a rod: continuation in the load, with its stability from the tangent's pivots.
+"""Equilibria of a rod by continuation in the load; stability from the pivots of the tangent.
 
-The load factor goes from 0, the present loads, to 1, the wanted ones. Each step is Newton's method
-from the last equilibrium; it counts where it converges and no section turns by much more than at
-the rate of the step before, else the step is halved. So the path stays on its branch: at a fold it
-ends, in place of jumping to another one.
+The load factor goes from 0, the loads at the start, to 1, the loads at the end. Each step is
+Newton's method from the last equilibrium. A step is accepted if it converges and no section turns
+by much more than at the rate of the step before; otherwise it is halved. The path therefore stays
+on its branch: at a fold it ends and does not jump to another branch.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from slot_core.robot import Array
 from slot_core.rod import kernels
 from slot_core.rod.model import Mesh, RodError
 
-FIRST_PROBE = 64  # part of the first step that finds the first rate of turn
-LEAVE_STEPS = 60  # damped steps from an unstable equilibrium, at most
+FIRST_PROBE = 64  # divisor of the first step, which measures the first rate of turn
+DESCENT_STEPS = 60  # damped steps from an unstable equilibrium, at most
 GROWTH = 1.5  # of the step from one equilibrium to the next
 
 
 class Branch(Enum):
-    """Which path of equilibria a state lies on."""
+    """Branch of equilibria that a state lies on."""
 
     PRIMARY = "primary"  # connected to the start, and no pivot has changed its sign
     UNSTABLE = "unstable"  # the tangent has negative pivots
@@ -35,22 +35,24 @@ class Branch(Enum):
 
 @dataclass(frozen=True)
 class StaticSettings:
-    """How equilibria are found.
+    """Settings of the continuation.
 
-    stay_stable: leave a branch where it loses its stability, towards the side of `side` (+1, -1) of
-    its critical shape; else follow it.
+    stay_stable: where a branch loses its stability, switch to the stable branch on the side `side`
+    (+1, -1) of the critical shape; otherwise follow the unstable branch.
+
+    Raises RodError for another side, or unless 0 < least_step <= first_step <= 1.
     """
 
     stay_stable: bool = False
     side: int = 1
-    first_step: float = 0.1  # of the load
-    least_step: float = 1e-7
+    first_step: float = 0.1  # of the load factor
+    least_step: float = 1e-7  # of the load factor
     largest_turn: float = 0.5  # rad, of any section in one step
-    turn_growth: float = 3.0  # of the turn per load from step to step
-    turn_floor: float = 1e-4  # rad, turns that no rate is asked for
-    iterations: int = 40
-    tolerance: float = 1e-10  # of Newton's increment, rad and lengths
-    critical_tolerance: float = 1e-6  # of the load
+    turn_growth: float = 3.0  # of the turn per load factor, from step to step
+    turn_floor: float = 1e-4  # rad, a turn that is always allowed
+    iterations: int = 40  # of Newton's method, at most
+    tolerance: float = 1e-10  # of Newton's last increment, in rad and rod lengths
+    critical_tolerance: float = 1e-6  # of critical load factors, relative
 
     def __post_init__(self) -> None:
         if self.side not in {-1, 1}:
@@ -61,22 +63,17 @@ class StaticSettings:
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """What `solve_static` has found; the rod is in this state."""
+    """Result of `solve_static`, which leaves the rod in the equilibrium."""
 
     branch: Branch
     negative_pivots: int  # directions in which the equilibrium is unstable
     critical: tuple[float, ...]  # load factors at which a pivot changed its sign
-    steps: int  # of the load
-    iterations: int  # of Newton's method, in all
-
-    @property
-    def stable(self) -> bool:
-        """Whether the energy has a minimum here; of flutter under a follower force it knows not."""
-        return self.negative_pivots == 0
+    steps: int  # of the load factor
+    iterations: int  # of Newton's method, in total
 
 
 class EquilibriumError(ArithmeticError):
-    """No equilibrium on the branch beyond `load_factor`, where the rod stands now."""
+    """No equilibrium was found beyond `load_factor`, whose equilibrium the rod is in."""
 
     def __init__(self, reason: str, load_factor: float, negative_pivots: int) -> None:
         super().__init__(
@@ -84,22 +81,21 @@ class EquilibriumError(ArithmeticError):
             f"with {negative_pivots} negative pivots"
         )
         self.load_factor = load_factor
-        self.negative_pivots = negative_pivots
 
 
 class RodLoads(NamedTuple):
-    """Dead loads at the nodes and the follower force at the tip."""
+    """Nodal loads: dead loads at the nodes and the follower force at the tip."""
 
     dead: Array  # (n, 3) N, N, N m
     follower: Array  # (2,) N
 
     def toward(self, other: RodLoads, factor: float) -> RodLoads:
-        """The loads that lie between these and others."""
+        """Linear interpolation: these loads at factor 0, the others at 1."""
         return RodLoads(*(a + factor * (b - a) for a, b in zip(self, other)))
 
 
 class _Path:
-    """The equilibria from one load to another."""
+    """Path of equilibria from the loads `begin` to the loads `end`."""
 
     def __init__(
         self,
@@ -118,7 +114,7 @@ class _Path:
         self.rate = math.inf  # rad, turn per load factor in the last step
 
     def correct(self, factor: float) -> int | None:
-        """Newton's method at a load factor from work.stage; negative pivots, None: it failed."""
+        """Newton's method at a load factor from work.stage; negative pivots, None if it fails."""
         start, stress = self.work.stage.copy(), self.work.stress.copy()
         size, negative, count = kernels.equilibrium(
             self.mesh, self.work, *self.begin.toward(self.end, factor), 0.0,
@@ -132,13 +128,13 @@ class _Path:
         return None
 
     def limit(self, factor: float) -> float:
-        """Largest turn of a section up to a load factor, rad."""
+        """Largest accepted turn of a section in the step to a load factor, rad."""
         s = self.settings
         expected = self.rate * (factor - self.factor) if factor > self.factor else 0.0
         return min(s.largest_turn, s.turn_growth * expected + s.turn_floor)
 
     def bisect(self, low: float, high: float, negative: int) -> float:
-        """Load factor between two where the number of negative pivots leaves `negative`."""
+        """Load factor between low and high at which the number of negative pivots changes."""
         start, stress = self.work.stage.copy(), self.work.stress.copy()
         while high - low > self.settings.critical_tolerance * high:
             middle = (low + high) / 2
@@ -149,8 +145,8 @@ class _Path:
         self.work.stage[:], self.work.stress[:] = start, stress
         return (low + high) / 2
 
-    def go(self, factor: float) -> bool:
-        """Try the equilibrium at a larger load factor."""
+    def advance(self, factor: float) -> bool:
+        """Step to a larger load factor; False if no equilibrium was accepted there."""
         before = self.work.stage.copy(), self.work.stress.copy()
         negative = self.correct(factor)
         if negative is None:
@@ -161,16 +157,17 @@ class _Path:
             self.critical.append(self.bisect(self.factor, factor, self.negative))
             self.work.stage[:], self.work.stress[:] = after
             if negative > self.negative and self.settings.stay_stable:
-                negative = self.leave(factor)
+                negative = self.descend(factor)
         turn = np.abs(self.work.stage - before[0])[:, 2].max()
         self.rate = math.inf if self.left_at == factor else turn / (factor - self.factor)
         self.factor, self.negative, self.steps = factor, negative, self.steps + 1
         return True
 
-    def leave(self, factor: float) -> int:
-        """From an unstable equilibrium down to a stable one: damped steps from the critical shape.
+    def descend(self, factor: float) -> int:
+        """Descend from an unstable equilibrium to a stable one by damped steps.
 
-        Raises EquilibriumError where none is found.
+        The descent starts with a displacement along the critical shape and returns the number of
+        negative pivots, 0. Raises EquilibriumError where no stable equilibrium is found.
         """
         work, mesh = self.work, self.mesh
         load, follower = self.begin.toward(self.end, factor)
@@ -178,7 +175,7 @@ class _Path:
         work.stage[:] += self.settings.side * self.settings.largest_turn / 10 * shape
         kernels.stress_of(mesh, work)
         shift = -20 * value
-        for _ in range(LEAVE_STEPS):
+        for _ in range(DESCENT_STEPS):
             if shift < 1e-3 * abs(value):
                 break
             size, negative, count = kernels.equilibrium(
@@ -198,9 +195,9 @@ class _Path:
         return 0
 
     def critical_shape(self, load: Array, follower: Array) -> tuple[float, Array]:
-        """Lowest eigenvalue of the tangent in the metric and its shape, largest angle or shift 1.
+        """Lowest eigenvalue of the tangent in the metric, and its shape (n, 3).
 
-        The angle of the shape that is largest in size is positive.
+        The shape is scaled so that its largest angle in absolute value is 1.
         """
         nodes = len(self.mesh.natural)
         matrix = np.zeros((3 * nodes, 3 * nodes))
@@ -218,7 +215,7 @@ class _Path:
         return float(value[0]), shape / shape[np.abs(shape[:, 2]).argmax(), 2]
 
     def branch(self) -> Branch:
-        """Name of the branch reached."""
+        """Branch that was reached."""
         if self.negative:
             return Branch.UNSTABLE
         return Branch.SECONDARY if self.critical else Branch.PRIMARY
@@ -229,7 +226,8 @@ def follow(
 ) -> Equilibrium:
     """Follow the equilibria from work.stage under the loads `begin` to the loads `end`.
 
-    Leaves the equilibrium in work.stage. Raises EquilibriumError, with the last one in work.stage.
+    The equilibrium is written to work.stage. Raises EquilibriumError where the path ends or folds;
+    work.stage is then the last equilibrium.
     """
     path = _Path(mesh, work, begin, end, settings)
     kernels.stress_of(mesh, work)
@@ -239,7 +237,7 @@ def follow(
     path.negative = negative
     step = settings.first_step / FIRST_PROBE
     while path.factor < 1.0:
-        if path.go(min(1.0, path.factor + step)):
+        if path.advance(min(1.0, path.factor + step)):
             step = max(GROWTH * step, settings.first_step if path.steps == 1 else 0.0)
             continue
         step /= 2
