@@ -1,1 +1,1 @@
-"""The controller, in the order of the graph: state estimator, gait, MPC, force map."""
+"""Controller, in the order of the graph: state estimator, gait, MPC, force map."""

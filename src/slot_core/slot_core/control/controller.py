@@ -1,4 +1,4 @@
-"""The whole controller in one process: what the nodes do between `/odom` and the tendon angles."""
+"""Complete controller in one process: the nodes from `/odom` to the tendon angles."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from slot_core.robot import Array, Robot
 
 @dataclass(frozen=True)
 class Tick:
-    """What every stage made of one odometry reading."""
+    """Results of all steps of the controller for one odometry reading."""
 
     estimate: Estimate
     preview: GaitPreview
@@ -23,7 +23,7 @@ class Tick:
 
 
 class Controller:
-    """State estimator, gait scheduler, MPC and force map, one after the other."""
+    """State estimator, gait scheduler, MPC and force map, in sequence."""
 
     def __init__(
         self,
@@ -33,14 +33,18 @@ class Controller:
         gait: str,
         velocity: Array | None,
     ):
-        """Configuration from `config/*.yaml`; raises ConfigError as the stages do."""
+        """Build the steps from `config/*.yaml`; raises ConfigError as they do.
+
+        timer: returns seconds, for the MPC's time budget. velocity: (3,) m/s, m/s, rad/s, or None
+        for the gait's `cruise`.
+        """
         self.estimator = StateEstimator(read_estimator())
         self.scheduler = GaitScheduler(read_gaits(), gait, velocity)
         self.mpc = Mpc(robot, mpc, timer)
         self.force_map = ForceMap(robot, read_force_map(), read_leg_slope())
 
     def poll(self) -> Tick | None:
-        """Answer the next odometry reading that the estimator has, or None."""
+        """Process the estimator's next estimate; None if none is ready."""
         estimate = self.estimator.poll()
         if estimate is None:
             return None
@@ -54,7 +58,7 @@ class Controller:
 def command_for(
     force_map: ForceMap, force: Array, status: Status | int, preview: GaitPreview, slope: Array
 ) -> TendonCommand:
-    """Angles for the MPC's forces; once it has stopped, the last angles stay."""
+    """Tendon command for the MPC's forces (4, 3) N; on STOPPED the last angles are held."""
     if status == Status.STOPPED:
         return force_map.hold(preview)
     return force_map.step(force, preview, slope)

@@ -1,9 +1,11 @@
-"""Gaits: nominal tendon angles, contact schedule and load of the legs over the horizon.
+"""Gait scheduler: nominal tendon angles, contact schedule and normal forces over the horizon.
 
 A gait is periodic. With the phase p = 2 pi t / T, each leg's tendon angle is
-theta = m + c1 cos p + s1 sin p + c2 cos 2p + s2 sin 2p, clipped to the gait's range; a smaller
-amplitude shrinks it towards its mean over the stride. What the plant
-answers with, the normal force on each leg and the sway of the torso, is tabulated in the same form
+
+    theta = m + c1 cos p + s1 sin p + c2 cos 2p + s2 sin 2p,
+
+clipped to the gait's range; an amplitude below one scales it about its mean over the stride. The
+normal forces and the torso sway that result on the simulated robot are tabulated in the same form
 (`scripts/tabulate_gait`), so that the controller corrects deviations from the gait, not the gait.
 """
 
@@ -22,41 +24,40 @@ from slot_core.config import quantity
 from slot_core.control.reference import reference
 from slot_core.robot import Array
 
-STAND = "stand"  # the gait that stays where it is
+STAND = "stand"  # name of the gait without motion
 Harmonics = tuple[float, float, float, float, float]
 FourHarmonics = tuple[Harmonics, Harmonics, Harmonics, Harmonics]
 
 
-class Waves(NamedTuple):
-    """The four harmonics at n phases, and their derivatives with respect to the phase."""
+class HarmonicBasis(NamedTuple):
+    """The four harmonics at n phases, and their derivatives by the phase."""
 
     value: Array  # (n, 4) cos p, sin p, cos 2p, sin 2p with p = 2 pi phase
     slope: Array  # (n, 4)
 
     @classmethod
-    def at(cls, phase: Array) -> Waves:
-        """The waves at phases (n,)."""
-        turn = 2 * np.pi
-        p = turn * phase
+    def at(cls, phase: Array) -> HarmonicBasis:
+        """Harmonics at phases (n,), in [0, 1)."""
+        p = 2 * np.pi * phase
         value = np.column_stack([np.cos(p), np.sin(p), np.cos(2 * p), np.sin(2 * p)])
         slope = [-value[:, 1], value[:, 0], -2 * value[:, 3], 2 * value[:, 2]]
-        return cls(value, np.column_stack(slope) * turn)
+        return cls(value, np.column_stack(slope) * (2 * np.pi))
 
 
 class FourierSeries:
-    """Sums of harmonics: m + amplitude (c1 cos p + s1 sin p + c2 cos 2p + s2 sin 2p)."""
+    """Fourier series m + amplitude (c1 cos p + s1 sin p + c2 cos 2p + s2 sin 2p), one per row."""
 
     def __init__(self, table: Sequence[Harmonics]):
         mean, weights = np.split(np.array(table), [1], axis=1)
         self._mean, self._weights = mean.T, weights.T
 
-    def values(self, waves: Waves, amplitude: float) -> Array:
-        """(n, rows of the table)."""
-        return self._mean + amplitude * waves.value @ self._weights
+    def values(self, basis: HarmonicBasis, amplitude: float) -> Array:
+        """Values (n, rows of the table)."""
+        return self._mean + amplitude * basis.value @ self._weights
 
-    def rates(self, waves: Waves, amplitude: float) -> Array:
-        """(n, rows of the table), their derivatives with respect to the phase."""
-        return amplitude * waves.slope @ self._weights
+    def rates(self, basis: HarmonicBasis, amplitude: float) -> Array:
+        """Derivatives by the phase (n, rows of the table)."""
+        return amplitude * basis.slope @ self._weights
 
 
 @dataclass(frozen=True)
@@ -69,14 +70,14 @@ class Sway:
     v_x: Harmonics = quantity("forward velocity about its mean", "m/s", -1, 1)
     v_y: Harmonics = quantity("lateral velocity about its mean", "m/s", -1, 1)
 
-    def rows(self, waves: Waves, amplitude: float, period: float) -> Array:
-        """(n, 12) [roll pitch 0, 0 0 z, rates, v_x v_y v_z] in the heading frame.
+    def rows(self, basis: HarmonicBasis, amplitude: float, period: float) -> Array:
+        """Torso states (n, 12) [roll pitch 0, 0 0 z, omega, v_x v_y v_z] in the heading frame.
 
-        Angular velocity is taken as the rate of roll and pitch, right to first order in them.
+        period: s. omega is [roll rate, pitch rate, 0], correct to first order in the angles.
         """
-        rows = np.zeros((len(waves.value), 12))
-        rows[:, [0, 1, 5, 9, 10]] = self._series.values(waves, amplitude)
-        rows[:, [6, 7, 11]] = self._series.rates(waves, amplitude)[:, :3] / period
+        rows = np.zeros((len(basis.value), 12))
+        rows[:, [0, 1, 5, 9, 10]] = self._series.values(basis, amplitude)
+        rows[:, [6, 7, 11]] = self._series.rates(basis, amplitude)[:, :3] / period
         return rows
 
     @cached_property
@@ -86,69 +87,72 @@ class Sway:
 
 @dataclass(frozen=True)
 class Gait:
-    """One periodic gait; coefficients in the order m, c1, s1, c2, s2, legs FL FR RL RR."""
+    """Periodic gait; coefficients in the order m, c1, s1, c2, s2, legs FL FR RL RR."""
 
     sway: Sway
     period: float = quantity("duration of a stride", "s", 0.1, 10.0)
-    cruise: float = quantity("v_x where none is asked for", "m/s", -1, 1)
-    speed: tuple[float, ...] = quantity("v_x reached, least to greatest", "m/s", -1, 1)
+    cruise: float = quantity("v_x if none is requested", "m/s", -1, 1)
+    speed: tuple[float, ...] = quantity("tabulated v_x, rising", "m/s", -1, 1)
     amplitude: tuple[float, ...] = quantity("scale of the harmonics at these speeds", "", 0, 1)
     angle_deg: FourHarmonics = quantity("tendon angle", "deg", -360, 360)
     range_deg: tuple[float, float] = quantity("clip of the tendon angle", "deg", 0, 116.28)
     normal_force: FourHarmonics = quantity("normal force of the ground", "N", -50, 50)
 
     def __post_init__(self) -> None:
-        """Raise ConfigError unless speed and amplitude make a table."""
+        """Raise ConfigError unless speed rises and has one value for each amplitude."""
         if len(self.speed) != len(self.amplitude) or list(self.speed) != sorted(set(self.speed)):
             raise config.ConfigError(
                 f"speed = {self.speed}: expected one rising value for each amplitude"
             )
 
     def amplitude_at(self, speed: float) -> float:
-        """Scale of the harmonics for a forward speed (m/s), linear between the tabulated ones."""
+        """Scale of the harmonics for a forward speed (m/s), interpolated linearly."""
         return float(np.interp(speed, self.speed, self.amplitude))
 
     def course(self, phase: Array, amplitude: float) -> Array:
-        """(n, 20): four tendon angles (rad), four normal forces (N), sway (12), at phases (n,)."""
-        waves = Waves.at(phase)
-        angle = self._mean_angle + amplitude * (self._full_angle(waves) - self._mean_angle)
-        load = self._load.values(waves, amplitude)
-        sway = self.sway.rows(waves, amplitude, self.period)
-        return np.hstack([angle, np.maximum(load, 0.0), sway])
+        """Gait (n, 20) at phases (n,): 4 tendon angles (rad), 4 normal forces (N), 12 torso states.
 
-    def _full_angle(self, waves: Waves) -> Array:
-        """(n, 4) tendon angles at full amplitude, rad."""
-        return np.radians(np.clip(self._angle.values(waves, 1.0), *self.range_deg))
+        The torso states are those of `Sway.rows`.
+        """
+        basis = HarmonicBasis.at(phase)
+        angle = self._mean_angle + amplitude * (self._full_angle(basis) - self._mean_angle)
+        force = self._normal_force.values(basis, amplitude)
+        sway = self.sway.rows(basis, amplitude, self.period)
+        return np.hstack([angle, np.maximum(force, 0.0), sway])
+
+    def _full_angle(self, basis: HarmonicBasis) -> Array:
+        """Tendon angles (n, 4) at full amplitude, rad."""
+        return np.radians(np.clip(self._angle.values(basis, 1.0), *self.range_deg))
 
     @cached_property
     def _angle(self) -> FourierSeries:
         return FourierSeries(self.angle_deg)
 
     @cached_property
-    def _load(self) -> FourierSeries:
+    def _normal_force(self) -> FourierSeries:
         return FourierSeries(self.normal_force)
 
     @cached_property
     def _mean_angle(self) -> Array:
-        """(4,) mean over the stride, about which the amplitude scales: clipping moves it off m."""
-        stride = Waves.at(np.linspace(0.0, 1.0, 1000, endpoint=False))
+        """Mean (4,) over the stride, rad; clipping makes it differ from m."""
+        stride = HarmonicBasis.at(np.linspace(0.0, 1.0, 1000, endpoint=False))
         return self._full_angle(stride).mean(axis=0)
 
 
 @dataclass(frozen=True)
 class GaitSettings:
-    """What `config/gait.yaml` holds."""
+    """Settings of `config/gait.yaml`."""
 
     gaits: dict[str, Gait]
-    friction: float = quantity("coefficient the controller counts on", "", 0, 2)
-    contact_force: float = quantity("least load of a leg that counts as stance", "N", 0, 10)
-    transition: float = quantity("time from one gait to the next", "s", 0, 10)
+    friction: float = quantity("friction coefficient assumed by the controller", "", 0, 2)
+    contact_force: float = quantity("smallest normal force of a leg in stance", "N", 0, 10)
+    transition: float = quantity("duration of a blend between gaits", "s", 0, 10)
     command_timeout: float = quantity("age at which a velocity command expires", "s", 0.05, 10)
     stages: int = quantity("stages of the preview, at least the MPC's horizon", "", 1, 100)
     dt: float = quantity("time between stages", "s", 1e-3, 0.2)
 
     def find(self, name: str) -> Gait:
-        """The gait of that name; raises ConfigError naming the known ones."""
+        """The gait of that name; raises ConfigError for an unknown one and lists the known ones."""
         if name not in self.gaits:
             raise config.ConfigError(f"no gait {name!r} (known: {', '.join(sorted(self.gaits))})")
         return self.gaits[name]
@@ -156,7 +160,7 @@ class GaitSettings:
 
 @dataclass(frozen=True)
 class GaitPreview:
-    """Contact schedule, friction and reference at the stages 0 .. n-1 of the horizon.
+    """Preview of contact, friction, angles and reference at the stages 0 .. n-1 of the horizon.
 
     Stage k is at `stamp + k dt`. Legs in the order FL FR RL RR, frame odom.
     """
@@ -166,16 +170,16 @@ class GaitPreview:
     phase: float  # of stage 0, in [0, 1)
     period: float  # s
     dt: float  # s
-    contact: NDArray[np.bool_]  # (n, 4) the leg may carry load
-    friction: Array  # (n, 4) coefficient the controller may count on
-    normal_force: Array  # (n, 4) N, expected by the gait
+    contact: NDArray[np.bool_]  # (n, 4) whether the leg may carry load
+    friction: Array  # (n, 4) coefficient assumed by the controller
+    normal_force: Array  # (n, 4) N, of the gait
     tendon_angle: Array  # (n, 4) rad, nominal
     reference: Array  # (n, 12) [roll pitch yaw, p, omega, v]
 
 
 @dataclass(frozen=True)
 class _Stride:
-    """A gait at an amplitude, its phase zero at `origin` (ns)."""
+    """A gait at an amplitude; its phase is zero at `origin` (ns)."""
 
     name: str
     gait: Gait
@@ -183,40 +187,40 @@ class _Stride:
     origin: int
 
     def phase(self, stamp: int, times: Array) -> Array:
-        """(n,) phase at `times` (s) after `stamp` (ns)."""
+        """Phases (n,) at `times` (s) after `stamp` (ns)."""
         return np.mod(((stamp - self.origin) * 1e-9 + times) / self.gait.period, 1.0)
 
     def course(self, stamp: int, times: Array) -> Array:
-        """(n, 20) as `Gait.course`, at `times` (s) after `stamp` (ns)."""
+        """`Gait.course` (n, 20) at `times` (s) after `stamp` (ns)."""
         return self.gait.course(self.phase(stamp, times), self.amplitude)
 
 
 class GaitScheduler:
-    """Keeps the phase of the gait and previews the horizon at every tick of the controller.
+    """Advances the phase of the gait and previews the horizon at every tick of the controller.
 
-    Gaits follow each other by a linear blend over `transition` seconds; a request made meanwhile
-    waits until it is over. A run starts from the gait `stand`.
+    A change of gait or speed is a linear blend over `transition` seconds; a request during a blend
+    takes effect at its end. A run starts from the gait `stand`.
     """
 
     def __init__(self, settings: GaitSettings, gait: str, velocity: Array | None):
-        """Go from `stand` to `gait` at velocity [v_x, v_y, yaw rate] from the first tick on.
+        """Blend from `stand` to `gait` at velocity [v_x, v_y, yaw rate] from the first tick on.
 
-        None stands for the gait's own velocity, straight ahead at its `cruise`.
-        Raises ConfigError for an unknown gait or a velocity it cannot reach.
+        velocity: (3,) m/s, m/s, rad/s in base_link; None: straight ahead at the gait's `cruise`.
+        Raises ConfigError for an unknown gait or a velocity outside the gait's range.
         """
         self._settings = settings
         if velocity is None:
             velocity = np.array([settings.find(gait).cruise, 0.0, 0.0])
         self.request(gait, velocity)
-        self._before = self._now = _Stride(STAND, settings.find(STAND), 0.0, 0)
-        self._switched = 0  # stamp of the last change of stride, ns
+        self._previous = self._current = _Stride(STAND, settings.find(STAND), 0.0, 0)
+        self._blend_start = 0  # ns, stamp of the last change of stride
         self._stamp: int | None = None
         self._heading = 0.0
 
     def request(self, gait: str, velocity: Array) -> None:
-        """Ask for a gait and a velocity [v_x, v_y, yaw rate] (m/s, rad/s) in base_link.
+        """Request a gait and a velocity [v_x, v_y, yaw rate] (m/s, rad/s) in base_link.
 
-        Raises ConfigError when the gait is unknown or the velocity outside of what it reaches.
+        Raises ConfigError for an unknown gait or a velocity outside the gait's range.
         """
         speed = self._settings.find(gait).speed
         low, high = speed[0], speed[-1]
@@ -228,17 +232,18 @@ class GaitScheduler:
                 raise config.ConfigError(
                     f"{name} = {value:g}: gait {gait} reaches [{least:g}, {most:g}]"
                 )
-        self._wanted, self._velocity = gait, np.array(velocity, dtype=float)
-        self._commanded: int | None = None  # stamp of the velocity, ns; None: it does not expire
+        self._requested, self._velocity = gait, np.array(velocity, dtype=float)
+        self._command_stamp: int | None = None  # ns, of the velocity; None: it does not expire
 
     def command(self, stamp: int, velocity: Array) -> None:
-        """Ask the present gait for a velocity; it falls to zero unless renewed in time.
+        """Set the velocity of the requested gait; it expires after `command_timeout`, then is zero.
 
-        `stamp` (ns) is on the clock of the states. Raises ConfigError as `request` does, and for a
-        stamp too far from the last state's, which stops the robot: it may have been meant to.
+        stamp: ns, on the clock of the states. Raises ConfigError as `request` does, and for a stamp
+        further than `command_timeout` from the last state's. Such a command stops the robot, since
+        it may have been a late stop.
         """
-        self.request(self._wanted, velocity)
-        self._commanded = stamp
+        self.request(self._requested, velocity)
+        self._command_stamp = stamp
         if self._stamp is not None and self._is_expired(self._stamp):
             raise config.ConfigError(
                 f"stamp is {(stamp - self._stamp) * 1e-9:+.3f} s from the state's (limit "
@@ -246,66 +251,70 @@ class GaitScheduler:
             )
 
     def step(self, stamp: int, state: Array) -> GaitPreview:
-        """Preview from `stamp` (ns) on; `state` (12,) places the reference."""
+        """Preview from `stamp` (ns) on; the reference starts at `state` (12,)."""
         if self._is_expired(stamp):
             self._velocity = np.zeros(3)
-        self._turn(stamp, state)
+        self._advance_heading(stamp, state)
         self._change_stride(stamp)
         times = self._settings.dt * np.arange(self._settings.stages, dtype=float)
-        angle, load, sway = np.split(self._blend(stamp, times), [4, 8], axis=1)
-        now = self._now
+        angle, force, sway = np.split(self._blend(stamp, times), [4, 8], axis=1)
+        current = self._current
         return GaitPreview(
             stamp=stamp,
-            gait=now.name,
-            phase=float(now.phase(stamp, times)[0]),
-            period=now.gait.period,
+            gait=current.name,
+            phase=float(current.phase(stamp, times)[0]),
+            period=current.gait.period,
             dt=self._settings.dt,
-            contact=load >= self._settings.contact_force,
-            friction=np.full(load.shape, self._settings.friction),
-            normal_force=load,
+            contact=force >= self._settings.contact_force,
+            friction=np.full(force.shape, self._settings.friction),
+            normal_force=force,
             tendon_angle=angle,
             reference=reference(state, self._heading, self._velocity, sway, times),
         )
 
     def _is_expired(self, stamp: int) -> bool:
-        """Whether the velocity is too old at `stamp` (ns), or from a future that may never come."""
-        if self._commanded is None:
+        """Whether the velocity is too old at `stamp` (ns), or too far in the future."""
+        if self._command_stamp is None:
             return False
-        return abs(stamp - self._commanded) > self._settings.command_timeout * 1e9
+        return abs(stamp - self._command_stamp) > self._settings.command_timeout * 1e9
 
-    def _turn(self, stamp: int, state: Array) -> None:
-        """Heading of the reference: the robot's at first, then the integral of the yaw rate."""
+    def _advance_heading(self, stamp: int, state: Array) -> None:
+        """Update the reference heading: the robot's yaw, then the integral of the yaw rate."""
         if self._stamp is None:
-            self._heading, self._switched = float(state[2]), stamp - self._transition
+            self._heading, self._blend_start = float(state[2]), stamp - self._transition
         else:
             self._heading += self._velocity[2] * (stamp - self._stamp) * 1e-9
         self._stamp = stamp
-        self._switched = min(self._switched, stamp)  # a clock set back must not hold a change up
+        # A clock set back must not delay the next change.
+        self._blend_start = min(self._blend_start, stamp)
 
     def _change_stride(self, stamp: int) -> None:
-        gait = self._settings.find(self._wanted)
+        """Start the requested gait and amplitude, unless a blend is under way."""
+        gait = self._settings.find(self._requested)
         amplitude = gait.amplitude_at(self._velocity[0])
-        unchanged = (self._wanted, amplitude) == (self._now.name, self._now.amplitude)
-        if unchanged or stamp - self._switched < self._transition:
+        current = self._current
+        unchanged = (self._requested, amplitude) == (current.name, current.amplitude)
+        if unchanged or stamp - self._blend_start < self._transition:
             return
-        origin = self._now.origin if self._wanted == self._now.name else stamp
-        self._before, self._switched = self._now, stamp
-        self._now = _Stride(self._wanted, gait, amplitude, origin)
+        origin = current.origin if self._requested == current.name else stamp
+        self._previous, self._blend_start = current, stamp
+        self._current = _Stride(self._requested, gait, amplitude, origin)
 
     def _blend(self, stamp: int, times: Array) -> Array:
-        """(n, 20) course, from the stride before to the one now."""
-        elapsed = (stamp - self._switched) * 1e-9 + times
+        """Blend (n, 20) of the previous and the current stride, as `Gait.course`."""
+        elapsed = (stamp - self._blend_start) * 1e-9 + times
         weight = np.clip(elapsed / max(self._settings.transition, 1e-9), 0.0, 1.0)[:, None]
-        now = self._now.course(stamp, times)
+        current = self._current.course(stamp, times)
         if weight.min() == 1.0:
-            return now
-        return (1 - weight) * self._before.course(stamp, times) + weight * now
+            return current
+        return (1 - weight) * self._previous.course(stamp, times) + weight * current
 
     @property
     def _transition(self) -> int:
+        """Duration of a blend, ns."""
         return round(self._settings.transition * 1e9)
 
 
 def read_gaits() -> GaitSettings:
-    """The gaits of `config/gait.yaml`; raises ConfigError."""
+    """The settings of `config/gait.yaml`; raises ConfigError."""
     return config.read(GaitSettings, "gait")

@@ -1,22 +1,22 @@
-"""Whether a controller keeps up with its inputs."""
+"""Counters of late and skipped controller cycles."""
 
 from __future__ import annotations
 
 
 class Pace:
-    """Counts the cycles that took too long, and the inputs that were never answered."""
+    """Counts overruns (cycles longer than their period) and skipped inputs."""
 
     def __init__(self) -> None:
         self.overruns = 0
         self.skipped = 0
-        self._answered: int | None = None
+        self._last: int | None = None
 
     def add(self, number: int, elapsed: float, period: float) -> None:
-        """Take account of a cycle of `elapsed` s, due in `period` s, for input `number`.
+        """Count a cycle of `elapsed` s for input `number`; it is an overrun above `period` s.
 
-        Numbers rise by one with every input of one source; a lower one is of a new source.
+        A source numbers its inputs consecutively. A lower number means that the source restarted.
         """
         self.overruns += elapsed > period
-        if self._answered is not None and number > self._answered:
-            self.skipped += number - self._answered - 1
-        self._answered = number
+        if self._last is not None and number > self._last:
+            self.skipped += number - self._last - 1
+        self._last = number

@@ -1,8 +1,8 @@
-"""State estimator: odometry and IMU become the twelve states of the MPC, with covariance.
+"""State estimator: the MPC's twelve states and their covariance, from odometry and IMU.
 
-An estimate stands at an odometry stamp t and depends on the odometry and IMU stamped up to t only,
-not on how the two streams interleave: a reading waits for the IMU to reach its stamp. The filter
-itself is in `inertial_filter.py`.
+An estimate is made at each odometry stamp t. It depends only on odometry and IMU data stamped up to
+t, not on the order in which the two streams arrive: a reading waits until the IMU has reached its
+stamp. The filter itself is in `inertial_filter.py`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from slot_core.robot import Array
 
 
 class Validity(enum.IntEnum):
-    """Why an estimate is or is not usable; the values of slot_msgs/msg/MpcState."""
+    """Validity of an estimate; the values are those of slot_msgs/msg/MpcState."""
 
     VALID = 0
     INITIALISING = 1
@@ -44,24 +44,24 @@ def read_estimator() -> EstimatorSettings:
 
 @dataclass(frozen=True)
 class Estimate:
-    """The torso at `stamp` (ns), the stamp of an odometry reading.
+    """State of the torso at the stamp of an odometry reading.
 
-    state (12,) is [roll pitch yaw, p, omega, v]: rad, m, rad/s, m/s, all in odom, with
-    R = Rz(yaw) Ry(pitch) Rx(roll) and yaw in (-pi, pi]. covariance (12, 12) is in the same order.
+    The state is [roll pitch yaw, p, omega, v]: rad, m, rad/s, m/s, all in odom, with
+    R = Rz(yaw) Ry(pitch) Rx(roll) and yaw in (-pi, pi].
     """
 
-    stamp: int
-    state: Array
-    covariance: Array
+    stamp: int  # ns
+    state: Array  # (12,)
+    covariance: Array  # (12, 12), in the order of the state
     validity: Validity
 
 
 class StateEstimator:
-    """Orders the two streams, filters them, and says how far each estimate can be trusted.
+    """Orders the odometry and IMU streams, filters them, and rates the validity of each estimate.
 
-    It is silent until a first usable reading, and again when `odometry_gap` has passed without an
-    accepted one and none is usable; else every odometry reading gives one estimate. Sensor data
-    never raises: what cannot be used is dropped (IMU) or rejected (odometry).
+    Every odometry reading gives one estimate, except before the first usable reading and, once
+    `odometry_gap` has passed without an accepted reading, before the next usable one. Bad data
+    raises nothing: IMU samples are dropped, odometry readings are rejected.
     """
 
     def __init__(self, settings: EstimatorSettings) -> None:
@@ -70,6 +70,7 @@ class StateEstimator:
         self._reset()
 
     def _reset(self) -> None:
+        """Return to the state after construction; estimates not yet polled are kept."""
         self._filter = InertialFilter(self._settings)
         self._newest: dict[str, int] = {}
         self._imu: deque[tuple[int, Array]] = deque(maxlen=self._settings.buffers.imu)
@@ -77,26 +78,26 @@ class StateEstimator:
         self._rejected: deque[OdometryMotion | None] = deque(
             maxlen=self._settings.gate.max_rejections
         )
-        self._stamp: int | None = None  # of the filter's state; None: it has none
-        self._ahead: list[tuple[int, Propagated]] = []  # at the samples since `_stamp`
-        self._accepted_stamp = 0
-        self._accepted = 0  # in a row since the start
+        self._stamp: int | None = None  # ns, of the filter's state; None: not started
+        self._propagated: list[tuple[int, Propagated]] = []  # at the IMU samples since `_stamp`
+        self._accepted_stamp = 0  # ns, of the last accepted reading
+        self._accepted = 0  # accepted readings since the start; in a row until valid
 
     @property
     def gyro_bias(self) -> Array:
-        """(3,) rad/s in base_link, as estimated so far."""
+        """Estimated gyro bias (3,) rad/s, in base_link."""
         return self._filter.gyro_bias
 
     def add_imu(self, stamp: int, angular_velocity: Array, specific_force: Array) -> None:
-        """Take a sample: stamp (ns), (3,) rad/s and (3,) m/s^2 in base_link."""
+        """Add an IMU sample: stamp (ns), (3,) rad/s and (3,) m/s^2 in base_link."""
         rate = _vector(angular_velocity, 3, self._settings.imu.gyro_max)
         force = _vector(specific_force, 3, self._settings.imu.acceleration_max)
         if rate is None or force is None or not self._advances("imu", stamp):
             return
         self._imu.append((stamp, np.concatenate([rate, force])))
-        self._work_off()
+        self._process_due()
         if not self._ready:
-            self._look_ahead()
+            self._propagate_to_newest()
 
     def add_odometry(
         self,
@@ -106,21 +107,21 @@ class StateEstimator:
         velocity: Array,
         angular_velocity: Array,
     ) -> None:
-        """Take a reading: stamp (ns), pose in odom (m), twist in base_link (m/s, rad/s)."""
+        """Add an odometry reading: stamp (ns), pose in odom (m), twist in base_link (SI)."""
         if not self._advances("odometry", stamp):
             return
         motion = self._decode(stamp, position, quaternion_xyzw, velocity, angular_velocity)
         self._waiting.append((stamp, motion))
-        self._work_off()
+        self._process_due()
 
     def poll(self) -> Estimate | None:
-        """The next estimate, in the order of stamps; None if none is ready."""
+        """The next estimate, in order of the stamps; None if none is ready."""
         return self._ready.popleft() if self._ready else None
 
     def _decode(
         self, stamp: int, position: Array, quaternion: Array, velocity: Array, rate: Array
     ) -> OdometryMotion | None:
-        """The reading, or None if it is not finite, not of the right shape, or out of range."""
+        """The decoded reading; None if it is not finite, of a wrong shape, or out of range."""
         limits = self._settings.odometry
         p = _vector(position, 3, limits.position_max)
         q = _vector(quaternion, 4, 2.0)
@@ -143,43 +144,46 @@ class StateEstimator:
         self._newest[stream] = stamp
         return True
 
-    def _work_off(self) -> None:
-        """Process the readings that the IMU has reached, or that have waited long enough."""
+    def _process_due(self) -> None:
+        """Process the waiting readings that are due."""
         while self._waiting and self._is_due(self._waiting[0][0]):
             self._process(*self._waiting.popleft())
-            self._ahead.clear()
+            self._propagated.clear()
 
     def _is_due(self, stamp: int) -> bool:
+        """Whether the IMU has reached `stamp` (ns), `imu_wait` is over, or the queue is full."""
         waited = self._waiting[-1][0] - stamp > self._settings.timing.imu_wait * SECOND
-        crowded = len(self._waiting) > self._settings.buffers.odometry
-        return self._newest.get("imu", stamp - 1) >= stamp or waited or crowded
+        full = len(self._waiting) > self._settings.buffers.odometry
+        return self._newest.get("imu", stamp - 1) >= stamp or waited or full
 
-    def _look_ahead(self) -> None:
-        """Propagate to the newest sample: the next reading then finds little left to do."""
+    def _propagate_to_newest(self) -> None:
+        """Propagate to the newest IMU sample in advance, to save time at the next reading."""
         if self._stamp is None:
             return
-        now, samples = self._filter.propagated, list(self._imu)
-        reached, point = self._ahead[-1] if self._ahead else (self._stamp, now)
-        self._filter.go_to(point)
+        present, samples = self._filter.propagated, list(self._imu)
+        reached, saved = self._propagated[-1] if self._propagated else (self._stamp, present)
+        self._filter.restore(saved)
         for stamp, _ in samples:
             if reached < stamp <= self._stamp + self._settings.timing.odometry_gap * SECOND:
                 self._step(samples, reached, stamp)
                 reached = stamp
-                self._ahead.append((stamp, self._filter.propagated))
-        self._filter.go_to(now)
+                self._propagated.append((stamp, self._filter.propagated))
+        self._filter.restore(present)
 
     def _step(self, samples: Sequence[tuple[int, Array]], begin: int, end: int) -> None:
+        """Propagate from `begin` to `end` (ns) with the IMU at the midpoint."""
         imu, _ = _interpolate(samples, (begin + end) // 2)
         self._filter.propagate(imu, (end - begin) / SECOND)
 
     def _process(self, stamp: int, motion: OdometryMotion | None) -> None:
+        """Predict to a reading (None: unusable), correct with it, and publish the estimate."""
         gap = self._settings.timing.odometry_gap * SECOND
         if self._stamp is None or stamp - self._accepted_stamp > gap:
             self._stamp = None
             if motion is not None:
                 self._start(motion)
             return
-        seen = self._predict(self._stamp, stamp)
+        imu_complete = self._predict(self._stamp, stamp)
         accepted = motion is not None and self._filter.correct(motion)
         if accepted:
             self._accept(stamp)
@@ -188,16 +192,17 @@ class StateEstimator:
         if motion is not None and self._has_relocalised():
             self._start(motion)
             return
-        self._publish(stamp, self._judge(accepted, seen))
+        self._publish(stamp, self._validity(accepted, imu_complete))
 
     def _start(self, motion: OdometryMotion) -> None:
+        """Start the filter from a reading."""
         self._filter.restart(motion)
         self._stamp, self._accepted = motion.stamp, 0
         self._accept(motion.stamp)
         self._publish(motion.stamp, Validity.INITIALISING)
 
     def _predict(self, start: int, stamp: int) -> bool:
-        """Bring the filter from `start` to `stamp`; False if the IMU was missing on the way."""
+        """Propagate the filter from `start` to `stamp` (ns); False if IMU data was missing."""
         self._stamp = stamp
         samples = [sample for sample in self._imu if sample[0] <= stamp]
         knots = [start, *(t for t, _ in samples if start < t < stamp), stamp]
@@ -206,25 +211,28 @@ class StateEstimator:
         if not samples or longest > self._settings.timing.imu_gap * SECOND:
             self._filter.propagate_blind((stamp - start) / SECOND)
             return False
-        reached = self._go_ahead(samples, start, stamp)
+        reached = self._restore_propagated(samples, start, stamp)
         for begin, end in pairwise([reached, *(t for t in knots if t > reached)]):
             self._step(samples, begin, end)
         imu, amplification = _interpolate(samples, stamp)
         self._filter.use_gyro(imu[:3], amplification, (stamp - samples[-1][0]) / SECOND)
-        while len(self._imu) > 2 and self._imu[2][0] <= stamp:  # two to extrapolate from
+        while len(self._imu) > 2 and self._imu[2][0] <= stamp:  # keep two, to extrapolate
             self._imu.popleft()
         return True
 
-    def _go_ahead(self, samples: Sequence[tuple[int, Array]], start: int, stamp: int) -> int:
-        """Take over what has been done up to `stamp`; return where that ends.
+    def _restore_propagated(
+        self, samples: Sequence[tuple[int, Array]], start: int, stamp: int
+    ) -> int:
+        """Reuse the propagation done in advance up to `stamp` (ns); returns the stamp it reaches.
 
-        Without a sample before `start` the first step follows those after it, which may be newer.
+        It is not reused if no sample lies at or before `start`: its first step may then have been
+        interpolated from samples that are newer than `stamp`.
         """
-        done = [entry for entry in self._ahead if entry[0] <= stamp]
+        done = [entry for entry in self._propagated if entry[0] <= stamp]
         if not done or samples[0][0] > start:
             return start
-        reached, point = done[-1]
-        self._filter.go_to(point)
+        reached, saved = done[-1]
+        self._filter.restore(saved)
         return reached
 
     def _accept(self, stamp: int) -> None:
@@ -233,19 +241,20 @@ class StateEstimator:
         self._rejected.clear()
 
     def _reject(self, motion: OdometryMotion | None) -> None:
+        """Count a rejection; before the filter is valid it restarts the count of readings."""
         self._rejected.append(motion)
         if self._accepted < self._settings.gate.initial_readings:
             self._accepted = 0
 
     def _has_relocalised(self) -> bool:
-        """Whether `max_rejections` readings in a row were refused and agree among themselves."""
+        """Whether `max_rejections` readings in a row were rejected and agree with each other."""
         readings = [motion for motion in self._rejected if motion is not None]
         if len(readings) < self._settings.gate.max_rejections:
             return False
         return all(self._agree(a, b) for a, b in pairwise(readings))
 
     def _agree(self, a: OdometryMotion, b: OdometryMotion) -> bool:
-        """Whether b is where a's and b's mean velocities lead from a."""
+        """Whether a, moved at the mean velocity of a and b, gives b within the gate."""
         half = (b.stamp - a.stamp) / SECOND / 2
         travel = half * (a.attitude.apply(a.velocity) + b.attitude.apply(b.velocity))
         turn = Rotation.from_rotvec(half * (a.rate + b.rate))
@@ -254,12 +263,12 @@ class StateEstimator:
         gate = self._settings.gate
         return distance <= gate.agreement_distance and bool(angle <= gate.agreement_angle)
 
-    def _judge(self, accepted: bool, seen: bool) -> Validity:
+    def _validity(self, accepted: bool, imu_complete: bool) -> Validity:
         if not accepted:
             return Validity.ODOMETRY_REJECTED
         if self._accepted < self._settings.gate.initial_readings:
             return Validity.INITIALISING
-        return Validity.VALID if seen else Validity.IMU_MISSING
+        return Validity.VALID if imu_complete else Validity.IMU_MISSING
 
     def _publish(self, stamp: int, validity: Validity) -> None:
         state, covariance = self._filter.output()
@@ -267,17 +276,17 @@ class StateEstimator:
 
 
 def _vector(values: Array, size: int, limit: float) -> Array | None:
-    """A copy of `values`, or None unless its shape is (size,) and no element exceeds the limit."""
+    """A copy of `values` (size,); None for another shape or an element beyond +-limit."""
     array = np.array(values, dtype=np.float64)
-    usable = array.shape == (size,) and bool(np.all(np.abs(array) <= limit))  # NaN is not
+    usable = array.shape == (size,) and bool(np.all(np.abs(array) <= limit))  # false for NaN
     return array if usable else None
 
 
 def _interpolate(samples: Sequence[tuple[int, Array]], stamp: int) -> tuple[Array, float]:
-    """The IMU at `stamp` on the line through two neighbouring samples, and its noise variance gain.
+    """IMU sample (6,) at `stamp` (ns), linear between neighbours, and its noise variance factor.
 
-    Beyond the last sample the line is followed for one sample interval at most: a held value would
-    be late by half an interval, and the torso's angular acceleration makes that the larger error.
+    Beyond the last sample it is extrapolated over one sample interval at most. A held value would
+    be late by half an interval; with the torso's angular acceleration that is the larger error.
     """
     if len(samples) == 1:
         return samples[0][1], 1.0

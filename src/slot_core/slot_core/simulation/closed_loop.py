@@ -1,4 +1,4 @@
-"""Controller and simulated robot in one process: what the graph does in lockstep, without ROS."""
+"""Controller and simulated robot in one process: the graph in lockstep, without ROS."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ START = 1_000_000_000  # ns; a stamp of zero means "no time" in ROS
 
 
 class ClosedLoop:
-    """A robot in a scene that walks under the controller.
+    """Closed loop of the controller and the simulated robot in a scene.
 
-    Same configuration, scene, gait, velocity [v_x, v_y, yaw rate] and seed: the same to the last
-    bit, and the same as the graph in lockstep.
+    Deterministic: equal configuration, scene, gait, velocity [v_x, v_y, yaw rate] and seed give
+    bit-equal results, which equal those of the graph in lockstep.
     """
 
     def __init__(
@@ -37,9 +37,11 @@ class ClosedLoop:
         *,
         make: PlantMaker = Plant,
     ):
-        """Stand in the scene; raises ConfigError when an argument or the configuration is bad.
+        """Build controller and plant; the robot stands in the scene.
 
-        `profile` of the MPC: a file of config/mpc, or the default; `make` builds the plant.
+        velocity: (3,) m/s, m/s, rad/s, or None for the gait's `cruise`. profile: a file of
+        config/mpc, or the default. make: builds the plant.
+        Raises ConfigError for a bad argument or configuration.
         """
         robot = read_robot()
         mpc = config.replace(read_mpc(profile), {"acceptance.time_budget": math.inf})
@@ -47,16 +49,19 @@ class ClosedLoop:
         self.plant = make(robot, read_scene(scene), read_servo(), np.random.default_rng(seed))
 
     def run(self, ticks: int) -> Iterator[Tick]:
-        """Hand out each tick once its command is in force; then the plant goes on to the next.
+        """Yield each tick after its command is set; then advance the plant to the next odometry.
 
-        Raises Divergence when the simulation is lost.
+        Raises Divergence when the simulation diverges, and RuntimeError when the estimator has no
+        estimate for an odometry reading.
         """
         self._read(self.plant.present(START))
         self.plant.start(START)
         for _ in range(ticks):
             tick = self.controller.poll()
             if tick is None:
-                raise RuntimeError(f"no state at {self.plant.now} ns: the odometry was not usable")
+                raise RuntimeError(
+                    f"no estimate at {self.plant.now} ns: the odometry was not usable"
+                )
             self.plant.command(tick.command.angle)
             yield tick
             self._read(self.plant.advance_to_odometry())

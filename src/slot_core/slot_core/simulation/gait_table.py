@@ -1,8 +1,8 @@
-"""Tabulates what the simulated robot answers to a gait: loads and sway over the stride, and speed.
+"""Tabulates a gait on the simulated robot: normal forces, torso sway and forward speed.
 
-The gait runs open loop on the plant; after the robot has found its stride, its normal forces and
-the motion of its torso are fitted with a mean and two harmonics of the phase by least squares.
-The result is what `config/gait.yaml` holds for that gait beside its tendon angles.
+The gait runs open loop. Once the motion is periodic, the normal forces and the motion of the torso
+are fitted by least squares with a mean and two harmonics of the phase. The output is the part of
+`config/gait.yaml` that follows from a gait's tendon angles.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from slot_core.config import ConfigError
 from slot_core.control.gait import Gait, read_gaits
-from slot_core.control.reference import turn
+from slot_core.control.reference import rotate
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.robot import Array, read_robot
@@ -30,34 +30,36 @@ SWAY = ("roll", "pitch", "height", "v_x", "v_y")
 
 @dataclass(frozen=True)
 class GaitTable:
-    """The plant's answer to a gait; coefficients m, c1, s1, c2, s2."""
+    """Response of the simulated robot to a gait; coefficients m, c1, s1, c2, s2."""
 
     normal_force: Array  # (4, 5) N
     sway: Array  # (5, 5) roll, pitch (rad), height (m), v_x, v_y about their mean (m/s)
     speed: float  # m/s, mean along the mean heading
-    residual: Array  # (9,) RMS of what two harmonics leave out
 
 
 def tabulate(sim: RodRobot, gait: Gait, amplitude: float, hold: float, strides: int) -> GaitTable:
-    """Run the gait open loop for `strides` strides, commands held for `hold` (s), and fit it."""
+    """Run the gait open loop and fit `strides` strides; each command is held for `hold` (s)."""
     phase, samples, track = _run(sim, gait, amplitude, hold, strides)
     heading = np.full(len(track), track[:, 3].mean())
-    samples[:, 7:9] = turn(samples[:, 7:9], -heading)
+    samples[:, 7:9] = rotate(samples[:, 7:9], -heading)
     p = 2 * np.pi * phase
     basis = np.column_stack([np.ones_like(p), np.cos(p), np.sin(p), np.cos(2 * p), np.sin(2 * p)])
     fit = np.linalg.lstsq(basis, samples, rcond=None)[0]
     table = fit.T.copy()
     table[7:9, 0] = 0.0
-    way = turn((track[-1:, 1:3] - track[:1, 1:3]), -heading[:1])[0, 0]
-    speed = way / (track[-1, 0] - track[0, 0])
-    residual = np.sqrt(np.mean((samples - basis @ fit) ** 2, axis=0))
-    return GaitTable(table[:4], table[4:], float(speed), residual)
+    distance = rotate((track[-1:, 1:3] - track[:1, 1:3]), -heading[:1])[0, 0]
+    speed = distance / (track[-1, 0] - track[0, 0])
+    return GaitTable(table[:4], table[4:], float(speed))
 
 
 def _run(
     sim: RodRobot, gait: Gait, amplitude: float, hold: float, strides: int
 ) -> tuple[Array, Array, Array]:
-    """Phases (n,); normal forces, roll, pitch, height, v_x, v_y (n, 9); time, x, y, yaw (n, 4)."""
+    """Samples once the motion is periodic.
+
+    Returns phases (n,); four normal forces, roll, pitch, height, v_x, v_y (n, 9); time, x, y, yaw
+    (n, 4). SI units, frame odom.
+    """
     phases, samples, track = [], [], []
     while sim.time < (WARM_UP_STRIDES + strides) * gait.period:
         now = sim.time - sim.time % hold
@@ -72,7 +74,7 @@ def _run(
 
 
 def yaml_lines(table: GaitTable, speeds: Sequence[float]) -> list[str]:
-    """The gait's entries in `config/gait.yaml`."""
+    """Lines of the gait's entry in `config/gait.yaml`; `speeds` (m/s), one for each amplitude."""
 
     def row(values: Sequence[float] | Array) -> str:
         return "[" + ", ".join(f"{value:.4g}" for value in values) + "]"
