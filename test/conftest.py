@@ -1,7 +1,7 @@
-"""What every test takes for granted of the process it runs in."""
+"""Signal handling of the test process."""
 
 import signal
 
-# Started in the background of a script, a process ignores SIGINT and so do its children; those
-# that the tests interrupt must hear it.
+# A process started in the background of a script ignores SIGINT, and so do its children; those that
+# the tests interrupt must receive it.
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -1,4 +1,4 @@
-"""One of two processes that talk over DDS: `ask` repeats a question until `answer` has replied."""
+"""Process for test_loopback.py: `ask` publishes questions over DDS until `answer` has replied."""
 
 import sys
 from contextlib import suppress

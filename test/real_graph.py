@@ -1,4 +1,4 @@
-"""What tests need that start nodes as processes."""
+"""ROS domain and configuration of tests that start nodes as processes."""
 
 import os
 import shutil
@@ -6,19 +6,24 @@ from pathlib import Path
 
 import pytest
 
-DOMAINS = 100  # beyond, the ports of DDS run into those that the system hands out
+DOMAINS = 100  # above 101 the ports of DDS lie in the range that Linux assigns dynamically
+
+
+def process_domain():
+    """ROS domain of this process, 1 .. DOMAINS."""
+    return str(1 + os.getpid() % DOMAINS)
 
 
 @pytest.fixture(scope="session", autouse=True)
 def domain():
-    """A ROS domain for every process that runs tests: their graphs do not hear each other."""
+    """Separate ROS domain for every test process, so that their graphs do not communicate."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", str(1 + os.getpid() % DOMAINS))
+        patch.setenv("ROS_DOMAIN_ID", process_domain())
         yield
 
 
 def changed_config(directory, changes):
-    """A copy of config/ below `directory` with texts replaced: {file: {before: after}}."""
+    """Copy config/ below `directory` and replace texts in it: {file: {before: after}}."""
     config = directory / "config"
     shutil.copytree(Path(__file__).parents[1] / "config", config)
     for name, replaced in changes.items():

@@ -1,4 +1,4 @@
-"""DDS stays on the loopback interface, as the operating system sees it."""
+"""DDS stays on the loopback interface, checked in the system calls of two processes."""
 
 import os
 import re
@@ -10,12 +10,13 @@ from ipaddress import ip_address
 from pathlib import Path
 
 import pytest
+from real_graph import process_domain
 
 ROOT = Path(__file__).resolve().parents[1]
 PEER = Path(__file__).with_name("loopback_peer.py")
 ENOUGH = 30  # s; under strace the exchange takes some 2 s on a busy machine
 
-# What a caller may bring along, every one of which would let DDS out or choose another transport.
+# Variables of a caller, each of which would let DDS use other interfaces or transports.
 HOSTILE = {
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
     "ROS_STATIC_PEERS": "192.0.2.1",
@@ -26,7 +27,7 @@ HOSTILE = {
     "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
 }
 
-# strace -yy names the socket in angle brackets, with the address that it is bound to.
+# strace -yy prints the socket in angle brackets, with the address that it is bound to.
 SENT = re.compile(r"^(?:sendto|sendmsg|sendmmsg|connect)\(.*")
 RECEIVED = re.compile(r"^(?:recvfrom|recvmsg|recvmmsg|accept4?)\(\d+<(?:UDP|TCP)[^:]*:\[(\S+):\d+")
 ADDRESS = re.compile(r'inet_addr\("([^"]+)"\)|inet_pton\(AF_INET6, "([^"]+)"')
@@ -35,7 +36,7 @@ FAMILIES = {"AF_INET", "AF_INET6", "AF_UNIX", "AF_NETLINK"}  # the last two stay
 
 
 def environment(**given: str) -> dict[str, str]:
-    """What scripts/env makes of a caller's variables."""
+    """Environment after sourcing scripts/env with a caller's variables."""
     shell = subprocess.run(
         ["bash", "-c", ". scripts/env && env -0"],
         cwd=ROOT,
@@ -48,14 +49,14 @@ def environment(**given: str) -> dict[str, str]:
 
 
 def sent_to(trace: str) -> Iterator[str]:
-    """Every address that a trace sends or connects to, and every family not in FAMILIES."""
+    """Every destination address of a trace, and every address family not in FAMILIES."""
     for line in filter(SENT.match, trace.splitlines()):
         yield from (family for family in FAMILY.findall(line) if family not in FAMILIES)
         yield from (four or six for four, six in ADDRESS.findall(line))
 
 
 def received_on(trace: str) -> Iterator[str]:
-    """The address of every internet socket that a trace receives or accepts on."""
+    """Local address of every internet socket on which a trace receives or accepts."""
     for line in trace.splitlines():
         if match := RECEIVED.match(line):
             yield match.group(1).strip("[]")
@@ -81,9 +82,9 @@ def strace() -> str:
 
 @pytest.fixture(scope="module")
 def trace(strace: str, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The network calls of two processes, all threads, that exchanged a question and an answer."""
+    """Network system calls (all threads) of two processes that exchange question and answer."""
     folder = tmp_path_factory.mktemp("trace")
-    variables = environment() | {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100)}
+    variables = environment() | {"ROS_DOMAIN_ID": process_domain()}
     python = shutil.which("python", path=variables["PATH"])
     assert python
 
@@ -109,7 +110,7 @@ def trace(strace: str, tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def stop(process: subprocess.Popen[str]) -> None:
-    """End a process with what it started, which all run in a session of their own."""
+    """End a process and its children, which run in a session of their own."""
     if process.poll() is None:
         os.killpg(process.pid, signal.SIGTERM)
         try:
@@ -119,13 +120,13 @@ def stop(process: subprocess.Popen[str]) -> None:
             process.wait()
 
 
-def test_every_datagram_of_two_talking_processes_goes_to_the_loopback(trace: str) -> None:
+def test_every_datagram_of_two_communicating_processes_goes_to_the_loopback(trace: str) -> None:
     addresses = list(sent_to(trace))
     assert any(address.startswith("127.") for address in addresses)  # they did use the network
     assert not [address for address in addresses if not is_loopback(address)]
 
 
-def test_two_talking_processes_receive_on_loopback_sockets_alone(trace: str) -> None:
+def test_two_communicating_processes_receive_on_loopback_sockets_only(trace: str) -> None:
     sockets = set(received_on(trace))
     assert sockets
     assert not [address for address in sockets if not is_loopback(address)]
@@ -143,25 +144,25 @@ def test_two_talking_processes_receive_on_loopback_sockets_alone(trace: str) -> 
         'sendto(9<PACKET:[77]>, "x", 1, 0, {sa_family=AF_PACKET, sll_protocol=htons(0)}, 20) = 1',
     ],
 )
-def test_the_reader_of_traces_notices_a_way_out(line: str) -> None:
+def test_the_trace_parser_detects_a_destination_outside_the_loopback(line: str) -> None:
     assert not all(map(is_loopback, sent_to(line)))
 
 
-def test_the_reader_of_traces_notices_a_socket_open_to_all() -> None:
+def test_the_trace_parser_detects_a_socket_bound_to_all_interfaces() -> None:
     line = 'recvfrom(9<UDP:[0.0.0.0:7400]>, "RTPS"..., 65500, 0, {sa_family=AF_INET}, [16]) = 88'
     assert not all(map(is_loopback, received_on(line)))
 
 
-def test_whatever_the_caller_has_set_the_environment_keeps_dds_on_the_loopback() -> None:
+def test_the_environment_keeps_dds_on_the_loopback_whatever_the_caller_has_set() -> None:
     variables = environment(**HOSTILE)
     assert variables["RMW_IMPLEMENTATION"] == "rmw_fastrtps_cpp"
     assert variables["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
     profile = ROOT / "slot_bringup/dds/loopback_only.xml"
     assert Path(variables["FASTRTPS_DEFAULT_PROFILES_FILE"]) == profile
     assert profile.exists()
-    given_up = HOSTILE.keys() - environment().keys()
-    assert given_up >= {"ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER", "FASTDDS_BUILTIN_TRANSPORTS"}
-    assert not given_up & variables.keys()
+    unset = HOSTILE.keys() - environment().keys()
+    assert unset >= {"ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER", "FASTDDS_BUILTIN_TRANSPORTS"}
+    assert not unset & variables.keys()
 
 
 def test_slot_network_leaves_the_callers_dds_variables_as_they_are() -> None:
@@ -169,7 +170,7 @@ def test_slot_network_leaves_the_callers_dds_variables_as_they_are() -> None:
     assert {name: variables[name] for name in HOSTILE} == HOSTILE
 
 
-def test_slot_network_takes_back_the_loopback_of_an_earlier_sourcing() -> None:
+def test_slot_network_unsets_the_loopback_settings_of_an_earlier_sourcing() -> None:
     variables = environment(**(environment() | {"SLOT_NETWORK": "1"}))
     assert "ROS_AUTOMATIC_DISCOVERY_RANGE" not in variables
     assert "FASTRTPS_DEFAULT_PROFILES_FILE" not in variables

@@ -142,7 +142,7 @@ def started(graph: Graph, values: Mapping[str, Any], logs: Path) -> Iterator[Pro
 
 @contextmanager
 def _on_interrupt(handler: Any) -> Iterator[None]:
-    """Handle INTERRUPTS with `handler` in the block; those ignored by the caller (nohup) stay so."""
+    """Set `handler` for INTERRUPTS in the block; one ignored by the caller (nohup) stays so."""
     before = {number: signal.getsignal(number) for number in INTERRUPTS}
     handled = [number for number in before if before[number] != signal.SIG_IGN]
     try:
