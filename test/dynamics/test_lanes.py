@@ -1,4 +1,4 @@
-"""Lanes against NumPy, and four legs in lanes against the same equations leg by leg."""
+"""Lanes compared with NumPy, and four legs in lanes with the same equations leg by leg."""
 
 import copy
 import dataclasses
@@ -33,7 +33,7 @@ ROBOT, SCENE, SERVO = read_robot(), read_scene("flat"), read_servo()
 
 
 class Stepper:
-    """The kernels of a simulator without its checks, legs in lanes or one by one."""
+    """The kernels of a RodRobot without its checks, legs in lanes or one by one."""
 
     def __init__(self, in_lanes, robot=ROBOT, servo=SERVO, **changes):
         scene = config.replace(SCENE, {k.replace("__", "."): v for k, v in changes.items()})
@@ -60,8 +60,8 @@ def stand_and_step(time):
 
 
 @pytest.mark.parametrize("motion", [walk, stand_and_step])
-def test_lanes_move_as_the_legs_do_one_by_one(motion):
-    """For 1.5 s from the start; 1e-7 m is a thousandth of the time step's own error."""
+def test_legs_in_lanes_move_as_legs_one_by_one(motion):
+    """For 1.5 s from the start; 1e-7 m is a thousandth of the time step's discretisation error."""
     lanes, single = Stepper(True), Stepper(False)
     for k in range(50):
         for stepper in (lanes, single):
@@ -69,7 +69,7 @@ def test_lanes_move_as_the_legs_do_one_by_one(motion):
         np.testing.assert_allclose(lanes.state.position, single.state.position, rtol=0, atol=1e-7)
         np.testing.assert_allclose(lanes.state.node, single.state.node, rtol=0, atol=1e-7)
         np.testing.assert_allclose(lanes.state.tension, single.state.tension, rtol=0, atol=1e-3)
-    assert lanes.state.position[2] > 0.03  # m: it has not sunk to the floor
+    assert lanes.state.position[2] > 0.03  # m: it stands
 
 
 FEATURES = {
@@ -94,8 +94,8 @@ FEATURES = {
 
 
 @pytest.mark.parametrize("feature", FEATURES)
-def test_lanes_move_as_the_legs_do_with_every_feature(feature):
-    """From the start, pulled and then partly released, for 0.3 s: every leg on its own."""
+def test_legs_in_lanes_move_as_legs_one_by_one_with_every_feature(feature):
+    """From the start for 0.3 s, tendons pulled and then partly released, each leg differently."""
     lanes, single = (Stepper(which, **FEATURES[feature]) for which in (True, False))
     plain = Stepper(True)
     for degrees in [[90.0, 40.0, 60.0, 75.0]] * 6 + [[30.0, 70.0, 0.0, 75.0]] * 4:
@@ -103,11 +103,11 @@ def test_lanes_move_as_the_legs_do_with_every_feature(feature):
             stepper.run(np.radians(degrees), 30)
         np.testing.assert_allclose(lanes.state.buffer, single.state.buffer, rtol=1e-6, atol=1e-5)
         np.testing.assert_allclose(lanes.state.node, single.state.node, rtol=0, atol=1e-7)
-    assert np.abs(lanes.state.node - plain.state.node).max() > 1e-5  # m: the feature does something
+    assert np.abs(lanes.state.node - plain.state.node).max() > 1e-5  # m: the feature has an effect
 
 
-def test_lanes_halve_the_steps_that_the_legs_do_one_by_one():
-    """An impact at 3 m/s with tendons pulled differently: contact and large angles in some."""
+def test_legs_in_lanes_halve_the_same_steps_as_legs_one_by_one():
+    """An impact at 3 m/s with different tendon angles: contact and large angles in some lanes."""
     changes = {"start__height": 0.06, "solver__correction_limit": 1e-4}
     steppers = [Stepper(in_lanes, **changes) for in_lanes in (True, False)]
     for stepper in steppers:
@@ -127,7 +127,7 @@ class Pair(NamedTuple):
 
 
 def on_lanes(function, count, *rows):
-    """(count, 4) what a function of a Lanes array and an array for its results writes."""
+    """(count, 4) results that a function of two Lanes arrays (operands, results) writes."""
     pair = Pair(np.array(rows, dtype=float), np.full((count, 4), 7.0))
     inner = njit(function)
 
@@ -158,7 +158,7 @@ def test_lanes_compute_as_numpy_does():
     np.testing.assert_array_equal(on_lanes(kernel, 13, A, B), expected)
 
 
-def test_sums_and_questions_run_over_the_lanes():
+def test_sums_maxima_and_mask_reductions_run_over_the_lanes():
     def kernel(v, out):
         out[0], out[1] = total(v[0]), largest(v[0])
         out[2] = 1.0 if some(v[0] > 3.5) else 0.0
@@ -170,7 +170,7 @@ def test_sums_and_questions_run_over_the_lanes():
     np.testing.assert_array_equal(found[:, 0], [10.0, 4.0, 1.0, 0.0, 1.0, 0.0])
 
 
-def test_no_comparison_with_nan_holds_in_its_lane():
+def test_a_comparison_with_nan_is_false_in_its_lane():
     def kernel(v, out):
         one, none = like(1.0, v[0]), like(0.0, v[0])
         out[0], out[1] = where(v[0] < 1.0, one, none), where(v[0] >= 1.0, one, none)
@@ -179,7 +179,7 @@ def test_no_comparison_with_nan_holds_in_its_lane():
     np.testing.assert_array_equal(found, [[0, 1, 0, 0], [0, 0, 1, 1]])
 
 
-def test_small_and_large_angles_share_the_lanes():
+def test_small_and_large_angles_are_exact_in_the_same_lanes():
     """Series and library function side by side; both are exact to rounding."""
 
     def kernel(v, out):
@@ -191,13 +191,13 @@ def test_small_and_large_angles_share_the_lanes():
     np.testing.assert_allclose(on_lanes(kernel, 3, angles), expected, rtol=4e-16, atol=1e-16)
 
 
-def test_only_contiguous_numbers_have_lanes():
+def test_only_contiguous_arrays_of_numbers_have_lanes():
     with pytest.raises(TypingError, match="last axis of a contiguous array"):
         njit(lambda pair: in_lanes(pair).a[0])(Pair(np.zeros((4, 3)).T, np.zeros((3, 4))))
 
 
-def test_a_handle_is_not_copied_with_its_address():
-    with pytest.raises(TypeError, match="no copy"):
+def test_a_handle_cannot_be_copied():
+    with pytest.raises(TypeError, match="cannot be copied"):
         copy.deepcopy(Handle((1.0, np.zeros(3))))
 
 

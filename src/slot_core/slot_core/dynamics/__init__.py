@@ -1,1 +1,1 @@
-"""The robot as equations: rod, tendon, contact, torso and servo, and their time integration."""
+"""Equations of motion of the robot (rod, tendon, contact, torso, servo) and their integration."""

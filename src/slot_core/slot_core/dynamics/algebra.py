@@ -1,4 +1,4 @@
-"""Small matrices for the kernels, written out."""
+"""Products, rotations and a linear solver for small matrices in the kernels, written out."""
 
 # mypy: disable-error-code="no-untyped-def"
 
@@ -40,7 +40,7 @@ def product(out, a, b):
 
 @helper
 def orthonormalise(out, r):
-    """out = r (3 I - r^T r) / 2, which takes rounding errors out of a rotation."""
+    """out = r (3 I - r^T r) / 2, which removes the rounding errors of a rotation matrix r."""
     for i in range(3):
         for j in range(3):
             value = 1.5 * r[i, j]
@@ -52,13 +52,13 @@ def orthonormalise(out, r):
 
 @helper
 def rotation(out, wx, wy, wz):
-    """Write into out (3, 3) the rotation by the vector w, rad (Rodrigues)."""
+    """Write into out (3, 3) the rotation matrix of the vector w, rad (Rodrigues' formula)."""
     square = wx * wx + wy * wy + wz * wz
     if every(square < 1e-4):  # series, exact to double precision
         a = 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
         b = 0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0))
     else:
-        square = max(1e-12, square)  # a lane may be at rest
+        square = max(1e-12, square)  # no 0 / 0 in a lane at rest
         angle = math.sqrt(square)
         a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / square
     out[0, 0], out[0, 1], out[0, 2] = (
@@ -80,7 +80,7 @@ def rotation(out, wx, wy, wz):
 
 @helper
 def cosine_sine(angle):
-    """cos and sin; a small angle by its series, exact to double precision."""
+    """(cos, sin) of an angle, rad; of a small one by series, exact to double precision."""
     square = angle * angle
     if every(square < 1e-4):
         c = 1.0 - square / 2.0 * (1.0 - square / 12.0 * (1.0 - square / 30.0))

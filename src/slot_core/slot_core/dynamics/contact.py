@@ -1,17 +1,17 @@
-"""Contact of a point with the floor: penalty normal force, and one of two laws of friction.
+"""Contact of a point with the floor: penalty normal force, and viscous or bristle friction.
 
-Where the gap is below zero the floor pushes with N = max(0, -k gap - d v_n). Friction is
+The normal force at a gap below zero is N = max(0, -k gap - d v_n). Friction is
 
     viscous:   f = -mu N v_t / sqrt(v_t^2 + eps^2), Coulomb's law regularised, which creeps;
-    bristle:   f = -s (k_t z + d_t v_t),  s = min(1, mu N / |k_t z + d_t v_t|),  dz/dt = v_t,
+    bristle:   f = -s (k_t z + d_t v_t),  s = min(1, mu N / |k_t z + d_t v_t|),  dz/dt = v_t.
 
-where the bristle z of a point, its deflection in the floor's plane, never exceeds mu N / k_t:
-elastic sticking and slip by return mapping (Simo and Hughes, Computational Inelasticity, 1998). It
-sticks without creep and then slips. In the tangent of a Newton step the factor of the
-law is lagged, which leaves the friction's matrix symmetric and dissipative.
+The bristle z of a point is its elastic deflection in the floor's plane. Return mapping limits it to
+|z| <= mu N / k_t (Simo and Hughes, Computational Inelasticity, 1998): the point sticks without
+creep, then slips. The Newton tangent does not differentiate the scalar factor of the friction law
+(it is lagged), so the matrix of the friction is symmetric and dissipative.
 
-A leg's tip is an edge of stiffness k. Along the leg the floor is a line of stiffness k' (N/m^2), of
-which a node has k' ds; so the contact does not depend on the number of nodes.
+A leg's tip is an edge of stiffness k. Along the leg the floor has the line stiffness k' (N/m^2); a
+node takes k' ds of it, so the contact does not depend on the number of nodes.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -27,17 +27,17 @@ from slot_core.dynamics.lanes import like, where
 from slot_core.dynamics.terrain import Terrain
 from slot_core.robot import Array
 
-UNIFORM, DIRECTION, PHASE = range(3)  # what a leg's friction depends on
-RELEASING = -1e-3  # rad/s, a tendon that turns faster than this way is being released
-TINY = 1e-12  # N or m, lest a zero is divided by
+UNIFORM, DIRECTION, PHASE = range(3)  # dependence of a leg's friction
+RELEASING = -1e-3  # rad/s, a tendon with a lower rate counts as released
+TINY = 1e-12  # N or m, prevents a division by zero
 
 
 class Floor(NamedTuple):
-    """Numbers of the contact law."""
+    """Parameters of the contact law."""
 
     stiffness: Array  # (N,) N/m of the nodes of a leg
     damping: Array  # (N,) N s/m
-    first: int  # the first node that may touch
+    first: int  # first node of a leg that can touch the floor
     corner_stiffness: float  # N/m
     corner_damping: float  # N s/m
     corner_friction: float
@@ -48,7 +48,7 @@ class Floor(NamedTuple):
 
 
 class Friction(NamedTuple):
-    """Friction -(drag v_t + hold): drag in N s/m, hold in N."""
+    """Friction force -(drag v_t + (x, y, z)): drag in N s/m, x, y, z in N."""
 
     drag: float
     x: float
@@ -58,16 +58,17 @@ class Friction(NamedTuple):
 
 @helper
 def normal_force(stiffness, damping, gap, vn):
-    """Normal force, N, at a gap (m) that changes by vn (m/s)."""
+    """Normal force, N, at the gap (m) and its rate vn (m/s): max(0, -k gap - d vn), 0 above."""
     normal = max(0.0, -stiffness * gap - damping * vn)
     return where(gap < 0.0, normal, like(0.0, normal))
 
 
 @helper
 def coefficient(floor, own, other, rate, outward, slip):
-    """Coefficient of a leg's friction: `own`, and `other` for slip outward or a released tendon.
+    """Friction coefficient of a leg: `own`, or `other` for slip outward or a released tendon.
 
-    rate: rad/s of the tendon; outward: slip along the leg's x axis, slip: all of it squared.
+    DIRECTION goes over from `own` to `other` with outward / sqrt(slip + eps^2). rate: of the
+    tendon, rad/s; outward: slip along the leg's x axis, m/s; slip: squared slip speed, m^2/s^2.
     """
     if floor.varies == DIRECTION:
         along = outward / math.sqrt(slip + floor.friction_velocity**2)
@@ -79,10 +80,10 @@ def coefficient(floor, own, other, rate, outward, slip):
 
 @helper
 def friction_force(floor, limit, tau, stiffness, damping, bristle, v):
-    """Friction of a point whose normal force allows `limit` = mu N.
+    """Friction of a point under the limit mu N (N), by the floor's friction law.
 
-    tau: s, how long the bristle (3 numbers, in the floor's plane) has followed v, the velocity in
-    that plane.
+    v: velocity in the floor's plane, m/s; bristle: deflection in that plane at the step's start, m;
+    tau: time for which it has grown with v since, s. Viscous friction does not use the bristle.
     """
     zero = like(0.0, limit)
     if floor.bristle == 0.0:
@@ -102,7 +103,10 @@ def friction_force(floor, limit, tau, stiffness, damping, bristle, v):
 
 @helper
 def tangential(axes, bristle, up):
-    """A bristle (odom) in the axes whose odom axes are `axes`, without its part along `up`."""
+    """A bristle (3,), odom, in other axes, without its part along the floor's normal `up`.
+
+    axes (3, 3): rows are odom's axes in the other axes; up (3,) is in the other axes too.
+    """
     a, b, c = bristle[0], bristle[1], bristle[2]
     x = a * axes[0, 0] + b * axes[1, 0] + c * axes[2, 0]
     y = a * axes[0, 1] + b * axes[1, 1] + c * axes[2, 1]
@@ -113,8 +117,9 @@ def tangential(axes, bristle, up):
 
 @helper
 def bend(floor, bristle, limit, stiffness, slope, h, x, y, z):
-    """Carry a bristle (3,), odom, on by the velocity (x, y, z), m/s, for h; limit: mu N, N.
+    """Integrate a bristle (3,), m, odom, over h (s) in place, then map it back to mu N / k_t.
 
+    It grows with the part of the velocity (x, y, z), m/s, in the floor's plane. limit: mu N, N;
     slope (2,): of the floor along odom's x and y.
     """
     a, b = slope[0], slope[1]

@@ -1,4 +1,4 @@
-"""Elimination of a leg from its tip to its clamp, in one step of Newton's method.
+"""Elimination of a leg from its tip to its clamp, in one iteration of Newton's method.
 
 The part of a leg beyond node i acts on the rest through the node's displacement X and the angle phi
 of the segment before it. Its equations are a quadratic form
@@ -6,14 +6,14 @@ of the segment before it. Its equations are a quadratic form
     F (7 x 8) over (X_x, X_z, phi, q_1, q_2, q_3, lambda | 1)
 
 with q the torso's increments (y, turn about x, turn about z) in leg axes, lambda the change of the
-tendon's tension, and the last column the gradient. One segment is one 2 x 2 pivot: with s the
-difference of its nodes' displacements, a = normal / length and the form of the part beyond it,
+tendon's tension, and the last column the gradient. Each segment is one 2 x 2 pivot P. With s the
+difference of its nodes' displacements and a = normal / length,
 
     X_i = X_k + s,      phi_k = a.s,      s = -P^-1 (right-hand sides of the other unknowns).
 
 A taut tendon adds lambda dl - lambda^2 / (2 kappa), with kappa = k + c / (theta h), in place of its
-full matrix kappa grad l grad l^T. At the clamp lambda goes last; the six displacements then left
-are those of the torso, and the form is the leg's part of the torso's 6 x 6 Schur complement.
+full matrix kappa grad l grad l^T. lambda is eliminated last, at the clamp. The form that remains,
+over the six displacements of the clamp, is the leg's part of the torso's 6 x 6 Schur complement.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -30,7 +30,7 @@ from slot_core.dynamics.terrain import ground, is_uneven, tilted
 
 
 class Column(NamedTuple):
-    """How the displacements (X_x, X_z, phi) are coupled to one other unknown."""
+    """Column of F: the coupling of (X_x, X_z, phi) to one other unknown."""
 
     x: float
     z: float
@@ -47,7 +47,7 @@ class Pivot(NamedTuple):
 
 
 class Node(NamedTuple):
-    """Tangent C and gradient g of a node (in leg axes), and y's share in q: (1, jx, jz)."""
+    """Tangent C and gradient g of a node in leg axes; its displacement along y is q.(1, jx, jz)."""
 
     cxx: float
     cxy: float
@@ -64,10 +64,10 @@ class Node(NamedTuple):
 
 @helper
 def eliminate(model, leg, inv, place):  # noqa: PLR0915 - one pivot reads best whole
-    """Eliminate the segments of a leg from tip to clamp; says whether all pivots were positive.
+    """Eliminate the segments of a leg from tip to clamp; returns whether all pivots were positive.
 
-    place: the torso's centre in odom, m. The form over (X, phi) stands in local variables, its rest
-    over (q, lambda | 1) in `rest`.
+    Writes leg.form and leg.back. inv = 1 / (theta h); place: the torso's centre in odom, m. The
+    form over (X, phi) is held in local variables, the rest over (q, lambda | 1) in `rest`.
     """
     s, rest = leg.segments, leg.rest
     viscous = 1.0 + model.rod.damping_time * inv
@@ -92,7 +92,7 @@ def eliminate(model, leg, inv, place):  # noqa: PLR0915 - one pivot reads best w
         ax, az = -tz * per_length, tx * per_length
         bx, bz = xf + ax * ff, zf + az * ff
         x, z = (xx + ax * xf, xz + az * xf), (xz + ax * zf, zz + az * zf)
-        # Its tangent: stretch, bending and the turning of its force, the turning of its moments.
+        # Its tangent: stretch, bending, and the geometric stiffness of its force and moments.
         stretch, bend = viscous * model.rod.axial[k], viscous * model.rod.bending[k]
         across = bend + force * length
         twist = (moment - s.moment[i]) * per_length
@@ -102,7 +102,7 @@ def eliminate(model, leg, inv, place):  # noqa: PLR0915 - one pivot reads best w
             z[1] + bz * az + stretch * tz * tz + across * az * az - 2.0 * twist * tz * az,
         )
         definite = definite & p.positive
-        # Right-hand sides r and solutions w: how s follows each of the other unknowns.
+        # Right-hand sides r of s for each of the other unknowns, and solutions w = P^-1 r.
         along, around = model.tendon.along[k], model.tendon.around[k]
         phi = (-bend * ax, -bend * az)
         r1, r2, r3 = _lift(q1, ax, az), _lift(q2, ax, az), _lift(q3, ax, az)
@@ -112,7 +112,7 @@ def eliminate(model, leg, inv, place):  # noqa: PLR0915 - one pivot reads best w
         wx, wz, wf = _over(p, x), _over(p, z), _over(p, phi)
         w1, w2, w3, wc, wo = _over(p, r1), _over(p, r2), _over(p, r3), _over(p, rc), _over(p, ro)
         _store(leg.back[k], wx, wz, wf, w1, w2, w3, wc, wo)
-        # What is left acts on node k and on the segment before it.
+        # The remaining form acts on node k and on the segment before it.
         q1, q2, q3 = _fold(q1, x, z, phi, w1), _fold(q2, x, z, phi, w2), _fold(q3, x, z, phi, w3)
         cable, one = _fold(cable, x, z, phi, wc), _fold(one, x, z, phi, wo)
         cable = Column(cable.x, cable.z, cable.phi - around)
@@ -145,7 +145,7 @@ def eliminate(model, leg, inv, place):  # noqa: PLR0915 - one pivot reads best w
 
 @helper
 def _node(model, leg, i, inv, place):
-    """Inertia, weight and contact of a node."""
+    """Tangent and gradient of a node: inertia, weight and contact."""
     ux, uy, uz = leg.velocity[i, 0], leg.velocity[i, 1], leg.velocity[i, 2]
     rx, rz = leg.root[0] + leg.stage[i, 0], leg.root[2] + leg.stage[i, 1]
     mass = model.rod.mass[i]
@@ -207,7 +207,7 @@ def _touch(floor, leg, i, inv, gap, up, node):
 
 @helper
 def _pulled(leg, n):
-    """Add the pull of a straight tendon on its node, and how it turns about the pulley."""
+    """Add the pull of a straight tendon on its anchor node, and its geometric stiffness T / l."""
     ux, uz, pull, stiff = leg.line[0], leg.line[1], leg.pull[0], leg.pull[0] * leg.line[2]
     cxx, cxz, czz = n.cxx + stiff * uz * uz, n.cxz - stiff * ux * uz, n.czz + stiff * ux * ux
     gx, gz = n.gx + pull * ux, n.gz + pull * uz
@@ -216,7 +216,10 @@ def _pulled(leg, n):
 
 @helper
 def _held(tendon, leg, pull, column):
-    """Add the other end of a straight tendon, the pulley, which moves with the clamp."""
+    """Add the reaction of a straight tendon at its pulley, which moves with the clamp.
+
+    pull: tension, N, for the gradient, or 1 for the column of lambda.
+    """
     ux, uz = pull * leg.line[0], pull * leg.line[1]
     turning = tendon.pulley[0] * uz - tendon.pulley[1] * ux
     return Column(column.x - ux, column.z - uz, column.phi - turning)
@@ -224,13 +227,13 @@ def _held(tendon, leg, pull, column):
 
 @helper
 def _add(column, node, share):
-    """Add to a column of q what a node couples between its plane and y."""
+    """Add a node's coupling between the leg's plane and y to a column of q; share: 1, jx or jz."""
     return Column(column.x + node.cxy * share, column.z + node.cyz * share, column.phi)
 
 
 @helper
 def _add_lateral(rest, node):
-    """Add what a node gives to q alone."""
+    """Add a node's tangent and gradient along y to the form over q."""
     x, z, c = node.jx, node.jz, node.cyy
     rest[0, 0] += c
     rest[0, 1] += c * x
@@ -245,6 +248,7 @@ def _add_lateral(rest, node):
 
 @helper
 def _inverse(xx, xz, zz):
+    """Inverse of a symmetric 2 x 2 matrix, and whether the matrix is positive definite."""
     det = xx * zz - xz * xz
     scale = 1.0 / det
     return Pivot(zz * scale, -xz * scale, xx * scale, (det > 0.0) & (xx > 0.0))
@@ -252,7 +256,7 @@ def _inverse(xx, xz, zz):
 
 @helper
 def _over(p, r):
-    """The inverse p times r."""
+    """P^-1 r, with p the inverse of P."""
     return p.xx * r[0] + p.xz * r[1], p.xz * r[0] + p.zz * r[1]
 
 
@@ -263,19 +267,19 @@ def _dot(a, b):
 
 @helper
 def _lift(column, ax, az):
-    """Right-hand side of s from a column, with phi = a.s."""
+    """Right-hand side of s for the unknown of a column, with phi = a.s."""
     return column.x + ax * column.phi, column.z + az * column.phi
 
 
 @helper
 def _fold(column, x, z, phi, w):
-    """A column after the elimination of s, which follows its unknown with -w."""
+    """A column after the elimination of s = -w times its unknown."""
     return Column(column.x - _dot(x, w), column.z - _dot(z, w), -_dot(phi, w))
 
 
 @helper
 def _gather(rest, node, r1, r2, r3, rc, w1, w2, w3, wc, wo):
-    """Add a node's share, subtract r.w: the form over (q, lambda | 1), upper half."""
+    """Form over (q, lambda | 1), upper half: add a node's part along y, subtract r.w."""
     jx, jz, c = node.jx, node.jz, node.cyy
     rest[0, 0] += c - _dot(r1, w1)
     rest[0, 1] += c * jx - _dot(r1, w2)
@@ -295,7 +299,7 @@ def _gather(rest, node, r1, r2, r3, rc, w1, w2, w3, wc, wo):
 
 @helper
 def _store(back, wx, wz, wf, w1, w2, w3, wc, wo):
-    """Keep how s follows (X, phi, q, lambda, 1) for the substitution."""
+    """Store the rows of -s over (X, phi, q, lambda, 1) for the back substitution."""
     for r in range(2):
         back[r, 0], back[r, 1], back[r, 2] = wx[r], wz[r], wf[r]
         back[r, 3], back[r, 4], back[r, 5] = w1[r], w2[r], w3[r]
@@ -309,7 +313,7 @@ def _write(form, c, column):
 
 @helper
 def couple(tendon, leg, inv):
-    """Eliminate lambda: what is left is the form over the displacements of the clamp."""
+    """Eliminate lambda; writes leg.reduced, the form over the displacements of the clamp."""
     F, release, reduced = leg.form, leg.release, leg.reduced
     taut = tendon.stiffness + tendon.damping * inv
     stiffness = where(leg.pull[0] > 0.0, like(taut, F[6, 6]), like(0.0, F[6, 6]))
@@ -325,7 +329,7 @@ def couple(tendon, leg, inv):
 
 @helper
 def add_to_torso(leg, matrix, vector):
-    """Add a leg's form to the torso's system; in lanes, the sum over the legs."""
+    """Add a leg's form, mapped by leg.clamp, to the torso's system; in lanes, of all legs."""
     reduced, half, L = leg.reduced, leg.product, leg.clamp
     for r in range(6):
         for c in range(6):
@@ -350,7 +354,10 @@ def add_to_torso(leg, matrix, vector):
 
 @helper
 def substitute(leg, vector, inv):
-    """Carry the torso's increments through a leg and update V; returns the largest |change|^2."""
+    """Back substitution of the torso's increments in a leg; updates V and the tension.
+
+    Returns the largest squared change of a node's velocity in the leg's plane, (m/s)^2.
+    """
     L, release, moved = leg.clamp, leg.release, leg.moved
     tension = release[6]
     for r in range(6):
@@ -377,7 +384,8 @@ def substitute(leg, vector, inv):
 def follow(leg, k, X, q):
     """Displacements (X_x, X_z, phi) at the end of segment k from those at its begin.
 
-    q = (q_1, q_2, q_3, lambda, 1). What does not wait for the segment before comes first.
+    q = (q_1, q_2, q_3, lambda, 1). Terms that do not depend on the previous segment come first:
+    the processor computes them ahead.
     """
     sx = _constant(leg.back, k, 0, q) + leg.back[k, 0, 0] * X[0] + leg.back[k, 0, 1] * X[1]
     sz = _constant(leg.back, k, 1, q) + leg.back[k, 1, 0] * X[0] + leg.back[k, 1, 1] * X[1]

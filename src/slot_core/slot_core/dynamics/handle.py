@@ -1,7 +1,7 @@
-"""Arguments of a kernel, taken apart once.
+"""Arguments of a kernel, unpacked once.
 
-Numba takes the arrays of a tuple apart at every call, which for those of a robot lasts longer than
-a time step. A `Handle` keeps the result; to hand it over costs as much as an integer.
+Numba unpacks the arrays of a tuple at every call, which takes longer than a time step for those of
+a robot. A `Handle` keeps the unpacked tuple in memory; passing it costs as much as an integer.
 """
 
 # mypy: disable-error-code="no-untyped-def,misc,no-untyped-call"
@@ -43,7 +43,7 @@ class Handle:
         self.numba_type = _HandleType(typeof(content))
 
     def __reduce__(self) -> str:
-        raise TypeError("a Handle holds an address: it has no copy")
+        raise TypeError("a Handle holds a memory address and cannot be copied")
 
 
 @typeof_impl.register(Handle)
@@ -61,7 +61,7 @@ def _unbox(kind, handle, c):
 
 @intrinsic
 def contents(typingctx, handle):
-    """The tuple in a handle."""
+    """The tuple of a handle."""
 
     def build(context, builder, sig, args):
         kind = context.get_value_type(handle.content).as_pointer()

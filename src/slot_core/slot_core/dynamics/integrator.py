@@ -1,4 +1,4 @@
-"""One step of the whole robot: four soft legs and the torso, solved together.
+"""Time integration of the whole robot: four soft legs and the torso, solved together.
 
 Theta scheme with the stage at t + theta h: with inv = 1 / (theta h),
 
@@ -6,14 +6,15 @@ Theta scheme with the stage at t + theta h: with inv = 1 / (theta h),
 
 solved for the stage velocity V by Newton's method with a fixed number of iterations.
 
-Unknowns are absolute: a node's velocity in its leg's plane, and the torso's. Across the plane a
-node goes with the torso, V_y = v_y + (omega x rho)_y, so its lateral inertia and contact belong to
-the torso. Internal forces of a segment see only differences of its nodes, hence torso and leg meet
-at the clamp alone, and `elimination` solves the legs one by one. Momentum is exchanged only there.
+The unknowns are absolute velocities: of the nodes in their leg's plane, and of the torso. Normal to
+the plane a node moves with the torso, V_y = v_y + (omega x rho)_y, so its lateral inertia and
+contact are added to the torso. The internal forces of a segment depend only on differences of its
+nodes. Torso and leg are therefore coupled at the clamp alone, where they exchange momentum, and
+`elimination` solves each leg on its own.
 
-The axes of a step stand still at R_n exp(theta h omega_n). Stage positions are the mean of the
-positions at both ends of the step, each seen from its own torso; a steady spin then does not strain
-the legs to second order in h.
+The step axes are fixed in odom at R_n exp(theta h omega_n). A stage position is the mean of the
+positions at both ends of the step, each relative to the torso at that end, so that a steady spin
+does not strain the legs to second order in h.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -44,13 +45,13 @@ from slot_core.dynamics.torso import add_corners, add_inertia, add_payload, add_
 
 @kernel
 def advance(machine, steps):
-    """Advance by `steps` steps; returns (steps done, -1), or where it was lost: see `lost`.
+    """Advance by `steps` steps; returns (steps done, -1) or, diverged, (steps done, `lost` code).
 
     machine: handle of (model, state, work, start, legs, scheme); the legs in lanes.
 
-    A step that is lost, has a pivot that is not positive, or moves a node by more than the limit in
-    its last Newton correction, is taken again from its `start` in 2, 4, ... 2^halvings pieces.
-    Running out of halvings is counted, and a loss only if it is `lost`.
+    A step is repeated from its `start` in 2, 4, ... 2^halvings pieces if it diverges (see `lost`),
+    has a pivot that is not positive, or moves a node by more than the limit in its last Newton
+    correction. A step that has used all halvings is counted; it ends the run only if it diverged.
     """
     model, state, work, start, legs, scheme = contents(machine)
     return _advance(model, state, work, start, (in_lanes(legs),), scheme, steps)
@@ -58,7 +59,10 @@ def advance(machine, steps):
 
 @kernel
 def advance_one_by_one(machine, steps):
-    """`advance` with one leg after the other: the same equations in plain numbers, slower."""
+    """`advance` with one leg after the other: the same equations in scalars, slower.
+
+    The reference that the tests compare the lanes with.
+    """
     model, state, work, start, legs, scheme = contents(machine)
     singly = (one_lane(legs, 0), one_lane(legs, 1), one_lane(legs, 2), one_lane(legs, 3))
     return _advance(model, state, work, start, singly, scheme, steps)
@@ -91,16 +95,17 @@ def _advance(model, state, work, start, legs, scheme, steps):
 
 @helper
 def copy(out, source):
-    """Copy an array; a slice assignment would drag its error message into the compilation."""
+    """Copy an array; a slice assignment would compile the code of its error message too."""
     for i in range(source.size):
         out[i] = source[i]
 
 
 @helper
 def lost(state, legs, limit):
-    """-1 while speeds are below the limit and all is finite, else 0 (torso) or 1 + leg N + node.
+    """Divergence check: -1 if all is finite and slower than `limit`, m/s, rad/s; else a code.
 
-    An angle of a tendon that is no number is reported at the leg's node 0: a slack tendon hides it.
+    The code is 0 for the torso and 1 + leg N + node for a node. A tendon angle that is not finite
+    is reported at the leg's node 0: under a slack tendon no node would show it.
     """
     r, v, w = state.position, state.velocity, state.rate
     if not r[0] * r[0] + r[1] * r[1] + r[2] * r[2] < math.inf:
@@ -121,7 +126,7 @@ def lost(state, legs, limit):
 
 @helper
 def _which(velocity, angle, limit):
-    """1 + leg N + node of the first node that is lost."""
+    """1 + leg N + node of the first node that diverged."""
     legs, nodes = velocity.shape[:2]
     for leg in range(legs):
         if not angle[leg] * angle[leg] < math.inf:
@@ -137,7 +142,7 @@ def _which(velocity, angle, limit):
 def step(model, state, work, legs, h, scheme):
     """One step of h, in place; returns the largest change of a node in the last iteration, m/s.
 
-    It is infinite if a pivot was not positive.
+    Returns infinity if a pivot was not positive.
     """
     theta = scheme.theta
     tau = theta * h
@@ -176,7 +181,7 @@ def step(model, state, work, legs, h, scheme):
 
 @helper
 def predict_torso(model, state, work, h, theta):
-    """Fix the step axes and the first iterate V = V_n."""
+    """Set the step axes and the torso's first iterate V = V_n."""
     w, v, g = state.rate, state.velocity, model.gravity
     tau = theta * h
     rotation(work.turn, tau * w[0], tau * w[1], tau * w[2])
@@ -193,7 +198,7 @@ def predict_torso(model, state, work, h, theta):
 
 @helper
 def _predict_leg(model, state, leg, h, theta):
-    """The servo's rate; the start's velocities in step axes; stage positions without motion."""
+    """The servo's rate, V_n in step axes, and the stage positions without the part due to V."""
     torque = model.tendon.spool_radius * leg.tension[0]
     leg.rate[0] = turn(model.servo, leg.drive, leg.command[0], leg.angle[0], torque, h)
     w, root = state.rate, leg.root
@@ -217,7 +222,7 @@ def _predict_leg(model, state, leg, h, theta):
 
 @helper
 def start_torso(model, state, work, tau):
-    """Begin the torso's system with all but its legs; returns its place at the stage, odom, m."""
+    """Assemble the torso's system without the legs; returns its position at the stage, odom, m."""
     motion, axes, gravity = work.motion, work.rotation, work.field[3]
     v, w, v0, w0 = motion[0], motion[1], motion[3], motion[4]
     dx, dy, dz = times(axes, v[0], v[1], v[2])
@@ -239,7 +244,7 @@ def start_torso(model, state, work, tau):
 
 @helper
 def _to_leg_axes(work, leg):
-    """Torso's motion, floor's normal and gravity in the axes of a leg."""
+    """Torso's motion, odom's axes and gravity in the axes of a leg."""
     for k in range(3):
         x, y, z = work.motion[k, 0], work.motion[k, 1], work.motion[k, 2]
         leg.motion[k, 0], leg.motion[k, 1], leg.motion[k, 2] = times(leg.axes, x, y, z)
@@ -250,7 +255,7 @@ def _to_leg_axes(work, leg):
 
 @helper
 def _stage(leg, tau):
-    """Stage positions; lateral velocities from the torso's."""
+    """Stage positions of a leg, m, and lateral velocities from the torso's motion, m/s."""
     stage, velocity, base, motion, q = leg.stage, leg.velocity, leg.base, leg.motion, leg.turns
     rx, ry, rz = leg.root[0], leg.root[1], leg.root[2]
     vx, vy, vz = motion[0, 0], motion[0, 1], motion[0, 2]
@@ -270,7 +275,7 @@ def _stage(leg, tau):
 
 @helper
 def load_leg(model, leg, tau):
-    """Geometry, tendon's tension and internal forces of a leg at the iterate."""
+    """Geometry, tendon tension and internal forces of a leg at the iterate."""
     s = leg.segments
     rate, turned, turning = leg.rate[0], -leg.motion[2, 1], -leg.motion[1, 1]
     measure(s, leg.stage, leg.velocity, turned, turning)
@@ -283,7 +288,7 @@ def load_leg(model, leg, tau):
 
 @helper
 def _bend(floor, leg, h):
-    """Carry the bristles of a leg's nodes to the end of the step."""
+    """Integrate the bristles of a leg's nodes over the step."""
     f = leg.field
     for i in range(floor.first, leg.velocity.shape[0]):
         ux, uy, uz = leg.velocity[i, 0], leg.velocity[i, 1], leg.velocity[i, 2]
@@ -295,7 +300,7 @@ def _bend(floor, leg, h):
 
 @helper
 def bend_corners(model, state, work, h):
-    """Carry the bristles of the torso's corners to the end of the step."""
+    """Integrate the bristles of the torso's corners over the step."""
     v, w, corners = work.motion[0], work.motion[1], model.torso.corners
     for k in range(corners.shape[0]):
         x, y, z = at(v, w, corners[k, 0], corners[k, 1], corners[k, 2])
@@ -306,7 +311,7 @@ def bend_corners(model, state, work, h):
 
 @helper
 def finish_torso(state, work, h, theta):
-    """The torso from the stage to the end of the step, but for its rate: the legs need it."""
+    """The torso at the end of the step, except its rate: the legs still need the old one."""
     v, v0 = work.motion[0], work.motion[3]
     tau = theta * h
     for i in range(3):
@@ -340,7 +345,7 @@ def _move(state, work, h):
 
 @helper
 def _finish_leg(state, work, leg, h, theta):
-    """Nodes at the end of the step in the axes of then; the spool."""
+    """Nodes in leg axes, tension and tendon angle at the end of the step."""
     root, v, w, w0 = leg.root, work.motion[0], work.motion[1], state.rate
     wx, wy, wz = times(leg.axes, w[0], w[1], w[2])
     ox, oy, oz = times(leg.axes, w0[0], w0[1], w0[2])

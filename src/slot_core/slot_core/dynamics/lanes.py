@@ -1,9 +1,9 @@
-"""Four numbers that the processor computes at once: one value for each leg, FL FR RL RR.
+"""SIMD vectors of four float64 for the kernels: one value for each leg, FL FR RL RR.
 
 `Lanes` is a type of the kernels: +, -, *, /, comparison, max, min and sqrt work lane by lane, and a
 plain number stands for four equal ones. A kernel written for numbers therefore serves for one leg
-(numbers) and for four (Lanes); what differs between the two is named below. LLVM turns Lanes into
-the vectors of the machine: one register of AVX, two of NEON.
+(numbers) and for four (Lanes); where the two differ it uses the functions below. LLVM compiles
+Lanes to the vector registers of the processor: one of AVX, two of NEON.
 
 Outside the kernels Lanes are the last axis (4,) of an array; `in_lanes` gives the kernels' view.
 """
@@ -91,7 +91,7 @@ def _is_lanes(args, number=_NUMBERS, lanes=_Lanes):
 
 
 def _define(function, count, result, build):
-    """Let `function` of `count` Lanes or numbers give `result`, computed by `build`."""
+    """Overload `function` for `count` Lanes or numbers: `build` emits a value of type `result`."""
 
     class Template(AbstractTemplate):
         def generic(self, args, kws):
@@ -118,7 +118,7 @@ def _comparison(sign):
 
 
 def _chooser(sign):
-    """max (>) and min (<) as Python has them: b where b is beyond a, else a."""
+    """max (>) and min (<) with Python's result: b where b is beyond a, else a."""
     return lambda builder, a, b: builder.select(builder.fcmp_ordered(sign, b, a), b, a)
 
 
@@ -221,10 +221,10 @@ def largest(typingctx, value):
 
 @intrinsic(prefer_literal=True)
 def lane(typingctx, value, number):
-    """The value of one leg; `number` is a constant."""
+    """The value of one leg; `number` must be a constant."""
     k = number.literal_value if isinstance(number, types.IntegerLiteral) else None
     if k is None:
-        raise RequireLiteralValue("the number of a lane is a constant")
+        raise RequireLiteralValue("the number of a lane must be a constant")
     return types.float64(LANES, number), lambda context, builder, sig, args: _lane(
         builder, args[0], k
     )
@@ -245,13 +245,13 @@ def join(typingctx, a, b, c, d):
 
 @intrinsic
 def like(typingctx, value, sample):
-    """A number as the kind of the sample: itself, or as Lanes."""
+    """A number in the type of the sample: a number, or Lanes with this value in all lanes."""
     kind = LANES if isinstance(sample, _Lanes) else types.float64
     return kind(kind, sample), lambda context, builder, sig, args: args[0]
 
 
 def _each(function):
-    """An intrinsic that takes a function of the C library lane by lane (rarely used: slow)."""
+    """Lowering that calls a scalar function for each lane in turn: slow, for rare use."""
 
     def lower(context, builder, sig, args):
         number = signature(types.float64, *[types.float64] * len(args))
@@ -292,7 +292,7 @@ def _part(kind, leaf):
 
 
 def _convert(context, builder, kind, out, value, first):
-    """The arrays without their last axis, from lane `first` on."""
+    """Views of the arrays without their last axis, starting at lane `first`."""
     if not isinstance(kind, types.Array):
         parts = cgutils.unpack_tuple(builder, value, len(kind.types))
         triples = zip(kind.types, out.types, parts)
@@ -310,9 +310,9 @@ def _convert(context, builder, kind, out, value, first):
 def in_lanes(typingctx, arrays):
     """View of a (nested) named tuple of arrays (..., 4): arrays (...) of Lanes.
 
-    The view does not keep the memory alive: whoever calls the kernel does.
+    The view does not keep the memory alive: the caller of the kernel must.
     """
-    # not aligned: NumPy promises 16 bytes, a vector has 32
+    # not aligned: NumPy aligns to 16 bytes, a vector needs 32
     out = _part(arrays, lambda ndim: types.Array(LANES, ndim, "C", aligned=False))
 
     def build(context, builder, sig, args):
@@ -323,7 +323,7 @@ def in_lanes(typingctx, arrays):
 
 @intrinsic
 def one_lane(typingctx, arrays, lane):
-    """View as `in_lanes`, of one lane: arrays (...) of float64, with steps in memory."""
+    """View as `in_lanes`, of one lane: strided arrays (...) of float64."""
     out = _part(arrays, lambda ndim: types.Array(types.float64, ndim, "A"))
 
     def build(context, builder, sig, args):

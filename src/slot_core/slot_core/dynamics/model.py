@@ -1,4 +1,4 @@
-"""The robot in its scene as numbers: model, state and scratch space of the kernels."""
+"""Model, state and scratch space of the kernels, built from the robot, its servos and the scene."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from slot_core.robot import Array, Robot
 
 
 class ThetaScheme(NamedTuple):
-    """Numbers of the time stepping."""
+    """Parameters of the time integration."""
 
     step: float  # s, h
     theta: float
@@ -28,28 +28,28 @@ class ThetaScheme(NamedTuple):
 
 
 class Model(NamedTuple):
-    """The robot and its scene as numbers; legs are equal and in the order FL FR RL RR."""
+    """Parameters of the robot and its scene; the legs are equal and in the order FL FR RL RR."""
 
     rod: Rod
     tendon: TendonModel
     torso: TorsoModel
     floor: Floor
     servo: Servo
-    friction: Array  # (2, 4) of the legs, and its other value where it varies
+    friction: Array  # (2, 4) coefficient of the legs, and its other value where it varies
     gravity: Array  # (3,) m/s^2, odom
     axes: Array  # (4, 3, 3) base_link to leg axes
     root: Array  # (4, 3) m, clamp from the torso's centre, leg axes
     clamp: Array  # (4, 6, 6) torso increments to the displacements (X, phi, q) of a clamp
     speed_limit: float  # m/s
-    payload: Array  # (4,) kg and place, m, base_link
+    payload: Array  # (4,) mass, kg, and position, m, base_link
     push: Array  # (6,) N and N m, odom, about the torso's centre
-    fault: Array  # (2, 4) m of additional slack, and 1 or 0 for a broken tendon
+    fault: Array  # (2, 4) additional slack, m; 1, or 0 for a broken tendon
 
 
 class MechanicalState(NamedTuple):
-    """The robot's state, views of one buffer; the kernels write it in place."""
+    """State of the robot: views of one buffer, written in place by the kernels."""
 
-    buffer: Array  # all of it
+    buffer: Array  # all state variables
     position: Array  # (3,) m, odom
     rotation: Array  # (3, 3) base_link to odom
     velocity: Array  # (3,) m/s, odom
@@ -60,13 +60,13 @@ class MechanicalState(NamedTuple):
     tendon_angle: Array  # (4,) rad
     tendon_rate: Array  # (4,) rad/s, over the last step
     tension: Array  # (4,) N, at the stage of the last step
-    drive: Array  # (4, 3) of the servos: see `servo.turn`
+    drive: Array  # (4, 3) state of the servos, see `servo.turn`
     bristle: Array  # (4, N, 3) m, odom, and (8, 3) of the torso's corners; empty without bristles
     corner_bristle: Array
 
 
 class LegModel(NamedTuple):
-    """All that a step needs of one leg, in leg axes; no step allocates memory.
+    """Parameters, state views and scratch arrays of one leg in leg axes; no step allocates memory.
 
     The arrays of four legs have one axis more, the last (`lanes.py`). "Step axes" are those of
     `integrator.py`.
@@ -75,8 +75,8 @@ class LegModel(NamedTuple):
     axes: Array  # (3, 3) base_link to leg axes
     root: Array  # (3,) m, clamp from the torso's centre
     clamp: Array  # (6, 6) torso increments to the displacements (X, phi, q) of the clamp
-    friction: Array  # (2,)
-    fault: Array  # (2,)
+    friction: Array  # (2,) as in Model
+    fault: Array  # (2,) as in Model
     node: Array  # (N, 2), node_velocity (N, 3), angle, rate, tension (1,): views of the state
     node_velocity: Array
     angle: Array
@@ -84,7 +84,7 @@ class LegModel(NamedTuple):
     tension: Array
     drive: Array  # (3,), bristle (N or 0, 3): views of the state
     bristle: Array
-    command: Array  # (1,) rad, tendon angle asked for
+    command: Array  # (1,) rad, commanded tendon angle
     stage: Array  # (N, 2) m, node at the stage
     velocity: Array  # (N, 3) m/s, V
     before: Array  # (N, 3) m/s, V_n in step axes
@@ -98,15 +98,15 @@ class LegModel(NamedTuple):
     line: Array  # (3,) direction and 1 / length of a straight tendon
     limit: Array  # (N or 0,) N, mu times the normal force
     slope: Array  # (N or 0, 2) of the floor below
-    release: Array  # (7,) lambda = row . (displacements of the clamp, 1)
+    release: Array  # (7,) lambda = release . (displacements of the clamp, 1)
     reduced: Array  # (6, 7) form over the displacements of the clamp
     product: Array  # (6, 6)
     turns: Array  # (3, 3) rotation by -(1 - theta) h omega_n
     whole: Array  # (3, 3) scratch rotations
     back_turn: Array  # (3, 3)
     forth: Array  # (3, 3)
-    motion: Array  # (3, 3) torso: v, omega, turn
-    field: Array  # (4, 3) odom's axes and gravity
+    motion: Array  # (3, 3) torso in leg axes: v, omega, theta h (omega - omega_n)
+    field: Array  # (4, 3) odom's axes and gravity in leg axes
 
 
 class Work(NamedTuple):
@@ -121,11 +121,11 @@ class Work(NamedTuple):
     field: Array  # (4, 3) odom's axes and gravity in step axes
     limit: Array  # (8,) N, mu times the normal force of the corners
     slope: Array  # (8, 2) of the floor below the corners
-    counter: Array  # (3,) halvings, steps with a pivot not positive, steps out of halvings
+    counter: Array  # (3,) halvings, steps with a pivot not positive, steps with no halving left
 
 
 def state_space(nodes: int, bristles: bool = False) -> MechanicalState:
-    """A state of legs of N nodes, all zero. The legs are the last axis in memory."""
+    """A state with N nodes per leg, all zero. The legs are the last axis in memory."""
     held, corners = (nodes, 8) if bristles else (0, 0)
     shapes: list[tuple[int, ...]] = [(3,), (3, 3), (3,), (3,), (3,), (nodes, 2, 4), (nodes, 3, 4)]
     shapes += [(4,), (4,), (4,), (3, 4), (held, 3, 4), (corners, 3)]
@@ -139,7 +139,7 @@ def state_space(nodes: int, bristles: bool = False) -> MechanicalState:
 
 
 def leg_space(nodes: int, lanes: tuple[int, ...] = (), bristles: bool = False) -> LegModel:
-    """A leg of N nodes, or with the axis `lanes` = (4,) four; all zero."""
+    """Arrays of one leg of N nodes, or of four with the axis `lanes` = (4,); zero, not broken."""
     n, held = nodes - 1, nodes if bristles else 0
     shapes: list[tuple[int, ...]] = [(3, 3), (3,), (6, 6), (2,), (2,), (nodes, 2), (nodes, 3)]
     shapes += [(1,), (1,), (1,), (3,), (held, 3), (1,), (nodes, 2), (nodes, 3), (nodes, 3)]
@@ -152,7 +152,7 @@ def leg_space(nodes: int, lanes: tuple[int, ...] = (), bristles: bool = False) -
 
 
 def leg_lanes(model: Model, state: MechanicalState) -> LegModel:
-    """The four legs of a robot in lanes, on its state."""
+    """The four legs of a robot in lanes; their state arrays are views of `state`."""
     legs = leg_space(len(model.rod.node), (4,), state.bristle.shape[1] > 0)
     legs.axes[:] = model.axes.transpose(1, 2, 0)
     legs.root[:] = model.root.T
@@ -189,7 +189,10 @@ def clamp_maps(axes: Array, root: Array) -> Array:
 
 
 def build_model(robot: Robot, scene: Scene, settings: ServoSettings) -> Model:
-    """The numbers of the kernels."""
+    """Parameters of the kernels for a robot, its scene and its servos.
+
+    Raises ConfigError for a height map that cannot be read.
+    """
     c, s = np.cos(robot.azimuth), np.sin(robot.azimuth)
     zero, one = np.zeros(4), np.ones(4)
     axes = np.array([[c, s, zero], [-s, c, zero], [zero, zero, one]]).transpose(2, 0, 1).copy()
@@ -215,7 +218,10 @@ def build_model(robot: Robot, scene: Scene, settings: ServoSettings) -> Model:
 
 
 def build_floor(settings: FloorSettings, rod: Rod) -> Floor:
-    """The floor as the nodes of a rod meet it."""
+    """Parameters of the contact law, with stiffness and damping per node of a rod.
+
+    Raises ConfigError for a height map that cannot be read.
+    """
     step = np.diff(rod.arc)
     line = settings.line_stiffness * (step[:-1] + step[1:]) / 2
     # The clamp is in the torso, whose corners touch the floor.
@@ -238,9 +244,10 @@ def build_floor(settings: FloorSettings, rod: Rod) -> Floor:
 
 
 def build_scheme(solver: SolverSettings, floor: Floor) -> ThetaScheme:
-    """The numbers of the time stepping.
+    """Parameters of the time integration.
 
-    A node that is misplaced by d leaves up to k d^2 / 2 in its contact of stiffness k.
+    A position error d of a node in a contact of stiffness k is an energy of up to k d^2 / 2. The
+    limit of the correction, d = sqrt(2 E / k), follows from the limit of that energy.
     """
     stiffest = max(floor.stiffness.max(), floor.corner_stiffness)
     return ThetaScheme(

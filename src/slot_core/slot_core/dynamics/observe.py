@@ -1,4 +1,4 @@
-"""What can be read off a state: positions, ground forces, momentum, energy."""
+"""Quantities computed from a state: node positions, ground forces, momentum, energy."""
 
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
@@ -79,7 +79,7 @@ def _gap(terrain, r):
 
 @helper
 def _outward(model, state, leg, v):
-    """Part of a velocity (odom) along a leg's x axis."""
+    """Component of a velocity (odom) along a leg's x axis."""
     x, y, z = times_transposed(state.rotation, v[0], v[1], v[2])
     return times(model.axes[leg], x, y, z)[0]
 
@@ -119,7 +119,7 @@ def energy(model, state, segments, position, velocity):
     total += _point_energy(model, model.payload[0], *_payload(model, state))
     total += _corner_energy(model, state)
     for leg in range(4):
-        # turning rates are not used: any rate of the clamp will do
+        # turning rates are not used, so the clamp's rate is arbitrary
         measure(segments, state.node[leg], state.node_velocity[leg], 0.0, 0.0)
         total += elastic_energy(segments, model.rod)
         angle, line = state.tendon_angle[leg], 0.0

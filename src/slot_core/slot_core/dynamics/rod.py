@@ -7,10 +7,11 @@ psi_i = phi_i - phi_{i-1}, where phi_{-1} is the clamp's tangent. Energy and Kel
     E   = sum EA_i (l_i - l0_i)^2 / (2 l0_i) + sum B_i (psi_i - psi0_i)^2 / 2
     n_i = EA_i/l0_i (l_i - l0_i + beta dl_i/dt),     m_i = B_i (psi_i - psi0_i + beta dpsi_i/dt)
 
-Bending stiffness B_i = E I_i / w_i: the chain's deflection is then a sum over its hinges in place
-of the integral over the curvature, with the weights w_i of the trapezoidal rule, corrected at the
-clamp and on both sides of the tendon's anchor, where the curvature jumps. Without the corrections
-the error at 22 nodes is four times as large; with a full cell at the clamp it is of first order.
+Bending stiffness is B_i = E I_i / w_i. The deflection of the chain is then a sum over its hinges
+that approximates the integral over the curvature. Its weights w_i are those of the trapezoidal
+rule, corrected at the clamp and on both sides of the tendon's anchor, where the curvature jumps.
+Without the corrections the error at 22 nodes is four times as large; with a full cell at the clamp
+it is of first order.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -40,7 +41,7 @@ class Rod(NamedTuple):
     axial: Array  # (N-1,) N/m, EA/l0
     bending: Array  # (N-1,) N m/rad
     anchor: int  # the node where the tendon ends
-    anchor_share: float  # of that node's bending that lies before the anchor
+    anchor_share: float  # share of that node's bending that lies before the anchor
     damping_time: float  # s, beta
 
 
@@ -58,7 +59,7 @@ class Segments(NamedTuple):
 
 
 def discretise(leg: Leg, nodes: int, anchor: float) -> Rod:
-    """Cut the leg into nodes, at equal arc length on either side of its tendon's anchor.
+    """Discretise the leg, with equal steps of arc length on each side of its tendon's anchor.
 
     anchor: arc length of the anchor over that of the leg.
     """
@@ -71,7 +72,7 @@ def discretise(leg: Leg, nodes: int, anchor: float) -> Rod:
 
 
 def stations(nodes: int, anchor: float) -> Array:
-    """(N,) places of the nodes from 0 to 1, with one at the anchor and equal steps on each side."""
+    """(N,) arc lengths of the nodes over the total, one at the anchor, equal steps on each side."""
     before = round(anchor * (nodes - 1))
     behind = np.linspace(anchor, 1.0, nodes - before)
     return np.append(np.linspace(0.0, anchor, before + 1), behind[1:])
@@ -110,8 +111,8 @@ def build(leg: Leg, node: Array, arc: Array, anchor: int) -> Rod:
 def _weights(step: Array) -> Array:
     """(n + 1,) weights of a sum over n equal steps: trapezoidal rule with Gregory's correction.
 
-    Of third order in the step where the summand is smooth, as the curvature is on each side of the
-    anchor; at the anchor it jumps by what the tendon leaves there.
+    Of third order in the step where the summand is smooth. The curvature is smooth on each side of
+    the anchor; at the anchor it jumps, because the tendon's moment ends there.
     """
     weight = np.zeros(len(step) + 1)
     weight[:-1] += step / 2
@@ -124,7 +125,7 @@ def _weights(step: Array) -> Array:
 
 
 def segments(nodes: int, lanes: tuple[int, ...] = ()) -> Segments:
-    """Scratch space for one rod, or with the axis `lanes` = (4,) for four."""
+    """Scratch arrays for one rod of N nodes, or for four with the axis `lanes` = (4,)."""
     n = nodes - 1
     shapes = [(n, 2), *[(n,)] * 6, (nodes,)]
     return Segments(*(np.zeros(shape + lanes) for shape in shapes))
@@ -136,9 +137,10 @@ def _thickness(leg: Leg, fraction: Array) -> Array:
 
 @helper
 def measure(s, node, velocity, clamp_angle, clamp_rate):
-    """Lengths, directions, turning angles and their rates.
+    """Write lengths, directions, turning angles and their rates into the segments s.
 
-    node (N, 2) m, x and z; velocity (N, 3) m/s, y not used; clamp_angle phi_{-1}, rad.
+    node (N, 2) m, x and z; velocity (N, 3) m/s, y not used; clamp_angle phi_{-1}, rad, and
+    clamp_rate, rad/s.
     """
     (dx, dz), rate = cosine_sine(clamp_angle), clamp_rate
     for i in range(s.length.size):
@@ -176,7 +178,7 @@ def angle_between(ax, az, bx, bz):
 
 @helper
 def load(s, rod, tendon, tension):
-    """Axial forces n_i and moments m_i of the rod under the tension of its tendon."""
+    """Write axial forces n_i, N, and moments m_i, N m, under the tendon's tension, N, into s."""
     beta = rod.damping_time
     for i in range(s.length.size):
         stretch = s.length[i] - rod.rest_length[i] + beta * s.stretch_rate[i]
@@ -187,7 +189,7 @@ def load(s, rod, tendon, tension):
 
 @helper
 def elastic_energy(s, rod):
-    """J, stretch plus bending, after `measure`."""
+    """Elastic energy of stretch and bending, J; call `measure` first."""
     energy = 0.0
     for i in range(s.length.size):
         stretch = s.length[i] - rod.rest_length[i]

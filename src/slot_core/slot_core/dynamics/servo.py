@@ -1,17 +1,17 @@
-"""The servo of a tendon: a position loop whose speed the load bounds.
+"""The servo of a tendon: a position loop with a speed limited by the load.
 
 `torque_speed` turns the spool at (command - angle) / lag, within the line of a DC motor at full
 voltage, with load torque tau = r_spool T pulling back:
 
     -w0 (1 + tau / tau_stall) <= rate <= w0 (1 - tau / tau_stall)
 
-(ROBOTIS XL430-W250: 1.4 N m stall, 57 rpm no load at 11.1 V). `ideal` bounds the rate only. `pid`
+(ROBOTIS XL430-W250: 1.4 N m stall, 57 rpm no load at 11.1 V). `ideal` limits the rate only. `pid`
 is the loop inside the servo: duty u = clip(k_p e + k_i int e dt - k_d w, -1, 1) with e = command -
-angle; the integral rests while the duty is at its limit; the motor follows its line within
-motor_time: motor_time dw/dt = w0 (u - tau / tau_stall) - w.
+angle; the integral is held while the duty is saturated (anti-windup); the motor approaches its line
+with the time constant motor_time: motor_time dw/dt = w0 (u - tau / tau_stall) - w.
 
 Backlash: the spool lies within half of it on either side of the motor, and a taut tendon pulls it
-to the lower side. The encoder, hence the loop, sees the spool.
+to the lower side. The encoder, and with it the loop, measures the spool.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -31,26 +31,26 @@ from slot_core.dynamics.lanes import like, where
 
 @dataclass(frozen=True)
 class ServoSettings:
-    """What `config/servo.yaml` holds on the servo as a mechanism."""
+    """Mechanical model of the servo, from `config/servo.yaml`."""
 
-    model: str = choice("how it follows the command", "torque_speed", "ideal", "pid")
+    model: str = choice("model of the position loop", "torque_speed", "ideal", "pid")
     lag: float = quantity("time constant of the position loop", "s", 1e-3, 1.0)
-    stall_torque: float = quantity("torque at rest and full voltage", "N m", 0.01, 100.0)
-    no_load_rpm: float = quantity("speed without load", "rev/min", 1.0, 1000.0)
-    ideal_rpm: float = quantity("largest speed of the ideal servo", "rev/min", 1.0, 1000.0)
-    proportional: float = quantity("of the pid: duty per angle", "1/rad", 0.0, 1e3)
-    integral: float = quantity("of the pid: duty per angle and time", "1/(rad s)", 0.0, 1e4)
-    derivative: float = quantity("of the pid: duty per speed", "s/rad", 0.0, 1e2)
-    motor_time: float = quantity("time constant of the motor behind the pid", "s", 0.0, 1.0)
+    stall_torque: float = quantity("stall torque at full voltage", "N m", 0.01, 100.0)
+    no_load_rpm: float = quantity("no-load speed", "rev/min", 1.0, 1000.0)
+    ideal_rpm: float = quantity("maximum speed of the ideal servo", "rev/min", 1.0, 1000.0)
+    proportional: float = quantity("P gain of the pid: duty per angle", "1/rad", 0.0, 1e3)
+    integral: float = quantity("I gain of the pid: duty per angle and time", "1/(rad s)", 0.0, 1e4)
+    derivative: float = quantity("D gain of the pid: duty per speed", "s/rad", 0.0, 1e2)
+    motor_time: float = quantity("time constant of the motor driven by the pid", "s", 0.0, 1.0)
     backlash_deg: float = quantity("play between motor and spool", "deg", 0.0, 10.0)
 
 
 class Servo(NamedTuple):
-    """Numbers of the servo's law."""
+    """Parameters of the servo model for the kernels."""
 
     gain: float  # 1/s
     speed: float  # rad/s
-    yielding: float  # 1/(N m), relative loss of speed per torque
+    yielding: float  # 1/(N m), relative loss of speed per torque, 1 / tau_stall
     pid: bool
     proportional: float  # 1/rad
     integral: float  # 1/(rad s)
@@ -65,7 +65,7 @@ def read_servo() -> ServoSettings:
 
 
 def servo(settings: ServoSettings) -> Servo:
-    """Numbers for the kernel."""
+    """Parameters of the servo model in SI units."""
     ideal = settings.model == "ideal"
     rpm = settings.ideal_rpm if ideal else settings.no_load_rpm
     return Servo(
@@ -85,7 +85,8 @@ def servo(settings: ServoSettings) -> Servo:
 def turn(law, drive, command, angle, torque, h):
     """Mean rate of the tendon angle over the next h (s), rad/s, positive when pulling.
 
-    drive (3,): motor's angle from the spool's (rad), its speed (rad/s) and the integral's duty.
+    drive (3,), updated in place: motor's angle minus the spool's (rad), motor's speed (rad/s),
+    duty of the integral. command, angle: rad; torque: load on the spool, N m.
     """
     rate = (
         regulate(law, drive, command, angle, torque, h)
@@ -102,7 +103,7 @@ def turn(law, drive, command, angle, torque, h):
 
 @helper
 def turning_rate(law, command, angle, torque):
-    """Rate of the motor of the models without a pid, rad/s."""
+    """Rate of the motor in the models without a pid, rad/s."""
     rate = law.gain * (command - angle)
     upper = law.speed * (1.0 - law.yielding * torque)
     lower = -law.speed * (1.0 + law.yielding * torque)
@@ -111,7 +112,7 @@ def turning_rate(law, command, angle, torque):
 
 @helper
 def regulate(law, drive, command, angle, torque, h):
-    """Rate of the motor behind a pid, rad/s; updates its speed and its integral."""
+    """Rate of the motor driven by the pid, rad/s; updates speed and integral in `drive`."""
     error = command - angle
     grown = drive[2] + law.integral * h * error
     duty = law.proportional * error + grown - law.derivative * drive[1]

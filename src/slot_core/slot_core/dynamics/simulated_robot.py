@@ -1,4 +1,4 @@
-"""What software may ask of a simulated robot, whatever its model."""
+"""Interface of a simulated robot, common to all models of the legs."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ SNAPSHOT = (
 
 
 class Divergence(RuntimeError):  # noqa: N818 - it names the event
-    """The solution is lost; the message names the time, the leg or the torso, and the node.
+    """The simulation has diverged; the message names the time, the leg or the torso, and the node.
 
-    `state` holds arrays by name: what `SimulatedRobot.snapshot` says.
+    `state` holds the values of `SimulatedRobot.snapshot` by name.
     """
 
     def __init__(self, message: str, state: Mapping[str, Any] | None = None) -> None:
@@ -38,7 +38,7 @@ class Divergence(RuntimeError):  # noqa: N818 - it names the event
 
 
 class RobotState(Protocol):
-    """Motion of torso and tendons that every model keeps, as arrays it writes in place."""
+    """Motion of the torso in every model, as arrays that the model writes in place."""
 
     @property
     def position(self) -> Array:
@@ -62,7 +62,7 @@ class RobotState(Protocol):
 
 
 class SimulatedRobot(ABC):
-    """A robot in a scene, advanced in steps of `scene.solver.step`, whatever moves its legs.
+    """A robot in a scene, advanced in steps of `scene.solver.step`, with any model of the legs.
 
     All arrays that are returned are copies; legs are in the order FL FR RL RR.
     """
@@ -74,30 +74,31 @@ class SimulatedRobot(ABC):
 
     @abstractmethod
     def __init__(self, robot: Robot, scene: Scene, servo: ServoSettings) -> None:
-        """Settle at `scene.start`; time counts from then."""
+        """Start at `scene.start` and settle; time zero is the end of settling."""
 
     @abstractmethod
     def advance(self, steps: int, command: Array) -> None:
-        """Advance `steps` steps with the commanded tendon angles (4,), rad, held.
+        """Advance by `steps` steps with constant commanded tendon angles (4,), rad.
 
-        Raises ValueError on a command of the wrong shape, not finite or outside [0, angle_max], and
-        Divergence when a speed is not finite or beyond the limit.
+        Raises ValueError for a command of the wrong shape, not finite or outside [0, angle_max],
+        and Divergence when a speed is not finite or exceeds the limit.
         """
 
     def push(self, force: Array, moment: Array) -> None:
-        """Add an outer force (3,), N, and moment (3,), N m, on the torso's centre, in odom.
+        """Add an external force (3,), N, and moment (3,), N m, on the torso's centre, in odom.
 
-        They act from now on; adding the opposite ends that. Raises ConfigError for a model without.
+        They act until their opposites are added. Raises ConfigError if the model of the legs does
+        not support pushes.
         """
-        raise ConfigError(f"legs of the model {self.scene.solver.legs!r} know no pushes")
+        raise ConfigError(f"legs of the model {self.scene.solver.legs!r} do not support pushes")
 
     def snapshot(self) -> dict[str, Any]:
-        """Copies of time, counters, motion, tendons and nodes by the properties' names."""
+        """Copies of time, counters, motion, tendons and nodes, by property name (`SNAPSHOT`)."""
         return {name: getattr(self, name) for name in SNAPSHOT}
 
     @property
     def halvings(self) -> int:
-        """How often a step was taken again in pieces half as long."""
+        """Number of times a step was repeated in pieces half as long."""
         return 0
 
     @property
@@ -133,7 +134,7 @@ class SimulatedRobot(ABC):
     @property
     @abstractmethod
     def ground_force(self) -> Array:
-        """(4, 3) N in odom, what the floor exerts on each leg now."""
+        """(4, 3) N in odom, force of the floor on each leg now."""
 
     @property
     def servo_torque(self) -> Array:
@@ -184,7 +185,7 @@ class SimulatedRobot(ABC):
         self.steps = 0
 
     def checked(self, command: Array) -> Array:
-        """The command as `advance` takes it; raises ValueError as it does."""
+        """The command as an array (4,), rad; raises ValueError as `advance` does."""
         command = np.array(command, dtype=np.float64)
         limit = self.robot.tendon.angle_max
         if command.shape != (4,):

@@ -1,17 +1,19 @@
 """The tendon of a leg: routed along it, or straight from a pulley; slack or broken.
 
-Routed, it runs from the spool through the clamp at offset d below the centre line. Its length is
-l = sum_i w_i l_i + d sum_i v_i psi_i over the rod's segments and turning angles, with weights 1 up
-to the node of the anchor, and there the share v of its bending that lies before it. Straight, it is
-the line from a pulley on the torso to the anchor, l = |r_a - p| (the paper's virtual pulley). The
-spool leaves l_cmd = l_natural + slack - r_spool theta, hence
+A routed tendon runs from the spool through the clamp at offset d below the centre line. Its length
+is l = sum_i w_i l_i + d sum_i v_i psi_i over the rod's segments and turning angles. The weights are
+1 up to the node of the anchor; there v is the share of the node's bending that lies before the
+anchor. A straight tendon is the line from a pulley on the torso to the anchor, l = |r_a - p| (the
+paper's virtual pulley). With l_cmd = l_natural + slack - r_spool theta, the length left by the
+spool, the tension and the nodal forces are
 
     T = max(0, k (l - l_cmd) + c d(l - l_cmd)/dt),      nodal forces -T grad l.
 
-Routed, k is the cable in series with d^2 v (1 - v) / B of the anchor's node, whose bending the
-weight cannot divide; without it convergence is of first order. The tangent of a straight tendon
-leaves out how its direction turns with the torso: T/l, some N/mm, against the torso's inertia in
-a step, some kN/mm.
+For a routed tendon k is the stiffness of the cable in series with the compliance d^2 v (1 - v) / B
+of the anchor's node, because the weight v cannot divide the bending of one node; without it
+convergence is of first order. The tangent of a straight tendon neglects the rotation of its
+direction with the torso: T/l, some N/mm, is small against the torso's inertia in a step, some
+kN/mm.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -30,7 +32,7 @@ from slot_core.robot import Array, Tendon
 
 
 class TendonModel(NamedTuple):
-    """Gradient weights, stiffness and spool of a tendon on a rod."""
+    """Weights of the length, stiffness, damping and spool of a tendon on a rod."""
 
     along: Array  # (N-1,) w_i, zero where straight
     around: Array  # (N-1,) m, d v_i, zero where straight
@@ -44,15 +46,15 @@ class TendonModel(NamedTuple):
 
 
 def route(rod: Rod, settings: Tendon) -> TendonModel:
-    """Lay the tendon on a rod in its natural shape."""
+    """Parameters of the tendon on a rod in its natural shape."""
     straight, end = settings.routing == "straight", rod.anchor
     before: Array = (np.arange(len(rod.rest_length)) < end).astype(float)
     around = settings.offset * before
-    give = 1.0 / settings.cable_stiffness
+    compliance = 1.0 / settings.cable_stiffness  # m/N
     if end < len(around):
         around[end] = settings.offset * rod.anchor_share
         share = rod.anchor_share * (1.0 - rod.anchor_share)
-        give += (not straight) * settings.offset**2 * share / rod.bending[end]
+        compliance += (not straight) * settings.offset**2 * share / rod.bending[end]
     natural = float(before @ rod.rest_length + around @ rod.rest_angle)
     if straight:
         natural = math.dist(rod.node[end], settings.pulley)
@@ -63,7 +65,7 @@ def route(rod: Rod, settings: Tendon) -> TendonModel:
         anchor=end,
         pulley=settings.pulley,
         relaxed=natural + settings.slack,
-        stiffness=1.0 / give,
+        stiffness=1.0 / compliance,
         damping=settings.cable_damping,
         spool_radius=settings.spool_radius,
     )
@@ -73,8 +75,8 @@ def route(rod: Rod, settings: Tendon) -> TendonModel:
 def pull(s, tendon, angle, rate, line, fault):
     """Tension (N, zero when slack) at tendon angle (rad) and rate (rad/s), after `measure`.
 
-    line: (length, its rate) of a straight tendon, else zero; fault (2,): slack (m) beside the usual
-    one, and 1, or 0 for a broken tendon.
+    line: (length, m, its rate, m/s) of a straight tendon, else zeros; fault (2,): additional slack
+    (m), and 1, or 0 for a broken tendon.
     """
     stretch = tendon.spool_radius * angle - tendon.relaxed + line[0] - fault[0]
     speed = tendon.spool_radius * rate + line[1]
@@ -86,7 +88,7 @@ def pull(s, tendon, angle, rate, line, fault):
 
 @helper
 def stretch_line(out, tendon, node, velocity, turn, turning):
-    """Length and rate of a straight tendon; writes out (3,): its direction and 1 / length.
+    """Length (m) and rate (m/s) of a straight tendon; writes out (3,): direction and 1 / length.
 
     node (N, 2), velocity (N, 3) in leg axes; turn (rad) and turning (rad/s) of the clamp.
     """
@@ -111,7 +113,10 @@ def straight_length(tendon, node):
 
 @helper
 def cable_energy(s, tendon, angle, line, fault):
-    """J, stored in the taut cable, after `measure`; line and fault as for `pull`."""
+    """Elastic energy of the taut cable, J, after `measure`; fault as for `pull`.
+
+    line: length of a straight tendon, m, else zero.
+    """
     stretch = tendon.spool_radius * angle - tendon.relaxed + line - fault[0]
     for i in range(s.length.size):
         stretch += tendon.along[i] * s.length[i] + tendon.around[i] * s.turn[i]

@@ -1,7 +1,7 @@
-"""The shape of the floor: a plane, or heights on a grid with bilinear facets between.
+"""Shape of the floor: a plane, or a height map with bilinear interpolation.
 
 The height map is a CSV of heights in m: rows along +y, columns along +x, equal spacing, its middle
-at odom's origin. Beyond its edge the floor goes on at the height of the edge.
+at odom's origin. Beyond its edge the floor continues at the height of the edge.
 """
 
 # mypy: disable-error-code="no-untyped-def,misc"
@@ -24,7 +24,7 @@ from slot_core.robot import Array
 class Terrain(NamedTuple):
     """Heights on a grid."""
 
-    height: Array  # (rows, columns) m; of one row it is a plane at z = 0
+    height: Array  # (rows, columns) m; one row: a plane at z = 0
     spacing: float  # m
 
 
@@ -40,7 +40,7 @@ PLANE = Terrain(np.zeros((1, 1)), 1.0)
 
 
 def read_terrain(name: str, spacing: float) -> Terrain:
-    """The height map `config/scene/<name>`, or the plane for no name; raises ConfigError."""
+    """The height map `config/scene/<name>`, or the plane for an empty name; raises ConfigError."""
     if not name:
         return PLANE
     path = config.config_dir() / "scene" / name
@@ -61,6 +61,7 @@ def is_uneven(terrain):
 
 @helper
 def _ground(terrain, x, y):
+    """`ground` below one point."""
     rows, columns = terrain.height.shape
     i, u, per_x = _cell(x, terrain.spacing, columns)
     j, v, per_y = _cell(y, terrain.spacing, rows)
@@ -74,9 +75,9 @@ def _ground(terrain, x, y):
 
 @helper
 def _cell(x, spacing, count):
-    """A coordinate's cell, the fraction within and 1 / spacing, or 0 beyond the edge."""
+    """Cell of a coordinate, fraction within it, and 1 / spacing, which is 0 beyond the edge."""
     place = x / spacing + 0.5 * (count - 1)
-    if not place >= 0.0:  # nor where it is no number
+    if not place >= 0.0:  # also taken for NaN
         return 0, 0.0, 0.0
     if place > count - 1.0:
         return count - 2, 1.0, 0.0
@@ -86,9 +87,10 @@ def _cell(x, spacing, count):
 
 @helper
 def tilted(axes, below, rise):
-    """Gap (m) of a point `rise` above the ground below it, and that ground's normal.
+    """Gap (m) of a point at height `rise` (m) above `below`, and the ground's normal (3,).
 
-    axes (3, 3): odom's axes in those wanted for the normal; the gap is to the facet's plane.
+    axes (3, 3): rows are odom's axes in the axes of the returned normal. The gap is the distance
+    from the plane tangent to the ground.
     """
     a, b = below.slope_x, below.slope_y
     tall = 1.0 / math.sqrt(1.0 + a * a + b * b)
@@ -101,7 +103,7 @@ def tilted(axes, below, rise):
 
 
 def ground(terrain, x, y):
-    """The floor below odom's (x, y), numbers or Lanes (only in kernels)."""
+    """The Ground below (x, y) in odom, m, numbers or Lanes; can be called in kernels only."""
     raise NotImplementedError("only in kernels")
 
 

@@ -4,7 +4,7 @@ In axes fixed to the body, with the force F and the moment M about the centre:
 
     m dv/dt = F + m g,      J domega/dt + omega x J omega = M.
 
-The payload is a point mass at a place of the torso, a push an outer force and moment.
+The payload is a point mass fixed to the torso; a push is an external force and moment.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -33,14 +33,14 @@ class TorsoModel(NamedTuple):
 
 
 def box(settings: Torso) -> TorsoModel:
-    """Numbers for the kernel."""
+    """Parameters of the torso: mass, inertia and the eight corners of the box."""
     signs = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
     return TorsoModel(settings.mass, settings.inertia, signs * np.array(settings.size))
 
 
 @helper
 def add_inertia(H, g, torso, inv, gravity, v, v0, w, w0):
-    """Add the rigid body to the system H (6, 6) x = -g (6,), x = increments of (position, angle).
+    """Add the rigid body to the system H (6, 6) x = -g (6,) of the increments x (shift, turn).
 
     v, w: velocity and angular velocity at the stage, v0, w0 at the step's start, all in body axes;
     inv = 1 / (theta h); gravity (3,) in body axes.
@@ -62,7 +62,7 @@ def add_inertia(H, g, torso, inv, gravity, v, v0, w, w0):
 
 @helper
 def add_payload(H, g, payload, inv, gravity, v, v0, w, w0):
-    """Add a point mass: payload (4,) of mass m, kg, and place p, m; the rest as for `add_inertia`.
+    """Add a point mass: payload (4,) of mass m, kg, and position p, m; else as `add_inertia`.
 
     Force on the torso: m (g - dv/dt - dw/dt x p - w x (w x p)).
     """
@@ -82,7 +82,7 @@ def add_payload(H, g, payload, inv, gravity, v, v0, w, w0):
 
 @helper
 def add_push(g, push, rotation):
-    """Add an outer force and moment: push (6,), N and N m about the centre, in odom."""
+    """Add an external force and moment: push (6,), N and N m about the centre, in odom."""
     for k in range(2):
         f = times_transposed(rotation, push[3 * k], push[3 * k + 1], push[3 * k + 2])
         for i in range(3):
@@ -91,10 +91,10 @@ def add_push(g, push, rotation):
 
 @helper
 def add_corners(H, g, torso, floor, inv, place, axes, v, w, turn, held):
-    """Add the corners' contact; place (3,) of the centre, m; axes (3, 3) odom's in body axes.
+    """Add the contact of the corners; place (3,): centre in odom, m; axes (3, 3): body to odom.
 
-    turn (3,) is the small rotation of the body since these axes were fixed, rad; held: bristles
-    (8, 3), their limits (8,) and the floor's slopes (8, 2), only used by that law of friction.
+    turn (3,): small rotation of the body since these axes were fixed, rad; held: bristles (8, 3),
+    their limits (8,) and the floor's slopes (8, 2), used by bristle friction only.
     """
     bristle, limit, slope = held
     for k in range(torso.corners.shape[0]):
@@ -133,7 +133,7 @@ def add_corners(H, g, torso, floor, inv, place, axes, v, w, turn, held):
 
 @helper
 def _gap(terrain, place, axes, r):
-    """Gap (m) of a point r (body axes, from the centre at `place`), floor's normal, and floor."""
+    """Gap (m) of a point r (body axes, from the centre at `place`), floor's normal, and Ground."""
     up = (axes[2, 0], axes[2, 1], axes[2, 2])
     height = place[2] + up[0] * r[0] + up[1] * r[1] + up[2] * r[2]
     if not is_uneven(terrain):
@@ -147,7 +147,7 @@ def _gap(terrain, place, axes, r):
 
 @helper
 def at(v, w, x, y, z):
-    """Velocity of the point (x, y, z) of a body."""
+    """Velocity of the point (x, y, z) of a rigid body: v + w x (x, y, z)."""
     return v[0] + w[1] * z - w[2] * y, v[1] + w[2] * x - w[0] * z, v[2] + w[0] * y - w[1] * x
 
 
@@ -164,7 +164,7 @@ def _add_point(H, g, x, y, z, f, stiff, drag, up):
 
 @helper
 def _subtract(g, x, y, z, f):
-    """g -= the force f and its moment about the centre."""
+    """g -= (f, moment of f about the centre) for the force f at (x, y, z)."""
     force = (f[0], f[1], f[2], y * f[2] - z * f[1], z * f[0] - x * f[2], x * f[1] - y * f[0])
     for i in range(6):
         g[i] -= force[i]
