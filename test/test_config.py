@@ -17,7 +17,7 @@ class Inner:
 @dataclasses.dataclass(frozen=True)
 class Outer:
     count: int = quantity("a count", "", 1, 5)
-    law: str = choice("a word", "one", "two")
+    law: str = choice("one of two", "one", "two")
     on: bool = flag("a switch")
     inner: Inner
     table: dict[str, Inner] = dataclasses.field(metadata={"doc": "inner by name"})
@@ -78,7 +78,7 @@ def test_a_bad_value_is_refused_with_name_value_and_limit(mapping, message):
     assert str(refusal.value) == message
 
 
-def test_replacing_checks_like_reading():
+def test_replaced_values_are_checked_like_values_read():
     outer = config.build(Outer, GOOD, "f.yaml")
     assert config.replace(outer, {"inner.gain": 4.0}).inner.gain == 4.0
     with pytest.raises(ConfigError, match=r"inner.gain = 11.0: outside"):

@@ -46,10 +46,10 @@ def test_torso_inertia_is_that_of_a_box(robot):
     assert np.diag(robot.torso.inertia) == pytest.approx(np.diag(sampled), rel=0.01)
 
 
-def test_legs_raise_the_inertia_by_their_distance(robot):
-    """With the legs out, the robot turns 2.0 to 2.3 times harder than its torso alone.
+def test_legs_raise_the_inertia_by_their_mass_times_distance_squared(robot):
+    """The legs raise the inertia to 1.8 to 2.2 times that of the torso.
 
-    The leg's mass lies within 0.07 to 0.28 m of the centre, so that I_z grows by 4 m r^2 with an r
+    The mass of a leg lies 0.07 to 0.28 m from the centre, so I_z grows by 4 m r^2 with an r in
     between.
     """
     added = robot.inertia[2, 2] - robot.torso.inertia[2, 2]
@@ -67,14 +67,14 @@ def test_feet_stand_below_the_clamps_on_the_natural_shape(robot):
 
 
 @pytest.mark.parametrize("mass", [0.0, -1.0, 100.0])
-def test_a_torso_that_cannot_be_is_refused(robot, mass):
+def test_a_torso_mass_outside_its_bounds_is_refused(robot, mass):
     with pytest.raises(config.ConfigError, match=r"torso\.mass = .* outside \[0\.02, 20\.0\] kg"):
         config.replace(robot, {"torso.mass": mass})
 
 
 @pytest.fixture
 def settings(tmp_path, monkeypatch):
-    """A copy of the configuration that a test may change."""
+    """A copy of the configuration directory that a test may change."""
     shutil.copytree(config.config_dir(), tmp_path / "config")
     monkeypatch.setenv("SLOT_CONFIG", str(tmp_path / "config"))
     return tmp_path / "config"
@@ -86,7 +86,7 @@ def test_another_parameter_set_changes_its_values_and_nothing_else(robot):
     assert paper == config.replace(robot, values)
 
 
-def test_robot_takes_the_set_that_its_file_names(settings):
+def test_robot_uses_the_parameter_set_named_in_its_file(settings):
     path = settings / "robot.yaml"
     path.write_text(path.read_text().replace("parameters: calibrated", "parameters: paper"))
     assert read_robot() == read_robot("paper") != read_robot("calibrated")
@@ -95,7 +95,7 @@ def test_robot_takes_the_set_that_its_file_names(settings):
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ("{leg.width: 0.02}", r"^parameters/own\.yaml: leg\.width stands in robot\.yaml too"),
+        ("{leg.width: 0.02}", r"^parameters/own\.yaml: leg\.width is set in robot\.yaml too"),
         ("{leg.wiidth: 0.02}", r"leg\.wiidth is not a setting"),
         ("{width: 0.02}", r"width is not a setting"),
         ("{leg.width.deep: 1}", r"leg\.width\.deep is not a setting"),
@@ -107,7 +107,7 @@ def test_robot_takes_the_set_that_its_file_names(settings):
         ("", r"^parameters/own\.yaml: values is missing"),
     ],
 )
-def test_a_parameter_set_that_does_not_fit_is_refused(settings, values, message):
+def test_an_invalid_parameter_set_is_refused(settings, values, message):
     (settings / "parameters" / "own.yaml").write_text(f"values: {values}")
     with pytest.raises(config.ConfigError, match=message):
         read_robot("own")

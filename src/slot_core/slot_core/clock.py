@@ -5,4 +5,4 @@ from __future__ import annotations
 from collections.abc import Callable
 
 SECOND = 1_000_000_000  # ns
-Clock = Callable[[], float]  # s, of a clock that never goes back
+Clock = Callable[[], float]  # monotonic time, s

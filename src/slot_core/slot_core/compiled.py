@@ -1,7 +1,7 @@
 """Compilation of kernels with Numba, and the cache of compiled kernels.
 
-Numba notices a change in the file of a kernel, but neither in a helper that the kernel calls nor in
-the type of an argument. The name of the cache directory therefore carries a digest of all folders
+Numba detects a change in the file of a kernel, but neither in a helper that the kernel calls nor in
+the type of an argument. The name of the cache directory therefore contains a digest of all folders
 of this package that the kernel's file imports from, directly or not.
 """
 
@@ -19,17 +19,17 @@ from typing import Any, TypeVar
 
 import numba
 
-SETTINGS: Any = numba.config  # filled at run time
-njit: Any = numba.njit  # its annotations lack some of its options
+SETTINGS: Any = numba.config  # its attributes are set at run time
+njit: Any = numba.njit  # the type annotations of numba.njit lack some of its options
 F = TypeVar("F", bound=Callable[..., Any])
 
 # `contract` fuses multiply and add. Full fastmath would let the compiler delete the checks for NaN.
 FUSED: dict[str, Any] = {"fastmath": {"contract"}}
 # Without Numba's run time (nrt) a kernel that allocates memory does not compile, and none counts
-# references to its arrays, which costs more than the arithmetic.
+# references to its arrays, which would cost more than the arithmetic.
 OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
-# A helper is inlined: a call would pass arrays in memory. Without Python's wrappers it compiles in
-# half the time.
+# A helper is inlined, because a call would pass arrays in memory. Without Python's wrappers it
+# compiles in half the time.
 INLINE: dict[str, Any] = {
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
@@ -40,13 +40,13 @@ INLINE: dict[str, Any] = {
 def helper(function: F, fused: bool = True) -> F:
     """Compile a function that only kernels call.
 
-    fused: whether multiply and add may be one operation, with a result that differs by processor.
+    fused: whether multiply and add may be fused; the result then depends on the processor.
     """
     return njit(**OPTIONS, **INLINE, **(FUSED if fused else {}))(function)
 
 
 def kernel(function: F, fused: bool = True) -> F:
-    """Compile a function that Python calls; the result is cached on disk where that is possible.
+    """Compile a function that Python calls, with a cache on disk where that is possible.
 
     fused: as for `helper`.
     """
@@ -61,7 +61,7 @@ def kernel(function: F, fused: bool = True) -> F:
 
 
 def _cache_directory(module: str) -> Path | None:
-    """A writable directory for a module's kernels, or None: then every start compiles afresh."""
+    """A writable cache directory for a module's kernels, or None: then every start recompiles."""
     try:
         home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         root = SETTINGS.CACHE_DIR or Path(home) / "slot"
@@ -90,7 +90,7 @@ def _imported(module: str) -> set[str]:
 
 
 def _home(value: Any) -> str:
-    """Name of the module that defines a function or class, or nothing."""
+    """Name of the module that defines a function or class, or an empty string."""
     name = getattr(value, "__module__", None)
     return name if isinstance(name, str) and name in sys.modules else ""
 

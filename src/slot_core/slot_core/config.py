@@ -1,9 +1,9 @@
 """Configuration: YAML files read into typed, bounded, frozen dataclasses.
 
 A settings class is a frozen dataclass whose fields are made by `quantity`, `choice`, `flag` or
-`text`; each carries its description, unit and bounds. Values stand in `config/*.yaml` and nowhere
-else: a field has no default, and a missing, unknown, mistyped or out-of-range value is refused with
-its name, its value and the limit it breaks.
+`text`; each carries its description, unit and bounds. Values are set in `config/*.yaml` only: a
+field has no default. A missing, unknown, mistyped or out-of-range value raises a ConfigError with
+its name, its value and the violated limit.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ T = TypeVar("T")
 
 
 class ConfigError(ValueError):
-    """A configuration value that cannot be used; the message names it, its value and its limit."""
+    """An invalid configuration value; the message gives its name, its value and the limit."""
 
 
 def config_dir() -> Path:
@@ -36,7 +36,7 @@ def quantity(doc: str, unit: str = "", low: float = -math.inf, high: float = mat
 
 
 def choice(doc: str, *options: str) -> Any:
-    """A word out of `options`."""
+    """A string, one of `options`."""
     return dataclasses.field(metadata={"doc": doc, "options": options})
 
 
@@ -53,13 +53,16 @@ def text(doc: str) -> Any:
 def read(cls: type[T], name: str) -> T:
     """Read `<config_dir>/<name>.yaml` into the settings class `cls`.
 
-    Raises ConfigError when the file is missing, is not YAML, or holds a value that `cls` refuses.
+    Raises ConfigError if the file is missing, is not YAML, or holds a value invalid for `cls`.
     """
     return build(cls, load(name), where=f"{name}.yaml")
 
 
 def load(name: str) -> Any:
-    """What `<config_dir>/<name>.yaml` holds, unchecked; raises ConfigError unless it is YAML."""
+    """Content of `<config_dir>/<name>.yaml`, unchecked.
+
+    Raises ConfigError if the file is missing (the message lists the known names) or is not YAML.
+    """
     path = config_dir() / f"{name}.yaml"
     try:
         return yaml.safe_load(path.read_text())
@@ -71,7 +74,10 @@ def load(name: str) -> Any:
 
 
 def build(cls: type[T], mapping: Any, where: str) -> T:
-    """Build the settings class `cls` from nested mappings; `where` names the source in errors."""
+    """Build the settings class `cls` from nested mappings; raises ConfigError.
+
+    where: name of the source in error messages.
+    """
     if not isinstance(mapping, Mapping):
         raise ConfigError(f"{where}: expected a mapping of {cls.__name__}, got {mapping!r}")
     hints = typing.get_type_hints(cls)
@@ -88,12 +94,12 @@ def build(cls: type[T], mapping: Any, where: str) -> T:
     }
     try:
         return cls(**values)
-    except ConfigError as error:  # of values that do not go together
+    except ConfigError as error:  # raised by a class that checks values against each other
         raise ConfigError(_inside(where, str(error))) from None
 
 
 def leaves(settings: Any, prefix: str = "") -> Iterator[tuple[str, Any, Mapping[str, Any]]]:
-    """Yield (dotted name, value, metadata) of every plain value of a settings object."""
+    """Yield (dotted name, value, metadata) of every value of a settings object, except mappings."""
     for field in dataclasses.fields(settings):
         value = getattr(settings, field.name)
         if dataclasses.is_dataclass(value):
@@ -103,7 +109,7 @@ def leaves(settings: Any, prefix: str = "") -> Iterator[tuple[str, Any, Mapping[
 
 
 def replace(settings: T, changes: Mapping[str, Any], where: str = "override") -> T:
-    """Return a copy with the values at dotted names changed, checked as if they had been read."""
+    """Return a copy with the values at dotted names changed, checked as in `build`."""
     mapping = _to_mapping(settings)
     for name, value in changes.items():
         *parents, last = name.split(".")

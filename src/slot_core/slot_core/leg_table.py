@@ -1,6 +1,6 @@
-"""The tabulated statics of a leg, `config/leg_map.csv`, as whoever needs a column of it reads it.
+"""Reader of the tabulated statics of a leg, `config/leg_map.csv`.
 
-`scripts/tabulate_leg` writes it; what the columns mean stands in `legs/leg_map.py`.
+The file is written by `scripts/tabulate_leg`; its columns are defined in `legs/leg_map.py`.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from slot_core.robot import Array
 
 
 class LegTable(NamedTuple):
-    """The map on its grid."""
+    """Columns of the leg map on its grid of tendon angle and height."""
 
     angle: Array  # (m,) rad
     height: Array  # (n,) m
-    table: Array  # (m, n, columns asked for)
+    table: Array  # (m, n, requested columns)
 
 
 def read_leg_table(columns: Sequence[str]) -> LegTable:
-    """Columns of `config/leg_map.csv`; raises ConfigError when it is missing or not a grid."""
+    """Columns of `config/leg_map.csv`; raises ConfigError if it is missing or not a grid."""
     names = ("theta_deg", "height_m", *columns)
     try:
         with (config.config_dir() / "leg_map.csv").open() as file:

@@ -1,6 +1,6 @@
-"""The robot: geometry, masses, limits, leg order and frames, once, from `config/robot.yaml`.
+"""The robot: geometry, masses, limits, leg order and frames, from `config/robot.yaml`.
 
-What was fitted to data stands apart, in the set of `config/parameters` that robot.yaml names.
+Values fitted to data are in a parameter set of `config/parameters`, which robot.yaml names.
 
 Frames (REP-103, REP-105): `odom` is the world, z up. `base_link` is the torso's centre, x forward,
 y left, z up. Leg frame i is fixed to the torso at its corner: origin at the clamp, x outward along
@@ -36,11 +36,11 @@ class Torso:
     """The rigid box between the legs."""
 
     mass: float = quantity("mass", "kg", 0.02, 20.0)
-    size: tuple[float, float, float] = quantity("edge lengths x, y, z", "m", 0.01, 1.0)
+    size: tuple[float, float, float] = quantity("edge lengths along x, y, z", "m", 0.01, 1.0)
 
     @property
     def inertia(self) -> Array:
-        """(3, 3) kg m^2 about the centre, a homogeneous box: I_x = m (b^2 + c^2) / 12."""
+        """(3, 3) kg m^2 about the centre of a homogeneous box: I_x = m (b^2 + c^2) / 12."""
         square = np.square(self.size)
         return np.diag(self.mass / 12 * (square.sum() - square))
 
@@ -49,7 +49,9 @@ class Torso:
 class Leg:
     """One tapered TPU leg, clamped to the torso with a horizontal tangent."""
 
-    azimuth_deg: tuple[float, float, float, float] = quantity("FL FR RL RR", "deg", -180, 180)
+    azimuth_deg: tuple[float, float, float, float] = quantity(
+        "azimuth of FL FR RL RR", "deg", -180, 180
+    )
     reach: float = quantity("horizontal extent of the natural shape", "m", 0.02, 1.0)
     natural_shape: tuple[float, float, float, float] = quantity(
         "cubic z(x) of the stress-free centre line, highest power first", "", -100, 100
@@ -59,11 +61,11 @@ class Leg:
     thickness_tip: float = quantity("thickness at the tip, linear in between", "m", 1e-4, 0.1)
     density: float = quantity("density", "kg/m^3", 1, 2e4)
     young_modulus: float = quantity("Young's modulus", "Pa", 1e5, 1e9)
-    damping_time: float = quantity("Kelvin-Voigt time of the material", "s", 0, 0.1)
+    damping_time: float = quantity("Kelvin-Voigt time constant of the material", "s", 0, 0.1)
 
     @cached_property
     def shape(self) -> Polynomial:
-        """z(x) of the natural centre line, m over m; z = 0 is the floor it was drawn on."""
+        """z(x) of the natural centre line, both in m; the tip is drawn on the floor z = 0."""
         return Polynomial(self.natural_shape[::-1])
 
     def arc_length(self, x: float | None = None) -> float:
@@ -84,20 +86,22 @@ class Leg:
 class Tendon:
     """The tendon of a leg: from the spool through the clamp, at an offset below the centre line."""
 
-    end_fraction: float = quantity("arc length of its anchor over that of the leg", "", 0.1, 1.0)
+    end_fraction: float = quantity("arc length of the anchor over that of the leg", "", 0.1, 1.0)
     offset: float = quantity("distance below the centre line", "m", 1e-3, 0.05)
     cable_stiffness: float = quantity("stiffness of the cable", "N/m", 1e3, 1e8)
     cable_damping: float = quantity("damping of the cable", "N s/m", 0, 1e3)
     slack: float = quantity("slack at tendon angle zero", "m", 0, 0.02)
     spool_radius: float = quantity("radius of the spool", "m", 1e-3, 0.05)
     angle_max_deg: float = quantity("largest tendon angle", "deg", 1, 360)
-    routing: str = choice("how it runs: through the leg, or from a pulley", "routed", "straight")
-    pulley_angle_deg: float = quantity("of the pulley from the clamp, 0: outward", "deg", -360, 360)
-    pulley_distance: float = quantity("of the pulley from the clamp", "m", 0.0, 0.2)
+    routing: str = choice("path: through the leg, or straight from a pulley", "routed", "straight")
+    pulley_angle_deg: float = quantity(
+        "direction of the pulley from the clamp, 0: outward", "deg", -360, 360
+    )
+    pulley_distance: float = quantity("distance of the pulley from the clamp", "m", 0.0, 0.2)
 
     @property
     def pulley(self) -> Array:
-        """(2,) m, the pulley of a straight tendon from the clamp, x and z in leg axes."""
+        """(2,) m, pulley of a straight tendon relative to the clamp, x and z in leg axes."""
         angle = math.radians(self.pulley_angle_deg)
         return self.pulley_distance * np.array([math.cos(angle), math.sin(angle)])
 
@@ -132,7 +136,7 @@ class Robot:
 
     @cached_property
     def clamps(self) -> Array:
-        """(4, 3) clamps in base_link, m: the corner that each azimuth points to, at mid height."""
+        """(4, 3) clamps in base_link, m: at the corner each azimuth points to, at mid height."""
         corner = np.array([self.torso.size[0] / 2, self.torso.size[1] / 2, 0.0])
         direction = np.column_stack([np.cos(self.azimuth), np.sin(self.azimuth), np.zeros(4)])
         return np.sign(direction.round(9)) * corner
@@ -170,12 +174,12 @@ class Robot:
 def read_robot(parameters: str | None = None) -> Robot:
     """The robot of `config/robot.yaml` with a set of `config/parameters`; raises ConfigError.
 
-    The set is the one that robot.yaml names under `parameters`, or the one given here. A value
-    stands in one of the two files: one that stands in both is refused.
+    `parameters` names the set; by default it is the one named in robot.yaml. A value that is set in
+    both files is an error.
     """
     mapping = config.load("robot")
     if not isinstance(mapping, dict) or "parameters" not in mapping:
-        raise ConfigError("robot.yaml: parameters is missing: the name of a set")
+        raise ConfigError("robot.yaml: parameters is missing: the name of a parameter set")
     named = mapping.pop("parameters")
     name = parameters or named
     for dotted, value in read_parameters(name).items():
@@ -184,7 +188,7 @@ def read_robot(parameters: str | None = None) -> Robot:
 
 
 def read_parameters(name: str) -> dict[str, Any]:
-    """Values by dotted name of the set `config/parameters/<name>.yaml`; raises ConfigError."""
+    """Values by dotted name from the set `config/parameters/<name>.yaml`; raises ConfigError."""
     mapping = config.load(f"parameters/{name}")
     values = mapping.get("values") if isinstance(mapping, dict) else None
     if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
@@ -193,11 +197,12 @@ def read_parameters(name: str) -> dict[str, Any]:
 
 
 def _insert(mapping: dict[str, Any], dotted: str, value: Any, source: str) -> None:
+    """Set the value at a dotted name; raises ConfigError if it is set or its parent is unknown."""
     *parents, last = dotted.split(".")
     for parent in parents:
         mapping = mapping.get(parent, {})
         if not isinstance(mapping, dict):
             raise ConfigError(f"{source}: {dotted} is not a setting")
     if last in mapping:
-        raise ConfigError(f"{source}: {dotted} stands in robot.yaml too; it may stand in one only")
+        raise ConfigError(f"{source}: {dotted} is set in robot.yaml too; set it in one of the two")
     mapping[last] = value
