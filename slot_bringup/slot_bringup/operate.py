@@ -36,7 +36,7 @@ from std_srvs.srv import Trigger
 
 from slot_bringup import operator_screen
 from slot_bringup.monitor import listener
-from slot_core.bags.decode import ACTIONS
+from slot_core.bags.decode import ACTION_NUMBERS
 from slot_core.robot import LEGS
 from slot_core.safety.command_gate import Action
 from slot_core.safety.states import State
@@ -148,7 +148,7 @@ class Operator:
         state = self.view.state
         if state is None or self.view.silent(time.monotonic()):
             return True
-        if ACTIONS[state.action] is Action.OFF:
+        if ACTION_NUMBERS[state.action] is Action.OFF:
             return True
         self.view.answer = f"{State(state.state).name}: relax first (x), or stop with Ctrl-C"
         return False

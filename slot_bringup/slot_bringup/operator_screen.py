@@ -98,7 +98,7 @@ def _driver(view: View) -> list[str]:
     """Action and reason of the driver, figures of its bus, and diagnostics that are not OK."""
     if view.health is None:
         return ["no driver of servos"]
-    action = decode.ACTIONS[view.health.action].name
+    action = decode.ACTION_NUMBERS[view.health.action].name
     status = view.diagnostics.status if view.diagnostics is not None else []
     bus = [f"{v.key} {v.value}" for s in status for v in s.values if s.name == "servo bus"]
     problems = [f"  ! {s.name}: {s.message}" for s in status if s.level != DiagnosticStatus.OK]
