@@ -1,1 +1,1 @@
-"""The convex model predictive controller: problem, solvers, disturbance observer."""
+"""Convex model predictive controller: problem, solvers, disturbance observer."""

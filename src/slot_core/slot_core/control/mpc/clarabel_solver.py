@@ -1,4 +1,4 @@
-"""Clarabel, an interior-point method for conic programmes (Goulart and Chen, 2024)."""
+"""Clarabel: an interior-point method for conic programmes (Goulart and Chen, 2024)."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from slot_core.robot import Array
 
 
 class ClarabelSolver:
-    """Rows C z + s = d, s zero for equalities and else not negative; it starts cold."""
+    """Constraints C z + s = d, with s = 0 for equalities and s >= 0 otherwise; starts cold."""
 
     def __init__(self, qp: HorizonQp, settings: MpcSolverSettings):
-        """Lay out the factorisation for the sparsity of `qp`."""
+        """Set up the factorisation for the sparsity of `qp`."""
         self._qp, self._rows = qp, ConstraintRows(qp, signs=(-1, 1))
         equalities = qp.A.shape[0]
         inequalities = self._rows.matrix.shape[0] - equalities
@@ -25,21 +25,22 @@ class ClarabelSolver:
             sparse.triu(qp.P, format="csc"),
             qp.c,
             self._rows.matrix,
-            self._right(),
+            self._right_side(),
             cones,
             _options(settings),
         )
 
     def solve(self) -> Solution:
-        """Solve the problem as it stands."""
-        self._solver.update(q=self._qp.c, A=self._rows.refresh(), b=self._right())
+        """Solve the problem with its present values."""
+        self._solver.update(q=self._qp.c, A=self._rows.refresh(), b=self._right_side())
         found = self._solver.solve()
         count = int(found.iterations)
         solved = found.status == clarabel.SolverStatus.Solved
         fault = "" if solved else f"{found.status} after {count} iterations"
-        return Solution(np.array(found.x), fault, count, float(found.r_prim), float(found.r_dual))
+        return Solution(np.array(found.x), fault, count)
 
-    def _right(self) -> Array:
+    def _right_side(self) -> Array:
+        """The vector d."""
         qp = self._qp
         below, above = self._rows.bounded
         bounds = [-qp.lower.ravel()[below], qp.upper.ravel()[above]]
@@ -50,7 +51,7 @@ def _options(settings: MpcSolverSettings) -> clarabel.DefaultSettings:
     options = clarabel.DefaultSettings()
     options.verbose = False
     options.max_threads = 1
-    # What presolving leaves out cannot be updated.
+    # Entries removed by presolving could not be updated.
     options.presolve_enable = False
     options.input_sparse_dropzeros = False
     options.tol_gap_abs, options.tol_gap_rel = settings.tolerance_abs, settings.tolerance_rel

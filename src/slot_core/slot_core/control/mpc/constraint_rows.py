@@ -1,4 +1,4 @@
-"""The constraints of a `HorizonQp` as one matrix, for solvers that want them so."""
+"""Constraints of a `HorizonQp` as one matrix, for solvers with a single constraint matrix."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from slot_core.robot import Array
 
 
 class ConstraintRows:
-    """C of [A; G; one row per variable with a bound], refreshed in place.
+    """Constraint matrix C = [A; G; one row per bounded variable], updated in place.
 
-    A variable has a bound if it has one when this is made.
+    The set of bounded variables is that at construction.
     """
 
     def __init__(self, qp: HorizonQp, signs: tuple[int, ...] = (1,)):
@@ -28,19 +28,19 @@ class ConstraintRows:
         self._slots = _slots(self.matrix, qp)
 
     def refresh(self) -> Array:
-        """The entries of `matrix`, with those of A and G as they stand."""
-        to_a, to_g = self._slots
-        self.matrix.data[to_a] = self._qp.A.data
-        self.matrix.data[to_g] = self._qp.G.data
+        """Update `matrix` to the present A and G; returns its entries."""
+        a_entries, g_entries = self._slots
+        self.matrix.data[a_entries] = self._qp.A.data
+        self.matrix.data[g_entries] = self._qp.G.data
         return self.matrix.data
 
 
 def _slots(matrix: sparse.csc_matrix, qp: HorizonQp) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Where the entries of A and of G stand in `matrix`, column by column in order."""
+    """Indices of the entries of A and of G in `matrix.data`, in column order."""
     equalities, inequalities = qp.A.shape[0], qp.A.shape[0] + qp.G.shape[0]
     rows = matrix.indices
-    to_a = np.flatnonzero(rows < equalities)
-    to_g = np.flatnonzero((rows >= equalities) & (rows < inequalities))
-    assert len(to_a) == qp.A.nnz
-    assert len(to_g) == qp.G.nnz
-    return to_a, to_g
+    a_entries = np.flatnonzero(rows < equalities)
+    g_entries = np.flatnonzero((rows >= equalities) & (rows < inequalities))
+    assert len(a_entries) == qp.A.nnz
+    assert len(g_entries) == qp.G.nnz
+    return a_entries, g_entries

@@ -1,8 +1,8 @@
-"""The MPC's problem as it is written on paper, in CVXPY: to be read, and to check the solvers by.
+"""Reference formulation of the MPC's problem in CVXPY, to check the solvers.
 
-It covers the problem without options and is far too slow for the loop. The parameters follow the
-rules of disciplined parametrised programming (Agrawal et al., 2019), so that CVXPY translates the
-problem once: a product of parameters, or a quadratic form of one, would be translated every time.
+It covers the problem without options and is far too slow for control. The parameters follow the
+rules of disciplined parametrised programming (Agrawal et al., 2019), so that CVXPY compiles the
+problem once; with a product of parameters, or a quadratic form of one, it would do so every time.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from slot_core.robot import Array, Robot
 
 SOLVERS: dict[str, dict[str, Any]] = {
     "CLARABEL": {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11},
-    "SCS": {},  # as it comes
+    "SCS": {},  # default tolerances
 }
 
 
 class NoReferenceError(RuntimeError):
-    """The reference has no answer; one line."""
+    """The reference gave no solution; the message is one line."""
 
 
 class Reference:
-    """min sum (x - x_ref)' Q (x - x_ref) + (u - u_ref)' R (u - u_ref) under the limits."""
+    """min sum (x - x_ref)' Q (x - x_ref) + (u - u_ref)' R (u - u_ref) within the limits."""
 
     def __init__(self, robot: Robot, settings: MpcSettings):
-        """State the problem; raises NoReferenceError where CVXPY is missing."""
+        """Set up the problem; raises NoReferenceError if CVXPY is missing."""
         self._cp = cp = _cvxpy()
         self._model, self._settings = TorsoModel(robot), settings
         stages = settings.horizon
@@ -44,7 +44,7 @@ class Reference:
         self._problem = cp.Problem(cp.Minimize(self._cost()), [*self._dynamics(), *self._limits()])
 
     def _cost(self) -> Any:
-        """Squares of scaled errors."""
+        """Sum of squares of the errors, scaled by the roots of the weights."""
         weights = self._settings.weights
         state = (self.x[1:] - self.x_ref) @ np.diag(np.sqrt(weights.q))
         force = (self.u - self.u_ref) @ np.diag(np.sqrt(weights.r))
@@ -59,26 +59,26 @@ class Reference:
 
     def _limits(self) -> list[Any]:
         f_x, f_y, f_z = self.u[:, 0::3], self.u[:, 1::3], self.u[:, 2::3]
-        most = self._cp.multiply(self.friction, f_z)
-        pyramid = [self._cp.abs(f_x) <= most, self._cp.abs(f_y) <= most]
+        largest = self._cp.multiply(self.friction, f_z)
+        pyramid = [self._cp.abs(f_x) <= largest, self._cp.abs(f_y) <= largest]
         return [f_z >= 0, f_z <= self.limit, *pyramid]
 
     def solve(self, state: Array, preview: GaitPreview, solver: str) -> tuple[Array, float]:
-        """(H, 4, 3) N and the cost for a state (12,), with one of `SOLVERS`.
+        """Forces (H, 4, 3) N and cost for a state (12,), by one of `SOLVERS`.
 
-        Raises NoReferenceError unless it is solved.
+        Raises NoReferenceError unless the problem is solved.
         """
-        self._fill(state, preview)
+        self._set_parameters(state, preview)
         self._problem.solve(solver=solver, **SOLVERS[solver])
         if self._problem.status != self._cp.OPTIMAL:
             raise NoReferenceError(f"{solver}: {self._problem.status}")
         return self.u.value.reshape(-1, FEET, 3), float(self._problem.value)
 
-    def _fill(self, state: Array, preview: GaitPreview) -> None:
+    def _set_parameters(self, state: Array, preview: GaitPreview) -> None:
         now = np.arange(self._settings.horizon)
-        ahead = self._model.predict(state[2], state[5], preview.dt)
-        self.x0.value, self.a.value, self.b.value = state, ahead.a, ahead.b
-        self.drift.value = ahead.drift
+        prediction = self._model.predict(state[2], state[5], preview.dt)
+        self.x0.value, self.a.value, self.b.value = state, prediction.a, prediction.b
+        self.drift.value = prediction.drift
         following = np.minimum(now + 1, len(preview.reference) - 1)
         target = np.array(preview.reference, dtype=float)[following]
         target[:, YAW] += 2 * np.pi * np.round((state[YAW] - target[0, YAW]) / (2 * np.pi))

@@ -1,27 +1,28 @@
-"""The convex MPC's problem: torso model, horizon, and the quadratic programme made of them.
+"""Problem of the convex MPC: torso model, horizon and quadratic programme.
 
 State x = [roll pitch yaw, p, omega, v] (12,) and input u = (4, 3) ground reaction forces, both in
-odom. A single rigid body (Di Carlo et al., IROS 2018) on feet placed like those of natural legs:
+odom. The model is a single rigid body (Di Carlo et al., IROS 2018); the feet are placed as those of
+stress-free legs:
 
     d/dt rpy = R_z(yaw)^T omega        omega' = I_w^-1 sum r_i x f_i
     d/dt p   = v                       v'     = sum f_i / m - g e_z
 
 with I_w = R_z I R_z^T of torso and legs, r_i = R_z foot_i horizontally and r_z = -p_z, at the yaw
-and height of the present state. The forces f are the inputs, or with actuator lag follow them,
-f' = (u - f) / lag. Over the stages k = 0 .. H-1 of the gait preview it minimises
+and height of the present state. The forces f equal the inputs u, or with actuator lag follow them:
+f' = (u - f) / lag. Over the stages k = 0 .. H-1 of the gait preview the MPC minimises
 
     sum (x_k+1 - x_ref,k+1)' Q (x_k+1 - x_ref,k+1) + (u_k - u_ref,k)' R (u_k - u_ref,k)
     with  0 <= f_z <= contact f_max   and   |f_x|, |f_y| <= mu f_z   for every leg and stage,
 
-u_ref being the normal forces the gait expects, or zero. Options add to it, for every stage:
+with u_ref the gait's normal forces, or zero. Options add, for every stage:
 
     support: soft        + w (sum f_z - m g)^2
     support: equality    |sum f_z - m g| <= band
     soft minimum         + w s' s  with  f_x >= f_x,min - s_x,  f_z >= f_z,min - s_z,  s >= 0
                          for every leg in contact.
 
-Without `equality`, u = 0 is always allowed: the problem is feasible from every state. With it, legs
-in contact must be able to carry the weight, and with four of them the height cannot be controlled.
+Without `equality`, u = 0 is always allowed: the problem is feasible from every state. With it, the
+legs in contact must be able to carry the weight, and with all four the height is not controlled.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from slot_core.robot import GRAVITY, LEGS, Array, Robot
 FEET = len(LEGS)
 STATES = 12
 INPUTS = 3 * FEET
-F_X, F_Z = slice(0, INPUTS, 3), slice(2, INPUTS, 3)
+F_Z = slice(2, INPUTS, 3)
 YAW = 2
 
 Slots = NDArray[np.intp]
@@ -46,53 +47,55 @@ Slots = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Options:
-    """What the problem has beside weights and limits."""
+    """Options of the problem beside its weights and limits."""
 
     support: str = choice(
         "whether the normal forces balance the weight", "free", "soft", "equality"
     )
-    support_weight: float = quantity("soft: weight of the imbalance", "1/N^2", 0, 1e9)
+    support_weight: float = quantity("soft: weight of the squared imbalance", "1/N^2", 0, 1e9)
     support_band: float = quantity("equality: largest imbalance", "N", 0, 100)
-    lag: float = quantity("time constant of the forces behind their inputs, 0: none", "s", 0, 1)
-    reference: str = choice("what the inputs are weighed against", "gait", "zero")
+    lag: float = quantity("time constant of the actuator lag, 0: none", "s", 0, 1)
+    reference: str = choice("reference of the inputs", "gait", "zero")
     least_force: tuple[float, float] = quantity("soft minimum of f_x and f_z", "N", -100, 100)
-    least_weight: float = quantity("of falling short of it, 0: no minimum", "1/N^2", 0, 1e9)
+    least_weight: float = quantity(
+        "weight of the squared shortfall, 0: no minimum", "1/N^2", 0, 1e9
+    )
 
     @property
     def slacks(self) -> int:
-        """Slack variables of a stage."""
+        """Number of slack variables of a stage."""
         return 2 * FEET if self.least_weight > 0.0 else 0
 
     @property
     def states(self) -> int:
-        """States of a stage: the torso's, and the forces where they lag."""
+        """Number of states of a stage: the torso's 12 and, with lag, the 12 forces."""
         return STATES + (INPUTS if self.lag > 0.0 else 0)
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """x_k+1 = a x_k + b u_k + drift, with the forces behind the torso's states where they lag."""
+    """Discrete model x_k+1 = a x_k + b u_k + drift; with lag the state is [torso, forces]."""
 
     a: Array  # (n, n), n = 12 or 24
     b: Array  # (n, 12)
-    drift: Array  # (n,) what gravity and bias do in one stage
+    drift: Array  # (n,) effect of gravity and bias in one stage
 
 
 @dataclass(frozen=True)
 class Horizon:
-    """Limits and targets of the stages 0 .. H-1; the states' targets one stage later."""
+    """Limits and input targets of the stages 0 .. H-1; state targets of the stages 1 .. H."""
 
     force_max: Array  # (H, 4) N, zero without contact
     friction: Array  # (H, 4)
     force_ref: Array  # (H, 4, 3) N
-    state_ref: Array  # (H, 12), of stages 1 .. H
+    state_ref: Array  # (H, 12)
 
 
 class TorsoModel:
-    """Predicts the torso from the forces on its feet."""
+    """Single rigid body model of the torso, driven by the forces on its feet."""
 
     def __init__(self, robot: Robot, lag: float = 0.0):
-        """`lag` (s) of the forces behind their inputs; zero for none."""
+        """lag: time constant of the actuators, s; zero for none."""
         self._feet, self._lag = robot.feet, lag
         self._inverse_inertia = np.linalg.inv(robot.inertia)
         self._mass = robot.mass
@@ -105,20 +108,22 @@ class TorsoModel:
         mass: float | None = None,
         bias: Array | None = None,
     ) -> Prediction:
-        """Exact zero-order hold over dt (s) at a yaw (rad) and height (m).
+        """Discretise exactly, by zero-order hold over dt (s), at a yaw (rad) and height (m).
 
-        mass: kg, else the robot's; bias (6,): angular and linear acceleration beside the forces'.
-        With q = [rpy, p] and w = [omega, v] the model is q' = J w, w' = W f + g. An input held for
-        dt moves the forces by f(t) = u + (f_0 - u) exp(-t / lag), whose integrals are closed.
+        mass: kg, default the robot's. bias: (6,) additional angular and linear acceleration,
+        rad/s^2 and m/s^2. With q = [rpy, p] and w = [omega, v] the model is q' = J w,
+        w' = W f + g. Under a held input the forces are f(t) = u + (f_0 - u) exp(-t / lag), whose
+        integrals are in closed form.
         """
-        turn, nothing = _turn(yaw), np.zeros(6)
+        rotation = _rotation_z(yaw)
         jacobian = np.eye(6)
-        jacobian[:3, :3] = turn.T
+        jacobian[:3, :3] = rotation.T
         gain = np.zeros((6, INPUTS))
-        gain[:3] = turn @ self._inverse_inertia @ turn.T @ _levers(turn, self._feet, height)
+        arms = _lever_arms(rotation, self._feet, height)
+        gain[:3] = rotation @ self._inverse_inertia @ rotation.T @ arms
         gain[3:] = np.tile(np.eye(3) / (mass or self._mass), FEET)
-        fall = (nothing if bias is None else bias) - GRAVITY * np.eye(6)[5]
-        kept, once, twice = self._memory(dt)
+        acceleration = (np.zeros(6) if bias is None else bias) - GRAVITY * np.eye(6)[5]
+        kept, once, twice = self._lag_integrals(dt)
         size = STATES + (INPUTS if self._lag > 0.0 else 0)
         a, b, drift = np.eye(size), np.zeros((size, INPUTS)), np.zeros(size)
         a[:6, 6:STATES] = dt * jacobian
@@ -128,11 +133,14 @@ class TorsoModel:
         b[:6] = (dt**2 / 2 - twice) * jacobian @ gain
         b[6:STATES] = (dt - once) * gain
         b[STATES:] = (1.0 - kept) * np.eye(INPUTS)[: size - STATES]
-        drift[:6], drift[6:STATES] = dt**2 / 2 * jacobian @ fall, dt * fall
+        drift[:6], drift[6:STATES] = (
+            dt**2 / 2 * jacobian @ acceleration,
+            dt * acceleration,
+        )
         return Prediction(a, b, drift)
 
-    def _memory(self, dt: float) -> tuple[float, float, float]:
-        """Share of f_0 - u that is left after dt, its integral (s) and that one's (s^2)."""
+    def _lag_integrals(self, dt: float) -> tuple[float, float, float]:
+        """exp(-dt / lag), its integral over dt (s) and double integral (s^2); zero without lag."""
         if self._lag == 0.0:
             return 0.0, 0.0, 0.0
         kept = float(np.exp(-dt / self._lag))
@@ -141,19 +149,20 @@ class TorsoModel:
 
 
 class HorizonQp:
-    """min 1/2 z'Pz + c'z with A z = b, G z <= h, lower <= z <= upper, updated in place.
+    """Quadratic programme min 1/2 z'Pz + c'z with A z = b, G z <= h, lower <= z <= upper.
 
-    z = [u_0, s_0, x_1, u_1, s_1, x_2, ...]. The sparsity never changes; P never does. The arrays
-    are scipy CSC matrices and vectors; A holds the dynamics and then an exact balance, G friction,
-    a balance with a band, and the soft minimum.
+    z = [u_0, s_0, x_1, u_1, s_1, x_2, ...]. The arrays are scipy CSC matrices and vectors, updated
+    in place; P and all sparsity patterns are constant. Rows of A: dynamics, exact balance. Rows of
+    G: friction, balance with a band, soft minimum.
     """
 
     def __init__(  # noqa: PLR0917
         self, q: Array, r: Array, horizon: int, pattern: Prediction, options: Options, weight: float
     ):
-        """Weights q (12,) and r (12,); `pattern` has a non-zero wherever any prediction has one.
+        """Lay out the arrays.
 
-        weight: m g in N, for the balance.
+        q (12,) and r (12,): diagonals of Q and R. pattern: a prediction that is non-zero wherever
+        any prediction is. weight: m g, N, for the balance.
         """
         self.horizon, self.options = horizon, options
         self.states, slacks = options.states, options.slacks
@@ -182,23 +191,23 @@ class HorizonQp:
         self.lower[:, INPUTS : INPUTS + slacks] = 0.0
         self.upper = np.full((horizon, self.stage), np.inf)
         self.target = np.zeros((horizon, self.stage))
-        self._balance(weight)
+        self._set_weight(weight)
         feet = np.zeros((horizon, FEET))
         forces, states = np.zeros((horizon, FEET, 3)), np.zeros((horizon, STATES))
         self.update(pattern, np.zeros(self.states), Horizon(feet, feet, forces, states), weight)
 
     @property
     def c(self) -> Array:
-        """Linear cost: -W z_ref, and what a soft balance adds."""
+        """Linear cost: -W z_ref, and the term of a soft balance."""
         linear = -self.weight.reshape(self.horizon, -1) * self.target
         if self.options.support == "soft":
-            linear[:, F_Z] -= self.options.support_weight * self._load
+            linear[:, F_Z] -= self.options.support_weight * self._robot_weight
         return linear.ravel()
 
     def update(self, prediction: Prediction, state: Array, stages: Horizon, weight: float) -> None:
-        """Put in a prediction, the present state (12 or 24,), the stages ahead and m g (N).
+        """Set prediction, present state (12 or 24,), stages ahead and weight m g (N).
 
-        The targets' yaw is turned by as many full turns as bring it next to the state's.
+        The yaw of the targets is shifted by the full turns that bring it nearest to the state's.
         """
         friction = -stages.friction.ravel()
         values = np.concatenate([[1.0, -1.0], -prediction.a.ravel(), -prediction.b.ravel()])
@@ -213,27 +222,27 @@ class HorizonQp:
         torso[:] = stages.state_ref
         turns = np.round((state[YAW] - stages.state_ref[0, YAW]) / (2 * np.pi))
         torso[:, YAW] += 2 * np.pi * turns
-        self._balance(weight)
+        self._set_weight(weight)
         if self.options.slacks:
-            touching = stages.force_max > 0.0
-            least = -np.array(self.options.least_force)[:, None] * touching[:, None, :]
+            in_contact = stages.force_max > 0.0
+            least = -np.array(self.options.least_force)[:, None] * in_contact[:, None, :]
             self.h[-least.size :] = least.ravel()
 
     def forces(self, z: Array) -> Array:
-        """(H, 4, 3) N: the inputs in z."""
+        """Forces (H, 4, 3) N: the inputs in z."""
         return z.reshape(self.horizon, self.stage)[:, :INPUTS].reshape(-1, FEET, 3).copy()
 
     def cost(self, z: Array) -> float:
-        """The objective of the module's docstring at z."""
+        """Objective of the module's docstring at z."""
         error = z - self.target.ravel()
         cost = float(error @ (self.weight * error))
         if self.options.support == "soft":
-            excess = self.forces(z)[..., 2].sum(axis=1) - self._load
+            excess = self.forces(z)[..., 2].sum(axis=1) - self._robot_weight
             cost += self.options.support_weight * float(excess @ excess)
         return cost
 
     def violation(self, z: Array) -> float:
-        """N, by which the inputs break their limits the most; zero where they keep all."""
+        """Largest violation of a limit of the inputs, N; zero if there is none."""
         inputs = slice(0, INPUTS + self.options.slacks)
         flat = z.reshape(self.horizon, self.stage)[:, inputs]
         balance = self.horizon * self.states
@@ -247,13 +256,13 @@ class HorizonQp:
         return float(max(0.0, *outside))
 
     def residual(self, z: Array) -> float:
-        """Largest error of the dynamics in a stage, SI units."""
+        """Largest error of the dynamics over the stages, SI units."""
         rows = self.horizon * self.states
         return float(np.abs(self.A @ z - self.b)[:rows].max())
 
-    def _balance(self, weight: float) -> None:
-        """Let the normal forces balance a weight, N."""
-        self._load = weight
+    def _set_weight(self, weight: float) -> None:
+        """Set the weight (N) that the normal forces balance."""
+        self._robot_weight = weight
         self.b[self.horizon * self.states :] = weight
         start = self._rows.frictions
         band = self.options.support_band
@@ -262,20 +271,16 @@ class HorizonQp:
 
 
 class _Rows:
-    """Rows of constraints as numbers of the values that go there: 1, 2, ... and 0 for none."""
+    """Constraint rows; an entry is the 1-based index of its value in a list, 0 for a zero."""
 
     def __init__(self, horizon: int, stage: int, first_state: int, pattern: Prediction):
-        self._horizon, self._stage, self._first, self._pattern = (
-            horizon,
-            stage,
-            first_state,
-            pattern,
-        )
+        self._horizon, self._stage = horizon, stage
+        self._first, self._pattern = first_state, pattern
         self.frictions = horizon * 4 * FEET
         self.bands = 0
 
     def dynamics(self) -> NDArray[np.int64]:
-        """x_k+1 - a x_k - b u_k = drift; out of [1, -1, -a, -b]."""
+        """x_k+1 - a x_k - b u_k = drift; values [1, -1, -a, -b]."""
         size = len(self._pattern.drift)
         number = 3 + np.arange(size * (size + INPUTS))
         a = np.where(self._pattern.a != 0, number[: size**2].reshape(size, size), 0)
@@ -289,7 +294,7 @@ class _Rows:
         return self._flat(rows)
 
     def balance(self, signs: list[int]) -> NDArray[np.int64]:
-        """+- sum f_z of every stage; signs: 1 for plus, 2 for minus."""
+        """+- sum f_z of every stage; signs: 1 for plus, 2 for minus; values [1, -1]."""
         rows = self._empty(len(signs))
         for k in range(self._horizon):
             rows[k, :, k, F_Z] = np.array(signs)[:, None]
@@ -297,7 +302,7 @@ class _Rows:
         return self._flat(rows)
 
     def friction(self) -> NDArray[np.int64]:
-        """+-f_x - mu f_z <= 0 and +-f_y - mu f_z <= 0; out of [1, -1, -mu]."""
+        """+-f_x - mu f_z <= 0 and +-f_y - mu f_z <= 0; values [1, -1, -mu]."""
         rows = self._empty(FEET * 4)
         for k, leg in np.ndindex(self._horizon, FEET):
             block = rows[k, 4 * leg : 4 * leg + 4, k, 3 * leg : 3 * leg + 3]
@@ -306,7 +311,7 @@ class _Rows:
         return self._flat(rows)
 
     def least(self) -> NDArray[np.int64]:
-        """-f - s <= -least of f_x and then f_z of every leg."""
+        """-f - s <= -least_force, f_x of every leg and then f_z; values [1, -1]."""
         rows = self._empty(2 * FEET)
         for k, row in np.ndindex(self._horizon, 2 * FEET):
             part, leg = divmod(row, FEET)
@@ -322,9 +327,9 @@ class _Rows:
 
 
 def slacks(force: Array, force_max: Array, friction: Array) -> Array:
-    """(3, ..., 4) N: f_z, f_max - f_z and mu f_z - max(|f_x|, |f_y|); negative is violated.
+    """Constraint slacks (3, ..., 4) N: f_z, f_max - f_z and mu f_z - max(|f_x|, |f_y|).
 
-    `force` is (..., 4, 3), the limits are (..., 4).
+    Negative means violated. force: (..., 4, 3) N; force_max (N) and friction: (..., 4).
     """
     normal = force[..., 2]
     tangential = np.abs(force[..., :2]).max(axis=-1)
@@ -332,12 +337,13 @@ def slacks(force: Array, force_max: Array, friction: Array) -> Array:
 
 
 def condensed_condition(prediction: Prediction, q: Array, r: Array, horizon: int) -> float:
-    """Condition number of S'QS + R, the Hessian left when the states are eliminated (x = S u + ..).
+    """Condition number of the condensed Hessian S'QS + R (states eliminated: x = S u + ..).
 
-    Above it, roundoff and the solver's tolerance show in the forces: the objective is flat there.
+    If it is large, the objective is flat in some directions: roundoff and the solver's tolerance
+    then appear in the forces. q (12,) and r (12,): diagonals of Q and R.
     """
     size = len(prediction.drift)
-    columns = np.zeros((horizon, STATES, INPUTS))  # S's first block column, the torso's rows
+    columns = np.zeros((horizon, STATES, INPUTS))  # first block column of S, rows of the torso
     block = prediction.b
     for k in range(horizon):
         columns[k] = block[:STATES]
@@ -352,7 +358,7 @@ def condensed_condition(prediction: Prediction, q: Array, r: Array, horizon: int
 
 
 def _objective(weight: Array, options: Options, horizon: int, stage: int) -> sparse.csc_matrix:
-    """P: the weights, and those of a soft balance between the normal forces of a stage."""
+    """P: the weights, and the coupling of the normal forces of a stage by a soft balance."""
     diagonal = sparse.diags(weight, format="csc")
     if options.support != "soft":
         return diagonal
@@ -361,23 +367,23 @@ def _objective(weight: Array, options: Options, horizon: int, stage: int) -> spa
     return sparse.csc_matrix(diagonal + sparse.block_diag([block] * horizon, format="csc"))
 
 
-def _turn(yaw: float) -> Array:
-    """(3, 3) R_z(yaw)."""
+def _rotation_z(yaw: float) -> Array:
+    """R_z(yaw) (3, 3)."""
     s, c = np.sin(yaw), np.cos(yaw)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _levers(turn: Array, feet: Array, height: float) -> Array:
-    """(3, 12) [r_1]x .. [r_4]x, feet on the floor `height` below the centre."""
-    levers = np.zeros((3, INPUTS))
-    x, y, _ = turn @ feet.T
-    levers[0, 1::3], levers[0, 2::3] = height, y
-    levers[1, 0::3], levers[1, 2::3] = -height, -x
-    levers[2, 0::3], levers[2, 1::3] = -y, x
-    return levers
+def _lever_arms(rotation: Array, feet: Array, height: float) -> Array:
+    """Matrices [r_1]x .. [r_4]x (3, 12); the feet are `height` (m) below the centre."""
+    arms = np.zeros((3, INPUTS))
+    x, y, _ = rotation @ feet.T
+    arms[0, 1::3], arms[0, 2::3] = height, y
+    arms[1, 0::3], arms[1, 2::3] = -height, -x
+    arms[2, 0::3], arms[2, 1::3] = -y, x
+    return arms
 
 
 def _stack(parts: list[NDArray[np.int64]]) -> tuple[sparse.csc_matrix, Slots]:
-    """A matrix with the non-zeros of the rows, and where each entry's value stands: number - 1."""
+    """Matrix with the sparsity of the rows, and for each entry the 0-based index of its value."""
     matrix = sparse.csc_matrix(np.vstack(parts).astype(float))
     return matrix, matrix.data.astype(np.intp) - 1

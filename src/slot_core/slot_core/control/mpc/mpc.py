@@ -1,9 +1,9 @@
-"""The convex MPC: one quadratic programme per tick, accepted or replaced by a bounded fallback.
+"""Convex MPC: settings and controller. It solves one quadratic programme per tick.
 
-The problem stands in `model.py`, its solver in `solver.py`; here are the settings and the
-controller, which checks what goes in and what comes out. A cycle without an accepted solution
-gives the last feasible input, decayed towards the gait's own load; after `fallback.cycles` of them
-in a row the forces are zero and the status is STOPPED until a solution is accepted again.
+The problem is in `model.py`, its solver in `solver.py`. The controller checks the inputs and the
+solution. A cycle without an accepted solution returns the last feasible input, decayed towards the
+gait's normal forces. After `fallback.cycles` such cycles in a row the forces are zero and the
+status is STOPPED until a solution is accepted again.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from slot_core.control.mpc.solver import MpcSolverSettings, Solution, make_solve
 from slot_core.robot import GRAVITY, Array, Robot
 
 Vector3 = tuple[float, float, float]
-DEFAULT = "default"  # the profile of mpc.yaml alone
-LONGEST_GAP = 0.5  # s between ticks; after a longer one nothing is known of the forces
+DEFAULT = "default"  # profile: config/mpc.yaml without changes
+LONGEST_GAP = 0.5  # s between ticks; after a longer one the acting forces are unknown
 
 
 class Status(enum.IntEnum):
@@ -45,7 +45,7 @@ class Status(enum.IntEnum):
     SOLVED = 0
     NOT_SOLVED = 1  # infeasible, inaccurate or iteration limit: fallback in use
     LATE = 2  # solved after its time budget: fallback in use
-    REJECTED = 3  # input refused before the solve: fallback in use
+    REJECTED = 3  # input rejected before the solve: fallback in use
     STOPPED = 4  # no feasible input yet, or fallback used up: zero forces, nothing may follow them
 
 
@@ -57,7 +57,7 @@ class Weights:
     position: Vector3 = quantity("position", "1/m^2", 0, 1e9)
     rate: Vector3 = quantity("angular velocity", "s^2/rad^2", 0, 1e9)
     velocity: Vector3 = quantity("velocity", "s^2/m^2", 0, 1e9)
-    force: Vector3 = quantity("deviation from the gait's force, every leg", "1/N^2", 1e-12, 1e9)
+    force: Vector3 = quantity("deviation from the reference force, every leg", "1/N^2", 1e-12, 1e9)
 
     @property
     def q(self) -> Array:
@@ -72,26 +72,26 @@ class Weights:
 
 @dataclass(frozen=True)
 class Acceptance:
-    """What is let in, and which solutions are let out."""
+    """Limits of the inputs and of an accepted solution."""
 
     violation_max: float = quantity("largest violation of a force limit", "N", 0, 1)
     time_budget: float = quantity("time for update and solve; .inf in lockstep", "s", 0, math.inf)
-    condition_max: float = quantity("condition of the Hessian at the longest", "", 1, 1e12)
-    stage: tuple[float, float] = quantity("shortest and longest time of a stage", "s", 1e-4, 1)
+    condition_max: float = quantity("condition number of the Hessian, longest stage", "", 1, 1e12)
+    stage: tuple[float, float] = quantity("shortest and longest stage", "s", 1e-4, 1)
     input_max: float = quantity("largest magnitude of any input, SI units", "", 1, 1e9)
 
 
 @dataclass(frozen=True)
 class Fallback:
-    """What to do without a solution: u = u_ref + decay^n (u_last - u_ref) in its n-th cycle."""
+    """Fallback without a solution: u = u_ref + decay^n (u_last - u_ref) in its n-th cycle."""
 
-    cycles: int = quantity("most cycles in a row", "", 0, 1000)
-    decay: float = quantity("factor a cycle", "", 0, 1)
+    cycles: int = quantity("largest number of cycles in a row", "", 0, 1000)
+    decay: float = quantity("factor per cycle", "", 0, 1)
 
 
 @dataclass(frozen=True)
 class MpcSettings:
-    """What `config/mpc.yaml` holds."""
+    """Settings of `config/mpc.yaml`."""
 
     weights: Weights
     model: Options
@@ -105,28 +105,28 @@ class MpcSettings:
 
 @dataclass(frozen=True)
 class MpcResult:
-    """Forces with their account; meanings as in slot_msgs/msg/GroundReactionForces."""
+    """Forces and solver report; meanings as in slot_msgs/msg/GroundReactionForces."""
 
     force: Array  # (4, 3) N, in odom
     status: Status
-    message: str  # one line on anything but SOLVED
+    message: str  # one line, empty if SOLVED
     fallback_cycles: int  # consecutive cycles without an accepted solution
-    cost: float  # of what the solver returned; NaN where it was not asked
+    cost: float  # of the solver's solution; NaN if it was not called
     iterations: int
-    solve_time: float  # s, check, update and solve
-    violation: float  # N, over the horizon of what the solver returned; NaN where it was not asked
-    residual: float  # largest error of the dynamics in it, SI; NaN where it was not asked
+    solve_time: float  # s, for check, update and solve
+    violation: float  # N, largest over the horizon; NaN if the solver was not called
+    residual: float  # SI, largest error of the dynamics; NaN if the solver was not called
     slack_normal_min: Array  # (4,) N, first stage of `force`
     slack_normal_max: Array  # (4,) N
     slack_friction: Array  # (4,) N
     slack_total: float  # N, sum of contact f_max - m g
-    slack_balance: float  # N, band - |sum f_z - m g|; infinite where no balance is asked for
-    mass: float  # kg, that the model counted on
+    slack_balance: float  # N, band - |sum f_z - m g|; infinite without `equality`
+    mass: float  # kg, of the model
 
 
 @dataclass(frozen=True)
-class _Account:
-    """What a cycle took and what its solver returned, accepted or not."""
+class _SolverReport:
+    """Time of a cycle and quality of the solver's solution, accepted or not."""
 
     elapsed: float  # s
     iterations: int
@@ -136,99 +136,103 @@ class _Account:
 
 
 @dataclass(frozen=True)
-class _Past:
-    """The last tick that was solved or fell back."""
+class _LastTick:
+    """The last tick whose input was not rejected."""
 
     stamp: int  # ns
     state: Array  # (12,)
-    augmented: Array  # (12 or 24,) with the forces that acted then
-    force: Array  # (4, 3) N asked for
+    augmented: Array  # (12 or 24,) with the forces that acted at its start
+    force: Array  # (4, 3) N, requested
 
 
 @dataclass(frozen=True)
-class FirstStage:
-    """Limits and load of stage 0 of the newest preview that could be read."""
+class _FirstStage:
+    """Limits and reference forces of stage 0 of the newest valid preview."""
 
     force_max: Array  # (4,) N
     friction: Array  # (4,)
     force_ref: Array  # (4, 3) N
 
     def clip(self, force: Array) -> Array:
-        """(4, 3) the forces within the limits, normal first."""
+        """Forces (4, 3) N clipped to the limits, the normal forces first."""
         normal = np.clip(force[:, 2:], 0.0, self.force_max[:, None])
-        most = self.friction[:, None] * normal
-        return np.hstack([np.clip(force[:, :2], -most, most), normal])
+        limit = self.friction[:, None] * normal
+        return np.hstack([np.clip(force[:, :2], -limit, limit), normal])
 
 
 class Mpc:
-    """The controller; `step` raises nothing for bad data, and ends: the solver has a limit."""
+    """The controller. `step` raises nothing for bad data; the solver's iterations are limited."""
 
     def __init__(self, robot: Robot, settings: MpcSettings, timer: Callable[[], float]):
-        """`timer` returns seconds; raises ConfigError for weights that leave the forces vague."""
+        """Set up problem and solver; `timer` returns seconds.
+
+        Raises ConfigError if the weights leave the problem ill-conditioned, or if the solver does
+        not cover the options of the model.
+        """
         self._settings, self._timer = settings, timer
         self._model = TorsoModel(robot, settings.model.lag)
         self._disturbance = Disturbance(robot.mass, settings.disturbance)
         self._mass = robot.mass
         weights, horizon = settings.weights, settings.horizon
         generic = self._model.predict(0.3, 0.1, settings.acceptance.stage[1])
-        _refuse_vague_forces(
+        _check_condition(
             TorsoModel(robot).predict(0.3, 0.1, settings.acceptance.stage[1]), settings
         )
         self._qp = HorizonQp(weights.q, weights.r, horizon, generic, settings.model, robot.weight)
         self._solver = make_solver(self._qp, settings.solver)
-        self._solver.solve()  # the first solve pays for page faults: not on the robot's time
-        self._stage = FirstStage(np.zeros(FEET), np.zeros(FEET), np.zeros((FEET, 3)))
+        self._solver.solve()  # the first solve is slow (page faults): not during operation
+        self._stage = _FirstStage(np.zeros(FEET), np.zeros(FEET), np.zeros((FEET, 3)))
         self._last: Array | None = None  # (4, 3) N, last feasible input
-        self._before: _Past | None = None
+        self._last_tick: _LastTick | None = None
         self._missed = 0  # consecutive cycles without an accepted solution
 
     @property
     def problem(self) -> HorizonQp:
-        """As the last step left it; to be read only."""
+        """The problem of the last step; read only."""
         return self._qp
 
     def step(self, state: Array, preview: GaitPreview) -> MpcResult:
-        """Forces for `state` (12,), stage 0 of `preview` being now.
+        """Forces for `state` (12,) at stage 0 of `preview`.
 
-        Where the preview ends with stage H-1, the last state's target is that stage's. A solution
-        is accepted if it is solved, finite, within `violation_max` and within `time_budget`.
+        If the preview ends with stage H-1, its reference there is the target of state H too. A
+        solution is accepted if it is solved, finite, within `violation_max` and `time_budget`.
         """
         start = self._timer()
-        if fault := preview_fault(preview, self._settings):
+        if fault := _preview_fault(preview, self._settings):
             return self._reject(fault, start)
         stages = self._read(preview)
-        self._stage = FirstStage(stages.force_max[0], stages.friction[0], stages.force_ref[0])
-        if fault := state_fault(state, self._settings):
+        self._stage = _FirstStage(stages.force_max[0], stages.friction[0], stages.force_ref[0])
+        if fault := _state_fault(state, self._settings):
             return self._reject(fault, start)
         x = np.asarray(state, dtype=float)
-        augmented = np.append(x, self._look_back(x, stages, preview.stamp))
+        augmented = np.append(x, self._observe(x, stages, preview.stamp))
         mass, bias = self._disturbance.mass, self._disturbance.bias
         prediction = self._model.predict(x[2], x[5], preview.dt, mass, bias)
         self._qp.update(prediction, augmented, stages, mass * GRAVITY)
         solution = self._solver.solve()
-        result = self._judge(solution, stages, self._timer() - start)
-        self._before = _Past(preview.stamp, x, augmented, result.force)
+        result = self._accept(solution, stages, self._timer() - start)
+        self._last_tick = _LastTick(preview.stamp, x, augmented, result.force)
         return result
 
-    def _look_back(self, state: Array, stages: Horizon, stamp: int) -> Array:
-        """Let the observer learn from the last tick; (12 or 0,) N, the forces that act by now."""
-        past, lagging = self._before, self._settings.model.lag > 0.0
+    def _observe(self, state: Array, stages: Horizon, stamp: int) -> Array:
+        """Update the disturbance observer; returns the acting forces (12,) N, (0,) without lag."""
+        last, lagging = self._last_tick, self._settings.model.lag > 0.0
         acting = stages.force_ref[0].ravel() if lagging else np.zeros(0)
-        if past is None or not (lagging or self._settings.disturbance.time > 0.0):
+        if last is None or not (lagging or self._settings.disturbance.time > 0.0):
             return acting
-        dt = (stamp - past.stamp) * 1e-9
+        dt = (stamp - last.stamp) * 1e-9
         if not 0.0 < dt <= LONGEST_GAP:
             return acting
         disturbance = self._disturbance
         model = self._model.predict(
-            past.state[2], past.state[5], dt, disturbance.mass, disturbance.bias
+            last.state[2], last.state[5], dt, disturbance.mass, disturbance.bias
         )
-        now = model.a @ past.augmented + model.b @ past.force.ravel() + model.drift
-        disturbance.correct(now[6:STATES], state[6:], dt)
-        return now[STATES:]
+        predicted = model.a @ last.augmented + model.b @ last.force.ravel() + model.drift
+        disturbance.correct(predicted[6:STATES], state[6:], dt)
+        return predicted[STATES:]
 
     def _read(self, preview: GaitPreview) -> Horizon:
-        """The stages of the horizon."""
+        """Limits and targets over the horizon, from the preview."""
         now = np.arange(self._settings.horizon)
         following = np.minimum(now + 1, len(preview.reference) - 1)
         force = np.zeros((len(now), FEET, 3))
@@ -243,42 +247,44 @@ class Mpc:
         )
 
     def _reject(self, fault: str, start: float) -> MpcResult:
-        account = _Account(self._timer() - start, 0, math.nan, math.nan, math.nan)
-        return self._fall_back(Status.REJECTED, fault, account)
+        report = _SolverReport(self._timer() - start, 0, math.nan, math.nan, math.nan)
+        return self._fall_back(Status.REJECTED, fault, report)
 
-    def _judge(self, solution: Solution, stages: Horizon, elapsed: float) -> MpcResult:
-        """Accept the solution, or replace it."""
+    def _accept(self, solution: Solution, stages: Horizon, elapsed: float) -> MpcResult:
+        """The solution's forces if it is accepted, else the fallback's."""
         limits, qp, z = self._settings.acceptance, self._qp, solution.z
         force, violation = qp.forces(z), qp.violation(z)
-        account = _Account(elapsed, solution.iterations, violation, qp.residual(z), qp.cost(z))
+        report = _SolverReport(elapsed, solution.iterations, violation, qp.residual(z), qp.cost(z))
         if solution.fault:
-            return self._fall_back(Status.NOT_SOLVED, solution.fault, account)
+            return self._fall_back(Status.NOT_SOLVED, solution.fault, report)
         if not np.isfinite(solution.z).all():
-            return self._fall_back(Status.NOT_SOLVED, "solution not finite", account)
+            return self._fall_back(Status.NOT_SOLVED, "solution not finite", report)
         if violation > limits.violation_max:
             fault = f"violation {violation:.2g} N exceeds {limits.violation_max:g} N"
-            return self._fall_back(Status.NOT_SOLVED, fault, account)
+            return self._fall_back(Status.NOT_SOLVED, fault, report)
         if elapsed > limits.time_budget:
             fault = f"{elapsed * 1e3:.1f} ms exceed {limits.time_budget * 1e3:g} ms"
-            return self._fall_back(Status.LATE, fault, account)
+            return self._fall_back(Status.LATE, fault, report)
         self._last, self._missed = force[0].copy(), 0
-        return self._result(force[0], Status.SOLVED, "", account)
+        return self._result(force[0], Status.SOLVED, "", report)
 
-    def _fall_back(self, cause: Status, fault: str, account: _Account) -> MpcResult:
-        """The last feasible input, decayed; zeros when there is none or it has been used up."""
+    def _fall_back(self, cause: Status, fault: str, report: _SolverReport) -> MpcResult:
+        """The last feasible input, decayed; zero without one or after `fallback.cycles`."""
         self._missed += 1
         rule = self._settings.fallback
         if self._last is None or self._missed > rule.cycles:
             used_up = f"fallback used up after {rule.cycles} cycles"
             why = "no feasible input yet" if self._last is None else used_up
-            return self._result(np.zeros((FEET, 3)), Status.STOPPED, f"{why}; {fault}", account)
-        hover = self._stage.force_ref
-        force = hover + rule.decay**self._missed * (self._last - hover)
-        return self._result(self._stage.clip(force), cause, fault, account)
+            return self._result(np.zeros((FEET, 3)), Status.STOPPED, f"{why}; {fault}", report)
+        reference = self._stage.force_ref
+        force = reference + rule.decay**self._missed * (self._last - reference)
+        return self._result(self._stage.clip(force), cause, fault, report)
 
-    def _result(self, force: Array, status: Status, message: str, account: _Account) -> MpcResult:
+    def _result(
+        self, force: Array, status: Status, message: str, report: _SolverReport
+    ) -> MpcResult:
         stage = self._stage
-        least, most, friction = slacks(force, stage.force_max, stage.friction)
+        above_zero, below_max, friction = slacks(force, stage.force_max, stage.friction)
         weight, balance = self._disturbance.mass * GRAVITY, math.inf
         if self._settings.model.support == "equality":
             balance = self._settings.model.support_band - abs(float(force[:, 2].sum()) - weight)
@@ -287,13 +293,13 @@ class Mpc:
             status=status,
             message=message,
             fallback_cycles=self._missed,
-            cost=account.cost,
-            iterations=account.iterations,
-            solve_time=account.elapsed,
-            violation=account.violation,
-            residual=account.residual,
-            slack_normal_min=least,
-            slack_normal_max=most,
+            cost=report.cost,
+            iterations=report.iterations,
+            solve_time=report.elapsed,
+            violation=report.violation,
+            residual=report.residual,
+            slack_normal_min=above_zero,
+            slack_normal_max=below_max,
             slack_friction=friction,
             slack_total=float(stage.force_max.sum() - weight),
             slack_balance=balance,
@@ -301,14 +307,14 @@ class Mpc:
         )
 
 
-def state_fault(state: Array, settings: MpcSettings) -> str:
-    """One line naming the first element that cannot be used, its value and its limit, or ""."""
+def _state_fault(state: Array, settings: MpcSettings) -> str:
+    """One line on the first invalid element, its value and its limit; empty if there is none."""
     most = settings.acceptance.input_max
     return _fault("state", state, (STATES,), -most, most)
 
 
-def preview_fault(preview: GaitPreview, settings: MpcSettings) -> str:
-    """One line naming the first element that cannot be used, its value and its limit, or ""."""
+def _preview_fault(preview: GaitPreview, settings: MpcSettings) -> str:
+    """One line on the first invalid element, its value and its limit; empty if there is none."""
     most, stages = settings.acceptance.input_max, settings.horizon
     return (
         _fault("preview.dt", preview.dt, (), *settings.acceptance.stage)
@@ -320,7 +326,7 @@ def preview_fault(preview: GaitPreview, settings: MpcSettings) -> str:
 
 
 def _fault(name: str, value: Any, shape: tuple[int, ...], low: float, high: float) -> str:
-    """What is wrong with an input of `shape`; two-dimensional ones may have more rows."""
+    """The fault of an input of `shape`, or ""; two-dimensional inputs may have more rows."""
     try:
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
@@ -328,7 +334,7 @@ def _fault(name: str, value: Any, shape: tuple[int, ...], low: float, high: floa
     usable = array[: shape[0]].shape if array.ndim == len(shape) == 2 else array.shape
     if usable != shape:
         return f"{name}: shape {array.shape}, needs {shape}"
-    inside = (array >= low) & (array <= high)  # NaN is not
+    inside = (array >= low) & (array <= high)  # false for NaN
     if inside.all():
         return ""
     index = tuple(int(i) for i in np.argwhere(~inside)[0])
@@ -336,21 +342,22 @@ def _fault(name: str, value: Any, shape: tuple[int, ...], low: float, high: floa
     return f"{name}{where} = {array[index]:g}: outside [{low:g}, {high:g}]"
 
 
-def _refuse_vague_forces(prediction: Prediction, settings: MpcSettings) -> None:
+def _check_condition(prediction: Prediction, settings: MpcSettings) -> None:
+    """Raise ConfigError if the condensed Hessian is ill-conditioned."""
     weights, limit = settings.weights, settings.acceptance.condition_max
     condition = condensed_condition(prediction, weights.q, weights.r, settings.horizon)
     if not condition <= limit:
         raise config.ConfigError(
             f"mpc.yaml: weights.force = {list(weights.force)}: condition number {condition:.1e} "
-            f"of the condensed Hessian exceeds {limit:.1e}, the forces are not unique enough; "
+            f"of the condensed Hessian exceeds {limit:.1e}, the forces are ill-conditioned; "
             "raise weights.force or lower the others"
         )
 
 
 def read_mpc(profile: str = DEFAULT) -> MpcSettings:
-    """The settings of `config/mpc.yaml`, or of a profile that changes them; raises ConfigError.
+    """The settings of `config/mpc.yaml`, changed by a profile; raises ConfigError.
 
-    A profile `config/mpc/<name>.yaml` holds, by dotted name, only what it changes.
+    A profile `config/mpc/<name>.yaml` holds only the changed values, by dotted name.
     """
     settings = config.read(MpcSettings, "mpc")
     if profile == DEFAULT:

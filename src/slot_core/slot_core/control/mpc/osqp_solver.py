@@ -1,4 +1,4 @@
-"""OSQP, an operator splitting method (Stellato et al., 2020)."""
+"""OSQP: an operator splitting method (Stellato et al., 2020)."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from slot_core.robot import Array
 
 
 class OsqpSolver:
-    """Rows l <= C z <= u; starts from its last solution, and afresh after a failure.
+    """Constraints l <= C z <= u; starts from its last solution, after a failure from zero.
 
-    Without polishing, which takes a third longer and gains nothing that a tolerance would not.
+    Polishing is off: it takes a third longer and gains no more than a smaller tolerance does.
     """
 
     def __init__(self, qp: HorizonQp, settings: MpcSolverSettings):
-        """Lay out the factorisation for the sparsity of `qp`."""
+        """Set up the factorisation for the sparsity of `qp`."""
         self._qp, self._rows, self._settings = qp, ConstraintRows(qp), settings
-        self._solver: osqp.OSQP | None = self._set_up(*self._sides())
+        self._solver: osqp.OSQP | None = self._set_up(*self._limits())
 
     def _set_up(self, low: Array, high: Array) -> osqp.OSQP:
         solver = osqp.OSQP()
@@ -41,11 +41,13 @@ class OsqpSolver:
         return solver
 
     def solve(self) -> Solution:
-        """Solve the problem as it stands."""
-        low, high = self._sides()
-        if not np.all(low <= high):  # OSQP would print a line and solve the problem before
-            return Solution(np.full(len(self._qp.c), np.nan), "limits exclude each other", 0)
-        if self._solver is None:  # step sizes adapted to what failed would stay
+        """Solve the problem with its present values."""
+        low, high = self._limits()
+        if not np.all(low <= high):  # OSQP would print a line and solve the previous problem
+            return Solution(
+                np.full(len(self._qp.c), np.nan), "infeasible: lower limit above upper limit", 0
+            )
+        if self._solver is None:  # else the step sizes adapted in the failed solve stay
             self._solver = self._set_up(low, high)
         self._solver.update(q=self._qp.c, l=low, u=high, Ax=self._rows.refresh())
         found = self._solver.solve(raise_error=False)
@@ -54,10 +56,10 @@ class OsqpSolver:
         if found.info.status_val != osqp.SolverStatus.OSQP_SOLVED:
             fault = f"{found.info.status} after {count} iterations"
             self._solver = None
-        residuals = float(found.info.prim_res), float(found.info.dual_res)
-        return Solution(np.array(found.x), fault, count, *residuals)
+        return Solution(np.array(found.x), fault, count)
 
-    def _sides(self) -> tuple[Array, Array]:
+    def _limits(self) -> tuple[Array, Array]:
+        """The vectors l and u."""
         qp = self._qp
         (bounded,) = self._rows.bounded
         none = np.full(len(qp.h), -np.inf)

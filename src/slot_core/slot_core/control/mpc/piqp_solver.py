@@ -1,4 +1,4 @@
-"""PIQP, a proximal interior-point method (Schwan et al., CDC 2023)."""
+"""PIQP: a proximal interior-point method (Schwan et al., CDC 2023)."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from slot_core.robot import Array
 
 
 class PiqpSolver:
-    """An interior-point method starts cold; PIQP offers no warm start.
+    """Starts cold, since PIQP has no warm start.
 
-    Its arithmetic depends on the processor: it comes compiled for several, one of which is loaded.
+    Its roundoff depends on the processor: the library loads one of several compiled variants.
     """
 
     def __init__(self, qp: HorizonQp, settings: MpcSolverSettings):
-        """Lay out the factorisation for the sparsity of `qp`."""
+        """Set up the factorisation for the sparsity of `qp`."""
         self._qp, self._settings = qp, settings
         self._set_up()
 
@@ -29,24 +29,24 @@ class PiqpSolver:
         options.eps_abs = options.eps_duality_gap_abs = settings.tolerance_abs
         options.eps_rel = options.eps_duality_gap_rel = settings.tolerance_rel
         options.max_iter = settings.iterations
-        # PIQP 0.6.4 rescales on update but leaves an unchanged P in its old scale: it then reports
-        # the optimum of another problem as solved. The scale of the set-up serves all updates.
+        # PIQP 0.6.4 rescales on update, but an unchanged P keeps its old scale: it then solves
+        # another problem and reports success. So the scale of the set-up is kept for all updates.
         options.preconditioner_reuse_on_update = True
-        self._solver.setup(P=qp.P, A=qp.A, G=qp.G, x_l=qp.lower.ravel(), **self._changing())
+        self._solver.setup(P=qp.P, A=qp.A, G=qp.G, x_l=qp.lower.ravel(), **self._vectors())
 
     def solve(self) -> Solution:
-        """Solve the problem as it stands."""
-        self._solver.update(A=self._qp.A, G=self._qp.G, **self._changing())
+        """Solve the problem with its present values."""
+        self._solver.update(A=self._qp.A, G=self._qp.G, **self._vectors())
         status = self._solver.solve()
-        info = self._solver.result.info
-        count = int(info.iter)
-        z, residuals = np.array(self._solver.result.x), (info.primal_res, info.dual_res)
+        count = int(self._solver.result.info.iter)
+        z = np.array(self._solver.result.x)
         fault = ""
         if status != piqp.PIQP_SOLVED:
             fault = f"{status.name} after {count} iterations"
-            self._set_up()  # a NaN in its work space would stay, and fail every solve to come
-        return Solution(z, fault, count, *map(float, residuals))
+            self._set_up()  # else a NaN in its work space fails every later solve
+        return Solution(z, fault, count)
 
-    def _changing(self) -> dict[str, Array]:
+    def _vectors(self) -> dict[str, Array]:
+        """The vectors that change from tick to tick."""
         qp = self._qp
         return {"c": qp.c, "b": qp.b.ravel(), "h_u": qp.h, "x_u": qp.upper.ravel()}

@@ -1,7 +1,7 @@
-"""The solvers of the convex MPC behind one interface: built on a `HorizonQp`, then `solve()`.
+"""Interface of the convex MPC's solvers: built on a `HorizonQp`, then `solve()`.
 
-Each reads the arrays of the problem as they stand, updates its own copy of the data in place and
-keeps what does not change. Only the chosen one is imported.
+Each solver reads the present arrays of the problem, updates its own copy of the data in place and
+keeps what is constant. Only the chosen solver is imported.
 """
 
 from __future__ import annotations
@@ -24,41 +24,39 @@ SOLVERS = {
 
 @dataclass(frozen=True)
 class MpcSolverSettings:
-    """Which solver, and when it ends."""
+    """Choice of the solver and its termination criteria."""
 
     name: str = choice("solver", *SOLVERS)
     backend: str = choice("PIQP's factorisation of the KKT system", "multistage", "ldlt")
     tolerance_abs: float = quantity("absolute residual and duality gap", "", 1e-12, 1e-1)
     tolerance_rel: float = quantity("relative residual and duality gap", "", 1e-12, 1e-1)
-    iterations: int = quantity("limit of iterations; OSQP's are many and cheap", "", 1, 100000)
+    iterations: int = quantity("largest number of iterations", "", 1, 100000)
 
 
 @dataclass(frozen=True)
 class Solution:
-    """What a solver returned."""
+    """Result of a solver."""
 
-    z: Array
-    fault: str  # empty if solved
+    z: Array  # the variables of `HorizonQp`
+    fault: str  # one line, empty if solved
     iterations: int
-    residual_primal: float = 0.0  # as the solver reports it, in the units of the rows
-    residual_dual: float = 0.0
 
 
 class QpSolver(Protocol):
-    """min 1/2 z'Pz + c'z with A z = b, G z <= h, lower <= z <= upper."""
+    """Solver of min 1/2 z'Pz + c'z with A z = b, G z <= h, lower <= z <= upper."""
 
     def __init__(self, qp: HorizonQp, settings: MpcSolverSettings):
-        """Lay out everything that depends on the sparsity of `qp` only.
+        """Set up what depends only on the sparsity of `qp`.
 
-        Raises ConfigError where the solver does not cover a form of the problem.
+        Raises ConfigError if the solver does not cover this form of the problem.
         """
 
     def solve(self) -> Solution:
-        """Solve `qp` as it stands; raises nothing, and ends within `settings.iterations`."""
+        """Solve `qp` with its present values within `settings.iterations`; raises nothing."""
 
 
 def make_solver(qp: HorizonQp, settings: MpcSolverSettings) -> QpSolver:
-    """The solver that `settings.name` asks for."""
+    """The solver named by `settings.name`; raises ConfigError as its constructor does."""
     module, name = SOLVERS[settings.name]
     solver: QpSolver = getattr(import_module(module), name)(qp, settings)
     return solver
