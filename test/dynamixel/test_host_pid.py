@@ -1,4 +1,4 @@
-"""The position loop on the host, promise by promise."""
+"""Position PID on the host: terms, limits, anti-windup, missing readings."""
 
 import dataclasses
 
@@ -19,12 +19,12 @@ def pid(**changes):
     return HostPid(dataclasses.replace(SETTINGS, **changes))
 
 
-def test_duty_is_p_of_the_error_minus_d_of_the_speed():
+def test_duty_is_p_times_the_error_minus_d_times_the_speed():
     duty = pid(d=0.1).step(0.3 * FOUR, 0.1 * FOUR, 2.0 * FOUR, H)
     assert duty == pytest.approx(2.0 * 0.2 - 0.1 * 2.0)
 
 
-def test_a_step_of_the_goal_gives_no_kick_of_the_derivative():
+def test_a_step_of_the_goal_causes_no_derivative_kick():
     loop, other = pid(d=0.5), pid()
     assert loop.step(FOUR, 0.9 * FOUR, 0 * FOUR, H) == pytest.approx(
         other.step(FOUR, 0.9 * FOUR, 0 * FOUR, H)
@@ -38,11 +38,11 @@ def test_the_integral_grows_with_error_and_time():
     assert duty == pytest.approx(3.0 * 0.2 * 10 * H)
 
 
-def test_the_integral_rests_while_the_duty_is_at_its_limit():
+def test_the_integral_is_held_while_the_duty_is_at_its_limit():
     loop = pid(p=1.0, i=5.0, duty_limit=0.5)
     for _ in range(500):
         assert np.all(loop.step(FOUR, 0 * FOUR, 0 * FOUR, H) <= 0.5)
-    # The P part alone is beyond the limit, so nothing may have been summed up.
+    # The P term alone exceeds the limit, so the integral must not have grown.
     assert loop.integral == pytest.approx(0.0)
     assert np.all(loop.step(0.9 * FOUR, FOUR, 0 * FOUR, H) < 0.0)
 
@@ -55,7 +55,7 @@ def test_the_duty_changes_no_faster_than_its_rate():
         before = duty
 
 
-def test_a_leg_without_a_reading_keeps_its_duty_for_a_while_then_gets_none():
+def test_without_a_reading_the_duty_is_held_for_blind_time_then_zero():
     loop = pid()
     angle = np.zeros(4)
     loop.step(0.2 * FOUR, angle, 0 * FOUR, H)
@@ -66,6 +66,6 @@ def test_a_leg_without_a_reading_keeps_its_duty_for_a_while_then_gets_none():
     assert np.all(np.isfinite(duties))
 
 
-def test_time_that_stands_still_is_a_programmers_error():
+def test_a_time_step_of_zero_raises():
     with pytest.raises(ValueError, match="positive time"):
         pid().step(FOUR, FOUR, FOUR, 0.0)

@@ -1,4 +1,4 @@
-"""Packets against the SDK's own CRC and packet builder and the examples of the e-manual."""
+"""Packets against the SDK's CRC and packet builder and the examples of the e-manual."""
 
 import re
 
@@ -22,7 +22,7 @@ SDK = PacketHandler(2.0)
 
 
 class Wire:
-    """A port of the SDK's kind: keeps what is sent, gives what it was told to."""
+    """Port with the SDK's interface: records what is sent, returns the bytes in `incoming`."""
 
     def __init__(self, incoming=b""):
         self.sent, self.incoming = b"", bytearray(incoming)
@@ -82,18 +82,18 @@ EXAMPLES = [
 
 
 @pytest.mark.parametrize(("packet", "example"), EXAMPLES)
-def test_packets_are_those_of_the_manual(packet, example):
+def test_packets_equal_the_examples_of_the_manual(packet, example):
     assert packet == bytes.fromhex(example.replace(" ", ""))
 
 
-def test_crc_is_the_one_of_the_sdk():
+def test_crc_equals_that_of_the_sdk():
     rng = np.random.default_rng(1)
     for size in range(1, 100):
         data = rng.bytes(size)
         assert crc(data) == SDK.updateCRC(0, list(data), size)
 
 
-def test_sync_write_is_the_packet_that_the_sdk_builds():
+def test_sync_write_equals_the_packet_of_the_sdk():
     wire = Wire()
     group = GroupSyncWrite(wire, SDK, 116, 4)
     for identity, goal in ((5, 2000), (4, 100), (2, -7)):
@@ -106,7 +106,7 @@ def test_sync_write_is_the_packet_that_the_sdk_builds():
     assert wire.sent == build(BROADCAST, Instruction.SYNC_WRITE, b"\x74\0\4\0" + data)
 
 
-def test_stuffing_leaves_no_header_inside_and_is_undone():
+def test_stuffing_leaves_no_header_inside_and_is_reversible():
     rng = np.random.default_rng(2)
     for size in range(1, 60):
         body = bytes(rng.choice(np.array([0xFF, 0xFD, 0x00], dtype=np.uint8), size))
@@ -116,7 +116,7 @@ def test_stuffing_leaves_no_header_inside_and_is_undone():
 
 
 def test_sdk_reads_a_stuffed_answer():
-    """Load -1, velocity -3 and position 253: FF FF | FD FF FF FF | FD 00 00 00, stuffed twice."""
+    """Load -1, velocity -3, position 253: FF FF | FD FF FF FF | FD 00 00 00, stuffed twice."""
     data = bytes.fromhex("FFFF FDFFFFFF FD000000")
     wire = Wire(status(5, 0, data))
     assert len(wire.incoming) == 11 + len(data) + 2
@@ -124,8 +124,8 @@ def test_sdk_reads_a_stuffed_answer():
     assert (bytes(found), result, error) == (data, COMM_SUCCESS, 0)
 
 
-def test_sdk_reads_the_joint_answer_of_a_fast_sync_read():
-    values = {5: 2000, 4: 1, 2: 4095, 3: 0x00FDFFFF}  # the last is not stuffed there
+def test_sdk_reads_the_answer_to_a_fast_sync_read():
+    values = {5: 2000, 4: 1, 2: 4095, 3: 0x00FDFFFF}  # a fast answer has no byte stuffing
     replies = [(i, 0, v.to_bytes(4, "little")) for i, v in values.items()]
     wire = Wire(fast_status(replies))
     group = GroupSyncRead(wire, SDK, 132, 4)
@@ -135,7 +135,7 @@ def test_sdk_reads_the_joint_answer_of_a_fast_sync_read():
     assert {identity: group.getData(identity, 132, 4) for identity in values} == values
 
 
-def test_parser_finds_packets_in_noise_whatever_the_pieces():
+def test_parser_finds_packets_in_noise_fed_in_pieces_of_any_size():
     rng = np.random.default_rng(3)
     packets = [build(int(rng.integers(253)), 3, rng.bytes(rng.integers(1, 30))) for _ in range(200)]
     noise = [bytes(rng.integers(0, 0xF0, rng.integers(0, 20), dtype=np.uint8)) for _ in packets]
@@ -149,7 +149,7 @@ def test_parser_finds_packets_in_noise_whatever_the_pieces():
 
 
 def test_no_packet_with_one_or_two_wrong_bits_is_intact():
-    """CRC-16 with this polynomial finds all errors of two bits within 32767 (x + 1 is a factor)."""
+    """This CRC-16 detects all errors of two bits within 32767 bits (x + 1 is a factor)."""
     packet = build(5, Instruction.WRITE, b"\x74\0\0\2\0\0")
     bits = 8 * len(packet)
     for first in range(bits):
@@ -161,9 +161,9 @@ def test_no_packet_with_one_or_two_wrong_bits_is_intact():
             assert not any(p.intact for p in Parser().feed(bytes(data)))
 
 
-def test_a_good_packet_behind_a_damaged_one_is_found():
+def test_parser_finds_an_intact_packet_after_a_damaged_one():
     good = build(5, Instruction.PING)
     damaged = bytearray(build(5, Instruction.WRITE, bytes(20)))
-    damaged[5] += 10  # its length: it seems to reach into the next packet
+    damaged[5] += 10  # its length now reaches into the next packet
     found = [p for p in Parser().feed(bytes(damaged) + good) if p.intact]
     assert [(p.id, p.instruction) for p in found] == [(5, Instruction.PING)]

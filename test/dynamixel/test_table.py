@@ -1,4 +1,4 @@
-"""The control table against the one that ships with the SDK."""
+"""Control table against the one that ships with the SDK."""
 
 import itertools
 from pathlib import Path
@@ -17,18 +17,18 @@ def sdk_rows():
     for row in rows:
         address, size, name = row.split("\t")
         name = name.strip().lower().replace(" ", "_")
-        if not name.endswith(("_write", "_read")):  # further names of the SDK's own
+        if not name.endswith(("_write", "_read")):  # additional names of the SDK
             yield NAMES.get(name, name), int(address), int(size)
 
 
-def test_addresses_and_sizes_are_those_of_the_sdk():
+def test_addresses_and_sizes_equal_those_of_the_sdk():
     rows = list(sdk_rows())
     assert len(rows) > 45
     for name, address, size in rows:
         assert (TABLE[name].address, TABLE[name].size) == (address, size), name
 
 
-def test_registers_do_not_overlap_and_start_within_their_range():
+def test_registers_do_not_overlap_and_initial_values_are_in_range():
     ordered = sorted(REGISTERS, key=lambda register: register.address)
     for one, next_one in itertools.pairwise(ordered):
         assert one.end <= next_one.address
@@ -44,7 +44,7 @@ def test_negative_values_are_twos_complement():
         TABLE["present_position"].decode(b"\0\0\0")
 
 
-def test_a_span_decodes_into_its_whole_registers_alone():
+def test_decode_span_leaves_out_partly_covered_registers():
     address, size = span("present_load", "present_position")
     assert (address, size) == (126, 10)
     data = b"\xff\xff" + (-3).to_bytes(4, "little", signed=True) + (253).to_bytes(4, "little")

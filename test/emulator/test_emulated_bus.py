@@ -1,4 +1,4 @@
-"""The emulated servos: what the e-manual promises of a servo, without a port."""
+"""Emulated servos against the e-manual and against the simulator's servo, without a port."""
 
 import dataclasses
 import math
@@ -27,9 +27,9 @@ from slot_core.emulator.shaft import Motor
 from slot_core.faults import Fault
 from slot_core.simulation.bus_legs import EmulatedLegs
 
-BAUD = 57600  # of a servo as delivered
-HALF = math.pi  # rad, in the middle of the encoder's turn
-NO_LOAD = 57.0 * math.tau / 60.0
+BAUD = 57600  # factory setting
+HALF = math.pi  # rad, middle of the encoder's turn
+NO_LOAD = 57.0 * math.tau / 60.0  # rad/s, no-load speed
 
 
 @pytest.fixture
@@ -50,7 +50,8 @@ def field(name, value):
     return register.address.to_bytes(2, "little") + register.encode(value)
 
 
-def place(name):
+def region(name):
+    """Address and size of a register, as in a read instruction."""
     register = TABLE[name]
     return register.address.to_bytes(2, "little") + register.size.to_bytes(2, "little")
 
@@ -61,7 +62,7 @@ def write(bus, name, value, identity=5):
 
 
 def read(bus, name, identity=5):
-    ((_, error, data),) = send(bus, identity, Instruction.READ, place(name))
+    ((_, error, data),) = send(bus, identity, Instruction.READ, region(name))
     assert error & ~ALERT == 0
     return TABLE[name].decode(data)
 
@@ -71,13 +72,13 @@ def run(bus, time, loads=(0.0,) * 4, step=0.001):
         bus.advance(step, loads)
 
 
-def test_ping_tells_model_and_firmware(bus):
+def test_ping_returns_model_and_firmware(bus):
     assert send(bus, 5, Instruction.PING) == [(5, 0, b"\x24\x04\x2d")]  # 1060, 45
     assert [answer[0] for answer in send(bus, BROADCAST, Instruction.PING)] == [2, 3, 4, 5]
     assert send(bus, 9, Instruction.PING) == []
 
 
-def test_servos_of_another_rate_do_not_hear(bus):
+def test_servos_at_another_baud_rate_do_not_answer(bus):
     assert send(bus, 5, Instruction.PING, baud=1000000) == []
     assert write(bus, "baud_rate", 3) == 0
     assert send(bus, 5, Instruction.PING) == []
@@ -97,7 +98,7 @@ def test_servos_of_another_rate_do_not_hear(bus):
         ("model_number", 1, Error.ACCESS),
     ],
 )
-def test_a_write_is_refused_with_the_error_of_the_manual(bus, name, value, error):
+def test_a_write_is_rejected_with_the_error_number_of_the_manual(bus, name, value, error):
     before = read(bus, name)
     assert write(bus, name, value) == error
     assert read(bus, name) == (before if error else value)
@@ -110,7 +111,7 @@ def test_eeprom_is_locked_while_torque_is_on(bus):
     assert write(bus, "return_delay_time", 0) == 0
 
 
-def test_part_of_a_register_and_undefined_addresses_are_refused(bus):
+def test_part_of_a_register_and_undefined_addresses_are_rejected(bus):
     assert send(bus, 5, Instruction.WRITE, b"\x74\0\1\2")[0][1] == Error.DATA_LENGTH
     assert send(bus, 5, Instruction.WRITE, b"\x48\0\1")[0][1] == Error.ACCESS
     assert send(bus, 5, Instruction.READ, b"\x48\0\1\0") == [(5, Error.ACCESS, b"")]
@@ -118,8 +119,8 @@ def test_part_of_a_register_and_undefined_addresses_are_refused(bus):
     assert send(bus, 5, 0x77) == [(5, Error.INSTRUCTION, b"")]
 
 
-def test_a_write_over_several_registers_is_done_as_a_whole_or_not_at_all(bus):
-    good = field("position_d_gain", 1) + b"\2\0\3\0"  # D, I, P stand side by side
+def test_a_write_of_several_registers_is_executed_completely_or_not_at_all(bus):
+    good = field("position_d_gain", 1) + b"\2\0\3\0"  # D, I, P have adjacent addresses
     assert send(bus, 5, Instruction.WRITE, good) == [(5, 0, b"")]
     bad = field("position_d_gain", 7) + b"\2\0\xff\xff"
     assert send(bus, 5, Instruction.WRITE, bad) == [(5, Error.DATA_RANGE, b"")]
@@ -127,18 +128,18 @@ def test_a_write_over_several_registers_is_done_as_a_whole_or_not_at_all(bus):
     assert [read(bus, name) for name in names] == [1, 2, 3]
 
 
-def test_status_return_level_decides_who_is_answered(bus):
+def test_status_return_level_selects_the_instructions_answered(bus):
     for level, instructions in ((1, {"ping", "read"}), (0, {"ping"})):
         send(bus, 5, Instruction.WRITE, field("status_return_level", level))
         answered = {
             "ping": send(bus, 5, Instruction.PING),
-            "read": send(bus, 5, Instruction.READ, place("led")),
+            "read": send(bus, 5, Instruction.READ, region("led")),
             "write": send(bus, 5, Instruction.WRITE, field("led", 1)),
         }
         assert {name for name, answers in answered.items() if answers} == instructions
 
 
-def test_a_damaged_packet_is_answered_with_the_crc_error_and_not_done(bus):
+def test_a_damaged_packet_is_answered_with_the_crc_error_and_not_executed(bus):
     data = bytearray(build(5, Instruction.WRITE, field("led", 1)))
     data[10] ^= 1
     (reply,) = bus.receive(bytes(data), BAUD)
@@ -147,7 +148,7 @@ def test_a_damaged_packet_is_answered_with_the_crc_error_and_not_done(bus):
     assert read(bus, "led") == 0
 
 
-def test_registered_writes_wait_for_the_action(bus):
+def test_a_registered_write_is_executed_by_action(bus):
     assert send(bus, 5, Instruction.ACTION) == [(5, Error.INSTRUCTION, b"")]
     assert send(bus, 5, Instruction.REG_WRITE, field("led", 1)) == [(5, 0, b"")]
     assert (read(bus, "led"), read(bus, "registered_instruction")) == (0, 1)
@@ -155,10 +156,10 @@ def test_registered_writes_wait_for_the_action(bus):
     assert (read(bus, "led"), read(bus, "registered_instruction")) == (1, 0)
 
 
-def test_sync_and_bulk_instructions_reach_those_they_name(bus):
-    sync = place("goal_position") + b"\5\xe8\3\0\0\4\xd0\7\0\0"
+def test_sync_and_bulk_instructions_address_the_named_servos(bus):
+    sync = region("goal_position") + b"\5\xe8\3\0\0\4\xd0\7\0\0"
     assert send(bus, BROADCAST, Instruction.SYNC_WRITE, sync) == []
-    answers = send(bus, BROADCAST, Instruction.SYNC_READ, place("goal_position") + b"\4\5")
+    answers = send(bus, BROADCAST, Instruction.SYNC_READ, region("goal_position") + b"\4\5")
     assert answers == [(4, 0, b"\xd0\7\0\0"), (5, 0, b"\xe8\3\0\0")]
     bulk = b"\5\x41\0\1\0\1" + b"\4\x64\0\2\0\x0a\0"
     assert send(bus, BROADCAST, Instruction.BULK_WRITE, bulk) == []
@@ -167,30 +168,30 @@ def test_sync_and_bulk_instructions_reach_those_they_name(bus):
     assert answers == [(5, 0, b"\1"), (4, 0, b"\x0a\0")]
 
 
-def test_fast_sync_read_is_answered_by_all_in_one_packet(bus):
-    request = build(BROADCAST, Instruction.FAST_SYNC_READ, place("present_position") + b"\5\3")
+def test_fast_sync_read_is_answered_in_one_packet(bus):
+    request = build(BROADCAST, Instruction.FAST_SYNC_READ, region("present_position") + b"\5\3")
     (reply,) = bus.receive(request, BAUD)
     assert reply.data == fast_status([(5, 0, b"\0\x08\0\0"), (3, 0, b"\0\x08\0\0")])
 
 
-def test_a_fast_read_of_more_than_a_packet_holds_is_not_answered(bus):
+def test_a_fast_read_longer_than_a_packet_is_not_answered(bus):
     request = b"\x84\0\xff\xff\5\4"
     assert bus.receive(build(BROADCAST, Instruction.FAST_SYNC_READ, request), BAUD) == []
 
 
-def test_who_is_behind_a_silent_servo_in_the_chain_is_silent_too(bus):
+def test_servos_after_a_silent_one_in_a_sync_read_do_not_answer(bus):
     bus.inject(Fault("silent", "FR", 0, 0, 0))  # id 4
-    read_led = place("led")
+    read_led = region("led")
     answers = send(bus, BROADCAST, Instruction.SYNC_READ, read_led + b"\5\4\2\3")
     assert [answer[0] for answer in answers] == [5]
     answers = send(bus, BROADCAST, Instruction.SYNC_READ, read_led + b"\5\2\3\4")
     assert [answer[0] for answer in answers] == [5, 2, 3]
     (reply,) = bus.receive(build(BROADCAST, Instruction.FAST_SYNC_READ, read_led + b"\5\4"), BAUD)
-    assert len(reply.data) < 8 + 2 * 5  # shorter than its length promises
+    assert len(reply.data) < 8 + 2 * 5  # shorter than its length field says
     assert not list(Parser().feed(reply.data))
 
 
-def test_indirect_data_stands_for_what_its_address_names(bus):
+def test_indirect_data_is_an_alias_of_the_indirect_address(bus):
     for k in range(4):
         address = TABLE[f"indirect_address_{k + 1}"].address.to_bytes(2, "little")
         assert send(bus, 5, Instruction.WRITE, address + bytes([116 + k, 0])) == [(5, 0, b"")]
@@ -200,7 +201,7 @@ def test_indirect_data_stands_for_what_its_address_names(bus):
     assert send(bus, 5, Instruction.WRITE, data + b"\0\4")[0][1] == Error.DATA_LENGTH
 
 
-def test_reboot_takes_torque_off_and_is_silent_while_it_boots(bus):
+def test_reboot_switches_torque_off_and_a_booting_servo_does_not_answer(bus):
     write(bus, "torque_enable", 1)
     write(bus, "position_p_gain", 100)
     assert send(bus, 5, Instruction.REBOOT) == [(5, 0, b"")]
@@ -210,7 +211,7 @@ def test_reboot_takes_torque_off_and_is_silent_while_it_boots(bus):
     assert read(bus, "position_p_gain") == TABLE["position_p_gain"].initial
 
 
-def test_factory_reset_keeps_what_is_asked_and_is_refused_to_all(bus):
+def test_factory_reset_keeps_the_id_if_asked_and_rejects_a_full_broadcast(bus):
     write(bus, "temperature_limit", 50)
     assert send(bus, BROADCAST, Instruction.FACTORY_RESET, b"\xff") == []
     assert read(bus, "temperature_limit") == 50
@@ -221,7 +222,7 @@ def test_factory_reset_keeps_what_is_asked_and_is_refused_to_all(bus):
 
 
 @pytest.mark.parametrize("mode", [Mode.POSITION, Mode.PWM])
-def test_watchdog_stops_the_servo_and_refuses_goals_until_cleared(bus, mode):
+def test_watchdog_stops_the_servo_and_rejects_goals_until_cleared(bus, mode):
     write(bus, "operating_mode", mode)
     write(bus, "torque_enable", 1)
     goal, value = ("goal_position", 4000) if mode is Mode.POSITION else ("goal_pwm", 885)
@@ -232,7 +233,7 @@ def test_watchdog_stops_the_servo_and_refuses_goals_until_cleared(bus, mode):
     run(bus, 0.002)
     stopped = bus.servos[0].shaft.angle
     run(bus, 0.5)
-    # In PWM mode it runs out: at most no-load speed times the motor's time constant.
+    # In PWM mode it coasts: at most no-load speed times the motor's time constant.
     assert bus.servos[0].shaft.angle - stopped < NO_LOAD * 0.011 + RAD_PER_COUNT
     assert read(bus, "bus_watchdog") == -1
     assert write(bus, goal, value) == Error.DATA_RANGE
@@ -241,12 +242,12 @@ def test_watchdog_stops_the_servo_and_refuses_goals_until_cleared(bus, mode):
     assert write(bus, goal, value) == 0
 
 
-def test_watchdog_counts_every_instruction_on_the_bus(bus):
+def test_every_instruction_on_the_bus_restarts_the_watchdog(bus):
     write(bus, "torque_enable", 1)
     write(bus, "bus_watchdog", 5)
     for _ in range(10):
         run(bus, 0.09)
-        send(bus, 3, Instruction.READ, place("led"))  # of another servo
+        send(bus, 3, Instruction.READ, region("led"))  # another servo
     assert read(bus, "bus_watchdog") == 5
 
 
@@ -269,7 +270,7 @@ def test_hardware_errors_switch_torque_off_until_reboot(bus, kind):
     assert (read(bus, "hardware_error_status"), write(bus, "torque_enable", 1)) == (0, 0)
 
 
-def test_a_stalled_servo_protects_itself_from_overload(bus):
+def test_a_stalled_servo_switches_torque_off_by_overload(bus):
     write(bus, "torque_enable", 1)
     write(bus, "goal_position", 4000)
     run(bus, 1.2, loads=(1.35, 0, 0, 0))  # 96 % of the stall torque, limit 80 % for 1 s
@@ -277,8 +278,8 @@ def test_a_stalled_servo_protects_itself_from_overload(bus):
     assert read(bus, "torque_enable") == 0
 
 
-def test_input_voltage_only_trips_if_shutdown_says_so(bus):
-    write(bus, "torque_enable", 1)  # shutdown as delivered: not for input voltage
+def test_input_voltage_error_switches_torque_off_only_if_set_in_shutdown(bus):
+    write(bus, "torque_enable", 1)  # default of Shutdown: without input voltage
     bus.inject(Fault("undervoltage", "FL", 0, 0, 5.0))
     run(bus, 0.002)
     assert (read(bus, "hardware_error_status"), read(bus, "torque_enable")) == (1, 1)
@@ -290,7 +291,7 @@ def kernel_rate(law, drive, command, angle, h):
 
 
 def test_position_loop_follows_the_simulators_servo():
-    """Same motor, same P gain: the simulator's `pid` without the encoder's steps."""
+    """Same motor and P gain as the simulator's `pid`, which has no encoder steps."""
     settings = dataclasses.replace(
         read_servo(), model="pid", proportional=800 / 128 / 885 / RAD_PER_COUNT
     )
@@ -307,8 +308,8 @@ def test_position_loop_follows_the_simulators_servo():
         command = goal * RAD_PER_COUNT
         angle += 1e-3 * kernel_rate(law, drive, command, angle, 1e-3)
         worst = max(worst, abs(one.shaft.angle - angle))
-    assert worst < 2 * RAD_PER_COUNT  # the encoder rounds down: one count, and its echo
-    droop = 0.5 * law.yielding / settings.proportional  # of a P controller under load
+    assert worst < 2 * RAD_PER_COUNT  # the encoder rounds down: one count, and the response to it
+    droop = 0.5 * law.yielding / settings.proportional  # steady error of a P controller under load
     assert command - angle == pytest.approx(droop, rel=1e-6)
 
 
@@ -324,7 +325,7 @@ def test_full_duty_without_load_runs_at_no_load_speed(bus):
     assert read(bus, "present_load") == 500
 
 
-def test_torque_off_holds_up_to_the_gears_friction(bus):
+def test_with_torque_off_the_gear_holds_up_to_its_friction(bus):
     angle = bus.advance(0.0)[0]
     run(bus, 1.0, loads=(0.09, 0, 0, 0))
     assert bus.advance(0.0)[0] == angle
@@ -332,27 +333,27 @@ def test_torque_off_holds_up_to_the_gears_friction(bus):
     assert bus.advance(0.0)[0] < angle - 1.0
 
 
-def test_temperature_rises_as_the_heat_balance_says(bus):
+def test_temperature_follows_the_heat_balance(bus):
     shaft = bus.servos[0].shaft
     s = shaft.settings
     for _ in range(200):
-        shaft.advance(0.5, 0.7, 11.1, 0.5)  # at rest with half the stall torque
+        shaft.advance(0.5, 0.7, 11.1, 0.5)  # at rest at half the stall torque
     warm = s.room + s.thermal_resistance * s.stall_power * 0.25
     closed = warm + (s.room - warm) * math.exp(-100.0 / s.thermal_time)
     assert shaft.temperature == pytest.approx(closed, abs=0.1)  # Euler at h/tau = 1/360
 
 
-def test_legs_give_tendon_angles_and_take_tendon_torques():
+def test_emulated_legs_convert_to_tendon_angles_and_torques():
     settings = config.replace(read_settings(), {"joints.direction": [1, -1, 1, -1]})
     legs = EmulatedLegs(settings, read_emulator(), [0.1, 0.2, 0.3, 0.4])
     assert legs.angles() == pytest.approx([0.1, 0.2, 0.3, 0.4], abs=1e-12)
     for _ in range(500):
-        legs.advance(0.001, [0.5] * 4)  # torque off: the tendons unwind, on either side
+        legs.advance(0.001, [0.5] * 4)  # torque off: the tendons unwind, for both directions
     assert np.all(legs.angles() < [0.0, 0.1, 0.2, 0.3])
     assert np.all(legs.rates() < 0.0)
 
 
-def test_joints_convert_there_and_back():
+def test_joint_conversions_are_inverse_to_each_other():
     settings = dataclasses.replace(read_settings().joints, direction=(1, -1, 1, -1))
     for joint in joints(settings):
         for angle in (0.0, 1.0, 2.029):

@@ -1,1 +1,1 @@
-"""The driver of the Dynamixel XL430-W250 servos."""
+"""Driver of the Dynamixel XL430-W250 servos."""

@@ -1,12 +1,12 @@
-"""Reading and writing registers of servos by name, on dynamixel-sdk's packet handler.
+"""Servo bus: registers read and written by name, on dynamixel-sdk's packet handler.
 
-The SDK's group classes are not used for reading: with one servo silent they drop the answers of the
-others, they do not look at the error byte, and of an answer that only says "refused" they take the
-CRC for data. Here an answer counts only if its id, its length, its CRC and its error number are
-right; a servo without such an answer has no values.
+The SDK's group classes are not used for reading: if one servo does not answer they drop the answers
+of the others, they ignore the error byte, and in an answer that has only an error number they take
+the CRC for data. Here an answer is valid only if its id, length, CRC and error number are right; a
+servo without a valid answer has no values.
 
-The answers to different reads of the driver differ in length, so that a late one is not taken for
-another.
+The driver's different reads have answers of different lengths, so a late answer to one of them is
+not taken for the answer to another.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from typing import Any
 from dynamixel_sdk import COMM_RX_CORRUPT, COMM_SUCCESS, GroupSyncWrite, PacketHandler
 
 from slot_core.dynamixel.errors import CommunicationError, InstructionError
-from slot_core.dynamixel.packet import ALERT, BROADCAST, Error
+from slot_core.dynamixel.packet import ALERT, BROADCAST, FAST_OVERHEAD, OVERHEAD, Error
 from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.settings import BusSettings
 from slot_core.dynamixel.table import TABLE, decode_span, span
 
 PROTOCOL = 2.0
-STATUS_BYTES = 11  # of a status packet without parameters
+STATUS_BYTES = OVERHEAD + 4  # of a status packet without data: instruction, error and CRC
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Values by register, and whether the servo asks to look at its hardware error status."""
+    """Values by register name; `alert`: the servo's hardware error status is not 0."""
 
     values: Mapping[str, int]
     alert: bool
@@ -38,7 +38,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class _Status:
-    """A status packet: its error byte and parameters."""
+    """Error byte and data of a status packet."""
 
     error: int
     data: bytes
@@ -49,27 +49,25 @@ class _Status:
 
 
 class Quality:
-    """How many of the last exchanges with a servo failed."""
+    """Count of the exchanges with one servo and of the failures among the last `window` of them."""
 
     def __init__(self, window: int) -> None:
         self._failed: deque[bool] = deque(maxlen=window)
-        self.exchanges = 0
-        self.failures = 0  # both over all time
+        self.exchanges = 0  # since the start
 
     def add(self, failed: bool) -> None:
         """Count one exchange."""
         self._failed.append(failed)
         self.exchanges += 1
-        self.failures += failed
 
     @property
     def error_rate(self) -> float:
-        """Share of failed exchanges within the window; 0 before the first."""
+        """Fraction of failed exchanges within the window; 0 before the first exchange."""
         return sum(self._failed) / len(self._failed) if self._failed else 0.0
 
 
 class Bus:
-    """All exchanges with servos; `names` is how messages call them."""
+    """All exchanges with the servos on one port; `names`: servo names for messages, by id."""
 
     def __init__(
         self, port: SerialPort, settings: BusSettings, names: Mapping[int, str] | None = None
@@ -82,25 +80,28 @@ class Bus:
         self.quality: dict[int, Quality] = {}
 
     def name(self, identity: int) -> str:
-        """How messages call a servo."""
+        """Name of a servo in messages."""
         return self._names.get(identity, f"servo id {identity}")
 
     def ping(self, identity: int) -> tuple[int, int]:
-        """Model number and firmware; raises CommunicationError, InstructionError."""
+        """Model number and firmware version; raises CommunicationError, InstructionError."""
         data = self._exchange(identity, lambda: self._ping(identity), 3, "ping")
         return data[0] | data[1] << 8, data[2]
 
     def scan(self) -> dict[int, tuple[int, int]]:
-        """Model and firmware of all servos that answer on the line, by id; takes about a second."""
+        """Model number and firmware version of every servo that answers, by id; takes about 1 s."""
         found, _ = self._handler.broadcastPing(self.port)
         return {identity: (model, firmware) for identity, (model, firmware) in found.items()}
 
     def read(self, identity: int, first: str, last: str | None = None) -> dict[str, int]:
-        """Values from one register to another; raises CommunicationError, InstructionError."""
+        """Values of the registers `first` to `last` (default: `first` alone), by name.
+
+        Raises CommunicationError, InstructionError.
+        """
         address, size = span(first, last or first)
-        ask = self._handler.readTx
+        send = self._handler.readTx
         data = self._exchange(
-            identity, lambda: ask(self.port, identity, address, size), size, f"reading {first}"
+            identity, lambda: send(self.port, identity, address, size), size, f"reading {first}"
         )
         return decode_span(address, data)
 
@@ -116,7 +117,10 @@ class Bus:
         )
 
     def confirm(self, identity: int, register: str, value: int) -> None:
-        """Write one register and read it back; raises InstructionError where it is another."""
+        """Write one register and read it back.
+
+        Raises CommunicationError, and InstructionError also if the value read back differs.
+        """
         self.write(identity, register, value)
         found = self.read(identity, register)[register]
         if found != value:
@@ -125,48 +129,57 @@ class Bus:
             )
 
     def reboot(self, identity: int) -> None:
-        """Restart a servo; it does not answer for a while. Raises CommunicationError."""
+        """Reboot a servo, which does not answer while it boots.
+
+        Raises CommunicationError, InstructionError.
+        """
         result, error = self._handler.reboot(self.port, identity)
         if result != COMM_SUCCESS:
-            raise CommunicationError(f"{self.name(identity)}: reboot: {self._words(result)}")
+            raise CommunicationError(f"{self.name(identity)}: reboot: {self._result_text(result)}")
         if error & ~ALERT:
-            raise InstructionError(f"{self.name(identity)}: reboot: {self._refusal(error)}")
+            raise InstructionError(f"{self.name(identity)}: reboot: {self._error_text(error)}")
 
     def sync_write(self, register: str, values: Mapping[int, int]) -> None:
-        """Write one register of several servos at once; there is no answer."""
+        """Write one register of several servos in one packet, values by id; without answers.
+
+        Raises CommunicationError.
+        """
         item = TABLE[register]
         group = GroupSyncWrite(self.port, self._handler, item.address, item.size)
         for identity, value in values.items():
             group.addParam(identity, list(item.encode(value)))
         result = group.txPacket()
         if result != COMM_SUCCESS:
-            raise CommunicationError(f"writing {register} of all servos: {self._words(result)}")
+            raise CommunicationError(
+                f"writing {register} of all servos: {self._result_text(result)}"
+            )
 
     def sync_read(self, ids: Iterable[int], first: str, last: str, fast: bool) -> dict[int, Answer]:
-        """Values of those servos that answered; `fast` where all of them know fast sync read.
+        """Valid answers by id, of the registers `first` to `last`.
 
-        Who does not answer is asked again by itself, `retries` times; who did not answer then is
-        asked once a call, and last, until it does. Where a fast answer fails, it counts as failed
-        for all: whose fault it was cannot be told.
+        `fast`: use fast sync read, which all servos must support. A servo that does not answer is
+        read alone, up to `retries` times. If it still does not answer, later calls ask it last and
+        without retries until it answers, and use no fast sync read. A fast answer that fails
+        counts as failed for all servos, since the servo at fault is unknown.
         """
-        wanted = sorted(ids, key=lambda identity: identity in self._silent)  # stable
+        order = sorted(ids, key=lambda identity: identity in self._silent)  # stable
         address, size = span(first, last)
-        fast = fast and not self._silent.intersection(wanted)
-        found = self._fast_read(wanted, address, size) if fast else {}
+        fast = fast and not self._silent.intersection(order)
+        found = self._fast_read(order, address, size) if fast else {}
         if not fast:
-            found = self._sync_read(wanted, address, size)
-        for identity in wanted:
+            found = self._sync_read(order, address, size)
+        for identity in order:
             self._count(identity, identity not in found)
             if identity not in found and identity not in self._silent:
                 found |= self._read_alone(identity, address, size)
-        self._silent = (self._silent - set(wanted)) | (set(wanted) - set(found))
+        self._silent = (self._silent - set(order)) | (set(order) - set(found))
         return {
             identity: Answer(decode_span(address, status.data), bool(status.error & ALERT))
             for identity, status in found.items()
         }
 
     def forget_silence(self) -> None:
-        """Ask all servos as if they had always answered."""
+        """Clear the set of servos that did not answer: all are read with retries again."""
         self._silent.clear()
 
     def _fast_read(self, ids: list[int], address: int, size: int) -> dict[int, _Status]:
@@ -174,11 +187,12 @@ class Bus:
         if result != COMM_SUCCESS:
             return {}
         packet, result = self._handler.rxPacket(self.port, True)
-        length = 1 + len(ids) * (size + 4)
+        part_size = size + FAST_OVERHEAD
+        length = 1 + len(ids) * part_size
         if result != COMM_SUCCESS or packet[4] != BROADCAST or _length(packet) != length:
             self.port.drain(self._settings.quiet)
             return {}
-        parts = [bytes(packet[8 + k * (size + 4) :][: size + 2]) for k in range(len(ids))]
+        parts = [bytes(packet[8 + k * part_size :][: size + 2]) for k in range(len(ids))]
         return {
             part[1]: _Status(part[0], part[2:])
             for identity, part in zip(ids, parts)
@@ -203,7 +217,7 @@ class Bus:
         return {}
 
     def _exchange(self, identity: int, send: Callable[[], int], size: int, action: str) -> bytes:
-        """Send until a right answer comes, at most `retries` times more; returns its data."""
+        """Send until an answer is valid, with at most `retries` retries; returns its data."""
         cause = ""
         for _ in range(self._settings.retries + 1):
             found: dict[int, _Status] = {}
@@ -214,8 +228,8 @@ class Bus:
             status = found.get(identity)
             if status is not None and not status.number:
                 return status.data
-            cause = self._words(result) if status is None else self._refusal(status.error)
-            if status is not None and status.number != Error.CRC:  # that is damage on the way
+            cause = self._result_text(result) if status is None else self._error_text(status.error)
+            if status is not None and status.number != Error.CRC:  # CRC: damaged on the line, retry
                 raise InstructionError(f"{self.name(identity)}: {action}: {cause}")
         raise CommunicationError(f"{self.name(identity)}: {action}: {cause}")
 
@@ -232,19 +246,19 @@ class Bus:
         return result
 
     def _receive(self, ids: list[int], size: int) -> tuple[dict[int, _Status], int]:
-        """Answers of `size` bytes by id, and the SDK's result for the last packet that failed."""
+        """Status packets with `size` bytes of data by id; the SDK's result of the last packet."""
         found: dict[int, _Status] = {}
-        result, wrong = COMM_SUCCESS, 0
-        while len(found) < len(ids) and wrong <= len(ids):
+        result, invalid = COMM_SUCCESS, 0
+        while len(found) < len(ids) and invalid <= len(ids):
             packet, result = self._handler.rxPacket(self.port, False)
             status = _status(packet, size) if result == COMM_SUCCESS else None
             if status is not None and packet[4] in ids:
                 found[packet[4]] = status
                 continue
-            wrong += 1
+            invalid += 1
             if result == COMM_SUCCESS:
                 result = COMM_RX_CORRUPT
-            elif self.port.packet_timeout == 0:  # the SDK's sign that the time is up
+            elif self.port.packet_timeout == 0:  # the SDK sets this on a timeout
                 break
         if len(found) < len(ids):
             self.port.drain(self._settings.quiet)
@@ -255,10 +269,10 @@ class Bus:
             self.quality[identity] = Quality(self._settings.window)
         self.quality[identity].add(failed)
 
-    def _words(self, result: int) -> str:
+    def _result_text(self, result: int) -> str:
         return str(self._handler.getTxRxResult(result))
 
-    def _refusal(self, error: int) -> str:
+    def _error_text(self, error: int) -> str:
         return str(self._handler.getRxPacketError(error & ~ALERT))
 
 
@@ -267,10 +281,10 @@ def _length(packet: list[int]) -> int:
 
 
 def _status(packet: list[int], size: int) -> _Status | None:
-    """The status in a packet of the SDK, unless it is neither a refusal nor `size` bytes."""
+    """Status of a packet of the SDK; None unless it has an error number or `size` bytes of data."""
     length = _length(packet)
-    if length < 4 or len(packet) < length + 7:
+    if length < 4 or len(packet) < length + OVERHEAD:
         return None
     status = _Status(packet[8], bytes(packet[9 : length + 5]))
-    wanted = 0 if status.number else size
-    return status if len(status.data) == wanted else None
+    expected = 0 if status.number else size
+    return status if len(status.data) == expected else None

@@ -1,4 +1,4 @@
-"""Whether the servos are the ones expected and set up as they must be."""
+"""Checks of the servos: model, firmware and EEPROM against the configuration."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.errors import CommunicationError, InstructionError
 from slot_core.dynamixel.joints import Joint
 from slot_core.dynamixel.settings import DynamixelSettings
-from slot_core.dynamixel.table import BAUD_RATES, HardwareError
+from slot_core.dynamixel.table import BAUD_RATES
+from slot_core.hardware_error import HardwareError
 
 
 @dataclass(frozen=True)
 class ServoInfo:
-    """What a servo says it is; `values`: its EEPROM by register."""
+    """Identity of a servo; `values`: its EEPROM by register name."""
 
     leg: str
     id: int
@@ -24,7 +25,7 @@ class ServoInfo:
 
 
 def inspect(bus: Bus, joint: Joint) -> ServoInfo:
-    """Read what a servo is; raises CommunicationError, InstructionError."""
+    """Read identity and EEPROM of a servo; raises CommunicationError, InstructionError."""
     model, firmware = bus.ping(joint.id)
     values: dict[str, int] = {}
     for first, last in (
@@ -40,7 +41,7 @@ def inspect(bus: Bus, joint: Joint) -> ServoInfo:
 
 
 def expected(settings: DynamixelSettings, joint: Joint) -> dict[str, int]:
-    """What a servo's EEPROM must hold, by register."""
+    """EEPROM values that the configuration requires of a servo, by register name."""
     low, high = joint.limits()
     return settings.servo.eeprom() | {
         "operating_mode": settings.mode,
@@ -51,7 +52,7 @@ def expected(settings: DynamixelSettings, joint: Joint) -> dict[str, int]:
 
 
 def differences(settings: DynamixelSettings, joint: Joint, info: ServoInfo) -> list[str]:
-    """What is wrong with a servo, one line each; nothing where all is right."""
+    """Differences of a servo from the configuration, one line each; empty if there are none."""
     setup, reasons = settings.servo, []
     if info.model != setup.model:
         reasons.append(f"{joint.name}: model {info.model}, expected {setup.model}")
@@ -69,7 +70,7 @@ def differences(settings: DynamixelSettings, joint: Joint, info: ServoInfo) -> l
 def examine(
     bus: Bus, settings: DynamixelSettings, joint: Joint
 ) -> tuple[ServoInfo | None, list[str]]:
-    """What a servo is and what is wrong with it; None where it does not answer."""
+    """Identity and differences of a servo; None and the error if it does not answer."""
     try:
         info = inspect(bus, joint)
     except (CommunicationError, InstructionError) as error:
@@ -78,6 +79,6 @@ def examine(
 
 
 def hardware_errors(bits: int) -> str:
-    """Names of the bits of the hardware error status."""
+    """Names of the bits set in a hardware error status, or "none"."""
     names = [error.name.lower() for error in HardwareError if bits & error and error.name]
     return ", ".join(names) or "none"

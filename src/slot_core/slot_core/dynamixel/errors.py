@@ -1,26 +1,29 @@
-"""What can go wrong on the servo bus, each with the servo's name and the cause."""
+"""Errors of the servo bus; messages name the servo and the cause."""
 
 from __future__ import annotations
 
 
 class ServoError(Exception):
-    """Base of all errors of the servo bus."""
+    """Base class of the errors of the servo bus."""
 
 
 class PortError(ServoError):
-    """The port cannot be opened or set up, or has gone (unplugged)."""
+    """The port cannot be opened or set up, or has disappeared (unplugged)."""
 
 
 class CommunicationError(ServoError):
-    """A servo did not answer, or its answer was damaged, after all retries; the SDK's words."""
+    """No valid answer of a servo after all retries; the message has the SDK's text."""
 
 
 class InstructionError(ServoError):
-    """A servo answered with an error number: it has not done what it was asked."""
+    """A servo answered with an error number (it has not executed the instruction).
+
+    Also: a register holds another value than the one written.
+    """
 
 
 class RefusedError(ServoError):
-    """The servos are not as they must be; `reasons` holds one line for each thing wrong."""
+    """An action was refused because of the servos' state or set-up; `reasons`: one line each."""
 
     def __init__(self, reasons: list[str]) -> None:
         super().__init__("; ".join(reasons))

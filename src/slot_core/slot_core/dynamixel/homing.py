@@ -1,7 +1,7 @@
-"""Finding the zero of a servo and writing it into the configuration.
+"""Homing: measuring the zero of a servo and writing it into the configuration.
 
-By hand: with torque off and the tendon just slack, the position is read, and must rest. By load:
-the servo pulls slowly until the tendon resists; the angle there is the zero.
+By hand: torque off, tendon just slack; the position is read and must be at rest. By load: the servo
+pulls slowly until its load exceeds a threshold; the angle there is the zero.
 """
 
 from __future__ import annotations
@@ -26,14 +26,17 @@ from slot_core.robot import LEGS
 Sleep = Callable[[float], None]
 SAMPLES = 20
 SAMPLE_PERIOD = 0.02  # s
-STILL = 3  # counts that a resting encoder may spread
+STILL = 3  # counts, largest spread of the readings of a servo at rest
 PULL_SPEED = 0.2  # rad/s of the tendon angle
-CYCLE = 0.01  # s
+CYCLE = 0.01  # s, between two bus cycles
 NUMBER = r"-?\d+(?:\.\d+)?"
 
 
 def measure_zero(bus: Bus, joint: Joint, sleep: Sleep) -> float:
-    """Servo's angle (deg) where the leg rests now, torque off; raises ServoError."""
+    """Servo angle (deg), mean of SAMPLES readings with torque off.
+
+    Raises ServoError, also if the readings spread by more than STILL counts.
+    """
     bus.confirm(joint.id, "torque_enable", 0)
     found = []
     for _ in range(SAMPLES):
@@ -46,10 +49,10 @@ def measure_zero(bus: Bus, joint: Joint, sleep: Sleep) -> float:
 
 
 def find_taut(driver: Driver, leg: str, load: float, sleep: Sleep) -> float:
-    """Servo's angle (deg) at which the tendon of `leg` begins to resist with `load`, of stall.
+    """Servo angle (deg) at which the servo of `leg` exceeds `load`, a fraction of the stall torque.
 
-    The driver must be active, the tendon slack. Raises ServoError where nothing resists within the
-    leg's range, or the servo does not answer.
+    The driver must be active and the tendon slack. Raises ServoError if the load is not reached
+    within the range of tendon angles, or if the servo does not answer.
     """
     index, joint = LEGS.index(leg), driver.joints[LEGS.index(leg)]
     goals = [clamp(angle, j.low, j.high) for angle, j in zip(driver.goals(), driver.joints)]
@@ -62,19 +65,19 @@ def find_taut(driver: Driver, leg: str, load: float, sleep: Sleep) -> float:
             raise ServoError(f"{joint.name}: does not answer")
         if reading.load > load:
             return math.degrees(joint.zero + joint.direction * joint.ratio * reading.angle)
-    raise ServoError(f"{joint.name}: nothing resists with {load:g} of the stall torque")
+    raise ServoError(f"{joint.name}: load never above {load:g} of the stall torque")
 
 
 def clamp(value: float, low: float, high: float) -> float:
-    """The nearest number within [low, high]."""
+    """`value` limited to [low, high]."""
     return min(max(value, low), high)
 
 
 def write_zero(leg: str, zero_deg: float, path: Path | None = None) -> Path:
-    """Put a zero into `config/dynamixel.yaml`, and leave the rest of the file as it is.
+    """Write the zero of a leg (deg) into `config/dynamixel.yaml`; the rest of the file is kept.
 
-    Raises ConfigError where the file has no such line or the value is out of bounds; nothing is
-    written then.
+    Returns the path of the file. Raises ConfigError, and writes nothing, if the file has no line
+    `zero_deg` of four numbers or the value is out of bounds.
     """
     path = path or config.config_dir() / "dynamixel.yaml"
     text = path.read_text()

@@ -1,11 +1,12 @@
-"""The position loop on the host: PID over the servo's PWM.
+"""Position control on the host: PID whose output is the servos' PWM duty.
 
     duty = k_p e + I - k_d w,   e = goal - angle,   dI/dt = k_i e
 
-w is the measured speed through a first-order filter, so that a step of the goal gives no kick. The
-duty keeps within +-limit and changes at most at its rate; the integral rests where the duty is at
-either bound and e would drive it further (anti-windup by clamping: Astrom and Hagglund, Advanced
-PID Control, 2006, section 3.5). Four legs at once; angles in rad, time in s, duty 1: full voltage.
+w is the measured speed through a first-order low-pass filter; the derivative acts on it and not on
+e, so that a step of the goal causes no kick. The duty is limited to +-duty_limit and its change to
+duty_rate. The integral is held while the duty is at one of these limits and e would drive it
+further (anti-windup by clamping: Astrom and Hagglund, Advanced PID Control, 2006, section 3.5).
+Four legs at once; angles in rad, time in s, duty 1: full voltage.
 """
 
 from __future__ import annotations
@@ -17,41 +18,42 @@ from slot_core.robot import LEGS, Array
 
 
 class HostPid:
-    """The loop and its state."""
+    """PID of the four legs, with its state."""
 
     def __init__(self, settings: HostPidSettings) -> None:
         self._settings = settings
         self.reset()
 
     def reset(self) -> None:
-        """Start from rest with no duty."""
+        """Set integral, filtered speed and duty to 0."""
         self.integral: Array = np.zeros(len(LEGS))
         self.duty: Array = np.zeros(len(LEGS))
         self._speed: Array = np.zeros(len(LEGS))
-        self._blind: Array = np.zeros(len(LEGS))
+        self._missing: Array = np.zeros(len(LEGS))
 
     def step(self, goal: Array, angle: Array, speed: Array, h: float) -> Array:
-        """Duty (4,) for the next h s; NaN in `angle` says that there is no reading.
+        """Duty (4,) for the next h s from goal (rad), angle (rad) and speed (rad/s), each (4,).
 
-        A leg without a reading keeps its duty for `blind_time`, then gets none.
+        NaN in angle or speed: no reading. A leg without a reading keeps its duty for `blind_time`,
+        then its duty is 0. Raises ValueError unless h is positive.
         """
         if h <= 0:
             raise ValueError(f"h = {h}: expected a positive time")
-        s, seen = self._settings, np.isfinite(angle) & np.isfinite(speed)
-        self._blind = np.where(seen, 0.0, self._blind + h)
-        error = np.where(seen, goal - angle, 0.0)
-        share = h / (s.filter_time + h)
-        self._speed += np.where(seen, share * (speed - self._speed), 0.0)
-        grown = self.integral + s.i * h * error
-        wanted = s.p * error + grown - s.d * self._speed
-        bounded = self._bounded(wanted, h)
-        winding = (wanted - bounded) * error > 0.0
-        self.integral = np.where(winding | ~seen, self.integral, grown)
-        kept = np.where(self._blind <= s.blind_time, self.duty, 0.0)
-        self.duty = np.where(seen, bounded, kept)
+        s, valid = self._settings, np.isfinite(angle) & np.isfinite(speed)
+        self._missing = np.where(valid, 0.0, self._missing + h)
+        error = np.where(valid, goal - angle, 0.0)
+        weight = h / (s.filter_time + h)
+        self._speed += np.where(valid, weight * (speed - self._speed), 0.0)
+        integral = self.integral + s.i * h * error
+        unlimited = s.p * error + integral - s.d * self._speed
+        limited = self._limited(unlimited, h)
+        winding = (unlimited - limited) * error > 0.0
+        self.integral = np.where(winding | ~valid, self.integral, integral)
+        held = np.where(self._missing <= s.blind_time, self.duty, 0.0)
+        self.duty = np.where(valid, limited, held)
         return self.duty.copy()
 
-    def _bounded(self, duty: Array, h: float) -> Array:
+    def _limited(self, duty: Array, h: float) -> Array:
         limit, change = self._settings.duty_limit, self._settings.duty_rate * h
         low = np.maximum(self.duty - change, -limit)
         return np.clip(duty, low, np.minimum(self.duty + change, limit))

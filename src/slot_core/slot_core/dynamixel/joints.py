@@ -1,9 +1,9 @@
-"""Tendon angles, servo angles and counts of the encoder.
+"""Conversion between tendon angle, servo angle and encoder counts.
 
     servo = zero + direction ratio tendon,   counts = servo / (2 pi / 4096)
 
-with the servo's angle at the relaxed tendon (`zero`), the side it pulls to and the ratio of the
-angles. Legs in the order FL FR RL RR.
+`zero`: servo angle with the tendon relaxed; `direction`: 1 if the servo angle grows when pulling,
+else -1; `ratio`: servo angle per tendon angle. Legs in the order FL FR RL RR.
 """
 
 from __future__ import annotations
@@ -18,36 +18,36 @@ from slot_core.robot import LEGS
 
 @dataclass(frozen=True)
 class Joint:
-    """Conversion for one leg."""
+    """Conversion for the servo of one leg."""
 
     leg: str
     id: int
-    zero: float  # rad, of the servo
+    zero: float  # rad, servo angle
     direction: int
-    ratio: float  # servo's angle over tendon's
-    low: float  # rad, of the tendon
-    high: float
-    margin: float  # rad, of the servo
+    ratio: float  # servo angle per tendon angle
+    low: float  # rad, smallest tendon angle commanded
+    high: float  # rad, largest tendon angle commanded
+    margin: float  # rad of servo angle, distance of the servo's own limits beyond these
 
     @property
     def name(self) -> str:
-        """How messages call the servo."""
+        """Name of the servo in messages."""
         return f"servo {self.leg} (id {self.id})"
 
     def counts(self, tendon: float) -> int:
-        """Nearest count of the encoder to a tendon angle (rad)."""
+        """Encoder count nearest to a tendon angle (rad)."""
         return round((self.zero + self.direction * self.ratio * tendon) / RAD_PER_COUNT)
 
     def tendon(self, counts: float) -> float:
-        """Tendon angle (rad) at a count of the encoder."""
+        """Tendon angle (rad) at an encoder count."""
         return (counts * RAD_PER_COUNT - self.zero) / (self.direction * self.ratio)
 
     def tendon_rate(self, velocity: int) -> float:
-        """Rate of the tendon angle (rad/s) from the register of the velocity."""
+        """Tendon angle rate (rad/s) from the value of Present Velocity."""
         return velocity * RAD_S_PER_UNIT / (self.direction * self.ratio)
 
     def tendon_torque(self, torque: float) -> float:
-        """Torque on the tendon angle (N m) from one on the servo's, the power being the same."""
+        """Torque on the tendon angle (N m) from that on the servo angle, at equal power."""
         return torque * self.direction * self.ratio
 
     def servo_torque(self, torque: float) -> float:
@@ -55,18 +55,22 @@ class Joint:
         return torque / (self.direction * self.ratio)
 
     def pwm(self, duty: float) -> int:
-        """Register of the PWM for a duty in [-1, 1], positive when pulling."""
+        """Value of Goal PWM for a duty in [-1, 1], positive when pulling."""
         return round(self.direction * duty * PWM_FULL)
 
     def limits(self) -> tuple[int, int]:
-        """Position limits (counts) that the servo itself must keep: smallest, largest."""
+        """Min and Max Position Limit of the servo (counts): the commanded range plus the margin."""
         ends = [self.counts(self.low), self.counts(self.high)]
         margin = math.floor(self.margin / RAD_PER_COUNT)
         return min(ends) - margin, max(ends) + margin
 
 
 def joints(settings: JointSettings) -> tuple[Joint, ...]:
-    """The four joints; raises ValueError where the settings contradict each other."""
+    """The four joints.
+
+    Raises ValueError for two equal ids, a direction of 0, an empty range of tendon angles, or
+    position limits that are not within one turn of the encoder.
+    """
     if len(set(settings.ids)) < len(LEGS):
         raise ValueError(f"joints.ids = {settings.ids}: two servos with one id")
     if 0 in settings.direction:
@@ -81,7 +85,7 @@ def joints(settings: JointSettings) -> tuple[Joint, ...]:
         if low < 0 or high >= COUNTS:
             raise ValueError(
                 f"{joint.name}: its range, {low} to {high} counts, is not within one turn;"
-                " fix the spool at another angle"
+                " mount the spool at another angle"
             )
     return found
 

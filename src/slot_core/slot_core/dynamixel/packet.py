@@ -1,11 +1,11 @@
-"""Packets of Protocol 2.0: CRC, byte stuffing, building, and finding them in a stream of bytes.
+"""Packets of Protocol 2.0: CRC, byte stuffing, packet builder, stream parser.
 
     FF FF FD 00 | id | length (2) | instruction | parameters | CRC (2)
 
-`length` counts everything behind itself. Where FF FF FD would stand between the length and the CRC,
-another FD follows it (stuffing). The CRC is CRC-16 with the polynomial x^16 + x^15 + x^2 + 1, most
-significant bit first, initial value 0, over all bytes before it. A status packet has instruction
-0x55 and an error byte before its parameters. Source: ROBOTIS e-manual, Protocol 2.0.
+`length` is the number of bytes after it. Byte stuffing: an FF FF FD between the length and the CRC
+is followed by another FD. CRC: CRC-16 with the polynomial x^16 + x^15 + x^2 + 1, most significant
+bit first, initial value 0, over all bytes before it. A status packet has instruction 0x55 and an
+error byte before its parameters. Source: ROBOTIS e-manual, Protocol 2.0.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from dataclasses import dataclass
 
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE
-ID_MAX = 0xFC
-LONGEST = 1024  # bytes that a receiver keeps, as in dynamixel-sdk
+LONGEST = 1024  # bytes of the longest packet accepted, as in dynamixel-sdk
 SHORTEST = 3  # value of `length` without parameters: instruction and CRC
-OVERHEAD = 7  # bytes up to and with the length
-ALERT = 0x80  # of the error byte: look at Hardware Error Status (70)
+OVERHEAD = 7  # bytes from the header to the length, both included
+FAST_OVERHEAD = 4  # bytes of each servo in a fast answer beside its data: error, id, CRC
+ALERT = 0x80  # bit of the error byte: Hardware Error Status is not 0
 _POLYNOMIAL = 0x8005
 _PATTERN = b"\xff\xff\xfd"
 
 
 class Instruction(enum.IntEnum):
-    """What a packet asks for."""
+    """Instruction byte of a packet."""
 
     PING = 0x01
     READ = 0x02
@@ -60,7 +60,7 @@ class Error(enum.IntEnum):
 
 @dataclass(frozen=True)
 class Packet:
-    """A received packet, without stuffing; `intact`: its CRC matched."""
+    """A received packet, unstuffed; `intact`: its CRC matched."""
 
     id: int
     instruction: int
@@ -80,14 +80,14 @@ _CRC_TABLE = tuple(_crc_row(index) for index in range(256))
 
 
 def crc(data: bytes, value: int = 0) -> int:
-    """CRC of `data`, going on from `value`."""
+    """CRC of `data`, continued from the CRC `value` of the bytes before it."""
     for byte in data:
         value = ((value << 8) & 0xFFFF) ^ _CRC_TABLE[(value >> 8) ^ byte]
     return value
 
 
 def stuff(body: bytes) -> bytes:
-    """Instruction and parameters with an FD behind every FF FF FD."""
+    """Instruction and parameters with an FD inserted after every FF FF FD."""
     return body.replace(_PATTERN, _PATTERN + b"\xfd")
 
 
@@ -97,52 +97,49 @@ def unstuff(body: bytes) -> bytes:
 
 
 def build(identity: int, instruction: int, parameters: bytes = b"") -> bytes:
-    """A packet as it goes over the wire."""
+    """Bytes on the wire of a packet."""
     body = stuff(bytes([instruction]) + parameters)
     head = HEADER + bytes([identity]) + (len(body) + 2).to_bytes(2, "little")
-    return sealed(head + body)
+    return _with_crc(head + body)
 
 
 def status(identity: int, error: int, parameters: bytes = b"") -> bytes:
-    """A status packet as it goes over the wire."""
+    """Bytes on the wire of a status packet."""
     return build(identity, Instruction.STATUS, bytes([error]) + parameters)
 
 
-def sealed(data: bytes) -> bytes:
-    """`data` with its CRC behind it."""
+def _with_crc(data: bytes) -> bytes:
     return data + crc(data).to_bytes(2, "little")
 
 
 def fast_status(replies: list[tuple[int, int, bytes]]) -> bytes:
-    """The one packet with which several servos answer a fast sync read, from (id, error, data).
+    """Status packet shared by several servos, the answer to a fast read, from (id, error, data).
 
-    Each adds its error, id, data and the CRC of all bytes so far; nothing is stuffed.
+    Each servo appends its error, id, data and the CRC of all bytes so far; no byte stuffing.
     """
-    length = 1 + sum(len(data) + 4 for _, _, data in replies)
+    length = 1 + sum(len(data) + FAST_OVERHEAD for _, _, data in replies)
     packet = HEADER + bytes([BROADCAST]) + length.to_bytes(2, "little")
     packet += bytes([Instruction.STATUS])
     for identity, error, data in replies:
-        packet = sealed(packet + bytes([error, identity]) + data)
+        packet = _with_crc(packet + bytes([error, identity]) + data)
     return packet
 
 
 class Parser:
-    """Finds packets in a stream of bytes, whatever else is in it."""
+    """Parser of packets in a stream of bytes; bytes that belong to no packet are skipped."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
 
     def reset(self) -> None:
-        """Forget a packet that has come in part."""
+        """Discard an incomplete packet."""
         self._buffer.clear()
 
-    @property
-    def pending(self) -> bool:
-        """Whether part of a packet waits for its rest."""
-        return bool(self._buffer)
-
     def feed(self, data: bytes) -> Iterator[Packet]:
-        """The packets that `data` completes, damaged ones too; behind those it looks again."""
+        """Packets that `data` completes, in their order.
+
+        A packet with a wrong CRC comes with `intact` false; the search goes on at its second byte.
+        """
         self._buffer += data
         while (packet := self._next()) is not None:
             yield packet
@@ -160,7 +157,7 @@ class Parser:
         return None
 
     def _align(self) -> bool:
-        """Drop what precedes a header; whether a head is complete."""
+        """Drop the bytes before the next header; returns whether id and length are there."""
         start = self._buffer.find(HEADER)
         if start < 0:
             start = max(len(self._buffer) - len(HEADER) + 1, 0)

@@ -1,9 +1,8 @@
-"""The serial port under dynamixel-sdk.
+"""Serial port for dynamixel-sdk.
 
-What differs from the SDK's own port: the clock is passed in (the SDK takes the wall clock, which
-jumps); it sleeps until bytes come instead of asking for them in a loop; the time allowed for an
-answer is set, where the SDK takes 34 ms; nobody else may open the port; and what goes wrong is a
-PortError.
+Differences from the SDK's own port: the clock is passed in (the SDK uses the wall clock, which may
+jump); a read blocks until bytes arrive instead of polling; the answer timeout is a setting (34 ms
+in the SDK); the port is opened exclusively; every error is a PortError.
 """
 
 from __future__ import annotations
@@ -22,13 +21,16 @@ from slot_core.clock import Clock
 from slot_core.dynamixel.errors import PortError
 
 BITS_PER_BYTE = 10  # with start and stop bit
-WRITE_TIMEOUT = 0.5  # s, where nobody takes the bytes
+WRITE_TIMEOUT = 0.5  # s, for a device that does not accept bytes
 TTY_CLASS = Path("/sys/class/tty")
 UDEV_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
 
 
 class SerialPort(PortHandler):
-    """A port of the SDK's kind (hence the names of its methods)."""
+    """Port with the interface of the SDK's PortHandler, whose method names it keeps.
+
+    `timeout` (s) is the time allowed for an answer beyond its transmission time; `clock` in s.
+    """
 
     def __init__(self, name: str, baud: int, timeout: float, clock: Clock = time.monotonic) -> None:
         super().__init__(name)
@@ -37,19 +39,19 @@ class SerialPort(PortHandler):
         self.baudrate = baud
 
     def open(self) -> None:
-        """Open the port at its rate; raises PortError with the cause."""
+        """Open the port at its baud rate; raises PortError with the cause."""
         if not self.setBaudRate(self.baudrate):
             raise PortError(f"{self.port_name}: {self.baudrate} baud is not supported")
 
     def close(self) -> None:
-        """Close the port; may be done again."""
+        """Close the port; may be called again."""
         if self.ser is not None:
             self.ser.close()
         self.is_open = False
         self.is_using = False
 
     def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802
-        """Open the device, for this process alone."""
+        """Open the device exclusively; raises PortError."""
         self.close()
         try:
             self.ser = serial.Serial(
@@ -66,20 +68,20 @@ class SerialPort(PortHandler):
         return True
 
     def clearPort(self) -> None:  # noqa: N802
-        """Drop what has come in."""
+        """Discard the bytes received so far; raises PortError."""
         self._guard(self._discard)
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
-        """Up to `length` bytes: those there are, else the next to come within the time left."""
+        """Up to `length` bytes; blocks until the first or the timeout; raises PortError."""
         left = (self.packet_timeout - self.getTimeSinceStart()) * 1e-3
         return bytes(self._guard(lambda: self._await(length, max(left, 0.0))))
 
     def writePort(self, packet: list[int]) -> int:  # noqa: N802
-        """Send; returns the number of bytes."""
+        """Send a packet; returns the number of bytes sent; raises PortError."""
         return int(self._guard(lambda: self.ser.write(bytes(packet))))
 
     def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
-        """Start waiting for so many bytes."""
+        """Start the timeout for an answer of `packet_length` bytes."""
         self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + 1e3 * self._timeout)
 
     def getCurrentTime(self) -> float:  # noqa: N802
@@ -87,9 +89,12 @@ class SerialPort(PortHandler):
         return 1e3 * self._clock()
 
     def drain(self, quiet: float) -> int:
-        """Drop what comes until nothing has come for `quiet` s; returns how many bytes came."""
+        """Discard input until the line is idle for `quiet` s, for timeout + quiet at most.
+
+        Returns the number of bytes discarded; raises PortError.
+        """
         dropped = 0
-        end = self._clock() + self._timeout + quiet  # whatever babbles there
+        end = self._clock() + self._timeout + quiet  # bound for a line that is never idle
         while self._clock() < end:
             data = self._guard(lambda: self._await(self.ser.in_waiting or 1, quiet))
             if not data:
@@ -101,27 +106,27 @@ class SerialPort(PortHandler):
         self.ser.reset_input_buffer()
 
     def _await(self, length: int, timeout: float) -> bytes:
-        if length <= 0:  # the SDK asks for that where a damaged length says so
+        if length <= 0:  # the SDK asks for that after a corrupted length field
             return b""
         ready, _, _ = select.select([self.ser.fileno()], [], [], timeout)
         return bytes(self.ser.read(length)) if ready else b""
 
     def _guard(self, action: Callable[[], Any]) -> Any:
-        """What `action` returns; whatever the system says against it becomes a PortError."""
+        """Result of `action`; an error of the operating system becomes a PortError."""
         try:
             if self.ser is None or not self.ser.is_open:
                 raise OSError("the port is not open")
             return action()
         except (OSError, termios.error, TypeError, ValueError) as error:
-            self.is_using = False  # TypeError, ValueError: closed by another thread meanwhile
+            self.is_using = False  # TypeError, ValueError: another thread has closed the port
             raise PortError(f"{self.port_name}: {error}") from None
 
 
 def check_latency(name: str, limit: int, tty_class: Path = TTY_CLASS) -> int | None:
-    """Latency timer (ms) of a USB serial port; None where the port has none.
+    """Latency timer (ms) of a USB serial port; None if the port has none.
 
-    FTDI's chips keep what they receive for this time, 16 ms by default. Raises PortError where it
-    is above `limit`, with the udev rule that sets it.
+    FTDI chips buffer received bytes for this time, 16 ms by default. Raises PortError, with the
+    udev rule that sets the timer, if it is above `limit` (ms).
     """
     device = Path(name).resolve().name  # /dev/serial/by-id/... are links
     path = tty_class / device / "device" / "latency_timer"
@@ -132,6 +137,6 @@ def check_latency(name: str, limit: int, tty_class: Path = TTY_CLASS) -> int | N
     if found > limit:
         raise PortError(
             f"{name}: latency timer {found} ms, limit {limit} ms;"
-            f" put into /etc/udev/rules.d/99-dynamixel.rules: {UDEV_RULE}"
+            f" add to /etc/udev/rules.d/99-dynamixel.rules: {UDEV_RULE}"
         )
     return found

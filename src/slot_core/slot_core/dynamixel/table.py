@@ -11,10 +11,13 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from slot_core.hardware_error import HARDWARE_ERROR_BITS
+
 MODEL_NUMBER = 1060
 COUNTS = 4096  # of the position encoder, per turn
-TABLE_END = 662  # first address behind the table
-RAM_START = 64  # below: EEPROM
+TABLE_END = 662  # first address after the table
+RAM_START = 64  # first address of the RAM area; below it: EEPROM
+NO_SECONDARY_ID = 255  # value of Secondary ID (12) that disables it
 
 RAD_PER_COUNT = math.tau / COUNTS
 RPM_UNIT = 0.229  # rev/min
@@ -25,7 +28,16 @@ WATCHDOG_UNIT = 0.020  # s
 RETURN_DELAY_UNIT = 2e-6  # s
 VOLTAGE_UNIT = 0.1  # V
 
-BAUD_RATES = (9600, 57600, 115200, 1000000, 2000000, 3000000, 4000000, 4500000)  # by code
+BAUD_RATES = (
+    9600,
+    57600,
+    115200,
+    1000000,
+    2000000,
+    3000000,
+    4000000,
+    4500000,
+)  # baud, by the value of Baud Rate (8)
 
 
 class Mode(enum.IntEnum):
@@ -37,22 +49,9 @@ class Mode(enum.IntEnum):
     PWM = 16
 
 
-class HardwareError(enum.IntFlag):
-    """Bits of Hardware Error Status (70) and of Shutdown (63)."""
-
-    INPUT_VOLTAGE = 0x01
-    OVERHEATING = 0x04
-    MOTOR_ENCODER = 0x08
-    ELECTRICAL_SHOCK = 0x10
-    OVERLOAD = 0x20
-
-
-HARDWARE_ERROR_BITS = 0x3D  # all of them
-
-
 @dataclass(frozen=True)
 class Register:
-    """One item of the control table; `low`, `high`: what may be written, in the register's unit."""
+    """One item of the control table; `low`, `high`: its range, both included, in its unit."""
 
     name: str
     address: int
@@ -66,16 +65,16 @@ class Register:
 
     @property
     def eeprom(self) -> bool:
-        """Whether it keeps its value without power and is locked while torque is on."""
+        """Whether it is in EEPROM: kept without power, write-protected while torque is on."""
         return self.address < RAM_START
 
     @property
     def end(self) -> int:
-        """First address behind it."""
+        """First address after it."""
         return self.address + self.size
 
     def encode(self, value: int) -> bytes:
-        """Bytes on the bus; raises OverflowError for what `size` bytes cannot hold."""
+        """Bytes on the bus; raises OverflowError for a value that `size` bytes cannot hold."""
         return int(value).to_bytes(self.size, "little", signed=self.signed)
 
     def decode(self, data: bytes) -> int:
@@ -98,7 +97,7 @@ _ROWS: tuple[tuple[str, int, int, str, str, int, tuple[int, int], str], ...] = (
     ("return_delay_time", 9, 1, "2 us", "rw", 250, (0, 254), ""),
     ("drive_mode", 10, 1, "bits", "rw", 0, (0, 13), ""),
     ("operating_mode", 11, 1, "", "rw", Mode.POSITION, (0, 16), ""),
-    ("secondary_id", 12, 1, "", "rw", 255, (0, 255), ""),
+    ("secondary_id", 12, 1, "", "rw", NO_SECONDARY_ID, (0, 255), ""),
     ("protocol_type", 13, 1, "", "rw", 2, (1, 2), ""),
     ("homing_offset", 20, 4, "count", "rw", 0, (-1044479, 1044479), "s"),
     ("moving_threshold", 24, 4, "0.229 rpm", "rw", 10, (0, 1023), ""),
@@ -123,7 +122,7 @@ _ROWS: tuple[tuple[str, int, int, str, str, int, tuple[int, int], str], ...] = (
     ("position_p_gain", 84, 2, "1/128", "rw", 640, _GAIN, ""),
     ("feedforward_2nd_gain", 88, 2, "1/4", "rw", 0, _GAIN, ""),
     ("feedforward_1st_gain", 90, 2, "1/4", "rw", 0, _GAIN, ""),
-    ("bus_watchdog", 98, 1, "20 ms", "rw", 0, (0, 127), "s"),  # reads -1 once it has tripped
+    ("bus_watchdog", 98, 1, "20 ms", "rw", 0, (0, 127), "s"),  # reads -1 after it has tripped
     ("goal_pwm", 100, 2, "1/885", "rw", PWM_FULL, (-PWM_FULL, PWM_FULL), "s"),
     ("goal_velocity", 104, 4, "0.229 rpm", "rw", 0, (-1023, 1023), "s"),
     ("profile_acceleration", 108, 4, "214.577 rev/min^2", "rw", 0, (0, 32767), ""),
@@ -143,7 +142,7 @@ _ROWS: tuple[tuple[str, int, int, str, str, int, tuple[int, int], str], ...] = (
     ("backup_ready", 147, 1, "", "r", 0, (0, 1), ""),
 )
 
-# Two banks of 28: a byte of indirect data stands for the byte at its indirect address.
+# Two banks of 28: indirect data k is an alias of the byte whose address is in indirect address k.
 INDIRECT_BANKS = ((168, 224), (578, 634))  # first address register, first data byte
 INDIRECT_COUNT = 28
 
@@ -166,16 +165,16 @@ TABLE: dict[str, Register] = {register.name: register for register in REGISTERS}
 
 BY_ADDRESS: dict[int, Register] = {
     address: register for register in REGISTERS for address in range(register.address, register.end)
-}  # of every defined byte
+}  # register of every defined byte
 
 
 def span(first: str, last: str) -> tuple[int, int]:
-    """Address and number of bytes from one register to another, both included."""
+    """Start address and number of bytes from register `first` to `last`, both included."""
     return TABLE[first].address, TABLE[last].end - TABLE[first].address
 
 
 def decode_span(address: int, data: bytes) -> dict[str, int]:
-    """Values by name of all registers that lie wholly within `data` read from `address`."""
+    """Values of the registers that lie wholly within `data` read from `address`, by name."""
     end = address + len(data)
     return {
         register.name: register.decode(data[register.address - address : register.end - address])

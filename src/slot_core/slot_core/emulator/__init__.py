@@ -1,1 +1,1 @@
-"""Emulated XL430-W250 servos on a bus, true to the byte."""
+"""Emulated XL430-W250 servos on a serial bus, exact to the byte."""

@@ -1,9 +1,10 @@
-"""An emulated bus of XL430-W250: packets in, packets out, faults, time.
+"""Emulated bus of four XL430-W250: instruction packets in, status packets out, faults, time.
 
-Every servo sees every byte. In the chain of a sync or bulk read a servo answers after the one
-before it has: where one is silent, those behind it are too (the worse of what users report). A
-packet with a wrong CRC to one servo is answered with the CRC error; to all, not at all. Every
-intact instruction on the bus, to whichever servo, resets the bus watchdogs.
+Every servo receives every byte. In a sync or bulk read each servo answers after the one before it
+has answered: if one does not answer, those after it do not either (the worse of the two behaviours
+that users report). A packet with a wrong CRC is answered with the CRC error if it has the id of one
+servo, and not at all if it is a broadcast. Every intact instruction on the bus, of any id, restarts
+the bus watchdogs of all servos.
 """
 
 from __future__ import annotations
@@ -17,9 +18,11 @@ import numpy.typing as npt
 
 from slot_core import config
 from slot_core.config import quantity
-from slot_core.dynamics.servo import read_servo, servo
+from slot_core.dynamics.servo import read_servo
+from slot_core.dynamics.servo import servo as servo_law
 from slot_core.dynamixel.packet import (
     BROADCAST,
+    FAST_OVERHEAD,
     LONGEST,
     Error,
     Instruction,
@@ -28,42 +31,47 @@ from slot_core.dynamixel.packet import (
     fast_status,
     status,
 )
-from slot_core.dynamixel.table import BAUD_RATES, RETURN_DELAY_UNIT, HardwareError
+from slot_core.dynamixel.table import BAUD_RATES, NO_SECONDARY_ID, RETURN_DELAY_UNIT
 from slot_core.emulator.emulated_servo import EmulatedServo, ServoModel
-from slot_core.emulator.instructions import execute, read_data, word
+from slot_core.emulator.instructions import execute, read_data, uint16
 from slot_core.emulator.line_faults import LineFaults, damaged
 from slot_core.emulator.shaft import Motor
 from slot_core.faults import Fault
+from slot_core.hardware_error import HardwareError
 from slot_core.robot import LEGS
 
-FAST_BYTES = 4  # of each servo in a fast answer, beside its data
-ANSWER_READS, ANSWER_ALL = 1, 2  # status return levels beside 0, ping alone
+ANSWER_READS, ANSWER_ALL = 1, 2  # values of Status Return Level (68); 0: ping only
 
 
 @dataclass(frozen=True)
 class EmulatorSettings:
-    """What `config/emulator.yaml` holds."""
+    """Contents of `config/emulator.yaml`."""
 
     servo: ServoModel
-    usb_latency: float = quantity("of the adapter, for each batch of answers", "s", 0.0, 0.1)
-    seed: int = quantity("of the noise on the line", "", 0, 2**31)
+    usb_latency: float = quantity(
+        "latency of the adapter, for each batch of answers", "s", 0.0, 0.1
+    )
+    seed: int = quantity("seed of the noise on the line", "", 0, 2**31)
 
 
 @dataclass(frozen=True)
 class Reply:
-    """Bytes on the line, and the silence before them (s)."""
+    """Bytes of an answer, and the delay before them (s)."""
 
     data: bytes
     delay: float
 
 
 class EmulatedBus:
-    """Four servos on one line. `receive` and `advance` may be called from different threads."""
+    """Four servos on one line, at initial angles (rad), in the order of LEGS.
+
+    `receive` and `advance` may be called from different threads.
+    """
 
     def __init__(
         self, settings: EmulatorSettings, ids: Sequence[int], angles: Sequence[float]
     ) -> None:
-        law = servo(read_servo())
+        law = servo_law(read_servo())
         motor = Motor(law.speed, 1.0 / law.yielding if law.yielding else np.inf, law.motor_time)
         self.settings = settings
         self.servos = tuple(
@@ -79,7 +87,7 @@ class EmulatedBus:
         self._lock = threading.RLock()
 
     def receive(self, data: bytes, baud: int) -> list[Reply]:
-        """Answers to bytes that come in at a rate; servos of another rate do not hear them."""
+        """Answers to bytes sent at a baud rate; servos set to another one do not receive them."""
         with self._lock:
             replies = []
             for packet in self._parser.feed(data):
@@ -87,34 +95,34 @@ class EmulatedBus:
             return replies
 
     def hush(self) -> None:
-        """A pause on the line: what has come of a packet is void."""
+        """Discard an incomplete packet, as after a pause on the line."""
         with self._lock:
             self._parser.reset()
 
     def advance(
         self, dt: float, loads: Sequence[float] | npt.NDArray[np.float64] = (0.0,) * 4
     ) -> npt.NDArray[np.float64]:
-        """Let dt s pass under load torques (N m) on the servos; returns their angles (rad)."""
+        """Advance by dt s under load torques (4,), N m; returns the servo angles (4,), rad."""
         with self._lock:
             self.time += dt
-            for each, load in zip(self.servos, loads):
-                each.advance(dt, float(load))
-            return np.array([each.shaft.angle for each in self.servos])
+            for servo, load in zip(self.servos, loads):
+                servo.advance(dt, float(load))
+            return np.array([servo.shaft.angle for servo in self.servos])
 
     def inject(self, fault: Fault) -> None:
-        """A fault from now on, whatever its time says."""
+        """Start a fault now; its time is not used."""
         with self._lock:
             for leg in fault.legs:
-                self._set(LEGS.index(leg), fault, True)
+                self._apply(LEGS.index(leg), fault, True)
 
     def clear(self, fault: Fault) -> None:
-        """Take a fault back; hardware errors stay until a servo is rebooted."""
+        """End a fault; hardware errors stay until the servo is rebooted."""
         with self._lock:
             for leg in fault.legs:
-                self._set(LEGS.index(leg), fault, False)
+                self._apply(LEGS.index(leg), fault, False)
 
-    def _set(self, index: int, fault: Fault, on: bool) -> None:
-        each, line = self.servos[index], self._line[index]
+    def _apply(self, index: int, fault: Fault, on: bool) -> None:
+        servo, line = self.servos[index], self._line[index]
         if fault.kind == "silent":
             line.silent = on
         elif fault.kind == "corrupt":
@@ -122,82 +130,84 @@ class EmulatedBus:
         elif fault.kind == "late":
             line.late = fault.value if on else 0.0
         elif fault.kind == "wrong_id":
-            each.memory["id"] = int(fault.value) if on else self._true_ids[index]
+            servo.memory["id"] = int(fault.value) if on else self._true_ids[index]
         elif fault.kind == "overheating":
-            each.forced_temperature = fault.value if on else np.nan
+            servo.forced_temperature = fault.value if on else np.nan
         elif fault.kind == "undervoltage":
-            each.voltage = fault.value if on else each.model.voltage
+            servo.voltage = fault.value if on else servo.model.voltage
         elif fault.kind == "unplugged":
             self.unplugged = on
         elif on:
-            _SUDDEN[fault.kind](each)
+            _EVENTS[fault.kind](servo)
 
     def _handle(self, packet: Packet, baud: int) -> list[Reply]:
-        there = [
-            (index, each)
-            for index, each in enumerate(self.servos)
-            if each.awake and BAUD_RATES[each.memory["baud_rate"]] == baud
+        receivers = [
+            (index, servo)
+            for index, servo in enumerate(self.servos)
+            if servo.awake and BAUD_RATES[servo.memory["baud_rate"]] == baud
         ]
         if not packet.intact:
             return [
                 reply
-                for index, each in there
-                if packet.id == each.memory["id"]
-                for reply in self._answer(index, status(packet.id, each.error | Error.CRC))
+                for index, servo in receivers
+                if packet.id == servo.memory["id"]
+                for reply in self._answer(index, status(packet.id, servo.error | Error.CRC))
             ]
         if packet.instruction == Instruction.STATUS:
             return []
-        for _, each in there:
-            each.heard = each.time
-        return list(self._dispatch(packet, there))
+        for _, servo in receivers:
+            servo.last_instruction = servo.time
+        return list(self._dispatch(packet, receivers))
 
-    def _dispatch(self, packet: Packet, there: list[tuple[int, EmulatedServo]]) -> Iterator[Reply]:
+    def _dispatch(
+        self, packet: Packet, receivers: list[tuple[int, EmulatedServo]]
+    ) -> Iterator[Reply]:
         if packet.instruction in _CHAINED and packet.id == BROADCAST:
-            yield from self._chain(packet, there)
+            yield from self._chain(packet, receivers)
             return
-        for index, each in sorted(there, key=lambda item: item[1].memory["id"]):
-            mine = packet.id == each.memory["id"]
-            shadow = packet.id == each.memory["secondary_id"] != 255
-            if not (mine or shadow or packet.id == BROADCAST):
+        for index, servo in sorted(receivers, key=lambda item: item[1].memory["id"]):
+            own = packet.id == servo.memory["id"]
+            secondary = packet.id == servo.memory["secondary_id"] != NO_SECONDARY_ID
+            if not (own or secondary or packet.id == BROADCAST):
                 continue
-            identity = each.memory["id"]  # the answer has the old one
-            level = each.memory["status_return_level"]
-            error, data = execute(each, packet)
+            identity = servo.memory["id"]  # the answer has the id before the instruction
+            level = servo.memory["status_return_level"]
+            error, data = execute(servo, packet)
             ping = packet.instruction == Instruction.PING
             reads = packet.instruction == Instruction.READ
-            quiet = not (ping or level == ANSWER_ALL or (reads and level >= ANSWER_READS))
-            if quiet or not (mine or (ping and packet.id == BROADCAST)):
+            unanswered = not (ping or level == ANSWER_ALL or (reads and level >= ANSWER_READS))
+            if unanswered or not (own or (ping and packet.id == BROADCAST)):
                 continue
             yield from self._answer(index, status(identity, error, data))
 
-    def _chain(self, packet: Packet, there: list[tuple[int, EmulatedServo]]) -> Iterator[Reply]:
-        """Sync and bulk reads: the servos named answer one after the other."""
-        by_id = {each.memory["id"]: (index, each) for index, each in there}
+    def _chain(self, packet: Packet, receivers: list[tuple[int, EmulatedServo]]) -> Iterator[Reply]:
+        """Answers to a sync or bulk read, one servo after the other."""
+        by_id = {servo.memory["id"]: (index, servo) for index, servo in receivers}
         fast = packet.instruction in {Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ}
         parts, delay = [], 0.0
-        asked = list(_requests(packet))
-        if fast and sum(size + FAST_BYTES for _, _, size in asked) > LONGEST:
-            return  # no packet can hold the answer
-        for identity, address, size in asked:
-            index, each = by_id.get(identity, (-1, None))
-            if each is None or self._line[index].silent:
+        requests = list(_requests(packet))
+        if fast and sum(size + FAST_OVERHEAD for _, _, size in requests) > LONGEST:
+            return  # the answer is longer than a packet
+        for identity, address, size in requests:
+            index, servo = by_id.get(identity, (-1, None))
+            if servo is None or self._line[index].silent:
                 break
-            if each.memory["status_return_level"] < ANSWER_READS:
+            if servo.memory["status_return_level"] < ANSWER_READS:
                 break
-            error, data = read_data(each, address, size)
+            error, data = read_data(servo, address, size)
             if fast:
                 delay = delay or self._delay(index)
                 parts.append((index, (identity, error, data.ljust(size, b"\0"))))
                 continue
             yield from self._answer(index, status(identity, error, data))
         if parts:
-            yield from self._fast_answer(parts, len(asked), delay)
+            yield from self._fast_answer(parts, len(requests), delay)
 
     def _fast_answer(
-        self, parts: list[tuple[int, tuple[int, int, bytes]]], wanted: int, delay: float
+        self, parts: list[tuple[int, tuple[int, int, bytes]]], count: int, delay: float
     ) -> Iterator[Reply]:
-        """One packet of all; where the chain broke, its length promises more than comes."""
-        whole = parts + [parts[-1]] * (wanted - len(parts))
+        """Answer of `count` servos in one packet; cut off after `parts` if some do not answer."""
+        whole = parts + [parts[-1]] * (count - len(parts))
         data = fast_status([part for _, part in whole])
         data = data[: len(fast_status([part for _, part in parts]))]
         for index, _ in parts:
@@ -224,9 +234,9 @@ _CHAINED = {
     Instruction.BULK_READ,
     Instruction.FAST_BULK_READ,
 }
-_SUDDEN = {
-    "overload": lambda each: each.trip(HardwareError.OVERLOAD),
-    "watchdog": lambda each: each.stop_by_watchdog(),
+_EVENTS = {  # faults that happen at once and are not taken back
+    "overload": lambda servo: servo.trip(HardwareError.OVERLOAD),
+    "watchdog": lambda servo: servo.stop_by_watchdog(),
 }
 
 
@@ -236,12 +246,12 @@ def read_emulator() -> EmulatorSettings:
 
 
 def _requests(packet: Packet) -> Iterator[tuple[int, int, int]]:
-    """Who is asked by a sync or bulk read, for which address and size."""
+    """Ids, addresses and sizes that a sync or bulk read asks for."""
     parameters = packet.parameters
     if packet.instruction in {Instruction.SYNC_READ, Instruction.FAST_SYNC_READ}:
         for identity in parameters[4:]:
-            yield identity, word(parameters[:2]), word(parameters[2:4])
+            yield identity, uint16(parameters[:2]), uint16(parameters[2:4])
         return
     for start in range(0, len(parameters) - 4, 5):
         part = parameters[start : start + 5]
-        yield part[0], word(part[1:3]), word(part[3:5])
+        yield part[0], uint16(part[1:3]), uint16(part[3:5])

@@ -1,4 +1,4 @@
-"""What an emulated servo does with an instruction; error numbers as in `memory.py`."""
+"""Instructions of Protocol 2.0 on an emulated servo; error numbers: `memory.py`."""
 
 from __future__ import annotations
 
@@ -10,89 +10,90 @@ from slot_core.emulator.emulated_servo import EmulatedServo
 from slot_core.emulator.memory import RegisterError
 
 CLEAR_TURNS = b"\x01\x44\x58\x4c\x22"  # parameters of Clear
-KEPT = {0xFF: (), 0x01: ("id",), 0x02: ("id", "baud_rate")}  # by parameter of Factory Reset
+# Registers kept by Factory Reset, by its parameter.
+KEPT = {0xFF: (), 0x01: ("id",), 0x02: ("id", "baud_rate")}
 
 
-def word(data: bytes) -> int:
-    """The number in two bytes."""
+def uint16(data: bytes) -> int:
+    """Unsigned number in two bytes."""
     return int.from_bytes(data, "little")
 
 
-def execute(each: EmulatedServo, packet: Packet) -> tuple[int, bytes]:
-    """Error byte and data with which a servo answers; it has done then what it was asked."""
+def execute(servo: EmulatedServo, packet: Packet) -> tuple[int, bytes]:
+    """Execute an instruction other than a sync or bulk read; error byte and data of the answer."""
     try:
         action = _ACTIONS.get(packet.instruction)
         if action is None:
             raise RegisterError(Error.INSTRUCTION)
-        data = action(each, packet)
-    except RegisterError as refusal:
-        return each.error | refusal.number, b""
-    return each.error, data
+        data = action(servo, packet)
+    except RegisterError as rejection:
+        return servo.error | rejection.number, b""
+    return servo.error, data
 
 
-def read_data(each: EmulatedServo, address: int, size: int) -> tuple[int, bytes]:
-    """Error byte and data with which a servo answers in a sync or bulk read."""
+def read_data(servo: EmulatedServo, address: int, size: int) -> tuple[int, bytes]:
+    """Error byte and data of a servo's answer to a sync or bulk read."""
     try:
-        return each.error, each.read(address, size)
-    except RegisterError as refusal:
-        return each.error | refusal.number, b""
+        return servo.error, servo.read(address, size)
+    except RegisterError as rejection:
+        return servo.error | rejection.number, b""
 
 
-def _on_ping(each: EmulatedServo, packet: Packet) -> bytes:
-    return MODEL_NUMBER.to_bytes(2, "little") + bytes([each.memory["firmware_version"]])
+def _on_ping(servo: EmulatedServo, packet: Packet) -> bytes:
+    return MODEL_NUMBER.to_bytes(2, "little") + bytes([servo.memory["firmware_version"]])
 
 
-def _on_read(each: EmulatedServo, packet: Packet) -> bytes:
+def _on_read(servo: EmulatedServo, packet: Packet) -> bytes:
     if len(packet.parameters) != 4 or packet.id == BROADCAST:
         raise RegisterError(Error.DATA_LENGTH)
-    return each.read(word(packet.parameters[:2]), word(packet.parameters[2:]))
+    return servo.read(uint16(packet.parameters[:2]), uint16(packet.parameters[2:]))
 
 
-def _on_write(each: EmulatedServo, packet: Packet) -> bytes:
+def _on_write(servo: EmulatedServo, packet: Packet) -> bytes:
     if len(packet.parameters) < 3:
         raise RegisterError(Error.DATA_LENGTH)
-    each.write(word(packet.parameters[:2]), packet.parameters[2:])
+    servo.write(uint16(packet.parameters[:2]), packet.parameters[2:])
     return b""
 
 
-def _on_reg_write(each: EmulatedServo, packet: Packet) -> bytes:
+def _on_reg_write(servo: EmulatedServo, packet: Packet) -> bytes:
     if len(packet.parameters) < 3:
         raise RegisterError(Error.DATA_LENGTH)
-    address, data = word(packet.parameters[:2]), packet.parameters[2:]
-    each.memory.checked(address, data)
-    each.registered = (address, data)
-    each.memory["registered_instruction"] = 1
+    address, data = uint16(packet.parameters[:2]), packet.parameters[2:]
+    servo.memory.checked(address, data)
+    servo.registered = (address, data)
+    servo.memory["registered_instruction"] = 1
     return b""
 
 
-def _on_action(each: EmulatedServo, packet: Packet) -> bytes:
-    if each.registered is None:
+def _on_action(servo: EmulatedServo, packet: Packet) -> bytes:
+    if servo.registered is None:
         raise RegisterError(Error.INSTRUCTION)
-    (address, data), each.registered = each.registered, None
-    each.memory["registered_instruction"] = 0
-    each.write(address, data)
+    (address, data), servo.registered = servo.registered, None
+    servo.memory["registered_instruction"] = 0
+    servo.write(address, data)
     return b""
 
 
-def _on_factory_reset(each: EmulatedServo, packet: Packet) -> bytes:
+def _on_factory_reset(servo: EmulatedServo, packet: Packet) -> bytes:
     kept = KEPT.get(packet.parameters[0]) if len(packet.parameters) == 1 else None
     if kept is None or (packet.id == BROADCAST and not kept):
         raise RegisterError(Error.DATA_RANGE)
-    each.factory_reset(kept)
+    servo.factory_reset(kept)
     return b""
 
 
-def _on_reboot(each: EmulatedServo, packet: Packet) -> bytes:
-    each.reboot()
+def _on_reboot(servo: EmulatedServo, packet: Packet) -> bytes:
+    servo.reboot()
     return b""
 
 
-def _on_clear(each: EmulatedServo, packet: Packet) -> bytes:
+def _on_clear(servo: EmulatedServo, packet: Packet) -> bytes:
     if packet.parameters != CLEAR_TURNS:
         raise RegisterError(Error.DATA_RANGE)
-    if each.moving():
+    if servo.moving():
         raise RegisterError(Error.RESULT_FAIL)
-    each.clear_turns()
+    servo.clear_turns()
     return b""
 
 
@@ -101,24 +102,24 @@ def _need_broadcast(packet: Packet) -> None:
         raise RegisterError(Error.INSTRUCTION)
 
 
-def _on_sync_write(each: EmulatedServo, packet: Packet) -> bytes:
+def _on_sync_write(servo: EmulatedServo, packet: Packet) -> bytes:
     _need_broadcast(packet)
     parameters = packet.parameters
-    address, size = word(parameters[:2]), word(parameters[2:4])
+    address, size = uint16(parameters[:2]), uint16(parameters[2:4])
     for start in range(4, len(parameters) - size, size + 1):
-        if parameters[start] == each.memory["id"]:
-            each.write(address, parameters[start + 1 : start + 1 + size])
+        if parameters[start] == servo.memory["id"]:
+            servo.write(address, parameters[start + 1 : start + 1 + size])
             break
     return b""
 
 
-def _on_bulk_write(each: EmulatedServo, packet: Packet) -> bytes:
+def _on_bulk_write(servo: EmulatedServo, packet: Packet) -> bytes:
     _need_broadcast(packet)
     rest = packet.parameters
     while len(rest) >= 5:
-        size = word(rest[3:5])
-        if rest[0] == each.memory["id"] and len(rest) >= 5 + size:
-            each.write(word(rest[1:3]), rest[5 : 5 + size])
+        size = uint16(rest[3:5])
+        if rest[0] == servo.memory["id"] and len(rest) >= 5 + size:
+            servo.write(uint16(rest[1:3]), rest[5 : 5 + size])
             break
         rest = rest[5 + size :]
     return b""

@@ -1,4 +1,4 @@
-"""What noise and faults do to the answers of an emulated servo."""
+"""Noise and faults in the answers of an emulated servo."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 
 @dataclass
 class LineFaults:
-    """What is wrong now with the answers of one servo."""
+    """Faults in the answers of one servo."""
 
-    silent: bool = False
-    corrupt: float = 0.0  # share of its answers
-    late: float = 0.0  # s
+    silent: bool = False  # no answers
+    corrupt: float = 0.0  # fraction of its answers that are corrupted
+    late: float = 0.0  # s, additional delay of its answers
 
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:
-    """The bytes with one bit inverted: noise that a CRC is sure to find."""
+    """The bytes with one random bit inverted, an error that the CRC always detects."""
     where, bit = rng.integers(len(data)), rng.integers(8)
     return data[:where] + bytes([data[where] ^ (1 << bit)]) + data[where + 1 :]

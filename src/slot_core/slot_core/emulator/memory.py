@@ -1,9 +1,11 @@
-"""The control table of an emulated servo: what may be read and written, and with which error.
+"""Control table of an emulated servo: reading and writing with its access rules and error numbers.
 
-A write is done as a whole or not at all. Error numbers as in ROBOTIS' e-manual, Protocol 2.0: a
-number outside the table's range 4, part of a register 5, outside a limit that another register
-holds 6, an address that is not defined or not writable, or EEPROM while torque is on 7. Goals while
-the bus watchdog has tripped: 4.
+A write is executed completely or not at all. Error numbers (ROBOTIS e-manual, Protocol 2.0):
+
+    4  value outside the register's range; a goal while the bus watchdog has tripped
+    5  part of a register
+    6  value outside a limit held by another register
+    7  address undefined or not writable; EEPROM while torque is on
 """
 
 from __future__ import annotations
@@ -22,11 +24,11 @@ from slot_core.dynamixel.table import (
 )
 
 GOALS = ("goal_pwm", "goal_velocity", "goal_position")
-TRIPPED = -1  # value of the bus watchdog
+TRIPPED = -1  # value of Bus Watchdog after it has tripped
 
 
 class RegisterError(Exception):
-    """A refused read or write; `number` goes into the status packet."""
+    """A rejected instruction; `number`: error number of the status packet."""
 
     def __init__(self, number: Error) -> None:
         super().__init__(number.name)
@@ -34,7 +36,7 @@ class RegisterError(Exception):
 
 
 class Memory:
-    """Registers of one servo."""
+    """Registers of one servo; values by register name."""
 
     def __init__(self) -> None:
         self._bytes = bytearray(TABLE_END)
@@ -50,61 +52,62 @@ class Memory:
         self._bytes[register.address : register.end] = register.encode(value)
 
     def image(self) -> bytes:
-        """All bytes, to be put back by `load`."""
+        """Copy of all bytes, for `load`."""
         return bytes(self._bytes)
 
     def load(self, image: bytes) -> None:
-        """Put back what `image` gave."""
+        """Restore a copy made by `image`."""
         self._bytes[:] = image
 
     def reset(self, eeprom: bool, keep: tuple[str, ...] = ()) -> None:
-        """Initial values in RAM, and in EEPROM but for `keep` if asked; what is read only stays."""
+        """Set the writable registers of RAM, with `eeprom` of EEPROM too, to their initial values.
+
+        `keep`: names of registers that keep their values.
+        """
         for register in REGISTERS:
             if (eeprom or not register.eeprom) and register.writable and register.name not in keep:
                 self[register.name] = register.initial
 
     def restore(self, name: str) -> None:
-        """The initial value of a register."""
+        """Set a register to its initial value."""
         self[name] = TABLE[name].initial
 
     def read(self, address: int, size: int) -> bytes:
-        """Bytes from an address; raises RegisterError."""
-        places = [self._place(a) for a in range(address, address + size)]
-        if not places or any(place not in BY_ADDRESS for place in places):
+        """`size` bytes from an address; raises RegisterError."""
+        targets = [self._target(a) for a in range(address, address + size)]
+        if not targets or any(target not in BY_ADDRESS for target in targets):
             raise RegisterError(Error.ACCESS)
-        return bytes(self._bytes[place] for place in places)
+        return bytes(self._bytes[target] for target in targets)
 
-    def write(self, address: int, data: bytes) -> list[str]:
-        """Write bytes if they may be; returns the registers' names, raises RegisterError."""
-        values = self.checked(address, data)
-        for register, value in values.items():
+    def write(self, address: int, data: bytes) -> None:
+        """Write bytes from an address; raises RegisterError and then changes nothing."""
+        for register, value in self.checked(address, data).items():
             self[register] = value
-        return list(values)
 
     def checked(self, address: int, data: bytes) -> dict[str, int]:
-        """What a write would change; raises RegisterError."""
+        """Values that a write would set, by register name; raises RegisterError."""
         if not data:
             raise RegisterError(Error.DATA_LENGTH)
-        new = {self._place(address + k): byte for k, byte in enumerate(data)}
-        registers = dict.fromkeys(BY_ADDRESS.get(place) for place in new)
+        new = {self._target(address + k): byte for k, byte in enumerate(data)}
+        registers = dict.fromkeys(BY_ADDRESS.get(target) for target in new)
         values = {}
         for register in registers:
             if register is None or not self._writable(register):
                 raise RegisterError(Error.ACCESS)
-            places = range(register.address, register.end)
-            if any(place not in new for place in places):
+            own = range(register.address, register.end)
+            if any(target not in new for target in own):
                 raise RegisterError(Error.DATA_LENGTH)
-            values[register.name] = register.decode(bytes(new[place] for place in places))
+            values[register.name] = register.decode(bytes(new[target] for target in own))
             self._check(register, values[register.name])
         return values
 
-    def _place(self, address: int) -> int:
-        """Where an address leads to: indirect data to the byte that its indirect address names."""
+    def _target(self, address: int) -> int:
+        """Address accessed: for indirect data the one in its indirect address, else the same."""
         for first, data in INDIRECT_BANKS:
             if data <= address < data + INDIRECT_COUNT:
-                where = first + 2 * (address - data)
-                target = int.from_bytes(self._bytes[where : where + 2], "little")
-                return address if _indirect_data(target) else target
+                pointer = first + 2 * (address - data)
+                target = int.from_bytes(self._bytes[pointer : pointer + 2], "little")
+                return target if _mappable(target) else address
         return address
 
     def _writable(self, register: Register) -> bool:
@@ -125,7 +128,7 @@ class Memory:
             raise RegisterError(Error.DATA_LIMIT)
 
     def limits(self, name: str) -> tuple[int, int]:
-        """Limits of a register that other registers hold; its own range where none does."""
+        """Limits of a register held by other registers; its own range if there are none."""
         if name == "goal_pwm":
             return -self["pwm_limit"], self["pwm_limit"]
         if name == "goal_velocity":
@@ -135,7 +138,8 @@ class Memory:
         return TABLE[name].low, TABLE[name].high
 
 
-def _indirect_data(address: int) -> bool:
-    return address < RAM_START or any(
+def _mappable(address: int) -> bool:
+    """Whether indirect data may be an alias of this address: RAM, but not indirect data."""
+    return address >= RAM_START and not any(
         data <= address < data + INDIRECT_COUNT for _, data in INDIRECT_BANKS
     )

@@ -1,9 +1,9 @@
-"""An emulated bus at the end of a pseudo-terminal, in the time that the bytes take on the wire.
+"""Emulated bus behind a pseudo-terminal, with the transmission times of a serial line.
 
-A pseudo-terminal passes bytes at once. Here an instruction of n bytes is heard 10 n / baud after
-its first byte, and an answer is passed on when its last byte has been sent; the rate is the one
-that the driver has set on its side. What the driver does not fetch in time is lost, as in a serial
-chip.
+A pseudo-terminal passes bytes at once. Here an instruction of n bytes is received 10 n / baud after
+its first byte, and an answer is passed on when its last byte has been sent. The baud rate is the
+one that the driver has set on its side. Bytes that the driver does not read in time are lost, as in
+a serial chip.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from slot_core.clock import Clock
 from slot_core.dynamixel.port import BITS_PER_BYTE
 from slot_core.emulator.emulated_bus import EmulatedBus
 
-CHUNK = 4096
-TURN = 0.01  # s, between two looks at whether it is to end
-PAUSE = 0.005  # s: a packet does not stop for so long
-RATES = {
+CHUNK = 4096  # bytes, largest read
+POLL_PERIOD = 0.01  # s, between two checks whether to stop
+PACKET_GAP = 0.005  # s: after a longer pause a new packet begins
+RATES = {  # baud, by termios speed code
     getattr(termios, name): int(name[1:])
     for name in dir(termios)
     if name.startswith("B") and name[1:].isdigit()
@@ -33,10 +33,10 @@ RATES = {
 
 
 class PseudoTerminal:
-    """A thread that answers for the bus; `name` is the port for the driver.
+    """Thread that connects an emulated bus to a pseudo-terminal; `name`: port for the driver.
 
-    While the bus is unplugged there is no port: what the driver holds is dead. Plugged in again, it
-    is there under `link`, if one was given; without one the name may be another.
+    While the bus is unplugged there is no port, and the driver's open port fails. Plugged in again,
+    the port is under `link` if one was given, else its name may have changed.
     """
 
     def __init__(
@@ -44,8 +44,8 @@ class PseudoTerminal:
     ) -> None:
         self._bus, self._link, self._clock = bus, link, clock
         self._stopping = threading.Event()
-        self._free = 0.0  # when the line is free again
-        self._heard = clock()
+        self._free_at = 0.0  # s, when the line is idle again
+        self._last_input = clock()
         self.slave = ""  # device of the driver's side; empty while unplugged
         self._plug()
         self._thread = threading.Thread(target=self._serve, name="emulated bus", daemon=True)
@@ -53,16 +53,16 @@ class PseudoTerminal:
 
     @property
     def name(self) -> str:
-        """The port: the link, if one was asked for."""
+        """Path of the port: the link if there is one, else the device."""
         return str(self._link or self.slave)
 
     @property
     def silence(self) -> float:
-        """Time since the driver sent something, s."""
-        return self._clock() - self._heard
+        """Time since the driver last sent bytes, s."""
+        return self._clock() - self._last_input
 
     def close(self) -> None:
-        """Pull the plug for good; may be done again."""
+        """Remove the port and end the thread; may be called again."""
         self._stopping.set()
         self._thread.join()
 
@@ -81,29 +81,29 @@ class PseudoTerminal:
         while not self._stopping.is_set():
             if self._bus.unplugged:
                 self._unplug()
-                self._stopping.wait(TURN)
+                self._stopping.wait(POLL_PERIOD)
                 continue
             if not self.slave:
                 self._plug()
-            self._listen()
+            self._poll()
         self._unplug()
 
-    def _listen(self) -> None:
-        """Answer what comes, for a moment at most."""
-        ready, _, _ = select.select([self._master], [], [], TURN)
+    def _poll(self) -> None:
+        """Answer the next bytes, if any come within POLL_PERIOD."""
+        ready, _, _ = select.select([self._master_fd], [], [], POLL_PERIOD)
         if not ready:
             return
         now = self._clock()
-        if now - self._heard > PAUSE:
+        if now - self._last_input > PACKET_GAP:
             self._bus.hush()
-        self._heard = now
+        self._last_input = now
         with contextlib.suppress(BlockingIOError):
-            self._respond(os.read(self._master, CHUNK), now)
+            self._respond(os.read(self._master_fd, CHUNK), now)
 
     def _respond(self, data: bytes, now: float) -> None:
         baud = self._baud()
         byte = BITS_PER_BYTE / baud
-        at = max(now, self._free) + len(data) * byte
+        at = max(now, self._free_at) + len(data) * byte
         replies = self._bus.receive(data, baud)
         if replies:
             at += self._bus.settings.usb_latency
@@ -111,8 +111,8 @@ class PseudoTerminal:
             at += reply.delay + len(reply.data) * byte
             self._sleep_until(at)
             with contextlib.suppress(BlockingIOError):
-                os.write(self._master, reply.data)
-        self._free = at
+                os.write(self._master_fd, reply.data)
+        self._free_at = at
 
     def _sleep_until(self, at: float) -> None:
         left = at - self._clock()
@@ -120,13 +120,13 @@ class PseudoTerminal:
             time.sleep(left)
 
     def _baud(self) -> int:
-        return RATES.get(termios.tcgetattr(self._held)[4], 0) or 1
+        return RATES.get(termios.tcgetattr(self._slave_fd)[4], 0) or 1
 
     def _plug(self) -> None:
-        self._master, self._held = os.openpty()
-        tty.setraw(self._held)
-        os.set_blocking(self._master, False)
-        self.slave = os.ttyname(self._held)
+        self._master_fd, self._slave_fd = os.openpty()
+        tty.setraw(self._slave_fd)
+        os.set_blocking(self._master_fd, False)
+        self.slave = os.ttyname(self._slave_fd)
         if self._link is not None:
             self._link.unlink(missing_ok=True)
             self._link.symlink_to(self.slave)
@@ -135,7 +135,7 @@ class PseudoTerminal:
         if not self.slave:
             return
         self.slave = ""
-        os.close(self._held)
-        os.close(self._master)
+        os.close(self._slave_fd)
+        os.close(self._master_fd)
         if self._link is not None:
             self._link.unlink(missing_ok=True)
