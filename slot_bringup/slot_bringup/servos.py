@@ -1,11 +1,11 @@
-"""Servos on the bench: find them, look at them, set them up, zero them, or emulate them.
+"""Servos on the bench: scan, inspect, set up, zero or emulate them.
 
-scan      which servos answer at which rate
-info      what the robot's four servos are and hold, and what is not as the configuration wants it
-assign    give the only servo on the line an id and a rate
-prepare   write what the configuration wants into the servos' EEPROM
-zero      take a leg's present position as its relaxed one (torque off)
-emulate   four servos on a pseudo-terminal, until interrupted
+scan      list the servos that answer, with their baud rates
+info      print state of the four servos and differences from the configuration
+assign    set id and baud rate of the only servo on the line
+prepare   write the configuration into the servos' EEPROM
+zero      measure the servo angle at which a leg's tendon is relaxed (torque off)
+emulate   emulate the four servos on a pseudo-terminal, until interrupted
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from slot_core.dynamixel.settings import DynamixelSettings, read_settings
 from slot_core.dynamixel.table import BAUD_RATES, VOLTAGE_UNIT
 from slot_core.robot import LEGS
 
-PERIOD = 0.002  # s, of the emulated servos' time
+PERIOD = 0.002  # s, between two steps of the emulated servos
 FAILED = 1  # exit code
 
 
@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def scan(settings: DynamixelSettings, options: argparse.Namespace) -> int:
-    """Ask every id at every rate that port and servos share, fastest first."""
+    """List the servos that answer, at every baud rate the port supports, fastest first."""
     rates = [options.baud] if options.baud else sorted(BAUD_RATES, key=lambda b: -b)
     found = 0
     for baud in rates:
@@ -66,13 +66,13 @@ def scan(settings: DynamixelSettings, options: argparse.Namespace) -> int:
             found += 1
         bus.port.close()
     if not found:
-        print("no servo has answered: power? cable? port?", file=sys.stderr)
+        print("no servo answered: check power, cable and port", file=sys.stderr)
     return 0 if found else FAILED
 
 
 def info(settings: DynamixelSettings, options: argparse.Namespace) -> int:
-    """Print what the four servos are; the exit code says whether all is as it must be."""
-    bus, wrong = _open(settings), 0
+    """Print state of the four servos and differences from the configuration; exit code 0: none."""
+    bus, faulty = _open(settings), 0
     for joint in joints(settings.joints):
         found, reasons = examine(bus, settings, joint)
         if found is not None:
@@ -80,16 +80,16 @@ def info(settings: DynamixelSettings, options: argparse.Namespace) -> int:
             print(f"  {_state(bus, joint)}")
         for reason in reasons:
             print(f"  {reason}")
-        wrong += bool(reasons)
-    return FAILED if wrong else 0
+        faulty += bool(reasons)
+    return FAILED if faulty else 0
 
 
 def assign(settings: DynamixelSettings, options: argparse.Namespace) -> int:
-    """Give the only servo on the line the id and, if asked for, the rate."""
+    """Set the id and optionally the baud rate of the only servo on the line."""
     bus = _open(settings)
     present = list(bus.scan())
     if len(present) != 1:
-        raise RefusedError([f"{len(present)} servos on the line {present}, expected one alone"])
+        raise RefusedError([f"{len(present)} servos on the line {present}, expected exactly one"])
     bus.confirm(present[0], "torque_enable", 0)
     bus.write(present[0], "id", options.id)
     if options.to_baud:
@@ -104,7 +104,7 @@ def assign(settings: DynamixelSettings, options: argparse.Namespace) -> int:
 
 
 def prepare(settings: DynamixelSettings, options: argparse.Namespace) -> int:
-    """Write into EEPROM what differs from the configuration, torque off."""
+    """Write the configuration into the servos' EEPROM, where it differs; torque off."""
     bus = _open(settings)
     for joint in joints(settings.joints):
         found, reasons = examine(bus, settings, joint)
@@ -115,14 +115,14 @@ def prepare(settings: DynamixelSettings, options: argparse.Namespace) -> int:
             if found.values[name] != value:
                 bus.confirm(joint.id, name, value)
                 print(f"{joint.name}: {name} {found.values[name]} -> {value}")
-        left = differences(settings, joint, examine(bus, settings, joint)[0] or found)
-        if left:
-            raise RefusedError(left)
+        remaining = differences(settings, joint, examine(bus, settings, joint)[0] or found)
+        if remaining:
+            raise RefusedError(remaining)
     return 0
 
 
 def zero(settings: DynamixelSettings, options: argparse.Namespace) -> int:
-    """Measure the zero of a leg; write it if asked to."""
+    """Measure the zero of a leg at its present position; optionally write it."""
     joint = joints(settings.joints)[LEGS.index(options.leg)]
     angle = measure_zero(_open(settings), joint, time.sleep)
     was = math.degrees(joint.zero)
@@ -133,7 +133,7 @@ def zero(settings: DynamixelSettings, options: argparse.Namespace) -> int:
 
 
 def emulate(settings: DynamixelSettings, options: argparse.Namespace) -> int:
-    """Four servos as the configuration wants them, relaxed, behind a link to their port."""
+    """Emulate four configured servos with relaxed tendons on a pseudo-terminal."""
     from slot_core.emulator.emulated_bus import read_emulator  # noqa: PLC0415 - compiles dynamics
     from slot_core.emulator.pseudo_terminal import PseudoTerminal  # noqa: PLC0415
     from slot_core.simulation.bus_legs import EmulatedLegs  # noqa: PLC0415
@@ -142,7 +142,7 @@ def emulate(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     if options.usb_latency is not None:
         emulator = config.replace(emulator, {"usb_latency": options.usb_latency})
     legs = EmulatedLegs(settings, emulator)
-    for end in (signal.SIGINT, signal.SIGTERM):  # a shell's `&` would have SIGINT ignored
+    for end in (signal.SIGINT, signal.SIGTERM):  # a shell's `&` makes SIGINT ignored
         signal.signal(end, signal.default_int_handler)
     with PseudoTerminal(legs.bus, options.link) as terminal:
         print(terminal.name, flush=True)
@@ -182,20 +182,20 @@ def _parser() -> argparse.ArgumentParser:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--port", help="serial port, else the one of config/dynamixel.yaml")
-    parser.add_argument("--baud", type=int, help="its rate, else the one configured; scan: only it")
+    parser.add_argument("--port", help="serial port; default: of config/dynamixel.yaml")
+    parser.add_argument("--baud", type=int, help="baud rate; default: configured, scan: all")
     actions = parser.add_subparsers(dest="action", required=True)
     for name, action in _ACTIONS.items():
         sub = actions.add_parser(name, help=(action.__doc__ or "").splitlines()[0])
         if name == "assign":
             sub.add_argument("id", type=int, choices=range(253), metavar="ID")
-            sub.add_argument("--to-baud", type=int, help="new rate")
+            sub.add_argument("--to-baud", type=int, help="new baud rate")
         if name == "zero":
             sub.add_argument("leg", choices=LEGS)
-            sub.add_argument("--write", action="store_true", help="into config/dynamixel.yaml")
+            sub.add_argument("--write", action="store_true", help="to config/dynamixel.yaml")
         if name == "emulate":
-            sub.add_argument("--link", type=Path, help="name for the port")
-            sub.add_argument("--usb-latency", type=float, help="of the adapter, s")
+            sub.add_argument("--link", type=Path, help="symbolic link to the port")
+            sub.add_argument("--usb-latency", type=float, help="latency of the emulated adapter, s")
     return parser
 
 

@@ -18,12 +18,12 @@ from slot_core.emulator.emulated_bus import read_emulator
 from slot_core.emulator.pseudo_terminal import PseudoTerminal
 from slot_core.simulation.bus_legs import EmulatedLegs
 
-PATIENT = 0.1  # s
+PATIENT = 0.1  # s, answer timeout on a busy machine
 
 
 @pytest.fixture
-def place(tmp_path, monkeypatch):
-    """A configuration of its own that may be written to."""
+def dynamixel_yaml(tmp_path, monkeypatch):
+    """Path of dynamixel.yaml in a writable copy of the configuration."""
     directory = tmp_path / "config"
     shutil.copytree(config.config_dir(), directory)
     path = directory / "dynamixel.yaml"
@@ -33,7 +33,7 @@ def place(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def legs(place):
+def legs(dynamixel_yaml):
     return EmulatedLegs(read_settings(), read_emulator(), (0.1, 0.0, 0.0, 0.0))
 
 
@@ -54,7 +54,7 @@ def test_scan_finds_every_servo_at_its_rate(servos, legs, capsys):
     assert servos("--baud", "115200", "scan") == 1
 
 
-def test_info_says_what_is_not_as_it_must_be(servos, legs, capsys):
+def test_info_lists_differences_from_the_configuration(servos, legs, capsys):
     assert servos("info") == 0
     out = capsys.readouterr().out
     assert "servo FL (id 5): model 1060, firmware 45" in out
@@ -76,9 +76,9 @@ def test_prepare_writes_what_differs(servos, legs, capsys):
     assert servos("info") == 0
 
 
-def test_assign_takes_one_servo_alone(servos, legs, capsys):
+def test_assign_refuses_unless_one_servo_is_on_the_line(servos, legs, capsys):
     assert servos("assign", "9") == 1
-    assert "expected one alone" in capsys.readouterr().err
+    assert "expected exactly one" in capsys.readouterr().err
     for servo in legs.bus.servos[1:]:
         servo.memory["baud_rate"] = 0
     assert servos("assign", "9", "--to-baud", "2000000") == 0
@@ -86,35 +86,35 @@ def test_assign_takes_one_servo_alone(servos, legs, capsys):
     assert (memory["id"], memory["baud_rate"]) == (9, 4)
 
 
-def test_zero_is_where_the_leg_rests_and_goes_into_the_configuration(servos, legs, place, capsys):
-    comments = place.read_text().count("#")
+def test_zero_measures_the_present_angle_and_writes_it(servos, legs, dynamixel_yaml, capsys):
+    comments = dynamixel_yaml.read_text().count("#")
     assert servos("zero", "FL") == 0
     assert read_settings().joints.zero_deg[0] == 130.0
     assert servos("zero", "FL", "--write") == 0
-    # 0.1 rad of the tendon are 5.91 deg of the servo; the encoder rounds down to 0.088 deg.
+    # 0.1 rad of the tendon = 5.91 deg of the servo; the encoder rounds down to 0.088 deg.
     assert read_settings().joints.zero_deg == (pytest.approx(135.91, abs=0.09), 130, 130, 130)
-    assert place.read_text().count("#") == comments
-    assert servos("info") == 1  # the limits have moved with it
+    assert dynamixel_yaml.read_text().count("#") == comments
+    assert servos("info") == 1  # the position limits depend on the zero
     assert servos("prepare") == 0
     assert servos("info") == 0
 
 
-def test_a_zero_out_of_bounds_is_not_written(place):
-    before = place.read_text()
+def test_a_zero_out_of_bounds_is_not_written(dynamixel_yaml):
+    before = dynamixel_yaml.read_text()
     with pytest.raises(ConfigError, match="zero_deg"):
         write_zero("RR", 400.0)
-    assert place.read_text() == before
-    place.write_text(before.replace("zero_deg", "zero"))
+    assert dynamixel_yaml.read_text() == before
+    dynamixel_yaml.write_text(before.replace("zero_deg", "zero"))
     with pytest.raises(ConfigError, match="no line zero_deg"):
         write_zero("RR", 100.0)
 
 
-def test_a_port_that_is_not_there_is_one_line(capsys):
+def test_a_missing_port_is_reported(capsys):
     assert main(["--port", "/dev/none", "info"]) == 1
     assert "/dev/none" in capsys.readouterr().err
 
 
-def test_emulate_answers_behind_its_link_until_interrupted(tmp_path, place):
+def test_emulate_answers_at_its_link_until_interrupted(tmp_path, dynamixel_yaml):
     link = tmp_path / "servos"
     command = [sys.executable, "-m", "slot_bringup.servos", "emulate", "--link", str(link)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -127,6 +127,6 @@ def test_emulate_answers_behind_its_link_until_interrupted(tmp_path, place):
     assert not link.exists()
 
 
-def test_the_udev_rule_that_is_shipped_is_the_one_that_the_refusal_names():
+def test_the_shipped_udev_rule_is_the_one_in_the_error_message():
     shipped = Path(__file__).parents[2] / "slot_bringup" / "udev" / "99-dynamixel.rules"
     assert UDEV_RULE in shipped.read_text().splitlines()
