@@ -1,4 +1,4 @@
-"""The leg with friction at a held clamp against the frictionless leg and against Coulomb's law."""
+"""Leg with friction at a held clamp against the frictionless leg and Coulomb's law."""
 
 import numpy as np
 import pytest
@@ -8,13 +8,13 @@ from slot_core.legs.held_leg import HeldLeg
 from slot_core.legs.leg_map import NoEquilibriumError, StaticLeg
 from slot_core.robot import GRAVITY, read_robot
 
-# Without damping the leg that moves slowly has the forces of the leg at rest.
+# Without damping, a slowly moving leg has the forces of a leg at rest.
 ROBOT = config.replace(read_robot(), {"leg.damping_time": 0.0, "tendon.cable_damping": 0.0})
 HEIGHT, RATE = 0.09, np.radians(20.0)
 
 
 def energy(x, model, angle):
-    """Rod, cable, floor and weight of one leg, J, from its nodes."""
+    """Energy of rod, cable, floor and weight of one leg, J, from its nodes."""
     rod, tendon, floor = model.rod, model.tendon, model.floor
     node = np.vstack([[0.0, 0.0], x.reshape(-1, 2)])
     chord = np.diff(node, axis=0)
@@ -22,10 +22,10 @@ def energy(x, model, angle):
     turn = np.diff(np.arctan2(chord[:, 1], chord[:, 0]), prepend=0.0)
     cable = tendon.along @ length + tendon.around @ turn - tendon.relaxed
     cable = max(0.0, cable + tendon.spool_radius * angle)
-    dip = np.minimum(0.0, HEIGHT + node[1:, 1])
+    depth = np.minimum(0.0, HEIGHT + node[1:, 1])
     stored = rod.axial @ (length - rod.rest_length) ** 2
     stored += rod.bending @ (turn - rod.rest_angle) ** 2
-    stored += tendon.stiffness * cable**2 + (floor.stiffness[1:] * dip) @ dip
+    stored += tendon.stiffness * cable**2 + (floor.stiffness[1:] * depth) @ depth
     return stored / 2 + GRAVITY * rod.mass @ node[:, 1]
 
 
@@ -35,36 +35,36 @@ def gradient(x, *rest):
 
 
 @pytest.mark.parametrize("angle_deg", [70.0, 90.0, 110.0])
-def test_without_friction_the_force_is_that_of_the_static_leg(angle_deg):
+def test_force_without_friction_equals_that_of_the_static_leg(angle_deg):
     leg, rest = HeldLeg(ROBOT, 22, 0.0, HEIGHT), StaticLeg(ROBOT, 22)
     for part in np.linspace(0.0, np.radians(angle_deg), 40):
         expected = rest.solve(part, HEIGHT).force
-    # Inertia is left: the leg swings by some hundredths of a newton after it has met the floor.
+    # Inertia remains: the force oscillates by some hundredths of a newton after touch-down.
     assert leg.pull(np.radians(angle_deg), RATE) == pytest.approx(expected, abs=0.02)
 
 
 @pytest.mark.parametrize("friction", [0.1, 0.3])
-def test_what_shape_and_weight_leave_over_is_the_friction_of_the_sliding_foot(friction):
-    """The gradient of the energy is zero at free nodes and mu N along the floor at the others."""
+def test_force_balance_leaves_the_coulomb_friction_of_the_sliding_foot(friction):
+    """The energy gradient is zero at free nodes and mu N along the floor at touching nodes."""
     angle, leg = np.radians(100.0), HeldLeg(ROBOT, 12, friction, HEIGHT)
     before = leg.pull(angle - 0.01, RATE), leg.node
     force, node = leg.pull(angle, RATE), leg.node
     slip = (node - before[1])[1:, 0]
     normal = leg.model.floor.stiffness[1:] * np.maximum(0.0, -HEIGHT - node[1:, 1])
-    left = gradient(node[1:].ravel(), leg.model, angle).reshape(-1, 2)
+    residual = gradient(node[1:].ravel(), leg.model, angle).reshape(-1, 2)
     touching = normal > 0.0
     assert touching.any()
-    assert force == pytest.approx(normal.sum(), rel=0.01)  # the rest is the contact's damping
-    # The foot slides at some 10 mm/s; at 1 mm/s of regularisation 0.5 % of mu N is missing.
+    assert force == pytest.approx(normal.sum(), rel=0.01)  # the difference is the contact damping
+    # The foot slides at about 10 mm/s; the regularisation at 1 mm/s lowers mu N by 0.5 %.
     expected = -friction * normal * np.sign(slip)
-    assert left[touching, 0] == pytest.approx(expected[touching], rel=0.02)
-    # Inertia and the contact's damping, N, of forces of some newtons.
-    assert np.abs(left[~touching]).max() < 0.01
-    assert np.abs(left[:, 1]).max() < 0.02
+    assert residual[touching, 0] == pytest.approx(expected[touching], rel=0.02)
+    # N, inertia and contact damping, where the forces are some newtons.
+    assert np.abs(residual[~touching]).max() < 0.01
+    assert np.abs(residual[:, 1]).max() < 0.02
 
 
-def test_lost_motion_is_an_error_that_names_the_load():
+def test_a_diverged_step_is_an_error_with_angle_and_height():
     leg = HeldLeg(ROBOT, 8, 0.3, HEIGHT)
     leg.model.rod.mass[:] = np.nan
-    with pytest.raises(NoEquilibriumError, match=r"0\.0900 m: a node still moves nan m"):
+    with pytest.raises(NoEquilibriumError, match=r"0\.0900 m: last correction of a node nan m"):
         leg.pull(0.1, RATE)

@@ -1,4 +1,4 @@
-"""The static leg against SciPy's minimum of its energy, and against the standing robot."""
+"""Static leg against SciPy's minimum of its energy and against the standing robot."""
 
 import csv
 
@@ -26,7 +26,7 @@ def pulled(nodes, angle, height, steps=20):
 
 
 def energy(x, model, angle, height):
-    """Rod, cable, floor and weight of one leg (J) and gradient by differences of chords."""
+    """Energy of rod, cable, floor and weight of one leg, J, from its nodes."""
     rod, tendon, floor = model.rod, model.tendon, model.floor
     node = np.vstack([[0.0, 0.0], x.reshape(-1, 2)])
     chord = np.diff(node, axis=0)
@@ -34,10 +34,10 @@ def energy(x, model, angle, height):
     turn = np.diff(np.arctan2(chord[:, 1], chord[:, 0]), prepend=0.0)
     cable = tendon.along @ length + tendon.around @ turn - tendon.relaxed
     cable = max(0.0, cable + tendon.spool_radius * angle)
-    dip = np.minimum(0.0, height + node[1:, 1])
+    depth = np.minimum(0.0, height + node[1:, 1])
     stored = rod.axial @ (length - rod.rest_length) ** 2
     stored += rod.bending @ (turn - rod.rest_angle) ** 2
-    stored += tendon.stiffness * cable**2 + floor.stiffness[1:] @ dip**2
+    stored += tendon.stiffness * cable**2 + floor.stiffness[1:] @ depth**2
     return stored / 2 + GRAVITY * rod.mass @ node[:, 1]
 
 
@@ -47,12 +47,12 @@ def test_equilibrium_is_a_minimum_of_the_energy():
     found = minimize(
         energy, 1.02 * here.node[1:].ravel(), (leg.model, angle, height), tol=1e-14, method="BFGS"
     )
-    # BFGS with difference gradients stops where 1e-8 of the energy's slope is left, about 1e-5 m.
+    # BFGS with difference gradients stops at 1e-8 of the gradient, about 1e-5 m from the minimum.
     np.testing.assert_allclose(found.x.reshape(-1, 2), here.node[1:], atol=3e-5)
 
 
 @pytest.mark.parametrize("angle_deg", [50.0, 80.0, 100.0])
-def test_slopes_are_the_differences_of_the_force(angle_deg):
+def test_slope_and_stiffness_are_the_difference_quotients_of_the_force(angle_deg):
     angle, height, step = np.radians(angle_deg), 0.05, 1e-6
     leg, here = pulled(22, angle, height)
     up, down = leg.solve(angle + step, height).force, leg.solve(angle - step, height).force
@@ -62,7 +62,7 @@ def test_slopes_are_the_differences_of_the_force(angle_deg):
     assert here.stiffness == pytest.approx((up - down) / (2 * step), rel=1e-4)
 
 
-def test_a_foot_on_its_tip_shifts_as_its_contact_does():
+def test_material_and_contact_shift_alike_on_the_tip():
     angle, height, step = np.radians(95.0), 0.1, 1e-6
     leg, here = pulled(22, angle, height)
     up, down = leg.solve(angle + step, height), leg.solve(angle - step, height)
@@ -71,41 +71,41 @@ def test_a_foot_on_its_tip_shifts_as_its_contact_does():
     assert here.foot_rise == pytest.approx((up.contact_x - down.contact_x) / (2 * step), rel=1e-4)
 
 
-def test_a_leg_that_rolls_on_its_belly_shifts_other_than_its_contact():
+def test_material_and_contact_shift_oppositely_where_the_leg_rolls():
     angle, step = np.radians(63.0), 1e-3
     leg, here = pulled(61, angle, 0.03)
     up, down = leg.solve(angle, 0.03 + step), leg.solve(angle, 0.03 - step)
-    assert (up.contact_x - down.contact_x) / (2 * step) > 0.2  # the contact goes outward,
-    assert here.foot_rise < -0.1  # what is on the floor goes inward
+    assert (up.contact_x - down.contact_x) / (2 * step) > 0.2  # the contact moves outward
+    assert here.foot_rise < -0.1  # the material on the floor moves inward
 
 
-def test_a_robot_stands_where_four_legs_carry_it():
-    """Same nodes, no friction: at its height each leg's force is a quarter of the weight."""
+def test_standing_robot_has_the_height_at_which_each_leg_carries_a_quarter():
+    """Same number of nodes, no friction."""
     smooth = {"floor.friction": [0.0] * 4, "start.settle": 10.0}
     sim = RodRobot(ROBOT, config.replace(read_scene("flat"), smooth), read_servo())
     force = pulled(22, sim.tendon_angle[0], sim.position[2])[1].force
-    # After ten seconds it still bounces at 0.03 mm/s, which is micrometres at 130 N/m.
+    # After ten seconds it still oscillates at 0.03 mm/s: micrometres, at 130 N/m.
     assert force == pytest.approx(ROBOT.weight / 4, rel=1e-4)
 
 
-def test_shipped_map_is_that_of_the_shipped_robot():
+def test_shipped_map_matches_the_shipped_robot():
     settings = config.read(LegMapSettings, "leg_map")
     with (config.config_dir() / "leg_map.csv").open() as file:
         names, *rows = csv.reader(file)
     assert tuple(names) == COLUMNS
     shipped, table = np.array(rows, dtype=float), tabulate(ROBOT, settings)
-    # Six digits are written. Rounding may move a node across its touching point: allow for a few.
+    # Six digits are written. Rounding may change whether a node touches: allow for a few rows.
     same = np.isclose(shipped, table, rtol=1e-4, atol=1e-6).all(axis=1)
     assert same.mean() > 0.99
 
 
-def test_no_equilibrium_is_an_error_that_names_the_load():
+def test_no_equilibrium_is_an_error_with_angle_and_height():
     leg = StaticLeg(ROBOT, 10)
     leg.node = leg.node * np.nan
     with pytest.raises(NoEquilibriumError, match=r"20\.000 deg, 0\.0500 m"):
         leg.solve(np.radians(20.0), 0.05)
 
 
-def test_a_leg_in_the_air_carries_nothing():
+def test_a_leg_above_the_floor_has_no_force():
     _, here = pulled(22, 0.0, 0.12)
     assert (here.force, here.slope, here.stiffness, here.tension) == (0.0, 0.0, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""The leg in modes against closed forms, shooting of its differential equations, and the chain."""
+"""Modal leg against closed forms, shooting of its differential equations, and the chain."""
 
 import dataclasses
 import re
@@ -14,17 +14,19 @@ from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.legs.leg_map import NoEquilibriumError, StaticLeg
 from slot_core.legs.modal import ModalLeg
-from slot_core.legs.modal_basis import Contact, Modes, spread_contact, tip_contact
+from slot_core.legs.modal_basis import Contact, Modes, tip_contact
 from slot_core.robot import read_robot
 
 ROBOT = read_robot()
 LOAD = ROBOT.weight / 4
 TIP = tip_contact(2e4)
+# The nodes of a chain of 22 without its clamp.
+SPREAD = Contact(tuple(np.arange(1, 22) / 21), (2e4,) * 21)
 TWELVE, TWENTY, FINE = Modes((4, 4), (2, 2)), Modes((6, 6), (4, 4)), Modes((14, 14), (8, 8))
 
 
 def straight(thickness_clamp, thickness_tip, length=0.2):
-    """A straight leg without weight; its tendon is slack in all that is done with it."""
+    """A straight leg, which the tests load without weight and with a slack tendon."""
     leg = dataclasses.replace(
         ROBOT.leg,
         reach=length,
@@ -46,12 +48,12 @@ def test_end_moment_bends_a_uniform_leg_to_a_circle():
     shape = ModalLeg(robot, TIP, TWENTY).bend(moment=moment)
     angle = np.linspace(0.0, 2 * np.pi, len(shape))
     circle = robot.leg.reach / (2 * np.pi) * np.column_stack([np.sin(angle), np.cos(angle) - 1])
-    # The moment is a constant, which the modes hold; sixteen Gauss points in each part are exact
+    # The modes represent the constant moment exactly; sixteen Gauss points in each part are exact
     # to 1e-13 of the length for a turn by 2/3 of a circle.
     np.testing.assert_allclose(shape, circle, atol=1e-11)
 
 
-def test_small_load_bends_a_tapered_leg_as_the_beam_theory_says():
+def test_small_load_bends_a_tapered_leg_as_in_beam_theory():
     robot, force = straight(0.0135, 0.0035), 1e-6
     length = robot.leg.reach
 
@@ -60,7 +62,7 @@ def test_small_load_bends_a_tapered_leg_as_the_beam_theory_says():
 
     deflection = force * quad(compliance, 0.0, length, epsabs=0.0, epsrel=1e-12)[0]
     tip = ModalLeg(robot, TIP).bend(force=(0.0, -force))[-1]
-    # Beam theory leaves out terms of the square of the slope, 1e-10 here.
+    # Beam theory neglects the square of the slope, 1e-10 here.
     assert -tip[1] == pytest.approx(deflection, rel=1e-8)
 
 
@@ -78,7 +80,7 @@ def test_thin_leg_is_the_elastica(load, x, z):
 
 
 @pytest.mark.parametrize(("modes", "limit"), [(TWELVE, 2e-5), (TWENTY, 1e-6), (FINE, 1e-9)])
-def test_standing_on_the_tip_is_exact_to_the_modes(modes, limit):
+def test_height_on_the_tip_converges_with_the_modes(modes, limit):
     angles = np.radians([0.0, 20.0, 40.0, 60.0, 80.0, 95.0, 105.0])
     exact = modal_rows.exact_heights(ROBOT, TIP, angles)
     leg = ModalLeg(ROBOT, TIP, modes)
@@ -87,27 +89,28 @@ def test_standing_on_the_tip_is_exact_to_the_modes(modes, limit):
 
 
 @pytest.mark.parametrize(("modes", "limit"), [(TWELVE, 1e-4), (TWENTY, 1e-5)])
-def test_force_at_a_held_height_is_exact_to_the_modes(modes, limit):
+def test_force_at_a_held_height_converges_with_the_modes(modes, limit):
     leg, fine = ModalLeg(ROBOT, TIP, modes), ModalLeg(ROBOT, TIP, FINE)
     for height in (0.02, 0.05, 0.08):
         angles = np.radians([54.0, 72.0, 90.0, 108.0])
         start = [modal_rows.guess(fine, fine.solve(a, height).force) for a in angles]
         exact = modal_rows.Exact(ROBOT, TIP).solve(angles, np.full(4, height), np.array(start))
         found = [leg.solve(angle, height) for angle in angles]
-        # In m at the stiffness of each equilibrium; up to 12 N, more than a standing leg carries.
+        # Error as a height, m, at the stiffness of each equilibrium; up to 12 N, more than when
+        # standing.
         stiff = np.abs([here.stiffness for here in found])
         assert (np.abs([here.force for here in found] - exact) / stiff).max() < limit
 
 
-def test_standing_on_many_points_converges_to_the_exact_rod():
-    contact, angles = spread_contact(21, 2e4), np.radians([36.0, 60.0, 84.0])
+def test_height_on_many_points_converges_to_the_exact_rod():
+    contact, angles = SPREAD, np.radians([36.0, 60.0, 84.0])
     exact = modal_rows.exact_heights(ROBOT, contact, angles)
     errors = []
     for modes in (TWELVE, TWENTY, FINE):
         leg = ModalLeg(ROBOT, contact, modes)
         heights = [leg.stand(angle, LOAD).height for angle in angles]
         errors.append(np.abs(heights - exact).max())
-    # Kinks of the moment: 0.2 mm, and only algebraic convergence, to micrometres.
+    # The moment has kinks: algebraic convergence, from 0.2 mm to micrometres.
     assert errors[0] < 2e-4
     assert errors[1] < 4e-5
     assert errors[2] < 4e-6
@@ -129,16 +132,16 @@ def test_chain_of_the_simulator_converges_to_the_modal_leg(angle_deg, height):
     angle, floor = np.radians(angle_deg), 2e5
     coarse, fine = (chain_force(nodes, angle, height, floor) for nodes in (121, 241))
     here = ModalLeg(ROBOT, tip_contact(floor), FINE).solve(angle, height)
-    # Second order where the anchor is a node, as here: half the distance between the nodes leaves
-    # a quarter of the error, 0.2 to 4 um, and Richardson's extrapolation a tenth or 0.1 um.
+    # Second order where the anchor is a node, as here: half the node distance leaves a quarter of
+    # the error, 0.2 to 4 um, and Richardson's extrapolation a tenth of that or 0.1 um.
     left = abs(fine - here.force)
     assert abs(coarse - here.force) > 3.9 * left
     limit = max(0.1 * left, 1e-7 * -here.stiffness)
     assert fine + (fine - coarse) / 3 == pytest.approx(here.force, abs=limit)
 
 
-def test_slopes_are_the_differences_of_the_force():
-    leg, angle, height, step = ModalLeg(ROBOT, spread_contact(21, 2e4)), 1.2, 0.05, 1e-6
+def test_slope_and_stiffness_are_the_difference_quotients_of_the_force():
+    leg, angle, height, step = ModalLeg(ROBOT, SPREAD), 1.2, 0.05, 1e-6
     here = leg.solve(angle, height)
     up, down = leg.solve(angle + step, height).force, leg.solve(angle - step, height).force
     assert here.slope == pytest.approx((up - down) / (2 * step), rel=1e-5)
@@ -146,9 +149,8 @@ def test_slopes_are_the_differences_of_the_force():
     assert here.stiffness == pytest.approx((up - down) / (2 * step), rel=1e-5)
 
 
-def test_result_does_not_depend_on_what_was_solved_before():
-    contact = spread_contact(21, 2e4)
-    leg, fresh = ModalLeg(ROBOT, contact), ModalLeg(ROBOT, contact)
+def test_result_is_independent_of_earlier_solutions():
+    leg, fresh = ModalLeg(ROBOT, SPREAD), ModalLeg(ROBOT, SPREAD)
     for degrees in np.linspace(0.0, 100.0, 201):
         leg.stand(np.radians(degrees), LOAD)
     leg.solve(1.0, 0.03)
@@ -158,7 +160,7 @@ def test_result_does_not_depend_on_what_was_solved_before():
         assert leg.stand(np.radians(degrees), LOAD).height == pytest.approx(height, abs=1e-11)
 
 
-def test_standing_leg_and_held_leg_are_one():
+def test_free_and_held_clamp_give_the_same_equilibrium():
     leg = ModalLeg(ROBOT, TIP)
     standing = leg.stand(1.4, LOAD)
     held = leg.solve(1.4, standing.height)
@@ -167,7 +169,7 @@ def test_standing_leg_and_held_leg_are_one():
     np.testing.assert_allclose(held.node, standing.leg.node, atol=1e-9)
 
 
-def test_end_of_the_branch_is_an_error_that_names_the_last_angle():
+def test_end_of_the_branch_is_an_error_with_the_last_angle():
     leg = ModalLeg(ROBOT, TIP)
     with pytest.raises(NoEquilibriumError, match=r"108\.000 deg: the branch ends") as raised:
         leg.stand(np.radians(108.0), LOAD)
@@ -175,13 +177,13 @@ def test_end_of_the_branch_is_an_error_that_names_the_last_angle():
     heights = np.linspace(0.1, 0.113, 14)  # it ends at 0.111 m
     just_below = [leg.solve(np.radians(last - 0.2), h).force for h in heights]
     beyond = [leg.solve(np.radians(last + 0.2), h).force for h in heights]
-    # Held, the leg has equilibria on both sides, but beyond the end none that carries the load.
+    # With the clamp held there are equilibria on both sides; beyond the end none carries the load.
     assert min(just_below) < LOAD
     assert min(beyond) > LOAD or max(beyond) < LOAD
 
 
 @pytest.mark.parametrize(("angle", "height"), [(np.nan, 0.05), (1.0, np.nan)])
-def test_nan_is_an_error_and_leaves_the_leg_usable(angle, height):
+def test_nan_is_an_error_that_leaves_the_leg_usable(angle, height):
     leg = ModalLeg(ROBOT, TIP)
     before = leg.solve(1.0, 0.05).force
     with pytest.raises(NoEquilibriumError, match="the branch ends"):
@@ -189,18 +191,18 @@ def test_nan_is_an_error_and_leaves_the_leg_usable(angle, height):
     assert leg.solve(1.0, 0.05).force == pytest.approx(before, rel=1e-9)
 
 
-def test_a_leg_in_the_air_hangs_by_its_weight_and_carries_nothing():
+def test_a_leg_above_the_floor_hangs_under_its_weight_without_floor_force():
     leg = ModalLeg(ROBOT, TIP)
     here = leg.solve(0.0, 0.12)
     assert (here.force, here.slope, here.stiffness, here.tension) == (0.0, 0.0, 0.0, 0.0)
-    # Weight acts on all of the chain as it does on the modes; 61 nodes are exact to some 1e-6 m.
+    # The weight is distributed in both models; 61 nodes are exact to some 1e-6 m.
     chain = StaticLeg(ROBOT, 61).solve(0.0, 0.12)
     np.testing.assert_allclose(here.node[-1], chain.node[-1], atol=5e-6)
 
 
-def test_frequencies_are_those_of_the_leg():
+def test_frequencies_match_the_known_ones():
     leg = ModalLeg(modal_rows.straight(ROBOT), TIP, TWENTY)
-    # The figures are without stretch, which a straight leg's bending does not feel.
+    # The known values are without stretch, which does not act on the bending of a straight leg.
     np.testing.assert_allclose(leg.frequencies()[:2], modal_rows.FREQUENCIES[:2], rtol=1e-7)
     np.testing.assert_allclose(leg.frequencies()[2], modal_rows.FREQUENCIES[2], rtol=2e-5)
 
@@ -217,6 +219,6 @@ def test_frequencies_are_those_of_the_leg():
         lambda: ModalLeg(ROBOT, TIP).stand(1.0, 0.0),
     ],
 )
-def test_nonsense_is_refused(make):
+def test_invalid_arguments_are_refused(make):
     with pytest.raises(ValueError, match=r"need|must"):
         make()

@@ -1,1 +1,1 @@
-"""One leg at rest: its map of force over tendon angle and height, held legs, bending modes."""
+"""Statics of one leg: force map over tendon angle and height, leg with friction, modal model."""

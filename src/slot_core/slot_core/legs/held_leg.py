@@ -1,11 +1,12 @@
-"""One leg with friction whose clamp is held horizontal, while its tendon is pulled slowly.
+"""One leg on a floor with friction, its clamp held horizontal, while its tendon is pulled slowly.
 
-The equations are those of the whole robot with the torso at rest, stepped with backward Euler:
+The equations are those of the robot with the torso at rest, integrated with backward Euler:
 
     M (V - V_n) / tau = F(x_n + tau V, V),      x_{n+1} = x_n + tau V.
 
-Friction makes the force depend on the way: the leg starts at rest without friction, tendon slack,
-and each later point continues the motion. `leg_map.py` solves the leg without friction.
+With friction the force depends on the history of the motion. The leg starts at rest on a
+frictionless floor with its tendon slack; each call of `pull` continues the motion. `leg_map.py`
+solves the leg without friction.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -28,14 +29,18 @@ from slot_core.legs.leg_map import NoEquilibriumError, StaticLeg
 from slot_core.robot import Array, Robot
 
 STEP = 1e-3  # s; half of it changes the force by less than 1e-3 N
-ITERATIONS = 50
-TOLERANCE = 1e-8  # m, last correction of a node
-LIMIT = 1e-4  # m, last correction that is accepted
-HALVINGS = 6
+ITERATIONS = 50  # of a step, at most
+TOLERANCE = 1e-8  # m, correction of the nodes that ends the iteration
+LIMIT = 1e-4  # m, largest last correction that is accepted
+HALVINGS = 6  # of a step whose last correction is above the limit, at most
 
 
 class HeldLeg:
-    """One leg on a floor with friction, its clamp held at a height (m); remembers its motion."""
+    """One leg on a floor with friction, its clamp at a height (m); keeps its motion between calls.
+
+    nodes: of the leg. friction: Coulomb coefficient, viscously regularised. Raises
+    NoEquilibriumError where the leg has no equilibrium at the start.
+    """
 
     def __init__(self, robot: Robot, nodes: int, friction: float, height: float):
         changes = {"solver.nodes": nodes, "floor.friction_law": "viscous"}
@@ -51,66 +56,66 @@ class HeldLeg:
 
     @property
     def node(self) -> Array:
-        """(N, 2) present shape, m from the clamp."""
+        """(N, 2) present shape, m from the clamp, x and z."""
         return self._leg.stage.copy()
 
     def pull(self, angle: float, rate: float) -> float:
-        """Turn the spool to an angle (rad) at a rate (rad/s); the floor's force there, N.
+        """Turn the spool to an angle (rad) at a rate (rad/s).
 
-        The force is vertical, that of the last step. Raises NoEquilibriumError when the motion is
-        lost.
+        Returns the vertical force of the floor in the last step, N. Raises NoEquilibriumError where
+        a step does not converge.
         """
         start = float(self._leg.angle[0])
         steps = max(1, math.ceil(abs(angle - start) / (rate * STEP)))
-        change = haul(self.model, self._leg, self.height, (angle - start) / steps, steps)
+        change = turn_spool(self.model, self._leg, self.height, (angle - start) / steps, steps)
         if not change <= LIMIT:
             raise NoEquilibriumError(
                 f"leg at {math.degrees(self._leg.angle[0]):.3f} deg, {self.height:.4f} m:"
-                f" a node still moves {change:.1e} m in a step, limit {LIMIT:.0e} m"
+                f" last correction of a node {change:.1e} m, limit {LIMIT:.0e} m"
             )
-        self._leg.angle[0] = angle  # without the rounding of the sum
+        self._leg.angle[0] = angle  # removes the rounding of the sum
         return float(floor_force(self.model, self._leg, self.height))
 
 
 @kernel
-def haul(model, leg, height, turn, steps):
-    """Turn the spool in steps of `turn` (rad); returns the last correction of the last step, m.
+def turn_spool(model, leg, height, turn, steps):
+    """Take steps of STEP that turn the spool by `turn` (rad) each; returns the last correction, m.
 
-    A step whose correction is above the limit is taken again in 2, 4, ... 2^HALVINGS pieces; one
-    that stays above is the last.
+    A step whose last correction is above LIMIT is repeated in 2, 4, ... 2^HALVINGS substeps. If it
+    stays above, the motion ends with this step.
     """
     change = 0.0
     for _ in range(steps):
         begin = leg.angle[0]
-        keep(leg.node, leg.node_velocity, leg.stage, leg.velocity)
+        copy_motion(leg.node, leg.node_velocity, leg.stage, leg.velocity)
         for halving in range(HALVINGS + 1):
-            pieces = 2**halving
-            for k in range(pieces):
-                leg.angle[0] = begin + turn * (k + 1) / pieces
-                change = creep(model, leg, height, STEP / pieces)
+            substeps = 2**halving
+            for k in range(substeps):
+                leg.angle[0] = begin + turn * (k + 1) / substeps
+                change = take_step(model, leg, height, STEP / substeps)
                 if not change <= LIMIT:
                     break
             if change <= LIMIT:
                 break
             if halving < HALVINGS:
-                keep(leg.stage, leg.velocity, leg.node, leg.node_velocity)
+                copy_motion(leg.stage, leg.velocity, leg.node, leg.node_velocity)
         if not change <= LIMIT:
             break
     return change
 
 
 @helper
-def keep(place, speed, from_place, from_speed):
-    """Copy nodes and their velocities."""
-    for i in range(place.shape[0]):
-        place[i, 0], place[i, 1] = from_place[i, 0], from_place[i, 1]
+def copy_motion(node, velocity, from_node, from_velocity):
+    """Copy nodes (N, 2) and their velocities (N, 3)."""
+    for i in range(node.shape[0]):
+        node[i, 0], node[i, 1] = from_node[i, 0], from_node[i, 1]
         for k in range(3):
-            speed[i, k] = from_speed[i, k]
+            velocity[i, k] = from_velocity[i, k]
 
 
 @helper
-def creep(model, leg, height, tau):
-    """One step of tau (s) with the clamp at rest, at the leg's tendon angle; last correction, m."""
+def take_step(model, leg, height, tau):
+    """Backward Euler step of tau (s) at the leg's tendon angle; returns the last correction, m."""
     stage, velocity, base, before = leg.stage, leg.velocity, leg.base, leg.before
     held = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for i in range(stage.shape[0]):
@@ -128,7 +133,7 @@ def creep(model, leg, height, tau):
             x, z = base[i, 0] + tau * velocity[i, 0], base[i, 1] + tau * velocity[i, 2]
             change += (x - stage[i, 0]) ** 2 + (z - stage[i, 1]) ** 2
             stage[i, 0], stage[i, 1] = x, z
-        change = math.sqrt(change)  # a sum, because a maximum could lose a NaN
+        change = math.sqrt(change)  # a sum: a maximum could drop a NaN
         if change <= TOLERANCE:
             break
     return change
@@ -136,7 +141,7 @@ def creep(model, leg, height, tau):
 
 @kernel
 def floor_force(model, leg, height):
-    """Vertical force of the floor on the leg in its present motion, N."""
+    """Vertical force of the floor on the leg at its present shape and velocity, N."""
     force, floor = 0.0, model.floor
     for i in range(floor.first, leg.stage.shape[0]):
         gap = height + leg.stage[i, 1]

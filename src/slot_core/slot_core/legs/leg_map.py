@@ -1,7 +1,8 @@
-"""Statics of one leg whose clamp is held horizontal: forces and stiffness over angle and height.
+"""Statics of one leg with a horizontal clamp: force and stiffness over tendon angle and height.
 
-Without friction: the floor carries what shape and tendon ask for, whatever the foot did before.
- The branch is the one that starts at tendon angle zero and follows the angle upward.
+The floor has no friction, so that the force depends on angle and height alone and not on the motion
+before. Of several equilibria the map holds the branch that starts at tendon angle zero and follows
+the increasing angle.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -42,48 +43,50 @@ COLUMNS = (
 )
 TOLERANCE = 1e-11  # m, last Newton correction of a node
 ITERATIONS = 2000
-# Reciprocal length of a pseudo time step, 1/s, and the correction (m) at which its part is done:
-# first carefully, for the sake of the branch, then as good as Newton's method.
+# Stages of the pseudo time stepping: reciprocal step, 1/s, and the correction (m) that ends a
+# stage. The short steps of the first stage stay on the branch; the second one is nearly Newton's
+# method.
 STAGES = ((20.0, 1e-6), (1e-3, TOLERANCE))
 
 
 @dataclass(frozen=True)
 class LegMapSettings:
-    """The grid of the map."""
+    """Grid of the leg map; substeps is the number of angle steps between two points of the grid."""
 
     nodes: int = quantity("nodes of the leg", "", 4, 401)
-    angles: int = quantity("from zero to the largest tendon angle", "", 2, 1000)
-    heights: int = quantity("from the lowest to the highest", "", 2, 1000)
-    height_min: float = quantity("lowest clamp", "m", 0.0, 1.0)
-    height_max: float = quantity("highest clamp", "m", 0.0, 1.0)
-    substeps: int = quantity("of the load between two points of the grid", "", 1, 1000)
+    angles: int = quantity("tendon angles from zero to the largest", "", 2, 1000)
+    heights: int = quantity("clamp heights from the lowest to the highest", "", 2, 1000)
+    height_min: float = quantity("lowest clamp height", "m", 0.0, 1.0)
+    height_max: float = quantity("highest clamp height", "m", 0.0, 1.0)
+    substeps: int = quantity("angle steps between two points of the grid", "", 1, 1000)
 
 
 class NoEquilibriumError(RuntimeError):
-    """The iteration for an equilibrium did not converge; the message names the load."""
+    """No equilibrium was found; the message gives tendon angle and height or load."""
 
 
 class LegEquilibrium(NamedTuple):
-    """A leg at rest."""
+    """Equilibrium of a leg on the floor."""
 
-    force: float  # N, vertical, of the floor on the leg
-    slope: float  # N/rad, d force / d angle
-    stiffness: float  # N/m, d force / d height
-    contact_x: float  # m from the clamp, centre of pressure, or the tip where nothing touches
-    tension: float  # N
+    force: float  # N, vertical force of the floor on the leg
+    slope: float  # N/rad, d force / d tendon angle
+    stiffness: float  # N/m, d force / d clamp height
+    contact_x: float  # m from the clamp, centre of pressure; without contact the tip
+    tension: float  # N, of the tendon
     node: Array  # (N, 2) m from the clamp, x and z
-    # How the material on the floor shifts outward with angle (m/rad) and height (m/m), its mean by
-    # pressure; zero where nothing touches. A leg that rolls shifts less than its contact.
+    # Outward shift of the material on the floor, averaged by pressure, with angle (m/rad) and
+    # height (m/m); zero without contact. Where a leg rolls, the material shifts less than the
+    # contact.
     foot_slope: float = math.nan
     foot_rise: float = math.nan
 
 
 class StaticLeg:
-    """One leg on a frictionless floor, its clamp held horizontal; remembers its shape."""
+    """One leg on a frictionless floor, clamp horizontal; keeps its shape between solutions."""
 
-    def __init__(self, robot: Robot, nodes: int, scene: str = "flat"):
+    def __init__(self, robot: Robot, nodes: int):
         settings = config.replace(
-            read_scene(scene), {"solver.nodes": nodes, "floor.friction": (0.0, 0.0, 0.0, 0.0)}
+            read_scene("flat"), {"solver.nodes": nodes, "floor.friction": (0.0, 0.0, 0.0, 0.0)}
         )
         self.model: Model = build_model(robot, settings, read_servo())
         self._leg = leg_space(nodes)
@@ -91,7 +94,7 @@ class StaticLeg:
 
     @property
     def node(self) -> Array:
-        """(N, 2) present shape, m from the clamp; assign to choose where an iteration starts."""
+        """(N, 2) present shape, m from the clamp, x and z; the next solution starts from it."""
         return self._leg.stage.copy()
 
     @node.setter
@@ -99,16 +102,16 @@ class StaticLeg:
         self._leg.stage[:] = node
 
     def solve(self, angle: float, height: float) -> LegEquilibrium:
-        """LegEquilibrium at a tendon angle (rad) and a clamp height (m), from the present shape.
+        """Equilibrium at a tendon angle (rad) and a clamp height (m), from the present shape.
 
-        Raises NoEquilibriumError.
+        Raises NoEquilibriumError where the iteration does not converge.
         """
         self._leg.angle[0] = angle
         for inv, tolerance in STAGES:
             change = relax(self.model, self._leg, height, inv, tolerance, ITERATIONS)
         if not change <= TOLERANCE:
             raise NoEquilibriumError(
-                f"leg at {math.degrees(angle):.3f} deg, {height:.4f} m: a node still moves"
+                f"leg at {math.degrees(angle):.3f} deg, {height:.4f} m: last correction of a node"
                 f" {change:.1e} m, limit {TOLERANCE:.0e} m"
             )
         out = np.zeros(2)
@@ -122,7 +125,11 @@ class StaticLeg:
 
 @kernel
 def relax(model, leg, height, inv, tolerance, iterations):
-    """Pseudo time steps of 1/inv from rest at the present shape; returns the last correction, m."""
+    """Take pseudo time steps of 1/inv (s) from the present shape at rest.
+
+    Stops at a correction of `tolerance` (m) or after `iterations` steps; returns the last
+    correction, m.
+    """
     leg.motion[:] = 0.0
     for i in range(3):
         for k in range(3):
@@ -144,7 +151,7 @@ def relax(model, leg, height, inv, tolerance, iterations):
             stage[i, 0] += dx
             stage[i, 1] += dz
             change += dx * dx + dz * dz
-        change = math.sqrt(change)  # a sum, because a maximum could lose a NaN
+        change = math.sqrt(change)  # a sum: a maximum could drop a NaN
         if change <= tolerance:
             break
     return change
@@ -152,7 +159,7 @@ def relax(model, leg, height, inv, tolerance, iterations):
 
 @kernel
 def pressure(model, leg, height, out):
-    """Write out (2,): vertical force of the floor, N, and its centre from the clamp, m."""
+    """Write out (2,): vertical force of the floor, N, and centre of pressure, m from the clamp."""
     force = moment = 0.0
     stage = leg.stage
     for i in range(model.floor.first, stage.shape[0]):
@@ -165,11 +172,11 @@ def pressure(model, leg, height, out):
 
 @kernel
 def respond(model, leg, height, rise, turn):
-    """Change of the floor's force, N, as the clamp rises (m) and the spool turns (rad).
+    """Linear response to a rise of the clamp (m) and a turn of the spool (rad).
 
-    And how the material on the floor shifts outward, m, weighted by its pressure.
-
-    From the last factorisation of `relax`, hence exact while the same nodes touch the floor.
+    Returns the change of the floor's force, N, and the outward shift of the material on the floor
+    averaged by pressure, m. Uses the last factorisation of `relax`, hence is exact while the same
+    nodes touch the floor.
     """
     tendon, F = model.tendon, leg.form
     stiffness = tendon.stiffness if leg.pull[0] > 0.0 else 0.0
@@ -188,19 +195,24 @@ def respond(model, leg, height, rise, turn):
 
 
 def tabulate(robot: Robot, grid: LegMapSettings) -> Array:
-    """The map, (angles x heights, 9) in the order of `COLUMNS`, angle by angle; SI and degrees."""
+    """Leg map, (angles x heights, 9), columns and units of `COLUMNS`; the height varies fastest.
+
+    Raises NoEquilibriumError.
+    """
     angles = np.linspace(0.0, robot.tendon.angle_max, grid.angles)
     heights = np.linspace(grid.height_min, grid.height_max, grid.heights)
     columns = []
     resting = StaticLeg(robot, grid.nodes)
-    for height in heights[::-1]:  # lower the slack leg, and pull at each height
+    for height in heights[::-1]:  # lower the slack leg, then pull the tendon at each height
         resting.solve(0.0, height)
-        columns.append(_pull(robot, grid, resting.node, height, angles))
+        columns.append(_rows_at_height(robot, grid, resting.node, height, angles))
     return np.stack(columns[::-1], axis=1).reshape(-1, len(COLUMNS))
 
 
-def _pull(robot: Robot, grid: LegMapSettings, node: Array, height: float, angles: Array) -> Array:
-    """(angles, 9) rows of the map at one height, from the shape at angle zero."""
+def _rows_at_height(
+    robot: Robot, grid: LegMapSettings, node: Array, height: float, angles: Array
+) -> Array:
+    """(angles, 9) rows of the map at one height (m), from the shape (N, 2) at angle zero."""
     leg = StaticLeg(robot, grid.nodes)
     leg.node = node
     rows = []
@@ -214,7 +226,7 @@ def _pull(robot: Robot, grid: LegMapSettings, node: Array, height: float, angles
 
 
 def write(path: Path, table: Array) -> None:
-    """Write the map as CSV with a line of names."""
+    """Write the map as CSV with a line of column names; raises OSError."""
     with path.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
@@ -222,10 +234,10 @@ def write(path: Path, table: Array) -> None:
 
 
 def main() -> None:
-    """Command line of `scripts/tabulate_leg`."""
+    """Command line of `scripts/tabulate_leg`: writes the map of config/leg_map.yaml as CSV."""
     parser = argparse.ArgumentParser(prog="tabulate_leg", description=__doc__)
     default = config.config_dir() / "leg_map.csv"
-    parser.add_argument("--out", type=Path, default=default, help="file (default: %(default)s)")
+    parser.add_argument("--out", type=Path, default=default, help="CSV file (default: %(default)s)")
     out = parser.parse_args().out
     write(out, tabulate(read_robot(), config.read(LegMapSettings, "leg_map")))
 

@@ -1,14 +1,15 @@
-"""Shapes of a leg in modes of its internal moment and axial force, and where the floor pushes.
+"""Modes of a leg's internal moment and axial force, and the contact points of the floor.
 
-With the arc length s of the natural shape, its angle phi_0(s), and Legendre polynomials P_j over
-each of the two parts of the leg, from the clamp to the tendon's anchor and from there to the tip:
+The modes are Legendre polynomials P_j over each of the two parts of the leg, from the clamp to the
+tendon's anchor and from there to the tip. With the arc length s of the natural shape and its angle
+phi_0(s):
 
     phi = phi_0 + int_0^s sum_j m_j P_j / (E I) ds,     eps = sum_j n_j P_j / (E A),
     r   = int_0^s (1 + eps) (cos phi, sin phi) ds.
 
-The tendon's end makes moment and axial force jump, so modes across it converge slowly. In a part
-all integrals are sums over Gauss points: a function is its Legendre interpolant, whose integral is
-int_{-1}^t P_j = (P_{j+1}(t) - P_{j-1}(t)) / (2 j + 1).
+The parts meet at the anchor because moment and axial force jump there; modes across it would
+converge slowly. In a part all integrals are sums over Gauss points: a function is replaced by its
+Legendre interpolant, whose integral is int_{-1}^t P_j = (P_{j+1}(t) - P_{j-1}(t)) / (2 j + 1).
 """
 
 from __future__ import annotations
@@ -25,7 +26,10 @@ from slot_core.robot import Array, Leg, Robot
 
 @dataclass(frozen=True)
 class Modes:
-    """How many Legendre polynomials, from P_0 on, before and behind the tendon's anchor."""
+    """Numbers of Legendre polynomials, from P_0 on, before and behind the tendon's anchor.
+
+    Raises ValueError for a negative number or a part without a moment.
+    """
 
     moment: tuple[int, int] = (4, 4)
     axial: tuple[int, int] = (2, 2)
@@ -42,7 +46,10 @@ class Modes:
 
 @dataclass(frozen=True)
 class Contact:
-    """Points that the floor can push."""
+    """Points of the leg on which the floor acts.
+
+    Raises ValueError unless there is a point and every fraction and stiffness is in its range.
+    """
 
     fraction: tuple[float, ...]  # of the arc length, from the clamp
     stiffness: tuple[float, ...]  # N/m
@@ -57,38 +64,30 @@ class Contact:
 
 
 def tip_contact(stiffness: float) -> Contact:
-    """The tip alone, N/m."""
+    """Contact at the tip alone, with a stiffness in N/m."""
     return Contact((1.0,), (stiffness,))
 
 
-def spread_contact(points: int, stiffness: float) -> Contact:
-    """Points at equal distances, the last at the tip, of a stiffness (N/m) each.
-
-    With N - 1 points they are the nodes of a chain of N nodes without its clamp.
-    """
-    return Contact(tuple(np.arange(1, points + 1) / points), (stiffness,) * points)
-
-
 class Basis(NamedTuple):
-    """A leg in n modes, at the g Gauss points of both parts."""
+    """Leg in n modes, at the g Gauss points of both parts; derivatives are per unit coefficient."""
 
     edges: Array  # (3,) m, clamp, anchor, tip
     arc: Array  # (g,) m, s
-    weight: Array  # (g,) m, of int_0^L
+    weight: Array  # (g,) m, weights of int_0^L
     natural: Array  # (g,) rad, phi_0
-    curve: Array  # (g, n) 1/m over a coefficient (N m or N), d kappa
-    turn: Array  # (g, n) rad over a coefficient, d phi
-    stretch: Array  # (g, n) 1 over a coefficient, d eps
+    curve: Array  # (g, n) 1/m per coefficient (N m or N), curvature kappa
+    turn: Array  # (g, n) rad per coefficient, angle phi
+    stretch: Array  # (g, n) per coefficient, strain eps
     density: Array  # (g,) kg/m
-    beyond: Array  # (g,) kg, from s to the tip
-    elastic: Array  # (n, n) second derivatives of the rod's energy
-    cable: Array  # (n,) m over a coefficient, length of the tendon
+    beyond: Array  # (g,) kg, mass from s to the tip
+    elastic: Array  # (n, n) K, second derivatives of the elastic energy
+    cable: Array  # (n,) l, m per coefficient, length of the tendon
 
 
 def build_basis(robot: Robot, modes: Modes, points: int) -> Basis:
-    """The modes of a robot's leg, with `points` Gauss points in each part.
+    """Modes of a robot's leg, with `points` Gauss points in each part.
 
-    Raises ValueError where there is no part behind the anchor.
+    Raises ValueError where the tendon ends at the tip, so that no part is left behind its anchor.
     """
     if robot.tendon.end_fraction >= 1.0:
         raise ValueError(f"tendon.end_fraction {robot.tendon.end_fraction} must be below 1")
@@ -110,7 +109,7 @@ def build_basis(robot: Robot, modes: Modes, points: int) -> Basis:
         edges=edges,
         arc=arc,
         weight=weight,
-        natural=natural_angle(leg, arc),
+        natural=_natural_angle(leg, arc),
         curve=curve,
         turn=running @ curve,
         stretch=stretch,
@@ -122,7 +121,10 @@ def build_basis(robot: Robot, modes: Modes, points: int) -> Basis:
 
 
 def integrals(edges: Array, points: int, arc: Array) -> Array:
-    """(len(arc), g) weights of int_0^s over the values of a function at the Gauss points."""
+    """(len(arc), g) weights of int_0^s over function values at the Gauss points, at s = arc (m).
+
+    edges: ends of the parts, m. points: Gauss points in each part.
+    """
     t, w = leggauss(points)
     order = np.arange(points)
     to_series = (order + 0.5)[:, None] * legvander(t, points - 1).T * w
@@ -135,8 +137,8 @@ def integrals(edges: Array, points: int, arc: Array) -> Array:
     return np.hstack(parts)
 
 
-def natural_angle(leg: Leg, arc: Array) -> Array:
-    """Angle of the natural shape, rad, at arc lengths (m), by Newton's method for s(x) = arc."""
+def _natural_angle(leg: Leg, arc: Array) -> Array:
+    """Angle of the natural shape, rad, at arc lengths (m); Newton's method for s(x) = arc."""
     slope = leg.shape.deriv()
     x = arc / leg.arc_length() * leg.reach
     t, w = leggauss(64)
@@ -151,7 +153,7 @@ def natural_angle(leg: Leg, arc: Array) -> Array:
 
 
 def _polynomials(t: Array, counts: tuple[int, int], margin: tuple[int, int]) -> Array:
-    """(g, n) values of the polynomials of both parts, zero in the columns of the margins."""
+    """(g, n) values of the polynomials of both parts, zero in the margins' columns."""
     first, second = (legvander(t, count)[:, :count] for count in counts)
     table = np.zeros((2 * len(t), margin[0] + sum(counts) + margin[1]))
     table[: len(t), margin[0] : margin[0] + counts[0]] = first
