@@ -1,4 +1,4 @@
-"""Faults of the simulated robot: planned by a scene, injected, taken back, refused."""
+"""Faults of the simulated robot: planned in a scene, injected, cleared, refused."""
 
 import math
 
@@ -39,20 +39,20 @@ def advance(plant, milliseconds):
     list(plant.advance(plant.now + milliseconds * MILLISECOND))
 
 
-def followed(plant, milliseconds, look):
-    """What `look` sees before each of the next milliseconds is simulated and after the last."""
-    seen = [look()]
+def recorded(plant, milliseconds, read):
+    """Values of `read` before each of the next milliseconds and after the last."""
+    values = [read()]
     for _ in range(milliseconds):
         advance(plant, 1)
-        seen.append(look())
-    return np.array(seen)
+        values.append(read())
+    return np.array(values)
 
 
 @pytest.mark.parametrize("solver", ["standard", "map"])
-def test_a_tendon_of_the_scene_breaks_at_its_time_and_holds_again_after_it(solver):
+def test_a_planned_tendon_breaks_at_its_time_and_recovers_after_its_duration(solver):
     plant = make(solver, broken=planned("tendon_broken", "RL", 0.010, 0.020))
     plant.start(START)
-    tension = followed(plant, 60, lambda: plant.simulator.tension)
+    tension = recorded(plant, 60, lambda: plant.simulator.tension)
     assert (tension[:11, 2] > 1.0).all()
     # the tension is that of the last step's stage
     assert (tension[11:31, 2] == 0.0).all()
@@ -61,16 +61,16 @@ def test_a_tendon_of_the_scene_breaks_at_its_time_and_holds_again_after_it(solve
 
 
 @pytest.mark.parametrize("solver", ["standard", "map"])
-def test_a_longer_tendon_slackens_its_leg_alone(solver):
+def test_tendon_slack_lowers_the_tension_of_its_leg_only(solver):
     plant = make(solver, longer=planned("tendon_slack", "FR", 0.010, 0.0, 0.003))
     plant.start(START)
-    tension = followed(plant, 12, lambda: plant.simulator.tension)
+    tension = recorded(plant, 12, lambda: plant.simulator.tension)
     assert tension[11, 1] < 0.8 * tension[10, 1]
-    # the others do not see it within one step
+    # no effect on the others within one step
     assert tension[11, [0, 2, 3]] == pytest.approx(tension[10, [0, 2, 3]], rel=0.05)
 
 
-def test_a_fault_adds_to_what_is_wrong_with_the_scenes_tendons_and_leaves_that():
+def test_a_fault_adds_to_the_tendon_damage_of_the_scene_and_ends_without_it():
     tendons = {"tendons.slack": [0.001, 0, 0, 0], "tendons.broken": [False, True, False, False]}
     plant = make(tendons=tendons)
     plant.start(START)
@@ -82,7 +82,7 @@ def test_a_fault_adds_to_what_is_wrong_with_the_scenes_tendons_and_leaves_that()
     assert fault.tolist() == [[0.001, 0.0, 0.0, 0.0], [1.0, 0.0, 1.0, 1.0]]
 
 
-def test_a_fault_that_is_replaced_or_cleared_does_not_end_another():
+def test_the_end_of_a_replaced_or_cleared_fault_does_not_end_its_successor():
     plant = make()
     plant.start(START)
     slack = plant.simulator.model.fault[0]
@@ -98,17 +98,17 @@ def test_a_fault_that_is_replaced_or_cleared_does_not_end_another():
     assert slack.tolist() == [0.0, 0.0, 0.0, 0.003]
 
 
-def test_a_fault_of_the_frozen_robot_is_there_at_once_and_its_time_runs_from_the_start():
+def test_a_fault_injected_before_the_start_acts_at_once_and_its_time_runs_from_the_start():
     plant = make()
     plant.present(START)
     plant.inject(Fault("tendon_broken", "FL", 0, 0.010, 0))
     holds = plant.simulator.model.fault[1]
     assert holds[0] == 0.0
     plant.start(START + 1000 * MILLISECOND)
-    assert followed(plant, 15, lambda: holds[0]).tolist() == [0.0] * 10 + [1.0] * 6
+    assert recorded(plant, 15, lambda: holds[0]).tolist() == [0.0] * 10 + [1.0] * 6
 
 
-def test_clearing_what_is_not_there_is_refused():
+def test_clearing_an_absent_fault_is_refused():
     plant = make()
     plant.inject(Fault("tendon_broken", "FL", 0, 0, 0))
     with pytest.raises(ValueError, match="no fault 'tendon_broken' at 'FR'"):
@@ -132,8 +132,8 @@ def test_clearing_what_is_not_there_is_refused():
         ("map", planned("nan"), r"'nan': legs of the model 'map' cannot have it"),
     ],
 )
-def test_a_fault_that_the_robot_cannot_have_is_refused(solver, fault, message, monkeypatch):
-    if solver == "paper":  # as printed it is lost while it settles
+def test_a_fault_that_the_model_does_not_support_is_refused(solver, fault, message, monkeypatch):
+    if solver == "paper":  # as printed it diverges while it settles
         monkeypatch.setattr(f"{__name__}.SETTLE", 0.0)
     with pytest.raises(ConfigError, match=message):
         make(solver, wrong=fault)
@@ -155,20 +155,20 @@ def test_a_fault_that_the_robot_cannot_have_is_refused(solver, fault, message, m
         ({"kind": "corrupt", "value": 1.1}, r"value = 1\.1: outside \[0\.001, 1\.0\] of the"),
     ],
 )
-def test_a_fault_that_cannot_be_is_refused_by_name(change, message):
+def test_an_invalid_fault_is_refused_by_name(change, message):
     with pytest.raises(ConfigError, match=rf"bad\.yaml: {message}"):
         config.build(Fault, planned("tendon_slack") | change, "bad.yaml")
 
 
-def test_a_fault_of_the_bus_comes_and_goes_by_the_scenes_clock():
+def test_a_fault_of_the_bus_begins_and_ends_by_simulated_time():
     plant = make(bus=True, warm=planned("overheating", "RR", 0.010, 0.020, 90.0))
     plant.start(START)
     servo = plant.legs.bus.servos[3]
-    hot = followed(plant, 40, lambda: servo.forced_temperature == 90.0)
+    hot = recorded(plant, 40, lambda: servo.forced_temperature == 90.0)
     assert np.flatnonzero(hot).tolist() == list(range(10, 30))
 
 
-def test_a_robot_on_a_bus_has_the_faults_of_its_legs_too():
+def test_a_robot_on_a_bus_supports_the_faults_of_its_legs_too():
     plant = make(bus=True)
     plant.start(START)
     plant.inject(Fault("tendon_broken", "FL", 0, 0, 0))
@@ -180,22 +180,22 @@ def test_a_robot_on_a_bus_has_the_faults_of_its_legs_too():
     assert not plant.legs.bus.unplugged
 
 
-def test_a_number_that_is_none_in_a_rod_ends_the_run_and_the_state_can_be_read(tmp_path):
+def test_a_nan_in_a_rod_raises_divergence_and_its_state_can_be_saved_and_loaded(tmp_path):
     plant = make(lost=planned("nan", "RL", 0.020))
     plant.start(START)
     command = plant.simulator.tendon_angle + 0.1
     plant.command(command)
-    with pytest.raises(Divergence, match=r"in step 21 at 0\.0200 s: .* not a number") as lost:
+    with pytest.raises(Divergence, match=r"in step 21 at 0\.0200 s: .* not a number") as raised:
         advance(plant, 100)
-    lost.value.save(tmp_path / "log" / "lost.npz", "flat")
+    raised.value.save(tmp_path / "log" / "lost.npz", "flat")
     state = np.load(tmp_path / "log" / "lost.npz")  # numbers and text: nothing to unpickle
     assert str(state["scene"]) == "flat"
-    assert str(state["message"]) == str(lost.value)
+    assert str(state["message"]) == str(raised.value)
     assert state["time"] == pytest.approx(20 * STEP)
     assert state["command"] == pytest.approx(command, abs=0.0)
     assert state["halvings"] > 0
-    nowhere = np.isnan(state["before_nodes"]).any(axis=2)
-    assert np.argwhere(nowhere).tolist() == [[2, read_scene("flat").solver.nodes - 1]]
+    damaged = np.isnan(state["before_nodes"]).any(axis=2)
+    assert np.argwhere(damaged).tolist() == [[2, read_scene("flat").solver.nodes - 1]]
     assert np.isnan(state["nodes"]).any()
     assert state["before_node_velocity"].shape == state["node_velocity"].shape == (4, 22, 3)
     assert state["before_position"][2] == pytest.approx(0.04, abs=0.01)  # it stands
@@ -204,13 +204,13 @@ def test_a_number_that_is_none_in_a_rod_ends_the_run_and_the_state_can_be_read(t
 
 
 @pytest.mark.parametrize("solver", ["map", "paper"])
-def test_every_model_hands_over_the_state_it_was_lost_in(solver, monkeypatch):
+def test_every_model_attaches_its_state_to_the_divergence(solver, monkeypatch):
     monkeypatch.setattr(f"{__name__}.SETTLE", 0.0)
     plant = make(solver)
     plant.start(START)
-    plant.simulator.state.velocity[:] = 2000.0  # m/s, beyond what any model bears
+    plant.simulator.state.velocity[:] = 2000.0  # m/s, beyond the speed limit of every model
     plant.command(np.full(4, 0.5))
-    with pytest.raises(Divergence) as lost:
+    with pytest.raises(Divergence) as raised:
         advance(plant, 10)
-    assert lost.value.state["command"].tolist() == [0.5] * 4
-    assert {"time", "position", "velocity", "nodes", "tendon_angle"} <= set(lost.value.state)
+    assert raised.value.state["command"].tolist() == [0.5] * 4
+    assert {"time", "position", "velocity", "nodes", "tendon_angle"} <= set(raised.value.state)

@@ -1,4 +1,4 @@
-"""Contact with the floor against Coulomb's law."""
+"""Contact with the floor compared with Coulomb's law."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ MU, STIFFNESS, DAMPING = 0.4, 2e4, 5.0
 
 
 def floor(**changes):
-    """The floor of the scene `flat` with changes of its settings."""
+    """The floor of the scene `flat` with changed settings."""
     changes = {f"floor.{name}": value for name, value in changes.items()}
     return build_floor(config.replace(read_scene("flat"), changes).floor, ROD)
 
@@ -41,7 +41,7 @@ def test_the_floor_only_pushes():
 
 
 @pytest.mark.parametrize("speed", [1e-5, 1e-3, 0.1, 10.0])
-def test_friction_stays_below_the_cone_and_reaches_it(speed):
+def test_viscous_friction_approaches_the_coulomb_limit_from_below(speed):
     v = speed * np.array([0.6, 0.8, 0.0])
     normal, drag = law(floor(), MU, -1e-3, v)
     expected = MU * normal * speed / np.hypot(speed, floor().friction_velocity)
@@ -61,12 +61,12 @@ def sliding():
 
 
 def test_a_sliding_robot_decelerates_at_mu_g(sliding):
-    """Impulse of friction = mu times the impulse of the floor, whatever the legs do meanwhile."""
+    """Impulse of friction = mu times the normal impulse, whatever the motion of the legs."""
     sim, before, after = sliding
     normal = sim.robot.weight * 0.2 + (after - before)[2]
     lost = np.linalg.norm(before[:2]) - np.linalg.norm(after[:2])
-    # All feet slide, but they swing across the heading while they splay: their friction is not
-    # all along it. The speed of sliding itself costs (eps/v)^2 = 1e-5.
+    # All feet slide, but they also move across the heading while they splay, so their friction is
+    # not all along it. The regularisation costs (eps/v)^2 = 1e-5.
     assert lost == pytest.approx(0.4 * normal, rel=0.02)
     assert lost / sim.robot.mass / 0.2 == pytest.approx(0.4 * GRAVITY, rel=0.05)
 
@@ -74,11 +74,11 @@ def test_a_sliding_robot_decelerates_at_mu_g(sliding):
 def test_a_sliding_robot_keeps_its_heading(sliding):
     _, before, after = sliding
     turned = np.arctan2(after[1], after[0]) - np.arctan2(before[1], before[0])
-    assert abs(turned) < 0.03  # the robot's own shape is not isotropic
+    assert abs(turned) < 0.03  # the robot is not isotropic
 
 
-def test_feet_at_rest_hold_below_the_friction_angle():
-    """On an incline of 5 deg (tan = .087) a robot with friction .4 creeps, and does not slide."""
+def test_viscous_friction_creeps_but_does_not_slide_below_the_friction_angle():
+    """On an incline of 5 deg (tan = 0.087) a robot with friction 0.4 creeps and does not slide."""
     sim = RodRobot(read_robot(), read_scene("slope5"), read_servo())
     x = sim.position[0]
     sim.advance(1000, sim.tendon_angle)
@@ -87,7 +87,7 @@ def test_feet_at_rest_hold_below_the_friction_angle():
     assert creep < 1e-3
 
 
-def test_a_floor_without_friction_lets_it_slide():
+def test_a_robot_on_a_frictionless_incline_accelerates_freely():
     scene = config.replace(
         read_scene("slope5"), {"floor.friction": [0.0] * 4, "floor.torso_friction": 0.0}
     )
@@ -95,13 +95,13 @@ def test_a_floor_without_friction_lets_it_slide():
     before = sim.momentum()[0][0]
     sim.advance(300, sim.tendon_angle)
     gained = sim.momentum()[0][0] - before
-    # Exact but for the iteration: nothing but gravity acts along the floor.
+    # Exact up to the iteration: only gravity acts along the floor.
     assert gained == pytest.approx(sim.robot.mass * scene.gravity[0] * 0.3, rel=1e-9)
 
 
 @njit
 def drag_along(floor, path, limit, slope, h):
-    """Bristles (n, 3) of a point whose velocities (n, 3) hold for h each; limits mu N (n,)."""
+    """Bristles (n, 3) of a point with velocities (n, 3), each for a time h; limits mu N (n,)."""
     bristle, out = np.zeros(3), np.zeros((len(path), 3))
     for i in range(len(path)):
         x, y, z = path[i]
@@ -138,7 +138,7 @@ def test_a_bristle_on_a_line_is_a_spring_in_series_with_a_coulomb_slider():
     assert 0.1 < slipping.mean() < 0.9  # both regimes occur
 
 
-def test_a_bristle_turns_against_the_slip_and_never_pulls_more_than_the_cone_allows():
+def test_a_bristle_aligns_with_the_slip_and_its_force_stays_within_mu_n():
     law, rng = floor(friction_law="bristle"), np.random.default_rng(4)
     path = np.column_stack([rng.normal(0.0, 0.3, (2000, 2)), np.zeros(2000)])
     path[-500:] = [0.03, -0.04, 0.0]  # slips in the end
@@ -149,11 +149,11 @@ def test_a_bristle_turns_against_the_slip_and_never_pulls_more_than_the_cone_all
     assert (force <= limit * (1 + 1e-12)).all()
     np.testing.assert_allclose(STIFFNESS * held[-1], MU * np.array([6.0, -8.0, 0.0]), rtol=1e-9)
     for bristle, v, most in zip(held, path, limit):
-        now = force_at(law, most, 5.5e-4, bristle, v)  # with what it gains within the step
+        now = force_at(law, most, 5.5e-4, bristle, v)  # including its growth within the step
         assert np.linalg.norm(now) <= most * (1 + 1e-12)
 
 
-def test_a_bristle_that_holds_is_its_spring_and_its_damper():
+def test_a_sticking_bristle_is_a_spring_and_a_damper():
     law = floor(friction_law="bristle", bristle=0.5)
     bristle, v, tau = np.array([1e-4, -2e-4, 0.0]), np.array([0.01, 0.02, 0.0]), 5e-4
     expected = 0.5 * (STIFFNESS * (bristle + tau * v) + DAMPING * v)
@@ -161,7 +161,7 @@ def test_a_bristle_that_holds_is_its_spring_and_its_damper():
 
 
 def test_a_bristle_lies_in_the_plane_of_the_floor():
-    """A point that goes along a plane of slopes (.3, -.2), and into it: only the former counts."""
+    """A point moves along and into a plane of slopes (0.3, -0.2): only the motion along counts."""
     slope = np.array([0.3, -0.2])
     up = np.array([-0.3, 0.2, 1.0]) / np.sqrt(1.13)
     along = np.cross(up, [0.0, 1.0, 0.0])
@@ -175,27 +175,27 @@ def factor(floor, own, other, rate, v, slip):  # noqa: PLR0917
     return coefficient(floor, own, other, rate, v, slip)
 
 
-def test_friction_by_direction_goes_over_from_inward_to_outward():
+def test_friction_by_direction_blends_between_inward_and_outward_slip():
     law, fast = floor(friction_varies="direction"), 10.0
     eps = law.friction_velocity
     assert factor(law, 0.6, 0.1, 0.0, -fast, fast**2) == pytest.approx(0.6, rel=1e-6)
     assert factor(law, 0.6, 0.1, 0.0, fast, fast**2) == pytest.approx(0.1, rel=1e-6)
     assert factor(law, 0.6, 0.1, 0.0, 0.0, 0.0) == pytest.approx(0.35, rel=1e-12)
     assert factor(law, 0.6, 0.1, 0.0, 0.0, fast**2) == pytest.approx(0.35, rel=1e-12)  # sideways
-    # At the velocity eps the way is done by 1 / sqrt(2).
+    # At the slip speed eps the blend has reached 1 / sqrt(2).
     middle = 0.35 - 0.25 / np.sqrt(2)
     assert factor(law, 0.6, 0.1, 0.0, eps, eps**2) == pytest.approx(middle, rel=1e-12)
 
 
-def test_friction_by_phase_is_the_other_one_while_the_tendon_is_released():
+def test_friction_by_phase_is_the_other_coefficient_while_the_tendon_is_released():
     law = floor(friction_varies="phase")
     for rate, expected in [(1.0, 0.6), (0.0, 0.6), (0.9 * RELEASING, 0.6), (-1.0, 0.2)]:
         assert factor(law, 0.6, 0.2, rate, 0.3, 0.09) == expected
-    assert factor(floor(), 0.6, 0.2, -1.0, 0.3, 0.09) == 0.6  # uniform: it does not matter
+    assert factor(floor(), 0.6, 0.2, -1.0, 0.3, 0.09) == 0.6  # uniform: no effect
 
 
 def inclined(degrees, **changes):
-    """A robot on an incline, after 2 s on it."""
+    """A robot that has settled for 2 s on an incline, with bristle friction."""
     slope = np.radians(degrees)
     gravity = [-GRAVITY * np.sin(slope), 0.0, -GRAVITY * np.cos(slope)]
     changes = {name.replace("__", "."): value for name, value in changes.items()}
@@ -204,9 +204,9 @@ def inclined(degrees, **changes):
 
 
 def test_bristles_hold_below_the_friction_angle_without_creep():
-    """20 deg and friction .4, which would slide from 21.8 deg on."""
+    """20 deg with friction 0.4; sliding begins at 21.8 deg."""
     sim = inclined(20.0)
-    sim.advance(3000, sim.tendon_angle)  # the legs' swinging has to die away
+    sim.advance(3000, sim.tendon_angle)  # until the legs' oscillation has decayed
     x = sim.position
     sim.advance(10000, sim.tendon_angle)
     assert np.abs(sim.position - x)[:2].max() < 1e-6  # m in 10 s
@@ -215,16 +215,16 @@ def test_bristles_hold_below_the_friction_angle_without_creep():
     )
 
 
-def test_bristles_slide_above_the_friction_angle_as_coulomb_says():
+def test_bristles_slide_above_the_friction_angle_by_coulombs_law():
     sim = inclined(25.0)
     before = sim.momentum()[0]
     sim.advance(1000, sim.tendon_angle)
     gained = sim.momentum()[0] - before
     weight = sim.robot.weight
-    normal = weight * np.cos(np.radians(25.0)) + gained[2]  # N s: what the floor gave in 1 s
+    normal = weight * np.cos(np.radians(25.0)) + gained[2]  # N s, impulse of the floor in 1 s
     expected = -weight * np.sin(np.radians(25.0)) + 0.4 * normal
     assert gained[0] == pytest.approx(expected, rel=1e-4)  # the feet splay a little meanwhile
-    # The normal impulse is the weight's but for the legs' settling.
+    # The normal impulse is that of the weight, except for the settling of the legs.
     slope = np.radians(25.0)
     free = -GRAVITY * (np.sin(slope) - 0.4 * np.cos(slope))
     assert gained[0] / sim.robot.mass == pytest.approx(free, rel=0.03)
@@ -239,15 +239,15 @@ def test_the_floor_carries_robot_and_payload(law, contact):
         "payload.mass": 0.5,
         "payload.place": [-0.03, 0.02, 0.03],
         "start.settle": 3.0,
-        "start.tendon_angle_deg": 90.0,  # on tips it would lie on its belly else
+        "start.tendon_angle_deg": 90.0,  # with less, a robot on its tips would rest on its torso
     }
     sim = RodRobot(read_robot(), config.replace(read_scene("flat"), changes), read_servo())
-    sim.advance(15000, sim.tendon_angle)  # on its tips it swings for seconds
+    sim.advance(15000, sim.tendon_angle)  # on its tips it oscillates for seconds
     force, weight = sim.ground_force.sum(0), sim.robot.weight + 0.5 * GRAVITY
     np.testing.assert_allclose(force, [0.0, 0.0, weight], atol=1e-4 * weight)
 
 
-def test_a_leg_on_its_tip_touches_nowhere_else():
+def test_contact_at_the_tip_leaves_the_other_nodes_without_stiffness():
     law = floor(contact="tip")
     assert law.first == 21
     np.testing.assert_array_equal(law.stiffness[:-1], 0.0)
@@ -255,23 +255,23 @@ def test_a_leg_on_its_tip_touches_nowhere_else():
 
 
 @pytest.mark.parametrize("nodes", [8, 22, 121])
-def test_a_leg_that_lies_flat_meets_the_same_floor_at_any_number_of_nodes(nodes):
-    """Sum of the nodes' stiffness = line stiffness times length, and the tip's own."""
+def test_the_total_contact_stiffness_is_the_same_at_any_number_of_nodes(nodes):
+    """Sum of the nodes' stiffness = line stiffness times length + stiffness of the tip."""
     rod = discretise(ROBOT.leg, nodes, ROBOT.tendon.end_fraction)
     law = build_floor(read_scene("flat").floor, rod)
     step = np.diff(rod.arc)
-    length = rod.arc[-1] - (step[0] + step[-1]) / 2  # clamp and tip have their own
+    length = rod.arc[-1] - (step[0] + step[-1]) / 2  # without the half cells of clamp and tip
     assert law.stiffness.sum() == pytest.approx(2e4 + 2.2e6 * length, rel=1e-12)
     np.testing.assert_allclose(law.damping[1:] / law.stiffness[1:], 5.0 / 2e4, rtol=1e-12)
 
 
-def test_ground_force_is_that_of_springs_dampers_and_friction_of_all_nodes():
-    """Of a robot that moves rigidly over the floor, by hand."""
+def test_ground_force_is_the_sum_of_springs_dampers_and_friction_of_all_nodes():
+    """For a robot that moves rigidly over the floor, computed by hand."""
     sim = RodRobot(read_robot(), read_scene("flat"), read_servo())
     velocity, law = np.array([0.03, -0.02, -0.01]), floor()
     sim.set_motion(velocity, np.zeros(3))
     depth = np.maximum(0.0, -sim.nodes[:, :, 2])
-    depth[:, 0] = 0.0  # the clamp is the torso's
+    depth[:, 0] = 0.0  # the clamp belongs to the torso
     normal = np.where(depth > 0.0, law.stiffness * depth + law.damping * 0.01, 0.0).sum(1)
     slip = np.hypot(0.03, 0.02)
     drag = 0.4 * normal / np.hypot(slip, law.friction_velocity)

@@ -1,4 +1,4 @@
-"""The soft leg against its own energy, the elastica, beam theory and the calculus of arcs."""
+"""The soft leg compared with its energy, the elastica, beam theory and circular arcs."""
 
 import dataclasses
 
@@ -24,7 +24,7 @@ def evaluate(s, rod, node, velocity, pull):
 
 
 def gradient(rod, node, tension=0.0, velocity=None):
-    """(N, 2) derivative of the energy by the nodes, from the kernels' forces and moments."""
+    """(N, 2) gradient of the energy by the nodes, from the kernels' forces and moments."""
     s = segments(len(node))
     velocity = np.zeros((len(node), 3)) if velocity is None else velocity
     evaluate(s, rod, node, velocity, (route(rod, ROBOT.tendon), tension))
@@ -34,7 +34,7 @@ def gradient(rod, node, tension=0.0, velocity=None):
 
 
 def energy(rod, node, tension=0.0):
-    """Energy of rod and tendon, written down again from the module's equation."""
+    """Energy of rod and tendon, implemented independently from the module's equation."""
     chord = np.diff(node, axis=0)
     length = np.hypot(*chord.T)
     turn = np.diff(np.unwrap(np.arctan2(chord[:, 1], chord[:, 0])), prepend=0.0)
@@ -46,7 +46,7 @@ def energy(rod, node, tension=0.0):
 
 
 def straight(nodes, thickness=(5e-3, 5e-3)):
-    """A straight rod with its thickness at clamp and tip, and its EI if that is uniform."""
+    """A straight rod of given thickness at clamp and tip, and the EI of the clamp's section."""
     leg = dataclasses.replace(
         ROBOT.leg, young_modulus=1e7, thickness_clamp=thickness[0], thickness_tip=thickness[1]
     )
@@ -57,7 +57,7 @@ def straight(nodes, thickness=(5e-3, 5e-3)):
 
 
 def stiffness_matrix(rod, node, step=1e-7):
-    """Differences of the kernels' forces by the free nodes, (2N-2, 2N-2)."""
+    """(2N-2, 2N-2) stiffness by central differences of the kernels' forces at the free nodes."""
     shifts = np.eye(2 * len(node) - 2).reshape(-1, len(node) - 1, 2) * step
     shifts = np.pad(shifts, ((0, 0), (1, 0), (0, 0)))
     change = [gradient(rod, node + shift) - gradient(rod, node - shift) for shift in shifts]
@@ -116,14 +116,14 @@ def test_forces_are_the_gradient_of_the_energy():
     np.testing.assert_allclose(gradient(rod, node, 30.0)[1:], numeric[1:], atol=1e-5)
 
 
-def test_natural_shape_is_free_of_force():
+def test_the_natural_shape_has_no_internal_force():
     rod = discretise(ROBOT.leg, 22, ANCHOR)
     # Stiffest spring 6e5 N/m, positions rounded at 1e-17 m.
     assert np.abs(gradient(rod, rod.node)).max() < 1e-9
 
 
 def test_rigid_motion_dissipates_nothing():
-    """Kelvin-Voigt damping sees strain rates only: a turning clamp turns the rod with it."""
+    """Kelvin-Voigt damping depends on strain rates only; the clamp turns with the rod."""
     rod, rate = discretise(ROBOT.leg, 12, ANCHOR), 3.0
     velocity = rate * np.column_stack([-rod.node[:, 1], 0 * rod.node[:, 0], rod.node[:, 0]])
 
@@ -148,17 +148,17 @@ def test_cantilever_follows_the_elastica_to_second_order(load_parameter):
         errors.append(np.hypot(*(tip / LENGTH - exact)))
     assert errors[0] < 1e-3  # of the length
     assert errors[1] < 1.2e-4
-    # Two in the limit: what is left of third order has the other sign.
+    # Two in the limit; the remaining third-order term has the opposite sign.
     assert np.log2(errors[1] / errors[2]) > 1.7
 
 
-def test_elastica_of_the_test_is_the_published_one():
+def test_the_elastica_of_this_test_matches_the_published_values():
     # Bisshopp and Drucker's cantilever at P L^2/(EI) = 1, ten digits.
     np.testing.assert_allclose(elastica(1.0), [0.9435667637, 0.3017207738], atol=1e-8)
 
 
 def rolled(nodes):
-    """A rod under the end moment 2 pi EI / L, its shape put together hinge by hinge."""
+    """A rod under the end moment 2 pi EI / L, its shape computed hinge by hinge."""
     rod, stiffness = straight(nodes)
     moment = 2 * np.pi * stiffness / LENGTH
     angle = np.cumsum(moment / rod.bending)
@@ -172,19 +172,19 @@ def test_an_end_moment_bends_every_hinge_and_stretches_nothing(nodes):
     s = segments(nodes)
     evaluate(s, rod, node, np.zeros((nodes, 3)), (route(rod, ROBOT.tendon), 0.0))
     np.testing.assert_allclose(s.moment[:-1], moment, rtol=1e-9)
-    # Tension from rounding: EA/l0 of 3e5 N/m times 1e-17 m.
+    # Axial force from rounding: EA/l0 of 3e5 N/m times 1e-17 m.
     assert np.abs(s.force).max() < 1e-9
 
 
 def test_an_end_moment_closes_the_circle_to_second_order():
-    """The tip of the chain has no hinge: of the circle's last half cell 7/12 are left, not 1/2."""
+    """The tip has no hinge: the last segment turns by 7/12 of its cell's angle instead of 1/2."""
     gap = [np.hypot(*rolled(nodes)[2][-1]) / LENGTH for nodes in (16, 31, 61)]
     assert gap[1] < 1.5e-3
     assert np.log2(gap[0] / gap[2]) / 2 > 1.9
 
 
 def lowest_frequencies(rod, count):
-    """Hz, about the natural shape."""
+    """Lowest natural frequencies about the natural shape, Hz."""
     stiffness = stiffness_matrix(rod, rod.node)
     mass = np.repeat(rod.mass[1:], 2)
     values = eigh((stiffness + stiffness.T) / 2, np.diag(mass), eigvals_only=True)
@@ -200,17 +200,17 @@ def test_uniform_beam_vibrates_at_euler_bernoulli_frequencies():
     np.testing.assert_array_less(np.abs(lowest_frequencies(rod, 3) / exact - 1), [1e-3, 3e-3, 6e-3])
 
 
-def test_tapered_leg_vibrates_at_its_frequencies():
+def test_tapered_leg_vibrates_at_the_frequencies_of_a_tapered_bernoulli_beam():
     taper = (ROBOT.leg.thickness_clamp, ROBOT.leg.thickness_tip)
     coarse, fine = (lowest_frequencies(straight(n, taper)[0], 3) for n in (21, 41))
     exact = np.array([6.5209720302, 25.5124367433, 61.3511026964])  # Bernoulli beam, n -> infinity
-    limit = fine + (fine - coarse) / 3  # Richardson: second order or not near
-    np.testing.assert_allclose(limit, exact, rtol=4e-4)  # third order is left
+    limit = fine + (fine - coarse) / 3  # Richardson extrapolation, valid at second order
+    np.testing.assert_allclose(limit, exact, rtol=4e-4)  # the third-order error remains
     np.testing.assert_array_less(np.abs(fine / exact - 1), [1e-3, 3e-3, 7e-3])
 
 
-def test_masses_are_those_of_the_leg():
+def test_the_nodes_have_the_mass_of_the_leg():
     rod = discretise(ROBOT.leg, 22, ANCHOR)
-    # Nodes hold the halves of their cells: exact for a linear taper but for the arc's length.
+    # A node has half of each neighbouring segment: exact for a linear taper up to the arc length.
     assert rod.mass.sum() == pytest.approx(ROBOT.leg.mass, rel=1e-9)
     assert np.all(np.diff(rod.mass[1:-1]) < 0)  # thinner towards the tip

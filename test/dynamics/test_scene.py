@@ -1,4 +1,4 @@
-"""Scenes: one file each, and only what differs from another."""
+"""Scenes: one file each, which may hold only its differences from another."""
 
 import pytest
 
@@ -11,7 +11,7 @@ PUSH = "pushes: {left: {time: %s, duration: 1, force: [0, 0, 0], moment: [0, 0, 
 
 @pytest.fixture
 def scenes(tmp_path, monkeypatch):
-    """A configuration directory of its own, to which scenes can be added."""
+    """A temporary configuration directory; returns a function that adds a scene."""
     for name in ("scene/flat.yaml", "solver/standard.yaml"):
         (tmp_path / name).parent.mkdir()
         (tmp_path / name).write_text((config.config_dir() / name).read_text())
@@ -23,7 +23,7 @@ def scenes(tmp_path, monkeypatch):
     return add
 
 
-def test_a_scene_like_another_holds_only_what_it_changes(scenes):
+def test_a_scene_like_another_differs_only_in_what_it_changes(scenes):
     scenes("ice", "like: flat\nfloor.torso_friction: 0.05\n")
     flat, ice = read_scene("flat"), read_scene("ice")
     assert ice.floor.torso_friction == 0.05
@@ -35,7 +35,7 @@ def test_a_scene_like_another_holds_only_what_it_changes(scenes):
     [
         ("like: moon\n", r"no configuration 'scene/moon' \(known: bad, flat\)"),
         ("like: bad\n", r"scene/bad\.yaml: like is not a setting"),
-        ("like: flat\nfloor.grip: 1\n", r"scene/bad\.yaml: floor\.grip is not a setting"),
+        ("like: flat\nfloor.colour: 1\n", r"scene/bad\.yaml: floor\.colour is not a setting"),
         ("like: flat\nsolver.step: 1.0\n", r"scene/bad\.yaml: solver\.step = 1\.0: outside"),
         ("like: flat\nsolver: magic\n", r"no configuration 'solver/magic' \(known: standard\)"),
         ("", r"scene/bad\.yaml: expected a mapping of Scene, got None"),
@@ -53,7 +53,7 @@ def test_a_scene_like_another_holds_only_what_it_changes(scenes):
         ("like: flat\npushes: {left: {time: 1}}\n", r"pushes\.left\.duration is missing"),
     ],
 )
-def test_a_scene_that_cannot_be_is_refused_by_name(scenes, text, message):
+def test_an_invalid_scene_is_refused_by_name_of_the_setting(scenes, text, message):
     scenes("bad", text)
     with pytest.raises(ConfigError, match=message):
         read_scene("bad")
@@ -63,13 +63,13 @@ def test_the_shipped_scenes_can_be_read():
     names = [path.stem for path in (config.config_dir() / "scene").glob("*.yaml")]
     assert {"flat", "slippery", "slope5", "split"} <= set(names)
     for name in names:
-        # the odometry's period is the controller's, and both are whole time steps
+        # the controller runs at the period of the odometry, a whole number of time steps
         scene = read_scene(name)
         ratio = scene.sensors.odometry.period / scene.solver.step
         assert ratio == pytest.approx(round(ratio), abs=1e-9)
 
 
-def test_a_scene_without_any_of_it_has_no_payload_no_push_no_fault_and_a_plane():
+def test_the_flat_scene_is_a_plane_without_payload_push_or_broken_tendon():
     scene = read_scene("flat")
     assert scene.payload.mass == 0.0
     assert scene.pushes == {}

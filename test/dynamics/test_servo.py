@@ -1,4 +1,4 @@
-"""The servo against its data sheet's line and the response of a first-order lag."""
+"""The servo compared with its data sheet's torque-speed line and a first-order lag."""
 
 import dataclasses
 import math
@@ -23,11 +23,11 @@ def rate(law, command, angle, torque):
 
 @pytest.mark.parametrize(("torque", "share"), [(0.0, 1.0), (0.7, 0.5), (1.4, 0.0), (2.1, -0.5)])
 def test_pulling_speed_follows_the_torque_speed_line(torque, share):
-    # XL430-W250 at 11.1 V: 57 rpm without load, 1.4 N m at rest; beyond that it is pulled back.
+    # XL430-W250 at 11.1 V: 57 rpm without load, 1.4 N m at rest; a higher load pulls it back.
     assert rate(servo(SETTINGS), 2.0, 0.0, torque) == pytest.approx(share * NO_LOAD, abs=1e-12)
 
 
-def test_load_helps_when_releasing():
+def test_the_load_adds_speed_while_releasing():
     assert rate(servo(SETTINGS), 0.0, 2.0, 0.7) == pytest.approx(-1.5 * NO_LOAD, rel=1e-12)
 
 
@@ -35,7 +35,7 @@ def test_power_is_that_of_a_motor():
     """Torque times speed is at most a quarter of stall torque times no-load speed."""
     torque = np.linspace(0.0, 1.4, 101)
     power = max(t * rate(servo(SETTINGS), 2.0, 0.0, t) for t in torque)
-    assert power == pytest.approx(1.4 * NO_LOAD / 4, rel=1e-3)  # grid of torques
+    assert power == pytest.approx(1.4 * NO_LOAD / 4, rel=1e-3)  # resolution of the torques
     assert power < 2.1  # W
 
 
@@ -54,7 +54,7 @@ def test_ideal_servo_ignores_the_load():
         assert rate(law, 0.0, 2.0, torque) == pytest.approx(-40.0 * math.tau / 60.0)
 
 
-def test_unknown_model_is_refused_by_name():
+def test_an_unknown_model_is_refused_by_name():
     with pytest.raises(ConfigError, match="magic"):
         config.build(ServoSettings, dataclasses.asdict(SETTINGS) | {"model": "magic"}, "test")
 
@@ -80,7 +80,7 @@ def respond(settings, command, torque, seconds, h):
 
 
 def exact_response(settings, command, torque, seconds):
-    """The equations of the pid and its motor, by an integrator of high order."""
+    """Angle after `seconds` by the equations of pid and motor, with a high-order integrator."""
 
     def derivative(_, y):
         angle, speed, integral = y
@@ -101,12 +101,12 @@ def exact_response(settings, command, torque, seconds):
 def test_pid_follows_its_differential_equation_to_first_order(command, torque, seconds):
     exact = exact_response(PID, command, torque, seconds)
     errors = [abs(respond(PID, command, torque, seconds, h)[-1] - exact) for h in (2e-4, 1e-4)]
-    # Euler's method: within the motion of one step, here up to 6 rad/s, and halved with it.
+    # Euler's method: the error is below the motion of one step, at up to 6 rad/s, and halves too.
     assert errors[0] < 6.0 * 2e-4
     assert errors[1] < 0.6 * errors[0] + 1e-7
 
 
-def test_pid_without_integral_gives_way_to_a_load_and_with_it_does_not():
+def test_a_load_displaces_the_pid_without_integral_and_not_with_it():
     torque, command = 0.7, 0.5
     soft = dataclasses.replace(PID, integral=0.0)
     sag = torque / STALL / soft.proportional  # the duty that holds the load
@@ -114,43 +114,43 @@ def test_pid_without_integral_gives_way_to_a_load_and_with_it_does_not():
     assert respond(PID, command, torque, 5.0, 1e-3)[-1] == pytest.approx(command, abs=1e-6)
 
 
-def test_integral_rests_while_the_duty_is_at_its_limit():
-    """After two seconds against a load that stalls it, it comes to rest as if from anew."""
+def test_the_integral_is_held_while_the_duty_is_saturated():
+    """After two seconds of stall it reaches the command without a large overshoot."""
     law, h = servo(PID), 1e-3
     drive = np.zeros(3)
     run(law, drive, 0.0, np.full(2000, 1.5), np.full(2000, 2 * STALL), h)
-    assert 0.0 <= drive[2] <= 1.0  # what winds up without the rest is 12 / (rad s) x 1.5 rad x 2 s
+    assert 0.0 <= drive[2] <= 1.0  # without anti-windup: 12 / (rad s) x 1.5 rad x 2 s
     path = run(law, drive, 1.4, np.full(1000, 1.5), np.zeros(1000), h)
-    assert path.max() < 1.5 + 0.1  # the wound up integral would run on at full speed for 1 s
+    assert path.max() < 1.5 + 0.1  # a wound-up integral would run on at full speed for 1 s
 
 
 def test_backlash_is_a_dead_band_between_motor_and_spool():
-    """Slow up and down without load: the spool follows by the play operator, by hand."""
+    """Slow motion without load: the spool follows the play operator, computed by hand."""
     play = math.radians(2.0)
     law = servo(dataclasses.replace(SETTINGS, model="ideal", backlash_deg=4.0))
     h, drive, motor, spool, expected = 1e-3, np.zeros(3), 0.0, 0.0, []
     command = 0.3 * np.sin(np.linspace(0.0, 2 * math.tau, 4000))
     for target in command:
-        motor += h * (target - spool) / SETTINGS.lag  # its encoder is on the spool
+        motor += h * (target - spool) / SETTINGS.lag  # the encoder is on the spool
         spool = min(max(spool, motor - play), motor + play)
         expected.append(spool)
     path = run(law, drive, 0.0, command, np.zeros(4000), h)
     np.testing.assert_allclose(path, expected, atol=1e-12)
-    assert np.ptp(expected) > 0.3  # it moves beyond its play
+    assert np.ptp(expected) > 0.3  # the motion exceeds the play
 
 
 def test_a_taut_tendon_takes_up_the_backlash():
     law = servo(dataclasses.replace(SETTINGS, backlash_deg=4.0))
     drive = np.zeros(3)
     path = run(law, drive, 0.5, np.full(3, 0.5), np.array([0.0, 0.2, 0.2]), 1e-3)
-    # Pulled back by half the backlash at once, and then it follows the motor.
+    # The tendon pulls it back by half the backlash at once; then it follows the motor.
     assert path[0] == pytest.approx(0.5, abs=1e-12)
     assert path[1] == pytest.approx(0.5 - math.radians(2.0), abs=1e-12)
     assert path[2] > path[1]
     assert drive[0] == pytest.approx(math.radians(2.0), abs=1e-12)
 
 
-def test_without_backlash_the_spool_is_the_motor():
+def test_without_backlash_the_spool_moves_with_the_motor():
     drive, command = np.zeros(3), np.linspace(0.0, 0.2, 50)
     path = run(servo(SETTINGS), drive, 0.0, command, np.full(50, 0.3), 1e-3)
     angle = 0.0

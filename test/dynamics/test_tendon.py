@@ -1,4 +1,4 @@
-"""The tendon against the geometry of offset curves and the statics of a rod under its pull."""
+"""The tendon compared with the geometry of offset curves and the statics of a pulled rod."""
 
 import dataclasses
 
@@ -35,11 +35,11 @@ def straight(nodes):
 
 @pytest.mark.parametrize("nodes", [10, 22, 31])
 def test_length_is_that_of_the_curve_at_the_offset(nodes):
-    """On an arc bent by curvature k the curve d below has the length s (1 + k d)."""
+    """On an arc of curvature k the curve at the offset d below has the length s (1 + k d)."""
     rod, settings = straight(nodes), ROBOT.tendon
     tendon = route(rod, settings)
     curvature, bending = -2.0, section(rod)
-    turn = curvature * bending / rod.bending  # every hinge bends by its share
+    turn = curvature * bending / rod.bending  # bending of each hinge
     length = tendon.along @ rod.rest_length + tendon.around @ turn
     reach = settings.end_fraction * ROBOT.leg.arc_length()
     assert length == pytest.approx(reach * (1.0 + curvature * settings.offset), rel=1e-12)
@@ -53,13 +53,13 @@ def section(rod):
 
 
 @pytest.mark.parametrize("nodes", [8, 23, 40])
-def test_any_number_of_nodes_puts_one_at_the_anchor(nodes):
+def test_a_node_is_at_the_anchor_for_any_number_of_nodes(nodes):
     rod = discretise(ROBOT.leg, nodes, ROBOT.tendon.end_fraction)
     assert rod.arc[rod.anchor] / rod.arc[-1] == pytest.approx(ROBOT.tendon.end_fraction, rel=1e-12)
     assert np.diff(rod.arc).max() / np.diff(rod.arc).min() < 1.5
 
 
-def test_a_slack_tendon_pulls_nothing():
+def test_a_slack_tendon_has_no_tension():
     rod = discretise(ROBOT.leg, 22, ROBOT.tendon.end_fraction)
     tendon = route(rod, ROBOT.tendon)
     slack_ends = ROBOT.tendon.slack / ROBOT.tendon.spool_radius
@@ -106,8 +106,8 @@ def pulled_leg(force):
     return tip, first[3] + d * first[0] - natural[3] - d * natural[0]
 
 
-def test_pulled_leg_converges_to_the_continuous_one_to_second_order():
-    """Tension and shape of a hanging leg without weight, at a given angle of the spool."""
+def test_a_pulled_leg_converges_to_the_continuous_one_to_second_order():
+    """Tension and shape of a free, weightless leg at a given tendon angle."""
     angle, settings = np.radians(80.0), ROBOT.tendon
     reeled = settings.spool_radius * angle - settings.slack
     force = brentq(lambda f: settings.cable_stiffness * (pulled_leg(f)[1] + reeled) - f, 1.0, 200.0)
@@ -123,29 +123,29 @@ def test_pulled_leg_converges_to_the_continuous_one_to_second_order():
     assert here.tension == pytest.approx(force, rel=2e-3)  # N = 43, second order in 1/42
     order = np.log(errors[0] / errors[2]) / np.log(42 / 12)
     assert order > 1.8
-    assert errors[1] < 4e-4  # m at N = 22; without the anchor's own cell it is 5.7 mm
+    assert errors[1] < 4e-4  # m at N = 22; without the anchor's own cell 5.7 mm
 
 
 def hanging(robot=ROBOT, **changes):
-    """A robot that floats, its legs natural."""
+    """A robot floating without gravity, with natural legs."""
     changes = {name.replace("__", "."): value for name, value in changes.items()}
     changes |= {"gravity": [0.0, 0.0, 0.0], "start.height": 5.0, "start.settle": 0.0}
     return RodRobot(robot, config.replace(read_scene("flat"), changes), read_servo())
 
 
-def test_a_broken_tendon_carries_nothing_and_the_others_all():
+def test_only_the_broken_tendon_has_no_tension():
     whole, broken = hanging(), hanging(tendons__broken=[False, True, False, False])
     for sim in (whole, broken):
         sim.advance(500, np.full(4, 1.5))
     assert broken.tension[1] == 0.0
     np.testing.assert_allclose(broken.tension[[0, 2, 3]], whole.tension[0], rtol=0.02)
-    # Its leg is left to its natural shape, but for what the torso's turning does to it.
+    # Its leg keeps its natural shape, except for the effect of the torso's rotation.
     here, natural = broken.state.node[1], broken.model.rod.node
     assert np.abs(here - natural).max() < 1e-3
     assert np.abs(whole.state.node[1] - natural).max() > 0.03
 
 
-def test_a_tendon_can_break_and_slacken_on_the_way():
+def test_tendons_can_break_and_slacken_during_a_run():
     sim = hanging()
     sim.advance(300, np.full(4, 1.5))
     assert (sim.tension > 20.0).all()
@@ -156,8 +156,8 @@ def test_a_tendon_can_break_and_slacken_on_the_way():
     np.testing.assert_array_equal(sim.tension[2:], 0.0)
 
 
-def test_slack_is_an_angle_of_the_spool():
-    """A tendon longer by s pulls at theta + s / r as the whole one does at theta."""
+def test_slack_is_equivalent_to_an_angle_of_the_spool():
+    """A tendon longer by s has at theta + s / r the tension of an intact one at theta."""
     slack = 2e-3
     angle = slack / ROBOT.tendon.spool_radius
     whole, slackened = hanging(), hanging(tendons__slack=[slack] * 4)
@@ -182,7 +182,7 @@ STRAIGHT = config.replace(
 
 
 def potential(leg, node, angle, height):
-    """J of one leg at nodes (N, 2): rod, straight cable, weight and floor, written down again."""
+    """Energy of one leg at nodes (N, 2), J, without the kernels: rod, cable, weight and floor."""
     model = leg.model
     rod, settings = model.rod, STRAIGHT.tendon
     chord = np.diff(node, axis=0)
@@ -200,14 +200,15 @@ def potential(leg, node, angle, height):
 
 
 def straight_leg(angle, height):
+    """A leg with a straight tendon, and its equilibrium at tendon angle (rad) and height (m)."""
     leg = StaticLeg(STRAIGHT, 22)
     for part in np.linspace(0.05, 1.0, 20):
         here = leg.solve(part * angle, height)
     return leg, here
 
 
-def test_a_straight_tendon_pulls_along_its_line_as_its_energy_says():
-    """A leg at rest under it: no node can move and lower the energy."""
+def test_a_leg_at_rest_under_a_straight_tendon_has_no_gradient_of_the_energy():
+    """The gradient of the energy by every node is zero."""
     angle, height = 0.6, 0.045
     leg, here = straight_leg(angle, height)
     assert here.tension > 3.0
@@ -219,12 +220,12 @@ def test_a_straight_tendon_pulls_along_its_line_as_its_energy_says():
             up = potential(leg, node, angle, height)
             node[i, axis] -= 2 * step
             gradient[i - 1, axis] = (up - potential(leg, node, angle, height)) / (2 * step)
-    # Differences of some J at 1e-7 m; the tendon alone pulls at its node with its tension.
+    # Rounding of some J over 1e-7 m; the force of the tendon alone would be its tension.
     np.testing.assert_allclose(gradient, 0.0, atol=1e-5 * here.tension)
 
 
-def test_a_straight_tendon_acts_on_the_clamp_as_the_energy_of_the_leg_says():
-    """Work on the clamp that is raised = change of the energy of a leg that follows at rest."""
+def test_the_clamp_force_under_a_straight_tendon_is_the_derivative_of_the_energy():
+    """Work at the raised clamp = change of the energy of a leg that stays in equilibrium."""
     angle, height, step = 0.6, 0.045, 1e-5
     leg, here = straight_leg(angle, height)
     up, down = leg.solve(angle, height + step), leg.solve(angle, height - step)
@@ -235,8 +236,8 @@ def test_a_straight_tendon_acts_on_the_clamp_as_the_energy_of_the_leg_says():
     assert weight - here.force == pytest.approx(change / (2 * step), rel=1e-5)
 
 
-def test_a_straight_tendon_keeps_momentum_in_flight():
-    """What it does to the leg it does to the torso, at the pulley."""
+def test_a_straight_tendon_conserves_momentum_in_flight():
+    """Its reaction on the torso acts at the pulley."""
     errors = []
     for step in (2e-3, 1e-3):
         sim = hanging(STRAIGHT, solver__step=step, solver__theta=0.5, solver__iterations=8)
@@ -251,8 +252,8 @@ def test_a_straight_tendon_keeps_momentum_in_flight():
     assert np.log2(errors[0] / errors[1]) > 1.9  # second order
 
 
-def test_a_straight_tendon_keeps_the_energy_in_flight():
-    """Undamped, spools held: the tendon's force is the gradient of what its cable stores."""
+def test_an_undamped_straight_tendon_conserves_energy_in_flight():
+    """With fixed spools the tendon's force is the gradient of the cable's energy."""
     leg = dataclasses.replace(STRAIGHT.leg, damping_time=0.0)
     tendon = dataclasses.replace(STRAIGHT.tendon, cable_damping=0.0, cable_stiffness=2e3)
     robot = dataclasses.replace(STRAIGHT, leg=leg, tendon=tendon)
@@ -265,4 +266,4 @@ def test_a_straight_tendon_keeps_the_energy_in_flight():
         sim.advance(round(0.1 / step), np.full(4, 0.5))
         errors.append(abs(sim.energy() / before - 1))
     assert errors[0] < 1e-3
-    assert np.log2(errors[0] / errors[1]) > 1.5  # two in the limit; the stiff modes come late
+    assert np.log2(errors[0] / errors[1]) > 1.5  # two in the limit; the stiff modes converge late

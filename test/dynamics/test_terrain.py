@@ -1,4 +1,4 @@
-"""Height maps against SciPy's interpolation and against the plane that an inclined one is."""
+"""Height maps compared with SciPy's interpolation and with an inclined plane."""
 
 import numpy as np
 import pytest
@@ -20,38 +20,40 @@ EXACT = RegularGridInterpolator((Y, X), HEIGHT)
 
 
 @njit
-def look(terrain, x, y):
+def ground_at(terrain, x, y):
     below = ground(terrain, x, y)
     return below.height, below.slope_x, below.slope_y
 
 
-def test_heights_are_scipys():
+def test_heights_match_scipy():
     for x, y in np.random.default_rng(6).uniform([X[0], Y[0]], [X[-1], Y[-1]], (300, 2)):
-        assert look(Terrain(HEIGHT, SPACING), x, y)[0] == pytest.approx(EXACT((y, x)), abs=1e-15)
+        assert ground_at(Terrain(HEIGHT, SPACING), x, y)[0] == pytest.approx(
+            EXACT((y, x)), abs=1e-15
+        )
 
 
-def test_slopes_are_those_of_the_heights():
+def test_slopes_are_the_derivatives_of_the_heights():
     step = 1e-6
     inner = np.random.default_rng(7).uniform(0.02, 0.98, (300, 2)) + np.random.default_rng(
         8
     ).integers(0, [9, 6], (300, 2))
-    for x, y in inner * SPACING + [X[0], Y[0]]:  # the differences stay within a cell
-        _, a, b = look(Terrain(HEIGHT, SPACING), x, y)
-        # Bilinear: differences along the axes are exact but for rounding, 1e-17 / 1e-6.
+    for x, y in inner * SPACING + [X[0], Y[0]]:  # the central differences stay within a cell
+        _, a, b = ground_at(Terrain(HEIGHT, SPACING), x, y)
+        # Bilinear: differences along the axes are exact up to rounding, 1e-17 / 1e-6.
         assert a == pytest.approx((EXACT((y, x + step)) - EXACT((y, x - step))) / 2e-6, abs=1e-9)
         assert b == pytest.approx((EXACT((y + step, x)) - EXACT((y - step, x))) / 2e-6, abs=1e-9)
 
 
-def test_beyond_its_edge_the_floor_goes_on_at_the_height_of_the_edge():
+def test_beyond_its_edge_the_floor_continues_at_the_height_of_the_edge():
     for x, y in [(-1.0, 0.013), (1.0, 0.013), (0.021, -1.0), (0.021, 1.0), (2.0, -3.0)]:
-        height, a, b = look(Terrain(HEIGHT, SPACING), x, y)
+        height, a, b = ground_at(Terrain(HEIGHT, SPACING), x, y)
         edge = np.clip(x, X[0], X[-1]), np.clip(y, Y[0], Y[-1])
         assert height == pytest.approx(EXACT(edge[::-1]), abs=1e-15)
         assert a == 0.0 or abs(x) < 0.5
         assert b == 0.0 or abs(y) < 0.5
 
 
-def test_no_name_is_the_plane():
+def test_an_empty_name_is_the_plane():
     assert read_terrain("", 1.0).height.shape == (1, 1)
 
 
@@ -62,7 +64,7 @@ TURN = Rotation.from_rotvec([0.0, -SLOPE, 0.0]).as_matrix()  # the plane's axes 
 
 @pytest.fixture
 def maps(tmp_path, monkeypatch):
-    """A configuration directory with the inclined plane as a height map, and some bumps."""
+    """A configuration directory with two height maps, an inclined plane and bumps."""
     scenes = tmp_path / "scene"
     scenes.mkdir()
     np.savetxt(scenes / "plane.csv", PLANE, delimiter=",", fmt="%.18e")
@@ -81,7 +83,7 @@ def maps(tmp_path, monkeypatch):
 @pytest.mark.parametrize("law", ["viscous", "bristle"])
 @pytest.mark.parametrize(("friction", "pulled"), [(0.4, 1.1), (0.1, 1.1), (0.3, 0.0)])
 def test_an_inclined_height_map_is_a_plane_under_tilted_gravity(maps, law, friction, pulled):
-    """Falls on it from 20 mm, stands, slides, or lies on the corners of its torso: 0.5 s."""
+    """For 0.5 s after a fall from 20 mm: standing, sliding, or lying on the torso's corners."""
     common = {
         "start__settle": 0.0,
         "start__height": 0.04,
@@ -96,7 +98,7 @@ def test_an_inclined_height_map_is_a_plane_under_tilted_gravity(maps, law, frict
     tilted.state.rotation[:] = TURN
     for sim in (flat, tilted):
         sim.advance(500, np.full(4, pulled))
-    # Rounding, grown by contacts that open and close.
+    # Rounding, amplified by contacts that open and close.
     np.testing.assert_allclose(tilted.position, TURN @ flat.position, atol=1e-8)
     np.testing.assert_allclose(tilted.rotation, TURN @ flat.rotation, atol=1e-7)
     np.testing.assert_allclose(tilted.nodes, flat.nodes @ TURN.T, atol=1e-7)
@@ -104,7 +106,7 @@ def test_an_inclined_height_map_is_a_plane_under_tilted_gravity(maps, law, frict
     assert tilted.energy() == pytest.approx(flat.energy(), abs=1e-6)
     if pulled == 0.0:
         corners = flat.position + flat.model.torso.corners @ flat.rotation.T
-        assert corners[:, 2].min() < 0.0  # its torso lies on the floor
+        assert corners[:, 2].min() < 0.0  # the torso lies on the floor
 
 
 def test_bumps_carry_the_weight(maps):
@@ -119,4 +121,4 @@ def test_bumps_carry_the_weight(maps):
     np.testing.assert_allclose(
         sim.ground_force.sum(0), [0.0, 0.0, sim.robot.weight], atol=1e-3 * sim.robot.weight
     )
-    assert np.abs(sim.rpy[:2]).max() > 1e-3  # it stands askew
+    assert np.abs(sim.rpy[:2]).max() > 1e-3  # it stands tilted

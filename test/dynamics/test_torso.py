@@ -1,4 +1,4 @@
-"""The torso against Euler's equations and plain linear algebra."""
+"""The torso compared with Euler's equations and NumPy's linear algebra."""
 
 import dataclasses
 
@@ -39,13 +39,13 @@ def corners(H, g, torso, floor, pose):
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-6, 9e-3, 1.1e-2, 1.0, 3.0])
-def test_rotation_is_scipys(size):
+def test_rotation_matches_scipy(size):
     vector, out = size * np.array([2.0, -3.0, 6.0]) / 7.0, np.zeros((3, 3))
     rotate(out, vector)
     np.testing.assert_allclose(out, Rotation.from_rotvec(vector).as_matrix(), atol=3e-16)
 
 
-def test_solve_is_numpys_and_knows_an_indefinite_matrix():
+def test_solve_matches_numpy_and_detects_an_indefinite_matrix():
     root = np.random.default_rng(0).normal(size=(6, 6))
     matrix, right = root @ root.T + np.eye(6), np.arange(6.0)
     x = right.copy()
@@ -54,8 +54,8 @@ def test_solve_is_numpys_and_knows_an_indefinite_matrix():
     assert not solve_here(matrix - 5.0 * np.eye(6), right.copy())
 
 
-def test_corners_push_at_their_place():
-    """Force, moment and stiffness of a box that dips one edge into the floor, by hand."""
+def test_corner_forces_act_at_the_corners():
+    """Force, moment and stiffness of a box with one edge below the floor, computed by hand."""
     torso, floor = box(ROBOT.torso), FLOOR._replace(corner_damping=0.0, corner_friction=0.0)
     H, g = np.zeros((6, 6)), np.zeros(6)
     pitch = 0.02
@@ -72,7 +72,10 @@ def test_corners_push_at_their_place():
 
 
 def spinning(step, theta, angular_velocity, seconds, payload=(0.0, 0.0, 0.0, 0.0)):
-    """A robot with legs as stiff as they get, floating and spinning; payload: kg and its place."""
+    """A floating, spinning robot with the stiffest legs allowed, and its inertia (3, 3).
+
+    payload: mass, kg, and position, m.
+    """
     leg = dataclasses.replace(ROBOT.leg, young_modulus=1e9)
     scene = config.replace(
         read_scene("flat"),
@@ -104,7 +107,7 @@ def spinning(step, theta, angular_velocity, seconds, payload=(0.0, 0.0, 0.0, 0.0
 
 
 def euler(inertia, start, seconds):
-    """Orientation and angular velocity of a free rigid body, by an integrator of high order."""
+    """Orientation and angular velocity of a free rigid body, with a high-order integrator."""
 
     def derivative(_, y):
         spin = y[9:]
@@ -116,7 +119,7 @@ def euler(inertia, start, seconds):
 
 
 def test_a_stiff_robot_tumbles_by_eulers_equations():
-    start = np.array([0.3, 4.0, 0.5])  # mostly about one axis, so that the others exchange
+    start = np.array([0.3, 4.0, 0.5])  # mostly about one axis; the others exchange spin
     sim, inertia = spinning(5e-4, 0.5, start, 1.0)
     orientation, spin = euler(inertia, start, 1.0)
     # Legs of 1e9 Pa still bend by some 1e-3 rad under the spin; the scheme adds (h w)^2 = 4e-6.
@@ -124,7 +127,7 @@ def test_a_stiff_robot_tumbles_by_eulers_equations():
     np.testing.assert_allclose(sim.rotation, orientation, atol=0.01)
 
 
-LOAD = (0.8, 0.04, -0.03, 0.05)  # kg and its place
+LOAD = (0.8, 0.04, -0.03, 0.05)  # mass, kg, and position, m
 
 
 def test_a_stiff_robot_tumbles_with_a_payload_by_eulers_equations():
@@ -132,7 +135,7 @@ def test_a_stiff_robot_tumbles_with_a_payload_by_eulers_equations():
     sim, inertia = spinning(5e-4, 0.5, start, 1.0, LOAD)
     orientation, spin = euler(inertia, start, 1.0)
     without, _ = spinning(5e-4, 0.5, start, 1.0)
-    np.testing.assert_allclose(sim.angular_velocity, spin, atol=0.02)  # as without a payload
+    np.testing.assert_allclose(sim.angular_velocity, spin, atol=0.02)  # the bound without payload
     np.testing.assert_allclose(sim.rotation, orientation, atol=0.01)
     assert np.abs(sim.angular_velocity - without.angular_velocity).max() > 0.2
 
@@ -145,7 +148,7 @@ def flying(step=1e-3, theta=0.5, **changes):
     return RodRobot(ROBOT, config.replace(read_scene("flat"), changes), read_servo())
 
 
-def test_momentum_with_a_payload_is_kept_while_the_tendons_pull():
+def test_momentum_with_a_payload_is_conserved_while_the_tendons_pull():
     errors = []
     for step in (2e-3, 1e-3):
         sim = flying(step, payload__mass=LOAD[0], payload__place=LOAD[1:])
@@ -153,13 +156,13 @@ def test_momentum_with_a_payload_is_kept_while_the_tendons_pull():
         before = sim.momentum()
         sim.advance(round(0.4 / step), np.full(4, 1.5))
         after = sim.momentum()
-        # Where the payload is off the centre, the turn in a step is not exact for it.
+        # For a payload off the centre the rotation within a step is not exact.
         errors.append([np.linalg.norm(a - b) / np.linalg.norm(b) for a, b in zip(after, before)])
     assert np.max(errors[0]) < 1e-4
     assert (np.log2(np.array(errors[0]) / errors[1]) > 1.9).all()  # second order
 
 
-def test_a_push_gives_its_impulse():
+def test_a_push_changes_momentum_by_its_impulse():
     sim, force = flying(theta=0.55), np.array([3.0, -4.0, 5.0])
     before = sim.momentum()[0]
     sim.push(force, np.zeros(3))
@@ -171,8 +174,8 @@ def test_a_push_gives_its_impulse():
     np.testing.assert_allclose(sim.momentum()[0], pushed, rtol=1e-12)
 
 
-def test_a_pushs_moment_gives_its_angular_impulse():
-    """About odom's axes, whatever way the torso has turned, and that of the force about odom."""
+def test_a_push_changes_angular_momentum_by_its_angular_impulse():
+    """Its moment acts about odom's axes at any orientation; its force has a moment about odom."""
     force, moment, errors = np.array([3.0, -4.0, 5.0]), np.array([0.3, 0.2, -0.1]), []
     for step in (2e-3, 1e-3):
         sim = flying(step)
@@ -195,7 +198,7 @@ def test_pushes_add_up():
     np.testing.assert_array_equal(sim.model.push, [2.0, 2.0, 3.0, 4.0, 5.0, 0.0])
 
 
-def test_feet_carry_a_payload_where_it_is():
+def test_the_forces_of_the_feet_balance_an_eccentric_payload():
     """Moments of the feet's forces about the centre of mass cancel; they act at the tips."""
     mass, place = 0.5, np.array([-0.03, 0.02, 0.03])
     changes = {
@@ -216,4 +219,4 @@ def test_feet_carry_a_payload_where_it_is():
     moment = np.cross(nodes[:, -1] - centre, force).sum(0)
     scale = 0.1 * force[:, 2].sum()  # N m, the weight on an arm of 0.1 m
     np.testing.assert_allclose(moment, 0.0, atol=1e-4 * scale)
-    assert np.abs(force[:, 2] - force[:, 2].mean()).max() > 0.3  # the payload is felt
+    assert np.abs(force[:, 2] - force[:, 2].mean()).max() > 0.3  # the payload has an effect

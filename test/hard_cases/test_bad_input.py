@@ -1,4 +1,4 @@
-"""Nonsense is refused by name; a solution that is lost says when and where. No silent NaN."""
+"""Invalid input is refused by name; a diverged solution reports time and place. No silent NaN."""
 
 import math
 
@@ -23,7 +23,7 @@ BOUNDED = [
 
 
 def replaced(source, name, make):
-    """A settings object with the value at a name made anew from value and bounds."""
+    """Settings with the value at `name` replaced by make(value, metadata); a tuple's first item."""
     value, meta = {n: (v, m) for n, v, m in config.leaves(SETTINGS[source])}[name]
     new = make(value, meta)
     new = [new, *value[1:]] if isinstance(value, tuple) else new
@@ -44,7 +44,7 @@ def test_every_bounded_value_is_refused_beyond_its_bounds(source, name, bound):
 
 @pytest.mark.parametrize(("source", "name"), BOUNDED)
 @pytest.mark.parametrize("nonsense", [math.nan, "much"])
-def test_no_bounded_value_may_be_nan_or_a_word(source, name, nonsense):
+def test_no_bounded_value_may_be_nan_or_a_string(source, name, nonsense):
     with pytest.raises(ConfigError, match=rf"{name}.* = {nonsense}|{name}.* = '{nonsense}'"):
         replaced(source, name, lambda value, _: nonsense)
 
@@ -76,7 +76,7 @@ def test_no_bounded_value_may_be_nan_or_a_word(source, name, nonsense):
         ("servo", "backlash_deg", -1.0),
     ],
 )
-def test_what_cannot_be_is_refused_by_its_name_and_value(source, name, value):
+def test_an_impossible_value_is_refused_by_name(source, name, value):
     with pytest.raises(ConfigError, match=rf"{name}"):
         config.replace(SETTINGS[source], {name: value})
 
@@ -85,7 +85,7 @@ def test_what_cannot_be_is_refused_by_its_name_and_value(source, name, value):
     ("text", "message"),
     [(None, "uneven"), ("1.0\n", "2 x 2"), ("0,nan\n0,0\n", "finite"), ("0,a\n0,0\n", "bad.csv")],
 )
-def test_a_height_map_that_is_none_is_refused_by_name(tmp_path, monkeypatch, text, message):
+def test_an_invalid_height_map_is_refused_by_name(tmp_path, monkeypatch, text, message):
     (tmp_path / "scene").mkdir()
     if text is not None:
         (tmp_path / "scene" / "bad.csv").write_text(text)
@@ -106,7 +106,7 @@ def sim():
 
 
 @pytest.mark.parametrize("command", [[math.nan] * 4, [0.0, 0.0, 0.0, math.inf], [0.5], "pull"])
-def test_a_command_that_is_none_is_refused_and_nothing_moves(sim, command):
+def test_an_invalid_command_is_refused_and_leaves_the_state_unchanged(sim, command):
     before = sim.state.buffer.copy()
     with pytest.raises(ValueError, match=r".+"):
         sim.advance(1, command)
@@ -126,7 +126,7 @@ def test_a_command_that_is_none_is_refused_and_nothing_moves(sim, command):
         lambda sim: sim.damage_tendon(0, slack=-1e-3),
     ],
 )
-def test_a_push_or_fault_that_is_none_is_refused(sim, act):
+def test_an_invalid_push_or_tendon_damage_is_refused(sim, act):
     with pytest.raises(ValueError, match=r"push|leg"):
         act(sim)
 
@@ -139,12 +139,12 @@ def test_a_push_or_fault_that_is_none_is_refused(sim, act):
         ("rotation", (0, 2), "torso"),
         ("velocity", 0, "torso"),
         ("rate", 2, "torso"),
-        ("node", (2, 9, 1), "torso"),  # one step spreads it all over: the torso is looked at first
+        ("node", (2, 9, 1), "torso"),  # NaN spreads in one step; the torso is checked first
         ("node_velocity", (1, 21, 2), "torso"),
-        ("tendon_angle", 3, "leg RR node 0"),  # its tendon goes slack, which would hide it
+        ("tendon_angle", 3, "leg RR node 0"),  # its tendon goes slack, so no node would show it
     ],
 )
-def test_a_number_that_is_none_ends_the_run_and_says_where(halvings, part, index, place):
+def test_a_nan_in_the_state_raises_divergence_with_its_place(halvings, part, index, place):
     changes = {"start.settle": 0.0, "solver.halvings": halvings}
     scene = config.replace(SETTINGS["scene"], changes)
     sim = RodRobot(SETTINGS["robot"], scene, SETTINGS["servo"])
@@ -155,7 +155,7 @@ def test_a_number_that_is_none_ends_the_run_and_says_where(halvings, part, index
     assert sim.steps == 3
 
 
-def test_a_node_that_is_too_fast_ends_the_run_and_says_which():
+def test_a_node_beyond_the_speed_limit_raises_divergence_with_its_place():
     changes = {"start.settle": 0.0, "start.height": 0.5, "solver.speed_limit": 5.0}
     sim = RodRobot(SETTINGS["robot"], config.replace(SETTINGS["scene"], changes), SETTINGS["servo"])
     sim.state.node_velocity[2, 21] = [0.0, 0.0, 40.0]

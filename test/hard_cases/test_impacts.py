@@ -1,4 +1,4 @@
-"""Falls, spins and sudden pulls: finite, no energy from nowhere, no sinking, one answer."""
+"""Falls, spins and sudden pulls: finite, no energy gain, no sinking, same result at h/2."""
 
 import dataclasses
 
@@ -10,23 +10,23 @@ from slot_core.robot import read_robot
 
 
 @pytest.mark.parametrize("name", IMPACTS)
-def test_a_fall_keeps_its_limits(name):
+def test_a_fall_stays_within_its_limits(name):
     record = examine(IMPACTS[name])
     assert record.holds(IMPACTS[name].limits), record
 
 
 @pytest.mark.parametrize("name", PULLS)
-def test_a_sudden_pull_keeps_its_limits(name):
+def test_a_sudden_pull_stays_within_its_limits(name):
     record = examine(PULLS[name])
     assert record.holds(PULLS[name].limits), record
     assert not record.unconverged
 
 
-def test_the_full_pull_is_that_of_the_robot():
+def test_the_full_pull_is_the_largest_tendon_angle_of_the_robot():
     assert read_robot().tendon.angle_max_deg == FULL_DEG
 
 
-def test_it_is_the_halving_that_keeps_a_tendon_wound_up_at_once():
+def test_a_full_pull_within_one_step_diverges_without_halving():
     case = PULLS["full pull within one step, in the air"]
     whole = dataclasses.replace(case, scene={**case.scene, "solver.halvings": 0})
     assert examine(case).halvings > 0

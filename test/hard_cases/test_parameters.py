@@ -15,30 +15,30 @@ from slot_core.simulation.rod_robot import RodRobot
 
 
 @pytest.mark.parametrize("name", PARAMETERS)
-def test_a_parameter_at_the_end_of_its_range_keeps_its_limits(name):
+def test_a_parameter_at_the_end_of_its_range_stays_within_its_limits(name):
     record = examine(PARAMETERS[name])
     assert record.holds(PARAMETERS[name].limits), record
     assert not record.unconverged
 
 
 @pytest.mark.parametrize("name", ["contact of 1e7 N/m", "EA x 100"])
-def test_it_is_the_halving_that_keeps_it(name):
+def test_the_case_diverges_without_halving(name):
     case = PARAMETERS[name]
     assert examine(case).halvings > 0
     whole = dataclasses.replace(case, scene={**case.scene, "solver.halvings": 0})
     assert "beyond 100.0 m/s" in examine(whole).lost
 
 
-def test_the_limit_of_the_correction_follows_the_contact():
-    """At 1e7 N/m a correction that the soft floor bears is energy from nowhere."""
+def test_the_correction_limit_must_scale_with_the_contact_stiffness():
+    """At 1e7 N/m a correction that is acceptable on the soft floor gains energy."""
     case = PARAMETERS["contact of 1e7 N/m"]
-    # What leaves a node misplaced by 0.25 mm, as on the floor of 2e4 N/m.
+    # Allows a position error of 0.25 mm, as on the floor of 2e4 N/m.
     loose = {**case.scene, "solver.correction_limit": 0.3}
     assert examine(dataclasses.replace(case, scene=loose)).gained > case.limits.gained
 
 
 def test_every_step_with_a_pivot_that_is_not_positive_is_halved():
-    """Even where the correction may be as large as it likes; that alone would not keep the case."""
+    """Also with an unlimited correction; halving at such pivots alone would not save the case."""
     case = PARAMETERS["EA x 100"]
     scene = config.replace(read_scene("flat"), {**case.scene, "solver.correction_limit": 1e6})
     sim = RodRobot(read_robot(), scene, read_servo())

@@ -13,20 +13,20 @@ from slot_core.simulation.rod_robot import RodRobot
 
 
 @pytest.mark.parametrize("name", FOLDS)
-def test_the_way_through_the_fold_keeps_its_limits(name):
+def test_the_path_through_the_fold_stays_within_its_limits(name):
     record = examine(FOLDS[name])
     assert record.holds(FOLDS[name].limits), record
 
 
 @pytest.mark.parametrize("name", STEPS)
-def test_a_time_step_keeps_its_limits(name):
+def test_a_time_step_stays_within_its_limits(name):
     record = examine(STEPS[name])
     assert record.holds(STEPS[name].limits), record
     assert not record.unconverged
 
 
 def stand(scene, seconds, **changes):
-    """How far the torso and any node go, mm, and the same in one part of six at the end."""
+    """Largest displacement of torso or nodes, mm, over the whole time and over its last sixth."""
     changes = {name.replace("__", "."): value for name, value in changes.items()}
     sim = RodRobot(read_robot(), config.replace(read_scene(scene), changes), read_servo())
     places = []
@@ -39,14 +39,14 @@ def stand(scene, seconds, **changes):
 
 @pytest.mark.parametrize("step", [1e-3, 5e-4])
 def test_a_minute_of_standing_on_bristles_creeps_less_than_a_tenth_of_a_millimetre(step):
-    # It settles for 1 s, of which what is left of the swinging is gone after ten more.
+    # It has settled for 1 s; the remaining oscillation has decayed after ten more.
     moved, late = stand("stick", 60.0, solver__step=step)
     assert moved < 0.1
-    assert late < 1e-6  # nothing is left that creeps: rounding over 10 000 steps
+    assert late < 1e-6  # no creep: rounding over 10 000 steps
 
 
-def test_viscous_friction_is_the_one_that_creeps():
-    """On an incline of 5 deg, at eps tan(slope) / mu = 0.2 mm/s, where bristles hold."""
+def test_viscous_friction_creeps_where_bristles_hold():
+    """On an incline of 5 deg, at eps tan(slope) / mu = 0.2 mm/s."""
     creeping = stand("slope5", 3.0)[1] / 0.5
     sticking = stand("slope5", 3.0, floor__friction_law="bristle")[1] / 0.5
     assert 0.1 < creeping < 0.3  # mm/s
