@@ -40,12 +40,8 @@ class ServoModel:
     firmware: int = quantity("firmware version", "", 1, 255)
     loop_period: float = quantity("period of the control loop", "s", 1e-4, 0.01)
     voltage: float = quantity("supply voltage", "V", 0.0, 20.0)
-    overload_share: float = quantity(
-        "load above which the servo is overloaded", "of stall", 0.0, 1.0
-    )
-    overload_time: float = quantity(
-        "time above this load until the overload error", "s", 0.0, 100.0
-    )
+    overload_share: float = quantity("load that counts as overload", "of stall", 0.0, 1.0)
+    overload_time: float = quantity("overload until the hardware error", "s", 0.0, 100.0)
     boot_time: float = quantity("time without answers after a reboot", "s", 0.0, 10.0)
 
 
