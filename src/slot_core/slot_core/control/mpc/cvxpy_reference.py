@@ -19,7 +19,6 @@ from slot_core.robot import Array, Robot
 
 SOLVERS: dict[str, dict[str, Any]] = {
     "CLARABEL": {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11},
-    "SCS": {},  # default tolerances
 }
 
 

@@ -1,24 +1,24 @@
-"""Kernels of the Riccati recursion: a Newton step of the interior point, one stage after the other.
+"""Kernels of the Riccati recursion: a Newton step of the interior-point method, stage by stage.
 
 The MPC's torso is a double integrator driven by the wrench w = W u of twelve forces, and every
 constraint is on the three forces of one leg. So a Newton step of the interior-point method
 (`interior_point.py`) is a linear-quadratic problem over the horizon (Rao, Wright, Rawlings, JOTA
-1998), and that shrinks twice:
+1998). Two properties reduce its size:
 
 - In the coordinates xi = [E^-1 q, v] of positions q and velocities v, E = a[:6, 6:], the model is
 
       xi+ = [I I; 0 I] xi + [I/2; I] w,      so that A'PA and B'PB are sums of 6 x 6 blocks.
 
 - The barrier's Hessian R~ = R + G' diag(m/s) G is an arrow matrix for each leg, whose inverse is in
-  closed form T diag(d) T'. The inputs leave M = W R~^-1 W' (6 x 6), and with M = C C', S = B'PB the
-  recursion is
+  closed form T diag(d) T'. Eliminating the inputs gives M = W R~^-1 W' (6 x 6). With M = C C' and
+  S = B'PB the recursion is
 
       P- = Q + A'PA - (Y F)'(Y F),   Y = chol(I + C'SC)^-1 C',   F = B'PA,
 
-  without an inverse of M: a leg in the air has R~^-1 = 0, and in flight M = 0.
+  without the inverse of M, since a leg in the air has R~^-1 = 0, and in flight M = 0.
 
-Innermost loops run over contiguous entries and few carry a sum, so that they fill the processor's
-vectors; nothing is reordered or fused, so that every processor gives the same bits.
+Innermost loops run over contiguous entries, and few carry a sum, so that they vectorise. Operations
+are neither reordered nor fused, so that every processor gives the same bits.
 """
 
 from __future__ import annotations
@@ -29,34 +29,32 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from slot_core import compiled
+from slot_core.control.mpc.model import FEET, INPUTS, STATES
 from slot_core.robot import Array
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-FEET = 4
-INPUTS = 12
-HALF = 6  # positions, velocities, wrench
-STATES = 2 * HALF
+HALF = STATES // 2  # size of positions, velocities and wrench
 SIDES = 6  # limits of a leg: mu f_z -+ f_x >= 0, mu f_z -+ f_y >= 0, f_z >= 0, f_max - f_z >= 0
-NOTHING = 1e-9  # N or friction: below it a force is zero instead of squeezed between two limits
+NEGLIGIBLE = 1e-9  # N, or of friction: below it the force is set to zero, without constraints
 
 
 def helper(function: F) -> F:
-    """Compile a function that only kernels call; every processor gives the same bits."""
+    """Compile a function called only by kernels; every processor gives the same bits."""
     return compiled.helper(function, fused=False)
 
 
 def kernel(function: F) -> F:
-    """Compile a function that Python calls; every processor gives the same bits."""
+    """Compile a function called from Python; every processor gives the same bits."""
     return compiled.kernel(function, fused=False)
 
 
 class QuadraticProgram(NamedTuple):
-    """The quadratic programme, stage by stage; states and their costs are those of its end."""
+    """Quadratic programme, stage by stage; states and their costs are those at the stage's end."""
 
     weight: Array  # (H, 24) diagonal of P: inputs, states
     linear: Array  # (H, 24) c
-    drift: Array  # (H, 12) b; that of stage 0 holds a x_0 too
+    drift: Array  # (H, 12) b; that of stage 0 includes a x_0
     step: Array  # (6, 6) E, positions per velocity
     gain: Array  # (12, 6) W', velocities per force
     friction: Array  # (H, 4)
@@ -64,37 +62,37 @@ class QuadraticProgram(NamedTuple):
 
 
 class Iterate(NamedTuple):
-    """Where the method stands and where it goes."""
+    """Present iterate of the method, its step and its gradients."""
 
     u: Array  # (H, 4, 3) forces, always within their limits
-    slack: Array  # (H, 4, 6) their distances from them
+    slack: Array  # (H, 4, 6) distances of the forces from their limits
     multiplier: Array  # (H, 4, 6)
     u_step: Array
     slack_step: Array
     multiplier_step: Array
-    wanted: Array  # (H, 4, 6) multipliers that the barrier wants, where the slack stays
+    multiplier_target: Array  # (H, 4, 6) of the barrier at the present slacks
     x: Array  # (H, 12) states
-    slope_x: Array  # (H, 12) of the cost by xi
-    slope_u: Array  # (H, 4, 3) of the cost by u
-    pull: Array  # (H, 4, 3) slope of cost and barrier by u
-    curve: Array  # (H, 6, 6) of the cost by E^-1 q
+    gradient_x: Array  # (H, 12) of the cost by xi
+    gradient_u: Array  # (H, 4, 3) of the cost by u
+    barrier_gradient: Array  # (H, 4, 3) of cost and barrier by u
+    hessian_q: Array  # (H, 6, 6) of the cost by E^-1 q
 
 
 class Factor(NamedTuple):
-    """The factorisation, and the vectors that solving with it passes from stage to stage."""
+    """Factorisation of the Newton step, and work vectors of its solution."""
 
     p: Array  # (3, 6, 6) P11, P12, P22
-    arrow: Array  # (H, 4, 5) of R~^-1: two entries of T, then d
-    spread: Array  # (12, 6) W T diag(d)^1/2, transposed
+    arrow: Array  # (H, 4, 5) R~^-1: two entries of T, then d
+    scaled_gain: Array  # (12, 6) W T diag(d)^1/2, transposed
     m: Array  # (6, 6) M, then C
     t: Array  # (6, 6) I + C'SC, then its Cholesky factor
     s: Array  # (H, 6, 6)
     f: Array  # (H, 6, 12)
     y: Array  # (H, 6, 6)
     yf: Array  # (H, 6, 12)
-    bent: Array  # (H, 6) slope by the wrench at the stage's end
-    wrench: Array  # (H, 6) if the stage starts at xi = 0
-    vector: Array  # (4, 12) for what lasts one stage
+    wrench_gradient: Array  # (H, 6) of the cost to go by the wrench
+    wrench: Array  # (H, 6) for xi = 0 at the stage's start
+    vector: Array  # (4, 12) work space within one stage
 
 
 @helper
@@ -125,7 +123,7 @@ def add_product(matrix: Array, vector: Array, out: Array) -> None:
 
 @helper
 def cholesky(a: Array) -> None:
-    """Replace a by c with a = c c'; where a has no rank left, c has a column of zeros."""
+    """Replace a by c with a = c c'; for a non-positive pivot the column of c is zero."""
     for k in range(HALF):
         pivot = a[k, k]
         inverse = 1.0 / np.sqrt(pivot) if pivot > 0.0 else 0.0
@@ -140,24 +138,24 @@ def cholesky(a: Array) -> None:
 
 @helper
 def bounded(pb: QuadraticProgram, k: int, leg: int, side: int) -> bool:
-    """Whether a limit is one: those of a leg in the air and of no friction are forces of zero."""
-    if pb.limit[k, leg] <= NOTHING:
+    """Whether a limit is a constraint: not for a leg in the air, nor without friction."""
+    if pb.limit[k, leg] <= NEGLIGIBLE:
         return False
-    return side >= 4 or pb.friction[k, leg] > NOTHING
+    return side >= 4 or pb.friction[k, leg] > NEGLIGIBLE
 
 
 @helper
 def invert_leg(pb: QuadraticProgram, it: Iterate, k: int, leg: int, arrow: Array) -> None:
     """R~^-1 of a leg: T has the last column (-arrow[0], -arrow[1], 1), d is arrow[2:].
 
-    The pivot of f_z is summed from positive terms: subtracting would lose it to roundoff.
+    The pivot of f_z is a sum of positive terms; a difference would suffer cancellation.
     """
     clear(arrow)
-    if pb.limit[k, leg] <= NOTHING:
+    if pb.limit[k, leg] <= NEGLIGIBLE:
         return
     s, m, mu = it.slack[k, leg], it.multiplier[k, leg], pb.friction[k, leg]
     pivot = pb.weight[k, 3 * leg + 2] + m[4] / s[4] + m[5] / s[5]
-    if mu > NOTHING:
+    if mu > NEGLIGIBLE:
         for axis in range(2):
             r = pb.weight[k, 3 * leg + axis]
             low, high = m[2 * axis] / s[2 * axis], m[2 * axis + 1] / s[2 * axis + 1]
@@ -169,7 +167,7 @@ def invert_leg(pb: QuadraticProgram, it: Iterate, k: int, leg: int, arrow: Array
 
 
 @helper
-def answer(arrow: Array, g: Array, out: Array) -> None:
+def apply_inverse(arrow: Array, g: Array, out: Array) -> None:
     """out = -R~^-1 g of a leg."""
     z = (g[2] - arrow[0] * g[0] - arrow[1] * g[1]) * arrow[4]
     out[0] = arrow[0] * z - arrow[2] * g[0]
@@ -178,28 +176,28 @@ def answer(arrow: Array, g: Array, out: Array) -> None:
 
 
 @helper
-def gather(arrow: Array, gain: Array, spread: Array, m: Array) -> None:
-    """M = W R~^-1 W' of the four legs."""
+def sum_legs(arrow: Array, gain: Array, scaled_gain: Array, m: Array) -> None:
+    """m = W R~^-1 W' of the four legs; arrow is that of `Factor`."""
     for leg in range(FEET):
         a = arrow[leg]
         x, y, z = np.sqrt(a[2]), np.sqrt(a[3]), np.sqrt(a[4])
         for i in range(HALF):
             wx, wy, wz = gain[3 * leg, i], gain[3 * leg + 1, i], gain[3 * leg + 2, i]
-            spread[3 * leg, i] = wx * x
-            spread[3 * leg + 1, i] = wy * y
-            spread[3 * leg + 2, i] = (wz - a[0] * wx - a[1] * wy) * z
+            scaled_gain[3 * leg, i] = wx * x
+            scaled_gain[3 * leg + 1, i] = wy * y
+            scaled_gain[3 * leg + 2, i] = (wz - a[0] * wx - a[1] * wy) * z
     for i in range(HALF):
         clear(m[i])
     for column in range(INPUTS):
         for i in range(HALF):
-            w = spread[column, i]
+            w = scaled_gain[column, i]
             for j in range(HALF):
-                m[i, j] += w * spread[column, j]
+                m[i, j] += w * scaled_gain[column, j]
 
 
 @helper
 def project(p: Array, s: Array, f: Array) -> None:
-    """S = B'PB and F = B'PA."""
+    """s = B'PB and f = B'PA."""
     for i in range(HALF):
         for j in range(HALF):
             first = 0.5 * p[0, i, j] + p[1, j, i]
@@ -209,8 +207,8 @@ def project(p: Array, s: Array, f: Array) -> None:
 
 
 @helper
-def weigh(s: Array, c: Array, y: Array, t: Array) -> None:
-    """t = chol(I + C'SC); y is used on the way."""
+def factorise_inner(s: Array, c: Array, y: Array, t: Array) -> None:
+    """t = chol(I + C'SC); y is work space."""
     for i in range(HALF):
         clear(y[i])
         for k in range(HALF):
@@ -229,8 +227,8 @@ def weigh(s: Array, c: Array, y: Array, t: Array) -> None:
 
 
 @helper
-def solve_factor(t: Array, c: Array, y: Array) -> None:
-    """Y = t^-1 C'."""
+def solve_inner(t: Array, c: Array, y: Array) -> None:
+    """y = t^-1 C'."""
     for i in range(HALF):
         for j in range(HALF):
             y[i, j] = c[j, i]
@@ -245,7 +243,7 @@ def solve_factor(t: Array, c: Array, y: Array) -> None:
 
 @helper
 def multiply(y: Array, f: Array, yf: Array) -> None:
-    """Y F."""
+    """yf = Y F."""
     for i in range(HALF):
         clear(yf[i])
         for k in range(HALF):
@@ -255,8 +253,8 @@ def multiply(y: Array, f: Array, yf: Array) -> None:
 
 
 @helper
-def pass_on(p: Array, yf: Array) -> None:
-    """P of the stage before, its own Q left out: A'PA - (Y F)'(Y F)."""
+def previous_cost_to_go(p: Array, yf: Array) -> None:
+    """P of the previous stage, without its Q: A'PA - (Y F)'(Y F)."""
     for i in range(HALF):
         for j in range(HALF):
             p[2, i, j] += p[0, i, j] + p[1, i, j] + p[1, j, i]
@@ -274,7 +272,7 @@ def pass_on(p: Array, yf: Array) -> None:
 
 @helper
 def factorise(pb: QuadraticProgram, it: Iterate, fa: Factor) -> None:
-    """The recursion from the last stage to the first."""
+    """Riccati recursion, from the last stage to the first."""
     p = fa.p
     for i in range(HALF):
         clear(p[0, i])
@@ -283,32 +281,32 @@ def factorise(pb: QuadraticProgram, it: Iterate, fa: Factor) -> None:
     for k in range(len(pb.weight) - 1, -1, -1):
         for i in range(HALF):
             for j in range(HALF):
-                p[0, i, j] += it.curve[k, i, j]
+                p[0, i, j] += it.hessian_q[k, i, j]
             p[2, i, i] += pb.weight[k, INPUTS + HALF + i]
         for leg in range(FEET):
             invert_leg(pb, it, k, leg, fa.arrow[k, leg])
-        gather(fa.arrow[k], pb.gain, fa.spread, fa.m)
+        sum_legs(fa.arrow[k], pb.gain, fa.scaled_gain, fa.m)
         project(p, fa.s[k], fa.f[k])
         cholesky(fa.m)
-        weigh(fa.s[k], fa.m, fa.y[k], fa.t)
-        solve_factor(fa.t, fa.m, fa.y[k])
+        factorise_inner(fa.s[k], fa.m, fa.y[k], fa.t)
+        solve_inner(fa.t, fa.m, fa.y[k])
         multiply(fa.y[k], fa.f[k], fa.yf[k])
-        pass_on(p, fa.yf[k])
+        previous_cost_to_go(p, fa.yf[k])
 
 
 @helper
-def go_back(pb: QuadraticProgram, it: Iterate, fa: Factor) -> None:
-    """Gradient of the cost to go, and each stage's wrench if it starts at xi = 0."""
+def backward_pass(pb: QuadraticProgram, it: Iterate, fa: Factor) -> None:
+    """Backward pass: gradient of the cost to go, and every stage's wrench for xi = 0."""
     p, b, lead, g = fa.vector[0], fa.vector[1][:HALF], fa.vector[2][:HALF], fa.vector[3]
     clear(p)
     for k in range(len(pb.weight) - 1, -1, -1):
-        w, h = fa.wrench[k], fa.bent[k]
+        w, h = fa.wrench[k], fa.wrench_gradient[k]
         for leg in range(FEET):
-            answer(fa.arrow[k, leg], it.pull[k, leg], g[3 * leg : 3 * leg + 3])
+            apply_inverse(fa.arrow[k, leg], it.barrier_gradient[k, leg], g[3 * leg : 3 * leg + 3])
         clear(w)
         add_transposed(pb.gain, g, 1.0, w)
         for j in range(STATES):
-            p[j] += it.slope_x[k, j]
+            p[j] += it.gradient_x[k, j]
         for j in range(HALF):
             h[j] = 0.5 * p[j] + p[HALF + j]
             b[j] = h[j]
@@ -322,29 +320,29 @@ def go_back(pb: QuadraticProgram, it: Iterate, fa: Factor) -> None:
 
 
 @helper
-def go_forward(pb: QuadraticProgram, it: Iterate, fa: Factor) -> None:
-    """The change of the forces of every stage."""
-    x, w, bent, g = fa.vector[0], fa.vector[1][:HALF], fa.vector[2][:HALF], fa.vector[3]
+def forward_pass(pb: QuadraticProgram, it: Iterate, fa: Factor) -> None:
+    """Forward pass: the step of the forces of every stage."""
+    x, w, gradient, g = fa.vector[0], fa.vector[1][:HALF], fa.vector[2][:HALF], fa.vector[3]
     clear(x)
     for k in range(len(pb.weight)):
-        lead = bent
+        lead = gradient
         clear(lead)
         add_product(fa.yf[k], x, lead)
         for j in range(HALF):
             w[j] = fa.wrench[k, j]
         add_transposed(fa.y[k], lead, -1.0, w)
         for j in range(HALF):
-            bent[j] = fa.bent[k, j]
-        add_transposed(fa.s[k], w, 1.0, bent)
-        add_product(fa.f[k], x, bent)
+            gradient[j] = fa.wrench_gradient[k, j]
+        add_transposed(fa.s[k], w, 1.0, gradient)
+        add_product(fa.f[k], x, gradient)
         for leg in range(FEET):
             for axis in range(3):
-                g[3 * leg + axis] = it.pull[k, leg, axis]
-        add_product(pb.gain, bent, g)
+                g[3 * leg + axis] = it.barrier_gradient[k, leg, axis]
+        add_product(pb.gain, gradient, g)
         clear(w)
         for leg in range(FEET):
             change = it.u_step[k, leg]
-            answer(fa.arrow[k, leg], g[3 * leg : 3 * leg + 3], change)
+            apply_inverse(fa.arrow[k, leg], g[3 * leg : 3 * leg + 3], change)
             add_transposed(pb.gain[3 * leg : 3 * leg + 3], change, 1.0, w)
         for j in range(HALF):
             x[j] += x[HALF + j] + 0.5 * w[j]

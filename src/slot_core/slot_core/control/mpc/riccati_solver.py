@@ -1,4 +1,4 @@
-"""The Riccati interior-point method as a solver: checks the problem's form, reads its arrays."""
+"""Riccati interior-point method as a solver: checks the problem's form and reads its arrays."""
 
 from __future__ import annotations
 
@@ -10,42 +10,33 @@ from scipy import sparse
 
 from slot_core.config import ConfigError
 from slot_core.control.mpc.interior_point import minimise
-from slot_core.control.mpc.model import HorizonQp
-from slot_core.control.mpc.riccati import (
-    FEET,
-    HALF,
-    INPUTS,
-    SIDES,
-    STATES,
-    Factor,
-    Iterate,
-    QuadraticProgram,
-)
+from slot_core.control.mpc.model import FEET, INPUTS, STATES, HorizonQp
+from slot_core.control.mpc.riccati import HALF, SIDES, Factor, Iterate, QuadraticProgram
 from slot_core.control.mpc.solver import MpcSolverSettings, Solution
 from slot_core.robot import Array
 
 STAGE = INPUTS + STATES
 FRICTION_ROWS = 4 * FEET
-ROUNDOFF = 1e-9  # of the dynamics, over the largest state
+ROUNDOFF = 1e-9  # largest error of the dynamics, relative to the largest variable
 
 
 class Blocks(NamedTuple):
-    """Where the numbers of the stages stand among the entries of A and G; -1 for a zero."""
+    """Indices of the stages' numbers among the entries of A and G; -1 for a zero."""
 
-    step: NDArray[np.intp]  # (6, 6) of a[:6, 6:]; none with a single stage
+    step: NDArray[np.intp]  # (6, 6) of a[:6, 6:]; empty with a single stage
     gain: NDArray[np.intp]  # (12, 6) of b[6:]'
     friction: NDArray[np.intp]  # (H, 4) of -mu
 
 
 class RiccatiSolver:
-    """Solves the problem without options: 12 forces and 12 states a stage, friction and bounds.
+    """Solves the problem without options: 12 forces and 12 states per stage, friction and bounds.
 
-    Its forces keep their limits in every iteration. It starts cold: the answer depends on the
-    problem alone, and not on the processor.
+    Every iterate keeps the limits of the forces. It starts cold: the solution depends only on the
+    problem, neither on earlier ones nor on the processor.
     """
 
     def __init__(self, qp: HorizonQp, settings: MpcSolverSettings):
-        """Raises ConfigError for a form that it does not cover."""
+        """Set up; raises ConfigError for a problem with options."""
         _check(qp)
         self._qp, self._settings = qp, settings
         self._weight = qp.P.diagonal().reshape(qp.horizon, STAGE)
@@ -53,9 +44,9 @@ class RiccatiSolver:
         self._iterate, self._factor = _iterate(qp.horizon), _factor(qp.horizon)
 
     def solve(self) -> Solution:
-        """Solve the problem as it stands."""
+        """Solve the problem with its present values."""
         qp, limits, it = self._qp, self._settings, self._iterate
-        count, solved, slope = minimise(
+        count, solved = minimise(
             self._read(),
             it,
             self._factor,
@@ -69,11 +60,11 @@ class RiccatiSolver:
         if (qp.upper < 0.0).any():
             fault = "infeasible: a force limit below zero"
         if solved and not error <= ROUNDOFF * max(1.0, float(np.abs(z).max())):
-            fault = f"dynamics missed by {error:.1g}: not those of one double integrator"
-        return Solution(z, fault, count, error, slope)
+            fault = f"dynamics violated by {error:.1g}: not those of one double integrator"
+        return Solution(z, fault, count)
 
     def _read(self) -> QuadraticProgram:
-        """The arrays of the problem by stages."""
+        """The arrays of the problem, stage by stage."""
         qp = self._qp
         a, g = np.append(qp.A.data, 0.0), qp.G.data
         gain = -a[self._blocks.gain]
@@ -89,32 +80,33 @@ class RiccatiSolver:
 
 
 def _step_of_one(qp: HorizonQp, gain: Array) -> Array:
-    """E from b[:6] = E b[6:] / 2, where no stage follows that would show it."""
+    """E from b[:6] = E b[6:] / 2, for a single stage, in which `a` does not occur."""
     forces = qp.A[:HALF, :INPUTS].toarray()
     step = np.linalg.lstsq(gain, -2.0 * forces.T, rcond=None)[0].T
     return np.ascontiguousarray(step)
 
 
 def _check(qp: HorizonQp) -> None:
-    """Raise ConfigError unless this is the problem without options."""
+    """Raise ConfigError unless the problem is the one without options."""
     stages = qp.horizon
     if qp.P.shape[0] != stages * STAGE:
-        _refuse("model.lag or model.least_weight: more than 24 variables a stage")
+        _refuse("model.lag or model.least_weight: more than 24 variables per stage")
     if sparse.triu(qp.P, k=1).nnz:
         _refuse("model.support soft: a cost between the forces")
     if qp.A.shape[0] != stages * STATES or qp.G.shape[0] != stages * FRICTION_ROWS:
-        _refuse("model.support equality: a row of all legs")
+        _refuse("model.support equality: a constraint on all legs")
     forces = qp.P.diagonal().reshape(stages, -1)[:, :INPUTS]
     if np.any(qp.h != 0.0) or np.any(qp.lower[:, 2:INPUTS:3] != 0.0) or np.any(forces <= 0.0):
         _refuse("limits other than friction, or forces without a weight")
 
 
 def _refuse(form: str) -> NoReturn:
-    raise ConfigError(f"mpc.yaml: solver.name = riccati does not cover {form}; take piqp")
+    raise ConfigError(f"mpc.yaml: solver.name = riccati does not cover {form}; use piqp")
 
 
 def _find_blocks(qp: HorizonQp) -> Blocks:
-    a, g = _numbers(qp.A), _numbers(qp.G)
+    """Locate the blocks in the arrays of `qp`."""
+    a, g = _entries(qp.A), _entries(qp.G)
     stages = np.arange(qp.horizon)[:, None]
     legs = np.arange(FEET)
     return Blocks(
@@ -124,8 +116,8 @@ def _find_blocks(qp: HorizonQp) -> Blocks:
     )
 
 
-def _numbers(matrix: sparse.csc_matrix) -> NDArray[np.intp]:
-    """(rows, columns) of where each entry stands in `data`, -1 where there is none."""
+def _entries(matrix: sparse.csc_matrix) -> NDArray[np.intp]:
+    """Index (rows, columns) of each entry in `data`, -1 for none."""
     numbered = sparse.csc_matrix(
         (np.arange(1.0, matrix.nnz + 1), matrix.indices, matrix.indptr), shape=matrix.shape
     )
@@ -133,13 +125,15 @@ def _numbers(matrix: sparse.csc_matrix) -> NDArray[np.intp]:
 
 
 def _iterate(stages: int) -> Iterate:
+    """An iterate of zeros."""
     forces, sides, states = (stages, FEET, 3), (stages, FEET, SIDES), (stages, STATES)
-    curve = (stages, HALF, HALF)
-    now, steps = [forces, sides, sides], [forces, sides, sides, sides]
-    return Iterate(*map(np.zeros, [*now, *steps, states, states, forces, forces, curve]))
+    hessian = (stages, HALF, HALF)
+    point, steps = [forces, sides, sides], [forces, sides, sides, sides]
+    return Iterate(*map(np.zeros, [*point, *steps, states, states, forces, forces, hessian]))
 
 
 def _factor(stages: int) -> Factor:
+    """A factorisation of zeros."""
     half, wide = (HALF, HALF), (HALF, STATES)
     shapes = [
         (3, *half),
