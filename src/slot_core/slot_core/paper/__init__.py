@@ -1,1 +1,1 @@
-"""The model of leg and robot as the paper prints it, for comparison."""
+"""The published model of leg and robot, as printed in the paper, for comparison."""

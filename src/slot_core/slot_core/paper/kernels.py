@@ -1,4 +1,4 @@
-"""Time stepping of the paper's model; `paper_robot.py` says how its equations are read."""
+"""Time stepping of the paper's model; `paper_robot.py` gives its equations."""
 
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
@@ -13,53 +13,54 @@ from slot_core.dynamics.handle import contents
 
 
 @kernel
-def advance_legs(machine, steps, h):
-    """Advance legs by `steps` steps of h; returns (steps done, -1) or (.., the node that is lost).
+def advance_legs(handle, steps, h):
+    """Advance legs by `steps` steps of h (s).
 
-    machine: handle of (model, state). Node i of leg k is numbered k N + i.
+    handle: of (model, state). Returns (steps done, failed node), where -1 means that none failed
+    and node i of leg k has the number k N + i.
     """
-    model, state = contents(machine)
+    model, state = contents(handle)
     for done in range(steps):
-        lost = _step_legs(model, state, h)
-        if lost >= 0:
-            return done + 1, lost
+        failed = _step_legs(model, state, h)
+        if failed >= 0:
+            return done + 1, failed
     return steps, -1
 
 
 @kernel
-def advance_robot(machine, steps, pieces, h):
-    """`advance_legs` for four legs and the torso, by `steps` times `pieces` steps of h.
+def advance_robot(handle, steps, substeps, h):
+    """Advance four legs and the torso by `steps` times `substeps` steps of h (s).
 
-    machine: handle of (leg model, leg state, torso, torso state).
+    handle: of (leg model, leg state, torso, torso state). Returns what `advance_legs` returns.
     """
-    model, legs, torso, state = contents(machine)
+    model, legs, torso, state = contents(handle)
     for done in range(steps):
         vx, vy, vz = state.velocity[0], state.velocity[1], state.velocity[2]
-        for _ in range(pieces):
-            lost = _step_legs(model, legs, h)
-            if lost >= 0:
-                return done + 1, lost
+        for _ in range(substeps):
+            failed = _step_legs(model, legs, h)
+            if failed >= 0:
+                return done + 1, failed
             _step_torso(torso, state, legs, h)
-        _feel(torso, state, vx, vy, vz, pieces * h)
+        _set_specific_force(torso, state, vx, vy, vz, substeps * h)
     return steps, -1
 
 
 @helper
 def _step_legs(model, state, h):
-    """One step of every leg; -1 or the first node that is too fast or not a number."""
+    """One step of every leg; returns the first node that is too fast or NaN, or -1."""
     nodes = model.mass.size
     for k in range(state.tension.size):
-        lost = _step_leg(model, state, k, h)
-        if lost >= 0:
-            return k * nodes + lost
+        failed = _step_leg(model, state, k, h)
+        if failed >= 0:
+            return k * nodes + failed
     return -1
 
 
 @helper
 def _step_leg(model, state, k, h):
-    """One step of leg k, all forces at the old state, from the base to the tip in one pass."""
+    """One step of leg k in one pass from base to tip; all forces are those of the old state."""
     node, velocity = state.node[k], state.velocity[k]
-    last, lost = model.mass.size - 1, -1
+    last, failed = model.mass.size - 1, -1
     before_x, before_z, before_m = 0.0, 0.0, 0.0
     for i in range(last + 1):
         after_x, after_z, after_m = 0.0, 0.0, 0.0
@@ -72,13 +73,13 @@ def _step_leg(model, state, k, h):
         before_x, before_z, before_m = after_x, after_z, after_m
         if i == 0:
             state.force[k, 0], state.force[k, 1] = fx, fz
-            fx = 0.0  # held by the guide
+            fx = 0.0  # x is held by the guide
         _move(model, node, velocity, i, fx, fz, h)
         _turn(model, state.angle[k], state.rate[k], i, moment, h)
         square = velocity[i, 0] ** 2 + velocity[i, 1] ** 2
-        if lost < 0 and not square <= model.speed_limit**2:  # true for NaN
-            lost = i
-    return lost
+        if failed < 0 and not square <= model.speed_limit**2:  # true for NaN
+            failed = i
+    return failed
 
 
 @helper
@@ -92,7 +93,7 @@ def _segment(model, node, angle, i):
 
 @helper
 def _loads(model, node, velocity, i, tension):
-    """All that acts on node i, x and z, but its neighbours."""
+    """Forces on node i, x and z, except those of its segments."""
     z, vx, vz = node[i, 1], velocity[i, 0], velocity[i, 1]
     fx = model.pull[i, 0] * tension - model.damping * vx
     fz = model.pull[i, 1] * tension - model.damping * vz - model.mass[i] * model.gravity
@@ -101,25 +102,26 @@ def _loads(model, node, velocity, i, tension):
     if i == 0:
         fz -= model.base_load
     if i >= model.touching:
-        drag, normal = floor_force(model, z, vx, vz)
-        fx += drag
+        friction, normal = floor_force(model, z, vx, vz)
+        fx += friction
         fz += normal
     return fx, fz
 
 
 @helper
 def floor_force(model, z, vx, vz):
-    """Friction and normal force of the floor on a node; the normal force may pull."""
-    drag, normal = 0.0, 0.0
+    """Friction and normal force of the floor on a node; the normal force may be tensile."""
+    friction, normal = 0.0, 0.0
     if z < 0.0:
         normal = -model.contact_stiffness * z - model.contact_damping * vz
     if z <= 0.0 and vx != 0.0:
-        drag = -math.copysign(model.friction, vx)
-    return drag, normal
+        friction = -math.copysign(model.friction, vx)
+    return friction, normal
 
 
 @helper
 def _move(model, node, velocity, i, fx, fz, h):
+    """Semi-implicit Euler step of the position of node i."""
     velocity[i, 0] += h * fx / model.mass[i]
     velocity[i, 1] += h * fz / model.mass[i]
     node[i, 0] += h * velocity[i, 0]
@@ -128,13 +130,14 @@ def _move(model, node, velocity, i, fx, fz, h):
 
 @helper
 def _turn(model, angle, rate, i, moment, h):
+    """Semi-implicit Euler step of the angle of node i."""
     rate[i] += h * (moment - model.damping * rate[i]) / model.inertia[i]
     angle[i] += h * rate[i]
 
 
 @helper
 def _step_torso(torso, state, legs, h):
-    """One step of the torso under the forces of its legs, gravity, drag and its spring."""
+    """One step of the torso under the legs' forces, gravity, drag, spring and damper."""
     fx, fy, fz, mx, my, mz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(4):
         x = torso.outward[k, 0] * legs.force[k, 0]
@@ -149,6 +152,7 @@ def _step_torso(torso, state, legs, h):
 
 @helper
 def _shift(torso, state, force, h):
+    """Semi-implicit Euler step of the torso's position under the legs' force (odom, N)."""
     v, above = state.velocity, state.position[2] - torso.height
     fx = force[0] - torso.drag * v[0]
     fy = force[1] - torso.drag * v[1]
@@ -172,8 +176,8 @@ def _rotate(torso, state, acceleration, h):
 
 
 @helper
-def _feel(torso, state, vx, vy, vz, period):
-    """Specific force over a period that began with the velocity (vx, vy, vz)."""
+def _set_specific_force(torso, state, vx, vy, vz, period):
+    """Set the mean specific force over a period (s) that began with the velocity (vx, vy, vz)."""
     v, g, r = state.velocity, torso.gravity, state.rotation
     ax = (v[0] - vx) / period - g[0]
     ay = (v[1] - vy) / period - g[1]

@@ -1,4 +1,4 @@
-"""The paper's model as numbers: settings, legs and torso; `paper_robot.py` says how it is read."""
+"""Settings and arrays of the paper's model; `paper_robot.py` gives its equations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from slot_core.robot import GRAVITY, Array, Robot
 
 @dataclass(frozen=True)
 class PaperSettings:
-    """What `config/paper.yaml` holds: the numbers of the paper's model."""
+    """Settings of the paper's model: `config/paper.yaml`."""
 
     young_modulus: float = quantity("Young's modulus", "Pa", 1e4, 1e10)
     nodes: int = quantity("nodes of a leg", "", 4, 401)
@@ -32,12 +32,14 @@ class PaperSettings:
     friction: float = quantity("Coulomb friction", "", 0.0, 5.0)
     servo_torque: float = quantity("torque at the end of the servo's range", "N m", 0.0, 100.0)
     servo_range_deg: float = quantity("range of the servo", "deg", 1.0, 3600.0)
-    tension_scale: float = quantity("factor on the robot's tensions", "", 0.0, 1.0)
+    tension_scale: float = quantity("factor of the robot's tensions", "", 0.0, 1.0)
     weight_share: float = quantity("part of the torso's weight on each leg's base", "", 0.0, 1.0)
     torso_drag: float = quantity("horizontal damping of the torso", "N s/m", 0.0, 1e4)
     torso_stiffness: float = quantity("vertical spring of the torso", "N/m", 0.0, 1e6)
     torso_damping: float = quantity("vertical damping of the torso", "N s/m", 0.0, 1e5)
-    speed_limit: float = quantity("a faster node means a lost solution", "m/s", 1.0, 1e6)
+    speed_limit: float = quantity(
+        "speed of a node above which the solution has diverged", "m/s", 1.0, 1e6
+    )
 
 
 def read_paper() -> PaperSettings:
@@ -46,13 +48,13 @@ def read_paper() -> PaperSettings:
 
 
 def tension_of(settings: PaperSettings, robot: Robot, angle: Array) -> Array:
-    """Tensions (N) of tendon angles (rad): T = (angle / range) torque / spool radius."""
+    """Tensions (N) at tendon angles (rad): T = (angle / range) torque / spool radius."""
     torque = angle / math.radians(settings.servo_range_deg) * settings.servo_torque
     return np.asarray(torque / robot.tendon.spool_radius)
 
 
 class PaperLegModel(NamedTuple):
-    """A leg as numbers, in its own plane: x outward, z above the floor."""
+    """Numbers of a leg in its plane: x outward, z above the floor."""
 
     spacing: float  # m, dx: natural length of every segment
     gravity: float  # m/s^2, downwards
@@ -60,9 +62,9 @@ class PaperLegModel(NamedTuple):
     damping: float  # N s/m and N m s, c
     contact_stiffness: float  # N/m
     contact_damping: float  # N s/m
-    friction: float  # N, on every node that touches the floor
+    friction: float  # N, magnitude on every node that touches the floor
     base_load: float  # N, downwards on node 0
-    touching: int  # first of the nodes that the floor can touch
+    touching: int  # first node that can touch the floor
     speed_limit: float  # m/s
     mass: Array  # (N,) kg
     inertia: Array  # (N,) kg m, rho A dx^2 / 2
@@ -73,18 +75,18 @@ class PaperLegModel(NamedTuple):
 
 
 class PaperLegState(NamedTuple):
-    """States of K legs."""
+    """State of K legs."""
 
     node: Array  # (K, N, 2) m, x and z
     velocity: Array  # (K, N, 2) m/s
-    angle: Array  # (K, N) rad; feeds nothing
-    rate: Array  # (K, N) rad/s; feeds the angle alone
+    angle: Array  # (K, N) rad; nothing depends on it
+    rate: Array  # (K, N) rad/s; only the angle depends on it
     force: Array  # (K, 2) N, F_i: sum of the forces on node 0, x and z
     tension: Array  # (K,) N
 
 
 class PaperTorso(NamedTuple):
-    """The torso as numbers."""
+    """Numbers of the torso."""
 
     mass: float  # kg
     drag: float  # N s/m, horizontal
@@ -98,15 +100,15 @@ class PaperTorso(NamedTuple):
 
 
 class PaperTorsoState(NamedTuple):
-    """Motion of the torso and scratch rotations."""
+    """Motion of the torso, and scratch rotations."""
 
     position: Array  # (3,) m, odom
     rotation: Array  # (3, 3) base_link to odom
     velocity: Array  # (3,) m/s, odom
     rate: Array  # (3,) rad/s, base_link
-    specific_force: Array  # (3,) m/s^2, base_link, mean over the last step of the caller
-    turn: Array  # (3, 3)
-    next: Array  # (3, 3)
+    specific_force: Array  # (3,) m/s^2, base_link, mean over the last step of the scene
+    turn: Array  # (3, 3) scratch
+    next: Array  # (3, 3) scratch
 
 
 def leg_model(
@@ -116,7 +118,11 @@ def leg_model(
     base_load: float,
     gravity: float = GRAVITY,
 ) -> PaperLegModel:
-    """A leg as numbers; the floor can touch the nodes from `touching` on."""
+    """Numbers of a leg.
+
+    touching: first node that can touch the floor. base_load: downward force on the base, N.
+    gravity: m/s^2, downwards.
+    """
     leg, count = robot.leg, settings.nodes
     spacing = leg.reach / (count - 1)
     thickness = np.linspace(leg.thickness_clamp, leg.thickness_tip, count)
@@ -145,7 +151,7 @@ def leg_model(
 
 
 def leg_state(model: PaperLegModel, legs: int) -> PaperLegState:
-    """Legs at rest in their initial shape."""
+    """State of `legs` legs at rest in their initial shape."""
     count = len(model.mass)
     node = np.tile(model.initial, (legs, 1, 1))
     shapes = [(legs, count, 2), (legs, count), (legs, count), (legs, 2), (legs,)]
@@ -153,7 +159,7 @@ def leg_state(model: PaperLegModel, legs: int) -> PaperLegState:
 
 
 def torso_model(robot: Robot, scene: Scene, settings: PaperSettings) -> PaperTorso:
-    """The torso as numbers."""
+    """Numbers of the torso; its vertical spring is relaxed at the scene's start height."""
     return PaperTorso(
         mass=robot.torso.mass,
         drag=settings.torso_drag,
@@ -168,7 +174,7 @@ def torso_model(robot: Robot, scene: Scene, settings: PaperSettings) -> PaperTor
 
 
 def torso_state(height: float) -> PaperTorsoState:
-    """A level torso at rest at a height, m."""
+    """State of a level torso at rest at a height, m."""
     shapes = [(3,), (3, 3), (3,), (3,), (3,), (3, 3), (3, 3)]
     state = PaperTorsoState(*(np.zeros(shape) for shape in shapes))
     state.position[2] = height
@@ -177,13 +183,13 @@ def torso_state(height: float) -> PaperTorsoState:
 
 
 def _initial(robot: Robot, count: int) -> Array:
-    """(N, 2) m, initial shape: equal steps in x."""
+    """(N, 2) m, initial shape at equal distances in x."""
     x = np.linspace(0.0, robot.leg.reach, count)
     return np.column_stack([x, robot.leg.shape(x)])
 
 
 def _masses(segment: Array) -> Array:
-    """(N,) kg of the nodes, from rho A_i dx of all nodes; the tip's is half of its own."""
+    """(N,) node masses, kg, from rho A_i dx (N,): means of i - 1 and i; half of it at the ends."""
     mass = segment.copy()
     mass[1:-1] = (segment[:-2] + segment[1:-1]) / 2
     mass[[0, -1]] /= 2
@@ -191,7 +197,7 @@ def _masses(segment: Array) -> Array:
 
 
 def _pull(initial: Array, thickness: Array, end: int) -> Array:
-    """(N, 3) force and moment per newton of tension, along the normals of nodes before `end`."""
+    """(N, 3) force and moment (m) per newton of tension, along the normals before node `end`."""
     slope = np.gradient(initial, axis=0)
     normal = slope[:, ::-1] * [-1, 1] / np.hypot(*slope.T)[:, None]
     pull = np.column_stack([normal, -thickness / 2 * normal[:, 0]])
