@@ -1,1 +1,1 @@
-"""Benchmarks of scripts/bench, one folder each."""
+"""Benchmarks of scripts/bench: harness, command line, and one folder each."""

@@ -1,4 +1,4 @@
-"""The frame of the benchmarks, driven with tiny benchmarks in a temporary directory."""
+"""Harness and command line of the benchmarks, with tiny benchmarks; figures of the graph's."""
 
 import json
 import os
@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import harness as benchmark
-from benchmarks.harness import at_least, at_most, cpu_time, main
+from benchmarks import harness
+from benchmarks.command_line import main
+from benchmarks.graph.usage import Usage
+from benchmarks.harness import at_least, at_most, cpu_time
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -67,14 +69,14 @@ def test_result_holds_rows_checks_revision_and_machine(places, capsys):
     assert output.err == "half way\n"
 
 
-def test_quick_is_passed_on_and_written_down(places):
+def test_quick_is_passed_on_and_recorded(places):
     assert bench(places, "tiny", "--quick") == 0
     result = json.loads((places[1] / "tiny.json").read_text())
     assert (result["quick"], len(result["rows"])) == (True, 2)
     assert result["checks"][0]["holds"]
 
 
-def test_unknown_name_is_one_line_that_lists_the_known_and_exit_code_2(places, capsys):
+def test_unknown_name_lists_the_known_ones_in_one_line_with_exit_code_2(places, capsys):
     assert bench(places, "tinny") == 2
     output = capsys.readouterr()
     assert output.err == "scripts/bench: no benchmark 'tinny' (known: tiny)\n"
@@ -82,11 +84,11 @@ def test_unknown_name_is_one_line_that_lists_the_known_and_exit_code_2(places, c
     assert not places[1].exists()
 
 
-def test_no_name_is_exit_code_2_and_names_the_known(places, capsys):
+def test_no_name_lists_the_known_ones_with_exit_code_2(places, capsys):
     with pytest.raises(SystemExit) as ended:
         bench(places)
     assert ended.value.code == 2
-    assert "known: tiny" in capsys.readouterr().err
+    assert "no benchmark named (known: tiny)" in capsys.readouterr().err
 
 
 def test_module_without_run_is_refused_by_name(places, capsys):
@@ -95,7 +97,7 @@ def test_module_without_run_is_refused_by_name(places, capsys):
     assert "benchmark empty: has no function run" in capsys.readouterr().err
 
 
-def test_packages_that_are_not_installed_are_named_in_one_line(places, capsys):
+def test_missing_packages_are_listed_in_one_line(places, capsys):
     source = 'REQUIRES = ("json", "no_such_peer", "nor_this")\n'
     write_benchmark(places[0], "rival", f'"""Races."""\n{source}{TINY}')
     assert bench(places, "rival") == 2
@@ -104,7 +106,7 @@ def test_packages_that_are_not_installed_are_named_in_one_line(places, capsys):
     assert not places[1].exists()
 
 
-def test_list_gives_each_name_with_what_it_measures(places, capsys):
+def test_list_shows_the_first_line_of_each_docstring(places, capsys):
     write_benchmark(places[0], "other", '"""Measures other things."""\nraise SystemExit(9)\n')
     assert bench(places, "--list") == 0
     assert [line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()] == [
@@ -113,7 +115,7 @@ def test_list_gives_each_name_with_what_it_measures(places, capsys):
     ]
 
 
-def test_checks_hold_at_their_goal_and_not_beyond():
+def test_checks_hold_up_to_their_goal():
     assert at_most("latency", 33.3, 33.3, "ms").holds
     assert not at_most("latency", 33.4, 33.3, "ms").holds
     assert at_least("speed", 0.05, 0.05, "m/s").holds
@@ -123,18 +125,18 @@ def test_checks_hold_at_their_goal_and_not_beyond():
 
 @pytest.fixture(scope="module")
 def graph():
-    """The benchmark of that name, as a module; none of the graph is started."""
-    return benchmark.load("graph", ROOT / "scripts" / "benchmarks")
+    """The module of the benchmark `graph`; no node is started."""
+    return harness.load("graph", ROOT / "scripts" / "benchmarks")
 
 
-def test_graph_cpu_is_the_share_of_the_time_asked_for_and_no_more(graph):
-    usage = graph.Usage(("busy", "idle"), time=[100.0, 102.0, 104.0, 106.0])
+def test_graph_cpu_is_the_share_of_the_sampled_time():
+    usage = Usage(("busy", "idle"), time=[100.0, 102.0, 104.0, 106.0])
     usage.cpu = [[5.0, 1.0, 0.0], [5.0, 1.0, 0.0], [6.0, 1.0, 0.5], [8.0, 1.0, 0.5]]
     assert usage.percent(102.0, 106.0) == pytest.approx([75.0, 0.0, 12.5])
-    assert usage.percent(105.0, 109.0) == pytest.approx([100.0, 0.0, 0.0])  # nothing known later
+    assert usage.percent(105.0, 109.0) == pytest.approx([100.0, 0.0, 0.0])  # no samples later
 
 
-def test_graph_medians_are_per_stage_and_leave_single_outliers_out(graph):
+def test_graph_medians_are_per_stage_and_ignore_single_outliers(graph):
     rows = [
         {"kind": "latency", "repeat": repeat, "stage": stage, "p50_ms": p50}
         for repeat, pair in enumerate([(1.0, 7.0), (90.0, 8.0), (2.0, 9.0)])
@@ -159,21 +161,21 @@ def git(directory, *arguments):
     subprocess.run(["git", "-C", directory, *identity, *arguments], check=True, capture_output=True)
 
 
-def test_revision_tells_a_changed_work_tree_from_a_clean_one(tmp_path):
+def test_revision_distinguishes_a_changed_work_tree_from_a_clean_one(tmp_path):
     git(tmp_path, "init", "-q")
     (tmp_path / "file").write_text("one")
     git(tmp_path, "add", "file")
     git(tmp_path, "commit", "-q", "-m", "one")
-    clean = benchmark.revision(tmp_path)
+    clean = harness.revision(tmp_path)
     assert (len(clean["commit"]), clean["dirty"]) == (40, False)
     assert clean["commit"].startswith(clean["describe"])
     (tmp_path / "file").write_text("two")
-    assert benchmark.revision(tmp_path) == {**clean, "dirty": True}
+    assert harness.revision(tmp_path) == {**clean, "dirty": True}
 
 
 def test_revision_outside_git_is_unknown(tmp_path, monkeypatch):
     monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
-    assert benchmark.revision(tmp_path) == {"commit": None, "describe": None, "dirty": None}
+    assert harness.revision(tmp_path) == {"commit": None, "describe": None, "dirty": None}
 
 
 @pytest.mark.parametrize("needs", [False, True])
@@ -184,7 +186,7 @@ def test_script_sets_up_sources_the_environment_and_passes_its_arguments_and_exi
     (scripts / "benchmarks/graph").mkdir(parents=True)
     (scripts / "benchmarks/graph/benchmark.py").write_text('REQUIRES = ("peer",)\n' * needs)
     (scripts / "bench").write_bytes((ROOT / "scripts" / "bench").read_bytes())
-    # The packages cannot be installed; the benchmark is to say so, not the setup.
+    # The installation of the packages fails; the benchmark reports that, not the setup.
     setup = f"#!/bin/sh\necho setup $* >> {tmp_path}/order\n[ $# = 0 ]\n"
     (scripts / "setup").write_text(setup)
     python = 'python() { echo "python $*" >> "$root/order"; exit 7; }\n'
@@ -197,4 +199,4 @@ def test_script_sets_up_sources_the_environment_and_passes_its_arguments_and_exi
     assert ended.returncode == 7
     order = (tmp_path / "order").read_text().splitlines()
     setups = ["setup", "setup --bench"] if needs else ["setup"]
-    assert order == [*setups, "env", "python -m benchmarks.harness graph --quick"]
+    assert order == [*setups, "env", "python -m benchmarks.command_line graph --quick"]

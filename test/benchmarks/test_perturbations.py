@@ -1,4 +1,4 @@
-"""The study of perturbations: plants against other solutions, metrics, samples and their record."""
+"""The study of perturbations: plants against other solutions, metrics, samples, their file."""
 
 import importlib.util
 import math
@@ -10,9 +10,8 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 
-from benchmarks import harness as benchmark
-from benchmarks.perturbations import cases, published, samples
-from benchmarks.perturbations import rigid_torso as torso
+from benchmarks import command_line
+from benchmarks.perturbations import cases, published, rigid_torso, samples
 from slot_core.control.mpc.mpc import read_mpc
 from slot_core.robot import GRAVITY, read_robot
 
@@ -25,7 +24,7 @@ def series(cost, height=0.04, tilt=0.0):
     return cases.Run(time, np.array(cost), height * still, tilt * still, infeasible=2)
 
 
-def test_metrics_of_a_cost_that_comes_back_settle_after_its_last_rise():
+def test_a_cost_that_rises_again_settles_after_its_last_rise():
     found = cases.metrics(series([4.0, 0.001, 0.5, 0.009, 0.001]))
     assert found["max_cost"] == 4.0
     assert found["mean_cost"] == pytest.approx(4.511 / 5)
@@ -45,7 +44,7 @@ def test_a_torso_off_its_height_or_tilted_has_not_settled(height, tilt):
 
 
 def test_the_published_problem_reaches_the_papers_maximum_costs():
-    """The overshoot's peak is over after 5 s; 0.5 % covers SCS, which the authors solve with."""
+    """The peak is over after 5 s; 0.5 % covers the accuracy of SCS, the authors' solver."""
     settings = read_mpc("published")
     for name in ("Baseline", "Combined"):
         run = published.run_published(ROBOT, settings, cases.CASES[name], duration=5.3)
@@ -54,7 +53,7 @@ def test_the_published_problem_reaches_the_papers_maximum_costs():
 
 
 def test_the_published_problem_costs_nothing_at_the_papers_reference():
-    """Started where the paper says its baseline starts, the cost is that of the inputs alone."""
+    """At the initial state stated in the paper, the cost is that of the inputs alone."""
     problem = published.PublishedProblem(ROBOT, read_mpc("published"), phase=0)
     _, cost, solved = problem.solve(problem.target)
     assert solved
@@ -75,19 +74,20 @@ def test_the_published_forces_keep_their_limits():
 
 
 def twisted_state():
-    """Turned, moving and spinning about all axes."""
+    """A state (12,) turned, moving and spinning about all axes."""
     return np.array([0.3, -0.2, 0.5, 0.0, 0.0, 0.2, 2.0, -3.0, 1.0, 0.1, 0.2, 0.3])
 
 
 def test_the_torso_follows_an_independent_integration():
-    """Against DOP853 on rotation matrices in odom's axes, with forces that lag and feet that hold.
+    """DOP853 on rotation matrices in odom's axes, with lagging forces and fixed feet.
 
-    The fourth-order method errs by some (4 ms x 4 rad/s)^5 a step; 1e-7 leaves a factor of ten.
+    The error of the fourth-order method is about (4 ms x 4 rad/s)^5 per step; 1e-7 leaves a factor
+    of ten.
     """
-    body = torso.body(ROBOT, friction=5.0)
+    body = rigid_torso.body(ROBOT, friction=5.0)
     start, command = np.full((4, 3), 1.0), np.tile([0.5, -0.3, 6.0], (4, 1)) + np.eye(4, 3)
     start[:, 2] = 5.0
-    plant = torso.RigidTorso(body, twisted_state(), start)
+    plant = rigid_torso.RigidTorso(body, twisted_state(), start)
     feet, span = plant.place_feet(0.0165), 0.033
 
     def slope(t, y):
@@ -113,12 +113,16 @@ def test_the_torso_follows_an_independent_integration():
 
 
 def test_a_torso_in_flight_keeps_energy_and_angular_momentum():
-    """Without forces; the method's own loss over 1 s is 1e-7 of them."""
-    body = torso.body(ROBOT, friction=0.4)
-    plant = torso.RigidTorso(body, twisted_state(), np.zeros((4, 3)))
+    """Without forces; the numerical loss over 1 s is 1e-7 of the values."""
+    body = rigid_torso.body(ROBOT, friction=0.4)
+    plant = rigid_torso.RigidTorso(body, twisted_state(), np.zeros((4, 3)))
 
     def conserved():
-        turn, rate, v = plant.y[torso.TURN], plant.y[torso.RATE], plant.y[torso.VELOCITY]
+        turn, rate, v = (
+            plant.y[rigid_torso.QUATERNION],
+            plant.y[rigid_torso.RATE],
+            plant.y[rigid_torso.VELOCITY],
+        )
         spin = body.inertia @ rate
         energy = (rate @ spin + body.mass * v @ v) / 2 + body.mass * GRAVITY * plant.y[2]
         return np.append(Rotation.from_quat(turn).apply(spin), energy)
@@ -129,20 +133,20 @@ def test_a_torso_in_flight_keeps_energy_and_angular_momentum():
     assert conserved() == pytest.approx(before, rel=1e-6, abs=1e-8)
 
 
-def test_the_floor_gives_no_more_than_friction_and_does_not_pull():
+def test_ground_forces_stay_within_friction_and_do_not_pull():
     force = np.array([[3.0, -3.0, 5.0], [0.1, 0.2, 5.0], [1.0, 1.0, -2.0], [0.0, 0.0, 0.0]])
     expected = [[2.0, -2.0, 5.0], [0.1, 0.2, 5.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
-    assert torso.grip(force, 0.4) == pytest.approx(np.array(expected))
+    assert rigid_torso.friction_limited(force, 0.4) == pytest.approx(np.array(expected))
 
 
 @pytest.mark.parametrize("name", ["Pitch", "Combined"])
 def test_the_default_profile_settles_a_perturbed_torso_with_lag(name):
-    run = torso.run_torso(ROBOT, read_mpc(), cases.CASES[name], duration=1.5)
+    run = rigid_torso.run_torso(ROBOT, read_mpc(), cases.CASES[name], duration=1.5)
     assert run.infeasible == 0
     assert cases.metrics(run)["settling_s"] < 1.0
 
 
-def test_a_sample_depends_on_its_seed_and_number_alone():
+def test_a_sample_depends_only_on_its_seed_and_index():
     assert samples.draw("torso", 1, 0.0, 7) == samples.draw("torso", 1, 0.0, 7)
     assert samples.draw("torso", 1, 0.0, 7) != samples.draw("torso", 2, 0.0, 7)
     drawn = samples.draw("torso", 1, 0.0, 7)
@@ -150,8 +154,8 @@ def test_a_sample_depends_on_its_seed_and_number_alone():
         assert low <= getattr(drawn, name) <= high
 
 
-def test_every_limit_that_is_exceeded_is_named():
-    """Still for 4 s, then leaning, low and fast: what the mean over the last second shows."""
+def test_every_exceeded_limit_is_listed():
+    """Level for 4 s, then too low for 1 s; one sample with a tilt of 0.4 rad; never moving."""
     states = np.zeros((round(5.0 / 0.033), 12))
     states[:, 5] = 0.04
     states[-1, :2] = 0.4, 0.0
@@ -162,7 +166,7 @@ def test_every_limit_that_is_exceeded_is_named():
 
 
 def test_the_interval_of_a_rate_is_clopper_and_pearsons():
-    """At its ends, as many failures or more, or fewer, have a probability of 2.5 %."""
+    """At its lower end 7 failures or more, at its upper end 7 or fewer, have probability 2.5 %."""
     low, high = samples.interval(7, 50)
     assert binom.sf(6, 50, low) == pytest.approx(0.025, abs=1e-9)
     assert binom.cdf(7, 50, high) == pytest.approx(0.025, abs=1e-9)
@@ -175,7 +179,7 @@ def result(index, failed=""):
     return samples.asdict(drawn) | dict.fromkeys(samples.LIMITS, 0.0) | {"failed": failed}
 
 
-def test_samples_that_are_there_are_not_run_again(tmp_path):
+def test_recorded_samples_are_not_run_again(tmp_path):
     path, like = tmp_path / "samples.csv", samples.draw("torso", 1, 0.0, 0)
     samples.Record(path, "abc", like).add(result(0))
     samples.Record(path, "abc", like).add(result(2, "tilt_max"))
@@ -193,7 +197,7 @@ def test_samples_of_another_revision_or_seed_are_run_again(tmp_path):
     assert samples.Record(path, "abc", samples.draw("torso", 1, 0.5, 0)).missing(1) == [0]
 
 
-def test_a_row_that_an_interruption_cut_is_run_again(tmp_path):
+def test_the_sample_of_an_incomplete_row_is_run_again(tmp_path):
     path, like = tmp_path / "samples.csv", samples.draw("torso", 1, 0.0, 0)
     record = samples.Record(path, "abc", like)
     record.add(result(0))
@@ -205,7 +209,7 @@ def test_a_row_that_an_interruption_cut_is_run_again(tmp_path):
     assert samples.Record(path, "abc", like).missing(2) == []
 
 
-def test_the_summary_counts_failures_and_says_where_they_are():
+def test_the_summary_counts_failures_and_gives_their_parameters():
     rows = [result(k, "tilt_max+sink_max" if k < 2 else "") for k in range(5)]
     total, *limits = samples.summary(rows)
     assert (total["samples"], total["failed"], total["rate"]) == (5, 2, 0.4)
@@ -219,14 +223,14 @@ def test_the_summary_counts_failures_and_says_where_they_are():
 @pytest.mark.skipif(
     importlib.util.find_spec("distributed") is None, reason="scripts/setup --bench not run"
 )
-def test_two_local_workers_give_what_one_process_gives(tmp_path):
+def test_two_local_workers_give_the_results_of_one_process(tmp_path):
     from benchmarks.perturbations import farm  # noqa: PLC0415
 
     like = samples.draw("torso", 1, 0.0, 0)
     record = samples.Record(tmp_path / "samples.csv", "abc", like)
     with farm.workers("", 2) as client:
-        us = psutil.Process()
-        sockets = [c for p in (us, *us.children(recursive=True)) for c in p.net_connections()]
+        own = psutil.Process()
+        sockets = [c for p in (own, *own.children(recursive=True)) for c in p.net_connections()]
         listening = {c.laddr.ip for c in sockets if c.status == psutil.CONN_LISTEN}
         assert listening == {"127.0.0.1"}
         rows = farm.run_samples(client, record, like, 2, lambda line: None)
@@ -251,13 +255,13 @@ def test_a_benchmark_gets_the_options_it_declares(tmp_path, given, count):
     (tmp_path / "own").mkdir()
     (tmp_path / "own" / "benchmark.py").write_text(OWN)
     place = ["--benchmarks", str(tmp_path), "--out", str(tmp_path / "out")]
-    assert benchmark.main(["own", *given, *place]) == 0
+    assert command_line.main(["own", *given, *place]) == 0
     assert f'"count": {count}' in (tmp_path / "out" / "own.json").read_text()
 
 
-def test_an_option_that_nobody_declares_is_refused(tmp_path):
+def test_an_undeclared_option_is_refused(tmp_path):
     (tmp_path / "own").mkdir()
     (tmp_path / "own" / "benchmark.py").write_text(OWN)
     with pytest.raises(SystemExit) as stop:
-        benchmark.main(["own", "--other", "5", "--benchmarks", str(tmp_path)])
+        command_line.main(["own", "--other", "5", "--benchmarks", str(tmp_path)])
     assert stop.value.code == 2

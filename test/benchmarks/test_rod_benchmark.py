@@ -1,4 +1,4 @@
-"""The references of the rod's benchmark against derivations of their own, and its comparisons."""
+"""References of the rod's benchmark against independent derivations; comparison with peers."""
 
 import math
 
@@ -9,14 +9,14 @@ from scipy.linalg import eigh
 from scipy.optimize import brentq
 from scipy.special import jv
 
-from benchmarks import harness as benchmark
+from benchmarks import harness
 from benchmarks.rod import exact, release
 
 
 def shoot(
     moment_rate, base_moment, stretch=lambda s, a: (1.0, 0.0), bending=lambda s: 1.0, end=1.0
 ):
-    """State (angle, M, x, y) at the tip by Runge-Kutta from a clamp with a moment.
+    """State (angle, M, x, y) at the tip by Runge-Kutta from a clamp with a given moment.
 
     M' = moment_rate(s, angle, x', y'), angle' = M / bending(s), and stretch(s, angle) is the
     tangent's length along and across the section.
@@ -33,27 +33,27 @@ def shoot(
 
 
 def tip_by_shooting(farthest, moment_rate, **options):
-    """Tip (x, y) with the moment at the base, up to the farthest, that leaves none at the tip."""
+    """Tip (x, y) for the base moment, between 0 and `farthest`, with zero moment at the tip."""
 
-    def left(moment):
+    def tip_moment(moment):
         return shoot(moment_rate, moment, **options)[1]
 
-    moment = brentq(left, 0.0, farthest, xtol=1e-13)
+    moment = brentq(tip_moment, 0.0, farthest, xtol=1e-13)
     return shoot(moment_rate, moment, **options)[2:]
 
 
 @pytest.mark.parametrize("p", [0.2, 1.0, 3.0, 10.0])
-def test_elastica_of_elliptic_integrals_is_that_of_shooting(p):
+def test_elastica_by_elliptic_integrals_agrees_with_shooting(p):
     shot = tip_by_shooting(p, lambda s, a, x, y: -p * math.cos(a))
     np.testing.assert_allclose(exact.elastica(p), shot, atol=1e-9)
 
 
 @pytest.mark.parametrize("p", [1.0, 3.0, 10.0])
-def test_follower_force_of_elliptic_integrals_is_that_of_shooting_from_the_tip(p):
-    """Back from the tip no unknown is left: the force is across the tip, the moment is zero there.
+def test_follower_force_by_elliptic_integrals_agrees_with_integration_from_the_tip(p):
+    """From the tip there is no unknown: the force is normal to the tip, the moment is zero.
 
-    There the rod begins along x and is pushed along y; it ends at its clamp, whose angle and place
-    give the tip as the clamp sees it.
+    The integration starts at the tip, along x with the force along y, and ends at the clamp, whose
+    pose gives the tip in the clamp's frame.
     """
 
     def slope(_, state):
@@ -67,8 +67,8 @@ def test_follower_force_of_elliptic_integrals_is_that_of_shooting_from_the_tip(p
 
 
 @pytest.mark.parametrize("w", [1.0, 10.0, 50.0])
-def test_heavy_elastica_of_collocation_is_that_of_shooting_from_the_tip(w):
-    """Back from the tip by t: a' = -M, M' = -w t cos a; its angle leaves none at the clamp."""
+def test_heavy_elastica_by_collocation_agrees_with_shooting_from_the_tip(w):
+    """From the tip, by t: a' = -M, M' = -w t cos a; the tip's angle makes the clamp's zero."""
 
     def back(angle):
         def slope(t, state):
@@ -81,9 +81,11 @@ def test_heavy_elastica_of_collocation_is_that_of_shooting_from_the_tip(w):
     np.testing.assert_allclose(exact.heavy(w), back(angle)[2:], atol=1e-7)
 
 
-def test_light_heavy_elastica_hangs_by_an_eighth_of_its_weight():
+def test_elastica_under_a_small_weight_sags_by_an_eighth_of_it():
     w = 1e-3
-    assert exact.heavy(w)[1] == pytest.approx(-w / 8, rel=1e-5)  # squares of the slope, w^2 / 36
+    assert exact.heavy(w)[1] == pytest.approx(
+        -w / 8, rel=1e-5
+    )  # second order: the slope squared, w^2 / 36
 
 
 def test_greenhills_load_is_the_first_zero_of_the_bessel_function():
@@ -92,7 +94,7 @@ def test_greenhills_load_is_the_first_zero_of_the_bessel_function():
 
 
 def test_greenhills_load_is_the_least_of_the_rayleigh_quotient():
-    """EI a'' + w (1 - s) a = 0 in cosines, which keep a' = 0 at the tip; a is the angle."""
+    """EI a'' + w (1 - s) a = 0 for the angle a, in sines with a' = 0 at the tip."""
     count = 12
     mode = [(k + 0.5) * math.pi for k in range(count)]
     weight = [
@@ -110,8 +112,8 @@ def test_greenhills_load_is_the_least_of_the_rayleigh_quotient():
     ("shear", "stretches", "drop"),
     [(True, True, 87.585), (False, True, 87.376), (False, False, 87.306)],
 )
-def test_leg_of_collocation_is_that_of_shooting(shear, stretches, drop):
-    """The drop in mm; shooting also gives that of a leg which only bends."""
+def test_leg_by_collocation_agrees_with_shooting(shear, stretches, drop):
+    """`drop` in mm; shooting also gives that of a leg that only bends."""
     leg, tpu, p = exact.LEG, exact.TPU, exact.PUSH.force[1]
 
     def stretch(s, angle):
@@ -131,8 +133,8 @@ def test_leg_of_collocation_is_that_of_shooting(shear, stretches, drop):
         np.testing.assert_allclose(exact.leg_tip(shear), shot, atol=1e-9)
 
 
-def test_leg_that_is_hardly_pushed_bends_and_shears_as_timoshenko_says():
-    """Of the tapered leg: integral of (L - s)^2 / EI + 1 / kappa GA."""
+def test_leg_under_a_small_force_has_timoshenkos_flexibility():
+    """Flexibility of the tapered leg: integral of (L - s)^2 / EI + 1 / kappa GA."""
     leg, tpu = exact.LEG, exact.TPU
     p = 1e-4
 
@@ -156,16 +158,24 @@ def row(percent, cost, simulator="peer"):
 
 
 @pytest.mark.parametrize(
-    ("own", "rivals", "ahead"),
+    ("own", "rivals", "ratio"),
     [
-        (row(0.1, 1.0), [row(0.4, 8.0), row(0.05, 20.0), row(0.6, 2.0)], 8.0),  # within .5 %
-        (row(0.9, 1.0), [row(0.4, 8.0), row(0.8, 5.0), row(2.0, 2.0)], 5.0),  # within our own
-        (row(0.1, 1.0), [row(3.0, 8.0), row(2.0, 9.0), row(math.nan, math.nan)], 9.0),  # their best
+        (row(0.1, 1.0), [row(0.4, 8.0), row(0.05, 20.0), row(0.6, 2.0)], 8.0),  # within 0.5 %
+        (
+            row(0.9, 1.0),
+            [row(0.4, 8.0), row(0.8, 5.0), row(2.0, 2.0)],
+            5.0,
+        ),  # within the error of `own`
+        (
+            row(0.1, 1.0),
+            [row(3.0, 8.0), row(2.0, 9.0), row(math.nan, math.nan)],
+            9.0,
+        ),  # the most accurate
     ],
 )
-def test_peer_is_represented_by_its_fastest_row_that_is_exact_enough(own, rivals, ahead):
+def test_peer_is_represented_by_its_fastest_row_that_is_accurate_enough(own, rivals, ratio):
     check = release.rival_check("peer", own, rivals, 5.0)
-    assert check.value == pytest.approx(ahead)
+    assert check.value == pytest.approx(ratio)
     assert check.holds
 
 
@@ -174,14 +184,14 @@ def test_peer_without_a_result_does_not_hold(rivals):
     assert not release.rival_check("peer", row(0.1, 1.0), rivals, 5.0).holds
 
 
-def test_front_holds_what_nothing_of_the_same_physics_beats():
+def test_front_holds_the_rows_that_none_of_the_same_physics_dominates():
     rows = [row(1.0, 1.0), row(2.0, 0.5), row(1.5, 2.0), row(math.nan, 0.1)]
     rows.append({**row(9.0, 9.0), "physics": "other"})
     release.mark_front(rows)
     assert [bool(each["front"]) for each in rows] == [True, True, False, False, True]
 
 
-def test_every_setting_that_checks_name_is_measured():
+def test_every_setting_of_the_checks_is_measured():
     measured = {
         physics: {
             (r["nodes"], r["h"])
@@ -190,12 +200,12 @@ def test_every_setting_that_checks_name_is_measured():
         }
         for physics in (release.DAMPED, release.DAMPED_SHEAR, release.UNDAMPED_SHEAR)
     }
-    named = [*release.GOALS, *(setting for setting, _ in release.RIVALS.values())]
-    assert all((s.nodes, s.h) in measured[s.physics] for s in named)
+    checked = [*release.GOALS, *(setting for setting, _ in release.RIVALS.values())]
+    assert all((s.nodes, s.h) in measured[s.physics] for s in checked)
 
 
 def planned(physics):
-    """What would be measured of ours in a quick run."""
+    """Settings of CosseratRod that a quick run measures."""
     rows = []
     original = release.own_row
     try:
@@ -214,5 +224,5 @@ def planned(physics):
 
 
 def test_rod_needs_both_peers():
-    source = benchmark.known(benchmark.ROOT / "scripts" / "benchmarks")["rod"].read_text()
+    source = harness.known(harness.ROOT / "scripts" / "benchmarks")["rod"].read_text()
     assert 'REQUIRES = ("mujoco", "elastica")' in source.splitlines()

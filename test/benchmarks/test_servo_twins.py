@@ -1,8 +1,9 @@
-"""The walk through driver and bus beside the simulator's own servos: what `fake_bus` promises."""
+"""The walk through driver and bus against the simulator's servos, as with `fake_bus`."""
 
 import numpy as np
 import pytest
 
+from benchmarks.servo.twin_rows import TICK, speed
 from benchmarks.servo.twins import TWINS, VELOCITY, apart, walk
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamixel.driver import Driver
@@ -16,8 +17,7 @@ from slot_core.simulation.bus_legs import EmulatedLegs
 from slot_core.simulation.bus_plant import equal_law
 from slot_core.simulation.closed_loop import ClosedLoop
 
-TICK = 0.033  # s
-TEN_SECONDS = round(10.0 / TICK)
+TEN_SECONDS = round(10.0 / TICK)  # ticks
 
 
 @pytest.fixture(scope="module")
@@ -25,29 +25,23 @@ def walks():
     return {name: walk(make, TEN_SECONDS) for name, make in TWINS.items()}
 
 
-def speed(places):
-    """Along x, m/s, after the first 3 s."""
-    late = places[round(3.0 / TICK) :, 0]
-    return (late[-1] - late[0]) / (TICK * (len(late) - 1))
-
-
 def test_the_bus_changes_the_walk_by_less_than_a_millimetre(walks):
-    """Encoder, counts, cycles and driver are all that is between the two."""
-    # 0.28 to 0.36 mm with three seeds; commands that wait for the next cycle make it 3 mm
+    """The two differ by encoder, counts, bus cycles and driver alone."""
+    # 0.28 to 0.36 mm with three seeds; 3 mm if commands wait for the next cycle
     assert apart(walks["bus"], walks["law"]) < 1e-3
 
 
-def test_it_walks_as_fast_as_the_simulators_servos(walks):
-    # 59.9 and 60.0 mm/s; with p 800 and d 0 it is 50.8
+def test_the_walk_over_the_bus_is_as_fast_as_with_the_simulators_servos(walks):
+    # 59.9 and 60.0 mm/s; 50.8 mm/s with p 800 and d 0
     assert speed(walks["bus"]) == pytest.approx(speed(walks["sim"]), abs=1e-3)
 
 
-def test_it_keeps_to_the_simulators_walk(walks):
-    # 2.5 mm: servos without integral sag under load, by 1.9 mm in height
+def test_the_walk_over_the_bus_stays_within_3_5_mm_of_the_simulators(walks):
+    # 2.5 mm: servos without integral term sag under load, by 1.9 mm in height
     assert apart(walks["bus"], walks["sim"]) < 3.5e-3
 
 
-def test_equal_walks_over_the_bus_are_equal_to_the_last_bit(walks):
+def test_a_repeated_walk_over_the_bus_is_equal_to_the_last_bit(walks):
     assert np.array_equal(walk(TWINS["bus"], 60), walks["bus"][:60])
 
 
@@ -62,7 +56,7 @@ def test_ten_seconds_of_walking_neither_overload_nor_heat_a_servo():
 
 
 @pytest.mark.parametrize("load", [0.0, 0.3, 0.8])
-def test_a_goal_is_held_where_the_p_gain_balances_the_load(load):
+def test_a_goal_is_held_with_the_droop_of_the_p_gain_under_load(load):
     legs, driver = driven()
     rest = []
     for _ in range(200):
@@ -70,11 +64,11 @@ def test_a_goal_is_held_where_the_p_gain_balances_the_load(load):
         rest.append(legs.angles())
     law = equal_law(read_servo(), read_settings(), read_emulator().servo.loop_period)
     droop = load / law.stall_torque / law.proportional
-    # in the second second, and to a count of the encoder: without a limit cycle
+    # from 1 to 2 s, within one count of the encoder: no limit cycle
     assert rest[100:] == pytest.approx(np.full((100, 4), 1.5 - droop), abs=RAD_PER_COUNT)
 
 
-def test_a_silent_servo_is_silent_in_memory_too():
+def test_a_silent_servo_gives_no_reading_over_a_memory_port():
     legs, driver = driven()
     legs.bus.inject(Fault("silent", "RR", 0.0, 0.0, 0.0))
     found = driver.cycle()
@@ -82,7 +76,7 @@ def test_a_silent_servo_is_silent_in_memory_too():
 
 
 def driven():
-    """Servos at 0.5 rad and their driver, whose clock is the servos' own."""
+    """Servos at 0.5 rad and their driver, which runs on the servos' clock."""
     legs, settings = EmulatedLegs(read_settings(), read_emulator(), (0.5,) * 4), read_settings()
 
     def clock():

@@ -1,1 +1,1 @@
-"""Benchmark of the MPC: solvers, accuracy, speed."""
+"""Benchmark of the MPC: accuracy and speed of its solvers."""

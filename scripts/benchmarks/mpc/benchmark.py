@@ -1,7 +1,8 @@
-"""Speed and exactness of the MPC's solvers, on a walk and on hard cases.
+"""Speed and accuracy of the MPC's solvers, on a walk and on hard cases.
 
-Times are of the CPU and of a whole cycle of the controller: check, update of the problem, solve.
-Errors are of the first forces, the ones applied, against a dual active-set method (`_mpc_oracle`).
+Times are CPU times of a whole cycle of the controller: check, update of the problem, solve. Errors
+are those of the first stage's forces, which are applied, against a dual active-set method
+(`oracle.py`).
 """
 
 import itertools
@@ -32,17 +33,17 @@ SOLVERS = {
     "clarabel": (1e-4, 1e-6, 1e-8, 1e-10),
     "osqp": (1e-2, 1e-3, 1e-4, 1e-6, 1e-8),
 }
-USUAL = {"osqp": 1e-6}  # tolerance of the horizons; of the others 1e-10
-ITERATIONS = {"osqp": 10000}  # of the others 50
+HORIZON_TOLERANCE = {"osqp": 1e-6}  # in `horizon_rows`; the other solvers: 1e-10
+ITERATIONS = {"osqp": 10000}  # limit; the other solvers: 50
 HORIZONS = (5, 10, 15, 30, 45, 60)
-STATES, RANDOM = 220, 60
+STATES, RANDOM = 220, 60  # cases of the walk, random cases
 SEED = 1
-WRONG = 1e-3  # N
-MINUTE, HOUR = 1800, 108_000  # cycles
+WRONG = 1e-3  # N, error above which an accepted solution counts as wrong
+MINUTE, HOUR = 1800, 108_000  # cycles at 30 Hz
 
 
 def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[Row], list[Check]]:
-    """Measure; the picture goes to `out/mpc.png`."""
+    """Run all measurements; the picture goes to `out/mpc.png`."""
     settings = config.replace(
         read_mpc(), {"acceptance.time_budget": np.inf, "acceptance.violation_max": 1.0}
     )
@@ -67,13 +68,13 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
 
 
 def walk_cases() -> list[Case]:
-    """States and previews that a walk on the Cosserat robot meets, its start included."""
+    """States and previews of a walk of the Cosserat robot, from its start."""
     loop = ClosedLoop("flat", "walk", None, SEED)
     return [(tick.estimate.state, tick.preview) for tick in loop.run(STATES)]
 
 
 def hard_and_random(stages: int) -> Iterable[Case]:
-    """The named cases, then disturbed states with feet that come and go."""
+    """The named hard cases, then random states with random contacts."""
     rng = np.random.default_rng(SEED)
     yield from hard_cases(stages + 1).values()
     for _ in range(RANDOM):
@@ -84,7 +85,7 @@ class Exact:
     """First forces of the optima, (n, 4, 3) N."""
 
     def __init__(self, settings: MpcSettings, walk: Sequence[Case], hard: Sequence[Case]):
-        """One controller puts the problems together; its solver does not matter."""
+        """Solve all cases; a controller only assembles the problems."""
         self._mpc = controller(settings, "riccati", 1e-6)
         self.walk, self.hard = self._optima(walk), self._optima(hard)
 
@@ -97,7 +98,7 @@ class Exact:
 
 
 def hour_row(settings: MpcSettings, walk: Sequence[Case]) -> dict[str, Any]:
-    """Memory that the controller gains in an hour of cycles at 30 Hz, after the first minute."""
+    """Growth of the controller's memory over an hour of cycles at 30 Hz, after the first minute."""
     mpc, process = Mpc(read_robot(), settings, time.process_time), psutil.Process()
     for n, (state, preview) in zip(range(HOUR), itertools.cycle(walk)):
         if n == MINUTE:
@@ -128,10 +129,10 @@ def solver_row(  # noqa: PLR0917
     hard: Sequence[Case],
     exact: Exact,
 ) -> dict[str, Any]:
-    """One solver at one tolerance: the walk twice, timed the second time, and the hard cases."""
+    """One solver at one tolerance: the walk twice (timed the second time), then the hard cases."""
     mpc = controller(settings, solver, tolerance)
     walked = [[mpc.step(*case) for case in walk] for _ in range(2)][1]
-    met = [mpc.step(*case) for case in hard]
+    results = [mpc.step(*case) for case in hard]
     times = [1e3 * result.solve_time for result in walked]
     error = errors(walked, exact.walk)
     return {
@@ -140,45 +141,45 @@ def solver_row(  # noqa: PLR0917
         "tolerance": tolerance,
         "median_ms": float(np.median(times)),
         "p99_ms": float(np.quantile(times, 0.99)),
-        "hard_max_ms": 1e3 * max(result.solve_time for result in met),
+        "hard_max_ms": 1e3 * max(result.solve_time for result in results),
         "error_median": float(np.median(error)),
         "error_max": float(np.max(error)),
-        "hard_error_max": float(np.nanmax(errors(met, exact.hard))),
-        "violation": max(result.violation for result in [*walked, *met]),
+        "hard_error_max": float(np.nanmax(errors(results, exact.hard))),
+        "violation": max(result.violation for result in [*walked, *results]),
         "iterations_median": float(np.median([result.iterations for result in walked])),
-        "iterations_max": max(result.iterations for result in [*walked, *met]),
-        "walk_refused": len(walked) - sum(good(result) for result in walked),
-    } | outcomes(met, errors(met, exact.hard))
+        "iterations_max": max(result.iterations for result in [*walked, *results]),
+        "walk_refused": len(walked) - sum(accepted(result) for result in walked),
+    } | outcomes(results, errors(results, exact.hard))
 
 
-def good(result: MpcResult) -> bool:
-    """Whether the controller with its configured limit would have accepted it."""
+def accepted(result: MpcResult) -> bool:
+    """Whether the controller accepts the result with its configured limit of the violation."""
     limit = read_mpc().acceptance.violation_max
     return result.status == Status.SOLVED and result.violation <= limit
 
 
 def errors(results: Sequence[MpcResult], exact: Array) -> Array:
-    """(n,) N, largest of the first forces; NaN where none was found."""
+    """(n,) N, largest error of the first stage's forces; NaN without a solution."""
     return np.array(
         [
-            np.abs(result.force - best).max() if result.status == Status.SOLVED else np.nan
-            for result, best in zip(results, exact)
+            np.abs(result.force - optimal).max() if result.status == Status.SOLVED else np.nan
+            for result, optimal in zip(results, exact)
         ]
     )
 
 
 def outcomes(results: Sequence[MpcResult], error: Array) -> dict[str, int]:
-    """How many hard cases were accepted within `WRONG`, accepted but wrong, and refused."""
-    accepted = np.array([good(result) for result in results])
+    """How many hard cases were accepted within `WRONG`, accepted beyond it, and refused."""
+    taken = np.array([accepted(result) for result in results])
     return {
-        "hard_right": int((accepted & (error <= WRONG)).sum()),
-        "hard_wrong": int((accepted & (error > WRONG)).sum()),
-        "hard_refused": int((~accepted).sum()),
+        "hard_right": int((taken & (error <= WRONG)).sum()),
+        "hard_wrong": int((taken & (error > WRONG)).sum()),
+        "hard_refused": int((~taken).sum()),
     }
 
 
 def mark_front(rows: list[dict[str, Any]]) -> None:
-    """Mark the rows of which no other is both faster and more exact on all cases."""
+    """Mark the Pareto front: rows for which no other is both faster and more accurate."""
     for row in rows:
         row["front"] = not any(
             other["median_ms"] < row["median_ms"] and worst(other) < worst(row) for other in rows
@@ -186,46 +187,46 @@ def mark_front(rows: list[dict[str, Any]]) -> None:
 
 
 def worst(row: dict[str, Any]) -> float:
-    """Largest error on any case, N; infinite if a case was refused."""
+    """Largest error over all cases, N; infinite if a case was refused."""
     if row["walk_refused"] or row["hard_refused"]:
         return float("inf")
     return max(row["error_max"], row["hard_error_max"])
 
 
 def horizon_rows(settings: MpcSettings, walk: Sequence[Case]) -> Iterable[dict[str, Any]]:
-    """Time of a cycle over the number of stages."""
+    """CPU time of a cycle over the number of stages."""
     for solver in SOLVERS:
         for stages in HORIZONS:
             changes = {"horizon": stages, "acceptance.condition_max": 1e12}
             longer = config.replace(settings, changes)
-            mpc = controller(longer, solver, USUAL.get(solver, 1e-10))
+            mpc = controller(longer, solver, HORIZON_TOLERANCE.get(solver, 1e-10))
             results = [mpc.step(x, stretched(ahead, stages + 1)) for x, ahead in walk]
             yield {
                 "kind": "horizon",
                 "solver": solver,
                 "stages": stages,
                 "median_ms": 1e3 * float(np.median([r.solve_time for r in results])),
-                "refused": sum(not good(result) for result in results),
+                "refused": sum(not accepted(result) for result in results),
             }
 
 
 def cvxpy_rows(
     settings: MpcSettings, cases: Sequence[Case], exact: Array
 ) -> Iterable[dict[str, Any]]:
-    """CVXPY with the problem translated once, and stated anew in every cycle."""
-    kept = Reference(read_robot(), settings)
-    kept.solve(*cases[0], "CLARABEL")
-    ways = {
-        "CVXPY, cached, Clarabel": lambda *case: kept.solve(*case, "CLARABEL")[0],
+    """CVXPY with the problem compiled once, and with the problem rebuilt in every cycle."""
+    cached = Reference(read_robot(), settings)
+    cached.solve(*cases[0], "CLARABEL")
+    solvers = {
+        "CVXPY, cached, Clarabel": lambda *case: cached.solve(*case, "CLARABEL")[0],
         "CVXPY, as published, SCS": lambda *case: restated(read_robot(), settings, *case),
     }
-    for name, solve in ways.items():
+    for name, solve in solvers.items():
         errors_, times = [], []
-        for case, best in zip(cases, exact):
+        for case, optimal in zip(cases, exact):
             start = time.process_time()
             force = solve(*case)
             times.append(time.process_time() - start)
-            errors_.append(np.abs(force[0] - best).max())
+            errors_.append(np.abs(force[0] - optimal).max())
         yield {
             "kind": "cvxpy",
             "solver": name,
@@ -245,13 +246,13 @@ def checks(rows: Sequence[dict[str, Any]], settings: MpcSettings) -> list[Check]
     cached, published = (r["median_ms"] for r in rows if r["kind"] == "cvxpy")
     hour = [row["gained_MB"] for row in rows if row["kind"] == "hour"]
     return [
-        *(at_most("memory gained in an hour of cycles", gained, 1.0, "MB") for gained in hour),
+        *(at_most("growth of memory in an hour of cycles", gained, 1.0, "MB") for gained in hour),
         at_most(f"{name}: cycle, median", row["median_ms"], 0.6, "ms of CPU"),
         at_most("p99 over median", row["p99_ms"] / row["median_ms"], 3.0),
         at_most("error of the first forces, walk", row["error_max"], 1e-3, "N"),
-        at_most("the same, hard cases", row["hard_error_max"], 1e-3, "N"),
+        at_most("error of the first forces, hard cases", row["hard_error_max"], 1e-3, "N"),
         at_most("hard cases refused or wrong", row["hard_refused"] + row["hard_wrong"], 0),
-        at_most("60 stages over 15", time_of[60] / time_of[15], 4.5),
-        at_least("ahead of CVXPY, cached", cached / row["median_ms"], 10.0, "times"),
-        at_least("ahead of CVXPY as published", published / row["median_ms"], 300.0, "times"),
+        at_most("time of 60 stages over that of 15", time_of[60] / time_of[15], 4.5),
+        at_least("faster than CVXPY, cached", cached / row["median_ms"], 10.0, "times"),
+        at_least("faster than CVXPY as published", published / row["median_ms"], 300.0, "times"),
     ]

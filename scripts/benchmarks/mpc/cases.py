@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from slot_core.control.gait import GaitPreview
+from slot_core.control.gait import GaitPreview, read_gaits
 from slot_core.robot import Array
 
-HEIGHT = 0.04  # m, of standing
-DT = 0.033  # s
+HEIGHT = 0.04  # m, of the standing torso
 LOAD = 5.2  # N, about a quarter of the weight
 
 Case = tuple[Array, GaitPreview]
@@ -20,42 +19,42 @@ Case = tuple[Array, GaitPreview]
 def state(
     rpy: Any = (0, 0, 0), p: Any = (0, 0, HEIGHT), omega: Any = (0, 0, 0), v: Any = (0, 0, 0)
 ) -> Array:
-    """(12,) rad, m, rad/s, m/s."""
+    """(12,) state [rpy, p, omega, v]; rad, m, rad/s, m/s."""
     return np.concatenate([rpy, p, omega, v]).astype(float)
 
 
 def standing(stages: int, **changes: Any) -> GaitPreview:
-    """A preview of standing still on all feet, with some arrays (`stages`, ...) replaced."""
+    """Preview of standing still on four feet; `changes` replace fields, arrays as (stages, ...)."""
     values: dict[str, Any] = {
         "contact": np.ones((stages, 4), dtype=bool),
         "friction": np.full((stages, 4), 0.4),
         "normal_force": np.full((stages, 4), LOAD),
         "tendon_angle": np.ones((stages, 4)),
         "reference": np.tile(state(), (stages, 1)),
-        "dt": DT,
+        "dt": read_gaits().dt,
     }
     return GaitPreview(stamp=0, gait="stand", phase=0.0, period=0.72, **(values | changes))
 
 
 def hard_cases(stages: int) -> dict[str, Case]:
-    """Cases by name; every one has a solution."""
+    """Cases by name; every case has a solution."""
     zeros, none = np.zeros((stages, 4)), np.zeros((stages, 4), dtype=bool)
     swing = np.ones((stages, 4), dtype=bool)
     swing[stages // 3 : 2 * stages // 3, 1] = False
     lifted, diagonal = (np.tile(feet, (stages, 1)) for feet in ([1, 0, 1, 1], [1, 0, 0, 1]))
     landing = np.repeat(np.arange(stages) >= stages // 2, 4).reshape(stages, 4)
     moving = state(rpy=(0.02, -0.01, 0.2), p=(0, 0, 0.05), omega=(0.1, 0, 0), v=(0.1, 0.05, 0))
-    on = standing(stages)
+    stance = standing(stages)
     return {
-        "low": (state(p=(0, 0, 0.01)), on),
-        "tilt of 0.5 rad": (state(rpy=(0.5, -0.5, 0)), on),
-        "on its side": (state(rpy=(1.5, 0, 0)), on),
-        "turned by 1 rad": (state(rpy=(0.1, 0.05, 1.05)), on),
-        "height of 1000 m": (state(p=(0, 0, 1e3)), on),
-        "depth of 1000 m": (state(p=(0, 0, -1e3)), on),
-        "falling": (state(v=(0, 0, -1.0)), on),
-        "spinning": (state(omega=(2.0, -2.0, 1.0)), on),
-        "sliding": (state(v=(1.0, -1.0, 0)), on),
+        "low": (state(p=(0, 0, 0.01)), stance),
+        "tilt of 0.5 rad": (state(rpy=(0.5, -0.5, 0)), stance),
+        "on its side": (state(rpy=(1.5, 0, 0)), stance),
+        "turned by 1 rad": (state(rpy=(0.1, 0.05, 1.05)), stance),
+        "height of 1000 m": (state(p=(0, 0, 1e3)), stance),
+        "depth of 1000 m": (state(p=(0, 0, -1e3)), stance),
+        "falling": (state(v=(0, 0, -1.0)), stance),
+        "spinning": (state(omega=(2.0, -2.0, 1.0)), stance),
+        "sliding": (state(v=(1.0, -1.0, 0)), stance),
         "no friction": (moving, standing(stages, friction=zeros)),
         "hardly any friction": (moving, standing(stages, friction=zeros + 1e-6)),
         "friction of 100": (moving, standing(stages, friction=zeros + 100.0)),
@@ -71,7 +70,7 @@ def hard_cases(stages: int) -> dict[str, Case]:
 
 
 def random_case(rng: np.random.Generator, stages: int) -> Case:
-    """A disturbed state; feet come and go, friction from nothing to plenty."""
+    """Random state, contacts, friction (0 to 0.8), normal forces and reference."""
     yaw = rng.uniform(-np.pi, np.pi)
     x = state(
         rpy=(*rng.normal(0, 0.1, 2), yaw),
@@ -91,7 +90,7 @@ def random_case(rng: np.random.Generator, stages: int) -> Case:
 
 
 def stretched(preview: GaitPreview, stages: int) -> GaitPreview:
-    """The preview over any number of stages, gone through again where it ends."""
+    """The preview repeated periodically over `stages` stages."""
     rows = np.arange(stages) % len(preview.contact)
     names = ("contact", "friction", "normal_force", "tendon_angle", "reference")
     arrays: dict[str, Any] = {name: np.asarray(getattr(preview, name))[rows] for name in names}

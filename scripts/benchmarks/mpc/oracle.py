@@ -10,9 +10,9 @@ STAGE = INPUTS + 12
 
 
 def optimum(qp: HorizonQp) -> Array:
-    """(H, 4, 3) N, by Goldfarb and Idnani's method as quadprog has it.
+    """Optimal forces (H, 4, 3), N, by the method of Goldfarb and Idnani (quadprog).
 
-    Forces with equal bounds are taken out, because the method wants independent constraints.
+    Forces with equal bounds are eliminated, because the method needs independent constraints.
     """
     size = qp.horizon * STAGE
     place = np.arange(size).reshape(qp.horizon, STAGE)

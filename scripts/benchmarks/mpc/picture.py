@@ -1,4 +1,4 @@
-"""The picture of the MPC's benchmark: error over time, and time over the horizon."""
+"""The picture of the MPC's benchmark: error over CPU time, and CPU time over the horizon."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -18,11 +18,11 @@ COLOURS = {
     "clarabel": "#009E73",
     "osqp": "#CC79A7",
 }
-ROUNDOFF = 1e-13  # N, drawn for what is smaller
+ROUNDOFF = 1e-13  # N, drawn for smaller errors
 
 
 def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Draw all rows."""
+    """Write the picture of all rows."""
     figure = Figure(figsize=(12, 5), layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
@@ -32,7 +32,7 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
 
 
 def draw_errors(ax: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Largest error on the walk and the hard cases over the median time of the walk."""
+    """Largest error on the walk and the hard cases, over the median CPU time on the walk."""
     runs = [row for row in rows if row["kind"] == "solver"]
     for name, colour in COLOURS.items():
         mine = [row for row in runs if row["solver"] == name]
@@ -69,12 +69,12 @@ def draw_errors(ax: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def worst(row: Mapping[str, Any]) -> float:
-    """Largest error of what was found, N."""
+    """Largest error of the solutions found, N."""
     return max(ROUNDOFF, *(row[k] for k in ("error_max", "hard_error_max") if row[k] < math.inf))
 
 
 def draw_horizons(ax: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Time over the number of stages."""
+    """CPU time over the number of stages."""
     for name, colour in COLOURS.items():
         places = [(row["stages"], row["median_ms"]) for row in rows if row["solver"] == name]
         ax.plot(*zip(*places), "o-", color=colour, ms=4, label=name)

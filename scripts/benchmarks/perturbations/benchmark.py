@@ -2,7 +2,8 @@
 
 Three studies: (a) the published problem on its own linear model, (b) the default profile on a rigid
 torso with lag, (c) the default profile on the Cosserat robot. With --samples also a Monte Carlo
-study over mass, friction, lag, pushes and noise. The parts say what each does exactly.
+study over mass, friction, lag, pushes and noise. Details are in published.py, rigid_torso.py,
+simulated.py and samples.py.
 """
 
 import argparse
@@ -26,16 +27,16 @@ QUICK_DURATION = 6.0  # s, of (b) and (c)
 NOISE_SEED = 1
 REPRODUCED = ("Baseline", "Roll", "Height", "Velocity", "Combined")
 MOST_DEVIATION = 0.5  # % of the paper's maximum cost
-LATEST = 2.0  # s
+LATEST = 2.0  # s, settling time
 NOTES = (
     "Noise: neither seed nor clipping are published; here seed 1, clipped at 1 (SI)",
     "Pitch: 9 % above the paper, with either sign of the angle; the cause is not known",
     "(a): cost and limits of the authors' walk; without its cost on f_x Baseline is 9 % above",
-    "mean cost and settling time: what the paper averages over and counts from is not published",
+    "mean cost and settling time: their intervals are not published in the paper",
     "(a) starts with every state zero but the perturbation; at the reference the cost would be 0",
     "(b), (c): other weights: settling and feasibility compare with the paper, the cost does not",
-    "(c) stands still: the walk's own sway is larger than what is to settle",
-    "(c) Height: the torso's underside reaches the floor at 17 mm, 10 mm cannot be had",
+    "(c) stands still: the sway of a walk is larger than the perturbations",
+    "(c) Height: the torso's underside reaches the floor at 17 mm, so 10 mm is not possible",
 )
 
 
@@ -64,7 +65,7 @@ def run(
     observer: float,
     scheduler: str,
 ) -> tuple[list[Row], list[Check]]:
-    """Measure; `perturbations.png` has costs and table, `failures.png` the samples' failures."""
+    """Run the studies; `perturbations.png` shows costs and table, `failures.png` failed samples."""
     runs, rows = cases(QUICK_DURATION if quick else DURATION, progress)
     rows += [{"kind": "note", "note": note} for note in NOTES]
     draw_costs(runs, rows, out / "perturbations.png")
@@ -79,8 +80,8 @@ def run(
 def cases(
     duration: float, progress: Callable[[str], None]
 ) -> tuple[dict[str, dict[str, Run]], list[dict[str, Any]]]:
-    """Every case of every study; (a) always over the paper's time."""
-    # Once REQUIRES is checked.
+    """Run every case of every study; (a) always lasts as long as in the paper."""
+    # Imported after REQUIRES is checked.
     from benchmarks.perturbations.published import run_published  # noqa: PLC0415
     from benchmarks.perturbations.rigid_torso import run_torso  # noqa: PLC0415
     from benchmarks.perturbations.simulated import run_robot  # noqa: PLC0415
@@ -93,10 +94,10 @@ def cases(
         noise = [np.random.default_rng(NOISE_SEED) if name == "Noise" else None for _ in range(2)]
         runs["published"][name] = run_published(robot, published, change, DURATION, noise[0])
         runs["torso"][name] = run_torso(robot, default, change, duration, noise[1])
-        runs["robot"][name], met = run_robot(name, duration)
-        for study, found in runs.items():
-            row = {"kind": "case", "study": study, "case": name} | metrics(found[name])
-            rows.append(row | paper(name) | (met if study == "robot" else {}))
+        runs["robot"][name], reached = run_robot(name, duration)
+        for study, by_case in runs.items():
+            row = {"kind": "case", "study": study, "case": name} | metrics(by_case[name])
+            rows.append(row | paper(name) | (reached if study == "robot" else {}))
     return runs, rows
 
 
@@ -109,7 +110,7 @@ def paper(name: str) -> dict[str, float]:
 def sample_rows(
     count: int, like: Any, scheduler: str, out: Path, progress: Callable[[str], None]
 ) -> list[Row]:
-    """Run what `out/samples.csv` lacks, and sum up; raises BenchmarkError for a bad count."""
+    """Run the samples that `out/samples.csv` lacks; raises BenchmarkError for a negative count."""
     from benchmarks.perturbations.farm import run_samples, workers  # noqa: PLC0415
 
     if count < 0:
@@ -125,7 +126,7 @@ def sample_rows(
 
 
 def title(total: Row, like: Any) -> str:
-    """One line on the samples."""
+    """Title of the samples' picture."""
     observer = f"observer {like.observer:g} s" if like.observer else "no observer"
     return (
         f"{total['failed']} of {total['samples']} samples exceed a limit: {total['rate']:.1%} "
@@ -134,7 +135,7 @@ def title(total: Row, like: Any) -> str:
 
 
 def state_of_code() -> str:
-    """Commit and, where files differ from it, a digest of how: what samples put together share."""
+    """Commit, and a digest of uncommitted changes: only samples of equal code are put together."""
     commit = revision(ROOT)["commit"] or "unknown"
     diff = subprocess.run(["git", "-C", ROOT, "diff", "HEAD"], capture_output=True, check=False)
     change = hashlib.sha256(diff.stdout).hexdigest()[:12] if diff.stdout else ""

@@ -1,4 +1,4 @@
-"""The seven perturbations of the paper's stability analysis, its table, and the metrics of it."""
+"""The seven perturbations of the paper's stability analysis, its table and its metrics."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ HEIGHT, SPEED = 0.04, 0.08  # m, m/s: the references of the paper
 DURATION = 25.0  # s
 DT = 0.033  # s
 NOISE = 0.001  # standard deviation on every state, SI
-SETTLED = 0.01  # of the cost
+SETTLED = 0.01  # cost below which a run counts as settled
 HEIGHT_BAND, TILT_BAND = 2e-3, 10e-3  # m, rad: where the torso counts as settled
-ROLL, PITCH, P_Z, V_X = 0, 1, 5, 9  # of the states
+ROLL, PITCH, P_Z, V_X = 0, 1, 5, 9  # indices in the state
 
 CASES: Mapping[str, Mapping[int, float]] = {
     "Baseline": {},
@@ -27,7 +27,7 @@ CASES: Mapping[str, Mapping[int, float]] = {
     "Combined": {ROLL: 0.05, PITCH: 0.05, P_Z: 0.02, V_X: 0.03},
     "Noise": {},
 }
-"""What each changes of the state it starts from."""
+"""Changes of the initial state by case, by index in the state; rad, m, m/s."""
 
 TABLE = {
     "Baseline": (4.9739, 1.1665, 0.0000, 14.553),
@@ -38,12 +38,12 @@ TABLE = {
     "Combined": (3.6959, 0.7873, 0.0000, 12.606),
     "Noise": (2.3828, 0.2212, 0.4943, math.nan),
 }
-"""The paper's: maximum, mean and final cost, and settling time, s (NaN: did not settle)."""
+"""The paper's table: maximum, mean and final cost, settling time, s (NaN: did not settle)."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """A perturbed run; NaN stands where a step had no cost."""
+    """A perturbed run; the cost is NaN in steps without one."""
 
     time: Array  # (n,) s
     cost: Array  # (n,)
@@ -53,7 +53,7 @@ class Run:
 
 
 def settling_time(time: Array, inside: Array) -> float:
-    """First time after which `inside` (n,) holds to the end; NaN: not even at the end."""
+    """First time from which `inside` (n,) holds to the end; NaN if it does not hold at the end."""
     outside = np.flatnonzero(~inside)
     if not len(outside):
         return float(time[0])
@@ -61,7 +61,7 @@ def settling_time(time: Array, inside: Array) -> float:
 
 
 def metrics(run: Run, height: float = HEIGHT) -> dict[str, float]:
-    """The paper's metrics, and when the torso has settled at `height` (m)."""
+    """The paper's metrics, and the time after which the torso stays at `height` (m) and level."""
     still = (np.abs(run.height - height) < HEIGHT_BAND) & (run.tilt < TILT_BAND)
     return {
         "max_cost": float(np.nanmax(run.cost)),

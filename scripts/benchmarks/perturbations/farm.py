@@ -1,4 +1,4 @@
-"""Runs samples on `dask.distributed`: on this machine's cores, or on a cluster."""
+"""Runs samples with `dask.distributed` on the cores of this machine or on a cluster."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ REPORTS = 20  # lines of progress
 
 @contextmanager
 def workers(scheduler: str, count: int | None = None) -> Iterator[Client]:
-    """A client of the cluster at `scheduler`; empty: of `count` processes here (a core each).
+    """Client of the cluster at `scheduler`; if empty, of `count` local processes (default: cores).
 
-    The local cluster listens on the loopback only. A worker elsewhere needs slot_core of the same
-    revision; the benchmarks are sent to it.
+    The local cluster listens on the loopback only. A remote worker needs slot_core of the same
+    revision; the package of the benchmarks is uploaded to it.
     """
     if scheduler:
         with Client(scheduler) as client:
@@ -32,7 +32,7 @@ def workers(scheduler: str, count: int | None = None) -> Iterator[Client]:
         return
     cores = count or len(os.sched_getaffinity(0))
     local = {"host": LOOPBACK, "processes": True, "threads_per_worker": 1}
-    # By default their web servers listen on every interface.
+    # By default the web servers listen on every interface.
     pages = dict.fromkeys(("dashboard_address", "worker_dashboard_address"), f"{LOOPBACK}:0")
     with (
         LocalCluster(n_workers=cores, **local, **pages) as here,
@@ -44,9 +44,9 @@ def workers(scheduler: str, count: int | None = None) -> Iterator[Client]:
 def run_samples(
     client: Client, record: Record, like: Sample, count: int, progress: Callable[[str], None]
 ) -> Sequence[Mapping[str, Any]]:
-    """The samples 0 .. count-1; those that `record` has are not run again."""
+    """Results of the samples 0 .. count-1; samples in `record` are not run again."""
     missing = record.missing(count)
-    progress(f"{count - len(missing)} of {count} samples are there")
+    progress(f"{count - len(missing)} of {count} samples are recorded")
     if missing:
         _upload(client)
     samples = [draw(like.plant, like.seed, like.observer, index) for index in missing]
@@ -59,7 +59,7 @@ def run_samples(
 
 
 def _upload(client: Client) -> None:
-    """Send the package of the benchmarks to every worker."""
+    """Upload the package of the benchmarks to every worker."""
     with tempfile.TemporaryDirectory() as directory:
         name = str(Path(directory) / PACKAGE.name)
         archive = shutil.make_archive(name, "zip", PACKAGE.parent, PACKAGE.name)

@@ -1,4 +1,4 @@
-"""The pictures of the perturbations: costs over time with their table, and failures of samples."""
+"""The pictures of the perturbations: costs over time with their table, and the failed samples."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def draw_costs(runs: Mapping[str, Mapping[str, Run]], rows: Sequence[Row], path:
 
 
 def draw_table(ax: Axes, rows: Sequence[Row]) -> None:
-    """The paper's table beside ours."""
+    """The paper's table beside the three studies."""
     ax.set_axis_off()
     shown = ax.text(
         0.0, 1.0, "\n".join(table_lines(rows)), family="monospace", fontsize=8.0, va="top",
@@ -91,7 +91,7 @@ def _time(seconds: float) -> str:
 
 
 def draw_failures(rows: Sequence[Row], title: str, path: Path) -> None:
-    """Rate of failure over each parameter, and where the failures are in three planes."""
+    """Rate of failure over each parameter, and the failures in three planes of two parameters."""
     figure = Figure(figsize=(14, 7.5), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(2, 1)
@@ -108,7 +108,7 @@ def draw_failures(rows: Sequence[Row], title: str, path: Path) -> None:
 
 
 def draw_rate(ax: Axes, rows: Sequence[Row], name: str) -> None:
-    """Rate of failure in equal parts of a parameter's range."""
+    """Rate of failure in `BINS` equal parts of a parameter's range."""
     edges = np.linspace(*RANGES[name], BINS + 1)
     place = np.digitize([row[name] for row in rows], edges[1:-1])
     failed = np.array([bool(row["failed"]) for row in rows])

@@ -1,20 +1,20 @@
-"""The perturbations as the paper ran them: the published problem on its own linear model.
+"""The paper's perturbations as published: the published problem on its own linear model.
 
     minimise    sum_k=0^14 (x_k - x_ref)' Q (x_k - x_ref) + 1e-8 u_k'u_k + 0.01 (f_x,l - a_l)^2
     subject to  x_k+1 = x_k + dt (A x_k + B u_k - g e_vz)        explicit Euler
                 |sum f_z - m g| <= 0.01 N, 0 <= f_z <= 6 N, f_z >= 4 N but for the pulled front leg
                 the front legs' |f_x|, |f_y| <= mu f_z, the rear legs' |(f_x, f_y)| <= mu f_z
 
-with the tangential forces in the legs' frames and the last term of the cost over the front legs
-alone: a = 0.6 N and f_x >= 0.2 N on the pulled one, a = 0 on the other. The front legs change over
-every 2.5 s, with friction 0.6 pulled and 0.2 released; it is 0.1 at the rear. A has drag, -0.1 on
-v_x and v_y and -0.5 on v_z. Fifteen steps solve and apply u_0, five hold it. Over the first three
-steps every f_z is at least m g / 4 + 0.2 N, whatever the MPC asked for.
+with the tangential forces in the legs' frames. The last term of the cost is over the front legs
+only: a = 0.6 N and f_x >= 0.2 N for the pulled leg, a = 0 for the other. The front legs change
+roles every 2.5 s; friction is 0.6 for the pulled leg, 0.2 for the released one and 0.1 at the rear.
+A has drag, -0.1 on v_x and v_y and -0.5 on v_z. Fifteen steps solve and apply u_0, five hold it.
+Over the first three steps every applied f_z is at least m g / 4 + 0.2 N.
 
-Problem, model and the greater forces are those of the authors' published walk; references, starts
-and cycles are the paper's. Their script of the table itself is not at hand. The 5 ms lag of their
-actuators is left out, and where they solve with SCS at its default accuracy, Clarabel gives the
-optimum here.
+Problem, model and the raised forces are those of the authors' published walk; references, initial
+states and cycles are the paper's. The authors' script for the table itself is not available. The
+5 ms lag of their actuators is left out. They solve with SCS at its default accuracy; here Clarabel
+computes the optimum.
 """
 
 from __future__ import annotations
@@ -26,25 +26,26 @@ import numpy as np
 from scipy import sparse
 
 from benchmarks.perturbations.cases import DT, DURATION, HEIGHT, NOISE, P_Z, SPEED, V_X, Run, tilt
+from slot_core.control.mpc.model import FEET, INPUTS, STATES
 from slot_core.control.mpc.mpc import MpcSettings
 from slot_core.robot import GRAVITY, Array, Robot
 
 MASS = 2.16  # kg, torso and legs of 0.04 kg
-FOOT_WAY = 0.19 * np.sqrt(2.0)  # m from the corner along each axis: twice as far as the leg is long
+FOOT_OFFSET = 0.19 * np.sqrt(2.0)  # m from the corner along each axis: twice the leg's length
 FOOT_DROP = 0.177  # m
 DRAG = (0.1, 0.1, 0.5)  # 1/s
 GAIT_PERIOD = 5.0  # s
 FRICTION = {"pulled": 0.6, "released": 0.2, "rear": 0.1}
 LEAST_NORMAL, LEAST_PULL, PULL, PULL_WEIGHT = 4.0, 0.2, 0.6, 0.01  # N, N, N, 1/N^2
-OVER_FORCE, OVER_STEPS = 0.2, 3  # N a leg
+RAISED_FORCE, RAISED_STEPS = 0.2, 3  # N per leg beyond m g / 4, in the first steps
 SOLVED_STEPS, HELD_STEPS = 15, 5
-MOST_STATE = 1.0  # SI, where states with noise are clipped; the authors' clipping is unknown
+MOST_STATE = 1.0  # SI, limit of states with noise; the authors' limit is unknown
 TOLERANCE = 1e-9
-LEGS, AXES, STATES, INPUTS = 4, 3, 12, 12
+AXES = 3
 
 
 class PublishedProblem:
-    """The published cone programme in one phase of the gait; z = [u_0, x_1, u_1, x_2, ...]."""
+    """The published second-order cone programme in one phase; z = [u_0, x_1, u_1, x_2, ...]."""
 
     def __init__(self, robot: Robot, settings: MpcSettings, phase: int):
         """`phase` is the front leg that is pulled, 0 or 1."""
@@ -52,12 +53,12 @@ class PublishedProblem:
         self.a, self.b, self.drift = published_model(robot)
         self.target = np.zeros(STATES)
         self.target[[P_Z, V_X]] = HEIGHT, SPEED
-        self._turns = [_leg_frame(robot.azimuth[leg]) for leg in range(LEGS)]
+        self._turns = [_leg_frame(robot.azimuth[leg]) for leg in range(FEET)]
         self._cost(phase)
         self._constrain(phase)
 
     def solve(self, state: Array) -> tuple[Array, float, bool]:
-        """(4, 3) N, the cost, and whether it is solved, from a state (12,)."""
+        """First forces (4, 3), N, the cost, and whether it is solved, for a state (12,)."""
         b = self._b.copy()
         b[:STATES] += self.a @ state
         cones, options = self._cones, clarabel.DefaultSettings()
@@ -67,19 +68,19 @@ class PublishedProblem:
         error = state - self.target
         constant = self._constant + float(error @ (self._settings.weights.q * error))
         solved = str(solution.status) in {"Solved", "AlmostSolved"}
-        force = np.array(solution.x)[:INPUTS].reshape(LEGS, AXES)
+        force = np.array(solution.x)[:INPUTS].reshape(FEET, AXES)
         return force, float(solution.obj_val) + constant, solved
 
     def _cost(self, phase: int) -> None:
-        """1/2 z'Pz + c'z + constant; the last state of the horizon costs nothing."""
+        """Set 1/2 z'Pz + c'z + constant; the last state of the horizon has no cost."""
         weights, size = self._settings.weights, self.horizon
         quadratic, linear = np.diag(weights.r), np.zeros(INPUTS)
         for leg in (0, 1):
             row = np.zeros(INPUTS)
             row[AXES * leg : AXES * leg + AXES] = self._turns[leg][0]
-            wanted = PULL if leg == phase else 0.0
+            pull = PULL if leg == phase else 0.0
             quadratic += PULL_WEIGHT * np.outer(row, row)
-            linear -= PULL_WEIGHT * wanted * row
+            linear -= PULL_WEIGHT * pull * row
         last = np.append(np.ones(size - 1), 0.0)
         blocks = [m for k in last for m in (quadratic, np.diag(k * weights.q))]
         self._p = sparse.csc_matrix(sparse.triu(2.0 * sparse.block_diag(blocks)))
@@ -89,7 +90,7 @@ class PublishedProblem:
         self._constant = size * PULL_WEIGHT * PULL**2 + (size - 1) * distance
 
     def _constrain(self, phase: int) -> None:
-        """Rows of Clarabel's form: b - A z in zero, non-negative and second-order cones."""
+        """Set Clarabel's form: b - A z in zero, non-negative and second-order cones."""
         linear, cones, bound = self._stage_limits(phase)
         size, stages = self.horizon, sparse.eye(self.horizon)
         wide = np.hstack([linear, np.zeros((len(linear), STATES))])
@@ -109,7 +110,7 @@ class PublishedProblem:
         ]
 
     def _stage_limits(self, phase: int) -> tuple[Array, Array, Array]:
-        """A stage's (m, 12) and (6, 12) rows over its inputs, and the bounds (m,) of the first."""
+        """A stage's linear rows (m, 12) and cone rows (6, 12) over its inputs; bounds (m,)."""
         rows: list[Array] = []
         bound: list[float] = []
         cones: list[Array] = []
@@ -118,20 +119,20 @@ class PublishedProblem:
             rows.append(row)
             bound.append(most)
 
-        normal = np.zeros((LEGS, INPUTS))
-        for leg in range(LEGS):
+        normal = np.zeros((FEET, INPUTS))
+        for leg in range(FEET):
             place = slice(AXES * leg, AXES * leg + AXES)
             along, across = np.zeros((2, INPUTS))
             along[place], across[place] = self._turns[leg][:2]
             normal[leg, AXES * leg + 2] = 1.0
             at_most(-normal[leg], 0.0 if leg == phase else -LEAST_NORMAL)
             at_most(normal[leg], self._settings.force_max)
-            grip = _friction(leg, phase) * normal[leg]
+            limit = _friction(leg, phase) * normal[leg]
             if leg in (0, 1):
                 for row in (along, -along, across, -across):
-                    at_most(row - grip, 0.0)
+                    at_most(row - limit, 0.0)
             else:
-                cones += [-grip, -along, -across]
+                cones += [-limit, -along, -across]
             if leg == phase:
                 at_most(-along, -LEAST_PULL)
         band = self._settings.model.support_band
@@ -141,13 +142,13 @@ class PublishedProblem:
 
 
 def published_model(robot: Robot) -> tuple[Array, Array, Array]:
-    """x_k+1 = a x_k + b u_k + drift: a box with the mass of torso and legs, on far feet."""
+    """(a, b, drift) of x_k+1 = a x_k + b u_k + drift: a box with the robot's mass, feet far out."""
     a, b = np.zeros((STATES, STATES)), np.zeros((STATES, INPUTS))
     a[:6, 6:] = np.eye(6)
     a[9:, 9:] = -np.diag(DRAG)
     inertia = robot.torso.inertia * MASS / robot.torso.mass
     for leg, clamp in enumerate(robot.clamps):
-        x, y, z = clamp + np.append(np.sign(clamp[:2]) * FOOT_WAY, -FOOT_DROP)
+        x, y, z = clamp + np.append(np.sign(clamp[:2]) * FOOT_OFFSET, -FOOT_DROP)
         lever = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         b[6:9, AXES * leg : AXES * leg + AXES] = np.linalg.solve(inertia, lever)
         b[9:, AXES * leg : AXES * leg + AXES] = np.eye(AXES) / MASS
@@ -163,13 +164,13 @@ def run_published(
     duration: float = DURATION,
     noise: np.random.Generator | None = None,
 ) -> Run:
-    """A case over whole cycles of 15 solved and 5 held steps; `noise` disturbs every state."""
+    """Run a case over whole cycles of 15 solved and 5 held steps; `noise` is added to the state."""
     problems = [PublishedProblem(robot, settings, phase) for phase in (0, 1)]
     state, entries, infeasible = np.zeros(STATES), [], 0
     for place, value in change.items():
         state[place] = value
     cycle = SOLVED_STEPS + HELD_STEPS
-    force = np.zeros((LEGS, AXES))
+    force = np.zeros((FEET, AXES))
     for step in range(int(duration / (cycle * DT)) * cycle):
         time = step * DT
         if step % cycle < SOLVED_STEPS:
@@ -177,8 +178,8 @@ def run_published(
             force, cost, solved = problem.solve(state)
             infeasible += not solved
             entries.append((time, cost, state[P_Z], float(tilt(state[:3]))))
-        if step < OVER_STEPS:
-            force[:, 2] = np.maximum(force[:, 2], MASS * GRAVITY / LEGS + OVER_FORCE)
+        if step < RAISED_STEPS:
+            force[:, 2] = np.maximum(force[:, 2], MASS * GRAVITY / FEET + RAISED_FORCE)
         state = problem.a @ state + problem.b @ force.ravel() + problem.drift
         if noise is not None:
             state = np.clip(state + NOISE * noise.normal(size=STATES), -MOST_STATE, MOST_STATE)
@@ -191,6 +192,6 @@ def _friction(leg: int, phase: int) -> float:
 
 
 def _leg_frame(azimuth: float) -> Array:
-    """(3, 3) odom to the leg's frame as the scripts have it: x at minus the leg's azimuth."""
+    """(3, 3) odom to the leg's frame of the authors' scripts: x at minus the leg's azimuth."""
     s, c = np.sin(azimuth), np.cos(azimuth)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

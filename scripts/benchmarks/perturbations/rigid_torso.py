@@ -1,4 +1,4 @@
-"""A rigid torso on feet that the floor holds, its forces behind their commands, under the MPC.
+"""A rigid torso on feet fixed to the floor, whose forces lag behind their commands, under the MPC.
 
 In odom and, for the rates, in axes fixed to the body, with R the rotation from body to odom:
 
@@ -6,11 +6,11 @@ In odom and, for the rates, in axes fixed to the body, with R the rotation from 
     dq/dt = q o (0, w) / 2      J dw/dt = R' (sum (c_i - p) x f_i + M) - w x J w
     df_i/dt = (u_i - f_i) / lag
 
-Full rotation and gyroscopic term, no small angles. A foot c_i is at rest on the floor over a
-control step and is placed anew at each, where the leg will end in the torso's heading half a step
-later (Raibert's rule, without which the feet would trail and tilt the torso by 20 mrad); fixed for
-good, they would be left behind at 0.08 m/s within two seconds. The floor gives
-what friction allows: |f_x|, |f_y| are cut at mu f_z, and f_z at zero.
+Full rotation and gyroscopic term, no small angles. A foot c_i rests on the floor over a control
+step. At each step it is placed again, where the leg will end in the torso's heading half a step
+later (Raibert's rule; without it the feet would trail and tilt the torso by 20 mrad). Feet that
+never moved would be left behind within two seconds at 0.08 m/s. Friction limits |f_x| and |f_y| to
+mu f_z, and f_z is not negative.
 """
 
 from __future__ import annotations
@@ -30,49 +30,49 @@ from slot_core.control.reference import reference
 from slot_core.robot import GRAVITY, Array, Robot
 
 LAG = 0.05  # s
-SUBSTEPS = 8  # of Runge and Kutta in a control step: 4 ms, a quarter of the shortest lag
-# Of the plant's own state: quaternion x y z w, angular velocity in body axes.
-POSITION, TURN, VELOCITY, RATE = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
+SUBSTEPS = 8  # Runge-Kutta steps per control step: 4 ms; the samples' shortest lag is 10 ms
+# Slices of the state y: quaternion x y z w, angular velocity in body axes.
+POSITION, QUATERNION, VELOCITY, RATE = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
 FORCES = slice(13, 25)
 
 
 @dataclass(frozen=True)
 class Body:
-    """What the torso really is, whatever the MPC believes."""
+    """True parameters of the simulated torso, which may differ from the MPC's."""
 
     mass: float  # kg
     inertia: Array  # (3, 3) kg m^2
-    feet: Array  # (4, 3) m, base_link; the height does not matter
+    feet: Array  # (4, 3) m, base_link; the height is not used
     friction: float
     lag: float  # s
 
 
 def body(robot: Robot, friction: float, lag: float = LAG, mass_factor: float = 1.0) -> Body:
-    """The robot as a rigid body; its inertia grows with its mass."""
+    """The robot as a rigid body; `mass_factor` scales mass and inertia."""
     return Body(mass_factor * robot.mass, mass_factor * robot.inertia, robot.feet, friction, lag)
 
 
 class RigidTorso:
-    """The body on its feet, by the classic Runge-Kutta method."""
+    """The body on its feet, integrated by the classic fourth-order Runge-Kutta method."""
 
     def __init__(self, torso: Body, state: Array, force: Array):
-        """Start at a state (12,) [rpy, p, omega, v] in odom with forces (4, 3), N."""
+        """Start at a state (12,) [rpy, p, omega, v] in odom, with ground forces (4, 3), N."""
         self.body = torso
         turn = Rotation.from_euler("ZYX", state[2::-1])
         rate = turn.inv().apply(state[6:9])
         self.y = np.concatenate([state[3:6], turn.as_quat(), state[9:12], rate, force.ravel()])
-        self.outer = np.zeros(6)  # N and N m on the centre, odom
+        self.external = np.zeros(6)  # N and N m on the centre, odom
         self._inverse = np.linalg.inv(torso.inertia)
 
     @property
     def state(self) -> Array:
         """(12,) [roll pitch yaw, p, omega, v] in odom."""
-        turn = Rotation.from_quat(self.y[TURN])
+        turn = Rotation.from_quat(self.y[QUATERNION])
         rpy = turn.as_euler("ZYX")[::-1]
         return np.concatenate([rpy, self.y[POSITION], turn.apply(self.y[RATE]), self.y[VELOCITY]])
 
     def advance(self, command: Array, dt: float) -> None:
-        """Hold the commanded forces (4, 3), N, for dt (s), on feet placed now."""
+        """Place the feet, then hold the commanded forces (4, 3), N, for dt (s)."""
         feet, h = self.place_feet(dt / 2), dt / SUBSTEPS
         u = command.ravel()
         for _ in range(SUBSTEPS):
@@ -81,7 +81,7 @@ class RigidTorso:
             k3 = self.slope(self.y + h / 2 * k2, u, feet)
             k4 = self.slope(self.y + h * k3, u, feet)
             self.y = self.y + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-            self.y[TURN] /= math.sqrt(self.y[TURN] @ self.y[TURN])
+            self.y[QUATERNION] /= math.sqrt(self.y[QUATERNION] @ self.y[QUATERNION])
 
     def place_feet(self, ahead: float) -> Array:
         """(4, 3) m in odom: on the floor, where the legs will end `ahead` (s) from now."""
@@ -92,24 +92,24 @@ class RigidTorso:
         return place + np.append(self.y[:2] + ahead * self.y[VELOCITY][:2], 0.0)
 
     def slope(self, y: Array, u: Array, feet: Array) -> Array:
-        """(25,) d/dt of the state with its forces."""
-        torso, turn, rate = self.body, _matrix(y[TURN]), y[RATE]
-        force = grip(y[FORCES].reshape(4, 3), torso.friction)
+        """(25,) time derivative of the state y, forces included, under the commands u (12,), N."""
+        torso, turn, rate = self.body, _matrix(y[QUATERNION]), y[RATE]
+        force = friction_limited(y[FORCES].reshape(4, 3), torso.friction)
         arm = feet - y[POSITION]
-        moment = turn.T @ (_cross(arm, force).sum(axis=0) + self.outer[3:])
+        moment = turn.T @ (_cross(arm, force).sum(axis=0) + self.external[3:])
         spin = torso.inertia @ rate
         out = np.empty(25)
         out[POSITION] = y[VELOCITY]
-        out[TURN] = _quaternion_rate(y[TURN], rate)
-        out[VELOCITY] = (force.sum(axis=0) + self.outer[:3]) / torso.mass
+        out[QUATERNION] = _quaternion_rate(y[QUATERNION], rate)
+        out[VELOCITY] = (force.sum(axis=0) + self.external[:3]) / torso.mass
         out[9] -= GRAVITY
         out[RATE] = self._inverse @ (moment - _cross(rate[None], spin[None])[0])
         out[FORCES] = (u - y[FORCES]) / torso.lag
         return out
 
 
-def grip(force: Array, friction: float) -> Array:
-    """(4, 3) N that the floor gives of the forces asked for."""
+def friction_limited(force: Array, friction: float) -> Array:
+    """(4, 3) N, ground forces: `force` limited by friction and to non-negative f_z."""
     normal = np.maximum(force[:, 2:], 0.0)
     most = friction * normal
     return np.hstack([np.clip(force[:, :2], -most, most), normal])
@@ -119,19 +119,19 @@ class TorsoLoop:
     """The torso under an MPC that stands on four feet and follows height and speed."""
 
     def __init__(self, robot: Robot, settings: MpcSettings, torso: Body, state: Array):
-        """Start with every leg carrying its share of the weight that the MPC counts on."""
+        """Start at a state (12,) with a quarter of the weight in the MPC's model on each leg."""
         self._gaits = read_gaits()
         share = np.zeros((4, 3))
         share[:, 2] = robot.weight / 4
-        self.plant = RigidTorso(torso, state, share)
+        self.torso = RigidTorso(torso, state, share)
         settings = config.replace(settings, {"acceptance.time_budget": math.inf})
         self._mpc, self._share, self.step = Mpc(robot, settings, lambda: 0.0), share[:, 2], 0
 
     def tick(self, disturb: Callable[[Array], Array]) -> MpcResult:
-        """Let the MPC see `disturb` of the state, and hold its forces for a control step."""
-        seen = disturb(self.plant.state)
-        result = self._mpc.step(seen, self._preview(seen))
-        self.plant.advance(result.force, DT)
+        """One control step: the MPC solves for `disturb(state)`, its forces are held for DT."""
+        measured = disturb(self.torso.state)
+        result = self._mpc.step(measured, self._preview(measured))
+        self.torso.advance(result.force, DT)
         self.step += 1
         return result
 
@@ -161,7 +161,7 @@ def run_torso(
     duration: float = DURATION,
     noise: np.random.Generator | None = None,
 ) -> Run:
-    """A case: from the reference with `change`; `noise` is on every state that the MPC sees."""
+    """Run a case from the reference state with `change`; `noise` is on the MPC's input state."""
     state = np.zeros(12)
     state[[P_Z, 9]] = HEIGHT, SPEED
     for place, value in change.items():
@@ -169,7 +169,7 @@ def run_torso(
     loop = TorsoLoop(robot, settings, body(robot, read_gaits().friction), state)
     entries, infeasible = [], 0
     for step in range(round(duration / DT)):
-        now = loop.plant.state
+        now = loop.torso.state
         result = loop.tick(lambda x: x if noise is None else x + NOISE * noise.normal(size=len(x)))
         infeasible += result.status != Status.SOLVED
         entries.append((step * DT, result.cost, now[P_Z], float(tilt(now[:3]))))
@@ -177,7 +177,7 @@ def run_torso(
 
 
 def _matrix(q: Array) -> Array:
-    """(3, 3) rotation of a quaternion x y z w, which Runge and Kutta's stages leave nearly unit."""
+    """(3, 3) rotation of a quaternion x y z w; normalised, for Runge-Kutta's stages are not."""
     x, y, z, w = q / math.sqrt(q @ q)
     return np.array(
         [
@@ -203,5 +203,5 @@ def _quaternion_rate(q: Array, rate: Array) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """(n, 3) rows of a x b; np.cross takes ten times as long on so few."""
+    """(n, 3) rows of a x b; np.cross takes ten times as long on four rows."""
     return a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]

@@ -1,10 +1,10 @@
-"""Random samples of mass, friction, lag, pushes and noise: which limits does the robot exceed?
+"""Monte Carlo samples of mass, friction, lag, pushes and noise, and the limits that each exceeds.
 
-A sample begins at the reference, with a payload from then on that nobody has told the controller
-of, is pushed after a second and has the rest of its time to recover.
-Its parameters are uniform within `RANGES` and depend on the seed and its number alone, so that any
-sample can be run again, anywhere. Two plants: the rigid torso with lag, which follows height and
-speed, and the Cosserat robot under the whole controller, which stands.
+A sample starts at the reference with a payload that the controller's model does not contain. It is
+pushed after 1 s and has the rest of its time to recover. Its parameters are uniform within `RANGES`
+and depend only on the seed and the sample's index, so any sample can be run again on any machine.
+Two plants: the rigid torso with lag, which follows height and speed, and the Cosserat robot under
+the whole controller, which stands.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.simulation.plant import Plant
 
 RANGES = {
-    "payload": (0.0, 0.6),  # kg at the torso's centre, unknown to the controller
-    "friction": (0.1, 0.8),  # of the floor; the controller counts on 0.4
+    "payload": (0.0, 0.6),  # kg at the torso's centre, not in the controller's model
+    "friction": (0.1, 0.8),  # of the floor; the controller assumes 0.4
     "lag": (0.01, 0.1),  # s, of the forces, or of the servos of the Cosserat robot
-    "push": (0.0, 12.0),  # N on the torso's centre, level
+    "push": (0.0, 12.0),  # N on the torso's centre, horizontal
     "direction": (-math.pi, math.pi),  # rad, of the push
-    "noise": (0.0, 4.0),  # of the sensors, over that of the scene `flat`
+    "noise": (0.0, 4.0),  # factor on the sensors' noise of the scene `flat`
 }
 PLANTS = ("torso", "robot")
-DURATION, PUSH_AT, PUSH_TIME, END = 5.0, 1.0, 0.2, 1.0  # s; END: the time that is judged as the end
+DURATION, PUSH_AT, PUSH_TIME, END = 5.0, 1.0, 0.2, 1.0  # s; END: length of the final interval
 LIMITS = {
     "tilt_max": 0.35,  # rad, at any time
     "sink_max": 0.022,  # m below the reference at any time: the torso reaches the floor
-    "height_error": 0.010,  # m, mean over the end
-    "tilt_end": 0.05,  # rad, mean over the end
-    "speed_error": 0.05,  # m/s, of the mean velocity over the end
-    "unsolved": 0.0,  # cycles
-    "lost": 0.0,  # 1: the simulation did not end
+    "height_error": 0.010,  # m, mean over the final interval
+    "tilt_end": 0.05,  # rad, mean over the final interval
+    "speed_error": 0.05,  # m/s, of the mean velocity over the final interval
+    "unsolved": 0.0,  # MPC cycles without a solution
+    "lost": 0.0,  # 1: the simulation diverged
 }
 CONFIDENCE = 0.95
 FIELDS = ("revision", "seed", "plant", "observer", "index", *RANGES, *LIMITS, "failed")
@@ -55,7 +55,7 @@ FIELDS = ("revision", "seed", "plant", "observer", "index", *RANGES, *LIMITS, "f
 
 @dataclass(frozen=True)
 class Sample:
-    """One draw; units as in `RANGES`."""
+    """Parameters of one sample; units as in `RANGES`."""
 
     plant: str
     seed: int
@@ -70,14 +70,14 @@ class Sample:
 
 
 def draw(plant: str, seed: int, observer: float, index: int) -> Sample:
-    """The sample of a number."""
+    """Draw the sample of an index."""
     rng = np.random.default_rng([seed, index])
     values = {name: float(rng.uniform(*limits)) for name, limits in RANGES.items()}
     return Sample(plant, seed, observer, index, **values)
 
 
 def run_sample(sample: Sample) -> dict[str, Any]:
-    """Its parameters, what was measured, and the names of the limits it exceeds, joined by `+`."""
+    """Run a sample: its parameters, measurements, and the limits exceeded, joined by `+`."""
     try:
         states, unsolved = RUNNERS[sample.plant](sample)
         speed = np.array([SPEED if sample.plant == "torso" else 0.0, 0.0])
@@ -89,7 +89,7 @@ def run_sample(sample: Sample) -> dict[str, Any]:
 
 
 def measure(states: Array, speed: Array) -> dict[str, float]:
-    """What the limits bound of states (n, 12) with the reference velocity `speed` (2,), m/s."""
+    """The quantities in `LIMITS` of states (n, 12); `speed` (2,): reference velocity, m/s."""
     leaning, height = tilt(states[:, :3]), states[:, P_Z]
     end = states[-round(END / DT) :]
     return {
@@ -102,7 +102,7 @@ def measure(states: Array, speed: Array) -> dict[str, float]:
 
 
 def torso_states(sample: Sample) -> tuple[Array, int]:
-    """(n, 12) states of the rigid torso and the number of cycles that were not solved."""
+    """(n, 12) states of the rigid torso, and the number of MPC cycles without a solution."""
     robot, rng = read_robot(), np.random.default_rng([sample.seed, sample.index, 1])
     mass = robot.mass + sample.payload
     torso = Body(mass, robot.inertia, robot.feet, sample.friction, sample.lag)
@@ -114,15 +114,15 @@ def torso_states(sample: Sample) -> tuple[Array, int]:
     rows, unsolved = [], 0
     for k in range(round(DURATION / DT)):
         pushed = PUSH_AT <= k * DT < PUSH_AT + PUSH_TIME
-        loop.plant.outer[:3] = push if pushed else 0.0
-        rows.append(loop.plant.state)
-        seen = rows[-1] + noise * rng.normal(size=12)
-        unsolved += loop.tick(lambda _, seen=seen: seen).status != Status.SOLVED
+        loop.torso.external[:3] = push if pushed else 0.0
+        rows.append(loop.torso.state)
+        measured = rows[-1] + noise * rng.normal(size=12)
+        unsolved += loop.tick(lambda _, x=measured: x).status != Status.SOLVED
     return np.array(rows), unsolved
 
 
 def robot_states(sample: Sample) -> tuple[Array, int]:
-    """The same of the Cosserat robot."""
+    """(n, 12) states of the Cosserat robot, and the number of MPC cycles without a solution."""
     flat, servo = read_scene("flat"), config.replace(read_servo(), {"lag": sample.lag})
     sensors = {
         f"sensors.odometry.{name}": sample.noise * getattr(flat.sensors.odometry, name)
@@ -153,8 +153,8 @@ RUNNERS = {"torso": torso_states, "robot": robot_states}
 
 
 def _push(sample: Sample) -> Array:
-    way = np.array([math.cos(sample.direction), math.sin(sample.direction), 0.0])
-    return sample.push * way
+    direction = np.array([math.cos(sample.direction), math.sin(sample.direction), 0.0])
+    return sample.push * direction
 
 
 def _sensor_noise() -> Array:
@@ -167,20 +167,20 @@ class Record:
     """Samples of one revision, seed, plant and observer in a CSV file; results are added to it."""
 
     def __init__(self, path: Path, revision: str, like: Sample):
-        """What other revisions, seeds, plants and observers left there is kept, not counted."""
+        """Ignore, but keep, the file's rows of other revisions, seeds, plants and observers."""
         self._path = path
-        _drop_cut_line(path)
+        _drop_incomplete_line(path)
         self._head = {"revision": revision, "seed": like.seed, "plant": like.plant}
         self._head["observer"] = like.observer
         self.rows = [row for row in _read(path) if self._is_ours(row)]
         self._index = {int(row["index"]) for row in self.rows}
 
     def missing(self, count: int) -> list[int]:
-        """Those of the numbers 0 .. count-1 that are not there."""
+        """Indices of 0 .. count-1 that are not recorded."""
         return [index for index in range(count) if index not in self._index]
 
     def add(self, result: Mapping[str, Any]) -> None:
-        """Write one result at once: what is there survives an interruption."""
+        """Append one result to the file at once, so that an interruption loses none."""
         row = self._head | dict(result)
         with self._path.open("a", newline="") as file:
             writer = csv.DictWriter(file, FIELDS, lineterminator="\n")
@@ -194,8 +194,8 @@ class Record:
         return all(row[name] == str(value) for name, value in self._head.items())
 
 
-def _drop_cut_line(path: Path) -> None:
-    """Cut off a last line without its end, which an interruption has left."""
+def _drop_incomplete_line(path: Path) -> None:
+    """Remove an incomplete last line, left by an interrupted run."""
     if path.exists():
         text = path.read_text()
         path.write_text(text[: text.rfind("\n") + 1])
@@ -211,7 +211,7 @@ def _read(path: Path) -> Iterator[dict[str, Any]]:
 
 
 def interval(failures: int, count: int) -> tuple[float, float]:
-    """Clopper and Pearson's confidence interval of a rate (Biometrika 26, 1934)."""
+    """Confidence interval of a rate by Clopper and Pearson (Biometrika 26, 1934)."""
     rest = (1.0 - CONFIDENCE) / 2.0
     low = beta.ppf(rest, failures, count - failures + 1) if failures else 0.0
     high = beta.ppf(1.0 - rest, failures + 1, count - failures) if failures < count else 1.0
@@ -219,7 +219,7 @@ def interval(failures: int, count: int) -> tuple[float, float]:
 
 
 def summary(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Rate of failure, how often each limit was exceeded, and the parameters it happened at."""
+    """Rate of failure; for each limit how often it was exceeded, and at which parameters."""
     rows = list(rows)
     failed = [row for row in rows if row["failed"]]
     low, high = interval(len(failed), len(rows))

@@ -1,12 +1,14 @@
-"""The perturbations on the Cosserat robot under the whole controller, as far as it can be so put.
+"""The perturbations on the Cosserat robot under the whole controller, as far as they are possible.
 
-It stands (`stand`): the walk's own sway is larger than what is to settle. The torso's state alone
-cannot be changed: turned by 0.1 rad about its centre, its feet would be 18 mm under the floor. So
+The robot stands (`stand`), because the sway of a walk is larger than the perturbations. The torso's
+state cannot be changed alone: if it were turned by 0.1 rad about its centre, its feet would be
+18 mm below the floor. Instead
 
-    roll, pitch    a moment pulse of three ticks, as large as turns the torso that far at its peak
-    p_z            the tendon angle while it settles, as low as the torso gets: with its underside
-                   17 mm below the centre it rests on the floor before it reaches 10 mm
-    v_x            the whole robot is given the difference from the reference, here 0 and not 0.08
+    roll, pitch    a moment pulse of three ticks, such that the peak of the torso's angle is the
+                   perturbation
+    p_z            a smaller tendon angle while it settles, down to the lowest height possible: the
+                   torso's underside, 17 mm below its centre, rests on the floor before 10 mm
+    v_x            the whole robot gets the difference from the reference, which is 0 here, not 0.08
     noise          of the odometry, on every state; nothing else is noisy
 """
 
@@ -43,7 +45,7 @@ from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.simulation.plant import Plant
 
 PULSE_TICKS = 3
-TRIAL = 0.5  # s, after which a pulse has turned the torso as far as it will
+TRIAL = 0.5  # s, within which the torso's angle reaches its peak after a pulse
 MOST_MOMENT = 3.0  # N m; 3.7 N m would lift two feet of four
 ANGLE_TOLERANCE = 1e-3  # of a moment, N m
 NOISE_FIELDS = ("position_noise", "orientation_noise", "velocity_noise", "rate_noise")
@@ -51,15 +53,15 @@ NOISE_FIELDS = ("position_noise", "orientation_noise", "velocity_noise", "rate_n
 
 @dataclass(frozen=True)
 class Realised:
-    """How a case is put to the robot."""
+    """A case as inputs of the simulated robot."""
 
-    start_angle_deg: float  # tendons while it settles
+    start_angle_deg: float  # tendon angle while it settles
     moment: tuple[float, float]  # N m about x and y, over the pulse
     speed: float  # m/s added to v_x
 
 
 def realise(change: Mapping[int, float], start_angle_deg: float) -> Realised:
-    """The pulses and the start of a case; `start_angle_deg` holds the reference's height."""
+    """Inputs of a case; `start_angle_deg` is the tendon angle at the reference height."""
     angle = start_angle_deg
     if P_Z in change:
         angle = lowest_angle(change[P_Z])
@@ -70,14 +72,18 @@ def realise(change: Mapping[int, float], start_angle_deg: float) -> Realised:
 
 @functools.cache
 def lowest_angle(height: float) -> float:
-    """Tendon angle, deg, at which it stands at `height` (m), or 0 where it cannot be so low."""
+    """Tendon angle, deg, at which the robot stands at `height` (m); 0 if it cannot be that low."""
 
     def above(angle_deg: float) -> float:
         scene = config.replace(read_scene("flat"), {"start.tendon_angle_deg": angle_deg})
         plant = Plant(read_robot(), scene, read_servo(), np.random.default_rng(0))
         return float(plant.simulator.position[2]) - height
 
-    return 0.0 if above(0.0) >= 0.0 else float(brentq(above, 0.0, 63.0, xtol=0.1))
+    return (
+        0.0
+        if above(0.0) >= 0.0
+        else float(brentq(above, 0.0, read_scene("flat").start.tendon_angle_deg, xtol=0.1))
+    )
 
 
 @functools.cache
@@ -88,7 +94,8 @@ def pulse(axis: int, angle: float) -> float:
 
     def beyond(moment: float) -> float:
         moments = (moment, 0.0) if axis == ROLL else (0.0, moment)
-        rpy = states(Realised(63.0, moments, 0.0), quiet(), TRIAL)[0][:, :3]
+        realised = Realised(read_scene("flat").start.tendon_angle_deg, moments, 0.0)
+        rpy = states(realised, quiet(), TRIAL)[0][:, :3]
         return float(rpy[:, axis].max()) - angle
 
     return float(brentq(beyond, 0.0, MOST_MOMENT, xtol=ANGLE_TOLERANCE))
@@ -106,7 +113,7 @@ def quiet(noise: float = 0.0) -> Scene:
 def states(
     realised: Realised, scene: Scene, duration: float, seed: int = 0
 ) -> tuple[np.ndarray, list[float], int]:
-    """(n, 12) true states at the ticks, the MPC's costs, and how many steps were not solved."""
+    """(n, 12) true states at the ticks, costs of the MPC, number of steps without a solution."""
     scene = config.replace(scene, {"start.tendon_angle_deg": realised.start_angle_deg})
     loop = ClosedLoop("flat", "stand", np.zeros(3), seed)
     loop.plant = Plant(read_robot(), scene, read_servo(), np.random.default_rng(seed))
@@ -125,12 +132,12 @@ def states(
 
 
 def run_robot(name: str, duration: float = DURATION) -> tuple[Run, dict[str, float]]:
-    """A case, and what of it the robot really met."""
+    """Run a case; returns the run and the perturbations that the robot really had."""
     realised = realise(CASES[name], read_scene("flat").start.tendon_angle_deg)
     scene = quiet(NOISE if name == "Noise" else 0.0)
     rows, costs, infeasible = states(realised, scene, duration)
     time = DT * np.arange(len(rows))
-    met = {
+    reached = {
         "peak_roll": float(np.abs(rows[:, ROLL]).max()),
         "peak_pitch": float(np.abs(rows[:, PITCH]).max()),
         "start_height": float(rows[0, P_Z]),
@@ -141,5 +148,5 @@ def run_robot(name: str, duration: float = DURATION) -> tuple[Run, dict[str, flo
         "height_error": float(rows[-1, P_Z]) - HEIGHT,
     }
     run = Run(time, np.array(costs), rows[:, P_Z], tilt(rows[:, :3]), infeasible)
-    assert all(math.isfinite(value) for value in met.values())
-    return run, met
+    assert all(math.isfinite(value) for value in reached.values())
+    return run, reached

@@ -2,7 +2,7 @@
 
 The test is to stand up and step: natural legs on the floor, tendons pulled to 63 deg, after half a
 second to 90, 30, 50 and 75 deg, 1.5 s in all. The error is the root mean square of the distance of
-the torso's centre from where a fine solution (121 nodes, 10 us, converged) has it.
+the torso's centre from that of a fine solution (121 nodes, 10 us, converged).
 """
 
 import dataclasses
@@ -41,7 +41,7 @@ LARGEST_COST = {22: 5.0, 31: 7.0}  # us a step
 
 
 def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[Row], list[Check]]:
-    """Measure; the picture of error over cost goes to `out/robot.png`."""
+    """Run all tests; the picture of error over cost goes to `out/robot.png`."""
     robot, repeats = read_robot(), 3 if quick else 9
     progress("cost of a step")
     rows: list[dict[str, Any]] = [cost_row(robot, nodes, repeats) for nodes in (10, 16, 22, 31, 61)]
@@ -64,36 +64,36 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
 
 
 def simulator(robot: Robot, solver: dict[str, Any], **changes: Any) -> RodRobot:
-    """Rods in the scene `flat` without settling, with other settings of the solver."""
+    """RodRobot in the scene `flat` without settling, with changes of the solver and the scene."""
     values = {f"solver.{name}": value for name, value in solver.items()}
     scene = config.replace(read_scene("flat"), {"start.settle": 0.0} | values | changes)
     return RodRobot(robot, scene, read_servo())
 
 
 def motion(sim: SimulatedRobot) -> Array:
-    """(n, 3) m, the torso's centre every `SAMPLE`."""
+    """(n, 3) m, the torso's centre every `SAMPLE` through COMMANDS."""
     every = round(SAMPLE / sim.scene.solver.step)
-    places = []
+    path = []
     for seconds, degrees in COMMANDS:
         for _ in range(round(seconds / SAMPLE)):
             sim.advance(every, np.radians(degrees))
-            places.append(sim.position)
-    return np.array(places)
+            path.append(sim.position)
+    return np.array(path)
 
 
 def run_through(sim: SimulatedRobot) -> None:
-    """The same motion in two calls."""
+    """The same motion in two calls, for timing."""
     for seconds, degrees in COMMANDS:
         sim.advance(round(seconds / sim.scene.solver.step), np.radians(degrees))
 
 
-def deviation(places: Array, exact: Array) -> float:
-    """Root mean square of the distance, mm."""
-    return 1e3 * float(np.sqrt(((places - exact) ** 2).sum(axis=1).mean()))
+def deviation(path: Array, exact: Array) -> float:
+    """Root mean square of the distance between paths (n, 3), mm."""
+    return 1e3 * float(np.sqrt(((path - exact) ** 2).sum(axis=1).mean()))
 
 
 def cost_row(robot: Robot, nodes: int, repeats: int) -> dict[str, Any]:
-    """CPU time of a step of the standing robot: contact, corners, friction and servos included."""
+    """CPU time of a step of the standing robot, with contact, friction, corners and servos."""
     sim, calls = simulator(robot, {"nodes": nodes}, **{"start.settle": 1.0}), 1000
     time = cpu_time(lambda: sim.advance(calls, sim.tendon_angle), repeats).median / calls
     step = sim.scene.solver.step
@@ -103,7 +103,7 @@ def cost_row(robot: Robot, nodes: int, repeats: int) -> dict[str, Any]:
 def sweep(
     robot: Robot, exact: Array, repeats: int, quick: bool, progress: Callable[[str], None]
 ) -> Iterable[dict[str, Any]]:
-    """Stand and step over schemes, nodes and steps."""
+    """Stand and step over schemes, numbers of nodes and time steps."""
     steps = STEPS[:-1] if quick else STEPS
     for theta, iterations in SCHEMES:
         progress(f"stand and step: theta {theta}, {iterations} iterations")
@@ -121,7 +121,7 @@ def sweep(
 
 
 def measured(make: Callable[[], SimulatedRobot], exact: Array, repeats: int) -> dict[str, Any]:
-    """Error and cost of stand and step; NaN where the solution is lost."""
+    """Error and cost of stand and step; NaN if the simulation diverges."""
     try:
         sim = make()
         error = deviation(motion(sim), exact)
@@ -143,7 +143,7 @@ def level_row(robot: Robot, name: str, exact: Array, repeats: int) -> dict[str, 
 
 
 def flight_rows(robot: Robot, quick: bool) -> Iterable[dict[str, Any]]:
-    """Undamped legs tumbling for .2 s: change of energy and momentum over their values."""
+    """Undamped legs tumbling for 0.2 s: relative change of energy and momentum."""
     free = dataclasses.replace(robot, leg=dataclasses.replace(robot.leg, damping_time=0.0))
     steps = (1e-3, 2.5e-4) if quick else (1e-3, 5e-4, 2.5e-4, 1.25e-4)
     for theta, step in itertools.product((0.5, 0.55, 1.0), steps):
@@ -164,7 +164,7 @@ def flight_rows(robot: Robot, quick: bool) -> Iterable[dict[str, Any]]:
 
 
 def mark_front(rows: list[dict[str, Any]]) -> None:
-    """Mark the rows of which no other is both faster and more exact."""
+    """Mark the Pareto front: rows for which no other is both faster and more accurate."""
     finite = [row for row in rows if row["error_mm"] < math.inf]
     for row in rows:
         row["front"] = row in finite and not any(
@@ -189,9 +189,9 @@ def checks(rows: list[dict[str, Any]]) -> list[Check]:
             out.append(at_most(name, row["error_mm"], LARGEST_ERROR, "mm RMS"))
     hard = [row["holds"] for row in rows if row["kind"] == "hard case"]
     if hard:
-        out.append(at_most(f"of {len(hard)} hard cases do not hold", hard.count(False), 0))
+        out.append(at_most(f"violated of {len(hard)} hard cases", hard.count(False), 0))
     flights = [row["momentum"] for row in rows if row["kind"] == "flight"]
-    out.append(at_most("linear momentum in flight", max(flights), 1e-10, "of itself"))
+    out.append(at_most("relative drift of linear momentum in flight", max(flights), 1e-10))
     modal = [
         r for r in rows if r["kind"] == "modal" and r["unknowns"] == 12 and r["contact"] == "tip"
     ]

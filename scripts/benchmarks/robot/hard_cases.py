@@ -1,13 +1,14 @@
 """The hard cases of the simulator of the whole robot, by family.
 
-Where a node meets the floor within a step, the theta scheme ends that step up to (1 - theta) v h
-below the floor, v the speed of the fall, and with it the energy k/2 ((1 - theta) v h)^2 in each
-contact. It is a matter of the instant, and gone with the rebound: `landing` bounds it.
+If a node reaches the floor within a step, the theta scheme ends that step up to (1 - theta) v h
+below the floor, v being the speed of the fall, with the energy k/2 ((1 - theta) v h)^2 in each
+contact. It lasts until the rebound; `landing` bounds it.
 
-A torso that falls on its corners sinks as a mass on a spring does: `bottom`, in mm.
+A torso that falls on its corners sinks in like a mass on a spring: `bottom`, in mm.
 
-How far the answers at h and h/2 may be apart is the error of a scheme of first order where contacts
-open and close; the limits are about 1.5 times what was measured, in `DROP` the most of its cases.
+The difference between the solutions at h and h/2 is the error of a first-order scheme where
+contacts open and close. The limits are about 1.5 times the measured values, in `DROP` 1.5 times the
+largest of its cases.
 """
 
 from __future__ import annotations
@@ -19,29 +20,29 @@ from typing import Any
 import numpy as np
 
 from benchmarks.robot.stress import Case, Changes, Limits, hold
-from slot_core.robot import GRAVITY, Array
+from slot_core.robot import GRAVITY, Array, read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
-FULL_DEG = 116.28
+FULL_DEG = read_robot().tendon.angle_max_deg
 HALF_TURN = {"tendon.angle_max_deg": 180.0}
 
 
 def landing(speed: float, step: float = 1e-3, stiffness: float = 2e4, contacts: int = 8) -> float:
-    """J, what the contacts of a landing may hold at the end of a step: two of every leg."""
+    """Bound of the contacts' energy at the end of the step of a landing, J: two nodes per leg."""
     return contacts * stiffness / 2 * (0.45 * speed * step) ** 2
 
 
 def bottom(speed: float, mass: float = 2.16, stiffness: float = 2e4, corners: int = 4) -> float:
-    """mm, to which a mass (kg) sinks that meets the springs of its corners at a speed (m/s).
+    """Depth to which a mass (kg) sinks that meets its corners' springs at `speed` (m/s), mm.
 
-    A tenth more than in closed form, for the time step.
+    A tenth more than the closed form, for the error of the time step.
     """
     weight = mass * GRAVITY / (corners * stiffness)
     return 1.1e3 * (weight + math.sqrt(weight**2 + speed**2 * mass / (corners * stiffness)))
 
 
 def thrown(down: float, spin: tuple[float, float, float], height: float = 0.03) -> Changes:
-    """A case's start in the air: speed downward (m/s) and spin (rad/s)."""
+    """Start of a case in the air, with a speed downwards (m/s) and a spin (rad/s)."""
 
     def throw(sim: RodRobot) -> None:
         sim.set_motion(np.array([0.1, 0.0, -down]), np.array(spin))
@@ -50,24 +51,24 @@ def thrown(down: float, spin: tuple[float, float, float], height: float = 0.03) 
 
 
 def drop(robot: Changes | None = None, **floor_or_solver: Any) -> Changes:
-    """A drop at 0.5 m/s from 30 mm with the robot or the scene changed: floor__friction."""
+    """A drop at 0.5 m/s from 30 mm with changes of the robot or the scene (`floor__friction`)."""
     case = thrown(0.5, (0.0, 0.0, 0.0))
     changes = {name.replace("__", "."): value for name, value in floor_or_solver.items()}
     return {**case, "robot": robot or {}, "scene": {**case["scene"], **changes}}
 
 
 def wound(sim: RodRobot) -> None:
-    """All spools at the largest tendon angle at once: taut by 17 mm and more."""
+    """Set all spools to the largest tendon angle at once: the cables stretch by 17 mm and more."""
     sim.state.tendon_angle[:] = sim.robot.tendon.angle_max
 
 
 def turned_over(sim: RodRobot) -> None:
-    """The torso on its back, legs upward."""
+    """Turn the torso onto its back, legs upwards."""
     sim.state.rotation[:] = np.diag([1.0, -1.0, -1.0])
 
 
 def stretch_stiff(sim: RodRobot) -> None:
-    """The drop, with an axial stiffness a hundred times that of the same bending stiffness."""
+    """The drop, with a hundred times the axial stiffness at the same bending stiffness."""
     sim.model.rod.axial[:] *= 100.0
     sim.set_motion(np.array([0.1, 0.0, -0.5]), np.zeros(3))
 
@@ -80,16 +81,16 @@ def there_and_back(time: float) -> Array:
 SPINNING = [thrown(0.0, spin, 0.25) for spin in ((20.0, 0, 0), (0, 20.0, 0), (0, 0, 20.0))]
 
 
-# From 30 mm the legs fall 8 mm and the belly 13 mm: .25 m^2/s^2 are added to the square of a speed.
+# From 30 mm the legs fall 8 mm and the underside 13 mm, which adds 0.25 m^2/s^2 to speed squared.
 IMPACTS = {
     "impact at 1 m/s": Case(
         Limits(landing(1.1), bottom(1.12), 3.0), seconds=1.0, **thrown(1.0, (0.5, 0.2, 0.0))
     ),
-    # It bounces to 0.4 m, of which a step more or less on the floor makes a tenth.
+    # It bounces to 0.4 m; one step more or less on the floor changes that by a tenth.
     "impact at 3 m/s": Case(
         Limits(landing(3.1), bottom(3.1), 60.0), seconds=1.0, **thrown(3.0, (0.5, 0.2, 0.0))
     ),
-    # Onto its back or side from 0.25 m, at 2 m/s, with two corners first: 2 J each.
+    # Falls on its back or side from 0.25 m, at 2 m/s, on two corners first: 2 J each.
     "spin of 20 rad/s about x": Case(
         Limits(landing(2.0), bottom(2.0, corners=2), 15.0), **SPINNING[0], seconds=0.8
     ),
@@ -99,7 +100,7 @@ IMPACTS = {
     "spin of 20 rad/s about z": Case(
         Limits(landing(2.0), bottom(2.0, corners=2), 15.0), **SPINNING[2], seconds=0.8
     ),
-    # Falls 0.13 m onto its back and bounces: where it is after 1 s hangs on every contact.
+    # Falls 0.13 m onto its back and bounces: its pose after 1 s depends on every contact.
     "flipped robot": Case(
         Limits(landing(1.6), bottom(1.6), 35.0),
         {"start.height": 0.15, "start.settle": 0.0},
@@ -108,12 +109,12 @@ IMPACTS = {
     ),
 }
 
-# Servos pull, so the limit of the energy is rounding, but for the standing robot's own settling.
+# The servos' work is accounted for, so the energy limit covers rounding and the robot's settling.
 PULLS = {
     "full pull, as fast as the servos can": Case(
         Limits(1e-4, 0.5, 0.2), {"start.tendon_angle_deg": 0.0}, command=hold(FULL_DEG)
     ),
-    # 40 J in the cables at once: nodes reach 9 m/s, and the robot jumps.
+    # 40 J in the cables at once: nodes reach 9 m/s and the robot jumps.
     "full pull within one step": Case(
         Limits(1e-4, 4.0, 4.0),
         {"start.tendon_angle_deg": 0.0},
@@ -135,7 +136,7 @@ PULLS = {
     ),
 }
 
-# A drop at 0.5 m/s, at which nodes reach the floor at 0.72 m/s.
+# A drop at 0.5 m/s: nodes reach the floor at 0.72 m/s.
 DROP = Limits(landing(0.72), bottom(0.72), 5.0)
 PARAMETERS = {
     "E = 1e5 Pa": Case(replace(DROP, apart=10.0), **drop({"leg.young_modulus": 1e5})),
@@ -169,7 +170,7 @@ PARAMETERS = {
     },
 }
 
-# Through the fold near 110 deg and back, slowly: with friction 0.4, and with nothing at the feet.
+# Slowly through the fold near 110 deg and back, with friction 0.4 and without friction.
 FOLDS = {
     "snap-through": Case(
         Limits(1e-4, 0.5, 0.1),
@@ -189,7 +190,7 @@ FOLDS = {
     ),
 }
 
-# The impact at 1 m/s: its limits grow with the step.
+# The impact at 1 m/s; its limits grow with the time step.
 STEPS = {
     f"time step of {1e3 * step:g} ms": Case(
         Limits(landing(1.12, step), bottom(1.12), apart),

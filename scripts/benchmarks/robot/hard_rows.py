@@ -1,4 +1,4 @@
-"""Rows of the robot benchmark: what the hard cases did to the simulator, and whether it held."""
+"""Rows of the robot benchmark: records of the hard cases, and whether their limits hold."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from benchmarks.robot.stress import examine
 
 
 def hard_rows() -> list[dict[str, Any]]:
-    """A row of every hard case: its record, its limits (`limit_...`) and whether they hold."""
+    """A row for each hard case: its record, its limits (`limit_...`) and whether they hold."""
     rows = []
     for name, case in CASES.items():
         record, limits = examine(case), dataclasses.asdict(case.limits)

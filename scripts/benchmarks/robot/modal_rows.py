@@ -1,7 +1,7 @@
-"""The modal leg against the exact equilibria of the same rod, and what its modes cost.
+"""Accuracy and cost of the modal leg, against exact equilibria of the same rod.
 
-The exact rod is integrated from the clamp; the moment there, the cable's extension and the clamp's
-height or the force on it are found by Newton's method.
+The exact rod is integrated from the clamp. Newton's method finds the moment at the clamp, the
+cable's extension, and the clamp's height or the force on it.
 """
 
 import dataclasses
@@ -16,6 +16,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from benchmarks.harness import cpu_time
+from benchmarks.rod import exact
 from slot_core.dynamics.rod import discretise
 from slot_core.legs.leg_map import StaticLeg
 from slot_core.legs.modal import ModalLeg
@@ -23,12 +24,12 @@ from slot_core.legs.modal_basis import Contact, Modes, tip_contact
 from slot_core.robot import GRAVITY, Array, Robot, read_robot
 
 STEPS = 300  # of the integration along the whole leg, at least
-NEWTON = 30
-PROBE = 1e-7  # of the differences, over the scale of an unknown
+NEWTON = 30  # iterations, at most
+PROBE = 1e-7  # step of the finite differences, over the scale of an unknown
 SCALE = np.array([1.0, 1e-3, 1.0])  # N m, m, and m or N
 CONVERGED = 1e-10  # change over scale
 
-TABLE = (  # the best split of each number of unknowns for the tip's contact
+TABLE = (  # for each number of unknowns the best split, with contact at the tip
     Modes((2, 3), (1, 0)),
     Modes((3, 3), (2, 0)),
     Modes((3, 4), (1, 2)),
@@ -39,20 +40,21 @@ TABLE = (  # the best split of each number of unknowns for the tip's contact
 FINE = Modes((14, 14), (8, 8))
 CHAIN_NODES = 22
 ANGLES_DEG = {"tip": np.arange(0.0, 106.0, 7.5), "nodes": np.arange(30.0, 106.0, 7.5)}
-FREQUENCIES = np.array([6.5209720302, 25.5124367433, 61.3511026964])  # Hz, of `straight`
-APPROACH = 40  # steps of the chain to a height and an angle
+FREQUENCIES = exact.FREQUENCIES["leg"]  # Hz, of `straight`
+APPROACH = 40  # load steps of the chain, to the height and to the tendon angle
 
 
 @dataclass(frozen=True)
 class Exact:
-    """Equilibria of the rod's differential equations by shooting, many at once.
+    """Equilibria of the rod's differential equations by shooting, for n angles at once.
 
     With the force (0, V) and the moment M that the part beyond s, tendon included, exerts:
 
         r' = (1 + eps) t,     M' = -(1 + eps) V t_x,     V' = g dm/ds,
         EA eps = V t_z - T,   phi' = phi_0' + (M - T d) / EI    (T up to the anchor alone),
 
-    by Runge-Kutta of fourth order. V falls by the floor's push at its points; V and M end at zero.
+    by fourth-order Runge-Kutta. V drops by the floor's force at each contact point; V and M are
+    zero at the tip. Raises RuntimeError if Newton's method does not converge.
     """
 
     robot: Robot
@@ -66,7 +68,10 @@ class Exact:
         return self._newton(lambda u: self._ends(angle, u, u[2], np.full(len(angle), load)), guess)
 
     def solve(self, angle: Array, height: Array, guess: Array) -> Array:
-        """(n,) N, forces of the floor for angles (rad) and heights (m); the third unknown, N."""
+        """(n,) N, forces of the floor for angles (n,) rad and heights (n,) m.
+
+        The third unknown is that force, N.
+        """
         return self._newton(lambda u: self._ends(angle, u, height, u[2]), guess)
 
     def _newton(self, residual: Callable[[Array], Array], guess: Array) -> Array:
@@ -86,12 +91,12 @@ class Exact:
         raise RuntimeError(f"shooting: the unknowns still move by {np.abs(change).max():.1e}")
 
     def _ends(self, angle: Array, u: Array, height: Array, force: Array) -> Array:
-        """(3, n) what V, M and the cable's law are off by."""
+        """(3, n) residuals of V and M at the tip and of the cable's law."""
         tendon, leg = self.robot.tendon, self.robot.leg
         length = leg.arc_length()
         anchor = tendon.end_fraction * length
         places = sorted({anchor, length, *(f * length for f in self.contact.fraction)})
-        pushed = {f * length: k for f, k in zip(self.contact.fraction, self.contact.stiffness)}
+        points = {f * length: k for f, k in zip(self.contact.fraction, self.contact.stiffness)}
         tension = tendon.cable_stiffness * np.maximum(0.0, u[1])
         zero = np.zeros(len(angle))
         y = np.array([zero, zero, zero, u[0], force - leg.mass * GRAVITY, zero, zero])
@@ -100,8 +105,8 @@ class Exact:
         for end in places:
             pull = tension if end <= anchor else zero
             y = self._integrate(y, begin, end, pull)
-            if end in pushed:
-                y[4] = y[4] - pushed[end] * np.maximum(0.0, -height - y[1])
+            if end in points:
+                y[4] = y[4] - points[end] * np.maximum(0.0, -height - y[1])
             if end == anchor:
                 natural = np.arctan(leg.shape.deriv()(y[6]))
                 short = y[5] + tendon.offset * (y[2] - natural)
@@ -122,7 +127,7 @@ class Exact:
         return y
 
     def _slope(self, s: float, y: Array, pull: Array) -> Array:
-        """y = (x, z, phi, M, V, stretch so far, x of the natural shape)."""
+        """(7, n) dy/ds of y = (x, z, phi, M, V, extension so far, x of the natural shape)."""
         leg, shape = self.robot.leg, self.robot.leg.shape
         thickness = leg.thickness_clamp + (leg.thickness_tip - leg.thickness_clamp) * (
             s / leg.arc_length()
@@ -139,13 +144,13 @@ class Exact:
 
 
 def guess(leg: ModalLeg, third: float) -> list[float]:
-    """The unknowns of `Exact` at the last equilibrium of a modal leg that holds its height."""
+    """Unknowns of `Exact` at a modal leg's last equilibrium; `third`: height (m) or force (N)."""
     moment, extension = leg.clamp_moment(), leg.cable_extension()
     return [moment, extension, third]
 
 
 def contacts() -> dict[str, Contact]:
-    """The tip alone, and the points of the simulator's nodes, each as stiff as in the scene."""
+    """Contact at the tip alone, and at the simulator's nodes; stiffness of the scene."""
     model = StaticLeg(read_robot(), CHAIN_NODES).model
     points, stiffness = model.rod.arc[1:] / model.rod.arc[-1], model.floor.stiffness[1:]
     nodes = Contact(tuple(points), tuple(stiffness))
@@ -153,24 +158,27 @@ def contacts() -> dict[str, Contact]:
 
 
 def exact_heights(robot: Robot, contact: Contact, angles: Array) -> Array:
-    """(n,) m, at which the leg carries a quarter of the robot; from the guess of fine modes."""
+    """(n,) m, clamp heights at which the leg carries a quarter of the robot's weight.
+
+    The initial guess is the modal leg with FINE modes.
+    """
     leg, load = ModalLeg(robot, contact, FINE), robot.weight / 4
     start = [guess(leg, leg.stand(angle, load).height) for angle in angles]
     return Exact(robot, contact).stand(angles, load, np.array(start))
 
 
 def modal_rows(repeats: int = 5) -> Iterator[dict[str, Any]]:
-    """Largest error of the height of the standing leg over the tendon angles, mm, and CPU time.
+    """Largest error of the standing leg's height over the tendon angles, mm, and CPU time.
 
-    The CPU time is that of all angles, the way to the first one included, over their number.
+    The CPU time is the mean over all angles, including the load steps to the first one.
     """
     robot = read_robot()
     for name, contact in contacts().items():
         angles = np.radians(ANGLES_DEG[name])
-        exact = exact_heights(robot, contact, angles)
+        heights = exact_heights(robot, contact, angles)
         for modes in TABLE:
             leg = ModalLeg(robot, contact, modes)
-            error = np.abs(_heights(leg, robot, angles) - exact)
+            error = np.abs(_heights(leg, robot, angles) - heights)
             cpu = cpu_time(partial(_heights, leg, robot, angles), repeats).median
             yield {
                 "kind": "modal",
@@ -181,7 +189,7 @@ def modal_rows(repeats: int = 5) -> Iterator[dict[str, Any]]:
                 "cpu_ms": 1e3 * cpu / len(angles),
             }
         if name == "nodes":
-            yield chain_row(robot, angles, exact)
+            yield chain_row(robot, angles, heights)
 
 
 def _heights(leg: ModalLeg, robot: Robot, angles: Array) -> Array:
@@ -189,16 +197,16 @@ def _heights(leg: ModalLeg, robot: Robot, angles: Array) -> Array:
     return np.array([leg.stand(angle, robot.weight / 4).height for angle in angles])
 
 
-def chain_row(robot: Robot, angles: Array, exact: Array) -> dict[str, Any]:
-    """The simulator's chain at the exact heights: what its force is off by, over its stiffness."""
+def chain_row(robot: Robot, angles: Array, heights: Array) -> dict[str, Any]:
+    """The simulator's chain at the exact heights: error of its force over its stiffness."""
     errors = []
-    for angle, height in zip(angles, exact):
+    for angle, height in zip(angles, heights):
         leg = StaticLeg(robot, CHAIN_NODES)
-        for between in np.linspace(2 * robot.leg.reach, height, APPROACH):
-            leg.solve(0.0, between)
+        for z in np.linspace(2 * robot.leg.reach, height, APPROACH):
+            leg.solve(0.0, z)
         for part in np.linspace(0.0, angle, APPROACH):
-            here = leg.solve(part, height)
-        errors.append((here.force - robot.weight / 4) / here.stiffness)
+            end = leg.solve(part, height)
+        errors.append((end.force - robot.weight / 4) / end.stiffness)
     return {
         "kind": "modal",
         "contact": "nodes",
@@ -209,13 +217,13 @@ def chain_row(robot: Robot, angles: Array, exact: Array) -> dict[str, Any]:
 
 
 def straight(robot: Robot) -> Robot:
-    """The robot with the straight leg of 10 MPa whose frequencies are known."""
+    """The robot with a straight leg of 10 MPa, whose frequencies are `FREQUENCIES`."""
     leg = dataclasses.replace(robot.leg, natural_shape=(0.0, 0.0, 0.0, 0.0), young_modulus=1e7)
     return dataclasses.replace(robot, leg=leg)
 
 
 def dynamics_rows(repeats: int = 9) -> Iterator[dict[str, Any]]:
-    """Frequencies of modes and chain, and the dense algebra that modes would need in each step."""
+    """Frequencies of modes and chain, and the cost of the modes' dense algebra in each step."""
     robot = straight(read_robot())
     for modes in TABLE:
         leg = ModalLeg(robot, contacts()["tip"], modes)
@@ -236,7 +244,7 @@ def _frequency_row(what: dict[str, Any], hertz: Array) -> dict[str, Any]:
 
 
 def chain(robot: Robot, nodes: int) -> Array:
-    """(2 N - 2,) Hz of the simulator's chain, clamped, about its natural shape."""
+    """(2 N - 2,) natural frequencies of the simulator's clamped chain, Hz."""
     rod, n = discretise(robot.leg, nodes, robot.tendon.end_fraction), nodes - 1
     along, turned = np.zeros((n, nodes, 2)), np.zeros((n + 1, nodes, 2))
     for i, chord in enumerate(np.diff(rod.node, axis=0)):
@@ -253,7 +261,7 @@ def chain(robot: Robot, nodes: int) -> Array:
 
 @numba.njit(fastmath={"contract", "reassoc", "nsz"})  # type: ignore[misc]
 def dense(repeats: int, moves: Array, added: Array, matrix: Array) -> None:
-    """The product J^T J and its Cholesky factor: the least that one leg's iteration needs."""
+    """J^T J and its Cholesky factor: the minimum work of one iteration of one leg."""
     n = matrix.shape[0]
     for _ in range(repeats):
         matrix[:] = added + np.dot(moves.T, moves)
@@ -264,13 +272,3 @@ def dense(repeats: int, moves: Array, added: Array, matrix: Array) -> None:
             scale = 1.0 / math.sqrt(matrix[j, j])
             for i in range(j, n):
                 matrix[i, j] *= scale
-
-
-def main() -> None:
-    """Print the tables."""
-    for row in [*modal_rows(), *dynamics_rows()]:
-        print(row)
-
-
-if __name__ == "__main__":
-    main()

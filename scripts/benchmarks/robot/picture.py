@@ -1,4 +1,4 @@
-"""The picture of the robot's benchmark: error over cost, the Pareto front, convergence, energy."""
+"""The picture of the robot's benchmark: error over cost, model levels and the Pareto front."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ MARKS = {5e-3: "v", 2e-3: "^", 1e-3: "o", 5e-4: "s", 2.5e-4: "D"}
 
 
 def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Draw all rows that have an error and a cost."""
+    """Write the picture of all rows with an error and a cost."""
     figure = Figure(figsize=(10, 6), layout="constrained")
     FigureCanvasAgg(figure)
     ax = figure.subplots()
@@ -24,10 +24,10 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     colour = dict(zip(nodes, [*palette.STAGE_COLOURS, palette.TRUE, palette.INK]))
     for row in runs:
         scatter(ax, row, colour[row["nodes"]])
-    name_levels(ax, [row for row in rows if row["kind"] == "level"])
+    draw_levels(ax, [row for row in rows if row["kind"] == "level"])
     front = sorted((row["us_per_ms"], row["error_mm"]) for row in rows if row.get("front"))
     ax.step(*zip(*front), where="post", color=palette.INK, lw=1.0, zorder=0)
-    explain(ax, colour)
+    add_legend(ax, colour)
     ax.set(
         xscale="log", yscale="log", xlim=(0.3, 110), ylim=(0.01, 30),
         xlabel="CPU microseconds per simulated millisecond, whole robot",
@@ -39,7 +39,7 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
 
 
 def scatter(ax: Axes, row: Mapping[str, Any], colour: str) -> None:
-    """One run: colour says the nodes, the mark the step, its filling the scheme."""
+    """One run: colour for the nodes, mark for the step, fill and size for the scheme."""
     theta, iterations = row["theta"], row["iterations"]
     face = {0.5: "none", 0.55: colour, 1.0: palette.PALE}[theta]
     size = {1: 14, 2: 30, 4: 50}[iterations]
@@ -50,8 +50,8 @@ def scatter(ax: Axes, row: Mapping[str, Any], colour: str) -> None:
     )  # fmt: skip
 
 
-def name_levels(ax: Axes, levels: Sequence[Mapping[str, Any]]) -> None:
-    """The levels that scenes name, with their names."""
+def draw_levels(ax: Axes, levels: Sequence[Mapping[str, Any]]) -> None:
+    """The model levels of `config/solver`, with their names."""
     for row in levels:
         if row["error_mm"] < math.inf:
             place = (row["us_per_ms"], row["error_mm"])
@@ -59,8 +59,8 @@ def name_levels(ax: Axes, levels: Sequence[Mapping[str, Any]]) -> None:
             ax.annotate(row["level"], place, (7, 7), textcoords="offset points", weight="bold")
 
 
-def explain(ax: Axes, colour: Mapping[int, str]) -> None:
-    """Names of colours, marks, fillings and sizes."""
+def add_legend(ax: Axes, colour: Mapping[int, str]) -> None:
+    """Legend of colours, marks, fills and sizes."""
     for nodes, name in colour.items():
         ax.plot([], [], "o", color=name, label=f"{nodes} nodes")
     for step, mark in MARKS.items():

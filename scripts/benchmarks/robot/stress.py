@@ -1,9 +1,9 @@
-"""A hard case for the simulator of the whole robot: what is done, what must hold, what was seen.
+"""Runs a hard case of the simulator of the whole robot and compares its record with its limits.
 
-Every case runs at its time step h and at h/2, and must stay finite. `Limits` bound the energy that
-appears from nowhere, the depth to which anything sinks into the floor, and how far the two answers
-are apart. What keeps a case within them is the step control of `integrator.py`; a `Record` counts
-how often it had to act.
+Every case runs at its time step h and at h/2, and must stay finite. `Limits` bound the energy beyond
+the servos' work, the depth to which nodes and torso sink into the floor, and the difference between
+the two solutions. The step control of `dynamics/integrator.py` keeps a case within them; a `Record`
+counts how often it acted.
 """
 
 from __future__ import annotations
@@ -24,35 +24,35 @@ from slot_core.simulation.rod_robot import RodRobot
 
 Changes = Mapping[str, Any]
 STANDING_DEG = 63.0
-TILT_ARM = 0.1  # m, at which a tilt counts as a displacement
+TILT_ARM = 0.1  # m, lever by which a tilt counts as a displacement
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What must hold."""
+    """Limits of a case."""
 
-    gained: float  # J, energy beyond that of the start and the servos' work
-    sunk: float  # mm
+    gained: float  # J, energy beyond the initial one and the servos' work
+    sunk: float  # mm, depth in the floor
     apart: float  # mm, between the answers at h and h/2, at any time
 
 
 def stay(_: RodRobot) -> None:
-    """Start as the scene does."""
+    """Start as in the scene."""
 
 
 def hold(degrees: float) -> Callable[[float], Array]:
-    """Four equal tendon angles."""
+    """Command of four equal tendon angles at all times."""
     return lambda _: np.full(4, math.radians(degrees))
 
 
 @dataclass(frozen=True)
 class Case:
-    """A robot and a scene (changes of `robot.yaml` and of the scene `flat`), and what is done."""
+    """Changes of `robot.yaml` and of the scene `flat`, start, commands and limits of a case."""
 
     limits: Limits
     scene: Changes
     robot: Changes = field(default_factory=dict)
-    start: Callable[[RodRobot], None] = stay  # what is done to it first
+    start: Callable[[RodRobot], None] = stay  # changes the initial state
     command: Callable[[float], Array] = hold(STANDING_DEG)  # (4,) rad at a time, s
     seconds: float = 0.6
     step: float = 1e-3  # s, h
@@ -60,9 +60,9 @@ class Case:
 
 @dataclass(frozen=True)
 class Record:
-    """What was seen at h; `apart` compares with h/2."""
+    """Measurements at h; `apart` compares with h/2."""
 
-    lost: str  # why the solution was lost, or nothing
+    lost: str  # cause of the divergence; empty: none
     fastest: float  # m/s, of a node
     gained: float  # J
     sunk: float  # mm
@@ -72,23 +72,23 @@ class Record:
     unconverged: int
 
     def holds(self, limits: Limits) -> bool:
-        """Whether all is finite and within the limits."""
+        """Whether the case stayed finite and within the limits."""
         within = self.gained <= limits.gained and self.sunk <= limits.sunk
         return not self.lost and within and self.apart <= limits.apart
 
 
 def examine(case: Case) -> Record:
-    """Run a case at h and at h/2."""
-    coarse, fine = Watch(case, case.step), Watch(case, case.step / 2)
+    """Run a case at h and at h/2, and record it."""
+    coarse, fine = MeasuredRun(case, case.step), MeasuredRun(case, case.step / 2)
     try:
-        paths = [np.array(list(watch.run())) for watch in (coarse, fine)]
+        paths = [np.array(list(one.run())) for one in (coarse, fine)]
     except Divergence as error:
         return coarse.record(math.inf, str(error))
     return coarse.record(1e3 * float(np.abs(paths[0] - paths[1]).max()), "")
 
 
-class Watch:
-    """A run of a case at one time step, and the largest of all that is watched."""
+class MeasuredRun:
+    """A run of a case at one time step, with the largest values of what the limits bound."""
 
     def __init__(self, case: Case, step: float) -> None:
         self._case, self._steps = case, round(case.step / step)
@@ -99,7 +99,7 @@ class Watch:
         self._fastest, self._gained, self._sunk = 0.0, -math.inf, -math.inf
 
     def run(self) -> Iterator[Array]:
-        """Yield the torso's place and tilt (5,), m, after every h."""
+        """Yield the torso's position and tilt times TILT_ARM (5,), m, after every h."""
         for k in range(round(self._case.seconds / self._case.step)):
             command = self._case.command(k * self._case.step)
             for _ in range(self._steps):
@@ -107,7 +107,7 @@ class Watch:
             yield np.append(self._sim.position, TILT_ARM * self._sim.rotation[2, :2])
 
     def record(self, apart: float, lost: str) -> Record:
-        """What was seen."""
+        """The record of the run."""
         sim = self._sim
         counts = sim.halvings, sim.indefinite_steps, sim.unconverged_steps
         return Record(lost, self._fastest, self._gained, 1e3 * self._sunk, apart, *counts)

@@ -1,6 +1,6 @@
 """References for the rod: closed forms, published figures and collocation of Reissner's equations.
 
-Lengths are in L and loads in EI / L^2, unless a function says otherwise.
+Lengths are in units of L and loads in units of EI / L^2, unless stated otherwise.
 """
 
 import math
@@ -22,7 +22,7 @@ THIN = 1e-3  # thickness over length: with EI = L = 1 the elastica, stretched by
 THIN_MATERIAL = Material(12 / THIN**3, 4 / THIN**3, 1 / THIN, 0.0)
 
 EULER = math.pi**2 / 4  # P L^2 / EI, clamped and free
-# w L^3 / EI at which a standing column buckles under its own weight: 9/4 j^2 with the first zero j
+# w L^3 / EI at which an upright column buckles under its own weight: 9/4 j^2 with the first zero j
 # of the Bessel function J_(-1/3) (Greenhill 1881).
 GREENHILL = 9 / 4 * 1.8663508588738948**2
 
@@ -49,9 +49,9 @@ def elastica(p: float) -> Array:
 
 
 def follower(p: float) -> Array:
-    """Tip (x, y) of the inextensible cantilever under a force p that stays across its tip.
+    """Tip (x, y) of the inextensible cantilever under a follower force p, normal to its tip.
 
-    The angle psi back from the tip obeys psi'' = p cos psi, so psi'^2 = 2 p sin psi, and with
+    The angle psi, from the tip backwards, obeys psi'' = p cos psi, so psi'^2 = 2 p sin psi. With
     cos phi = sqrt(sin psi) lengths are elliptic integrals of modulus k^2 = 1/2: the tip's angle a
     follows from sqrt p = K - F(phi(a)), and in the tip's axes
 
@@ -80,8 +80,9 @@ def collocation(
 ) -> Array:
     """Tip pose of a rod clamped along x, in the units of its arguments, from Reissner's equations.
 
-    With n = load(s, tip angle), (2, m), the force on what lies beyond s: angle' = M / EI,
-    r' = R (1 + n.t / EA, n.d / GA), M' = -r' x n. A stiffness may be infinite.
+    With n = load(s, tip angle), (2, m), the force on the part beyond s: angle' = M / EI,
+    r' = R (1 + n.t / EA, n.d / GA), M' = -r' x n. A stiffness may be infinite. Raises
+    ArithmeticError if the collocation does not converge.
     """
 
     def slope(s: Array, y: Array, tip: Array) -> Array:
@@ -105,22 +106,22 @@ def collocation(
 
 
 def constant(value: float) -> Field:
-    """The same everywhere."""
+    """Field of one constant value."""
     return lambda s: np.full_like(s, value)
 
 
 def dead(p: float) -> Callable[[Array, float], Array]:
-    """A force p along y at the tip."""
+    """Dead load: a force p along y at the tip."""
     return lambda s, _: np.array([0 * s, p + 0 * s])
 
 
 def across_tip(p: float) -> Callable[[Array, float], Array]:
-    """A force p that stays across the tip."""
+    """Follower force: a force p that stays normal to the tip."""
     return lambda s, tip: np.array([-p * np.sin(tip) + 0 * s, p * np.cos(tip) + 0 * s])
 
 
 def weight(w: float) -> Callable[[Array, float], Array]:
-    """The rod's own weight w along -y, per length."""
+    """Own weight w per length along -y."""
     return lambda s, _: np.array([0 * s, -w * (1 - s)])
 
 
@@ -130,7 +131,7 @@ def heavy(w: float) -> Array:
 
 
 def thin(load: Callable[[Array, float], Array]) -> Array:
-    """Tip (x, y) of the rod that stands for the elastica, with its stretch and stiff shear."""
+    """Tip (x, y) of the thin rod that represents the elastica, with its stretch and stiff shear."""
     axial = constant(THIN_MATERIAL.young_modulus * THIN)
     return collocation(load, constant(1.0), axial, constant(RIGID_IN_SHEAR))[:2]
 

@@ -1,4 +1,4 @@
-"""MuJoCo's hinge chain as a peer of the rod: links that turn in the plane, springs and dampers."""
+"""MuJoCo's hinge chain as a peer of the rod: links in a plane with springs and dampers."""
 
 import itertools
 import math
@@ -19,7 +19,7 @@ LINKS = (10, 20, 30, 60)
 
 
 def rows(exact: Array, repeats: int) -> Iterator[dict[str, Any]]:
-    """The release over links and step."""
+    """The release test over the number of links and the time step."""
     for links, h in itertools.product(LINKS, STEPS):
         tip, start, cost = release(links, h, repeats)
         yield {
@@ -35,7 +35,7 @@ def rows(exact: Array, repeats: int) -> Iterator[dict[str, Any]]:
 
 
 def release(links: int, h: float, repeats: int) -> tuple[Array, Array, float]:
-    """(SAMPLES, 2) tip of the released chain, where it starts, CPU s per second."""
+    """Tip (SAMPLES, 2) of the released chain, m; its start (2,), m; CPU s per simulated s."""
     spring = springs(links)
     model = mujoco.MjModel.from_xml_string(description(h, spring))
     data, bent = mujoco.MjData(model), equilibrium(spring)
@@ -51,7 +51,7 @@ def release(links: int, h: float, repeats: int) -> tuple[Array, Array, float]:
             sample[:] = data.site_xpos[0, [0, 2]]
 
     run()
-    if any(warning.number for warning in data.warning):  # it resets itself where it diverges
+    if any(warning.number for warning in data.warning):  # MuJoCo resets a simulation that diverges
         tip[:] = math.nan
     angle = -np.cumsum(bent)
     start = LEG.length / links * np.array([np.cos(angle).sum(), np.sin(angle).sum()])
@@ -59,7 +59,7 @@ def release(links: int, h: float, repeats: int) -> tuple[Array, Array, float]:
 
 
 def springs(links: int) -> Array:
-    """(links,) N m/rad; the first half cell bends between the clamp and the first link."""
+    """(links,) stiffness of the hinges, N m/rad; that at the clamp stands for half a cell."""
     at = np.arange(links) / links
     at[0] = 0.25 / links
     extent = np.full(links, LEG.length / links)
@@ -68,7 +68,7 @@ def springs(links: int) -> Array:
 
 
 def equilibrium(spring: Array) -> Array:
-    """Hinge angles under the push; positive turns x towards -z."""
+    """(links,) hinge angles under the force PUSH, rad; positive turns x towards -z."""
     link = LEG.length / len(spring)
 
     def moments(turn: Array) -> Array:
@@ -81,7 +81,7 @@ def equilibrium(spring: Array) -> Array:
 
 
 def description(h: float, spring: Array) -> str:
-    """The chain as MuJoCo reads it."""
+    """The chain in MuJoCo's XML."""
     links, link, width = len(spring), LEG.length / len(spring), LEG.section.width
     area = LEG.section.area((np.arange(links) + 0.5) / links)
     body = f'<site name="tip" pos="{link} 0 0" size="0.001"/>'

@@ -1,4 +1,4 @@
-"""The picture of the release test: error over cost, the Pareto front marked."""
+"""The picture of the release test: error over cost, with the Pareto front."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,7 +16,7 @@ PANELS = {
     DAMPED.name: "With Kelvin-Voigt damping, without shear",
     UNDAMPED_SHEAR.name: "With shear, without damping",
 }
-COST, ERROR = (2e-4, 5.0), (2e-2, 60.0)  # what is shown
+COST, ERROR = (2e-4, 5.0), (2e-2, 60.0)  # limits of the axes
 SCHEMES = {  # mark and name by theta and iterations
     (0.5, 1): ("o", "midpoint rule, 1 iteration"),
     (0.5, 2): ("s", "midpoint rule, 2 iterations"),
@@ -31,7 +31,7 @@ PEERS = {
 
 
 def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """One panel for each kind of physics that a peer shares with us."""
+    """Write the picture: one panel for each kind of physics that a peer shares."""
     figure = Figure(figsize=(12, 6.2), layout="constrained")
     FigureCanvasAgg(figure)
     nodes = sorted({row["nodes"] for row in rows if row["simulator"] == OURS})
@@ -72,14 +72,14 @@ def panel(ax: Axes, rows: Sequence[Mapping[str, Any]], colours: Mapping[int, str
 
 
 def look(row: Mapping[str, Any], colours: Mapping[int, str]) -> tuple[str, str, float]:
-    """Mark, colour and size."""
+    """Mark, colour and size of a row."""
     if row["simulator"] == OURS:
         return SCHEMES[row["theta"], row["iterations"]][0], colours[row["nodes"]], 26.0
     return PEERS[row["simulator"]], palette.INK, 60.0
 
 
 def legend(colours: Mapping[int, str]) -> list[Line2D]:
-    """Names of colours, marks and lines."""
+    """Legend of colours, marks and lines."""
 
     def entry(label: str, mark: str, colour: str, line: str = "") -> Line2D:
         return Line2D([], [], marker=mark, color=colour, mfc="none", ls=line, label=label)

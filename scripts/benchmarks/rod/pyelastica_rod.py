@@ -1,8 +1,8 @@
 """PyElastica's rod as a peer: staggered nodes and elements, shear, explicit steps, no damping.
 
-Its clamp as documented holds the first node and the directors of the first element. These stand
-half an element further, so that the rod is held at the middle of its first element. Moved, the
-clamp is where it should be: the rod begins half an element behind it.
+The clamp as documented fixes the first node and the directors of the first element. The directors
+are half an element further along, so the rod is held at the middle of its first element. With the
+clamp moved, the rod begins half an element behind it, so that it is held at the clamp.
 """
 
 import itertools
@@ -22,41 +22,41 @@ from benchmarks.rod.release import DURATION, SAMPLES, UNDAMPED_SHEAR, percent
 from slot_core.robot import Array
 from slot_core.rod.cosserat_rod import Scheme
 
-FIRST_STEP = 6e-5  # s; unstable at every number of elements
+FIRST_STEP = 6e-5  # s; unstable with every number of elements
 STEP_RATIO = 0.93  # from one step tried to the next
 SAMPLE = DURATION / SAMPLES  # s
 FIRST_NODE, FIRST_ELEMENT = (0,), (0,)
 
 
 class Simulator(elastica.BaseSystemCollection, elastica.Constraints):  # type: ignore[misc]
-    """A rod and its clamp."""
+    """PyElastica's system of a rod and its clamp."""
 
 
 @dataclass(frozen=True)
 class Cells:
-    """Where the leg's elements lie; s = 0 is the clamp."""
+    """Arc lengths of the leg's elements; s = 0 is the clamp."""
 
     elements: int
     moved: bool
 
     @property
     def size(self) -> float:
-        """m."""
+        """Length of an element, m."""
         return LEG.length / (self.elements - 0.5 * self.moved)
 
     @property
     def edges(self) -> Array:
-        """(elements + 1,) m, the nodes."""
+        """(elements + 1,) arc length of the nodes, m."""
         return LEG.length - self.size * np.arange(self.elements, -1, -1.0)
 
     @property
     def middles(self) -> Array:
-        """(elements,) m."""
+        """(elements,) arc length of the elements' middles, m."""
         return (self.edges[1:] + self.edges[:-1]) / 2
 
 
 def rows(exact: Array, elements: tuple[int, ...]) -> Iterator[dict[str, Any]]:
-    """The release at the largest stable step of each number of elements, for both clamps."""
+    """The release test at the largest stable step, over the number of elements and both clamps."""
     for count, moved in itertools.product(elements, (False, True)):
         tip, start, h, cost = release(Cells(count, moved))
         yield {
@@ -72,7 +72,7 @@ def rows(exact: Array, elements: tuple[int, ...]) -> Iterator[dict[str, Any]]:
 
 
 def release(cells: Cells) -> tuple[Array, Array, float, float]:
-    """(SAMPLES, 2) tip, where it starts, the largest stable step, CPU s per second."""
+    """Tip (SAMPLES, 2), m; its start (2,), m; largest stable step, s; CPU s per simulated s."""
     run(cells, FIRST_STEP, 1)  # compiles
     h = FIRST_STEP
     while True:
@@ -85,7 +85,7 @@ def release(cells: Cells) -> tuple[Array, Array, float, float]:
 
 
 def run(cells: Cells, h: float, samples: int) -> tuple[Array, Array]:
-    """(samples, 2) tip of the released rod and where it starts; NaN from where it diverges."""
+    """Tip (samples, 2) of the released rod, NaN once it diverges, and its start (2,); m."""
     rod = bent_rod(cells)
     start = rod.position_collection[:2, -1].copy()
     simulator, stepper, now = Simulator(), elastica.PositionVerlet(), 0.0
@@ -108,15 +108,15 @@ def run(cells: Cells, h: float, samples: int) -> tuple[Array, Array]:
 
 
 def bent_rod(cells: Cells) -> Any:
-    """The rod in its own equilibrium under the push, from ours as the first guess."""
+    """The rod in its equilibrium under PUSH; CosseratRod's equilibrium is the initial guess."""
     rod, n = straight_rod(cells), cells.elements
 
-    def put(unknowns: Array) -> None:
+    def assign(unknowns: Array) -> None:
         rod.position_collection[:2, 1:] = unknowns[: 2 * n].reshape(2, n)
         rod.director_collection[..., 1:] = directors(unknowns[2 * n :])
 
     def imbalance(unknowns: Array) -> Array:
-        put(unknowns)
+        assign(unknowns)
         rod.compute_internal_forces_and_torques(0.0)
         force = rod.internal_forces[:2, 1:].copy()
         force[:, -1] += PUSH.force
@@ -131,12 +131,12 @@ def bent_rod(cells: Cells) -> Any:
     )
     if status != 1:
         raise ArithmeticError(f"no equilibrium of PyElastica's rod: {message}")
-    put(unknowns)
+    assign(unknowns)
     return rod
 
 
 def straight_rod(cells: Cells) -> Any:
-    """The leg; its own constructor knows circular sections only, so stiffness and mass are put in.
+    """The straight leg; stiffness and mass are set here, as the constructor has circular sections.
 
     The axes of a section are z (width), -y (thickness) and the tangent.
     """
@@ -164,20 +164,20 @@ def straight_rod(cells: Cells) -> Any:
 
 
 def sections(s: Array) -> tuple[Array, Array, Array]:
-    """Area and second moments about z and y; behind the clamp as at the clamp."""
+    """Area and second moments about z and y at arc lengths s (m); constant behind the clamp."""
     fraction, section = np.clip(s / LEG.length, 0.0, 1.0), LEG.section
     area = section.area(fraction)
     return area, section.second_moment(fraction), area * section.width**2 / 12
 
 
 def fill(matrices: Array, *diagonal: Array) -> None:
-    """Make matrices (3, 3, m) diagonal."""
+    """Set matrices (3, 3, m) to the given diagonals, each (m,)."""
     matrices[:] = 0.0
     for i, values in enumerate(diagonal):
         matrices[i, i] = values
 
 
 def directors(angle: Array) -> Array:
-    """(3, 3, m) axes of sections as rows, of which the third is the tangent."""
+    """(3, 3, m) axes of the sections as rows, the third being the tangent; `angle` (m,), rad."""
     c, s, zero = np.cos(angle), np.sin(angle), np.zeros_like(angle)
     return np.array([[zero, zero, zero + 1.0], [s, -c, zero], [c, s, zero]])

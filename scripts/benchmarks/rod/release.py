@@ -1,8 +1,8 @@
-"""The release of the leg: error against cost, with the simulators that a user could pick instead.
+"""The release test of the leg: error against cost, for CosseratRod and alternative simulators.
 
-The leg (clamped, no gravity) is bent by 1 N at its tip and let go. The error is the root mean
+The leg (clamped, no gravity) is bent by 1 N at its tip and released. The error is the root mean
 square of the tip's distance from a fine solution of the same physics over 1 s, over the initial
-deflection; the cost is CPU time. Three kinds of physics, for each simulator has its own:
+deflection; the cost is CPU time. Three kinds of physics, because the simulators differ:
 
     damped           stretch, bending, Kelvin-Voigt damping; MuJoCo's hinge chain has this one
     damped, shear    the same with shear
@@ -22,21 +22,21 @@ from slot_core.robot import Array
 from slot_core.rod.cosserat_rod import CosseratRod, DivergenceError, RodState, Scheme
 from slot_core.rod.model import FREE
 
-DURATION, SAMPLES = 1.0, 100  # s, and how often the tip is looked at
+DURATION, SAMPLES = 1.0, 100  # s, number of samples of the tip
 OURS = "CosseratRod"
 LARGEST_COST, LARGEST_ERROR = 0.0025, 0.5  # CPU s per simulated s; percent
 
 
 @dataclass(frozen=True)
 class Physics:
-    """What of the leg is modelled."""
+    """Physical effects that are modelled."""
 
     name: str
     shear: bool
     damped: bool
 
     def leg(self, elements: int, scheme: Scheme) -> tuple[CosseratRod, RodState]:
-        """The leg and its state under the push."""
+        """The leg, and its equilibrium under PUSH."""
         material = TPU if self.damped else replace(TPU, damping_time=0.0)
         rod = CosseratRod(
             material, LEG, elements, shear=self.shear, rotary_inertia=self.shear, scheme=scheme
@@ -46,11 +46,11 @@ class Physics:
 
     def exact(self) -> Array:
         """(SAMPLES, 2) tip of 41 nodes, extrapolated from steps of 40 and 20 us."""
-        ways = []
+        paths = []
         for h in (4e-5, 2e-5):
             rod, _ = self.leg(20, Scheme(tolerance=1e-11))
-            ways.append(rod.run(h, round(DURATION / h), samples=SAMPLES)[:, :2])
-        return ways[1] + (ways[1] - ways[0]) / 3
+            paths.append(rod.run(h, round(DURATION / h), samples=SAMPLES)[:, :2])
+        return paths[1] + (paths[1] - paths[0]) / 3
 
 
 DAMPED = Physics("damped", shear=False, damped=True)
@@ -60,9 +60,9 @@ UNDAMPED_SHEAR = Physics("undamped, shear", shear=True, damped=False)
 
 @dataclass(frozen=True)
 class Setting:
-    """A setting of ours that checks name beforehand: the midpoint rule with a single iteration.
+    """A fixed setting of CosseratRod for the checks: midpoint rule, one iteration.
 
-    Not the best of all rows: where errors of space and time cancel, that would be luck.
+    Not the best of all rows, because there errors of space and time may cancel by chance.
     """
 
     physics: Physics
@@ -70,7 +70,7 @@ class Setting:
     h: float
 
     def row(self, rows: list[dict[str, Any]]) -> dict[str, Any]:
-        """Its row."""
+        """The row of this setting."""
         wanted = {
             "simulator": OURS, "physics": self.physics.name, "nodes": self.nodes, "h": self.h,
             "theta": 0.5, "iterations": 1,
@@ -81,16 +81,16 @@ class Setting:
         return f"{self.physics.name}, {self.nodes} nodes, {1e3 * self.h:g} ms"
 
 
-# The fewest nodes within the goal at any smaller step, and the standard.
+# The fewest nodes within the goal at this and any smaller step, and the standard number.
 GOALS = tuple(Setting(p, n, 1e-3) for n in (7, 31) for p in (DAMPED, DAMPED_SHEAR))
-RIVALS = {  # with which each peer is compared, and how many times faster it has to be
+RIVALS = {  # by peer: the setting compared with it, and the least ratio of the costs
     "MuJoCo": (Setting(DAMPED, 7, 1e-3), 3.0),
     "PyElastica": (Setting(UNDAMPED_SHEAR, 17, 5e-4), 100.0),
 }
 
 
 def own_rows(physics: Physics, exact: Array, quick: bool, repeats: int) -> list[dict[str, Any]]:
-    """Our rod over N, step and scheme."""
+    """CosseratRod over number of nodes, time step and scheme."""
     schemes = [(0.5, 1), (0.5, 2), (0.5, 20), (0.55, 2)]
     steps = [2e-3, 1e-3, 5e-4, 2.5e-4]
     if not physics.damped:
@@ -135,7 +135,7 @@ def own_row(  # noqa: PLR0917
 
 
 def percent(tip: Array, exact: Array, start: Array) -> float:
-    """Error of the tip's way (SAMPLES, 2), % of its deflection at the start."""
+    """RMS error of the tip's path (SAMPLES, 2), % of its deflection at the start (2,)."""
     deviation = math.sqrt(((tip - exact) ** 2).sum(axis=1).mean())
     return 100 * deviation / math.dist(start[:2], (LEG.length, 0.0))
 
@@ -143,7 +143,7 @@ def percent(tip: Array, exact: Array, start: Array) -> float:
 def energy_rows() -> Iterator[dict[str, Any]]:
     """Drift of energy and momentum over 1 s without damping, by integrator.
 
-    In flight the leg is thrown, spins and vibrates. After the release it vibrates in its clamp.
+    `flight`: the free leg translates, spins and vibrates. `vibration`: the clamped leg is released.
     """
     for theta in (0.5, 0.55, 1.0):
         for h in (1e-3, 5e-4, 2.5e-4):
@@ -155,7 +155,7 @@ def energy_rows() -> Iterator[dict[str, Any]]:
 
 
 def drift(rod: CosseratRod, h: float, free: bool) -> dict[str, float]:
-    """Largest and last change of energy, and of momentum where the rod is free, over 1 s."""
+    """Largest and final relative change of energy over 1 s; of momentum if the rod is free."""
     momentum, energy, change = np.array(rod.momentum()), rod.energy().total, [0.0]
     for _ in range(50):
         rod.run(h, round(DURATION / 50 / h))
@@ -167,7 +167,7 @@ def drift(rod: CosseratRod, h: float, free: bool) -> dict[str, float]:
 
 
 def thrown(scheme: Scheme) -> CosseratRod:
-    """The leg without damping in flight: 8 rad/s, 0.4 m/s, and a velocity that bends it."""
+    """The undamped leg in free flight: 8 rad/s, 0.4 m/s, and a velocity that bends it."""
     rod = CosseratRod(replace(TPU, damping_time=0.0), LEG, 8, base=FREE, scheme=scheme)
     pose = rod.state.pose
     velocity = 8.0 * np.column_stack([-pose[:, 1], pose[:, 0], np.ones(len(pose))])
@@ -178,7 +178,7 @@ def thrown(scheme: Scheme) -> CosseratRod:
 
 
 def mark_front(rows: list[dict[str, Any]]) -> None:
-    """Mark the rows of which no other of the same physics is both faster and more exact."""
+    """Mark the Pareto front: no other row of the same physics is both faster and more accurate."""
     for row in rows:
         row["front"] = row["percent"] < math.inf and not any(
             other["physics"] == row["physics"]
@@ -189,7 +189,7 @@ def mark_front(rows: list[dict[str, Any]]) -> None:
 
 
 def release_checks(rows: list[dict[str, Any]]) -> list[Check]:
-    """Error and cost at settings named beforehand, and how far ahead of the peers they are."""
+    """Error and cost at the fixed settings, and the ratios of the peers' costs to theirs."""
     out = []
     for setting in GOALS:
         row = setting.row(rows)
@@ -202,10 +202,10 @@ def release_checks(rows: list[dict[str, Any]]) -> list[Check]:
 
 
 def rival_check(peer: str, own: dict[str, Any], rivals: list[dict[str, Any]], goal: float) -> Check:
-    """How many times faster `own` is than the fastest of a peer's rows that is exact enough.
+    """Ratio of the cost of a peer's fastest row that is accurate enough to the cost of `own`.
 
-    Enough is LARGEST_ERROR, or the error of `own` where that is larger. A peer that does not come
-    that far is represented by its most exact row: then `own` is more exact, too.
+    Accurate enough means within LARGEST_ERROR, or within the error of `own` if that is larger. A
+    peer without such a row is represented by its most accurate one; `own` is then more accurate.
     """
     enough = max(own["percent"], LARGEST_ERROR)
     reached = min((row["percent"] for row in rivals if row["percent"] < math.inf), default=math.nan)

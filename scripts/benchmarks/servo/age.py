@@ -1,8 +1,8 @@
 """The age of a command at the servos: all nodes as processes, emulated servos, real time, no bag.
 
-From the publication of an odometry reading to the moment when the goals that follow from it have
-been handed to the port. The delay of the odometry itself is the sensor's and not counted; the time
-of the bytes on the wire is 0.34 ms at 1 Mbaud for four goals and not counted either.
+The age is the time from the publication of an odometry reading until the goals computed from it are
+written to the port. It excludes the sensor's delay of the odometry, and the transmission on the
+wire, which is 0.34 ms for four goals at 1 Mbaud.
 """
 
 from __future__ import annotations
@@ -51,21 +51,21 @@ def walk(duration: float) -> Ages:
         started(graph, values | {"hardware": "fake_bus"}, Path(logs)) as processes,
         listener("age") as (node, executor),
     ):
-        # rclpy passes the second argument too; its annotation knows the first alone
+        # rclpy also passes the second argument; its type annotation has only the first
         node.create_subscription(Odometry, "odom", cast(Any, on_odom), qos.SENSOR)
         node.create_subscription(ServoHealth, "servo_health", on_health, qos.SENSOR)
         limit = time.monotonic() + START_TIMEOUT
         while span(written) < warm_up + duration:
             executor.spin_once(timeout_sec=0.1)
             if (failure := processes.failed()) or time.monotonic() > limit + duration:
-                raise BenchmarkError(f"the graph did not walk: {failure or 'no commands'}")
+                raise BenchmarkError(f"the graph failed: {failure or 'no commands'}")
     begin = min(filter(None, written)) + warm_up * 1e9
     aged = [1e-9 * (at - published[s]) for s, at in written.items() if s in published and s > begin]
     return np.array(aged)
 
 
 def span(written: Mapping[int, int]) -> float:
-    """Time from the first command to the last, s; the stamp of none is zero."""
+    """Time from the first command to the last, s; a zero stamp means: no command."""
     stamps = list(filter(None, written))
     return 1e-9 * (max(stamps) - min(stamps)) if stamps else 0.0
 
@@ -89,7 +89,7 @@ def checks(found: dict[str, Any]) -> list[Check]:
 
 
 def draw(found: Ages, path: Path) -> None:
-    """Share of the commands that are older than an age."""
+    """Write the picture: share of the commands older than an age."""
     figure = Figure(figsize=(6.0, 3.4), layout="constrained")
     axes = figure.subplots()
     axes.step(1e3 * np.sort(found), 1.0 - np.arange(len(found)) / len(found), color=INK)

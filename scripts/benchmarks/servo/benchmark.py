@@ -1,11 +1,11 @@
 """The servo bus: rate, CPU share, step responses of both control loops, the walk, protocol fuzz.
 
-The servos are emulated behind a pseudo-terminal in a process of their own, with the time that the
-bytes take at 1 Mbaud; the CPU time is the driver's alone, and the rate is that of the median cycle,
-because other processes share the machine. Step responses run in the emulated servos' time, the
-walks in the simulator's. Fuzz: `corruption` counts packets that were accepted though the SDK's own
-CRC does not fit; `collisions` packets other than the one sent whose CRC fits by chance (one random
-packet in 65536), which no receiver can tell.
+The servos are emulated behind a pseudo-terminal in a separate process, with the transmission time
+of the bytes at 1 Mbaud. The CPU time is that of the driver alone; the rate is that of the median
+cycle, because other processes share the machine. Step responses run in the emulated servos' time,
+the walks in the simulator's. Fuzz: `corruption` counts packets that were accepted although the
+SDK's CRC does not match; `collisions` counts packets other than the one sent whose CRC matches by
+chance (one random packet in 65536), which no receiver can detect.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import Check, Row, at_least, at_most
-from benchmarks.servo import age
-from benchmarks.servo import twin_rows as twins
+from benchmarks.servo import age, twin_rows
 from benchmarks.servo.fuzz import Tally, fuzz_driver, fuzz_emulator, fuzz_instructions
 from benchmarks.servo.picture import draw
+from benchmarks.servo.twins import BUS_PERIOD
 from slot_core import config
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.port import SerialPort
@@ -42,14 +42,13 @@ from slot_core.simulation.bus_legs import EmulatedLegs
 
 RATE_GOAL = 200.0  # Hz
 CPU_GOAL = 0.2  # of a core
-PERIOD = 0.01  # s
 STEP = (0.5, 1.5)  # rad
 LOADS = (0.0, 0.3)  # N m on the tendon's angle
 SEED = 7
 
 
 def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[Row], list[Check]]:
-    """All parts; see the frame in benchmarks.harness."""
+    """Run all parts; pictures: servo_step.png, servo_twins.png and servo_age.png in `out`."""
     progress("bus cycles")
     cycles = list(cycle_rows(200 if quick else 2000))
     progress("CPU share at 100 Hz")
@@ -58,9 +57,9 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
     steps = [step_row(control, load) for control in ("position", "pwm") for load in LOADS]
     draw(steps, out / "servo_step.png")
     progress("walks with the bus and without")
-    ways = twins.walks()
-    twin = list(twins.rows(ways))
-    twins.draw(ways, out / "servo_twins.png")
+    paths = twin_rows.walks()
+    twin = list(twin_rows.rows(paths))
+    twin_rows.draw(paths, out / "servo_twins.png")
     progress("age of a command, in real time")
     ages = age.walk(6.0 if quick else 60.0)
     age.draw(ages, out / "servo_age.png")
@@ -68,8 +67,8 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
     progress("fuzz")
     fuzz = list(fuzz_rows(20000 if quick else 1000000))
     shown = [{k: v for k, v in row.items() if k != "trace"} for row in steps]
-    promises = [*checks(cycles, share, fuzz), *age.checks(aged), *twins.checks(twin)]
-    return [*cycles, share, *shown, aged, *twin, *fuzz], promises
+    results = [*checks(cycles, share, fuzz), *age.checks(aged), *twin_rows.checks(twin)]
+    return [*cycles, share, *shown, aged, *twin, *fuzz], results
 
 
 def checks(cycles: list[Row], share: Row, fuzz: list[Row]) -> list[Check]:
@@ -84,7 +83,7 @@ def checks(cycles: list[Row], share: Row, fuzz: list[Row]) -> list[Check]:
 
 
 def cycle_rows(count: int) -> Iterator[Row]:
-    """Cycles back to back, with and without fast sync read and an adapter's latency."""
+    """Bus cycles without pauses, with and without fast sync read, and with an adapter's latency."""
     for fast, latency in ((True, 0.0), (False, 0.0), (True, 0.001)):
         changes = {} if fast else {"servo.fast_from_firmware": 256}
         with emulated(changes, latency) as driver:
@@ -107,14 +106,14 @@ def cycle_rows(count: int) -> Iterator[Row]:
 
 
 def share_row(duration: float) -> Row:
-    """CPU time of the driver's process over elapsed time, at 100 Hz."""
+    """CPU time of the driver's process over elapsed time, with cycles at 100 Hz."""
     with emulated({}, 0.0) as driver:
         driver.activate()
         begin, used, late = time.monotonic(), _cpu(), 0
-        for number in range(round(duration / PERIOD)):
+        for number in range(round(duration / BUS_PERIOD)):
             driver.command([1.0 + 0.3 * math.sin(0.05 * number)] * 4)
             driver.cycle()
-            left = begin + (number + 1) * PERIOD - time.monotonic()
+            left = begin + (number + 1) * BUS_PERIOD - time.monotonic()
             late += left < 0
             time.sleep(max(left, 0.0))
         share = (_cpu() - used) / (time.monotonic() - begin)
@@ -123,7 +122,7 @@ def share_row(duration: float) -> Row:
 
 
 def step_row(control: str, load: float) -> dict[str, Any]:
-    """Response to a step, sampled every 10 ms; `load`: N m on the tendons' angles."""
+    """Response to a step, sampled every 10 ms; `load`: torque on the tendon angles, N m."""
     settings = config.replace(read_settings(), {"control": control, "bus.timeout": 0.1})
     legs = EmulatedLegs(settings, read_emulator(), (STEP[0],) * 4)
     clock = [0.0]
@@ -135,20 +134,20 @@ def step_row(control: str, load: float) -> dict[str, Any]:
         trace = []
         for goal, time_span in ((STEP[0], 1.5), (STEP[1], 1.5)):
             trace = []
-            for _ in range(round(time_span / PERIOD)):
+            for _ in range(round(time_span / BUS_PERIOD)):
                 driver.command([goal] * 4)
                 trace.append(driver.cycle().readings[0].angle)  # type: ignore[union-attr]
-                legs.advance(PERIOD, (load,) * 4)
-                clock[0] += PERIOD
+                legs.advance(BUS_PERIOD, (load,) * 4)
+                clock[0] += BUS_PERIOD
         driver.torque_off()
         driver.close()
     return {"kind": "step", "control": control, "load": load, "trace": trace} | measures(trace)
 
 
 def measures(trace: list[float]) -> dict[str, float]:
-    """Rise time (10 to 90 %), overshoot and lasting error of a response to STEP."""
+    """Rise time (10 to 90 %), overshoot and steady-state error of a response to STEP."""
     share = (np.array(trace) - trace[0]) / (STEP[1] - trace[0])
-    rise = PERIOD * (int(np.argmax(share > 0.9)) - int(np.argmax(share > 0.1)))
+    rise = BUS_PERIOD * (int(np.argmax(share > 0.9)) - int(np.argmax(share > 0.1)))
     return {
         "rise_ms": 1e3 * rise,
         "overshoot_deg": math.degrees(max(max(trace) - STEP[1], 0.0)),
@@ -157,7 +156,7 @@ def measures(trace: list[float]) -> dict[str, float]:
 
 
 def fuzz_rows(count: int) -> Iterator[Row]:
-    """Mutated packets at emulator and driver, random contents with a right CRC at the emulator."""
+    """Mutated packets to emulator and driver; random contents with a valid CRC to the emulator."""
     for name, part, number in (
         ("emulator", fuzz_emulator, count),
         ("driver", fuzz_driver, count),
@@ -169,7 +168,7 @@ def fuzz_rows(count: int) -> Iterator[Row]:
 
 @contextlib.contextmanager
 def emulated(changes: dict[str, Any], latency: float) -> Iterator[Driver]:
-    """A configured driver; the servos are in a process of their own."""
+    """A configured driver on servos that are emulated in a separate process."""
     settings = config.replace(read_settings(), changes)
     with tempfile.TemporaryDirectory() as directory:
         command = [sys.executable, "-m", "slot_bringup.servos", "emulate"]

@@ -1,4 +1,4 @@
-"""Random and mutated packets at the emulated servos and at the driver's reading."""
+"""Random and mutated packets to the emulated servos, and to the driver as replies."""
 
 from __future__ import annotations
 
@@ -32,24 +32,24 @@ BAUD = 1000000
 IDS = (5, 4, 2, 3)
 INSTRUCTIONS = tuple(Instruction)
 MUTATIONS = 6
-BATCH = 100  # packets between two steps of time
+BATCH = 100  # packets between two time steps
 
 
 @dataclass
 class Tally:
-    """What became of the packets."""
+    """Counts of the packets by outcome."""
 
     packets: int = 0
     crashes: int = 0
-    corruption: int = 0  # accepted though the SDK's CRC does not fit: must not be
-    collisions: int = 0  # another packet than was sent, whose CRC fits by chance
-    intact: int = 0  # the packet itself, with something beside it
+    corruption: int = 0  # accepted although the SDK's CRC does not match: an error
+    collisions: int = 0  # a packet other than the one sent, whose CRC matches by chance
+    intact: int = 0  # the packet sent, with other bytes beside it
     motion: float = 0.0  # rad, largest
     crash: str = ""
 
 
 def mutate(data: bytes, rng: np.random.Generator) -> bytes:
-    """A packet with bits inverted, bytes inserted, taken out, cut off, or random ones instead."""
+    """A packet with bits inverted, bytes inserted, removed, changed or cut off, or random bytes."""
     kind, out = rng.integers(MUTATIONS), bytearray(data)
     where = int(rng.integers(len(out)))
     if kind == 0:
@@ -70,13 +70,13 @@ def mutate(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def frames(data: bytes) -> list[bytes]:
-    """All stretches of `data` that are packets by the SDK's own CRC."""
+    """All parts of `data` that are packets with a CRC valid by the SDK."""
     found, start = [], data.find(HEADER)
     while start >= 0:
         size = int.from_bytes(data[start + 5 : start + 7], "little") + 7
         frame = data[start : start + size]
-        fits = len(frame) == size >= 10
-        if fits and SDK.updateCRC(0, list(frame), size - 2) == frame[-2] | frame[-1] << 8:
+        complete = len(frame) == size >= 10
+        if complete and SDK.updateCRC(0, list(frame), size - 2) == frame[-2] | frame[-1] << 8:
             found.append(frame)
         start = data.find(HEADER, start + 1)
     return found
@@ -88,7 +88,7 @@ def _field(name: str, value: int) -> bytes:
 
 
 def instructions() -> list[bytes]:
-    """Packets as the driver sends them, and those that would do most harm."""
+    """Packets of the driver, and those with the worst effects: torque off, reboot, action."""
     goals = b"".join(bytes([i]) + TABLE["goal_position"].encode(2800) for i in IDS)
     pwm = b"".join(bytes([i]) + TABLE["goal_pwm"].encode(885) for i in IDS)
     address, size = span(*FAST)
@@ -108,15 +108,15 @@ def instructions() -> list[bytes]:
 
 
 def fuzz_emulator(count: int, rng: np.random.Generator) -> Tally:
-    """Mutated instructions at four servos that hold their place, torque on."""
+    """Mutated instructions to four servos that hold their position, torque on."""
     tally, corpus = Tally(), instructions()
-    bus = _holding()
+    bus = _holding_bus()
     start, kept = bus.advance(0.0), _memories(bus)
     for number in range(count):
         original = corpus[number % len(corpus)]
         data = mutate(original, rng)
         if data != original:
-            _at_emulator(bus, data, original, kept, tally)
+            _send(bus, data, original, kept, tally)
         if number % BATCH == 0:
             moved = float(np.abs(bus.advance(0.001) - start).max())
             tally.motion = max(tally.motion, moved)
@@ -124,7 +124,7 @@ def fuzz_emulator(count: int, rng: np.random.Generator) -> Tally:
     return tally
 
 
-def _holding() -> EmulatedBus:
+def _holding_bus() -> EmulatedBus:
     legs = EmulatedLegs(read_settings(), read_emulator(), (0.5,) * 4)
     for servo in legs.bus.servos:
         servo.memory["goal_position"] = servo.position()
@@ -138,19 +138,17 @@ def _memories(bus: EmulatedBus) -> list[bytes]:
     return [servo.memory.image() for servo in bus.servos]
 
 
-def _at_emulator(
-    bus: EmulatedBus, data: bytes, original: bytes, kept: list[bytes], tally: Tally
-) -> None:
+def _send(bus: EmulatedBus, data: bytes, original: bytes, kept: list[bytes], tally: Tally) -> None:
     tally.packets += 1
     bus.hush()
     try:
         replies = bus.receive(data, BAUD)
-    except Exception as error:  # whatever it is, it is a finding
+    except Exception as error:  # every exception counts as a crash
         tally.crashes, tally.crash = tally.crashes + 1, repr(error)
         return
     answers = [p for reply in replies for p in Parser().feed(reply.data)]
-    heard = any(p.parameters[0] & 0x7F != Error.CRC for p in answers)
-    if not heard and _memories(bus) == kept:
+    accepted = any(p.parameters[0] & 0x7F != Error.CRC for p in answers)
+    if not accepted and _memories(bus) == kept:
         return
     _classify(frames(data), [original], tally)
     for servo, image in zip(bus.servos, kept):
@@ -167,21 +165,21 @@ def _classify(found: list[bytes], sent: list[bytes], tally: Tally) -> None:
 
 
 def fuzz_instructions(count: int, rng: np.random.Generator) -> Tally:
-    """Random contents behind a right CRC: whatever they ask, no register leaves its range."""
-    tally, bus = Tally(), _holding()
+    """Random contents with a valid CRC; a register out of its range counts as corruption."""
+    tally, bus = Tally(), _holding_bus()
     kept = _memories(bus)
     for number in range(count):
         code = int(rng.choice(INSTRUCTIONS)) if rng.random() < 0.9 else int(rng.integers(256))
         identity = int(rng.choice([*IDS, BROADCAST]))
         parameters = bytearray(rng.bytes(rng.integers(0, 24)))
-        if len(parameters) > 4 and rng.random() < 0.8:  # near the table
+        if len(parameters) > 4 and rng.random() < 0.8:  # addresses within the table
             parameters[1] = parameters[3] = 0
         tally.packets += 1
         try:
             bus.receive(build(identity, code, bytes(parameters)), BAUD)
             bus.advance(0.001)
             tally.corruption += any(_out_of_range(servo.memory) for servo in bus.servos)
-        except Exception as error:  # whatever it is, it is a finding
+        except Exception as error:  # every exception counts as a crash
             tally.crashes, tally.crash = tally.crashes + 1, repr(error)
         if number % BATCH == 0:
             for servo, image in zip(bus.servos, kept):
@@ -198,7 +196,7 @@ def _out_of_range(memory: object) -> bool:
 
 
 class ScriptedPort(SerialPort):
-    """A port that gives what it is told to, in no time."""
+    """A port that replies at once with scripted bytes."""
 
     def __init__(self) -> None:
         super().__init__("scripted", BAUD, 0.0)
@@ -206,34 +204,34 @@ class ScriptedPort(SerialPort):
         self.answer: Callable[[bytes], bytes] = bytes
 
     def clearPort(self) -> None:  # noqa: N802
-        """Drop what has come in."""
+        """Discard the incoming bytes."""
         self.incoming.clear()
 
     def writePort(self, packet: list[int]) -> int:  # noqa: N802
-        """Take an instruction; the answer is there at once."""
+        """Take an instruction; append the reply."""
         self.incoming += self.answer(bytes(packet))
         return len(packet)
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
-        """What there is."""
+        """Up to `length` of the incoming bytes."""
         data = bytes(self.incoming[: max(length, 0)])
         del self.incoming[: len(data)]
         return data
 
     def isPacketTimeout(self) -> bool:  # noqa: N802
-        """When nothing is left."""
+        """True when no incoming byte is left."""
         if not self.incoming:
             self.packet_timeout = 0.0
         return not self.incoming
 
     def drain(self, quiet: float) -> int:
-        """Drop everything."""
+        """Discard all incoming bytes."""
         self.incoming.clear()
         return 0
 
 
 def fuzz_driver(count: int, rng: np.random.Generator) -> Tally:
-    """Mutated answers to the driver's reading, joint and one by one."""
+    """Mutated replies to the driver's fast and plain sync read."""
     tally, port = Tally(), ScriptedPort()
     bus = Bus(port, config.replace(read_settings().bus, {"retries": 0}))
     for _ in range(count):
@@ -251,7 +249,7 @@ def fuzz_driver(count: int, rng: np.random.Generator) -> Tally:
         tally.packets += 1
         try:
             answers = bus.sync_read(IDS, *FAST, fast)
-        except Exception as error:  # whatever it is, it is a finding
+        except Exception as error:  # every exception counts as a crash
             tally.crashes, tally.crash = tally.crashes + 1, repr(error)
             continue
         if any(_bytes(answer.values) != truth[i] for i, answer in answers.items()):
@@ -262,7 +260,7 @@ def fuzz_driver(count: int, rng: np.random.Generator) -> Tally:
 
 
 def _data(rng: np.random.Generator) -> bytes:
-    """Ten bytes, often with what has to be stuffed."""
+    """Ten bytes, often with sequences that need byte stuffing."""
     return bytes(rng.choice(np.array([0, 1, 0xFD, 0xFF], dtype=np.uint8), 10))
 
 

@@ -1,4 +1,4 @@
-"""Step responses of the servos as a picture."""
+"""The picture of the servos' step responses."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from benchmarks.servo.twins import BUS_PERIOD
+
 STYLES = {"position": ("C0", "servo's own loop"), "pwm": ("C1", "loop on the host, PWM mode")}
-PERIOD_MS = 10.0
 
 
 def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
-    """Angles over time; dashed with load."""
+    """Write the picture: angles over time, dashed with load."""
     figure = Figure(figsize=(7.0, 3.6), layout="constrained")
     axes = figure.add_subplot()
     for row in rows:
         colour, name = STYLES[row["control"]]
-        times = PERIOD_MS * np.arange(len(row["trace"]))
+        times = 1e3 * BUS_PERIOD * np.arange(len(row["trace"]))
         style = "--" if row["load"] else "-"
         label = f"{name}, {row['load']:g} N m"
         axes.plot(times, row["trace"], style, color=colour, label=label, linewidth=1.2)

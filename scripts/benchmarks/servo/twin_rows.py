@@ -1,4 +1,4 @@
-"""The walk over the bus beside the simulator's own servos, and beside what parts equal walks."""
+"""The walk over the servo bus against the simulator's servos and against small perturbations."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from matplotlib.figure import Figure
 
 from benchmarks.harness import Check, Row, at_most
 from benchmarks.servo.twins import TWINS, apart, walk
+from slot_core.dynamics.scene import read_scene
 from slot_core.report.palette import INK, SECONDARY, TRUE
 from slot_core.simulation.plant import Plant
 
-TICK = 0.033  # s
+TICK = read_scene("flat").sensors.odometry.period  # s
 DURATION = 10.0  # s
 RMS_GOAL = 2.0  # mm
 SPEED_GOAL = 1.0  # mm/s
-NUDGE = 1e-9  # m/s
+SPEED_CHANGE = 1e-9  # m/s, of the start in `sim + start 1 nm/s faster`
 STYLES = {
     "sim": (SECONDARY, "-", "servo.yaml"),
     "law": (TRUE, "-", "servos' law, no bus"),
@@ -28,52 +29,52 @@ STYLES = {
 
 
 def walks() -> dict[str, npt.NDArray[np.float64]]:
-    """Ways of the torso (n, 3), m, by name; those behind a plus sign differ from `sim` in it."""
+    """Paths of the torso (n, 3), m, by name; after a plus sign the difference from `sim`."""
     ticks = round(DURATION / TICK)
-    ways = {name: walk(make, ticks) for name, make in TWINS.items()}
-    ways["sim + start 1 nm/s faster"] = walk(_nudged, ticks)
-    ways["sim + another seed"] = walk(Plant, ticks, seed=1)
-    return ways
+    paths = {name: walk(make, ticks) for name, make in TWINS.items()}
+    paths["sim + start 1 nm/s faster"] = walk(_faster_start, ticks)
+    paths["sim + another seed"] = walk(Plant, ticks, seed=1)
+    return paths
 
 
-def rows(ways: dict[str, npt.NDArray[np.float64]]) -> Iterator[Row]:
-    """Speed of every walk and its distance from the two that it is to be compared with."""
-    for name, way in ways.items():
+def rows(paths: dict[str, npt.NDArray[np.float64]]) -> Iterator[Row]:
+    """Speed of every walk, and its RMS distance from the walks `bus` and `sim`."""
+    for name, way in paths.items():
         yield {
             "kind": "twin",
             "walk": name,
             "v_x_mm_s": 1e3 * speed(way),
-            "rms_from_bus_mm": 1e3 * apart(way, ways["bus"]),
-            "rms_from_sim_mm": 1e3 * apart(way, ways["sim"]),
+            "rms_from_bus_mm": 1e3 * apart(way, paths["bus"]),
+            "rms_from_sim_mm": 1e3 * apart(way, paths["sim"]),
         }
 
 
 def checks(found: list[Row]) -> list[Check]:
-    """The agreement that is promised."""
+    """Distance and difference in speed against their goals."""
     by_name = {row["walk"]: row for row in found}
-    slower = abs(by_name["bus"]["v_x_mm_s"] - by_name["sim"]["v_x_mm_s"])
+    difference = abs(by_name["bus"]["v_x_mm_s"] - by_name["sim"]["v_x_mm_s"])
     apart_mm = by_name["law"]["rms_from_bus_mm"]
     return [
-        at_most("walk with the bus from that without it, RMS", apart_mm, RMS_GOAL, "mm"),
-        at_most("speed with the bus from that of servo.yaml", slower, SPEED_GOAL, "mm/s"),
+        at_most("RMS distance of the walks with and without bus", apart_mm, RMS_GOAL, "mm"),
+        at_most("difference in speed, bus and servo.yaml", difference, SPEED_GOAL, "mm/s"),
     ]
 
 
-def speed(way: npt.NDArray[np.float64]) -> float:
-    """Along x, m/s, after the first 3 s."""
-    late = way[round(3.0 / TICK) :, 0]
+def speed(path: npt.NDArray[np.float64]) -> float:
+    """Mean speed of a path (n, 3) along x after the first 3 s, m/s."""
+    late = path[round(3.0 / TICK) :, 0]
     return float((late[-1] - late[0]) / (TICK * (len(late) - 1)))
 
 
-def draw(ways: dict[str, npt.NDArray[np.float64]], path: Path) -> None:
-    """Height in the last seconds, and how far the walks part."""
+def draw(paths: dict[str, npt.NDArray[np.float64]], path: Path) -> None:
+    """Write the picture: height in the last 3 s, and distance of each walk from `bus`."""
     figure = Figure(figsize=(7.0, 4.6), layout="constrained")
     height, distance = figure.subplots(2, 1)
-    times = TICK * np.arange(len(ways["bus"]))
+    times = TICK * np.arange(len(paths["bus"]))
     for name, (colour, style, label) in STYLES.items():
-        height.plot(times, 1e3 * ways[name][:, 2], style, color=colour, label=label)
-        parted = 1e3 * np.linalg.norm(ways[name] - ways["bus"], axis=1)
-        distance.plot(times, parted, style, color=colour)
+        height.plot(times, 1e3 * paths[name][:, 2], style, color=colour, label=label)
+        apart_mm = 1e3 * np.linalg.norm(paths[name] - paths["bus"], axis=1)
+        distance.plot(times, apart_mm, style, color=colour)
     height.set(ylabel="height of the torso, mm", xlim=(DURATION - 3.0, DURATION))
     distance.set(xlabel="time, s", ylabel="distance from the bus, mm", xlim=(0.0, DURATION))
     height.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
@@ -82,7 +83,7 @@ def draw(ways: dict[str, npt.NDArray[np.float64]], path: Path) -> None:
     figure.savefig(path, dpi=150)
 
 
-def _nudged(*arguments: Any) -> Plant:
+def _faster_start(*arguments: Any) -> Plant:
     plant = Plant(*arguments)
-    plant.simulator.state.velocity[0] += NUDGE
+    plant.simulator.state.velocity[0] += SPEED_CHANGE
     return plant

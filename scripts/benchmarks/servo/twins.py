@@ -1,4 +1,4 @@
-"""One walk on servos of three kinds, on one simulated clock: how far the torso's ways part.
+"""The same walk with servos of three kinds, on one simulated clock, and their distance.
 
 sim    servo.yaml, as with `--hardware sim`
 law    the emulated servos' loop and motor in the simulator: no bus, no counts
@@ -20,7 +20,7 @@ from slot_core.simulation.driven_plant import DrivenPlant
 from slot_core.simulation.plant import Plant
 
 VELOCITY = (0.06, 0.0, 0.0)  # m/s, m/s, rad/s: as gait.yaml's cruise
-BUS_PERIOD = 0.01  # s, as the driver's node
+BUS_PERIOD = 0.01  # s, of a bus cycle, as in the driver's node
 
 
 def _law(robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator) -> Plant:
@@ -44,11 +44,11 @@ TWINS: dict[str, PlantMaker] = {"sim": Plant, "law": _law, "bus": _bus}
 
 
 def walk(make: PlantMaker, ticks: int, scene: str = "flat", seed: int = 0) -> Array:
-    """Places of the torso's centre (ticks, 3), m in odom, one at every odometry reading."""
+    """(ticks, 3) m, positions of the torso's centre in odom, one at every odometry reading."""
     loop = ClosedLoop(scene, "walk", np.array(VELOCITY), seed, make=make)
     return np.array([loop.plant.simulator.position for _ in loop.run(ticks)])
 
 
 def apart(one: Array, other: Array) -> float:
-    """RMS distance (m) of two walks (n, 3), with nothing aligned."""
+    """RMS distance of two paths (n, 3), m, without alignment."""
     return float(np.sqrt(np.mean(np.sum((one - other) ** 2, axis=1))))

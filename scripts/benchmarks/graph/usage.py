@@ -1,0 +1,81 @@
+"""CPU time and memory of the nodes' processes, sampled while the graph runs."""
+
+import math
+import threading
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+from slot_core.robot import Array
+
+SAMPLE_PERIOD = 0.25  # s; the kernel counts CPU time in steps of 10 ms
+
+
+@dataclass
+class Usage:
+    """CPU time and memory of the nodes' processes, sampled at n times."""
+
+    nodes: tuple[str, ...]
+    time: list[float] = field(default_factory=list)  # (n,) s, wall clock
+    cpu: list[list[float]] = field(default_factory=list)  # (n, nodes + 1) s; last: `time_waited`
+    rss: list[float] = field(default_factory=list)  # (nodes,) bytes, resident set, at the end
+    pss: list[float] = field(default_factory=list)  # (nodes,) bytes, proportional set, at the end
+
+    def percent(self, begin: float, end: float) -> Array:
+        """(nodes + 1,) % of one core, last: % of the time waited, between two wall times (s)."""
+        begin, end = max(begin, self.time[0]), min(end, self.time[-1])
+        cpu = np.array(self.cpu).T
+        used = [np.diff(np.interp([begin, end], self.time, column))[0] for column in cpu]
+        return 100 * np.array(used) / (end - begin)
+
+
+@contextmanager
+def metered(pids: Mapping[str, int]) -> Iterator[Usage]:
+    """Sample the processes (pid by node) in the background while the block runs."""
+    processes = [psutil.Process(pid) for pid in pids.values()]
+    usage, ended = Usage(tuple(pids)), threading.Event()
+
+    def sample() -> None:
+        try:
+            add_sample(usage, processes)
+            while not ended.wait(SAMPLE_PERIOD):
+                add_sample(usage, processes)
+        except psutil.Error:
+            pass  # a node has ended: `watch` reports which
+
+    thread = threading.Thread(target=sample, daemon=True)
+    thread.start()
+    try:
+        yield usage
+    finally:
+        ended.set()
+        thread.join()
+
+
+def add_sample(usage: Usage, processes: Sequence[psutil.Process]) -> None:
+    """Take one sample of all processes and of the machine; raises psutil.Error if one has ended."""
+    cpu = [sum(process.cpu_times()[:2]) for process in processes]
+    usage.time.append(time.time())
+    usage.cpu.append([*cpu, time_waited()])
+
+
+def time_waited() -> float:
+    """Time in which any program waited for a core, s; NaN if the kernel does not count it."""
+    try:
+        counted = Path("/proc/pressure/cpu").read_text()
+    except OSError:
+        return math.nan
+    return int(counted.partition("total=")[2].split()[0]) / 1e6
+
+
+def add_memory(usage: Usage, pids: Iterable[int]) -> None:
+    """Read the memory once: counting shared pages takes the kernel too long for every sample."""
+    for pid in pids:
+        memory = psutil.Process(pid).memory_full_info()
+        usage.rss.append(float(memory.rss))
+        usage.pss.append(float(memory.pss))
