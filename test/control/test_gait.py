@@ -1,4 +1,4 @@
-"""Gaits: phase, blends, schedules and refusals."""
+"""Gait scheduler: phase, blends, contact schedule and rejected requests."""
 
 import numpy as np
 import pytest
@@ -61,7 +61,7 @@ def settings():
 
 
 def walking(settings, speed=0.08):
-    """A scheduler that has been walking since t = 1 s, its transition over."""
+    """A scheduler that walks since t = 1 s, without a transition from `stand`."""
     scheduler = GaitScheduler(settings, "walk", np.array([speed, 0, 0]))
     scheduler.step(SECOND, LEVEL)
     return scheduler
@@ -90,7 +90,7 @@ def test_stage_k_of_the_preview_is_stage_0_of_the_tick_k_later(settings):
     assert (early.contact[4:] == late.contact[:-4]).all()
 
 
-def test_a_change_of_gait_has_no_jump(settings):
+def test_a_change_of_gait_is_continuous(settings):
     scheduler = GaitScheduler(settings, "walk", np.array([0.08, 0, 0]))
     stamps = SECOND + np.arange(0, 2 * SECOND, SECOND // 100)
     angles = np.array([scheduler.step(int(s), LEVEL).tendon_angle[0] for s in stamps])
@@ -99,10 +99,12 @@ def test_a_change_of_gait_has_no_jump(settings):
     assert np.degrees(np.abs(np.diff(angles, axis=0))).max() < 2.9
 
 
-def test_a_leg_without_load_is_no_stance_leg(settings):
+def test_a_leg_without_normal_force_is_not_in_contact(settings):
     preview = walking(settings).step(5 * SECOND, LEVEL)
     assert (preview.contact == (preview.normal_force >= 0.5)).all()
-    assert preview.normal_force.min() == 0.0  # FR's harmonics go below zero, its load does not
+    assert (
+        preview.normal_force.min() == 0.0
+    )  # FR's harmonics go below zero, its normal force does not
     assert not preview.contact[:, 1].all()
 
 
@@ -132,8 +134,8 @@ def test_a_velocity_command_expires(settings):
 
 
 @pytest.mark.parametrize("stamp", [0, 10_000 * SECOND])
-def test_a_command_that_is_not_of_now_stops_the_robot_and_says_so(settings, stamp):
-    """Nobody knows when a stamp from the future would expire, and a stop may come late."""
+def test_a_command_with_a_stamp_far_from_the_states_stops_the_robot_and_raises(settings, stamp):
+    """A stamp from the future might never expire, and an old command may be a late stop."""
     scheduler = walking(settings)
     scheduler.step(5 * SECOND, LEVEL)
     with pytest.raises(
@@ -143,7 +145,7 @@ def test_a_command_that_is_not_of_now_stops_the_robot_and_says_so(settings, stam
     assert scheduler.step(5 * SECOND, LEVEL).reference[0, 9] == 0.0
 
 
-def test_a_clock_set_back_does_not_hold_a_change_of_gait_up(settings):
+def test_a_clock_set_back_does_not_delay_a_change_of_gait(settings):
     scheduler = walking(settings)
     scheduler.step(1000 * SECOND, LEVEL)
     scheduler.request("stand", np.zeros(3))
@@ -178,7 +180,7 @@ def test_the_reference_moves_along_the_heading_at_the_start(settings):
     assert ahead[:, 4] == pytest.approx(2.0 + np.sin(0.5) * step[:15])
 
 
-def test_the_references_rates_are_the_derivatives_of_its_sway(settings):
+def test_the_rates_of_the_reference_are_the_derivatives_of_its_sway(settings):
     scheduler, h = walking(settings), 1_000_000
     before, now, after = (scheduler.step(5 * SECOND + d, LEVEL).reference for d in (-h, 0, h))
     difference = (after - before) / (2 * h * 1e-9)
@@ -196,8 +198,8 @@ def test_the_reference_is_within_half_a_turn_of_the_state(heading, yaw):
     assert np.exp(1j * rows[0, 2]) == pytest.approx(np.exp(1j * heading))
 
 
-def test_sway_turns_with_the_heading():
-    """Rotated by yaw, v = [v_x, v_y] and omega = [roll rate, pitch rate] are vectors in odom."""
+def test_sway_rotates_with_the_heading():
+    """v = [v_x, v_y] and omega = [roll rate, pitch rate], rotated by yaw, are vectors in odom."""
     rng = np.random.default_rng(0)
     sway, times = rng.normal(size=(5, 12)), 0.033 * np.arange(5)
     rows = reference(LEVEL, 0.7, np.array([0.1, -0.2, 0.3]), sway, times)
@@ -222,25 +224,25 @@ def test_sway_turns_with_the_heading():
         ("walk", [0.05], r"velocity: 1 values, not v_x, v_y, yaw rate"),
     ],
 )
-def test_what_a_gait_cannot_do_is_refused(settings, gait, velocity, message):
+def test_an_unknown_gait_or_velocity_out_of_range_is_rejected(settings, gait, velocity, message):
     with pytest.raises(ConfigError, match=message):
         GaitScheduler(settings, gait, np.array(velocity, dtype=float))
 
 
-def test_a_table_of_speeds_that_does_not_rise_is_refused():
+def test_a_speed_table_that_does_not_rise_is_rejected():
     with pytest.raises(ConfigError, match=r"speed = \(0\.1, 0\.1\): expected one rising value"):
         build(Gait, WALK | {"speed": [0.1, 0.1]}, "test")
 
 
-def test_the_shipped_gaits_ask_for_what_the_robot_has():
+def test_the_shipped_gaits_are_within_the_robots_limits():
     robot, settings = read_robot(), read_gaits()
     phase = np.linspace(0, 1, 200, endpoint=False)
     assert {"stand", "walk"} <= set(settings.gaits)
     for gait in settings.gaits.values():
         for amplitude in (0.0, 0.5, 1.0):
-            angle, load, _ = np.split(gait.course(phase, amplitude), [4, 8], axis=1)
+            angle, force, _ = np.split(gait.course(phase, amplitude), [4, 8], axis=1)
             assert angle.min() >= 0.0
             assert angle.max() <= robot.tendon.angle_max
-            # over a stride the ground carries the weight; two harmonics leave some of it out
-            assert load.sum(axis=1).mean() == pytest.approx(robot.weight, rel=0.1)
+            # over a stride the ground carries the weight; two harmonics miss some of it
+            assert force.sum(axis=1).mean() == pytest.approx(robot.weight, rel=0.1)
         assert gait.speed[0] <= gait.cruise <= gait.speed[-1]

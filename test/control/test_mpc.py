@@ -1,4 +1,4 @@
-"""The convex MPC against the matrix exponential, CVXPY + Clarabel, and a nonlinear torso."""
+"""Convex MPC against the matrix exponential, CVXPY with Clarabel, and a nonlinear torso."""
 
 import csv
 import dataclasses
@@ -21,7 +21,7 @@ from slot_core.control.mpc.solver import Solution, make_solver
 from slot_core.robot import GRAVITY, read_robot
 
 ROBOT = read_robot()
-# no deadline: the tests must not depend on the machine's load
+# no time budget: the tests must not depend on the load of the machine
 SETTINGS = config.replace(read_mpc(), {"acceptance.time_budget": np.inf})
 H, F_MAX, DT = SETTINGS.horizon, SETTINGS.force_max, 0.033
 HOVER = ROBOT.weight / 4
@@ -54,13 +54,13 @@ def preview(stages=H + 1, height=0.04, **changes):
 
 
 def continuous(yaw, height):
-    """x' = A x + B u + g, leg by leg from Newton and Euler."""
-    turn = Rotation.from_euler("z", yaw).as_matrix()
-    inertia = turn @ ROBOT.inertia @ turn.T
+    """A, B, g of x' = A x + B u + g, leg by leg from the Newton-Euler equations."""
+    rotation = Rotation.from_euler("z", yaw).as_matrix()
+    inertia = rotation @ ROBOT.inertia @ rotation.T
     a, b, g = np.zeros((12, 12)), np.zeros((12, 12)), np.zeros(12)
-    a[:3, 6:9], a[3:6, 9:], g[11] = turn.T, np.eye(3), -GRAVITY
+    a[:3, 6:9], a[3:6, 9:], g[11] = rotation.T, np.eye(3), -GRAVITY
     for leg, axis in np.ndindex(4, 3):
-        arm = turn @ ROBOT.feet[leg]
+        arm = rotation @ ROBOT.feet[leg]
         arm[2] = -height
         b[6:9, 3 * leg + axis] = np.linalg.solve(inertia, np.cross(arm, np.eye(3)[axis]))
         b[9 + axis, 3 * leg + axis] = 1 / ROBOT.mass
@@ -68,7 +68,7 @@ def continuous(yaw, height):
 
 
 def discrete(yaw, height, dt):
-    """The exact zero-order hold by the matrix exponential of [[A, B, g], [0, 0, 0]]."""
+    """Exact zero-order hold by the matrix exponential of [[A, B, g], [0, 0, 0]]."""
     a, b, g = continuous(yaw, height)
     whole = np.zeros((25, 25))
     whole[:12] = np.column_stack([a, b, g])
@@ -76,23 +76,25 @@ def discrete(yaw, height, dt):
     return held[:12, :12], held[:12, 12:24], held[:12, 24]
 
 
-def oracle(x0, ahead):
-    """The problem as it is written in the docstring, by CVXPY and Clarabel: u (H, 12), cost."""
+def optimum(x0, ahead, constraints=lambda u, x: [], extra=lambda u, x: 0.0):
+    """u (H, 12) and cost with further constraints and costs, by CVXPY and Clarabel."""
     a, b, g = discrete(x0[2], x0[5], ahead.dt)
     q, r = np.sqrt(SETTINGS.weights.q), np.sqrt(SETTINGS.weights.r)
     x, u = cvxpy.Variable((H + 1, 12)), cvxpy.Variable((H, 12))
     u_ref = np.zeros((H, 12))
     u_ref[:, 2::3] = ahead.normal_force[:H]
-    f_x, f_y, f_z = u[:, 0::3], u[:, 1::3], u[:, 2::3]
-    mu_f_z = cvxpy.multiply(ahead.friction[:H], f_z)
-    rules = [x[0] == x0, x[1:] == x[:-1] @ a.T + u @ b.T + np.tile(g, (H, 1))]
-    rules += [f_z >= 0, f_z <= F_MAX * ahead.contact[:H]]
-    rules += [cvxpy.abs(f_x) <= mu_f_z, cvxpy.abs(f_y) <= mu_f_z]
+    mu_f_z = cvxpy.multiply(ahead.friction[:H], u[:, 2::3])
+    all_constraints = [x[0] == x0, x[1:] == x[:-1] @ a.T + u @ b.T + np.tile(g, (H, 1))]
+    all_constraints += [u[:, 2::3] >= 0, u[:, 2::3] <= F_MAX * ahead.contact[:H]]
+    all_constraints += [
+        cvxpy.abs(u[:, 0::3]) <= mu_f_z,
+        cvxpy.abs(u[:, 1::3]) <= mu_f_z,
+        *constraints(u, x),
+    ]
     error = (x[1:] - ahead.reference[1 : H + 1]) @ np.diag(q)
-    cost = cvxpy.sum_squares(error) + cvxpy.sum_squares((u - u_ref) @ np.diag(r))
-    problem = cvxpy.Problem(cvxpy.Minimize(cost), rules)
-    tight = {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11}
-    problem.solve(solver=cvxpy.CLARABEL, **tight)
+    cost = cvxpy.sum_squares(error) + cvxpy.sum_squares((u - u_ref) @ np.diag(r)) + extra(u, x)
+    problem = cvxpy.Problem(cvxpy.Minimize(cost), all_constraints)
+    problem.solve(solver=cvxpy.CLARABEL, tol_gap_abs=1e-11, tol_gap_rel=1e-11, tol_feas=1e-11)
     assert problem.status == cvxpy.OPTIMAL
     return u.value, problem.value
 
@@ -149,20 +151,20 @@ def test_prediction_is_the_exact_zero_order_hold(yaw, height, dt):
     np.testing.assert_allclose(predicted.drift, drift, atol=1e-13)
 
 
-def test_first_forces_and_cost_are_the_optimum_of_the_written_problem():
-    # One controller for all: data left over from an earlier update would show.
+def test_first_forces_and_cost_are_the_optimum_of_the_documented_problem():
+    # One controller for all cases: data left over from an earlier update would be detected.
     mpc, rng = new_mpc(), np.random.default_rng(4)
     cases = [*hard_cases().values(), *(random_case(rng) for _ in range(30))]
     for x0, ahead in cases:
-        result, (u, cost) = mpc.step(x0, ahead), oracle(x0, ahead)
+        result, (u, cost) = mpc.step(x0, ahead), optimum(x0, ahead)
         assert result.status == Status.SOLVED
-        # where a limit is only just active, an interior-point method at a gap of 1e-10 stops
-        # short of it: by 1.3e-4 N at most in 414 such cases
+        # where a limit is weakly active, an interior-point solution at a gap of 1e-10 is off by
+        # up to 1.3e-4 N in 414 such cases
         np.testing.assert_allclose(result.force.ravel(), u[0], rtol=0, atol=3e-4)
         assert result.cost == pytest.approx(cost, rel=1e-6, abs=1e-6)  # flat at the optimum
 
 
-def test_hover_reference_is_held_by_a_quarter_of_the_weight_on_each_leg():
+def test_at_the_standing_reference_each_leg_carries_a_quarter_of_the_weight():
     result = new_mpc().step(state(), preview())
     expected = np.tile([0, 0, ROBOT.mass * GRAVITY / 4], (4, 1))
     np.testing.assert_allclose(result.force, expected, atol=1e-6)  # solver tolerance 1e-8
@@ -170,7 +172,7 @@ def test_hover_reference_is_held_by_a_quarter_of_the_weight_on_each_leg():
 
 
 def solve_whole_horizon(x0, ahead):
-    """(H, 4, 3) forces by the controller's own problem and solver."""
+    """Forces (H, 4, 3) N by the problem and solver of the controller."""
     model = TorsoModel(ROBOT)
     generic, weights = model.predict(0.3, 0.1, DT), SETTINGS.weights
     qp = HorizonQp(weights.q, weights.r, H, generic, SETTINGS.model, ROBOT.weight)
@@ -184,21 +186,21 @@ def solve_whole_horizon(x0, ahead):
 
 
 @pytest.mark.parametrize("name", hard_cases())
-def test_every_stage_keeps_the_force_limits(name):
+def test_the_forces_of_every_stage_are_within_their_limits(name):
     x0, ahead = hard_cases()[name]
     f = solve_whole_horizon(x0, ahead)
     limit = 1e-6  # N; the solver's absolute residual is 1e-8 in scaled units
     assert np.all(f[..., 2] >= -limit)
     assert np.all(f[..., 2] <= F_MAX * ahead.contact[:H] + limit)
-    most = ahead.friction[:H, :, None] * f[..., 2:] + limit
+    friction_limit = ahead.friction[:H, :, None] * f[..., 2:] + limit
     # a coefficient of 100 multiplies the residual of f_z
-    assert np.all(np.abs(f[..., :2]) <= most + limit * ahead.friction.max())
+    assert np.all(np.abs(f[..., :2]) <= friction_limit + limit * ahead.friction.max())
 
 
 def test_without_friction_there_is_no_tangential_force():
     x0, ahead = hard_cases()["no friction"]
     assert np.abs(solve_whole_horizon(x0, ahead)[..., :2]).max() < 1e-6  # N, solver tolerance
-    assert np.abs(new_mpc().step(x0, preview()).force[:, :2]).max() > 0.01  # with it there is
+    assert np.abs(new_mpc().step(x0, preview()).force[:, :2]).max() > 0.01  # with friction
 
 
 def test_in_flight_all_forces_are_zero():
@@ -206,11 +208,11 @@ def test_in_flight_all_forces_are_zero():
     assert np.abs(solve_whole_horizon(x0, ahead)).max() < 1e-6  # N, solver tolerance
 
 
-def test_turning_robot_and_target_together_turns_the_forces():
-    # Small errors, so that the friction pyramid, which does not turn, is not active.
-    turn = Rotation.from_euler("z", 1.0)
+def test_rotating_robot_and_target_rotates_the_forces():
+    # Errors are small, so that the friction pyramid, which does not rotate, is inactive.
+    rotation = Rotation.from_euler("z", 1.0)
     rest = state(rpy=(0.01, 0.02, 0), p=(0.01, 0, 0.039), omega=(0.05, 0, 0.02), v=(0.01, 0, 0))
-    turned = np.concatenate([rest[:3], *(turn.apply(rest[i : i + 3]) for i in (3, 6, 9))])
+    turned = np.concatenate([rest[:3], *(rotation.apply(rest[i : i + 3]) for i in (3, 6, 9))])
     turned[2] += 1.0
     reference = np.tile(state(rpy=(0, 0, 1.0)), (H + 1, 1))
     mpc = new_mpc()
@@ -218,7 +220,7 @@ def test_turning_robot_and_target_together_turns_the_forces():
     across = mpc.step(turned, preview(reference=reference))
     assert straight.slack_friction.min() > 0.1
     # angular weights are equal about x and y; 1e-6 N is the solver's tolerance
-    np.testing.assert_allclose(across.force, turn.apply(straight.force), atol=1e-6)
+    np.testing.assert_allclose(across.force, rotation.apply(straight.force), atol=1e-6)
 
 
 def test_full_turns_of_the_reference_do_not_matter():
@@ -227,17 +229,17 @@ def test_full_turns_of_the_reference_do_not_matter():
     mpc = new_mpc()
     a, b = (mpc.step(x0, preview(reference=ref)).force for ref in (near, far))
     np.testing.assert_allclose(a, b, atol=1e-6)  # solver tolerance
-    assert np.abs(a[:, :2]).max() > 1e-3  # there is a turn to make
+    assert np.abs(a[:, :2]).max() > 1e-3  # the yaw error is not zero
 
 
-def test_a_preview_of_exactly_the_horizon_holds_its_last_reference():
+def test_a_preview_as_long_as_the_horizon_repeats_its_last_reference():
     reference = np.tile(state(), (H + 1, 1))
     reference[:, 5] = np.linspace(0.04, 0.06, H + 1)
     reference[H] = reference[H - 1]
     mpc = new_mpc()
     whole = mpc.step(state(), preview(reference=reference)).force
     short = mpc.step(state(), preview(stages=H, reference=reference[:H])).force
-    np.testing.assert_allclose(whole, short, atol=1e-9)  # PIQP's earlier scaling leaves roundoff
+    np.testing.assert_allclose(whole, short, atol=1e-9)  # roundoff
 
 
 def test_slacks_are_those_of_the_first_stage():
@@ -253,14 +255,14 @@ def test_slacks_are_those_of_the_first_stage():
     assert result.slack_total == pytest.approx(3 * F_MAX - ROBOT.mass * GRAVITY)
 
 
-def spoiled(field, index, value):
+def damaged(field, index, value):
     """A preview with one element replaced."""
     array = np.array(getattr(preview(), field), dtype=float)
     array[index] = value
     return preview(**{field: array})
 
 
-REFUSED = {
+REJECTED = {
     "state[5] = nan": (state(p=(0, 0, np.nan)), preview()),
     "state[9] = inf": (state(v=(np.inf, 0, 0)), preview()),
     "state[0] = 1e+300": (state(rpy=(1e300, 0, 0)), preview()),
@@ -268,12 +270,12 @@ REFUSED = {
     "state: shape (12, 1)": (np.zeros((12, 1)), preview()),
     "state: shape ()": (None, preview()),
     "state: not numbers": (["upright"] * 12, preview()),
-    "preview.friction[3, 2] = -0.1": (state(), spoiled("friction", (3, 2), -0.1)),
-    "preview.friction[0, 0] = nan": (state(), spoiled("friction", (0, 0), np.nan)),
-    "preview.contact[1, 1] = 2": (state(), spoiled("contact", (1, 1), 2)),
-    "preview.normal_force[2, 0] = -inf": (state(), spoiled("normal_force", (2, 0), -np.inf)),
-    "preview.reference[15, 5] = nan": (state(), spoiled("reference", (15, 5), np.nan)),
-    "preview.reference[0, 3] = inf": (state(), spoiled("reference", (0, 3), np.inf)),
+    "preview.friction[3, 2] = -0.1": (state(), damaged("friction", (3, 2), -0.1)),
+    "preview.friction[0, 0] = nan": (state(), damaged("friction", (0, 0), np.nan)),
+    "preview.contact[1, 1] = 2": (state(), damaged("contact", (1, 1), 2)),
+    "preview.normal_force[2, 0] = -inf": (state(), damaged("normal_force", (2, 0), -np.inf)),
+    "preview.reference[15, 5] = nan": (state(), damaged("reference", (15, 5), np.nan)),
+    "preview.reference[0, 3] = inf": (state(), damaged("reference", (0, 3), np.inf)),
     f"preview.contact: shape ({H - 1}, 4)": (state(), preview(stages=H - 1)),
     "preview.friction: shape (16, 3)": (state(), preview(friction=np.ones((H + 1, 3)))),
     "preview.normal_force: shape (64,)": (state(), preview(normal_force=np.ones(64))),
@@ -283,57 +285,57 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("fault", REFUSED)
-def test_bad_input_is_refused_before_the_solver_and_named(fault):
+@pytest.mark.parametrize("fault", REJECTED)
+def test_bad_input_is_rejected_before_the_solver_and_named(fault):
     mpc = new_mpc()
     good = mpc.step(state(p=(0, 0, 0.03)), preview())
-    result = mpc.step(*REFUSED[fault])
+    result = mpc.step(*REJECTED[fault])
     assert result.status == Status.REJECTED
     assert fault in result.message
     assert "\n" not in result.message
     assert result.iterations == 0
     expected = HOVER + SETTINGS.fallback.decay * (good.force[:, 2] - HOVER)
     np.testing.assert_allclose(result.force[:, 2], expected)
-    again = mpc.step(state(), preview())  # nothing of the bad input stays
+    again = mpc.step(state(), preview())  # the bad input has no later effect
     assert again.status == Status.SOLVED
     np.testing.assert_allclose(again.force[:, 2], HOVER, atol=1e-6)  # solver tolerance
 
 
 class LateFrom:
-    """A timer by which every cycle from the n-th on takes a second."""
+    """A timer by which every cycle from number `cycle` on takes one second."""
 
     def __init__(self, cycle):
         self.calls, self.cycle = itertools.count(), cycle
 
     def __call__(self):
-        call = next(self.calls)  # two a cycle
+        call = next(self.calls)  # two calls per cycle
         return float(call % 2) if call // 2 >= self.cycle else 0.0
 
 
-LOAD = np.tile([5.4, 5.2, 5.1, 5.3], (H + 1, 1))  # of the gait, N
+GAIT_FORCE = np.tile([5.4, 5.2, 5.1, 5.3], (H + 1, 1))  # N, normal forces of the gait
 
 
 def late():
     settings = config.replace(SETTINGS, {"acceptance.time_budget": 0.5})
-    return Mpc(ROBOT, settings, LateFrom(1)), state(), preview(normal_force=LOAD)
+    return Mpc(ROBOT, settings, LateFrom(1)), state(), preview(normal_force=GAIT_FORCE)
 
 
 def iteration_limit():
-    # standing takes 8 iterations, this case 11: the limit lies between
+    # standing takes 8 iterations and this case 11; the limit is 9
     x0, ahead = random_case(np.random.default_rng(130))
-    ahead.contact[0], ahead.friction[0], ahead.normal_force[:] = True, 0.4, LOAD
+    ahead.contact[0], ahead.friction[0], ahead.normal_force[:] = True, 0.4, GAIT_FORCE
     return new_mpc(solver__iterations=9, force_max=5.5), x0, ahead
 
 
 def violation():
-    # standing keeps all limits with room to spare, a friction of zero PIQP does not meet exactly
+    # standing is well within all limits; PIQP does not satisfy a friction of zero exactly
     mpc = new_mpc(solver__name="piqp", acceptance__violation_max=0.0)
     slipping = state(rpy=(0.5, -0.5, 0), v=(0.1, 0, 0))
-    return mpc, slipping, preview(normal_force=LOAD, friction=np.zeros((H + 1, 4)))
+    return mpc, slipping, preview(normal_force=GAIT_FORCE, friction=np.zeros((H + 1, 4)))
 
 
 def bad_input():
-    return new_mpc(), np.full(12, np.nan), preview(normal_force=LOAD)
+    return new_mpc(), np.full(12, np.nan), preview(normal_force=GAIT_FORCE)
 
 
 FAILURES = {
@@ -345,20 +347,22 @@ FAILURES = {
 
 
 @pytest.mark.parametrize("failure", FAILURES)
-def test_fallback_decays_to_the_gaits_load_then_stops_after_the_configured_cycles(failure):
+def test_fallback_decays_to_the_normal_forces_of_the_gait_and_stops_after_the_configured_cycles(
+    failure,
+):
     mpc, *bad = failure()
-    good = state(), preview(normal_force=LOAD)
+    good = state(), preview(normal_force=GAIT_FORCE)
     last, rule = mpc.step(*good), SETTINGS.fallback
     assert last.status == Status.SOLVED
-    hover = np.zeros((4, 3))
-    hover[:, 2] = LOAD[0]
+    reference = np.zeros((4, 3))
+    reference[:, 2] = GAIT_FORCE[0]
     for n in range(1, rule.cycles + 1):
         result = mpc.step(*bad)
         assert (result.status, result.fallback_cycles) == (FAILURES[failure], n)
         assert result.message
-        expected = hover + rule.decay**n * (last.force - hover)
+        expected = reference + rule.decay**n * (last.force - reference)
         if not bad[1].friction.any():
-            expected[:, :2] = 0.0  # the present limits are kept
+            expected[:, :2] = 0.0  # the present limits hold
         np.testing.assert_allclose(result.force, expected, atol=1e-12)  # roundoff
     for n in (rule.cycles + 1, rule.cycles + 2):
         stopped = mpc.step(*bad)
@@ -377,19 +381,19 @@ def test_a_solution_ends_the_fallback_and_the_stop():
     assert (again.status, again.fallback_cycles, again.message) == (Status.SOLVED, 0, "")
 
 
-def test_a_solver_that_calls_nan_solved_is_not_believed(monkeypatch):
-    answers = [np.full(24 * H, HOVER), np.full(24 * H, np.nan)]  # a feasible input, then not
-    answers[0].reshape(H, 8, 3)[..., :2] = 0.0
+def test_a_nan_solution_reported_as_solved_is_not_accepted(monkeypatch):
+    solutions = [np.full(24 * H, HOVER), np.full(24 * H, np.nan)]  # a feasible input, then not
+    solutions[0].reshape(H, 8, 3)[..., :2] = 0.0
 
-    class Careless:
+    class FaultySolver:
         def __init__(self, *_):
             self.count = -2  # the first call is made at construction
 
         def solve(self):
             self.count += 1
-            return Solution(answers[max(self.count, 0)], fault="", iterations=1)
+            return Solution(solutions[max(self.count, 0)], fault="", iterations=1)
 
-    monkeypatch.setattr("slot_core.control.mpc.mpc.make_solver", Careless)
+    monkeypatch.setattr("slot_core.control.mpc.mpc.make_solver", FaultySolver)
     mpc = new_mpc()
     assert mpc.step(state(), preview()).status == Status.SOLVED
     result = mpc.step(state(), preview())
@@ -398,7 +402,7 @@ def test_a_solver_that_calls_nan_solved_is_not_believed(monkeypatch):
 
 
 @pytest.mark.parametrize("cause", ["iteration limit", "bad input"])
-def test_before_any_feasible_solution_it_is_stopped(cause):
+def test_without_an_earlier_feasible_solution_the_status_is_stopped(cause):
     mpc = new_mpc(solver__iterations=1) if cause == "iteration limit" else new_mpc()
     x0 = state() if cause == "iteration limit" else np.full(12, np.inf)
     result = mpc.step(x0, preview())
@@ -407,7 +411,7 @@ def test_before_any_feasible_solution_it_is_stopped(cause):
     assert "no feasible input yet" in result.message
 
 
-def test_fallback_puts_no_force_on_a_leg_that_is_lifted_now():
+def test_fallback_puts_no_force_on_a_lifted_leg():
     mpc, *good = late()
     assert mpc.step(*good).status == Status.SOLVED
     contact = np.ones((H + 1, 4), dtype=bool)
@@ -420,7 +424,7 @@ def test_fallback_puts_no_force_on_a_leg_that_is_lifted_now():
 
 
 @pytest.mark.parametrize("scale", [1e2, 1e3, 1e4])
-def test_absurd_but_finite_states_end_within_the_limits_with_forces_in_bounds(scale):
+def test_very_large_finite_states_give_forces_within_limits_in_limited_iterations(scale):
     mpc, rng = new_mpc(), np.random.default_rng(8)
     mpc.step(state(), preview())
     for _ in range(5):
@@ -445,13 +449,13 @@ def test_absurd_but_finite_states_end_within_the_limits_with_forces_in_bounds(sc
         },
     ],
 )
-def test_weights_that_leave_the_forces_vague_are_refused(changes):
+def test_weights_that_make_the_problem_ill_conditioned_are_rejected(changes):
     with pytest.raises(config.ConfigError, match=r"weights.force.*condition number .* exceeds 1"):
         new_mpc(**changes)
 
 
-def test_condition_is_that_of_the_condensed_hessian():
-    # one stage, by hand: H = B'QB + R with the matrices of the exponential
+def test_condition_number_is_that_of_the_condensed_hessian():
+    # one stage in closed form: H = B'QB + R with the matrices of the exponential
     _, b, _ = discrete(0.3, 0.1, 0.1)
     weights = SETTINGS.weights
     hessian = b.T @ np.diag(weights.q) @ b + np.diag(weights.r)
@@ -471,8 +475,8 @@ def test_equal_inputs_give_bit_equal_results():
             np.testing.assert_array_equal(a, b)
 
 
-def test_the_bound_is_what_a_fully_pulled_leg_carries_at_the_walks_height():
-    """The paper's line gives 5.532 N at any height; the walk's own loads reach 11 N."""
+def test_force_max_is_the_force_of_a_fully_pulled_leg_at_the_height_of_the_walk():
+    """The paper's line gives 5.532 N at any height; the walk's normal forces reach 11 N."""
     with (config.config_dir() / "leg_map.csv").open() as file:
         rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
     pulled = [row for row in rows if row["theta_deg"] == max(r["theta_deg"] for r in rows)]
@@ -480,17 +484,17 @@ def test_the_bound_is_what_a_fully_pulled_leg_carries_at_the_walks_height():
     assert SETTINGS.force_max == pytest.approx(force, abs=0.05)  # one decimal
 
 
-def test_statuses_are_those_of_the_message():
+def test_status_values_are_those_of_the_message():
     path = Path(__file__).parents[2] / "slot_msgs/msg/GroundReactionForces.msg"
     constants = re.findall(r"^uint8 (\w+) = (\d+)", path.read_text(), re.MULTILINE)
     assert {name: int(value) for name, value in constants} == Status.__members__
 
 
 class RigidTorso:
-    """A free rigid body on massless legs, forces lagged by 50 ms.
+    """Free rigid body on massless legs; the forces lag by 50 ms.
 
-    The legs keep their feet in place below the torso, on the floor: standing still 8 mm off the
-    feet's centre would take all the moment that f_max leaves.
+    The feet stay on the floor at fixed places below the torso: with feet fixed in odom, standing
+    8 mm off their centre would need all the moment that f_max allows.
     """
 
     LAG = 0.05  # s
@@ -527,7 +531,7 @@ class RigidTorso:
 
 
 def stand(x0, duration, ahead):
-    """(n, 12) states of the closed loop, one row per cycle."""
+    """States (n, 12) of the closed loop, one row per cycle."""
     torso, mpc, states = RigidTorso(x0), new_mpc(), [x0]
     for _ in range(round(duration / DT)):
         result = mpc.step(torso.state(), ahead)
@@ -537,7 +541,7 @@ def stand(x0, duration, ahead):
     return np.array(states)
 
 
-def test_height_step_on_a_lagging_torso_settles():
+def test_a_height_step_settles_with_lagging_forces():
     states = stand(state(p=(0, 0, 0.01)), 2.0, preview())
     late = states[round(0.8 / DT) :]
     assert np.abs(late[:, 5] - 0.04).max() < 0.002  # 5 % of the height
@@ -546,7 +550,7 @@ def test_height_step_on_a_lagging_torso_settles():
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.0])
-def test_roll_on_a_lagging_torso_recovers(yaw):
+def test_a_roll_error_decays_with_lagging_forces(yaw):
     target = np.tile(state(rpy=(0, 0, yaw)), (H + 1, 1))
     states = stand(state(rpy=(0.1, 0, yaw)), 2.0, preview(reference=target))
     late = states[round(0.5 / DT) :]
@@ -556,7 +560,7 @@ def test_roll_on_a_lagging_torso_recovers(yaw):
 
 
 def lagged_prediction(yaw, height, dt, lag):
-    """Forces that follow their inputs, by the matrix exponential of torso, forces and inputs."""
+    """Prediction with lagging forces, by the matrix exponential of torso, forces and inputs."""
     a, b, g = continuous(yaw, height)
     whole = np.zeros((37, 37))
     whole[:12, :12], whole[:12, 12:24], whole[:12, 36] = a, b, g
@@ -572,25 +576,6 @@ def test_prediction_with_lag_is_the_exact_zero_order_hold(lag):
     np.testing.assert_allclose(predicted.a, a, atol=1e-13)
     np.testing.assert_allclose(predicted.b, b, atol=1e-13)
     np.testing.assert_allclose(predicted.drift, drift, atol=1e-13)
-
-
-def optimum(x0, ahead, rules=lambda u, x: [], extra=lambda u, x: 0.0):
-    """u (H, 12) of the problem with further rules and costs, by CVXPY and Clarabel."""
-    a, b, g = discrete(x0[2], x0[5], ahead.dt)
-    q, r = np.sqrt(SETTINGS.weights.q), np.sqrt(SETTINGS.weights.r)
-    x, u = cvxpy.Variable((H + 1, 12)), cvxpy.Variable((H, 12))
-    u_ref = np.zeros((H, 12))
-    u_ref[:, 2::3] = ahead.normal_force[:H]
-    mu_f_z = cvxpy.multiply(ahead.friction[:H], u[:, 2::3])
-    kept = [x[0] == x0, x[1:] == x[:-1] @ a.T + u @ b.T + np.tile(g, (H, 1))]
-    kept += [u[:, 2::3] >= 0, u[:, 2::3] <= F_MAX * ahead.contact[:H]]
-    kept += [cvxpy.abs(u[:, 0::3]) <= mu_f_z, cvxpy.abs(u[:, 1::3]) <= mu_f_z, *rules(u, x)]
-    error = (x[1:] - ahead.reference[1 : H + 1]) @ np.diag(q)
-    cost = cvxpy.sum_squares(error) + cvxpy.sum_squares((u - u_ref) @ np.diag(r)) + extra(u, x)
-    problem = cvxpy.Problem(cvxpy.Minimize(cost), kept)
-    problem.solve(solver=cvxpy.CLARABEL, tol_gap_abs=1e-11, tol_gap_rel=1e-11, tol_feas=1e-11)
-    assert problem.status == cvxpy.OPTIMAL
-    return u.value, problem.value
 
 
 def test_a_soft_balance_is_the_optimum_with_its_cost():
@@ -609,13 +594,13 @@ def test_a_soft_balance_is_the_optimum_with_its_cost():
 
 
 @pytest.mark.parametrize("band", [0.0, 0.01])
-def test_an_exact_balance_is_kept_and_is_the_optimum(band):
+def test_an_exact_balance_holds_and_is_the_optimum(band):
     x0, ahead = hard_cases()["height error"]
 
     def balance(u, _):
         return [cvxpy.abs(cvxpy.sum(u[:, 2::3], axis=1) - ROBOT.weight) <= band]
 
-    u, _ = optimum(x0, ahead, rules=balance)
+    u, _ = optimum(x0, ahead, constraints=balance)
     exact = {"model__support": "equality", "model__support_band": band, "solver__name": "piqp"}
     result = new_mpc(**exact).step(x0, ahead)
     assert result.status == Status.SOLVED
@@ -624,8 +609,8 @@ def test_an_exact_balance_is_kept_and_is_the_optimum(band):
     assert abs(result.force[:, 2].sum() - ROBOT.weight) < band + 1e-6
 
 
-def test_with_an_exact_balance_lifted_legs_are_a_fault_and_not_an_answer():
-    """Two legs of 5 N cannot carry 21 N; before, four could."""
+def test_with_an_exact_balance_too_few_legs_in_contact_are_not_solved():
+    """Two legs of 6 N cannot carry 21 N; four can."""
     mpc = new_mpc(model__support="equality", force_max=6.0, solver__name="piqp")
     good = mpc.step(state(), preview(normal_force=np.full((H + 1, 4), HOVER)))
     assert good.status == Status.SOLVED
@@ -640,11 +625,11 @@ def test_a_soft_minimum_is_the_optimum_with_its_cost_and_always_feasible():
     least, weight = (0.2, 7.0), 5.0
     x0, ahead = state(p=(0, 0, 0.05)), preview()
 
-    def short(u, _):
+    def shortfall(u, _):
         f_x, f_z = cvxpy.pos(least[0] - u[:, 0::3]), cvxpy.pos(least[1] - u[:, 2::3])
         return weight * (cvxpy.sum_squares(f_x) + cvxpy.sum_squares(f_z))
 
-    u, cost = optimum(x0, ahead, extra=short)
+    u, cost = optimum(x0, ahead, extra=shortfall)
     mpc = new_mpc(model__least_force=least, model__least_weight=weight, solver__name="piqp")
     result = mpc.step(x0, ahead)
     np.testing.assert_allclose(result.force.ravel(), u[0], atol=3e-4)
@@ -654,7 +639,7 @@ def test_a_soft_minimum_is_the_optimum_with_its_cost_and_always_feasible():
 
 
 def ticks(mpc, true, seconds=6.0):
-    """A rigid torso under the MPC's forces and what `true` (mass, bias) adds; last (12,) states."""
+    """Last 30 states (30, 12) and result of a torso of the `true` (mass, bias) under the MPC."""
     model, dt = TorsoModel(ROBOT), DT
     x, states = state(), []
     for k in range(round(seconds / dt)):
@@ -666,23 +651,23 @@ def ticks(mpc, true, seconds=6.0):
     return np.array(states[-30:]), result
 
 
-def test_the_observer_finds_mass_and_bias_and_takes_their_error_away():
+def test_the_observer_estimates_mass_and_bias_and_reduces_their_error():
     bias = np.array([0.3, -0.2, 0.1, 0.05, -0.04, 0.0])
     true = (1.2 * ROBOT.mass, bias)
     without, _ = ticks(new_mpc(force_max=12.0), true)
     observer = {"disturbance__time": 0.2, "disturbance__bias_angular": 20.0}
     with_it, result = ticks(new_mpc(force_max=12.0, **observer), true)
     assert result.mass == pytest.approx(true[0], rel=1e-3)
-    # without it the weight that is not known pulls the height down by millimetres
+    # without the observer the unknown weight lowers the height by millimetres
     assert abs(without[-1, 5] - 0.04) > 1e-3
     assert np.abs(with_it[:, 5] - 0.04).max() < 1e-4
-    # A tilt is left: the moment against the bias needs forces other than the gait's, which cost.
+    # A tilt remains: the moment against the bias needs forces off the gait's, which are penalised.
     assert np.abs(with_it[:, :2]).max() < 0.5 * np.abs(without[:, :2]).max()
 
 
-def test_with_lag_the_controller_knows_the_forces_that_act_by_now():
-    """A plant whose forces lag by 0.1 s: the MPC that knows it overshoots less."""
-    swings = []
+def test_a_model_with_lag_overshoots_less_on_a_torso_with_lag():
+    """The forces lag by 0.1 s; the MPC's model is without and with that lag."""
+    overshoots = []
     for lag in (0.0, 0.1):
         mpc = new_mpc(model__lag=lag, weights__force=[0.05] * 3, solver__name="piqp")
         model, x = (
@@ -696,12 +681,12 @@ def test_with_lag_the_controller_knows_the_forces_that_act_by_now():
             step = model.predict(x[2], x[5], DT)
             x = step.a @ x + step.b @ force + step.drift
             heights.append(x[5])
-        swings.append(max(heights) - 0.04)
-    assert swings[1] < 0.3 * swings[0]
+        overshoots.append(max(heights) - 0.04)
+    assert overshoots[1] < 0.3 * overshoots[0]
 
 
 @pytest.mark.parametrize("profile", ["paper", "published"])
-def test_profiles_change_what_they_name_and_nothing_else(profile):
+def test_a_profile_changes_only_the_values_it_names(profile):
     settings = read_mpc(profile)
     assert settings.model.support == "equality"
     assert settings.weights.force == (1e-8, 1e-8, 1e-8)

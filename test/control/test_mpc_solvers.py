@@ -1,4 +1,4 @@
-"""Every solver of the MPC against a dual active-set method, on hard cases, and on bad problems."""
+"""Solvers of the MPC against a dual active-set method: random, hard and invalid problems."""
 
 import copy
 import itertools
@@ -16,10 +16,10 @@ from slot_core.control.mpc.solver import SOLVERS, MpcSolverSettings, make_solver
 from slot_core.robot import read_robot
 
 ROBOT = read_robot()
-# no deadline: the tests must not depend on the machine's load
+# no time budget: the tests must not depend on the load of the machine
 SETTINGS = config.replace(read_mpc(), {"acceptance.time_budget": np.inf})
 H = SETTINGS.horizon
-# OSQP needs many iterations, its residuals are not squares of the error
+# OSQP needs many iterations; its residuals are linear in the error of the forces
 SOLVER_CHANGES = {
     "riccati": {"name": "riccati"},
     "piqp": {"name": "piqp"},
@@ -27,9 +27,9 @@ SOLVER_CHANGES = {
     "clarabel": {"name": "clarabel"},
     "osqp": {"name": "osqp", "tolerance_abs": 1e-8, "tolerance_rel": 1e-8, "iterations": 20000},
 }
-GENERAL = [name for name in SOLVER_CHANGES if name != "riccati"]  # for every form of the problem
-# Where a limit is only just active, an interior point stops short of it by about the root of its
-# gap, 1e-5 N; PIQP by 3.2e-4 N at the most. The worth of the forces to the robot is 1e-3 N.
+GENERAL = [name for name in SOLVER_CHANGES if name != "riccati"]  # cover every form of the problem
+# Where a limit is weakly active, an interior-point solution is off by about the root of its gap,
+# 1e-5 N; PIQP by 3.2e-4 N at most. An error of 1e-3 N does not matter to the robot.
 TOLERANCE = 1e-3
 
 
@@ -48,17 +48,17 @@ def solver(request):
     return request.param
 
 
-def test_every_solver_that_can_be_chosen_is_tested():
+def test_every_available_solver_is_tested():
     assert {change["name"] for change in SOLVER_CHANGES.values()} == set(SOLVERS)
 
 
-def test_oracle_and_written_problem_have_the_same_forces():
+def test_oracle_and_cvxpy_reference_have_the_same_forces():
     mpc, rng = controller("riccati"), np.random.default_rng(2)
     reference = Reference(ROBOT, SETTINGS)
     for case in [*(random_case(rng, H + 1) for _ in range(5)), hard_cases(H + 1)["a leg swings"]]:
         mpc.step(*case)
         force, _ = reference.solve(*case, "CLARABEL")
-        # 1e-11 of Clarabel's gap, whose root is 3e-6
+        # Clarabel's gap of 1e-11 has a root of 3e-6
         np.testing.assert_allclose(optimum(mpc.problem)[0], force[0], atol=2e-5)
 
 
@@ -70,7 +70,7 @@ def test_first_forces_are_the_optimum_of_random_problems(solver):
         np.testing.assert_allclose(result.force, optimum(mpc.problem)[0], rtol=0, atol=TOLERANCE)
 
 
-def test_riccati_is_within_a_tenth_of_a_millinewton():
+def test_riccati_is_within_a_tenth_of_a_millinewton_of_the_optimum():
     mpc, rng = controller("riccati"), np.random.default_rng(6)
     for _ in range(60):
         result = mpc.step(*random_case(rng, H + 1))
@@ -78,11 +78,11 @@ def test_riccati_is_within_a_tenth_of_a_millinewton():
 
 
 @pytest.mark.parametrize("case", hard_cases(H + 1))
-def test_hard_cases_end_in_the_optimum_or_are_refused(solver, case):
+def test_hard_cases_give_the_optimum_or_a_fault(solver, case):
     mpc = controller(solver)
     result = mpc.step(*hard_cases(H + 1)[case])
     if result.status != Status.SOLVED:
-        # its residuals become NaN; the controller falls back
+        # PIQP's residuals become NaN; the controller falls back
         assert (solver, case) == ("piqp", "depth of 1000 m")
         assert result.status == Status.STOPPED
         assert not result.force.any()
@@ -92,7 +92,7 @@ def test_hard_cases_end_in_the_optimum_or_are_refused(solver, case):
 
 
 @pytest.mark.parametrize("horizon", [1, 2, 40])
-def test_short_and_long_horizons(solver, horizon):
+def test_short_and_long_horizons_give_the_optimum(solver, horizon):
     mpc, rng = controller(solver, horizon=horizon), np.random.default_rng(7)
     for _ in range(3):
         result = mpc.step(*random_case(rng, horizon + 1))
@@ -100,35 +100,35 @@ def test_short_and_long_horizons(solver, horizon):
         np.testing.assert_allclose(result.force, optimum(mpc.problem)[0], rtol=0, atol=TOLERANCE)
 
 
-def test_light_weights_on_the_forces(solver):
-    # a tenth of the condition that is refused
+def test_small_weights_on_the_forces_give_the_optimum(solver):
+    # a condition number of a tenth of `condition_max`
     light = {"weights__force": (0.05,) * 3}
     mpc, rng = controller(solver, **light), np.random.default_rng(8)
     for _ in range(5):
         result = mpc.step(*random_case(rng, H + 1))
         assert result.status == Status.SOLVED
-        # forces are as much vaguer as the root of the weight is less: a factor of six
+        # the error of the forces is inverse to the root of their weight: sqrt(2 / 0.05) = 6
         np.testing.assert_allclose(
             result.force, optimum(mpc.problem)[0], rtol=0, atol=6 * TOLERANCE
         )
 
 
 @pytest.mark.parametrize("case", ["flight", "no friction"])
-def test_forces_that_cannot_be_are_zero(solver, case):
+def test_forces_without_contact_or_friction_are_zero(solver, case):
     mpc = controller(solver)
     force = mpc.step(*hard_cases(H + 1)[case]).force
-    impossible = force if case == "flight" else force[:, :2]
-    assert np.abs(impossible).max() < 1e-6  # N, of 5; roundoff and residual
+    excluded = force if case == "flight" else force[:, :2]
+    assert np.abs(excluded).max() < 1e-6  # N, of 5; roundoff and residual
 
 
-def test_without_any_force_allowed_there_is_none(solver):
+def test_with_a_force_limit_of_zero_all_forces_are_zero(solver):
     mpc = controller(solver, force_max=0.0)
     result = mpc.step(state(), standing(H + 1))
     assert result.status == Status.SOLVED
     assert np.abs(result.force).max() < 1e-6  # N
 
 
-def test_after_many_updates_the_answer_is_that_of_a_fresh_solver(solver):
+def test_after_many_updates_the_solution_is_that_of_a_new_solver(solver):
     used, rng = controller(solver), np.random.default_rng(9)
     for _ in range(200):
         used.step(*random_case(rng, H + 1))
@@ -137,10 +137,10 @@ def test_after_many_updates_the_answer_is_that_of_a_fresh_solver(solver):
         np.testing.assert_allclose(used.step(*case).force, fresh.force, atol=TOLERANCE)
 
 
-def test_a_case_that_fails_does_not_spoil_the_next(solver):
-    mpc, most = controller(solver), SETTINGS.acceptance.input_max
+def test_a_failed_case_does_not_affect_the_next(solver):
+    mpc, limit = controller(solver), SETTINGS.acceptance.input_max
     good = random_case(np.random.default_rng(10), H + 1)
-    for x in (state(p=(0, 0, -1e3)), state(p=(0, 0, most)), state(rpy=(most, -most, 0))):
+    for x in (state(p=(0, 0, -1e3)), state(p=(0, 0, limit)), state(rpy=(limit, -limit, 0))):
         mpc.step(x, standing(H + 1))
         result = mpc.step(*good)
         assert result.status == Status.SOLVED
@@ -155,50 +155,50 @@ def test_equal_histories_give_bit_equal_forces(solver):
     np.testing.assert_array_equal(run(), run())
 
 
-def test_riccati_answers_alike_whatever_came_before():
+def test_riccati_solutions_do_not_depend_on_earlier_problems():
     cases = [random_case(np.random.default_rng(12 + n), H + 1) for n in range(5)]
-    answers = []
+    solutions = []
     for order in itertools.islice(itertools.permutations(range(5)), 0, 120, 17):
         mpc = controller("riccati")
         found = {n: mpc.step(*cases[n]).force for n in order}
-        answers.append([found[n] for n in range(5)])
-    for other in answers[1:]:
-        np.testing.assert_array_equal(answers[0], other)
+        solutions.append([found[n] for n in range(5)])
+    for other in solutions[1:]:
+        np.testing.assert_array_equal(solutions[0], other)
 
 
 def problem_of_standing():
-    """A copy of the controller's arrays, to be spoiled."""
+    """A copy of the controller's problem for a standing robot, to be changed."""
     mpc = controller("riccati")
     mpc.step(state(p=(0, 0, 0.03)), standing(H + 1))
     return copy.deepcopy(mpc.problem)
 
 
-def test_limits_that_exclude_each_other_are_no_solution(solver):
+def test_infeasible_limits_are_a_fault(solver):
     qp = problem_of_standing()
-    attempt = make_solver(qp, settings_of(solver).solver)
-    assert attempt.solve().fault == ""
+    instance = make_solver(qp, settings_of(solver).solver)
+    assert instance.solve().fault == ""
     qp.upper[3, 2] = -1.0  # below the lower limit of zero
-    assert attempt.solve().fault
+    assert instance.solve().fault
     qp.upper[3, 2] = 1.0
-    assert attempt.solve().fault == ""
+    assert instance.solve().fault == ""
 
 
 class Balanced:
-    """The controller's problem with sum f_z = `load` in every stage."""
+    """The controller's problem with sum f_z = `force` (N) in every stage."""
 
-    def __init__(self, load):
+    def __init__(self, force):
         qp = problem_of_standing()
         rows = np.zeros((H, qp.P.shape[0]))
         for k in range(H):
             rows[k, 24 * k + 2 : 24 * k + 12 : 3] = 1.0
         self.horizon, self.P, self.c, self.G, self.h = qp.horizon, qp.P, qp.c, qp.G, qp.h
         self.A = sparse.vstack([qp.A, rows], format="csc")
-        self.b = np.concatenate([qp.b.ravel(), np.full(H, load)])
+        self.b = np.concatenate([qp.b.ravel(), np.full(H, force)])
         self.lower, self.upper = qp.lower, qp.upper
 
 
 @pytest.mark.parametrize("general", GENERAL)
-def test_rows_beside_the_dynamics_are_kept(general):
+def test_equalities_beside_the_dynamics_are_satisfied(general):
     qp = Balanced(ROBOT.weight)
     found = make_solver(qp, settings_of(general).solver).solve()
     assert found.fault == ""
@@ -206,12 +206,13 @@ def test_rows_beside_the_dynamics_are_kept(general):
 
 
 @pytest.mark.parametrize("general", GENERAL)
-def test_a_balance_that_the_legs_cannot_carry_is_no_solution(general):
+def test_a_balance_above_the_force_limits_is_a_fault(general):
     qp = Balanced(4 * SETTINGS.force_max + 1.0)
     assert make_solver(qp, settings_of(general).solver).solve().fault
 
 
-def spoiled(name):
+def unsupported(name):
+    """A problem in a form that the Riccati solver does not cover."""
     qp = problem_of_standing()
     if name == "model.support equality":
         return Balanced(20.0)
@@ -227,21 +228,21 @@ def spoiled(name):
 @pytest.mark.parametrize(
     "name", ["model.support equality", "model.support soft", "model.lag", "limits"]
 )
-def test_riccati_refuses_forms_that_it_does_not_cover(name):
+def test_riccati_rejects_forms_that_it_does_not_cover(name):
     with pytest.raises(config.ConfigError, match=rf"solver.name = riccati .*{name}.*piqp"):
-        make_solver(spoiled(name), settings_of("riccati").solver)
+        make_solver(unsupported(name), settings_of("riccati").solver)
 
 
-def test_riccati_faults_dynamics_that_change_along_the_horizon():
+def test_dynamics_that_change_along_the_horizon_are_a_fault_of_riccati():
     qp = problem_of_standing()
-    attempt = make_solver(qp, settings_of("riccati").solver)
-    entry = qp.A.indptr[24 * (H - 1) + 2]  # what f_z of the first leg does in the last stage
+    instance = make_solver(qp, settings_of("riccati").solver)
+    entry = qp.A.indptr[24 * (H - 1) + 2]  # effect of f_z of the first leg in the last stage
     qp.A.data[entry] *= 1.5
-    assert "not those of one double integrator" in attempt.solve().fault
+    assert "not those of one double integrator" in instance.solve().fault
 
 
 @pytest.mark.parametrize("iterations", [1, 2])
-def test_the_limit_of_iterations_is_a_fault(solver, iterations):
+def test_reaching_the_iteration_limit_is_a_fault(solver, iterations):
     limits = settings_of(solver).solver
     few = MpcSolverSettings(
         limits.name, limits.backend, limits.tolerance_abs, limits.tolerance_rel, iterations
@@ -252,9 +253,9 @@ def test_the_limit_of_iterations_is_a_fault(solver, iterations):
     assert found.iterations <= iterations
 
 
-def test_a_nan_that_reaches_the_solver_is_a_fault_or_shows(solver):
+def test_a_nan_in_the_problem_gives_a_fault_or_a_nan_solution(solver):
     qp = problem_of_standing()
-    attempt = make_solver(qp, settings_of(solver).solver)
-    qp.b.ravel()[5] = np.nan  # the height at the first stage's end
-    found = attempt.solve()
+    instance = make_solver(qp, settings_of(solver).solver)
+    qp.b.ravel()[5] = np.nan  # the height at the end of the first stage
+    found = instance.solve()
     assert found.fault or not np.isfinite(found.z).all()

@@ -1,4 +1,4 @@
-"""The state estimator against closed-form motion, chi-square statistics, and bad data."""
+"""State estimator against closed-form motion, chi-square statistics and bad data."""
 
 import dataclasses
 
@@ -34,7 +34,7 @@ EXACT = config.replace(SETTINGS, {"imu.gyro_bias": 0.0, "imu.acceleration_bias":
 
 
 class Walk:
-    """Sinusoids in roll, pitch, yaw and position, as large and as fast as those of the walk."""
+    """Sinusoids in roll, pitch, yaw and position, with the walk's amplitudes and frequencies."""
 
     def __init__(self, tilt=0.22, frequency=1 / 0.7, sway=0.01, speed=0.05, yaw=0.3):
         self.amplitude = np.array([tilt, tilt, 0.05, sway, sway, sway])
@@ -104,12 +104,12 @@ def odometry_messages(motion, duration, rate=30, rng=None, noise=SETTINGS.odomet
 
 
 def arrivals(*streams):
-    """The messages of all streams by stamp, the IMU first where stamps are equal."""
+    """The messages of all streams in order of the stamps; at equal stamps the IMU is first."""
     return sorted((m for s in streams for m in s), key=lambda m: (m[1], m[0]))
 
 
 def run(messages, settings=SETTINGS):
-    """(estimates, estimator) after all messages, polled after each."""
+    """Estimates and estimator after all messages; polled after each message."""
     estimator = StateEstimator(settings)
     estimates: list[Estimate] = []
     for kind, stamp, values in messages:
@@ -120,7 +120,7 @@ def run(messages, settings=SETTINGS):
 
 
 def error(estimate, motion):
-    """(12,) estimate less truth, angles wrapped."""
+    """Estimate minus truth (12,), angles wrapped."""
     difference = estimate.state - motion.at(estimate.stamp / SECOND)[0]
     difference[:3] = (difference[:3] + np.pi) % (2 * np.pi) - np.pi
     return difference
@@ -139,17 +139,17 @@ def clean(motion, duration):
 
 
 def without_odometry(messages, keep=1):
-    """The same with every odometry reading after the first `keep` made unusable."""
-    seen, result = 0, []
+    """The messages with every odometry reading after the first `keep` made unusable."""
+    count, result = 0, []
     for kind, stamp, values in messages:
-        seen += kind == "odometry"
-        spoil = kind == "odometry" and seen > keep
-        result.append((kind, stamp, (np.full(3, np.nan), *values[1:]) if spoil else values))
+        count += kind == "odometry"
+        damage = kind == "odometry" and count > keep
+        result.append((kind, stamp, (np.full(3, np.nan), *values[1:]) if damage else values))
     return result
 
 
 def with_jump(messages, start, shift, stop=np.inf):
-    """Odometry positions shifted by `shift` m between the readings `start` and `stop`."""
+    """The messages with the odometry positions from `start` to `stop` shifted by `shift` m."""
     count, result = -1, []
     for kind, stamp, values in messages:
         count += kind == "odometry"
@@ -167,7 +167,7 @@ def validities(estimates):
 
 
 def test_dead_reckoning_error_falls_with_the_square_of_the_imu_interval():
-    """One reading, then the IMU alone for 0.4 s: the midpoint rule is of second order."""
+    """One reading, then only the IMU for 0.4 s: the midpoint rule is of second order."""
     motion, errors = Spin(), []
     for rate in (200, 400, 800):
         messages = arrivals(imu_messages(motion, 0.4, rate), odometry_messages(motion, 0.4, 25))
@@ -175,21 +175,21 @@ def test_dead_reckoning_error_falls_with_the_square_of_the_imu_interval():
         assert len(estimates) == 10
         errors.append(np.abs(error(estimates[-1], motion)[3:6]).max())
     order = np.log2(np.divide(errors[:-1], errors[1:]))
-    assert np.all(np.abs(order - 2) < 0.1)  # what the next order adds at 200 Hz
+    assert np.all(np.abs(order - 2) < 0.1)  # the next order's share at 200 Hz
     assert errors[0] < 1e-4  # h^2/12 |f''| t^2/2 with |f''| = omega^2 f_0 + |w|^2 g = 100 m/s^4
 
 
-def test_constant_rate_and_acceleration_are_carried_exactly():
-    """A constant IMU signal about the vertical is integrated exactly, so no error is left."""
+def test_constant_rate_and_acceleration_are_integrated_exactly():
+    """A constant IMU signal about the vertical is integrated without error."""
     motion = Walk(tilt=0.0, sway=0.0)
     motion.amplitude[:] = 0.0
-    motion.drift[2] = 1.5  # turning on the spot, moving on straight
+    motion.drift[2] = 1.5  # turns about the vertical, moves straight
     estimates, _ = run(without_odometry(clean(motion, 0.4)), EXACT)
     worst = max(np.abs(error(e, motion)).max() for e in estimates)
     assert worst < 1e-8  # stamps are whole ns: 1 ns * 1.5 rad/s
 
 
-def test_filtered_error_without_noise_stays_at_the_discretisation_error():
+def test_without_noise_the_error_is_the_discretisation_error():
     motion = Walk()
     estimates, _ = run(clean(motion, 3.0))
     errors = np.array([error(e, motion) for e in estimates if e.validity == Validity.VALID])
@@ -199,11 +199,11 @@ def test_filtered_error_without_noise_stays_at_the_discretisation_error():
     assert np.all(rms < [1e-4, 2e-5, 4e-3, 2e-4]), rms
 
 
-def test_errors_are_as_large_as_the_covariance_says():
-    """NEES of 40 independent walks at one instant each: their sum is chi-square with 480 degrees.
+def test_errors_are_consistent_with_the_covariance():
+    """NEES of 40 independent walks at one instant each: the sum is chi-square with 480 degrees.
 
-    The bound is the central 99.9 %; one seed, so the outcome is fixed. First order, and tilt varies
-    over an odometry interval, so a wrong noise or Jacobian moves the sum far more than the bound.
+    The bound is the central 99.9 %; the seeds are fixed, so the outcome is. The tilt varies over an
+    odometry interval, so a wrong noise or Jacobian changes the sum by far more than the bound.
     """
     nees, inside = [], []
     for seed in range(40):
@@ -215,15 +215,15 @@ def test_errors_are_as_large_as_the_covariance_says():
         inside.append(np.abs(e) < 3 * np.sqrt(np.diag(last.covariance)))
     low, high = stats.chi2.ppf([0.0005, 0.9995], 12 * len(nees))
     assert low < sum(nees) < high
-    # 480 draws, 0.27 % outside expected: 1.3; more than 6 has a chance of 1e-3
+    # of 480 draws 0.27 % are expected outside: 1.3; more than 6 have a probability of 1e-3
     assert np.sum(~np.array(inside)) <= 6
 
 
 @pytest.mark.parametrize(("walks", "first", "last"), [(1, 30, 300), (100, 3, 4)])
-def test_rates_are_as_good_as_their_covariance_says(walks, first, last):
-    """NEES of omega over one walk, and over many just after the start while the bias is settling.
+def test_rates_are_consistent_with_their_covariance(walks, first, last):
+    """NEES of omega over one walk, and over many just after the start while the bias converges.
 
-    The noise of omega is fresh at every reading, so the sum is chi-square; central 99.9 %.
+    The noise of omega is independent at every reading, so the sum is chi-square; central 99.9 %.
     """
     nees = []
     for seed in range(walks):
@@ -238,11 +238,11 @@ def test_rates_are_as_good_as_their_covariance_says(walks, first, last):
 
 
 @pytest.mark.parametrize("readings", [1, 4])
-def test_large_errors_spread_through_the_states_as_the_covariance_says(readings):
-    """NEES after 0.4 s from an attitude good to 2 deg: one reading or four, then IMU alone.
+def test_large_errors_propagate_through_the_states_consistently_with_the_covariance(readings):
+    """NEES after 0.4 s from an attitude error of 2 deg: one reading or four, then only the IMU.
 
-    Running at 2 m/s with an angle error of 0.03 rad, every coupling of the linear model outweighs
-    the noise: gravity into v, turning velocities and rates, biases into all. 60 runs, 99.9 %.
+    At 2 m/s and an angle error of 0.03 rad, every coupling of the linear model outweighs the noise:
+    gravity into v, attitude into velocities and rates, biases into all. 60 runs, 99.9 %.
     """
     settings = config.replace(MATCHED, {"odometry.angle_noise": 0.03})
     nees = []
@@ -267,14 +267,14 @@ def test_position_velocity_and_angles_are_better_than_the_raw_odometry():
     errors = np.array([error(e, motion) for e in estimates[30:]])
     rms = np.sqrt(np.mean(errors**2, axis=0)).reshape(4, 3).mean(axis=1)
     noise = SETTINGS.odometry
-    # the IMU ties successive readings together; a fifth better is the least that is worth a filter
+    # the IMU relates successive readings; a filter is worthwhile if it is better by a fifth
     assert rms[1] < 0.8 * noise.position_noise
     assert rms[0] < 0.8 * noise.angle_noise
     assert rms[3] < 0.95 * noise.velocity_noise
     assert rms[2] < 0.8 * noise.rate_noise
 
 
-def test_gyro_bias_is_found():
+def test_the_gyro_bias_is_estimated():
     _, estimator = run(noisy(Walk(), 10.0, 2, GYRO_BIAS), MATCHED)
     # two angles of 2 mrad, 10 s apart, with gyro noise 0.01 rad/s at 200 Hz in between: 3e-4 rad/s
     assert np.abs(estimator.gyro_bias - GYRO_BIAS).max() < 1.2e-3
@@ -301,7 +301,7 @@ def test_angles_and_twist_follow_the_conventions():
         np.testing.assert_allclose(state, expected, atol=1e-12)  # rounding, cos(pitch) > 0.07
 
 
-def test_covariance_stays_positive_when_standing_on_the_nose():
+def test_covariance_stays_positive_at_a_pitch_of_90_deg():
     motion = Walk()
     motion.offset[1] = np.pi / 2
     estimates, _ = run(clean(motion, 1.0))
@@ -323,7 +323,7 @@ def same(a, b):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_estimates_do_not_depend_on_the_interleaving_of_the_streams(seed):
-    """Each stream keeps its order; either is late by up to 30 ms, less than one odometry period."""
+    """Each stream keeps its order and is late by up to 30 ms, less than one odometry period."""
     messages = noisy(Walk(), 2.0, 3, GYRO_BIAS)
     expected, _ = run(messages)
     rng = np.random.default_rng(seed)
@@ -346,7 +346,7 @@ def test_estimates_do_not_depend_on_when_they_are_polled():
     assert same(estimates, run(messages)[0])
 
 
-def test_an_estimate_knows_nothing_of_later_samples():
+def test_an_estimate_does_not_depend_on_later_samples():
     messages = noisy(Walk(), 1.0, 3)
     stamp = 20 * SECOND // 30
     other = [
@@ -381,7 +381,7 @@ def test_valid_after_the_initial_readings_and_not_before():
     assert set(found[n - 1 :]) == {Validity.VALID}
 
 
-def test_a_rejection_while_initialising_starts_the_count_again():
+def test_a_rejection_while_initialising_restarts_the_count():
     n = SETTINGS.gate.initial_readings
     found = validities(run(with_jump(clean(Walk(), 1.0), n - 2, 0.1, n - 1))[0])
     assert found[n - 2] == Validity.ODOMETRY_REJECTED
@@ -389,7 +389,7 @@ def test_a_rejection_while_initialising_starts_the_count_again():
     assert set(found[2 * n - 2 :]) == {Validity.VALID}
 
 
-def test_a_single_jump_is_rejected_and_leaves_no_trace_in_the_position():
+def test_a_single_jump_is_rejected_and_does_not_affect_the_position():
     motion, shift = Walk(), np.array([0.1, 0.0, 0.0])
     estimates, _ = run(with_jump(clean(motion, 1.0), 15, shift, 16))
     assert [i for i, v in enumerate(validities(estimates)) if v == Validity.ODOMETRY_REJECTED] == [
@@ -399,7 +399,7 @@ def test_a_single_jump_is_rejected_and_leaves_no_trace_in_the_position():
     assert estimates[15].covariance[3, 3] > estimates[14].covariance[3, 3]
 
 
-def test_slam_that_has_relocalised_is_followed_after_a_bounded_number_of_rejections():
+def test_relocalised_odometry_is_accepted_after_the_configured_number_of_rejections():
     motion, shift, n = Walk(), np.array([0.3, -0.2, 0.1]), SETTINGS.gate.max_rejections
     estimates, _ = run(with_jump(clean(motion, 2.0), 30, shift))
     found = validities(estimates)
@@ -412,7 +412,7 @@ def test_slam_that_has_relocalised_is_followed_after_a_bounded_number_of_rejecti
     assert np.abs(offset).max() < 2e-4  # as without a jump
 
 
-def test_readings_that_jump_to_and_fro_are_not_followed():
+def test_readings_that_alternate_between_two_positions_are_not_accepted():
     motion = Walk()
     messages = clean(motion, 1.3)
     for k in range(20, 39, 2):
@@ -439,35 +439,35 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("spoil", BAD.values(), ids=BAD.keys())
-def test_a_bad_reading_is_rejected_and_predicted_over(spoil):
+@pytest.mark.parametrize("damage", BAD.values(), ids=BAD.keys())
+def test_a_bad_reading_is_rejected_and_replaced_by_the_prediction(damage):
     motion = Walk()
     messages = clean(motion, 1.0)
     index = [i for i, m in enumerate(messages) if m[0] == "odometry"][20]
     kind, stamp, values = messages[index]
-    messages[index] = (kind, stamp, spoil(*values))
+    messages[index] = (kind, stamp, damage(*values))
     estimates, _ = run(messages)
     expected = [Validity.ODOMETRY_REJECTED if i == 20 else Validity.VALID for i in range(15, 30)]
     assert validities(estimates[15:]) == expected
-    # one step on the IMU alone, then as before
+    # one step with the IMU only, then as before
     assert max(np.abs(error(e, motion)[3:6]).max() for e in estimates) < 2e-4
 
 
-def test_bad_imu_samples_are_as_if_they_had_never_come():
+def test_bad_imu_samples_have_no_effect():
     messages = noisy(Walk(), 1.0, 4)
     rng = np.random.default_rng(0)
     bad = [np.full(3, np.nan), np.array([0, np.inf, 0]), np.full(3, 1e6), np.zeros(4)]
-    keep, spoilt = [], []
+    keep, damaged = [], []
     for kind, stamp, values in messages:
         drop = kind == "imu" and rng.random() < 0.2
         keep += [] if drop else [(kind, stamp, values)]
         values = (values[0], bad[rng.integers(4)]) if drop else values  # noqa: PLW2901
-        spoilt.append((kind, stamp, values))
+        damaged.append((kind, stamp, values))
     assert len(keep) < len(messages)
-    assert same(run(spoilt)[0], run(keep)[0])
+    assert same(run(damaged)[0], run(keep)[0])
 
 
-def test_missing_imu_is_flagged_and_the_odometry_carries_on():
+def test_missing_imu_is_flagged_and_estimates_continue_from_the_odometry():
     motion = Walk()
     dead = [m for m in noisy(motion, 2.0, 6) if m[0] == "odometry" or not 0.7 < m[1] / SECOND < 1.4]
     estimates, _ = run(dead)
@@ -475,7 +475,7 @@ def test_missing_imu_is_flagged_and_the_odometry_carries_on():
         t = e.stamp / SECOND
         blind = 0.7 + SETTINGS.timing.imu_gap < t <= 1.4
         assert e.validity == (Validity.IMU_MISSING if blind else Validity.VALID), t
-        # 540 numbers: 5 sigma have a chance of 3e-4; the blind model errs by no more
+        # 540 numbers: 5 sigma have a probability of 3e-4; without the IMU the error is no larger
         assert np.all(np.abs(error(e, motion)) < 5 * np.sqrt(np.diag(e.covariance))), t
 
 
@@ -487,7 +487,7 @@ def test_without_any_imu_estimates_come_one_reading_late():
     assert set(validities(estimates[n:])) == {Validity.IMU_MISSING}
 
 
-def test_a_long_gap_in_the_odometry_starts_afresh_with_the_bias_kept():
+def test_after_a_long_gap_in_the_odometry_the_filter_restarts_and_keeps_the_bias():
     motion = Walk()
     messages = noisy(motion, 12.0, 7, GYRO_BIAS)
     messages = [m for m in messages if m[0] == "imu" or not 9 < m[1] / SECOND < 11]
@@ -533,6 +533,6 @@ def test_unpolled_and_unmatched_data_stay_within_the_buffers():
     reading = odometry_messages(Walk(), 0.1)[0][2]
     for k in range(1000):
         estimator.add_imu(k, [0, 0, 0], [0, 0, GRAVITY])
-    for k in range(1000, 2000):  # 1 ns apart: none is late by the clock, the queue alone decides
+    for k in range(1000, 2000):  # 1 ns apart: no wait is over, only the full queue decides
         estimator.add_odometry(k, *reading)
     assert [e.stamp for e in iter(estimator.poll, None)] == list(range(1992, 1997))
