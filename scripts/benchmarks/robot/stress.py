@@ -1,6 +1,6 @@
 """Runs a hard case of the simulator of the whole robot and compares its record with its limits.
 
-Every case runs at its time step h and at h/2, and must stay finite. `Limits` bound the energy beyond
+Every case runs at its time step h and at h/2, and must stay finite. `Limits` bound the energy over
 the servos' work, the depth to which nodes and torso sink into the floor, and the difference between
 the two solutions. The step control of `dynamics/integrator.py` keeps a case within them; a `Record`
 counts how often it acted.
