@@ -1,4 +1,4 @@
-"""The paper's model: its step limit, what does not act in it, what carries the load, its robot."""
+"""The paper's model: its step limit, terms without effect, load paths, and its robot."""
 
 import functools
 import math
@@ -20,7 +20,7 @@ from slot_core.simulation.sensors import OdometryReading
 
 ROBOT = read_robot()
 PRINTED = read_paper()
-FULL = 116.28 / 270 * 1.5 / 0.010  # N, tension of the largest servo angle
+FULL = 116.28 / 270 * 1.5 / 0.010  # N, tension at the largest tendon angle
 SOFT = {"young_modulus": 1e6}
 AIRBORNE = {"contact_stiffness": 0.0, "contact_damping": 0.0, "friction": 0.0}
 STABLE = {"young_modulus": 1e6, "step": 4e-5}  # below the limit of the tip's contact
@@ -36,7 +36,7 @@ def simulator(scene="flat", start=None, **changes):
 
 
 def pull_and_release(leg, seconds, every=10):
-    """The paper's profile in `seconds`: sine ramp, hold, cosine decay, zero; yields after each."""
+    """The paper's profile in `seconds`: sine ramp, hold, cosine decay, zero; yields the leg."""
     ramp, hold, decay = np.array([2.4, 0.2, 2.0]) * seconds / 5.0
     for k in range(round(seconds / leg.settings.step / every)):
         t = k * every * leg.settings.step
@@ -46,25 +46,25 @@ def pull_and_release(leg, seconds, every=10):
 
 
 @pytest.mark.parametrize("changes", [SOFT, {"step": 5e-5}])
-def test_below_the_step_limit_a_leg_is_pulled_released_and_comes_to_rest(changes):
+def test_below_the_step_limit_a_pulled_and_released_leg_comes_to_rest(changes):
     heights, speeds = [], []
     for moving in pull_and_release(leg(**changes), 1.0):
         heights.append(moving.nodes[0, 1])
         speeds.append(np.abs(moving.velocities).max())
-    assert max(heights) - heights[0] > 0.07  # m: it was pulled
+    assert max(heights) - heights[0] > 0.07  # m: the leg was lifted
     assert max(speeds) < 2.0  # m/s; the profile itself moves the base at 0.3 m/s
     assert heights[-1] == pytest.approx(heights[0], abs=1e-3)
     assert speeds[-1] < 0.1
 
 
-def test_the_printed_modulus_and_step_blow_up_at_once_without_any_load():
-    """From rest: the initial shape, longer than L, is stretched by up to 1.5 %."""
+def test_printed_modulus_and_step_diverge_at_once_without_load():
+    """From rest: the initial shape is longer than L, hence stretched by up to 1.5 %."""
     with pytest.raises(Divergence, match=r"^solution lost at 0\.00\d\d s: node \d+ is beyond 1000"):
         leg().advance(1000, 0.0)
 
 
 def largest_frequency(model):
-    """rad/s of the leg at its initial shape: stretch, tension's share across, restoring springs."""
+    """rad/s, of the leg at its initial shape: stretch, geometric stiffness, restoring springs."""
     count = len(model.mass)
     stiffness = model.restoring * np.eye(2 * count)
     for i in range(count - 1):
@@ -79,7 +79,7 @@ def largest_frequency(model):
     return math.sqrt(np.linalg.eigvalsh((stiffness / np.outer(root, root))[np.ix_(free, free)])[-1])
 
 
-def stays(step, **changes):
+def is_stable(step, **changes):
     try:
         leg(step=step, **changes).advance(4000, 0.0)
     except Divergence:
@@ -91,9 +91,9 @@ def stays(step, **changes):
 def test_the_step_limit_in_the_air_is_two_over_the_highest_frequency(modulus):
     changes = AIRBORNE | {"young_modulus": modulus}
     limit = 2 / largest_frequency(leg(**changes).model)
-    # Linear damping, left out of the closed form, lowers it by c h / (2 m), 1 to 2 %.
-    assert stays(0.95 * limit, **changes)
-    assert not stays(1.02 * limit, **changes)
+    # The closed form neglects linear damping, which lowers the limit by c h / (2 m), 1 to 2 %.
+    assert is_stable(0.95 * limit, **changes)
+    assert not is_stable(1.02 * limit, **changes)
     assert (limit > PRINTED.step) == (modulus == 1e6)
 
 
@@ -104,8 +104,8 @@ def contact_limit(model):
 
 
 @pytest.mark.parametrize("tension", [10.0, 40.0])
-def test_a_sudden_pull_throws_the_tip_off_the_floor_beyond_the_limit_of_contact(tension):
-    """At the printed step d h / m of the tip is 3.8: it leaves the floor faster than it came."""
+def test_a_sudden_pull_diverges_above_the_step_limit_of_the_contact(tension):
+    """At the printed step d h / m of the tip is 3.8: it rebounds faster than it came."""
     limit = contact_limit(leg().model)
     assert limit == pytest.approx(4.4e-5, rel=0.01)
     leg(**STABLE).advance(25000, tension)
@@ -127,7 +127,7 @@ def test_bending_stiffness_changes_the_angles_and_no_position(factor):
         np.testing.assert_array_equal(one.velocities, other.velocities)
 
 
-def test_the_angle_state_is_lost_within_a_tenth_of_a_second_and_nobody_notices():
+def test_the_angle_state_overflows_within_a_tenth_of_a_second_without_an_error():
     pulled = leg(**SOFT)
     for moving in pull_and_release(pulled, 1.0):
         if moving.time > 0.1:
@@ -137,7 +137,7 @@ def test_the_angle_state_is_lost_within_a_tenth_of_a_second_and_nobody_notices()
 
 
 def test_the_bending_moments_are_anti_restoring():
-    """One node turned, no damping: the moments turn it further and its neighbours back."""
+    """One node turned, no damping: the moments turn it further and its neighbours the other way."""
     model = leg(**SOFT, damping=0.0)
     model.state.angle[0, 10] = 1e-6
     model.advance(1, 0.0)
@@ -146,18 +146,18 @@ def test_the_bending_moments_are_anti_restoring():
 
 
 @pytest.mark.parametrize("stiffness", [400.0, 800.0, 1600.0])
-def test_the_restoring_springs_carry_the_lift_which_is_tension_over_their_stiffness(stiffness):
+def test_the_lift_is_the_tension_over_the_stiffness_of_a_restoring_spring(stiffness):
     pulled = leg(**SOFT, **AIRBORNE, restoring_stiffness=stiffness)
     start = pulled.nodes
     for moving in pull_and_release(pulled, 1.0):
-        if moving.time > 0.5:  # the tension is held
+        if moving.time > 0.5:  # the tension is constant
             break
-    # The first segment, stretched by up to 110 % and far from vertical, takes up to 3 % of it.
+    # The first segment, stretched by up to 110 % and far from vertical, carries up to 3 % of it.
     assert (pulled.nodes - start)[0, 1] == pytest.approx(FULL / stiffness, rel=0.035)
 
 
-def test_the_floor_carries_nothing_of_a_pulled_leg():
-    pulled = leg(**SOFT, damping=1.0)  # damped, to come to rest
+def test_the_floor_carries_no_load_of_a_pulled_leg():
+    pulled = leg(**SOFT, damping=1.0)  # damped, so that it comes to rest
     start = pulled.nodes
     for moving in pull_and_release(pulled, 1.0):
         if moving.time > 0.5:
@@ -173,7 +173,7 @@ def test_the_floor_carries_nothing_of_a_pulled_leg():
 
 
 class Transcription:
-    """The equations of a leg once more, in whole arrays and with the printed angles and R_i."""
+    """Second implementation of a leg, in whole arrays, with the printed angles of the segments."""
 
     def __init__(self, settings, tip_only=False, base_load=0.0):
         s, n = settings, settings.nodes
@@ -230,8 +230,8 @@ class Transcription:
         self.theta = self.theta + h * self.omega
 
 
-def test_the_kernel_is_the_printed_equations_of_a_leg():
-    """Pulled up and dropped on the floor, 600 steps: before chaos lifts the rounding errors."""
+def test_the_kernel_integrates_the_printed_equations_of_a_leg():
+    """Pulled up and dropped on the floor, 600 steps: before chaos amplifies the rounding errors."""
     kernel = leg(**STABLE)
     plain = Transcription(kernel.settings)
     touched = 0
@@ -242,10 +242,10 @@ def test_the_kernel_is_the_printed_equations_of_a_leg():
         touched += plain.z.min() < 0.0
     assert touched > 10
     np.testing.assert_allclose(kernel.nodes, np.column_stack([plain.x, plain.z]), atol=1e-11)
-    np.testing.assert_allclose(kernel.angles, plain.theta, rtol=1e-6)  # grown by 1e20 or more
+    np.testing.assert_allclose(kernel.angles, plain.theta, rtol=1e-6)  # they grow by 1e20 or more
 
 
-def test_the_kernel_is_the_printed_equations_of_the_robot():
+def test_the_kernel_integrates_the_printed_equations_of_the_robot():
     sim = simulator(start={"settle": 0.0}, **STABLE)
     command = np.radians([20.0, 5.0, 10.0, 15.0])
     sim.advance(20, command)
@@ -274,24 +274,24 @@ def test_the_kernel_is_the_printed_equations_of_the_robot():
     np.testing.assert_allclose(sim.rotation, r.as_matrix(), atol=1e-10)
     np.testing.assert_allclose(sim.velocity, v, atol=1e-9)
     np.testing.assert_allclose(sim.angular_velocity, w, atol=1e-8)
-    felt = r.inv().apply((v - earlier) / 1e-3 + [0.0, 0.0, GRAVITY])
-    np.testing.assert_allclose(sim.specific_force, felt, atol=1e-6)
+    expected = r.inv().apply((v - earlier) / 1e-3 + [0.0, 0.0, GRAVITY])
+    np.testing.assert_allclose(sim.specific_force, expected, atol=1e-6)
 
 
-def test_the_ground_force_is_that_of_the_tips_in_the_floor():
+def test_the_ground_force_is_that_of_the_tips_below_the_floor():
     sim = simulator(start={"settle": 0.0}, **STABLE)
     sim.legs.node[:2, -1, 1] = -1e-5
     sim.legs.node[2:, -1, 1] = 1e-5
     sim.legs.velocity[:, -1] = [-0.2, -0.3]
-    drag = PRINTED.friction * (ROBOT.leg.mass + ROBOT.mass / 4) * GRAVITY / math.sqrt(2)
+    friction = PRINTED.friction * (ROBOT.leg.mass + ROBOT.mass / 4) * GRAVITY / math.sqrt(2)
     normal = 1e5 * 1e-5 + 10.0 * 0.3
-    expected = [[drag, drag, normal], [drag, -drag, normal], [0, 0, 0], [0, 0, 0]]
+    expected = [[friction, friction, normal], [friction, -friction, normal], [0, 0, 0], [0, 0, 0]]
     np.testing.assert_allclose(sim.ground_force, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("theta_deg", [40.0, 63.0, 100.0])
-def test_the_robot_hangs_on_the_torsos_spring_at_one_height_for_every_command(theta_deg):
-    """Its legs lift themselves, off the floor; the torso's weight is carried by no leg."""
+def test_the_torsos_spring_carries_the_robot_at_one_height_for_every_command(theta_deg):
+    """The tips are off the floor, and no leg carries weight of the torso."""
     sim = simulator(start={"tendon_angle_deg": theta_deg}, **STABLE)
     sim.advance(500, sim.tendon_angle)
     sag = ROBOT.torso.mass * GRAVITY / PRINTED.torso_stiffness
@@ -304,7 +304,7 @@ def test_the_robot_hangs_on_the_torsos_spring_at_one_height_for_every_command(th
     assert springs == pytest.approx(load, rel=1e-6)
 
 
-def test_equal_legs_keep_the_robot_still_and_unequal_ones_spin_it_without_end():
+def test_equal_commands_keep_the_robot_still_and_unequal_ones_accelerate_it_in_yaw():
     sim = simulator(**STABLE)
     assert np.abs(sim.angular_velocity).max() < 1e-9
     sim.advance(500, np.radians([90.0, 30.0, 50.0, 75.0]))
@@ -314,16 +314,16 @@ def test_equal_legs_keep_the_robot_still_and_unequal_ones_spin_it_without_end():
     moment = np.cross(ROBOT.clamps, pull)[:, 2].sum()
     gained = sim.angular_velocity[2] - before
     assert gained == pytest.approx(0.2 * moment / ROBOT.torso.inertia[2, 2], rel=1e-3)
-    assert abs(gained) > 10.0  # rad/s in 0.2 s; nothing in the model resists
+    assert abs(gained) > 10.0  # rad/s in 0.2 s; yaw has neither spring nor damper
 
 
-def test_at_the_printed_numbers_the_robot_is_lost_and_says_where():
+def test_the_printed_numbers_diverge_with_time_leg_and_node():
     message = r"^solution lost at 0\.00\d0 s: leg FL node \d+ is beyond 1000\.0 m/s or not a"
     with pytest.raises(Divergence, match=message):
         simulator()
 
 
-def test_a_plant_holds_it_in_place_of_the_simulator(monkeypatch):
+def test_a_plant_runs_the_papers_robot(monkeypatch):
     changed = functools.partial(PaperRobot, settings=config.replace(PRINTED, STABLE))
     monkeypatch.setitem(plant.MODELS, "paper", changed)
     scene = config.replace(read_scene("paper"), {"start.settle": 0.1})
@@ -338,7 +338,7 @@ def test_a_plant_holds_it_in_place_of_the_simulator(monkeypatch):
     assert robot.simulator.servo_torque == pytest.approx(np.full(4, 1.0 / math.radians(270) * 1.5))
 
 
-def test_one_call_of_many_steps_is_many_calls_of_one():
+def test_one_call_of_many_steps_equals_many_calls_of_one_step():
     one = simulator(start={"settle": 0.01}, **STABLE)
     many = simulator(start={"settle": 0.01}, **STABLE)
     command = np.array([1.2, 0.8, 1.0, 1.4])
@@ -353,7 +353,7 @@ def test_one_call_of_many_steps_is_many_calls_of_one():
 
 
 @pytest.mark.parametrize("command", [np.ones(3), [0.5, np.nan, 0.5, 0.5], [0.5, 0.5, 0.5, 2.03]])
-def test_a_bad_command_is_refused_and_nothing_moves(command):
+def test_an_invalid_command_is_refused_before_any_step(command):
     sim = simulator(start={"settle": 0.0}, **STABLE)
     before = sim.nodes
     with pytest.raises(ValueError, match=r"shape|inside \[0, 2\.02"):
@@ -361,7 +361,7 @@ def test_a_bad_command_is_refused_and_nothing_moves(command):
     np.testing.assert_array_equal(sim.nodes, before)
 
 
-def test_what_the_model_cannot_do_is_refused_by_name():
+def test_unsupported_scenes_and_steps_are_refused_by_name():
     with pytest.raises(ConfigError, match="gravity along z alone"):
         simulator("slope5", **STABLE)
     with pytest.raises(ConfigError, match=r"no multiple of 0\.0003 s"):
