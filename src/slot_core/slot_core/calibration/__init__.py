@@ -1,1 +1,1 @@
-"""Free parameters of a leg fitted to measurements: data, experiments, fit, parameter file."""
+"""Fit of leg parameters to measurements: data, experiments, fit, parameter file."""

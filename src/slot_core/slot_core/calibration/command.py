@@ -1,7 +1,8 @@
 """Fits free parameters of a leg to measurements and writes a parameter file.
 
-DATA.csv holds ranges of markers, forces at tendon angles and deflections, one a row;
-slot_core/calibration/data.py describes it, config/parameters/paper_single_leg.csv is an example.
+DATA.csv has one measurement a row: the range of a marker, the force at a tendon angle or a
+deflection. slot_core/calibration/data.py describes the columns;
+config/parameters/paper_single_leg.csv is an example.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from slot_core.calibration.fit import (
     fit,
     parameters_of,
 )
-from slot_core.calibration.plot import picture
+from slot_core.calibration.plot import write_figure
 from slot_core.config import ConfigError
 from slot_core.robot import Array, Robot, read_parameters, read_robot
 
@@ -38,7 +39,10 @@ FREE = ("leg.young_modulus", "tendon.offset", "tendon.cable_stiffness", "tendon.
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point of `scripts/calibrate`; prints a table, returns the exit code."""
+    """Command line of `scripts/calibrate`: prints a table, returns the exit code.
+
+    Ends with exit code 2 and one line of error for invalid data, settings or arguments.
+    """
     parser = _parser()
     options = parser.parse_args(arguments)
     try:
@@ -50,19 +54,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace) -> dict[str, object]:
+    """Fit or evaluate, write the files, and return the content of the parameter file."""
     data, settings = read_data(options.data), read_settings()
-    robot, whole = read_robot(options.start), read_parameters(options.start)
+    robot, full_set = read_robot(options.start), read_parameters(options.start)
     problem = build_problem(robot, options.free, data, settings)
     values = [p.start for p in problem.parameters]
-    _say(f"{data.name}: {len(data.rows)} figures, {len(values)} free parameters")
+    _log(f"{data.name}: {len(data.rows)} measurements, {len(values)} free parameters")
     origin = f"evaluation of {options.start}"
     if not options.evaluate:
-        found = fit(problem, options.starts, _say)
+        found = fit(problem, options.starts, _log)
         values = _rounded(found.values)
         end = "" if found.converged else ", not converged"
         origin = f"fit, {options.starts} starts from {options.start}{end}"
     result = estimate(problem, values)
-    fitted = {**whole, **dict(zip(options.free, values))}
+    fitted = {**full_set, **dict(zip(options.free, values))}
     content = parameter_file.record(data, options.free, result, fitted, origin, options.note)
     _write(options, data, result, content)
     return content
@@ -71,7 +76,7 @@ def _run(options: argparse.Namespace) -> dict[str, object]:
 def build_problem(
     robot: Robot, names: Sequence[str], data: Data, settings: ExperimentSettings
 ) -> FitProblem:
-    """The fit of a robot's parameters to measurements; raises ConfigError."""
+    """Fit problem of a robot's parameters `names` to measurements; raises ConfigError."""
 
     def predicted(values: Array) -> Array:
         changed = config.replace(robot, dict(zip(names, values.tolist())))
@@ -86,7 +91,7 @@ def build_problem(
 
 
 def _rounded(values: Array) -> list[float]:
-    """To the digits of the file: what it says of its values holds for them as they stand there."""
+    """Values rounded to the digits of the file, so that the estimate is that of the file."""
     return [float(f"{value:.{parameter_file.DIGITS}g}") for value in values]
 
 
@@ -95,10 +100,10 @@ def _write(
 ) -> None:
     if options.out:
         parameter_file.write(options.out, content)
-        _say(f"wrote {options.out}")
+        _log(f"wrote {options.out}")
     if options.plot:
-        picture(data, options.free, result, f"{data.name}: {content['from']}", options.plot)
-        _say(f"wrote {options.plot}")
+        write_figure(data, options.free, result, f"{data.name}: {content['from']}", options.plot)
+        _log(f"wrote {options.plot}")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -108,15 +113,16 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("data", type=Path, metavar="DATA.csv", help="the measurements")
+    add("data", type=Path, metavar="DATA.csv", help="measurements")
     add("--out", type=Path, metavar="FILE", help="parameter file to write (YAML)")
     add("--plot", type=Path, metavar="PNG", help="picture to write")
-    add("--free", nargs="+", metavar="NAME", default=FREE, help="default: " + " ".join(FREE))
+    free = "parameters to fit (default: " + " ".join(FREE) + ")"
+    add("--free", nargs="+", metavar="NAME", default=FREE, help=free)
     add("--start", metavar="SET", default="paper", help="set of config/parameters to start from")
-    starts = "starts in all; the others scatter about the first (default: 8)"
+    starts = "starts of the fit, scattered about the first (default: 8)"
     add("--starts", type=_count, metavar="N", default=8, help=starts)
-    add("--evaluate", action="store_true", help="fit nothing: what the data say at --start")
-    add("--note", default="", metavar="TEXT", help="kept in the file")
+    add("--evaluate", action="store_true", help="evaluate the set of --start without a fit")
+    add("--note", default="", metavar="TEXT", help="text for the parameter file")
     return parser
 
 
@@ -127,7 +133,7 @@ def _count(text: str) -> int:
     return value
 
 
-def _say(line: str) -> None:
+def _log(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
 
 

@@ -1,21 +1,24 @@
-"""Measurements on single legs: a CSV file, one figure a row.
+"""Measurements of single legs: a CSV file with one measurement a row.
 
     kind,theta_deg,load_N,height_m,friction,place,value,sigma
     marker_range,116.28,4.905,,0.3,0,0.0886,0.002
     force_angle,90,,0.105,0.3,,2.72,0.25
     deflection,0,1.0,,,1,0.0235,0.0005
 
-Lines that begin with # are comments. Each kind has its conditions; the other cells stay empty:
+Lines that begin with # are comments. Each kind has its own conditions; the other cells are empty:
 
-`marker_range`  the guided clamp carries `load_N` beside the leg; the tendon is pulled from rest to
-                `theta_deg`. Value: largest minus smallest height of the point at `place`, m.
-`force_angle`   the clamp is held at `height_m` and the tendon pulled from slack to `theta_deg`.
+`marker_range`  the vertically guided clamp carries `load_N` in addition to the leg; the tendon is
+                pulled from rest to `theta_deg`. Value: range of the height of the point at `place`,
+                m.
+`force_angle`   the clamp is held at `height_m`; the tendon is pulled from slack to `theta_deg`.
                 Value: vertical force of the floor, N.
-`deflection`    the leg hangs free from its clamp, the tendon held at `theta_deg`; a weight of
-                `load_N` is hung to its tip. Value: how far the point at `place` goes down, m.
+`deflection`    the leg hangs from its clamp without floor, the tendon held at `theta_deg`; a weight
+                of `load_N` is hung from its tip. Value: downward displacement of the point at
+                `place`, m.
 
-`theta_deg` is the angle of the tendon's spool; `friction` the floor's coefficient; `place` the arc
-length from the clamp over that of the leg, 0 to 1; `sigma` the value's standard uncertainty.
+`theta_deg` is the angle of the tendon's spool, `friction` the coefficient of the floor, `place` the
+arc length from the clamp over that of the leg (0 to 1), `sigma` the standard uncertainty of the
+value.
 """
 
 from __future__ import annotations
@@ -45,12 +48,12 @@ COLUMNS = ("kind", *BOUNDS)
 
 
 class DataError(ValueError):
-    """A measurement that cannot be used; the message names file, line, column and reason."""
+    """Invalid measurement; the message names file, line, column and reason."""
 
 
 @dataclass(frozen=True)
 class Datum:
-    """One measured figure; conditions that its kind does not have are NaN."""
+    """One measurement; conditions that its kind does not have are NaN."""
 
     kind: str
     theta_deg: float
@@ -59,24 +62,24 @@ class Datum:
     friction: float
     place: float
     value: float  # m or N
-    sigma: float  # of the value
+    sigma: float  # standard uncertainty of the value
     line: int  # in the file
 
     def conditions(self) -> dict[str, float]:
-        """The conditions of its kind by name."""
+        """Conditions of its kind by name."""
         return {name: getattr(self, name) for name in CONDITIONS[self.kind]}
 
 
 @dataclass(frozen=True)
 class Data:
-    """The measurements of a file."""
+    """Measurements of a file."""
 
     name: str
     sha256: str  # of the file
     rows: tuple[Datum, ...]
 
     def validity(self) -> dict[str, list[float]]:
-        """(least, largest) of each condition that the measurements span."""
+        """[least, largest] value of each condition, without `place`."""
         values = {
             name: [getattr(row, name) for row in self.rows if name in CONDITIONS[row.kind]]
             for name in BOUNDS
@@ -92,7 +95,7 @@ def read_data(path: Path) -> Data:
         text = content.decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(f"{path}: {error}") from None
-    lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if _holds_data(line)]
+    lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if _is_data(line)]
     if not lines:
         raise DataError(f"{path}: no line of column names")
     (head, names), *rest = ((n, next(csv.reader([line]))) for n, line in lines)
@@ -103,14 +106,14 @@ def read_data(path: Path) -> Data:
     if unknown := [name for name in columns if name not in COLUMNS]:
         raise DataError(f"{where}: column {unknown[0]!r} is unknown (known: {', '.join(COLUMNS)})")
     if len(columns) > len(COLUMNS):
-        raise DataError(f"{where}: a column stands twice")
+        raise DataError(f"{where}: a column is repeated")
     if not rest:
         raise DataError(f"{path}: no measurements")
     rows = tuple(_row(columns, cells, n, f"{path}, line {n}") for n, cells in rest)
     return Data(path.name, hashlib.sha256(content).hexdigest(), rows)
 
 
-def _holds_data(line: str) -> bool:
+def _is_data(line: str) -> bool:
     return bool(line.strip()) and not line.lstrip().startswith("#")
 
 

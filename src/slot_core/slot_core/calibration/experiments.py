@@ -1,8 +1,8 @@
-"""What the model says to each measurement: the single-leg tests, done on the simulated leg.
+"""Predictions of the measurements: the single-leg tests of `data.py` on the simulated leg.
 
-`data.py` describes the tests. Their legs are those of the simulator, with the floor of the scene
-`flat` but for the friction, which the measurement states. The tests are slow: friction acts at its
-Coulomb value and inertia hardly at all, but the way to a point counts and is followed.
+The floor is that of the scene `flat`, with the friction of the measurement. The tests are
+quasi-static: inertia is negligible and friction has its Coulomb value. The result depends on the
+history of the motion, so the simulation follows it from rest.
 """
 
 from __future__ import annotations
@@ -24,23 +24,25 @@ from slot_core.legs.leg_map import NoEquilibriumError, StaticLeg
 from slot_core.robot import GRAVITY, LEGS, Array, Robot
 from slot_core.simulation.rod_robot import RodRobot
 
-SAMPLE = 10e-3  # s between two looks at the markers
-FREE_HEIGHT = 10.0  # m, no floor in reach
-PULL_STEP = math.radians(5.0)  # of the hanging leg's tendon
+SAMPLE = 10e-3  # s, between two samples of the marker heights
+FREE_HEIGHT = 10.0  # m, clamp height of a leg without floor
+PULL_STEP = math.radians(5.0)  # of the tendon angle of a hanging leg, at most
 
 
 @dataclass(frozen=True)
 class ExperimentSettings:
-    """How the tests are done."""
+    """Settings of the simulated tests: `config/calibration.yaml`."""
 
     nodes: int = quantity("nodes of the leg", "", 4, 401)
-    pull_time: float = quantity("of marker_range: theta sin(pi t / 2 T) up to T", "s", 0.1, 100)
-    hold_time: float = quantity("of marker_range: at the full angle", "s", 0, 100)
-    pull_rate_deg: float = quantity("of force_angle", "deg/s", 0.1, 1000)
+    pull_time: float = quantity(
+        "of marker_range: T of theta sin(pi t / 2 T), t <= T", "s", 0.1, 100
+    )
+    hold_time: float = quantity("of marker_range: time at the full angle", "s", 0, 100)
+    pull_rate_deg: float = quantity("of force_angle: rate of the tendon angle", "deg/s", 0.1, 1000)
 
 
 class PredictionError(RuntimeError):
-    """The model has no answer to a measurement; the message says why."""
+    """The simulation of a measurement failed; the message names the test and the cause."""
 
 
 def read_settings() -> ExperimentSettings:
@@ -49,9 +51,10 @@ def read_settings() -> ExperimentSettings:
 
 
 def predict(robot: Robot, rows: Sequence[Datum], settings: ExperimentSettings) -> Array:
-    """(n,) values that the model gives in place of the measured ones.
+    """(n,) predicted values of the measurements, in their units.
 
-    Raises DataError for a tendon angle beyond the robot's, and PredictionError.
+    Raises DataError for a tendon angle above the robot's largest, and PredictionError where the
+    simulation of a test fails.
     """
     for row in rows:
         if row.theta_deg > robot.tendon.angle_max_deg:
@@ -70,16 +73,16 @@ def predict(robot: Robot, rows: Sequence[Datum], settings: ExperimentSettings) -
 
 
 def _test(row: Datum) -> tuple[str, tuple[float, ...]]:
-    """Rows with the same are points of one test."""
+    """Kind and shared conditions: rows with equal ones are simulated in one test."""
     shared = SHARED[row.kind]
     return row.kind, tuple(getattr(row, name) for name in shared)
 
 
 def marker_ranges(robot: Robot, rows: Sequence[Datum], settings: ExperimentSettings) -> Array:
-    """Ranges in height of points of a leg that lifts its load, m.
+    """(n,) ranges of the heights of points of a leg that lifts its load, m.
 
-    Four legs lift four loads: by symmetry the torso neither tilts nor moves sideways, and is the
-    guided clamp of each. The servo follows the angle under any load.
+    The robot's four legs lift four times the load. By symmetry the torso neither tilts nor moves
+    sideways, so that it is the guided clamp of each leg. The servo is ideal.
     """
     first = rows[0]
     changes = {
@@ -101,7 +104,7 @@ def marker_ranges(robot: Robot, rows: Sequence[Datum], settings: ExperimentSetti
 
 
 def forces(robot: Robot, rows: Sequence[Datum], settings: ExperimentSettings) -> Array:
-    """Vertical forces of the floor on a leg whose clamp is held, N."""
+    """(n,) vertical forces of the floor on a leg whose clamp is held, N."""
     first = rows[0]
     leg = HeldLeg(robot, settings.nodes, first.friction, first.height_m)
     rate, out = math.radians(settings.pull_rate_deg), np.zeros(len(rows))
@@ -111,23 +114,23 @@ def forces(robot: Robot, rows: Sequence[Datum], settings: ExperimentSettings) ->
 
 
 def deflections(robot: Robot, rows: Sequence[Datum], settings: ExperimentSettings) -> Array:
-    """How far points of a hanging leg go down under weights at its tip, m."""
+    """(n,) downward displacements of points of a hanging leg under weights at its tip, m."""
     leg = StaticLeg(robot, settings.nodes)
-    angle, bare = math.radians(rows[0].theta_deg), leg.model
+    angle, unloaded = math.radians(rows[0].theta_deg), leg.model
     for part in np.linspace(0.0, angle, 1 + math.ceil(angle / PULL_STEP)):
         start = leg.solve(part, FREE_HEIGHT).node[:, 1]
     out = np.zeros(len(rows))
     for i in np.argsort([row.load_N for row in rows], kind="stable"):
-        mass = bare.rod.mass.copy()
+        mass = unloaded.rod.mass.copy()
         mass[-1] += rows[i].load_N / GRAVITY
-        leg.model = bare._replace(rod=bare.rod._replace(mass=mass))
+        leg.model = unloaded._replace(rod=unloaded.rod._replace(mass=mass))
         drop = start - leg.solve(angle, FREE_HEIGHT).node[:, 1]
-        out[i] = _at(rows[i].place, bare.rod.arc, drop)
+        out[i] = _at(rows[i].place, unloaded.rod.arc, drop)
     return out
 
 
 def _at(place: float, arc: Array, along: Array) -> float:
-    """Value at a place, of values (N,) at the nodes, whose arc lengths are `arc` (N,)."""
+    """Interpolated value at a place, from values (N,) at the nodes of arc lengths `arc` (N,)."""
     return float(np.interp(place, arc / arc[-1], along))
 
 

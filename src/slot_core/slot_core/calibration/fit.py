@@ -1,12 +1,12 @@
-"""Weighted nonlinear least squares with bounds, and what the data say about its result.
+"""Weighted nonlinear least squares with bounds, confidence intervals and correlation.
 
     min sum r_i^2,   r_i = (predicted_i - measured_i) / sigma_i
 
 over the coordinates u of the parameters: u = log(value) where the bounds are positive, else value
 over the width of its bounds. With the Jacobian J = dr/du, residual variance s^2 = r.r / (n - rank)
-and covariance C = s^2 (J^T J)^-1, the interval of a coordinate is u +- t sqrt(C_kk), t of Student's
-law with n - rank degrees of freedom (Seber and Wild, Nonlinear Regression, 1989, ch. 5). It takes
-the model for linear and knows no bounds: that of a parameter at its limit is a rough figure.
+and covariance C = s^2 (J^T J)^-1, the interval of a coordinate is u +- t sqrt(C_kk), with t of
+Student's distribution at n - rank degrees of freedom (Seber and Wild, Nonlinear Regression, 1989,
+ch. 5). It linearises the model and neglects the bounds: at a bound it is a rough estimate.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ from slot_core.config import ConfigError, leaves
 from slot_core.robot import Array, Robot
 
 LEVEL = 0.95  # of the intervals
-STEP = 0.01  # of a coordinate, for central differences; wide, because predictions have kinks
-# A singular value of the scaled Jacobian below this part of the largest counts as zero: differences
-# of simulated figures carry some four digits.
+STEP = 0.01  # of a coordinate in central differences; wide, because predictions have kinks
+# A singular value of the scaled Jacobian below this part of the largest is taken as zero:
+# differences of simulated values have about four digits.
 RANK = 1e-4
-SHARE = 1e-3  # of a parameter in a direction that the data leave free: it is not determined
-NO_ANSWER = 1e6  # residual where the model has no answer: such a trial is never taken
-TOLERANCE = 1e-5  # last step, of the coordinates; last gain, of the sum of squares
-EDGE = 1e-6  # of a coordinate; the search keeps off a bound, a result so near to it stands on it
-TRIALS = 60
+NULL_SHARE = 1e-3  # share of a parameter in a null direction above which it is undetermined
+FAILED_RESIDUAL = 1e6  # residual of a trial whose prediction fails, so that it is rejected
+TOLERANCE = 1e-5  # of the last step of the coordinates and the last decrease of the sum of squares
+EDGE = 1e-6  # of a coordinate; the search stays off the bounds, a result this close is at its bound
+TRIALS = 60  # evaluations of a start, at most
 SCATTER = 1.0  # of the coordinates of further starts: a factor e, or the width of the bounds
 
 Predict = Callable[[Array], Array]  # values of the parameters (p,) to predictions (n,)
 
 
 class FitError(RuntimeError):
-    """The fit cannot be done; the message says why."""
+    """The fit failed; the message names the cause."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A free parameter."""
+    """A free parameter: start value and bounds."""
 
     name: str
     start: float
@@ -53,7 +53,7 @@ class Parameter:
     high: float
 
     def coordinate(self, value: float) -> float:
-        """See the head of the file."""
+        """Coordinate u of a value: log(value) for positive bounds, else value over their width."""
         return math.log(value) if self.low > 0.0 else value / (self.high - self.low)
 
     def value(self, coordinate: float) -> float:
@@ -65,7 +65,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class FitProblem:
-    """Parameters, model and measurements."""
+    """Free parameters, predictions and measurements."""
 
     parameters: tuple[Parameter, ...]
     predict: Predict
@@ -73,19 +73,19 @@ class FitProblem:
     sigma: Array  # (n,)
 
     def coordinates(self, values: Sequence[float] | Array) -> Array:
-        """(p,) coordinates of values."""
+        """(p,) coordinates of values (p,)."""
         return np.array([p.coordinate(v) for p, v in zip(self.parameters, values)])
 
     def values(self, u: Array) -> Array:
-        """(p,) values at coordinates."""
+        """(p,) values at coordinates u (p,)."""
         return np.array([p.value(c) for p, c in zip(self.parameters, u)])
 
     def residuals(self, u: Array) -> Array:
-        """(n,) weighted residuals; raises PredictionError."""
+        """(n,) residuals (predicted - measured) / sigma at u (p,); raises PredictionError."""
         return (self.predict(self.values(u)) - self.measured) / self.sigma
 
     def bounds(self) -> tuple[Array, Array]:
-        """Least and largest coordinates (p,)."""
+        """Lower and upper bounds (p,) of the coordinates."""
         low = self.coordinates([p.low for p in self.parameters])
         return low, self.coordinates([p.high for p in self.parameters])
 
@@ -105,31 +105,33 @@ class FitProblem:
 
 
 @dataclass(frozen=True)
-class Found:
-    """Where a fit has ended; without convergence, the best point of its trials."""
+class FitResult:
+    """Result of a fit; without convergence, the best point of its trials."""
 
     values: Array  # (p,)
-    chi_square: float
+    chi_square: float  # sum of squares r.r
     converged: bool
 
 
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """Parameters and what the data say about them; what is not determined is NaN."""
+    """Parameters with intervals and correlation; those of undetermined parameters are NaN."""
 
     values: Array  # (p,)
     predicted: Array  # (n,)
     chi_square: float  # r.r
     freedom: int  # n - rank
-    interval: Array  # (p, 2), least and largest value
+    interval: Array  # (p, 2), 95 % interval: least and largest value
     correlation: Array  # (p, p), of the coordinates
-    determined: NDArray[np.bool_]  # (p,)
     condition: float  # of the Jacobian with columns of length one
-    at_limit: NDArray[np.bool_]  # (p,) within a step of a bound
+    at_limit: NDArray[np.bool_]  # (p,) within STEP of a bound
 
 
 def parameters_of(robot: Robot, names: Sequence[str]) -> tuple[Parameter, ...]:
-    """Free parameters by dotted name, with the bounds of their settings; raises ConfigError."""
+    """Free parameters by dotted name, with start and bounds of their settings.
+
+    Raises ConfigError for a name that is no number of the robot or is given twice.
+    """
     known = {name: (v, meta) for name, v, meta in leaves(robot) if isinstance(v, float)}
     for name in names:
         if name not in known:
@@ -142,11 +144,11 @@ def parameters_of(robot: Robot, names: Sequence[str]) -> tuple[Parameter, ...]:
     )
 
 
-def fit(problem: FitProblem, starts: int = 1, progress: Callable[[str], None] = print) -> Found:
-    """The least sum of squares reached from the parameters' start and `starts` - 1 others.
+def fit(problem: FitProblem, starts: int = 1, progress: Callable[[str], None] = print) -> FitResult:
+    """Best of the fits from the parameters' start values and from `starts` - 1 further starts.
 
-    The others scatter about the first with a generator of fixed seed. Raises FitError where no
-    start leads to a result.
+    The further starts scatter about the first, with a random generator of fixed seed. progress
+    takes a line of text per start. Raises FitError where every start fails.
     """
     rng = np.random.default_rng(0)
     first = problem.coordinates([p.start for p in problem.parameters])
@@ -155,7 +157,7 @@ def fit(problem: FitProblem, starts: int = 1, progress: Callable[[str], None] = 
     for k in range(starts):
         shift = SCATTER * rng.uniform(-1.0, 1.0, len(first)) if k else 0.0
         try:
-            found = _descend(problem, np.clip(first + shift, low, high))
+            found = _fit_from(problem, np.clip(first + shift, low, high))
         except FitError as error:
             reason = str(error)
             progress(f"start {k + 1} of {starts}: {error}")
@@ -169,7 +171,8 @@ def fit(problem: FitProblem, starts: int = 1, progress: Callable[[str], None] = 
     return best
 
 
-def _descend(problem: FitProblem, start: Array) -> Found:
+def _fit_from(problem: FitProblem, start: Array) -> FitResult:
+    """Fit from coordinates `start`; raises FitError where prediction or derivative fails."""
     try:
         problem.residuals(start)
     except PredictionError as error:
@@ -179,7 +182,7 @@ def _descend(problem: FitProblem, start: Array) -> Found:
         try:
             return problem.residuals(u)
         except PredictionError:
-            return np.full(len(problem.measured), NO_ANSWER)
+            return np.full(len(problem.measured), FAILED_RESIDUAL)
 
     low, high = problem.bounds()
     end = least_squares(
@@ -193,45 +196,44 @@ def _descend(problem: FitProblem, start: Array) -> Found:
         max_nfev=TRIALS,
     )
     u = np.where(end.x - low < EDGE, low, np.where(high - end.x < EDGE, high, end.x))
-    return Found(problem.values(u), float(2 * end.cost), bool(end.status))
+    return FitResult(problem.values(u), float(2 * end.cost), bool(end.status))
 
 
 def estimate(problem: FitProblem, values: Sequence[float] | Array) -> ParameterEstimate:
-    """What the data say at given values of the parameters; raises PredictionError, FitError."""
+    """Intervals and correlation at given values (p,); raises PredictionError, FitError."""
     u, (low, high) = problem.coordinates(values), problem.bounds()
     residual, jacobian = problem.residuals(u), problem.jacobian(u)
     length = np.linalg.norm(jacobian, axis=0)
     length[length == 0.0] = 1.0
     _, singular, directions = np.linalg.svd(jacobian / length)
     singular = np.append(singular, np.zeros(len(u) - len(singular)))
-    held = singular > RANK * singular[0]
-    freedom = len(residual) - int(held.sum())
+    significant = singular > RANK * singular[0]
+    freedom = len(residual) - int(significant.sum())
     chi_square = float(residual @ residual)
-    scaled = directions[held].T / singular[held]
+    scaled = directions[significant].T / singular[significant]
     covariance = scaled @ scaled.T / np.outer(length, length)
-    known = np.all(np.abs(directions[~held]) < SHARE, axis=0)
+    determined = np.all(np.abs(directions[~significant]) < NULL_SHARE, axis=0)
     width = np.full(len(u), np.nan)
     if freedom:
         deviation = np.sqrt(chi_square / freedom * np.diag(covariance))
-        width = np.where(known, student.ppf((1 + LEVEL) / 2, freedom) * deviation, np.nan)
+        width = np.where(determined, student.ppf((1 + LEVEL) / 2, freedom) * deviation, np.nan)
     return ParameterEstimate(
         values=problem.values(u),
         predicted=problem.measured + residual * problem.sigma,
         chi_square=chi_square,
         freedom=freedom,
         interval=_intervals(problem, u, width),
-        correlation=_correlation(covariance, known),
-        determined=known & (freedom > 0),
-        condition=float(singular[0] / singular[-1]) if held.all() else math.inf,
+        correlation=_correlation(covariance, determined),
+        condition=float(singular[0] / singular[-1]) if significant.all() else math.inf,
         at_limit=(u - low < STEP) | (high - u < STEP),
     )
 
 
 def _intervals(problem: FitProblem, u: Array, width: Array) -> Array:
-    with np.errstate(over="ignore"):  # beyond all numbers is infinity
+    with np.errstate(over="ignore"):  # overflow gives infinity
         return np.column_stack([problem.values(u - width), problem.values(u + width)])
 
 
-def _correlation(covariance: Array, held: NDArray[np.bool_]) -> Array:
-    deviation = np.where(held, np.sqrt(np.diag(covariance)), np.nan)
+def _correlation(covariance: Array, determined: NDArray[np.bool_]) -> Array:
+    deviation = np.where(determined, np.sqrt(np.diag(covariance)), np.nan)
     return covariance / np.outer(deviation, deviation)

@@ -1,8 +1,8 @@
-"""The force-angle line f_z = b theta - a (theta in deg), as in theta = (f_z + a) / b of the paper.
+"""Force-angle line f_z = b theta - a (theta in deg), the paper's theta = (f_z + a) / b.
 
-A weighted linear regression of force on angle over the samples of one height and friction. With s^2
-the weighted sum of squares over n - 2, intervals are those of Student's law with n - 2 degrees of
-freedom; two samples leave none.
+Weighted linear regression of force on angle over the samples of one height and friction. With the
+residual variance s^2, the weighted sum of squares over n - 2, the intervals are those of Student's
+distribution with n - 2 degrees of freedom; with two samples they are undetermined.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from slot_core.robot import Array
 
 @dataclass(frozen=True)
 class ForceLine:
-    """A fitted line; half widths of the 95 % intervals are NaN for two samples."""
+    """Fitted line; the half widths of its 95 % intervals are NaN for two samples."""
 
     a: float  # N
     b: float  # N/deg
@@ -31,7 +31,10 @@ class ForceLine:
 
 
 def fit_line(theta_deg: Array, force: Array, sigma: Array) -> ForceLine:
-    """Fit the line to samples (n,); raises ValueError unless two angles differ."""
+    """Fit the line to samples (n,): angle, deg, force and its sigma, N.
+
+    Raises ValueError unless two angles differ.
+    """
     if np.ptp(theta_deg) == 0.0:
         raise ValueError("a line needs samples at two angles")
     weight = 1 / sigma**2
@@ -56,7 +59,7 @@ def fit_line(theta_deg: Array, force: Array, sigma: Array) -> ForceLine:
 
 
 def line_groups(rows: Sequence[Datum]) -> dict[tuple[float, float], list[int]]:
-    """Indices of the samples of each (height, friction) that determine a line."""
+    """Indices of the force_angle samples by (height, friction), where two angles differ."""
     groups: dict[tuple[float, float], list[int]] = {}
     for i, row in enumerate(rows):
         if row.kind == "force_angle":

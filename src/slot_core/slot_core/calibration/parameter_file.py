@@ -1,14 +1,15 @@
-"""The parameter file: values for `config/parameters` and all that is known about them.
+"""Parameter file of `config/parameters`: values, their origin, residuals and uncertainty.
 
-values              by dotted name; what `read_robot` takes
-from, note          how the values came about
-data                file and SHA-256 of the measurements
-residuals           each measurement, measured, predicted, sigma; difference over sigma
-fit                 sum of squares, degrees of freedom, condition of the Jacobian, limits touched
+values              by dotted name, for `read_robot`
+from, note          origin of the values
+data                file of the measurements, its SHA-256 and number of measurements
+residuals           per measurement: conditions, measured, predicted, sigma, difference over sigma
+fit                 sum of squares, degrees of freedom, condition of the Jacobian, parameters at a
+                    bound
 confidence          95 % intervals, or `undetermined`
 correlation         of the fitted coordinates, in the order of confidence; null: undetermined
-validity            least and largest of each condition that the data span
-force_angle_line    theta_deg = (f_z + a) / b, of the samples and of the model at their angles
+validity            least and largest value of each condition of the data
+force_angle_line    theta_deg = (f_z + a) / b, of the samples and of the predictions at their angles
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ from slot_core.calibration.fit import ParameterEstimate
 from slot_core.calibration.line import ForceLine, fit_line, line_groups
 from slot_core.robot import Array
 
-HEAD = """# A parameter set of the robot; `parameters` in config/robot.yaml names the one in use.
-# Written by scripts/calibrate; slot_core/calibration/parameter_file.py explains it.
+HEAD = """# Parameter set of the robot; `parameters` in config/robot.yaml names the set in use.
+# Written by scripts/calibrate; slot_core/calibration/parameter_file.py describes the keys.
 """
-DIGITS = 6
-WIDTH = 160  # of the file; a measurement takes one line
+DIGITS = 6  # significant, of values and predictions
+WIDTH = 160  # characters a line; a measurement fits in one
 UNDETERMINED = "undetermined"
 
 
@@ -42,7 +43,11 @@ def record(  # noqa: PLR0917
     origin: str,
     note: str,
 ) -> dict[str, Any]:
-    """The file's content; `values` are those of the whole set."""
+    """Content of the file.
+
+    names: the fitted parameters. values: those of the whole set, by dotted name. origin, note:
+    text.
+    """
     return {
         "values": {name: float(value) for name, value in values.items()},
         "from": origin,
@@ -63,7 +68,7 @@ def record(  # noqa: PLR0917
 
 
 def residuals(data: Data, estimate: ParameterEstimate) -> list[dict[str, Any]]:
-    """One entry per measurement."""
+    """Conditions and residual of each measurement."""
     return [
         {
             "kind": row.kind,
@@ -78,7 +83,7 @@ def residuals(data: Data, estimate: ParameterEstimate) -> list[dict[str, Any]]:
 
 
 def lines(data: Data, predicted: Array) -> list[dict[str, Any]]:
-    """Force-angle lines of the samples and of the predictions, per height and friction."""
+    """Force-angle lines of the samples and of the predictions (n,), by height and friction."""
     out = []
     for (height, friction), members in line_groups(data.rows).items():
         rows = [data.rows[i] for i in members]
@@ -108,7 +113,7 @@ def _line(line: ForceLine) -> dict[str, Any]:
 
 
 def write(path: Path, content: Mapping[str, Any]) -> None:
-    """Write the file, and its directory if need be; raises OSError."""
+    """Write the file and create its directory if necessary; raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     values, rest = {"values": content["values"]}, {k: content[k] for k in content if k != "values"}
     body = yaml.safe_dump(rest, sort_keys=False, default_flow_style=None, width=WIDTH)
@@ -116,11 +121,11 @@ def write(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def table(content: Mapping[str, Any]) -> list[str]:
-    """Lines for the terminal."""
+    """Text of the content, line by line, for the terminal."""
     out = _residual_table(content["residuals"])
     out += [_summary(content["fit"]), "", f"{'parameter':<28}{'value':>12}   95 % interval"]
     for name, interval in content["confidence"].items():
-        limit = "   at its limit" if name in content["fit"]["at_limit"] else ""
+        limit = "   at its bound" if name in content["fit"]["at_limit"] else ""
         out.append(f"{name:<28}{content['values'][name]:>12.6g}   {_bounds(interval)}{limit}")
     out += ["", "correlation"]
     for name, row in zip(content["confidence"], content["correlation"]):
@@ -130,7 +135,7 @@ def table(content: Mapping[str, Any]) -> list[str]:
 
 def _residual_table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     conditions = [[f"{k} {row[k]:g}" for k in row if k not in RESULTS] for row in rows]
-    labels = [" ".join([row["kind"], *words]) for row, words in zip(rows, conditions)]
+    labels = [" ".join([row["kind"], *texts]) for row, texts in zip(rows, conditions)]
     width = max(map(len, labels)) + 1
     out = [f"{'measurement':<{width}}{'measured':>11}{'predicted':>11}{'sigma':>9}{'off by':>8}"]
     for label, row in zip(labels, rows):

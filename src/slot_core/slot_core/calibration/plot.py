@@ -1,4 +1,4 @@
-"""The picture of a calibration: predicted against measured by kind, residuals, correlation."""
+"""Plots of a calibration: predicted over measured by kind, residuals, correlation."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ DPI = 100
 UNITS = {"marker_range": (1e3, "mm"), "force_angle": (1.0, "N"), "deflection": (1e3, "mm")}
 
 
-def picture(
+def write_figure(
     data: Data, names: Sequence[str], estimate: ParameterEstimate, title: str, path: Path
 ) -> None:
-    """Write the picture as a PNG; raises OSError."""
+    """Write the figure as PNG and create its directory if necessary; raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     figure(data, names, estimate, title).savefig(path, dpi=DPI)
 
 
 def figure(data: Data, names: Sequence[str], estimate: ParameterEstimate, title: str) -> Figure:
-    """The picture; every axes has its kind, `residuals` or `correlation` as its label."""
+    """The figure; the label of each axes is a kind of measurement, `residuals` or `correlation`."""
     kinds = [kind for kind in CONDITIONS if any(row.kind == kind for row in data.rows)]
     out = Figure(figsize=(4.2 * (len(kinds) + 2), 4.4), dpi=DPI, layout="constrained")
     FigureCanvasAgg(out)
@@ -36,13 +36,13 @@ def figure(data: Data, names: Sequence[str], estimate: ParameterEstimate, title:
     labels = [*kinds, "residuals", "correlation"]
     axes = {n: out.add_subplot(1, len(labels), i, label=n) for i, n in enumerate(labels, 1)}
     for kind in kinds:
-        _against(axes[kind], data, kind, estimate.predicted)
+        _predicted_over_measured(axes[kind], data, kind, estimate.predicted)
     _residuals(axes["residuals"], data, kinds, estimate.predicted)
     _correlation(axes["correlation"], names, estimate.correlation)
     return out
 
 
-def _against(ax: Axes, data: Data, kind: str, predicted: Array) -> None:
+def _predicted_over_measured(ax: Axes, data: Data, kind: str, predicted: Array) -> None:
     members = [i for i, row in enumerate(data.rows) if row.kind == kind]
     scale, unit = UNITS[kind]
     measured = scale * np.array([data.rows[i].value for i in members])
@@ -75,9 +75,9 @@ def _correlation(ax: Axes, names: Sequence[str], correlation: Array) -> None:
     ax.imshow(np.ma.masked_invalid(correlation), cmap="RdBu_r", vmin=-1, vmax=1)
     ax.set_facecolor(palette.PALE)
     for (r, c), value in np.ndenumerate(correlation):
-        known = bool(np.isfinite(value))
-        colour = "white" if known and abs(value) > 0.6 else palette.INK
-        text = f"{value:.2f}" if known else "-"
+        determined = bool(np.isfinite(value))
+        colour = "white" if determined and abs(value) > 0.6 else palette.INK
+        text = f"{value:.2f}" if determined else "-"
         ax.text(c, r, text, ha="center", va="center", color=colour, fontsize=10)
     short = [name.split(".")[-1].replace("_", "\n") for name in names]
     ax.set_xticks(range(len(names)), short, fontsize=8)
