@@ -229,7 +229,7 @@ class InertialFilter:
         self._cov = transition @ (self._cov + half_noise) @ transition.T + half_noise
 
     def correct(self, motion: OdometryMotion) -> bool:
-        """Correct with a reading at the present stamp; an outlier changes nothing: False."""
+        """Correct with a reading at the present stamp; False for an outlier, which is ignored."""
         jacobian = np.eye(9, 15)
         jacobian[V, THETA] = _cross(self._velocity)
         residual = self._residual(motion)

@@ -46,7 +46,7 @@ Slots = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
-class Options:
+class ModelOptions:
     """Options of the problem beside its weights and limits."""
 
     support: str = choice(
@@ -133,10 +133,8 @@ class TorsoModel:
         b[:6] = (dt**2 / 2 - twice) * jacobian @ gain
         b[6:STATES] = (dt - once) * gain
         b[STATES:] = (1.0 - kept) * np.eye(INPUTS)[: size - STATES]
-        drift[:6], drift[6:STATES] = (
-            dt**2 / 2 * jacobian @ acceleration,
-            dt * acceleration,
-        )
+        drift[:6] = dt**2 / 2 * jacobian @ acceleration
+        drift[6:STATES] = dt * acceleration
         return Prediction(a, b, drift)
 
     def _lag_integrals(self, dt: float) -> tuple[float, float, float]:
@@ -157,7 +155,13 @@ class HorizonQp:
     """
 
     def __init__(  # noqa: PLR0917
-        self, q: Array, r: Array, horizon: int, pattern: Prediction, options: Options, weight: float
+        self,
+        q: Array,
+        r: Array,
+        horizon: int,
+        pattern: Prediction,
+        options: ModelOptions,
+        weight: float,
     ):
         """Lay out the arrays.
 
@@ -357,7 +361,7 @@ def condensed_condition(prediction: Prediction, q: Array, r: Array, horizon: int
     return float(eigenvalues[-1] / max(eigenvalues[0], np.finfo(float).tiny))
 
 
-def _objective(weight: Array, options: Options, horizon: int, stage: int) -> sparse.csc_matrix:
+def _objective(weight: Array, options: ModelOptions, horizon: int, stage: int) -> sparse.csc_matrix:
     """P: the weights, and the coupling of the normal forces of a stage by a soft balance."""
     diagonal = sparse.diags(weight, format="csc")
     if options.support != "soft":

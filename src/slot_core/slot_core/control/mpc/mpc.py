@@ -25,7 +25,7 @@ from slot_core.control.mpc.model import (
     STATES,
     Horizon,
     HorizonQp,
-    Options,
+    ModelOptions,
     Prediction,
     TorsoModel,
     condensed_condition,
@@ -94,7 +94,7 @@ class MpcSettings:
     """Settings of `config/mpc.yaml`."""
 
     weights: Weights
-    model: Options
+    model: ModelOptions
     disturbance: DisturbanceSettings
     solver: MpcSolverSettings
     acceptance: Acceptance
