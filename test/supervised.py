@@ -1,4 +1,4 @@
-"""A supervisor with everything it needs to hear, every 10 ms; what fails is taken out by name."""
+"""A supervisor with all its inputs every 10 ms; what fails is taken out by name."""
 
 import dataclasses
 import math
@@ -8,16 +8,17 @@ import numpy as np
 from slot_core import config
 from slot_core.control.mpc.mpc import Status
 from slot_core.control.state_estimator import Estimate, Validity
+from slot_core.dynamixel.state import JointReading
 from slot_core.leg_table import read_leg_table
 from slot_core.robot import read_robot
-from slot_core.safety.command_gate import Action
-from slot_core.safety.servo_health import ServoHealth
+from slot_core.safety.command_gate import Action, Gated
+from slot_core.safety.command_watchdog import CommandWatchdog, Permission
+from slot_core.safety.servo_health import sound_servos
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import State
-from slot_core.safety.supervisor import Request, Supervisor
+from slot_core.safety.supervisor import Report, Request, Supervisor
 from slot_core.safety.tendon_watch import TendonLoad, read_tendon_watch
 from slot_core.simulation.closed_loop import ClosedLoop
-from slot_core.simulation.plant import JointReading
 
 ROBOT = read_robot()
 TICK = 10_000_000  # ns
@@ -43,15 +44,44 @@ def load(angle):
 
 
 def health(**changes):
-    """A driver that does what it is told with four sound servos."""
-    sound = ServoHealth(
-        action=Action.PASS,
-        reason="",
-        torque=np.ones(4, dtype=bool),
-        silence=np.zeros(4),
-        hardware_error=np.zeros(4, dtype=np.int64),
-    )
+    """Sound servos that follow commands."""
+    sound = sound_servos(Action.PASS, "", True, np.full(4, 1.1))
     return dataclasses.replace(sound, **changes)
+
+
+@dataclasses.dataclass(frozen=True)
+class Seen(Report):
+    """A report with what the servos then do."""
+
+    command: Gated
+
+
+class Servos:
+    """Sound servos behind the command watchdog, which obey the supervisor."""
+
+    def __init__(self, settings):
+        self.watchdog = CommandWatchdog(settings.servo_limits, 0.0, ROBOT.tendon.angle_max)
+        self.gated = Gated(Action.OFF, np.zeros(4), False, np.zeros(4, dtype=bool))
+
+    def engage(self, angle):
+        """Set goals to where the servos are."""
+        self.watchdog.engage(angle)
+        self.gated = dataclasses.replace(self.gated, angle=np.array(angle))
+
+    def obey(self, now, report, angle):
+        """Step at `now` under a report, the servos standing at `angle`."""
+        fast = report.state is State.WALKING
+        self.watchdog.permit(Permission(now, report.action, fast, report.reason))
+        if report.action is Action.HOLD and not self.gated.torque:
+            self.watchdog.engage(angle)  # torque comes on
+        self.gated = self.watchdog.step(now)
+        return self.gated
+
+    def health(self, **changes):
+        """What they report."""
+        gated, watchdog = self.gated, self.watchdog
+        sound = sound_servos(gated.action, watchdog.reason, gated.torque, gated.angle, gated.slewed)
+        return dataclasses.replace(sound, **changes)
 
 
 class Bench:
@@ -69,7 +99,8 @@ class Bench:
         self.status, self.fallback_cycles = Status.SOLVED, 0
         self.pressed = False
         self.torque = None  # N m, else that of the tabulated leg
-        self.health = None  # of the driver, if there is one
+        self.servos = Servos(config.replace(read_supervisor(), changes))
+        self.health = {}  # what differs from sound servos
         self.reports = []
         self._ticks = 0
 
@@ -79,32 +110,35 @@ class Bench:
         now, s = self.now, self.supervisor
         for node in self.nodes:
             if node not in self.silent:
-                s.hear(now, node)
+                s.receive_heartbeat(now, node)
         if "estop" not in self.silent:
-            s.see_estop(now, self.pressed)
+            s.receive_estop(now, self.pressed)
         if "servos" not in self.silent:
             torque = load(self.angle) if self.torque is None else self.torque
-            s.see_joints(now, now, self.angle, torque)
-        if self.health is not None:
-            s.see_health(now, now, self.health)
+            s.receive_joints(now, now, self.angle, torque)
+            s.receive_health(now, now, self.servos.health(**self.health))
         if self._ticks % 3 == 0:  # as the odometry, every 30 ms
             self.chain(now)
         self._ticks += 1
         report = s.step(now)
-        if report.command.torque:
-            self.angle = report.command.angle
-        self.reports.append(report)
-        return report
+        gated = self.servos.obey(now, report, self.angle)
+        if gated.torque:
+            self.angle = gated.angle
+        fields = {f.name: getattr(report, f.name) for f in dataclasses.fields(report)}
+        seen = Seen(**fields, command=gated)
+        self.reports.append(seen)
+        return seen
 
     def chain(self, now):
         """What follows from one odometry reading."""
         if "estimate" not in self.silent:
             estimate = Estimate(now, self.state, np.eye(12), self.validity)
-            self.supervisor.see_estimate(now, estimate)
+            self.supervisor.receive_estimate(now, estimate)
         if "solver" not in self.silent:
-            self.supervisor.see_solver(now, self.status, self.fallback_cycles)
+            self.supervisor.receive_solver(now, self.status, self.fallback_cycles)
         if "command" not in self.silent:
-            self.supervisor.see_command(now, now, self.command)
+            self.supervisor.receive_command(now, now, self.command)
+            self.servos.watchdog.offer(now, self.command)
 
     def run(self, seconds):
         return [self.tick() for _ in range(round(seconds * 1e9 / TICK))][-1]
@@ -118,7 +152,10 @@ class Bench:
         return math.inf
 
     def ask(self, *requests):
-        for request in requests:
+        """Make requests, with time for the servos to report between them."""
+        for k, request in enumerate(requests):
+            if k:
+                self.run(0.02)
             assert self.supervisor.request(self.now, request) == ""
 
     def bring(self, wanted):
@@ -138,7 +175,7 @@ class Bench:
         self.ask(Request.WALK)
         self.run(1.0)
         if wanted is State.HOLD:
-            self.supervisor.see_command(self.now + 1, self.now + 1, np.full(4, math.nan))
+            self.supervisor.receive_command(self.now + 1, self.now + 1, np.full(4, math.nan))
             self.silent.add("command")
             self.tick()
         elif wanted is State.RELAX:
@@ -163,7 +200,10 @@ class SupervisedLoop(ClosedLoop):
 
     def __init__(self, scene, seed=0, **changes):
         super().__init__(scene, "stand", None, seed)
-        self.supervisor = make(**{"estop_required": False, **changes})
+        changes = {"estop_required": False, **changes}
+        self.supervisor = make(**changes)
+        self.servos = Servos(config.replace(read_supervisor(), changes))
+        self.servos.engage(self.plant.simulator.tendon_angle)
         self.reports = []  # (s since the start, report)
 
     def walk(self):
@@ -176,20 +216,23 @@ class SupervisedLoop(ClosedLoop):
         for k, tick in enumerate(self.run(round(seconds / 0.033))):
             now = self.plant.now
             for node in nodes:
-                s.hear(now, node)
-            s.see_gait(now, tick.preview.period)
-            s.see_estimate(now, tick.estimate)
-            s.see_solver(now, tick.result.status, tick.result.fallback_cycles)
-            s.see_command(now, tick.estimate.stamp, tick.command.angle)
-            if k == 15:
+                s.receive_heartbeat(now, node)
+            s.receive_gait(now, tick.preview.period)
+            s.receive_estimate(now, tick.estimate)
+            s.receive_solver(now, tick.result.status, tick.result.fallback_cycles)
+            s.receive_command(now, tick.estimate.stamp, tick.command.angle)
+            self.servos.watchdog.offer(now, tick.command.angle)
+            if k == 14:
                 assert s.request(now, Request.READY) == ""
+            if k == 15:
                 assert s.request(now, Request.STAND) == ""
             yield tick, self._step()
 
     def _step(self):
         report = self.supervisor.step(self.plant.now)
-        if report.command.torque:
-            self.plant.command(report.command.angle)
+        gated = self.servos.obey(self.plant.now, report, self.plant.simulator.tendon_angle)
+        if gated.torque:
+            self.plant.command(gated.angle)
         self.reports.append((self.plant.now * 1e-9 - 1.0, report))
         return report
 
@@ -199,6 +242,7 @@ class SupervisedLoop(ClosedLoop):
     def _listen(self, readings):
         for r in readings:
             if isinstance(r, JointReading):
-                self.supervisor.see_joints(self.plant.now, r.stamp, r.angle, r.torque)
+                self.supervisor.receive_joints(self.plant.now, r.stamp, r.angle, r.torque)
+                self.supervisor.receive_health(self.plant.now, r.stamp, self.servos.health())
                 self._step()
             yield r

@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import JointState
 
 from slot_core.bags import decode
-from slot_core.dynamixel.checks import hardware_errors
+from slot_core.hardware_error import hardware_errors
 from slot_core.robot import LEGS
 from slot_core.safety.states import RELEASED, State
 from slot_msgs.msg import RobotState, ServoHealth
@@ -95,14 +95,14 @@ def _leg(view: View, k: int) -> str:
 
 
 def _driver(view: View) -> list[str]:
-    """Action and reason of the driver, figures of its bus, and diagnostics that are not OK."""
+    """Action and reason of the servos, figures of their bus, and diagnostics that are not OK."""
     if view.health is None:
-        return ["no driver of servos"]
+        return ["no report of the servos yet"]
     action = decode.ACTION_NUMBERS[view.health.action].name
     status = view.diagnostics.status if view.diagnostics is not None else []
     bus = [f"{v.key} {v.value}" for s in status for v in s.values if s.name == "servo bus"]
     problems = [f"  ! {s.name}: {s.message}" for s in status if s.level != DiagnosticStatus.OK]
-    first = f"driver: {action} {view.health.reason}".rstrip()
+    first = f"servos: {action} {view.health.reason}".rstrip()
     return [first, *(["  " + ", ".join(bus)] if bus else []), *problems]
 
 

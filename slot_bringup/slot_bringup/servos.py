@@ -22,13 +22,14 @@ from pathlib import Path
 from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.dynamixel.bus import Bus
-from slot_core.dynamixel.checks import differences, examine, expected, hardware_errors
+from slot_core.dynamixel.checks import differences, examine, expected
 from slot_core.dynamixel.errors import PortError, RefusedError, ServoError
 from slot_core.dynamixel.homing import measure_zero, write_zero
 from slot_core.dynamixel.joints import Joint, joints
 from slot_core.dynamixel.port import SerialPort, check_latency
 from slot_core.dynamixel.settings import DynamixelSettings, read_settings
 from slot_core.dynamixel.table import BAUD_RATES, VOLTAGE_UNIT
+from slot_core.hardware_error import hardware_errors
 from slot_core.robot import LEGS
 
 PERIOD = 0.002  # s, between two steps of the emulated servos

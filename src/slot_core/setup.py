@@ -21,6 +21,6 @@ setup(
     zip_safe=False,
     maintainer="SLOT maintainers",
     maintainer_email="slot@example.com",
-    description="Algorithms of the SLOT soft quadruped without ROS: dynamics, control, safety, servo driver.",
+    description="Algorithms of the SLOT soft quadruped without ROS.",
     license="Apache-2.0",
 )

@@ -23,6 +23,6 @@ setup(
     zip_safe=False,
     maintainer="SLOT maintainers",
     maintainer_email="slot@example.com",
-    description="ROS 2 nodes of the SLOT soft quadruped: robot, estimation, control, supervision, recording.",
+    description="ROS 2 nodes of the SLOT soft quadruped.",
     license="Apache-2.0",
 )

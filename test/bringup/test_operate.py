@@ -165,7 +165,7 @@ def test_the_screen_shows_bus_figures_and_only_diagnostics_that_are_not_ok():
     )  # fmt: skip
     sound = DiagnosticStatus(name="servo FL (id 5)", level=DiagnosticStatus.OK, message="sound")
     shown = screen(health=health(), diagnostics=DiagnosticArray(status=[bus, sound]))
-    at = shown.index("driver: PASS")
+    at = shown.index("servos: PASS")
     assert shown[at + 1 : at + 3] == [
         "  rate_Hz 100.0, overruns 3", "  ! servo bus: no command for 0.2 s"
     ]  # fmt: skip

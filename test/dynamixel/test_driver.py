@@ -47,7 +47,7 @@ class Rig:
         cycles = []
         for _ in range(round(duration / period)):
             if goals is not None:
-                assert self.driver.command(goals).accepted
+                self.driver.command(goals)
             cycles.append(self.driver.cycle())
             self.legs.advance(period, torques)
             self.time += period
@@ -273,34 +273,16 @@ def test_the_hosts_integral_takes_up_the_load_where_the_servos_p_alone_sags(buil
 def test_a_wrong_command_is_rejected_as_a_whole(rig, goals):
     rig.start()
     rig.run(1.0, (0.5,) * 4)
-    verdict = rig.driver.command(goals)
-    assert not verdict.accepted
-    assert verdict.reason
+    with pytest.raises(ValueError, match=r"expected 4|outside"):
+        rig.driver.command(goals)
     rig.run(0.3)
     assert rig.legs.angles() == pytest.approx([0.5] * 4, abs=2 * RAD_PER_COUNT)
 
 
-def test_a_step_beyond_the_speed_limit_is_slewed_and_flagged(build):
-    rig = build({"joints.speed_limit": 1.0}, angles=(0.0,) * 4).start()
-    cycles = rig.run(0.5, (1.0, 0.001, 0.0, 0.0))
-    assert cycles[1].slewed == (True, False, False, False)
-    assert rig.driver.goals()[0] == pytest.approx(0.49, abs=ONE_COUNT)  # it starts on a count
-    assert rig.legs.angles()[0] < 0.5
-
-
-def test_a_command_between_two_cycles_goes_as_far_as_one_at_a_cycle(build):
-    """Time in which the goals rested counts, up to 0.05 s, and no more."""
-    rig = build({"joints.speed_limit": 10.0}, angles=(0.0,) * 4).start()
-    rig.run(0.1, (0.0,) * 4)
-    rig.run(0.001, (0.4, 0.6, 0.0, 0.0), period=0.001)
-    assert rig.driver.goals()[:2] == pytest.approx([0.4, 0.5], abs=1e-9)
-    rig.run(0.001, (0.4, 0.6, 0.0, 0.0), period=0.001)
-    assert rig.driver.goals()[1] == pytest.approx(0.51, abs=1e-9)
-
-
 def test_no_command_is_taken_with_torque_off(rig):
     rig.driver.configure()
-    assert not rig.driver.command((1.0,) * 4).accepted
+    with pytest.raises(ValueError, match="torque is off"):
+        rig.driver.command((1.0,) * 4)
     assert rig.driver.cycle().complete
     rig.legs.advance(0.1)
     assert rig.legs.angles() == pytest.approx(STANDING, abs=1e-9)
@@ -367,7 +349,7 @@ def test_a_late_answer_is_not_taken_for_another(build):
 
 def test_an_unplugged_port_is_an_error_and_the_watchdog_stops_the_servos(rig):
     rig.start()
-    rig.run(0.1, (1.5,) * 4)
+    rig.run(0.1, (1.9,) * 4)
     rig.terminal.close()
     with pytest.raises(PortError):
         rig.driver.cycle()
@@ -375,7 +357,7 @@ def test_an_unplugged_port_is_an_error_and_the_watchdog_stops_the_servos(rig):
     for _ in range(101):
         rig.legs.advance(0.001)
     stopped = rig.legs.angles()
-    assert np.all(stopped < 1.4)
+    assert np.all(stopped < 1.8)
     for _ in range(300):
         rig.legs.advance(0.001)
     assert np.abs(rig.legs.angles() - stopped).max() < 0.1  # what the motor's time lets it run
@@ -470,31 +452,6 @@ def test_torque_off_reaches_the_others_where_one_does_not_answer(rig):
     assert off.confirmed == (False, True, True, True)
     assert "servo FL (id 5)" in off.reasons[0]
     assert rig.torque() == [0] * 4  # it hears, though it does not answer
-
-
-def test_relax_slackens_the_tendons_before_torque_goes_off(rig):
-    rig.start()
-    rig.run(1.0, (1.0,) * 4)
-
-    def sleep(period):
-        rig.legs.advance(period)
-        rig.time += period
-
-    off = rig.driver.relax(0.5, 0.01, sleep)
-    assert off.complete
-    # The servo's P loop follows a ramp of 2 rad/s at a distance of 2/27 rad.
-    assert np.abs(rig.legs.angles()).max() < 0.12
-
-
-def test_an_interrupt_while_relaxing_leaves_no_torque_on(rig):
-    rig.start()
-
-    def interrupted(period):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        rig.driver.relax(0.5, 0.01, interrupted)
-    assert rig.torque() == [0] * 4
 
 
 def test_a_refusal_is_not_taken_for_data(rig):

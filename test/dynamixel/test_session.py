@@ -15,7 +15,7 @@ from slot_core.emulator.pseudo_terminal import PseudoTerminal
 from slot_core.faults import Fault
 from slot_core.robot import read_robot
 from slot_core.safety.command_gate import Action
-from slot_core.safety.command_watchdog import Word
+from slot_core.safety.command_watchdog import Permission
 from slot_core.safety.settings import read_supervisor
 from slot_core.simulation.bus_legs import EmulatedLegs
 
@@ -29,17 +29,16 @@ TIMING = read_supervisor().timing
 class Rig:
     """A session whose time, and that of the servos, passes in `run` alone."""
 
-    def __init__(self, angles=STANDING):
+    def __init__(self, angles=STANDING, changes=()):
         # a busy machine may keep the emulator's thread waiting
-        settings = config.replace(read_settings(), {"bus.timeout": 0.05})
+        settings = config.replace(read_settings(), {"bus.timeout": 0.05, **dict(changes)})
         self.legs = EmulatedLegs(settings, read_emulator(), angles)
         self.terminal = PseudoTerminal(self.legs.bus)
         self.time = 0.0
         port = SerialPort(self.terminal.name, settings.bus.baud, settings.bus.timeout)
         self.driver = Driver(port, settings, clock=lambda: self.time)
-        self.session = ServoSession(
-            self.driver, read_supervisor(), read_robot().tendon.angle_max, PERIOD, self.sleep
-        )
+        self.session = ServoSession(self.driver, read_robot().tendon.angle_max, PERIOD, self.sleep)
+        self.session.set_limits(read_supervisor().servo_limits)
         self.session.configure()
         self.session.start()
 
@@ -51,17 +50,17 @@ class Rig:
         self.legs.advance(duration)
         self.time += duration
 
-    def say(self, action, reason="the supervisor's reason"):
-        """A word of the supervisor."""
-        self.session.permit(Word(self.now, action, True, reason))
+    def permit(self, action, reason="the supervisor's reason"):
+        """A permission of the supervisor."""
+        self.session.permit(Permission(self.now, action, True, reason))
 
-    def run(self, duration, angle=None, word=Action.PASS):
-        """Steps for a time (s), a word and a command before each; every change of action (s)."""
+    def run(self, duration, angle=None, permission=Action.PASS):
+        """Steps for a time (s), permission and command before each; every change of action (s)."""
         changes = []
         for _ in range(round(duration / PERIOD)):
             before = self.session.action
-            if word is not None:
-                self.say(word)
+            if permission is not None:
+                self.permit(permission)
             if angle is not None:
                 self.session.offer(self.now, self.now, angle)
             self.cycle = self.session.step(self.now)
@@ -98,7 +97,7 @@ def test_tendons_slacker_than_commands_may_be_stay_so_when_torque_comes_on():
     rig.terminal.close()
 
 
-def test_what_a_killed_driver_has_left_under_torque_is_switched_off_by_the_next(rig):
+def test_torque_that_a_killed_driver_has_left_on_is_switched_off_by_the_next(rig):
     rig.run(0.2, SLIGHTLY)
     rig.driver.close()  # as the kernel does for it
     rig.sleep(1.0)
@@ -113,11 +112,11 @@ def test_commands_reach_the_servos(rig):
     assert rig.legs.angles() == pytest.approx(SLIGHTLY, abs=0.01)
 
 
-def test_nothing_moves_before_the_supervisors_first_word(rig):
-    rig.run(2 * TIMING.command_lost, SLIGHTLY, word=None)
+def test_nothing_moves_before_the_supervisors_first_message(rig):
+    rig.run(2 * TIMING.command_lost, SLIGHTLY, permission=None)
     assert (rig.session.action, rig.session.reason) == (
         Action.HOLD,
-        "no word of the supervisor yet",
+        "no message of the supervisor yet",
     )
     assert rig.legs.angles() == pytest.approx(STANDING, abs=ONE_COUNT)
 
@@ -125,48 +124,48 @@ def test_nothing_moves_before_the_supervisors_first_word(rig):
 def test_a_supervisor_that_is_silent_holds_then_slackens_then_switches_off(rig):
     rig.run(0.1, SLIGHTLY)
     last = rig.time - PERIOD
-    (hold, held), (relax, relaxed), (off, _) = rig.run(2.0, SLIGHTLY, word=None)
+    (hold, held), (relax, relaxed), (off, _) = rig.run(2.0, SLIGHTLY, permission=None)
     assert (hold, relax, off) == (Action.HOLD, Action.RELAX, Action.OFF)
     assert held - last == pytest.approx(TIMING.command_hold + PERIOD, abs=1.01 * PERIOD)
     assert relaxed - last == pytest.approx(TIMING.command_lost + PERIOD, abs=1.01 * PERIOD)
-    assert "no word of the supervisor for 0.5" in rig.session.reason
+    assert "no message of the supervisor for 0.5" in rig.session.reason
     rig.run(0.5, SLIGHTLY)  # PASS does not bring torque back
     assert rig.powered() == [0] * 4
 
 
-@pytest.mark.parametrize("word", [Action.HOLD, Action.RELAX])
-def test_the_supervisors_word_is_obeyed_with_its_reason(rig, word):
+@pytest.mark.parametrize("action", [Action.HOLD, Action.RELAX])
+def test_the_supervisors_permission_is_obeyed_with_its_reason(rig, action):
     rig.run(0.2, SLIGHTLY)
     goals = rig.driver.goals()
-    rig.run(PERIOD, STANDING, word)
-    assert (rig.session.action, rig.session.reason) == (word, "the supervisor's reason")
-    rig.run(1.0, STANDING, word)
-    if word is Action.HOLD:  # without a need for commands
+    rig.run(PERIOD, STANDING, action)
+    assert (rig.session.action, rig.session.reason) == (action, "the supervisor's reason")
+    rig.run(1.0, STANDING, action)
+    if action is Action.HOLD:  # without a need for commands
         assert rig.driver.goals() == pytest.approx(goals)
         assert rig.powered() == [1] * 4
     else:
         assert rig.powered() == [0] * 4
 
 
-def test_only_what_it_lets_go_by_its_own_rule_waits_for_the_word_off(rig):
+def test_only_a_relax_by_its_own_rule_waits_for_the_permission_off(rig):
     rig.run(0.2, SLIGHTLY)
     rig.run(1.0, SLIGHTLY, Action.RELAX)
-    assert (rig.session.action, rig.session.letting_go) == (Action.OFF, "")
+    assert (rig.session.action, rig.session.own_reason) == (Action.OFF, "")
     rig.session.start()
     rig.run(0.1, SLIGHTLY)
     rig.run(2.0)
-    assert "no command for 0.5" in rig.session.letting_go
+    assert "no command for 0.5" in rig.session.own_reason
 
 
 def test_off_is_torque_off_before_the_next_cycle(rig):
     rig.run(0.2, SLIGHTLY)
-    rig.say(Action.OFF, "e-stop pressed")
+    rig.permit(Action.OFF, "e-stop pressed")
     assert rig.powered() == [0] * 4
     assert rig.session.reason == "torque off, after: e-stop pressed"
 
 
 def test_a_stamp_is_written_once_and_at_once(rig):
-    rig.say(Action.PASS)
+    rig.permit(Action.PASS)
     rig.session.offer(rig.now, 123, SLIGHTLY)
     rig.session.step(rig.now)
     assert (rig.session.commanded, rig.session.written) == (123, rig.time)
@@ -202,9 +201,9 @@ def test_a_command_that_comes_back_ends_hold_but_not_relax(rig):
 def test_a_command_that_cannot_be_is_no_command(rig, wrong):
     rig.run(0.1, SLIGHTLY)
     goals = rig.driver.goals()
-    spoiled = np.array([0.2, 0.2, wrong, 0.2])
-    assert "RL" in rig.session.offer(rig.now, rig.now, spoiled)
-    assert [action for action, _ in rig.run(0.2, spoiled)] == [Action.HOLD]
+    damaged = np.array([0.2, 0.2, wrong, 0.2])
+    assert "RL" in rig.session.offer(rig.now, rig.now, damaged)
+    assert [action for action, _ in rig.run(0.2, damaged)] == [Action.HOLD]
     assert rig.driver.goals() == pytest.approx(goals)
 
 
@@ -231,7 +230,7 @@ def test_started_again_it_stays_where_it_stands(rig):
     rig.run(0.1, SLIGHTLY)
     rig.run(2.0)
     stood = rig.legs.angles()
-    rig.say(Action.OFF)
+    rig.permit(Action.OFF)
     rig.session.start()
     rig.run(0.2)
     assert rig.session.action is Action.HOLD
@@ -274,3 +273,57 @@ def test_a_cycle_with_a_silent_servo_is_no_measurement(rig):
     rig.legs.bus.inject(Fault("silent", "RR", 0.0, 0.0, 0.0))
     rig.run(0.02, SLIGHTLY)
     assert measured(8, rig.cycle, np.full(4, 1.4)) is None
+
+
+def test_without_limits_of_the_supervisor_torque_stays_off_and_no_command_is_taken(rig):
+    rig.session.stop()
+    fresh = ServoSession(rig.driver, read_robot().tendon.angle_max, PERIOD, rig.sleep)
+    with pytest.raises(RefusedError, match="no limits of the supervisor yet"):
+        fresh.start()
+    assert "no limits" in fresh.offer(rig.now, rig.now, SLIGHTLY)
+    fresh.permit(Permission(rig.now, Action.PASS, True, ""))
+    fresh.step(rig.now)
+    assert rig.powered() == [0] * 4
+
+
+def test_a_step_beyond_the_rate_limit_is_slewed_reported_and_then_reached(rig):
+    rig.run(1.0, SLIGHTLY)  # the rate has grown to its largest
+    far = np.array([2.0, *SLIGHTLY[1:]])
+    rig.run(PERIOD, far)
+    health = rig.session.health(rig.now)
+    gate = read_supervisor().gate
+    assert health.slewed.tolist() == [True, False, False, False]
+    assert health.goal[0] - SLIGHTLY[0] == pytest.approx(gate.rate_max * gate.burst)
+    rig.run(0.1, far)
+    health = rig.session.health(rig.now)
+    assert not health.slewed.any()
+    assert health.goal == pytest.approx(far)
+
+
+def test_an_interrupt_while_it_stops_leaves_no_torque_on(rig):
+    rig.run(0.2, SLIGHTLY)
+
+    def interrupted(duration):
+        raise KeyboardInterrupt
+
+    rig.session._sleep = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        rig.session.stop()
+    assert rig.powered() == [0] * 4
+
+
+@pytest.mark.parametrize("low_deg", [-5.0, 10.0])
+def test_the_range_of_commands_is_that_of_the_joints_and_relaxing_ends_at_its_lower_end(low_deg):
+    rig = Rig(np.full(4, 0.5), {"joints.low_deg": low_deg})
+    low = max(0.0, np.radians(low_deg))
+    below = np.array([low - 0.01, 0.5, 0.5, 0.5])
+    rig.permit(Action.PASS)
+    assert "command FL" in rig.session.offer(rig.now, rig.now, below)
+    assert rig.run(0.3, np.full(4, low)) == [(Action.PASS, 0.0)]
+    rig.run(1.0, np.full(4, 0.5))
+    rig.run(0.5, np.full(4, 0.5), Action.RELAX)
+    step = read_supervisor().gate.relax_rate * PERIOD  # torque goes off in the last step
+    assert rig.driver.goals() == pytest.approx(np.full(4, low), abs=step)
+    assert rig.powered() == [0] * 4
+    rig.driver.close()
+    rig.terminal.close()

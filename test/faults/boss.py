@@ -6,56 +6,59 @@ from sensor_msgs.msg import JointState
 from slot_core.bags import decode
 from slot_core.safety.command_gate import Action
 from slot_core.safety.states import State
-from slot_msgs.msg import RobotState
+from slot_msgs.msg import RobotState, ServoLimits
 from slot_nodes import messages, qos
 
 
 class Boss:
-    """Supervisor and controller in one: repeats a word and a command every 20 ms."""
+    """Supervisor and controller in one: repeats a permission and a command every 20 ms."""
 
     def __init__(self, rig):
-        self.word, self.angle = None, None
-        self.commanded = self.spoken = 0  # ns, before the last of each
+        self.permission, self.angle = None, None
+        self.commanded = self.permitted = 0  # ns, before the last of each
         self._rig = rig
-        self._words = rig.node.create_publisher(RobotState, "robot_state", qos.STATE)
+        self._states = rig.node.create_publisher(RobotState, "robot_state", qos.STATE)
+        self._limits = rig.node.create_publisher(ServoLimits, "servo_limits", qos.STATE)
+        self._limits.publish(messages.limits_to_msg(rig.supervisor().servo_limits))
         self._commands = rig.node.create_publisher(JointState, "desired_joint_angles", qos.CONTROL)
         self._timer = rig.node.create_timer(0.02, self._tick)
 
     def _tick(self):
         now = self._rig.now()
-        if (word := self.word) is not None:
-            self.spoken = now
-            action = decode.ACTIONS.index(word)
-            told = RobotState(state=State.WALKING, action=action, reason="the boss says so")
-            told.header.stamp = messages.ns_to_stamp(now)
-            self._words.publish(told)
+        if (permission := self.permission) is not None:
+            self.permitted = now
+            action = decode.ACTION_NUMBERS.index(permission)
+            state = RobotState(state=State.WALKING, action=action, reason="requested")
+            state.header.stamp = messages.ns_to_stamp(now)
+            self._states.publish(state)
         if (angle := self.angle) is not None:
             self.commanded = now
             self._commands.publish(messages.command_to_msg(now, np.full(4, angle)))
 
     def close(self):
         self._rig.node.destroy_timer(self._timer)
-        self._rig.node.destroy_publisher(self._words)
+        self._rig.node.destroy_publisher(self._states)
+        self._rig.node.destroy_publisher(self._limits)
         self._rig.node.destroy_publisher(self._commands)
 
     def fall_silent(self, what):
-        """Say no more of "command" or else of the word; returns the time before the last."""
+        """Stop sending the "command" or else the permission; returns the time before the last."""
         if what == "command":
             self.angle = None
             return self.commanded
-        self.word = None
-        return self.spoken
+        self.permission = None
+        return self.permitted
 
     def lead(self, angle):
         """Have all tendons follow to an angle; again where a busy machine lets the driver down."""
         self.angle = angle
         self._rig.wait_for(lambda: self._rig.heard["/servo_health"])
-        self._rig.wait_for(lambda: self._urge() is Action.PASS and self._is_there())
+        self._rig.wait_for(lambda: self._advance() is Action.PASS and self._is_there())
 
-    def _urge(self):
-        action = decode.ACTIONS[self._rig.last("/servo_health").action]
+    def _advance(self):
+        action = decode.ACTION_NUMBERS[self._rig.last("/servo_health").action]
         way = {Action.OFF: Action.HOLD, Action.RELAX: Action.OFF}
-        self.word = way.get(action, Action.PASS)
+        self.permission = way.get(action, Action.PASS)
         return action
 
     def _is_there(self):

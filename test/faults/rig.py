@@ -23,10 +23,12 @@ from std_srvs.srv import Trigger
 from slot_bringup.graph import read_graph
 from slot_bringup.processes import command_line, die_with_parent
 from slot_core.bags import decode
+from slot_core.config import build
 from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT
+from slot_core.safety.settings import SupervisorSettings
 from slot_core.safety.states import State
 from slot_msgs.msg import LegStates, RobotState, ServoHealth
 from slot_msgs.srv import InjectFault
@@ -62,7 +64,7 @@ PATIENT = {
     "supervisor.yaml": {
         "command_hold: 0.1": "command_hold: 0.5", "command_lost: 0.5": "command_lost: 2.0",
         "clock_jump: 0.5": "clock_jump: 60.0", "heartbeat: 0.5": "heartbeat: 3.0",
-        "servo_silent: 0.5": "servo_silent: 2.0", "obey: 1.0": "obey: 2.0",
+        "servo_silent: 0.5": "servo_silent: 2.0", "torque_change: 1.0": "torque_change: 2.0",
         "coast_cycles: 3 ": "coast_cycles: 30 ", "sample_gap: 0.05": "sample_gap: 0.5",
         "slack_max: 1.4e-3": "slack_max: 4.0e-3",
     },
@@ -229,9 +231,14 @@ class Rig:
         """Messages of a topic stamped at or after a time."""
         return [message for message in list(self.heard[topic]) if decode.stamp(message) >= time]
 
+    def supervisor(self):
+        """The settings of supervisor.yaml that are in force."""
+        values = yaml.safe_load((self.config / "supervisor.yaml").read_text())
+        return build(SupervisorSettings, values, "supervisor.yaml")
+
     def limit(self, name):
         """A limit of `timing` in supervisor.yaml that is in force, s."""
-        return yaml.safe_load((self.config / "supervisor.yaml").read_text())["timing"][name]
+        return getattr(self.supervisor().timing, name)
 
     def reached(self, state, time, limit=PATIENCE):
         """(since, reason) of the first transition to a state after a time; waits for it."""

@@ -42,7 +42,7 @@ def rig(bench):
 
 @pytest.fixture
 def boss(rig):
-    """Who gives the word and the commands; a driver that is there obeys."""
+    """Sends permissions, limits and commands to a driver."""
     made = Boss(rig)
     yield made
     made.close()
@@ -98,7 +98,7 @@ def test_however_the_driver_ends_torque_off_is_read_back(rig, boss, end):
     broken = end == "exception"
     start_driver(rig, program=[sys.executable, "-c", BROKEN_DRIVER] if broken else ())
     if broken:
-        boss.word = Action.HOLD
+        boss.permission = Action.HOLD
     else:
         boss.lead(PULLED)
         rig.send(DRIVER, end)
@@ -112,18 +112,18 @@ def test_however_the_driver_ends_torque_off_is_read_back(rig, boss, end):
 def test_activation_far_from_the_command_is_no_motion(rig, boss):
     start_driver(rig)
     boss.lead(PULLED)
-    boss.word = Action.OFF
+    boss.permission = Action.OFF
     rig.slack(rig.now())
     before, on = rig.rest(), rig.now()  # the tendons have unwound
     assert np.abs(PULLED - before).min() > 0.5
-    boss.word = Action.HOLD
+    boss.permission = Action.HOLD
     powered(rig, on)
     rig.wait_for(lambda: len(rig.since("/joint_states", on)) > 100)
     sag, pull = rig.moved(before, on)
     assert -SAG < sag <= pull < 1.5  # one count, where a position lies between two
 
 
-def test_the_lifecycle_can_be_driven_by_hand(rig):
+def test_the_lifecycle_can_be_driven_by_hand(rig, boss):
     rig.start(DRIVER, parameters={"autostart": False})
 
     def change(transition):
@@ -134,7 +134,7 @@ def test_the_lifecycle_can_be_driven_by_hand(rig):
     assert not change(Transition.TRANSITION_ACTIVATE)  # it is not configured
     assert change(Transition.TRANSITION_CONFIGURE)
     rig.wait_for(lambda: rig.since("/joint_states", begin))
-    assert change(Transition.TRANSITION_ACTIVATE)
+    rig.wait_for(lambda: change(Transition.TRANSITION_ACTIVATE))  # once the limits have come
     powered(rig, begin)
     end = rig.now()
     assert change(Transition.TRANSITION_DEACTIVATE)
@@ -147,9 +147,16 @@ def test_the_lifecycle_can_be_driven_by_hand(rig):
     rig.wait_for(lambda: rig.since("/joint_states", again))
 
 
-def test_the_torque_service_slackens_and_brings_torque_back(rig):
+def test_without_limits_of_the_supervisor_torque_is_refused(rig):
     start_driver(rig)
-    assert switch(rig, True) == (True, "torque on")
+    assert switch(rig, True) == (False, "torque refused: no limits of the supervisor yet")
+    assert rig.stop(DRIVER) == 0
+    assert rig.registers("torque_enable") == [0] * 4
+
+
+def test_the_torque_service_slackens_and_brings_torque_back(rig, boss):
+    start_driver(rig)
+    rig.wait_for(lambda: switch(rig, True) == (True, "torque on"))  # once the limits have come
     assert switch(rig, True) == (False, "torque is on already")
     reboot = rig.call(Trigger, f"/{DRIVER}/reboot_rr")
     assert reboot.message == "needs a configured driver, torque off"

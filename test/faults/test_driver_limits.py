@@ -37,7 +37,7 @@ def first(rig, action, since):
 
     A busy machine may have held for a moment before.
     """
-    number = decode.ACTIONS.index(action)
+    number = decode.ACTION_NUMBERS.index(action)
 
     def found():
         reports = rig.since("/servo_health", since)
@@ -48,7 +48,7 @@ def first(rig, action, since):
 
 
 @pytest.mark.parametrize("rig", [LONG_WATCHDOG], indirect=True, ids=["patient bus"])
-@pytest.mark.parametrize("what", ["command", "word of the supervisor"])
+@pytest.mark.parametrize("what", ["command", "message of the supervisor"])
 def test_silence_is_hold_after_100_ms_and_relax_after_500_ms(rig, boss, what):
     boss.lead(1.0)
     silent = boss.fall_silent(what)

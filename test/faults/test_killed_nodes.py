@@ -71,7 +71,7 @@ def test_without_the_supervisor_the_servos_hold_then_relax_and_the_robot_walks_a
     walking.wait_for(lambda: is_slack(walking))
     told = walking.log("sim_robot")[before:]
     for action, limit in (("HOLD", "command_hold"), ("RELAX", "command_lost")):
-        taken = logged(told, f"{action} no word of the supervisor") - begin * 1e-9
+        taken = logged(told, f"{action} no message of the supervisor") - begin * 1e-9
         assert taken < walking.limit(limit) + BUSY
     walking.start("supervisor")
     walking.wait_for(lambda: walking.state is not State.WALKING)

@@ -165,7 +165,9 @@ def test_a_spoiled_tendon_stops_the_gait_and_names_the_leg(rig, kind, leg, value
     assert why.startswith(f"slack or broken tendon {leg} ")
     told = next(m for m in rig.since("/robot_state", held) if m.state == State.HOLD)
     assert any(line.startswith(f"slack or broken tendon {leg} ") for line in told.warnings)
-    rig.wait_for(lambda: rig.last("/servo_health").action == decode.ACTIONS.index(Action.HOLD))
+    rig.wait_for(
+        lambda: rig.last("/servo_health").action == decode.ACTION_NUMBERS.index(Action.HOLD)
+    )
     rig.inject(kind, leg, clear=True)
     assert rig.ask("relax") == ""
     rig.reached(State.IDLE, held)
@@ -186,7 +188,7 @@ def test_the_torque_service_takes_precedence_over_a_supervisor_that_walks(rig):
     off = rig.call(SetBool, "/dynamixel_driver/torque", data=False)
     assert (off.success, off.message) == (True, "slackening, then torque off")
     _, why = rig.reached(State.RELAX, begin)
-    assert why.startswith("driver: ")
+    assert why.startswith("servos: ")
     assert why.endswith("torque switched off by the operator")
     rig.slack(begin)
     rig.reached(State.FAULT, begin)

@@ -1,11 +1,12 @@
-"""What the servos are told between the supervisor's word, the commands and their silence."""
+"""Action of the servos, from the supervisor's permission, the commands and the age of both."""
 
 import numpy as np
 import pytest
 
+from slot_core import config
 from slot_core.robot import read_robot
 from slot_core.safety.command_gate import Action
-from slot_core.safety.command_watchdog import CommandWatchdog, Word
+from slot_core.safety.command_watchdog import CommandWatchdog, Permission
 from slot_core.safety.settings import read_supervisor
 
 SETTINGS = read_supervisor()
@@ -16,18 +17,19 @@ COMMAND = np.full(4, 1.2)
 
 
 class Bench:
-    """A watchdog that hears a word and a command every 10 ms unless told otherwise."""
+    """A watchdog that gets a permission and a command every 10 ms, unless one is None."""
 
     def __init__(self):
-        self.watchdog = CommandWatchdog(SETTINGS, read_robot().tendon.angle_max)
+        self.watchdog = CommandWatchdog(SETTINGS.servo_limits, 0.0, read_robot().tendon.angle_max)
         self.watchdog.engage(START)
         self.now = 0
 
-    def run(self, seconds, word=Action.PASS, command=COMMAND, fast=True):
+    def run(self, seconds, permission=Action.PASS, command=COMMAND, fast=True):
         for _ in range(round(seconds * 1e9 / TICK)):
             self.now += TICK
-            if word is not None:
-                self.watchdog.permit(Word(self.now, word, fast, "the supervisor's reason"))
+            if permission is not None:
+                reason = "the supervisor's reason"
+                self.watchdog.permit(Permission(self.now, permission, fast, reason))
             if command is not None:
                 self.watchdog.offer(self.now, command)
             self.gated = self.watchdog.step(self.now)
@@ -39,20 +41,20 @@ def bench():
     return Bench()
 
 
-def test_without_a_word_nothing_moves_and_nothing_is_let_go(bench):
-    assert bench.run(10.0, word=None) is Action.HOLD
-    assert bench.watchdog.reason == "no word of the supervisor yet"
+def test_without_a_permission_nothing_moves_and_torque_stays(bench):
+    assert bench.run(10.0, permission=None) is Action.HOLD
+    assert bench.watchdog.reason == "no message of the supervisor yet"
     assert (bench.gated.angle == START).all()
 
 
-def test_without_a_command_nothing_moves_and_nothing_is_let_go(bench):
+def test_without_a_command_nothing_moves_and_torque_stays(bench):
     assert bench.run(10.0, command=None) is Action.HOLD
     assert bench.watchdog.reason == "no command yet"
     assert bench.gated.torque
 
 
-@pytest.mark.parametrize("missing", [{"word": None}, {"command": None}])
-def test_silence_holds_and_then_relaxes_until_the_word_has_been_off(bench, missing):
+@pytest.mark.parametrize("missing", [{"permission": None}, {"command": None}])
+def test_a_missing_message_holds_and_then_relaxes_until_the_permission_has_been_off(bench, missing):
     assert bench.run(1.0) is Action.PASS
     assert bench.run(TIMING.command_hold, **missing) is Action.PASS
     assert bench.run(2 * TICK * 1e-9, **missing) is Action.HOLD
@@ -80,8 +82,8 @@ def test_a_relaxing_robot_does_not_stop_half_way_for_a_hold(bench):
 def test_a_supervisor_that_stops_while_relaxing_does_not_stop_the_relaxing(bench):
     bench.run(0.5)
     bench.run(0.2, Action.RELAX)
-    assert bench.run(TIMING.command_hold + 0.02, word=None) is Action.RELAX
-    bench.run(SETTINGS.gate.relax_time, word=None)
+    assert bench.run(TIMING.command_hold + 0.02, permission=None) is Action.RELAX
+    bench.run(SETTINGS.gate.relax_time, permission=None)
     assert not bench.gated.torque
 
 
@@ -98,3 +100,27 @@ def test_standing_is_slow_and_walking_is_fast_but_not_at_once(bench):
     assert bench.gated.angle == pytest.approx(far)
     bench.run(0.02, command=START)  # a budget of burst and two ticks covers the whole step
     assert bench.gated.angle == pytest.approx(START)
+
+
+def test_other_limits_apply_from_the_next_step_and_move_no_goal(bench):
+    bench.run(0.5)
+    goal = bench.gated.angle
+    slower = config.replace(SETTINGS, {"gate.approach_rate": 0.5, "timing.command_hold": 0.05})
+    bench.watchdog.set_limits(slower.servo_limits)
+    assert bench.run(TICK * 1e-9, Action.HOLD) is Action.HOLD
+    assert (bench.gated.angle == goal).all()
+    bench.run(0.1, command=START, fast=False)
+    moved = goal - bench.gated.angle
+    assert moved.max() <= 0.5 * (0.1 + SETTINGS.gate.burst) + 1e-9
+    assert bench.run(0.06 + TICK * 1e-9, command=None) is Action.HOLD
+
+
+def test_slack_is_the_lower_end_of_the_range():
+    watchdog = CommandWatchdog(SETTINGS.servo_limits, 0.2, 2.0)
+    watchdog.engage(START)
+    assert "FL = 0.1 rad is not inside [0.2, 2]" in watchdog.offer(0, np.full(4, 0.1))
+    watchdog.relax("a fault")
+    times = range(0, round(SETTINGS.gate.relax_time * 1e9), TICK)
+    gated = [watchdog.step(time) for time in times]
+    assert (gated[-1].angle == 0.2).all()
+    assert not gated[-1].torque

@@ -10,7 +10,7 @@ from slot_core.safety.supervisor import Request
 
 def run(bench, start_up, seconds):
     for _ in range(round(100 * seconds)):
-        start_up.urge(bench.supervisor, bench.now)
+        start_up.request_next(bench.supervisor, bench.now)
         bench.tick()
     return bench.supervisor.state
 
@@ -33,7 +33,9 @@ def test_it_waits_and_says_for_what():
     bench, start_up = Bench(), StartUp(Request.READY)
     bench.silent.add("servos")
     assert run(bench, start_up, 1.0) is State.IDLE
-    assert "READY refused in IDLE: servo FL silent" in start_up.urge(bench.supervisor, bench.now)
+    assert "READY refused in IDLE: servo FL silent" in start_up.request_next(
+        bench.supervisor, bench.now
+    )
     bench.silent.clear()
     assert run(bench, start_up, 0.5) is State.READY
 

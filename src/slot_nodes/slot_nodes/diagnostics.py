@@ -1,17 +1,15 @@
-"""What is known of servos and bus as diagnostics."""
+"""Diagnostics of servos and bus."""
 
 from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from slot_core.dynamixel.checks import hardware_errors
 from slot_core.dynamixel.session import BusPace, ServoSession
 from slot_core.dynamixel.state import Cycle, Health
-from slot_core.safety.command_gate import Action
+from slot_core.hardware_error import hardware_errors
 from slot_nodes import messages
 
 ERROR_RATE_WARNING = 0.05  # share of exchanges that failed
-MISSED = ("no command for", "no word of the supervisor for")  # reasons that are errors
 
 
 def to_msg(
@@ -28,10 +26,10 @@ def to_msg(
 
 
 def _bus(session: ServoSession, pace: BusPace) -> DiagnosticStatus:
-    calm = session.action is Action.PASS or not any(why in session.reason for why in MISSED)
+    level = DiagnosticStatus.ERROR if session.overdue else DiagnosticStatus.OK
     return _status(
         "servo bus",
-        DiagnosticStatus.OK if calm else DiagnosticStatus.ERROR,
+        level,
         session.reason or "commands pass",
         action=session.action.value,
         rate_Hz=f"{pace.rate:.1f}",

@@ -1,13 +1,14 @@
-"""The servos on their bus: commands and the supervisor's word in, joints and health out.
+"""Driver of the servos on their bus: commands and permissions in, joints and health out.
 
     configure    open the port, check every servo, torque off; then a bus cycle every period
     activate     torque on where the servos stand
     deactivate   slacken the tendons, torque off, read back
     cleanup      close the port
 
-With `autostart` the node configures itself; a refusal is then the end, exit code 1. `/robot_state`
-activates it by HOLD or PASS and deactivates it by OFF. However the process ends, but by SIGKILL, it
-first does what deactivate does; that needs no ROS context.
+With `autostart` the node configures itself; a refusal then ends it with exit code 1. `/robot_state`
+activates it by HOLD or PASS and deactivates it by OFF; the limits that it keeps come from the
+supervisor on `/servo_limits`. However the process ends, except by SIGKILL, it first does what
+deactivate does; that needs no ROS context.
 """
 
 import time
@@ -37,15 +38,14 @@ from slot_core.dynamixel.settings import DynamixelSettings, read_settings
 from slot_core.dynamixel.state import Cycle
 from slot_core.robot import LEGS, read_robot
 from slot_core.safety.command_gate import Action
-from slot_core.safety.command_watchdog import Word
-from slot_core.safety.settings import SupervisorSettings, read_supervisor
+from slot_core.safety.command_watchdog import Permission
 from slot_core.safety.states import State
-from slot_msgs.msg import RobotState, ServoHealth
+from slot_msgs.msg import RobotState, ServoLimits
 from slot_nodes import diagnostics, inputs, messages, qos, runtime
+from slot_nodes.health_report import HealthReport
 
-LOOK_PERIOD = 0.1  # s, between looks at whether the port is there
+PORT_PERIOD = 0.1  # s, between two checks whether the port exists
 DIAGNOSTICS_PERIOD = 1.0  # s
-HEALTH_PERIOD = 50_000_000  # ns, between two reports of the servos' health without an event
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
@@ -65,31 +65,28 @@ class DynamixelDriverNode(LifecycleNode):
         )
         self._autostart = runtime.declare(self, "autostart", True, "configure at start")
         self._port = settings.bus.port
-        supervisor = read_supervisor()
-        self._clock_jump = supervisor.timing.clock_jump
-        self._session = make_session(settings, supervisor, 1.0 / rate)
+        self._session = make_session(settings, 1.0 / rate)
         joints = self._session.driver.joints
         stall = read_servo().stall_torque
         self._stall = np.array([abs(joint.tendon_torque(stall)) for joint in joints])
         self._open = self._active = False
-        self._let_go = False  # torque has gone off by itself or was refused: until the word OFF
+        self._locked = False  # torque has gone off by its own rule or was refused: until OFF
         self._refusal = ""
         self._cycle: Cycle | None = None
-        self._told: tuple[Any, ...] = ()  # what the last report of health said
-        self._told_at = 0  # ns
         self._timer: Timer | None = None
         self._create_outputs()
         self._refuse_wrong_transitions()
         inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
         inputs.subscribe(self, RobotState, "robot_state", self._on_robot_state, qos.STATE)
+        inputs.subscribe(self, ServoLimits, "servo_limits", self._on_limits, qos.STATE)
         self._end_of_wait = time.monotonic() + self._patience
-        self._starter = runtime.wall_timer(self, LOOK_PERIOD, self._start_by_itself)
+        self._starter = runtime.wall_timer(self, PORT_PERIOD, self._configure_by_itself)
         if not self._autostart:
             self._starter.cancel()
 
     def _create_outputs(self) -> None:
         self._joints = self.create_publisher(JointState, "joint_states", qos.SENSOR)
-        self._health = self.create_publisher(ServoHealth, "servo_health", qos.SENSOR)
+        self._health = HealthReport(self)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.SENSOR)
         runtime.wall_timer(self, DIAGNOSTICS_PERIOD, self._publish_diagnostics)
         self.create_service(SetBool, "~/torque", self._on_torque)
@@ -98,7 +95,7 @@ class DynamixelDriverNode(LifecycleNode):
             self._offer(f"~/zero_{leg.lower()}", partial(self._zero, leg))
 
     def _refuse_wrong_transitions(self) -> None:
-        """Answer a transition that the present state does not have; rclpy 7.1 lets the node die."""
+        """Refuse a transition that the state does not have; with rclpy 7.1 the node would die."""
         change = self._service_change_state.callback
 
         def serve(request: ChangeState.Request, response: ChangeState.Response) -> Any:
@@ -146,7 +143,7 @@ class DynamixelDriverNode(LifecycleNode):
         return SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """All of it."""
+        """Slack, torque off, port closed."""
         self._end_cycles()
         if self._open:
             self._stop()
@@ -154,23 +151,23 @@ class DynamixelDriverNode(LifecycleNode):
         return SUCCESS
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Back to the beginning; with `autostart` the servos are looked for again."""
+        """Back to unconfigured; with `autostart` the node then configures itself again."""
         self.on_shutdown(state)
         if self._autostart:
             self._starter.reset()
         return SUCCESS
 
     def destroy_node(self) -> None:
-        """Torque off before anything else goes."""
+        """Torque off before anything else is destroyed."""
         if self._open:
             self._stop()
         self._close()
         super().destroy_node()
 
-    def _start_by_itself(self) -> None:
-        """Configure once the port is there, or has been awaited for long enough.
+    def _configure_by_itself(self) -> None:
+        """Configure once the port exists, or after `wait_for_port`.
 
-        A first refusal is the end; after an error it is tried again and again.
+        The first refusal ends the node; after an error the attempt is repeated.
         """
         if not Path(self._port).exists() and time.monotonic() < self._end_of_wait:
             self.get_logger().info(f"waiting for {self._port}", throttle_duration_sec=5.0)
@@ -183,22 +180,29 @@ class DynamixelDriverNode(LifecycleNode):
 
     def _on_command(self, message: JointState) -> None:
         stamp, angle = decode.joint_angles(message)
-        inputs.require_present(stamp, self.get_clock().now().nanoseconds, self._clock_jump)
+        if self._session.limits is not None:
+            now = self.get_clock().now().nanoseconds
+            inputs.require_present(stamp, now, self._session.limits.clock_jump)
         if fault := self._session.offer(time.monotonic_ns(), stamp, angle):
             raise ValueError(fault)
         if self._timer is not None:
-            self._step()  # the servos need not wait for the timer
+            self._step()  # without waiting for the timer
+
+    def _on_limits(self, message: ServoLimits) -> None:
+        self._session.set_limits(decode.servo_limits(message))
 
     def _on_robot_state(self, message: RobotState) -> None:
         _, state, action, reason = decode.robot_state(message)
         fast = state is State.WALKING
-        self._session.permit(Word(time.monotonic_ns(), action, fast, reason))
+        self._session.permit(Permission(time.monotonic_ns(), action, fast, reason))
+        if self._session.limits is None:
+            return  # they come at the supervisor's start, on a topic of their own
         if action is Action.OFF:
-            self._let_go = False
+            self._locked = False
             if self._active:
                 self.trigger_deactivate()
-        elif action is not Action.RELAX and self._timer and not (self._active or self._let_go):
-            self._let_go = self.trigger_activate() != SUCCESS
+        elif action is not Action.RELAX and self._timer and not (self._active or self._locked):
+            self._locked = self.trigger_activate() != SUCCESS
 
     def _step(self) -> None:
         before = self._session.action
@@ -212,7 +216,7 @@ class DynamixelDriverNode(LifecycleNode):
             self.get_logger().info(f"{self._session.action.name} {self._session.reason}".strip())
         self._publish(cycle)
         if self._active and not self._session.driver.active:
-            self._let_go = bool(self._session.letting_go)
+            self._locked = bool(self._session.own_reason)
             self.trigger_deactivate()
 
     def _publish(self, cycle: Cycle) -> None:
@@ -220,15 +224,7 @@ class DynamixelDriverNode(LifecycleNode):
         reading = measured(stamp, cycle, self._stall)
         if reading is not None:
             self._joints.publish(messages.joints_to_msg(reading))
-        health = self._session.driver.health
-        news = (
-            self._session.action,
-            self._session.commanded,
-            *((servo.torque, servo.hardware_error) for servo in health),
-        )
-        if news != self._told or stamp - self._told_at >= HEALTH_PERIOD:
-            self._told, self._told_at = news, stamp
-            self._health.publish(messages.health_to_msg(stamp, self._session))
+        self._health.publish(stamp, self._session.health(stamp))
 
     def _publish_diagnostics(self) -> None:
         pace = self._session.pace(time.monotonic_ns())
@@ -247,7 +243,7 @@ class DynamixelDriverNode(LifecycleNode):
         return response
 
     def _offer(self, name: str, action: Callable[[], str]) -> None:
-        """A service that does something to one servo without torque, and says what it has done."""
+        """Create a service that acts on one servo without torque and answers what was done."""
 
         def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
@@ -265,7 +261,7 @@ class DynamixelDriverNode(LifecycleNode):
         return f"servo {leg} restarts"
 
     def _zero(self, leg: str) -> str:
-        """The leg rests, its tendon just slack: its zero from now on, and at later starts."""
+        """Take the present angle of a resting leg as its zero, now and at later starts."""
         driver = self._session.driver
         angle = measure_zero(driver.bus, driver.joints[LEGS.index(leg)], time.sleep)
         driver.set_zero(leg, angle)
@@ -273,7 +269,7 @@ class DynamixelDriverNode(LifecycleNode):
 
     def _refuse(self, reason: str) -> TransitionCallbackReturn:
         self._refusal = reason
-        if self._cycle is not None or not self._autostart:  # else it is said once, at the end
+        if self._cycle is not None or not self._autostart:  # else it is logged once, at the end
             self.get_logger().error(reason, throttle_duration_sec=5.0)
         return FAILURE
 
@@ -296,16 +292,14 @@ class DynamixelDriverNode(LifecycleNode):
         self._session.driver.close()
 
 
-def make_session(
-    settings: DynamixelSettings, supervisor: SupervisorSettings, period: float
-) -> ServoSession:
-    """Driver and gate; raises ConfigError where the settings contradict each other."""
+def make_session(settings: DynamixelSettings, period: float) -> ServoSession:
+    """Driver and command watchdog; raises ConfigError where the settings contradict each other."""
     port = SerialPort(settings.bus.port, settings.bus.baud, settings.bus.timeout)
     try:
         driver = Driver(port, settings)
     except ValueError as error:
         raise ConfigError(f"dynamixel.yaml: {error}") from None
-    return ServoSession(driver, supervisor, read_robot().tendon.angle_max, period)
+    return ServoSession(driver, read_robot().tendon.angle_max, period)
 
 
 def main() -> None:

@@ -1,8 +1,8 @@
-"""The core's values as ROS messages, without decisions; the way back is slot_core.bags.decode."""
+"""Values of the core as ROS messages; the inverse is slot_core.bags.decode."""
 
 from __future__ import annotations
 
-import math
+import dataclasses
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +17,7 @@ from tf2_msgs.msg import TFMessage
 from slot_core.bags import decode
 from slot_core.control import gait
 from slot_core.robot import BASE_FRAME, ODOM_FRAME, TENDON_JOINTS, Array
+from slot_msgs import msg as slot_msgs
 from slot_msgs.msg import (
     ForceMapStatus,
     GaitPreview,
@@ -24,18 +25,19 @@ from slot_msgs.msg import (
     LegStates,
     MpcState,
     RobotState,
-    ServoHealth,
 )
 from slot_msgs.srv import SetGait
 
-if TYPE_CHECKING:  # a node imports only the cores it runs
+if TYPE_CHECKING:  # a node imports only the cores that it runs
     from slot_core.control.force_map import TendonCommand
     from slot_core.control.mpc.mpc import MpcResult
     from slot_core.control.pace import Pace
     from slot_core.control.state_estimator import Estimate
-    from slot_core.dynamixel.session import MeasuredJoints, ServoSession
+    from slot_core.dynamixel.state import JointReading
+    from slot_core.safety.servo_health import ServoHealth
+    from slot_core.safety.settings import ServoLimits
     from slot_core.safety.supervisor import Report
-    from slot_core.simulation.plant import JointReading, TrueState
+    from slot_core.simulation.plant import TrueState
     from slot_core.simulation.sensors import ImuReading, OdometryReading
 
 
@@ -79,7 +81,7 @@ def imu_to_msg(reading: ImuReading) -> Imu:
     return message
 
 
-def joints_to_msg(reading: JointReading | MeasuredJoints) -> JointState:
+def joints_to_msg(reading: JointReading) -> JointState:
     """Tendon angle, rate and servo torque."""
     return JointState(
         header=header(reading.stamp, BASE_FRAME),
@@ -182,23 +184,29 @@ def map_status_to_msg(stamp: int, command: TendonCommand) -> ForceMapStatus:
     )
 
 
-def health_to_msg(stamp: int, session: ServoSession) -> ServoHealth:
-    """What the driver knows of its servos and does with them."""
-    driver = session.driver
-    age = round((driver.clock() - session.written) * 1e9)
-    return ServoHealth(
+def health_to_msg(stamp: int, health: ServoHealth) -> slot_msgs.ServoHealth:
+    """Health of the servos."""
+    return slot_msgs.ServoHealth(
         header=header(stamp, BASE_FRAME),
-        action=decode.ACTIONS.index(session.action),
-        reason=session.reason,
-        commanded=ns_to_stamp(session.commanded),
-        written=ns_to_stamp(stamp - age if session.commanded else 0),
-        torque=[bool(servo.torque) for servo in driver.health],
-        silence=[driver.silent_for(servo.leg) for servo in driver.health],
-        temperature=[_known(servo.temperature) for servo in driver.health],
-        voltage=[_known(servo.voltage) for servo in driver.health],
-        hardware_error=[servo.hardware_error or 0 for servo in driver.health],
-        error_rate=[servo.error_rate for servo in driver.health],
+        action=decode.ACTION_NUMBERS.index(health.action),
+        reason=health.reason,
+        commanded=ns_to_stamp(health.commanded),
+        written=ns_to_stamp(health.written),
+        torque=health.torque.tolist(),
+        silence=health.silence,
+        goal=health.goal,
+        slewed=health.slewed.tolist(),
+        temperature=health.temperature,
+        voltage=health.voltage,
+        hardware_error=health.hardware_error.astype(np.uint8),
+        error_rate=health.error_rate,
     )
+
+
+def limits_to_msg(limits: ServoLimits) -> slot_msgs.ServoLimits:
+    """Limits of whatever drives the servos."""
+    values = dataclasses.asdict(limits)
+    return slot_msgs.ServoLimits(**values.pop("gate"), **values)
 
 
 def robot_state_to_msg(stamp: int, report: Report) -> RobotState:
@@ -206,16 +214,12 @@ def robot_state_to_msg(stamp: int, report: Report) -> RobotState:
     return RobotState(
         header=header(stamp, BASE_FRAME),
         state=int(report.state),
-        action=decode.ACTIONS.index(report.command.action),
+        action=decode.ACTION_NUMBERS.index(report.action),
         reason=report.reason,
         since=ns_to_stamp(report.since),
         warnings=list(report.warnings),
         slack=report.slack,
     )
-
-
-def _known(value: float | None) -> float:
-    return math.nan if value is None else value
 
 
 def gait_request(name: str, v_x: float, v_y: float) -> SetGait.Request:

@@ -1,7 +1,8 @@
-"""What the robot may do: the whole graph in, `/robot_state` out, requests as services.
+"""The supervisor: inputs from the whole graph, `/robot_state` out, requests as services.
 
-The servos' driver and the simulated robot obey `/robot_state`; commands go to them directly. Going
-to WALKING it asks the gait scheduler for the gait, going anywhere else but to HOLD for standing.
+Whatever drives the servos obeys `/robot_state` and the limits on `/servo_limits`; commands go to it
+directly. On entering WALKING the supervisor requests the gait from the gait scheduler, on entering
+any other state but HOLD it requests standing.
 """
 
 from functools import partial
@@ -18,31 +19,33 @@ from slot_core.control.state_estimator import Estimate, Validity
 from slot_core.robot import read_robot
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.start_up import StartUp
-from slot_core.safety.states import LET_GO, State
+from slot_core.safety.states import RELEASED, State
 from slot_core.safety.supervisor import Report, Request, Supervisor
 from slot_core.safety.tendon_watch import read_tendon_watch
-from slot_msgs.msg import GroundReactionForces, MpcState, RobotState, ServoHealth
+from slot_msgs.msg import GroundReactionForces, MpcState, RobotState, ServoHealth, ServoLimits
 from slot_msgs.srv import SetGait
 from slot_nodes import inputs, messages, qos, runtime
 
-PERIOD = 0.02  # s, between decisions without an event that calls for one
+PERIOD = 0.02  # s, between two steps without an urgent input
 
 
 class SupervisorNode(Node):
-    """Hears, decides every 20 ms and at once where it must, and tells."""
+    """Runs the supervisor at 50 Hz, and at once on urgent inputs, and publishes its state."""
 
     def __init__(self) -> None:
         super().__init__("supervisor")
         robot, settings = read_robot(), runtime.declare_settings(self, read_supervisor())
         self._supervisor = Supervisor(robot, settings, read_tendon_watch(robot, settings.tendon))
         self._walk = self._declare_gait()
-        autostart = runtime.declare(self, "autostart", False, "stand up and walk off by itself")
+        autostart = runtime.declare(self, "autostart", False, "stand up and walk without requests")
         self._start_up = StartUp(*self._steps() if autostart else ())
-        self._told: Report | None = None
+        self._published: Report | None = None
         self._state = self.create_publisher(RobotState, "robot_state", qos.STATE)
+        self._limits = self.create_publisher(ServoLimits, "servo_limits", qos.STATE)
+        self._limits.publish(messages.limits_to_msg(settings.servo_limits))
         self._set_gait = self.create_client(SetGait, "set_gait")
-        self._hear_controller()
-        self._hear_robot()
+        self._subscribe_to_controller()
+        self._subscribe_to_robot()
         for request in Request:
             serve = partial(self._on_request, request)
             self.create_service(Trigger, f"~/{request.name.lower()}", serve)
@@ -55,22 +58,22 @@ class SupervisorNode(Node):
         v_x = runtime.declare(self, "v_x", gaits.find(gait).cruise, "its forward velocity [m/s]")
         v_y = runtime.declare(self, "v_y", 0.0, "its lateral velocity [m/s]")
         GaitScheduler(gaits, gait, np.array([v_x, v_y, 0.0]))
-        self._supervisor.see_gait(self._now(), gaits.find(gait).period)
+        self._supervisor.receive_gait(self._now(), gaits.find(gait).period)
         return messages.gait_request(gait, v_x, v_y)
 
     def _steps(self) -> list[Request]:
         walks = self._walk.gait != STAND
         return [Request.READY, Request.STAND, *[Request.WALK][:walks]]
 
-    def _hear_controller(self) -> None:
-        """Not the preview of the gait: without it there are no forces."""
+    def _subscribe_to_controller(self) -> None:
+        """The gait's preview is left out: without it there are no forces."""
         inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.CONTROL)
         inputs.subscribe(
             self, GroundReactionForces, "ground_reaction_forces", self._on_forces, qos.CONTROL
         )
         inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
 
-    def _hear_robot(self) -> None:
+    def _subscribe_to_robot(self) -> None:
         inputs.subscribe(self, JointState, "joint_states", self._on_joints, qos.SENSOR)
         inputs.subscribe(self, ServoHealth, "servo_health", self._on_health, qos.SENSOR)
         inputs.subscribe(self, Bool, "estop", self._on_estop, qos.SENSOR)
@@ -82,27 +85,29 @@ class SupervisorNode(Node):
         now = self._now()
         stamp, state, validity = decode.state(message)
         covariance = np.array(message.covariance).reshape(12, 12)
-        self._supervisor.hear(now, "state_estimator")
-        self._supervisor.see_estimate(now, Estimate(stamp, state, covariance, Validity(validity)))
+        self._supervisor.receive_heartbeat(now, "state_estimator")
+        self._supervisor.receive_estimate(
+            now, Estimate(stamp, state, covariance, Validity(validity))
+        )
 
     def _on_forces(self, message: GroundReactionForces) -> None:
-        self._supervisor.hear(self._now(), "mpc_controller")
-        self._supervisor.see_solver(self._now(), message.status, message.fallback_cycles)
+        self._supervisor.receive_heartbeat(self._now(), "mpc_controller")
+        self._supervisor.receive_solver(self._now(), message.status, message.fallback_cycles)
 
     def _on_command(self, message: JointState) -> None:
-        self._supervisor.hear(self._now(), "force_mapper")
-        if fault := self._supervisor.see_command(self._now(), *decode.joint_angles(message)):
+        self._supervisor.receive_heartbeat(self._now(), "force_mapper")
+        if fault := self._supervisor.receive_command(self._now(), *decode.joint_angles(message)):
             self._step()
             raise ValueError(fault)
 
     def _on_joints(self, message: JointState) -> None:
-        self._supervisor.see_joints(self._now(), *decode.joint_loads(message))
+        self._supervisor.receive_joints(self._now(), *decode.joint_loads(message))
 
     def _on_health(self, message: ServoHealth) -> None:
-        self._supervisor.see_health(self._now(), *decode.servo_health(message))
+        self._supervisor.receive_health(self._now(), *decode.servo_health(message))
 
     def _on_estop(self, message: Bool) -> None:
-        self._supervisor.see_estop(self._now(), message.data)
+        self._supervisor.receive_estop(self._now(), message.data)
         if message.data:
             self._step()
 
@@ -116,18 +121,18 @@ class SupervisorNode(Node):
 
     def _step(self) -> None:
         now = self._now()
-        if waiting := self._start_up.urge(self._supervisor, now):
+        if waiting := self._start_up.request_next(self._supervisor, now):
             self.get_logger().info(waiting, throttle_duration_sec=5.0, skip_first=True)
-        report, told = self._supervisor.step(now), self._told
-        self._told = report
-        if told is None or (report.state, report.since) != (told.state, told.since):
+        report, last = self._supervisor.step(now), self._published
+        self._published = report
+        if last is None or (report.state, report.since) != (last.state, last.since):
             self._announce(report)
         self._state.publish(messages.robot_state_to_msg(now, report))
 
     def _announce(self, report: Report) -> None:
-        """Log a transition, and have the gait that belongs to the state."""
+        """Log a transition, and request the gait of the new state."""
         line = f"{report.state.name}: {report.reason}"
-        if report.state in (State.HOLD, *LET_GO):
+        if report.state in (State.HOLD, *RELEASED):
             self.get_logger().warning(line)
         else:
             self.get_logger().info(line)

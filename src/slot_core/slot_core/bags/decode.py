@@ -1,11 +1,12 @@
-"""Messages of the graph as the core's values.
+"""Decodes messages of the graph into the core's values.
 
-Nothing here depends on ROS: the functions read attributes, so they serve rclpy's messages in the
-nodes and those that the `rosbags` library reads from a bag alike.
+Independent of ROS: the functions only read attributes, so they decode rclpy's messages in the nodes
+as well as the messages that the `rosbags` library reads from a bag.
 """
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,15 @@ from slot_core.faults import Fault
 from slot_core.robot import LEGS, TENDON_JOINTS, Array
 from slot_core.safety.command_gate import Action
 from slot_core.safety.servo_health import ServoHealth
+from slot_core.safety.settings import GateSettings, ServoLimits
 from slot_core.safety.states import State
 
-ACTIONS = (Action.OFF, Action.RELAX, Action.HOLD, Action.PASS)  # as RobotState numbers them
+ACTION_NUMBERS = (
+    Action.OFF,
+    Action.RELAX,
+    Action.HOLD,
+    Action.PASS,
+)  # as in RobotState
 
 
 def stamp(message: Any) -> int:
@@ -61,7 +68,7 @@ def velocity(message: Any) -> tuple[int, Array]:
 
 
 def joint_angles(message: Any) -> tuple[int, Array]:
-    """(stamp, angles in the order of LEGS); raises ValueError unless each joint is there once."""
+    """(stamp, angles in the order of LEGS); raises ValueError unless each joint is named once."""
     return stamp(message), _of_joints(message, message.position)
 
 
@@ -85,7 +92,7 @@ def state(message: Any) -> tuple[int, Array, int]:
 
 
 def preview(message: Any) -> GaitPreview:
-    """Gait preview; raises ValueError when an array has not the stated number of stages."""
+    """Gait preview; raises ValueError if an array does not have the stated number of stages."""
     stages = int(message.stages)
 
     def rows(name: str, columns: int = 4) -> Array:
@@ -114,7 +121,7 @@ def forces(message: Any) -> tuple[int, Array, int]:
 
 
 def robot_state(message: Any) -> tuple[int, State, Action, str]:
-    """(stamp, state, what the servos are to do, reason); raises ValueError on unknown numbers."""
+    """(stamp, state, action of the servos, reason); raises ValueError on unknown numbers."""
     return stamp(message), State(message.state), _action(message.action), message.reason
 
 
@@ -125,18 +132,36 @@ def servo_health(message: Any) -> tuple[int, ServoHealth]:
         reason=message.reason,
         torque=np.array(message.torque, dtype=bool),
         silence=np.array(message.silence, dtype=np.float64),
+        goal=np.array(message.goal, dtype=np.float64),
+        slewed=np.array(message.slewed, dtype=bool),
         hardware_error=np.array(message.hardware_error, dtype=np.int64),
+        temperature=np.array(message.temperature, dtype=np.float64),
+        voltage=np.array(message.voltage, dtype=np.float64),
+        error_rate=np.array(message.error_rate, dtype=np.float64),
+        commanded=time(message.commanded),
+        written=time(message.written),
     )
 
 
+def servo_limits(message: Any) -> ServoLimits:
+    """Limits of whatever drives the servos; raises ConfigError on one out of bounds."""
+    gate = {field.name: getattr(message, field.name) for field in fields(GateSettings)}
+    timing = {
+        field.name: getattr(message, field.name)
+        for field in fields(ServoLimits)
+        if field.name != "gate"
+    }
+    return config.build(ServoLimits, timing | {"gate": gate}, "servo_limits: message")
+
+
 def _action(number: int) -> Action:
-    if number >= len(ACTIONS):
-        raise ValueError(f"action {number}: expected at most {len(ACTIONS) - 1}")
-    return ACTIONS[number]
+    if number >= len(ACTION_NUMBERS):
+        raise ValueError(f"action {number}: expected at most {len(ACTION_NUMBERS) - 1}")
+    return ACTION_NUMBERS[number]
 
 
 def fault(request: Any) -> Fault:
-    """Fault that a request to inject one names; raises ConfigError where it cannot be."""
+    """Fault of a request to inject one, at time 0 s; raises ConfigError if it is invalid."""
     names = ("kind", "leg", "duration", "value")
     wanted = {name: getattr(request, name) for name in names}
     return config.build(Fault, wanted | {"time": 0.0}, "inject: fault")

@@ -10,7 +10,6 @@ from slot_core.dynamixel.errors import CommunicationError, InstructionError
 from slot_core.dynamixel.joints import Joint
 from slot_core.dynamixel.settings import DynamixelSettings
 from slot_core.dynamixel.table import BAUD_RATES
-from slot_core.hardware_error import HardwareError
 
 
 @dataclass(frozen=True)
@@ -76,9 +75,3 @@ def examine(
     except (CommunicationError, InstructionError) as error:
         return None, [str(error)]
     return info, differences(settings, joint, info)
-
-
-def hardware_errors(bits: int) -> str:
-    """Names of the bits set in a hardware error status, or "none"."""
-    names = [error.name.lower() for error in HardwareError if bits & error and error.name]
-    return ", ".join(names) or "none"

@@ -2,38 +2,37 @@
 
     configure  the servos are those expected and set up as they must be; else RefusedError says why
     activate   goals := present positions, then torque on; every write is read back
-    command    tendon angles asked for (rad); a vector with a wrong value is rejected as a whole
+    command    goals of the next cycles: tendon angles (rad), which the command gate has checked
     cycle      one exchange with all servos: goals out, positions, velocities and loads in
     torque_off confirmed by reading back; never raises
 
-Nothing is invented: a servo that did not answer has no reading. All times come from `clock`.
+A servo that did not answer has no reading. All times come from `clock`.
 """
 
 from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from slot_core import config
 from slot_core.clock import Clock
 from slot_core.dynamixel.bus import Answer, Bus
-from slot_core.dynamixel.checks import ServoInfo, examine, expected, hardware_errors
+from slot_core.dynamixel.checks import ServoInfo, examine, expected
 from slot_core.dynamixel.errors import PortError, RefusedError, ServoError
 from slot_core.dynamixel.host_pid import HostPid
 from slot_core.dynamixel.joints import Joint, joints
 from slot_core.dynamixel.port import SerialPort, check_latency
 from slot_core.dynamixel.settings import DynamixelSettings
-from slot_core.dynamixel.state import Cycle, Health, ServoReading, TorqueOff, Verdict
+from slot_core.dynamixel.state import Cycle, Health, ServoReading, TorqueOff
 from slot_core.dynamixel.table import LOAD_FULL, VOLTAGE_UNIT, Mode
+from slot_core.hardware_error import hardware_errors
 from slot_core.robot import LEGS, Array
 
 TORQUE_OFF_ATTEMPTS = 3
-LONGEST_STEP = 0.05  # s: the goals move no further at once, however late a cycle is
 # One of these is read from one servo in every cycle; no two have the same length.
 SLOW = (
     ("torque_enable", "led"),
@@ -58,9 +57,7 @@ class Driver:
         self.clock, self._port = clock, port
         self._fast = False
         self._pid = HostPid(settings.host_pid)
-        self._wanted: Array = np.zeros(len(LEGS))  # rad, of the tendons
-        self._goal: Array = np.zeros(len(LEGS))  # what has been sent
-        self._unused: Array = np.zeros(len(LEGS))  # s in which the goals might have moved
+        self._goal: Array = np.zeros(len(LEGS))  # rad, of the tendons
         self._last: float | None = None
         self._turn = 0
 
@@ -97,36 +94,33 @@ class Driver:
             raise RefusedError([str(error)]) from error
         self.active = True
 
-    def command(self, angles: Sequence[float] | Array) -> Verdict:
-        """Ask for tendon angles (4,), rad. One wrong value rejects all: the last stay in force."""
-        wanted = np.asarray(angles, dtype=float)
-        if wanted.shape != (len(LEGS),):
-            return Verdict(False, f"{wanted.size} angles, expected {len(LEGS)}")
+    def command(self, angles: Sequence[float] | Array) -> None:
+        """Set the goals: tendon angles (4,), rad; raises ValueError and keeps the last goals.
+
+        A vector of another shape or with a value outside of its joint's range is a programmer's
+        error: the command gate lets none pass. So is a command while torque is off.
+        """
+        goal = np.asarray(angles, dtype=float)
+        if goal.shape != (len(LEGS),):
+            raise ValueError(f"{goal.size} angles, expected {len(LEGS)}")
         if not self.active:
-            return Verdict(False, "torque is off")
-        for joint, angle in zip(self.joints, wanted):
+            raise ValueError("torque is off")
+        for joint, angle in zip(self.joints, goal):
             if not joint.low <= angle <= joint.high:  # NaN neither
-                return Verdict(
-                    False,
-                    f"{joint.leg}: {angle:.4g} rad outside [{joint.low:.4g}, {joint.high:.4g}]",
+                raise ValueError(
+                    f"{joint.leg}: {angle:.4g} rad outside [{joint.low:.4g}, {joint.high:.4g}]"
                 )
-        self._wanted = wanted.copy()
-        return Verdict(True)
+        self._goal = goal.copy()
 
     def goals(self) -> Array:
-        """Tendon angles (4,) that have been sent, rad."""
+        """Goals (4,), tendon angles, rad."""
         return self._goal.copy()
-
-    def hold(self) -> None:
-        """Stay at what was sent last."""
-        self._wanted = self._goal.copy()
 
     def cycle(self) -> Cycle:
         """One exchange with all servos; raises PortError where the port has gone."""
         start = self.clock()
         h = 0.0 if self._last is None else max(start - self._last, 0.0)
         self._last = start
-        slewed = self._slew(h)
         if self.settings.mode is Mode.PWM:
             readings = self._read()
             duty = self._regulate(readings, h)
@@ -135,28 +129,9 @@ class Driver:
             self._write_positions()
             written = self.clock()
             readings, duty = self._read(), None
-        self._look_around(readings)
+        self._update_health(readings)
         end = self.clock()
-        return Cycle(end, end - start, written, readings, tuple(map(bool, slewed)), duty)
-
-    def relax(self, duration: float, period: float, sleep: Callable[[float], None]) -> TorqueOff:
-        """Slacken the tendons within `duration` s, then torque off, whatever happens; blocks."""
-        try:
-            self._slacken(duration, period, sleep)
-        except ServoError:
-            return self.torque_off()
-        except BaseException:  # an interrupt too must not leave torque on
-            self.torque_off()
-            raise
-        return self.torque_off()
-
-    def _slacken(self, duration: float, period: float, sleep: Callable[[float], None]) -> None:
-        start, begin = self._goal.copy(), self.clock()
-        end = np.minimum(start, [joint.low for joint in self.joints])
-        while self.active and (share := (self.clock() - begin) / duration) < 1.0:
-            self._wanted = start + share * (end - start)
-            self.cycle()
-            sleep(period)
+        return Cycle(end, end - start, written, readings, duty)
 
     def torque_off(self) -> TorqueOff:
         """Switch all torque off and read it back; never raises."""
@@ -176,7 +151,7 @@ class Driver:
         self.bus.reboot(self.joints[LEGS.index(leg)].id)
 
     def set_zero(self, leg: str, zero_deg: float) -> None:
-        """Let a leg be relaxed at an angle of its servo (deg), whose own limits move with it.
+        """Set the servo angle (deg) at which a leg's tendon is relaxed; the servo's limits follow.
 
         Raises ConfigError where the angle is out of bounds, ServoError where torque is on.
         """
@@ -201,11 +176,11 @@ class Driver:
         return np.inf if last is None else self.clock() - last
 
     def faults(self) -> list[str]:
-        """What is wrong with the servos, in words."""
+        """Faults of the servos, one line each."""
         return [fault for health in self.health for fault in health.faults(self.active)]
 
     def _prepare(self) -> None:
-        """Everything before torque on; the goals become the present positions."""
+        """Do everything that comes before torque on; the goals become the present positions."""
         reasons: list[str] = []
         self._pid.reset()
         self._last = None
@@ -219,10 +194,9 @@ class Driver:
             reasons += self._stand_still(index, joint)
         if reasons:
             raise RefusedError(reasons)
-        self._wanted = self._goal.copy()
 
     def _stand_still(self, index: int, joint: Joint) -> list[str]:
-        """Goal := present position, gains and profile; what speaks against it."""
+        """Goal := present position, gains and profile; returns what forbids torque."""
         present = self.bus.read(joint.id, "present_position")["present_position"]
         low, high = joint.limits()
         if not low <= present <= high:
@@ -249,19 +223,6 @@ class Driver:
         ):
             self.bus.confirm(joint.id, register, value)
         return []
-
-    def _slew(self, h: float) -> npt.NDArray[np.bool_]:
-        """Move the goals towards what is wanted, within the speed limit; which were held back.
-
-        Time in which they rested counts, else a command soon after a cycle would wait for the next.
-        """
-        limit = self.settings.joints.speed_limit
-        self._unused = np.minimum(self._unused + h, LONGEST_STEP)
-        step, reach = self._wanted - self._goal, limit * self._unused
-        slewed = np.abs(step) > reach
-        self._goal = np.where(slewed, self._goal + np.clip(step, -reach, reach), self._wanted)
-        self._unused = np.where(slewed, 0.0, self._unused - np.abs(step) / limit)
-        return slewed
 
     def _write_positions(self) -> None:
         if self.active:
@@ -297,8 +258,8 @@ class Driver:
             alert=answer.alert,
         )
 
-    def _look_around(self, readings: tuple[ServoReading | None, ...]) -> None:
-        """Note what the cycle has shown; read one more thing from one servo."""
+    def _update_health(self, readings: tuple[ServoReading | None, ...]) -> None:
+        """Record what the cycle has shown; read one slow register span from one servo."""
         turn, self._turn = self._turn, self._turn + 1
         for index, reading in enumerate(readings):
             self._note(index, reading)
@@ -322,7 +283,7 @@ class Driver:
         except PortError:
             raise
         except ServoError:
-            return  # counted by the bus; what is known stays as it was
+            return  # counted by the bus; the last values stay
         health = self.health[index]
         if "torque_enable" in values:
             health = replace(health, torque=bool(values["torque_enable"]))
@@ -342,7 +303,7 @@ class Driver:
         self.health = (*self.health[:index], health, *self.health[index + 1 :])
 
     def _confirm_off(self, index: int, joint: Joint) -> str:
-        """Torque off; why it is not confirmed, or nothing."""
+        """Switch torque off and read it back; why it is not confirmed, or ""."""
         reason = ""
         for _ in range(TORQUE_OFF_ATTEMPTS):
             try:

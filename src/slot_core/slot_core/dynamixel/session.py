@@ -1,11 +1,12 @@
-"""Commands to servos: the driver behind the command watchdog, and the pace of its bus.
+"""The driver behind the command watchdog: commands, permissions and faults to bus cycles.
 
-The watchdog (`safety/command_watchdog.py`) says what becomes of the supervisor's word, of
-commands, silence and faults. Times are those of a clock that never goes back, ns.
+The watchdog (`safety/command_watchdog.py`) decides on the action. Times are those of the driver's
+clock, which never goes back, ns.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,29 +16,21 @@ import numpy as np
 from slot_core.clock import SECOND
 from slot_core.dynamixel.checks import ServoInfo
 from slot_core.dynamixel.driver import Driver
-from slot_core.dynamixel.errors import RefusedError
-from slot_core.dynamixel.state import Cycle, TorqueOff
+from slot_core.dynamixel.errors import RefusedError, ServoError
+from slot_core.dynamixel.state import Cycle, Health, JointReading, TorqueOff
 from slot_core.robot import LEGS, Array
 from slot_core.safety.command_gate import Action
-from slot_core.safety.command_watchdog import CommandWatchdog, Word
-from slot_core.safety.settings import SupervisorSettings
+from slot_core.safety.command_watchdog import CommandWatchdog, Permission
+from slot_core.safety.servo_health import ServoHealth
+from slot_core.safety.settings import ServoLimits
 
 LATE = 1.5  # periods between two cycles that count as an overrun
-
-
-@dataclass(frozen=True)
-class MeasuredJoints:
-    """Tendon angles (rad), rates and servo torques (N m), each (4,), at `stamp` (ns)."""
-
-    stamp: int
-    angle: Array
-    rate: Array
-    torque: Array
+NO_LIMITS = "no limits of the supervisor yet"
 
 
 @dataclass(frozen=True)
 class BusPace:
-    """How the bus has kept its rate since the last look."""
+    """Rate and duration of the bus cycles since the last query."""
 
     rate: float  # cycles a second
     mean: float  # s, of the cycles
@@ -46,33 +39,48 @@ class BusPace:
 
 
 class ServoSession:
-    """One driver, switched on, commanded, watched and switched off."""
+    """One driver: switched on, commanded, watched and switched off."""
 
     def __init__(
         self,
         driver: Driver,
-        settings: SupervisorSettings,
         angle_max: float,
         period: float,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """`period` (s) between two steps; `sleep` waits within `stop`."""
-        limit = min(angle_max, *(joint.high for joint in driver.joints))
+        """Commands up to `angle_max` (rad); `period` (s) between steps; `sleep` waits in `stop`."""
         self.driver = driver
         self.period = period
         self.action, self.reason = Action.OFF, "not started"
         self.overruns = 0
         self.commanded = 0  # ns, stamp of the last command whose goals were written
         self.written = 0.0  # s of the driver's clock, when they were
-        self._settings, self._sleep = settings, sleep
-        self._watchdog = CommandWatchdog(settings, limit)
-        self._offered = 0  # stamp of the last good command
+        self._sleep = sleep
+        self._range = (
+            max(0.0, *(joint.low for joint in driver.joints)),
+            min(angle_max, *(joint.high for joint in driver.joints)),
+        )
+        self._watchdog: CommandWatchdog | None = None  # None: no limits yet
+        self._slewed = np.zeros(len(LEGS), dtype=bool)
+        self._offered = 0  # stamp of the last accepted command
         self._stepped: int | None = None
-        self._looked: int | None = None
+        self._queried: int | None = None
         self._durations: list[float] = []
 
+    @property
+    def limits(self) -> ServoLimits | None:
+        """Limits that the supervisor has sent, or None."""
+        return None if self._watchdog is None else self._watchdog.limits
+
+    def set_limits(self, limits: ServoLimits) -> None:
+        """Take the supervisor's limits; raises ConfigError as `CommandGate` does."""
+        if self._watchdog is None:
+            self._watchdog = CommandWatchdog(limits, *self._range)
+        else:
+            self._watchdog.set_limits(limits)
+
     def configure(self) -> tuple[ServoInfo, ...]:
-        """Open the port, check every servo, switch off what a killed driver has left under torque.
+        """Open the port, check every servo, switch off torque that a killed driver has left on.
 
         Raises PortError, RefusedError.
         """
@@ -85,6 +93,8 @@ class ServoSession:
     def start(self) -> None:
         """Torque on without motion; raises RefusedError, and then all torque is off."""
         try:
+            if self._watchdog is None:
+                raise RefusedError([NO_LIMITS])
             self.driver.activate()
         except RefusedError as error:
             self.action, self.reason = Action.OFF, f"torque refused: {error}"
@@ -94,23 +104,27 @@ class ServoSession:
         self.action, self.reason = Action.HOLD, "torque comes on"
 
     def offer(self, now: int, stamp: int, angle: Array) -> str:
-        """Take tendon angles (4,), rad, of a `stamp`, as a whole; or refuse them and say why."""
+        """Accept tendon angles (4,), rad, of a `stamp`, as a whole; or return why not."""
+        if self._watchdog is None:
+            return NO_LIMITS
         fault = self._watchdog.offer(now, angle)
         if not fault:
             self._offered = stamp
         return fault
 
-    def permit(self, word: Word) -> None:
-        """Hear the supervisor; OFF is obeyed at once."""
-        self._watchdog.permit(word)
-        if word.action is Action.OFF and self.driver.active:
-            self._switch_off(word.reason)
-        elif word.action is Action.OFF:
-            self.reason = word.reason
+    def permit(self, permission: Permission) -> None:
+        """Take the supervisor's permission; OFF switches torque off at once."""
+        if self._watchdog is not None:
+            self._watchdog.permit(permission)
+        if permission.action is Action.OFF and self.driver.active:
+            self._switch_off(permission.reason)
+        elif permission.action is Action.OFF:
+            self.reason = permission.reason
 
     def relax(self, reason: str) -> None:
-        """Slacken the tendons in the steps to come, then torque off."""
-        self._watchdog.relax(reason)
+        """Ramp the tendons to slack in the next steps, then torque off."""
+        if self._watchdog is not None:
+            self._watchdog.relax(reason)
 
     def step(self, now: int) -> Cycle:
         """One bus cycle; raises PortError where the port has gone."""
@@ -124,46 +138,78 @@ class ServoSession:
         return cycle
 
     def _command(self, now: int) -> None:
+        """Give the driver what the watchdog lets pass."""
+        assert self._watchdog is not None
         for fault in (self.driver.faults() + self.silent())[:1]:
             self.relax(fault)
         gated = self._watchdog.step(now)
         self.action, self.reason = self._watchdog.action, self._watchdog.reason
-        if gated.torque and gated.action is Action.HOLD:
-            self.driver.hold()  # also where a slack tendon lies beyond the range of commands
-        elif gated.torque:
-            self.driver.command(gated.angle)
-        else:
+        self._slewed = gated.slewed
+        if not gated.torque:
             self._switch_off(self.reason)
+        elif gated.action is not Action.HOLD:  # the goals may lie below the range of commands
+            self.driver.command(gated.angle)
 
     def stop(self) -> TorqueOff:
-        """Slacken the tendons, then torque off, read back; blocks for as long as the ramp takes."""
+        """Ramp the tendons to slack, then torque off, read back; blocks as long as the ramp.
+
+        Torque goes off whatever is raised meanwhile.
+        """
         self.driver.bus.port.is_using = False  # an interrupt may have left a question unanswered
-        ramp = float(self.driver.goals().max()) / self._settings.gate.relax_rate
-        if self.driver.active and ramp > self.period:
-            off = self.driver.relax(ramp, self.period, self._sleep)
-        else:
+        self.relax("stopped")
+        try:
+            while self.driver.active:
+                self.step(round(self.driver.clock() * SECOND))
+                self._sleep(self.period)
+        except ServoError:
+            pass  # torque goes off without a ramp
+        finally:
             off = self.driver.torque_off()
         if self.action is not Action.OFF:
             self.action, self.reason = Action.OFF, "stopped"
         return off
 
     def pace(self, now: int) -> BusPace:
-        """How the bus has kept its rate since the last call."""
+        """Rate and duration of the bus cycles since the last call."""
         times, self._durations = self._durations, []
-        passed = 0.0 if self._looked is None else (now - self._looked) / SECOND
-        self._looked = now
+        passed = 0.0 if self._queried is None else (now - self._queried) / SECOND
+        self._queried = now
         if not times or passed <= 0.0:
             return BusPace(0.0, 0.0, 0.0, self.overruns)
         return BusPace(len(times) / passed, sum(times) / len(times), max(times), self.overruns)
 
+    def health(self, stamp: int) -> ServoHealth:
+        """What is known of the servos at `stamp` (ns of the messages' clock)."""
+        servos = self.driver.health
+        age = round((self.driver.clock() - self.written) * SECOND)
+        return ServoHealth(
+            action=self.action,
+            reason=self.reason,
+            torque=np.array([bool(servo.torque) for servo in servos]),
+            silence=np.array([self.driver.silent_for(servo.leg) for servo in servos]),
+            goal=self.driver.goals(),
+            slewed=self._slewed,
+            hardware_error=np.array([servo.hardware_error or 0 for servo in servos]),
+            temperature=_known(servos, "temperature"),
+            voltage=_known(servos, "voltage"),
+            error_rate=np.array([servo.error_rate for servo in servos]),
+            commanded=self.commanded,
+            written=stamp - age if self.commanded else 0,
+        )
+
     @property
-    def letting_go(self) -> str:
-        """Why the legs are slack, or become so, by its own rule and no word; or ""."""
-        return self._watchdog.letting_go
+    def own_reason(self) -> str:
+        """Why the tendons are slack, or become so, without the supervisor's order; or ""."""
+        return "" if self._watchdog is None else self._watchdog.own_reason
+
+    @property
+    def overdue(self) -> bool:
+        """Whether a command or the supervisor's permission is too old."""
+        return self._watchdog is not None and self._watchdog.overdue
 
     def silent(self) -> list[str]:
         """Servos that have not answered for too long, one line each."""
-        limit = self._settings.timing.servo_silent
+        limit = math.inf if self.limits is None else self.limits.servo_silent
         ages = [(joint.name, self.driver.silent_for(joint.leg)) for joint in self.driver.joints]
         return [
             f"{name}: no answer for {age:.2f} s, limit {limit:g} s"
@@ -182,7 +228,7 @@ class ServoSession:
         self._stepped = now
 
 
-def measured(stamp: int, cycle: Cycle, tendon_stall: Array) -> MeasuredJoints | None:
+def measured(stamp: int, cycle: Cycle, tendon_stall: Array) -> JointReading | None:
     """What a cycle measured, or None unless every servo answered.
 
     The torque is the servo's estimate: its load, a share of the stall torque (4,), N m on the
@@ -192,7 +238,13 @@ def measured(stamp: int, cycle: Cycle, tendon_stall: Array) -> MeasuredJoints | 
     if len(readings) < len(LEGS):
         return None
     angle, rate, load = (np.array([getattr(r, n) for r in readings]) for n in _MEASURED)
-    return MeasuredJoints(stamp, angle, rate, load * tendon_stall)
+    return JointReading(stamp, angle, rate, load * tendon_stall)
 
 
 _MEASURED = ("angle", "rate", "load")
+
+
+def _known(servos: tuple[Health, ...], name: str) -> Array:
+    """(4,) values of a field; NaN where it has not been read yet."""
+    values = [getattr(servo, name) for servo in servos]
+    return np.array([math.nan if value is None else value for value in values])

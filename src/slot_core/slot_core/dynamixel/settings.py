@@ -1,4 +1,4 @@
-"""Settings of the servo bus, the servos on it and the two ways to control them.
+"""Settings of the servo bus, the servos on it and their position control.
 
 Values: `config/dynamixel.yaml`.
 """
@@ -11,48 +11,49 @@ from dataclasses import dataclass
 from slot_core import config
 from slot_core.config import choice, quantity, text
 from slot_core.dynamixel.table import (
-    HARDWARE_ERROR_BITS,
+    NO_SECONDARY_ID,
     RETURN_DELAY_UNIT,
     VOLTAGE_UNIT,
     WATCHDOG_UNIT,
     Mode,
 )
+from slot_core.hardware_error import HARDWARE_ERROR_BITS
 
 MODES = {"position": Mode.POSITION, "pwm": Mode.PWM}
 
 
 @dataclass(frozen=True)
 class BusSettings:
-    """The serial line."""
+    """Serial line."""
 
-    port: str = text("device, or a pseudo-terminal with emulated servos")
-    baud: int = quantity("of the line and of all servos", "1/s", 9600, 4500000)
-    latency_limit: int = quantity("largest latency timer of a USB port", "ms", 1, 255)
-    timeout: float = quantity("for an answer, beyond its time on the wire", "s", 1e-4, 1.0)
-    quiet: float = quantity("silence awaited after an answer that failed", "s", 0.0, 0.1)
-    retries: int = quantity("further attempts to write or to read", "", 0, 10)
+    port: str = text("device, or the pseudo-terminal of emulated servos")
+    baud: int = quantity("baud rate of the line and of all servos", "1/s", 9600, 4500000)
+    latency_limit: int = quantity("largest latency timer accepted of a USB port", "ms", 1, 255)
+    timeout: float = quantity("timeout of an answer, beyond its transmission time", "s", 1e-4, 1.0)
+    quiet: float = quantity("idle time of the line awaited after an invalid answer", "s", 0.0, 0.1)
+    retries: int = quantity("retries of a write or a read", "", 0, 10)
     window: int = quantity("exchanges over which error rates are taken", "", 10, 100000)
 
 
 @dataclass(frozen=True)
 class ServoSetup:
-    """What every servo must be and how it is set up."""
+    """Model, firmware and EEPROM that every servo must have."""
 
     model: int = quantity("model number", "", 0, 65535)
     firmware_min: int = quantity("oldest firmware accepted", "", 0, 255)
     fast_from_firmware: int = quantity("oldest with fast sync read; 256: never", "", 0, 256)
-    return_delay: float = quantity("before a servo answers", "s", 0.0, 508e-6)
-    temperature_limit: int = quantity("above, the servo switches off", "degC", 0, 100)
-    voltage_min: float = quantity("below, the servo switches off", "V", 6.0, 14.0)
-    voltage_max: float = quantity("above, the servo switches off", "V", 6.0, 14.0)
-    shutdown: int = quantity("hardware errors that switch it off", "", 0, HARDWARE_ERROR_BITS)
-    watchdog: float = quantity("silence after which a servo stops", "s", 0.02, 2.54)
+    return_delay: float = quantity("delay of a servo's answer", "s", 0.0, 508e-6)
+    temperature_limit: int = quantity("overheating error above this", "degC", 0, 100)
+    voltage_min: float = quantity("input voltage error below this", "V", 6.0, 14.0)
+    voltage_max: float = quantity("input voltage error above this", "V", 6.0, 14.0)
+    shutdown: int = quantity("hardware errors that switch torque off", "", 0, HARDWARE_ERROR_BITS)
+    watchdog: float = quantity("time without an instruction until it stops", "s", 0.02, 2.54)
 
     def eeprom(self) -> dict[str, int]:
-        """What the servos' EEPROM must hold, by register."""
+        """EEPROM values that are the same for all servos, by register name."""
         return {
             "drive_mode": 0,
-            "secondary_id": 255,
+            "secondary_id": NO_SECONDARY_ID,
             "protocol_type": 2,
             "homing_offset": 0,
             "startup_configuration": 0,
@@ -64,29 +65,30 @@ class ServoSetup:
         }
 
     def watchdog_code(self) -> int:
-        """Value of the bus watchdog's register, at least one unit."""
+        """Value of Bus Watchdog: `watchdog` rounded down to units of 20 ms, at least 1."""
         return max(1, math.floor(self.watchdog / WATCHDOG_UNIT + 1e-9))
 
 
 @dataclass(frozen=True)
 class JointSettings:
-    """From tendon angles to servo angles, FL FR RL RR; `joints.py` has the equations."""
+    """Conversion from tendon to servo angles, FL FR RL RR; equations: `joints.py`."""
 
-    ids: tuple[int, int, int, int] = quantity("on the bus", "", 0, 252)
+    ids: tuple[int, int, int, int] = quantity("servo ids", "", 0, 252)
     zero_deg: tuple[float, float, float, float] = quantity(
-        "servo's angle with the tendon relaxed", "deg", 0.0, 360.0
+        "servo angle with the tendon relaxed", "deg", 0.0, 360.0
     )
-    direction: tuple[int, int, int, int] = quantity("1: counts grow when pulling, or -1", "", -1, 1)
-    servo_per_tendon: float = quantity("servo's angle over tendon's angle", "", 0.1, 10.0)
-    low_deg: float = quantity("smallest tendon angle that is commanded", "deg", -10.0, 360.0)
-    high_deg: float = quantity("largest tendon angle that is commanded", "deg", 0.0, 360.0)
-    margin_deg: float = quantity("servo's own limits beyond these", "deg", 0.0, 45.0)
-    speed_limit: float = quantity("of commanded tendon angles", "rad/s", 0.01, 100.0)
+    direction: tuple[int, int, int, int] = quantity(
+        "1 or -1: sign of counts when pulling", "", -1, 1
+    )
+    servo_per_tendon: float = quantity("servo angle per tendon angle", "", 0.1, 10.0)
+    low_deg: float = quantity("smallest tendon angle commanded", "deg", -10.0, 360.0)
+    high_deg: float = quantity("largest tendon angle commanded", "deg", 0.0, 360.0)
+    margin_deg: float = quantity("margin of the servo's own limits, servo angle", "deg", 0.0, 45.0)
 
 
 @dataclass(frozen=True)
 class GainSettings:
-    """Gains of the servo's own position loop, as its registers hold them."""
+    """Gains of the servo's own position loop, as register values."""
 
     p: int = quantity("position P gain", "1/128 step of duty per count", 0, 16383)
     i: int = quantity("position I gain", "1/65536", 0, 16383)
@@ -95,27 +97,27 @@ class GainSettings:
 
 @dataclass(frozen=True)
 class HostPidSettings:
-    """The position loop on the host; `host_pid.py` has the equations. Angles: tendon angles."""
+    """Position PID on the host, of tendon angles; equations: `host_pid.py`."""
 
-    p: float = quantity("duty per angle", "1/rad", 0.0, 1e3)
-    i: float = quantity("duty per angle and time", "1/(rad s)", 0.0, 1e4)
-    d: float = quantity("duty per speed", "s/rad", 0.0, 1e2)
-    filter_time: float = quantity("time constant of the measured speed", "s", 0.0, 1.0)
+    p: float = quantity("P gain, duty per angle", "1/rad", 0.0, 1e3)
+    i: float = quantity("I gain, duty per angle and time", "1/(rad s)", 0.0, 1e4)
+    d: float = quantity("D gain, duty per speed", "s/rad", 0.0, 1e2)
+    filter_time: float = quantity("time constant of the filter of the speed", "s", 0.0, 1.0)
     duty_limit: float = quantity("largest duty", "", 0.0, 1.0)
-    duty_rate: float = quantity("largest change of the duty", "1/s", 0.1, 1e4)
-    blind_time: float = quantity("the duty is kept without a reading, then zero", "s", 0.0, 1.0)
+    duty_rate: float = quantity("largest rate of change of the duty", "1/s", 0.1, 1e4)
+    blind_time: float = quantity("time without a reading until the duty is 0", "s", 0.0, 1.0)
 
 
 @dataclass(frozen=True)
 class DynamixelSettings:
-    """What `config/dynamixel.yaml` holds."""
+    """Contents of `config/dynamixel.yaml`."""
 
     bus: BusSettings
     servo: ServoSetup
     joints: JointSettings
     gains: GainSettings
     host_pid: HostPidSettings
-    control: str = choice("who closes the loop: the servo, or the host in PWM mode", *MODES)
+    control: str = choice("position loop: of the servo, or of the host in PWM mode", *MODES)
 
     @property
     def mode(self) -> Mode:

@@ -1,40 +1,40 @@
-"""What the driver reports: readings, health, and what became of commands."""
+"""Results of the driver: readings, servo health, bus cycles."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from slot_core.dynamixel.checks import hardware_errors
+from slot_core.hardware_error import hardware_errors
 from slot_core.robot import Array
 
 
 @dataclass(frozen=True)
 class ServoReading:
-    """What a servo measured, as the tendon's: pulling is positive."""
+    """Measurement of one servo, converted to its tendon: positive when pulling."""
 
-    time: float  # s, of the clock, when the answer was complete
+    time: float  # s, when the answer was complete
     angle: float  # rad
     rate: float  # rad/s
-    load: float  # share of the stall torque, as the servo infers it from its output
-    alert: bool
+    load: float  # fraction of the stall torque, estimated by the servo from its output
+    alert: bool  # the hardware error status is not 0
 
 
 @dataclass(frozen=True)
 class Health:
-    """What is known of a servo; None: not read yet."""
+    """Newest state of one servo; None: not read yet."""
 
     leg: str
     id: int
-    last_answer: float | None = None  # s, of the clock
-    torque: bool | None = None
-    hardware_error: int | None = None
-    watchdog: int | None = None  # in units of 20 ms; -1: it has stopped the servo
+    last_answer: float | None = None  # s, of the driver's clock
+    torque: bool | None = None  # whether it is on
+    hardware_error: int | None = None  # bits of HardwareError
+    watchdog: int | None = None  # value of Bus Watchdog, in 20 ms; -1: it has tripped
     voltage: float | None = None  # V
     temperature: float | None = None  # degC
-    error_rate: float = 0.0  # of the exchanges within the window
+    error_rate: float = 0.0  # fraction of the last exchanges that failed
 
     def faults(self, armed: bool) -> list[str]:
-        """What is wrong, in words; `armed`: torque should be on."""
+        """One line for each fault; `armed`: torque should be on."""
         name, found = f"servo {self.leg} (id {self.id})", []
         if self.hardware_error:
             found.append(f"{name}: hardware error: {hardware_errors(self.hardware_error)}")
@@ -46,23 +46,24 @@ class Health:
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What became of a command."""
+class JointReading:
+    """Tendon angles (rad), rates and servo torques (N m), each (4,), at `stamp` (ns)."""
 
-    accepted: bool
-    reason: str = ""
+    stamp: int
+    angle: Array
+    rate: Array
+    torque: Array
 
 
 @dataclass(frozen=True)
 class Cycle:
-    """One bus cycle, FL FR RL RR."""
+    """Result of one bus cycle, in the order FL FR RL RR; times in s of the driver's clock."""
 
-    time: float  # s, of its end
+    time: float  # end of the cycle
     duration: float  # s
-    written: float  # s, of the clock, when the goals had been handed to the port
-    readings: tuple[ServoReading | None, ...]
-    slewed: tuple[bool, ...]  # whether the goal was held back by the speed limit
-    duty: Array | None  # of the host's loop, else None
+    written: float  # when the goals had been written to the port
+    readings: tuple[ServoReading | None, ...]  # None: no valid answer
+    duty: Array | None  # (4,) of the host PID; None in position mode
 
     @property
     def complete(self) -> bool:
@@ -72,12 +73,12 @@ class Cycle:
 
 @dataclass(frozen=True)
 class TorqueOff:
-    """Which servos have confirmed that their torque is off, FL FR RL RR; why others have not."""
+    """Servos whose torque was read back as off, FL FR RL RR, and the reasons of the others."""
 
     confirmed: tuple[bool, ...]
     reasons: tuple[str, ...]
 
     @property
     def complete(self) -> bool:
-        """Whether all have."""
+        """Whether the torque of all servos is off."""
         return all(self.confirmed)

@@ -1,15 +1,16 @@
-"""What the servos do between the supervisor's word and the silence of those above them.
+"""What the servos do, from the supervisor's permission, the commands and the age of both.
 
-    no word yet                              HOLD
-    the word HOLD, RELAX or OFF              that
-    the word PASS, no command yet            HOLD
-    the word PASS and commands               PASS: the goals follow them, slewed
-    word or commands silent > command_hold   HOLD
-    word or commands silent > command_lost   RELAX: a ramp to slack, then torque off
-    a fault of the servos                    RELAX
+    limits not received, no permission yet       HOLD
+    permission HOLD, RELAX or OFF                that
+    permission PASS, no command yet              HOLD
+    permission PASS and commands                 PASS: the goals follow them, rate-limited
+    permission or command older than
+      command_hold                               HOLD
+      command_lost                               RELAX: a ramp to slack, then torque off
+    a fault of the servos                        RELAX
 
-RELAX for a reason of its own stays until the word has been OFF. Only under PASS are commands
-missed. Times are those of a clock that never goes back, ns.
+A RELAX that the watchdog has begun itself lasts until the permission is OFF. The age of commands
+counts under PASS only. Times are those of a clock that never goes back, ns.
 """
 
 from __future__ import annotations
@@ -19,12 +20,12 @@ from dataclasses import dataclass
 from slot_core.clock import SECOND
 from slot_core.robot import Array
 from slot_core.safety.command_gate import Action, CommandGate, Gated
-from slot_core.safety.settings import SupervisorSettings
+from slot_core.safety.settings import ServoLimits
 
 
 @dataclass(frozen=True)
-class Word:
-    """What the supervisor allows at `time` (ns)."""
+class Permission:
+    """What the supervisor permits the servos to do, received at `time` (ns)."""
 
     time: int
     action: Action
@@ -33,72 +34,87 @@ class Word:
 
 
 class CommandWatchdog:
-    """The gate with those who may open it."""
+    """The command gate, opened by the supervisor's permission and closed by missing messages."""
 
-    def __init__(self, settings: SupervisorSettings, angle_max: float):
-        """Raises ConfigError as `CommandGate` does."""
+    def __init__(self, limits: ServoLimits, low: float, high: float):
+        """Commands within [low, high], rad; raises ConfigError as `CommandGate` does."""
         self.action, self.reason = Action.OFF, "not started"
-        self._timing, self._gate = settings.timing, CommandGate(settings.gate, angle_max)
-        self._word: Word | None = None
-        self._heard: int | None = None  # time of the last good command
-        self._letting_go = ""  # why it relaxes by itself
+        self.limits = limits
+        self._gate = CommandGate(limits.gate, low, high)
+        self._range = low, high
+        self._permission: Permission | None = None
+        self._commanded: int | None = None  # time of the last accepted command
+        self._own_reason = ""  # why it has begun a RELAX itself
+        self.overdue = False  # whether a command or permission is too old
+
+    def set_limits(self, limits: ServoLimits) -> None:
+        """Use other limits from now on; the goals stay. Raises ConfigError as `CommandGate`."""
+        if limits == self.limits:
+            return
+        goal, self._gate = self._gate.goal, CommandGate(limits.gate, *self._range)
+        self._gate.engage(goal)
+        self.limits = limits
 
     def engage(self, angle: Array) -> None:
         """Begin with the goals where the servos are (4,), rad, and no command."""
         self._gate.engage(angle)
-        self._heard, self._letting_go = None, ""
+        self._commanded, self._own_reason = None, ""
 
     def offer(self, now: int, angle: Array) -> str:
-        """Take tendon angles (4,), rad, as a whole; or refuse them and say why."""
+        """Accept tendon angles (4,), rad, as a whole; or reject them and return the reason."""
         fault = self._gate.offer(angle)
         if not fault:
-            self._heard = now
+            self._commanded = now
         return fault
 
-    def permit(self, word: Word) -> None:
-        """Hear the supervisor."""
-        if word.fast and not (self._word and self._word.fast):
-            self._gate.hurry(word.time)
-        if word.action is Action.OFF:
-            self._letting_go = ""
-        self._word = word
+    def permit(self, permission: Permission) -> None:
+        """Take the supervisor's newest permission."""
+        if permission.fast and not (self._permission and self._permission.fast):
+            self._gate.restart_rate(permission.time)
+        if permission.action is Action.OFF:
+            self._own_reason = ""
+        self._permission = permission
 
     def relax(self, reason: str) -> None:
-        """Slacken the tendons in the steps to come, then torque off."""
-        self._letting_go = self._letting_go or reason
+        """Ramp the tendons to slack in the next steps, then torque off."""
+        self._own_reason = self._own_reason or reason
 
     def step(self, now: int) -> Gated:
-        """Decide, and say what the servos are told."""
+        """Decide on the action, and move the goals."""
         self.action, self.reason = self._decide(now)
-        return self._gate.step(now, self.action, fast=self._word is not None and self._word.fast)
+        fast = self._permission is not None and self._permission.fast
+        return self._gate.step(now, self.action, fast=fast)
 
     @property
-    def letting_go(self) -> str:
-        """Why the legs go slack by its own rule, or ""."""
-        return self._letting_go
+    def own_reason(self) -> str:
+        """Why the watchdog itself has slackened the tendons, or ""."""
+        return self._own_reason
 
     def _decide(self, now: int) -> tuple[Action, str]:
-        word = self._word
-        held = self._miss("word of the supervisor", now, None if word is None else word.time)
-        if word is not None and word.action is Action.PASS:
-            held = held or self._miss("command", now, self._heard)
-        if word is not None and word.action is Action.OFF:
-            return Action.OFF, word.reason
-        if self._letting_go:
-            return Action.RELAX, self._letting_go
-        if word is not None and word.action is Action.RELAX:
-            return Action.RELAX, word.reason
-        if held or word is None:
+        permission = self._permission
+        self.overdue = False
+        received = None if permission is None else permission.time
+        held = self._overdue("message of the supervisor", now, received)
+        if permission is not None and permission.action is Action.PASS:
+            held = held or self._overdue("command", now, self._commanded)
+        if permission is not None and permission.action is Action.OFF:
+            return Action.OFF, permission.reason
+        if self._own_reason:
+            return Action.RELAX, self._own_reason
+        if permission is not None and permission.action is Action.RELAX:
+            return Action.RELAX, permission.reason
+        if held or permission is None:
             return Action.HOLD, held
-        return word.action, "" if word.action is Action.PASS else word.reason
+        return permission.action, "" if permission.action is Action.PASS else permission.reason
 
-    def _miss(self, what: str, now: int, heard: int | None) -> str:
-        """Why something that is late keeps the goals where they are, or ""; relaxes if too late."""
-        if heard is None:
+    def _overdue(self, what: str, now: int, received: int | None) -> str:
+        """Why a late message keeps the goals where they are, or ""; begins RELAX if too late."""
+        if received is None:
             return f"no {what} yet"
-        age = (now - heard) / SECOND
-        if age > self._timing.command_lost:
-            self.relax(f"no {what} for {age:.2f} s, limit {self._timing.command_lost:g} s")
-        if age > self._timing.command_hold:
-            return f"no {what} for {age:.2f} s, limit {self._timing.command_hold:g} s"
+        age, limits = (now - received) / SECOND, self.limits
+        self.overdue = self.overdue or age > limits.command_hold
+        if age > limits.command_lost:
+            self.relax(f"no {what} for {age:.2f} s, limit {limits.command_lost:g} s")
+        if age > limits.command_hold:
+            return f"no {what} for {age:.2f} s, limit {limits.command_hold:g} s"
         return ""

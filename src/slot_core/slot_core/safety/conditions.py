@@ -1,6 +1,6 @@
-"""What the supervisor hears of the robot, and what of it speaks against motion.
+"""Conditions that forbid motion, from the newest inputs.
 
-Times are those of a clock that never goes back, ns. What was never heard is as old as time.
+Times are those of a clock that never goes back, ns. A source that never reported has infinite age.
 """
 
 from __future__ import annotations
@@ -13,51 +13,46 @@ import numpy as np
 from slot_core.clock import SECOND
 from slot_core.control.mpc.mpc import Status
 from slot_core.control.state_estimator import Estimate, Validity
+from slot_core.hardware_error import hardware_errors
 from slot_core.robot import LEGS, Array
 from slot_core.safety.command_gate import Action
 from slot_core.safety.servo_health import ServoHealth
 from slot_core.safety.settings import SupervisorSettings
 from slot_core.safety.states import Condition
 
-# Bits of register 70 of the XL430-W250, Hardware Error Status.
-HARDWARE_ERRORS = {
-    0: "input voltage",
-    2: "overheating",
-    3: "motor encoder",
-    4: "electrical shock",
-    5: "overload",
-}
 USABLE = (Validity.VALID, Validity.IMU_MISSING)
 
 Finding = tuple[Condition, str]
 
 
-class VitalSigns:
-    """The newest of every input, and the conditions that follow from it."""
+class Conditions:
+    """The newest of every input, and the conditions that follow from them."""
 
     def __init__(self, settings: SupervisorSettings):
         self._settings = settings
-        self._heard: dict[str, int] = {}
+        self._received: dict[str, int] = {}
         self._pressed = False
         self._missed = 0  # unusable estimates in a row
-        self._usable = False  # whether there was a usable estimate
+        self._usable = False  # whether there has been a usable estimate
         self._tilt: tuple[float, float] = (0.0, 0.0)  # rad, roll and pitch
-        self._stopped = ""  # why the solver counts as stopped
+        self._stopped = ""  # why the MPC counts as stopped
         self._rejected = ""  # why the newest command was refused
         self._answered: list[int | None] = [None] * len(LEGS)
-        self._health: ServoHealth | None = None  # stays so where no driver is
+        self._not_finite: list[int | None] = [None] * len(LEGS)  # since when
+        self._health: ServoHealth | None = None
+        self._reported = 0  # time of the last health
 
-    def hear(self, time: int, source: str) -> None:
-        """A sign of life of a node."""
-        self._heard[f"node {source}"] = time
+    def receive_heartbeat(self, time: int, source: str) -> None:
+        """A message of a node has come."""
+        self._received[f"node {source}"] = time
 
-    def see_estop(self, time: int, pressed: bool) -> None:
-        """The state of the e-stop, from a source that reports it all the time."""
-        self._heard["e-stop"], self._pressed = time, pressed
+    def receive_estop(self, time: int, pressed: bool) -> None:
+        """State of the e-stop, which its source repeats."""
+        self._received["e-stop"], self._pressed = time, pressed
 
-    def see_estimate(self, time: int, estimate: Estimate) -> None:
-        """The torso's state; an estimate that is not finite is as good as none."""
-        self._heard["estimate"] = time
+    def receive_estimate(self, time: int, estimate: Estimate) -> None:
+        """State of the torso; an estimate that is not finite is unusable."""
+        self._received["estimate"] = time
         finite = bool(np.isfinite(estimate.state).all())
         usable = finite and estimate.validity in USABLE
         self._missed = 0 if usable else self._missed + 1
@@ -65,8 +60,8 @@ class VitalSigns:
         if finite:
             self._tilt = (float(estimate.state[0]), float(estimate.state[1]))
 
-    def see_solver(self, status: int, fallback_cycles: int) -> None:
-        """How the last cycle of the MPC ended."""
+    def receive_solver(self, status: int, fallback_cycles: int) -> None:
+        """Status of the last cycle of the MPC."""
         most = self._settings.solver.fallback_cycles
         self._stopped = ""
         if fallback_cycles > most:
@@ -74,37 +69,57 @@ class VitalSigns:
         elif status == Status.STOPPED:
             self._stopped = f"MPC stopped, {fallback_cycles} cycles without a solution"
 
-    def see_command(self, time: int, fault: str) -> None:
-        """A vector of commands, and why it was refused, or ""."""
+    def receive_command(self, time: int, fault: str) -> None:
+        """A command has come; `fault`: why it was rejected, or ""."""
         self._rejected = fault
         if not fault:
-            self._heard["command"] = time
+            self._received["command"] = time
 
-    def see_joints(self, time: int, angle: Array, torque: Array) -> None:
-        """A measurement of the servos; one that is not finite is none."""
-        for leg in np.flatnonzero(np.isfinite(angle) & np.isfinite(torque)):
-            self._answered[leg] = time
+    def receive_joints(self, time: int, angle: Array, torque: Array) -> None:
+        """Measured angles and torques of the servos; a value that is not finite does not count."""
+        for leg, finite in enumerate(np.isfinite(angle) & np.isfinite(torque)):
+            if finite:
+                self._answered[leg], self._not_finite[leg] = time, None
+            elif self._not_finite[leg] is None:
+                self._not_finite[leg] = time
 
-    def see_health(self, time: int, health: ServoHealth) -> None:
-        """What the driver says; of a silence that is no time a servo never answered."""
-        self._health = health
+    def receive_health(self, time: int, health: ServoHealth) -> None:
+        """Health of the servos; a silence that is not finite means: the servo never answered."""
+        self._health, self._reported = health, time
         for leg, silence in enumerate(health.silence):
             known = math.isfinite(silence) and silence >= 0.0
             self._answered[leg] = time - round(silence * SECOND) if known else None
 
     def unpowered(self) -> list[str]:
-        """Servos that are not under torque, as far as a driver says so, one line each."""
+        """Servos that are not under torque, one line each."""
         if self._health is None:
-            return []
+            return ["no report of the servos yet"]
         return [
             f"servo {leg} without torque" for leg, on in zip(LEGS, self._health.torque) if not on
         ]
 
     def released(self) -> str:
-        """Why the driver keeps the legs slack or makes them so, or ""."""
+        """Why the servos have slackened the tendons, or do so, or ""."""
         if self._health is None or self._health.action in (Action.PASS, Action.HOLD):
             return ""
-        return f"driver: {self._health.reason}"
+        return f"servos: {self._health.reason}"
+
+    def torque_off(self, since: int) -> bool:
+        """Whether a report newer than `since` says that no servo is under torque."""
+        if self._health is None or self._reported <= since:
+            return False
+        return self._health.action in (Action.RELAX, Action.OFF) and not self._health.torque.any()
+
+    def distance(self, angle: Array) -> float:
+        """Largest distance of the servos' goals from tendon angles (4,), rad; inf: not known."""
+        if self._health is None:
+            return math.inf
+        return float(np.abs(self._health.goal - angle).max())
+
+    @property
+    def slewed(self) -> bool:
+        """Whether the rate limit holds a goal back."""
+        return self._health is not None and bool(self._health.slewed.any())
 
     def conditions(self, time: int) -> dict[Condition, str]:
         """Each condition that holds, with one line: what, value and limit."""
@@ -115,9 +130,9 @@ class VitalSigns:
         return found
 
     def _age(self, time: int, source: str) -> float:
-        """Seconds since `source` was heard."""
-        heard = self._heard.get(source)
-        return math.inf if heard is None else (time - heard) / SECOND
+        """Seconds since the last message of `source`."""
+        received = self._received.get(source)
+        return math.inf if received is None else (time - received) / SECOND
 
     def _estop(self, time: int) -> Iterator[Finding]:
         limit = self._settings.timing.estop
@@ -131,8 +146,10 @@ class VitalSigns:
         limit = self._settings.timing.servo_silent
         if errors := list(self._hardware_errors()):
             yield Condition.SERVO_FAULT, "; ".join(errors)
-        for leg, answered in zip(LEGS, self._answered):
+        for leg, answered, since in zip(LEGS, self._answered, self._not_finite):
             age = math.inf if answered is None else (time - answered) / SECOND
+            if since is not None:
+                age = max(age, (time - since) / SECOND)
             if age > limit:
                 yield (
                     Condition.SERVO_SILENT,
@@ -180,9 +197,9 @@ class VitalSigns:
         if self._health is None:
             return
         for leg, bits in zip(LEGS, map(int, self._health.hardware_error)):
-            names = [HARDWARE_ERRORS.get(k, f"bit {k}") for k in range(8) if bits >> k & 1]
-            if names:
-                yield f"servo {leg}: {', '.join(names)} error, register 70 = 0x{bits:02x}, limit 0"
+            if bits:
+                names = hardware_errors(bits)
+                yield f"servo {leg}: {names} error, register 70 = 0x{bits:02x}, limit 0"
 
 
 def _span(age: float) -> str:

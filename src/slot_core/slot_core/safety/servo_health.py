@@ -1,4 +1,4 @@
-"""What the supervisor is told of the servos beside angles and torques."""
+"""What whatever drives the servos reports of them."""
 
 from __future__ import annotations
 
@@ -7,16 +7,46 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slot_core.robot import Array
+from slot_core.robot import LEGS, Array
 from slot_core.safety.command_gate import Action
 
 
 @dataclass(frozen=True)
 class ServoHealth:
-    """What the driver knows of its servos and does with them, each (4,)."""
+    """State of the servos and what they do with commands; arrays (4,) in the order of LEGS."""
 
     action: Action
     reason: str  # why not PASS, or ""
     torque: NDArray[np.bool_]  # as read back
-    silence: Array  # s since the last answer
-    hardware_error: NDArray[np.int64]  # register 70
+    silence: Array  # s since the last answer; inf: never answered
+    goal: Array  # rad, what the servos were sent last
+    slewed: NDArray[np.bool_]  # whether the rate limit held the goal back
+    hardware_error: NDArray[np.int64]  # register 70 of the XL430-W250
+    temperature: Array  # degC; NaN: not known
+    voltage: Array  # V; NaN: not known
+    error_rate: Array  # share of the last exchanges that failed
+    commanded: int = 0  # ns, stamp of the last command sent to the servos; 0: none
+    written: int = 0  # ns, when it was sent
+
+
+def sound_servos(
+    action: Action,
+    reason: str,
+    torque: bool,
+    goal: Array,
+    slewed: NDArray[np.bool_] | None = None,
+) -> ServoHealth:
+    """The health of servos that cannot fail: simulated ones without a bus."""
+    count = len(LEGS)
+    return ServoHealth(
+        action=action,
+        reason=reason,
+        torque=np.full(count, torque),
+        silence=np.zeros(count),
+        goal=goal,
+        slewed=np.zeros(count, dtype=bool) if slewed is None else slewed,
+        hardware_error=np.zeros(count, dtype=np.int64),
+        temperature=np.full(count, np.nan),
+        voltage=np.full(count, np.nan),
+        error_rate=np.zeros(count),
+    )

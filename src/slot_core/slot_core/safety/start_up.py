@@ -1,23 +1,24 @@
-"""Standing up and walking off without an operator."""
+"""Requests that take the robot from IDLE to WALKING without an operator."""
 
 from __future__ import annotations
 
-from slot_core.safety.states import LET_GO
+from slot_core.safety.states import RELEASED
 from slot_core.safety.supervisor import Request, Supervisor
 
 
 class StartUp:
-    """Asks the supervisor for one step after the other until each is granted, once."""
+    """Sequence of requests to the supervisor, each repeated until it is granted."""
 
     def __init__(self, *steps: Request):
         self._left = list(steps)
 
-    def urge(self, supervisor: Supervisor, now: int) -> str:
-        """Ask for the next step at `now` (ns); why it is refused, or "".
+    def request_next(self, supervisor: Supervisor, now: int) -> str:
+        """Make the next request at `now` (ns); returns why it is refused, or "".
 
-        Once the robot has been slack for a reason, an operator decides.
+        The sequence ends as soon as the robot has gone slack for a reason: from then on only the
+        operator makes requests.
         """
-        if supervisor.state in LET_GO:
+        if supervisor.state in RELEASED:
             self._left.clear()
         if not self._left:
             return ""

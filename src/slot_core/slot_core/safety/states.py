@@ -1,4 +1,4 @@
-"""States of the robot and the way from one to the other, as data.
+"""States of the robot and the transitions between them, as data.
 
 ```mermaid
 stateDiagram-v2
@@ -44,21 +44,21 @@ class State(enum.IntEnum):
     """What the robot may do."""
 
     IDLE = 0  # torque off
-    READY = 1  # under torque, where it was
-    STANDING = 2  # commands pass, slowly
-    WALKING = 3  # commands pass
-    HOLD = 4  # the last angles, until the reason is gone
+    READY = 1  # under torque, without motion
+    STANDING = 2  # commands pass at approach_rate
+    WALKING = 3  # commands pass at rate_max
+    HOLD = 4  # the last goals, until the reason is gone
     RELAX = 5  # a ramp to slack, then torque off
     ESTOP = 6  # torque off, until reset
     FAULT = 7  # torque off, until reset
 
 
-# Where the robot has let go, or is about to, for a reason.
-LET_GO = (State.RELAX, State.ESTOP, State.FAULT)
+# Where the tendons are slack, or become so, for a reason.
+RELEASED = (State.RELAX, State.ESTOP, State.FAULT)
 
 
 class Condition(enum.Enum):
-    """What moves the robot from one state to another, the most urgent first."""
+    """Causes of transitions, the most urgent first."""
 
     ESTOP_PRESSED = "e-stop pressed"
     ESTOP_LOST = "e-stop source lost"
@@ -127,7 +127,7 @@ ACTIONS = {
 }
 
 REASONS_TO_HOLD = frozenset(c for c, row in TRANSITIONS.items() if row[_W] is _H)
-# Faults of the robot itself, which count in every state under torque.
+# Faults of the robot itself: they count in every state under torque.
 HARD_FAULTS = frozenset(
     c for c, row in TRANSITIONS.items() if row[_R] is _X and c is not Condition.RELAX_REQUESTED
 )
@@ -137,5 +137,5 @@ FAULTS = frozenset(
 
 
 def next_state(state: State, condition: Condition) -> State:
-    """Where `condition` leads from `state`."""
+    """The state after `condition` in `state`."""
     return TRANSITIONS[condition][state]

@@ -1,9 +1,10 @@
-"""The supervisor: what the robot may do, why, and what the servos are told.
+"""The supervisor: state of the robot, its reason, and what the servos are permitted to do.
 
-States and transitions are data (`states.py`); what speaks against motion is found in
-`conditions.py`, damaged tendons in `tendon_watch.py`; what goes out passes `command_gate.py`.
+States and transitions are data (`states.py`). Conditions that forbid motion come from
+`conditions.py`, damaged tendons from `tendon_watch.py`. The commands themselves pass the gate of
+whatever drives the servos (`command_watchdog.py`), which reports back (`servo_health.py`).
 Every input and `step` carry the present time `now` (ns) of one clock, that of the messages' stamps.
-Nothing raises for bad data: it is refused, and then missing.
+Nothing raises for bad data: it is rejected, and then counts as missing.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from scipy.spatial.transform import Rotation
 from slot_core.clock import SECOND
 from slot_core.control.state_estimator import Estimate
 from slot_core.robot import LEGS, Array, Robot
-from slot_core.safety.command_gate import CommandGate, Gated
-from slot_core.safety.conditions import VitalSigns
+from slot_core.safety.command_gate import Action, command_fault
+from slot_core.safety.conditions import Conditions
 from slot_core.safety.servo_health import ServoHealth
 from slot_core.safety.settings import SupervisorSettings
 from slot_core.safety.states import (
@@ -37,7 +38,7 @@ UNDER_TORQUE = (State.READY, *MOVING, State.HOLD)
 
 
 class Request(enum.Enum):
-    """What an operator may ask for."""
+    """Requests of an operator."""
 
     READY = Condition.READY_REQUESTED
     STAND = Condition.STAND_REQUESTED
@@ -50,7 +51,7 @@ class Request(enum.Enum):
 _TO_RESET = frozenset({Condition.ESTOP_PRESSED, Condition.ESTOP_LOST, Condition.SERVO_FAULT})
 _TO_READY = _TO_RESET | {Condition.SERVO_SILENT, Condition.TILTED}
 _TO_MOVE = _TO_READY | REASONS_TO_HOLD | {Condition.COMMAND_LOST}
-OBSTACLES: dict[Request, frozenset[Condition]] = {
+FORBIDDEN_BY: dict[Request, frozenset[Condition]] = {
     Request.READY: _TO_READY,
     Request.STAND: _TO_MOVE,
     Request.WALK: _TO_MOVE,
@@ -62,18 +63,18 @@ OBSTACLES: dict[Request, frozenset[Condition]] = {
 
 @dataclass(frozen=True)
 class Report:
-    """What `step` gives: to be published, and to be obeyed."""
+    """Result of a step, to be published."""
 
     state: State
+    action: Action  # what the servos are permitted to do
     reason: str  # of the last transition, one line with value and limit
     since: int  # ns of `now` at the last transition
-    warnings: tuple[str, ...]  # what speaks against motion now, one line each
-    command: Gated
+    warnings: tuple[str, ...]  # conditions that forbid motion now, one line each
     slack: Array  # (4,) m, of the tendons beside the usual; NaN where not known
 
 
 class SteadyClock:
-    """Time that never goes back: a jump of the clock counts as no time at all."""
+    """Time that never goes back; a jump of the clock adds no time to it."""
 
     def __init__(self, jump: float):
         self._jump = round(jump * SECOND)
@@ -93,25 +94,26 @@ class SteadyClock:
 
 
 class Supervisor:
-    """The state machine with its inputs `see_...`, `hear` and `request`, and its output `step`."""
+    """The state machine; inputs are `receive_...` and `request`, the output is that of `step`."""
 
     def __init__(self, robot: Robot, settings: SupervisorSettings, watch: TendonWatch):
-        """Raises ConfigError as `CommandGate` does."""
+        """Raises ConfigError when the ramp to slack takes longer than `gate.relax_time`."""
+        settings.gate.check_ramp(robot.tendon.angle_max)
         self._robot, self._settings, self._watch = robot, settings, watch
-        self._signs = VitalSigns(settings)
-        self._gate = CommandGate(settings.gate, robot.tendon.angle_max)
+        self._inputs = Conditions(settings)
         self._clock = SteadyClock(settings.timing.clock_jump)
         self._newest: dict[str, int] = {}  # ns, stamp of each input
-        self._misfits: dict[str, str] = {}  # inputs whose last stamp was of another clock
+        self._wrong_clock: dict[str, str] = {}  # inputs whose last stamp was of another clock
         self._state, self._reason, self._since = State.IDLE, "started", 0
-        self._resume = State.STANDING  # where HOLD leads back to
+        self._resume = State.STANDING  # state after HOLD
         self._entered = 0  # steady time of the last transition
         self._powered = 0  # steady time of the last READY
-        self._clear: int | None = None  # steady time since when nothing speaks for HOLD
+        self._clear: int | None = None  # steady time since which there is no reason to hold
         self._faulty = False  # whether RELAX ends in FAULT
+        self._command = np.zeros(len(LEGS))  # rad, the last accepted
         self._servo_angle = np.full(len(LEGS), np.nan)
         self._height = np.full(len(LEGS), np.nan)  # m, of the clamps
-        self._seen = 0  # steady time of the estimate that they are from
+        self._estimated = 0  # steady time of the estimate that they are from
         self._stride = settings.tendon.window_min  # s
         self._tendons: TendonReport = watch.state
 
@@ -120,62 +122,64 @@ class Supervisor:
         """The present state."""
         return self._state
 
-    def hear(self, now: int, node: str) -> None:
-        """A sign of life of one of `settings.nodes`."""
-        self._signs.hear(self._pass(now), node)
+    def receive_heartbeat(self, now: int, node: str) -> None:
+        """A message of one of `settings.nodes` has come."""
+        self._inputs.receive_heartbeat(self._pass(now), node)
 
-    def see_estop(self, now: int, pressed: bool) -> None:
-        """The state of the e-stop; its source has to repeat it within `timing.estop`."""
-        self._signs.see_estop(self._pass(now), pressed)
+    def receive_estop(self, now: int, pressed: bool) -> None:
+        """State of the e-stop, which its source repeats within `timing.estop`."""
+        self._inputs.receive_estop(self._pass(now), pressed)
 
-    def see_gait(self, now: int, stride: float) -> None:
+    def receive_gait(self, now: int, stride: float) -> None:
         """Period of the present gait, s."""
         self._pass(now)
         if np.isfinite(stride) and stride > 0.0:
             self._stride = float(stride)
 
-    def see_solver(self, now: int, status: int, fallback_cycles: int) -> None:
-        """How a cycle of the MPC ended: `mpc.Status` and the cycles since the last solution."""
+    def receive_solver(self, now: int, status: int, fallback_cycles: int) -> None:
+        """Status of a cycle of the MPC (`mpc.Status`), and cycles since the last solution."""
         self._pass(now)
-        self._signs.see_solver(status, fallback_cycles)
+        self._inputs.receive_solver(status, fallback_cycles)
 
-    def see_estimate(self, now: int, estimate: Estimate) -> None:
-        """An estimate of the torso's state, usable or not."""
+    def receive_estimate(self, now: int, estimate: Estimate) -> None:
+        """Estimate of the torso's state, usable or not."""
         time = self._pass(now)
         if self._refuse("estimate", now, estimate.stamp):
             return
-        self._signs.see_estimate(time, estimate)
-        self._height, self._seen = self._clamp_heights(estimate.state), time
+        self._inputs.receive_estimate(time, estimate)
+        self._height, self._estimated = self._clamp_heights(estimate.state), time
 
-    def see_command(self, now: int, stamp: int, angle: Array) -> str:
-        """Tendon angles (4,), rad, of the controller; returns why they are refused, or ""."""
+    def receive_command(self, now: int, stamp: int, angle: Array) -> str:
+        """Tendon angles (4,), rad, of the controller; returns why they are rejected, or ""."""
         time = self._pass(now)
         if fault := self._refuse("command", now, stamp):
             return fault
-        fault = self._gate.offer(angle)
-        self._signs.see_command(time, fault)
+        fault = command_fault(angle, 0.0, self._robot.tendon.angle_max)
+        if not fault:
+            self._command = np.array(angle, dtype=np.float64)
+        self._inputs.receive_command(time, fault)
         return fault
 
-    def see_joints(self, now: int, stamp: int, angle: Array, torque: Array) -> None:
+    def receive_joints(self, now: int, stamp: int, angle: Array, torque: Array) -> None:
         """Tendon angles (4,), rad, and the servos' torques on them (4,), N m, at `stamp`."""
         time = self._pass(now)
         if self._refuse("joints", now, stamp):
             return
-        self._signs.see_joints(time - max(now - stamp, 0), angle, torque)
+        self._inputs.receive_joints(time - max(now - stamp, 0), angle, torque)
         self._servo_angle = np.array(angle, dtype=np.float64)
         if self._strides(time):
             self._tendons = self._watch.observe(stamp, angle, torque, self._height, self._stride)
 
-    def see_health(self, now: int, stamp: int, health: ServoHealth) -> None:
-        """What the driver says of its servos at `stamp`; not needed where no driver is."""
+    def receive_health(self, now: int, stamp: int, health: ServoHealth) -> None:
+        """Health of the servos at `stamp`, from whatever drives them."""
         time = self._pass(now)
         if not self._refuse("servo health", now, stamp):
-            self._signs.see_health(time - max(now - stamp, 0), health)
+            self._inputs.receive_health(time - max(now - stamp, 0), health)
 
     def request(self, now: int, request: Request, by: str = "the operator") -> str:
-        """Ask for a transition, made at once; returns why it is refused, or "".
+        """Request a transition, made at once; returns why it is refused, or "".
 
-        STAND in HOLD is granted for the time after it: the robot will not walk on by itself.
+        STAND in HOLD is granted for the time after it: the robot then stands instead of walking on.
         """
         time = self._pass(now)
         before, condition = self._state, request.value
@@ -189,7 +193,7 @@ class Supervisor:
                 if self._is_there(request)
                 else f"{request.name} changes nothing in {before.name}"
             )
-        against = [text for c, text in active.items() if c in OBSTACLES[request]]
+        against = [text for c, text in active.items() if c in FORBIDDEN_BY[request]]
         if not against:
             against = self._hindrances(request)
         if against:
@@ -198,7 +202,7 @@ class Supervisor:
         return ""
 
     def step(self, now: int) -> Report:
-        """Decide, and say what the servos are to do."""
+        """Make the transition that the present conditions call for, if any."""
         time = self._pass(now)
         active = self._conditions(time)
         self._clock.jumped = ""
@@ -208,18 +212,22 @@ class Supervisor:
             if condition in active and next_state(self._state, condition) is not self._state:
                 self._go(now, time, condition, active[condition])
                 break
-        walking = self._state is State.WALKING
-        gated = self._gate.step(time, ACTIONS[self._state], fast=walking)
         warnings = [text for c, text in active.items() if c in REASONS_TO_HOLD | FAULTS]
-        warnings += self._misfits.values()
-        if walking and gated.slewed.any():
-            warnings.append(f"command slewed, {self._gate.distance:.3g} rad left")
+        warnings += self._wrong_clock.values()
+        if self._state is State.WALKING and self._inputs.slewed:
+            distance = self._inputs.distance(self._command)
+            warnings.append(f"command slewed, {distance:.3g} rad left")
         return Report(
-            self._state, self._reason, self._since, tuple(warnings), gated, self._tendons.slack
+            state=self._state,
+            action=ACTIONS[self._state],
+            reason=self._reason,
+            since=self._since,
+            warnings=tuple(warnings),
+            slack=self._tendons.slack,
         )
 
     def _pass(self, now: int) -> int:
-        """Steady time; after a jump all stamps are new."""
+        """Steady time at `now`; after a jump every stamp counts as newer."""
         time = self._clock.advance(now)
         self._since = self._since or now
         if self._clock.jumped:
@@ -227,13 +235,13 @@ class Supervisor:
         return time
 
     def _refuse(self, source: str, now: int, stamp: int) -> str:
-        """Why a stamp cannot be: of another clock, or not newer than the last; or ""."""
+        """Why a stamp is rejected: of another clock, or not newer than the last; or ""."""
         limit = self._settings.timing.clock_jump
         off = (stamp - now) / SECOND
         if abs(off) > limit:
-            self._misfits[source] = f"{source} stamped {off:+.3g} s from now, limit {limit:g} s"
-            return self._misfits[source]
-        self._misfits.pop(source, None)
+            self._wrong_clock[source] = f"{source} stamped {off:+.3g} s from now, limit {limit:g} s"
+            return self._wrong_clock[source]
+        self._wrong_clock.pop(source, None)
         if stamp <= self._newest.get(source, stamp - 1):
             return f"{source} is not newer than the last"
         self._newest[source] = stamp
@@ -241,7 +249,7 @@ class Supervisor:
 
     def _conditions(self, time: int) -> dict[Condition, str]:
         """Everything that holds now, with its reason."""
-        found = self._signs.conditions(time)
+        found = self._inputs.conditions(time)
         if self._clock.jumped:
             found[Condition.CLOCK_JUMPED] = self._clock.jumped
         if self._tendons.damaged.any():
@@ -249,28 +257,41 @@ class Supervisor:
         if reason := self._disobedience(time):
             found.setdefault(Condition.SERVO_FAULT, reason)
         if self._state is State.HOLD:
-            self._weigh_hold(time, found)
-        if self._state is State.RELAX and self._gate.relaxed:
-            ending = Condition.RELAXED_AFTER_FAULT if self._faulty else Condition.RELAXED
-            found[ending] = f"slack after: {self._reason}"
+            self._end_hold(time, found)
+        if self._state is State.RELAX:
+            self._end_relax(time, found)
         return found
 
     def _strides(self, time: int) -> bool:
-        """Whether the legs follow the gait and the torso's place is known.
+        """Whether the legs follow the gait and the torso's height is known.
 
-        Not while they catch up after a HOLD, nor where estimates are missed.
+        Not while they catch up after a HOLD, nor while estimates are missing.
         """
         moving = time - self._entered > self._settings.gate.resume_time * SECOND
-        known = time - self._seen <= 2.0 * self._settings.estimate.period * SECOND
+        known = time - self._estimated <= 2.0 * self._settings.estimate.period * SECOND
         return self._state in MOVING and moving and known
 
     def _disobedience(self, time: int) -> str:
-        """Why the driver is slack though it has had time to switch torque on, or ""."""
-        late = time - self._powered > self._settings.timing.obey * SECOND
-        return self._signs.released() if self._state in UNDER_TORQUE and late else ""
+        """Why the servos are slack although they have had time to switch torque on, or ""."""
+        late = time - self._powered > self._settings.timing.torque_change * SECOND
+        return self._inputs.released() if self._state in UNDER_TORQUE and late else ""
 
-    def _weigh_hold(self, time: int, found: dict[Condition, str]) -> None:
-        """Add what ends HOLD."""
+    def _end_relax(self, time: int, found: dict[Condition, str]) -> None:
+        """Add the condition that ends RELAX: torque off, as the servos report it.
+
+        Without such a report RELAX ends in FAULT once the servos' own rules must have ended it.
+        """
+        if self._inputs.torque_off(self._entered):
+            ending = Condition.RELAXED_AFTER_FAULT if self._faulty else Condition.RELAXED
+            found[ending] = f"slack after: {self._reason}"
+            return
+        limit = self._settings.gate.relax_time + self._settings.timing.torque_change
+        if (time - self._entered) / SECOND > limit:
+            why = f"torque off not confirmed within {limit:.3g} s, after: {self._reason}"
+            found[Condition.RELAXED_AFTER_FAULT] = why
+
+    def _end_hold(self, time: int, found: dict[Condition, str]) -> None:
+        """Add the condition that ends HOLD."""
         timing = self._settings.timing
         held = (time - self._entered) / SECOND
         if held > timing.hold_max:
@@ -283,10 +304,10 @@ class Supervisor:
         if time - self._clear >= timing.recovery * SECOND:
             walked = self._resume is State.WALKING
             back = Condition.WALKING_RECOVERED if walked else Condition.STANDING_RECOVERED
-            found[back] = f"nothing to hold for in {timing.recovery:g} s, after: {self._reason}"
+            found[back] = f"no reason to hold for {timing.recovery:g} s, after: {self._reason}"
 
     def _is_there(self, request: Request) -> bool:
-        """Whether the robot is where `request` leads."""
+        """Whether the robot is in a state that `request` leads to."""
         goals = {
             Request.READY: (State.READY,),
             Request.STAND: (State.STANDING,),
@@ -298,18 +319,18 @@ class Supervisor:
         return self._state in goals[request]
 
     def _hindrances(self, request: Request) -> list[str]:
-        """What no condition says."""
+        """Reasons to refuse a request that are no conditions, one line each."""
         if request is Request.READY:
             return self._misplaced()
-        if request is Request.STAND and (without := self._signs.unpowered()):
+        if request is Request.STAND and (without := self._inputs.unpowered()):
             return without
-        limit, distance = self._settings.gate.arrived, self._gate.distance
+        limit, distance = self._settings.arrived, self._inputs.distance(self._command)
         if request is Request.WALK and distance > limit:
             return [f"the legs are {distance:.3g} rad from their command, limit {limit:g} rad"]
         return []
 
     def _misplaced(self) -> list[str]:
-        """Servos whose angle lies outside of the range: their zero is wrong."""
+        """Servos whose angle is outside the range, which means a wrong zero; one line each."""
         most, slop = self._robot.tendon.angle_max, self._settings.servo.angle_tolerance
         return [
             f"servo {leg} at {angle:.3g} rad, limits [{-slop:.3g}, {most + slop:.3g}]"
@@ -325,13 +346,10 @@ class Supervisor:
             self._resume = before
         elif after is State.READY:
             self._powered = time
-            self._gate.engage(self._servo_angle)
             self._watch.reset()
             self._tendons = self._watch.state
         elif after is State.RELAX:
             self._faulty = condition in FAULTS
-        elif after is State.WALKING:
-            self._gate.hurry(time)
 
     def _clamp_heights(self, state: Array) -> Array:
         """(4,) m over the floor; NaN where the state is not finite."""

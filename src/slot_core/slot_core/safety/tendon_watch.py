@@ -1,4 +1,4 @@
-"""Whether a tendon is slack or broken, from the load on its servo against its angle.
+"""Slack and broken tendons, from the torque on a servo against its angle.
 
 The tabulated leg (`config/leg_map.csv`) says which torque tau_0(theta, h) holds a leg at tendon
 angle theta with its clamp at height h. A tendon longer by s behaves like a spool turned back by
@@ -6,12 +6,12 @@ s / r, so to first order the mean over a stride of
 
     tau_0 - tau = (s / r) d tau_0 / d theta
 
-gives s. The mean over a whole stride takes out what the statics do not know: inertia, damping and
-the change of sides of the friction. A damaged tendon loads and unloads its neighbours, so that the
-leg with the largest slack is named, and another only if its slack is a good part of that.
+gives s. The mean over a whole stride cancels what the statics leave out: inertia, damping and the
+change of direction of the friction. A damaged tendon changes the load on its neighbours, so the leg
+with the largest slack is named, and another leg only if its slack is a large share of that.
 
-What it cannot see: a tendon whose angle asks for hardly any tension (below some 20 deg), and a leg
-that is lifted by hand where the height says it stands.
+Not detected: a tendon whose angle needs hardly any tension (below some 20 deg), and a leg that is
+lifted by hand while the torso's height says that it stands.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class TendonLoad:
 
 @dataclass(frozen=True)
 class TendonReport:
-    """What the loads of the last stride say; legs in the order of LEGS."""
+    """Result of the last stride; legs in the order of LEGS."""
 
     slack: Array  # (4,) m, NaN before the first stride
     damaged: NDArray[np.bool_]  # (4,) since the last reset
@@ -58,20 +58,20 @@ class TendonReport:
 
 
 class TendonWatch:
-    """Means over a stride of what the servos carry and what they should carry."""
+    """Means over a stride of the servos' torques and of those that the table gives."""
 
     def __init__(self, load: TendonLoad, spool_radius: float, limits: TendonLimits):
         self._load, self._radius, self._limits = load, spool_radius, limits
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything, the alarms too."""
-        self._spoiled = np.zeros(len(LEGS), dtype=bool)
+        """Discard all readings and alarms."""
+        self._damaged = np.zeros(len(LEGS), dtype=bool)
         self._named: dict[str, float] = {}  # m, slack at which a leg was named
         self.pause()
 
     def pause(self) -> None:
-        """Forget the readings: those that follow belong to another motion."""
+        """Discard the readings: those that follow belong to another motion."""
         self._stamps: deque[int] = deque()
         self._rows: deque[Array] = deque()
         self._slack = np.full(len(LEGS), np.nan)
@@ -82,8 +82,8 @@ class TendonWatch:
     ) -> TendonReport:
         """Take a reading of the servos at `stamp` (ns): (4,) rad, (4,) N m, clamps at (4,) m.
 
-        `stride` (s) is the period of the gait. Readings that are not finite or not newer are left
-        out.
+        `stride` (s) is the period of the gait. Readings that are not finite or not newer than the
+        last are ignored.
         """
         values = np.array([angle, torque, height], dtype=np.float64)
         if not np.isfinite(values).all() or (self._stamps and stamp <= self._stamps[-1]):
@@ -99,15 +99,15 @@ class TendonWatch:
 
     @property
     def state(self) -> TendonReport:
-        """What is known now."""
-        return TendonReport(self._slack.copy(), self._spoiled.copy(), self._message())
+        """Slack and alarms at present."""
+        return TendonReport(self._slack.copy(), self._damaged.copy(), self._message())
 
     def _keep(self, stamp: int, row: Array) -> None:
         self._stamps.append(stamp)
         self._rows.append(row)
 
     def _trim(self, stamp: int, window: float) -> bool:
-        """Drop what is older than the window; whether the readings fill it."""
+        """Drop readings older than the window; whether the rest fills it."""
         full = False
         while stamp - self._stamps[0] >= window * SECOND:
             self._stamps.popleft()
@@ -126,13 +126,13 @@ class TendonWatch:
             self._over_since = stamp
         if stamp - self._over_since < self._limits.confirm * SECOND:
             return
-        blamed = over & (self._slack >= self._limits.share * self._slack.max())
-        for leg in np.flatnonzero(blamed & ~self._spoiled):
+        overslack = over & (self._slack >= self._limits.share * self._slack.max())
+        for leg in np.flatnonzero(overslack & ~self._damaged):
             self._named[LEGS[leg]] = float(self._slack[leg])
-        self._spoiled = self._spoiled | blamed
+        self._damaged = self._damaged | overslack
 
     def _message(self) -> str:
-        """Names, values and limit."""
+        """One line with names, values and limit, or ""."""
         if not self._named:
             return ""
         limit = 1e3 * self._limits.slack_max

@@ -14,6 +14,7 @@ from slot_core.config import ConfigError
 from slot_core.dynamics.scene import Push, Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import SimulatedRobot
+from slot_core.dynamixel.state import JointReading
 from slot_core.faults import BROKEN, NAN, SLACK, Fault, legs_of, refuse_without_bus
 from slot_core.paper.paper_robot import PaperRobot
 from slot_core.robot import LEGS, Array, Robot
@@ -27,16 +28,6 @@ from slot_core.simulation.sensors import (
     true_odometry,
 )
 from slot_core.simulation.tabulated_robot import TabulatedRobot
-
-
-@dataclass(frozen=True)
-class JointReading:
-    """Tendon angles (rad), rates and servo torques (N m), each (4,), at `stamp` (ns)."""
-
-    stamp: int
-    angle: Array
-    rate: Array
-    torque: Array
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,33 @@
+"""Publisher of `/servo_health`: at every change, and every 50 ms."""
+
+from typing import Any
+
+from rclpy.node import Node
+
+from slot_core.safety.servo_health import ServoHealth
+from slot_msgs import msg as slot_msgs
+from slot_nodes import messages, qos
+
+PERIOD = 50_000_000  # ns, between two reports without a change
+
+
+class HealthReport:
+    """Publishes the health of the servos for a node."""
+
+    def __init__(self, node: Node) -> None:
+        self._publisher = node.create_publisher(slot_msgs.ServoHealth, "servo_health", qos.SENSOR)
+        self._last: tuple[Any, ...] = ()
+        self._last_stamp = 0  # ns
+
+    def publish(self, stamp: int, health: ServoHealth) -> None:
+        """Publish a health at `stamp` (ns) if it has changed or the last is old."""
+        key = (
+            health.action,
+            health.commanded,
+            health.torque.tolist(),
+            health.hardware_error.tolist(),
+            health.slewed.tolist(),
+        )
+        if key != self._last or stamp - self._last_stamp >= PERIOD:
+            self._last, self._last_stamp = key, stamp
+            self._publisher.publish(messages.health_to_msg(stamp, health))
