@@ -99,7 +99,7 @@ def watch(processes: Processes, duration: float, attended: bool = False) -> None
         _watch(executor, progress, processes, duration, attended)
 
 
-def require_solitude() -> None:
+def require_no_other_graph() -> None:
     """Raise RunError if a graph runs in this ROS domain already.
 
     Two graphs would follow each other's commands. A running graph is recognised by its

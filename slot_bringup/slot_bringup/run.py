@@ -18,7 +18,7 @@ import numpy as np
 
 from slot_bringup import INTERRUPTS
 from slot_bringup.graph import Graph, is_attended, read_graph
-from slot_bringup.monitor import RunError, require_solitude, watch
+from slot_bringup.monitor import RunError, require_no_other_graph, watch
 from slot_bringup.processes import Processes
 from slot_core.bags.bag import Bag, BagError, read_record_settings
 from slot_core.config import ConfigError
@@ -26,7 +26,7 @@ from slot_core.control.gait import GaitScheduler, read_gaits
 from slot_core.control.mpc.mpc import read_mpc
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.faults import refuse_without_bus
+from slot_core.faults import require_simulated_legs
 from slot_core.report import metrics, plots
 from slot_core.report.summary import summary_lines
 
@@ -92,7 +92,7 @@ def check(options: argparse.Namespace) -> None:
         raise ConfigError("--lockstep has no supervisor, which --attended needs")
     if options.hardware == "sim":
         for fault in scene.faults.values():
-            refuse_without_bus(fault)
+            require_simulated_legs(fault)
     if not 0 <= options.seed < 2**63:
         raise ConfigError(f"--seed {options.seed}: outside [0, {2**63 - 1}]")
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"
@@ -126,7 +126,7 @@ def started(graph: Graph, values: Mapping[str, Any], logs: Path) -> Iterator[Pro
 
     Raises RunError if another graph runs already.
     """
-    require_solitude()
+    require_no_other_graph()
     with tempfile.TemporaryDirectory() as scratch:
         processes = Processes(Path(scratch))
         try:

@@ -91,7 +91,7 @@ def assign(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     present = list(bus.scan())
     if len(present) != 1:
         raise RefusedError([f"{len(present)} servos on the line {present}, expected exactly one"])
-    bus.confirm(present[0], "torque_enable", 0)
+    bus.write_verified(present[0], "torque_enable", 0)
     bus.write(present[0], "id", options.id)
     if options.to_baud:
         if options.to_baud not in BAUD_RATES:
@@ -111,10 +111,10 @@ def prepare(settings: DynamixelSettings, options: argparse.Namespace) -> int:
         found, reasons = examine(bus, settings, joint)
         if found is None:
             raise RefusedError(reasons)
-        bus.confirm(joint.id, "torque_enable", 0)
+        bus.write_verified(joint.id, "torque_enable", 0)
         for name, value in expected(settings, joint).items():
             if found.values[name] != value:
-                bus.confirm(joint.id, name, value)
+                bus.write_verified(joint.id, name, value)
                 print(f"{joint.name}: {name} {found.values[name]} -> {value}")
         remaining = differences(settings, joint, examine(bus, settings, joint)[0] or found)
         if remaining:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.servo.twin_rows import TICK, speed
-from benchmarks.servo.twins import TWINS, VELOCITY, apart, walk
+from benchmarks.servo.twins import PLANTS, VELOCITY, rms_distance, walk
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.settings import read_settings
@@ -22,13 +22,13 @@ TEN_SECONDS = round(10.0 / TICK)  # ticks
 
 @pytest.fixture(scope="module")
 def walks():
-    return {name: walk(make, TEN_SECONDS) for name, make in TWINS.items()}
+    return {name: walk(make, TEN_SECONDS) for name, make in PLANTS.items()}
 
 
 def test_the_bus_changes_the_walk_by_less_than_a_millimetre(walks):
     """The two differ by encoder, counts, bus cycles and driver alone."""
     # 0.28 to 0.36 mm with three seeds; 3 mm if commands wait for the next cycle
-    assert apart(walks["bus"], walks["law"]) < 1e-3
+    assert rms_distance(walks["bus"], walks["law"]) < 1e-3
 
 
 def test_the_walk_over_the_bus_is_as_fast_as_with_the_simulators_servos(walks):
@@ -38,15 +38,15 @@ def test_the_walk_over_the_bus_is_as_fast_as_with_the_simulators_servos(walks):
 
 def test_the_walk_over_the_bus_stays_within_3_5_mm_of_the_simulators(walks):
     # 2.5 mm: servos without integral term sag under load, by 1.9 mm in height
-    assert apart(walks["bus"], walks["sim"]) < 3.5e-3
+    assert rms_distance(walks["bus"], walks["sim"]) < 3.5e-3
 
 
 def test_a_repeated_walk_over_the_bus_is_equal_to_the_last_bit(walks):
-    assert np.array_equal(walk(TWINS["bus"], 60), walks["bus"][:60])
+    assert np.array_equal(walk(PLANTS["bus"], 60), walks["bus"][:60])
 
 
 def test_ten_seconds_of_walking_neither_overload_nor_heat_a_servo():
-    loop = ClosedLoop("flat", "walk", np.array(VELOCITY), 0, make=TWINS["bus"])
+    loop = ClosedLoop("flat", "walk", np.array(VELOCITY), 0, make=PLANTS["bus"])
     for _ in loop.run(TEN_SECONDS):
         pass
     servos = loop.plant.legs.bus.servos

@@ -10,7 +10,7 @@ from scipy import sparse
 from benchmarks.mpc.cases import hard_cases, random_case, standing, state
 from benchmarks.mpc.oracle import optimum
 from slot_core import config
-from slot_core.control.mpc.cvxpy_reference import Reference
+from slot_core.control.mpc.cvxpy_reference import CvxpyReference
 from slot_core.control.mpc.mpc import Mpc, Status, read_mpc
 from slot_core.control.mpc.solver import SOLVERS, MpcSolverSettings, make_solver
 from slot_core.robot import read_robot
@@ -54,7 +54,7 @@ def test_every_available_solver_is_tested():
 
 def test_oracle_and_cvxpy_reference_have_the_same_forces():
     mpc, rng = controller("riccati"), np.random.default_rng(2)
-    reference = Reference(ROBOT, SETTINGS)
+    reference = CvxpyReference(ROBOT, SETTINGS)
     for case in [*(random_case(rng, H + 1) for _ in range(5)), hard_cases(H + 1)["a leg swings"]]:
         mpc.step(*case)
         force, _ = reference.solve(*case, "CLARABEL")

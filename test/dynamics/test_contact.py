@@ -5,7 +5,13 @@ import pytest
 from numba import njit
 
 from slot_core import config
-from slot_core.dynamics.contact import RELEASING, bend, coefficient, friction_force, normal_force
+from slot_core.dynamics.contact import (
+    RELEASING,
+    advance_bristle,
+    coefficient,
+    friction_force,
+    normal_force,
+)
 from slot_core.dynamics.model import build_floor
 from slot_core.dynamics.rod import discretise
 from slot_core.dynamics.scene import read_scene
@@ -105,7 +111,7 @@ def drag_along(floor, path, limit, slope, h):
     bristle, out = np.zeros(3), np.zeros((len(path), 3))
     for i in range(len(path)):
         x, y, z = path[i]
-        bend(floor, bristle, limit[i], STIFFNESS, slope, h, x, y, z)
+        advance_bristle(floor, bristle, limit[i], STIFFNESS, slope, h, x, y, z)
         out[i] = bristle
     return out
 

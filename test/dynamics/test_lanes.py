@@ -15,7 +15,7 @@ from slot_core.control.gait import read_gaits
 from slot_core.dynamics import integrator
 from slot_core.dynamics.algebra import cosine_sine
 from slot_core.dynamics.handle import Handle
-from slot_core.dynamics.lanes import every, in_lanes, largest, like, some, total, where
+from slot_core.dynamics.lanes import all_lanes, any_lane, in_lanes, largest, like, total, where
 from slot_core.dynamics.model import (
     build_model,
     build_scheme,
@@ -161,10 +161,10 @@ def test_lanes_compute_as_numpy_does():
 def test_sums_maxima_and_mask_reductions_run_over_the_lanes():
     def kernel(v, out):
         out[0], out[1] = total(v[0]), largest(v[0])
-        out[2] = 1.0 if some(v[0] > 3.5) else 0.0
-        out[3] = 1.0 if every(v[0] > 3.5) else 0.0
-        out[4] = 1.0 if every(v[0] >= 1.0) else 0.0
-        out[5] = 1.0 if some(v[0] < 1.0) else 0.0
+        out[2] = 1.0 if any_lane(v[0] > 3.5) else 0.0
+        out[3] = 1.0 if all_lanes(v[0] > 3.5) else 0.0
+        out[4] = 1.0 if all_lanes(v[0] >= 1.0) else 0.0
+        out[5] = 1.0 if any_lane(v[0] < 1.0) else 0.0
 
     found = on_lanes(kernel, 6, [4.0, 1.0, 3.0, 2.0])
     np.testing.assert_array_equal(found[:, 0], [10.0, 4.0, 1.0, 0.0, 1.0, 0.0])

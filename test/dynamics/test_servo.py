@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from slot_core import config
 from slot_core.config import ConfigError
-from slot_core.dynamics.servo import ServoSettings, read_servo, servo, turn, turning_rate
+from slot_core.dynamics.servo import ServoSettings, read_servo, servo, spool_rate, turning_rate
 
 SETTINGS = read_servo()
 NO_LOAD = 57.0 * math.tau / 60.0
@@ -64,7 +64,7 @@ def run(law, drive, angle, command, torque, h):  # noqa: PLR0917
     """Spool angle after each step of h; commands and torques (n,)."""
     out = np.zeros(len(command))
     for i in range(len(command)):
-        angle += h * turn(law, drive, command[i], angle, torque[i], h)
+        angle += h * spool_rate(law, drive, command[i], angle, torque[i], h)
         out[i] = angle
     return out
 

@@ -9,7 +9,6 @@ import pytest
 from slot_core import config
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.errors import CommunicationError, InstructionError, PortError, RefusedError
-from slot_core.dynamixel.homing import find_taut
 from slot_core.dynamixel.port import SerialPort, check_latency
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT
@@ -198,14 +197,14 @@ def test_activation_with_a_hardware_error_is_refused_until_a_reboot(rig):
 
 def test_a_servo_lost_during_activation_leaves_no_torque_on(rig):
     rig.driver.configure()
-    confirm = rig.driver.bus.confirm
+    write_verified = rig.driver.bus.write_verified
 
     def lose(identity, register, value):
         if register == "torque_enable" and value and identity == 2:
             rig.fault("silent", "RL")
-        confirm(identity, register, value)
+        write_verified(identity, register, value)
 
-    rig.driver.bus.confirm = lose
+    rig.driver.bus.write_verified = lose
     with pytest.raises(RefusedError, match=r"servo RL"):
         rig.driver.activate()
     assert rig.torque() == [0] * 4
@@ -213,14 +212,14 @@ def test_a_servo_lost_during_activation_leaves_no_torque_on(rig):
 
 def test_no_servo_has_torque_without_its_watchdog(rig):
     rig.driver.configure()
-    confirm, armed = rig.driver.bus.confirm, []
+    write_verified, armed = rig.driver.bus.write_verified, []
 
     def watch(identity, register, value):
         if register == "torque_enable" and value:
             armed.append([servo.memory["bus_watchdog"] for servo in rig.bus.servos])
-        confirm(identity, register, value)
+        write_verified(identity, register, value)
 
-    rig.driver.bus.confirm = watch
+    rig.driver.bus.write_verified = watch
     rig.driver.activate()
     assert armed == [[5] * 4] * 4
 
@@ -477,17 +476,3 @@ def test_answers_take_their_time_on_the_wire(build):
     for _ in range(50):
         rig.driver.cycle()
     assert time.monotonic() - start >= 50 * 142 * 10 / 1e6
-
-
-def test_a_tendon_is_found_taut_where_it_resists(build):
-    rig = build(angles=(0.0,) * 4).start()
-
-    def sleep(period):
-        pull = np.maximum(rig.legs.angles() - 0.5, 0.0) * 10.0  # taut from 0.5 rad on
-        rig.legs.advance(period, pull)
-        rig.time += period
-
-    zero = find_taut(rig.driver, "RL", 0.1, sleep)
-    # It resists with a tenth of 1.4 N m at 0.014 rad behind that, and the loop is a cycle late.
-    taut = math.radians(zero - 130.0) / 1.03199
-    assert 0.5 < taut < 0.53

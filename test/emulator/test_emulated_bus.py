@@ -8,7 +8,7 @@ import pytest
 from numba import njit
 
 from slot_core import config
-from slot_core.dynamics.servo import read_servo, servo, turn
+from slot_core.dynamics.servo import read_servo, servo, spool_rate
 from slot_core.dynamixel.joints import joints
 from slot_core.dynamixel.packet import (
     ALERT,
@@ -287,7 +287,7 @@ def test_input_voltage_error_switches_torque_off_only_if_set_in_shutdown(bus):
 
 @njit
 def kernel_rate(law, drive, command, angle, h):
-    return turn(law, drive, command, angle, 0.5, h)
+    return spool_rate(law, drive, command, angle, 0.5, h)
 
 
 def test_position_loop_follows_the_simulators_servo():
@@ -362,5 +362,5 @@ def test_joint_conversions_are_inverse_to_each_other():
         assert joint.counts(0.0) == round(130 / 360 * 4096)
     with pytest.raises(ValueError, match="two servos with one id"):
         joints(dataclasses.replace(settings, ids=(1, 1, 2, 3)))
-    with pytest.raises(ValueError, match="not within one turn"):
+    with pytest.raises(ValueError, match="not within one spool_rate"):
         joints(dataclasses.replace(settings, zero_deg=(300.0,) * 4, direction=(1, 1, 1, 1)))

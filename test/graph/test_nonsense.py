@@ -249,7 +249,7 @@ def test_a_second_graph_in_the_domain_is_refused(monkeypatch):
     with pytest.raises(
         monitor.RunError, match=r"another graph runs in ROS domain \d+: set another"
     ):
-        monitor.require_solitude()
+        monitor.require_no_other_graph()
 
 
 def run(directory, *arguments, **environment):

@@ -20,7 +20,7 @@ from benchmarks.mpc.oracle import optimum
 from benchmarks.mpc.picture import draw
 from benchmarks.mpc.restated import restated
 from slot_core import config
-from slot_core.control.mpc.cvxpy_reference import Reference
+from slot_core.control.mpc.cvxpy_reference import CvxpyReference
 from slot_core.control.mpc.mpc import Mpc, MpcResult, MpcSettings, Status, read_mpc
 from slot_core.robot import Array, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
@@ -214,7 +214,7 @@ def cvxpy_rows(
     settings: MpcSettings, cases: Sequence[Case], exact: Array
 ) -> Iterable[dict[str, Any]]:
     """CVXPY with the problem compiled once, and with the problem rebuilt in every cycle."""
-    cached = Reference(read_robot(), settings)
+    cached = CvxpyReference(read_robot(), settings)
     cached.solve(*cases[0], "CLARABEL")
     solvers = {
         "CVXPY, cached, Clarabel": lambda *case: cached.solve(*case, "CLARABEL")[0],

@@ -140,7 +140,7 @@ def _memories(bus: EmulatedBus) -> list[bytes]:
 
 def _send(bus: EmulatedBus, data: bytes, original: bytes, kept: list[bytes], tally: Tally) -> None:
     tally.packets += 1
-    bus.hush()
+    bus.discard_partial()
     try:
         replies = bus.receive(data, BAUD)
     except Exception as error:  # every exception counts as a crash
@@ -152,7 +152,7 @@ def _send(bus: EmulatedBus, data: bytes, original: bytes, kept: list[bytes], tal
         return
     _classify(frames(data), [original], tally)
     for servo, image in zip(bus.servos, kept):
-        servo.revive(image)
+        servo.load_image(image)
 
 
 def _classify(found: list[bytes], sent: list[bytes], tally: Tally) -> None:
@@ -183,7 +183,7 @@ def fuzz_instructions(count: int, rng: np.random.Generator) -> Tally:
             tally.crashes, tally.crash = tally.crashes + 1, repr(error)
         if number % BATCH == 0:
             for servo, image in zip(bus.servos, kept):
-                servo.revive(image)
+                servo.load_image(image)
     return tally
 
 
@@ -237,7 +237,7 @@ def fuzz_driver(count: int, rng: np.random.Generator) -> Tally:
     for _ in range(count):
         truth = {identity: _data(rng) for identity in IDS}
         fast = bool(rng.integers(2))
-        bus.forget_silence()
+        bus.clear_silent()
         sent = (
             [fast_status([(i, 0, d) for i, d in truth.items()])]
             if fast

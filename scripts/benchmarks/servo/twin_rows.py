@@ -11,7 +11,7 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from benchmarks.harness import Check, Row, at_most
-from benchmarks.servo.twins import TWINS, apart, walk
+from benchmarks.servo.twins import PLANTS, rms_distance, walk
 from slot_core.dynamics.scene import read_scene
 from slot_core.report.palette import INK, SECONDARY, TRUE
 from slot_core.simulation.plant import Plant
@@ -31,7 +31,7 @@ STYLES = {
 def walks() -> dict[str, npt.NDArray[np.float64]]:
     """Paths of the torso (n, 3), m, by name; after a plus sign the difference from `sim`."""
     ticks = round(DURATION / TICK)
-    paths = {name: walk(make, ticks) for name, make in TWINS.items()}
+    paths = {name: walk(make, ticks) for name, make in PLANTS.items()}
     paths["sim + start 1 nm/s faster"] = walk(_faster_start, ticks)
     paths["sim + another seed"] = walk(Plant, ticks, seed=1)
     return paths
@@ -44,8 +44,8 @@ def rows(paths: dict[str, npt.NDArray[np.float64]]) -> Iterator[Row]:
             "kind": "twin",
             "walk": name,
             "v_x_mm_s": 1e3 * speed(way),
-            "rms_from_bus_mm": 1e3 * apart(way, paths["bus"]),
-            "rms_from_sim_mm": 1e3 * apart(way, paths["sim"]),
+            "rms_from_bus_mm": 1e3 * rms_distance(way, paths["bus"]),
+            "rms_from_sim_mm": 1e3 * rms_distance(way, paths["sim"]),
         }
 
 

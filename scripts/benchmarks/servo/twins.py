@@ -40,7 +40,7 @@ def _bus(robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Genera
     )
 
 
-TWINS: dict[str, PlantMaker] = {"sim": Plant, "law": _law, "bus": _bus}
+PLANTS: dict[str, PlantMaker] = {"sim": Plant, "law": _law, "bus": _bus}
 
 
 def walk(make: PlantMaker, ticks: int, scene: str = "flat", seed: int = 0) -> Array:
@@ -49,6 +49,6 @@ def walk(make: PlantMaker, ticks: int, scene: str = "flat", seed: int = 0) -> Ar
     return np.array([loop.plant.simulator.position for _ in loop.run(ticks)])
 
 
-def apart(one: Array, other: Array) -> float:
+def rms_distance(one: Array, other: Array) -> float:
     """RMS distance of two paths (n, 3), m, without alignment."""
     return float(np.sqrt(np.mean(np.sum((one - other) ** 2, axis=1))))

@@ -16,7 +16,7 @@ BUS_KINDS = (
     "silent", "corrupt", "late", "wrong_id", "overload", "overheating", "undervoltage",
     "watchdog", "unplugged",
 )  # fmt: skip
-VALUES = {  # minimum, maximum and unit of the value; at the minimum the fault has an effect
+VALUE_RANGES = {  # minimum, maximum and unit of the value; at the minimum the fault has an effect
     "corrupt": (1e-3, 1.0, "of the answers"),
     "late": (1e-3, 10.0, "s"),
     "wrong_id": (0.0, 252.0, "as an id"),
@@ -41,7 +41,7 @@ class Fault:
 
     def __post_init__(self) -> None:
         """Raise ConfigError if the value is outside the range of the kind."""
-        low, high, unit = VALUES.get(self.kind, (self.value, self.value, ""))
+        low, high, unit = VALUE_RANGES.get(self.kind, (self.value, self.value, ""))
         if not low <= self.value <= high:
             raise ConfigError(f"value = {self.value}: outside [{low}, {high}] {unit}")
 
@@ -56,7 +56,7 @@ def legs_of(kind: str, leg: str) -> tuple[str, ...]:
     return LEGS if leg == ALL or kind == "unplugged" else (leg,)
 
 
-def refuse_without_bus(fault: Fault) -> None:
+def require_simulated_legs(fault: Fault) -> None:
     """Raise ConfigError for a fault that requires emulated servos."""
     if fault.kind in BUS_KINDS:
         raise ConfigError(f"fault {fault.kind!r}: only the servos of hardware fake_bus can have it")

@@ -7,7 +7,7 @@ from typing import Any, cast
 from rclpy.node import Node
 
 from slot_core.bags import decode
-from slot_core.control.mpc.mpc import DEFAULT, Mpc, Status, read_mpc
+from slot_core.control.mpc.mpc import DEFAULT_PROFILE, Mpc, Status, read_mpc
 from slot_core.control.pace import Pace
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, GroundReactionForces, MpcState
@@ -20,7 +20,9 @@ class MpcControllerNode(Node):
 
     def __init__(self) -> None:
         super().__init__("mpc_controller")
-        profile = runtime.declare(self, "profile", DEFAULT, "a file of config/mpc, or the default")
+        profile = runtime.declare(
+            self, "profile", DEFAULT_PROFILE, "a file of config/mpc, or the default"
+        )
         settings = runtime.declare_settings(self, read_mpc(profile))
         self._mpc = Mpc(read_robot(), settings, time.perf_counter)
         self._pace = Pace()

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 
 from slot_core.compiled import helper
-from slot_core.dynamics.lanes import every
+from slot_core.dynamics.lanes import all_lanes
 
 
 @helper
@@ -54,7 +54,7 @@ def orthonormalise(out, r):
 def rotation(out, wx, wy, wz):
     """Write into out (3, 3) the rotation matrix of the vector w, rad (Rodrigues' formula)."""
     square = wx * wx + wy * wy + wz * wz
-    if every(square < 1e-4):  # series, exact to double precision
+    if all_lanes(square < 1e-4):  # series, exact to double precision
         a = 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
         b = 0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0))
     else:
@@ -82,7 +82,7 @@ def rotation(out, wx, wy, wz):
 def cosine_sine(angle):
     """(cos, sin) of an angle, rad; of a small one by series, exact to double precision."""
     square = angle * angle
-    if every(square < 1e-4):
+    if all_lanes(square < 1e-4):
         c = 1.0 - square / 2.0 * (1.0 - square / 12.0 * (1.0 - square / 30.0))
         return c, angle * (1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0)))
     return math.cos(angle), math.sin(angle)

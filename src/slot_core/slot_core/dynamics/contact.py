@@ -116,7 +116,7 @@ def tangential(axes, bristle, up):
 
 
 @helper
-def bend(floor, bristle, limit, stiffness, slope, h, x, y, z):
+def advance_bristle(floor, bristle, limit, stiffness, slope, h, x, y, z):
     """Integrate a bristle (3,), m, odom, over h (s) in place, then map it back to mu N / k_t.
 
     It grows with the part of the velocity (x, y, z), m/s, in the floor's plane. limit: mu N, N;

@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 from slot_core.compiled import helper
 from slot_core.dynamics.contact import coefficient, friction_force, normal_force, tangential
-from slot_core.dynamics.lanes import largest, like, some, total, where
+from slot_core.dynamics.lanes import any_lane, largest, like, total, where
 from slot_core.dynamics.terrain import ground, is_uneven, tilted
 
 
@@ -166,7 +166,7 @@ def _node(model, leg, i, inv, place):
         gap, up = tilted(f, below, gap - below.height)
         if model.floor.bristle > 0.0:
             leg.slope[i, 0], leg.slope[i, 1] = below.slope_x, below.slope_y
-    if some(gap < 0.0):
+    if any_lane(gap < 0.0):
         return _touch(model.floor, leg, i, inv, gap, up, node)
     if model.floor.bristle > 0.0:
         leg.limit[i] = none

@@ -33,12 +33,12 @@ from slot_core.dynamics.algebra import (
     times,
     times_transposed,
 )
-from slot_core.dynamics.contact import bend
+from slot_core.dynamics.contact import advance_bristle
 from slot_core.dynamics.elimination import add_to_torso, couple, eliminate, substitute
 from slot_core.dynamics.handle import contents
-from slot_core.dynamics.lanes import every, in_lanes, like, one_lane
+from slot_core.dynamics.lanes import all_lanes, in_lanes, like, one_lane
 from slot_core.dynamics.rod import load, measure
-from slot_core.dynamics.servo import turn
+from slot_core.dynamics.servo import spool_rate
 from slot_core.dynamics.tendon import pull, stretch_line
 from slot_core.dynamics.torso import add_corners, add_inertia, add_payload, add_push, at
 
@@ -117,10 +117,10 @@ def lost(state, legs, limit):
     fine = True
     for leg in legs:
         u = leg.node_velocity
-        fine = fine & every(leg.angle[0] * leg.angle[0] < math.inf)
+        fine = fine & all_lanes(leg.angle[0] * leg.angle[0] < math.inf)
         for i in range(u.shape[0]):
             square = u[i, 0] * u[i, 0] + u[i, 1] * u[i, 1] + u[i, 2] * u[i, 2]
-            fine = fine & every(square < limit * limit)
+            fine = fine & all_lanes(square < limit * limit)
     return -1 if fine else _which(state.node_velocity, state.tendon_angle, limit)
 
 
@@ -157,7 +157,7 @@ def step(model, state, work, legs, h, scheme):
             _to_leg_axes(work, leg)
             _stage(leg, tau)
             load_leg(model, leg, tau)
-            definite = definite & every(eliminate(model, leg, inv, place))
+            definite = definite & all_lanes(eliminate(model, leg, inv, place))
             couple(model.tendon, leg, inv)
             add_to_torso(leg, work.matrix, work.vector)
         definite = definite & solve(work.matrix, work.vector)
@@ -184,8 +184,8 @@ def predict_torso(model, state, work, h, theta):
     """Set the step axes and the torso's first iterate V = V_n."""
     w, v, g = state.rate, state.velocity, model.gravity
     tau = theta * h
-    rotation(work.turn, tau * w[0], tau * w[1], tau * w[2])
-    product(work.rotation, state.rotation, work.turn)
+    rotation(work.spool_rate, tau * w[0], tau * w[1], tau * w[2])
+    product(work.rotation, state.rotation, work.spool_rate)
     motion, field = work.motion, work.field
     motion[0, 0], motion[0, 1], motion[0, 2] = times_transposed(work.rotation, v[0], v[1], v[2])
     field[3, 0], field[3, 1], field[3, 2] = times_transposed(work.rotation, g[0], g[1], g[2])
@@ -200,7 +200,7 @@ def predict_torso(model, state, work, h, theta):
 def _predict_leg(model, state, leg, h, theta):
     """The servo's rate, V_n in step axes, and the stage positions without the part due to V."""
     torque = model.tendon.spool_radius * leg.tension[0]
-    leg.rate[0] = turn(model.servo, leg.drive, leg.command[0], leg.angle[0], torque, h)
+    leg.rate[0] = spool_rate(model.servo, leg.drive, leg.command[0], leg.angle[0], torque, h)
     w, root = state.rate, leg.root
     wx, wy, wz = times(leg.axes, w[0], w[1], w[2])
     to_stage, to_end = leg.forth, leg.whole
@@ -295,7 +295,9 @@ def _bend(floor, leg, h):
         x = f[0, 0] * ux + f[0, 1] * uy + f[0, 2] * uz
         y = f[1, 0] * ux + f[1, 1] * uy + f[1, 2] * uz
         z = f[2, 0] * ux + f[2, 1] * uy + f[2, 2] * uz
-        bend(floor, leg.bristle[i], leg.limit[i], floor.stiffness[i], leg.slope[i], h, x, y, z)
+        advance_bristle(
+            floor, leg.bristle[i], leg.limit[i], floor.stiffness[i], leg.slope[i], h, x, y, z
+        )
 
 
 @helper
@@ -306,7 +308,7 @@ def bend_corners(model, state, work, h):
         x, y, z = at(v, w, corners[k, 0], corners[k, 1], corners[k, 2])
         x, y, z = times(work.rotation, x, y, z)
         bristle, stiffness = state.corner_bristle[k], model.floor.corner_stiffness
-        bend(model.floor, bristle, work.limit[k], stiffness, work.slope[k], h, x, y, z)
+        advance_bristle(model.floor, bristle, work.limit[k], stiffness, work.slope[k], h, x, y, z)
 
 
 @helper
@@ -338,8 +340,8 @@ def _move(state, work, h):
     state.position[2] += h * dz
     vx, vy, vz = times(work.rotation, motion[2, 0], motion[2, 1], motion[2, 2])
     state.velocity[0], state.velocity[1], state.velocity[2] = vx, vy, vz
-    rotation(work.turn, h * w[0], h * w[1], h * w[2])
-    product(work.next, state.rotation, work.turn)
+    rotation(work.spool_rate, h * w[0], h * w[1], h * w[2])
+    product(work.next, state.rotation, work.spool_rate)
     orthonormalise(state.rotation, work.next)
 
 

@@ -168,7 +168,7 @@ def _bits(builder, mask):
 
 
 @intrinsic
-def some(typingctx, mask):
+def any_lane(typingctx, mask):
     """Whether the mask is set for at least one leg."""
     if not isinstance(mask, _Mask):
         return types.boolean(types.boolean), lambda context, builder, sig, args: args[0]
@@ -180,7 +180,7 @@ def some(typingctx, mask):
 
 
 @intrinsic
-def every(typingctx, mask):
+def all_lanes(typingctx, mask):
     """Whether the mask is set for all legs."""
     if not isinstance(mask, _Mask):
         return types.boolean(types.boolean), lambda context, builder, sig, args: args[0]

@@ -26,7 +26,7 @@ from scipy.integrate import cumulative_simpson
 
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import cosine_sine
-from slot_core.dynamics.lanes import every, like, where
+from slot_core.dynamics.lanes import all_lanes, like, where
 from slot_core.robot import Array, Leg
 
 
@@ -171,7 +171,7 @@ def angle_between(ax, az, bx, bz):
     for n in range(12, -1, -1):
         total = 1.0 / (2 * n + 1) - y * y * total
     angle = 2.0 * y * total
-    if every(small):
+    if all_lanes(small):
         return angle
     return where(small, angle, math.atan2(cross, dot))
 

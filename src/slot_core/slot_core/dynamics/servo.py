@@ -50,7 +50,7 @@ class Servo(NamedTuple):
 
     gain: float  # 1/s
     speed: float  # rad/s
-    yielding: float  # 1/(N m), relative loss of speed per torque, 1 / tau_stall
+    speed_loss: float  # 1/(N m), relative loss of speed per torque, 1 / tau_stall
     pid: bool
     proportional: float  # 1/rad
     integral: float  # 1/(rad s)
@@ -71,7 +71,7 @@ def servo(settings: ServoSettings) -> Servo:
     return Servo(
         gain=1.0 / settings.lag,
         speed=rpm * math.tau / 60.0,
-        yielding=0.0 if ideal else 1.0 / settings.stall_torque,
+        speed_loss=0.0 if ideal else 1.0 / settings.stall_torque,
         pid=settings.model == "pid",
         proportional=settings.proportional,
         integral=settings.integral,
@@ -82,7 +82,7 @@ def servo(settings: ServoSettings) -> Servo:
 
 
 @helper
-def turn(law, drive, command, angle, torque, h):
+def spool_rate(law, drive, command, angle, torque, h):
     """Mean rate of the tendon angle over the next h (s), rad/s, positive when pulling.
 
     drive (3,), updated in place: motor's angle minus the spool's (rad), motor's speed (rad/s),
@@ -105,8 +105,8 @@ def turn(law, drive, command, angle, torque, h):
 def turning_rate(law, command, angle, torque):
     """Rate of the motor in the models without a pid, rad/s."""
     rate = law.gain * (command - angle)
-    upper = law.speed * (1.0 - law.yielding * torque)
-    lower = -law.speed * (1.0 + law.yielding * torque)
+    upper = law.speed * (1.0 - law.speed_loss * torque)
+    lower = -law.speed * (1.0 + law.speed_loss * torque)
     return min(max(rate, lower), upper)
 
 
@@ -118,6 +118,6 @@ def regulate(law, drive, command, angle, torque, h):
     duty = law.proportional * error + grown - law.derivative * drive[1]
     bounded = min(max(duty, like(-1.0, duty)), like(1.0, duty))
     drive[2] = where((duty - bounded) * error > 0.0, drive[2], grown)
-    target = law.speed * (bounded - law.yielding * torque)
+    target = law.speed * (bounded - law.speed_loss * torque)
     drive[1] += (target - drive[1]) * (h / (law.motor_time + h))
     return drive[1]

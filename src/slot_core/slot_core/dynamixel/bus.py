@@ -116,7 +116,7 @@ class Bus:
             f"writing {register} = {value}",
         )
 
-    def confirm(self, identity: int, register: str, value: int) -> None:
+    def write_verified(self, identity: int, register: str, value: int) -> None:
         """Write one register and read it back.
 
         Raises CommunicationError, and InstructionError also if the value read back differs.
@@ -178,7 +178,7 @@ class Bus:
             for identity, status in found.items()
         }
 
-    def forget_silence(self) -> None:
+    def clear_silent(self) -> None:
         """Clear the set of servos that did not answer: all are read with retries again."""
         self._silent.clear()
 

@@ -84,7 +84,7 @@ class Driver:
         try:
             self._prepare()
             for index, joint in enumerate(self.joints):
-                self.bus.confirm(joint.id, "torque_enable", 1)
+                self.bus.write_verified(joint.id, "torque_enable", 1)
                 self._set_health(index, replace(self.health[index], torque=True))
         except RefusedError:
             self.torque_off()
@@ -131,7 +131,7 @@ class Driver:
             readings, duty = self._read(), None
         self._update_health(readings)
         end = self.clock()
-        return Cycle(end, end - start, written, readings, duty)
+        return Cycle(end - start, written, readings, duty)
 
     def torque_off(self) -> TorqueOff:
         """Switch all torque off and read it back; never raises."""
@@ -164,7 +164,7 @@ class Driver:
         self.joints = joints(self.settings.joints)
         joint = self.joints[index]
         for register in ("min_position_limit", "max_position_limit"):
-            self.bus.confirm(joint.id, register, expected(self.settings, joint)[register])
+            self.bus.write_verified(joint.id, register, expected(self.settings, joint)[register])
 
     def close(self) -> None:
         """Close the port; torque stays as it is."""
@@ -189,8 +189,8 @@ class Driver:
             if error:
                 reasons.append(f"{joint.name}: hardware error: {hardware_errors(error)}; reboot it")
                 continue
-            self.bus.confirm(joint.id, "torque_enable", 0)
-            self.bus.confirm(joint.id, "bus_watchdog", 0)  # a tripped one refuses goals
+            self.bus.write_verified(joint.id, "torque_enable", 0)
+            self.bus.write_verified(joint.id, "bus_watchdog", 0)  # a tripped one refuses goals
             reasons += self._stand_still(index, joint)
         if reasons:
             raise RefusedError(reasons)
@@ -206,9 +206,9 @@ class Driver:
             ]
         self._goal[index] = joint.tendon(present)
         # Armed before torque is on: it watches from the first moment.
-        self.bus.confirm(joint.id, "bus_watchdog", self.settings.servo.watchdog_code())
+        self.bus.write_verified(joint.id, "bus_watchdog", self.settings.servo.watchdog_code())
         if self.settings.mode is Mode.PWM:
-            self.bus.confirm(joint.id, "goal_pwm", 0)
+            self.bus.write_verified(joint.id, "goal_pwm", 0)
             return []
         gains = self.settings.gains
         for register, value in (
@@ -221,7 +221,7 @@ class Driver:
             ("position_d_gain", gains.d),
             ("goal_position", present),
         ):
-            self.bus.confirm(joint.id, register, value)
+            self.bus.write_verified(joint.id, register, value)
         return []
 
     def _write_positions(self) -> None:
@@ -307,7 +307,7 @@ class Driver:
         reason = ""
         for _ in range(TORQUE_OFF_ATTEMPTS):
             try:
-                self.bus.confirm(joint.id, "torque_enable", 0)
+                self.bus.write_verified(joint.id, "torque_enable", 0)
             except ServoError as error:
                 reason = str(error)
                 continue

@@ -1,8 +1,4 @@
-"""Homing: measuring the zero of a servo and writing it into the configuration.
-
-By hand: torque off, tendon just slack; the position is read and must be at rest. By load: the servo
-pulls slowly until its load exceeds a threshold; the angle there is the zero.
-"""
+"""Homing: the zero of a servo, measured with its tendon just slack, and its configuration."""
 
 from __future__ import annotations
 
@@ -16,8 +12,7 @@ import yaml
 
 from slot_core import config
 from slot_core.dynamixel.bus import Bus
-from slot_core.dynamixel.driver import Driver
-from slot_core.dynamixel.errors import RefusedError, ServoError
+from slot_core.dynamixel.errors import RefusedError
 from slot_core.dynamixel.joints import Joint
 from slot_core.dynamixel.settings import DynamixelSettings
 from slot_core.dynamixel.table import RAD_PER_COUNT
@@ -27,8 +22,6 @@ Sleep = Callable[[float], None]
 SAMPLES = 20
 SAMPLE_PERIOD = 0.02  # s
 STILL = 3  # counts, largest spread of the readings of a servo at rest
-PULL_SPEED = 0.2  # rad/s of the tendon angle
-CYCLE = 0.01  # s, between two bus cycles
 NUMBER = r"-?\d+(?:\.\d+)?"
 
 
@@ -37,7 +30,7 @@ def measure_zero(bus: Bus, joint: Joint, sleep: Sleep) -> float:
 
     Raises ServoError, also if the readings spread by more than STILL counts.
     """
-    bus.confirm(joint.id, "torque_enable", 0)
+    bus.write_verified(joint.id, "torque_enable", 0)
     found = []
     for _ in range(SAMPLES):
         found.append(bus.read(joint.id, "present_position")["present_position"])
@@ -46,31 +39,6 @@ def measure_zero(bus: Bus, joint: Joint, sleep: Sleep) -> float:
     if moved > STILL:
         raise RefusedError([f"{joint.name}: moves by {moved} counts, limit {STILL}; hold it still"])
     return math.degrees(statistics.fmean(found) * RAD_PER_COUNT)
-
-
-def find_taut(driver: Driver, leg: str, load: float, sleep: Sleep) -> float:
-    """Servo angle (deg) at which the servo of `leg` exceeds `load`, a fraction of the stall torque.
-
-    The driver must be active and the tendon slack. Raises ServoError if the load is not reached
-    within the range of tendon angles, or if the servo does not answer.
-    """
-    index, joint = LEGS.index(leg), driver.joints[LEGS.index(leg)]
-    goals = [clamp(angle, j.low, j.high) for angle, j in zip(driver.goals(), driver.joints)]
-    while goals[index] < joint.high:
-        goals[index] = min(goals[index] + PULL_SPEED * CYCLE, joint.high)
-        driver.command(goals)
-        reading = driver.cycle().readings[index]
-        sleep(CYCLE)
-        if reading is None:
-            raise ServoError(f"{joint.name}: does not answer")
-        if reading.load > load:
-            return math.degrees(joint.zero + joint.direction * joint.ratio * reading.angle)
-    raise ServoError(f"{joint.name}: load never above {load:g} of the stall torque")
-
-
-def clamp(value: float, low: float, high: float) -> float:
-    """`value` limited to [low, high]."""
-    return min(max(value, low), high)
 
 
 def write_zero(leg: str, zero_deg: float, path: Path | None = None) -> Path:

@@ -59,7 +59,6 @@ class JointReading:
 class Cycle:
     """Result of one bus cycle, in the order FL FR RL RR; times in s of the driver's clock."""
 
-    time: float  # end of the cycle
     duration: float  # s
     written: float  # when the goals had been written to the port
     readings: tuple[ServoReading | None, ...]  # None: no valid answer

@@ -112,7 +112,7 @@ class EmulatedServo:
         self.memory.reset(eeprom=True, keep=keep)
         self.reboot()
 
-    def revive(self, image: bytes) -> None:
+    def load_image(self, image: bytes) -> None:
         """Load a memory image; end booting and shutdown, discard a registered write."""
         self.memory.load(image)
         self._boot_left, self._shut_down, self.registered = 0.0, False, None

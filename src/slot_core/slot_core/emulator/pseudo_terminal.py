@@ -95,7 +95,7 @@ class PseudoTerminal:
             return
         now = self._clock()
         if now - self._last_input > PACKET_GAP:
-            self._bus.hush()
+            self._bus.discard_partial()
         self._last_input = now
         with contextlib.suppress(BlockingIOError):
             self._respond(os.read(self._master_fd, CHUNK), now)

@@ -9,7 +9,7 @@ import numpy as np
 
 from slot_core import config
 from slot_core.control.controller import Controller, Tick
-from slot_core.control.mpc.mpc import DEFAULT, read_mpc
+from slot_core.control.mpc.mpc import DEFAULT_PROFILE, read_mpc
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.robot import Array, Robot, read_robot
@@ -33,7 +33,7 @@ class ClosedLoop:
         gait: str,
         velocity: Array | None,
         seed: int,
-        profile: str = DEFAULT,
+        profile: str = DEFAULT_PROFILE,
         *,
         make: PlantMaker = Plant,
     ):

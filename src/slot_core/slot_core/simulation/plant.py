@@ -15,7 +15,7 @@ from slot_core.dynamics.scene import Push, Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.dynamixel.state import JointReading
-from slot_core.faults import BROKEN, NAN, SLACK, Fault, legs_of, refuse_without_bus
+from slot_core.faults import BROKEN, NAN, SLACK, Fault, legs_of, require_simulated_legs
 from slot_core.paper.paper_robot import PaperRobot
 from slot_core.robot import LEGS, Array, Robot
 from slot_core.simulation.kernel_robot import KernelRobot
@@ -225,7 +225,7 @@ class Plant:
 
     def _refuse(self, fault: Fault) -> None:
         """Raise ConfigError where this robot cannot have a fault."""
-        refuse_without_bus(fault)
+        require_simulated_legs(fault)
         if not isinstance(self.simulator, SUFFERERS[fault.kind]):
             model = self._scene.solver.legs
             raise ConfigError(f"fault {fault.kind!r}: legs of the model {model!r} cannot have it")

@@ -43,7 +43,7 @@ class RodRobot(KernelRobot):
         self._start = state_space(scene.solver.nodes, bristles)
         scheme = build_scheme(scene.solver, self.model.floor)
         parts = (self.model, self.state, self._work, self._start, self._legs)
-        self._machine = Handle((*parts, scheme))
+        self._handle = Handle((*parts, scheme))
         self._points = np.zeros((2, 4, scene.solver.nodes, 3))
         self._settle()
 
@@ -55,7 +55,7 @@ class RodRobot(KernelRobot):
         """
         command = self.checked(command)
         self._legs.command[0] = command
-        done, where = integrator.advance(self._machine, steps)
+        done, where = integrator.advance(self._handle, steps)
         self.steps += done
         if where >= 0:
             raise Divergence(self._explain(where), self.snapshot() | {"command": command})

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from slot_core.compiled import helper, kernel
 from slot_core.dynamics.algebra import solve, times
-from slot_core.dynamics.contact import bend, coefficient, friction_force, tangential
+from slot_core.dynamics.contact import advance_bristle, coefficient, friction_force, tangential
 from slot_core.dynamics.handle import contents
 from slot_core.dynamics.integrator import (
     bend_corners,
@@ -18,7 +18,7 @@ from slot_core.dynamics.integrator import (
     predict_torso,
     start_torso,
 )
-from slot_core.dynamics.servo import turn
+from slot_core.dynamics.servo import spool_rate
 from slot_core.dynamics.torso import add_row, at
 from slot_core.robot import Array
 
@@ -107,7 +107,7 @@ def _step(model, legs, state, feet, work, scheme):
     predict_torso(model, state, work, h, theta)
     for k in range(4):
         angle, torque = state.tendon_angle[k], model.tendon.spool_radius * state.tension[k]
-        rate = turn(model.servo, state.drive[k], feet.command[k], angle, torque, h)
+        rate = spool_rate(model.servo, state.drive[k], feet.command[k], angle, torque, h)
         state.tendon_rate[k] = rate
     for _ in range(scheme.iterations):
         place = start_torso(model, state, work, tau)
@@ -122,7 +122,7 @@ def _step(model, legs, state, feet, work, scheme):
         for k in range(4):
             u, stiffness = state.node_velocity[k, 0], model.floor.stiffness[-1]
             bristle, limit = state.bristle[k, 0], feet.limit[k]
-            bend(model.floor, bristle, limit, stiffness, feet.flat, h, u[0], u[1], u[2])
+            advance_bristle(model.floor, bristle, limit, stiffness, feet.flat, h, u[0], u[1], u[2])
     finish_torso(state, work, h, theta)
     finish_rate(state, work, theta)
     for k in range(4):

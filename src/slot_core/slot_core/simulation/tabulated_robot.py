@@ -73,7 +73,7 @@ class TabulatedRobot(KernelRobot):
         self._feet = Feet(np.zeros(4), np.zeros((4, 3)), np.zeros(4), np.zeros(2))
         self._work = work_space()
         parts = (self.model, self.legs, self.state, self._feet, self._work)
-        self._machine = Handle((*parts, build_scheme(scene.solver, self.model.floor)))
+        self._handle = Handle((*parts, build_scheme(scene.solver, self.model.floor)))
         self._settle()
 
     def advance(self, steps: int, command: Array) -> None:
@@ -83,7 +83,7 @@ class TabulatedRobot(KernelRobot):
         Divergence when a speed is not finite or too high, or the torso tilted too far.
         """
         self._feet.command[:] = self.checked(command)
-        done, lost = advance(self._machine, steps)
+        done, lost = advance(self._handle, steps)
         self.steps += done
         if lost >= 0:
             limit = f"torso is beyond {self.scene.solver.speed_limit} m/s or not a number"

@@ -1,4 +1,4 @@
-"""Reference formulation of the MPC's problem in CVXPY, to check the solvers.
+"""CvxpyReference formulation of the MPC's problem in CVXPY, to check the solvers.
 
 It covers the problem without options and is far too slow for control. The parameters follow the
 rules of disciplined parametrised programming (Agrawal et al., 2019), so that CVXPY compiles the
@@ -26,7 +26,7 @@ class NoReferenceError(RuntimeError):
     """The reference gave no solution; the message is one line."""
 
 
-class Reference:
+class CvxpyReference:
     """min sum (x - x_ref)' Q (x - x_ref) + (u - u_ref)' R (u - u_ref) within the limits."""
 
     def __init__(self, robot: Robot, settings: MpcSettings):

@@ -35,7 +35,7 @@ from slot_core.control.mpc.solver import MpcSolverSettings, Solution, make_solve
 from slot_core.robot import GRAVITY, Array, Robot
 
 Vector3 = tuple[float, float, float]
-DEFAULT = "default"  # profile: config/mpc.yaml without changes
+DEFAULT_PROFILE = "default"  # profile: config/mpc.yaml without changes
 LONGEST_GAP = 0.5  # s between ticks; after a longer one the acting forces are unknown
 
 
@@ -354,12 +354,12 @@ def _check_condition(prediction: Prediction, settings: MpcSettings) -> None:
         )
 
 
-def read_mpc(profile: str = DEFAULT) -> MpcSettings:
+def read_mpc(profile: str = DEFAULT_PROFILE) -> MpcSettings:
     """The settings of `config/mpc.yaml`, changed by a profile; raises ConfigError.
 
     A profile `config/mpc/<name>.yaml` holds only the changed values, by dotted name.
     """
     settings = config.read(MpcSettings, "mpc")
-    if profile == DEFAULT:
+    if profile == DEFAULT_PROFILE:
         return settings
     return config.replace(settings, config.load(f"mpc/{profile}"), f"mpc/{profile}.yaml")
