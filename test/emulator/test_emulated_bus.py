@@ -362,5 +362,5 @@ def test_joint_conversions_are_inverse_to_each_other():
         assert joint.counts(0.0) == round(130 / 360 * 4096)
     with pytest.raises(ValueError, match="two servos with one id"):
         joints(dataclasses.replace(settings, ids=(1, 1, 2, 3)))
-    with pytest.raises(ValueError, match="not within one spool_rate"):
+    with pytest.raises(ValueError, match="not within one turn"):
         joints(dataclasses.replace(settings, zero_deg=(300.0,) * 4, direction=(1, 1, 1, 1)))

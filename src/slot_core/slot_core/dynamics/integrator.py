@@ -184,8 +184,8 @@ def predict_torso(model, state, work, h, theta):
     """Set the step axes and the torso's first iterate V = V_n."""
     w, v, g = state.rate, state.velocity, model.gravity
     tau = theta * h
-    rotation(work.spool_rate, tau * w[0], tau * w[1], tau * w[2])
-    product(work.rotation, state.rotation, work.spool_rate)
+    rotation(work.turn, tau * w[0], tau * w[1], tau * w[2])
+    product(work.rotation, state.rotation, work.turn)
     motion, field = work.motion, work.field
     motion[0, 0], motion[0, 1], motion[0, 2] = times_transposed(work.rotation, v[0], v[1], v[2])
     field[3, 0], field[3, 1], field[3, 2] = times_transposed(work.rotation, g[0], g[1], g[2])
@@ -340,8 +340,8 @@ def _move(state, work, h):
     state.position[2] += h * dz
     vx, vy, vz = times(work.rotation, motion[2, 0], motion[2, 1], motion[2, 2])
     state.velocity[0], state.velocity[1], state.velocity[2] = vx, vy, vz
-    rotation(work.spool_rate, h * w[0], h * w[1], h * w[2])
-    product(work.next, state.rotation, work.spool_rate)
+    rotation(work.turn, h * w[0], h * w[1], h * w[2])
+    product(work.next, state.rotation, work.turn)
     orthonormalise(state.rotation, work.next)
 
 

@@ -72,7 +72,7 @@ class EmulatedBus:
         self, settings: EmulatorSettings, ids: Sequence[int], angles: Sequence[float]
     ) -> None:
         law = servo_law(read_servo())
-        motor = Motor(law.speed, 1.0 / law.speed_loss if law.yielding else np.inf, law.motor_time)
+        motor = Motor(law.speed, 1.0 / law.speed_loss if law.speed_loss else np.inf, law.motor_time)
         self.settings = settings
         self.servos = tuple(
             EmulatedServo(identity, settings.servo, motor, angle)
