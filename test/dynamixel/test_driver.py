@@ -403,7 +403,7 @@ def test_a_new_driver_clears_a_tripped_watchdog_and_starts_where_the_servos_stan
     [
         ("overload", 0, "overload"),
         ("overheating", 90, "overheating"),
-        ("undervoltage", 7, "input_voltage"),
+        ("undervoltage", 7, "input voltage"),
     ],
 )
 def test_a_hardware_error_is_known_within_two_cycles(rig, kind, value, words):

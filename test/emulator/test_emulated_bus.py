@@ -296,7 +296,7 @@ def test_position_loop_follows_the_simulators_servo():
         read_servo(), model="pid", proportional=800 / 128 / 885 / RAD_PER_COUNT
     )
     law, model = servo(settings), read_emulator().servo
-    motor = Motor(law.speed, 1 / law.yielding, law.motor_time)
+    motor = Motor(law.speed, 1 / law.speed_loss, law.motor_time)
     one = EmulatedServo(5, model, motor, HALF)
     for name, value in (("position_p_gain", 800), ("position_d_gain", 0), ("torque_enable", 1)):
         one.memory[name] = value
@@ -309,7 +309,7 @@ def test_position_loop_follows_the_simulators_servo():
         angle += 1e-3 * kernel_rate(law, drive, command, angle, 1e-3)
         worst = max(worst, abs(one.shaft.angle - angle))
     assert worst < 2 * RAD_PER_COUNT  # the encoder rounds down: one count, and the response to it
-    droop = 0.5 * law.yielding / settings.proportional  # steady error of a P controller under load
+    droop = 0.5 * law.speed_loss / settings.proportional  # steady error of a P controller under load
     assert command - angle == pytest.approx(droop, rel=1e-6)
 
 

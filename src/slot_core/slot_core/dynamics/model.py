@@ -60,7 +60,7 @@ class MechanicalState(NamedTuple):
     tendon_angle: Array  # (4,) rad
     tendon_rate: Array  # (4,) rad/s, over the last step
     tension: Array  # (4,) N, at the stage of the last step
-    drive: Array  # (4, 3) state of the servos, see `servo.turn`
+    drive: Array  # (4, 3) state of the servos, see `servo.spool_rate`
     bristle: Array  # (4, N, 3) m, odom, and (8, 3) of the torso's corners; empty without bristles
     corner_bristle: Array
 
