@@ -270,7 +270,7 @@ def test_an_estimate_without_imu_still_carries_the_gait(walking):
 
 def test_odometry_that_stops_ends_in_hold(walking):
     walking.silent.add("estimate")
-    limit = (SETTINGS.estimate.coast_cycles + 1) * SETTINGS.estimate.period
+    limit = SETTINGS.estimate.silence
     assert limit - CHAIN <= walking.until(State.HOLD, 1.0) <= limit + STEP
 
 

@@ -95,7 +95,7 @@ class Gait:
     speed: tuple[float, ...] = quantity("tabulated v_x, rising", "m/s", -1, 1)
     amplitude: tuple[float, ...] = quantity("scale of the harmonics at these speeds", "", 0, 1)
     angle_deg: FourHarmonics = quantity("tendon angle", "deg", -360, 360)
-    range_deg: tuple[float, float] = quantity("clip of the tendon angle", "deg", 0, 116.28)
+    range_deg: tuple[float, float] = quantity("clip of the tendon angle", "deg", 0, 360)
     normal_force: FourHarmonics = quantity("normal force of the ground", "N", -50, 50)
 
     def __post_init__(self) -> None:

@@ -168,7 +168,7 @@ class Conditions:
                 Condition.ESTIMATE_LOST,
                 f"{self._missed} estimates in a row unusable, limit {limits.coast_cycles}",
             )
-        age, limit = self._age(time, "estimate"), (limits.coast_cycles + 1) * limits.period
+        age, limit = self._age(time, "estimate"), limits.silence
         if age > limit:
             yield Condition.ESTIMATE_LOST, f"no estimate for {_span(age)}, limit {limit:.3g} s"
 

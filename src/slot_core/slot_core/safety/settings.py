@@ -28,7 +28,7 @@ class EstimateLimits:
     """When the state estimate is lost."""
 
     coast_cycles: int = quantity("unusable estimates in a row that are accepted", "", 0, 30)
-    period: float = quantity("time between two estimates", "s", 1e-3, 1)
+    silence: float = quantity("time without an estimate", "s", 0.01, 5)
     tilt_max: float = quantity("largest magnitude of roll and of pitch", "rad", 0.05, 1.5)
 
 

@@ -268,7 +268,7 @@ class Supervisor:
         Not while they catch up after a HOLD, nor while estimates are missing.
         """
         moving = time - self._entered > self._settings.gate.resume_time * SECOND
-        known = time - self._estimated <= 2.0 * self._settings.estimate.period * SECOND
+        known = time - self._estimated <= 0.5 * self._settings.estimate.silence * SECOND
         return self._state in MOVING and moving and known
 
     def _disobedience(self, time: int) -> str:
