@@ -76,7 +76,7 @@ def discrete(yaw, height, dt):
     return held[:12, :12], held[:12, 12:24], held[:12, 24]
 
 
-def optimum(x0, ahead, constraints=lambda u, x: [], extra=lambda u, x: 0.0):
+def optimum(x0, ahead, constraints=lambda u, x: []):
     """u (H, 12) and cost with further constraints and costs, by CVXPY and Clarabel."""
     a, b, g = discrete(x0[2], x0[5], ahead.dt)
     q, r = np.sqrt(SETTINGS.weights.q), np.sqrt(SETTINGS.weights.r)
@@ -92,7 +92,7 @@ def optimum(x0, ahead, constraints=lambda u, x: [], extra=lambda u, x: 0.0):
         *constraints(u, x),
     ]
     error = (x[1:] - ahead.reference[1 : H + 1]) @ np.diag(q)
-    cost = cvxpy.sum_squares(error) + cvxpy.sum_squares((u - u_ref) @ np.diag(r)) + extra(u, x)
+    cost = cvxpy.sum_squares(error) + cvxpy.sum_squares((u - u_ref) @ np.diag(r))
     problem = cvxpy.Problem(cvxpy.Minimize(cost), all_constraints)
     problem.solve(solver=cvxpy.CLARABEL, tol_gap_abs=1e-11, tol_gap_rel=1e-11, tol_feas=1e-11)
     assert problem.status == cvxpy.OPTIMAL
@@ -559,40 +559,6 @@ def test_a_roll_error_decays_with_lagging_forces(yaw):
     assert np.abs(states[:, 5] - 0.04).max() < 0.01
 
 
-def lagged_prediction(yaw, height, dt, lag):
-    """Prediction with lagging forces, by the matrix exponential of torso, forces and inputs."""
-    a, b, g = continuous(yaw, height)
-    whole = np.zeros((37, 37))
-    whole[:12, :12], whole[:12, 12:24], whole[:12, 36] = a, b, g
-    whole[12:24, 12:24], whole[12:24, 24:36] = -np.eye(12) / lag, np.eye(12) / lag
-    held = expm(dt * whole)
-    return held[:24, :24], held[:24, 24:36], held[:24, 36]
-
-
-@pytest.mark.parametrize("lag", [0.015, 0.05, 0.3])
-def test_prediction_with_lag_is_the_exact_zero_order_hold(lag):
-    predicted = TorsoModel(ROBOT, lag).predict(0.7, 0.05, DT)
-    a, b, drift = lagged_prediction(0.7, 0.05, DT, lag)
-    np.testing.assert_allclose(predicted.a, a, atol=1e-13)
-    np.testing.assert_allclose(predicted.b, b, atol=1e-13)
-    np.testing.assert_allclose(predicted.drift, drift, atol=1e-13)
-
-
-def test_a_soft_balance_is_the_optimum_with_its_cost():
-    x0, ahead = hard_cases()["height error"]
-    mpc = new_mpc(model__support="soft", model__support_weight=30.0, solver__name="piqp")
-    u, cost = optimum(
-        x0,
-        ahead,
-        extra=lambda u, _: 30.0 * cvxpy.sum_squares(cvxpy.sum(u[:, 2::3], axis=1) - ROBOT.weight),
-    )
-    result = mpc.step(x0, ahead)
-    np.testing.assert_allclose(result.force.ravel(), u[0], atol=3e-4)
-    assert result.cost == pytest.approx(cost, rel=1e-6)
-    free = new_mpc().step(x0, ahead).force[:, 2].sum()
-    assert abs(result.force[:, 2].sum() - ROBOT.weight) < 0.5 * abs(free - ROBOT.weight)
-
-
 @pytest.mark.parametrize("band", [0.0, 0.01])
 def test_an_exact_balance_holds_and_is_the_optimum(band):
     x0, ahead = hard_cases()["height error"]
@@ -621,23 +587,6 @@ def test_with_an_exact_balance_too_few_legs_in_contact_are_not_solved():
     assert result.slack_total < 0.0
 
 
-def test_a_soft_minimum_is_the_optimum_with_its_cost_and_always_feasible():
-    least, weight = (0.2, 7.0), 5.0
-    x0, ahead = state(p=(0, 0, 0.05)), preview()
-
-    def shortfall(u, _):
-        f_x, f_z = cvxpy.pos(least[0] - u[:, 0::3]), cvxpy.pos(least[1] - u[:, 2::3])
-        return weight * (cvxpy.sum_squares(f_x) + cvxpy.sum_squares(f_z))
-
-    u, cost = optimum(x0, ahead, extra=shortfall)
-    mpc = new_mpc(model__least_force=least, model__least_weight=weight, solver__name="piqp")
-    result = mpc.step(x0, ahead)
-    np.testing.assert_allclose(result.force.ravel(), u[0], atol=3e-4)
-    assert result.cost == pytest.approx(cost, rel=1e-6)
-    flight = preview(contact=np.zeros((H + 1, 4), dtype=bool))
-    assert mpc.step(x0, flight).status == Status.SOLVED
-
-
 def ticks(mpc, true, seconds=6.0):
     """Last 30 states (30, 12) and result of a torso of the `true` (mass, bias) under the MPC."""
     model, dt = TorsoModel(ROBOT), DT
@@ -663,26 +612,6 @@ def test_the_observer_estimates_mass_and_bias_and_reduces_their_error():
     assert np.abs(with_it[:, 5] - 0.04).max() < 1e-4
     # A tilt remains: the moment against the bias needs forces off the gait's, which are penalised.
     assert np.abs(with_it[:, :2]).max() < 0.5 * np.abs(without[:, :2]).max()
-
-
-def test_a_model_with_lag_overshoots_less_on_a_torso_with_lag():
-    """The forces lag by 0.1 s; the MPC's model is without and with that lag."""
-    overshoots = []
-    for lag in (0.0, 0.1):
-        mpc = new_mpc(model__lag=lag, weights__force=[0.05] * 3, solver__name="piqp")
-        model, x = (
-            TorsoModel(ROBOT, 0.1),
-            np.append(state(p=(0, 0, 0.03)), np.tile([0, 0, HOVER], 4)),
-        )
-        heights = []
-        for k in range(90):
-            ahead = dataclasses.replace(preview(), stamp=round(k * DT * 1e9))
-            force = mpc.step(x[:12], ahead).force.ravel()
-            step = model.predict(x[2], x[5], DT)
-            x = step.a @ x + step.b @ force + step.drift
-            heights.append(x[5])
-        overshoots.append(max(heights) - 0.04)
-    assert overshoots[1] < 0.3 * overshoots[0]
 
 
 @pytest.mark.parametrize("profile", ["paper", "published"])

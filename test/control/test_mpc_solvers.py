@@ -216,9 +216,9 @@ def unsupported(name):
     qp = problem_of_standing()
     if name == "model.support equality":
         return Balanced(20.0)
-    if name == "model.support soft":
+    if name == "cost between":
         qp.P = sparse.csc_matrix(qp.P + sparse.diags([0.1, 0.1], [3, -3], shape=qp.P.shape))
-    if name == "model.lag":
+    if name == "other variables":
         qp.P = sparse.eye(36 * H, format="csc")
     if name == "limits":
         qp.h[0] = 1.0
@@ -226,7 +226,7 @@ def unsupported(name):
 
 
 @pytest.mark.parametrize(
-    "name", ["model.support equality", "model.support soft", "model.lag", "limits"]
+    "name", ["model.support equality", "cost between", "other variables", "limits"]
 )
 def test_riccati_rejects_forms_that_it_does_not_cover(name):
     with pytest.raises(config.ConfigError, match=rf"solver.name = riccati .*{name}.*piqp"):

@@ -8,21 +8,18 @@ stress-free legs:
     d/dt p   = v                       v'     = sum f_i / m - g e_z
 
 with I_w = R_z I R_z^T of torso and legs, r_i = R_z foot_i horizontally and r_z = -p_z, at the yaw
-and height of the present state. The forces f equal the inputs u, or with actuator lag follow them:
-f' = (u - f) / lag. Over the stages k = 0 .. H-1 of the gait preview the MPC minimises
+and height of the present state; the inputs u are the forces f. Over the stages k = 0 .. H-1 of the
+gait preview the MPC minimises
 
     sum (x_k+1 - x_ref,k+1)' Q (x_k+1 - x_ref,k+1) + (u_k - u_ref,k)' R (u_k - u_ref,k)
     with  0 <= f_z <= contact f_max   and   |f_x|, |f_y| <= mu f_z   for every leg and stage,
 
-with u_ref the gait's normal forces, or zero. Options add, for every stage:
+with u_ref the gait's normal forces, or zero. The option `support: equality` adds, for every stage,
 
-    support: soft        + w (sum f_z - m g)^2
-    support: equality    |sum f_z - m g| <= band
-    soft minimum         + w s' s  with  f_x >= f_x,min - s_x,  f_z >= f_z,min - s_z,  s >= 0
-                         for every leg in contact.
+    |sum f_z - m g| <= band.
 
-Without `equality`, u = 0 is always allowed: the problem is feasible from every state. With it, the
-legs in contact must be able to carry the weight, and with all four the height is not controlled.
+Without it, u = 0 is always allowed: the problem is feasible from every state. With it, the legs in
+contact must be able to carry the weight, and with all four the height is not controlled.
 """
 
 from __future__ import annotations
@@ -39,6 +36,7 @@ from slot_core.robot import GRAVITY, LEGS, Array, Robot
 FEET = len(LEGS)
 STATES = 12
 INPUTS = 3 * FEET
+STAGE = INPUTS + STATES  # variables of a stage
 F_Z = slice(2, INPUTS, 3)
 YAW = 2
 
@@ -49,36 +47,18 @@ Slots = NDArray[np.intp]
 class ModelOptions:
     """Options of the problem beside its weights and limits."""
 
-    support: str = choice(
-        "whether the normal forces balance the weight", "free", "soft", "equality"
-    )
-    support_weight: float = quantity("soft: weight of the squared imbalance", "1/N^2", 0, 1e9)
+    support: str = choice("whether the normal forces balance the weight", "free", "equality")
     support_band: float = quantity("equality: largest imbalance", "N", 0, 100)
-    lag: float = quantity("time constant of the actuator lag, 0: none", "s", 0, 1)
     reference: str = choice("reference of the inputs", "gait", "zero")
-    least_force: tuple[float, float] = quantity("soft minimum of f_x and f_z", "N", -100, 100)
-    least_weight: float = quantity(
-        "weight of the squared shortfall, 0: no minimum", "1/N^2", 0, 1e9
-    )
-
-    @property
-    def slacks(self) -> int:
-        """Number of slack variables of a stage."""
-        return 2 * FEET if self.least_weight > 0.0 else 0
-
-    @property
-    def states(self) -> int:
-        """Number of states of a stage: the torso's 12 and, with lag, the 12 forces."""
-        return STATES + (INPUTS if self.lag > 0.0 else 0)
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Discrete model x_k+1 = a x_k + b u_k + drift; with lag the state is [torso, forces]."""
+    """Discrete model x_k+1 = a x_k + b u_k + drift."""
 
-    a: Array  # (n, n), n = 12 or 24
-    b: Array  # (n, 12)
-    drift: Array  # (n,) effect of gravity and bias in one stage
+    a: Array  # (12, 12)
+    b: Array  # (12, 12)
+    drift: Array  # (12,) effect of gravity and bias in one stage
 
 
 @dataclass(frozen=True)
@@ -94,9 +74,8 @@ class Horizon:
 class TorsoModel:
     """Single rigid body model of the torso, driven by the forces on its feet."""
 
-    def __init__(self, robot: Robot, lag: float = 0.0):
-        """lag: time constant of the actuators, s; zero for none."""
-        self._feet, self._lag = robot.feet, lag
+    def __init__(self, robot: Robot):
+        self._feet = robot.feet
         self._inverse_inertia = np.linalg.inv(robot.inertia)
         self._mass = robot.mass
 
@@ -112,8 +91,7 @@ class TorsoModel:
 
         mass: kg, default the robot's. bias: (6,) additional angular and linear acceleration,
         rad/s^2 and m/s^2. With q = [rpy, p] and w = [omega, v] the model is q' = J w,
-        w' = W f + g. Under a held input the forces are f(t) = u + (f_0 - u) exp(-t / lag), whose
-        integrals are in closed form.
+        w' = W u + g.
         """
         rotation = _rotation_z(yaw)
         jacobian = np.eye(6)
@@ -123,35 +101,21 @@ class TorsoModel:
         gain[:3] = rotation @ self._inverse_inertia @ rotation.T @ arms
         gain[3:] = np.tile(np.eye(3) / (mass or self._mass), FEET)
         acceleration = (np.zeros(6) if bias is None else bias) - GRAVITY * np.eye(6)[5]
-        kept, once, twice = self._lag_integrals(dt)
-        size = STATES + (INPUTS if self._lag > 0.0 else 0)
-        a, b, drift = np.eye(size), np.zeros((size, INPUTS)), np.zeros(size)
-        a[:6, 6:STATES] = dt * jacobian
-        a[:6, STATES:] = twice * (jacobian @ gain)[:, : size - STATES]
-        a[6:STATES, STATES:] = once * gain[:, : size - STATES]
-        a[STATES:, STATES:] *= kept
-        b[:6] = (dt**2 / 2 - twice) * jacobian @ gain
-        b[6:STATES] = (dt - once) * gain
-        b[STATES:] = (1.0 - kept) * np.eye(INPUTS)[: size - STATES]
+        a, b, drift = np.eye(STATES), np.zeros((STATES, INPUTS)), np.zeros(STATES)
+        a[:6, 6:] = dt * jacobian
+        b[:6] = dt**2 / 2 * jacobian @ gain
+        b[6:] = dt * gain
         drift[:6] = dt**2 / 2 * jacobian @ acceleration
-        drift[6:STATES] = dt * acceleration
+        drift[6:] = dt * acceleration
         return Prediction(a, b, drift)
-
-    def _lag_integrals(self, dt: float) -> tuple[float, float, float]:
-        """exp(-dt / lag), its integral over dt (s) and double integral (s^2); zero without lag."""
-        if self._lag == 0.0:
-            return 0.0, 0.0, 0.0
-        kept = float(np.exp(-dt / self._lag))
-        once = self._lag * (1.0 - kept)
-        return kept, once, self._lag * (dt - once)
 
 
 class HorizonQp:
     """Quadratic programme min 1/2 z'Pz + c'z with A z = b, G z <= h, lower <= z <= upper.
 
-    z = [u_0, s_0, x_1, u_1, s_1, x_2, ...]. The arrays are scipy CSC matrices and vectors, updated
-    in place; P and all sparsity patterns are constant. Rows of A: dynamics, exact balance. Rows of
-    G: friction, balance with a band, soft minimum.
+    z = [u_0, x_1, u_1, x_2, ...]. The arrays are scipy CSC matrices and vectors, updated in place;
+    P and all sparsity patterns are constant. Rows of A: dynamics, exact balance. Rows of G:
+    friction, balance with a band.
     """
 
     def __init__(  # noqa: PLR0917
@@ -169,47 +133,35 @@ class HorizonQp:
         any prediction is. weight: m g, N, for the balance.
         """
         self.horizon, self.options = horizon, options
-        self.states, slacks = options.states, options.slacks
-        self.stage = INPUTS + slacks + self.states
-        state = np.append(q, np.zeros(self.states - STATES))
-        costs = np.concatenate([r, np.full(slacks, options.least_weight), state])
-        self.weight = np.tile(costs, horizon)
-        self.P = _objective(self.weight, options, horizon, self.stage)
-        self._rows = _Rows(horizon, self.stage, INPUTS + slacks, pattern)
+        self.weight = np.tile(np.concatenate([r, q]), horizon)
+        self.P = sparse.diags(self.weight, format="csc")
+        self._rows = _Rows(horizon, pattern)
         exact = options.support == "equality" and options.support_band == 0.0
         banded = options.support == "equality" and not exact
         self.A, self._a_slots = _stack(
             [self._rows.dynamics(), *([self._rows.balance([1])] if exact else [])]
         )
         self.G, self._g_slots = _stack(
-            [
-                self._rows.friction(),
-                *([self._rows.balance([1, 2])] if banded else []),
-                *([self._rows.least()] if slacks else []),
-            ]
+            [self._rows.friction(), *([self._rows.balance([1, 2])] if banded else [])]
         )
         self.b = np.zeros(self.A.shape[0])
         self.h = np.zeros(self.G.shape[0])
-        self.lower = np.full((horizon, self.stage), -np.inf)
+        self.lower = np.full((horizon, STAGE), -np.inf)
         self.lower[:, F_Z] = 0.0
-        self.lower[:, INPUTS : INPUTS + slacks] = 0.0
-        self.upper = np.full((horizon, self.stage), np.inf)
-        self.target = np.zeros((horizon, self.stage))
+        self.upper = np.full((horizon, STAGE), np.inf)
+        self.target = np.zeros((horizon, STAGE))
         self._set_weight(weight)
         feet = np.zeros((horizon, FEET))
         forces, states = np.zeros((horizon, FEET, 3)), np.zeros((horizon, STATES))
-        self.update(pattern, np.zeros(self.states), Horizon(feet, feet, forces, states), weight)
+        self.update(pattern, np.zeros(STATES), Horizon(feet, feet, forces, states), weight)
 
     @property
     def c(self) -> Array:
-        """Linear cost: -W z_ref, and the term of a soft balance."""
-        linear = -self.weight.reshape(self.horizon, -1) * self.target
-        if self.options.support == "soft":
-            linear[:, F_Z] -= self.options.support_weight * self._robot_weight
-        return linear.ravel()
+        """Linear cost -W z_ref."""
+        return (-self.weight.reshape(self.horizon, -1) * self.target).ravel()
 
     def update(self, prediction: Prediction, state: Array, stages: Horizon, weight: float) -> None:
-        """Set prediction, present state (12 or 24,), stages ahead and weight m g (N).
+        """Set prediction, present state (12,), stages ahead and weight m g (N).
 
         The yaw of the targets is shifted by the full turns that bring it nearest to the state's.
         """
@@ -217,39 +169,31 @@ class HorizonQp:
         values = np.concatenate([[1.0, -1.0], -prediction.a.ravel(), -prediction.b.ravel()])
         self.A.data[:] = values[self._a_slots]
         self.G.data[:] = np.concatenate([[1.0, -1.0], friction])[self._g_slots]
-        dynamics = self.b[: self.horizon * self.states].reshape(self.horizon, -1)
+        dynamics = self.b[: self.horizon * STATES].reshape(self.horizon, -1)
         dynamics[:] = prediction.drift
         dynamics[0] += prediction.a @ state
         self.upper[:, F_Z] = stages.force_max
         self.target[:, :INPUTS] = stages.force_ref.reshape(-1, INPUTS)
-        torso = self.target[:, self.stage - self.states :][:, :STATES]
+        torso = self.target[:, INPUTS:]
         torso[:] = stages.state_ref
         turns = np.round((state[YAW] - stages.state_ref[0, YAW]) / (2 * np.pi))
         torso[:, YAW] += 2 * np.pi * turns
         self._set_weight(weight)
-        if self.options.slacks:
-            in_contact = stages.force_max > 0.0
-            least = -np.array(self.options.least_force)[:, None] * in_contact[:, None, :]
-            self.h[-least.size :] = least.ravel()
 
     def forces(self, z: Array) -> Array:
         """Forces (H, 4, 3) N: the inputs in z."""
-        return z.reshape(self.horizon, self.stage)[:, :INPUTS].reshape(-1, FEET, 3).copy()
+        return z.reshape(self.horizon, STAGE)[:, :INPUTS].reshape(-1, FEET, 3).copy()
 
     def cost(self, z: Array) -> float:
         """Objective of the module's docstring at z."""
         error = z - self.target.ravel()
-        cost = float(error @ (self.weight * error))
-        if self.options.support == "soft":
-            excess = self.forces(z)[..., 2].sum(axis=1) - self._robot_weight
-            cost += self.options.support_weight * float(excess @ excess)
-        return cost
+        return float(error @ (self.weight * error))
 
     def violation(self, z: Array) -> float:
         """Largest violation of a limit of the inputs, N; zero if there is none."""
-        inputs = slice(0, INPUTS + self.options.slacks)
-        flat = z.reshape(self.horizon, self.stage)[:, inputs]
-        balance = self.horizon * self.states
+        inputs = slice(0, INPUTS)
+        flat = z.reshape(self.horizon, STAGE)[:, inputs]
+        balance = self.horizon * STATES
         outside = [
             (self.G @ z - self.h).max(),
             (self.lower[:, inputs] - flat).max(),
@@ -261,13 +205,12 @@ class HorizonQp:
 
     def residual(self, z: Array) -> float:
         """Largest error of the dynamics over the stages, SI units."""
-        rows = self.horizon * self.states
+        rows = self.horizon * STATES
         return float(np.abs(self.A @ z - self.b)[:rows].max())
 
     def _set_weight(self, weight: float) -> None:
         """Set the weight (N) that the normal forces balance."""
-        self._robot_weight = weight
-        self.b[self.horizon * self.states :] = weight
+        self.b[self.horizon * STATES :] = weight
         start = self._rows.frictions
         band = self.options.support_band
         rows = self.h[start : start + self._rows.bands].reshape(-1, 2)
@@ -277,24 +220,23 @@ class HorizonQp:
 class _Rows:
     """Constraint rows; an entry is the 1-based index of its value in a list, 0 for a zero."""
 
-    def __init__(self, horizon: int, stage: int, first_state: int, pattern: Prediction):
-        self._horizon, self._stage = horizon, stage
-        self._first, self._pattern = first_state, pattern
+    def __init__(self, horizon: int, pattern: Prediction):
+        self._horizon, self._pattern = horizon, pattern
         self.frictions = horizon * 4 * FEET
         self.bands = 0
 
     def dynamics(self) -> NDArray[np.int64]:
         """x_k+1 - a x_k - b u_k = drift; values [1, -1, -a, -b]."""
-        size = len(self._pattern.drift)
+        size = STATES
         number = 3 + np.arange(size * (size + INPUTS))
         a = np.where(self._pattern.a != 0, number[: size**2].reshape(size, size), 0)
         b = np.where(self._pattern.b != 0, number[size**2 :].reshape(size, INPUTS), 0)
         rows = self._empty(size)
         for k in range(self._horizon):
             rows[k, :, k, :INPUTS] = b
-            rows[k, :, k, self._first :] = np.eye(size)
+            rows[k, :, k, INPUTS:] = np.eye(size)
             if k > 0:
-                rows[k, :, k - 1, self._first :] = a
+                rows[k, :, k - 1, INPUTS:] = a
         return self._flat(rows)
 
     def balance(self, signs: list[int]) -> NDArray[np.int64]:
@@ -314,17 +256,8 @@ class _Rows:
             block[:, 2] = 3 + k * FEET + leg
         return self._flat(rows)
 
-    def least(self) -> NDArray[np.int64]:
-        """-f - s <= -least_force, f_x of every leg and then f_z; values [1, -1]."""
-        rows = self._empty(2 * FEET)
-        for k, row in np.ndindex(self._horizon, 2 * FEET):
-            part, leg = divmod(row, FEET)
-            rows[k, row, k, 3 * leg + 2 * part] = 2
-            rows[k, row, k, INPUTS + row] = 2
-        return self._flat(rows)
-
     def _empty(self, count: int) -> NDArray[np.int64]:
-        return np.zeros((self._horizon, count, self._horizon, self._stage), dtype=np.int64)
+        return np.zeros((self._horizon, count, self._horizon, STAGE), dtype=np.int64)
 
     def _flat(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
         return rows.reshape(rows.shape[0] * rows.shape[1], -1)
@@ -346,29 +279,17 @@ def condensed_condition(prediction: Prediction, q: Array, r: Array, horizon: int
     If it is large, the objective is flat in some directions: roundoff and the solver's tolerance
     then appear in the forces. q (12,) and r (12,): diagonals of Q and R.
     """
-    size = len(prediction.drift)
-    columns = np.zeros((horizon, STATES, INPUTS))  # first block column of S, rows of the torso
+    columns = np.zeros((horizon, STATES, INPUTS))  # first block column of S
     block = prediction.b
     for k in range(horizon):
-        columns[k] = block[:STATES]
+        columns[k] = block
         block = prediction.a @ block
-    assert block.shape == (size, INPUTS)
     s = np.zeros((horizon * STATES, horizon * INPUTS))
     for k in range(horizon):
         s[k * STATES :, k * INPUTS : (k + 1) * INPUTS] = columns[: horizon - k].reshape(-1, INPUTS)
     hessian = s.T @ (np.tile(q, horizon)[:, None] * s) + np.diag(np.tile(r, horizon))
     eigenvalues = np.linalg.eigvalsh(hessian)
     return float(eigenvalues[-1] / max(eigenvalues[0], np.finfo(float).tiny))
-
-
-def _objective(weight: Array, options: ModelOptions, horizon: int, stage: int) -> sparse.csc_matrix:
-    """P: the weights, and the coupling of the normal forces of a stage by a soft balance."""
-    diagonal = sparse.diags(weight, format="csc")
-    if options.support != "soft":
-        return diagonal
-    block = np.zeros((stage, stage))
-    block[F_Z, F_Z] = options.support_weight
-    return sparse.csc_matrix(diagonal + sparse.block_diag([block] * horizon, format="csc"))
 
 
 def _rotation_z(yaw: float) -> Array:

@@ -141,7 +141,6 @@ class _LastTick:
 
     stamp: int  # ns
     state: Array  # (12,)
-    augmented: Array  # (12 or 24,) with the forces that acted at its start
     force: Array  # (4, 3) N, requested
 
 
@@ -170,14 +169,12 @@ class Mpc:
         not cover the options of the model.
         """
         self._settings, self._timer = settings, timer
-        self._model = TorsoModel(robot, settings.model.lag)
+        self._model = TorsoModel(robot)
         self._disturbance = Disturbance(robot.mass, settings.disturbance)
         self._mass = robot.mass
         weights, horizon = settings.weights, settings.horizon
         generic = self._model.predict(0.3, 0.1, settings.acceptance.stage[1])
-        _check_condition(
-            TorsoModel(robot).predict(0.3, 0.1, settings.acceptance.stage[1]), settings
-        )
+        _check_condition(generic, settings)
         self._qp = HorizonQp(weights.q, weights.r, horizon, generic, settings.model, robot.weight)
         self._solver = make_solver(self._qp, settings.solver)
         self._solver.solve()  # the first solve is slow (page faults): not during operation
@@ -205,31 +202,29 @@ class Mpc:
         if fault := _state_fault(state, self._settings):
             return self._reject(fault, start)
         x = np.asarray(state, dtype=float)
-        augmented = np.append(x, self._observe(x, stages, preview.stamp))
+        self._observe(x, preview.stamp)
         mass, bias = self._disturbance.mass, self._disturbance.bias
         prediction = self._model.predict(x[2], x[5], preview.dt, mass, bias)
-        self._qp.update(prediction, augmented, stages, mass * GRAVITY)
+        self._qp.update(prediction, x, stages, mass * GRAVITY)
         solution = self._solver.solve()
         result = self._accept(solution, stages, self._timer() - start)
-        self._last_tick = _LastTick(preview.stamp, x, augmented, result.force)
+        self._last_tick = _LastTick(preview.stamp, x, result.force)
         return result
 
-    def _observe(self, state: Array, stages: Horizon, stamp: int) -> Array:
-        """Update the disturbance observer; returns the acting forces (12,) N, (0,) without lag."""
-        last, lagging = self._last_tick, self._settings.model.lag > 0.0
-        acting = stages.force_ref[0].ravel() if lagging else np.zeros(0)
-        if last is None or not (lagging or self._settings.disturbance.time > 0.0):
-            return acting
+    def _observe(self, state: Array, stamp: int) -> None:
+        """Update the disturbance observer, if it is on, with the state after the last tick."""
+        last = self._last_tick
+        if last is None or self._settings.disturbance.time == 0.0:
+            return
         dt = (stamp - last.stamp) * 1e-9
         if not 0.0 < dt <= LONGEST_GAP:
-            return acting
+            return
         disturbance = self._disturbance
         model = self._model.predict(
             last.state[2], last.state[5], dt, disturbance.mass, disturbance.bias
         )
-        predicted = model.a @ last.augmented + model.b @ last.force.ravel() + model.drift
-        disturbance.correct(predicted[6:STATES], state[6:], dt)
-        return predicted[STATES:]
+        predicted = model.a @ last.state + model.b @ last.force.ravel() + model.drift
+        disturbance.correct(predicted[6:], state[6:], dt)
 
     def _read(self, preview: GaitPreview) -> Horizon:
         """Limits and targets over the horizon, from the preview."""

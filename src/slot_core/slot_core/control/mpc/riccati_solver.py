@@ -89,10 +89,8 @@ def _step_of_one(qp: HorizonQp, gain: Array) -> Array:
 def _check(qp: HorizonQp) -> None:
     """Raise ConfigError unless the problem is the one without options."""
     stages = qp.horizon
-    if qp.P.shape[0] != stages * STAGE:
-        _refuse("model.lag or model.least_weight: more than 24 variables per stage")
-    if sparse.triu(qp.P, k=1).nnz:
-        _refuse("model.support soft: a cost between the forces")
+    if qp.P.shape[0] != stages * STAGE or sparse.triu(qp.P, k=1).nnz:
+        _refuse("other variables than forces and states, or a cost between them")
     if qp.A.shape[0] != stages * STATES or qp.G.shape[0] != stages * FRICTION_ROWS:
         _refuse("model.support equality: a constraint on all legs")
     forces = qp.P.diagonal().reshape(stages, -1)[:, :INPUTS]
