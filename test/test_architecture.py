@@ -1,4 +1,4 @@
-"""The table of allowed imports, the size of folders, and names that stand for one thing."""
+"""Architecture: allowed imports between folders, size of folders, unique file names."""
 
 import ast
 import collections
@@ -13,7 +13,7 @@ CORE = ROOT / "src" / "slot_core" / "slot_core"
 GROUND = "ground"
 LARGEST_FOLDER = 17  # files, `__init__.py` not counted
 
-# What each folder may import of the others; `ground` is the files beside the folders.
+# Folders that each folder may import from; `ground`: the files beside the folders.
 ALLOWED = {
     GROUND: "",
     "rod": "ground",
@@ -30,22 +30,20 @@ ALLOWED = {
     "report": "ground control control/mpc bags",
     "calibration": "ground dynamics legs simulation report",
 }
-# The controller puts the MPC together with its other stages.
+# The controller combines the MPC with its other stages.
 EXCEPTIONS = {("control/controller.py", "control/mpc")}
-# File names that occur in several folders, and why.
+# File names that occur in several folders, with the reason.
 REPEATED = {
-    "__init__.py": "what the folder is about",
-    "model.py": "the equations of the folder's subject as numbers",
+    "__init__.py": "subject of the folder",
+    "model.py": "numerical form of the equations of the folder's subject",
     "kernels.py": "the compiled functions of the folder's subject",
-    "settings.py": "what the YAML file of the folder's subject holds",
-    "bus.py": "each side of the servo bus",
-    "statics.py": "equilibria: of the rod, and its benchmark's",
-    "rod.py": "the rod",
-    "setup.py": "one for each ROS package",
-    "conftest.py": "pytest's fixtures for a folder",
-    "benchmark.py": "the entry of each benchmark",
-    "picture.py": "the plots of each benchmark, and of a run",
-    "cases.py": "the cases of each benchmark",
+    "settings.py": "settings class of the folder's YAML file",
+    "statics.py": "equilibria of the rod, and those of its benchmark",
+    "setup.py": "one in each ROS package",
+    "conftest.py": "pytest fixtures of a folder",
+    "benchmark.py": "main function of each benchmark",
+    "picture.py": "plots of each benchmark, and of a run",
+    "cases.py": "cases of each benchmark",
 }
 IMPORT_ALL = """
 import importlib, pkgutil, sys, slot_core
@@ -56,7 +54,7 @@ print(*sorted(name.split(".")[0] for name in sys.modules))
 
 
 def imports_of(path: Path) -> set[str]:
-    """Dotted names that a file imports, anywhere in it."""
+    """Dotted names of all imports in a file, also inside functions."""
     names = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
@@ -67,15 +65,15 @@ def imports_of(path: Path) -> set[str]:
     return names
 
 
-def room(path: Path) -> str:
-    """Folder of a core file, relative to the core."""
+def folder_of(path: Path) -> str:
+    """Folder of a file of the core, relative to the core."""
     folder = path.parent.relative_to(CORE).as_posix()
     return GROUND if folder == "." else folder
 
 
-def imported_rooms(path: Path) -> set[str]:
-    """Folders of the core that a file imports from, its own left out."""
-    rooms = set()
+def imported_folders(path: Path) -> set[str]:
+    """Folders of the core that a file imports from, without its own."""
+    folders = set()
     for name in imports_of(path):
         parts = name.split(".")
         if parts[0] == "slot_core":
@@ -83,8 +81,8 @@ def imported_rooms(path: Path) -> set[str]:
                 CORE.joinpath(*parts[1:n]).with_suffix(".py") for n in (len(parts) - 1, len(parts))
             )
             found = next((p for p in places if p.is_file()), None)
-            rooms.add(GROUND if found is None else room(found))
-    return rooms - {room(path)}
+            folders.add(GROUND if found is None else folder_of(found))
+    return folders - {folder_of(path)}
 
 
 def test_core_imports_nothing_of_ros():
@@ -97,21 +95,21 @@ def test_core_imports_nothing_of_ros():
 
 
 def test_every_folder_of_the_core_is_in_the_table():
-    assert {room(path) for path in CORE.rglob("*.py")} == set(ALLOWED)
+    assert {folder_of(path) for path in CORE.rglob("*.py")} == set(ALLOWED)
 
 
 @pytest.mark.parametrize("folder", ALLOWED)
 def test_a_folder_imports_only_what_the_table_allows(folder):
-    files = [path for path in CORE.rglob("*.py") if room(path) == folder]
+    files = [path for path in CORE.rglob("*.py") if folder_of(path) == folder]
     assert len(files) > 2
     for path in files:
-        for other in imported_rooms(path) - set(ALLOWED[folder].split()):
+        for other in imported_folders(path) - set(ALLOWED[folder].split()):
             assert (path.relative_to(CORE).as_posix(), other) in EXCEPTIONS, f"{path}: {other}"
         names = {name.split(".")[0] for name in imports_of(path)}
         assert not names & {"slot_nodes", "slot_bringup", "slot_msgs", "benchmarks"}, path
 
 
-def test_nodes_do_not_import_what_starts_them():
+def test_nodes_do_not_import_the_bring_up():
     files = list((ROOT / "src" / "slot_nodes").rglob("*.py"))
     assert len(files) > 10
     for path in files:
@@ -127,26 +125,25 @@ def tracked() -> list[Path]:
     return [Path(line) for line in listed.stdout.splitlines() if (ROOT / line).exists()]
 
 
-def test_no_folder_of_python_is_too_large_to_read_as_a_list():
+def test_no_folder_has_too_many_python_files():
     python = [path for path in tracked() if path.suffix == ".py" and path.name != "__init__.py"]
     sizes = collections.Counter(path.parent for path in python)
     assert len(sizes) > 20
     assert {str(p): n for p, n in sizes.items() if n > LARGEST_FOLDER} == {}
 
 
-def test_a_file_name_occurs_in_two_folders_only_for_a_stated_reason():
+def test_a_file_name_occurs_in_several_folders_only_with_a_reason():
     python = [path for path in tracked() if path.suffix == ".py"]
     counts = collections.Counter(path.name for path in python)
-    assert {name for name, n in counts.items() if n > 1} <= set(REPEATED)
-    assert set(REPEATED) <= set(counts)
+    assert {name for name, n in counts.items() if n > 1} == set(REPEATED)
 
 
-def test_no_file_name_imitates_a_folder():
-    hidden = [p for p in tracked() if p.suffix == ".py" and p.name.startswith("_")]
-    assert {p.name for p in hidden} <= {"__init__.py", "__main__.py"}
+def test_no_file_name_has_a_leading_underscore():
+    private = [p for p in tracked() if p.suffix == ".py" and p.name.startswith("_")]
+    assert {p.name for p in private} <= {"__init__.py", "__main__.py"}
 
 
-def test_launch_is_imported_by_the_launch_file_alone():
+def test_launch_is_imported_only_by_the_launch_file():
     sources = [*ROOT.glob("src/**/*.py"), *ROOT.glob("slot_bringup/slot_bringup/*.py")]
     assert len(sources) > 20
     for path in sources:
