@@ -1,4 +1,4 @@
-"""Faults in the process of the simulated robot: by its scene, by its service, and a lost run."""
+"""Faults in the process of the simulated robot: of its scene, of its service; divergence."""
 
 import os
 import signal
@@ -26,12 +26,12 @@ from slot_msgs.msg import LegStates
 from slot_msgs.srv import InjectFault
 from slot_nodes import qos
 
-STANDING = [1.1] * 4  # rad, about what the robot settles at
-LIMIT = 60.0  # s that anything may take on a busy machine
+STANDING = [1.1] * 4  # rad, about the settled tendon angles
+LIMIT = 60.0  # s, longest wait on a busy machine
 
 
 class Robot:
-    """A `sim_robot` in lockstep, and what holds its legs where they stand."""
+    """A `sim_robot` process, and a node that answers its odometry with constant angles."""
 
     def __init__(self, log, **parameters):
         self.log = log
@@ -50,18 +50,18 @@ class Robot:
         self.node.create_subscription(Odometry, "odom", self._on_odometry, qos.SENSOR)
         self.node.create_subscription(LegStates, "ground_truth/legs", self._on_legs, qos.SENSOR)
         self.holding = False
-        self.waiting = None  # odometry without an answer
-        self.tension = {}  # by time since the start, s
+        self.odometry = None  # last odometry
+        self.tension = {}  # N, by time since the start, s
 
     def _on_odometry(self, message):
-        self.waiting = message
+        self.odometry = message
         if self.holding:
             self.answer()
 
     def answer(self):
-        """Let the robot do one tick more, standing."""
+        """Answer the last odometry with the standing angles."""
         answer = JointState(name=TENDON_JOINTS, position=STANDING)
-        answer.header.stamp = self.waiting.header.stamp
+        answer.header.stamp = self.odometry.header.stamp
         self.commands.publish(answer)
 
     def _on_legs(self, message):
@@ -74,19 +74,19 @@ class Robot:
             self.executor.spin_once(timeout_sec=0.05)
 
     def hold_while(self, condition):
-        """Let the robot stand tick by tick."""
-        self.spin_until(lambda: self.waiting)
+        """Answer every odometry while a condition holds."""
+        self.spin_until(lambda: self.odometry)
         self.holding = True
         self.answer()
         self.spin_until(lambda: not condition())
         self.holding = False
 
     def hold_until(self, seconds):
-        """Let the robot stand until a time of its own clock."""
+        """Answer every odometry until a time since the start of the robot, s."""
         self.hold_while(lambda: max(self.tension, default=0.0) < seconds)
 
     def inject(self, kind, leg="FL", clear=False, **values):
-        """Success and message of the service."""
+        """Call the service; return success and message."""
         self.spin_until(self.inject_client.service_is_ready)
         request = InjectFault.Request(kind=kind, leg=leg, clear=clear, **values)
         answer = self.inject_client.call_async(request)
@@ -106,7 +106,7 @@ class Robot:
 
 @contextmanager
 def robot(directory, **parameters):
-    """A simulated robot, ended at last."""
+    """A simulated robot, stopped at the end."""
     made = Robot(directory / "sim_robot.log", **parameters)
     try:
         yield made
@@ -114,7 +114,7 @@ def robot(directory, **parameters):
         made.close()
 
 
-def test_a_tendon_of_the_scene_breaks_at_its_time(tmp_path):
+def test_tendon_breaks_at_the_time_of_the_scene(tmp_path):
     with robot(tmp_path, lockstep=True, scene="tendon_breaks") as standing:
         standing.hold_until(5.2)
     times, tensions = map(np.array, zip(*sorted(standing.tension.items())))
@@ -126,7 +126,7 @@ def test_a_tendon_of_the_scene_breaks_at_its_time(tmp_path):
     assert after[:, 1:].min() > 1.0
 
 
-def test_the_service_breaks_a_tendon_of_the_frozen_robot_and_mends_that_of_the_moving(tmp_path):
+def test_service_breaks_a_tendon_before_the_start_and_repairs_it_during_motion(tmp_path):
     with robot(tmp_path, lockstep=True) as standing:
         assert standing.inject("tendon_broken", "RR") == (True, "")
         standing.hold_until(0.2)
@@ -137,7 +137,7 @@ def test_the_service_breaks_a_tendon_of_the_frozen_robot_and_mends_that_of_the_m
     assert all(tension[3] > 1.0 for t, tension in standing.tension.items() if t > broken + 0.1)
 
 
-def test_the_service_says_why_not(tmp_path):
+def test_service_refuses_a_fault_with_the_reason(tmp_path):
     with robot(tmp_path, lockstep=True) as frozen:
         refused = {
             ("silent", "FL"): "fault 'silent': only the servos of hardware fake_bus can have it",
@@ -148,13 +148,13 @@ def test_the_service_says_why_not(tmp_path):
             success, message = frozen.inject(kind, leg)
             assert not success
             assert message.startswith(reason)
-        told = frozen.inject("tendon_slack", value=0.2)
-        assert told == (False, "inject: fault.value = 0.2: outside [0.0001, 0.1] m")
-        told = frozen.inject("tendon_broken", "RL", clear=True)
-        assert told == (False, "no fault 'tendon_broken' at 'RL'")
+        answer = frozen.inject("tendon_slack", value=0.2)
+        assert answer == (False, "inject: fault.value = 0.2: outside [0.0001, 0.1] m")
+        answer = frozen.inject("tendon_broken", "RL", clear=True)
+        assert answer == (False, "no fault 'tendon_broken' at 'RL'")
 
 
-def test_the_service_pulls_the_plug_of_the_servos_and_puts_it_back(tmp_path):
+def test_service_unplugs_and_plugs_in_the_bus(tmp_path):
     port = tmp_path / "servos"
     with robot(tmp_path, bus=str(port)) as frozen:
         frozen.spin_until(port.exists)
@@ -164,37 +164,37 @@ def test_the_service_pulls_the_plug_of_the_servos_and_puts_it_back(tmp_path):
         frozen.spin_until(port.exists)
 
 
-def test_a_lost_simulation_lets_the_driver_switch_its_servos_off(tmp_path):
+def test_diverged_simulation_waits_for_the_driver_to_switch_the_servos_off(tmp_path):
     settings = config.replace(read_settings(), {"bus.timeout": 0.1})  # a busy machine
     link = tmp_path / "servos"
-    with robot(tmp_path, bus=str(link)) as lost:
-        lost.spin_until(link.exists)
+    with robot(tmp_path, bus=str(link)) as sim:
+        sim.spin_until(link.exists)
         port = SerialPort(str(link), settings.bus.baud, settings.bus.timeout)
         driver = Driver(port, settings)
         driver.configure()
         driver.activate()
-        lost.spin_until(lambda: lost.waiting)
-        assert lost.inject("nan", "RL") == (True, "")
-        lost.answer()
-        lost.spin_until(lambda: driver.cycle() and "simulation stopped" in lost.log.read_text())
+        sim.spin_until(lambda: sim.odometry)
+        assert sim.inject("nan", "RL") == (True, "")
+        sim.answer()
+        sim.spin_until(lambda: driver.cycle() and "simulation diverged" in sim.log.read_text())
         assert driver.torque_off().complete
         driver.close()
-        lost.spin_until(lambda: lost.process.poll() is not None)
-        assert lost.process.returncode == 1
-    assert "Traceback" not in lost.log.read_text()
-    assert "servos left under torque: none" in lost.log.read_text()
+        sim.spin_until(lambda: sim.process.poll() is not None)
+        assert sim.process.returncode == 1
+    assert "Traceback" not in sim.log.read_text()
+    assert "servos left under torque: none" in sim.log.read_text()
 
 
 @pytest.mark.parametrize("dump", ["", "kept"])
-def test_a_lost_simulation_ends_in_one_line_that_names_the_file_with_its_state(tmp_path, dump):
-    """Without a directory asked for, the file is in the working directory."""
-    with robot(tmp_path, lockstep=True, dump=dump and str(tmp_path / dump)) as lost:
-        lost.hold_until(0.1)
-        assert lost.inject("nan", "FR") == (True, "")
-        lost.hold_while(lambda: lost.process.poll() is None)
-        assert lost.process.returncode == 1
-    line = lost.log.read_text().splitlines()[-1]
-    assert "simulation stopped: solution lost in step" in line
+def test_diverged_simulation_ends_with_one_line_that_names_the_file_of_its_state(tmp_path, dump):
+    """Without the parameter `dump` the file is in the working directory."""
+    with robot(tmp_path, lockstep=True, dump=dump and str(tmp_path / dump)) as sim:
+        sim.hold_until(0.1)
+        assert sim.inject("nan", "FR") == (True, "")
+        sim.hold_while(lambda: sim.process.poll() is None)
+        assert sim.process.returncode == 1
+    line = sim.log.read_text().splitlines()[-1]
+    assert "simulation diverged in step" in line
     (file,) = (tmp_path / dump).glob("lost_*.npz")
     assert line.endswith(f"; its state is in {file}")
     state = np.load(file)

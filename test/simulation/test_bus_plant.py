@@ -1,4 +1,4 @@
-"""The simulated robot on emulated servos, without ROS and without a port."""
+"""The simulated robot on emulated servos, without ROS."""
 
 import dataclasses
 import math
@@ -18,7 +18,7 @@ from slot_core.emulator.emulated_bus import read_emulator
 from slot_core.emulator.pseudo_terminal import PseudoTerminal
 from slot_core.faults import Fault
 from slot_core.robot import read_robot
-from slot_core.simulation.bus_plant import BusPlant, imposed
+from slot_core.simulation.bus_plant import BusPlant, immediate_servo
 
 MS = 1_000_000  # ns
 ROBOT = read_robot()
@@ -37,33 +37,33 @@ def plant():
 
 
 def run(plant, duration):
-    """Advance for a time (s); all readings."""
+    """Advance by a time (s) and return all readings."""
     return list(plant.advance(plant.now + round(duration * 1e9)))
 
 
 def switch_on(plant, angles):
-    """Torque on with goals at tendon angles (4,), as written by a driver."""
+    """Write goals at tendon angles (4,), rad, and torque on to the registers."""
     for joint, servo, angle in zip(plant.legs.joints, plant.legs.bus.servos, angles):
         servo.memory["goal_position"] = joint.counts(angle)
         servo.memory["torque_enable"] = 1
 
 
-def test_the_servos_start_where_the_tendons_have_settled(plant):
+def test_servos_start_at_the_settled_tendon_angles_with_torque_off(plant):
     assert plant.legs.angles() == pytest.approx(plant.simulator.tendon_angle, abs=1e-12)
     assert plant.powered() == ()
 
 
-def test_the_spools_are_where_the_shafts_are_after_every_step(plant):
+def test_spool_angles_equal_shaft_angles_after_every_step(plant):
     plant.start(0)
     switch_on(plant, plant.simulator.tendon_angle + np.array([0.3, -0.1, 0.2, 0.1]))
     assert plant.powered() == ("FL", "FR", "RL", "RR")
     for _ in range(100):
         run(plant, 0.001)
-        # to rounding: angle + h (command - angle) / h
+        # rounding of angle + h (command - angle) / h
         assert plant.simulator.tendon_angle == pytest.approx(plant.legs.angles(), abs=1e-12)
 
 
-def test_a_loaded_servo_rests_where_its_duty_balances_the_tendon(plant):
+def test_loaded_servo_rests_where_its_duty_balances_the_tendon(plant):
     """P/128 (goal - position) / 885 = load / stall, the position in counts."""
     plant.start(0)
     settings, goal = read_settings(), np.full(4, 1.0)
@@ -79,24 +79,24 @@ def test_a_loaded_servo_rests_where_its_duty_balances_the_tendon(plant):
     assert duty == pytest.approx(load / read_servo().stall_torque, abs=0.015)
 
 
-def test_without_torque_the_tendons_yield_until_the_gears_friction_holds_them(plant):
+def test_without_torque_tendons_unwind_until_the_friction_of_the_gear_holds_them(plant):
     plant.start(0)
     before = plant.simulator.tendon_angle
     run(plant, 2.0)
     assert (plant.simulator.tendon_angle < before - 0.05).all()
     friction = read_emulator().servo.shaft.friction * read_settings().joints.servo_per_tendon
-    # the gear holds this and yields slowly to a little more
+    # the gear holds this load and creeps at a slightly larger one
     assert plant.simulator.servo_torque.max() < friction * 1.1
 
 
-def test_joints_are_read_by_the_driver_alone(plant):
+def test_joint_readings_come_only_from_the_driver(plant):
     plant.start(0)
     names = {type(reading).__name__ for reading in run(plant, 0.1)}
     assert "OdometryReading" in names
     assert "JointReading" not in names
 
 
-def test_a_command_past_the_bus_moves_nothing():
+def test_command_not_sent_over_the_bus_has_no_effect():
     one, other = make(), make()
     for plant in (one, other):
         plant.start(0)
@@ -106,13 +106,13 @@ def test_a_command_past_the_bus_moves_nothing():
     assert (one.simulator.tendon_angle == other.simulator.tendon_angle).all()
 
 
-def test_backlash_is_refused_rather_than_left_out():
+def test_backlash_is_refused():
     servo = dataclasses.replace(read_servo(), backlash_deg=1.0)
     with pytest.raises(ConfigError, match=r"backlash_deg = 1\.0: emulated servos have none"):
-        imposed(servo, 0.001)
+        immediate_servo(servo, 0.001)
 
 
-def test_the_range_of_the_tendons_bounds_the_spools(plant):
+def test_spool_angles_stay_within_the_range_of_the_tendons(plant):
     plant.start(0)
     low = -math.radians(read_settings().joints.margin_deg) / 2
     switch_on(plant, np.full(4, low))
@@ -124,8 +124,8 @@ def test_the_range_of_the_tendons_bounds_the_spools(plant):
 @pytest.mark.parametrize(
     ("kind", "value", "most"), [("tendon_broken", 0.0, 0.01), ("tendon_slack", 0.003, 0.4)]
 )
-def test_the_driver_measures_that_a_tendon_gives_way(plant, kind, value, most):
-    """Seen: 0.47 of the stall torque at all servos, then 0 or 0.37 at this one."""
+def test_driver_measures_the_loss_of_load_of_a_damaged_tendon(plant, kind, value, most):
+    """Measured: 0.47 of the stall torque at all servos, then 0 or 0.37 at this one."""
     settings = config.replace(read_settings(), {"bus.timeout": 0.05})  # a busy machine
     with PseudoTerminal(plant.legs.bus) as terminal:
         port = SerialPort(terminal.name, settings.bus.baud, settings.bus.timeout)
@@ -144,8 +144,10 @@ def test_the_driver_measures_that_a_tendon_gives_way(plant, kind, value, most):
         plant.inject(Fault(kind, "RL", 0.0, 0.0, value))
         after = loads(50)
         driver.close()
-    count = 0.0071  # of the encoder, as the share of the stall torque that the P gain makes of it
+    count = 0.0071  # share of the stall torque that the P gain makes of one count of the encoder
     assert np.ptp(before) <= 2 * count
     assert np.argmin(after) == 2
     assert after[2] < most
-    assert after[[0, 3]].min() > before.min() + 2 * count  # the torso tips onto its neighbours
+    assert (
+        after[[0, 3]].min() > before.min() + 2 * count
+    )  # the torso tilts onto the neighbours of the leg

@@ -1,4 +1,4 @@
-"""The plant: what a scene plans happens at its time."""
+"""Pushes of a scene act on the simulated robot at their time."""
 
 import numpy as np
 import pytest
@@ -21,8 +21,8 @@ def plant(**pushes):
     return Plant(read_robot(), scene, read_servo(), np.random.default_rng(0))
 
 
-def followed(plant, milliseconds):
-    """(n, 6) the push that acts after each millisecond from the start on."""
+def acting_pushes(plant, milliseconds):
+    """(n, 6) external force and moment in each millisecond after the start."""
     plant.start(START)
     acting = []
     for k in range(milliseconds):
@@ -31,15 +31,15 @@ def followed(plant, milliseconds):
     return np.array(acting)
 
 
-def test_pushes_act_from_their_begin_for_their_duration_and_add_up():
-    acting = followed(plant(first=FIRST, second=SECOND), 300)
+def test_pushes_act_from_their_time_for_their_duration_and_add_up():
+    acting = acting_pushes(plant(first=FIRST, second=SECOND), 300)
     expected = np.zeros((300, 6))
     expected[100:150] += [*FORCE, *MOMENT]
     expected[120:220, 0] += 2.0
     np.testing.assert_allclose(acting, expected, atol=1e-15)
 
 
-def test_a_push_moves_the_robot_and_no_push_does_not():
+def test_robots_with_and_without_a_push_are_equal_until_it_begins():
     pushed, still = plant(first=FIRST), plant()
     for each in (pushed, still):
         each.start(START)
@@ -47,18 +47,18 @@ def test_a_push_moves_the_robot_and_no_push_does_not():
         for each in (pushed, still):
             list(each.advance(START + until * MILLISECOND))
         equal = np.array_equal(pushed.simulator.position, still.simulator.position)
-        assert equal is same  # to the last bit before it begins
+        assert equal is same  # bit-equal until the push begins
     for each in (pushed, still):
         list(each.advance(START + 150 * MILLISECOND))
     gained = (pushed.simulator.momentum()[0] - still.simulator.momentum()[0])[1]
-    assert 0.0 < gained < 4.0 * 0.05  # N s; the floor takes a part of it
+    assert 0.0 < gained < 4.0 * 0.05  # N s; the floor takes a part
 
 
-def test_readings_of_the_clock_are_not_moved_by_a_push_between_time_steps():
+def test_push_between_two_time_steps_does_not_shift_the_clock():
     odd = {**FIRST, "time": 0.1004, "duration": 0.0501}
     each = plant(first=odd)
-    acting = followed(each, 200)
+    acting = acting_pushes(each, 200)
     assert each.now == START + 200 * MILLISECOND
-    # Whole steps only: the push acts in 50 of them.
+    # Whole time steps: the push acts in 50 of them.
     assert np.count_nonzero(acting[:, 1]) == pytest.approx(50, abs=1)
     assert not acting[-1].any()

@@ -1,4 +1,4 @@
-"""The whole robot: conservation, an independent solver of its equations, standing, refusals."""
+"""The robot on rods: conservation, an independent solver of its equations, standing, refusals."""
 
 import dataclasses
 
@@ -27,7 +27,7 @@ def simulator(robot=ROBOT, servo="torque_speed", **changes):
 
 
 def floating(robot, step, theta=0.5, iterations=6):
-    """Without gravity, legs natural, tumbling at 7 rad/s."""
+    """Robot without gravity, with undeformed legs, tumbling at 7 rad/s."""
     sim = simulator(
         robot,
         gravity=[0.0, 0.0, 0.0],
@@ -42,15 +42,15 @@ def floating(robot, step, theta=0.5, iterations=6):
 
 
 @pytest.mark.parametrize("iterations", [1, 2])
-def test_linear_momentum_is_kept_to_rounding(iterations):
+def test_linear_momentum_is_conserved_to_rounding(iterations):
     sim = floating(ROBOT, 1e-3, 0.55, iterations)
     before = sim.momentum()[0]
     sim.advance(500, np.full(4, 1.5))
     np.testing.assert_allclose(sim.momentum()[0], before, rtol=1e-12)
 
 
-def test_angular_momentum_is_kept_to_second_order():
-    """With tendons pulled meanwhile: internal forces of any kind give no moment."""
+def test_angular_momentum_is_conserved_to_second_order():
+    """The tendons are pulled meanwhile: internal forces exert no moment."""
     errors = []
     for step in (2e-3, 1e-3):
         sim = floating(ROBOT, step)
@@ -58,11 +58,11 @@ def test_angular_momentum_is_kept_to_second_order():
         sim.advance(round(0.4 / step), np.full(4, 1.5))
         errors.append(np.linalg.norm(sim.momentum()[1] - before) / np.linalg.norm(before))
     assert errors[0] < 1e-7
-    assert np.log2(errors[0] / errors[1]) > 1.9  # two, but for rounding
+    assert np.log2(errors[0] / errors[1]) > 1.9  # 2 except for rounding
 
 
-def test_undamped_legs_keep_the_energy_in_flight():
-    """Without Kelvin-Voigt damping nothing dissipates: coriolis terms must not feed or drain."""
+def test_energy_of_undamped_legs_is_conserved_in_flight():
+    """Without Kelvin-Voigt damping nothing dissipates; Coriolis terms do no work."""
     errors = []
     for step in (5e-4, 2.5e-4):
         sim = floating(UNDAMPED, step)
@@ -70,14 +70,14 @@ def test_undamped_legs_keep_the_energy_in_flight():
         sim.advance(round(0.2 / step), np.zeros(4))
         errors.append(abs(sim.energy() / before - 1))
     assert errors[0] < 1e-3
-    assert np.log2(errors[0] / errors[1]) > 1.5  # two in the limit; the stiff modes come late
+    assert np.log2(errors[0] / errors[1]) > 1.5  # 2 in the limit; the stiff modes converge last
 
 
 class VerticalDrop:
-    """A level robot with four equal legs falls straight: one leg and a quarter of the torso.
+    """Vertical fall of a level robot with four equal legs: one leg with a quarter of the torso.
 
-    Unknowns: height of the clamp, then x and z of the nodes; the equations of rod, tendon and
-    contact written down once more, for SciPy's implicit Runge-Kutta method.
+    Unknowns: height of the clamp, then x and z of the nodes. Independent implementation of the
+    equations of rod, tendon and contact, for SciPy's implicit Runge-Kutta method.
     """
 
     def __init__(self, sim, angle):
@@ -131,7 +131,7 @@ DROP = {"height": 0.05, "speed": -0.4, "angle": 1.2}  # m, m/s, rad: suddenly ta
 
 def dropped(step, seconds, theta):
     sim = simulator(
-        servo="ideal",  # the tendon's jerk at the start would push the other one back
+        servo="ideal",  # the jerk of the tendon at the start would turn a torque-limited servo back
         start__height=DROP["height"],
         start__settle=0.0,
         solver__nodes=7,
@@ -146,7 +146,7 @@ def dropped(step, seconds, theta):
 
 
 def drop_error(sims, seconds):
-    """Largest distance of a node from where Radau's method takes it, m, for each simulator."""
+    """Largest distance of a node from the solution of Radau's method, m, for each simulator."""
     exact = VerticalDrop(sims[0], DROP["angle"])
     y0 = exact.start(DROP["height"], DROP["speed"])
     y = solve_ivp(exact.rate, (0, seconds), y0, method="Radau", rtol=1e-9, atol=1e-11).y[:, -1]
@@ -159,7 +159,7 @@ def drop_error(sims, seconds):
     return errors, node, exact.contact(node, velocity)[:, 1].sum()
 
 
-def test_legs_snap_taut_as_an_independent_solver_says_to_second_order():
+def test_suddenly_taut_legs_agree_with_an_independent_solver_to_second_order():
     seconds = 2e-3
     sims = [dropped(step, seconds, 0.5) for step in (1e-4, 2.5e-5)]
     errors, _, force = drop_error(sims, seconds)
@@ -168,20 +168,20 @@ def test_legs_snap_taut_as_an_independent_solver_says_to_second_order():
     assert np.log2(errors[0] / errors[1]) / 2 > 1.8
 
 
-def test_a_landing_agrees_with_an_independent_solver():
-    """Taut legs meet the floor at 0.9 m/s and slide apart; 80 ms after the start."""
+def test_landing_agrees_with_an_independent_solver():
+    """Taut legs hit the floor at 0.9 m/s and slide apart; state 80 ms after the start."""
     seconds = 0.08
     errors, node, force = drop_error([dropped(2.5e-5, seconds, 0.55)], seconds)
     assert force > 1.0  # N: it has landed
-    assert node[0, 1] > ROBOT.torso.size[2] / 2  # and not on its belly, which has no place here
-    assert errors[0] < 1e-5  # m, of a motion of 20 mm
+    assert node[0, 1] > ROBOT.torso.size[2] / 2  # contact of the torso is not in the reference
+    assert errors[0] < 1e-5  # m; the motion is 20 mm
 
 
 @pytest.mark.parametrize(
     ("theta_deg", "height"), [(40, 0.017), (57, 0.033), (75, 0.056), (100, 0.087)]
 )
-def test_standing_heights_are_those_of_the_fit(theta_deg, height):
-    """Of an earlier implementation with the same parameters, friction .3, quoted to the mm."""
+def test_standing_heights_equal_those_of_an_earlier_implementation(theta_deg, height):
+    """With the same parameters and friction 0.3; the heights are rounded to 1 mm."""
     sim = simulator(floor__friction=[0.3] * 4, start__tendon_angle_deg=float(theta_deg))
     sim.advance(1000, sim.tendon_angle)
     assert sim.position[2] == pytest.approx(height, abs=2e-3)
@@ -211,20 +211,20 @@ def test_error_of_a_step_command_falls_with_the_time_step():
 
 
 @pytest.mark.parametrize("speed", [1.0, 3.0])
-def test_an_impact_ends_in_standing_and_adds_no_energy(speed):
+def test_robot_stands_after_an_impact_that_adds_no_energy(speed):
     sim = simulator(start__height=0.03, start__settle=0.0)
     sim.set_motion(np.array([0.1, 0.0, -speed]), np.array([0.5, 0.2, 0.0]))
     before, peak = sim.energy(), 0.0
-    for _ in range(300):  # it still swings by some mm after 2 s
+    for _ in range(300):  # after 2 s it still oscillates by some mm
         sim.advance(10, np.full(4, 1.1))
         peak = max(peak, sim.energy())
-    # What the servos add: 4 x 70 N over 8 mm are 2 J, of which the legs keep 1 J at the start.
+    # The servos add 4 x 70 N over 8 mm = 2 J; the legs store 1 J at the start.
     assert peak < before + 2.5
     assert sim.position[2] == pytest.approx(0.04, abs=5e-3)
     assert np.abs(sim.rpy[:2]).max() < 0.01
 
 
-def test_equal_inputs_give_equal_bits():
+def test_equal_inputs_give_bit_equal_results():
     runs = []
     for _ in range(2):
         sim = simulator(start__settle=0.2)
@@ -234,7 +234,7 @@ def test_equal_inputs_give_equal_bits():
     np.testing.assert_array_equal(*runs)
 
 
-def test_one_call_of_many_steps_is_many_calls_of_one():
+def test_one_call_of_many_steps_equals_many_calls_of_one():
     one, many = simulator(start__settle=0.1), simulator(start__settle=0.1)
     command = np.array([1.2, 0.8, 1.0, 1.4])
     one.advance(50, command)
@@ -254,7 +254,7 @@ def test_one_call_of_many_steps_is_many_calls_of_one():
         ([0.5, 0.5, 0.5, 2.03], r"inside \[0, 2\.02"),
     ],
 )
-def test_a_bad_command_is_refused_and_nothing_moves(command, message):
+def test_invalid_command_is_refused_and_nothing_moves(command, message):
     sim = simulator(start__settle=0.0)
     before = sim.nodes
     with pytest.raises(ValueError, match=message):
@@ -262,17 +262,17 @@ def test_a_bad_command_is_refused_and_nothing_moves(command, message):
     np.testing.assert_array_equal(sim.nodes, before)
 
 
-def test_a_lost_solution_is_named():
+def test_divergence_names_time_place_and_limit():
     sim = simulator(start__settle=0.0, solver__halvings=0)
     sim.state.node_velocity[2, 9] = np.nan
     with pytest.raises(Divergence, match=r"at 0\.0000 s: "):
         sim.advance(1, np.zeros(4))
     sim = simulator(start__settle=0.0, start__height=3.0, solver__speed_limit=1.0)
     with pytest.raises(Divergence, match=r"0\.10[12]0 s: torso .* 1\.0 m/s"):
-        sim.advance(200, np.zeros(4))  # falls beyond 1 m/s at t = 1/g = 0.1019 s
+        sim.advance(200, np.zeros(4))  # free fall exceeds 1 m/s at t = 1/g = 0.1019 s
 
 
-def test_angles_and_quaternion_are_scipys():
+def test_angles_and_quaternion_equal_those_of_scipy():
     sim = simulator(start__settle=0.0)
     for angles in np.random.default_rng(2).uniform(-1.5, 1.5, (20, 3)):
         sim.state.rotation[:] = Rotation.from_euler("xyz", angles).as_matrix()
@@ -281,20 +281,20 @@ def test_angles_and_quaternion_are_scipys():
         np.testing.assert_allclose(sim.quaternion, expected, atol=1e-12)
 
 
-def test_no_place_for_the_cache_means_no_cache(tmp_path, monkeypatch):
+def test_unwritable_cache_directory_disables_the_cache(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(compiled.SETTINGS, "CACHE_DIR", str(tmp_path / "file" / "cache"))
-    double = compiled.kernel(lambda x: 2.0 * x)  # Numba would raise without the check
+    double = compiled.kernel(lambda x: 2.0 * x)  # without the check Numba would raise
     assert double(1.5) == 3.0
-    assert str(tmp_path) in compiled.SETTINGS.CACHE_DIR  # as it was for everybody else
+    assert str(tmp_path) in compiled.SETTINGS.CACHE_DIR  # not changed by it
 
 
-def test_an_unknown_scene_is_refused_with_the_known_ones():
+def test_unknown_scene_is_refused_with_the_names_of_the_known_ones():
     with pytest.raises(ConfigError, match=r"moon.*flat.*slippery"):
         read_scene("moon")
 
 
-def test_a_step_that_runs_out_of_halvings_is_counted():
+def test_step_without_halvings_left_is_counted_as_unconverged():
     changes = {"start__height": 0.03, "start__settle": 0.0, "solver__correction_limit": 1e-15}
     for halvings in (0, 2):
         sim = simulator(**changes, solver__halvings=halvings)

@@ -1,4 +1,4 @@
-"""Sensors against the simulated truth: mean and spread of their noise, frames, gravity."""
+"""Sensors against the simulated truth: mean and standard deviation of noise, frames, gravity."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,8 @@ from slot_core.simulation.sensors import ImuSensor, OdometrySensor, true_odometr
 
 SCENE = read_scene("flat")
 COUNT = 4000
-# Of COUNT samples: the mean is within 4 sigma / sqrt(COUNT), the spread within 4 / sqrt(2 COUNT).
+# For COUNT samples the mean is within 4 sigma / sqrt(COUNT), the standard deviation within the
+# share 4 / sqrt(2 COUNT).
 MEAN, SPREAD = 4 / np.sqrt(COUNT), 4 / np.sqrt(2 * COUNT)
 
 
@@ -24,7 +25,7 @@ def standing():
 
 @pytest.fixture(scope="module")
 def flying():
-    """Tumbling freely, two metres up, natural legs."""
+    """Robot tumbling in flight at a height of 2 m, with undeformed legs."""
     changes = {"start.height": 2.0, "start.settle": 0.0, "start.tendon_angle_deg": 0.0}
     sim = RodRobot(read_robot(), config.replace(SCENE, changes), read_servo())
     turn = Rotation.from_euler("xyz", [0.3, -0.2, 1.2]).as_matrix()
@@ -55,7 +56,7 @@ def test_odometry_has_the_stated_noise_and_no_bias(flying):
 
 
 def test_twist_is_in_base_link(flying):
-    """The velocity of 0.4, -0.3, 0.2 m/s in odom, turned by hand."""
+    """Against the velocity of 0.4, -0.3, 0.2 m/s in odom, rotated by SciPy."""
     reading = true_odometry(flying, 0)
     turn = Rotation.from_euler("xyz", [0.3, -0.2, 1.2])
     np.testing.assert_allclose(reading.velocity, turn.inv().apply([0.4, -0.3, 0.2]), atol=1e-12)
@@ -76,14 +77,14 @@ def test_imu_has_the_stated_noise_and_a_constant_bias(standing):
 
 
 def test_accelerometer_at_rest_reads_minus_gravity(standing):
-    # The robot still sinks by some um per step a while after the start.
+    # After settling the robot still sinks by some um per step.
     np.testing.assert_allclose(standing.specific_force, [0, 0, GRAVITY], atol=0.05)
 
 
-def test_accelerometer_in_free_fall_reads_what_the_legs_do_to_the_torso(flying):
-    """At the centre of the torso: zero, but for the legs that swing about it.
+def test_accelerometer_in_free_fall_reads_only_the_reaction_of_the_legs(flying):
+    """At the torso's centre it is zero except for the reaction of the swinging legs.
 
-    Their mass is 7 % of the whole; 1 rad/s at 0.2 m gives 0.2 m/s^2, of which 7 % reach the torso.
+    They are 7 % of the mass; 1 rad/s at 0.2 m gives 0.2 m/s^2, of which 7 % act on the torso.
     """
     flying.advance(1, np.zeros(4))
     assert np.abs(flying.specific_force).max() < 0.1

@@ -1,4 +1,4 @@
-"""Legs from a table: against the table read by SciPy, rigid bodies by hand, and rods."""
+"""The robot with tabulated legs, against the table read by SciPy, rigid bodies and rods."""
 
 import csv
 import math
@@ -23,6 +23,7 @@ ROBOT = read_robot()
 ELASTIC = config.replace(ROBOT, {"leg.damping_time": 0.0})
 SMOOTH = {"floor.friction": (0.0,) * 4, "floor.torso_friction": 0.0}
 STANCE = math.radians(63.0)
+PERIOD = read_scene("map").sensors.odometry.period  # s
 
 
 def simulator(robot=ROBOT, name="map", **changes):
@@ -31,7 +32,7 @@ def simulator(robot=ROBOT, name="map", **changes):
 
 
 def at_rest(sim, angle, height, rotation=None):
-    """Put a robot somewhere; one step of a microsecond then shows the forces on it."""
+    """Set a pose at rest; the velocity after a step of 1 us then gives the forces."""
     sim.state.tendon_angle[:] = angle
     sim.state.position[2] = height
     if rotation is not None:
@@ -40,7 +41,7 @@ def at_rest(sim, angle, height, rotation=None):
 
 
 def read(name):
-    """A column of the table as SciPy interpolates it, over angle (rad) and height (m)."""
+    """Column of the table over angle (rad) and height (m), interpolated by SciPy."""
     with (config.config_dir() / "leg_map.csv").open() as file:
         rows = [(r["theta_deg"], r["height_m"], r[name]) for r in csv.DictReader(file)]
     theta, height, value = np.array(rows, dtype=float).T
@@ -50,12 +51,14 @@ def read(name):
 
 
 @pytest.mark.parametrize("theta_deg", [50.0, 63.0, 80.0])
-def test_without_friction_it_stands_where_the_table_carries_a_quarter_of_the_weight(theta_deg):
+def test_without_friction_each_leg_carries_a_quarter_of_the_weight_at_the_height_of_the_table(
+    theta_deg,
+):
     angle, force = math.radians(theta_deg), read("force_N")
     height = brentq(lambda h: force(angle, h) - ROBOT.weight / 4, 0.015, 0.12, xtol=1e-12)
     changes = {"start.settle": 30.0, "start.tendon_angle_deg": theta_deg} | SMOOTH
     sim = simulator(**changes)
-    # After 30 s its bounce, which decays within a second, is gone.
+    # The bounce decays within a second.
     assert sim.tendon_angle == pytest.approx(np.full(4, angle), abs=1e-9)
     assert sim.position[2] == pytest.approx(height, abs=1e-7)
     tension = read("tension_N")(angle, height)
@@ -67,7 +70,7 @@ def test_without_friction_it_stands_where_the_table_carries_a_quarter_of_the_wei
     assert sim.nodes[:, 1, 2] == pytest.approx(np.zeros(4), abs=1e-9)
 
 
-def test_it_falls_freely_with_its_whole_mass_and_hangs_its_feet():
+def test_free_fall_with_the_whole_mass_and_hanging_feet():
     sim = simulator(**{"start.height": 0.5, "solver.theta": 0.5})
     sim.advance(200, np.zeros(4))
     assert sim.position[2] == pytest.approx(0.5 - GRAVITY * 0.2**2 / 2, abs=1e-12)
@@ -75,10 +78,10 @@ def test_it_falls_freely_with_its_whole_mass_and_hangs_its_feet():
     assert np.abs(sim.specific_force).max() < 1e-9
     assert not sim.ground_force.any()
     drop = sim.nodes[:, 0, 2] - sim.nodes[:, 1, 2]
-    assert drop == pytest.approx(np.full(4, 0.03))  # first height at which the table has no force
+    assert drop == pytest.approx(np.full(4, 0.03))  # lowest height without force in the table
 
 
-def test_an_impulse_is_that_of_the_robot_with_its_legs():
+def test_push_accelerates_mass_and_inertia_of_torso_and_legs():
     sim = simulator(gravity=(0.0, 0.0, 0.0), **{"start.height": 1.0})
     force, moment = np.array([3.0, -2.0, 1.0]), np.array([0.0, 0.0, 0.02])
     sim.push(force, moment)
@@ -91,7 +94,7 @@ def test_an_impulse_is_that_of_the_robot_with_its_legs():
 
 
 def forces_by_hand(angle, height, rotation):
-    """Force (3,) and moment (3,) of four feet without friction on a tilted torso, base_link."""
+    """Force (3,), N, and moment (3,), N m, of frictionless feet on a tilted torso, base_link."""
     names = ("force_N", "contact_x_m", "foot_m_per_m")
     force, reach, path = (read(name) for name in names)
     up, total, moment = rotation.as_matrix()[2], np.zeros(3), np.zeros(3)
@@ -109,14 +112,14 @@ def forces_by_hand(angle, height, rotation):
 
 
 @pytest.mark.parametrize("rpy_deg", [(0, 5, 0), (4, 0, 0), (3, -6, 20)])
-def test_the_forces_on_a_tilted_torso_are_those_of_the_table_at_its_four_feet(rpy_deg):
+def test_forces_on_a_tilted_torso_are_those_of_the_table_at_its_four_feet(rpy_deg):
     rotation = Rotation.from_euler("xyz", rpy_deg, degrees=True)
     step, height = 1e-6, 0.06
     sim = at_rest(simulator(**{"solver.step": step} | SMOOTH), math.radians(75), height, rotation)
     sim.state.node[:, 0, 0] = 0.16
     sim.advance(1, sim.tendon_angle)
     force, moment = forces_by_hand(math.radians(75), height, rotation)
-    # Two iterations for the feet's places leave a thousandth; the servo turned by 1e-10 rad.
+    # The two iterations for the places of the feet leave 1e-3; the servo turned by 1e-10 rad.
     assert sim.specific_force * ROBOT.mass == pytest.approx(force, rel=2e-3, abs=2e-3)
     turning = ROBOT.inertia @ sim.angular_velocity / step
     assert turning == pytest.approx(moment, rel=5e-3, abs=5e-4)
@@ -141,25 +144,27 @@ def test_energy_does_not_grow_in_a_bounce(robot):
         energies.append(ROBOT.mass * (v * v / 2 + GRAVITY * z) - 4 * line(z))
     assert sim.tendon_angle == pytest.approx(np.full(4, angle), abs=1e-12)
     start = ROBOT.mass * GRAVITY * 0.085 - 4 * line(0.085)
-    assert np.ptp(energies) > 1e-3  # J: theta = .55 and beta take some
-    assert np.diff([start, *energies]).max() < 1e-9  # rounding; each step loses some 1e-6 J
+    assert np.ptp(energies) > 1e-3  # J: dissipated by theta = 0.55 and beta
+    assert (
+        np.diff([start, *energies]).max() < 1e-9
+    )  # J, rounding; each step dissipates about 1e-6 J
     if robot is ROBOT:
         assert energies[-1] < start - 0.1
 
 
-def test_friction_only_takes_energy_from_a_robot_that_slides_and_turns():
+def test_friction_only_slows_a_robot_that_slides_and_turns():
     sim = at_rest(simulator(), STANCE, 0.04)
     sim.set_motion(np.array([0.5, -0.3, 0.0]), np.array([0.0, 0.0, 3.0]))
     before = np.inf
     for _ in range(20):
         sim.advance(10, sim.tendon_angle)
         now = float(np.hypot(*sim.velocity[:2])) + 0.1 * abs(sim.angular_velocity[2])
-        assert now <= before + 2e-3  # the bouncing shakes the slow end of it
+        assert now <= before + 2e-3  # bouncing disturbs the slow end of the motion
         before = now
     assert before < 0.01
 
 
-def test_the_error_is_of_first_order_in_the_step():
+def test_error_is_of_first_order_in_the_step():
     def end(step):
         sim = simulator(**{"solver.step": step})
         for command in (np.full(4, STANCE), np.radians([90.0, 30.0, 50.0, 75.0])):
@@ -173,7 +178,7 @@ def test_the_error_is_of_first_order_in_the_step():
 
 
 @pytest.mark.parametrize("law", ["viscous", "bristle"])
-def test_at_five_milliseconds_it_stands_and_steps_as_at_one(law):
+def test_results_at_steps_of_5_ms_agree_with_those_at_1_ms(law):
     ends = []
     for step in (1e-3, 5e-3):
         sim = simulator(**{"solver.step": step, "floor.friction_law": law})
@@ -183,7 +188,7 @@ def test_at_five_milliseconds_it_stands_and_steps_as_at_one(law):
     np.testing.assert_allclose(ends[0], ends[1], atol=5e-4)
 
 
-def test_it_sticks_on_a_slope_by_bristles_and_creeps_by_viscous_friction():
+def test_robot_sticks_on_a_slope_with_bristles_and_creeps_with_viscous_friction():
     tilted = (GRAVITY * math.sin(0.1), 0.0, -GRAVITY * math.cos(0.1))
     drift = {}
     for law in ("viscous", "bristle"):
@@ -197,17 +202,17 @@ def test_it_sticks_on_a_slope_by_bristles_and_creeps_by_viscous_friction():
     assert drift["viscous"] == pytest.approx(2e-3 * share / math.sqrt(1 - share**2), rel=0.1)
 
 
-def test_a_slack_tendon_is_a_spool_turned_back_and_a_broken_one_is_none():
+def test_slack_tendon_equals_a_spool_turned_back_and_broken_one_has_no_tension():
     slack = {"tendons.slack": (0.002,) * 4, "start.settle": 30.0} | SMOOTH
     turned = simulator(**slack | {"start.tendon_angle_deg": 63.0 + math.degrees(0.2)})
     plain = simulator(**{"start.settle": 30.0} | SMOOTH)
     assert turned.position[2] == pytest.approx(plain.position[2], abs=1e-9)
     broken = simulator(**{"tendons.broken": (True,) * 4, "start.settle": 1.0})
     assert not broken.tension.any()
-    assert broken.position[2] < 0.018  # on its belly
+    assert broken.position[2] < 0.018  # the torso lies on the floor
 
 
-def test_it_stands_and_steps_within_two_millimetres_of_the_rods():
+def test_standing_and_stepping_agree_with_the_rods_within_two_millimetres():
     paths = []
     for name in ("map", "flat"):
         scene = config.replace(read_scene(name), {"start.settle": 0.0})
@@ -220,13 +225,13 @@ def test_it_stands_and_steps_within_two_millimetres_of_the_rods():
     assert np.sqrt(np.sum((paths[0] - paths[1]) ** 2, axis=1).mean()) < 2e-3  # 1.2 mm
 
 
-def test_it_walks_as_fast_as_on_rods():
+def test_walking_speed_agrees_with_the_rods():
     speeds = []
     for name in ("map", "flat"):
         loop = ClosedLoop(name, "walk", None, 0)
         where = [loop.plant.simulator.position[0] for _ in loop.run(260)]
-        speeds.append((where[-1] - where[42]) / (0.033 * 217))  # ten strides
-    assert speeds[0] == pytest.approx(speeds[1], rel=0.15)  # 2 % in a quarter of a minute
+        speeds.append((where[-1] - where[42]) / (PERIOD * 217))  # ten strides
+    assert speeds[0] == pytest.approx(speeds[1], rel=0.15)  # 2 % were measured over 15 s
 
 
 @pytest.mark.parametrize(
@@ -239,24 +244,26 @@ def test_it_walks_as_fast_as_on_rods():
         ({"solver.halvings": 3}, r"solver\.halvings"),
     ],
 )
-def test_what_the_table_does_not_hold_is_refused_by_name(changes, named):
+def test_scene_that_the_table_does_not_cover_is_refused_with_the_name_of_the_setting(
+    changes, named
+):
     with pytest.raises(ConfigError, match=named):
         simulator(**changes)
 
 
-def test_a_straight_tendon_is_refused():
+def test_straight_tendon_is_refused():
     with pytest.raises(ConfigError, match=r"tendon\.routing"):
         simulator(config.replace(ROBOT, {"tendon.routing": "straight"}))
 
 
-def test_a_torso_that_falls_over_is_a_divergence():
+def test_torso_tilted_too_far_is_a_divergence():
     sim = simulator(**{"start.height": 0.5})
     sim.set_motion(np.zeros(3), np.array([15.0, 0.0, 0.0]))
     with pytest.raises(Divergence, match=r"tilted by more than 60 deg"):
         sim.advance(300, np.zeros(4))
 
 
-def test_a_speed_beyond_the_limit_is_a_divergence():
+def test_speed_that_is_not_a_number_is_a_divergence():
     sim = simulator()
     sim.set_motion(np.array([np.nan, 0.0, 0.0]), np.zeros(3))
     with pytest.raises(Divergence, match=r"beyond 100\.0 m/s or not a number"):

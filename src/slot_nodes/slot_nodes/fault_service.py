@@ -1,4 +1,4 @@
-"""Faults of the simulated robot: the service that injects them, and what is kept of a lost run."""
+"""Service that injects faults into the simulated robot, and the file of a diverged simulation."""
 
 from datetime import datetime
 from functools import partial
@@ -13,7 +13,7 @@ from slot_msgs.srv import InjectFault
 
 
 def serve(node: Node, plant: Plant) -> None:
-    """Offer `~/inject` on behalf of a plant."""
+    """Create the service `~/inject` for a simulated robot."""
     node.create_service(InjectFault, "~/inject", partial(_inject, node, plant))
 
 
@@ -34,12 +34,12 @@ def _inject(
     return response
 
 
-def keep_state(directory: str, scene: str, lost: Divergence) -> str:
-    """Write the state of a lost simulation; where it is, or why it is not there, in words."""
+def save_state(directory: str, scene: str, divergence: Divergence) -> str:
+    """Write the state of a diverged simulation; return a line with its path or the error."""
     name = f"lost_{datetime.now():%Y%m%d_%H%M%S}.npz"
     path = Path(directory, name).absolute()
     try:
-        lost.save(path, scene)
+        divergence.save(path, scene)
     except OSError as error:
         return f"its state could not be written: {error}"
     return f"its state is in {path}"

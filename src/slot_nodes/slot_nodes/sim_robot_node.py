@@ -1,19 +1,20 @@
 """The simulated robot: `/desired_joint_angles` in, sensors and ground truth out.
 
-The robot has a clock (`simulation/clocks.py`) and servos (`simulation/simulated_servos.py`):
+Two parameters choose its clock (`simulation/clocks.py`) and its servos
+(`simulation/simulated_servos.py`):
 
     parameter    clock      servos
     lockstep     lockstep   direct
-    neither      real time  guarded: they obey `/robot_state` and report on `/servo_health`
+    none         real time  guarded: they obey `/robot_state` and report on `/servo_health`
     bus          real time  emulated, on a pseudo-terminal of that name
 
-At first the robot is frozen: it publishes nothing until it is recorded (where it is to be) and its
-servos are powered, and then readings at rest until the first command that its servos follow. So no
-run depends on the order of discovery. On a bus the robot outlasts its driver, so that the driver
-can switch the servos off.
+The robot starts frozen. It publishes nothing until its servos are powered and, with
+`wait_for_recording`, the recorder is ready; then it publishes readings at rest until the first
+command that its servos follow. So no run depends on the order of discovery. On a bus the node waits
+at its end for the driver to switch the servos off.
 
-A fault comes from the scene, or by the service `~/inject`. A simulation that diverges ends the
-node; its state is written to a file.
+Faults are planned in the scene or injected by the service `~/inject`. If the simulation diverges,
+the node writes its state to a file and ends.
 """
 
 import time
@@ -44,7 +45,7 @@ from slot_core.safety.command_gate import Action
 from slot_core.safety.command_watchdog import Permission
 from slot_core.safety.states import State
 from slot_core.simulation.bus_plant import BusPlant
-from slot_core.simulation.clocks import Clock, LockstepClock, RealTimeClock
+from slot_core.simulation.clocks import LockstepClock, RealTimeClock, SimulationClock
 from slot_core.simulation.plant import Plant, Reading, TrueState
 from slot_core.simulation.sensors import ImuReading, OdometryReading
 from slot_core.simulation.simulated_servos import BusServos, DirectServos, GuardedServos, Servos
@@ -52,12 +53,12 @@ from slot_msgs.msg import LegStates, RobotState, ServoLimits
 from slot_nodes import fault_service, inputs, messages, qos, runtime
 from slot_nodes.health_report import HealthReport
 
-FROZEN_PERIOD = 0.1  # s, between the readings of the frozen robot in lockstep
+FROZEN_PERIOD = 0.1  # s, between two readings of the frozen robot in lockstep
 REAL_TIME_PERIOD = 0.002  # s, between two advances of the simulation
-PORTION = 20_000_000  # ns of simulation per callback at most, so that commands are taken
-BUS_PORTION = 4_000_000  # ns, so that the servos' time does not run away from their driver's
+PORTION = 20_000_000  # ns, longest simulation per callback, so that commands are taken between
+BUS_PORTION = 4_000_000  # ns, so that the time of the servos stays close to that of the driver
 RECORDER = "recorder"
-RECORDER_KNOWN = 5.0  # s after which a topic without a known recorder counts as not recorded
+RECORDER_TIMEOUT = 5.0  # s after /recording; a topic without the recorder then is not recorded
 LAG_WARNING = 100_000_000  # ns behind real time
 
 
@@ -75,27 +76,32 @@ class SimRobotNode(Node):
         )
         self._recorded_since: float | None = None  # s, monotonic
         dump = runtime.declare(
-            self, "dump", "", "directory of a lost simulation's state; none: working directory"
+            self,
+            "dump",
+            "",
+            "directory for the state of a diverged simulation; empty: working directory",
         )
-        self._keep_state = partial(fault_service.keep_state, dump, scene)
-        link = runtime.declare(self, "bus", "", "port of emulated servos; none: servo.yaml's")
+        self._save_state = partial(fault_service.save_state, dump, scene)
+        link = runtime.declare(
+            self, "bus", "", "port of emulated servos; empty: servos of servo.yaml"
+        )
         settings = runtime.declare_settings(self, read_scene(scene), "scene.")
         servo = runtime.declare_settings(self, read_servo(), "servo.")
         self.get_logger().info("preparing; a first start compiles the dynamics, about 10 s")
         try:
             self._plant = self._make_plant(settings, servo, seed, bool(link))
         except Divergence as error:
-            self._give_up(error)
+            self._end_diverged(error)
         self._frozen = True
         self._published_clock = 0  # last time on /clock, ns
         self._action: Action | None = None  # of guarded servos, as last logged
         self._create_publishers()
         fault_service.serve(self, self._plant)
-        self._time: Clock = self._make_clock(bool(link))
+        self._time: SimulationClock = self._make_clock(bool(link))
         inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
         self.create_subscription(Bool, "recording", self._on_recording, qos.CONTROL)
         period = FROZEN_PERIOD if self._lockstep else settings.sensors.odometry.period
-        self._timer = runtime.wall_timer(self, period, self._publish_frozen)
+        self._timer = runtime.wall_timer(self, period, self._publish_at_rest)
         self._servos: Servos = self._make_servos(link)
 
     def _make_plant(self, scene: Scene, servo: ServoSettings, seed: int, bus: bool) -> Plant:
@@ -107,22 +113,20 @@ class SimRobotNode(Node):
         settings, emulator = read_settings(), read_emulator()
         return BusPlant(read_robot(), scene, servo, rng, settings=settings, emulator=emulator)
 
-    def _make_clock(self, bus: bool) -> Clock:
+    def _make_clock(self, bus: bool) -> SimulationClock:
         if self._lockstep:
             return LockstepClock(self._plant)
         return RealTimeClock(self._plant, BUS_PORTION if bus else PORTION)
 
     def _make_servos(self, link: str) -> Servos:
-        """The servos; those on a bus come last: the preparation would keep them from answering."""
+        """Create the servos; last, because those on a bus must not wait for the preparation."""
         if isinstance(self._plant, BusPlant):
             return BusServos(self._plant, Path(link))
         if self._lockstep:
             return DirectServos(self._plant)
         servos, self._report = GuardedServos(self._plant), HealthReport(self)
-        on_state, on_limits = (
-            partial(self._on_robot_state, servos),
-            partial(self._on_limits, servos),
-        )
+        on_state = partial(self._on_robot_state, servos)
+        on_limits = partial(self._on_limits, servos)
         inputs.subscribe(self, RobotState, "robot_state", on_state, qos.STATE)
         inputs.subscribe(self, ServoLimits, "servo_limits", on_limits, qos.STATE)
         return servos
@@ -143,21 +147,21 @@ class SimRobotNode(Node):
         self._truth = self.create_publisher(Odometry, "ground_truth/odom", qos.SENSOR)
         self._legs = self.create_publisher(LegStates, "ground_truth/legs", qos.SENSOR)
 
-    def _publish_frozen(self) -> None:
-        """Publish readings at rest until the first command that the servos follow."""
+    def _publish_at_rest(self) -> None:
+        """Publish readings at rest; called until the first command that the servos follow."""
         self._step_servos()
         if self._records and self._recorded_since is None:
             return
         if self._servos.powered and self._is_matched():
-            self._publish_all(self._plant.present(self._time.present(self._now())))
+            self._publish_all(self._plant.present(self._time.rest_stamp(self._now())))
 
     def _is_matched(self) -> bool:
-        """Whether every known subscriber is matched, and so receives what is published now.
+        """Whether every discovered subscriber is matched, so that it receives the next message.
 
-        The recorder has to be among the known: /recording may arrive before it is discovered.
+        The recorder has to be among them: /recording may arrive before its discovery.
         """
         publishers = [publisher for publisher, _ in self._outputs.values()]
-        late = self._recorded_since and time.monotonic() - self._recorded_since > RECORDER_KNOWN
+        late = self._recorded_since and time.monotonic() - self._recorded_since > RECORDER_TIMEOUT
         for publisher in (*publishers, self._truth, self._legs):
             readers = self.get_subscriptions_info_by_topic(publisher.topic_name)
             if publisher.get_subscription_count() < len(readers):
@@ -183,30 +187,29 @@ class SimRobotNode(Node):
         self._servos.offer(time.monotonic_ns(), stamp, angle)
         if self._frozen and self._servos.follows(time.monotonic_ns()):
             self._start()
-        self._publish_all(self._time.answer(stamp))
+        self._publish_all(self._time.advance_on_command(stamp))
 
     def _start(self) -> None:
         self._frozen = False
         self.destroy_timer(self._timer)
         self._time.start(self._now())
         if not self._lockstep:
-            self._timer = runtime.wall_timer(self, REAL_TIME_PERIOD, self._follow_clock)
+            self._timer = runtime.wall_timer(self, REAL_TIME_PERIOD, self._advance_to_present)
 
-    def _follow_clock(self) -> None:
+    def _advance_to_present(self) -> None:
         """Advance the simulation towards the present."""
         self._step_servos()
         now = self._now()
         assert isinstance(self._time, RealTimeClock)
-        if (behind := self._time.behind(now)) > LAG_WARNING:
+        if (lag := self._time.lag(now)) > LAG_WARNING:
             self.get_logger().warning(
-                f"simulation is {behind * 1e-9:.2f} s behind real time"
-                f" (limit {LAG_WARNING * 1e-9} s)",
+                f"simulation is {lag * 1e-9:.2f} s behind real time (limit {LAG_WARNING * 1e-9} s)",
                 throttle_duration_sec=1.0,
             )
-        self._publish_all(self._time.follow(now))
+        self._publish_all(self._time.advance_to(now))
 
     def _step_servos(self) -> None:
-        """Update the servos' commands; report and log what they do."""
+        """Update the commands of the servos; publish their health and log changes of the action."""
         health = self._servos.step(time.monotonic_ns())
         if health is None:
             return
@@ -216,20 +219,20 @@ class SimRobotNode(Node):
         self._action = health.action
 
     def _publish_all(self, readings: Iterable[Reading]) -> None:
-        """Publish readings; a simulation that diverges ends the node with one line."""
+        """Publish readings; on divergence of the simulation end the node with one line."""
         try:
             for reading in readings:
                 self._publish(reading)
         except Divergence as error:
-            self._give_up(error)
+            self._end_diverged(error)
 
-    def _give_up(self, error: Divergence) -> NoReturn:
-        self._frozen = True  # while the driver switches off
-        self.get_logger().fatal(f"simulation stopped: {error}; {self._keep_state(error)}")
+    def _end_diverged(self, error: Divergence) -> NoReturn:
+        self._frozen = True  # time stands still while the driver switches the servos off
+        self.get_logger().fatal(f"{error}; {self._save_state(error)}")
         raise SystemExit(1) from None
 
     def destroy_node(self) -> None:
-        """Keep the bus until the driver has switched the servos off."""
+        """Wait on a bus for the driver to switch the servos off, then destroy the node."""
         left = self._servos.close(running=not self._frozen)
         if isinstance(self._plant, BusPlant):
             runtime.last_logger(self).info(f"servos left under torque: {left or 'none'}")

@@ -246,5 +246,5 @@ def _divergence(
 ) -> Divergence:
     limit = settings.speed_limit
     return Divergence(
-        f"solution lost at {time:.4f} s: {place} is beyond {limit} m/s or not a number", state
+        f"simulation diverged at {time:.4f} s: {place} is beyond {limit} m/s or not a number", state
     )

@@ -1,1 +1,1 @@
-"""What stands in for the hardware: simulated robots, their sensors and their servos."""
+"""Substitutes for the hardware: simulated robots with their sensors, servos and clocks."""

@@ -1,4 +1,4 @@
-"""Emulated servos behind the tendons of a simulated robot: angles and torques as the tendons'."""
+"""Emulated servos that wind the tendons of a simulated robot, in angles of the tendons."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from slot_core.robot import Array
 
 
 class EmulatedLegs:
-    """A bus of servos that are set up as `settings` wants them, at given tendon angles (rad)."""
+    """Bus of emulated servos with the registers of `settings`, at given tendon angles (rad)."""
 
     def __init__(
         self,
@@ -23,11 +23,11 @@ class EmulatedLegs:
         angles: Sequence[float] | Array = (0.0,) * 4,
     ) -> None:
         self.joints = joints(settings.joints)
-        turned = [
+        shaft_angles = [
             joint.zero + joint.direction * joint.ratio * float(angle)
             for joint, angle in zip(self.joints, angles)
         ]
-        self.bus = EmulatedBus(emulator, settings.joints.ids, turned)
+        self.bus = EmulatedBus(emulator, settings.joints.ids, shaft_angles)
         for joint, servo in zip(self.joints, self.bus.servos):
             for name, value in expected(settings, joint).items():
                 servo.memory[name] = value
@@ -35,13 +35,16 @@ class EmulatedLegs:
             servo.advance(emulator.servo.boot_time, 0.0)
 
     def advance(self, dt: float, torques: Sequence[float] | Array = (0.0,) * 4) -> Array:
-        """Let dt s pass; torques (4,) of the tendons on their spools, N m; returns `angles`."""
+        """Advance the servos by dt (s) and return `angles`.
+
+        torques: (4,) N m, of the tendons on their spools.
+        """
         loads = [joint.servo_torque(float(t)) for joint, t in zip(self.joints, torques)]
         self.bus.advance(dt, loads)
         return self.angles()
 
     def angles(self) -> Array:
-        """Tendon angles (4,), rad, exactly: not through the encoder."""
+        """Tendon angles (4,), rad, exact, without the encoder's resolution."""
         return np.array(
             [
                 (servo.shaft.angle - joint.zero) / (joint.direction * joint.ratio)
@@ -54,15 +57,6 @@ class EmulatedLegs:
         return np.array(
             [
                 servo.shaft.speed / (joint.direction * joint.ratio)
-                for joint, servo in zip(self.joints, self.bus.servos)
-            ]
-        )
-
-    def torques(self) -> Array:
-        """Torques of the motors on the tendons' angles (4,), N m."""
-        return np.array(
-            [
-                joint.tendon_torque(servo.shaft.torque)
                 for joint, servo in zip(self.joints, self.bus.servos)
             ]
         )

@@ -1,8 +1,8 @@
-"""The simulated robot on emulated servos: the shafts of the bus wind the tendons.
+"""The simulated robot on emulated servos, whose shafts wind the tendons.
 
-In every time step the servos turn for that step against the torques of the tendons at its begin,
-and the spools end the step where the shafts are. Model, lag and backlash of `servo.yaml` are not
-used: the emulated servo stands in their place.
+In every time step the servos advance by that step, loaded by the tendon torques at its start; the
+spools end the step at the angles of the shafts. The emulated servo replaces model, lag and backlash
+of `servo.yaml`.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from slot_core.robot import LEGS, Array, Robot
 from slot_core.simulation.bus_legs import EmulatedLegs
 from slot_core.simulation.plant import Plant
 
-UNBOUNDED_RPM = 1e6  # a speed that no shaft reaches
+UNBOUNDED_RPM = 1e6  # above the speed of any shaft
 
 
-def imposed(servo: ServoSettings, step: float) -> ServoSettings:
-    """A servo that is at its command after one step (s); raises ConfigError on backlash."""
+def immediate_servo(servo: ServoSettings, step: float) -> ServoSettings:
+    """Ideal servo that reaches its command within one step (s); raises ConfigError on backlash."""
     if servo.backlash_deg:
         raise ConfigError(
             f"servo.yaml: backlash_deg = {servo.backlash_deg}: emulated servos have none"
@@ -35,13 +35,13 @@ def imposed(servo: ServoSettings, step: float) -> ServoSettings:
 
 
 def equal_law(servo: ServoSettings, settings: DynamixelSettings, period: float) -> ServoSettings:
-    """The `pid` of dynamics/servo.py that does to the tendons what emulated servos do.
+    """Servo model `pid` of dynamics/servo.py that is equivalent to the emulated servos.
 
-    The motor is that of `servo`, the gains are those of the servos' own loop (position control),
-    `period` (s) is that loop's; angles, speeds and torques become the tendon's.
+    The motor is that of `servo`. The gains are those of position control in the real servo,
+    `period` (s) is that of its loop. Angles, speeds and torques are converted to the tendon.
     """
     ratio, gains = settings.joints.servo_per_tendon, settings.gains
-    duty = ratio / RAD_PER_COUNT / PWM_FULL  # of a tendon angle (rad), as registers of gain 1
+    duty = ratio / RAD_PER_COUNT / PWM_FULL  # per rad of tendon angle, with gain 1
     return dataclasses.replace(
         servo,
         model="pid",
@@ -54,7 +54,7 @@ def equal_law(servo: ServoSettings, settings: DynamixelSettings, period: float) 
 
 
 class BusPlant(Plant):
-    """A plant whose commands come over the bus; `command` has no effect beyond its checks."""
+    """Simulated robot whose servos take their commands from the bus; `command` only checks."""
 
     def __init__(
         self,
@@ -66,34 +66,34 @@ class BusPlant(Plant):
         settings: DynamixelSettings,
         emulator: EmulatorSettings,
     ) -> None:
-        """The servos stand where the tendons have settled, with torque off."""
+        """Start with the servos at the settled tendon angles, torque off."""
         sensors = dataclasses.replace(scene.sensors, joints=False)  # the driver reads the joints
         scene = dataclasses.replace(scene, sensors=sensors)
-        super().__init__(robot, scene, imposed(servo, scene.solver.step), rng)
+        super().__init__(robot, scene, immediate_servo(servo, scene.solver.step), rng)
         self.legs = EmulatedLegs(settings, emulator, self.simulator.tendon_angle)
 
     def powered(self) -> tuple[str, ...]:
-        """The legs whose servos are under torque."""
+        """Names of the legs whose servos have torque on."""
         servos = zip(LEGS, self.legs.bus.servos)
         return tuple(leg for leg, servo in servos if servo.memory["torque_enable"])
 
-    def _refuse(self, fault: Fault) -> None:
+    def _require_supported(self, fault: Fault) -> None:
         if fault.kind not in BUS_KINDS:
-            super()._refuse(fault)
+            super()._require_supported(fault)
 
-    def _switch(self, fault: Fault, leg: str, on: bool) -> None:
+    def _set_fault(self, fault: Fault, leg: str, on: bool) -> None:
         if fault.kind not in BUS_KINDS:
-            super()._switch(fault, leg, on)
+            super()._set_fault(fault, leg, on)
             return
         act = self.legs.bus.inject if on else self.legs.bus.clear
         act(dataclasses.replace(fault, leg=leg))
 
-    def _move(self, steps: int) -> None:
+    def _advance_robot(self, steps: int) -> None:
         for _ in range(steps):
-            self.simulator.advance(1, self._turn_shafts())
+            self.simulator.advance(1, self._advance_shafts())
 
-    def _turn_shafts(self) -> Array:
-        """Tendon angles (4,), rad, after a step; the tendons end where the model's range does."""
+    def _advance_shafts(self) -> Array:
+        """Advance the servos by a step; tendon angles (4,), rad, clipped to [0, angle_max]."""
         simulator = self.simulator
         angles = self.legs.advance(simulator.scene.solver.step, simulator.servo_torque)
         return np.clip(angles, 0.0, simulator.robot.tendon.angle_max)

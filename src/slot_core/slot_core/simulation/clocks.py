@@ -1,7 +1,7 @@
-"""Clocks of the simulated robot: how its time follows commands, or the real time.
+"""Clocks of the simulated robot: when its time advances.
 
-    LockstepClock   the robot stops at every odometry reading until the command for it has come
-    RealTimeClock   the robot follows a clock, in bounded portions
+    LockstepClock   by one odometry period per command
+    RealTimeClock   with another clock, in bounded portions
 
 Times are ns.
 """
@@ -16,76 +16,76 @@ from slot_core.simulation.plant import Plant, Reading
 LOCKSTEP_START = 1_000_000_000  # ns; a stamp of zero means "no time" in ROS
 
 
-class Clock(Protocol):
-    """What the simulated robot needs of its clock."""
+class SimulationClock(Protocol):
+    """Interface of the clocks."""
 
     def start(self, now: int) -> None:
-        """Let the robot's time begin."""
+        """Start the time of the robot."""
         ...
 
-    def present(self, now: int) -> int:
-        """Stamp of the readings before the start."""
+    def rest_stamp(self, now: int) -> int:
+        """Stamp of the readings before the start, ns."""
         ...
 
-    def answer(self, stamp: int) -> Iterator[Reading]:
-        """Advance as far as the command with `stamp` allows."""
+    def advance_on_command(self, stamp: int) -> Iterator[Reading]:
+        """Advance as far as a command for the odometry at `stamp` allows; yield the readings."""
         ...
 
-    def follow(self, now: int) -> Iterator[Reading]:
-        """Advance as far as the time `now` allows."""
+    def advance_to(self, now: int) -> Iterator[Reading]:
+        """Advance as far as the time `now` allows; yield the readings."""
         ...
 
 
 class LockstepClock:
-    """Time that advances by one odometry period with each answered reading."""
+    """Time that advances by one odometry period when the last reading has been answered."""
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
-        self._awaited = LOCKSTEP_START  # stamp of the odometry whose command lets time go on
+        self._awaited = LOCKSTEP_START  # stamp of the odometry whose command is awaited
 
     def start(self, now: int) -> None:
-        """Let the robot's time begin at one second."""
+        """Start the time of the robot at 1 s."""
         self._plant.start(LOCKSTEP_START)
 
-    def present(self, now: int) -> int:
-        """One second."""
+    def rest_stamp(self, now: int) -> int:
+        """Return 1 s, in ns."""
         return LOCKSTEP_START
 
-    def answer(self, stamp: int) -> Iterator[Reading]:
-        """Advance to the next odometry reading if the command is for the last one."""
+    def advance_on_command(self, stamp: int) -> Iterator[Reading]:
+        """Advance to the next odometry reading if `stamp` is that of the last one."""
         if stamp == self._awaited:
             for reading in self._plant.advance_to_odometry():
                 yield reading
             self._awaited = reading.stamp
 
-    def follow(self, now: int) -> Iterator[Reading]:
-        """Nothing: only commands advance the time."""
+    def advance_to(self, now: int) -> Iterator[Reading]:
+        """Do nothing: only commands advance the time."""
         return iter(())
 
 
 class RealTimeClock:
-    """Time that follows that of a clock."""
+    """Time that follows another clock."""
 
     def __init__(self, plant: Plant, portion: int) -> None:
-        """`portion`: the most to simulate at once, ns, so that commands are taken in between."""
+        """`portion`: largest time to simulate at once, ns, so that commands are taken between."""
         self._plant, self._portion = plant, portion
 
     def start(self, now: int) -> None:
-        """Let the robot's time begin now."""
+        """Start the time of the robot at `now`."""
         self._plant.start(now)
 
-    def present(self, now: int) -> int:
-        """Now."""
+    def rest_stamp(self, now: int) -> int:
+        """Return `now`."""
         return now
 
-    def answer(self, stamp: int) -> Iterator[Reading]:
-        """Nothing: commands do not advance the time."""
+    def advance_on_command(self, stamp: int) -> Iterator[Reading]:
+        """Do nothing: commands do not advance the time."""
         return iter(())
 
-    def follow(self, now: int) -> Iterator[Reading]:
-        """Advance to `now`, by one portion at the most."""
+    def advance_to(self, now: int) -> Iterator[Reading]:
+        """Advance towards `now` by at most one portion."""
         return self._plant.advance(min(now, self._plant.now + self._portion))
 
-    def behind(self, now: int) -> int:
-        """How far the robot's time is behind `now`, ns."""
+    def lag(self, now: int) -> int:
+        """Time by which the robot is behind `now`, ns."""
         return now - self._plant.now

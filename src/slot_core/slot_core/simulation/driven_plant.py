@@ -1,4 +1,4 @@
-"""The simulated robot behind the real driver, with servos, bus and driver on the robot's clock."""
+"""The simulated robot with the real driver: driver, bus and servos run on the robot's clock."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from slot_core.simulation.plant import Reading
 
 
 class DrivenPlant(BusPlant):
-    """A plant whose commands go through driver and bus, as with `--hardware fake_bus`.
+    """Simulated robot whose commands go through driver and bus, as with `--hardware fake_bus`.
 
-    A bus cycle runs every period and, besides, on every command; a cycle takes no time.
+    A bus cycle runs every period and on every command; it takes no time.
     """
 
     def __init__(
@@ -32,7 +32,7 @@ class DrivenPlant(BusPlant):
         emulator: EmulatorSettings,
         period: float,
     ) -> None:
-        """Torque is on where the tendons have settled; `period` (s) of the bus cycles."""
+        """Start with torque on at the settled tendon angles; `period` (s) of the bus cycles."""
         super().__init__(robot, scene, servo, rng, settings=settings, emulator=emulator)
         port = MemoryPort(self.legs.bus, settings.bus.baud, self._seconds)
         self.driver = Driver(port, settings, self._seconds)
@@ -46,7 +46,7 @@ class DrivenPlant(BusPlant):
         self._every(self._period, self._cycle)
 
     def command(self, angle: Array) -> None:
-        """Give the driver tendon angles (4,), rad, and run a bus cycle; raises ValueError."""
+        """Pass tendon angles (4,), rad, to the driver and run a bus cycle; raises ValueError."""
         self.driver.command(angle)
         self.driver.cycle()
 

@@ -1,4 +1,4 @@
-"""What robots on the shared mechanics have in common: pushes, damaged tendons, spools, counters."""
+"""Base class of the robots on the compiled mechanics: pushes, damaged tendons, spools, counters."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ from slot_core.robot import Array
 
 
 class KernelRobot(SimulatedRobot):
-    """A robot whose kernels work on a `Model`, a `MechanicalState` and a `Work`."""
+    """Robot whose kernels operate on a `Model`, a `MechanicalState` and a `Work`."""
 
     model: Model
     state: MechanicalState
     _work: Work
 
     def push(self, force: Array, moment: Array) -> None:
-        """Add an outer force (3,), N, and moment (3,), N m, on the torso's centre, in odom.
+        """Add an external force (3,), N, and moment (3,), N m, on the torso's centre, in odom.
 
-        They act from now on; adding the opposite ends that. Raises ValueError unless all is finite.
+        They act until their opposites are added. Raises ValueError for another shape or a value
+        that is not finite.
         """
         push = np.array([*force, *moment], dtype=float)
         if push.shape != (6,) or not np.isfinite(push).all():
@@ -27,9 +28,9 @@ class KernelRobot(SimulatedRobot):
         self.model.push[:] += push
 
     def damage_tendon(self, leg: int, slack: float = 0.0, broken: bool = False) -> None:
-        """From now on the tendon of leg 0 .. 3 is longer by `slack` (m), or broken.
+        """Lengthen the tendon of leg 0 .. 3 by `slack` (m), or break it, from now on.
 
-        Raises ValueError on another leg or a slack that is negative or not finite.
+        Raises ValueError for another leg or a slack that is negative or not finite.
         """
         if leg not in range(4) or not 0.0 <= slack < np.inf:
             raise ValueError(f"leg {leg} must be 0 to 3, slack {slack} m not negative and finite")
@@ -37,7 +38,7 @@ class KernelRobot(SimulatedRobot):
 
     @property
     def halvings(self) -> int:
-        """How often a step was taken again in pieces half as long."""
+        """Number of times a step was repeated in pieces half as long."""
         return int(self._work.counter[0])
 
     @property

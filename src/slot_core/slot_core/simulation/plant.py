@@ -1,4 +1,4 @@
-"""The robot as its software sees it: simulator and sensors on one clock of whole time steps."""
+"""Simulated robot with its sensors on one clock, which advances in whole time steps."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from slot_core.simulation.tabulated_robot import TabulatedRobot
 
 @dataclass(frozen=True)
 class TrueState:
-    """What no sensor sees, at `stamp` (ns): exact odometry, tension, ground force and leg shape."""
+    """Ground truth at `stamp` (ns): exact odometry, tension, ground force and shape of the legs."""
 
     stamp: int
     odometry: OdometryReading
@@ -46,7 +46,7 @@ Reading = OdometryReading | ImuReading | JointReading | TrueState
 
 @dataclass(frozen=True, order=True)
 class _Event:
-    """Something to do at `due` (ns); events of one instant in the order they were entered."""
+    """Action due at `due` (ns); those of one instant run in the order of `number`."""
 
     due: int
     number: int
@@ -58,20 +58,20 @@ MODELS: dict[str, type[SimulatedRobot]] = {
     "map": TabulatedRobot,
     "paper": PaperRobot,
 }
-SUFFERERS = {SLACK: KernelRobot, BROKEN: KernelRobot, NAN: RodRobot}
+ROBOT_WITH_FAULT = {SLACK: KernelRobot, BROKEN: KernelRobot, NAN: RodRobot}
 
 
 def simulate(robot: Robot, scene: Scene, servo: ServoSettings) -> SimulatedRobot:
-    """The robot with the legs that `scene.solver.legs` names, settled at its start."""
+    """Simulated robot with the model of the legs `scene.solver.legs`, settled at its start."""
     return MODELS[scene.solver.legs](robot, scene, servo)
 
 
 class Plant:
-    """RodRobot, servos and sensors on one clock; readings are handed out as they fall due.
+    """Simulated robot, servos and sensors on one clock; yields readings when they are due.
 
-    Odometry falls due `delay` after its stamp, everything else at its stamp. The robot is frozen in
-    its starting pose until `start` gives the clock a time. Raises ConfigError where the scene has a
-    fault that such a robot cannot have.
+    Odometry is due `delay` after its stamp, every other reading at its stamp. The robot is frozen
+    in its starting pose until `start` sets the clock. Raises ConfigError if the scene has a fault
+    that the robot's model does not support.
     """
 
     def __init__(self, robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator):
@@ -84,14 +84,14 @@ class Plant:
         self._odometry = OdometrySensor(scene.sensors.odometry, odometry_rng)
         self._imu = ImuSensor(scene.sensors.imu, imu_rng)
         self._at_rest: list[Reading] = []
-        self._agenda: list[_Event] = []
+        self._events: list[_Event] = []
         self._number = itertools.count()
         self._faults: dict[tuple[str, str], Fault] = {}  # by kind and leg
         for fault in scene.faults.values():
-            self._refuse(fault)
+            self._require_supported(fault)
 
     def present(self, stamp: int) -> list[Reading]:
-        """What the sensors read at rest, at `stamp` (ns), without delay; the same for one stamp."""
+        """Readings of the robot at rest at `stamp` (ns), without delay; equal for equal stamps."""
         if not self._at_rest or stamp != self.now:
             self.now = stamp
             sensors = self._scene.sensors
@@ -101,7 +101,7 @@ class Plant:
         return self._at_rest
 
     def start(self, stamp: int) -> None:
-        """Begin at `stamp` (ns); the first readings are due one period later."""
+        """Start the clock at `stamp` (ns); the first readings are due one period later."""
         self.now = stamp
         sensors = self._scene.sensors
         if sensors.imu.enabled:
@@ -110,86 +110,89 @@ class Plant:
             self._every(sensors.joint_period, self._read_joints)
         self._every(sensors.odometry.period, self._read_odometry)
         for push in self._scene.pushes.values():
-            self._plan(push)
+            self._schedule_push(push)
         for present in self._faults.values():
-            self._end_later(present)
+            self._schedule_end(present)
         for fault in self._scene.faults.values():
-            self._do(self.now + round(fault.time * 1e9), partial(self.inject, fault))
+            self._schedule_action(self.now + round(fault.time * 1e9), partial(self.inject, fault))
 
     def inject(self, fault: Fault) -> None:
-        """Let a fault begin now, whatever its time says, in place of one of its kind at that leg.
+        """Start a fault now, whatever its `time`; it replaces one of its kind at that leg.
 
-        Its duration runs on the plant's clock. Raises ConfigError where there can be no such fault.
+        Its duration runs on the robot's clock. Raises ConfigError if the robot does not support it.
         """
-        self._refuse(fault)
+        self._require_supported(fault)
         for leg in fault.legs:
             self._faults[fault.kind, leg] = fault
-            self._switch(fault, leg, True)
-        if self._agenda:  # the clock runs
-            self._end_later(fault)
+            self._set_fault(fault, leg, True)
+        if self._events:  # the clock has started
+            self._schedule_end(fault)
 
     def clear(self, kind: str, leg: str) -> None:
-        """Take back the faults of a kind at a leg or all; raises ValueError where there is none.
+        """End the faults of a kind at a leg or at all; raises ValueError if there is none.
 
-        Errors that a servo has found stay until it is rebooted, a watchdog's trip until it is
+        Hardware errors of a servo remain until it is rebooted, a tripped bus watchdog until it is
         cleared.
         """
-        there = [(kind, each) for each in legs_of(kind, leg) if (kind, each) in self._faults]
-        if not there:
+        active = [(kind, each) for each in legs_of(kind, leg) if (kind, each) in self._faults]
+        if not active:
             raise ValueError(f"no fault {kind!r} at {leg!r}")
-        for place in there:
-            self._end(*place)
+        for key in active:
+            self._end(*key)
 
     def command(self, angle: Array) -> None:
-        """Hold these tendon angles (4,), rad, from now on; raises ValueError on a bad vector."""
+        """Set the commanded tendon angles (4,), rad, until the next command.
+
+        Raises ValueError for another shape or a value that is not finite or out of range.
+        """
         self._command = self.simulator.checked(angle)
 
     def advance(self, until: int) -> Iterator[Reading]:
-        """Advance to `until` (ns), handing out each reading when it falls due."""
-        while self._agenda[0].due <= until:
-            event = heapq.heappop(self._agenda)
+        """Advance to `until` (ns) and yield each reading when it is due."""
+        while self._events[0].due <= until:
+            event = heapq.heappop(self._events)
             self._simulate(event.due)
             yield from event.action()
         self._simulate(until)
 
     def advance_to_odometry(self) -> Iterator[Reading]:
-        """Advance until an odometry reading falls due; it is the last one handed out."""
+        """Advance until an odometry reading is due, which is the last one yielded."""
         while True:
-            for reading in self.advance(self._agenda[0].due):
+            for reading in self.advance(self._events[0].due):
                 yield reading
                 if isinstance(reading, OdometryReading):
                     return
 
     def _every(self, period: float, read: Callable[[], list[Reading]]) -> None:
-        """Put a periodic reading on the agenda, first after one period."""
+        """Schedule a periodic reading, first after one period."""
         interval = round(period * 1e9)
 
         def action() -> list[Reading]:
-            self._at(self.now + interval, action)
+            self._schedule(self.now + interval, action)
             return read()
 
-        self._at(self.now + interval, action)
+        self._schedule(self.now + interval, action)
 
-    def _at(self, due: int, action: Callable[[], list[Reading]]) -> None:
-        heapq.heappush(self._agenda, _Event(due, next(self._number), action))
+    def _schedule(self, due: int, action: Callable[[], list[Reading]]) -> None:
+        heapq.heappush(self._events, _Event(due, next(self._number), action))
 
-    def _do(self, due: int, act: Callable[[], None]) -> None:
-        """Put something on the agenda that reads nothing."""
+    def _schedule_action(self, due: int, act: Callable[[], None]) -> None:
+        """Schedule an action without readings."""
 
         def action() -> list[Reading]:
             act()
             return []
 
-        self._at(due, action)
+        self._schedule(due, action)
 
     def _simulate(self, until: int) -> None:
-        """Whole time steps only: the periods of `config/scene` are multiples of the step."""
+        """Advance in whole time steps; the periods of `config/scene` are multiples of the step."""
         steps = (until - self.now) // self._step
         if steps > 0:
-            self._move(steps)
+            self._advance_robot(steps)
             self.now += steps * self._step
 
-    def _move(self, steps: int) -> None:
+    def _advance_robot(self, steps: int) -> None:
         self.simulator.advance(steps, self._command)
 
     def _read_imu(self) -> list[Reading]:
@@ -200,53 +203,57 @@ class Plant:
         return [JointReading(self.now, sim.tendon_angle, sim.tendon_rate, sim.servo_torque)]
 
     def _read_odometry(self) -> list[Reading]:
-        """The true state now, the odometry after its delay."""
+        """Return the ground truth now; schedule the odometry after its delay."""
         reading = self._odometry.sample(self.simulator, self.now)
         delay = round(self._scene.sensors.odometry.delay * 1e9)
-        self._at(self.now + delay, lambda: [reading])
+        self._schedule(self.now + delay, lambda: [reading])
         return [self._true_state()] if self._scene.sensors.truth else []
 
-    def _plan(self, push: Push) -> None:
-        """Put the begin and the end of a push on the agenda; pushes add up."""
+    def _schedule_push(self, push: Push) -> None:
+        """Schedule the start and the end of a push; pushes add up."""
         force, moment = np.array(push.force), np.array(push.moment)
         begin = self.now + round(push.time * 1e9)
-        self._do(begin, partial(self.simulator.push, force, moment))
-        self._do(begin + round(push.duration * 1e9), partial(self.simulator.push, -force, -moment))
+        self._schedule_action(begin, partial(self.simulator.push, force, moment))
+        self._schedule_action(
+            begin + round(push.duration * 1e9), partial(self.simulator.push, -force, -moment)
+        )
 
-    def _end_later(self, fault: Fault) -> None:
+    def _schedule_end(self, fault: Fault) -> None:
         if fault.duration:
-            self._do(self.now + round(fault.duration * 1e9), partial(self._expire, fault))
+            self._schedule_action(
+                self.now + round(fault.duration * 1e9), partial(self._expire, fault)
+            )
 
     def _expire(self, fault: Fault) -> None:
-        """End a fault where nobody has cleared or replaced it."""
+        """End a fault unless it has been cleared or replaced."""
         for leg in fault.legs:
             if self._faults.get((fault.kind, leg)) is fault:
                 self._end(fault.kind, leg)
 
-    def _refuse(self, fault: Fault) -> None:
-        """Raise ConfigError where this robot cannot have a fault."""
+    def _require_supported(self, fault: Fault) -> None:
+        """Raise ConfigError if this robot does not support a fault."""
         require_simulated_legs(fault)
-        if not isinstance(self.simulator, SUFFERERS[fault.kind]):
+        if not isinstance(self.simulator, ROBOT_WITH_FAULT[fault.kind]):
             model = self._scene.solver.legs
             raise ConfigError(f"fault {fault.kind!r}: legs of the model {model!r} cannot have it")
 
     def _end(self, kind: str, leg: str) -> None:
-        self._switch(self._faults.pop((kind, leg)), leg, False)
+        self._set_fault(self._faults.pop((kind, leg)), leg, False)
 
-    def _switch(self, fault: Fault, leg: str, on: bool) -> None:
-        """Let a fault that has been noted act on a leg, or no longer."""
+    def _set_fault(self, fault: Fault, leg: str, on: bool) -> None:
+        """Apply a fault that is in `_faults` to a leg, or remove it."""
         if fault.kind != NAN:
-            self._set_tendon(leg)
+            self._update_tendon(leg)
         elif on:
             assert isinstance(self.simulator, RodRobot)
-            self.simulator.lose_node(LEGS.index(leg))
+            self.simulator.set_tip_to_nan(LEGS.index(leg))
 
-    def _set_tendon(self, leg: str) -> None:
-        """Let a tendon be as the scene and the present faults have it."""
+    def _update_tendon(self, leg: str) -> None:
+        """Set slack and breakage of a tendon from the scene and the present faults."""
         assert isinstance(self.simulator, KernelRobot)
         index, state = LEGS.index(leg), self._scene.tendons
-        longer = self._faults.get((SLACK, leg))
-        slack = state.slack[index] + (longer.value if longer else 0.0)
+        added = self._faults.get((SLACK, leg))
+        slack = state.slack[index] + (added.value if added else 0.0)
         broken = state.broken[index] or (BROKEN, leg) in self._faults
         self.simulator.damage_tendon(index, slack, broken)
 

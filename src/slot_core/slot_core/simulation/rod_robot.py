@@ -25,10 +25,10 @@ from slot_core.simulation.kernel_robot import KernelRobot
 
 
 class RodRobot(KernelRobot):
-    """The robot on legs that are rods (`integrator.py`).
+    """The robot with Cosserat rods as legs (`dynamics/integrator.py`).
 
-    It starts with natural legs and slack tendons at `scene.start`, settles there under a constant
-    command, and only then counts time from zero. Equal inputs give equal results to the last bit.
+    It starts with undeformed legs and slack tendons at `scene.start` and settles under a constant
+    command; time zero is the end of settling. Equal inputs give bit-equal results.
     """
 
     def __init__(self, robot: Robot, scene: Scene, servo: ServoSettings) -> None:
@@ -48,32 +48,34 @@ class RodRobot(KernelRobot):
         self._settle()
 
     def advance(self, steps: int, command: Array) -> None:
-        """Advance `steps` steps with the commanded tendon angles (4,), rad, held.
+        """Advance by `steps` steps with constant commanded tendon angles (4,), rad.
 
-        Raises ValueError on a command of the wrong shape, not finite or outside [0, angle_max], and
-        Divergence when a speed is not finite or beyond `scene.solver.speed_limit`.
+        Raises ValueError for a command of the wrong shape, not finite or outside [0, angle_max],
+        and Divergence when a speed is not finite or exceeds `scene.solver.speed_limit`.
         """
         command = self.checked(command)
         self._legs.command[0] = command
         done, where = integrator.advance(self._handle, steps)
         self.steps += done
         if where >= 0:
-            raise Divergence(self._explain(where), self.snapshot() | {"command": command})
+            raise Divergence(
+                self._divergence_message(where), self.snapshot() | {"command": command}
+            )
 
     def set_motion(self, velocity: Array, angular_velocity: Array) -> None:
-        """Let the whole robot move rigidly: (3,) m/s in odom, (3,) rad/s in base_link."""
+        """Set a rigid motion of the whole robot: (3,) m/s in odom, (3,) rad/s in base_link."""
         self.state.velocity[:] = velocity
         self.state.rate[:] = angular_velocity
         arm = np.einsum("ij,lnj->lni", self.state.rotation.T, self.nodes - self.position)
         body = self.state.rotation.T @ velocity + np.cross(angular_velocity, arm)
         self.state.node_velocity[:] = np.einsum("lij,lnj->lni", self.model.axes, body)
 
-    def lose_node(self, leg: int) -> None:
-        """Let the tip of leg 0 .. 3 be nowhere (NaN), as a lost solution has it."""
+    def set_tip_to_nan(self, leg: int) -> None:
+        """Set the tip of leg 0 .. 3 to NaN, so that the simulation diverges."""
         self.state.node[leg, -1] = np.nan
 
     def snapshot(self) -> dict[str, Any]:
-        """That of every robot, the nodes' velocities, and as `before_..` the last step's begin."""
+        """Base snapshot, velocities of the nodes, and the start of the last step as `before_..`."""
         before = self._start
         nodes, node_velocity = np.zeros_like(self._points)
         observe.points(self.model, before, nodes, node_velocity)
@@ -91,7 +93,7 @@ class RodRobot(KernelRobot):
 
     @property
     def unconverged_steps(self) -> int:
-        """Steps that ran out of halvings and were accepted with too large a correction."""
+        """Steps accepted with too large a correction because no halvings were left."""
         return int(self._work.counter[2])
 
     @property
@@ -101,13 +103,13 @@ class RodRobot(KernelRobot):
 
     @property
     def ground_force(self) -> Array:
-        """(4, 3) N in odom, what the floor exerts on each leg now."""
+        """(4, 3) N in odom, force of the floor on each leg now."""
         force = np.zeros((4, 3))
         observe.ground_forces(self.model, self.state, *self._observe(), force)
         return force
 
     def momentum(self) -> tuple[Array, Array]:
-        """(3,) kg m/s and (3,) kg m^2/s about odom's origin, in odom."""
+        """Linear (3,), kg m/s, and angular momentum (3,), kg m^2/s, in odom, about its origin."""
         out = np.zeros((2, 3))
         observe.momenta(self.model, self.state, *self._observe(), out)
         return out[0], out[1]
@@ -120,11 +122,11 @@ class RodRobot(KernelRobot):
         observe.points(self.model, self.state, self._points[0], self._points[1])
         return self._points[0], self._points[1]
 
-    def _explain(self, where: int) -> str:
+    def _divergence_message(self, where: int) -> str:
         leg, node = divmod(where - 1, self.scene.solver.nodes)
         place = f"leg {LEGS[leg]} node {node}" if where else "torso"
         limit = self.scene.solver.speed_limit
         return (
-            f"solution lost in step {self.steps + 1} at {self.time:.4f} s: {place} is beyond"
+            f"simulation diverged in step {self.steps + 1} at {self.time:.4f} s: {place} is beyond"
             f" {limit} m/s or not a number"
         )

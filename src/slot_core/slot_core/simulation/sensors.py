@@ -1,4 +1,4 @@
-"""What the robot's sensors read of the simulated robot: white noise, and a gyroscope's bias."""
+"""Sensors of the simulated robot: odometry and IMU with white noise and a gyroscope bias."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ class ImuReading:
 
 
 def true_odometry(sim: SimulatedRobot, stamp: int) -> OdometryReading:
-    """Odometry without noise."""
+    """Odometry of the simulated robot at `stamp` (ns), without noise."""
     velocity = sim.rotation.T @ sim.velocity
     return OdometryReading(stamp, sim.position, sim.quaternion, velocity, sim.angular_velocity)
 
 
 class OdometrySensor:
-    """Pose and twist as a visual SLAM gives them: the truth with independent Gaussian noise."""
+    """Pose and twist as of a visual SLAM: the truth with independent Gaussian noise."""
 
     def __init__(self, settings: OdometrySettings, rng: np.random.Generator):
         self._settings, self._rng = settings, rng
@@ -59,7 +59,7 @@ class OdometrySensor:
 
 
 class ImuSensor:
-    """Gyroscope and accelerometer at the torso's centre; the bias is drawn once."""
+    """Gyroscope and accelerometer at the torso's centre; the gyroscope's bias is drawn once."""
 
     def __init__(self, settings: ImuSettings, rng: np.random.Generator):
         self._settings, self._rng = settings, rng

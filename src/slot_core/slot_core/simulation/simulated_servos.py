@@ -1,8 +1,8 @@
-"""Servos of the simulated robot: what lies between the commands of the graph and its tendons.
+"""Servos of the simulated robot, between the commands of the graph and the tendons.
 
-    DirectServos   follow every command at once: lockstep, where there is no supervisor
-    GuardedServos  behind the command watchdog, as those of the robot are: real time
-    BusServos      emulated on a bus; their commands come from the driver at its port
+    DirectServos   follow every command at once: in lockstep, without a supervisor
+    GuardedServos  follow the command watchdog, as the driver of real servos does: in real time
+    BusServos      emulated servos on a bus, commanded by the driver at its port
 
 Times `now` are those of a clock that never goes back, ns.
 """
@@ -29,39 +29,39 @@ from slot_core.simulation.bus_plant import BusPlant
 from slot_core.simulation.plant import Plant
 
 NO_LIMITS = "no limits of the supervisor yet"
-OUTLAST = 3.0  # s for the driver to switch the servos off
-BUS_SILENCE = 0.3  # s after which the driver has ended
-PAUSE = 0.002  # s, between two steps meanwhile
-THREAD_SWITCH = 5e-4  # s: how long the simulation keeps the bus from answering
+CLOSE_TIMEOUT = 3.0  # s, for the driver to switch the servos off
+BUS_SILENCE = 0.3  # s without a byte from the driver after which it has ended
+CLOSE_STEP = 0.002  # s, between two steps of the simulation while closing
+SWITCH_INTERVAL = 5e-4  # s, between thread switches: longest delay of the bus by the simulation
 
 
 class Servos(Protocol):
-    """What the simulated robot needs of its servos."""
+    """Interface of the servos."""
 
     @property
     def powered(self) -> bool:
-        """Whether the servos are ready for commands, so that the sensors may report."""
+        """Whether the servos accept commands; before that no readings are published."""
         ...
 
     def offer(self, now: int, stamp: int, angle: Array) -> None:
-        """Take a command (4,), rad; raises ValueError for one that is rejected."""
+        """Take a command (4,), rad, received at `now`; raises ValueError if it is rejected."""
         ...
 
     def follows(self, now: int) -> bool:
-        """Whether the servos follow commands, so that the simulation may start."""
+        """Whether the servos follow commands at `now`; before that the robot stays frozen."""
         ...
 
     def step(self, now: int) -> ServoHealth | None:
-        """Update the commands of the simulated robot; the servos' health where they report it."""
+        """Update the commands of the robot at `now`; return the health of the servos, if any."""
         ...
 
     @property
     def clock_jump(self) -> float:
-        """Largest distance of a command's stamp from now, s."""
+        """Largest difference between the stamp of a command and the present, s."""
         ...
 
     def close(self, running: bool) -> str:
-        """End; legs whose servos are still under torque. `running`: whether time passes."""
+        """End, and return the legs with torque still on; `running`: advance the robot meanwhile."""
         ...
 
 
@@ -79,52 +79,52 @@ class DirectServos:
         self._plant.command(angle)
 
     def follows(self, now: int) -> bool:
-        """Always."""
+        """Return True."""
         return True
 
     def step(self, now: int) -> None:
-        """Nothing to update: a command holds until the next."""
+        """Do nothing: a command holds until the next."""
 
     def close(self, running: bool) -> str:
-        """Nothing to end."""
+        """Return "": there is nothing to end."""
         return ""
 
 
 class BusServos:
-    """Emulated servos: commands of the graph reach them through the driver."""
+    """Emulated servos, which take the commands of the graph through the driver."""
 
     clock_jump = math.inf
 
     def __init__(self, plant: BusPlant, link: Path) -> None:
-        """They answer at the pseudo-terminal `link`; raises ConfigError where a file is there."""
+        """Open the pseudo-terminal `link`; raises ConfigError if another file has that name."""
         if link.exists() and Path("/dev/pts") not in link.resolve().parents:
             raise ConfigError(f"sim_robot: bus = {link}: exists already")
         self._plant = plant
-        sys.setswitchinterval(THREAD_SWITCH)
+        sys.setswitchinterval(SWITCH_INTERVAL)
         self._terminal = PseudoTerminal(plant.legs.bus, link)
 
     @property
     def powered(self) -> bool:
-        """Whether every servo is under torque."""
+        """Whether every servo has torque on."""
         return len(self._plant.powered()) == len(LEGS)
 
     def offer(self, now: int, stamp: int, angle: Array) -> None:
-        """Check a command (4,), rad; raises ValueError for one out of range."""
+        """Check the range of a command (4,), rad; raises ValueError."""
         self._plant.command(angle)
 
     def follows(self, now: int) -> bool:
-        """Whether every servo is under torque."""
+        """Whether every servo has torque on."""
         return self.powered
 
     def step(self, now: int) -> None:
-        """Nothing to update: the bus moves the servos."""
+        """Do nothing: the servos are commanded over the bus."""
 
     def close(self, running: bool) -> str:
-        """Close the port once the driver has switched the servos off, or after three seconds."""
+        """Close the port when the driver has ended, at the latest after CLOSE_TIMEOUT."""
         last = time.monotonic()
-        end = last + OUTLAST
+        end = last + CLOSE_TIMEOUT
         while self._terminal.silence < BUS_SILENCE and last < end:
-            time.sleep(PAUSE)
+            time.sleep(CLOSE_STEP)
             now = time.monotonic()
             if running:
                 for _ in self._plant.advance(self._plant.now + round((now - last) * SECOND)):
@@ -135,10 +135,10 @@ class BusServos:
 
 
 class GuardedServos:
-    """Servos behind the command watchdog, without a bus; they cannot fail.
+    """Servos behind the command watchdog, without a bus; they have no faults of their own.
 
-    A servo without torque lets its tendon unwind as fast as it turns. Without the supervisor's
-    limits no command is followed.
+    With torque off a servo turns to a slack tendon at its own speed. Until the limits of the
+    supervisor are received, commands are rejected.
     """
 
     powered = True
@@ -150,45 +150,45 @@ class GuardedServos:
 
     @property
     def clock_jump(self) -> float:
-        """Largest distance of a command's stamp from now, s; infinite without limits."""
+        """Largest difference between a command's stamp and the present, s; inf without limits."""
         return math.inf if self._watchdog is None else self._watchdog.limits.clock_jump
 
     def set_limits(self, limits: ServoLimits) -> None:
-        """Take the supervisor's limits; raises ConfigError as `CommandGate` does."""
+        """Set the limits of the supervisor; raises ConfigError as `CommandGate` does."""
         if self._watchdog is not None:
             self._watchdog.set_limits(limits)
             return
         high = self._plant.simulator.robot.tendon.angle_max
         self._watchdog = CommandWatchdog(limits, 0.0, high)
-        self._watchdog.engage(_at(self._plant))
+        self._watchdog.engage(_spool_angles(self._plant))
 
     def permit(self, permission: Permission) -> None:
-        """Take the supervisor's newest permission."""
+        """Set the newest permission of the supervisor."""
         if self._watchdog is not None:
             self._watchdog.permit(permission)
 
     def offer(self, now: int, stamp: int, angle: Array) -> None:
-        """Take a command (4,), rad; raises ValueError for one that is rejected."""
+        """Take a command (4,), rad, at `now`; raises ValueError if it is rejected."""
         if self._watchdog is None:
             raise ValueError(NO_LIMITS)
         if fault := self._watchdog.offer(now, angle):
             raise ValueError(fault)
 
     def follows(self, now: int) -> bool:
-        """Whether the watchdog lets commands pass."""
+        """Whether the action of the watchdog is PASS."""
         if self._watchdog is None:
             return False
         self._watchdog.step(now)
         return self._watchdog.action is Action.PASS
 
     def step(self, now: int) -> ServoHealth:
-        """Give the simulated servos what the watchdog lets pass."""
+        """Command the simulated servos as the watchdog decides; return their health."""
         watchdog = self._watchdog
         if watchdog is None:
-            return sound_servos(Action.HOLD, NO_LIMITS, True, _at(self._plant))
+            return sound_servos(Action.HOLD, NO_LIMITS, True, _spool_angles(self._plant))
         gated = watchdog.step(now)
         if gated.torque and not self._torque:
-            watchdog.engage(_at(self._plant))
+            watchdog.engage(_spool_angles(self._plant))
             gated = watchdog.step(now)
         self._torque = gated.torque
         self._plant.command(gated.angle if gated.torque else np.zeros(len(LEGS)))
@@ -197,10 +197,10 @@ class GuardedServos:
         )
 
     def close(self, running: bool) -> str:
-        """Nothing to end."""
+        """Return "": there is nothing to end."""
         return ""
 
 
-def _at(plant: Plant) -> Array:
-    """(4,) rad, where the spools are."""
+def _spool_angles(plant: Plant) -> Array:
+    """Angles of the spools (4,), rad."""
     return plant.simulator.tendon_angle

@@ -1,4 +1,4 @@
-"""One step of the torso on tabulated legs; `tabulated_robot.py` gives the equations."""
+"""One time step of the torso on tabulated legs; the equations are in `tabulated_robot.py`."""
 
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
@@ -22,16 +22,16 @@ from slot_core.dynamics.servo import spool_rate
 from slot_core.dynamics.torso import add_row, at
 from slot_core.robot import Array
 
-TOO_FAST, TOO_TILTED = range(2)  # how a solution is lost
-UPRIGHT = 0.5  # least cosine of the torso's tilt: 60 deg
-FREE = 0.25  # least D, lest a foot that runs ahead of the torso locks it
+TOO_FAST, TOO_TILTED = range(2)  # kinds of divergence
+COS_TILT_MAX = 0.5  # cosine of the largest tilt of the torso, 60 deg
+NORMAL_PER_DROP_MIN = 0.25  # least D, so that a foot that moves ahead of the torso cannot lock it
 
 
 class MapLegs(NamedTuple):
-    """The four legs as numbers."""
+    """Parameters of the four legs."""
 
-    # (m, n, 5) over angle and height: force (N), contact's x (m), tension (N), and how the material
-    # on the floor shifts outward (m/rad, m/m)
+    # (m, n, 5) over angle and height: force (N), x of the contact (m), tension (N), and the outward
+    # shift of the material on the floor per angle and per height (m/rad, m/m)
     table: Array
     angle_step: float  # rad; the first angle is zero
     height_low: float  # m
@@ -42,16 +42,16 @@ class MapLegs(NamedTuple):
 
 
 class Feet(NamedTuple):
-    """What the legs keep beside the state."""
+    """Variables of the legs beside the mechanical state."""
 
     command: Array  # (4,) rad
-    force: Array  # (4, 3) N, of the floor on the feet, odom, at the last stage
+    force: Array  # (4, 3) N, of the floor on the feet, odom, at the stage of the last step
     limit: Array  # (4,) N, mu times the normal force
-    flat: Array  # (2,) the floor's slopes, zero
+    flat: Array  # (2,) slopes of the floor, zero
 
 
-class Drawn(NamedTuple):
-    """Row of the map, and force and tension derived over height and angle."""
+class LegResponse(NamedTuple):
+    """Interpolated row of the table; `_h` and `_a`: derivatives over height and angle."""
 
     force: float
     force_h: float
@@ -65,38 +65,38 @@ class Drawn(NamedTuple):
 
 
 class Foot(NamedTuple):
-    """Where a leg meets the floor, in step axes."""
+    """Contact point of a leg with the floor, in step axes."""
 
     place: tuple[float, float, float]  # m, r from the torso's centre
     up: tuple[float, float, float]  # n
     slope: float  # n.a
-    free: float  # D
-    path: tuple[float, float, float]  # m: how the foot goes in the torso as its drop grows
+    normal_per_drop: float  # D
+    path: tuple[float, float, float]  # m = x_eta a - k: shift of the foot in the torso per drop
 
 
 @kernel
 def advance(machine, steps):
-    """Advance by `steps` steps; returns (steps done, -1), or how the solution was lost.
+    """Advance by `steps` steps; returns (steps done, -1) or (steps done, kind of divergence).
 
     machine: handle of (model, legs, state, feet, work, scheme).
     """
     model, legs, state, feet, work, scheme = contents(machine)
     for k in range(steps):
         _step(model, legs, state, feet, work, scheme)
-        lost = _lost(state, model.speed_limit)
-        if lost >= 0:
-            return k + 1, lost
+        divergence = _divergence(state, model.speed_limit)
+        if divergence >= 0:
+            return k + 1, divergence
     return steps, -1
 
 
 @helper
-def _lost(state, limit):
+def _divergence(state, limit):
     v, w = state.velocity, state.rate
     if not v[0] * v[0] + v[1] * v[1] + v[2] * v[2] < limit * limit:
         return TOO_FAST
     if not w[0] * w[0] + w[1] * w[1] + w[2] * w[2] < limit * limit:
         return TOO_FAST
-    return -1 if state.rotation[2, 2] > UPRIGHT else TOO_TILTED
+    return -1 if state.rotation[2, 2] > COS_TILT_MAX else TOO_TILTED
 
 
 @helper
@@ -132,39 +132,39 @@ def _step(model, legs, state, feet, work, scheme):
 
 @helper
 def _add_leg(model, legs, state, feet, work, k, place, tau):
-    """Add leg k to the torso's system; keeps its foot, its tension and the floor's force."""
+    """Add leg k to the linear system of the torso; store its foot, tension and ground force."""
     axes, a, inv, beta = work.rotation, legs.outward[k], 1.0 / tau, legs.damping_time
     radius, rate = model.tendon.spool_radius, state.tendon_rate[k]
     angle = state.tendon_angle[k] + tau * rate - model.fault[0, k] / radius
     rate *= model.fault[1, k] * (angle > 0.0)
-    here, foot = _meet(legs, state, work, k, place, model.fault[1, k] * max(0.0, angle))
-    falling, slip = _slide(work, a, here, foot, rate)
-    growing = min(0.0, here.force_h)
-    carried = max(0.0, here.force + beta * (growing * falling + here.force_a * rate))
-    carried *= here.force > 0.0
+    here, foot = _contact_point(legs, state, work, k, place, model.fault[1, k] * max(0.0, angle))
+    drop_rate, slip = _slip_and_drop_rate(work, a, here, foot, rate)
+    force_slope = min(0.0, here.force_h)
+    leg_force = max(0.0, here.force + beta * (force_slope * drop_rate + here.force_a * rate))
+    leg_force *= here.force > 0.0
     mu = _mu(model, state, k, slip, a)
-    hold, normal = _friction(model, state, axes, k, mu, tau, carried, slip, foot)
-    fx = -hold.drag * slip[0] - hold.x
-    fy = -hold.drag * slip[1] - hold.y
-    fz = -hold.drag * slip[2] - hold.z
-    stiff = -growing * (1.0 + beta * inv) / foot.free**2 * (carried > 0.0)
-    _load(work.vector, foot, normal, (fx, fy, fz))
-    _stiffen(work.matrix, foot, stiff, hold.drag * inv)
+    friction, normal = _friction(model, state, axes, k, mu, tau, leg_force, slip, foot)
+    fx = -friction.drag * slip[0] - friction.x
+    fy = -friction.drag * slip[1] - friction.y
+    fz = -friction.drag * slip[2] - friction.z
+    stiffness = -force_slope * (1.0 + beta * inv) / foot.normal_per_drop**2 * (leg_force > 0.0)
+    _add_force(work.vector, foot, normal, (fx, fy, fz))
+    _add_stiffness(work.matrix, foot, stiffness, friction.drag * inv)
     along = fx * a[0] + fy * a[1] + fz * a[2] + normal * foot.slope
     tension = here.tension - here.x_a * along / radius
-    tension += beta * (here.tension_h * falling + here.tension_a * rate)
+    tension += beta * (here.tension_h * drop_rate + here.tension_a * rate)
     state.tension[k] = max(0.0, tension) * (here.tension > 0.0)
     feet.limit[k] = mu * normal
     up = foot.up
-    _keep(state.node_velocity[k, 0], axes, slip[0], slip[1], slip[2])
-    _keep(feet.force[k], axes, normal * up[0] + fx, normal * up[1] + fy, normal * up[2] + fz)
+    _to_odom(state.node_velocity[k, 0], axes, slip[0], slip[1], slip[2])
+    _to_odom(feet.force[k], axes, normal * up[0] + fx, normal * up[1] + fy, normal * up[2] + fz)
 
 
 @helper
-def _meet(legs, state, work, k, place, angle):
-    """Where leg k meets the floor, and the map there.
+def _contact_point(legs, state, work, k, place, angle):
+    """Interpolated table and contact point of leg k.
 
-    How far the foot is below the clamp follows from its place along the leg at the iterate before.
+    The drop of the foot below the clamp follows from its place along the leg at the last iterate.
     """
     axes, small, a, c = work.rotation, work.motion[2], legs.outward[k], legs.clamps[k]
     ux, uy, uz = axes[2, 0], axes[2, 1], axes[2, 2]
@@ -172,7 +172,7 @@ def _meet(legs, state, work, k, place, angle):
     px, py, pz = c[0] + x * a[0], c[1] + x * a[1], c[2] + x * a[2]
     px, py, pz = at((px, py, pz), small, px, py, pz)
     drop = (place[2] + ux * px + uy * py + uz * pz) / uz
-    here = _draw(legs, angle, drop)
+    here = _interpolate(legs, angle, drop)
     x = here.x
     state.node[k, 0, 0], state.node[k, 0, 1] = x, -drop
     slope = ux * a[0] + uy * a[1] + uz * a[2]
@@ -180,35 +180,35 @@ def _meet(legs, state, work, k, place, angle):
         place=(c[0] + x * a[0], c[1] + x * a[1], c[2] + x * a[2] - drop),
         up=(ux, uy, uz),
         slope=slope,
-        free=max(FREE, uz - slope * here.x_h),
+        normal_per_drop=max(NORMAL_PER_DROP_MIN, uz - slope * here.x_h),
         path=(here.x_h * a[0], here.x_h * a[1], here.x_h * a[2] - 1.0),
     )
     return here, foot
 
 
 @helper
-def _slide(work, a, here, foot, rate):
-    """Rate of the foot's distance below the clamp, m/s, and the foot's slip, step axes, m/s."""
-    p, up, m, turned = foot.place, foot.up, foot.path, here.x_a * rate
+def _slip_and_drop_rate(work, a, here, foot, rate):
+    """Rate of the foot's drop below the clamp, m/s, and slip of the foot, step axes, m/s."""
+    p, up, m, shift_rate = foot.place, foot.up, foot.path, here.x_a * rate
     bx, by, bz = at(work.motion[0], work.motion[1], p[0], p[1], p[2])
     normal = up[0] * bx + up[1] * by + up[2] * bz
-    falling = (normal + foot.slope * turned) / foot.free
-    sx = bx + m[0] * falling + a[0] * turned
-    sy = by + m[1] * falling + a[1] * turned
-    sz = bz + m[2] * falling + a[2] * turned
+    drop_rate = (normal + foot.slope * shift_rate) / foot.normal_per_drop
+    sx = bx + m[0] * drop_rate + a[0] * shift_rate
+    sy = by + m[1] * drop_rate + a[1] * shift_rate
+    sz = bz + m[2] * drop_rate + a[2] * shift_rate
     sn = up[0] * sx + up[1] * sy + up[2] * sz
-    return falling, (sx - sn * up[0], sy - sn * up[1], sz - sn * up[2])
+    return drop_rate, (sx - sn * up[0], sy - sn * up[1], sz - sn * up[2])
 
 
 @helper
-def _keep(out, axes, x, y, z):
-    """Write a vector of step axes in odom."""
+def _to_odom(out, axes, x, y, z):
+    """Rotate a vector from step axes to odom and write it to `out`."""
     out[0], out[1], out[2] = times(axes, x, y, z)
 
 
 @helper
-def _draw(legs, angle, height):
-    """Bilinear; below and above the table the force goes on along the edge's cell, down to zero."""
+def _interpolate(legs, angle, height):
+    """Bilinear; force and tension are extrapolated beyond the heights, and at least zero."""
     table = legs.table
     place = angle / legs.angle_step
     i = min(int(place), table.shape[0] - 2)
@@ -225,12 +225,12 @@ def _draw(legs, angle, height):
     s, sh, sa = _cell(table, i, j, 2, u, t, dh, da)
     if f <= 0.0:
         f = fh = fa = 0.0
-    return Drawn(f, fh, fa, x, xh, xa, max(0.0, s), sh, sa)
+    return LegResponse(f, fh, fa, x, xh, xa, max(0.0, s), sh, sa)
 
 
 @helper
 def _cell(table, i, j, c, u, t, dh, da):
-    """Value and derivatives over height and angle."""
+    """Bilinear value of column c in cell (i, j), and its derivatives over height and angle."""
     low = table[i, j, c] + t * (table[i, j + 1, c] - table[i, j, c])
     high = table[i + 1, j, c] + t * (table[i + 1, j + 1, c] - table[i + 1, j, c])
     rise = (1.0 - u) * (table[i, j + 1, c] - table[i, j, c])
@@ -247,24 +247,24 @@ def _mu(model, state, k, slip, a):
 
 
 @helper
-def _friction(model, state, axes, k, mu, tau, carried, slip, foot):
-    """Friction of foot k and its normal force: each depends on the other, hence repeated."""
+def _friction(model, state, axes, k, mu, tau, leg_force, slip, foot):
+    """Friction of foot k and its normal force, by fixed-point iteration: each needs the other."""
     floor, m = model.floor, foot.path
-    stiffness, damping, stuck = floor.stiffness[-1], floor.damping[-1], slip
+    stiffness, damping, bristle = floor.stiffness[-1], floor.damping[-1], slip
     if floor.bristle > 0.0:
-        stuck = tangential(axes, state.bristle[k, 0], foot.up)
-    normal = carried / foot.free
-    hold = friction_force(floor, mu * normal, tau, stiffness, damping, stuck, slip)
+        bristle = tangential(axes, state.bristle[k, 0], foot.up)
+    normal = leg_force / foot.normal_per_drop
+    f = friction_force(floor, mu * normal, tau, stiffness, damping, bristle, slip)
     for _ in range(2):
-        work = (hold.drag * slip[0] + hold.x) * m[0] + (hold.drag * slip[1] + hold.y) * m[1]
-        work += (hold.drag * slip[2] + hold.z) * m[2]
-        normal = max(0.0, carried - work) / foot.free
-        hold = friction_force(floor, mu * normal, tau, stiffness, damping, stuck, slip)
-    return hold, normal
+        work = (f.drag * slip[0] + f.x) * m[0] + (f.drag * slip[1] + f.y) * m[1]
+        work += (f.drag * slip[2] + f.z) * m[2]
+        normal = max(0.0, leg_force - work) / foot.normal_per_drop
+        f = friction_force(floor, mu * normal, tau, stiffness, damping, bristle, slip)
+    return f, normal
 
 
 @helper
-def _load(g, foot, normal, f):
+def _add_force(g, foot, normal, f):
     """g -= the normal force (N) and friction f on the foot, with their moments."""
     p, up = foot.place, foot.up
     x, y, z = f[0] + normal * up[0], f[1] + normal * up[1], f[2] + normal * up[2]
@@ -274,19 +274,22 @@ def _load(g, foot, normal, f):
 
 
 @helper
-def _stiffen(H, foot, stiff, drag):
-    """H += stiff n n^T + drag sum_i s_i s_i^T, s_i = e_i + m_i n / D; n, e_i: rows at the foot."""
+def _add_stiffness(H, foot, stiffness, drag):
+    """H += stiffness n n^T + drag sum_i s_i s_i^T with s_i = e_i + m_i n / D.
+
+    n, e_i: rows (6,) of the motion of the foot along the normal and along axis i.
+    """
     x, y, z = foot.place
-    up, m, per = foot.up, foot.path, 1.0 / foot.free
+    up, m, per = foot.up, foot.path, 1.0 / foot.normal_per_drop
     n = (up[0], up[1], up[2], y * up[2] - z * up[1], z * up[0] - x * up[2], x * up[1] - y * up[0])
-    add_row(H, stiff, n)
-    add_row(H, drag, _plus((1.0, 0.0, 0.0, 0.0, z, -y), m[0] * per, n))
-    add_row(H, drag, _plus((0.0, 1.0, 0.0, -z, 0.0, x), m[1] * per, n))
-    add_row(H, drag, _plus((0.0, 0.0, 1.0, y, -x, 0.0), m[2] * per, n))
+    add_row(H, stiffness, n)
+    add_row(H, drag, _add_rows((1.0, 0.0, 0.0, 0.0, z, -y), m[0] * per, n))
+    add_row(H, drag, _add_rows((0.0, 1.0, 0.0, -z, 0.0, x), m[1] * per, n))
+    add_row(H, drag, _add_rows((0.0, 0.0, 1.0, y, -x, 0.0), m[2] * per, n))
 
 
 @helper
-def _plus(e, m, n):
+def _add_rows(e, m, n):
     return (
         e[0] + m * n[0],
         e[1] + m * n[1],

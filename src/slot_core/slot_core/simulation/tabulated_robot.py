@@ -1,28 +1,31 @@
-"""A rigid torso on legs without mass: the forces of each are those of a leg at rest, from a table.
+"""Rigid torso on massless legs: the forces of each leg are those of a leg at rest, from a table.
 
-A leg at tendon angle theta whose foot is eta below its clamp carries F(theta, eta), at x(theta,
-eta) outward from the clamp, under the tension T(theta, eta): `config/leg_map.csv`, of a leg on a
-frictionless floor. The foot is at r = c + x a - eta k in the torso's axes, with the clamp c, the
-leg's azimuth a and the torso's vertical k; eta is such that r is on the floor, whose normal is n.
-The material there shifts outward by x_theta and x_eta, other than x where the leg rolls.
-As the torso moves, n.dr = 0 gives d eta = (n.(dp + dphi x r) + n.a x_theta dtheta) / D with
+At tendon angle theta and drop eta (foot below clamp) a leg carries the force F(theta, eta) at
+x(theta, eta) outward from the clamp, and its tendon the tension T(theta, eta). The table
+`config/leg_map.csv` holds them for a leg on a frictionless floor. The foot is at
+r = c + x a - eta k in base_link, with the clamp c, the azimuth a of the leg and the vertical k of
+the torso; eta is such that r is on the floor, whose normal is n. The material in contact shifts
+outward by x_theta per angle and x_eta per drop; where the leg rolls they differ from the
+derivatives of x.
+When the torso moves, n.dr = 0 gives d eta = (n.(dp + dphi x r) + n.a x_theta dtheta) / D with
 D = n.k - n.a x_eta, and the principle of virtual work, with friction f at r and m = x_eta a - k,
 
     N = (F + beta dF/dt + f.m) / D          normal force at r,
     T' = T + beta dT/dt - x_theta (f.a + (F + beta dF/dt + f.m) n.a / D) / r_spool.
 
-beta is the Kelvin-Voigt time of the material: stress E (e + beta de/dt) makes F + beta dF/dt of F
-wherever F is linear in the deformation. Where the map's stiffness is positive, at the fold of a
-leg that is fully pulled and high up, dF/dt has no part of the height, lest it drives the motion.
+beta is the Kelvin-Voigt time of the material: with stress E (e + beta de/dt) the force is
+F + beta dF/dt wherever F is linear in the deformation. Where dF/deta is positive, at the fold of a
+fully pulled leg that is high up, dF/dt omits the height, since it would feed energy to the motion.
 
-What is left out: the legs' motion of their own (first frequency: 10 Hz hanging, 25 Hz standing);
-what friction does to a leg's shape beyond the foot's path; the tilt of gravity in a leg. Contact is
-that of the scene `flat`. The legs' mass and inertia belong to the torso, in their natural shape,
-with the centre of mass at the torso's own.
+Neglected: vibration of the legs (first frequency: 10 Hz hanging, 25 Hz standing); the effect of
+friction on the shape of a leg beyond the path of its foot; the tilt of gravity in a leg. Contact is
+that of the scene `flat`. Mass and inertia of the undeformed legs are added to the torso, with the
+centre of mass at that of the torso.
 
-Between the grid's points the map is bilinear. Below the lowest and above the highest height force
-and tension go on along the plane of the edge's cell, down to zero; the rest stays. The table
-belongs to the robot of `config/robot.yaml`: after a change there run `scripts/tabulate_leg`.
+The table is interpolated bilinearly. Below the lowest and above the highest height, force and
+tension are extrapolated linearly from the cell at the edge, down to zero; the other columns are
+constant there. The table belongs to the robot of `config/robot.yaml`: after a change there run
+`scripts/tabulate_leg`.
 """
 
 from __future__ import annotations
@@ -41,31 +44,32 @@ from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.leg_table import LegTable, read_leg_table
 from slot_core.robot import Array, Robot
 from slot_core.simulation.kernel_robot import KernelRobot
-from slot_core.simulation.tabulated_kernels import TOO_TILTED, UPRIGHT, Feet, MapLegs, advance
+from slot_core.simulation.tabulated_kernels import COS_TILT_MAX, TOO_TILTED, Feet, MapLegs, advance
 
 COLUMNS = ("force_N", "contact_x_m", "tension_N", "foot_m_per_rad", "foot_m_per_m")
 
 
 class TabulatedRobot(KernelRobot):
-    """The robot, as `RodRobot` is one, on legs from a table.
+    """The robot with legs from a table.
 
-    Raises ConfigError, which names the setting, for what the table does not hold: a floor that is
-    uneven or of another stiffness, contact of the tips alone, halved steps, a straight tendon. A
-    torso tilted by more than 60 deg is a Divergence: the legs know what is below it alone.
+    Raises ConfigError, which names the setting, for a robot or scene that the table does not cover:
+    an uneven floor, another stiffness of the floor, contact of the tips alone, halved steps, a
+    straight tendon. A torso tilted by more than 60 deg is a Divergence, because the legs touch only
+    a floor below the torso.
     """
 
     def __init__(
         self, robot: Robot, scene: Scene, servo: ServoSettings, table: LegTable | None = None
     ) -> None:
-        _refuse(robot, scene)
+        _require_tabulated(robot, scene)
         self.robot, self.scene = robot, scene
         table = table or read_leg_table(COLUMNS)
         model = build_model(robot, scene, servo)
-        # The legs' mass moves with the torso.
-        whole = model.torso._replace(mass=robot.mass, inertia=robot.inertia)
-        self.model = model._replace(torso=whole)
+        # The torso carries the mass of the legs.
+        rigid_body = model.torso._replace(mass=robot.mass, inertia=robot.inertia)
+        self.model = model._replace(torso=rigid_body)
         self.legs = map_legs(robot, table)
-        self._reach = _reach(table)
+        self._contact_drop = _contact_drop(table)
         self.state = state_space(1, self.model.floor.bristle > 0.0)
         self.state.position[2] = scene.start.height
         self.state.rotation[:] = np.eye(3)
@@ -77,32 +81,35 @@ class TabulatedRobot(KernelRobot):
         self._settle()
 
     def advance(self, steps: int, command: Array) -> None:
-        """Advance `steps` steps with the commanded tendon angles (4,), rad, held.
+        """Advance by `steps` steps with constant commanded tendon angles (4,), rad.
 
-        Raises ValueError on a command of the wrong shape, not finite or outside [0, angle_max], and
-        Divergence when a speed is not finite or too high, or the torso tilted too far.
+        Raises ValueError for a command of the wrong shape, not finite or outside [0, angle_max],
+        and Divergence when a speed is not finite or exceeds `scene.solver.speed_limit`, or the tilt
+        of the torso exceeds 60 deg.
         """
         self._feet.command[:] = self.checked(command)
-        done, lost = advance(self._handle, steps)
+        done, divergence = advance(self._handle, steps)
         self.steps += done
-        if lost >= 0:
+        if divergence >= 0:
             limit = f"torso is beyond {self.scene.solver.speed_limit} m/s or not a number"
-            if lost == TOO_TILTED:
-                limit = f"torso is tilted by more than {math.degrees(math.acos(UPRIGHT)):.0f} deg"
+            if divergence == TOO_TILTED:
+                limit = (
+                    f"torso is tilted by more than {math.degrees(math.acos(COS_TILT_MAX)):.0f} deg"
+                )
             state = self.snapshot() | {"command": self._feet.command.copy()}
-            raise Divergence(f"solution lost at {self.time:.4f} s: {limit}", state)
+            raise Divergence(f"simulation diverged at {self.time:.4f} s: {limit}", state)
 
     def set_motion(self, velocity: Array, angular_velocity: Array) -> None:
-        """Let the torso move: (3,) m/s in odom, (3,) rad/s in base_link."""
+        """Set the motion of the torso: (3,) m/s in odom, (3,) rad/s in base_link."""
         self.state.velocity[:] = velocity
         self.state.rate[:] = angular_velocity
 
     @property
     def nodes(self) -> Array:
-        """(4, 2, 3) m in odom: clamp and foot, which is what touches the floor or hangs lowest."""
+        """(4, 2, 3) m in odom: clamp and foot, in contact or the lowest point of the leg."""
         node = self.state.node[:, 0]
         angle = self.state.tendon_angle - self.model.fault[0] / self.robot.tendon.spool_radius
-        hanging = np.interp(self.model.fault[1] * angle, *self._reach)
+        hanging = np.interp(self.model.fault[1] * angle, *self._contact_drop)
         down = np.minimum(-node[:, 1], hanging)
         foot = self.robot.clamps + node[:, :1] * self.robot.outward - down[:, None] * [0, 0, 1]
         body = np.stack([self.robot.clamps, foot], axis=1)
@@ -110,28 +117,28 @@ class TabulatedRobot(KernelRobot):
 
     @property
     def ground_force(self) -> Array:
-        """(4, 3) N in odom, of the floor on each foot, at the stage of the last step."""
+        """(4, 3) N in odom, force of the floor on each foot, at the stage of the last step."""
         return self._feet.force.copy()
 
 
-class _Need(NamedTuple):
-    """A setting and what the table was made for."""
+class _Requirement(NamedTuple):
+    """A setting and the value that the table requires."""
 
     name: str
     value: object
     needed: object
 
 
-def _refuse(robot: Robot, scene: Scene) -> None:
-    """Raise ConfigError at the first setting that the map's legs cannot follow."""
+def _require_tabulated(robot: Robot, scene: Scene) -> None:
+    """Raise ConfigError at the first setting that the table does not cover."""
     floor, made_for = scene.floor, read_scene("flat").floor
     needs = (
-        _Need("floor.height_map", floor.height_map, ""),
-        _Need("floor.contact", floor.contact, made_for.contact),
-        _Need("floor.stiffness", floor.stiffness, made_for.stiffness),
-        _Need("floor.line_stiffness", floor.line_stiffness, made_for.line_stiffness),
-        _Need("solver.halvings", scene.solver.halvings, 0),
-        _Need("tendon.routing", robot.tendon.routing, "routed"),
+        _Requirement("floor.height_map", floor.height_map, ""),
+        _Requirement("floor.contact", floor.contact, made_for.contact),
+        _Requirement("floor.stiffness", floor.stiffness, made_for.stiffness),
+        _Requirement("floor.line_stiffness", floor.line_stiffness, made_for.line_stiffness),
+        _Requirement("solver.halvings", scene.solver.halvings, 0),
+        _Requirement("tendon.routing", robot.tendon.routing, "routed"),
     )
     for need in needs:
         if need.value != need.needed:
@@ -141,10 +148,10 @@ def _refuse(robot: Robot, scene: Scene) -> None:
 
 
 def map_legs(robot: Robot, table: LegTable) -> MapLegs:
-    """The legs as numbers; raises ConfigError where the grid is not even or not from zero."""
+    """Parameters of the legs; raises ConfigError for an uneven grid or one not from zero."""
     angle, height = table.angle, table.height
     for values in (angle, height):
-        # Six digits are written.
+        # The table is written with six digits.
         if len(values) < 2 or not np.allclose(np.diff(values, 2), 0.0, atol=1e-5):
             raise ConfigError("leg_map.csv: angles and heights must have even steps")
     if angle[0] != 0.0:
@@ -160,8 +167,8 @@ def map_legs(robot: Robot, table: LegTable) -> MapLegs:
     )
 
 
-def _reach(table: LegTable) -> tuple[Array, Array]:
-    """Angles (rad) and how far below its clamp a leg can touch there (m)."""
+def _contact_drop(table: LegTable) -> tuple[Array, Array]:
+    """Tendon angles (rad) of the table and the largest drop with contact at each (m)."""
     carries = np.pad(table.table[:, :, 0] > 0.0, ((0, 0), (0, 1)))
     first = np.minimum(np.argmin(carries, axis=1), len(table.height) - 1)
     return table.angle, table.height[first]

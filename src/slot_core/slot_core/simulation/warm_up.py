@@ -1,4 +1,4 @@
-"""Compiles the kernels into the cache; scripts/setup runs it, so that no start has to wait."""
+"""Compiles the kernels into the cache, so that no start waits for it; run by scripts/setup."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from slot_core.simulation.rod_robot import RodRobot
 
 
 def main() -> None:
-    """Use every kernel of a simulation and of the configured MPC once."""
+    """Call every kernel of the simulation and of the configured MPC once."""
     robot = read_robot()
     sim = RodRobot(robot, read_scene("flat"), read_servo())
     sim.advance(1, np.zeros(4))
