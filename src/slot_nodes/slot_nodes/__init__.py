@@ -1,1 +1,1 @@
-"""One thin rclpy node per box of the graph: decode, call the core, encode."""
+"""ROS nodes, one per box of the graph: decode messages, call the core, encode its results."""

@@ -1,4 +1,4 @@
-"""Diagnostics of servos and bus."""
+"""Diagnostics of the servos and their bus."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ERROR_RATE_WARNING = 0.05  # share of exchanges that failed
 def to_msg(
     stamp: int, session: ServoSession, pace: BusPace, cycle: Cycle | None
 ) -> DiagnosticArray:
-    """One status of the bus, one of each servo."""
+    """One status for the bus and one for each servo, at `stamp` (ns)."""
     silent = session.silent()
     readings = cycle.readings if cycle is not None else (None,) * len(session.driver.health)
     servos = [
@@ -67,5 +67,5 @@ def _status(name: str, level: bytes, message: str, **values: str) -> DiagnosticS
 
 
 def _number(value: float | None) -> str:
-    """Three digits; nothing where it is not known."""
+    """Three significant digits; "" if the value is not known."""
     return "" if value is None else f"{value:.3g}"

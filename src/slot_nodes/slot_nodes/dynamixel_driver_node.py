@@ -1,14 +1,14 @@
-"""Driver of the servos on their bus: commands and permissions in, joints and health out.
+"""Driver node of the servos: commands and permissions in, joint states and health out.
 
     configure    open the port, check every servo, torque off; then a bus cycle every period
-    activate     torque on where the servos stand
+    activate     torque on at the present angles of the servos
     deactivate   slacken the tendons, torque off, read back
     cleanup      close the port
 
-With `autostart` the node configures itself; a refusal then ends it with exit code 1. `/robot_state`
-activates it by HOLD or PASS and deactivates it by OFF; the limits that it keeps come from the
-supervisor on `/servo_limits`. However the process ends, except by SIGKILL, it first does what
-deactivate does; that needs no ROS context.
+With `autostart` the node configures itself, and ends with exit code 1 if that is refused.
+`/robot_state` activates it by HOLD or PASS and deactivates it by OFF. The supervisor sends its
+limits on `/servo_limits`. At every end of the process except SIGKILL the node first deactivates,
+which needs no ROS context.
 """
 
 import time
@@ -44,13 +44,13 @@ from slot_msgs.msg import RobotState, ServoLimits
 from slot_nodes import diagnostics, inputs, messages, qos, runtime
 from slot_nodes.health_report import HealthReport
 
-PORT_PERIOD = 0.1  # s, between two checks whether the port exists
+PORT_PERIOD = 0.1  # s, between two checks for the port
 DIAGNOSTICS_PERIOD = 1.0  # s
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
 class DynamixelDriverNode(LifecycleNode):
-    """Runs one bus cycle per period and publishes what it measured."""
+    """Runs one bus cycle per period and publishes its measurements."""
 
     def __init__(self) -> None:
         super().__init__("dynamixel_driver")
@@ -60,29 +60,31 @@ class DynamixelDriverNode(LifecycleNode):
         rates = [FloatingPointRange(from_value=20.0, to_value=500.0)]
         rate = runtime.declare(self, "rate", 100.0, "bus cycles [Hz]", floating_point_range=rates)
         waits = [FloatingPointRange(from_value=0.0, to_value=3600.0)]
-        self._patience = runtime.declare(
-            self, "wait_for_port", 60.0, "how long [s]", floating_point_range=waits
+        self._port_timeout = runtime.declare(
+            self, "wait_for_port", 60.0, "time to wait for the port [s]", floating_point_range=waits
         )
         self._autostart = runtime.declare(self, "autostart", True, "configure at start")
         self._port = settings.bus.port
         self._session = make_session(settings, 1.0 / rate)
         joints = self._session.driver.joints
         stall = read_servo().stall_torque
-        self._stall = np.array([abs(joint.tendon_torque(stall)) for joint in joints])
+        self._stall_torque = np.array([abs(joint.tendon_torque(stall)) for joint in joints])
         self._open = self._active = False
-        self._locked = False  # torque has gone off by its own rule or was refused: until OFF
+        self._locked = False  # torque went off by a rule of the driver or was refused; until OFF
         self._refusal = ""
         self._cycle: Cycle | None = None
         self._timer: Timer | None = None
         self._create_outputs()
-        self._refuse_wrong_transitions()
+        self._answer_invalid_transitions()
         inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
         inputs.subscribe(self, RobotState, "robot_state", self._on_robot_state, qos.STATE)
         inputs.subscribe(self, ServoLimits, "servo_limits", self._on_limits, qos.STATE)
-        self._end_of_wait = time.monotonic() + self._patience
-        self._starter = runtime.wall_timer(self, PORT_PERIOD, self._configure_by_itself)
+        self._port_deadline = time.monotonic() + self._port_timeout
+        self._autostart_timer = runtime.wall_timer(
+            self, PORT_PERIOD, self._configure_when_port_exists
+        )
         if not self._autostart:
-            self._starter.cancel()
+            self._autostart_timer.cancel()
 
     def _create_outputs(self) -> None:
         self._joints = self.create_publisher(JointState, "joint_states", qos.SENSOR)
@@ -91,11 +93,11 @@ class DynamixelDriverNode(LifecycleNode):
         runtime.wall_timer(self, DIAGNOSTICS_PERIOD, self._publish_diagnostics)
         self.create_service(SetBool, "~/torque", self._on_torque)
         for leg in LEGS:
-            self._offer(f"~/reboot_{leg.lower()}", partial(self._reboot, leg))
-            self._offer(f"~/zero_{leg.lower()}", partial(self._zero, leg))
+            self._create_servo_service(f"~/reboot_{leg.lower()}", partial(self._reboot, leg))
+            self._create_servo_service(f"~/zero_{leg.lower()}", partial(self._zero, leg))
 
-    def _refuse_wrong_transitions(self) -> None:
-        """Refuse a transition that the state does not have; with rclpy 7.1 the node would die."""
+    def _answer_invalid_transitions(self) -> None:
+        """Answer a transition that the state does not have; with rclpy 7.1 the node would end."""
         change = self._service_change_state.callback
 
         def serve(request: ChangeState.Request, response: ChangeState.Response) -> Any:
@@ -122,7 +124,7 @@ class DynamixelDriverNode(LifecycleNode):
         return SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Torque on, without motion."""
+        """Switch torque on at the present angles."""
         try:
             self._session.start()
         except ServoError as error:
@@ -132,48 +134,48 @@ class DynamixelDriverNode(LifecycleNode):
         return SUCCESS
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Slack, torque off; an error where a servo has not confirmed it."""
+        """Slacken the tendons, torque off; ERROR if a servo has not confirmed it."""
         self._active = False
         return SUCCESS if self._stop() else TransitionCallbackReturn.ERROR
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Close the port."""
-        self._end_cycles()
+        self._stop_cycles()
         self._close()
         return SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Slack, torque off, port closed."""
-        self._end_cycles()
+        """Slacken the tendons, torque off, close the port."""
+        self._stop_cycles()
         if self._open:
             self._stop()
         self._close()
         return SUCCESS
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Back to unconfigured; with `autostart` the node then configures itself again."""
+        """Shut down to unconfigured; with `autostart` configure again."""
         self.on_shutdown(state)
         if self._autostart:
-            self._starter.reset()
+            self._autostart_timer.reset()
         return SUCCESS
 
     def destroy_node(self) -> None:
-        """Torque off before anything else is destroyed."""
+        """Switch torque off, then destroy the node."""
         if self._open:
             self._stop()
         self._close()
         super().destroy_node()
 
-    def _configure_by_itself(self) -> None:
-        """Configure once the port exists, or after `wait_for_port`.
+    def _configure_when_port_exists(self) -> None:
+        """Configure when the port exists, or after `wait_for_port`.
 
-        The first refusal ends the node; after an error the attempt is repeated.
+        A refusal of the first attempt ends the node; after an error the attempt is repeated.
         """
-        if not Path(self._port).exists() and time.monotonic() < self._end_of_wait:
+        if not Path(self._port).exists() and time.monotonic() < self._port_deadline:
             self.get_logger().info(f"waiting for {self._port}", throttle_duration_sec=5.0)
             return
         if self.trigger_configure() == SUCCESS:
-            self._starter.cancel()
+            self._autostart_timer.cancel()
         elif self._cycle is None:
             self.get_logger().fatal(self._refusal)
             raise SystemExit(1)
@@ -186,7 +188,7 @@ class DynamixelDriverNode(LifecycleNode):
         if fault := self._session.offer(time.monotonic_ns(), stamp, angle):
             raise ValueError(fault)
         if self._timer is not None:
-            self._step()  # without waiting for the timer
+            self._step()  # before the timer is due
 
     def _on_limits(self, message: ServoLimits) -> None:
         self._session.set_limits(decode.servo_limits(message))
@@ -196,7 +198,7 @@ class DynamixelDriverNode(LifecycleNode):
         fast = state is State.WALKING
         self._session.permit(Permission(time.monotonic_ns(), action, fast, reason))
         if self._session.limits is None:
-            return  # they come at the supervisor's start, on a topic of their own
+            return  # the supervisor publishes them at its start, on another topic
         if action is Action.OFF:
             self._locked = False
             if self._active:
@@ -221,7 +223,7 @@ class DynamixelDriverNode(LifecycleNode):
 
     def _publish(self, cycle: Cycle) -> None:
         stamp = self.get_clock().now().nanoseconds
-        reading = measured(stamp, cycle, self._stall)
+        reading = measured(stamp, cycle, self._stall_torque)
         if reading is not None:
             self._joints.publish(messages.joints_to_msg(reading))
         self._health.publish(stamp, self._session.health(stamp))
@@ -242,8 +244,8 @@ class DynamixelDriverNode(LifecycleNode):
             response.message = "torque on" if response.success else self._refusal
         return response
 
-    def _offer(self, name: str, action: Callable[[], str]) -> None:
-        """Create a service that acts on one servo without torque and answers what was done."""
+    def _create_servo_service(self, name: str, action: Callable[[], str]) -> None:
+        """Create a service that acts on one servo with torque off; `action` returns the answer."""
 
         def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
@@ -261,7 +263,7 @@ class DynamixelDriverNode(LifecycleNode):
         return f"servo {leg} restarts"
 
     def _zero(self, leg: str) -> str:
-        """Take the present angle of a resting leg as its zero, now and at later starts."""
+        """Set the zero of a leg to its present angle at rest, now and in `dynamixel.yaml`."""
         driver = self._session.driver
         angle = measure_zero(driver.bus, driver.joints[LEGS.index(leg)], time.sleep)
         driver.set_zero(leg, angle)
@@ -269,17 +271,17 @@ class DynamixelDriverNode(LifecycleNode):
 
     def _refuse(self, reason: str) -> TransitionCallbackReturn:
         self._refusal = reason
-        if self._cycle is not None or not self._autostart:  # else it is logged once, at the end
+        if self._cycle is not None or not self._autostart:  # else it is logged when the node ends
             self.get_logger().error(reason, throttle_duration_sec=5.0)
         return FAILURE
 
-    def _end_cycles(self) -> None:
+    def _stop_cycles(self) -> None:
         if self._timer is not None:
             self.destroy_timer(self._timer)
             self._timer = None
 
     def _stop(self) -> bool:
-        """Slack and torque off; whether every servo has confirmed it."""
+        """Slacken the tendons, torque off; return whether every servo has confirmed it."""
         off = self._session.stop()
         if off.complete:
             runtime.last_logger(self).info("torque off, confirmed by every servo")
@@ -293,7 +295,7 @@ class DynamixelDriverNode(LifecycleNode):
 
 
 def make_session(settings: DynamixelSettings, period: float) -> ServoSession:
-    """Driver and command watchdog; raises ConfigError where the settings contradict each other."""
+    """Driver and command watchdog; raises ConfigError if the settings contradict each other."""
     port = SerialPort(settings.bus.port, settings.bus.baud, settings.bus.timeout)
     try:
         driver = Driver(port, settings)

@@ -1,4 +1,4 @@
-"""An executor for nodes whose callbacks are short and many."""
+"""Executor for nodes with many short callbacks."""
 
 from __future__ import annotations
 
@@ -13,28 +13,29 @@ from rclpy.timer import Timer
 from rclpy.utilities import timeout_sec_to_nsec
 from rclpy.waitable import NumberOfEntities
 
-KINDS = ("subscription", "guard_condition", "timer", "client", "service")  # as a wait set counts
+KINDS = ("subscription", "guard_condition", "timer", "client", "service")  # order of a wait set
 
 
 class DirectExecutor(SingleThreadedExecutor):
-    """Calls back at once for messages and timers; leaves services and all else to the library.
+    """Calls the callbacks of messages and timers directly; rclpy serves everything else.
 
-    The library makes a task of every callback, wakes itself twice for it and gathers what to wait
-    for anew each time: most of a node's CPU time, on cores that the next node in the chain needs.
-    A callback for a message or a timer may not await, and no node may have guard conditions.
+    rclpy's executor makes a task of every callback, wakes itself twice for it and collects the
+    entities to wait for each time. That takes most of a node's CPU time, on cores that the next
+    node in the chain needs. Callbacks of messages and timers must not await, and nodes must not
+    have guard conditions.
     """
 
     def __init__(self, *, context: Context | None = None) -> None:
-        self._is_stale = True
+        self._entities_changed = True
         super().__init__(context=context)
 
     def wake(self) -> None:
-        """Wait anew, for other things than before."""
-        self._is_stale = True
+        """Interrupt the wait and collect the entities again."""
+        self._entities_changed = True
         super().wake()
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Wait, at most `timeout_sec` (s), and answer what is there.
+        """Wait at most `timeout_sec` (s) and run the callbacks that are ready.
 
         Raises ExternalShutdownException when the context has ended, and what a callback raises.
         """
@@ -46,12 +47,12 @@ class DirectExecutor(SingleThreadedExecutor):
             if _is_due(timer):
                 _call(self._take_timer(timer))
         if self._context.ok() and self._has_others():
-            self._is_stale = True  # a node may have come or gone
+            self._entities_changed = True  # a node may have been added or removed
             super().spin_once(timeout_sec=0.0)
 
     def _wait(self, timeout_sec: float | None) -> None:
-        if self._is_stale:
-            self._gather()
+        if self._entities_changed:
+            self._collect_entities()
         wait_set = self._wait_set
         wait_set.clear_entities()
         for kind in KINDS:
@@ -64,9 +65,9 @@ class DirectExecutor(SingleThreadedExecutor):
         if not self._context.ok():
             raise ExternalShutdownException
 
-    def _gather(self) -> None:
-        """What the nodes have to be waited for, with what wakes the executor itself."""
-        self._is_stale = False
+    def _collect_entities(self) -> None:
+        """Collect the entities of the nodes, and the guard conditions that wake the executor."""
+        self._entities_changed = False
         nodes = self.get_nodes()
         self._entities: dict[str, list[Any]] = {
             "subscription": [e for node in nodes for e in node.subscriptions],
@@ -88,7 +89,7 @@ class DirectExecutor(SingleThreadedExecutor):
         return [e for e in self._entities[kind] if e.handle.pointer in ready] if ready else []
 
     def _has_others(self) -> bool:
-        """Whether anything but a message or a timer has ended the wait."""
+        """Whether anything but a message or a timer is ready."""
         kinds = ("guard_condition", "client", "service")
         return any(map(self._wait_set.get_ready_entities, kinds)) or any(
             waitable.is_ready(self._wait_set) for waitable in self._waitables
@@ -96,7 +97,7 @@ class DirectExecutor(SingleThreadedExecutor):
 
 
 def _is_due(timer: Timer) -> bool:
-    """Whether a timer is still there and due: a callback before may have ended or set it back."""
+    """Whether a timer exists and is due: an earlier callback may have destroyed or reset it."""
     try:
         with timer.handle:
             return timer.handle.is_timer_ready()
@@ -105,7 +106,7 @@ def _is_due(timer: Timer) -> bool:
 
 
 def _call(execute: Callable[[], Coroutine[Any, Any, None]] | None) -> None:
-    """Run what the library has taken, to its end."""
+    """Run the callback of an entity that rclpy has taken, to its end."""
     if execute is None:
         return
     try:

@@ -1,4 +1,4 @@
-"""Ground reaction forces to `/desired_joint_angles`, around the gait's nominal angles."""
+"""Ground reaction forces to `/desired_joint_angles`, about the nominal angles of the gait."""
 
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -13,7 +13,7 @@ from slot_nodes.rendezvous import Rendezvous
 
 
 class ForceMapperNode(Node):
-    """Maps once for every forces, preview and state of one stamp."""
+    """Maps the forces when forces, preview and state of one stamp have been received."""
 
     def __init__(self) -> None:
         super().__init__("force_mapper")
@@ -45,7 +45,7 @@ class ForceMapperNode(Node):
         self._command(stamp, self._inputs.add("forces", stamp, forces))
 
     def _prepare(self, stamp: int, inputs: tuple | None) -> None:
-        """What does not need the forces, which come last."""
+        """Compute the slopes of the map before the forces arrive, which are last."""
         if inputs is None:
             return
         preview, state = inputs

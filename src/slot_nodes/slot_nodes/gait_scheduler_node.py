@@ -1,4 +1,4 @@
-"""`/cmd_vel` and the gait service to the preview of gait and reference, at every `/mpc_state`."""
+"""`/mpc_state`, `/cmd_vel` and the service `set_gait` to the preview of gait and reference."""
 
 import numpy as np
 from geometry_msgs.msg import TwistStamped
@@ -13,7 +13,7 @@ from slot_nodes import inputs, messages, qos, runtime
 
 
 class GaitSchedulerNode(Node):
-    """Keeps the gait; publishes a preview for every state, at its stamp."""
+    """Runs the gait scheduler; publishes a preview for every state, with its stamp."""
 
     def __init__(self) -> None:
         super().__init__("gait_scheduler")

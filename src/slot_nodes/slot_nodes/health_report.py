@@ -8,7 +8,7 @@ from slot_core.safety.servo_health import ServoHealth
 from slot_msgs import msg as slot_msgs
 from slot_nodes import messages, qos
 
-PERIOD = 50_000_000  # ns, between two reports without a change
+PERIOD = 50_000_000  # ns, between two reports without change
 
 
 class HealthReport:
@@ -20,7 +20,7 @@ class HealthReport:
         self._last_stamp = 0  # ns
 
     def publish(self, stamp: int, health: ServoHealth) -> None:
-        """Publish a health at `stamp` (ns) if it has changed or the last is old."""
+        """Publish the health at `stamp` (ns) if it has changed or PERIOD has passed."""
         key = (
             health.action,
             health.commanded,

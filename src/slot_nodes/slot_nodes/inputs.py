@@ -1,4 +1,4 @@
-"""What a node takes in: a message that its core cannot use is dropped, with one line on why."""
+"""Input checks of the nodes: an unusable message is dropped, with one line that says why."""
 
 from __future__ import annotations
 
@@ -16,36 +16,36 @@ from slot_core.robot import LEGS
 def subscribe(
     node: Node, kind: type, topic: str, callback: Callable[[Any], None], profile: QoSProfile
 ) -> None:
-    """Subscribe with a callback that raises ValueError for a message it refuses."""
+    """Subscribe; a ValueError of the callback drops the message and is logged once a second."""
 
-    def take(message: Any) -> None:
+    def receive(message: Any) -> None:
         try:
             callback(message)
         except ValueError as error:
             node.get_logger().warning(f"{topic} refused: {error}", throttle_duration_sec=1.0)
 
-    node.create_subscription(kind, topic, take, profile)
+    node.create_subscription(kind, topic, receive, profile)
 
 
 def require_finite(name: str, values: Any) -> None:
-    """Raise ValueError naming the first element that is infinite or no number."""
+    """Raise ValueError, which names the first element that is infinite or NaN."""
     array = np.asarray(values, dtype=float)
     finite = np.isfinite(array)
     if not finite.all():
-        lost = np.argwhere(~finite)[0]
-        place = ", ".join(str(int(i)) for i in lost)
-        raise ValueError(f"{name}[{place}] = {array[tuple(lost)]}: expected a finite number")
+        index = np.argwhere(~finite)[0]
+        place = ", ".join(str(int(i)) for i in index)
+        raise ValueError(f"{name}[{place}] = {array[tuple(index)]}: expected a finite number")
 
 
 def require_present(stamp: int, now: int, limit: float) -> None:
-    """Raise ValueError for another clock's stamp: further than `limit` (s) from `now`; both ns."""
+    """Raise ValueError for a stamp (ns) more than `limit` (s) from `now` (ns): another clock's."""
     off = (stamp - now) * 1e-9
     if abs(off) > limit:
         raise ValueError(f"stamped {off:+.3g} s from now, limit {limit:g} s")
 
 
 def require_nominal(preview: GaitPreview) -> None:
-    """Raise ValueError unless the preview has finite angles and loads of every leg."""
+    """Raise ValueError unless the preview has finite tendon angles and loads of all legs."""
     for name in ("tendon_angle", "normal_force"):
         rows = getattr(preview, name)
         if rows.shape[1] != len(LEGS):

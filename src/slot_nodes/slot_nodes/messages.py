@@ -1,4 +1,4 @@
-"""Values of the core as ROS messages; the inverse is slot_core.bags.decode."""
+"""ROS messages from values of the core; the inverse is slot_core.bags.decode."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from slot_msgs.msg import (
 )
 from slot_msgs.srv import SetGait
 
-if TYPE_CHECKING:  # a node imports only the cores that it runs
+if TYPE_CHECKING:  # a node imports only the core modules that it runs
     from slot_core.control.force_map import TendonCommand
     from slot_core.control.mpc.mpc import MpcResult
     from slot_core.control.pace import Pace
@@ -42,7 +42,7 @@ if TYPE_CHECKING:  # a node imports only the cores that it runs
 
 
 def ns_to_stamp(ns: int) -> Time:
-    """ROS time of nanoseconds."""
+    """ROS time from nanoseconds."""
     return Time(sec=ns // 1_000_000_000, nanosec=ns % 1_000_000_000)
 
 
@@ -149,7 +149,7 @@ def preview_to_msg(preview: gait.GaitPreview) -> GaitPreview:
 
 
 def forces_to_msg(stamp: int, result: MpcResult, pace: Pace) -> GroundReactionForces:
-    """Forces with the account of the solve, and of those before it."""
+    """Forces with the figures of the solve, and the counts of overruns and skipped states."""
     return GroundReactionForces(
         header=header(stamp),
         force=[_vector(f) for f in result.force],
@@ -173,7 +173,7 @@ def forces_to_msg(stamp: int, result: MpcResult, pace: Pace) -> GroundReactionFo
 
 
 def map_status_to_msg(stamp: int, command: TendonCommand) -> ForceMapStatus:
-    """How the forces became angles."""
+    """Map of the forces to tendon angles: slopes, unclamped angles, saturation."""
     return ForceMapStatus(
         header=header(stamp),
         map=command.map,
@@ -204,13 +204,13 @@ def health_to_msg(stamp: int, health: ServoHealth) -> slot_msgs.ServoHealth:
 
 
 def limits_to_msg(limits: ServoLimits) -> slot_msgs.ServoLimits:
-    """Limits of whatever drives the servos."""
+    """Limits for the driver of the servos, real or simulated."""
     values = dataclasses.asdict(limits)
     return slot_msgs.ServoLimits(**values.pop("gate"), **values)
 
 
 def robot_state_to_msg(stamp: int, report: Report) -> RobotState:
-    """State of the robot, and what the servos are to do."""
+    """State of the robot and action of the servos."""
     return RobotState(
         header=header(stamp, BASE_FRAME),
         state=int(report.state),
@@ -223,5 +223,5 @@ def robot_state_to_msg(stamp: int, report: Report) -> RobotState:
 
 
 def gait_request(name: str, v_x: float, v_y: float) -> SetGait.Request:
-    """A gait at a velocity (m/s) in base_link, straight ahead."""
+    """Request of a gait at a velocity (m/s) in base_link, without yaw rate."""
     return SetGait.Request(gait=name, velocity=Vector3(x=v_x, y=v_y))

@@ -1,4 +1,4 @@
-"""`/mpc_state` and the gait preview to ground reaction forces."""
+"""`/mpc_state` and `/gait_preview` to `/ground_reaction_forces`."""
 
 import time
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ from slot_nodes.rendezvous import Rendezvous
 
 
 class MpcControllerNode(Node):
-    """Solves the MPC for the newest state and its preview; skips what it is late for."""
+    """Solves the MPC for the newest state and its preview; skips older states."""
 
     def __init__(self) -> None:
         super().__init__("mpc_controller")
@@ -30,7 +30,7 @@ class MpcControllerNode(Node):
         self._forces = self.create_publisher(
             GroundReactionForces, "ground_reaction_forces", qos.CONTROL
         )
-        # rclpy passes the second argument too; its annotation knows the first alone
+        # rclpy also passes the second argument; its annotation has only the first
         self.create_subscription(MpcState, "mpc_state", cast(Any, self._on_state), qos.STATE)
         inputs.subscribe(self, GaitPreview, "gait_preview", self._on_preview, qos.STATE)
 

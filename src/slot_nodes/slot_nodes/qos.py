@@ -1,7 +1,8 @@
-"""Quality of service of the graph's topics, named once.
+"""Quality of service of the graph's topics.
 
-All data are reliable: lockstep runs and replays must not lose a message. A sensor that publishes
-best effort is matched by the `qos_overrides` parameters that every sensor subscription declares.
+All data are reliable, because lockstep runs and replays must not lose a message. For a sensor that
+publishes best effort, the subscriptions to `/odom`, `/imu` and `/cmd_vel` declare `qos_overrides`
+parameters.
 """
 
 from rclpy.qos import (
@@ -17,7 +18,7 @@ SENSOR = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=200,
 )
-"""Measurements and commands from outside: a late subscriber gets what comes next."""
+"""Measurements and commands from outside; a late subscriber receives only new messages."""
 
 CONTROL = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
@@ -25,8 +26,8 @@ CONTROL = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=50,
 )
-"""What the controller passes on: a late subscriber gets the last values too, so that the first
-tick of a run reaches every node and the bag whatever the order of discovery."""
+"""Topics of the controller; a late subscriber also receives the last messages, so that the first
+tick of a run reaches every node and the bag in any order of discovery."""
 
 STATE = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
@@ -34,8 +35,8 @@ STATE = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=1,
 )
-"""What holds until it is replaced: only the newest counts. A slow subscriber to what the controller
-passes on drops the older with it, instead of a queue."""
+"""Values that hold until they are replaced; only the newest counts. With it a slow subscriber to a
+topic of the controller drops older messages in place of a queue."""
 
 CLOCK = QoSProfile(
     reliability=ReliabilityPolicy.BEST_EFFORT,
@@ -43,4 +44,4 @@ CLOCK = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=1,
 )
-"""As rclpy subscribes to /clock."""
+"""Profile with which rclpy subscribes to /clock."""

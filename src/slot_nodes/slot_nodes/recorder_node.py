@@ -1,7 +1,7 @@
 """Records the topics of `config/record.yaml` into a bag that `ros2 bag` and Foxglove read.
 
-Says so on `/recording` once it is matched with all of the controller, whose topics are the
-transient-local ones; a simulated robot that waits for it is then recorded from the first tick on.
+The node publishes `/recording` when every transient-local topic, those of the controller, has a
+matched publisher. A simulated robot that waits for it is recorded from the first tick on.
 """
 
 from importlib import import_module
@@ -16,11 +16,11 @@ from slot_core import config
 from slot_core.bags.bag import BagError, BagWriter, RecordedTopic, read_record_settings
 from slot_nodes import qos, runtime
 
-READY_PERIOD = 0.05  # s, between looks at what is matched
+READY_PERIOD = 0.05  # s, between two checks of the matched publishers
 
 
 class RecorderNode(Node):
-    """Writes raw messages; the time of a message is its publisher's wall clock at publishing."""
+    """Writes serialised messages with the publisher's wall time of publishing."""
 
     def __init__(self) -> None:
         super().__init__("recorder")
@@ -35,15 +35,15 @@ class RecorderNode(Node):
         for name, topic in settings.topics.items():
             self._record(name, topic)
         self._recording = self.create_publisher(Bool, "recording", qos.CONTROL)
-        self._timer = runtime.wall_timer(self, READY_PERIOD, self._tell_when_ready)
+        self._timer = runtime.wall_timer(self, READY_PERIOD, self._announce_when_matched)
 
-    def _tell_when_ready(self) -> None:
+    def _announce_when_matched(self) -> None:
         if all(subscription.get_publisher_count() for subscription in self._awaited):
             self._recording.publish(Bool(data=True))
             self.destroy_timer(self._timer)
 
     def destroy_node(self) -> None:
-        """Close the bag: only then it has its index."""
+        """Destroy the node and close the bag, which writes its index."""
         super().destroy_node()
         self._bag.close()
 
@@ -59,7 +59,7 @@ class RecorderNode(Node):
             depth=self._depth,
         )
         kind = getattr(import_module(f"{package}.msg"), message)
-        # rclpy passes the second argument too; its annotation knows the first alone
+        # rclpy also passes the second argument; its annotation has only the first
         subscription: Subscription = self.create_subscription(
             kind, name, cast(Any, write), profile, raw=True
         )

@@ -1,4 +1,4 @@
-"""Messages of several topics brought together by their stamp."""
+"""Matches messages of several topics by their stamp."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from typing import Any
 
 
 class Rendezvous:
-    """Collects one item per topic and stamp; a set is complete when every topic has come.
+    """Collects one item per topic and stamp; a set is complete when every topic has an item.
 
-    At most `depth` incomplete sets are kept, the one begun first goes first: a lost message costs
-    one tick, and stamps from a clock that has been set back are as good as any.
+    At most `depth` incomplete sets are kept; the oldest by arrival is dropped first. So a lost
+    message costs one tick, and a clock that is set back needs no special treatment.
     """
 
     def __init__(self, *topics: str, depth: int = 50):
@@ -17,7 +17,7 @@ class Rendezvous:
         self._sets: dict[int, dict[str, Any]] = {}
 
     def add(self, topic: str, stamp: int, item: Any) -> tuple[Any, ...] | None:
-        """Add an item; return all items of that stamp in the order of the topics, or None."""
+        """Add an item; return the set of its stamp, in the order of the topics, once complete."""
         items = self._sets.setdefault(stamp, {})
         items[topic] = item
         if len(items) == len(self._topics):

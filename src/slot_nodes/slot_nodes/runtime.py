@@ -1,4 +1,4 @@
-"""What every node shares: its life from start to a clean end, and its parameters."""
+"""Common functions of the nodes: start and clean end, parameters, timers, subscriptions."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ T = TypeVar("T")
 
 
 def run(make_node: Callable[[], Node]) -> None:
-    """Spin a node until SIGINT, SIGTERM or its own `SystemExit`; exits 0 unless it failed.
+    """Spin a node until SIGINT, SIGTERM or its own `SystemExit`; exit code 0 unless it failed.
 
-    A configuration that cannot be used ends the process with one line and exit code 2.
+    An unusable configuration ends the process with one line and exit code 2.
     """
     node = None
     try:
         _init()
         node = make_node()
-        gc.freeze()  # no collection has to look through all that was loaded
+        gc.freeze()  # exclude what is loaded by now from garbage collections
         rclpy.spin(node, DirectExecutor())
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
@@ -46,10 +46,10 @@ def run(make_node: Callable[[], Node]) -> None:
         print(error, file=sys.stderr)
         sys.exit(2)
     except RuntimeError:
-        if rclpy.utilities.ok():  # a message that is taken while the context shuts down raises, too
+        if rclpy.utilities.ok():  # taking a message while the context shuts down also raises
             raise
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C to the group comes twice
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C to the process group comes twice
         if node is not None:
             node.destroy_node()
         rclpy.utilities.try_shutdown()
@@ -58,15 +58,15 @@ def run(make_node: Callable[[], Node]) -> None:
 def _init() -> None:
     try:
         rclpy.init()
-    except RuntimeError as error:  # arguments that are no YAML, a domain that is no number
+    except RuntimeError as error:  # arguments that are not YAML, a domain that is not a number
         raise config.ConfigError(" ".join(str(error).split())) from None
 
 
 def declare_settings(node: Node, settings: T, prefix: str = "") -> T:
     """Declare each value of a settings object as a read-only parameter; return it as overridden.
 
-    The default is the value from `config/*.yaml`, the bounds and the description are the field's.
-    Raises ConfigError on a value outside of its bounds.
+    Defaults are the values of `config/*.yaml`; bounds and descriptions are those of the fields.
+    Raises ConfigError for a value outside its bounds.
     """
     changes = {}
     for name, value, meta in config.leaves(settings):
@@ -84,25 +84,25 @@ def declare(node: Node, name: str, default: Any, description: str, **descriptor:
 
 
 def wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer:
-    """A timer on the wall clock: the ROS clock stands still until somebody carries it."""
+    """Create a timer on the steady clock: under `use_sim_time` the ROS clock may stand still."""
     return node.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
 def last_logger(node: Node) -> RcutilsLogger:
-    """A logger that also serves after the end of the context: /rosout does not have its lines."""
+    """Logger that works after the context has ended; its lines are not on /rosout."""
     return get_logger(f"{node.get_name()}.end")
 
 
 def subscribe(
     node: Node, kind: type, topic: str, callback: Callable[..., None], profile: QoSProfile
 ) -> None:
-    """Subscribe to a topic whose quality of service the user may override by parameters."""
+    """Subscribe to a topic whose quality of service can be overridden by parameters."""
     overriding = QoSOverridingOptions.with_default_policies()
     node.create_subscription(kind, topic, callback, profile, qos_overriding_options=overriding)
 
 
 def _descriptor(meta: Mapping[str, Any], value: Any) -> dict[str, Any]:
-    """Description, unit and bounds of a field as a parameter descriptor."""
+    """Parameter descriptor from description, unit and bounds of a field."""
     unit = f" [{meta['unit']}]" if meta.get("unit") else ""
     descriptor: dict[str, Any] = {"description": meta["doc"] + unit}
     if "options" in meta:

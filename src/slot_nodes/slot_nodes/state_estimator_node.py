@@ -12,7 +12,7 @@ from slot_nodes import messages, qos, runtime
 
 
 class StateEstimatorNode(Node):
-    """Runs the filter; publishes an estimate for every odometry reading, at its stamp."""
+    """Runs the filter; publishes an estimate for every odometry reading, with its stamp."""
 
     def __init__(self) -> None:
         super().__init__("state_estimator")

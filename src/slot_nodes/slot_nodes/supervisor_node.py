@@ -1,8 +1,8 @@
 """The supervisor: inputs from the whole graph, `/robot_state` out, requests as services.
 
-Whatever drives the servos obeys `/robot_state` and the limits on `/servo_limits`; commands go to it
-directly. On entering WALKING the supervisor requests the gait from the gait scheduler, on entering
-any other state but HOLD it requests standing.
+The driver of the servos, real or simulated, obeys `/robot_state` and the limits on `/servo_limits`;
+it subscribes to the commands itself. On entering WALKING the supervisor requests the gait from the
+gait scheduler, on entering any other state but HOLD it requests standing.
 """
 
 from functools import partial
@@ -38,7 +38,7 @@ class SupervisorNode(Node):
         self._supervisor = Supervisor(robot, settings, read_tendon_watch(robot, settings.tendon))
         self._walk = self._declare_gait()
         autostart = runtime.declare(self, "autostart", False, "stand up and walk without requests")
-        self._start_up = StartUp(*self._steps() if autostart else ())
+        self._start_up = StartUp(*self._start_up_requests() if autostart else ())
         self._published: Report | None = None
         self._state = self.create_publisher(RobotState, "robot_state", qos.STATE)
         self._limits = self.create_publisher(ServoLimits, "servo_limits", qos.STATE)
@@ -52,21 +52,23 @@ class SupervisorNode(Node):
         runtime.wall_timer(self, PERIOD, self._step)
 
     def _declare_gait(self) -> SetGait.Request:
-        """The gait of WALKING; raises ConfigError where it cannot be."""
+        """Declare gait and velocity of WALKING; raises ConfigError if they do not fit."""
         gaits = read_gaits()
         gait = runtime.declare(self, "gait", STAND, "gait of WALKING, of config/gait.yaml")
-        v_x = runtime.declare(self, "v_x", gaits.find(gait).cruise, "its forward velocity [m/s]")
-        v_y = runtime.declare(self, "v_y", 0.0, "its lateral velocity [m/s]")
+        v_x = runtime.declare(
+            self, "v_x", gaits.find(gait).cruise, "forward velocity of WALKING [m/s]"
+        )
+        v_y = runtime.declare(self, "v_y", 0.0, "lateral velocity of WALKING [m/s]")
         GaitScheduler(gaits, gait, np.array([v_x, v_y, 0.0]))
         self._supervisor.receive_gait(self._now(), gaits.find(gait).period)
         return messages.gait_request(gait, v_x, v_y)
 
-    def _steps(self) -> list[Request]:
+    def _start_up_requests(self) -> list[Request]:
         walks = self._walk.gait != STAND
         return [Request.READY, Request.STAND, *[Request.WALK][:walks]]
 
     def _subscribe_to_controller(self) -> None:
-        """The gait's preview is left out: without it there are no forces."""
+        """Subscribe to the controller; a missing gait preview shows as missing forces."""
         inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.CONTROL)
         inputs.subscribe(
             self, GroundReactionForces, "ground_reaction_forces", self._on_forces, qos.CONTROL
@@ -126,11 +128,11 @@ class SupervisorNode(Node):
         report, last = self._supervisor.step(now), self._published
         self._published = report
         if last is None or (report.state, report.since) != (last.state, last.since):
-            self._announce(report)
+            self._report_transition(report)
         self._state.publish(messages.robot_state_to_msg(now, report))
 
-    def _announce(self, report: Report) -> None:
-        """Log a transition, and request the gait of the new state."""
+    def _report_transition(self, report: Report) -> None:
+        """Log a transition and request the gait of the new state."""
         line = f"{report.state.name}: {report.reason}"
         if report.state in (State.HOLD, *RELEASED):
             self.get_logger().warning(line)
