@@ -6,21 +6,26 @@ import pytest
 from graph_bag import record
 from real_graph import changed_config, domain  # noqa: F401 - a fixture
 
-# A busy machine keeps processes waiting for longer than a robot may: time limits that it keeps.
+# Time limits that hold on a busy machine, where processes wait longer than on a robot.
 PATIENT = {
-    "dynamixel.yaml": {"  timeout: 0.008": "  timeout: 0.1", "  watchdog: 0.1": "  watchdog: 2.0"},
-    "supervisor.yaml": {
-        "command_hold: 0.1": "command_hold: 1.0", "command_lost: 0.5": "command_lost: 5.0",
-        "servo_silent: 0.5": "servo_silent: 2.0", "heartbeat: 0.5": "heartbeat: 5.0",
-        "  estop: 0.5": "  estop: 2.0", "coast_cycles: 3": "coast_cycles: 30",
-        "hold_max: 5.0": "hold_max: 30.0", "obey: 1.0": "obey: 5.0",
+    "dynamixel": {"bus.timeout": 0.1, "servo.watchdog": 2.0},
+    "supervisor": {
+        "timing.command_hold": 1.0,
+        "timing.command_lost": 5.0,
+        "timing.servo_silent": 2.0,
+        "timing.heartbeat": 5.0,
+        "timing.estop": 2.0,
+        "timing.hold_max": 30.0,
+        "timing.torque_change": 5.0,
+        "estimate.coast_cycles": 30,
+        "estimate.silence": 1.0,
     },
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="session")
 def environment(tmp_path_factory):
-    """Environment with a configuration of longer time limits."""
+    """Environment variables with a configuration of longer time limits."""
     config = changed_config(tmp_path_factory.mktemp("patient"), PATIENT)
     return os.environ | {"SLOT_CONFIG": str(config)}
 

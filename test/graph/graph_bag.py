@@ -1,4 +1,4 @@
-"""Bags of the graph: recorded by it, read with the mcap library, which shares no code with that."""
+"""Bags of the graph, read with the mcap library, independently of the recorder."""
 
 from collections import defaultdict
 from pathlib import Path
@@ -11,7 +11,7 @@ from slot_bringup.graph import read_graph
 
 
 def record(bag: Path, *arguments: str) -> Path:
-    """Run the graph with a bag and return its directory."""
+    """Run the graph with a bag and return the directory of the bag."""
     graph = read_graph()
     run.run(run.parse([*arguments, "--bag", str(bag)], graph), graph, bag)
     return bag
@@ -33,7 +33,7 @@ def stamps(rows):
 
 
 def first_times(rows):
-    """{stamp: publishing time of the first message that bears it}, both in ns."""
+    """{stamp: publishing time of the first message with it}, both in ns."""
     times = {}
     for (time, _), stamp in zip(rows, stamps(rows)):
         times.setdefault(stamp, time)

@@ -1,4 +1,4 @@
-"""The nodes' executor serves what rclpy's serves."""
+"""The executor of the nodes serves all that rclpy's executor serves."""
 
 import threading
 from contextlib import suppress
@@ -13,12 +13,12 @@ from std_srvs.srv import Trigger
 from slot_nodes import qos, runtime
 from slot_nodes.executor import DirectExecutor
 
-LIMIT = 200  # turns of the executor, of at most 0.1 s each
+LIMIT = 200  # calls of spin_once, of at most 0.1 s each
 
 
 @pytest.fixture
 def node():
-    """A node on an executor under test, in a context of its own."""
+    """Node on the executor under test, in a separate context."""
     context = Context()
     rclpy.init(context=context)
     node = rclpy.create_node("under_test", context=context)
@@ -34,52 +34,52 @@ def spin_until(node, condition):
         if condition():
             return
         node.executor.spin_once(timeout_sec=0.1)
-    raise AssertionError("waited in vain")
+    raise AssertionError("condition not reached")
 
 
-def test_messages_come_one_by_one_in_their_order(node):
-    heard = []
+def test_messages_are_served_in_their_order(node):
+    received = []
     publisher = node.create_publisher(Int32, "numbers", qos.CONTROL)
-    node.create_subscription(Int32, "numbers", lambda m: heard.append(m.data), qos.CONTROL)
+    node.create_subscription(Int32, "numbers", lambda m: received.append(m.data), qos.CONTROL)
     for number in range(20):
         publisher.publish(Int32(data=number))
-    spin_until(node, lambda: len(heard) == 20)
-    assert heard == list(range(20))
+    spin_until(node, lambda: len(received) == 20)
+    assert received == list(range(20))
 
 
-def test_a_service_is_answered_between_messages_and_timers(node):
-    heard, ticks = [], []
+def test_service_is_answered_between_messages_and_timers(node):
+    received, ticks = [], []
     publisher = node.create_publisher(Int32, "numbers", qos.CONTROL)
-    node.create_subscription(Int32, "numbers", heard.append, qos.CONTROL)
+    node.create_subscription(Int32, "numbers", received.append, qos.CONTROL)
     runtime.wall_timer(node, 0.001, lambda: ticks.append(publisher.publish(Int32())))
 
     def answer(_, response):
-        response.success = bool(heard and ticks)
+        response.success = bool(received and ticks)
         return response
 
     node.create_service(Trigger, "ask", answer)
     client = node.create_client(Trigger, "ask")
-    spin_until(node, lambda: heard and client.service_is_ready())
+    spin_until(node, lambda: received and client.service_is_ready())
     future = client.call_async(Trigger.Request())
     spin_until(node, future.done)
     assert future.result().success
 
 
-def test_what_a_callback_creates_is_served_and_what_it_destroys_is_not(node):
+def test_timer_created_by_a_callback_is_served_and_a_destroyed_one_is_not(node):
     ticks = []
 
-    def exchange():
+    def replace():
         node.destroy_timer(first)
         node.destroy_timer(second)
         runtime.wall_timer(node, 0.001, lambda: ticks.append("third"))
 
-    first = runtime.wall_timer(node, 0.001, exchange)
+    first = runtime.wall_timer(node, 0.001, replace)
     second = runtime.wall_timer(node, 0.001, lambda: ticks.append("second"))
     spin_until(node, lambda: ticks.count("third") == 3)
     assert "second" not in ticks
 
 
-def test_what_a_callback_raises_comes_through(node):
+def test_exception_of_a_callback_is_raised_by_spin(node):
     def fail():
         raise ZeroDivisionError
 
@@ -88,13 +88,13 @@ def test_what_a_callback_raises_comes_through(node):
         spin_until(node, lambda: False)
 
 
-def test_it_ends_with_its_context(node):
+def test_spin_ends_with_its_context(node):
     runtime.wall_timer(node, 0.001, node.context.try_shutdown)
     rclpy.spin(node, node.executor)
     assert not node.context.ok()
 
 
-def test_a_shutdown_from_outside_ends_the_wait(node):
+def test_shutdown_from_another_thread_ends_the_wait(node):
     threading.Timer(0.2, node.context.try_shutdown).start()
     with suppress(ExternalShutdownException):
         node.executor.spin()

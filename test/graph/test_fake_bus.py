@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from graph_bag import read
 
+from slot_core.dynamics.scene import read_scene
 from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.robot import TENDON_JOINTS, read_robot
 
 RUN = [sys.executable, "-m", "slot_bringup", "--hardware", "fake_bus"]
+PERIOD = read_scene("flat").sensors.odometry.period  # s
 
 
 @pytest.fixture(scope="module")
@@ -30,26 +32,26 @@ def messages(walk):
     return read(walk)
 
 
-def test_the_robot_walks_on_the_real_driver(messages):
-    """Measured 44 mm/s on average; half of that is walking, standing is none of it."""
+def test_robot_walks_with_the_real_driver(messages):
+    """Measured: 44 mm/s on average. Half of it shows that the robot walks."""
     truth = [m.pose.pose.position for _, m in messages["/ground_truth/odom"]]
     assert len(truth) > 120
-    assert (truth[-1].x - truth[0].x) / (0.033 * len(truth)) > 0.02
+    assert (truth[-1].x - truth[0].x) / (PERIOD * len(truth)) > 0.02
 
 
-def test_the_driver_alone_reports_the_joints(messages):
+def test_joint_states_come_only_from_the_driver(messages):
     limit = read_robot().tendon.angle_max
     assert len(messages["/joint_states"]) > 200
     for _, message in messages["/joint_states"]:
         assert tuple(message.name) == TENDON_JOINTS
         assert np.isfinite([*message.position, *message.velocity, *message.effort]).all()
         assert -0.1 < min(message.position) <= max(message.position) < limit + 0.1
-        # the angles of an encoder: whole counts
+        # angles of an encoder are whole counts
         counts = (np.array(message.position) * 1.03199 + np.radians(130.0)) / RAD_PER_COUNT
         assert counts == pytest.approx(np.round(counts), abs=1e-6)
 
 
-def test_diagnostics_tell_of_the_bus_and_of_every_servo(messages):
+def test_diagnostics_have_a_status_for_the_bus_and_every_servo(messages):
     _, last = messages["/diagnostics"][-1]
     assert [status.name for status in last.status] == [
         "servo bus", "servo FL (id 5)", "servo FR (id 4)", "servo RL (id 2)", "servo RR (id 3)",
@@ -64,7 +66,7 @@ def test_diagnostics_tell_of_the_bus_and_of_every_servo(messages):
         assert 20.0 < float(servo["temperature_C"]) < 40.0
 
 
-def test_an_interrupted_run_ends_with_torque_off_at_driver_and_servos(walk):
+def test_run_ends_with_torque_off_at_driver_and_servos(walk):
     assert "torque off, confirmed by every servo" in (walk / "log/dynamixel_driver.log").read_text()
     assert "servos left under torque: none" in (walk / "log/sim_robot.log").read_text()
 
@@ -76,5 +78,5 @@ def test_lockstep_with_servos_is_refused_in_one_line(hardware):
         capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     assert done.returncode == 2
-    told = f"scripts/run: --lockstep: servos of --hardware {hardware} move in real time\n"
-    assert done.stderr == told
+    message = f"scripts/run: --lockstep: servos of --hardware {hardware} move in real time\n"
+    assert done.stderr == message

@@ -1,4 +1,4 @@
-"""What nobody should send, and how nobody should end a run: the graph keeps going, or says why."""
+"""Invalid messages, suspended nodes and repeated signals: the graph continues or says why not."""
 
 import copy
 import math
@@ -38,11 +38,11 @@ TOPICS = {
 }
 NAN, INF = math.nan, math.inf
 RUN = [sys.executable, "-m", "slot_bringup"]
-TICKS = 15  # of the controller that must follow, half a second of the robot's time
+TICKS = 15  # of the controller that must follow: half a second
 
 
 class Graph:
-    """A graph that walks in real time, and somebody who listens and meddles."""
+    """A graph that walks in real time, and a node that records and sends messages."""
 
     def __init__(self, logs):
         graph = read_graph()
@@ -50,7 +50,7 @@ class Graph:
         self.processes.start(graph.nodes({a.name: a.default for a in graph.arguments}))
         self.context = Context()
         rclpy.init(args=[], context=self.context)
-        self.node = rclpy.create_node("meddler", context=self.context)
+        self.node = rclpy.create_node("intruder", context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.last, self.commands = {}, []
@@ -62,7 +62,7 @@ class Graph:
 
     def _keep(self, topic):
         def keep(message):
-            if message.header.frame_id == "meddler":
+            if message.header.frame_id == "intruder":
                 return
             self.last[topic] = message
             if topic == "desired_joint_angles":
@@ -76,8 +76,8 @@ class Graph:
             assert time.monotonic() < end, (self.processes.failed(), self.logs())
             self.executor.spin_once(timeout_sec=0.05)
 
-    def goes_on(self):
-        """Wait until commands follow that are newer than now; all are numbers in range."""
+    def continues(self):
+        """Wait for TICKS commands newer than now; check the range of all commands."""
         begin = len(self.commands)
         newest = self.node.get_clock().now().nanoseconds * 1e-9
         self.spin_until(
@@ -90,21 +90,21 @@ class Graph:
             assert all(0.0 <= angle <= limit for angle in message.position)
 
     def send(self, topic, change=lambda m: None, shift=0.0):
-        """Send the last message of a topic, changed, its stamp moved by `shift` (s)."""
+        """Send a changed copy of the last message of a topic, its stamp shifted by `shift` (s)."""
         message = copy.deepcopy(self.last[topic])
-        message.header.frame_id = "meddler"
+        message.header.frame_id = "intruder"
         message.header.stamp.sec += int(shift)
         change(message)
         self.publishers[topic].publish(message)
 
     def disturb(self, topic, change):
-        """Answer each of the next messages of a topic with a bad copy of the same stamp."""
+        """Send an invalid copy, with the same stamp, after each of the next TICKS messages."""
         for _ in range(TICKS):
             before = self.last.get(topic)
             self.spin_until(lambda before=before: self.last.get(topic) is not before)
             self.send(topic, change)
 
-    def ask(self, gait, *velocity):
+    def request_gait(self, gait, *velocity):
         request = SetGait.Request(gait=gait)
         request.velocity = Vector3(**dict(zip("xyz", velocity)))
         answer = self.set_gait.call_async(request)
@@ -138,7 +138,7 @@ def graph(tmp_path_factory):
 
 
 def sets(**values):
-    """Change of a message: dotted names, with `__` for the dot, to values."""
+    """Function that sets attributes of a message; `__` in a name stands for the dot."""
 
     def change(message):
         for name, value in values.items():
@@ -174,18 +174,20 @@ def sets(**values):
         ("imu", sets(angular_velocity__x=NAN)),
     ],
 )
-def test_nonsense_of_the_present_is_refused_and_the_robot_walks_on(graph, topic, change):
+def test_invalid_message_with_a_present_stamp_is_refused_and_the_robot_walks_on(
+    graph, topic, change
+):
     graph.disturb(topic, change)
-    graph.goes_on()
+    graph.continues()
 
 
 @pytest.mark.parametrize("topic", ["odom", "imu", *list(TOPICS)[3:6]])
 @pytest.mark.parametrize("shift", [1000.0, -1000.0])
-def test_a_burst_from_another_time_is_forgotten(graph, topic, shift):
+def test_burst_of_messages_of_another_time_has_no_effect(graph, topic, shift):
     graph.spin_until(lambda: topic in graph.last)
     for i in range(40):
         graph.send(topic, shift=shift + i)
-    graph.goes_on()
+    graph.continues()
 
 
 @pytest.mark.parametrize(
@@ -199,53 +201,53 @@ def test_a_burst_from_another_time_is_forgotten(graph, topic, shift):
          "desired_joint_angles refused: command FL = -0.1 rad is not inside [0, 2.029]"),
     ],
 )  # fmt: skip
-def test_what_is_refused_is_named_with_its_value_and_limit(graph, topic, change, name, line):
-    def told():
+def test_refused_message_is_logged_with_value_and_limit(graph, topic, change, name, line):
+    def refused():
         graph.send(topic, change)
         return line in graph.logs()[name]
 
     graph.spin_until(lambda: topic in graph.last)
-    graph.spin_until(told)
+    graph.spin_until(refused)
 
 
-def test_gaits_that_are_none_are_refused_and_changes_back_and_forth_end_in_the_last(graph):
-    assert graph.ask("trot").message == "no gait 'trot' (known: stand, walk)"
-    assert not graph.ask("walk", NAN).success
-    assert not graph.ask("stand", 0.05).success
+def test_unknown_gait_is_refused_and_the_last_of_many_changes_holds(graph):
+    assert graph.request_gait("trot").message == "no gait 'trot' (known: stand, walk)"
+    assert not graph.request_gait("walk", NAN).success
+    assert not graph.request_gait("stand", 0.05).success
     for _ in range(10):
-        assert graph.ask("stand").success
-        assert graph.ask("walk", 0.05).success
+        assert graph.request_gait("stand").success
+        assert graph.request_gait("walk", 0.05).success
     graph.spin_until(lambda: graph.last["gait_preview"].gait == "walk")
-    graph.goes_on()
+    graph.continues()
 
 
-def test_a_velocity_of_another_time_stops_the_robot(graph):
-    """The reference stands still, whatever a stamp from the future promises."""
-    assert graph.ask("walk", 0.05).success
+def test_velocity_of_another_time_stops_the_robot(graph):
+    """A command with a stamp in the future sets the reference velocity to zero."""
+    assert graph.request_gait("walk", 0.05).success
     graph.spin_until(lambda: graph.last["gait_preview"].reference[9] > 0.04)
     command = TwistStamped()
     command.header.stamp.sec = 2_000_000_000
     command.twist.linear.x = 0.05
     graph.publishers["cmd_vel"].publish(command)
     graph.spin_until(lambda: abs(graph.last["gait_preview"].reference[9]) < 0.03)
-    graph.goes_on()
+    graph.continues()
     assert "velocity set to zero" in graph.logs()["gait_scheduler"]
 
 
 @pytest.mark.parametrize("name", ["sim_robot", "state_estimator", "mpc_controller"])
-def test_a_node_that_was_held_up_catches_up(graph, name):
+def test_suspended_node_catches_up(graph, name):
     os.kill(graph.processes.pid(name), signal.SIGSTOP)
     try:
         behind = time.monotonic() + 1.0
         graph.spin_until(lambda: time.monotonic() > behind)
     finally:
         os.kill(graph.processes.pid(name), signal.SIGCONT)
-    graph.goes_on()
+    graph.continues()
 
 
 @pytest.mark.usefixtures("graph")
-def test_a_second_graph_in_the_domain_is_refused(monkeypatch):
-    monkeypatch.setattr(monitor, "DISCOVERY_TIME", 30.0)  # a loaded machine may need more
+def test_second_graph_in_the_domain_is_refused(monkeypatch):
+    monkeypatch.setattr(monitor, "DISCOVERY_TIME", 30.0)  # for a busy machine
     with pytest.raises(
         monitor.RunError, match=r"another graph runs in ROS domain \d+: set another"
     ):
@@ -265,7 +267,7 @@ def own_domain(monkeypatch):
 
 
 @pytest.mark.usefixtures("own_domain")
-def test_a_bag_that_cannot_be_written_ends_the_run_in_one_line(tmp_path):
+def test_bag_that_cannot_be_written_ends_the_run_in_one_line(tmp_path):
     (tmp_path / "file").touch()
     done = run(tmp_path, "--duration", "1", "--bag", "file/bag")
     assert done.returncode == 1
@@ -276,7 +278,7 @@ def test_a_bag_that_cannot_be_written_ends_the_run_in_one_line(tmp_path):
 
 
 @pytest.mark.usefixtures("own_domain")
-def test_a_bags_name_may_hold_quotes_and_spaces(tmp_path):
+def test_name_of_a_bag_may_contain_quotes_and_spaces(tmp_path):
     name = 'it\'s a "bag" of ü: 1'
     done = run(tmp_path, "--lockstep", "--duration", "0.5", "--bag", name)
     assert done.returncode == 0, done.stderr
@@ -285,8 +287,8 @@ def test_a_bags_name_may_hold_quotes_and_spaces(tmp_path):
 
 @pytest.mark.usefixtures("own_domain")
 @pytest.mark.parametrize("numbers", [[signal.SIGINT] * 3, [signal.SIGTERM] * 2, [signal.SIGHUP]])
-def test_an_impatient_end_is_a_clean_end(tmp_path, numbers):
-    """Also while the nodes are still starting."""
+def test_repeated_signals_end_the_run_cleanly(tmp_path, numbers):
+    """The signals arrive while the nodes are still starting."""
     child = subprocess.Popen(
         [*RUN, "--bag", "bag"], cwd=tmp_path, stderr=subprocess.PIPE, text=True
     )
@@ -297,7 +299,7 @@ def test_an_impatient_end_is_a_clean_end(tmp_path, numbers):
         time.sleep(0.01)
     for number in numbers:
         child.send_signal(number)
-        time.sleep(0.1)  # so that they do not come as one
+        time.sleep(0.1)  # so that they are not merged into one
     _, errors = child.communicate(timeout=60)
     assert child.returncode == 130, errors
     assert "scripts/run: interrupted, all nodes stopped" in errors

@@ -1,4 +1,4 @@
-"""scripts/operate at a pseudo-terminal and by single words, on an attended graph."""
+"""scripts/operate at a pseudo-terminal and with arguments, on an attended graph."""
 
 import os
 import pty
@@ -19,7 +19,7 @@ from slot_bringup.graph import read_graph
 from slot_bringup.processes import Processes
 
 OPERATE = [sys.executable, "-m", "slot_bringup.operate"]
-LIMIT = 60.0  # s that anything may take on a busy machine
+LIMIT = 60.0  # s, longest wait on a busy machine
 CTRL_C = "\x03"
 
 
@@ -31,7 +31,7 @@ def attended(port):
 
 
 def other_domain():
-    """Far from those of tests that run beside this one."""
+    """A ROS domain that tests of other processes do not use."""
     return str(1 + (int(os.environ["ROS_DOMAIN_ID"]) + 49) % 100)
 
 
@@ -44,7 +44,7 @@ def specs(**values):
 
 @pytest.fixture(scope="module")
 def graph(environment, tmp_path_factory):
-    """A simulated robot that does not move before somebody asks."""
+    """Graph of a simulated robot that moves only on requests."""
     processes = Processes(tmp_path_factory.mktemp("log"), environment)
     processes.start(specs(attended=True).values())
     try:
@@ -56,7 +56,7 @@ def graph(environment, tmp_path_factory):
 
 @pytest.fixture
 def bench(environment, tmp_path):
-    """Environment of a driver with emulated servos, nobody else, and a configuration of its own."""
+    """Environment of a driver with emulated servos alone, with a separate configuration."""
     config = tmp_path / "config"
     shutil.copytree(environment["SLOT_CONFIG"], config)
     apart = environment | {"SLOT_CONFIG": str(config), "ROS_DOMAIN_ID": other_domain()}
@@ -76,7 +76,7 @@ def bench(environment, tmp_path):
 
 
 class Terminal:
-    """A live scripts/operate, its keyboard, and all it has drawn."""
+    """A running scripts/operate at a pseudo-terminal: keyboard input and screen output."""
 
     def __init__(self, environment):
         self.end, theirs = pty.openpty()
@@ -85,27 +85,27 @@ class Terminal:
             stdin=theirs, stdout=theirs, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
         os.close(theirs)
-        self.drawn = bytearray()
+        self.output_bytes = bytearray()
         self._is_open = True
         self._reader = threading.Thread(target=self._read)
         self._reader.start()
 
     def _read(self):
-        """All the time: a full terminal would stop the program."""
+        """Read all the time, because a full terminal blocks the program."""
         with suppress(OSError):  # the program has ended
             while self._is_open:
-                self.drawn += os.read(self.end, 65536)
+                self.output_bytes += os.read(self.end, 65536)
 
     @property
     def lines(self):
-        """The newest whole picture."""
-        pictures = self.drawn.decode().split("\x1b[H")
-        return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", pictures[-2]).split("\r\n")
+        """Lines of the newest complete frame."""
+        frames = self.output_bytes.decode().split("\x1b[H")
+        return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", frames[-2]).split("\r\n")
 
     def wait(self, condition):
-        """Until the picture is as it should be; the picture."""
+        """Wait until a condition on the lines of the frame holds; return the lines."""
         end = time.monotonic() + LIMIT
-        while self.drawn.count(b"\x1b[H") < 2 or not condition(self.lines):
+        while self.output_bytes.count(b"\x1b[H") < 2 or not condition(self.lines):
             assert self.process.poll() is None, self.process.stderr.read()
             assert time.monotonic() < end, self.lines
             time.sleep(0.05)
@@ -117,8 +117,8 @@ class Terminal:
     def press(self, key):
         os.write(self.end, key.encode())
 
-    def bring(self, key, state):
-        """Press a key until it is granted: a busy machine has reasons to refuse at first."""
+    def press_until(self, key, state):
+        """Press a key until its request is granted; on a busy machine the first may be refused."""
         until = time.monotonic() + LIMIT
         while not self.lines[0].startswith(state):
             assert time.monotonic() < until, self.lines
@@ -126,9 +126,9 @@ class Terminal:
             time.sleep(0.5)
 
     def close(self):
-        """As by the window's button."""
+        """Close the terminal, as its window's button does."""
         self._is_open = False
-        self._reader.join()  # it waits for the next picture at most
+        self._reader.join()  # it ends with the next frame
         if self.end is not None:
             os.close(self.end)
             self.end = None
@@ -138,12 +138,12 @@ class Terminal:
 
 @contextmanager
 def terminal(environment):
-    """A terminal with the robot at rest."""
+    """A terminal, once the robot is in IDLE."""
     opened = Terminal(environment)
     try:
         lines = opened.wait_for("IDLE", "ESTOP", "FAULT")
         if not lines[0].startswith("IDLE"):
-            opened.bring("R", "IDLE")
+            opened.press_until("R", "IDLE")
         yield opened
     finally:
         if opened.process.poll() is None:
@@ -151,62 +151,62 @@ def terminal(environment):
         opened.close()
 
 
-def say(environment, *words):
-    """Exit code, output and errors of scripts/operate with these words."""
+def operate(environment, *arguments):
+    """Exit code, output and errors of scripts/operate with arguments."""
     done = subprocess.run(
-        [*OPERATE, *words],
+        [*OPERATE, *arguments],
         env=environment, capture_output=True, text=True, timeout=LIMIT, check=False,
     )  # fmt: skip
     return done.returncode, done.stdout, done.stderr
 
 
-def insist(environment, word):
-    """Ask until it is granted."""
+def operate_until_granted(environment, argument):
+    """Repeat a request until it is granted."""
     end = time.monotonic() + LIMIT
-    while (answer := say(environment, word))[0]:
-        assert time.monotonic() < end, (answer, say(environment, "state"))
+    while (answer := operate(environment, argument))[0]:
+        assert time.monotonic() < end, (answer, operate(environment, "state"))
     return answer
 
 
 @pytest.mark.usefixtures("graph")
-def test_keys_bring_the_robot_to_walk_and_to_rest(environment):
+def test_keys_start_and_end_a_walk(environment):
     with terminal(environment) as live:
         for key, state in (("r", "READY"), ("s", "STANDING"), ("w", "WALKING"), ("s", "STANDING")):
-            live.bring(key, state)
+            live.press_until(key, state)
         live.press("x")
         lines = live.wait_for("IDLE")
         assert "relax requested by the operator" in lines[0]
 
 
 @pytest.mark.usefixtures("graph")
-def test_words_bring_the_robot_to_walk_and_to_rest(environment):
+def test_command_line_requests_start_and_end_a_walk(environment):
     with terminal(environment) as live:
-        for word, state in (("ready", "READY"), ("stand", "STANDING"), ("walk", "WALKING")):
-            assert insist(environment, word) == (0, f"{word}: granted\n", "")
+        for argument, state in (("ready", "READY"), ("stand", "STANDING"), ("walk", "WALKING")):
+            assert operate_until_granted(environment, argument) == (0, f"{argument}: granted\n", "")
             live.wait_for(state)
-        code, told, _ = say(environment, "state")
+        code, output, _ = operate(environment, "state")
         assert code == 0
-        assert re.match(r"WALKING for \d+\.\d s: walk requested by the operator\n", told)
-        assert say(environment, "relax") == (0, "relax: granted\n", "")
+        assert re.match(r"WALKING for \d+\.\d s: walk requested by the operator\n", output)
+        assert operate(environment, "relax") == (0, "relax: granted\n", "")
         live.wait_for("IDLE")
 
 
 @pytest.mark.usefixtures("graph")
-def test_the_space_bar_stops_the_robot_until_a_reset(environment):
+def test_space_bar_stops_the_robot_until_a_reset(environment):
     with terminal(environment) as live:
-        live.bring("r", "READY")
+        live.press_until("r", "READY")
         live.press(" ")
         lines = live.wait_for("ESTOP")
         assert "e-stop pressed" in lines[0]
-        told = "scripts/operate: READY changes nothing in ESTOP\n"
-        assert say(environment, "ready") == (1, "", told)
-        live.bring("R", "IDLE")
+        refusal = "scripts/operate: READY changes nothing in ESTOP\n"
+        assert operate(environment, "ready") == (1, "", refusal)
+        live.press_until("R", "IDLE")
 
 
 def state_after(environment, end):
-    """What becomes of READY when its terminal comes to an end; why it cannot be reset."""
+    """State after the end of the terminal in READY, and the reason why a reset is refused."""
     with terminal(environment) as live:
-        live.bring("r", "READY")
+        live.press_until("r", "READY")
         if end == "closed":
             live.close()
         elif end == "interrupted":
@@ -214,26 +214,28 @@ def state_after(environment, end):
         else:
             live.process.send_signal(signal.SIGSTOP)
         limit = time.monotonic() + LIMIT
-        while not (told := re.search("^(ESTOP|FAULT).*$", say(environment, "state")[1], re.M)):
+        while not (
+            output := re.search("^(ESTOP|FAULT).*$", operate(environment, "state")[1], re.M)
+        ):
             assert time.monotonic() < limit
-        return told[0], say(environment, "reset")[2]
+        return output[0], operate(environment, "reset")[2]
 
 
 @pytest.mark.usefixtures("graph")
 @pytest.mark.parametrize("end", ["closed", "interrupted", "suspended"])
-def test_a_terminal_that_ends_stops_the_robot_until_a_reset_at_another(environment, end):
+def test_end_of_the_terminal_stops_the_robot_until_a_reset_at_another(environment, end):
     for _ in range(3):
-        told, refusal = state_after(environment, end)
-        if not re.search("servo .. silent", told):  # a busy machine keeps a simulated robot waiting
+        output, refusal = state_after(environment, end)
+        if not re.search("servo .. silent", output):  # happens on a busy machine
             break
-    assert re.match(r"ESTOP for .*: e-stop source silent for .* s, limit 2 s", told)
+    assert re.match(r"ESTOP for .*: e-stop source silent for .* s, limit 2 s", output)
     assert refusal.startswith("scripts/operate: RESET refused in ESTOP: e-stop source silent")
     with terminal(environment) as another:
         another.wait_for("IDLE")
 
 
 @pytest.mark.usefixtures("graph")
-def test_the_terminal_is_given_back_as_it_was(environment):
+def test_terminal_settings_are_restored_at_the_end(environment):
     with terminal(environment) as live:
         settings = termios.tcgetattr(live.end)
         assert not settings[3] & (termios.ECHO | termios.ICANON)
@@ -243,45 +245,45 @@ def test_the_terminal_is_given_back_as_it_was(environment):
         settings = termios.tcgetattr(live.end)
         assert settings[3] & termios.ECHO
         assert settings[3] & termios.ICANON
-    assert live.drawn.endswith(b"\x1b[?25h\x1b[?1049l")
+    assert live.output_bytes.endswith(b"\x1b[?25h\x1b[?1049l")
 
 
-def test_servos_without_torque_restart_and_are_zeroed(bench):
-    assert say(bench, "reboot", "RL") == (0, "servo RL restarts\n", "")
-    code, told, _ = say(bench, "zero", "FL")
+def test_servos_with_torque_off_are_rebooted_and_zeroed(bench):
+    assert operate(bench, "reboot", "RL") == (0, "servo RL restarts\n", "")
+    code, output, _ = operate(bench, "zero", "FL")
     assert code == 0
-    zero, path = re.fullmatch(r"zero of FL at (.*) deg, written to (.*)\n", told).groups()
+    zero, path = re.fullmatch(r"zero of FL at (.*) deg, written to (.*)\n", output).groups()
     assert path == f"{bench['SLOT_CONFIG']}/dynamixel.yaml"
     assert f"zero_deg: [{zero}, 130.0, 130.0, 130.0]" in Path(path).read_text()
 
 
-def test_the_screen_shows_the_servos_and_their_faults_come_and_go(bench):
+def test_screen_shows_the_servos_and_their_present_faults(bench):
     live = Terminal(bench)
     try:
         live.wait(lambda lines: sum(line.endswith("  off  none") for line in lines) == 4)
-        injected = say(bench, "inject", "overheating", "FR", "--value", "50")
+        injected = operate(bench, "inject", "overheating", "FR", "--value", "50")
         assert injected == (0, "inject: granted\n", "")
         row = re.compile(r"FR .* 50 +\d+\.\d ")
         live.wait(lambda lines: any(row.match(line) for line in lines))
-        assert say(bench, "inject", "overheating", "FR", "--clear")[0] == 0
+        assert operate(bench, "inject", "overheating", "FR", "--clear")[0] == 0
         live.wait(lambda lines: not any(row.match(line) for line in lines))
     finally:
         live.close()
-    code, _, refusal = say(bench, "inject", "tired")
+    code, _, refusal = operate(bench, "inject", "tired")
     assert code == 1
     assert refusal.startswith("scripts/operate: inject: fault.kind = 'tired': expected one of")
 
 
 @pytest.mark.parametrize(
-    ("words", "who"),
+    ("arguments", "who"),
     [
         (["state"], "supervisor"),
         (["zero", "FL"], "driver of servos"),
         (["inject", "silent"], "simulated robot"),
     ],
 )
-def test_without_a_graph_it_says_so_in_one_line(words, who):
+def test_without_a_graph_one_line_names_the_missing_node(arguments, who):
     domain = other_domain()
-    nobody = f"scripts/operate: no {who} answers in ROS domain {domain} within 5 s"
-    told = say(os.environ | {"ROS_DOMAIN_ID": domain}, *words)
-    assert told == (1, "", f"{nobody}: does scripts/run run?\n")
+    expected = f"scripts/operate: no {who} answers in ROS domain {domain} within 5 s"
+    output = operate(os.environ | {"ROS_DOMAIN_ID": domain}, *arguments)
+    assert output == (1, "", f"{expected}: does scripts/run run?\n")

@@ -1,4 +1,4 @@
-"""How the graph begins and ends: nothing stays behind, and what went wrong is named."""
+"""Start and end of the graph: no process is left, and errors are named."""
 
 import os
 import signal
@@ -29,82 +29,82 @@ def wait_until(condition, limit=90.0):
     """Wait for a condition, at most `limit` seconds."""
     end = time.monotonic() + limit
     while not condition():
-        assert time.monotonic() < end, "waited in vain"
+        assert time.monotonic() < end, "condition not reached"
         time.sleep(0.05)
 
 
 def start(arguments, cwd):
-    """Start a run of the graph; return it and its nodes by name."""
+    """Start a run of the graph; return its process and those of its nodes by name."""
     run = subprocess.Popen(
         [*RUN, *arguments], cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     nodes = {}
 
-    def all_there():
+    def all_started():
         for child in psutil.Process(run.pid).children():
             with suppress(psutil.NoSuchProcess):
-                words = {Path(word).name for word in child.cmdline()}
-                nodes.update({name: child for name in words & set(NODES)})
+                names = {Path(word).name for word in child.cmdline()}
+                nodes.update({name: child for name in names & set(NODES)})
         return len(nodes) == len(NODES)
 
-    wait_until(all_there)
+    wait_until(all_started)
     return run, nodes
 
 
-def gone(nodes):
+def all_ended(nodes):
     return not any(psutil.pid_exists(node.pid) and node.is_running() for node in nodes.values())
 
 
 def wait_for_commands(count=30):
-    """Return once the graph has given that many commands: the robot walks."""
-    context, heard = Context(), []
+    """Wait until the graph has published `count` commands, so that the robot walks."""
+    context, received = Context(), []
     rclpy.init(context=context)
     listener = rclpy.create_node("listener", context=context)
-    listener.create_subscription(JointState, "desired_joint_angles", heard.append, qos.CONTROL)
+    listener.create_subscription(JointState, "desired_joint_angles", received.append, qos.CONTROL)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(listener)
 
-    def enough():
+    def received_enough():
         executor.spin_once(timeout_sec=0.1)
-        return len(heard) >= count
+        return len(received) >= count
 
-    wait_until(enough)
+    wait_until(received_enough)
     listener.destroy_node()
     context.try_shutdown()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_stops_every_process_and_keeps_the_bag(tmp_path, number):
+def test_signal_stops_every_process_and_keeps_the_bag(tmp_path, number):
     run, nodes = start(["--duration", "60", "--bag", "bag"], tmp_path)
     wait_for_commands()
     run.send_signal(number)
     _, errors = run.communicate(timeout=60)
     assert run.returncode == 130, errors
     assert "scripts/run: interrupted, all nodes stopped" in errors
-    assert gone(nodes)
+    assert all_ended(nodes)
     assert (tmp_path / "bag" / "metadata.yaml").exists()
 
 
-def test_a_killed_run_leaves_no_orphan(tmp_path):
+def test_killed_run_leaves_no_process(tmp_path):
     run, nodes = start(["--duration", "60", "--bag", "bag"], tmp_path)
     wait_for_commands()
     run.kill()
     run.wait()
-    wait_until(lambda: gone(nodes))
+    wait_until(lambda: all_ended(nodes))
 
 
 @pytest.mark.parametrize("name", ["sim_robot", "mpc_controller"])
-def test_a_node_that_dies_ends_the_run_and_is_named(tmp_path, name):
+def test_killed_node_ends_the_run_and_is_named(tmp_path, name):
     run, nodes = start(["--duration", "60", "--bag", "bag"], tmp_path)
     wait_for_commands()
     nodes[name].kill()
     _, errors = run.communicate(timeout=60)
     assert run.returncode == 1
     assert f"scripts/run: {name} ended with exit code -9" in errors
-    assert gone(nodes)
+    assert all_ended(nodes)
 
 
-def test_a_run_in_real_time_keeps_its_pace_and_sums_up(tmp_path):
+def test_run_in_real_time_keeps_its_pace_and_prints_a_summary(tmp_path):
     done = subprocess.run(
         [*RUN, "--duration", "4", "--no-bag"],
         cwd=tmp_path, capture_output=True, text=True, timeout=100, check=False,
@@ -118,14 +118,14 @@ def test_a_run_in_real_time_keeps_its_pace_and_sums_up(tmp_path):
 
 @pytest.mark.parametrize("name", sorted(NODES))
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_node_ends_cleanly_when_asked(tmp_path, name, number):
+def test_node_ends_cleanly_on_a_signal(tmp_path, name, number):
     child = subprocess.Popen(
         command_line(NODES[name]), cwd=tmp_path, stderr=subprocess.PIPE, start_new_session=True
     )
     try:
-        ours = psutil.Process(child.pid)
-        # ready to be interrupted once DDS has opened its sockets
-        wait_until(lambda: len(ours.net_connections(kind="udp")) > 1)
+        process = psutil.Process(child.pid)
+        # it handles signals once DDS has opened its sockets
+        wait_until(lambda: len(process.net_connections(kind="udp")) > 1)
         time.sleep(0.5)
         child.send_signal(number)
         _, errors = child.communicate(timeout=20)
@@ -146,7 +146,7 @@ def test_a_node_ends_cleanly_when_asked(tmp_path, name, number):
         ("sim_robot", "scene.solver.step:=1.0", "scene.solver.step"),
     ],
 )
-def test_a_parameter_out_of_bounds_is_refused_in_one_line(tmp_path, name, parameter, message):
+def test_invalid_parameter_is_refused_in_one_line(tmp_path, name, parameter, message):
     command = [*command_line(NODES[name]), "-p", parameter]
     done = subprocess.run(
         command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False

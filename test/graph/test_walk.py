@@ -1,4 +1,4 @@
-"""The whole graph as processes, in lockstep; the bag is read with a library of its own."""
+"""The whole graph as processes, in lockstep; the bag is read with the mcap library."""
 
 import math
 from itertools import pairwise
@@ -10,13 +10,15 @@ from mcap.reader import make_reader
 
 from slot_core.bags import decode, replay
 from slot_core.bags.bag import Bag
+from slot_core.clock import SECOND
+from slot_core.dynamics.scene import read_scene
 from slot_core.robot import TENDON_JOINTS, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 
 CHAIN = ("/odom", "/mpc_state", "/gait_preview", "/ground_reaction_forces", "/desired_joint_angles")
 OTHERS = ("/clock", "/imu", "/joint_states", "/tf", "/force_map/status", "/ground_truth/odom",
           "/ground_truth/legs")  # fmt: skip
-PERIOD = 33_000_000  # ns
+PERIOD = round(read_scene("flat").sensors.odometry.period * SECOND)  # ns
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +27,7 @@ def messages(walk):
 
 
 def numbers(message):
-    """All numbers of a message, nested ones too."""
+    """All numbers of a message and of its nested messages."""
     if isinstance(message, (bool, int, float)):
         yield float(message)
     elif isinstance(message, (list, tuple, np.ndarray)):
@@ -36,23 +38,23 @@ def numbers(message):
             yield from numbers(getattr(message, name))
 
 
-def test_every_topic_is_there(messages):
+def test_every_topic_is_recorded(messages):
     for topic in (*CHAIN, *OTHERS):
         assert len(messages[topic]) > 100, topic
 
 
-def test_every_odometry_is_answered_along_the_chain_with_its_stamp(messages):
-    asked = stamps(messages["/odom"])
-    assert set(np.diff(sorted(set(asked)))) == {PERIOD}
+def test_every_odometry_passes_the_chain_with_its_stamp(messages):
+    odometry_stamps = stamps(messages["/odom"])
+    assert set(np.diff(sorted(set(odometry_stamps)))) == {PERIOD}
     for topic in CHAIN[1:]:
-        # the end of the run may cut off the last tick
+        # the last tick may be cut off by the end of the run
         answered = stamps(messages[topic])
-        assert answered == sorted(set(asked))[: len(answered)], topic
-        assert len(answered) >= len(set(asked)) - 1, topic
+        assert answered == sorted(set(odometry_stamps))[: len(answered)], topic
+        assert len(answered) >= len(set(odometry_stamps)) - 1, topic
 
 
-def test_nothing_is_answered_before_it_was_asked(messages):
-    """Publishing times of one stamp rise along the chain; the clock is never behind a stamp."""
+def test_no_output_precedes_its_input(messages):
+    """Publishing times of a stamp increase along the chain; the clock is not behind a stamp."""
     times = [first_times(messages[topic]) for topic in CHAIN]
     for before, after in pairwise(times):
         for stamp, time in after.items():
@@ -62,39 +64,40 @@ def test_nothing_is_answered_before_it_was_asked(messages):
     assert clock.max() >= max(stamps(messages["/odom"]))
 
 
-def test_nothing_is_nan(messages):
+def test_no_number_is_nan(messages):
     for topic in (*CHAIN, *OTHERS):
         for _, message in messages[topic]:
             assert not any(math.isnan(number) for number in numbers(message)), topic
 
 
-def test_the_robot_walks_forward_and_upright(messages):
-    """After 2 s of finding its stride, at more than half of the speed it was asked for."""
+def test_robot_walks_forward_and_upright(messages):
+    """After 2 s of starting, at more than half of the commanded speed."""
     truth = [m for _, m in messages["/ground_truth/odom"]]
     position = np.array([[getattr(m.pose.pose.position, axis) for axis in "xyz"] for m in truth])
-    late = position[round(2 / 0.033) :]
-    assert (late[-1, 0] - late[0, 0]) / (0.033 * (len(late) - 1)) > 0.03
+    late = position[round(2 * SECOND / PERIOD) :]
+    speed = (late[-1, 0] - late[0, 0]) / (PERIOD / SECOND * (len(late) - 1))
+    assert speed > 0.03
     assert np.abs(late[:, 1]).max() < 0.05
     q = [m.pose.pose.orientation for m in truth]
     tilt = [2 * math.asin(math.hypot(o.x, o.y)) for o in q]
     assert max(tilt) < math.radians(25)
 
 
-def test_no_tendon_angle_leaves_its_limits(messages):
+def test_tendon_angles_stay_within_their_range(messages):
     limit = read_robot().tendon.angle_max
     for topic in ("/desired_joint_angles", "/joint_states"):
         for _, message in messages[topic]:
             assert tuple(message.name) == TENDON_JOINTS
-            # the servo's lag settles on a limit from inside, to rounding
+            # the lag of the servo approaches a limit from inside, to rounding
             assert min(message.position) >= 0.0
             assert max(message.position) <= limit + 1e-12
 
 
-def test_the_mpc_solves_every_cycle(messages):
+def test_mpc_solves_every_cycle(messages):
     assert {m.status for _, m in messages["/ground_reaction_forces"]} == {0}
 
 
-def test_the_bag_holds_the_definitions_of_its_messages(walk):
+def test_bag_contains_the_definitions_of_its_messages(walk):
     with next(walk.glob("*.mcap")).open("rb") as file:
         schemas = {
             s.name: s.data.decode() for s in make_reader(file).get_summary().schemas.values()
@@ -102,7 +105,7 @@ def test_the_bag_holds_the_definitions_of_its_messages(walk):
     assert "float64[4] slack_friction" in schemas["slot_msgs/msg/GroundReactionForces"]
 
 
-def test_the_same_seed_gives_the_same_states_to_the_last_bit(walk, messages, tmp_path):
+def test_equal_seeds_give_bit_equal_states(walk, messages, tmp_path):
     again = record(tmp_path / "again", "--lockstep", "--duration", "5", "--seed", "3")
     other = record(tmp_path / "other", "--lockstep", "--duration", "1", "--seed", "4")
     first, second, third = (states(rows) for rows in (messages, read(again), read(other)))
@@ -112,8 +115,8 @@ def test_the_same_seed_gives_the_same_states_to_the_last_bit(walk, messages, tmp
     assert first[:10] != third[:10]
 
 
-def test_the_graph_does_what_the_cores_do_in_one_process(walk):
-    """Processes, DDS and the order of arrival change nothing, to the last bit."""
+def test_graph_gives_the_commands_of_the_core_in_one_process(walk):
+    """Bit-equal: processes, DDS and the order of arrival have no effect."""
     loop = ClosedLoop("flat", "walk", None, seed=3)
     commands = {tick.estimate.stamp: tick.command.angle for tick in loop.run(140)}
     recorded = {}
@@ -129,7 +132,7 @@ def states(messages):
     return [tuple(numbers(message)) for _, message in messages["/mpc_state"]]
 
 
-def test_replaying_the_bag_gives_the_same_to_the_last_bit(walk):
+def test_replay_of_the_bag_gives_bit_equal_results(walk):
     for comparison in replay.replay(Bag(walk), tolerance=0.0):
         assert comparison.first is None, str(comparison.first)
         assert comparison.compared > 100

@@ -1,4 +1,4 @@
-"""What goes into a message comes out of it, through DDS's own serialisation."""
+"""Encoding, serialisation by DDS and decoding of messages return the same values."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def test_odometry():
         assert (got == want).all()
 
 
-def test_imu_says_that_it_has_no_orientation():
+def test_imu_marks_its_orientation_as_missing():
     sent = ImuReading(STAMP, RNG.normal(size=3), RNG.normal(size=3))
     message = through_dds(messages.imu_to_msg(sent))
     assert message.orientation_covariance[0] == -1  # REP-145
@@ -80,7 +80,7 @@ def test_preview():
         assert np.array_equal(getattr(got, name), getattr(sent, name)), name
 
 
-def test_joint_angles_are_read_by_name_not_by_place():
+def test_joint_angles_are_read_by_name_not_by_position():
     message = messages.command_to_msg(STAMP, np.array([0.1, 0.2, 0.3, 0.4]))
     message.name = list(message.name)[::-1]
     stamp, angles = decode.joint_angles(through_dds(message))
