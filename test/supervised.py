@@ -1,4 +1,4 @@
-"""A supervisor with all its inputs every 10 ms; what fails is taken out by name."""
+"""Bench of the supervisor: all its inputs every 10 ms, of which tests omit some by name."""
 
 import dataclasses
 import math
@@ -27,7 +27,7 @@ HEIGHT = 0.04  # m, of the standing robot
 LOAD = TendonLoad(read_leg_table(("tension_N",)), ROBOT.tendon.spool_radius)
 
 
-def make(**changes):
+def make_supervisor(**changes):
     settings = config.replace(read_supervisor(), changes)
     return Supervisor(ROBOT, settings, read_tendon_watch(ROBOT, settings.tendon))
 
@@ -39,37 +39,42 @@ def state(roll=0.0, pitch=0.0):
 
 
 def load(angle):
-    """Torque of the tabulated leg at tendon angles, the robot standing."""
+    """Torque of the tabulated leg at tendon angles of a standing robot, N m."""
     return LOAD(np.asarray(angle, dtype=float), np.full(4, HEIGHT))[0]
 
 
 def health(**changes):
-    """Sound servos that follow commands."""
+    """Health of servos without faults that follow commands."""
     sound = sound_servos(Action.PASS, "", True, np.full(4, 1.1))
     return dataclasses.replace(sound, **changes)
 
 
 @dataclasses.dataclass(frozen=True)
-class Seen(Report):
-    """A report with what the servos then do."""
+class BenchReport(Report):
+    """A report of the supervisor with the servos' goals after it."""
 
     command: Gated
 
+    @classmethod
+    def of(cls, report, gated):
+        fields = {f.name: getattr(report, f.name) for f in dataclasses.fields(report)}
+        return cls(**fields, command=gated)
+
 
 class Servos:
-    """Sound servos behind the command watchdog, which obey the supervisor."""
+    """Servos without faults behind the command watchdog."""
 
     def __init__(self, settings):
         self.watchdog = CommandWatchdog(settings.servo_limits, 0.0, ROBOT.tendon.angle_max)
         self.gated = Gated(Action.OFF, np.zeros(4), False, np.zeros(4, dtype=bool))
 
     def engage(self, angle):
-        """Set goals to where the servos are."""
+        """Set the goals to the servos' angles."""
         self.watchdog.engage(angle)
         self.gated = dataclasses.replace(self.gated, angle=np.array(angle))
 
-    def obey(self, now, report, angle):
-        """Step at `now` under a report, the servos standing at `angle`."""
+    def step(self, now, report, angle):
+        """Step at `now` with the supervisor's report; the servos are at `angle`."""
         fast = report.state is State.WALKING
         self.watchdog.permit(Permission(now, report.action, fast, report.reason))
         if report.action is Action.HOLD and not self.gated.torque:
@@ -78,17 +83,17 @@ class Servos:
         return self.gated
 
     def health(self, **changes):
-        """What they report."""
+        """Health report, with `changes`."""
         gated, watchdog = self.gated, self.watchdog
         sound = sound_servos(gated.action, watchdog.reason, gated.torque, gated.angle, gated.slewed)
         return dataclasses.replace(sound, **changes)
 
 
 class Bench:
-    """Feeds a supervisor; `silent` holds the inputs that are taken away."""
+    """A supervisor with its inputs; those named in `silent` are omitted."""
 
     def __init__(self, **changes):
-        self.supervisor = make(**changes)
+        self.supervisor = make_supervisor(**changes)
         self.nodes = read_supervisor().nodes
         self.now = START
         self.silent = set()
@@ -98,14 +103,14 @@ class Bench:
         self.validity = Validity.VALID
         self.status, self.fallback_cycles = Status.SOLVED, 0
         self.pressed = False
-        self.torque = None  # N m, else that of the tabulated leg
+        self.torque = None  # N m; None: that of the tabulated leg
         self.servos = Servos(config.replace(read_supervisor(), changes))
-        self.health = {}  # what differs from sound servos
+        self.health = {}  # differences from servos without faults
         self.reports = []
         self._ticks = 0
 
     def tick(self):
-        """Inputs and one step; the servos follow at once."""
+        """All inputs and one step; the servos follow at once."""
         self.now += TICK
         now, s = self.now, self.supervisor
         for node in self.nodes:
@@ -118,19 +123,17 @@ class Bench:
             s.receive_joints(now, now, self.angle, torque)
             s.receive_health(now, now, self.servos.health(**self.health))
         if self._ticks % 3 == 0:  # as the odometry, every 30 ms
-            self.chain(now)
+            self._send_cycle(now)
         self._ticks += 1
         report = s.step(now)
-        gated = self.servos.obey(now, report, self.angle)
+        gated = self.servos.step(now, report, self.angle)
         if gated.torque:
             self.angle = gated.angle
-        fields = {f.name: getattr(report, f.name) for f in dataclasses.fields(report)}
-        seen = Seen(**fields, command=gated)
-        self.reports.append(seen)
-        return seen
+        self.reports.append(BenchReport.of(report, gated))
+        return self.reports[-1]
 
-    def chain(self, now):
-        """What follows from one odometry reading."""
+    def _send_cycle(self, now):
+        """Estimate, status of the MPC and command of one odometry reading."""
         if "estimate" not in self.silent:
             estimate = Estimate(now, self.state, np.eye(12), self.validity)
             self.supervisor.receive_estimate(now, estimate)
@@ -141,77 +144,79 @@ class Bench:
             self.servos.watchdog.offer(now, self.command)
 
     def run(self, seconds):
+        """Ticks for a time; returns the last report."""
         return [self.tick() for _ in range(round(seconds * 1e9 / TICK))][-1]
 
-    def until(self, wanted, most):
-        """Seconds until a state is reached; inf if it takes longer than `most`."""
+    def time_until(self, wanted, limit):
+        """Seconds until a state is reached; inf if it takes longer than `limit`."""
         start = self.now
-        while self.now - start < most * 1e9:
+        while self.now - start < limit * 1e9:
             if self.tick().state is wanted:
                 return (self.now - start) * 1e-9
         return math.inf
 
-    def ask(self, *requests):
+    def request(self, *requests):
         """Make requests, with time for the servos to report between them."""
         for k, request in enumerate(requests):
             if k:
                 self.run(0.02)
             assert self.supervisor.request(self.now, request) == ""
 
-    def bring(self, wanted):
-        """To one of IDLE, READY, STANDING, WALKING, HOLD, RELAX, ESTOP, FAULT."""
+    def bring_to(self, wanted):
+        """Bring the robot to a state; returns the report there, None for HOLD and RELAX."""
         self.run(0.3)
-        way = {
+        requests = {
             State.IDLE: [],
             State.READY: [Request.READY],
             State.STANDING: [Request.READY, Request.STAND],
             State.ESTOP: [Request.ESTOP],
         }
-        if wanted in way:
-            self.ask(*way[wanted])
-            return self._settle(wanted)
-        self.ask(Request.READY, Request.STAND)
+        if wanted in requests:
+            self.request(*requests[wanted])
+            return self._check_state(wanted)
+        self.request(Request.READY, Request.STAND)
         self.run(1.0)
-        self.ask(Request.WALK)
+        self.request(Request.WALK)
         self.run(1.0)
         if wanted is State.HOLD:
             self.supervisor.receive_command(self.now + 1, self.now + 1, np.full(4, math.nan))
             self.silent.add("command")
             self.tick()
         elif wanted is State.RELAX:
-            self.ask(Request.RELAX)
+            self.request(Request.RELAX)
         elif wanted is State.FAULT:
             self.state = state(roll=1.0)
-            self.until(State.FAULT, 3.0)
+            self.time_until(State.FAULT, 3.0)
             self.state = state()
-        return self._settle(wanted)
+        return self._check_state(wanted)
 
-    def _settle(self, wanted):
+    def _check_state(self, wanted):
         report = self.tick() if wanted not in {State.HOLD, State.RELAX} else None
         assert self.supervisor.state is wanted
         return report
 
 
 class SupervisedLoop(ClosedLoop):
-    """The simulated robot under its controller, with the supervisor before its servos.
+    """The simulated robot with controller, supervisor and command watchdog.
 
-    It stands up first; `walk` lets it go. A servo without torque keeps its last goal here.
+    It stands up first; `walk` makes it walk. A servo without torque keeps its last goal here.
     """
 
     def __init__(self, scene, seed=0, **changes):
         super().__init__(scene, "stand", None, seed)
         changes = {"estop_required": False, **changes}
-        self.supervisor = make(**changes)
+        self.supervisor = make_supervisor(**changes)
         self.servos = Servos(config.replace(read_supervisor(), changes))
         self.servos.engage(self.plant.simulator.tendon_angle)
         self.reports = []  # (s since the start, report)
 
     def walk(self):
+        """Request the gait and WALKING."""
         self.controller.scheduler.request("walk", np.array([0.06, 0.0, 0.0]))
         assert self.supervisor.request(self.plant.now, Request.WALK) == ""
 
     def ticks(self, seconds):
-        """Each tick with the report on its command, the robot standing from the tenth on."""
+        """Yield each tick with the report after its command; the robot stands up at tick 15."""
         s, nodes = self.supervisor, read_supervisor().nodes
         for k, tick in enumerate(self.run(round(seconds / 0.033))):
             now = self.plant.now
@@ -230,16 +235,17 @@ class SupervisedLoop(ClosedLoop):
 
     def _step(self):
         report = self.supervisor.step(self.plant.now)
-        gated = self.servos.obey(self.plant.now, report, self.plant.simulator.tendon_angle)
+        gated = self.servos.step(self.plant.now, report, self.plant.simulator.tendon_angle)
         if gated.torque:
             self.plant.command(gated.angle)
-        self.reports.append((self.plant.now * 1e-9 - 1.0, report))
-        return report
+        self.reports.append((self.plant.now * 1e-9 - 1.0, BenchReport.of(report, gated)))
+        return self.reports[-1][1]
 
     def _read(self, readings):
-        super()._read(self._listen(readings))
+        super()._read(self._supervise(readings))
 
-    def _listen(self, readings):
+    def _supervise(self, readings):
+        """Give the supervisor the joint readings on their way to the controller."""
         for r in readings:
             if isinstance(r, JointReading):
                 self.supervisor.receive_joints(self.plant.now, r.stamp, r.angle, r.torque)

@@ -1,4 +1,4 @@
-"""The driver, with the real SDK, against emulated servos behind a pseudo-terminal."""
+"""Driver with the real SDK and emulated servos behind a pseudo-terminal."""
 
 import math
 import time
@@ -17,17 +17,17 @@ from slot_core.emulator.pseudo_terminal import PseudoTerminal
 from slot_core.faults import Fault
 from slot_core.simulation.bus_legs import EmulatedLegs
 
-# A busy machine may keep the emulator's thread waiting: more time than on the robot.
-PATIENT = {"bus.timeout": 0.05}
+# Longer than on the robot: a busy machine delays the emulator's thread.
+LONG_TIMEOUT = {"bus.timeout": 0.05}
 ONE_COUNT = 1.01 * RAD_PER_COUNT
 STANDING = (0.1, 0.2, 0.3, 0.4)
 
 
 class Rig:
-    """Driver and emulated servos; their time passes in `run` alone."""
+    """Driver and emulated servos; their time passes only in `run`."""
 
     def __init__(self, changes=(), emulator=(), angles=STANDING, link=None):
-        self.settings = config.replace(read_settings(), PATIENT | dict(changes))
+        self.settings = config.replace(read_settings(), LONG_TIMEOUT | dict(changes))
         self.legs = EmulatedLegs(
             self.settings, config.replace(read_emulator(), dict(emulator)), angles
         )
@@ -42,7 +42,7 @@ class Rig:
         return self
 
     def run(self, duration, goals=None, torques=(0.0,) * 4, period=0.01):
-        """Cycles of the driver, servos moving between them; returns all cycles."""
+        """Cycles of the driver, between which the servos move; returns all cycles."""
         cycles = []
         for _ in range(round(duration / period)):
             if goals is not None:
@@ -89,7 +89,7 @@ def test_configure_tells_what_the_servos_are(rig):
 
 
 @pytest.mark.parametrize(
-    ("register", "value", "words"),
+    ("register", "value", "reason"),
     [
         ("operating_mode", 16, "servo RL (id 2): operating_mode is 16, expected 3"),
         ("max_position_limit", 4095, "servo RL (id 2): max_position_limit is 4095, expected"),
@@ -99,16 +99,16 @@ def test_configure_tells_what_the_servos_are(rig):
         ("return_delay_time", 250, "servo RL (id 2): return_delay_time is 250, expected 0"),
     ],
 )
-def test_a_servo_that_is_set_up_otherwise_is_refused_by_name(rig, register, value, words):
+def test_a_servo_with_a_wrong_register_is_refused_by_name(rig, register, value, reason):
     rig.bus.servos[2].memory[register] = value
     with pytest.raises(RefusedError) as caught:
         rig.driver.configure()
     assert len(caught.value.reasons) == 1
-    assert caught.value.reasons[0].startswith(words)
+    assert caught.value.reasons[0].startswith(reason)
     assert rig.torque() == [0] * 4
 
 
-def test_every_missing_servo_is_named_with_the_words_of_the_sdk(rig):
+def test_every_missing_servo_is_named_with_the_error_of_the_sdk(rig):
     rig.fault("silent", "FR")
     rig.fault("wrong_id", "RR", 9)
     with pytest.raises(RefusedError) as caught:
@@ -134,20 +134,20 @@ def test_another_baud_rate_is_refused(rig):
     assert len(caught.value.reasons) == 4
 
 
-def test_a_rate_that_the_port_cannot_have_is_refused(tmp_path):
+def test_a_baud_rate_that_the_port_does_not_support_is_refused(tmp_path):
     with pytest.raises(PortError, match="4500000 baud is not supported"):
         SerialPort(str(tmp_path / "none"), 4500000, 0.01).open()
     with pytest.raises(PortError, match="none"):
         SerialPort(str(tmp_path / "none"), 1000000, 0.01).open()
 
 
-def test_the_port_is_opened_by_one_driver_alone(rig):
+def test_a_port_cannot_be_opened_twice(rig):
     rig.driver.configure()
     with pytest.raises(PortError, match="lock"):
         SerialPort(rig.terminal.name, 1000000, 0.01).open()
 
 
-def test_a_slow_latency_timer_is_refused_with_the_rule_that_mends_it(tmp_path):
+def test_a_slow_latency_timer_is_refused_with_the_udev_rule_against_it(tmp_path):
     timer = tmp_path / "ttyUSB7" / "device" / "latency_timer"
     timer.parent.mkdir(parents=True)
     timer.write_text("16\n")
@@ -159,17 +159,17 @@ def test_a_slow_latency_timer_is_refused_with_the_rule_that_mends_it(tmp_path):
 
 
 @pytest.mark.parametrize("control", ["position", "pwm"])
-def test_activation_far_from_the_last_goal_moves_nothing(build, control):
+def test_activation_far_from_the_last_goal_is_without_motion(build, control):
     rig = build({"control": control})
     for servo in rig.bus.servos:
-        servo.memory["goal_position"] = 2900  # where a former run has left it
+        servo.memory["goal_position"] = 2900  # left by an earlier run
         servo.memory["goal_pwm"] = 885
     before = rig.legs.angles()
     rig.start()
     assert rig.torque() == [1] * 4
     for _ in range(50):
         rig.legs.advance(0.001)
-    # Within the count that the encoder rounds down, and it holds there.
+    # within the count that the encoder rounds down, now and later
     assert np.abs(rig.legs.angles() - before).max() < ONE_COUNT
     rig.run(0.3)
     assert np.abs(rig.legs.angles() - before).max() < 2 * ONE_COUNT
@@ -195,7 +195,7 @@ def test_activation_with_a_hardware_error_is_refused_until_a_reboot(rig):
     assert rig.torque() == [1] * 4
 
 
-def test_a_servo_lost_during_activation_leaves_no_torque_on(rig):
+def test_a_servo_lost_during_activation_ends_with_all_torque_off(rig):
     rig.driver.configure()
     write_verified = rig.driver.bus.write_verified
 
@@ -210,7 +210,7 @@ def test_a_servo_lost_during_activation_leaves_no_torque_on(rig):
     assert rig.torque() == [0] * 4
 
 
-def test_no_servo_has_torque_without_its_watchdog(rig):
+def test_watchdogs_are_armed_before_torque_comes_on(rig):
     rig.driver.configure()
     write_verified, armed = rig.driver.bus.write_verified, []
 
@@ -242,34 +242,34 @@ def test_gains_and_watchdog_are_those_of_the_configuration(rig):
 
 @pytest.mark.parametrize("control", ["position", "pwm"])
 @pytest.mark.parametrize("direction", [(1, 1, 1, 1), (1, -1, 1, -1)])
-def test_the_tendons_go_where_they_are_sent(build, control, direction):
+def test_the_tendons_reach_their_goals(build, control, direction):
     rig = build({"control": control, "joints.direction": direction, "joints.zero_deg": [180] * 4})
     rig.start()
     goals = (0.5, 1.0, 1.5, 1.9) if direction[1] == 1 else (0.3, 0.4, 0.5, 0.6)
     rig.run(1.5, goals)
-    last = rig.driver.cycle()  # no time has passed: nothing moves meanwhile
+    last = rig.driver.cycle()  # no time has passed since the run
     assert rig.legs.angles() == pytest.approx(goals, abs=3 * RAD_PER_COUNT)
     assert [r.angle for r in last.readings] == pytest.approx(rig.legs.angles(), abs=ONE_COUNT)
 
 
-def test_the_hosts_integral_takes_up_the_load_where_the_servos_p_alone_sags(build):
+def test_the_host_pid_has_no_droop_under_load_but_the_servos_p_gain_has(build):
     torque = (0.3,) * 4
-    sag = {}
+    error = {}
     for control in ("position", "pwm"):
         rig = build({"control": control}, angles=(0.0,) * 4).start()
         rig.run(3.0, (1.0,) * 4, torque)
-        sag[control] = 1.0 - rig.legs.angles()[0]
+        error[control] = 1.0 - rig.legs.angles()[0]
     servo_torque = 0.3 / 1.03199
     gain = rig.settings.gains.p / 128 / 885 / RAD_PER_COUNT
     droop = servo_torque / 1.4 / gain / 1.03199
-    assert sag["position"] == pytest.approx(droop, abs=2 * RAD_PER_COUNT)
-    assert abs(sag["pwm"]) < 3 * RAD_PER_COUNT
+    assert error["position"] == pytest.approx(droop, abs=2 * RAD_PER_COUNT)
+    assert abs(error["pwm"]) < 3 * RAD_PER_COUNT
 
 
 @pytest.mark.parametrize(
     "goals", [(1, 1, 1), (1, 1, math.nan, 1), (1, 1, 1, 2.1), (-0.1, 1, 1, 1), (math.inf, 1, 1, 1)]
 )
-def test_a_wrong_command_is_rejected_as_a_whole(rig, goals):
+def test_a_command_with_a_bad_angle_is_rejected_as_a_whole(rig, goals):
     rig.start()
     rig.run(1.0, (0.5,) * 4)
     with pytest.raises(ValueError, match=r"expected 4|outside"):
@@ -278,7 +278,7 @@ def test_a_wrong_command_is_rejected_as_a_whole(rig, goals):
     assert rig.legs.angles() == pytest.approx([0.5] * 4, abs=2 * RAD_PER_COUNT)
 
 
-def test_no_command_is_taken_with_torque_off(rig):
+def test_commands_are_rejected_with_torque_off(rig):
     rig.driver.configure()
     with pytest.raises(ValueError, match="torque is off"):
         rig.driver.command((1.0,) * 4)
@@ -287,7 +287,7 @@ def test_no_command_is_taken_with_torque_off(rig):
     assert rig.legs.angles() == pytest.approx(STANDING, abs=1e-9)
 
 
-def test_a_silent_servo_has_no_reading_and_the_others_keep_theirs(rig):
+def test_only_a_silent_servo_has_no_reading(rig):
     rig.start()
     rig.run(0.1, STANDING)
     rig.fault("silent", "FL")
@@ -296,13 +296,13 @@ def test_a_silent_servo_has_no_reading_and_the_others_keep_theirs(rig):
         assert [reading is None for reading in cycle.readings] == [True, False, False, False]
     assert rig.driver.silent_for("FL") >= 0.05
     assert rig.driver.silent_for("FR") < 0.02
-    # The others have one failure: the joint answer that FL has broken.
+    # The others have one failure: the fast sync read that lacks the answer of FL.
     assert rig.driver.health[0].error_rate > 5 * rig.driver.health[1].error_rate > 0
     rig.bus.clear(Fault("silent", "FL", 0, 0, 0))
     assert rig.run(0.02, (0.5,) * 4)[-1].complete
 
 
-def test_a_silent_servo_is_asked_a_bounded_number_of_times(rig):
+def test_a_silent_servo_is_retried_in_its_first_cycle_only(rig):
     rig.start()
     rig.run(0.02)
     rig.fault("silent", "FL")
@@ -312,7 +312,7 @@ def test_a_silent_servo_is_asked_a_bounded_number_of_times(rig):
         assert rig.driver.bus.quality[5].exchanges - before == expected
 
 
-def test_a_servo_that_takes_another_id_is_silent_and_then_refused_by_name(rig):
+def test_a_servo_with_a_changed_id_is_silent_and_then_refused_by_name(rig):
     rig.start()
     rig.run(0.05, STANDING)
     rig.fault("wrong_id", "RL", 9)
@@ -326,8 +326,8 @@ def test_a_servo_that_takes_another_id_is_silent_and_then_refused_by_name(rig):
     assert rig.run(0.02, STANDING)[-1].complete
 
 
-def test_noise_never_becomes_a_reading(build):
-    rig = build({"bus.timeout": 0.02}).start()  # damaged lengths make it wait
+def test_damaged_answers_give_no_reading(build):
+    rig = build({"bus.timeout": 0.02}).start()  # a damaged length makes the driver wait
     rig.fault("corrupt", "all", 0.3)
     for _ in range(40):
         cycle = rig.driver.cycle()
@@ -336,7 +336,7 @@ def test_noise_never_becomes_a_reading(build):
     assert all(0.02 < health.error_rate < 0.9 for health in rig.driver.health)
 
 
-def test_a_late_answer_is_not_taken_for_another(build):
+def test_a_late_answer_is_not_mistaken_for_that_of_another_servo(build):
     rig = build({"bus.timeout": 0.02, "bus.quiet": 0.05, "servo.fast_from_firmware": 256}).start()
     rig.run(0.2)
     rig.fault("late", "RR", 0.04)
@@ -346,7 +346,7 @@ def test_a_late_answer_is_not_taken_for_another(build):
         assert [r.angle for r in cycle.readings[:3]] == pytest.approx(STANDING[:3], abs=ONE_COUNT)
 
 
-def test_an_unplugged_port_is_an_error_and_the_watchdog_stops_the_servos(rig):
+def test_a_lost_port_raises_and_the_watchdogs_stop_the_servos(rig):
     rig.start()
     rig.run(0.1, (1.9,) * 4)
     rig.terminal.close()
@@ -359,11 +359,13 @@ def test_an_unplugged_port_is_an_error_and_the_watchdog_stops_the_servos(rig):
     assert np.all(stopped < 1.8)
     for _ in range(300):
         rig.legs.advance(0.001)
-    assert np.abs(rig.legs.angles() - stopped).max() < 0.1  # what the motor's time lets it run
+    assert (
+        np.abs(rig.legs.angles() - stopped).max() < 0.1
+    )  # motion within the motor's time constant
     assert [servo.memory["bus_watchdog"] for servo in rig.bus.servos] == [-1] * 4
 
 
-def test_a_port_that_is_plugged_in_again_serves_a_new_driver(build, tmp_path):
+def test_a_driver_can_configure_again_after_a_replug(build, tmp_path):
     rig = build(link=tmp_path / "servos").start()
     rig.fault("unplugged")
     deadline = time.monotonic() + 5.0
@@ -381,10 +383,10 @@ def test_a_port_that_is_plugged_in_again_serves_a_new_driver(build, tmp_path):
     assert rig.run(0.02)[-1].complete
 
 
-def test_a_new_driver_clears_a_tripped_watchdog_and_starts_where_the_servos_stand(rig):
+def test_a_new_driver_clears_tripped_watchdogs_and_starts_without_motion(rig):
     rig.start()
     rig.run(0.1, (1.5,) * 4)
-    rig.driver.close()  # as after a kill: torque is on, nobody talks
+    rig.driver.close()  # as after a kill: torque on, no instructions
     for _ in range(500):
         rig.legs.advance(0.001)
     stopped = rig.legs.angles()
@@ -399,35 +401,35 @@ def test_a_new_driver_clears_a_tripped_watchdog_and_starts_where_the_servos_stan
 
 
 @pytest.mark.parametrize(
-    ("kind", "value", "words"),
+    ("kind", "value", "error"),
     [
         ("overload", 0, "overload"),
         ("overheating", 90, "overheating"),
         ("undervoltage", 7, "input voltage"),
     ],
 )
-def test_a_hardware_error_is_known_within_two_cycles(rig, kind, value, words):
+def test_a_hardware_error_is_reported_within_two_cycles(rig, kind, value, error):
     rig.start()
     rig.run(0.05, STANDING)
     rig.fault(kind, "RR", value)
     rig.run(0.02, STANDING)
-    assert f"servo RR (id 3): hardware error: {words}" in rig.driver.faults()
+    assert f"servo RR (id 3): hardware error: {error}" in rig.driver.faults()
     assert rig.torque() == [1, 1, 1, 0]
 
 
-def test_torque_lost_and_a_tripped_watchdog_are_known_within_a_round(rig):
+def test_lost_torque_and_a_tripped_watchdog_are_reported_within_16_cycles(rig):
     rig.start()
     rig.run(0.05, STANDING)
     rig.bus.servos[1].memory["torque_enable"] = 0
     rig.fault("watchdog", "RL")
-    rig.run(0.16, STANDING)  # sixteen cycles ask each servo for everything
+    rig.run(0.16, STANDING)  # 16 cycles read every slow register of every servo
     assert rig.driver.faults() == [
         "servo FR (id 4): torque is off",
         "servo RL (id 2): stopped by its bus watchdog",
     ]
 
 
-def test_health_has_temperature_and_voltage(rig):
+def test_health_contains_temperature_and_voltage(rig):
     rig.start()
     assert rig.driver.health[0].temperature is None
     rig.run(0.17)
@@ -444,33 +446,33 @@ def test_torque_off_is_confirmed_by_every_servo(rig):
     assert [servo.memory["bus_watchdog"] for servo in rig.bus.servos] == [0] * 4
 
 
-def test_torque_off_reaches_the_others_where_one_does_not_answer(rig):
+def test_torque_off_names_the_servo_that_does_not_confirm(rig):
     rig.start()
     rig.fault("silent", "FL")
     off = rig.driver.torque_off()
     assert off.confirmed == (False, True, True, True)
     assert "servo FL (id 5)" in off.reasons[0]
-    assert rig.torque() == [0] * 4  # it hears, though it does not answer
+    assert rig.torque() == [0] * 4  # the silent servo executes it without an answer
 
 
-def test_a_refusal_is_not_taken_for_data(rig):
-    """A refusing status packet has no data: the SDK's own reading would return its CRC."""
+def test_an_error_answer_is_not_read_as_data(rig):
+    """A status packet with an error has no data: the SDK's read would return its CRC."""
     rig.driver.configure()
-    handler = rig.driver.bus
+    bus = rig.driver.bus
     with pytest.raises(InstructionError, match="exceeds the limit"):
-        handler.write(5, "goal_position", 4095)
+        bus.write(5, "goal_position", 4095)
     rig.fault("silent", "FL")
     with pytest.raises(CommunicationError, match=r"servo FL.*reading led.*no status packet"):
-        handler.read(5, "led")
+        bus.read(5, "led")
 
 
-def test_an_old_firmware_is_read_without_fast_sync_read(build):
+def test_old_firmware_is_read_without_fast_sync_read(build):
     rig = build(emulator={"servo.firmware": 44}).start()
     assert rig.run(0.05)[-1].complete
 
 
-def test_answers_take_their_time_on_the_wire(build):
-    """A cycle sends 34 + 18 and gets 64 bytes; and 14 and at least 12 more: 10 bits each."""
+def test_a_cycle_takes_its_transmission_time(build):
+    """A cycle sends 34 + 18 + 14 bytes and receives 64 and at least 12, of 10 bits each."""
     rig = build().start()
     start = time.monotonic()
     for _ in range(50):

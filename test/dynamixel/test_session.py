@@ -1,4 +1,4 @@
-"""Commands, silence and faults between a controller and emulated servos."""
+"""Servo session: commands, missing messages and faults, with emulated servos."""
 
 import numpy as np
 import pytest
@@ -27,10 +27,10 @@ TIMING = read_supervisor().timing
 
 
 class Rig:
-    """A session whose time, and that of the servos, passes in `run` alone."""
+    """A session with emulated servos; time passes only in `run` and `sleep`."""
 
     def __init__(self, angles=STANDING, changes=()):
-        # a busy machine may keep the emulator's thread waiting
+        # a busy machine delays the emulator's thread
         settings = config.replace(read_settings(), {"bus.timeout": 0.05, **dict(changes)})
         self.legs = EmulatedLegs(settings, read_emulator(), angles)
         self.terminal = PseudoTerminal(self.legs.bus)
@@ -51,11 +51,11 @@ class Rig:
         self.time += duration
 
     def permit(self, action, reason="the supervisor's reason"):
-        """A permission of the supervisor."""
+        """Give the supervisor's permission."""
         self.session.permit(Permission(self.now, action, True, reason))
 
     def run(self, duration, angle=None, permission=Action.PASS):
-        """Steps for a time (s), permission and command before each; every change of action (s)."""
+        """Steps for a time (s), each with permission and command; returns (action, s) changes."""
         changes = []
         for _ in range(round(duration / PERIOD)):
             before = self.session.action
@@ -69,7 +69,8 @@ class Rig:
             self.sleep(PERIOD)
         return changes
 
-    def powered(self):
+    def torque(self):
+        """Torque Enable of every servo."""
         return [servo.memory["torque_enable"] for servo in self.legs.bus.servos]
 
 
@@ -81,14 +82,14 @@ def rig():
     made.terminal.close()
 
 
-def test_nothing_moves_before_the_first_command(rig):
+def test_servos_hold_before_the_first_command(rig):
     assert rig.run(2 * TIMING.command_lost) == []
     assert rig.session.action is Action.HOLD
     assert rig.legs.angles() == pytest.approx(STANDING, abs=ONE_COUNT)
-    assert rig.powered() == [1] * 4
+    assert rig.torque() == [1] * 4
 
 
-def test_tendons_slacker_than_commands_may_be_stay_so_when_torque_comes_on():
+def test_torque_comes_on_without_motion_below_the_range_of_commands():
     beyond = np.array([-0.03, 0.2, -0.02, 0.4])
     rig = Rig(beyond)
     rig.run(0.3, SLIGHTLY, Action.HOLD)
@@ -97,13 +98,13 @@ def test_tendons_slacker_than_commands_may_be_stay_so_when_torque_comes_on():
     rig.terminal.close()
 
 
-def test_torque_that_a_killed_driver_has_left_on_is_switched_off_by_the_next(rig):
+def test_configure_switches_off_torque_left_on_by_a_killed_driver(rig):
     rig.run(0.2, SLIGHTLY)
-    rig.driver.close()  # as the kernel does for it
+    rig.driver.close()  # as the kernel does after a kill
     rig.sleep(1.0)
-    assert rig.powered() == [1] * 4
+    assert rig.torque() == [1] * 4
     rig.session.configure()
-    assert rig.powered() == [0] * 4
+    assert rig.torque() == [0] * 4
 
 
 def test_commands_reach_the_servos(rig):
@@ -112,7 +113,7 @@ def test_commands_reach_the_servos(rig):
     assert rig.legs.angles() == pytest.approx(SLIGHTLY, abs=0.01)
 
 
-def test_nothing_moves_before_the_supervisors_first_message(rig):
+def test_servos_hold_before_the_first_permission(rig):
     rig.run(2 * TIMING.command_lost, SLIGHTLY, permission=None)
     assert (rig.session.action, rig.session.reason) == (
         Action.HOLD,
@@ -121,7 +122,7 @@ def test_nothing_moves_before_the_supervisors_first_message(rig):
     assert rig.legs.angles() == pytest.approx(STANDING, abs=ONE_COUNT)
 
 
-def test_a_supervisor_that_is_silent_holds_then_slackens_then_switches_off(rig):
+def test_missing_permissions_end_in_hold_then_relax_then_off(rig):
     rig.run(0.1, SLIGHTLY)
     last = rig.time - PERIOD
     (hold, held), (relax, relaxed), (off, _) = rig.run(2.0, SLIGHTLY, permission=None)
@@ -130,24 +131,24 @@ def test_a_supervisor_that_is_silent_holds_then_slackens_then_switches_off(rig):
     assert relaxed - last == pytest.approx(TIMING.command_lost + PERIOD, abs=1.01 * PERIOD)
     assert "no message of the supervisor for 0.5" in rig.session.reason
     rig.run(0.5, SLIGHTLY)  # PASS does not bring torque back
-    assert rig.powered() == [0] * 4
+    assert rig.torque() == [0] * 4
 
 
 @pytest.mark.parametrize("action", [Action.HOLD, Action.RELAX])
-def test_the_supervisors_permission_is_obeyed_with_its_reason(rig, action):
+def test_the_supervisors_permission_sets_action_and_reason(rig, action):
     rig.run(0.2, SLIGHTLY)
     goals = rig.driver.goals()
     rig.run(PERIOD, STANDING, action)
     assert (rig.session.action, rig.session.reason) == (action, "the supervisor's reason")
     rig.run(1.0, STANDING, action)
-    if action is Action.HOLD:  # without a need for commands
+    if action is Action.HOLD:
         assert rig.driver.goals() == pytest.approx(goals)
-        assert rig.powered() == [1] * 4
+        assert rig.torque() == [1] * 4
     else:
-        assert rig.powered() == [0] * 4
+        assert rig.torque() == [0] * 4
 
 
-def test_only_a_relax_by_its_own_rule_waits_for_the_permission_off(rig):
+def test_only_a_relax_begun_by_the_watchdog_has_its_own_reason(rig):
     rig.run(0.2, SLIGHTLY)
     rig.run(1.0, SLIGHTLY, Action.RELAX)
     assert (rig.session.action, rig.session.own_reason) == (Action.OFF, "")
@@ -157,14 +158,14 @@ def test_only_a_relax_by_its_own_rule_waits_for_the_permission_off(rig):
     assert "no command for 0.5" in rig.session.own_reason
 
 
-def test_off_is_torque_off_before_the_next_cycle(rig):
+def test_permission_off_switches_torque_off_before_the_next_cycle(rig):
     rig.run(0.2, SLIGHTLY)
     rig.permit(Action.OFF, "e-stop pressed")
-    assert rig.powered() == [0] * 4
+    assert rig.torque() == [0] * 4
     assert rig.session.reason == "torque off, after: e-stop pressed"
 
 
-def test_a_stamp_is_written_once_and_at_once(rig):
+def test_the_stamp_of_a_command_is_recorded_when_it_is_written_first(rig):
     rig.permit(Action.PASS)
     rig.session.offer(rig.now, 123, SLIGHTLY)
     rig.session.step(rig.now)
@@ -173,7 +174,7 @@ def test_a_stamp_is_written_once_and_at_once(rig):
     assert (rig.session.commanded, rig.session.written) == (123, 0.0)
 
 
-def test_silence_holds_then_slackens_then_switches_off(rig):
+def test_missing_commands_end_in_hold_then_relax_then_off(rig):
     rig.run(0.1, SLIGHTLY)
     last = rig.time - PERIOD  # of the last command
     (hold, held), (relax, relaxed), (off, ended) = rig.run(2.0)
@@ -182,11 +183,11 @@ def test_silence_holds_then_slackens_then_switches_off(rig):
     assert held - last == pytest.approx(TIMING.command_hold + PERIOD, abs=1.01 * PERIOD)
     assert relaxed - last == pytest.approx(TIMING.command_lost + PERIOD, abs=1.01 * PERIOD)
     assert ended - relaxed <= read_supervisor().gate.relax_time + PERIOD
-    assert rig.powered() == [0] * 4
+    assert rig.torque() == [0] * 4
     assert "torque off, after: no command for 0.5" in rig.session.reason
 
 
-def test_a_command_that_comes_back_ends_hold_but_not_relax(rig):
+def test_a_new_command_ends_hold_but_not_relax(rig):
     rig.run(0.1, SLIGHTLY)
     rig.run(0.2)
     assert rig.run(0.1, SLIGHTLY)[0][0] is Action.PASS
@@ -194,11 +195,11 @@ def test_a_command_that_comes_back_ends_hold_but_not_relax(rig):
     assert rig.session.action is Action.RELAX
     rig.run(2.0, SLIGHTLY)
     assert rig.session.action is Action.OFF
-    assert rig.powered() == [0] * 4
+    assert rig.torque() == [0] * 4
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -0.1, 3.0])
-def test_a_command_that_cannot_be_is_no_command(rig, wrong):
+def test_a_command_with_a_bad_angle_counts_as_missing(rig, wrong):
     rig.run(0.1, SLIGHTLY)
     goals = rig.driver.goals()
     damaged = np.array([0.2, 0.2, wrong, 0.2])
@@ -208,16 +209,16 @@ def test_a_command_that_cannot_be_is_no_command(rig, wrong):
 
 
 @pytest.mark.parametrize("kind", ["overload", "watchdog"])
-def test_a_fault_of_one_servo_slackens_all_and_names_it(rig, kind):
+def test_a_fault_of_one_servo_relaxes_all_and_is_named(rig, kind):
     rig.run(0.2, SLIGHTLY)
     rig.legs.bus.inject(Fault(kind, "RL", 0.0, 0.0, 0.0))
     actions = [action for action, _ in rig.run(2.0, SLIGHTLY)]
     assert actions == [Action.RELAX, Action.OFF]
     assert "servo RL (id 2): " in rig.session.reason
-    assert rig.powered() == [0] * 4
+    assert rig.torque() == [0] * 4
 
 
-def test_a_silent_servo_slackens_all_after_its_time(rig):
+def test_a_silent_servo_relaxes_all_after_its_limit(rig):
     rig.run(0.2, SLIGHTLY)
     rig.legs.bus.inject(Fault("silent", "RR", 0.0, 0.0, 0.0))
     (action, when), *_ = rig.run(TIMING.servo_silent + 0.1, SLIGHTLY)
@@ -226,31 +227,31 @@ def test_a_silent_servo_slackens_all_after_its_time(rig):
     assert "servo RR (id 3): no answer for 0.5" in rig.session.reason
 
 
-def test_started_again_it_stays_where_it_stands(rig):
+def test_a_second_start_is_without_motion(rig):
     rig.run(0.1, SLIGHTLY)
     rig.run(2.0)
-    stood = rig.legs.angles()
+    before = rig.legs.angles()
     rig.permit(Action.OFF)
     rig.session.start()
     rig.run(0.2)
     assert rig.session.action is Action.HOLD
-    # slack tendons lie at the end of the range, to a count
-    assert rig.legs.angles() == pytest.approx(stood, abs=2 * ONE_COUNT)
+    # slack tendons are at the end of the range, within a count
+    assert rig.legs.angles() == pytest.approx(before, abs=2 * ONE_COUNT)
     with pytest.raises(RefusedError, match="torque is on already"):
         rig.session.start()
 
 
-def test_stop_slackens_and_confirms_also_in_the_middle_of_an_exchange(rig):
+def test_stop_relaxes_and_confirms_also_during_an_exchange(rig):
     rig.run(0.2, SLIGHTLY)
     rig.driver.bus.port.is_using = True  # as an interrupt leaves it
     assert rig.session.stop().complete
-    assert rig.powered() == [0] * 4
-    # they follow a ramp of 2 rad/s 0.05 rad behind with the gains of dynamixel.yaml
+    assert rig.torque() == [0] * 4
+    # with the gains of dynamixel.yaml the servos follow the ramp of 2 rad/s 0.05 rad behind
     assert rig.legs.angles() == pytest.approx(np.zeros(4), abs=0.1)
     assert rig.session.action is Action.OFF
 
 
-def test_a_port_that_goes_is_an_error_and_stop_does_not_claim_success(rig):
+def test_a_lost_port_raises_and_stop_confirms_no_servo(rig):
     rig.run(0.1, SLIGHTLY)
     rig.terminal.close()
     with pytest.raises(PortError):
@@ -258,14 +259,14 @@ def test_a_port_that_goes_is_an_error_and_stop_does_not_claim_success(rig):
     assert not any(rig.session.stop().confirmed)
 
 
-def test_late_steps_are_counted(rig):
+def test_a_late_step_counts_as_an_overrun(rig):
     rig.run(0.1, SLIGHTLY)
     rig.sleep(0.03)
     rig.run(0.1, SLIGHTLY)
     assert rig.session.overruns == 1
 
 
-def test_a_cycle_with_a_silent_servo_is_no_measurement(rig):
+def test_a_cycle_with_a_silent_servo_has_no_joint_reading(rig):
     rig.run(0.1, SLIGHTLY)
     reading = measured(7, rig.cycle, np.full(4, 1.4))
     assert reading is not None
@@ -275,7 +276,7 @@ def test_a_cycle_with_a_silent_servo_is_no_measurement(rig):
     assert measured(8, rig.cycle, np.full(4, 1.4)) is None
 
 
-def test_without_limits_of_the_supervisor_torque_stays_off_and_no_command_is_taken(rig):
+def test_without_limits_torque_stays_off_and_commands_are_rejected(rig):
     rig.session.stop()
     fresh = ServoSession(rig.driver, read_robot().tendon.angle_max, PERIOD, rig.sleep)
     with pytest.raises(RefusedError, match="no limits of the supervisor yet"):
@@ -283,10 +284,10 @@ def test_without_limits_of_the_supervisor_torque_stays_off_and_no_command_is_tak
     assert "no limits" in fresh.offer(rig.now, rig.now, SLIGHTLY)
     fresh.permit(Permission(rig.now, Action.PASS, True, ""))
     fresh.step(rig.now)
-    assert rig.powered() == [0] * 4
+    assert rig.torque() == [0] * 4
 
 
-def test_a_step_beyond_the_rate_limit_is_slewed_reported_and_then_reached(rig):
+def test_a_step_beyond_the_rate_limit_is_slewed_and_reported(rig):
     rig.run(1.0, SLIGHTLY)  # the rate has grown to its largest
     far = np.array([2.0, *SLIGHTLY[1:]])
     rig.run(PERIOD, far)
@@ -300,20 +301,20 @@ def test_a_step_beyond_the_rate_limit_is_slewed_reported_and_then_reached(rig):
     assert health.goal == pytest.approx(far)
 
 
-def test_an_interrupt_while_it_stops_leaves_no_torque_on(rig):
+def test_an_interrupted_stop_switches_torque_off(rig):
     rig.run(0.2, SLIGHTLY)
 
-    def interrupted(duration):
+    def interrupt(duration):
         raise KeyboardInterrupt
 
-    rig.session._sleep = interrupted
+    rig.session._sleep = interrupt
     with pytest.raises(KeyboardInterrupt):
         rig.session.stop()
-    assert rig.powered() == [0] * 4
+    assert rig.torque() == [0] * 4
 
 
 @pytest.mark.parametrize("low_deg", [-5.0, 10.0])
-def test_the_range_of_commands_is_that_of_the_joints_and_relaxing_ends_at_its_lower_end(low_deg):
+def test_relax_ends_at_the_lower_end_of_the_joints_range(low_deg):
     rig = Rig(np.full(4, 0.5), {"joints.low_deg": low_deg})
     low = max(0.0, np.radians(low_deg))
     below = np.array([low - 0.01, 0.5, 0.5, 0.5])
@@ -324,6 +325,6 @@ def test_the_range_of_commands_is_that_of_the_joints_and_relaxing_ends_at_its_lo
     rig.run(0.5, np.full(4, 0.5), Action.RELAX)
     step = read_supervisor().gate.relax_rate * PERIOD  # torque goes off in the last step
     assert rig.driver.goals() == pytest.approx(np.full(4, low), abs=step)
-    assert rig.powered() == [0] * 4
+    assert rig.torque() == [0] * 4
     rig.driver.close()
     rig.terminal.close()

@@ -1,4 +1,4 @@
-"""The gate before the servos: whole vectors, bounded rates, torque off in bounded time."""
+"""Command gate: vectors accepted as a whole, limited rates, torque off in limited time."""
 
 import math
 
@@ -25,7 +25,7 @@ def gate(angle=MIDDLE, **changes):
 
 
 def run(built, action, seconds, start=0, **kwargs):
-    """Steps of 10 ms; the last one's time (ns) and all that was let out."""
+    """Steps of 10 ms; the last one's time (ns) and all results."""
     times = range(start, start + round(seconds * 1e9) + 1, TICK)
     return times[-1], [built.step(time, action, **kwargs) for time in times]
 
@@ -41,27 +41,27 @@ BAD = {
 
 
 @pytest.mark.parametrize("angle", BAD.values(), ids=BAD)
-def test_of_a_bad_vector_nothing_passes(angle):
+def test_a_vector_with_a_bad_value_is_rejected_as_a_whole(angle):
     built = gate()
     assert "command" in built.offer(angle)
-    _, out = run(built, Action.PASS, 0.5, fast=True)
-    assert (np.array([gated.angle for gated in out]) == MIDDLE).all()
+    _, results = run(built, Action.PASS, 0.5, fast=True)
+    assert (np.array([gated.angle for gated in results]) == MIDDLE).all()
 
 
-def test_a_refusal_names_leg_value_and_limit():
+def test_a_rejection_names_leg_value_and_limit():
     assert gate().offer([1.0, 1.0, 2.5, 1.0]) == "command RL = 2.5 rad is not inside [0, 2.029]"
 
 
-def test_a_step_larger_than_the_rate_limit_is_slewed_and_flagged():
+def test_a_step_larger_than_the_rate_limit_is_slewed_and_reported():
     built = gate(np.zeros(4))
     time, _ = run(built, Action.PASS, 1.0, fast=True)  # the rate has grown to its largest
     assert built.offer([LIMIT, 0.5, 0.0, 0.0]) == ""
     first = built.step(time + TICK, Action.PASS, fast=True)
     assert first.slewed.tolist() == [True, False, False, False]
     assert first.angle == pytest.approx([SETTINGS.rate_max * SETTINGS.burst, 0.5, 0.0, 0.0])
-    _, out = run(built, Action.PASS, 0.1, time + 2 * TICK, fast=True)
-    assert out[-1].angle[0] == LIMIT
-    assert not out[-1].slewed.any()
+    _, results = run(built, Action.PASS, 0.1, time + 2 * TICK, fast=True)
+    assert results[-1].angle[0] == LIMIT
+    assert not results[-1].slewed.any()
 
 
 def test_every_step_of_every_gait_passes_unchanged():
@@ -82,27 +82,27 @@ def test_every_step_of_every_gait_passes_unchanged():
 
 def test_torque_comes_on_without_motion():
     built = gate(np.array([0.3, 0.8, 1.3, 1.8]))
-    _, out = run(built, Action.HOLD, 1.0)
-    assert all(gated.torque for gated in out)
-    assert all((gated.angle == [0.3, 0.8, 1.3, 1.8]).all() for gated in out)
+    _, results = run(built, Action.HOLD, 1.0)
+    assert all(gated.torque for gated in results)
+    assert all((gated.angle == [0.3, 0.8, 1.3, 1.8]).all() for gated in results)
 
 
-def test_what_is_far_away_is_approached_slowly():
+def test_standing_goals_move_at_the_approach_rate():
     built = gate(np.zeros(4))
     built.offer(np.full(4, LIMIT))
-    _, out = run(built, Action.PASS, 0.5)
-    # half a second at approach_rate, and what the first step may use at once
+    _, results = run(built, Action.PASS, 0.5)
+    # half a second at approach_rate, and the burst of the first step
     most = SETTINGS.approach_rate * (0.5 + SETTINGS.burst)
-    assert out[-1].angle.max() <= most + 1e-9
-    assert out[-1].angle.max() > 0.9 * SETTINGS.approach_rate * 0.5
+    assert results[-1].angle.max() <= most + 1e-9
+    assert results[-1].angle.max() > 0.9 * SETTINGS.approach_rate * 0.5
 
 
-def test_after_a_hold_the_rate_grows_from_slow_to_fast():
+def test_after_a_hold_the_rate_grows_from_approach_rate():
     built = gate(np.zeros(4))
     time, _ = run(built, Action.HOLD, 1.0)
     built.offer(np.full(4, LIMIT))
-    _, out = run(built, Action.PASS, 0.2, time, fast=True)
-    angle = np.array([gated.angle[0] for gated in out])
+    _, results = run(built, Action.PASS, 0.2, time, fast=True)
+    angle = np.array([gated.angle[0] for gated in results])
     moved = np.diff(angle)[2:]
     moved = moved[moved > 0][:-1]  # the last one arrives
     assert moved[0] < 0.2 * SETTINGS.rate_max * 0.01
@@ -110,43 +110,42 @@ def test_after_a_hold_the_rate_grows_from_slow_to_fast():
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.7, LIMIT])
-def test_relaxing_ends_slack_and_without_torque_within_its_time(angle):
+def test_relax_ends_slack_and_without_torque_within_relax_time(angle):
     built = gate(np.full(4, angle))
-    _, out = run(built, Action.RELAX, SETTINGS.relax_time)
-    assert not out[-1].torque
-    assert (out[-1].angle == 0.0).all()
-    falling = np.diff([gated.angle[0] for gated in out])
+    _, results = run(built, Action.RELAX, SETTINGS.relax_time)
+    assert not results[-1].torque
+    assert (results[-1].angle == 0.0).all()
+    falling = np.diff([gated.angle[0] for gated in results])
     assert falling.max(initial=0.0) <= 0.0
-    # a ramp, no fall: but for the first step, which may use what is left of its budget
+    # a ramp: only the first step may use the rest of its budget at once
     assert falling.min(initial=0.0) >= -SETTINGS.relax_rate * SETTINGS.burst - 1e-12
-    assert built.relaxed
 
 
-def test_torque_stays_off_after_relaxing():
+def test_torque_stays_off_after_relax():
     built = gate()
     time, _ = run(built, Action.RELAX, SETTINGS.relax_time)
-    _, out = run(built, Action.RELAX, 3.0, time)
-    assert not any(gated.torque for gated in out)
+    _, results = run(built, Action.RELAX, 3.0, time)
+    assert not any(gated.torque for gated in results)
 
 
-def test_torque_goes_off_in_time_even_if_steps_are_rare():
+def test_torque_goes_off_after_relax_time_even_if_steps_are_rare():
     built = gate(np.full(4, LIMIT))
     built.step(0, Action.RELAX)
     assert not built.step(round(SETTINGS.relax_time * 1e9), Action.RELAX).torque
 
 
-def test_off_is_off_at_once():
+def test_off_switches_torque_off_at_once():
     built = gate()
     assert built.step(0, Action.PASS).torque
     assert not built.step(0, Action.OFF).torque
 
 
-def test_a_ramp_that_could_not_end_in_time_is_refused():
+def test_a_ramp_longer_than_relax_time_is_refused():
     with pytest.raises(config.ConfigError, match=r"relax_time = 0\.5: the ramp .* takes 1\.015 s"):
         gate(relax_time=0.5)
 
 
-def test_no_sequence_of_commands_and_actions_breaks_range_or_rate():
+def test_no_sequence_of_commands_and_actions_exceeds_range_or_rate():
     rng = np.random.default_rng(3)
     built = gate()
     time, times, angles = 0, [], []
@@ -169,4 +168,4 @@ def test_no_sequence_of_commands_and_actions_breaks_range_or_rate():
         span = np.array(times[lag:]) - np.array(times[:-lag])
         # 1e-9: rounding of sums of some twenty steps
         assert (moved <= SETTINGS.rate_max * (span + SETTINGS.burst) + 1e-9).all()
-    assert np.ptp(angle[:, 0]) > 1.0  # it did move
+    assert np.ptp(angle[:, 0]) > 1.0  # the goals did move

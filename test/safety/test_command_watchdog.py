@@ -1,4 +1,4 @@
-"""Action of the servos, from the supervisor's permission, the commands and the age of both."""
+"""Command watchdog: action of the servos from permission, commands and the age of both."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ COMMAND = np.full(4, 1.2)
 
 
 class Bench:
-    """A watchdog that gets a permission and a command every 10 ms, unless one is None."""
+    """A watchdog with a permission and a command every 10 ms, unless one is None."""
 
     def __init__(self):
         self.watchdog = CommandWatchdog(SETTINGS.servo_limits, 0.0, read_robot().tendon.angle_max)
@@ -66,20 +66,20 @@ def test_a_missing_message_holds_and_then_relaxes_until_the_permission_has_been_
     assert bench.run(0.1) is Action.PASS
 
 
-def test_commands_are_not_missed_under_hold(bench):
+def test_the_age_of_commands_does_not_count_under_hold(bench):
     bench.run(0.5)
     assert bench.run(10.0, Action.HOLD, command=None) is Action.HOLD
     assert bench.watchdog.reason == "the supervisor's reason"
 
 
-def test_a_relaxing_robot_does_not_stop_half_way_for_a_hold(bench):
+def test_a_hold_does_not_interrupt_a_relax(bench):
     bench.run(0.5)
     bench.watchdog.relax("servo FL: overload")
     bench.run(0.1, Action.HOLD)
     assert (bench.watchdog.action, bench.watchdog.reason) == (Action.RELAX, "servo FL: overload")
 
 
-def test_a_supervisor_that_stops_while_relaxing_does_not_stop_the_relaxing(bench):
+def test_relax_continues_when_the_supervisor_stops(bench):
     bench.run(0.5)
     bench.run(0.2, Action.RELAX)
     assert bench.run(TIMING.command_hold + 0.02, permission=None) is Action.RELAX
@@ -87,12 +87,12 @@ def test_a_supervisor_that_stops_while_relaxing_does_not_stop_the_relaxing(bench
     assert not bench.gated.torque
 
 
-def test_standing_is_slow_and_walking_is_fast_but_not_at_once(bench):
+def test_goals_move_slowly_while_standing_and_gain_speed_while_walking(bench):
     far, gate = np.full(4, 2.0), SETTINGS.gate
     bench.run(0.1, command=START, fast=False)
     bench.run(0.1, command=far, fast=False)
     moved = bench.gated.angle - START
-    # ten ticks, of which the first is within what was saved up
+    # ten ticks, the first of them within the burst
     assert moved == pytest.approx(gate.approach_rate * (0.09 + gate.burst), rel=1e-6)
     bench.run(0.02, command=far)
     assert (bench.gated.angle - START - moved < 0.2 * gate.rate_max * 0.02).all()
@@ -102,7 +102,7 @@ def test_standing_is_slow_and_walking_is_fast_but_not_at_once(bench):
     assert bench.gated.angle == pytest.approx(START)
 
 
-def test_other_limits_apply_from_the_next_step_and_move_no_goal(bench):
+def test_new_limits_apply_from_the_next_step_without_moving_a_goal(bench):
     bench.run(0.5)
     goal = bench.gated.angle
     slower = config.replace(SETTINGS, {"gate.approach_rate": 0.5, "timing.command_hold": 0.05})

@@ -1,4 +1,4 @@
-"""Standing up and walking off by itself: each step once, and not again after a fault."""
+"""Start-up without an operator: each request once, and none after a fault."""
 
 import pytest
 from supervised import Bench, state
@@ -23,13 +23,13 @@ def run(bench, start_up, seconds):
         ((), State.IDLE),
     ],
 )
-def test_it_leads_where_it_was_asked_to(steps, goal):
+def test_start_up_reaches_the_state_of_its_last_request(steps, goal):
     bench = Bench()
     assert run(bench, StartUp(*steps), 2.0) is goal
     assert all("by the start-up" in r.reason for r in bench.reports if r.state is goal and steps)
 
 
-def test_it_waits_and_says_for_what():
+def test_start_up_repeats_a_refused_request_and_returns_the_reason():
     bench, start_up = Bench(), StartUp(Request.READY)
     bench.silent.add("servos")
     assert run(bench, start_up, 1.0) is State.IDLE
@@ -40,20 +40,20 @@ def test_it_waits_and_says_for_what():
     assert run(bench, start_up, 0.5) is State.READY
 
 
-def test_a_robot_that_an_operator_has_stopped_is_not_started_again():
+def test_start_up_makes_no_request_after_the_operators_relax():
     bench, start_up = Bench(), StartUp(Request.READY, Request.STAND, Request.WALK)
     run(bench, start_up, 2.0)
-    bench.ask(Request.RELAX)
+    bench.request(Request.RELAX)
     assert run(bench, start_up, 3.0) is State.IDLE
 
 
-def test_a_fault_on_the_way_ends_it():
+def test_start_up_makes_no_request_after_a_fault():
     bench, start_up = Bench(), StartUp(Request.READY, Request.STAND, Request.WALK)
-    bench.silent.add("command")  # READY, and no further
+    bench.silent.add("command")  # STAND is refused without commands
     assert run(bench, start_up, 1.0) is State.READY
     bench.state = state(roll=1.0)
     assert run(bench, start_up, 3.0) is State.FAULT
     bench.state = state()
     bench.silent.clear()
-    bench.ask(Request.RESET)
+    bench.request(Request.RESET)
     assert run(bench, start_up, 2.0) is State.IDLE

@@ -1,4 +1,4 @@
-"""The supervisor: each fault has its end and its time, and no way leads back but a reset."""
+"""Supervisor: every fault in its time limit; only a reset leads out of ESTOP and FAULT."""
 
 import itertools
 import math
@@ -18,8 +18,7 @@ from slot_core.safety.supervisor import Request, SteadyClock, Supervisor
 SETTINGS = read_supervisor()
 TIMING = SETTINGS.timing
 STEP = TICK * 1e-9  # s
-# A fault can fall just after an input, and is seen at the first step after its limit.
-CHAIN = 3 * STEP
+CYCLE = 3 * STEP  # s, between two estimates, commands and statuses of the MPC on the bench
 RELAX_TIME = SETTINGS.gate.relax_time
 OFF = (State.IDLE, State.ESTOP, State.FAULT)
 
@@ -27,18 +26,18 @@ OFF = (State.IDLE, State.ESTOP, State.FAULT)
 @pytest.fixture
 def walking():
     bench = Bench()
-    bench.bring(State.WALKING)
+    bench.bring_to(State.WALKING)
     return bench
 
 
 def ends_in_fault(bench):
-    """Whether RELAX lets the legs down, ends in torque off, and stays there."""
+    """Whether RELAX slackens the tendons and ends in FAULT, where torque stays off."""
     goal = bench.reports[-1].command.angle.max()
-    took = bench.until(State.FAULT, RELAX_TIME + 2 * STEP)
-    down = bench.reports[-1].command.angle.max()
+    took = bench.time_until(State.FAULT, RELAX_TIME + 2 * STEP)
+    end = bench.reports[-1].command.angle.max()
     return (
         took < math.inf
-        and down < goal
+        and end < goal
         and bench.run(2.0).state is State.FAULT
         and not any(r.command.torque for r in bench.reports[-200:])
     )
@@ -47,7 +46,7 @@ def ends_in_fault(bench):
 # The table
 
 
-def test_every_state_and_condition_has_its_way():
+def test_the_table_covers_every_state_and_condition():
     assert list(table.TRANSITIONS) == list(Condition)  # in the order of urgency
     for state_, condition in itertools.product(State, Condition):
         assert isinstance(next_state(state_, condition), State)
@@ -56,30 +55,30 @@ def test_every_state_and_condition_has_its_way():
 
 @pytest.mark.parametrize("latched", [State.ESTOP, State.FAULT])
 def test_only_a_reset_leads_out_of_estop_and_fault(latched):
-    ways = {c: next_state(latched, c) for c in Condition if next_state(latched, c) is not latched}
-    assert ways.pop(Condition.RESET_REQUESTED) is State.IDLE
-    assert set(ways.values()) <= {State.ESTOP}  # pressing the e-stop counts more than a fault
+    exits = {c: next_state(latched, c) for c in Condition if next_state(latched, c) is not latched}
+    assert exits.pop(Condition.RESET_REQUESTED) is State.IDLE
+    assert set(exits.values()) <= {State.ESTOP}  # the e-stop has precedence over a fault
 
 
-def test_the_most_urgent_conditions_are_not_outranked_by_requests():
+def test_dangerous_conditions_precede_requests():
     order = list(Condition)
     requests = [c for c in Condition if c.name.endswith("_REQUESTED")]
     dangerous = [Condition.ESTOP_PRESSED, Condition.ESTOP_LOST, *table.FAULTS]
     assert max(map(order.index, dangerous)) < min(map(order.index, requests))
 
 
-def test_relax_leads_to_states_without_torque_alone():
+def test_relax_leads_only_to_states_without_torque():
     for condition in Condition:
         assert next_state(State.RELAX, condition) in {State.RELAX, *OFF}
 
 
-def test_commands_pass_standing_and_walking_alone():
+def test_commands_pass_only_in_standing_and_walking():
     passing = {s for s, action in table.ACTIONS.items() if action is Action.PASS}
     assert passing == {State.STANDING, State.WALKING}
     assert {s for s, action in table.ACTIONS.items() if action is Action.OFF} == set(OFF)
 
 
-def test_the_diagram_is_the_table():
+def test_the_diagram_shows_the_table():
     drawn = set()
     groups = {
         "a reason to hold": table.REASONS_TO_HOLD,
@@ -104,18 +103,18 @@ def test_the_diagram_is_the_table():
             assert condition.name in table.__doc__
 
 
-# The way up
+# From IDLE to WALKING
 
 
 def test_the_robot_goes_from_idle_to_walking_on_request():
     bench = Bench()
     assert not bench.run(0.3).command.torque
-    bench.ask(Request.READY)
+    bench.request(Request.READY)
     assert bench.tick().command.action is Action.HOLD
     bench.run(0.02)
-    bench.ask(Request.STAND)
+    bench.request(Request.STAND)
     assert bench.run(1.0).state is State.STANDING
-    bench.ask(Request.WALK)
+    bench.request(Request.WALK)
     report = bench.run(1.0)
     assert report.state is State.WALKING
     assert report.reason == "walk requested by the operator"
@@ -124,18 +123,18 @@ def test_the_robot_goes_from_idle_to_walking_on_request():
     assert (bench.run(0.05).command.angle == 1.5).all()
 
 
-def test_activation_far_from_the_goal_is_without_motion():
+def test_torque_comes_on_without_motion_far_from_the_command():
     bench = Bench()
     bench.angle, bench.command = np.array([0.2, 0.6, 1.3, 2.0]), np.full(4, 1.0)
-    where = bench.angle
+    before = bench.angle
     bench.run(0.3)
-    bench.ask(Request.READY)
+    bench.request(Request.READY)
     bench.run(1.0)
-    assert (bench.reports[-1].command.angle == where).all()
+    assert (bench.reports[-1].command.angle == before).all()
     assert bench.reports[-1].command.torque
-    bench.ask(Request.STAND)
+    bench.request(Request.STAND)
     first = bench.tick().command.angle
-    assert np.abs(first - where).max() <= SETTINGS.gate.approach_rate * SETTINGS.gate.burst + 1e-12
+    assert np.abs(first - before).max() <= SETTINGS.gate.approach_rate * SETTINGS.gate.burst + 1e-12
 
 
 @pytest.mark.parametrize(
@@ -150,15 +149,15 @@ def test_activation_far_from_the_goal_is_without_motion():
         (State.WALKING, Request.RESET, "RESET changes nothing in WALKING"),
     ],
 )
-def test_a_request_out_of_turn_is_refused(wanted, request_, text):
+def test_a_request_that_the_state_does_not_allow_is_refused(wanted, request_, text):
     bench = Bench()
-    bench.bring(wanted)
+    bench.bring_to(wanted)
     assert bench.supervisor.request(bench.now, request_) == text
     assert bench.tick().state is wanted
 
 
 @pytest.mark.parametrize(
-    ("break_it", "text"),
+    ("cause", "text"),
     [
         (lambda b: b.silent.add("estop"), "e-stop source silent"),
         (lambda b: b.silent.add("servos"), "servo FL silent"),
@@ -167,9 +166,9 @@ def test_a_request_out_of_turn_is_refused(wanted, request_, text):
     ],
     ids=["estop", "servos", "tilt", "zero"],
 )
-def test_torque_does_not_come_on_over_a_fault(break_it, text):
+def test_ready_is_refused_during_a_fault(cause, text):
     bench = Bench(**{"timing.estop": 0.1, "timing.servo_silent": 0.1})
-    break_it(bench)
+    cause(bench)
     bench.run(0.5)
     refusal = bench.supervisor.request(bench.now, Request.READY)
     assert refusal.startswith("READY refused in IDLE: ")
@@ -178,105 +177,105 @@ def test_torque_does_not_come_on_over_a_fault(break_it, text):
 
 
 @pytest.mark.parametrize("missing", ["command", "estimate", *SETTINGS.nodes])
-def test_nothing_stands_up_while_something_is_missing(missing):
+def test_stand_is_refused_while_an_input_is_missing(missing):
     bench = Bench()
-    bench.bring(State.READY)
+    bench.bring_to(State.READY)
     bench.silent.add(missing)
     bench.run(0.6)
     assert bench.supervisor.request(bench.now, Request.STAND).startswith("STAND refused in READY")
     assert bench.tick().state is State.READY
 
 
-def test_walking_starts_where_the_robot_stands():
+def test_walk_is_refused_far_from_the_command():
     bench = Bench()
-    bench.bring(State.STANDING)
+    bench.bring_to(State.STANDING)
     bench.command = np.full(4, 1.9)
     bench.run(0.05)
     assert "from their command, limit 0.1 rad" in bench.supervisor.request(bench.now, Request.WALK)
 
 
-def test_walking_starts_slowly():
+def test_goals_move_slowly_right_after_walk():
     bench = Bench()
-    bench.bring(State.STANDING)
+    bench.bring_to(State.STANDING)
     bench.run(2.0)
-    bench.ask(Request.WALK)
+    bench.request(Request.WALK)
     bench.command = np.full(4, 2.0)
     bench.run(0.05)
-    # a tenth of resume_time: the rate has grown by a tenth of its way
+    # a tenth of resume_time: the rate has grown by a tenth of its range
     gate = SETTINGS.gate
     assert bench.angle.max() < 1.1 + 0.1 * gate.rate_max * (0.05 + gate.burst)
     assert bench.angle.max() > 1.1
 
 
-# The fault table
+# Faults
 
 
-def test_commands_that_stop_end_in_hold_at_100_ms_and_relax_at_500_ms(walking):
+def test_missing_commands_end_in_hold_at_100_ms_and_relax_at_500_ms(walking):
     walking.silent.add("command")
-    hold = walking.until(State.HOLD, 1.0)
+    hold = walking.time_until(State.HOLD, 1.0)
     held = walking.reports[-1].command
-    assert TIMING.command_hold - CHAIN <= hold <= TIMING.command_hold + STEP
+    assert TIMING.command_hold - CYCLE <= hold <= TIMING.command_hold + STEP
     assert "no command for" in walking.reports[-1].reason
     assert any("limit 0.1 s" in warning for warning in walking.reports[-1].warnings)
-    relax = hold + walking.until(State.RELAX, 1.0)
+    relax = hold + walking.time_until(State.RELAX, 1.0)
     assert (walking.reports[-2].command.angle == held.angle).all()  # the last angle was kept
-    assert TIMING.command_lost - CHAIN <= relax <= TIMING.command_lost + STEP
+    assert TIMING.command_lost - CYCLE <= relax <= TIMING.command_lost + STEP
     assert ends_in_fault(walking)
 
 
-def test_the_robot_walks_on_when_commands_come_back_in_time(walking):
+def test_the_robot_walks_again_when_commands_return_in_time(walking):
     walking.silent.add("command")
-    walking.until(State.HOLD, 1.0)
+    walking.time_until(State.HOLD, 1.0)
     walking.silent.clear()
-    assert walking.until(State.WALKING, 1.0) <= TIMING.recovery + CHAIN + STEP
+    assert walking.time_until(State.WALKING, 1.0) <= TIMING.recovery + CYCLE + STEP
     assert "no reason to hold for 0.2 s" in walking.reports[-1].reason
 
 
-def test_held_it_can_be_told_not_to_walk_on(walking):
+def test_stand_requested_in_hold_ends_in_standing(walking):
     walking.silent.add("command")
-    walking.until(State.HOLD, 1.0)
-    walking.ask(Request.STAND)
+    walking.time_until(State.HOLD, 1.0)
+    walking.request(Request.STAND)
     walking.silent.clear()
-    assert walking.until(State.STANDING, 1.0) < 1.0
+    assert walking.time_until(State.STANDING, 1.0) < 1.0
 
 
-def test_a_hold_does_not_last_for_ever(walking):
+def test_a_hold_longer_than_its_limit_ends_in_relax(walking):
     walking.status = Status.STOPPED
-    walking.until(State.HOLD, 1.0)
-    took = walking.until(State.RELAX, 10.0)
+    walking.time_until(State.HOLD, 1.0)
+    took = walking.time_until(State.RELAX, 10.0)
     assert took == pytest.approx(TIMING.hold_max, abs=2 * STEP)
     assert "limit 5 s, since: MPC stopped" in walking.reports[-1].reason
     assert ends_in_fault(walking)
 
 
 @pytest.mark.parametrize("bad", [Validity.ODOMETRY_REJECTED, Validity.INITIALISING, "NaN"])
-def test_three_unusable_estimates_are_borne_and_the_fourth_holds(walking, bad):
+def test_the_fourth_unusable_estimate_in_a_row_ends_in_hold(walking, bad):
     if bad == "NaN":
         walking.state = np.full(12, math.nan)
     else:
         walking.validity = bad
     before = len(walking.reports)
-    took = walking.until(State.HOLD, 1.0)
-    assert 3 * CHAIN < took <= 4 * CHAIN + STEP
-    walking_on = [r.state for r in walking.reports[before:-1]]
-    assert set(walking_on) == {State.WALKING}
+    took = walking.time_until(State.HOLD, 1.0)
+    assert 3 * CYCLE < took <= 4 * CYCLE + STEP
+    states = [r.state for r in walking.reports[before:-1]]
+    assert set(states) == {State.WALKING}
     assert walking.reports[-1].reason == "4 estimates in a row unusable, limit 3"
 
 
-def test_an_estimate_without_imu_still_carries_the_gait(walking):
+def test_the_robot_walks_on_without_imu(walking):
     walking.validity = Validity.IMU_MISSING
     assert walking.run(1.0).state is State.WALKING
 
 
-def test_odometry_that_stops_ends_in_hold(walking):
+def test_missing_estimates_end_in_hold(walking):
     walking.silent.add("estimate")
     limit = SETTINGS.estimate.silence
-    assert limit - CHAIN <= walking.until(State.HOLD, 1.0) <= limit + STEP
+    assert limit - CYCLE <= walking.time_until(State.HOLD, 1.0) <= limit + STEP
 
 
-@pytest.mark.parametrize("spoil", ["jump", "NaN", "stale"])
-def test_odometry_that_jumps_by_10_cm_is_nan_or_stops_is_coasted_over_for_three_cycles(spoil):
-    """With the estimator that rejects it: nobody follows the odometry to a wrong place at once."""
+@pytest.mark.parametrize("error", ["jump", "NaN", "stale"])
+def test_bad_odometry_is_bridged_for_three_cycles_and_then_ends_in_hold(error):
+    """Odometry jumps by 10 cm, is NaN or stops, and passes the estimator that rejects it."""
     bench = Bench()
     estimator, imu = StateEstimator(read_estimator()), START
     bench.silent |= {"estimate", "command"}  # both come from the estimator below
@@ -286,72 +285,72 @@ def test_odometry_that_jumps_by_10_cm_is_nan_or_stops_is_coasted_over_for_three_
         for _ in range(3):
             bench.tick()
         if cycle == 20:
-            bench.ask(Request.READY, Request.STAND)
+            bench.request(Request.READY, Request.STAND)
         while imu < bench.now:
             imu += 5_000_000
             estimator.add_imu(imu, nothing, gravity)
         place, bad = np.array([0.0, 0.0, 0.04]), cycle > bad_from
-        if bad and spoil != "stale":
-            place[0] = 0.1 if spoil == "jump" else math.nan
-        if not (bad and spoil == "stale"):
+        if bad and error != "stale":
+            place[0] = 0.1 if error == "jump" else math.nan
+        if not (bad and error == "stale"):
             estimator.add_odometry(bench.now, place, np.array([0, 0, 0, 1.0]), nothing, nothing)
         while (estimate := estimator.poll()) is not None:
             seen.append((cycle, estimate.validity, estimate.state[3]))
             bench.supervisor.receive_estimate(bench.now, estimate)
-        bench.supervisor.receive_command(bench.now, bench.now, bench.command)  # the MPC goes on
+        bench.supervisor.receive_command(bench.now, bench.now, bench.command)  # the MPC continues
         states[cycle] = bench.supervisor.state
-    # the estimator refuses five readings, gives in, and calls its tenth at the new place valid
+    # the estimator rejects five readings, starts anew, and its tenth at the new position is valid
     gate = read_estimator().gate
     trusted = bad_from + gate.max_rejections + gate.initial_readings - 1
     moved = [c for c, valid, x in seen if valid is Validity.VALID and abs(x) > 0.02]
     assert not moved or moved[0] >= trusted
     assert states[bad_from] is State.STANDING
     assert {states[bad_from + k] for k in (1, 2, 3)} == {State.STANDING}
-    # seen at the first step after the fourth bad cycle; stale odometry by its age, 0.132 s
-    assert states[bad_from + (6 if spoil == "stale" else 5)] is State.HOLD
+    # at the first step after the fourth bad cycle; for stale odometry by its age, 0.132 s
+    assert states[bad_from + (6 if error == "stale" else 5)] is State.HOLD
 
 
 @pytest.mark.parametrize(("status", "cycles"), [(Status.STOPPED, 1), (Status.NOT_SOLVED, 11)])
-def test_a_solver_that_fails_for_too_long_stops_the_gait(walking, status, cycles):
+def test_an_mpc_without_solutions_ends_in_hold(walking, status, cycles):
     walking.status, walking.fallback_cycles = status, cycles
-    assert walking.until(State.HOLD, 1.0) <= CHAIN + STEP
+    assert walking.time_until(State.HOLD, 1.0) <= CYCLE + STEP
     assert f"{cycles} cycles" in walking.reports[-1].reason
 
 
-def test_a_bounded_number_of_failed_solves_is_borne(walking):
+def test_the_robot_walks_on_within_the_limit_of_failed_solves(walking):
     walking.status, walking.fallback_cycles = Status.NOT_SOLVED, SETTINGS.solver.fallback_cycles
     assert walking.run(1.0).state is State.WALKING
 
 
-def test_the_supervisor_bears_as_many_failed_solves_as_the_mpc_does():
+def test_supervisor_and_mpc_have_the_same_limit_of_failed_solves():
     assert SETTINGS.solver.fallback_cycles == read_mpc().fallback.cycles
 
 
 @pytest.mark.parametrize("value", [math.nan, -0.1, 2.5])
-def test_a_command_that_is_nan_or_out_of_range_is_rejected_whole_and_holds(walking, value):
+def test_a_command_with_a_bad_angle_is_rejected_as_a_whole_and_ends_in_hold(walking, value):
     walking.command = np.array([1.3, 1.3, value, 1.3])
-    assert walking.until(State.HOLD, 1.0) <= CHAIN + STEP
+    assert walking.time_until(State.HOLD, 1.0) <= CYCLE + STEP
     assert "command RL = " in walking.reports[-1].reason
     assert (walking.reports[-1].command.angle == 1.1).all()
 
 
-def test_commands_that_stay_bad_are_as_good_as_none(walking):
+def test_rejected_commands_count_as_missing(walking):
     walking.command = np.full(4, math.nan)
-    took = walking.until(State.RELAX, 1.0)
-    assert TIMING.command_lost - CHAIN <= took <= TIMING.command_lost + STEP
+    took = walking.time_until(State.RELAX, 1.0)
+    assert TIMING.command_lost - CYCLE <= took <= TIMING.command_lost + STEP
 
 
-def test_a_reason_that_comes_and_goes_keeps_the_hold(walking):
+def test_hold_lasts_while_its_reason_recurs(walking):
     good = walking.command
     for k in range(20):
         walking.command = good if k % 2 else np.full(4, math.nan)
-        walking.run(CHAIN)
+        walking.run(CYCLE)
     assert {r.state for r in walking.reports[-50:]} == {State.HOLD}
 
 
-def test_a_step_larger_than_the_rate_limit_is_slewed_and_flagged(walking):
+def test_a_step_larger_than_the_rate_limit_is_slewed_with_a_warning(walking):
     walking.command = np.array([0.0, 2.0, 1.1, 1.1])
-    walking.silent.add("servos")  # they would follow faster than servos can
+    walking.silent.add("servos")  # on the bench the servos follow at once
     for _ in range(3):
         report = walking.tick()
         if report.command.slewed.any():
@@ -366,7 +365,7 @@ def test_a_step_larger_than_the_rate_limit_is_slewed_and_flagged(walking):
     assert reports[-1].state is State.WALKING
 
 
-def test_one_silent_servo_ends_in_relax_of_all_after_500_ms(walking):
+def test_one_silent_servo_relaxes_all_after_500_ms(walking):
     start = walking.now
     while walking.supervisor.state is State.WALKING:
         silence = np.array([0.0, 0.0, (walking.now + TICK - start) * 1e-9, 0.0])
@@ -379,17 +378,17 @@ def test_one_silent_servo_ends_in_relax_of_all_after_500_ms(walking):
     assert ends_in_fault(walking)
 
 
-def test_an_answer_that_is_not_a_number_is_no_answer(walking):
+def test_a_servo_whose_readings_are_not_finite_counts_as_silent(walking):
     walking.torque = np.array([0.8, math.nan, 0.8, 0.8])
-    assert walking.until(State.RELAX, 1.0) <= TIMING.servo_silent + 2 * STEP
+    assert walking.time_until(State.RELAX, 1.0) <= TIMING.servo_silent + 2 * STEP
     assert "servo FR silent" in walking.reports[-1].reason
 
 
 @pytest.mark.parametrize("silence", [math.nan, math.inf, -3.0])
-def test_a_silence_that_is_no_time_is_no_answer(walking, silence):
+def test_a_servo_whose_silence_is_invalid_counts_as_silent_since_the_start(walking, silence):
     walking.health = dict(silence=np.array([0.0, silence, 0.0, 0.0]))
-    assert walking.until(State.RELAX, 1.0) <= 2 * STEP
-    assert "servo FR silent for ever" in walking.reports[-1].reason
+    assert walking.time_until(State.RELAX, 1.0) <= 2 * STEP
+    assert "servo FR silent since the start" in walking.reports[-1].reason
 
 
 @pytest.mark.parametrize(
@@ -401,55 +400,55 @@ def test_a_silence_that_is_no_time_is_no_answer(walking, silence):
     ],
     ids=["overload", "overheating", "low voltage"],
 )
-def test_a_servo_fault_relaxes_all_legs_and_does_not_reset_itself(walking, errors, text):
+def test_a_hardware_error_relaxes_all_legs_until_a_reset(walking, errors, text):
     walking.health = dict(hardware_error=np.array(errors))
-    assert walking.until(State.RELAX, 1.0) <= 2 * STEP
+    assert walking.time_until(State.RELAX, 1.0) <= 2 * STEP
     assert text in walking.reports[-1].reason
     assert ends_in_fault(walking)
     refusal = walking.supervisor.request(walking.now, Request.RESET)
-    assert refusal.startswith("RESET refused in FAULT")  # while it is there
+    assert refusal.startswith("RESET refused in FAULT")  # while the error lasts
     walking.health = dict()
     assert walking.run(1.0).state is State.FAULT
-    walking.ask(Request.RESET)
+    walking.request(Request.RESET)
     assert walking.tick().state is State.IDLE
 
 
 @pytest.mark.parametrize("action", [Action.RELAX, Action.OFF])
-def test_servos_that_relax_by_their_own_rule_end_in_fault_with_their_reason(walking, action):
+def test_a_relax_begun_by_the_servos_ends_in_fault_with_their_reason(walking, action):
     walking.health = dict(action=action, reason="servo RL (id 2): torque is off")
-    assert walking.until(State.RELAX, 1.0) <= 2 * STEP
+    assert walking.time_until(State.RELAX, 1.0) <= 2 * STEP
     assert walking.reports[-1].reason == "servos: servo RL (id 2): torque is off"
     assert ends_in_fault(walking)
 
 
-def test_a_driver_that_does_not_switch_torque_on_is_a_fault_in_time():
+def test_a_driver_that_does_not_switch_torque_on_ends_in_relax():
     bench = Bench()
     bench.health = dict(action=Action.OFF, reason="stopped", torque=np.zeros(4, dtype=bool))
-    bench.bring(State.READY)
+    bench.bring_to(State.READY)
     refused = bench.supervisor.request(bench.now, Request.STAND)
     assert refused == "STAND refused in READY: servo FL without torque"
-    assert bench.until(State.RELAX, 2.0) == pytest.approx(TIMING.torque_change, abs=3 * STEP)
+    assert bench.time_until(State.RELAX, 2.0) == pytest.approx(TIMING.torque_change, abs=3 * STEP)
     assert bench.reports[-1].reason == "servos: stopped"
 
 
 @pytest.mark.parametrize("moving", [State.READY, State.STANDING, State.WALKING, State.RELAX])
-def test_an_estop_is_torque_off_at_once_and_latched(moving):
+def test_the_estop_switches_torque_off_at_once_until_a_reset(moving):
     bench = Bench()
-    bench.bring(moving)
+    bench.bring_to(moving)
     bench.pressed = True
-    assert bench.until(State.ESTOP, 1.0) <= STEP
+    assert bench.time_until(State.ESTOP, 1.0) <= STEP
     assert not bench.reports[-1].command.torque
     refusal = bench.supervisor.request(bench.now, Request.RESET)
     assert refusal == "RESET refused in ESTOP: e-stop pressed"
     bench.pressed = False
     assert bench.run(2.0).state is State.ESTOP
-    bench.ask(Request.RESET)
+    bench.request(Request.RESET)
     assert bench.tick().state is State.IDLE
 
 
-def test_an_estop_source_that_is_lost_is_an_estop(walking):
+def test_a_lost_estop_source_ends_in_estop(walking):
     walking.silent.add("estop")
-    took = walking.until(State.ESTOP, 1.0)
+    took = walking.time_until(State.ESTOP, 1.0)
     assert TIMING.estop <= took <= TIMING.estop + 2 * STEP
     assert "e-stop source silent" in walking.reports[-1].reason
     assert "RESET refused" in walking.supervisor.request(walking.now, Request.RESET)
@@ -457,36 +456,36 @@ def test_an_estop_source_that_is_lost_is_an_estop(walking):
     assert walking.run(1.0).state is State.ESTOP
 
 
-def test_without_the_need_for_an_estop_source_the_robot_walks_without():
+def test_the_robot_walks_without_an_estop_source_where_none_is_required():
     bench = Bench(estop_required=False)
     bench.silent.add("estop")
-    bench.bring(State.WALKING)
+    bench.bring_to(State.WALKING)
     assert bench.run(2.0).state is State.WALKING
 
 
 @pytest.mark.parametrize(("roll", "pitch"), [(0.51, 0.0), (-0.51, 0.0), (0.0, 0.51), (0.0, -0.51)])
-def test_a_tilt_beyond_half_a_radian_relaxes(walking, roll, pitch):
+def test_a_tilt_beyond_half_a_radian_ends_in_relax(walking, roll, pitch):
     walking.state = state(roll, pitch)
-    assert walking.until(State.RELAX, 1.0) <= CHAIN + STEP
+    assert walking.time_until(State.RELAX, 1.0) <= CYCLE + STEP
     assert "limit 0.5 rad" in walking.reports[-1].reason
     assert ends_in_fault(walking)
 
 
-def test_a_tilt_counts_even_in_an_estimate_that_only_coasts(walking):
+def test_the_tilt_of_an_unusable_estimate_counts(walking):
     walking.state, walking.validity = state(roll=0.6), Validity.ODOMETRY_REJECTED
-    assert walking.until(State.RELAX, 1.0) <= CHAIN + STEP
+    assert walking.time_until(State.RELAX, 1.0) <= CYCLE + STEP
 
 
 @pytest.mark.parametrize("jump", [-3600.0, -0.6, 0.6, 1e6])
-def test_a_clock_that_jumps_holds_and_then_goes_on(walking, jump):
+def test_a_clock_jump_ends_in_hold_and_then_in_walking(walking, jump):
     walking.now += round(jump * 1e9)
     assert walking.tick().state is State.HOLD
     assert "clock jumped by" in walking.reports[-1].reason
-    assert walking.until(State.WALKING, 1.0) <= TIMING.recovery + CHAIN + STEP
+    assert walking.time_until(State.WALKING, 1.0) <= TIMING.recovery + CYCLE + STEP
 
 
 @pytest.mark.parametrize("source", ["command", "estimate", "joints"])
-def test_stamps_of_another_clock_are_refused(walking, source):
+def test_inputs_stamped_by_another_clock_are_rejected(walking, source):
     walking.silent.add(source if source != "joints" else "servos")
     wall = 1_700_000_000_000_000_000
     walking.tick()
@@ -502,83 +501,83 @@ def test_stamps_of_another_clock_are_refused(walking, source):
     assert report.state is State.WALKING
     assert (report.command.angle == 1.1).all()
     assert any(source in w and "limit 0.5 s" in w for w in report.warnings)
-    assert walking.until(State.WALKING, 0.6) < 1.0
+    assert walking.time_until(State.WALKING, 0.6) < 1.0
     walking.run(0.6)
-    assert walking.supervisor.state is not State.WALKING  # what is refused is missing
+    assert walking.supervisor.state is not State.WALKING  # rejected inputs count as missing
 
 
-def test_an_old_command_does_not_pass_as_a_new_one(walking):
+def test_a_command_older_than_the_last_is_rejected(walking):
     first = walking.now - 50_000_000
     assert "not newer" in walking.supervisor.receive_command(walking.now, first, np.full(4, 1.9))
     assert (walking.tick().command.angle == 1.1).all()
 
 
 @pytest.mark.parametrize("node", SETTINGS.nodes)
-def test_a_node_that_dies_stops_the_gait(walking, node):
+def test_a_silent_node_ends_in_hold(walking, node):
     walking.silent.add(node)
-    assert walking.until(State.HOLD, 1.0) <= TIMING.heartbeat + 2 * STEP
+    assert walking.time_until(State.HOLD, 1.0) <= TIMING.heartbeat + 2 * STEP
     assert walking.reports[-1].reason.startswith(f"node {node} silent")
 
 
-def test_a_slack_or_broken_tendon_warns_and_stops_the_gait(walking):
+def test_a_slack_or_broken_tendon_ends_in_a_hold_that_lasts(walking):
     walking.torque = np.array([0.8, 0.8, 0.0, 0.8])
-    walking.until(State.HOLD, 2.0)
+    walking.time_until(State.HOLD, 2.0)
     assert walking.reports[-1].reason.startswith("slack or broken tendon RL")
     walking.torque = None
     walking.run(1.0)
-    assert walking.supervisor.state is State.HOLD  # it does not heal by itself
+    assert walking.supervisor.state is State.HOLD  # until a reset
     assert any("slack or broken tendon RL" in w for w in walking.reports[-1].warnings)
 
 
-def test_a_tendon_is_judged_only_once_the_legs_follow_the_gait_again(walking):
+def test_tendons_are_watched_only_once_the_legs_follow_the_gait_again(walking):
     walking.silent.add("command")
-    assert walking.until(State.HOLD, 1.0) < 1.0
+    assert walking.time_until(State.HOLD, 1.0) < 1.0
     walking.silent.clear()
-    assert walking.until(State.WALKING, 1.0) < 1.0
+    assert walking.time_until(State.WALKING, 1.0) < 1.0
     walking.torque = np.array([0.8, 0.8, 0.0, 0.8])
-    took = walking.until(State.HOLD, 5.0)
+    took = walking.time_until(State.HOLD, 5.0)
     least = SETTINGS.gate.resume_time + SETTINGS.tendon.window_min
     assert least <= took < least + 1.0
     assert walking.reports[-1].reason.startswith("slack or broken tendon RL")
 
 
-def test_after_a_new_tendon_and_a_reset_the_robot_stands_again(walking):
+def test_after_repair_and_reset_the_robot_stands_again(walking):
     walking.torque = np.array([0.8, 0.8, 0.0, 0.8])
-    walking.until(State.FAULT, 10.0)
+    walking.time_until(State.FAULT, 10.0)
     walking.torque = None
     walking.angle = np.full(4, 1.1)
-    walking.ask(Request.RESET, Request.READY, Request.STAND)
+    walking.request(Request.RESET, Request.READY, Request.STAND)
     report = walking.run(2.0)
     assert (report.state, report.warnings) == (State.STANDING, ())
 
 
-def test_a_clock_that_slips_back_a_little_takes_no_time_back():
+def test_steady_time_does_not_go_back_with_the_clock():
     clock = SteadyClock(0.5)
     times = [clock.advance(now) for now in (0, 100, 50, 60, 10**10, 10**10 + 5, 0, 7)]
     assert times == [0, 100, 100, 110, 110, 115, 115, 122]
     assert clock.jumped.startswith("clock jumped by -10 s")
 
 
-def test_relaxing_on_request_ends_idle(walking):
-    walking.ask(Request.RELAX)
-    assert walking.until(State.IDLE, 3.0) <= RELAX_TIME + 2 * STEP
+def test_relax_on_request_ends_in_idle(walking):
+    walking.request(Request.RELAX)
+    assert walking.time_until(State.IDLE, 3.0) <= RELAX_TIME + 2 * STEP
     assert not walking.reports[-1].command.torque
 
 
-def test_a_fault_while_relaxing_on_request_ends_in_fault(walking):
-    walking.ask(Request.RELAX)
+def test_a_fault_during_a_requested_relax_ends_in_fault(walking):
+    walking.request(Request.RELAX)
     walking.tick()
     walking.health = dict(hardware_error=np.array([0x20, 0, 0, 0]))
     walking.tick()
     walking.health = dict()
-    assert walking.until(State.FAULT, 3.0) <= RELAX_TIME + 2 * STEP
+    assert walking.time_until(State.FAULT, 3.0) <= RELAX_TIME + 2 * STEP
 
 
-# Whatever comes
+# Random events
 
 
-def wild_inputs(rng, bench: Bench, supervisor: Supervisor, steady: int):
-    """One random event, sane or not; returns the request made, or None."""
+def random_input(rng, bench: Bench, supervisor: Supervisor, steady: int):
+    """One random input, valid or not; returns the request to make, or None."""
     now = bench.now
     wrong = rng.choice([0.0, 1.0, math.nan, math.inf, -1e9], p=[0.9, 0.04, 0.03, 0.02, 0.01])
     stamp = now - int(rng.integers(0, 40_000_000)) + int(rng.choice([0, 10**12], p=[0.99, 0.01]))
@@ -611,8 +610,8 @@ def wild_inputs(rng, bench: Bench, supervisor: Supervisor, steady: int):
     return None
 
 
-def test_no_sequence_of_events_breaks_a_promise():
-    """Thirty thousand random events: range, rate, torque, latches and the end of RELAX."""
+def test_no_sequence_of_events_violates_the_safety_rules():
+    """30,000 random events: range, rate, torque, latched states and the end of RELAX."""
     rng, bench = np.random.default_rng(11), Bench()
     supervisor, limit = bench.supervisor, ROBOT.tendon.angle_max
     before, relaxing, visited, steady = State.IDLE, 0.0, set(), 0
@@ -622,17 +621,17 @@ def test_no_sequence_of_events_breaks_a_promise():
         tick = int(rng.integers(0, 6_000_000))
         bench.now += tick + jump
         steady += tick
-        request = wild_inputs(rng, bench, supervisor, steady)
+        request = random_input(rng, bench, supervisor, steady)
         granted = request is not None and supervisor.request(bench.now, request) == ""
         middle = supervisor.state
         report = supervisor.step(bench.now)
-        gated = bench.servos.obey(steady, report, bench.angle)
-        # 1: finite, within the range
+        gated = bench.servos.step(steady, report, bench.angle)
+        # 1: goals are finite and within the range
         assert all(0.0 <= angle <= limit for angle in gated.angle.tolist())
-        # 2: torque where the state allows it
+        # 2: torque only where the state allows it
         assert not (report.state in OFF and gated.torque)
         assert report.action is table.ACTIONS[report.state]
-        # 3: out of the latched states by a granted reset alone
+        # 3: latched states are left only by a granted reset
         for old, new in ((before, middle), (middle, report.state)):
             if old in {State.ESTOP, State.FAULT} and new not in {old, State.ESTOP}:
                 assert (granted, request, new) == (True, Request.RESET, State.IDLE)
@@ -641,7 +640,7 @@ def test_no_sequence_of_events_breaks_a_promise():
         assert relaxing <= RELAX_TIME + TIMING.torque_change + 0.02
         assert report.reason
         if report.state is State.READY and before is not State.READY:
-            times, angles = [], []  # the goals start anew where the servos are
+            times, angles = [], []  # goals start anew at the servos' angles
         times.append(steady * 1e-9)
         angles.append(gated.angle)
         if len(times) > 5:

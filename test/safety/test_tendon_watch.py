@@ -1,4 +1,4 @@
-"""Slack or broken tendons are found from the load on the servos; sound walks raise no alarm."""
+"""Slack and broken tendons are detected from the servos' torque, without false alarms."""
 
 import dataclasses
 import math
@@ -22,7 +22,7 @@ HEIGHTS = np.full(4, HEIGHT)
 
 
 def feed(watch, seconds, slack=(0.0, 0.0, 0.0, 0.0), *, start=0, share=1.0):
-    """Legs that move through a stride, each with its slack (m); the last state and its time."""
+    """Feed a stride's readings, each leg with its slack (m); returns the last time and state."""
     for stamp in range(start + TICK, start + round(seconds * 1e9) + 1, TICK):
         phase = stamp * 1e-9 / STRIDE * math.tau
         angle = 1.2 + 0.4 * np.sin(phase + np.arange(4))
@@ -37,7 +37,9 @@ def watch():
 
 @pytest.mark.parametrize("angle_deg", [45.0, 63.0, 95.0])
 @pytest.mark.parametrize("height", [0.04, 0.0625])
-def test_the_load_expected_is_that_of_the_static_leg_in_the_simulators_nodes(angle_deg, height):
+def test_the_tabulated_torque_is_that_of_the_static_leg_with_the_simulators_nodes(
+    angle_deg, height
+):
     leg, angle = StaticLeg(ROBOT, 22), math.radians(angle_deg)
     for part in np.linspace(0.0, angle, 30):
         here = leg.solve(part, height)
@@ -47,50 +49,50 @@ def test_the_load_expected_is_that_of_the_static_leg_in_the_simulators_nodes(ang
 
 
 @pytest.mark.parametrize("leg", range(4))
-def test_a_tendon_three_millimetres_longer_is_measured_and_named(leg):
+def test_a_tendon_3_mm_longer_is_measured_and_named(leg):
     slack = np.zeros(4)
     slack[leg] = 3e-3
     _, state = feed(watch(), 2.0, slack)
     assert state.damaged.tolist() == [i == leg for i in range(4)]
     assert state.message.startswith(f"slack or broken tendon {LEGS[leg]} (")
     assert state.message.endswith("limit 1.4 mm")
-    # the slope is taken at the angle, the load 17 deg below, where it is a little flatter
+    # the slope is taken at the angle, the torque 17 deg below, where the slope is a little smaller
     assert state.slack[leg] == pytest.approx(3e-3, rel=0.1)
     assert np.delete(state.slack, leg) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_sound_tendons_have_no_slack():
+def test_undamaged_tendons_have_no_slack():
     _, state = feed(watch(), 5.0)
     assert state.message == ""
     assert not state.damaged.any()
     assert state.slack == pytest.approx(0.0, abs=1e-9)
 
 
-def test_before_a_whole_stride_nothing_is_said():
+def test_slack_is_unknown_before_a_whole_stride():
     _, state = feed(watch(), STRIDE - 0.02, [0.01] * 4)
     assert np.isnan(state.slack).all()
     assert not state.damaged.any()
 
 
-def test_a_gap_in_the_readings_starts_afresh():
+def test_a_gap_in_the_readings_restarts_the_mean():
     watched = watch()
     stamp, _ = feed(watched, 2.0)
     stamp, state = feed(watched, STRIDE - 0.02, [0.01] * 4, start=stamp + 100_000_000)
     assert np.isnan(state.slack).all()
 
 
-def test_two_spoiled_tendons_are_both_named():
+def test_two_damaged_tendons_are_both_named():
     _, state = feed(watch(), 2.0, [0.003, 0.0, 0.0025, 0.0])
     assert state.damaged.tolist() == [True, False, True, False]
 
 
-def test_what_a_spoiled_tendon_does_to_its_neighbours_is_not_blamed_on_them():
+def test_neighbours_that_carry_less_because_of_a_damaged_tendon_are_not_named():
     _, state = feed(watch(), 2.0, [0.006, 0.002, 0.002, 0.0])
     assert (state.slack[:3] > LIMITS.slack_max).all()
     assert state.damaged.tolist() == [True, False, False, False]
 
 
-def test_a_slack_that_does_not_last_is_no_alarm():
+def test_slack_shorter_than_confirm_raises_no_alarm():
     """Twice over the limit for less than `confirm`; a longer tendon, then a shorter one."""
     limits = dataclasses.replace(LIMITS, confirm=0.3)
     watched, stamp, highest = read_tendon_watch(ROBOT, limits), 0, []
@@ -103,7 +105,7 @@ def test_a_slack_that_does_not_last_is_no_alarm():
     assert not state.damaged.any()
 
 
-def test_an_alarm_stays_until_it_is_reset():
+def test_an_alarm_lasts_until_a_reset():
     watched = watch()
     stamp, _ = feed(watched, 2.0, [0.003, 0.0, 0.0, 0.0])
     _, state = feed(watched, 2.0, start=stamp)
@@ -113,7 +115,7 @@ def test_an_alarm_stays_until_it_is_reset():
     assert watched.state.message == ""
 
 
-def test_a_short_dip_of_the_load_is_no_alarm():
+def test_a_short_dip_of_the_load_raises_no_alarm():
     """Half of the load missing for a tenth of a second."""
     watched = watch()
     stamp, _ = feed(watched, 2.0)
@@ -123,7 +125,7 @@ def test_a_short_dip_of_the_load_is_no_alarm():
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_readings_that_are_no_numbers_are_left_out(value):
+def test_readings_that_are_not_finite_are_ignored(value):
     watched = watch()
     stamp, before = feed(watched, 2.0)
     bad = np.array([1.0, value, 1.0, 1.0])
@@ -132,8 +134,8 @@ def test_readings_that_are_no_numbers_are_left_out(value):
 
 
 @pytest.mark.parametrize("scene", ["flat", "slippery", "split", "uneven", "payload", "push"])
-def test_a_sound_walk_passes_unchanged_and_raises_no_alarm(scene):
-    """The push comes at 5 s. Largest slack inferred in 22 s was 0.57 mm, and 0.66 mm at 20 deg."""
+def test_commands_of_an_undamaged_walk_pass_unchanged_without_an_alarm(scene):
+    """The push is at 5 s. Largest slack inferred in 22 s: 0.57 mm, and 0.66 mm at 20 deg."""
     loop = SupervisedLoop(scene)
     for k, (tick, report) in enumerate(loop.ticks(8.0)):
         if k == 60:
@@ -155,8 +157,8 @@ def test_a_sound_walk_passes_unchanged_and_raises_no_alarm(scene):
     ],
     ids=["FL slack", "RR slack", "FR broken", "RL broken"],
 )
-def test_a_tendon_spoiled_while_walking_stops_the_gait_within_a_stride(leg, fault, limit):
-    """Seen: 0.37 to 0.66 s for 3 mm of slack, 0.15 to 0.29 s for a broken tendon."""
+def test_a_tendon_damaged_while_walking_stops_the_gait_within_a_stride(leg, fault, limit):
+    """Measured: 0.37 to 0.66 s for 3 mm of slack, 0.15 to 0.29 s for a broken tendon."""
     loop = SupervisedLoop("flat")
     for k, (_, report) in enumerate(loop.ticks(4.0 + limit)):
         if k == 60:

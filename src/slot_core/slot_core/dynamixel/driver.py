@@ -1,8 +1,8 @@
-"""The four servos of the robot: checked, switched on without motion, moved, switched off.
+"""Driver of the four servos: checks, torque on without motion, bus cycles, torque off.
 
-    configure  the servos are those expected and set up as they must be; else RefusedError says why
+    configure  check model, firmware and EEPROM of every servo; else RefusedError with all reasons
     activate   goals := present positions, then torque on; every write is read back
-    command    goals of the next cycles: tendon angles (rad), which the command gate has checked
+    command    goals of the next cycles: tendon angles (rad), checked by the command gate before
     cycle      one exchange with all servos: goals out, positions, velocities and loads in
     torque_off confirmed by reading back; never raises
 
@@ -78,7 +78,7 @@ class Driver:
         return infos
 
     def activate(self) -> None:
-        """Torque on where the servos stand, without motion; else all off and RefusedError."""
+        """Torque on at the present positions, without motion; else torque off and RefusedError."""
         if self.active:
             raise RefusedError(["activate: torque is on already"])
         try:
@@ -97,8 +97,8 @@ class Driver:
     def command(self, angles: Sequence[float] | Array) -> None:
         """Set the goals: tendon angles (4,), rad; raises ValueError and keeps the last goals.
 
-        A vector of another shape or with a value outside of its joint's range is a programmer's
-        error: the command gate lets none pass. So is a command while torque is off.
+        A vector of another shape, a value outside of its joint's range, and a command while torque
+        is off are programmer's errors: the command gate rejects such commands before.
         """
         goal = np.asarray(angles, dtype=float)
         if goal.shape != (len(LEGS),):
@@ -106,7 +106,7 @@ class Driver:
         if not self.active:
             raise ValueError("torque is off")
         for joint, angle in zip(self.joints, goal):
-            if not joint.low <= angle <= joint.high:  # NaN neither
+            if not joint.low <= angle <= joint.high:  # also true for NaN
                 raise ValueError(
                     f"{joint.leg}: {angle:.4g} rad outside [{joint.low:.4g}, {joint.high:.4g}]"
                 )
@@ -117,7 +117,7 @@ class Driver:
         return self._goal.copy()
 
     def cycle(self) -> Cycle:
-        """One exchange with all servos; raises PortError where the port has gone."""
+        """One exchange with all servos; raises PortError if the port has disappeared."""
         start = self.clock()
         h = 0.0 if self._last is None else max(start - self._last, 0.0)
         self._last = start
@@ -137,7 +137,7 @@ class Driver:
         """Switch all torque off and read it back; never raises."""
         self.active = False
         self._pid.reset()
-        with contextlib.suppress(ServoError):  # all at once, before one that is silent takes time
+        with contextlib.suppress(ServoError):  # all at once first: a silent servo delays the others
             self.bus.sync_write("torque_enable", {joint.id: 0 for joint in self.joints})
         reasons = [self._confirm_off(index, joint) for index, joint in enumerate(self.joints)]
         return TorqueOff(
@@ -171,7 +171,7 @@ class Driver:
         self._port.close()
 
     def silent_for(self, leg: str) -> float:
-        """Time since a servo answered last, s; infinite if it never has."""
+        """Time since the last answer of a servo, s; infinite if it never answered."""
         last = self.health[LEGS.index(leg)].last_answer
         return np.inf if last is None else self.clock() - last
 
@@ -191,12 +191,12 @@ class Driver:
                 continue
             self.bus.write_verified(joint.id, "torque_enable", 0)
             self.bus.write_verified(joint.id, "bus_watchdog", 0)  # a tripped one refuses goals
-            reasons += self._stand_still(index, joint)
+            reasons += self._prepare_servo(index, joint)
         if reasons:
             raise RefusedError(reasons)
 
-    def _stand_still(self, index: int, joint: Joint) -> list[str]:
-        """Goal := present position, gains and profile; returns what forbids torque."""
+    def _prepare_servo(self, index: int, joint: Joint) -> list[str]:
+        """Set goal := present position, gains and profile; returns reasons to refuse torque."""
         present = self.bus.read(joint.id, "present_position")["present_position"]
         low, high = joint.limits()
         if not low <= present <= high:
@@ -205,7 +205,7 @@ class Driver:
                 " turn it back by hand, or zero it"
             ]
         self._goal[index] = joint.tendon(present)
-        # Armed before torque is on: it watches from the first moment.
+        # Armed before torque comes on.
         self.bus.write_verified(joint.id, "bus_watchdog", self.settings.servo.watchdog_code())
         if self.settings.mode is Mode.PWM:
             self.bus.write_verified(joint.id, "goal_pwm", 0)
@@ -225,6 +225,7 @@ class Driver:
         return []
 
     def _write_positions(self) -> None:
+        """Write the goals while torque is on."""
         if self.active:
             goals = zip(self.joints, self._goal)
             self.bus.sync_write(
@@ -232,6 +233,7 @@ class Driver:
             )
 
     def _regulate(self, readings: tuple[ServoReading | None, ...], h: float) -> Array:
+        """Write the duty of the host PID; returns it, (4,)."""
         if not self.active or h == 0.0:
             return self._pid.duty.copy()
         angle = np.array([np.nan if r is None else r.angle for r in readings])
@@ -259,17 +261,18 @@ class Driver:
         )
 
     def _update_health(self, readings: tuple[ServoReading | None, ...]) -> None:
-        """Record what the cycle has shown; read one slow register span from one servo."""
+        """Update the health from the cycle; read one slow register span from one servo."""
         turn, self._turn = self._turn, self._turn + 1
         for index, reading in enumerate(readings):
-            self._note(index, reading)
+            self._update_quality(index, reading)
             if reading is not None and reading.alert:
                 self._read_slow(index, SLOW[1])
         index = turn % len(LEGS)
         if readings[index] is not None:
             self._read_slow(index, SLOW[turn // len(LEGS) % len(SLOW)])
 
-    def _note(self, index: int, reading: ServoReading | None) -> None:
+    def _update_quality(self, index: int, reading: ServoReading | None) -> None:
+        """Update error rate and time of the last answer."""
         quality = self.bus.quality.get(self.joints[index].id)
         rate = 0.0 if quality is None else quality.error_rate
         health = replace(self.health[index], error_rate=rate)
@@ -303,7 +306,7 @@ class Driver:
         self.health = (*self.health[:index], health, *self.health[index + 1 :])
 
     def _confirm_off(self, index: int, joint: Joint) -> str:
-        """Switch torque off and read it back; why it is not confirmed, or ""."""
+        """Switch torque off and read it back; returns why it is not confirmed, or ""."""
         reason = ""
         for _ in range(TORQUE_OFF_ATTEMPTS):
             try:
@@ -312,7 +315,7 @@ class Driver:
                 reason = str(error)
                 continue
             self._set_health(index, replace(self.health[index], torque=False))
-            with contextlib.suppress(ServoError):  # it does not matter with torque off
+            with contextlib.suppress(ServoError):  # without effect once torque is off
                 self.bus.write(joint.id, "bus_watchdog", 0)
             return ""
         return reason

@@ -1,7 +1,7 @@
-"""The driver behind the command watchdog: commands, permissions and faults to bus cycles.
+"""Servo session: bus cycles of the driver under the command watchdog.
 
-The watchdog (`safety/command_watchdog.py`) decides on the action. Times are those of the driver's
-clock, which never goes back, ns.
+The watchdog (`safety/command_watchdog.py`) decides on the action from commands, permissions and
+faults. Times are those of the driver's clock, which never goes back, ns.
 """
 
 from __future__ import annotations
@@ -20,12 +20,11 @@ from slot_core.dynamixel.errors import RefusedError, ServoError
 from slot_core.dynamixel.state import Cycle, Health, JointReading, TorqueOff
 from slot_core.robot import LEGS, Array
 from slot_core.safety.command_gate import Action
-from slot_core.safety.command_watchdog import CommandWatchdog, Permission
+from slot_core.safety.command_watchdog import NO_LIMITS, CommandWatchdog, Permission
 from slot_core.safety.servo_health import ServoHealth
 from slot_core.safety.settings import ServoLimits
 
 LATE = 1.5  # periods between two cycles that count as an overrun
-NO_LIMITS = "no limits of the supervisor yet"
 
 
 @dataclass(frozen=True)
@@ -39,7 +38,7 @@ class BusPace:
 
 
 class ServoSession:
-    """One driver: switched on, commanded, watched and switched off."""
+    """The driver and its command watchdog: start, commands, bus cycles, stop."""
 
     def __init__(
         self,
@@ -53,8 +52,8 @@ class ServoSession:
         self.period = period
         self.action, self.reason = Action.OFF, "not started"
         self.overruns = 0
-        self.commanded = 0  # ns, stamp of the last command whose goals were written
-        self.written = 0.0  # s of the driver's clock, when they were
+        self.commanded = 0  # ns, stamp of the last command that was written to the servos
+        self.written = 0.0  # s of the driver's clock, when it was written
         self._sleep = sleep
         self._range = (
             max(0.0, *(joint.low for joint in driver.joints)),
@@ -63,8 +62,8 @@ class ServoSession:
         self._watchdog: CommandWatchdog | None = None  # None: no limits yet
         self._slewed = np.zeros(len(LEGS), dtype=bool)
         self._offered = 0  # stamp of the last accepted command
-        self._stepped: int | None = None
-        self._queried: int | None = None
+        self._last_step: int | None = None
+        self._last_query: int | None = None
         self._durations: list[float] = []
 
     @property
@@ -80,7 +79,7 @@ class ServoSession:
             self._watchdog.set_limits(limits)
 
     def configure(self) -> tuple[ServoInfo, ...]:
-        """Open the port, check every servo, switch off torque that a killed driver has left on.
+        """Open the port, check every servo, and switch off torque left on by a killed driver.
 
         Raises PortError, RefusedError.
         """
@@ -91,7 +90,7 @@ class ServoSession:
         return infos
 
     def start(self) -> None:
-        """Torque on without motion; raises RefusedError, and then all torque is off."""
+        """Torque on without motion; raises RefusedError with all torque off."""
         try:
             if self._watchdog is None:
                 raise RefusedError([NO_LIMITS])
@@ -100,11 +99,11 @@ class ServoSession:
             self.action, self.reason = Action.OFF, f"torque refused: {error}"
             raise
         self._watchdog.engage(self.driver.goals())
-        self._stepped = None
+        self._last_step = None
         self.action, self.reason = Action.HOLD, "torque comes on"
 
     def offer(self, now: int, stamp: int, angle: Array) -> str:
-        """Accept tendon angles (4,), rad, of a `stamp`, as a whole; or return why not."""
+        """Accept tendon angles (4,), rad, with their `stamp`, as a whole; or return why not."""
         if self._watchdog is None:
             return NO_LIMITS
         fault = self._watchdog.offer(now, angle)
@@ -113,7 +112,7 @@ class ServoSession:
         return fault
 
     def permit(self, permission: Permission) -> None:
-        """Take the supervisor's permission; OFF switches torque off at once."""
+        """Store the supervisor's permission; OFF switches torque off at once."""
         if self._watchdog is not None:
             self._watchdog.permit(permission)
         if permission.action is Action.OFF and self.driver.active:
@@ -127,8 +126,8 @@ class ServoSession:
             self._watchdog.relax(reason)
 
     def step(self, now: int) -> Cycle:
-        """One bus cycle; raises PortError where the port has gone."""
-        self._count(now)
+        """One bus cycle; raises PortError if the port has disappeared."""
+        self._count_overrun(now)
         if self.driver.active:
             self._command(now)
         cycle = self.driver.cycle()
@@ -138,7 +137,7 @@ class ServoSession:
         return cycle
 
     def _command(self, now: int) -> None:
-        """Give the driver what the watchdog lets pass."""
+        """Step the watchdog, and give its goals to the driver."""
         assert self._watchdog is not None
         for fault in (self.driver.faults() + self.silent())[:1]:
             self.relax(fault)
@@ -147,15 +146,15 @@ class ServoSession:
         self._slewed = gated.slewed
         if not gated.torque:
             self._switch_off(self.reason)
-        elif gated.action is not Action.HOLD:  # the goals may lie below the range of commands
+        elif gated.action is not Action.HOLD:  # goals under HOLD may be below the range of commands
             self.driver.command(gated.angle)
 
     def stop(self) -> TorqueOff:
-        """Ramp the tendons to slack, then torque off, read back; blocks as long as the ramp.
+        """Ramp the tendons to slack, then torque off, read back; blocks during the ramp.
 
-        Torque goes off whatever is raised meanwhile.
+        Torque is switched off even if an exception is raised meanwhile.
         """
-        self.driver.bus.port.is_using = False  # an interrupt may have left a question unanswered
+        self.driver.bus.port.is_using = False  # an interrupt may have left an exchange unfinished
         self.relax("stopped")
         try:
             while self.driver.active:
@@ -172,14 +171,14 @@ class ServoSession:
     def pace(self, now: int) -> BusPace:
         """Rate and duration of the bus cycles since the last call."""
         times, self._durations = self._durations, []
-        passed = 0.0 if self._queried is None else (now - self._queried) / SECOND
-        self._queried = now
+        passed = 0.0 if self._last_query is None else (now - self._last_query) / SECOND
+        self._last_query = now
         if not times or passed <= 0.0:
             return BusPace(0.0, 0.0, 0.0, self.overruns)
         return BusPace(len(times) / passed, sum(times) / len(times), max(times), self.overruns)
 
     def health(self, stamp: int) -> ServoHealth:
-        """What is known of the servos at `stamp` (ns of the messages' clock)."""
+        """Health report of the servos at `stamp` (ns of the messages' clock)."""
         servos = self.driver.health
         age = round((self.driver.clock() - self.written) * SECOND)
         return ServoHealth(
@@ -199,7 +198,7 @@ class ServoSession:
 
     @property
     def own_reason(self) -> str:
-        """Why the tendons are slack, or become so, without the supervisor's order; or ""."""
+        """Reason of a RELAX begun by the watchdog itself, or ""."""
         return "" if self._watchdog is None else self._watchdog.own_reason
 
     @property
@@ -218,21 +217,23 @@ class ServoSession:
         ]
 
     def _switch_off(self, reason: str) -> None:
+        """Torque off at once, with its confirmation in `reason`."""
         off = self.driver.torque_off()
-        words = "torque off" if off.complete else "torque NOT off: " + "; ".join(off.reasons)
-        self.action, self.reason = Action.OFF, f"{words}, after: {reason}"
+        result = "torque off" if off.complete else "torque NOT off: " + "; ".join(off.reasons)
+        self.action, self.reason = Action.OFF, f"{result}, after: {reason}"
 
-    def _count(self, now: int) -> None:
-        late = self._stepped is not None and now - self._stepped > LATE * self.period * SECOND
+    def _count_overrun(self, now: int) -> None:
+        """Count an overrun."""
+        late = self._last_step is not None and now - self._last_step > LATE * self.period * SECOND
         self.overruns += late
-        self._stepped = now
+        self._last_step = now
 
 
 def measured(stamp: int, cycle: Cycle, tendon_stall: Array) -> JointReading | None:
-    """What a cycle measured, or None unless every servo answered.
+    """Joint angles, rates and torques of a cycle; None unless every servo answered.
 
-    The torque is the servo's estimate: its load, a share of the stall torque (4,), N m on the
-    tendon's angle.
+    The torque is the servo's estimate: its load, a share of the stall torque `tendon_stall` (4,),
+    N m at the tendon's spool.
     """
     readings = [reading for reading in cycle.readings if reading is not None]
     if len(readings) < len(LEGS):

@@ -49,7 +49,7 @@ def command_fault(angle: Array, low: float, high: float) -> str:
 
 
 class CommandGate:
-    """Last accepted command and goals that move towards it.
+    """Last accepted command, and goals that approach it at a limited rate.
 
     Times are those of a clock that never goes back, ns.
     """
@@ -67,17 +67,12 @@ class CommandGate:
         self._action = Action.OFF
         self._since = 0  # ns, of the present action
         self._time: int | None = None
-        self._relaxed = False
+        self._relaxed = False  # whether the ramp to slack has ended in torque off
 
     @property
     def goal(self) -> Array:
         """(4,) rad, goals after the last step."""
         return self._goal.copy()
-
-    @property
-    def relaxed(self) -> bool:
-        """Whether a ramp to slack has ended in torque off."""
-        return self._relaxed
 
     def offer(self, angle: Array) -> str:
         """Accept a command (4,), rad, as a whole; or reject it and return the reason."""
@@ -87,12 +82,12 @@ class CommandGate:
         return fault
 
     def engage(self, angle: Array) -> None:
-        """Set goals and command to where the servos are, (4,), rad: torque on without motion."""
+        """Set goals and command to the servos' angles (4,), rad: torque on without motion."""
         self._goal = np.clip(np.asarray(angle, dtype=np.float64), self._low, self._high)
         self._target = self._goal.copy()
 
     def step(self, time: int, action: Action, fast: bool = False) -> Gated:
-        """The goals at `time`; `fast` allows `rate_max` in place of `approach_rate`."""
+        """Goals at `time`; `fast` allows `rate_max` instead of `approach_rate`."""
         elapsed = self._elapsed(time)
         if action is not self._action:
             self._action, self._since, self._relaxed = action, time, False
@@ -104,7 +99,7 @@ class CommandGate:
         return self._stay(action is Action.HOLD)
 
     def restart_rate(self, time: int) -> None:
-        """Let the rate grow from `approach_rate` to `rate_max` from `time` on."""
+        """Start the growth of the rate from `approach_rate` to `rate_max` anew at `time`."""
         self._since = time
 
     def _elapsed(self, time: int) -> float:
@@ -114,6 +109,7 @@ class CommandGate:
         return elapsed / SECOND
 
     def _rate(self, time: int, fast: bool) -> float:
+        """Largest rate of the goals, rad/s."""
         s = self.settings
         if not fast:
             return s.approach_rate
@@ -121,23 +117,24 @@ class CommandGate:
         return s.approach_rate + (s.rate_max - s.approach_rate) * min(max(share, 0.0), 1.0)
 
     def _relax(self, time: int) -> Gated:
-        """The ramp; torque goes off at its end, whether or not the servos have followed."""
-        late = time - self._since >= self.settings.relax_time * SECOND
+        """Ramp to slack; torque goes off at its end, whether or not the servos have followed."""
+        expired = time - self._since >= self.settings.relax_time * SECOND
         slack = np.full(len(LEGS), self._low)
         gated = self._move(slack, self.settings.relax_rate, not self._relaxed)
-        self._relaxed = self._relaxed or late or bool((self._goal == slack).all())
+        self._relaxed = self._relaxed or expired or bool((self._goal == slack).all())
         return gated if not self._relaxed else self._stay(False)
 
     def _move(self, target: Array, rate: float, torque: bool) -> Gated:
-        """Move the goals towards `target`, as far as the budget goes."""
-        way = target - self._goal
-        step = np.clip(way, -rate * self._budget, rate * self._budget)
-        slewed = np.abs(way) > rate * self._budget
+        """Move the goals towards `target`, within the budget."""
+        distance = target - self._goal
+        step = np.clip(distance, -rate * self._budget, rate * self._budget)
+        slewed = np.abs(distance) > rate * self._budget
         self._budget = np.maximum(self._budget - np.abs(step) / rate, 0.0)
-        # clipped, because goal + way may round to beyond the limit
+        # clipped, because goal + distance may round to beyond the limit
         goal = np.where(slewed, self._goal + step, target)
         self._goal = np.clip(goal, self._low, self._high)
         return Gated(self._action, self.goal, torque, slewed)
 
     def _stay(self, torque: bool) -> Gated:
+        """Keep the goals."""
         return Gated(self._action, self.goal, torque, np.zeros(len(LEGS), dtype=bool))

@@ -1,7 +1,7 @@
-"""What the servos do, from the supervisor's permission, the commands and the age of both.
+"""Action of the servos, from the supervisor's permission, the commands and the age of both.
 
     limits not received, no permission yet       HOLD
-    permission HOLD, RELAX or OFF                that
+    permission HOLD, RELAX or OFF                the same
     permission PASS, no command yet              HOLD
     permission PASS and commands                 PASS: the goals follow them, rate-limited
     permission or command older than
@@ -9,7 +9,7 @@
       command_lost                               RELAX: a ramp to slack, then torque off
     a fault of the servos                        RELAX
 
-A RELAX that the watchdog has begun itself lasts until the permission is OFF. The age of commands
+A RELAX begun by the watchdog itself lasts until the permission is OFF. The age of commands
 counts under PASS only. Times are those of a clock that never goes back, ns.
 """
 
@@ -21,6 +21,8 @@ from slot_core.clock import SECOND
 from slot_core.robot import Array
 from slot_core.safety.command_gate import Action, CommandGate, Gated
 from slot_core.safety.settings import ServoLimits
+
+NO_LIMITS = "no limits of the supervisor yet"
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class Permission:
 
 
 class CommandWatchdog:
-    """The command gate, opened by the supervisor's permission and closed by missing messages."""
+    """Command gate under the supervisor's permission and the time limits of messages."""
 
     def __init__(self, limits: ServoLimits, low: float, high: float):
         """Commands within [low, high], rad; raises ConfigError as `CommandGate` does."""
@@ -44,7 +46,7 @@ class CommandWatchdog:
         self._range = low, high
         self._permission: Permission | None = None
         self._commanded: int | None = None  # time of the last accepted command
-        self._own_reason = ""  # why it has begun a RELAX itself
+        self._own_reason = ""  # of a RELAX begun by the watchdog itself
         self.overdue = False  # whether a command or permission is too old
 
     def set_limits(self, limits: ServoLimits) -> None:
@@ -56,7 +58,7 @@ class CommandWatchdog:
         self.limits = limits
 
     def engage(self, angle: Array) -> None:
-        """Begin with the goals where the servos are (4,), rad, and no command."""
+        """Start with goals at the servos' angles (4,), rad, and without a command."""
         self._gate.engage(angle)
         self._commanded, self._own_reason = None, ""
 
@@ -68,7 +70,7 @@ class CommandWatchdog:
         return fault
 
     def permit(self, permission: Permission) -> None:
-        """Take the supervisor's newest permission."""
+        """Store the supervisor's newest permission."""
         if permission.fast and not (self._permission and self._permission.fast):
             self._gate.restart_rate(permission.time)
         if permission.action is Action.OFF:
@@ -80,17 +82,18 @@ class CommandWatchdog:
         self._own_reason = self._own_reason or reason
 
     def step(self, now: int) -> Gated:
-        """Decide on the action, and move the goals."""
+        """Decide on the action and move the goals."""
         self.action, self.reason = self._decide(now)
         fast = self._permission is not None and self._permission.fast
         return self._gate.step(now, self.action, fast=fast)
 
     @property
     def own_reason(self) -> str:
-        """Why the watchdog itself has slackened the tendons, or ""."""
+        """Reason of a RELAX begun by the watchdog itself, or ""."""
         return self._own_reason
 
     def _decide(self, now: int) -> tuple[Action, str]:
+        """Action and its reason, "" for PASS."""
         permission = self._permission
         self.overdue = False
         received = None if permission is None else permission.time
@@ -108,7 +111,7 @@ class CommandWatchdog:
         return permission.action, "" if permission.action is Action.PASS else permission.reason
 
     def _overdue(self, what: str, now: int, received: int | None) -> str:
-        """Why a late message keeps the goals where they are, or ""; begins RELAX if too late."""
+        """Reason to hold because of a late message, or ""; begins RELAX beyond `command_lost`."""
         if received is None:
             return f"no {what} yet"
         age, limits = (now - received) / SECOND, self.limits

@@ -26,7 +26,7 @@ Finding = tuple[Condition, str]
 
 
 class Conditions:
-    """The newest of every input, and the conditions that follow from them."""
+    """Newest value of every input, and the conditions that follow from them."""
 
     def __init__(self, settings: SupervisorSettings):
         self._settings = settings
@@ -36,14 +36,14 @@ class Conditions:
         self._usable = False  # whether there has been a usable estimate
         self._tilt: tuple[float, float] = (0.0, 0.0)  # rad, roll and pitch
         self._stopped = ""  # why the MPC counts as stopped
-        self._rejected = ""  # why the newest command was refused
-        self._answered: list[int | None] = [None] * len(LEGS)
+        self._rejected = ""  # why the newest command was rejected
+        self._answered: list[int | None] = [None] * len(LEGS)  # time of the last answer
         self._not_finite: list[int | None] = [None] * len(LEGS)  # since when
         self._health: ServoHealth | None = None
-        self._reported = 0  # time of the last health
+        self._reported = 0  # time of the last health report
 
     def receive_heartbeat(self, time: int, source: str) -> None:
-        """A message of a node has come."""
+        """A message of a node."""
         self._received[f"node {source}"] = time
 
     def receive_estop(self, time: int, pressed: bool) -> None:
@@ -70,13 +70,13 @@ class Conditions:
             self._stopped = f"MPC stopped, {fallback_cycles} cycles without a solution"
 
     def receive_command(self, time: int, fault: str) -> None:
-        """A command has come; `fault`: why it was rejected, or ""."""
+        """A command; `fault`: why it was rejected, or ""."""
         self._rejected = fault
         if not fault:
             self._received["command"] = time
 
     def receive_joints(self, time: int, angle: Array, torque: Array) -> None:
-        """Measured angles and torques of the servos; a value that is not finite does not count."""
+        """Measured angles and torques of the servos; values that are not finite are ignored."""
         for leg, finite in enumerate(np.isfinite(angle) & np.isfinite(torque)):
             if finite:
                 self._answered[leg], self._not_finite[leg] = time, None
@@ -91,15 +91,15 @@ class Conditions:
             self._answered[leg] = time - round(silence * SECOND) if known else None
 
     def unpowered(self) -> list[str]:
-        """Servos that are not under torque, one line each."""
+        """Servos without torque, one line each."""
         if self._health is None:
             return ["no report of the servos yet"]
         return [
             f"servo {leg} without torque" for leg, on in zip(LEGS, self._health.torque) if not on
         ]
 
-    def released(self) -> str:
-        """Why the servos have slackened the tendons, or do so, or ""."""
+    def release_reason(self) -> str:
+        """Reason of a RELAX or OFF that the servos report, or ""."""
         if self._health is None or self._health.action in (Action.PASS, Action.HOLD):
             return ""
         return f"servos: {self._health.reason}"
@@ -111,7 +111,7 @@ class Conditions:
         return self._health.action in (Action.RELAX, Action.OFF) and not self._health.torque.any()
 
     def distance(self, angle: Array) -> float:
-        """Largest distance of the servos' goals from tendon angles (4,), rad; inf: not known."""
+        """Largest distance of the servos' goals from angles (4,), rad; inf without a report."""
         if self._health is None:
             return math.inf
         return float(np.abs(self._health.goal - angle).max())
@@ -122,10 +122,10 @@ class Conditions:
         return self._health is not None and bool(self._health.slewed.any())
 
     def conditions(self, time: int) -> dict[Condition, str]:
-        """Each condition that holds, with one line: what, value and limit."""
+        """Every condition that holds now, with one line: cause, value and limit."""
         found: dict[Condition, str] = {}
-        for look in (self._estop, self._servos, self._torso, self._nodes, self._commands):
-            for condition, reason in look(time):
+        for check in (self._estop, self._servos, self._torso, self._nodes, self._commands):
+            for condition, reason in check(time):
                 found.setdefault(condition, reason)
         return found
 
@@ -140,7 +140,7 @@ class Conditions:
         if self._pressed:
             yield Condition.ESTOP_PRESSED, "e-stop pressed"
         if age > limit and (self._settings.estop_required or age < math.inf):
-            yield Condition.ESTOP_LOST, f"e-stop source silent for {_span(age)}, limit {limit:g} s"
+            yield Condition.ESTOP_LOST, f"e-stop source silent {_span(age)}, limit {limit:g} s"
 
     def _servos(self, time: int) -> Iterator[Finding]:
         limit = self._settings.timing.servo_silent
@@ -153,7 +153,7 @@ class Conditions:
             if age > limit:
                 yield (
                     Condition.SERVO_SILENT,
-                    f"servo {leg} silent for {_span(age)}, limit {limit:g} s",
+                    f"servo {leg} silent {_span(age)}, limit {limit:g} s",
                 )
 
     def _torso(self, time: int) -> Iterator[Finding]:
@@ -170,14 +170,14 @@ class Conditions:
             )
         age, limit = self._age(time, "estimate"), limits.silence
         if age > limit:
-            yield Condition.ESTIMATE_LOST, f"no estimate for {_span(age)}, limit {limit:.3g} s"
+            yield Condition.ESTIMATE_LOST, f"no estimate {_span(age)}, limit {limit:.3g} s"
 
     def _nodes(self, time: int) -> Iterator[Finding]:
         limit = self._settings.timing.heartbeat
         for node in self._settings.nodes:
             age = self._age(time, f"node {node}")
             if age > limit:
-                yield Condition.NODE_LOST, f"node {node} silent for {_span(age)}, limit {limit:g} s"
+                yield Condition.NODE_LOST, f"node {node} silent {_span(age)}, limit {limit:g} s"
 
     def _commands(self, time: int) -> Iterator[Finding]:
         timing, age = self._settings.timing, self._age(time, "command")
@@ -190,7 +190,7 @@ class Conditions:
             (Condition.COMMAND_STALE, timing.command_hold),
         ):
             if age > limit:
-                yield condition, f"no command for {_span(age)}, limit {limit:g} s"
+                yield condition, f"no command {_span(age)}, limit {limit:g} s"
 
     def _hardware_errors(self) -> Iterator[str]:
         """One line for each servo with error bits."""
@@ -203,4 +203,5 @@ class Conditions:
 
 
 def _span(age: float) -> str:
-    return "ever" if math.isinf(age) else f"{age:.3g} s"
+    """Time since the last message, in words."""
+    return "since the start" if math.isinf(age) else f"for {age:.3g} s"

@@ -1,4 +1,4 @@
-"""What whatever drives the servos reports of them."""
+"""Health report of the servos: from the driver, or from simulated servos."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from slot_core.safety.command_gate import Action
 
 @dataclass(frozen=True)
 class ServoHealth:
-    """State of the servos and what they do with commands; arrays (4,) in the order of LEGS."""
+    """State of the servos and their action on commands; arrays (4,) in the order of LEGS."""
 
     action: Action
-    reason: str  # why not PASS, or ""
+    reason: str  # why the action is not PASS, or ""
     torque: NDArray[np.bool_]  # as read back
     silence: Array  # s since the last answer; inf: never answered
-    goal: Array  # rad, what the servos were sent last
+    goal: Array  # rad, tendon angles sent to the servos last
     slewed: NDArray[np.bool_]  # whether the rate limit held the goal back
     hardware_error: NDArray[np.int64]  # register 70 of the XL430-W250
     temperature: Array  # degC; NaN: not known
@@ -36,7 +36,7 @@ def sound_servos(
     goal: Array,
     slewed: NDArray[np.bool_] | None = None,
 ) -> ServoHealth:
-    """The health of servos that cannot fail: simulated ones without a bus."""
+    """Health of servos without faults: simulated ones without a bus."""
     count = len(LEGS)
     return ServoHealth(
         action=action,

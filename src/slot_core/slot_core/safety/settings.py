@@ -1,4 +1,4 @@
-"""Settings of the supervisor, `config/supervisor.yaml`, and those that it sends to the servos."""
+"""Settings of the supervisor (`config/supervisor.yaml`), and the limits it sends to the servos."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from slot_core.config import ConfigError, flag, quantity, text
 
 @dataclass(frozen=True)
 class Timing:
-    """How long each input may be missing."""
+    """Time limits of inputs and transitions."""
 
     command_hold: float = quantity("time without a command that ends in HOLD", "s", 0.01, 1)
     command_lost: float = quantity("time without a command that ends in RELAX", "s", 0.05, 5)
@@ -20,12 +20,12 @@ class Timing:
     heartbeat: float = quantity("time without a message of a node", "s", 0.05, 10)
     estop: float = quantity("time without a message of the e-stop's source", "s", 0.05, 2)
     servo_silent: float = quantity("time without an answer of a servo", "s", 0.05, 2)
-    torque_change: float = quantity("for the driver to switch torque on or off", "s", 0.05, 5)
+    torque_change: float = quantity("time for the driver to switch torque on or off", "s", 0.05, 5)
 
 
 @dataclass(frozen=True)
 class EstimateLimits:
-    """When the state estimate is lost."""
+    """Limits of the state estimate."""
 
     coast_cycles: int = quantity("unusable estimates in a row that are accepted", "", 0, 30)
     silence: float = quantity("time without an estimate", "s", 0.01, 5)
@@ -34,26 +34,26 @@ class EstimateLimits:
 
 @dataclass(frozen=True)
 class SolverLimits:
-    """When the MPC has failed for too long."""
+    """Limits of the MPC."""
 
     fallback_cycles: int = quantity("cycles in a row without a solution", "", 0, 1000)
 
 
 @dataclass(frozen=True)
 class AngleLimits:
-    """What a servo may report."""
+    """Limits of the measured angles before torque comes on."""
 
     angle_tolerance: float = quantity("measured angle beyond the range", "rad", 0, 0.5)
 
 
 @dataclass(frozen=True)
 class GateSettings:
-    """How fast the goals of the servos may move."""
+    """Rate limits of the servos' goals, and the ramp to slack."""
 
     rate_max: float = quantity("rate while walking", "rad/s", 1, 200)
     burst: float = quantity("unused time that a step may use at once", "s", 1e-3, 0.2)
     approach_rate: float = quantity("rate while standing and right after a HOLD", "rad/s", 0.1, 6)
-    resume_time: float = quantity("from approach_rate to rate_max while walking", "s", 0.01, 10)
+    resume_time: float = quantity("time from approach_rate to rate_max", "s", 0.01, 10)
     relax_rate: float = quantity("rate of the ramp to slack", "rad/s", 0.1, 20)
     relax_time: float = quantity("duration after which torque goes off", "s", 0.1, 10)
 
@@ -69,7 +69,7 @@ class GateSettings:
 
 @dataclass(frozen=True)
 class ServoLimits:
-    """Limits of whatever drives the servos; the supervisor sends them on `/servo_limits`."""
+    """Limits of the servos' command watchdog; the supervisor sends them on `/servo_limits`."""
 
     gate: GateSettings
     command_hold: float = quantity("time without a command that ends in HOLD", "s", 0.01, 1)
@@ -80,14 +80,14 @@ class ServoLimits:
 
 @dataclass(frozen=True)
 class TendonLimits:
-    """When a tendon counts as slack or broken."""
+    """Limits beyond which a tendon counts as slack or broken."""
 
-    slack_max: float = quantity("slack inferred from the load, beside the usual", "m", 1e-4, 0.05)
+    slack_max: float = quantity("extra length, inferred from the load", "m", 1e-4, 0.05)
     window_min: float = quantity("shortest time of the mean; else a stride", "s", 0.1, 10)
     confirm: float = quantity("how long the slack has to last", "s", 0, 5)
     sample_gap: float = quantity("gap between two readings that restarts the mean", "s", 1e-3, 1)
     stiffness_min: float = quantity("least d torque / d angle to divide by", "N m/rad", 1e-3, 10)
-    share: float = quantity("of the largest slack, for another leg to be named", "", 0, 1)
+    share: float = quantity("share of the largest slack for another leg to be named", "", 0, 1)
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class SupervisorSettings:
 
     @property
     def servo_limits(self) -> ServoLimits:
-        """The part that whatever drives the servos has to keep."""
+        """Limits that the servos' command watchdog keeps."""
         timing = self.timing
         return ServoLimits(
             command_hold=timing.command_hold,

@@ -15,7 +15,7 @@ class StartUp:
     def request_next(self, supervisor: Supervisor, now: int) -> str:
         """Make the next request at `now` (ns); returns why it is refused, or "".
 
-        The sequence ends as soon as the robot has gone slack for a reason: from then on only the
+        The sequence ends when the robot enters RELAX, ESTOP or FAULT; from then on only the
         operator makes requests.
         """
         if supervisor.state in RELEASED:

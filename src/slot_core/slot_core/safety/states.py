@@ -41,7 +41,7 @@ from slot_core.safety.command_gate import Action
 
 
 class State(enum.IntEnum):
-    """What the robot may do."""
+    """State of the robot, which decides what the servos may do."""
 
     IDLE = 0  # torque off
     READY = 1  # under torque, without motion
@@ -53,12 +53,12 @@ class State(enum.IntEnum):
     FAULT = 7  # torque off, until reset
 
 
-# Where the tendons are slack, or become so, for a reason.
+# Tendons are slack, or become slack, because of a request or a fault.
 RELEASED = (State.RELAX, State.ESTOP, State.FAULT)
 
 
 class Condition(enum.Enum):
-    """Causes of transitions, the most urgent first."""
+    """Causes of transitions, in the order of urgency."""
 
     ESTOP_PRESSED = "e-stop pressed"
     ESTOP_LOST = "e-stop source lost"

@@ -1,10 +1,10 @@
 """The supervisor: state of the robot, its reason, and what the servos are permitted to do.
 
 States and transitions are data (`states.py`). Conditions that forbid motion come from
-`conditions.py`, damaged tendons from `tendon_watch.py`. The commands themselves pass the gate of
-whatever drives the servos (`command_watchdog.py`), which reports back (`servo_health.py`).
+`conditions.py`, damaged tendons from `tendon_watch.py`. Commands do not pass through here: the
+driver and simulated servos check them (`command_watchdog.py`) and report back (`servo_health.py`).
 Every input and `step` carry the present time `now` (ns) of one clock, that of the messages' stamps.
-Nothing raises for bad data: it is rejected, and then counts as missing.
+Bad data raise no exception: they are rejected, and then count as missing.
 """
 
 from __future__ import annotations
@@ -70,11 +70,11 @@ class Report:
     reason: str  # of the last transition, one line with value and limit
     since: int  # ns of `now` at the last transition
     warnings: tuple[str, ...]  # conditions that forbid motion now, one line each
-    slack: Array  # (4,) m, of the tendons beside the usual; NaN where not known
+    slack: Array  # (4,) m, extra length of the tendons, inferred from the load; NaN: unknown
 
 
 class SteadyClock:
-    """Time that never goes back; a jump of the clock adds no time to it."""
+    """Time that never goes back; a jump of the clock adds nothing to it."""
 
     def __init__(self, jump: float):
         self._jump = round(jump * SECOND)
@@ -94,7 +94,7 @@ class SteadyClock:
 
 
 class Supervisor:
-    """The state machine; inputs are `receive_...` and `request`, the output is that of `step`."""
+    """State machine; inputs: `receive_...` and `request`, output: result of `step`."""
 
     def __init__(self, robot: Robot, settings: SupervisorSettings, watch: TendonWatch):
         """Raises ConfigError when the ramp to slack takes longer than `gate.relax_time`."""
@@ -107,13 +107,13 @@ class Supervisor:
         self._state, self._reason, self._since = State.IDLE, "started", 0
         self._resume = State.STANDING  # state after HOLD
         self._entered = 0  # steady time of the last transition
-        self._powered = 0  # steady time of the last READY
-        self._clear: int | None = None  # steady time since which there is no reason to hold
+        self._ready_since = 0  # steady time of the last READY
+        self._clear_since: int | None = None  # steady time since which there is no reason to hold
         self._faulty = False  # whether RELAX ends in FAULT
-        self._command = np.zeros(len(LEGS))  # rad, the last accepted
+        self._command = np.zeros(len(LEGS))  # rad, last accepted
         self._servo_angle = np.full(len(LEGS), np.nan)
         self._height = np.full(len(LEGS), np.nan)  # m, of the clamps
-        self._estimated = 0  # steady time of the estimate that they are from
+        self._estimated = 0  # steady time of the estimate they were computed from
         self._stride = settings.tendon.window_min  # s
         self._tendons: TendonReport = watch.state
 
@@ -123,36 +123,36 @@ class Supervisor:
         return self._state
 
     def receive_heartbeat(self, now: int, node: str) -> None:
-        """A message of one of `settings.nodes` has come."""
-        self._inputs.receive_heartbeat(self._pass(now), node)
+        """A message of one of `settings.nodes`."""
+        self._inputs.receive_heartbeat(self._advance(now), node)
 
     def receive_estop(self, now: int, pressed: bool) -> None:
         """State of the e-stop, which its source repeats within `timing.estop`."""
-        self._inputs.receive_estop(self._pass(now), pressed)
+        self._inputs.receive_estop(self._advance(now), pressed)
 
     def receive_gait(self, now: int, stride: float) -> None:
         """Period of the present gait, s."""
-        self._pass(now)
+        self._advance(now)
         if np.isfinite(stride) and stride > 0.0:
             self._stride = float(stride)
 
     def receive_solver(self, now: int, status: int, fallback_cycles: int) -> None:
         """Status of a cycle of the MPC (`mpc.Status`), and cycles since the last solution."""
-        self._pass(now)
+        self._advance(now)
         self._inputs.receive_solver(status, fallback_cycles)
 
     def receive_estimate(self, now: int, estimate: Estimate) -> None:
         """Estimate of the torso's state, usable or not."""
-        time = self._pass(now)
-        if self._refuse("estimate", now, estimate.stamp):
+        time = self._advance(now)
+        if self._stamp_fault("estimate", now, estimate.stamp):
             return
         self._inputs.receive_estimate(time, estimate)
         self._height, self._estimated = self._clamp_heights(estimate.state), time
 
     def receive_command(self, now: int, stamp: int, angle: Array) -> str:
         """Tendon angles (4,), rad, of the controller; returns why they are rejected, or ""."""
-        time = self._pass(now)
-        if fault := self._refuse("command", now, stamp):
+        time = self._advance(now)
+        if fault := self._stamp_fault("command", now, stamp):
             return fault
         fault = command_fault(angle, 0.0, self._robot.tendon.angle_max)
         if not fault:
@@ -162,55 +162,52 @@ class Supervisor:
 
     def receive_joints(self, now: int, stamp: int, angle: Array, torque: Array) -> None:
         """Tendon angles (4,), rad, and the servos' torques on them (4,), N m, at `stamp`."""
-        time = self._pass(now)
-        if self._refuse("joints", now, stamp):
+        time = self._advance(now)
+        if self._stamp_fault("joints", now, stamp):
             return
         self._inputs.receive_joints(time - max(now - stamp, 0), angle, torque)
         self._servo_angle = np.array(angle, dtype=np.float64)
-        if self._strides(time):
+        if self._follows_gait(time):
             self._tendons = self._watch.observe(stamp, angle, torque, self._height, self._stride)
 
     def receive_health(self, now: int, stamp: int, health: ServoHealth) -> None:
-        """Health of the servos at `stamp`, from whatever drives them."""
-        time = self._pass(now)
-        if not self._refuse("servo health", now, stamp):
+        """Health of the servos at `stamp`, from the driver or from simulated servos."""
+        time = self._advance(now)
+        if not self._stamp_fault("servo health", now, stamp):
             self._inputs.receive_health(time - max(now - stamp, 0), health)
 
     def request(self, now: int, request: Request, by: str = "the operator") -> str:
-        """Request a transition, made at once; returns why it is refused, or "".
+        """Make a transition at once on request; returns why it is refused, or "".
 
-        STAND in HOLD is granted for the time after it: the robot then stands instead of walking on.
+        STAND in HOLD is granted and applies when HOLD ends: the robot then stands.
         """
-        time = self._pass(now)
+        time = self._advance(now)
         before, condition = self._state, request.value
         active = self._conditions(time)
         if request is Request.STAND and before is State.HOLD:
             self._resume = State.STANDING
             return ""
         if next_state(before, condition) is before:
-            return (
-                ""
-                if self._is_there(request)
-                else f"{request.name} changes nothing in {before.name}"
-            )
-        against = [text for c, text in active.items() if c in FORBIDDEN_BY[request]]
-        if not against:
-            against = self._hindrances(request)
-        if against:
-            return f"{request.name} refused in {before.name}: {against[0]}"
-        self._go(now, time, condition, f"{condition.value} by {by}")
+            no_change = f"{request.name} changes nothing in {before.name}"
+            return "" if self._reached(request) else no_change
+        reasons = [text for c, text in active.items() if c in FORBIDDEN_BY[request]]
+        if not reasons:
+            reasons = self._further_reasons(request)
+        if reasons:
+            return f"{request.name} refused in {before.name}: {reasons[0]}"
+        self._transition(now, time, condition, f"{condition.value} by {by}")
         return ""
 
     def step(self, now: int) -> Report:
         """Make the transition that the present conditions call for, if any."""
-        time = self._pass(now)
+        time = self._advance(now)
         active = self._conditions(time)
         self._clock.jumped = ""
         if self._state is State.RELAX and not HARD_FAULTS.isdisjoint(active):
             self._faulty = True
         for condition in Condition:
             if condition in active and next_state(self._state, condition) is not self._state:
-                self._go(now, time, condition, active[condition])
+                self._transition(now, time, condition, active[condition])
                 break
         warnings = [text for c, text in active.items() if c in REASONS_TO_HOLD | FAULTS]
         warnings += self._wrong_clock.values()
@@ -226,7 +223,7 @@ class Supervisor:
             slack=self._tendons.slack,
         )
 
-    def _pass(self, now: int) -> int:
+    def _advance(self, now: int) -> int:
         """Steady time at `now`; after a jump every stamp counts as newer."""
         time = self._clock.advance(now)
         self._since = self._since or now
@@ -234,13 +231,14 @@ class Supervisor:
             self._newest.clear()
         return time
 
-    def _refuse(self, source: str, now: int, stamp: int) -> str:
+    def _stamp_fault(self, source: str, now: int, stamp: int) -> str:
         """Why a stamp is rejected: of another clock, or not newer than the last; or ""."""
         limit = self._settings.timing.clock_jump
-        off = (stamp - now) / SECOND
-        if abs(off) > limit:
-            self._wrong_clock[source] = f"{source} stamped {off:+.3g} s from now, limit {limit:g} s"
-            return self._wrong_clock[source]
+        ahead = (stamp - now) / SECOND
+        if abs(ahead) > limit:
+            fault = f"{source} stamped {ahead:+.3g} s from now, limit {limit:g} s"
+            self._wrong_clock[source] = fault
+            return fault
         self._wrong_clock.pop(source, None)
         if stamp <= self._newest.get(source, stamp - 1):
             return f"{source} is not newer than the last"
@@ -248,13 +246,13 @@ class Supervisor:
         return ""
 
     def _conditions(self, time: int) -> dict[Condition, str]:
-        """Everything that holds now, with its reason."""
+        """Every condition that holds now, with its reason."""
         found = self._inputs.conditions(time)
         if self._clock.jumped:
             found[Condition.CLOCK_JUMPED] = self._clock.jumped
         if self._tendons.damaged.any():
             found[Condition.TENDON_DAMAGED] = self._tendons.message
-        if reason := self._disobedience(time):
+        if reason := self._torque_missing(time):
             found.setdefault(Condition.SERVO_FAULT, reason)
         if self._state is State.HOLD:
             self._end_hold(time, found)
@@ -262,24 +260,26 @@ class Supervisor:
             self._end_relax(time, found)
         return found
 
-    def _strides(self, time: int) -> bool:
+    def _follows_gait(self, time: int) -> bool:
         """Whether the legs follow the gait and the torso's height is known.
 
-        Not while they catch up after a HOLD, nor while estimates are missing.
+        False for `resume_time` after a HOLD, and while estimates are missing.
         """
-        moving = time - self._entered > self._settings.gate.resume_time * SECOND
+        following = time - self._entered > self._settings.gate.resume_time * SECOND
         known = time - self._estimated <= 0.5 * self._settings.estimate.silence * SECOND
-        return self._state in MOVING and moving and known
+        return self._state in MOVING and following and known
 
-    def _disobedience(self, time: int) -> str:
-        """Why the servos are slack although they have had time to switch torque on, or ""."""
-        late = time - self._powered > self._settings.timing.torque_change * SECOND
-        return self._inputs.released() if self._state in UNDER_TORQUE and late else ""
+    def _torque_missing(self, time: int) -> str:
+        """Why the servos have no torque after the time to switch it on, or ""."""
+        overdue = time - self._ready_since > self._settings.timing.torque_change * SECOND
+        if self._state in UNDER_TORQUE and overdue:
+            return self._inputs.release_reason()
+        return ""
 
     def _end_relax(self, time: int, found: dict[Condition, str]) -> None:
         """Add the condition that ends RELAX: torque off, as the servos report it.
 
-        Without such a report RELAX ends in FAULT once the servos' own rules must have ended it.
+        Without such a report RELAX ends in FAULT after `relax_time` and `torque_change`.
         """
         if self._inputs.torque_off(self._entered):
             ending = Condition.RELAXED_AFTER_FAULT if self._faulty else Condition.RELAXED
@@ -287,27 +287,27 @@ class Supervisor:
             return
         limit = self._settings.gate.relax_time + self._settings.timing.torque_change
         if (time - self._entered) / SECOND > limit:
-            why = f"torque off not confirmed within {limit:.3g} s, after: {self._reason}"
-            found[Condition.RELAXED_AFTER_FAULT] = why
+            reason = f"torque off not confirmed within {limit:.3g} s, after: {self._reason}"
+            found[Condition.RELAXED_AFTER_FAULT] = reason
 
     def _end_hold(self, time: int, found: dict[Condition, str]) -> None:
         """Add the condition that ends HOLD."""
         timing = self._settings.timing
         held = (time - self._entered) / SECOND
         if held > timing.hold_max:
-            why = f"held for {held:.3g} s, limit {timing.hold_max:g} s, since: {self._reason}"
-            found[Condition.HELD_TOO_LONG] = why
+            reason = f"held for {held:.3g} s, limit {timing.hold_max:g} s, since: {self._reason}"
+            found[Condition.HELD_TOO_LONG] = reason
         if not REASONS_TO_HOLD.isdisjoint(found):
-            self._clear = None
+            self._clear_since = None
             return
-        self._clear = time if self._clear is None else self._clear
-        if time - self._clear >= timing.recovery * SECOND:
-            walked = self._resume is State.WALKING
-            back = Condition.WALKING_RECOVERED if walked else Condition.STANDING_RECOVERED
-            found[back] = f"no reason to hold for {timing.recovery:g} s, after: {self._reason}"
+        self._clear_since = time if self._clear_since is None else self._clear_since
+        if time - self._clear_since >= timing.recovery * SECOND:
+            walks = self._resume is State.WALKING
+            recovered = Condition.WALKING_RECOVERED if walks else Condition.STANDING_RECOVERED
+            found[recovered] = f"no reason to hold for {timing.recovery:g} s, after: {self._reason}"
 
-    def _is_there(self, request: Request) -> bool:
-        """Whether the robot is in a state that `request` leads to."""
+    def _reached(self, request: Request) -> bool:
+        """Whether the robot is in a state that `request` leads to already."""
         goals = {
             Request.READY: (State.READY,),
             Request.STAND: (State.STANDING,),
@@ -318,34 +318,35 @@ class Supervisor:
         }
         return self._state in goals[request]
 
-    def _hindrances(self, request: Request) -> list[str]:
-        """Reasons to refuse a request that are no conditions, one line each."""
+    def _further_reasons(self, request: Request) -> list[str]:
+        """Reasons to refuse a request that are not conditions, one line each."""
         if request is Request.READY:
-            return self._misplaced()
-        if request is Request.STAND and (without := self._inputs.unpowered()):
-            return without
+            return self._angles_out_of_range()
+        if request is Request.STAND and (unpowered := self._inputs.unpowered()):
+            return unpowered
         limit, distance = self._settings.arrived, self._inputs.distance(self._command)
         if request is Request.WALK and distance > limit:
             return [f"the legs are {distance:.3g} rad from their command, limit {limit:g} rad"]
         return []
 
-    def _misplaced(self) -> list[str]:
-        """Servos whose angle is outside the range, which means a wrong zero; one line each."""
-        most, slop = self._robot.tendon.angle_max, self._settings.servo.angle_tolerance
+    def _angles_out_of_range(self) -> list[str]:
+        """Servos whose angle is outside the range (a wrong zero), one line each."""
+        largest, tolerance = self._robot.tendon.angle_max, self._settings.servo.angle_tolerance
         return [
-            f"servo {leg} at {angle:.3g} rad, limits [{-slop:.3g}, {most + slop:.3g}]"
+            f"servo {leg} at {angle:.3g} rad, limits [{-tolerance:.3g}, {largest + tolerance:.3g}]"
             for leg, angle in zip(LEGS, self._servo_angle)
-            if not -slop <= angle <= most + slop
+            if not -tolerance <= angle <= largest + tolerance
         ]
 
-    def _go(self, now: int, time: int, condition: Condition, reason: str) -> None:
+    def _transition(self, now: int, time: int, condition: Condition, reason: str) -> None:
+        """Make the transition of `condition`."""
         before, after = self._state, next_state(self._state, condition)
         self._state, self._reason, self._since = after, reason, now
-        self._entered, self._clear = time, None
+        self._entered, self._clear_since = time, None
         if after is State.HOLD:
             self._resume = before
         elif after is State.READY:
-            self._powered = time
+            self._ready_since = time
             self._watch.reset()
             self._tendons = self._watch.state
         elif after is State.RELAX:

@@ -1,4 +1,4 @@
-"""Slack and broken tendons, from the torque on a servo against its angle.
+"""Detection of slack and broken tendons, from servo torque and tendon angle.
 
 The tabulated leg (`config/leg_map.csv`) says which torque tau_0(theta, h) holds a leg at tendon
 angle theta with its clamp at height h. A tendon longer by s behaves like a spool turned back by
@@ -10,8 +10,8 @@ gives s. The mean over a whole stride cancels what the statics leave out: inerti
 change of direction of the friction. A damaged tendon changes the load on its neighbours, so the leg
 with the largest slack is named, and another leg only if its slack is a large share of that.
 
-Not detected: a tendon whose angle needs hardly any tension (below some 20 deg), and a leg that is
-lifted by hand while the torso's height says that it stands.
+Not detected: a tendon at an angle that needs hardly any tension (below some 20 deg), and a leg
+lifted by hand while the torso's height is that of a standing robot.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from slot_core.safety.settings import TendonLimits
 
 
 class TendonLoad:
-    """Torque that holds a leg, and its slope, bilinear in tendon angle and clamp height."""
+    """Static torque of a leg and its slope, bilinear in tendon angle and clamp height."""
 
     def __init__(self, statics: LegTable, spool_radius: float):
         """`statics` with the one column of tension (N)."""
@@ -38,14 +38,14 @@ class TendonLoad:
         slope = np.gradient(torque, statics.angle, axis=0)
         self._low = np.array([statics.angle[0], statics.height[0]])
         self._high = np.array([statics.angle[-1], statics.height[-1]])
-        both = np.stack([torque, slope], axis=-1)
-        self._interpolate = RegularGridInterpolator((statics.angle, statics.height), both)
+        columns = np.stack([torque, slope], axis=-1)
+        self._interpolate = RegularGridInterpolator((statics.angle, statics.height), columns)
 
     def __call__(self, angle: Array, height: Array) -> tuple[Array, Array]:
-        """N m and N m/rad at angles (n,), rad, and heights (n,), m; at the edge beyond the map."""
+        """N m and N m/rad at angles (n,), rad, and heights (n,), m; clipped to the table."""
         points = np.clip(np.column_stack([angle, height]), self._low, self._high)
-        both = self._interpolate(points)
-        return both[:, 0], both[:, 1]
+        columns = self._interpolate(points)
+        return columns[:, 0], columns[:, 1]
 
 
 @dataclass(frozen=True)
@@ -54,11 +54,11 @@ class TendonReport:
 
     slack: Array  # (4,) m, NaN before the first stride
     damaged: NDArray[np.bool_]  # (4,) since the last reset
-    message: str  # one line for the legs that are damaged, or ""
+    message: str  # one line that names the damaged legs, or ""
 
 
 class TendonWatch:
-    """Means over a stride of the servos' torques and of those that the table gives."""
+    """Means over a stride of measured and tabulated torques, and the alarms from them."""
 
     def __init__(self, load: TendonLoad, spool_radius: float, limits: TendonLimits):
         self._load, self._radius, self._limits = load, spool_radius, limits
@@ -67,11 +67,11 @@ class TendonWatch:
     def reset(self) -> None:
         """Discard all readings and alarms."""
         self._damaged = np.zeros(len(LEGS), dtype=bool)
-        self._named: dict[str, float] = {}  # m, slack at which a leg was named
+        self._named: dict[str, float] = {}  # m, slack of a leg at its alarm
         self.pause()
 
     def pause(self) -> None:
-        """Discard the readings: those that follow belong to another motion."""
+        """Discard the readings, but not the alarms."""
         self._stamps: deque[int] = deque()
         self._rows: deque[Array] = deque()
         self._slack = np.full(len(LEGS), np.nan)
@@ -90,11 +90,11 @@ class TendonWatch:
             return self.state
         if self._stamps and stamp - self._stamps[-1] > self._limits.sample_gap * SECOND:
             self.pause()
-        should, slope = self._load(values[0], values[2])
-        self._keep(stamp, np.array([should - values[1], slope]))
+        expected, slope = self._load(values[0], values[2])
+        self._append(stamp, np.array([expected - values[1], slope]))
         window = max(stride, self._limits.window_min)
         if self._trim(stamp, window):
-            self._judge(stamp)
+            self._evaluate(stamp)
         return self.state
 
     @property
@@ -102,12 +102,12 @@ class TendonWatch:
         """Slack and alarms at present."""
         return TendonReport(self._slack.copy(), self._damaged.copy(), self._message())
 
-    def _keep(self, stamp: int, row: Array) -> None:
+    def _append(self, stamp: int, row: Array) -> None:
         self._stamps.append(stamp)
         self._rows.append(row)
 
     def _trim(self, stamp: int, window: float) -> bool:
-        """Drop readings older than the window; whether the rest fills it."""
+        """Drop readings older than the window; returns whether the rest fills it."""
         full = False
         while stamp - self._stamps[0] >= window * SECOND:
             self._stamps.popleft()
@@ -115,7 +115,8 @@ class TendonWatch:
             full = True
         return full
 
-    def _judge(self, stamp: int) -> None:
+    def _evaluate(self, stamp: int) -> None:
+        """Compute the slack from the means; set an alarm once it has lasted for `confirm`."""
         missing, slope = np.mean(np.array(self._rows), axis=0)
         self._slack = self._radius * missing / np.maximum(slope, self._limits.stiffness_min)
         over = self._slack > self._limits.slack_max
@@ -126,13 +127,13 @@ class TendonWatch:
             self._over_since = stamp
         if stamp - self._over_since < self._limits.confirm * SECOND:
             return
-        overslack = over & (self._slack >= self._limits.share * self._slack.max())
-        for leg in np.flatnonzero(overslack & ~self._damaged):
+        damaged = over & (self._slack >= self._limits.share * self._slack.max())
+        for leg in np.flatnonzero(damaged & ~self._damaged):
             self._named[LEGS[leg]] = float(self._slack[leg])
-        self._damaged = self._damaged | overslack
+        self._damaged = self._damaged | damaged
 
     def _message(self) -> str:
-        """One line with names, values and limit, or ""."""
+        """One line with legs, values and limit, or ""."""
         if not self._named:
             return ""
         limit = 1e3 * self._limits.slack_max
@@ -141,6 +142,6 @@ class TendonWatch:
 
 
 def read_tendon_watch(robot: Robot, limits: TendonLimits) -> TendonWatch:
-    """The watch over the robot's tendons; raises ConfigError without the table of the leg."""
+    """The watch of the robot's tendons; raises ConfigError without `config/leg_map.csv`."""
     radius = robot.tendon.spool_radius
     return TendonWatch(TendonLoad(read_leg_table(("tension_N",)), radius), radius, limits)
