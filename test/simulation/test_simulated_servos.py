@@ -17,13 +17,12 @@ from slot_core.dynamixel.settings import read_settings
 from slot_core.emulator.emulated_bus import read_emulator
 from slot_core.robot import LEGS, read_robot
 from slot_core.safety.command_gate import Action
-from slot_core.safety.command_watchdog import Permission
+from slot_core.safety.command_watchdog import NO_LIMITS, Permission
 from slot_core.safety.settings import read_supervisor
 from slot_core.simulation.bus_plant import BusPlant
 from slot_core.simulation.plant import Plant
 from slot_core.simulation.simulated_servos import (
     CLOSE_TIMEOUT,
-    NO_LIMITS,
     BusServos,
     DirectServos,
     GuardedServos,

@@ -22,13 +22,12 @@ from slot_core.config import ConfigError
 from slot_core.emulator.pseudo_terminal import PseudoTerminal
 from slot_core.robot import LEGS, Array
 from slot_core.safety.command_gate import Action
-from slot_core.safety.command_watchdog import CommandWatchdog, Permission
+from slot_core.safety.command_watchdog import NO_LIMITS, CommandWatchdog, Permission
 from slot_core.safety.servo_health import ServoHealth, sound_servos
 from slot_core.safety.settings import ServoLimits
 from slot_core.simulation.bus_plant import BusPlant
 from slot_core.simulation.plant import Plant
 
-NO_LIMITS = "no limits of the supervisor yet"
 CLOSE_TIMEOUT = 3.0  # s, for the driver to switch the servos off
 BUS_SILENCE = 0.3  # s without a byte from the driver after which it has ended
 CLOSE_STEP = 0.002  # s, between two steps of the simulation while closing
