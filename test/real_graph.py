@@ -1,10 +1,12 @@
 """ROS domain and configuration of tests that start nodes as processes."""
 
+import functools
 import os
 import shutil
 from pathlib import Path
 
 import pytest
+import yaml
 
 DOMAINS = 100  # above 101 the ports of DDS lie in the range that Linux assigns dynamically
 
@@ -23,13 +25,20 @@ def domain():
 
 
 def changed_config(directory, changes):
-    """Copy config/ below `directory` and replace texts in it: {file: {before: after}}."""
+    """Copy config/ below `directory` and set values in it: {file: {dotted name: value}}.
+
+    Returns the path of the copy. A name that is not in the file fails.
+    """
     config = directory / "config"
     shutil.copytree(Path(__file__).parents[1] / "config", config)
-    for name, replaced in changes.items():
-        text = (config / name).read_text()
-        for before, after in replaced.items():
-            assert text.count(before) == 1, before
-            text = text.replace(before, after)
-        (config / name).write_text(text)
+    for file, values in changes.items():
+        path = config / f"{file}.yaml"
+        content = yaml.safe_load(path.read_text())
+        for name, value in values.items():
+            *parents, last = name.split(".")
+            mapping = functools.reduce(dict.__getitem__, parents, content)
+            assert last in mapping, f"{file}.yaml: {name} is not a setting"
+            mapping[last] = value
+        # one line per list, as `write_zero` expects
+        path.write_text(yaml.safe_dump(content, default_flow_style=None, width=1000))
     return config

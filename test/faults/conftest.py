@@ -1,4 +1,4 @@
-"""Fixtures for tests that harm a running graph."""
+"""Fixtures for tests that inject faults into a running graph."""
 
 import pytest
 from real_graph import domain  # noqa: F401 - a fixture
@@ -7,7 +7,7 @@ from rig import Rig
 
 @pytest.fixture(scope="module")
 def make_rig(tmp_path_factory):
-    """A function that makes rigs, whose nodes have all ended when the module has."""
+    """A function that makes rigs; their nodes end with the module."""
     made = []
 
     def make(**options):

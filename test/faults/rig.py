@@ -1,4 +1,4 @@
-"""A graph of processes to be harmed: started, heard, asked, and brought back to walking."""
+"""The running graph under test: processes, their messages and services, faults, recovery."""
 
 import contextlib
 import os
@@ -28,13 +28,13 @@ from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT
-from slot_core.safety.settings import SupervisorSettings
+from slot_core.safety.settings import SupervisorSettings, read_supervisor
 from slot_core.safety.states import State
 from slot_msgs.msg import LegStates, RobotState, ServoHealth
 from slot_msgs.srv import InjectFault
 from slot_nodes import qos
 
-PATIENCE = 60.0  # s that anything may take on a busy machine
+WAIT_LIMIT = 60.0  # s, of any wait on a busy machine
 TOPICS = {
     "/robot_state": (RobotState, qos.STATE),
     "/servo_health": (ServoHealth, qos.SENSOR),
@@ -45,45 +45,54 @@ TOPICS = {
     "/ground_truth/odom": (Odometry, qos.SENSOR),
     "/ground_truth/legs": (LegStates, qos.SENSOR),
 }
-# What leads towards WALKING from the states in which somebody has to ask.
-NEXT = {
+# Request that leads towards WALKING, by state.
+NEXT_REQUEST = {
     State.ESTOP: "reset", State.FAULT: "reset",
     State.IDLE: "ready", State.READY: "stand", State.STANDING: "walk",
 }  # fmt: skip
-# s, from a limit to the reaction: two periods of the supervisor (20 ms) or of a bus cycle, and how
-# long a busy machine lets a process wait.
+# s, from a limit to the reaction: two periods of the supervisor (20 ms) or of a bus cycle, and the
+# delay of a process on a busy machine.
 LATE = 0.5
-# counts that a servo gives way by where torque comes on: until then the friction of its gearbox has
-# held up to 0.1 of the stall torque (emulator.yaml), now a loop of p/128 of 885 steps a count does.
-SAG = 1 + 0.1 * 885 * 128 / read_settings().gains.p
-RAMP = 1.2  # s, the longest way to slack: relax_time of supervisor.yaml
-# A busy machine keeps processes waiting for longer than a robot may: limits that it keeps. What is
-# promised is that the limit is kept, whichever it is; `limits` has those that are in force.
+BUSY = 0.3  # s, delay of a reaction on a busy machine
+TICK = 0.033  # s, between two odometry readings
+JOINTS, GAINS = read_settings().joints, read_settings().gains
+# counts, largest motion under load when torque comes on: before, gearbox friction holds up to 0.1
+# of the stall torque (emulator.yaml); then the position loop, with p/128 of 885 steps a count.
+SAG = 1 + 0.1 * 885 * 128 / GAINS.p
+RAMP = read_supervisor().gate.relax_time  # s, longest ramp to slack
+SLOW_MPC = {"acceptance.time_budget": 0.2}  # s, on a busy machine
+# Time limits that also a busy machine keeps. The tests check that the limit in force is kept
+# (`Rig.limit`), whichever it is.
 PATIENT = {
-    "dynamixel.yaml": {"  timeout: 0.008": "  timeout: 0.05", "  watchdog: 0.1": "  watchdog: 1.0"},
-    "supervisor.yaml": {
-        "command_hold: 0.1": "command_hold: 0.5", "command_lost: 0.5": "command_lost: 2.0",
-        "clock_jump: 0.5": "clock_jump: 60.0", "heartbeat: 0.5": "heartbeat: 3.0",
-        "servo_silent: 0.5": "servo_silent: 2.0", "torque_change: 1.0": "torque_change: 2.0",
-        "coast_cycles: 3 ": "coast_cycles: 30 ", "sample_gap: 0.05": "sample_gap: 0.5",
-        "slack_max: 1.4e-3": "slack_max: 4.0e-3",
+    "dynamixel": {"bus.timeout": 0.05, "servo.watchdog": 1.0},
+    "supervisor": {
+        "timing.command_hold": 0.5,
+        "timing.command_lost": 2.0,
+        "timing.clock_jump": 60.0,
+        "timing.heartbeat": 3.0,
+        "timing.servo_silent": 2.0,
+        "timing.torque_change": 2.0,
+        "estimate.coast_cycles": 30,
+        "estimate.silence": 1.0,
+        "tendon.sample_gap": 0.5,
+        "tendon.slack_max": 4.0e-3,
     },
-    "mpc.yaml": {"time_budget: 0.02": "time_budget: 0.2"},
-}  # fmt: skip
+    "mpc": SLOW_MPC,
+}
 
 
 class Rig:
-    """A graph, and somebody who listens, asks and harms. Times are ns of the messages' clock."""
+    """A graph with its messages, requests and faults. Times are ns of the messages' clock."""
 
     def __init__(
         self, directory, config=PATIENT, parameters=None, remaps=None, only=None, **arguments
     ):
-        """`parameters` and `remaps` by node; `config`: changes as of `changed_config`;
-        `only` these nodes begin at once; `arguments` of the graph."""
+        """`config`: as for `changed_config`; `parameters` and `remaps`: by node; `only`: nodes to
+        start now, else all; `arguments`: of the graph."""
         self.directory = directory
         self.bus = directory / "bus"
         self.config = changed_config(directory, config)
-        self._more = {name: dict(values) for name, values in (parameters or {}).items()}
+        self._parameters = {name: dict(values) for name, values in (parameters or {}).items()}
         self._remaps = remaps or {}
         graph = read_graph()
         values = {a.name: a.default for a in graph.arguments} | {"hardware": "fake_bus"} | arguments
@@ -92,17 +101,18 @@ class Rig:
         self.specs = {spec.name: spec for spec in graph.nodes(values)}
         self.children = {}
         self._injected = set()  # (kind, leg)
-        self.heard = defaultdict(list)
+        self.messages = defaultdict(list)
         self.transitions = []  # (since, State, reason)
-        self._listen()
+        self._open_node()
         self.start(*(self.specs if only is None else only))
 
-    def _listen(self):
+    def _open_node(self):
+        """Subscribe to TOPICS, and receive in a thread."""
         self.context = Context()
         rclpy.init(args=[], context=self.context, signal_handler_options=SignalHandlerOptions.NO)
         self.node = rclpy.create_node("tester", context=self.context)
         for topic, (kind, profile) in TOPICS.items():
-            self.node.create_subscription(kind, topic, self.heard[topic].append, profile)
+            self.node.create_subscription(kind, topic, self.messages[topic].append, profile)
         self.node.create_subscription(RobotState, "/robot_state", self._on_state, qos.STATE)
         self._clients = {}
         self._executor = SingleThreadedExecutor(context=self.context)
@@ -114,9 +124,9 @@ class Rig:
         with contextlib.suppress(ExternalShutdownException):
             self._executor.spin()
 
-    def listen(self, topic, kind, profile):
-        """Hear one more topic."""
-        self.node.create_subscription(kind, topic, self.heard[topic].append, profile)
+    def subscribe(self, topic, kind, profile):
+        """Record one more topic."""
+        self.node.create_subscription(kind, topic, self.messages[topic].append, profile)
 
     def _on_state(self, message):
         now = (nanoseconds(message.since), State(message.state), message.reason)
@@ -124,12 +134,12 @@ class Rig:
             self.transitions.append(now)
 
     def start(self, *names, parameters=None, program=()):
-        """Start nodes, also again; `parameters` and another `program` for this time alone."""
+        """Start nodes, also again; `parameters` and another `program` for this start only."""
         environment = os.environ | {"SLOT_CONFIG": str(self.config)}
         for name in names:
             executable, *arguments = command_line(self.specs[name])
-            more = {**self._more.get(name, {}), **(parameters or {})}
-            options = [w for key, value in more.items() for w in ("-p", f"{key}:={value}")]
+            values = {**self._parameters.get(name, {}), **(parameters or {})}
+            options = [w for key, value in values.items() for w in ("-p", f"{key}:={value}")]
             remaps = [w for a, b in self._remaps.get(name, {}).items() for w in ("-r", f"{a}:={b}")]
             with self._log(name).open("ab") as log:
                 self.children[name] = subprocess.Popen(
@@ -139,8 +149,8 @@ class Rig:
                 )  # fmt: skip
 
     def kill(self, name):
-        """SIGKILL, and nothing left of the node; returns the time before it."""
-        begin = self.send(name, signal.SIGKILL)
+        """SIGKILL, and wait for the end; returns the time before the signal."""
+        begin = self.send_signal(name, signal.SIGKILL)
         self.exit_code(name)
         return begin
 
@@ -148,45 +158,45 @@ class Rig:
         return self.directory / f"{name}.log"
 
     def log(self, name):
-        """What a node has written so far."""
+        """Output of a node so far."""
         log = self._log(name)
         return log.read_text(errors="replace") if log.exists() else ""
 
     def log_lines(self, name):
-        """The same by lines."""
+        """Output of a node so far, by lines."""
         return self.log(name).splitlines()
 
-    def send(self, name, number):
-        """A signal to a node; returns the time before it."""
+    def send_signal(self, name, number):
+        """Send a signal to a node; returns the time before it."""
         now = self.now()
         self.children[name].send_signal(number)
         return now
 
-    def exit_code(self, name, limit=PATIENCE):
-        """Of a node that ends by itself."""
+    def exit_code(self, name, limit=WAIT_LIMIT):
+        """Exit code of a node; waits until it ends by itself."""
         return self.children[name].wait(limit)
 
     def now(self):
-        """Time of the messages' stamps."""
+        """Present time of the messages' clock."""
         return time.time_ns()
 
-    def wait_for(self, condition, limit=PATIENCE, what="waited in vain"):
-        """Wait until a condition holds, at most `limit` s; returns what it gave."""
+    def wait_for(self, condition, limit=WAIT_LIMIT, what="condition not met"):
+        """Wait until a condition is true, at most `limit` s; returns its value."""
         end = time.monotonic() + limit
-        while not (got := condition()):
-            assert time.monotonic() < end, f"{what}: {self.story()}"
+        while not (value := condition()):
+            assert time.monotonic() < end, f"{what}: {self.recent_events()}"
             time.sleep(0.01)
-        return got
+        return value
 
-    def story(self):
-        """What happened, for somebody who wonders why."""
+    def recent_events(self):
+        """Last transitions and the ends of all logs, for the message of a failure."""
         logs = {name: self.log(name)[-2000:] for name in self.children}
         return "\n".join(
             [*map(str, self.transitions[-12:]), *(f"{n}:\n{t}" for n, t in logs.items())]
         )
 
     def call(self, kind, service, /, **request):
-        """The answer of a service."""
+        """Call a service; returns its answer."""
         if service not in self._clients:
             self._clients[service] = self.node.create_client(kind, service)
         client = self._clients[service]
@@ -195,12 +205,12 @@ class Rig:
         self.wait_for(answer.done, what=f"no answer of {service}")
         return answer.result()
 
-    def ask(self, request):
-        """Why the supervisor refuses a request, or ""."""
-        return self.call(Trigger, f"/supervisor/{request}").message
+    def request(self, name):
+        """Make a request to the supervisor; returns why it is refused, or ""."""
+        return self.call(Trigger, f"/supervisor/{name}").message
 
     def inject(self, kind, leg="all", clear=False, **values):
-        """Let the simulated robot have a fault; returns the time before it."""
+        """Inject a fault into the simulated robot, or clear it; returns the time before it."""
         now = self.now()
         answer = self.call(
             InjectFault, "/sim_robot/inject", kind=kind, leg=leg, clear=clear, **values
@@ -209,8 +219,8 @@ class Rig:
         self._injected = {*self._injected, (kind, leg)} - ({(kind, leg)} if clear else set())
         return now
 
-    def heal(self):
-        """Take back what a test has left: faults, and nodes that are stopped."""
+    def restore(self):
+        """Clear the faults that a test has injected, and continue stopped nodes."""
         for kind, leg in self._injected:
             self.call(InjectFault, "/sim_robot/inject", kind=kind, leg=leg, clear=True)
         self._injected = set()
@@ -220,28 +230,28 @@ class Rig:
 
     @property
     def state(self):
-        """The supervisor's, as heard last."""
+        """State of the supervisor in its newest message; None without one."""
         return self.transitions[-1][1] if self.transitions else None
 
     def last(self, topic):
-        """The newest message of a topic."""
-        return self.heard[topic][-1]
+        """Newest message of a topic."""
+        return self.messages[topic][-1]
 
     def since(self, topic, time):
         """Messages of a topic stamped at or after a time."""
-        return [message for message in list(self.heard[topic]) if decode.stamp(message) >= time]
+        return [message for message in list(self.messages[topic]) if decode.stamp(message) >= time]
 
-    def supervisor(self):
-        """The settings of supervisor.yaml that are in force."""
+    def supervisor_settings(self):
+        """Settings of supervisor.yaml in force."""
         values = yaml.safe_load((self.config / "supervisor.yaml").read_text())
         return build(SupervisorSettings, values, "supervisor.yaml")
 
     def limit(self, name):
-        """A limit of `timing` in supervisor.yaml that is in force, s."""
-        return getattr(self.supervisor().timing, name)
+        """Limit of `timing` in supervisor.yaml in force, s."""
+        return getattr(self.supervisor_settings().timing, name)
 
-    def reached(self, state, time, limit=PATIENCE):
-        """(since, reason) of the first transition to a state after a time; waits for it."""
+    def wait_for_state(self, state, time, limit=WAIT_LIMIT):
+        """Wait for a transition to `state` at or after `time`; returns (since, reason)."""
 
         def found():
             later = (t for t in list(self.transitions) if t[0] >= time and t[1] is state)
@@ -249,16 +259,16 @@ class Rig:
 
         return self.wait_for(found, limit, f"never {state.name}")
 
-    def slack(self, time):
-        """The first report after a time that torque is off at every servo; waits for it."""
+    def wait_for_torque_off(self, time):
+        """Wait for a health report since `time` with every torque off; returns the first."""
         found = self.wait_for(
             lambda: [m for m in self.since("/servo_health", time) if not any(m.torque)],
             what="torque stays on",
         )
         return found[0]
 
-    def rest(self):
-        """Wait until the servos have not moved for half a second; returns their angles, rad."""
+    def wait_for_rest(self):
+        """Wait until no servo has moved for half a second; returns the tendon angles, rad."""
         begin = self.now()
 
         def still():
@@ -269,13 +279,13 @@ class Rig:
         return np.array(self.last("/joint_states").position)
 
     def moved(self, before, time):
-        """Least and largest way of any servo from where it was, since a time, counts."""
+        """Least and largest distance of any servo from `before` (rad) since `time`, counts."""
         angles = [message.position for message in self.since("/joint_states", time)]
-        ways = (np.array(angles) - before) / RAD_PER_COUNT
-        return ways.min(), ways.max()
+        distances = (np.array(angles) - before) / RAD_PER_COUNT
+        return distances.min(), distances.max()
 
     def registers(self, name):
-        """A register of every servo, while no driver is there."""
+        """A register of every servo; the driver must have ended."""
         settings = read_settings()
         port = SerialPort(str(self.bus), settings.bus.baud, 0.5)
         port.open()
@@ -285,24 +295,24 @@ class Rig:
         finally:
             port.close()
 
-    def walk(self, limit=PATIENCE):
-        """Bring the robot to WALKING, from wherever it is, as an operator would."""
+    def walk(self, limit=WAIT_LIMIT):
+        """Bring the robot to WALKING from any state, by the requests of an operator."""
         end = time.monotonic() + limit
         refusal = ""
         while self.state is not State.WALKING:
-            assert time.monotonic() < end, f"{refusal}: {self.story()}"
-            if self.state in NEXT:
-                refusal = self.ask(NEXT[self.state])
+            assert time.monotonic() < end, f"{refusal}: {self.recent_events()}"
+            if self.state in NEXT_REQUEST:
+                refusal = self.request(NEXT_REQUEST[self.state])
             time.sleep(0.05)
 
     def stop(self, name):
-        """Interrupt a node, unless it has ended, and wait for its end."""
+        """Interrupt a node unless it has ended; returns its exit code."""
         if self.children[name].poll() is None:
-            self.send(name, signal.SIGINT)
+            self.send_signal(name, signal.SIGINT)
         return self.exit_code(name)
 
-    def walk_on(self):
-        """Bring the robot to WALKING for half a second at least: it is under way."""
+    def walk_steadily(self):
+        """Bring the robot to WALKING, and wait until it has walked for half a second."""
         while self.state is not State.WALKING or self.now() - self.transitions[-1][0] < 5e8:
             self.walk()
             time.sleep(0.05)
@@ -324,6 +334,11 @@ class Rig:
         return {name: child.returncode for name, child in self.children.items()}
 
 
+def servo_angle(tendon_angle):
+    """Angle of a servo at a tendon angle, as configured, both rad."""
+    return np.radians(JOINTS.zero_deg[0]) + JOINTS.servo_per_tendon * tendon_angle
+
+
 def nanoseconds(stamp):
-    """Of a builtin_interfaces/Time."""
+    """Nanoseconds of a builtin_interfaces/Time."""
     return stamp.sec * 1_000_000_000 + stamp.nanosec

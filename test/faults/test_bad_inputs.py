@@ -1,6 +1,6 @@
-"""What estimator, MPC, force map and servos make of bad inputs, while the robot walks in real time.
+"""Bad inputs of estimator, MPC, force map and servos, while the robot walks in real time.
 
-The test relays what passes between the nodes. Times are those of the messages' stamps.
+The test relays the messages between the nodes. Times are those of the messages' stamps.
 """
 
 import copy
@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import Vector3
 from relay import FOR_RELAYS, SOURCES, Relay, remaps
+from rig import BUSY, TICK
 from sensor_msgs.msg import Imu, JointState
 
 from slot_core.bags import decode
@@ -22,17 +23,15 @@ from slot_core.safety.states import State
 from slot_msgs.msg import ForceMapStatus, MpcState
 from slot_nodes import qos
 
-TICK = 0.033  # s, between two odometry readings
-BUSY = 0.3  # s that a busy machine may add
 COAST = read_supervisor().estimate.coast_cycles
-APPROACH = 1.0  # rad/s, of FOR_RELAYS
+APPROACH = FOR_RELAYS["supervisor"]["gate.approach_rate"]  # rad/s
 ANGLE_MAX = read_robot().tendon.angle_max  # 116.28 deg
 NAN = math.nan
 
 
 @pytest.fixture(scope="module")
 def rig(make_rig):
-    """A robot on simulated servos; its MPC has the iterations for usual problems, and few more."""
+    """A robot with simulated servos; its MPC has few iterations more than usual problems need."""
     made = make_rig(
         hardware="sim",
         config=FOR_RELAYS,
@@ -41,106 +40,106 @@ def rig(make_rig):
     )
     made.relays = {topic: Relay(made, topic) for topic in SOURCES}
     for topic, kind in (("/mpc_state", MpcState), ("/force_map/status", ForceMapStatus)):
-        made.listen(topic, kind, qos.CONTROL)
-    made.listen("/ground_reaction_forces", SOURCES["ground_reaction_forces"][1], qos.CONTROL)
+        made.subscribe(topic, kind, qos.CONTROL)
+    made.subscribe("/ground_reaction_forces", SOURCES["ground_reaction_forces"][1], qos.CONTROL)
     return made
 
 
 @pytest.fixture
 def walking(rig):
-    rig.walk_on()
+    rig.walk_steadily()
     return rig
 
 
-def held(rig, begin):
-    """Seconds from `begin` to HOLD."""
-    return (rig.reached(State.HOLD, begin)[0] - begin) * 1e-9
+def time_to_hold(rig, begin):
+    """Wait for HOLD; returns the seconds since `begin`."""
+    return (rig.wait_for_state(State.HOLD, begin)[0] - begin) * 1e-9
 
 
-def warned(rig, begin, words):
-    """Wait for a warning since `begin` that holds `words`."""
+def wait_for_warning(rig, begin, part):
+    """Wait for a warning since `begin` that contains `part`."""
 
-    first = max(len(rig.heard["/robot_state"]) - 100, 0)
+    first = max(len(rig.messages["/robot_state"]) - 100, 0)
 
     def found():
-        states = [m for m in rig.heard["/robot_state"][first:] if decode.stamp(m) >= begin]
-        return any(words in warning for state in states for warning in state.warnings)
+        states = [m for m in rig.messages["/robot_state"][first:] if decode.stamp(m) >= begin]
+        return any(part in warning for state in states for warning in state.warnings)
 
-    rig.wait_for(found, what=f"no warning {words!r}")
+    rig.wait_for(found, what=f"no warning {part!r}")
 
 
-def walks_again(rig):
-    """Without anybody asking for it."""
-    rig.reached(State.WALKING, rig.now())
+def wait_for_walking(rig):
+    """Wait until the robot walks again, without a request."""
+    rig.wait_for_state(State.WALKING, rig.now())
 
 
 def lose_position(message):
     message.pose.pose.position.x = NAN
 
 
-def test_odometry_that_is_no_number_is_coasted_over_for_three_cycles_then_held(walking):
-    before = len(walking.heard["/mpc_state"])
+def test_odometry_that_is_nan_is_bridged_for_three_cycles_then_ends_in_hold(walking):
+    before = len(walking.messages["/mpc_state"])
     with walking.relays["odom"].changed(lose_position) as begin:
-        warned(walking, begin, "estimates in a row unusable, limit 3")
-        assert held(walking, begin) < 5 * TICK + BUSY
-    walks_again(walking)
-    after = walking.heard["/mpc_state"][before:]
+        wait_for_warning(walking, begin, "estimates in a row unusable, limit 3")
+        assert time_to_hold(walking, begin) < 5 * TICK + BUSY
+    wait_for_walking(walking)
+    after = walking.messages["/mpc_state"][before:]
     lost = [m for m in after if m.validity == Validity.ODOMETRY_REJECTED]
     assert len(lost) > COAST
     assert all(np.isfinite(decode.state(message)[1]).all() for message in lost)
 
 
-def test_odometry_that_stays_away_is_held_for(walking):
+def test_missing_odometry_ends_in_hold(walking):
     with walking.relays["odom"].changed(lambda _: False) as begin:
-        assert held(walking, begin) < walking.limit("command_hold") + TICK + BUSY
-    walking.walk()  # where a busy machine made it longer than command_lost, after a reset
+        assert time_to_hold(walking, begin) < walking.limit("command_hold") + TICK + BUSY
+    walking.walk()  # after a reset, if a busy machine has caused a RELAX
 
 
-def test_a_jump_of_10_cm_is_rejected_and_believed_once_it_stays(walking):
+def test_a_jump_of_10_cm_is_rejected_and_accepted_once_it_lasts(walking):
     def jump(message):
         message.pose.pose.position.x += 0.1
 
-    before = len(walking.heard["/mpc_state"])
+    before = len(walking.messages["/mpc_state"])
     with walking.relays["odom"].changed(jump) as begin:
-        warned(walking, begin, "estimates in a row unusable, limit 3")
-        assert held(walking, begin) < 5 * TICK + BUSY
-        walks_again(walking)
-    after = walking.heard["/mpc_state"][before - 1 :]
+        wait_for_warning(walking, begin, "estimates in a row unusable, limit 3")
+        assert time_to_hold(walking, begin) < 5 * TICK + BUSY
+        wait_for_walking(walking)
+    after = walking.messages["/mpc_state"][before - 1 :]
     rejected = [m.position.x for m in after if m.validity == Validity.ODOMETRY_REJECTED][:4]
-    # four ticks of walking at 60 mm/s, and of coasting on the IMU: far from the jump
+    # four ticks of walking at 60 mm/s, predicted from the IMU: much less than the jump
     assert max(rejected) - after[0].position.x < 0.05
     walking.walk()
 
 
-def test_an_mpc_without_solutions_stops_the_gait_after_its_fallback(walking):
-    """Both causes, one after the other: problems too hard for its iterations, inputs it refuses."""
+def test_an_mpc_without_solutions_ends_in_hold_after_its_fallback(walking):
+    """Two causes in turn: problems that need more iterations, and inputs that are rejected."""
 
     def too_hard(message):
         message.reference = [value + 9e3 for value in message.reference]
 
-    def impossible(message):
+    def invalid(message):
         message.friction = [NAN] * len(message.friction)
 
     most = read_mpc().fallback.cycles
-    for change, status in ((too_hard, Status.NOT_SOLVED), (impossible, Status.REJECTED)):
-        before = len(walking.heard["/ground_reaction_forces"])
+    for change, status in ((too_hard, Status.NOT_SOLVED), (invalid, Status.REJECTED)):
+        before = len(walking.messages["/ground_reaction_forces"])
         with walking.relays["gait_preview"].changed(change) as begin:
-            warned(walking, begin, f"limit {most}")
-            assert held(walking, begin) < (most + 3) * TICK + BUSY
-        walks_again(walking)
-        failed = [m for m in walking.heard["/ground_reaction_forces"][before:] if m.message]
+            wait_for_warning(walking, begin, f"limit {most}")
+            assert time_to_hold(walking, begin) < (most + 3) * TICK + BUSY
+        wait_for_walking(walking)
+        failed = [m for m in walking.messages["/ground_reaction_forces"][before:] if m.message]
         assert [m.status for m in failed[:most]] == [status] * most
         assert failed[most].status == Status.STOPPED
         assert all(force == Vector3() for force in failed[most].force)
 
 
-def test_an_mpc_that_is_always_late_lets_nobody_stand_up(walking):
-    walking.reached(State.FAULT, walking.kill("mpc_controller"))
+def test_stand_is_refused_while_the_mpc_is_always_late(walking):
+    walking.wait_for_state(State.FAULT, walking.kill("mpc_controller"))
     walking.start("mpc_controller", parameters={"acceptance.time_budget": 1e-6})
-    warned(walking, walking.now(), "no solution for")
-    assert walking.ask("reset") == ""
-    assert walking.ask("ready") == ""
-    assert walking.ask("stand").startswith("STAND refused in READY: no solution for ")
+    wait_for_warning(walking, walking.now(), "no solution for")
+    assert walking.request("reset") == ""
+    assert walking.request("ready") == ""
+    assert walking.request("stand").startswith("STAND refused in READY: no solution for ")
     status = walking.last("/ground_reaction_forces")
     assert status.status == Status.STOPPED
     assert "ms exceed 0.001 ms" in status.message
@@ -150,42 +149,43 @@ def test_an_mpc_that_is_always_late_lets_nobody_stand_up(walking):
 
 
 @pytest.mark.parametrize("value", [NAN, math.inf, -0.1, ANGLE_MAX + 0.1])
-def test_a_command_with_one_bad_angle_is_refused_as_a_whole_and_held_for(walking, value):
-    def spoil(message):
+def test_a_command_with_a_bad_angle_is_rejected_as_a_whole_and_ends_in_hold(walking, value):
+    def damage(message):
         message.position = [0.0, 0.0, 0.0, value]
 
-    with walking.relays["desired_joint_angles"].changed(spoil) as begin:
-        warned(walking, begin, "command RR = ")
-        assert held(walking, begin) < 2 * TICK + BUSY
-        assert min(angle_after(walking, begin)) > 0.1  # the good three are not obeyed either
-    walks_again(walking)
+    with walking.relays["desired_joint_angles"].changed(damage) as begin:
+        wait_for_warning(walking, begin, "command RR = ")
+        assert time_to_hold(walking, begin) < 2 * TICK + BUSY
+        # the three good angles are not followed either
+        assert min(angle_after(walking, begin)) > 0.1
+    wait_for_walking(walking)
 
 
 def angle_after(rig, begin, seconds=0.1):
-    """Measured tendon angles `seconds` after `begin`, rad."""
-    joints = rig.heard["/joint_states"]
+    """Measured tendon angles (4,), rad, `seconds` after `begin`."""
+    joints = rig.messages["/joint_states"]
     rig.wait_for(lambda: decode.stamp(joints[-1]) > begin + seconds * 1e9)
     return joints[-1].position
 
 
-def test_a_step_larger_than_the_rate_allows_is_slewed_and_flagged(walking):
+def test_a_step_larger_than_the_rate_limit_is_slewed_with_a_warning(walking):
     ends = itertools.cycle([0.0, ANGLE_MAX])
 
     def jump(message):
         message.position = [next(ends)] * 4
 
-    def calm():
-        return not any(m.warnings for m in walking.heard["/robot_state"][-15:])  # 0.3 s
+    def no_warnings():
+        return not any(m.warnings for m in walking.messages["/robot_state"][-15:])  # 0.3 s
 
-    walking.wait_for(calm)  # the usual gait is not too fast
+    walking.wait_for(no_warnings)  # the gait itself is within the limit
     with walking.relays["desired_joint_angles"].changed(jump) as begin:
-        warned(walking, begin, "command slewed")
+        wait_for_warning(walking, begin, "command slewed")
     walking.walk()
 
 
-def test_a_standing_robot_follows_a_step_no_faster_than_it_approaches(walking):
+def test_a_standing_robot_follows_a_step_at_most_at_the_approach_rate(walking):
     """The servos alone would turn at 6 rad/s."""
-    assert walking.ask("stand") == ""
+    assert walking.request("stand") == ""
     stood = walking.now()
     start = angle_after(walking, stood, 2.0)
 
@@ -199,7 +199,7 @@ def test_a_standing_robot_follows_a_step_no_faster_than_it_approaches(walking):
     walking.walk()
 
 
-def test_forces_beyond_the_map_are_clamped_to_the_last_angle_and_flagged(walking):
+def test_forces_beyond_the_map_are_clamped_to_the_largest_angle_and_reported(walking):
     def pull(message):
         message.force = [Vector3(z=100.0)] * 4
 
@@ -213,19 +213,21 @@ def test_forces_beyond_the_map_are_clamped_to_the_last_angle_and_flagged(walking
     commands = walking.wait_for(
         lambda: [
             m
-            for m in walking.heard["/desired_joint_angles"]
+            for m in walking.messages["/desired_joint_angles"]
             if m.header.stamp == status.header.stamp
         ]
     )
     command = commands[0]
-    for angle, wanted, hit in zip(command.position, status.angle_unclamped, status.saturated):
-        assert angle == pytest.approx(ANGLE_MAX if hit else wanted, abs=1e-12)
-        assert hit == (wanted > ANGLE_MAX)
+    for angle, unclamped, clamped in zip(
+        command.position, status.angle_unclamped, status.saturated
+    ):
+        assert angle == pytest.approx(ANGLE_MAX if clamped else unclamped, abs=1e-12)
+        assert clamped == (unclamped > ANGLE_MAX)
     walking.walk()
 
 
 @pytest.mark.parametrize(
-    ("topic", "kind", "profile", "words"),
+    ("topic", "kind", "profile", "warning"),
     [
         ("odom", *SOURCES["odom"][1:], "estimate stamped -"),
         ("imu", Imu, qos.SENSOR, ""),
@@ -233,50 +235,48 @@ def test_forces_beyond_the_map_are_clamped_to_the_last_angle_and_flagged(walking
         ("desired_joint_angles", *SOURCES["desired_joint_angles"][1:], "command stamped -"),
     ],
 )
-def test_messages_in_simulated_time_among_those_in_wall_time_are_refused(
-    walking, topic, kind, profile, words
-):
-    heard = walking.heard[f"/{topic}"]
-    if not heard:
-        walking.listen(f"/{topic}", kind, profile)
-    walking.wait_for(lambda: heard)
+def test_messages_stamped_in_simulated_time_are_rejected(walking, topic, kind, profile, warning):
+    received = walking.messages[f"/{topic}"]
+    if not received:
+        walking.subscribe(f"/{topic}", kind, profile)
+    walking.wait_for(lambda: received)
     publisher = walking.node.create_publisher(kind, topic, profile)
-    foreign = copy.deepcopy(heard[-1])
+    foreign = copy.deepcopy(received[-1])
     foreign.header.stamp.sec = 10
     begin = walking.now()
     for _ in range(5):
         foreign.header.stamp.nanosec += 1_000_000
         publisher.publish(foreign)
-    if words:
-        warned(walking, begin, words)
+    if warning:
+        wait_for_warning(walking, begin, warning)
     walking.wait_for(lambda: walking.now() - begin > 1e9)
     walking.walk()
     walking.node.destroy_publisher(publisher)
 
 
-def test_servos_refuse_commands_of_another_clock(walking):
-    """The wire goes past the supervisor: they look themselves."""
+def test_servos_reject_commands_stamped_by_another_clock(walking):
+    """Commands do not pass through the supervisor: the servos check the stamps themselves."""
 
     def slacken(message):
         message.header.stamp.sec -= 10
         message.position = [0.0] * 4
 
     with walking.relays["desired_joint_angles"].changed(slacken) as begin:
-        walking.reached(State.HOLD, begin)
+        walking.wait_for_state(State.HOLD, begin)
         assert min(angle_after(walking, begin)) > 0.1
-        told = "desired_joint_angles refused: stamped -1"
-        walking.wait_for(lambda: told in walking.log("sim_robot"))
+        line = "desired_joint_angles refused: stamped -1"
+        walking.wait_for(lambda: line in walking.log("sim_robot"))
     walking.walk()
 
 
 @pytest.mark.parametrize("shift", [10, -10])
-def test_a_jump_of_the_sensors_clock_is_held_for_and_the_filter_begins_anew(walking, shift):
+def test_a_jump_of_the_sensors_clock_ends_in_hold_and_restarts_the_filter(walking, shift):
     def move(message):
         message.header.stamp.sec += shift
 
     with walking.relays["odom"].changed(move) as begin:
-        warned(walking, begin, f"estimate stamped {'+' if shift > 0 else '-'}")
-        assert held(walking, begin) < walking.limit("command_hold") + TICK + BUSY
-    before = len(walking.heard["/mpc_state"])
+        wait_for_warning(walking, begin, f"estimate stamped {'+' if shift > 0 else '-'}")
+        assert time_to_hold(walking, begin) < walking.limit("command_hold") + TICK + BUSY
+    before = len(walking.messages["/mpc_state"])
     walking.walk()
-    assert Validity.INITIALISING in [m.validity for m in walking.heard["/mpc_state"][before:]]
+    assert Validity.INITIALISING in [m.validity for m in walking.messages["/mpc_state"][before:]]

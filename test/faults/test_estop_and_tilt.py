@@ -1,7 +1,8 @@
-"""What switches the robot off: the e-stop, its source's silence, and a torso that tilts."""
+"""E-stop, loss of its source, and tilt of the torso end in torque off."""
 
 import pytest
 from relay import FOR_RELAYS, Relay, remaps
+from rig import BUSY, TICK
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import Bool
 
@@ -10,28 +11,26 @@ from slot_core.safety.states import State
 from slot_msgs.msg import RobotState
 from slot_nodes import qos
 
-TICK = 0.033  # s, between two odometry readings
-BUSY = 0.3  # s that a busy machine may add
-REPEAT = 0.1  # s, between two words of the e-stop
+PERIOD = 0.1  # s, between two messages of the e-stop
 
 
 class EStop:
-    """An e-stop that says all the time whether it is pressed, unless its cable is cut."""
+    """An e-stop that repeats whether it is pressed, unless its cable is cut."""
 
     def __init__(self, rig):
         self.rig, self.pressed, self.cut = rig, False, False
         self._out = rig.node.create_publisher(Bool, "/estop", qos.SENSOR)
-        rig.node.create_timer(REPEAT, self.tell)
+        rig.node.create_timer(PERIOD, self.publish)
 
-    def tell(self):
+    def publish(self):
         if not self.cut:
             self._out.publish(Bool(data=self.pressed))
 
     def press(self, pressed):
-        """Returns the time before it."""
+        """Press or release it; returns the time before."""
         begin = self.rig.now()
         self.pressed = pressed
-        self.tell()
+        self.publish()
         return begin
 
 
@@ -45,75 +44,76 @@ def rig(make_rig):
 
 @pytest.fixture
 def walking(rig):
-    rig.walk_on()
+    rig.walk_steadily()
     return rig
 
 
-def settled(rig):
-    """Wait until the e-stop's last word has been heard."""
-    told = rig.now()
-    rig.wait_for(lambda: rig.now() - told > 2e9 * REPEAT)
+def wait_two_periods(rig):
+    """Wait until the supervisor has received the e-stop's state."""
+    begin = rig.now()
+    rig.wait_for(lambda: rig.now() - begin > 2e9 * PERIOD)
 
 
-def test_a_pressed_estop_switches_off_at_once_until_it_is_released_and_reset(walking):
+def test_a_pressed_estop_switches_torque_off_until_it_is_released_and_reset(walking):
     begin = walking.estop.press(True)
-    stopped, reason = walking.reached(State.ESTOP, begin)
+    stopped, reason = walking.wait_for_state(State.ESTOP, begin)
     assert (stopped - begin) * 1e-9 < BUSY
     assert reason == "e-stop pressed"
     assert walking.last("/robot_state").action == RobotState.ACTION_OFF
-    assert walking.ask("reset") == "RESET refused in ESTOP: e-stop pressed"
+    assert walking.request("reset") == "RESET refused in ESTOP: e-stop pressed"
     walking.estop.press(False)
-    settled(walking)
+    wait_two_periods(walking)
     assert walking.state is State.ESTOP
-    assert walking.ask("ready") == "READY changes nothing in ESTOP"
-    assert walking.ask("reset") == ""
+    assert walking.request("ready") == "READY changes nothing in ESTOP"
+    assert walking.request("reset") == ""
     walking.wait_for(lambda: walking.state is State.IDLE)
-    assert max(walking.last("/joint_states").position) < 0.05  # the tendons have unwound
+    assert max(walking.last("/joint_states").position) < 0.05  # the tendons are slack
 
 
-def test_an_estop_whose_source_is_lost_switches_off_until_it_is_back_and_reset(walking):
+def test_a_lost_estop_source_switches_torque_off_until_it_returns_and_a_reset(walking):
     begin = walking.now()
     walking.estop.cut = True
-    stopped, reason = walking.reached(State.ESTOP, begin)
+    stopped, reason = walking.wait_for_state(State.ESTOP, begin)
     assert (stopped - begin) * 1e-9 < walking.limit("estop") + BUSY
     assert reason.startswith("e-stop source silent for ")
     assert reason.endswith(" s, limit 0.5 s")
-    assert "e-stop source silent" in walking.ask("reset")
+    assert "e-stop source silent" in walking.request("reset")
     walking.estop.cut = False
-    settled(walking)
+    wait_two_periods(walking)
     assert walking.state is State.ESTOP
-    assert walking.ask("reset") == ""
+    assert walking.request("reset") == ""
 
 
 @pytest.mark.parametrize("axis", ["x", "y"])
-def test_a_torso_beyond_half_a_radian_goes_slack_and_stays_so_until_it_is_upright(walking, axis):
-    """A jump of the odometry is doubted first, as one of 10 cm is: it is believed when it stays."""
+def test_a_tilt_beyond_half_a_radian_ends_in_fault_until_the_torso_is_upright(walking, axis):
+    """The estimator rejects the jump of the odometry first, and accepts it once it lasts."""
 
     def tilt(message):
-        turned = message.pose.pose.orientation
-        before = Rotation.from_quat([turned.x, turned.y, turned.z, turned.w])
+        orientation = message.pose.pose.orientation
+        before = Rotation.from_quat([orientation.x, orientation.y, orientation.z, orientation.w])
         after = before * Rotation.from_euler(axis, 0.75)
-        turned.x, turned.y, turned.z, turned.w = (float(part) for part in after.as_quat())
+        x, y, z, w = (float(part) for part in after.as_quat())
+        orientation.x, orientation.y, orientation.z, orientation.w = x, y, z, w
 
     name = {"x": "roll", "y": "pitch"}[axis]
     with walking.relay.changed(tilt) as begin:
-        relaxed, reason = walking.reached(State.RELAX, begin)
+        relaxed, reason = walking.wait_for_state(State.RELAX, begin)
         assert (relaxed - begin) * 1e-9 < 7 * TICK + BUSY
         assert reason.startswith(f"{name} +0.")
         assert reason.endswith(f" rad, limit {read_supervisor().estimate.tilt_max:g} rad")
-        walking.reached(State.FAULT, relaxed)
-        assert walking.ask("reset") == ""
-        assert walking.ask("ready").startswith(f"READY refused in IDLE: {name} +0.")
+        walking.wait_for_state(State.FAULT, relaxed)
+        assert walking.request("reset") == ""
+        assert walking.request("ready").startswith(f"READY refused in IDLE: {name} +0.")
     walking.walk()
 
 
-def test_where_an_estop_is_required_nothing_moves_without_its_source(walking):
+def test_ready_is_refused_without_a_required_estop_source(walking):
     walking.kill("supervisor")
     walking.estop.cut = True
     walking.start("supervisor", parameters={"estop_required": True})
     walking.wait_for(lambda: walking.state is State.IDLE)
-    refusal = "READY refused in IDLE: e-stop source silent for ever, limit 0.5 s"
-    walking.wait_for(lambda: walking.ask("ready") == refusal)
+    refusal = "READY refused in IDLE: e-stop source silent since the start, limit 0.5 s"
+    walking.wait_for(lambda: walking.request("ready") == refusal)
     assert walking.state is State.IDLE
     walking.estop.cut = False
     walking.walk()

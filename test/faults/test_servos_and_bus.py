@@ -5,7 +5,7 @@ import signal
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from rig import LATE, RAMP, SAG
+from rig import LATE, PATIENT, RAMP, SAG, servo_angle
 from std_srvs.srv import SetBool, Trigger
 
 from slot_core.bags import decode
@@ -22,10 +22,10 @@ def graph(make_rig):
 
 @pytest.fixture
 def rig(graph):
-    """The graph, walking: every test begins where the one before it has led back to."""
+    """The graph, walking; faults are cleared after the test."""
     graph.walk()
     yield graph
-    graph.heal()
+    graph.restore()
 
 
 def seconds(begin, end):
@@ -33,7 +33,7 @@ def seconds(begin, end):
 
 
 def errors(rig, since):
-    """Lines of /diagnostics at the level of an error."""
+    """Lines of /diagnostics with the level ERROR."""
     return [
         f"{status.name}: {status.message}"
         for message in rig.since("/diagnostics", since)
@@ -42,43 +42,43 @@ def errors(rig, since):
     ]
 
 
-def test_commands_that_stop_hold_then_relax_with_an_error_on_diagnostics(rig):
+def test_missing_commands_end_in_hold_then_relax_with_an_error_on_diagnostics(rig):
     hold, lost = rig.limit("command_hold"), rig.limit("command_lost")
-    stopped = rig.send("force_mapper", signal.SIGSTOP)
-    held, why = rig.reached(State.HOLD, stopped)
-    last = decode.stamp(rig.last("/desired_joint_angles"))  # older than its coming
-    relaxed, _ = rig.reached(State.RELAX, stopped)
-    off = rig.slack(relaxed)
-    assert why.startswith("no command for")
+    stopped = rig.send_signal("force_mapper", signal.SIGSTOP)
+    held, reason = rig.wait_for_state(State.HOLD, stopped)
+    last = decode.stamp(rig.last("/desired_joint_angles"))  # before its arrival
+    relaxed, _ = rig.wait_for_state(State.RELAX, stopped)
+    off = rig.wait_for_torque_off(relaxed)
+    assert reason.startswith("no command for")
     assert hold <= seconds(last, held)
     assert seconds(stopped, held) <= hold + LATE
     assert lost <= seconds(last, relaxed)
     assert seconds(stopped, relaxed) <= lost + LATE
     assert seconds(relaxed, decode.stamp(off)) <= RAMP + LATE
-    rig.reached(State.FAULT, relaxed)
+    rig.wait_for_state(State.FAULT, relaxed)
     rig.wait_for(lambda: any("no command for" in line for line in errors(rig, held)))
-    rig.send("force_mapper", signal.SIGCONT)
+    rig.send_signal("force_mapper", signal.SIGCONT)
 
 
-def test_a_silent_servo_is_named_and_invents_no_joint_states(rig):
+def test_a_silent_servo_ends_in_relax_without_joint_states(rig):
     begin = rig.inject("silent", "RL")
     silent = rig.now()  # at the latest
-    relaxed, why = rig.reached(State.RELAX, silent)
-    rig.reached(State.FAULT, relaxed)
+    relaxed, reason = rig.wait_for_state(State.RELAX, silent)
+    rig.wait_for_state(State.FAULT, relaxed)
     limit = rig.limit("servo_silent")
     assert seconds(begin, relaxed) >= limit - 0.1  # its last answer, a cycle before
     assert seconds(silent, relaxed) <= limit + LATE
-    assert why.startswith("servo RL silent")
-    # of a cycle that was under way on a busy machine
+    assert reason.startswith("servo RL silent")
+    # but of a cycle that had begun on a busy machine
     assert not rig.since("/joint_states", silent + 500_000_000)
     rig.wait_for(lambda: any(line.startswith("servo RL (id 2): ") for line in errors(rig, silent)))
     while_silent = [m for m in rig.since("/servo_health", silent) if decode.stamp(m) < relaxed]
-    # bounded retries: the others are heard in every cycle of at most four times the bus's timeout
+    # limited retries: the others answer in every cycle of at most four times the bus's timeout
     assert max(m.silence[k] for m in while_silent for k in (0, 1, 3)) < 0.3
     rig.inject("silent", "RL", clear=True)
 
 
-def test_noise_on_the_bus_is_borne_and_never_believed(rig):
+def test_noise_on_the_bus_causes_at_most_a_hold_and_no_false_angle(rig):
     noisy = rig.inject("corrupt", value=0.1)
     end = rig.now() + 2_000_000_000
     rig.wait_for(lambda: rig.now() > end)
@@ -94,7 +94,7 @@ def test_noise_on_the_bus_is_borne_and_never_believed(rig):
     for message in joints:
         angle = np.array(message.position)
         assert -0.1 < angle.min() <= angle.max() < limit + 0.1
-        counts = (angle * 1.03199 + np.radians(130.0)) / RAD_PER_COUNT
+        counts = servo_angle(angle) / RAD_PER_COUNT
         assert counts == pytest.approx(np.round(counts), abs=1e-6)
 
 
@@ -106,103 +106,103 @@ def test_noise_on_the_bus_is_borne_and_never_believed(rig):
         ("undervoltage", 8.0, "input voltage"),
     ],
 )
-def test_a_hardware_error_slackens_all_until_reboot_and_reset(rig, kind, value, name):
+def test_a_hardware_error_relaxes_all_until_reboot_and_reset(rig, kind, value, name):
     begin = rig.inject(kind, "FR", value=value)
-    relaxed, why = rig.reached(State.RELAX, begin)
-    assert f"servo FR: {name}" in why
-    rig.slack(relaxed)
-    rig.reached(State.FAULT, relaxed)
+    relaxed, reason = rig.wait_for_state(State.RELAX, begin)
+    assert f"servo FR: {name}" in reason
+    rig.wait_for_torque_off(relaxed)
+    rig.wait_for_state(State.FAULT, relaxed)
     rig.inject(kind, "FR", clear=True)
-    assert name in rig.ask("reset")  # it is not rebooted by itself, so the error stays
+    assert name in rig.request("reset")  # the error lasts until a reboot
     assert rig.state is State.FAULT
     assert rig.call(Trigger, "/dynamixel_driver/reboot_fr").success
     rig.wait_for(lambda: not any(rig.last("/servo_health").hardware_error))
     assert rig.state is State.FAULT
-    rig.wait_for(lambda: not rig.ask("reset"))
+    rig.wait_for(lambda: not rig.request("reset"))
 
 
-def stops_and_comes_back(rig, begin):
-    """The servos stop by themselves; a new driver, a reset, and no motion as torque comes on."""
-    relaxed, reason = rig.reached(State.RELAX, begin)
-    # held in the middle of a step it may tilt too far before their silence is noticed
+def check_restart(rig, begin):
+    """The watchdogs stop the servos; after a new driver and a reset torque is without motion."""
+    relaxed, reason = rig.wait_for_state(State.RELAX, begin)
+    # stopped in a stride it may tilt too far before the limit of the servos' silence
     assert "silent" in reason or "limit 0.5 rad" in reason
-    rig.reached(State.FAULT, relaxed)
-    watchdog = 1.0  # s, as in PATIENT
+    rig.wait_for_state(State.FAULT, relaxed)
+    watchdog = PATIENT["dynamixel"]["servo.watchdog"]
     end = begin + round((watchdog + 2 * LATE) * 1e9)
     rig.wait_for(lambda: decode.stamp(rig.last("/ground_truth/odom")) > end)
     rig.wait_for(rig.bus.exists)
     assert rig.registers("bus_watchdog") == [-1] * 4
     restarted = rig.now()
     rig.start("dynamixel_driver")
-    assert not any(rig.slack(restarted).torque)  # FAULT: what was left under torque goes slack
-    rig.wait_for(lambda: not rig.ask("reset"))
-    before, ready = rig.rest(), rig.now()
-    rig.wait_for(lambda: not rig.ask("ready"))  # the supervisor may not have heard it yet
+    rig.wait_for_torque_off(restarted)  # by the driver's start
+    rig.wait_for(lambda: not rig.request("reset"))
+    before, ready = rig.wait_for_rest(), rig.now()
+    rig.wait_for(lambda: not rig.request("ready"))  # once the supervisor has a health report
     rig.wait_for(lambda: all(rig.last("/servo_health").torque))
     rig.wait_for(lambda: len(rig.since("/joint_states", ready)) > 60)
     sag, pull = rig.moved(before, ready)
-    assert -SAG < sag <= pull < 1.5  # one count, where a position lies between two
+    assert -SAG < sag <= pull < 1.5  # 1 count of a position between two
 
 
-def test_an_unplugged_bus_ends_the_driver_and_a_new_one_comes_back_without_motion(rig):
+def test_an_unplugged_bus_ends_the_driver_and_a_new_one_starts_without_motion(rig):
     begin = rig.inject("unplugged", duration=0.5)
     assert rig.exit_code("dynamixel_driver") == 1
     assert "their bus watchdogs stop the servos" in rig.log("dynamixel_driver")
-    stops_and_comes_back(rig, begin)
+    check_restart(rig, begin)
 
 
-def test_after_a_killed_driver_a_new_one_comes_back_without_motion(rig):
-    begin = rig.send("dynamixel_driver", signal.SIGKILL)
-    stops_and_comes_back(rig, begin)
+def test_after_a_killed_driver_a_new_one_starts_without_motion(rig):
+    begin = rig.send_signal("dynamixel_driver", signal.SIGKILL)
+    check_restart(rig, begin)
 
 
 @pytest.mark.parametrize(
     ("kind", "leg", "value"), [("tendon_slack", "FL", 0.01), ("tendon_broken", "RR", 0.0)]
 )
-def test_a_spoiled_tendon_stops_the_gait_and_names_the_leg(rig, kind, leg, value):
+def test_a_damaged_tendon_ends_in_hold_and_is_named(rig, kind, leg, value):
     begin = rig.inject(kind, leg, value=value)
-    held, why = rig.reached(State.HOLD, begin)
-    assert why.startswith(f"slack or broken tendon {leg} ")
-    told = next(m for m in rig.since("/robot_state", held) if m.state == State.HOLD)
-    assert any(line.startswith(f"slack or broken tendon {leg} ") for line in told.warnings)
+    held, reason = rig.wait_for_state(State.HOLD, begin)
+    assert reason.startswith(f"slack or broken tendon {leg} ")
+    report = next(m for m in rig.since("/robot_state", held) if m.state == State.HOLD)
+    assert any(line.startswith(f"slack or broken tendon {leg} ") for line in report.warnings)
     rig.wait_for(
         lambda: rig.last("/servo_health").action == decode.ACTION_NUMBERS.index(Action.HOLD)
     )
     rig.inject(kind, leg, clear=True)
-    assert rig.ask("relax") == ""
-    rig.reached(State.IDLE, held)
+    assert rig.request("relax") == ""
+    rig.wait_for_state(State.IDLE, held)
 
 
-def test_estop_is_torque_off_at_once_until_reset(rig):
+def test_the_estop_switches_torque_off_at_once_until_a_reset(rig):
     begin = rig.now()
-    assert rig.ask("estop") == ""
-    off = rig.slack(begin)
+    assert rig.request("estop") == ""
+    off = rig.wait_for_torque_off(begin)
     assert seconds(begin, decode.stamp(off)) <= LATE
-    assert "READY" in rig.ask("ready")
+    assert "READY" in rig.request("ready")
     assert rig.state is State.ESTOP
-    assert rig.ask("reset") == ""
+    assert rig.request("reset") == ""
 
 
-def test_the_torque_service_takes_precedence_over_a_supervisor_that_walks(rig):
+def test_the_torque_service_relaxes_a_walking_robot(rig):
     begin = rig.now()
     off = rig.call(SetBool, "/dynamixel_driver/torque", data=False)
     assert (off.success, off.message) == (True, "slackening, then torque off")
-    _, why = rig.reached(State.RELAX, begin)
-    assert why.startswith("servos: ")
-    assert why.endswith("torque switched off by the operator")
-    rig.slack(begin)
-    rig.reached(State.FAULT, begin)
+    _, reason = rig.wait_for_state(State.RELAX, begin)
+    assert reason.startswith("servos: ")
+    assert reason.endswith("torque switched off by the operator")
+    rig.wait_for_torque_off(begin)
+    rig.wait_for_state(State.FAULT, begin)
 
 
 def test_relax_ends_in_idle_without_torque(rig):
     begin = rig.now()
-    assert rig.ask("relax") == ""
-    since, _ = rig.reached(State.IDLE, begin)
+    assert rig.request("relax") == ""
+    since, _ = rig.wait_for_state(State.IDLE, begin)
     assert seconds(begin, since) <= RAMP + LATE
-    rig.slack(since)
+    rig.wait_for_torque_off(since)
 
 
-def test_the_nodes_end_with_every_servo_confirmed_slack(graph):
+def test_the_nodes_end_with_torque_off_confirmed_by_every_servo(graph):
     graph.walk()
     assert set(graph.close().values()) == {0}
     assert "torque off, confirmed by every servo" in graph.log("dynamixel_driver").splitlines()[-1]

@@ -1,4 +1,4 @@
-"""A controller that takes longer than its period skips to the newest state and counts."""
+"""A controller slower than its period skips to the newest state and counts the skipped ones."""
 
 import os
 import signal
@@ -24,13 +24,13 @@ GRAPH = read_graph()
 DEFAULTS = {argument.name: argument.default for argument in GRAPH.arguments}
 NODES = {spec.name: spec for spec in GRAPH.nodes(DEFAULTS)}
 SLOW = ["horizon:=100", "solver.name:=clarabel", "acceptance.condition_max:=1e12"]  # some 10 ms
-STAGES = {"stages": 100, "dt": 0.001}  # the shorter the period, the surer the overrun
+STAGES = {"stages": 100, "dt": 0.001}  # a period shorter than any solve
 BURST = 100  # pairs of state and preview, sent within a few cycles
 
 
 @pytest.fixture
 def slow_controller():
-    parameters = [word for value in SLOW for word in ("-p", value)]
+    parameters = [argument for value in SLOW for argument in ("-p", value)]
     command = [*command_line(NODES["mpc_controller"]), *parameters]
     child = subprocess.Popen(command, start_new_session=True)
     yield
@@ -39,7 +39,7 @@ def slow_controller():
 
 
 class Robot:
-    """Publishes states with their previews; keeps the answers with their times of publishing."""
+    """Publishes states with previews; records the forces with their times of publishing."""
 
     def __init__(self):
         self.context, self.answers = Context(), []
@@ -69,12 +69,12 @@ class Robot:
         self.preview.publish(pair[1])
 
     def wait_for(self, pair):
-        """Spin until that pair is answered."""
+        """Spin until the forces of that pair have come."""
         for _ in range(600):
             if self.answers and self.answers[-1][0] == decode.stamp(pair[0]):
                 return
             self.executor.spin_once(timeout_sec=0.1)
-        raise AssertionError(("waited in vain", len(self.answers)))
+        raise AssertionError(("no answer to a pair", len(self.answers)))
 
 
 @pytest.fixture
@@ -85,7 +85,7 @@ def robot():
     robot.context.try_shutdown()
 
 
-def test_a_solve_longer_than_its_period_skips_and_never_queues(slow_controller, robot):
+def test_a_controller_slower_than_its_period_skips_states_without_a_queue(slow_controller, robot):
     first, *burst = (robot.pair(number) for number in range(BURST + 1))
     robot.send(first)
     robot.wait_for(first)
@@ -95,7 +95,7 @@ def test_a_solve_longer_than_its_period_skips_and_never_queues(slow_controller, 
     robot.wait_for(burst[-1])
     stamps, times, answers = zip(*robot.answers)
     assert list(stamps) == sorted(set(stamps))
-    # one was under way, one may have begun while the last pair was on its way; then the newest
+    # one solve was running, one may have begun before the last pair arrived; then the newest
     assert sum(answered > sent for answered in times) <= 3
     assert answers[-1].skipped == BURST + 1 - len(answers) > 0
     assert answers[-1].overruns == sum(answer.solve_time > STAGES["dt"] for answer in answers) > 0

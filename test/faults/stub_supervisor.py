@@ -1,4 +1,4 @@
-"""Supervisor and controller in one, for a driver without a graph."""
+"""Stand-in for supervisor and controller, for a driver without the rest of the graph."""
 
 import numpy as np
 from sensor_msgs.msg import JointState
@@ -10,20 +10,20 @@ from slot_msgs.msg import RobotState, ServoLimits
 from slot_nodes import messages, qos
 
 
-class Boss:
-    """Supervisor and controller in one: repeats a permission and a command every 20 ms."""
+class StubSupervisor:
+    """Sends the limits once, and a permission and a command every 20 ms unless they are None."""
 
     def __init__(self, rig):
         self.permission, self.angle = None, None
-        self.commanded = self.permitted = 0  # ns, before the last of each
+        self.commanded = self.permitted = 0  # ns, before the last message of each
         self._rig = rig
         self._states = rig.node.create_publisher(RobotState, "robot_state", qos.STATE)
         self._limits = rig.node.create_publisher(ServoLimits, "servo_limits", qos.STATE)
-        self._limits.publish(messages.limits_to_msg(rig.supervisor().servo_limits))
+        self._limits.publish(messages.limits_to_msg(rig.supervisor_settings().servo_limits))
         self._commands = rig.node.create_publisher(JointState, "desired_joint_angles", qos.CONTROL)
-        self._timer = rig.node.create_timer(0.02, self._tick)
+        self._timer = rig.node.create_timer(0.02, self._send)
 
-    def _tick(self):
+    def _send(self):
         now = self._rig.now()
         if (permission := self.permission) is not None:
             self.permitted = now
@@ -41,26 +41,27 @@ class Boss:
         self._rig.node.destroy_publisher(self._limits)
         self._rig.node.destroy_publisher(self._commands)
 
-    def fall_silent(self, what):
-        """Stop sending the "command" or else the permission; returns the time before the last."""
+    def stop_sending(self, what):
+        """Stop the "command" or else the permission; returns the time before the last one."""
         if what == "command":
             self.angle = None
             return self.commanded
         self.permission = None
         return self.permitted
 
-    def lead(self, angle):
-        """Have all tendons follow to an angle; again where a busy machine lets the driver down."""
+    def move_to(self, angle):
+        """Move all tendons to an angle, rad; again if a busy machine has caused a RELAX."""
         self.angle = angle
-        self._rig.wait_for(lambda: self._rig.heard["/servo_health"])
-        self._rig.wait_for(lambda: self._advance() is Action.PASS and self._is_there())
+        self._rig.wait_for(lambda: self._rig.messages["/servo_health"])
+        self._rig.wait_for(lambda: self._permit() is Action.PASS and self._arrived())
 
-    def _advance(self):
+    def _permit(self):
+        """Send the permission that leads from the driver's action to PASS; returns the action."""
         action = decode.ACTION_NUMBERS[self._rig.last("/servo_health").action]
-        way = {Action.OFF: Action.HOLD, Action.RELAX: Action.OFF}
-        self.permission = way.get(action, Action.PASS)
+        following = {Action.OFF: Action.HOLD, Action.RELAX: Action.OFF}
+        self.permission = following.get(action, Action.PASS)
         return action
 
-    def _is_there(self):
-        """Within what the load on a servo costs."""
+    def _arrived(self):
+        """Whether the tendons are at the angle, within the servos' droop under load."""
         return np.allclose(self._rig.last("/joint_states").position, self.angle, atol=0.2)
