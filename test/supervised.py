@@ -137,8 +137,8 @@ class Bench:
         if "estimate" not in self.silent:
             estimate = Estimate(now, self.state, np.eye(12), self.validity)
             self.supervisor.receive_estimate(now, estimate)
-        if "solver" not in self.silent:
-            self.supervisor.receive_solver(now, self.status, self.fallback_cycles)
+        if "mpc" not in self.silent:
+            self.supervisor.receive_mpc(now, self.status, self.fallback_cycles)
         if "command" not in self.silent:
             self.supervisor.receive_command(now, now, self.command)
             self.servos.watchdog.offer(now, self.command)
@@ -224,7 +224,7 @@ class SupervisedLoop(ClosedLoop):
                 s.receive_heartbeat(now, node)
             s.receive_gait(now, tick.preview.period)
             s.receive_estimate(now, tick.estimate)
-            s.receive_solver(now, tick.result.status, tick.result.fallback_cycles)
+            s.receive_mpc(now, tick.result.status, tick.result.fallback_cycles)
             s.receive_command(now, tick.estimate.stamp, tick.command.angle)
             self.servos.watchdog.offer(now, tick.command.angle)
             if k == 14:

@@ -52,7 +52,7 @@ def settings():
         "friction": 0.4,
         "contact_force": 0.5,
         "transition": 1.0,
-        "command_timeout": 0.5,
+        "velocity_timeout": 0.5,
         "stages": 15,
         "dt": 0.033,
         "gaits": {"stand": STAND, "walk": WALK},
@@ -124,7 +124,7 @@ def test_a_change_of_speed_keeps_the_phase(settings):
 def test_a_velocity_command_expires(settings):
     scheduler = walking(settings)
     scheduler.step(5 * SECOND, LEVEL)
-    scheduler.command(5 * SECOND, np.array([0.08, 0, 0]))
+    scheduler.set_velocity(5 * SECOND, np.array([0.08, 0, 0]))
     fresh = scheduler.step(5 * SECOND + SECOND // 4, LEVEL)
     stale = scheduler.step(5 * SECOND + SECOND, LEVEL)
     assert fresh.reference[0, 9] == pytest.approx(0.08)
@@ -141,7 +141,7 @@ def test_a_command_with_a_stamp_far_from_the_states_stops_the_robot_and_raises(s
     with pytest.raises(
         ConfigError, match=r"stamp is [+-]\d+\.000 s from the state's \(limit 0\.5 s"
     ):
-        scheduler.command(stamp, np.array([0.08, 0, 0]))
+        scheduler.set_velocity(stamp, np.array([0.08, 0, 0]))
     assert scheduler.step(5 * SECOND, LEVEL).reference[0, 9] == 0.0
 
 

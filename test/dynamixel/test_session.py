@@ -313,18 +313,14 @@ def test_an_interrupted_stop_switches_torque_off(rig):
     assert rig.torque() == [0] * 4
 
 
-@pytest.mark.parametrize("low_deg", [-5.0, 10.0])
-def test_relax_ends_at_the_lower_end_of_the_joints_range(low_deg):
-    rig = Rig(np.full(4, 0.5), {"joints.low_deg": low_deg})
-    low = max(0.0, np.radians(low_deg))
-    below = np.array([low - 0.01, 0.5, 0.5, 0.5])
-    rig.permit(Action.PASS)
-    assert "command FL" in rig.session.offer(rig.now, rig.now, below)
-    assert rig.run(0.3, np.full(4, low)) == [(Action.PASS, 0.0)]
-    rig.run(1.0, np.full(4, 0.5))
-    rig.run(0.5, np.full(4, 0.5), Action.RELAX)
-    step = read_supervisor().gate.relax_rate * PERIOD  # torque goes off in the last step
-    assert rig.driver.goals() == pytest.approx(np.full(4, low), abs=step)
-    assert rig.torque() == [0] * 4
-    rig.driver.close()
-    rig.terminal.close()
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("joints.low_deg", 10.0, r"range \[10, 116\.28\] deg, smaller than that of the tendon"),
+        ("joints.high_deg", 100.0, r"range \[0, 100\] deg, smaller .* robot\.yaml instead"),
+    ],
+)
+def test_a_range_smaller_than_the_tendons_is_refused(name, value, message):
+    """The gait and the force map would send commands beyond it, and the robot would stop."""
+    with pytest.raises(config.ConfigError, match=message):
+        Rig(np.full(4, 0.5), {name: value})

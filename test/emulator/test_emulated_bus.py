@@ -309,7 +309,7 @@ def test_position_loop_follows_the_simulators_servo():
         angle += 1e-3 * kernel_rate(law, drive, command, angle, 1e-3)
         worst = max(worst, abs(one.shaft.angle - angle))
     assert worst < 2 * RAD_PER_COUNT  # the encoder rounds down: one count, and the response to it
-    droop = 0.5 * law.speed_loss / settings.proportional  # steady error of a P controller under load
+    droop = 0.5 * law.speed_loss / settings.proportional  # of a P controller under load
     assert command - angle == pytest.approx(droop, rel=1e-6)
 
 

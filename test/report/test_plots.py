@@ -93,17 +93,17 @@ def test_leg_panels_show_desired_and_true_of_their_leg_in_its_colour(axes, i):
     ax = axes[f"angle {LEGS[i]}"]
     t, desired = line(ax, "desired")
     assert np.allclose(desired, [np.degrees(angles(s))[i] for s in t], atol=1e-4)
-    t, true = line(ax, "true")
+    t, true = line(ax, "measured")
     assert np.allclose(true, [0.97 * np.degrees(angles(s - 0.04))[i] for s in t], atol=1e-4)
     t, commanded = line(axes[f"force {LEGS[i]}"], "MPC")
     assert np.allclose(commanded, [normal_forces(s)[i] for s in t], atol=ROUNDING * 10)
     t, true = line(axes[f"force {LEGS[i]}"], "true")
     assert np.allclose(true, [1.05 * normal_forces(s - 0.03)[i] for s in t], atol=ROUNDING * 10)
-    for kind in ("angle", "force"):
+    for kind, label in (("angle", "measured"), ("force", "true")):
         colours = {
             drawn.get_label(): drawn.get_color() for drawn in axes[f"{kind} {LEGS[i]}"].lines
         }
-        assert colours["true"] == palette.LEG_COLOURS[LEGS[i]]
+        assert colours[label] == palette.LEG_COLOURS[LEGS[i]]
 
 
 def test_slack_map_has_a_row_per_constraint_and_zero_in_the_middle_of_its_colours(axes):

@@ -63,7 +63,7 @@ def test_only_a_reset_leads_out_of_estop_and_fault(latched):
 def test_dangerous_conditions_precede_requests():
     order = list(Condition)
     requests = [c for c in Condition if c.name.endswith("_REQUESTED")]
-    dangerous = [Condition.ESTOP_PRESSED, Condition.ESTOP_LOST, *table.FAULTS]
+    dangerous = [Condition.ESTOP_PRESSED, Condition.ESTOP_LOST, *table.REASONS_TO_RELAX]
     assert max(map(order.index, dangerous)) < min(map(order.index, requests))
 
 
@@ -82,7 +82,7 @@ def test_the_diagram_shows_the_table():
     drawn = set()
     groups = {
         "a reason to hold": table.REASONS_TO_HOLD,
-        "a fault": table.HARD_FAULTS,
+        "a fault": table.FAULTS,
     }
     for line in table.__doc__.splitlines():
         if "-->" in line and "[*]" not in line:
@@ -98,7 +98,7 @@ def test_the_diagram_shows_the_table():
         if next_state(s, c) is not s and c not in estop
     }
     assert drawn == real
-    for name in ("HARD_FAULTS", "REASONS_TO_HOLD"):
+    for name in ("FAULTS", "REASONS_TO_HOLD"):
         for condition in getattr(table, name):
             assert condition.name in table.__doc__
 
@@ -167,7 +167,7 @@ def test_a_request_that_the_state_does_not_allow_is_refused(wanted, request_, te
     ids=["estop", "servos", "tilt", "zero"],
 )
 def test_ready_is_refused_during_a_fault(cause, text):
-    bench = Bench(**{"timing.estop": 0.1, "timing.servo_silent": 0.1})
+    bench = Bench(**{"timing.estop": 0.3, "timing.servo_silent": 0.3})
     cause(bench)
     bench.run(0.5)
     refusal = bench.supervisor.request(bench.now, Request.READY)
@@ -310,20 +310,15 @@ def test_bad_odometry_is_bridged_for_three_cycles_and_then_ends_in_hold(error):
     assert states[bad_from + (6 if error == "stale" else 5)] is State.HOLD
 
 
-@pytest.mark.parametrize(("status", "cycles"), [(Status.STOPPED, 1), (Status.NOT_SOLVED, 11)])
-def test_an_mpc_without_solutions_ends_in_hold(walking, status, cycles):
-    walking.status, walking.fallback_cycles = status, cycles
+def test_an_mpc_that_has_stopped_ends_in_hold(walking):
+    walking.status, walking.fallback_cycles = Status.STOPPED, 11
     assert walking.time_until(State.HOLD, 1.0) <= CYCLE + STEP
-    assert f"{cycles} cycles" in walking.reports[-1].reason
+    assert "11 cycles" in walking.reports[-1].reason
 
 
-def test_the_robot_walks_on_within_the_limit_of_failed_solves(walking):
-    walking.status, walking.fallback_cycles = Status.NOT_SOLVED, SETTINGS.solver.fallback_cycles
+def test_the_robot_walks_on_while_the_mpc_falls_back(walking):
+    walking.status, walking.fallback_cycles = Status.NOT_SOLVED, read_mpc().fallback.cycles
     assert walking.run(1.0).state is State.WALKING
-
-
-def test_supervisor_and_mpc_have_the_same_limit_of_failed_solves():
-    assert SETTINGS.solver.fallback_cycles == read_mpc().fallback.cycles
 
 
 @pytest.mark.parametrize("value", [math.nan, -0.1, 2.5])
@@ -599,7 +594,7 @@ def random_input(rng, bench: Bench, supervisor: Supervisor, steady: int):
         bits = rng.choice([0, 0x20], size=4, p=[0.9995, 0.0005])
         supervisor.receive_health(now, now, bench.servos.health(hardware_error=bits))
     elif kind == 4:
-        supervisor.receive_solver(now, int(rng.choice([0, 1, 4], p=[0.9, 0.09, 0.01])), 0)
+        supervisor.receive_mpc(now, int(rng.choice([0, 1, 4], p=[0.9, 0.09, 0.01])), 0)
     elif kind == 5:
         supervisor.receive_estop(now, bool(rng.random() < 0.002))
     elif kind == 6:

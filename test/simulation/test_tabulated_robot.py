@@ -16,7 +16,7 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.robot import GRAVITY, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
-from slot_core.simulation.plant import simulate
+from slot_core.simulation.plant import make_robot
 from slot_core.simulation.tabulated_robot import TabulatedRobot
 
 ROBOT = read_robot()
@@ -216,7 +216,7 @@ def test_standing_and_stepping_agree_with_the_rods_within_two_millimetres():
     paths = []
     for name in ("map", "flat"):
         scene = config.replace(read_scene(name), {"start.settle": 0.0})
-        sim, path = simulate(ROBOT, scene, read_servo()), []
+        sim, path = make_robot(ROBOT, scene, read_servo()), []
         for k in range(150):
             late = np.radians([90.0, 30.0, 50.0, 75.0])
             sim.advance(10, np.full(4, STANCE) if k < 50 else late)

@@ -25,7 +25,7 @@ from slot_core.dynamics.scene import SolverSettings, read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
 from slot_core.robot import Array, Robot, read_robot
-from slot_core.simulation.plant import simulate
+from slot_core.simulation.plant import make_robot
 from slot_core.simulation.rod_robot import RodRobot
 
 COMMANDS = ((0.5, (63.0, 63.0, 63.0, 63.0)), (1.0, (90.0, 30.0, 50.0, 75.0)))  # s, deg
@@ -138,7 +138,7 @@ def level_row(robot: Robot, name: str, exact: Array, repeats: int) -> dict[str, 
     solver = config.read(SolverSettings, f"solver/{name}")
     scene = config.replace(read_scene("flat"), {"start.settle": 0.0})
     scene = dataclasses.replace(scene, solver=solver)
-    found = measured(lambda: simulate(robot, scene, read_servo()), exact, repeats)
+    found = measured(lambda: make_robot(robot, scene, read_servo()), exact, repeats)
     return {"kind": "level", "level": name, "nodes": solver.nodes, "step": solver.step} | found
 
 

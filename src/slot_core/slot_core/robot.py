@@ -18,6 +18,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 from scipy.integrate import quad
+from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.config import ConfigError, choice, quantity
@@ -140,6 +141,10 @@ class Robot:
         corner = np.array([self.torso.size[0] / 2, self.torso.size[1] / 2, 0.0])
         direction = np.column_stack([np.cos(self.azimuth), np.sin(self.azimuth), np.zeros(4)])
         return np.sign(direction.round(9)) * corner
+
+    def clamp_heights(self, rpy: Array, height: float) -> Array:
+        """(4,) m, clamps above the floor, of a torso at rpy (3,) rad and `height` (m)."""
+        return height + Rotation.from_euler("xyz", rpy).apply(self.clamps)[:, 2]
 
     @cached_property
     def outward(self) -> Array:

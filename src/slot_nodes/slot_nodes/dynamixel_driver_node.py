@@ -38,8 +38,6 @@ from slot_core.dynamixel.settings import DynamixelSettings, read_settings
 from slot_core.dynamixel.state import Cycle
 from slot_core.robot import LEGS, read_robot
 from slot_core.safety.command_gate import Action
-from slot_core.safety.command_watchdog import Permission
-from slot_core.safety.states import State
 from slot_msgs.msg import RobotState, ServoLimits
 from slot_nodes import diagnostics, inputs, messages, qos, runtime
 from slot_nodes.health_report import HealthReport
@@ -194,9 +192,9 @@ class DynamixelDriverNode(LifecycleNode):
         self._session.set_limits(decode.servo_limits(message))
 
     def _on_robot_state(self, message: RobotState) -> None:
-        _, state, action, reason = decode.robot_state(message)
-        fast = state is State.WALKING
-        self._session.permit(Permission(time.monotonic_ns(), action, fast, reason))
+        permission = decode.permission(message, time.monotonic_ns())
+        action = permission.action
+        self._session.permit(permission)
         if self._session.limits is None:
             return  # the supervisor publishes them at its start, on another topic
         if action is Action.OFF:

@@ -44,18 +44,18 @@ class ForceMapperNode(Node):
         inputs.require_finite("force", forces[0])
         self._command(stamp, self._inputs.add("forces", stamp, forces))
 
-    def _prepare(self, stamp: int, inputs: tuple | None) -> None:
+    def _prepare(self, stamp: int, matched: tuple | None) -> None:
         """Compute the slopes of the map before the forces arrive, which are last."""
-        if inputs is None:
+        if matched is None:
             return
-        preview, state = inputs
+        preview, state = matched
         nominal = preview, self._map.slope(preview, state)
         self._command(stamp, self._inputs.add("nominal", stamp, nominal))
 
-    def _command(self, stamp: int, inputs: tuple | None) -> None:
-        if inputs is None:
+    def _command(self, stamp: int, matched: tuple | None) -> None:
+        if matched is None:
             return
-        (force, status), nominal = inputs
+        (force, status), nominal = matched
         command = command_for(self._map, force, status, *nominal)
         self._angles.publish(messages.command_to_msg(stamp, command.angle))
         self._status.publish(messages.map_status_to_msg(stamp, command))

@@ -24,7 +24,9 @@ class GaitSchedulerNode(Node):
         v_y = runtime.declare(self, "v_y", 0.0, "lateral velocity at the start [m/s]")
         self._scheduler = GaitScheduler(settings, gait, np.array([v_x, v_y, 0.0]))
         self._preview = self.create_publisher(GaitPreview, "gait_preview", qos.CONTROL)
-        runtime.subscribe(self, TwistStamped, "cmd_vel", self._on_velocity, qos.SENSOR)
+        inputs.subscribe(
+            self, TwistStamped, "cmd_vel", self._on_velocity, qos.SENSOR, overridable=True
+        )
         self.create_service(SetGait, "set_gait", self._on_gait)
         inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.CONTROL)
 
@@ -35,7 +37,7 @@ class GaitSchedulerNode(Node):
 
     def _on_velocity(self, message: TwistStamped) -> None:
         try:
-            self._scheduler.command(*decode.velocity(message))
+            self._scheduler.set_velocity(*decode.velocity(message))
         except ConfigError as error:
             self.get_logger().warning(f"cmd_vel refused: {error}", throttle_duration_sec=1.0)
 

@@ -8,15 +8,25 @@ from typing import Any
 import numpy as np
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from slot_core.control.gait import GaitPreview
 from slot_core.robot import LEGS
 
 
 def subscribe(
-    node: Node, kind: type, topic: str, callback: Callable[[Any], None], profile: QoSProfile
+    node: Node,
+    kind: type,
+    topic: str,
+    callback: Callable[[Any], None],
+    profile: QoSProfile,
+    *,
+    overridable: bool = False,
 ) -> None:
-    """Subscribe; a ValueError of the callback drops the message and is logged once a second."""
+    """Subscribe; a ValueError of the callback drops the message and is logged once a second.
+
+    overridable: whether parameters can override the quality of service.
+    """
 
     def receive(message: Any) -> None:
         try:
@@ -24,7 +34,8 @@ def subscribe(
         except ValueError as error:
             node.get_logger().warning(f"{topic} refused: {error}", throttle_duration_sec=1.0)
 
-    node.create_subscription(kind, topic, receive, profile)
+    overriding = QoSOverridingOptions.with_default_policies() if overridable else None
+    node.create_subscription(kind, topic, receive, profile, qos_overriding_options=overriding)
 
 
 def require_finite(name: str, values: Any) -> None:

@@ -43,10 +43,10 @@ class MpcControllerNode(Node):
         preview = decode.preview(message)
         self._solve(preview.stamp, self._inputs.add("preview", preview.stamp, preview))
 
-    def _solve(self, stamp: int, inputs: tuple | None) -> None:
-        if inputs is None:
+    def _solve(self, stamp: int, matched: tuple | None) -> None:
+        if matched is None:
             return
-        (number, state), preview = inputs
+        (number, state), preview = matched
         result = self._mpc.step(state, preview)
         self._pace.add(number, result.solve_time, preview.dt)
         self._forces.publish(messages.forces_to_msg(stamp, result, self._pace))

@@ -19,8 +19,6 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.logging import get_logger
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.timer import Timer
 
 from slot_core import config
@@ -91,14 +89,6 @@ def wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer
 def last_logger(node: Node) -> RcutilsLogger:
     """Logger that works after the context has ended; its lines are not on /rosout."""
     return get_logger(f"{node.get_name()}.end")
-
-
-def subscribe(
-    node: Node, kind: type, topic: str, callback: Callable[..., None], profile: QoSProfile
-) -> None:
-    """Subscribe to a topic whose quality of service can be overridden by parameters."""
-    overriding = QoSOverridingOptions.with_default_policies()
-    node.create_subscription(kind, topic, callback, profile, qos_overriding_options=overriding)
 
 
 def _descriptor(meta: Mapping[str, Any], value: Any) -> dict[str, Any]:

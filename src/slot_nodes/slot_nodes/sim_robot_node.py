@@ -42,8 +42,6 @@ from slot_core.dynamixel.state import JointReading
 from slot_core.emulator.emulated_bus import read_emulator
 from slot_core.robot import read_robot
 from slot_core.safety.command_gate import Action
-from slot_core.safety.command_watchdog import Permission
-from slot_core.safety.states import State
 from slot_core.simulation.bus_plant import BusPlant
 from slot_core.simulation.clocks import LockstepClock, RealTimeClock, SimulationClock
 from slot_core.simulation.plant import Plant, Reading, TrueState
@@ -177,9 +175,7 @@ class SimRobotNode(Node):
         servos.set_limits(decode.servo_limits(message))
 
     def _on_robot_state(self, servos: GuardedServos, message: RobotState) -> None:
-        _, state, action, reason = decode.robot_state(message)
-        walking = state is State.WALKING
-        servos.permit(Permission(time.monotonic_ns(), action, walking, reason))
+        servos.permit(decode.permission(message, time.monotonic_ns()))
 
     def _on_command(self, message: JointState) -> None:
         stamp, angle = decode.joint_angles(message)

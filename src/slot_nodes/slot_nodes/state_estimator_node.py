@@ -8,7 +8,7 @@ from tf2_msgs.msg import TFMessage
 from slot_core.bags import decode
 from slot_core.control.state_estimator import StateEstimator, Validity, read_estimator
 from slot_msgs.msg import MpcState
-from slot_nodes import messages, qos, runtime
+from slot_nodes import inputs, messages, qos, runtime
 
 
 class StateEstimatorNode(Node):
@@ -19,8 +19,8 @@ class StateEstimatorNode(Node):
         self._estimator = StateEstimator(runtime.declare_settings(self, read_estimator()))
         self._state = self.create_publisher(MpcState, "mpc_state", qos.CONTROL)
         self._tf = self.create_publisher(TFMessage, "tf", qos.SENSOR)
-        runtime.subscribe(self, Imu, "imu", self._on_imu, qos.SENSOR)
-        runtime.subscribe(self, Odometry, "odom", self._on_odometry, qos.SENSOR)
+        inputs.subscribe(self, Imu, "imu", self._on_imu, qos.SENSOR, overridable=True)
+        inputs.subscribe(self, Odometry, "odom", self._on_odometry, qos.SENSOR, overridable=True)
 
     def _on_imu(self, message: Imu) -> None:
         self._estimator.add_imu(*decode.imu(message))

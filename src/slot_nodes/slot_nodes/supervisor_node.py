@@ -94,7 +94,7 @@ class SupervisorNode(Node):
 
     def _on_forces(self, message: GroundReactionForces) -> None:
         self._supervisor.receive_heartbeat(self._now(), "mpc_controller")
-        self._supervisor.receive_solver(self._now(), message.status, message.fallback_cycles)
+        self._supervisor.receive_mpc(self._now(), message.status, message.fallback_cycles)
 
     def _on_command(self, message: JointState) -> None:
         self._supervisor.receive_heartbeat(self._now(), "force_mapper")

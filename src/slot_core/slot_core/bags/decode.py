@@ -16,6 +16,7 @@ from slot_core.control.gait import GaitPreview
 from slot_core.faults import Fault
 from slot_core.robot import LEGS, TENDON_JOINTS, Array
 from slot_core.safety.command_gate import Action
+from slot_core.safety.command_watchdog import Permission
 from slot_core.safety.servo_health import ServoHealth
 from slot_core.safety.settings import GateSettings, ServoLimits
 from slot_core.safety.states import State
@@ -123,6 +124,12 @@ def forces(message: Any) -> tuple[int, Array, int]:
 def robot_state(message: Any) -> tuple[int, State, Action, str]:
     """(stamp, state, action of the servos, reason); raises ValueError on unknown numbers."""
     return stamp(message), State(message.state), _action(message.action), message.reason
+
+
+def permission(message: Any, now: int) -> Permission:
+    """Permission of a RobotState received at `now` (ns); raises ValueError on unknown numbers."""
+    _, state, action, reason = robot_state(message)
+    return Permission(now, action, state is State.WALKING, reason)
 
 
 def servo_health(message: Any) -> tuple[int, ServoHealth]:

@@ -1,8 +1,8 @@
 """Replays a bag through the cores, without ROS, and compares their outputs with the recorded ones.
 
-Every stage gets the recorded input of its node, so the first difference names the stage that has
-changed: `/odom` and `/imu` go to the state estimator, recorded states and gait previews to the MPC,
-recorded forces, previews and states to the force map.
+Each replayed stage gets the recorded input of its node, so the first difference names the stage
+that has changed: `/odom` and `/imu` go to the state estimator, recorded states and gait previews to
+the MPC, recorded forces, previews and states to the force map. The gait scheduler is not replayed.
 """
 
 from __future__ import annotations

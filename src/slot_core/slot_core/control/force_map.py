@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
-from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.config import choice, quantity
@@ -75,7 +74,8 @@ class ForceMap:
         """Slopes (4,) N/rad at stage 0 of `preview` and at `state` (12,); they need no forces."""
         if self._settings.map == "paper":
             return np.full(4, np.degrees(self._settings.line_slope))
-        slope = self._slope(preview.tendon_angle[0], self._clamp_heights(state))
+        height = self._robot.clamp_heights(state[0:3], state[5])
+        slope = self._slope(preview.tendon_angle[0], height)
         return np.maximum(slope, self._settings.slope_min)
 
     def step(self, force: Array, preview: GaitPreview, slope: Array) -> TendonCommand:
@@ -104,10 +104,6 @@ class ForceMap:
     def _correction(self, normal: Array, preview: GaitPreview, slope: Array) -> Array:
         limit = np.radians(self._settings.correction_max_deg)
         return np.clip((normal - preview.normal_force[0]) / slope, -limit, limit)
-
-    def _clamp_heights(self, state: Array) -> Array:
-        """Heights (4,) of the leg clamps above the floor, m."""
-        return state[5] + Rotation.from_euler("xyz", state[0:3]).apply(self._robot.clamps)[:, 2]
 
 
 def read_force_map() -> ForceMapSettings:

@@ -147,7 +147,7 @@ class GaitSettings:
     friction: float = quantity("friction coefficient assumed by the controller", "", 0, 2)
     contact_force: float = quantity("smallest normal force of a leg in stance", "N", 0, 10)
     transition: float = quantity("duration of a blend between gaits", "s", 0, 10)
-    command_timeout: float = quantity("age at which a velocity command expires", "s", 0.05, 10)
+    velocity_timeout: float = quantity("age at which a velocity command expires", "s", 0.05, 10)
     stages: int = quantity("stages of the preview, at least the MPC's horizon", "", 1, 100)
     dt: float = quantity("time between stages", "s", 1e-3, 0.2)
 
@@ -235,11 +235,11 @@ class GaitScheduler:
         self._requested, self._velocity = gait, np.array(velocity, dtype=float)
         self._command_stamp: int | None = None  # ns, of the velocity; None: it does not expire
 
-    def command(self, stamp: int, velocity: Array) -> None:
-        """Set the velocity of the requested gait; it expires after `command_timeout`, then is zero.
+    def set_velocity(self, stamp: int, velocity: Array) -> None:
+        """Set the velocity of the requested gait; after `velocity_timeout` it becomes zero.
 
         stamp: ns, on the clock of the states. Raises ConfigError as `request` does, and for a stamp
-        further than `command_timeout` from the last state's. Such a command stops the robot, since
+        further than `velocity_timeout` from the last state's. Such a command stops the robot, since
         it may have been a late stop.
         """
         self.request(self._requested, velocity)
@@ -247,7 +247,7 @@ class GaitScheduler:
         if self._stamp is not None and self._is_expired(self._stamp):
             raise config.ConfigError(
                 f"stamp is {(stamp - self._stamp) * 1e-9:+.3f} s from the state's (limit "
-                f"{self._settings.command_timeout:g} s), velocity set to zero"
+                f"{self._settings.velocity_timeout:g} s), velocity set to zero"
             )
 
     def step(self, stamp: int, state: Array) -> GaitPreview:
@@ -276,7 +276,7 @@ class GaitScheduler:
         """Whether the velocity is too old at `stamp` (ns), or too far in the future."""
         if self._command_stamp is None:
             return False
-        return abs(stamp - self._command_stamp) > self._settings.command_timeout * 1e9
+        return abs(stamp - self._command_stamp) > self._settings.velocity_timeout * 1e9
 
     def _advance_heading(self, stamp: int, state: Array) -> None:
         """Update the reference heading: the robot's yaw, then the integral of the yaw rate."""

@@ -34,13 +34,21 @@ class Joint:
         """Name of the servo in messages."""
         return f"servo {self.leg} (id {self.id})"
 
+    def servo_angle(self, tendon: float) -> float:
+        """Angle of the servo (rad) at a tendon angle (rad)."""
+        return self.zero + self.direction * self.ratio * tendon
+
+    def tendon_angle(self, servo: float) -> float:
+        """Tendon angle (rad) at an angle of the servo (rad)."""
+        return (servo - self.zero) / (self.direction * self.ratio)
+
     def counts(self, tendon: float) -> int:
         """Encoder count nearest to a tendon angle (rad)."""
-        return round((self.zero + self.direction * self.ratio * tendon) / RAD_PER_COUNT)
+        return round(self.servo_angle(tendon) / RAD_PER_COUNT)
 
     def tendon(self, counts: float) -> float:
         """Tendon angle (rad) at an encoder count."""
-        return (counts * RAD_PER_COUNT - self.zero) / (self.direction * self.ratio)
+        return self.tendon_angle(counts * RAD_PER_COUNT)
 
     def tendon_rate(self, velocity: int) -> float:
         """Tendon angle rate (rad/s) from the value of Present Velocity."""

@@ -1,22 +1,27 @@
 """Servo session: bus cycles of the driver under the command watchdog.
 
 The watchdog (`safety/command_watchdog.py`) decides on the action from commands, permissions and
-faults. Times are those of the driver's clock, which never goes back, ns.
+faults. A fault of a servo takes two ways to torque off: the watchdog begins a ramp to slack in the
+same cycle, and the supervisor, which reads it on `/servo_health`, then permits RELAX and finally
+OFF, which switches torque off at once if it is still on.
+Times are those of the driver's clock, which never goes back, ns.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from slot_core.clock import SECOND
+from slot_core.config import ConfigError
 from slot_core.dynamixel.checks import ServoInfo
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.errors import RefusedError, ServoError
+from slot_core.dynamixel.joints import Joint
 from slot_core.dynamixel.state import Cycle, Health, JointReading, TorqueOff
 from slot_core.robot import LEGS, Array
 from slot_core.safety.command_gate import Action
@@ -47,7 +52,12 @@ class ServoSession:
         period: float,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Commands up to `angle_max` (rad); `period` (s) between steps; `sleep` waits in `stop`."""
+        """Commands within [0, `angle_max`] (rad); `period` (s) between steps; `stop` uses `sleep`.
+
+        Raises ConfigError for a joint with a smaller range: the gait, the force map and the
+        supervisor would not know of it.
+        """
+        _check_ranges(driver.joints, angle_max)
         self.driver = driver
         self.period = period
         self.action, self.reason = Action.OFF, "not started"
@@ -55,10 +65,7 @@ class ServoSession:
         self.commanded = 0  # ns, stamp of the last command that was written to the servos
         self.written = 0.0  # s of the driver's clock, when it was written
         self._sleep = sleep
-        self._range = (
-            max(0.0, *(joint.low for joint in driver.joints)),
-            min(angle_max, *(joint.high for joint in driver.joints)),
-        )
+        self._angle_max = angle_max
         self._watchdog: CommandWatchdog | None = None  # None: no limits yet
         self._slewed = np.zeros(len(LEGS), dtype=bool)
         self._offered = 0  # stamp of the last accepted command
@@ -74,7 +81,7 @@ class ServoSession:
     def set_limits(self, limits: ServoLimits) -> None:
         """Take the supervisor's limits; raises ConfigError as `CommandGate` does."""
         if self._watchdog is None:
-            self._watchdog = CommandWatchdog(limits, *self._range)
+            self._watchdog = CommandWatchdog(limits, 0.0, self._angle_max)
         else:
             self._watchdog.set_limits(limits)
 
@@ -227,6 +234,16 @@ class ServoSession:
         late = self._last_step is not None and now - self._last_step > LATE * self.period * SECOND
         self.overruns += late
         self._last_step = now
+
+
+def _check_ranges(joints: Sequence[Joint], angle_max: float) -> None:
+    for joint in joints:
+        if joint.low > 0.0 or joint.high < angle_max:
+            low, high, largest = map(math.degrees, (joint.low, joint.high, angle_max))
+            raise ConfigError(
+                f"dynamixel.yaml: joints: range [{low:g}, {high:g}] deg, smaller than that of the"
+                f" tendon, [0, {largest:g}] deg; change tendon.angle_max_deg of robot.yaml instead"
+            )
 
 
 def measured(stamp: int, cycle: Cycle, tendon_stall: Array) -> JointReading | None:

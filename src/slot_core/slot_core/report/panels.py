@@ -72,7 +72,7 @@ def draw_tilt(ax: Axes, motion: Motion, warm_up: float) -> None:
 
 def draw_angles(axes: Sequence[Axes], bag: Bag, start: float, end: float) -> None:
     """Tendon angles of each leg, desired and true, over the last strides."""
-    for topic, label in (("/desired_joint_angles", "desired"), ("/joint_states", "true")):
+    for topic, label in (("/desired_joint_angles", "desired"), ("/joint_states", "measured")):
         if bag.counts.get(topic):
             t, angle = joint_columns(bag, topic, "position")
             _per_leg(axes, t - start, np.degrees(angle), label)
@@ -148,7 +148,7 @@ LATENCY_COLOURS = (*palette.STAGE_COLOURS, palette.INK)
 
 def _per_leg(axes: Sequence[Axes], t: Array, values: Array, label: str) -> None:
     for ax, leg, column in zip(axes, LEGS, values.T):
-        if label == "true":
+        if label in ("true", "measured"):
             ax.plot(t, column, color=palette.LEG_COLOURS[leg], lw=1.8, alpha=0.75, label=label)
         else:
             ax.plot(t, column, color=palette.INK, ls="--", lw=1, label=label)

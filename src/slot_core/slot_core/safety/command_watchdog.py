@@ -1,6 +1,6 @@
 """Action of the servos, from the supervisor's permission, the commands and the age of both.
 
-    limits not received, no permission yet       HOLD
+    no permission yet                            HOLD
     permission HOLD, RELAX or OFF                the same
     permission PASS, no command yet              HOLD
     permission PASS and commands                 PASS: the goals follow them, rate-limited

@@ -60,14 +60,12 @@ class Conditions:
         if finite:
             self._tilt = (float(estimate.state[0]), float(estimate.state[1]))
 
-    def receive_solver(self, status: int, fallback_cycles: int) -> None:
-        """Status of the last cycle of the MPC."""
-        most = self._settings.solver.fallback_cycles
-        self._stopped = ""
-        if fallback_cycles > most:
-            self._stopped = f"no solution for {fallback_cycles} cycles, limit {most}"
-        elif status == Status.STOPPED:
-            self._stopped = f"MPC stopped, {fallback_cycles} cycles without a solution"
+    def receive_mpc(self, status: int, fallback_cycles: int) -> None:
+        """Status of the last cycle of the MPC, and cycles since its last solution."""
+        stopped = status == Status.STOPPED
+        self._stopped = (
+            f"MPC stopped, {fallback_cycles} cycles without a solution" if stopped else ""
+        )
 
     def receive_command(self, time: int, fault: str) -> None:
         """A command; `fault`: why it was rejected, or ""."""
@@ -182,7 +180,7 @@ class Conditions:
     def _commands(self, time: int) -> Iterator[Finding]:
         timing, age = self._settings.timing, self._age(time, "command")
         if self._stopped:
-            yield Condition.SOLVER_STOPPED, self._stopped
+            yield Condition.MPC_STOPPED, self._stopped
         if self._rejected:
             yield Condition.COMMAND_REJECTED, self._rejected
         for condition, limit in (

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from slot_core import config
 from slot_core.config import ConfigError, flag, quantity, text
 
+NODES = ("state_estimator", "mpc_controller", "force_mapper")  # without forces no gait_scheduler
+
 
 @dataclass(frozen=True)
 class Timing:
@@ -18,7 +20,7 @@ class Timing:
     recovery: float = quantity("time without a reason to hold that ends HOLD", "s", 0.0, 5)
     clock_jump: float = quantity("change of the clock that is a jump", "s", 0.05, 60)
     heartbeat: float = quantity("time without a message of a node", "s", 0.05, 10)
-    estop: float = quantity("time without a message of the e-stop's source", "s", 0.05, 2)
+    estop: float = quantity("time without a message of the e-stop's source", "s", 0.3, 2)
     servo_silent: float = quantity("time without an answer of a servo", "s", 0.05, 2)
     torque_change: float = quantity("time for the driver to switch torque on or off", "s", 0.05, 5)
 
@@ -30,20 +32,6 @@ class EstimateLimits:
     coast_cycles: int = quantity("unusable estimates in a row that are accepted", "", 0, 30)
     silence: float = quantity("time without an estimate", "s", 0.01, 5)
     tilt_max: float = quantity("largest magnitude of roll and of pitch", "rad", 0.05, 1.5)
-
-
-@dataclass(frozen=True)
-class SolverLimits:
-    """Limits of the MPC."""
-
-    fallback_cycles: int = quantity("cycles in a row without a solution", "", 0, 1000)
-
-
-@dataclass(frozen=True)
-class AngleLimits:
-    """Limits of the measured angles before torque comes on."""
-
-    angle_tolerance: float = quantity("measured angle beyond the range", "rad", 0, 0.5)
 
 
 @dataclass(frozen=True)
@@ -96,13 +84,18 @@ class SupervisorSettings:
 
     timing: Timing
     estimate: EstimateLimits
-    solver: SolverLimits
-    servo: AngleLimits
     gate: GateSettings
     tendon: TendonLimits
+    zero_tolerance: float = quantity("measured tendon angle beyond the range", "rad", 0, 0.5)
     arrived: float = quantity("distance to the command that counts as reached", "rad", 1e-3, 1)
     nodes: tuple[str, ...] = text("nodes whose heartbeat is needed")
     estop_required: bool = flag("whether motion needs a source of the e-stop")
+
+    def __post_init__(self) -> None:
+        """Raise ConfigError for a node whose heartbeat the supervisor does not receive."""
+        for node in self.nodes:
+            if node not in NODES:
+                raise ConfigError(f"nodes: {node!r}: expected some of {', '.join(NODES)}")
 
     @property
     def servo_limits(self) -> ServoLimits:

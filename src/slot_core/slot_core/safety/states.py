@@ -27,7 +27,7 @@ stateDiagram-v2
   note right of FAULT: faults are SERVO_FAULT, SERVO_SILENT, TILTED
   note right of HOLD
     reasons to hold are CLOCK_JUMPED, NODE_LOST,
-    TENDON_DAMAGED, SOLVER_STOPPED, ESTIMATE_LOST,
+    TENDON_DAMAGED, MPC_STOPPED, ESTIMATE_LOST,
     COMMAND_REJECTED, COMMAND_STALE
   end note
 ```
@@ -71,7 +71,7 @@ class Condition(enum.Enum):
     CLOCK_JUMPED = "clock jumped"
     NODE_LOST = "node lost"
     TENDON_DAMAGED = "tendon damaged"
-    SOLVER_STOPPED = "solver stopped"
+    MPC_STOPPED = "MPC stopped"
     ESTIMATE_LOST = "estimate lost"
     COMMAND_REJECTED = "command rejected"
     COMMAND_STALE = "commands stale"
@@ -101,7 +101,7 @@ TRANSITIONS: dict[Condition, tuple[State, ...]] = {
     Condition.CLOCK_JUMPED:        (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.NODE_LOST:           (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.TENDON_DAMAGED:      (_I, _R, _H, _H, _H, _X, _E, _F),
-    Condition.SOLVER_STOPPED:      (_I, _R, _H, _H, _H, _X, _E, _F),
+    Condition.MPC_STOPPED:         (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.ESTIMATE_LOST:       (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.COMMAND_REJECTED:    (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.COMMAND_STALE:       (_I, _R, _H, _H, _H, _X, _E, _F),
@@ -128,10 +128,10 @@ ACTIONS = {
 
 REASONS_TO_HOLD = frozenset(c for c, row in TRANSITIONS.items() if row[_W] is _H)
 # Faults of the robot itself: they count in every state under torque.
-HARD_FAULTS = frozenset(
+FAULTS = frozenset(
     c for c, row in TRANSITIONS.items() if row[_R] is _X and c is not Condition.RELAX_REQUESTED
 )
-FAULTS = frozenset(
+REASONS_TO_RELAX = frozenset(
     c for c, row in TRANSITIONS.items() if row[_H] is _X and c is not Condition.RELAX_REQUESTED
 )
 

@@ -13,7 +13,6 @@ import enum
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from slot_core.clock import SECOND
 from slot_core.control.state_estimator import Estimate
@@ -25,8 +24,8 @@ from slot_core.safety.settings import SupervisorSettings
 from slot_core.safety.states import (
     ACTIONS,
     FAULTS,
-    HARD_FAULTS,
     REASONS_TO_HOLD,
+    REASONS_TO_RELAX,
     Condition,
     State,
     next_state,
@@ -111,7 +110,7 @@ class Supervisor:
         self._clear_since: int | None = None  # steady time since which there is no reason to hold
         self._faulty = False  # whether RELAX ends in FAULT
         self._command = np.zeros(len(LEGS))  # rad, last accepted
-        self._servo_angle = np.full(len(LEGS), np.nan)
+        self._tendon_angle = np.full(len(LEGS), np.nan)
         self._height = np.full(len(LEGS), np.nan)  # m, of the clamps
         self._estimated = 0  # steady time of the estimate they were computed from
         self._stride = settings.tendon.window_min  # s
@@ -136,10 +135,10 @@ class Supervisor:
         if np.isfinite(stride) and stride > 0.0:
             self._stride = float(stride)
 
-    def receive_solver(self, now: int, status: int, fallback_cycles: int) -> None:
+    def receive_mpc(self, now: int, status: int, fallback_cycles: int) -> None:
         """Status of a cycle of the MPC (`mpc.Status`), and cycles since the last solution."""
         self._advance(now)
-        self._inputs.receive_solver(status, fallback_cycles)
+        self._inputs.receive_mpc(status, fallback_cycles)
 
     def receive_estimate(self, now: int, estimate: Estimate) -> None:
         """Estimate of the torso's state, usable or not."""
@@ -166,7 +165,7 @@ class Supervisor:
         if self._stamp_fault("joints", now, stamp):
             return
         self._inputs.receive_joints(time - max(now - stamp, 0), angle, torque)
-        self._servo_angle = np.array(angle, dtype=np.float64)
+        self._tendon_angle = np.array(angle, dtype=np.float64)
         if self._follows_gait(time):
             self._tendons = self._watch.observe(stamp, angle, torque, self._height, self._stride)
 
@@ -203,13 +202,13 @@ class Supervisor:
         time = self._advance(now)
         active = self._conditions(time)
         self._clock.jumped = ""
-        if self._state is State.RELAX and not HARD_FAULTS.isdisjoint(active):
+        if self._state is State.RELAX and not FAULTS.isdisjoint(active):
             self._faulty = True
         for condition in Condition:
             if condition in active and next_state(self._state, condition) is not self._state:
                 self._transition(now, time, condition, active[condition])
                 break
-        warnings = [text for c, text in active.items() if c in REASONS_TO_HOLD | FAULTS]
+        warnings = [text for c, text in active.items() if c in REASONS_TO_HOLD | REASONS_TO_RELAX]
         warnings += self._wrong_clock.values()
         if self._state is State.WALKING and self._inputs.slewed:
             distance = self._inputs.distance(self._command)
@@ -331,10 +330,10 @@ class Supervisor:
 
     def _angles_out_of_range(self) -> list[str]:
         """Servos whose angle is outside the range (a wrong zero), one line each."""
-        largest, tolerance = self._robot.tendon.angle_max, self._settings.servo.angle_tolerance
+        largest, tolerance = self._robot.tendon.angle_max, self._settings.zero_tolerance
         return [
             f"servo {leg} at {angle:.3g} rad, limits [{-tolerance:.3g}, {largest + tolerance:.3g}]"
-            for leg, angle in zip(LEGS, self._servo_angle)
+            for leg, angle in zip(LEGS, self._tendon_angle)
             if not -tolerance <= angle <= largest + tolerance
         ]
 
@@ -350,11 +349,10 @@ class Supervisor:
             self._watch.reset()
             self._tendons = self._watch.state
         elif after is State.RELAX:
-            self._faulty = condition in FAULTS
+            self._faulty = condition in REASONS_TO_RELAX
 
     def _clamp_heights(self, state: Array) -> Array:
         """(4,) m over the floor; NaN where the state is not finite."""
         if not np.isfinite(state).all():
             return np.full(len(LEGS), np.nan)
-        clamps = Rotation.from_euler("xyz", state[0:3]).apply(self._robot.clamps)
-        return state[5] + clamps[:, 2]
+        return self._robot.clamp_heights(state[0:3], state[5])

@@ -23,10 +23,7 @@ class EmulatedLegs:
         angles: Sequence[float] | Array = (0.0,) * 4,
     ) -> None:
         self.joints = joints(settings.joints)
-        shaft_angles = [
-            joint.zero + joint.direction * joint.ratio * float(angle)
-            for joint, angle in zip(self.joints, angles)
-        ]
+        shaft_angles = [j.servo_angle(float(angle)) for j, angle in zip(self.joints, angles)]
         self.bus = EmulatedBus(emulator, settings.joints.ids, shaft_angles)
         for joint, servo in zip(self.joints, self.bus.servos):
             for name, value in expected(settings, joint).items():
@@ -47,7 +44,7 @@ class EmulatedLegs:
         """Tendon angles (4,), rad, exact, without the encoder's resolution."""
         return np.array(
             [
-                (servo.shaft.angle - joint.zero) / (joint.direction * joint.ratio)
+                joint.tendon_angle(servo.shaft.angle)
                 for joint, servo in zip(self.joints, self.bus.servos)
             ]
         )

@@ -13,11 +13,11 @@ from slot_core.control.mpc.mpc import DEFAULT_PROFILE, read_mpc
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.robot import Array, Robot, read_robot
+from slot_core.simulation.clocks import LOCKSTEP_START
 from slot_core.simulation.plant import Plant, Reading
 from slot_core.simulation.sensors import ImuReading, OdometryReading
 
 PlantMaker = Callable[[Robot, Scene, ServoSettings, np.random.Generator], Plant]
-START = 1_000_000_000  # ns; a stamp of zero means "no time" in ROS
 
 
 class ClosedLoop:
@@ -54,8 +54,8 @@ class ClosedLoop:
         Raises Divergence when the simulation diverges, and RuntimeError when the estimator has no
         estimate for an odometry reading.
         """
-        self._read(self.plant.present(START))
-        self.plant.start(START)
+        self._read(self.plant.present(LOCKSTEP_START))
+        self.plant.start(LOCKSTEP_START)
         for _ in range(ticks):
             tick = self.controller.poll()
             if tick is None:

@@ -61,7 +61,7 @@ MODELS: dict[str, type[SimulatedRobot]] = {
 ROBOT_WITH_FAULT = {SLACK: KernelRobot, BROKEN: KernelRobot, NAN: RodRobot}
 
 
-def simulate(robot: Robot, scene: Scene, servo: ServoSettings) -> SimulatedRobot:
+def make_robot(robot: Robot, scene: Scene, servo: ServoSettings) -> SimulatedRobot:
     """Simulated robot with the model of the legs `scene.solver.legs`, settled at its start."""
     return MODELS[scene.solver.legs](robot, scene, servo)
 
@@ -76,7 +76,7 @@ class Plant:
 
     def __init__(self, robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator):
         odometry_rng, imu_rng = rng.spawn(2)
-        self.simulator = simulate(robot, scene, servo)
+        self.simulator = make_robot(robot, scene, servo)
         self.now = 0  # ns
         self._scene = scene
         self._step = round(scene.solver.step * 1e9)

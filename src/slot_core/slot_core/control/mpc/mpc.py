@@ -75,7 +75,7 @@ class Acceptance:
     """Limits of the inputs and of an accepted solution."""
 
     violation_max: float = quantity("largest violation of a force limit", "N", 0, 1)
-    time_budget: float = quantity("time for update and solve; .inf in lockstep", "s", 0, math.inf)
+    time_budget: float = quantity("time for checks, update and solve", "s", 0, math.inf)
     condition_max: float = quantity("condition number of the Hessian, longest stage", "", 1, 1e12)
     stage: tuple[float, float] = quantity("shortest and longest stage", "s", 1e-4, 1)
     input_max: float = quantity("largest magnitude of any input, SI units", "", 1, 1e9)
