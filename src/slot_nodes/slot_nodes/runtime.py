@@ -1,4 +1,4 @@
-"""Common functions of the nodes: start and clean end, parameters, timers, subscriptions."""
+"""Common functions of the nodes: start and clean end, parameters, timers."""
 
 from __future__ import annotations
 
