@@ -124,3 +124,13 @@ def test_slack_is_the_lower_end_of_the_range():
     gated = [watchdog.step(time) for time in times]
     assert (gated[-1].angle == 0.2).all()
     assert not gated[-1].torque
+
+
+@pytest.mark.parametrize("action", [Action.PASS, Action.HOLD, Action.RELAX])
+def test_missing_commands_stay_overdue_until_one_comes_whatever_is_permitted(bench, action):
+    bench.run(0.5)
+    assert not bench.watchdog.overdue
+    bench.run(TIMING.command_hold + 2 * TICK * 1e-9, action, command=None)
+    assert bench.watchdog.overdue
+    bench.run(TICK * 1e-9, action)
+    assert not bench.watchdog.overdue

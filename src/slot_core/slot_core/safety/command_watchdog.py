@@ -84,6 +84,9 @@ class CommandWatchdog:
     def step(self, now: int) -> Gated:
         """Decide on the action and move the goals."""
         self.action, self.reason = self._decide(now)
+        received = [] if self._commanded is None else [self._commanded]
+        received += [] if self._permission is None else [self._permission.time]
+        self.overdue = any(now - time > self.limits.command_hold * SECOND for time in received)
         fast = self._permission is not None and self._permission.fast
         return self._gate.step(now, self.action, fast=fast)
 
@@ -95,7 +98,6 @@ class CommandWatchdog:
     def _decide(self, now: int) -> tuple[Action, str]:
         """Action and its reason, "" for PASS."""
         permission = self._permission
-        self.overdue = False
         received = None if permission is None else permission.time
         held = self._overdue("message of the supervisor", now, received)
         if permission is not None and permission.action is Action.PASS:
@@ -115,7 +117,6 @@ class CommandWatchdog:
         if received is None:
             return f"no {what} yet"
         age, limits = (now - received) / SECOND, self.limits
-        self.overdue = self.overdue or age > limits.command_hold
         if age > limits.command_lost:
             self.relax(f"no {what} for {age:.2f} s, limit {limits.command_lost:g} s")
         if age > limits.command_hold:
