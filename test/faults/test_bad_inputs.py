@@ -124,7 +124,7 @@ def test_an_mpc_without_solutions_ends_in_hold_after_its_fallback(walking):
     for change, status in ((too_hard, Status.NOT_SOLVED), (invalid, Status.REJECTED)):
         before = len(walking.messages["/ground_reaction_forces"])
         with walking.relays["gait_preview"].changed(change) as begin:
-            wait_for_warning(walking, begin, f"limit {most}")
+            wait_for_warning(walking, begin, f"MPC stopped, {most + 1} cycles without a solution")
             assert time_to_hold(walking, begin) < (most + 3) * TICK + BUSY
         wait_for_walking(walking)
         failed = [m for m in walking.messages["/ground_reaction_forces"][before:] if m.message]
@@ -136,10 +136,10 @@ def test_an_mpc_without_solutions_ends_in_hold_after_its_fallback(walking):
 def test_stand_is_refused_while_the_mpc_is_always_late(walking):
     walking.wait_for_state(State.FAULT, walking.kill("mpc_controller"))
     walking.start("mpc_controller", parameters={"acceptance.time_budget": 1e-6})
-    wait_for_warning(walking, walking.now(), "no solution for")
+    wait_for_warning(walking, walking.now(), "MPC stopped, ")
     assert walking.request("reset") == ""
     assert walking.request("ready") == ""
-    assert walking.request("stand").startswith("STAND refused in READY: no solution for ")
+    assert walking.request("stand").startswith("STAND refused in READY: MPC stopped, ")
     status = walking.last("/ground_reaction_forces")
     assert status.status == Status.STOPPED
     assert "ms exceed 0.001 ms" in status.message
