@@ -180,9 +180,10 @@ class DynamixelDriverNode(LifecycleNode):
 
     def _on_command(self, message: JointState) -> None:
         stamp, angle = decode.joint_angles(message)
-        if self._session.limits is not None:
-            now = self.get_clock().now().nanoseconds
-            inputs.require_present(stamp, now, self._session.limits.clock_jump)
+        if self._session.limits is None:
+            return  # torque is off until the supervisor has sent them
+        now = self.get_clock().now().nanoseconds
+        inputs.require_present(stamp, now, self._session.limits.clock_jump)
         if fault := self._session.offer(time.monotonic_ns(), stamp, angle):
             raise ValueError(fault)
         if self._timer is not None:
