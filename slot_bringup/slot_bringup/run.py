@@ -98,8 +98,18 @@ def check(options: argparse.Namespace) -> None:
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not (domain.isdecimal() and int(domain) <= DOMAIN_MAX):
         raise ConfigError(f"ROS_DOMAIN_ID = {domain!r}: expected a number within [0, {DOMAIN_MAX}]")
-    if options.bag is not None and options.bag.exists():
-        raise ConfigError(f"--bag {options.bag}: exists already")
+    if options.bag is not None:
+        _check_new(options.bag)
+
+
+def _check_new(bag: Path) -> None:
+    """Raise ConfigError if a bag cannot be made at a path."""
+    try:
+        exists = bag.exists()
+    except OSError as error:
+        raise ConfigError(f"--bag: {error.strerror}") from None
+    if exists:
+        raise ConfigError(f"--bag {bag}: exists already")
 
 
 def _duration(text: str) -> float:
