@@ -76,7 +76,7 @@ def test_results_of_a_benchmark_into_a_file_are_refused(tmp_path, capsys):
 
 def test_a_bag_with_a_name_too_long_is_refused(capsys):
     line = refusal(lambda: run.parse(["--bag", "x" * 300], read_graph()), capsys)
-    assert line == "scripts/run: --bag: File name too long"
+    assert line == "scripts/run: bag: File name too long"
 
 
 def test_a_replay_whose_output_cannot_be_written_says_so():
