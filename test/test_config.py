@@ -1,6 +1,7 @@
 """Configuration files are read into typed, bounded dataclasses; bad values are refused by name."""
 
 import dataclasses
+import os
 
 import pytest
 
@@ -87,6 +88,13 @@ def test_replaced_values_are_checked_like_values_read():
         config.replace(outer, {"inner.none": 1})
 
 
+@pytest.mark.parametrize("changes", [None, [1], "text"])
+def test_changes_that_are_no_mapping_are_refused(changes):
+    outer = config.build(Outer, GOOD, "f.yaml")
+    with pytest.raises(ConfigError, match=r"p\.yaml: expected a mapping of dotted names"):
+        config.replace(outer, changes, "p.yaml")
+
+
 def test_leaves_name_every_plain_value():
     names = [name for name, _, _ in config.leaves(config.build(Outer, GOOD, "f.yaml"))]
     assert names == ["count", "law", "on", "inner.gain", "inner.axes"]
@@ -105,3 +113,39 @@ def test_broken_yaml_is_one_line(tmp_path, monkeypatch):
     with pytest.raises(ConfigError, match=r"^broken\.yaml: ") as refusal:
         config.read(Outer, "broken")
     assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("count: 1\ncount: 2\n", "broken.yaml: the key 'count' is repeated"),
+        ("inner: {gain: 1, gain: 1}\n", "broken.yaml: the key 'gain' is repeated"),
+        ("a: " + "[" * 2000 + "]" * 2000, "broken.yaml: nested too deeply"),
+        ("a: 1\n" * 200_001, "broken.yaml: 1000005 bytes, limit 1000000"),
+        ("a: \0\n", "broken.yaml: "),
+    ],
+    ids=["repeated", "repeated inside", "deep", "large", "unprintable"],
+)
+def test_a_file_that_cannot_be_a_configuration_is_one_line(tmp_path, monkeypatch, text, message):
+    monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
+    (tmp_path / "broken.yaml").write_text(text)
+    with pytest.raises(ConfigError) as refusal:
+        config.load("broken")
+    assert str(refusal.value).startswith(message)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_pipe_in_the_place_of_a_file_is_refused_without_reading(tmp_path, monkeypatch):
+    monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
+    os.mkfifo(tmp_path / "pipe.yaml")
+    with pytest.raises(ConfigError, match=r"pipe\.yaml: not a regular file"):
+        config.load("pipe")
+
+
+@pytest.mark.parametrize("digits", [20, 400, 5000])
+def test_an_integer_beyond_64_bits_is_refused_in_one_line(tmp_path, monkeypatch, digits):
+    monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
+    (tmp_path / "large.yaml").write_text(f"gain: 1{'0' * digits}\naxes: [0, 0]\n")
+    with pytest.raises(ConfigError, match=r"^large\.yaml: ") as refusal:
+        config.read(Inner, "large")
+    assert len(str(refusal.value)) < 200

@@ -260,6 +260,19 @@ def test_with_sudo_setup_installs_missing_packages_itself(copy: Copy) -> None:
     assert copy.calls[1] == "apt-get -q -y install --no-install-recommends cmake"
 
 
+@pytest.mark.parametrize("name", ["sl\u00f6t", "\u4e8c", "a b", "a:b"])
+def test_a_path_that_cmake_cannot_bear_is_refused_before_anything_is_built(
+    tmp_path: Path, name: str
+) -> None:
+    (tmp_path / name).mkdir()
+    copy = Copy(tmp_path / name)
+    status, output = copy.setup()
+    assert status == 1
+    assert len(output.splitlines()) == 1
+    assert name in output
+    assert not copy.home.exists()
+
+
 def test_a_wrong_argument_gets_one_line_and_status_2(copy: Copy) -> None:
     status, output = copy.setup("--tests")
     assert status == 2

@@ -118,7 +118,10 @@ def run(
     unknown name, a missing package and a module without `run`, and what the benchmark raises.
     """
     module = load(name, directory)
-    out.mkdir(parents=True, exist_ok=True)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BenchmarkError(f"--out {out}: {error.strerror}") from None
     rows, checks = module.run(quick, out, progress, **chosen)
     result = {
         "name": name,

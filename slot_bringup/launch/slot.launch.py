@@ -1,9 +1,14 @@
 """Launch file of the node graph: ros2 launch slot_bringup slot.launch.py gait:=walk."""
 
-from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
-from launch_ros.actions import Node
+from typing import Any
 
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, RegisterEventHandler
+from launch.event_handlers import OnProcessExit
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+from slot_bringup.check import check
 from slot_bringup.graph import read_graph
 
 GRAPH = read_graph()
@@ -23,6 +28,7 @@ def generate_launch_description() -> LaunchDescription:
                 for argument in GRAPH.arguments
             ),
             OpaqueFunction(function=_start_nodes),
+            RegisterEventHandler(OnProcessExit(on_exit=_end)),
         ]
     )
 
@@ -30,13 +36,25 @@ def generate_launch_description() -> LaunchDescription:
 def _start_nodes(context: LaunchContext) -> list[Node]:
     given = context.launch_configurations
     values = {argument.name: argument.parse(given[argument.name]) for argument in GRAPH.arguments}
+    check(values)
     return [
         Node(
             package=spec.package,
             executable=spec.name,
             name=spec.name,
-            parameters=[spec.parameters],
+            parameters=[{name: _typed(value) for name, value in spec.parameters.items()}],
             output="screen",
         )
         for spec in GRAPH.nodes(values)
     ]
+
+
+def _typed(value: Any) -> Any:
+    """The value of a parameter; launch would read a text such as 1e3 as a number."""
+    return ParameterValue(value, value_type=str) if isinstance(value, str) else value
+
+
+def _end(event: Any, context: LaunchContext) -> None:
+    """End the launch with an exit code other than 0 when a node ends before the launch does."""
+    if not context.is_shutdown:
+        raise RuntimeError(f"{event.process_name} ended with exit code {event.returncode}")

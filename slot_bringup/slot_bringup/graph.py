@@ -14,7 +14,8 @@ import yaml
 
 from slot_core.control.gait import STAND
 
-KINDS: dict[str, type] = {"str": str, "int": int, "float": float, "bool": bool}
+PATH = "path"
+KINDS: dict[str, type] = {"str": str, PATH: str, "int": int, "float": float, "bool": bool}
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,7 @@ class Argument:
     default: Any
     help: str
     choices: tuple[str, ...] | None = None
+    is_path: bool = False  # whether ~ stands for the home directory
 
     @property
     def text(self) -> str:
@@ -45,7 +47,7 @@ class Argument:
             value = None
         if type(value) is not self.kind:
             raise ValueError(f"{self.name}: {text!r} is not a {self.kind.__name__}")
-        return value
+        return str(Path(text).expanduser()) if self.is_path and text else value
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,7 @@ class Graph:
                 default=entry["default"],
                 help=entry["help"],
                 choices=tuple(entry["choices"]) if "choices" in entry else None,
+                is_path=entry["type"] == PATH,
             )
             for name, entry in description["arguments"].items()
         )

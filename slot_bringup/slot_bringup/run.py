@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import shutil
 import signal
 import sys
@@ -14,23 +13,16 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, NoReturn
 
-import numpy as np
-
 from slot_bringup import INTERRUPTS
+from slot_bringup.check import check
 from slot_bringup.graph import Graph, is_attended, read_graph
 from slot_bringup.monitor import RunError, require_no_other_graph, watch
 from slot_bringup.processes import Processes
 from slot_core.bags.bag import Bag, BagError, read_record_settings
 from slot_core.config import ConfigError
-from slot_core.control.gait import GaitScheduler, read_gaits
-from slot_core.control.mpc.mpc import read_mpc
-from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.faults import require_simulated_legs
 from slot_core.report import metrics, plots
 from slot_core.report.summary import summary_lines
-
-DOMAIN_MAX = 232  # beyond it the ports of DDS, 7400 + 250 domain, exceed 65535
 
 
 class _Parser(argparse.ArgumentParser):
@@ -73,33 +65,10 @@ def parse(arguments: Sequence[str] | None, graph: Graph) -> argparse.Namespace:
     keep.add_argument("--no-bag", action="store_true", help="write nothing, only print the summary")
     options = parser.parse_args(arguments)
     try:
-        check(options)
+        check(vars(options))
     except ConfigError as error:
         parser.error(str(error))
     return options
-
-
-def check(options: argparse.Namespace) -> None:
-    """Check the options before any node starts; raises ConfigError for what a node would refuse."""
-    gaits = read_gaits()
-    v_x = gaits.find(options.gait).cruise if options.vx is None else options.vx
-    GaitScheduler(gaits, options.gait, np.array([v_x, options.vy, 0.0]))
-    scene = read_scene(options.scene)
-    read_mpc(options.mpc)
-    if options.lockstep and options.hardware != "sim":
-        raise ConfigError(f"--lockstep: servos of --hardware {options.hardware} move in real time")
-    if options.lockstep and options.attended:
-        raise ConfigError("--lockstep has no supervisor, which --attended needs")
-    if options.hardware == "sim":
-        for fault in scene.faults.values():
-            require_simulated_legs(fault)
-    if not 0 <= options.seed < 2**63:
-        raise ConfigError(f"--seed {options.seed}: outside [0, {2**63 - 1}]")
-    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
-    if not (domain.isdecimal() and int(domain) <= DOMAIN_MAX):
-        raise ConfigError(f"ROS_DOMAIN_ID = {domain!r}: expected a number within [0, {DOMAIN_MAX}]")
-    if options.bag is not None and options.bag.exists():
-        raise ConfigError(f"--bag {options.bag}: exists already")
 
 
 def _duration(text: str) -> float:

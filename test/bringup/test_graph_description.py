@@ -1,5 +1,6 @@
 """Graph description, and the launch file that starts it."""
 
+import re
 import runpy
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 
 from slot_bringup.graph import read_graph
 from slot_bringup.processes import command_line
+from slot_core.config import ConfigError
 
 
 @pytest.fixture
@@ -125,8 +127,35 @@ def test_the_launch_file_starts_the_nodes_of_the_description(graph, monkeypatch)
     described = graph.nodes(values(graph, bag="somewhere", gait="stand", vx=0.0))
     assert [node["name"] for node in started] == [spec.name for spec in described]
     for node, spec in zip(started, described):
-        assert node["parameters"] == [spec.parameters]
+        typed = {
+            name: {"args": (value,), "value_type": str} if isinstance(value, str) else value
+            for name, value in spec.parameters.items()
+        }
+        assert node["parameters"] == [typed]  # launch would read a text such as 1e3 as a number
         assert (node["package"], node["executable"]) == (spec.package, spec.name)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"gait": "nope"}, "no gait 'nope'"),
+        ({"vx": "9"}, "v_x = 9: gait walk reaches"),
+        ({"lockstep": "true", "hardware": "fake_bus"}, "lockstep: servos of hardware fake_bus"),
+        ({"lockstep": "true", "attended": "true"}, "lockstep has no supervisor"),
+        ({"bag": "."}, "bag .: exists already"),
+        ({"bag": "~"}, "exists already"),
+    ],
+)
+def test_the_launch_file_refuses_what_scripts_run_refuses(monkeypatch, given, message):
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        load_launch_file(monkeypatch, given)
+
+
+def test_a_bag_named_like_a_number_stays_a_name(graph):
+    bag = next(argument for argument in graph.arguments if argument.name == "bag")
+    assert bag.parse("1e3") == "1e3"
+    assert bag.parse("~/x") == str(Path.home() / "x")
+    assert bag.parse("") == ""
 
 
 def load_launch_file(monkeypatch, given):
@@ -137,15 +166,17 @@ def load_launch_file(monkeypatch, given):
 
     names = {
         "launch": ("LaunchContext", "LaunchDescription"),
-        "launch.actions": ("DeclareLaunchArgument", "OpaqueFunction"),
+        "launch.actions": ("DeclareLaunchArgument", "OpaqueFunction", "RegisterEventHandler"),
+        "launch.event_handlers": ("OnProcessExit",),
         "launch_ros": (),
         "launch_ros.actions": ("Node",),
+        "launch_ros.parameter_descriptions": ("ParameterValue",),
     }
     for module, members in names.items():
         stub = SimpleNamespace(**dict.fromkeys(members, record))
         monkeypatch.setitem(sys.modules, module, stub)
     path = Path(__file__).parents[2] / "slot_bringup" / "launch" / "slot.launch.py"
     namespace = runpy.run_path(str(path))
-    *arguments, start = namespace["generate_launch_description"]()["args"][0]
+    *arguments, start, _ = namespace["generate_launch_description"]()["args"][0]
     texts = {argument["args"][0]: argument["default_value"] for argument in arguments} | given
     return start["function"](SimpleNamespace(launch_configurations=texts))

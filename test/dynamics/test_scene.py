@@ -51,6 +51,18 @@ def test_a_scene_like_another_differs_only_in_what_it_changes(scenes):
         (f"like: flat\n{PUSH % -1}\n", r"pushes\.left\.time = -1\.0: outside"),
         (f"like: flat\n{PUSH % '.nan'}\n", r"pushes\.left\.time = nan: outside"),
         ("like: flat\npushes: {left: {time: 1}}\n", r"pushes\.left\.duration is missing"),
+        (
+            "like: flat\nsensors.imu.period: 0.0005\n",
+            r"bad\.yaml: sensors\.imu\.period = 0\.0005: shorter than solver\.step = 0\.001 s",
+        ),
+        (
+            "like: flat\nsolver.step: 0.02\n",
+            r"sensors\.imu\.period = 0\.005: shorter than solver\.step = 0\.02 s",
+        ),
+        (
+            "like: flat\nsolver.step: 0.02\nsensors.imu.enabled: false\n",
+            r"sensors\.joint_period = 0\.01: shorter",
+        ),
     ],
 )
 def test_an_invalid_scene_is_refused_by_name_of_the_setting(scenes, text, message):

@@ -229,6 +229,7 @@ def test_the_robot_walks_again_when_commands_return_in_time(walking):
     walking.silent.clear()
     assert walking.time_until(State.WALKING, 1.0) <= TIMING.recovery + CYCLE + STEP
     assert "no reason to hold for 0.2 s" in walking.reports[-1].reason
+    assert walking.reports[-1].resumed  # with the gait that was requested last
 
 
 def test_stand_requested_in_hold_ends_in_standing(walking):
@@ -237,6 +238,18 @@ def test_stand_requested_in_hold_ends_in_standing(walking):
     walking.request(Request.STAND)
     walking.silent.clear()
     assert walking.time_until(State.STANDING, 1.0) < 1.0
+    assert not walking.reports[-1].resumed  # it walked before
+
+
+def test_a_robot_held_while_it_stands_resumes_standing():
+    bench = Bench()
+    bench.bring_to(State.STANDING)
+    assert not bench.tick().resumed
+    bench.silent.add("command")
+    bench.time_until(State.HOLD, 1.0)
+    bench.silent.clear()
+    assert bench.time_until(State.STANDING, 1.0) < 1.0
+    assert bench.reports[-1].resumed
 
 
 def test_a_hold_longer_than_its_limit_ends_in_relax(walking):

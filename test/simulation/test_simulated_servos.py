@@ -307,3 +307,19 @@ def test_bus_servos_replace_the_link_of_a_pseudo_terminal(bus, tmp_path):
     servos.close(running=False)
     for end in ends:
         os.close(end)
+
+
+def test_torque_that_goes_off_after_it_was_permitted_releases_the_tendons(guarded):
+    """A robot that is frozen before its first command then has to unwind."""
+    guarded.permit(Action.OFF)
+    guarded.servos.step(guarded.plant.now)
+    assert not guarded.servos.released  # torque has never been permitted
+    guarded.permit(Action.HOLD)
+    guarded.servos.step(guarded.plant.now + TICK)
+    assert not guarded.servos.released
+    guarded.permit(Action.OFF)
+    assert not guarded.servos.step(guarded.plant.now + 2 * TICK).torque.any()
+    assert guarded.servos.released
+    guarded.permit(Action.HOLD)
+    guarded.servos.step(guarded.plant.now + 3 * TICK)
+    assert not guarded.servos.released

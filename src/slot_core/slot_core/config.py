@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
+import stat
 import typing
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -19,6 +20,7 @@ from typing import Any, TypeVar
 import yaml
 
 T = TypeVar("T")
+SIZE_MAX = 1_000_000  # bytes of a configuration file
 
 
 class ConfigError(ValueError):
@@ -61,16 +63,49 @@ def read(cls: type[T], name: str) -> T:
 def load(name: str) -> Any:
     """Content of `<config_dir>/<name>.yaml`, unchecked.
 
-    Raises ConfigError if the file is missing (the message lists the known names) or is not YAML.
+    Raises ConfigError if the file is missing (the message lists the known names), no regular file,
+    larger than SIZE_MAX or not YAML, if it repeats a key, or nests deeper than Python's stack.
     """
     path = config_dir() / f"{name}.yaml"
     try:
-        return yaml.safe_load(path.read_text())
+        return parse(_read_text(path))
     except FileNotFoundError:
         known = ", ".join(sorted(p.stem for p in path.parent.glob("*.yaml")))
         raise ConfigError(f"no configuration {name!r} (known: {known})") from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except (OSError, ValueError, yaml.YAMLError) as error:
         raise ConfigError(f"{name}.yaml: {' '.join(str(error).split())}") from None
+    except RecursionError:
+        raise ConfigError(f"{name}.yaml: nested too deeply") from None
+
+
+def parse(text: str) -> Any:
+    """Content of a YAML text; raises yaml.YAMLError, also where a mapping repeats a key."""
+    return yaml.load(text, _UniqueKeyLoader)
+
+
+def _read_text(path: Path) -> str:
+    """Text of a regular file of at most SIZE_MAX bytes; raises OSError, ValueError."""
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
+        raise ValueError("not a regular file")
+    if status.st_size > SIZE_MAX:
+        raise ValueError(f"{status.st_size} bytes, limit {SIZE_MAX}")
+    return path.read_text()
+
+
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """YAML's safe loader, which refuses a mapping that repeats a key."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """The mapping of a node; raises ConstructorError."""
+        seen: list[Any] = []
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if key in seen:
+                where, problem = key_node.start_mark, f"the key {key!r} is repeated"
+                raise yaml.constructor.ConstructorError(None, None, problem, where)
+            seen.append(key)
+        return super().construct_mapping(node, deep)
 
 
 def build(cls: type[T], mapping: Any, where: str) -> T:
@@ -109,10 +144,15 @@ def leaves(settings: Any, prefix: str = "") -> Iterator[tuple[str, Any, Mapping[
 
 
 def replace(settings: T, changes: Mapping[str, Any], where: str = "override") -> T:
-    """Return a copy with the values at dotted names changed, checked as in `build`."""
+    """Return a copy with the values at dotted names changed, checked as in `build`.
+
+    Raises ConfigError as `build` does, for an unknown name, and if `changes` is no mapping.
+    """
+    if not isinstance(changes, Mapping):
+        raise ConfigError(f"{where}: expected a mapping of dotted names, got {changes!r}")
     mapping = _to_mapping(settings)
     for name, value in changes.items():
-        *parents, last = name.split(".")
+        *parents, last = str(name).split(".")
         node = mapping
         for parent in parents:
             node = node.get(parent, {})
@@ -166,11 +206,21 @@ def _convert_scalar(value: Any, kind: Any, meta: Mapping[str, Any], where: str) 
             value = float(value)
         except (TypeError, ValueError):
             raise ConfigError(f"{where} = {value!r}: expected a number") from None
+        except OverflowError:
+            raise ConfigError(f"{where}: {_short(value)}: too large for a number") from None
     if type(value) is not kind:
         raise ConfigError(f"{where} = {value!r}: expected {kind.__name__}")
     if "options" in meta and value not in meta["options"]:
         raise ConfigError(f"{where} = {value!r}: expected one of {', '.join(meta['options'])}")
     if "low" in meta and not meta["low"] <= value <= meta["high"]:
         unit = f" {meta['unit']}" if meta["unit"] else ""
-        raise ConfigError(f"{where} = {value}: outside [{meta['low']}, {meta['high']}]{unit}")
+        limits = f"[{meta['low']}, {meta['high']}]{unit}"
+        raise ConfigError(f"{where} = {_short(value)}: outside {limits}")
     return value
+
+
+def _short(value: Any) -> str:
+    """A number as text, or how long it is: Python refuses to print very long integers."""
+    if isinstance(value, int) and value.bit_length() > 64:
+        return f"an integer of {value.bit_length()} bits"
+    return str(value)

@@ -36,8 +36,10 @@ class GaitSchedulerNode(Node):
         self._preview.publish(messages.preview_to_msg(self._scheduler.step(stamp, state)))
 
     def _on_velocity(self, message: TwistStamped) -> None:
+        """Set the velocity; a zero stamp, as of a plain `ros2 topic pub`, stands for now."""
+        stamp, velocity = decode.velocity(message)
         try:
-            self._scheduler.set_velocity(*decode.velocity(message))
+            self._scheduler.set_velocity(stamp or self.get_clock().now().nanoseconds, velocity)
         except ConfigError as error:
             self.get_logger().warning(f"cmd_vel refused: {error}", throttle_duration_sec=1.0)
 

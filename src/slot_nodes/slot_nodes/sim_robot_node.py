@@ -146,8 +146,14 @@ class SimRobotNode(Node):
         self._legs = self.create_publisher(LegStates, "ground_truth/legs", qos.SENSOR)
 
     def _publish_at_rest(self) -> None:
-        """Publish readings at rest; called until the first command that the servos follow."""
+        """Publish readings at rest; called until the first command that the servos follow.
+
+        If torque goes off before that, the tendons unwind: the robot's time starts.
+        """
         self._step_servos()
+        if self._servos.released:
+            self._start()
+            return
         if self._records and self._recorded_since is None:
             return
         if self._servos.powered and self._is_matched():

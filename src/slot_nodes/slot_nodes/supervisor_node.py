@@ -132,13 +132,17 @@ class SupervisorNode(Node):
         self._state.publish(messages.robot_state_to_msg(now, report))
 
     def _report_transition(self, report: Report) -> None:
-        """Log a transition and request the gait of the new state."""
+        """Log a transition and request the gait of the new state.
+
+        A robot that resumes after HOLD keeps the gait and the velocity that were requested last.
+        """
         line = f"{report.state.name}: {report.reason}"
         if report.state in (State.HOLD, *RELEASED):
             self.get_logger().warning(line)
         else:
             self.get_logger().info(line)
-        if report.state is not State.HOLD and self._set_gait.service_is_ready():
+        keeps = report.state is State.HOLD or report.resumed
+        if not keeps and self._set_gait.service_is_ready():
             walking = report.state is State.WALKING
             wanted = self._walk if walking else messages.gait_request(STAND, 0.0, 0.0)
             self._set_gait.call_async(wanted)

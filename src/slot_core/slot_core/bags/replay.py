@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
+import os
 import sys
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass
@@ -236,11 +237,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ValueError as error:  # a recorded message that its node has rejected
         print(f"scripts/replay: {options.bag}: cannot be replayed: {error}", file=sys.stderr)
         return 2
-    for c in comparisons:
-        print(f"{c.topic:<25}{c.compared:5d} compared, largest difference {c.largest:.1e}")
     differences = [c.first for c in comparisons if c.first is not None]
-    if differences:
-        print(f"first difference: {differences[0]}")
+    lines = [
+        f"{c.topic:<25}{c.compared:5d} compared, largest difference {c.largest:.1e}"
+        for c in comparisons
+    ]
+    lines += [f"first difference: {differences[0]}"] if differences else []
+    try:
+        print("\n".join(lines), flush=True)
+    except OSError as error:  # a full disk, a closed pipe
+        print(f"scripts/replay: output: {error.strerror}", file=sys.stderr)
+        # What is left in the buffer must not fail again at the end of the process.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 2
     return 1 if differences else 0
 
 

@@ -115,7 +115,11 @@ class FitResult:
 
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """Parameters with intervals and correlation; those of undetermined parameters are NaN."""
+    """Parameters with intervals and correlation; those of undetermined parameters are NaN.
+
+    A parameter is undetermined if the data do not depend on it, or if its interval contains both
+    of its bounds.
+    """
 
     values: Array  # (p,)
     predicted: Array  # (n,)
@@ -230,6 +234,9 @@ def estimate(problem: FitProblem, values: Sequence[float] | Array) -> ParameterE
 
 
 def _intervals(problem: FitProblem, u: Array, width: Array) -> Array:
+    """(p, 2) intervals; NaN where one contains both bounds: the data say nothing there."""
+    low, high = problem.bounds()
+    width = np.where((u - width <= low) & (u + width >= high), np.nan, width)
     with np.errstate(over="ignore"):  # overflow gives infinity
         return np.column_stack([problem.values(u - width), problem.values(u + width)])
 

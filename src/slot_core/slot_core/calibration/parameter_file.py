@@ -6,7 +6,7 @@ data                file of the measurements, its SHA-256 and number of measurem
 residuals           per measurement: conditions, measured, predicted, sigma, difference over sigma
 fit                 sum of squares, degrees of freedom, condition of the Jacobian, parameters at a
                     bound
-confidence          95 % intervals, or `undetermined`
+confidence          95 % intervals, or `undetermined`: no influence, or wider than the bounds
 correlation         of the fitted coordinates, in the order of confidence; null: undetermined
 validity            least and largest value of each condition of the data
 force_angle_line    theta_deg = (f_z + a) / b, of the samples and of the predictions at their angles

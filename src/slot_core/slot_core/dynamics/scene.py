@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 from slot_core import config
-from slot_core.config import choice, flag, quantity, text
+from slot_core.config import ConfigError, choice, flag, quantity, text
 from slot_core.faults import Fault
 
 
@@ -152,6 +153,18 @@ class Scene:
     gravity: tuple[float, float, float] = quantity(
         "gravity in odom, z normal to the floor", "m/s^2", -50, 50
     )
+
+    def __post_init__(self) -> None:
+        """Raise ConfigError if a sensor's period is shorter than the time step: it never ends."""
+        sensors, step = self.sensors, self.solver.step
+        periods = {
+            "sensors.odometry.period": sensors.odometry.period,
+            "sensors.imu.period": sensors.imu.period if sensors.imu.enabled else math.inf,
+            "sensors.joint_period": sensors.joint_period if sensors.joints else math.inf,
+        }
+        for name, period in periods.items():
+            if period < step:
+                raise ConfigError(f"{name} = {period}: shorter than solver.step = {step} s")
 
 
 def read_scene(name: str) -> Scene:

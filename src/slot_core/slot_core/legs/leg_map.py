@@ -13,6 +13,8 @@ from __future__ import annotations
 import argparse
 import csv
 import math
+import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -233,14 +235,21 @@ def write(path: Path, table: Array) -> None:
         writer.writerows([f"{value:.6g}" for value in row] for row in table)
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/tabulate_leg`: writes the map of config/leg_map.yaml as CSV."""
-    parser = argparse.ArgumentParser(prog="tabulate_leg", description=__doc__)
+    parser = argparse.ArgumentParser(prog="scripts/tabulate_leg", description=__doc__)
     default = config.config_dir() / "leg_map.csv"
     parser.add_argument("--out", type=Path, default=default, help="CSV file (default: %(default)s)")
-    out = parser.parse_args().out
-    write(out, tabulate(read_robot(), config.read(LegMapSettings, "leg_map")))
+    out = parser.parse_args(arguments).out
+    if out.is_dir() or not out.parent.is_dir():  # known before the long computation
+        parser.error(f"--out {out}: not a file in an existing directory")
+    try:
+        write(out, tabulate(read_robot(), config.read(LegMapSettings, "leg_map")))
+    except (config.ConfigError, NoEquilibriumError, OSError) as error:
+        print(f"scripts/tabulate_leg: {error}", file=sys.stderr)
+        return 2
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

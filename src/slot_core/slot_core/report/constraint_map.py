@@ -189,6 +189,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, metavar="PNG", help="default: BAG_constraints.png")
     options = parser.parse_args(arguments)
     out = options.out or options.bag.with_name(f"{options.bag.stem}_constraints.png")
+    if out.suffix != ".png":
+        parser.error(f"--out {out}: the name of a picture ends in .png")
     try:
         found = read_map(Bag(options.bag))
         draw_map(found, out)

@@ -70,6 +70,7 @@ class Report:
     since: int  # ns of `now` at the last transition
     warnings: tuple[str, ...]  # conditions that forbid motion now, one line each
     slack: Array  # (4,) m, extra length of the tendons, inferred from the load; NaN: unknown
+    resumed: bool  # whether the last transition led from HOLD back to the state before it
 
 
 class SteadyClock:
@@ -105,6 +106,8 @@ class Supervisor:
         self._wrong_clock: dict[str, str] = {}  # inputs whose last stamp was of another clock
         self._state, self._reason, self._since = State.IDLE, "started", 0
         self._resume = State.STANDING  # state after HOLD
+        self._held_from = State.STANDING  # state before HOLD
+        self._resumed = False  # whether the last transition led from HOLD back to it
         self._entered = 0  # steady time of the last transition
         self._ready_since = 0  # steady time of the last READY
         self._clear_since: int | None = None  # steady time since which there is no reason to hold
@@ -220,6 +223,7 @@ class Supervisor:
             since=self._since,
             warnings=tuple(warnings),
             slack=self._tendons.slack,
+            resumed=self._resumed,
         )
 
     def _advance(self, now: int) -> int:
@@ -342,8 +346,9 @@ class Supervisor:
         before, after = self._state, next_state(self._state, condition)
         self._state, self._reason, self._since = after, reason, now
         self._entered, self._clear_since = time, None
+        self._resumed = before is State.HOLD and after is self._held_from
         if after is State.HOLD:
-            self._resume = before
+            self._resume = self._held_from = before
         elif after is State.READY:
             self._ready_since = time
             self._watch.reset()

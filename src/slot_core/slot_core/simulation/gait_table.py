@@ -19,11 +19,13 @@ from slot_core.control.gait import Gait, read_gaits
 from slot_core.control.reference import rotate
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
+from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
 from slot_core.robot import Array, read_robot
-from slot_core.simulation.rod_robot import RodRobot
+from slot_core.simulation.plant import simulate
 
 SAMPLE_STEPS = 3  # time steps between samples
 WARM_UP_STRIDES = 6
+STRIDES_MAX = 1000
 AMPLITUDES = (0.0, 0.143, 0.286, 0.5, 0.714, 0.857, 1.0)
 SWAY = ("roll", "pitch", "height", "v_x", "v_y")
 
@@ -37,7 +39,9 @@ class GaitTable:
     speed: float  # m/s, mean along the mean heading
 
 
-def tabulate(sim: RodRobot, gait: Gait, amplitude: float, hold: float, strides: int) -> GaitTable:
+def tabulate(
+    sim: SimulatedRobot, gait: Gait, amplitude: float, hold: float, strides: int
+) -> GaitTable:
     """Run the gait open loop and fit `strides` strides; each command is held for `hold` (s)."""
     phase, samples, track = _run(sim, gait, amplitude, hold, strides)
     heading = np.full(len(track), track[:, 3].mean())
@@ -53,7 +57,7 @@ def tabulate(sim: RodRobot, gait: Gait, amplitude: float, hold: float, strides: 
 
 
 def _run(
-    sim: RodRobot, gait: Gait, amplitude: float, hold: float, strides: int
+    sim: SimulatedRobot, gait: Gait, amplitude: float, hold: float, strides: int
 ) -> tuple[Array, Array, Array]:
     """Samples once the motion is periodic.
 
@@ -89,23 +93,31 @@ def yaml_lines(table: GaitTable, speeds: Sequence[float]) -> list[str]:
     ]
 
 
+def _strides(text: str) -> int:
+    strides = int(text)
+    if not 1 <= strides <= STRIDES_MAX:
+        raise argparse.ArgumentTypeError(f"{text}: outside [1, {STRIDES_MAX}]")
+    return strides
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `scripts/tabulate_gait`; prints YAML."""
     parser = argparse.ArgumentParser(prog="scripts/tabulate_gait", description=__doc__)
     parser.add_argument("gait", help="a gait of config/gait.yaml")
     parser.add_argument("--scene", default="flat", help="a scene of config/scene (default: flat)")
-    parser.add_argument("--strides", type=int, default=20, help="strides to fit (default: 20)")
+    parser.add_argument("--strides", type=_strides, default=20, help="strides (default: 20)")
     options = parser.parse_args(arguments)
+    tables = []
     try:
         settings, scene = read_gaits(), read_scene(options.scene)
         gait = settings.find(options.gait)
-    except ConfigError as error:
-        parser.error(str(error))
-    tables = []
-    for amplitude in AMPLITUDES:
-        print(f"amplitude {amplitude}", file=sys.stderr)
-        sim = RodRobot(read_robot(), scene, read_servo())
-        tables.append(tabulate(sim, gait, amplitude, settings.dt, options.strides))
+        for amplitude in AMPLITUDES:
+            print(f"amplitude {amplitude}", file=sys.stderr)
+            sim = simulate(read_robot(), scene, read_servo())
+            tables.append(tabulate(sim, gait, amplitude, settings.dt, options.strides))
+    except (ConfigError, Divergence) as error:
+        print(f"scripts/tabulate_gait: {error}", file=sys.stderr)
+        return 2
     print("\n".join(yaml_lines(tables[-1], [table.speed for table in tables])))
     return 0
 

@@ -35,7 +35,12 @@ SWITCH_INTERVAL = 5e-4  # s, between thread switches: longest delay of the bus b
 
 
 class Servos(Protocol):
-    """Interface of the servos."""
+    """Interface of the servos.
+
+    released: whether torque has gone off again, so that the tendons unwind without a command.
+    """
+
+    released: bool
 
     @property
     def powered(self) -> bool:
@@ -68,6 +73,7 @@ class DirectServos:
     """Servos that follow every command at once."""
 
     powered = True
+    released = False
     clock_jump = math.inf
 
     def __init__(self, plant: Plant) -> None:
@@ -92,6 +98,7 @@ class DirectServos:
 class BusServos:
     """Emulated servos, which take the commands of the graph through the driver."""
 
+    released = False
     clock_jump = math.inf
 
     def __init__(self, plant: BusPlant, link: Path) -> None:
@@ -146,6 +153,9 @@ class GuardedServos:
         self._plant = plant
         self._watchdog: CommandWatchdog | None = None  # None: no limits yet
         self._torque = True
+        self._permitted = False  # whether the supervisor has ever permitted torque
+        self._was_on = False  # torque, by permission
+        self.released = False
 
     @property
     def clock_jump(self) -> float:
@@ -165,6 +175,7 @@ class GuardedServos:
         """Set the newest permission of the supervisor."""
         if self._watchdog is not None:
             self._watchdog.permit(permission)
+            self._permitted = self._permitted or permission.action is not Action.OFF
 
     def offer(self, now: int, stamp: int, angle: Array) -> None:
         """Take a command (4,), rad, at `now`; raises ValueError if it is rejected."""
@@ -190,6 +201,8 @@ class GuardedServos:
             watchdog.engage(_spool_angles(self._plant))
             gated = watchdog.step(now)
         self._torque = gated.torque
+        self._was_on = self._was_on or (self._permitted and gated.torque)
+        self.released = self._was_on and not gated.torque
         self._plant.command(gated.angle if gated.torque else np.zeros(len(LEGS)))
         return sound_servos(
             watchdog.action, watchdog.reason, gated.torque, gated.angle, gated.slewed

@@ -1,0 +1,52 @@
+"""Check of the graph's arguments before any node starts, for scripts/run and the launch file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slot_core.config import ConfigError
+from slot_core.control.gait import GaitScheduler, read_gaits
+from slot_core.control.mpc.mpc import read_mpc
+from slot_core.dynamics.scene import read_scene
+from slot_core.faults import require_simulated_legs
+
+DOMAIN_MAX = 232  # beyond it the ports of DDS, 7400 + 250 domain, exceed 65535
+
+
+def check(values: Mapping[str, Any]) -> None:
+    """Raise ConfigError for values of the graph's arguments, by name, that a node would refuse."""
+    gaits = read_gaits()
+    v_x = gaits.find(values["gait"]).cruise if values["vx"] is None else values["vx"]
+    GaitScheduler(gaits, values["gait"], np.array([v_x, values["vy"], 0.0]))
+    scene = read_scene(values["scene"])
+    read_mpc(values["mpc"])
+    hardware = values["hardware"]
+    if values["lockstep"] and hardware != "sim":
+        raise ConfigError(f"lockstep: servos of hardware {hardware} move in real time")
+    if values["lockstep"] and values["attended"]:
+        raise ConfigError("lockstep has no supervisor, which attended needs")
+    if hardware == "sim":
+        for fault in scene.faults.values():
+            require_simulated_legs(fault)
+    if not 0 <= values["seed"] < 2**63:
+        raise ConfigError(f"seed = {values['seed']}: outside [0, {2**63 - 1}]")
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not (domain.isdecimal() and int(domain) <= DOMAIN_MAX):
+        raise ConfigError(f"ROS_DOMAIN_ID = {domain!r}: expected a number within [0, {DOMAIN_MAX}]")
+    if values["bag"]:
+        _check_new(Path(values["bag"]))
+
+
+def _check_new(bag: Path) -> None:
+    """Raise ConfigError if no bag can be made at a path."""
+    try:
+        exists = bag.exists()
+    except OSError as error:
+        raise ConfigError(f"bag: {error.strerror}") from None
+    if exists:
+        raise ConfigError(f"bag {bag}: exists already")

@@ -1,0 +1,98 @@
+"""The command line tools refuse what they cannot do in one line, with exit code 2."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks import command_line
+from slot_bringup import run
+from slot_bringup.graph import read_graph
+from slot_core.config import ConfigError
+from slot_core.control.mpc.mpc import read_mpc
+from slot_core.legs import leg_map
+from slot_core.report import constraint_map
+from slot_core.simulation import gait_table
+
+WALK = Path(__file__).parent / "bags" / "walk"
+
+
+def refusal(call, capsys):
+    """The one line on the standard error of a call that ends with exit code 2."""
+    try:
+        code = call()
+    except SystemExit as ended:
+        code = ended.code
+    assert code == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert "Traceback" not in "".join(lines)
+    return lines[-1]
+
+
+def test_a_leg_map_into_a_directory_that_is_not_there_is_refused_before_the_work(tmp_path, capsys):
+    out = tmp_path / "nowhere" / "map.csv"
+    line = refusal(lambda: leg_map.main(["--out", str(out)]), capsys)
+    assert line.endswith(f"--out {out}: not a file in an existing directory")
+
+
+@pytest.mark.parametrize("text", [None, "", "nodes: many\n"])
+def test_a_leg_map_without_its_configuration_is_refused(tmp_path, monkeypatch, capsys, text):
+    monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
+    if text is not None:
+        (tmp_path / "leg_map.yaml").write_text(text)
+    out = tmp_path / "map.csv"
+    line = refusal(lambda: leg_map.main(["--out", str(out)]), capsys)
+    assert line.startswith("scripts/tabulate_leg: ")
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("strides", ["-1", "0", "1001", "many"])
+def test_a_number_of_strides_that_cannot_be_is_refused(capsys, strides):
+    line = refusal(lambda: gait_table.main(["walk", "--strides", strides]), capsys)
+    assert "argument --strides: " in line
+
+
+def test_legs_that_diverge_end_the_tabulation_in_one_line(capsys):
+    line = refusal(lambda: gait_table.main(["walk", "--scene", "paper"]), capsys)
+    assert line.startswith("scripts/tabulate_gait: ")
+    assert "at" in line
+
+
+def test_a_constraint_map_in_an_unknown_format_is_refused(capsys):
+    line = refusal(lambda: constraint_map.main([str(WALK), "--out", "map.foo"]), capsys)
+    assert line.endswith("--out map.foo: the name of a picture ends in .png")
+
+
+def test_results_of_a_benchmark_into_a_file_are_refused(tmp_path, capsys):
+    (tmp_path / "tiny").mkdir()
+    source = '"""Tiny."""\n\ndef run(quick, out, progress):\n    return [], []\n'
+    (tmp_path / "tiny" / "benchmark.py").write_text(source)
+    (tmp_path / "file").write_text("")
+    place = ["--benchmarks", str(tmp_path), "--out", str(tmp_path / "file")]
+    line = refusal(lambda: command_line.main(["tiny", *place]), capsys)
+    assert line == f"scripts/bench: --out {tmp_path / 'file'}: File exists"
+
+
+def test_a_bag_with_a_name_too_long_is_refused(capsys):
+    line = refusal(lambda: run.parse(["--bag", "x" * 300], read_graph()), capsys)
+    assert line == "scripts/run: bag: File name too long"
+
+
+def test_a_replay_whose_output_cannot_be_written_says_so():
+    command = [sys.executable, "-m", "slot_core.bags.replay", str(WALK)]
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert ended.returncode == 2
+    assert ended.stderr == "scripts/replay: output: No space left on device\n"
+
+
+@pytest.mark.parametrize("text", ["", "[1]\n", "horizon\n"])
+def test_a_profile_of_the_mpc_that_is_no_mapping_is_refused(tmp_path, monkeypatch, text):
+    shipped = Path(__file__).parents[1] / "config" / "mpc.yaml"
+    (tmp_path / "mpc").mkdir()
+    (tmp_path / "mpc.yaml").write_text(shipped.read_text())
+    (tmp_path / "mpc" / "own.yaml").write_text(text)
+    monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
+    with pytest.raises(ConfigError, match=r"mpc/own\.yaml: expected a mapping of dotted names"):
+        read_mpc("own")
