@@ -21,7 +21,7 @@ from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
 from slot_core.robot import Array, read_robot
-from slot_core.simulation.plant import simulate
+from slot_core.simulation.plant import make_robot
 
 SAMPLE_STEPS = 3  # time steps between samples
 WARM_UP_STRIDES = 6
@@ -113,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         gait = settings.find(options.gait)
         for amplitude in AMPLITUDES:
             print(f"amplitude {amplitude}", file=sys.stderr)
-            sim = simulate(read_robot(), scene, read_servo())
+            sim = make_robot(read_robot(), scene, read_servo())
             tables.append(tabulate(sim, gait, amplitude, settings.dt, options.strides))
     except (ConfigError, Divergence) as error:
         print(f"scripts/tabulate_gait: {error}", file=sys.stderr)
