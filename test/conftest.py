@@ -14,7 +14,7 @@ from slot_core.simulation.closed_loop import ClosedLoop
 REAL_TIME = ("faults", "graph")
 # ms of CPU that a tick of controller and robot takes in one process; 1.8 to 2.6 where the time
 # limits were chosen. Beyond this the processes of the graph do not keep up with real time.
-LARGEST_TICK = 6.0
+LARGEST_TICK = 4.0
 TICKS = 120
 
 # A process started in the background of a script ignores SIGINT, and so do its children; those that
