@@ -7,8 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from slot_core.simulation.closed_loop import ClosedLoop
-
 # Folders whose tests run the graph as processes in real time: two graphs at once would each have
 # half of the machine, and their time limits are those of a robot. scripts/test runs them alone.
 REAL_TIME = ("faults", "graph")
@@ -33,6 +31,8 @@ def pytest_collection_modifyitems(items):
 @functools.cache
 def tick_time():
     """Mean CPU time of a tick of controller and robot in one process, ms."""
+    from slot_core.simulation.closed_loop import ClosedLoop  # noqa: PLC0415 - slow to import
+
     loop = ClosedLoop("flat", "walk", None, 0)
     start = time.process_time()
     ticks = sum(1 for _ in loop.run(TICKS))
