@@ -9,6 +9,27 @@ import pytest
 import yaml
 
 DOMAINS = 100  # above 101 the ports of DDS lie in the range that Linux assigns dynamically
+SLOW_MPC = {"acceptance.time_budget": 0.2}  # s, on a busy machine
+# Time limits that hold on a busy machine, where processes wait longer than on a robot. Without
+# `clock_jump` a supervisor that has waited for 0.5 s reports a jump of the clock and holds.
+PATIENT = {
+    "dynamixel": {"bus.timeout": 0.1, "servo.watchdog": 2.0},
+    "supervisor": {
+        "timing.command_hold": 0.5,
+        "timing.command_lost": 3.0,
+        "timing.clock_jump": 60.0,
+        "timing.heartbeat": 4.0,
+        "timing.estop": 2.0,
+        "timing.servo_silent": 2.0,
+        "timing.torque_change": 4.0,
+        "timing.hold_max": 30.0,
+        "estimate.coast_cycles": 30,
+        "estimate.silence": 1.0,
+        "tendon.sample_gap": 0.5,
+        "tendon.slack_max": 4.0e-3,
+    },
+    "mpc": SLOW_MPC,
+}
 
 
 def process_domain():

@@ -13,7 +13,7 @@ from slot_core.leg_table import read_leg_table
 from slot_core.robot import read_robot
 from slot_core.safety.command_gate import Action, Gated
 from slot_core.safety.command_watchdog import CommandWatchdog, Permission
-from slot_core.safety.servo_health import sound_servos
+from slot_core.safety.servo_health import healthy_servos
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import State
 from slot_core.safety.supervisor import Report, Request, Supervisor
@@ -45,7 +45,7 @@ def load(angle):
 
 def health(**changes):
     """Health of servos without faults that follow commands."""
-    sound = sound_servos(Action.PASS, "", True, np.full(4, 1.1))
+    sound = healthy_servos(Action.PASS, "", True, np.full(4, 1.1))
     return dataclasses.replace(sound, **changes)
 
 
@@ -85,7 +85,9 @@ class Servos:
     def health(self, **changes):
         """Health report, with `changes`."""
         gated, watchdog = self.gated, self.watchdog
-        sound = sound_servos(gated.action, watchdog.reason, gated.torque, gated.angle, gated.slewed)
+        sound = healthy_servos(
+            gated.action, watchdog.reason, gated.torque, gated.angle, gated.slewed
+        )
         return dataclasses.replace(sound, **changes)
 
 

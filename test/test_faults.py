@@ -100,7 +100,7 @@ def test_the_end_of_a_replaced_or_cleared_fault_does_not_end_its_successor():
 
 def test_a_fault_injected_before_the_start_acts_at_once_and_its_time_runs_from_the_start():
     plant = make()
-    plant.present(START)
+    plant.readings_at_rest(START)
     plant.inject(Fault("tendon_broken", "FL", 0, 0.010, 0))
     holds = plant.simulator.model.fault[1]
     assert holds[0] == 0.0

@@ -14,7 +14,7 @@ from slot_core.emulator.memory_port import MemoryPort
 from slot_core.faults import Fault
 from slot_core.robot import LEGS
 from slot_core.simulation.bus_legs import EmulatedLegs
-from slot_core.simulation.bus_plant import equal_law
+from slot_core.simulation.bus_plant import equivalent_servo
 from slot_core.simulation.closed_loop import ClosedLoop
 
 TEN_SECONDS = round(10.0 / TICK)  # ticks
@@ -62,7 +62,7 @@ def test_a_goal_is_held_with_the_droop_of_the_p_gain_under_load(load):
     for _ in range(200):
         cycle(legs, driver, 1.5, load)
         rest.append(legs.angles())
-    law = equal_law(read_servo(), read_settings(), read_emulator().servo.loop_period)
+    law = equivalent_servo(read_servo(), read_settings(), read_emulator().servo.loop_period)
     droop = load / law.stall_torque / law.proportional
     # from 1 to 2 s, within one count of the encoder: no limit cycle
     assert rest[100:] == pytest.approx(np.full((100, 4), 1.5 - droop), abs=RAD_PER_COUNT)

@@ -3,7 +3,7 @@
 from contextlib import contextmanager
 
 from nav_msgs.msg import Odometry
-from rig import SLOW_MPC
+from real_graph import SLOW_MPC
 from sensor_msgs.msg import JointState
 
 from slot_msgs.msg import GaitPreview, GroundReactionForces

@@ -16,7 +16,7 @@ from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
-from real_graph import changed_config
+from real_graph import PATIENT, changed_config
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -60,25 +60,6 @@ JOINTS, GAINS = read_settings().joints, read_settings().gains
 # of the stall torque (emulator.yaml); then the position loop, with p/128 of 885 steps a count.
 SAG = 1 + 0.1 * 885 * 128 / GAINS.p
 RAMP = read_supervisor().gate.relax_time  # s, longest ramp to slack
-SLOW_MPC = {"acceptance.time_budget": 0.2}  # s, on a busy machine
-# Time limits that also a busy machine keeps. The tests check that the limit in force is kept
-# (`Rig.limit`), whichever it is.
-PATIENT = {
-    "dynamixel": {"bus.timeout": 0.05, "servo.watchdog": 1.0},
-    "supervisor": {
-        "timing.command_hold": 0.5,
-        "timing.command_lost": 2.0,
-        "timing.clock_jump": 60.0,
-        "timing.heartbeat": 3.0,
-        "timing.servo_silent": 2.0,
-        "timing.torque_change": 2.0,
-        "estimate.coast_cycles": 30,
-        "estimate.silence": 1.0,
-        "tendon.sample_gap": 0.5,
-        "tendon.slack_max": 4.0e-3,
-    },
-    "mpc": SLOW_MPC,
-}
 
 
 class Rig:

@@ -5,7 +5,7 @@ import signal
 import numpy as np
 import pytest
 from geometry_msgs.msg import Vector3
-from rig import PATIENT
+from real_graph import PATIENT
 
 from slot_core.safety.states import State
 from slot_msgs.msg import GaitPreview

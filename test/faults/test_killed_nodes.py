@@ -5,7 +5,8 @@ Times are those of the messages' stamps.
 
 import numpy as np
 import pytest
-from rig import BUSY, SLOW_MPC, TICK
+from real_graph import SLOW_MPC
+from rig import BUSY, TICK
 
 from slot_core.bags import decode
 from slot_core.safety.states import State

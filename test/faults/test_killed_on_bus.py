@@ -7,7 +7,8 @@ Times are those of the messages' stamps.
 import copy
 
 import pytest
-from rig import BUSY, PATIENT
+from real_graph import PATIENT
+from rig import BUSY
 from sensor_msgs.msg import JointState
 
 from slot_core.safety.states import State

@@ -5,8 +5,7 @@ import subprocess
 import sys
 
 import pytest
-from real_graph import changed_config
-from rig import PATIENT
+from real_graph import PATIENT, changed_config
 
 
 @pytest.mark.parametrize(

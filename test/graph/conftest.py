@@ -4,23 +4,7 @@ import os
 
 import pytest
 from graph_bag import record
-from real_graph import changed_config, domain  # noqa: F401 - a fixture
-
-# Time limits that hold on a busy machine, where processes wait longer than on a robot.
-PATIENT = {
-    "dynamixel": {"bus.timeout": 0.1, "servo.watchdog": 2.0},
-    "supervisor": {
-        "timing.command_hold": 1.0,
-        "timing.command_lost": 5.0,
-        "timing.servo_silent": 2.0,
-        "timing.heartbeat": 5.0,
-        "timing.estop": 2.0,
-        "timing.hold_max": 30.0,
-        "timing.torque_change": 5.0,
-        "estimate.coast_cycles": 30,
-        "estimate.silence": 1.0,
-    },
-}
+from real_graph import PATIENT, changed_config, domain  # noqa: F401 - a fixture
 
 
 @pytest.fixture(scope="session")

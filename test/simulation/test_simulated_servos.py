@@ -17,7 +17,8 @@ from slot_core.dynamixel.settings import read_settings
 from slot_core.emulator.emulated_bus import read_emulator
 from slot_core.robot import LEGS, read_robot
 from slot_core.safety.command_gate import Action
-from slot_core.safety.command_watchdog import NO_LIMITS, Permission
+from slot_core.safety.command_guard import NO_LIMITS
+from slot_core.safety.command_watchdog import Permission
 from slot_core.safety.settings import read_supervisor
 from slot_core.simulation.bus_plant import BusPlant
 from slot_core.simulation.plant import Plant
@@ -70,12 +71,17 @@ class Guarded:
     def permit(self, action):
         self.servos.permit(Permission(self.plant.now, action, False, "test"))
 
+    def step(self, later=0):
+        """One step of the servos `later` (ns); their health."""
+        self.servos.step(self.plant.now + later)
+        return self.servos.health(self.plant.now + later)
+
     def tick(self, action, command=None):
         """Permission, command and one step of servos and robot; the health of the servos."""
         self.permit(action)
         if command is not None:
             self.offer(command)
-        health = self.servos.step(self.plant.now)
+        health = self.step()
         list(self.plant.advance(self.plant.now + TICK))
         return health
 
@@ -98,7 +104,7 @@ def test_direct_servos_follow_a_command_at_once():
         plant.start(0)
     servos.offer(0, 0, COMMAND)
     reference.command(COMMAND)
-    assert servos.step(0) is None
+    servos.step(0)
     before = direct.simulator.tendon_angle
     for plant in (direct, reference):
         list(plant.advance(20 * TICK))
@@ -128,7 +134,7 @@ def test_without_limits_guarded_servos_hold_and_refuse_commands():
 
 def test_without_a_permission_guarded_servos_hold(guarded):
     guarded.offer(COMMAND)
-    health = guarded.servos.step(guarded.plant.now)
+    health = guarded.step()
     assert health.action is Action.HOLD
     assert not guarded.servos.follows(guarded.plant.now)
 
@@ -142,7 +148,7 @@ def test_under_pass_guarded_servos_follow_commands(guarded):
 
 def test_under_hold_guarded_servos_keep_their_goals(guarded):
     guarded.run(0.05, Action.PASS, COMMAND)
-    goal = guarded.servos.step(guarded.plant.now).goal
+    goal = guarded.step().goal
     health = guarded.run(0.5, Action.HOLD, COMMAND)
     assert health.action is Action.HOLD
     assert (health.goal == goal).all()
@@ -264,7 +270,7 @@ def test_bus_servos_check_the_range_of_commands_and_do_not_apply_them(bus):
         servo.memory["goal_position"] = joint.counts(angle)
     before = plant.simulator.tendon_angle
     servos.offer(0, 0, np.full(4, 2.0))
-    assert servos.step(0) is None
+    servos.step(0)
     list(plant.advance(10 * TICK))
     # they hold the goal in the register, but for the error of a proportional controller
     assert plant.simulator.tendon_angle == pytest.approx(before, abs=0.2)
@@ -312,14 +318,14 @@ def test_bus_servos_replace_the_link_of_a_pseudo_terminal(bus, tmp_path):
 def test_torque_that_goes_off_after_it_was_permitted_releases_the_tendons(guarded):
     """A robot that is frozen before its first command then has to unwind."""
     guarded.permit(Action.OFF)
-    guarded.servos.step(guarded.plant.now)
+    guarded.step()
     assert not guarded.servos.released  # torque has never been permitted
     guarded.permit(Action.HOLD)
-    guarded.servos.step(guarded.plant.now + TICK)
+    guarded.step(TICK)
     assert not guarded.servos.released
     guarded.permit(Action.OFF)
-    assert not guarded.servos.step(guarded.plant.now + 2 * TICK).torque.any()
+    assert not guarded.step(2 * TICK).torque.any()
     assert guarded.servos.released
     guarded.permit(Action.HOLD)
-    guarded.servos.step(guarded.plant.now + 3 * TICK)
+    guarded.step(3 * TICK)
     assert not guarded.servos.released

@@ -14,7 +14,7 @@ from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamixel.settings import read_settings
 from slot_core.emulator.emulated_bus import read_emulator
 from slot_core.robot import Array, Robot
-from slot_core.simulation.bus_plant import equal_law
+from slot_core.simulation.bus_plant import equivalent_servo
 from slot_core.simulation.closed_loop import ClosedLoop, PlantMaker
 from slot_core.simulation.driven_plant import DrivenPlant
 from slot_core.simulation.plant import Plant
@@ -25,7 +25,7 @@ BUS_PERIOD = 0.01  # s, of a bus cycle, as in the driver's node
 
 def _law(robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator) -> Plant:
     period = read_emulator().servo.loop_period
-    return Plant(robot, scene, equal_law(servo, read_settings(), period), rng)
+    return Plant(robot, scene, equivalent_servo(servo, read_settings(), period), rng)
 
 
 def _bus(robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator) -> Plant:

@@ -225,7 +225,7 @@ class DynamixelDriverNode(LifecycleNode):
         reading = measured(stamp, cycle, self._stall_torque)
         if reading is not None:
             self._joints.publish(messages.joints_to_msg(reading))
-        self._health.publish(stamp, self._session.health(stamp))
+        self._health.publish(stamp, self._session)
 
     def _publish_diagnostics(self) -> None:
         pace = self._session.pace(time.monotonic_ns())

@@ -9,7 +9,7 @@ from slot_core.control.force_map import ForceMap, read_force_map, read_leg_slope
 from slot_core.robot import LEGS, read_robot
 from slot_msgs.msg import ForceMapStatus, GaitPreview, GroundReactionForces, MpcState
 from slot_nodes import inputs, messages, qos, runtime
-from slot_nodes.rendezvous import Rendezvous
+from slot_nodes.time_synchronizer import TimeSynchronizer
 
 
 class ForceMapperNode(Node):
@@ -19,8 +19,8 @@ class ForceMapperNode(Node):
         super().__init__("force_mapper")
         settings = runtime.declare_settings(self, read_force_map())
         self._map = ForceMap(read_robot(), settings, read_leg_slope())
-        self._nominal = Rendezvous("preview", "state")
-        self._inputs = Rendezvous("forces", "nominal")
+        self._nominal = TimeSynchronizer("preview", "state")
+        self._inputs = TimeSynchronizer("forces", "nominal")
         self._angles = self.create_publisher(JointState, "desired_joint_angles", qos.CONTROL)
         self._status = self.create_publisher(ForceMapStatus, "force_map/status", qos.CONTROL)
         inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.CONTROL)

@@ -1,6 +1,6 @@
 """Publisher of `/servo_health`: at every change, and every 50 ms."""
 
-from typing import Any
+from typing import Any, Protocol
 
 from rclpy.node import Node
 
@@ -11,6 +11,19 @@ from slot_nodes import messages, qos
 PERIOD = 50_000_000  # ns, between two reports without change
 
 
+class HealthSource(Protocol):
+    """Servos that report their health."""
+
+    @property
+    def urgent(self) -> tuple[Any, ...]:
+        """Values of the report whose change is published at once."""
+        ...
+
+    def health(self, stamp: int) -> ServoHealth:
+        """The report at `stamp` (ns)."""
+        ...
+
+
 class HealthReport:
     """Publishes the health of the servos for a node."""
 
@@ -19,15 +32,9 @@ class HealthReport:
         self._last: tuple[Any, ...] = ()
         self._last_stamp = 0  # ns
 
-    def publish(self, stamp: int, health: ServoHealth) -> None:
+    def publish(self, stamp: int, servos: HealthSource) -> None:
         """Publish the health at `stamp` (ns) if it has changed or PERIOD has passed."""
-        key = (
-            health.action,
-            health.commanded,
-            health.torque.tolist(),
-            health.hardware_error.tolist(),
-            health.slewed.tolist(),
-        )
-        if key != self._last or stamp - self._last_stamp >= PERIOD:
-            self._last, self._last_stamp = key, stamp
-            self._publisher.publish(messages.health_to_msg(stamp, health))
+        urgent = servos.urgent
+        if urgent != self._last or stamp - self._last_stamp >= PERIOD:
+            self._last, self._last_stamp = urgent, stamp
+            self._publisher.publish(messages.health_to_msg(stamp, servos.health(stamp)))

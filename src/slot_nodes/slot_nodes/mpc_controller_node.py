@@ -12,7 +12,7 @@ from slot_core.control.pace import Pace
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, GroundReactionForces, MpcState
 from slot_nodes import inputs, messages, qos, runtime
-from slot_nodes.rendezvous import Rendezvous
+from slot_nodes.time_synchronizer import TimeSynchronizer
 
 
 class MpcControllerNode(Node):
@@ -26,7 +26,7 @@ class MpcControllerNode(Node):
         settings = runtime.declare_settings(self, read_mpc(profile))
         self._mpc = Mpc(read_robot(), settings, time.perf_counter)
         self._pace = Pace()
-        self._inputs = Rendezvous("state", "preview")
+        self._inputs = TimeSynchronizer("state", "preview")
         self._forces = self.create_publisher(
             GroundReactionForces, "ground_reaction_forces", qos.CONTROL
         )

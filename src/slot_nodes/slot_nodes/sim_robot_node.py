@@ -157,7 +157,7 @@ class SimRobotNode(Node):
         if self._records and self._recorded_since is None:
             return
         if self._servos.powered and self._is_matched():
-            self._publish_all(self._plant.present(self._time.rest_stamp(self._now())))
+            self._publish_all(self._plant.readings_at_rest(self._time.rest_stamp(self._now())))
 
     def _is_matched(self) -> bool:
         """Whether every discovered subscriber is matched, so that it receives the next message.
@@ -212,13 +212,14 @@ class SimRobotNode(Node):
 
     def _step_servos(self) -> None:
         """Update the commands of the servos; publish their health and log changes of the action."""
-        health = self._servos.step(time.monotonic_ns())
-        if health is None:
+        servos = self._servos
+        servos.step(time.monotonic_ns())
+        if not isinstance(servos, GuardedServos):
             return
-        self._report.publish(self._now(), health)
-        if health.action is not self._action:
-            self.get_logger().info(f"{health.action.name} {health.reason}".strip())
-        self._action = health.action
+        self._report.publish(self._now(), servos)
+        if servos.action is not self._action:
+            self.get_logger().info(f"{servos.action.name} {servos.reason}".strip())
+        self._action = servos.action
 
     def _publish_all(self, readings: Iterable[Reading]) -> None:
         """Publish readings; on divergence of the simulation end the node with one line."""

@@ -13,6 +13,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +26,8 @@ from slot_core.dynamixel.joints import Joint
 from slot_core.dynamixel.state import Cycle, Health, JointReading, TorqueOff
 from slot_core.robot import LEGS, Array
 from slot_core.safety.command_gate import Action
-from slot_core.safety.command_watchdog import NO_LIMITS, CommandWatchdog, Permission
+from slot_core.safety.command_guard import NO_LIMITS, CommandGuard
+from slot_core.safety.command_watchdog import Permission
 from slot_core.safety.servo_health import ServoHealth
 from slot_core.safety.settings import ServoLimits
 
@@ -65,10 +67,10 @@ class ServoSession:
         self.commanded = 0  # ns, stamp of the last command that was written to the servos
         self.written = 0.0  # s of the driver's clock, when it was written
         self._sleep = sleep
-        self._angle_max = angle_max
-        self._watchdog: CommandWatchdog | None = None  # None: no limits yet
+        self._guard = CommandGuard(0.0, angle_max)
         self._slewed = np.zeros(len(LEGS), dtype=bool)
         self._offered = 0  # stamp of the last accepted command
+        self._off: TorqueOff | None = None  # of the last ramp, or None: torque went off otherwise
         self._last_step: int | None = None
         self._last_query: int | None = None
         self._durations: list[float] = []
@@ -76,14 +78,11 @@ class ServoSession:
     @property
     def limits(self) -> ServoLimits | None:
         """Limits that the supervisor has sent, or None."""
-        return None if self._watchdog is None else self._watchdog.limits
+        return self._guard.limits
 
     def set_limits(self, limits: ServoLimits) -> None:
         """Take the supervisor's limits; raises ConfigError as `CommandGate` does."""
-        if self._watchdog is None:
-            self._watchdog = CommandWatchdog(limits, 0.0, self._angle_max)
-        else:
-            self._watchdog.set_limits(limits)
+        self._guard.set_limits(limits)
 
     def configure(self) -> tuple[ServoInfo, ...]:
         """Open the port, check every servo, and switch off torque left on by a killed driver.
@@ -99,29 +98,26 @@ class ServoSession:
     def start(self) -> None:
         """Torque on without motion; raises RefusedError with all torque off."""
         try:
-            if self._watchdog is None:
+            if self._guard.watchdog is None:
                 raise RefusedError([NO_LIMITS])
             self.driver.activate()
         except RefusedError as error:
             self.action, self.reason = Action.OFF, f"torque refused: {error}"
             raise
-        self._watchdog.engage(self.driver.goals())
+        self._guard.watchdog.engage(self.driver.goals())
         self._last_step = None
         self.action, self.reason = Action.HOLD, "torque comes on"
 
     def offer(self, now: int, stamp: int, angle: Array) -> str:
         """Accept tendon angles (4,), rad, with their `stamp`, as a whole; or return why not."""
-        if self._watchdog is None:
-            return NO_LIMITS
-        fault = self._watchdog.offer(now, angle)
+        fault = self._guard.offer(now, angle)
         if not fault:
             self._offered = stamp
         return fault
 
     def permit(self, permission: Permission) -> None:
         """Store the supervisor's permission; OFF switches torque off at once."""
-        if self._watchdog is not None:
-            self._watchdog.permit(permission)
+        self._guard.permit(permission)
         if permission.action is Action.OFF and self.driver.active:
             self._switch_off(permission.reason)
         elif permission.action is Action.OFF:
@@ -129,8 +125,7 @@ class ServoSession:
 
     def relax(self, reason: str) -> None:
         """Ramp the tendons to slack in the next steps, then torque off."""
-        if self._watchdog is not None:
-            self._watchdog.relax(reason)
+        self._guard.relax(reason)
 
     def step(self, now: int) -> Cycle:
         """One bus cycle; raises PortError if the port has disappeared."""
@@ -145,11 +140,12 @@ class ServoSession:
 
     def _command(self, now: int) -> None:
         """Step the watchdog, and give its goals to the driver."""
-        assert self._watchdog is not None
+        watchdog = self._guard.watchdog
+        assert watchdog is not None
         for fault in (self.driver.faults() + self.silent())[:1]:
             self.relax(fault)
-        gated = self._watchdog.step(now)
-        self.action, self.reason = self._watchdog.action, self._watchdog.reason
+        gated = watchdog.step(now)
+        self.action, self.reason = watchdog.action, watchdog.reason
         self._slewed = gated.slewed
         if not gated.torque:
             self._switch_off(self.reason)
@@ -163,6 +159,7 @@ class ServoSession:
         """
         self.driver.bus.port.is_using = False  # an interrupt may have left an exchange unfinished
         self.relax("stopped")
+        self._off = None
         try:
             while self.driver.active:
                 self.step(round(self.driver.clock() * SECOND))
@@ -170,7 +167,7 @@ class ServoSession:
         except ServoError:
             pass  # torque goes off without a ramp
         finally:
-            off = self.driver.torque_off()
+            off = self._off or self.driver.torque_off()
         if self.action is not Action.OFF:
             self.action, self.reason = Action.OFF, "stopped"
         return off
@@ -183,6 +180,13 @@ class ServoSession:
         if not times or passed <= 0.0:
             return BusPace(0.0, 0.0, 0.0, self.overruns)
         return BusPace(len(times) / passed, sum(times) / len(times), max(times), self.overruns)
+
+    @property
+    def urgent(self) -> tuple[Any, ...]:
+        """Values of the health report whose change is published at once."""
+        servos = self.driver.health
+        states = tuple((servo.torque, servo.hardware_error) for servo in servos)
+        return self.action, self.commanded, states, self._slewed.tobytes()
 
     def health(self, stamp: int) -> ServoHealth:
         """Health report of the servos at `stamp` (ns of the messages' clock)."""
@@ -206,12 +210,12 @@ class ServoSession:
     @property
     def own_reason(self) -> str:
         """Reason of a RELAX begun by the watchdog itself, or ""."""
-        return "" if self._watchdog is None else self._watchdog.own_reason
+        return self._guard.own_reason
 
     @property
     def overdue(self) -> bool:
         """Whether a command or the supervisor's permission is too old."""
-        return self._watchdog is not None and self._watchdog.overdue
+        return self._guard.overdue
 
     def silent(self) -> list[str]:
         """Servos that have not answered for too long, one line each."""
@@ -225,7 +229,7 @@ class ServoSession:
 
     def _switch_off(self, reason: str) -> None:
         """Torque off at once, with its confirmation in `reason`."""
-        off = self.driver.torque_off()
+        off = self._off = self.driver.torque_off()
         result = "torque off" if off.complete else "torque NOT off: " + "; ".join(off.reasons)
         self.action, self.reason = Action.OFF, f"{result}, after: {reason}"
 

@@ -22,8 +22,6 @@ from slot_core.robot import Array
 from slot_core.safety.command_gate import Action, CommandGate, Gated
 from slot_core.safety.settings import ServoLimits
 
-NO_LIMITS = "no limits of the supervisor yet"
-
 
 @dataclass(frozen=True)
 class Permission:

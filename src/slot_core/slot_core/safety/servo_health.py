@@ -29,7 +29,7 @@ class ServoHealth:
     written: int = 0  # ns, when it was sent
 
 
-def sound_servos(
+def healthy_servos(
     action: Action,
     reason: str,
     torque: bool,

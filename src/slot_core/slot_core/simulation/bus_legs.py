@@ -48,12 +48,3 @@ class EmulatedLegs:
                 for joint, servo in zip(self.joints, self.bus.servos)
             ]
         )
-
-    def rates(self) -> Array:
-        """Rates of the tendon angles (4,), rad/s."""
-        return np.array(
-            [
-                servo.shaft.speed / (joint.direction * joint.ratio)
-                for joint, servo in zip(self.joints, self.bus.servos)
-            ]
-        )

@@ -34,7 +34,9 @@ def immediate_servo(servo: ServoSettings, step: float) -> ServoSettings:
     return dataclasses.replace(servo, model="ideal", lag=step, ideal_rpm=UNBOUNDED_RPM)
 
 
-def equal_law(servo: ServoSettings, settings: DynamixelSettings, period: float) -> ServoSettings:
+def equivalent_servo(
+    servo: ServoSettings, settings: DynamixelSettings, period: float
+) -> ServoSettings:
     """Servo model `pid` of dynamics/servo.py that is equivalent to the emulated servos.
 
     The motor is that of `servo`. The gains are those of position control in the real servo,

@@ -54,7 +54,7 @@ class ClosedLoop:
         Raises Divergence when the simulation diverges, and RuntimeError when the estimator has no
         estimate for an odometry reading.
         """
-        self._read(self.plant.present(LOCKSTEP_START))
+        self._read(self.plant.readings_at_rest(LOCKSTEP_START))
         self.plant.start(LOCKSTEP_START)
         for _ in range(ticks):
             tick = self.controller.poll()

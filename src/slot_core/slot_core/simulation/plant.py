@@ -90,8 +90,8 @@ class Plant:
         for fault in scene.faults.values():
             self._require_supported(fault)
 
-    def present(self, stamp: int) -> list[Reading]:
-        """Readings of the robot at rest at `stamp` (ns), without delay; equal for equal stamps."""
+    def readings_at_rest(self, stamp: int) -> list[Reading]:
+        """Readings of the frozen robot at `stamp` (ns), without delay; equal for equal stamps."""
         if not self._at_rest or stamp != self.now:
             self.now = stamp
             sensors = self._scene.sensors

@@ -13,7 +13,7 @@ import math
 import sys
 import time
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -22,8 +22,9 @@ from slot_core.config import ConfigError
 from slot_core.emulator.pseudo_terminal import PseudoTerminal
 from slot_core.robot import LEGS, Array
 from slot_core.safety.command_gate import Action
-from slot_core.safety.command_watchdog import NO_LIMITS, CommandWatchdog, Permission
-from slot_core.safety.servo_health import ServoHealth, sound_servos
+from slot_core.safety.command_guard import NO_LIMITS, CommandGuard
+from slot_core.safety.command_watchdog import Permission
+from slot_core.safety.servo_health import ServoHealth, healthy_servos
 from slot_core.safety.settings import ServoLimits
 from slot_core.simulation.bus_plant import BusPlant
 from slot_core.simulation.plant import Plant
@@ -55,8 +56,8 @@ class Servos(Protocol):
         """Whether the servos follow commands at `now`; before that the robot stays frozen."""
         ...
 
-    def step(self, now: int) -> ServoHealth | None:
-        """Update the commands of the robot at `now`; return the health of the servos, if any."""
+    def step(self, now: int) -> None:
+        """Update the commands of the robot at `now`."""
         ...
 
     @property
@@ -151,7 +152,10 @@ class GuardedServos:
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
-        self._watchdog: CommandWatchdog | None = None  # None: no limits yet
+        self._guard = CommandGuard(0.0, plant.simulator.robot.tendon.angle_max)
+        self.action, self.reason = Action.HOLD, NO_LIMITS
+        self._goal = _spool_angles(plant)  # (4,) rad
+        self._slewed = np.zeros(len(LEGS), dtype=bool)
         self._torque = True
         self._permitted = False  # whether the supervisor has ever permitted torque
         self._was_on = False  # torque, by permission
@@ -160,53 +164,58 @@ class GuardedServos:
     @property
     def clock_jump(self) -> float:
         """Largest difference between a command's stamp and the present, s; inf without limits."""
-        return math.inf if self._watchdog is None else self._watchdog.limits.clock_jump
+        limits = self._guard.limits
+        return math.inf if limits is None else limits.clock_jump
 
     def set_limits(self, limits: ServoLimits) -> None:
         """Set the limits of the supervisor; raises ConfigError as `CommandGate` does."""
-        if self._watchdog is not None:
-            self._watchdog.set_limits(limits)
-            return
-        high = self._plant.simulator.robot.tendon.angle_max
-        self._watchdog = CommandWatchdog(limits, 0.0, high)
-        self._watchdog.engage(_spool_angles(self._plant))
+        first = self._guard.watchdog is None
+        self._guard.set_limits(limits)
+        if first and self._guard.watchdog:
+            self._guard.watchdog.engage(_spool_angles(self._plant))
 
     def permit(self, permission: Permission) -> None:
         """Set the newest permission of the supervisor."""
-        if self._watchdog is not None:
-            self._watchdog.permit(permission)
+        self._guard.permit(permission)
+        if self._guard.watchdog is not None:
             self._permitted = self._permitted or permission.action is not Action.OFF
 
     def offer(self, now: int, stamp: int, angle: Array) -> None:
         """Take a command (4,), rad, at `now`; raises ValueError if it is rejected."""
-        if self._watchdog is None:
-            raise ValueError(NO_LIMITS)
-        if fault := self._watchdog.offer(now, angle):
+        if fault := self._guard.offer(now, angle):
             raise ValueError(fault)
 
     def follows(self, now: int) -> bool:
         """Whether the action of the watchdog is PASS."""
-        if self._watchdog is None:
-            return False
-        self._watchdog.step(now)
-        return self._watchdog.action is Action.PASS
-
-    def step(self, now: int) -> ServoHealth:
-        """Command the simulated servos as the watchdog decides; return their health."""
-        watchdog = self._watchdog
+        watchdog = self._guard.watchdog
         if watchdog is None:
-            return sound_servos(Action.HOLD, NO_LIMITS, True, _spool_angles(self._plant))
+            return False
+        watchdog.step(now)
+        return watchdog.action is Action.PASS
+
+    def step(self, now: int) -> None:
+        """Command the simulated servos as the watchdog decides."""
+        watchdog = self._guard.watchdog
+        if watchdog is None:
+            return
         gated = watchdog.step(now)
         if gated.torque and not self._torque:
             watchdog.engage(_spool_angles(self._plant))
             gated = watchdog.step(now)
-        self._torque = gated.torque
+        self.action, self.reason = watchdog.action, watchdog.reason
+        self._goal, self._slewed, self._torque = gated.angle, gated.slewed, gated.torque
         self._was_on = self._was_on or (self._permitted and gated.torque)
         self.released = self._was_on and not gated.torque
         self._plant.command(gated.angle if gated.torque else np.zeros(len(LEGS)))
-        return sound_servos(
-            watchdog.action, watchdog.reason, gated.torque, gated.angle, gated.slewed
-        )
+
+    @property
+    def urgent(self) -> tuple[Any, ...]:
+        """Values of the health report whose change is published at once."""
+        return self.action, self._torque, self._slewed.tobytes()
+
+    def health(self, stamp: int) -> ServoHealth:
+        """Health report of the servos: they have no faults."""
+        return healthy_servos(self.action, self.reason, self._torque, self._goal, self._slewed)
 
     def close(self, running: bool) -> str:
         """Return "": there is nothing to end."""

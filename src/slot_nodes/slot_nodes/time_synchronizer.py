@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 
-class Rendezvous:
+class TimeSynchronizer:
     """Collects one item per topic and stamp; a set is complete when every topic has an item.
 
     At most `depth` incomplete sets are kept; the oldest by arrival is dropped first. So a lost

@@ -1,0 +1,38 @@
+"""The health of the servos is published at every change, and every 50 ms."""
+
+import types
+
+import numpy as np
+
+from slot_core.safety.command_gate import Action
+from slot_core.safety.servo_health import healthy_servos
+from slot_nodes.health_report import PERIOD, HealthReport
+
+
+class Servos:
+    """Servos whose reports are counted."""
+
+    def __init__(self):
+        self.urgent = (Action.HOLD,)
+        self.built = 0
+
+    def health(self, stamp):
+        self.built += 1
+        return healthy_servos(self.urgent[0], "", True, np.zeros(4))
+
+
+def test_a_report_is_built_only_when_it_is_published():
+    published = []
+    publisher = types.SimpleNamespace(publish=published.append)
+    report = HealthReport(types.SimpleNamespace(create_publisher=lambda *_: publisher))
+    servos, start = Servos(), 10 * PERIOD
+    report.publish(start, servos)
+    for later in range(2_000_000, PERIOD, 2_000_000):
+        report.publish(start + later, servos)
+    assert (servos.built, len(published)) == (1, 1)
+    servos.urgent = (Action.PASS,)
+    report.publish(start + PERIOD - 1, servos)
+    report.publish(start + 2 * PERIOD - 2, servos)
+    assert (servos.built, len(published)) == (2, 2)
+    report.publish(start + 2 * PERIOD - 1, servos)
+    assert (servos.built, len(published)) == (3, 3)
