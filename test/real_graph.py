@@ -25,8 +25,6 @@ PATIENT = {
         "timing.hold_max": 30.0,
         "estimate.coast_cycles": 30,
         "estimate.silence": 1.0,
-        "tendon.sample_gap": 0.5,
-        "tendon.slack_max": 4.0e-3,
     },
     "mpc": SLOW_MPC,
 }

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from functools import partial
 
 import numpy as np
 
@@ -204,13 +205,15 @@ class SupervisedLoop(ClosedLoop):
     It stands up first; `walk` makes it walk. A servo without torque keeps its last goal here.
     """
 
-    def __init__(self, scene, seed=0, **changes):
+    def __init__(self, scene, seed=0, delay=lambda tick: 0.0, **changes):
+        """`delay`: s, by which the command of a tick is late."""
         super().__init__(scene, "stand", None, seed)
         changes = {"estop_required": False, **changes}
         self.supervisor = make_supervisor(**changes)
         self.servos = Servos(config.replace(read_supervisor(), changes))
         self.servos.engage(self.plant.simulator.tendon_angle)
         self.reports = []  # (s since the start, report)
+        self._delay = delay
 
     def walk(self):
         """Request the gait and WALKING."""
@@ -227,13 +230,22 @@ class SupervisedLoop(ClosedLoop):
             s.receive_gait(now, tick.preview.period)
             s.receive_estimate(now, tick.estimate)
             s.receive_mpc(now, tick.result.status, tick.result.fallback_cycles)
-            s.receive_command(now, tick.estimate.stamp, tick.command.angle)
-            self.servos.watchdog.offer(now, tick.command.angle)
+            receive = partial(self._receive_command, tick.estimate.stamp, tick.command.angle)
+            if delay := self._delay(k):
+                self.plant._schedule_action(now + round(delay * 1e9), receive)
+            else:
+                receive()
             if k == 14:
                 assert s.request(now, Request.READY) == ""
             if k == 15:
                 assert s.request(now, Request.STAND) == ""
             yield tick, self._step()
+
+    def _receive_command(self, stamp, angle):
+        """A command for the odometry at `stamp`, now."""
+        self.supervisor.receive_command(self.plant.now, stamp, angle)
+        self.servos.watchdog.offer(self.plant.now, angle)
+        self._step()
 
     def _step(self):
         report = self.supervisor.step(self.plant.now)

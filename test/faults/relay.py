@@ -25,7 +25,6 @@ FOR_RELAYS = {
         "timing.servo_silent": 2.0,
         "estimate.silence": 0.4,
         "gate.approach_rate": 1.0,  # so low that the rate limit, not the servo, sets the speed
-        "tendon.slack_max": 2.0e-2,  # no alarm for late commands
     },
     "mpc": SLOW_MPC,
 }

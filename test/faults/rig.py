@@ -20,8 +20,8 @@ from real_graph import PATIENT, changed_config
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from slot_bringup.graph import read_graph
-from slot_bringup.processes import command_line, die_with_parent
+from slot_bringup.graph import TIED, read_graph
+from slot_bringup.processes import command_line
 from slot_core.bags import decode
 from slot_core.config import build
 from slot_core.dynamixel.bus import Bus
@@ -124,9 +124,9 @@ class Rig:
             remaps = [w for a, b in self._remaps.get(name, {}).items() for w in ("-r", f"{a}:={b}")]
             with self._log(name).open("ab") as log:
                 self.children[name] = subprocess.Popen(
-                    [*(program or [executable]), *arguments, *options, *remaps],
+                    [*TIED, *(program or [executable]), *arguments, *options, *remaps],
                     env=environment, stdout=log, stderr=log, start_new_session=True,
-                    cwd=self.directory, preexec_fn=die_with_parent,  # noqa: PLW1509 - one system call
+                    cwd=self.directory,
                 )  # fmt: skip
 
     def kill(self, name):

@@ -20,7 +20,6 @@ QUICK = {
         "timing.servo_silent": 1.2,
         "estimate.coast_cycles": 30,
         "estimate.silence": 1.0,
-        "tendon.slack_max": 2.0e-2,  # no alarm for late commands
     },
     "mpc": SLOW_MPC,
 }

@@ -7,12 +7,11 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from real_graph import PATIENT
 from rig import LATE, RAMP, SAG, servo_angle
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
 
 from slot_core.bags import decode
 from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.robot import read_robot
-from slot_core.safety.command_gate import Action
 from slot_core.safety.states import State
 
 
@@ -158,44 +157,6 @@ def test_an_unplugged_bus_ends_the_driver_and_a_new_one_starts_without_motion(ri
 def test_after_a_killed_driver_a_new_one_starts_without_motion(rig):
     begin = rig.send_signal("dynamixel_driver", signal.SIGKILL)
     check_restart(rig, begin)
-
-
-@pytest.mark.parametrize(
-    ("kind", "leg", "value"), [("tendon_slack", "FL", 0.01), ("tendon_broken", "RR", 0.0)]
-)
-def test_a_damaged_tendon_ends_in_hold_and_is_named(rig, kind, leg, value):
-    begin = rig.inject(kind, leg, value=value)
-    held, reason = rig.wait_for_state(State.HOLD, begin)
-    assert reason.startswith(f"slack or broken tendon {leg} ")
-    report = next(m for m in rig.since("/robot_state", held) if m.state == State.HOLD)
-    assert any(line.startswith(f"slack or broken tendon {leg} ") for line in report.warnings)
-    rig.wait_for(
-        lambda: rig.last("/servo_health").action == decode.ACTION_NUMBERS.index(Action.HOLD)
-    )
-    rig.inject(kind, leg, clear=True)
-    assert rig.request("relax") == ""
-    rig.wait_for_state(State.IDLE, held)
-
-
-def test_the_estop_switches_torque_off_at_once_until_a_reset(rig):
-    begin = rig.now()
-    assert rig.request("estop") == ""
-    off = rig.wait_for_torque_off(begin)
-    assert seconds(begin, decode.stamp(off)) <= LATE
-    assert "READY" in rig.request("ready")
-    assert rig.state is State.ESTOP
-    assert rig.request("reset") == ""
-
-
-def test_the_torque_service_relaxes_a_walking_robot(rig):
-    begin = rig.now()
-    off = rig.call(SetBool, "/dynamixel_driver/torque", data=False)
-    assert (off.success, off.message) == (True, "slackening, then torque off")
-    _, reason = rig.wait_for_state(State.RELAX, begin)
-    assert reason.startswith("servos: ")
-    assert reason.endswith("torque switched off by the operator")
-    rig.wait_for_torque_off(begin)
-    rig.wait_for_state(State.FAULT, begin)
 
 
 def test_relax_ends_in_idle_without_torque(rig):

@@ -133,6 +133,49 @@ def test_readings_that_are_not_finite_are_ignored(value):
     assert state.slack.tolist() == before.slack.tolist()
 
 
+def test_readings_of_a_stride_with_late_data_raise_no_alarm():
+    """Slack of 3 mm in readings of which each tenth is late, then in readings in time."""
+    watched, stamp = watch(), 0
+    for _ in range(20):
+        stamp, _ = feed(watched, 0.1, [0.003] * 4, start=stamp)
+        late = watched.observe(stamp + 1, *np.ones((3, 4)), STRIDE, age=1.01 * LIMITS.age_max)
+        assert np.isnan(late.slack).all()
+    assert not late.damaged.any()
+    _, state = feed(watched, 2.0, [0.003] * 4, start=stamp)
+    assert state.damaged.all()
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_walk_with_late_commands_raises_no_alarm(seed):
+    """Without `age_max` the slack inferred here reaches 1.5 and 1.7 mm: HOLD, then overload."""
+    delays = LateInOrder(seed)
+    patient = {"timing.command_hold": 0.5, "estimate.coast_cycles": 30, "estimate.silence": 1.0}
+    loop = SupervisedLoop("flat", seed, delays, **patient)
+    for k, (_, report) in enumerate(loop.ticks(10.0)):
+        if k == 60:
+            loop.walk()
+        if k > 80:
+            assert report.state is State.WALKING, report.reason
+    assert delays.largest > 2 * LIMITS.age_max
+
+
+class LateInOrder:
+    """Delays of three of ten commands, up to 0.2 s; none overtakes another."""
+
+    def __init__(self, seed):
+        self._rng = np.random.default_rng(seed)
+        self._last = self.largest = 0.0
+
+    def __call__(self, tick):
+        if tick <= 80:  # the robot stands up and begins to walk
+            return 0.0
+        sent = tick * 0.033
+        late = self._rng.uniform(0.0, 0.2) if self._rng.random() < 0.3 else 0.005
+        self._last = max(sent + late, self._last + 1e-3)
+        self.largest = max(self.largest, self._last - sent)
+        return self._last - sent
+
+
 @pytest.mark.parametrize("scene", ["flat", "slippery", "split", "uneven", "payload", "push"])
 def test_commands_of_an_undamaged_walk_pass_unchanged_without_an_alarm(scene):
     """The push is at 5 s. Largest slack inferred in 22 s: 0.57 mm, and 0.66 mm at 20 deg."""

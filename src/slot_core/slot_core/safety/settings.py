@@ -74,6 +74,9 @@ class TendonLimits:
     window_min: float = quantity("shortest time of the mean; else a stride", "s", 0.1, 10)
     confirm: float = quantity("how long the slack has to last", "s", 0, 5)
     sample_gap: float = quantity("gap between two readings that restarts the mean", "s", 1e-3, 1)
+    age_max: float = quantity(
+        "age of a reading, estimate or command that restarts it", "s", 0.01, 1
+    )
     stiffness_min: float = quantity("least d torque / d angle to divide by", "N m/rad", 1e-3, 10)
     share: float = quantity("share of the largest slack for another leg to be named", "", 0, 1)
 

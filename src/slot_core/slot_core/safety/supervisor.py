@@ -115,7 +115,6 @@ class Supervisor:
         self._command = np.zeros(len(LEGS))  # rad, last accepted
         self._tendon_angle = np.full(len(LEGS), np.nan)
         self._height = np.full(len(LEGS), np.nan)  # m, of the clamps
-        self._estimated = 0  # steady time of the estimate they were computed from
         self._stride = settings.tendon.window_min  # s
         self._tendons: TendonReport = watch.state
 
@@ -149,7 +148,7 @@ class Supervisor:
         if self._stamp_fault("estimate", now, estimate.stamp):
             return
         self._inputs.receive_estimate(time, estimate)
-        self._height, self._estimated = self._clamp_heights(estimate.state), time
+        self._height = self._clamp_heights(estimate.state)
 
     def receive_command(self, now: int, stamp: int, angle: Array) -> str:
         """Tendon angles (4,), rad, of the controller; returns why they are rejected, or ""."""
@@ -170,7 +169,10 @@ class Supervisor:
         self._inputs.receive_joints(time - max(now - stamp, 0), angle, torque)
         self._tendon_angle = np.array(angle, dtype=np.float64)
         if self._follows_gait(time):
-            self._tendons = self._watch.observe(stamp, angle, torque, self._height, self._stride)
+            oldest = min(stamp, *(self._newest.get(name, 0) for name in ("estimate", "command")))
+            self._tendons = self._watch.observe(
+                stamp, angle, torque, self._height, self._stride, (now - oldest) / SECOND
+            )
 
     def receive_health(self, now: int, stamp: int, health: ServoHealth) -> None:
         """Health of the servos at `stamp`, from the driver or from simulated servos."""
@@ -264,13 +266,9 @@ class Supervisor:
         return found
 
     def _follows_gait(self, time: int) -> bool:
-        """Whether the legs follow the gait and the torso's height is known.
-
-        False for `resume_time` after a HOLD, and while estimates are missing.
-        """
+        """Whether the legs follow the gait: not for `resume_time` after a HOLD."""
         following = time - self._entered > self._settings.gate.resume_time * SECOND
-        known = time - self._estimated <= 0.5 * self._settings.estimate.silence * SECOND
-        return self._state in MOVING and following and known
+        return self._state in MOVING and following
 
     def _torque_missing(self, time: int) -> str:
         """Why the servos have no torque after the time to switch it on, or ""."""

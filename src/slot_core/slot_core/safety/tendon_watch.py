@@ -10,6 +10,11 @@ gives s. The mean over a whole stride cancels what the statics leave out: inerti
 change of direction of the friction. A damaged tendon changes the load on its neighbours, so the leg
 with the largest slack is named, and another leg only if its slack is a large share of that.
 
+The tables hold for a gait that is walked in time. Commands that come late hold legs back in a
+stride: on a simulated walk with up to 0.2 s of delay the inferred slack of sound tendons reached
+2.0 mm, against 0.5 mm. So the mean restarts when what the legs follow, or what they are compared
+with, is older than `age_max`; until a whole stride was in time the slack is unknown.
+
 Not detected: a tendon at an angle that needs hardly any tension (below some 20 deg), and a leg
 lifted by hand while the torso's height is that of a standing robot.
 """
@@ -78,13 +83,22 @@ class TendonWatch:
         self._over_since: int | None = None
 
     def observe(
-        self, stamp: int, angle: Array, torque: Array, height: Array, stride: float
+        self,
+        stamp: int,
+        angle: Array,
+        torque: Array,
+        height: Array,
+        stride: float,
+        age: float = 0.0,
     ) -> TendonReport:
         """Take a reading of the servos at `stamp` (ns): (4,) rad, (4,) N m, clamps at (4,) m.
 
-        `stride` (s) is the period of the gait. Readings that are not finite or not newer than the
-        last are ignored.
+        `stride` (s) is the period of the gait, `age` (s) that of the oldest of reading, estimate
+        and command. Readings that are not finite or not newer than the last are ignored.
         """
+        if age > self._limits.age_max:
+            self.pause()
+            return self.state
         values = np.array([angle, torque, height], dtype=np.float64)
         if not np.isfinite(values).all() or (self._stamps and stamp <= self._stamps[-1]):
             return self.state
