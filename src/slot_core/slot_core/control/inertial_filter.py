@@ -9,22 +9,21 @@ odom:
 
 with w, f the angular velocity and specific force of the IMU in base_link and b_w, b_f their biases.
 The error state is x = [d_theta, d_p, d_v, d_b_w, d_b_f] (15,), with R_true = Exp(d_theta) R.
+The arithmetic is compiled: `filter_kernels.py`.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slot_core.config import quantity
+from slot_core.control.filter_kernels import Nominal, correct, output, propagate, work_space
 from slot_core.robot import GRAVITY, Array
 
-DOWN = np.array([0.0, 0.0, -GRAVITY])
-COS_PITCH_MIN = 1e-3  # keeps the covariance of roll and yaw finite at a pitch of 90 deg
+UP = np.array([0.0, 0.0, GRAVITY])  # specific force at rest, in odom
 THETA, P, V, GYRO_BIAS, FORCE_BIAS = (slice(i, i + 3) for i in range(0, 15, 3))
 
 
@@ -120,19 +119,10 @@ class OdometryMotion:
     """A decoded odometry reading: attitude and position in odom, twist in base_link."""
 
     stamp: int  # ns
-    attitude: Rotation
+    attitude: Array  # (4,) unit quaternion x y z w
     position: Array  # (3,) m
     velocity: Array  # (3,) m/s
     rate: Array  # (3,) rad/s
-
-
-class Propagated(NamedTuple):
-    """The part of the filter that `InertialFilter.propagate` changes: nominal state, covariance."""
-
-    attitude: Rotation
-    position: Array  # (3,) m, in odom
-    velocity: Array  # (3,) m/s, in odom
-    cov: Array  # (15, 15)
 
 
 class InertialFilter:
@@ -140,33 +130,40 @@ class InertialFilter:
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings
-        self._bias = np.zeros((2, 3))  # gyro rad/s, specific force m/s^2
-        self._cov = np.zeros((15, 15))
-        self._cov[GYRO_BIAS, GYRO_BIAS] = settings.imu.gyro_bias**2 * np.eye(3)
-        self._cov[FORCE_BIAS, FORCE_BIAS] = settings.imu.acceleration_bias**2 * np.eye(3)
-        odometry = settings.odometry
+        imu, odometry, blind = settings.imu, settings.odometry, settings.blind
+        cov = np.zeros((15, 15))
+        cov[GYRO_BIAS, GYRO_BIAS] = imu.gyro_bias**2 * np.eye(3)
+        cov[FORCE_BIAS, FORCE_BIAS] = imu.acceleration_bias**2 * np.eye(3)
+        attitude = np.array([0.0, 0.0, 0.0, 1.0])
+        self._state = Nominal(attitude, np.zeros(3), np.zeros(3), np.zeros((2, 3)), cov)
+        self._work = work_space()
         noise = [odometry.angle_noise, odometry.position_noise, odometry.velocity_noise]
-        self._odometry_cov = np.diag(np.square(np.repeat(noise, 3)))
+        self._odometry_variance = np.square(np.repeat(noise, 3))
+        drifts = imu.gyro_drift, imu.acceleration_drift
+        self._noise = _densities(imu.gyro_noise, imu.acceleration_noise, *drifts)
+        self._blind_noise = _densities(blind.gyro_noise, blind.acceleration_noise, *drifts)
 
     def restart(self, motion: OdometryMotion) -> None:
         """Set the state to an odometry reading; the biases and their covariance are kept."""
-        self._attitude, self._position = motion.attitude, motion.position
-        self._velocity = motion.attitude.apply(motion.velocity)
+        state = self._state
+        state.attitude[:], state.position[:] = motion.attitude, motion.position
+        state.velocity[:] = Rotation.from_quat(motion.attitude).apply(motion.velocity)
         jacobian = np.eye(9)
-        jacobian[V, THETA] = -_cross(self._velocity)  # velocity is measured in base_link
-        self._cov[:9, :] = self._cov[:, :9] = 0.0
-        self._cov[:9, :9] = jacobian @ self._odometry_cov @ jacobian.T
+        jacobian[V, THETA] = -np.cross(np.eye(3), state.velocity)  # is measured in base_link
+        state.cov[:9, :] = state.cov[:, :9] = 0.0
+        state.cov[:9, :9] = jacobian * self._odometry_variance @ jacobian.T
         self._rate, self._rate_variance = motion.rate, self._settings.odometry.rate_noise**2
         self._gyro_share = 0.0
 
     @property
-    def propagated(self) -> Propagated:
-        """Present propagated state, for `restore`."""
-        return Propagated(self._attitude, self._position, self._velocity, self._cov)
+    def state(self) -> Nominal:
+        """A copy of nominal state and covariance, for `restore`."""
+        return Nominal(*(part.copy() for part in self._state))
 
-    def restore(self, saved: Propagated) -> None:
-        """Set the propagated state to a saved one; valid only without a correction in between."""
-        self._attitude, self._position, self._velocity, self._cov = saved
+    def restore(self, saved: Nominal) -> None:
+        """Set nominal state and covariance; valid only without a correction in between."""
+        for part, value in zip(self._state, saved):
+            part[:] = value
 
     def use_gyro(self, gyro: Array, amplification: float, age: float) -> None:
         """Set the angular velocity from the gyro (3,) rad/s, extrapolated over `age` (s).
@@ -175,97 +172,30 @@ class InertialFilter:
         change by an impact since the last sample.
         """
         imu = self._settings.imu
-        self._rate = gyro - self._bias[0]
+        self._rate = gyro - self._state.bias[0]
         noise = amplification * imu.gyro_noise**2 * imu.rate
         self._rate_variance = noise + (age * imu.angular_acceleration_step) ** 2
         self._gyro_share = 1.0
 
     def propagate(self, imu: Array, dt: float) -> None:
         """Propagate by dt (s) with the IMU sample (6,) [w, f] (rad/s, m/s^2) at its midpoint."""
-        rate, force = imu[:3] - self._bias[0], imu[3:] - self._bias[1]
-        noise = self._settings.imu
-        self._integrate(rate, force, dt, (noise.gyro_noise, noise.acceleration_noise), 1.0)
+        propagate(self._state, self._work, imu[:3], imu[3:], dt, self._noise, True)
 
     def propagate_blind(self, dt: float) -> None:
         """Propagate by dt (s) at constant velocities, without IMU data."""
-        blind = self._settings.blind
-        middle = Rotation.from_rotvec(-dt / 2 * self._rate) * self._attitude.inv()
-        force = middle.apply(-DOWN)
-        self._integrate(self._rate, force, dt, (blind.gyro_noise, blind.acceleration_noise), 0.0)
-        self._rate_variance = blind.gyro_noise**2 / dt
+        propagate(self._state, self._work, self._rate, UP, dt, self._blind_noise, False)
+        self._rate_variance = self._settings.blind.gyro_noise**2 / dt
         self._gyro_share = 0.0
-
-    def _integrate(
-        self, rate: Array, force: Array, dt: float, noise: tuple[float, float], biased: float
-    ) -> None:
-        """Integrate by the midpoint rule; the covariance is second order in dt.
-
-        rate (3,) rad/s and force (3,) m/s^2 in base_link; noise: their densities; biased: 1 if
-        they come from the IMU, so that its biases act, else 0.
-        """
-        half = Rotation.from_rotvec(dt / 2 * rate)
-        middle = self._attitude * half
-        rotation = middle.as_matrix()
-        force_odom = rotation @ force
-        acceleration = force_odom + DOWN
-        self._attitude = middle * half
-        self._position = self._position + dt * self._velocity + dt**2 / 2 * acceleration
-        self._velocity = self._velocity + dt * acceleration
-        dynamics = np.zeros((15, 15))
-        dynamics[P, V] = np.eye(3)
-        dynamics[V, THETA] = -_cross(force_odom)
-        dynamics[THETA, GYRO_BIAS] = dynamics[V, FORCE_BIAS] = -biased * rotation
-        self._propagate_covariance(dt * dynamics, dt, noise)
-
-    def _propagate_covariance(self, a: Array, dt: float, noise: tuple[float, float]) -> None:
-        """P <- F (P + Q/2) F^T + Q/2 with F = I + A + A^2 / 2 and A (15, 15) = dt dx'/dx.
-
-        Half of the noise Q enters before the step, so that it reaches the position in a long step.
-        """
-        imu = self._settings.imu
-        density = [noise[0], 0.0, noise[1], imu.gyro_drift, imu.acceleration_drift]
-        transition = np.eye(15) + a + a @ a / 2
-        half_noise = np.diag(dt / 2 * np.square(np.repeat(density, 3)))
-        self._cov = transition @ (self._cov + half_noise) @ transition.T + half_noise
 
     def correct(self, motion: OdometryMotion) -> bool:
         """Correct with a reading at the present stamp; False for an outlier, which is ignored."""
-        jacobian = np.eye(9, 15)
-        jacobian[V, THETA] = _cross(self._velocity)
-        residual = self._residual(motion)
-        innovation_cov = jacobian @ self._cov @ jacobian.T + self._odometry_cov
-        if not self._inside_gate(residual, innovation_cov):
+        pose = motion.attitude, motion.position
+        variance, gate = self._odometry_variance, self._settings.gate.distance
+        if not correct(self._state, self._work, *pose, motion.velocity, variance, gate):
             return False
-        gain = np.linalg.solve(innovation_cov, jacobian @ self._cov).T
-        reduction = np.eye(15) - gain @ jacobian
-        # Joseph's form
-        cov = reduction @ self._cov @ reduction.T + gain @ self._odometry_cov @ gain.T
-        self._cov = (cov + cov.T) / 2
-        self._inject_error(gain @ residual)
+        self._rate = self._rate - self._gyro_share * self._work.error[GYRO_BIAS]
         self._merge_rate(motion.rate)
         return True
-
-    def _residual(self, motion: OdometryMotion) -> Array:
-        """Innovation (9,): measured minus predicted angle, position and velocity, all in odom."""
-        angle = (motion.attitude * self._attitude.inv()).as_rotvec()
-        velocity = self._attitude.apply(motion.velocity)
-        return np.concatenate([angle, motion.position - self._position, velocity - self._velocity])
-
-    def _inside_gate(self, residual: Array, cov: Array) -> bool:
-        """Whether angle, position and velocity are each within the gate's Mahalanobis distance."""
-        limit = self._settings.gate.distance**2
-        return all(
-            residual[block] @ np.linalg.solve(cov[block, block], residual[block]) <= limit
-            for block in (THETA, P, V)
-        )
-
-    def _inject_error(self, error: Array) -> None:
-        """Add the estimated error (15,) to the nominal state and the biases."""
-        self._attitude = Rotation.from_rotvec(error[THETA]) * self._attitude
-        self._position = self._position + error[P]
-        self._velocity = self._velocity + error[V]
-        self._bias = self._bias + error[9:].reshape(2, 3)
-        self._rate = self._rate - self._gyro_share * error[GYRO_BIAS]
 
     def _merge_rate(self, rate: Array) -> None:
         """Fuse the odometry's angular velocity (3,) rad/s, weighted by the inverse variances."""
@@ -278,41 +208,26 @@ class InertialFilter:
     @property
     def gyro_bias(self) -> Array:
         """Estimated gyro bias (3,) rad/s, in base_link."""
-        return self._bias[0]
+        return self._state.bias[0].copy()
 
     def output(self) -> tuple[Array, Array]:
         """State (12,) and covariance (12, 12) of `Estimate`; the covariance is of first order."""
-        rotation = self._attitude.as_matrix()
-        rate = rotation @ self._rate
-        rpy = _roll_pitch_yaw(rotation)
-        jacobian = np.zeros((12, 15))
-        jacobian[0:3, THETA] = _rpy_jacobian(rpy)
-        jacobian[3:6, P] = jacobian[9:12, V] = np.eye(3)
-        jacobian[6:9, THETA] = -_cross(rate)
-        jacobian[6:9, GYRO_BIAS] = -self._gyro_share * rotation
-        cov = jacobian @ self._cov @ jacobian.T
-        cov[6:9, 6:9] += self._rate_variance * np.eye(3)
-        return np.concatenate([rpy, self._position, rate, self._velocity]), (cov + cov.T) / 2
+        state, cov = np.empty(12), np.empty((12, 12))
+        rate = self._rate, self._gyro_share, self._rate_variance
+        output(self._state, self._work, *rate, state, cov)
+        return state, cov
 
 
-def _cross(a: Array) -> Array:
-    """Cross product matrix [a]x (3, 3): [a]x b = a x b."""
-    x, y, z = a
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+def load_kernels(settings: EstimatorSettings) -> None:
+    """Call every kernel once, which loads or compiles it, so that no reading waits for it."""
+    scratch = InertialFilter(settings)
+    still = OdometryMotion(0, np.array([0.0, 0.0, 0.0, 1.0]), *np.zeros((3, 3)))
+    scratch.restart(still)
+    scratch.propagate(np.concatenate([np.zeros(3), UP]), 1e-3)
+    scratch.correct(still)
+    scratch.output()
 
 
-def _roll_pitch_yaw(rotation: Array) -> Array:
-    """Angles (3,) rad with R = Rz(yaw) Ry(pitch) Rx(roll)."""
-    roll = math.atan2(rotation[2, 1], rotation[2, 2])
-    pitch = math.asin(min(max(-rotation[2, 0], -1.0), 1.0))
-    yaw = math.atan2(rotation[1, 0], rotation[0, 0])
-    return np.array([roll, pitch, yaw])
-
-
-def _rpy_jacobian(rpy: Array) -> Array:
-    """Derivative (3, 3) of roll, pitch, yaw by a small rotation about the axes of odom."""
-    _, pitch, yaw = rpy
-    s, c = math.sin(yaw), math.cos(yaw)
-    cos_pitch = max(math.cos(pitch), COS_PITCH_MIN)
-    t = math.sin(pitch) / cos_pitch
-    return np.array([[c / cos_pitch, s / cos_pitch, 0.0], [-s, c, 0.0], [c * t, s * t, 1.0]])
+def _densities(gyro: float, force: float, gyro_drift: float, force_drift: float) -> Array:
+    """Variance densities (15,) of the error state from noise densities."""
+    return np.square(np.repeat([gyro, 0.0, force, gyro_drift, force_drift], 3))

@@ -9,23 +9,28 @@ from __future__ import annotations
 
 import enum
 import math
+from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from operator import itemgetter
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.clock import SECOND
+from slot_core.control.filter_kernels import Nominal
 from slot_core.control.inertial_filter import (
     EstimatorSettings,
     InertialFilter,
     OdometryMotion,
-    Propagated,
+    load_kernels,
 )
 from slot_core.robot import Array
+
+STAMP = itemgetter(0)
 
 
 class Validity(enum.IntEnum):
@@ -65,6 +70,7 @@ class StateEstimator:
     """
 
     def __init__(self, settings: EstimatorSettings) -> None:
+        load_kernels(settings)
         self._settings = settings
         self._ready: deque[Estimate] = deque(maxlen=settings.buffers.estimates)
         self._reset()
@@ -79,7 +85,8 @@ class StateEstimator:
             maxlen=self._settings.gate.max_rejections
         )
         self._stamp: int | None = None  # ns, of the filter's state; None: not started
-        self._propagated: list[tuple[int, Propagated]] = []  # at the IMU samples since `_stamp`
+        # the filter's states at `_stamp` and at the IMU samples since; the filter is at the last
+        self._track: list[tuple[int, Nominal]] = []
         self._accepted_stamp = 0  # ns, of the last accepted reading
         self._accepted = 0  # accepted readings since the start; in a row until valid
 
@@ -96,7 +103,7 @@ class StateEstimator:
             return
         self._imu.append((stamp, np.concatenate([rate, force])))
         self._process_due()
-        if not self._ready:
+        if not self._ready:  # publish first
             self._propagate_to_newest()
 
     def add_odometry(
@@ -129,9 +136,10 @@ class StateEstimator:
         w = _vector(rate, 3, self._settings.imu.gyro_max)
         if p is None or q is None or v is None or w is None:
             return None
-        if abs(math.hypot(*q) - 1.0) > limits.quaternion_tolerance:
+        norm = math.hypot(*q)
+        if abs(norm - 1.0) > limits.quaternion_tolerance:
             return None
-        return OdometryMotion(stamp, Rotation.from_quat(q), p, v, w)
+        return OdometryMotion(stamp, q / norm, p, v, w)
 
     def _advances(self, stream: str, stamp: int) -> bool:
         """Whether `stamp` is the newest of its stream; a clock set back resets the estimator."""
@@ -148,7 +156,6 @@ class StateEstimator:
         """Process the waiting readings that are due."""
         while self._waiting and self._is_due(self._waiting[0][0]):
             self._process(*self._waiting.popleft())
-            self._propagated.clear()
 
     def _is_due(self, stamp: int) -> bool:
         """Whether the IMU has reached `stamp` (ns), `imu_wait` is over, or the queue is full."""
@@ -160,15 +167,11 @@ class StateEstimator:
         """Propagate to the newest IMU sample in advance, to save time at the next reading."""
         if self._stamp is None:
             return
-        present, samples = self._filter.propagated, list(self._imu)
-        reached, saved = self._propagated[-1] if self._propagated else (self._stamp, present)
-        self._filter.restore(saved)
-        for stamp, _ in samples:
-            if reached < stamp <= self._stamp + self._settings.timing.odometry_gap * SECOND:
-                self._step(samples, reached, stamp)
-                reached = stamp
-                self._propagated.append((stamp, self._filter.propagated))
-        self._filter.restore(present)
+        end, samples = self._stamp + self._settings.timing.odometry_gap * SECOND, [*self._imu]
+        for stamp, _ in samples[bisect_right(samples, self._track[-1][0], key=STAMP) :]:
+            if stamp <= end:
+                self._step(samples, self._track[-1][0], stamp)
+                self._track.append((stamp, self._filter.state))
 
     def _step(self, samples: Sequence[tuple[int, Array]], begin: int, end: int) -> None:
         """Propagate from `begin` to `end` (ns) with the IMU at the midpoint."""
@@ -202,16 +205,21 @@ class StateEstimator:
         self._publish(motion.stamp, Validity.INITIALISING)
 
     def _predict(self, start: int, stamp: int) -> bool:
-        """Propagate the filter from `start` to `stamp` (ns); False if IMU data was missing."""
+        """Propagate the filter from `start` to `stamp` (ns); False if IMU data was missing.
+
+        What was propagated in advance is reused, unless no sample lies at or before `start`: its
+        first step may then have been interpolated from samples that are newer than `stamp`.
+        """
         self._stamp = stamp
         samples = [sample for sample in self._imu if sample[0] <= stamp]
         knots = [start, *(t for t, _ in samples if start < t < stamp), stamp]
         before = max((t for t, _ in samples if t <= start), default=start)
         longest = max(b - a for a, b in pairwise([before, *knots[1:]]))
         if not samples or longest > self._settings.timing.imu_gap * SECOND:
+            self._restore(start)
             self._filter.propagate_blind((stamp - start) / SECOND)
             return False
-        reached = self._restore_propagated(samples, start, stamp)
+        reached = self._restore(stamp if samples[0][0] <= start else start)
         for begin, end in pairwise([reached, *(t for t in knots if t > reached)]):
             self._step(samples, begin, end)
         imu, amplification = _interpolate(samples, stamp)
@@ -220,18 +228,9 @@ class StateEstimator:
             self._imu.popleft()
         return True
 
-    def _restore_propagated(
-        self, samples: Sequence[tuple[int, Array]], start: int, stamp: int
-    ) -> int:
-        """Reuse the propagation done in advance up to `stamp` (ns); returns the stamp it reaches.
-
-        It is not reused if no sample lies at or before `start`: its first step may then have been
-        interpolated from samples that are newer than `stamp`.
-        """
-        done = [entry for entry in self._propagated if entry[0] <= stamp]
-        if not done or samples[0][0] > start:
-            return start
-        reached, saved = done[-1]
+    def _restore(self, stamp: int) -> int:
+        """Return to the last state propagated in advance up to `stamp` (ns); returns its stamp."""
+        reached, saved = self._track[bisect_right(self._track, stamp, key=STAMP) - 1]
         self._filter.restore(saved)
         return reached
 
@@ -256,10 +255,11 @@ class StateEstimator:
     def _agree(self, a: OdometryMotion, b: OdometryMotion) -> bool:
         """Whether a, moved at the mean velocity of a and b, gives b within the gate."""
         half = (b.stamp - a.stamp) / SECOND / 2
-        travel = half * (a.attitude.apply(a.velocity) + b.attitude.apply(b.velocity))
+        before, after = Rotation.from_quat(a.attitude), Rotation.from_quat(b.attitude)
+        travel = half * (before.apply(a.velocity) + after.apply(b.velocity))
         turn = Rotation.from_rotvec(half * (a.rate + b.rate))
         distance = float(np.linalg.norm(b.position - a.position - travel))
-        angle = ((a.attitude * turn).inv() * b.attitude).magnitude()
+        angle = ((before * turn).inv() * after).magnitude()
         gate = self._settings.gate
         return distance <= gate.agreement_distance and bool(angle <= gate.agreement_angle)
 
@@ -271,6 +271,7 @@ class StateEstimator:
         return Validity.VALID if imu_complete else Validity.IMU_MISSING
 
     def _publish(self, stamp: int, validity: Validity) -> None:
+        self._track = [(stamp, self._filter.state)]
         state, covariance = self._filter.output()
         self._ready.append(Estimate(stamp, state, covariance, validity))
 
@@ -278,7 +279,7 @@ class StateEstimator:
 def _vector(values: Array, size: int, limit: float) -> Array | None:
     """A copy of `values` (size,); None for another shape or an element beyond +-limit."""
     array = np.array(values, dtype=np.float64)
-    usable = array.shape == (size,) and bool(np.all(np.abs(array) <= limit))  # false for NaN
+    usable = array.shape == (size,) and np.abs(array).max() <= limit  # false for NaN
     return array if usable else None
 
 
@@ -290,7 +291,7 @@ def _interpolate(samples: Sequence[tuple[int, Array]], stamp: int) -> tuple[Arra
     """
     if len(samples) == 1:
         return samples[0][1], 1.0
-    after = next((i for i, (t, _) in enumerate(samples) if t >= stamp), len(samples) - 1)
-    (t0, x0), (t1, x1) = samples[max(after, 1) - 1], samples[max(after, 1)]
+    after = min(max(bisect_left(samples, stamp, key=STAMP), 1), len(samples) - 1)
+    (t0, x0), (t1, x1) = samples[after - 1], samples[after]
     weight = min(max((stamp - t0) / (t1 - t0), 0.0), 2.0)
     return x0 + weight * (x1 - x0), weight**2 + (1.0 - weight) ** 2
