@@ -218,6 +218,15 @@ def test_a_fault_of_one_servo_relaxes_all_and_is_named(rig, kind):
     assert rig.torque() == [0] * 4
 
 
+def test_a_bus_watchdog_that_a_late_cycle_has_tripped_is_reported_with_the_delay(rig):
+    rig.run(0.2, SLIGHTLY)
+    rig.sleep(0.15)
+    rig.run(1.0, SLIGHTLY)
+    assert rig.session.own_reason == (
+        "servo FL (id 5): stopped by its bus watchdog after 0.16 s without a bus cycle"
+    )
+
+
 def test_a_silent_servo_relaxes_all_after_its_limit(rig):
     rig.run(0.2, SLIGHTLY)
     rig.legs.bus.inject(Fault("silent", "RR", 0.0, 0.0, 0.0))

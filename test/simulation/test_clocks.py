@@ -1,4 +1,4 @@
-"""Clocks of the simulated robot: lockstep advances on commands, real time in portions."""
+"""Clocks of the simulated robot: on commands, in real time, and waiting for a late driver."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,19 @@ from slot_core import config
 from slot_core.clock import SECOND
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
+from slot_core.dynamixel.driver import Driver
+from slot_core.dynamixel.settings import read_settings
+from slot_core.emulator.emulated_bus import read_emulator
+from slot_core.emulator.memory_port import MemoryPort
 from slot_core.robot import read_robot
-from slot_core.simulation.clocks import LOCKSTEP_START, LockstepClock, RealTimeClock
+from slot_core.simulation.bus_plant import BusPlant
+from slot_core.simulation.clocks import (
+    LOCKSTEP_START,
+    PATIENCE,
+    BusClock,
+    LockstepClock,
+    RealTimeClock,
+)
 from slot_core.simulation.plant import Plant
 from slot_core.simulation.sensors import OdometryReading
 
@@ -113,3 +124,73 @@ def test_real_time_yields_the_readings_of_the_portion(real_time):
     ]
     last = NOW + 10 * PORTION - DELAY
     assert stamps == list(range(NOW + PERIOD, last + 1, PERIOD))
+
+
+class LateDriver:
+    """A driver with a bus cycle every 10 ms of real time, and a robot whose clock follows it."""
+
+    def __init__(self):
+        settings = read_settings()
+        self.plant = BusPlant(
+            read_robot(), SCENE, read_servo(), np.random.default_rng(0),
+            settings=settings, emulator=read_emulator(),
+        )  # fmt: skip
+        self.now = NOW
+        port = MemoryPort(self.plant.legs.bus, settings.bus.baud, lambda: self.now / SECOND)
+        self.driver = Driver(port, settings, lambda: self.now / SECOND)
+        self.driver.configure()
+        self.driver.activate()
+        self.watchdog = round(settings.servo.watchdog * SECOND)  # ns
+        self.clock = BusClock(self.plant, PORTION)
+        self.clock.start(NOW)
+
+    def run(self, seconds, cycles=True):
+        """Advance real time, with or without the bus cycles of the driver."""
+        for _ in range(round(seconds * 500)):
+            self.now += 2_000_000
+            if cycles and self.now % 10_000_000 == 0:
+                self.driver.cycle()
+            list(self.clock.advance_to(self.now))
+
+    def tripped(self):
+        """Servos that their bus watchdog has stopped."""
+        return sum(s.memory["bus_watchdog"] < 0 for s in self.plant.legs.bus.servos)
+
+
+@pytest.mark.parametrize("late", [0.15, 0.3, 0.45])
+def test_a_late_driver_does_not_trip_the_bus_watchdogs(late):
+    driven = LateDriver()
+    for _ in range(3):
+        driven.run(0.5)
+        assert driven.plant.now == driven.now  # it has caught up
+        last = driven.now
+        driven.run(late, cycles=False)
+        assert driven.plant.now <= last + driven.watchdog
+        assert driven.clock.waited > 0
+    driven.run(0.5)
+    assert driven.tripped() == 0
+    assert driven.clock.waited == 0
+
+
+def test_an_ended_driver_trips_the_bus_watchdogs_on_the_robots_clock_as_soon_as_on_a_robot():
+    driven = LateDriver()
+    driven.run(0.1)
+    last = driven.plant.now
+    while not driven.tripped():
+        driven.run(0.002, cycles=False)
+    assert driven.plant.now - last <= driven.watchdog + PORTION
+    assert driven.now - last <= PATIENCE + driven.watchdog + 10 * PORTION
+    driven.run(1.0, cycles=False)
+    assert driven.tripped() == 4
+    assert driven.plant.now == driven.now
+
+
+def test_a_delay_of_the_simulation_itself_does_not_count_as_one_of_the_driver():
+    driven = LateDriver()
+    driven.run(0.1)
+    driven.now += SECOND  # the whole machine stands still; instructions are not yet read
+    driven.run(0.1, cycles=False)
+    assert driven.tripped() == 0
+    driven.run(1.2)
+    assert driven.tripped() == 0
+    assert driven.plant.now == driven.now

@@ -43,7 +43,13 @@ from slot_core.emulator.emulated_bus import read_emulator
 from slot_core.robot import read_robot
 from slot_core.safety.command_gate import Action
 from slot_core.simulation.bus_plant import BusPlant
-from slot_core.simulation.clocks import LockstepClock, RealTimeClock, SimulationClock
+from slot_core.simulation.clocks import (
+    PATIENCE,
+    BusClock,
+    LockstepClock,
+    RealTimeClock,
+    SimulationClock,
+)
 from slot_core.simulation.plant import Plant, Reading, TrueState
 from slot_core.simulation.sensors import ImuReading, OdometryReading
 from slot_core.simulation.simulated_servos import BusServos, DirectServos, GuardedServos, Servos
@@ -95,7 +101,7 @@ class SimRobotNode(Node):
         self._action: Action | None = None  # of guarded servos, as last logged
         self._create_publishers()
         fault_service.serve(self, self._plant)
-        self._time: SimulationClock = self._make_clock(bool(link))
+        self._time: SimulationClock = self._make_clock()
         inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
         self.create_subscription(Bool, "recording", self._on_recording, qos.CONTROL)
         period = FROZEN_PERIOD if self._lockstep else settings.sensors.odometry.period
@@ -111,10 +117,12 @@ class SimRobotNode(Node):
         settings, emulator = read_settings(), read_emulator()
         return BusPlant(read_robot(), scene, servo, rng, settings=settings, emulator=emulator)
 
-    def _make_clock(self, bus: bool) -> SimulationClock:
+    def _make_clock(self) -> SimulationClock:
         if self._lockstep:
             return LockstepClock(self._plant)
-        return RealTimeClock(self._plant, BUS_PORTION if bus else PORTION)
+        if isinstance(self._plant, BusPlant):
+            return BusClock(self._plant, BUS_PORTION)
+        return RealTimeClock(self._plant, PORTION)
 
     def _make_servos(self, link: str) -> Servos:
         """Create the servos; last, because those on a bus must not wait for the preparation."""
@@ -209,6 +217,11 @@ class SimRobotNode(Node):
                 throttle_duration_sec=1.0,
             )
         self._publish_all(self._time.advance_to(now))
+        if isinstance(self._time, BusClock) and self._time.waited:
+            self.get_logger().warning(
+                f"the driver is late: the robot's time waits, at most {PATIENCE * 1e-9:g} s",
+                throttle_duration_sec=1.0,
+            )
 
     def _step_servos(self) -> None:
         """Update the commands of the servos; publish their health and log changes of the action."""

@@ -72,6 +72,7 @@ class ServoSession:
         self._offered = 0  # stamp of the last accepted command
         self._off: TorqueOff | None = None  # of the last ramp, or None: torque went off otherwise
         self._last_step: int | None = None
+        self._pause = 0.0  # s, the last between two steps that was long enough for a bus watchdog
         self._last_query: int | None = None
         self._durations: list[float] = []
 
@@ -105,7 +106,7 @@ class ServoSession:
             self.action, self.reason = Action.OFF, f"torque refused: {error}"
             raise
         self._guard.watchdog.engage(self.driver.goals())
-        self._last_step = None
+        self._last_step, self._pause = None, 0.0
         self.action, self.reason = Action.HOLD, "torque comes on"
 
     def offer(self, now: int, stamp: int, angle: Array) -> str:
@@ -143,7 +144,7 @@ class ServoSession:
         watchdog = self._guard.watchdog
         assert watchdog is not None
         for fault in (self.driver.faults() + self.silent())[:1]:
-            self.relax(fault)
+            self.relax(fault + self._delay())
         gated = watchdog.step(now)
         self.action, self.reason = watchdog.action, watchdog.reason
         self._slewed = gated.slewed
@@ -151,6 +152,11 @@ class ServoSession:
             self._switch_off(self.reason)
         elif gated.action is not Action.HOLD:  # goals under HOLD may be below the range of commands
             self.driver.command(gated.angle)
+
+    def _delay(self) -> str:
+        """How late the bus cycle was that has tripped a bus watchdog, for the reason; or ""."""
+        tripped = any((servo.watchdog or 0) < 0 for servo in self.driver.health)
+        return f" after {self._pause:.2f} s without a bus cycle" if tripped and self._pause else ""
 
     def stop(self) -> TorqueOff:
         """Ramp the tendons to slack, then torque off, read back; blocks during the ramp.
@@ -235,8 +241,10 @@ class ServoSession:
 
     def _count_overrun(self, now: int) -> None:
         """Count an overrun."""
-        late = self._last_step is not None and now - self._last_step > LATE * self.period * SECOND
-        self.overruns += late
+        pause = 0.0 if self._last_step is None else (now - self._last_step) / SECOND
+        self.overruns += pause > LATE * self.period
+        if pause > self.driver.settings.servo.watchdog:
+            self._pause = pause
         self._last_step = now
 
 

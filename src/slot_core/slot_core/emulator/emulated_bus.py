@@ -109,6 +109,11 @@ class EmulatedBus:
                 servo.advance(dt, float(load))
             return np.array([servo.shaft.angle for servo in self.servos])
 
+    def watchdog_left(self) -> float:
+        """Time after which the first bus watchdog stops its servo, s; inf if none is armed."""
+        with self._lock:
+            return min(servo.watchdog_left() for servo in self.servos)
+
     def inject(self, fault: Fault) -> None:
         """Start a fault now; its time is not used."""
         with self._lock:

@@ -121,6 +121,13 @@ class EmulatedServo:
         """Reset the turn count: the position is within one turn again."""
         self._turns = math.floor(self.shaft.angle / math.tau)
 
+    def watchdog_left(self) -> float:
+        """Time after which the bus watchdog stops the servo, s; inf if it is not armed."""
+        code = self.memory["bus_watchdog"]
+        if code <= 0 or not self.memory["torque_enable"]:
+            return math.inf
+        return code * WATCHDOG_UNIT - (self.time - self.last_instruction)
+
     def trip(self, error: HardwareError) -> None:
         """Set a hardware error; switch torque off if its bit is set in Shutdown."""
         self.memory["hardware_error_status"] = self.memory["hardware_error_status"] | error
@@ -168,10 +175,7 @@ class EmulatedServo:
         memory["goal_position"] = self.position()
 
     def _check_watchdog(self) -> None:
-        code = self.memory["bus_watchdog"]
-        if code <= 0 or not self.memory["torque_enable"]:
-            return
-        if self.time - self.last_instruction > code * WATCHDOG_UNIT:
+        if self.watchdog_left() < 0.0:
             self.stop_by_watchdog()
 
     def _loop(self, load: float, h: float) -> None:

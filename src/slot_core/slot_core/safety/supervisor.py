@@ -170,8 +170,9 @@ class Supervisor:
         self._tendon_angle = np.array(angle, dtype=np.float64)
         if self._follows_gait(time):
             oldest = min(stamp, *(self._newest.get(name, 0) for name in ("estimate", "command")))
+            age = (now - oldest) / SECOND
             self._tendons = self._watch.observe(
-                stamp, angle, torque, self._height, self._stride, (now - oldest) / SECOND
+                stamp, angle, torque, self._height, self._stride, age=age
             )
 
     def receive_health(self, now: int, stamp: int, health: ServoHealth) -> None:

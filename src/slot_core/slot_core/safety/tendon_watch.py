@@ -89,6 +89,7 @@ class TendonWatch:
         torque: Array,
         height: Array,
         stride: float,
+        *,
         age: float = 0.0,
     ) -> TendonReport:
         """Take a reading of the servos at `stamp` (ns): (4,) rad, (4,) N m, clamps at (4,) m.

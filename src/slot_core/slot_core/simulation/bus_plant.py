@@ -8,9 +8,11 @@ of `servo.yaml`.
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 
+from slot_core.clock import SECOND
 from slot_core.config import ConfigError
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
@@ -78,6 +80,13 @@ class BusPlant(Plant):
         """Names of the legs whose servos have torque on."""
         servos = zip(LEGS, self.legs.bus.servos)
         return tuple(leg for leg, servo in servos if servo.memory["torque_enable"])
+
+    def watchdog_due(self) -> int | None:
+        """Time (ns) up to which no bus watchdog stops a servo; None if none is armed."""
+        left = self.legs.bus.watchdog_left()
+        if math.isinf(left):
+            return None
+        return self.now + (math.floor(left * SECOND) // self._step - 1) * self._step
 
     def _require_supported(self, fault: Fault) -> None:
         if fault.kind not in BUS_KINDS:

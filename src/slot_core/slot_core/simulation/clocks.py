@@ -2,6 +2,7 @@
 
     LockstepClock   by one odometry period per command
     RealTimeClock   with another clock, in bounded portions
+    BusClock        so too, but it waits for a late driver of emulated servos
 
 Times are ns.
 """
@@ -11,8 +12,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Protocol
 
+from slot_core.clock import SECOND
+from slot_core.simulation.bus_plant import BusPlant
 from slot_core.simulation.plant import Plant, Reading
 
+PATIENCE = SECOND // 2  # ns, longest wait for a late driver
+LONGEST_CALL = SECOND // 100  # ns, of a wait, between two calls: a longer one was late itself
 LOCKSTEP_START = 1_000_000_000  # ns; a stamp of zero means "no time" in ROS
 
 
@@ -89,3 +94,31 @@ class RealTimeClock:
     def lag(self, now: int) -> int:
         """Time by which the robot is behind `now`, ns."""
         return now - self._plant.now
+
+
+class BusClock(RealTimeClock):
+    """Time that waits for the driver of emulated servos before a bus watchdog would stop them.
+
+    The driver runs on the same machine, which may delay it by more than the watchdog's time. On a
+    robot that delay does not exist, so the robot's time stops until the next instruction. A driver
+    that sends none for PATIENCE has ended: then the time goes on, and the watchdogs stop the servos
+    as soon after the last instruction, on the robot's clock, as on a robot.
+    """
+
+    def __init__(self, plant: BusPlant, portion: int) -> None:
+        """`portion` as for RealTimeClock."""
+        super().__init__(plant, portion)
+        self._bus_plant = plant
+        self._last = 0  # ns, `now` of the last call
+        self.waited = 0  # ns, of the present wait for the driver
+
+    def advance_to(self, now: int) -> Iterator[Reading]:
+        """Advance towards `now` by at most one portion, and not past the next bus watchdog."""
+        passed, self._last = now - self._last, now
+        until, due = min(now, self._plant.now + self._portion), self._bus_plant.watchdog_due()
+        if due is None or until <= due:
+            self.waited = 0
+        else:
+            self.waited += min(passed, LONGEST_CALL)
+            until = until if self.waited > PATIENCE else due
+        return self._plant.advance(until)
