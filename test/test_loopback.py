@@ -30,6 +30,8 @@ HOSTILE = {
 # strace -yy prints the socket in angle brackets, with the address that it is bound to.
 SENT = re.compile(r"^(?:sendto|sendmsg|sendmmsg|connect)\(.*")
 RECEIVED = re.compile(r"^(?:recvfrom|recvmsg|recvmmsg|accept4?)\(\d+<(?:UDP|TCP)[^:]*:\[(\S+):\d+")
+BOUND = re.compile(r"^bind\(.*")
+SHARED = re.compile(r'^openat\(.*"/dev/shm/([\w.]*fast\w*)"')  # of Fast DDS
 ADDRESS = re.compile(r'inet_addr\("([^"]+)"\)|inet_pton\(AF_INET6, "([^"]+)"')
 FAMILY = re.compile(r"sa_family=(\w+)")
 FAMILIES = {"AF_INET", "AF_INET6", "AF_UNIX", "AF_NETLINK"}  # the last two stay on the machine
@@ -48,9 +50,9 @@ def environment(**given: str) -> dict[str, str]:
     return dict(entry.split("=", 1) for entry in shell.stdout.split("\0") if entry)
 
 
-def sent_to(trace: str) -> Iterator[str]:
-    """Every destination address of a trace, and every address family not in FAMILIES."""
-    for line in filter(SENT.match, trace.splitlines()):
+def named_in(calls: re.Pattern[str], trace: str) -> Iterator[str]:
+    """Every address named in some calls of a trace, and every address family not in FAMILIES."""
+    for line in filter(calls.match, trace.splitlines()):
         yield from (family for family in FAMILY.findall(line) if family not in FAMILIES)
         yield from (four or six for four, six in ADDRESS.findall(line))
 
@@ -60,6 +62,11 @@ def received_on(trace: str) -> Iterator[str]:
     for line in trace.splitlines():
         if match := RECEIVED.match(line):
             yield match.group(1).strip("[]")
+
+
+def shared_segments(trace: str) -> Iterator[str]:
+    """Name of every segment of shared memory that Fast DDS opens in a trace."""
+    return (match.group(1) for match in map(SHARED.match, trace.splitlines()) if match)
 
 
 def is_loopback(address: str) -> bool:
@@ -82,14 +89,17 @@ def strace() -> str:
 
 @pytest.fixture(scope="module")
 def trace(strace: str, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Network system calls (all threads) of two processes that exchange question and answer."""
+    """System calls (all threads) of two processes that exchange question and answer.
+
+    Those of the network, and those that open a file, as shared memory is.
+    """
     folder = tmp_path_factory.mktemp("trace")
     variables = environment() | {"ROS_DOMAIN_ID": process_domain()}
     python = shutil.which("python", path=variables["PATH"])
     assert python
 
     def start(role: str) -> subprocess.Popen[str]:
-        tracer = [strace, "-ff", "-yy", "-e", "trace=network", "-o", str(folder / role)]
+        tracer = [strace, "-ff", "-yy", "-e", "trace=network,openat", "-o", str(folder / role)]
         return subprocess.Popen(
             [*tracer, python, str(PEER), role],
             env=variables,
@@ -121,7 +131,7 @@ def stop(process: subprocess.Popen[str]) -> None:
 
 
 def test_every_datagram_of_two_communicating_processes_goes_to_the_loopback(trace: str) -> None:
-    addresses = list(sent_to(trace))
+    addresses = list(named_in(SENT, trace))
     assert any(address.startswith("127.") for address in addresses)  # they did use the network
     assert not [address for address in addresses if not is_loopback(address)]
 
@@ -130,6 +140,19 @@ def test_two_communicating_processes_receive_on_loopback_sockets_only(trace: str
     sockets = set(received_on(trace))
     assert sockets
     assert not [address for address in sockets if not is_loopback(address)]
+
+
+def test_two_communicating_processes_bind_every_socket_to_the_loopback(trace: str) -> None:
+    addresses = list(named_in(BOUND, trace))
+    assert addresses
+    assert not [address for address in addresses if not is_loopback(address)]
+
+
+def test_two_communicating_processes_open_no_segment_of_shared_memory(trace: str) -> None:
+    # With shared memory a process that joins lets others sleep for 333 ms, and one that is killed
+    # leaves its segments behind.
+    assert "openat(" in trace
+    assert not list(shared_segments(trace))
 
 
 @pytest.mark.parametrize(
@@ -145,7 +168,7 @@ def test_two_communicating_processes_receive_on_loopback_sockets_only(trace: str
     ],
 )
 def test_the_trace_parser_detects_a_destination_outside_the_loopback(line: str) -> None:
-    assert not all(map(is_loopback, sent_to(line)))
+    assert not all(map(is_loopback, named_in(SENT, line)))
 
 
 def test_the_trace_parser_detects_a_socket_bound_to_all_interfaces() -> None:
@@ -153,10 +176,15 @@ def test_the_trace_parser_detects_a_socket_bound_to_all_interfaces() -> None:
     assert not all(map(is_loopback, received_on(line)))
 
 
+def test_the_trace_parser_detects_a_segment_of_shared_memory() -> None:
+    line = 'openat(AT_FDCWD, "/dev/shm/fastrtps_008e51d8180942b9", O_RDWR|O_CREAT|O_EXCL, 0644) = 9'
+    assert list(shared_segments(line)) == ["fastrtps_008e51d8180942b9"]
+
+
 def test_the_environment_keeps_dds_on_the_loopback_whatever_the_caller_has_set() -> None:
     variables = environment(**HOSTILE)
     assert variables["RMW_IMPLEMENTATION"] == "rmw_fastrtps_cpp"
-    assert variables["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+    assert variables["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SYSTEM_DEFAULT"
     profile = ROOT / "slot_bringup/dds/loopback_only.xml"
     assert Path(variables["FASTRTPS_DEFAULT_PROFILES_FILE"]) == profile
     assert profile.exists()
@@ -177,4 +205,4 @@ def test_slot_network_unsets_the_loopback_settings_of_an_earlier_sourcing() -> N
 
 
 def test_an_unknown_value_of_slot_network_keeps_dds_on_the_loopback() -> None:
-    assert environment(SLOT_NETWORK="yes")["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+    assert environment(SLOT_NETWORK="yes")["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SYSTEM_DEFAULT"
