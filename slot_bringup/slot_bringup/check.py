@@ -8,7 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rclpy.exceptions import InvalidNamespaceException
+from rclpy.validate_namespace import validate_namespace
 
+from slot_bringup.graph import absolute
 from slot_core.config import ConfigError
 from slot_core.control.gait import GaitScheduler, read_gaits
 from slot_core.control.mpc.mpc import read_mpc
@@ -38,8 +41,20 @@ def check(values: Mapping[str, Any]) -> None:
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not (domain.isdecimal() and int(domain) <= DOMAIN_MAX):
         raise ConfigError(f"ROS_DOMAIN_ID = {domain!r}: expected a number within [0, {DOMAIN_MAX}]")
+    check_namespace(values["namespace"])
+    if (prefix := values["frame_prefix"]).startswith("/"):
+        raise ConfigError(f"frame_prefix = {prefix!r}: tf2 knows no frames that begin with a slash")
     if values["bag"]:
         _check_new(Path(values["bag"]))
+
+
+def check_namespace(namespace: str) -> None:
+    """Raise ConfigError for a namespace that ROS does not allow; empty stands for none."""
+    try:
+        validate_namespace(absolute(namespace))
+    except InvalidNamespaceException as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigError(f"namespace = {namespace!r}: {reason}") from None
 
 
 def _check_new(bag: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,10 @@ from slot_core.control.gait import STAND
 
 PATH = "path"
 KINDS: dict[str, type] = {"str": str, PATH: str, "int": int, "float": float, "bool": bool}
+
+# Before a node's command line: the kernel sends SIGTERM to the node when its parent ends, for
+# whatever reason. Not SIGINT, which is lost while Python imports a module that catches it.
+TIED = ("setpriv", "--pdeathsig", "TERM")
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,8 @@ class NodeSpec:
     name: str
     package: str
     parameters: dict[str, Any]
+    namespace: str = ""
+    remappings: Mapping[str, str] = field(default_factory=dict)
 
 
 class Graph:
@@ -75,13 +81,20 @@ class Graph:
             for name, entry in description["arguments"].items()
         )
         self._common = description["parameters"]
+        self._remappings = description["remappings"]
         self._nodes = description["nodes"]
 
     def nodes(self, values: Mapping[str, Any]) -> list[NodeSpec]:
         """Nodes to start; `values` holds the value of every argument by name."""
         values = {**values, **_ports(values["hardware"], values["port"]), **_start_up(values)}
         return [
-            NodeSpec(name, entry["package"], self._parameters(entry, values))
+            NodeSpec(
+                name=name,
+                package=entry["package"],
+                parameters=self._parameters(entry, values),
+                namespace=values["namespace"],
+                remappings=self._remappings,
+            )
             for name, entry in self._nodes.items()
             if values["hardware"] in entry.get("hardware", [values["hardware"]])
             and ("needs" not in entry or values[entry["needs"]])
@@ -104,6 +117,11 @@ def _ports(hardware: str, port: str | None) -> dict[str, str | None]:
         return {"driver_port": port, "emulated_port": None}
     link = port or str(Path(tempfile.gettempdir(), f"slot_bus_{os.getpid()}"))
     return {"driver_port": link, "emulated_port": link}
+
+
+def absolute(namespace: str) -> str:
+    """Namespace with its leading slash."""
+    return "/" + namespace.removeprefix("/")
 
 
 def is_attended(values: Mapping[str, Any]) -> bool:

@@ -15,6 +15,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from slot_bringup.graph import absolute
 from slot_bringup.processes import Processes
 from slot_core.bags import decode
 from slot_core.robot import Array
@@ -86,26 +87,28 @@ class Progress:
         )
 
 
-def watch(processes: Processes, duration: float, attended: bool = False) -> None:
+def watch(
+    processes: Processes, duration: float, attended: bool = False, namespace: str = ""
+) -> None:
     """Return when the robot's clock has run for `duration` (s) since the begin of the run.
 
     Raises RunError when a node ends, no /mpc_state arrives for too long or, unless `attended`, the
     robot goes slack.
     """
-    with listener("run") as (node, executor):
+    with listener("run", namespace) as (node, executor):
         progress = Progress("supervisor" in processes)
         node.create_subscription(MpcState, "mpc_state", progress.update_torso, qos.CONTROL)
         node.create_subscription(RobotState, "robot_state", progress.update_robot, qos.STATE)
         _watch(executor, progress, processes, duration, attended)
 
 
-def require_no_other_graph() -> None:
-    """Raise RunError if a graph runs in this ROS domain already.
+def require_no_other_graph(namespace: str = "") -> None:
+    """Raise RunError if a graph runs in this namespace of the ROS domain already.
 
     Two graphs would follow each other's commands. A running graph is recognised by its
     messages: DDS lists a killed node for another 20 s.
     """
-    with listener("run") as (node, executor):
+    with listener("run", namespace) as (node, executor):
         received: list[MpcState] = []
         node.create_subscription(MpcState, "mpc_state", received.append, qos.CONTROL)
         end = time.monotonic() + DISCOVERY_TIME
@@ -114,17 +117,18 @@ def require_no_other_graph() -> None:
             if received:
                 domain = node.context.get_domain_id()
                 raise RunError(
-                    f"another graph runs in ROS domain {domain}: set another ROS_DOMAIN_ID"
+                    f"another graph runs in ROS domain {domain}, namespace {absolute(namespace)}:"
+                    " set another --namespace or ROS_DOMAIN_ID"
                 )
 
 
 @contextmanager
-def listener(name: str) -> Iterator[tuple[Node, SingleThreadedExecutor]]:
+def listener(name: str, namespace: str = "") -> Iterator[tuple[Node, SingleThreadedExecutor]]:
     """Node `name` in a context of its own, with an executor; installs no signal handlers."""
     context = Context()
     rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
     try:
-        node = rclpy.create_node(name, context=context)
+        node = rclpy.create_node(name, context=context, namespace=namespace)
         executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
         yield node, executor

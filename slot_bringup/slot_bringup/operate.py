@@ -35,8 +35,10 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from slot_bringup import operator_screen
+from slot_bringup.check import check_namespace
 from slot_bringup.monitor import listener
 from slot_core.bags.decode import ACTION_NUMBERS
+from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_core.safety.command_gate import Action
 from slot_core.safety.states import State
@@ -71,18 +73,21 @@ class Service:
 def service(options: argparse.Namespace) -> Service:
     """Service call of an action of the command line."""
     if options.action in REQUESTS:
-        return Service("supervisor", f"/supervisor/{options.action}", Trigger, Trigger.Request())
+        return Service("supervisor", f"supervisor/{options.action}", Trigger, Trigger.Request())
     if options.action == "inject":
         names = ("kind", "leg", "value", "duration", "clear")
         fault = InjectFault.Request(**{name: getattr(options, name) for name in names})
-        return Service("simulated robot", "/sim_robot/inject", InjectFault, fault)
-    name = f"/dynamixel_driver/{options.action}_{options.leg.lower()}"
+        return Service("simulated robot", "sim_robot/inject", InjectFault, fault)
+    name = f"dynamixel_driver/{options.action}_{options.leg.lower()}"
     return Service("driver of servos", name, Trigger, Trigger.Request())
 
 
-def call(wanted: Service) -> tuple[bool, str]:
-    """Call a service; return success and message, raise OperateError if there is no answer."""
-    with listener("operate") as (node, executor):
+def call(wanted: Service, namespace: str) -> tuple[bool, str]:
+    """Call a service of the graph in `namespace`; return success and message.
+
+    Raises OperateError if there is no answer.
+    """
+    with listener("operate", namespace) as (node, executor):
         client = node.create_client(wanted.kind, wanted.name)
         if not client.wait_for_service(SEARCH_TIME):
             raise OperateError(_no_answer(node, wanted.server, SEARCH_TIME))
@@ -93,9 +98,9 @@ def call(wanted: Service) -> tuple[bool, str]:
         return answer.result().success, answer.result().message
 
 
-def receive_state() -> RobotState:
-    """Receive one /robot_state; raises OperateError if none arrives."""
-    with listener("operate") as (node, executor):
+def receive_state(namespace: str) -> RobotState:
+    """Receive one /robot_state of the graph in `namespace`; raises OperateError if none arrives."""
+    with listener("operate", namespace) as (node, executor):
         received: list[RobotState] = []
         node.create_subscription(RobotState, "robot_state", received.append, qos.STATE)
         end = time.monotonic() + SEARCH_TIME
@@ -107,8 +112,8 @@ def receive_state() -> RobotState:
 
 
 def _no_answer(node: Node, server: str, limit: float) -> str:
-    domain = node.context.get_domain_id()
-    return f"no {server} answers in ROS domain {domain} within {limit:g} s: does scripts/run run?"
+    place = f"ROS domain {node.context.get_domain_id()}, namespace {node.get_namespace()}"
+    return f"no {server} answers in {place} within {limit:g} s: does scripts/run run?"
 
 
 class Operator:
@@ -120,13 +125,13 @@ class Operator:
         self._estop_pressed = False
         self._estop = node.create_publisher(Bool, "estop", qos.SENSOR)
         self._clients = {
-            name: node.create_client(Trigger, f"/supervisor/{name}") for name in REQUESTS
+            name: node.create_client(Trigger, f"supervisor/{name}") for name in REQUESTS
         }
         node.create_subscription(RobotState, "robot_state", self._on_state, qos.STATE)
         for kind, topic, name in (
             (JointState, "joint_states", "joints"),
             (ServoHealth, "servo_health", "health"),
-            (DiagnosticArray, "/diagnostics", "diagnostics"),
+            (DiagnosticArray, "diagnostics", "diagnostics"),
         ):
             node.create_subscription(kind, topic, partial(setattr, self.view, name), NEWEST)
         runtime.wall_timer(node, ESTOP_PERIOD, self._publish_estop)
@@ -194,9 +199,9 @@ def _terminal() -> Iterator[int]:
             print("\x1b[?25h\x1b[?1049l", end="", flush=True)
 
 
-def live() -> None:
+def live(namespace: str) -> None:
     """Show the robot's state and handle keys until the operator quits or the terminal is closed."""
-    with listener("operate") as (node, executor), _terminal() as keyboard:
+    with listener("operate", namespace) as (node, executor), _terminal() as keyboard:
         operator = Operator(node)
         while _serve(executor, operator, keyboard):
             _draw(operator.view)
@@ -224,7 +229,12 @@ def _draw(view: operator_screen.View) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `scripts/operate`; returns the exit code."""
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    try:
+        check_namespace(options.namespace)
+    except ConfigError as error:
+        parser.error(str(error))
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.default_int_handler)
     try:
@@ -240,11 +250,11 @@ def _act(options: argparse.Namespace) -> int:
     if options.action is None:
         if not (sys.stdin.isatty() and sys.stdout.isatty()):
             raise OperateError("the live display needs a terminal, scripts/operate state none")
-        live()
+        live(options.namespace)
     elif options.action == "state":
-        print("\n".join(operator_screen.state_lines(receive_state())))
+        print("\n".join(operator_screen.state_lines(receive_state(options.namespace))))
     else:
-        success, message = call(service(options))
+        success, message = call(service(options), options.namespace)
         if not success:
             raise OperateError(message)
         print(answer_text(options.action, message))
@@ -257,6 +267,7 @@ def _parser() -> argparse.ArgumentParser:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.add_argument("--namespace", default="", help="of the graph, as given to scripts/run")
     actions = parser.add_subparsers(dest="action", metavar="ACTION")
     for name in (*REQUESTS, "state"):
         actions.add_parser(name)

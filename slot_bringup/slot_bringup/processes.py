@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
 import signal
@@ -14,10 +13,7 @@ from typing import Any
 
 from ament_index_python.packages import get_package_prefix
 
-from slot_bringup.graph import NodeSpec
-
-PR_SET_PDEATHSIG = 1  # linux/prctl.h
-_LIBC = ctypes.CDLL(None)
+from slot_bringup.graph import TIED, NodeSpec, absolute
 
 
 class Processes:
@@ -34,13 +30,12 @@ class Processes:
         for spec in specs:
             with self.log_path(spec.name).open("wb") as log:
                 self._children[spec.name] = subprocess.Popen(
-                    command_line(spec),
+                    [*TIED, *command_line(spec)],
                     stdin=subprocess.DEVNULL,
                     stdout=log,
                     stderr=subprocess.STDOUT,
                     env=self._environment,
                     start_new_session=True,  # Ctrl-C reaches only us; `stop` ends the nodes
-                    preexec_fn=die_with_parent,  # noqa: PLW1509 - no threads yet
                 )
 
     def __contains__(self, name: str) -> bool:
@@ -95,12 +90,19 @@ class Processes:
 def command_line(spec: NodeSpec) -> list[str]:
     """Command line of a node; raises PackageNotFoundError if its package is not installed."""
     executable = Path(get_package_prefix(spec.package), "lib", spec.package, spec.name)
-    parameters = [
-        argument
-        for name, value in spec.parameters.items()
-        for argument in ("-p", f"{name}:={_yaml(value)}")
+    remaps = {"__node": spec.name, **spec.remappings}
+    if spec.namespace:
+        remaps["__ns"] = absolute(spec.namespace)
+    return [
+        str(executable),
+        "--ros-args",
+        *(word for old, new in remaps.items() for word in ("-r", f"{old}:={new}")),
+        *(
+            word
+            for name, value in spec.parameters.items()
+            for word in ("-p", f"{name}:={_yaml(value)}")
+        ),
     ]
-    return [str(executable), "--ros-args", "-r", f"__node:={spec.name}", *parameters]
 
 
 def _yaml(value: Any) -> str:
@@ -109,11 +111,3 @@ def _yaml(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value)
-
-
-def die_with_parent() -> None:
-    """Have the kernel send SIGTERM to this process when its parent ends, for whatever reason.
-
-    Not SIGINT, which is lost if it arrives while Python imports a module that catches it.
-    """
-    _LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)

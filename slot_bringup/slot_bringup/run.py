@@ -47,7 +47,7 @@ def parse(arguments: Sequence[str] | None, graph: Graph) -> argparse.Namespace:
                 "choices": argument.choices,
                 "metavar": argument.name.upper(),
             }
-        parser.add_argument(f"--{argument.name}", **flag)
+        parser.add_argument(f"--{argument.name.replace('_', '-')}", **flag)
     parser.add_argument(
         "--duration",
         type=_duration,
@@ -86,7 +86,7 @@ def run(options: argparse.Namespace, graph: Graph, directory: Path) -> None:
     """
     values = vars(options) | {"bag": str(directory)}
     with started(graph, values, directory / "log") as processes:
-        watch(processes, options.duration, is_attended(values))
+        watch(processes, options.duration, is_attended(values), options.namespace)
 
 
 @contextmanager
@@ -95,7 +95,7 @@ def started(graph: Graph, values: Mapping[str, Any], logs: Path) -> Iterator[Pro
 
     Raises RunError if another graph runs already.
     """
-    require_no_other_graph()
+    require_no_other_graph(values["namespace"])
     with tempfile.TemporaryDirectory() as scratch:
         processes = Processes(Path(scratch))
         try:
@@ -133,9 +133,9 @@ def _deferred_interrupts() -> Iterator[None]:
         raise KeyboardInterrupt
 
 
-def report(directory: Path, keep: bool) -> None:
+def report(directory: Path, keep: bool, namespace: str = "") -> None:
     """Print the summary of the bag; with `keep` also write it and the plots into `directory`."""
-    bag = Bag(directory)
+    bag = Bag(directory, namespace)
     figures = metrics.walk_metrics(bag, read_record_settings().warm_up, read_servo().stall_torque)
     summary = "\n".join(summary_lines(figures))
     print(summary)
@@ -163,7 +163,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _print_error("interrupted, all nodes stopped")
             code = 130
         try:
-            report(directory, keep=not options.no_bag)
+            report(directory, not options.no_bag, options.namespace)
         except (BagError, ConfigError, OSError) as error:
             _print_error(f"no summary: {error}")
         except KeyboardInterrupt:

@@ -98,6 +98,15 @@ def test_parameters_are_written_in_the_yaml_that_ros_parses(graph):
     assert "v_y:=0.0" in arguments
 
 
+@pytest.mark.parametrize("namespace", ["fred", "/fred"])
+def test_a_node_gets_its_namespace_with_a_leading_slash(graph, namespace):
+    for spec in graph.nodes(values(graph, namespace=namespace, frame_prefix="fred/")):
+        arguments = command_line(spec)
+        assert "__ns:=/fred" in arguments
+        assert "/clock:=clock" in arguments
+        assert 'frame_prefix:="fred/"' in arguments
+
+
 def test_a_parameter_without_a_value_keeps_the_nodes_default(graph):
     nodes = {s.name: s for s in graph.nodes(values(graph))}
     assert "v_x" not in nodes["supervisor"].parameters
@@ -123,8 +132,9 @@ def test_launch_arguments_keep_their_value_through_the_text_form(graph, default)
 
 def test_the_launch_file_starts_the_nodes_of_the_description(graph, monkeypatch):
     """Against stubs of launch and launch_ros, which are not among the Python wheels."""
-    started = load_launch_file(monkeypatch, {"bag": "somewhere", "gait": "stand", "vx": "0.0"})
-    described = graph.nodes(values(graph, bag="somewhere", gait="stand", vx=0.0))
+    given = {"bag": "somewhere", "gait": "stand", "vx": "0.0", "namespace": "fred"}
+    started = load_launch_file(monkeypatch, given)
+    described = graph.nodes(values(graph, bag="somewhere", gait="stand", vx=0.0, namespace="fred"))
     assert [node["name"] for node in started] == [spec.name for spec in described]
     for node, spec in zip(started, described):
         typed = {
@@ -133,6 +143,8 @@ def test_the_launch_file_starts_the_nodes_of_the_description(graph, monkeypatch)
         }
         assert node["parameters"] == [typed]  # launch would read a text such as 1e3 as a number
         assert (node["package"], node["executable"]) == (spec.package, spec.name)
+        assert (node["namespace"], node["remappings"]) == ("fred", [("/clock", "clock")])
+        assert node["prefix"] == "setpriv --pdeathsig TERM"
 
 
 @pytest.mark.parametrize(

@@ -89,7 +89,7 @@ def test_every_request_of_the_supervisor_has_a_key_and_a_command():
 def test_a_key_calls_its_service_and_no_other(key, request_name):
     node = FakeNode()
     assert operate.Operator(node).press(key)
-    assert node.called() == [f"/supervisor/{request_name}"]
+    assert node.called() == [f"supervisor/{request_name}"]
 
 
 @pytest.mark.parametrize("key", ["a", "W", "\x1b", "\n"])
@@ -199,11 +199,11 @@ def test_the_screen_warns_of_a_second_e_stop_source():
 @pytest.mark.parametrize(
     ("arguments", "name"),
     [
-        (["ready"], "/supervisor/ready"),
-        (["estop"], "/supervisor/estop"),
-        (["reboot", "RL"], "/dynamixel_driver/reboot_rl"),
-        (["zero", "FR"], "/dynamixel_driver/zero_fr"),
-        (["inject", "silent"], "/sim_robot/inject"),
+        (["ready"], "supervisor/ready"),
+        (["estop"], "supervisor/estop"),
+        (["reboot", "RL"], "dynamixel_driver/reboot_rl"),
+        (["zero", "FR"], "dynamixel_driver/zero_fr"),
+        (["inject", "silent"], "sim_robot/inject"),
     ],
 )
 def test_an_action_calls_the_service_of_its_node(arguments, name):
@@ -223,6 +223,13 @@ def test_wrong_arguments_end_with_exit_code_2(arguments, capsys):
         operate.main(arguments)
     assert refusal.value.code == 2
     assert "scripts/operate" in capsys.readouterr().err
+
+
+def test_an_invalid_namespace_is_refused(capsys):
+    with pytest.raises(SystemExit) as refusal:
+        operate.main(["--namespace", "a b", "state"])
+    assert refusal.value.code == 2
+    assert "namespace = 'a b': Invalid namespace" in capsys.readouterr().err
 
 
 def test_the_live_display_without_a_terminal_is_refused_in_one_line(capsys, monkeypatch):

@@ -249,7 +249,7 @@ def test_suspended_node_catches_up(graph, name):
 def test_second_graph_in_the_domain_is_refused(monkeypatch):
     monkeypatch.setattr(monitor, "DISCOVERY_TIME", 30.0)  # for a busy machine
     with pytest.raises(
-        monitor.RunError, match=r"another graph runs in ROS domain \d+: set another"
+        monitor.RunError, match=r"another graph runs in ROS domain \d+, namespace /: set another"
     ):
         monitor.require_no_other_graph()
 

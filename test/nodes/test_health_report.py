@@ -6,6 +6,7 @@ import numpy as np
 
 from slot_core.safety.command_gate import Action
 from slot_core.safety.servo_health import healthy_servos
+from slot_nodes import runtime
 from slot_nodes.health_report import PERIOD, HealthReport
 
 
@@ -21,10 +22,11 @@ class Servos:
         return healthy_servos(self.urgent[0], "", True, np.zeros(4))
 
 
-def test_a_report_is_built_only_when_it_is_published():
+def test_a_report_is_built_only_when_it_is_published(monkeypatch):
     published = []
     publisher = types.SimpleNamespace(publish=published.append)
-    report = HealthReport(types.SimpleNamespace(create_publisher=lambda *_: publisher))
+    monkeypatch.setattr(runtime, "publisher", lambda *_: publisher)
+    report = HealthReport(None)
     servos, start = Servos(), 10 * PERIOD
     report.publish(start, servos)
     for later in range(2_000_000, PERIOD, 2_000_000):

@@ -2,8 +2,12 @@
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TransformStamped
+from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
+from tf2_msgs.msg import TFMessage
 
 from slot_core.bags import decode
 from slot_core.control.gait import GaitPreview
@@ -34,6 +38,18 @@ def test_odometry():
         (rate, sent.angular_velocity),
     ]:
         assert (got == want).all()
+
+
+def test_a_prefix_is_put_before_every_frame_of_a_message():
+    message = Odometry(header=messages.header(0), child_frame_id="base_link")
+    messages.prefix_frames(message, "fred/")
+    assert (message.header.frame_id, message.child_frame_id) == ("fred/odom", "fred/base_link")
+    transforms = TFMessage(transforms=[TransformStamped(header=messages.header(0))])
+    messages.prefix_frames(transforms, "fred/")
+    assert transforms.transforms[0].header.frame_id == "fred/odom"
+    unframed = DiagnosticArray()
+    messages.prefix_frames(unframed, "fred/")
+    assert unframed.header.frame_id == ""
 
 
 def test_imu_marks_its_orientation_as_missing():

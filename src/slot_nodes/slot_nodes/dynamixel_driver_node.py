@@ -85,9 +85,9 @@ class DynamixelDriverNode(LifecycleNode):
             self._autostart_timer.cancel()
 
     def _create_outputs(self) -> None:
-        self._joints = self.create_publisher(JointState, "joint_states", qos.SENSOR)
+        self._joints = runtime.publisher(self, JointState, "joint_states", qos.SENSOR)
         self._health = HealthReport(self)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.SENSOR)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", qos.SENSOR)
         runtime.wall_timer(self, DIAGNOSTICS_PERIOD, self._publish_diagnostics)
         self.create_service(SetBool, "~/torque", self._on_torque)
         for leg in LEGS:

@@ -21,8 +21,8 @@ class ForceMapperNode(Node):
         self._map = ForceMap(read_robot(), settings, read_leg_slope())
         self._nominal = TimeSynchronizer("preview", "state")
         self._inputs = TimeSynchronizer("forces", "nominal")
-        self._angles = self.create_publisher(JointState, "desired_joint_angles", qos.CONTROL)
-        self._status = self.create_publisher(ForceMapStatus, "force_map/status", qos.CONTROL)
+        self._angles = runtime.publisher(self, JointState, "desired_joint_angles", qos.CONTROL)
+        self._status = runtime.publisher(self, ForceMapStatus, "force_map/status", qos.CONTROL)
         inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.CONTROL)
         inputs.subscribe(self, GaitPreview, "gait_preview", self._on_preview, qos.CONTROL)
         inputs.subscribe(

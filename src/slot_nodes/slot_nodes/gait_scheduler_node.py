@@ -23,7 +23,7 @@ class GaitSchedulerNode(Node):
         v_x = runtime.declare(self, "v_x", cruise, "forward velocity at the start [m/s]")
         v_y = runtime.declare(self, "v_y", 0.0, "lateral velocity at the start [m/s]")
         self._scheduler = GaitScheduler(settings, gait, np.array([v_x, v_y, 0.0]))
-        self._preview = self.create_publisher(GaitPreview, "gait_preview", qos.CONTROL)
+        self._preview = runtime.publisher(self, GaitPreview, "gait_preview", qos.CONTROL)
         inputs.subscribe(
             self, TwistStamped, "cmd_vel", self._on_velocity, qos.SENSOR, overridable=True
         )

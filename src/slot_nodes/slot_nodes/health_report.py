@@ -6,7 +6,7 @@ from rclpy.node import Node
 
 from slot_core.safety.servo_health import ServoHealth
 from slot_msgs import msg as slot_msgs
-from slot_nodes import messages, qos
+from slot_nodes import messages, qos, runtime
 
 PERIOD = 50_000_000  # ns, between two reports without change
 
@@ -28,7 +28,8 @@ class HealthReport:
     """Publishes the health of the servos for a node."""
 
     def __init__(self, node: Node) -> None:
-        self._publisher = node.create_publisher(slot_msgs.ServoHealth, "servo_health", qos.SENSOR)
+        kind = slot_msgs.ServoHealth
+        self._publisher = runtime.publisher(node, kind, "servo_health", qos.SENSOR)
         self._last: tuple[Any, ...] = ()
         self._last_stamp = 0  # ns
 

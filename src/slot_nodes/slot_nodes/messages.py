@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -49,6 +49,15 @@ def ns_to_stamp(ns: int) -> Time:
 def header(stamp: int, frame: str = ODOM_FRAME) -> Header:
     """Header at `stamp` (ns) in `frame`."""
     return Header(stamp=ns_to_stamp(stamp), frame_id=frame)
+
+
+def prefix_frames(message: Any, prefix: str) -> None:
+    """Put a prefix before the frames of a message, and of its transforms; empty ones stay so."""
+    for part in getattr(message, "transforms", [message]):
+        if part.header.frame_id:
+            part.header.frame_id = prefix + part.header.frame_id
+        if hasattr(part, "child_frame_id"):
+            part.child_frame_id = prefix + part.child_frame_id
 
 
 def _vector(values: Array) -> Vector3:

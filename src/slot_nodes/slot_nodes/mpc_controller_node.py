@@ -27,8 +27,8 @@ class MpcControllerNode(Node):
         self._mpc = Mpc(read_robot(), settings, time.perf_counter)
         self._pace = Pace()
         self._inputs = TimeSynchronizer("state", "preview")
-        self._forces = self.create_publisher(
-            GroundReactionForces, "ground_reaction_forces", qos.CONTROL
+        self._forces = runtime.publisher(
+            self, GroundReactionForces, "ground_reaction_forces", qos.CONTROL
         )
         # rclpy also passes the second argument; its annotation has only the first
         self.create_subscription(MpcState, "mpc_state", cast(Any, self._on_state), qos.STATE)

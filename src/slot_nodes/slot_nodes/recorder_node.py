@@ -24,7 +24,7 @@ class RecorderNode(Node):
 
     def __init__(self) -> None:
         super().__init__("recorder")
-        settings = read_record_settings()
+        settings = read_record_settings(self.get_namespace())
         path = runtime.declare(self, "bag", "", "directory of the bag, which must not exist")
         self._depth = settings.depth
         try:

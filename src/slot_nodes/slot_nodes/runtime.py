@@ -1,4 +1,4 @@
-"""Common functions of the nodes: start and clean end, parameters, timers."""
+"""Common functions of the nodes: start and clean end, parameters, publishers, timers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import math
 import signal
 import sys
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from functools import partial
+from typing import Any, TypeVar, cast
 
 import rclpy
 import rclpy.utilities
@@ -19,9 +20,12 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.logging import get_logger
 from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
 from rclpy.timer import Timer
 
 from slot_core import config
+from slot_nodes import messages
 from slot_nodes.executor import DirectExecutor
 
 T = TypeVar("T")
@@ -79,6 +83,34 @@ def declare(node: Node, name: str, default: Any, description: str, **descriptor:
     return node.declare_parameter(
         name, default, ParameterDescriptor(description=description, read_only=True, **descriptor)
     ).value
+
+
+class PrefixedPublisher(Publisher):
+    """Publisher that puts a prefix before the frames of its messages."""
+
+    def __init__(self, prefix: str, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._prefix = prefix
+
+    def publish(self, msg: Any) -> None:
+        """Publish a message, which is changed."""
+        messages.prefix_frames(msg, self._prefix)
+        super().publish(msg)
+
+
+def publisher(node: Node, kind: type, topic: str, profile: QoSProfile) -> Publisher:
+    """Create a publisher of messages with frames; the parameter `frame_prefix` is put before them.
+
+    With prefixes like fred/ the frames of several robots can share one tree of transforms.
+    """
+    name = "frame_prefix"
+    if not node.has_parameter(name):
+        declare(node, name, "", "prefix of the frames in messages, for example fred/")
+    prefix = node.get_parameter(name).value
+    if not prefix:
+        return node.create_publisher(kind, topic, profile)
+    prefixed = cast(Any, partial(PrefixedPublisher, prefix))
+    return node.create_publisher(kind, topic, profile, publisher_class=prefixed)
 
 
 def wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer:

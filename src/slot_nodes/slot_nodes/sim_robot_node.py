@@ -138,20 +138,20 @@ class SimRobotNode(Node):
         return servos
 
     def _create_publishers(self) -> None:
-        self._clock_topic = self.create_publisher(ClockMessage, "/clock", qos.CLOCK)
+        self._clock_topic = self.create_publisher(ClockMessage, "clock", qos.CLOCK)
         self._outputs: dict[type, tuple[Publisher, Callable[..., Any]]] = {
-            ImuReading: (self.create_publisher(Imu, "imu", qos.SENSOR), messages.imu_to_msg),
+            ImuReading: (runtime.publisher(self, Imu, "imu", qos.SENSOR), messages.imu_to_msg),
             JointReading: (
-                self.create_publisher(JointState, "joint_states", qos.SENSOR),
+                runtime.publisher(self, JointState, "joint_states", qos.SENSOR),
                 messages.joints_to_msg,
             ),
             OdometryReading: (
-                self.create_publisher(Odometry, "odom", qos.SENSOR),
+                runtime.publisher(self, Odometry, "odom", qos.SENSOR),
                 messages.odometry_to_msg,
             ),
         }
-        self._truth = self.create_publisher(Odometry, "ground_truth/odom", qos.SENSOR)
-        self._legs = self.create_publisher(LegStates, "ground_truth/legs", qos.SENSOR)
+        self._truth = runtime.publisher(self, Odometry, "ground_truth/odom", qos.SENSOR)
+        self._legs = runtime.publisher(self, LegStates, "ground_truth/legs", qos.SENSOR)
 
     def _publish_at_rest(self) -> None:
         """Publish readings at rest; called until the first command that the servos follow.

@@ -17,8 +17,8 @@ class StateEstimatorNode(Node):
     def __init__(self) -> None:
         super().__init__("state_estimator")
         self._estimator = StateEstimator(runtime.declare_settings(self, read_estimator()))
-        self._state = self.create_publisher(MpcState, "mpc_state", qos.CONTROL)
-        self._tf = self.create_publisher(TFMessage, "tf", qos.SENSOR)
+        self._state = runtime.publisher(self, MpcState, "mpc_state", qos.CONTROL)
+        self._tf = runtime.publisher(self, TFMessage, "tf", qos.SENSOR)
         inputs.subscribe(self, Imu, "imu", self._on_imu, qos.SENSOR, overridable=True)
         inputs.subscribe(self, Odometry, "odom", self._on_odometry, qos.SENSOR, overridable=True)
 

@@ -40,7 +40,7 @@ class SupervisorNode(Node):
         autostart = runtime.declare(self, "autostart", False, "stand up and walk without requests")
         self._start_up = StartUp(*self._start_up_requests() if autostart else ())
         self._published: Report | None = None
-        self._state = self.create_publisher(RobotState, "robot_state", qos.STATE)
+        self._state = runtime.publisher(self, RobotState, "robot_state", qos.STATE)
         self._limits = self.create_publisher(ServoLimits, "servo_limits", qos.STATE)
         self._limits.publish(messages.limits_to_msg(settings.servo_limits))
         self._set_gait = self.create_client(SetGait, "set_gait")

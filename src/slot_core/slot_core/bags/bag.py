@@ -49,6 +49,10 @@ class BagError(ValueError):
     """A bag that cannot be read or written; the message is one line with its path and the cause."""
 
 
+class NoFieldError(BagError):
+    """The messages of a topic have no field of that name."""
+
+
 @dataclass(frozen=True)
 class RecordedTopic:
     """One recorded topic: its type, and the quality of service requested and stored in the bag."""
@@ -67,9 +71,16 @@ class RecordSettings:
     topics: dict[str, RecordedTopic] = text("recorded topics by name")
 
 
-def read_record_settings() -> RecordSettings:
-    """The settings of `config/record.yaml`; raises ConfigError."""
-    return config.read(RecordSettings, "record")
+def read_record_settings(namespace: str = "") -> RecordSettings:
+    """The settings of `config/record.yaml`, topics in a namespace; raises ConfigError."""
+    settings = config.read(RecordSettings, "record")
+    topics = {f"{_root(namespace)}/{name}": topic for name, topic in settings.topics.items()}
+    return dataclasses.replace(settings, topics=topics)
+
+
+def _root(namespace: str) -> str:
+    """What stands before a topic's name in a namespace: /fred for fred, nothing for none."""
+    return f"/{namespace.strip('/')}".rstrip("/")
 
 
 class BagWriter:
@@ -161,16 +172,20 @@ class Series:
 class Bag:
     """Reads a rosbag2 bag (a directory, or one .mcap file).
 
+    With a `namespace` only its topics are read, named without it: /fred/odom of `fred` is /odom.
     Raises BagError, also while reading, if the bag is missing, unfinished, truncated or not a bag.
     """
 
-    def __init__(self, path: Path | str) -> None:
+    def __init__(self, path: Path | str, namespace: str = "") -> None:
         self.path = Path(path)
+        self._root = _root(namespace)
         self._cache: dict[str, list[tuple[int, Any]]] = {}
         with self._open() as reader:
             self._definitions = {c.msgtype: c.msgdef.data for c in reader.connections}
-            self.counts = {topic: info.msgcount for topic, info in reader.topics.items()}
-            self.topics = {c.topic: c.msgtype for c in reader.connections}
+            connections = self._connections(reader)
+            self.counts = {t: reader.topics[c.topic].msgcount for t, c in connections}
+            self.topics = {t: c.msgtype for t, c in connections}
+            self._known = sorted(reader.topics)
             self.duration_ns = max(0, reader.end_time - 1 - reader.start_time)
             self.end_ns = reader.end_time - 1
             self._types: Types = types_inside(self._definitions.items())
@@ -179,9 +194,9 @@ class Bag:
         """Yield (topic, time in ns, CDR bytes) of these topics (default: all), ordered by time."""
         self._require(*topics)
         with self._open() as reader:
-            wanted = [c for c in reader.connections if not topics or c.topic in topics]
+            wanted = [c for t, c in self._connections(reader) if not topics or t in topics]
             for connection, time, data in reader.messages(wanted):
-                yield connection.topic, time, bytes(data)
+                yield connection.topic.removeprefix(self._root), time, bytes(data)
 
     def merged(self, *topics: str) -> Iterator[tuple[str, int, Any]]:
         """Yield (topic, time in ns, message) of these topics (default: all), ordered by time."""
@@ -198,8 +213,8 @@ class Bag:
         """Fields (dotted, as `pose.pose.position`) as arrays over the messages of a topic.
 
         A field that is a message becomes the vector of its own fields, so a Vector3[4] is (n, 4, 3)
-        and a quaternion (n, 4) in the order x y z w. Raises BagError if the type lacks a field or
-        the field's shape changes.
+        and a quaternion (n, 4) in the order x y z w. Raises NoFieldError if the type lacks a
+        field, BagError if the field's shape changes.
         """
         if topic not in self._cache:
             self._cache[topic] = list(self.messages(topic))
@@ -215,15 +230,24 @@ class Bag:
         try:
             return np.array([_plain(getter(message)) for _, message in self._cache[topic]])
         except AttributeError:
-            raise BagError(f"{self.path}: {topic} has no field {field}") from None
+            raise NoFieldError(f"{self.path}: {topic} has no field {field}") from None
         except ValueError:
             raise BagError(f"{self.path}: {topic} {field} changes its shape") from None
+
+    def _connections(self, reader: Reader) -> list[tuple[str, Connection]]:
+        """Name within the namespace, and connection, of every topic in the namespace."""
+        root = self._root
+        return [
+            (c.topic.removeprefix(root), c)
+            for c in reader.connections
+            if c.topic.startswith(f"{root}/")
+        ]
 
     def _require(self, *topics: str) -> None:
         for topic in topics:
             if topic not in self.topics:
-                known = ", ".join(sorted(self.topics)) or "none"
-                raise BagError(f"{self.path}: no topic {topic} (topics: {known})")
+                known = ", ".join(self._known) or "none"
+                raise BagError(f"{self.path}: no topic {self._root}{topic} (topics: {known})")
 
     @contextmanager
     def _open(self) -> Iterator[Reader]:

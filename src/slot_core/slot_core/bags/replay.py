@@ -225,12 +225,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/replay`; exit code 0: equal, 1: a difference, 2: no replay."""
     parser = argparse.ArgumentParser(prog="scripts/replay", description=__doc__.split("\n\n")[0])
     parser.add_argument("bag", type=Path, help="directory of the bag")
+    parser.add_argument("--namespace", default="", help="of the recorded graph")
     parser.add_argument(
         "--tolerance", type=_tolerance, default=TOLERANCE, help="in SI units (default: %(default)g)"
     )
     options = parser.parse_args(arguments)
     try:
-        comparisons = replay(Bag(options.bag), options.tolerance)
+        comparisons = replay(Bag(options.bag, options.namespace), options.tolerance)
     except (BagError, config.ConfigError) as error:
         print(f"scripts/replay: {error}", file=sys.stderr)
         return 2

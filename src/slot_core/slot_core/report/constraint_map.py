@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from slot_core.bags.bag import Bag, BagError
+from slot_core.bags.bag import Bag, BagError, NoFieldError
 from slot_core.bags.walk import seconds
 from slot_core.control.mpc.mpc import Status
 from slot_core.report import palette
@@ -88,10 +88,8 @@ def _column(bag: Bag, field: str) -> NDArray[Any] | None:
     """The values of a field, None if the messages of this bag do not have it."""
     try:
         return bag.series(TOPIC, field)[field]
-    except BagError as error:
-        if f"no field {field}" in str(error):
-            return None
-        raise
+    except NoFieldError:
+        return None
 
 
 def summary_lines(found: ConstraintMap) -> list[str]:
@@ -186,13 +184,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="scripts/constraint_map", description="Draws the Dynamic Constraint Map of a bag."
     )
     parser.add_argument("bag", type=Path, help="directory of a bag, or its .mcap file")
+    parser.add_argument("--namespace", default="", help="of the recorded graph")
     parser.add_argument("--out", type=Path, metavar="PNG", help="default: BAG_constraints.png")
     options = parser.parse_args(arguments)
     out = options.out or options.bag.with_name(f"{options.bag.stem}_constraints.png")
     if out.suffix != ".png":
         parser.error(f"--out {out}: the name of a picture ends in .png")
     try:
-        found = read_map(Bag(options.bag))
+        found = read_map(Bag(options.bag, options.namespace))
         draw_map(found, out)
     except (BagError, OSError) as error:
         print(f"scripts/constraint_map: {error}", file=sys.stderr)
