@@ -23,7 +23,7 @@ from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.checks import differences, examine, expected
-from slot_core.dynamixel.errors import PortError, RefusedError, ServoError
+from slot_core.dynamixel.errors import BaudRateError, RefusedError, ServoError
 from slot_core.dynamixel.homing import measure_zero, write_zero
 from slot_core.dynamixel.joints import Joint, joints
 from slot_core.dynamixel.port import SerialPort, check_latency
@@ -58,9 +58,7 @@ def scan(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     for baud in rates:
         try:
             bus = _open(settings, baud)
-        except PortError as error:
-            if "not supported" not in str(error):
-                raise
+        except BaudRateError:
             continue
         for identity, (model, firmware) in bus.scan().items():
             print(f"{baud:>8} baud  id {identity:>3}  model {model}  firmware {firmware}")

@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from synthetic_walk import TOPICS, TYPES, WALL, Walk, encode, message, write_walk
 
-from slot_core.bags.bag import Bag, BagError, BagWriter, read_record_settings
+from slot_core.bags.bag import Bag, BagError, BagWriter, NoFieldError, read_record_settings
 from slot_core.bags.message_types import message_types
 
 SETTINGS = read_record_settings()
@@ -192,7 +192,7 @@ def test_error_names_the_missing_topic_or_field(walk_bag):
     bag = Bag(walk_bag)
     with pytest.raises(BagError, match="no topic /scan"):
         list(bag.messages("/scan"))
-    with pytest.raises(BagError, match=r"/odom has no field pose\.speed"):
+    with pytest.raises(NoFieldError, match=r"/odom has no field pose\.speed"):
         bag.series("/odom", "pose.speed")
 
 

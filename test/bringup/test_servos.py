@@ -54,6 +54,16 @@ def test_scan_finds_every_servo_at_its_rate(servos, legs, capsys):
     assert servos("--baud", "115200", "scan") == 1
 
 
+def test_scan_skips_a_rate_that_the_port_does_not_support(servos, capsys):
+    assert servos("--baud", "4500000", "scan") == 1
+    assert capsys.readouterr().err == "no servo answered: check power, cable and port\n"
+
+
+def test_scan_ends_where_the_port_cannot_be_opened(tmp_path, capsys):
+    assert main(["--port", str(tmp_path / "none"), "scan"]) == 1
+    assert capsys.readouterr().err.startswith(f"scripts/servos: {tmp_path / 'none'}: ")
+
+
 def test_info_lists_differences_from_the_configuration(servos, legs, capsys):
     assert servos("info") == 0
     out = capsys.readouterr().out

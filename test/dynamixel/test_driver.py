@@ -8,7 +8,13 @@ import pytest
 
 from slot_core import config
 from slot_core.dynamixel.driver import Driver
-from slot_core.dynamixel.errors import CommunicationError, InstructionError, PortError, RefusedError
+from slot_core.dynamixel.errors import (
+    BaudRateError,
+    CommunicationError,
+    InstructionError,
+    PortError,
+    RefusedError,
+)
 from slot_core.dynamixel.port import SerialPort, check_latency
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT
@@ -135,7 +141,7 @@ def test_another_baud_rate_is_refused(rig):
 
 
 def test_a_baud_rate_that_the_port_does_not_support_is_refused(tmp_path):
-    with pytest.raises(PortError, match="4500000 baud is not supported"):
+    with pytest.raises(BaudRateError, match="4500000 baud is not supported"):
         SerialPort(str(tmp_path / "none"), 4500000, 0.01).open()
     with pytest.raises(PortError, match="none"):
         SerialPort(str(tmp_path / "none"), 1000000, 0.01).open()

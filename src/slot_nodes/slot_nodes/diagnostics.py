@@ -19,7 +19,12 @@ def to_msg(
     silent = session.silent()
     readings = cycle.readings if cycle is not None else (None,) * len(session.driver.health)
     servos = [
-        _servo(health, session.driver.active, silent, None if reading is None else reading.load)
+        _servo(
+            health,
+            session.driver.active,
+            silent.get(health.leg, ""),
+            None if reading is None else reading.load,
+        )
         for health, reading in zip(session.driver.health, readings)
     ]
     return DiagnosticArray(header=messages.header(stamp, ""), status=[_bus(session, pace), *servos])
@@ -39,15 +44,14 @@ def _bus(session: ServoSession, pace: BusPace) -> DiagnosticStatus:
     )
 
 
-def _servo(health: Health, active: bool, silent: list[str], load: float | None) -> DiagnosticStatus:
-    name = f"servo {health.leg} (id {health.id})"
-    faults = health.faults(active) + [line for line in silent if line.startswith(name)]
+def _servo(health: Health, active: bool, silent: str, load: float | None) -> DiagnosticStatus:
+    faults = [*health.faults(active), *filter(None, [silent])]
     level = DiagnosticStatus.ERROR if faults else DiagnosticStatus.OK
     if not faults and health.error_rate > ERROR_RATE_WARNING:
         level = DiagnosticStatus.WARN
     errors = health.hardware_error
     return _status(
-        name,
+        f"servo {health.leg} (id {health.id})",
         level,
         "; ".join(faults) or "sound",
         temperature_C=_number(health.temperature),

@@ -11,6 +11,10 @@ class PortError(ServoError):
     """The port cannot be opened or set up, or has disappeared (unplugged)."""
 
 
+class BaudRateError(PortError):
+    """The port does not support a baud rate."""
+
+
 class CommunicationError(ServoError):
     """No valid answer of a servo after all retries; the message has the SDK's text."""
 

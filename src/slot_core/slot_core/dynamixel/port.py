@@ -18,7 +18,7 @@ import serial
 from dynamixel_sdk import PortHandler
 
 from slot_core.clock import Clock
-from slot_core.dynamixel.errors import PortError
+from slot_core.dynamixel.errors import BaudRateError, PortError
 
 BITS_PER_BYTE = 10  # with start and stop bit
 WRITE_TIMEOUT = 0.5  # s, for a device that does not accept bytes
@@ -41,7 +41,7 @@ class SerialPort(PortHandler):
     def open(self) -> None:
         """Open the port at its baud rate; raises PortError with the cause."""
         if not self.setBaudRate(self.baudrate):
-            raise PortError(f"{self.port_name}: {self.baudrate} baud is not supported")
+            raise BaudRateError(f"{self.port_name}: {self.baudrate} baud is not supported")
 
     def close(self) -> None:
         """Close the port; may be called again."""

@@ -143,7 +143,7 @@ class ServoSession:
         """Step the watchdog, and give its goals to the driver."""
         watchdog = self._guard.watchdog
         assert watchdog is not None
-        for fault in (self.driver.faults() + self.silent())[:1]:
+        for fault in [*self.driver.faults(), *self.silent().values()][:1]:
             self.relax(fault + self._delay())
         gated = watchdog.step(now)
         self.action, self.reason = watchdog.action, watchdog.reason
@@ -223,15 +223,15 @@ class ServoSession:
         """Whether a command or the supervisor's permission is too old."""
         return self._guard.overdue
 
-    def silent(self) -> list[str]:
-        """Servos that have not answered for too long, one line each."""
+    def silent(self) -> dict[str, str]:
+        """Servos that have not answered for too long: one line each, by leg."""
         limit = math.inf if self.limits is None else self.limits.servo_silent
-        ages = [(joint.name, self.driver.silent_for(joint.leg)) for joint in self.driver.joints]
-        return [
-            f"{name}: no answer for {age:.2f} s, limit {limit:g} s"
-            for name, age in ages
+        ages = [(joint, self.driver.silent_for(joint.leg)) for joint in self.driver.joints]
+        return {
+            joint.leg: f"{joint.name}: no answer for {age:.2f} s, limit {limit:g} s"
+            for joint, age in ages
             if age > limit
-        ]
+        }
 
     def _switch_off(self, reason: str) -> None:
         """Torque off at once, with its confirmation in `reason`."""
