@@ -42,6 +42,7 @@ def _start_nodes(context: LaunchContext) -> list[Node]:
             package=spec.package,
             executable=spec.name,
             name=spec.name,
+            exec_name=spec.name,  # in the log, else that of the prefix
             namespace=spec.namespace,
             remappings=list(spec.remappings.items()),
             parameters=[{name: _typed(value) for name, value in spec.parameters.items()}],

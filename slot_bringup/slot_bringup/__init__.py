@@ -2,4 +2,8 @@
 
 import signal
 
+from slot_core.libraries import require_libraries
+
+require_libraries()
+
 INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # SIGHUP: the terminal is closed

@@ -144,6 +144,7 @@ def test_the_launch_file_starts_the_nodes_of_the_description(graph, monkeypatch)
         assert node["parameters"] == [typed]  # launch would read a text such as 1e3 as a number
         assert (node["package"], node["executable"]) == (spec.package, spec.name)
         assert (node["namespace"], node["remappings"]) == ("fred", [("/clock", "clock")])
+        assert node["name"] == node["exec_name"] == spec.name
         assert node["prefix"] == "setpriv --pdeathsig TERM"
 
 
