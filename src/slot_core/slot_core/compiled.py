@@ -2,7 +2,11 @@
 
 Numba detects a change in the file of a kernel, but neither in a helper that the kernel calls nor in
 the type of an argument. The name of the cache directory therefore contains a digest of all folders
-of this package that the kernel's file imports from, directly or not.
+of this package that the kernel's file imports from, directly or not. Their path is no part of it:
+every installed copy of a source uses the kernels that scripts/setup has compiled.
+
+A kernel is compiled, or read from the cache, at its first call with arguments of some types.
+Whoever calls kernels while the robot moves has called each of them once in its constructor.
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ from types import ModuleType
 from typing import Any, TypeVar
 
 import numba
+from numba.core.caching import UserProvidedCacheLocator
 
 SETTINGS: Any = numba.config  # its attributes are set at run time
 njit: Any = numba.njit  # the type annotations of numba.njit lack some of its options
@@ -50,14 +55,23 @@ def kernel(function: F, fused: bool = True) -> F:
 
     fused: as for `helper`.
     """
-    before = SETTINGS.CACHE_DIR
+    before = SETTINGS.CACHE_DIR, SETTINGS.CACHE_LOCATOR_CLASSES
     directory = _cache_directory(function.__module__)
     SETTINGS.CACHE_DIR = str(directory or "")
+    SETTINGS.CACHE_LOCATOR_CLASSES = f"{__name__}.{DirectoryItself.__name__}"
     try:
         options = OPTIONS | (FUSED if fused else {})
         return njit(cache=directory is not None, **options)(function)
     finally:
-        SETTINGS.CACHE_DIR = before
+        SETTINGS.CACHE_DIR, SETTINGS.CACHE_LOCATOR_CLASSES = before
+
+
+class DirectoryItself(UserProvidedCacheLocator):
+    """Caches in CACHE_DIR itself; Numba adds a folder named after the path of the source."""
+
+    def __init__(self, function: Callable[..., Any], file: str) -> None:
+        super().__init__(function, file)
+        self._cache_path = SETTINGS.CACHE_DIR
 
 
 def _cache_directory(module: str) -> Path | None:

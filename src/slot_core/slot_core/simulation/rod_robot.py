@@ -46,6 +46,7 @@ class RodRobot(KernelRobot):
         self._handle = Handle((*parts, scheme))
         self._points = np.zeros((2, 4, scene.solver.nodes, 3))
         self._settle()
+        _ = self.ground_force  # compiles what a reading calls
 
     def advance(self, steps: int, command: Array) -> None:
         """Advance by `steps` steps with constant commanded tendon angles (4,), rad.
