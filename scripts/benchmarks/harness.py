@@ -12,7 +12,8 @@ It may have command line options: a function
 adds them, each with a default, and `run` takes their values as keyword arguments.
 
 A row is a mapping of names to plain values; other files, such as pictures, go to `out`. A check
-that does not hold is a result, so it does not change the exit code.
+that does not hold is a result, so it does not change the exit code. No check is on a time, which is
+the processor's as much as the code's: it is on the ratio to a peer measured in the same run.
 
 The parts of a benchmark are the files beside it, imported as `benchmarks.NAME.PART`. Packages that
 only benchmarks need are named in `REQUIRES`, one line at the top level of the module;
@@ -97,6 +98,22 @@ def cpu_time(
             call()
         times.append((clock() - start) / calls)
     return CpuTime(statistics.median(times), min(times), max(times), repeats)
+
+
+def cpu_ratio(
+    call: Callable[[], Any],
+    reference: Callable[[], Any],
+    repeats: int,
+    clock: Callable[[], float] = time.process_time,
+) -> float:
+    """CPU time of `call` over that of `reference`: the median over repeats, called in turn.
+
+    Both run at the same speed of the machine, whatever that is.
+    """
+    return statistics.median(
+        cpu_time(call, 1, clock=clock).median / cpu_time(reference, 1, clock=clock).median
+        for _ in range(repeats)
+    )
 
 
 def known(directory: Path) -> dict[str, Path]:
