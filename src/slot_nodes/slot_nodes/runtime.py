@@ -51,13 +51,16 @@ def run(make_node: Callable[[], Node]) -> None:
         if rclpy.utilities.ok():  # taking a message while the context shuts down also raises
             raise
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C to the process group comes twice
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)  # a Ctrl-C to the process group comes twice
         if node is not None:
             node.destroy_node()
         rclpy.utilities.try_shutdown()
 
 
 def _init() -> None:
+    """Initialise rclpy; its handlers call those set before, so SIGTERM too interrupts Python."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         rclpy.init()
     except RuntimeError as error:  # arguments that are not YAML, a domain that is not a number

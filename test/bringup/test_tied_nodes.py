@@ -1,0 +1,52 @@
+"""No node outlives the process that started it: scripts/run or ros2 launch."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import psutil
+import pytest
+from real_graph import domain  # noqa: F401 - a fixture
+
+from slot_bringup.graph import NodeSpec
+from slot_bringup.processes import command_line
+
+PARENT = """
+import subprocess
+from slot_bringup.graph import TIED
+child = subprocess.Popen([*TIED, "sleep", "100"])
+print(child.pid, flush=True)
+child.wait()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_a_node_ends_when_its_parent_is_ended_by_a_signal(number):
+    parent = subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True)
+    node = psutil.Process(int(parent.stdout.readline()))
+    end = time.monotonic() + 20.0
+    while node.name() != "sleep":  # until setpriv has become the node
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    parent.send_signal(number)
+    parent.communicate()
+    _, alive = psutil.wait_procs([node], timeout=20.0)
+    assert not alive
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_node_that_compiles_its_kernels_ends_at_a_signal(number, tmp_path):
+    node = subprocess.Popen(
+        command_line(NodeSpec("sim_robot", "slot_nodes", {})),
+        env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
+        stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    try:
+        assert "preparing; a first start compiles" in node.stderr.readline()
+        node.send_signal(number)
+        node.communicate(timeout=10.0)  # compiling takes longer
+        assert node.returncode == 0
+    finally:
+        node.kill()
