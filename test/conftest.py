@@ -1,15 +1,11 @@
-"""Signal handling of the test process; tests that need real time: their mark and precondition."""
+"""Signal handling of the test process; precondition of tests that need real time."""
 
 import functools
 import signal
 import time
-from pathlib import Path
 
 import pytest
 
-# Folders whose tests run the graph as processes in real time: two graphs at once would each have
-# half of the machine, and their time limits are those of a robot. scripts/test runs them alone.
-REAL_TIME = ("faults", "graph")
 # ms of CPU that a tick of controller and robot takes in one process; 1.8 to 2.6 where the time
 # limits were chosen. Beyond this the processes of the graph do not keep up with real time.
 LARGEST_TICK = 4.0
@@ -18,14 +14,6 @@ TICKS = 120
 # A process started in the background of a script ignores SIGINT, and so do its children; those that
 # the tests interrupt must receive it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-def pytest_collection_modifyitems(items):
-    """Mark the tests of the folders REAL_TIME with `real_time`."""
-    here = Path(__file__).parent
-    for item in items:
-        if item.path.relative_to(here).parts[0] in REAL_TIME:
-            item.add_marker(pytest.mark.real_time)
 
 
 @functools.cache

@@ -1,5 +1,6 @@
 """DDS participants that join and leave, as `ros2 topic echo` does, leave a walking robot alone."""
 
+import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -8,6 +9,8 @@ from real_graph import PATIENT
 from rig import TOPICS
 
 from slot_core.safety.states import State
+
+pytestmark = pytest.mark.real_time
 
 JOINS = 20
 HEARD = {"/odom", "/desired_joint_angles"}  # of two nodes

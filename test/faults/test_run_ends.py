@@ -1,4 +1,7 @@
-"""`scripts/run` ends with exit code 1 and one line with the reason of RELAX, ESTOP or FAULT."""
+"""`scripts/run` ends with exit code 1 and one line with the reason of RELAX, ESTOP or FAULT.
+
+Real time: the run's processes, their exit codes and its output.
+"""
 
 import os
 import subprocess
@@ -6,6 +9,8 @@ import sys
 
 import pytest
 from real_graph import PATIENT, changed_config
+
+pytestmark = pytest.mark.real_time
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,7 @@
-"""A controller slower than its period skips to the newest state and counts the skipped ones."""
+"""A controller slower than its period skips to the newest state and counts the skipped ones.
+
+Real time: what is skipped is the queue of DDS during a solve.
+"""
 
 import os
 import signal
@@ -19,6 +22,8 @@ from slot_core.control.state_estimator import Estimate, Validity
 from slot_msgs.msg import GaitPreview, GroundReactionForces, MpcState
 from slot_nodes import messages, qos
 from slot_nodes.executor import DirectExecutor
+
+pytestmark = pytest.mark.real_time
 
 GRAPH = read_graph()
 DEFAULTS = {argument.name: argument.default for argument in GRAPH.arguments}

@@ -1,4 +1,7 @@
-"""The graph on emulated servos: the real driver at a pseudo-terminal."""
+"""The graph on emulated servos: the real driver at a pseudo-terminal.
+
+Real time: the serial line, and processes from start to end.
+"""
 
 import subprocess
 import sys
@@ -10,6 +13,8 @@ from graph_bag import read
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.robot import TENDON_JOINTS, read_robot
+
+pytestmark = pytest.mark.real_time
 
 RUN = [sys.executable, "-m", "slot_bringup", "--hardware", "fake_bus"]
 PERIOD = read_scene("flat").sensors.odometry.period  # s

@@ -1,4 +1,7 @@
-"""scripts/operate at a pseudo-terminal and with arguments, on an attended graph."""
+"""scripts/operate at a pseudo-terminal and with arguments, on an attended graph.
+
+Real time: the program's process and its terminal.
+"""
 
 import os
 import pty
@@ -17,6 +20,8 @@ import pytest
 
 from slot_bringup.graph import read_graph
 from slot_bringup.processes import Processes
+
+pytestmark = pytest.mark.real_time
 
 OPERATE = [sys.executable, "-m", "slot_bringup.operate"]
 LIMIT = 60.0  # s, longest wait on a busy machine

@@ -1,4 +1,7 @@
-"""Start and end of the graph: no process is left, and errors are named."""
+"""Start and end of the graph: no process is left, and errors are named.
+
+Real time: runs of which processes end while the robot walks.
+"""
 
 import os
 import signal
@@ -73,6 +76,7 @@ def wait_for_commands(count=30):
     context.try_shutdown()
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_stops_every_process_and_keeps_the_bag(tmp_path, number):
     run, nodes = start(["--duration", "60", "--bag", "bag"], tmp_path)
@@ -85,6 +89,7 @@ def test_signal_stops_every_process_and_keeps_the_bag(tmp_path, number):
     assert (tmp_path / "bag" / "metadata.yaml").exists()
 
 
+@pytest.mark.real_time
 def test_killed_run_leaves_no_process(tmp_path):
     run, nodes = start(["--duration", "60", "--bag", "bag"], tmp_path)
     wait_for_commands()
@@ -93,6 +98,7 @@ def test_killed_run_leaves_no_process(tmp_path):
     wait_until(lambda: all_ended(nodes))
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("name", ["sim_robot", "mpc_controller"])
 def test_killed_node_ends_the_run_and_is_named(tmp_path, name):
     run, nodes = start(["--duration", "60", "--bag", "bag"], tmp_path)
@@ -104,6 +110,7 @@ def test_killed_node_ends_the_run_and_is_named(tmp_path, name):
     assert all_ended(nodes)
 
 
+@pytest.mark.real_time
 def test_run_in_real_time_keeps_its_pace_and_prints_a_summary(tmp_path):
     done = subprocess.run(
         [*RUN, "--duration", "4", "--no-bag"],

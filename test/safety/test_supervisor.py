@@ -514,6 +514,14 @@ def test_inputs_stamped_by_another_clock_are_rejected(walking, source):
     assert walking.supervisor.state is not State.WALKING  # rejected inputs count as missing
 
 
+def test_a_fault_of_a_stamp_is_reported_once_also_if_the_next_stamp_is_right(walking):
+    """Joint states come every 10 ms, a report only every 20 ms."""
+    s = walking.supervisor
+    s.receive_joints(walking.now, 1, walking.angle, load(walking.angle))
+    assert any("joints stamped -" in warning for warning in walking.tick().warnings)
+    assert walking.tick().warnings == ()
+
+
 def test_a_command_older_than_the_last_is_rejected(walking):
     first = walking.now - 50_000_000
     assert "not newer" in walking.supervisor.receive_command(walking.now, first, np.full(4, 1.9))

@@ -44,6 +44,7 @@ class SupervisorNode(Node):
         self._limits = self.create_publisher(ServoLimits, "servo_limits", qos.STATE)
         self._limits.publish(messages.limits_to_msg(settings.servo_limits))
         self._set_gait = self.create_client(SetGait, "set_gait")
+        self._wanted: SetGait.Request | None = None  # gait to request once its service is there
         self._subscribe_to_controller()
         self._subscribe_to_robot()
         for request in Request:
@@ -130,9 +131,12 @@ class SupervisorNode(Node):
         if last is None or (report.state, report.since) != (last.state, last.since):
             self._report_transition(report)
         self._state.publish(messages.robot_state_to_msg(now, report))
+        if self._wanted is not None and self._set_gait.service_is_ready():
+            self._set_gait.call_async(self._wanted)
+            self._wanted = None
 
     def _report_transition(self, report: Report) -> None:
-        """Log a transition and request the gait of the new state.
+        """Log a transition and set the gait to request in the new state.
 
         A robot that resumes after HOLD keeps the gait and the velocity that were requested last.
         """
@@ -142,10 +146,9 @@ class SupervisorNode(Node):
         else:
             self.get_logger().info(line)
         keeps = report.state is State.HOLD or report.resumed
-        if not keeps and self._set_gait.service_is_ready():
+        if not keeps:
             walking = report.state is State.WALKING
-            wanted = self._walk if walking else messages.gait_request(STAND, 0.0, 0.0)
-            self._set_gait.call_async(wanted)
+            self._wanted = self._walk if walking else messages.gait_request(STAND, 0.0, 0.0)
 
 
 def main() -> None:

@@ -103,7 +103,8 @@ class Supervisor:
         self._inputs = Conditions(settings)
         self._clock = SteadyClock(settings.timing.clock_jump)
         self._newest: dict[str, int] = {}  # ns, stamp of each input
-        self._wrong_clock: dict[str, str] = {}  # inputs whose last stamp was of another clock
+        self._wrong_clock: dict[str, str] = {}  # faults of inputs stamped by another clock
+        self._right_clock: set[str] = set()  # inputs with a stamp of this clock since the fault
         self._state, self._reason, self._since = State.IDLE, "started", 0
         self._resume = State.STANDING  # state after HOLD
         self._held_from = State.STANDING  # state before HOLD
@@ -216,6 +217,9 @@ class Supervisor:
                 break
         warnings = [text for c, text in active.items() if c in REASONS_TO_HOLD | REASONS_TO_RELAX]
         warnings += self._wrong_clock.values()
+        for source in self._right_clock:  # not before a report has named the fault
+            self._wrong_clock.pop(source, None)
+        self._right_clock.clear()
         if self._state is State.WALKING and self._inputs.slewed:
             distance = self._inputs.distance(self._command)
             warnings.append(f"command slewed, {distance:.3g} rad left")
@@ -244,8 +248,9 @@ class Supervisor:
         if abs(ahead) > limit:
             fault = f"{source} stamped {ahead:+.3g} s from now, limit {limit:g} s"
             self._wrong_clock[source] = fault
+            self._right_clock.discard(source)
             return fault
-        self._wrong_clock.pop(source, None)
+        self._right_clock.add(source)
         if stamp <= self._newest.get(source, stamp - 1):
             return f"{source} is not newer than the last"
         self._newest[source] = stamp

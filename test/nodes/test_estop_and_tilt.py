@@ -1,8 +1,7 @@
 """E-stop, loss of its source, and tilt of the torso end in torque off."""
 
 import pytest
-from relay import FOR_RELAYS, Relay, remaps
-from rig import BUSY, TICK
+from rig import TICK
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import Bool
 
@@ -12,6 +11,7 @@ from slot_msgs.msg import RobotState
 from slot_nodes import qos
 
 PERIOD = 0.1  # s, between two messages of the e-stop
+STEP = 0.021  # s, between two steps of the supervisor, with the latency of a message
 
 
 class EStop:
@@ -19,8 +19,8 @@ class EStop:
 
     def __init__(self, rig):
         self.rig, self.pressed, self.cut = rig, False, False
-        self._out = rig.node.create_publisher(Bool, "/estop", qos.SENSOR)
-        rig.node.create_timer(PERIOD, self.publish)
+        self._out = rig.publisher(Bool, "estop", qos.SENSOR)
+        rig.every(PERIOD, self.publish)
 
     def publish(self):
         if not self.cut:
@@ -35,9 +35,8 @@ class EStop:
 
 
 @pytest.fixture(scope="module")
-def rig(make_rig):
-    made = make_rig(hardware="sim", config=FOR_RELAYS, remaps=remaps("odom"))
-    made.relay = Relay(made, "odom")
+def rig(simulate):
+    made = simulate()
     made.estop = EStop(made)
     return made
 
@@ -50,14 +49,13 @@ def walking(rig):
 
 def wait_two_periods(rig):
     """Wait until the supervisor has received the e-stop's state."""
-    begin = rig.now()
-    rig.wait_for(lambda: rig.now() - begin > 2e9 * PERIOD)
+    rig.run(2 * PERIOD)
 
 
 def test_a_pressed_estop_switches_torque_off_until_it_is_released_and_reset(walking):
     begin = walking.estop.press(True)
     stopped, reason = walking.wait_for_state(State.ESTOP, begin)
-    assert (stopped - begin) * 1e-9 < BUSY
+    assert (stopped - begin) * 1e-9 < STEP
     assert reason == "e-stop pressed"
     assert walking.last("/robot_state").action == RobotState.ACTION_OFF
     assert walking.request("reset") == "RESET refused in ESTOP: e-stop pressed"
@@ -74,7 +72,7 @@ def test_a_lost_estop_source_switches_torque_off_until_it_returns_and_a_reset(wa
     begin = walking.now()
     walking.estop.cut = True
     stopped, reason = walking.wait_for_state(State.ESTOP, begin)
-    assert (stopped - begin) * 1e-9 < walking.limit("estop") + BUSY
+    assert (stopped - begin) * 1e-9 < walking.limit("estop") + STEP
     assert reason.startswith("e-stop source silent for ")
     assert reason.endswith(" s, limit 0.5 s")
     assert "e-stop source silent" in walking.request("reset")
@@ -96,9 +94,9 @@ def test_a_tilt_beyond_half_a_radian_ends_in_fault_until_the_torso_is_upright(wa
         orientation.x, orientation.y, orientation.z, orientation.w = x, y, z, w
 
     name = {"x": "roll", "y": "pitch"}[axis]
-    with walking.relay.changed(tilt) as begin:
+    with walking.changed("odom", tilt) as begin:
         relaxed, reason = walking.wait_for_state(State.RELAX, begin)
-        assert (relaxed - begin) * 1e-9 < 7 * TICK + BUSY
+        assert (relaxed - begin) * 1e-9 < 7 * TICK + STEP
         assert reason.startswith(f"{name} +0.")
         assert reason.endswith(f" rad, limit {read_supervisor().estimate.tilt_max:g} rad")
         walking.wait_for_state(State.FAULT, relaxed)

@@ -17,11 +17,11 @@ class StubSupervisor:
         self.permission, self.angle = None, None
         self.commanded = self.permitted = 0  # ns, before the last message of each
         self._rig = rig
-        self._states = rig.node.create_publisher(RobotState, "robot_state", qos.STATE)
-        self._limits = rig.node.create_publisher(ServoLimits, "servo_limits", qos.STATE)
+        self._states = rig.publisher(RobotState, "robot_state", qos.STATE)
+        self._limits = rig.publisher(ServoLimits, "servo_limits", qos.STATE)
         self._limits.publish(messages.limits_to_msg(rig.supervisor_settings().servo_limits))
-        self._commands = rig.node.create_publisher(JointState, "desired_joint_angles", qos.CONTROL)
-        self._timer = rig.node.create_timer(0.02, self._send)
+        self._commands = rig.publisher(JointState, "desired_joint_angles", qos.CONTROL)
+        self._timer = rig.every(0.02, self._send)
 
     def _send(self):
         now = self._rig.now()
@@ -36,10 +36,10 @@ class StubSupervisor:
             self._commands.publish(messages.command_to_msg(now, np.full(4, angle)))
 
     def close(self):
-        self._rig.node.destroy_timer(self._timer)
-        self._rig.node.destroy_publisher(self._states)
-        self._rig.node.destroy_publisher(self._limits)
-        self._rig.node.destroy_publisher(self._commands)
+        self._timer.cancel()
+        self._rig.destroy_publisher(self._states)
+        self._rig.destroy_publisher(self._limits)
+        self._rig.destroy_publisher(self._commands)
 
     def stop_sending(self, what):
         """Stop the "command" or else the permission; returns the time before the last one."""

@@ -65,16 +65,13 @@ RAMP = read_supervisor().gate.relax_time  # s, longest ramp to slack
 class Rig:
     """A graph with its messages, requests and faults. Times are ns of the messages' clock."""
 
-    def __init__(
-        self, directory, config=PATIENT, parameters=None, remaps=None, only=None, **arguments
-    ):
-        """`config`: as for `changed_config`; `parameters` and `remaps`: by node; `only`: nodes to
+    def __init__(self, directory, config=PATIENT, parameters=None, only=None, **arguments):
+        """`config`: as for `changed_config`; `parameters`: by node; `only`: nodes to
         start now, else all; `arguments`: of the graph."""
         self.directory = directory
         self.bus = directory / "bus"
         self.config = changed_config(directory, config)
         self._parameters = {name: dict(values) for name, values in (parameters or {}).items()}
-        self._remaps = remaps or {}
         graph = read_graph()
         values = {a.name: a.default for a in graph.arguments} | {"hardware": "fake_bus"} | arguments
         if values["hardware"] == "fake_bus":
@@ -109,6 +106,18 @@ class Rig:
         """Record one more topic."""
         self.node.create_subscription(kind, topic, self.messages[topic].append, profile)
 
+    def publisher(self, kind, topic, profile):
+        """Publisher of the test."""
+        return self.node.create_publisher(kind, topic, profile)
+
+    def destroy_publisher(self, publisher):
+        """End a publisher of the test, and what it has latched."""
+        self.node.destroy_publisher(publisher)
+
+    def every(self, period, action):
+        """Call a function of the test with a period, s; returns a timer with `cancel`."""
+        return self.node.create_timer(period, action)
+
     def _on_state(self, message):
         now = (nanoseconds(message.since), State(message.state), message.reason)
         if not self.transitions or self.transitions[-1] != now:
@@ -121,10 +130,9 @@ class Rig:
             executable, *arguments = command_line(self.specs[name])
             values = {**self._parameters.get(name, {}), **(parameters or {})}
             options = [w for key, value in values.items() for w in ("-p", f"{key}:={value}")]
-            remaps = [w for a, b in self._remaps.get(name, {}).items() for w in ("-r", f"{a}:={b}")]
             with self._log(name).open("ab") as log:
                 self.children[name] = subprocess.Popen(
-                    [*TIED, *(program or [executable]), *arguments, *options, *remaps],
+                    [*TIED, *(program or [executable]), *arguments, *options],
                     env=environment, stdout=log, stderr=log, start_new_session=True,
                     cwd=self.directory,
                 )  # fmt: skip
@@ -278,13 +286,17 @@ class Rig:
 
     def walk(self, limit=WAIT_LIMIT):
         """Bring the robot to WALKING from any state, by the requests of an operator."""
-        end = time.monotonic() + limit
+        self._request_until_walking(limit, lambda: time.sleep(0.05))
+
+    def _request_until_walking(self, limit, pause):
+        """Make the requests that lead to WALKING for at most `limit` s, with pauses between."""
+        end = self.now() + limit * 1e9
         refusal = ""
         while self.state is not State.WALKING:
-            assert time.monotonic() < end, f"{refusal}: {self.recent_events()}"
+            assert self.now() < end, f"{refusal}: {self.recent_events()}"
             if self.state in NEXT_REQUEST:
                 refusal = self.request(NEXT_REQUEST[self.state])
-            time.sleep(0.05)
+            pause()
 
     def stop(self, name):
         """Interrupt a node unless it has ended; returns its exit code."""

@@ -1,11 +1,8 @@
 """What a robot does after a HOLD: it resumes what was requested last, and nothing else."""
 
-import signal
-
 import numpy as np
 import pytest
 from geometry_msgs.msg import Vector3
-from real_graph import PATIENT
 
 from slot_core.safety.states import State
 from slot_msgs.msg import GaitPreview
@@ -13,21 +10,22 @@ from slot_msgs.srv import SetGait
 from slot_nodes import qos
 
 V_X = 9  # in the state of a reference
-SHORT_HOLD = {**PATIENT, "supervisor": PATIENT["supervisor"] | {"timing.command_hold": 0.3}}
+STOPPED = 0.25  # s, longer than command_hold
 
 
 @pytest.fixture(scope="module")
-def rig(make_rig):
-    made = make_rig(hardware="sim", config=SHORT_HOLD)
+def rig(simulate):
+    made = simulate()
     made.subscribe("/gait_preview", GaitPreview, qos.CONTROL)
     return made
 
 
 def hold(rig):
     """A HOLD by a force_mapper that is stopped for a moment; returns when the robot walks again."""
-    begin = rig.send_signal("force_mapper", signal.SIGSTOP)
+    begin = rig.pause("force_mapper")
+    rig.run(STOPPED)
+    rig.resume("force_mapper")
     rig.wait_for_state(State.HOLD, begin)
-    rig.send_signal("force_mapper", signal.SIGCONT)
     since, _ = rig.wait_for_state(State.WALKING, begin)
     return since
 

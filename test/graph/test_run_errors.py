@@ -1,0 +1,92 @@
+"""A run that cannot begin or is interrupted while it starts ends in one line; names of bags.
+
+Real time: processes, signals and their exit codes.
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from slot_bringup import monitor
+from slot_bringup.graph import read_graph
+from slot_bringup.processes import Processes
+
+pytestmark = pytest.mark.real_time
+
+# Signals that the caller ignores (SIGHUP under nohup) would be ignored in the run too.
+RUN = ["env", "--default-signal=HUP,INT,TERM", sys.executable, "-m", "slot_bringup"]
+
+
+def test_second_graph_in_the_domain_is_refused(tmp_path, monkeypatch):
+    graph = read_graph()
+    processes = Processes(tmp_path)
+    processes.start(graph.nodes({a.name: a.default for a in graph.arguments}))
+    monkeypatch.setattr(monitor, "DISCOVERY_TIME", 60.0)  # it ends with the first message
+    try:
+        with pytest.raises(
+            monitor.RunError,
+            match=r"another graph runs in ROS domain \d+, namespace /: set another",
+        ):
+            monitor.require_no_other_graph()
+    finally:
+        processes.stop()
+
+
+def run(directory, *arguments, **environment):
+    return subprocess.run(
+        [*RUN, *arguments], cwd=directory, env=os.environ | environment, capture_output=True,
+        text=True, timeout=60, check=False,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def own_domain(monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(int(os.environ["ROS_DOMAIN_ID"]) + 20))
+
+
+@pytest.mark.usefixtures("own_domain")
+def test_bag_that_cannot_be_written_ends_the_run_in_one_line(tmp_path):
+    (tmp_path / "file").touch()
+    done = run(tmp_path, "--duration", "1", "--bag", "file/bag")
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    assert (
+        "scripts/run: recorder ended with exit code 2: file/bag: cannot be written" in done.stderr
+    )
+
+
+@pytest.mark.usefixtures("own_domain")
+def test_name_of_a_bag_may_contain_quotes_and_spaces(tmp_path):
+    name = 'it\'s a "bag" of ü: 1'
+    done = run(tmp_path, "--lockstep", "--duration", "0.5", "--bag", name)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / name / "metadata.yaml").exists()
+
+
+@pytest.mark.usefixtures("own_domain")
+@pytest.mark.parametrize("numbers", [[signal.SIGINT] * 3, [signal.SIGTERM] * 2, [signal.SIGHUP]])
+def test_repeated_signals_end_the_run_cleanly(tmp_path, numbers):
+    """The signals arrive while the nodes are still starting."""
+    child = subprocess.Popen(
+        [*RUN, "--bag", "bag"], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+    )
+    ours = psutil.Process(child.pid)
+    end = time.monotonic() + 30.0
+    while not (nodes := [c for c in ours.children() if "slot_nodes" in " ".join(c.cmdline())]):
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    for number in numbers:
+        child.send_signal(number)
+        time.sleep(0.1)  # so that they are not merged into one
+    _, errors = child.communicate(timeout=60)
+    assert child.returncode == 130, errors
+    assert "scripts/run: interrupted, all nodes stopped" in errors
+    assert "Traceback" not in errors
+    assert not any(node.is_running() for node in nodes)
+    assert Path(tmp_path, "bag", "log").is_dir()

@@ -1,0 +1,123 @@
+"""Driver with emulated servos, without the rest of the graph: refusals and services."""
+
+import numpy as np
+import pytest
+from rig import SAG
+from std_srvs.srv import SetBool, Trigger
+from stub_supervisor import StubSupervisor
+
+from slot_core.dynamixel.table import RAD_PER_COUNT
+from slot_core.safety.command_gate import Action
+
+DRIVER = "dynamixel_driver"
+PULLED = 1.5  # rad
+
+
+@pytest.fixture(scope="module")
+def bench(simulate):
+    return simulate(hardware="fake_bus", only=["sim_robot"])
+
+
+@pytest.fixture
+def rig(bench):
+    """Emulated servos without a driver; a driver that the test starts ends with it."""
+    yield bench
+    if bench.runs(DRIVER):
+        bench.stop(DRIVER)
+
+
+@pytest.fixture
+def stub(rig):
+    """Permissions, limits and commands for a driver."""
+    made = StubSupervisor(rig)
+    yield made
+    made.close()
+
+
+def start_driver(rig, **options):
+    """Start a driver, and wait until it is configured."""
+    begin = rig.now()
+    rig.start(DRIVER, **options)
+    rig.wait_for(lambda: rig.since("/joint_states", begin), what="no joint states")
+
+
+def switch(rig, on):
+    """Call the torque service; returns success and message."""
+    answer = rig.call(SetBool, f"/{DRIVER}/torque", data=on)
+    return answer.success, answer.message
+
+
+def powered(rig, since):
+    """Wait for a health report since a time with every torque on."""
+    rig.wait_for(lambda: any(all(m.torque) for m in rig.since("/servo_health", since)))
+
+
+@pytest.mark.parametrize(
+    ("parameter", "value", "reason"),
+    [
+        ("joints.ids", "[5, 4, 2, 9]", "servo RR (id 9): ping: "),
+        ("servo.model", 1061, "servo FL (id 5): model 1060, expected 1061"),
+        ("servo.firmware_min", 46, "servo FL (id 5): firmware 45, expected 46 or newer"),
+        ("bus.baud", 57600, "servo FL (id 5): ping: "),
+    ],
+)
+def test_unexpected_servos_are_refused_in_one_line(rig, parameter, value, reason):
+    rig.start(DRIVER, parameters={parameter: value})
+    assert rig.exit_code(DRIVER) == 1
+    assert f"servos refused: {reason}" in rig.log_lines(DRIVER)[-1]
+    assert rig.registers("torque_enable") == [0] * 4
+
+
+def test_a_port_that_does_not_appear_is_named(rig):
+    missing = rig.directory / "missing"
+    rig.start(DRIVER, parameters={"wait_for_port": 0.5, "bus.port": missing})
+    assert rig.exit_code(DRIVER) == 1
+    assert f"servos refused: {missing}: " in rig.log_lines(DRIVER)[-1]
+
+
+def test_torque_comes_on_without_motion_far_from_the_command(rig, stub):
+    start_driver(rig)
+    stub.move_to(PULLED)
+    stub.permission = Action.OFF
+    rig.wait_for_torque_off(rig.now())
+    before, on = rig.wait_for_rest(), rig.now()  # the tendons are slack
+    assert np.abs(PULLED - before).min() > 0.5
+    stub.permission = Action.HOLD
+    powered(rig, on)
+    rig.wait_for(lambda: len(rig.since("/joint_states", on)) > 100)
+    sag, pull = rig.moved(before, on)
+    assert -SAG < sag <= pull < 1.5  # 1 count of a position between two
+
+
+def test_without_limits_of_the_supervisor_torque_is_refused(rig):
+    start_driver(rig)
+    assert switch(rig, True) == (False, "torque refused: no limits of the supervisor yet")
+    assert rig.stop(DRIVER) == 0
+    assert rig.registers("torque_enable") == [0] * 4
+
+
+def test_the_torque_service_switches_torque_off_after_a_ramp_and_on_again(rig, stub):
+    start_driver(rig)
+    rig.wait_for(lambda: switch(rig, True) == (True, "torque on"))  # once it has the limits
+    assert switch(rig, True) == (False, "torque is on already")
+    reboot = rig.call(Trigger, f"/{DRIVER}/reboot_rr")
+    assert reboot.message == "needs a configured driver, torque off"
+    begin = rig.now()
+    assert switch(rig, False) == (True, "slackening, then torque off")
+    off = rig.wait_for_torque_off(begin)
+    assert off.reason == "torque off, after: torque switched off by the operator"
+    assert switch(rig, True) == (True, "torque on")
+
+
+def test_a_measured_zero_applies_at_once_and_after_a_restart(rig):
+    start_driver(rig)
+    answer = rig.call(Trigger, f"/{DRIVER}/zero_fl")
+    assert answer.success, answer.message
+    begin = rig.now()
+    rig.wait_for(lambda: rig.since("/joint_states", begin))
+    assert abs(rig.last("/joint_states").position[0]) < 1.5 * RAD_PER_COUNT
+    zero = float(answer.message.split(" at ")[1].split(" deg")[0])
+    assert f"zero_deg: [{zero:.2f}, 130.0, " in (rig.config / "dynamixel.yaml").read_text()
+    rig.stop(DRIVER)
+    start_driver(rig)
+    assert abs(rig.last("/joint_states").position[0]) < 1.5 * RAD_PER_COUNT

@@ -1,0 +1,184 @@
+"""Invalid messages on the topics of a walking graph are refused, and the robot walks on."""
+
+import copy
+import math
+
+import pytest
+from geometry_msgs.msg import TwistStamped, Vector3
+from sensor_msgs.msg import Imu
+
+from slot_core.bags import decode
+from slot_core.robot import TENDON_JOINTS, read_robot
+from slot_core.safety.states import State
+from slot_msgs.msg import GaitPreview, GroundReactionForces, MpcState
+from slot_msgs.srv import SetGait
+from slot_nodes import qos
+
+TOPICS = {
+    "odom": (None, qos.SENSOR),
+    "imu": (Imu, qos.SENSOR),
+    "cmd_vel": (TwistStamped, qos.SENSOR),
+    "mpc_state": (MpcState, qos.CONTROL),
+    "gait_preview": (GaitPreview, qos.CONTROL),
+    "ground_reaction_forces": (GroundReactionForces, qos.CONTROL),
+    "desired_joint_angles": (None, qos.CONTROL),
+}
+NAN, INF = math.nan, math.inf
+TICKS = 15  # of the controller that must follow: half a second
+
+
+class Graph:
+    """A walking graph, and publishers of the test."""
+
+    def __init__(self, rig):
+        self.rig = rig
+        self.publishers = {t: rig.publisher(kind, t, qos_) for t, (kind, qos_) in TOPICS.items()}
+        for topic, (kind, profile) in TOPICS.items():
+            if kind is not None:
+                rig.subscribe(f"/{topic}", kind, profile)
+
+    def last(self, topic):
+        """Newest message of a node."""
+        received = self.rig.messages[f"/{topic}"]
+        return next(m for m in reversed(received) if m.header.frame_id != "intruder")
+
+    def continues(self):
+        """Wait for TICKS commands newer than now; check the range of all commands."""
+        begin = self.rig.now()
+        commands = self.rig.messages["/desired_joint_angles"]
+        self.rig.wait_for(lambda: sum(decode.stamp(m) > begin for m in commands) >= TICKS)
+        assert self.rig.exit_codes == {}
+        assert self.rig.state in {State.WALKING, State.HOLD}
+        limit = read_robot().tendon.angle_max
+        for message in commands:
+            if message.header.frame_id != "intruder":
+                assert tuple(message.name) == TENDON_JOINTS
+                assert all(0.0 <= angle <= limit for angle in message.position)
+
+    def send(self, topic, change=lambda m: None, shift=0):
+        """Send a changed copy of the last message of a topic, its stamp shifted by `shift` (s)."""
+        message = copy.deepcopy(self.last(topic))
+        message.header.frame_id = "intruder"
+        message.header.stamp.sec += shift
+        change(message)
+        self.publishers[topic].publish(message)
+
+    def disturb(self, topic, change):
+        """Send an invalid copy, with the same stamp, after each of the next TICKS messages."""
+        for _ in range(TICKS):
+            before = self.last(topic)
+            self.rig.wait_for(lambda before=before: self.last(topic) is not before)
+            self.send(topic, change)
+
+    def request_gait(self, gait, *velocity):
+        velocity = Vector3(**dict(zip("xyz", velocity)))
+        return self.rig.call(SetGait, "/set_gait", gait=gait, velocity=velocity)
+
+    def velocity(self):
+        """Forward velocity of the reference, m/s."""
+        return self.last("gait_preview").reference[9]
+
+
+@pytest.fixture(scope="module")
+def made(simulate):
+    return Graph(simulate())
+
+
+@pytest.fixture
+def graph(made):
+    made.rig.walk_steadily()
+    return made
+
+
+def sets(**values):
+    """Function that sets attributes of a message; `__` in a name stands for the dot."""
+
+    def change(message):
+        for name, value in values.items():
+            *parents, last = name.split("__")
+            part = message
+            for parent in parents:
+                part = getattr(part, parent)
+            setattr(part, last, value)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("topic", "change"),
+    [
+        ("desired_joint_angles", sets(position=[NAN] * 4)),
+        ("desired_joint_angles", sets(position=[INF] * 4)),
+        ("desired_joint_angles", sets(position=[-0.1] * 4)),
+        ("desired_joint_angles", sets(position=[1.0] * 3)),
+        ("desired_joint_angles", sets(name=["a", "b", "c", "d"])),
+        ("ground_reaction_forces", sets(force=[Vector3(z=NAN)] * 4)),
+        ("ground_reaction_forces", sets(force=[Vector3(z=INF)] * 4)),
+        ("gait_preview", sets(stages=0)),
+        ("gait_preview", sets(stages=7)),
+        ("gait_preview", sets(tendon_angle=[])),
+        ("gait_preview", sets(tendon_angle=[1.0] * 16)),
+        ("gait_preview", sets(tendon_angle=[NAN] * 64)),
+        ("mpc_state", sets(position__x=NAN)),
+        ("mpc_state", sets(rpy__x=INF, position__z=1e308)),
+        ("odom", sets(pose__pose__position__x=NAN)),
+        ("odom", sets(pose__pose__position__x=1e308)),
+        ("odom", sets(pose__pose__orientation__w=0.0)),
+        ("imu", sets(angular_velocity__x=NAN)),
+    ],
+)
+def test_invalid_message_with_a_present_stamp_is_refused_and_the_robot_walks_on(
+    graph, topic, change
+):
+    graph.disturb(topic, change)
+    graph.continues()
+
+
+@pytest.mark.parametrize("topic", ["odom", "imu", *list(TOPICS)[3:6]])
+@pytest.mark.parametrize("shift", [1000, -1000])
+def test_burst_of_messages_of_another_time_has_no_effect(graph, topic, shift):
+    for i in range(40):
+        graph.send(topic, shift=shift + i)
+    graph.continues()
+
+
+@pytest.mark.parametrize(
+    ("topic", "change", "name", "line"),
+    [
+        ("ground_reaction_forces", sets(force=[Vector3(z=NAN)] * 4), "force_mapper",
+         "ground_reaction_forces refused: force[0, 2] = nan: expected a finite number"),
+        ("mpc_state", sets(position__x=NAN), "gait_scheduler",
+         "mpc_state refused: state[3] = nan: expected a finite number"),
+        ("desired_joint_angles", sets(position=[-0.1] * 4), "sim_robot",
+         "desired_joint_angles refused: command FL = -0.1 rad is not inside [0, 2.029]"),
+    ],
+)  # fmt: skip
+def test_refused_message_is_logged_with_value_and_limit(graph, topic, change, name, line):
+    graph.send(topic, change)
+    graph.rig.run(0.01)
+    assert line in graph.rig.log(name)
+
+
+def test_unknown_gait_is_refused_and_the_last_of_many_changes_holds(graph):
+    assert graph.request_gait("trot").message == "no gait 'trot' (known: stand, walk)"
+    assert not graph.request_gait("walk", NAN).success
+    assert not graph.request_gait("stand", 0.05).success
+    for _ in range(10):
+        assert graph.request_gait("stand").success
+        assert graph.request_gait("walk", 0.05).success
+    graph.rig.run(0.1)
+    assert graph.last("gait_preview").gait == "walk"
+    graph.continues()
+
+
+def test_velocity_of_another_time_stops_the_robot(graph):
+    """A command with a stamp in the future sets the reference velocity to zero."""
+    assert graph.request_gait("walk", 0.05).success
+    graph.rig.wait_for(lambda: graph.velocity() > 0.04)
+    command = TwistStamped()
+    command.header.stamp.sec = 2_000_000_000
+    command.twist.linear.x = 0.05
+    graph.publishers["cmd_vel"].publish(command)
+    graph.rig.wait_for(lambda: abs(graph.velocity()) < 0.03)
+    graph.continues()
+    assert "velocity set to zero" in graph.rig.log("gait_scheduler")

@@ -1,0 +1,37 @@
+"""The start of the graph in any order: requests are not lost, and a frozen robot obeys."""
+
+import pytest
+
+from slot_core.safety.states import State
+from slot_msgs.msg import GaitPreview
+from slot_nodes import qos
+
+
+@pytest.fixture
+def rig(simulate):
+    made = simulate()
+    made.subscribe("/gait_preview", GaitPreview, qos.CONTROL)
+    yield made
+    made.close()
+
+
+def test_a_gait_is_requested_once_its_service_is_discovered(rig):
+    rig.hidden.add("/set_gait")
+    rig.wait_for(lambda: rig.state is State.WALKING)
+    rig.run(0.3)
+    assert rig.last("/gait_preview").gait == "stand"
+    rig.hidden.clear()
+    rig.run(0.3)
+    assert rig.last("/gait_preview").gait == "walk"
+
+
+def test_a_robot_that_is_still_frozen_obeys_off(rig):
+    """Its first command has not arrived when the e-stop is pressed: the tendons unwind."""
+    while rig.state is not State.STANDING:
+        rig.run(0.0002)
+    assert rig.is_frozen()
+    assert rig.request("estop") == ""
+    rig.run(1.5)
+    assert rig.state is State.ESTOP
+    assert not any(rig.last("/servo_health").torque)
+    assert max(rig.last("/joint_states").position) < 0.05
