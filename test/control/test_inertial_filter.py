@@ -12,6 +12,11 @@ from slot_core.robot import GRAVITY
 SETTINGS = read_estimator()
 DOWN = np.array([0.0, 0.0, -GRAVITY])
 DT = 0.005  # s
+NOISE = SETTINGS.odometry
+VARIANCE = (
+    np.repeat([NOISE.angle_noise, NOISE.position_noise, NOISE.velocity_noise, NOISE.rate_noise], 3)
+    ** 2
+)
 
 
 def cross(a):
@@ -102,12 +107,16 @@ def reading(truth, rng):
     noise = rng.normal(size=(4, 3)) * [[0.002], [0.001], [0.005], [0.02]]
     attitude = (Rotation.from_rotvec(noise[0]) * truth.attitude).as_quat()
     velocity = truth.attitude.inv().apply(truth.v) + noise[2]
-    return OdometryMotion(0, attitude, truth.p + noise[1], velocity, truth.rate + noise[3])
+    return OdometryMotion(
+        0, attitude, truth.p + noise[1], velocity, truth.rate + noise[3], VARIANCE
+    )
 
 
 def start():
     attitude = Rotation.from_euler("ZYX", [2.5, 0.3, -0.4]).as_quat()
-    return OdometryMotion(0, attitude, np.array([1.0, -2.0, 0.06]), np.full(3, 0.1), np.ones(3))
+    return OdometryMotion(
+        0, attitude, np.array([1.0, -2.0, 0.06]), np.full(3, 0.1), np.ones(3), VARIANCE
+    )
 
 
 def test_a_walk_agrees_with_the_plain_filter():

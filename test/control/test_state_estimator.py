@@ -121,7 +121,7 @@ def run(messages, settings=SETTINGS):
 
 def error(estimate, motion):
     """Estimate minus truth (12,), angles wrapped."""
-    difference = estimate.state - motion.at(estimate.stamp / SECOND)[0]
+    difference = estimate.state - motion.at(estimate.time / SECOND)[0]
     difference[:3] = (difference[:3] + np.pi) % (2 * np.pi) - np.pi
     return difference
 
@@ -321,20 +321,33 @@ def same(a, b):
     ]
 
 
+def arriving(messages, delay):
+    """The messages in the order of their arrival, `delay(kind)` s after their stamps."""
+    at = [stamp + delay(kind) * SECOND for kind, stamp, _ in messages]
+    return [messages[i] for i in np.argsort(at, kind="stable")]
+
+
 @pytest.mark.parametrize("seed", range(5))
-def test_estimates_do_not_depend_on_the_interleaving_of_the_streams(seed):
-    """Each stream keeps its order and is late by up to 30 ms, less than one odometry period."""
+def test_the_filter_does_not_depend_on_the_interleaving_of_the_streams(seed):
+    """Both streams are late by up to 30 ms, less than one odometry period.
+
+    Estimates of one tick predicted to the same time are equal to the last bit, and so is the state
+    at the end.
+    """
     messages = noisy(Walk(), 2.0, 3, GYRO_BIAS)
-    expected, _ = run(messages)
-    rng = np.random.default_rng(seed)
-    late = {kind: 0.0 for kind in ("imu", "odometry")}
+    rng, late = np.random.default_rng(seed), {"imu": 0.0, "odometry": 0.0}
     arrival = []
     for kind, stamp, _ in messages:
         late[kind] = max(late[kind], stamp + rng.uniform(0, 0.03) * SECOND)
         arrival.append(late[kind])
     shuffled = [messages[i] for i in np.argsort(arrival, kind="stable")]
     assert [m[1] for m in shuffled] != [m[1] for m in messages]
-    assert same(run(shuffled)[0], expected)
+    (expected, one), (estimates, other) = run(messages), run(shuffled)
+    assert [e.stamp for e in estimates] == [e.stamp for e in expected]
+    alike = [(a, b) for a, b in zip(estimates, expected) if a.time == b.time]
+    assert len(alike) > 5
+    assert same(*zip(*alike))
+    assert same([other.present()], [one.present()])
 
 
 def test_estimates_do_not_depend_on_when_they_are_polled():
@@ -346,9 +359,9 @@ def test_estimates_do_not_depend_on_when_they_are_polled():
     assert same(estimates, run(messages)[0])
 
 
-def test_an_estimate_does_not_depend_on_later_samples():
+def test_an_estimate_does_not_depend_on_samples_after_its_time():
     messages = noisy(Walk(), 1.0, 3)
-    stamp = 20 * SECOND // 30
+    stamp = run(messages)[0][20].time
     other = [
         (k, t, (v[0] + 1.0, *v[1:])) if k == "imu" and t > stamp else (k, t, v)
         for k, t, v in messages
@@ -369,6 +382,148 @@ def test_a_reading_waits_for_the_imu_to_reach_its_stamp():
     assert estimator.poll() is None
     estimator.add_imu(last + 1, [0.0, 0.0, 0.0], [0.0, 0.0, GRAVITY])
     assert estimator.poll().stamp == last + 1
+
+
+# --- delay and loss of the odometry ---
+
+
+def rms_at_use(estimates, motion):
+    """RMS error of angles, position, angular velocity and velocity at the estimates' times."""
+    errors = np.array([error(e, motion) for e in estimates])
+    return np.sqrt(np.mean(errors**2, axis=0)).reshape(4, 3).mean(axis=1)
+
+
+def test_a_delay_of_the_odometry_with_jitter_costs_only_what_the_imu_drifts():
+    """80 ms +- 20 ms: the state at the newest sample, beside that without any delay."""
+    motion, rng = Walk(), np.random.default_rng(1)
+    messages = noisy(motion, 10.0, 1, GYRO_BIAS)
+    late = arriving(messages, lambda kind: rng.uniform(0.06, 0.1) if kind == "odometry" else 0.0)
+    prompt, delayed = run(messages, MATCHED)[0][30:], run(late, MATCHED)[0][30:]
+    leads = np.array([e.lead for e in delayed[:-4]]) / SECOND  # the IMU ends with the odometry
+    assert leads.min() > 0.055
+    assert leads.max() < 0.105
+    # of velocity: 0.3 m/s^2 sqrt(5 ms) sqrt(80 ms) = 6 mm/s more, in quadrature
+    rms, without = rms_at_use(delayed, motion), rms_at_use(prompt, motion)
+    assert np.all(rms < np.hypot(without, [2e-3, 5e-4, 0.0, 6e-3]) * 1.1), (rms, without)
+
+
+def test_a_reading_overtaken_by_a_newer_one_is_dropped_without_harm():
+    motion = Walk()
+    messages = noisy(motion, 2.0, 3)
+    index = [i for i, m in enumerate(messages) if m[0] == "odometry"][20:22]
+    overtaken = messages[: index[0]] + messages[index[0] + 1 : index[1] + 1]
+    overtaken += [messages[index[0]], *messages[index[1] + 1 :]]
+    lost = [m for i, m in enumerate(messages) if i != index[0]]
+    assert same(run(overtaken)[0], run(lost)[0])
+
+
+def test_lost_odometry_is_flagged_in_time_and_the_imu_carries_on_for_a_second():
+    motion, timing, period = Walk(), SETTINGS.timing, SETTINGS.odometry.period
+    lost = [
+        m
+        for m in noisy(motion, 8.0, 3, GYRO_BIAS)
+        if m[0] == "imu" or not 5.0 < m[1] / SECOND < 6.0
+    ]
+    estimates, _ = run(lost, MATCHED)
+    flagged = [e for e in estimates if e.validity == Validity.ODOMETRY_LOST]
+    assert 5.0 + timing.odometry_wait < flagged[0].time / SECOND
+    assert flagged[0].time / SECOND < 5.0 + period + timing.odometry_wait + 2 * 0.005
+    np.testing.assert_allclose(np.diff([e.stamp for e in flagged]) / SECOND, period, atol=1e-8)
+    worst = np.abs([error(e, motion) for e in flagged]).max(axis=0)
+    assert worst[3:6].max() < 0.05
+    assert worst[9:12].max() < 0.05
+    after = [e for e in estimates if e.stamp / SECOND > 6.0]
+    assert set(validities(after)) == {Validity.VALID}
+
+
+def test_without_odometry_for_longer_the_estimates_end():
+    messages = [m for m in noisy(Walk(), 5.0, 3) if m[0] == "imu" or m[1] < 2 * SECOND]
+    estimates, estimator = run(messages)
+    assert 0 <= 2.0 + SETTINGS.timing.odometry_gap - estimates[-1].time / SECOND < 0.07
+    assert estimator.present() is None
+
+
+def test_the_stamps_of_the_estimates_increase_whatever_arrives():
+    motion, rng = Walk(), np.random.default_rng(2)
+    kept = [m for m in noisy(motion, 20.0, 3) if m[0] == "imu" or rng.random() < 0.3]
+    late = arriving(kept, lambda kind: rng.uniform(0.0, 0.3) if kind == "odometry" else 0.0)
+    estimates, _ = run(late)
+    assert min(np.diff([e.stamp for e in estimates])) > 0
+    assert min(np.diff([e.time for e in estimates])) >= 0
+    assert {Validity.VALID, Validity.ODOMETRY_LOST} <= set(validities(estimates))
+
+
+def test_the_state_is_predicted_beyond_the_newest_sample_by_the_delay_of_the_command():
+    motion = Walk()
+    settings = config.replace(SETTINGS, {"timing.command_delay": 0.01})
+    ahead, now = run(clean(motion, 2.0), settings)[0][20:], run(clean(motion, 2.0))[0][20:]
+    assert {a.time - b.time for a, b in zip(ahead, now)} == {10_000_000}
+    # angle, position, rate, velocity: third derivatives by the square of 10 ms
+    assert np.all(rms_at_use(ahead, motion) < [2e-3, 1e-4, 0.2, 5e-3])
+    held = [dataclasses.replace(b, lead=a.lead) for a, b in zip(ahead, now)]
+    assert rms_at_use(held, motion)[0] > 2 * rms_at_use(ahead, motion)[0]
+
+
+def test_the_present_state_follows_every_imu_sample():
+    motion, estimator, count = Walk(), StateEstimator(SETTINGS), 0
+    assert estimator.present() is None
+    for kind, stamp, values in clean(motion, 2.0):
+        (estimator.add_imu if kind == "imu" else estimator.add_odometry)(stamp, *values)
+        present = estimator.present() if kind == "imu" else None
+        if present is not None and present.validity == Validity.VALID:
+            assert present.time == stamp
+            assert np.abs(error(present, motion)[3:6]).max() < 2e-4
+            count += 1
+    assert count > 280
+
+
+def test_an_imu_mounted_elsewhere_gives_the_same_estimates():
+    """Turned by 90 deg, 0.1 m off the centre; the rotation is constant: no angular acceleration."""
+    motion, r = Spin(), np.array([0.1, -0.05, 0.03])
+    turn = Rotation.from_euler("xyz", [0.0, 0.3, np.pi / 2])
+    mounted = []
+    for kind, stamp, values in clean(motion, 2.0):
+        if kind == "imu":
+            w, f = values
+            values = turn.inv().apply([w, f + np.cross(w, np.cross(w, r))])  # noqa: PLW2901
+        mounted.append((kind, stamp, values))
+    mount = {"mounts.imu.position": tuple(r), "mounts.imu.rpy": (0.0, 0.3, np.pi / 2)}
+    found, _ = run(mounted, config.replace(SETTINGS, mount))
+    for estimate, expected in zip(found, run(clean(motion, 2.0))[0], strict=True):
+        np.testing.assert_allclose(estimate.state, expected.state, atol=1e-9)
+
+
+# --- noise of a reading ---
+
+
+def with_variance(messages, variance, index):
+    """The messages with the variance (12,) of one odometry reading."""
+    place = [i for i, m in enumerate(messages) if m[0] == "odometry"][index]
+    kind, stamp, values = messages[place]
+    return [*messages[:place], (kind, stamp, (*values, variance)), *messages[place + 1 :]]
+
+
+@pytest.mark.parametrize("unknown", [0.0, -1.0, np.nan])
+def test_an_unknown_variance_is_that_of_the_settings(unknown):
+    messages = noisy(Walk(), 1.0, 3)
+    given = with_variance(messages, np.full(12, unknown), 20)
+    assert same(run(given)[0], run(messages)[0])
+
+
+def test_an_uncertain_reading_has_no_weight_and_is_no_outlier():
+    motion, shift = Walk(), np.array([0.1, 0.0, 0.0])
+    messages = with_jump(clean(motion, 1.0), 20, shift, 21)
+    estimates, _ = run(with_variance(messages, np.full(12, np.inf), 20))
+    assert set(validities(estimates[15:])) == {Validity.VALID}
+    assert max(np.abs(error(e, motion)[3:6]).max() for e in estimates) < 2e-4
+
+
+def test_a_certain_reading_is_followed():
+    motion, shift = Walk(), np.array([0.0005, 0.0, 0.0])
+    messages = with_jump(clean(motion, 1.0), 20, shift, 21)
+    certain = run(with_variance(messages, np.full(12, 1e-10), 20))[0][20]
+    np.testing.assert_allclose(error(certain, motion)[3], 0.0005, atol=5e-5)
+    assert error(run(messages)[0][20], motion)[3] < 0.0002
 
 
 # --- validity ---

@@ -11,12 +11,14 @@ from tf2_msgs.msg import TFMessage
 
 from slot_core.bags import decode
 from slot_core.control.gait import GaitPreview
+from slot_core.control.inertial_filter import Mount
 from slot_core.control.state_estimator import Estimate, Validity
 from slot_core.robot import TENDON_JOINTS
 from slot_core.simulation.sensors import ImuReading, OdometryReading
 from slot_nodes import messages
 
 STAMP = 1_234_567_890_123_456_789
+LEAD = 43_000_001
 RNG = np.random.default_rng(0)
 
 
@@ -29,8 +31,9 @@ def test_odometry():
     sent = OdometryReading(STAMP, RNG.normal(size=3), q, RNG.normal(size=3), RNG.normal(size=3))
     message = through_dds(messages.odometry_to_msg(sent))
     assert (message.header.frame_id, message.child_frame_id) == ("odom", "base_link")
-    stamp, position, quaternion, velocity, rate = decode.odometry(message)
+    stamp, position, quaternion, velocity, rate, variance = decode.odometry(message)
     assert stamp == STAMP
+    assert (variance == np.zeros(12)).all()  # unknown
     for got, want in [
         (position, sent.position),
         (quaternion, sent.quaternion),
@@ -64,10 +67,10 @@ def test_imu_marks_its_orientation_as_missing():
 
 def test_state_and_its_transform():
     state = np.concatenate([[0.1, -0.2, 2.0], RNG.normal(size=9)])
-    estimate = Estimate(STAMP, state, RNG.normal(size=(12, 12)), Validity.IMU_MISSING)
+    estimate = Estimate(STAMP, state, RNG.normal(size=(12, 12)), Validity.IMU_MISSING, LEAD)
     message = through_dds(messages.state_to_msg(estimate))
     stamp, got, validity = decode.state(message)
-    assert (stamp, validity) == (STAMP, 3)
+    assert (stamp, validity, decode.lead(message)) == (STAMP, 3, LEAD)
     assert (got == state).all()
     assert (message.covariance.reshape(12, 12) == estimate.covariance).all()
     transform = through_dds(messages.state_to_tf(estimate)).transforms[0]
@@ -75,6 +78,37 @@ def test_state_and_its_transform():
     q = transform.transform.rotation
     yaw_pitch_roll = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_euler("ZYX")
     assert yaw_pitch_roll == pytest.approx([2.0, -0.2, 0.1])
+    assert decode.stamp(transform) == STAMP + LEAD
+
+
+def test_an_estimate_as_odometry_has_twist_and_covariances_in_their_frames():
+    root = RNG.normal(size=(12, 12))
+    state = np.concatenate([[0.1, -0.2, 2.0], RNG.normal(size=9)])
+    estimate = Estimate(STAMP, state, root @ root.T, Validity.VALID, LEAD)
+    message = through_dds(messages.estimate_to_odometry(estimate))
+    assert (message.header.frame_id, message.child_frame_id) == ("odom", "base_link")
+    stamp, position, quaternion, velocity, rate, variance = decode.odometry(message)
+    attitude = Rotation.from_euler("ZYX", [2.0, -0.2, 0.1])
+    assert stamp == STAMP + LEAD
+    assert position == pytest.approx(state[3:6])
+    assert quaternion == pytest.approx(attitude.as_quat())
+    assert attitude.apply(velocity) == pytest.approx(state[9:12])
+    assert attitude.apply(rate) == pytest.approx(state[6:9])
+    assert variance[:6] == pytest.approx(np.diag(estimate.covariance)[:6])
+    turn = attitude.as_matrix()
+    along_x = turn[:, 0] @ estimate.covariance[9:12, 9:12] @ turn[:, 0]
+    assert variance[6] == pytest.approx(along_x)
+
+
+def test_the_mount_of_a_sensor_is_a_transform_from_base_link():
+    camera = Mount("camera_link", (0.1, 0.0, 0.03), (0.0, 0.3, np.pi))
+    imu = Mount("base_link", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    (place,) = through_dds(messages.mounts_to_tf(imu, camera)).transforms
+    assert (place.header.frame_id, place.child_frame_id) == ("base_link", "camera_link")
+    q = place.transform.rotation
+    expected = Rotation.from_euler("ZYX", [np.pi, 0.3, 0.0]).as_quat()
+    assert [q.x, q.y, q.z, q.w] == pytest.approx(expected)
+    assert place.transform.translation.x == 0.1
 
 
 def test_preview():

@@ -1,5 +1,7 @@
 """`/mpc_state`, `/cmd_vel` and the service `set_gait` to the preview of gait and reference."""
 
+from dataclasses import replace
+
 import numpy as np
 from geometry_msgs.msg import TwistStamped
 from rclpy.node import Node
@@ -33,7 +35,8 @@ class GaitSchedulerNode(Node):
     def _on_state(self, message: MpcState) -> None:
         stamp, state, _ = decode.state(message)
         inputs.require_finite("state", state)
-        self._preview.publish(messages.preview_to_msg(self._scheduler.step(stamp, state)))
+        preview = self._scheduler.step(stamp + decode.lead(message), state)
+        self._preview.publish(messages.preview_to_msg(replace(preview, stamp=stamp)))
 
     def _on_velocity(self, message: TwistStamped) -> None:
         """Set the velocity; a zero stamp, as of a plain `ros2 topic pub`, stands for now."""

@@ -9,6 +9,7 @@ import numpy as np
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
 
 from slot_core.control.gait import GaitPreview
 from slot_core.robot import LEGS
@@ -22,7 +23,7 @@ def subscribe(
     profile: QoSProfile,
     *,
     overridable: bool = False,
-) -> None:
+) -> Subscription:
     """Subscribe; a ValueError of the callback drops the message and is logged once a second.
 
     overridable: whether parameters can override the quality of service.
@@ -35,7 +36,15 @@ def subscribe(
             node.get_logger().warning(f"{topic} refused: {error}", throttle_duration_sec=1.0)
 
     overriding = QoSOverridingOptions.with_default_policies() if overridable else None
-    node.create_subscription(kind, topic, receive, profile, qos_overriding_options=overriding)
+    return node.create_subscription(
+        kind, topic, receive, profile, qos_overriding_options=overriding
+    )
+
+
+def take_waiting(subscription: Subscription) -> None:
+    """Call a subscription's callback for the messages that have arrived, before another's."""
+    while taken := subscription.handle.take_message(subscription.msg_type, subscription.raw):
+        subscription.callback(taken[0])
 
 
 def require_finite(name: str, values: Any) -> None:

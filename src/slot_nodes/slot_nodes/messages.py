@@ -6,7 +6,7 @@ import dataclasses
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from builtin_interfaces.msg import Time
+from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import Point, Quaternion, TransformStamped, Vector3
 from nav_msgs.msg import Odometry
 from scipy.spatial.transform import Rotation
@@ -15,6 +15,7 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from slot_core.bags import decode
+from slot_core.clock import SECOND
 from slot_core.control import gait
 from slot_core.robot import BASE_FRAME, ODOM_FRAME, TENDON_JOINTS, Array
 from slot_msgs import msg as slot_msgs
@@ -28,8 +29,13 @@ from slot_msgs.msg import (
 )
 from slot_msgs.srv import SetGait
 
+# rows of an estimate's covariance in the order of the messages': position, angle; linear, angular
+POSE_ORDER = [3, 4, 5, 0, 1, 2]
+TWIST_ORDER = [9, 10, 11, 6, 7, 8]
+
 if TYPE_CHECKING:  # a node imports only the core modules that it runs
     from slot_core.control.force_map import TendonCommand
+    from slot_core.control.inertial_filter import Mount
     from slot_core.control.mpc.mpc import MpcResult
     from slot_core.control.pace import Pace
     from slot_core.control.state_estimator import Estimate
@@ -122,6 +128,7 @@ def state_to_msg(estimate: Estimate) -> MpcState:
     x = estimate.state
     return MpcState(
         header=header(estimate.stamp),
+        lead=Duration(sec=estimate.lead // SECOND, nanosec=estimate.lead % SECOND),
         rpy=_vector(x[0:3]),
         position=_vector(x[3:6]),
         angular_velocity=_vector(x[6:9]),
@@ -133,11 +140,42 @@ def state_to_msg(estimate: Estimate) -> MpcState:
 
 def state_to_tf(estimate: Estimate) -> TFMessage:
     """Transform from odom to base_link."""
-    transform = TransformStamped(header=header(estimate.stamp), child_frame_id=BASE_FRAME)
+    transform = TransformStamped(header=header(estimate.time), child_frame_id=BASE_FRAME)
     transform.transform.translation = _vector(estimate.state[3:6])
-    rotation = Rotation.from_euler("xyz", estimate.state[0:3])
-    transform.transform.rotation = _quaternion(rotation.as_quat())
+    transform.transform.rotation = _quaternion(_attitude(estimate.state[0:3]).as_quat())
     return TFMessage(transforms=[transform])
+
+
+def mounts_to_tf(*mounts: Mount) -> TFMessage:
+    """Transforms from base_link to the frames of sensors; none for a sensor in base_link."""
+    transforms = []
+    for mount in mounts:
+        if mount.frame != BASE_FRAME:
+            place = TransformStamped(header=header(0, BASE_FRAME), child_frame_id=mount.frame)
+            place.transform.translation = _vector(np.array(mount.position))
+            place.transform.rotation = _quaternion(_attitude(np.array(mount.rpy)).as_quat())
+            transforms.append(place)
+    return TFMessage(transforms=transforms)
+
+
+def estimate_to_odometry(estimate: Estimate) -> Odometry:
+    """Pose in odom, twist in base_link, with covariances (REP-105); angles as roll, pitch, yaw."""
+    x, cov, attitude = estimate.state, estimate.covariance, _attitude(estimate.state[0:3])
+    message = Odometry(header=header(estimate.time), child_frame_id=BASE_FRAME)
+    pose, twist = message.pose, message.twist
+    pose.pose.position = Point(x=float(x[3]), y=float(x[4]), z=float(x[5]))
+    pose.pose.orientation = _quaternion(attitude.as_quat())
+    to_base = attitude.as_matrix().T
+    twist.twist.linear, twist.twist.angular = _vector(to_base @ x[9:12]), _vector(to_base @ x[6:9])
+    pose.covariance = cov[np.ix_(POSE_ORDER, POSE_ORDER)].ravel()
+    both = np.kron(np.eye(2), to_base)
+    twist.covariance = (both @ cov[np.ix_(TWIST_ORDER, TWIST_ORDER)] @ both.T).ravel()
+    return message
+
+
+def _attitude(rpy: Array) -> Rotation:
+    """Rz(yaw) Ry(pitch) Rx(roll)."""
+    return Rotation.from_euler("xyz", rpy)
 
 
 def preview_to_msg(preview: gait.GaitPreview) -> GaitPreview:

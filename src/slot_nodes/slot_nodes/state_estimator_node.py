@@ -1,4 +1,4 @@
-"""`/odom` and `/imu` to `/mpc_state` and `/tf`."""
+"""`/odom` and `/imu` to `/mpc_state`, `/odometry/filtered`, `/tf` and `/tf_static`."""
 
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
@@ -7,26 +7,40 @@ from tf2_msgs.msg import TFMessage
 
 from slot_core.bags import decode
 from slot_core.control.state_estimator import StateEstimator, Validity, read_estimator
+from slot_core.robot import BASE_FRAME
 from slot_msgs.msg import MpcState
 from slot_nodes import inputs, messages, qos, runtime
 
 
 class StateEstimatorNode(Node):
-    """Runs the filter; publishes an estimate for every odometry reading, with its stamp."""
+    """Runs the filter: a state for every odometry reading, predicted, and one for every IMU sample.
+
+    The control ticks are the states on `/mpc_state`; `/odometry/filtered` follows the IMU's pace.
+    """
 
     def __init__(self) -> None:
         super().__init__("state_estimator")
-        self._estimator = StateEstimator(runtime.declare_settings(self, read_estimator()))
+        settings = runtime.declare_settings(self, read_estimator())
+        self._estimator = StateEstimator(settings)
         self._state = runtime.publisher(self, MpcState, "mpc_state", qos.CONTROL)
         self._tf = runtime.publisher(self, TFMessage, "tf", qos.SENSOR)
-        inputs.subscribe(self, Imu, "imu", self._on_imu, qos.SENSOR, overridable=True)
+        self._filtered = runtime.publisher(self, Odometry, "odometry/filtered", qos.SENSOR)
+        mounts = runtime.publisher(self, TFMessage, "tf_static", qos.STATE)
+        mounts.publish(messages.mounts_to_tf(settings.mounts.imu, settings.mounts.camera))
+        self._imu = inputs.subscribe(self, Imu, "imu", self._on_imu, qos.SENSOR, overridable=True)
         inputs.subscribe(self, Odometry, "odom", self._on_odometry, qos.SENSOR, overridable=True)
 
     def _on_imu(self, message: Imu) -> None:
         self._estimator.add_imu(*decode.imu(message))
         self._publish()
+        if (present := self._estimator.present()) is not None:
+            self._filtered.publish(messages.estimate_to_odometry(present))
 
     def _on_odometry(self, message: Odometry) -> None:
+        """Correct with a reading, after the IMU samples that arrived with it."""
+        if message.child_frame_id.rpartition("/")[2] != BASE_FRAME:
+            raise ValueError(f"child_frame_id {message.child_frame_id!r}: expected {BASE_FRAME!r}")
+        inputs.take_waiting(self._imu)
         self._estimator.add_odometry(*decode.odometry(message))
         self._publish()
 

@@ -44,9 +44,15 @@ def vector(message: Any) -> Array:
     return np.array([message.x, message.y, message.z])
 
 
-def odometry(message: Any) -> tuple[int, Array, Array, Array, Array]:
-    """(stamp, position, quaternion xyzw, velocity, angular velocity), twist in base_link."""
+def odometry(message: Any) -> tuple[int, Array, Array, Array, Array, Array]:
+    """(stamp, position, quaternion xyzw, velocity, angular velocity, variance), twist in base_link.
+
+    variance (12,) of angle, position, velocity and rate: the diagonals of the covariances; zero
+    where they are unknown.
+    """
     pose, twist = message.pose.pose, message.twist.twist
+    pose_variance = np.array(message.pose.covariance)[::7]  # of position, angle
+    twist_variance = np.array(message.twist.covariance)[::7]  # of velocity, rate
     q = pose.orientation
     return (
         stamp(message),
@@ -54,6 +60,7 @@ def odometry(message: Any) -> tuple[int, Array, Array, Array, Array]:
         np.array([q.x, q.y, q.z, q.w]),
         vector(twist.linear),
         vector(twist.angular),
+        np.concatenate([pose_variance[3:], pose_variance[:3], twist_variance]),
     )
 
 
@@ -90,6 +97,11 @@ def state(message: Any) -> tuple[int, Array, int]:
     """(stamp, [roll pitch yaw, p, omega, v], validity)."""
     parts = (message.rpy, message.position, message.angular_velocity, message.linear_velocity)
     return stamp(message), np.concatenate([vector(p) for p in parts]), int(message.validity)
+
+
+def lead(message: Any) -> int:
+    """Nanoseconds from the stamp of a state to its time."""
+    return time(message.lead)
 
 
 def preview(message: Any) -> GaitPreview:

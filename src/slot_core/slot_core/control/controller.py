@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from slot_core.control.force_map import ForceMap, TendonCommand, read_force_map, read_leg_slope
 from slot_core.control.gait import GaitPreview, GaitScheduler, read_gaits
@@ -48,7 +48,8 @@ class Controller:
         estimate = self.estimator.poll()
         if estimate is None:
             return None
-        preview = self.scheduler.step(estimate.stamp, estimate.state)
+        preview = self.scheduler.step(estimate.time, estimate.state)
+        preview = replace(preview, stamp=estimate.stamp)  # that of the tick
         result = self.mpc.step(estimate.state, preview)
         slope = self.force_map.slope(preview, estimate.state)
         command = command_for(self.force_map, result.force, result.status, preview, slope)

@@ -15,11 +15,12 @@ The arithmetic is compiled: `filter_kernels.py`.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from slot_core.config import quantity
+from slot_core.config import quantity, text
 from slot_core.control.filter_kernels import Nominal, correct, output, propagate, work_space
 from slot_core.robot import GRAVITY, Array
 
@@ -29,8 +30,9 @@ THETA, P, V, GYRO_BIAS, FORCE_BIAS = (slice(i, i + 3) for i in range(0, 15, 3))
 
 @dataclass(frozen=True)
 class OdometryNoise:
-    """Noise and admissible range of the odometry."""
+    """Period, noise and admissible range of the odometry."""
 
+    period: float = quantity("nominal", "s", 1e-3, 1)
     position_noise: float = quantity("standard deviation of the position", "m", 1e-6, 1)
     angle_noise: float = quantity("standard deviation of the attitude", "rad", 1e-6, 1)
     velocity_noise: float = quantity("standard deviation of the velocity", "m/s", 1e-6, 10)
@@ -88,6 +90,8 @@ class TimingSettings:
     imu_wait: float = quantity("odometry newer by this ends the wait for the IMU", "s", 0, 1)
     imu_gap: float = quantity("longest interval between samples", "s", 1e-3, 1)
     odometry_gap: float = quantity("longest interval between accepted readings", "s", 0.02, 5)
+    odometry_wait: float = quantity("after a reading is due, the IMU ticks alone", "s", 0.02, 5)
+    command_delay: float = quantity("from the newest sample to the command's effect", "s", 0, 0.2)
     clock_jump: float = quantity(
         "a larger step back of the stamps resets the filter", "s", 0.01, 60
     )
@@ -103,6 +107,23 @@ class BufferSettings:
 
 
 @dataclass(frozen=True)
+class Mount:
+    """Where a sensor sits on the torso; its frame is base_link if it needs no transform."""
+
+    frame: str = text("frame of the sensor")
+    position: tuple[float, float, float] = quantity("of its origin in base_link", "m", -1, 1)
+    rpy: tuple[float, float, float] = quantity("Rz(yaw) Ry(pitch) Rx(roll)", "rad", -3.15, 3.15)
+
+
+@dataclass(frozen=True)
+class MountSettings:
+    """Mounts of the sensors; published on `/tf_static`."""
+
+    imu: Mount
+    camera: Mount
+
+
+@dataclass(frozen=True)
 class EstimatorSettings:
     """Settings of `config/estimator.yaml`."""
 
@@ -112,6 +133,7 @@ class EstimatorSettings:
     gate: OutlierSettings
     timing: TimingSettings
     buffers: BufferSettings
+    mounts: MountSettings
 
 
 @dataclass(frozen=True)
@@ -123,6 +145,15 @@ class OdometryMotion:
     position: Array  # (3,) m
     velocity: Array  # (3,) m/s
     rate: Array  # (3,) rad/s
+    variance: Array  # (12,) of angle, position, velocity and rate; SI
+
+
+class Rate(NamedTuple):
+    """Angular velocity in base_link."""
+
+    value: Array  # (3,) rad/s
+    variance: float
+    gyro_share: float  # how much of the gyro bias it contains
 
 
 class InertialFilter:
@@ -130,15 +161,13 @@ class InertialFilter:
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings
-        imu, odometry, blind = settings.imu, settings.odometry, settings.blind
+        imu, blind = settings.imu, settings.blind
         cov = np.zeros((15, 15))
         cov[GYRO_BIAS, GYRO_BIAS] = imu.gyro_bias**2 * np.eye(3)
         cov[FORCE_BIAS, FORCE_BIAS] = imu.acceleration_bias**2 * np.eye(3)
         attitude = np.array([0.0, 0.0, 0.0, 1.0])
         self._state = Nominal(attitude, np.zeros(3), np.zeros(3), np.zeros((2, 3)), cov)
         self._work = work_space()
-        noise = [odometry.angle_noise, odometry.position_noise, odometry.velocity_noise]
-        self._odometry_variance = np.square(np.repeat(noise, 3))
         drifts = imu.gyro_drift, imu.acceleration_drift
         self._noise = _densities(imu.gyro_noise, imu.acceleration_noise, *drifts)
         self._blind_noise = _densities(blind.gyro_noise, blind.acceleration_noise, *drifts)
@@ -151,9 +180,8 @@ class InertialFilter:
         jacobian = np.eye(9)
         jacobian[V, THETA] = -np.cross(np.eye(3), state.velocity)  # is measured in base_link
         state.cov[:9, :] = state.cov[:, :9] = 0.0
-        state.cov[:9, :9] = jacobian * self._odometry_variance @ jacobian.T
-        self._rate, self._rate_variance = motion.rate, self._settings.odometry.rate_noise**2
-        self._gyro_share = 0.0
+        state.cov[:9, :9] = jacobian * motion.variance[:9] @ jacobian.T
+        self.rate = Rate(motion.rate, float(motion.variance[9:].mean()), 0.0)
 
     @property
     def state(self) -> Nominal:
@@ -172,10 +200,9 @@ class InertialFilter:
         change by an impact since the last sample.
         """
         imu = self._settings.imu
-        self._rate = gyro - self._state.bias[0]
         noise = amplification * imu.gyro_noise**2 * imu.rate
-        self._rate_variance = noise + (age * imu.angular_acceleration_step) ** 2
-        self._gyro_share = 1.0
+        variance = noise + (age * imu.angular_acceleration_step) ** 2
+        self.rate = Rate(gyro - self._state.bias[0], variance, 1.0)
 
     def propagate(self, imu: Array, dt: float) -> None:
         """Propagate by dt (s) with the IMU sample (6,) [w, f] (rad/s, m/s^2) at its midpoint."""
@@ -183,27 +210,25 @@ class InertialFilter:
 
     def propagate_blind(self, dt: float) -> None:
         """Propagate by dt (s) at constant velocities, without IMU data."""
-        propagate(self._state, self._work, self._rate, UP, dt, self._blind_noise, False)
-        self._rate_variance = self._settings.blind.gyro_noise**2 / dt
-        self._gyro_share = 0.0
+        propagate(self._state, self._work, self.rate.value, UP, dt, self._blind_noise, False)
+        self.rate = Rate(self.rate.value, self._settings.blind.gyro_noise**2 / dt, 0.0)
+
+    def extrapolate(self, imu: Array, dt: float) -> None:
+        """Propagate by dt (s) with a held IMU sample (6,), as uncertain as without IMU data."""
+        propagate(self._state, self._work, imu[:3], imu[3:], dt, self._blind_noise, True)
 
     def correct(self, motion: OdometryMotion) -> bool:
         """Correct with a reading at the present stamp; False for an outlier, which is ignored."""
-        pose = motion.attitude, motion.position
-        variance, gate = self._odometry_variance, self._settings.gate.distance
-        if not correct(self._state, self._work, *pose, motion.velocity, variance, gate):
+        pose, gate = (motion.attitude, motion.position), self._settings.gate.distance
+        noise, rate_noise = motion.variance[:9], motion.variance[9:].mean()
+        if not correct(self._state, self._work, *pose, motion.velocity, noise, gate):
             return False
-        self._rate = self._rate - self._gyro_share * self._work.error[GYRO_BIAS]
-        self._merge_rate(motion.rate)
+        value, variance, gyro_share = self.rate
+        value = value - gyro_share * self._work.error[GYRO_BIAS]
+        share = rate_noise / (rate_noise + variance)
+        fused = share * value + (1.0 - share) * motion.rate  # by the inverse variances
+        self.rate = Rate(fused, share * variance, share * gyro_share)
         return True
-
-    def _merge_rate(self, rate: Array) -> None:
-        """Fuse the odometry's angular velocity (3,) rad/s, weighted by the inverse variances."""
-        variance = self._settings.odometry.rate_noise**2
-        share = variance / (variance + self._rate_variance)
-        self._rate = share * self._rate + (1.0 - share) * rate
-        self._rate_variance *= share
-        self._gyro_share *= share
 
     @property
     def gyro_bias(self) -> Array:
@@ -213,15 +238,16 @@ class InertialFilter:
     def output(self) -> tuple[Array, Array]:
         """State (12,) and covariance (12, 12) of `Estimate`; the covariance is of first order."""
         state, cov = np.empty(12), np.empty((12, 12))
-        rate = self._rate, self._gyro_share, self._rate_variance
-        output(self._state, self._work, *rate, state, cov)
+        rate, variance, gyro_share = self.rate
+        output(self._state, self._work, rate, gyro_share, variance, state, cov)
         return state, cov
 
 
 def load_kernels(settings: EstimatorSettings) -> None:
     """Call every kernel once, which loads or compiles it, so that no reading waits for it."""
     scratch = InertialFilter(settings)
-    still = OdometryMotion(0, np.array([0.0, 0.0, 0.0, 1.0]), *np.zeros((3, 3)))
+    zero = np.zeros(3)
+    still = OdometryMotion(0, np.array([0.0, 0.0, 0.0, 1.0]), zero, zero, zero, np.ones(12))
     scratch.restart(still)
     scratch.propagate(np.concatenate([np.zeros(3), UP]), 1e-3)
     scratch.correct(still)

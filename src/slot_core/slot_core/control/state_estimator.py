@@ -1,8 +1,16 @@
 """State estimator: the MPC's twelve states and their covariance, from odometry and IMU.
 
-An estimate is made at each odometry stamp t. It depends only on odometry and IMU data stamped up to
-t, not on the order in which the two streams arrive: a reading waits until the IMU has reached its
-stamp. The filter itself is in `inertial_filter.py`.
+Each odometry reading, stamped t, corrects the filter at t; it waits until the IMU has reached t, so
+the filter depends only on data stamped up to t, not on the order in which the streams arrive. The
+estimate is then predicted with all IMU samples that have arrived, and by `command_delay` beyond the
+newest, to the time at which its command takes effect: the delay of the odometry costs no more than
+the drift of the IMU over it. The filter itself is in `inertial_filter.py`.
+
+    reading                        effect
+    newer than the last one:       corrects when the IMU has reached it, or after `imu_wait`
+    not newer:                     dropped: repeated, or overtaken by a newer one
+    none for `odometry_wait`:      estimates continue on the IMU alone, as ODOMETRY_LOST
+    none for `odometry_gap`:       estimates end; the next reading restarts the filter
 """
 
 from __future__ import annotations
@@ -12,7 +20,7 @@ import math
 from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from operator import itemgetter
 
@@ -25,12 +33,15 @@ from slot_core.control.filter_kernels import Nominal
 from slot_core.control.inertial_filter import (
     EstimatorSettings,
     InertialFilter,
+    Mount,
     OdometryMotion,
     load_kernels,
 )
 from slot_core.robot import Array
 
 STAMP = itemgetter(0)
+NEVER = -(2**62)  # ns
+VARIANCE_MIN, VARIANCE_MAX = 1e-12, 1e6  # SI, of a message: beyond is as certain or as unknown
 
 
 class Validity(enum.IntEnum):
@@ -40,6 +51,7 @@ class Validity(enum.IntEnum):
     INITIALISING = 1
     ODOMETRY_REJECTED = 2
     IMU_MISSING = 3
+    ODOMETRY_LOST = 4
 
 
 def read_estimator() -> EstimatorSettings:
@@ -49,9 +61,10 @@ def read_estimator() -> EstimatorSettings:
 
 @dataclass(frozen=True)
 class Estimate:
-    """State of the torso at the stamp of an odometry reading.
+    """State of the torso for a control tick, predicted to the time when its command takes effect.
 
-    The state is [roll pitch yaw, p, omega, v]: rad, m, rad/s, m/s, all in odom, with
+    `stamp` names the tick: it is that of the odometry reading, or of the one that was due. The
+    state is [roll pitch yaw, p, omega, v]: rad, m, rad/s, m/s, all in odom, with
     R = Rz(yaw) Ry(pitch) Rx(roll) and yaw in (-pi, pi].
     """
 
@@ -59,19 +72,30 @@ class Estimate:
     state: Array  # (12,)
     covariance: Array  # (12, 12), in the order of the state
     validity: Validity
+    lead: int = 0  # ns, from `stamp` to the time of the state
+
+    @property
+    def time(self) -> int:
+        """Time of the state, ns."""
+        return self.stamp + self.lead
 
 
 class StateEstimator:
     """Orders the odometry and IMU streams, filters them, and rates the validity of each estimate.
 
     Every odometry reading gives one estimate, except before the first usable reading and, once
-    `odometry_gap` has passed without an accepted reading, before the next usable one. Bad data
-    raises nothing: IMU samples are dropped, odometry readings are rejected.
+    `odometry_gap` has passed without an accepted reading, before the next usable one, and except
+    readings whose place an estimate without odometry has taken. Bad data raises nothing: IMU
+    samples are dropped, odometry readings are rejected.
     """
 
     def __init__(self, settings: EstimatorSettings) -> None:
         load_kernels(settings)
         self._settings = settings
+        o = settings.odometry
+        noise = [o.angle_noise, o.position_noise, o.velocity_noise, o.rate_noise]
+        self._variance = np.square(np.repeat(noise, 3))
+        self._mount = _mount(settings.mounts.imu)
         self._ready: deque[Estimate] = deque(maxlen=settings.buffers.estimates)
         self._reset()
 
@@ -87,6 +111,7 @@ class StateEstimator:
         self._stamp: int | None = None  # ns, of the filter's state; None: not started
         # the filter's states at `_stamp` and at the IMU samples since; the filter is at the last
         self._track: list[tuple[int, Nominal]] = []
+        self._tick = NEVER  # ns, stamp of the last estimate
         self._accepted_stamp = 0  # ns, of the last accepted reading
         self._accepted = 0  # accepted readings since the start; in a row until valid
 
@@ -96,34 +121,51 @@ class StateEstimator:
         return self._filter.gyro_bias
 
     def add_imu(self, stamp: int, angular_velocity: Array, specific_force: Array) -> None:
-        """Add an IMU sample: stamp (ns), (3,) rad/s and (3,) m/s^2 in base_link."""
+        """Add an IMU sample: stamp (ns), (3,) rad/s and (3,) m/s^2 in the frame of the IMU."""
         rate = _vector(angular_velocity, 3, self._settings.imu.gyro_max)
         force = _vector(specific_force, 3, self._settings.imu.acceleration_max)
         if rate is None or force is None or not self._advances("imu", stamp):
             return
+        if self._mount is not None:
+            rate, force = _in_base(rate, force, *self._mount)
         self._imu.append((stamp, np.concatenate([rate, force])))
         self._process_due()
-        if not self._ready:  # publish first
-            self._propagate_to_newest()
+        self._propagate_to_newest()
+        self._tick_without_odometry(stamp)
 
-    def add_odometry(
+    def add_odometry(  # noqa: PLR0917 - in the order of the message
         self,
         stamp: int,
         position: Array,
         quaternion_xyzw: Array,
         velocity: Array,
         angular_velocity: Array,
+        variance: Array | None = None,
     ) -> None:
-        """Add an odometry reading: stamp (ns), pose in odom (m), twist in base_link (SI)."""
+        """Add an odometry reading: stamp (ns), pose in odom (m), twist in base_link (SI).
+
+        variance: (12,) of angle, position, velocity and rate, from the message; where it is not
+        positive, or without it, the noise is that of the settings.
+        """
         if not self._advances("odometry", stamp):
             return
         motion = self._decode(stamp, position, quaternion_xyzw, velocity, angular_velocity)
+        if motion is not None and variance is not None:
+            motion = replace(motion, variance=_known(variance, self._variance))
         self._waiting.append((stamp, motion))
         self._process_due()
 
     def poll(self) -> Estimate | None:
         """The next estimate, in order of the stamps; None if none is ready."""
         return self._ready.popleft() if self._ready else None
+
+    def present(self) -> Estimate | None:
+        """The state at the newest IMU sample; None if the filter has not reached one."""
+        newest = self._newest.get("imu", NEVER)
+        if self._stamp is None or newest <= self._stamp or newest != self._track[-1][0]:
+            return None
+        validity = self._validity(self._accepted_stamp == self._stamp, True)
+        return self._predicted(self._track[-1][0], validity, 0.0)
 
     def _decode(
         self, stamp: int, position: Array, quaternion: Array, velocity: Array, rate: Array
@@ -139,7 +181,7 @@ class StateEstimator:
         norm = math.hypot(*q)
         if abs(norm - 1.0) > limits.quaternion_tolerance:
             return None
-        return OdometryMotion(stamp, q / norm, p, v, w)
+        return OdometryMotion(stamp, q / norm, p, v, w, self._variance)
 
     def _advances(self, stream: str, stamp: int) -> bool:
         """Whether `stamp` is the newest of its stream; a clock set back resets the estimator."""
@@ -173,6 +215,15 @@ class StateEstimator:
                 self._step(samples, self._track[-1][0], stamp)
                 self._track.append((stamp, self._filter.state))
 
+    def _tick_without_odometry(self, newest: int) -> None:
+        """Publish the estimates whose odometry has been due for `odometry_wait` at `newest`, ns."""
+        timing, period = self._settings.timing, self._settings.odometry.period * SECOND
+        wait, gap = timing.odometry_wait * SECOND, timing.odometry_gap * SECOND
+        while self._stamp is not None and newest - self._tick - period > wait:
+            if newest - self._accepted_stamp > gap:
+                return
+            self._publish(self._tick + round(period), Validity.ODOMETRY_LOST)
+
     def _step(self, samples: Sequence[tuple[int, Array]], begin: int, end: int) -> None:
         """Propagate from `begin` to `end` (ns) with the IMU at the midpoint."""
         imu, _ = _interpolate(samples, (begin + end) // 2)
@@ -195,14 +246,18 @@ class StateEstimator:
         if motion is not None and self._has_relocalised():
             self._start(motion)
             return
-        self._publish(stamp, self._validity(accepted, imu_complete))
+        self._track = [(stamp, self._filter.state)]
+        if stamp > self._tick:
+            self._publish(stamp, self._validity(accepted, imu_complete))
 
     def _start(self, motion: OdometryMotion) -> None:
         """Start the filter from a reading."""
         self._filter.restart(motion)
         self._stamp, self._accepted = motion.stamp, 0
+        self._track = [(motion.stamp, self._filter.state)]
         self._accept(motion.stamp)
-        self._publish(motion.stamp, Validity.INITIALISING)
+        if motion.stamp > self._tick:
+            self._publish(motion.stamp, Validity.INITIALISING)
 
     def _predict(self, start: int, stamp: int) -> bool:
         """Propagate the filter from `start` to `stamp` (ns); False if IMU data was missing.
@@ -271,9 +326,27 @@ class StateEstimator:
         return Validity.VALID if imu_complete else Validity.IMU_MISSING
 
     def _publish(self, stamp: int, validity: Validity) -> None:
-        self._track = [(stamp, self._filter.state)]
+        """Make the estimate of a tick, predicted with the newest IMU sample and beyond it."""
+        self._tick = stamp
+        self._propagate_to_newest()
+        self._ready.append(self._predicted(stamp, validity, self._settings.timing.command_delay))
+
+    def _predicted(self, stamp: int, validity: Validity, delay: float) -> Estimate:
+        """Estimate of the tick `stamp`, predicted by `delay` (s) from where the filter is."""
+        assert self._stamp is not None
+        (reached, saved), rate = self._track[-1], self._filter.rate
+        newest = self._imu[-1] if self._imu else (0, np.zeros(6))
+        if reached > self._stamp:
+            self._filter.use_gyro(newest[1][:3], 1.0, delay)
+        if delay > 0.0 and newest[0] >= reached:
+            self._filter.extrapolate(newest[1], delay)
+        elif delay > 0.0:
+            self._filter.propagate_blind(delay)
         state, covariance = self._filter.output()
-        self._ready.append(Estimate(stamp, state, covariance, validity))
+        self._filter.restore(saved)
+        self._filter.rate = rate
+        lead = reached + round(delay * SECOND) - stamp
+        return Estimate(stamp, state, covariance, validity, lead)
 
 
 def _vector(values: Array, size: int, limit: float) -> Array | None:
@@ -281,6 +354,29 @@ def _vector(values: Array, size: int, limit: float) -> Array | None:
     array = np.array(values, dtype=np.float64)
     usable = array.shape == (size,) and np.abs(array).max() <= limit  # false for NaN
     return array if usable else None
+
+
+def _mount(imu: Mount) -> tuple[Array, Array] | None:
+    """Rotation (3, 3) from the IMU's frame to base_link and its position; None for base_link."""
+    rotation = Rotation.from_euler("xyz", imu.rpy).as_matrix()
+    place = np.array(imu.position)
+    return (rotation, place) if np.any(imu.rpy) or place.any() else None
+
+
+def _in_base(rate: Array, force: Array, rotation: Array, place: Array) -> tuple[Array, Array]:
+    """Angular velocity and specific force of base_link from those of an IMU at `place` on it.
+
+    f = R f_imu - w x (w x r); the angular acceleration's share is neglected, as no IMU measures it.
+    """
+    w = rotation @ rate
+    return w, rotation @ force - np.cross(w, np.cross(w, place))
+
+
+def _known(variance: Array, nominal: Array) -> Array:
+    """Variances (12,): where one is not positive, or not a number, the nominal one."""
+    given = np.asarray(variance, dtype=np.float64)
+    known = np.where(given > 0.0, given, nominal)
+    return np.clip(known, VARIANCE_MIN, VARIANCE_MAX)
 
 
 def _interpolate(samples: Sequence[tuple[int, Array]], stamp: int) -> tuple[Array, float]:
