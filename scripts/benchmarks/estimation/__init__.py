@@ -1,0 +1,1 @@
+"""State error at the time of use, with delayed, lost and jumping odometry."""

@@ -1,0 +1,202 @@
+"""Error of the state at the time when the MPC uses it, with delayed, lost and jumping odometry.
+
+Sensor streams are those of walks in simulation, with the sensors' noise of config/scene/flat.yaml;
+delays, losses and jumps are put on them. Three ways are compared: the authors' finite differences
+with zero angular rates, the filter's state at the stamp of the odometry, and the state predicted
+with the IMU to its newest sample. Errors are RMS over all axes, at the arrival of the odometry.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from benchmarks.estimation import methods, picture
+from benchmarks.estimation.measured_streams import (
+    RecordingPlant,
+    Slam,
+    Streams,
+    record,
+    with_delay,
+)
+from benchmarks.harness import Check, Row, at_least, at_most
+from slot_core.clock import SECOND
+from slot_core.control.inertial_filter import EstimatorSettings
+from slot_core.control.state_estimator import StateEstimator, read_estimator
+from slot_core.robot import Array
+from slot_core.simulation.closed_loop import ClosedLoop
+from slot_core.simulation.sensors import ImuReading
+
+WARM_UP = 2.0  # s, until the robot walks and the biases are known
+DELAYS = ((0.0, 0.0), (0.02, 0.01), (0.05, 0.02), (0.08, 0.02))  # s, with jitter
+ERRORS = {"roll_pitch_mrad": (0, 2), "position_mm": (3, 6), "rate_mrad_s": (6, 9)}
+ERRORS |= {"velocity_mm_s": (9, 12)}
+NEES_EVERY = 30  # ticks, between two of one walk that count as independent
+Method = Callable[..., Iterable[methods.Use]]
+
+
+def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[Row], list[Check]]:
+    """Measure; `quick`: one walk of 10 s in place of twenty of 20 s."""
+    seeds, duration = (range(1), 10.0) if quick else (range(20), 20.0)
+    settings = read_estimator()
+    progress(f"{len(seeds)} walks of {duration:g} s")
+    walks = [record(seed, duration) for seed in seeds]
+    rows: list[Row] = []
+    for delay, jitter in DELAYS:
+        progress(f"delay {1e3 * delay:g} ms")
+        rows += method_rows(walks, Slam(delay, jitter), settings, kind="delay")
+    others = {
+        "losses": Slam(0.05, 0.02, loss=0.2),
+        "jumps": Slam(0.05, 0.02, jumps=(3.0, 4.0, 5.0)),
+        "one second lost": Slam(0.05, 0.02, gap=(5.0, 6.0)),
+    }
+    for name, slam in others.items():
+        progress(name)
+        rows += method_rows(walks, slam, settings, kind=name)
+    lost = [error_after_loss(walk, others["one second lost"], settings) for walk in walks]
+    rows.append(nees_row(walks, settings))
+    rows += [cpu_row(walks[0], settings), *closed_loop_rows(progress)]
+    picture.draw(rows, out / "estimation.png")
+    return rows, checks(rows, np.array(lost))
+
+
+def method_rows(
+    walks: list[Streams], slam: Slam, settings: EstimatorSettings, kind: str
+) -> list[Row]:
+    """RMS errors of the three ways over the walks."""
+    ways: dict[str, Method] = {
+        "finite differences": methods.finite_differences,
+        "without prediction": lambda a: methods.without_prediction(a, settings),
+        "predicted": lambda a: methods.predicted(a, settings),
+    }
+    rows: list[Row] = []
+    for name, way in ways.items():
+        errors = np.vstack([errors_at_use(walk, slam, way) for walk in walks])
+        rms = {
+            key: 1e3 * float(np.sqrt(np.mean(errors[:, slice(*part)] ** 2)))
+            for key, part in ERRORS.items()
+        }
+        place = {"kind": kind, "method": name, "delay_ms": 1e3 * slam.delay}
+        rows.append({**place, "jitter_ms": 1e3 * slam.jitter, "ticks": len(errors), **rms})
+    return rows
+
+
+def errors_at_use(walk: Streams, slam: Slam, way: Method) -> Array:
+    """Errors (n, 12) of the states when they are used, after the warm-up."""
+    arrivals = slam.arrivals(walk, np.random.default_rng(0))
+    start = walk.stamps[0] + WARM_UP * SECOND
+    used = [(at, state) for at, state in way(arrivals) if start < at <= walk.end]
+    return np.array([difference(state, walk.true_state(at)) for at, state in used])
+
+
+def difference(state: Array, true: Array) -> Array:
+    """Error (12,) of a state, angles wrapped."""
+    error = state - true
+    error[:3] = (error[:3] + np.pi) % (2 * np.pi) - np.pi
+    return error
+
+
+def error_after_loss(walk: Streams, slam: Slam, settings: EstimatorSettings) -> Array:
+    """Largest error of [position, velocity] before the odometry returns, m and m/s."""
+    arrivals = slam.arrivals(walk, np.random.default_rng(0))
+    end = walk.stamps[0] + slam.gap[1] * SECOND
+    used = [(t, s) for t, s in methods.predicted(arrivals, settings) if t <= end]
+    error = difference(used[-1][1], walk.true_state(used[-1][0]))
+    return np.array([np.abs(error[3:6]).max(), np.abs(error[9:12]).max()])
+
+
+def nees_row(walks: list[Streams], settings: EstimatorSettings) -> Row:
+    """Normalised error squared of the predicted states over the walks, with its 95 % bounds."""
+    total, count, slam = 0.0, 0, Slam(0.05, 0.02)
+    for walk in walks:
+        arrivals = slam.arrivals(walk, np.random.default_rng(0))
+        found = [e for _, e in methods.estimates(arrivals, settings) if e.time <= walk.end]
+        for e in found[round(WARM_UP / 0.033) :: NEES_EVERY]:
+            error = difference(e.state, walk.true_state(e.time))
+            total += float(error @ np.linalg.solve(e.covariance, error))
+            count += 1
+    low, high = stats.chi2.ppf([0.025, 0.975], 12 * count) / count
+    return {"kind": "nees", "mean": total / count, "low": low, "high": high, "samples": count}
+
+
+def cpu_row(walk: Streams, settings: EstimatorSettings) -> Row:
+    """CPU time of one IMU sample and of one odometry reading delayed by 50 ms."""
+    times: dict[type, list[float]] = {}
+    estimator = StateEstimator(settings)
+    for _, r in Slam(0.05).arrivals(walk, np.random.default_rng(0)):
+        once = cpu_time_of(estimator, r)
+        times.setdefault(type(r), []).append(once)
+    imu = times.pop(ImuReading)
+    (odometry,) = times.values()
+    medians = float(np.median(imu)) * 1e6, float(np.median(odometry)) * 1e6
+    return {"kind": "cpu", "imu_us": medians[0], "odometry_us": medians[1]}
+
+
+def cpu_time_of(estimator: StateEstimator, r: Any) -> float:
+    """CPU time of adding one reading and polling, s."""
+    start = time.process_time()
+    methods.add_to(estimator, r)
+    while estimator.poll() is not None:
+        pass
+    return time.process_time() - start
+
+
+def closed_loop_rows(progress: Callable[[str], None]) -> list[Row]:
+    """What the walk loses by a late odometry: velocity, drift to the side, tilt over 8 s."""
+    rows: list[Row] = []
+    for delay in (0.01, 0.08):
+        progress(f"walk with odometry {1e3 * delay:g} ms late")
+        loop = ClosedLoop("flat", "walk", None, 0, make=with_delay(delay))
+        for _ in loop.run(round(10.0 / 0.033)):
+            pass
+        assert isinstance(loop.plant, RecordingPlant)
+        states = np.array([state for _, state in loop.plant.truth][round(WARM_UP * 200) :])
+        span = len(states) / 200
+        rows.append(
+            {
+                "kind": "closed loop",
+                "delay_ms": 1e3 * delay,
+                "v_x_mm_s": 1e3 * float(states[-1, 3] - states[0, 3]) / span,
+                "lateral_mm": 1e3 * float(np.abs(states[:, 4] - states[0, 4]).max()),
+                "tilt_mrad": 1e3 * float(np.sqrt(np.mean(states[:, 0:2] ** 2))),
+            }
+        )
+    return rows
+
+
+def checks(rows: list[Row], lost: Array) -> list[Check]:
+    """Figures that have a goal."""
+
+    def row(kind: str, **wanted: Any) -> Mapping[str, Any]:
+        (found,) = [
+            r for r in rows if r["kind"] == kind and all(r[k] == v for k, v in wanted.items())
+        ]
+        return found
+
+    ours = row("delay", method="predicted", delay_ms=50.0)
+    authors = row("delay", method="finite differences", delay_ms=50.0)
+    nees = row("nees")
+    near, far = row("closed loop", delay_ms=10.0), row("closed loop", delay_ms=80.0)
+    return [
+        at_most("position, 50 ms late", ours["position_mm"], 2.0, "mm"),
+        at_most("velocity, 50 ms late", ours["velocity_mm_s"], 10.0, "mm/s"),
+        at_most("roll and pitch, 50 ms late", ours["roll_pitch_mrad"], 5.0, "mrad"),
+        at_least(
+            "velocity error of finite differences",
+            authors["velocity_mm_s"] / ours["velocity_mm_s"],
+            3,
+        ),
+        at_most("position after 1 s without odometry", 1e3 * lost[:, 0].max(), 50.0, "mm"),
+        at_most("velocity after 1 s without odometry", 1e3 * lost[:, 1].max(), 50.0, "mm/s"),
+        at_least("mean NEES", nees["mean"], nees["low"]),
+        at_most("mean NEES", nees["mean"], nees["high"]),
+        *[
+            at_most(f"{name}, 80 ms late", abs(far[name] / near[name] - 1.0), 0.05)
+            for name in ("v_x_mm_s", "lateral_mm", "tilt_mrad")
+        ],
+    ]

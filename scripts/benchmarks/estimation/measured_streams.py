@@ -1,0 +1,126 @@
+"""Sensor streams of simulated walks with the true motion, and what a visual SLAM does to them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from slot_core import config
+from slot_core.clock import SECOND
+from slot_core.dynamics.scene import Scene
+from slot_core.dynamics.servo import ServoSettings
+from slot_core.robot import Array, Robot
+from slot_core.simulation.closed_loop import ClosedLoop
+from slot_core.simulation.plant import Plant, Reading
+from slot_core.simulation.sensors import ImuReading, OdometryReading
+
+ARRIVAL_ORDER = {ImuReading: 0, OdometryReading: 1}
+Arrival = tuple[int, ImuReading | OdometryReading]
+
+
+class RecordingPlant(Plant):
+    """A plant that keeps its IMU samples, its odometry and the true state at every IMU sample."""
+
+    def __init__(self, robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator):
+        super().__init__(robot, scene, servo, rng)
+        self.readings: list[ImuReading | OdometryReading] = []
+        self.truth: list[tuple[int, Array]] = []
+
+    def _read_imu(self) -> list[Reading]:
+        sim, readings = self.simulator, super()._read_imu()
+        angles = Rotation.from_matrix(sim.rotation).as_euler("ZYX")[::-1]
+        rate = sim.rotation @ sim.angular_velocity
+        self.truth.append((self.now, np.concatenate([angles, sim.position, rate, sim.velocity])))
+        self.readings += [r for r in readings if isinstance(r, ImuReading)]
+        return readings
+
+    def _read_odometry(self) -> list[Reading]:
+        pending = {event.number for event in self._events}
+        readings = super()._read_odometry()
+        for event in self._events:  # the one that it has scheduled is the delivery
+            if event.number not in pending:
+                self.readings += [r for r in event.action() if isinstance(r, OdometryReading)]
+        return readings
+
+
+@dataclass(frozen=True)
+class Streams:
+    """What the sensors of one walk measured, and the true motion."""
+
+    readings: list[ImuReading | OdometryReading]
+    stamps: NDArray[np.int64]  # (n,) ns, of the true states
+    states: Array  # (n, 12), in the order of `Estimate`, yaw unwrapped
+
+    def true_state(self, time: int) -> Array:
+        """True state (12,) at a time, ns; linear between two samples of the IMU."""
+        after = int(np.clip(np.searchsorted(self.stamps, time), 1, len(self.stamps) - 1))
+        t0, t1 = self.stamps[after - 1 : after + 1]
+        share = (time - t0) / (t1 - t0)
+        return (1 - share) * self.states[after - 1] + share * self.states[after]
+
+    @property
+    def end(self) -> int:
+        """Time of the last true state, ns."""
+        return int(self.stamps[-1])
+
+
+def record(seed: int, duration: float) -> Streams:
+    """Streams of a walk of `duration` (s) on the flat floor."""
+    loop = ClosedLoop("flat", "walk", None, seed, make=RecordingPlant)
+    for _ in loop.run(round(duration / 0.033)):
+        pass
+    assert isinstance(loop.plant, RecordingPlant)
+    stamps, states = zip(*sorted(loop.plant.truth, key=lambda entry: entry[0]))
+    array = np.array(states)
+    array[:, 2] = np.unwrap(array[:, 2])
+    return Streams(loop.plant.readings, np.array(stamps), array)
+
+
+@dataclass(frozen=True)
+class Slam:
+    """What happens to the odometry between the camera and the estimator."""
+
+    delay: float = 0.0  # s, mean
+    jitter: float = 0.0  # s, largest deviation of the delay
+    loss: float = 0.0  # share of lost readings
+    gap: tuple[float, float] = (0.0, 0.0)  # s after the first reading: none in between
+    jumps: tuple[float, ...] = ()  # s after the first reading: single readings 0.2 m off
+
+    def arrivals(self, streams: Streams, rng: np.random.Generator) -> list[Arrival]:
+        """The readings with their times of arrival, ns, in that order."""
+        start = min(r.stamp for r in streams.readings)
+        result: list[Arrival] = []
+        jumps = list(self.jumps)
+        for r in streams.readings:
+            if isinstance(r, ImuReading):
+                result.append((r.stamp, r))
+                continue
+            since, late = (r.stamp - start) / SECOND, self.delay + self.jitter * rng.uniform(-1, 1)
+            if rng.random() < self.loss or self.gap[0] < since < self.gap[1]:
+                continue
+            jumped = r
+            if jumps and since >= jumps[0]:
+                jumps.pop(0)
+                place = r.position + np.array([0.2, 0.0, 0.0])
+                twist = r.velocity, r.angular_velocity
+                jumped = OdometryReading(r.stamp, place, r.quaternion, *twist)
+            result.append((r.stamp + round(max(late, 0.0) * SECOND), jumped))
+        return sorted(result, key=lambda item: (item[0], ARRIVAL_ORDER[type(item[1])]))
+
+
+def with_delay(delay: float) -> type[Plant]:
+    """A plant whose odometry is late by `delay`, s."""
+
+    class LatePlant(RecordingPlant):
+        """The recording plant with another delay."""
+
+        def __init__(
+            self, robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator
+        ):
+            late = config.replace(scene, {"sensors.odometry.delay": delay})
+            super().__init__(robot, late, servo, rng)
+
+    return LatePlant

@@ -1,0 +1,76 @@
+"""Ways to the state that the MPC uses: the authors', the filter without prediction, and with it.
+
+Each yields (time of use in ns, state (12,)) for the arrivals of a `Slam`. A state is used when its
+odometry has arrived.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from benchmarks.estimation.measured_streams import Arrival
+from slot_core import config
+from slot_core.clock import SECOND
+from slot_core.control.inertial_filter import EstimatorSettings
+from slot_core.control.state_estimator import Estimate, StateEstimator, Validity
+from slot_core.robot import Array
+from slot_core.simulation.sensors import ImuReading, OdometryReading
+
+Use = tuple[int, Array]
+USABLE = (Validity.VALID, Validity.ODOMETRY_LOST, Validity.ODOMETRY_REJECTED)
+
+
+def finite_differences(arrivals: Sequence[Arrival]) -> Iterator[Use]:
+    """The authors' way: pose of the odometry, velocity by its differences, angular rate zero."""
+    last: OdometryReading | None = None
+    for arrival, r in arrivals:
+        if not isinstance(r, OdometryReading) or (last is not None and r.stamp <= last.stamp):
+            continue
+        if last is not None:
+            velocity = (r.position - last.position) / ((r.stamp - last.stamp) / SECOND)
+            angles = Rotation.from_quat(r.quaternion).as_euler("ZYX")[::-1]
+            yield arrival, np.concatenate([angles, r.position, np.zeros(3), velocity])
+        last = r
+
+
+def without_prediction(arrivals: Sequence[Arrival], settings: EstimatorSettings) -> Iterator[Use]:
+    """The filter's state at the stamp of the odometry, used when that has arrived.
+
+    In order of the stamps the estimator's states are newer than that by `lead`; as long after the
+    arrival they are as old as they should be.
+    """
+    arrival_of = {r.stamp: time for time, r in arrivals if isinstance(r, OdometryReading)}
+    in_order = sorted(arrivals, key=lambda item: item[1].stamp)
+    prompt = config.replace(settings, {"timing.command_delay": 0.0})
+    for _, estimate in estimates(in_order, prompt):
+        if estimate.stamp in arrival_of:
+            yield arrival_of[estimate.stamp] + estimate.lead, estimate.state
+
+
+def predicted(arrivals: Sequence[Arrival], settings: EstimatorSettings) -> Iterator[Use]:
+    """The state of the estimator, predicted to the newest IMU sample."""
+    for time, estimate in estimates(arrivals, settings):
+        yield time, estimate.state
+
+
+def estimates(
+    arrivals: Sequence[Arrival], settings: EstimatorSettings
+) -> Iterator[tuple[int, Estimate]]:
+    """(time of arrival in ns, estimate) of the estimates after the initial readings."""
+    estimator = StateEstimator(settings)
+    for time, r in arrivals:
+        add_to(estimator, r)
+        while (estimate := estimator.poll()) is not None:
+            if estimate.validity in USABLE:
+                yield time, estimate
+
+
+def add_to(estimator: StateEstimator, r: ImuReading | OdometryReading) -> None:
+    """Pass a reading to the estimator."""
+    if isinstance(r, ImuReading):
+        estimator.add_imu(r.stamp, r.angular_velocity, r.specific_force)
+    else:
+        estimator.add_odometry(r.stamp, r.position, r.quaternion, r.velocity, r.angular_velocity)
