@@ -605,7 +605,7 @@ def random_input(rng, bench: Bench, supervisor: Supervisor, steady: int):
             bench.servos.watchdog.offer(steady, angle)
     elif kind == 2:
         tilt = state(*rng.normal(0, 0.13, 2))
-        valid = rng.choice(list(Validity), p=[0.85, 0.03, 0.1, 0.02])
+        valid = rng.choice(list(Validity), p=[0.85, 0.03, 0.08, 0.02, 0.02])
         supervisor.receive_estimate(now, Estimate(stamp, tilt + wrong, np.eye(12), Validity(valid)))
     elif kind == 3:
         angle = np.clip(bench.angle + rng.normal(0, 0.01, 4), 0, 2.0)
