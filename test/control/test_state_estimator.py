@@ -494,6 +494,15 @@ def test_an_imu_mounted_elsewhere_gives_the_same_estimates():
         np.testing.assert_allclose(estimate.state, expected.state, atol=1e-9)
 
 
+def test_the_state_after_a_gap_of_the_imu_is_as_uncertain_as_it_is_wrong():
+    """60 ms without IMU and odometry, then the IMU again: a part of a swing is missed."""
+    motion = Walk()
+    kept = [m for m in noisy(motion, 1.1, 3) if m[1] <= SECOND or (m[0] == "imu" and m[1] > 1.06e9)]
+    _, estimator = run(kept, MATCHED)
+    present = estimator.present()
+    assert np.all(np.abs(error(present, motion)) < 5 * np.sqrt(np.diag(present.covariance)))
+
+
 # --- noise of a reading ---
 
 

@@ -225,9 +225,15 @@ class StateEstimator:
             self._publish(self._tick + round(period), Validity.ODOMETRY_LOST)
 
     def _step(self, samples: Sequence[tuple[int, Array]], begin: int, end: int) -> None:
-        """Propagate from `begin` to `end` (ns) with the IMU at the midpoint."""
-        imu, _ = _interpolate(samples, (begin + end) // 2)
-        self._filter.propagate(imu, (end - begin) / SECOND)
+        """Propagate from `begin` to `end` (ns) with the IMU at the midpoint; blindly over a gap."""
+        dt = (end - begin) / SECOND
+        if dt > self._settings.timing.imu_gap:
+            rate = self._filter.rate
+            self._filter.propagate_blind(dt)
+            self._filter.rate = rate  # for the next reading
+        else:
+            imu, _ = _interpolate(samples, (begin + end) // 2)
+            self._filter.propagate(imu, dt)
 
     def _process(self, stamp: int, motion: OdometryMotion | None) -> None:
         """Predict to a reading (None: unusable), correct with it, and publish the estimate."""
