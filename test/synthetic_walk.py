@@ -89,6 +89,7 @@ class Walk:
     fallback: tuple[int, ...] = ()  # ticks whose MPC found no solution
     rejected: tuple[int, ...] = ()  # ticks whose odometry the estimator rejected
     truth: bool = True  # ground truth is recorded
+    lockstep: bool = False  # /clock is recorded
     start: float = 100.0  # s, graph time of the first tick
 
     def position(self, t: float) -> Array:
@@ -116,6 +117,8 @@ def write_walk(path: Path, walk: Walk) -> Path:
     entries = [*_ticks(walk)]
     if walk.truth:
         entries += _truth(walk)
+    if walk.lockstep:
+        entries.append((WALL, "/clock", blank(TOPICS["/clock"])))
     with BagWriter(path, read_record_settings()) as bag:
         for time, topic, built in sorted(entries, key=lambda entry: entry[0]):
             bag.write(topic, TOPICS[topic], time, encode(topic, built))

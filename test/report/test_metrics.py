@@ -134,6 +134,20 @@ def test_real_time_factor_is_graph_time_over_wall_time(metrics_of, factor):
     assert m.real_time_factor == pytest.approx(factor, rel=1e-6)
 
 
+def test_late_machine_is_said_as_the_simulated_time_behind_real_time(metrics_of):
+    assert metrics_of(WALK).behind.max == pytest.approx(0.0, abs=ROUNDING)
+    late = metrics_of(replace(WALK, real_time_factor=0.5)).behind  # at time t it is t behind
+    assert late.max == pytest.approx(round(WALK.duration * 120) / 120, abs=ROUNDING)
+    assert late.p50 == pytest.approx((WARM_UP + WALK.duration) / 2, abs=1 / 120)
+
+
+@pytest.mark.parametrize("without", [{"lockstep": True}, {"truth": False}])
+def test_nothing_is_behind_real_time_in_lockstep_and_on_hardware(metrics_of, without):
+    m = metrics_of(replace(WALK, real_time_factor=0.5, **without))
+    assert m.behind.count == 0
+    assert f"{'  behind real time':<20}-" in summary_lines(m)
+
+
 def test_largest_violation_and_fallbacks_are_those_after_the_warm_up(metrics_of):
     m = metrics_of(replace(TIMING, fallback=(40, 90)))
     last = round(TIMING.duration * RATE)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from slot_core.bags.bag import Bag, BagError
 from slot_core.bags.walk import (
+    GROUND_TRUTH,
     STAGES,
     Motion,
     joint_columns,
@@ -65,6 +66,7 @@ class WalkMetrics:
     stages: dict[str, Latency]  # by node
     end_to_end: Latency
     real_time_factor: float  # graph time over wall time
+    behind: Latency  # of the simulated time behind real time; empty in lockstep and on hardware
     fallback_cycles: int | None  # MPC cycles without a solution
     longest_fallback: int | None  # consecutive ones
     violation_max: float  # N, largest constraint violation
@@ -150,7 +152,20 @@ def _timing(bag: Bag, start: float) -> dict[str, Any]:
         "stages": {name: latency(ticks.latency[:, i]) for i, name in enumerate(STAGES)},
         "end_to_end": latency(ticks.end_to_end),
         "real_time_factor": float(np.ptp(ticks.stamp) / wall) if wall > 0 else math.nan,
+        "behind": latency(_behind(bag, start)),
     }
+
+
+def _behind(bag: Bag, start: float) -> Array:
+    """Simulated time behind real time, s, from its least in the bag.
+
+    The machine was late, or the robot's time has waited for a driver that was.
+    """
+    if bag.counts.get("/clock") or not bag.counts.get(GROUND_TRUTH):
+        return np.empty(0)
+    series = bag.series(GROUND_TRUTH)
+    behind = series.time - series.stamp
+    return seconds(behind[seconds(series.stamp) >= start], behind.min())
 
 
 def _control(bag: Bag, start: float) -> dict[str, Any]:

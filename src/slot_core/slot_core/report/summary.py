@@ -30,6 +30,7 @@ def summary_lines(metrics: WalkMetrics) -> list[str]:
         ("deadline misses", misses),
         ("  never answered", unanswered),
         ("real-time factor", _number(m.real_time_factor, "{:.2f}")),
+        ("  behind real time", _latency(m.behind)),
         ("MPC fallback", _fallback(m)),
         ("largest violation", _number(m.violation_max, "{:.1e} N")),
         ("map saturated", _per_leg(m.saturated)),
