@@ -1,11 +1,13 @@
 """Keys, screen and command line of the operator's terminal."""
 
 import math
+import os
 from types import SimpleNamespace
 
 import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from real_graph import domain  # noqa: F401 - a fixture
 from sensor_msgs.msg import JointState
 
 from slot_bringup import operate
@@ -236,4 +238,20 @@ def test_the_live_display_without_a_terminal_is_refused_in_one_line(capsys, monk
     monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))
     assert operate.main([]) == 1
     message = "the live display needs a terminal, scripts/operate state none"
+    assert capsys.readouterr().err == f"scripts/operate: {message}\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "who"),
+    [
+        (["state"], "supervisor"),
+        (["zero", "FL"], "driver of servos"),
+        (["inject", "silent"], "simulated robot"),
+    ],
+)
+def test_without_a_graph_one_line_names_the_missing_node(arguments, who, capsys, monkeypatch):
+    monkeypatch.setattr(operate, "SEARCH_TIME", 0.2)
+    assert operate.main(arguments) == 1
+    place = f"ROS domain {os.environ['ROS_DOMAIN_ID']}, namespace /"
+    message = f"no {who} answers in {place} within 0.2 s: does scripts/run run?"
     assert capsys.readouterr().err == f"scripts/operate: {message}\n"

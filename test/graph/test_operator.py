@@ -277,18 +277,3 @@ def test_screen_shows_the_servos_and_their_present_faults(bench):
     code, _, refusal = operate(bench, "inject", "tired")
     assert code == 1
     assert refusal.startswith("scripts/operate: inject: fault.kind = 'tired': expected one of")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "who"),
-    [
-        (["state"], "supervisor"),
-        (["zero", "FL"], "driver of servos"),
-        (["inject", "silent"], "simulated robot"),
-    ],
-)
-def test_without_a_graph_one_line_names_the_missing_node(arguments, who):
-    domain = other_domain()
-    expected = f"scripts/operate: no {who} answers in ROS domain {domain} within 5 s"
-    output = operate(os.environ | {"ROS_DOMAIN_ID": domain}, *arguments)
-    assert output == (1, "", f"{expected}: does scripts/run run?\n")
