@@ -201,7 +201,10 @@ def test_every_setting_of_the_checks_is_measured():
         }
         for physics in (release.DAMPED, release.DAMPED_SHEAR, release.UNDAMPED_SHEAR)
     }
-    checked = [*itertools.chain(*release.GOALS), *(setting for setting, _ in release.RIVALS.values())]
+    checked = [
+        *itertools.chain(*release.GOALS),
+        *(setting for setting, _ in release.RIVALS.values()),
+    ]
     assert all((s.nodes, s.h) in measured[s.physics] for s in checked)
 
 
