@@ -175,6 +175,7 @@ class GaitPreview:
     normal_force: Array  # (n, 4) N, of the gait
     tendon_angle: Array  # (n, 4) rad, nominal
     reference: Array  # (n, 12) [roll pitch yaw, p, omega, v]
+    posture: bool = False  # whether the gait is a posture: its legs are at rest
 
 
 @dataclass(frozen=True)
