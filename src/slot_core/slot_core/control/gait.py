@@ -10,9 +10,11 @@ each scaled by an amplitude. With the phase p = 2 pi t / T, each leg's tendon an
 
 clipped to the range of the gait. A negative amplitude takes the pattern's mirror image: legs front
 and rear (forward) or left and right (lateral, turn) exchanged, half a stride later. The robot is
-symmetric, so that one pattern serves both directions, and the velocities of the patterns add up
-(`scripts/tune` finds the patterns). The normal forces and the sway of the torso that result on the
-simulated robot are tabulated in the same form (`scripts/tabulate_gait`).
+symmetric, so that one pattern serves both directions, and the velocities of the patterns add up.
+A robot that moves forward or sideways turns by the steering pattern of that direction, a small
+change of its angles that alters the yaw rate alone; in place it turns by the pattern `turn`.
+`scripts/tune` finds the patterns; the normal forces and the sway of the torso that result on the
+simulated robot are tabulated in the same form.
 """
 
 from __future__ import annotations
@@ -81,6 +83,20 @@ class Pattern:
 
 
 @dataclass(frozen=True)
+class Steering:
+    """Change of a pattern's tendon angles that alters the yaw rate alone."""
+
+    rate: float = quantity("yaw rate at amplitude one", "rad/s", 1e-4, 1)
+    rate_max: float = quantity("largest yaw rate", "rad/s", 1e-4, 1)
+    angle_deg: FourHarmonics = quantity("change of the tendon angle", "deg", -45, 45)
+
+    @cached_property
+    def table(self) -> Array:
+        """Coefficients (13, 5) in the rows of `Pattern.table`."""
+        return np.vstack([np.radians(self.angle_deg), np.zeros((9, 5))])
+
+
+@dataclass(frozen=True)
 class Posture:
     """Torso at rest."""
 
@@ -100,9 +116,10 @@ class Posture:
 class FeedbackSettings:
     """Feedback once a stride: gains, bounds, and the effects of the knobs.
 
-    Knobs: amplitudes forward, lateral, turn; offsets of the tendon angles (rad) common, left minus
-    right, front minus rear (half the difference each). Outputs: v_x, v_y (m/s), yaw rate (rad/s),
-    height (m), roll, pitch (rad), means over a stride.
+    Knobs: changes of the velocities [v_x, v_y, yaw rate] (m/s, rad/s) that set the amplitudes;
+    offsets of the tendon angles (rad) common, left minus right, front minus rear (half the
+    difference each). Outputs: v_x, v_y, yaw rate, height (m), roll, pitch (rad), means over a
+    stride.
     """
 
     gain: float = quantity("share of an error that one stride corrects; 0: no feedback", "", 0, 1)
@@ -110,7 +127,7 @@ class FeedbackSettings:
     heading_gain: float = quantity("yaw rate per heading error", "1/s", 0, 10)
     lead: float = quantity("largest distance of the reference from the robot", "m", 0, 1)
     heading_lead: float = quantity("largest angle of the reference from the robot", "rad", 0, 1)
-    amplitude_max: float = quantity("largest change of an amplitude", "", 0, 1)
+    velocity_max: Vector3 = quantity("largest change of v_x, v_y, yaw rate", "SI", 0, 1)
     offset_max_deg: float = quantity("largest offset", "deg", 0, 40)
     regularisation: float = quantity("weight of the knobs' change against the errors", "", 0, 10)
     scale: tuple[float, ...] = quantity("size of an error of each output", "SI", 1e-6, 10)
@@ -126,6 +143,8 @@ class Stride:
     forward: Pattern
     lateral: Pattern
     turn: Pattern
+    forward_steering: Steering
+    lateral_steering: Steering
     feedback: FeedbackSettings
     kind: str = choice("kind of the gait", "stride")
     period: float = quantity("duration of a stride", "s", 0.1, 10.0)
@@ -136,29 +155,20 @@ class Stride:
     height: float = quantity("height of base_link at rest", "m", 0.015, 0.12)
     height_range: tuple[float, float] = quantity("heights that can be commanded", "m", 0.015, 0.12)
     amplitude_max: float = quantity("largest sum of the amplitudes", "", 0, 3)
+    walking_speed: float = quantity("speed above which steering replaces the turn", "m/s", 1e-3, 1)
 
     @property
     def speeds(self) -> Vector3:
         """Largest v_x, v_y (m/s) and yaw rate (rad/s) that can be requested, one at a time."""
         return (self.forward.speed, self.lateral.speed, self.turn.speed)
 
-    def amplitudes(self, velocity: Array) -> Array:
-        """Amplitudes (3,) of the patterns for a velocity (3,) [v_x, v_y, yaw rate]."""
-        return velocity / self.speeds
-
-    def limited(self, amplitudes: Array) -> Array:
-        """Amplitudes (3,) scaled so that the sum of their magnitudes is within the limit."""
-        total = np.abs(amplitudes).sum()
-        return amplitudes * min(1.0, self.amplitude_max / max(total, 1e-9))
-
-    def course(self, phase: Array, amplitudes: Array, offset: Array) -> Array:
+    def course(self, phase: Array, velocity: Array, offset: Array) -> Array:
         """Gait (n, 20) at phases (n,): 4 tendon angles (rad), 4 normal forces (N), 12 torso states.
 
-        amplitudes: (3,) forward, lateral, turn; offset: (4,) rad. Torso states in the heading
-        frame: [roll pitch 0, 0 0 z, omega, v], omega to first order in the angles.
+        velocity: (3,) [v_x, v_y, yaw rate] that sets the amplitudes; offset: (4,) rad. Torso states
+        in the heading frame: [roll pitch 0, 0 0 z, omega, v], omega to first order in the angles.
         """
-        basis = HarmonicBasis.at(phase)
-        table = self._rest + np.tensordot(np.abs(amplitudes), self._tables(amplitudes), 1)
+        basis, table = HarmonicBasis.at(phase), self._rest + self._moving(velocity)
         values, slopes = basis.value @ table.T, basis.slope @ table.T / self.period
         angle = np.clip(values[:, :4] + offset, *np.radians(self.range_deg))
         torso = np.zeros((len(phase), 12))
@@ -166,9 +176,22 @@ class Stride:
         torso[:, [6, 7, 11]] = slopes[:, 8:11]
         return np.hstack([angle, np.maximum(values[:, 4:8], 0.0), torso])
 
-    def _tables(self, amplitudes: Array) -> Array:
-        """Coefficients (3, 13, 5) of the patterns, mirrored where the amplitude is negative."""
-        return np.stack([pair[int(a < 0.0)] for pair, a in zip(self._pairs, amplitudes)])
+    def _moving(self, velocity: Array) -> Array:
+        """Coefficients (13, 5) of the patterns and their steering at a velocity (3,)."""
+        amplitude = velocity / self.speeds
+        size = np.abs(amplitude[:2]).sum()
+        walking = min(1.0, float(np.hypot(*velocity[:2])) / self.walking_speed)
+        amplitude[2] *= 1.0 - walking
+        limit = min(1.0, self.amplitude_max / max(float(np.abs(amplitude).sum()), 1e-9))
+        table = np.zeros((13, 5))
+        for a, pair in zip(limit * amplitude, self._pairs):
+            table += abs(a) * pair[int(a < 0.0)]
+        steerings = (self.forward_steering, self.lateral_steering)
+        for a, steering, pair in zip(amplitude, steerings, self._steering):
+            turn = np.clip(velocity[2], -steering.rate_max, steering.rate_max) / steering.rate
+            share = walking * abs(a) / max(size, 1e-9)
+            table += share * turn * pair[int(a < 0.0)]
+        return table
 
     @cached_property
     def _pairs(self) -> list[tuple[Array, Array]]:
@@ -178,6 +201,19 @@ class Stride:
             (self.forward.table, _mirrored(self.forward.table, FRONT_REAR, front_rear)),
             (self.lateral.table, _mirrored(self.lateral.table, LEFT_RIGHT, left_right)),
             (self.turn.table, _mirrored(self.turn.table, LEFT_RIGHT, left_right)),
+        ]
+
+    @cached_property
+    def _steering(self) -> list[tuple[Array, Array]]:
+        """Steering (13, 5) of the patterns forward and lateral, and of their mirror images.
+
+        The mirror image of a left turn is a right turn, hence the sign.
+        """
+        ones = np.ones(5)
+        forward, lateral = self.forward_steering.table, self.lateral_steering.table
+        return [
+            (forward, -_mirrored(forward, FRONT_REAR, ones)),
+            (lateral, -_mirrored(lateral, LEFT_RIGHT, ones)),
         ]
 
     @cached_property

@@ -241,8 +241,7 @@ class GaitScheduler:
         if self._is_still(gait):
             return self._posture_course(times)
         phase = np.mod(active.phase + times / gait.period, 1.0)
-        amplitudes = gait.limited(gait.amplitudes(self._velocity) + feedback.knobs[:3])
-        course = gait.course(phase, amplitudes, feedback.offset)
+        course = gait.course(phase, self._velocity + feedback.velocity, feedback.offset)
         course[:, 13] += self._pose[0] - gait.height
         return course
 

@@ -1,4 +1,4 @@
-"""Feedback once a stride: velocity, place, heading and posture by the gait's amplitudes and offsets.
+"""Feedback once a stride: velocity, place, heading and posture by amplitudes and offsets.
 
 A stride repels no disturbance by itself: friction, payload, a slope or a wrong stiffness change its
 speed, its heading and its height. At the end of every stride the means over it are compared with
@@ -22,7 +22,7 @@ from scipy.optimize import lsq_linear
 from slot_core.control.gait import FeedbackSettings, Stride
 from slot_core.robot import Array
 
-AMPLITUDES, OFFSETS = slice(0, 3), slice(3, 6)
+VELOCITY, OFFSETS = slice(0, 3), slice(3, 6)
 # Signs of the offsets common, left-right and front-rear at the legs FL FR RL RR.
 OFFSET_SIGNS = np.array([[1, 1, 1, 1], [1, -1, 1, -1], [1, 1, -1, -1]], dtype=float)
 
@@ -44,7 +44,7 @@ class StrideFeedback:
         self._effect = np.array(self._settings.effect, dtype=float)
         self._scale = np.array(self._settings.scale, dtype=float)
         offset = np.radians(self._settings.offset_max_deg)
-        self._limit = np.repeat([self._settings.amplitude_max, offset], 3)
+        self._limit = np.array([*self._settings.velocity_max, offset, offset, offset])
         self.knobs = np.zeros(6)
         self.place: Array | None = None  # (3,) x, y (m), yaw (rad) of the reference, in odom
         self._rows: list[Array] = []  # stamp (s) and state (13,) of the ticks of this stride
@@ -55,9 +55,19 @@ class StrideFeedback:
         """Offsets (4,) of the tendon angles, rad."""
         return self.knobs[OFFSETS] @ OFFSET_SIGNS
 
-    def reset(self) -> None:
-        """Forget the stride so far and the reference place; the knobs stay."""
+    @property
+    def velocity(self) -> Array:
+        """Change (3,) of the velocity that sets the amplitudes."""
+        return self.knobs[VELOCITY]
+
+    def reset(self, velocity: bool = False) -> None:
+        """Forget the stride so far and the reference place; the offsets stay.
+
+        velocity: whether the change of the velocity is forgotten too, after another command.
+        """
         self.place, self._rows, self._gap = None, [], []
+        if velocity:
+            self.knobs[VELOCITY] = 0.0
 
     def move(self, dt: float, state: Array, velocity: Array) -> None:
         """Move the reference place over dt (s) with a velocity (3,) in its heading frame."""
