@@ -41,6 +41,7 @@ Vector3 = tuple[float, float, float]
 FRONT_REAR, LEFT_RIGHT = [2, 3, 0, 1], [1, 0, 3, 2]
 HALF_STRIDE_LATER = np.array([1.0, -1.0, -1.0, 1.0, 1.0])
 """Factors of m, c1, s1, c2, s2 that delay a series by half a stride."""
+SPEED_NAMES = ("v_x", "v_y", "yaw rate")
 SWAY = ("roll", "pitch", "height", "v_x", "v_y")
 
 
@@ -261,6 +262,36 @@ class GaitSettings:
             raise config.ConfigError(f"no gait {name!r} (known: {', '.join(sorted(self.gaits))})")
         return self.gaits[name]
 
+    def require_velocity(self, name: str, velocity: Array) -> None:
+        """Raise ConfigError for an unknown gait or a velocity (3,) that it does not reach."""
+        gait = self.find(name)
+        if len(velocity) != 3:
+            raise config.ConfigError(f"velocity: {len(velocity)} values, not v_x, v_y, yaw rate")
+        for value, most, label in zip(velocity, gait.speeds, SPEED_NAMES):
+            if not abs(value) <= most:
+                raise config.ConfigError(
+                    f"{label} = {value:g}: gait {name} reaches [{-most:g}, {most:g}]"
+                )
+
+    def require_pose(self, name: str, pose: Array) -> None:
+        """Raise ConfigError for a body pose (3,) height, roll, pitch that a gait does not reach."""
+        low, high = self.find(name).height_range
+        limits = ((low, high), (-self.tilt_max, self.tilt_max), (-self.tilt_max, self.tilt_max))
+        for value, (least, most), label in zip(pose, limits, ("height", "roll", "pitch")):
+            if not least <= value <= most:
+                raise config.ConfigError(
+                    f"{label} = {value:g}: gait {name} reaches [{least:g}, {most:g}]"
+                )
+
+
+@dataclass(frozen=True)
+class GaitCommand:
+    """Gait, velocity and body pose that are commanded."""
+
+    gait: str
+    velocity: Array  # (3,) v_x, v_y m/s, yaw rate rad/s in base_link
+    pose: Array  # (3,) height m, roll, pitch rad
+
 
 @dataclass(frozen=True)
 class GaitPreview:
@@ -279,7 +310,8 @@ class GaitPreview:
     normal_force: Array  # (n, 4) N, of the gait
     tendon_angle: Array  # (n, 4) rad, nominal
     reference: Array  # (n, 12) [roll pitch yaw, p, omega, v]
-    posture: bool = False  # whether the legs are at rest but for changes of the posture
+    posture: bool  # whether the legs are at rest but for changes of the posture
+    command: GaitCommand  # that was in force
 
 
 def read_gaits() -> GaitSettings:
@@ -301,5 +333,3 @@ def read_gaits() -> GaitSettings:
         settings | {"postures": found["posture"], "strides": found["stride"]},
         where="gait.yaml",
     )
-
-

@@ -7,14 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from slot_core.config import ConfigError
-from slot_core.control.gait import STAND, GaitPreview, GaitSettings, Posture, Stride
+from slot_core.control.gait import (
+    STAND,
+    GaitCommand,
+    GaitPreview,
+    GaitSettings,
+    Posture,
+    Stride,
+)
 from slot_core.control.leg_springs import LegSprings
 from slot_core.control.path import Path
 from slot_core.control.reference import reference
 from slot_core.control.stride_feedback import StrideFeedback, Target
 from slot_core.robot import Array, Robot
 
-SPEED_NAMES = ("v_x", "v_y", "yaw rate")
 STILL = 1e-4  # m/s, rad/s: below it a stride stands
 LONGEST_GAP = 0.5  # s between states; after a longer one the commands do not move
 
@@ -62,7 +68,6 @@ class GaitScheduler:
         self._stamp: int | None = None
         self._velocity = np.zeros(3)  # present, at limited rates
         self._pose = self._home(self._current.gait)  # (3,) height, roll, pitch, present
-        self._place: Array | None = None
 
     def request(self, gait: str, velocity: Array) -> None:
         """Request a gait and a velocity [v_x, v_y, yaw rate] (m/s, rad/s) in base_link.
@@ -70,8 +75,8 @@ class GaitScheduler:
         The body pose returns to the gait's own. Raises ConfigError for an unknown gait or a
         velocity outside the gait's range.
         """
+        self._settings.require_velocity(gait, velocity)
         wanted = self._settings.find(gait)
-        self._check_velocity(gait, wanted, velocity)
         self._requested, self._wanted = gait, np.array(velocity, dtype=float)
         self._wanted_pose = self._home(wanted)
         self._command_stamp: int | None = None  # ns, of the velocity; None: it does not expire
@@ -83,7 +88,7 @@ class GaitScheduler:
         further than `velocity_timeout` from the last state's. Such a command stops the robot, since
         it may have been a late stop.
         """
-        self._check_velocity(self._requested, self._settings.find(self._requested), velocity)
+        self._settings.require_velocity(self._requested, velocity)
         self._wanted, self._command_stamp = np.array(velocity, dtype=float), stamp
         if self._stamp is not None and self._is_expired(self._stamp):
             raise ConfigError(
@@ -91,20 +96,15 @@ class GaitScheduler:
                 f"{self._settings.velocity_timeout:g} s), velocity set to zero"
             )
 
-    def set_pose(self, height: float, roll: float, pitch: float) -> None:
+    def set_pose(self, pose: Array) -> None:
         """Set height (m), roll and pitch (rad) of the torso; raises ConfigError out of range."""
-        low, high = self._settings.find(self._requested).height_range
-        most = self._settings.tilt_max
-        for name, value, least, limit in (
-            ("height", height, low, high),
-            ("roll", roll, -most, most),
-            ("pitch", pitch, -most, most),
-        ):
-            if not least <= value <= limit:
-                raise ConfigError(
-                    f"{name} = {value:g}: gait {self._requested} reaches [{least:g}, {limit:g}]"
-                )
-        self._wanted_pose = np.array([height, roll, pitch])
+        self._settings.require_pose(self._requested, pose)
+        self._wanted_pose = np.array(pose, dtype=float)
+
+    def set_command(self, command: GaitCommand) -> None:
+        """Set everything that is commanded, as recorded; raises ConfigError as the requests do."""
+        self.request(command.gait, command.velocity)
+        self._wanted_pose = np.array(command.pose, dtype=float)
 
     def step(self, stamp: int, state: Array) -> GaitPreview:
         """Preview from `stamp` (ns) on, at `state` (12,)."""
@@ -118,13 +118,6 @@ class GaitScheduler:
         self._approach_commands(elapsed, state)
         self._stride(stamp * 1e-9, elapsed, state)
         return self._preview(stamp, state)
-
-    def _check_velocity(self, name: str, gait: Posture | Stride, velocity: Array) -> None:
-        if len(velocity) != 3:
-            raise ConfigError(f"velocity: {len(velocity)} values, not v_x, v_y, yaw rate")
-        for value, most, label in zip(velocity, gait.speeds, SPEED_NAMES):
-            if not abs(value) <= most:
-                raise ConfigError(f"{label} = {value:g}: gait {name} reaches [{-most:g}, {most:g}]")
 
     def _is_expired(self, stamp: int) -> bool:
         """Whether the velocity is too old at `stamp` (ns), or too far in the future."""
@@ -152,7 +145,6 @@ class GaitScheduler:
             return
         self._previous, self._since_change = self._current, 0.0
         self._current = self._activate(self._requested)
-        self._place = None
 
     def _approach_commands(self, elapsed: float, state: Array) -> None:
         """Let velocity and body pose follow their commands at limited rates."""
@@ -213,6 +205,7 @@ class GaitScheduler:
             tendon_angle=angle,
             reference=reference(state, float(heading), velocity, sway, times),
             posture=self._at_rest(),
+            command=GaitCommand(self._requested, self._wanted.copy(), self._wanted_pose.copy()),
         )
 
     def _at_rest(self) -> bool:
@@ -264,4 +257,3 @@ class GaitScheduler:
 def _toward(value: Array, target: Array, step: Array) -> Array:
     """The value moved toward the target by at most `step`, each element."""
     return value + np.clip(target - value, -step, step)
-

@@ -96,7 +96,9 @@ class StrideFeedback:
         self._rows.append(np.concatenate([[time], state]))
         x, y = self.place[:2] - state[3:5]
         c, s = np.cos(state[2]), np.sin(state[2])
-        self._gap.append(np.array([c * x + s * y, c * y - s * x, wrapped(self.place[2] - state[2])]))
+        self._gap.append(
+            np.array([c * x + s * y, c * y - s * x, wrapped(self.place[2] - state[2])])
+        )
 
     def finish(self, target: Target) -> None:
         """End a stride: correct the knobs by its means. Less than three ticks are no stride."""

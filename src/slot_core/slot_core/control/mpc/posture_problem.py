@@ -250,9 +250,7 @@ class PostureProblem:
         b[:, POSTURE:] = np.eye(FEET) / o.lag
         left, right = np.eye(SIZE) - dt / 2 * a, np.eye(SIZE) + dt / 2 * a
         solved = np.linalg.solve(left, np.concatenate([right, dt * b, dt * drift], axis=2))
-        self._a, self._b, self._drift = (
-            solved[..., :SIZE], solved[..., SIZE:-1], solved[..., -1]
-        )
+        self._a, self._b, self._drift = (solved[..., :SIZE], solved[..., SIZE:-1], solved[..., -1])
         limit = math.radians(o.correction_max_deg)
         least = -np.linalg.pinv(shift[0, :, :FEET]) @ shift[0, :, FEET]
         self._balance = np.clip(least, -limit, limit)
