@@ -140,8 +140,8 @@ def test_ground_forces_stay_within_friction_and_do_not_pull():
 
 
 @pytest.mark.parametrize("name", ["Pitch", "Combined"])
-def test_the_default_profile_settles_a_perturbed_torso_with_lag(name):
-    run = rigid_torso.run_torso(ROBOT, read_mpc(), cases.CASES[name], duration=1.5)
+def test_the_mpc_on_forces_settles_a_perturbed_torso_with_lag(name):
+    run = rigid_torso.run_torso(ROBOT, read_mpc("forces"), cases.CASES[name], duration=1.5)
     assert run.infeasible == 0
     assert cases.metrics(run)["settling_s"] < 1.0
 

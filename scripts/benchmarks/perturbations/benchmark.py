@@ -46,7 +46,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the samples")
     parser.add_argument("--plant", choices=PLANTS, default=PLANTS[0], help="of the samples")
     parser.add_argument(
-        "--observer", type=float, default=read_mpc().disturbance.time, metavar="S",
+        "--observer", type=float, default=read_mpc("forces").disturbance.time, metavar="S",
         help="time constant of the MPC's observer of mass and bias in the samples, 0: none",
     )  # fmt: skip
     parser.add_argument(
@@ -86,7 +86,7 @@ def cases(
     from benchmarks.perturbations.rigid_torso import run_torso  # noqa: PLC0415
     from benchmarks.perturbations.simulated import run_robot  # noqa: PLC0415
 
-    robot, published, default = read_robot(), read_mpc("published"), read_mpc()
+    robot, published, default = read_robot(), read_mpc("published"), read_mpc("forces")
     runs: dict[str, dict[str, Run]] = {"published": {}, "torso": {}, "robot": {}}
     rows = []
     for name, change in CASES.items():

@@ -1,9 +1,10 @@
 """Convex MPC: settings and controller. It solves one quadratic programme per tick.
 
 The problem is on the tendon angles (`posture_problem.py`, the default) or, as in the paper, on the
-ground reaction forces (`force_problem.py`). The controller checks the inputs and the solution. A cycle without an accepted solution returns the last feasible input, decayed towards the
-gait's normal forces. After `fallback.cycles` such cycles in a row the forces are zero and the
-status is STOPPED until a solution is accepted again.
+ground reaction forces (`force_problem.py`). The controller checks the inputs and the solution. A
+cycle without an accepted solution returns the last feasible input, decayed towards the gait's
+normal forces. After `fallback.cycles` such cycles in a row the forces are zero and the status is
+STOPPED until a solution is accepted again.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from slot_core.control.gait import GaitPreview
 from slot_core.control.leg_springs import read_leg_springs
 from slot_core.control.mpc.disturbance import DisturbanceSettings
 from slot_core.control.mpc.force_problem import ForceProblem
-from slot_core.control.mpc.model import FEET, STATES, Horizon, HorizonQp, ModelOptions, slacks
+from slot_core.control.mpc.model import FEET, STATES, Horizon, ModelOptions, slacks
 from slot_core.control.mpc.posture_problem import PostureOptions, PostureProblem
 from slot_core.control.mpc.solver import MpcSolverSettings, Solution
 from slot_core.robot import GRAVITY, Array, Robot

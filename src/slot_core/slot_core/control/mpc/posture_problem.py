@@ -14,7 +14,8 @@ feet slide on the floor, which damps the torso; its motion over the horizon is t
 
 discretised by the trapezoidal rule. Over the stages k = 0 .. H-1 the MPC minimises
 
-    sum q_k+1' Q q_k+1 + (u_k - u_b)' R (u_k - u_b) + (u_k - u_k-1)' S (u_k - u_k-1) + w s_k
+    sum 1/2 q_k+1' Q q_k+1 + 1/2 (u_k - u_b)' R (u_k - u_b) + 1/2 (u_k - u_k-1)' S (u_k - u_k-1)
+        + w (s_k + 1/2 s_k^2)
 
 about the references, with u_b the least deviations that balance e + d at q_ref, subject to
 
@@ -134,7 +135,8 @@ class PostureProblem:
         self._update_dither(np.abs(error - inside) / self._tolerance, elapsed)
         self._observe(reference[0] + error - inside, elapsed)
         self._linearise(reference, preview.dt)
-        self._reaction = self._stiffness[0] * (self._rise @ error)  # N, of the springs
+        rise = np.diff(self._heights(np.stack([reference[0], state[[5, 0, 1]]])), axis=0)[0]
+        self._reaction = self._stiffness[0] * rise  # N, of the springs
         self._start = np.concatenate([error - inside, self._spool - self._nominal[0]])
         limit = math.radians(self._options.correction_max_deg)
         n = self._solver.inputs
@@ -184,7 +186,7 @@ class PostureProblem:
         return float(max(0.0, (qp.G @ z - qp.h).max(), bounds.max()))
 
     def residual(self, z: Array) -> float:
-        """Largest difference between the states that the condensed problem and the model predict."""
+        """Largest difference between the states of the condensed problem and of the model."""
         if not self._posture:
             return 0.0
         condensed = self._effect @ z[: self._solver.inputs] + self._free.ravel()
@@ -217,13 +219,19 @@ class PostureProblem:
         """Filter the wrench that springs and gravity lack at a posture (3,)."""
         if self._options.observer_time == 0.0 or elapsed == 0.0:
             return
-        height = self._clamps[:, 2] + self._rise @ posture
-        legs = self._springs.at(self._spool, height)
+        legs = self._springs.at(self._spool, self._heights(posture[None])[0])
         lacking = -self._levers(legs.contact) @ np.maximum(legs.force, 0.0)
         lacking[0] += self._weight
         share = -math.expm1(-elapsed / self._options.observer_time)
         filtered = self.disturbance + share * (lacking - self.disturbance)
         self.disturbance = np.clip(filtered, -self._bound, self._bound)
+
+    def _heights(self, posture: Array) -> Array:
+        """Clamps above the floor (n, 4) m at postures (n, 3)."""
+        z, roll, pitch = posture.T
+        level = np.cos(pitch)
+        up = np.column_stack([-np.sin(pitch), level * np.sin(roll), level * np.cos(roll)])
+        return z[:, None] + up @ self._clamps.T
 
     def _levers(self, contact: Array) -> Array:
         """Wrench (..., 3, 4) [f_z, moments about x, y] of unit forces at contacts (..., 4) m."""
@@ -234,7 +242,7 @@ class PostureProblem:
     def _linearise(self, reference: Array, dt: float) -> None:
         """Discrete model of every stage about the gait's angles and the reference (H, 3)."""
         o, count = self._options, self._horizon
-        springs = self._springs.at(self._nominal, self._clamps[:, 2] + reference @ self._rise.T)
+        springs = self._springs.at(self._nominal, self._heights(reference))
         self._slope, self._stiffness = springs.slope, springs.stiffness
         levers = self._levers(springs.contact)
         stiffness = (levers * springs.stiffness[:, None]) @ self._rise  # A
