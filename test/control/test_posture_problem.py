@@ -333,10 +333,12 @@ def test_a_disturbance_is_forgotten_during_a_stride():
 
 
 def test_the_disturbance_stays_within_its_bounds():
-    mpc = new_mpc(posture__force_disturbance=5.0, posture__moment_disturbance=0.1)
-    for tick in range(100):
-        mpc.step(state(0.08, 0.5, -0.5), preview(tick=tick))
-    assert np.abs(mpc.problem.disturbance).tolist() == [5.0, 0.1, 0.1]
+    mpc = new_mpc()
+    for tick in range(60):
+        mpc.step(state(0.02, 0.2, -0.2), preview(tick=tick))
+    moment = OPTIONS.moment_disturbance
+    expected = [OPTIONS.force_disturbance, moment, moment]
+    assert np.abs(mpc.problem.disturbance).tolist() == expected
 
 
 @pytest.mark.parametrize("gap", [-1.0, 0.0, 0.6, 1e6])
