@@ -12,12 +12,12 @@ from slot_core.control.force_map import (
     make_force_map,
     read_force_map,
 )
-from slot_core.control.gait import GaitPreview, read_gaits
+from slot_core.control.gait import GaitPreview, GaitSettings, read_gaits
 from slot_core.control.gait_scheduler import GaitScheduler
 from slot_core.control.leg_springs import read_leg_springs
 from slot_core.control.mpc.mpc import Mpc, MpcResult, MpcSettings, Status
-from slot_core.control.state_estimator import Estimate, StateEstimator, read_estimator
 from slot_core.control.path import Path
+from slot_core.control.state_estimator import Estimate, StateEstimator, read_estimator
 from slot_core.robot import Array, Robot
 
 
@@ -34,7 +34,7 @@ class Tick:
 class Controller:
     """State estimator, gait scheduler, MPC and force map, in sequence."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0917
         self,
         robot: Robot,
         mpc: MpcSettings,
@@ -42,15 +42,18 @@ class Controller:
         gait: str,
         velocity: Array | None,
         path: Path | None = None,
+        *,
+        gaits: GaitSettings | None = None,
     ):
         """Build the steps from `config/*.yaml`; raises ConfigError as they do.
 
         timer: returns seconds, for the MPC's time budget. velocity: (3,) m/s, m/s, rad/s, or None
-        for the gait's `cruise`. path: followed by a stride instead.
+        for the gait's `cruise`. path: followed by a stride instead. gaits: other than those of the
+        configuration.
         """
         self.estimator = StateEstimator(read_estimator())
         springs = read_leg_springs(mpc.posture.slope_min)
-        self.scheduler = GaitScheduler(read_gaits(), robot, springs, gait, velocity, path)
+        self.scheduler = GaitScheduler(gaits or read_gaits(), robot, springs, gait, velocity, path)
         self.mpc = Mpc(robot, mpc, timer)
         self.force_map = make_force_map(robot, read_force_map(), mpc.map)
 
