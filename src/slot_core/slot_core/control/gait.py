@@ -163,13 +163,17 @@ class Stride:
         """Largest v_x, v_y (m/s) and yaw rate (rad/s) that can be requested, one at a time."""
         return (self.forward.speed, self.lateral.speed, self.turn.speed)
 
-    def course(self, phase: Array, velocity: Array, offset: Array) -> Array:
+    def walking(self, velocity: Array) -> float:
+        """Share of steering against the pattern `turn` at a commanded velocity (3,), in [0, 1]."""
+        return min(1.0, float(np.hypot(*velocity[:2])) / self.walking_speed)
+
+    def course(self, phase: Array, velocity: Array, walking: float, offset: Array) -> Array:
         """Gait (n, 20) at phases (n,): 4 tendon angles (rad), 4 normal forces (N), 12 torso states.
 
-        velocity: (3,) [v_x, v_y, yaw rate] that sets the amplitudes; offset: (4,) rad. Torso states
-        in the heading frame: [roll pitch 0, 0 0 z, omega, v], omega to first order in the angles.
+        velocity: (3,) [v_x, v_y, yaw rate] that sets the amplitudes; walking: share of steering;
+        offset: (4,) rad. Torso states in the heading frame: [roll pitch 0, 0 0 z, omega, v], omega to first order in the angles.
         """
-        basis, table = HarmonicBasis.at(phase), self._rest + self._moving(velocity)
+        basis, table = HarmonicBasis.at(phase), self._rest + self._moving(velocity, walking)
         values, slopes = basis.value @ table.T, basis.slope @ table.T / self.period
         angle = np.clip(values[:, :4] + offset, *np.radians(self.range_deg))
         torso = np.zeros((len(phase), 12))
@@ -177,11 +181,10 @@ class Stride:
         torso[:, [6, 7, 11]] = slopes[:, 8:11]
         return np.hstack([angle, np.maximum(values[:, 4:8], 0.0), torso])
 
-    def _moving(self, velocity: Array) -> Array:
+    def _moving(self, velocity: Array, walking: float) -> Array:
         """Coefficients (13, 5) of the patterns and their steering at a velocity (3,)."""
         amplitude = velocity / self.speeds
         size = np.abs(amplitude[:2]).sum()
-        walking = min(1.0, float(np.hypot(*velocity[:2])) / self.walking_speed)
         amplitude[2] *= 1.0 - walking
         limit = min(1.0, self.amplitude_max / max(float(np.abs(amplitude).sum()), 1e-9))
         table = np.zeros((13, 5))

@@ -32,6 +32,7 @@ class _Active:
     name: str
     gait: Posture | Stride
     phase: float = 0.0  # in [0, 1)
+    moving: float = 1.0  # share of a stride against standing on its centre
     feedback: StrideFeedback | None = None
 
 
@@ -40,7 +41,8 @@ class GaitScheduler:
 
     Velocity and body pose follow their commands at limited rates. A change of gait is a linear
     blend of the tendon angles over `transition` seconds; a request during a blend takes effect at
-    its end. A run starts from the posture `stand`. A stride without velocity stands on its centre.
+    its end. A run starts from the posture `stand`. A stride without velocity stands on its centre;
+    it gets there, and back, by a blend as well.
     """
 
     def __init__(  # noqa: PLR0917
@@ -168,7 +170,8 @@ class GaitScheduler:
             gait, feedback = active.gait, active.feedback
             if not isinstance(gait, Stride) or feedback is None:
                 continue
-            if active is not self._current or self._is_still(gait):
+            active.moving = float(self._moving_after(active, np.array([elapsed]))[0])
+            if active is not self._current or self._is_still():
                 feedback.reset()
                 continue
             if self._path is not None:
@@ -180,10 +183,16 @@ class GaitScheduler:
             active.phase += elapsed / gait.period
             if active.phase >= 1.0:
                 active.phase %= 1.0
-                feedback.finish(Target(self._velocity, self._pose))
+                walking = gait.walking(self._velocity)
+                feedback.finish(Target(self._velocity, self._pose, walking))
 
-    def _is_still(self, gait: Stride) -> bool:
+    def _is_still(self) -> bool:
         return bool((np.abs(self._velocity) < STILL).all())
+
+    def _moving_after(self, active: _Active, times: Array) -> Array:
+        """Share (n,) of a stride's motion at `times` (s) ahead."""
+        change = times / max(self._settings.transition, 1e-9)
+        return np.clip(active.moving + (-change if self._is_still() else change), 0.0, 1.0)
 
     def _preview(self, stamp: int, state: Array) -> GaitPreview:
         times = self._settings.dt * np.arange(self._settings.stages, dtype=float)
@@ -213,7 +222,7 @@ class GaitScheduler:
         if self._since_change < self._settings.transition:
             return False
         gait = self._current.gait
-        return gait.loaded if isinstance(gait, Posture) else self._is_still(gait)
+        return gait.loaded if isinstance(gait, Posture) else self._current.moving == 0.0
 
     def _blend(self, times: Array) -> Array:
         """Blend (n, 20) of the previous and the present gait, as `Stride.course`."""
@@ -231,12 +240,17 @@ class GaitScheduler:
             if isinstance(gait, Posture) and not gait.loaded:
                 return np.zeros((len(times), 20)) + np.r_[np.zeros(13), self._pose[0], np.zeros(6)]
             return self._posture_course(times)
-        if self._is_still(gait):
+        moving = self._moving_after(active, times)[:, None]
+        if moving.max() == 0.0:
             return self._posture_course(times)
-        phase = np.mod(active.phase + times / gait.period, 1.0)
-        course = gait.course(phase, self._velocity + feedback.velocity, feedback.offset)
+        ahead = np.zeros_like(times) if self._is_still() else times  # the phase waits
+        phase = np.mod(active.phase + ahead / gait.period, 1.0)
+        walking = gait.walking(self._velocity)
+        course = gait.course(phase, self._velocity + feedback.velocity, walking, feedback.offset)
         course[:, 13] += self._pose[0] - gait.height
-        return course
+        if moving.min() == 1.0:
+            return course
+        return (1 - moving) * self._posture_course(times) + moving * course
 
     def _posture_course(self, times: Array) -> Array:
         """Angles, normal forces and torso states (n, 20) of a posture; linear in the time ahead."""

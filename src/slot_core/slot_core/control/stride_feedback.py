@@ -33,6 +33,7 @@ class Target:
 
     velocity: Array  # (3,) v_x, v_y m/s, yaw rate rad/s
     posture: Array  # (3,) height m, roll, pitch rad
+    walking: float  # share of the changes of v_x and v_y: none while the robot turns in place
 
 
 class StrideFeedback:
@@ -107,7 +108,8 @@ class StrideFeedback:
         if len(rows) < 3 or self._settings.gain == 0.0:
             return
         error = self._error(rows, gaps.mean(axis=0), target)
-        self._correct(error)
+        share = np.array([target.walking, target.walking, 1.0, 1.0, 1.0, 1.0])
+        self._correct(error, np.maximum(share, 1e-6) * self._limit)
 
     def _error(self, rows: Array, gap: Array, target: Target) -> Array:
         """Outputs that are wanted minus those of the stride (6,)."""
@@ -126,16 +128,16 @@ class StrideFeedback:
         measured = np.array([forward, lateral, turned, *posture])
         return np.concatenate([wanted, target.posture]) - measured
 
-    def _correct(self, error: Array) -> None:
-        """Solve for the change of the knobs; all knobs in units of their limits."""
+    def _correct(self, error: Array, limit: Array) -> None:
+        """Solve for the change of the knobs within limits (6,); all in units of their limits."""
         s = self._settings
         matrix = np.vstack(
-            [self._effect * self._limit / self._scale[:, None], s.regularisation * np.eye(6)]
+            [self._effect * limit / self._scale[:, None], s.regularisation * np.eye(6)]
         )
         wanted = np.concatenate([s.gain * error / self._scale, np.zeros(6)])
-        now = self.knobs / self._limit
+        now = np.clip(self.knobs / limit, -1.0, 1.0)
         change = lsq_linear(matrix, wanted, (-1.0 - now - 1e-9, 1.0 - now + 1e-9)).x
-        self.knobs = np.clip(self.knobs + change * self._limit, -self._limit, self._limit)
+        self.knobs = (now + change).clip(-1.0, 1.0) * limit
 
 
 def wrapped(angle: float) -> float:
