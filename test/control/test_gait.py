@@ -167,9 +167,7 @@ def motion(velocity, phase, duration=2.8, stride=WALK):
     for k in range(round(duration / step)):
         at = np.array([(phase + k * step / stride.period) % 1.0])
         sim.advance(30, course(velocity, at, stride)[0, :4])
-        states.append(
-            np.concatenate([sim.rpy, sim.position, sim.angular_velocity, sim.velocity])
-        )
+        states.append(np.concatenate([sim.rpy, sim.position, sim.angular_velocity, sim.velocity]))
     return np.array(states)
 
 
