@@ -174,15 +174,18 @@ class GaitScheduler:
             if active is not self._current or self._is_still():
                 feedback.reset()
                 continue
+            active.phase += elapsed / gait.period
+            complete, active.phase = active.phase >= 1.0, active.phase % 1.0
+            if active.moving < 1.0 or self._since_change < self._settings.transition:
+                feedback.reset()  # the stride is not whole yet
+                continue
             if self._path is not None:
                 feedback.place = self._path.place(state, elapsed)
                 feedback.draw_near(state)
             else:
                 feedback.move(elapsed, state, self._velocity)
             feedback.add(time, state)
-            active.phase += elapsed / gait.period
-            if active.phase >= 1.0:
-                active.phase %= 1.0
+            if complete:
                 walking = gait.walking(self._velocity)
                 feedback.finish(Target(self._velocity, self._pose, walking))
 
