@@ -14,6 +14,7 @@ from benchmarks import command_line
 from benchmarks.perturbations import cases, published, rigid_torso, samples
 from slot_core.control.mpc.mpc import read_mpc
 from slot_core.robot import GRAVITY, read_robot
+from slot_core.workers import workers
 
 ROBOT = read_robot()
 
@@ -228,7 +229,7 @@ def test_two_local_workers_give_the_results_of_one_process(tmp_path):
 
     like = samples.draw("torso", 1, 0.0, 0)
     record = samples.Record(tmp_path / "samples.csv", "abc", like)
-    with farm.workers("", 2) as client:
+    with workers("", 2) as client:
         own = psutil.Process()
         sockets = [c for p in (own, *own.children(recursive=True)) for c in p.net_connections()]
         listening = {c.laddr.ip for c in sockets if c.status == psutil.CONN_LISTEN}

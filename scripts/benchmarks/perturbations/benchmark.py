@@ -21,6 +21,7 @@ from benchmarks.perturbations.picture import draw_costs, draw_failures, table_li
 from benchmarks.perturbations.samples import PLANTS, Record, draw, summary
 from slot_core.control.mpc.mpc import read_mpc
 from slot_core.robot import read_robot
+from slot_core.workers import workers
 
 REQUIRES = ("clarabel", "distributed")
 QUICK_DURATION = 6.0  # s, of (b) and (c)
@@ -111,7 +112,7 @@ def sample_rows(
     count: int, like: Any, scheduler: str, out: Path, progress: Callable[[str], None]
 ) -> list[Row]:
     """Run the samples that `out/samples.csv` lacks; raises BenchmarkError for a negative count."""
-    from benchmarks.perturbations.farm import run_samples, workers  # noqa: PLC0415
+    from benchmarks.perturbations.farm import run_samples  # noqa: PLC0415
 
     if count < 0:
         raise BenchmarkError(f"--samples {count}: a number of samples, 0 or more")
