@@ -321,7 +321,14 @@ def _fastest_held(cases: Sequence[Case], motions: Sequence[Motion]) -> float:
     return max(held, default=0.0)
 
 
+def _walks(case: Case, motion: Motion) -> bool:
+    """Whether the robot covers half of the commanded distance: standing is no straight walk."""
+    return bool(motion.position[-1, 0] > 0.5 * case.velocity[0] * case.duration)
+
+
 def _lateral(case: Case, motion: Motion) -> float:
+    if not _walks(case, motion):
+        return math.inf
     return MM * float(np.abs(motion.position[:, 1]).max())
 
 
@@ -330,6 +337,8 @@ def _heading(case: Case, motion: Motion) -> float:
 
 
 def _off_path(case: Case, motion: Motion) -> float:
+    if not _walks(case, motion):
+        return math.inf
     late = motion.after(DISTURBED + LENGTH / SPEED)
     return MM * float(np.abs(late.stride_means(late.position[:, 1])).max())
 
@@ -346,6 +355,8 @@ def _angle_off(case: Case, motion: Motion) -> float:
 
 def _top(case: Case, motion: Motion) -> float:
     """Height of the highest corner of the torso after the start, mm."""
+    if not _walks(case, motion):
+        return math.inf
     late = motion.after(CALM)
     length, width, thickness = np.array(read_robot().torso.size) / 2
     roll, pitch = late.rpy[:, 0], late.rpy[:, 1]
