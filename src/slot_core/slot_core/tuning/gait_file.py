@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import textwrap
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from slot_core.control.gait import Stride
 
-WIDTH = 100
+WIDTH = 98  # of the comment's text
+DECIMALS = 9  # of values; smaller ones are zero
 
 
 def write(path: Path, stride: Stride, head: Sequence[str]) -> None:
     """Write a stride; head: lines of the comment before it. Raises OSError."""
-    lines = [f"# {line}"[:WIDTH].rstrip() for line in head]
+    lines = [f"# {part}" for line in head for part in textwrap.wrap(line, WIDTH) or [""]]
     path.write_text("\n".join([*lines, *_lines(stride, "")]) + "\n")
 
 
@@ -35,4 +37,4 @@ def _lines(settings: Any, indent: str) -> Iterator[str]:
 def _text(value: Any) -> str:
     if isinstance(value, tuple):
         return "[" + ", ".join(map(_text, value)) + "]"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return f"{round(value, DECIMALS) + 0.0:.4g}" if isinstance(value, float) else str(value)
