@@ -29,8 +29,8 @@ class Path:
         heading: "kept", that at the start, or "along" the path. Raises ConfigError for less than
         two different points.
         """
-        lengths = np.hypot(*np.diff(points, axis=0).T)
-        self._points = points[np.r_[True, lengths > 0.0]]
+        moved = np.diff(points, axis=0).any(axis=1)
+        self._points = points[np.r_[True, moved][: len(points)]]
         if len(self._points) < 2:
             raise ConfigError("path: needs at least two different points")
         steps = np.diff(self._points, axis=0)
@@ -84,7 +84,7 @@ def read_path(file: FilePath | str, speed: float, heading: str) -> Path:
     try:
         with FilePath(file).open(newline="") as stream:
             rows = [[float(row["x"]), float(row["y"])] for row in csv.DictReader(stream)]
-    except (OSError, KeyError, TypeError, ValueError) as error:
+    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
         raise ConfigError(f"{file}: no path with columns x, y: {error}") from None
     if len(rows) > POINTS_MAX or not np.isfinite(rows).all():
         raise ConfigError(f"{file}: more than {POINTS_MAX} points, or a value not finite")

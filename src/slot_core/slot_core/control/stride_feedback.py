@@ -71,9 +71,13 @@ class StrideFeedback:
             self.knobs[VELOCITY] = 0.0
 
     def move(self, dt: float, state: Array, velocity: Array) -> None:
-        """Move the reference place over dt (s) with a velocity (3,) in its heading frame."""
+        """Move the reference place over dt (s) with a velocity (3,) in its heading frame.
+
+        It starts at the robot.
+        """
         if self.place is None:
             self.place = state[[3, 4, 2]].copy()
+            return
         x, y, yaw = self.place
         c, s = np.cos(yaw), np.sin(yaw)
         step = dt * np.array([c * velocity[0] - s * velocity[1], s * velocity[0] + c * velocity[1]])
