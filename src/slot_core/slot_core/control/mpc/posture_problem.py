@@ -48,6 +48,7 @@ from slot_core.config import quantity
 from slot_core.control.gait import GaitPreview
 from slot_core.control.leg_springs import LegSprings
 from slot_core.control.mpc.model import FEET, Horizon
+from slot_core.control.mpc.posture_kernels import condense, predict
 from slot_core.control.mpc.solver import Solution
 from slot_core.robot import GRAVITY, Array, Robot
 
@@ -258,28 +259,24 @@ class PostureProblem:
         b[:, POSTURE:] = np.eye(FEET) / o.lag
         left, right = np.eye(SIZE) - dt / 2 * a, np.eye(SIZE) + dt / 2 * a
         solved = np.linalg.solve(left, np.concatenate([right, dt * b, dt * drift], axis=2))
-        self._a, self._b, self._drift = (solved[..., :SIZE], solved[..., SIZE:-1], solved[..., -1])
+        parts = solved[..., :SIZE], solved[..., SIZE:-1], solved[..., -1]
+        self._model = tuple(np.ascontiguousarray(part) for part in parts)
         limit = math.radians(o.correction_max_deg)
         least = -np.linalg.pinv(shift[0, :, :FEET]) @ shift[0, :, FEET]
         self._balance = np.clip(least, -limit, limit)
 
     def _predict(self, z: Array) -> Array:
         """States (H+1, 7) for the inputs in z."""
-        x = [self._start]
-        for k, u in enumerate(z[: self._solver.inputs].reshape(-1, FEET)):
-            x.append(self._a[k] @ x[-1] + self._b[k] @ u + self._drift[k])
-        return np.array(x)
+        states = np.zeros((self._horizon + 1, SIZE))
+        predict(self._model, self._start, z[: self._solver.inputs].reshape(-1, FEET), states)
+        return states
 
     def _condense(self) -> None:
         """Eliminate the states; set cost and limits of the inputs and slacks."""
         o, qp, count = self._options, self._solver, self._horizon
         n = qp.inputs
         effect, free = np.zeros((count, SIZE, n)), np.zeros((count, SIZE))
-        x, columns = self._start, np.zeros((SIZE, n))
-        for k in range(count):
-            x, columns = self._a[k] @ x + self._drift[k], self._a[k] @ columns
-            columns[:, FEET * k : FEET * (k + 1)] += self._b[k]
-            effect[k], free[k] = columns, x
+        condense(self._model, self._start, effect, free)
         self._effect, self._free = effect.reshape(-1, n), free
         weighted = self._root_weight[:, None] * self._effect
         qp.P[:n, :n] = weighted.T @ weighted + self._input_weight
