@@ -29,6 +29,7 @@ ALLOWED = {
     "bags": "ground control control/mpc safety",
     "report": "ground control control/mpc bags",
     "calibration": "ground dynamics legs simulation report",
+    "tuning": "ground dynamics control simulation",
 }
 # The controller combines the MPC with its other stages.
 EXCEPTIONS = {("control/controller.py", "control/mpc")}

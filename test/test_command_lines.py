@@ -13,7 +13,7 @@ from slot_core.config import ConfigError
 from slot_core.control.mpc.mpc import read_mpc
 from slot_core.legs import leg_map
 from slot_core.report import constraint_map
-from slot_core.simulation import gait_table
+from slot_core.tuning import tune
 
 WALK = Path(__file__).parent / "bags" / "walk"
 
@@ -47,16 +47,24 @@ def test_a_leg_map_without_its_configuration_is_refused(tmp_path, monkeypatch, c
     assert not out.exists()
 
 
-@pytest.mark.parametrize("strides", ["-1", "0", "1001", "many"])
-def test_a_number_of_strides_that_cannot_be_is_refused(capsys, strides):
-    line = refusal(lambda: gait_table.main(["walk", "--strides", strides]), capsys)
-    assert "argument --strides: " in line
-
-
-def test_legs_that_diverge_end_the_tabulation_in_one_line(capsys):
-    line = refusal(lambda: gait_table.main(["walk", "--scene", "paper"]), capsys)
-    assert line.startswith("scripts/tabulate_gait: ")
-    assert "at" in line
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (
+            ["walk", "fly"],
+            "argument STAGE: 'fly': expected one of forward, turn, steering, identify",
+        ),
+        (["stand"], "gait 'stand' is a posture, not a stride"),
+        (["trot"], "no gait 'trot' (known: "),
+        (["walk", "--friction", "-1"], "scripts/tune: friction[0] = -1.0: outside [0.01, 2]"),
+        (["walk", "--seed", "0"], "argument --seed: 0 is below 1"),
+    ],
+)
+def test_a_search_that_cannot_be_is_refused(tmp_path, capsys, arguments, reason):
+    line = refusal(lambda: tune.main([*arguments, "--out", str(tmp_path / "gait.yaml")]), capsys)
+    assert line.startswith("scripts/tune: ")
+    assert reason in line
+    assert not (tmp_path / "gait.yaml").exists()
 
 
 def test_a_constraint_map_in_an_unknown_format_is_refused(capsys):

@@ -13,8 +13,9 @@ from rclpy.validate_namespace import validate_namespace
 
 from slot_bringup.graph import absolute
 from slot_core.config import ConfigError
-from slot_core.control.gait import GaitScheduler, read_gaits
+from slot_core.control.gait import read_gaits
 from slot_core.control.mpc.mpc import read_mpc
+from slot_core.control.path import read_path
 from slot_core.dynamics.scene import read_scene
 from slot_core.faults import require_simulated_legs
 
@@ -25,7 +26,9 @@ def check(values: Mapping[str, Any]) -> None:
     """Raise ConfigError for values of the graph's arguments, by name, that a node would refuse."""
     gaits = read_gaits()
     v_x = gaits.find(values["gait"]).cruise if values["vx"] is None else values["vx"]
-    GaitScheduler(gaits, values["gait"], np.array([v_x, values["vy"], 0.0]))
+    gaits.require_velocity(values["gait"], np.array([v_x, values["vy"], 0.0]))
+    if values["path"]:
+        read_path(Path(values["path"]), v_x, "kept")
     scene = read_scene(values["scene"])
     read_mpc(values["mpc"])
     hardware = values["hardware"]

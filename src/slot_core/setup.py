@@ -10,6 +10,7 @@ setup(
             "defaults/*.csv",
             "defaults/scene/*",
             "defaults/solver/*",
+            "defaults/gait/*",
             "defaults/mpc/*",
             "defaults/parameters/*",
         ]

@@ -40,7 +40,7 @@ def robot_checks(slower):
 
 
 def mpc_checks(slower):
-    settings = read_mpc()
+    settings = read_mpc("forces")
     errors = {"error_max": 0.0, "hard_error_max": 0.0, "hard_refused": 0, "hard_wrong": 0}
     tolerance = {"tolerance": settings.solver.tolerance_abs}
     rows = [

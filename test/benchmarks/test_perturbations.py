@@ -14,6 +14,7 @@ from benchmarks import command_line
 from benchmarks.perturbations import cases, published, rigid_torso, samples
 from slot_core.control.mpc.mpc import read_mpc
 from slot_core.robot import GRAVITY, read_robot
+from slot_core.workers import workers
 
 ROBOT = read_robot()
 
@@ -140,8 +141,8 @@ def test_ground_forces_stay_within_friction_and_do_not_pull():
 
 
 @pytest.mark.parametrize("name", ["Pitch", "Combined"])
-def test_the_default_profile_settles_a_perturbed_torso_with_lag(name):
-    run = rigid_torso.run_torso(ROBOT, read_mpc(), cases.CASES[name], duration=1.5)
+def test_the_mpc_on_forces_settles_a_perturbed_torso_with_lag(name):
+    run = rigid_torso.run_torso(ROBOT, read_mpc("forces"), cases.CASES[name], duration=1.5)
     assert run.infeasible == 0
     assert cases.metrics(run)["settling_s"] < 1.0
 
@@ -228,7 +229,7 @@ def test_two_local_workers_give_the_results_of_one_process(tmp_path):
 
     like = samples.draw("torso", 1, 0.0, 0)
     record = samples.Record(tmp_path / "samples.csv", "abc", like)
-    with farm.workers("", 2) as client:
+    with workers("", 2) as client:
         own = psutil.Process()
         sockets = [c for p in (own, *own.children(recursive=True)) for c in p.net_connections()]
         listening = {c.laddr.ip for c in sockets if c.status == psutil.CONN_LISTEN}

@@ -1,192 +1,211 @@
-"""Gait scheduler: phase, blends, contact schedule and rejected requests."""
+"""Gaits: strides as sums of patterns and their mirror images, postures, refused commands."""
+
+import dataclasses
 
 import numpy as np
 import pytest
+import yaml
 from scipy.spatial.transform import Rotation
 
-from slot_core.clock import SECOND
-from slot_core.config import ConfigError, build
-from slot_core.control.gait import Gait, GaitScheduler, GaitSettings, read_gaits
+from slot_core import config
+from slot_core.config import ConfigError
+from slot_core.control.gait import FRONT_REAR, LEFT_RIGHT, Posture, Stride, read_gaits
+from slot_core.control.leg_springs import read_leg_springs
+from slot_core.control.mpc.mpc import read_mpc
 from slot_core.control.reference import reference
+from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
 from slot_core.robot import read_robot
+from slot_core.simulation.plant import make_robot
 
-REST = [0.0, 0, 0, 0, 0]
+ROBOT, GAITS = read_robot(), read_gaits()
+WALK = GAITS.strides["walk"]
+PHASES = np.linspace(0.0, 1.0, 41)[:-1]
 LEVEL = np.zeros(12)
-STAND = {
-    "period": 1.0,
-    "cruise": 0.0,
-    "speed": [0.0],
-    "amplitude": [0.0],
-    "angle_deg": [[60.0, 0, 0, 0, 0]] * 4,
-    "range_deg": [10.0, 108.0],
-    "normal_force": [[5.3, 0, 0, 0, 0]] * 4,
-    "sway": {
-        "roll": REST,
-        "pitch": REST,
-        "height": [0.05, 0, 0, 0, 0],
-        "v_x": REST,
-        "v_y": REST,
-    },
+NO_OFFSET = np.zeros(4)
+# Signs of roll, pitch, yaw, p, omega, v under the reflection of x, and under that of y.
+REFLECTED_X = np.array([1, -1, -1, -1, 1, 1, 1, -1, -1, -1, 1, 1], dtype=float)
+REFLECTED_Y = np.array([-1, 1, -1, 1, -1, 1, -1, 1, -1, 1, -1, 1], dtype=float)
+
+
+def course(velocity, phase=PHASES, stride=WALK, offset=NO_OFFSET):
+    velocity = np.asarray(velocity, dtype=float)
+    return stride.course(phase, velocity, stride.walking(velocity), offset)
+
+
+def harmonics(rows, phase):
+    """Series (n, 4), from coefficients m, c1, s1, c2, s2 of each leg, written out."""
+    p = 2 * np.pi * phase
+    return np.column_stack(
+        [
+            m + c1 * np.cos(p) + s1 * np.sin(p) + c2 * np.cos(2 * p) + s2 * np.sin(2 * p)
+            for m, c1, s1, c2, s2 in rows
+        ]
+    )
+
+
+def filled(seed=1, size=0.2):
+    """The walk with tables of load and sway that are not zero, small enough not to be clipped."""
+    rng = np.random.default_rng(seed)
+
+    def table(pattern):
+        sway = {name: tuple(1e-3 * rng.normal(size=5)) for name in ("roll", "pitch", "height")}
+        speed = {name: tuple(1e-2 * rng.normal(size=5)) for name in ("v_x", "v_y")}
+        load = tuple(map(tuple, 0.1 * rng.normal(size=(4, 5))))
+        angle = tuple(map(tuple, size * np.array(pattern.angle_deg)))
+        return dataclasses.replace(pattern, angle_deg=angle, normal_force=load, **sway, **speed)
+
+    patterns = {name: table(getattr(WALK, name)) for name in ("forward", "lateral", "turn")}
+    return dataclasses.replace(WALK, centre_deg=(60.0,) * 4, **patterns)
+
+
+@pytest.mark.parametrize(
+    ("name", "velocity"),
+    [("forward", [1, 0, 0]), ("lateral", [0, 1, 0]), ("turn", [0, 0, 1])],
+)
+def test_at_the_speed_of_a_pattern_the_angles_are_its_harmonics_about_the_centre(name, velocity):
+    pattern = getattr(WALK, name)
+    angle = np.degrees(course(pattern.speed * np.array(velocity))[:, :4])
+    expected = np.array(WALK.centre_deg) + harmonics(pattern.angle_deg, PHASES)
+    assert angle == pytest.approx(np.clip(expected, *WALK.range_deg))
+
+
+def test_half_the_velocity_is_half_the_amplitude():
+    stride = filled()
+    half, full = (course([v, 0, 0], stride=stride) for v in (0.03, 0.06))
+    centre = course([0, 0, 0], stride=stride)
+    assert half - centre == pytest.approx((full - centre) / 2, abs=1e-12)
+
+
+def test_the_patterns_of_two_directions_add_up():
+    stride = filled()
+    forward, lateral = course([0.03, 0, 0], stride=stride), course([0, -0.02, 0], stride=stride)
+    centre = course([0, 0, 0], stride=stride)
+    both = course([0.03, -0.02, 0], stride=stride)
+    assert both - centre == pytest.approx(forward + lateral - 2 * centre, abs=1e-12)
+
+
+def test_the_amplitudes_are_bounded_in_sum():
+    stride = dataclasses.replace(filled(), amplitude_max=1.0)
+    fast = course([0.2, 0.2, 0], stride=stride)
+    assert fast == pytest.approx(course([0.0735 / 2, 0.0735 / 2, 0], stride=stride))
+
+
+def test_offsets_shift_the_angles_within_the_range():
+    offset = np.radians([5.0, -5.0, 90.0, -90.0])
+    plain, shifted = course([0.05, 0, 0]), course([0.05, 0, 0], offset=offset)
+    low, high = np.radians(WALK.range_deg)
+    assert shifted[:, :2] == pytest.approx(np.clip(plain[:, :2] + offset[:2], low, high), abs=0.15)
+    assert (shifted[:, 2] == high).all()
+    assert shifted[:, 3].max() <= max(low, plain[:, 3].max() - np.radians(90.0)) + 1e-12
+
+
+def test_normal_forces_are_never_negative():
+    stride = dataclasses.replace(filled(), centre_force=0.1)
+    force = course([0.07, 0, 0], stride=stride)[:, 4:8]
+    assert force.min() == 0.0
+    assert force.max() > 0.1
+
+
+def test_rates_of_the_torso_are_the_derivatives_of_its_sway():
+    stride, h = filled(), 1e-6
+    for velocity in ([0.05, 0, 0], [0.03, -0.03, 0.0], [0, 0, 0.1]):
+        before, now, after = (course(velocity, PHASES + d, stride)[:, 8:] for d in (-h, 0, h))
+        slope = (after - before) / (2 * h * stride.period)
+        assert now[:, [6, 7, 11]] == pytest.approx(slope[:, [0, 1, 5]], abs=1e-7)
+
+
+MIRRORS = {
+    "backward": ([0.05, 0, 0], [-0.05, 0, 0], FRONT_REAR, REFLECTED_X),
+    "to the right": ([0, 0.05, 0], [0, -0.05, 0], LEFT_RIGHT, REFLECTED_Y),
+    "turning right": ([0, 0, 0.1], [0, 0, -0.1], LEFT_RIGHT, REFLECTED_Y),
+    "a right-hand bend": ([0.05, 0, 0.03], [0.05, 0, -0.03], LEFT_RIGHT, REFLECTED_Y),
+    "a bend backward": ([0.05, 0, 0.03], [-0.05, 0, -0.03], FRONT_REAR, REFLECTED_X),
 }
-WALK = {
-    "period": 0.8,
-    "cruise": 0.06,
-    "speed": [0.0, 0.08],
-    "amplitude": [0.0, 1.0],
-    "angle_deg": [[80, 20, 0, 5, 0], [80, -20, 0, 5, 0], [90, 0, 30, 0, 0], [90, 0, -30, 0, 0]],
-    "range_deg": [10.0, 108.0],
-    "normal_force": [[5.3, 3, 0, 0, 0], [5.3, -6, 0, 0, 0], [5.3, 0, 2, 0, 0], [5.3, 0, -2, 0, 0]],
-    "sway": {
-        "roll": [0, 0.1, 0, 0, 0.01],
-        "pitch": [0.02, 0, 0, 0, 0.1],
-        "height": [0.06, 0, 0, 0.005, 0],
-        "v_x": REST,
-        "v_y": [0, 0.08, 0, 0, 0],
-    },
-}
 
 
-@pytest.fixture
-def settings():
-    table = {
-        "friction": 0.4,
-        "contact_force": 0.5,
-        "transition": 1.0,
-        "velocity_timeout": 0.5,
-        "stages": 15,
-        "dt": 0.033,
-        "gaits": {"stand": STAND, "walk": WALK},
-    }
-    return build(GaitSettings, table, "test")
+@pytest.mark.parametrize("case", [c for c in MIRRORS if c != "a right-hand bend"])
+def test_the_opposite_velocity_is_the_mirror_image_half_a_stride_later(case):
+    velocity, opposite, legs, signs = MIRRORS[case]
+    stride = filled()
+    there = course(velocity, (PHASES + 0.5) % 1.0, stride)
+    back = course(opposite, PHASES, stride)
+    assert back[:, :4] == pytest.approx(there[:, :4][:, legs], abs=1e-12)
+    assert back[:, 4:8] == pytest.approx(there[:, 4:8][:, legs], abs=1e-12)
+    assert back[:, 8:] == pytest.approx(signs * there[:, 8:], abs=1e-12)
 
 
-def walking(settings, speed=0.08):
-    """A scheduler that walks since t = 1 s, without a transition from `stand`."""
-    scheduler = GaitScheduler(settings, "walk", np.array([speed, 0, 0]))
-    scheduler.step(SECOND, LEVEL)
-    return scheduler
+@pytest.mark.parametrize("case", ["backward", "to the right", "turning right"])
+def test_the_mirror_image_of_the_mirror_image_is_the_pattern(case):
+    """A stride made of the mirror images moves backward as the original moves forward."""
+    velocity, opposite, legs, _ = MIRRORS[case]
+    index = int(np.flatnonzero(velocity)[0])
+    name = ("forward", "lateral", "turn")[index]
+    stride = filled()
+    pattern = getattr(stride, name)
+    half = np.array([1, -1, -1, 1, 1])
+    signs = REFLECTED_X if legs == FRONT_REAR else REFLECTED_Y
+    mirrored = dataclasses.replace(
+        pattern,
+        angle_deg=half * np.array(pattern.angle_deg)[legs],
+        normal_force=half * np.array(pattern.normal_force)[legs],
+        **{
+            sway: signs[k] * half * np.array(getattr(pattern, sway))
+            for sway, k in (("roll", 0), ("pitch", 1), ("height", 5), ("v_x", 9), ("v_y", 10))
+        },
+    )
+    reflected = dataclasses.replace(stride, **{name: mirrored})
+    assert course(opposite, stride=reflected) == pytest.approx(
+        course(velocity, stride=stride), abs=1e-12
+    )
 
 
-def test_angles_are_the_harmonics_of_the_phase(settings):
-    t = 3.21
-    preview = walking(settings).step(SECOND + round(t * 1e9), LEVEL)
-    p = 2 * np.pi * t / 0.8
-    expected = [
-        80 + 20 * np.cos(p) + 5 * np.cos(2 * p),
-        80 - 20 * np.cos(p) + 5 * np.cos(2 * p),
-        90 + 30 * np.sin(p),
-        90 - 30 * np.sin(p),
-    ]
-    assert np.degrees(preview.tendon_angle[0]) == pytest.approx(np.clip(expected, 10, 108))
-    assert preview.phase == pytest.approx(t / 0.8 % 1)
+def motion(velocity, phase, duration=2.8, stride=WALK):
+    """States (n, 12) of the simulated robot on the flat floor, open loop, every 30 ms."""
+    sim = make_robot(ROBOT, read_scene("flat"), read_servo())
+    states, step = [], 0.03
+    for k in range(round(duration / step)):
+        at = np.array([(phase + k * step / stride.period) % 1.0])
+        sim.advance(30, course(velocity, at, stride)[0, :4])
+        states.append(np.concatenate([sim.rpy, sim.position, sim.angular_velocity, sim.velocity]))
+    return np.array(states)
 
 
-def test_stage_k_of_the_preview_is_stage_0_of_the_tick_k_later(settings):
-    scheduler = walking(settings)
-    early = scheduler.step(5 * SECOND, LEVEL)
-    late = scheduler.step(5 * SECOND + 4 * 33_000_000, LEVEL)
-    assert early.tendon_angle[4:] == pytest.approx(late.tendon_angle[:-4])
-    assert early.normal_force[4:] == pytest.approx(late.normal_force[:-4])
-    assert (early.contact[4:] == late.contact[:-4]).all()
+@pytest.mark.parametrize("case", MIRRORS)
+def test_the_simulated_robot_moves_with_the_opposite_velocity_in_the_mirror_image(case):
+    """Four strides from rest; the robot, the floor and its numerics are symmetric.
+
+    A bend to the right is the mirror image of one to the left only for a pattern that is symmetric
+    itself: the forward pattern is, half a stride later.
+    """
+    velocity, opposite, _, signs = MIRRORS[case]
+    there, back = motion(velocity, 0.5), motion(opposite, 0.0)
+    assert np.abs(there[-1, 2:5]).max() > 0.02  # it has moved, or turned
+    np.testing.assert_allclose(back, signs * there, rtol=0, atol=1e-9)
 
 
-def test_a_change_of_gait_is_continuous(settings):
-    scheduler = GaitScheduler(settings, "walk", np.array([0.08, 0, 0]))
-    stamps = SECOND + np.arange(0, 2 * SECOND, SECOND // 100)
-    angles = np.array([scheduler.step(int(s), LEVEL).tendon_angle[0] for s in stamps])
-    assert np.degrees(angles[0]) == pytest.approx(60.0)
-    # the fastest harmonic moves 30 * 2 pi / 0.8 = 236 deg/s, the blend at most 50 deg/s
-    assert np.degrees(np.abs(np.diff(angles, axis=0))).max() < 2.9
+def test_the_lateral_pattern_is_the_forward_one_reflected_at_a_diagonal():
+    """The robot is symmetric under the exchange of x and y, of the legs FR and RL."""
+    forward = course([0.05, 0, 0])[:, :4]
+    lateral = course([0, 0.05, 0])[:, :4]
+    assert lateral == pytest.approx(forward[:, [0, 2, 1, 3]], abs=1e-9)
 
 
-def test_a_leg_without_normal_force_is_not_in_contact(settings):
-    preview = walking(settings).step(5 * SECOND, LEVEL)
-    assert (preview.contact == (preview.normal_force >= 0.5)).all()
-    assert (
-        preview.normal_force.min() == 0.0
-    )  # FR's harmonics go below zero, its normal force does not
-    assert not preview.contact[:, 1].all()
+@pytest.mark.parametrize("sign", [1, -1])
+def test_steering_alters_the_angles_in_proportion_to_the_yaw_rate(sign):
+    plain = course([0.05, 0, 0], stride=filled())
+    one, two = (course([0.05, 0, sign * w], stride=filled()) for w in (0.01, 0.02))
+    assert two - plain == pytest.approx(2 * (one - plain), abs=1e-12)
+    assert np.abs(one[:, :4] - plain[:, :4]).max() > 1e-3
 
 
-def test_half_the_speed_is_half_the_amplitude(settings):
-    full = walking(settings, 0.08).step(5 * SECOND, LEVEL).tendon_angle[:, 0]
-    half = walking(settings, 0.04).step(5 * SECOND, LEVEL).tendon_angle[:, 0]
-    assert half - np.radians(80) == pytest.approx((full - np.radians(80)) / 2, abs=1e-12)
-
-
-def test_a_change_of_speed_keeps_the_phase(settings):
-    scheduler = walking(settings, 0.08)
-    scheduler.request("walk", np.array([0.04, 0, 0]))
-    kept = scheduler.step(5 * SECOND, LEVEL)
-    assert kept.phase == pytest.approx(4.0 / 0.8 % 1)
-
-
-def test_a_velocity_command_expires(settings):
-    scheduler = walking(settings)
-    scheduler.step(5 * SECOND, LEVEL)
-    scheduler.set_velocity(5 * SECOND, np.array([0.08, 0, 0]))
-    fresh = scheduler.step(5 * SECOND + SECOND // 4, LEVEL)
-    stale = scheduler.step(5 * SECOND + SECOND, LEVEL)
-    assert fresh.reference[0, 9] == pytest.approx(0.08)
-    assert stale.reference[0, 9] == 0.0
-    stopped = scheduler.step(8 * SECOND, LEVEL)
-    assert np.ptp(stopped.tendon_angle, axis=0) == pytest.approx(0.0, abs=1e-12)
-
-
-@pytest.mark.parametrize("stamp", [0, 10_000 * SECOND])
-def test_a_command_with_a_stamp_far_from_the_states_stops_the_robot_and_raises(settings, stamp):
-    """A stamp from the future might never expire, and an old command may be a late stop."""
-    scheduler = walking(settings)
-    scheduler.step(5 * SECOND, LEVEL)
-    with pytest.raises(
-        ConfigError, match=r"stamp is [+-]\d+\.000 s from the state's \(limit 0\.5 s"
-    ):
-        scheduler.set_velocity(stamp, np.array([0.08, 0, 0]))
-    assert scheduler.step(5 * SECOND, LEVEL).reference[0, 9] == 0.0
-
-
-def test_a_clock_set_back_does_not_delay_a_change_of_gait(settings):
-    scheduler = walking(settings)
-    scheduler.step(1000 * SECOND, LEVEL)
-    scheduler.request("stand", np.zeros(3))
-    assert scheduler.step(1000 * SECOND, LEVEL).gait == "stand"
-    scheduler.request("walk", np.array([0.08, 0, 0]))
-    gaits = [scheduler.step(second * SECOND, LEVEL).gait for second in (5, 6)]
-    assert gaits == ["stand", "walk"]  # the transition of 1 s ends first
-
-
-def test_a_request_during_a_transition_waits_for_its_end(settings):
-    scheduler = walking(settings)
-    scheduler.request("stand", np.zeros(3))
-    assert scheduler.step(SECOND + SECOND // 2, LEVEL).gait == "walk"
-    assert scheduler.step(2 * SECOND, LEVEL).gait == "stand"
-
-
-def test_the_reference_moves_along_the_heading_at_the_start(settings):
-    scheduler = GaitScheduler(settings, "walk", np.array([0.08, 0, 0]))
-    state = LEVEL.copy()
-    state[2:6] = [0.5, 1.0, 2.0, 0.055]
-    scheduler.step(SECOND, state)
-    state[2] = 0.9  # drifted
-    stamps = 3 * SECOND + np.arange(0, 800_000_000, 33_000_000)
-    rows = np.array([scheduler.step(int(s), state).reference[0] for s in stamps])
-    mean = rows[:24].mean(axis=0)  # 24 ticks are 0.99 strides
-    assert rows[:, 2] == pytest.approx(0.5)
-    # the missing hundredth of a stride leaves 1 % of the sway in the mean
-    assert mean[9:11] == pytest.approx(0.08 * np.array([np.cos(0.5), np.sin(0.5)]), abs=3e-3)
-    ahead = scheduler.step(5 * SECOND, state).reference
-    step = 0.08 * 0.033 * np.arange(16)
-    assert ahead[:, 3] == pytest.approx(1.0 + np.cos(0.5) * step[:15])
-    assert ahead[:, 4] == pytest.approx(2.0 + np.sin(0.5) * step[:15])
-
-
-def test_the_rates_of_the_reference_are_the_derivatives_of_its_sway(settings):
-    scheduler, h = walking(settings), 1_000_000
-    before, now, after = (scheduler.step(5 * SECOND + d, LEVEL).reference for d in (-h, 0, h))
-    difference = (after - before) / (2 * h * 1e-9)
-    # central differences over 1 ms are off by (2 p / T h)^2 / 6 = 4e-5 of the value
-    assert now[:, 6:8] == pytest.approx(difference[:, 0:2], abs=2e-4)
-    assert now[:, 11] == pytest.approx(difference[:, 5], abs=2e-4)
+@pytest.mark.parametrize("heading", [0.0, 0.7, -2.0])
+def test_the_reference_moves_with_the_velocity_in_the_direction_of_the_heading(heading):
+    state, times = LEVEL.copy(), 0.033 * np.arange(16)
+    state[2:6] = heading, 1.0, 2.0, 0.055
+    rows = reference(state, heading, np.array([0.08, 0.02, 0.0]), np.zeros((16, 12)), times)
+    step = times[:, None] * Rotation.from_euler("z", heading).apply([0.08, 0.02, 0.0])[:2]
+    assert rows[:, 3:5] == pytest.approx(np.array([1.0, 2.0]) + step)
 
 
 @pytest.mark.parametrize(("heading", "yaw"), [(3.1, -3.1), (-3.1, 3.1), (9.0, 2.6), (0.2, 0.3)])
@@ -216,33 +235,77 @@ def test_sway_rotates_with_the_heading():
 @pytest.mark.parametrize(
     ("gait", "velocity", "message"),
     [
-        ("trot", [0, 0, 0], r"no gait 'trot' \(known: stand, walk\)"),
-        ("walk", [0.2, 0, 0], r"v_x = 0\.2: gait walk reaches \[0, 0\.08\]"),
+        ("trot", [0, 0, 0], r"no gait 'trot' \(known: .*stand.*walk"),
+        ("walk", [0.2, 0, 0], r"v_x = 0\.2: gait walk reaches \[-0\.0\d+, 0\.0\d+\]"),
         ("walk", [float("nan"), 0, 0], r"v_x = nan: gait walk reaches"),
-        ("walk", [0, 0.01, 0], r"v_y = 0\.01: gait walk reaches \[0, 0\]"),
+        ("walk", [0, -0.2, 0], r"v_y = -0\.2: gait walk reaches"),
+        ("walk", [0, 0, float("inf")], r"yaw rate = inf: gait walk reaches"),
         ("stand", [0.01, 0, 0], r"v_x = 0\.01: gait stand reaches \[0, 0\]"),
         ("walk", [0.05], r"velocity: 1 values, not v_x, v_y, yaw rate"),
     ],
 )
-def test_an_unknown_gait_or_velocity_out_of_range_is_rejected(settings, gait, velocity, message):
+def test_an_unknown_gait_or_a_velocity_out_of_range_is_refused(gait, velocity, message):
+    with pytest.raises(ConfigError, match=message) as refusal:
+        GAITS.require_velocity(gait, np.array(velocity, dtype=float))
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("pose", "message"),
+    [
+        ([0.2, 0, 0], r"height = 0\.2: gait stand reaches \[0\.03, 0\.06\]"),
+        ([float("nan"), 0, 0], r"height = nan: gait stand reaches"),
+        ([0.04, 0.2, 0], r"roll = 0\.2: gait stand reaches \[-0\.09, 0\.09\]"),
+        ([0.04, 0, -0.2], r"pitch = -0\.2: gait stand reaches"),
+    ],
+)
+def test_a_body_pose_out_of_range_is_refused(pose, message):
     with pytest.raises(ConfigError, match=message):
-        GaitScheduler(settings, gait, np.array(velocity, dtype=float))
+        GAITS.require_pose("stand", np.array(pose))
 
 
-def test_a_speed_table_that_does_not_rise_is_rejected():
-    with pytest.raises(ConfigError, match=r"speed = \(0\.1, 0\.1\): expected one rising value"):
-        build(Gait, WALK | {"speed": [0.1, 0.1]}, "test")
+@pytest.mark.parametrize("kind", [None, "trot", "[1]"])
+def test_a_gait_of_an_unknown_kind_is_refused(tmp_path, monkeypatch, kind):
+    (tmp_path / "gait").mkdir()
+    (tmp_path / "gait.yaml").write_text((config.config_dir() / "gait.yaml").read_text())
+    (tmp_path / "gait" / "own.yaml").write_text(yaml.safe_dump({"kind": kind}))
+    monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
+    with pytest.raises(ConfigError, match=r"gait/own\.yaml: kind = .*expected one of posture"):
+        read_gaits()
 
 
 def test_the_shipped_gaits_are_within_the_robots_limits():
-    robot, settings = read_robot(), read_gaits()
-    phase = np.linspace(0, 1, 200, endpoint=False)
-    assert {"stand", "walk"} <= set(settings.gaits)
-    for gait in settings.gaits.values():
-        for amplitude in (0.0, 0.5, 1.0):
-            angle, force, _ = np.split(gait.course(phase, amplitude), [4, 8], axis=1)
-            assert angle.min() >= 0.0
-            assert angle.max() <= robot.tendon.angle_max
+    limit = ROBOT.tendon.angle_max
+    assert {"stand", "walk", "sit", "lie"} <= set(GAITS.gaits)
+    for stride in GAITS.strides.values():
+        assert np.radians(stride.range_deg).max() <= limit
+        for velocity in (np.zeros(3), *np.diag(stride.speeds), *-np.diag(stride.speeds)):
+            rows = course(velocity, stride=stride)
+            assert rows[:, :4].min() >= 0.0
+            assert rows[:, :4].max() <= limit
             # over a stride the ground carries the weight; two harmonics miss some of it
-            assert force.sum(axis=1).mean() == pytest.approx(robot.weight, rel=0.1)
-        assert gait.speed[0] <= gait.cruise <= gait.speed[-1]
+            carried = rows[:, 4:8].sum(axis=1).mean()
+            assert carried == pytest.approx(ROBOT.weight, rel=0.1)
+        assert abs(stride.cruise) <= stride.forward.speed
+        assert stride.height_range[0] <= stride.height <= stride.height_range[1]
+
+
+def test_the_legs_can_carry_every_posture_that_can_be_commanded():
+    """At the corners of height, roll and pitch the table has an angle for a quarter of the weight.
+
+    The posture `lie` is not loaded.
+    """
+    springs = read_leg_springs(read_mpc().posture.slope_min)
+    share = np.full(4, ROBOT.weight / 4)
+    for posture in GAITS.postures.values():
+        assert isinstance(posture, Posture)
+        for height in posture.height_range:
+            angle = springs.angle(share, ROBOT.clamp_heights(np.zeros(3), height))
+            assert angle.max() < ROBOT.tendon.angle_max, (posture, height)
+
+
+def test_every_gait_has_its_fields_from_its_own_file():
+    for name, gait in GAITS.gaits.items():
+        file = config.config_dir() / "gait" / f"{name}.yaml"
+        assert yaml.safe_load(file.read_text())["kind"] == gait.kind
+        assert isinstance(gait, Stride if gait.kind == "stride" else Posture)

@@ -1,4 +1,4 @@
-"""Convex MPC against the matrix exponential, CVXPY with Clarabel, and a nonlinear torso."""
+"""MPC on forces against the matrix exponential, CVXPY with Clarabel, and a nonlinear torso."""
 
 import csv
 import dataclasses
@@ -14,7 +14,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
-from slot_core.control.gait import GaitPreview
+from slot_core.control.gait import GaitCommand, GaitPreview
 from slot_core.control.mpc.model import Horizon, HorizonQp, TorsoModel
 from slot_core.control.mpc.mpc import Mpc, Status, read_mpc
 from slot_core.control.mpc.solver import Solution, make_solver
@@ -22,7 +22,7 @@ from slot_core.robot import GRAVITY, read_robot
 
 ROBOT = read_robot()
 # no time budget: the tests must not depend on the load of the machine
-SETTINGS = config.replace(read_mpc(), {"acceptance.time_budget": np.inf})
+SETTINGS = config.replace(read_mpc("forces"), {"acceptance.time_budget": np.inf})
 H, F_MAX, DT = SETTINGS.horizon, SETTINGS.force_max, 0.033
 HOVER = ROBOT.weight / 4
 
@@ -50,7 +50,10 @@ def preview(stages=H + 1, height=0.04, **changes):
         "reference": reference,
         "dt": DT,
     } | changes
-    return GaitPreview(stamp=0, gait="walk", phase=0.0, period=0.72, **values)
+    command = GaitCommand("walk", np.zeros(3), np.array([height, 0.0, 0.0]))
+    return GaitPreview(
+        stamp=0, gait="walk", phase=0.0, period=0.72, posture=False, command=command, **values
+    )
 
 
 def continuous(yaw, height):
@@ -393,7 +396,7 @@ def test_a_nan_solution_reported_as_solved_is_not_accepted(monkeypatch):
             self.count += 1
             return Solution(solutions[max(self.count, 0)], fault="", iterations=1)
 
-    monkeypatch.setattr("slot_core.control.mpc.mpc.make_solver", FaultySolver)
+    monkeypatch.setattr("slot_core.control.mpc.force_problem.make_solver", FaultySolver)
     mpc = new_mpc()
     assert mpc.step(state(), preview()).status == Status.SOLVED
     result = mpc.step(state(), preview())
@@ -619,6 +622,7 @@ def test_a_profile_changes_only_the_values_it_names(profile):
     settings = read_mpc(profile)
     assert settings.model.support == "equality"
     assert settings.weights.force == (1e-8, 1e-8, 1e-8)
+    assert (settings.problem, settings.map) == ("forces", "paper")
     assert settings.fallback == read_mpc().fallback
     with pytest.raises(config.ConfigError, match="no configuration 'mpc/magic'"):
         read_mpc("magic")

@@ -1,4 +1,4 @@
-"""Solvers of the MPC against a dual active-set method: random, hard and invalid problems."""
+"""Solvers of the MPC on forces against an active-set method: random, hard, invalid problems."""
 
 import copy
 import itertools
@@ -17,7 +17,7 @@ from slot_core.robot import read_robot
 
 ROBOT = read_robot()
 # no time budget: the tests must not depend on the load of the machine
-SETTINGS = config.replace(read_mpc(), {"acceptance.time_budget": np.inf})
+SETTINGS = config.replace(read_mpc("forces"), {"acceptance.time_budget": np.inf})
 H = SETTINGS.horizon
 # OSQP needs many iterations; its residuals are linear in the error of the forces
 SOLVER_CHANGES = {
@@ -59,7 +59,7 @@ def test_oracle_and_cvxpy_reference_have_the_same_forces():
         mpc.step(*case)
         force, _ = reference.solve(*case, "CLARABEL")
         # Clarabel's gap of 1e-11 has a root of 3e-6
-        np.testing.assert_allclose(optimum(mpc.problem)[0], force[0], atol=2e-5)
+        np.testing.assert_allclose(optimum(mpc.problem.qp)[0], force[0], atol=2e-5)
 
 
 def test_first_forces_are_the_optimum_of_random_problems(solver):
@@ -67,14 +67,14 @@ def test_first_forces_are_the_optimum_of_random_problems(solver):
     for _ in range(25):
         result = mpc.step(*random_case(rng, H + 1))
         assert result.status == Status.SOLVED
-        np.testing.assert_allclose(result.force, optimum(mpc.problem)[0], rtol=0, atol=TOLERANCE)
+        np.testing.assert_allclose(result.force, optimum(mpc.problem.qp)[0], rtol=0, atol=TOLERANCE)
 
 
 def test_riccati_is_within_a_tenth_of_a_millinewton_of_the_optimum():
     mpc, rng = controller("riccati"), np.random.default_rng(6)
     for _ in range(60):
         result = mpc.step(*random_case(rng, H + 1))
-        np.testing.assert_allclose(result.force, optimum(mpc.problem)[0], rtol=0, atol=1e-4)
+        np.testing.assert_allclose(result.force, optimum(mpc.problem.qp)[0], rtol=0, atol=1e-4)
 
 
 @pytest.mark.parametrize("case", hard_cases(H + 1))
@@ -88,7 +88,7 @@ def test_hard_cases_give_the_optimum_or_a_fault(solver, case):
         assert not result.force.any()
         return
     assert result.violation <= SETTINGS.acceptance.violation_max
-    np.testing.assert_allclose(result.force, optimum(mpc.problem)[0], rtol=0, atol=TOLERANCE)
+    np.testing.assert_allclose(result.force, optimum(mpc.problem.qp)[0], rtol=0, atol=TOLERANCE)
 
 
 @pytest.mark.parametrize("horizon", [1, 2, 40])
@@ -97,7 +97,7 @@ def test_short_and_long_horizons_give_the_optimum(solver, horizon):
     for _ in range(3):
         result = mpc.step(*random_case(rng, horizon + 1))
         assert result.status == Status.SOLVED
-        np.testing.assert_allclose(result.force, optimum(mpc.problem)[0], rtol=0, atol=TOLERANCE)
+        np.testing.assert_allclose(result.force, optimum(mpc.problem.qp)[0], rtol=0, atol=TOLERANCE)
 
 
 def test_small_weights_on_the_forces_give_the_optimum(solver):
@@ -109,7 +109,7 @@ def test_small_weights_on_the_forces_give_the_optimum(solver):
         assert result.status == Status.SOLVED
         # the error of the forces is inverse to the root of their weight: sqrt(2 / 0.05) = 6
         np.testing.assert_allclose(
-            result.force, optimum(mpc.problem)[0], rtol=0, atol=6 * TOLERANCE
+            result.force, optimum(mpc.problem.qp)[0], rtol=0, atol=6 * TOLERANCE
         )
 
 
@@ -144,7 +144,7 @@ def test_a_failed_case_does_not_affect_the_next(solver):
         mpc.step(x, standing(H + 1))
         result = mpc.step(*good)
         assert result.status == Status.SOLVED
-        np.testing.assert_allclose(result.force, optimum(mpc.problem)[0], rtol=0, atol=TOLERANCE)
+        np.testing.assert_allclose(result.force, optimum(mpc.problem.qp)[0], rtol=0, atol=TOLERANCE)
 
 
 def test_equal_histories_give_bit_equal_forces(solver):
@@ -170,7 +170,7 @@ def problem_of_standing():
     """A copy of the controller's problem for a standing robot, to be changed."""
     mpc = controller("riccati")
     mpc.step(state(p=(0, 0, 0.03)), standing(H + 1))
-    return copy.deepcopy(mpc.problem)
+    return copy.deepcopy(mpc.problem.qp)
 
 
 def test_infeasible_limits_are_a_fault(solver):

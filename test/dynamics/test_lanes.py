@@ -51,8 +51,9 @@ class Stepper:
 
 
 def walk(time):
-    gait = read_gaits().gaits["walk"]
-    return gait.course(np.array([time / gait.period % 1]), 1.0)[0, :4]
+    gait = read_gaits().strides["walk"]
+    phase, velocity = np.array([time / gait.period % 1]), np.array([gait.forward.speed, 0.0, 0.0])
+    return gait.course(phase, velocity, 1.0, np.zeros(4))[0, :4]
 
 
 def stand_and_step(time):

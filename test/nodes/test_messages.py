@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import TransformStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
 from tf2_msgs.msg import TFMessage
 
 from slot_core.bags import decode
-from slot_core.control.gait import GaitPreview
+from slot_core.control.gait import GaitCommand, GaitPreview
 from slot_core.control.inertial_filter import Mount
 from slot_core.control.state_estimator import Estimate, Validity
 from slot_core.robot import TENDON_JOINTS
@@ -124,10 +124,33 @@ def test_preview():
         normal_force=RNG.random(shape),
         tendon_angle=RNG.random(shape),
         reference=RNG.random((15, 12)),
+        posture=True,
+        command=GaitCommand("stand", RNG.random(3), RNG.random(3)),
     )
     got = decode.preview(through_dds(messages.preview_to_msg(sent)))
-    for name in vars(sent):
+    assert got.command.gait == "stand"
+    assert (got.command.velocity == sent.command.velocity).all()
+    assert (got.command.pose == sent.command.pose).all()
+    for name in vars(sent).keys() - {"command"}:
         assert np.array_equal(getattr(got, name), getattr(sent, name)), name
+
+
+@pytest.mark.parametrize("yaw", [0.0, 2.0])
+def test_a_body_pose_is_height_roll_and_pitch_at_any_yaw(yaw):
+    """Roll, pitch and yaw are about the fixed axes x, y, z in this order."""
+    message = PoseStamped()
+    message.pose.position.x, message.pose.position.z = 3.0, 0.045
+    q = Rotation.from_euler("ZYX", [yaw, -0.06, 0.08]).as_quat()
+    o = message.pose.orientation
+    o.x, o.y, o.z, o.w = q
+    assert decode.body_pose(through_dds(message)) == pytest.approx([0.045, 0.08, -0.06])
+
+
+def test_a_body_pose_without_an_orientation_is_refused():
+    message = PoseStamped()
+    message.pose.orientation.w = 0.0
+    with pytest.raises(ValueError, match="zero norm"):
+        decode.body_pose(through_dds(message))
 
 
 def test_joint_angles_are_read_by_name_not_by_position():

@@ -17,7 +17,7 @@ from slot_core.safety.tendon_watch import read_tendon_watch
 LIMITS = read_supervisor().tendon
 RADIUS = ROBOT.tendon.spool_radius
 TICK = 10_000_000  # ns, /joint_states
-STRIDE = read_gaits().gaits["walk"].period
+STRIDE = read_gaits().strides["walk"].period
 HEIGHTS = np.full(4, HEIGHT)
 
 

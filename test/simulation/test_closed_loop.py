@@ -5,6 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from slot_core.config import ConfigError
+from slot_core.control.state_estimator import Validity
 from slot_core.dynamics.scene import read_scene
 from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
@@ -111,3 +113,33 @@ def test_equal_seeds_give_equal_walks_and_other_seeds_others():
     first, second, third = (walk(1.0, seed=seed)[0] for seed in (1, 1, 2))
     assert np.array_equal(first, second)
     assert not np.array_equal(first, third)
+
+
+def test_values_by_dotted_name_change_the_simulated_robot_and_the_controller():
+    changes = {
+        "scene.payload.mass": 0.3,
+        "servo.lag": 0.04,
+        "robot.leg.young_modulus": 2e7,
+        "gait.strides.walk.feedback.gain": 0.0,
+        "mpc.horizon": 10,
+    }
+    loop = ClosedLoop("flat", "stand", np.zeros(3), 0, changes=changes)
+    assert loop.plant.simulator.scene.payload.mass == 0.3
+    assert loop.plant.simulator.robot.leg.young_modulus == 2e7
+    with pytest.raises(ConfigError, match=r"floor\.friction: expected one of scene, servo, robot"):
+        ClosedLoop("flat", "stand", np.zeros(3), 0, changes={"floor.friction": 0.2})
+    with pytest.raises(ConfigError, match=r"robot: leg\.mass is not a setting"):
+        ClosedLoop("flat", "stand", np.zeros(3), 0, changes={"robot.leg.mass": 0.2})
+
+
+def test_robot_stands_through_a_gap_of_the_odometry():
+    loop = ClosedLoop("flat", "stand", np.zeros(3), 0, lost_odometry=(1.0, 0.3))
+    validities, stamps = [], []
+    for tick in loop.run(90):
+        validities.append(tick.estimate.validity)
+        stamps.append(tick.estimate.stamp)
+        height = loop.plant.simulator.position[2]
+    assert Validity.ODOMETRY_LOST in validities
+    assert validities[-1] == Validity.VALID
+    assert np.diff(stamps).min() > 0
+    assert height == pytest.approx(0.040, abs=2e-3)

@@ -45,7 +45,7 @@ MINUTE, HOUR = 1800, 108_000  # cycles at 30 Hz
 def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[Row], list[Check]]:
     """Run all measurements; the picture goes to `out/mpc.png`."""
     settings = config.replace(
-        read_mpc(), {"acceptance.time_budget": np.inf, "acceptance.violation_max": 1.0}
+        read_mpc("forces"), {"acceptance.time_budget": np.inf, "acceptance.violation_max": 1.0}
     )
     progress("walk")
     walk, hard = walk_cases(), list(hard_and_random(settings.horizon))
@@ -93,7 +93,7 @@ class Exact:
         optima = []
         for state, preview in cases:
             self._mpc.step(state, preview)
-            optima.append(optimum(self._mpc.problem)[0])
+            optima.append(optimum(self._mpc.problem.qp)[0])
         return np.array(optima)
 
 
@@ -154,7 +154,7 @@ def solver_row(  # noqa: PLR0917
 
 def accepted(result: MpcResult) -> bool:
     """Whether the controller accepts the result with its configured limit of the violation."""
-    limit = read_mpc().acceptance.violation_max
+    limit = read_mpc("forces").acceptance.violation_max
     return result.status == Status.SOLVED and result.violation <= limit
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from slot_core.control.gait import GaitPreview, read_gaits
+from slot_core.control.gait import GaitCommand, GaitPreview, read_gaits
 from slot_core.robot import Array
 
 HEIGHT = 0.04  # m, of the standing torso
@@ -32,6 +32,8 @@ def standing(stages: int, **changes: Any) -> GaitPreview:
         "tendon_angle": np.ones((stages, 4)),
         "reference": np.tile(state(), (stages, 1)),
         "dt": read_gaits().dt,
+        "posture": True,
+        "command": GaitCommand("stand", np.zeros(3), np.array([HEIGHT, 0.0, 0.0])),
     }
     return GaitPreview(stamp=0, gait="stand", phase=0.0, period=0.72, **(values | changes))
 

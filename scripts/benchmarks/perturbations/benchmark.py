@@ -21,6 +21,7 @@ from benchmarks.perturbations.picture import draw_costs, draw_failures, table_li
 from benchmarks.perturbations.samples import PLANTS, Record, draw, summary
 from slot_core.control.mpc.mpc import read_mpc
 from slot_core.robot import read_robot
+from slot_core.workers import workers
 
 REQUIRES = ("clarabel", "distributed")
 QUICK_DURATION = 6.0  # s, of (b) and (c)
@@ -46,7 +47,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the samples")
     parser.add_argument("--plant", choices=PLANTS, default=PLANTS[0], help="of the samples")
     parser.add_argument(
-        "--observer", type=float, default=read_mpc().disturbance.time, metavar="S",
+        "--observer", type=float, default=read_mpc("forces").disturbance.time, metavar="S",
         help="time constant of the MPC's observer of mass and bias in the samples, 0: none",
     )  # fmt: skip
     parser.add_argument(
@@ -86,7 +87,7 @@ def cases(
     from benchmarks.perturbations.rigid_torso import run_torso  # noqa: PLC0415
     from benchmarks.perturbations.simulated import run_robot  # noqa: PLC0415
 
-    robot, published, default = read_robot(), read_mpc("published"), read_mpc()
+    robot, published, default = read_robot(), read_mpc("published"), read_mpc("forces")
     runs: dict[str, dict[str, Run]] = {"published": {}, "torso": {}, "robot": {}}
     rows = []
     for name, change in CASES.items():
@@ -111,7 +112,7 @@ def sample_rows(
     count: int, like: Any, scheduler: str, out: Path, progress: Callable[[str], None]
 ) -> list[Row]:
     """Run the samples that `out/samples.csv` lacks; raises BenchmarkError for a negative count."""
-    from benchmarks.perturbations.farm import run_samples, workers  # noqa: PLC0415
+    from benchmarks.perturbations.farm import run_samples  # noqa: PLC0415
 
     if count < 0:
         raise BenchmarkError(f"--samples {count}: a number of samples, 0 or more")

@@ -2,43 +2,18 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from distributed import Client, LocalCluster, as_completed
+from distributed import Client, as_completed
 
 from benchmarks.perturbations.samples import Record, Sample, draw, run_sample
 
 PACKAGE = Path(__file__).resolve().parents[1]  # benchmarks
-LOOPBACK = "127.0.0.1"
 REPORTS = 20  # lines of progress
-
-
-@contextmanager
-def workers(scheduler: str, count: int | None = None) -> Iterator[Client]:
-    """Client of the cluster at `scheduler`; if empty, of `count` local processes (default: cores).
-
-    The local cluster listens on the loopback only. A remote worker needs slot_core of the same
-    revision; the package of the benchmarks is uploaded to it.
-    """
-    if scheduler:
-        with Client(scheduler) as client:
-            yield client
-        return
-    cores = count or len(os.sched_getaffinity(0))
-    local = {"host": LOOPBACK, "processes": True, "threads_per_worker": 1}
-    # By default the web servers listen on every interface.
-    pages = dict.fromkeys(("dashboard_address", "worker_dashboard_address"), f"{LOOPBACK}:0")
-    with (
-        LocalCluster(n_workers=cores, **local, **pages) as here,
-        Client(here) as client,
-    ):
-        yield client
 
 
 def run_samples(

@@ -24,12 +24,13 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.perturbations.cases import DT, DURATION, HEIGHT, NOISE, P_Z, SPEED, Run, tilt
 from slot_core import config
-from slot_core.control.gait import GaitPreview, read_gaits
+from slot_core.control.gait import GaitCommand, GaitPreview, read_gaits
 from slot_core.control.mpc.mpc import Mpc, MpcResult, MpcSettings, Status
 from slot_core.control.reference import reference
 from slot_core.robot import GRAVITY, Array, Robot
 
 LAG = 0.05  # s
+VELOCITY_AHEAD = np.array([SPEED, 0.0, 0.0])  # v_x, v_y m/s, yaw rate rad/s, commanded
 SUBSTEPS = 8  # Runge-Kutta steps per control step: 4 ms; the samples' shortest lag is 10 ms
 # Slices of the state y: quaternion x y z w, angular velocity in body axes.
 POSITION, QUATERNION, VELOCITY, RATE = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
@@ -150,7 +151,9 @@ class TorsoLoop:
             friction=np.full(shape, gaits.friction),
             normal_force=np.tile(self._share, (gaits.stages, 1)),
             tendon_angle=np.zeros(shape),
-            reference=reference(state, 0.0, np.array([SPEED, 0.0, 0.0]), sway, times),
+            reference=reference(state, 0.0, VELOCITY_AHEAD, sway, times),
+            posture=True,
+            command=GaitCommand("stand", VELOCITY_AHEAD, np.array([HEIGHT, 0.0, 0.0])),
         )
 
 

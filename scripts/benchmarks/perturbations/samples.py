@@ -108,7 +108,7 @@ def torso_states(sample: Sample) -> tuple[Array, int]:
     torso = Body(mass, robot.inertia, robot.feet, sample.friction, sample.lag)
     state = np.zeros(12)
     state[[P_Z, 9]] = HEIGHT, SPEED
-    settings = config.replace(read_mpc(), {"disturbance.time": sample.observer})
+    settings = config.replace(read_mpc("forces"), {"disturbance.time": sample.observer})
     loop = TorsoLoop(robot, settings, torso, state)
     noise, push = sample.noise * _sensor_noise(), _push(sample)
     rows, unsolved = [], 0
@@ -130,7 +130,7 @@ def robot_states(sample: Sample) -> tuple[Array, int]:
     }
     changes = {"payload.mass": sample.payload, "floor.friction": [sample.friction] * 4}
     scene = config.replace(flat, sensors | changes | {"floor.torso_friction": sample.friction})
-    loop = ClosedLoop("flat", "stand", np.zeros(3), sample.seed)
+    loop = ClosedLoop("flat", "stand", np.zeros(3), sample.seed, "forces")
     loop.controller.mpc = _observing_mpc(sample.observer)
     rng = np.random.default_rng([sample.seed, sample.index, 1])
     loop.plant = Plant(read_robot(), scene, servo, rng)
@@ -146,7 +146,7 @@ def robot_states(sample: Sample) -> tuple[Array, int]:
 
 def _observing_mpc(observer: float) -> Mpc:
     changes = {"disturbance.time": observer, "acceptance.time_budget": math.inf}
-    return Mpc(read_robot(), config.replace(read_mpc(), changes), lambda: 0.0)
+    return Mpc(read_robot(), config.replace(read_mpc("forces"), changes), lambda: 0.0)
 
 
 RUNNERS = {"torso": torso_states, "robot": robot_states}

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 from scipy.integrate import quad
-from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.config import ConfigError, choice, quantity
@@ -144,7 +143,9 @@ class Robot:
 
     def clamp_heights(self, rpy: Array, height: float) -> Array:
         """(4,) m, clamps above the floor, of a torso at rpy (3,) rad and `height` (m)."""
-        return height + Rotation.from_euler("xyz", rpy).apply(self.clamps)[:, 2]
+        roll, pitch, _ = rpy
+        row = [-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)]
+        return height + self.clamps @ row
 
     @cached_property
     def outward(self) -> Array:

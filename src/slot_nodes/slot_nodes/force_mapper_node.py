@@ -5,7 +5,8 @@ from sensor_msgs.msg import JointState
 
 from slot_core.bags import decode
 from slot_core.control.controller import command_for
-from slot_core.control.force_map import ForceMap, read_force_map, read_leg_slope
+from slot_core.control.force_map import make_force_map, read_force_map
+from slot_core.control.mpc.mpc import DEFAULT_PROFILE, read_mpc
 from slot_core.robot import LEGS, read_robot
 from slot_msgs.msg import ForceMapStatus, GaitPreview, GroundReactionForces, MpcState
 from slot_nodes import inputs, messages, qos, runtime
@@ -17,8 +18,11 @@ class ForceMapperNode(Node):
 
     def __init__(self) -> None:
         super().__init__("force_mapper")
+        profile = runtime.declare(
+            self, "profile", DEFAULT_PROFILE, "profile of the MPC, which names the map"
+        )
         settings = runtime.declare_settings(self, read_force_map())
-        self._map = ForceMap(read_robot(), settings, read_leg_slope())
+        self._map = make_force_map(read_robot(), settings, read_mpc(profile).map)
         self._nominal = TimeSynchronizer("preview", "state")
         self._inputs = TimeSynchronizer("forces", "nominal")
         self._angles = runtime.publisher(self, JointState, "desired_joint_angles", qos.CONTROL)
@@ -45,11 +49,11 @@ class ForceMapperNode(Node):
         self._command(stamp, self._inputs.add("forces", stamp, forces))
 
     def _prepare(self, stamp: int, matched: tuple | None) -> None:
-        """Compute the slopes of the map before the forces arrive, which are last."""
+        """Evaluate the legs before the forces arrive, which are last."""
         if matched is None:
             return
         preview, state = matched
-        nominal = preview, self._map.slope(preview, state)
+        nominal = preview, self._map.nominal(preview, state)
         self._command(stamp, self._inputs.add("nominal", stamp, nominal))
 
     def _command(self, stamp: int, matched: tuple | None) -> None:

@@ -1,14 +1,19 @@
-"""`/mpc_state`, `/cmd_vel` and the service `set_gait` to the preview of gait and reference."""
+"""`/mpc_state`, `/cmd_vel`, `/body_pose` and the service `set_gait` to the preview of the gait."""
 
 from dataclasses import replace
 
 import numpy as np
-from geometry_msgs.msg import TwistStamped
+from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.node import Node
 
 from slot_core.bags import decode
 from slot_core.config import ConfigError
-from slot_core.control.gait import GaitScheduler, read_gaits
+from slot_core.control.gait import read_gaits
+from slot_core.control.gait_scheduler import GaitScheduler
+from slot_core.control.leg_springs import read_leg_springs
+from slot_core.control.mpc.mpc import read_mpc
+from slot_core.control.path import read_path
+from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, MpcState
 from slot_msgs.srv import SetGait
 from slot_nodes import inputs, messages, qos, runtime
@@ -20,14 +25,25 @@ class GaitSchedulerNode(Node):
     def __init__(self) -> None:
         super().__init__("gait_scheduler")
         settings = runtime.declare_settings(self, read_gaits())
-        gait = runtime.declare(self, "gait", "stand", "gait at the start, of config/gait.yaml")
+        gait = runtime.declare(self, "gait", "stand", "gait at the start, a file of config/gait")
         cruise = settings.find(gait).cruise
         v_x = runtime.declare(self, "v_x", cruise, "forward velocity at the start [m/s]")
         v_y = runtime.declare(self, "v_y", 0.0, "lateral velocity at the start [m/s]")
-        self._scheduler = GaitScheduler(settings, gait, np.array([v_x, v_y, 0.0]))
+        turn = runtime.declare(self, "yaw_rate", 0.0, "yaw rate at the start [rad/s]")
+        file = runtime.declare(self, "path", "", "CSV with columns x, y in odom [m] to follow")
+        heading = runtime.declare(
+            self, "path_heading", "kept", "heading on the path: kept or along"
+        )
+        path = read_path(file, v_x, heading) if file else None
+        springs = read_leg_springs(read_mpc().posture.slope_min)
+        velocity = np.array([v_x, v_y, turn])
+        self._scheduler = GaitScheduler(settings, read_robot(), springs, gait, velocity, path)
         self._preview = runtime.publisher(self, GaitPreview, "gait_preview", qos.CONTROL)
         inputs.subscribe(
             self, TwistStamped, "cmd_vel", self._on_velocity, qos.SENSOR, overridable=True
+        )
+        inputs.subscribe(
+            self, PoseStamped, "body_pose", self._on_pose, qos.SENSOR, overridable=True
         )
         self.create_service(SetGait, "set_gait", self._on_gait)
         inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.CONTROL)
@@ -45,6 +61,13 @@ class GaitSchedulerNode(Node):
             self._scheduler.set_velocity(stamp or self.get_clock().now().nanoseconds, velocity)
         except ConfigError as error:
             self.get_logger().warning(f"cmd_vel refused: {error}", throttle_duration_sec=1.0)
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        """Set height, roll and pitch of the torso; place and yaw of the pose are not used."""
+        try:
+            self._scheduler.set_pose(decode.body_pose(message))
+        except ConfigError as error:
+            self.get_logger().warning(f"body_pose refused: {error}", throttle_duration_sec=1.0)
 
     def _on_gait(self, request: SetGait.Request, response: SetGait.Response) -> SetGait.Response:
         try:

@@ -66,6 +66,7 @@ def require_present(stamp: int, now: int, limit: float) -> None:
 
 def require_nominal(preview: GaitPreview) -> None:
     """Raise ValueError unless the preview has finite tendon angles and loads of all legs."""
+    require_finite("reference", preview.reference)
     for name in ("tendon_angle", "normal_force"):
         rows = getattr(preview, name)
         if rows.shape[1] != len(LEGS):

@@ -192,6 +192,10 @@ def preview_to_msg(preview: gait.GaitPreview) -> GaitPreview:
         normal_force=preview.normal_force.ravel(),
         tendon_angle=preview.tendon_angle.ravel(),
         reference=preview.reference.ravel(),
+        posture=preview.posture,
+        requested=preview.command.gait,
+        velocity=preview.command.velocity,
+        pose=preview.command.pose,
     )
 
 

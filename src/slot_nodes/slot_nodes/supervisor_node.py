@@ -14,7 +14,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from slot_core.bags import decode
-from slot_core.control.gait import STAND, GaitScheduler, read_gaits
+from slot_core.control.gait import STAND, read_gaits
 from slot_core.control.state_estimator import Estimate, Validity
 from slot_core.robot import read_robot
 from slot_core.safety.settings import read_supervisor
@@ -55,12 +55,12 @@ class SupervisorNode(Node):
     def _declare_gait(self) -> SetGait.Request:
         """Declare gait and velocity of WALKING; raises ConfigError if they do not fit."""
         gaits = read_gaits()
-        gait = runtime.declare(self, "gait", STAND, "gait of WALKING, of config/gait.yaml")
+        gait = runtime.declare(self, "gait", STAND, "gait of WALKING, a file of config/gait")
         v_x = runtime.declare(
             self, "v_x", gaits.find(gait).cruise, "forward velocity of WALKING [m/s]"
         )
         v_y = runtime.declare(self, "v_y", 0.0, "lateral velocity of WALKING [m/s]")
-        GaitScheduler(gaits, gait, np.array([v_x, v_y, 0.0]))
+        gaits.require_velocity(gait, np.array([v_x, v_y, 0.0]))
         self._supervisor.receive_gait(self._now(), gaits.find(gait).period)
         return messages.gait_request(gait, v_x, v_y)
 

@@ -10,9 +10,10 @@ from dataclasses import fields
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from slot_core import config
-from slot_core.control.gait import GaitPreview
+from slot_core.control.gait import GaitCommand, GaitPreview
 from slot_core.faults import Fault
 from slot_core.robot import LEGS, TENDON_JOINTS, Array
 from slot_core.safety.command_gate import Action
@@ -75,6 +76,14 @@ def velocity(message: Any) -> tuple[int, Array]:
     return stamp(message), np.array([twist.linear.x, twist.linear.y, twist.angular.z])
 
 
+def body_pose(message: Any) -> Array:
+    """(3,) height, roll, pitch of a PoseStamped; raises ValueError for a zero quaternion."""
+    q = message.pose.orientation
+    rotation = Rotation.from_quat([q.x, q.y, q.z, q.w])
+    roll, pitch, _ = rotation.as_euler("xyz")
+    return np.array([message.pose.position.z, roll, pitch])
+
+
 def joint_angles(message: Any) -> tuple[int, Array]:
     """(stamp, angles in the order of LEGS); raises ValueError unless each joint is named once."""
     return stamp(message), _of_joints(message, message.position)
@@ -125,6 +134,8 @@ def preview(message: Any) -> GaitPreview:
         normal_force=rows("normal_force"),
         tendon_angle=rows("tendon_angle"),
         reference=rows("reference", 12),
+        posture=bool(message.posture),
+        command=GaitCommand(message.requested, np.array(message.velocity), np.array(message.pose)),
     )
 
 

@@ -2,7 +2,8 @@
 
 Each replayed stage gets the recorded input of its node, so the first difference names the stage
 that has changed: `/odom` and `/imu` go to the state estimator, recorded states and gait previews to
-the MPC, recorded forces, previews and states to the force map. The gait scheduler is not replayed.
+the MPC, recorded forces, previews and states to the force map. The gait scheduler gets the recorded
+states and the commands that its previews name; a path that it followed is not recorded.
 """
 
 from __future__ import annotations
@@ -23,7 +24,10 @@ from slot_core import config
 from slot_core.bags import decode
 from slot_core.bags.bag import Bag, BagError
 from slot_core.control.controller import command_for
-from slot_core.control.force_map import ForceMap, read_force_map, read_leg_slope
+from slot_core.control.force_map import make_force_map, read_force_map
+from slot_core.control.gait import GaitPreview, read_gaits
+from slot_core.control.gait_scheduler import GaitScheduler
+from slot_core.control.leg_springs import read_leg_springs
 from slot_core.control.mpc.mpc import Mpc, MpcResult, read_mpc
 from slot_core.control.state_estimator import Estimate, StateEstimator, read_estimator
 from slot_core.robot import Robot, read_robot
@@ -69,11 +73,12 @@ def replay(bag: Bag, tolerance: float) -> list[Comparison]:
     Raises BagError if the bag lacks a topic, ConfigError if the configuration is invalid.
     """
     robot = read_robot()
-    states = _by_stamp(bag, "/mpc_state", decode.state)
+    states = _by_stamp(bag, "/mpc_state", lambda m: (*decode.state(m), decode.lead(m)))
     previews = _by_stamp(bag, "/gait_preview", decode.preview)
     forces = _by_stamp(bag, "/ground_reaction_forces", decode.forces)
     return [
         compare(bag, "/mpc_state", _estimates(bag), tolerance),
+        compare(bag, "/gait_preview", _previews(robot, states, previews), tolerance),
         compare(
             bag, "/ground_reaction_forces", _solves(robot, states, previews, forces), tolerance
         ),
@@ -143,6 +148,26 @@ def _state_fields(estimate: Estimate) -> Fields:
     }
 
 
+def _previews(
+    robot: Robot, states: Mapping[int, Any], previews: Mapping[int, GaitPreview]
+) -> dict[int, Fields]:
+    """Gait previews, as fields of GaitPreview, from the recorded states and commands."""
+    first = next(iter(previews.values())).command
+    springs = read_leg_springs(read_mpc().posture.slope_min)
+    scheduler = GaitScheduler(read_gaits(), robot, springs, first.gait, first.velocity)
+    fields = {}
+    for stamp, (_, state, _, lead) in states.items():
+        if stamp in previews:
+            scheduler.set_command(previews[stamp].command)
+            fields[stamp] = _preview_fields(scheduler.step(stamp + lead, state))
+    return fields
+
+
+def _preview_fields(preview: GaitPreview) -> Fields:
+    names = ("phase", "period", "dt", "contact", "friction", "normal_force", "tendon_angle")
+    return {name: getattr(preview, name) for name in (*names, "reference", "posture")}
+
+
 def _solves(
     robot: Robot,
     states: Mapping[int, Any],
@@ -158,7 +183,7 @@ def _solves(
     mpc = Mpc(robot, settings, timer=lambda: 0.0)
     return {
         stamp: _forces_fields(mpc.step(state, previews[stamp]))
-        for stamp, (_, state, _) in states.items()
+        for stamp, (_, state, *_) in states.items()
         if stamp in previews and stamp in solved
     }
 
@@ -177,11 +202,11 @@ def _angles(
     states: Mapping[int, Any],
 ) -> dict[int, Fields]:
     """Tendon angles, as the field of JointState."""
-    force_map = ForceMap(robot, read_force_map(), read_leg_slope())
+    force_map = make_force_map(robot, read_force_map(), read_mpc().map)
 
     def angle(stamp: int, force: Any, status: int) -> Any:
-        slope = force_map.slope(previews[stamp], states[stamp][1])
-        return command_for(force_map, force, status, previews[stamp], slope).angle
+        nominal = force_map.nominal(previews[stamp], states[stamp][1])
+        return command_for(force_map, force, status, previews[stamp], nominal).angle
 
     return {
         stamp: {"position": angle(stamp, force, status)}

@@ -1,13 +1,14 @@
 """Force map: tendon angles from ground reaction forces.
 
-Two maps:
-
+    springs        theta = theta_gait + (f_z - f_gait - F_h (h - h_ref)) / F_theta
+    incremental    theta = theta_gait + (f_z - f_gait) / F_theta
     paper          theta = (f_z + line_offset) / line_slope, the paper's force-angle fit
-    incremental    theta = theta_gait + (f_z - f_ref) / (df_z/dtheta)
 
-theta_gait and f_ref are the gait's nominal angle and normal force. The slope df_z/dtheta is that of
-the static leg at theta_gait and the present clamp height, from the table `config/leg_map.csv`. In
-static equilibrium the legs carry m g at any height, so only the deviation from f_ref is useful.
+theta_gait and f_gait are the gait's nominal angle and normal force, F_theta and F_h the statics of
+the leg (`leg_springs.py`). `springs` is evaluated at the reference height h_ref and inverts the
+model of the MPC on tendon angles, so that the leg at the present height h exerts what is asked for;
+a leg out of contact keeps the gait's angle. `incremental` takes F_theta at the present height and
+neglects that the leg is a spring.
 """
 
 from __future__ import annotations
@@ -16,12 +17,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
 
 from slot_core import config
-from slot_core.config import choice, quantity
+from slot_core.config import quantity
 from slot_core.control.gait import GaitPreview
-from slot_core.leg_table import read_leg_table
+from slot_core.control.leg_springs import LegSprings, read_leg_springs
 from slot_core.robot import Array, Robot
 
 
@@ -29,10 +29,9 @@ from slot_core.robot import Array, Robot
 class ForceMapSettings:
     """Settings of `config/force_map.yaml`."""
 
-    map: str = choice("map from force to angle", "incremental", "paper")
     line_offset: float = quantity("paper's line: force at angle zero, negated", "N", 0, 50)
     line_slope: float = quantity("paper's line: slope", "N/deg", 1e-3, 10)
-    slope_min: float = quantity("incremental: lower bound of the slope", "N/rad", 0.1, 100)
+    slope_min: float = quantity("lower bound of F_theta", "N/rad", 0.1, 100)
     correction_max_deg: float = quantity("incremental: largest correction", "deg", 0, 120)
 
 
@@ -48,49 +47,50 @@ class TendonCommand:
     saturated: NDArray[np.bool_]  # (4,) whether the limits changed the angle
 
 
-class LegSlope:
-    """Slope df_z/dtheta of one leg: bilinear interpolation in tendon angle and clamp height."""
+@dataclass(frozen=True)
+class Nominal:
+    """What the map needs beside the forces, at stage 0 of a preview and a state."""
 
-    def __init__(self, theta: Array, height: Array, slope: Array):
-        """Grid theta (m,) rad, height (n,) m, slope (m, n) N/rad."""
-        self._low = np.array([theta[0], height[0]])
-        self._high = np.array([theta[-1], height[-1]])
-        self._interpolate = RegularGridInterpolator((theta, height), slope)
-
-    def __call__(self, theta: Array, height: Array) -> Array:
-        """Slope (n,) N/rad at theta (n,) rad and height (n,) m; outside, that at the edge."""
-        points = np.clip(np.column_stack([theta, height]), self._low, self._high)
-        return self._interpolate(points)
+    angle: Array  # (4,) rad, of the gait
+    force: Array  # (4,) N, at the nominal angles and the present heights
+    slope: Array  # (4,) N/rad
+    contact: NDArray[np.bool_]  # (4,)
 
 
 class ForceMap:
     """Computes tendon angles from the MPC's forces and the gait's nominal angles."""
 
-    def __init__(self, robot: Robot, settings: ForceMapSettings, slope: LegSlope):
-        self._robot, self._settings, self._slope = robot, settings, slope
+    def __init__(self, robot: Robot, settings: ForceMapSettings, name: str, springs: LegSprings):
+        """Take the name of the map, one of those of the module's docstring."""
+        self._robot, self._settings, self._name = robot, settings, name
+        self._springs = springs
         self._last: Array | None = None
 
-    def slope(self, preview: GaitPreview, state: Array) -> Array:
-        """Slopes (4,) N/rad at stage 0 of `preview` and at `state` (12,); they need no forces."""
-        if self._settings.map == "paper":
-            return np.full(4, np.degrees(self._settings.line_slope))
+    def nominal(self, preview: GaitPreview, state: Array) -> Nominal:
+        """Angles, forces and slopes of the gait at `state` (12,); they need no forces."""
+        angle, force = preview.tendon_angle[0], preview.normal_force[0]
+        if self._name == "paper":
+            return Nominal(angle, force, np.full(4, np.degrees(self._settings.line_slope)), _ALL)
         height = self._robot.clamp_heights(state[0:3], state[5])
-        slope = self._slope(preview.tendon_angle[0], height)
-        return np.maximum(slope, self._settings.slope_min)
+        if self._name == "incremental":
+            return Nominal(angle, force, self._springs.at(angle, height).slope, _ALL)
+        reference = preview.reference[0]
+        at = self._robot.clamp_heights(reference[0:3], reference[5])
+        springs = self._springs.at(angle, at)
+        present = force + springs.stiffness * (height - at) if preview.posture else force
+        return Nominal(angle, present, springs.slope, preview.contact[0])
 
-    def step(self, force: Array, preview: GaitPreview, slope: Array) -> TendonCommand:
-        """Tendon angles for forces (4, 3) N in odom at stage 0 of `preview`.
-
-        slope: (4,) N/rad, from `slope()`.
-        """
-        normal = force[:, 2]
-        if self._settings.map == "paper":
+    def step(self, force: Array, nominal: Nominal) -> TendonCommand:
+        """Tendon angles for forces (4, 3) N in odom."""
+        normal, slope = force[:, 2], nominal.slope
+        if self._name == "paper":
             angle = (normal + self._settings.line_offset) / slope
         else:
-            angle = preview.tendon_angle[0] + self._correction(normal, preview, slope)
+            correction = np.where(nominal.contact, (normal - nominal.force) / slope, 0.0)
+            angle = nominal.angle + self._limited(correction)
         clamped = self._clamp(angle)
         self._last = clamped
-        return TendonCommand(self._settings.map, clamped, normal, slope, angle, clamped != angle)
+        return TendonCommand(self._name, clamped, normal, slope, angle, clamped != angle)
 
     def hold(self, preview: GaitPreview) -> TendonCommand:
         """The last angles; before the first `step`, the nominal angles of `preview`."""
@@ -101,9 +101,14 @@ class ForceMap:
     def _clamp(self, angle: Array) -> Array:
         return np.clip(angle, 0.0, self._robot.tendon.angle_max)
 
-    def _correction(self, normal: Array, preview: GaitPreview, slope: Array) -> Array:
+    def _limited(self, correction: Array) -> Array:
+        if self._name != "incremental":
+            return correction
         limit = np.radians(self._settings.correction_max_deg)
-        return np.clip((normal - preview.normal_force[0]) / slope, -limit, limit)
+        return np.clip(correction, -limit, limit)
+
+
+_ALL = np.ones(4, dtype=bool)
 
 
 def read_force_map() -> ForceMapSettings:
@@ -111,7 +116,6 @@ def read_force_map() -> ForceMapSettings:
     return config.read(ForceMapSettings, "force_map")
 
 
-def read_leg_slope() -> LegSlope:
-    """The slope table of `config/leg_map.csv`; raises ConfigError if it is missing or no grid."""
-    angle, height, table = read_leg_table(("slope_N_per_rad",))
-    return LegSlope(angle, height, table[..., 0])
+def make_force_map(robot: Robot, settings: ForceMapSettings, name: str) -> ForceMap:
+    """The map of that name with the table of `config/leg_map.csv`; raises ConfigError."""
+    return ForceMap(robot, settings, name, read_leg_springs(settings.slope_min))

@@ -1,12 +1,20 @@
-"""Gait scheduler: nominal tendon angles, contact schedule and normal forces over the horizon.
+"""Gaits: postures and strides, and the preview of one over the MPC's horizon.
 
-A gait is periodic. With the phase p = 2 pi t / T, each leg's tendon angle is
+A posture holds the torso at a height, roll and pitch; its tendon angles are those at which the legs
+at rest carry an equal share of the weight there (`leg_springs.py`).
 
-    theta = m + c1 cos p + s1 sin p + c2 cos 2p + s2 sin 2p,
+A stride is periodic. Around its centre it is the sum of three patterns, forward, lateral and turn,
+each scaled by an amplitude. With the phase p = 2 pi t / T, each leg's tendon angle is
 
-clipped to the gait's range; an amplitude below one scales it about its mean over the stride. The
-normal forces and the torso sway that result on the simulated robot are tabulated in the same form
-(`scripts/tabulate_gait`), so that the controller corrects deviations from the gait, not the gait.
+    theta = centre + offset + sum_j a_j (m + c1 cos p + s1 sin p + c2 cos 2p + s2 sin 2p)_j,
+
+clipped to the range of the gait. A negative amplitude takes the pattern's mirror image: legs front
+and rear (forward) or left and right (lateral, turn) exchanged, half a stride later. The robot is
+symmetric, so that one pattern serves both directions, and the velocities of the patterns add up.
+A robot that moves forward or sideways turns by the steering pattern of that direction, a small
+change of its angles that alters the yaw rate alone; in place it turns by the pattern `turn`.
+`scripts/tune` finds the patterns; the normal forces and the sway of the torso that result on the
+simulated robot are tabulated in the same form.
 """
 
 from __future__ import annotations
@@ -20,142 +28,272 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slot_core import config
-from slot_core.config import quantity
-from slot_core.control.reference import reference
+from slot_core.config import choice, flag, quantity
 from slot_core.robot import Array
 
-STAND = "stand"  # name of the gait without motion
+STAND = "stand"  # name of the posture at the start
 Harmonics = tuple[float, float, float, float, float]
 FourHarmonics = tuple[Harmonics, Harmonics, Harmonics, Harmonics]
+Four = tuple[float, float, float, float]
+Vector3 = tuple[float, float, float]
+
+# Legs after the exchange of front and rear, and of left and right.
+FRONT_REAR, LEFT_RIGHT = [2, 3, 0, 1], [1, 0, 3, 2]
+HALF_STRIDE_LATER = np.array([1.0, -1.0, -1.0, 1.0, 1.0])
+"""Factors of m, c1, s1, c2, s2 that delay a series by half a stride."""
+SPEED_NAMES = ("v_x", "v_y", "yaw rate")
+SWAY = ("roll", "pitch", "height", "v_x", "v_y")
 
 
 class HarmonicBasis(NamedTuple):
-    """The four harmonics at n phases, and their derivatives by the phase."""
+    """Constant and four harmonics at n phases, and their derivatives by the phase."""
 
-    value: Array  # (n, 4) cos p, sin p, cos 2p, sin 2p with p = 2 pi phase
-    slope: Array  # (n, 4)
+    value: Array  # (n, 5) 1, cos p, sin p, cos 2p, sin 2p with p = 2 pi phase
+    slope: Array  # (n, 5)
 
     @classmethod
     def at(cls, phase: Array) -> HarmonicBasis:
         """Harmonics at phases (n,), in [0, 1)."""
         p = 2 * np.pi * phase
-        value = np.column_stack([np.cos(p), np.sin(p), np.cos(2 * p), np.sin(2 * p)])
-        slope = [-value[:, 1], value[:, 0], -2 * value[:, 3], 2 * value[:, 2]]
-        return cls(value, np.column_stack(slope) * (2 * np.pi))
-
-
-class FourierSeries:
-    """Fourier series m + amplitude (c1 cos p + s1 sin p + c2 cos 2p + s2 sin 2p), one per row."""
-
-    def __init__(self, table: Sequence[Harmonics]):
-        mean, weights = np.split(np.array(table), [1], axis=1)
-        self._mean, self._weights = mean.T, weights.T
-
-    def values(self, basis: HarmonicBasis, amplitude: float) -> Array:
-        """Values (n, rows of the table)."""
-        return self._mean + amplitude * basis.value @ self._weights
-
-    def rates(self, basis: HarmonicBasis, amplitude: float) -> Array:
-        """Derivatives by the phase (n, rows of the table)."""
-        return amplitude * basis.slope @ self._weights
+        c, s, c2, s2 = np.cos(p), np.sin(p), np.cos(2 * p), np.sin(2 * p)
+        slope = 2 * np.pi * np.column_stack([np.zeros_like(p), -s, c, -2 * s2, 2 * c2])
+        return cls(np.column_stack([np.ones_like(p), c, s, c2, s2]), slope)
 
 
 @dataclass(frozen=True)
-class Sway:
-    """Periodic motion of the torso; coefficients in the order m, c1, s1, c2, s2."""
+class Pattern:
+    """Periodic pattern at amplitude one; coefficients in the order m, c1, s1, c2, s2.
 
-    roll: Harmonics = quantity("roll", "rad", -1, 1)
-    pitch: Harmonics = quantity("pitch", "rad", -1, 1)
+    The tables are differences to the stride's centre at rest; legs in the order FL FR RL RR.
+    """
+
+    speed: float = quantity("speed at amplitude one", "m/s or rad/s", 1e-3, 1)
+    angle_deg: FourHarmonics = quantity("tendon angle", "deg", -360, 360)
+    normal_force: FourHarmonics = quantity("normal force of the ground", "N", -50, 50)
+    roll: Harmonics = quantity("roll of the torso", "rad", -1, 1)
+    pitch: Harmonics = quantity("pitch of the torso", "rad", -1, 1)
     height: Harmonics = quantity("height of base_link", "m", -0.2, 0.2)
     v_x: Harmonics = quantity("forward velocity about its mean", "m/s", -1, 1)
     v_y: Harmonics = quantity("lateral velocity about its mean", "m/s", -1, 1)
 
-    def rows(self, basis: HarmonicBasis, amplitude: float, period: float) -> Array:
-        """Torso states (n, 12) [roll pitch 0, 0 0 z, omega, v_x v_y v_z] in the heading frame.
-
-        period: s. omega is [roll rate, pitch rate, 0], correct to first order in the angles.
-        """
-        rows = np.zeros((len(basis.value), 12))
-        rows[:, [0, 1, 5, 9, 10]] = self._series.values(basis, amplitude)
-        rows[:, [6, 7, 11]] = self._series.rates(basis, amplitude)[:, :3] / period
-        return rows
-
     @cached_property
-    def _series(self) -> FourierSeries:
-        return FourierSeries((self.roll, self.pitch, self.height, self.v_x, self.v_y))
+    def table(self) -> Array:
+        """Coefficients (13, 5): 4 tendon angles (rad), 4 normal forces, the sway of `SWAY`."""
+        sway = [getattr(self, name) for name in SWAY]
+        return np.vstack([np.radians(self.angle_deg), self.normal_force, sway])
 
 
 @dataclass(frozen=True)
-class Gait:
-    """Periodic gait; coefficients in the order m, c1, s1, c2, s2, legs FL FR RL RR."""
+class Steering:
+    """Change of a pattern's tendon angles that alters the yaw rate alone."""
 
-    sway: Sway
+    rate: float = quantity("yaw rate at amplitude one", "rad/s", 1e-4, 1)
+    rate_max: float = quantity("largest yaw rate", "rad/s", 1e-4, 1)
+    angle_deg: FourHarmonics = quantity("change of the tendon angle", "deg", -45, 45)
+
+    @cached_property
+    def table(self) -> Array:
+        """Coefficients (13, 5) in the rows of `Pattern.table`."""
+        return np.vstack([np.radians(self.angle_deg), np.zeros((9, 5))])
+
+
+@dataclass(frozen=True)
+class Posture:
+    """Torso at rest."""
+
+    kind: str = choice("kind of the gait", "posture")
+    loaded: bool = flag("whether the legs carry the torso; else the tendons are slack")
+    height: float = quantity("height of base_link", "m", 0.015, 0.12)
+    roll_deg: float = quantity("roll", "deg", -20, 20)
+    pitch_deg: float = quantity("pitch", "deg", -20, 20)
+    height_range: tuple[float, float] = quantity("heights that can be commanded", "m", 0.015, 0.12)
+
+    cruise = 0.0
+    period = 1.0
+    speeds = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class FeedbackSettings:
+    """Feedback once a stride: gains, bounds, and the effects of the knobs.
+
+    Knobs: changes of the velocities [v_x, v_y, yaw rate] (m/s, rad/s) that set the amplitudes;
+    offsets of the tendon angles (rad) common, left minus right, front minus rear (half the
+    difference each). Outputs: v_x, v_y, yaw rate, height (m), roll, pitch (rad), means over a
+    stride.
+    """
+
+    gain: float = quantity("share of an error that one stride corrects; 0: no feedback", "", 0, 1)
+    position_gain: float = quantity("velocity per position error", "1/s", 0, 10)
+    heading_gain: float = quantity("yaw rate per heading error", "1/s", 0, 10)
+    lead: float = quantity("largest distance of the reference from the robot", "m", 0, 1)
+    heading_lead: float = quantity("largest angle of the reference from the robot", "rad", 0, 1)
+    velocity_max: Vector3 = quantity("largest change of v_x, v_y, yaw rate", "SI", 0, 1)
+    offset_max_deg: float = quantity("largest offset", "deg", 0, 40)
+    regularisation: float = quantity("weight of the knobs' change against the errors", "", 0, 10)
+    scale: tuple[float, ...] = quantity("size of an error of each output", "SI", 1e-6, 10)
+    effect: tuple[tuple[float, ...], ...] = quantity(
+        "change of each output (rows) per knob (columns)", "SI", -100, 100
+    )
+
+
+@dataclass(frozen=True)
+class Stride:
+    """Periodic gait: centre, patterns, and the feedback once a stride."""
+
+    forward: Pattern
+    lateral: Pattern
+    turn: Pattern
+    forward_steering: Steering
+    lateral_steering: Steering
+    feedback: FeedbackSettings
+    kind: str = choice("kind of the gait", "stride")
     period: float = quantity("duration of a stride", "s", 0.1, 10.0)
     cruise: float = quantity("v_x if none is requested", "m/s", -1, 1)
-    speed: tuple[float, ...] = quantity("tabulated v_x, rising", "m/s", -1, 1)
-    amplitude: tuple[float, ...] = quantity("scale of the harmonics at these speeds", "", 0, 1)
-    angle_deg: FourHarmonics = quantity("tendon angle", "deg", -360, 360)
-    range_deg: tuple[float, float] = quantity("clip of the tendon angle", "deg", 0, 360)
-    normal_force: FourHarmonics = quantity("normal force of the ground", "N", -50, 50)
+    centre_deg: Four = quantity("tendon angle at rest", "deg", 0, 120)
+    range_deg: tuple[float, float] = quantity("clip of the tendon angle", "deg", 0, 120)
+    centre_force: float = quantity("normal force of a leg at rest", "N", 0, 50)
+    height: float = quantity("height of base_link at rest", "m", 0.015, 0.12)
+    height_range: tuple[float, float] = quantity("heights that can be commanded", "m", 0.015, 0.12)
+    amplitude_max: float = quantity("largest sum of the amplitudes", "", 0, 3)
+    walking_speed: float = quantity("speed above which steering replaces the turn", "m/s", 1e-3, 1)
 
-    def __post_init__(self) -> None:
-        """Raise ConfigError unless speed rises and has one value for each amplitude."""
-        if len(self.speed) != len(self.amplitude) or list(self.speed) != sorted(set(self.speed)):
-            raise config.ConfigError(
-                f"speed = {self.speed}: expected one rising value for each amplitude"
-            )
+    @property
+    def speeds(self) -> Vector3:
+        """Largest v_x, v_y (m/s) and yaw rate (rad/s) that can be requested, one at a time."""
+        return (self.forward.speed, self.lateral.speed, self.turn.speed)
 
-    def amplitude_at(self, speed: float) -> float:
-        """Scale of the harmonics for a forward speed (m/s), interpolated linearly."""
-        return float(np.interp(speed, self.speed, self.amplitude))
+    def walking(self, velocity: Array) -> float:
+        """Share of steering against the pattern `turn` at a commanded velocity (3,), in [0, 1]."""
+        return min(1.0, float(np.hypot(*velocity[:2])) / self.walking_speed)
 
-    def course(self, phase: Array, amplitude: float) -> Array:
+    def course(self, phase: Array, velocity: Array, walking: float, offset: Array) -> Array:
         """Gait (n, 20) at phases (n,): 4 tendon angles (rad), 4 normal forces (N), 12 torso states.
 
-        The torso states are those of `Sway.rows`.
+        velocity: (3,) [v_x, v_y, yaw rate] that sets the amplitudes; walking: share of steering;
+        offset: (4,) rad. Torso states in the heading frame: [roll pitch 0, 0 0 z, omega, v], omega to first order in the angles.
         """
-        basis = HarmonicBasis.at(phase)
-        angle = self._mean_angle + amplitude * (self._full_angle(basis) - self._mean_angle)
-        force = self._normal_force.values(basis, amplitude)
-        sway = self.sway.rows(basis, amplitude, self.period)
-        return np.hstack([angle, np.maximum(force, 0.0), sway])
+        basis, table = HarmonicBasis.at(phase), self._rest + self._moving(velocity, walking)
+        values, slopes = basis.value @ table.T, basis.slope @ table.T / self.period
+        angle = np.clip(values[:, :4] + offset, *np.radians(self.range_deg))
+        torso = np.zeros((len(phase), 12))
+        torso[:, [0, 1, 5, 9, 10]] = values[:, 8:]
+        torso[:, [6, 7, 11]] = slopes[:, 8:11]
+        return np.hstack([angle, np.maximum(values[:, 4:8], 0.0), torso])
 
-    def _full_angle(self, basis: HarmonicBasis) -> Array:
-        """Tendon angles (n, 4) at full amplitude, rad."""
-        return np.radians(np.clip(self._angle.values(basis, 1.0), *self.range_deg))
+    def _moving(self, velocity: Array, walking: float) -> Array:
+        """Coefficients (13, 5) of the patterns and their steering at a velocity (3,)."""
+        amplitude = velocity / self.speeds
+        size = np.abs(amplitude[:2]).sum()
+        amplitude[2] *= 1.0 - walking
+        limit = min(1.0, self.amplitude_max / max(float(np.abs(amplitude).sum()), 1e-9))
+        table = np.zeros((13, 5))
+        for a, pair in zip(limit * amplitude, self._pairs):
+            table += abs(a) * pair[int(a < 0.0)]
+        steerings = (self.forward_steering, self.lateral_steering)
+        for a, steering, pair in zip(amplitude, steerings, self._steering):
+            turn = np.clip(velocity[2], -steering.rate_max, steering.rate_max) / steering.rate
+            share = walking * abs(a) / max(size, 1e-9)
+            table += share * turn * pair[int(a < 0.0)]
+        return table
 
     @cached_property
-    def _angle(self) -> FourierSeries:
-        return FourierSeries(self.angle_deg)
+    def _pairs(self) -> list[tuple[Array, Array]]:
+        front_rear = np.array([1.0, -1.0, 1.0, -1.0, 1.0])  # signs of the sway
+        left_right = np.array([-1.0, 1.0, 1.0, 1.0, -1.0])
+        return [
+            (self.forward.table, _mirrored(self.forward.table, FRONT_REAR, front_rear)),
+            (self.lateral.table, _mirrored(self.lateral.table, LEFT_RIGHT, left_right)),
+            (self.turn.table, _mirrored(self.turn.table, LEFT_RIGHT, left_right)),
+        ]
 
     @cached_property
-    def _normal_force(self) -> FourierSeries:
-        return FourierSeries(self.normal_force)
+    def _steering(self) -> list[tuple[Array, Array]]:
+        """Steering (13, 5) of the patterns forward and lateral, and of their mirror images.
+
+        The mirror image of a left turn is a right turn, hence the sign.
+        """
+        ones = np.ones(5)
+        forward, lateral = self.forward_steering.table, self.lateral_steering.table
+        return [
+            (forward, -_mirrored(forward, FRONT_REAR, ones)),
+            (lateral, -_mirrored(lateral, LEFT_RIGHT, ones)),
+        ]
 
     @cached_property
-    def _mean_angle(self) -> Array:
-        """Mean (4,) over the stride, rad; clipping makes it differ from m."""
-        stride = HarmonicBasis.at(np.linspace(0.0, 1.0, 1000, endpoint=False))
-        return self._full_angle(stride).mean(axis=0)
+    def _rest(self) -> Array:
+        """Coefficients (13, 5) at rest."""
+        table = np.zeros((13, 5))
+        table[:4, 0] = np.radians(self.centre_deg)
+        table[4:8, 0] = self.centre_force
+        table[10, 0] = self.height
+        return table
+
+
+def _mirrored(table: Array, legs: list[int], signs: Array) -> Array:
+    """Mirror image of a pattern (13, 5), half a stride later; signs (5,) of the sway."""
+    mirrored = np.vstack([table[:4][legs], table[4:8][legs], signs[:, None] * table[8:]])
+    return mirrored * HALF_STRIDE_LATER
 
 
 @dataclass(frozen=True)
 class GaitSettings:
-    """Settings of `config/gait.yaml`."""
+    """Settings of `config/gait.yaml`, and the gaits of `config/gait/`."""
 
-    gaits: dict[str, Gait]
+    postures: dict[str, Posture]
+    strides: dict[str, Stride]
     friction: float = quantity("friction coefficient assumed by the controller", "", 0, 2)
     contact_force: float = quantity("smallest normal force of a leg in stance", "N", 0, 10)
     transition: float = quantity("duration of a blend between gaits", "s", 0, 10)
+    acceleration: float = quantity("largest change of the velocity", "m/s^2", 1e-3, 10)
+    turn_acceleration: float = quantity("largest change of the yaw rate", "rad/s^2", 1e-3, 10)
+    lift_speed: float = quantity("largest change of a commanded height", "m/s", 1e-3, 1)
+    tilt_speed: float = quantity("largest change of commanded roll and pitch", "rad/s", 1e-3, 10)
+    tilt_max: float = quantity("largest commanded roll and pitch", "rad", 0, 0.5)
     velocity_timeout: float = quantity("age at which a velocity command expires", "s", 0.05, 10)
     stages: int = quantity("stages of the preview, at least the MPC's horizon", "", 1, 100)
     dt: float = quantity("time between stages", "s", 1e-3, 0.2)
 
-    def find(self, name: str) -> Gait:
+    @property
+    def gaits(self) -> dict[str, Posture | Stride]:
+        """All gaits by name."""
+        return {**self.postures, **self.strides}
+
+    def find(self, name: str) -> Posture | Stride:
         """The gait of that name; raises ConfigError for an unknown one and lists the known ones."""
         if name not in self.gaits:
             raise config.ConfigError(f"no gait {name!r} (known: {', '.join(sorted(self.gaits))})")
         return self.gaits[name]
+
+    def require_velocity(self, name: str, velocity: Array) -> None:
+        """Raise ConfigError for an unknown gait or a velocity (3,) that it does not reach."""
+        gait = self.find(name)
+        if len(velocity) != 3:
+            raise config.ConfigError(f"velocity: {len(velocity)} values, not v_x, v_y, yaw rate")
+        for value, most, label in zip(velocity, gait.speeds, SPEED_NAMES):
+            if not abs(value) <= most:
+                raise config.ConfigError(
+                    f"{label} = {value:g}: gait {name} reaches [{-most:g}, {most:g}]"
+                )
+
+    def require_pose(self, name: str, pose: Array) -> None:
+        """Raise ConfigError for a body pose (3,) height, roll, pitch that a gait does not reach."""
+        low, high = self.find(name).height_range
+        limits = ((low, high), (-self.tilt_max, self.tilt_max), (-self.tilt_max, self.tilt_max))
+        for value, (least, most), label in zip(pose, limits, ("height", "roll", "pitch")):
+            if not least <= value <= most:
+                raise config.ConfigError(
+                    f"{label} = {value:g}: gait {name} reaches [{least:g}, {most:g}]"
+                )
+
+
+@dataclass(frozen=True)
+class GaitCommand:
+    """Gait, velocity and body pose that are commanded."""
+
+    gait: str
+    velocity: Array  # (3,) v_x, v_y m/s, yaw rate rad/s in base_link
+    pose: Array  # (3,) height m, roll, pitch rad
 
 
 @dataclass(frozen=True)
@@ -175,146 +313,26 @@ class GaitPreview:
     normal_force: Array  # (n, 4) N, of the gait
     tendon_angle: Array  # (n, 4) rad, nominal
     reference: Array  # (n, 12) [roll pitch yaw, p, omega, v]
-
-
-@dataclass(frozen=True)
-class _Stride:
-    """A gait at an amplitude; its phase is zero at `origin` (ns)."""
-
-    name: str
-    gait: Gait
-    amplitude: float
-    origin: int
-
-    def phase(self, stamp: int, times: Array) -> Array:
-        """Phases (n,) at `times` (s) after `stamp` (ns)."""
-        return np.mod(((stamp - self.origin) * 1e-9 + times) / self.gait.period, 1.0)
-
-    def course(self, stamp: int, times: Array) -> Array:
-        """`Gait.course` (n, 20) at `times` (s) after `stamp` (ns)."""
-        return self.gait.course(self.phase(stamp, times), self.amplitude)
-
-
-class GaitScheduler:
-    """Advances the phase of the gait and previews the horizon at every tick of the controller.
-
-    A change of gait or speed is a linear blend over `transition` seconds; a request during a blend
-    takes effect at its end. A run starts from the gait `stand`.
-    """
-
-    def __init__(self, settings: GaitSettings, gait: str, velocity: Array | None):
-        """Blend from `stand` to `gait` at velocity [v_x, v_y, yaw rate] from the first tick on.
-
-        velocity: (3,) m/s, m/s, rad/s in base_link; None: straight ahead at the gait's `cruise`.
-        Raises ConfigError for an unknown gait or a velocity outside the gait's range.
-        """
-        self._settings = settings
-        if velocity is None:
-            velocity = np.array([settings.find(gait).cruise, 0.0, 0.0])
-        self.request(gait, velocity)
-        self._previous = self._current = _Stride(STAND, settings.find(STAND), 0.0, 0)
-        self._blend_start = 0  # ns, stamp of the last change of stride
-        self._stamp: int | None = None
-        self._heading = 0.0
-
-    def request(self, gait: str, velocity: Array) -> None:
-        """Request a gait and a velocity [v_x, v_y, yaw rate] (m/s, rad/s) in base_link.
-
-        Raises ConfigError for an unknown gait or a velocity outside the gait's range.
-        """
-        speed = self._settings.find(gait).speed
-        low, high = speed[0], speed[-1]
-        if len(velocity) != 3:
-            raise config.ConfigError(f"velocity: {len(velocity)} values, not v_x, v_y, yaw rate")
-        limits = (("v_x", low, high), ("v_y", 0.0, 0.0), ("yaw rate", 0.0, 0.0))
-        for value, (name, least, most) in zip(velocity, limits):
-            if not least <= value <= most:
-                raise config.ConfigError(
-                    f"{name} = {value:g}: gait {gait} reaches [{least:g}, {most:g}]"
-                )
-        self._requested, self._velocity = gait, np.array(velocity, dtype=float)
-        self._command_stamp: int | None = None  # ns, of the velocity; None: it does not expire
-
-    def set_velocity(self, stamp: int, velocity: Array) -> None:
-        """Set the velocity of the requested gait; after `velocity_timeout` it becomes zero.
-
-        stamp: ns, on the clock of the states. Raises ConfigError as `request` does, and for a stamp
-        further than `velocity_timeout` from the last state's. Such a command stops the robot, since
-        it may have been a late stop.
-        """
-        self.request(self._requested, velocity)
-        self._command_stamp = stamp
-        if self._stamp is not None and self._is_expired(self._stamp):
-            raise config.ConfigError(
-                f"stamp is {(stamp - self._stamp) * 1e-9:+.3f} s from the state's (limit "
-                f"{self._settings.velocity_timeout:g} s), velocity set to zero"
-            )
-
-    def step(self, stamp: int, state: Array) -> GaitPreview:
-        """Preview from `stamp` (ns) on; the reference starts at `state` (12,)."""
-        if self._is_expired(stamp):
-            self._velocity = np.zeros(3)
-        self._advance_heading(stamp, state)
-        self._change_stride(stamp)
-        times = self._settings.dt * np.arange(self._settings.stages, dtype=float)
-        angle, force, sway = np.split(self._blend(stamp, times), [4, 8], axis=1)
-        current = self._current
-        return GaitPreview(
-            stamp=stamp,
-            gait=current.name,
-            phase=float(current.phase(stamp, times)[0]),
-            period=current.gait.period,
-            dt=self._settings.dt,
-            contact=force >= self._settings.contact_force,
-            friction=np.full(force.shape, self._settings.friction),
-            normal_force=force,
-            tendon_angle=angle,
-            reference=reference(state, self._heading, self._velocity, sway, times),
-        )
-
-    def _is_expired(self, stamp: int) -> bool:
-        """Whether the velocity is too old at `stamp` (ns), or too far in the future."""
-        if self._command_stamp is None:
-            return False
-        return abs(stamp - self._command_stamp) > self._settings.velocity_timeout * 1e9
-
-    def _advance_heading(self, stamp: int, state: Array) -> None:
-        """Update the reference heading: the robot's yaw, then the integral of the yaw rate."""
-        if self._stamp is None:
-            self._heading, self._blend_start = float(state[2]), stamp - self._transition
-        else:
-            self._heading += self._velocity[2] * (stamp - self._stamp) * 1e-9
-        self._stamp = stamp
-        # A clock set back must not delay the next change.
-        self._blend_start = min(self._blend_start, stamp)
-
-    def _change_stride(self, stamp: int) -> None:
-        """Start the requested gait and amplitude, unless a blend is under way."""
-        gait = self._settings.find(self._requested)
-        amplitude = gait.amplitude_at(self._velocity[0])
-        current = self._current
-        unchanged = (self._requested, amplitude) == (current.name, current.amplitude)
-        if unchanged or stamp - self._blend_start < self._transition:
-            return
-        origin = current.origin if self._requested == current.name else stamp
-        self._previous, self._blend_start = current, stamp
-        self._current = _Stride(self._requested, gait, amplitude, origin)
-
-    def _blend(self, stamp: int, times: Array) -> Array:
-        """Blend (n, 20) of the previous and the current stride, as `Gait.course`."""
-        elapsed = (stamp - self._blend_start) * 1e-9 + times
-        weight = np.clip(elapsed / max(self._settings.transition, 1e-9), 0.0, 1.0)[:, None]
-        current = self._current.course(stamp, times)
-        if weight.min() == 1.0:
-            return current
-        return (1 - weight) * self._previous.course(stamp, times) + weight * current
-
-    @property
-    def _transition(self) -> int:
-        """Duration of a blend, ns."""
-        return round(self._settings.transition * 1e9)
+    posture: bool  # whether the legs are at rest but for changes of the posture
+    command: GaitCommand  # that was in force
 
 
 def read_gaits() -> GaitSettings:
-    """The settings of `config/gait.yaml`; raises ConfigError."""
-    return config.read(GaitSettings, "gait")
+    """The settings of `config/gait.yaml` with every file of `config/gait/`; raises ConfigError."""
+    settings = config.load("gait")
+    if not isinstance(settings, dict):
+        raise config.ConfigError(f"gait.yaml: expected a mapping, got {settings!r}")
+    found: dict[str, dict[str, object]] = {"posture": {}, "stride": {}}
+    for path in sorted((config.config_dir() / "gait").glob("*.yaml")):
+        gait = config.load(f"gait/{path.stem}")
+        kind = gait.get("kind") if isinstance(gait, dict) else None
+        if kind not in found:
+            raise config.ConfigError(
+                f"gait/{path.name}: kind = {kind!r}: expected one of {', '.join(found)}"
+            )
+        found[kind][path.stem] = gait
+    return config.build(
+        GaitSettings,
+        settings | {"postures": found["posture"], "strides": found["stride"]},
+        where="gait.yaml",
+    )

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, TypeVar
 
 import numpy as np
 
 from slot_core import config
+from slot_core.clock import SECOND
 from slot_core.control.controller import Controller, Tick
+from slot_core.control.gait import read_gaits
 from slot_core.control.mpc.mpc import DEFAULT_PROFILE, read_mpc
+from slot_core.control.path import Path
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.robot import Array, Robot, read_robot
@@ -18,6 +22,8 @@ from slot_core.simulation.plant import Plant, Reading
 from slot_core.simulation.sensors import ImuReading, OdometryReading
 
 PlantMaker = Callable[[Robot, Scene, ServoSettings, np.random.Generator], Plant]
+CHANGEABLE = ("scene", "servo", "robot", "gait", "mpc")
+Settings = TypeVar("Settings")
 
 
 class ClosedLoop:
@@ -35,42 +41,78 @@ class ClosedLoop:
         seed: int,
         profile: str = DEFAULT_PROFILE,
         *,
+        changes: Mapping[str, Any] | None = None,
+        path: Path | None = None,
+        lost_odometry: tuple[float, float] = (0.0, 0.0),
         make: PlantMaker = Plant,
     ):
         """Build controller and plant; the robot stands in the scene.
 
         velocity: (3,) m/s, m/s, rad/s, or None for the gait's `cruise`. profile: a file of
-        config/mpc, or the default. make: builds the plant.
-        Raises ConfigError for a bad argument or configuration.
+        config/mpc, or the default. changes: values by dotted name below one of `CHANGEABLE`, as
+        `scene.payload.mass`; those of the robot change the simulated one, not the controller's.
+        path: followed instead of the velocity. lost_odometry: begin and duration of a gap, s.
+        make: builds the plant. Raises ConfigError for a bad argument or configuration.
         """
-        robot = read_robot()
+        given = changes or {}
+        for name in given:
+            if name.partition(".")[0] not in CHANGEABLE:
+                raise config.ConfigError(f"{name}: expected one of {', '.join(CHANGEABLE)}")
+        nominal = read_robot()
         mpc = config.replace(read_mpc(profile), {"acceptance.time_budget": math.inf})
-        self.controller = Controller(robot, mpc, lambda: 0.0, gait, velocity)
-        self.plant = make(robot, read_scene(scene), read_servo(), np.random.default_rng(seed))
+        self.controller = Controller(
+            nominal,
+            _changed(mpc, "mpc", given),
+            lambda: 0.0,
+            gait,
+            velocity,
+            path,
+            gaits=_changed(read_gaits(), "gait", given),
+        )
+        self.plant = make(
+            _changed(nominal, "robot", given),
+            _changed(read_scene(scene), "scene", given),
+            _changed(read_servo(), "servo", given),
+            np.random.default_rng(seed),
+        )
+        begin, duration = lost_odometry
+        self._lost_from = LOCKSTEP_START + round(begin * SECOND)  # ns
+        self._lost_until = self._lost_from + round(duration * SECOND)
 
     def run(self, ticks: int) -> Iterator[Tick]:
         """Yield each tick after its command is set; then advance the plant to the next odometry.
 
+        Where odometry is lost, the last command is held until the estimator goes on without it.
         Raises Divergence when the simulation diverges, and RuntimeError when the estimator has no
         estimate for an odometry reading.
         """
         self._read(self.plant.readings_at_rest(LOCKSTEP_START))
         self.plant.start(LOCKSTEP_START)
         for _ in range(ticks):
-            tick = self.controller.poll()
-            if tick is None:
+            ticks_now = list(iter(self.controller.poll, None))  # several after a gap
+            if ticks_now:
+                self.plant.command(ticks_now[-1].command.angle)
+                yield ticks_now[-1]
+            elif not self._lost_from <= self.plant.now <= self._lost_until + SECOND:
                 raise RuntimeError(
                     f"no estimate at {self.plant.now} ns: the odometry was not usable"
                 )
-            self.plant.command(tick.command.angle)
-            yield tick
             self._read(self.plant.advance_to_odometry())
 
     def _read(self, readings: Iterable[Reading]) -> None:
         for r in readings:
             if isinstance(r, ImuReading):
                 self.controller.estimator.add_imu(r.stamp, r.angular_velocity, r.specific_force)
-            elif isinstance(r, OdometryReading):
+            elif isinstance(r, OdometryReading) and not self._is_lost(r.stamp):
                 self.controller.estimator.add_odometry(
                     r.stamp, r.position, r.quaternion, r.velocity, r.angular_velocity
                 )
+
+    def _is_lost(self, stamp: int) -> bool:
+        return self._lost_from <= stamp < self._lost_until
+
+
+def _changed(settings: Settings, name: str, changes: Mapping[str, Any]) -> Settings:
+    """The settings with the changes below `name`."""
+    mine = {k.partition(".")[2]: v for k, v in changes.items() if k.partition(".")[0] == name}
+    return config.replace(settings, mine, name)

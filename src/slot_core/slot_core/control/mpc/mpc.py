@@ -1,9 +1,10 @@
 """Convex MPC: settings and controller. It solves one quadratic programme per tick.
 
-The problem is in `model.py`, its solver in `solver.py`. The controller checks the inputs and the
-solution. A cycle without an accepted solution returns the last feasible input, decayed towards the
-gait's normal forces. After `fallback.cycles` such cycles in a row the forces are zero and the
-status is STOPPED until a solution is accepted again.
+The problem is on the tendon angles (`posture_problem.py`, the default) or, as in the paper, on the
+ground reaction forces (`force_problem.py`). The controller checks the inputs and the solution. A
+cycle without an accepted solution returns the last feasible input, decayed towards the gait's
+normal forces. After `fallback.cycles` such cycles in a row the forces are zero and the status is
+STOPPED until a solution is accepted again.
 """
 
 from __future__ import annotations
@@ -17,26 +18,18 @@ from typing import Any
 import numpy as np
 
 from slot_core import config
-from slot_core.config import quantity
+from slot_core.config import choice, quantity
 from slot_core.control.gait import GaitPreview
-from slot_core.control.mpc.disturbance import Disturbance, DisturbanceSettings
-from slot_core.control.mpc.model import (
-    FEET,
-    STATES,
-    Horizon,
-    HorizonQp,
-    ModelOptions,
-    Prediction,
-    TorsoModel,
-    condensed_condition,
-    slacks,
-)
-from slot_core.control.mpc.solver import MpcSolverSettings, Solution, make_solver
+from slot_core.control.leg_springs import read_leg_springs
+from slot_core.control.mpc.disturbance import DisturbanceSettings
+from slot_core.control.mpc.force_problem import ForceProblem
+from slot_core.control.mpc.model import FEET, STATES, Horizon, ModelOptions, slacks
+from slot_core.control.mpc.posture_problem import PostureOptions, PostureProblem
+from slot_core.control.mpc.solver import MpcSolverSettings, Solution
 from slot_core.robot import GRAVITY, Array, Robot
 
 Vector3 = tuple[float, float, float]
 DEFAULT_PROFILE = "default"  # profile: config/mpc.yaml without changes
-LONGEST_GAP = 0.5  # s between ticks; after a longer one the acting forces are unknown
 
 
 class Status(enum.IntEnum):
@@ -93,6 +86,9 @@ class Fallback:
 class MpcSettings:
     """Settings of `config/mpc.yaml`."""
 
+    problem: str = choice("inputs of the problem", "tendons", "forces")
+    map: str = choice("force map that belongs to it", "springs", "incremental", "paper")
+    posture: PostureOptions
     weights: Weights
     model: ModelOptions
     disturbance: DisturbanceSettings
@@ -136,15 +132,6 @@ class _SolverReport:
 
 
 @dataclass(frozen=True)
-class _LastTick:
-    """The last tick whose input was not rejected."""
-
-    stamp: int  # ns
-    state: Array  # (12,)
-    force: Array  # (4, 3) N, requested
-
-
-@dataclass(frozen=True)
 class _FirstStage:
     """Limits and reference forces of stage 0 of the newest valid preview."""
 
@@ -168,25 +155,21 @@ class Mpc:
         Raises ConfigError if the weights leave the problem ill-conditioned, or if the solver does
         not cover the options of the model.
         """
-        self._settings, self._timer = settings, timer
-        self._model = TorsoModel(robot)
-        self._disturbance = Disturbance(robot.mass, settings.disturbance)
-        self._mass = robot.mass
-        weights, horizon = settings.weights, settings.horizon
-        generic = self._model.predict(0.3, 0.1, settings.acceptance.stage[1])
-        _check_condition(generic, settings)
-        self._qp = HorizonQp(weights.q, weights.r, horizon, generic, settings.model, robot.weight)
-        self._solver = make_solver(self._qp, settings.solver)
-        self._solver.solve()  # the first solve is slow (page faults): not during operation
+        self._settings, self._timer, self._weight = settings, timer, robot.weight
+        self._problem: PostureProblem | ForceProblem
+        if settings.problem == "forces":
+            self._problem = ForceProblem(robot, settings)
+        else:
+            springs = read_leg_springs(settings.posture.slope_min)
+            self._problem = PostureProblem(robot, springs, settings.posture, settings.horizon)
         self._stage = _FirstStage(np.zeros(FEET), np.zeros(FEET), np.zeros((FEET, 3)))
         self._last: Array | None = None  # (4, 3) N, last feasible input
-        self._last_tick: _LastTick | None = None
         self._missed = 0  # consecutive cycles without an accepted solution
 
     @property
-    def problem(self) -> HorizonQp:
+    def problem(self) -> PostureProblem | ForceProblem:
         """The problem of the last step; read only."""
-        return self._qp
+        return self._problem
 
     def step(self, state: Array, preview: GaitPreview) -> MpcResult:
         """Forces for `state` (12,) at stage 0 of `preview`.
@@ -202,29 +185,10 @@ class Mpc:
         if fault := _state_fault(state, self._settings):
             return self._reject(fault, start)
         x = np.asarray(state, dtype=float)
-        self._observe(x, preview.stamp)
-        mass, bias = self._disturbance.mass, self._disturbance.bias
-        prediction = self._model.predict(x[2], x[5], preview.dt, mass, bias)
-        self._qp.update(prediction, x, stages, mass * GRAVITY)
-        solution = self._solver.solve()
-        result = self._accept(solution, stages, self._timer() - start)
-        self._last_tick = _LastTick(preview.stamp, x, result.force)
+        self._problem.update(x, preview, stages)
+        result = self._accept(self._problem.solve(), self._timer() - start)
+        self._problem.follow(result.force)
         return result
-
-    def _observe(self, state: Array, stamp: int) -> None:
-        """Update the disturbance observer, if it is on, with the state after the last tick."""
-        last = self._last_tick
-        if last is None or self._settings.disturbance.time == 0.0:
-            return
-        dt = (stamp - last.stamp) * 1e-9
-        if not 0.0 < dt <= LONGEST_GAP:
-            return
-        disturbance = self._disturbance
-        model = self._model.predict(
-            last.state[2], last.state[5], dt, disturbance.mass, disturbance.bias
-        )
-        predicted = model.a @ last.state + model.b @ last.force.ravel() + model.drift
-        disturbance.correct(predicted[6:], state[6:], dt)
 
     def _read(self, preview: GaitPreview) -> Horizon:
         """Limits and targets over the horizon, from the preview."""
@@ -232,8 +196,7 @@ class Mpc:
         following = np.minimum(now + 1, len(preview.reference) - 1)
         force = np.zeros((len(now), FEET, 3))
         if self._settings.model.reference == "gait":
-            share = self._disturbance.mass / self._mass
-            force[..., 2] = share * np.asarray(preview.normal_force)[now]
+            force[..., 2] = self._problem.share * np.asarray(preview.normal_force)[now]
         return Horizon(
             force_max=self._settings.force_max * np.asarray(preview.contact, dtype=float)[now],
             friction=np.asarray(preview.friction, dtype=float)[now],
@@ -245,9 +208,9 @@ class Mpc:
         report = _SolverReport(self._timer() - start, 0, math.nan, math.nan, math.nan)
         return self._fall_back(Status.REJECTED, fault, report)
 
-    def _accept(self, solution: Solution, stages: Horizon, elapsed: float) -> MpcResult:
+    def _accept(self, solution: Solution, elapsed: float) -> MpcResult:
         """The solution's forces if it is accepted, else the fallback's."""
-        limits, qp, z = self._settings.acceptance, self._qp, solution.z
+        limits, qp, z = self._settings.acceptance, self._problem, solution.z
         force, violation = qp.forces(z), qp.violation(z)
         report = _SolverReport(elapsed, solution.iterations, violation, qp.residual(z), qp.cost(z))
         if solution.fault:
@@ -280,7 +243,7 @@ class Mpc:
     ) -> MpcResult:
         stage = self._stage
         above_zero, below_max, friction = slacks(force, stage.force_max, stage.friction)
-        weight, balance = self._disturbance.mass * GRAVITY, math.inf
+        weight, balance = self._problem.mass * GRAVITY, math.inf
         if self._settings.model.support == "equality":
             balance = self._settings.model.support_band - abs(float(force[:, 2].sum()) - weight)
         return MpcResult(
@@ -298,7 +261,7 @@ class Mpc:
             slack_friction=friction,
             slack_total=float(stage.force_max.sum() - weight),
             slack_balance=balance,
-            mass=self._disturbance.mass,
+            mass=self._problem.mass,
         )
 
 
@@ -316,6 +279,7 @@ def _preview_fault(preview: GaitPreview, settings: MpcSettings) -> str:
         or _fault("preview.contact", preview.contact, (stages, FEET), 0, 1)
         or _fault("preview.friction", preview.friction, (stages, FEET), 0, most)
         or _fault("preview.normal_force", preview.normal_force, (stages, FEET), -most, most)
+        or _fault("preview.tendon_angle", preview.tendon_angle, (stages, FEET), -most, most)
         or _fault("preview.reference", preview.reference, (stages, STATES), -most, most)
     )
 
@@ -335,18 +299,6 @@ def _fault(name: str, value: Any, shape: tuple[int, ...], low: float, high: floa
     index = tuple(int(i) for i in np.argwhere(~inside)[0])
     where = f"[{', '.join(map(str, index))}]" if index else ""
     return f"{name}{where} = {array[index]:g}: outside [{low:g}, {high:g}]"
-
-
-def _check_condition(prediction: Prediction, settings: MpcSettings) -> None:
-    """Raise ConfigError if the condensed Hessian is ill-conditioned."""
-    weights, limit = settings.weights, settings.acceptance.condition_max
-    condition = condensed_condition(prediction, weights.q, weights.r, settings.horizon)
-    if not condition <= limit:
-        raise config.ConfigError(
-            f"mpc.yaml: weights.force = {list(weights.force)}: condition number {condition:.1e} "
-            f"of the condensed Hessian exceeds {limit:.1e}, the forces are ill-conditioned; "
-            "raise weights.force or lower the others"
-        )
 
 
 def read_mpc(profile: str = DEFAULT_PROFILE) -> MpcSettings:

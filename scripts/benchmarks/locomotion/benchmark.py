@@ -1,0 +1,110 @@
+"""Locomotion in all directions and under disturbances: gait alone, the paper's pipeline, default.
+
+Every row of the table is measured in three columns: the gait's angles drive the tendons, without
+feedback; the paper's MPC and force map; the default. A goal is checked for the default, and that it
+betters the gait alone by the margin of the row, so that a controller that does nothing fails.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks.harness import Check, at_least, at_most
+from benchmarks.harness import Row as Result
+from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, Job, Motion, run_job
+from benchmarks.locomotion.rows import Row, directions, rows, slanted, square
+
+SEEDS = (1, 2, 3, 4, 5)
+REPORTS = 20  # lines of progress
+
+
+def run(
+    quick: bool, out: Path, progress: Callable[[str], None]
+) -> tuple[list[Result], list[Check]]:
+    """Measure all rows; `table.png`, `velocity.png` and `top.png` show them."""
+    from benchmarks.locomotion.picture import draw_directions, draw_table, draw_top  # noqa: PLC0415
+
+    seeds = SEEDS[:1] if quick else SEEDS
+    wanted = rows(quick)
+    motions = run_all(wanted, seeds, progress)
+    table = measured(wanted, motions, seeds)
+    draw_table(table, out / "table.png")
+    draw_directions(directions(quick), motions, seeds, out / "velocity.png")
+    draw_top(square(), slanted(), motions, seeds, out / "top.png")
+    for line in table_lines(table):
+        progress(line)
+    return list(table), checks(wanted, table)
+
+
+def run_all(
+    wanted: Sequence[Row], seeds: Sequence[int], progress: Callable[[str], None]
+) -> dict[Job, Motion]:
+    """Run every case of every row once, in all columns and with all seeds, on all cores."""
+    cases = dict.fromkeys(case for row in wanted for case in row.cases)
+    jobs = sorted(itertools.product(cases, COLUMNS, seeds), key=lambda job: -job[0].duration)
+    found = {}
+    run_job(jobs[-1])  # the kernels are compiled once, before the workers start
+    with multiprocessing.get_context("spawn").Pool(len(os.sched_getaffinity(0))) as pool:
+        for job, motion in pool.imap_unordered(run_job, jobs):
+            found[job] = motion
+            if len(found) % max(1, len(jobs) // REPORTS) == 0:
+                progress(f"{len(found)} of {len(jobs)} runs")
+    return found
+
+
+def measured(
+    wanted: Sequence[Row], motions: Mapping[Job, Motion], seeds: Sequence[int]
+) -> list[dict[str, Any]]:
+    """Rows of the table: the worst value over the seeds in every column."""
+    table = []
+    for row in wanted:
+        result: dict[str, Any] = {"row": row.name, "unit": row.unit, "goal": row.goal}
+        result["better"] = "larger" if row.larger else "smaller"
+        for column in COLUMNS:
+            of_seeds = [
+                row.value([motions[case, column, seed] for case in row.cases]) for seed in seeds
+            ]
+            result[column] = min(of_seeds) if row.larger else max(of_seeds)
+        table.append(result)
+    return table
+
+
+def checks(wanted: Sequence[Row], table: Sequence[Result]) -> list[Check]:
+    """Every goal, and the benefit over the gait alone in every row that has one."""
+    return [check for row, values in zip(wanted, table) for check in _checks(row, values)]
+
+
+def _checks(row: Row, values: Result) -> Iterator[Check]:
+    reached, alone = values[DEFAULT], values[ALONE]
+    compare = at_least if row.larger else at_most
+    yield compare(row.name, reached, row.goal, row.unit)
+    if row.share is not None:
+        yield compare(f"{row.name}: over the gait alone", _ratio(reached, alone), row.share)
+
+
+def _ratio(value: float, other: float) -> float:
+    """value / other; NaN, which no check holds for, if that tells nothing."""
+    if math.isinf(other):
+        return math.nan if math.isinf(value) else 0.0
+    if other == 0.0:
+        return math.nan if value == 0.0 else math.inf
+    return value / other
+
+
+def table_lines(table: Sequence[Result]) -> list[str]:
+    """The table as aligned text."""
+    width = max(len(values["row"]) for values in table)
+    head = f"{'':<{width}}  {'goal':>10}" + "".join(f"{column:>12}" for column in COLUMNS)
+    lines = [head]
+    for values in table:
+        sign = ">=" if values["better"] == "larger" else "<="
+        goal = f"{sign} {values['goal']:g}"
+        cells = "".join(f"{values[column]:>12.4g}" for column in COLUMNS)
+        lines.append(f"{values['row']:<{width}}  {goal:>10}{cells}  {values['unit']}")
+    return lines

@@ -1,0 +1,209 @@
+"""Runs of the closed loop: a case, the three controllers that it is run with, and its motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from slot_core.control.path import Path
+from slot_core.dynamics.servo import read_servo
+from slot_core.dynamics.simulated_robot import Divergence
+from slot_core.robot import GRAVITY, Array, read_robot
+from slot_core.simulation.clocks import LOCKSTEP_START
+from slot_core.simulation.closed_loop import ClosedLoop
+
+DT = 0.033  # s, between ticks
+PERIOD = 0.7  # s, of a stride: for means over strides
+FALLEN = 0.5  # rad of tilt, the supervisor's limit
+PUSH_TIME = 0.2  # s
+Vector3 = tuple[float, float, float]
+Changes = tuple[tuple[str, Any], ...]  # dotted names and values, hashable
+
+NO_STRIDE_FEEDBACK = ("gait.strides.walk.feedback.gain", 0.0)
+NO_CORRECTION = (("mpc.posture.correction_max_deg", 0.0), ("mpc.posture.dither_deg", 0.0))
+
+
+@dataclass(frozen=True)
+class Controller:
+    """What a column of the table runs: a profile of the MPC, and changes of the configuration."""
+
+    profile: str
+    changes: Changes
+
+
+COLUMNS: Mapping[str, Controller] = {
+    "gait alone": Controller("default", (NO_STRIDE_FEEDBACK, *NO_CORRECTION)),
+    "paper": Controller("paper", (NO_STRIDE_FEEDBACK,)),
+    "default": Controller("default", ()),
+}
+ALONE, DEFAULT = "gait alone", "default"
+
+
+@dataclass(frozen=True)
+class Case:
+    """A run of the closed loop; the robot stands at first."""
+
+    duration: float  # s
+    scene: str = "flat"
+    gait: str = "walk"
+    velocity: Vector3 = (0.0, 0.0, 0.0)
+    schedule: tuple[tuple[float, Vector3], ...] = ()  # times (s) and velocities from then on
+    pose: Vector3 | None = None  # height (m), roll, pitch (rad); None: the gait's own
+    path: tuple[tuple[float, float], ...] = ()  # followed at the speed of `velocity`
+    changes: Changes = ()
+    lost_odometry: tuple[float, float] = (0.0, 0.0)  # begin and duration, s
+
+
+@dataclass(frozen=True)
+class Motion:
+    """True motion of the torso at the ticks 0, 1 .. n-1; `fallen`: tilted too far or diverged."""
+
+    time: Array  # (n,) s
+    position: Array  # (n, 3) m, in odom
+    rpy: Array  # (n, 3) rad, the yaw unwrapped
+    fallen: bool
+
+    def after(self, begin: float, end: float = math.inf) -> Motion:
+        """The motion from `begin` to `end`, s."""
+        part = (self.time >= begin) & (self.time <= end)
+        return Motion(self.time[part], self.position[part], self.rpy[part], self.fallen)
+
+    @property
+    def tilt(self) -> Array:
+        """(n,) rad, between body z and the vertical of odom."""
+        return np.arccos(np.cos(self.rpy[:, 0]) * np.cos(self.rpy[:, 1]))
+
+    @property
+    def velocity(self) -> Array:
+        """Mean velocity (3,) in odom over whole strides at the end: v_x, v_y, yaw rate."""
+        pose = np.column_stack([self.position[:, :2], self.rpy[:, 2]])
+        whole = math.floor((self.time[-1] - self.time[0]) / PERIOD) * PERIOD
+        first = round(whole / DT)
+        return (pose[-1] - pose[-1 - first]) / (self.time[-1] - self.time[-1 - first])
+
+    @property
+    def forward_speed(self) -> float:
+        """Mean velocity along the torso's own heading, m/s."""
+        step, yaw = np.diff(self.position[:, :2], axis=0), self.rpy[:-1, 2]
+        along = np.cos(yaw) * step[:, 0] + np.sin(yaw) * step[:, 1]
+        return float(along.sum() / (self.time[-1] - self.time[0]))
+
+    def stride_means(self, values: Array) -> Array:
+        """Moving mean of values (n,) over a stride."""
+        count = min(round(PERIOD / DT), len(values))
+        return np.convolve(values, np.full(count, 1.0 / count), "valid")
+
+    @property
+    def heading(self) -> float:
+        """Largest stride mean of |yaw|, rad."""
+        return float(np.abs(self.stride_means(self.rpy[:, 2])).max())
+
+
+Job = tuple[Case, str, int]  # case, column, seed
+
+
+def run_job(job: Job) -> tuple[Job, Motion]:
+    """The job and its motion, for processes that return results in any order."""
+    return job, run_case(*job)
+
+
+def run_case(case: Case, column: str, seed: int) -> Motion:
+    """Run a case with the controller of a column."""
+    controller = COLUMNS[column]
+    loop = ClosedLoop(
+        case.scene,
+        case.gait,
+        np.zeros(3) if case.path else np.array(case.velocity),
+        seed,
+        controller.profile,
+        changes=dict(case.changes) | dict(controller.changes),
+        path=_path(case),
+        lost_odometry=case.lost_odometry,
+    )
+    scheduler, sim, schedule = loop.controller.scheduler, loop.plant.simulator, [*case.schedule]
+    if case.pose is not None:
+        scheduler.set_pose(np.array(case.pose))
+    rows, fallen = [], False
+    try:
+        for _ in loop.run(round(case.duration / DT)):
+            time = (loop.plant.now - LOCKSTEP_START) * 1e-9
+            rows.append([time, *sim.position, *sim.rpy])
+            if schedule and time >= schedule[0][0]:
+                scheduler.request(case.gait, np.array(schedule.pop(0)[1]))
+    except Divergence:
+        fallen = True
+    return motion_of(np.array(rows), fallen)
+
+
+def motion_of(rows: Array, fallen: bool) -> Motion:
+    """Motion of rows (n, 7) time, position, roll, pitch, yaw, with gaps closed linearly."""
+    rows[:, 6] = np.unwrap(rows[:, 6])
+    time = np.arange(0.0, rows[-1, 0] + DT / 2, DT)
+    even = np.column_stack([np.interp(time, rows[:, 0], column) for column in rows.T[1:]])
+    motion = Motion(time, even[:, :3], even[:, 3:], fallen)
+    return Motion(time, even[:, :3], even[:, 3:], fallen or bool(motion.tilt.max() > FALLEN))
+
+
+def _path(case: Case) -> Path | None:
+    if not case.path:
+        return None
+    return Path(np.array(case.path), case.velocity[0], "kept")
+
+
+def friction(left: float, right: float | None = None) -> Changes:
+    """Floor with a friction coefficient at the left feet, and the same or another at the right."""
+    other = left if right is None else right
+    return (("scene.floor.friction", (left, other, left, other)),)
+
+
+def slope(degrees: float, direction_deg: float, mu: float) -> Changes:
+    """Incline, uphill in a direction from +x; z stays normal to the floor."""
+    tilt, way = math.radians(degrees), math.radians(direction_deg)
+    down = -GRAVITY * math.sin(tilt)
+    gravity = (down * math.cos(way), down * math.sin(way), -GRAVITY * math.cos(tilt))
+    return (("scene.gravity", gravity), *friction(mu))
+
+
+def payload(mass: float, place: Vector3) -> Changes:
+    """A point mass on the torso."""
+    return (("scene.payload.mass", mass), ("scene.payload.place", place))
+
+
+def stiffness(factor: float) -> Changes:
+    """Legs whose modulus is not the controller's."""
+    return (("robot.leg.young_modulus", factor * read_robot().leg.young_modulus),)
+
+
+def slow_servos(factor: float) -> Changes:
+    """Servos with a longer time constant of their position loop, as stiff under load as before.
+
+    Model `torque_speed`: lag. Model `pid`: (1 / w0 + k_d) / k_p, with the no-load speed w0.
+    """
+    servo = read_servo()
+    loss = 60 / (2 * math.pi * servo.no_load_rpm)  # s/rad, 1 / w0
+    return (
+        ("servo.lag", factor * servo.lag),
+        ("servo.derivative", factor * (loss + servo.derivative) - loss),
+        ("servo.motor_time", factor * servo.motor_time),
+    )
+
+
+def tendon_errors(error: float) -> Changes:
+    """Tendons longer by `error` (m) at the left legs and shorter at the right ones."""
+    nominal = read_robot().tendon.slack
+    longer = (2 * error, 0.0, 2 * error, 0.0)
+    return (("robot.tendon.slack", nominal - error), ("scene.tendons.slack", longer))
+
+
+def push(time: float, force: Vector3) -> Changes:
+    """A force (N, in odom) on the torso's centre for .2 s, in the scene `push`."""
+    return (
+        ("scene.pushes.left.time", time),
+        ("scene.pushes.left.duration", PUSH_TIME),
+        ("scene.pushes.left.force", force),
+        ("scene.pushes.behind.force", (0.0, 0.0, 0.0)),
+    )

@@ -1,0 +1,102 @@
+"""The pictures of the locomotion benchmark: table, velocities in all directions, top views."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, Case, Motion
+from benchmarks.locomotion.rows import CALM, SIDE
+from slot_core.report import palette
+
+COLOURS = {ALONE: "#E69F00", "paper": palette.PALE, DEFAULT: palette.TRUE}
+SHOWN = (0.01, 100.0)  # range of the bars, in goals
+Motions = Mapping[tuple[Case, str, int], Motion]
+
+
+def draw_table(table: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Every row in all columns, as a multiple of its goal; a fall ends at the right edge."""
+    figure = _figure(10.0, 1.0 + 0.3 * len(table))
+    ax = figure.subplots()
+    place, height = np.arange(len(table)), 0.8 / len(COLUMNS)
+    for k, (column, colour) in enumerate(COLOURS.items()):
+        ratio = [np.clip(_in_goals(values, column), *SHOWN) for values in table]
+        ax.barh(place + (k - 1) * height, ratio, height, color=colour, label=column)
+    ax.axvline(1.0, color=palette.INK, linewidth=1.0)
+    ax.set_yticks(place, [f"{values['row']}, {values['unit']}" for values in table], fontsize=8)
+    ax.set(xscale="log", xlim=SHOWN, xlabel="error over goal (or goal over value); below 1: holds")
+    ax.invert_yaxis()
+    ax.grid(axis="x", alpha=0.3)
+    ax.legend(loc="lower right", frameon=False, fontsize=8)
+    figure.savefig(path, dpi=150)
+
+
+def draw_directions(
+    cases: Sequence[Case], motions: Motions, seeds: Sequence[int], path: Path
+) -> None:
+    """Commanded (circles) and achieved mean velocity (points) in all directions."""
+    figure = _figure(5.5, 5.5)
+    ax = figure.subplots()
+    wanted = np.array([case.velocity[:2] for case in cases])
+    ax.plot(*wanted.T, "o", color=palette.INK, fillstyle="none", markersize=12, label="commanded")
+    for column, colour in COLOURS.items():
+        for case, (v_x, v_y) in zip(cases, wanted):
+            for seed in seeds:
+                motion = motions[case, column, seed]
+                reached = motion.after(CALM).velocity[:2]
+                ax.plot([v_x, reached[0]], [v_y, reached[1]], color=colour, linewidth=0.8)
+                ax.plot(*reached, ".", color=colour, markersize=8)
+        ax.plot([], [], ".-", color=colour, label=column)
+    ax.set(xlabel="v_x, m/s", ylabel="v_y, m/s", aspect="equal")
+    ax.grid(alpha=0.3)
+    ax.legend(frameon=False, fontsize=8, loc="center")
+    figure.savefig(path, dpi=150)
+
+
+def draw_top(
+    square: Case, slanted: Case, motions: Motions, seeds: Sequence[int], path: Path
+) -> None:
+    """The square and the 60 deg path from above."""
+    figure = _figure(11.0, 5.5)
+    left, right = figure.subplots(1, 2)
+    corners = np.array([[0, 0], [SIDE, 0], [SIDE, SIDE], [0, SIDE], [0, 0]])
+    left.plot(*corners.T, color=palette.INK, linewidth=1.0, linestyle="--", label="commanded")
+    right.plot(*np.array(slanted.path).T, color=palette.INK, linewidth=1.0, linestyle="--")
+    for ax, case, title in ((left, square, "square of .6 m"), (right, slanted, "60 deg path")):
+        for column in COLOURS:
+            for seed in seeds:
+                _track(ax, motions[case, column, seed], column if seed == seeds[0] else "_", column)
+        ax.set(xlabel="x, m", ylabel="y, m", aspect="equal", title=title)
+        ax.grid(alpha=0.3)
+    left.legend(frameon=False, fontsize=8)
+    figure.savefig(path, dpi=150)
+
+
+def _track(ax: Axes, motion: Motion, label: str, column: str) -> None:
+    """The torso's track, with its heading every two seconds."""
+    x, y = motion.position[:, :2].T
+    ax.plot(x, y, color=COLOURS[column], linewidth=1.2, label=label)
+    every = slice(None, None, round(2.0 / (motion.time[1] - motion.time[0])))
+    yaw = motion.rpy[every, 2]
+    style = {"color": COLOURS[column], "width": 0.002, "scale": 40.0, "headwidth": 4.0}
+    ax.quiver(x[every], y[every], np.cos(yaw), np.sin(yaw), **style)
+
+
+def _in_goals(values: Mapping[str, Any], column: str) -> float:
+    value, goal = values[column], values["goal"]
+    if values["better"] == "smaller":
+        return float(value / goal)
+    return float(goal / value) if value else math.inf
+
+
+def _figure(width: float, height: float) -> Figure:
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure

@@ -1,0 +1,377 @@
+"""Rows of the table: what is measured, in which cases, its goal, and the benefit that is required.
+
+Every value is the worst over the cases and the seeds. Errors are measured on the true motion, after
+the transient of the start; those of heading and lateral place on means over a stride, which sways.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.locomotion.cases import (
+    Case,
+    Changes,
+    Motion,
+    Vector3,
+    friction,
+    payload,
+    push,
+    slope,
+    slow_servos,
+    stiffness,
+    tendon_errors,
+)
+from slot_core.control.gait import Stride, read_gaits
+from slot_core.robot import Array, read_robot
+
+CALM = 4.0  # s, of the start that are not measured
+SPEED, LENGTH = 0.05, 0.8  # m/s, m: of the straight walks
+SIDE = 0.6  # m, of the square
+TURN_RATE = 0.15  # rad/s
+DIRECTION_SPEED = 0.06  # m/s
+HELD = 0.003  # m/s within which a speed counts as held
+DISTURBED = 3.0  # s, time of pushes and of lost odometry
+RECOVERED = 3.0  # s, how long the robot has to stay on the path
+BODY = (0.040, 0.0, 0.0)  # m, rad: of the posture `stand`
+MM, DEG = 1e3, 180 / math.pi
+
+Measure = Callable[[Sequence[Case], Sequence[Motion]], float]
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of the table; `share`: largest part of the gait alone's error that may be left.
+
+    Where a larger value is better, `share` is the least ratio to the gait alone's value. None: the
+    row tells of the gait, which the controller cannot better.
+    """
+
+    name: str
+    unit: str
+    goal: float
+    cases: Sequence[Case]
+    measure: Measure
+    share: float | None = 0.5
+    larger: bool = False
+
+    def value(self, motions: Sequence[Motion]) -> float:
+        """The value of a seed; a fall is infinitely bad."""
+        if any(motion.fallen for motion in motions):
+            return 0.0 if self.larger else math.inf
+        return self.measure(self.cases, motions)
+
+
+def worst(of: Callable[[Case, Motion], float]) -> Measure:
+    """The largest value over the cases."""
+    return lambda cases, motions: max(of(c, m) for c, m in zip(cases, motions))
+
+
+def rows(quick: bool) -> list[Row]:
+    """All rows."""
+    return [
+        *_speeds(quick),
+        *_straight(),
+        *_path(),
+        *_square(),
+        *_turn(),
+        *_directions(quick),
+        *_standing(quick),
+        *_heights(quick),
+        *_slopes(),
+        *_posture(),
+        *_disturbed(),
+    ]
+
+
+def directions(quick: bool) -> list[Case]:
+    """Walks in all directions at one speed, for the row and its picture."""
+    angles = np.radians(np.arange(0, 360, 60 if quick else 30))
+    return [
+        Case(CALM + 10.5, velocity=(_round(DIRECTION_SPEED * c), _round(DIRECTION_SPEED * s), 0.0))
+        for c, s in zip(np.cos(angles), np.sin(angles))
+    ]
+
+
+def square() -> Case:
+    """Square of four sides and four turns of 90 deg by velocity commands, then standing."""
+    schedule, time = [], 0.0
+    for _ in range(4):
+        schedule += [(time, (SPEED, 0.0, 0.0)), (time + SIDE / SPEED, (0.0, 0.0, TURN_RATE))]
+        time += SIDE / SPEED + math.pi / 2 / TURN_RATE
+    return Case(time + 2.0, schedule=(*schedule, (time, (0.0, 0.0, 0.0))))
+
+
+def slanted() -> Case:
+    """Path of 60 deg, with the heading kept."""
+    end = (LENGTH * math.cos(math.pi / 3), LENGTH * math.sin(math.pi / 3))
+    return Case(LENGTH / SPEED + 3.0, velocity=(SPEED, 0.0, 0.0), path=((0.0, 0.0), end))
+
+
+def _speeds(quick: bool) -> list[Row]:
+    duration = CALM + 10.5  # 15 strides
+    commanded = (0.02, 0.055) if quick else (0.02, 0.03, 0.04, 0.055)
+    held = [
+        Case(duration, velocity=(v, 0.0, 0.0), changes=friction(mu))
+        for v in commanded
+        for mu in (0.2, 0.3, 0.4, 0.6)
+    ]
+    found = [Row("v_x held, .02 to .055, mu .2 to .6", "mm/s", 2.0, held, worst(_speed_error))]
+    limit = walk().speeds[0]
+    tried = [v for v in (0.06, 0.065, 0.07, 0.075, 0.08) if v < limit]
+    tried = [*(tried[:1] if quick else tried), limit]
+    for mu, goal in ((0.2, 0.06), (0.4, 0.075), (0.6, 0.08)):
+        cases = [Case(duration, velocity=(v, 0.0, 0.0), changes=friction(mu)) for v in tried]
+        name = f"fastest held, mu {mu:g}"
+        found.append(Row(name, "m/s", goal, cases, _fastest_held, 1.05, larger=True))
+    return found
+
+
+def _straight() -> list[Row]:
+    equal, split = straight(), straight(friction(0.5, 0.3))
+    return [
+        Row("lateral error over .8 m", "mm", 10.0, [equal], worst(_lateral)),
+        Row("lateral error, split friction", "mm", 20.0, [split], worst(_lateral)),
+        Row("heading, split friction", "deg", 2.0, [split], worst(_heading)),
+    ]
+
+
+def straight(changes: Changes = (), **others: object) -> Case:
+    """Straight walk of .8 m."""
+    return Case(
+        LENGTH / SPEED + 0.5,
+        velocity=(SPEED, 0.0, 0.0),
+        changes=changes,
+        **others,  # type: ignore[arg-type]
+    )
+
+
+def _path() -> list[Row]:
+    def cross_track(case: Case, motion: Motion) -> float:
+        x, y = motion.position[:, :2].T
+        (dx, dy) = case.path[1]
+        return float(MM * np.sqrt(np.mean((dx * y - dy * x) ** 2)) / math.hypot(dx, dy))
+
+    case = slanted()
+    return [
+        Row("60 deg path, cross-track RMSE", "mm", 10.0, [case], worst(cross_track)),
+        Row("60 deg path, heading", "deg", 2.0, [case], worst(_heading)),
+    ]
+
+
+def _square() -> list[Row]:
+    def gap(case: Case, motion: Motion) -> float:
+        return MM * math.dist(motion.position[-1, :2], motion.position[0, :2])
+
+    def turned(case: Case, motion: Motion) -> float:
+        return DEG * float(abs(motion.rpy[-1, 2] - motion.rpy[0, 2] - 2 * math.pi))
+
+    case = square()
+    return [
+        Row("square of .6 m closes", "mm", 50.0, [case], worst(gap)),
+        Row("square of .6 m, heading", "deg", 5.0, [case], worst(turned)),
+    ]
+
+
+def _turn() -> list[Row]:
+    quarter = math.pi / 2 / TURN_RATE
+    schedule = ((0.0, (0.0, 0.0, TURN_RATE)), (quarter, (0.0, 0.0, 0.0)))
+    cases = [Case(quarter + 2.0, schedule=schedule, changes=friction(mu)) for mu in (0.2, 0.4, 0.6)]
+
+    def rate(case: Case, motion: Motion) -> float:
+        return float(abs(motion.after(2.0, quarter).velocity[2] - TURN_RATE))
+
+    def angle(case: Case, motion: Motion) -> float:
+        return DEG * float(abs(motion.rpy[-1, 2] - motion.rpy[0, 2] - math.pi / 2))
+
+    def drift(case: Case, motion: Motion) -> float:
+        away = np.hypot(*(motion.position[:, :2] - motion.position[0, :2]).T)
+        return MM * float(motion.stride_means(away).max())
+
+    return [
+        Row("turn in place, rate", "rad/s", 0.01, cases, worst(rate)),
+        Row("turn in place, 90 deg", "deg", 2.0, cases, worst(angle)),
+        Row("turn in place, drift", "mm", 30.0, cases, worst(drift)),
+    ]
+
+
+def _directions(quick: bool) -> list[Row]:
+    def error(case: Case, motion: Motion) -> float:
+        reached = motion.after(CALM).velocity[:2]
+        return MM * math.dist(reached, case.velocity[:2])
+
+    cases = directions(quick)
+    return [
+        Row("v of .06 held in all directions", "mm/s", 3.0, cases, worst(error)),
+        Row("v of .06, heading", "deg", 2.0, cases, worst(_heading)),
+    ]
+
+
+def _standing(quick: bool) -> list[Row]:
+    heights = [(h, 0.0, 0.0) for h in (0.030, 0.040, 0.050, 0.060)]
+    five = math.radians(5.0)
+    tilts = [(0.040, five, 0.0), (0.040, -five, 0.0), (0.040, 0.0, five), (0.040, 0.0, -five)]
+    places = [(0.06, 0.04, 0.02), (-0.06, 0.0, 0.02), (0.0, 0.04, 0.02), (0.0, 0.0, 0.02)]
+    slopes = [slope(5.0, 0.0, 0.4), slope(10.0, 0.0, 0.6), slope(10.0, 90.0, 0.6)]
+    loads = [payload(0.5, place) for place in places[: 2 if quick else None]]
+    groups: dict[str, list[Case]] = {
+        "heights .030 to .060": [_stand(pose) for pose in heights],
+        "roll and pitch of 5 deg": [_stand(pose) for pose in tilts],
+        "payload .5 kg": [
+            _stand(pose, load) for load in loads for pose in (heights if not quick else [BODY])
+        ],
+        "slopes to 10 deg": [_stand(BODY, incline) for incline in slopes],
+    }
+    found = []
+    for name, cases in groups.items():
+        found.append(Row(f"standing, {name}: height", "mm", 1.0, cases, worst(_height_off)))
+        found.append(Row(f"standing, {name}: angles", "deg", 0.3, cases, worst(_angle_off)))
+    return found
+
+
+def _stand(pose: Vector3, changes: Changes = ()) -> Case:
+    return Case(4.0, gait="stand", pose=pose, changes=changes)
+
+
+def _heights(quick: bool) -> list[Row]:
+    loads = ((), payload(0.3, (-0.04, 0.0, 0.03)), payload(0.3, (0.0, 0.04, 0.02)))
+    commanded = (0.055, 0.070) if quick else (0.055, 0.0625, 0.070)
+    cases = [
+        Case(CALM + 7.0, velocity=(SPEED, 0.0, 0.0), pose=(h, 0.0, 0.0), changes=load)
+        for h in commanded
+        for load in loads[: 2 if quick else None]
+    ]
+
+    def error(case: Case, motion: Motion) -> float:
+        assert case.pose is not None
+        return MM * float(abs(motion.after(CALM).position[:, 2].mean() - case.pose[0]))
+
+    return [Row("mean height walking, .3 kg", "mm", 3.0, cases, worst(error))]
+
+
+def _slopes() -> list[Row]:
+    found = []
+    for degrees, mu, v in ((5.0, 0.4, 0.04), (10.0, 0.6, 0.03)):
+        case = Case(CALM + 10.5, velocity=(v, 0.0, 0.0), changes=slope(degrees, 0.0, mu))
+        name = f"slope {degrees:g} deg, v_x of {v:g}"
+        found.append(Row(name, "mm/s", 3.0, [case], worst(_speed_error)))
+    return found
+
+
+def _posture() -> list[Row]:
+    def rms(case: Case, motion: Motion) -> float:
+        return DEG * float(np.sqrt(np.mean(motion.after(CALM).tilt ** 2)))
+
+    def largest(case: Case, motion: Motion) -> float:
+        return DEG * float(motion.after(CALM).tilt.max())
+
+    low = Case(12.0, velocity=(0.03, 0.0, 0.0), pose=(0.055, 0.0, 0.0))
+    return [
+        Row("tilt of the walk, RMS", "deg", 4.5, [straight()], worst(rms), None),
+        Row("tilt of the walk, largest", "deg", 8.0, [straight()], worst(largest), None),
+        Row("crawl, torso's top", "mm", 70.0, [low], worst(_top), 0.95),
+    ]
+
+
+def _disturbed() -> list[Row]:
+    aside, gap = (0.0, 1.5, 0.0), (DISTURBED, 0.3)
+    pushed = push(DISTURBED, aside)
+    wrong = tendon_errors(0.5e-3)
+    everything = (*pushed, *stiffness(0.8), *slow_servos(2.0), *wrong)
+    cases = {
+        "push of .3 N s": recovery(pushed, scene="push"),
+        "odometry lost for .3 s": recovery(lost_odometry=gap),
+        "modulus -20 %": recovery(stiffness(0.8)),
+        "modulus +20 %": recovery(stiffness(1.2)),
+        "servo's lag doubled": recovery(slow_servos(2.0)),
+        "tendons +-.5 mm": recovery(wrong),
+        "all at once": recovery(everything, scene="push", lost_odometry=gap),
+    }
+    return [
+        Row(f"{name}: off the path after .8 m", "mm", 10.0, [case], worst(_off_path))
+        for name, case in cases.items()
+    ]
+
+
+def recovery(changes: Changes = (), **others: object) -> Case:
+    """Straight walk with a disturbance, then .8 m to return to the path and some more."""
+    return Case(
+        DISTURBED + LENGTH / SPEED + RECOVERED,
+        velocity=(SPEED, 0.0, 0.0),
+        changes=changes,
+        **others,  # type: ignore[arg-type]
+    )
+
+
+def walk() -> Stride:
+    """The default stride."""
+    return read_gaits().strides["walk"]
+
+
+def _speed_error(case: Case, motion: Motion) -> float:
+    return MM * abs(motion.after(CALM).forward_speed - case.velocity[0])
+
+
+def _fastest_held(cases: Sequence[Case], motions: Sequence[Motion]) -> float:
+    """Largest of the commanded speeds that is held within HELD; 0: none."""
+    held = [c.velocity[0] for c, m in zip(cases, motions) if _speed_error(c, m) <= MM * HELD]
+    return max(held, default=0.0)
+
+
+def _walks(case: Case, motion: Motion) -> bool:
+    """Whether the robot covers half of the commanded distance: standing is no straight walk."""
+    return bool(motion.position[-1, 0] > 0.5 * case.velocity[0] * case.duration)
+
+
+def _lateral(case: Case, motion: Motion) -> float:
+    if not _walks(case, motion):
+        return math.inf
+    return MM * float(np.abs(motion.position[:, 1]).max())
+
+
+def _heading(case: Case, motion: Motion) -> float:
+    return DEG * motion.heading
+
+
+def _off_path(case: Case, motion: Motion) -> float:
+    if not _walks(case, motion):
+        return math.inf
+    late = motion.after(DISTURBED + LENGTH / SPEED)
+    return MM * float(np.abs(late.stride_means(late.position[:, 1])).max())
+
+
+def _height_off(case: Case, motion: Motion) -> float:
+    assert case.pose is not None
+    return MM * float(np.abs(motion.after(2.0).position[:, 2] - case.pose[0]).max())
+
+
+def _angle_off(case: Case, motion: Motion) -> float:
+    assert case.pose is not None
+    return DEG * float(np.abs(motion.after(2.0).rpy[:, :2] - case.pose[1:]).max())
+
+
+def _top(case: Case, motion: Motion) -> float:
+    """Height of the highest corner of the torso after the start, mm."""
+    if not _walks(case, motion):
+        return math.inf
+    late = motion.after(CALM)
+    length, width, thickness = np.array(read_robot().torso.size) / 2
+    roll, pitch = late.rpy[:, 0], late.rpy[:, 1]
+    rise = _corners(roll, pitch, length, width, thickness)
+    return MM * float((late.position[:, 2] + rise).max())
+
+
+def _corners(roll: Array, pitch: Array, length: float, width: float, thickness: float) -> Array:
+    """Height (n,) of a box's highest corner above its centre; half sizes, m."""
+    return (
+        length * np.abs(np.sin(pitch))
+        + width * np.abs(np.cos(pitch) * np.sin(roll))
+        + thickness * np.cos(pitch) * np.cos(roll)
+    )
+
+
+def _round(value: float) -> float:
+    return round(float(value), 6)

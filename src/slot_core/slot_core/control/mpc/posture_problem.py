@@ -1,0 +1,343 @@
+"""Problem of the MPC on tendon angles: the posture of a torso on springs that the tendons wind.
+
+Posture q = [z, roll, pitch]; tendon angle a and commanded angle u (4,) as deviations from the
+gait's. A leg with its clamp at (X, Y) in base_link is the spring f = F(theta, h) of
+`leg_springs.py`, so that at rest with contacts at (X_c, Y_c)
+
+    sum [1, Y_c, -X_c]' f_i - [m g, 0, 0]' + d = 0,        h_i = z + Y roll - X pitch.
+
+Linearised about the gait's angles and the reference posture, A (q - q_ref) + B a + e + d = 0, with
+A = sum of levers F_h dh/dq, negative definite, and e the error of balance at the reference. The
+feet slide on the floor, which damps the torso; its motion over the horizon is taken as
+
+    q' = (-(q - q_ref) - A^-1 (B a + e + d)) / settling,        a' = (u - a) / lag,
+
+discretised by the trapezoidal rule. Over the stages k = 0 .. H-1 the MPC minimises
+
+    sum 1/2 q_k+1' Q q_k+1 + 1/2 (u_k - u_b)' R (u_k - u_b) + 1/2 (u_k - u_k-1)' S (u_k - u_k-1)
+        + w (s_k + 1/2 s_k^2)
+
+about the references, with u_b the least deviations that balance e + d at q_ref, subject to
+
+    0 <= theta <= theta_max,   |u| <= correction_max,   f_i >= -s_k,   s_k >= 0.
+
+The slack s_k keeps the problem feasible from every state. The disturbance d (3,) is observed: the
+wrench that the springs and gravity lack at the measured posture, low-pass filtered. It removes the
+steady error by payload, slope or wrong stiffness.
+
+Friction. A foot that sticks makes the leg stiff and, for small changes of the angle, even reverses
+its effect: a wound tendon first pulls the torso down. So
+
+- errors within a tolerance are left alone: the posture that enters is drawn to the reference by it;
+- beyond, a dither on the angles makes the feet slide: +-amplitude from tick to tick, opposite in
+  sign on the two diagonals, which leaves the posture alone. It fades when the error is gone.
+
+The problem is solved for postures (`GaitPreview.posture`), whose legs are at rest. For a gait the
+forces are the gait's own, u = 0; steady errors are the stride feedback's (`stride_feedback.py`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import piqp
+
+from slot_core.config import quantity
+from slot_core.control.gait import GaitPreview
+from slot_core.control.leg_springs import LegSprings
+from slot_core.control.mpc.model import FEET, Horizon
+from slot_core.control.mpc.posture_kernels import condense, predict
+from slot_core.control.mpc.solver import Solution
+from slot_core.robot import GRAVITY, Array, Robot
+
+POSTURE = 3  # z, roll, pitch
+SIZE = POSTURE + FEET  # state: q, a
+LONGEST_GAP = 0.5  # s between ticks; after a longer one the model of the servos starts afresh
+DIAGONALS = np.array([1.0, -1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class PostureOptions:
+    """Weights, limits, observer and dither of the problem on tendon angles."""
+
+    height: float = quantity("weight of the height", "1/m^2", 0, 1e9)
+    tilt: float = quantity("weight of roll and pitch", "1/rad^2", 0, 1e9)
+    angle: float = quantity("weight of the deviation from the balance", "1/rad^2", 1e-9, 1e9)
+    change: float = quantity("weight of the change from stage to stage", "1/rad^2", 0, 1e9)
+    slack: float = quantity("weight of a negative normal force, 1/N and 1/N^2", "", 0, 1e9)
+    correction_max_deg: float = quantity("largest deviation from the gait", "deg", 0, 120)
+    slope_min: float = quantity("lower bound of dF/dtheta, for the fold", "N/rad", 0.1, 100)
+    settling: float = quantity("time constant of the torso on sliding feet", "s", 1e-3, 10)
+    lag: float = quantity("time constant of the servo", "s", 1e-3, 1)
+    observer_time: float = quantity("time constant of the disturbance, 0: none", "s", 0, 100)
+    force_disturbance: float = quantity("largest disturbance, force", "N", 0, 100)
+    moment_disturbance: float = quantity("largest disturbance, moments", "N m", 0, 10)
+    height_tolerance: float = quantity("error of the height that is left alone", "m", 0, 0.1)
+    tilt_tolerance: float = quantity("error of roll and pitch that is left alone", "rad", 0, 1)
+    dither_deg: float = quantity("largest dither", "deg", 0, 30)
+    dither_gain_deg: float = quantity("dither at an error of twice the tolerance", "deg", 0, 30)
+    dither_decay: float = quantity("time constant of the dither's end", "s", 1e-3, 10)
+    tolerance: float = quantity("absolute residual and duality gap", "", 1e-12, 1e-2)
+    iterations: int = quantity("largest number of iterations", "", 1, 10_000)
+
+
+class PostureProblem:
+    """The problem with the values of the present tick, its observer, dither and solver."""
+
+    def __init__(self, robot: Robot, springs: LegSprings, options: PostureOptions, horizon: int):
+        """Set up weights and solver."""
+        self._springs, self._options, self._horizon = springs, options, horizon
+        self._angle_max, self._weight = robot.tendon.angle_max, robot.weight
+        self._clamps, self._outward = robot.clamps, robot.outward
+        x, y, _ = robot.clamps.T
+        self._rise = np.column_stack([np.ones(FEET), y, -x])  # dh/dq of the clamps
+        o, size = options, FEET * horizon
+        weights = [o.height, o.tilt, o.tilt, *(0.0,) * FEET]
+        self._root_weight = np.sqrt(np.tile(weights, horizon))
+        step = np.eye(size) - np.eye(size, k=-FEET)
+        self._input_weight = o.angle * np.eye(size) + o.change * step.T @ step
+        self._solver = PostureSolver(size, horizon, options)
+        self._tolerance = np.array([o.height_tolerance, o.tilt_tolerance, o.tilt_tolerance])
+        m = o.moment_disturbance
+        self._bound = np.array([o.force_disturbance, m, m])
+        self.disturbance = np.zeros(POSTURE)  # N, N m
+        self._spool: Array | None = None  # (4,) rad, tendon angles by the model of the servos
+        self._command = np.zeros(FEET)  # rad, commanded last, without dither
+        self._stamp = 0  # ns, of the last tick
+        self._dither, self._sign = 0.0, 1.0  # rad, amplitude; its present sign
+        self._posture = False
+
+    @property
+    def qp(self) -> PostureSolver:
+        """The quadratic programme of the last tick; read only."""
+        return self._solver
+
+    share = 1.0  # the reference forces are the gait's
+
+    @property
+    def mass(self) -> float:
+        """Mass of the robot with the load that d amounts to, kg."""
+        return (self._weight - float(self.disturbance[0])) / GRAVITY
+
+    def update(self, state: Array, preview: GaitPreview, ahead: Horizon) -> None:
+        """Set the present state (12,), the preview and the limits and targets ahead."""
+        self._posture = preview.posture
+        self._nominal = np.asarray(preview.tendon_angle, dtype=float)[: self._horizon]
+        self._force_ref, self._contact = ahead.force_ref[..., 2], ahead.force_max > 0.0
+        elapsed = self._follow_servos(preview.stamp)
+        if not preview.posture:
+            self.disturbance, self._dither = np.zeros(POSTURE), 0.0
+            return
+        reference = np.asarray(preview.reference)[: self._horizon][:, [5, 0, 1]]
+        error = state[[5, 0, 1]] - reference[0]
+        inside = np.clip(error, -self._tolerance, self._tolerance)
+        self._update_dither(np.abs(error - inside) / self._tolerance, elapsed)
+        self._observe(reference[0] + error - inside, elapsed)
+        self._linearise(reference, preview.dt)
+        rise = np.diff(self._heights(np.stack([reference[0], state[[5, 0, 1]]])), axis=0)[0]
+        self._reaction = self._stiffness[0] * rise  # N, of the springs
+        self._start = np.concatenate([error - inside, self._spool - self._nominal[0]])
+        limit = math.radians(self._options.correction_max_deg)
+        n = self._solver.inputs
+        self._solver.low[:n] = np.maximum(-limit, -self._nominal).ravel()
+        self._solver.high[:n] = np.minimum(limit, self._angle_max - self._nominal).ravel()
+        self._condense()
+
+    def solve(self) -> Solution:
+        """Solve the problem with its present values; raises nothing."""
+        if not self._posture:
+            return Solution(np.zeros(len(self._solver.c)), "", 0)
+        return self._solver.solve()
+
+    def follow(self, force: Array) -> None:
+        """Take the forces (4, 3) N that the legs are commanded from this tick on."""
+        if not self._posture:
+            self._command = self._nominal[0]
+            return
+        normal = force[:, 2] - self._dither_force()
+        deviation = (normal - self._force_ref[0] - self._reaction) / self._slope[0]
+        self._command = np.clip(self._nominal[0] + deviation, 0.0, self._angle_max)
+
+    def forces(self, z: Array) -> Array:
+        """Forces (H, 4, 3) N of legs at rest at the commanded angles, at the predicted postures."""
+        force = np.zeros((self._horizon, FEET, 3))
+        force[..., 2] = self._force_ref
+        if self._posture:
+            u = z[: self._solver.inputs].reshape(-1, FEET)
+            x = self._predict(z)[:-1]
+            force[..., 2] += self._slope * u + self._stiffness * (x[:, :POSTURE] @ self._rise.T)
+            # the measured posture, not the one drawn to the reference by the tolerance
+            force[0, :, 2] = self._force_ref[0] + self._slope[0] * u[0] + self._reaction
+            force[0, :, 2] += self._dither_force()
+        force[..., 2] = np.where(self._contact, np.maximum(force[..., 2], 0.0), 0.0)
+        return force
+
+    def cost(self, z: Array) -> float:
+        """Objective at z without its constant."""
+        return float(0.5 * z @ self._solver.P @ z + self._solver.c @ z)
+
+    def violation(self, z: Array) -> float:
+        """Largest violation of a limit: of a force (N) or of an angle (rad); zero without one."""
+        if not self._posture:
+            return 0.0
+        qp, n = self._solver, self._solver.inputs
+        bounds = np.maximum(qp.low[:n] - z[:n], z[:n] - qp.high[:n])
+        return float(max(0.0, (qp.G @ z - qp.h).max(), bounds.max()))
+
+    def residual(self, z: Array) -> float:
+        """Largest difference between the states of the condensed problem and of the model."""
+        if not self._posture:
+            return 0.0
+        condensed = self._effect @ z[: self._solver.inputs] + self._free.ravel()
+        return float(np.abs(condensed - self._predict(z)[1:].ravel()).max())
+
+    def _follow_servos(self, stamp: int) -> float:
+        """Advance the model of the servos to `stamp` (ns); return the time since the last, s."""
+        elapsed = (stamp - self._stamp) * 1e-9
+        self._stamp = stamp
+        if self._spool is None or not 0.0 < elapsed <= LONGEST_GAP:
+            self._spool = self._command = self._nominal[0].copy()
+            return 0.0
+        share = -math.expm1(-elapsed / self._options.lag)
+        self._spool = self._spool + share * (self._command - self._spool)
+        return elapsed
+
+    def _update_dither(self, excess: Array, elapsed: float) -> None:
+        """Set the amplitude from the errors beyond the tolerance, in tolerances; turn the sign."""
+        o = self._options
+        demand = min(o.dither_deg, o.dither_gain_deg * float(excess.max()))
+        fading = self._dither * math.exp(-elapsed / o.dither_decay)
+        self._dither = max(math.radians(demand), fading)
+        self._sign = -self._sign
+
+    def _dither_force(self) -> Array:
+        """Part (4,) N of the commanded forces that is dither."""
+        return self._slope[0] * (self._sign * self._dither) * DIAGONALS
+
+    def _observe(self, posture: Array, elapsed: float) -> None:
+        """Filter the wrench that springs and gravity lack at a posture (3,)."""
+        if self._options.observer_time == 0.0 or elapsed == 0.0:
+            return
+        legs = self._springs.at(self._spool, self._heights(posture[None])[0])
+        lacking = -self._levers(legs.contact) @ np.maximum(legs.force, 0.0)
+        lacking[0] += self._weight
+        share = -math.expm1(-elapsed / self._options.observer_time)
+        filtered = self.disturbance + share * (lacking - self.disturbance)
+        self.disturbance = np.clip(filtered, -self._bound, self._bound)
+
+    def _heights(self, posture: Array) -> Array:
+        """Clamps above the floor (n, 4) m at postures (n, 3)."""
+        z, roll, pitch = posture.T
+        level = np.cos(pitch)
+        up = np.column_stack([-np.sin(pitch), level * np.sin(roll), level * np.cos(roll)])
+        return z[:, None] + up @ self._clamps.T
+
+    def _levers(self, contact: Array) -> Array:
+        """Wrench (..., 3, 4) [f_z, moments about x, y] of unit forces at contacts (..., 4) m."""
+        x = self._clamps[:, 0] + contact * self._outward[:, 0]
+        y = self._clamps[:, 1] + contact * self._outward[:, 1]
+        return np.stack([np.ones_like(x), y, -x], axis=-2)
+
+    def _linearise(self, reference: Array, dt: float) -> None:
+        """Discrete model of every stage about the gait's angles and the reference (H, 3)."""
+        o, count = self._options, self._horizon
+        springs = self._springs.at(self._nominal, self._heights(reference))
+        self._slope, self._stiffness = springs.slope, springs.stiffness
+        levers = self._levers(springs.contact)
+        stiffness = (levers * springs.stiffness[:, None]) @ self._rise  # A
+        lacking = (levers @ self._force_ref[..., None])[..., 0] + self.disturbance
+        lacking[:, 0] -= self._weight
+        effect = np.concatenate([levers * springs.slope[:, None], lacking[..., None]], axis=2)
+        shift = -np.linalg.solve(stiffness, effect)  # of the equilibrium, by a and by e + d
+        a, b, drift = (np.zeros((count, SIZE, n)) for n in (SIZE, FEET, 1))
+        a[:, :POSTURE, :POSTURE] = -np.eye(POSTURE) / o.settling
+        a[:, :POSTURE, POSTURE:] = shift[..., :FEET] / o.settling
+        drift[:, :POSTURE] = shift[..., FEET:] / o.settling
+        a[:, POSTURE:, POSTURE:] = -np.eye(FEET) / o.lag
+        b[:, POSTURE:] = np.eye(FEET) / o.lag
+        left, right = np.eye(SIZE) - dt / 2 * a, np.eye(SIZE) + dt / 2 * a
+        solved = np.linalg.solve(left, np.concatenate([right, dt * b, dt * drift], axis=2))
+        parts = solved[..., :SIZE], solved[..., SIZE:-1], solved[..., -1]
+        self._model = tuple(np.ascontiguousarray(part) for part in parts)
+        limit = math.radians(o.correction_max_deg)
+        least = -np.linalg.pinv(shift[0, :, :FEET]) @ shift[0, :, FEET]
+        self._balance = np.clip(least, -limit, limit)
+
+    def _predict(self, z: Array) -> Array:
+        """States (H+1, 7) for the inputs in z."""
+        states = np.zeros((self._horizon + 1, SIZE))
+        predict(self._model, self._start, z[: self._solver.inputs].reshape(-1, FEET), states)
+        return states
+
+    def _condense(self) -> None:
+        """Eliminate the states; set cost and limits of the inputs and slacks."""
+        o, qp, count = self._options, self._solver, self._horizon
+        n = qp.inputs
+        effect, free = np.zeros((count, SIZE, n)), np.zeros((count, SIZE))
+        condense(self._model, self._start, effect, free)
+        self._effect, self._free = effect.reshape(-1, n), free
+        weighted = self._root_weight[:, None] * self._effect
+        qp.P[:n, :n] = weighted.T @ weighted + self._input_weight
+        qp.c[:n] = weighted.T @ (self._root_weight * free.ravel())
+        qp.c[:n] -= o.angle * np.tile(self._balance, count)
+        qp.c[:FEET] -= o.change * (self._command - self._nominal[0])
+        ahead = np.minimum(np.arange(1, count + 1), count - 1)  # springs at the states 1 .. H
+        gain = np.concatenate(
+            [
+                self._stiffness[ahead][..., None] * self._rise,
+                self._slope[ahead][..., None] * np.eye(FEET),
+            ],
+            axis=2,
+        )
+        force = self._force_ref[ahead] + np.einsum("kfi,ki->kf", gain, free)
+        qp.G[:, :n] = -(gain @ effect).reshape(-1, n)
+        qp.h[:] = force.ravel()
+
+
+class PostureSolver:
+    """min 1/2 z'Pz + c'z with G z <= h, low <= z <= high, by PIQP; z = [u_0 .. u_H-1, s]."""
+
+    def __init__(self, inputs: int, stages: int, options: PostureOptions):
+        """Set up the solver; the arrays are changed in place before `solve`."""
+        size = inputs + stages
+        self.inputs, self._options = inputs, options
+        self.P, self.c = np.eye(size), np.zeros(size)
+        self.P[inputs:, inputs:] = options.slack * np.eye(stages)
+        self.c[inputs:] = options.slack
+        self.G, self.h = np.zeros((inputs, size)), np.ones(inputs)
+        self.G[:, inputs:] = -np.repeat(np.eye(stages), inputs // stages, axis=0)
+        self.low, self.high = np.zeros(size), np.full(size, np.inf)
+        self.high[:inputs] = 1.0
+        self._set_up()
+
+    def _set_up(self) -> None:
+        self._solver = piqp.DenseSolver()
+        settings, o = self._solver.settings, self._options
+        settings.eps_abs = settings.eps_duality_gap_abs = o.tolerance
+        settings.eps_rel = settings.eps_duality_gap_rel = o.tolerance
+        settings.max_iter = o.iterations
+        self._solver.setup(**self._values())
+
+    def solve(self) -> Solution:
+        """Solve with the present values; raises nothing."""
+        self._solver.update(**self._values())
+        status = self._solver.solve()
+        count = int(self._solver.result.info.iter)
+        z = np.array(self._solver.result.x)
+        fault = ""
+        if status != piqp.PIQP_SOLVED:
+            fault = f"{status.name} after {count} iterations"
+            self._set_up()  # else a NaN in its work space fails every later solve
+        return Solution(z, fault, count)
+
+    def _values(self) -> dict[str, Array]:
+        return {
+            "P": self.P,
+            "c": self.c,
+            "G": self.G,
+            "h_u": self.h,
+            "x_l": self.low,
+            "x_u": self.high,
+        }

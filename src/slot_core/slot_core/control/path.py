@@ -1,0 +1,91 @@
+"""Path on the floor that the robot follows: a polyline in odom, travelled at a speed.
+
+The reference place travels along the path; it waits where it is LEAD ahead of the robot. The
+heading is kept, or follows the path's direction.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path as FilePath
+
+import numpy as np
+
+from slot_core.config import ConfigError
+from slot_core.robot import Array
+
+POINTS_MAX = 100_000
+LEAD = 0.04  # m, of the reference place before the robot
+TURN_GAIN = 1.0  # 1/s, yaw rate per heading error, where the heading follows the path
+
+
+class Path:
+    """Polyline, and the reference place on it."""
+
+    def __init__(self, points: Array, speed: float, heading: str):
+        """Take points (n, 2) m in odom, and a speed (m/s).
+
+        heading: "kept", that at the start, or "along" the path. Raises ConfigError for less than
+        two different points.
+        """
+        moved = np.diff(points, axis=0).any(axis=1)
+        self._points = points[np.r_[True, moved][: len(points)]]
+        if len(self._points) < 2:
+            raise ConfigError("path: needs at least two different points")
+        steps = np.diff(self._points, axis=0)
+        self._arc = np.r_[0.0, np.cumsum(np.hypot(*steps.T))]
+        self._direction = np.arctan2(steps[:, 1], steps[:, 0])
+        self._speed, self._along = speed, heading == "along"
+        self._start_yaw: float | None = None
+        self.travelled = 0.0  # m, of the reference place
+
+    @property
+    def length(self) -> float:
+        """Length, m."""
+        return float(self._arc[-1])
+
+    def place(self, state: Array, elapsed: float) -> Array:
+        """Advance the reference place by `elapsed` (s) and return it: x, y (m), yaw (rad)."""
+        ahead = math.dist(self._point(self.travelled), state[3:5])
+        if ahead < LEAD:
+            self.travelled = min(self.travelled + self._speed * elapsed, self.length)
+        return np.array([*self._point(self.travelled), self._yaw(state)])
+
+    def velocity(self, state: Array) -> Array:
+        """Velocity (3,) in base_link along the path; zero at its end."""
+        if self.travelled >= self.length:
+            return np.zeros(3)
+        along = self._direction[self._segment()] - state[2]
+        error = (self._yaw(state) - state[2] + math.pi) % (2 * math.pi) - math.pi
+        turn = TURN_GAIN * error if self._along else 0.0
+        return np.array([self._speed * math.cos(along), self._speed * math.sin(along), turn])
+
+    def _segment(self) -> int:
+        index = int(np.searchsorted(self._arc, self.travelled, side="right")) - 1
+        return min(index, len(self._direction) - 1)
+
+    def _yaw(self, state: Array) -> float:
+        if self._along:
+            return float(self._direction[self._segment()])
+        if self._start_yaw is None:
+            self._start_yaw = float(state[2])
+        return self._start_yaw
+
+    def _point(self, travelled: float) -> Array:
+        x, y = self._points.T
+        return np.array([np.interp(travelled, self._arc, x), np.interp(travelled, self._arc, y)])
+
+
+def read_path(file: FilePath | str, speed: float, heading: str) -> Path:
+    """The path of a CSV file with columns x, y (m); heading as in `Path`. Raises ConfigError."""
+    if heading not in ("kept", "along"):
+        raise ConfigError(f"path_heading = {heading!r}: expected one of kept, along")
+    try:
+        with FilePath(file).open(newline="") as stream:
+            rows = [[float(row["x"]), float(row["y"])] for row in csv.DictReader(stream)]
+    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
+        raise ConfigError(f"{file}: no path with columns x, y: {error}") from None
+    if len(rows) > POINTS_MAX or not np.isfinite(rows).all():
+        raise ConfigError(f"{file}: more than {POINTS_MAX} points, or a value not finite")
+    return Path(np.array(rows).reshape(-1, 2), speed, heading)

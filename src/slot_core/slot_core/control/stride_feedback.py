@@ -1,0 +1,153 @@
+"""Feedback once a stride: velocity, place, heading and posture by amplitudes and offsets.
+
+A stride repels no disturbance by itself: friction, payload, a slope or a wrong stiffness change its
+speed, its heading and its height. At the end of every stride the means over it are compared with
+what is commanded. With the errors e (6,) and the effect J (6, 6) of the knobs (`FeedbackSettings`),
+identified on the simulated robot, the knobs k change by the solution of
+
+    min |S (J dk - gain e)|^2 + regularisation^2 |dk / k_max|^2,    |k + dk| <= k_max,
+
+S = 1 / scale. The increments make it an integral; the bounds inside the problem let no integral
+wind up. The reference place moves with the commanded velocity, never further than `lead` from the
+robot, and its distance adds to the velocity that is asked for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from slot_core.control.gait import FeedbackSettings, Stride
+from slot_core.robot import Array
+
+VELOCITY, OFFSETS = slice(0, 3), slice(3, 6)
+# Signs of the offsets common, left-right and front-rear at the legs FL FR RL RR.
+OFFSET_SIGNS = np.array([[1, 1, 1, 1], [1, -1, 1, -1], [1, 1, -1, -1]], dtype=float)
+
+
+@dataclass(frozen=True)
+class Target:
+    """What is commanded: velocity (3,) in base_link, height and tilt of the torso."""
+
+    velocity: Array  # (3,) v_x, v_y m/s, yaw rate rad/s
+    posture: Array  # (3,) height m, roll, pitch rad
+    walking: float  # share of the changes of v_x and v_y: none while the robot turns in place
+
+
+class StrideFeedback:
+    """Reference place and knobs of a stride."""
+
+    def __init__(self, stride: Stride):
+        """Start without corrections."""
+        self._settings: FeedbackSettings = stride.feedback
+        self._effect = np.array(self._settings.effect, dtype=float)
+        self._scale = np.array(self._settings.scale, dtype=float)
+        offset = np.radians(self._settings.offset_max_deg)
+        self._limit = np.array([*self._settings.velocity_max, offset, offset, offset])
+        self.knobs = np.zeros(6)
+        self.place: Array | None = None  # (3,) x, y (m), yaw (rad) of the reference, in odom
+        self._rows: list[Array] = []  # stamp (s) and state (13,) of the ticks of this stride
+        self._gap: list[Array] = []  # (3,) reference place minus the robot's, heading frame
+
+    @property
+    def offset(self) -> Array:
+        """Offsets (4,) of the tendon angles, rad."""
+        return self.knobs[OFFSETS] @ OFFSET_SIGNS
+
+    @property
+    def velocity(self) -> Array:
+        """Change (3,) of the velocity that sets the amplitudes."""
+        return self.knobs[VELOCITY]
+
+    def reset(self, velocity: bool = False) -> None:
+        """Forget the stride so far and the reference place; the offsets stay.
+
+        velocity: whether the change of the velocity is forgotten too, after another command.
+        """
+        self.place, self._rows, self._gap = None, [], []
+        if velocity:
+            self.knobs[VELOCITY] = 0.0
+
+    def move(self, dt: float, state: Array, velocity: Array) -> None:
+        """Move the reference place over dt (s) with a velocity (3,) in its heading frame.
+
+        It starts at the robot.
+        """
+        if self.place is None:
+            self.place = state[[3, 4, 2]].copy()
+            return
+        x, y, yaw = self.place
+        c, s = np.cos(yaw), np.sin(yaw)
+        step = dt * np.array([c * velocity[0] - s * velocity[1], s * velocity[0] + c * velocity[1]])
+        self.place = np.array([x + step[0], y + step[1], yaw + dt * velocity[2]])
+        self.draw_near(state)
+
+    def draw_near(self, state: Array) -> None:
+        """Draw the reference place to within `lead` and `heading_lead` of the robot."""
+        assert self.place is not None
+        gap = self.place[:2] - state[3:5]
+        distance = float(np.hypot(*gap))
+        if distance > self._settings.lead:
+            self.place[:2] = state[3:5] + gap * (self._settings.lead / distance)
+        angle = wrapped(self.place[2] - state[2])
+        lead = self._settings.heading_lead
+        self.place[2] = state[2] + float(np.clip(angle, -lead, lead))
+
+    def add(self, time: float, state: Array) -> None:
+        """Add the state (12,) at `time` (s) to this stride."""
+        assert self.place is not None
+        self._rows.append(np.concatenate([[time], state]))
+        x, y = self.place[:2] - state[3:5]
+        c, s = np.cos(state[2]), np.sin(state[2])
+        self._gap.append(
+            np.array([c * x + s * y, c * y - s * x, wrapped(self.place[2] - state[2])])
+        )
+
+    def finish(self, target: Target) -> None:
+        """End a stride: correct the knobs by its means. Less than three ticks are no stride."""
+        rows, gaps = np.array(self._rows), np.array(self._gap)
+        self._rows, self._gap = self._rows[-1:], self._gap[-1:]  # the next one starts there
+        if len(rows) < 3 or self._settings.gain == 0.0:
+            return
+        error = self._error(rows, gaps.mean(axis=0), target)
+        share = np.array([target.walking, target.walking, 1.0, 1.0, 1.0, 1.0])
+        self._correct(error, np.maximum(share, 1e-6) * self._limit)
+
+    def _error(self, rows: Array, gap: Array, target: Target) -> Array:
+        """Outputs that are wanted minus those of the stride (6,)."""
+        s = self._settings
+        wanted = target.velocity + gap * [s.position_gain, s.position_gain, s.heading_gain]
+        wanted[:2] = np.clip(wanted[:2], *_around(target.velocity[:2], self._scale[:2]))
+        wanted[2] = np.clip(wanted[2], *_around(target.velocity[2], self._scale[2]))
+        duration = rows[-1, 0] - rows[0, 0]
+        yaw = np.unwrap(rows[:, 3])
+        steps = np.diff(rows[:, 4:6], axis=0)
+        c, sn = np.cos(yaw[:-1]), np.sin(yaw[:-1])
+        forward = (c * steps[:, 0] + sn * steps[:, 1]).sum() / duration
+        lateral = (c * steps[:, 1] - sn * steps[:, 0]).sum() / duration
+        turned = (yaw[-1] - yaw[0]) / duration
+        posture = rows[:-1, [6, 1, 2]].mean(axis=0)
+        measured = np.array([forward, lateral, turned, *posture])
+        return np.concatenate([wanted, target.posture]) - measured
+
+    def _correct(self, error: Array, limit: Array) -> None:
+        """Solve for the change of the knobs within limits (6,); all in units of their limits."""
+        s = self._settings
+        matrix = np.vstack(
+            [self._effect * limit / self._scale[:, None], s.regularisation * np.eye(6)]
+        )
+        wanted = np.concatenate([s.gain * error / self._scale, np.zeros(6)])
+        now = np.clip(self.knobs / limit, -1.0, 1.0)
+        change = lsq_linear(matrix, wanted, (-1.0 - now - 1e-9, 1.0 - now + 1e-9)).x
+        self.knobs = (now + change).clip(-1.0, 1.0) * limit
+
+
+def wrapped(angle: float) -> float:
+    """The angle in [-pi, pi)."""
+    return float((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _around(value: Array, reach: Array) -> tuple[Array, Array]:
+    return value - reach, value + reach

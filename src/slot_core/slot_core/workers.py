@@ -1,0 +1,34 @@
+"""Processes that compute in parallel with `dask.distributed`, on this machine or on a cluster."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+LOOPBACK = "127.0.0.1"
+
+
+@contextmanager
+def workers(scheduler: str, count: int | None = None) -> Iterator[Any]:
+    """Client of the cluster at `scheduler`; if empty, of `count` local processes (default: cores).
+
+    The local cluster listens on the loopback only. A remote worker needs slot_core of the same
+    revision. Raises ModuleNotFoundError without `distributed` (`scripts/setup --bench`).
+    """
+    from distributed import Client, LocalCluster  # noqa: PLC0415 - not installed with the robot
+
+    if scheduler:
+        with Client(scheduler) as client:
+            yield client
+        return
+    cores = count or len(os.sched_getaffinity(0))
+    local = {"host": LOOPBACK, "processes": True, "threads_per_worker": 1}
+    # By default the web servers listen on every interface.
+    pages = dict.fromkeys(("dashboard_address", "worker_dashboard_address"), f"{LOOPBACK}:0")
+    with (
+        LocalCluster(n_workers=cores, **local, **pages) as here,
+        Client(here) as client,
+    ):
+        yield client

@@ -1,0 +1,171 @@
+"""Search and identification of strides: symmetries, search, record, tables and the file."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from slot_core import config
+from slot_core.control.gait import HarmonicBasis, read_gaits
+from slot_core.tuning import gait_file, identification, symmetry
+from slot_core.tuning.pattern_search import FAILED, Goal, PatternSearch, cost, trial
+from slot_core.tuning.settings import read_tuning
+from slot_core.tuning.stride_run import Job, Motion, simulate
+
+WALK = read_gaits().strides["walk"]
+SETTINGS = config.replace(
+    read_tuning(), {"friction": [0.4], "strides": 3, "settling_strides": 4, "population": 4}
+)
+PHASES = np.arange(20) / 20
+RNG = np.random.default_rng(1)
+
+
+def series(pattern, phase):
+    """Tendon angles (n, 4), deg, of coefficients (4, 5) at phases (n,)."""
+    return HarmonicBasis.at(phase % 1.0).value @ pattern.T
+
+
+def test_the_forward_pattern_is_its_mirror_image_half_a_stride_later():
+    pattern = symmetry.forward(RNG.normal(size=10))
+    later = series(pattern, PHASES + 0.5)[:, [1, 0, 3, 2]]
+    assert series(pattern, PHASES) == pytest.approx(later)
+
+
+def test_the_turn_pattern_is_itself_after_half_a_turn_and_half_a_stride():
+    pattern = symmetry.turn(RNG.normal(size=9))
+    later = series(pattern, PHASES + 0.5)[:, [3, 2, 1, 0]]
+    assert series(pattern, PHASES) == pytest.approx(later)
+    assert pattern[:, 0].sum() == pytest.approx(0.0)
+
+
+def test_the_mirror_image_of_the_steering_steers_to_the_other_side():
+    change = symmetry.steering(RNG.normal(size=10))
+    later = series(change, PHASES + 0.5)[:, [1, 0, 3, 2]]
+    assert series(change, PHASES) == pytest.approx(-later)
+
+
+@pytest.mark.parametrize(
+    ("kind", "pattern"), [("forward", symmetry.forward), ("turn", symmetry.turn)]
+)
+def test_the_numbers_of_a_pattern_give_it_back(kind, pattern):
+    x = RNG.normal(size=symmetry.NUMBERS[kind])
+    assert symmetry.numbers(kind, pattern(x)) == pytest.approx(x)
+
+
+def test_the_shipped_walk_has_the_symmetries():
+    """Its coefficients have four digits."""
+    forward = np.array(WALK.forward.angle_deg)
+    assert symmetry.forward(symmetry.numbers("forward", forward)) == pytest.approx(forward)
+    assert symmetry.lateral(forward) == pytest.approx(np.array(WALK.lateral.angle_deg))
+    turn = np.array(WALK.turn.angle_deg)
+    assert symmetry.turn(symmetry.numbers("turn", turn)) == pytest.approx(turn)
+    steering = np.array(WALK.forward_steering.angle_deg)
+    across = symmetry.lateral_steering(steering)
+    assert across == pytest.approx(np.array(WALK.lateral_steering.angle_deg))
+
+
+def motion(v_x=0.05, tilt=0.0, top=0.06):
+    """Motion at a constant velocity."""
+    track = np.zeros((10, 7))
+    track[:, 3], track[:, 4] = WALK.height, tilt
+    means = np.array([v_x, 0.0, 0.0, WALK.height, 0.0, 0.0])
+    return Motion(track, np.zeros(10), np.zeros((10, 4)), np.zeros((10, 2)), means, 0.0, top)
+
+
+def test_a_faster_pattern_is_better_and_one_that_tilts_or_diverges_is_worse():
+    goal = Goal("forward", top_max=0.07)
+    costs = [
+        cost([each], WALK, goal, SETTINGS)[0]
+        for each in (motion(v_x=0.06), motion(), motion(tilt=0.2), motion(top=0.08), None)
+    ]
+    assert costs[0] < costs[1] < min(costs[2:])
+    assert costs[4] == FAILED
+
+
+def parabola(jobs):
+    """Motions whose speed falls with the distance of the pattern from that of the walk."""
+    target = np.array(WALK.forward.angle_deg)
+    for job in jobs:
+        distance = np.square(np.array(job.stride.forward.angle_deg) - target).mean()
+        yield motion(v_x=0.06 - 1e-4 * distance)
+
+
+def search(evaluations, seed=1):
+    settings = config.replace(SETTINGS, {"evaluations": evaluations})
+    return PatternSearch(WALK, Goal("forward"), np.zeros(10), settings, seed)
+
+
+def quiet(line):
+    pass
+
+
+def test_a_search_finds_the_pattern(tmp_path):
+    found = search(1200).run(parabola, tmp_path / "record", quiet)
+    pattern = symmetry.forward(found.x)
+    assert pattern == pytest.approx(np.array(WALK.forward.angle_deg), abs=1.0)
+    assert found.speed == pytest.approx([0.06], abs=1e-4)
+
+
+def test_an_interrupted_search_continues_where_it_ended(tmp_path):
+    whole = search(40).run(parabola, tmp_path / "whole", quiet)
+    calls = []
+
+    def interrupted(jobs):
+        calls.append(len(jobs))
+        if len(calls) == 5:
+            raise KeyboardInterrupt
+        return parabola(jobs)
+
+    with pytest.raises(KeyboardInterrupt):
+        search(40).run(interrupted, tmp_path / "record", quiet)
+    with (tmp_path / "record").open("a") as record:
+        record.write("[[1.0, [0.")  # cut off
+    again = search(40).run(interrupted, tmp_path / "record", quiet)
+    assert (again.x == whole.x).all()
+    assert again.cost == whole.cost
+    # The start and 40 candidates, each once, and the generation that was interrupted.
+    assert sum(calls) == 1 + 40 + 4
+    lines = (tmp_path / "record").read_text().splitlines()
+    assert len([json.loads(line) for line in lines]) == 1 + 1 + 10
+
+
+def test_the_record_of_another_search_is_refused(tmp_path):
+    search(8).run(parabola, tmp_path / "record", quiet)
+    with pytest.raises(config.ConfigError, match="record of another search"):
+        search(8, seed=2).run(parabola, tmp_path / "record", quiet)
+
+
+def simulated(jobs):
+    return [simulate(job, SETTINGS) for job in jobs]
+
+
+def test_two_generations_on_the_simulated_robot_are_no_worse_than_the_start(tmp_path):
+    start = symmetry.numbers("forward", np.array(WALK.forward.angle_deg))
+    settings = config.replace(SETTINGS, {"evaluations": 8})
+    found = PatternSearch(WALK, Goal("forward"), start, settings, 1).run(
+        simulated, tmp_path / "record", quiet
+    )
+    job = Job(trial(WALK, "forward", start), 0.4, (WALK.forward.speed, 0.0, 0.0))
+    assert found.cost <= cost(simulated([job]), WALK, Goal("forward"), settings)[0]
+    assert found.speed[0] > 0.05
+
+
+def test_the_identification_repeats_the_shipped_walk():
+    """Speeds within 10 %, forces within .4 N and sway within .02 of those of three floors."""
+    tables = identification.tabulate(WALK, SETTINGS, simulated)
+    for name in identification.PATTERNS:
+        shipped, found = getattr(WALK, name), tables[name]
+        assert found.speed == pytest.approx(shipped.speed, rel=0.1)
+        assert found.table[4:8] == pytest.approx(shipped.table[4:8], abs=0.4)
+        assert found.table[8:] == pytest.approx(shipped.table[8:], abs=0.02)
+
+
+def test_the_written_file_is_read_as_the_same_stride(tmp_path, monkeypatch):
+    (tmp_path / "gait").mkdir()
+    (tmp_path / "gait.yaml").write_text((config.config_dir() / "gait.yaml").read_text())
+    gait_file.write(tmp_path / "gait" / "own.yaml", WALK, ["scripts/tune own"])
+    monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
+    read = read_gaits().strides["own"]
+    for field in dataclasses.fields(WALK):
+        assert getattr(read, field.name) == getattr(WALK, field.name)
