@@ -31,10 +31,11 @@ def draw_table(table: Sequence[Mapping[str, Any]], path: Path) -> None:
         ax.barh(place + (k - 1) * height, ratio, height, color=colour, label=column)
     ax.axvline(1.0, color=palette.INK, linewidth=1.0)
     ax.set_yticks(place, [f"{values['row']}, {values['unit']}" for values in table], fontsize=8)
+    ax.set_ylim(-0.6, len(table) - 0.4)
     ax.set(xscale="log", xlim=SHOWN, xlabel="error over goal (or goal over value); below 1: holds")
     ax.invert_yaxis()
     ax.grid(axis="x", alpha=0.3)
-    ax.legend(loc="lower right", frameon=False, fontsize=8)
+    ax.legend(loc="lower right", fontsize=8)
     figure.savefig(path, dpi=150)
 
 
@@ -56,7 +57,7 @@ def draw_directions(
         ax.plot([], [], ".-", color=colour, label=column)
     ax.set(xlabel="v_x, m/s", ylabel="v_y, m/s", aspect="equal")
     ax.grid(alpha=0.3)
-    ax.legend(frameon=False, fontsize=8, loc="center")
+    ax.legend(frameon=False, fontsize=8, loc="upper right")
     figure.savefig(path, dpi=150)
 
 

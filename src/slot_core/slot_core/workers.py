@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,7 +25,9 @@ def workers(scheduler: str, count: int | None = None) -> Iterator[Any]:
             yield client
         return
     cores = count or len(os.sched_getaffinity(0))
-    local = {"host": LOOPBACK, "processes": True, "threads_per_worker": 1}
+    local = {
+        "host": LOOPBACK, "processes": True, "threads_per_worker": 1, "silence_logs": logging.ERROR,
+    }  # fmt: skip
     # By default the web servers listen on every interface.
     pages = dict.fromkeys(("dashboard_address", "worker_dashboard_address"), f"{LOOPBACK}:0")
     with (

@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slot_core.compiled import helper, kernel
 from slot_core.leg_table import LegTable, read_leg_table
@@ -58,7 +59,9 @@ class LegSprings:
 
 
 @kernel
-def interpolate(angles, heights, table, angle, height, out):  # type: ignore[no-untyped-def]
+def interpolate(  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    angles, heights, table, angle, height, out
+):
     """Rows (n, columns) of a table (a, h, columns) at n points, bilinear, constant outside."""
     for k in range(len(angle)):
         i, p = _place(angles, angle[k])
@@ -77,7 +80,7 @@ def _place(grid, value):  # type: ignore[no-untyped-def]
     return index, (inside - grid[index]) / (grid[index + 1] - grid[index])
 
 
-def _cell(grid: Array, value: Array) -> tuple[Array, Array]:
+def _cell(grid: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
     """Index of the cell of a rising grid that holds each value, and the share of its upper end."""
     inside = np.clip(value, grid[0], grid[-1])
     index = np.clip(np.searchsorted(grid, inside, side="right") - 1, 0, len(grid) - 2)

@@ -97,7 +97,10 @@ def effect_of_knobs(stride: Stride, settings: TuningSettings, run_all: RunAll) -
 
 
 def tabulate(stride: Stride, settings: TuningSettings, run_all: RunAll) -> dict[str, Pattern]:
-    """Patterns with speed, normal forces and sway at amplitude one, mean over the floors."""
+    """Patterns with speed, normal forces and sway at amplitude one, mean over the floors.
+
+    The means of their tendon angles take the common offset that holds the height there.
+    """
     jobs = [
         Job(stride, mu, tuple(np.eye(3)[n] * getattr(stride, name).speed))
         for n, name in enumerate(PATTERNS)
@@ -110,9 +113,15 @@ def tabulate(stride: Stride, settings: TuningSettings, run_all: RunAll) -> dict[
         tables = np.mean([_table(motion, stride) for motion in part], axis=0)
         tables = symmetry.symmetrised(name, tables)
         speed = float(np.mean([motion.means[n] for motion in part]))
+        angle = np.array(getattr(stride, name).angle_deg)
+        angle[:, 0] += np.degrees(np.mean([motion.offset for motion in part]))
         sway: dict[str, Any] = {key: tuple(row.tolist()) for key, row in zip(SWAY, tables[4:])}
         found[name] = replace(
-            getattr(stride, name), speed=speed, normal_force=symmetry.rows(tables[:4]), **sway
+            getattr(stride, name),
+            speed=speed,
+            angle_deg=symmetry.rows(angle),
+            normal_force=symmetry.rows(tables[:4]),
+            **sway,
         )
     return found
 

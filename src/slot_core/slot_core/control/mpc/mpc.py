@@ -86,8 +86,6 @@ class Fallback:
 class MpcSettings:
     """Settings of `config/mpc.yaml`."""
 
-    problem: str = choice("inputs of the problem", "tendons", "forces")
-    map: str = choice("force map that belongs to it", "springs", "incremental", "paper")
     posture: PostureOptions
     weights: Weights
     model: ModelOptions
@@ -95,6 +93,8 @@ class MpcSettings:
     solver: MpcSolverSettings
     acceptance: Acceptance
     fallback: Fallback
+    problem: str = choice("inputs of the problem", "tendons", "forces")
+    map: str = choice("force map that belongs to it", "springs", "incremental", "paper")
     horizon: int = quantity("stages", "", 1, 100)
     force_max: float = quantity("largest normal force of a leg", "N", 0, 100)
 

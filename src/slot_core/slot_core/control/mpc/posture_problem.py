@@ -74,8 +74,8 @@ class PostureOptions:
     observer_time: float = quantity("time constant of the disturbance, 0: none", "s", 0, 100)
     force_disturbance: float = quantity("largest disturbance, force", "N", 0, 100)
     moment_disturbance: float = quantity("largest disturbance, moments", "N m", 0, 10)
-    height_tolerance: float = quantity("error of the height that is left alone", "m", 0, 0.1)
-    tilt_tolerance: float = quantity("error of roll and pitch that is left alone", "rad", 0, 1)
+    height_tolerance: float = quantity("error of the height that is left alone", "m", 1e-6, 0.1)
+    tilt_tolerance: float = quantity("error of roll and pitch that is left alone", "rad", 1e-6, 1)
     dither_deg: float = quantity("largest dither", "deg", 0, 30)
     dither_gain_deg: float = quantity("dither at an error of twice the tolerance", "deg", 0, 30)
     dither_decay: float = quantity("time constant of the dither's end", "s", 1e-3, 10)
@@ -103,9 +103,9 @@ class PostureProblem:
         m = o.moment_disturbance
         self._bound = np.array([o.force_disturbance, m, m])
         self.disturbance = np.zeros(POSTURE)  # N, N m
-        self._spool: Array | None = None  # (4,) rad, tendon angles by the model of the servos
+        self._spool = np.zeros(FEET)  # rad, tendon angles by the model of the servos
         self._command = np.zeros(FEET)  # rad, commanded last, without dither
-        self._stamp = 0  # ns, of the last tick
+        self._stamp: int | None = None  # ns, of the last tick
         self._dither, self._sign = 0.0, 1.0  # rad, amplitude; its present sign
         self._posture = False
 
@@ -195,9 +195,9 @@ class PostureProblem:
 
     def _follow_servos(self, stamp: int) -> float:
         """Advance the model of the servos to `stamp` (ns); return the time since the last, s."""
-        elapsed = (stamp - self._stamp) * 1e-9
+        elapsed = 0.0 if self._stamp is None else (stamp - self._stamp) * 1e-9
         self._stamp = stamp
-        if self._spool is None or not 0.0 < elapsed <= LONGEST_GAP:
+        if not 0.0 < elapsed <= LONGEST_GAP:
             self._spool = self._command = self._nominal[0].copy()
             return 0.0
         share = -math.expm1(-elapsed / self._options.lag)
