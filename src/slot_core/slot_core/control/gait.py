@@ -273,7 +273,7 @@ class GaitSettings:
         for value, most, label in zip(velocity, gait.speeds, SPEED_NAMES):
             if not abs(value) <= most:
                 raise config.ConfigError(
-                    f"{label} = {value:g}: gait {name} reaches [{-most:g}, {most:g}]"
+                    f"{label} = {value:g}: gait {name} reaches [{0.0 - most:g}, {most:g}]"
                 )
 
     def require_pose(self, name: str, pose: Array) -> None:
