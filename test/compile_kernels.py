@@ -1,0 +1,52 @@
+"""Compiles the kernels that tests call and a walk does not; run by scripts/test.
+
+So no test's time limit holds a compilation, and the workers do not compile the same kernel twice.
+"""
+
+from slot_core import config
+from slot_core.dynamics import integrator
+from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.legs.held_leg import HeldLeg
+from slot_core.robot import read_robot
+from slot_core.rod.cosserat_rod import CosseratRod
+from slot_core.rod.model import Geometry, Material, Rectangle
+from slot_core.simulation.rod_robot import RodRobot
+from slot_core.simulation.tabulated_robot import TabulatedRobot
+
+ROBOT = read_robot()
+NO_STEP = 0
+
+
+def compile_robots(law):
+    """Rods, in lanes and leg by leg, and tabulated legs, with a law of friction."""
+    changes = {"floor.friction_law": law, "start.settle": 0.0}
+    rods = RodRobot(ROBOT, config.replace(read_scene("flat"), changes), read_servo())
+    _ = rods.momentum(), rods.energy(), rods.snapshot()
+    integrator.advance_one_by_one(rods._handle, NO_STEP)
+    TabulatedRobot(ROBOT, config.replace(read_scene("map"), changes), read_servo())
+
+
+def compile_legs():
+    """A leg at rest and one with friction, at a held clamp."""
+    HeldLeg(ROBOT, 4, 0.0, 0.2).pull(0.01, 1.0)
+
+
+def compile_rod():
+    """The public rod."""
+    rod = CosseratRod(Material(1e7, 3e6, 1200.0, 0.0), Geometry(0.2, Rectangle(0.02, (0.01, 0.01))))
+    rod.state = rod.state
+    rod.run(1e-3, NO_STEP)
+    rod.solve_static()
+    _ = rod.energy(), rod.tangent()
+
+
+def main():
+    for law in ("viscous", "bristle"):
+        compile_robots(law)
+    compile_legs()
+    compile_rod()
+
+
+if __name__ == "__main__":
+    main()
