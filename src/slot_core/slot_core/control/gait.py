@@ -19,7 +19,6 @@ simulated robot are tabulated in the same form.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -171,7 +170,8 @@ class Stride:
         """Gait (n, 20) at phases (n,): 4 tendon angles (rad), 4 normal forces (N), 12 torso states.
 
         velocity: (3,) [v_x, v_y, yaw rate] that sets the amplitudes; walking: share of steering;
-        offset: (4,) rad. Torso states in the heading frame: [roll pitch 0, 0 0 z, omega, v], omega to first order in the angles.
+        offset: (4,) rad. Torso states in the heading frame: [roll pitch 0, 0 0 z, omega, v], omega
+        to first order in the angles.
         """
         basis, table = HarmonicBasis.at(phase), self._rest + self._moving(velocity, walking)
         values, slopes = basis.value @ table.T, basis.slope @ table.T / self.period
@@ -273,7 +273,7 @@ class GaitSettings:
         for value, most, label in zip(velocity, gait.speeds, SPEED_NAMES):
             if not abs(value) <= most:
                 raise config.ConfigError(
-                    f"{label} = {value:g}: gait {name} reaches [{-most:g}, {most:g}]"
+                    f"{label} = {value:g}: gait {name} reaches [{0.0 - most:g}, {most:g}]"
                 )
 
     def require_pose(self, name: str, pose: Array) -> None:
