@@ -11,7 +11,7 @@ from slot_core.bags import replay
 from slot_core.bags.bag import Bag
 
 WALK = Path(__file__).parent / "walk"
-TOPICS = ["/mpc_state", "/ground_reaction_forces", "/desired_joint_angles"]
+TOPICS = ["/mpc_state", "/gait_preview", "/ground_reaction_forces", "/desired_joint_angles"]
 
 
 @pytest.fixture
@@ -46,15 +46,18 @@ def test_the_recorded_walk_replays():
     assert [c.topic for c in comparisons] == TOPICS
     for comparison in comparisons:
         assert comparison.first is None, str(comparison.first)
-        assert comparison.compared > 45
+        assert comparison.compared > 43
 
 
 @pytest.mark.parametrize(
     ("file", "path", "value", "topic"),
     [
         ("estimator", ("odometry", "position_noise"), 0.002, "/mpc_state"),
-        ("mpc", ("weights", "force"), [2.1, 2.1, 2.1], "/ground_reaction_forces"),
-        ("force_map", ("correction_max_deg",), 0.0, "/desired_joint_angles"),
+        ("gait", ("acceleration",), 0.11, "/gait_preview"),
+        ("gait/walk", ("forward", "speed"), 0.07, "/gait_preview"),
+        ("gait/walk", ("feedback", "gain"), 0.4, "/gait_preview"),
+        ("mpc", ("model", "reference"), "zero", "/ground_reaction_forces"),
+        ("mpc", ("map",), "paper", "/desired_joint_angles"),
     ],
 )
 def test_a_change_shows_only_at_its_own_stage(configure, file, path, value, topic):
@@ -65,7 +68,7 @@ def test_a_change_shows_only_at_its_own_stage(configure, file, path, value, topi
 
 
 def test_the_first_difference_is_reported(configure, capsys):
-    configure("mpc", "weights", "force", value=[2.1, 2.1, 2.1])
+    configure("mpc", "model", "reference", value="zero")
     assert replay.main([str(WALK)]) == 1
     line = capsys.readouterr().out.strip().splitlines()[-1]
     assert line.startswith("first difference: /ground_reaction_forces at 1.0")

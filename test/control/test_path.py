@@ -55,6 +55,14 @@ def test_the_reference_waits_for_a_robot_that_does_not_come():
     assert path.velocity(state()) == pytest.approx([0.05, 0.0, 0.0])
 
 
+@pytest.mark.parametrize("place", [(0.2, 0.0), (0.0, 0.2), (-0.01, -0.3)])
+def test_the_reference_does_not_wait_for_a_robot_that_is_ahead_of_it_or_beside_it(place):
+    """It would stay where it is, and the robot would go on along the first side for ever."""
+    path = Path(L_SHAPE, 0.05, "kept")
+    places = np.array([path.place(state(*place), DT) for _ in range(100)])
+    assert places[-1, 0] >= min(0.05 * DT * 100, place[0] + LEAD) - 1e-9
+
+
 @pytest.mark.parametrize("yaw", [0.0, 1.0, -2.5])
 def test_the_velocity_is_along_the_path_in_the_frame_of_the_robot(yaw):
     path = Path(L_SHAPE, 0.05, "kept")

@@ -48,7 +48,7 @@ def test_a_velocity_that_was_requested_last_holds_after_a_hold(rig):
     request_gait(rig, "walk", 0.02)
     previews = previews_after(rig, hold(rig))
     assert {preview.gait for preview in previews} == {"walk"}
-    # two strides; the velocity of the start is 0.06 m/s
+    # two strides; the velocity of the start is 0.05 m/s
     assert np.mean([preview.reference[V_X] for preview in previews]) == pytest.approx(
         0.02, abs=0.01
     )

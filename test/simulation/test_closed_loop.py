@@ -14,9 +14,9 @@ from slot_core.simulation.closed_loop import ClosedLoop
 PERIOD = read_scene("flat").sensors.odometry.period  # s
 
 
-def walk(duration, scene="flat", gait="walk", speed=0.06, seed=0):
+def walk(duration, scene="flat", gait="walk", velocity=(0.05, 0.0, 0.0), seed=0, **options):
     """Positions (n, 3), m, and roll-pitch-yaw (n, 3), rad, at every tick, and the ticks."""
-    loop = ClosedLoop(scene, gait, np.array([speed, 0.0, 0.0]), seed)
+    loop = ClosedLoop(scene, gait, np.array(velocity), seed, **options)
     positions, angles, ticks = [], [], []
     for tick in loop.run(round(duration / PERIOD)):
         positions.append(loop.plant.simulator.position)
@@ -34,19 +34,27 @@ def after(seconds):
     return slice(round(seconds / PERIOD), None)
 
 
-def test_mean_speed_over_a_minute_exceeds_5_cm_per_s(minute):
-    position, _, _ = minute
-    late = position[after(3.0)]
-    assert (late[-1, 0] - late[0, 0]) / (PERIOD * (len(late) - 1)) > 0.05
+def mean_velocity(position, seconds=4.0):
+    """(3,) m/s, mean from that time on."""
+    late = position[after(seconds)]
+    return (late[-1] - late[0]) / (PERIOD * (len(late) - 1))
 
 
-def test_tilt_height_and_lateral_drift_stay_bounded_for_a_minute(minute):
+def test_a_minute_of_walking_is_straight_at_the_commanded_speed_and_height(minute):
     position, rpy, _ = minute
+    assert mean_velocity(position)[0] == pytest.approx(0.05, abs=1e-3)
+    # measured: 4.7 mm, 0.6 deg
+    assert np.abs(position[:, 1]).max() < 0.015
+    assert np.degrees(np.abs(rpy[:, 2])).max() < 3.0
+    assert position[after(4.0), 2].mean() == pytest.approx(0.072, abs=1e-3)
+
+
+def test_the_torso_of_the_walk_stays_level(minute):
+    _, rpy, _ = minute
     tilt = np.degrees(np.arccos(np.cos(rpy[:, 0]) * np.cos(rpy[:, 1])))
-    # measured: 8.8 deg RMS, 14 deg at most; 28 deg is the supervisor's limit of 0.5 rad
-    assert tilt.max() < 20.0
-    assert position[after(3.0), 2].min() > 0.04
-    assert np.abs(position[:, 1]).max() < 0.1
+    # measured: 4.2 deg RMS, 6.0 deg at most; the supervisor's limit is 28 deg
+    assert np.sqrt(np.mean(tilt**2)) < 5.0
+    assert tilt.max() < 9.0
 
 
 def test_every_cycle_is_solved_and_commands_stay_within_their_range(minute):
@@ -65,37 +73,69 @@ def test_mean_normal_forces_of_the_mpc_sum_to_the_weight(minute):
     assert normal.sum(axis=1).mean() == pytest.approx(read_robot().weight, rel=0.02)
 
 
-def test_forces_of_the_mpc_satisfy_the_friction_constraint(minute):
-    _, _, ticks = minute
-    slack = np.array([tick.result.slack_friction for tick in ticks])
-    assert slack.min() > -1e-6  # N, far above the solver's own violation
-
-
 @pytest.mark.parametrize(
-    ("scene", "least"), [("slippery", 0.04), ("split", 0.04), ("slope5", 0.02)]
+    "velocity", [(0.02, 0, 0), (0.06, 0, 0), (-0.04, 0, 0), (0, 0.05, 0), (0.035, -0.035, 0)]
 )
-def test_robot_walks_in_every_scene(scene, least):
-    position, rpy, _ = walk(12.0, scene)
-    late = position[after(3.0)]
-    assert (late[-1, 0] - late[0, 0]) / (PERIOD * (len(late) - 1)) > least
-    assert np.degrees(np.abs(rpy[:, :2])).max() < 20.0
+def test_robot_walks_at_the_commanded_velocity(velocity):
+    position, rpy, _ = walk(15.0, velocity=velocity)
+    # the feedback takes some strides to find it
+    assert mean_velocity(position, 6.0)[:2] == pytest.approx(velocity[:2], abs=3e-3)
+    assert np.degrees(np.abs(rpy[:, 2])).max() < 5.0
+
+
+def test_robot_turns_in_place_at_the_commanded_rate():
+    position, rpy, _ = walk(12.0, velocity=(0, 0, 0.12))
+    late = rpy[after(5.0), 2]
+    rate = (late[-1] - late[0]) / (PERIOD * (len(late) - 1))
+    assert rate == pytest.approx(0.12, abs=0.012)
+    assert np.linalg.norm(position[:, :2], axis=1).max() < 0.03
+
+
+@pytest.mark.parametrize(("scene", "error"), [("slippery", 0.003), ("split", 0.003)])
+def test_robot_holds_its_speed_on_other_floors(scene, error):
+    position, rpy, _ = walk(15.0, scene)
+    assert mean_velocity(position, 6.0)[0] == pytest.approx(0.05, abs=error)
+    assert np.abs(position[:, 1]).max() < 0.03  # measured: 4 and 15 mm
+    assert np.degrees(np.abs(rpy[:, :2])).max() < 12.0
+
+
+def test_robot_walks_uphill_slower():
+    position, _, _ = walk(15.0, "slope5")
+    assert 0.03 < mean_velocity(position, 6.0)[0] < 0.05  # measured: 0.039
+
+
+def test_without_feedback_the_same_gait_strays_and_sinks():
+    """On split friction the feedback makes the difference: 44 mm and 6 mm of height in 12 s."""
+    alone = {"gait.strides.walk.feedback.gain": 0.0}
+    with_it, without = (walk(12.0, "split", changes=c)[0] for c in ({}, alone))
+    strayed = [np.abs(position[:, 1]).max() for position in (with_it, without)]
+    sunk = [abs(position[after(4.0), 2].mean() - 0.072) for position in (with_it, without)]
+    assert strayed[0] < 0.5 * strayed[1]
+    assert sunk[0] < 0.3 * sunk[1]
 
 
 def test_standing_robot_does_not_drift():
-    position, rpy, _ = walk(10.0, gait="stand", speed=0.0)
+    position, rpy, _ = walk(10.0, gait="stand", velocity=(0, 0, 0))
     late = position[after(3.0)]
     assert np.ptp(late[:, :2], axis=0).max() < 1e-3
-    assert late[:, 2] == pytest.approx(0.040, abs=2e-3)
+    assert late[:, 2].mean() == pytest.approx(0.040, abs=5e-4)
+    assert late[:, 2] == pytest.approx(0.040, abs=1.5e-3)
     assert np.degrees(np.abs(rpy[after(3.0)])).max() < 0.5
 
 
-@pytest.mark.parametrize("speed", [0.02, 0.04])
-def test_robot_walks_at_the_commanded_speed(speed):
-    position, _, _ = walk(15.0, speed=speed)
-    late = position[after(4.0)]
-    reached = (late[-1, 0] - late[0, 0]) / (PERIOD * (len(late) - 1))
-    # the speed is set by a table, without feedback; largest measured error: 10 %
-    assert reached == pytest.approx(speed, rel=0.15)
+def test_a_payload_off_the_centre_is_carried_at_the_commanded_height_and_level():
+    """The MPC on tendon angles against that on forces, under which it sinks by 7 mm."""
+    load = {"scene.payload.mass": 0.3, "scene.payload.place": (0.04, 0.03, 0.03)}
+    held = {}
+    for profile in ("default", "forces"):
+        position, rpy, _ = walk(
+            8.0, gait="stand", velocity=(0, 0, 0), profile=profile, changes=load
+        )
+        late = after(4.0)
+        held[profile] = (abs(position[late, 2].mean() - 0.04), np.abs(rpy[late, :2].mean(axis=0)))
+    assert held["default"][0] < 1e-3
+    assert np.degrees(held["default"][1]).max() < 0.3
+    assert held["forces"][0] > 5e-3
 
 
 def test_estimate_follows_the_truth(minute):
@@ -110,7 +150,8 @@ def test_estimate_follows_the_truth(minute):
 
 
 def test_equal_seeds_give_equal_walks_and_other_seeds_others():
-    first, second, third = (walk(1.0, seed=seed)[0] for seed in (1, 1, 2))
+    """The noise of the sensors enters with the first feedback, after two strides."""
+    first, second, third = (walk(2.5, seed=seed)[0] for seed in (1, 1, 2))
     assert np.array_equal(first, second)
     assert not np.array_equal(first, third)
 

@@ -20,6 +20,8 @@ def workers(scheduler: str, count: int | None = None) -> Iterator[Any]:
     """
     from distributed import Client, LocalCluster  # noqa: PLC0415 - not installed with the robot
 
+    # An interrupted `gather` leaves exceptions that nobody retrieves.
+    logging.getLogger("asyncio").setLevel(logging.CRITICAL)
     if scheduler:
         with Client(scheduler) as client:
             yield client

@@ -1,7 +1,7 @@
 """Path on the floor that the robot follows: a polyline in odom, travelled at a speed.
 
-The reference place travels along the path; it waits where it is LEAD ahead of the robot. The
-heading is kept, or follows the path's direction.
+The reference place travels along the path; it waits where it is LEAD ahead of the robot, along the
+path. The heading is kept, or follows the path's direction.
 """
 
 from __future__ import annotations
@@ -47,8 +47,9 @@ class Path:
 
     def place(self, state: Array, elapsed: float) -> Array:
         """Advance the reference place by `elapsed` (s) and return it: x, y (m), yaw (rad)."""
-        ahead = math.dist(self._point(self.travelled), state[3:5])
-        if ahead < LEAD:
+        direction = self._direction[self._segment()]
+        gap = self._point(self.travelled) - state[3:5]
+        if gap[0] * math.cos(direction) + gap[1] * math.sin(direction) < LEAD:
             self.travelled = min(self.travelled + self._speed * elapsed, self.length)
         return np.array([*self._point(self.travelled), self._yaw(state)])
 
