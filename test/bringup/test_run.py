@@ -12,11 +12,11 @@ from slot_core.config import config_dir
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--vx", "3"], "v_x = 3: gait walk reaches [0, "),
-        (["--vx", "nan"], "v_x = nan: gait walk reaches [0, "),
-        (["--vy", "0.1"], "v_y = 0.1: gait walk reaches [0, 0]"),
+        (["--vx", "3"], "v_x = 3: gait walk reaches [-0.0"),
+        (["--vx", "nan"], "v_x = nan: gait walk reaches [-0.0"),
+        (["--vy", "0.1"], "v_y = 0.1: gait walk reaches [-0.0"),
         (["--vx", "fast"], "argument --vx: invalid float value: 'fast'"),
-        (["--gait", "trot"], "no gait 'trot' (known: stand, walk)"),
+        (["--gait", "trot"], "no gait 'trot' (known: "),
         (["--scene", "moon"], "scene/moon"),
         (["--duration", "-1"], "argument --duration: -1 s: outside [0.5, 86400] s"),
         (["--duration", "nan"], "argument --duration: nan s: outside [0.5, 86400] s"),

@@ -147,8 +147,10 @@ def test_node_ends_cleanly_on_a_signal(tmp_path, name, number):
     [
         ("mpc_controller", "horizon:=1000", "horizon"),
         ("mpc_controller", "horizon:=fifteen", "horizon"),
-        ("force_mapper", "map:=cubic", "map = 'cubic': expected one of incremental, paper"),
-        ("gait_scheduler", "gait:=trot", "no gait 'trot' (known: stand, walk)"),
+        ("force_mapper", "profile:=cubic", "no configuration 'mpc/cubic'"),
+        ("force_mapper", "slope_min:=-1.0", "slope_min"),
+        ("gait_scheduler", "gait:=trot", "no gait 'trot' (known: "),
+        ("gait_scheduler", "path:=nowhere.csv", "nowhere.csv: no path with columns x, y"),
         ("sim_robot", "scene:=moon", "scene/moon"),
         ("sim_robot", "scene.solver.step:=1.0", "scene.solver.step"),
     ],

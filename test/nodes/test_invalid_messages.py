@@ -4,7 +4,7 @@ import copy
 import math
 
 import pytest
-from geometry_msgs.msg import TwistStamped, Vector3
+from geometry_msgs.msg import PoseStamped, TwistStamped, Vector3
 from sensor_msgs.msg import Imu
 
 from slot_core.bags import decode
@@ -22,6 +22,7 @@ TOPICS = {
     "gait_preview": (GaitPreview, qos.CONTROL),
     "ground_reaction_forces": (GroundReactionForces, qos.CONTROL),
     "desired_joint_angles": (None, qos.CONTROL),
+    "body_pose": (PoseStamped, qos.SENSOR),
 }
 NAN, INF = math.nan, math.inf
 TICKS = 15  # of the controller that must follow: half a second
@@ -160,7 +161,7 @@ def test_refused_message_is_logged_with_value_and_limit(graph, topic, change, na
 
 
 def test_unknown_gait_is_refused_and_the_last_of_many_changes_holds(graph):
-    assert graph.request_gait("trot").message == "no gait 'trot' (known: stand, walk)"
+    assert graph.request_gait("trot").message.startswith("no gait 'trot' (known: ")
     assert not graph.request_gait("walk", NAN).success
     assert not graph.request_gait("stand", 0.05).success
     for _ in range(10):
@@ -182,3 +183,19 @@ def test_velocity_of_another_time_stops_the_robot(graph):
     graph.rig.wait_for(lambda: abs(graph.velocity()) < 0.03)
     graph.continues()
     assert "velocity set to zero" in graph.rig.log("gait_scheduler")
+
+
+def test_a_body_pose_is_followed_unless_it_is_invalid_or_out_of_range(graph):
+    def command(height, w=1.0):
+        pose = PoseStamped()
+        pose.pose.position.z, pose.pose.orientation.w = height, w
+        graph.publishers["body_pose"].publish(pose)
+
+    assert graph.request_gait("walk", 0.05).success
+    command(0.065)
+    graph.rig.wait_for(lambda: graph.last("gait_preview").pose[0] == 0.065)
+    for height, w in ((NAN, 1.0), (INF, 1.0), (0.5, 1.0), (0.06, 0.0), (0.06, NAN)):
+        command(height, w)
+    graph.continues()
+    assert graph.last("gait_preview").pose[0] == 0.065
+    assert "body_pose refused: " in graph.rig.log("gait_scheduler")
