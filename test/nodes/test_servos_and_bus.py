@@ -68,7 +68,8 @@ def test_a_silent_servo_ends_in_relax_without_joint_states(rig):
     limit = rig.limit("servo_silent")
     assert seconds(begin, relaxed) >= limit - 0.1  # its last answer, a cycle before
     assert seconds(silent, relaxed) <= limit + LATE
-    assert reason.startswith("servo RL silent")
+    # supervisor and driver have the same limit; which of them is first depends on the bus cycle
+    assert reason.startswith(("servo RL silent", "servos: servo RL (id 2): no answer for 0.5"))
     assert not rig.since("/joint_states", silent + 10_000_000)
     rig.wait_for(lambda: any(line.startswith("servo RL (id 2): ") for line in errors(rig, silent)))
     while_silent = [m for m in rig.since("/servo_health", silent) if decode.stamp(m) < relaxed]
