@@ -54,6 +54,7 @@ from slot_core.robot import GRAVITY, Array, Robot
 
 POSTURE = 3  # z, roll, pitch
 SIZE = POSTURE + FEET  # state: q, a
+STIFFNESS_MIN = 1.0  # N/m, of a leg in A, which is singular without; 136 in stance
 LONGEST_GAP = 0.5  # s between ticks; after a longer one the model of the servos starts afresh
 DIAGONALS = np.array([1.0, -1.0, -1.0, 1.0])
 
@@ -246,7 +247,8 @@ class PostureProblem:
         springs = self._springs.at(self._nominal, self._heights(reference))
         self._slope, self._stiffness = springs.slope, springs.stiffness
         levers = self._levers(springs.contact)
-        stiffness = (levers * springs.stiffness[:, None]) @ self._rise  # A
+        stiff = np.minimum(springs.stiffness, -STIFFNESS_MIN)
+        stiffness = (levers * stiff[:, None]) @ self._rise  # A
         lacking = (levers @ self._force_ref[..., None])[..., 0] + self.disturbance
         lacking[:, 0] -= self._weight
         effect = np.concatenate([levers * springs.slope[:, None], lacking[..., None]], axis=2)
