@@ -109,6 +109,7 @@ class PostureProblem:
         self._stamp: int | None = None  # ns, of the last tick
         self._dither, self._sign = 0.0, 1.0  # rad, amplitude; its present sign
         self._posture = False
+        self._prepare(size)
 
     @property
     def qp(self) -> PostureSolver:
@@ -193,6 +194,15 @@ class PostureProblem:
             return 0.0
         condensed = self._effect @ z[: self._solver.inputs] + self._free.ravel()
         return float(np.abs(condensed - self._predict(z)[1:].ravel()).max())
+
+    def _prepare(self, size: int) -> None:
+        """Compile the kernels and solve once, which is slow the first time."""
+        count = self._horizon
+        shapes = (count, SIZE, SIZE), (count, SIZE, FEET), (count, SIZE)
+        self._model, self._start = tuple(np.zeros(shape) for shape in shapes), np.zeros(SIZE)
+        self._predict(np.zeros(size))
+        condense(self._model, self._start, np.zeros((count, SIZE, size)), np.zeros((count, SIZE)))
+        self._solver.solve()
 
     def _follow_servos(self, stamp: int) -> float:
         """Advance the model of the servos to `stamp` (ns); return the time since the last, s."""
