@@ -308,6 +308,27 @@ def test_from_every_state_the_problem_is_solved_within_its_bounds():
         assert command.angle.max() <= ANGLE_MAX
 
 
+def test_no_preview_within_the_limits_of_the_inputs_raises_or_asks_for_what_is_not_finite():
+    """Where all legs are out of their table the stiffness is zero: the model has a least one."""
+    rng, mpc, force_map = np.random.default_rng(9), new_mpc(), springs_map()
+    most = SETTINGS.acceptance.input_max
+    for tick in range(150):
+        size = most ** rng.uniform(-1, 1, 3)
+        changes = {
+            "reference": np.clip(size[0] * rng.normal(size=(H + 1, 12)), -most, most),
+            "tendon_angle": np.clip(size[1] * rng.normal(size=(H + 1, 4)), -most, most),
+            "normal_force": np.clip(size[2] * rng.normal(size=(H + 1, 4)), -most, most),
+        }
+        chosen = {name: value for name, value in changes.items() if rng.random() < 0.5}
+        x = state(*rng.normal([0.04, 0, 0], [0.01, 0.1, 0.1]))
+        result, command = angles_of(force_map, mpc, x, preview(tick=tick, **chosen))
+        assert np.isfinite(result.force).all()
+        assert np.isfinite(command.angle).all()
+        assert result.status != Status.REJECTED
+    again = mpc.step(state(), preview(tick=151))
+    assert again.status == Status.SOLVED
+
+
 def test_a_stride_gets_the_forces_of_its_gait_and_its_own_angles():
     mpc, force_map = new_mpc(), springs_map()
     rng = np.random.default_rng(5)

@@ -107,16 +107,18 @@ def test_a_jump_of_10_cm_is_rejected_and_accepted_once_it_lasts(walking):
 
 
 def test_an_mpc_without_solutions_ends_in_hold_after_its_fallback(walking):
-    """Two causes in turn: problems that need more iterations, and inputs that are rejected."""
+    """Two causes in turn: problems without a solution, and inputs that are rejected."""
 
-    def too_hard(message):
-        message.reference = [value + 9e3 for value in message.reference]
+    def infeasible(message):
+        message.posture = True
+        angle = list(message.tendon_angle)
+        message.tendon_angle = angle[:4] + [9.0] * (len(angle) - 4)  # rad, after the first stage
 
     def invalid(message):
         message.friction = [NAN] * len(message.friction)
 
     most = read_mpc().fallback.cycles
-    for change, status in ((too_hard, Status.NOT_SOLVED), (invalid, Status.REJECTED)):
+    for change, status in ((infeasible, Status.NOT_SOLVED), (invalid, Status.REJECTED)):
         before = len(walking.messages["/ground_reaction_forces"])
         with walking.changed("gait_preview", change) as begin:
             wait_for_warning(walking, begin, f"MPC stopped, {most + 1} cycles without a solution")

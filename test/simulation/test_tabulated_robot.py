@@ -20,6 +20,8 @@ from slot_core.simulation.plant import make_robot
 from slot_core.simulation.tabulated_robot import TabulatedRobot
 
 ROBOT = read_robot()
+# A servo that holds its angle under load; the bus's position loop yields.
+SERVO = config.replace(read_servo(), {"model": "torque_speed"})
 ELASTIC = config.replace(ROBOT, {"leg.damping_time": 0.0})
 SMOOTH = {"floor.friction": (0.0,) * 4, "floor.torso_friction": 0.0}
 STANCE = math.radians(63.0)
@@ -28,7 +30,7 @@ PERIOD = read_scene("map").sensors.odometry.period  # s
 
 def simulator(robot=ROBOT, name="map", **changes):
     scene = config.replace(read_scene(name), {"start.settle": 0.0} | changes)
-    return TabulatedRobot(robot, scene, read_servo())
+    return TabulatedRobot(robot, scene, SERVO)
 
 
 def at_rest(sim, angle, height, rotation=None):

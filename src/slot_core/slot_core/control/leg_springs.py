@@ -37,6 +37,7 @@ class LegSprings:
         self._angle, self._height = table.angle, table.height
         self._table = np.ascontiguousarray(table.table)
         self._slope_min = slope_min
+        self.at(np.zeros(1), np.zeros(1))  # compiles the kernel
 
     def at(self, angle: Array, height: Array) -> Springs:
         """Statics at tendon angles (rad) and clamp heights (m) of equal shape."""

@@ -54,6 +54,7 @@ from slot_core.robot import GRAVITY, Array, Robot
 
 POSTURE = 3  # z, roll, pitch
 SIZE = POSTURE + FEET  # state: q, a
+STIFFNESS_MIN = 1.0  # N/m, of a leg in A, which is singular without; 136 in stance
 LONGEST_GAP = 0.5  # s between ticks; after a longer one the model of the servos starts afresh
 DIAGONALS = np.array([1.0, -1.0, -1.0, 1.0])
 
@@ -108,6 +109,7 @@ class PostureProblem:
         self._stamp: int | None = None  # ns, of the last tick
         self._dither, self._sign = 0.0, 1.0  # rad, amplitude; its present sign
         self._posture = False
+        self._prepare(size)
 
     @property
     def qp(self) -> PostureSolver:
@@ -193,6 +195,15 @@ class PostureProblem:
         condensed = self._effect @ z[: self._solver.inputs] + self._free.ravel()
         return float(np.abs(condensed - self._predict(z)[1:].ravel()).max())
 
+    def _prepare(self, size: int) -> None:
+        """Compile the kernels and solve once, which is slow the first time."""
+        count = self._horizon
+        shapes = (count, SIZE, SIZE), (count, SIZE, FEET), (count, SIZE)
+        self._model, self._start = tuple(np.zeros(shape) for shape in shapes), np.zeros(SIZE)
+        self._predict(np.zeros(size))
+        condense(self._model, self._start, np.zeros((count, SIZE, size)), np.zeros((count, SIZE)))
+        self._solver.solve()
+
     def _follow_servos(self, stamp: int) -> float:
         """Advance the model of the servos to `stamp` (ns); return the time since the last, s."""
         elapsed = 0.0 if self._stamp is None else (stamp - self._stamp) * 1e-9
@@ -246,7 +257,8 @@ class PostureProblem:
         springs = self._springs.at(self._nominal, self._heights(reference))
         self._slope, self._stiffness = springs.slope, springs.stiffness
         levers = self._levers(springs.contact)
-        stiffness = (levers * springs.stiffness[:, None]) @ self._rise  # A
+        stiff = np.minimum(springs.stiffness, -STIFFNESS_MIN)
+        stiffness = (levers * stiff[:, None]) @ self._rise  # A
         lacking = (levers @ self._force_ref[..., None])[..., 0] + self.disturbance
         lacking[:, 0] -= self._weight
         effect = np.concatenate([levers * springs.slope[:, None], lacking[..., None]], axis=2)
