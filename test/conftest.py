@@ -6,8 +6,8 @@ import time
 
 import pytest
 
-# ms of CPU that a tick of controller and robot takes in one process. Beyond this the processes of the
-# graph do not keep up with real time: at 4.2 ms the state estimator fell seconds behind.
+# ms of CPU that a tick of controller and robot takes in one process. Beyond this the processes of
+# the graph do not keep up with real time: at 4.2 ms the state estimator fell seconds behind.
 LARGEST_TICK = 2.0
 TICKS = 120
 
