@@ -20,6 +20,7 @@ from slot_core.robot import GRAVITY, read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
 ROBOT = read_robot()
+HELD = config.replace(read_servo(), {"model": "torque_speed"})  # holds its angle under load
 ROD = discretise(ROBOT.leg, 22, ROBOT.tendon.end_fraction)
 MU, STIFFNESS, DAMPING = 0.4, 2e4, 5.0
 
@@ -206,7 +207,7 @@ def inclined(degrees, **changes):
     gravity = [-GRAVITY * np.sin(slope), 0.0, -GRAVITY * np.cos(slope)]
     changes = {name.replace("__", "."): value for name, value in changes.items()}
     changes |= {"gravity": gravity, "start.settle": 2.0, "floor.friction_law": "bristle"}
-    return RodRobot(read_robot(), config.replace(read_scene("flat"), changes), read_servo())
+    return RodRobot(read_robot(), config.replace(read_scene("flat"), changes), HELD)
 
 
 def test_bristles_hold_below_the_friction_angle_without_creep():

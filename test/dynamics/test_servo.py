@@ -12,7 +12,9 @@ from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.dynamics.servo import ServoSettings, read_servo, servo, spool_rate, turning_rate
 
-SETTINGS = read_servo()
+SETTINGS = config.replace(
+    read_servo(), {"model": "torque_speed", "proportional": 4.6, "integral": 0.0, "derivative": 0.0}
+)
 NO_LOAD = 57.0 * math.tau / 60.0
 
 

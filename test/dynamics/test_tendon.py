@@ -19,6 +19,7 @@ from slot_core.robot import read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
 ROBOT = read_robot()
+HELD = config.replace(read_servo(), {"model": "torque_speed"})  # holds its angle under load
 
 
 @njit
@@ -130,7 +131,7 @@ def hanging(robot=ROBOT, **changes):
     """A robot floating without gravity, with natural legs."""
     changes = {name.replace("__", "."): value for name, value in changes.items()}
     changes |= {"gravity": [0.0, 0.0, 0.0], "start.height": 5.0, "start.settle": 0.0}
-    return RodRobot(robot, config.replace(read_scene("flat"), changes), read_servo())
+    return RodRobot(robot, config.replace(read_scene("flat"), changes), HELD)
 
 
 def test_only_the_broken_tendon_has_no_tension():

@@ -292,9 +292,8 @@ def kernel_rate(law, drive, command, angle, h):
 
 def test_position_loop_follows_the_simulators_servo():
     """Same motor and P gain as the simulator's `pid`, which has no encoder steps."""
-    settings = dataclasses.replace(
-        read_servo(), model="pid", proportional=800 / 128 / 885 / RAD_PER_COUNT
-    )
+    gains = {"proportional": 800 / 128 / 885 / RAD_PER_COUNT, "integral": 0.0, "derivative": 0.0}
+    settings = config.replace(read_servo(), {"model": "pid"} | gains)
     law, model = servo(settings), read_emulator().servo
     motor = Motor(law.speed, 1 / law.speed_loss, law.motor_time)
     one = EmulatedServo(5, model, motor, HALF)
