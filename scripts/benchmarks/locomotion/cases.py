@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from slot_core.control.path import Path
+from slot_core.control.reference import mean_velocity
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.robot import GRAVITY, Array, read_robot
@@ -88,9 +89,8 @@ class Motion:
     @property
     def forward_speed(self) -> float:
         """Mean velocity along the torso's own heading, m/s."""
-        step, yaw = np.diff(self.position[:, :2], axis=0), self.rpy[:-1, 2]
-        along = np.cos(yaw) * step[:, 0] + np.sin(yaw) * step[:, 1]
-        return float(along.sum() / (self.time[-1] - self.time[0]))
+        pose = np.column_stack([self.position[:, :2], self.rpy[:, 2]])
+        return float(mean_velocity(self.time, pose)[0])
 
     def stride_means(self, values: Array) -> Array:
         """Moving mean of values (n,) over a stride."""

@@ -1,4 +1,4 @@
-"""Reference trajectory of the torso over the MPC's horizon."""
+"""Motion of the torso in the plane: its reference over the MPC's horizon, its mean velocity."""
 
 from __future__ import annotations
 
@@ -22,12 +22,22 @@ def reference(state: Array, heading: float, velocity: Array, sway: Array, times:
     rows[:, 6:8] = rotate(sway[:, 6:8], yaw)
     rows[:, 8] = velocity[2]
     rows[:, 9:11] = rotate(sway[:, 9:11] + velocity[:2], yaw)
-    rows[:, 3:5] = state[3:5] + rotate(np.tile(velocity[:2], (len(times), 1)), yaw) * times[:, None]
+    rows[:, 3:5] = state[3:5] + rotate(velocity[:2], yaw) * times[:, None]
     return rows
 
 
-def rotate(vectors: Array, yaw: Array) -> Array:
-    """Rotate plane vectors (n, 2) by yaw (n,), rad, counter-clockwise."""
+def mean_velocity(time: Array, pose: Array) -> Array:
+    """Mean velocity (3,) [v_x, v_y, yaw rate] (m/s, rad/s) of a track, in base_link.
+
+    time: (n,) s; pose: (n, 3) x, y (m) and yaw (rad) in odom; the yaw may wrap.
+    """
+    yaw = np.unwrap(pose[:, 2])
+    forward, lateral = rotate(np.diff(pose[:, :2], axis=0), -yaw[:-1]).T
+    return np.array([forward.sum(), lateral.sum(), yaw[-1] - yaw[0]]) / (time[-1] - time[0])
+
+
+def rotate(vectors: Array, yaw: float | Array) -> Array:
+    """Rotate plane vectors (..., 2) counter-clockwise by yaw (...), rad."""
     c, s = np.cos(yaw), np.sin(yaw)
-    x, y = vectors.T
-    return np.column_stack([c * x - s * y, s * x + c * y])
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1)

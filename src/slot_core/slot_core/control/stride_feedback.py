@@ -20,6 +20,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from slot_core.control.gait import FeedbackSettings, Stride
+from slot_core.control.reference import mean_velocity, rotate
 from slot_core.robot import Array
 
 VELOCITY, OFFSETS = slice(0, 3), slice(3, 6)
@@ -78,10 +79,8 @@ class StrideFeedback:
         if self.place is None:
             self.place = state[[3, 4, 2]].copy()
             return
-        x, y, yaw = self.place
-        c, s = np.cos(yaw), np.sin(yaw)
-        step = dt * np.array([c * velocity[0] - s * velocity[1], s * velocity[0] + c * velocity[1]])
-        self.place = np.array([x + step[0], y + step[1], yaw + dt * velocity[2]])
+        step = rotate(velocity[:2], self.place[2])
+        self.place = self.place + dt * np.append(step, velocity[2])
         self.draw_near(state)
 
     def draw_near(self, state: Array) -> None:
@@ -99,11 +98,8 @@ class StrideFeedback:
         """Add the state (12,) at `time` (s) to this stride."""
         assert self.place is not None
         self._rows.append(np.concatenate([[time], state]))
-        x, y = self.place[:2] - state[3:5]
-        c, s = np.cos(state[2]), np.sin(state[2])
-        self._gap.append(
-            np.array([c * x + s * y, c * y - s * x, wrapped(self.place[2] - state[2])])
-        )
+        gap = rotate(self.place[:2] - state[3:5], -state[2])
+        self._gap.append(np.append(gap, wrapped(self.place[2] - state[2])))
 
     def finish(self, target: Target) -> None:
         """End a stride: correct the knobs by its means. Less than three ticks are no stride."""
@@ -121,16 +117,9 @@ class StrideFeedback:
         wanted = target.velocity + gap * [s.position_gain, s.position_gain, s.heading_gain]
         wanted[:2] = np.clip(wanted[:2], *_around(target.velocity[:2], self._scale[:2]))
         wanted[2] = np.clip(wanted[2], *_around(target.velocity[2], self._scale[2]))
-        duration = rows[-1, 0] - rows[0, 0]
-        yaw = np.unwrap(rows[:, 3])
-        steps = np.diff(rows[:, 4:6], axis=0)
-        c, sn = np.cos(yaw[:-1]), np.sin(yaw[:-1])
-        forward = (c * steps[:, 0] + sn * steps[:, 1]).sum() / duration
-        lateral = (c * steps[:, 1] - sn * steps[:, 0]).sum() / duration
-        turned = (yaw[-1] - yaw[0]) / duration
+        velocity = mean_velocity(rows[:, 0], rows[:, [4, 5, 3]])
         posture = rows[:-1, [6, 1, 2]].mean(axis=0)
-        measured = np.array([forward, lateral, turned, *posture])
-        return np.concatenate([wanted, target.posture]) - measured
+        return np.concatenate([wanted - velocity, target.posture - posture])
 
     def _correct(self, error: Array, limit: Array) -> None:
         """Solve for the change of the knobs within limits (6,); all in units of their limits."""

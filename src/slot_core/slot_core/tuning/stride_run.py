@@ -15,6 +15,7 @@ import numpy as np
 
 from slot_core import config
 from slot_core.control.gait import Stride
+from slot_core.control.reference import mean_velocity
 from slot_core.control.stride_feedback import OFFSET_SIGNS
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import read_servo
@@ -132,10 +133,5 @@ class _Run:
 
 def stride_means(track: Array) -> Array:
     """Means (6,) `OUTPUTS` of a track (n, 7) over its whole length."""
-    duration = track[-1, TIME] - track[0, TIME]
-    yaw = np.unwrap(track[:, YAW])
-    dx, dy = np.diff(track[:, [X, Y]], axis=0).T
-    c, s = np.cos(yaw[:-1]), np.sin(yaw[:-1])
-    v_x, v_y = (c * dx + s * dy).sum() / duration, (c * dy - s * dx).sum() / duration
-    turned = (yaw[-1] - yaw[0]) / duration
-    return np.array([v_x, v_y, turned, *track[1:, [HEIGHT, ROLL, PITCH]].mean(axis=0)])
+    velocity = mean_velocity(track[:, TIME], track[:, [X, Y, YAW]])
+    return np.concatenate([velocity, track[1:, [HEIGHT, ROLL, PITCH]].mean(axis=0)])
