@@ -27,6 +27,7 @@ from benchmarks.estimation.measured_streams import (
 from benchmarks.harness import Check, Row, at_least, at_most
 from slot_core.clock import SECOND
 from slot_core.control.inertial_filter import EstimatorSettings
+from slot_core.control.reference import wrapped
 from slot_core.control.state_estimator import StateEstimator, read_estimator
 from slot_core.robot import Array
 from slot_core.simulation.closed_loop import ClosedLoop
@@ -97,7 +98,7 @@ def errors_at_use(walk: Streams, slam: Slam, way: Method) -> Array:
 def difference(state: Array, true: Array) -> Array:
     """Error (12,) of a state, angles wrapped."""
     error = state - true
-    error[:3] = (error[:3] + np.pi) % (2 * np.pi) - np.pi
+    error[:3] = wrapped(error[:3])
     return error
 
 

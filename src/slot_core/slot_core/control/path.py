@@ -13,6 +13,7 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from slot_core.config import ConfigError
+from slot_core.control.reference import wrapped
 from slot_core.robot import Array
 
 POINTS_MAX = 100_000
@@ -58,7 +59,7 @@ class Path:
         if self.travelled >= self.length:
             return np.zeros(3)
         along = self._direction[self._segment()] - state[2]
-        error = (self._yaw(state) - state[2] + math.pi) % (2 * math.pi) - math.pi
+        error = wrapped(self._yaw(state) - state[2])
         turn = TURN_GAIN * error if self._along else 0.0
         return np.array([self._speed * math.cos(along), self._speed * math.sin(along), turn])
 

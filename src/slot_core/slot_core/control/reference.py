@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 
 from slot_core.robot import Array
+
+Angle = TypeVar("Angle", float, Array)
 
 
 def reference(state: Array, heading: float, velocity: Array, sway: Array, times: Array) -> Array:
@@ -41,3 +45,8 @@ def rotate(vectors: Array, yaw: float | Array) -> Array:
     c, s = np.cos(yaw), np.sin(yaw)
     x, y = vectors[..., 0], vectors[..., 1]
     return np.stack([c * x - s * y, s * x + c * y], axis=-1)
+
+
+def wrapped(angle: Angle) -> Angle:
+    """An angle in [-pi, pi), or an array of them, rad."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from slot_core.control.gait import FeedbackSettings, Stride
-from slot_core.control.reference import mean_velocity, rotate
+from slot_core.control.reference import mean_velocity, rotate, wrapped
 from slot_core.robot import Array
 
 VELOCITY, OFFSETS = slice(0, 3), slice(3, 6)
@@ -131,11 +131,6 @@ class StrideFeedback:
         now = np.clip(self.knobs / limit, -1.0, 1.0)
         change = lsq_linear(matrix, wanted, (-1.0 - now - 1e-9, 1.0 - now + 1e-9)).x
         self.knobs = (now + change).clip(-1.0, 1.0) * limit
-
-
-def wrapped(angle: float) -> float:
-    """The angle in [-pi, pi)."""
-    return float((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
 def _around(value: Array, reach: Array) -> tuple[Array, Array]:
