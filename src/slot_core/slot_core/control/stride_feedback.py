@@ -62,14 +62,9 @@ class StrideFeedback:
         """Change (3,) of the velocity that sets the amplitudes."""
         return self.knobs[VELOCITY]
 
-    def reset(self, velocity: bool = False) -> None:
-        """Forget the stride so far and the reference place; the offsets stay.
-
-        velocity: whether the change of the velocity is forgotten too, after another command.
-        """
+    def reset(self) -> None:
+        """Forget the stride so far and the reference place; the knobs stay."""
         self.place, self._rows, self._gap = None, [], []
-        if velocity:
-            self.knobs[VELOCITY] = 0.0
 
     def move(self, dt: float, state: Array, velocity: Array) -> None:
         """Move the reference place over dt (s) with a velocity (3,) in its heading frame.
@@ -113,10 +108,9 @@ class StrideFeedback:
 
     def _error(self, rows: Array, gap: Array, target: Target) -> Array:
         """Outputs that are wanted minus those of the stride (6,)."""
-        s = self._settings
+        s, reach = self._settings, self._scale[VELOCITY]
         wanted = target.velocity + gap * [s.position_gain, s.position_gain, s.heading_gain]
-        wanted[:2] = np.clip(wanted[:2], *_around(target.velocity[:2], self._scale[:2]))
-        wanted[2] = np.clip(wanted[2], *_around(target.velocity[2], self._scale[2]))
+        wanted = np.clip(wanted, target.velocity - reach, target.velocity + reach)
         velocity = mean_velocity(rows[:, 0], rows[:, [4, 5, 3]])
         posture = rows[:-1, [6, 1, 2]].mean(axis=0)
         return np.concatenate([wanted - velocity, target.posture - posture])
@@ -131,7 +125,3 @@ class StrideFeedback:
         now = np.clip(self.knobs / limit, -1.0, 1.0)
         change = lsq_linear(matrix, wanted, (-1.0 - now - 1e-9, 1.0 - now + 1e-9)).x
         self.knobs = (now + change).clip(-1.0, 1.0) * limit
-
-
-def _around(value: Array, reach: Array) -> tuple[Array, Array]:
-    return value - reach, value + reach
