@@ -4,6 +4,7 @@ import shutil
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.robot import LEGS, read_parameters, read_robot
@@ -64,6 +65,14 @@ def test_feet_stand_below_the_clamps_on_the_natural_shape(robot):
     assert np.linalg.norm(reach[:, :2], axis=1) == pytest.approx(robot.leg.reach)
     # the authors drew the leg from z = 21.75 mm down to the floor
     assert -reach[:, 2] == pytest.approx(0.02175, abs=1e-5)
+
+
+def test_clamp_heights_are_those_of_the_rotated_torso(robot):
+    posture = np.random.default_rng(0).uniform([0.03, -0.3, -0.3], [0.07, 0.3, 0.3], (20, 3))
+    rotated = [Rotation.from_euler("xy", [r, p]).apply(robot.clamps) for _, r, p in posture]
+    expected = np.array(rotated)[..., 2] + posture[:, :1]
+    assert robot.clamp_heights(*posture.T) == pytest.approx(expected)
+    assert robot.clamp_heights(*posture[0]) == pytest.approx(expected[0])
 
 
 @pytest.mark.parametrize("mass", [0.0, -1.0, 100.0])

@@ -300,7 +300,7 @@ def test_the_legs_can_carry_every_posture_that_can_be_commanded():
     for posture in GAITS.postures.values():
         assert isinstance(posture, Posture)
         for height in posture.height_range:
-            angle = springs.angle(share, ROBOT.clamp_heights(np.zeros(3), height))
+            angle = springs.angle(share, ROBOT.clamp_heights(height, 0.0, 0.0))
             assert angle.max() < ROBOT.tendon.angle_max, (posture, height)
 
 

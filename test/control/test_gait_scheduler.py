@@ -102,7 +102,7 @@ def test_a_stride_stops_and_starts_again_without_a_jump():
 def test_a_standing_stride_stands_at_the_angles_of_its_height():
     robot = Ideal("walk", NOTHING)
     last = robot.run(4.0)[-1]
-    height = ROBOT.clamp_heights(np.zeros(3), WALK.height)
+    height = ROBOT.clamp_heights(WALK.height, 0.0, 0.0)
     expected = SPRINGS.angle(np.full(4, ROBOT.weight / 4), height)
     assert last.tendon_angle == pytest.approx(np.tile(expected, (len(last.contact), 1)))
     assert last.posture
@@ -165,7 +165,7 @@ def test_the_angles_of_a_posture_balance_the_weight_at_its_heights():
     robot = Ideal("stand")
     robot.scheduler.set_pose(np.array([0.05, 0.05, 0.03]))
     last = robot.run(4.0)[-1]
-    height = ROBOT.clamp_heights(np.array([0.05, 0.03, 0.0]), 0.05)
+    height = ROBOT.clamp_heights(0.05, 0.05, 0.03)
     force = SPRINGS.at(last.tendon_angle[0], height).force
     assert force == pytest.approx(ROBOT.weight / 4, abs=1e-9)
     assert last.normal_force[0] == pytest.approx(force)

@@ -38,7 +38,7 @@ def preview(start=HOME, end=None, tick=0, **changes):
     rows = np.linspace(start, start if end is None else end, H + 1)
     reference = np.zeros((H + 1, 12))
     reference[:, [5, 0, 1]] = rows
-    height = np.array([ROBOT.clamp_heights(np.array([r, p, 0.0]), z) for z, r, p in rows])
+    height = ROBOT.clamp_heights(*np.transpose(rows))
     share = np.full(4, ROBOT.weight / 4)
     angle = np.array([SPRINGS.angle(share, row) for row in height])
     values = {
@@ -83,7 +83,7 @@ class Written:
     def leg_row(self, k):
         """Levers (3, 4), dh/dq (4, 3), F_theta (4,) and F_h (4,) at stage k."""
         z, roll, pitch = self.posture[k]
-        height = ROBOT.clamp_heights(np.array([roll, pitch, 0.0]), z)
+        height = ROBOT.clamp_heights(z, roll, pitch)
         leg = SPRINGS.at(self.angle[k], height)
         out = [(math.cos(a), math.sin(a)) for a in ROBOT.azimuth]
         levers, rise = np.zeros((3, 4)), np.zeros((4, 3))
@@ -255,7 +255,7 @@ def test_the_error_that_a_payload_causes_vanishes_on_a_plant_of_linear_springs(l
     options, springs = dataclasses.replace(OPTIONS, **quiet, **quick), linear_springs()
     problem = PostureProblem(ROBOT, springs, options, H)
     base = preview(tendon_angle=np.full((H + 1, 4), 1.1), normal_force=np.full((H + 1, 4), 1.0))
-    height = ROBOT.clamp_heights(np.zeros(3), 0.04)
+    height = ROBOT.clamp_heights(0.04, 0.0, 0.0)
     force = np.tile(springs.at(np.full(4, 1.1), height).force, (H + 1, 1))
     ends, rise = ROBOT.clamps[:, :2] + 0.06 * ROBOT.outward[:, :2], np.ones((4, 3))
     rise[:, 1], rise[:, 2] = ROBOT.clamps[:, 1], -ROBOT.clamps[:, 0]

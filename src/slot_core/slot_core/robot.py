@@ -141,11 +141,13 @@ class Robot:
         direction = np.column_stack([np.cos(self.azimuth), np.sin(self.azimuth), np.zeros(4)])
         return np.sign(direction.round(9)) * corner
 
-    def clamp_heights(self, rpy: Array, height: float) -> Array:
-        """(4,) m, clamps above the floor, of a torso at rpy (3,) rad and `height` (m)."""
-        roll, pitch, _ = rpy
-        row = [-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)]
-        return height + self.clamps @ row
+    def clamp_heights(
+        self, height: float | Array, roll: float | Array, pitch: float | Array
+    ) -> Array:
+        """Clamps above the floor (..., 4) m, at heights (m), rolls and pitches (rad) (...)."""
+        level = np.cos(pitch)
+        up = np.stack([-np.sin(pitch), level * np.sin(roll), level * np.cos(roll)], axis=-1)
+        return np.asarray(np.expand_dims(height, -1) + up @ self.clamps.T)
 
     @cached_property
     def outward(self) -> Array:
@@ -177,10 +179,10 @@ class Robot:
         return self.torso.inertia + np.trace(square) * np.eye(3) - square
 
 
-def read_robot(parameters: str | None = None) -> Robot:
+def read_robot(parameters: str = "") -> Robot:
     """The robot of `config/robot.yaml` with a set of `config/parameters`; raises ConfigError.
 
-    `parameters` names the set; by default it is the one named in robot.yaml. A value that is set in
+    `parameters` names the set; if empty, it is the one named in robot.yaml. A value that is set in
     both files is an error.
     """
     mapping = config.load("robot")
@@ -193,12 +195,17 @@ def read_robot(parameters: str | None = None) -> Robot:
     return config.build(Robot, mapping, f"robot.yaml with parameters/{name}.yaml")
 
 
-def read_parameters(name: str) -> dict[str, Any]:
-    """Values by dotted name from the set `config/parameters/<name>.yaml`; raises ConfigError."""
+def read_parameters(name: str, part: str = "values") -> dict[str, Any]:
+    """Values by dotted name from the set `config/parameters/<name>.yaml`; raises ConfigError.
+
+    part: `values` of the robot, which every set has, or those that a set may have of the `scene`
+    and of the `servo`, which replace those of the scene that names the set.
+    """
     mapping = config.load(f"parameters/{name}")
-    values = mapping.get("values") if isinstance(mapping, dict) else None
+    given = mapping if isinstance(mapping, dict) else {}
+    values = given.get(part, {} if part != "values" else None)
     if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
-        raise ConfigError(f"parameters/{name}.yaml: values is missing: a mapping of dotted names")
+        raise ConfigError(f"parameters/{name}.yaml: {part} is missing: a mapping of dotted names")
     return values
 
 

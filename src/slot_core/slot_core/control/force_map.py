@@ -71,11 +71,11 @@ class ForceMap:
         angle, force = preview.tendon_angle[0], preview.normal_force[0]
         if self._name == "paper":
             return Nominal(angle, force, np.full(4, np.degrees(self._settings.line_slope)), _ALL)
-        height = self._robot.clamp_heights(state[0:3], state[5])
+        height = self._robot.clamp_heights(state[5], *state[:2])
         if self._name == "incremental":
             return Nominal(angle, force, self._springs.at(angle, height).slope, _ALL)
         reference = preview.reference[0]
-        at = self._robot.clamp_heights(reference[0:3], reference[5])
+        at = self._robot.clamp_heights(reference[5], *reference[:2])
         springs = self._springs.at(angle, at)
         present = force + springs.stiffness * (height - at) if preview.posture else force
         return Nominal(angle, present, springs.slope, preview.contact[0])

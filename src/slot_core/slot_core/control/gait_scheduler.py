@@ -263,7 +263,7 @@ class GaitScheduler:
 
     def _posture_row(self, pose: Array) -> Array:
         """Angles at which legs at rest carry equal shares of the weight at a pose (3,)."""
-        height = self._robot.clamp_heights(np.array([pose[1], pose[2], 0.0]), pose[0])
+        height = self._robot.clamp_heights(*pose)
         angle = self._springs.angle(np.full(4, self._robot.weight / 4), height)
         row = np.zeros(20)
         row[:4], row[4:8] = angle, self._springs.at(angle, height).force

@@ -364,4 +364,4 @@ class Supervisor:
         """(4,) m over the floor; NaN where the state is not finite."""
         if not np.isfinite(state).all():
             return np.full(len(LEGS), np.nan)
-        return self._robot.clamp_heights(state[0:3], state[5])
+        return self._robot.clamp_heights(state[5], *state[:2])

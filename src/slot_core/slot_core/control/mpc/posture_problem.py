@@ -89,9 +89,9 @@ class PostureProblem:
 
     def __init__(self, robot: Robot, springs: LegSprings, options: PostureOptions, horizon: int):
         """Set up weights and solver."""
-        self._springs, self._options, self._horizon = springs, options, horizon
+        self._robot, self._springs = robot, springs
+        self._options, self._horizon = options, horizon
         self._angle_max, self._weight = robot.tendon.angle_max, robot.weight
-        self._clamps, self._outward = robot.clamps, robot.outward
         x, y, _ = robot.clamps.T
         self._rise = np.column_stack([np.ones(FEET), y, -x])  # dh/dq of the clamps
         o, size = options, FEET * horizon
@@ -133,13 +133,14 @@ class PostureProblem:
             self.disturbance, self._dither = np.zeros(POSTURE), 0.0
             return
         reference = np.asarray(preview.reference)[: self._horizon][:, [5, 0, 1]]
-        error = state[[5, 0, 1]] - reference[0]
+        posture = state[[5, 0, 1]]
+        error = posture - reference[0]
         inside = np.clip(error, -self._tolerance, self._tolerance)
         self._update_dither(np.abs(error - inside) / self._tolerance, elapsed)
         self._observe(reference[0] + error - inside, elapsed)
         self._linearise(reference, preview.dt)
-        rise = np.diff(self._heights(np.stack([reference[0], state[[5, 0, 1]]])), axis=0)[0]
-        self._reaction = self._stiffness[0] * rise  # N, of the springs
+        at, height = (self._robot.clamp_heights(*q) for q in (reference[0], posture))
+        self._reaction = self._stiffness[0] * (height - at)  # N, of the springs
         self._start = np.concatenate([error - inside, self._spool - self._nominal[0]])
         limit = math.radians(self._options.correction_max_deg)
         n = self._solver.inputs
@@ -231,30 +232,24 @@ class PostureProblem:
         """Filter the wrench that springs and gravity lack at a posture (3,)."""
         if self._options.observer_time == 0.0 or elapsed == 0.0:
             return
-        legs = self._springs.at(self._spool, self._heights(posture[None])[0])
+        legs = self._springs.at(self._spool, self._robot.clamp_heights(*posture))
         lacking = -self._levers(legs.contact) @ np.maximum(legs.force, 0.0)
         lacking[0] += self._weight
         share = -math.expm1(-elapsed / self._options.observer_time)
         filtered = self.disturbance + share * (lacking - self.disturbance)
         self.disturbance = np.clip(filtered, -self._bound, self._bound)
 
-    def _heights(self, posture: Array) -> Array:
-        """Clamps above the floor (n, 4) m at postures (n, 3)."""
-        z, roll, pitch = posture.T
-        level = np.cos(pitch)
-        up = np.column_stack([-np.sin(pitch), level * np.sin(roll), level * np.cos(roll)])
-        return z[:, None] + up @ self._clamps.T
-
     def _levers(self, contact: Array) -> Array:
         """Wrench (..., 3, 4) [f_z, moments about x, y] of unit forces at contacts (..., 4) m."""
-        x = self._clamps[:, 0] + contact * self._outward[:, 0]
-        y = self._clamps[:, 1] + contact * self._outward[:, 1]
+        clamps, outward = self._robot.clamps, self._robot.outward
+        x = clamps[:, 0] + contact * outward[:, 0]
+        y = clamps[:, 1] + contact * outward[:, 1]
         return np.stack([np.ones_like(x), y, -x], axis=-2)
 
     def _linearise(self, reference: Array, dt: float) -> None:
         """Discrete model of every stage about the gait's angles and the reference (H, 3)."""
         o, count = self._options, self._horizon
-        springs = self._springs.at(self._nominal, self._heights(reference))
+        springs = self._springs.at(self._nominal, self._robot.clamp_heights(*reference.T))
         self._slope, self._stiffness = springs.slope, springs.stiffness
         levers = self._levers(springs.contact)
         stiff = np.minimum(springs.stiffness, -STIFFNESS_MIN)
