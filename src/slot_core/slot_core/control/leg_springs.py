@@ -1,9 +1,6 @@
 """Legs as springs: normal force of a leg at rest over tendon angle and clamp height.
 
-From the table `config/leg_map.csv` (`legs/leg_map.py`), by bilinear interpolation. With the time
-constant beta of the material (Kelvin-Voigt) a leg that moves slowly carries
-
-    f = F(theta, h) + beta (F_theta theta' + F_h h').
+From the table `config/leg_map.csv` (`legs/leg_map.py`), by bilinear interpolation.
 """
 
 from __future__ import annotations
@@ -11,7 +8,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slot_core.compiled import helper, kernel
 from slot_core.leg_table import LegTable, read_leg_table
@@ -53,10 +49,9 @@ class LegSprings:
 
         The least such angle; beyond the table's largest force, its largest angle.
         """
-        j, q = _cell(self._height, height)
-        columns = (1 - q) * self._table[:, j, 0] + q * self._table[:, j + 1, 0]
-        rising = np.maximum.accumulate(columns, axis=0)
-        return np.array([np.interp(f, c, self._angle) for f, c in zip(force, rising.T)])
+        grid = np.broadcast_arrays(self._angle, height[:, None])
+        rising = np.maximum.accumulate(self.at(*grid).force, axis=1)
+        return np.array([np.interp(f, row, self._angle) for f, row in zip(force, rising)])
 
 
 @kernel
@@ -78,13 +73,6 @@ def _place(grid, value):  # type: ignore[no-untyped-def]
     """Index of the cell of a rising grid that holds a value, and the share of its upper end."""
     inside = min(max(value, grid[0]), grid[-1])
     index = min(max(np.searchsorted(grid, inside, side="right") - 1, 0), len(grid) - 2)
-    return index, (inside - grid[index]) / (grid[index + 1] - grid[index])
-
-
-def _cell(grid: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
-    """Index of the cell of a rising grid that holds each value, and the share of its upper end."""
-    inside = np.clip(value, grid[0], grid[-1])
-    index = np.clip(np.searchsorted(grid, inside, side="right") - 1, 0, len(grid) - 2)
     return index, (inside - grid[index]) / (grid[index + 1] - grid[index])
 
 
