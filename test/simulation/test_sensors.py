@@ -41,7 +41,7 @@ def check_noise(samples, truth, sigma):
 
 
 def test_odometry_has_the_stated_noise_and_no_bias(flying):
-    sensor = OdometrySensor(SCENE.sensors.odometry, np.random.default_rng(7))
+    sensor = OdometrySensor(SCENE.sensors.odometry, *np.random.default_rng(7).spawn(2))
     readings = [sensor.sample(flying, 5) for _ in range(COUNT)]
     settings, rotation = SCENE.sensors.odometry, Rotation.from_matrix(flying.rotation)
     check_noise([r.position for r in readings], flying.position, settings.position_noise)
@@ -53,6 +53,50 @@ def test_odometry_has_the_stated_noise_and_no_bias(flying):
         [r.angular_velocity for r in readings], flying.angular_velocity, settings.rate_noise
     )
     assert readings[0].stamp == 5
+
+
+def troubled(changes):
+    settings = config.replace(SCENE.sensors.odometry, changes)
+    return OdometrySensor(settings, *np.random.default_rng(7).spawn(2))
+
+
+def test_drift_is_a_random_walk_beside_an_unchanged_noise(standing):
+    """Over 100 s the yaw walks by 0.1 rad; the spread over n sensors has the error 1 / sqrt(2n)."""
+    plain, count, yaws = troubled({}).sample(standing, 0, 0.0), 200, []
+    for seed in range(count):
+        settings = config.replace(SCENE.sensors.odometry, {"yaw_drift": 0.01})
+        trouble = np.random.default_rng(seed)
+        sensor = OdometrySensor(settings, np.random.default_rng(7).spawn(2)[0], trouble)
+        np.testing.assert_array_equal(sensor.sample(standing, 0, 0.0).position, plain.position)
+        for since in range(1, 101):
+            reading = sensor.sample(standing, 0, float(since))
+        yaws.append(Rotation.from_quat(reading.quaternion).as_euler("ZYX")[0])
+    assert np.std(yaws) == pytest.approx(0.1, rel=4 / np.sqrt(2 * count))
+
+
+def test_a_jump_displaces_the_odometry_from_its_time_on(standing):
+    jumps = {"jumps": {"once": {"time": 2.0, "position": [0.1, 0.0, 0.0], "yaw": 0.0}}}
+    with_jump, without = troubled(jumps), troubled({})
+    for since, jump in [(0.0, 0.0), (1.9, 0.0), (2.0, 0.1), (3.0, 0.1)]:
+        a, b = (sensor.sample(standing, 0, since) for sensor in (with_jump, without))
+        np.testing.assert_allclose(a.position - b.position, [jump, 0, 0], atol=1e-12)
+        np.testing.assert_allclose(a.quaternion, b.quaternion, atol=1e-12)
+
+
+def test_odometry_is_lost_in_a_dropout_and_by_its_share(standing):
+    dropout = troubled({"dropouts": {"gap": {"time": 1.0, "duration": 0.5}}})
+    lost = [not dropout.sample(standing, 0, s).quaternion.any() for s in (0.0, 0.9, 1.0, 1.4, 1.5)]
+    assert lost == [False, False, True, True, False]
+    often = troubled({"loss": 0.25})
+    share = np.mean([not often.sample(standing, 0, 1.0).quaternion.any() for _ in range(COUNT)])
+    assert share == pytest.approx(0.25, abs=4 * np.sqrt(0.25 * 0.75 / COUNT))
+
+
+def test_delay_varies_within_its_jitter_and_is_never_negative():
+    late = troubled({"delay": 0.01, "jitter": 0.02})
+    delays = [late.delay() for _ in range(COUNT)]
+    assert min(delays) == 0.0
+    assert 0.029 < max(delays) <= 0.03
 
 
 def test_twist_is_in_base_link(flying):
@@ -91,7 +135,9 @@ def test_accelerometer_in_free_fall_reads_only_the_reaction_of_the_legs(flying):
 
 
 def test_equal_generators_give_equal_readings(standing):
-    one, two = (OdometrySensor(SCENE.sensors.odometry, np.random.default_rng(9)) for _ in range(2))
+    one, two = (
+        OdometrySensor(SCENE.sensors.odometry, *np.random.default_rng(9).spawn(2)) for _ in range(2)
+    )
     np.testing.assert_array_equal(
         one.sample(standing, 0).position, two.sample(standing, 0).position
     )

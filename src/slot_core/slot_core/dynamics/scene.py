@@ -58,7 +58,9 @@ class PayloadSettings:
 class TendonDamage:
     """Damage of the tendons FL FR RL RR from the start of the run."""
 
-    slack: tuple[float, float, float, float] = quantity("slack beside the usual one", "m", 0.0, 0.1)
+    slack: tuple[float, float, float, float] = quantity(
+        "slack beside the usual one; negative: shorter tendon", "m", -0.01, 0.1
+    )
     broken: tuple[bool, bool, bool, bool] = flag("broken: carries no tension")
 
 
@@ -96,8 +98,25 @@ class SolverSettings:
 
 
 @dataclass(frozen=True)
+@dataclass(frozen=True)
+class Dropout:
+    """A time without odometry, in which a visual SLAM publishes that it is lost."""
+
+    time: float = quantity("start time", "s", 0.0, 1e6)
+    duration: float = quantity("duration", "s", 0.0, 1e6)
+
+
+@dataclass(frozen=True)
+class Jump:
+    """A lasting displacement of the odometry, as a relocalisation makes one."""
+
+    time: float = quantity("time", "s", 0.0, 1e6)
+    position: tuple[float, float, float] = quantity("displacement in odom", "m", -100.0, 100.0)
+    yaw: float = quantity("turn about the origin of odom", "rad", -3.15, 3.15)
+
+
 class OdometrySettings:
-    """Pose and twist as published by a visual SLAM."""
+    """Pose and twist as published by a visual SLAM, with its drift, losses and jumps."""
 
     period: float = quantity("period of the readings", "s", 1e-3, 10.0)
     delay: float = quantity("delay from capture to publication", "s", 0.0, 1.0)
@@ -106,6 +125,26 @@ class OdometrySettings:
     velocity_noise: float = quantity("standard deviation per axis", "m/s", 0.0, 10.0)
     rate_noise: float = quantity("standard deviation per axis", "rad/s", 0.0, 10.0)
 
+    jitter: float = quantity("largest deviation of the delay", "s", 0.0, 1.0)
+    position_drift: float = quantity("random walk per axis", "m/sqrt(s)", 0.0, 1.0)
+    yaw_drift: float = quantity("random walk", "rad/sqrt(s)", 0.0, 1.0)
+    loss: float = quantity("share of lost readings", "", 0.0, 1.0)
+    dropouts: dict[str, Dropout] = text("times without odometry by name")
+    jumps: dict[str, Jump] = text("jumps by name")
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """A camera whose pictures `marker_localizer` turns into the odometry; see vision.yaml."""
+
+    enabled: bool = flag("whether pictures take the place of the odometry")
+    carrier: str = choice("what the camera stands on; boards are on the other", "torso", "world")
+    boards: tuple[str, ...] = text("boards of vision.yaml that are there")
+    period: float = quantity("period of the pictures", "s", 1e-3, 10.0)
+    delay: float = quantity("delay from mid exposure to publication", "s", 0.0, 1.0)
+    noise: float = quantity("standard deviation of a pixel", "grey levels", 0.0, 100.0)
+    blur: float = quantity("standard deviation of the lens' blur", "px", 0.0, 20.0)
+    exposure: float = quantity("exposure time", "s", 0.0, 0.1)
 
 @dataclass(frozen=True)
 class ImuSettings:
@@ -120,10 +159,11 @@ class ImuSettings:
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """Odometry, IMU, tendon encoders and ground truth."""
+    """Odometry or camera, IMU, tendon encoders and ground truth."""
 
     odometry: OdometrySettings
     imu: ImuSettings
+    camera: CameraSettings
     joints: bool = flag("whether tendon angles are measured")
     joint_period: float = quantity("period of the tendon angles", "s", 1e-3, 1.0)
     truth: bool = flag("whether exact motion, forces and shapes are published")
@@ -161,6 +201,7 @@ class Scene:
             "sensors.odometry.period": sensors.odometry.period,
             "sensors.imu.period": sensors.imu.period if sensors.imu.enabled else math.inf,
             "sensors.joint_period": sensors.joint_period if sensors.joints else math.inf,
+            "sensors.camera.period": sensors.camera.period if sensors.camera.enabled else math.inf,
         }
         for name, period in periods.items():
             if period < step:

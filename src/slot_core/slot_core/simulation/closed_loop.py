@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -14,12 +14,15 @@ from slot_core.control.controller import Controller, Tick
 from slot_core.control.gait import read_gaits
 from slot_core.control.mpc.mpc import DEFAULT_PROFILE, read_mpc
 from slot_core.control.path import Path
-from slot_core.dynamics.scene import Scene, read_scene
+from slot_core.dynamics.scene import CameraSettings, Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.robot import Array, Robot, read_robot
 from slot_core.simulation.clocks import LOCKSTEP_START
 from slot_core.simulation.plant import Plant, Reading
-from slot_core.simulation.sensors import ImuReading, OdometryReading
+from slot_core.simulation.sensors import ImuReading, OdometryReading, PictureReading
+
+if TYPE_CHECKING:
+    from slot_core.vision.localizer import MarkerLocalizer
 
 PlantMaker = Callable[[Robot, Scene, ServoSettings, np.random.Generator], Plant]
 CHANGEABLE = ("scene", "servo", "robot", "gait", "mpc")
@@ -69,9 +72,11 @@ class ClosedLoop:
             path,
             gaits=_changed(read_gaits(), "gait", given),
         )
+        scenery = _changed(read_scene(scene), "scene", given)
+        self._localizer = make_localizer(scenery.sensors.camera)
         self.plant = make(
             _changed(nominal, "robot", given),
-            _changed(read_scene(scene), "scene", given),
+            scenery,
             _changed(read_servo(), "servo", given),
             np.random.default_rng(seed),
         )
@@ -103,6 +108,9 @@ class ClosedLoop:
         for r in readings:
             if isinstance(r, ImuReading):
                 self.controller.estimator.add_imu(r.stamp, r.angular_velocity, r.specific_force)
+            elif isinstance(r, PictureReading) and self._localizer is not None:
+                fix = self._localizer.locate(r.stamp, r.grey)
+                self.controller.estimator.add_odometry(*fix.odometry)
             elif isinstance(r, OdometryReading) and not self._is_lost(r.stamp):
                 self.controller.estimator.add_odometry(
                     r.stamp, r.position, r.quaternion, r.velocity, r.angular_velocity
@@ -116,3 +124,12 @@ def _changed(settings: Settings, name: str, changes: Mapping[str, Any]) -> Setti
     """The settings with the changes below `name`."""
     mine = {k.partition(".")[2]: v for k, v in changes.items() if k.partition(".")[0] == name}
     return config.replace(settings, mine, name)
+
+
+def make_localizer(settings: CameraSettings) -> MarkerLocalizer | None:
+    """The localiser of a scene's camera, if it has one; OpenCV is loaded only then."""
+    if not settings.enabled:
+        return None
+    from slot_core.simulation.camera_sensor import marker_localizer  # noqa: PLC0415
+
+    return marker_localizer(settings)

@@ -7,11 +7,12 @@ import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from slot_core.config import ConfigError
-from slot_core.dynamics.scene import Push, Scene
+from slot_core.dynamics.scene import CameraSettings, Push, Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.dynamixel.state import JointReading
@@ -25,9 +26,13 @@ from slot_core.simulation.sensors import (
     ImuSensor,
     OdometryReading,
     OdometrySensor,
+    PictureReading,
     true_odometry,
 )
 from slot_core.simulation.tabulated_robot import TabulatedRobot
+
+if TYPE_CHECKING:
+    from slot_core.simulation.camera_sensor import CameraSensor
 
 
 @dataclass(frozen=True)
@@ -41,7 +46,7 @@ class TrueState:
     nodes: Array  # (4, N, 3) m in odom
 
 
-Reading = OdometryReading | ImuReading | JointReading | TrueState
+Reading = OdometryReading | PictureReading | ImuReading | JointReading | TrueState
 
 
 @dataclass(frozen=True, order=True)
@@ -51,6 +56,15 @@ class _Event:
     due: int
     number: int
     action: Callable[[], list[Reading]] = field(compare=False)
+
+
+def make_camera(settings: CameraSettings, rng: np.random.Generator) -> CameraSensor | None:
+    """The camera of a scene, if it has one; OpenCV is loaded only then."""
+    if not settings.enabled:
+        return None
+    from slot_core.simulation.camera_sensor import CameraSensor  # noqa: PLC0415
+
+    return CameraSensor(settings, rng)
 
 
 MODELS: dict[str, type[SimulatedRobot]] = {
@@ -69,19 +83,21 @@ def make_robot(robot: Robot, scene: Scene, servo: ServoSettings) -> SimulatedRob
 class Plant:
     """Simulated robot, servos and sensors on one clock; yields readings when they are due.
 
-    Odometry is due `delay` after its stamp, every other reading at its stamp. The robot is frozen
-    in its starting pose until `start` sets the clock. Raises ConfigError if the scene has a fault
-    that the robot's model does not support.
+    Odometry, or the camera's picture in its place, is due `delay` after its stamp, every other
+    reading at its stamp. The robot is frozen in its starting pose until `start` sets the clock.
+    Raises ConfigError if the scene has a fault that the robot's model does not support.
     """
 
     def __init__(self, robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator):
-        odometry_rng, imu_rng = rng.spawn(2)
+        odometry_rng, imu_rng, trouble_rng, camera_rng = rng.spawn(4)
         self.simulator = make_robot(robot, scene, servo)
         self.now = 0  # ns
         self._scene = scene
         self._step = round(scene.solver.step * 1e9)
         self._command = self.simulator.tendon_angle.copy()
-        self._odometry = OdometrySensor(scene.sensors.odometry, odometry_rng)
+        self._odometry = OdometrySensor(scene.sensors.odometry, odometry_rng, trouble_rng)
+        self._camera = make_camera(scene.sensors.camera, camera_rng)
+        self._started = self._delivered = 0  # ns, of the clock and of the last delayed reading
         self._imu = ImuSensor(scene.sensors.imu, imu_rng)
         self._at_rest: list[Reading] = []
         self._events: list[_Event] = []
@@ -97,18 +113,19 @@ class Plant:
             sensors = self._scene.sensors
             imu = self._read_imu() if sensors.imu.enabled else []
             joints = self._read_joints() if sensors.joints else []
-            self._at_rest = [*imu, *joints, self._odometry.sample(self.simulator, stamp)]
+            self._at_rest = [*imu, *joints, self._place(0.0)]
         return self._at_rest
 
     def start(self, stamp: int) -> None:
         """Start the clock at `stamp` (ns); the first readings are due one period later."""
-        self.now = stamp
+        self.now = self._started = stamp
         sensors = self._scene.sensors
         if sensors.imu.enabled:
             self._every(sensors.imu.period, self._read_imu)
         if sensors.joints:
             self._every(sensors.joint_period, self._read_joints)
-        self._every(sensors.odometry.period, self._read_odometry)
+        placing = sensors.camera if sensors.camera.enabled else sensors.odometry
+        self._every(placing.period, self._read_odometry)
         for push in self._scene.pushes.values():
             self._schedule_push(push)
         for present in self._faults.values():
@@ -156,11 +173,11 @@ class Plant:
         self._simulate(until)
 
     def advance_to_odometry(self) -> Iterator[Reading]:
-        """Advance until an odometry reading is due, which is the last one yielded."""
+        """Advance until odometry or a picture is due, which is the last reading yielded."""
         while True:
             for reading in self.advance(self._events[0].due):
                 yield reading
-                if isinstance(reading, OdometryReading):
+                if isinstance(reading, (OdometryReading, PictureReading)):
                     return
 
     def _every(self, period: float, read: Callable[[], list[Reading]]) -> None:
@@ -203,11 +220,18 @@ class Plant:
         return [JointReading(self.now, sim.tendon_angle, sim.tendon_rate, sim.servo_torque)]
 
     def _read_odometry(self) -> list[Reading]:
-        """Return the ground truth now; schedule the odometry after its delay."""
-        reading = self._odometry.sample(self.simulator, self.now)
-        delay = round(self._scene.sensors.odometry.delay * 1e9)
-        self._schedule(self.now + delay, lambda: [reading])
+        """Return the ground truth now; schedule odometry or picture after its delay, in order."""
+        reading = self._place((self.now - self._started) * 1e-9)
+        delay = self._odometry.delay() if self._camera is None else self._camera.delay
+        self._delivered = max(self._delivered, self.now + round(delay * 1e9))
+        self._schedule(self._delivered, lambda: [reading])
         return [self._true_state()] if self._scene.sensors.truth else []
+
+    def _place(self, since: float) -> Reading:
+        """Odometry, or the picture in its place, `since` the start (s)."""
+        if self._camera is not None:
+            return self._camera.sample(self.simulator, self.now)
+        return self._odometry.sample(self.simulator, self.now, since)
 
     def _schedule_push(self, push: Push) -> None:
         """Schedule the start and the end of a push; pushes add up."""

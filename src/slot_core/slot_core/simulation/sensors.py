@@ -1,10 +1,11 @@
-"""Sensors of the simulated robot: odometry and IMU with white noise and a gyroscope bias."""
+"""Sensors of the simulated robot: odometry that drifts, jumps and is lost; IMU with a bias."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from slot_core.dynamics.scene import ImuSettings, OdometrySettings
@@ -24,6 +25,14 @@ class OdometryReading:
 
 
 @dataclass(frozen=True)
+class PictureReading:
+    """Grey picture of the camera at `stamp` (ns), mid exposure."""
+
+    stamp: int
+    grey: NDArray[np.uint8]  # (h, w)
+
+
+@dataclass(frozen=True)
 class ImuReading:
     """Angular velocity and specific force in base_link at `stamp` (ns)."""
 
@@ -38,24 +47,63 @@ def true_odometry(sim: SimulatedRobot, stamp: int) -> OdometryReading:
     return OdometryReading(stamp, sim.position, sim.quaternion, velocity, sim.angular_velocity)
 
 
+def lost_odometry(stamp: int) -> OdometryReading:
+    """What a visual SLAM publishes when it is lost: a quaternion of zeros, as RTAB-Map does."""
+    return OdometryReading(stamp, np.zeros(3), np.zeros(4), np.zeros(3), np.zeros(3))
+
+
 class OdometrySensor:
-    """Pose and twist as of a visual SLAM: the truth with independent Gaussian noise."""
+    """Pose and twist as of a visual SLAM: the truth with independent Gaussian noise.
 
-    def __init__(self, settings: OdometrySettings, rng: np.random.Generator):
-        self._settings, self._rng = settings, rng
+    From the start on it also drifts, jumps, and is lost, as the settings say.
+    """
 
-    def sample(self, sim: SimulatedRobot, stamp: int) -> OdometryReading:
-        """Reading at `stamp` (ns); the noise of the orientation is a rotation vector in odom."""
+    def __init__(
+        self, settings: OdometrySettings, rng: np.random.Generator, trouble: np.random.Generator
+    ):
+        """`rng` draws the noise, `trouble` drift, losses and delays."""
+        self._settings, self._rng, self._trouble = settings, rng, trouble
+        self._drift = np.zeros(4)  # m, rad: displacement and yaw
+        self._last = 0.0  # s since the start
+
+    def sample(self, sim: SimulatedRobot, stamp: int, since: float = 0.0) -> OdometryReading:
+        """Reading at `stamp` (ns), `since` the start (s; 0: before it).
+
+        The noise of the orientation is a rotation vector in odom.
+        """
         truth, noise = true_odometry(sim, stamp), self._rng.normal(size=(4, 3))
         s = self._settings
         turn = Rotation.from_rotvec(s.orientation_noise * noise[1])
+        moved, yaw = self._displacement(since)
+        if self._is_lost(since):
+            return lost_odometry(stamp)
         return OdometryReading(
             stamp,
-            truth.position + s.position_noise * noise[0],
-            (turn * Rotation.from_quat(truth.quaternion)).as_quat(),
+            yaw.apply(truth.position + s.position_noise * noise[0]) + moved,
+            (yaw * turn * Rotation.from_quat(truth.quaternion)).as_quat(),
             truth.velocity + s.velocity_noise * noise[2],
             truth.angular_velocity + s.rate_noise * noise[3],
         )
+
+    def delay(self) -> float:
+        """Delay of the next reading, s."""
+        jitter = self._settings.jitter
+        return max(0.0, self._settings.delay + jitter * self._trouble.uniform(-1.0, 1.0))
+
+    def _displacement(self, since: float) -> tuple[Array, Rotation]:
+        """Displacement (3,), m, and turn of the odometry by its drift and jumps so far."""
+        s = self._settings
+        scale = np.array([s.position_drift] * 3 + [s.yaw_drift]) * np.sqrt(since - self._last)
+        self._drift += scale * self._trouble.normal(size=4)
+        self._last = since
+        jumps = [[*j.position, j.yaw] for j in s.jumps.values() if 0.0 < j.time <= since]
+        total = self._drift + np.sum(jumps, axis=0) if jumps else self._drift
+        return total[:3], Rotation.from_euler("z", total[3])
+
+    def _is_lost(self, since: float) -> bool:
+        s = self._settings
+        within = any(d.time <= since < d.time + d.duration for d in s.dropouts.values())
+        return since > 0.0 and bool(self._trouble.random() < s.loss or within)
 
 
 class ImuSensor:

@@ -1,0 +1,145 @@
+"""Camera model: pinhole with OpenCV's distortion, and its calibration file, that of ROS.
+
+    x' = X / Z,  y' = Y / Z;  (u, v) = K distort(x', y')
+
+with X, Y, Z in the optical frame (z forward, y down). The file has the keys of `camera_info` in the
+YAML of ROS (camera_calibration_parsers), so that camera drivers read it too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+
+from slot_core import config
+from slot_core.robot import Array
+from slot_core.vision.settings import Intrinsics
+
+MODELS = {"plumb_bob": 5, "rational_polynomial": 8}  # coefficients by name in ROS
+SIZE_MAX = 100_000  # bytes of a calibration file
+ACCURATE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-9)
+
+
+class CameraError(ValueError):
+    """An unusable camera or calibration; the message is one line."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Intrinsic parameters of a camera."""
+
+    width: int  # px
+    height: int  # px
+    matrix: Array  # (3, 3) K
+    distortion: Array  # (5,) or (8,)
+
+    @property
+    def focal(self) -> float:
+        """Mean focal length, px."""
+        return float(self.matrix[0, 0] + self.matrix[1, 1]) / 2
+
+    def rays(self, pixels: Array) -> Array:
+        """Undistorted x', y' (..., 2) of pixels (..., 2)."""
+        flat = np.ascontiguousarray(pixels, np.float64).reshape(-1, 1, 2)
+        if not len(flat):
+            return np.zeros(pixels.shape)
+        rays = cv2.undistortPointsIter(
+            flat, self.matrix, self.distortion, np.eye(3), np.eye(3), ACCURATE
+        )
+        return np.asarray(rays, np.float64).reshape(pixels.shape)
+
+    def project(self, points: Array) -> Array:
+        """Pixels (..., 2) of points (..., 3) in front of the camera, m in the optical frame."""
+        zero = np.zeros(3)
+        flat = np.ascontiguousarray(points, np.float64).reshape(-1, 1, 3)
+        pixels, _ = cv2.projectPoints(flat, zero, zero, self.matrix, self.distortion)
+        return np.asarray(pixels, np.float64).reshape(*points.shape[:-1], 2)
+
+    def require_size(self, width: int, height: int) -> None:
+        """Raise CameraError for pictures of another size than the calibration's."""
+        if (width, height) != (self.width, self.height):
+            raise CameraError(
+                f"picture of {width} x {height} px: the camera is calibrated at"
+                f" {self.width} x {self.height} px"
+            )
+
+
+def nominal(settings: Intrinsics) -> Camera:
+    """The camera of `config/vision.yaml`."""
+    (f_x, f_y), (c_x, c_y) = settings.focal, settings.centre
+    matrix = np.array([[f_x, 0.0, c_x], [0.0, f_y, c_y], [0.0, 0.0, 1.0]])
+    return Camera(settings.width, settings.height, matrix, np.array(settings.distortion))
+
+
+def from_camera_info(width: int, height: int, model: str, d: Any, k: Any) -> Camera:
+    """The camera of a sensor_msgs/CameraInfo: its size, distortion model, D and K.
+
+    Raises CameraError if it is not calibrated (K = 0), and for an unknown model or bad values.
+    """
+    matrix, distortion = np.array(k, np.float64), np.array(d, np.float64).ravel()
+    if matrix.size != 9:
+        raise CameraError(f"K has {matrix.size} values, expected 9")
+    if matrix.ravel()[0] == 0.0:
+        raise CameraError("K[0] = 0: the camera is not calibrated, see scripts/calibrate_camera")
+    if not distortion.size:
+        distortion, model = np.zeros(5), "plumb_bob"
+    if model not in MODELS:
+        raise CameraError(f"distortion_model {model!r}: expected one of {', '.join(MODELS)}")
+    if distortion.size != MODELS[model]:
+        raise CameraError(f"D has {distortion.size} values, {model} has {MODELS[model]}")
+    matrix = matrix.reshape(3, 3)
+    if not (np.isfinite(matrix).all() and np.isfinite(distortion).all()):
+        raise CameraError("K or D has a value that is not finite")
+    if min(width, height, matrix[0, 0], matrix[1, 1]) <= 0:
+        raise CameraError(
+            f"{width} x {height} px, f = {matrix[0, 0]:g}, {matrix[1, 1]:g} px: expected > 0"
+        )
+    return Camera(int(width), int(height), matrix, distortion)
+
+
+def read_camera(path: Path) -> Camera:
+    """The camera of a calibration file; raises CameraError with the path and the cause."""
+    try:
+        if path.stat().st_size > SIZE_MAX:
+            raise CameraError(f"more than {SIZE_MAX} bytes")
+        content = config.parse(path.read_text())
+        return from_camera_info(
+            content["image_width"],
+            content["image_height"],
+            content["distortion_model"],
+            content["distortion_coefficients"]["data"],
+            content["camera_matrix"]["data"],
+        )
+    except KeyError as error:
+        raise CameraError(f"{path}: {error.args[0]} is missing") from None
+    except OSError as error:
+        raise CameraError(f"{path}: {error.strerror}") from None
+    except (CameraError, TypeError, ValueError, yaml.YAMLError) as error:
+        raise CameraError(f"{path}: {' '.join(str(error).split())}") from None
+
+
+def camera_text(camera: Camera, name: str = "camera") -> str:
+    """Content of the calibration file of a camera."""
+    model = next(m for m, n in MODELS.items() if n == camera.distortion.size)
+    projection = np.hstack([camera.matrix, np.zeros((3, 1))])
+    content = {
+        "image_width": camera.width,
+        "image_height": camera.height,
+        "camera_name": name,
+        "camera_matrix": _matrix(camera.matrix),
+        "distortion_model": model,
+        "distortion_coefficients": _matrix(camera.distortion[None]),
+        "rectification_matrix": _matrix(np.eye(3)),
+        "projection_matrix": _matrix(projection),
+    }
+    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
+
+
+def _matrix(values: Array) -> dict[str, Any]:
+    rows, columns = values.shape
+    return {"rows": rows, "cols": columns, "data": values.ravel().tolist()}

@@ -1,0 +1,115 @@
+"""Finds markers in a picture with cv2.aruco; looks first where they were in the last one."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slot_core.robot import Array
+from slot_core.vision.board import Picture
+from slot_core.vision.camera import Camera
+from slot_core.vision.edges import refined_rays
+
+FAMILIES = (  # to tell which dictionary the markers are of, if not of the one expected
+    "DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL",
+    "DICT_APRILTAG_16h5", "DICT_APRILTAG_25h9", "DICT_APRILTAG_36h10", "DICT_APRILTAG_36h11",
+)  # fmt: skip
+Ids = NDArray[np.int64]
+SMALLEST = 40.0  # px, smallest perimeter of a marker
+MARGIN = 40  # px, around where the markers were
+WHOLE_EVERY = 15  # pictures between two searches of the whole picture
+LARGE = 60.0  # px, edge of markers that are found at half the resolution
+
+
+@dataclass(frozen=True)
+class Detection:
+    """Markers of a picture, each id once."""
+
+    ids: tuple[int, ...]
+    pixels: Array  # (m, 4, 2) px, clockwise from the marker's top left
+    rays: Array  # (m, 4, 2) x', y' without distortion
+    duplicates: tuple[int, ...] = ()  # ids seen more than once: none of them is used
+    size: float = field(default=0.0)  # px, shortest edge
+
+    def of(self, number: int) -> Array | None:
+        """Rays (4, 2) of a marker, or None."""
+        return self.rays[self.ids.index(number)] if number in self.ids else None
+
+
+class MarkerDetector:
+    """Markers of a dictionary in pictures of a camera; call it with one picture after the other."""
+
+    def __init__(self, dictionary: int, camera: Camera) -> None:
+        self._camera = camera
+        self._dictionary = cv2.aruco.getPredefinedDictionary(dictionary)
+        self._last: Detection | None = None
+        self._since_whole = 0
+
+    def find(self, picture: Picture) -> Detection:
+        """The markers of a grey picture (h, w); raises CameraError for another size."""
+        self._camera.require_size(picture.shape[1], picture.shape[0])
+        last, self._since_whole = self._last, self._since_whole + 1
+        found = None
+        if last is not None and last.ids and self._since_whole < WHOLE_EVERY:
+            found = self._near(picture, last)
+        if found is None or not set(last.ids if last else ()) <= set(found.ids):
+            self._since_whole = 0
+            found = self._refined(picture, *self._raw(picture, 1.0))
+        self._last = found
+        return found
+
+    def _near(self, picture: Picture, last: Detection) -> Detection:
+        """The markers around those of the last picture."""
+        low = np.maximum(last.pixels.min(axis=(0, 1)) - MARGIN, 0).astype(int)
+        high = np.ceil(last.pixels.max(axis=(0, 1)) + MARGIN).astype(int)
+        part = picture[low[1] : high[1], low[0] : high[0]]
+        ids, corners = self._raw(part, 0.5 if last.size > LARGE else 1.0)
+        return self._refined(picture, ids, corners + low)
+
+    def _raw(self, picture: Picture, scale: float) -> tuple[Ids, Array]:
+        """Ids (m,) and corners (m, 4, 2), px, as cv2.aruco finds them at a scale."""
+        small = (
+            picture
+            if scale == 1.0
+            else cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        )
+        parameters = cv2.aruco.DetectorParameters()
+        parameters.minMarkerPerimeterRate = scale * SMALLEST / max(small.shape)
+        detector = cv2.aruco.ArucoDetector(self._dictionary, parameters)
+        corners, ids, _ = detector.detectMarkers(np.ascontiguousarray(small))
+        if ids is None:
+            return np.zeros(0, np.int64), np.zeros((0, 4, 2))
+        found = np.array(corners, np.float64).reshape(-1, 4, 2)
+        return np.array(ids, np.int64).ravel(), (found + 0.5) / scale - 0.5
+
+    def _refined(self, picture: Picture, ids: Ids, corners: Array) -> Detection:
+        """The markers with exact corners; drops those without clear edges and doubled ids."""
+        if not len(ids):
+            return Detection((), np.zeros((0, 4, 2)), np.zeros((0, 4, 2)))
+        rays, noise = refined_rays(picture, corners, self._camera, self._dictionary.markerSize + 2)
+        counts = Counter(ids.tolist())
+        single = np.array([counts[i] == 1 for i in ids.tolist()])
+        keep = np.isfinite(noise) & single
+        edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=-1)
+        return Detection(
+            tuple(ids[keep].tolist()),
+            corners[keep],
+            rays[keep],
+            tuple(sorted(i for i, n in counts.items() if n > 1)),
+            float(edges[keep].min()) if keep.any() else 0.0,
+        )
+
+
+def other_dictionary(picture: Picture) -> str:
+    """The dictionary of which most markers are found, with their number; empty: of none."""
+    counts = {}
+    for name in FAMILIES:
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+        _, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(picture)
+        counts[name] = 0 if ids is None else len(ids)
+    best = max(counts, key=lambda name: counts[name])
+    return f"{counts[best]} of {best}" if counts[best] else ""

@@ -1,0 +1,101 @@
+"""Corners of markers to a few hundredths of a pixel: lines through the edges, then their crossings.
+
+Along the normal of an edge the grey level rises from black to white. The centroid of its slope is
+the edge, whatever symmetric blur the lens and the motion have; a corner detector would be drawn
+into the marker by the blur. The points are freed of the distortion before lines are fitted.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slot_core.robot import Array
+from slot_core.vision.board import Picture
+from slot_core.vision.camera import Camera
+
+ALONG = np.linspace(0.1, 0.9, 24)  # places on an edge: the corners are rounded by the blur
+ROUGHLY = ALONG[::4]
+ACROSS = np.linspace(-1.0, 1.0, 15)  # samples over the half width
+HALF_WIDTH = (2.0, 5.0)  # px, limits of the half width, which else is three quarters of a cell
+SHARE = 0.75
+STRONG = 0.1  # of the largest slope in the profile: below is noise
+OUTLIER = 3.0  # times the median distance
+
+
+def refined_rays(
+    picture: Picture, corners: Array, camera: Camera, cells: int
+) -> tuple[Array, Array]:
+    """Corners (m, 4, 2) as undistorted x', y', from corners (m, 4, 2) in px found roughly.
+
+    cells: of a marker along an edge, its black border included. Also the RMS distance (m,) of the
+    edges' points from their lines, px; infinite where an edge is no edge.
+    """
+    points, strength = edge_points(picture, corners, ROUGHLY, cells)
+    corners, _ = crossings(points, strength)
+    points, strength = edge_points(picture, corners, ALONG, cells)
+    rays, distance = crossings(camera.rays(points), strength)
+    return rays, distance * camera.focal
+
+
+def edge_points(picture: Picture, corners: Array, along: Array, cells: int) -> tuple[Array, Array]:
+    """Points (m, 4, n, 2) px on the edges of markers and their slopes (m, 4, n), zero: none.
+
+    along: (n,) places on an edge as shares of its length.
+    """
+    edge = np.roll(corners, -1, axis=1) - corners
+    length = np.linalg.norm(edge, axis=-1)
+    normal = np.stack([edge[..., 1], -edge[..., 0]], axis=-1) / length[..., None]  # outward
+    half = np.clip(SHARE * length.min(axis=1) / cells, *HALF_WIDTH)[:, None]
+    middle = corners[:, :, None] + along[:, None] * edge[:, :, None]
+    offset = half[..., None] * ACROSS  # (m, 1, p)
+    places = middle[..., None, :] + (offset[..., None] * normal[:, :, None])[:, :, None]
+    grey = _sample(picture, places)
+    slope = np.diff(grey, axis=-1)
+    slope = np.where(slope > STRONG * slope.max(axis=-1, keepdims=True), slope, 0.0)
+    total = slope.sum(axis=-1)
+    between = (offset[..., 1:] + offset[..., :-1])[:, :, None] / 2
+    shift = np.divide((slope * between).sum(axis=-1), total, where=total > 0, out=total * 0)
+    return middle + shift[..., None] * normal[:, :, None], np.maximum(total, 0.0)
+
+
+def crossings(points: Array, weight: Array) -> tuple[Array, Array]:
+    """Crossings (m, 4, 2) of neighbouring edges through points (m, 4, n, 2), and RMS distances."""
+    weight = np.where(weight > 0.5 * np.median(weight, axis=-1, keepdims=True), 1.0, 0.0)
+    centre, normal, distance = _lines(points, weight)
+    limit = OUTLIER * np.median(distance, axis=-1, keepdims=True) + 1e-12
+    weight = weight * (distance <= limit)
+    centre, normal, distance = _lines(points, weight)
+    used = weight.sum(axis=-1)
+    mean = (weight * distance**2).sum(axis=-1) / np.maximum(used, 1.0)
+    rms = np.sqrt(mean.mean(axis=-1))
+    rms[(used < 3).any(axis=-1)] = np.inf
+    before = np.roll(normal, 1, axis=1)
+    matrix = np.stack([before, normal], axis=-2)
+    value = (normal * centre).sum(axis=-1)
+    right = np.stack([np.roll(value, 1, axis=1), value], axis=-1)
+    parallel = np.abs(np.linalg.det(matrix)) < 1e-3
+    matrix[parallel] = np.eye(2)
+    rms[parallel.any(axis=1)] = np.inf
+    return np.linalg.solve(matrix, right[..., None])[..., 0], rms
+
+
+def _lines(points: Array, weight: Array) -> tuple[Array, Array, Array]:
+    """Centre and normal (m, 4, 2) of the lines of least squares, distances (m, 4, n) from them."""
+    total = np.maximum(weight.sum(axis=-1), 1.0)[..., None]
+    centre = (weight[..., None] * points).sum(axis=-2) / total
+    off = points - centre[..., None, :]
+    xx, xy, yy = (
+        (weight * off[..., i] * off[..., j]).sum(axis=-1) for i, j in ((0, 0), (0, 1), (1, 1))
+    )
+    angle = np.arctan2(2 * xy, xx - yy) / 2  # of the principal axis
+    normal = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
+    return centre, normal, np.abs((off * normal[..., None, :]).sum(axis=-1))
+
+
+def _sample(picture: Picture, places: Array) -> NDArray[np.float64]:
+    """Grey levels at places (..., 2) px, linear between pixels; the border beyond the picture."""
+    flat = places.reshape(-1, places.shape[-2], 2).astype(np.float32)
+    grey = cv2.remap(picture, flat, np.empty(0), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return grey.reshape(places.shape[:-1]).astype(np.float64)

@@ -1,0 +1,202 @@
+"""Marker localisation: where the torso is, from pictures of boards.
+
+    carrier of the camera   boards                  pose of base_link in odom
+    torso                   fixed in odom           T_odom_board T_board_camera T_camera_base
+    world                   fixed on base_link      T_odom_camera T_camera_board T_board_base
+
+A pose has the covariance of its reprojection error. The twist is the difference of two poses: late
+by half their interval, so its variance holds that of an accelerating torso. A picture without a
+usable pose gives a reason in its place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from slot_core.clock import SECOND
+from slot_core.robot import BASE_FRAME, ODOM_FRAME, Array
+from slot_core.vision.board import Picture, make_board
+from slot_core.vision.camera import Camera
+from slot_core.vision.detector import Detection, MarkerDetector, other_dictionary
+from slot_core.vision.frames import Transform, optical
+from slot_core.vision.pose import BoardPose, board_poses, nearest
+from slot_core.vision.settings import VisionSettings
+
+LONG = 10  # pictures without a marker, after which other dictionaries are tried
+
+
+@dataclass(frozen=True)
+class MarkerFix:
+    """Pose of base_link in odom and twist in base_link, with their covariances."""
+
+    stamp: int  # ns
+    position: Array  # (3,) m
+    quaternion: Array  # (4,) x y z w
+    velocity: Array  # (3,) m/s
+    angular_velocity: Array  # (3,) rad/s
+    pose_covariance: Array  # (6, 6) of x y z and rotations about the axes of odom
+    twist_covariance: Array  # (6, 6) of velocity and angular velocity
+    markers: int
+    error: float  # px, RMS of the reprojection
+
+    @property
+    def odometry(self) -> tuple[int, Array, Array, Array, Array, Array]:
+        """The arguments of `StateEstimator.add_odometry`."""
+        pose, twist = np.diag(self.pose_covariance), np.diag(self.twist_covariance)
+        variance = np.concatenate([pose[3:], pose[:3], twist])
+        motion = self.position, self.quaternion, self.velocity, self.angular_velocity
+        return self.stamp, *motion, variance
+
+
+@dataclass(frozen=True)
+class NoFix:
+    """A picture without a usable pose, and why."""
+
+    stamp: int  # ns
+    reason: str
+
+    @property
+    def odometry(self) -> tuple[int, Array, Array, Array, Array, Array]:
+        """Lost odometry, which the estimator rejects: a quaternion of zeros, as of RTAB-Map."""
+        return self.stamp, np.zeros(3), np.zeros(4), np.zeros(3), np.zeros(3), np.zeros(12)
+
+
+class MarkerLocalizer:
+    """Poses of the torso from pictures, one after the other."""
+
+    def __init__(
+        self, settings: VisionSettings, camera: Camera, mount: Transform, carrier: str | None = None
+    ) -> None:
+        """mount: camera_link in base_link, used if the carrier (default: that set) is the torso."""
+        on_torso = (carrier or settings.carrier) == "torso"
+        placed = Transform.of(settings.world_camera.position, settings.world_camera.rpy)
+        self._settings, self._camera, self._on_torso = settings.detection, camera, on_torso
+        self._fixed = optical(mount if on_torso else placed)
+        boards = settings.boards_in(ODOM_FRAME if on_torso else BASE_FRAME)
+        self._boards = {name: make_board(board) for name, board in boards.items()}
+        self._detector = MarkerDetector(settings.dictionary_number, camera)
+        self._dictionary = settings.dictionary
+        self._last: tuple[int, Transform, Array] | None = None  # stamp, base in odom, variance
+        self._without = 0  # pictures in a row without a marker
+
+    def locate(self, stamp: int, picture: Picture) -> MarkerFix | NoFix:
+        """The pose in a grey picture (h, w) of `stamp`, ns; raises CameraError for another size."""
+        found = self._detector.find(picture)
+        self._without = 0 if found.ids else self._without + 1
+        seen = {name: _corners(board.corners, found) for name, board in self._boards.items()}
+        name = max(seen, key=lambda key: len(seen[key][0]))
+        points, rays = seen[name]
+        if not len(points):
+            return NoFix(stamp, self._absence(found, picture))
+        pose = board_poses(points, rays, self._settings.corner_noise / self._camera.focal)
+        if pose is None:
+            return NoFix(stamp, f"{len(points) // 4} markers of {name}: no pose explains them")
+        error = pose.error * self._camera.focal
+        if error > self._settings.error_max:
+            return NoFix(
+                stamp,
+                f"reprojection error {error:.2f} px, limit {self._settings.error_max:g} px:"
+                " wrong calibration, or boards other than in vision.yaml",
+            )
+        expected = self._expected(stamp, self._boards[name].pose)
+        if pose.ratio < self._settings.ambiguity and expected is None:
+            return NoFix(
+                stamp,
+                f"{len(points) // 4} markers of {name}: two poses explain them, errors 1 :"
+                f" {pose.ratio:.2f}, limit {self._settings.ambiguity:g}",
+            )
+        ambiguous = pose.ratio < self._settings.ambiguity and expected is not None
+        chosen = nearest(pose, expected) if ambiguous and expected else pose.transform
+        return self._fix(stamp, self._boards[name].pose, chosen, pose, len(points) // 4)
+
+    def _absence(self, found: Detection, picture: Picture) -> str:
+        """Why no marker of the boards was found."""
+        if found.duplicates:
+            return f"ids {', '.join(map(str, found.duplicates))} seen more than once"
+        if found.ids:
+            return f"no marker of the boards, only ids {', '.join(map(str, found.ids))}"
+        if self._without % LONG == 0 and (other := other_dictionary(picture)):
+            return f"no marker of {self._dictionary}, but {other}"
+        return f"no marker of {self._dictionary}"
+
+    def _base(self, board: Transform, seen: Transform) -> Transform:
+        """base_link in odom from the board's pose in its frame and in the optical frame."""
+        if self._on_torso:
+            return board @ seen.inverse @ self._fixed.inverse
+        return self._fixed @ seen @ board.inverse
+
+    def _expected(self, stamp: int, board: Transform) -> Transform | None:
+        """Pose of the board in the optical frame as it was last; None after `memory`."""
+        if self._last is None or stamp - self._last[0] > self._settings.memory * SECOND:
+            return None
+        base = self._last[1]
+        if self._on_torso:
+            return self._fixed.inverse @ base.inverse @ board
+        return self._fixed.inverse @ base @ board
+
+    def _fix(
+        self, stamp: int, board: Transform, seen: Transform, pose: BoardPose, markers: int
+    ) -> MarkerFix:
+        base = self._base(board, seen)
+        covariance = self._pose_covariance(board, seen, pose.covariance)
+        velocity, rate, twist = self._twist(stamp, base, np.diag(covariance))
+        self._last = stamp, base, np.diag(covariance)
+        return MarkerFix(
+            stamp,
+            base.position,
+            base.quaternion,
+            velocity,
+            rate,
+            covariance,
+            twist,
+            markers,
+            pose.error * self._camera.focal,
+        )
+
+    def _pose_covariance(self, board: Transform, seen: Transform, covariance: Array) -> Array:
+        """Covariance (6, 6) of base_link in odom from that of the board in the optical frame.
+
+        With d, the error of the rotation, and e, that of the position, of the board in the camera:
+        on the torso R_c = R_ob R_s^T: the angle's error is -R_c d, that of the position
+        R_c (-e) + (-R_c d) x (p - p_board) with the board as the centre. In the world it is R_c d
+        and R_c e + R_c d x (p - p_board), with R_c = R_odom_camera.
+        """
+        base = self._base(board, seen)
+        if self._on_torso:
+            to_odom, centre, sign = board.rotation @ seen.rotation.T, board.position, -1.0
+        else:
+            to_odom = self._fixed.rotation
+            centre, sign = self._fixed.apply(seen.position), 1.0
+        jacobian = np.zeros((6, 6))
+        jacobian[:3, :3] = jacobian[3:, 3:] = sign * to_odom
+        jacobian[:3, 3:] = -_cross(base.position - centre) @ (sign * to_odom)
+        return jacobian @ covariance @ jacobian.T
+
+    def _twist(self, stamp: int, base: Transform, variance: Array) -> tuple[Array, Array, Array]:
+        """Velocity and rate in base_link with their covariance; unknown for the first pose."""
+        s = self._settings
+        if self._last is None or not 0 < stamp - self._last[0] <= s.memory * SECOND:
+            return np.zeros(3), np.zeros(3), np.diag(np.full(6, 1e6))
+        before, dt = self._last[1], (stamp - self._last[0]) / SECOND
+        velocity = base.rotation.T @ (base.position - before.position) / dt
+        turn = Rotation.from_matrix(before.rotation.T @ base.rotation).as_rotvec() / dt
+        late = np.repeat([s.acceleration * dt / 2, s.angular_acceleration * dt / 2], 3)
+        noise = (variance + self._last[2]) / dt**2
+        return velocity, turn, np.diag(noise + late**2)
+
+
+def _corners(corners: dict[int, Array], found: Detection) -> tuple[Array, Array]:
+    """Corners (n, 3) of a board's markers that were found, and their rays (n, 2)."""
+    ids = [number for number in found.ids if number in corners]
+    if not ids:
+        return np.zeros((0, 3)), np.zeros((0, 2))
+    points = np.concatenate([corners[number] for number in ids])
+    return points, np.concatenate([found.rays[found.ids.index(number)] for number in ids])
+
+
+def _cross(v: Array) -> Array:
+    x, y, z = v
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -1,0 +1,118 @@
+"""Pose of a board in a camera from the rays of its corners, with its covariance.
+
+A plane seen nearly from the front or from afar has two poses that explain it about as well,
+mirrored at the line of sight (Collins, Bartoli, "Infinitesimal plane-based pose estimation", 2014:
+IPPE).
+Both are returned, each refined by Gauss-Newton on the reprojection error
+
+    e = sum |pi(R X + t) - x|^2,   pi(X, Y, Z) = (X / Z, Y / Z)
+
+whose normal matrix gives the covariance s^2 (J^T J)^-1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from slot_core.robot import Array
+from slot_core.vision.frames import Transform
+
+ITERATIONS = 6
+CERTAIN = 5.0  # error of the second pose over the first's from which it is not refined
+
+
+@dataclass(frozen=True)
+class BoardPose:
+    """Pose of a board in the optical frame."""
+
+    transform: Transform
+    covariance: Array  # (6, 6) of the position (m) and of the rotation vector in the optical frame
+    error: float  # RMS distance of the corners from where they should be, of focal length one
+    other: Transform | None  # the second pose of the plane
+    ratio: float  # its error over the first one's; infinite if there is none
+
+
+def board_poses(points: Array, rays: Array, noise: float) -> BoardPose | None:
+    """The pose from corners (n, 3), m in the board's plane z = 0, and their rays (n, 2).
+
+    noise: smallest standard deviation of a ray's coordinate. None if no pose is found with the
+    board before the camera.
+    """
+    try:
+        count, turns, places, given = cv2.solvePnPGeneric(
+            points, rays[:, None], np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
+        )
+    except cv2.error:
+        return None
+    found = []
+    errors = np.ravel(given)
+    tried = 1 if count > 1 and errors[1] > CERTAIN * max(errors[0], noise) else count
+    for turn, place in zip(turns[:tried], places[:tried]):
+        start = Transform(
+            np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(place, np.float64).ravel()
+        )
+        refined = _refined(start, points, rays)
+        if refined is not None:
+            found.append(refined)
+    if not found:
+        return None
+    found.sort(key=lambda item: item[0])
+    error, transform, normal = found[0]
+    spread = max(noise, error * np.sqrt(2 * len(rays) / max(2 * len(rays) - 6, 1)) / np.sqrt(2))
+    other, ratio = None, np.inf
+    if len(found) > 1 and _angle(found[1][1], transform) > 1e-3:
+        other, ratio = found[1][1], found[1][0] / max(error, noise)
+    return BoardPose(transform, spread**2 * np.linalg.inv(normal), error, other, float(ratio))
+
+
+def _refined(start: Transform, points: Array, rays: Array) -> tuple[float, Transform, Array] | None:
+    """RMS error, pose and normal matrix (6, 6) after Gauss-Newton; None without a solution."""
+    pose = start
+    for _ in range(ITERATIONS):
+        turned = points @ pose.rotation.T
+        residual, jacobian = _residual(turned, turned + pose.position, rays)
+        normal = jacobian.T @ jacobian
+        try:
+            step = np.linalg.solve(normal, -jacobian.T @ residual)
+        except np.linalg.LinAlgError:
+            return None
+        turn = Rotation.from_rotvec(step[3:]).as_matrix()
+        pose = Transform(turn @ pose.rotation, pose.position + step[:3])
+        if np.abs(step).max() < 1e-8:
+            break
+    turned = points @ pose.rotation.T
+    seen = turned + pose.position
+    residual, jacobian = _residual(turned, seen, rays)
+    usable = np.isfinite(residual).all() and (seen[:, 2] > 0).all()
+    normal = jacobian.T @ jacobian
+    if not usable or np.linalg.cond(normal) > 1e14:
+        return None
+    return float(np.sqrt(2 * np.mean(residual**2))), pose, normal
+
+
+def _residual(turned: Array, seen: Array, rays: Array) -> tuple[Array, Array]:
+    """Residuals (2n,) and their derivatives (2n, 6) by position and rotation vector."""
+    x, y, z = seen.T
+    residual = np.stack([x / z, y / z], axis=1) - rays
+    by_point = np.zeros((len(seen), 2, 3))
+    by_point[:, 0, 0] = by_point[:, 1, 1] = 1 / z
+    by_point[:, 0, 2], by_point[:, 1, 2] = -x / z**2, -y / z**2
+    x, y, z = turned.T[:, :, None]
+    g_x, g_y, g_z = np.moveaxis(by_point, 2, 0)
+    by_turn = np.stack([y * g_z - z * g_y, z * g_x - x * g_z, x * g_y - y * g_x], axis=2)
+    return residual.ravel(), np.concatenate([by_point, by_turn], axis=2).reshape(-1, 6)
+
+
+def _angle(a: Transform, b: Transform) -> float:
+    return float(Rotation.from_matrix(a.rotation.T @ b.rotation).magnitude())
+
+
+def nearest(pose: BoardPose, expected: Transform) -> Transform:
+    """Of the two poses the one whose attitude is nearer to an expected one."""
+    if pose.other is None or _angle(pose.transform, expected) <= _angle(pose.other, expected):
+        return pose.transform
+    return pose.other

@@ -1,0 +1,167 @@
+"""Synthetic camera: pictures of flat printed surfaces, with distortion, blur and noise.
+
+A pixel looks along its undistorted ray; where that meets a surface gives the grey level. Each pixel
+is the mean of SAMPLES x SAMPLES rays. Surfaces do not cast shadows; the nearer hides the farther,
+by the distance of its middle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from slot_core.robot import Array
+from slot_core.vision.board import Picture
+from slot_core.vision.camera import Camera
+
+SAMPLES = 2  # rays per pixel and axis
+GRID = 16  # samples between two rays that are computed; those between are interpolated
+NEAREST = 0.02  # m, of a surface
+GREY, BLACK, WHITE = 120, 25, 225  # of the background, of ink and paper
+PAD = 3  # samples around a surface
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A printed sheet: its picture and its corners, clockwise from the picture's top left."""
+
+    print: Picture  # (h, w), black 0 to white 255
+    corners: Array  # (4, 3) m in the optical frame
+    velocity: Array | None = None  # (4, 3) m/s of the corners
+
+    @property
+    def faces_camera(self) -> bool:
+        """Whether its front is before the camera."""
+        a, b, _, d = self.corners
+        return bool((self.corners[:, 2] > NEAREST).all() and np.cross(b - a, d - a) @ a > 0)
+
+
+@dataclass(frozen=True)
+class Imperfections:
+    """What a picture of a real camera has beside the distortion."""
+
+    noise: float = 2.0  # standard deviation, grey levels of 255
+    blur: float = 0.6  # px, standard deviation of the lens' blur
+    exposure: float = 0.004  # s
+
+
+class SyntheticCamera:
+    """Renders pictures of a camera."""
+
+    def __init__(
+        self, camera: Camera, imperfections: Imperfections, rng: np.random.Generator
+    ) -> None:
+        self.camera, self._made = camera, imperfections
+        self._rng = rng
+        self._rays = _rays(camera)
+        shape = (camera.height + 64, camera.width + 64)
+        noise = imperfections.noise * rng.standard_normal(shape, np.float32)
+        self._noise = noise.round().astype(np.int16)
+
+    def picture(self, surfaces: list[Surface]) -> Picture:
+        """The picture (h, w) at mid exposure."""
+        canvas = np.full(self._rays.shape[:2], GREY, np.uint8)
+        order = sorted(surfaces, key=lambda s: -float(np.linalg.norm(s.corners.mean(axis=0))))
+        for surface in order:
+            if surface.faces_camera:
+                self._paint(canvas, surface)
+        size = (self.camera.width, self.camera.height)
+        picture = cv2.resize(canvas, size, interpolation=cv2.INTER_AREA)
+        if self._made.blur > 0:
+            picture = cv2.GaussianBlur(picture, (0, 0), self._made.blur)
+        y, x = self._rng.integers(0, 64, 2)
+        noise = self._noise[y : y + size[1], x : x + size[0]]
+        return np.asarray(cv2.add(picture, noise, dtype=cv2.CV_8U), np.uint8)
+
+    def depth(self, surfaces: list[Surface], noise: float) -> np.ndarray:
+        """Depth along the optical axis as a RealSense gives it, uint16 (h, w), mm; zero: none.
+
+        noise: standard deviation, m, of every pixel.
+        """
+        depth = np.zeros((self.camera.height, self.camera.width))
+        rays = self._rays[::SAMPLES, ::SAMPLES]
+        for surface in sorted(surfaces, key=lambda s: -float(s.corners[:, 2].mean())):
+            if not surface.faces_camera:
+                continue
+            outline = np.round(self.camera.project(surface.corners)).astype(np.int32)
+            mask = np.zeros(depth.shape, np.uint8)
+            cv2.fillConvexPoly(mask, outline, 1)
+            a, b, _, d = surface.corners
+            normal = np.cross(b - a, d - a)
+            inside = mask > 0
+            along = rays[inside] @ normal[:2] + normal[2]
+            depth[inside] = normal @ a / along
+        seen = depth > 0
+        depth[seen] += noise * self._rng.standard_normal(int(seen.sum()))
+        return np.clip(np.round(1e3 * depth), 0, 65535).astype(np.uint16)
+
+    def _paint(self, canvas: Picture, surface: Surface) -> None:
+        """Paint a surface on the canvas of samples, and blur it by its motion."""
+        edge = np.linspace(0, 1, 9)[:-1, None]
+        ahead = np.roll(surface.corners, -1, axis=0)
+        outline = np.concatenate([a + edge * (b - a) for a, b in zip(surface.corners, ahead)])
+        pixels = SAMPLES * (self.camera.project(outline) + 0.5)
+        blur = self._motion(surface)
+        pad = PAD + int(np.ceil(np.abs(blur).max()))
+        low = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - pad, 0)
+        high = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + pad, canvas.shape[::-1])
+        if (high <= low).any():
+            return
+        place = (slice(low[1], high[1]), slice(low[0], high[0]))
+        height, width = surface.print.shape
+        sheet = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32) - 0.5
+        rays = (surface.corners[:, :2] / surface.corners[:, 2:]).astype(np.float32)
+        to_sheet = cv2.getPerspectiveTransform(rays, sheet.astype(np.float32))
+        places = cv2.perspectiveTransform(np.ascontiguousarray(self._rays[place]), to_sheet)
+        ink = BLACK + (WHITE - BLACK) / 255 * surface.print
+        part = np.ascontiguousarray(canvas[place])
+        cv2.remap(
+            ink.astype(np.uint8), places, np.empty(0), cv2.INTER_LINEAR, part,
+            cv2.BORDER_TRANSPARENT,
+        )  # fmt: skip
+        canvas[place] = _moved(part, blur)
+
+    def _motion(self, surface: Surface) -> Array:
+        """(2,) samples, way of a surface in the picture during the exposure."""
+        if surface.velocity is None:
+            return np.zeros(2)
+        way = self._made.exposure / 2 * surface.velocity
+        ends = [self.camera.project(surface.corners + sign * way) for sign in (-1, 1)]
+        return np.asarray(SAMPLES * (ends[1] - ends[0]).mean(axis=0), float)
+
+
+def _moved(picture: Picture, way: Array) -> Picture:
+    """The mean of a picture moved along a straight way (2,), centred, px."""
+    length = float(np.linalg.norm(way))
+    if length < 0.5:
+        return picture
+    half = int(np.ceil(length / 2)) + 1
+    steps = np.linspace(-0.5, 0.5, 4 * half + 1)[:, None] * way + half
+    kernel = np.zeros((2 * half + 1, 2 * half + 1))
+    for x, y in steps:  # bilinear
+        i, j = int(x), int(y)
+        u, v = x - i, y - j
+        kernel[j : j + 2, i : i + 2] += np.outer([1 - v, v], [1 - u, u])[
+            : kernel.shape[0] - j, : kernel.shape[1] - i
+        ]
+    return np.asarray(cv2.filter2D(picture, -1, kernel / kernel.sum()), np.uint8)
+
+
+def _rays(camera: Camera) -> np.ndarray:
+    """Undistorted rays (h, w, 2) of all samples, float32; linear between points of a grid."""
+    height, width = SAMPLES * camera.height, SAMPLES * camera.width
+    x = np.arange(0, width + GRID, GRID)
+    y = np.arange(0, height + GRID, GRID)
+    pixels = (np.stack(np.meshgrid(x, y), axis=-1) + 0.5) / SAMPLES - 0.5
+    coarse = camera.rays(pixels.astype(float))
+    fine_x, fine_y = np.meshgrid(np.arange(width) / GRID, np.arange(height) / GRID)
+    return np.asarray(
+        cv2.remap(
+            coarse.astype(np.float32),
+            fine_x.astype(np.float32),
+            fine_y.astype(np.float32),
+            cv2.INTER_LINEAR,
+        )
+    )
