@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rclpy.exceptions import InvalidNamespaceException
+from rclpy.exceptions import InvalidNamespaceException, InvalidTopicNameException
 from rclpy.validate_namespace import validate_namespace
+from rclpy.validate_topic_name import validate_topic_name
 
 from slot_bringup.graph import absolute
 from slot_core.config import ConfigError
@@ -36,6 +37,12 @@ def check(values: Mapping[str, Any]) -> None:
         raise ConfigError(f"lockstep: servos of hardware {hardware} move in real time")
     if values["lockstep"] and values["attended"]:
         raise ConfigError("lockstep has no supervisor, which attended needs")
+    if values["markers"] and hardware != "real" and not scene.sensors.camera.enabled:
+        raise ConfigError(f"markers: the scene {values['scene']} has no camera")
+    if values["calibration"]:
+        _check_calibration(Path(values["calibration"]))
+    for name in ("odometry_topic", "imu_topic"):
+        _check_topic(name, values[name])
     if hardware == "sim":
         for fault in scene.faults.values():
             require_simulated_legs(fault)
@@ -58,6 +65,24 @@ def check_namespace(namespace: str) -> None:
     except InvalidNamespaceException as error:
         reason = str(error).splitlines()[0]
         raise ConfigError(f"namespace = {namespace!r}: {reason}") from None
+
+
+def _check_calibration(file: Path) -> None:
+    """Raise ConfigError for a file that is no calibration of a camera."""
+    from slot_core.vision.camera import CameraError, read_camera  # noqa: PLC0415 - OpenCV
+
+    try:
+        read_camera(file)
+    except CameraError as error:
+        raise ConfigError(f"calibration {error}") from None
+
+
+def _check_topic(name: str, topic: str) -> None:
+    """Raise ConfigError for a name of a topic that ROS does not allow."""
+    try:
+        validate_topic_name(topic)
+    except InvalidTopicNameException as error:
+        raise ConfigError(f"{name} = {topic!r}: {str(error).splitlines()[0]}") from None
 
 
 def _check_new(bag: Path) -> None:

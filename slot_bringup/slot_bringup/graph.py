@@ -13,6 +13,7 @@ from typing import Any
 import yaml
 
 from slot_core.control.gait import STAND
+from slot_core.dynamics.scene import read_scene
 
 PATH = "path"
 KINDS: dict[str, type] = {"str": str, PATH: str, "int": int, "float": float, "bool": bool}
@@ -87,13 +88,15 @@ class Graph:
     def nodes(self, values: Mapping[str, Any]) -> list[NodeSpec]:
         """Nodes to start; `values` holds the value of every argument by name."""
         values = {**values, **_ports(values["hardware"], values["port"]), **_start_up(values)}
+        values |= _camera(values)
+        remappings = {name: _value(target, values) for name, target in self._remappings.items()}
         return [
             NodeSpec(
                 name=name,
                 package=entry["package"],
                 parameters=self._parameters(entry, values),
                 namespace=values["namespace"],
-                remappings=self._remappings,
+                remappings={a: b for a, b in remappings.items() if a != b},
             )
             for name, entry in self._nodes.items()
             if values["hardware"] in entry.get("hardware", [values["hardware"]])
@@ -105,10 +108,27 @@ class Graph:
         parameters = {**self._common, **entry.get("parameters", {})}
         for argument, extra in entry.get("parameters_with", {}).items():
             parameters |= extra if values[argument] else {}
-        for name, value in parameters.items():
-            if isinstance(value, str) and value.startswith("$"):
-                parameters[name] = values[value[1:]]
+        parameters = {name: _value(value, values) for name, value in parameters.items()}
         return {name: value for name, value in parameters.items() if value is not None}
+
+
+def _value(value: Any, values: Mapping[str, Any]) -> Any:
+    """A value of `graph.yaml`: that of an argument for $name."""
+    return values[value[1:]] if isinstance(value, str) and value.startswith("$") else value
+
+
+def _camera(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Whether pictures are localised, and what the camera stands on: None for what is configured.
+
+    The camera of a scene replaces its odometry.
+    """
+    if values["hardware"] == "real":
+        return {"carrier": None}
+    camera = read_scene(values["scene"]).sensors.camera
+    return {
+        "markers": values["markers"] or camera.enabled,
+        "carrier": camera.carrier if camera.enabled else None,
+    }
 
 
 def _ports(hardware: str, port: str | None) -> dict[str, str | None]:

@@ -4,6 +4,7 @@ NODES = (
     "dynamixel_driver",
     "force_mapper",
     "gait_scheduler",
+    "marker_localizer",
     "mpc_controller",
     "recorder",
     "sim_robot",

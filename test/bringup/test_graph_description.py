@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from slot_bringup.check import check
 from slot_bringup.graph import read_graph
 from slot_bringup.processes import command_line
 from slot_core.config import ConfigError
@@ -68,6 +69,35 @@ def test_real_servos_differ_from_emulated_ones_in_the_port_and_in_needing_an_ope
         expected = emulated[name].parameters | changes
         assert expected.pop("estop_required", False) is False  # config/supervisor.yaml has true
         assert spec.parameters == expected
+
+
+def test_a_scene_with_a_camera_starts_the_localiser_and_says_what_carries_the_camera(graph):
+    assert "marker_localizer" not in {s.name for s in graph.nodes(values(graph))}
+    nodes = {s.name: s for s in graph.nodes(values(graph, scene="marker_camera"))}
+    assert nodes["marker_localizer"].parameters["carrier"] == "torso"
+    real = {s.name: s for s in graph.nodes(values(graph, hardware="real", markers=True))}
+    assert "carrier" not in real["marker_localizer"].parameters  # that of vision.yaml
+
+
+def test_odometry_of_another_topic_is_remapped_in_every_node(graph):
+    topic = "/visual_slam/tracking/odometry"
+    for spec in graph.nodes(values(graph, odometry_topic=topic)):
+        assert f"odom:={topic}" in command_line(spec)
+        assert not any(text.startswith("imu:=") for text in command_line(spec))
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"markers": True}, "markers: the scene flat has no camera"),
+        ({"calibration": "nowhere.yaml"}, r"calibration nowhere\.yaml: No such file"),
+        ({"odometry_topic": "a b"}, r"odometry_topic = 'a b': Invalid topic name"),
+        ({"imu_topic": ""}, r"imu_topic = '': Invalid topic name"),
+    ],
+)
+def test_arguments_of_the_camera_and_topics_are_checked(graph, changes, reason):
+    with pytest.raises(ConfigError, match=reason):
+        check(values(graph, **changes))
 
 
 @pytest.mark.parametrize("hardware", ["sim", "fake_bus"])

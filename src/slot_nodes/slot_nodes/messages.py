@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from array import array
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import Point, Quaternion, TransformStamped, Vector3
 from nav_msgs.msg import Odometry
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import Imu, JointState
+from sensor_msgs.msg import CameraInfo, Image, Imu, JointState
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
@@ -32,6 +33,8 @@ from slot_msgs.srv import SetGait
 # rows of an estimate's covariance in the order of the messages': position, angle; linear, angular
 POSE_ORDER = [3, 4, 5, 0, 1, 2]
 TWIST_ORDER = [9, 10, 11, 6, 7, 8]
+OPTICAL_FRAME = "camera_optical_frame"
+LOST = 9999.0  # variance of lost odometry, as of RTAB-Map
 
 if TYPE_CHECKING:  # a node imports only the core modules that it runs
     from slot_core.control.force_map import TendonCommand
@@ -44,7 +47,9 @@ if TYPE_CHECKING:  # a node imports only the core modules that it runs
     from slot_core.safety.settings import ServoLimits
     from slot_core.safety.supervisor import Report
     from slot_core.simulation.plant import TrueState
-    from slot_core.simulation.sensors import ImuReading, OdometryReading
+    from slot_core.simulation.sensors import ImuReading, OdometryReading, PictureReading
+    from slot_core.vision.camera import Camera
+    from slot_core.vision.localizer import MarkerFix
 
 
 def ns_to_stamp(ns: int) -> Time:
@@ -77,13 +82,56 @@ def _quaternion(xyzw: Array) -> Quaternion:
 
 
 def odometry_to_msg(reading: OdometryReading) -> Odometry:
-    """Pose in odom, twist in base_link."""
-    message = Odometry(header=header(reading.stamp), child_frame_id=BASE_FRAME)
-    x, y, z = (float(v) for v in reading.position)
+    """Pose in odom, twist in base_link; or that it is lost."""
+    r = reading
+    return _odometry(r.stamp, r.position, r.quaternion, r.velocity, r.angular_velocity)
+
+
+def fix_to_odometry(fix: MarkerFix) -> Odometry:
+    """Pose of base_link in odom and twist in base_link from markers, with covariances."""
+    message = _odometry(*fix.odometry[:5])
+    message.pose.covariance = fix.pose_covariance.ravel()
+    message.twist.covariance = fix.twist_covariance.ravel()
+    return message
+
+
+def lost_odometry(stamp: int) -> Odometry:
+    """That there is no pose at `stamp` (ns)."""
+    return _odometry(stamp, np.zeros(3), np.zeros(4), np.zeros(3), np.zeros(3))
+
+
+def _odometry(
+    stamp: int, position: Array, quaternion: Array, velocity: Array, rate: Array
+) -> Odometry:
+    """Odometry without covariance; without a quaternion with that of RTAB-Map when it is lost."""
+    message = Odometry(header=header(stamp), child_frame_id=BASE_FRAME)
+    x, y, z = (float(v) for v in position)
     message.pose.pose.position = Point(x=x, y=y, z=z)
-    message.pose.pose.orientation = _quaternion(reading.quaternion)
-    message.twist.twist.linear = _vector(reading.velocity)
-    message.twist.twist.angular = _vector(reading.angular_velocity)
+    message.pose.pose.orientation = _quaternion(quaternion)
+    message.twist.twist.linear = _vector(velocity)
+    message.twist.twist.angular = _vector(rate)
+    if not quaternion.any():
+        lost = (LOST * np.eye(6)).ravel()
+        message.pose.covariance, message.twist.covariance = lost, lost
+    return message
+
+
+def picture_to_msg(reading: PictureReading) -> Image:
+    """Grey picture, mono8."""
+    height, width = reading.grey.shape
+    message = Image(header=header(reading.stamp, OPTICAL_FRAME), height=height, width=width)
+    message.encoding, message.step = "mono8", width
+    message.data = array("B", reading.grey.tobytes())
+    return message
+
+
+def camera_to_msg(stamp: int, camera: Camera) -> CameraInfo:
+    """Calibration of a camera."""
+    message = CameraInfo(header=header(stamp, OPTICAL_FRAME))
+    message.width, message.height = camera.width, camera.height
+    message.distortion_model, message.d = camera.model, camera.distortion.tolist()
+    message.k, message.r = camera.matrix.ravel(), np.eye(3).ravel()
+    message.p = np.hstack([camera.matrix, np.zeros((3, 1))]).ravel()
     return message
 
 

@@ -1,8 +1,8 @@
 """Quality of service of the graph's topics.
 
 All data are reliable, because lockstep runs and replays must not lose a message. For a sensor that
-publishes best effort, the subscriptions to `/odom`, `/imu` and `/cmd_vel` declare `qos_overrides`
-parameters.
+publishes best effort, the subscriptions to `/odom`, `/imu`, `/cmd_vel` and the camera declare
+`qos_overrides` parameters.
 """
 
 from rclpy.qos import (
@@ -28,6 +28,14 @@ CONTROL = QoSProfile(
 )
 """Topics of the controller; a late subscriber also receives the last messages, so that the first
 tick of a run reaches every node and the bag in any order of discovery."""
+
+PICTURE = QoSProfile(
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+    history=HistoryPolicy.KEEP_LAST,
+    depth=2,
+)
+"""Pictures of a camera, some megabytes each: a slow subscriber gets the newest."""
 
 STATE = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,

@@ -29,7 +29,7 @@ from rcl_interfaces.msg import IntegerRange
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock as ClockMessage
-from sensor_msgs.msg import Imu, JointState
+from sensor_msgs.msg import CameraInfo, Image, Imu, JointState
 from std_msgs.msg import Bool
 
 from slot_core.bags import decode
@@ -51,7 +51,7 @@ from slot_core.simulation.clocks import (
     SimulationClock,
 )
 from slot_core.simulation.plant import Plant, Reading, TrueState
-from slot_core.simulation.sensors import ImuReading, OdometryReading
+from slot_core.simulation.sensors import ImuReading, OdometryReading, PictureReading
 from slot_core.simulation.simulated_servos import BusServos, DirectServos, GuardedServos, Servos
 from slot_msgs.msg import LegStates, RobotState, ServoLimits
 from slot_nodes import fault_service, inputs, messages, qos, runtime
@@ -62,6 +62,7 @@ REAL_TIME_PERIOD = 0.002  # s, between two advances of the simulation
 PORTION = 20_000_000  # ns, longest simulation per callback, so that commands are taken between
 BUS_PORTION = 4_000_000  # ns, so that the time of the servos stays close to that of the driver
 RECORDER = "recorder"
+PICTURES = "camera/image_raw"  # not recorded
 RECORDER_TIMEOUT = 5.0  # s after /recording; a topic without the recorder then is not recorded
 LAG_WARNING = 100_000_000  # ns behind real time
 
@@ -145,11 +146,17 @@ class SimRobotNode(Node):
                 runtime.publisher(self, JointState, "joint_states", qos.SENSOR),
                 messages.joints_to_msg,
             ),
-            OdometryReading: (
-                runtime.publisher(self, Odometry, "odom", qos.SENSOR),
-                messages.odometry_to_msg,
-            ),
         }
+        self._camera_info = None
+        if self._plant.camera is None:
+            odometry = runtime.publisher(self, Odometry, "odom", qos.SENSOR)
+            self._outputs[OdometryReading] = odometry, messages.odometry_to_msg
+        else:
+            picture = runtime.publisher(self, Image, PICTURES, qos.PICTURE)
+            self._outputs[PictureReading] = picture, messages.picture_to_msg
+            self._camera_info = runtime.publisher(
+                self, CameraInfo, "camera/camera_info", qos.PICTURE
+            )
         self._truth = runtime.publisher(self, Odometry, "ground_truth/odom", qos.SENSOR)
         self._legs = runtime.publisher(self, LegStates, "ground_truth/legs", qos.SENSOR)
 
@@ -178,7 +185,8 @@ class SimRobotNode(Node):
             readers = self.get_subscriptions_info_by_topic(publisher.topic_name)
             if publisher.get_subscription_count() < len(readers):
                 return False
-            if self._records and not late and RECORDER not in {r.node_name for r in readers}:
+            recorded = self._records and not publisher.topic_name.endswith(PICTURES)
+            if recorded and not late and RECORDER not in {r.node_name for r in readers}:
                 return False
         return True
 
@@ -263,6 +271,10 @@ class SimRobotNode(Node):
             self._truth.publish(messages.odometry_to_msg(reading.odometry))
             self._legs.publish(messages.legs_to_msg(reading))
         else:
+            if self._camera_info is not None and isinstance(reading, PictureReading):
+                assert self._plant.camera is not None
+                info = messages.camera_to_msg(reading.stamp, self._plant.camera)
+                self._camera_info.publish(info)
             publisher, encode = self._outputs[type(reading)]
             publisher.publish(encode(reading))
 

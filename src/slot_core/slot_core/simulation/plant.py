@@ -33,6 +33,7 @@ from slot_core.simulation.tabulated_robot import TabulatedRobot
 
 if TYPE_CHECKING:
     from slot_core.simulation.camera_sensor import CameraSensor
+    from slot_core.vision.camera import Camera
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,11 @@ class Plant:
         self._faults: dict[tuple[str, str], Fault] = {}  # by kind and leg
         for fault in scene.faults.values():
             self._require_supported(fault)
+
+    @property
+    def camera(self) -> Camera | None:
+        """Calibration of the camera of the scene, if it has one."""
+        return None if self._camera is None else self._camera.camera
 
     def readings_at_rest(self, stamp: int) -> list[Reading]:
         """Readings of the frozen robot at `stamp` (ns), without delay; equal for equal stamps."""

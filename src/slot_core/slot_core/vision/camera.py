@@ -39,9 +39,19 @@ class Camera:
     distortion: Array  # (5,) or (8,)
 
     @property
+    def model(self) -> str:
+        """Name of the distortion model in ROS."""
+        return next(name for name, size in MODELS.items() if size == self.distortion.size)
+
+    @property
     def focal(self) -> float:
         """Mean focal length, px."""
         return float(self.matrix[0, 0] + self.matrix[1, 1]) / 2
+
+    def equals(self, other: Camera) -> bool:
+        """Whether all values are equal."""
+        mine, its = ([c.width, c.height, *c.matrix.ravel(), *c.distortion] for c in (self, other))
+        return mine == its
 
     def rays(self, pixels: Array) -> Array:
         """Undistorted x', y' (..., 2) of pixels (..., 2)."""
@@ -125,14 +135,13 @@ def read_camera(path: Path) -> Camera:
 
 def camera_text(camera: Camera, name: str = "camera") -> str:
     """Content of the calibration file of a camera."""
-    model = next(m for m, n in MODELS.items() if n == camera.distortion.size)
     projection = np.hstack([camera.matrix, np.zeros((3, 1))])
     content = {
         "image_width": camera.width,
         "image_height": camera.height,
         "camera_name": name,
         "camera_matrix": _matrix(camera.matrix),
-        "distortion_model": model,
+        "distortion_model": camera.model,
         "distortion_coefficients": _matrix(camera.distortion[None]),
         "rectification_matrix": _matrix(np.eye(3)),
         "projection_matrix": _matrix(projection),

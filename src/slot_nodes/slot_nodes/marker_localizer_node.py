@@ -1,0 +1,88 @@
+"""`/camera/image_raw` and `/camera/camera_info` to `/odom`: the torso's pose from markers.
+
+The parameter `carrier` says what the camera stands on. A picture without a usable pose gives an
+odometry that says it is lost, as RTAB-Map does: a quaternion of zeros and a covariance of 9999.
+"""
+
+from pathlib import Path
+
+import cv2
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo, Image
+
+from slot_core.bags import decode
+from slot_core.config import ConfigError
+from slot_core.control.state_estimator import read_estimator
+from slot_core.vision import picture_message
+from slot_core.vision.camera import Camera, CameraError, from_camera_info, read_camera
+from slot_core.vision.frames import Transform
+from slot_core.vision.localizer import MarkerFix, MarkerLocalizer
+from slot_core.vision.settings import read_vision
+from slot_nodes import inputs, messages, qos, runtime
+
+
+class MarkerLocalizerNode(Node):
+    """Localises the torso in every picture once the camera's calibration is known."""
+
+    def __init__(self) -> None:
+        super().__init__("marker_localizer")
+        cv2.setNumThreads(1)  # the other nodes need the cores
+        self._settings = runtime.declare_settings(self, read_vision())
+        mount = read_estimator().mounts.camera
+        self._mount = Transform.of(mount.position, mount.rpy)
+        file = runtime.declare(
+            self, "calibration", "", "file of scripts/calibrate_camera; empty: /camera_info"
+        )
+        self._localizer: MarkerLocalizer | None = None
+        self._camera: Camera | None = None
+        self._odometry = runtime.publisher(self, Odometry, "odom", qos.SENSOR)
+        if file:
+            self._use(_calibration(file))
+        else:
+            inputs.subscribe(
+                self, CameraInfo, "camera/camera_info", self._on_info, qos.PICTURE, overridable=True
+            )
+        inputs.subscribe(
+            self, Image, "camera/image_raw", self._on_picture, qos.PICTURE, overridable=True
+        )
+
+    def _on_info(self, message: CameraInfo) -> None:
+        """Take the calibration, and a new one if it changes."""
+        camera = from_camera_info(
+            message.width, message.height, message.distortion_model, message.d, message.k
+        )
+        if self._camera is None or not camera.equals(self._camera):
+            self._use(camera)
+
+    def _use(self, camera: Camera) -> None:
+        self._camera = camera
+        self._localizer = MarkerLocalizer(self._settings, camera, self._mount)
+        self.get_logger().info(
+            f"camera of {camera.width} x {camera.height} px, f = {camera.focal:.1f} px,"
+            f" on the {self._settings.carrier}"
+        )
+
+    def _on_picture(self, message: Image) -> None:
+        if self._localizer is None:
+            raise ValueError("no calibration: no usable /camera_info has arrived")
+        fix = self._localizer.locate(decode.stamp(message), picture_message.grey(message))
+        if isinstance(fix, MarkerFix):
+            self._odometry.publish(messages.fix_to_odometry(fix))
+            return
+        self._odometry.publish(messages.lost_odometry(fix.stamp))
+        self.get_logger().warning(
+            f"picture at {fix.stamp * 1e-9:.3f} s: {fix.reason}", throttle_duration_sec=1.0
+        )
+
+
+def _calibration(file: str) -> Camera:
+    try:
+        return read_camera(Path(file))
+    except CameraError as error:
+        raise ConfigError(f"marker_localizer: calibration {error}") from None
+
+
+def main() -> None:
+    """Entry point of the node."""
+    runtime.run(MarkerLocalizerNode)
