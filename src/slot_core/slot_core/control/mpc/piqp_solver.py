@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import piqp
 
@@ -37,16 +39,19 @@ class PiqpSolver:
     def solve(self) -> Solution:
         """Solve the problem with its present values."""
         self._solver.update(A=self._qp.A, G=self._qp.G, **self._vectors())
-        status = self._solver.solve()
-        count = int(self._solver.result.info.iter)
-        z = np.array(self._solver.result.x)
-        fault = ""
-        if status != piqp.PIQP_SOLVED:
-            fault = f"{status.name} after {count} iterations"
-            self._set_up()  # else a NaN in its work space fails every later solve
-        return Solution(z, fault, count)
+        return solution(self._solver, self._set_up)
 
     def _vectors(self) -> dict[str, Array]:
         """The vectors that change from tick to tick."""
         qp = self._qp
         return {"c": qp.c, "b": qp.b.ravel(), "h_u": qp.h, "x_u": qp.upper.ravel()}
+
+
+def solution(solver: piqp.DenseSolver | piqp.SparseSolver, set_up: Callable[[], None]) -> Solution:
+    """Solve; set the solver up anew where it fails, else a NaN stays in its work space."""
+    status = solver.solve()
+    z, count = np.array(solver.result.x), int(solver.result.info.iter)
+    if status == piqp.PIQP_SOLVED:
+        return Solution(z, "", count)
+    set_up()
+    return Solution(z, f"{status.name} after {count} iterations", count)

@@ -48,6 +48,7 @@ from slot_core.config import quantity
 from slot_core.control.gait import GaitPreview
 from slot_core.control.leg_springs import LegSprings
 from slot_core.control.mpc.model import FEET, Horizon
+from slot_core.control.mpc.piqp_solver import solution
 from slot_core.control.mpc.posture_kernels import condense, predict
 from slot_core.control.mpc.solver import Solution
 from slot_core.robot import GRAVITY, Array, Robot
@@ -330,14 +331,7 @@ class PostureSolver:
     def solve(self) -> Solution:
         """Solve with the present values; raises nothing."""
         self._solver.update(**self._values())
-        status = self._solver.solve()
-        count = int(self._solver.result.info.iter)
-        z = np.array(self._solver.result.x)
-        fault = ""
-        if status != piqp.PIQP_SOLVED:
-            fault = f"{status.name} after {count} iterations"
-            self._set_up()  # else a NaN in its work space fails every later solve
-        return Solution(z, fault, count)
+        return solution(self._solver, self._set_up)
 
     def _values(self) -> dict[str, Array]:
         return {
