@@ -30,6 +30,8 @@ ALLOWED = {
     "bags": "ground control control/mpc safety",
     "report": "ground control control/mpc bags",
     "calibration": "ground dynamics legs simulation report",
+    "validation": "ground bags report",
+    "twin": "ground dynamics simulation bags report calibration validation",
     "tuning": "ground dynamics control simulation",
 }
 # The controller combines the MPC with its other stages.

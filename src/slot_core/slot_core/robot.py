@@ -192,14 +192,15 @@ def read_robot(parameters: str = "") -> Robot:
     name = parameters or named
     for dotted, value in read_parameters(name).items():
         _insert(mapping, dotted, value, f"parameters/{name}.yaml")
-    return config.build(Robot, mapping, f"robot.yaml with parameters/{name}.yaml")
+    robot = config.build(Robot, mapping, f"robot.yaml with parameters/{name}.yaml")
+    return config.replace(robot, read_parameters(name, "robot"), f"parameters/{name}.yaml: robot")
 
 
 def read_parameters(name: str, part: str = "values") -> dict[str, Any]:
     """Values by dotted name from the set `config/parameters/<name>.yaml`; raises ConfigError.
 
-    part: `values` of the robot, which every set has, or those that a set may have of the `scene`
-    and of the `servo`, which replace those of the scene that names the set.
+    part: `values`, which every set has, or those that a set may have instead of those of the
+    `robot` in robot.yaml, of the `servo` in servo.yaml and of the `scene` that names the set.
     """
     mapping = config.load(f"parameters/{name}")
     given = mapping if isinstance(mapping, dict) else {}

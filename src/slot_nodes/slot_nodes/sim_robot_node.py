@@ -91,7 +91,7 @@ class SimRobotNode(Node):
             self, "bus", "", "port of emulated servos; empty: servos of servo.yaml"
         )
         settings = runtime.declare_settings(self, read_scene(scene), "scene.")
-        servo = runtime.declare_settings(self, read_servo(), "servo.")
+        servo = runtime.declare_settings(self, read_servo(settings.parameters), "servo.")
         self.get_logger().info("preparing; a first start compiles the dynamics, about 10 s")
         try:
             self._plant = self._make_plant(settings, servo, seed, bool(link))
@@ -110,13 +110,13 @@ class SimRobotNode(Node):
         self._servos: Servos = self._make_servos(link)
 
     def _make_plant(self, scene: Scene, servo: ServoSettings, seed: int, bus: bool) -> Plant:
-        rng = np.random.default_rng(seed)
+        rng, robot = np.random.default_rng(seed), read_robot(scene.parameters)
         if not bus:
-            return Plant(read_robot(), scene, servo, rng)
+            return Plant(robot, scene, servo, rng)
         if self._lockstep:
             raise ConfigError("sim_robot: servos on a bus move in real time: no lockstep with them")
         settings, emulator = read_settings(), read_emulator()
-        return BusPlant(read_robot(), scene, servo, rng, settings=settings, emulator=emulator)
+        return BusPlant(robot, scene, servo, rng, settings=settings, emulator=emulator)
 
     def _make_clock(self) -> SimulationClock:
         if self._lockstep:

@@ -7,6 +7,13 @@ over the width of its bounds. With the Jacobian J = dr/du, residual variance s^2
 and covariance C = s^2 (J^T J)^-1, the interval of a coordinate is u +- t sqrt(C_kk), with t of
 Student's distribution at n - rank degrees of freedom (Seber and Wild, Nonlinear Regression, 1989,
 ch. 5). It linearises the model and neglects the bounds: at a bound it is a rough estimate.
+
+Residuals that belong together, as those of a stride, form one of K groups. With g_k = J_k^T r_k,
+
+    C = K / (K - rank) (J^T J)^-1 (sum_k g_k g_k^T) (J^T J)^-1
+
+at K - rank degrees of freedom (Cameron and Miller, A Practitioner's Guide to Cluster-Robust
+Inference, 2015, sec. II).
 """
 
 from __future__ import annotations
@@ -37,6 +44,7 @@ TRIALS = 60  # evaluations of a start, at most
 SCATTER = 1.0  # of the coordinates of further starts: a factor e, or the width of the bounds
 
 Predict = Callable[[Array], Array]  # values of the parameters (p,) to predictions (n,)
+PredictAll = Callable[[Sequence[Array]], Sequence[Array]]  # the same of several, in parallel
 
 
 class FitError(RuntimeError):
@@ -71,6 +79,7 @@ class FitProblem:
     predict: Predict
     measured: Array  # (n,)
     sigma: Array  # (n,)
+    predict_all: PredictAll | None = None  # by default one after the other
 
     def coordinates(self, values: Sequence[float] | Array) -> Array:
         """(p,) coordinates of values (p,)."""
@@ -92,16 +101,18 @@ class FitProblem:
     def jacobian(self, u: Array) -> Array:
         """(n, p) dr/du by central differences, one-sided at a bound; raises FitError."""
         low, high = self.bounds()
-        columns = []
-        for k, name in enumerate(p.name for p in self.parameters):
-            up, down = u.copy(), u.copy()
-            up[k], down[k] = min(u[k] + STEP, high[k]), max(u[k] - STEP, low[k])
-            try:
-                change = self.residuals(up) - self.residuals(down)
-            except PredictionError as error:
-                raise FitError(f"no derivative by {name}: {error}") from None
-            columns.append(change / (up[k] - down[k]))
-        return np.column_stack(columns)
+        up, down = (np.tile(u, (len(u), 1)) for _ in range(2))
+        np.fill_diagonal(up, np.minimum(u + STEP, high))
+        np.fill_diagonal(down, np.maximum(u - STEP, low))
+        try:
+            found = self._predictions([self.values(point) for point in (*up, *down)])
+        except PredictionError as error:
+            raise FitError(f"no derivative: {error}") from None
+        change = np.array(found[: len(u)]) - np.array(found[len(u) :])
+        return np.asarray((change / self.sigma / np.diag(up - down)[:, None]).T)
+
+    def _predictions(self, values: Sequence[Array]) -> Sequence[Array]:
+        return self.predict_all(values) if self.predict_all else [self.predict(v) for v in values]
 
 
 @dataclass(frozen=True)
@@ -124,7 +135,7 @@ class ParameterEstimate:
     values: Array  # (p,)
     predicted: Array  # (n,)
     chi_square: float  # r.r
-    freedom: int  # n - rank
+    freedom: int  # n - rank, or of groups K - rank
     interval: Array  # (p, 2), 95 % interval: least and largest value
     correlation: Array  # (p, p), of the coordinates
     condition: float  # of the Jacobian with columns of length one
@@ -203,23 +214,35 @@ def _fit_from(problem: FitProblem, start: Array) -> FitResult:
     return FitResult(problem.values(u), float(2 * end.cost), bool(end.status))
 
 
-def estimate(problem: FitProblem, values: Sequence[float] | Array) -> ParameterEstimate:
-    """Intervals and correlation at given values (p,); raises PredictionError, FitError."""
+def estimate(
+    problem: FitProblem, values: Sequence[float] | Array, groups: NDArray[np.intp] | None = None
+) -> ParameterEstimate:
+    """Intervals and correlation at given values (p,); raises PredictionError, FitError.
+
+    groups: (n,) number of the group of each residual; by default each is one of its own.
+    """
     u, (low, high) = problem.coordinates(values), problem.bounds()
     residual, jacobian = problem.residuals(u), problem.jacobian(u)
     length = np.linalg.norm(jacobian, axis=0)
     length[length == 0.0] = 1.0
-    _, singular, directions = np.linalg.svd(jacobian / length)
+    scaled = jacobian / length
+    left, singular, directions = np.linalg.svd(scaled, full_matrices=len(residual) < len(u))
     singular = np.append(singular, np.zeros(len(u) - len(singular)))
     significant = singular > RANK * singular[0]
-    freedom = len(residual) - int(significant.sum())
-    chi_square = float(residual @ residual)
-    scaled = directions[significant].T / singular[significant]
-    covariance = scaled @ scaled.T / np.outer(length, length)
+    chi_square, rank = float(residual @ residual), int(significant.sum())
     determined = np.all(np.abs(directions[~significant]) < NULL_SHARE, axis=0)
+    inverse = directions[significant].T / singular[significant] / length[:, None]
+    if groups is None:
+        freedom = len(residual) - rank
+        covariance = inverse @ inverse.T * (chi_square / max(freedom, 1))
+    else:
+        moved = inverse @ (left[:, : len(u)].T[significant] * residual)  # (p, n), by each residual
+        sums = np.array([moved[:, groups == k].sum(axis=1) for k in np.unique(groups)])
+        freedom = max(len(sums) - rank, 0)
+        covariance = sums.T @ sums * (len(sums) / max(freedom, 1))
     width = np.full(len(u), np.nan)
     if freedom:
-        deviation = np.sqrt(chi_square / freedom * np.diag(covariance))
+        deviation = np.sqrt(np.diag(covariance))
         width = np.where(determined, student.ppf((1 + LEVEL) / 2, freedom) * deviation, np.nan)
     return ParameterEstimate(
         values=problem.values(u),

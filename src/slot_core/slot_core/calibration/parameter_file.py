@@ -112,12 +112,12 @@ def _line(line: ForceLine) -> dict[str, Any]:
     }
 
 
-def write(path: Path, content: Mapping[str, Any]) -> None:
+def write(path: Path, content: Mapping[str, Any], head: str = HEAD) -> None:
     """Write the file and create its directory if necessary; raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     values, rest = {"values": content["values"]}, {k: content[k] for k in content if k != "values"}
     body = yaml.safe_dump(rest, sort_keys=False, default_flow_style=None, width=WIDTH)
-    path.write_text(HEAD + yaml.safe_dump(values, sort_keys=False) + body)
+    path.write_text(head + yaml.safe_dump(values, sort_keys=False) + body)
 
 
 def table(content: Mapping[str, Any]) -> list[str]:

@@ -9,6 +9,7 @@ from typing import Any
 from slot_core import config
 from slot_core.config import ConfigError, choice, flag, quantity, text
 from slot_core.faults import Fault
+from slot_core.robot import read_parameters
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,6 @@ class SolverSettings:
 
 
 @dataclass(frozen=True)
-@dataclass(frozen=True)
 class Dropout:
     """A time without odometry, in which a visual SLAM publishes that it is lost."""
 
@@ -115,6 +115,7 @@ class Jump:
     yaw: float = quantity("turn about the origin of odom", "rad", -3.15, 3.15)
 
 
+@dataclass(frozen=True)
 class OdometrySettings:
     """Pose and twist as published by a visual SLAM, with its drift, losses and jumps."""
 
@@ -124,7 +125,6 @@ class OdometrySettings:
     orientation_noise: float = quantity("standard deviation per axis", "rad", 0.0, 1.0)
     velocity_noise: float = quantity("standard deviation per axis", "m/s", 0.0, 10.0)
     rate_noise: float = quantity("standard deviation per axis", "rad/s", 0.0, 10.0)
-
     jitter: float = quantity("largest deviation of the delay", "s", 0.0, 1.0)
     position_drift: float = quantity("random walk per axis", "m/sqrt(s)", 0.0, 1.0)
     yaw_drift: float = quantity("random walk", "rad/sqrt(s)", 0.0, 1.0)
@@ -146,6 +146,7 @@ class CameraSettings:
     blur: float = quantity("standard deviation of the lens' blur", "px", 0.0, 20.0)
     exposure: float = quantity("exposure time", "s", 0.0, 0.1)
 
+
 @dataclass(frozen=True)
 class ImuSettings:
     """Gyroscope and accelerometer at the torso's centre."""
@@ -162,8 +163,8 @@ class SensorSettings:
     """Odometry or camera, IMU, tendon encoders and ground truth."""
 
     odometry: OdometrySettings
-    imu: ImuSettings
     camera: CameraSettings
+    imu: ImuSettings
     joints: bool = flag("whether tendon angles are measured")
     joint_period: float = quantity("period of the tendon angles", "s", 1e-3, 1.0)
     truth: bool = flag("whether exact motion, forces and shapes are published")
@@ -193,15 +194,16 @@ class Scene:
     gravity: tuple[float, float, float] = quantity(
         "gravity in odom, z normal to the floor", "m/s^2", -50, 50
     )
+    parameters: str = text("set of config/parameters of the robot in it; empty: robot.yaml's")
 
     def __post_init__(self) -> None:
         """Raise ConfigError if a sensor's period is shorter than the time step: it never ends."""
         sensors, step = self.sensors, self.solver.step
         periods = {
             "sensors.odometry.period": sensors.odometry.period,
+            "sensors.camera.period": sensors.camera.period if sensors.camera.enabled else math.inf,
             "sensors.imu.period": sensors.imu.period if sensors.imu.enabled else math.inf,
             "sensors.joint_period": sensors.joint_period if sensors.joints else math.inf,
-            "sensors.camera.period": sensors.camera.period if sensors.camera.enabled else math.inf,
         }
         for name, period in periods.items():
             if period < step:
@@ -212,14 +214,18 @@ def read_scene(name: str) -> Scene:
     """The scene of `config/scene/<name>.yaml`.
 
     A file with `like: OTHER` holds, by dotted name, only what it changes of that other scene.
-    `solver: NAME` stands for the settings of `config/solver/NAME.yaml`. Raises ConfigError; for an
-    unknown name it lists the known ones.
+    `solver: NAME` stands for the settings of `config/solver/NAME.yaml`. `parameters: NAME` stands
+    for the `scene` values of that set of `config/parameters`, unless the file has its own. Raises
+    ConfigError; for an unknown name it lists the known ones.
     """
     mapping, where = _load(name), f"scene/{name}.yaml"
     if not isinstance(mapping, dict) or "like" not in mapping:
         return config.build(Scene, mapping, where)
     other = mapping.pop("like")
     base = config.build(Scene, _load(other), f"scene/{other}.yaml")
+    identified = mapping.get("parameters")
+    if isinstance(identified, str) and identified:
+        mapping = read_parameters(identified, "scene") | mapping
     return config.replace(base, mapping, where)
 
 

@@ -27,6 +27,7 @@ from slot_core import config
 from slot_core.compiled import helper
 from slot_core.config import choice, quantity
 from slot_core.dynamics.lanes import like, where
+from slot_core.robot import read_parameters
 
 
 @dataclass(frozen=True)
@@ -59,9 +60,15 @@ class Servo(NamedTuple):
     play: float  # rad, half the backlash
 
 
-def read_servo() -> ServoSettings:
-    """The servo of `config/servo.yaml`; raises ConfigError."""
-    return config.read(ServoSettings, "servo")
+def read_servo(parameters: str = "") -> ServoSettings:
+    """The servo of `config/servo.yaml`, changed by a set of `config/parameters` if one is named.
+
+    Raises ConfigError.
+    """
+    settings = config.read(ServoSettings, "servo")
+    if not parameters:
+        return settings
+    return config.replace(settings, read_parameters(parameters, "servo"), f"{parameters}: servo")
 
 
 def servo(settings: ServoSettings) -> Servo:

@@ -61,7 +61,7 @@ class ClosedLoop:
         for name in given:
             if name.partition(".")[0] not in CHANGEABLE:
                 raise config.ConfigError(f"{name}: expected one of {', '.join(CHANGEABLE)}")
-        nominal = read_robot()
+        nominal, simulated = read_robot(), read_scene(scene)
         mpc = config.replace(read_mpc(profile), {"acceptance.time_budget": math.inf})
         self.controller = Controller(
             nominal,
@@ -72,12 +72,12 @@ class ClosedLoop:
             path,
             gaits=_changed(read_gaits(), "gait", given),
         )
-        scenery = _changed(read_scene(scene), "scene", given)
+        scenery = _changed(simulated, "scene", given)
         self._localizer = make_localizer(scenery.sensors.camera)
         self.plant = make(
-            _changed(nominal, "robot", given),
+            _changed(read_robot(simulated.parameters), "robot", given),
             scenery,
-            _changed(read_servo(), "servo", given),
+            _changed(read_servo(simulated.parameters), "servo", given),
             np.random.default_rng(seed),
         )
         begin, duration = lost_odometry

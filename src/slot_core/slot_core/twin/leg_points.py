@@ -1,0 +1,31 @@
+"""Predicted places of torso and legs as CSV: `time,point,x,y,z`, as scripts/validate reads it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from slot_core.robot import LEGS
+from slot_core.twin.replay_robot import ModelParts, Recorded, replay
+from slot_core.twin.settings import TwinSettings
+from slot_core.validation.recording import LEG_POINTS, at_shares, write_points
+
+PERIOD = 1 / 30  # s, between two rows of a point
+
+
+def write(recorded: Recorded, parts: ModelParts, settings: TwinSettings, path: Path) -> None:
+    """Write the predicted places of torso and leg points at 30 Hz; raises OSError."""
+    rows: dict[str, list[tuple[float, ...]]] = {}
+    due = -np.inf
+    for t, sim in replay(recorded, parts, settings):
+        if t < due:
+            continue
+        due = t + PERIOD - settings.hold / 2
+        rows.setdefault("torso", []).append((t, *sim.position))
+        for leg, nodes in zip(LEGS, sim.nodes):
+            for name, place in zip(LEG_POINTS, at_shares(nodes)):
+                rows.setdefault(f"{leg}_{name}", []).append((t, *place))
+    write_points(
+        path, {name: np.array(part) for name, part in rows.items()}, ["Predicted by scripts/twin"]
+    )

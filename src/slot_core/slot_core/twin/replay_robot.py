@@ -1,0 +1,178 @@
+"""Replay: recorded tendon angles on the simulated robot, from the recorded start.
+
+Measured angles are imposed: the spool follows their linear interpolation, whatever the load. Each
+value is held for h and reached with the lag h / 2, which makes up for giving it h / 2 too early.
+Commands are held until the next one and pass through the model of the servo.
+
+The robot settles under the first angles and is moved to the recorded place and heading. The shapes
+of the legs are not measured; those of another start are forgotten within the run-in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from slot_core import config
+from slot_core.bags.bag import Bag
+from slot_core.bags.measured import TendonAngles, measured_motion, tendon_angles
+from slot_core.bags.walk import Motion, stride_period
+from slot_core.config import ConfigError
+from slot_core.dynamics.scene import Scene, read_scene
+from slot_core.dynamics.servo import ServoSettings, read_servo
+from slot_core.dynamics.simulated_robot import SimulatedRobot
+from slot_core.robot import Array, Robot, read_parameters, read_robot
+from slot_core.simulation.plant import make_robot
+from slot_core.twin.settings import TwinSettings
+
+LEAST_SETTLING = 1.0  # s
+FREE_RPM = 1000.0  # of a spool whose angle is imposed
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What a bag says about a walk: tendon angles and motion."""
+
+    name: str
+    angles: TendonAngles
+    motion: Motion
+    period: float | None  # s, of the gait; None: not recorded
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Begin and end of what both cover, s of graph time."""
+        t, moved = self.angles.t, self.motion.t
+        return max(float(t[0]), float(moved[0])), min(float(t[-1]), float(moved[-1]))
+
+
+@dataclass(frozen=True)
+class ModelParts:
+    """What is simulated."""
+
+    robot: Robot
+    scene: Scene
+    servo: ServoSettings
+
+
+@dataclass(frozen=True)
+class Track:
+    """The torso's motion over n times."""
+
+    t: Array  # (n,) s, graph time
+    position: Array  # (n, 3) m, odom
+    rpy: Array  # (n, 3) rad, yaw unwrapped
+
+    @cached_property
+    def columns(self) -> Array:
+        """(n, 6): position, rpy."""
+        return np.hstack([self.position, self.rpy])
+
+    def at(self, t: Array) -> Track:
+        """The motion at other times (m,), linear in between."""
+        moved = np.column_stack([np.interp(t, self.t, column) for column in self.columns.T])
+        return Track(t, moved[:, :3], moved[:, 3:])
+
+
+def read_recorded(bag: Bag, angles: str = "", motion: str = "") -> Recorded:
+    """Angles and motion of a bag, from the topics named or the first that are recorded.
+
+    Raises BagError if they are not there or not sound, ConfigError if they do not overlap.
+    """
+    recorded = Recorded(
+        bag.path.name, tendon_angles(bag, angles), measured_motion(bag, motion), stride_period(bag)
+    )
+    begin, end = recorded.span
+    if end <= begin:
+        raise ConfigError(
+            f"{bag.path}: {recorded.angles.topic} and {recorded.motion.source} do not overlap"
+        )
+    return recorded
+
+
+def read_parts(scene: str, parameters: str = "") -> ModelParts:
+    """Robot, scene and servo of a scene, or of another set of `config/parameters` in it.
+
+    Raises ConfigError.
+    """
+    floor = read_scene(scene)
+    named = parameters or floor.parameters
+    if parameters:
+        values = read_parameters(parameters, "scene") | {"parameters": parameters}
+        floor = config.replace(floor, values, f"parameters/{parameters}.yaml: scene")
+    return ModelParts(read_robot(named), floor, read_servo(named))
+
+
+def measured_track(motion: Motion) -> Track:
+    """The recorded motion."""
+    return Track(motion.t, motion.position, motion.rpy)
+
+
+def replay(
+    recorded: Recorded, parts: ModelParts, settings: TwinSettings
+) -> Iterator[tuple[float, SimulatedRobot]]:
+    """Yield (graph time, robot) at the start and after each hold; the robot is advanced in place.
+
+    Raises Divergence, and ConfigError if the bag cannot be replayed with these settings.
+    """
+    begin, end = recorded.span
+    scene, servo = parts.scene, parts.servo
+    step = scene.solver.step
+    if recorded.angles.measured:
+        servo = _imposed(servo, settings.hold)
+    commands = _commands(recorded, parts, settings, begin, end)
+    sim = make_robot(parts.robot, config.replace(scene, {"start.settle": 0.0}), servo)
+    settling = max(scene.start.settle, LEAST_SETTLING)
+    sim.advance(round(settling / step), commands[0][1])
+    _place(sim, recorded.motion, begin)
+    yield begin, sim
+    now = 0
+    for until, command in commands:
+        if until > now:
+            sim.advance(until - now, command)
+            now = until
+            yield begin + now * step, sim
+
+
+def predict(recorded: Recorded, parts: ModelParts, settings: TwinSettings) -> Track:
+    """The predicted motion after each hold; raises as `replay`."""
+    rows = [(t, *sim.position, *sim.rpy) for t, sim in replay(recorded, parts, settings)]
+    table = np.array(rows)
+    table[:, 6] = np.unwrap(table[:, 6])
+    return Track(table[:, 0], table[:, 1:4], table[:, 4:])
+
+
+def _imposed(servo: ServoSettings, hold: float) -> ServoSettings:
+    """A servo whose spool follows what it is given."""
+    changes = {"model": "ideal", "ideal_rpm": FREE_RPM, "lag": hold / 2, "backlash_deg": 0.0}
+    return config.replace(servo, changes)
+
+
+def _commands(
+    recorded: Recorded, parts: ModelParts, settings: TwinSettings, begin: float, end: float
+) -> list[tuple[int, Array]]:
+    """(last step, angles (4,)) of each hold, ordered by time; the first is for settling."""
+    step, limit = parts.scene.solver.step, parts.robot.tendon.angle_max
+    hold, angles = max(1, round(settings.hold / step)), recorded.angles
+    edges = np.arange(0, int((end - begin) / step) + 1, hold)
+    if angles.measured:
+        at = begin + edges * step
+        rows = np.column_stack([np.interp(at, angles.t, column) for column in angles.angle.T])
+    else:
+        effect = np.rint((angles.t + settings.command_delay - begin) / step).astype(int)
+        edges = np.unique(np.concatenate([edges, effect[(effect > 0) & (effect < edges[-1])]]))
+        newest = np.searchsorted(effect, edges, side="left") - 1  # in effect before each edge
+        rows = angles.angle[newest.clip(min=0)]
+    return list(zip(edges.tolist(), np.clip(rows, 0.0, limit)))
+
+
+def _place(sim: SimulatedRobot, motion: Motion, begin: float) -> None:
+    """Move the robot to the recorded place and heading; the floor's height is that of the scene."""
+    k = int(np.searchsorted(motion.t, begin))
+    turn = Rotation.from_euler("z", motion.rpy[k, 2] - sim.rpy[2])
+    sim.state.rotation[:] = turn.as_matrix() @ sim.state.rotation
+    sim.state.velocity[:] = turn.apply(sim.state.velocity)
+    sim.state.position[:2] = motion.position[k, :2]

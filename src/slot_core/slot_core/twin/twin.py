@@ -1,0 +1,208 @@
+"""Replays the tendon angles of a bag on the simulated robot and compares the motion.
+
+Measured angles (/joint_states) are taken if recorded, else the commands through the model of the
+servo; the motion from the ground truth if recorded, else /odom, else /mpc_state. With --fit,
+parameters of the model are fitted to the first strides and judged on the others. An interrupted fit
+continues when the same command is given again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import shutil
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slot_core.bags.bag import Bag, BagError
+from slot_core.bags.measured import COMMANDED, MEASURED, MOTION_TOPICS
+from slot_core.calibration.experiments import PredictionError
+from slot_core.calibration.fit import FitError
+from slot_core.config import ConfigError, load
+from slot_core.dynamics.simulated_robot import Divergence
+from slot_core.robot import Array
+from slot_core.twin import leg_points, parameter_set, twin_plot
+from slot_core.twin.replay_robot import measured_track, predict, read_parts, read_recorded
+from slot_core.twin.settings import read_twin
+from slot_core.twin.strides import find_strides, stride_errors
+from slot_core.twin.twin_fit import RunAll, fit_twin, places, serially
+from slot_core.workers import workers
+
+INTERRUPTED = 130  # exit code
+ERRORS = (
+    BagError, ConfigError, Divergence, FitError, PredictionError, ModuleNotFoundError, OSError,
+)  # fmt: skip
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line of `scripts/twin`; returns the exit code."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        lines = _run(options)
+    except KeyboardInterrupt:
+        print("\nscripts/twin: interrupted; the same command continues", file=sys.stderr)
+        return INTERRUPTED
+    except ERRORS as error:
+        parser.exit(2, f"scripts/twin: {' '.join(str(error).split())}\n")
+    print("\n".join(lines))
+    return 0
+
+
+def _run(options: argparse.Namespace) -> list[str]:
+    """Replay, fit if asked for, and write the files; returns the lines of the report."""
+    settings, names = read_twin(), places(options.fit)
+    if options.set:
+        parameter_set.place_of(options.set)
+    parts = read_parts(options.scene, options.parameters)
+    start = parts.scene.parameters or load("robot")["parameters"]
+    recorded = read_recorded(Bag(options.bag, options.namespace), options.angles, options.motion)
+    strides = find_strides(recorded, settings, options.period)
+    out = options.out or Path("results", "twin", recorded.name)
+    out.mkdir(parents=True, exist_ok=True)
+    kind = "measured" if recorded.angles.measured else "commands, through the model of the servo"
+    lines = [
+        f"{recorded.name}: {strides.count} strides of {strides.period:.3g} s",
+        f"tendon angles       {recorded.angles.topic} ({kind})",
+        f"motion              {recorded.motion.source}",
+        f"model               scene {options.scene}, parameters {start}",
+        "",
+    ]
+    measured = measured_track(recorded.motion)
+    predicted = predict(recorded, parts, settings)
+    if names:
+        with _runner(options) as run_all:
+            kept = _Trials(
+                out / "trials", run_all, repr((recorded, parts, names, settings, options.starts))
+            )
+            found = fit_twin(
+                recorded, parts, names, strides, settings,
+                run_all=kept, starts=options.starts, progress=_progress,
+            )  # fmt: skip
+        seen = len(found.seen[0].level)
+        content = parameter_set.record(recorded, parts, start, found, options.note)
+        written = parameter_set.write(options.set, content) if options.set else None
+        columns = {"before": found.held_out[0], "after": found.held_out[1]}
+        lines += [f"fit to {seen} strides, judged on the {strides.count - seen} others", ""]
+        lines += [*parameter_set.error_lines(columns), "", *parameter_set.fit_lines(found)]
+        lines += ["", f"{written}"] if written else []
+        tracks = {"model": predicted, "fitted": predict(recorded, found.parts, settings)}
+        parts = found.parts
+        kept.forget()
+    else:
+        seen, tracks = None, {"model": predicted}
+        lines += parameter_set.error_lines({"model": stride_errors(predicted, measured, strides)})
+    title = f"{recorded.name}: predicted and measured motion"
+    twin_plot.draw(out / "twin.png", title, measured, tracks, strides=strides, seen=seen)
+    leg_points.write(recorded, parts, settings, out / "predicted.csv")
+    (out / "summary.txt").write_text("\n".join(lines) + "\n")
+    return [*lines, "", f"twin.png, predicted.csv and summary.txt are in {out}"]
+
+
+class _Trials:
+    """Runs trials and keeps their residuals in a directory until the fit is done."""
+
+    def __init__(self, directory: Path, run_all: RunAll, head: str) -> None:
+        self._directory, self._run_all = directory, run_all
+        self._head = hashlib.sha256(head.encode()).digest()
+        self._directory.mkdir(exist_ok=True)
+
+    def __call__(self, call: Callable[[Array], Array], points: Sequence[Array]) -> list[Array]:
+        paths = [self._path(point) for point in points]
+        todo = [n for n, path in enumerate(paths) if not path.exists()]
+        for n, result in zip(todo, self._run_all(call, [points[n] for n in todo])):
+            partial = paths[n].with_suffix(".part.npy")
+            np.save(partial, result)
+            partial.replace(paths[n])
+        return [np.load(path) for path in paths]
+
+    def forget(self) -> None:
+        """Remove what was kept."""
+        shutil.rmtree(self._directory)
+
+    def _path(self, point: Array) -> Path:
+        name = hashlib.sha256(self._head + np.asarray(point).tobytes()).hexdigest()[:32]
+        return self._directory / f"{name}.npy"
+
+
+def _runner(options: argparse.Namespace) -> Any:
+    """Context that gives what runs the trials: local processes or a cluster."""
+    if options.workers == 1 and not options.scheduler:
+        return nullcontext(serially)
+    return _Workers(options.scheduler, options.workers)
+
+
+class _Workers:
+    """Trials on dask workers."""
+
+    def __init__(self, scheduler: str, count: int | None) -> None:
+        self._context = workers(scheduler, count)
+
+    def __enter__(self) -> RunAll:
+        client = self._context.__enter__()
+        return lambda call, points: client.gather(client.map(call, list(points), pure=False))
+
+    def __exit__(self, *reason: Any) -> None:
+        self._context.__exit__(*reason)
+
+
+def _progress(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="scripts/twin",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("bag", type=Path, metavar="BAG", help="directory of the bag")
+    add("--scene", default="flat", metavar="NAME", help="scene of config/scene (default: flat)")
+    add("--parameters", default="", metavar="SET", help="set of config/parameters in that scene")
+    add(
+        "--angles",
+        default="",
+        choices=[MEASURED, COMMANDED],
+        help="tendon angles that are replayed",
+    )
+    add("--motion", default="", choices=MOTION_TOPICS, help="motion that is compared")
+    add("--namespace", default="", help="of the recorded graph")
+    add("--period", type=_positive, metavar="S", help="length of a stride (default: the gait's)")
+    add("--fit", default=[], type=_names, metavar="NAME,...", help="parameters to fit")
+    add("--set", default="", metavar="NAME", help="write the fit as config/parameters/NAME.yaml")
+    add("--note", default="", metavar="TEXT", help="text for that file")
+    add("--starts", type=_count, default=1, metavar="N", help="starts of the fit (default: 1)")
+    add("--out", type=Path, metavar="DIR", help="default: results/twin/BAG")
+    add("--scheduler", default="", metavar="ADDRESS", help="of dask; default: this machine")
+    add("--workers", type=_count, metavar="N", help="local processes (default: cores)")
+    return parser
+
+
+def _names(text: str) -> list[str]:
+    return [name for name in text.split(",") if name]
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0.05 <= value <= 60.0:
+        raise argparse.ArgumentTypeError(f"{text} s: outside [0.05, 60] s")
+    return value
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{value} is below 1")
+    return value
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Validation of a run against a measurement: alignment in time and space, errors, tables, plots."""

@@ -1,0 +1,180 @@
+"""Recordings: tracks of points of the robot over time, from a bag or a CSV file.
+
+A bag gives `torso` and, if the shapes of the legs are recorded, `base`, `third`, `two_thirds` and
+`tip` of each leg, as `FL_tip`. A CSV file has SI units, lines that begin with # are comments, and
+one of two headers:
+
+    time,point,x,y,z               one point a row, as above; of a single leg without `FL_`
+    time,x,y,z[,roll,pitch,yaw]    the torso
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from slot_core.bags.bag import Bag
+from slot_core.bags.measured import measured_motion, sound
+from slot_core.bags.walk import seconds
+from slot_core.robot import LEGS, Array
+
+TORSO = "torso"
+LEG_POINTS = {"base": 0.0, "third": 1 / 3, "two_thirds": 2 / 3, "tip": 1.0}  # share of arc length
+POINTS = (TORSO, *LEG_POINTS, *(f"{leg}_{name}" for leg in LEGS for name in LEG_POINTS))
+LONG = ("time", "point", "x", "y", "z")
+WIDE = ("time", "x", "y", "z")
+ATTITUDE = ("roll", "pitch", "yaw")
+SHAPES = "/ground_truth/legs"
+VIDEOS = {".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg"}
+LEAST_SAMPLES = 8
+DIGITS = 5  # decimals of written values: 10 us, 10 um
+
+
+class RecordingError(ValueError):
+    """A recording that cannot be used; the message is one line with file, place and cause."""
+
+
+@dataclass(frozen=True)
+class PointTrack:
+    """A point over n times."""
+
+    t: Array  # (n,) s, since the first sample of the recording
+    position: Array  # (n, 3) m
+    rpy: Array | None = None  # (n, 3) rad, of the torso if known; yaw unwrapped
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Tracks by name of the point."""
+
+    name: str
+    points: Mapping[str, PointTrack]
+
+
+def read_recording(path: Path, namespace: str = "") -> Recording:
+    """A recording from a bag (directory or .mcap) or a CSV file.
+
+    Raises RecordingError, and BagError for a bag.
+    """
+    if path.suffix.lower() in VIDEOS:
+        raise RecordingError(f"{path}: is a video: scripts/track {path} writes its points as CSV")
+    if path.is_dir() or path.suffix == ".mcap":
+        return _from_bag(Bag(path, namespace))
+    return _from_csv(path)
+
+
+def at_shares(nodes: Array) -> Array:
+    """(4, 3) places of LEG_POINTS on a leg of nodes (N, 3), by share of the arc length."""
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1))])
+    shares = np.array(list(LEG_POINTS.values())) * arc[-1]
+    return np.column_stack([np.interp(shares, arc, column) for column in nodes.T])
+
+
+def write_points(path: Path, points: Mapping[str, Array], comments: Sequence[str]) -> None:
+    """Write rows (n, 4) time, x, y, z of each point as CSV, ordered by time; raises OSError."""
+    rows = [(row[0], name, row[1:]) for name, part in points.items() for row in part]
+    lines = [f"# {comment}" for comment in comments] + [",".join(LONG)]
+    for time, name, place in sorted(rows, key=lambda row: row[0]):
+        lines.append(f"{time:.{DIGITS}f},{name}," + ",".join(f"{v:.{DIGITS}f}" for v in place))
+    path.write_text("\n".join(lines) + "\n")
+
+
+def _from_bag(bag: Bag) -> Recording:
+    motion = measured_motion(bag)
+    tracks = {TORSO: (motion.t, motion.position, motion.rpy)}
+    if bag.counts.get(SHAPES, 0) > 1:
+        series = bag.series(SHAPES, "position")
+        flat = series["position"].astype(float)
+        keep = sound(f"{bag.path}: {SHAPES}", series.stamp, flat)
+        t, nodes = seconds(series.stamp[keep]), flat[keep].reshape(len(keep), len(LEGS), -1, 3)
+        for k, leg in enumerate(LEGS):
+            places = np.array([at_shares(shape[k]) for shape in nodes])
+            for n, name in enumerate(LEG_POINTS):
+                tracks[f"{leg}_{name}"] = (t, places[:, n], None)  # type: ignore[assignment]
+    return _since_first(bag.path.name, {k: PointTrack(*v) for k, v in tracks.items()})
+
+
+def _from_csv(path: Path) -> Recording:
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        cause = getattr(error, "strerror", None) or "not a text file"
+        raise RecordingError(f"{path}: {cause}") from None
+    rows = list(_rows(path, text))
+    if not rows:
+        raise RecordingError(f"{path}: is empty: no line of column names")
+    (head, names), *data = rows
+    columns = tuple(name.strip() for name in names)
+    if columns not in (LONG, WIDE, WIDE + ATTITUDE):
+        raise RecordingError(
+            f"{path}, line {head}: columns {','.join(columns)[:80]}: expected {','.join(LONG)} or"
+            f" {','.join(WIDE)}[,{','.join(ATTITUDE)}]"
+        )
+    parts: dict[str, list[tuple[int, list[float]]]] = {}
+    for line, cells in data:
+        name, row = _row(path, line, columns, cells)
+        parts.setdefault(name, []).append((line, row))
+    if not parts:
+        raise RecordingError(f"{path}: no samples")
+    tracks = {name: _track(path, name, part) for name, part in parts.items()}
+    return _since_first(path.name, tracks)
+
+
+def _rows(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
+    """Line number and cells of every line that is neither empty nor a comment."""
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            try:
+                yield number, next(csv.reader([line], strict=True))
+            except csv.Error as error:
+                raise RecordingError(f"{path}, line {number}: {error}") from None
+
+
+def _row(
+    path: Path, line: int, columns: Sequence[str], cells: Sequence[str]
+) -> tuple[str, list[float]]:
+    """Point and numbers of a row."""
+    if len(cells) != len(columns):
+        raise RecordingError(f"{path}, line {line}: {len(cells)} cells, {len(columns)} columns")
+    cell = dict(zip(columns, (text.strip() for text in cells)))
+    point = cell.pop("point", TORSO)
+    if point not in POINTS:
+        known = f"{TORSO}, {', '.join(LEG_POINTS)}, FL_tip ..."
+        raise RecordingError(f"{path}, line {line}, point: {point!r} is unknown (known: {known})")
+    numbers = []
+    for name, text in cell.items():
+        try:
+            value = float(text)
+        except ValueError:
+            value = np.nan
+        if not np.isfinite(value):
+            raise RecordingError(
+                f"{path}, line {line}, {name}: {text!r} is not a finite number; leave out rows"
+                " without a measurement"
+            )
+        numbers.append(value)
+    return point, numbers
+
+
+def _track(path: Path, name: str, rows: Sequence[tuple[int, list[float]]]) -> PointTrack:
+    values = np.array([row for _, row in rows])
+    step = np.diff(values[:, 0])
+    if (step <= 0).any():
+        k = int(np.argmax(step <= 0))
+        what = "repeats the time of" if step[k] == 0 else "is earlier than"
+        raise RecordingError(f"{path}, line {rows[k + 1][0]}: {name} {what} line {rows[k][0]}")
+    if len(values) < LEAST_SAMPLES:
+        raise RecordingError(f"{path}: {name} has {len(values)} samples, less than {LEAST_SAMPLES}")
+    rpy = values[:, 4:] if values.shape[1] > 4 else None
+    return PointTrack(values[:, 0], values[:, 1:4], None if rpy is None else np.unwrap(rpy, axis=0))
+
+
+def _since_first(name: str, tracks: Mapping[str, PointTrack]) -> Recording:
+    first = min(float(track.t[0]) for track in tracks.values())
+    return Recording(
+        name, {k: PointTrack(v.t - first, v.position, v.rpy) for k, v in tracks.items()}
+    )
