@@ -154,6 +154,7 @@ CASES = {
     "too low": (state(0.034), preview()),
     "too high": (state(0.047, 0.01), preview()),
     "tilted": (state(0.041, 0.08, -0.06), preview()),
+    "at zero forces": (state(0.05, 0.1, 0.05), preview()),
     "rising": (state(0.032), preview([0.032, 0, 0], [0.045, 0, 0])),
     "rolling": (state(0.05), preview([0.05, 0, 0], [0.05, 0.05, -0.03])),
     "near the fold": (state(0.055), preview([0.06, 0, 0])),
@@ -172,6 +173,12 @@ def test_the_first_angles_are_the_optimum_of_the_documented_problem(case):
     assert found.fault == ""
     u = Written(ahead).optimum(beyond_tolerance(x, ahead), np.zeros(4), np.zeros(4), np.zeros(3))
     np.testing.assert_allclose(found.z[: 4 * H].reshape(H, 4), u, rtol=0, atol=1e-5)
+
+
+def test_the_optimum_without_active_limits_is_found_without_iterations():
+    counts = {name: new_mpc().step(*case).iterations for name, case in CASES.items()}
+    assert counts["too low"] == counts["rising"] == 1
+    assert counts["at zero forces"] > 1
 
 
 def test_later_ticks_are_the_optimum_with_lagging_servos_and_the_disturbance():
@@ -431,7 +438,7 @@ def test_fallback_decays_to_the_normal_forces_of_the_gait_and_then_stops():
 
 def test_too_few_iterations_are_a_fault_that_the_next_tick_does_not_inherit():
     mpc = new_mpc(posture__iterations=2)
-    result = mpc.step(state(0.036), preview())
+    result = mpc.step(state(0.05, 0.1, 0.05), preview())  # forces reach zero
     assert result.status == Status.STOPPED
     assert "after 2 iterations" in result.message
     assert not result.force.any()

@@ -96,7 +96,7 @@ class PostureProblem:
         x, y, _ = robot.clamps.T
         self._rise = np.column_stack([np.ones(FEET), y, -x])  # dh/dq of the clamps
         o, size = options, FEET * horizon
-        weights = [o.height, o.tilt, o.tilt, *(0.0,) * FEET]
+        weights = [o.height, o.tilt, o.tilt]
         self._root_weight = np.sqrt(np.tile(weights, horizon))
         step = np.eye(size) - np.eye(size, k=-FEET)
         self._input_weight = o.angle * np.eye(size) + o.change * step.T @ step
@@ -259,18 +259,19 @@ class PostureProblem:
         lacking[:, 0] -= self._weight
         effect = np.concatenate([levers * springs.slope[:, None], lacking[..., None]], axis=2)
         shift = -np.linalg.solve(stiffness, effect)  # of the equilibrium, by a and by e + d
-        a, b, drift = (np.zeros((count, SIZE, n)) for n in (SIZE, FEET, 1))
-        a[:, :POSTURE, :POSTURE] = -np.eye(POSTURE) / o.settling
-        a[:, :POSTURE, POSTURE:] = shift[..., :FEET] / o.settling
-        drift[:, :POSTURE] = shift[..., FEET:] / o.settling
-        a[:, POSTURE:, POSTURE:] = -np.eye(FEET) / o.lag
-        b[:, POSTURE:] = np.eye(FEET) / o.lag
-        left, right = np.eye(SIZE) - dt / 2 * a, np.eye(SIZE) + dt / 2 * a
-        solved = np.linalg.solve(left, np.concatenate([right, dt * b, dt * drift], axis=2))
-        parts = solved[..., :SIZE], solved[..., SIZE:-1], solved[..., -1]
-        self._model = tuple(np.ascontiguousarray(part) for part in parts)
-        limit = math.radians(o.correction_max_deg)
-        least = -np.linalg.pinv(shift[0, :, :FEET]) @ shift[0, :, FEET]
+        # trapezoidal rule: x' = (target - x) / T gives x_k+1 = keep x_k + (1 - keep) mean target
+        keep, held = ((2 * time - dt) / (2 * time + dt) for time in (o.settling, o.lag))
+        angles, rest = shift[..., :FEET], shift[..., FEET]
+        a, b, drift = (np.zeros((count, SIZE, *n)) for n in ((SIZE,), (FEET,), ()))
+        a[:, range(POSTURE), range(POSTURE)] = keep
+        a[:, range(POSTURE, SIZE), range(POSTURE, SIZE)] = held
+        a[:, :POSTURE, POSTURE:] = (1 - keep) * (1 + held) / 2 * angles
+        b[:, :POSTURE] = (1 - keep) * (1 - held) / 2 * angles
+        b[:, range(POSTURE, SIZE), range(FEET)] = 1 - held
+        drift[:, :POSTURE] = (1 - keep) * rest
+        self._model = a, b, drift
+        limit, first = math.radians(o.correction_max_deg), angles[0]
+        least = -first.T @ np.linalg.solve(first @ first.T, rest[0])
         self._balance = np.clip(least, -limit, limit)
 
     def _predict(self, z: Array) -> Array:
@@ -286,9 +287,10 @@ class PostureProblem:
         effect, free = np.zeros((count, SIZE, n)), np.zeros((count, SIZE))
         condense(self._model, self._start, effect, free)
         self._effect, self._free = effect.reshape(-1, n), free
-        weighted = self._root_weight[:, None] * self._effect
+        posture = effect[:, :POSTURE].reshape(-1, n)
+        weighted = self._root_weight[:, None] * posture
         qp.P[:n, :n] = weighted.T @ weighted + self._input_weight
-        qp.c[:n] = weighted.T @ (self._root_weight * free.ravel())
+        qp.c[:n] = weighted.T @ (self._root_weight * free[:, :POSTURE].ravel())
         qp.c[:n] -= o.angle * np.tile(self._balance, count)
         qp.c[:FEET] -= o.change * (self._command - self._nominal[0])
         ahead = np.minimum(np.arange(1, count + 1), count - 1)  # springs at the states 1 .. H
@@ -329,7 +331,17 @@ class PostureSolver:
         self._solver.setup(**self._values())
 
     def solve(self) -> Solution:
-        """Solve with the present values; raises nothing."""
+        """Solve with the present values; raises nothing.
+
+        Where the optimum without limits keeps all of them it is the solution: at s = 0 the weight
+        of the slacks is positive. That is so in nearly every tick of a robot at rest.
+        """
+        n = self.inputs
+        z = np.zeros(len(self.c))
+        z[:n] = -np.linalg.solve(self.P[:n, :n], self.c[:n])
+        inside = (self.low <= z).all() and (z <= self.high).all()
+        if inside and (self.G[:, :n] @ z[:n] <= self.h).all():
+            return Solution(z, "", 1)
         self._solver.update(**self._values())
         return solution(self._solver, self._set_up)
 
