@@ -27,7 +27,8 @@ REPORTS = 20  # lines of progress
 def run(
     quick: bool, out: Path, progress: Callable[[str], None]
 ) -> tuple[list[Result], list[Check]]:
-    """Measure all rows; `table.png`, `velocity.png` and `top.png` show them."""
+    """Measure all rows; `table.png`, `velocity.png` and `top.png` show them, `gaits.png` stills."""
+    from benchmarks.locomotion import stills  # noqa: PLC0415
     from benchmarks.locomotion.picture import draw_directions, draw_table, draw_top  # noqa: PLC0415
 
     seeds = SEEDS[:1] if quick else SEEDS
@@ -37,6 +38,7 @@ def run(
     draw_table(table, out / "table.png")
     draw_directions(directions(quick), motions, seeds, out / "velocity.png")
     draw_top(square(), slanted(), motions, seeds, out / "top.png")
+    stills.draw(out / "gaits.png")
     for line in table_lines(table):
         progress(line)
     return list(table), checks(wanted, table)

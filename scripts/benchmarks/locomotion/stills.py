@@ -1,0 +1,71 @@
+"""Stills of every gait, from the closed loop with the default controller."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from scipy.spatial.transform import Rotation
+
+from benchmarks.locomotion.cases import DT, Case
+from slot_core.control.gait import read_gaits
+from slot_core.report.picture import Camera, Pose, draw_robot
+from slot_core.robot import read_robot
+from slot_core.simulation.closed_loop import ClosedLoop
+
+COLUMNS = 5
+SETTLED = 3.0  # s, before the first still
+FIVE = math.radians(5.0)
+POSTURES = {
+    "lie": Case(SETTLED, gait="lie"),
+    "sit": Case(SETTLED, gait="sit"),
+    "stand": Case(SETTLED, gait="stand"),
+    "stand, roll 5 deg": Case(SETTLED, gait="stand", pose=(0.04, FIVE, 0.0)),
+    "stand, pitch 5 deg": Case(SETTLED, gait="stand", pose=(0.04, 0.0, FIVE)),
+}
+STRIDES = {
+    "walk, 0.05 m/s": Case(SETTLED, velocity=(0.05, 0.0, 0.0)),
+    "walk to the left, 0.05 m/s": Case(SETTLED, velocity=(0.0, 0.05, 0.0)),
+    "walk, turn in place, 0.15 rad/s": Case(SETTLED, velocity=(0.0, 0.0, 0.15)),
+    "crawl, 0.03 m/s": Case(SETTLED, gait="crawl", velocity=(0.03, 0.0, 0.0)),
+    "paper_walk": Case(SETTLED, gait="paper_walk", velocity=(0.08, 0.0, 0.0)),
+    "paper_crawl": Case(SETTLED, gait="paper_crawl", velocity=(0.02, 0.0, 0.0)),
+}
+
+
+def draw(path: Path) -> None:
+    """Write a PNG: the postures in its first row, then a stride a row at equal shares of it."""
+    figure = Figure(figsize=(3.2 * COLUMNS, 1.9 * (1 + len(STRIDES))), layout="constrained")
+    FigureCanvasAgg(figure)
+    robot, camera = read_robot(), Camera()
+    rows = [[(name, poses(case, [0.0])[0]) for name, case in POSTURES.items()]]
+    for name, case in STRIDES.items():
+        period = read_gaits().strides[case.gait].period
+        found = poses(case, np.arange(COLUMNS) / COLUMNS * period)
+        rows.append([(name if k == 0 else "", pose) for k, pose in enumerate(found)])
+    for i, row in enumerate(rows):
+        for k, (title, pose) in enumerate(row):
+            ax = figure.add_subplot(len(rows), COLUMNS, i * COLUMNS + k + 1)
+            draw_robot(ax, pose, robot, camera)
+            ax.set_title(title, fontsize=11, loc="left")
+            for shape in ax.collections:
+                shape.set_clip_on(False)  # a leg may stand above the ground's picture
+    figure.savefig(path, dpi=80)
+
+
+def poses(case: Case, times: Sequence[float]) -> list[Pose]:
+    """The robot at `times` (s) after it has settled in the case, to the nearest tick."""
+    loop = ClosedLoop(case.scene, case.gait, np.array(case.velocity), 1)
+    if case.pose is not None:
+        loop.controller.scheduler.set_pose(np.array(case.pose))
+    sim, found = loop.plant.simulator, {}
+    wanted = [round((case.duration + time) / DT) for time in times]
+    for k, _ in enumerate(loop.run(max(wanted) + 1)):
+        attitude = Rotation.from_matrix(sim.rotation).as_quat()
+        state = sim.position.copy(), attitude, sim.nodes.copy(), sim.ground_force.copy()
+        found[k] = Pose(k * DT, *state)
+    return [found[k] for k in wanted]
