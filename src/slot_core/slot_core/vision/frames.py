@@ -28,6 +28,11 @@ class Transform:
         """From a position (m) and Rz(yaw) Ry(pitch) Rx(roll), rad."""
         return cls(Rotation.from_euler("xyz", rpy).as_matrix(), np.asarray(position, float))
 
+    @classmethod
+    def of_quaternion(cls, position: Array, quaternion: Array) -> Transform:
+        """From a position (m) and a quaternion x y z w."""
+        return cls(Rotation.from_quat(quaternion).as_matrix(), np.asarray(position, float))
+
     @property
     def inverse(self) -> Transform:
         """The transform back."""
@@ -52,12 +57,3 @@ class Transform:
 def optical(camera_link: Transform) -> Transform:
     """Transform of the optical frame from that of camera_link."""
     return camera_link @ Transform(OPTICAL, np.zeros(3))
-
-
-def mean(transforms: list[Transform]) -> Transform:
-    """Mean of several measurements of one transform, robust: medians of the position first."""
-    places = np.array([t.position for t in transforms])
-    spread = np.linalg.norm(places - np.median(places, axis=0), axis=1)
-    keep = np.flatnonzero(spread <= 3 * np.median(spread) + 1e-12)
-    rotation = Rotation.from_matrix(np.array([transforms[i].rotation for i in keep])).mean()
-    return Transform(rotation.as_matrix(), places[keep].mean(axis=0))

@@ -59,6 +59,7 @@ class TrackedMarkers:
 
     torso: Pose
     size: float = quantity("edge of a marker", "m", 1e-3, 0.5)
+    stand_off: float = quantity("from the side of a leg to the markers on it", "m", 0, 0.1)
     first_id: int = quantity(
         "id at the base of FL; then third, two_thirds, tip, those of FR RL RR, the torso",
         "",
@@ -83,6 +84,9 @@ class DetectionSettings:
     error_max: float = quantity("largest RMS reprojection error", "px", 0.1, 100)
     ambiguity: float = quantity(
         "error of the second pose of a plane over that of the first, to be certain", "", 1, 100
+    )
+    depth_noise: float = quantity(
+        "standard deviation of a marker's depth in a depth picture, with its bias", "m", 1e-4, 1
     )
     memory: float = quantity("time for which the last pose decides otherwise", "s", 0, 10)
     acceleration: float = quantity(

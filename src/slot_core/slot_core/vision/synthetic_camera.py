@@ -1,8 +1,7 @@
 """Synthetic camera: pictures of flat printed surfaces, with distortion, blur and noise.
 
 A pixel looks along its undistorted ray; where that meets a surface gives the grey level. Each pixel
-is the mean of SAMPLES x SAMPLES rays. Surfaces do not cast shadows; the nearer hides the farther,
-by the distance of its middle.
+is the mean of SAMPLES x SAMPLES rays. Surfaces cast no shadows; a later one hides those before it.
 """
 
 from __future__ import annotations
@@ -63,8 +62,7 @@ class SyntheticCamera:
     def picture(self, surfaces: list[Surface]) -> Picture:
         """The picture (h, w) at mid exposure."""
         canvas = np.full(self._rays.shape[:2], GREY, np.uint8)
-        order = sorted(surfaces, key=lambda s: -float(np.linalg.norm(s.corners.mean(axis=0))))
-        for surface in order:
+        for surface in surfaces:
             if surface.faces_camera:
                 self._paint(canvas, surface)
         size = (self.camera.width, self.camera.height)
@@ -82,7 +80,7 @@ class SyntheticCamera:
         """
         depth = np.zeros((self.camera.height, self.camera.width))
         rays = self._rays[::SAMPLES, ::SAMPLES]
-        for surface in sorted(surfaces, key=lambda s: -float(s.corners[:, 2].mean())):
+        for surface in surfaces:
             if not surface.faces_camera:
                 continue
             outline = np.round(self.camera.project(surface.corners)).astype(np.int32)

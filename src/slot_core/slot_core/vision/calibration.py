@@ -1,0 +1,120 @@
+"""Camera calibration by OpenCV's procedure for a ChArUco board: views, then calibrateCamera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from slot_core.robot import Array
+from slot_core.vision.board import Picture
+from slot_core.vision.camera import Camera, CameraError
+from slot_core.vision.settings import VisionSettings
+
+CORNERS_MIN = 8  # of a view that counts
+VIEWS_MIN = 8
+COVERED_MIN = 0.5  # share of the picture's width and height that the corners span
+ERROR_MAX = 1.0  # px, RMS: beyond it the board is bent or has another size ratio
+GROSS = 3.0  # times the median error of the views, beyond which a view is left out
+
+
+@dataclass(frozen=True)
+class View:
+    """Corners of the board in one picture."""
+
+    name: str
+    points: Array  # (n, 3) m on the board
+    pixels: Array  # (n, 2) px
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A calibrated camera, and how well it explains the views."""
+
+    camera: Camera
+    error: float  # px, RMS of the reprojection
+    errors: dict[str, float]  # px, of each view used, by name
+    left_out: tuple[str, ...]  # views with gross errors
+    deviation: Array  # (9,) standard deviations of f_x f_y c_x c_y k1 k2 p1 p2 k3
+    covered: tuple[float, float]  # share of the width and height that the corners span
+
+
+def chessboard(settings: VisionSettings) -> cv2.aruco.CharucoBoard:
+    """The ChArUco board of the settings."""
+    board = settings.chessboard
+    dictionary = cv2.aruco.getPredefinedDictionary(settings.dictionary_number)
+    size = (board.columns, board.rows)
+    return cv2.aruco.CharucoBoard(size, board.square, board.marker, dictionary)
+
+
+def find_view(board: cv2.aruco.CharucoBoard, name: str, picture: Picture) -> View | None:
+    """The board's corners in a grey picture; None if fewer than CORNERS_MIN are found."""
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(picture)
+    if ids is None or len(ids) < CORNERS_MIN:
+        return None
+    points = np.asarray(board.getChessboardCorners(), np.float64)[np.asarray(ids).ravel()]
+    return View(name, points, np.asarray(corners, np.float64).reshape(-1, 2))
+
+
+def calibrate(views: list[View], size: tuple[int, int]) -> Calibration:
+    """The camera of `size` (px) from at least VIEWS_MIN views; raises CameraError.
+
+    Views whose error is GROSS times the median are left out once. Raises also if the corners do not
+    span COVERED_MIN of the picture, and for an error beyond ERROR_MAX.
+    """
+    covered = _covered(views, size)
+    if len(views) < VIEWS_MIN:
+        raise CameraError(f"{len(views)} pictures show the board, at least {VIEWS_MIN} are needed")
+    if min(covered) < COVERED_MIN:
+        raise CameraError(
+            f"the board covers {100 * covered[0]:.0f} % of the width and {100 * covered[1]:.0f} %"
+            f" of the height in all pictures together, at least {100 * COVERED_MIN:.0f} % are"
+            " needed"
+        )
+    _, *first = _solve(views, size)
+    errors = first[-1]
+    kept = [v for v, e in zip(views, errors) if e <= GROSS * np.median(errors)]
+    if len(kept) < VIEWS_MIN:
+        kept = views
+    error, matrix, distortion, deviation, errors = _solve(kept, size)
+    if error > ERROR_MAX:
+        raise CameraError(
+            f"reprojection error {error:.2f} px, limit {ERROR_MAX:g} px: is the board flat, and"
+            " printed as in vision.yaml?"
+        )
+    names = [view.name for view in kept]
+    return Calibration(
+        Camera(*size, matrix, distortion),
+        error,
+        dict(zip(names, errors.tolist())),
+        tuple(view.name for view in views if view.name not in names),
+        deviation,
+        covered,
+    )
+
+
+def _solve(views: list[View], size: tuple[int, int]) -> tuple[float, Array, Array, Array, Array]:
+    """RMS error, K, distortion (5,), standard deviations (9,) and the errors of the views."""
+    points = [view.points.astype(np.float32) for view in views]
+    pixels = [view.pixels.astype(np.float32) for view in views]
+    start = np.eye(3), np.zeros(5)
+    try:
+        error, matrix, distortion, _, _, deviation, _, errors = cv2.calibrateCameraExtended(
+            points, pixels, size, *start
+        )
+    except cv2.error as problem:
+        raise CameraError(f"OpenCV finds no camera: {problem.err}") from None
+    k, d = np.asarray(matrix, np.float64), np.asarray(distortion, np.float64).ravel()[:5]
+    return (
+        float(error), k, d, np.asarray(deviation, np.float64).ravel()[:9],
+        np.asarray(errors, np.float64).ravel(),
+    )  # fmt: skip
+
+
+def _covered(views: list[View], size: tuple[int, int]) -> tuple[float, float]:
+    if not views:
+        return 0.0, 0.0
+    pixels = np.vstack([view.pixels for view in views])
+    span = np.ptp(pixels, axis=0) / size
+    return float(span[0]), float(span[1])

@@ -1,0 +1,245 @@
+"""Films a recorded walk with a synthetic camera beside the robot: a film to try scripts/track with.
+
+WHAT is a recording of scripts/run. The film shows the markers on torso and legs and the board
+behind the robot, as config/vision.yaml places them, from `film_camera`. With the word chessboard the
+result is a folder of pictures of the ChArUco board, for scripts/calibrate_camera. Both are
+synthetic: distortion, blur and noise are added to rendered pictures, and nothing in them was
+measured.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from slot_core.bags.bag import Bag, BagError
+from slot_core.config import ConfigError
+from slot_core.robot import LEGS, Array, Robot, read_robot
+from slot_core.vision.board import SQUARE, Picture, make_board, print_of, single_marker
+from slot_core.vision.calibration import chessboard
+from slot_core.vision.camera import nominal
+from slot_core.vision.frames import Transform, optical
+from slot_core.vision.settings import (
+    ARC,
+    PLACES,
+    TORSO,
+    TrackedMarkers,
+    VisionSettings,
+    read_vision,
+)
+from slot_core.vision.synthetic_camera import Imperfections, Surface, SyntheticCamera
+from slot_core.vision.track import write_tracks
+from slot_core.vision.tracker import Sample
+
+TRUTH, LEGS_TOPIC = "/ground_truth/odom", "/ground_truth/legs"
+BOARD = "film"
+DEPTH_NOISE = 0.002  # m, of a pixel of a RealSense D435 at 0.8 m
+CHESSBOARD, VIEWS = "chessboard", 30
+GAP = 1.5  # periods between two samples from which the film has no motion there
+SKIN = np.full((4, 4), 60, np.uint8)  # of the robot's body
+
+
+def plates(
+    robot: Robot, settings: TrackedMarkers, base: Transform, nodes: Array
+) -> dict[str, Transform]:
+    """Frames of the plates in odom by name: x along the leg outward, z away from its side.
+
+    base: base_link in odom. nodes: (4, N, 3) m, centre lines in odom. Looking outward along a leg,
+    the plates are on its right side.
+    """
+    found = {TORSO: base @ Transform.of(settings.torso.position, settings.torso.rpy)}
+    for index, leg in enumerate(LEGS):
+        side = base.rotation @ np.cross(robot.outward[index], [0.0, 0.0, 1.0])
+        line = nodes[index].astype(float)
+        arc = np.concatenate([[0], np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum()])
+        tangents = np.gradient(line, arc, axis=0)
+        for place, share in zip(PLACES, ARC):
+            point, along = (
+                np.array([np.interp(share * arc[-1], arc, column) for column in values.T])
+                for values in (line, tangents)
+            )
+            x = along / np.linalg.norm(along)
+            z = side - (side @ x) * x
+            z /= np.linalg.norm(z)
+            middle = point + (robot.leg.width / 2 + settings.stand_off) * z
+            found[f"{leg}_{place}"] = Transform(np.column_stack([x, np.cross(z, x), z]), middle)
+    return found
+
+
+class Stage:
+    """The robot with its plates and the board behind it, before the camera that films them."""
+
+    def __init__(self, settings: VisionSettings, robot: Robot) -> None:
+        self._settings, self._robot = settings, robot
+        camera = settings.film_camera
+        self._to_camera = optical(Transform.of(camera.position, camera.rpy)).inverse
+        number = settings.dictionary_number
+        self._board = make_board(settings.boards[BOARD])
+        self._board_print = print_of(self._board, number)
+        names = settings.points.names
+        markers = {name: single_marker(i, settings.points.size) for i, name in names.items()}
+        self._prints = {name: print_of(marker, number) for name, marker in markers.items()}
+        self._outline = next(iter(markers.values())).outline
+
+    def plates(self, base: Transform, nodes: Array) -> dict[str, Transform]:
+        """Frames of the plates in odom, for base_link in odom and the legs' nodes (4, N, 3)."""
+        return plates(self._robot, self._settings.points, base, nodes)
+
+    def surfaces(
+        self, base: Transform, nodes: Array, soon: tuple[Transform, Array, float] | None = None
+    ) -> list[Surface]:
+        """Surfaces before the camera; soon: base, nodes and the time (s) until then."""
+        board = self._seen(self._board_print, self._board.pose.apply(self._board.outline))
+        body = [self._seen(SKIN, face) for face in self._body(base, nodes)]
+        later, shown = self.plates(*soon[:2]) if soon else {}, []
+        for name, plate in self.plates(base, nodes).items():
+            corners, velocity = plate.apply(self._outline), None
+            if soon:
+                velocity = (later[name].apply(self._outline) - corners) / soon[2]
+            shown.append(self._seen(self._prints[name], corners, velocity))
+        return [board, *sorted(body, key=_distance), *sorted(shown, key=_distance)]
+
+    def _seen(self, sheet: Picture, corners: Array, velocity: Array | None = None) -> Surface:
+        """A surface in the optical frame from corners (4, 3) and velocities in odom."""
+        if velocity is not None:
+            velocity = velocity @ self._to_camera.rotation.T
+        return Surface(sheet, self._to_camera.apply(corners), velocity)
+
+    def _body(self, base: Transform, nodes: Array) -> Iterator[Array]:
+        """Faces (4, 3) of torso and legs in odom, turned to the camera."""
+        half = np.array(self._robot.torso.size) / 2
+        around = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        for axis in range(3):
+            for sign in (-1, 1):
+                corners = np.insert(around, axis, sign, axis=1) * half
+                yield from _turned(base.apply(corners), self._to_camera)
+        leg = self._robot.leg
+        for line in nodes.astype(float):
+            thick = np.linspace(leg.thickness_clamp, leg.thickness_tip, len(line)) / 2
+            up = thick[:, None] * np.array([0.0, 0.0, 1.0])
+            for i in range(len(line) - 1):
+                quad = [line[i] - up[i], line[i + 1] - up[i + 1], line[i + 1] + up[i + 1]]
+                yield from _turned(np.array([*quad, line[i] + up[i]]), self._to_camera)
+
+
+def _distance(surface: Surface) -> float:
+    """Negative distance of the middle, m: the farthest comes first."""
+    return -float(np.linalg.norm(surface.corners.mean(axis=0)))
+
+
+def _turned(corners: Array, to_camera: Transform) -> Iterator[Array]:
+    """Corners (4, 3) in the order that faces the camera; none for a face seen from its edge."""
+    for order in (corners, corners[::-1]):
+        if Surface(SKIN, to_camera.apply(order)).faces_camera:
+            yield order
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line of `scripts/film`; one line and exit code 2 for a bag that cannot be filmed."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    cv2.setNumThreads(1)
+    try:
+        film = _film_chessboard if options.what == CHESSBOARD else _film
+        count = film(options, read_vision())
+    except (BagError, ConfigError) as error:
+        parser.error(" ".join(str(error).split()))
+    except OSError as error:
+        parser.error(f"{error.filename}: {error.strerror}")
+    print(f"{count} pictures in {options.out}")
+    return 0
+
+
+def _film(options: argparse.Namespace, settings: VisionSettings) -> int:
+    """Write film, depth pictures and true tracks; the number of pictures."""
+    times, bases, nodes = _motion(Bag(options.what))
+    last = int(np.searchsorted(times, times[0] + options.duration))
+    times, bases, nodes = times[:last], bases[:last], nodes[:last]
+    stage = Stage(settings, read_robot())
+    rng = np.random.default_rng(options.seed)
+    camera = SyntheticCamera(nominal(settings.camera), Imperfections(), rng)
+    if options.depth:
+        options.depth.mkdir(parents=True, exist_ok=True)
+    period = float(np.median(np.diff(times)))
+    size = settings.camera.width, settings.camera.height
+    coding = cv2.VideoWriter.fourcc(*"MJPG")
+    video = cv2.VideoWriter(str(options.out), coding, 1 / period, size, isColor=False)
+    if not video.isOpened():
+        raise OSError(0, "no video can be written there", str(options.out))
+    truth: list[Sample] = []
+    for i, time in enumerate(times):
+        soon = None
+        if i + 1 < len(times) and times[i + 1] - time < GAP * period:
+            soon = bases[i + 1], nodes[i + 1], float(times[i + 1] - time)
+        surfaces = stage.surfaces(bases[i], nodes[i], soon)
+        video.write(camera.picture(surfaces))
+        if options.depth:
+            depth = camera.depth(surfaces, DEPTH_NOISE)
+            cv2.imwrite(str(options.depth / f"{i:06d}.png"), depth)
+        for name, plate in stage.plates(bases[i], nodes[i]).items():
+            truth.append(Sample(i * period, name, plate.position))
+    video.release()
+    if options.truth:
+        write_tracks(options.truth, truth)
+    return len(times)
+
+
+def _film_chessboard(options: argparse.Namespace, settings: VisionSettings) -> int:
+    """Write VIEWS pictures of the ChArUco board, held in all parts of the picture and tilted."""
+    rng = np.random.default_rng(options.seed)
+    camera = nominal(settings.camera)
+    board, dots = chessboard(settings), 3000.0  # px per m of the print
+    size = np.array(board.getChessboardSize()) * board.getSquareLength()  # m
+    sheet = np.asarray(board.generateImage(np.round(dots * size).astype(int).tolist()), np.uint8)
+    synthetic = SyntheticCamera(camera, Imperfections(), rng)
+    options.out.mkdir(parents=True, exist_ok=True)
+    for number in range(VIEWS):
+        distance = rng.uniform(0.35, 0.7)
+        ray = camera.rays(rng.uniform(0.2, 0.8, 2) * [camera.width, camera.height])
+        tilt = np.array([np.pi, 0.0, 0.0]) + rng.uniform(-0.6, 0.6, 3)
+        pose = Transform.of(distance * np.array([*ray, 1.0]), tilt)
+        surface = Surface(sheet, pose.apply(SQUARE * [*size, 0.0]))
+        cv2.imwrite(str(options.out / f"{number:03d}.png"), synthetic.picture([surface]))
+    return VIEWS
+
+
+def _motion(bag: Bag) -> tuple[Array, list[Transform], Array]:
+    """Times (n,) s, base_link in odom, and nodes (n, 4, N, 3) m of a recorded walk."""
+    truth = bag.series(TRUTH, "pose.pose.position", "pose.pose.orientation")
+    legs = bag.series(LEGS_TOPIC, "nodes", "position")
+    shared, mine, theirs = np.intersect1d(truth.stamp, legs.stamp, return_indices=True)
+    if len(shared) < 2:
+        raise BagError(f"{bag.path}: fewer than two samples of {TRUTH} and {LEGS_TOPIC}")
+    count = int(legs["nodes"][0])
+    places = truth["pose.pose.position"][mine]
+    bases = [
+        Transform.of_quaternion(p, q) for p, q in zip(places, truth["pose.pose.orientation"][mine])
+    ]
+    nodes = legs["position"][theirs].reshape(-1, 4, count, 3).astype(np.float64)
+    return np.asarray(shared * 1e-9, np.float64), bases, nodes
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="scripts/film",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("what", metavar="WHAT", help=f"recording of scripts/run, or the word {CHESSBOARD}")
+    add("--out", type=Path, metavar="OUT", required=True, help="video (.avi), or folder")
+    add("--depth", type=Path, metavar="FOLDER", help="also write depth pictures (mm, 16 bit)")
+    add("--truth", type=Path, metavar="CSV", help="also write the true tracks")
+    duration = "length of the film, s (default: 6)"
+    add("--duration", type=float, default=6.0, metavar="S", help=duration)
+    add("--seed", type=int, default=0, help="of the noise (default: 0)")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())
