@@ -26,14 +26,26 @@ LONGEST_GAP = 0.5  # s between states; after a longer one the commands do not mo
 
 
 @dataclass
-class _Active:
-    """The gait that runs, with its phase and its feedback."""
+class _ActivePosture:
+    """A posture that is held."""
 
     name: str
-    gait: Posture | Stride
+    gait: Posture
+    phase = 0.0
+
+
+@dataclass
+class _ActiveStride:
+    """A stride that runs, with its phase and its feedback."""
+
+    name: str
+    gait: Stride
+    feedback: StrideFeedback
     phase: float = 0.0  # in [0, 1)
-    moving: float = 1.0  # share of a stride against standing on its centre
-    feedback: StrideFeedback | None = None
+    moving: float = 1.0  # share of the stride against standing on its centre
+
+
+_Active = _ActivePosture | _ActiveStride
 
 
 class GaitScheduler:
@@ -129,9 +141,9 @@ class GaitScheduler:
 
     def _activate(self, name: str) -> _Active:
         gait = self._settings.find(name)
-        return _Active(
-            name, gait, feedback=StrideFeedback(gait) if isinstance(gait, Stride) else None
-        )
+        if isinstance(gait, Stride):
+            return _ActiveStride(name, gait, StrideFeedback(gait))
+        return _ActivePosture(name, gait)
 
     def _home(self, gait: Posture | Stride) -> Array:
         """Height, roll and pitch (3,) of a gait without a commanded body pose."""
@@ -152,7 +164,7 @@ class GaitScheduler:
         """Let velocity and body pose follow their commands at limited rates."""
         s = self._settings
         wanted = self._wanted
-        if self._path is not None and isinstance(self._current.gait, Stride):
+        if self._path is not None and isinstance(self._current, _ActiveStride):
             wanted = self._path.velocity(state)
         rates = np.array([s.acceleration, s.acceleration, s.turn_acceleration])
         self._velocity = _toward(self._velocity, wanted, elapsed * rates)
@@ -167,9 +179,9 @@ class GaitScheduler:
     def _stride(self, time: float, elapsed: float, state: Array) -> None:
         """Advance phase, reference place and feedback of the strides that run."""
         for active in {id(a): a for a in (self._previous, self._current)}.values():
-            gait, feedback = active.gait, active.feedback
-            if not isinstance(gait, Stride) or feedback is None:
+            if isinstance(active, _ActivePosture):
                 continue
+            gait, feedback = active.gait, active.feedback
             active.moving = float(self._moving_after(active, np.array([elapsed]))[0])
             if active is not self._current or self._is_still():
                 feedback.reset()
@@ -192,7 +204,7 @@ class GaitScheduler:
     def _is_still(self) -> bool:
         return bool((np.abs(self._velocity) < STILL).all())
 
-    def _moving_after(self, active: _Active, times: Array) -> Array:
+    def _moving_after(self, active: _ActiveStride, times: Array) -> Array:
         """Share (n,) of a stride's motion at `times` (s) ahead."""
         change = times / max(self._settings.transition, 1e-9)
         return np.clip(active.moving + (-change if self._is_still() else change), 0.0, 1.0)
@@ -203,7 +215,7 @@ class GaitScheduler:
         angle, force, sway = np.split(course, [4, 8], axis=1)
         current = self._current
         heading, velocity = state[2], self._velocity
-        if current.feedback is not None and current.feedback.place is not None:
+        if isinstance(current, _ActiveStride) and current.feedback.place is not None:
             heading = current.feedback.place[2]
         return GaitPreview(
             stamp=stamp,
@@ -224,8 +236,10 @@ class GaitScheduler:
         """Whether the legs are loaded and move with the posture alone."""
         if self._since_change < self._settings.transition:
             return False
-        gait = self._current.gait
-        return gait.loaded if isinstance(gait, Posture) else self._current.moving == 0.0
+        current = self._current
+        if isinstance(current, _ActivePosture):
+            return current.gait.loaded
+        return current.moving == 0.0
 
     def _blend(self, times: Array) -> Array:
         """Blend (n, 20) of the previous and the present gait, as `Stride.course`."""
@@ -238,11 +252,17 @@ class GaitScheduler:
 
     def _course(self, active: _Active, times: Array) -> Array:
         """Angles, normal forces and torso states (n, 20) of a gait at `times` (s) ahead."""
-        gait, feedback = active.gait, active.feedback
-        if isinstance(gait, Posture) or feedback is None:
-            if isinstance(gait, Posture) and not gait.loaded:
-                return np.zeros((len(times), 20)) + np.r_[np.zeros(13), self._pose[0], np.zeros(6)]
+        if isinstance(active, _ActiveStride):
+            return self._stride_course(active, times)
+        if active.gait.loaded:
             return self._posture_course(times)
+        slack = np.zeros((len(times), 20))
+        slack[:, 13] = self._pose[0]
+        return slack
+
+    def _stride_course(self, active: _ActiveStride, times: Array) -> Array:
+        """Course (n, 20) of a stride that moves, stands on its centre, or changes between both."""
+        gait, feedback = active.gait, active.feedback
         moving = self._moving_after(active, times)[:, None]
         if moving.max() == 0.0:
             return self._posture_course(times)
