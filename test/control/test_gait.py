@@ -9,9 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.config import ConfigError
+from slot_core.control.force_map import read_springs
 from slot_core.control.gait import FRONT_REAR, LEFT_RIGHT, Posture, Stride, read_gaits
-from slot_core.control.leg_springs import read_leg_springs
-from slot_core.control.mpc.mpc import read_mpc
 from slot_core.control.reference import reference
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
@@ -295,7 +294,7 @@ def test_the_legs_can_carry_every_posture_that_can_be_commanded():
 
     The posture `lie` is not loaded.
     """
-    springs = read_leg_springs(read_mpc().posture.slope_min)
+    springs = read_springs()
     share = np.full(4, ROBOT.weight / 4)
     for posture in GAITS.postures.values():
         assert isinstance(posture, Posture)

@@ -7,16 +7,15 @@ import pytest
 
 from slot_core.clock import SECOND
 from slot_core.config import ConfigError
+from slot_core.control.force_map import read_springs
 from slot_core.control.gait import GaitCommand, read_gaits
 from slot_core.control.gait_scheduler import GaitScheduler
-from slot_core.control.leg_springs import read_leg_springs
-from slot_core.control.mpc.mpc import read_mpc
 from slot_core.control.path import Path
 from slot_core.robot import read_robot
 from slot_core.safety.settings import read_supervisor
 
 ROBOT, GAITS = read_robot(), read_gaits()
-SPRINGS = read_leg_springs(read_mpc().posture.slope_min)
+SPRINGS = read_springs()
 WALK = GAITS.strides["walk"]
 TICK = 33_000_000  # ns
 NOTHING = np.zeros(3)

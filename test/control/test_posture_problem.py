@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from slot_core import config
-from slot_core.control.force_map import make_force_map, read_force_map
+from slot_core.control.force_map import make_force_map, read_force_map, read_springs
 from slot_core.control.gait import GaitCommand, GaitPreview
-from slot_core.control.leg_springs import LegSprings, read_leg_springs
+from slot_core.control.leg_springs import LegSprings
 from slot_core.control.mpc.model import Horizon
 from slot_core.control.mpc.mpc import Mpc, Status, read_mpc
 from slot_core.control.mpc.posture_problem import PostureProblem
@@ -21,7 +21,7 @@ ROBOT = read_robot()
 # no time budget: the tests must not depend on the load of the machine
 SETTINGS = config.replace(read_mpc(), {"acceptance.time_budget": np.inf})
 OPTIONS, H, DT = SETTINGS.posture, SETTINGS.horizon, 0.033
-SPRINGS = read_leg_springs(OPTIONS.slope_min)
+SPRINGS = read_springs()
 CORRECTION = math.radians(OPTIONS.correction_max_deg)
 ANGLE_MAX = ROBOT.tendon.angle_max
 HOME = np.array([0.04, 0.0, 0.0])  # z, roll, pitch

@@ -17,10 +17,9 @@ from slot_bringup.graph import read_graph
 from slot_bringup.processes import command_line
 from slot_core import config
 from slot_core.bags import decode
+from slot_core.control.force_map import read_springs
 from slot_core.control.gait import read_gaits
 from slot_core.control.gait_scheduler import GaitScheduler
-from slot_core.control.leg_springs import read_leg_springs
-from slot_core.control.mpc.mpc import read_mpc
 from slot_core.control.state_estimator import Estimate, Validity
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, GroundReactionForces, MpcState
@@ -61,7 +60,7 @@ class Robot:
         self.node.create_subscription(
             GroundReactionForces, "ground_reaction_forces", self.keep, qos.CONTROL
         )
-        springs = read_leg_springs(read_mpc().posture.slope_min)
+        springs = read_springs()
         gaits = config.replace(read_gaits(), STAGES)
         self.scheduler = GaitScheduler(gaits, read_robot(), springs, "stand", None)
 

@@ -8,10 +8,9 @@ from rclpy.node import Node
 
 from slot_core.bags import decode
 from slot_core.config import ConfigError
+from slot_core.control.force_map import read_springs
 from slot_core.control.gait import read_gaits
 from slot_core.control.gait_scheduler import GaitScheduler
-from slot_core.control.leg_springs import read_leg_springs
-from slot_core.control.mpc.mpc import read_mpc
 from slot_core.control.path import read_path
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, MpcState
@@ -35,7 +34,7 @@ class GaitSchedulerNode(Node):
             self, "path_heading", "kept", "heading on the path: kept or along"
         )
         path = read_path(file, v_x, heading) if file else None
-        springs = read_leg_springs(read_mpc().posture.slope_min)
+        springs = read_springs()
         velocity = np.array([v_x, v_y, turn])
         self._scheduler = GaitScheduler(settings, read_robot(), springs, gait, velocity, path)
         self._preview = runtime.publisher(self, GaitPreview, "gait_preview", qos.CONTROL)

@@ -24,10 +24,9 @@ from slot_core import config
 from slot_core.bags import decode
 from slot_core.bags.bag import Bag, BagError
 from slot_core.control.controller import command_for
-from slot_core.control.force_map import make_force_map, read_force_map
+from slot_core.control.force_map import make_force_map, read_force_map, read_springs
 from slot_core.control.gait import GaitPreview, read_gaits
 from slot_core.control.gait_scheduler import GaitScheduler
-from slot_core.control.leg_springs import read_leg_springs
 from slot_core.control.mpc.mpc import Mpc, MpcResult, read_mpc
 from slot_core.control.state_estimator import Estimate, StateEstimator, read_estimator
 from slot_core.robot import Robot, read_robot
@@ -153,8 +152,7 @@ def _previews(
 ) -> dict[int, Fields]:
     """Gait previews, as fields of GaitPreview, from the recorded states and commands."""
     first = next(iter(previews.values())).command
-    springs = read_leg_springs(read_mpc().posture.slope_min)
-    scheduler = GaitScheduler(read_gaits(), robot, springs, first.gait, first.velocity)
+    scheduler = GaitScheduler(read_gaits(), robot, read_springs(), first.gait, first.velocity)
     fields = {}
     for stamp, (_, state, _, lead) in states.items():
         if stamp in previews:

@@ -11,10 +11,10 @@ from slot_core.control.force_map import (
     TendonCommand,
     make_force_map,
     read_force_map,
+    read_springs,
 )
 from slot_core.control.gait import GaitPreview, GaitSettings, read_gaits
 from slot_core.control.gait_scheduler import GaitScheduler
-from slot_core.control.leg_springs import read_leg_springs
 from slot_core.control.mpc.mpc import Mpc, MpcResult, MpcSettings, Status
 from slot_core.control.path import Path
 from slot_core.control.state_estimator import Estimate, StateEstimator, read_estimator
@@ -52,8 +52,9 @@ class Controller:
         configuration.
         """
         self.estimator = StateEstimator(read_estimator())
-        springs = read_leg_springs(mpc.posture.slope_min)
-        self.scheduler = GaitScheduler(gaits or read_gaits(), robot, springs, gait, velocity, path)
+        self.scheduler = GaitScheduler(
+            gaits or read_gaits(), robot, read_springs(), gait, velocity, path
+        )
         self.mpc = Mpc(robot, mpc, timer)
         self.force_map = make_force_map(robot, read_force_map(), mpc.map)
 

@@ -116,6 +116,11 @@ def read_force_map() -> ForceMapSettings:
     return config.read(ForceMapSettings, "force_map")
 
 
+def read_springs() -> LegSprings:
+    """Legs as springs with the map's `slope_min`, for MPC and gait alike; raises ConfigError."""
+    return read_leg_springs(read_force_map().slope_min)
+
+
 def make_force_map(robot: Robot, settings: ForceMapSettings, name: str) -> ForceMap:
     """The map of that name with the table of `config/leg_map.csv`; raises ConfigError."""
     return ForceMap(robot, settings, name, read_leg_springs(settings.slope_min))

@@ -27,9 +27,8 @@ import numpy as np
 
 from slot_core import config
 from slot_core.config import ConfigError
-from slot_core.control.force_map import read_force_map
+from slot_core.control.force_map import read_springs
 from slot_core.control.gait import Pattern, Steering, Stride, read_gaits
-from slot_core.control.leg_springs import read_leg_springs
 from slot_core.robot import Array, read_robot
 from slot_core.tuning import gait_file, identification, symmetry
 from slot_core.tuning.identification import IdentificationError
@@ -210,8 +209,7 @@ def _start(options: argparse.Namespace) -> Stride:
 
 def _rest(height: float) -> dict[str, object]:
     """Centre of a stride at a height (m): tendon angles of legs that carry a quarter each."""
-    springs = read_leg_springs(read_force_map().slope_min)
-    angle = springs.angle(np.array([read_robot().weight / 4]), np.array([height]))[0]
+    angle = read_springs().angle(np.array([read_robot().weight / 4]), np.array([height]))[0]
     return {"centre_deg": [round(float(np.degrees(angle)), 1)] * 4}
 
 

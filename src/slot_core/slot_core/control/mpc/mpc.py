@@ -19,8 +19,8 @@ import numpy as np
 
 from slot_core import config
 from slot_core.config import choice, quantity
+from slot_core.control.force_map import read_springs
 from slot_core.control.gait import GaitPreview
-from slot_core.control.leg_springs import read_leg_springs
 from slot_core.control.mpc.disturbance import DisturbanceSettings
 from slot_core.control.mpc.force_problem import ForceProblem
 from slot_core.control.mpc.model import FEET, STATES, Horizon, ModelOptions, slacks
@@ -160,8 +160,9 @@ class Mpc:
         if settings.problem == "forces":
             self._problem = ForceProblem(robot, settings)
         else:
-            springs = read_leg_springs(settings.posture.slope_min)
-            self._problem = PostureProblem(robot, springs, settings.posture, settings.horizon)
+            self._problem = PostureProblem(
+                robot, read_springs(), settings.posture, settings.horizon
+            )
         self._stage = _FirstStage(np.zeros(FEET), np.zeros(FEET), np.zeros((FEET, 3)))
         self._last: Array | None = None  # (4, 3) N, last feasible input
         self._missed = 0  # consecutive cycles without an accepted solution

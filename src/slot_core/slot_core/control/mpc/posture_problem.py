@@ -70,7 +70,6 @@ class PostureOptions:
     change: float = quantity("weight of the change from stage to stage", "1/rad^2", 0, 1e9)
     slack: float = quantity("weight of a negative normal force, 1/N and 1/N^2", "", 0, 1e9)
     correction_max_deg: float = quantity("largest deviation from the gait", "deg", 0, 120)
-    slope_min: float = quantity("lower bound of dF/dtheta, for the fold", "N/rad", 0.1, 100)
     settling: float = quantity("time constant of the torso on sliding feet", "s", 1e-3, 10)
     lag: float = quantity("time constant of the servo", "s", 1e-3, 1)
     observer_time: float = quantity("time constant of the disturbance, 0: none", "s", 0, 100)
