@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from slot_core import config
+from slot_core.arguments import positive_integer
 from slot_core.calibration import parameter_file
 from slot_core.calibration.data import Data, DataError, read_data
 from slot_core.calibration.experiments import (
@@ -120,17 +121,10 @@ def _parser() -> argparse.ArgumentParser:
     add("--free", nargs="+", metavar="NAME", default=FREE, help=free)
     add("--start", metavar="SET", default="paper", help="set of config/parameters to start from")
     starts = "starts of the fit, scattered about the first (default: 8)"
-    add("--starts", type=_count, metavar="N", default=8, help=starts)
+    add("--starts", type=positive_integer, metavar="N", default=8, help=starts)
     add("--evaluate", action="store_true", help="evaluate the set of --start without a fit")
     add("--note", default="", metavar="TEXT", help="text for the parameter file")
     return parser
-
-
-def _count(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{value} is below 1")
-    return value
 
 
 def _log(line: str) -> None:

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from slot_core import config
+from slot_core.arguments import positive_integer
 from slot_core.config import ConfigError
 from slot_core.control.force_map import read_springs
 from slot_core.control.gait import Pattern, Steering, Stride, read_gaits
@@ -225,7 +226,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--like", metavar="GAIT", help="stride to start from (default: GAIT itself)")
     add("--scratch", action="store_true", help="start the searches from a random pattern")
     add("--out", type=Path, metavar="FILE", help="default: config/gait/GAIT.yaml")
-    add("--seed", type=_positive, default=1, help="seed of the searches (default: 1)")
+    add("--seed", type=positive_integer, default=1, help="seed of the searches (default: 1)")
     add("--evaluations", type=int, metavar="N", help="candidates of a search")
     add("--friction", type=float, nargs="+", metavar="MU", help="friction of the floors")
     add("--tilt", type=float, metavar="DEG", help="tilt RMS that costs nothing")
@@ -237,7 +238,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--scene", help="scene of config/scene; map is three times as fast")
     add("--effect", action="store_true", help="write the effect of the knobs too")
     add("--scheduler", default="", metavar="ADDRESS", help="of dask; default: this machine")
-    add("--workers", type=_positive, metavar="N", help="local processes (default: cores)")
+    add("--workers", type=positive_integer, metavar="N", help="local processes (default: cores)")
     add("--quick", action="store_true", help="one floor, 32 candidates: a demonstration")
     return parser
 
@@ -246,13 +247,6 @@ def _stage(text: str) -> str:
     if text not in STAGES:
         raise argparse.ArgumentTypeError(f"{text!r}: expected one of {', '.join(STAGES)}")
     return text
-
-
-def _positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{value} is below 1")
-    return value
 
 
 if __name__ == "__main__":
