@@ -1,6 +1,7 @@
-"""Stand-in for supervisor and controller, for a driver without the rest of the graph."""
+"""Driver without the rest of the graph: its start, and a stand-in for supervisor and controller."""
 
 import numpy as np
+import pytest
 from sensor_msgs.msg import JointState
 
 from slot_core.bags import decode
@@ -8,6 +9,8 @@ from slot_core.safety.command_gate import Action
 from slot_core.safety.states import State
 from slot_msgs.msg import RobotState, ServoLimits
 from slot_nodes import messages, qos
+
+DRIVER = "dynamixel_driver"
 
 
 class StubSupervisor:
@@ -65,3 +68,23 @@ class StubSupervisor:
     def _arrived(self):
         """Whether the tendons are at the angle, within the servos' droop under load."""
         return np.allclose(self._rig.last("/joint_states").position, self.angle, atol=0.2)
+
+
+@pytest.fixture
+def stub(rig):
+    """Permissions, limits and commands for a driver."""
+    made = StubSupervisor(rig)
+    yield made
+    made.close()
+
+
+def start_driver(rig, **options):
+    """Start a driver, and wait until it is configured."""
+    begin = rig.now()
+    rig.start(DRIVER, **options)
+    rig.wait_for(lambda: rig.since("/joint_states", begin), what="no joint states")
+
+
+def powered(rig, since):
+    """Wait for a health report since a time with every torque on."""
+    rig.wait_for(lambda: any(all(m.torque) for m in rig.since("/servo_health", since)))

@@ -3,6 +3,7 @@
 import pytest
 from real_graph import domain  # noqa: F401 - a fixture
 from rig import Rig
+from stub_supervisor import stub  # noqa: F401 - a fixture
 
 
 @pytest.fixture(scope="module")

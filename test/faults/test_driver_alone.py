@@ -9,13 +9,12 @@ import sys
 import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from stub_supervisor import StubSupervisor
+from stub_supervisor import DRIVER, powered, start_driver
 
 from slot_core.safety.command_gate import Action
 
 pytestmark = pytest.mark.real_time
 
-DRIVER = "dynamixel_driver"
 PULLED = 1.5  # rad
 # Raises ZeroDivisionError in its first diagnostics under torque.
 BROKEN_DRIVER = """
@@ -40,26 +39,6 @@ def rig(bench):
     yield bench
     if DRIVER in bench.children:
         bench.stop(DRIVER)
-
-
-@pytest.fixture
-def stub(rig):
-    """Permissions, limits and commands for a driver."""
-    made = StubSupervisor(rig)
-    yield made
-    made.close()
-
-
-def start_driver(rig, **options):
-    """Start a driver, and wait until it is configured."""
-    begin = rig.now()
-    rig.start(DRIVER, **options)
-    rig.wait_for(lambda: rig.since("/joint_states", begin), what="no joint states")
-
-
-def powered(rig, since):
-    """Wait for a health report since a time with every torque on."""
-    rig.wait_for(lambda: any(all(m.torque) for m in rig.since("/servo_health", since)))
 
 
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM, "exception"])

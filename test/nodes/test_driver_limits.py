@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 from rig import RAMP, servo_angle
-from stub_supervisor import StubSupervisor
+from stub_supervisor import DRIVER
 
 from slot_core.bags import decode
 from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.safety.command_gate import Action
 from slot_msgs.msg import RobotState
 
-DRIVER = "dynamixel_driver"
 LATE = 0.02  # s, from a limit to the reaction: two bus cycles
 FRAME = 0.033  # s, between two true states of the legs
 
@@ -18,13 +17,6 @@ FRAME = 0.033  # s, between two true states of the legs
 @pytest.fixture
 def rig(simulate):
     made = simulate(hardware="fake_bus", only=["sim_robot", DRIVER])
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def stub(rig):
-    made = StubSupervisor(rig)
     yield made
     made.close()
 

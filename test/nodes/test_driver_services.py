@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from rig import SAG
 from std_srvs.srv import SetBool, Trigger
-from stub_supervisor import StubSupervisor
+from stub_supervisor import DRIVER, powered, start_driver
 
 from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.safety.command_gate import Action
 
-DRIVER = "dynamixel_driver"
 PULLED = 1.5  # rad
 
 
@@ -26,30 +25,10 @@ def rig(bench):
         bench.stop(DRIVER)
 
 
-@pytest.fixture
-def stub(rig):
-    """Permissions, limits and commands for a driver."""
-    made = StubSupervisor(rig)
-    yield made
-    made.close()
-
-
-def start_driver(rig, **options):
-    """Start a driver, and wait until it is configured."""
-    begin = rig.now()
-    rig.start(DRIVER, **options)
-    rig.wait_for(lambda: rig.since("/joint_states", begin), what="no joint states")
-
-
 def switch(rig, on):
     """Call the torque service; returns success and message."""
     answer = rig.call(SetBool, f"/{DRIVER}/torque", data=on)
     return answer.success, answer.message
-
-
-def powered(rig, since):
-    """Wait for a health report since a time with every torque on."""
-    rig.wait_for(lambda: any(all(m.torque) for m in rig.since("/servo_health", since)))
 
 
 @pytest.mark.parametrize(
