@@ -1,8 +1,8 @@
-"""Films a recorded walk with a synthetic camera beside the robot: a film to try scripts/track with.
+"""Films a recorded walk with a synthetic camera beside the robot, to try scripts/track with.
 
 WHAT is a recording of scripts/run. The film shows the markers on torso and legs and the board
-behind the robot, as config/vision.yaml places them, from `film_camera`. With the word chessboard the
-result is a folder of pictures of the ChArUco board, for scripts/calibrate_camera. Both are
+behind the robot, as config/vision.yaml places them, from `film_camera`. With the word chessboard
+the result is a folder of pictures of the ChArUco board, for scripts/calibrate_camera. Both are
 synthetic: distortion, blur and noise are added to rendered pictures, and nothing in them was
 measured.
 """

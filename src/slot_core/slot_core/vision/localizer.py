@@ -117,7 +117,7 @@ class MarkerLocalizer:
         if found.duplicates:
             return f"ids {', '.join(map(str, found.duplicates))} seen more than once"
         if found.ids:
-            return f"no marker of the boards, only ids {', '.join(map(str, found.ids))}"
+            return f"no marker of the boards, only ids {', '.join(map(str, sorted(found.ids)))}"
         if self._without % LONG == 0 and (other := other_dictionary(picture)):
             return f"no marker of {self._dictionary}, but {other}"
         return f"no marker of {self._dictionary}"

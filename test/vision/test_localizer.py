@@ -1,0 +1,160 @@
+"""Marker localisation: the torso's pose from rendered pictures, and pictures without one."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from views import CAMERA, MOUNT, VISION, board, picture_from_torso, picture_from_world, synthetic
+
+from slot_core import config
+from slot_core.clock import SECOND
+from slot_core.config import ConfigError
+from slot_core.simulation.closed_loop import ClosedLoop
+from slot_core.vision.board import print_of
+from slot_core.vision.camera import Camera, CameraError
+from slot_core.vision.frames import Transform
+from slot_core.vision.localizer import MarkerFix, MarkerLocalizer, NoFix
+from slot_core.vision.settings import VisionSettings
+from slot_core.vision.synthetic_camera import Surface
+
+BLANK = np.full((720, 1280), 120, np.uint8)
+BASE = Transform.of((0.15, -0.03, 0.07), (0.06, -0.05, 0.08))
+
+
+def localizer(carrier="torso", settings=VISION, camera=CAMERA):
+    return MarkerLocalizer(settings, camera, MOUNT, carrier)
+
+
+def changed(**changes):
+    return config.replace(VISION, changes)
+
+
+@pytest.mark.parametrize("carrier", ["torso", "world"])
+def test_the_pose_is_that_of_the_torso_within_its_covariance(carrier):
+    picture = picture_from_torso(BASE) if carrier == "torso" else picture_from_world(BASE)
+    fix = localizer(carrier).locate(5, picture)
+    assert isinstance(fix, MarkerFix)
+    turn = Rotation.from_quat(fix.quaternion) * Rotation.from_matrix(BASE.rotation).inv()
+    error = np.concatenate([fix.position - BASE.position, turn.as_rotvec()])
+    assert np.abs(error[:3]).max() < 2e-3
+    assert np.abs(error[3:]).max() < 5e-3
+    assert error @ np.linalg.solve(fix.pose_covariance, error) < 30.0  # six values
+    assert np.sqrt(np.diag(fix.pose_covariance)).max() < 6e-3
+
+
+def test_velocity_and_rate_are_the_difference_of_two_poses():
+    located, dt = localizer(), 0.033
+    moved = Transform.of((0.155, -0.03, 0.07), (0.06, -0.05, 0.09))
+    located.locate(0, picture_from_torso(BASE))
+    fix = located.locate(round(dt * SECOND), picture_from_torso(moved))
+    expected = moved.rotation.T @ (moved.position - BASE.position) / dt
+    turn = Rotation.from_matrix(BASE.rotation.T @ moved.rotation).as_rotvec() / dt
+    np.testing.assert_allclose(fix.velocity, expected, atol=0.03)
+    np.testing.assert_allclose(fix.angular_velocity, turn, atol=0.06)
+    late = VISION.detection.acceleration * dt / 2
+    assert np.diag(fix.twist_covariance)[:3].min() > late**2
+
+
+def test_without_a_former_pose_the_velocity_is_unknown():
+    fix = localizer().locate(0, picture_from_torso(BASE))
+    assert np.diag(fix.twist_covariance).min() >= 1e6
+
+
+def reason(located, picture, pictures=1):
+    for number in range(pictures):
+        fix = located.locate(number, picture)
+    assert isinstance(fix, NoFix)
+    assert not fix.odometry[2].any()  # the quaternion of lost odometry
+    return fix.reason
+
+
+def test_a_picture_without_markers_has_no_pose():
+    assert reason(localizer(), BLANK) == "no marker of DICT_4X4_100"
+
+
+def test_a_picture_blurred_beyond_recognition_has_no_pose():
+    assert reason(localizer(), picture_from_torso(BASE, blur=14.0)).startswith("no marker")
+
+
+def test_markers_of_another_dictionary_are_named():
+    foreign = changed(dictionary="DICT_5X5_100")
+    picture = picture_from_torso(BASE, settings=foreign)
+    assert "but 15 of DICT_5X5_1000" in reason(localizer(), picture, pictures=10)
+
+
+def test_ids_seen_twice_are_not_used():
+    shown = board("wall")
+    sheet = print_of(shown, VISION.dictionary_number)
+    sheets = [
+        Surface(sheet, Transform.of((x, 0.0, 1.8), (np.pi, 0.0, 0.0)).apply(shown.outline))
+        for x in (-0.45, 0.45)
+    ]
+    assert "seen more than once" in reason(localizer(), synthetic().picture(sheets))
+
+
+def test_markers_that_no_board_has_are_named():
+    picture = picture_from_torso(BASE)
+    elsewhere = changed(**{"boards.wall.frame": "base_link"})
+    assert "no marker of the boards, only ids 0, 1" in reason(
+        localizer(settings=elsewhere), picture
+    )
+
+
+def test_a_wrong_calibration_is_refused_by_its_reprojection_error():
+    wrong = Camera(1280, 720, CAMERA.matrix, np.array([0.4, 0.0, 0.0, 0.0, 0.0]))
+    assert "reprojection error" in reason(localizer(camera=wrong), picture_from_torso(BASE))
+
+
+def test_a_picture_of_another_size_is_refused():
+    with pytest.raises(CameraError, match=r"picture of 640 x 360 px.*1280 x 720"):
+        localizer().locate(0, BLANK[:360, :640])
+
+
+def test_one_far_marker_alone_has_no_pose_unless_the_last_one_decides():
+    far = {"boards.wall.columns": 1, "boards.wall.rows": 1, "boards.wall.marker": 0.04}
+    settings = changed(**far)
+    base = Transform.of((0.0, 0.0, 0.2), (0.0, 0.0, 0.0))
+    single = picture_from_torso(base, settings=settings)
+    alone = localizer(settings=settings)
+    assert "two poses explain them" in reason(alone, single)
+    alone._last = 0, base, np.zeros(6)
+    fix = alone.locate(SECOND // 30, single)
+    assert isinstance(fix, MarkerFix)
+    np.testing.assert_allclose(fix.position, base.position, atol=0.2)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"dictionary": "DICT_9X9"}, "dictionary = 'DICT_9X9': not one of cv2.aruco"),
+        ({"points.first_id": 60}, "boards.film: id 60 is also in points"),
+        ({"points.first_id": 90}, "id 106: DICT_4X4_100 ends at 99"),
+        ({"chessboard.marker": 0.027}, "not smaller than square"),
+    ],
+)
+def test_settings_that_contradict_each_other_are_refused(changes, message):
+    assert isinstance(VISION, VisionSettings)
+    with pytest.raises(ConfigError, match=message):
+        changed(**changes)
+
+
+@pytest.mark.parametrize("changes", [
+    {}, {"scene.sensors.camera.carrier": "world", "scene.sensors.camera.boards": ("torso",)},
+])  # fmt: skip
+def test_the_robot_walks_in_closed_loop_through_its_pictures(changes):
+    """Two strides: every picture gives an estimate, within 3 mm and 30 mm/s of the truth."""
+    loop = ClosedLoop("marker_camera", "walk", None, 0, changes=changes)
+    errors, ticks = [], 48
+    for tick in loop.run(ticks):
+        true, state = loop.plant.simulator, tick.estimate.state
+        errors.append([*(state[3:6] - true.position), *(state[9:12] - true.velocity)])
+    assert len(errors) == ticks
+    rms = np.sqrt(np.mean(np.square(errors[15:]), axis=0))
+    assert rms[:3].max() < 3e-3
+    assert rms[3:].max() < 30e-3
+    assert true.position[0] > 0.02
+
+
+def test_a_board_that_the_camera_cannot_see_is_refused():
+    with pytest.raises(ConfigError, match=r"boards: 'torso': expected .* \(wall, film\)"):
+        ClosedLoop("marker_camera", "walk", None, 0,
+                   changes={"scene.sensors.camera.boards": ("torso",)})  # fmt: skip

@@ -1,0 +1,115 @@
+"""Corners and poses of markers against what was rendered; calibrations of cameras."""
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.spatial.transform import Rotation
+from views import CAMERA, VISION, board, picture_from_torso, seen_from_torso
+
+from slot_core.vision.camera import Camera, CameraError, camera_text, from_camera_info, read_camera
+from slot_core.vision.detector import MarkerDetector
+from slot_core.vision.frames import Transform
+from slot_core.vision.pose import board_poses, nearest
+
+
+@pytest.mark.parametrize("blur", [0.0, 0.6, 1.5])
+def test_corners_are_found_to_a_twentieth_of_a_pixel_whatever_the_blur(blur):
+    base = Transform.of((0.1, 0.05, 0.07), (0.05, -0.04, 0.1))
+    found = MarkerDetector(VISION.dictionary_number, CAMERA).find(
+        picture_from_torso(base, blur=blur)
+    )
+    wall = board("wall")
+    assert set(found.ids) == set(wall.corners)
+    true = seen_from_torso(base).apply(np.array([wall.corners[i] for i in found.ids]))
+    error = CAMERA.focal * (found.rays - true[..., :2] / true[..., 2:])
+    assert np.sqrt(np.mean(error**2)) < 0.05
+    assert np.abs(error).max() < 0.2
+
+
+def test_covariance_of_a_pose_is_that_of_its_errors():
+    """Mean normalised error squared of six values over n draws, within its 99.9 % bounds."""
+    rng, count, noise = np.random.default_rng(0), 200, 2e-4
+    points = np.concatenate(list(board("wall").corners.values()))
+    true = Transform.of((0.1, -0.05, 1.2), (np.pi + 0.2, 0.1, 0.3))
+    seen = true.apply(points)
+    total = 0.0
+    for _ in range(count):
+        rays = seen[:, :2] / seen[:, 2:] + noise * rng.normal(size=(len(points), 2))
+        pose = board_poses(points, rays, noise)
+        turn = Rotation.from_matrix(pose.transform.rotation @ true.rotation.T).as_rotvec()
+        error = np.concatenate([pose.transform.position - true.position, turn])
+        total += error @ np.linalg.solve(pose.covariance, error)
+    low, high = stats.chi2.ppf([0.0005, 0.9995], 6 * count)
+    assert low < total < high
+
+
+def test_a_small_marker_has_two_poses_of_which_the_expected_one_is_chosen():
+    corners = 0.02 * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+    true = Transform.of((0.0, 0.0, 1.5), (np.pi + 0.4, 0.0, 0.0))
+    seen = true.apply(corners)
+    rays = seen[:, :2] / seen[:, 2:] + 2e-4 * np.random.default_rng(1).normal(size=(4, 2))
+    pose = board_poses(corners, rays, 1e-4)
+    assert pose.ratio < VISION.detection.ambiguity
+    for expected in (pose.transform, pose.other):
+        assert nearest(pose, expected) is expected
+    tilts = [t.rotation[2, 1] for t in (pose.transform, pose.other)]
+    assert min(tilts) < -0.2 < 0.2 < max(tilts)
+
+
+def test_rays_invert_the_projection_everywhere_in_the_picture():
+    x, y = np.meshgrid(np.linspace(0, 1279, 20), np.linspace(0, 719, 12))
+    pixels = np.stack([x, y], axis=-1)
+    rays = CAMERA.rays(pixels)
+    points = np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=-1)
+    np.testing.assert_allclose(CAMERA.project(points), pixels, atol=1e-5)
+
+
+INFO = {"width": 1280, "height": 720, "model": "plumb_bob", "d": [0.0] * 5,
+        "k": [900.0, 0, 640, 0, 900, 360, 0, 0, 1]}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"k": [0.0] * 9}, r"K\[0\] = 0: the camera is not calibrated"),
+        ({"k": [1.0]}, "K has 1 values, expected 9"),
+        ({"k": [float("nan"), *INFO["k"][1:]]}, "not finite"),
+        ({"k": [-900.0, *INFO["k"][1:]]}, "expected > 0"),
+        ({"model": "equidistant", "d": [0.0] * 4}, "distortion_model 'equidistant': expected one"),
+        ({"d": [0.0] * 4}, "D has 4 values, plumb_bob has 5"),
+        ({"d": [float("inf")] * 5}, "not finite"),
+    ],
+)
+def test_an_unusable_camera_info_is_refused(changes, reason):
+    with pytest.raises(CameraError, match=reason):
+        from_camera_info(**(INFO | changes))
+
+
+def test_a_camera_without_coefficients_has_no_distortion():
+    camera = from_camera_info(**(INFO | {"model": "", "d": []}))
+    assert not camera.distortion.any()
+
+
+@pytest.mark.parametrize("size", [5, 8])
+def test_a_calibration_file_gives_the_same_camera_back(tmp_path, size):
+    camera = Camera(640, 360, CAMERA.matrix / 2, np.linspace(-0.01, 0.02, size))
+    (tmp_path / "camera.yaml").write_text(camera_text(camera))
+    assert read_camera(tmp_path / "camera.yaml").equals(camera)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (None, "No such file"),
+        ("", "not subscriptable"),
+        ("image_width: 3\n", "image_height is missing"),
+        ("[", "expected the node content|while parsing"),
+    ],
+)
+def test_a_file_that_is_no_calibration_is_refused_in_one_line(tmp_path, text, reason):
+    file = tmp_path / "camera.yaml"
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(CameraError, match=reason) as refused:
+        read_camera(file)
+    assert "\n" not in str(refused.value)

@@ -1,0 +1,98 @@
+"""Prints have their true size and can be read; a calibration finds the camera that filmed."""
+
+import cv2
+import numpy as np
+import pytest
+from views import CAMERA, VISION
+
+from slot_core.vision import calibrate_camera, film, print_markers
+from slot_core.vision.calibration import View, calibrate
+from slot_core.vision.camera import CameraError, read_camera
+from slot_core.vision.print_markers import sheet_of
+
+DOTS = 4000.0  # px per m
+
+
+@pytest.mark.parametrize("what", ["torso", "film", "points"])
+def test_a_print_shows_its_markers_in_their_size(what):
+    sheet = sheet_of(what, VISION, DOTS)
+    dictionary = cv2.aruco.getPredefinedDictionary(VISION.dictionary_number)
+    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(sheet)
+    expected = VISION.points.names if what == "points" else VISION.boards[what].ids
+    assert set(ids.ravel()) == set(expected)
+    size = VISION.points.size if what == "points" else VISION.boards[what].marker
+    edges = [np.linalg.norm(c[0, 1] - c[0, 0]) for c in corners]
+    np.testing.assert_allclose(edges, size * DOTS, atol=2.0)
+
+
+@pytest.mark.parametrize("name", ["board.pdf", "board.png"])
+def test_a_print_is_written_with_its_resolution(tmp_path, capsys, name):
+    out = tmp_path / name
+    assert print_markers.main(["torso", "--out", str(out), "--dpi", "200"]) == 0
+    assert out.stat().st_size > 1000
+    assert "136 x 108 mm at 200 dots per inch" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["door", "--out", "x.png"], "WHAT = 'door': expected one of wall, film, torso, points"),
+        (["torso", "--out", "x.gif"], "ends in .png or .pdf"),
+        (["torso", "--out", "/nowhere/x.png"], "No such file or directory"),
+        (["torso", "--out", "x.png", "--dpi", "9"], "outside [50, 1200]"),
+    ],
+)
+def test_a_print_that_cannot_be_is_refused(capsys, arguments, reason):
+    with pytest.raises(SystemExit):
+        print_markers.main(arguments)
+    assert reason in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_calibration_finds_the_camera_that_filmed_the_board(tmp_path, monkeypatch):
+    monkeypatch.setattr(film, "VIEWS", 14)
+    film.main(["chessboard", "--out", str(tmp_path / "views")])
+    out = tmp_path / "camera.yaml"
+    assert calibrate_camera.main([str(tmp_path / "views"), "--out", str(out)]) == 0
+    found = read_camera(out)
+    np.testing.assert_allclose(found.matrix, CAMERA.matrix, atol=4.0)  # px
+    x, y = np.meshgrid(np.linspace(100, 1180, 12), np.linspace(80, 640, 8))
+    pixels = np.stack([x, y], axis=-1)
+    error = CAMERA.focal * (found.rays(pixels) - CAMERA.rays(pixels))
+    error -= error.mean(axis=(0, 1))  # a shift is a turn of the camera
+    assert np.abs(error).max() < 3.0
+
+
+def views(count, spread=1.0):
+    """Views of a plane by the nominal camera, without noise."""
+    rng = np.random.default_rng(0)
+    x, y = np.meshgrid(np.arange(6.0), np.arange(4.0))
+    board = 0.05 * np.column_stack([x.ravel() - 2.5, y.ravel() - 1.5, np.zeros(24)])
+    result = []
+    for number in range(count):
+        turn, _ = cv2.Rodrigues(rng.uniform(-0.5, 0.5, 3))
+        place = spread * np.array([*rng.uniform(-0.25, 0.25, 2) * [1.0, 0.5], 0.0])
+        points = board @ turn.T + place + [0.0, 0.0, 0.6]
+        result.append(View(f"{number}", board, CAMERA.project(points)))
+    return result
+
+
+def test_a_view_with_gross_errors_is_left_out():
+    given = views(12)
+    rng = np.random.default_rng(1)
+    bad = View("bad", given[0].points, given[0].pixels + 5 * rng.normal(size=(24, 2)))
+    found = calibrate([*given, bad], (1280, 720))
+    assert found.left_out == ("bad",)
+    np.testing.assert_allclose(found.camera.matrix, CAMERA.matrix, atol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        (views(7), "7 pictures show the board, at least 8 are needed"),
+        ([], "0 pictures show the board"),
+        (views(3)[:1] * 9, "covers .* at least 50 % are needed"),
+    ],
+)
+def test_views_that_do_not_determine_a_camera_are_refused(given, reason):
+    with pytest.raises(CameraError, match=reason):
+        calibrate(given, (1280, 720))

@@ -1,0 +1,142 @@
+"""Tracks of the markers on torso and leg against what was rendered; films that cannot be read."""
+
+import csv
+
+import cv2
+import numpy as np
+import pytest
+from views import CAMERA, VISION, natural_legs, stage, synthetic
+
+from slot_core.vision import track
+from slot_core.vision.camera import Camera, camera_text
+from slot_core.vision.frames import Transform
+from slot_core.vision.tracker import Tracker
+
+COUNT = 6
+POINTS = ["torso", "FR_base", "FR_third", "FR_two_thirds", "FR_tip"]
+LOOK = Transform.of((0, 0, 0), VISION.film_camera.rpy).rotation[:, 0]  # of the film's camera
+
+
+def bases():
+    return [Transform.of((0.01 * k, 0.0, 0.045), (0.02, 0.03 * k, 0.0)) for k in range(COUNT)]
+
+
+@pytest.fixture(scope="module")
+def shots():
+    """Picture, depth picture and true plates of COUNT poses."""
+    result = []
+    for base in bases():
+        nodes = natural_legs(base)
+        surfaces = stage().surfaces(base, nodes)
+        pictures = synthetic().picture(surfaces), synthetic().depth(surfaces, 0.002)
+        result.append((*pictures, stage().plates(base, nodes)))
+    return result
+
+
+@pytest.fixture
+def folder(tmp_path, shots):
+    """Folders of the pictures and the depth pictures, and the calibration."""
+    for name in ("film", "depth"):
+        (tmp_path / name).mkdir()
+    for number, (picture, depth, _) in enumerate(shots):
+        cv2.imwrite(str(tmp_path / "film" / f"{number:03d}.png"), picture)
+        cv2.imwrite(str(tmp_path / "depth" / f"{number:03d}.png"), depth)
+    (tmp_path / "camera.yaml").write_text(camera_text(CAMERA))
+    return tmp_path
+
+
+@pytest.mark.parametrize("with_depth", [False, True])
+def test_tracks_are_within_a_millimetre_in_the_image_plane_and_three_in_depth(shots, with_depth):
+    tracker = Tracker(VISION, CAMERA)
+    for number, (picture, depth, _) in enumerate(shots):
+        tracker.add(float(number), picture, depth if with_depth else None)
+    tracks = tracker.tracks()
+    assert tracks.frame == "odom"
+    assert tracks.camera_motion < 1.0
+    assert sorted(s.point for s in tracks.samples if s.time == 0.0) == sorted(POINTS)
+    errors = np.array([s.position - shots[int(s.time)][2][s.point].position
+                       for s in tracks.samples])  # fmt: skip
+    assert len(errors) == len(POINTS) * COUNT
+    depth_error = errors @ LOOK
+    across = np.linalg.norm(errors - depth_error[:, None] * LOOK, axis=1)
+    assert np.sqrt(np.mean(across**2)) < 1e-3
+    assert np.sqrt(np.mean(depth_error**2)) < (2e-3 if with_depth else 3e-3)
+
+
+def test_without_a_board_the_tracks_are_in_the_axes_of_the_camera(shots):
+    tracker = Tracker(VISION, CAMERA)
+    picture = shots[0][0].copy()
+    picture[:290] = 120  # the board
+    (tip,) = [s.position for s in tracker.add(0.0, picture) if s.point == "FR_tip"]
+    tracks = tracker.tracks()
+    assert tracks.frame == "camera_link"
+    (same,) = [s.position for s in tracks.samples if s.point == "FR_tip"]
+    np.testing.assert_allclose(same, [tip[2], -tip[0], -tip[1]])
+
+
+def test_a_camera_that_moves_is_noticed(shots):
+    tracker = Tracker(VISION, CAMERA)
+    for shift in (0, 0, 0, 4):
+        tracker.add(0.0, np.roll(shots[0][0], shift, axis=1))
+    assert tracker.tracks().camera_motion == pytest.approx(2.0, rel=0.2)  # mean of x and y
+
+
+def rows(path):
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_the_csv_has_a_row_for_every_marker_that_a_picture_shows(folder, capsys):
+    out = folder / "tracks.csv"
+    place = ["--camera", str(folder / "camera.yaml"), "--out", str(out), "--rate", "25"]
+    assert track.main([str(folder / "film"), *place, "--depth", str(folder / "depth")]) == 0
+    found = rows(out)
+    assert list(found[0]) == ["time", "point", "x", "y", "z"]
+    assert {r["point"] for r in found} == set(POINTS)
+    assert sorted({float(r["time"]) for r in found}) == pytest.approx(np.arange(COUNT) / 25)
+    assert track.main([str(folder / "film"), *place, "--leg", "FR"]) == 0
+    assert {r["point"] for r in rows(out)} == {"torso", "base", "third", "two_thirds", "tip"}
+    assert "100.0 % of the pictures" in capsys.readouterr().out
+
+
+def refusal(arguments, capsys):
+    with pytest.raises(SystemExit) as ended:
+        track.main(arguments)
+    assert ended.value.code == 2
+    return capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "reason"),
+    [
+        ("no.avi", None, "does not exist"),
+        ("empty.avi", b"", "no video that OpenCV can read"),
+        ("noise.avi", bytes(range(256)) * 20, "no video that OpenCV can read"),
+        ("bag.mcap", b"nothing", "cannot be read"),
+    ],
+)
+def test_an_unreadable_film_is_refused_in_one_line(tmp_path, capsys, name, content, reason):
+    film, out = tmp_path / name, tmp_path / "out.csv"
+    if content is not None:
+        film.write_bytes(content)
+    assert reason in refusal([str(film), "--out", str(out)], capsys)
+    assert not out.exists()
+
+
+def test_films_that_do_not_fit_are_refused(folder, capsys):
+    film, out = str(folder / "film"), ["--out", str(folder / "x.csv")]
+    (folder / "none").mkdir()
+    assert "without pictures" in refusal([str(folder / "none"), *out], capsys)
+    half = Camera(640, 360, CAMERA.matrix / 2, CAMERA.distortion)
+    (folder / "half.yaml").write_text(camera_text(half))
+    place = ["--camera", str(folder / "half.yaml")]
+    assert "calibrated at 640 x 360 px" in refusal([film, *out, *place], capsys)
+    assert "expected one 16-bit channel" in refusal([film, *out, "--depth", film], capsys)
+    (folder / "depth" / "005.png").unlink()
+    line = refusal([film, *out, "--depth", str(folder / "depth")], capsys)
+    assert line.endswith("5 depth pictures, fewer than pictures")
+    assert not (folder / "x.csv").exists()
+    (folder / "blank").mkdir()
+    cv2.imwrite(str(folder / "blank" / "0.png"), np.full((720, 1280), 90, np.uint8))
+    line = refusal([str(folder / "blank"), *out], capsys)
+    assert line.endswith("(ids 40 to 56 of DICT_4X4_100; the first shows no marker)")

@@ -1,0 +1,65 @@
+"""Rendered views of boards and of the robot for the tests of vision."""
+
+import functools
+
+import numpy as np
+
+from slot_core.robot import read_robot
+from slot_core.vision.board import make_board, print_of
+from slot_core.vision.camera import nominal
+from slot_core.vision.film import Stage
+from slot_core.vision.frames import Transform, optical
+from slot_core.vision.settings import read_vision
+from slot_core.vision.synthetic_camera import Imperfections, Surface, SyntheticCamera
+
+VISION = read_vision()
+CAMERA = nominal(VISION.camera)
+MOUNT = Transform.of((0.06, 0.0, 0.03), (0.0, 0.0, 0.0))  # camera_link in base_link
+
+
+@functools.cache
+def synthetic(**made):
+    """A synthetic camera; its pictures depend on those before it only in the noise."""
+    return SyntheticCamera(CAMERA, Imperfections(**made), np.random.default_rng(0))
+
+
+def board(name, settings=None):
+    return make_board((settings or VISION).boards[name])
+
+
+def seen_from_torso(base, name="wall"):
+    """Pose of a board in the world in the camera on the torso."""
+    return optical(base @ MOUNT).inverse @ board(name).pose
+
+
+def picture_from_torso(base, name="wall", settings=None, **made):
+    """Picture of the camera on the torso at `base`."""
+    vision = settings or VISION
+    shown = board(name, vision)
+    corners = seen_from_torso(base, name).apply(shown.outline)
+    sheet = print_of(shown, vision.dictionary_number)
+    return synthetic(**made).picture([Surface(sheet, corners)])
+
+
+def picture_from_world(base):
+    """Picture of the camera in the world, of the board on the torso at `base`."""
+    shown = board("torso")
+    placed = Transform.of(VISION.world_camera.position, VISION.world_camera.rpy)
+    corners = (optical(placed).inverse @ base @ shown.pose).apply(shown.outline)
+    sheet = print_of(shown, VISION.dictionary_number)
+    return synthetic().picture([Surface(sheet, corners)])
+
+
+def natural_legs(base):
+    """Nodes (4, N, 3) m in odom of the stress-free legs on the torso at `base`."""
+    robot = read_robot()
+    x = np.linspace(0.0, robot.leg.reach, 21)
+    drop = robot.leg.shape(x) - robot.leg.shape(0.0)
+    legs = robot.clamps[:, None] + x[:, None] * robot.outward[:, None]
+    legs[..., 2] += drop
+    return base.apply(legs)
+
+
+@functools.cache
+def stage():
+    return Stage(VISION, read_robot())
