@@ -1,9 +1,13 @@
-"""Error of the state at the time when the MPC uses it, with delayed, lost and jumping odometry.
+"""Error of the state at the time when the MPC uses it, with poor odometry, and of vision.
 
 Sensor streams are those of walks in simulation, with the sensors' noise of config/scene/flat.yaml;
 delays, losses and jumps are put on them. Three ways are compared: the authors' finite differences
 with zero angular rates, the filter's state at the stamp of the odometry, and the state predicted
 with the IMU to its newest sample. Errors are RMS over all axes, at the arrival of the odometry.
+Vision, on rendered pictures: `vision_rows.py`.
+
+Beside that: how exactly scripts/validate aligns the clock of a camera, and scripts/twin recovers
+known changes of a robot from a noisy walk.
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from benchmarks.estimation import methods, picture
+from benchmarks.estimation import identification_rows, methods, picture
 from benchmarks.estimation.measured_streams import (
     RecordingPlant,
     Slam,
@@ -62,8 +66,10 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
     lost = [error_after_loss(walk, others["one second lost"], settings) for walk in walks]
     rows.append(nees_row(walks, settings))
     rows += [cpu_row(walks[0], settings), *closed_loop_rows(progress)]
+    rows += vision_rows.rows(quick, progress)
     picture.draw(rows, out / "estimation.png")
-    return rows, checks(rows, np.array(lost))
+    more, of_twin = identification_rows.rows_and_checks(quick, progress)
+    return [*rows, *more], [*checks(rows, np.array(lost)), *of_twin]
 
 
 def method_rows(
@@ -200,4 +206,5 @@ def checks(rows: list[Row], lost: Array) -> list[Check]:
             at_most(f"{name}, 80 ms late", abs(far[name] / near[name] - 1.0), 0.05)
             for name in ("v_x_mm_s", "lateral_mm", "tilt_mrad")
         ],
+        *vision_rows.checks(rows),
     ]

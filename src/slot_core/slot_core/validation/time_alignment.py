@@ -9,6 +9,9 @@
    R as above, of the differences without their moving mean. So a place or heading that the run gets
    wrong by and by is not taken for a drift of the clock.
 
+The intervals take the differences of every `SLOW` as one group (as calibration/fit.py does): a run
+that differs from the measurement in shape is not aligned as exactly as noise alone would let it.
+
 Periodic motion fits nearly as well a period later: the shifts of the highest peaks are all refined,
 and that with the least rest is taken. `rival_rest` says what the next best one leaves.
 """
@@ -23,7 +26,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 from scipy.optimize import least_squares
 from scipy.signal import correlate
-from scipy.stats import norm
+from scipy.stats import t as student
 
 from slot_core.robot import Array
 from slot_core.validation.frame_alignment import best_rotation
@@ -153,11 +156,16 @@ def _refine(pairs: Sequence[Pair], frame: str, start: float) -> TimeAlignment:
         residuals, np.zeros(size), bounds=(-limit, limit), x_scale=0.01, xtol=1e-10, ftol=1e-10
     )
     jacobian = np.asarray(found.jac)
-    variance = 2 * found.cost / max(len(found.fun) - size, 1)
-    covariance = np.linalg.pinv(jacobian.T @ jacobian) * variance
+    block = np.repeat(np.floor((times - times.min()) / SLOW), 3)
+    scores = np.array([jacobian[block == k].T @ found.fun[block == k] for k in np.unique(block)])
+    inverse = np.linalg.pinv(jacobian.T @ jacobian)
+    freedom = max(len(scores) - size, 1)
+    covariance = inverse @ scores.T @ scores @ inverse * (len(scores) / freedom)
     to_result = np.array([[1.0, -middle / duration], [0.0, 1.0 / duration]])[:, :size]
     offset, drift = to_result @ found.x
-    widths = norm.ppf((1 + LEVEL) / 2) * np.sqrt(np.diag(to_result @ covariance @ to_result.T))
+    widths = student.ppf((1 + LEVEL) / 2, freedom) * np.sqrt(
+        np.diag(to_result @ covariance @ to_result.T)
+    )
     rest = float(np.sqrt(np.mean(found.fun**2)))
     offset_width, drift_width = widths.tolist()
     return TimeAlignment(start + float(offset), float(drift), offset_width, drift_width, rest)

@@ -1,0 +1,141 @@
+"""Vision on rendered pictures: error and CPU time of the marker tracker, and a walk through pictures.
+
+The film is that of scripts/film: the leg FR and the torso from 0.8 m, 1280 x 720 px, with distortion,
+blur, motion and noise. Errors are those of all its points, across and along the line of sight of the
+camera. The tracker's CPU time is compared with that of cv2.aruco.detectMarkers on the same pictures.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+import numpy as np
+
+from benchmarks.estimation.measured_streams import RecordingPlant
+from benchmarks.harness import Check, Row, at_most
+from slot_core.robot import Array, read_robot
+from slot_core.simulation.closed_loop import ClosedLoop
+from slot_core.vision.camera import nominal
+from slot_core.vision.film import DEPTH_NOISE, Stage
+from slot_core.vision.frames import Transform
+from slot_core.vision.settings import VisionSettings, read_vision
+from slot_core.vision.synthetic_camera import Imperfections, SyntheticCamera
+from slot_core.vision.tracker import Sample, Tracker
+
+PERIOD = 0.033  # s, of the pictures
+WARM_UP = 2.0  # s
+Moment = tuple[Transform, Array]  # base_link and the nodes of the legs in odom
+
+
+def rows(quick: bool, progress: Callable[[str], None]) -> list[Row]:
+    """Rows of the kinds `tracker` and `pictures`."""
+    cv2.setNumThreads(1)
+    progress("film of a walk")
+    result = tracker_rows(read_vision(), moments(60 if quick else 240))
+    duration = 5.0 if quick else 10.0
+    for scene in ("flat", "marker_camera"):
+        progress(f"walk of {duration:g} s in the scene {scene}")
+        result.append(walk_row(scene, duration))
+    return result
+
+
+def moments(count: int) -> list[Moment]:
+    """The walking robot at `count` pictures."""
+    loop, found = ClosedLoop("flat", "walk", None, 0), list[Moment]()
+    sim = loop.plant.simulator
+    for _ in loop.run(count):
+        found.append((Transform(sim.rotation.copy(), sim.position.copy()), sim.nodes.copy()))
+    return found
+
+
+def tracker_rows(settings: VisionSettings, walk: list[Moment]) -> list[Row]:
+    """Errors and CPU time of the tracker without and with the depth channel."""
+    stage, camera = Stage(settings, read_robot()), nominal(settings.camera)
+    synthetic = SyntheticCamera(camera, Imperfections(), np.random.default_rng(0))
+    trackers = {depth: Tracker(settings, camera) for depth in (False, True)}
+    dictionary = cv2.aruco.getPredefinedDictionary(settings.dictionary_number)
+    plain = cv2.aruco.ArucoDetector(dictionary)
+    truth, times, plain_times = list[dict[str, Transform]](), list[float](), list[float]()
+    for number, (now, soon) in enumerate(zip(walk, walk[1:])):
+        surfaces = stage.surfaces(*now, (*soon, PERIOD))
+        picture, depth = synthetic.picture(surfaces), synthetic.depth(surfaces, DEPTH_NOISE)
+        truth.append(stage.plates(*now))
+        plain_times.append(cpu_time(lambda p=picture: plain.detectMarkers(p)))
+        times.append(cpu_time(lambda p=picture, n=number: trackers[False].add(float(n), p)))
+        trackers[True].add(float(number), picture, depth)
+    look = Transform.of((0, 0, 0), settings.film_camera.rpy).rotation[:, 0]
+    found: list[Row] = []
+    for depth, tracker in trackers.items():
+        across, along = errors(tracker.tracks().samples, truth, look)
+        cpu = {"cpu_ms": 1e3 * np.median(times), "plain_ms": 1e3 * np.median(plain_times)}
+        found.append(
+            {
+                "kind": "tracker",
+                "depth_channel": depth,
+                "pictures": len(truth),
+                "samples": len(along),
+                "image_plane_mm": 1e3 * float(np.sqrt(np.mean(across**2))),
+                "depth_mm": 1e3 * float(np.sqrt(np.mean(along**2))),
+                **({} if depth else cpu | {"pictures_per_s": 1 / np.median(times)}),
+                **({} if depth else {"ratio": np.median(np.array(times) / plain_times)}),
+            }
+        )
+    return found
+
+
+def cpu_time(call: Callable[[], Any]) -> float:
+    """CPU time of a call, s."""
+    start = time.process_time()
+    call()
+    return time.process_time() - start
+
+
+def errors(
+    samples: list[Sample], truth: list[dict[str, Transform]], look: Array
+) -> tuple[Array, Array]:
+    """Errors (n,) across and along a line of sight, m."""
+    off = np.array([s.position - truth[round(s.time)][s.point].position for s in samples])
+    along = off @ look
+    return np.linalg.norm(off - along[:, None] * look, axis=1), along
+
+
+def walk_row(scene: str, duration: float) -> Row:
+    """Velocity, drift to the side and error of the estimate of a walk."""
+    loop, off = ClosedLoop(scene, "walk", None, 0, make=RecordingPlant), list[Array]()
+    sim = loop.plant.simulator
+    for tick in loop.run(round(duration / PERIOD)):
+        state = tick.estimate.state
+        off.append(np.concatenate([state[3:6] - sim.position, state[9:12] - sim.velocity]))
+    assert isinstance(loop.plant, RecordingPlant)
+    true = np.array([state for _, state in loop.plant.truth][round(WARM_UP * 200) :])
+    rms = 1e3 * np.sqrt(np.mean(np.square(off[round(WARM_UP / PERIOD) :]), axis=0))
+    return {
+        "kind": "pictures",
+        "scene": scene,
+        "v_x_mm_s": 1e3 * float(true[-1, 3] - true[0, 3]) / (len(true) / 200),
+        "lateral_mm": 1e3 * float(np.abs(true[:, 4] - true[0, 4]).max()),
+        "position_mm": float(np.sqrt(np.mean(rms[:3] ** 2))),
+        "velocity_mm_s": float(np.sqrt(np.mean(rms[3:] ** 2))),
+    }
+
+
+def checks(rows: list[Row]) -> list[Check]:
+    """Figures of these rows that have a goal."""
+    picture, deep = (r for r in rows if r["kind"] == "tracker")
+    stock, seen = (r for r in rows if r["kind"] == "pictures")
+    return [
+        at_most("tracker, image plane at 0.8 m", picture["image_plane_mm"], 1.0, "mm"),
+        at_most("tracker, depth at 0.8 m", picture["depth_mm"], 3.0, "mm"),
+        at_most("tracker, depth with the depth channel", deep["depth_mm"], 2.0, "mm"),
+        at_most("tracker, CPU over that of detectMarkers", picture["ratio"], 1.5),
+        at_most("v_x through pictures", abs(seen["v_x_mm_s"] / stock["v_x_mm_s"] - 1.0), 0.05),
+        at_most(
+            "lateral error through pictures, beyond that of stock odometry",
+            seen["lateral_mm"] - stock["lateral_mm"],
+            2.0,
+            "mm",
+        ),
+    ]

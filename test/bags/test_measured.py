@@ -1,0 +1,69 @@
+"""Motion and tendon angles of a bag are sound, or refused in one line."""
+
+import numpy as np
+import pytest
+from synthetic_walk import TOPICS, encode, message
+
+from slot_core.bags.bag import Bag, BagError, BagWriter, read_record_settings
+from slot_core.bags.measured import measured_motion, tendon_angles
+from slot_core.robot import TENDON_JOINTS
+
+UNIT = (0.0, 0.0, 0.0, 1.0)
+
+
+def odometry(stamp, x=0.0, quaternion=UNIT):
+    fields = {"pose__pose__position": (x, 0, 0), "pose__pose__orientation": quaternion}
+    return "/odom", message("/odom", stamp, **fields)
+
+
+def joints(stamp, angle=1.0):
+    built = message("/joint_states", stamp, position=[angle] * 4)
+    built.name = list(TENDON_JOINTS)
+    return "/joint_states", built
+
+
+@pytest.fixture
+def bag(tmp_path):
+    """Writes a bag of (topic, message) and opens it."""
+
+    def write(*entries):
+        with BagWriter(tmp_path / "bag", read_record_settings()) as out:
+            for n, (topic, built) in enumerate(entries):
+                out.write(topic, TOPICS[topic], n, encode(topic, built))
+        return Bag(tmp_path / "bag")
+
+    return write
+
+
+def test_equal_messages_of_one_stamp_count_once(bag):
+    moved = measured_motion(bag(odometry(1.0), odometry(1.0), odometry(2.0, 0.5)))
+    assert moved.t.tolist() == [1.0, 2.0]
+    assert moved.position[:, 0].tolist() == [0.0, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        ([(1.0, np.nan), (2.0, 0.0)], "message 0 holds a value that is not finite"),
+        ([(1.0, 0.0), (3.0, 0.1), (2.5, 0.2)], "time goes back by 0.5 s after message 1"),
+        ([(1.0, 0.0), (1.0, 0.1)], "messages 0 and the next have one stamp"),
+        ([(1.0, 0.0), (1.0, 0.0)], "1 samples, less than 2"),
+        ([(1.0, 0.0), (2.0, 0.0, (0, 0, 0, 0.5))], "quaternion of sample 1 has the length 0.5"),
+        ([(1.0, 0.0), (2.0, 0.0, (0, 0, 0, 0))], "quaternion of sample 1 has the length 0"),
+    ],
+)
+def test_an_odometry_that_is_not_sound_is_refused(bag, entries, message):
+    with pytest.raises(BagError, match=message) as refusal:
+        measured_motion(bag(*(odometry(*entry) for entry in entries)))
+    assert "/odom: " in str(refusal.value)
+
+
+def test_a_bag_without_tendon_angles_is_refused(bag):
+    with pytest.raises(BagError, match="holds none of /joint_states, /desired_joint_angles"):
+        tendon_angles(bag(odometry(1.0), odometry(2.0)))
+
+
+def test_measured_angles_go_before_commands(bag):
+    angles = tendon_angles(bag(joints(1.0), joints(2.0, 1.5)))
+    assert angles.measured
+    assert angles.angle[:, 3].tolist() == [1.0, 1.5]

@@ -1,0 +1,262 @@
+"""The twin: what was recorded is replayed, and known changes of the robot are found."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from slot_core import config
+from slot_core.bags.bag import Bag
+from slot_core.bags.measured import COMMANDED, MEASURED, TendonAngles
+from slot_core.bags.walk import Motion
+from slot_core.config import ConfigError
+from slot_core.control.gait import read_gaits
+from slot_core.robot import read_parameters, read_robot
+from slot_core.twin import parameter_set, twin
+from slot_core.twin.replay_robot import (
+    Recorded,
+    Track,
+    measured_track,
+    predict,
+    read_parts,
+    read_recorded,
+)
+from slot_core.twin.settings import read_twin
+from slot_core.twin.strides import angle_period, error_growth, find_strides, stride_errors
+from slot_core.twin.twin_fit import changed, changes, fit_twin, parameter, places
+
+SETTINGS = config.replace(read_twin(), {"held_out": 0.5})
+PARTS = read_parts("flat")
+WALK = str(Path(__file__).parents[1] / "bags" / "walk")
+SECONDS = 10.0
+
+
+def walking_angles(topic=MEASURED):
+    """Tendon angles of the stride of `walk` after a second at rest, at 100 Hz."""
+    stride = read_gaits().find("walk")
+    t = np.arange(0.0, SECONDS, 0.01)
+    velocity = np.array([stride.cruise, 0.0, 0.0])
+    phase = np.clip(t - 1.0, 0.0, None) / stride.period % 1.0
+    angle = stride.course(phase, velocity, stride.walking(velocity), np.zeros(4))[:, :4]
+    return TendonAngles(topic, t, np.clip(angle, 0.0, PARTS.robot.tendon.angle_max))
+
+
+def motion_of(track, noise=0.0):
+    rng = np.random.default_rng(2)
+    position = track.position + rng.normal(scale=noise, size=track.position.shape)
+    rpy = track.rpy + rng.normal(scale=2 * noise, size=track.rpy.shape)
+    quaternion = Rotation.from_euler("ZYX", rpy[:, ::-1]).as_quat()
+    return Motion("/odom", track.t, position, quaternion, np.zeros_like(position))
+
+
+def still(t):
+    return Track(t, np.tile([0.3, -0.2, 0.04], (len(t), 1)), np.tile([0.0, 0.0, 0.5], (len(t), 1)))
+
+
+@pytest.fixture(scope="module")
+def walked():
+    """A recorded walk of another robot, friction 0.3, E -15 %, that starts somewhere."""
+    angles = walking_angles()
+    blank = Recorded("walked", angles, motion_of(still(np.arange(0.0, SECONDS, 0.033))), None)
+    other = changed(PARTS, ["scene.floor.friction", "robot.leg.young_modulus"], [0.3, 0.85 * 2.6e7])
+    moved = predict(blank, other, SETTINGS).at(blank.motion.t[:-1])
+    return dataclasses.replace(blank, motion=motion_of(moved, noise=1e-3)), other
+
+
+def test_a_replay_begins_at_the_recorded_place_and_heading(walked):
+    recorded, _ = walked
+    track = predict(recorded, PARTS, SETTINGS)
+    assert track.position[0, :2] == pytest.approx(recorded.motion.position[0, :2])
+    assert track.rpy[0, 2] == pytest.approx(recorded.motion.rpy[0, 2], abs=1e-6)
+
+
+def test_measured_angles_are_imposed_whatever_the_load(walked):
+    recorded, _ = walked
+    weak = dataclasses.replace(PARTS, servo=config.replace(PARTS.servo, {"stall_torque": 0.05}))
+    first, second = (predict(recorded, parts, SETTINGS) for parts in (PARTS, weak))
+    assert second.columns == pytest.approx(first.columns)
+
+
+def test_a_recorded_walk_is_replayed_from_its_own_angles():
+    recorded = read_recorded(Bag(WALK))
+    measured = measured_track(recorded.motion)
+    found = predict(recorded, PARTS, SETTINGS).at(measured.t)
+    assert recorded.angles.topic == MEASURED
+    off = np.linalg.norm(found.position - measured.position, axis=1)
+    assert off.max() < 2e-3  # 1.3 mm at the first jump of the angles, recorded at 100 Hz
+    assert np.ptp(measured.position[:, 0]) > 0.02
+
+
+def test_commands_go_through_the_servo():
+    recorded = read_recorded(Bag(WALK), COMMANDED)
+    measured = measured_track(recorded.motion)
+    found = predict(recorded, PARTS, SETTINGS).at(measured.t)
+    off = np.linalg.norm(found.position - measured.position, axis=1)
+    assert off.max() < 2e-3  # the lag of the servo is 0.1 s: without it 10 mm
+
+
+def test_a_start_that_is_not_recorded_is_forgotten_within_the_run_in(walked, monkeypatch):
+    recorded, _ = walked
+    first = predict(recorded, PARTS, SETTINGS)
+    from slot_core.twin import replay_robot  # noqa: PLC0415 - its function is replaced
+
+    place = replay_robot._place
+
+    def kick(sim, *rest):
+        place(sim, *rest)
+        sim.state.velocity[:] += [0.02, 0.03, -0.02]
+        sim.state.position[2] += 0.004
+
+    monkeypatch.setattr(replay_robot, "_place", kick)
+    second = predict(recorded, PARTS, SETTINGS)
+    late = first.t > first.t[0] + 5.0
+    assert np.abs(second.columns - first.columns)[late, 2:5].max() < 1e-5
+
+
+def test_strides_begin_with_the_motion_and_have_the_period_of_the_angles(walked):
+    recorded, _ = walked
+    strides = find_strides(recorded, SETTINGS)
+    period = read_gaits().find("walk").period
+    assert strides.period == pytest.approx(period, abs=0.01)
+    assert strides.edges[0] == pytest.approx(1.0 + SETTINGS.run_in * strides.period, abs=0.1)
+
+
+def test_angles_without_a_period_are_refused(walked):
+    recorded, _ = walked
+    t = recorded.angles.t
+    rising = TendonAngles(MEASURED, t, np.tile(t[:, None] / 20, (1, 4)))
+    with pytest.raises(ConfigError, match="not periodic; name a length with --period"):
+        angle_period(dataclasses.replace(recorded, angles=rising))
+
+
+def test_errors_of_strides_are_those_of_the_closed_form(walked):
+    strides = find_strides(walked[0], SETTINGS)
+    t = np.arange(0.0, SECONDS, 0.033)
+    slow, fast = (Track(t, np.outer(t, [v, 0.0, 0.0]), np.zeros((len(t), 3))) for v in (0.05, 0.06))
+    found = stride_errors(fast, slow, strides).summary()
+    assert found["displacement"] == pytest.approx(0.01 * strides.period)
+    assert found["place"] == pytest.approx(0.04 * strides.period)
+    assert found["turn"] == pytest.approx(0.0)
+    growth = error_growth(fast, slow, strides)
+    assert growth[:, 1] == pytest.approx(0.01 * strides.period * growth[:, 0])
+
+
+def test_known_changes_of_the_robot_are_found_and_hold_for_unseen_strides(walked):
+    recorded, other = walked
+    names = places(["friction", "young_modulus"])
+    strides = find_strides(recorded, SETTINGS)
+    found = fit_twin(recorded, PARTS, names, strides, SETTINGS, progress=lambda _: None)
+    friction, modulus = found.estimate.values
+    assert friction == pytest.approx(0.3, rel=0.05)
+    assert modulus == pytest.approx(other.robot.leg.young_modulus, rel=0.05)
+    before, after = (errors.summary() for errors in found.held_out)
+    assert after["place"] < before["place"] / 3
+    low, high = found.estimate.interval[0]
+    assert low < 0.3 < high
+
+
+def test_a_parameter_without_influence_is_named_as_undetermined(walked):
+    recorded, _ = walked
+    names = places(["scene.floor.torso_friction"])
+    strides = find_strides(recorded, SETTINGS)
+    found = fit_twin(recorded, PARTS, names, strides, SETTINGS, progress=lambda _: None)
+    assert np.isnan(found.estimate.interval).all()
+    assert parameter_set.undetermined(found.names, found.estimate) == list(names)
+
+
+def test_a_change_for_one_leg_leaves_the_others():
+    given = changes(PARTS, places(["tendon_offset"])[1:2], [0.0005])
+    assert given["scene"] == {"tendons.slack": [0.0, 0.0005, 0.0, 0.0]}
+    assert changes(PARTS, ["servo.lag"], [0.05])["servo"] == {"lag": 0.05, "model": "torque_speed"}
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("colour", "expected one of friction, young_modulus"),
+        ("robot.leg.colour", "robot has no number leg.colour"),
+        ("robot.torso.mass[1]", "one number, without an index"),
+        ("servo.model", "servo has no number model"),
+    ],
+)
+def test_a_parameter_that_is_none_is_refused(name, message):
+    with pytest.raises(ConfigError, match=message):
+        parameter(PARTS, places([name])[0])
+
+
+def test_a_scene_names_a_parameter_set_and_its_own_values_go_before(tmp_path, monkeypatch):
+    shipped = config.config_dir()
+    for name in ("scene", "solver", "parameters"):
+        (tmp_path / name).mkdir()
+        for path in (shipped / name).glob("*.yaml"):
+            (tmp_path / name / path.name).write_text(path.read_text())
+    for name in ("robot", "servo"):
+        (tmp_path / f"{name}.yaml").write_text((shipped / f"{name}.yaml").read_text())
+    monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
+    values = read_parameters("calibrated") | {"leg.young_modulus": 2.0e7}
+    content = {
+        "values": values, "robot": {"torso.mass": 2.2}, "servo": {"motor_time": 0.02},
+        "scene": {"floor.friction": [0.3] * 4, "tendons.slack": [0.0, -0.0005, 0.0, 0.0]},
+    }  # fmt: skip
+    parameter_set.write("mine", content)
+    (tmp_path / "scene" / "mine.yaml").write_text(
+        "like: flat\nparameters: mine\nfloor.friction: [0.2, 0.2, 0.2, 0.2]\n"
+    )
+    found = read_parts("mine")
+    assert found.robot.leg.young_modulus == 2.0e7
+    assert found.robot.torso.mass == 2.2
+    assert found.servo.motor_time == 0.02
+    assert found.scene.floor.friction == (0.2,) * 4
+    assert found.scene.tendons.slack[1] == -0.0005
+    assert read_robot().torso.mass == 2.0
+    with pytest.raises(ConfigError, match=r"--set mine: .* exists; it stays as it is"):
+        parameter_set.place_of("mine")
+
+
+def test_an_interrupted_fit_takes_up_its_trials(tmp_path):
+    run = []
+
+    def run_all(call, points):
+        run.extend(points)
+        return [call(point) for point in points]
+
+    for _ in range(2):
+        trials = twin._Trials(tmp_path / "trials", run_all, "one fit")
+        found = trials(np.square, [np.array([1.0, 2.0]), np.array([3.0, 4.0])])
+        assert found[1].tolist() == [9.0, 16.0]
+    assert len(run) == 2
+    twin._Trials(tmp_path / "trials", run_all, "another")(np.square, [np.array([1.0, 2.0])])
+    assert len(run) == 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        ([str(Path(__file__).parent)], "no metadata.yaml: not a bag"),
+        ([WALK], "strides of 0.7 s after a run-in of 2, less than 5"),
+        ([WALK, "--fit", "colour"], "--fit colour: expected one of friction"),
+        ([WALK, "--fit", "friction,friction"], "a parameter is named twice"),
+        ([WALK, "--set", "calibrated"], "it stays as it is"),
+        ([WALK, "--set", "../x"], "expected letters, digits, _ and -"),
+        ([WALK, "--scene", "moon"], "no configuration 'scene/moon'"),
+        ([WALK, "--parameters", "moon"], "no configuration 'parameters/moon'"),
+        ([WALK, "--namespace", "fred"], "holds none of /joint_states"),
+    ],
+)
+def test_a_twin_that_cannot_be_is_refused_in_one_line(tmp_path, capsys, arguments, reason):
+    with pytest.raises(SystemExit) as ended:
+        twin.main([*arguments, "--out", str(tmp_path / "out")])
+    assert ended.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("scripts/twin: ")
+    assert reason in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_fit_of_the_servo_to_measured_angles_is_refused(walked):
+    recorded, _ = walked
+    strides = find_strides(recorded, SETTINGS)
+    with pytest.raises(ConfigError, match="needs its commands: --angles /desired_joint_angles"):
+        fit_twin(recorded, PARTS, places(["lag"]), strides, SETTINGS)

@@ -1,0 +1,89 @@
+"""Clock and frame of a measurement are found from the motion alone."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from slot_core.validation.comparison import compare
+from slot_core.validation.frame_alignment import align_frames
+from slot_core.validation.recording import PointTrack, Recording, RecordingError
+from slot_core.validation.tables import alignment_lines
+
+PERIOD, RATE, NOISE = 0.7, 30.0, 1e-3
+SHIFT = np.array([1.0, -2.0, 0.3])
+
+
+def walk(t):
+    """(n, 3) m, a walk that grows for two seconds, then is periodic."""
+    phase, grown = 2 * np.pi * t / PERIOD, np.clip(t / 2.0, 0.0, 1.0)
+    sway, height = 0.004 * np.sin(phase), 0.005 * np.cos(2 * phase)
+    forward = 0.05 * t + 0.004 * np.sin(2 * phase + 0.4)
+    return np.column_stack([forward, grown * sway, 0.02 * grown + grown * height])
+
+
+def film(offset, drift, rotation, seed=0, duration=16.0):
+    """A measurement of the walk by a clock and in a frame of its own."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(offset, duration, 1 / RATE)
+    places = rotation.apply(walk(t)) + SHIFT + rng.normal(scale=NOISE, size=(len(t), 3))
+    return Recording("film", {"torso": PointTrack((t - t[0]) / (1 + drift), places)}), t
+
+
+def run(duration=20.0):
+    t = np.arange(0.0, duration, 0.033)
+    return Recording("run", {"torso": PointTrack(t, walk(t))})
+
+
+@pytest.mark.parametrize(("offset", "drift"), [(0.5, 0.0), (1.234, 4e-4), (1.5, -4e-4)])
+def test_a_clock_is_found_within_two_milliseconds_on_30_hz_data(offset, drift):
+    measured, t = film(offset, drift, Rotation.from_rotvec([0.4, -0.3, 1.0]))
+    found = compare(run(), measured, frame="rigid")
+    off = found.time.apply(measured.points["torso"].t) - t
+    assert np.sqrt(np.mean(off**2)) < 2e-3
+    assert found.series["torso", "z"].errors.value["rmse"] < 1.5 * NOISE
+
+
+def test_an_alignment_a_stride_off_is_not_taken():
+    measured, _ = film(1.0, 0.0, Rotation.identity())
+    found = compare(run(), measured).time
+    assert found.offset == pytest.approx(1.0, abs=0.01)
+    assert found.rival_rest > found.rest
+
+
+def test_a_film_of_periodic_motion_alone_says_so_and_takes_a_known_offset():
+    measured, _ = film(3.0, 0.0, Rotation.identity())
+    searched = compare(run(), measured)
+    assert "is nearly as good" in "\n".join(alignment_lines(searched, "level"))
+    known = compare(run(), measured, offset=3.05).time
+    assert known.offset == pytest.approx(3.0, abs=0.005)
+
+
+def test_recordings_that_do_not_move_cannot_be_aligned():
+    still = Recording("still", {"torso": PointTrack(np.arange(90) / RATE, np.zeros((90, 3)))})
+    with pytest.raises(RecordingError, match="nothing moves in one of the recordings"):
+        compare(run(), still)
+
+
+def test_a_rigid_frame_is_found_without_reflection():
+    rng, turn = np.random.default_rng(1), Rotation.from_rotvec([0.2, 2.0, -1.0])
+    points = rng.normal(size=(50, 3)) * [1.0, 1.0, 1e-3]  # nearly in a plane
+    found = align_frames(turn.apply(points) + SHIFT, points, "rigid")
+    assert found.rotation == pytest.approx(turn.inv().as_matrix(), abs=1e-9)
+    assert np.linalg.det(found.rotation) == pytest.approx(1.0)
+
+
+def test_a_level_frame_turns_about_z_alone():
+    points = np.random.default_rng(1).normal(size=(50, 3))
+    tilted = Rotation.from_euler("ZYX", [0.7, 0.1, 0.0]).apply(points)
+    found = align_frames(tilted, points, "level")
+    assert found.rotation[2] == pytest.approx([0.0, 0.0, 1.0])
+    assert np.arctan2(found.rotation[1, 0], found.rotation[0, 0]) == pytest.approx(-0.7, abs=0.05)
+
+
+def test_an_error_that_grows_shows_when_the_frames_are_aligned_by_the_start():
+    measured, t = film(0.0, 0.0, Rotation.identity())
+    track = measured.points["torso"]
+    slower = PointTrack(track.t, track.position - np.column_stack([0.002 * t, 0 * t, 0 * t]))
+    found = compare(run(), Recording("slow", {"torso": slower}), frame_time=1.0)
+    series = found.series["torso", "x"]
+    assert (series.run - series.measured)[-1] == pytest.approx(0.002 * 15.5, abs=4 * NOISE)

@@ -1,0 +1,102 @@
+"""Recordings in CSV are read as documented, or refused in one line with the line's number."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slot_core.validation import validate
+from slot_core.validation.recording import RecordingError, read_recording, write_points
+
+EXAMPLE = Path(__file__).parents[2] / "slot_bringup" / "example"
+ROWS = [f"{n / 30:.4f},0.1,0.0,{0.01 * n}" for n in range(10)]
+HEAD = "time,x,y,z"
+LATER = np.array([0.01, 0.0, 0.0, 0.0])
+
+
+@pytest.fixture
+def csv(tmp_path):
+    def write(*lines):
+        (tmp_path / "m.csv").write_text("\n".join(lines) + "\n")
+        return tmp_path / "m.csv"
+
+    return write
+
+
+def test_a_simple_table_is_the_torso(csv):
+    track = read_recording(csv("# a comment", HEAD, *ROWS)).points["torso"]
+    assert track.t[-1] == pytest.approx(0.3)
+    assert track.position[3] == pytest.approx([0.1, 0.0, 0.03])
+    assert track.rpy is None
+
+
+def test_an_attitude_is_read_and_yaw_unwrapped(csv):
+    rows = [f"{row},0,0.1,{yaw}" for row, yaw in zip(ROWS, [3.0, 3.1, -3.1, -3.0, *[-2.9] * 6])]
+    track = read_recording(csv(f"{HEAD},roll,pitch,yaw", *rows)).points["torso"]
+    assert track.rpy[3] == pytest.approx([0.0, 0.1, 2 * np.pi - 3.0])
+
+
+def test_written_points_are_read_again(tmp_path):
+    rows = np.column_stack([np.arange(10) / 30, np.ones(10), np.zeros(10), np.arange(10) / 100])
+    write_points(tmp_path / "p.csv", {"torso": rows, "FL_tip": rows + LATER}, ["a", "b"])
+    points = read_recording(tmp_path / "p.csv").points
+    assert set(points) == {"torso", "FL_tip"}
+    assert points["FL_tip"].t[0] == pytest.approx(0.01)
+    assert points["torso"].position == pytest.approx(rows[:, 1:])
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ([], "is empty"),
+        ([HEAD], "no samples"),
+        (["a,b,c"], r"line 1: columns a,b,c: expected time,point,x,y,z or time,x,y,z\["),
+        ([HEAD, *ROWS[:3]], "torso has 3 samples, less than 8"),
+        ([HEAD, *ROWS, "0.4,nan,0,0"], r"line 12, x: 'nan' is not a finite number"),
+        ([HEAD, *ROWS, "0.4,,0,0"], r"line 12, x: '' is not a finite number"),
+        ([HEAD, *ROWS, "0.4,0,0"], "line 12: 3 cells, 4 columns"),
+        ([HEAD, *ROWS, ROWS[-1]], "line 12: torso repeats the time of line 11"),
+        ([HEAD, *ROWS, ROWS[4]], "line 12: torso is earlier than line 11"),
+        (["time,point,x,y,z", "0,nose,1,2,3"], r"line 2, point: 'nose' is unknown"),
+    ],
+)
+def test_a_bad_table_is_refused_with_its_line(csv, lines, message):
+    with pytest.raises(RecordingError, match=message):
+        read_recording(csv(*lines))
+
+
+def refusal(arguments, capsys):
+    with pytest.raises(SystemExit) as ended:
+        validate.main(arguments)
+    assert ended.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    return line
+
+
+@pytest.mark.parametrize("name", ["nothing.csv", "no_bag", "binary.csv"])
+def test_what_is_no_recording_is_refused_and_nothing_is_written(tmp_path, capsys, name):
+    (tmp_path / "no_bag").mkdir()
+    (tmp_path / "binary.csv").write_bytes(bytes(range(256)))
+    run = str(EXAMPLE / "single_leg_run.csv")
+    line = refusal([run, str(tmp_path / name), "--out", str(tmp_path / "out")], capsys)
+    assert line.startswith("scripts/validate: ")
+    assert name in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_recordings_without_a_common_point_are_refused(csv, capsys):
+    line = refusal([str(EXAMPLE / "single_leg_run.csv"), str(csv(HEAD, *ROWS))], capsys)
+    assert "no common point: single_leg_run.csv has base, third, two_thirds, tip" in line
+
+
+def test_the_shipped_single_leg_gives_the_papers_table_and_plots(tmp_path, capsys):
+    files = [str(EXAMPLE / f"single_leg_{name}.csv") for name in ("run", "markers")]
+    assert validate.main([*files, "--out", str(tmp_path)]) == 0
+    text = capsys.readouterr().out
+    assert "fixed base" in text
+    assert "accuracy" in text
+    assert (tmp_path / "summary.txt").read_text() in text
+    assert (tmp_path / "leg.png").stat().st_size > 10_000
+    rows = (tmp_path / "errors.csv").read_text().splitlines()
+    assert len(rows) == 1 + 4 * 3
+    assert 1.0 < float(rows[3].split(",")[4]) * 1e3 < 20.0  # mm, base z: another robot
