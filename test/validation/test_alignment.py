@@ -34,7 +34,7 @@ def run(duration=20.0):
     return Recording("run", {"torso": PointTrack(t, walk(t))})
 
 
-@pytest.mark.parametrize(("offset", "drift"), [(0.5, 0.0), (1.234, 4e-4), (1.5, -4e-4)])
+@pytest.mark.parametrize(("offset", "drift"), [(0.5, 0.0), (0.8, 4e-4), (1.0, -4e-4)])
 def test_a_clock_is_found_within_two_milliseconds_on_30_hz_data(offset, drift):
     measured, t = film(offset, drift, Rotation.from_rotvec([0.4, -0.3, 1.0]))
     found = compare(run(), measured, frame="rigid")
