@@ -1,8 +1,8 @@
 """Locomotion in all directions and under disturbances: gait alone, the paper's pipeline, default.
 
 Every row of the table is measured in three columns: the gait's angles drive the tendons, without
-feedback; the paper's MPC and force map; the default. A goal is checked for the default, and that it
-betters the gait alone by the margin of the row, so that a controller that does nothing fails.
+feedback; the paper's MPC and force map; the default. The default must reach the goal of the row and
+be better than the gait alone by the row's `share`, so that a controller without effect fails.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def _checks(row: Row, values: Result) -> Iterator[Check]:
 
 
 def _ratio(value: float, other: float) -> float:
-    """value / other; NaN, which no check holds for, if that tells nothing."""
+    """value / other; NaN, which no check holds for, if it is undefined."""
     if math.isinf(other):
         return math.nan if math.isinf(value) else 0.0
     if other == 0.0:

@@ -9,17 +9,20 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.control.gait import read_gaits
 from slot_core.control.path import Path
 from slot_core.control.reference import mean_velocity
+from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.robot import GRAVITY, Array, read_robot
+from slot_core.safety.settings import read_supervisor
 from slot_core.simulation.clocks import LOCKSTEP_START
 from slot_core.simulation.closed_loop import ClosedLoop
 
-DT = 0.033  # s, between ticks
-PERIOD = 0.7  # s, of a stride: for means over strides
-FALLEN = 0.5  # rad of tilt, the supervisor's limit
+DT = read_scene("flat").sensors.odometry.period  # s, between ticks
+PERIOD = read_gaits().strides["walk"].period  # s, of a stride: for means over strides
+FALLEN = read_supervisor().estimate.tilt_max  # rad
 PUSH_TIME = 0.2  # s
 Vector3 = tuple[float, float, float]
 Changes = tuple[tuple[str, Any], ...]  # dotted names and values, hashable
@@ -92,7 +95,7 @@ class Motion:
         pose = np.column_stack([self.position[:, :2], self.rpy[:, 2]])
         return float(mean_velocity(self.time, pose)[0])
 
-    def stride_means(self, values: Array) -> Array:
+    def moving_mean(self, values: Array) -> Array:
         """Moving mean of values (n,) over a stride."""
         count = min(round(PERIOD / DT), len(values))
         return np.convolve(values, np.full(count, 1.0 / count), "valid")
@@ -100,7 +103,7 @@ class Motion:
     @property
     def heading(self) -> float:
         """Largest stride mean of |yaw|, rad."""
-        return float(np.abs(self.stride_means(self.rpy[:, 2])).max())
+        return float(np.abs(self.moving_mean(self.rpy[:, 2])).max())
 
 
 Job = tuple[Case, str, int]  # case, column, seed

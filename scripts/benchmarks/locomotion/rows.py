@@ -1,7 +1,7 @@
 """Rows of the table: what is measured, in which cases, its goal, and the benefit that is required.
 
-Every value is the worst over the cases and the seeds. Errors are measured on the true motion, after
-the transient of the start; those of heading and lateral place on means over a stride, which sways.
+Every value is the worst over the cases and the seeds. Errors are those of the true motion after
+`WARM_UP`; heading, drift and return to the path are of means over a stride, as the torso sways.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from benchmarks.locomotion.cases import (
     stiffness,
     tendon_errors,
 )
-from slot_core.control.gait import Stride, read_gaits
+from slot_core.control.gait import read_gaits
 from slot_core.robot import Array, read_robot
 
-CALM = 4.0  # s, of the start that are not measured
+WARM_UP = 4.0  # s, start of a run, which is not measured
 SPEED, LENGTH = 0.05, 0.8  # m/s, m: of the straight walks
 SIDE = 0.6  # m, of the square
 TURN_RATE = 0.15  # rad/s
@@ -44,10 +44,10 @@ Measure = Callable[[Sequence[Case], Sequence[Motion]], float]
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the table; `share`: largest part of the gait alone's error that may be left.
+    """A row of the table.
 
-    Where a larger value is better, `share` is the least ratio to the gait alone's value. None: the
-    row tells of the gait, which the controller cannot better.
+    share: largest ratio of the default's value to the gait alone's; the smallest one where larger
+    is better. None: without such a check, because the controller does not affect the value.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Row:
     larger: bool = False
 
     def value(self, motions: Sequence[Motion]) -> float:
-        """The value of a seed; a fall is infinitely bad."""
+        """The value of a seed; after a fall the worst possible one."""
         if any(motion.fallen for motion in motions):
             return 0.0 if self.larger else math.inf
         return self.measure(self.cases, motions)
@@ -91,7 +91,9 @@ def directions(quick: bool) -> list[Case]:
     """Walks in all directions at one speed, for the row and its picture."""
     angles = np.radians(np.arange(0, 360, 60 if quick else 30))
     return [
-        Case(CALM + 10.5, velocity=(_round(DIRECTION_SPEED * c), _round(DIRECTION_SPEED * s), 0.0))
+        Case(
+            WARM_UP + 10.5, velocity=(_round(DIRECTION_SPEED * c), _round(DIRECTION_SPEED * s), 0.0)
+        )
         for c, s in zip(np.cos(angles), np.sin(angles))
     ]
 
@@ -112,7 +114,7 @@ def slanted() -> Case:
 
 
 def _speeds(quick: bool) -> list[Row]:
-    duration = CALM + 10.5  # 15 strides
+    duration = WARM_UP + 10.5  # 15 strides
     commanded = (0.02, 0.055) if quick else (0.02, 0.03, 0.04, 0.055)
     held = [
         Case(duration, velocity=(v, 0.0, 0.0), changes=friction(mu))
@@ -120,7 +122,7 @@ def _speeds(quick: bool) -> list[Row]:
         for mu in (0.2, 0.3, 0.4, 0.6)
     ]
     found = [Row("v_x held, .02 to .055, mu .2 to .6", "mm/s", 2.0, held, worst(_speed_error))]
-    limit = walk().speeds[0]
+    limit = read_gaits().strides["walk"].speeds[0]
     tried = [v for v in (0.06, 0.065, 0.07, 0.075, 0.08) if v < limit]
     tried = [*(tried[:1] if quick else tried), limit]
     for mu, goal in ((0.2, 0.06), (0.4, 0.075), (0.6, 0.08)):
@@ -193,7 +195,7 @@ def _turn() -> list[Row]:
 
     def drift(case: Case, motion: Motion) -> float:
         away = np.hypot(*(motion.position[:, :2] - motion.position[0, :2]).T)
-        return MM * float(motion.stride_means(away).max())
+        return MM * float(motion.moving_mean(away).max())
 
     return [
         Row("turn in place, rate", "rad/s", 0.01, cases, worst(rate)),
@@ -204,7 +206,7 @@ def _turn() -> list[Row]:
 
 def _directions(quick: bool) -> list[Row]:
     def error(case: Case, motion: Motion) -> float:
-        reached = motion.after(CALM).velocity[:2]
+        reached = motion.after(WARM_UP).velocity[:2]
         return MM * math.dist(reached, case.velocity[:2])
 
     cases = directions(quick)
@@ -246,14 +248,14 @@ def _heights(quick: bool) -> list[Row]:
     loads = ((), payload(0.3, (-0.04, 0.0, 0.03)), payload(0.3, (0.0, 0.04, 0.02)))
     commanded = (0.055, 0.070) if quick else (0.055, 0.0625, 0.070)
     cases = [
-        Case(CALM + 7.0, velocity=(SPEED, 0.0, 0.0), pose=(h, 0.0, 0.0), changes=load)
+        Case(WARM_UP + 7.0, velocity=(SPEED, 0.0, 0.0), pose=(h, 0.0, 0.0), changes=load)
         for h in commanded
         for load in loads[: 2 if quick else None]
     ]
 
     def error(case: Case, motion: Motion) -> float:
         assert case.pose is not None
-        return MM * float(abs(motion.after(CALM).position[:, 2].mean() - case.pose[0]))
+        return MM * float(abs(motion.after(WARM_UP).position[:, 2].mean() - case.pose[0]))
 
     return [Row("mean height walking, .3 kg", "mm", 3.0, cases, worst(error))]
 
@@ -261,7 +263,7 @@ def _heights(quick: bool) -> list[Row]:
 def _slopes() -> list[Row]:
     found = []
     for degrees, mu, v in ((5.0, 0.4, 0.04), (10.0, 0.6, 0.03)):
-        case = Case(CALM + 10.5, velocity=(v, 0.0, 0.0), changes=slope(degrees, 0.0, mu))
+        case = Case(WARM_UP + 10.5, velocity=(v, 0.0, 0.0), changes=slope(degrees, 0.0, mu))
         name = f"slope {degrees:g} deg, v_x of {v:g}"
         found.append(Row(name, "mm/s", 3.0, [case], worst(_speed_error)))
     return found
@@ -269,10 +271,10 @@ def _slopes() -> list[Row]:
 
 def _posture() -> list[Row]:
     def rms(case: Case, motion: Motion) -> float:
-        return DEG * float(np.sqrt(np.mean(motion.after(CALM).tilt ** 2)))
+        return DEG * float(np.sqrt(np.mean(motion.after(WARM_UP).tilt ** 2)))
 
     def largest(case: Case, motion: Motion) -> float:
-        return DEG * float(motion.after(CALM).tilt.max())
+        return DEG * float(motion.after(WARM_UP).tilt.max())
 
     low = Case(12.0, velocity=(0.03, 0.0, 0.0), pose=(0.055, 0.0, 0.0))
     return [
@@ -312,13 +314,8 @@ def recovery(changes: Changes = (), **others: object) -> Case:
     )
 
 
-def walk() -> Stride:
-    """The default stride."""
-    return read_gaits().strides["walk"]
-
-
 def _speed_error(case: Case, motion: Motion) -> float:
-    return MM * abs(motion.after(CALM).forward_speed - case.velocity[0])
+    return MM * abs(motion.after(WARM_UP).forward_speed - case.velocity[0])
 
 
 def _fastest_held(cases: Sequence[Case], motions: Sequence[Motion]) -> float:
@@ -346,7 +343,7 @@ def _off_path(case: Case, motion: Motion) -> float:
     if not _walks(case, motion):
         return math.inf
     late = motion.after(DISTURBED + LENGTH / SPEED)
-    return MM * float(np.abs(late.stride_means(late.position[:, 1])).max())
+    return MM * float(np.abs(late.moving_mean(late.position[:, 1])).max())
 
 
 def _height_off(case: Case, motion: Motion) -> float:
@@ -363,7 +360,7 @@ def _top(case: Case, motion: Motion) -> float:
     """Height of the highest corner of the torso after the start, mm."""
     if not _walks(case, motion):
         return math.inf
-    late = motion.after(CALM)
+    late = motion.after(WARM_UP)
     length, width, thickness = np.array(read_robot().torso.size) / 2
     roll, pitch = late.rpy[:, 0], late.rpy[:, 1]
     rise = _corners(roll, pitch, length, width, thickness)
