@@ -42,7 +42,7 @@ def subscribe(
 
 
 def take_waiting(subscription: Subscription) -> None:
-    """Call a subscription's callback for the messages that have arrived, before another's."""
+    """Process now what a subscription has received, before the executor would."""
     while taken := subscription.handle.take_message(subscription.msg_type, subscription.raw):
         subscription.callback(taken[0])
 
@@ -58,7 +58,7 @@ def require_finite(name: str, values: Any) -> None:
 
 
 def require_present(stamp: int, now: int, limit: float) -> None:
-    """Raise ValueError for a stamp (ns) more than `limit` (s) from `now` (ns): another clock's."""
+    """Raise ValueError for a stamp (ns) of another clock, more than `limit` (s) from `now` (ns)."""
     off = (stamp - now) * 1e-9
     if abs(off) > limit:
         raise ValueError(f"stamped {off:+.3g} s from now, limit {limit:g} s")

@@ -15,7 +15,7 @@ from slot_nodes import inputs, messages, qos, runtime
 class StateEstimatorNode(Node):
     """Runs the filter: a state for every odometry reading, predicted, and one for every IMU sample.
 
-    The control ticks are the states on `/mpc_state`; `/odometry/filtered` follows the IMU's pace.
+    The control ticks are the states on `/mpc_state`; `/odometry/filtered` has the rate of the IMU.
     """
 
     def __init__(self) -> None:

@@ -193,7 +193,7 @@ class GaitScheduler:
                 continue
             if self._path is not None:
                 feedback.place = self._path.place(state, elapsed)
-                feedback.draw_near(state)
+                feedback.limit_lead(state)
             else:
                 feedback.move(elapsed, state, self._velocity)
             feedback.add(time, state)

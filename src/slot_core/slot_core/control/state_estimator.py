@@ -41,7 +41,7 @@ from slot_core.robot import Array
 
 STAMP = itemgetter(0)
 NEVER = -(2**62)  # ns
-VARIANCE_MIN, VARIANCE_MAX = 1e-12, 1e6  # SI, of a message: beyond is as certain or as unknown
+VARIANCE_MIN, VARIANCE_MAX = 1e-12, 1e6  # SI, to which the variances of a message are clipped
 
 
 class Validity(enum.IntEnum):

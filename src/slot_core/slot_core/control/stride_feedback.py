@@ -1,15 +1,15 @@
 """Feedback once a stride: velocity, place, heading and posture by amplitudes and offsets.
 
-A stride repels no disturbance by itself: friction, payload, a slope or a wrong stiffness change its
-speed, its heading and its height. At the end of every stride the means over it are compared with
-what is commanded. With the errors e (6,) and the effect J (6, 6) of the knobs (`FeedbackSettings`),
+The gait's angles alone do not reject disturbances: friction, payload, a slope or a wrong stiffness
+change speed, heading and height. At the end of every stride its means are compared with the
+commands. With the errors e (6,) and the effect J (6, 6) of the knobs (`FeedbackSettings`),
 identified on the simulated robot, the knobs k change by the solution of
 
     min |S (J dk - gain e)|^2 + regularisation^2 |dk / k_max|^2,    |k + dk| <= k_max,
 
-S = 1 / scale. The increments make it an integral; the bounds inside the problem let no integral
-wind up. The reference place moves with the commanded velocity, never further than `lead` from the
-robot, and its distance adds to the velocity that is asked for.
+S = 1 / scale. The increments make it an integral controller; the bounds are part of the problem, so
+that it does not wind up. The reference place moves with the commanded velocity, never further than
+`lead` from the robot; its distance, times a gain, is added to the commanded velocity.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ OFFSET_SIGNS = np.array([[1, 1, 1, 1], [1, -1, 1, -1], [1, 1, -1, -1]], dtype=fl
 
 @dataclass(frozen=True)
 class Target:
-    """What is commanded: velocity (3,) in base_link, height and tilt of the torso."""
+    """Commanded velocity in base_link, and commanded posture of the torso."""
 
     velocity: Array  # (3,) v_x, v_y m/s, yaw rate rad/s
     posture: Array  # (3,) height m, roll, pitch rad
-    walking: float  # share of the changes of v_x and v_y: none while the robot turns in place
+    walking: float  # share of the bounds on changes of v_x and v_y; 0: it turns in place
 
 
 class StrideFeedback:
@@ -76,10 +76,10 @@ class StrideFeedback:
             return
         step = rotate(velocity[:2], self.place[2])
         self.place = self.place + dt * np.append(step, velocity[2])
-        self.draw_near(state)
+        self.limit_lead(state)
 
-    def draw_near(self, state: Array) -> None:
-        """Draw the reference place to within `lead` and `heading_lead` of the robot."""
+    def limit_lead(self, state: Array) -> None:
+        """Move the reference place to within `lead` and `heading_lead` of the robot."""
         assert self.place is not None
         gap = self.place[:2] - state[3:5]
         distance = float(np.hypot(*gap))
@@ -97,7 +97,7 @@ class StrideFeedback:
         self._gap.append(np.append(gap, wrapped(self.place[2] - state[2])))
 
     def finish(self, target: Target) -> None:
-        """End a stride: correct the knobs by its means. Less than three ticks are no stride."""
+        """End a stride: correct the knobs by its means, if it has at least three ticks."""
         rows, gaps = np.array(self._rows), np.array(self._gap)
         self._rows, self._gap = self._rows[-1:], self._gap[-1:]  # the next one starts there
         if len(rows) < 3 or self._settings.gain == 0.0:
@@ -107,7 +107,7 @@ class StrideFeedback:
         self._correct(error, np.maximum(share, 1e-6) * self._limit)
 
     def _error(self, rows: Array, gap: Array, target: Target) -> Array:
-        """Outputs that are wanted minus those of the stride (6,)."""
+        """Wanted outputs minus those of the stride (6,)."""
         s, reach = self._settings, self._scale[VELOCITY]
         wanted = target.velocity + gap * [s.position_gain, s.position_gain, s.heading_gain]
         wanted = np.clip(wanted, target.velocity - reach, target.velocity + reach)

@@ -12,7 +12,7 @@ from slot_core.control.reference import rotate
 from slot_core.robot import Array
 from slot_core.tuning import symmetry
 from slot_core.tuning.settings import TuningSettings
-from slot_core.tuning.stride_run import ROLL, YAW, Job, Motion, RunAll
+from slot_core.tuning.stride_run import HEIGHT, PITCH, ROLL, YAW, Job, Motion, RunAll
 
 V_X, V_Y, YAW_RATE, ROLL_MEAN = 0, 1, 2, 4  # in the means of a motion
 STEERED = [V_Y, YAW_RATE, ROLL_MEAN]
@@ -130,7 +130,7 @@ def _table(motion: Motion, stride: Stride) -> Array:
     """Coefficients (9, 5): normal forces (N) and sway, as differences to the stride at rest."""
     yaw = motion.track[:, YAW]
     velocity = rotate(motion.velocity, -yaw)
-    posture = motion.track[:, [ROLL, ROLL + 1, 3]]
+    posture = motion.track[:, [ROLL, PITCH, HEIGHT]]
     samples = np.hstack([motion.force, posture, velocity])
     basis = HarmonicBasis.at(motion.phase).value
     table = np.linalg.lstsq(basis, samples, rcond=None)[0].T

@@ -6,7 +6,7 @@ A candidate runs at amplitude one on every floor. With its speed v along the pat
     mean over the floors of (stray speeds, tilt and dip beyond the goals, mean roll and pitch)
     - (mean v + least v) / s + 2 std(v) / s,
 
-so that a pattern counts for what it gives on every floor alike.
+so that a pattern that is fast on every floor is preferred.
 
 Source of the algorithm: N. Hansen, The CMA Evolution Strategy: A Tutorial, arXiv:1604.00772, in the
 library `cma`. The record holds the costs of every generation that is done; a search that is started
@@ -29,7 +29,7 @@ from slot_core.control.gait import Pattern, Stride
 from slot_core.robot import Array
 from slot_core.tuning import symmetry
 from slot_core.tuning.settings import TuningSettings
-from slot_core.tuning.stride_run import Job, Outcome, RunAll
+from slot_core.tuning.stride_run import HEIGHT, Job, Outcome, RunAll
 
 FAILED = 1000.0  # cost of a candidate that diverges on a floor
 ZERO = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -40,7 +40,7 @@ PER_DIP, PER_TILT, PER_LARGEST_TILT, PER_MEAN_TILT, PER_TOP = 0.2, 1.5, 0.5, 0.2
 
 @dataclass(frozen=True)
 class Goal:
-    """What is sought: a pattern of a kind, below a height."""
+    """Goal of a search: a pattern of a kind, with the torso below a height."""
 
     kind: str  # forward or turn
     top_max: float = np.inf  # m, of the torso's highest point
@@ -82,14 +82,14 @@ def cost(
 ) -> tuple[float, Array]:
     """Cost of a candidate from its runs on all floors, and its speed on each."""
     axis, scale = AXIS[goal.kind], np.array(settings.speed_scale)
-    speed, fault = [], []
+    speed, penalty = [], []
     for motion in outcomes:
         if motion is None:
             return FAILED, np.full(len(outcomes), np.nan)
         stray = np.abs(motion.means[:3]) / scale
         tilt = np.degrees(motion.tilt)
-        dip = stride.height - settings.dip - motion.track[:, 3].min()
-        fault.append(
+        dip = stride.height - settings.dip - motion.track[:, HEIGHT].min()
+        penalty.append(
             np.delete(stray, axis).sum()
             + PER_TILT * max(0.0, np.sqrt(np.mean(tilt**2)) - settings.tilt_deg)
             + PER_LARGEST_TILT * max(0.0, tilt.max() - 2 * settings.tilt_deg)
@@ -100,7 +100,7 @@ def cost(
         speed.append(motion.means[axis])
     v = np.array(speed)
     gain = (v.mean() + v.min() - 2 * v.std()) / scale[axis]
-    return float(np.mean(fault) - gain), v
+    return float(np.mean(penalty) - gain), v
 
 
 class PatternSearch:

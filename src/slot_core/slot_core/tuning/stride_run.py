@@ -26,8 +26,7 @@ from slot_core.tuning.settings import TuningSettings
 
 OUTPUTS = ("v_x", "v_y", "yaw rate", "height", "roll", "pitch")
 OFFSET_MAX = math.radians(15.0)  # of the height's correction
-COLUMNS = ("time", "x", "y", "height", "roll", "pitch", "yaw")
-TIME, X, Y, HEIGHT, ROLL, PITCH, YAW = range(7)
+TIME, X, Y, HEIGHT, ROLL, PITCH, YAW = range(7)  # columns of a track; s, m, rad
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,7 @@ class Job:
 class Motion(NamedTuple):
     """Motion over the strides that count; SI units, frame odom."""
 
-    track: Array  # (n, 7) `COLUMNS`
+    track: Array  # (n, 7) TIME .. YAW
     phase: Array  # (n,)
     force: Array  # (n, 4) N, normal
     velocity: Array  # (n, 2) m/s

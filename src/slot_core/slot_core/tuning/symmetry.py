@@ -7,7 +7,7 @@ the robot, each together with half a stride:
     lateral   the forward pattern reflected at the diagonal: FR and RL exchanged
     turn      half a turn of the robot: RR = FL, RL = FR half a stride later; the means of the
               diagonals are opposite, so that the height stays; 9 numbers
-    steering  the opposite of forward's symmetry: what is left is a turn; 10 numbers
+    steering  antisymmetric where forward is symmetric, so that it only turns the robot; 10 numbers
 """
 
 from __future__ import annotations

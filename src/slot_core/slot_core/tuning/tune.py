@@ -14,11 +14,12 @@ from __future__ import annotations
 
 import argparse
 import functools
+import math
 import shlex
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -160,14 +161,14 @@ class _Progress:
 
     INTERVAL = 10.0  # s
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock, self._last = clock, -self.INTERVAL
+    def __init__(self) -> None:
+        self._last = -math.inf  # s
 
     def __call__(self, line: str) -> None:
         if sys.stderr.isatty():
             print(f"\r{line:<78}", end="", file=sys.stderr, flush=True)
-        elif self._clock() - self._last >= self.INTERVAL:
-            self._last = self._clock()
+        elif (now := time.monotonic()) - self._last >= self.INTERVAL:
+            self._last = now
             print(line, file=sys.stderr, flush=True)
 
 

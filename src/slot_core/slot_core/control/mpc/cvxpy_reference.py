@@ -1,4 +1,4 @@
-"""CvxpyReference formulation of the MPC's problem in CVXPY, to check the solvers.
+"""Reference formulation of the MPC's problem in CVXPY, to check the solvers.
 
 It covers the problem without options and is far too slow for control. The parameters follow the
 rules of disciplined parametrised programming (Agrawal et al., 2019), so that CVXPY compiles the

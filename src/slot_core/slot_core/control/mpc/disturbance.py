@@ -43,8 +43,6 @@ class Disturbance:
 
     def correct(self, predicted: Array, measured: Array, dt: float) -> None:
         """Correct the estimates by the twist (6,) predicted over dt (s) and the measured twist."""
-        if self._settings.time == 0.0 or dt <= 0.0:
-            return
         gain = 1.0 - math.exp(-dt / self._settings.time)
         error = gain * (measured - predicted) / dt
         low = self._nominal * (1.0 - self._settings.mass_error)

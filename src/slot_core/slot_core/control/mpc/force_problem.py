@@ -1,7 +1,7 @@
 """Problem of the MPC on ground reaction forces: torso model, disturbance observer and solver.
 
-The paper's formulation. The legs are taken as ideal sources of force (`model.py`), which these legs
-are not: it is kept for comparison.
+The paper's formulation, for comparison. It takes the legs as ideal sources of force (`model.py`),
+which soft legs are not.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ import numpy as np
 from slot_core import config
 from slot_core.config import choice, quantity
 from slot_core.control.force_map import read_springs
-from slot_core.control.gait import GaitPreview
+from slot_core.control.gait import GaitPreview, Vector3
 from slot_core.control.mpc.disturbance import DisturbanceSettings
 from slot_core.control.mpc.force_problem import ForceProblem
 from slot_core.control.mpc.model import FEET, STATES, Horizon, ModelOptions, slacks
@@ -28,7 +28,6 @@ from slot_core.control.mpc.posture_problem import PostureOptions, PostureProblem
 from slot_core.control.mpc.solver import MpcSolverSettings, Solution
 from slot_core.robot import GRAVITY, Array, Robot
 
-Vector3 = tuple[float, float, float]
 DEFAULT_PROFILE = "default"  # profile: config/mpc.yaml without changes
 
 
@@ -39,7 +38,7 @@ class Status(enum.IntEnum):
     NOT_SOLVED = 1  # infeasible, inaccurate or iteration limit: fallback in use
     LATE = 2  # solved after its time budget: fallback in use
     REJECTED = 3  # input rejected before the solve: fallback in use
-    STOPPED = 4  # no feasible input yet, or fallback used up: zero forces, nothing may follow them
+    STOPPED = 4  # no feasible input yet, or fallback used up: zero forces, not to be applied
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Problem of the MPC on tendon angles: the posture of a torso on springs that the tendons wind.
+"""Problem of the MPC on tendon angles: the posture of a torso on legs that act as springs.
 
 Posture q = [z, roll, pitch]; tendon angle a and commanded angle u (4,) as deviations from the
 gait's. A leg with its clamp at (X, Y) in base_link is the spring f = F(theta, h) of
@@ -22,15 +22,16 @@ about the references, with u_b the least deviations that balance e + d at q_ref,
     0 <= theta <= theta_max,   |u| <= correction_max,   f_i >= -s_k,   s_k >= 0.
 
 The slack s_k keeps the problem feasible from every state. The disturbance d (3,) is observed: the
-wrench that the springs and gravity lack at the measured posture, low-pass filtered. It removes the
-steady error by payload, slope or wrong stiffness.
+wrench that is missing from the balance of springs and gravity at the measured posture, low-pass
+filtered. It removes the steady error by payload, slope or wrong stiffness.
 
 Friction. A foot that sticks makes the leg stiff and, for small changes of the angle, even reverses
-its effect: a wound tendon first pulls the torso down. So
+its effect: winding the tendon first pulls the torso down. So
 
-- errors within a tolerance are left alone: the posture that enters is drawn to the reference by it;
+- errors within a tolerance are ignored: the problem's posture is the measured one, moved towards
+  the reference by at most the tolerance;
 - beyond, a dither on the angles makes the feet slide: +-amplitude from tick to tick, opposite in
-  sign on the two diagonals, which leaves the posture alone. It fades when the error is gone.
+  sign on the two diagonals, which does not move the torso. It decays when the error is gone.
 
 The problem is solved for postures (`GaitPreview.posture`), whose legs are at rest. For a gait the
 forces are the gait's own, u = 0; steady errors are the stride feedback's (`stride_feedback.py`).
@@ -75,8 +76,8 @@ class PostureOptions:
     observer_time: float = quantity("time constant of the disturbance, 0: none", "s", 0, 100)
     force_disturbance: float = quantity("largest disturbance, force", "N", 0, 100)
     moment_disturbance: float = quantity("largest disturbance, moments", "N m", 0, 10)
-    height_tolerance: float = quantity("error of the height that is left alone", "m", 1e-6, 0.1)
-    tilt_tolerance: float = quantity("error of roll and pitch that is left alone", "rad", 1e-6, 1)
+    height_tolerance: float = quantity("error of the height that is ignored", "m", 1e-6, 0.1)
+    tilt_tolerance: float = quantity("error of roll and pitch that is ignored", "rad", 1e-6, 1)
     dither_deg: float = quantity("largest dither", "deg", 0, 30)
     dither_gain_deg: float = quantity("dither at an error of twice the tolerance", "deg", 0, 30)
     dither_decay: float = quantity("time constant of the dither's end", "s", 1e-3, 10)
@@ -86,6 +87,8 @@ class PostureOptions:
 
 class PostureProblem:
     """The problem with the values of the present tick, its observer, dither and solver."""
+
+    share = 1.0  # of the robot's mass in the reference forces, which are the gait's
 
     def __init__(self, robot: Robot, springs: LegSprings, options: PostureOptions, horizon: int):
         """Set up weights and solver."""
@@ -115,8 +118,6 @@ class PostureProblem:
     def qp(self) -> PostureSolver:
         """The quadratic programme of the last tick; read only."""
         return self._solver
-
-    share = 1.0  # the reference forces are the gait's
 
     @property
     def mass(self) -> float:
@@ -171,7 +172,7 @@ class PostureProblem:
             u = z[: self._solver.inputs].reshape(-1, FEET)
             x = self._predict(z)[:-1]
             force[..., 2] += self._slope * u + self._stiffness * (x[:, :POSTURE] @ self._rise.T)
-            # the measured posture, not the one drawn to the reference by the tolerance
+            # at the measured posture, without the tolerance
             force[0, :, 2] = self._force_ref[0] + self._slope[0] * u[0] + self._reaction
             force[0, :, 2] += self._dither_force()
         force[..., 2] = np.where(self._contact, np.maximum(force[..., 2], 0.0), 0.0)
@@ -229,7 +230,7 @@ class PostureProblem:
         return self._slope[0] * (self._sign * self._dither) * DIAGONALS
 
     def _observe(self, posture: Array, elapsed: float) -> None:
-        """Filter the wrench that springs and gravity lack at a posture (3,)."""
+        """Filter the wrench missing from the balance of springs and gravity at a posture (3,)."""
         if self._options.observer_time == 0.0 or elapsed == 0.0:
             return
         legs = self._springs.at(self._spool, self._robot.clamp_heights(*posture))
