@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from benchmarks.estimation import identification_rows, methods, picture
+from benchmarks.estimation import identification_rows, methods, picture, vision_rows
 from benchmarks.estimation.measured_streams import (
     RecordingPlant,
     Slam,

@@ -16,12 +16,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from slot_core.robot import Array
 from slot_core.vision.frames import Transform
 
 ITERATIONS = 6
+SMALL = 1e-6  # m and rad, step at which they end
 CERTAIN = 5.0  # error of the second pose over the first's from which it is not refined
 
 
@@ -80,9 +80,9 @@ def _refined(start: Transform, points: Array, rays: Array) -> tuple[float, Trans
             step = np.linalg.solve(normal, -jacobian.T @ residual)
         except np.linalg.LinAlgError:
             return None
-        turn = Rotation.from_rotvec(step[3:]).as_matrix()
+        turn = np.asarray(cv2.Rodrigues(step[3:])[0], np.float64)
         pose = Transform(turn @ pose.rotation, pose.position + step[:3])
-        if np.abs(step).max() < 1e-8:
+        if np.abs(step).max() < SMALL:
             break
     turned = points @ pose.rotation.T
     seen = turned + pose.position
@@ -95,20 +95,25 @@ def _refined(start: Transform, points: Array, rays: Array) -> tuple[float, Trans
 
 
 def _residual(turned: Array, seen: Array, rays: Array) -> tuple[Array, Array]:
-    """Residuals (2n,) and their derivatives (2n, 6) by position and rotation vector."""
-    x, y, z = seen.T
-    residual = np.stack([x / z, y / z], axis=1) - rays
-    by_point = np.zeros((len(seen), 2, 3))
-    by_point[:, 0, 0] = by_point[:, 1, 1] = 1 / z
-    by_point[:, 0, 2], by_point[:, 1, 2] = -x / z**2, -y / z**2
-    x, y, z = turned.T[:, :, None]
-    g_x, g_y, g_z = np.moveaxis(by_point, 2, 0)
-    by_turn = np.stack([y * g_z - z * g_y, z * g_x - x * g_z, x * g_y - y * g_x], axis=2)
-    return residual.ravel(), np.concatenate([by_point, by_turn], axis=2).reshape(-1, 6)
+    """Residuals (2n,) and their derivatives (2n, 6) by position and rotation vector.
+
+    With q = R X and (u, v) = pi(q + t): d (R X) = d x q.
+    """
+    (a, b, c), inverse = turned.T, 1 / seen[:, 2]
+    u, v = seen[:, 0] * inverse, seen[:, 1] * inverse
+    jacobian = np.zeros((len(seen), 2, 6))
+    jacobian[:, 0, 0] = jacobian[:, 1, 1] = inverse
+    jacobian[:, 0, 2], jacobian[:, 1, 2] = -u * inverse, -v * inverse
+    jacobian[:, 0, 3], jacobian[:, 1, 3] = -u * b * inverse, -(c + v * b) * inverse
+    jacobian[:, 0, 4], jacobian[:, 1, 4] = (c + u * a) * inverse, v * a * inverse
+    jacobian[:, 0, 5], jacobian[:, 1, 5] = -b * inverse, a * inverse
+    residual = np.column_stack([u, v]) - rays
+    return residual.ravel(), jacobian.reshape(-1, 6)
 
 
 def _angle(a: Transform, b: Transform) -> float:
-    return float(Rotation.from_matrix(a.rotation.T @ b.rotation).magnitude())
+    """Angle between two attitudes, rad."""
+    return float(np.arccos(np.clip((np.vdot(a.rotation, b.rotation) - 1) / 2, -1.0, 1.0)))
 
 
 def nearest(pose: BoardPose, expected: Transform) -> Transform:
