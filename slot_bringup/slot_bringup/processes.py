@@ -15,6 +15,8 @@ from ament_index_python.packages import get_package_prefix
 
 from slot_bringup.graph import TIED, NodeSpec, absolute
 
+STOP_TIMEOUT = 5.0  # s, from SIGINT to SIGKILL
+
 
 class Processes:
     """Child processes by node name, each in its own session with its output in a log file."""
@@ -62,8 +64,8 @@ class Processes:
                 return name, child.returncode
         return None
 
-    def stop(self, last: str = "", timeout: float = 5.0) -> dict[str, int]:
-        """Send SIGINT to every node, to `last` after the others; SIGKILL after `timeout` (s).
+    def stop(self, last: str = "") -> dict[str, int]:
+        """Send SIGINT to every node, to `last` after the others; SIGKILL after STOP_TIMEOUT.
 
         Returns the exit code of every node.
         """
@@ -72,7 +74,7 @@ class Processes:
             [n for n in self._children if n == last],
         ):
             self._signal(names, signal.SIGINT)
-            deadline = time.monotonic() + timeout
+            deadline = time.monotonic() + STOP_TIMEOUT
             for name in names:
                 try:
                     self._children[name].wait(max(0.0, deadline - time.monotonic()))

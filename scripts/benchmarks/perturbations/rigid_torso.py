@@ -48,9 +48,9 @@ class Body:
     lag: float  # s
 
 
-def body(robot: Robot, friction: float, lag: float = LAG, mass_factor: float = 1.0) -> Body:
-    """The robot as a rigid body; `mass_factor` scales mass and inertia."""
-    return Body(mass_factor * robot.mass, mass_factor * robot.inertia, robot.feet, friction, lag)
+def body(robot: Robot, friction: float) -> Body:
+    """The robot as a rigid body."""
+    return Body(robot.mass, robot.inertia, robot.feet, friction, LAG)
 
 
 class RigidTorso:

@@ -44,6 +44,7 @@ from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.simulation.plant import Plant
 
+SEED = 0  # of the sensors' noise
 PULSE_TICKS = 3
 TRIAL = 0.5  # s, within which the torso's angle reaches its peak after a pulse
 MOST_MOMENT = 3.0  # N m; 3.7 N m would lift two feet of four
@@ -111,12 +112,12 @@ def quiet(noise: float = 0.0) -> Scene:
 
 
 def states(
-    realised: Realised, scene: Scene, duration: float, seed: int = 0
+    realised: Realised, scene: Scene, duration: float
 ) -> tuple[np.ndarray, list[float], int]:
     """(n, 12) true states at the ticks, costs of the MPC, number of steps without a solution."""
     scene = config.replace(scene, {"start.tendon_angle_deg": realised.start_angle_deg})
-    loop = ClosedLoop("flat", "stand", np.zeros(3), seed, "forces")
-    loop.plant = Plant(read_robot(), scene, read_servo(), np.random.default_rng(seed))
+    loop = ClosedLoop("flat", "stand", np.zeros(3), SEED, "forces")
+    loop.plant = Plant(read_robot(), scene, read_servo(), np.random.default_rng(SEED))
     sim, nothing = loop.plant.simulator, np.zeros(3)
     moment = np.array([*realised.moment, 0.0])
     rows, costs, infeasible = [], [], 0

@@ -24,12 +24,13 @@ from slot_core.robot import GRAVITY, Array, read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
 FULL_DEG = read_robot().tendon.angle_max_deg
+CONTACTS = 8  # two nodes per leg
 HALF_TURN = {"tendon.angle_max_deg": 180.0}
 
 
-def landing(speed: float, step: float = 1e-3, stiffness: float = 2e4, contacts: int = 8) -> float:
-    """Bound of the contacts' energy at the end of the step of a landing, J: two nodes per leg."""
-    return contacts * stiffness / 2 * (0.45 * speed * step) ** 2
+def landing(speed: float, step: float = 1e-3, stiffness: float = 2e4) -> float:
+    """Bound of the contacts' energy at the end of the step of a landing, J."""
+    return CONTACTS * stiffness / 2 * (0.45 * speed * step) ** 2
 
 
 def bottom(speed: float, mass: float = 2.16, stiffness: float = 2e4, corners: int = 4) -> float:

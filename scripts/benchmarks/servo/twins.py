@@ -43,9 +43,9 @@ def _bus(robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Genera
 PLANTS: dict[str, PlantMaker] = {"sim": Plant, "law": _law, "bus": _bus}
 
 
-def walk(make: PlantMaker, ticks: int, scene: str = "flat", seed: int = 0) -> Array:
+def walk(make: PlantMaker, ticks: int, seed: int = 0) -> Array:
     """(ticks, 3) m, positions of the torso's centre in odom, one at every odometry reading."""
-    loop = ClosedLoop(scene, "walk", np.array(VELOCITY), seed, make=make)
+    loop = ClosedLoop("flat", "walk", np.array(VELOCITY), seed, make=make)
     return np.array([loop.plant.simulator.position for _ in loop.run(ticks)])
 
 

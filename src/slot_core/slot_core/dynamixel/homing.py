@@ -41,13 +41,13 @@ def measure_zero(bus: Bus, joint: Joint, sleep: Sleep) -> float:
     return math.degrees(statistics.fmean(found) * RAD_PER_COUNT)
 
 
-def write_zero(leg: str, zero_deg: float, path: Path | None = None) -> Path:
+def write_zero(leg: str, zero_deg: float) -> Path:
     """Write the zero of a leg (deg) into `config/dynamixel.yaml`; the rest of the file is kept.
 
     Returns the path of the file. Raises ConfigError, and writes nothing, if the file has no line
     `zero_deg` of four numbers or the value is out of bounds.
     """
-    path = path or config.config_dir() / "dynamixel.yaml"
+    path = config.config_dir() / "dynamixel.yaml"
     text = path.read_text()
     line = re.search(rf"^(\s*zero_deg:\s*\[)({NUMBER}(?:\s*,\s*{NUMBER}){{3}})(\])", text, re.M)
     if line is None:

@@ -79,8 +79,9 @@ def _crc_row(index: int) -> int:
 _CRC_TABLE = tuple(_crc_row(index) for index in range(256))
 
 
-def crc(data: bytes, value: int = 0) -> int:
-    """CRC of `data`, continued from the CRC `value` of the bytes before it."""
+def crc(data: bytes) -> int:
+    """CRC of `data`."""
+    value = 0
     for byte in data:
         value = ((value << 8) & 0xFFFF) ^ _CRC_TABLE[(value >> 8) ^ byte]
     return value

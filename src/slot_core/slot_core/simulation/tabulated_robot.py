@@ -58,12 +58,10 @@ class TabulatedRobot(KernelRobot):
     a floor below the torso.
     """
 
-    def __init__(
-        self, robot: Robot, scene: Scene, servo: ServoSettings, table: LegTable | None = None
-    ) -> None:
+    def __init__(self, robot: Robot, scene: Scene, servo: ServoSettings) -> None:
         _require_tabulated(robot, scene)
         self.robot, self.scene = robot, scene
-        table = table or read_leg_table(COLUMNS)
+        table = read_leg_table(COLUMNS)
         model = build_model(robot, scene, servo)
         # The torso carries the mass of the legs.
         rigid_body = model.torso._replace(mass=robot.mass, inertia=robot.inertia)
