@@ -201,12 +201,50 @@ def test_a_bag_named_like_a_number_stays_a_name(graph):
     assert bag.parse("") == ""
 
 
+def record(*args, **kwargs):
+    """Stub of the classes of launch."""
+    return kwargs | {"args": args}
+
+
+@pytest.mark.parametrize(
+    ("name", "packages"),
+    [
+        ("d435_rtabmap", ["realsense2_camera", "rtabmap_launch", "slot_bringup"]),
+        ("d435_isaac_vslam", ["realsense2_camera", "slot_bringup"]),
+    ],
+)
+def test_a_camera_with_a_visual_slam_brings_up_the_graph_on_its_topics(
+    graph, monkeypatch, name, packages
+):
+    """Against stubs: neither launch nor the packages of the camera are among the wheels."""
+    stubs = {
+        "launch": ("LaunchDescription",),
+        "launch.actions": ("DeclareLaunchArgument", "GroupAction", "IncludeLaunchDescription"),
+        "launch.launch_description_sources": ("PythonLaunchDescriptionSource",),
+        "launch_ros": (),
+        "launch_ros.actions": ("ComposableNodeContainer", "SetParameter"),
+        "launch_ros.descriptions": ("ComposableNode",),
+    }
+    for module, members in stubs.items():
+        stub = SimpleNamespace(**dict.fromkeys(members, record))
+        monkeypatch.setitem(sys.modules, module, stub)
+    share = SimpleNamespace(get_package_share_directory=lambda package: f"/{package}")
+    monkeypatch.setitem(sys.modules, "ament_index_python.packages", share)
+    path = Path(__file__).parents[2] / "slot_bringup" / "launch" / f"{name}.launch.py"
+    (actions,) = runpy.run_path(str(path))["generate_launch_description"]()["args"]
+    groups = [a["args"][0][-1] for a in actions if isinstance(a["args"], tuple) and a["args"]
+              and isinstance(a["args"][0], list)]  # fmt: skip
+    assert [g["args"][0]["args"][0].split("/")[1] for g in groups] == packages
+    given = {a["args"][0]: a["default_value"] for a in actions if "default_value" in a}
+    assert {"odometry_topic", "imu_topic"} < set(given)
+    for spec in graph.nodes(values(graph, **given)):
+        assert f"odom:={given['odometry_topic']}" in command_line(spec)
+        assert f"imu:={given['imu_topic']}" in command_line(spec)
+    check(values(graph, **given))
+
+
 def load_launch_file(monkeypatch, given):
     """Run launch/slot.launch.py with launch arguments; return the arguments of its nodes."""
-
-    def record(*args, **kwargs):
-        return kwargs | {"args": args}
-
     names = {
         "launch": ("LaunchContext", "LaunchDescription"),
         "launch.actions": ("DeclareLaunchArgument", "OpaqueFunction", "RegisterEventHandler"),
