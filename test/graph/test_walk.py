@@ -106,13 +106,12 @@ def test_bag_contains_the_definitions_of_its_messages(walk):
 
 
 def test_equal_seeds_give_bit_equal_states(walk, messages, tmp_path):
-    again = record(tmp_path / "again", "--lockstep", "--duration", "5", "--seed", "3")
-    other = record(tmp_path / "other", "--lockstep", "--duration", "1", "--seed", "4")
-    first, second, third = (states(rows) for rows in (messages, read(again), read(other)))
+    """Of another seed `test_graph_gives_the_commands_of_the_core` tells."""
+    again = record(tmp_path / "again", "--lockstep", "--duration", "2", "--seed", "3")
+    first, second = states(messages), states(read(again))
     shared = min(len(first), len(second))
-    assert shared > 145
+    assert shared > 55
     assert first[:shared] == second[:shared]
-    assert first[:10] != third[:10]
 
 
 def test_graph_gives_the_commands_of_the_core_in_one_process(walk):
@@ -126,6 +125,8 @@ def test_graph_gives_the_commands_of_the_core_in_one_process(walk):
     assert len(commands) == 140
     for stamp, angle in commands.items():
         assert (recorded[stamp] == angle).all(), stamp
+    for tick in ClosedLoop("flat", "walk", None, seed=4).run(5):
+        assert (recorded[tick.estimate.stamp] != tick.command.angle).any()
 
 
 def states(messages):

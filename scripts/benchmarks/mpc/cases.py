@@ -12,6 +12,7 @@ from slot_core.robot import Array
 
 HEIGHT = 0.04  # m, of the standing torso
 LOAD = 5.2  # N, about a quarter of the weight
+DT = read_gaits().dt  # s, of a stage
 
 Case = tuple[Array, GaitPreview]
 
@@ -31,7 +32,7 @@ def standing(stages: int, **changes: Any) -> GaitPreview:
         "normal_force": np.full((stages, 4), LOAD),
         "tendon_angle": np.ones((stages, 4)),
         "reference": np.tile(state(), (stages, 1)),
-        "dt": read_gaits().dt,
+        "dt": DT,
         "posture": True,
         "command": GaitCommand("stand", np.zeros(3), np.array([HEIGHT, 0.0, 0.0])),
     }
