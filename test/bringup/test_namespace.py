@@ -12,7 +12,7 @@ from slot_bringup.graph import read_graph
 from slot_core.bags import decode
 from slot_core.bags.bag import Bag
 
-DURATION = 2.0  # s of the robot's time
+DURATION = 3.0  # s of the robot's time
 SPACE = "/fleet/ida"
 PREFIXES = {"": "", SPACE: "ida/"}  # of the frames, by namespace
 OF_THE_MACHINE = {"solve_time", "overruns"}  # fields that differ from run to run
