@@ -59,6 +59,17 @@ def test_without_a_former_pose_the_velocity_is_unknown():
     assert np.diag(fix.twist_covariance).min() >= 1e6
 
 
+def test_a_picture_that_repeats_its_stamp_changes_nothing():
+    first, repeating = localizer(), localizer()
+    other = Transform.of((0.16, -0.03, 0.07), (0.06, -0.05, 0.08))
+    pictures = picture_from_torso(BASE), picture_from_torso(other)
+    for _ in range(5):
+        repeating.locate(0, pictures[0])
+    first.locate(0, pictures[0])
+    a, b = (each.locate(33_000_000, pictures[1]) for each in (first, repeating))
+    np.testing.assert_array_equal(np.concatenate(a.odometry[1:]), np.concatenate(b.odometry[1:]))
+
+
 def reason(located, picture, pictures=1):
     for number in range(pictures):
         fix = located.locate(number, picture)

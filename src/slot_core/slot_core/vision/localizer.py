@@ -80,10 +80,20 @@ class MarkerLocalizer:
         self._detector = MarkerDetector(settings.dictionary_number, camera)
         self._dictionary = settings.dictionary
         self._last: tuple[int, Transform, Array] | None = None  # stamp, base in odom, variance
+        self._answer: MarkerFix | NoFix | None = None
         self._without = 0  # pictures in a row without a marker
 
     def locate(self, stamp: int, picture: Picture) -> MarkerFix | NoFix:
-        """The pose in a grey picture (h, w) of `stamp`, ns; raises CameraError for another size."""
+        """The pose in a grey picture (h, w) of `stamp`, ns; raises CameraError for another size.
+
+        A stamp that repeats gives the same answer: the robot at rest repeats its picture, and what
+        follows must not depend on how often.
+        """
+        if self._answer is None or self._answer.stamp != stamp:
+            self._answer = self._locate(stamp, picture)
+        return self._answer
+
+    def _locate(self, stamp: int, picture: Picture) -> MarkerFix | NoFix:
         found = self._detector.find(picture)
         self._without = 0 if found.ids else self._without + 1
         seen = {name: _corners(board.corners, found) for name, board in self._boards.items()}
