@@ -30,7 +30,7 @@ ALLOWED = {
     "bags": "ground control control/mpc safety",
     "report": "ground control control/mpc bags",
     "calibration": "ground dynamics legs simulation report",
-    "validation": "ground bags report",
+    "validation": "ground bags report vision",
     "twin": "ground dynamics simulation bags report calibration validation",
     "tuning": "ground dynamics control simulation",
 }

@@ -87,3 +87,15 @@ def test_an_error_that_grows_shows_when_the_frames_are_aligned_by_the_start():
     found = compare(run(), Recording("slow", {"torso": slower}), frame_time=1.0)
     series = found.series["torso", "x"]
     assert (series.run - series.measured)[-1] == pytest.approx(0.002 * 15.5, abs=4 * NOISE)
+
+
+def test_markers_beside_their_points_are_compared_from_where_they_start():
+    measured, _ = film(0.0, 0.0, Rotation.identity())
+    track = measured.points["torso"]
+    beside = PointTrack(track.t, track.position + 0.02 * SHIFT)
+    points = {"torso": track, "FL_tip": beside}
+    both = Recording("run", {"torso": run().points["torso"], "FL_tip": run().points["torso"]})
+    off = compare(both, Recording("beside", points)).series["FL_tip", "z"].errors.value["rmse"]
+    zeroed = compare(both, Recording("beside", points), zero=True).series["FL_tip", "z"].errors
+    assert off > 4 * NOISE
+    assert zeroed.value["rmse"] < 1.5 * NOISE

@@ -56,14 +56,16 @@ def compare(
     frame: str = "level",
     offset: float | None = None,
     frame_time: float = np.inf,
+    zero: bool = False,
     leg: str = "FL",
     block: float = 1.0,
 ) -> Comparison:
     """Align and compare.
 
-    frame: what is free in the frames (frame_alignment.FRAMES), by the first `frame_time` s. offset:
-    of the clocks, s, if known. leg: of points without one. block: of the bootstrap, s. Raises
-    RecordingError if the recordings have no point or no time in common.
+    frame: what is free in the frames (frame_alignment.FRAMES), by the first `frame_time` s. zero:
+    each point's mean difference over that time is taken out, so that a marker may sit beside its
+    point. offset: of the clocks, s, if known. leg: of points without one. block: of the bootstrap,
+    s. Raises RecordingError if the recordings have no point or no time in common.
     """
     run, measured = _named_alike(run, measured, leg)
     names = [name for name in run.points if name in measured.points]
@@ -80,25 +82,32 @@ def compare(
         raise RecordingError("the recordings have no time in common")
     until = min(float(t[0]) for t, _, _ in joined.values()) + frame_time
     parts = [(p.position[p.t <= until], r.position[r.t <= until]) for _, r, p in joined.values()]
+    if zero:  # the turn from the motion alone
+        parts = [(theirs - theirs.mean(axis=0), mine - mine.mean(axis=0)) for theirs, mine in parts]
     aligned = align_frames(
         np.vstack([theirs for theirs, _ in parts]), np.vstack([mine for _, mine in parts]), frame
     )
     series = {}
     for name, (t, mine, theirs) in joined.items():
-        columns = {
-            AXES[k]: v for k, v in enumerate(zip(mine.position.T, aligned.apply(theirs.position).T))
-        }
-        if mine.rpy is not None and theirs.rpy is not None:
-            turned = aligned.attitude(theirs.rpy)
-            turned[:, 2] += (
-                2 * np.pi * np.rint(np.mean(mine.rpy[:, 2] - turned[:, 2]) / (2 * np.pi))
-            )
-            columns |= dict(zip(ATTITUDE, zip(mine.rpy.T, turned.T)))
         size = max(1, round(block / float(np.median(np.diff(t)))))
-        for axis, (r, m) in columns.items():
-            series[name, axis] = Series(t, r, m, errors(r, m, size))
+        for axis, (r, m) in _coordinates(mine, theirs, aligned).items():
+            shift = np.mean((r - m)[t <= until]) if zero else 0.0
+            series[name, axis] = Series(t, r, m + shift, errors(r, m + shift, size))
     only = tuple(sorted(set(run.points) ^ set(measured.points)))
     return Comparison(clock, aligned, series, only)
+
+
+def _coordinates(
+    run: PointTrack, measured: PointTrack, aligned: FrameAlignment
+) -> dict[str, tuple[Array, Array]]:
+    """Coordinates of run and measurement by axis; attitudes if both have them."""
+    place = aligned.apply(measured.position)
+    columns = dict(zip(AXES, zip(run.position.T, place.T)))
+    if run.rpy is None or measured.rpy is None:
+        return columns
+    turned = aligned.attitude(measured.rpy)
+    turned[:, 2] += 2 * np.pi * np.rint(np.mean(run.rpy[:, 2] - turned[:, 2]) / (2 * np.pi))
+    return columns | dict(zip(ATTITUDE, zip(run.rpy.T, turned.T)))
 
 
 def _named_alike(run: Recording, measured: Recording, leg: str) -> tuple[Recording, Recording]:

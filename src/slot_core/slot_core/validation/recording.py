@@ -1,4 +1,4 @@
-"""Recordings: tracks of points of the robot over time, from a bag or a CSV file.
+"""Recordings: tracks of points of the robot over time, from a bag, a CSV file or a video.
 
 A bag gives `torso` and, if the shapes of the legs are recorded, `base`, `third`, `two_thirds` and
 `tip` of each leg, as `FL_tip`. A CSV file has SI units, lines that begin with # are comments, and
@@ -6,6 +6,9 @@ one of two headers:
 
     time,point,x,y,z               one point a row, as above; of a single leg without `FL_`
     time,x,y,z[,roll,pitch,yaw]    the torso
+
+The markers of a video are tracked as scripts/track does, with its defaults; that command also takes
+folders of pictures, bags with pictures, and depth.
 """
 
 from __future__ import annotations
@@ -55,13 +58,13 @@ class Recording:
     points: Mapping[str, PointTrack]
 
 
-def read_recording(path: Path, namespace: str = "") -> Recording:
-    """A recording from a bag (directory or .mcap) or a CSV file.
+def read_recording(path: Path, namespace: str = "", camera: Path | None = None) -> Recording:
+    """A recording from a bag (directory or .mcap), a CSV file, or a video and its camera's file.
 
-    Raises RecordingError, and BagError for a bag.
+    Raises RecordingError, BagError for a bag, ConfigError for the settings of the tracker.
     """
     if path.suffix.lower() in VIDEOS:
-        raise RecordingError(f"{path}: is a video: scripts/track {path} writes its points as CSV")
+        return _from_video(path, camera)
     if path.is_dir() or path.suffix == ".mcap":
         return _from_bag(Bag(path, namespace))
     return _from_csv(path)
@@ -96,6 +99,32 @@ def _from_bag(bag: Bag) -> Recording:
             for n, name in enumerate(LEG_POINTS):
                 tracks[f"{leg}_{name}"] = (t, places[:, n], None)  # type: ignore[assignment]
     return _since_first(bag.path.name, {k: PointTrack(*v) for k, v in tracks.items()})
+
+
+def _from_video(path: Path, camera: Path | None) -> Recording:
+    # OpenCV takes a second to load, which other recordings do without.
+    from slot_core.vision.camera import CameraError, nominal, read_camera  # noqa: PLC0415
+    from slot_core.vision.pictures import FilmError, read_film  # noqa: PLC0415
+    from slot_core.vision.settings import read_vision  # noqa: PLC0415
+    from slot_core.vision.tracker import Tracker  # noqa: PLC0415
+
+    settings = read_vision()
+    try:
+        lens = read_camera(camera) if camera else nominal(settings.camera)
+        tracker = Tracker(settings, lens)
+        for frame in read_film(path):
+            tracker.add(frame.time, frame.grey, frame.depth)
+        samples = tracker.tracks().samples
+    except (FilmError, CameraError) as error:
+        raise RecordingError(str(error)) from None
+    rows: dict[str, list[tuple[float, ...]]] = {}
+    for sample in samples:
+        rows.setdefault(sample.point, []).append((sample.time, *sample.position))
+    long = {name: np.array(part) for name, part in rows.items() if len(part) >= LEAST_SAMPLES}
+    if not long:
+        raise RecordingError(f"{path}: no marker in {LEAST_SAMPLES} pictures; see scripts/track")
+    tracks = {name: PointTrack(part[:, 0], part[:, 1:]) for name, part in long.items()}
+    return _since_first(path.name, tracks)
 
 
 def _from_csv(path: Path) -> Recording:

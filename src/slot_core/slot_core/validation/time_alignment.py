@@ -137,15 +137,13 @@ def _refine(pairs: Sequence[Pair], frame: str, start: float) -> TimeAlignment:
     times = np.concatenate([t for t, _, _ in parts])
     middle, duration = float(times.mean()), float(np.ptp(times))
     size = 2 if duration >= LEAST_FOR_DRIFT else 1
-    measured = np.vstack([place for _, place, _ in parts])
-    measured = measured - measured.mean(axis=0)
+    measured = np.vstack([place - place.mean(axis=0) for _, place, _ in parts])
 
     def residuals(u: Array) -> Array:
         """u: shift at the middle of the measurement, and drift times its duration, s."""
         shift = [u[0] + (u[1] * (t - middle) / duration if size == 2 else 0.0) for t, _, _ in parts]
         places = [spline(start + t + late) for (t, _, spline), late in zip(parts, shift)]
-        run = np.vstack(places)
-        run = run - run.mean(axis=0)
+        run = np.vstack([place - place.mean(axis=0) for place in places])
         off = measured @ best_rotation(measured.T @ run, frame).T - run
         ends = np.cumsum([len(t) for t, _, _ in parts])[:-1]
         fast = [_without_slow(t, part) for (t, _, _), part in zip(parts, np.split(off, ends))]

@@ -1,8 +1,8 @@
 """Compares a run with a measurement: aligned in time and space, with the paper's error metrics.
 
-RUN and MEASUREMENT are each a bag or a CSV file with the header time,point,x,y,z (m, s) or
-time,x,y,z[,roll,pitch,yaw]; scripts/track writes one from a video. MEASUREMENT is the reference:
-errors are RUN minus MEASUREMENT. Its intervals are 95 % of a block bootstrap.
+RUN and MEASUREMENT are each a bag, a CSV file with the header time,point,x,y,z (m, s) or
+time,x,y,z[,roll,pitch,yaw], or a video, whose markers are tracked as by scripts/track. MEASUREMENT
+is the reference: errors are RUN minus MEASUREMENT. The intervals are 95 % of a block bootstrap.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from slot_core.bags.bag import BagError
+from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_core.validation import curves, tables
 from slot_core.validation.comparison import compare
@@ -27,18 +28,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         lines = _run(options)
-    except (RecordingError, BagError, OSError) as error:
+    except (RecordingError, BagError, ConfigError, OSError) as error:
         parser.exit(2, f"scripts/validate: {' '.join(str(error).split())}\n")
     print("\n".join(lines))
     return 0
 
 
 def _run(options: argparse.Namespace) -> list[str]:
-    run = read_recording(options.run, options.namespace)
-    measured = read_recording(options.measurement)
+    run = read_recording(options.run, options.namespace, options.camera)
+    measured = read_recording(options.measurement, camera=options.camera)
     found = compare(
         run, measured,
-        frame=options.frame, frame_time=options.frame_time, offset=options.offset,
+        frame=options.frame, frame_time=options.frame_time, zero=options.zero,
+        offset=options.offset,
         leg=options.leg, block=options.block,
     )  # fmt: skip
     lines = [f"run {run.name}, measurement {measured.name}", *tables.report(found, options.frame)]
@@ -57,18 +59,21 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("run", type=Path, metavar="RUN", help="bag or CSV")
-    add("measurement", type=Path, metavar="MEASUREMENT", help="bag or CSV")
+    add("run", type=Path, metavar="RUN", help="bag, CSV or video")
+    add("measurement", type=Path, metavar="MEASUREMENT", help="bag, CSV or video")
     out = Path("results", "validate")
     add("--out", type=Path, metavar="DIR", default=out, help=f"default: {out}")
     free = "what is free between the frames: rotation and shift, turn about z and shift, nothing"
     add("--frame", choices=FRAMES, default="level", help=f"{free} (default: level)")
     begin = "align the frames by the first S seconds only, so that later errors show"
     add("--frame-time", type=_positive, metavar="S", default=math.inf, help=begin)
+    beside = "take out each point's mean difference over that time: markers beside their points"
+    add("--zero", action="store_true", help=beside)
     offset = "time of the measurement's first sample in the run, to 0.1 s (default: searched)"
     add("--offset", type=_number, metavar="S", help=offset)
     add("--leg", choices=LEGS, default="FL", help="leg of points without one (default: FL)")
     add("--block", type=_positive, metavar="S", default=1.0, help="of the bootstrap (default: 1 s)")
+    add("--camera", type=Path, metavar="FILE", help="calibration of a video's camera")
     add("--namespace", default="", help="of the run's bag")
     return parser
 
