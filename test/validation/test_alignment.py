@@ -92,7 +92,7 @@ def test_an_error_that_grows_shows_when_the_frames_are_aligned_by_the_start():
 def test_markers_beside_their_points_are_compared_from_where_they_start():
     measured, _ = film(0.0, 0.0, Rotation.identity())
     track = measured.points["torso"]
-    beside = PointTrack(track.t, track.position + 0.02 * SHIFT)
+    beside = PointTrack(track.t, track.position + 0.05 * SHIFT)
     points = {"torso": track, "FL_tip": beside}
     both = Recording("run", {"torso": run().points["torso"], "FL_tip": run().points["torso"]})
     off = compare(both, Recording("beside", points)).series["FL_tip", "z"].errors.value["rmse"]
