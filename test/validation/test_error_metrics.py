@@ -54,3 +54,13 @@ def test_a_series_of_few_blocks_has_no_interval():
 
 def test_a_measurement_without_range_has_no_relative_error():
     assert np.isnan(errors(np.ones(50), np.zeros(50), 5).value["accuracy"])
+
+
+def test_the_interval_of_a_mean_error_near_zero_begins_at_zero():
+    noise = np.random.default_rng(0).normal(size=900)
+    measured = np.linspace(0.0, 100.0, 900)
+    found = errors(measured + noise - noise.mean() + 0.001, measured, 30)
+    low, high = found.interval["mean_error"]
+    assert low == 0.0
+    assert high > found.value["mean_error"]
+    assert found.interval["accuracy"][1] == 1.0

@@ -47,22 +47,30 @@ def errors(run: Array, measured: Array, block: int, seed: int = 0) -> Errors:
     if run.shape != measured.shape or run.ndim != 1 or not len(run):
         raise ValueError(f"shapes differ or are empty: {run.shape} and {measured.shape}")
     off, span = run - measured, float(np.ptp(measured))
-    value = {name: float(v[0]) for name, v in metrics(off[None], span).items()}
+    rmse, mae, mean = (float(part[0]) for part in _parts(off[None]))
+    value = metrics(rmse, mae, mean, span)
     interval = dict.fromkeys(NAMES, (math.nan, math.nan))
     if len(off) >= LEAST_BLOCKS * block:
-        drawn = metrics(_drawn(off, block, np.random.default_rng(seed)), span)
-        ends = [(1 - LEVEL) / 2, (1 + LEVEL) / 2]
-        bounds = {name: np.quantile(v, ends) for name, v in drawn.items()}
-        interval = {name: (float(low), float(high)) for name, (low, high) in bounds.items()}
+        drawn = _parts(_drawn(off, block, np.random.default_rng(seed)))
+        bounds = [np.quantile(v, [(1 - LEVEL) / 2, (1 + LEVEL) / 2]) for v in drawn]
+        means = np.abs(bounds[2])
+        least = 0.0 if bounds[2][0] < 0.0 < bounds[2][1] else means.min()
+        low = metrics(bounds[0][0], bounds[1][0], least, span)
+        high = metrics(bounds[0][1], bounds[1][1], means.max(), span)
+        ends = {name: sorted((float(low[name]), float(high[name]))) for name in NAMES}
+        interval = {name: (first, last) for name, (first, last) in ends.items()}
     return Errors(value, interval, span, len(off))
 
 
-def metrics(off: Array, span: float) -> dict[str, Array]:
-    """Metrics by name of rows of errors (m, n): (m,) each; NaN where the range is zero."""
-    rmse, mae = np.sqrt(np.mean(off**2, axis=1)), np.mean(np.abs(off), axis=1)
-    mean = np.abs(off.mean(axis=1))
-    width = span if span > 0 else math.nan
+def metrics(rmse: float, mae: float, mean: float, span: float) -> dict[str, float]:
+    """Metrics by name from RMSE, MAE, mean error and range; NaN where the range is zero."""
+    width, mean = (span if span > 0 else math.nan), abs(mean)
     return dict(zip(NAMES, (rmse, mae, rmse / width, mean, mean / width, 1.0 - mean / width)))
+
+
+def _parts(off: Array) -> tuple[Array, Array, Array]:
+    """RMSE, MAE and mean error (with sign) of rows of errors (m, n): (m,) each."""
+    return np.sqrt(np.mean(off**2, axis=1)), np.mean(np.abs(off), axis=1), off.mean(axis=1)
 
 
 def _drawn(off: Array, block: int, rng: np.random.Generator) -> Array:
