@@ -36,7 +36,7 @@ def rows(quick: bool, progress: Callable[[str], None]) -> list[Row]:
     """Rows of the kinds `tracker` and `pictures`."""
     cv2.setNumThreads(1)
     progress("film of a walk")
-    result = tracker_rows(read_vision(), moments(40 if quick else 240))
+    result = tracker_rows(read_vision(), moments(40 if quick else 150))
     duration = 4.0 if quick else 10.0
     for scene in ("flat", "marker_camera"):
         progress(f"walk of {duration:g} s in the scene {scene}")

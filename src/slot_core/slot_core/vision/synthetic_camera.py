@@ -34,7 +34,8 @@ class Surface:
     def faces_camera(self) -> bool:
         """Whether its front is before the camera."""
         a, b, _, d = self.corners
-        return bool((self.corners[:, 2] > NEAREST).all() and np.cross(b - a, d - a) @ a > 0)
+        in_front = (self.corners[:, 2] > NEAREST).all()
+        return bool(in_front and np.linalg.det(np.array([a, b - a, d - a])) > 0)
 
 
 @dataclass(frozen=True)
@@ -84,13 +85,16 @@ class SyntheticCamera:
             if not surface.faces_camera:
                 continue
             outline = np.round(self.camera.project(surface.corners)).astype(np.int32)
-            mask = np.zeros(depth.shape, np.uint8)
-            cv2.fillConvexPoly(mask, outline, 1)
+            low = np.maximum(outline.min(axis=0), 0)
+            part = (slice(low[1], outline[:, 1].max() + 1), slice(low[0], outline[:, 0].max() + 1))
+            mask = np.zeros(depth[part].shape, np.uint8)
+            if not mask.size:
+                continue
+            cv2.fillConvexPoly(mask, outline - low.astype(np.int32), 1)
             a, b, _, d = surface.corners
             normal = np.cross(b - a, d - a)
-            inside = mask > 0
-            along = rays[inside] @ normal[:2] + normal[2]
-            depth[inside] = normal @ a / along
+            along = rays[part] @ normal[:2] + normal[2]
+            depth[part] = np.where(mask > 0, normal @ a / along, depth[part])
         seen = depth > 0
         depth[seen] += noise * self._rng.standard_normal(int(seen.sum()))
         return np.clip(np.round(1e3 * depth), 0, 65535).astype(np.uint16)
