@@ -1,6 +1,7 @@
 """Gaits: strides as sums of patterns and their mirror images, postures, refused commands."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -84,10 +85,12 @@ def test_the_patterns_of_two_directions_add_up():
     assert both - centre == pytest.approx(forward + lateral - 2 * centre, abs=1e-12)
 
 
-def test_the_amplitudes_are_bounded_in_sum():
-    stride = dataclasses.replace(filled(), amplitude_max=1.0)
-    fast = course([0.2, 0.2, 0], stride=stride)
-    assert fast == pytest.approx(course([0.0735 / 2, 0.0735 / 2, 0], stride=stride))
+def test_amplitudes_are_bounded_by_an_ellipsoid():
+    stride = dataclasses.replace(filled(), amplitude_max=(1.0, 0.5, 1.0))
+    fast, most = course([0.0735, 0.0735 / 2, 0], stride=stride), 0.0735 / math.sqrt(2)
+    assert fast == pytest.approx(course([most, most / 2, 0], stride=stride))
+    sideways = course([0, 0.2, 0], stride=stride)
+    assert sideways == pytest.approx(course([0, 0.0735 / 2, 0], stride=stride))
 
 
 def test_offsets_shift_the_angles_within_the_range():

@@ -276,7 +276,7 @@ def _posture() -> list[Row]:
     def largest(case: Case, motion: Motion) -> float:
         return DEG * float(motion.after(WARM_UP).tilt.max())
 
-    low = Case(12.0, velocity=(0.03, 0.0, 0.0), pose=(0.055, 0.0, 0.0))
+    low = Case(12.0, gait="crawl", velocity=(0.03, 0.0, 0.0))
     return [
         Row("tilt of the walk, RMS", "deg", 4.5, [straight()], worst(rms), None),
         Row("tilt of the walk, largest", "deg", 8.0, [straight()], worst(largest), None),
@@ -319,9 +319,9 @@ def _speed_error(case: Case, motion: Motion) -> float:
 
 
 def _fastest_held(cases: Sequence[Case], motions: Sequence[Motion]) -> float:
-    """Largest of the commanded speeds that is held within HELD; 0: none."""
-    held = [c.velocity[0] for c, m in zip(cases, motions) if _speed_error(c, m) <= MM * HELD]
-    return max(held, default=0.0)
+    """Largest of the commanded speeds that is reached but for HELD; 0: none."""
+    speeds = [(c.velocity[0], m.after(WARM_UP).forward_speed) for c, m in zip(cases, motions)]
+    return max((v for v, reached in speeds if reached >= v - HELD), default=0.0)
 
 
 def _walks(case: Case, motion: Motion) -> bool:

@@ -11,6 +11,8 @@ each scaled by an amplitude. With the phase p = 2 pi t / T, each leg's tendon an
 clipped to the range of the gait. A negative amplitude takes the pattern's mirror image: legs front
 and rear (forward) or left and right (lateral, turn) exchanged, half a stride later. The robot is
 symmetric, so that one pattern serves both directions, and the velocities of the patterns add up.
+Beyond its largest amplitude a pattern is no faster, since the servos are not; those of a blend are
+scaled down to |a_j / a_j,max| <= 1 (the Euclidean norm over j).
 A robot that moves forward or sideways turns by the steering pattern of that direction, a small
 change of its angles that alters the yaw rate alone; in place it turns by the pattern `turn`.
 `scripts/tune` finds the patterns; the normal forces and the sway of the torso that result on the
@@ -154,7 +156,7 @@ class Stride:
     centre_force: float = quantity("normal force of a leg at rest", "N", 0, 50)
     height: float = quantity("height of base_link at rest", "m", 0.015, 0.12)
     height_range: tuple[float, float] = quantity("heights that can be commanded", "m", 0.015, 0.12)
-    amplitude_max: float = quantity("largest sum of the amplitudes", "", 0, 3)
+    amplitude_max: Vector3 = quantity("largest amplitude of each pattern alone", "", 0.1, 3)
     walking_speed: float = quantity("speed above which steering replaces the turn", "m/s", 1e-3, 1)
 
     @property
@@ -186,7 +188,7 @@ class Stride:
         amplitude = velocity / self.speeds
         size = np.abs(amplitude[:2]).sum()
         amplitude[2] *= 1.0 - walking
-        limit = min(1.0, self.amplitude_max / max(float(np.abs(amplitude).sum()), 1e-9))
+        limit = 1.0 / max(1.0, float(np.linalg.norm(amplitude / self.amplitude_max)))
         table = np.zeros((13, 5))
         for a, pair in zip(limit * amplitude, self._pairs):
             table += abs(a) * pair[int(a < 0.0)]
