@@ -154,7 +154,8 @@ def test_known_changes_of_the_robot_are_found_and_hold_for_unseen_strides(walked
     before, after = (errors.summary() for errors in found.held_out)
     assert after["place"] < before["place"] / 3
     low, high = found.estimate.interval[0]
-    assert low < 0.3 < high
+    assert low < friction < high
+    assert abs(friction - 0.3) < high - low
 
 
 def test_a_parameter_without_influence_is_named_as_undetermined(walked):
@@ -260,3 +261,11 @@ def test_a_fit_of_the_servo_to_measured_angles_is_refused(walked):
     strides = find_strides(recorded, SETTINGS)
     with pytest.raises(ConfigError, match="needs its commands: --angles /desired_joint_angles"):
         fit_twin(recorded, PARTS, places(["lag"]), strides, SETTINGS)
+
+
+def test_a_fit_of_more_parameters_than_windows_is_refused(walked):
+    recorded, _ = walked
+    strides = find_strides(recorded, SETTINGS)
+    names = places(["friction", "young_modulus", "tendon_offset"])
+    with pytest.raises(ConfigError, match="5 windows of 1 strides for 6 parameters: no intervals"):
+        fit_twin(recorded, PARTS, names, strides, SETTINGS)

@@ -74,7 +74,7 @@ def write(name: str, content: dict[str, Any]) -> Path:
     """Write a new set of `config/parameters`; raises ConfigError if there is one of that name."""
     path = place_of(name)
     parameter_file.write(path, content, HEAD)
-    return path
+    return path.resolve()
 
 
 def place_of(name: str) -> Path:

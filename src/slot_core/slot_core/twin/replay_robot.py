@@ -1,6 +1,6 @@
 """Replay: recorded tendon angles on the simulated robot, from the recorded start.
 
-Measured angles are imposed: the spool follows their linear interpolation, whatever the load. Each
+Measured angles are imposed: the spool follows a cubic spline through them, whatever the load. Each
 value is held for h and reached with the lag h / 2, which makes up for giving it h / 2 too early.
 Commands are held until the next one and pass through the model of the servo.
 
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
@@ -30,6 +31,7 @@ from slot_core.simulation.plant import make_robot
 from slot_core.twin.settings import TwinSettings
 
 LEAST_SETTLING = 1.0  # s
+LONGEST_GAP = 0.06  # s, between two angles, across which a spline is drawn
 FREE_RPM = 1000.0  # of a spool whose angle is imposed
 
 
@@ -160,13 +162,22 @@ def _commands(
     edges = np.arange(0, int((end - begin) / step) + 1, hold)
     if angles.measured:
         at = begin + edges * step
-        rows = np.column_stack([np.interp(at, angles.t, column) for column in angles.angle.T])
+        rows = _spline(angles)(at)
     else:
         effect = np.rint((angles.t + settings.command_delay - begin) / step).astype(int)
         edges = np.unique(np.concatenate([edges, effect[(effect > 0) & (effect < edges[-1])]]))
         newest = np.searchsorted(effect, edges, side="left") - 1  # in effect before each edge
         rows = angles.angle[newest.clip(min=0)]
     return list(zip(edges.tolist(), np.clip(rows, 0.0, limit)))
+
+
+def _spline(angles: TendonAngles) -> CubicSpline:
+    """Angles (rad) over time (s); straight across gaps, where a spline would overshoot."""
+    gaps = np.flatnonzero(np.diff(angles.t) > LONGEST_GAP)
+    added = [np.arange(angles.t[k] + LONGEST_GAP / 2, angles.t[k + 1], LONGEST_GAP) for k in gaps]
+    t = np.union1d(angles.t, np.concatenate([angles.t[:0], *added]))
+    straight = [np.interp(t, angles.t, column) for column in angles.angle.T]
+    return CubicSpline(t, np.column_stack(straight))
 
 
 def _place(sim: SimulatedRobot, motion: Motion, begin: float) -> None:

@@ -12,7 +12,7 @@ from slot_core.config import quantity
 class TwinSettings:
     """How a bag is replayed on the simulated robot and compared with it."""
 
-    hold: float = quantity("time between two tendon angles given to the robot", "s", 1e-3, 0.05)
+    hold: float = quantity("time between two tendon angles given to the robot", "s", 2e-3, 0.05)
     command_delay: float = quantity("from a command's stamp to its effect", "s", 0.0, 0.5)
     run_in: int = quantity("strides after the first motion that are not compared", "", 0, 1000)
     least_motion_deg: float = quantity(

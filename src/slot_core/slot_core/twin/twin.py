@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import os
 import shutil
 import signal
 import sys
@@ -92,7 +93,7 @@ def _run(options: argparse.Namespace) -> list[str]:
         columns = {"before": found.held_out[0], "after": found.held_out[1]}
         lines += [f"fit to {seen} strides, judged on the {strides.count - seen} others", ""]
         lines += [*parameter_set.error_lines(columns), "", *parameter_set.fit_lines(found)]
-        lines += ["", f"{written}"] if written else []
+        lines += ["", f"written: {os.path.relpath(written)}"] if written else []
         tracks = {"model": predicted, "fitted": predict(recorded, found.parts, settings)}
         parts = found.parts
         kept.forget()

@@ -133,6 +133,11 @@ def fit_twin(
     blocks = residuals(
         measured_track(recorded.motion), measured_track(recorded.motion), seen, settings
     )
+    if len(blocks) <= len(names):
+        raise ConfigError(
+            f"{len(blocks)} windows of {settings.window} strides for {len(names)} parameters: no"
+            " intervals; record longer or fit fewer"
+        )
     groups = np.repeat(np.arange(len(blocks)), [block.size for block in blocks])
     free = tuple(parameter(parts, name) for name in names)
     zero, one = np.zeros(len(groups)), np.ones(len(groups))
