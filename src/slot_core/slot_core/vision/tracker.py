@@ -134,8 +134,8 @@ class Tracker:
         if (error := pose.error * self._camera.focal) > self._settings.error_max:
             raise CameraError(
                 f"reprojection error of the board {error:.2f} px, limit"
-                f" {self._settings.error_max:g} px: wrong calibration, or a board other than in"
-                " vision.yaml"
+                f" {self._settings.error_max:g} px: wrong calibration, a moving camera, or a"
+                " board other than in vision.yaml"
             )
         return board.pose @ pose.transform.inverse
 
