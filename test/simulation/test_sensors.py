@@ -68,8 +68,8 @@ def test_drift_is_a_random_walk_beside_an_unchanged_noise(standing):
         trouble = np.random.default_rng(seed)
         sensor = OdometrySensor(settings, np.random.default_rng(7).spawn(2)[0], trouble)
         np.testing.assert_array_equal(sensor.sample(standing, 0, 0.0).position, plain.position)
-        for since in range(1, 101):
-            reading = sensor.sample(standing, 0, float(since))
+        for since in (30.0, 100.0):
+            reading = sensor.sample(standing, 0, since)
         yaws.append(Rotation.from_quat(reading.quaternion).as_euler("ZYX")[0])
     assert np.std(yaws) == pytest.approx(0.1, rel=4 / np.sqrt(2 * count))
 
