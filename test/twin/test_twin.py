@@ -269,3 +269,10 @@ def test_a_fit_of_more_parameters_than_windows_is_refused(walked):
     names = places(["friction", "young_modulus", "tendon_offset"])
     with pytest.raises(ConfigError, match="5 windows of 1 strides for 6 parameters: no intervals"):
         fit_twin(recorded, PARTS, names, strides, SETTINGS)
+
+
+def test_angles_in_degrees_are_refused(walked):
+    recorded, _ = walked
+    degrees = dataclasses.replace(recorded.angles, angle=np.degrees(recorded.angles.angle))
+    with pytest.raises(ConfigError, match=r"angles of .* rad, outside \[0, 2.029\]"):
+        predict(dataclasses.replace(recorded, angles=degrees), PARTS, SETTINGS)

@@ -32,6 +32,7 @@ from slot_core.twin.settings import TwinSettings
 
 LEAST_SETTLING = 1.0  # s
 LONGEST_GAP = 0.06  # s, between two angles, across which a spline is drawn
+BEYOND = 0.1  # rad, by which a measured angle may exceed the range of the tendons
 FREE_RPM = 1000.0  # of a spool whose angle is imposed
 
 
@@ -159,6 +160,12 @@ def _commands(
     """(last step, angles (4,)) of each hold, ordered by time; the first is for settling."""
     step, limit = parts.scene.solver.step, parts.robot.tendon.angle_max
     hold, angles = max(1, round(settings.hold / step)), recorded.angles
+    if ((angles.angle < -BEYOND) | (angles.angle > limit + BEYOND)).any():
+        least, largest = angles.angle.min(), angles.angle.max()
+        raise ConfigError(
+            f"{recorded.name}: {angles.topic} holds angles of {least:.4g} to {largest:.4g} rad,"
+            f" outside [0, {limit:.4g}]"
+        )
     edges = np.arange(0, int((end - begin) / step) + 1, hold)
     if angles.measured:
         at = begin + edges * step

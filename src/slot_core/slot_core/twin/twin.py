@@ -32,12 +32,12 @@ from slot_core.twin import leg_points, parameter_set, twin_plot
 from slot_core.twin.replay_robot import measured_track, predict, read_parts, read_recorded
 from slot_core.twin.settings import read_twin
 from slot_core.twin.strides import find_strides, stride_errors
-from slot_core.twin.twin_fit import RunAll, fit_twin, places, serially
+from slot_core.twin.twin_fit import RunAll, fit_twin, parameter, places, serially
 from slot_core.workers import workers
 
 INTERRUPTED = 130  # exit code
 ERRORS = (
-    BagError, ConfigError, Divergence, FitError, PredictionError, ModuleNotFoundError, OSError,
+    BagError, ConfigError, Divergence, FitError, PredictionError, OSError,
 )  # fmt: skip
 
 
@@ -51,6 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("\nscripts/twin: interrupted; the same command continues", file=sys.stderr)
         return INTERRUPTED
+    except ModuleNotFoundError as error:
+        parser.exit(2, f"scripts/twin: {error}: run scripts/setup --bench, or give --workers 1\n")
     except ERRORS as error:
         parser.exit(2, f"scripts/twin: {' '.join(str(error).split())}\n")
     print("\n".join(lines))
@@ -63,6 +65,8 @@ def _run(options: argparse.Namespace) -> list[str]:
     if options.set:
         parameter_set.place_of(options.set)
     parts = read_parts(options.scene, options.parameters)
+    for name in names:
+        parameter(parts, name)  # refused before anything is started
     start = parts.scene.parameters or load("robot")["parameters"]
     recorded = read_recorded(Bag(options.bag, options.namespace), options.angles, options.motion)
     strides = find_strides(recorded, settings, options.period)
