@@ -99,6 +99,22 @@ def test_the_csv_has_a_row_for_every_marker_that_a_picture_shows(folder, capsys)
     assert "100.0 % of the pictures" in capsys.readouterr().out
 
 
+def test_a_damaged_video_is_tracked_as_far_as_it_can_be_read_and_named(tmp_path, shots, capsys):
+    film = tmp_path / "film.avi"
+    coding = cv2.VideoWriter.fourcc(*"MJPG")
+    video = cv2.VideoWriter(str(film), coding, 30.0, (1280, 720), isColor=False)
+    for picture, _, _ in shots:
+        video.write(picture)
+    video.release()
+    assert track.main([str(film), "--out", str(tmp_path / "all.csv")]) == 0
+    assert "damaged" not in capsys.readouterr().out
+    film.write_bytes(film.read_bytes()[: film.stat().st_size // 2])
+    assert track.main([str(film), "--out", str(tmp_path / "half.csv")]) == 0
+    assert "says that it has 6 pictures: it is damaged" in capsys.readouterr().out
+    whole, half = (rows(tmp_path / f"{name}.csv") for name in ("all", "half"))
+    assert 0 < len(half) < len(whole)
+
+
 def refusal(arguments, capsys):
     with pytest.raises(SystemExit) as ended:
         track.main(arguments)

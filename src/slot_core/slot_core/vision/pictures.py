@@ -53,6 +53,13 @@ def read_film(
     )
 
 
+def claimed_length(path: Path) -> int:
+    """Number of pictures that a video says it has; zero if it says none, and for other films."""
+    if path.is_dir() or is_bag(path):
+        return 0
+    return max(0, int(cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FRAME_COUNT)))
+
+
 def is_bag(path: Path) -> bool:
     """Whether a path is a bag."""
     return path.suffix == ".mcap" or (path / "metadata.yaml").exists() or any(path.glob("*.mcap"))

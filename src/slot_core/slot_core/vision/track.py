@@ -23,10 +23,18 @@ from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_core.vision.camera import Camera, CameraError, nominal, read_camera
 from slot_core.vision.detector import other_dictionary
-from slot_core.vision.pictures import FilmError, Frame, bag_camera, is_bag, read_film
+from slot_core.vision.pictures import (
+    FilmError,
+    Frame,
+    bag_camera,
+    claimed_length,
+    is_bag,
+    read_film,
+)
 from slot_core.vision.settings import TORSO, VisionSettings, read_vision
 from slot_core.vision.tracker import Sample, Tracker, Tracks
 
+COMPLETE = 1.02  # pictures that a video says over those read: some estimate their length
 MOVED = 1.0  # px, of the board before a camera that stands still
 
 
@@ -78,6 +86,8 @@ def _track(options: argparse.Namespace, settings: VisionSettings) -> Tracks:
         if sys.stderr.isatty() and number % 30 == 0:
             print(f"picture {number}", end="\r", file=sys.stderr, flush=True)
     tracks = tracker.tracks()
+    if (claimed := claimed_length(options.film)) > COMPLETE * tracks.pictures:
+        tracks.notes.append(f"the video says that it has {claimed} pictures: it is damaged")
     if not tracks.samples:
         raise FilmError(f"{options.film}: no tracked marker in {_absence(tracks, settings, first)}")
     return tracks
