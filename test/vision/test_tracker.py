@@ -139,6 +139,12 @@ def test_an_unreadable_film_is_refused_in_one_line(tmp_path, capsys, name, conte
     assert not out.exists()
 
 
+def test_a_result_that_cannot_be_written_is_refused_before_the_work(tmp_path, capsys):
+    out = str(tmp_path / "nowhere" / "x.csv")
+    line = refusal([str(tmp_path / "no.avi"), "--out", out], capsys)
+    assert line.endswith(f"--out {out}: not in an existing directory")
+
+
 def test_films_that_do_not_fit_are_refused(folder, capsys):
     film, out = str(folder / "film"), ["--out", str(folder / "x.csv")]
     (folder / "none").mkdir()

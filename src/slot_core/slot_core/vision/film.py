@@ -143,6 +143,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/film`; one line and exit code 2 for a bag that cannot be filmed."""
     parser = _parser()
     options = parser.parse_args(arguments)
+    if not options.out.absolute().parent.is_dir():
+        parser.error(f"--out {options.out}: not in an existing directory")
     cv2.setNumThreads(1)
     try:
         film = _film_chessboard if options.what == CHESSBOARD else _film

@@ -42,6 +42,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/track`; one line and exit code 2 for what cannot be tracked."""
     parser = _parser()
     options = parser.parse_args(arguments)
+    if not options.out.absolute().parent.is_dir():
+        parser.error(f"--out {options.out}: not in an existing directory")
     cv2.setNumThreads(1)
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # it repeats our messages
     try:
