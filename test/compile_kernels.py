@@ -3,6 +3,8 @@
 So no test's time limit holds a compilation, and the workers do not compile the same kernel twice.
 """
 
+import multiprocessing
+
 from slot_core import config
 from slot_core.dynamics import integrator
 from slot_core.dynamics.scene import read_scene
@@ -41,11 +43,20 @@ def compile_rod():
     _ = rod.energy(), rod.tangent()
 
 
+JOBS = ((compile_robots, "bristle"), (compile_robots, "viscous"), (compile_legs,), (compile_rod,))
+
+
+def run(job):
+    """Call a function with its arguments."""
+    function, *arguments = job
+    function(*arguments)
+
+
 def main():
-    for law in ("viscous", "bristle"):
-        compile_robots(law)
-    compile_legs()
-    compile_rod()
+    """Run the jobs, the longest first, in two processes."""
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        for _ in pool.imap_unordered(run, JOBS):
+            pass
 
 
 if __name__ == "__main__":
