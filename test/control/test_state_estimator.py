@@ -635,7 +635,7 @@ def test_bad_imu_samples_have_no_effect():
 def test_missing_imu_is_flagged_and_estimates_continue_from_the_odometry():
     motion = Walk()
     dead = [m for m in noisy(motion, 2.0, 6) if m[0] == "odometry" or not 0.7 < m[1] / SECOND < 1.4]
-    estimates, _ = run(dead)
+    estimates, _ = run(dead, MATCHED)
     for e in estimates[15:]:
         t = e.stamp / SECOND
         blind = 0.7 + SETTINGS.timing.imu_gap < t <= 1.4

@@ -56,6 +56,7 @@ class ImuNoise:
     angular_acceleration_step: float = quantity(
         "change between two samples, by impacts", "rad/s^2", 0, 1e4
     )
+    acceleration_step: float = quantity("change between two samples", "m/s^2", 0, 1e3)
     gyro_max: float = quantity("largest magnitude accepted, per axis", "rad/s", 1, 100)
     acceleration_max: float = quantity("largest magnitude accepted, per axis", "m/s^2", 10, 1e4)
 
@@ -214,8 +215,11 @@ class InertialFilter:
         self.rate = Rate(self.rate.value, self._settings.blind.gyro_noise**2 / dt, 0.0)
 
     def extrapolate(self, imu: Array, dt: float) -> None:
-        """Propagate by dt (s) with a held IMU sample (6,), as uncertain as without IMU data."""
-        propagate(self._state, self._work, imu[:3], imu[3:], dt, self._blind_noise, True)
+        """Propagate by dt (s) with a held IMU sample (6,), which the next may differ from."""
+        held, steps = self._noise.copy(), self._settings.imu
+        held[THETA] += (dt * steps.angular_acceleration_step) ** 2 * dt
+        held[V] += steps.acceleration_step**2 * dt
+        propagate(self._state, self._work, imu[:3], imu[3:], dt, held, True)
 
     def correct(self, motion: OdometryMotion) -> bool:
         """Correct with a reading at the present stamp; False for an outlier, which is ignored."""
