@@ -123,8 +123,7 @@ def _speeds(quick: bool) -> list[Row]:
     ]
     found = [Row("v_x held, .02 to .055, mu .2 to .6", "mm/s", 2.0, held, worst(_speed_error))]
     limit = read_gaits().strides["walk"].speeds[0]
-    tried = [v for v in (0.06, 0.065, 0.07, 0.075, 0.08) if v < limit]
-    tried = [*(tried[:1] if quick else tried), limit]
+    tried = (0.06, 0.065, 0.07) if quick else (0.05, 0.055, 0.06, 0.065, 0.07, limit)
     for mu, goal in ((0.2, 0.06), (0.4, 0.075), (0.6, 0.08)):
         cases = [Case(duration, velocity=(v, 0.0, 0.0), changes=friction(mu)) for v in tried]
         name = f"fastest held, mu {mu:g}"
@@ -280,7 +279,7 @@ def _posture() -> list[Row]:
     return [
         Row("tilt of the walk, RMS", "deg", 4.5, [straight()], worst(rms), None),
         Row("tilt of the walk, largest", "deg", 8.0, [straight()], worst(largest), None),
-        Row("crawl, torso's top", "mm", 70.0, [low], worst(_top), 0.95),
+        Row("crawl, torso's top", "mm", 70.0, [low], worst(_top), None),
     ]
 
 
