@@ -25,6 +25,7 @@ ENOUGH = 60  # s for one setup of a copy; it takes some 3 s
 
 # Builds nothing; waits while the file `hold` exists, so that a test can interrupt it.
 COLCON = """#!/bin/bash
+trap 'exit 130' INT  # else bash goes on if the signal comes between two of its children
 echo build >> "$STUBS/calls"
 while [ -e "$STUBS/hold" ]; do sleep 0.05; done
 mkdir -p "$SLOT_ROOT/.slot/install"
