@@ -18,6 +18,7 @@ from slot_bringup.check import check
 from slot_bringup.graph import Graph, is_attended, read_graph
 from slot_bringup.monitor import RunError, require_no_other_graph, watch
 from slot_bringup.processes import Processes
+from slot_core.arguments import within
 from slot_core.bags.bag import Bag, BagError, read_record_settings
 from slot_core.config import ConfigError
 from slot_core.dynamics.servo import read_servo
@@ -50,7 +51,7 @@ def parse(arguments: Sequence[str] | None, graph: Graph) -> argparse.Namespace:
         parser.add_argument(f"--{argument.name.replace('_', '-')}", **flag)
     parser.add_argument(
         "--duration",
-        type=_duration,
+        type=within(0.5, 86400.0, "s"),
         default=20.0,
         metavar="S",
         help="length of the run on the robot's clock, s (default: 20)",
@@ -69,13 +70,6 @@ def parse(arguments: Sequence[str] | None, graph: Graph) -> argparse.Namespace:
     except ConfigError as error:
         parser.error(str(error))
     return options
-
-
-def _duration(text: str) -> float:
-    value = float(text)
-    if not 0.5 <= value <= 86400:
-        raise argparse.ArgumentTypeError(f"{text} s: outside [0.5, 86400] s")
-    return value
 
 
 def run(options: argparse.Namespace, graph: Graph, directory: Path) -> None:

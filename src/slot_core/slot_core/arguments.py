@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from typing import TypeVar
+
+Number = TypeVar("Number", int, float)
 
 
 def positive_integer(text: str) -> int:
@@ -11,3 +15,16 @@ def positive_integer(text: str) -> int:
     if value < 1:
         raise argparse.ArgumentTypeError(f"{value} is below 1")
     return value
+
+
+def within(low: Number, high: Number, unit: str = "") -> Callable[[str], Number]:
+    """Type of a number in [low, high] of the kind of its bounds; raises as `positive_integer`."""
+    kind, end = type(low), f" {unit}" if unit else ""
+
+    def number(text: str) -> Number:
+        value = kind(text)
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text}{end}: outside [{low:g}, {high:g}]{end}")
+        return value
+
+    return number

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.arguments import positive_integer, within
 from slot_core.bags.bag import Bag, BagError
 from slot_core.bags.measured import COMMANDED, MEASURED, MOTION_TOPICS
 from slot_core.calibration.experiments import PredictionError
@@ -180,33 +181,30 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--motion", default="", choices=MOTION_TOPICS, help="motion that is compared")
     add("--namespace", default="", help="of the recorded graph")
-    add("--period", type=_positive, metavar="S", help="length of a stride (default: the gait's)")
+    add(
+        "--period",
+        type=within(0.05, 60.0, "s"),
+        metavar="S",
+        help="length of a stride (default: the gait's)",
+    )
     add("--fit", default=[], type=_names, metavar="NAME,...", help="parameters to fit")
     add("--set", default="", metavar="NAME", help="write the fit as config/parameters/NAME.yaml")
     add("--note", default="", metavar="TEXT", help="text for that file")
-    add("--starts", type=_count, default=1, metavar="N", help="starts of the fit (default: 1)")
+    add(
+        "--starts",
+        type=positive_integer,
+        default=1,
+        metavar="N",
+        help="starts of the fit (default: 1)",
+    )
     add("--out", type=Path, metavar="DIR", help="default: results/twin/BAG")
     add("--scheduler", default="", metavar="ADDRESS", help="of dask; default: this machine")
-    add("--workers", type=_count, metavar="N", help="local processes (default: cores)")
+    add("--workers", type=positive_integer, metavar="N", help="local processes (default: cores)")
     return parser
 
 
 def _names(text: str) -> list[str]:
     return [name for name in text.split(",") if name]
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0.05 <= value <= 60.0:
-        raise argparse.ArgumentTypeError(f"{text} s: outside [0.05, 60] s")
-    return value
-
-
-def _count(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{value} is below 1")
-    return value
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import cv2
 
+from slot_core.arguments import positive_integer
 from slot_core.config import ConfigError
 from slot_core.vision.calibration import Calibration, View, calibrate, chessboard, find_view
 from slot_core.vision.camera import CameraError, camera_text
@@ -83,17 +84,10 @@ def _parser() -> argparse.ArgumentParser:
     add("--out", type=Path, metavar="YAML", required=True, help="calibration file to write")
     add("--name", default="camera", help="name of the camera in the file (default: camera)")
     every = "use every Nth picture only, of a video for example every 15th (default: 1)"
-    add("--every", type=_count, default=1, metavar="N", help=every)
+    add("--every", type=positive_integer, default=1, metavar="N", help=every)
     topic = "topic of the bag (default: /camera/image_raw)"
     add("--topic", default="/camera/image_raw", metavar="TOPIC", help=topic)
     return parser
-
-
-def _count(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{value} is below 1")
-    return value
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from slot_core.arguments import within
 from slot_core.bags.bag import Bag, BagError
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS, Array, Robot, read_robot
@@ -238,16 +239,9 @@ def _parser() -> argparse.ArgumentParser:
     add("--depth", type=Path, metavar="FOLDER", help="also write depth pictures (mm, 16 bit)")
     add("--truth", type=Path, metavar="CSV", help="also write the true tracks")
     duration = "length of the film, s (default: 6)"
-    add("--duration", type=_duration, default=6.0, metavar="S", help=duration)
+    add("--duration", type=within(0.1, 3600.0, "s"), default=6.0, metavar="S", help=duration)
     add("--seed", type=int, default=0, help="of the noise (default: 0)")
     return parser
-
-
-def _duration(text: str) -> float:
-    value = float(text)
-    if not 0.1 <= value <= 3600.0:
-        raise argparse.ArgumentTypeError(f"{text}: outside [0.1, 3600] s")
-    return value
 
 
 if __name__ == "__main__":

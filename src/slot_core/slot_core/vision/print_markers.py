@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 from PIL import Image
 
+from slot_core.arguments import within
 from slot_core.config import ConfigError
 from slot_core.vision.board import WHITE, Picture, make_board, picture_of, single_marker
 from slot_core.vision.calibration import chessboard
@@ -107,15 +108,14 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("what", metavar="WHAT", help="name of a board, points, or chessboard")
     add("--out", type=Path, metavar="FILE", required=True, help="PNG or PDF to write")
-    add("--dpi", type=_dpi, default=300, metavar="DPI", help="dots per inch (default: 300)")
+    add(
+        "--dpi",
+        type=within(50, 1200),
+        default=300,
+        metavar="DPI",
+        help="dots per inch (default: 300)",
+    )
     return parser
-
-
-def _dpi(text: str) -> int:
-    value = int(text)
-    if not 50 <= value <= 1200:
-        raise argparse.ArgumentTypeError(f"{value}: outside [50, 1200]")
-    return value
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import cv2
 
+from slot_core.arguments import within
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_core.vision.camera import Camera, CameraError, nominal, read_camera
@@ -144,15 +145,8 @@ def _parser() -> argparse.ArgumentParser:
     topic = "topic of the bag (default: /camera/image_raw)"
     add("--topic", default="/camera/image_raw", metavar="TOPIC", help=topic)
     rate = "pictures per second (default: the video's own; 30 for a folder)"
-    add("--rate", type=_rate, metavar="HZ", help=rate)
+    add("--rate", type=within(0.1, 10000.0), metavar="HZ", help=rate)
     return parser
-
-
-def _rate(text: str) -> float:
-    value = float(text)
-    if not 0.1 <= value <= 10000:
-        raise argparse.ArgumentTypeError(f"{text}: outside [0.1, 10000]")
-    return value
 
 
 if __name__ == "__main__":
