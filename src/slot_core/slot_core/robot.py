@@ -190,10 +190,11 @@ def read_robot(parameters: str = "") -> Robot:
         raise ConfigError("robot.yaml: parameters is missing: the name of a parameter set")
     named = mapping.pop("parameters")
     name = parameters or named
-    for dotted, value in read_parameters(name).items():
+    content = config.load(f"parameters/{name}")
+    for dotted, value in _part(content, name, "values").items():
         _insert(mapping, dotted, value, f"parameters/{name}.yaml")
     robot = config.build(Robot, mapping, f"robot.yaml with parameters/{name}.yaml")
-    return config.replace(robot, read_parameters(name, "robot"), f"parameters/{name}.yaml: robot")
+    return config.replace(robot, _part(content, name, "robot"), f"parameters/{name}.yaml: robot")
 
 
 def read_parameters(name: str, part: str = "values") -> dict[str, Any]:
@@ -202,8 +203,12 @@ def read_parameters(name: str, part: str = "values") -> dict[str, Any]:
     part: `values`, which every set has, or those that a set may have instead of those of the
     `robot` in robot.yaml, of the `servo` in servo.yaml and of the `scene` that names the set.
     """
-    mapping = config.load(f"parameters/{name}")
-    given = mapping if isinstance(mapping, dict) else {}
+    return _part(config.load(f"parameters/{name}"), name, part)
+
+
+def _part(content: Any, name: str, part: str) -> dict[str, Any]:
+    """A part of the content of the set `name`; raises ConfigError."""
+    given = content if isinstance(content, dict) else {}
     values = given.get(part, {} if part != "values" else None)
     if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
         raise ConfigError(f"parameters/{name}.yaml: {part} is missing: a mapping of dotted names")
