@@ -9,6 +9,7 @@ import contextlib
 import copy
 import heapq
 import importlib
+import inspect
 import itertools
 import types
 from collections import defaultdict, deque
@@ -75,6 +76,9 @@ class Subscription:
         self._rig, self.node, self.callback = rig, node, callback
         self.handle = self
         self._queue = deque(maxlen=profile.depth)
+        needed = [p for p in inspect.signature(callback or print).parameters.values()
+                  if p.kind is p.POSITIONAL_OR_KEYWORD and p.default is p.empty]  # fmt: skip
+        self._with_info = len(needed) == 2
 
     def receive(self, message, number):
         self._queue.append((message, {"publication_sequence_number": number}))
@@ -93,9 +97,7 @@ class Subscription:
             self._rig.execute(self.node, lambda: self._call(message, info))
 
     def _call(self, message, info):
-        name = getattr(self.callback, "__name__", "")
-        both = self.node and self.node[0] == "mpc_controller" and name == "_on_state"
-        self.callback(message, info) if both else self.callback(message)
+        self.callback(message, info) if self._with_info else self.callback(message)
 
 
 class Publisher:

@@ -41,7 +41,8 @@ def _start_nodes(context: LaunchContext) -> list[Node]:
         Node(
             package=spec.package,
             executable=spec.name,
-            name=spec.name,
+            name=spec.node_name,
+            arguments=list(spec.nodes),
             exec_name=spec.name,  # in the log, else that of the prefix
             namespace=spec.namespace,
             remappings=list(spec.remappings.items()),

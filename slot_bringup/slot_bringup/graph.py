@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ import yaml
 from slot_core.control.gait import STAND
 from slot_core.dynamics.scene import read_scene
 
+CONTROLLER = "controller"  # executable of the nodes in one process
 PATH = "path"
 KINDS: dict[str, type] = {"str": str, PATH: str, "int": int, "float": float, "bool": bool}
 
@@ -57,13 +58,19 @@ class Argument:
 
 @dataclass(frozen=True)
 class NodeSpec:
-    """Node of the graph, one process; its name is that of its executable."""
+    """Node of the graph, or several in one process; its name is that of its executable."""
 
     name: str
     package: str
     parameters: dict[str, Any]
     namespace: str = ""
     remappings: Mapping[str, str] = field(default_factory=dict)
+    nodes: tuple[str, ...] = ()  # of a process with several
+
+    @property
+    def node_name(self) -> str | None:
+        """Name of the only node in the process; None if there are several, which have their own."""
+        return None if self.nodes else self.name
 
 
 class Graph:
@@ -90,7 +97,7 @@ class Graph:
         values = {**values, **_ports(values["hardware"], values["port"]), **_start_up(values)}
         values |= _camera(values)
         remappings = {name: _value(target, values) for name, target in self._remappings.items()}
-        return [
+        specs = [
             NodeSpec(
                 name=name,
                 package=entry["package"],
@@ -103,6 +110,18 @@ class Graph:
             and ("needs" not in entry or values[entry["needs"]])
             and ("unless" not in entry or not values[entry["unless"]])
         ]
+        return self._composed(specs) if values["composed"] else specs
+
+    def _composed(self, specs: list[NodeSpec]) -> list[NodeSpec]:
+        """The nodes with those that are composable in one process.
+
+        Their parameters become those of the process: a parameter of one name has one value.
+        """
+        inside = [spec for spec in specs if self._nodes[spec.name].get("composable")]
+        parameters = {name: value for spec in inside for name, value in spec.parameters.items()}
+        names = tuple(spec.name for spec in inside)
+        process = replace(inside[0], name=CONTROLLER, parameters=parameters, nodes=names)
+        return [*(spec for spec in specs if spec not in inside), process]
 
     def _parameters(self, entry: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
         parameters = {**self._common, **entry.get("parameters", {})}

@@ -92,11 +92,14 @@ class Processes:
 def command_line(spec: NodeSpec) -> list[str]:
     """Command line of a node; raises PackageNotFoundError if its package is not installed."""
     executable = Path(get_package_prefix(spec.package), "lib", spec.package, spec.name)
-    remaps = {"__node": spec.name, **spec.remappings}
+    remaps = dict(spec.remappings)
+    if spec.node_name:
+        remaps["__node"] = spec.node_name
     if spec.namespace:
         remaps["__ns"] = absolute(spec.namespace)
     return [
         str(executable),
+        *spec.nodes,
         "--ros-args",
         *(word for old, new in remaps.items() for word in ("-r", f"{old}:={new}")),
         *(

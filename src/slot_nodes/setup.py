@@ -20,7 +20,12 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/slot_nodes"]),
         ("share/slot_nodes", ["package.xml"]),
     ],
-    entry_points={"console_scripts": [f"{n} = slot_nodes.{n}_node:main" for n in NODES]},
+    entry_points={
+        "console_scripts": [
+            *(f"{n} = slot_nodes.{n}_node:main" for n in NODES),
+            "controller = slot_nodes.composed:main",
+        ]
+    },
     zip_safe=False,
     maintainer="SLOT maintainers",
     maintainer_email="slot@example.com",

@@ -50,6 +50,22 @@ def test_the_scheduler_starts_with_stand_and_in_lockstep_with_the_gait(graph):
     assert nodes["gait_scheduler"].parameters["v_x"] == 0.05
 
 
+@pytest.mark.parametrize("hardware", ["sim", "fake_bus", "real"])
+def test_composed_nodes_share_a_process_and_keep_their_parameters(graph, hardware):
+    chosen = values(graph, hardware=hardware, bag="x", vx=0.05, mpc="paper")
+    separate = {s.name: s for s in graph.nodes(chosen)}
+    *others, process = graph.nodes(chosen | {"composed": True})
+    driver = ["dynamixel_driver"] if hardware != "sim" else []
+    controller = ["state_estimator", "gait_scheduler", "mpc_controller", "force_mapper"]
+    assert sorted(process.nodes) == sorted(driver + controller)
+    assert [s.name for s in others] == [name for name in separate if name not in process.nodes]
+    for name in process.nodes:
+        assert separate[name].parameters.items() <= process.parameters.items()
+    line = command_line(process)
+    assert line[1 : 1 + len(process.nodes)] == list(process.nodes)
+    assert not any(word.startswith("__node") for word in line)  # they keep their names
+
+
 def test_driver_and_emulated_servos_share_one_port(graph):
     nodes = {s.name: s for s in graph.nodes(values(graph, hardware="fake_bus"))}
     port = nodes["dynamixel_driver"].parameters["bus.port"]

@@ -105,13 +105,15 @@ def test_bag_contains_the_definitions_of_its_messages(walk):
     assert "float64[4] slack_friction" in schemas["slot_msgs/msg/GroundReactionForces"]
 
 
-def test_equal_seeds_give_bit_equal_states(walk, messages, tmp_path):
+def test_equal_seeds_give_bit_equal_states_also_in_one_process(walk, messages, tmp_path):
     """Of another seed `test_graph_gives_the_commands_of_the_core` tells."""
-    again = record(tmp_path / "again", "--lockstep", "--duration", "2", "--seed", "3")
-    first, second = states(messages), states(read(again))
-    shared = min(len(first), len(second))
-    assert shared > 55
-    assert first[:shared] == second[:shared]
+    options = ("--lockstep", "--composed", "--duration", "2", "--seed", "3")
+    composed = read(record(tmp_path / "composed", *options))
+    for topic in ("/mpc_state", "/gait_preview", "/desired_joint_angles", "/force_map/status"):
+        first, second = values(messages[topic]), values(composed[topic])
+        shared = min(len(first), len(second))
+        assert shared > 55
+        assert first[:shared] == second[:shared], topic
 
 
 def test_graph_gives_the_commands_of_the_core_in_one_process(walk):
@@ -131,8 +133,8 @@ def test_graph_gives_the_commands_of_the_core_in_one_process(walk):
     assert any((recorded[tick.estimate.stamp] != tick.command.angle).any() for tick in other)
 
 
-def states(messages):
-    return [tuple(numbers(message)) for _, message in messages["/mpc_state"]]
+def values(rows):
+    return [tuple(numbers(message)) for _, message in rows]
 
 
 def test_replay_of_the_bag_gives_bit_equal_results(walk):

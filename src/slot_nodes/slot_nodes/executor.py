@@ -13,6 +13,8 @@ from rclpy.timer import Timer
 from rclpy.utilities import timeout_sec_to_nsec
 from rclpy.waitable import NumberOfEntities
 
+from slot_nodes.intra_process import Mailbox
+
 KINDS = ("subscription", "guard_condition", "timer", "client", "service")  # order of a wait set
 
 
@@ -23,10 +25,14 @@ class DirectExecutor(SingleThreadedExecutor):
     entities to wait for each time. That takes most of a node's CPU time, on cores that the next
     node in the chain needs. Callbacks of messages and timers must not await, and nodes must not
     have guard conditions.
+
+    It also delivers the messages of its mailbox, from nodes of the same process. Those of which a
+    node wants the newest only are delivered when no other message is waiting to be taken.
     """
 
-    def __init__(self, *, context: Context | None = None) -> None:
+    def __init__(self, mailbox: Mailbox | None = None, *, context: Context | None = None) -> None:
         self._entities_changed = True
+        self._mailbox = mailbox or Mailbox(context)
         super().__init__(context=context)
 
     def wake(self) -> None:
@@ -39,6 +45,11 @@ class DirectExecutor(SingleThreadedExecutor):
 
         Raises ExternalShutdownException when the context has ended, and what a callback raises.
         """
+        served = self._serve(0.0 if self._mailbox.waiting else timeout_sec)
+        self._mailbox.deliver(newest=not served)
+
+    def _serve(self, timeout_sec: float | None) -> bool:
+        """Wait and run the callbacks that are ready; whether there was a message or a timer."""
         self._wait(timeout_sec)
         timers, subscriptions = self._ready("timer"), self._ready("subscription")
         for subscription in subscriptions:
@@ -49,6 +60,7 @@ class DirectExecutor(SingleThreadedExecutor):
         if self._context.ok() and self._has_others():
             self._entities_changed = True  # a node may have been added or removed
             super().spin_once(timeout_sec=0.0)
+        return bool(timers or subscriptions)
 
     def _wait(self, timeout_sec: float | None) -> None:
         if self._entities_changed:
@@ -71,7 +83,7 @@ class DirectExecutor(SingleThreadedExecutor):
         nodes = self.get_nodes()
         self._entities: dict[str, list[Any]] = {
             "subscription": [e for node in nodes for e in node.subscriptions],
-            "guard_condition": [self._guard, self._sigint_gc],
+            "guard_condition": [self._guard, self._sigint_gc, self._mailbox.guard],
             "timer": [e for node in nodes for e in node.timers],
             "client": [e for node in nodes for e in node.clients],
             "service": [e for node in nodes for e in node.services],
@@ -90,9 +102,11 @@ class DirectExecutor(SingleThreadedExecutor):
 
     def _has_others(self) -> bool:
         """Whether anything but a message or a timer is ready."""
-        kinds = ("guard_condition", "client", "service")
-        return any(map(self._wait_set.get_ready_entities, kinds)) or any(
-            waitable.is_ready(self._wait_set) for waitable in self._waitables
+        guards = self._wait_set.get_ready_entities("guard_condition")
+        return (
+            any(guard.pointer in guards for guard in (self._guard.handle, self._sigint_gc.handle))
+            or any(map(self._wait_set.get_ready_entities, ("client", "service")))
+            or any(waitable.is_ready(self._wait_set) for waitable in self._waitables)
         )
 
 

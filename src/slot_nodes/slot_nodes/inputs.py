@@ -13,37 +13,49 @@ from rclpy.subscription import Subscription
 
 from slot_core.control.gait import GaitPreview
 from slot_core.robot import LEGS
+from slot_nodes import intra_process
 
 
 def subscribe(
     node: Node,
     kind: type,
     topic: str,
-    callback: Callable[[Any], None],
+    callback: Callable[..., None],
     profile: QoSProfile,
     *,
     overridable: bool = False,
-) -> Subscription:
+    numbered: bool = False,
+) -> Subscription | None:
     """Subscribe; a ValueError of the callback drops the message and is logged once a second.
 
-    overridable: whether parameters can override the quality of service.
+    overridable: whether parameters can override the quality of service. numbered: whether the
+    callback also gets the number of the message on its topic. Returns None for a topic that a node
+    of the same process publishes: its messages come without DDS.
     """
 
-    def receive(message: Any) -> None:
+    def receive(message: Any, number: int = 0) -> None:
         try:
-            callback(message)
+            callback(message, number) if numbered else callback(message)
         except ValueError as error:
             node.get_logger().warning(f"{topic} refused: {error}", throttle_duration_sec=1.0)
 
+    if intra_process.subscribe(node.resolve_topic_name(topic), receive, profile):
+        return None
     overriding = QoSOverridingOptions.with_default_policies() if overridable else None
-    return node.create_subscription(
-        kind, topic, receive, profile, qos_overriding_options=overriding
-    )
+    take = _with_number(receive) if numbered else receive
+    return node.create_subscription(kind, topic, take, profile, qos_overriding_options=overriding)
 
 
-def take_waiting(subscription: Subscription) -> None:
+def _with_number(receive: Callable[[Any, int], None]) -> Any:
+    """Callback with two arguments: rclpy passes it what is known of the message too."""
+    return lambda message, info: receive(message, info["publication_sequence_number"])
+
+
+def take_waiting(subscription: Subscription | None) -> None:
     """Process now what a subscription has received, before the executor would."""
-    while taken := subscription.handle.take_message(subscription.msg_type, subscription.raw):
+    while subscription and (
+        taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)
+    ):
         subscription.callback(taken[0])
 
 

@@ -1,8 +1,6 @@
 """`/mpc_state` and `/gait_preview` to `/ground_reaction_forces`."""
 
 import time
-from collections.abc import Mapping
-from typing import Any, cast
 
 from rclpy.node import Node
 
@@ -30,13 +28,11 @@ class MpcControllerNode(Node):
         self._forces = runtime.publisher(
             self, GroundReactionForces, "ground_reaction_forces", qos.CONTROL
         )
-        # rclpy also passes the second argument; its annotation has only the first
-        self.create_subscription(MpcState, "mpc_state", cast(Any, self._on_state), qos.STATE)
+        inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.STATE, numbered=True)
         inputs.subscribe(self, GaitPreview, "gait_preview", self._on_preview, qos.STATE)
 
-    def _on_state(self, message: MpcState, info: Mapping[str, int]) -> None:
+    def _on_state(self, message: MpcState, number: int) -> None:
         stamp, state, _ = decode.state(message)
-        number = info["publication_sequence_number"]
         self._solve(stamp, self._inputs.add("state", stamp, (number, state)))
 
     def _on_preview(self, message: GaitPreview) -> None:

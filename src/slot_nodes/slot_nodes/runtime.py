@@ -8,7 +8,7 @@ import signal
 import sys
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, TypeVar, cast
+from typing import Any, Protocol, TypeVar, cast
 
 import rclpy
 import rclpy.utilities
@@ -25,14 +25,29 @@ from rclpy.qos import QoSProfile
 from rclpy.timer import Timer
 
 from slot_core import config
-from slot_nodes import messages
+from slot_nodes import intra_process, messages
 from slot_nodes.executor import DirectExecutor
 
 T = TypeVar("T")
 
 
-def run(make_node: Callable[[], Node]) -> None:
-    """Spin a node until SIGINT, SIGTERM or its own `SystemExit`; exit code 0 unless it failed.
+class Runnable(Protocol):
+    """What a process runs: a node, or several."""
+
+    def destroy_node(self) -> None:
+        """End it."""
+
+
+R = TypeVar("R", bound=Runnable)
+
+
+def spin(node: Any) -> None:
+    """Serve a node until the context ends."""
+    rclpy.spin(node, DirectExecutor())
+
+
+def run(make_node: Callable[[], R], serve: Callable[[R], None] = spin) -> None:
+    """Serve a node until SIGINT, SIGTERM or its own `SystemExit`; exit code 0 unless it failed.
 
     An unusable configuration ends the process with one line and exit code 2.
     """
@@ -41,7 +56,7 @@ def run(make_node: Callable[[], Node]) -> None:
         _init()
         node = make_node()
         gc.freeze()  # exclude what is loaded by now from garbage collections
-        rclpy.spin(node, DirectExecutor())
+        serve(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except (config.ConfigError, ParameterException) as error:
@@ -110,10 +125,10 @@ def publisher(node: Node, kind: type, topic: str, profile: QoSProfile) -> Publis
     if not node.has_parameter(name):
         declare(node, name, "", "prefix of the frames in messages, for example fred/")
     prefix = node.get_parameter(name).value
-    if not prefix:
-        return node.create_publisher(kind, topic, profile)
-    prefixed = cast(Any, partial(PrefixedPublisher, prefix))
-    return node.create_publisher(kind, topic, profile, publisher_class=prefixed)
+    made = cast(Any, partial(PrefixedPublisher, prefix)) if prefix else Publisher
+    return intra_process.publisher(
+        node.create_publisher(kind, topic, profile, publisher_class=made)
+    )
 
 
 def wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer:

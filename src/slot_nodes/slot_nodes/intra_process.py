@@ -1,0 +1,131 @@
+"""Intra-process communication: a message goes to the nodes of its process as the object it is.
+
+It also goes out on its topic, after the nodes of the process have answered it: the command that it
+leads to does not wait until it is serialized. A node that reads a topic of its process makes no DDS
+subscription to it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import count
+from typing import Any
+
+from rclpy.context import Context
+from rclpy.guard_condition import GuardCondition
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+
+Receive = Callable[[Any, int], None]  # a message and its number on the topic, from 1
+
+
+class Mailbox:
+    """Messages that wait for the nodes of one executor, and those that they still have to send."""
+
+    def __init__(self, context: Context | None = None) -> None:
+        self.guard = GuardCondition(None, None, context)  # wakes the executor
+        self._queue: deque[tuple[Receive, Any, int]] = deque()
+        self._newest: dict[Receive, tuple[Any, int]] = {}
+        self._outgoing: deque[tuple[Publisher, Any]] = deque()
+
+    @property
+    def waiting(self) -> bool:
+        """Whether a message waits."""
+        return bool(self._queue or self._newest or self._outgoing)
+
+    def put(self, receive: Receive, newest_only: bool, message: Any, number: int) -> None:
+        """Add a message for a node, instead of those before if it wants the newest only."""
+        if newest_only:
+            self._newest[receive] = message, number
+        else:
+            self._queue.append((receive, message, number))
+
+    def send_later(self, publisher: Publisher, message: Any) -> None:
+        """Publish a message when no other waits."""
+        self._outgoing.append((publisher, message))
+
+    def deliver(self, newest: bool) -> None:
+        """Deliver what waits; what a node wants the newest of only if `newest`. Then publish."""
+        while self._queue or (newest and self._newest):
+            if self._queue:
+                receive, message, number = self._queue.popleft()
+            else:
+                receive = next(iter(self._newest))
+                message, number = self._newest.pop(receive)
+            receive(message, number)
+        while self._outgoing and not self._newest:
+            publisher, message = self._outgoing.popleft()
+            publisher.publish(message)
+
+
+class Topics:
+    """Topics that nodes of one process publish, and their readers in it."""
+
+    def __init__(self) -> None:
+        self._readers: dict[str, list[tuple[Mailbox, Receive, bool]]] = {}
+
+    @contextmanager
+    def nodes_of(self, mailbox: Mailbox) -> Iterator[None]:
+        """Nodes made in the block publish and read the topics through their executor's mailbox.
+
+        A node that reads a topic must be made after the one that publishes it.
+        """
+        global _present  # noqa: PLW0603 - a node does not know in which process it is
+        _present = self, mailbox
+        try:
+            yield
+        finally:
+            _present = None
+
+    def add_reader(self, topic: str, mailbox: Mailbox, receive: Receive, newest: bool) -> bool:
+        """Add a reader; false if no node of the process publishes the topic."""
+        if topic not in self._readers:
+            return False
+        self._readers[topic].append((mailbox, receive, newest))
+        return True
+
+    def readers(self, topic: str) -> list[tuple[Mailbox, Receive, bool]]:
+        """The readers of a topic that is published; more may come."""
+        return self._readers.setdefault(topic, [])
+
+
+class IntraProcessPublisher:
+    """Publisher on a topic for the nodes of the same process and for all others."""
+
+    def __init__(self, publisher: Publisher, topics: Topics, mailbox: Mailbox) -> None:
+        self._publisher, self._mailbox = publisher, mailbox
+        self._readers = topics.readers(publisher.topic_name)
+        self._number = count(1)
+
+    def publish(self, message: Any) -> None:
+        """Hand a message over and publish it later; without a reader publish it now."""
+        if not self._readers:
+            self._publisher.publish(message)
+            return
+        number = next(self._number)
+        for mailbox, receive, newest_only in self._readers:
+            mailbox.put(receive, newest_only, message, number)
+            if mailbox is not self._mailbox:
+                mailbox.guard.trigger()
+        self._mailbox.send_later(self._publisher, message)
+
+
+_present: tuple[Topics, Mailbox] | None = None
+
+
+def publisher(made: Publisher) -> Any:
+    """The publisher for a node that is being made: itself, unless nodes share the process."""
+    return made if _present is None else IntraProcessPublisher(made, *_present)
+
+
+def subscribe(topic: str, receive: Receive, profile: QoSProfile) -> bool:
+    """Subscribe a node that is being made to a topic of its process; false if it has none such.
+
+    With a depth of 1 the node receives the newest message only.
+    """
+    if _present is None:
+        return False
+    topics, mailbox = _present
+    return topics.add_reader(topic, mailbox, receive, profile.depth == 1)

@@ -1,0 +1,115 @@
+"""Messages between nodes of one process."""
+
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.qos import QoSProfile
+
+from slot_nodes import intra_process
+from slot_nodes.intra_process import Mailbox, Topics
+
+EVERY, NEWEST = QoSProfile(depth=50), QoSProfile(depth=1)
+
+
+class Recorded:
+    """Publisher that keeps what it publishes, in a list shared with the readers."""
+
+    topic_name = "/numbers"
+
+    def __init__(self, events):
+        self.events = events
+
+    def publish(self, message):
+        self.events.append(("topic", message))
+
+
+@pytest.fixture
+def mailbox():
+    context = Context()
+    rclpy.init(context=context)
+    yield Mailbox(context)
+    context.try_shutdown()
+
+
+@pytest.fixture
+def events():
+    return []
+
+
+def reader(events, name):
+    return lambda message, number: events.append((name, message, number))
+
+
+def test_nodes_of_the_process_receive_a_message_before_its_topic_does(mailbox, events):
+    with Topics().nodes_of(mailbox):
+        numbers = intra_process.publisher(Recorded(events))
+        assert intra_process.subscribe("/numbers", reader(events, "a"), EVERY)
+        assert intra_process.subscribe("/numbers", reader(events, "b"), EVERY)
+    message = object()
+    numbers.publish(message)
+    assert mailbox.waiting
+    assert events == []
+    mailbox.deliver(newest=True)
+    assert events == [("a", message, 1), ("b", message, 1), ("topic", message)]
+    assert events[0][1] is message
+    assert not mailbox.waiting
+
+
+def test_a_topic_that_no_node_of_the_process_publishes_is_left_to_dds(mailbox, events):
+    with Topics().nodes_of(mailbox):
+        assert not intra_process.subscribe("/odom", reader(events, "a"), EVERY)
+    assert not intra_process.subscribe("/numbers", reader(events, "a"), EVERY)
+    alone = Recorded(events)
+    assert intra_process.publisher(alone) is alone
+
+
+def test_a_message_without_a_reader_goes_out_at_once(mailbox, events):
+    with Topics().nodes_of(mailbox):
+        numbers = intra_process.publisher(Recorded(events))
+    numbers.publish(1)
+    assert events == [("topic", 1)]
+
+
+def test_a_slow_reader_of_the_newest_skips_the_others_and_sees_their_number(mailbox, events):
+    with Topics().nodes_of(mailbox):
+        numbers = intra_process.publisher(Recorded(events))
+        intra_process.subscribe("/numbers", reader(events, "every"), EVERY)
+        intra_process.subscribe("/numbers", reader(events, "newest"), NEWEST)
+    for value in "abc":
+        numbers.publish(value)
+        mailbox.deliver(newest=False)  # more input is waiting
+    assert events == [("every", value, n) for n, value in enumerate("abc", 1)]
+    mailbox.deliver(newest=True)
+    assert events[3:] == [("newest", "c", 3), *(("topic", value) for value in "abc")]
+
+
+def test_an_answer_to_a_message_is_delivered_in_the_same_round(mailbox, events):
+    """The command of a tick is there before the messages that led to it are published."""
+    with Topics().nodes_of(mailbox):
+        numbers = intra_process.publisher(Recorded(events))
+        answers = intra_process.publisher(type("", (Recorded,), {"topic_name": "/answers"})(events))
+        intra_process.subscribe("/numbers", lambda m, _: answers.publish(-m), NEWEST)
+        intra_process.subscribe("/answers", reader(events, "answer"), EVERY)
+    numbers.publish(7)
+    mailbox.deliver(newest=True)
+    assert events == [("answer", -7, 1), ("topic", 7), ("topic", -7)]
+
+
+def test_a_message_for_another_thread_wakes_its_executor(mailbox, events):
+    other, topics, woken = Mailbox(mailbox_context(mailbox)), Topics(), []
+    other.guard.trigger = lambda: woken.append(True)
+    with topics.nodes_of(mailbox):
+        numbers = intra_process.publisher(Recorded(events))
+    with topics.nodes_of(other):
+        intra_process.subscribe("/numbers", reader(events, "other"), EVERY)
+    numbers.publish(1)
+    assert woken == [True]
+    assert other.waiting
+    mailbox.deliver(newest=True)
+    assert events == [("topic", 1)]
+    other.deliver(newest=True)
+    assert events[1:] == [("other", 1, 1)]
+
+
+def mailbox_context(mailbox):
+    return mailbox.guard._context
