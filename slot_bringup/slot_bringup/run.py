@@ -19,7 +19,8 @@ from slot_bringup.graph import Graph, is_attended, read_graph
 from slot_bringup.monitor import RunError, require_no_other_graph, watch
 from slot_bringup.processes import Processes
 from slot_core.arguments import within
-from slot_core.bags.bag import Bag, BagError, read_record_settings
+from slot_core.bags.bag import Bag, BagError
+from slot_core.bags.record_settings import read_record_settings
 from slot_core.config import ConfigError
 from slot_core.dynamics.servo import read_servo
 from slot_core.report import metrics, plots

@@ -1,5 +1,6 @@
 """Bags: an independent reader gets what was written; damage is reported in one line."""
 
+import dataclasses
 import json
 import os
 from pathlib import Path
@@ -9,10 +10,14 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from rosbags.rosbag2 import Reader
 from synthetic_walk import TOPICS, TYPES, WALL, Walk, encode, message, write_walk
 
-from slot_core.bags.bag import Bag, BagError, BagWriter, NoFieldError, read_record_settings
+from slot_core.bags.bag import Bag, BagError, NoFieldError
+from slot_core.bags.bag_writer import BagWriter
 from slot_core.bags.message_types import message_types
+from slot_core.bags.origin import Origin
+from slot_core.bags.record_settings import read_record_settings
 
 SETTINGS = read_record_settings()
 
@@ -109,10 +114,10 @@ def test_chunks_are_compressed(walk_bag):
 
 
 def test_a_bag_is_readable_with_its_own_definitions_alone(walk_bag, monkeypatch):
-    def nowhere():
+    def nowhere(types):
         raise FileNotFoundError
 
-    monkeypatch.setattr("slot_core.bags.bag.message_types", nowhere)
+    monkeypatch.setattr("slot_core.bags.bag.add_installed", nowhere)
     (_, state), *_ = Bag(walk_bag).messages("/mpc_state")
     assert state.position.z == pytest.approx(0.06)
 
@@ -148,15 +153,13 @@ def test_writer_does_not_overwrite_a_bag(walk_bag):
     assert next(walk_bag.glob("*.mcap")).read_bytes() == before
 
 
-@pytest.mark.parametrize("kept", [0.0, 0.3, 0.7, 0.999])
-def test_truncated_bag_is_an_error_of_one_line(walk_bag, tmp_path, kept):
+def test_empty_file_is_an_error_of_one_line(walk_bag, tmp_path):
     path = tmp_path / "walk"
     path.mkdir()
     (path / "metadata.yaml").write_bytes((walk_bag / "metadata.yaml").read_bytes())
-    data = (walk_bag / "walk.mcap").read_bytes()
-    (path / "walk.mcap").write_bytes(data[: int(kept * len(data))])
-    with pytest.raises(BagError) as refused:
-        list(Bag(path).merged())
+    (path / "walk.mcap").touch()
+    with pytest.raises(BagError, match="seems to be empty") as refused:
+        Bag(path)
     assert str(path) in str(refused.value)
     assert "\n" not in str(refused.value)
 
@@ -173,19 +176,68 @@ def test_damaged_chunk_is_a_bag_error(walk_bag, tmp_path):
         list(Bag(path).merged())
 
 
-def test_missing_unfinished_and_foreign_bags_have_errors_of_their_own(tmp_path):
+def test_missing_empty_and_foreign_bags_have_errors_of_their_own(tmp_path):
     with pytest.raises(BagError, match="nowhere: does not exist"):
         Bag(tmp_path / "nowhere")
-    unfinished = BagWriter(tmp_path / "unfinished", SETTINGS)
-    with pytest.raises(BagError, match=r"no metadata\.yaml"):
-        Bag(tmp_path / "unfinished")
-    unfinished.close()
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(BagError, match=r"empty: holds no metadata\.yaml, \.mcap or \.db3 file"):
+        Bag(tmp_path / "empty")
     (tmp_path / "foreign.mcap").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
     with pytest.raises(BagError, match="magic is invalid"):
         Bag(tmp_path / "foreign.mcap")
     (tmp_path / "notes.txt").write_text("no bag")
     with pytest.raises(BagError, match="cannot be read"):
         Bag(tmp_path / "notes.txt")
+
+
+@pytest.mark.parametrize(
+    ("metadata", "message"),
+    [
+        ("a: [", "cannot be read"),
+        ("a: 1", "cannot be read: 'rosbag2_bagfile_information'"),
+        ("", "cannot be read"),
+    ],
+)
+def test_unusable_metadata_is_a_bag_error(walk_bag, tmp_path, metadata, message):
+    (tmp_path / "metadata.yaml").write_text(metadata)
+    with pytest.raises(BagError, match=message) as refused:
+        Bag(tmp_path)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_listed_file_that_is_missing_is_named(walk_bag, tmp_path):
+    (tmp_path / "metadata.yaml").write_bytes((walk_bag / "metadata.yaml").read_bytes())
+    with pytest.raises(BagError, match=r"/walk\.mcap: does not exist"):
+        Bag(tmp_path)
+
+
+def test_a_bag_split_by_size_reads_as_one(walk_bag, tmp_path):
+    settings = dataclasses.replace(SETTINGS, split=0.003)
+    entries = list(Bag(walk_bag).raw())
+    with BagWriter(tmp_path / "walk", settings, Origin({"scene": "flat"})) as bag:
+        for n, (topic, time, data) in enumerate(entries):
+            bag.write(topic, TOPICS[topic], time, data)
+            if n % 40 == 39:
+                bag.flush()
+    files = sorted(path.name for path in (tmp_path / "walk").glob("*.mcap"))
+    assert files[:4] == ["walk.mcap", "walk_1.mcap", "walk_2.mcap", "walk_3.mcap"]
+    split = Bag(tmp_path / "walk")
+    assert list(split.raw()) == entries
+    assert (split.counts, split.duration_ns) == (Bag(walk_bag).counts, Bag(walk_bag).duration_ns)
+    with Reader(tmp_path / "walk") as reader:  # as the library reads the directory
+        assert reader.message_count == len(entries) == sum(1 for _ in reader.messages())
+    for file in files:  # and each file by itself
+        assert Bag(tmp_path / "walk" / file).origin.about == {"scene": "flat"}
+
+
+def test_remapped_topics_are_read_by_their_new_names(walk_bag):
+    bag = Bag(walk_bag, remap={"/ground_truth/odom": "odom"})
+    assert "/ground_truth/odom" not in bag.topics
+    assert bag.counts["/odom"] == Bag(walk_bag).counts["/ground_truth/odom"]
+    times = [time for time, _ in bag.messages("/odom")]
+    assert times == [time for time, _ in Bag(walk_bag).messages("/ground_truth/odom")]
+    with pytest.raises(BagError, match=r"no topic /camera/odom \(topics: /desired_joint_angles"):
+        Bag(walk_bag, remap={"/camera/odom": "/odom"})
 
 
 def test_error_names_the_missing_topic_or_field(walk_bag):

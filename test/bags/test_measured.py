@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from synthetic_walk import TOPICS, encode, message
 
-from slot_core.bags.bag import Bag, BagError, BagWriter, read_record_settings
+from slot_core.bags.bag import Bag, BagError
+from slot_core.bags.bag_writer import BagWriter
 from slot_core.bags.measured import measured_motion, tendon_angles
+from slot_core.bags.record_settings import read_record_settings
 from slot_core.robot import TENDON_JOINTS
 
 UNIT = (0.0, 0.0, 0.0, 1.0)

@@ -7,7 +7,9 @@ from matplotlib.image import imread
 from synthetic_walk import WALL, encode, message
 
 from slot_core.bags import message_types
-from slot_core.bags.bag import Bag, BagError, BagWriter, read_record_settings
+from slot_core.bags.bag import Bag, BagError
+from slot_core.bags.bag_writer import BagWriter
+from slot_core.bags.record_settings import read_record_settings
 from slot_core.control.mpc.mpc import Status
 from slot_core.report import constraint_map
 from slot_core.report.constraint_map import TOPIC, draw_map, main, map_figure, read_map

@@ -14,7 +14,8 @@ from benchmarks.harness import BenchmarkError
 from slot_bringup.graph import Graph
 from slot_bringup.monitor import RunError, watch
 from slot_bringup.run import started
-from slot_core.bags.bag import Bag, BagError, read_record_settings
+from slot_core.bags.bag import Bag, BagError
+from slot_core.bags.record_settings import read_record_settings
 from slot_core.bags.walk import Ticks, read_motion, read_ticks
 from slot_core.dynamics.servo import read_servo
 from slot_core.report.metrics import WalkMetrics, walk_metrics

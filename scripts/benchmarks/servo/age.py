@@ -23,7 +23,7 @@ from slot_bringup.graph import read_graph
 from slot_bringup.monitor import START_TIMEOUT, listener
 from slot_bringup.run import started
 from slot_core.bags import decode
-from slot_core.bags.bag import read_record_settings
+from slot_core.bags.record_settings import read_record_settings
 from slot_core.report.palette import INK, SECONDARY
 from slot_msgs.msg import ServoHealth
 from slot_nodes import qos

@@ -1,6 +1,5 @@
-"""Bags: rosbag2 recordings in MCAP, written from raw CDR bytes and read as NumPy arrays.
+"""Bags: rosbag2 recordings in MCAP or SQLite, read as NumPy arrays.
 
-A bag is a directory `NAME/` with `NAME.mcap` and `metadata.yaml`, as `ros2 bag record` makes it.
 A bag contains its message definitions, so it stays readable when slot_msgs changes. The time of a
 message is its publisher's wall clock at publication; its stamp is graph time.
 """
@@ -8,150 +7,31 @@ message is its publisher's wall clock at publication; its stamp is graph time.
 from __future__ import annotations
 
 import dataclasses
+import heapq
 import operator
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from pathlib import Path
-from types import TracebackType
+from pathlib import Path, PurePath
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
-from rosbags.interfaces import (
-    Connection,
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
-from rosbags.rosbag2 import (
-    CompressionFormat,
-    CompressionMode,
-    Reader,
-    StoragePlugin,
-    Writer,
-    WriterError,
-)
+from rosbags.interfaces import Connection, MessageDefinitionFormat
+from rosbags.rosbag2 import Reader
 
-from slot_core import config
-from slot_core.bags.message_types import Types, message_types, types_inside
-from slot_core.config import choice, quantity, text
+from slot_core.bags.bag_error import BagError, NoFieldError
+from slot_core.bags.mend import is_whole, mended, read_origin
+from slot_core.bags.message_types import Types, add_installed, types_inside
+from slot_core.bags.origin import Origin
+from slot_core.bags.record_settings import root_of
+
+__all__ = ["Bag", "BagError", "NoFieldError", "Series", "Stamps"]
 
 Stamps = NDArray[np.int64]
-
-FOREVER = QosTime(9223372036, 854775807)  # how rosbag2 writes an infinite duration, 2^63 - 1 ns
-
-
-class BagError(ValueError):
-    """A bag that cannot be read or written; the message is one line with its path and the cause."""
-
-
-class NoFieldError(BagError):
-    """The messages of a topic have no field of that name."""
-
-
-@dataclass(frozen=True)
-class RecordedTopic:
-    """One recorded topic: its type, and the quality of service requested and stored in the bag."""
-
-    type: str = text("message type, package/msg/Name")
-    reliability: str = choice("reliability", "reliable", "best_effort")
-    durability: str = choice("durability", "volatile", "transient_local")
-
-
-@dataclass(frozen=True)
-class RecordSettings:
-    """Recorded topics, and the warm-up that the metrics leave out (`config/record.yaml`)."""
-
-    warm_up: float = quantity("time at the start left out by the metrics", "s", 0.0, 60.0)
-    depth: int = quantity("queue of each subscription", "messages", 1, 100_000)
-    topics: dict[str, RecordedTopic] = text("recorded topics by name")
-
-
-def read_record_settings(namespace: str = "") -> RecordSettings:
-    """The settings of `config/record.yaml`, topics in a namespace; raises ConfigError."""
-    settings = config.read(RecordSettings, "record")
-    topics = {f"{_root(namespace)}/{name}": topic for name, topic in settings.topics.items()}
-    return dataclasses.replace(settings, topics=topics)
-
-
-def _root(namespace: str) -> str:
-    """What stands before a topic's name in a namespace: /fred for fred, nothing for none."""
-    return f"/{namespace.strip('/')}".rstrip("/")
-
-
-class BagWriter:
-    """Writes a rosbag2 MCAP bag with zstd chunks; a context manager.
-
-    Raises BagError if `path` exists or cannot be written. Until it is closed, a bag has no index
-    and no metadata.yaml.
-    """
-
-    def __init__(self, path: Path | str, settings: RecordSettings) -> None:
-        self._settings = settings
-        self._types = message_types()
-        self._connections: dict[str, Connection] = {}
-        try:
-            self._writer = Writer(Path(path), version=9, storage_plugin=StoragePlugin.MCAP)
-            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-            self._writer.open()
-        except (WriterError, OSError) as error:
-            raise BagError(f"{path}: cannot be written: {_one_line(error)}") from None
-
-    def write(self, topic: str, typename: str, time_ns: int, data: bytes | memoryview) -> None:
-        """Append one message: CDR bytes `data` of `typename`, published at wall time `time_ns`.
-
-        Raises BagError for an unknown type and for a topic that changes its type.
-        """
-        connection = self._connections.get(topic) or self._connect(topic, typename)
-        if connection.msgtype != typename:
-            raise BagError(f"{topic}: is recorded as {connection.msgtype}, not {typename}")
-        self._writer.write(connection, time_ns, data)
-
-    def close(self) -> None:
-        """Write the index and metadata.yaml; a second call does nothing."""
-        if self._writer.storage:
-            self._writer.close()
-
-    def __enter__(self) -> BagWriter:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
-    def _connect(self, topic: str, typename: str) -> Connection:
-        if typename not in self._types.fielddefs:
-            raise BagError(f"{topic}: no definition of {typename} found")
-        self._connections[topic] = self._writer.add_connection(
-            topic,
-            typename,
-            typestore=self._types,
-            offered_qos_profiles=[self._qos(topic, typename)],
-        )
-        return self._connections[topic]
-
-    def _qos(self, topic: str, typename: str) -> Qos:
-        plain = RecordedTopic(typename, "reliable", "volatile")
-        wanted = self._settings.topics.get(topic, plain)
-        return Qos(
-            QosHistory.KEEP_LAST,
-            self._settings.depth,
-            QosReliability[wanted.reliability.upper()],
-            QosDurability[wanted.durability.upper()],
-            FOREVER,
-            FOREVER,
-            QosLiveliness.AUTOMATIC,
-            FOREVER,
-            False,
-        )
+STORAGES = (".mcap", ".db3")
 
 
 @dataclass(frozen=True)
@@ -170,33 +50,62 @@ class Series:
 
 
 class Bag:
-    """Reads a rosbag2 bag (a directory, or one .mcap file).
+    """Reads a rosbag2 bag: a directory, or one .mcap or .db3 file; also one that was cut off.
 
     With a `namespace` only its topics are read, named without it: /fred/odom of `fred` is /odom.
-    Raises BagError, also while reading, if the bag is missing, unfinished, truncated or not a bag.
+    `remap` names topics of the bag (in full) otherwise; a topic that has the new name is left out.
+    Raises BagError, also while reading, if the bag is missing, damaged or not a bag.
     """
 
-    def __init__(self, path: Path | str, namespace: str = "") -> None:
+    def __init__(
+        self, path: Path | str, namespace: str = "", remap: Mapping[str, str] | None = None
+    ) -> None:
         self.path = Path(path)
-        self._root = _root(namespace)
+        self._root = root_of(namespace)
+        self._remap = {_slashed(old): _slashed(new) for old, new in (remap or {}).items()}
         self._cache: dict[str, list[tuple[int, Any]]] = {}
-        with self._open() as reader:
-            self._definitions = {c.msgtype: c.msgdef.data for c in reader.connections}
-            connections = self._connections(reader)
-            self.counts = {t: reader.topics[c.topic].msgcount for t, c in connections}
-            self.topics = {t: c.msgtype for t, c in connections}
-            self._known = sorted(reader.topics)
-            self.duration_ns = max(0, reader.end_time - 1 - reader.start_time)
-            self.end_ns = reader.end_time - 1
-            self._types: Types = types_inside(self._definitions.items())
+        self._scratch: TemporaryDirectory[str] | None = None  # of mended files
+        with self._readable():
+            self._files, self._custom = self._find_files()
+            self.origin = self._find_origin()
+        with self._open() as readers:
+            connections = [(r, *entry) for r in readers for entry in self._connections(r)]
+            self.topics = {topic: c.msgtype for _, topic, c in connections}
+            self.counts = dict.fromkeys(self.topics, 0)
+            for _, topic, connection in connections:
+                self.counts[topic] += connection.msgcount
+            self._known = sorted({c.topic for r in readers for c in r.connections})
+            spans = [(r.start_time, r.end_time - 1) for r in readers if r.message_count]
+            self.start_ns = min((first for first, _ in spans), default=0)
+            self.end_ns = max((last for _, last in spans), default=0)
+            self._types = self._read_types(readers)
+        self._require_known(self._remap)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the recording ended; else what is left of it is read."""
+        return self._scratch is None
+
+    @property
+    def duration_ns(self) -> int:
+        """Time from the first to the last message, ns."""
+        return self.end_ns - self.start_ns
 
     def raw(self, *topics: str) -> Iterator[tuple[str, int, bytes]]:
         """Yield (topic, time in ns, CDR bytes) of these topics (default: all), ordered by time."""
         self._require(*topics)
-        with self._open() as reader:
-            wanted = [c for t, c in self._connections(reader) if not topics or t in topics]
+        with self._open() as readers:
+            streams = (self._messages(reader, topics) for reader in readers)
+            yield from heapq.merge(*streams, key=operator.itemgetter(1))
+
+    def _messages(
+        self, reader: Reader, topics: tuple[str, ...]
+    ) -> Iterator[tuple[str, int, bytes]]:
+        names = {c.id: t for t, c in self._connections(reader) if not topics or t in topics}
+        wanted = [c for c in reader.connections if c.id in names]
+        if wanted:
             for connection, time, data in reader.messages(wanted):
-                yield connection.topic.removeprefix(self._root), time, bytes(data)
+                yield names[connection.id], time, bytes(data)
 
     def merged(self, *topics: str) -> Iterator[tuple[str, int, Any]]:
         """Yield (topic, time in ns, message) of these topics (default: all), ordered by time."""
@@ -234,41 +143,97 @@ class Bag:
         except ValueError:
             raise BagError(f"{self.path}: {topic} {field} changes its shape") from None
 
+    def _find_files(self) -> tuple[list[Path], Mapping[str, str]]:
+        """Whole files of the bag, mended where needed, and the custom data of metadata.yaml."""
+        if not self.path.is_dir():
+            return [self._whole(self.path)], {}
+        metadata = self.path / "metadata.yaml"
+        if not metadata.exists():
+            found = sorted(p for p in self.path.iterdir() if p.suffix in STORAGES)
+            if not found:
+                raise BagError(
+                    f"{self.path}: holds no metadata.yaml, .mcap or .db3 file: not a bag"
+                )
+            files = [self._whole(file) for file in found]
+            self._scratch = self._scratch or TemporaryDirectory()  # it did not end, even if whole
+            return files, {}
+        information = yaml.safe_load(metadata.read_text())["rosbag2_bagfile_information"]
+        custom = information.get("custom_data") or {}
+        if information.get("compression_mode", "").lower() not in ("", "none"):
+            return [self.path], custom  # the library unpacks it
+        listed = [self.path / PurePath(name).name for name in information["relative_file_paths"]]
+        return [self._whole(file) for file in listed], custom
+
+    def _whole(self, file: Path) -> Path:
+        """The file, or a mended copy if its recording did not end."""
+        if is_whole(file):
+            return file
+        self._scratch = self._scratch or TemporaryDirectory()
+        return mended(file, Path(self._scratch.name, file.stem))
+
+    def _find_origin(self) -> Origin:
+        """What stands in the first MCAP file, else the custom data of metadata.yaml."""
+        first = self._files[0]
+        origin = read_origin(first) if first.suffix == ".mcap" else Origin()
+        return origin if origin.about else Origin(self._custom, origin.files)
+
+    def _read_types(self, readers: list[Reader]) -> Types:
+        """Types by the definitions in the bag, else by those installed."""
+        all_connections = [c for reader in readers for c in reader.connections]
+        types = types_inside(
+            {c.msgtype: c.msgdef.data for c in all_connections
+             if c.msgdef.format == MessageDefinitionFormat.MSG}.items()
+        )  # fmt: skip
+        if not {c.msgtype for c in all_connections} <= types.fielddefs.keys():
+            add_installed(types)
+        return types
+
     def _connections(self, reader: Reader) -> list[tuple[str, Connection]]:
         """Name within the namespace, and connection, of every topic in the namespace."""
-        root = self._root
-        return [
-            (c.topic.removeprefix(root), c)
-            for c in reader.connections
-            if c.topic.startswith(f"{root}/")
-        ]
+        named = [(c, self._remap.get(c.topic)) for c in reader.connections]
+        root, replaced = f"{self._root}/", set(self._remap.values())
+        inside = [(c.topic.removeprefix(self._root), c) for c, new in named
+                  if new is None and c.topic.startswith(root)]  # fmt: skip
+        kept = [(name, c) for name, c in inside if name not in replaced]
+        return kept + [(new, c) for c, new in named if new is not None]
 
     def _require(self, *topics: str) -> None:
         for topic in topics:
             if topic not in self.topics:
-                known = ", ".join(self._known) or "none"
-                raise BagError(f"{self.path}: no topic {self._root}{topic} (topics: {known})")
+                raise self._unknown(f"{self._root}{topic}")
+
+    def _require_known(self, topics: Mapping[str, str]) -> None:
+        for topic in topics:
+            if topic not in self._known:
+                raise self._unknown(topic)
+
+    def _unknown(self, topic: str) -> BagError:
+        known = ", ".join(self._known) or "none"
+        return BagError(f"{self.path}: no topic {topic} (topics: {known})")
 
     @contextmanager
-    def _open(self) -> Iterator[Reader]:
-        with self._readable(), Reader(self.path) as reader:
-            yield reader
+    def _open(self) -> Iterator[list[Reader]]:
+        with self._readable(), ExitStack() as stack:
+            yield [stack.enter_context(Reader(file)) for file in self._files]
 
     @contextmanager
     def _readable(self) -> Iterator[None]:
-        """Turn every error of the reading library into a BagError."""
+        """Turn every error of the reading libraries into a BagError."""
         try:
             yield
         except BagError:
             raise
-        except FileNotFoundError:
-            unfinished = "no metadata.yaml: not a bag, or its recording did not end"
-            raise BagError(
-                f"{self.path}: {unfinished if self.path.exists() else 'does not exist'}"
-            ) from None
+        except FileNotFoundError as error:
+            missing = Path(error.filename or self.path)
+            raise BagError(f"{missing}: does not exist") from None
         except Exception as error:
-            # On a damaged file the library also raises struct, zstd, assertion and type errors.
+            # On a damaged file the libraries also raise struct, zstd, assertion and type errors.
             raise BagError(f"{self.path}: cannot be read: {_one_line(error)}") from error
+
+
+def _slashed(topic: str) -> str:
+    """Full name of a topic that may lack its slash."""
+    return f"/{topic.lstrip('/')}"
 
 
 def _stamp(message: Any, time: int) -> int:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -18,11 +19,14 @@ PACKAGE = "slot_msgs"
 def message_types() -> Types:
     """The types of Jazzy and of slot_msgs; raises FileNotFoundError if slot_msgs is not found."""
     types = get_typestore(Stores.ROS2_JAZZY)
-    add_definitions(
-        types,
-        {f"{PACKAGE}/msg/{path.stem}": path.read_text() for path in sorted(_message_files())},
-    )
+    add_installed(types)
     return types
+
+
+def add_installed(types: Types) -> None:
+    """Register those types of slot_msgs that are not yet; FileNotFoundError if none is found."""
+    files = sorted(_message_files())
+    add_definitions(types, {f"{PACKAGE}/msg/{path.stem}": path.read_text() for path in files})
 
 
 def types_inside(definitions: Iterable[tuple[str, str]]) -> Types:
@@ -38,10 +42,16 @@ def add_definitions(types: Types, definitions: dict[str, str]) -> None:
         name: definition
         for typename, text in definitions.items()
         if typename not in types.fielddefs
-        for name, definition in get_types_from_msg(text, typename).items()
+        for name, definition in _parsed(text, typename).items()
         if name not in types.fielddefs
     }
     types.register(found)
+
+
+@functools.cache
+def _parsed(text: str, typename: str) -> dict[str, Any]:
+    """Types in a definition; parsing takes longer than all the rest of opening a bag."""
+    return dict(get_types_from_msg(text, typename))
 
 
 def _message_files() -> list[Path]:

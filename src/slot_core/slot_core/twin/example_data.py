@@ -25,7 +25,9 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
-from slot_core.bags.bag import Bag, BagError, BagWriter, read_record_settings
+from slot_core.bags.bag import Bag, BagError
+from slot_core.bags.bag_writer import BagWriter
+from slot_core.bags.record_settings import read_record_settings
 from slot_core.bags.measured import COMMANDED, MEASURED, ODOMETRY
 from slot_core.config import ConfigError
 from slot_core.robot import Array

@@ -1,0 +1,88 @@
+"""Origin of a bag: revision of the code, arguments of the graph, files of the configuration."""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from slot_core import config
+
+ORIGIN = "slot"  # name of the MCAP metadata record
+CONFIGURATION, PATH = "config.zip", "path.csv"  # names of the attachments
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What made a bag; empty for a bag of somebody else."""
+
+    about: Mapping[str, str] = field(default_factory=dict)  # revision, and the graph's arguments
+    files: Mapping[str, bytes] = field(default_factory=dict)  # attachments by name
+
+    def changed_files(self) -> list[str]:
+        """Files of the configuration that are not as those here, sorted; none if not known."""
+        if CONFIGURATION not in self.files:
+            return []
+        with zipfile.ZipFile(io.BytesIO(self.files[CONFIGURATION])) as archive:
+            then = {name: archive.read(name) for name in archive.namelist()}
+        now = configuration()
+        return sorted(name for name in then.keys() | now.keys() if then.get(name) != now.get(name))
+
+    def lines(self) -> list[str]:
+        """Text of the origin, aligned; none if nothing is known."""
+        if not self.about:
+            return []
+        about = dict(self.about)
+        revision = about.pop("revision", "unknown")
+        lines = [f"recorded by  revision {revision}, {_pairs(about)}"]
+        if changed := self.changed_files():
+            lines.append(f"             its configuration differs in {', '.join(changed)}")
+        return lines
+
+
+def origin_here(arguments: Mapping[str, Any]) -> Origin:
+    """Origin of a bag that is made here and now by a graph with these arguments.
+
+    Raises OSError if the file of a path to follow cannot be read.
+    """
+    about = {name: str(value) for name, value in arguments.items() if value not in (None, "")}
+    files = {CONFIGURATION: _zipped(configuration())}
+    if path := arguments.get("path"):
+        files[PATH] = Path(path).read_bytes()
+    return Origin({"revision": revision(), **about}, files)
+
+
+def configuration() -> dict[str, bytes]:
+    """Content of the configuration's files by their path in its directory."""
+    root = config.config_dir().resolve()
+    files = sorted(path for path in root.rglob("*") if path.suffix in (".yaml", ".csv"))
+    return {path.relative_to(root).as_posix(): path.read_bytes() for path in files}
+
+
+def revision() -> str:
+    """Commit of the sources (`-dirty` with changes), else the version of the package."""
+    sources = Path(__file__).resolve().parent
+    command = ["git", "-C", str(sources), "describe", "--always", "--dirty", "--abbrev=10"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=False)
+        return done.stdout.strip() if done.returncode == 0 else f"version {version('slot_core')}"
+    except (OSError, subprocess.TimeoutExpired, PackageNotFoundError):
+        return "unknown"
+
+
+def _zipped(files: Mapping[str, bytes]) -> bytes:
+    """ZIP archive of files, equal for equal files."""
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        for name, data in files.items():
+            archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
+    return packed.getvalue()
+
+
+def _pairs(values: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in values.items())

@@ -1,0 +1,42 @@
+"""What is recorded: topics, and how the files of a bag are written (`config/record.yaml`)."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+from slot_core import config
+from slot_core.config import choice, quantity, text
+
+
+@dataclass(frozen=True)
+class RecordedTopic:
+    """One recorded topic: its type, and the quality of service requested and stored in the bag."""
+
+    type: str = text("message type, package/msg/Name")
+    reliability: str = choice("reliability", "reliable", "best_effort")
+    durability: str = choice("durability", "volatile", "transient_local")
+
+
+@dataclass(frozen=True)
+class RecordSettings:
+    """Recorded topics, how they are written, and the warm-up that the metrics leave out."""
+
+    warm_up: float = quantity("time at the start left out by the metrics", "s", 0.0, 60.0)
+    depth: int = quantity("queue of each subscription", "messages", 1, 100_000)
+    poll: float = quantity("time between two looks at the queues", "s", 0.001, 1.0)
+    flush: float = quantity("time between two chunks: what SIGKILL loses at most", "s", 0.02, 60.0)
+    split: float = quantity("size from which the bag goes on in a new file; 0: none", "MB", 0.0)
+    topics: dict[str, RecordedTopic] = text("recorded topics by name")
+
+
+def read_record_settings(namespace: str = "") -> RecordSettings:
+    """The settings of `config/record.yaml`, topics in a namespace; raises ConfigError."""
+    settings = config.read(RecordSettings, "record")
+    topics = {f"{root_of(namespace)}/{name}": topic for name, topic in settings.topics.items()}
+    return dataclasses.replace(settings, topics=topics)
+
+
+def root_of(namespace: str) -> str:
+    """What stands before a topic's name in a namespace: /fred for fred, nothing for none."""
+    return f"/{namespace.strip('/')}".rstrip("/")
