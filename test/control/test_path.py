@@ -7,6 +7,7 @@ import pytest
 
 from slot_core.config import ConfigError
 from slot_core.control.path import LEAD, TURN_GAIN, Path, read_path
+from slot_core.plane import rotate
 
 L_SHAPE = np.array([[0.0, 0.0], [0.3, 0.0], [0.3, 0.2]])
 DT = 0.033
@@ -67,9 +68,8 @@ def test_the_reference_does_not_wait_for_a_robot_that_is_ahead_of_it_or_beside_i
 def test_the_velocity_is_along_the_path_in_the_frame_of_the_robot(yaw):
     path = Path(L_SHAPE, 0.05, "kept")
     path.place(state(yaw=yaw), DT)
-    v_x, v_y, rate = path.velocity(state(yaw=yaw))
-    c, s = math.cos(yaw), math.sin(yaw)
-    assert (c * v_x - s * v_y, s * v_x + c * v_y) == pytest.approx((0.05, 0.0))
+    *velocity, rate = path.velocity(state(yaw=yaw))
+    assert rotate(np.array(velocity), yaw) == pytest.approx([0.05, 0.0])
     assert rate == 0.0
 
 

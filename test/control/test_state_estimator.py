@@ -15,6 +15,7 @@ from slot_core.control.state_estimator import (
     Validity,
     read_estimator,
 )
+from slot_core.plane import wrapped
 from slot_core.robot import GRAVITY
 
 UP = np.array([0.0, 0.0, GRAVITY])
@@ -123,7 +124,7 @@ def run(messages, settings=SETTINGS):
 def error(estimate, motion):
     """Estimate minus truth (12,), angles wrapped."""
     difference = estimate.state - motion.at(estimate.time / SECOND)[0]
-    difference[:3] = (difference[:3] + np.pi) % (2 * np.pi) - np.pi
+    difference[:3] = wrapped(difference[:3])
     return difference
 
 

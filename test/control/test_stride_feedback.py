@@ -7,6 +7,7 @@ import pytest
 
 from slot_core.control.gait import read_gaits
 from slot_core.control.stride_feedback import OFFSET_SIGNS, StrideFeedback, Target
+from slot_core.plane import wrapped
 
 WALK = read_gaits().strides["walk"]
 SETTINGS = WALK.feedback
@@ -124,7 +125,7 @@ def test_the_reference_heading_is_never_further_than_its_lead():
     for _ in range(20):
         plant.stride(np.array([0, 0, 1.5, 0, 0, 0]))  # turns all round
         gap = plant.feedback.place[2] - plant.state[2]
-        assert abs((gap + np.pi) % (2 * np.pi) - np.pi) <= SETTINGS.heading_lead + 0.06
+        assert abs(wrapped(gap)) <= SETTINGS.heading_lead + 0.06
     assert abs(plant.state[2]) > 2 * np.pi
 
 
@@ -140,7 +141,7 @@ def test_the_yaw_may_pass_half_a_turn_within_a_stride():
     plant = Plant(velocity=(0.0, 0.0, 0.15), yaw=np.pi - 0.05)
     for _ in range(3):
         plant.stride()
-        plant.state[2] = (plant.state[2] + np.pi) % (2 * np.pi) - np.pi
+        plant.state[2] = wrapped(plant.state[2])
     np.testing.assert_allclose(plant.feedback.knobs / LIMITS, 0.0, atol=1e-6)
 
 

@@ -27,6 +27,7 @@ from slot_core import config
 from slot_core.control.gait import GaitCommand, GaitPreview, read_gaits
 from slot_core.control.mpc.mpc import Mpc, MpcResult, MpcSettings, Status
 from slot_core.control.reference import reference
+from slot_core.plane import rotate
 from slot_core.robot import GRAVITY, Array, Robot
 
 LAG = 0.05  # s
@@ -86,10 +87,7 @@ class RigidTorso:
 
     def place_feet(self, ahead: float) -> Array:
         """(4, 3) m in odom: on the floor, where the legs will end `ahead` (s) from now."""
-        yaw = self.state[2]
-        c, s = math.cos(yaw), math.sin(yaw)
-        x, y = self.body.feet[:, 0], self.body.feet[:, 1]
-        place = np.column_stack([c * x - s * y, s * x + c * y, np.zeros(4)])
+        place = np.column_stack([rotate(self.body.feet[:, :2], self.state[2]), np.zeros(4)])
         return place + np.append(self.y[:2] + ahead * self.y[VELOCITY][:2], 0.0)
 
     def slope(self, y: Array, u: Array, feet: Array) -> Array:

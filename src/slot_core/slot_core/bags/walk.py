@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slot_core.bags.bag import Bag, BagError, Stamps
+from slot_core.plane import rotate
 from slot_core.robot import TENDON_JOINTS, Array
 
 GROUND_TRUTH = "/ground_truth/odom"
@@ -43,7 +44,7 @@ class Motion:
     @cached_property
     def heading_velocity(self) -> Array:
         """(n, 2) horizontal velocity along and left of the momentary heading, m/s."""
-        return turn(self.velocity[:, :2], -self.rpy[:, 2])
+        return rotate(self.velocity[:, :2], -self.rpy[:, 2])
 
     def after(self, t: float) -> Motion:
         """The samples at or after graph time t."""
@@ -80,13 +81,6 @@ class Ticks:
         """The ticks at or after graph time t."""
         keep = self.stamp >= t
         return Ticks(self.stamp[keep], self.time[keep], self.period, self.end)
-
-
-def turn(vectors: Array, angle: Array | float) -> Array:
-    """Rotate plane vectors (..., 2) by `angle` (...), rad, counter-clockwise."""
-    c, s = np.cos(angle), np.sin(angle)
-    x, y = vectors[..., 0], vectors[..., 1]
-    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
 
 
 def stride_mean(t: Array, values: Array, period: float) -> Array:

@@ -13,7 +13,7 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from slot_core.config import ConfigError
-from slot_core.control.reference import wrapped
+from slot_core.plane import wrapped
 from slot_core.robot import Array
 
 POINTS_MAX = 100_000

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
-
 import numpy as np
 
+from slot_core.plane import rotate
 from slot_core.robot import Array
-
-Angle = TypeVar("Angle", float, Array)
 
 
 def reference(state: Array, heading: float, velocity: Array, sway: Array, times: Array) -> Array:
@@ -38,15 +35,3 @@ def mean_velocity(time: Array, pose: Array) -> Array:
     yaw = np.unwrap(pose[:, 2])
     forward, lateral = rotate(np.diff(pose[:, :2], axis=0), -yaw[:-1]).T
     return np.array([forward.sum(), lateral.sum(), yaw[-1] - yaw[0]]) / (time[-1] - time[0])
-
-
-def rotate(vectors: Array, yaw: float | Array) -> Array:
-    """Rotate plane vectors (..., 2) counter-clockwise by yaw (...), rad."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    x, y = vectors[..., 0], vectors[..., 1]
-    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
-
-
-def wrapped(angle: Angle) -> Angle:
-    """An angle in [-pi, pi), or an array of them, rad."""
-    return (angle + np.pi) % (2 * np.pi) - np.pi

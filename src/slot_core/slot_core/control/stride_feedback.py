@@ -20,7 +20,8 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from slot_core.control.gait import FeedbackSettings, Stride
-from slot_core.control.reference import mean_velocity, rotate, wrapped
+from slot_core.control.reference import mean_velocity
+from slot_core.plane import rotate, wrapped
 from slot_core.robot import Array
 
 VELOCITY, OFFSETS = slice(0, 3), slice(3, 6)

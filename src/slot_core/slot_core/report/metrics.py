@@ -18,8 +18,8 @@ from slot_core.bags.walk import (
     read_motion,
     read_ticks,
     seconds,
-    turn,
 )
+from slot_core.plane import rotate
 from slot_core.robot import LEGS, Array
 
 SOLVED = 0  # GroundReactionForces.SOLVED
@@ -111,7 +111,7 @@ def _progress(motion: Motion) -> dict[str, Any]:
     duration = float(motion.t[-1] - motion.t[0])
     steps = np.diff(motion.position[:, :2], axis=0)
     middle = (motion.rpy[1:, 2] + motion.rpy[:-1, 2]) / 2
-    forward, left = turn(steps, -middle).sum(axis=0) / duration
+    forward, left = rotate(steps, -middle).sum(axis=0) / duration
     height = motion.position[:, 2]
     return {
         "duration": duration,
@@ -127,7 +127,7 @@ def _progress(motion: Motion) -> dict[str, Any]:
 
 def _drift(whole: Motion, motion: Motion) -> dict[str, Any]:
     heading, yaw = whole.rpy[[0, -1], 2]
-    across = turn(motion.position[:, :2] - motion.position[0, :2], -heading)[:, 1]
+    across = rotate(motion.position[:, :2] - motion.position[0, :2], -heading)[:, 1]
     return {
         "lateral_drift_max": float(np.abs(across).max()),
         "lateral_drift_end": float(across[-1]),

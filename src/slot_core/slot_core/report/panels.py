@@ -11,7 +11,8 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.ticker import FuncFormatter
 
 from slot_core.bags.bag import Bag
-from slot_core.bags.walk import STAGES, Motion, Ticks, joint_columns, seconds, stride_mean, turn
+from slot_core.bags.walk import STAGES, Motion, Ticks, joint_columns, seconds, stride_mean
+from slot_core.plane import rotate
 from slot_core.report import palette
 from slot_core.report.metrics import WalkMetrics
 from slot_core.report.summary import summary_lines
@@ -28,8 +29,8 @@ def draw_path(ax: Axes, motion: Motion, measured: Motion) -> None:
     `measured` is the motion after the warm-up.
     """
     start, heading = measured.position[0, :2], motion.rpy[0, 2]
-    along = turn(measured.position[:, :2] - start, -heading)[:, 0].max()
-    end = start + turn(np.array([along, 0.0]), heading)
+    along = rotate(measured.position[:, :2] - start, -heading)[:, 0].max()
+    end = start + rotate(np.array([along, 0.0]), heading)
     ax.plot(*motion.position[:, :2].T, color=palette.TRUE, lw=1.6, label="torso")
     ax.plot(*np.array([start, end]).T, color=palette.INK, lw=1, ls="--", label="initial heading")
     ax.plot(*motion.position[0, :2], "o", color=palette.TRUE, ms=6)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slot_core.control.gait import SWAY, HarmonicBasis, Pattern, Steering, Stride
-from slot_core.control.reference import rotate
+from slot_core.plane import rotate
 from slot_core.robot import Array
 from slot_core.tuning import symmetry
 from slot_core.tuning.settings import TuningSettings

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import correlate
 
-from slot_core.bags.walk import turn
 from slot_core.config import ConfigError
+from slot_core.plane import rotate
 from slot_core.robot import Array
 from slot_core.twin.replay_robot import Recorded, Track
 from slot_core.twin.settings import TwinSettings
@@ -176,7 +176,7 @@ def _laid_on(predicted: Track, measured: Array) -> Array:
 
 def _in_plane(track: Array) -> Array:
     """(n, 2) places of a track (n, 6) from their mean, in the frame of the mean heading."""
-    local = turn(track[:, :2], -track[:, YAW].mean())
+    local = rotate(track[:, :2], -track[:, YAW].mean())
     return np.asarray(local - local.mean(axis=0))
 
 
@@ -191,7 +191,7 @@ def _means(track: Track, strides: Strides) -> Array:
 def _displacements(means: Array, ahead: int) -> Array:
     """(k - ahead, 3) of means (k, 6): displacement in the frame of the heading, and turn."""
     off = means[ahead:] - means[:-ahead]
-    place = turn(off[:, :2], -means[:-ahead, YAW])
+    place = rotate(off[:, :2], -means[:-ahead, YAW])
     return np.column_stack([place, off[:, YAW]])
 
 
@@ -206,6 +206,6 @@ def placed(predicted: Track, measured: Track, strides: Strides) -> Track:
     keep = (predicted.t >= strides.edges[0]) & (predicted.t <= strides.edges[-1])
     position, rpy = predicted.position[keep].copy(), predicted.rpy[keep].copy()
     turned = given[YAW] - mine[YAW]
-    position[:, :2] = given[:2] + turn(position[:, :2] - mine[:2], turned)
+    position[:, :2] = given[:2] + rotate(position[:, :2] - mine[:2], turned)
     rpy[:, 2] += turned
     return Track(predicted.t[keep], position, rpy)
