@@ -144,6 +144,20 @@ def forces(message: Any) -> tuple[int, Array, int]:
     return stamp(message), np.array([vector(f) for f in message.force]), int(message.status)
 
 
+def legs(message: Any) -> tuple[int, Array, Array, Array]:
+    """(stamp, tension (4,) N, ground force (4, 3) N, nodes (4, n, 3) m), the vectors in odom.
+
+    Raises ValueError if the positions are not those of the stated number of nodes, or not finite.
+    """
+    count, position = int(message.nodes), np.array(message.position, dtype=np.float64)
+    if count < 2 or position.size != len(LEGS) * count * 3:
+        raise ValueError(f"position has {position.size} values, not 4 legs of {count} nodes")
+    if not np.isfinite(position).all():
+        raise ValueError("position: expected finite numbers")
+    force = np.array([vector(f) for f in message.ground_force])
+    return stamp(message), np.array(message.tension), force, position.reshape(len(LEGS), count, 3)
+
+
 def robot_state(message: Any) -> tuple[int, State, Action, str]:
     """(stamp, state, action of the servos, reason); raises ValueError on unknown numbers."""
     return stamp(message), State(message.state), _action(message.action), message.reason

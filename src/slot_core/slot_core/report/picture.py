@@ -13,12 +13,11 @@ from matplotlib.colors import to_rgb
 from scipy.spatial.transform import Rotation
 
 from slot_core.report import palette
+from slot_core.report.shapes import FORCE_SCALE, LEAST_FORCE
 from slot_core.robot import LEGS, Array, Robot
 
 SUN = np.array([0.25, -0.45, 0.86]) / np.linalg.norm([0.25, -0.45, 0.86])
 AMBIENT = 0.55  # brightness of a face turned away from the sun
-FORCE_SCALE = 0.012  # m of arrow per N
-LEAST_FORCE = 0.2  # N, smaller forces are not drawn
 GROUND_HALF = (0.26, 0.22)  # m, of the ground drawn around the robot, along x and y
 GROUND_LINE = 0.1  # m between lines on the ground
 MARK: dict[str, Any] = {

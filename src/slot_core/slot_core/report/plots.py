@@ -15,7 +15,8 @@ from slot_core.bags.bag import Bag, BagError
 from slot_core.bags.walk import read_motion, read_ticks, seconds, stride_period
 from slot_core.report import panels
 from slot_core.report.metrics import WalkMetrics
-from slot_core.report.picture import FORCE_SCALE, Camera, Pose, draw_robot
+from slot_core.report.picture import Camera, Pose, draw_robot
+from slot_core.report.shapes import FORCE_SCALE
 from slot_core.robot import LEGS, Array, read_robot
 
 DPI = 100
