@@ -1,5 +1,6 @@
 """The cores reproduce a recorded walk; a change is reported by topic, stamp and field."""
 
+import re
 import shutil
 from pathlib import Path
 
@@ -9,6 +10,9 @@ import yaml
 from slot_core import config
 from slot_core.bags import replay
 from slot_core.bags.bag import Bag
+from slot_core.bags.bag_writer import BagWriter
+from slot_core.bags.origin import Origin, origin_here
+from slot_core.bags.record_settings import read_record_settings
 
 WALK = Path(__file__).parent / "walk"
 TOPICS = ["/mpc_state", "/gait_preview", "/ground_reaction_forces", "/desired_joint_angles"]
@@ -95,3 +99,78 @@ def test_a_tolerance_that_is_negative_or_not_finite_is_refused(tolerance, capsys
         replay.main([str(WALK), "--tolerance", tolerance])
     assert refusal.value.code == 2
     assert f"argument --tolerance: {tolerance}: outside [0, inf)" in capsys.readouterr().err
+
+
+def partly(path, topics, **changes):
+    """Copy of some topics of the walk, by its present or a new name."""
+    source = Bag(WALK)
+    with BagWriter(path, read_record_settings(), changes.get("origin")) as bag:
+        for topic, time, data in source.raw(*topics):
+            name = changes.get("names", {}).get(topic, topic)
+            bag.write(name, source.topics[topic], time, data)
+    return path
+
+
+def test_stages_that_a_bag_does_not_hold_are_left_out_by_name(tmp_path, capsys):
+    path = partly(tmp_path / "bag", ["/odom", "/imu", "/mpc_state", "/gait_preview"])
+    assert replay.main([str(path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[1:3] for line in lines[:2]] == [["45", "compared,"]] * 2
+    assert lines[2].endswith("left out: the bag holds no /ground_reaction_forces")
+    assert lines[3].endswith(
+        "left out: the bag holds no /desired_joint_angles, /ground_reaction_forces"
+    )
+
+
+def test_a_bag_without_any_stage_is_refused(tmp_path, capsys):
+    assert replay.main([str(partly(tmp_path / "bag", ["/odom", "/imu"]))]) == 2
+    assert "holds no stage together with its input" in capsys.readouterr().err
+
+
+def test_topics_of_other_names_are_replayed_by_their_new_ones(tmp_path, capsys):
+    names = {"/odom": "/visual_slam/odometry", "/imu": "/camera/imu"}
+    path = partly(tmp_path / "bag", ["/odom", "/imu", "/mpc_state"], names=names)
+    remaps = [word for new, old in names.items() for word in ("--remap", f"{old}:={new}")]
+    assert replay.main([str(path), *remaps]) == 0
+    assert capsys.readouterr().out.startswith("/mpc_state                  45 compared")
+
+
+@pytest.mark.parametrize("wrong", ["/odom", "/odom:=", ":=/odom", "/odom=/imu"])
+def test_a_renaming_of_another_form_is_refused(wrong, capsys):
+    with pytest.raises(SystemExit):
+        replay.main([str(WALK), "--remap", wrong])
+    assert "expected OLD:=NEW, names of topics" in capsys.readouterr().err
+
+
+def test_replay_says_what_made_the_bag_and_how_its_configuration_differs(
+    configure, tmp_path, capsys
+):
+    path = tmp_path / "bag"
+    partly(path, ["/odom", "/imu", "/mpc_state"], origin=origin_here({"scene": "flat", "seed": 1}))
+    assert replay.main([str(path)]) == 0
+    first, second, *_ = capsys.readouterr().out.splitlines()
+    assert re.fullmatch(r"recorded by  revision \S.*, scene flat, seed 1", first)
+    assert second.startswith("/mpc_state")
+    configure("mpc", "model", "reference", value="zero")
+    assert replay.main([str(path)]) == 0
+    shown = capsys.readouterr().out
+    assert "its configuration differs in mpc.yaml\n" in shown
+
+
+def test_the_profile_that_the_bag_names_is_replayed(tmp_path):
+    """The force map of the profile `paper` is another than that of the default."""
+    topics = ["/mpc_state", "/gait_preview", "/ground_reaction_forces", "/desired_joint_angles"]
+    path = partly(tmp_path / "bag", topics, origin=Origin({"mpc": "paper"}))
+    first = {c.topic: c.first for c in replay.replay(Bag(path), replay.TOLERANCE)}
+    assert first["/gait_preview"] is None
+    assert first["/ground_reaction_forces"] is not None
+
+
+def test_what_is_left_of_a_cut_off_bag_is_replayed(tmp_path, capsys):
+    whole = partly(tmp_path / "whole", ["/odom", "/imu", "/mpc_state"])
+    data = (whole / "whole.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[:-20])
+    assert replay.main([str(tmp_path / "cut.mcap")]) == 0
+    first, second, *_ = capsys.readouterr().out.splitlines()
+    assert re.fullmatch(r"unfinished   what is left of it: \d\.\d\d s", first)
+    assert second.startswith("/mpc_state")

@@ -86,6 +86,13 @@ class Bag:
         """Whether the recording ended; else what is left of it is read."""
         return self._scratch is None
 
+    def lines(self) -> list[str]:
+        """Text on where the bag comes from, and whether its recording ended."""
+        lines = self.origin.lines()
+        if not self.finished:
+            lines.append(f"unfinished   what is left of it: {self.duration_ns * 1e-9:.2f} s")
+        return lines
+
     @property
     def duration_ns(self) -> int:
         """Time from the first to the last message, ns."""
@@ -110,9 +117,12 @@ class Bag:
     def merged(self, *topics: str) -> Iterator[tuple[str, int, Any]]:
         """Yield (topic, time in ns, message) of these topics (default: all), ordered by time."""
         for topic, time, data in self.raw(*topics):
-            with self._readable():
-                message = self._types.deserialize_cdr(data, self.topics[topic])
-            yield topic, time, message
+            yield topic, time, self.decode(topic, data)
+
+    def decode(self, topic: str, data: bytes) -> Any:
+        """Message of CDR bytes on a topic of the bag."""
+        with self._readable():
+            return self._types.deserialize_cdr(data, self.topics[topic])
 
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         """Yield (time in ns, message) of one topic, ordered by time."""

@@ -14,7 +14,9 @@ from typing import Any
 from slot_core import config
 
 ORIGIN = "slot"  # name of the MCAP metadata record
-CONFIGURATION, PATH = "config.zip", "path.csv"  # names of the attachments
+CONFIGURATION = "config.zip"  # name of the attachment
+FILES = {"path": "path.csv", "calibration": "camera.yaml"}
+"""Attachments by the argument that names their file."""
 
 
 @dataclass(frozen=True)
@@ -48,13 +50,15 @@ class Origin:
 def origin_here(arguments: Mapping[str, Any]) -> Origin:
     """Origin of a bag that is made here and now by a graph with these arguments.
 
-    Raises OSError if the file of a path to follow cannot be read.
+    Raises OSError if a file among the arguments cannot be read.
     """
-    about = {name: str(value) for name, value in arguments.items() if value not in (None, "")}
-    files = {CONFIGURATION: _zipped(configuration())}
-    if path := arguments.get("path"):
-        files[PATH] = Path(path).read_bytes()
-    return Origin({"revision": revision(), **about}, files)
+    named = {name: Path(arguments[name]) for name in FILES.keys() & arguments.keys()}
+    about = {name: str(value) for name, value in arguments.items()}
+    about |= {name: path.name for name, path in named.items()}
+    files = {FILES[name]: path.read_bytes() for name, path in named.items()}
+    return Origin(
+        {"revision": revision(), **about}, {CONFIGURATION: _zipped(configuration()), **files}
+    )
 
 
 def configuration() -> dict[str, bytes]:
@@ -85,4 +89,6 @@ def _zipped(files: Mapping[str, bytes]) -> bytes:
 
 
 def _pairs(values: Mapping[str, str]) -> str:
-    return ", ".join(f"{name} {value}" for name, value in values.items())
+    """The values that say something, in one line."""
+    unset = ("", "0", "0.0", "False")
+    return ", ".join(f"{name} {value}" for name, value in values.items() if value not in unset)

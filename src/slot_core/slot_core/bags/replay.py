@@ -1,9 +1,10 @@
 """Replays a bag through the cores, without ROS, and compares their outputs with the recorded ones.
 
 Each replayed stage gets the recorded input of its node, so the first difference names the stage
-that has changed: `/odom` and `/imu` go to the state estimator, recorded states and gait previews to
-the MPC, recorded forces, previews and states to the force map. The gait scheduler gets the recorded
-states and the commands that its previews name; a path that it followed is not recorded.
+that has changed: `/odom` and `/imu` go to the state estimator, recorded states to the gait
+scheduler, with the commands that its previews name, recorded states and previews to the MPC, and
+recorded forces, previews and states to the force map. A stage whose input or output the bag does
+not hold is left out. The MPC's profile and the path that was followed are those that the bag names.
 """
 
 from __future__ import annotations
@@ -13,9 +14,11 @@ import dataclasses
 import math
 import os
 import sys
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -23,13 +26,20 @@ import numpy as np
 from slot_core import config
 from slot_core.bags import decode
 from slot_core.bags.bag import Bag, BagError
+from slot_core.bags.origin import FILES
 from slot_core.control.controller import command_for
 from slot_core.control.force_map import make_force_map, read_force_map, read_springs
-from slot_core.control.gait import GaitPreview, read_gaits
+from slot_core.control.gait import GaitPreview, GaitSettings, read_gaits
 from slot_core.control.gait_scheduler import GaitScheduler
 from slot_core.control.mpc.mpc import Mpc, MpcResult, read_mpc
+from slot_core.control.path import Path as FollowedPath
+from slot_core.control.path import read_path
 from slot_core.control.state_estimator import Estimate, StateEstimator, read_estimator
-from slot_core.robot import Robot, read_robot
+from slot_core.robot import Array, read_robot
+
+ODOMETRY = "/odom"
+SENSORS = (ODOMETRY, "/imu")
+PATH = FILES["path"]
 
 Fields = dict[str, Any]
 """Values by the name of the message's field."""
@@ -61,38 +71,111 @@ class Comparison:
     """Result of comparing recorded and replayed messages of one topic."""
 
     topic: str
-    compared: int
-    largest: float  # largest difference of any field
-    first: Difference | None  # beyond the tolerance
+    compared: int = 0
+    largest: float = 0.0  # largest difference of any field
+    first: Difference | None = None  # beyond the tolerance
+    missing: tuple[str, ...] = ()  # topics that the bag lacks for the comparison
+
+    def __str__(self) -> str:
+        if self.missing:
+            return f"{self.topic:<25}    - left out: the bag holds no {', '.join(self.missing)}"
+        return f"{self.topic:<25}{self.compared:5d} compared, largest difference {self.largest:.1e}"
+
+
+NEEDS = {
+    "/mpc_state": (ODOMETRY,),
+    "/gait_preview": ("/mpc_state",),
+    "/ground_reaction_forces": ("/mpc_state", "/gait_preview"),
+    "/desired_joint_angles": ("/mpc_state", "/gait_preview", "/ground_reaction_forces"),
+}
+"""Inputs by the output of each stage, in the order of the graph."""
 
 
 def replay(bag: Bag, tolerance: float) -> list[Comparison]:
     """Compare every stage of the bag, in the order of the graph.
 
-    Raises BagError if the bag lacks a topic, ConfigError if the configuration is invalid.
+    Raises BagError if it holds no stage with its input, ConfigError if the configuration is
+    invalid.
     """
-    robot = read_robot()
-    states = _by_stamp(bag, "/mpc_state", lambda m: (*decode.state(m), decode.lead(m)))
-    previews = _by_stamp(bag, "/gait_preview", decode.preview)
-    forces = _by_stamp(bag, "/ground_reaction_forces", decode.forces)
-    return [
-        compare(bag, "/mpc_state", _estimates(bag), tolerance),
-        compare(bag, "/gait_preview", _previews(robot, states, previews), tolerance),
-        compare(
-            bag, "/ground_reaction_forces", _solves(robot, states, previews, forces), tolerance
-        ),
-        compare(bag, "/desired_joint_angles", _angles(robot, forces, previews, states), tolerance),
-    ]
+    recorded = _Recorded(bag)
+    replayed: dict[str, Callable[[_Recorded], dict[int, Fields]]] = {
+        "/mpc_state": _estimates,
+        "/gait_preview": _previews,
+        "/ground_reaction_forces": _solves,
+        "/desired_joint_angles": _angles,
+    }
+    comparisons = []
+    for topic, inputs in NEEDS.items():
+        missing = tuple(name for name in (topic, *inputs) if not bag.counts.get(name))
+        comparisons.append(
+            Comparison(topic, missing=missing)
+            if missing
+            else compare(recorded, topic, replayed[topic](recorded), tolerance)
+        )
+    if all(comparison.missing for comparison in comparisons):
+        raise BagError(f"{bag.path}: holds no stage together with its input")
+    return comparisons
 
 
-def compare(bag: Bag, topic: str, replayed: Mapping[int, Fields], tolerance: float) -> Comparison:
+class _Recorded:
+    """What a bag holds of the stages, read once."""
+
+    def __init__(self, bag: Bag) -> None:
+        self.bag, self.origin, self.robot = bag, bag.origin, read_robot()
+        self.sensors: list[tuple[str, Any]] = []  # topic and message
+        self.messages: dict[str, list[Any]] = {topic: [] for topic in NEEDS}
+        topics = [t for t in (*SENSORS, *NEEDS) if bag.counts.get(t)]
+        for topic, _, message in bag.merged(*topics) if topics else ():
+            if topic in NEEDS:
+                self.messages[topic].append(message)
+            else:
+                self.sensors.append((topic, message))
+
+    @cached_property
+    def states(self) -> dict[int, tuple[int, Array, int, int]]:
+        """(stamp, state, validity, lead) by stamp."""
+        return self._by_stamp("/mpc_state", lambda m: (*decode.state(m), decode.lead(m)))
+
+    @cached_property
+    def previews(self) -> dict[int, GaitPreview]:
+        """Gait previews by stamp."""
+        return self._by_stamp("/gait_preview", decode.preview)
+
+    @cached_property
+    def forces(self) -> dict[int, tuple[int, Array, int]]:
+        """(stamp, force, status) by stamp."""
+        return self._by_stamp("/ground_reaction_forces", decode.forces)
+
+    def _by_stamp(self, topic: str, convert: Callable[[Any], Any]) -> dict[int, Any]:
+        return {decode.stamp(m): convert(m) for m in self.messages[topic]}
+
+    @property
+    def profile(self) -> str:
+        """Profile of the MPC; `default` if the bag does not name one."""
+        return self.origin.about.get("mpc", "default")
+
+    def path(self, gaits: GaitSettings) -> FollowedPath | None:
+        """The path that was followed; None without one."""
+        if PATH not in self.origin.files:
+            return None
+        about = self.origin.about
+        speed = float(about.get("vx", gaits.find(about["gait"]).cruise))
+        with TemporaryDirectory() as scratch:
+            file = Path(scratch, PATH)
+            file.write_bytes(self.origin.files[PATH])
+            return read_path(file, speed, "kept")
+
+
+def compare(
+    recorded: _Recorded, topic: str, replayed: Mapping[int, Fields], tolerance: float
+) -> Comparison:
     """Compare the recorded messages of a topic with replayed fields by stamp (ns).
 
     The end of a recording may hold an output without its input, so messages after the last replayed
     stamp are skipped. Raises BagError if no message is left to compare.
     """
     compared, largest, first = 0, 0.0, None
-    for _, message in bag.messages(topic):
+    for message in recorded.messages[topic]:
         stamp = decode.stamp(message)
         if stamp > max(replayed, default=0):
             continue
@@ -102,31 +185,24 @@ def compare(bag: Bag, topic: str, replayed: Mapping[int, Fields], tolerance: flo
             continue
         compared += 1
         for name, value in fields.items():
-            recorded = _numbers(getattr(message, name))
-            distance = _distance(recorded, np.ravel(value))
+            then, now = _numbers(getattr(message, name)), np.ravel(value)
+            distance = _distance(then, now)
             largest = max(largest, float(distance.max(initial=0.0)))
             if first is None and (distance > tolerance).any():
                 at = int(np.argmax(distance > tolerance))
-                place = f"{name}[{at}]" if len(recorded) > 1 else name
-                first = Difference(
-                    topic, stamp, place, float(recorded[at]), float(np.ravel(value)[at])
-                )
+                place = f"{name}[{at}]" if len(then) > 1 else name
+                first = Difference(topic, stamp, place, float(then[at]), float(now[at]))
     if not compared and first is None:
-        raise BagError(f"{bag.path}: holds no {topic} together with its input")
+        raise BagError(f"{recorded.bag.path}: holds no {topic} together with its input")
     return Comparison(topic, compared, largest, first)
 
 
-def _by_stamp(bag: Bag, topic: str, convert: Callable[[Any], Any]) -> dict[int, Any]:
-    """Decoded messages of a topic by their stamp (ns), in the order of the bag."""
-    return {decode.stamp(m): convert(m) for _, m in bag.messages(topic)}
-
-
-def _estimates(bag: Bag) -> dict[int, Fields]:
+def _estimates(recorded: _Recorded) -> dict[int, Fields]:
     """State estimates, as fields of MpcState, from the recorded odometry and IMU."""
     estimator = StateEstimator(read_estimator())
     fields = {}
-    for topic, _, message in bag.merged("/odom", "/imu"):
-        if topic == "/odom":
+    for topic, message in recorded.sensors:
+        if topic == ODOMETRY:
             estimator.add_odometry(*decode.odometry(message))
         else:
             estimator.add_imu(*decode.imu(message))
@@ -147,16 +223,16 @@ def _state_fields(estimate: Estimate) -> Fields:
     }
 
 
-def _previews(
-    robot: Robot, states: Mapping[int, Any], previews: Mapping[int, GaitPreview]
-) -> dict[int, Fields]:
+def _previews(recorded: _Recorded) -> dict[int, Fields]:
     """Gait previews, as fields of GaitPreview, from the recorded states and commands."""
-    first = next(iter(previews.values())).command
-    scheduler = GaitScheduler(read_gaits(), robot, read_springs(), first.gait, first.velocity)
+    gaits, first = read_gaits(), next(iter(recorded.previews.values())).command
+    scheduler = GaitScheduler(
+        gaits, recorded.robot, read_springs(), first.gait, first.velocity, recorded.path(gaits)
+    )
     fields = {}
-    for stamp, (_, state, _, lead) in states.items():
-        if stamp in previews:
-            scheduler.set_command(previews[stamp].command)
+    for stamp, (_, state, _, lead) in recorded.states.items():
+        if stamp in recorded.previews:
+            scheduler.set_command(recorded.previews[stamp].command)
             fields[stamp] = _preview_fields(scheduler.step(stamp + lead, state))
     return fields
 
@@ -166,23 +242,18 @@ def _preview_fields(preview: GaitPreview) -> Fields:
     return {name: getattr(preview, name) for name in (*names, "reference", "posture")}
 
 
-def _solves(
-    robot: Robot,
-    states: Mapping[int, Any],
-    previews: Mapping[int, Any],
-    solved: Container[int],
-) -> dict[int, Fields]:
+def _solves(recorded: _Recorded) -> dict[int, Fields]:
     """Results of the MPC, as fields of GroundReactionForces, in the order of the states.
 
-    The MPC keeps state between cycles. A state that the recorded controller skipped (its stamp is
-    not in `solved`) is therefore skipped again.
+    The MPC keeps state between cycles. A state that the recorded controller skipped, because no
+    forces have its stamp, is therefore skipped again.
     """
-    settings = config.replace(read_mpc(), {"acceptance.time_budget": math.inf})
-    mpc = Mpc(robot, settings, timer=lambda: 0.0)
+    settings = config.replace(read_mpc(recorded.profile), {"acceptance.time_budget": math.inf})
+    mpc = Mpc(recorded.robot, settings, timer=lambda: 0.0)
     return {
-        stamp: _forces_fields(mpc.step(state, previews[stamp]))
-        for stamp, (_, state, *_) in states.items()
-        if stamp in previews and stamp in solved
+        stamp: _forces_fields(mpc.step(state, recorded.previews[stamp]))
+        for stamp, (_, state, *_) in recorded.states.items()
+        if stamp in recorded.previews and stamp in recorded.forces
     }
 
 
@@ -193,14 +264,11 @@ def _forces_fields(result: MpcResult) -> Fields:
     } | {"status": int(result.status)}
 
 
-def _angles(
-    robot: Robot,
-    forces: Mapping[int, Any],
-    previews: Mapping[int, Any],
-    states: Mapping[int, Any],
-) -> dict[int, Fields]:
+def _angles(recorded: _Recorded) -> dict[int, Fields]:
     """Tendon angles, as the field of JointState."""
-    force_map = make_force_map(robot, read_force_map(), read_mpc().map)
+    states, previews = recorded.states, recorded.previews
+    name = read_mpc(recorded.profile).map
+    force_map = make_force_map(recorded.robot, read_force_map(), name)
 
     def angle(stamp: int, force: Any, status: int) -> Any:
         nominal = force_map.nominal(previews[stamp], states[stamp][1])
@@ -208,7 +276,7 @@ def _angles(
 
     return {
         stamp: {"position": angle(stamp, force, status)}
-        for stamp, (_, force, status) in forces.items()
+        for stamp, (_, force, status) in recorded.forces.items()
         if stamp in previews and stamp in states
     }
 
@@ -244,17 +312,43 @@ def _tolerance(text: str) -> float:
     return value
 
 
+def _renaming(text: str) -> tuple[str, str]:
+    old, separator, new = text.partition(":=")
+    if not (separator and old.strip("/") and new.strip("/")):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected OLD:=NEW, names of topics")
+    return old, new
+
+
+def add_bag_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the bag, its namespace and the new names of its topics."""
+    parser.add_argument("bag", type=Path, help="directory of the bag, or one .mcap or .db3 file")
+    parser.add_argument("--namespace", default="", help="of the recorded graph")
+    parser.add_argument(
+        "--remap", type=_renaming, action="append", default=[], metavar="OLD:=NEW",
+        help="read the bag's topic OLD as NEW, for example /camera/odom:=/odom; may be repeated",
+    )  # fmt: skip
+
+
+def open_bag(options: argparse.Namespace) -> Bag:
+    """The bag of these arguments; raises BagError."""
+    return Bag(options.bag, options.namespace, dict(options.remap))
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/replay`; exit code 0: equal, 1: a difference, 2: no replay."""
-    parser = argparse.ArgumentParser(prog="scripts/replay", description=__doc__.split("\n\n")[0])
-    parser.add_argument("bag", type=Path, help="directory of the bag")
-    parser.add_argument("--namespace", default="", help="of the recorded graph")
+    parser = argparse.ArgumentParser(
+        prog="scripts/replay",
+        description=__doc__.split("\n\n")[0],
+        epilog="With --live it plays the sensors into running nodes: scripts/replay --live --help",
+    )
+    add_bag_arguments(parser)
     parser.add_argument(
         "--tolerance", type=_tolerance, default=TOLERANCE, help="in SI units (default: %(default)g)"
     )
     options = parser.parse_args(arguments)
     try:
-        comparisons = replay(Bag(options.bag, options.namespace), options.tolerance)
+        bag = open_bag(options)
+        comparisons = replay(bag, options.tolerance)
     except (BagError, config.ConfigError) as error:
         print(f"scripts/replay: {error}", file=sys.stderr)
         return 2
@@ -262,10 +356,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"scripts/replay: {options.bag}: cannot be replayed: {error}", file=sys.stderr)
         return 2
     differences = [c.first for c in comparisons if c.first is not None]
-    lines = [
-        f"{c.topic:<25}{c.compared:5d} compared, largest difference {c.largest:.1e}"
-        for c in comparisons
-    ]
+    lines = [*bag.lines(), *map(str, comparisons)]
     lines += [f"first difference: {differences[0]}"] if differences else []
     try:
         print("\n".join(lines), flush=True)
