@@ -88,18 +88,23 @@ class Progress:
 
 
 def watch(
-    processes: Processes, duration: float, attended: bool = False, namespace: str = ""
+    processes: Processes,
+    duration: float,
+    attended: bool = False,
+    namespace: str = "",
+    played: bool = False,
 ) -> None:
     """Return when the robot's clock has run for `duration` (s) since the begin of the run.
 
-    Raises RunError when a node ends, no /mpc_state arrives for too long or, unless `attended`, the
-    robot goes slack.
+    A run in which a bag is `played` begins with its first state, whatever the supervisor decides.
+    Raises RunError when a node ends, no /mpc_state arrives for too long or, unless `attended` or
+    `played`, the robot goes slack.
     """
     with listener("run", namespace) as (node, executor):
-        progress = Progress("supervisor" in processes)
+        progress = Progress("supervisor" in processes and not played)
         node.create_subscription(MpcState, "mpc_state", progress.update_torso, qos.CONTROL)
         node.create_subscription(RobotState, "robot_state", progress.update_robot, qos.STATE)
-        _watch(executor, progress, processes, duration, attended)
+        _watch(executor, progress, processes, duration, attended or played)
 
 
 def require_no_other_graph(namespace: str = "") -> None:

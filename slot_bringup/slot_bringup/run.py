@@ -81,7 +81,8 @@ def run(options: argparse.Namespace, graph: Graph, directory: Path) -> None:
     """
     values = vars(options) | {"bag": str(directory)}
     with started(graph, values, directory / "log") as processes:
-        watch(processes, options.duration, is_attended(values), options.namespace)
+        played = options.hardware == "none"
+        watch(processes, options.duration, is_attended(values), options.namespace, played)
 
 
 @contextmanager

@@ -1,0 +1,172 @@
+"""Plays the sensors of a bag into running nodes, in their recorded order and pace, with /clock.
+
+The graph has to run without a robot: `scripts/run --hardware none`, or the launch file with
+`hardware:=none`. The nodes then follow the clock of the bag. The stages before the one of interest
+may run or not: each answers what it gets.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+
+from slot_bringup.check import check_namespace
+from slot_bringup.monitor import listener
+from slot_core.arguments import within
+from slot_core.bags import decode
+from slot_core.bags.bag import Bag, BagError
+from slot_core.bags.replay import add_bag_arguments, open_bag
+from slot_core.clock import SECOND
+from slot_core.config import ConfigError
+from slot_nodes import messages, qos
+
+CLOCK = "/clock"
+PLAYED = ("/odom", "/imu", "/joint_states", "/servo_health", "/cmd_vel", "/ground_truth/odom",
+          "/ground_truth/legs")  # fmt: skip
+"""What comes from outside of the controller: the robot's topics, and the user's velocity."""
+NEEDED = "/odom"
+CLOCK_PERIOD = 5_000_000  # ns, at least, between two messages on /clock
+SEARCH_TIME = 10.0  # s to wait for a node that subscribes
+
+
+class PlayError(RuntimeError):
+    """A bag cannot be played; the message is one line."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One message to publish."""
+
+    time: int  # ns, graph time of its publication
+    topic: str
+    data: bytes
+
+
+def entries(bag: Bag, start: float) -> Iterator[Entry]:
+    """Messages of PLAYED in the order of the bag, from `start` (s) after the first on.
+
+    The graph time is that of /clock in a bag of a graph in lockstep, else that of the bag.
+    """
+    topics = [topic for topic in PLAYED if bag.counts.get(topic)]
+    clock, first = None, None
+    for topic, published, data in bag.raw(*topics, *([CLOCK] if CLOCK in bag.counts else [])):
+        if topic == CLOCK:
+            clock = decode.time(bag.decode(topic, data).clock)
+            continue
+        now = published if CLOCK not in bag.counts else clock
+        if now is None:
+            continue  # before the first /clock
+        first = now if first is None else first
+        if now - first >= start * SECOND:
+            yield Entry(now, topic, data)
+
+
+class Player:
+    """Publishers of the bag's topics and of /clock."""
+
+    def __init__(self, node: Node, bag: Bag) -> None:
+        """Raise PlayError if something else publishes what the bag holds."""
+        if NEEDED not in bag.counts:
+            raise PlayError(f"{bag.path}: holds no {NEEDED}")
+        self._node = node
+        self._clock = node.create_publisher(Clock, CLOCK[1:], qos.CLOCK)
+        self._publishers = {
+            topic: node.create_publisher(message_class(bag.topics[topic]), topic[1:], qos.SENSOR)
+            for topic in PLAYED
+            if topic in bag.counts
+        }
+        self._told = 0  # ns, last time on /clock
+
+    def wait_for_nodes(self) -> None:
+        """Return once a node subscribes to the odometry; raises PlayError after SEARCH_TIME.
+
+        Also raises if a robot publishes the odometry already.
+        """
+        end = time.monotonic() + SEARCH_TIME
+        needed = self._publishers[NEEDED]
+        while not needed.get_subscription_count():
+            if time.monotonic() > end:
+                raise PlayError(
+                    f"no node subscribes to {needed.topic_name} within {SEARCH_TIME:g} s:"
+                    " start the graph with --hardware none"
+                )
+            time.sleep(0.05)
+        if self._node.count_publishers(needed.topic_name) > 1:
+            raise PlayError(
+                f"a robot publishes {needed.topic_name} already: start the graph with"
+                " --hardware none"
+            )
+
+    def play(self, played: Iterator[Entry], rate: float) -> tuple[int, float]:
+        """Publish the messages; return their number, and the graph time that they span, s."""
+        begin, first, count, now = time.monotonic(), None, 0, 0
+        for entry in played:
+            first, now = entry.time if first is None else first, entry.time
+            due = begin + (now - first) / SECOND / rate
+            if (early := due - time.monotonic()) > 0:
+                time.sleep(early)
+            self._tell_time(now)
+            self._publishers[entry.topic].publish(entry.data)
+            count += 1
+        for publisher in self._publishers.values():
+            publisher.wait_for_all_acked(Duration(seconds=1))
+        return count, 0.0 if first is None else (now - first) / SECOND
+
+    def _tell_time(self, now: int) -> None:
+        if now >= self._told + CLOCK_PERIOD:
+            self._told = now
+            self._clock.publish(Clock(clock=messages.ns_to_stamp(now)))
+
+
+def message_class(kind: str) -> type:
+    """Class of the messages of a type; raises PlayError if it is not installed."""
+    package, _, name = kind.split("/")
+    try:
+        return getattr(import_module(f"{package}.msg"), name)
+    except (ImportError, AttributeError):
+        raise PlayError(f"messages of {kind} are not installed") from None
+
+
+def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="scripts/replay", description=__doc__)
+    parser.add_argument("--live", action="store_true", help="play into running nodes")
+    add_bag_arguments(parser)
+    parser.add_argument(
+        "--rate", type=within(0.01, 100.0), default=1.0, help="of the clock (default: %(default)g)"
+    )
+    parser.add_argument(
+        "--start", type=within(0.0, 1e6, "s"), default=0.0, metavar="S", help="leave out S seconds"
+    )
+    return parser.parse_args(arguments)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line of `scripts/replay --live`; exit code 0: played, 1: interrupted, 2: refused."""
+    options = _parse(arguments)
+    try:
+        check_namespace(options.namespace)
+        bag = open_bag(options)
+        print("\n".join(bag.lines()))
+        with listener("player", options.namespace) as (node, _):
+            player = Player(node, bag)
+            player.wait_for_nodes()
+            count, span = player.play(entries(bag, options.start), options.rate)
+        print(f"played {count} messages, {span:.2f} s")
+    except (BagError, ConfigError, PlayError) as error:
+        print(f"scripts/replay: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

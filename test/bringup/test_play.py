@@ -1,0 +1,125 @@
+"""A bag is played into running nodes: every message, in order, with the clock; or refused.
+
+No time is asserted: the bags are played a hundred times faster than they were recorded.
+"""
+
+import time
+from collections import defaultdict
+from pathlib import Path
+
+import pytest
+from rclpy.qos import QoSProfile
+from real_graph import domain  # noqa: F401 - a fixture
+from rosgraph_msgs.msg import Clock
+from synthetic_walk import Walk, write_walk
+
+from slot_bringup import play
+from slot_bringup.monitor import listener
+from slot_core.bags import decode
+from slot_core.bags.bag import Bag
+from slot_nodes import qos
+
+KEEP = QoSProfile(depth=2000)  # all messages: they are taken after the play
+WALK = Path(__file__).parents[1] / "bags" / "walk"
+
+
+@pytest.fixture(scope="module")
+def received():
+    """What arrives of the recorded walk: {topic: [bytes, or Clock]}."""
+    bag, arrived = Bag(WALK), defaultdict(list)
+    with listener("listener") as (node, executor):
+        for topic in play.PLAYED:
+            if topic in bag.topics:
+                kind = play.message_class(bag.topics[topic])
+                node.create_subscription(kind, topic, arrived[topic].append, KEEP, raw=True)
+        node.create_subscription(Clock, "/clock", arrived["/clock"].append, qos.CLOCK)
+        with listener("player") as (other, _):
+            player = play.Player(other, bag)
+            player.wait_for_nodes()
+            count, span = player.play(play.entries(bag, 0.0), rate=100.0)
+            wait(
+                executor, lambda: sum(len(m) for t, m in arrived.items() if t != "/clock") >= count
+            )
+    return arrived, count, span
+
+
+def wait(executor, reached):
+    end = time.monotonic() + 30.0
+    while not reached():
+        assert time.monotonic() < end
+        executor.spin_once(timeout_sec=0.1)
+
+
+def test_every_sensor_message_arrives_as_it_was_recorded(received):
+    arrived, count, span = received
+    recorded = defaultdict(list)
+    for topic, _, data in Bag(WALK).raw(*(arrived.keys() - {"/clock"})):
+        recorded[topic].append(data)
+    assert {"/odom", "/imu", "/joint_states"} <= recorded.keys()
+    for topic, messages in recorded.items():
+        assert [bytes(m) for m in arrived[topic]] == messages, topic
+    assert count == sum(map(len, recorded.values()))
+    assert span == pytest.approx(Bag(WALK).duration_ns * 1e-9, rel=0.5)
+
+
+def test_the_clock_is_that_of_the_recorded_graph_and_never_goes_back(received):
+    times = [decode.time(message.clock) for message in received[0]["/clock"]]
+    recorded = [decode.time(m.clock) for _, m in Bag(WALK).messages("/clock")]
+    assert times == sorted(set(times))
+    assert set(times) <= set(recorded)
+
+
+@pytest.fixture(scope="module")
+def real_time_bag(tmp_path_factory):
+    """A bag without /clock, of a robot whose clock is the wall's."""
+    return Bag(write_walk(tmp_path_factory.mktemp("bags") / "walk", Walk(duration=1.0)))
+
+
+def test_without_a_recorded_clock_the_time_of_the_bag_is_the_clock(real_time_bag):
+    played = list(play.entries(real_time_bag, 0.0))
+    recorded = [(t, topic) for topic, t, _ in real_time_bag.raw() if topic in play.PLAYED]
+    assert [(entry.time, entry.topic) for entry in played] == recorded
+
+
+def test_a_start_offset_leaves_out_the_beginning(real_time_bag):
+    first, *_ = play.entries(real_time_bag, 0.0)
+    late = list(play.entries(real_time_bag, 0.6))
+    assert late[0].time - first.time == pytest.approx(0.6e9, abs=0.01e9)
+    assert late[-1].time == list(play.entries(real_time_bag, 0.0))[-1].time
+
+
+def test_a_bag_is_not_played_where_nothing_listens_or_a_robot_runs(real_time_bag, monkeypatch):
+    monkeypatch.setattr(play, "SEARCH_TIME", 0.2)
+    with listener("player") as (node, executor):
+        player = play.Player(node, real_time_bag)
+        with pytest.raises(play.PlayError, match=r"no node subscribes to /odom within 0\.2 s"):
+            player.wait_for_nodes()
+        kind = play.message_class(real_time_bag.topics["/odom"])
+        node.create_subscription(kind, "/odom", print, qos.SENSOR)
+        node.create_publisher(kind, "/odom", qos.SENSOR)
+        wait(executor, lambda: node.count_publishers("/odom") == 2)
+        with pytest.raises(play.PlayError, match="a robot publishes /odom already"):
+            player.wait_for_nodes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere"], "nowhere: does not exist"),
+        ([str(WALK), "--namespace", "a b"], "namespace = 'a b'"),
+        ([str(WALK), "--remap", "/odom:=/camera"], "holds no /odom"),
+    ],
+)
+def test_what_cannot_be_played_is_refused_in_one_line(arguments, message, capsys):
+    assert play.main(["--live", *arguments]) == 2
+    errors = capsys.readouterr().err
+    assert errors.startswith("scripts/replay: ")
+    assert message in errors
+    assert errors.count("\n") == 1
+
+
+@pytest.mark.parametrize("wrong", [["--rate", "0"], ["--rate", "nan"], ["--start", "-1"]])
+def test_rate_and_start_have_bounds(wrong, capsys):
+    with pytest.raises(SystemExit):
+        play.main([str(WALK), *wrong])
+    assert "outside [" in capsys.readouterr().err
