@@ -9,7 +9,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from slot_bringup.check import check
-from slot_bringup.graph import TIED, read_graph
+from slot_bringup.graph import read_graph
 
 GRAPH = read_graph()
 
@@ -47,7 +47,7 @@ def _start_nodes(context: LaunchContext) -> list[Node]:
             namespace=spec.namespace,
             remappings=list(spec.remappings.items()),
             parameters=[{name: _typed(value) for name, value in spec.parameters.items()}],
-            prefix=" ".join(TIED),  # launch leaves its nodes running at SIGTERM
+            prefix=" ".join(spec.prefix),  # launch leaves its nodes running at SIGTERM
             output="screen",
         )
         for spec in GRAPH.nodes(values)

@@ -12,7 +12,7 @@ from rclpy.exceptions import InvalidNamespaceException, InvalidTopicNameExceptio
 from rclpy.validate_namespace import validate_namespace
 from rclpy.validate_topic_name import validate_topic_name
 
-from slot_bringup.graph import absolute
+from slot_bringup.graph import absolute, is_simulated
 from slot_core.config import ConfigError
 from slot_core.control.gait import read_gaits
 from slot_core.control.mpc.mpc import read_mpc
@@ -20,6 +20,7 @@ from slot_core.control.path import read_path
 from slot_core.dynamics.scene import read_scene
 from slot_core.faults import require_simulated_legs
 
+PRIORITY_MAX = os.sched_get_priority_max(os.SCHED_FIFO)
 DOMAIN_MAX = 232  # beyond it the ports of DDS, 7400 + 250 domain, exceed 65535
 
 
@@ -37,7 +38,7 @@ def check(values: Mapping[str, Any]) -> None:
         raise ConfigError(f"lockstep: servos of hardware {hardware} move in real time")
     if values["lockstep"] and values["attended"]:
         raise ConfigError("lockstep has no supervisor, which attended needs")
-    if values["markers"] and hardware != "real" and not scene.sensors.camera.enabled:
+    if values["markers"] and is_simulated(values) and not scene.sensors.camera.enabled:
         raise ConfigError(f"markers: the scene {values['scene']} has no camera")
     if values["calibration"]:
         _check_calibration(Path(values["calibration"]))
@@ -46,16 +47,23 @@ def check(values: Mapping[str, Any]) -> None:
     if hardware == "sim":
         for fault in scene.faults.values():
             require_simulated_legs(fault)
-    if not 0 <= values["seed"] < 2**63:
-        raise ConfigError(f"seed = {values['seed']}: outside [0, {2**63 - 1}]")
-    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
-    if not (domain.isdecimal() and int(domain) <= DOMAIN_MAX):
-        raise ConfigError(f"ROS_DOMAIN_ID = {domain!r}: expected a number within [0, {DOMAIN_MAX}]")
+    _check_ranges(values)
     check_namespace(values["namespace"])
     if (prefix := values["frame_prefix"]).startswith("/"):
         raise ConfigError(f"frame_prefix = {prefix!r}: tf2 knows no frames that begin with a slash")
     if values["bag"]:
         _check_new(Path(values["bag"]))
+
+
+def _check_ranges(values: Mapping[str, Any]) -> None:
+    """Raise ConfigError for a number outside its range."""
+    if not 0 <= values["seed"] < 2**63:
+        raise ConfigError(f"seed = {values['seed']}: outside [0, {2**63 - 1}]")
+    if not 0 <= values["realtime"] <= PRIORITY_MAX:
+        raise ConfigError(f"realtime = {values['realtime']}: outside [0, {PRIORITY_MAX}]")
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not (domain.isdecimal() and int(domain) <= DOMAIN_MAX):
+        raise ConfigError(f"ROS_DOMAIN_ID = {domain!r}: expected a number within [0, {DOMAIN_MAX}]")
 
 
 def check_namespace(namespace: str) -> None:

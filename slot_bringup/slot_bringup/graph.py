@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
 from collections.abc import Mapping
@@ -66,6 +67,7 @@ class NodeSpec:
     namespace: str = ""
     remappings: Mapping[str, str] = field(default_factory=dict)
     nodes: tuple[str, ...] = ()  # of a process with several
+    prefix: tuple[str, ...] = TIED  # before the command line
 
     @property
     def node_name(self) -> str | None:
@@ -95,8 +97,9 @@ class Graph:
     def nodes(self, values: Mapping[str, Any]) -> list[NodeSpec]:
         """Nodes to start; `values` holds the value of every argument by name."""
         values = {**values, **_ports(values["hardware"], values["port"]), **_start_up(values)}
-        values |= _camera(values)
+        values |= _camera(values) | {"about": self._about(values)}
         remappings = {name: _value(target, values) for name, target in self._remappings.items()}
+        first = ("chrt", "--fifo", str(values["realtime"])) if values["realtime"] else ()
         specs = [
             NodeSpec(
                 name=name,
@@ -104,6 +107,7 @@ class Graph:
                 parameters=self._parameters(entry, values),
                 namespace=values["namespace"],
                 remappings={a: b for a, b in remappings.items() if a != b},
+                prefix=(*TIED, *(first if entry.get("composable") else ())),
             )
             for name, entry in self._nodes.items()
             if values["hardware"] in entry.get("hardware", [values["hardware"]])
@@ -111,6 +115,11 @@ class Graph:
             and ("unless" not in entry or not values[entry["unless"]])
         ]
         return self._composed(specs) if values["composed"] else specs
+
+    def _about(self, values: Mapping[str, Any]) -> str:
+        """The arguments that say how a bag came about, as JSON: all that are set but its place."""
+        names = [a.name for a in self.arguments if a.name not in ("bag", "port")]
+        return json.dumps({name: values[name] for name in names if values[name] not in (None, "")})
 
     def _composed(self, specs: list[NodeSpec]) -> list[NodeSpec]:
         """The nodes with those that are composable in one process.
@@ -141,7 +150,7 @@ def _camera(values: Mapping[str, Any]) -> dict[str, Any]:
 
     The camera of a scene replaces its odometry.
     """
-    if values["hardware"] == "real":
+    if not is_simulated(values):
         return {"carrier": None}
     camera = read_scene(values["scene"]).sensors.camera
     return {
@@ -163,6 +172,11 @@ def absolute(namespace: str) -> str:
     return "/" + namespace.removeprefix("/")
 
 
+def is_simulated(values: Mapping[str, Any]) -> bool:
+    """Whether a simulated robot is started."""
+    return values["hardware"] in ("sim", "fake_bus")
+
+
 def is_attended(values: Mapping[str, Any]) -> bool:
     """Whether the robot stands and walks only at an operator's request: always with real servos."""
     return bool(values["attended"] or values["hardware"] == "real")
@@ -177,6 +191,7 @@ def _start_up(values: Mapping[str, Any]) -> dict[str, Any]:
     """
     attended = is_attended(values)
     start = {"autostart": not attended, "estop_required": None if attended else False}
+    start["simulated_time"] = values["lockstep"] or values["hardware"] == "none"
     if values["lockstep"]:
         first = {"gait": values["gait"], "vx": values["vx"], "vy": values["vy"]}
     else:

@@ -13,7 +13,7 @@ from typing import Any
 
 from ament_index_python.packages import get_package_prefix
 
-from slot_bringup.graph import TIED, NodeSpec, absolute
+from slot_bringup.graph import NodeSpec, absolute
 
 STOP_TIMEOUT = 5.0  # s, from SIGINT to SIGKILL
 
@@ -32,7 +32,7 @@ class Processes:
         for spec in specs:
             with self.log_path(spec.name).open("wb") as log:
                 self._children[spec.name] = subprocess.Popen(
-                    [*TIED, *command_line(spec)],
+                    [*spec.prefix, *command_line(spec)],
                     stdin=subprocess.DEVNULL,
                     stdout=log,
                     stderr=subprocess.STDOUT,

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import math
+import os
 import signal
 import sys
 from collections.abc import Callable, Mapping
@@ -29,6 +31,7 @@ from slot_nodes import intra_process, messages
 from slot_nodes.executor import DirectExecutor
 
 T = TypeVar("T")
+LOCK_ALL = 1 | 2 | 4  # MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT of mlockall(2)
 
 
 class Runnable(Protocol):
@@ -55,6 +58,8 @@ def run(make_node: Callable[[], R], serve: Callable[[R], None] = spin) -> None:
     try:
         _init()
         node = make_node()
+        if os.sched_getscheduler(0) == os.SCHED_FIFO:
+            lock_memory()
         gc.freeze()  # exclude what is loaded by now from garbage collections
         serve(node)
     except (KeyboardInterrupt, ExternalShutdownException):
@@ -71,6 +76,13 @@ def run(make_node: Callable[[], R], serve: Callable[[R], None] = spin) -> None:
         if node is not None:
             node.destroy_node()
         rclpy.utilities.try_shutdown()
+
+
+def lock_memory() -> None:
+    """Keep the process in memory, so that it waits for no page; says so if that is not allowed."""
+    if ctypes.CDLL(None, use_errno=True).mlockall(LOCK_ALL):
+        reason = os.strerror(ctypes.get_errno())
+        get_logger("realtime").warning(f"memory is not locked: {reason}; see LimitMEMLOCK")
 
 
 def _init() -> None:
