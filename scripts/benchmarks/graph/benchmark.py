@@ -1,8 +1,9 @@
-"""Latency, CPU and memory of all nodes as processes in real time; speed in lockstep.
+"""Latency, CPU and memory of the graph in real time, and its speed in lockstep.
 
-The graph walks in real time with its bag; once in lockstep; and once without ROS in one process,
-as a reference for the time that the algorithms take. Percentages of CPU are of one core. The
-warm-up of `config/record.yaml` is left out of every figure.
+The graph walks with its bag, its controller's nodes as separate processes and composed in one, in
+real time and in lockstep; and without ROS, controller and robot in one process, as a reference for
+the time that the algorithms take. Percentages of CPU are of one core. The warm-up of
+`config/record.yaml` is left out of every figure.
 """
 
 import statistics
@@ -34,6 +35,7 @@ from slot_nodes import messages
 BLOCK = 30  # ticks of the closed loop per repeat, about a second
 CYCLES = 120  # of the MPC's node
 WHOLE = "all nodes"
+SEPARATE, COMPOSED = "separate", "composed"  # the controller's nodes
 NODE_FIGURES = ("cpu_percent", "rss_mb", "pss_mb")
 
 # A tenth of the robot's 8 GB. A page that n nodes share counts 1/n in each.
@@ -43,6 +45,8 @@ LEAST_SPEED, LARGEST_TILT = 0.05, 0.5  # m/s; rad, where a supervisor would stop
 # Against the same algorithms in one process, measured in the same run: what messages and processes
 # add. In lockstep one node works at a time, so its speed counts; in real time the CPU of all nodes.
 LARGEST_SLOWDOWN, LARGEST_CPU_RATIO = 10.0, 20.0
+# What composition saves at the least, against separate processes in the same run.
+LATENCY_RATIO, CPU_RATIO, LEAST_SPEEDUP = 0.8, 0.8, 1.3
 LARGEST_CYCLE = 3.0  # CPU of a cycle of the MPC's node, messages included, over its solution alone
 
 
@@ -68,21 +72,29 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
     loop = closed_loop_row(values, plan.blocks)  # also compiles the kernels that the nodes load
     progress("cycle of the MPC's node")
     cycle = cycle_row(CYCLES)
-    progress("lockstep")
-    lockstep = measure_walk(graph, values | {"lockstep": True}, plan.lockstep)
-    walks = []
+    modes = {SEPARATE: values, COMPOSED: values | {"composed": True}}
+    speeds = []
+    for mode, chosen in modes.items():
+        progress(f"lockstep, {mode}")
+        metrics = measure_walk(graph, chosen | {"lockstep": True}, plan.lockstep).metrics
+        speeds.append(
+            {"kind": "lockstep", "nodes": mode, "duration_s": metrics.duration,
+             "speed": metrics.real_time_factor}
+        )  # fmt: skip
+    walks: dict[str, list[Walk]] = {mode: [] for mode in modes}
     for repeat in range(plan.repeats):
-        progress(f"real time, {repeat + 1} of {plan.repeats}")
-        walks.append(measure_walk(graph, values, plan.duration))
-    draw(walks, out / "graph.png")
-    rows = [row for repeat, one in enumerate(walks) for row in walk_rows(repeat, one)]
-    rows += medians(rows)
-    speed = lockstep.metrics.real_time_factor
-    rows += [
-        {"kind": "lockstep", "duration_s": lockstep.metrics.duration, "speed": speed},
-        loop,
-        cycle,
+        for mode, chosen in modes.items():
+            progress(f"real time, {mode}, {repeat + 1} of {plan.repeats}")
+            walks[mode].append(measure_walk(graph, chosen, plan.duration))
+    draw(walks[SEPARATE], walks[COMPOSED], out / "graph.png")
+    rows = [
+        row
+        for mode, some in walks.items()
+        for repeat, one in enumerate(some)
+        for row in walk_rows(mode, repeat, one)
     ]
+    rows += medians(rows)
+    rows += [*speeds, loop, cycle]
     return rows, checks(rows, plan)
 
 
@@ -129,8 +141,9 @@ def closed_loop_row(values: Mapping[str, Any], blocks: int) -> Row:
     }
 
 
-def walk_rows(repeat: int, one: Walk) -> list[Row]:
+def walk_rows(mode: str, repeat: int, one: Walk) -> list[Row]:
     """Rows of one walk: its metrics, every stage, every node."""
+    which = {"nodes": mode, "repeat": repeat}
     m = one.metrics
     stages = {**m.stages, END_TO_END: m.end_to_end}
     figures = np.column_stack([one.cpu, *(np.divide([one.usage.rss, one.usage.pss], 1e6))])
@@ -138,7 +151,7 @@ def walk_rows(repeat: int, one: Walk) -> list[Row]:
     return [
         {
             "kind": "walk",
-            "repeat": repeat,
+            **which,
             "duration_s": m.duration,
             "period_ms": 1e3 * m.period,
             "ticks": m.ticks,
@@ -151,9 +164,9 @@ def walk_rows(repeat: int, one: Walk) -> list[Row]:
             "fallback_cycles": m.fallback_cycles,
             "waiting_for_a_core_percent": one.waited,  # how loaded the machine was
         },
-        *({"kind": "latency", "repeat": repeat, "stage": s} | in_ms(v) for s, v in stages.items()),
+        *({"kind": "latency", **which, "stage": s} | in_ms(v) for s, v in stages.items()),
         *(
-            {"kind": "node", "repeat": repeat, "node": node} | dict(zip(NODE_FIGURES, values))
+            {"kind": "node", **which, "node": node} | dict(zip(NODE_FIGURES, values))
             for node, values in nodes
         ),
     ]
@@ -192,17 +205,22 @@ def checks(rows: Sequence[Row], plan: Plan) -> list[Check]:
     def over_repeats(name: str, kind: str = "walk", **which: Any) -> list[Any]:
         return [v for k in range(plan.repeats) for v in column(name, kind=kind, repeat=k, **which)]
 
-    [cpu] = column("cpu_percent", node=WHOLE, repeat="median")
+    def median(name: str, mode: str, **which: Any) -> float:
+        [value] = column(name, nodes=mode, repeat="median", **which)
+        return value
+
+    cpu = {mode: median("cpu_percent", mode, node=WHOLE) for mode in (SEPARATE, COMPOSED)}
+    age = {mode: median("p50_ms", mode, stage=END_TO_END) for mode in (SEPARATE, COMPOSED)}
     [loop] = (row for row in rows if row["kind"] == "closed loop")
     [cycle] = (row for row in rows if row["kind"] == "cycle")
-    [lockstep] = column("speed", kind="lockstep")
+    separate, composed = column("speed", kind="lockstep")
     return [
         at_least("shortest walk", min(over_repeats("duration_s")), plan.duration, "s"),
         at_least("least mean v_x", min(over_repeats("mean_v_x")), LEAST_SPEED, "m/s"),
         at_most("largest tilt", max(over_repeats("tilt_max_rad")), LARGEST_TILT, "rad"),
         at_most(
             "CPU of all nodes over that of one process",
-            0.01 * cpu / loop["cpu_s_per_s"],
+            0.01 * cpu[SEPARATE] / loop["cpu_s_per_s"],
             LARGEST_CPU_RATIO,
         ),
         at_most(
@@ -213,5 +231,12 @@ def checks(rows: Sequence[Row], plan: Plan) -> list[Check]:
             cycle["cpu_ms"] / cycle["solve_cpu_ms"],
             LARGEST_CYCLE,
         ),
-        at_most("one process over lockstep, speed", loop["speed"] / lockstep, LARGEST_SLOWDOWN),
+        at_most("one process over lockstep, speed", loop["speed"] / separate, LARGEST_SLOWDOWN),
+        at_most(
+            "composed over separate: odometry to command, median",
+            age[COMPOSED] / age[SEPARATE],
+            LATENCY_RATIO,
+        ),
+        at_most("composed over separate: CPU", cpu[COMPOSED] / cpu[SEPARATE], CPU_RATIO),
+        at_least("composed over separate: lockstep speed", composed / separate, LEAST_SPEEDUP),
     ]

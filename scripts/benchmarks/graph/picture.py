@@ -13,12 +13,13 @@ from benchmarks.graph.measured_walk import Walk
 from benchmarks.harness import machine
 from slot_core.bags.walk import STAGES, Ticks
 from slot_core.report import palette
+from slot_core.robot import Array
 
 END_TO_END = "end to end"
 
 
-def draw(walks: Sequence[Walk], path: Path) -> None:
-    """Write the picture of all repeats."""
+def draw(walks: Sequence[Walk], composed: Sequence[Walk], path: Path) -> None:
+    """Write the picture of all repeats with separate nodes; of composed ones the latency."""
     figure = Figure(figsize=(13.0, 5.0), dpi=100, layout="constrained")
     FigureCanvasAgg(figure)
     duration = walks[0].metrics.duration
@@ -29,31 +30,31 @@ def draw(walks: Sequence[Walk], path: Path) -> None:
         fontsize=11, fontweight="bold",
     )  # fmt: skip
     latency, cpu = figure.subplots(1, 2, width_ratios=(1.3, 1.0))
-    draw_latency(latency, [one.ticks for one in walks])
+    draw_latency(latency, [one.ticks for one in walks], [one.ticks for one in composed])
     draw_cpu(cpu, walks)
     figure.savefig(path)
 
 
-def draw_latency(ax: Axes, ticks: Sequence[Ticks]) -> None:
+def draw_latency(ax: Axes, ticks: Sequence[Ticks], composed: Sequence[Ticks]) -> None:
     """Share of ticks whose latency exceeds a time, per stage; shows every late tick.
 
     A tick without a command has infinite latency, so the curve `end to end` may end above zero.
     """
     stages = np.concatenate([one.latency for one in ticks])
-    due = [one.time[:, 0] + one.period <= one.end for one in ticks]
-    whole = np.concatenate([one.end_to_end[keep] for one, keep in zip(ticks, due)])
-    colours = (*palette.STAGE_COLOURS, palette.INK)
-    for values, name, colour in zip([*stages.T, whole], (*STAGES, END_TO_END), colours):
+    curves = [(stage, len(stage), name) for stage, name in zip(stages.T, STAGES)]
+    curves += [(*whole(ticks), END_TO_END), (*whole(composed), f"{END_TO_END}, composed")]
+    colours = (*palette.STAGE_COLOURS, palette.INK, palette.INK)
+    for (values, count, name), colour in zip(curves, colours):
         ms = 1e3 * np.sort(values[np.isfinite(values)])
-        count = len(values) if name == END_TO_END else len(ms)
         later = 1 - np.arange(len(ms)) / count
-        ax.step(ms, later, where="pre", color=colour, lw=1.8, label=name)
+        dashes = "--" if "composed" in name else "-"
+        ax.step(ms, later, dashes, where="pre", color=colour, lw=1.8, label=name)
     for share, name in ((0.5, "p50"), (0.01, "p99")):
         ax.axhline(share, color=palette.PALE, lw=1, zorder=0)
         ax.annotate(name, (1, share), (2, 0), xycoords=("axes fraction", "data"),
                     textcoords="offset points", va="center", fontsize=7)  # fmt: skip
     period = 1e3 * ticks[0].period
-    ax.axvline(period, color=palette.INK, ls="--", lw=1, label=f"control period, {period:.0f} ms")
+    ax.axvline(period, color=palette.INK, ls=":", lw=1, label=f"control period, {period:.0f} ms")
     ax.set_xscale("log")
     ax.set_yscale("log")
     ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
@@ -64,6 +65,12 @@ def draw_latency(ax: Axes, ticks: Sequence[Ticks]) -> None:
         ax, "latency of each stage", "latency (ms, logarithmic)", "share of ticks that took longer"
     )
     ax.legend(fontsize=8, frameon=False, loc="lower left")
+
+
+def whole(ticks: Sequence[Ticks]) -> tuple[Array, int]:
+    """Latencies from odometry to command, s, and the number of commands that were due."""
+    due = [one.end_to_end[one.time[:, 0] + one.period <= one.end] for one in ticks]
+    return np.concatenate(due), sum(map(len, due))
 
 
 def draw_cpu(ax: Axes, walks: Sequence[Walk]) -> None:

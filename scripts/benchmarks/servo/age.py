@@ -1,4 +1,4 @@
-"""The age of a command at the servos: all nodes as processes, emulated servos, real time, no bag.
+"""The age of a command at the servos: the graph with emulated servos in real time, no bag.
 
 The age is the time from the publication of an odometry reading until the goals computed from it are
 written to the port. It excludes the sensor's delay of the odometry, and the transmission on the
@@ -24,7 +24,7 @@ from slot_bringup.monitor import START_TIMEOUT, listener
 from slot_bringup.run import started
 from slot_core.bags import decode
 from slot_core.bags.record_settings import read_record_settings
-from slot_core.report.palette import INK, SECONDARY
+from slot_core.report.palette import INK, SECONDARY, STAGE_COLOURS
 from slot_msgs.msg import ServoHealth
 from slot_nodes import qos
 
@@ -33,10 +33,14 @@ AGE_GOAL = 8.0  # ms, of the 99th percentile, on the robot; no check on another 
 Ages = npt.NDArray[np.float64]
 
 
-def walk(duration: float) -> Ages:
-    """Ages (s) of every command of a walk, the warm-up left out; raises BenchmarkError."""
+def walk(duration: float, composed: bool) -> Ages:
+    """Ages (s) of every command of a walk, the warm-up left out; raises BenchmarkError.
+
+    composed: controller and driver in one process, else every node in its own.
+    """
     graph, warm_up = read_graph(), read_record_settings().warm_up
     values = {argument.name: argument.default for argument in graph.arguments}
+    values |= {"hardware": "fake_bus", "composed": composed}
     published: dict[int, int] = {}  # ns, by the odometry's stamp
     written: dict[int, int] = {}
 
@@ -48,7 +52,7 @@ def walk(duration: float) -> Ages:
 
     with (
         tempfile.TemporaryDirectory() as logs,
-        started(graph, values | {"hardware": "fake_bus"}, Path(logs)) as processes,
+        started(graph, values, Path(logs)) as processes,
         listener("age") as (node, executor),
     ):
         # rclpy also passes the second argument; its type annotation has only the first
@@ -70,11 +74,12 @@ def span(written: Mapping[int, int]) -> float:
     return 1e-9 * (max(stamps) - min(stamps)) if stamps else 0.0
 
 
-def row(found: Ages) -> dict[str, Any]:
-    """Percentiles of the ages."""
+def row(found: Ages, nodes: str) -> dict[str, Any]:
+    """Percentiles of the ages with separate or composed nodes."""
     p50, p90, p99 = 1e3 * np.percentile(found, [50, 90, 99])
     return {
         "kind": "age",
+        "nodes": nodes,
         "commands": len(found),
         "p50_ms": p50,
         "p90_ms": p90,
@@ -83,11 +88,13 @@ def row(found: Ages) -> dict[str, Any]:
     }
 
 
-def draw(found: Ages, path: Path) -> None:
-    """Write the picture: share of the commands older than an age."""
+def draw(ages: Mapping[str, Ages], path: Path) -> None:
+    """Write the picture: share of the commands older than an age, separate and composed nodes."""
     figure = Figure(figsize=(6.0, 3.4), layout="constrained")
     axes = figure.subplots()
-    axes.step(1e3 * np.sort(found), 1.0 - np.arange(len(found)) / len(found), color=INK)
+    for (nodes, found), colour in zip(ages.items(), (INK, STAGE_COLOURS[0])):
+        older = 1.0 - np.arange(len(found)) / len(found)
+        axes.step(1e3 * np.sort(found), older, color=colour, label=f"{nodes} nodes")
     axes.axvline(AGE_GOAL, color=SECONDARY, linestyle=":", label=f"goal for 1 %: {AGE_GOAL:g} ms")
     axes.axhline(0.01, color=SECONDARY, linestyle=":")
     axes.set(
