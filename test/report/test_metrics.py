@@ -8,7 +8,7 @@ import pytest
 from synthetic_walk import RATE, STRIDE, Walk, write_walk
 
 from slot_core.bags.bag import Bag, BagError
-from slot_core.bags.walk import Motion, stride_mean
+from slot_core.bags.walk import Motion, Ticks, stride_mean
 from slot_core.report.metrics import latency, walk_metrics
 from slot_core.report.summary import summary_lines
 
@@ -202,3 +202,12 @@ def test_stride_mean_of_a_speed_with_ripple_is_the_speed():
     assert np.array_equal(np.isfinite(mean), inside)
     # trapezoids of 1 ms: error (2 pi h / T)^2 / 12 of the ripple, below 1.3e-6
     assert np.allclose(mean[inside], 0.05, atol=2e-6)
+
+
+def test_stages_that_publish_after_the_command_have_no_latency_but_the_whole_has():
+    """Nodes in one process publish the command first."""
+    time = np.array([[0.0, 0.1, 0.3, 0.6, 1.0], [2.0, 2.6, 2.7, 2.8, 2.5]])
+    ticks = Ticks(np.arange(2), time, 0.033, 3.0)
+    np.testing.assert_allclose(ticks.latency[0], [0.1, 0.2, 0.3, 0.4])
+    assert np.isnan(ticks.latency[1]).all()
+    np.testing.assert_allclose(ticks.end_to_end, [1.0, 0.5])

@@ -69,8 +69,12 @@ class Ticks:
 
     @property
     def latency(self) -> Array:
-        """(n, 4) s, from the publication of each stage's input to that of its output."""
-        return np.diff(self.time, axis=1)
+        """(n, 4) s, from the publication of each stage's input to that of its output.
+
+        NaN where an output precedes its input: nodes in one process publish after the command.
+        """
+        steps = np.diff(self.time, axis=1)
+        return np.where((steps < 0).any(axis=1, keepdims=True), np.nan, steps)
 
     @property
     def end_to_end(self) -> Array:
