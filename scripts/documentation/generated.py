@@ -158,7 +158,10 @@ def settings_classes() -> set[type]:
 
 
 def results() -> str:
-    """Checks and rows of every `results/NAME/NAME.json` that scripts/bench has written here."""
+    """Checks and rows of every `results/NAME/NAME.json` that scripts/bench has written here.
+
+    Raises ValueError for a file that is not JSON.
+    """
     found = sorted(path for path in (ROOT / "results").glob("*/*.json") if _is_result(path))
     if not found:
         names = sorted(p.parent.name for p in (ROOT / "scripts/benchmarks").glob("*/benchmark.py"))
@@ -166,11 +169,19 @@ def results() -> str:
             "This site was built without results. `scripts/bench NAME` writes "
             f"`results/NAME/NAME.json`; NAME is one of {', '.join(names)}.\n"
         )
-    return "\n".join(_result(json.loads(path.read_text())) for path in found)
+    return "\n".join(_result(_load(path)) for path in found)
 
 
 def _is_result(path: Path) -> bool:
     return path.stem == path.parent.name
+
+
+def _load(path: Path) -> Any:
+    """Content of a result's file; raises ValueError, which names the file."""
+    try:
+        return json.loads(path.read_text())
+    except ValueError as error:
+        raise ValueError(f"{path.relative_to(ROOT)}: {error}") from None
 
 
 def _result(result: Mapping[str, Any]) -> str:

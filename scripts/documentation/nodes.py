@@ -17,15 +17,16 @@ import rclpy
 import yaml
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from documentation.markdown import ROOT, code, plain, table
 
 GRAPH = ROOT / "slot_bringup" / "slot_bringup" / "graph.yaml"
+RECORDER = "recorder"
 # Parameters with which a node shows all that it has; without an entry, none. sim_robot has the
 # topics of a camera only in a scene with one.
 VARIANTS = {
-    "recorder": [{"bag": "{directory}/bag"}],
+    RECORDER: [{"bag": "{directory}/bag"}],
     "sim_robot": [{}, {"scene": "marker_camera"}],
 }
 # Of every node of ROS 2.
@@ -84,14 +85,14 @@ def describe(name: str, parameters: Mapping[str, str]) -> Description:
     try:
         node = kind()
         try:
-            return _description(node, inspect.getdoc(kind) or "")
+            return _description(node, inspect.getdoc(kind) or "", parameters)
         finally:
             node.destroy_node()
     finally:
         rclpy.shutdown()
 
 
-def _description(node: Node, doc: str) -> Description:
+def _description(node: Any, doc: str, given: Mapping[str, str]) -> Description:
     declared: dict[str, Any] = dict(node.get_parameters_by_prefix(""))
     own = [name for name in declared if not name.startswith(STANDARD_PARAMETERS)]
     return Description(
@@ -107,7 +108,8 @@ def _description(node: Node, doc: str) -> Description:
             if _package(service.srv_type) not in STANDARD_SERVICES
         ),
         parameters=tuple(
-            (declared[name].value, node.describe_parameter(name)) for name in sorted(own)
+            (None if name in given else declared[name].value, node.describe_parameter(name))
+            for name in sorted(own)
         ),
     )
 
@@ -121,37 +123,37 @@ def _package(kind: type) -> str:
 
 
 def topics() -> str:
-    """Tables of the topics and of the services."""
+    """Tables of the topics, without the recorder's subscriptions, and of the services."""
     publishes = [(node, end) for node in descriptions() for end in node.publishes]
-    subscribes = [(node, end) for node in descriptions() for end in node.subscribes]
+    subscribes = [
+        (node, end) for node in descriptions() for end in node.subscribes if node.name != RECORDER
+    ]
     ends = sorted((end for _, end in publishes + subscribes), key=lambda end: end.topic)
     rows = {
         end.topic: (
             f"`{end.topic}`",
-            _kind(end.kind),
+            _kind(end.kind) + _quality(end.profile),
             _list(node.name for node, other in publishes if other.topic == end.topic),
             _list(node.name for node, other in subscribes if other.topic == end.topic),
-            _quality(end.profile),
         )
         for end in ends
     }
     services = {
-        (f"`{name}`", _kind(kind), f"`{node.name}`")
+        (f"`{name}`", _kind(kind), plain(node.name))
         for node in descriptions()
         for name, kind in node.services
     }
     return (
         "## Topics\n\n"
-        + table(("topic", "type", "published by", "subscribed by", "quality of service"),
-                rows.values())
+        + table(("topic", "type", "published by", "subscribed by"), rows.values())
         + "\n## Services\n\n"
         + table(("service", "type", "served by"), sorted(services))
-    )  # fmt: skip
+    )
 
 
 def _list(nodes: Iterable[str]) -> str:
     """Names without repetition."""
-    return ", ".join(f"`{name}`" for name in dict.fromkeys(nodes))
+    return ", ".join(plain(name) for name in dict.fromkeys(nodes))
 
 
 def _kind(kind: type) -> str:
@@ -163,8 +165,10 @@ def _kind(kind: type) -> str:
 
 
 def _quality(profile: QoSProfile) -> str:
+    """What a topic's quality of service has of its own, else nothing."""
     latched = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-    return f"{profile.reliability.name.lower().replace('_', ' ')}{', latched' * latched}"
+    lossy = profile.reliability == ReliabilityPolicy.BEST_EFFORT
+    return ", latched" * latched + ", best effort" * lossy
 
 
 def parameters() -> str:

@@ -41,5 +41,5 @@ def visit_math(translator: HTML5Translator, node: nodes.math | nodes.math_block)
     """Write an equation as MathML."""
     block = isinstance(node, nodes.math_block)
     text = latex2mathml.tex2mathml(node.astext(), as_block=block)
-    translator.body.append(f"<div class='math'>{text}</div>" if block else text)
+    translator.body.append(f"<p>{text}</p>" if block else text)
     raise nodes.SkipNode

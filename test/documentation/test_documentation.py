@@ -3,6 +3,7 @@
 import ast
 import json
 import re
+import subprocess
 from xml.etree import ElementTree
 
 import pytest
@@ -118,12 +119,33 @@ def test_results_of_a_benchmark_become_tables(tmp_path, monkeypatch, holds):
     assert "| case | n |\n| --- | --- |\n| a | 3 |" in text
 
 
+def test_a_damaged_result_is_named(tmp_path, monkeypatch):
+    (tmp_path / "results" / "tiny").mkdir(parents=True)
+    (tmp_path / "results" / "tiny" / "tiny.json").write_text('{"name": ')
+    monkeypatch.setattr(generated, "ROOT", tmp_path)
+    with pytest.raises(ValueError, match=r"results/tiny/tiny\.json: Expecting value"):
+        generated.results()
+
+
 def test_without_results_the_page_says_which_command_makes_them(tmp_path, monkeypatch):
     (tmp_path / "scripts/benchmarks/tiny").mkdir(parents=True)
     (tmp_path / "scripts/benchmarks/tiny/benchmark.py").write_text("")
     monkeypatch.setattr(generated, "ROOT", tmp_path)
     assert "`scripts/bench NAME` writes" in generated.results()
     assert "one of tiny." in generated.results()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["--output", "x"], "unknown arguments: --output x; expected --out DIR"),
+        (["--out", "/dev/null"], "--out /dev/null: not a directory that can be made"),
+    ],
+)
+def test_a_site_that_cannot_be_made_is_refused_before_the_work(arguments, reason):
+    command = [ROOT / "scripts" / "docs", *arguments]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (2, f"scripts/docs: {reason}\n")
 
 
 def test_version_and_licence_are_the_same_everywhere():
@@ -139,3 +161,14 @@ def test_version_and_licence_are_the_same_everywhere():
 
 def test_the_readme_stays_short():
     assert len((ROOT / "README.md").read_text().splitlines()) < README_LINES
+
+
+def test_the_workflow_of_github_calls_what_there_is():
+    workflow = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text())
+    steps = [step for job in workflow["jobs"].values() for step in job["steps"]]
+    lines = "\n".join(step.get("run", "") for step in steps)
+    files = set(re.findall(r"(?:scripts|test|slot_bringup)/[\w/.]+", lines))
+    assert len(files) > 5
+    assert {file for file in files if not (ROOT / file).exists()} == set()
+    arguments = set(re.findall(r"(\w+):=", lines))
+    assert arguments <= {argument.name for argument in read_graph().arguments}
