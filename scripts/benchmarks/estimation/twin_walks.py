@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from slot_core.bags.measured import MEASURED, ODOMETRY, TendonAngles
 from slot_core.bags.walk import Motion
+from slot_core.body_points import LEG_POINTS, TORSO, at_shares
 from slot_core.clock import SECOND
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
@@ -19,7 +20,6 @@ from slot_core.robot import Array, Robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.simulation.plant import Plant, Reading, TrueState
 from slot_core.twin.replay_robot import Recorded
-from slot_core.validation.recording import LEG_POINTS, TORSO, at_shares
 
 POSITION_NOISE, ANGLE_NOISE = 1e-3, 2e-3  # m, rad: the odometry of config/scene/flat.yaml
 ENCODER = 2 * np.pi / 4096  # rad, of the servos

@@ -27,18 +27,16 @@ from scipy.spatial.transform import Rotation
 from slot_core import config
 from slot_core.bags.bag import Bag, BagError
 from slot_core.bags.bag_writer import BagWriter
-from slot_core.bags.record_settings import read_record_settings
 from slot_core.bags.measured import COMMANDED, MEASURED, ODOMETRY
+from slot_core.bags.record_settings import read_record_settings
+from slot_core.body_points import LEG_POINTS, TORSO, at_shares
 from slot_core.config import ConfigError
 from slot_core.robot import Array
 from slot_core.simulation.plant import make_robot
 from slot_core.twin.replay_robot import ModelParts, read_parts
 from slot_core.validation.recording import (
-    LEG_POINTS,
-    TORSO,
     PointTrack,
     RecordingError,
-    at_shares,
     read_recording,
     write_points,
 )

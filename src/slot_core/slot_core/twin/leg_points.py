@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from slot_core.body_points import LEG_POINTS, TORSO, at_shares
 from slot_core.robot import LEGS
 from slot_core.twin.replay_robot import ModelParts, Recorded, replay
 from slot_core.twin.settings import TwinSettings
-from slot_core.validation.recording import LEG_POINTS, at_shares, write_points
+from slot_core.validation.recording import write_points
 
 PERIOD = 1 / 30  # s, between two rows of a point
 
@@ -22,7 +23,7 @@ def write(recorded: Recorded, parts: ModelParts, settings: TwinSettings, path: P
         if t < due:
             continue
         due = t + PERIOD - settings.hold / 2
-        rows.setdefault("torso", []).append((t, *sim.position))
+        rows.setdefault(TORSO, []).append((t, *sim.position))
         for leg, nodes in zip(LEGS, sim.nodes):
             for name, place in zip(LEG_POINTS, at_shares(nodes)):
                 rows.setdefault(f"{leg}_{name}", []).append((t, *place))

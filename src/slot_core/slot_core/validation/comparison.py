@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from slot_core.body_points import LEG_POINTS, TORSO
 from slot_core.robot import Array
 from slot_core.validation.error_metrics import Errors, errors
 from slot_core.validation.frame_alignment import FrameAlignment, align_frames
 from slot_core.validation.recording import (
     ATTITUDE,
-    LEG_POINTS,
-    TORSO,
     PointTrack,
     Recording,
     RecordingError,

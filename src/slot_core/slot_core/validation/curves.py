@@ -9,9 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from slot_core.body_points import LEG_POINTS, TORSO
 from slot_core.report import palette
 from slot_core.validation.comparison import AXES, Comparison, Series, paper_points
-from slot_core.validation.recording import ATTITUDE, LEG_POINTS, TORSO
+from slot_core.validation.recording import ATTITUDE
 from slot_core.validation.tables import scale, unit
 
 DPI = 100

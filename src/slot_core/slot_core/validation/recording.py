@@ -23,12 +23,10 @@ import numpy as np
 from slot_core.bags.bag import Bag
 from slot_core.bags.measured import measured_motion, sound
 from slot_core.bags.walk import seconds
+from slot_core.body_points import BODY_POINTS, COLUMNS, LEG_POINTS, TORSO, at_shares
 from slot_core.robot import LEGS, Array
 
-TORSO = "torso"
-LEG_POINTS = {"base": 0.0, "third": 1 / 3, "two_thirds": 2 / 3, "tip": 1.0}  # share of arc length
-POINTS = (TORSO, *LEG_POINTS, *(f"{leg}_{name}" for leg in LEGS for name in LEG_POINTS))
-LONG = ("time", "point", "x", "y", "z")
+POINTS = (*BODY_POINTS, *LEG_POINTS)
 WIDE = ("time", "x", "y", "z")
 ATTITUDE = ("roll", "pitch", "yaw")
 SHAPES = "/ground_truth/legs"
@@ -70,17 +68,10 @@ def read_recording(path: Path, namespace: str = "", camera: Path | None = None) 
     return _from_csv(path)
 
 
-def at_shares(nodes: Array) -> Array:
-    """(4, 3) places of LEG_POINTS on a leg of nodes (N, 3), by share of the arc length."""
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1))])
-    shares = np.array(list(LEG_POINTS.values())) * arc[-1]
-    return np.column_stack([np.interp(shares, arc, column) for column in nodes.T])
-
-
 def write_points(path: Path, points: Mapping[str, Array], comments: Sequence[str]) -> None:
     """Write rows (n, 4) time, x, y, z of each point as CSV, ordered by time; raises OSError."""
     rows = [(row[0], name, row[1:]) for name, part in points.items() for row in part]
-    lines = [f"# {comment}" for comment in comments] + [",".join(LONG)]
+    lines = [f"# {comment}" for comment in comments] + [",".join(COLUMNS)]
     for time, name, place in sorted(rows, key=lambda row: row[0]):
         lines.append(f"{time:.{DIGITS}f},{name}," + ",".join(f"{v:.{DIGITS}f}" for v in place))
     path.write_text("\n".join(lines) + "\n")
@@ -138,10 +129,10 @@ def _from_csv(path: Path) -> Recording:
         raise RecordingError(f"{path}: is empty: no line of column names")
     (head, names), *data = rows
     columns = tuple(name.strip() for name in names)
-    if columns not in (LONG, WIDE, WIDE + ATTITUDE):
+    if columns not in (COLUMNS, WIDE, WIDE + ATTITUDE):
         raise RecordingError(
-            f"{path}, line {head}: columns {','.join(columns)[:80]}: expected {','.join(LONG)} or"
-            f" {','.join(WIDE)}[,{','.join(ATTITUDE)}]"
+            f"{path}, line {head}: columns {','.join(columns)[:80]}: expected {','.join(COLUMNS)}"
+            f" or {','.join(WIDE)}[,{','.join(ATTITUDE)}]"
         )
     parts: dict[str, list[tuple[int, list[float]]]] = {}
     for line, cells in data:

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from slot_core.body_points import LEG_POINTS, TORSO
 from slot_core.robot import Array
 from slot_core.validation.comparison import AXES, Comparison, Series, paper_points
 from slot_core.validation.error_metrics import NAMES
-from slot_core.validation.recording import LEG_POINTS, TORSO
 from slot_core.validation.time_alignment import TimeAlignment
 
 RIVAL = 1.05  # times the best shift's rest, up to which another shift is as good

@@ -19,6 +19,7 @@ import numpy as np
 
 from slot_core.arguments import within
 from slot_core.bags.bag import Bag, BagError
+from slot_core.body_points import LEG_POINTS, TORSO, arc_length, at_shares
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS, Array, Robot, read_robot
 from slot_core.vision.board import SQUARE, Picture, make_board, print_of, single_marker
@@ -26,9 +27,6 @@ from slot_core.vision.calibration import chessboard
 from slot_core.vision.camera import nominal
 from slot_core.vision.frames import Transform, optical
 from slot_core.vision.settings import (
-    ARC,
-    PLACES,
-    TORSO,
     TrackedMarkers,
     VisionSettings,
     read_vision,
@@ -57,18 +55,13 @@ def plates(
     for index, leg in enumerate(LEGS):
         side = base.rotation @ np.cross(robot.outward[index], [0.0, 0.0, 1.0])
         line = nodes[index].astype(float)
-        arc = np.concatenate([[0], np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum()])
-        tangents = np.gradient(line, arc, axis=0)
-        for place, share in zip(PLACES, ARC):
-            point, along = (
-                np.array([np.interp(share * arc[-1], arc, column) for column in values.T])
-                for values in (line, tangents)
-            )
+        tangents = np.gradient(line, arc_length(line), axis=0)
+        for name, point, along in zip(LEG_POINTS, at_shares(line), at_shares(line, tangents)):
             x = along / np.linalg.norm(along)
             z = side - (side @ x) * x
             z /= np.linalg.norm(z)
             middle = point + (robot.leg.width / 2 + settings.stand_off) * z
-            found[f"{leg}_{place}"] = Transform(np.column_stack([x, np.cross(z, x), z]), middle)
+            found[f"{leg}_{name}"] = Transform(np.column_stack([x, np.cross(z, x), z]), middle)
     return found
 
 

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 import cv2
 
 from slot_core import config
+from slot_core.body_points import BODY_POINTS
 from slot_core.config import ConfigError, choice, quantity, text
-from slot_core.robot import BASE_FRAME, LEGS, ODOM_FRAME
+from slot_core.robot import BASE_FRAME, ODOM_FRAME
 
-PLACES = ("base", "third", "two_thirds", "tip")  # of the markers along a leg
-ARC = (0.0, 1 / 3, 2 / 3, 1.0)  # their arc length over that of the leg
-TORSO = "torso"
 CARRIERS = ("torso", "world")  # what the camera stands on
 
 
@@ -70,8 +68,7 @@ class TrackedMarkers:
     @property
     def names(self) -> dict[int, str]:
         """Name of the point by id of its marker: `FL_base` ... `RR_tip`, `torso`."""
-        names = [f"{leg}_{place}" for leg in LEGS for place in PLACES] + [TORSO]
-        return dict(enumerate(names, self.first_id))
+        return dict(enumerate(BODY_POINTS, self.first_id))
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from pathlib import Path
 import cv2
 
 from slot_core.arguments import within
+from slot_core.body_points import COLUMNS, TORSO
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_core.vision.camera import Camera, CameraError, nominal, read_camera
@@ -32,7 +33,7 @@ from slot_core.vision.pictures import (
     is_bag,
     read_film,
 )
-from slot_core.vision.settings import TORSO, VisionSettings, read_vision
+from slot_core.vision.settings import VisionSettings, read_vision
 from slot_core.vision.tracker import Sample, Tracker, Tracks
 
 COMPLETE = 1.02  # pictures that a video says over those read: some estimate their length
@@ -73,7 +74,7 @@ def write_tracks(path: Path, samples: list[Sample]) -> None:
     """Write samples as CSV with the columns time, point, x, y, z (s, m)."""
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(["time", "point", "x", "y", "z"])
+        writer.writerow(COLUMNS)
         for s in samples:
             writer.writerow([f"{s.time:.6f}", s.point, *(f"{value:.6f}" for value in s.position)])
 
