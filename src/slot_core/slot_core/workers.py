@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 LOOPBACK = "127.0.0.1"
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 @contextmanager
@@ -37,3 +39,8 @@ def workers(scheduler: str, count: int | None = None) -> Iterator[Any]:
         Client(here) as client,
     ):
         yield client
+
+
+def gather(client: Any, call: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+    """Results of a call for each of the items, in their order."""
+    return list(client.gather(client.map(call, list(items), pure=False)))

@@ -36,8 +36,8 @@ from slot_core.tuning import gait_file, identification, symmetry
 from slot_core.tuning.identification import IdentificationError
 from slot_core.tuning.pattern_search import Goal, PatternSearch, bare_pattern
 from slot_core.tuning.settings import TuningSettings, read_tuning
-from slot_core.tuning.stride_run import OUTPUTS, Job, Outcome, RunAll, simulate
-from slot_core.workers import workers
+from slot_core.tuning.stride_run import OUTPUTS, RunAll, simulate
+from slot_core.workers import gather, workers
 
 STAGES = ("forward", "turn", "steering", "identify")
 RECORDS = Path("results", "tune")
@@ -54,8 +54,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         tuning = _Tuning(options)
+        call = functools.partial(simulate, settings=tuning.settings)
         with workers(options.scheduler, options.workers) as client:
-            notes = tuning.run(lambda jobs: _gather(client, jobs, tuning.settings))
+            notes = tuning.run(functools.partial(gather, client, call))
         gait_file.write(options.out, tuning.stride, [command, *notes])
     except KeyboardInterrupt:
         print("\nscripts/tune: interrupted; the same command continues", file=sys.stderr)
@@ -66,11 +67,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     tuning.forget()
     print("\n".join([*notes, str(options.out)]))
     return 0
-
-
-def _gather(client: object, jobs: Sequence[Job], settings: TuningSettings) -> list[Outcome]:
-    call = functools.partial(simulate, settings=settings)
-    return list(client.gather(client.map(call, jobs, pure=False)))  # type: ignore[attr-defined]
 
 
 class _Tuning:

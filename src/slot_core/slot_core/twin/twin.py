@@ -14,10 +14,10 @@ import os
 import shutil
 import signal
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -34,7 +34,7 @@ from slot_core.twin.replay_robot import measured_track, predict, read_parts, rea
 from slot_core.twin.settings import read_twin
 from slot_core.twin.strides import find_strides, stride_errors
 from slot_core.twin.twin_fit import RunAll, fit_twin, parameter, places, serially
-from slot_core.workers import workers
+from slot_core.workers import gather, workers
 
 INTERRUPTED = 130  # exit code
 ERRORS = (
@@ -138,25 +138,14 @@ class _Trials:
         return self._directory / f"{name}.npy"
 
 
-def _runner(options: argparse.Namespace) -> Any:
-    """Context that gives what runs the trials: local processes or a cluster."""
+@contextmanager
+def _runner(options: argparse.Namespace) -> Iterator[RunAll]:
+    """Runs the trials: in this process, in local ones or on a cluster."""
     if options.workers == 1 and not options.scheduler:
-        return nullcontext(serially)
-    return _Workers(options.scheduler, options.workers)
-
-
-class _Workers:
-    """Trials on dask workers."""
-
-    def __init__(self, scheduler: str, count: int | None) -> None:
-        self._context = workers(scheduler, count)
-
-    def __enter__(self) -> RunAll:
-        client = self._context.__enter__()
-        return lambda call, points: client.gather(client.map(call, list(points), pure=False))
-
-    def __exit__(self, *reason: Any) -> None:
-        self._context.__exit__(*reason)
+        yield serially
+        return
+    with workers(options.scheduler, options.workers) as client:
+        yield partial(gather, client)
 
 
 def _progress(line: str) -> None:
