@@ -64,7 +64,7 @@ def _run(options: argparse.Namespace) -> dict[str, object]:
     origin = f"evaluation of {options.start}"
     if not options.evaluate:
         found = fit(problem, options.starts, _log)
-        values = _rounded(found.values)
+        values = [parameter_file.rounded(value) for value in found.values]  # those of the file
         end = "" if found.converged else ", not converged"
         origin = f"fit, {options.starts} starts from {options.start}{end}"
     result = estimate(problem, values)
@@ -89,11 +89,6 @@ def build_problem(
         np.array([row.value for row in data.rows]),
         np.array([row.sigma for row in data.rows]),
     )
-
-
-def _rounded(values: Array) -> list[float]:
-    """Values rounded to the digits of the file, so that the estimate is that of the file."""
-    return [float(f"{value:.{parameter_file.DIGITS}g}") for value in values]
 
 
 def _write(

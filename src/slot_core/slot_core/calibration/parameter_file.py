@@ -55,12 +55,12 @@ def record(  # noqa: PLR0917
         "data": {"file": data.name, "sha256": data.sha256, "figures": len(data.rows)},
         "residuals": residuals(data, estimate),
         "fit": {
-            "sum_of_squares": _round(estimate.chi_square),
+            "sum_of_squares": rounded(estimate.chi_square),
             "degrees_of_freedom": estimate.freedom,
-            "condition": _round(estimate.condition),
+            "condition": rounded(estimate.condition),
             "at_limit": [n for n, at in zip(names, estimate.at_limit) if at],
         },
-        "confidence": {n: _interval(row) for n, row in zip(names, estimate.interval)},
+        "confidence": {n: interval_of(row) for n, row in zip(names, estimate.interval)},
         "correlation": [[_number(v, 3) for v in row] for row in estimate.correlation],
         "validity": data.validity(),
         "force_angle_line": lines(data, estimate.predicted),
@@ -74,9 +74,9 @@ def residuals(data: Data, estimate: ParameterEstimate) -> list[dict[str, Any]]:
             "kind": row.kind,
             **row.conditions(),
             "measured": row.value,
-            "predicted": _round(predicted),
+            "predicted": rounded(predicted),
             "sigma": row.sigma,
-            "off_by_sigma": _round((predicted - row.value) / row.sigma, 3),
+            "off_by_sigma": rounded((predicted - row.value) / row.sigma, 3),
         }
         for row, predicted in zip(data.rows, estimate.predicted)
     ]
@@ -104,10 +104,10 @@ def lines(data: Data, predicted: Array) -> list[dict[str, Any]]:
 
 def _line(line: ForceLine) -> dict[str, Any]:
     return {
-        "a_N": _round(line.a),
-        "b_N_per_deg": _round(line.b),
-        "a_confidence": _interval((line.a - line.a_half_width, line.a + line.a_half_width)),
-        "b_confidence": _interval((line.b - line.b_half_width, line.b + line.b_half_width)),
+        "a_N": rounded(line.a),
+        "b_N_per_deg": rounded(line.b),
+        "a_confidence": interval_of((line.a - line.a_half_width, line.a + line.a_half_width)),
+        "b_confidence": interval_of((line.b - line.b_half_width, line.b + line.b_half_width)),
         "residuals_N": [round(float(value), DIGITS) for value in line.residuals],
     }
 
@@ -174,15 +174,17 @@ def _line_table(line: Mapping[str, Any]) -> list[str]:
 RESULTS = ("kind", "measured", "predicted", "sigma", "off_by_sigma")
 
 
-def _round(value: float, digits: int = DIGITS) -> float:
+def rounded(value: float, digits: int = DIGITS) -> float:
+    """A value with its significant digits of the file."""
     return float(f"{value:.{digits}g}")
 
 
 def _number(value: float, digits: int) -> float | None:
-    return _round(value, digits) if math.isfinite(value) else None
+    return rounded(value, digits) if math.isfinite(value) else None
 
 
-def _interval(interval: Sequence[float] | Array) -> list[float] | str:
+def interval_of(interval: Sequence[float] | Array) -> list[float] | str:
+    """Ends of an interval with four digits; UNDETERMINED for NaN."""
     if any(math.isnan(value) for value in interval):
         return UNDETERMINED
-    return [_round(float(value), 4) for value in interval]
+    return [rounded(float(value), 4) for value in interval]

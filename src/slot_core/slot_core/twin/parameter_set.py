@@ -15,8 +15,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from slot_core import config
 from slot_core.calibration import parameter_file
 from slot_core.calibration.fit import ParameterEstimate
@@ -43,7 +41,8 @@ def record(
     recorded: Recorded, parts: ModelParts, start: str, found: TwinFit, note: str
 ) -> dict[str, Any]:
     """Content of the file; start: the set that the fit started from."""
-    values, given = dict(read_parameters(start)), changes(parts, found.names, _rounded(found))
+    fitted = [parameter_file.rounded(value) for value in found.estimate.values]
+    values, given = dict(read_parameters(start)), changes(parts, found.names, fitted)
     beside = {k: v for k, v in given["robot"].items() if k not in values}
     values |= {k: v for k, v in given["robot"].items() if k in values}
     kept = {part: read_parameters(start, part) for part in ("robot", "scene", "servo")}
@@ -65,7 +64,9 @@ def record(
             name: {"before": _errors(pair[0]), "after": _errors(pair[1])}
             for name, pair in (("fit", found.seen), ("held_out", found.held_out))
         },
-        "confidence": {n: _interval(row) for n, row in zip(found.names, result.interval)},
+        "confidence": {
+            n: parameter_file.interval_of(row) for n, row in zip(found.names, result.interval)
+        },
         "correlation": [[_number(v) for v in row] for row in result.correlation],
     }
 
@@ -118,21 +119,11 @@ def undetermined(names: tuple[str, ...], result: ParameterEstimate) -> list[str]
     return out
 
 
-def _rounded(found: TwinFit) -> list[float]:
-    return [float(f"{value:.{parameter_file.DIGITS}g}") for value in found.estimate.values]
-
-
 def _errors(errors: StrideErrors) -> dict[str, float]:
     summary = errors.summary()
     return {
         f"{key}_{unit}": round(scale * summary[key], 4) for key, (_, scale, unit) in UNITS.items()
     }
-
-
-def _interval(row: np.ndarray) -> list[float] | str:
-    if np.isnan(row).any():
-        return parameter_file.UNDETERMINED
-    return [float(f"{value:.4g}") for value in row]
 
 
 def _number(value: float) -> float | None:
