@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import correlate
+from scipy.signal import correlate, find_peaks
 
 from slot_core.config import ConfigError
 from slot_core.plane import rotate
@@ -116,13 +116,12 @@ def angle_period(recorded: Recorded) -> float:
     likeness = total / max(float(total[0]), 1e-12) / overlap
     low, high = (round(p / GRID) for p in PERIODS)
     part = likeness[low : min(high, len(t) // 2)]
-    peaks = 1 + np.flatnonzero((part[1:-1] >= part[:-2]) & (part[1:-1] > part[2:]))
-    good = peaks[part[peaks] > LEAST_CORRELATION] if len(peaks) else peaks
-    if not len(good):
+    peaks, _ = find_peaks(part, height=LEAST_CORRELATION)
+    if not len(peaks):
         raise ConfigError(
             f"{recorded.name}: the tendon angles are not periodic; name a length with --period"
         )
-    best = good[part[good] > 0.9 * part[good].max()][0]
+    best = peaks[part[peaks] > 0.9 * part[peaks].max()][0]
     return float((low + best) * GRID)
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 from scipy.optimize import least_squares
-from scipy.signal import correlate
+from scipy.signal import correlate, find_peaks
 from scipy.stats import t as student
 
 from slot_core.robot import Array
@@ -78,8 +78,7 @@ def align_times(pairs: Sequence[Pair], frame: str, offset: float | None = None) 
 
 def candidates(shifts: Array, score: Array) -> list[float]:
     """Shifts (s) of the highest peaks of the cross-correlation."""
-    peaks = 1 + np.flatnonzero((score[1:-1] >= score[:-2]) & (score[1:-1] > score[2:]))
-    peaks = np.append(peaks, np.argmax(score))
+    peaks = np.append(find_peaks(score)[0], np.argmax(score))
     peaks = peaks[score[peaks] > PEAK * score.max()]
     best = peaks[np.argsort(-score[peaks])][:PEAKS]
     return [float(shift) for shift in dict.fromkeys(shifts[best].tolist())]
