@@ -130,9 +130,8 @@ def fit_twin(
         raise ConfigError("--fit of the servo needs its commands: --angles /desired_joint_angles")
     seen, held_out = strides.split(settings.held_out)
     call = partial(stride_residuals, recorded, parts, tuple(names), (seen, settings))
-    blocks = residuals(
-        measured_track(recorded.motion), measured_track(recorded.motion), seen, settings
-    )
+    measured = measured_track(recorded.motion)
+    blocks = residuals(measured, measured, seen, settings)
     if len(blocks) <= len(names):
         raise ConfigError(
             f"{len(blocks)} windows of {settings.window} strides for {len(names)} parameters: no"
@@ -148,7 +147,6 @@ def fit_twin(
     result = estimate(problem, found.values, groups)
     best = changed(parts, names, found.values)
     before, after = (predict(recorded, each, settings) for each in (parts, best))
-    measured = measured_track(recorded.motion)
     return TwinFit(
         tuple(names),
         np.array([p.start for p in free]),
