@@ -70,7 +70,7 @@ class MarkerLocalizerNode(Node):
         if isinstance(fix, MarkerFix):
             self._odometry.publish(messages.fix_to_odometry(fix))
             return
-        self._odometry.publish(messages.lost_odometry(fix.stamp))
+        self._odometry.publish(messages.lost_odometry(fix))
         self.get_logger().warning(
             f"picture at {fix.stamp * 1e-9:.3f} s: {fix.reason}", throttle_duration_sec=1.0
         )

@@ -49,7 +49,7 @@ if TYPE_CHECKING:  # a node imports only the core modules that it runs
     from slot_core.simulation.plant import TrueState
     from slot_core.simulation.sensors import ImuReading, OdometryReading, PictureReading
     from slot_core.vision.camera import Camera
-    from slot_core.vision.localizer import MarkerFix
+    from slot_core.vision.localizer import MarkerFix, NoFix
 
 
 def ns_to_stamp(ns: int) -> Time:
@@ -95,9 +95,9 @@ def fix_to_odometry(fix: MarkerFix) -> Odometry:
     return message
 
 
-def lost_odometry(stamp: int) -> Odometry:
-    """That there is no pose at `stamp` (ns)."""
-    return _odometry(stamp, np.zeros(3), np.zeros(4), np.zeros(3), np.zeros(3))
+def lost_odometry(fix: NoFix) -> Odometry:
+    """That a picture gives no pose."""
+    return _odometry(*fix.odometry[:5])
 
 
 def _odometry(
@@ -131,7 +131,7 @@ def camera_to_msg(stamp: int, camera: Camera) -> CameraInfo:
     message.width, message.height = camera.width, camera.height
     message.distortion_model, message.d = camera.model, camera.distortion.tolist()
     message.k, message.r = camera.matrix.ravel(), np.eye(3).ravel()
-    message.p = np.hstack([camera.matrix, np.zeros((3, 1))]).ravel()
+    message.p = camera.projection.ravel()
     return message
 
 

@@ -48,6 +48,11 @@ class Camera:
         """Mean focal length, px."""
         return float(self.matrix[0, 0] + self.matrix[1, 1]) / 2
 
+    @property
+    def projection(self) -> Array:
+        """(3, 4) P = [K 0], of a single camera without rectification."""
+        return np.hstack([self.matrix, np.zeros((3, 1))])
+
     def equals(self, other: Camera) -> bool:
         """Whether all values are equal."""
         mine, its = ([c.width, c.height, *c.matrix.ravel(), *c.distortion] for c in (self, other))
@@ -135,7 +140,6 @@ def read_camera(path: Path) -> Camera:
 
 def camera_text(camera: Camera, name: str = "camera") -> str:
     """Content of the calibration file of a camera."""
-    projection = np.hstack([camera.matrix, np.zeros((3, 1))])
     content = {
         "image_width": camera.width,
         "image_height": camera.height,
@@ -144,7 +148,7 @@ def camera_text(camera: Camera, name: str = "camera") -> str:
         "distortion_model": camera.model,
         "distortion_coefficients": _matrix(camera.distortion[None]),
         "rectification_matrix": _matrix(np.eye(3)),
-        "projection_matrix": _matrix(projection),
+        "projection_matrix": _matrix(camera.projection),
     }
     return yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
 
