@@ -13,6 +13,7 @@ from slot_core.plane import rotate
 from slot_core.robot import TENDON_JOINTS, Array
 
 GROUND_TRUTH = "/ground_truth/odom"
+LEG_STATES = "/ground_truth/legs"
 ESTIMATE = "/mpc_state"
 CHAIN = ("/odom", "/mpc_state", "/gait_preview", "/ground_reaction_forces", "/desired_joint_angles")
 STAGES = ("state_estimator", "gait_scheduler", "mpc_controller", "force_mapper")

@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, FigureBase
 
 from slot_core.bags.bag import Bag, BagError
-from slot_core.bags.walk import read_motion, read_ticks, seconds, stride_period
+from slot_core.bags.walk import LEG_STATES, read_motion, read_ticks, seconds, stride_period
 from slot_core.report import panels
 from slot_core.report.metrics import WalkMetrics
 from slot_core.report.picture import Camera, Pose, draw_robot
@@ -20,7 +20,6 @@ from slot_core.report.shapes import FORCE_SCALE
 from slot_core.robot import LEGS, Array, read_robot
 
 DPI = 100
-LEG_STATES = "/ground_truth/legs"
 
 
 def dashboard(bag: Bag, metrics: WalkMetrics, path: Path) -> None:

@@ -22,14 +22,13 @@ import numpy as np
 
 from slot_core.bags.bag import Bag
 from slot_core.bags.measured import measured_motion, sound
-from slot_core.bags.walk import seconds
+from slot_core.bags.walk import LEG_STATES, seconds
 from slot_core.body_points import BODY_POINTS, COLUMNS, LEG_POINTS, TORSO, at_shares
 from slot_core.robot import LEGS, Array
 
 POINTS = (*BODY_POINTS, *LEG_POINTS)
 WIDE = ("time", "x", "y", "z")
 ATTITUDE = ("roll", "pitch", "yaw")
-SHAPES = "/ground_truth/legs"
 VIDEOS = {".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg"}
 LEAST_SAMPLES = 8
 DIGITS = 5  # decimals of written values: 10 us, 10 um
@@ -80,10 +79,10 @@ def write_points(path: Path, points: Mapping[str, Array], comments: Sequence[str
 def _from_bag(bag: Bag) -> Recording:
     motion = measured_motion(bag)
     tracks = {TORSO: (motion.t, motion.position, motion.rpy)}
-    if bag.counts.get(SHAPES, 0) > 1:
-        series = bag.series(SHAPES, "position")
+    if bag.counts.get(LEG_STATES, 0) > 1:
+        series = bag.series(LEG_STATES, "position")
         flat = series["position"].astype(float)
-        keep = sound(f"{bag.path}: {SHAPES}", series.stamp, flat)
+        keep = sound(f"{bag.path}: {LEG_STATES}", series.stamp, flat)
         t, nodes = seconds(series.stamp[keep]), flat[keep].reshape(len(keep), len(LEGS), -1, 3)
         for k, leg in enumerate(LEGS):
             places = np.array([at_shares(shape[k]) for shape in nodes])

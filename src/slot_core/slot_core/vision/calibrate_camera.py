@@ -19,7 +19,7 @@ from slot_core.arguments import positive_integer
 from slot_core.config import ConfigError
 from slot_core.vision.calibration import Calibration, View, calibrate, chessboard, find_view
 from slot_core.vision.camera import CameraError, camera_text
-from slot_core.vision.pictures import FilmError, read_film
+from slot_core.vision.pictures import PICTURES, FilmError, read_film
 from slot_core.vision.settings import VisionSettings, read_vision
 
 NAMES = ("f_x", "f_y", "c_x", "c_y", "k1", "k2", "p1", "p2", "k3")
@@ -85,8 +85,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--name", default="camera", help="name of the camera in the file (default: camera)")
     every = "use every Nth picture only, of a video for example every 15th (default: 1)"
     add("--every", type=positive_integer, default=1, metavar="N", help=every)
-    topic = "topic of the bag (default: /camera/image_raw)"
-    add("--topic", default="/camera/image_raw", metavar="TOPIC", help=topic)
+    topic = f"topic of the bag (default: {PICTURES})"
+    add("--topic", default=PICTURES, metavar="TOPIC", help=topic)
     return parser
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from slot_core.arguments import within
 from slot_core.bags.bag import Bag, BagError
+from slot_core.bags.walk import GROUND_TRUTH, LEG_STATES
 from slot_core.body_points import LEG_POINTS, TORSO, arc_length, at_shares
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS, Array, Robot, read_robot
@@ -35,7 +36,6 @@ from slot_core.vision.synthetic_camera import Imperfections, Surface, SyntheticC
 from slot_core.vision.track import write_tracks
 from slot_core.vision.tracker import Sample
 
-TRUTH, LEGS_TOPIC = "/ground_truth/odom", "/ground_truth/legs"
 BOARD = "film"
 DEPTH_NOISE = 0.002  # m, of a pixel of a RealSense D435 at 0.8 m
 CHESSBOARD, VIEWS = "chessboard", 30
@@ -206,11 +206,11 @@ def _film_chessboard(options: argparse.Namespace, settings: VisionSettings) -> i
 
 def _motion(bag: Bag) -> tuple[Array, list[Transform], Array]:
     """Times (n,) s, base_link in odom, and nodes (n, 4, N, 3) m of a recorded walk."""
-    truth = bag.series(TRUTH, "pose.pose.position", "pose.pose.orientation")
-    legs = bag.series(LEGS_TOPIC, "nodes", "position")
+    truth = bag.series(GROUND_TRUTH, "pose.pose.position", "pose.pose.orientation")
+    legs = bag.series(LEG_STATES, "nodes", "position")
     shared, mine, theirs = np.intersect1d(truth.stamp, legs.stamp, return_indices=True)
     if len(shared) < 2:
-        raise BagError(f"{bag.path}: fewer than two samples of {TRUTH} and {LEGS_TOPIC}")
+        raise BagError(f"{bag.path}: fewer than two samples of {GROUND_TRUTH} and {LEG_STATES}")
     count = int(legs["nodes"][0])
     places = truth["pose.pose.position"][mine]
     bases = [

@@ -18,6 +18,7 @@ from slot_core.vision.board import Picture
 from slot_core.vision.camera import Camera, CameraError, from_camera_info
 
 Depth = NDArray[np.uint16]
+PICTURES = "/camera/image_raw"  # topic of a bag
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 SYNCHRONOUS = 0.017  # s, largest distance of a depth picture from the picture
 
@@ -36,7 +37,7 @@ class Frame:
 
 
 def read_film(
-    path: Path, rate: float | None = None, depth: str = "", topic: str = "/camera/image_raw"
+    path: Path, rate: float | None = None, depth: str = "", topic: str = PICTURES
 ) -> Iterator[Frame]:
     """Frames of a video, a folder or a bag; raises FilmError.
 

@@ -26,6 +26,7 @@ from slot_core.robot import LEGS
 from slot_core.vision.camera import Camera, CameraError, nominal, read_camera
 from slot_core.vision.detector import other_dictionary
 from slot_core.vision.pictures import (
+    PICTURES,
     FilmError,
     Frame,
     bag_camera,
@@ -143,8 +144,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--leg", choices=LEGS, help="write the torso and this leg only")
     depth = "folder of 16-bit depth pictures (mm) registered to the pictures, or topic of the bag"
     add("--depth", default="", metavar="FOLDER|TOPIC", help=depth)
-    topic = "topic of the bag (default: /camera/image_raw)"
-    add("--topic", default="/camera/image_raw", metavar="TOPIC", help=topic)
+    topic = f"topic of the bag (default: {PICTURES})"
+    add("--topic", default=PICTURES, metavar="TOPIC", help=topic)
     rate = "pictures per second (default: the video's own; 30 for a folder)"
     add("--rate", type=within(0.1, 10000.0), metavar="HZ", help=rate)
     return parser
