@@ -255,8 +255,8 @@ class SupervisedLoop(ClosedLoop):
         self.reports.append((self.plant.now * 1e-9 - 1.0, BenchReport.of(report, gated)))
         return self.reports[-1][1]
 
-    def _read(self, readings):
-        super()._read(self._supervise(readings))
+    def read(self, readings):
+        super().read(self._supervise(readings))
 
     def _supervise(self, readings):
         """Give the supervisor the joint readings on their way to the controller."""

@@ -68,7 +68,6 @@ class DynamixelDriverNode(LifecycleNode):
         stall = read_servo().stall_torque
         self._stall_torque = np.array([abs(joint.tendon_torque(stall)) for joint in joints])
         self._open = self._active = False
-        self._locked = False  # torque went off by a rule of the driver or was refused; until OFF
         self._refusal = ""
         self._cycle: Cycle | None = None
         self._timer: Timer | None = None
@@ -194,16 +193,11 @@ class DynamixelDriverNode(LifecycleNode):
 
     def _on_robot_state(self, message: RobotState) -> None:
         permission = decode.permission(message, time.monotonic_ns())
-        action = permission.action
         self._session.permit(permission)
-        if self._session.limits is None:
-            return  # the supervisor publishes them at its start, on another topic
-        if action is Action.OFF:
-            self._locked = False
-            if self._active:
-                self.trigger_deactivate()
-        elif action is not Action.RELAX and self._timer and not (self._active or self._locked):
-            self._locked = self.trigger_activate() != SUCCESS
+        if permission.action is Action.OFF and self._active:
+            self.trigger_deactivate()
+        elif self._timer and not self._active and self._session.may_start(permission):
+            self.trigger_activate()
 
     def _step(self) -> None:
         before = self._session.action
@@ -217,7 +211,6 @@ class DynamixelDriverNode(LifecycleNode):
             self.get_logger().info(f"{self._session.action.name} {self._session.reason}".strip())
         self._publish(cycle)
         if self._active and not self._session.driver.active:
-            self._locked = bool(self._session.own_reason)
             self.trigger_deactivate()
 
     def _publish(self, cycle: Cycle) -> None:

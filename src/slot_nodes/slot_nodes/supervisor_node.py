@@ -20,13 +20,11 @@ from slot_core.robot import read_robot
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.start_up import StartUp
 from slot_core.safety.states import RELEASED, State
-from slot_core.safety.supervisor import Report, Request, Supervisor
+from slot_core.safety.supervisor import PERIOD, Report, Request, Supervisor
 from slot_core.safety.tendon_watch import read_tendon_watch
 from slot_msgs.msg import GroundReactionForces, MpcState, RobotState, ServoHealth, ServoLimits
 from slot_msgs.srv import SetGait
 from slot_nodes import inputs, messages, qos, runtime
-
-PERIOD = 0.02  # s, between two steps without an urgent input
 
 
 class SupervisorNode(Node):
@@ -145,8 +143,7 @@ class SupervisorNode(Node):
             self.get_logger().warning(line)
         else:
             self.get_logger().info(line)
-        keeps = report.state is State.HOLD or report.resumed
-        if not keeps:
+        if not report.keeps_gait:
             walking = report.state is State.WALKING
             self._wanted = self._walk if walking else messages.gait_request(STAND, 0.0, 0.0)
 

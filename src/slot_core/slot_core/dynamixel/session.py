@@ -70,6 +70,7 @@ class ServoSession:
         self._guard = CommandGuard(0.0, angle_max)
         self._slewed = np.zeros(len(LEGS), dtype=bool)
         self._offered = 0  # stamp of the last accepted command
+        self._locked = False  # torque went off by a rule of the session or was refused; until OFF
         self._off: TorqueOff | None = None  # of the last ramp, or None: torque went off otherwise
         self._last_step: int | None = None
         self._pause = 0.0  # s, the last between two steps that was long enough for a bus watchdog
@@ -104,6 +105,7 @@ class ServoSession:
             self.driver.activate()
         except RefusedError as error:
             self.action, self.reason = Action.OFF, f"torque refused: {error}"
+            self._locked = True
             raise
         self._guard.watchdog.engage(self.driver.goals())
         self._last_step, self._pause = None, 0.0
@@ -119,10 +121,18 @@ class ServoSession:
     def permit(self, permission: Permission) -> None:
         """Store the supervisor's permission; OFF switches torque off at once."""
         self._guard.permit(permission)
-        if permission.action is Action.OFF and self.driver.active:
+        if permission.action is not Action.OFF:
+            return
+        if self.driver.active:
             self._switch_off(permission.reason)
-        elif permission.action is Action.OFF:
+        else:
             self.reason = permission.reason
+        self._locked = False
+
+    def may_start(self, permission: Permission) -> bool:
+        """Whether a permission switches torque on; not after a RELAX or a refusal, until OFF."""
+        permits = permission.action in (Action.HOLD, Action.PASS) and self.limits is not None
+        return permits and not (self.driver.active or self._locked)
 
     def relax(self, reason: str) -> None:
         """Ramp the tendons to slack in the next steps, then torque off."""
@@ -150,6 +160,7 @@ class ServoSession:
         self._slewed = gated.slewed
         if not gated.torque:
             self._switch_off(self.reason)
+            self._locked = bool(self.own_reason)
         elif gated.action is not Action.HOLD:  # goals under HOLD may be below the range of commands
             self.driver.command(gated.angle)
 

@@ -40,16 +40,17 @@ class Memory:
 
     def __init__(self) -> None:
         self._bytes = bytearray(TABLE_END)
+        self._values: dict[str, int] = {}  # what the bytes stand for: they are read all the time
         for register in REGISTERS:
             self[register.name] = register.initial
 
     def __getitem__(self, name: str) -> int:
-        register = TABLE[name]
-        return register.decode(bytes(self._bytes[register.address : register.end]))
+        return self._values[name]
 
     def __setitem__(self, name: str, value: int) -> None:
         register = TABLE[name]
         self._bytes[register.address : register.end] = register.encode(value)
+        self._values[name] = int(value)
 
     def image(self) -> bytes:
         """Copy of all bytes, for `load`."""
@@ -58,6 +59,9 @@ class Memory:
     def load(self, image: bytes) -> None:
         """Restore a copy made by `image`."""
         self._bytes[:] = image
+        for register in REGISTERS:
+            own = bytes(self._bytes[register.address : register.end])
+            self._values[register.name] = register.decode(own)
 
     def reset(self, eeprom: bool, keep: tuple[str, ...] = ()) -> None:
         """Set the writable registers of RAM, with `eeprom` of EEPROM too, to their initial values.

@@ -7,6 +7,7 @@ equal to the last bit.
 from __future__ import annotations
 
 from slot_core.clock import Clock
+from slot_core.dynamixel.errors import PortError
 from slot_core.dynamixel.port import SerialPort
 from slot_core.emulator.emulated_bus import EmulatedBus
 
@@ -35,7 +36,12 @@ class MemoryPort(SerialPort):
         return data
 
     def writePort(self, packet: list[int]) -> int:  # noqa: N802
-        """Pass a packet to the bus and buffer the answers; returns the number of bytes sent."""
+        """Pass a packet to the bus and buffer the answers; returns the number of bytes sent.
+
+        Raises PortError while the bus is unplugged.
+        """
+        if self._bus.unplugged:
+            raise PortError(f"{self.port_name}: the port has disappeared")
         for reply in self._bus.receive(bytes(packet), self.baudrate):
             self._answers += reply.data
         return len(packet)

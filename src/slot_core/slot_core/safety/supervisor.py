@@ -32,6 +32,7 @@ from slot_core.safety.states import (
 )
 from slot_core.safety.tendon_watch import TendonReport, TendonWatch
 
+PERIOD = 0.02  # s, between two steps without an urgent input
 MOVING = (State.STANDING, State.WALKING)
 UNDER_TORQUE = (State.READY, *MOVING, State.HOLD)
 
@@ -71,6 +72,11 @@ class Report:
     warnings: tuple[str, ...]  # conditions that forbid motion now, one line each
     slack: Array  # (4,) m, extra length of the tendons, inferred from the load; NaN: unknown
     resumed: bool  # whether the last transition led from HOLD back to the state before it
+
+    @property
+    def keeps_gait(self) -> bool:
+        """Whether gait and velocity stay as they were requested last: in HOLD and after it."""
+        return self.state is State.HOLD or self.resumed
 
 
 class SteadyClock:

@@ -62,6 +62,7 @@ class ClosedLoop:
             if name.partition(".")[0] not in CHANGEABLE:
                 raise config.ConfigError(f"{name}: expected one of {', '.join(CHANGEABLE)}")
         nominal, simulated = read_robot(), read_scene(scene)
+        self.gaits = _changed(read_gaits(), "gait", given)
         mpc = config.replace(read_mpc(profile), {"acceptance.time_budget": math.inf})
         self.controller = Controller(
             nominal,
@@ -70,7 +71,7 @@ class ClosedLoop:
             gait,
             velocity,
             path,
-            gaits=_changed(read_gaits(), "gait", given),
+            gaits=self.gaits,
         )
         scenery = _changed(simulated, "scene", given)
         self._localizer = make_localizer(scenery.sensors.camera)
@@ -91,7 +92,7 @@ class ClosedLoop:
         Raises Divergence when the simulation diverges, and RuntimeError when the estimator has no
         estimate for an odometry reading.
         """
-        self._read(self.plant.readings_at_rest(LOCKSTEP_START))
+        self.read(self.plant.readings_at_rest(LOCKSTEP_START))
         self.plant.start(LOCKSTEP_START)
         for _ in range(ticks):
             ticks_now = list(iter(self.controller.poll, None))  # several after a gap
@@ -102,9 +103,10 @@ class ClosedLoop:
                 raise RuntimeError(
                     f"no estimate at {self.plant.now} ns: the odometry was not usable"
                 )
-            self._read(self.plant.advance_to_odometry())
+            self.read(self.plant.advance_to_odometry())
 
-    def _read(self, readings: Iterable[Reading]) -> None:
+    def read(self, readings: Iterable[Reading]) -> None:
+        """Give readings to the estimator."""
         for r in readings:
             if isinstance(r, ImuReading):
                 self.controller.estimator.add_imu(r.stamp, r.angular_velocity, r.specific_force)

@@ -43,7 +43,7 @@ class DrivenPlant(BusPlant):
     def start(self, stamp: int) -> None:
         """Begin at `stamp` (ns); the first bus cycle is due one period later."""
         super().start(stamp)
-        self._every(self._period, self._cycle)
+        self.every(self._period, self._cycle)
 
     def command(self, angle: Array) -> None:
         """Pass tendon angles (4,), rad, to the driver and run a bus cycle; raises ValueError."""

@@ -19,6 +19,7 @@ from slot_core.dynamixel.state import JointReading
 from slot_core.faults import BROKEN, NAN, SLACK, Fault, legs_of, require_simulated_legs
 from slot_core.paper.paper_robot import PaperRobot
 from slot_core.robot import LEGS, Array, Robot
+from slot_core.safety.servo_health import ServoHealth
 from slot_core.simulation.kernel_robot import KernelRobot
 from slot_core.simulation.rod_robot import RodRobot
 from slot_core.simulation.sensors import (
@@ -47,7 +48,15 @@ class TrueState:
     nodes: Array  # (4, N, 3) m in odom
 
 
-Reading = OdometryReading | PictureReading | ImuReading | JointReading | TrueState
+@dataclass(frozen=True)
+class ServoReport:
+    """Health of the servos at `stamp` (ns), on which the supervisor steps; None: not reported."""
+
+    stamp: int
+    health: ServoHealth | None
+
+
+Reading = OdometryReading | PictureReading | ImuReading | JointReading | TrueState | ServoReport
 
 
 @dataclass(frozen=True, order=True)
@@ -93,6 +102,7 @@ class Plant:
         odometry_rng, imu_rng, trouble_rng, camera_rng = rng.spawn(4)
         self.simulator = make_robot(robot, scene, servo)
         self.now = 0  # ns
+        self.held = False  # in its present pose: time runs, but nothing moves
         self._scene = scene
         self._step = round(scene.solver.step * 1e9)
         self._command = self.simulator.tendon_angle.copy()
@@ -127,11 +137,11 @@ class Plant:
         self.now = self._started = stamp
         sensors = self._scene.sensors
         if sensors.imu.enabled:
-            self._every(sensors.imu.period, self._read_imu)
+            self.every(sensors.imu.period, self._read_imu)
         if sensors.joints:
-            self._every(sensors.joint_period, self._read_joints)
+            self.every(sensors.joint_period, self._read_joints)
         placing = sensors.camera if sensors.camera.enabled else sensors.odometry
-        self._every(placing.period, self._read_odometry)
+        self.every(placing.period, self._read_odometry)
         for push in self._scene.pushes.values():
             self._schedule_push(push)
         for present in self._faults.values():
@@ -178,16 +188,8 @@ class Plant:
             yield from event.action()
         self._simulate(until)
 
-    def advance_to_odometry(self) -> Iterator[Reading]:
-        """Advance until odometry or a picture is due, which is the last reading yielded."""
-        while True:
-            for reading in self.advance(self._events[0].due):
-                yield reading
-                if isinstance(reading, (OdometryReading, PictureReading)):
-                    return
-
-    def _every(self, period: float, read: Callable[[], list[Reading]]) -> None:
-        """Schedule a periodic reading, first after one period."""
+    def every(self, period: float, read: Callable[[], list[Reading]]) -> None:
+        """Schedule a periodic reading (s), first after one period."""
         interval = round(period * 1e9)
 
         def action() -> list[Reading]:
@@ -195,6 +197,18 @@ class Plant:
             return read()
 
         self._schedule(self.now + interval, action)
+
+    def advance_to_odometry(self) -> Iterator[Reading]:
+        """Advance until odometry or a picture is due, which is the last reading yielded."""
+        return self.advance_to_reading(OdometryReading, PictureReading)
+
+    def advance_to_reading(self, *kinds: type) -> Iterator[Reading]:
+        """Advance until a reading of one of these kinds is due, which is the last one yielded."""
+        while True:
+            for reading in self.advance(self._events[0].due):
+                yield reading
+                if isinstance(reading, kinds):
+                    return
 
     def _schedule(self, due: int, action: Callable[[], list[Reading]]) -> None:
         heapq.heappush(self._events, _Event(due, next(self._number), action))
@@ -212,7 +226,8 @@ class Plant:
         """Advance in whole time steps; the periods of `config/scene` are multiples of the step."""
         steps = (until - self.now) // self._step
         if steps > 0:
-            self._advance_robot(steps)
+            if not self.held:
+                self._advance_robot(steps)
             self.now += steps * self._step
 
     def _advance_robot(self, steps: int) -> None:

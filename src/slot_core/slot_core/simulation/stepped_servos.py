@@ -1,0 +1,158 @@
+"""Servos stepped on the robot's clock, with the supervisor: simulated ones, and driver and bus.
+
+The robot is held in its starting pose until its servos first follow a command. From then on a
+servo without torque moves as on a robot. In every cycle the servos take the newest permission; in
+every second one they report, and the supervisor steps on the report.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from slot_core.clock import SECOND
+from slot_core.dynamics.servo import read_servo
+from slot_core.dynamixel.driver import Driver
+from slot_core.dynamixel.errors import PortError, RefusedError
+from slot_core.dynamixel.session import ServoSession, measured
+from slot_core.dynamixel.settings import DynamixelSettings
+from slot_core.emulator.memory_port import MemoryPort
+from slot_core.robot import Array
+from slot_core.safety.command_gate import Action
+from slot_core.safety.command_watchdog import Permission
+from slot_core.safety.servo_health import ServoHealth
+from slot_core.safety.settings import ServoLimits
+from slot_core.safety.supervisor import PERIOD
+from slot_core.simulation.bus_plant import BusPlant
+from slot_core.simulation.plant import Plant, Reading, ServoReport
+from slot_core.simulation.simulated_servos import GuardedServos
+
+CYCLE = 0.01  # s, of the servos, as the driver's bus cycles
+CYCLES = round(PERIOD / CYCLE)  # between two reports
+
+
+class SteppedServos(GuardedServos):
+    """Simulated servos behind the command watchdog, on the robot's clock."""
+
+    def __init__(self, plant: Plant) -> None:
+        super().__init__(plant)
+        plant.held, self.powered = True, False
+        self._number = 0  # of the cycle
+        self.commanded = self.written = 0  # ns, stamp of the newest command and when it arrived
+
+    def set_limits(self, limits: ServoLimits) -> None:
+        """Set the limits of the supervisor, from which on commands are accepted."""
+        super().set_limits(limits)
+        self.powered = True
+
+    def start(self) -> None:
+        """Begin the cycles; the robot's clock has started."""
+        self._plant.every(CYCLE, self._cycle)
+
+    def offer(self, now: int, stamp: int, angle: Array) -> None:
+        """Take a command (4,), rad, and step; raises ValueError if it is rejected."""
+        self.commanded, self.written = stamp, now
+        super().offer(now, stamp, angle)
+        self.step(now)
+
+    def report(self) -> ServoReport:
+        """The health now."""
+        return ServoReport(self._plant.now, self.health(self._plant.now))
+
+    def _cycle(self) -> list[Reading]:
+        self.step(self._plant.now)
+        follows = self.action is Action.PASS
+        self._plant.held = self._plant.held and not (follows or self.released)
+        self._number += 1
+        return [] if self._number % CYCLES else [self.report()]
+
+    def health(self, stamp: int) -> ServoHealth:
+        """Health report, with the newest command."""
+        return dataclasses.replace(
+            super().health(stamp), commanded=self.commanded, written=self.written
+        )
+
+
+class DrivenServos:
+    """Emulated servos behind driver and bus, on the robot's clock; exchanges take no time.
+
+    A driver whose port disappears ends, as the node does. One that has ended neither reads nor
+    writes nor reports.
+    """
+
+    def __init__(self, plant: BusPlant, settings: DynamixelSettings) -> None:
+        """Check every servo; raises RefusedError."""
+        self._plant, self._number = plant, 0
+        port = MemoryPort(plant.legs.bus, settings.bus.baud, self._seconds)
+        driver = Driver(port, settings, self._seconds)
+        angle_max = plant.simulator.robot.tendon.angle_max
+        self.session = ServoSession(driver, angle_max, CYCLE, lambda _: None)
+        stall = read_servo().stall_torque
+        self._stall_torque = np.array([abs(j.tendon_torque(stall)) for j in driver.joints])
+        self.ended = False
+        self._was_on = False
+        plant.held = True
+        self.session.configure()
+
+    @property
+    def action(self) -> Action:
+        """What the servos do with commands."""
+        return self.session.action
+
+    def set_limits(self, limits: ServoLimits) -> None:
+        """Set the limits of the supervisor; raises ConfigError as `CommandGate` does."""
+        self.session.set_limits(limits)
+
+    def start(self) -> None:
+        """Begin the cycles; the robot's clock has started."""
+        self._plant.every(CYCLE, self._cycle)
+
+    def permit(self, permission: Permission) -> None:
+        """Set the newest permission of the supervisor; it switches torque on or off at once."""
+        if self.ended:
+            return
+        self.session.permit(permission)
+        if self.session.may_start(permission):
+            try:
+                self.session.start()
+            except RefusedError:
+                return  # the session reports it
+
+    def offer(self, now: int, stamp: int, angle: Array) -> None:
+        """Take a command (4,), rad, with a bus cycle; raises ValueError if it is rejected."""
+        if self.ended:
+            return
+        if fault := self.session.offer(now, stamp, angle):
+            raise ValueError(fault)
+        self._exchange()
+
+    def report(self) -> ServoReport:
+        """The health now, unless the driver has ended."""
+        now = self._plant.now
+        return ServoReport(now, None if self.ended else self.session.health(now))
+
+    def _cycle(self) -> list[Reading]:
+        readings = self._exchange()
+        self._number += 1
+        return readings if self._number % CYCLES else [*readings, self.report()]
+
+    def _exchange(self) -> list[Reading]:
+        """A bus cycle; the joints if every servo has answered."""
+        if self.ended:
+            return []
+        now = self._plant.now
+        try:
+            cycle = self.session.step(now)
+        except PortError:
+            self.ended = True
+            return []
+        on = self.session.driver.active
+        self._was_on = self._was_on or on
+        released = self._was_on and not on
+        self._plant.held = self._plant.held and not (self.action is Action.PASS or released)
+        reading = measured(now, cycle, self._stall_torque)
+        return [] if reading is None else [reading]
+
+    def _seconds(self) -> float:
+        return self._plant.now / SECOND

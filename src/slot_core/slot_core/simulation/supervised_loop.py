@@ -1,0 +1,191 @@
+"""Controller, supervisor, servos and simulated robot on one clock: the graph, without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from slot_core import config
+from slot_core.clock import SECOND
+from slot_core.control.controller import Tick
+from slot_core.control.gait import STAND
+from slot_core.control.mpc.mpc import DEFAULT_PROFILE
+from slot_core.dynamics.scene import Scene
+from slot_core.dynamics.servo import ServoSettings
+from slot_core.dynamixel.settings import read_settings
+from slot_core.dynamixel.state import JointReading
+from slot_core.emulator.emulated_bus import read_emulator
+from slot_core.robot import Array, Robot, read_robot
+from slot_core.safety.command_watchdog import Permission
+from slot_core.safety.settings import read_supervisor
+from slot_core.safety.start_up import StartUp
+from slot_core.safety.states import State
+from slot_core.safety.supervisor import Report, Request, Supervisor
+from slot_core.safety.tendon_watch import read_tendon_watch
+from slot_core.safety.ticked_supervisor import TickedSupervisor
+from slot_core.simulation.bus_plant import BusPlant
+from slot_core.simulation.clocks import LOCKSTEP_START
+from slot_core.simulation.closed_loop import ClosedLoop, PlantMaker
+from slot_core.simulation.plant import Plant, Reading, ServoReport
+from slot_core.simulation.stepped_servos import DrivenServos, SteppedServos
+
+
+def make_bus_plant(
+    robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator
+) -> BusPlant:
+    """Simulated robot on emulated servos as configured."""
+    settings, emulator = read_settings(), read_emulator()
+    return BusPlant(robot, scene, servo, rng, settings=settings, emulator=emulator)
+
+
+MAKERS: dict[str, PlantMaker] = {"sim": Plant, "fake_bus": make_bus_plant}
+
+
+class SupervisedLoop:
+    """Closed loop with the supervisor, which stands the robot up and lets it walk.
+
+    The time limits are those of `config/supervisor.yaml`, on the robot's clock: whatever happens
+    takes the same simulated time on every machine. Deterministic like `ClosedLoop`; with simulated
+    servos it equals the graph in lockstep.
+    """
+
+    def __init__(
+        self,
+        scene: str,
+        gait: str,
+        velocity: Array | None,
+        seed: int,
+        profile: str = DEFAULT_PROFILE,
+        *,
+        hardware: str = "sim",
+        changes: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Build controller, supervisor, servos and plant; arguments as for `ClosedLoop`.
+
+        hardware: `sim` or `fake_bus`, the driver with emulated servos.
+        """
+        self.loop = ClosedLoop(
+            scene, STAND, None, seed, profile, changes=changes, make=MAKERS[hardware]
+        )
+        self.plant = self.loop.plant
+        self.report: Report | None = None  # the last
+        self.running = {*_MESSAGES, "supervisor"}  # nodes whose messages arrive
+        found = self.loop.gaits.find(gait)
+        self._gait = gait, np.array([found.cruise, 0.0, 0.0]) if velocity is None else velocity
+        robot, settings = read_robot(), read_supervisor()
+        settings = config.replace(settings, {"estop_required": False})
+        self.supervisor = Supervisor(robot, settings, read_tendon_watch(robot, settings.tendon))
+        self.supervisor.receive_gait(LOCKSTEP_START, found.period)
+        walk = [Request.WALK] * (gait != STAND)
+        self.ticked = TickedSupervisor(
+            self.supervisor, StartUp(Request.READY, Request.STAND, *walk)
+        )
+        self.servos: SteppedServos | DrivenServos
+        if isinstance(self.plant, BusPlant):
+            self.servos = DrivenServos(self.plant, read_settings())
+        else:
+            self.servos = SteppedServos(self.plant)
+        self.servos.set_limits(settings.servo_limits)
+
+    def run(self, seconds: float) -> Iterator[Report]:
+        """Advance the robot's clock and yield each report of the supervisor, every 20 ms.
+
+        Raises Divergence when the simulation diverges.
+        """
+        if self.report is None:
+            yield self._begin()
+        end = self.plant.now + round(seconds * SECOND)
+        while self.plant.now < end:
+            report = self._take(self.plant.advance_to_reading(ServoReport))
+            if report is not None:
+                yield report
+
+    def _begin(self) -> Report:
+        """Take the readings at rest, step the supervisor once, start the robot's clock."""
+        self._take(self.plant.readings_at_rest(LOCKSTEP_START))
+        report = self.supervise(self.servos.report())
+        self.plant.start(LOCKSTEP_START)
+        self.servos.start()
+        assert report is not None
+        return report
+
+    def _take(self, readings: Iterable[Reading]) -> Report | None:
+        """Take readings in turn; returns the supervisor's report on that of the servos."""
+        report = None
+        for reading in readings:
+            if isinstance(reading, ServoReport):
+                report = self.supervise(reading)
+            elif isinstance(reading, JointReading):
+                self.receive_joints(reading)
+            else:
+                self.receive(reading)
+                for tick in iter(self.loop.controller.poll, None):
+                    self.control(tick)
+        return report
+
+    def receive(self, reading: Reading) -> None:
+        """Give a reading to the state estimator."""
+        self.loop.read([reading])
+
+    def receive_joints(self, reading: JointReading) -> None:
+        """Give the joints to the supervisor."""
+        r, supervisor = reading, self.supervisor
+        self.ticked.add(
+            "joints",
+            r.stamp,
+            lambda now: supervisor.receive_joints(now, r.stamp, r.angle, r.torque),
+        )
+
+    def control(self, tick: Tick) -> None:
+        """Give a tick of the controller to the supervisor, and its command to the servos."""
+        now = self.plant.now
+        for node, receive in _MESSAGES.items():
+            if node in self.running:
+                self.ticked.add(node, now, partial(receive, self.supervisor, tick))
+        if "force_mapper" in self.running:
+            with suppress(ValueError):  # rejected; the supervisor finds the same
+                self.servos.offer(now, tick.estimate.stamp, tick.command.angle)
+
+    def supervise(self, report: ServoReport) -> Report | None:
+        """Step the supervisor on a report of the servos, which take its permission."""
+        if "supervisor" not in self.running:
+            return None
+        last, self.report = self.report, self.ticked.step(report.stamp, report.health)
+        if last is None or (last.state, last.since) != (self.report.state, self.report.since):
+            self._request_gait(self.report)
+        fast = self.report.state is State.WALKING
+        permission = Permission(report.stamp, self.report.action, fast, self.report.reason)
+        self.servos.permit(permission)
+        return self.report
+
+    def _request_gait(self, report: Report) -> None:
+        if not report.keeps_gait:
+            walking = report.state is State.WALKING
+            gait = self._gait if walking else (STAND, np.zeros(3))
+            self.loop.controller.scheduler.request(*gait)
+
+
+def _receive_estimate(supervisor: Supervisor, tick: Tick, now: int) -> None:
+    supervisor.receive_heartbeat(now, "state_estimator")
+    supervisor.receive_estimate(now, tick.estimate)
+
+
+def _receive_mpc(supervisor: Supervisor, tick: Tick, now: int) -> None:
+    supervisor.receive_heartbeat(now, "mpc_controller")
+    supervisor.receive_mpc(now, tick.result.status, tick.result.fallback_cycles)
+
+
+def _receive_command(supervisor: Supervisor, tick: Tick, now: int) -> None:
+    supervisor.receive_heartbeat(now, "force_mapper")
+    supervisor.receive_command(now, tick.estimate.stamp, tick.command.angle)
+
+
+_MESSAGES = {  # of a tick to the supervisor, by node
+    "state_estimator": _receive_estimate,
+    "mpc_controller": _receive_mpc,
+    "force_mapper": _receive_command,
+}

@@ -1,0 +1,152 @@
+"""The whole loop on simulated time with the faults of slot_bringup/doc/safety.md."""
+
+import dataclasses
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from slot_core.clock import SECOND
+from slot_core.emulator.memory import TRIPPED
+from slot_core.faults import Fault
+from slot_core.robot import read_robot
+from slot_core.safety.command_gate import Action
+from slot_core.safety.states import State
+from slot_core.simulation.clocks import LOCKSTEP_START
+from slot_core.simulation.sensors import OdometryReading
+from slot_core.simulation.stepped_servos import CYCLE, DrivenServos
+from slot_core.simulation.supervised_loop import SupervisedLoop
+
+ANGLE_MAX = read_robot().tendon.angle_max  # rad
+BEGIN = 1.0  # s since the start, of the fault; the robot walks since 0.34 s
+
+
+class FaultyLoop(SupervisedLoop):
+    """A walk on the flat floor, with dead nodes and bad inputs."""
+
+    def __init__(self, hardware):
+        super().__init__("flat", "walk", None, 0, hardware=hardware)
+        self.first, self.reasons = {}, {}  # s since the fault, and the reason of a state
+        self.odometry_lost = False
+        self.change_odometry = self.change_command = lambda value: value
+        self.estop = None  # whether it is pressed; None: no source
+        self.clock_offset = 0  # ns, of the computer's clock
+
+    def react(self, fault, last, limit):
+        """Walk, let `fault` happen, and run until the event `last`, at most for `limit` s.
+
+        Events are states of the robot, actions of the servos, slewed commands, torque off, and
+        servos that their own watchdog has stopped. `first` has the first time of each.
+        """
+        list(self.run(BEGIN))
+        assert self.report.state is State.WALKING
+        self.plant.every(CYCLE, self._watch)  # after the cycle of the servos
+        fault(self)
+        for report in self.run(limit):
+            self._note(report.state.name, report.reason)
+            if last in self.first:
+                return
+
+    def _watch(self):
+        """Note what the servos do after a cycle."""
+        self._note(self.servos.action.name)
+        health = self.servos.report().health
+        if isinstance(self.servos, DrivenServos):
+            powered = self.plant.powered()
+            servos = self.plant.legs.bus.servos
+            if all(servo.memory["bus_watchdog"] == TRIPPED for servo in servos):
+                self._note("servos stopped")
+        else:
+            powered = health.torque
+        if not any(powered):
+            self._note("torque off")
+        if health is not None and health.slewed.any() and health.action is Action.PASS:
+            self._note("slewed")
+        return []
+
+    def _note(self, event, reason=""):
+        since = (self.plant.now - LOCKSTEP_START) / SECOND - BEGIN
+        self.first.setdefault(event, round(since, 9))
+        self.reasons.setdefault(event, reason)
+
+    # faults
+
+    def kill(self, *nodes):
+        """Let nodes neither receive nor send."""
+        self.running -= {*nodes}
+
+    def end_driver(self):
+        """End the driver as SIGKILL does."""
+        self.servos.ended = True
+
+    def inject(self, kind, value=0.0):
+        """A fault of the leg or servo FL."""
+        self.plant.inject(Fault(kind, "FL", 0.0, 0.0, value))
+
+    def lose_odometry(self):
+        self.odometry_lost = True
+
+    def spoil_odometry(self):
+        """Let the position of the odometry be NaN."""
+        self.change_odometry = lambda o: dataclasses.replace(o, position=np.full(3, np.nan))
+
+    def tilt(self, axis):
+        """Let the odometry be tilted by 0.75 rad."""
+        turn = Rotation.from_euler(axis, 0.75)
+
+        def tilted(odometry):
+            after = Rotation.from_quat(odometry.quaternion) * turn
+            return dataclasses.replace(odometry, quaternion=after.as_quat())
+
+        self.change_odometry = tilted
+
+    def spoil_problem(self):
+        """Let the MPC's problem have no solution."""
+        step = self.loop.controller.scheduler.step
+
+        def invalid(*arguments):
+            preview = step(*arguments)
+            return dataclasses.replace(preview, friction=np.full_like(preview.friction, np.nan))
+
+        self.loop.controller.scheduler.step = invalid
+
+    def spoil_command(self, value):
+        """Let commands have an angle that is not allowed."""
+        self.change_command = lambda angle: np.array([*angle[:3], value])
+
+    def jump_command(self):
+        """Let the commands jump over the whole range with every tick."""
+        ends = iter(np.tile([0.0, ANGLE_MAX], 1000))
+        self.change_command = lambda _: np.full(4, next(ends))
+
+    def press_estop(self):
+        self.estop = True
+
+    def lose_estop(self):
+        self.estop = None
+
+    def jump_clock(self):
+        """Let the computer's clock jump by 0.6 s."""
+        self.clock_offset = 600_000_000
+
+    # the loop
+
+    def receive(self, reading):
+        if isinstance(reading, OdometryReading):
+            if self.odometry_lost:
+                return
+            reading = self.change_odometry(reading)
+        super().receive(reading)
+
+    def control(self, tick):
+        angle = self.change_command(tick.command.angle)
+        command = dataclasses.replace(tick.command, angle=angle)
+        super().control(dataclasses.replace(tick, command=command))
+
+    def supervise(self, report):
+        if self.estop is not None:
+            pressed = self.estop
+            self.ticked.add(
+                "e-stop", report.stamp, lambda now: self.supervisor.receive_estop(now, pressed)
+            )
+        shifted = dataclasses.replace(report, stamp=report.stamp + self.clock_offset)
+        return super().supervise(shifted)

@@ -1,0 +1,156 @@
+"""The table of faults in slot_bringup/doc/safety.md at the limits of config/, to a servo's cycle.
+
+Everything runs on the robot's clock, so the times are the same on every machine.
+"""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from faulty_loop import ANGLE_MAX, FaultyLoop
+
+from slot_core.control.gait import read_gaits
+from slot_core.control.mpc.mpc import read_mpc
+from slot_core.control.state_estimator import read_estimator
+from slot_core.dynamixel.errors import RefusedError
+from slot_core.dynamixel.settings import read_settings
+from slot_core.faults import Fault
+from slot_core.safety.settings import read_supervisor
+from slot_core.safety.states import State
+from slot_core.safety.supervisor import PERIOD
+from slot_core.simulation import supervised_loop
+from slot_core.simulation.stepped_servos import CYCLE
+
+PAGE = Path(__file__).parents[2] / "slot_bringup" / "doc" / "safety.md"
+SETTINGS = read_supervisor()
+TIMING = SETTINGS.timing
+ODOMETRY = 0.033  # s, between two readings; the last command came up to so long before the fault
+STRIDE = read_gaits().strides["walk"].period
+GAP = read_estimator().timing.odometry_gap
+CONTROLLER = ("state_estimator", "mpc_controller", "force_mapper")
+BOTH = ("sim", "fake_bus")
+
+
+def within(limit):
+    """Bounds (s) of an event with a limit from the cause on: a step of the supervisor later."""
+    return 0.0, limit + PERIOD + CYCLE
+
+
+def after(limit):
+    """Bounds (s) of an event with a limit from the last message on, and no sooner."""
+    return limit - ODOMETRY, limit + PERIOD + CYCLE
+
+
+LOST = {"HOLD": after(TIMING.command_hold), "RELAX": after(TIMING.command_lost)}
+ERROR = ("RELAX", {"RELAX": within(0.0)}, ("fake_bus",))
+NO_DRIVER = {
+    "servos stopped": after(read_settings().servo.watchdog), "RELAX": after(TIMING.servo_silent),
+}  # fmt: skip
+
+# Row of the table: fault, last event, bounds of its events (s), hardware.
+ROWS = {
+    "a node of the controller dead": (
+        lambda loop: loop.kill(*CONTROLLER), "torque off", LOST, BOTH),
+    "odometry lost": (
+        FaultyLoop.lose_odometry, "torque off",
+        {"HOLD": after(TIMING.command_hold), "RELAX": after(GAP + TIMING.command_lost)}, ("sim",)),
+    "command not finite": (
+        lambda loop: loop.spoil_command(np.nan), "torque off",
+        {"HOLD": within(ODOMETRY), "RELAX": after(TIMING.command_lost)}, ("sim",)),
+    "command out of range": (
+        lambda loop: loop.spoil_command(ANGLE_MAX + 0.1), "HOLD", {"HOLD": within(ODOMETRY)},
+        BOTH),
+    "command too fast": (
+        FaultyLoop.jump_command, "slewed", {"slewed": within(2 * ODOMETRY)}, ("sim",)),
+    "supervisor dead": (lambda loop: loop.kill("supervisor"), "torque off", LOST, BOTH),
+    "no usable estimate": (
+        FaultyLoop.spoil_odometry, "HOLD",
+        {"HOLD": after((SETTINGS.estimate.coast_cycles + 1) * ODOMETRY)}, ("sim",)),
+    "no solution of the MPC": (
+        FaultyLoop.spoil_problem, "HOLD",
+        {"HOLD": after((read_mpc().fallback.cycles + 1) * ODOMETRY)}, ("sim",)),
+    "tendon 5 mm longer": (
+        lambda loop: loop.inject("tendon_slack", 5e-3), "HOLD", {"HOLD": within(STRIDE)},
+        ("sim",)),
+    "tendon broken": (
+        lambda loop: loop.inject("tendon_broken"), "torque off",
+        {"HOLD": within(STRIDE), "RELAX": within(STRIDE + TIMING.hold_max)}, ("sim",)),
+    "clock jumps": (FaultyLoop.jump_clock, "HOLD", {"HOLD": within(0.0)}, ("sim",)),
+    "roll too large": (
+        lambda loop: loop.tilt("x"), "torque off", {"RELAX": within(5 * ODOMETRY)}, ("sim",)),
+    "pitch too large": (
+        lambda loop: loop.tilt("y"), "RELAX", {"RELAX": within(5 * ODOMETRY)}, ("sim",)),
+    "servo silent": (
+        lambda loop: loop.inject("silent"), "FAULT", {"RELAX": after(TIMING.servo_silent)},
+        ("fake_bus",)),
+    "servo: overload": (
+        lambda loop: loop.inject("overload"), "torque off", {"RELAX": within(0.0)}, ("fake_bus",)),
+    "servo: overheating": (lambda loop: loop.inject("overheating", 90.0), *ERROR),
+    "servo: input voltage": (lambda loop: loop.inject("undervoltage", 8.0), *ERROR),
+    "adapter unplugged": (lambda loop: loop.inject("unplugged"), "RELAX", NO_DRIVER, ("fake_bus",)),
+    "driver killed": (FaultyLoop.end_driver, "RELAX", NO_DRIVER, ("fake_bus",)),
+    "e-stop pressed": (FaultyLoop.press_estop, "torque off", {"ESTOP": within(0.0)}, BOTH),
+    "e-stop's source lost": (
+        FaultyLoop.lose_estop, "torque off", {"ESTOP": after(TIMING.estop)}, ("sim",)),
+}  # fmt: skip
+CASES = [(row, hardware) for row, entry in ROWS.items() for hardware in entry[3]]
+EVENTS = ("slewed", "HOLD", "servos stopped", "RELAX", "ESTOP", "torque off")
+
+
+def measured(loop):
+    """The events in their order, as in the page."""
+    found = sorted((time, event) for event, time in loop.first.items() if event in EVENTS)
+    return ", ".join(f"{event} {time:.2f} s" for time, event in found)
+
+
+def page_rows():
+    """The page's figures by row and hardware."""
+    text = PAGE.read_text().partition("| at 1 s of a walk |")[2].partition("\n\n")[0]
+    rows = [line.strip("| ").split(" | ") for line in text.splitlines()[2:]]
+    return {
+        (row[0], hardware): cell
+        for row in rows
+        for hardware, cell in zip(("sim", "fake_bus"), row[1:])
+        if cell.strip("- ")
+    }
+
+
+@pytest.mark.parametrize(("row", "hardware"), CASES)
+def test_a_fault_of_a_walking_robot_ends_as_the_table_says_at_the_time_it_says(row, hardware):
+    fault, last, bounds, _ = ROWS[row]
+    loop = FaultyLoop(hardware)
+    if row == "e-stop's source lost":
+        loop.estop = False
+    loop.react(fault, last, 8.0)
+    assert measured(loop) == page_rows()[row, hardware]
+    for event, (low, high) in bounds.items():
+        assert low < loop.first[event] <= high, event
+
+
+def test_every_figure_of_the_page_is_tested():
+    assert set(page_rows()) == set(CASES)
+
+
+def test_a_hold_ends_a_fifth_of_a_second_after_its_reason_and_the_robot_walks_on():
+    loop = FaultyLoop("sim")
+    loop.react(lambda loop: loop.spoil_command(np.nan), "HOLD", 1.0)
+    loop.change_command = lambda angle: angle
+    begin = loop.plant.now
+    walks = next(r for r in loop.run(1.0) if r.state is State.WALKING)
+    taken = (walks.since - begin) * 1e-9
+    assert TIMING.recovery < taken <= TIMING.recovery + ODOMETRY + 2 * PERIOD
+
+
+def test_a_servo_with_a_wrong_id_is_refused_and_named_without_torque(monkeypatch):
+    plants = []
+
+    def make(*arguments):
+        plants.append(supervised_loop.make_bus_plant(*arguments))
+        plants[0].inject(Fault("wrong_id", "FL", 0.0, 0.0, 9))
+        return plants[0]
+
+    monkeypatch.setitem(supervised_loop.MAKERS, "fake_bus", make)
+    with pytest.raises(RefusedError, match=re.escape("servo FL (id 5): ping: ")):
+        FaultyLoop("fake_bus")
+    assert plants[0].powered() == ()
