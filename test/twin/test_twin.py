@@ -237,7 +237,7 @@ def test_an_interrupted_fit_takes_up_its_trials(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        ([str(Path(__file__).parent)], "no metadata.yaml: not a bag"),
+        ([str(Path(__file__).parent)], "holds no metadata.yaml, .mcap or .db3 file: not a bag"),
         ([WALK], "strides of 0.7 s after a run-in of 2, less than 5"),
         ([WALK, "--fit", "colour"], "--fit colour: expected one of friction"),
         ([WALK, "--fit", "friction,friction"], "a parameter is named twice"),

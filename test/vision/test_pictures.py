@@ -9,8 +9,8 @@ import pytest
 from views import CAMERA
 
 from slot_core.bags.bag_writer import BagWriter
-from slot_core.bags.record_settings import read_record_settings
 from slot_core.bags.message_types import message_types
+from slot_core.bags.record_settings import read_record_settings
 from slot_core.vision import picture_message
 from slot_core.vision.pictures import FilmError, bag_camera, read_film
 
