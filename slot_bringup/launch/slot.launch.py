@@ -2,14 +2,20 @@
 
 from typing import Any
 
-from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, RegisterEventHandler
+from launch import Action, LaunchContext, LaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    ExecuteProcess,
+    OpaqueFunction,
+    RegisterEventHandler,
+)
 from launch.event_handlers import OnProcessExit
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from slot_bringup.check import check
-from slot_bringup.graph import read_graph
+from slot_bringup.graph import TIED, read_graph
+from slot_bringup.stock_recorder import record_command
 
 GRAPH = read_graph()
 
@@ -27,17 +33,26 @@ def generate_launch_description() -> LaunchDescription:
                 )
                 for argument in GRAPH.arguments
             ),
+            DeclareLaunchArgument(
+                "recorder",
+                default_value="slot",
+                description="what records the bag: the own node, or ros2 bag record",
+                choices=("slot", "ros2bag"),
+            ),
             OpaqueFunction(function=_start_nodes),
             RegisterEventHandler(OnProcessExit(on_exit=_end)),
         ]
     )
 
 
-def _start_nodes(context: LaunchContext) -> list[Node]:
+def _start_nodes(context: LaunchContext) -> list[Action]:
     given = context.launch_configurations
     values = {argument.name: argument.parse(given[argument.name]) for argument in GRAPH.arguments}
     check(values)
-    return [
+    stock = [_stock_recorder(values)] if given["recorder"] == "ros2bag" and values["bag"] else []
+    if stock:
+        values |= {"bag": ""}  # no node that records, and no robot that waits for it
+    return stock + [
         Node(
             package=spec.package,
             executable=spec.name,
@@ -52,6 +67,12 @@ def _start_nodes(context: LaunchContext) -> list[Node]:
         )
         for spec in GRAPH.nodes(values)
     ]
+
+
+def _stock_recorder(values: dict[str, Any]) -> ExecuteProcess:
+    """`ros2 bag record` of the same topics."""
+    command = record_command(values["bag"], values["namespace"], GRAPH.about(values))
+    return ExecuteProcess(cmd=[*TIED, *command], output="screen")
 
 
 def _typed(value: Any) -> Any:

@@ -97,7 +97,7 @@ class Graph:
     def nodes(self, values: Mapping[str, Any]) -> list[NodeSpec]:
         """Nodes to start; `values` holds the value of every argument by name."""
         values = {**values, **_ports(values["hardware"], values["port"]), **_start_up(values)}
-        values |= _camera(values) | {"about": self._about(values)}
+        values |= _camera(values) | {"about": self.about(values)}
         remappings = {name: _value(target, values) for name, target in self._remappings.items()}
         first = ("chrt", "--fifo", str(values["realtime"])) if values["realtime"] else ()
         specs = [
@@ -116,10 +116,15 @@ class Graph:
         ]
         return self._composed(specs) if values["composed"] else specs
 
-    def _about(self, values: Mapping[str, Any]) -> str:
-        """The arguments that say how a bag came about, as JSON: all that are set but its place."""
-        names = [a.name for a in self.arguments if a.name not in ("bag", "port")]
-        return json.dumps({name: values[name] for name in names if values[name] not in (None, "")})
+    def about(self, values: Mapping[str, Any]) -> str:
+        """The arguments that say how a bag came about, as JSON: the main ones and those changed."""
+        told = {
+            a.name: values[a.name]
+            for a in self.arguments
+            if a.name in ("hardware", "gait", "scene")
+            or (a.name not in ("bag", "port") and values[a.name] != a.default)
+        }
+        return json.dumps(told)
 
     def _composed(self, specs: list[NodeSpec]) -> list[NodeSpec]:
         """The nodes with those that are composable in one process.

@@ -11,6 +11,7 @@ import pytest
 from slot_bringup.check import check
 from slot_bringup.graph import read_graph
 from slot_bringup.processes import command_line
+from slot_core.bags.record_settings import read_record_settings
 from slot_core.config import ConfigError
 
 
@@ -206,6 +207,28 @@ def test_the_launch_file_starts_the_nodes_of_the_description(graph, monkeypatch)
         assert node["prefix"] == "setpriv --pdeathsig TERM"
 
 
+def test_the_launch_file_records_the_same_topics_with_ros2_bag(monkeypatch):
+    given = {"bag": "somewhere", "recorder": "ros2bag", "namespace": "fred", "gait": "crawl"}
+    stock, *nodes = load_launch_file(monkeypatch, given)
+    assert "recorder" not in {node["name"] for node in nodes}
+    robot = next(node for node in nodes if node["name"] == "sim_robot")
+    assert "wait_for_recording" not in robot["parameters"][0]  # of the own recorder
+    words = stock["cmd"]
+    assert words[:3] == ["setpriv", "--pdeathsig", "TERM"]
+    assert words[3:8] == ["ros2", "bag", "record", "--output", "somewhere"]
+    assert words[words.index("--topics") + 1 :] == [*read_record_settings("fred").topics]
+    about = words[words.index("--custom-data") + 1 : words.index("--topics")]
+    assert about[0].startswith("revision=")
+    assert about[1:] == ["hardware=sim", "gait=crawl", "scene=flat", "namespace=fred"]
+
+
+def test_without_hardware_a_played_bag_gives_sensors_and_clock(graph):
+    nodes = {s.name: s for s in graph.nodes(values(graph, hardware="none", bag="somewhere"))}
+    assert not {"sim_robot", "dynamixel_driver"} & nodes.keys()
+    assert {"recorder", "state_estimator", "supervisor"} <= nodes.keys()
+    assert all(spec.parameters["use_sim_time"] is True for spec in nodes.values())
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -274,8 +297,13 @@ def test_a_camera_with_a_visual_slam_brings_up_the_graph_on_its_topics(
 def load_launch_file(monkeypatch, given):
     """Run launch/slot.launch.py with launch arguments; return the arguments of its nodes."""
     names = {
-        "launch": ("LaunchContext", "LaunchDescription"),
-        "launch.actions": ("DeclareLaunchArgument", "OpaqueFunction", "RegisterEventHandler"),
+        "launch": ("Action", "LaunchContext", "LaunchDescription"),
+        "launch.actions": (
+            "DeclareLaunchArgument",
+            "ExecuteProcess",
+            "OpaqueFunction",
+            "RegisterEventHandler",
+        ),
         "launch.event_handlers": ("OnProcessExit",),
         "launch_ros": (),
         "launch_ros.actions": ("Node",),

@@ -5,9 +5,11 @@ matched publisher. A simulated robot that waits for it is recorded from the firs
 """
 
 import json
+import signal
 import time
-from collections.abc import Iterator
+from functools import partial
 from importlib import import_module
+from typing import Any, cast
 
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -20,15 +22,14 @@ from slot_core.bags.bag_writer import BagWriter
 from slot_core.bags.origin import origin_here
 from slot_core.bags.record_settings import RecordedTopic, read_record_settings
 from slot_nodes import qos, runtime
-
-READY_PERIOD = 0.05  # s, between two checks of the matched publishers
+from slot_nodes.executor import DirectExecutor
 
 
 class RecorderNode(Node):
     """Writes serialised messages with the publisher's wall time of publishing.
 
-    A timer takes the messages of all topics at once. To wake up for each of them took four times
-    the CPU time; the time of publishing, which the bag holds, does not depend on it.
+    It takes the messages of all topics at once, `poll` apart. To wake up for each of them took
+    several times the CPU time; the time of publishing, which the bag holds, does not depend on it.
     """
 
     def __init__(self) -> None:
@@ -45,37 +46,42 @@ class RecorderNode(Node):
         self._recorded = {n: self._listen(n, t) for n, t in self._settings.topics.items()}
         self._awaited = [s for s in self._recorded.values() if _is_latched(s)]
         self._recording = self.create_publisher(Bool, "recording", qos.CONTROL)
-        self._ready_timer = runtime.wall_timer(self, READY_PERIOD, self._announce_when_matched)
-        self._flushed = time.monotonic()
-        runtime.wall_timer(self, self._settings.poll, self._take_and_flush)
 
-    @property
-    def subscriptions(self) -> Iterator[Subscription]:
-        """None that the executor has to wait for."""
-        return iter(())
-
-    def _announce_when_matched(self) -> None:
-        if all(subscription.get_publisher_count() for subscription in self._awaited):
-            self._recording.publish(Bool(data=True))
-            self.destroy_timer(self._ready_timer)
-
-    def _take_and_flush(self) -> None:
-        """Write what has arrived, in chunks of `flush`; end the node if the disk is full."""
+    def serve(self) -> None:
+        """Record until SIGINT or SIGTERM; end the node if the disk is full."""
+        ended: list[int] = []
+        for number in (signal.SIGINT, signal.SIGTERM):  # not amid a write
+            signal.signal(number, lambda number, _: ended.append(number))
+        executor = DirectExecutor()
+        executor.add_node(self)
+        flushed = time.monotonic()
         try:
-            self._take()
-            if time.monotonic() - self._flushed >= self._settings.flush:
-                self._flushed = time.monotonic()
-                self._bag.flush()
+            while not ended:
+                time.sleep(self._settings.poll)
+                self._take()
+                self._announce_when_matched()
+                if time.monotonic() - flushed >= self._settings.flush:
+                    flushed = time.monotonic()
+                    self._bag.flush()
+                    executor.spin_once(0.0)  # services of the parameters, events of the topics
         except BagError as error:
             self.get_logger().fatal(str(error))
             raise SystemExit(1) from None
 
     def _take(self) -> None:
+        """Write all messages that have arrived."""
         for name, subscription in self._recorded.items():
-            kind = self._settings.topics[name].type
             while taken := subscription.handle.take_message(subscription.msg_type, True):
-                data, info = taken
-                self._bag.write(name, kind, info["source_timestamp"], data)
+                self._write(name, *taken)
+
+    def _write(self, name: str, data: bytes, info: Any) -> None:
+        kind = self._settings.topics[name].type
+        self._bag.write(name, kind, info["source_timestamp"], data)
+
+    def _announce_when_matched(self) -> None:
+        if self._awaited and all(s.get_publisher_count() for s in self._awaited):
+            self._recording.publish(Bool(data=True))
+            self._awaited = []
 
     def destroy_node(self) -> None:
         """Write what has arrived, close the bag, which writes its index, and destroy the node."""
@@ -95,17 +101,15 @@ class RecorderNode(Node):
             depth=self._settings.depth,
         )
         kind = getattr(import_module(f"{package}.msg"), message)
-        return self.create_subscription(kind, name, _unused, profile, raw=True)
+        # rclpy also passes the second argument; its annotation has only the first
+        write = cast(Any, partial(self._write, name))
+        return self.create_subscription(kind, name, write, profile, raw=True)
 
 
 def _is_latched(subscription: Subscription) -> bool:
     return subscription.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
 
 
-def _unused(_: bytes) -> None:
-    """Callback that is never called: the messages are taken."""
-
-
 def main() -> None:
     """Entry point of the node."""
-    runtime.run(RecorderNode)
+    runtime.run(RecorderNode, RecorderNode.serve)

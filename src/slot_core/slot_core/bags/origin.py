@@ -89,6 +89,4 @@ def _zipped(files: Mapping[str, bytes]) -> bytes:
 
 
 def _pairs(values: Mapping[str, str]) -> str:
-    """The values that say something, in one line."""
-    unset = ("", "0", "0.0", "False")
-    return ", ".join(f"{name} {value}" for name, value in values.items() if value not in unset)
+    return ", ".join(f"{name} {value}" for name, value in values.items())

@@ -174,10 +174,10 @@ def compare(
     The end of a recording may hold an output without its input, so messages after the last replayed
     stamp are skipped. Raises BagError if no message is left to compare.
     """
-    compared, largest, first = 0, 0.0, None
+    compared, largest, first, end = 0, 0.0, None, max(replayed, default=0)
     for message in recorded.messages[topic]:
         stamp = decode.stamp(message)
-        if stamp > max(replayed, default=0):
+        if stamp > end:
             continue
         fields = replayed.get(stamp)
         if fields is None:
@@ -298,6 +298,8 @@ def _distance(recorded: np.ndarray, replayed: np.ndarray) -> np.ndarray:
     """
     if recorded.shape != replayed.shape:
         return np.full(max(len(recorded), 1), math.inf)
+    if (recorded == replayed).all():
+        return np.zeros(recorded.shape)
     same = (recorded == replayed) | (np.isnan(recorded) & np.isnan(replayed))
     finite = np.isfinite(recorded) & np.isfinite(replayed)
     distance = np.where(same, 0.0, math.inf)

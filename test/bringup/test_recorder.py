@@ -1,0 +1,76 @@
+"""The recorder as a process: nothing is lost at its end, and little when it is killed."""
+
+import signal
+import subprocess
+import time
+from dataclasses import replace
+
+import pytest
+from nav_msgs.msg import Odometry
+from real_graph import domain  # noqa: F401 - a fixture
+
+from slot_bringup.graph import read_graph
+from slot_bringup.monitor import listener
+from slot_bringup.processes import command_line
+from slot_core.bags.bag import Bag
+from slot_core.bags.record_settings import read_record_settings
+from slot_nodes import qos
+
+
+def record(path, number):
+    """Record odometry in a process, end it by a signal; return its exit code and what was sent."""
+    graph = read_graph()
+    values = {a.name: a.default for a in graph.arguments} | {"bag": str(path), "scene": "slope5"}
+    recorder = next(spec for spec in graph.nodes(values) if spec.name == "recorder")
+    process = subprocess.Popen(command_line(replace(recorder, namespace="recorded")))
+    with listener("robot", "recorded") as (node, _):
+        publisher = node.create_publisher(Odometry, "odom", qos.SENSOR)
+        while not publisher.get_subscription_count():
+            assert process.poll() is None
+            time.sleep(0.02)
+        end, count = time.monotonic() + 2.5 * read_record_settings().flush, 0
+        while time.monotonic() < end:
+            publisher.publish(Odometry(child_frame_id=str(count)))
+            count += 1
+            time.sleep(0.005)
+        if number == signal.SIGTERM:
+            time.sleep(0.1)  # the last message is on its way
+        process.send_signal(number)
+        code = process.wait(timeout=60)
+    return code, [str(n) for n in range(count)]
+
+
+def frames(bag):
+    return [message.child_frame_id for _, message in bag.messages("/odom")]
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory):
+    """Bag of a killed recorder, and what was published."""
+    path = tmp_path_factory.mktemp("bags") / "killed"
+    _, published = record(path, signal.SIGKILL)
+    return Bag(path, "recorded"), published
+
+
+def test_a_killed_recorder_leaves_all_but_the_last_moment(killed):
+    bag, published = killed
+    left = frames(bag)
+    assert not bag.finished
+    assert left == published[: len(left)]
+    assert len(left) > len(published) / 4
+
+
+def test_a_bag_says_which_revision_and_scene_made_it(killed):
+    about = killed[0].origin.about
+    assert about.pop("revision")
+    assert about == {"hardware": "sim", "gait": "walk", "scene": "slope5"}
+    assert "config.zip" in killed[0].origin.files
+    assert killed[0].origin.changed_files() == []
+
+
+def test_a_recorder_that_is_told_to_end_loses_nothing(tmp_path):
+    code, published = record(tmp_path / "bag", signal.SIGTERM)
+    bag = Bag(tmp_path / "bag", "recorded")
+    assert code == 0
+    assert bag.finished
+    assert frames(bag) == published
