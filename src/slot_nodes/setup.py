@@ -24,6 +24,7 @@ setup(
         "console_scripts": [
             *(f"{n} = slot_nodes.{n}_node:main" for n in NODES),
             "controller = slot_nodes.composed:main",
+            "visualizer = slot_nodes.visualization.visualizer_node:main",
         ]
     },
     zip_safe=False,

@@ -129,6 +129,11 @@ def test_arguments_of_the_camera_and_topics_are_checked(graph, changes, reason):
         check(values(graph, **changes))
 
 
+def test_markers_are_published_only_when_asked_for(graph):
+    assert "visualizer" not in {s.name for s in graph.nodes(values(graph))}
+    assert "visualizer" in {s.name for s in graph.nodes(values(graph, visualize=True))}
+
+
 @pytest.mark.parametrize("hardware", ["sim", "fake_bus"])
 def test_an_attended_simulation_waits_for_an_operator_like_the_real_robot(graph, hardware):
     real = {s.name: s for s in graph.nodes(values(graph, hardware="real"))}

@@ -63,8 +63,9 @@ def header(stamp: int, frame: str = ODOM_FRAME) -> Header:
 
 
 def prefix_frames(message: Any, prefix: str) -> None:
-    """Put a prefix before the frames of a message, and of its transforms; empty ones stay so."""
-    for part in getattr(message, "transforms", [message]):
+    """Put a prefix before the frames of a message, or of its parts; empty ones stay so."""
+    inside = [name for name in ("transforms", "markers") if hasattr(message, name)]
+    for part in getattr(message, inside[0]) if inside else [message]:
         if part.header.frame_id:
             part.header.frame_id = prefix + part.header.frame_id
         if hasattr(part, "child_frame_id"):
