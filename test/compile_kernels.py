@@ -4,8 +4,10 @@ So no test's time limit holds a compilation, and the workers do not compile the 
 """
 
 import multiprocessing
+import time
 
 from slot_core import config
+from slot_core.control.mpc.mpc import Mpc, read_mpc
 from slot_core.dynamics import integrator
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
@@ -43,7 +45,13 @@ def compile_rod():
     _ = rod.energy(), rod.tangent()
 
 
-JOBS = ((compile_robots, "bristle"), (compile_robots, "viscous"), (compile_legs,), (compile_rod,))
+def compile_mpc():
+    """The solver of ground reaction forces."""
+    Mpc(ROBOT, read_mpc("forces"), time.perf_counter)
+
+
+JOBS = ((compile_robots, "bristle"), (compile_robots, "viscous"), (compile_mpc,), (compile_legs,),
+        (compile_rod,))  # fmt: skip
 
 
 def run(job):

@@ -108,7 +108,7 @@ def _find_blocks(qp: HorizonQp) -> Blocks:
     stages = np.arange(qp.horizon)[:, None]
     legs = np.arange(FEET)
     return Blocks(
-        step=a[STATES : STATES + HALF, STAGE - HALF : STAGE],
+        step=np.ascontiguousarray(a[STATES : STATES + HALF, STAGE - HALF : STAGE]),
         gain=np.ascontiguousarray(a[HALF:STATES, :INPUTS].T),
         friction=g[FRICTION_ROWS * stages + 4 * legs, STAGE * stages + 3 * legs + 2],
     )
