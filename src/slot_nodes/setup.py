@@ -23,7 +23,7 @@ setup(
     entry_points={
         "console_scripts": [
             *(f"{n} = slot_nodes.{n}_node:main" for n in NODES),
-            "controller = slot_nodes.composed:main",
+            "controller = slot_nodes.process.composed:main",
             "visualizer = slot_nodes.visualization.visualizer_node:main",
         ]
     },

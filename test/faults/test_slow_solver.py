@@ -24,7 +24,7 @@ from slot_core.control.state_estimator import Estimate, Validity
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, GroundReactionForces, MpcState
 from slot_nodes import messages, qos
-from slot_nodes.executor import DirectExecutor
+from slot_nodes.process.executor import DirectExecutor
 
 pytestmark = pytest.mark.real_time
 

@@ -11,7 +11,7 @@ from std_msgs.msg import Int32
 from std_srvs.srv import Trigger
 
 from slot_nodes import qos, runtime
-from slot_nodes.executor import DirectExecutor
+from slot_nodes.process.executor import DirectExecutor
 
 LIMIT = 200  # calls of spin_once, of at most 0.1 s each
 

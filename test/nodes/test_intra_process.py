@@ -5,8 +5,8 @@ import rclpy
 from rclpy.context import Context
 from rclpy.qos import QoSProfile
 
-from slot_nodes import intra_process
-from slot_nodes.intra_process import Mailbox, Topics
+from slot_nodes.process import intra_process
+from slot_nodes.process.intra_process import Mailbox, Topics
 
 EVERY, NEWEST = QoSProfile(depth=50), QoSProfile(depth=1)
 

@@ -13,7 +13,7 @@ from rclpy.subscription import Subscription
 
 from slot_core.control.gait import GaitPreview
 from slot_core.robot import LEGS
-from slot_nodes import intra_process
+from slot_nodes.process import intra_process
 
 
 def subscribe(

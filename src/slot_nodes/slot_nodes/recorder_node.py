@@ -22,7 +22,7 @@ from slot_core.bags.bag_writer import BagWriter
 from slot_core.bags.origin import origin_here
 from slot_core.bags.record_settings import RecordedTopic, read_record_settings
 from slot_nodes import qos, runtime
-from slot_nodes.executor import DirectExecutor
+from slot_nodes.process.executor import DirectExecutor
 
 
 class RecorderNode(Node):

@@ -27,8 +27,9 @@ from rclpy.qos import QoSProfile
 from rclpy.timer import Timer
 
 from slot_core import config
-from slot_nodes import intra_process, messages
-from slot_nodes.executor import DirectExecutor
+from slot_nodes import messages
+from slot_nodes.process import intra_process
+from slot_nodes.process.executor import DirectExecutor
 
 T = TypeVar("T")
 LOCK_ALL = 1 | 2 | 4  # MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT of mlockall(2)

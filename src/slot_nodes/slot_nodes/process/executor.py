@@ -13,7 +13,7 @@ from rclpy.timer import Timer
 from rclpy.utilities import timeout_sec_to_nsec
 from rclpy.waitable import NumberOfEntities
 
-from slot_nodes.intra_process import Mailbox
+from slot_nodes.process.intra_process import Mailbox
 
 KINDS = ("subscription", "guard_condition", "timer", "client", "service")  # order of a wait set
 

@@ -19,8 +19,8 @@ from rclpy.node import Node
 
 from slot_core.config import ConfigError
 from slot_nodes import runtime
-from slot_nodes.executor import DirectExecutor
-from slot_nodes.intra_process import Mailbox, Topics
+from slot_nodes.process.executor import DirectExecutor
+from slot_nodes.process.intra_process import Mailbox, Topics
 
 # In the order of the data: a node is made after those whose topics it reads.
 CHAIN = ("state_estimator", "gait_scheduler", "mpc_controller", "force_mapper")
