@@ -11,6 +11,7 @@ import inspect
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from importlib.metadata import entry_points
 from typing import Any
 
 import rclpy
@@ -75,7 +76,8 @@ def descriptions() -> tuple[Description, ...]:
 
 def describe(name: str, parameters: Mapping[str, str]) -> Description:
     """What a node declares when it is created with some parameters."""
-    module = importlib.import_module(f"slot_nodes.{name}_node")
+    (program,) = entry_points(group="console_scripts", name=name)
+    module = importlib.import_module(program.module)
     (kind,) = (
         kind for _, kind in inspect.getmembers(module, inspect.isclass)
         if issubclass(kind, Node) and kind.__module__ == module.__name__
@@ -103,7 +105,7 @@ def _description(node: Any, doc: str, given: Mapping[str, str]) -> Description:
             _ends((s.topic_name, s.msg_type, s.qos_profile) for s in node.subscriptions)
         ),
         services=tuple(
-            (service.srv_name, service.srv_type)
+            (node.resolve_service_name(service.srv_name), service.srv_type)
             for service in node.services
             if _package(service.srv_type) not in STANDARD_SERVICES
         ),

@@ -8,8 +8,9 @@ from xml.etree import ElementTree
 
 import pytest
 import yaml
+from real_graph import domain  # noqa: F401 - a fixture
 
-from documentation import generated, pages
+from documentation import generated, nodes, pages
 from documentation.markdown import DOC, ROOT
 from slot_bringup.graph import read_graph
 
@@ -95,6 +96,26 @@ def test_the_reference_has_every_settings_class_and_file_of_the_configuration():
     assert described - listed == {"ServoLimits"}  # read from a message, see decode.servo_limits
     files = {path.name for path in (ROOT / "config").glob("*.yaml")}
     assert files <= set(generated.SETTINGS)
+
+
+@pytest.fixture
+def force_mapper(monkeypatch):
+    """The reference of one node that needs no compilation, in place of all."""
+    described = (nodes.describe("force_mapper", {}),)
+    monkeypatch.setattr(nodes, "descriptions", lambda: described)
+
+
+@pytest.mark.usefixtures("force_mapper")
+def test_the_reference_has_what_a_node_declares():
+    topics, parameters = nodes.topics(), nodes.parameters()
+    angles = "| `/desired_joint_angles` | `sensor_msgs/JointState`, latched | force\\_mapper |  |"
+    assert angles in topics
+    state = "[`slot_msgs/MpcState`](messages.md#mpcstate), latched |  | force\\_mapper |"
+    assert f"| `/mpc_state` | {state}" in topics
+    assert "describe_parameters" not in topics
+    assert "## force_mapper" in parameters
+    assert "| `profile` | `default` |" in parameters
+    assert "use_sim_time" not in parameters
 
 
 def test_a_row_of_the_configuration_has_value_unit_bounds_and_meaning():
