@@ -301,6 +301,20 @@ def test_a_path_is_followed_instead_of_the_velocity():
     assert robot.previews[-1].posture  # it stands at the end
 
 
+def test_a_path_is_followed_at_the_speed_of_the_command_from_a_posture_on():
+    """As the supervisor starts it: it stands with the path, then walking is requested."""
+    points = np.array([[0.0, 0.0], [1.0, 0.0]])
+    robot = Ideal("stand", NOTHING, Path(points, 0.0, "kept"))
+    robot.run(0.5)
+    robot.scheduler.request("walk", AHEAD)
+    robot.run(3.0)
+    before = robot.state[3]
+    robot.run(1.0)
+    assert robot.state[3] - before == pytest.approx(AHEAD[0], rel=0.05)
+    robot.scheduler.request("walk", NOTHING)
+    assert robot.run(3.0)[-1].posture  # without velocity it stands, wherever the path leads
+
+
 def test_everything_commanded_can_be_set_from_a_recorded_preview():
     robot, replayed = Ideal("stand"), GaitScheduler(GAITS, ROBOT, SPRINGS, "stand", NOTHING)
     robot.run(0.5)

@@ -29,7 +29,7 @@ from slot_core.bags.bag import Bag, BagError
 from slot_core.bags.origin import FILES
 from slot_core.control.controller import command_for
 from slot_core.control.force_map import make_force_map, read_force_map, read_springs
-from slot_core.control.gait import GaitPreview, GaitSettings, read_gaits
+from slot_core.control.gait import GaitPreview, read_gaits
 from slot_core.control.gait_scheduler import GaitScheduler
 from slot_core.control.mpc.mpc import Mpc, MpcResult, read_mpc
 from slot_core.control.path import Path as FollowedPath
@@ -154,16 +154,15 @@ class _Recorded:
         """Profile of the MPC; `default` if the bag does not name one."""
         return self.origin.about.get("mpc", "default")
 
-    def path(self, gaits: GaitSettings) -> FollowedPath | None:
-        """The path that was followed; None without one."""
+    @property
+    def path(self) -> FollowedPath | None:
+        """The path that was followed, at the speed of the recorded commands; None without one."""
         if PATH not in self.origin.files:
             return None
-        about = self.origin.about
-        speed = float(about.get("vx", gaits.find(about["gait"]).cruise))
         with TemporaryDirectory() as scratch:
             file = Path(scratch, PATH)
             file.write_bytes(self.origin.files[PATH])
-            return read_path(file, speed, "kept")
+            return read_path(file, 0.0, "kept")
 
 
 def compare(
@@ -227,7 +226,7 @@ def _previews(recorded: _Recorded) -> dict[int, Fields]:
     """Gait previews, as fields of GaitPreview, from the recorded states and commands."""
     gaits, first = read_gaits(), next(iter(recorded.previews.values())).command
     scheduler = GaitScheduler(
-        gaits, recorded.robot, read_springs(), first.gait, first.velocity, recorded.path(gaits)
+        gaits, recorded.robot, read_springs(), first.gait, first.velocity, recorded.path
     )
     fields = {}
     for stamp, (_, state, _, lead) in recorded.states.items():

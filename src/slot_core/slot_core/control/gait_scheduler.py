@@ -69,8 +69,8 @@ class GaitScheduler:
         """Blend from `stand` to `gait` at velocity [v_x, v_y, yaw rate] from the first tick on.
 
         velocity: (3,) m/s, m/s, rad/s in base_link; None: straight ahead at the gait's `cruise`.
-        path: followed by a stride instead of the velocity. Raises ConfigError for an unknown gait
-        or a velocity outside the gait's range.
+        path: followed by a stride at the speed of the velocity, whatever its direction. Raises
+        ConfigError for an unknown gait or a velocity outside the gait's range.
         """
         self._settings, self._robot, self._springs = settings, robot, springs
         if velocity is None:
@@ -165,6 +165,7 @@ class GaitScheduler:
         s = self._settings
         wanted = self._wanted
         if self._path is not None and isinstance(self._current, _ActiveStride):
+            self._path.speed = float(np.hypot(*wanted[:2]))
             wanted = self._path.velocity(state)
         rates = np.array([s.acceleration, s.acceleration, s.turn_acceleration])
         self._velocity = _toward(self._velocity, wanted, elapsed * rates)

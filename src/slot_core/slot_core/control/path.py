@@ -25,7 +25,7 @@ class Path:
     """Polyline, and the reference place on it."""
 
     def __init__(self, points: Array, speed: float, heading: str):
-        """Take points (n, 2) m in odom, and a speed (m/s).
+        """Take points (n, 2) m in odom, and a speed (m/s) until another is set.
 
         heading: "kept", that at the start, or "along" the path. Raises ConfigError for less than
         two different points.
@@ -37,7 +37,7 @@ class Path:
         steps = np.diff(self._points, axis=0)
         self._arc = np.r_[0.0, np.cumsum(np.hypot(*steps.T))]
         self._direction = np.arctan2(steps[:, 1], steps[:, 0])
-        self._speed, self._along = speed, heading == "along"
+        self.speed, self._along = speed, heading == "along"
         self._start_yaw: float | None = None
         self.travelled = 0.0  # m, of the reference place
 
@@ -51,7 +51,7 @@ class Path:
         direction = self._direction[self._segment()]
         gap = self._point(self.travelled) - state[3:5]
         if gap[0] * math.cos(direction) + gap[1] * math.sin(direction) < LEAD:
-            self.travelled = min(self.travelled + self._speed * elapsed, self.length)
+            self.travelled = min(self.travelled + self.speed * elapsed, self.length)
         return np.array([*self._point(self.travelled), self._yaw(state)])
 
     def velocity(self, state: Array) -> Array:
@@ -61,7 +61,7 @@ class Path:
         along = self._direction[self._segment()] - state[2]
         error = wrapped(self._yaw(state) - state[2])
         turn = TURN_GAIN * error if self._along else 0.0
-        return np.array([self._speed * math.cos(along), self._speed * math.sin(along), turn])
+        return np.array([self.speed * math.cos(along), self.speed * math.sin(along), turn])
 
     def _segment(self) -> int:
         index = int(np.searchsorted(self._arc, self.travelled, side="right")) - 1
