@@ -1,10 +1,11 @@
-"""Driver with the real SDK and emulated servos behind a pseudo-terminal."""
+"""Driver with the real SDK and emulated servos on a simulated line, or behind a pseudo-terminal."""
 
 import math
 import time
 
 import numpy as np
 import pytest
+from line import LinePort
 
 from slot_core import config
 from slot_core.dynamixel.driver import Driver
@@ -23,8 +24,8 @@ from slot_core.emulator.pseudo_terminal import PseudoTerminal
 from slot_core.faults import Fault
 from slot_core.simulation.bus_legs import EmulatedLegs
 
-# Longer than on the robot: a busy machine delays the emulator's thread.
-LONG_TIMEOUT = {"bus.timeout": 0.05}
+# Of the pseudo-terminal, longer than on the robot: a busy machine delays the emulator's thread.
+LONG_TIMEOUT = {"bus.timeout": 1.0}
 ONE_COUNT = 1.01 * RAD_PER_COUNT
 STANDING = (0.1, 0.2, 0.3, 0.4)
 
@@ -32,15 +33,20 @@ STANDING = (0.1, 0.2, 0.3, 0.4)
 class Rig:
     """Driver and emulated servos; their time passes only in `run`."""
 
-    def __init__(self, changes=(), emulator=(), angles=STANDING, link=None):
-        self.settings = config.replace(read_settings(), LONG_TIMEOUT | dict(changes))
+    def __init__(self, changes=(), emulator=(), angles=STANDING):
+        self.settings = config.replace(read_settings(), dict(changes))
         self.legs = EmulatedLegs(
             self.settings, config.replace(read_emulator(), dict(emulator)), angles
         )
         self.bus, self.time = self.legs.bus, 0.0
-        self.terminal = PseudoTerminal(self.bus, link)
-        port = SerialPort(self.terminal.name, self.settings.bus.baud, self.settings.bus.timeout)
-        self.driver = Driver(port, self.settings, clock=lambda: self.time)
+        self.new_driver()
+
+    def new_driver(self):
+        """A driver that knows nothing of another before it."""
+        self.driver = Driver(self.port(), self.settings, clock=lambda: self.time)
+
+    def port(self):
+        return LinePort(self.bus, self.settings.bus.baud, self.settings.bus.timeout)
 
     def start(self):
         self.driver.configure()
@@ -66,7 +72,29 @@ class Rig:
 
     def close(self):
         self.driver.close()
+
+
+class TerminalRig(Rig):
+    """The same behind a pseudo-terminal, which takes real time."""
+
+    def __init__(self, link=None):
+        self._link = link
+        super().__init__(LONG_TIMEOUT)
+
+    def port(self):
+        self.terminal = PseudoTerminal(self.bus, self._link)
+        return SerialPort(self.terminal.name, self.settings.bus.baud, self.settings.bus.timeout)
+
+    def close(self):
+        super().close()
         self.terminal.close()
+
+
+@pytest.fixture
+def terminal_rig(tmp_path):
+    rig = TerminalRig(tmp_path / "servos")
+    yield rig
+    rig.close()
 
 
 @pytest.fixture
@@ -147,10 +175,10 @@ def test_a_baud_rate_that_the_port_does_not_support_is_refused(tmp_path):
         SerialPort(str(tmp_path / "none"), 1000000, 0.01).open()
 
 
-def test_a_port_cannot_be_opened_twice(rig):
-    rig.driver.configure()
+def test_a_port_cannot_be_opened_twice(terminal_rig):
+    terminal_rig.driver.configure()
     with pytest.raises(PortError, match="lock"):
-        SerialPort(rig.terminal.name, 1000000, 0.01).open()
+        SerialPort(terminal_rig.terminal.name, 1000000, 0.01).open()
 
 
 def test_a_slow_latency_timer_is_refused_with_the_udev_rule_against_it(tmp_path):
@@ -352,7 +380,8 @@ def test_a_late_answer_is_not_mistaken_for_that_of_another_servo(build):
         assert [r.angle for r in cycle.readings[:3]] == pytest.approx(STANDING[:3], abs=ONE_COUNT)
 
 
-def test_a_lost_port_raises_and_the_watchdogs_stop_the_servos(rig):
+def test_a_lost_port_raises_and_the_watchdogs_stop_the_servos(terminal_rig):
+    rig = terminal_rig
     rig.start()
     rig.run(0.1, (1.9,) * 4)
     rig.terminal.close()
@@ -371,8 +400,8 @@ def test_a_lost_port_raises_and_the_watchdogs_stop_the_servos(rig):
     assert [servo.memory["bus_watchdog"] for servo in rig.bus.servos] == [-1] * 4
 
 
-def test_a_driver_can_configure_again_after_a_replug(build, tmp_path):
-    rig = build(link=tmp_path / "servos").start()
+def test_a_driver_can_configure_again_after_a_replug(terminal_rig, tmp_path):
+    rig = terminal_rig.start()
     rig.fault("unplugged")
     deadline = time.monotonic() + 5.0
     while (tmp_path / "servos").exists():
@@ -396,9 +425,7 @@ def test_a_new_driver_clears_tripped_watchdogs_and_starts_without_motion(rig):
     for _ in range(500):
         rig.legs.advance(0.001)
     stopped = rig.legs.angles()
-    rig.driver = Driver(
-        SerialPort(rig.terminal.name, 1000000, 0.1), rig.settings, clock=lambda: rig.time
-    )
+    rig.new_driver()
     rig.start()
     rig.run(0.3)
     assert rig.legs.angles() == pytest.approx(stopped, abs=2 * ONE_COUNT)
@@ -480,7 +507,8 @@ def test_old_firmware_is_read_without_fast_sync_read(build):
 def test_a_cycle_takes_its_transmission_time(build):
     """A cycle sends 34 + 18 + 14 bytes and receives 64 and at least 12, of 10 bits each."""
     rig = build().start()
-    start = time.monotonic()
+    line = rig.driver.bus.port.line
+    start = line.now
     for _ in range(50):
         rig.driver.cycle()
-    assert time.monotonic() - start >= 50 * 142 * 10 / 1e6
+    assert line.now - start >= 50 * 142 * 10 / 1e6
