@@ -18,7 +18,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 REQUIREMENTS = ROOT / "scripts/requirements"
-REQUIREMENT_FILES = ("build", "ros", "runtime", "test", "bench", "docs")
+REQUIREMENT_FILES = ("build", "ros", "runtime", "test", "bench", "docs", "view")
 PINNED = re.compile(r"^([A-Za-z0-9._-]+)==(\S+) \\$")
 HASH = re.compile(r"^    --hash=sha256:[0-9a-f]{64}( \\)?$")
 ENOUGH = 60  # s for one setup of a copy; it takes some 3 s
@@ -220,7 +220,7 @@ def test_two_concurrent_setups_build_once(ready: Copy) -> None:
     assert len(ready.calls) == builds + 1
 
 
-@pytest.mark.parametrize("extra", ["test", "bench", "docs"])
+@pytest.mark.parametrize("extra", ["test", "bench", "docs", "view"])
 def test_extra_packages_are_installed_once_and_again_when_their_pins_change(
     ready: Copy, extra: str
 ) -> None:
@@ -277,7 +277,7 @@ def test_a_path_that_cmake_cannot_bear_is_refused_before_anything_is_built(
 def test_a_wrong_argument_gets_one_line_and_status_2(copy: Copy) -> None:
     status, output = copy.setup("--tests")
     assert status == 2
-    assert output == "setup: unknown arguments: --tests; expected --test, --bench or --docs\n"
+    assert output == "setup: unknown arguments: --tests; expected --test, --bench, --docs or --view\n"
 
 
 @pytest.mark.parametrize("name", REQUIREMENT_FILES)

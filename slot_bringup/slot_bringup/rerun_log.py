@@ -1,0 +1,168 @@
+"""A run in rerun: its robot, curves and states on the robot's time line, and their layout.
+
+rerun is optional (`scripts/setup --view`): whatever imports this module needs it.
+"""
+
+from __future__ import annotations
+
+import sys
+import uuid
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from slot_core.bags import decode
+from slot_core.dynamics.servo import read_servo
+from slot_core.report import palette, traces
+from slot_core.report.drawing import Drawing
+from slot_core.report.shapes import Arrows, Box, Shape, Strips
+from slot_core.robot import read_robot
+
+APPLICATION = "slot"
+TIME_LINE = "robot_time"
+STATE_COLOURS = {
+    "WALKING": palette.LEG_COLOURS["RL"], "STANDING": palette.TRUE, "READY": palette.TORSO,
+    "SOLVED": palette.LEG_COLOURS["RL"], "HOLD": palette.LEG_COLOURS["FR"],
+    "LATE": palette.LEG_COLOURS["FR"],
+}  # fmt: skip
+
+
+class RerunLog:
+    """Logs the messages of a run, rclpy's or those of a bag; a context manager."""
+
+    TOPICS = tuple(dict.fromkeys((*Drawing.TOPICS, *traces.TOPICS)))
+
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._stream = stream
+        self._drawing = Drawing(read_robot(), read_servo().stall_torque)
+        self._start: int | None = None  # ns, stamp at time zero
+        self._states: dict[str, str] = {}
+        self._refused: set[str] = set()  # topics with a message that could not be drawn
+        stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        for name, plot in traces.PLOTS.items():
+            for key, curve in plot.curves.items():
+                lines = rr.SeriesLines(names=curve.names, colors=_rgba(*curve.colours))
+                stream.log(f"plots/{name}/{key}", lines, static=True)
+        colours = rr.StateConfiguration(
+            values=list(STATE_COLOURS), colors=_rgba(*STATE_COLOURS.values())
+        )
+        for name in traces.STATES:
+            stream.log(f"states/{name}", colours, static=True)
+
+    def receive(self, topic: str, message: Any) -> None:
+        """Log a message at its stamp; of those that cannot be drawn the first is reported."""
+        stamp = decode.stamp(message)
+        self._start = stamp if self._start is None else self._start
+        self._stream.set_time(TIME_LINE, duration=np.timedelta64(stamp - self._start, "ns"))
+        try:
+            self._log(topic, message)
+        except ValueError as error:
+            if topic not in self._refused:
+                self._refused.add(topic)
+                time = (stamp - self._start) * 1e-9
+                print(f"{topic} at {time:.3f} s cannot be drawn: {error}", file=sys.stderr)
+
+    def _log(self, topic: str, message: Any) -> None:
+        for name, shape in self._drawing.receive(topic, message).items():
+            self._stream.log(f"world/{name}", _archetype(shape))
+        for name, values in traces.values(topic, message).items():
+            self._stream.log(f"plots/{name}", rr.Scalars(values))
+        for name, state in traces.states(topic, message).items():
+            if self._states.get(name) != state:
+                self._states[name] = state
+                self._stream.log(f"states/{name}", rr.StateChange(state=state))
+
+    def __enter__(self) -> RerunLog:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Send what is waiting, and close the file."""
+        self._stream.flush()
+        self._stream.disconnect()
+
+
+def to_file(path: Path) -> RerunLog:
+    """Log to a file; raises OSError if it cannot be written."""
+    path.touch()  # rerun's own error names no cause
+    stream = _stream(rr.ChunkBatcherConfig.DEFAULT())
+    stream.save(path, default_blueprint=blueprint())
+    return RerunLog(stream)
+
+
+def to_viewer(address: str) -> RerunLog:
+    """Log to a viewer that runs."""
+    stream = _stream(rr.ChunkBatcherConfig.LOW_LATENCY())
+    stream.connect_grpc(address, default_blueprint=blueprint())
+    return RerunLog(stream)
+
+
+def _stream(batching: rr.ChunkBatcherConfig) -> rr.RecordingStream:
+    stream = rr.RecordingStream(APPLICATION, recording_id=uuid.uuid4(), batcher_config=batching)
+    stream.set_log_tick_enabled(False)
+    stream.set_log_time_enabled(False)
+    return stream
+
+
+def blueprint() -> rrb.Blueprint:
+    """Layout: the robot above its states, beside the plots."""
+    plots = [
+        rrb.TimeSeriesView(
+            origin=f"/plots/{name}", name=plot.title, plot_legend=rrb.PlotLegend(visible=True)
+        )
+        for name, plot in traces.PLOTS.items()
+    ]
+    robot = rrb.Spatial3DView(
+        origin="/world",
+        name="robot",
+        background=0xF4F6F8FF,
+        line_grid=rrb.LineGrid3D(spacing=0.1, color=0xC8D0D8FF),
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital,
+            position=(0.35, -0.65, 0.35),
+            look_target=(0.0, 0.0, 0.05),
+            eye_up=(0.0, 0.0, 1.0),
+            tracking_entity="/world/torso",
+        ),
+    )
+    states = rrb.StateTimelineView(origin="/states", name="states")
+    half = (len(plots) + 1) // 2
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(robot, states, row_shares=[4, 1]),
+            rrb.Vertical(*plots[:half]),
+            rrb.Vertical(*plots[half:]),
+            column_shares=[2, 1, 1],
+        ),
+        rrb.TimePanel(state="collapsed", timeline=TIME_LINE),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+    )
+
+
+def _archetype(shape: Shape) -> Any:
+    colours = np.round(
+        255 * np.atleast_2d(shape.colour if isinstance(shape, Box) else shape.colours)
+    )
+    if isinstance(shape, Box):
+        return rr.Boxes3D(
+            centers=[shape.centre], sizes=[shape.size], quaternions=[shape.quaternion],
+            colors=colours.astype(np.uint8), fill_mode="solid",
+        )  # fmt: skip
+    if isinstance(shape, Strips):
+        return rr.LineStrips3D(
+            shape.points.astype(np.float32), radii=shape.width / 2, colors=colours.astype(np.uint8)
+        )
+    assert isinstance(shape, Arrows)
+    return rr.Arrows3D(
+        origins=shape.tail, vectors=shape.vector, radii=shape.width / 2,
+        colors=colours.astype(np.uint8),
+    )  # fmt: skip
+
+
+def _rgba(*colours: str) -> NDArray[np.uint32]:
+    """(n,) 0xRRGGBBAA of #RRGGBB or #RRGGBBAA."""
+    return np.array([int(f"{c.removeprefix('#'):F<8}", 16) for c in colours], np.uint32)

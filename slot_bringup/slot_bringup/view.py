@@ -1,0 +1,215 @@
+"""Shows a run in rerun: the robot with its bent legs, forces and plots on the robot's time line."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import signal
+import sys
+import tempfile
+import webbrowser
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from slot_bringup import INTERRUPTS
+from slot_bringup.check import check_namespace
+from slot_bringup.monitor import listener
+from slot_bringup.rerun_viewer import Viewer, ViewerError
+from slot_core.bags.bag import Bag
+from slot_core.bags.bag_error import BagError
+from slot_core.bags.record_settings import read_record_settings
+from slot_core.config import ConfigError
+from slot_core.report.animation import AnimationError, animate
+
+if TYPE_CHECKING:
+    from slot_bringup.rerun_log import RerunLog
+
+BAGS = Path("bags")  # where scripts/run keeps them
+SPIN = 0.1  # s, longest time between two looks whether to end
+QUEUE = 100  # messages of a topic that wait while others are drawn
+
+
+class ViewError(RuntimeError):
+    """A run cannot be shown; the message is one line."""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message}\n")
+
+
+def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Parse the command line; a wrong value exits with code 2 and one line."""
+    parser = _Parser(prog="scripts/view", description=__doc__)
+    parser.add_argument(
+        "bag", nargs="?", type=Path, help="directory of a bag (default: the newest in bags/)"
+    )
+    parser.add_argument("--live", action="store_true", help="show a running graph, not a bag")
+    parser.add_argument("--namespace", default="", help="of the graph")
+    out = parser.add_mutually_exclusive_group()
+    out.add_argument("--web", action="store_true", help="in a browser (default: in a window)")
+    out.add_argument(
+        "--save", type=Path, metavar="FILE.rrd", help="only write a file that rerun opens"
+    )
+    out.add_argument(
+        "--animate",
+        type=Path,
+        metavar="FILE",
+        help="only write two strides as a GIF, PNG or WebP that moves; needs no rerun",
+    )
+    parser.add_argument(
+        "--no-browser", action="store_true", help="with --web: print the address, open nothing"
+    )
+    options = parser.parse_args(arguments)
+    if options.live and (options.bag or options.animate):
+        parser.error("--live: shows a running graph, not a bag")
+    if options.no_browser and not options.web:
+        parser.error("--no-browser: only with --web")
+    return options
+
+
+def view(options: argparse.Namespace) -> None:
+    """Show or write what the options ask for.
+
+    Raises ViewError, ViewerError, AnimationError, BagError, ConfigError, OSError.
+    """
+    check_namespace(options.namespace)
+    bag = None if options.live else Bag(options.bag or newest_bag(BAGS), options.namespace)
+    if options.animate and bag:
+        animate(bag, options.animate)
+        return
+    require_rerun()
+    if options.save:
+        _save(bag, options)
+        return
+    if not (options.web or has_display()):
+        raise ViewError("no display: use --web for a browser, or --save FILE.rrd")
+    with tempfile.TemporaryDirectory() as scratch:
+        if bag:
+            _show_bag(bag, options, Path(scratch))
+        else:
+            _show_live(options, Path(scratch))
+
+
+def require_rerun() -> None:
+    """Raise ViewError unless rerun is installed."""
+    if importlib.util.find_spec("rerun") is None:
+        raise ViewError("rerun-sdk is missing; run scripts/setup --view")
+
+
+def has_display() -> bool:
+    """Whether a window can be opened."""
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def newest_bag(directory: Path) -> Path:
+    """The bag in a directory that was begun last; raises ViewError if there is none."""
+    bags = [path for path in directory.glob("*") if path.is_dir()]
+    if not bags:
+        raise ViewError(f"no bag in {directory.absolute()}: name one, or make one by scripts/run")
+    return max(bags, key=lambda path: path.stat().st_mtime)
+
+
+def _save(bag: Bag | None, options: argparse.Namespace) -> None:
+    from slot_bringup import rerun_log  # noqa: PLC0415 - optional
+
+    log = rerun_log.to_file(options.save)
+    if bag:
+        _log_bag(bag, log)
+    else:
+        _follow(options.namespace, log, lambda: False)
+
+
+def _show_bag(bag: Bag, options: argparse.Namespace, scratch: Path) -> None:
+    """Show a bag until the window is closed, or in a browser until an interrupt."""
+    from slot_bringup import rerun_log  # noqa: PLC0415 - optional
+
+    recording = scratch / f"{bag.path.absolute().name}.rrd"
+    _log_bag(bag, rerun_log.to_file(recording))
+    with _started(options, scratch, recording) as viewer:
+        viewer.wait()
+
+
+def _show_live(options: argparse.Namespace, scratch: Path) -> None:
+    """Show a running graph until an interrupt, or until the window is closed."""
+    from slot_bringup import rerun_log  # noqa: PLC0415 - optional
+
+    with _started(options, scratch, None) as viewer:
+        log = rerun_log.to_viewer(viewer.address)
+        _follow(options.namespace, log, lambda: viewer.closed)
+
+
+@contextmanager
+def _started(
+    options: argparse.Namespace, scratch: Path, recording: Path | None
+) -> Iterator[Viewer]:
+    """Start the viewer and end it, but for the window of a live run, which has what it got."""
+    viewer = Viewer(web=options.web, log=scratch / "viewer.log", recording=recording)
+    try:
+        if options.web:
+            print(f"{viewer.page}\nCtrl-C ends it", flush=True)
+        if options.web and has_display() and not options.no_browser:
+            webbrowser.open(viewer.page)
+        yield viewer
+    finally:
+        if options.web or not options.live:
+            viewer.stop()
+
+
+def _log_bag(bag: Bag, log: RerunLog) -> None:
+    """Log the messages of a bag; raises BagError if it has none that are shown."""
+    topics = [topic for topic in log.TOPICS if bag.counts.get(topic)]
+    if not topics:
+        raise BagError(f"{bag.path}: holds none of {', '.join(log.TOPICS)}")
+    with log:
+        for topic, _, message in bag.merged(*topics):
+            log.receive(topic, message)
+
+
+def _follow(namespace: str, log: RerunLog, ended: Callable[[], bool]) -> None:
+    """Log the messages of a running graph until `ended`, or an interrupt."""
+    with log, listener("view", namespace) as (node, executor):
+        for name, topic in read_record_settings().topics.items():
+            if name not in log.TOPICS:
+                continue
+            package, _, kind = topic.type.split("/")
+            profile = QoSProfile(
+                reliability=ReliabilityPolicy[topic.reliability.upper()],
+                durability=DurabilityPolicy[topic.durability.upper()],
+                depth=QUEUE,
+            )
+            node.create_subscription(
+                getattr(import_module(f"{package}.msg"), kind),
+                name.removeprefix("/"),
+                partial(log.receive, name),
+                profile,
+            )
+        while not ended():
+            executor.spin_once(timeout_sec=SPIN)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of `scripts/view`; returns the exit code."""
+    options = parse(arguments)
+    for number in INTERRUPTS:
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler)
+    try:
+        view(options)
+    except (ViewError, ViewerError, AnimationError, BagError, ConfigError, OSError) as error:
+        print(f"scripts/view: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 0
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,57 @@
+"""Animation of a walk: its frames, its speed, and what it refuses."""
+
+import numpy as np
+import pytest
+from PIL import Image
+from synthetic_walk import STRIDE, Walk, write_walk
+
+from slot_core.bags.bag import Bag
+from slot_core.bags.bag_error import BagError
+from slot_core.report import animation
+from slot_core.report.animation import AnimationError, animate, draw_frame, frame_times
+from slot_core.report.plots import read_poses
+from slot_core.robot import read_robot
+
+RATE = 30  # Hz, of the leg shapes
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    return Bag(write_walk(tmp_path_factory.mktemp("bags") / "walk", Walk(duration=1.6)))
+
+
+def test_it_shows_the_last_strides_without_repeating_its_first_frame(bag):
+    times = frame_times(bag)
+    assert times[-1] == pytest.approx(Walk().start + 1.6)
+    assert len(times) == round(animation.STRIDES * STRIDE * RATE)
+    assert times[-1] - times[0] < animation.STRIDES * STRIDE
+
+
+def test_a_frame_shows_the_whole_robot_from_the_side(bag):
+    (pose,) = read_poses(bag, frame_times(bag)[:1])
+    frame = np.asarray(draw_frame(pose, read_robot()), float)
+    width, height = (round(animation.DPI * inches) for inches in animation.SIZE)
+    assert frame.shape == (height, width, 3)
+    inked = np.argwhere(np.ptp(frame, axis=2) > 40)  # the colours of the legs
+    assert len(inked) > 3000
+    (top, left), (bottom, right) = inked.min(axis=0), inked.max(axis=0)
+    assert 0 < top < bottom < height - 1
+    assert 0 < left < right < width - 1
+    assert right - left > width / 2
+
+
+def test_the_file_moves_in_a_loop_at_half_the_speed(bag, tmp_path, monkeypatch):
+    monkeypatch.setattr(animation, "frame_times", lambda bag: frame_times(bag)[:3])
+    animate(bag, tmp_path / "walk.gif")
+    with Image.open(tmp_path / "walk.gif") as picture:
+        assert picture.n_frames == 3
+        assert picture.info["loop"] == 0
+        assert picture.info["duration"] == pytest.approx(1e3 * 2 / RATE, abs=10)  # GIF: in 10 ms
+
+
+def test_another_kind_of_file_and_a_bag_without_leg_shapes_are_refused(bag, tmp_path):
+    with pytest.raises(AnimationError, match=r"walk\.mp4: expected a name that ends in \.gif"):
+        animate(bag, tmp_path / "walk.mp4")
+    blind = Bag(write_walk(tmp_path / "blind", Walk(duration=0.2, truth=False)))
+    with pytest.raises(BagError, match="no topic /ground_truth/legs"):
+        animate(blind, tmp_path / "walk.gif")
