@@ -2,16 +2,15 @@
 
 import numpy as np
 import pytest
+from line import LinePort
 
 from slot_core import config
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.errors import PortError, RefusedError
-from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.session import ServoSession, measured
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.emulator.emulated_bus import read_emulator
-from slot_core.emulator.pseudo_terminal import PseudoTerminal
 from slot_core.faults import Fault
 from slot_core.robot import read_robot
 from slot_core.safety.command_gate import Action
@@ -30,13 +29,11 @@ class Rig:
     """A session with emulated servos; time passes only in `run` and `sleep`."""
 
     def __init__(self, angles=STANDING, changes=()):
-        # a busy machine delays the emulator's thread
-        settings = config.replace(read_settings(), {"bus.timeout": 0.05, **dict(changes)})
+        settings = config.replace(read_settings(), dict(changes))
         self.legs = EmulatedLegs(settings, read_emulator(), angles)
-        self.terminal = PseudoTerminal(self.legs.bus)
         self.time = 0.0
-        port = SerialPort(self.terminal.name, settings.bus.baud, settings.bus.timeout)
-        self.driver = Driver(port, settings, clock=lambda: self.time)
+        self.port = LinePort(self.legs.bus, settings.bus.baud, settings.bus.timeout)
+        self.driver = Driver(self.port, settings, clock=lambda: self.time)
         self.session = ServoSession(self.driver, read_robot().tendon.angle_max, PERIOD, self.sleep)
         self.session.set_limits(read_supervisor().servo_limits)
         self.session.configure()
@@ -79,7 +76,6 @@ def rig():
     made = Rig()
     yield made
     made.driver.close()
-    made.terminal.close()
 
 
 def test_servos_hold_before_the_first_command(rig):
@@ -95,7 +91,7 @@ def test_torque_comes_on_without_motion_below_the_range_of_commands():
     rig.run(0.3, SLIGHTLY, Action.HOLD)
     assert rig.legs.angles() == pytest.approx(beyond, abs=ONE_COUNT)
     rig.driver.close()
-    rig.terminal.close()
+    rig.port.line.is_open = False  # unplugged
 
 
 def test_configure_switches_off_torque_left_on_by_a_killed_driver(rig):
@@ -272,7 +268,7 @@ def test_stop_reads_torque_off_back_once(rig, monkeypatch):
 
 def test_a_lost_port_raises_and_stop_confirms_no_servo(rig):
     rig.run(0.1, SLIGHTLY)
-    rig.terminal.close()
+    rig.port.line.is_open = False  # unplugged
     with pytest.raises(PortError):
         rig.run(0.1, SLIGHTLY)
     assert not any(rig.session.stop().confirmed)

@@ -6,16 +6,14 @@ import math
 import numpy as np
 import pytest
 
-from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamixel.driver import Driver
-from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.emulator.emulated_bus import read_emulator
-from slot_core.emulator.pseudo_terminal import PseudoTerminal
+from slot_core.emulator.memory_port import MemoryPort
 from slot_core.faults import Fault
 from slot_core.robot import read_robot
 from slot_core.simulation.bus_plant import BusPlant, immediate_servo
@@ -126,24 +124,25 @@ def test_spool_angles_stay_within_the_range_of_the_tendons(plant):
 )
 def test_driver_measures_the_loss_of_load_of_a_damaged_tendon(plant, kind, value, most):
     """Measured: 0.47 of the stall torque at all servos, then 0 or 0.37 at this one."""
-    settings = config.replace(read_settings(), {"bus.timeout": 0.05})  # a busy machine
-    with PseudoTerminal(plant.legs.bus) as terminal:
-        port = SerialPort(terminal.name, settings.bus.baud, settings.bus.timeout)
-        driver = Driver(port, settings, clock=lambda: plant.now * 1e-9)
-        driver.configure()
-        driver.activate()
-        plant.start(0)
+    settings = read_settings()
 
-        def loads(cycles):
-            for _ in range(cycles):
-                cycle = driver.cycle()
-                run(plant, 0.01)
-            return np.array([reading.load for reading in cycle.readings])
+    def clock():
+        return plant.now * 1e-9
 
-        before = loads(50)
-        plant.inject(Fault(kind, "RL", 0.0, 0.0, value))
-        after = loads(50)
-        driver.close()
+    driver = Driver(MemoryPort(plant.legs.bus, settings.bus.baud, clock), settings, clock)
+    driver.configure()
+    driver.activate()
+    plant.start(0)
+
+    def loads(cycles):
+        for _ in range(cycles):
+            cycle = driver.cycle()
+            run(plant, 0.01)
+        return np.array([reading.load for reading in cycle.readings])
+
+    before = loads(50)
+    plant.inject(Fault(kind, "RL", 0.0, 0.0, value))
+    after = loads(50)
     count = 0.0071  # share of the stall torque that the P gain makes of one count of the encoder
     assert np.ptp(before) <= 2 * count
     assert np.argmin(after) == 2
