@@ -10,6 +10,7 @@ import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from synthetic_walk import TOPICS, TYPES, WALL, Walk, encode, message, write_walk
 
+from slot_core.bags import replay
 from slot_core.bags.bag import Bag, BagError
 from slot_core.bags.bag_writer import BagWriter
 from slot_core.bags.message_types import message_types
@@ -142,11 +143,15 @@ def test_a_whole_file_without_metadata_is_read_as_not_finished(whole, tmp_path):
 
 def test_a_mended_bag_is_whole_to_another_reader(whole, tmp_path):
     size = (whole / "walk.mcap").stat().st_size * 7 // 10
-    left = Bag(cut(whole, tmp_path / "walk", size))
-    with Reader(left._files[0]) as reader:
-        qos = reader.connections[0].ext.offered_qos_profiles
-        assert reader.message_count == sum(left.counts.values())
-        assert qos
+    left = cut(whole, tmp_path / "walk", size)
+    assert replay.main([str(left), "--mend", str(tmp_path / "new")]) == 0
+    with Reader(tmp_path / "new") as reader:
+        entries = [(c.topic, time, data) for c, time, data in reader.messages()]
+        assert all(c.ext.offered_qos_profiles and c.msgdef.data for c in reader.connections)
+    assert entries == list(Bag(left).raw())
+    assert Bag(tmp_path / "new").finished
+    assert Bag(tmp_path / "new").origin == ORIGIN
+    assert replay.main([str(left), "--mend", str(tmp_path / "new")]) == 2  # it exists
 
 
 def copied(whole, path, plugin, mode):

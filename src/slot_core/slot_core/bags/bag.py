@@ -23,10 +23,11 @@ from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
 
 from slot_core.bags.bag_error import BagError, NoFieldError
+from slot_core.bags.bag_writer import BagWriter, MessageType
 from slot_core.bags.mend import is_whole, mended, read_origin
 from slot_core.bags.message_types import Types, add_installed, types_inside
 from slot_core.bags.origin import Origin
-from slot_core.bags.record_settings import root_of
+from slot_core.bags.record_settings import read_record_settings, root_of
 
 __all__ = ["Bag", "BagError", "NoFieldError", "Series", "Stamps"]
 
@@ -86,12 +87,25 @@ class Bag:
         """Whether the recording ended; else what is left of it is read."""
         return self._scratch is None
 
+    @property
+    def remark(self) -> str:
+        """A line on a recording that did not end; empty for one that did."""
+        left = f"unfinished   what is left of it: {self.duration_ns * 1e-9:.2f} s"
+        return "" if self.finished else left
+
     def lines(self) -> list[str]:
         """Text on where the bag comes from, and whether its recording ended."""
-        lines = self.origin.lines()
-        if not self.finished:
-            lines.append(f"unfinished   what is left of it: {self.duration_ns * 1e-9:.2f} s")
-        return lines
+        return [*self.origin.lines(), *filter(None, [self.remark])]
+
+    def save(self, path: Path) -> None:
+        """Write what is read of the bag as a new, whole one; raises BagError."""
+        with BagWriter(path, read_record_settings(), self.origin) as copy:
+            with self._open() as readers:
+                kinds = {t: c for reader in readers for t, c in self._connections(reader)}
+            for topic, c in kinds.items():
+                copy.add_topic(topic, MessageType(c.msgtype, c.msgdef.data, digest=c.digest))
+            for topic, time, data in self.raw():
+                copy.write(topic, self.topics[topic], time, data)
 
     @property
     def duration_ns(self) -> int:

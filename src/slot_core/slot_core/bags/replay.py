@@ -346,9 +346,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--tolerance", type=_tolerance, default=TOLERANCE, help="in SI units (default: %(default)g)"
     )
+    parser.add_argument(
+        "--mend", type=Path, metavar="NEW", help="only write what is left as a new, whole bag NEW"
+    )
     options = parser.parse_args(arguments)
     try:
         bag = open_bag(options)
+        if options.mend:
+            bag.save(options.mend)
+            return 0
         comparisons = replay(bag, options.tolerance)
     except (BagError, config.ConfigError) as error:
         print(f"scripts/replay: {error}", file=sys.stderr)

@@ -1,0 +1,183 @@
+"""Records the bags of this directory in lockstep, and compares their figures with those before.
+
+A bag is recorded by the graph as a user runs it, then thinned to what a replay and the figures
+need: it has to stay below SIZE_MAX in the repository.
+"""
+
+import argparse
+import dataclasses
+import os
+import shutil
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from geometry_msgs.msg import TwistStamped
+from real_graph import changed_config
+
+from slot_bringup import run
+from slot_bringup.graph import read_graph
+from slot_bringup.monitor import RunError, listener
+from slot_core.bags.bag import Bag
+from slot_core.bags.bag_writer import BagWriter
+from slot_core.bags.origin import CONFIGURATION, Origin
+from slot_core.bags.record_settings import read_record_settings
+from slot_core.dynamics.servo import read_servo
+from slot_core.report.metrics import walk_metrics
+from slot_core.safety.states import State
+from slot_msgs.msg import MpcState
+from slot_nodes import qos
+
+BAGS = Path(__file__).parent
+SIZE_MAX = 300_000  # bytes of a bag
+LEFT_OUT = ("/tf", "/force_map/status", "/diagnostics", "/ground_truth/legs")
+
+
+BROKEN = """
+like: flat
+faults:
+  fl: {kind: tendon_broken, leg: FL, time: 1.2, duration: 0.0, value: 0.0}
+"""
+LOST = """
+like: flat
+sensors.odometry.dropouts:
+  lost: {time: 1.2, duration: 0.6}
+"""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A bag to record: options of scripts/run, and what else happens."""
+
+    duration: float  # s, from the first tick on
+    options: tuple[str, ...] = ()
+    scene: str = ""  # content of a scene file of its own
+    velocity: tuple[float, float] | None = None  # m/s, rad/s on /cmd_vel while it walks
+    keeps: tuple[str, ...] = ()  # of LEFT_OUT
+
+
+CASES = {
+    "walk": Case(1.42, keeps=("/ground_truth/legs", "/tf")),
+    "turn": Case(2.5, velocity=(0.03, 0.15)),
+    "path": Case(2.5, ("--path", str(BAGS / "path.csv"))),
+    "fault": Case(2.5, scene=BROKEN),
+    "lost_odometry": Case(2.5, scene=LOST),
+}
+
+
+def record(name: str, case: Case, scratch: Path) -> Path:
+    """Run the graph for a case and return its bag, thinned; a fault may end the run early."""
+    config = changed_config(scratch, {})
+    options = ["--lockstep", "--seed", "1", "--duration", str(case.duration), *case.options]
+    if case.scene:
+        (config / "scene" / f"{name}.yaml").write_text(case.scene)
+        options += ["--scene", name]
+    os.environ["SLOT_CONFIG"] = str(config)
+    graph, recorded = read_graph(), scratch / "recorded"
+    with commanded(case.velocity):
+        try:
+            run.run(run.parse([*options, "--bag", str(recorded)], graph), graph, recorded)
+        except RunError as error:
+            print(f"{name}: {error}", file=sys.stderr)
+    return thinned(Bag(recorded), scratch / name, case.keeps)
+
+
+@contextmanager
+def commanded(velocity: tuple[float, float] | None) -> Iterator[None]:
+    """Publish a velocity at every state, as a user's joystick would."""
+    ended = threading.Event()
+
+    def publish() -> None:
+        with listener("joystick") as (node, executor):
+            topic = node.create_publisher(TwistStamped, "cmd_vel", qos.SENSOR)
+            message = TwistStamped()  # its stamp, zero, means now
+            message.twist.linear.x, message.twist.angular.z = velocity
+            node.create_subscription(MpcState, "mpc_state", lambda _: topic.publish(message), 50)
+            while not ended.is_set():
+                executor.spin_once(timeout_sec=0.1)
+
+    thread = threading.Thread(target=publish, daemon=True) if velocity else None
+    if thread:
+        thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        if thread:
+            thread.join()
+
+
+def thinned(bag: Bag, path: Path, keeps: tuple[str, ...]) -> Path:
+    """Copy of a bag without the topics of LEFT_OUT, and without the configuration's files."""
+    files = {name: data for name, data in bag.origin.files.items() if name != CONFIGURATION}
+    settings = dataclasses.replace(read_record_settings(), split=0.0)
+    with BagWriter(path, settings, Origin(bag.origin.about, files)) as out:
+        for topic, time, data in bag.raw():
+            if topic not in LEFT_OUT or topic in keeps:
+                out.write(topic, bag.topics[topic], time, data)
+    return path
+
+
+def figures(path: Path) -> dict[str, str]:
+    """What a bag shows, in words and numbers."""
+    bag = Bag(path)
+    m = walk_metrics(bag, 0.0, read_servo().stall_torque)
+    shown = {
+        "duration": f"{m.duration:.3f} s",
+        "ticks": str(m.ticks),
+        "mean v_x": f"{1e3 * m.mean_v_x:.2f} mm/s",
+        "height": f"{1e3 * m.height_mean:.2f} mm",
+        "tilt": f"{np.degrees(m.tilt_rms):.3f} deg RMS",
+        "yaw drift": f"{np.degrees(m.yaw_drift):+.3f} deg",
+        "MPC fallback": str(m.fallback_cycles),
+        "size": f"{size(path)} bytes",
+    }
+    if bag.counts.get("/robot_state"):
+        states = bag.series("/robot_state", "state")["state"]
+        order = states[np.flatnonzero(np.r_[True, np.diff(states) != 0])]
+        shown["states"] = " ".join(State(int(state)).name for state in order)
+    return shown
+
+
+def size(path: Path) -> int:
+    """Bytes of a bag's files."""
+    return sum(file.stat().st_size for file in path.iterdir())
+
+
+def compare(name: str, before: Path, after: Path) -> list[str]:
+    """Lines of the figures of two bags; `before` may not exist."""
+    old = figures(before) if before.exists() else {}
+    lines = []
+    for key, value in figures(after).items():
+        sign = "=" if old.get(key) == value else "->"
+        lines.append(f"{name:<15}{key:<14}{old.get(key, '-'):>20} {sign} {value}")
+    return lines
+
+
+def main() -> int:
+    """Record the bags; exit code 1 if one is too large, which is then not kept."""
+    parser = argparse.ArgumentParser(prog="test/bags/record", description=__doc__)
+    parser.add_argument(
+        "names", nargs="*", choices=[*CASES, []], metavar="NAME", help=", ".join(CASES)
+    )
+    code = 0
+    for name in parser.parse_args().names or CASES:
+        with tempfile.TemporaryDirectory() as scratch:
+            bag = record(name, CASES[name], Path(scratch))
+            print("\n".join(compare(name, BAGS / name, bag)))
+            if size(bag) >= SIZE_MAX:
+                print(f"{name}: {size(bag)} bytes, limit {SIZE_MAX}: not kept", file=sys.stderr)
+                code = 1
+                continue
+            shutil.rmtree(BAGS / name, ignore_errors=True)
+            shutil.copytree(bag, BAGS / name)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())
