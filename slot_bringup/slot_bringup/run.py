@@ -133,7 +133,7 @@ def report(directory: Path, keep: bool, namespace: str = "") -> None:
     """Print the summary of the bag; with `keep` also write it and the plots into `directory`."""
     bag = Bag(directory, namespace)
     figures = metrics.walk_metrics(bag, read_record_settings().warm_up, read_servo().stall_torque)
-    summary = "\n".join(summary_lines(figures))
+    summary = "\n".join([*summary_lines(figures), *filter(None, [bag.remark])])
     print(summary)
     if keep:
         (directory / "summary.txt").write_text(summary + "\n")
