@@ -1,11 +1,18 @@
 """Launch file of the node graph: ros2 launch slot_bringup slot.launch.py gait:=walk."""
 
+from pathlib import Path
 from typing import Any
 
+from ament_index_python.packages import (
+    PackageNotFoundError,
+    get_package_prefix,
+    get_package_share_directory,
+)
 from launch import Action, LaunchContext, LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
     ExecuteProcess,
+    LogInfo,
     OpaqueFunction,
     RegisterEventHandler,
 )
@@ -52,7 +59,8 @@ def _start_nodes(context: LaunchContext) -> list[Action]:
     stock = [_stock_recorder(values)] if given["recorder"] == "ros2bag" and values["bag"] else []
     if stock:
         values |= {"bag": ""}  # no node that records, and no robot that waits for it
-    return stock + [
+    model = [_robot_model(values)] if values["visualize"] else []
+    return [*stock, *model] + [
         Node(
             package=spec.package,
             executable=spec.name,
@@ -73,6 +81,27 @@ def _stock_recorder(values: dict[str, Any]) -> ExecuteProcess:
     """`ros2 bag record` of the same topics."""
     command = record_command(values["bag"], values["namespace"], GRAPH.about(values))
     return ExecuteProcess(cmd=[*TIED, *command], output="screen")
+
+
+def _robot_model(values: dict[str, Any]) -> Action:
+    """The node that publishes the URDF and the frames of its links, where it is installed."""
+    package = "robot_state_publisher"
+    try:
+        get_package_prefix(package)
+    except PackageNotFoundError:
+        return LogInfo(msg=f"visualize: {package} is not installed, so there is no URDF")
+    urdf = Path(get_package_share_directory("slot_bringup"), "urdf", "slot.urdf").read_text()
+    return Node(
+        package=package,
+        executable=package,
+        name=package,
+        namespace=values["namespace"],
+        parameters=[
+            {"robot_description": _typed(urdf), "frame_prefix": _typed(values["frame_prefix"])}
+        ],
+        prefix=" ".join(TIED),
+        output="screen",
+    )
 
 
 def _typed(value: Any) -> Any:

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import ament_index_python.packages
 import pytest
 
 from slot_bringup.check import check
@@ -257,6 +258,29 @@ def test_a_bag_named_like_a_number_stays_a_name(graph):
     assert bag.parse("") == ""
 
 
+@pytest.mark.parametrize("installed", [True, False])
+def test_the_launch_file_starts_the_urdfs_publisher_where_there_is_one(monkeypatch, installed):
+    def prefix(package):
+        if package == "robot_state_publisher" and not installed:
+            raise ament_index_python.packages.PackageNotFoundError(package)
+        return f"/{package}"
+
+    share = str(Path(__file__).parents[2] / "slot_bringup")
+    packages = ament_index_python.packages
+    monkeypatch.setattr(packages, "get_package_prefix", prefix)
+    monkeypatch.setattr(packages, "get_package_share_directory", lambda package: share)
+    given = {"visualize": "true", "namespace": "fred", "frame_prefix": "fred/"}
+    model, *nodes = load_launch_file(monkeypatch, given)
+    assert "visualizer" in [node["name"] for node in nodes]
+    if installed:
+        assert (model["package"], model["namespace"]) == ("robot_state_publisher", "fred")
+        (parameters,) = model["parameters"]
+        assert parameters["frame_prefix"]["args"] == ("fred/",)
+        assert '<robot name="slot">' in parameters["robot_description"]["args"][0]
+    else:
+        assert "robot_state_publisher is not installed" in model["msg"]
+
+
 def record(*args, **kwargs):
     """Stub of the classes of launch."""
     return kwargs | {"args": args}
@@ -306,6 +330,7 @@ def load_launch_file(monkeypatch, given):
         "launch.actions": (
             "DeclareLaunchArgument",
             "ExecuteProcess",
+            "LogInfo",
             "OpaqueFunction",
             "RegisterEventHandler",
         ),

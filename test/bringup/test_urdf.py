@@ -148,11 +148,14 @@ def test_viewers_start_in_the_world_frame_on_the_topics_of_the_graph():
     assert RVIZ["Global Options"]["Fixed Frame"] == ODOM_FRAME
     assert RVIZ["Views"]["Current"]["Target Frame"] == BASE_FRAME
     shown = {d["Class"].split("/")[1]: d for d in RVIZ["Displays"]}
-    assert {"TF", "RobotModel", "Odometry"} <= set(shown)
+    assert {"TF", "RobotModel", "Odometry", "MarkerArray"} <= set(shown)
+    assert shown["MarkerArray"]["Topic"]["Value"] == "/visualization"
+    assert shown["MarkerArray"]["Enabled"]
+    assert not shown["RobotModel"]["Enabled"]  # it would cover the bent legs
     assert shown["RobotModel"]["Description Topic"]["Value"] == "/robot_description"
     odometry = {d["Topic"]["Value"] for d in RVIZ["Displays"] if d["Class"].endswith("/Odometry")}
-    assert (
-        odometry
-        == {"/odom", "/ground_truth/odom"}
-        == set(LAYOUT["configById"]["3D!slot"]["topics"])
-    )
+    drawn = LAYOUT["configById"]["3D!slot"]
+    assert odometry == {"/odom", "/ground_truth/odom"}
+    assert set(drawn["topics"]) == odometry | {"/visualization"}
+    assert all(topic["visible"] for topic in drawn["topics"].values())
+    assert not drawn["layers"]["urdf"]["visible"]
