@@ -5,7 +5,7 @@ import time
 
 import numpy as np
 import pytest
-from line import LinePort
+from simulated_line import LinePort
 
 from slot_core import config
 from slot_core.dynamixel.driver import Driver

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from line import LinePort
+from simulated_line import LinePort
 
 from slot_core import config
 from slot_core.dynamixel.driver import Driver
