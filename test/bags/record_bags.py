@@ -41,12 +41,12 @@ LEFT_OUT = ("/tf", "/force_map/status", "/diagnostics", "/ground_truth/legs")
 BROKEN = """
 like: flat
 faults:
-  fl: {kind: tendon_broken, leg: FL, time: 1.2, duration: 0.0, value: 0.0}
+  fl: {kind: tendon_broken, leg: FL, time: 1.0, duration: 0.0, value: 0.0}
 """
 LOST = """
 like: flat
 sensors.odometry.dropouts:
-  lost: {time: 1.2, duration: 0.6}
+  lost: {time: 0.8, duration: 0.7}
 """
 
 
@@ -63,10 +63,10 @@ class Case:
 
 CASES = {
     "walk": Case(1.42, keeps=("/ground_truth/legs", "/tf")),
-    "turn": Case(2.5, velocity=(0.03, 0.15)),
-    "path": Case(2.5, ("--path", str(BAGS / "path.csv"))),
-    "fault": Case(2.5, scene=BROKEN),
-    "lost_odometry": Case(2.5, scene=LOST),
+    "turn": Case(1.8, velocity=(0.03, 0.15)),
+    "path": Case(1.8, ("--path", str(BAGS / "path.csv"))),
+    "fault": Case(1.8, scene=BROKEN),
+    "lost_odometry": Case(1.8, scene=LOST),
 }
 
 
