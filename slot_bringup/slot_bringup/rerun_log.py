@@ -111,7 +111,10 @@ def blueprint() -> rrb.Blueprint:
     """Layout: the robot above its states, beside the plots."""
     plots = [
         rrb.TimeSeriesView(
-            origin=f"/plots/{name}", name=plot.title, plot_legend=rrb.PlotLegend(visible=True)
+            origin=f"/plots/{name}",
+            name=plot.title,
+            # the legs have the colours of the picture
+            plot_legend=rrb.PlotLegend("LeftTop", visible=name in traces.OF_TORSO),
         )
         for name, plot in traces.PLOTS.items()
     ]
@@ -122,7 +125,7 @@ def blueprint() -> rrb.Blueprint:
         line_grid=rrb.LineGrid3D(spacing=0.1, color=0xC8D0D8FF),
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,
-            position=(0.35, -0.65, 0.35),
+            position=(0.28, -0.5, 0.25),
             look_target=(0.0, 0.0, 0.05),
             eye_up=(0.0, 0.0, 1.0),
             tracking_entity="/world/torso",

@@ -8,7 +8,7 @@ import signal
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any, NoReturn
@@ -18,6 +18,7 @@ from slot_bringup.check import check
 from slot_bringup.graph import Graph, is_attended, read_graph
 from slot_bringup.monitor import RunError, require_no_other_graph, watch
 from slot_bringup.processes import Processes
+from slot_bringup.view import ViewError, beside, require_rerun
 from slot_core.arguments import within
 from slot_core.bags.bag import Bag, BagError
 from slot_core.bags.record_settings import read_record_settings
@@ -57,6 +58,9 @@ def parse(arguments: Sequence[str] | None, graph: Graph) -> argparse.Namespace:
         metavar="S",
         help="length of the run on the robot's clock, s (default: 20)",
     )
+    parser.add_argument(
+        "--view", action="store_true", help="show the run in rerun: a window, or for a browser"
+    )
     keep = parser.add_mutually_exclusive_group()
     keep.add_argument(
         "--bag",
@@ -68,7 +72,9 @@ def parse(arguments: Sequence[str] | None, graph: Graph) -> argparse.Namespace:
     options = parser.parse_args(arguments)
     try:
         check(vars(options))
-    except ConfigError as error:
+        if options.view:
+            require_rerun()
+    except (ConfigError, ViewError) as error:
         parser.error(str(error))
     return options
 
@@ -80,7 +86,8 @@ def run(options: argparse.Namespace, graph: Graph, directory: Path) -> None:
     slack, or another graph runs already.
     """
     values = vars(options) | {"bag": str(directory)}
-    with started(graph, values, directory / "log") as processes:
+    shown = beside(options.namespace) if options.view else nullcontext()
+    with started(graph, values, directory / "log") as processes, shown:
         played = options.hardware == "none"
         watch(processes, options.duration, is_attended(values), options.namespace, played)
 

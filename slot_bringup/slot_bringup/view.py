@@ -6,6 +6,7 @@ import argparse
 import importlib.util
 import os
 import signal
+import subprocess
 import sys
 import tempfile
 import webbrowser
@@ -20,6 +21,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from slot_bringup import INTERRUPTS
 from slot_bringup.check import check_namespace
+from slot_bringup.graph import TIED
 from slot_bringup.monitor import listener
 from slot_bringup.rerun_viewer import Viewer, ViewerError
 from slot_core.bags.bag import Bag
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
 BAGS = Path("bags")  # where scripts/run keeps them
 SPIN = 0.1  # s, longest time between two looks whether to end
 QUEUE = 100  # messages of a topic that wait while others are drawn
+STOP_TIMEOUT = 10.0  # s, from SIGTERM to SIGKILL
 
 
 class ViewError(RuntimeError):
@@ -193,6 +196,23 @@ def _follow(namespace: str, log: RerunLog, ended: Callable[[], bool]) -> None:
             )
         while not ended():
             executor.spin_once(timeout_sec=SPIN)
+
+
+@contextmanager
+def beside(namespace: str) -> Iterator[None]:
+    """Show a graph live while the block runs, in a process of its own; its errors end only it."""
+    command = [*TIED, sys.executable, "-m", "slot_bringup.view", "--live"]
+    command += ["--namespace", namespace, *([] if has_display() else ["--web"])]
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
+    try:
+        yield
+    finally:
+        process.terminate()
+        try:
+            process.wait(STOP_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -4,7 +4,7 @@ import shutil
 
 import pytest
 
-from slot_bringup import run
+from slot_bringup import run, view
 from slot_bringup.graph import read_graph
 from slot_core.config import config_dir
 
@@ -31,9 +31,13 @@ from slot_core.config import config_dir
         (["--namespace", "//a"], "namespace = '//a': Invalid namespace: "),
         (["--frame-prefix", "/a/"], "frame_prefix = '/a/': tf2 knows no frames that begin with"),
         (["--speed", "1"], "unrecognized arguments: --speed 1"),
+        (["--view"], "rerun-sdk is missing; run scripts/setup --view"),
     ],
 )
-def test_a_wrong_value_is_refused_with_one_line_and_exit_code_2(capsys, arguments, message):
+def test_a_wrong_value_is_refused_with_one_line_and_exit_code_2(
+    capsys, monkeypatch, arguments, message
+):
+    monkeypatch.setattr(view.importlib.util, "find_spec", {}.get)  # without rerun
     with pytest.raises(SystemExit) as refusal:
         run.parse(arguments, read_graph())
     assert refusal.value.code == 2

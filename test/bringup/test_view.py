@@ -75,12 +75,16 @@ def test_the_newest_bag_is_shown_by_default(tmp_path):
     assert view.newest_bag(tmp_path) == tmp_path / "walk_1"
 
 
-def test_a_viewer_that_does_not_start_is_reported_with_its_last_line(monkeypatch, tmp_path):
+def test_a_viewer_that_does_not_start_is_reported_with_its_last_line_and_may_ask_nobody(
+    monkeypatch, tmp_path
+):
     program = tmp_path / "rerun"
-    program.write_text("#!/bin/sh\necho first\necho no graphics\nexit 3\n")
+    program.write_text("#!/bin/sh\necho first\necho CI $CI, proxy $HTTPS_PROXY\nexit 3\n")
     program.chmod(0o755)
     monkeypatch.setattr(rerun_viewer.sys, "executable", str(tmp_path / "python"))
-    with pytest.raises(rerun_viewer.ViewerError, match="rerun ended: no graphics"):
+    with pytest.raises(
+        rerun_viewer.ViewerError, match=r"rerun ended: CI 1, proxy http://127\.0\.0\.1:9"
+    ):
         rerun_viewer.Viewer(web=False, log=tmp_path / "log")
 
 

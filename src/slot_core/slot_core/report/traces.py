@@ -73,6 +73,7 @@ PLOTS = {
     "tension": Plot("tendon tension (N)", {"simulated": _of_legs("simulated")}),
     "solve_time": Plot("solve time of the MPC (ms)", {"mpc": _one("solve time", palette.INK)}),
 }
+OF_TORSO = ("velocity", "height", "roll", "pitch")  # plots
 STATES = {"supervisor": "supervisor", "mpc": "MPC", "gait": "gait"}  # by key of `states`: title
 
 
