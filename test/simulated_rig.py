@@ -124,6 +124,23 @@ class Publisher:
         return 0  # none is known before it is matched
 
 
+class Answer:
+    """Future answer of a service that a node has called."""
+
+    def __init__(self, rig, service, request):
+        self._rig, self._served = rig, None
+
+        def serve():
+            rig._serve(service, request)
+            self._served = rig.now()
+
+        rig.call_at(rig.now() + LATENCY, serve)
+
+    def done(self):
+        """Whether the answer has arrived."""
+        return self._served is not None and self._rig.now() >= self._served + LATENCY
+
+
 class Clock:
     """ROS clock of a node."""
 
@@ -233,9 +250,7 @@ class SimulatedRig(Rig):
             service = f"/{name.lstrip('/')}"
             return types.SimpleNamespace(
                 service_is_ready=lambda: rig._offers(service),
-                call_async=lambda request: rig.call_at(
-                    rig.now() + LATENCY, lambda: rig._serve(service, request)
-                ),
+                call_async=lambda request: Answer(rig, service, request),
             )
 
         def create_timer(node, period, callback, **_):

@@ -37,7 +37,7 @@ def check(values: Mapping[str, Any]) -> None:
     if values["lockstep"] and hardware != "sim":
         raise ConfigError(f"lockstep: servos of hardware {hardware} move in real time")
     if values["lockstep"] and values["attended"]:
-        raise ConfigError("lockstep has no supervisor, which attended needs")
+        raise ConfigError("lockstep: an operator and the e-stop's source live in real time")
     if values["markers"] and is_simulated(values) and not scene.sensors.camera.enabled:
         raise ConfigError(f"markers: the scene {values['scene']} has no camera")
     if values["calibration"]:

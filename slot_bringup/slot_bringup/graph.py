@@ -13,7 +13,6 @@ from typing import Any
 
 import yaml
 
-from slot_core.control.gait import STAND
 from slot_core.dynamics.scene import read_scene
 
 CONTROLLER = "controller"  # executable of the nodes in one process
@@ -112,7 +111,6 @@ class Graph:
             for name, entry in self._nodes.items()
             if values["hardware"] in entry.get("hardware", [values["hardware"]])
             and ("needs" not in entry or values[entry["needs"]])
-            and ("unless" not in entry or not values[entry["unless"]])
         ]
         return self._composed(specs) if values["composed"] else specs
 
@@ -188,20 +186,15 @@ def is_attended(values: Mapping[str, Any]) -> bool:
 
 
 def _start_up(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters of supervisor and gait scheduler at the start.
+    """Parameters of the supervisor at the start, and whether the clock is simulated.
 
     Unattended, the supervisor starts to walk by itself and needs no e-stop source; attended, it
-    waits for requests. The gait scheduler starts with STAND; the supervisor sets the gait later. In
-    lockstep there is no supervisor, so the gait is set from the first tick on.
+    waits for requests.
     """
     attended = is_attended(values)
     start = {"autostart": not attended, "estop_required": None if attended else False}
     start["simulated_time"] = values["lockstep"] or values["hardware"] == "none"
-    if values["lockstep"]:
-        first = {"gait": values["gait"], "vx": values["vx"], "vy": values["vy"]}
-    else:
-        first = {"gait": STAND, "vx": 0.0, "vy": 0.0}
-    return start | {f"first_{name}": value for name, value in first.items()}
+    return start
 
 
 def read_graph() -> Graph:

@@ -43,13 +43,13 @@ def test_arguments_reach_the_nodes_with_their_types(graph):
     assert nodes["sim_robot"].parameters["seed"] == 3
 
 
-def test_the_scheduler_starts_with_stand_and_in_lockstep_with_the_gait(graph):
-    nodes = {s.name: s for s in graph.nodes(values(graph, vx=0.05))}
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_the_scheduler_starts_with_stand_and_the_supervisor_has_the_gait(graph, lockstep):
+    nodes = {s.name: s for s in graph.nodes(values(graph, vx=0.05, lockstep=lockstep))}
     assert nodes["gait_scheduler"].parameters["gait"] == "stand"
-    nodes = {s.name: s for s in graph.nodes(values(graph, vx=0.05, lockstep=True))}
-    assert "supervisor" not in nodes
-    assert nodes["gait_scheduler"].parameters["gait"] == "walk"
-    assert nodes["gait_scheduler"].parameters["v_x"] == 0.05
+    assert nodes["supervisor"].parameters["gait"] == "walk"
+    assert nodes["supervisor"].parameters["v_x"] == 0.05
+    assert nodes["supervisor"].parameters["lockstep"] is lockstep
 
 
 @pytest.mark.parametrize("hardware", ["sim", "fake_bus", "real"])
@@ -157,7 +157,7 @@ def test_lockstep_makes_every_node_follow_the_simulators_clock(graph):
 
 def test_parameters_are_written_in_the_yaml_that_ros_parses(graph):
     nodes = {s.name: s for s in graph.nodes(values(graph, lockstep=True))}
-    arguments = command_line(nodes["gait_scheduler"])
+    arguments = command_line(nodes["supervisor"])
     assert 'gait:="walk"' in arguments
     assert "use_sim_time:=true" in arguments
     assert "v_y:=0.0" in arguments
@@ -241,7 +241,10 @@ def test_without_hardware_a_played_bag_gives_sensors_and_clock(graph):
         ({"gait": "nope"}, "no gait 'nope'"),
         ({"vx": "9"}, "v_x = 9: gait walk reaches"),
         ({"lockstep": "true", "hardware": "fake_bus"}, "lockstep: servos of hardware fake_bus"),
-        ({"lockstep": "true", "attended": "true"}, "lockstep has no supervisor"),
+        (
+            {"lockstep": "true", "attended": "true"},
+            "lockstep: an operator and the e-stop's source live in real time",
+        ),
         ({"bag": "."}, "bag .: exists already"),
         ({"bag": "~"}, "exists already"),
     ],

@@ -26,7 +26,10 @@ from slot_core.config import config_dir
         (["--bag", "."], "bag .: exists already"),
         (["--seed", "-1"], "seed = -1: outside [0, 9223372036854775807]"),
         (["--seed", "99999999999999999999"], "seed = 99999999999999999999: outside [0, "),
-        (["--lockstep", "--attended"], "lockstep has no supervisor, which attended needs"),
+        (
+            ["--lockstep", "--attended"],
+            "lockstep: an operator and the e-stop's source live in real time",
+        ),
         (["--namespace", "a b"], "namespace = 'a b': Invalid namespace: "),
         (["--namespace", "//a"], "namespace = '//a': Invalid namespace: "),
         (["--frame-prefix", "/a/"], "frame_prefix = '/a/': tf2 knows no frames that begin with"),

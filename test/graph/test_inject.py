@@ -22,16 +22,21 @@ from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.settings import read_settings
 from slot_core.robot import TENDON_JOINTS
-from slot_msgs.msg import LegStates
+from slot_core.safety.settings import read_supervisor
+from slot_core.safety.states import State
+from slot_msgs.msg import LegStates, RobotState, ServoHealth, ServoLimits
 from slot_msgs.srv import InjectFault
-from slot_nodes import qos
+from slot_nodes import messages, qos
 
 STANDING = [1.1] * 4  # rad, about the settled tendon angles
 LIMIT = 60.0  # s, longest wait on a busy machine
 
 
 class Robot:
-    """A `sim_robot` process, and a node that answers its odometry with constant angles."""
+    """A `sim_robot` process, and a node that answers its odometry with constant angles.
+
+    The node also stands in for the supervisor: it permits commands, on each report of the servos.
+    """
 
     def __init__(self, log, **parameters):
         self.log = log
@@ -49,6 +54,10 @@ class Robot:
         self.commands = self.node.create_publisher(JointState, "desired_joint_angles", qos.CONTROL)
         self.node.create_subscription(Odometry, "odom", self._on_odometry, qos.SENSOR)
         self.node.create_subscription(LegStates, "ground_truth/legs", self._on_legs, qos.SENSOR)
+        self.states = self.node.create_publisher(RobotState, "robot_state", qos.STATE)
+        self.limits = self.node.create_publisher(ServoLimits, "servo_limits", qos.STATE)
+        self.limits.publish(messages.limits_to_msg(read_supervisor().servo_limits))
+        self.node.create_subscription(ServoHealth, "servo_health", self._on_health, qos.SENSOR)
         self.holding = False
         self.odometry = None  # last odometry
         self.tension = {}  # N, by time since the start, s
@@ -63,6 +72,11 @@ class Robot:
         answer = JointState(name=TENDON_JOINTS, position=STANDING)
         answer.header.stamp = self.odometry.header.stamp
         self.commands.publish(answer)
+
+    def _on_health(self, message):
+        state = RobotState(state=State.STANDING, action=RobotState.ACTION_PASS)
+        state.header.stamp = message.header.stamp
+        self.states.publish(state)
 
     def _on_legs(self, message):
         self.tension[round(decode.stamp(message) * 1e-9 - 1.0, 6)] = list(message.tension)

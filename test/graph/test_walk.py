@@ -13,7 +13,7 @@ from slot_core.bags.bag import Bag
 from slot_core.clock import SECOND
 from slot_core.dynamics.scene import read_scene
 from slot_core.robot import TENDON_JOINTS, read_robot
-from slot_core.simulation.closed_loop import ClosedLoop
+from slot_core.simulation.supervised_loop import SupervisedLoop
 
 CHAIN = ("/odom", "/mpc_state", "/gait_preview", "/ground_reaction_forces", "/desired_joint_angles")
 OTHERS = ("/clock", "/imu", "/joint_states", "/tf", "/force_map/status", "/ground_truth/odom",
@@ -39,7 +39,7 @@ def numbers(message):
 
 
 def test_every_topic_is_recorded(messages):
-    for topic in (*CHAIN, *OTHERS):
+    for topic in (*CHAIN, *OTHERS, "/robot_state", "/servo_health"):
         assert len(messages[topic]) > 100, topic
 
 
@@ -117,20 +117,31 @@ def test_equal_seeds_give_bit_equal_states_also_in_one_process(walk, messages, t
 
 
 def test_graph_gives_the_commands_of_the_core_in_one_process(walk):
-    """Bit-equal: processes, DDS and the order of arrival have no effect."""
-    loop = ClosedLoop("flat", "walk", None, seed=3)
-    commands = {tick.estimate.stamp: tick.command.angle for tick in loop.run(140)}
+    """Bit-equal, supervisor included: processes, DDS and the order of arrival have no effect."""
+    commands = commands_of_core(seed=3, seconds=4.6)
     recorded = {}
     for _, message in Bag(walk).messages("/desired_joint_angles"):
         stamp, angle = decode.joint_angles(message)
         recorded[stamp] = angle
-    assert len(commands) == 140
+    assert len(commands) > 130
     for stamp, angle in commands.items():
         assert (recorded[stamp] == angle).all(), stamp
-    other = [
-        *ClosedLoop("flat", "walk", None, seed=4).run(60)
-    ]  # the first stride needs no feedback
-    assert any((recorded[tick.estimate.stamp] != tick.command.angle).any() for tick in other)
+    other = commands_of_core(seed=4, seconds=2.5)  # the first stride needs no feedback
+    assert any((recorded[stamp] != angle).any() for stamp, angle in other.items())
+
+
+def commands_of_core(seed, seconds):
+    """Commands of the core in one process, by stamp."""
+    loop = SupervisedLoop("flat", "walk", None, seed)
+    commands, offer = {}, loop.servos.offer
+
+    def record(now, stamp, angle):
+        commands[stamp] = angle
+        offer(now, stamp, angle)
+
+    loop.servos.offer = record
+    list(loop.run(seconds))
+    return commands
 
 
 def values(rows):

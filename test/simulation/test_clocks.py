@@ -1,4 +1,4 @@
-"""Clocks of the simulated robot: on commands, in real time, and waiting for a late driver."""
+"""Clocks of the simulated robot: on answers, in real time, and waiting for a late driver."""
 
 import numpy as np
 import pytest
@@ -9,9 +9,12 @@ from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.settings import read_settings
+from slot_core.dynamixel.state import JointReading
 from slot_core.emulator.emulated_bus import read_emulator
 from slot_core.emulator.memory_port import MemoryPort
 from slot_core.robot import read_robot
+from slot_core.safety.settings import read_supervisor
+from slot_core.safety.supervisor import PERIOD as SUPERVISOR
 from slot_core.simulation.bus_plant import BusPlant
 from slot_core.simulation.clocks import (
     LOCKSTEP_START,
@@ -20,8 +23,9 @@ from slot_core.simulation.clocks import (
     LockstepClock,
     RealTimeClock,
 )
-from slot_core.simulation.plant import Plant
-from slot_core.simulation.sensors import OdometryReading
+from slot_core.simulation.plant import Plant, ServoReport
+from slot_core.simulation.sensors import ImuReading, OdometryReading
+from slot_core.simulation.stepped_servos import SteppedServos
 
 SCENE = config.replace(read_scene("map"), {"start.settle": 0.1})
 PERIOD = round(SCENE.sensors.odometry.period * SECOND)  # ns
@@ -38,9 +42,14 @@ def plant():
 
 @pytest.fixture
 def lockstep(plant):
-    """Lockstep clock, started."""
-    clock = LockstepClock(plant)
-    clock.start(NOW)
+    """Lockstep clock; the first command and the supervisor's first state have been received."""
+    servos = SteppedServos(plant)
+    servos.set_limits(read_supervisor().servo_limits)
+    clock = LockstepClock(plant, servos)
+    assert [type(r) for r in clock.at_rest()] == [ImuReading, JointReading, OdometryReading]
+    (report,) = clock.advance_on_answer(OdometryReading, LOCKSTEP_START)
+    assert not clock.running
+    assert clock.at_rest()[0].stamp == report.stamp == plant.now == LOCKSTEP_START
     return clock
 
 
@@ -52,51 +61,40 @@ def real_time(plant):
     return clock
 
 
-def test_lockstep_starts_at_its_own_time(plant, lockstep):
-    assert plant.now == lockstep.rest_stamp(NOW) == LOCKSTEP_START
+def test_lockstep_advances_from_one_reading_that_is_answered_to_the_next(plant, lockstep):
+    kind, stamp, answered = ServoReport, LOCKSTEP_START, []
+    for _ in range(40):
+        *others, reading = lockstep.advance_on_answer(kind, stamp)
+        assert not any(isinstance(r, (OdometryReading, ServoReport)) for r in others)
+        kind, stamp = type(reading), reading.stamp
+        assert plant.now == stamp + (DELAY if kind is OdometryReading else 0)
+        answered.append((kind, stamp - LOCKSTEP_START))
+    for kind, period in ((OdometryReading, PERIOD), (ServoReport, round(SUPERVISOR * SECOND))):
+        times = [time for k, time in answered if k is kind]
+        assert times == [period * n for n in range(1, len(times) + 1)]
+        assert len(times) > 10
 
 
-def test_lockstep_advances_one_odometry_period_per_answered_reading(plant, lockstep):
-    stamp = LOCKSTEP_START
-    for tick in range(1, 6):
-        odometry = [
-            reading
-            for reading in lockstep.advance_on_command(stamp)
-            if isinstance(reading, OdometryReading)
-        ]
-        assert [reading.stamp for reading in odometry] == [LOCKSTEP_START + tick * PERIOD]
-        stamp = odometry[0].stamp
-        assert plant.now == stamp + DELAY  # when the reading is due
-
-
-@pytest.mark.parametrize("offset", [-PERIOD, -1, 1, PERIOD])
-def test_lockstep_does_not_advance_on_another_stamp(plant, lockstep, offset):
-    stamp = list(lockstep.advance_on_command(LOCKSTEP_START))[-1].stamp
+@pytest.mark.parametrize("kind", [OdometryReading, ServoReport])
+@pytest.mark.parametrize("offset", [-PERIOD, -1, 0, 1, PERIOD])
+def test_lockstep_advances_on_no_other_answer(plant, lockstep, kind, offset):
+    reading = list(lockstep.advance_on_answer(ServoReport, LOCKSTEP_START))[-1]
     before = plant.now
-    assert list(lockstep.advance_on_command(stamp + offset)) == []
-    assert plant.now == before
+    if (kind, offset) != (type(reading), 0):
+        assert list(lockstep.advance_on_answer(kind, reading.stamp + offset)) == []
+        assert plant.now == before
 
 
-def test_lockstep_answers_a_stamp_once(plant, lockstep):
-    list(lockstep.advance_on_command(LOCKSTEP_START))
+def test_lockstep_takes_an_answer_once(plant, lockstep):
+    list(lockstep.advance_on_answer(ServoReport, LOCKSTEP_START))
     before = plant.now
-    assert list(lockstep.advance_on_command(LOCKSTEP_START)) == []
+    assert list(lockstep.advance_on_answer(ServoReport, LOCKSTEP_START)) == []
     assert plant.now == before
-
-
-def test_lockstep_does_not_advance_with_time(plant, lockstep):
-    assert list(lockstep.advance_to(NOW + SECOND)) == []
-    assert plant.now == LOCKSTEP_START
 
 
 def test_real_time_starts_now(plant, real_time):
-    assert plant.now == real_time.rest_stamp(NOW) == NOW
-    assert real_time.lag(NOW) == 0
-
-
-def test_real_time_does_not_advance_on_commands(plant, real_time):
-    assert list(real_time.advance_on_command(NOW)) == []
     assert plant.now == NOW
+    assert real_time.lag(NOW) == 0
 
 
 def test_real_time_advances_to_the_present_in_whole_steps(plant, real_time):

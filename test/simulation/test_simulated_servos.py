@@ -1,4 +1,4 @@
-"""Servos of the simulated robot: direct, behind the command watchdog, and on an emulated bus."""
+"""Servos of the simulated robot: behind the command watchdog, and on an emulated bus."""
 
 import dataclasses
 import math
@@ -25,7 +25,6 @@ from slot_core.simulation.plant import Plant
 from slot_core.simulation.simulated_servos import (
     CLOSE_TIMEOUT,
     BusServos,
-    DirectServos,
     GuardedServos,
 )
 
@@ -95,29 +94,6 @@ class Guarded:
 @pytest.fixture
 def guarded():
     return Guarded()
-
-
-def test_direct_servos_follow_a_command_at_once():
-    direct, reference = make_plant(), make_plant()
-    servos = DirectServos(direct)
-    assert servos.powered
-    assert servos.follows(0)
-    for plant in (direct, reference):
-        plant.start(0)
-    servos.offer(0, 0, COMMAND)
-    reference.command(COMMAND)
-    servos.step(0)
-    before = direct.simulator.tendon_angle
-    for plant in (direct, reference):
-        list(plant.advance(20 * TICK))
-    assert (direct.simulator.tendon_angle == reference.simulator.tendon_angle).all()
-    assert np.abs(direct.simulator.tendon_angle - before).min() > 0.01
-
-
-@pytest.mark.parametrize(("angle", "leg"), OUT_OF_RANGE)
-def test_direct_servos_refuse_a_command_out_of_range(angle, leg):
-    with pytest.raises(ValueError, match=r"is not inside \[0, 2\.02"):
-        DirectServos(make_plant()).offer(0, 0, angle)
 
 
 def test_without_limits_guarded_servos_hold_and_refuse_commands():

@@ -4,14 +4,15 @@ Two parameters choose its clock (`simulation/clocks.py`) and its servos
 (`simulation/simulated_servos.py`):
 
     parameter    clock      servos
-    lockstep     lockstep   direct
+    lockstep     lockstep   stepped: they obey `/robot_state` and report on the robot's clock
     none         real time  guarded: they obey `/robot_state` and report on `/servo_health`
     bus          real time  emulated, on a pseudo-terminal of that name
 
-The robot starts frozen. It publishes nothing until its servos are powered and, with
-`wait_for_recording`, the recorder is ready; then it publishes readings at rest until the first
-command that its servos follow. So no run depends on the order of discovery. On a bus the node waits
-at its end for the driver to switch the servos off.
+The robot starts frozen. It publishes nothing until its servos are powered (in lockstep: have their
+limits) and, with `wait_for_recording`, the recorder is ready; then it publishes readings at rest
+until the first command that its servos follow; in lockstep until the first command and the
+supervisor's first state. So no run depends on the order of discovery. On a bus the node waits at
+its end for the driver to switch the servos off.
 
 Faults are planned in the scene or injected by the service `~/inject`. If the simulation diverges,
 the node writes its state to a file and ends.
@@ -48,12 +49,12 @@ from slot_core.simulation.clocks import (
     BusClock,
     LockstepClock,
     RealTimeClock,
-    SimulationClock,
 )
-from slot_core.simulation.plant import Plant, Reading, TrueState
+from slot_core.simulation.plant import Plant, Reading, ServoReport, TrueState
 from slot_core.simulation.sensors import ImuReading, OdometryReading, PictureReading
-from slot_core.simulation.simulated_servos import BusServos, DirectServos, GuardedServos, Servos
-from slot_msgs.msg import LegStates, RobotState, ServoLimits
+from slot_core.simulation.simulated_servos import BusServos, GuardedServos, Servos
+from slot_core.simulation.stepped_servos import SteppedServos
+from slot_msgs.msg import LegStates, RobotState, ServoHealth, ServoLimits
 from slot_nodes import fault_service, inputs, messages, qos, runtime
 from slot_nodes.health_report import HealthReport
 
@@ -72,7 +73,7 @@ class SimRobotNode(Node):
 
     def __init__(self) -> None:
         super().__init__("sim_robot")
-        self._lockstep = runtime.declare(self, "lockstep", False, "advance only on a command")
+        self._lockstep = runtime.declare(self, "lockstep", False, "advance only on an answer")
         seeds = [IntegerRange(from_value=0, to_value=2**63 - 1)]
         seed = runtime.declare(self, "seed", 0, "of the sensor noise", integer_range=seeds)
         scene = runtime.declare(self, "scene", "flat", "a file of config/scene")
@@ -102,12 +103,12 @@ class SimRobotNode(Node):
         self._action: Action | None = None  # of guarded servos, as last logged
         self._create_publishers()
         fault_service.serve(self, self._plant)
-        self._time: SimulationClock = self._make_clock()
         inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
         self.create_subscription(Bool, "recording", self._on_recording, qos.CONTROL)
         period = FROZEN_PERIOD if self._lockstep else settings.sensors.odometry.period
         self._timer = runtime.wall_timer(self, period, self._publish_at_rest)
         self._servos: Servos = self._make_servos(link)
+        self._time = self._make_clock()
 
     def _make_plant(self, scene: Scene, servo: ServoSettings, seed: int, bus: bool) -> Plant:
         rng, robot = np.random.default_rng(seed), read_robot(scene.parameters)
@@ -118,9 +119,9 @@ class SimRobotNode(Node):
         settings, emulator = read_settings(), read_emulator()
         return BusPlant(robot, scene, servo, rng, settings=settings, emulator=emulator)
 
-    def _make_clock(self) -> SimulationClock:
-        if self._lockstep:
-            return LockstepClock(self._plant)
+    def _make_clock(self) -> LockstepClock | RealTimeClock:
+        if isinstance(self._servos, SteppedServos):
+            return LockstepClock(self._plant, self._servos)
         if isinstance(self._plant, BusPlant):
             return BusClock(self._plant, BUS_PORTION)
         return RealTimeClock(self._plant, PORTION)
@@ -130,8 +131,9 @@ class SimRobotNode(Node):
         if isinstance(self._plant, BusPlant):
             return BusServos(self._plant, Path(link))
         if self._lockstep:
-            return DirectServos(self._plant)
-        servos, self._report = GuardedServos(self._plant), HealthReport(self)
+            servos: GuardedServos = SteppedServos(self._plant)
+        else:
+            servos, self._report = GuardedServos(self._plant), HealthReport(self)
         on_state = partial(self._on_robot_state, servos)
         on_limits = partial(self._on_limits, servos)
         inputs.subscribe(self, RobotState, "robot_state", on_state, qos.STATE)
@@ -147,6 +149,11 @@ class SimRobotNode(Node):
                 messages.joints_to_msg,
             ),
         }
+        if self._lockstep:
+            self._outputs[ServoReport] = (
+                runtime.publisher(self, ServoHealth, "servo_health", qos.SENSOR),
+                lambda report: messages.health_to_msg(report.stamp, report.health),
+            )
         self._camera_info = None
         if self._plant.camera is None:
             odometry = runtime.publisher(self, Odometry, "odom", qos.SENSOR)
@@ -161,18 +168,22 @@ class SimRobotNode(Node):
         self._legs = runtime.publisher(self, LegStates, "ground_truth/legs", qos.SENSOR)
 
     def _publish_at_rest(self) -> None:
-        """Publish readings at rest; called until the first command that the servos follow.
+        """Publish readings at rest; called until the robot's time starts.
 
-        If torque goes off before that, the tendons unwind: the robot's time starts.
+        In real time it starts too if torque goes off before, so that the tendons unwind.
         """
-        self._step_servos()
+        if not self._lockstep:
+            self._step_servos()
         if self._servos.released:
             self._start()
             return
         if self._records and self._recorded_since is None:
             return
         if self._servos.powered and self._is_matched():
-            self._publish_all(self._plant.readings_at_rest(self._time.rest_stamp(self._now())))
+            if isinstance(self._time, LockstepClock):
+                self._publish_all(self._time.at_rest())
+            else:
+                self._publish_all(self._plant.readings_at_rest(self._now()))
 
     def _is_matched(self) -> bool:
         """Whether every discovered subscriber is matched, so that it receives the next message.
@@ -197,22 +208,34 @@ class SimRobotNode(Node):
         servos.set_limits(decode.servo_limits(message))
 
     def _on_robot_state(self, servos: GuardedServos, message: RobotState) -> None:
-        servos.permit(decode.permission(message, time.monotonic_ns()))
+        servos.permit(decode.permission(message, self._servo_time()))
+        self._continue(ServoReport, decode.stamp(message))
 
     def _on_command(self, message: JointState) -> None:
         stamp, angle = decode.joint_angles(message)
-        inputs.require_present(stamp, self._now(), self._servos.clock_jump)
-        self._servos.offer(time.monotonic_ns(), stamp, angle)
-        if self._frozen and self._servos.follows(time.monotonic_ns()):
+        try:
+            inputs.require_present(stamp, self._now(), self._servos.clock_jump)
+            self._servos.offer(self._servo_time(), stamp, angle)
+        finally:
+            self._continue(OdometryReading, stamp)
+        if self._frozen and not self._lockstep and self._servos.follows(time.monotonic_ns()):
             self._start()
-        self._publish_all(self._time.advance_on_command(stamp))
+
+    def _continue(self, kind: type, stamp: int) -> None:
+        """In lockstep advance if this was the awaited answer; the first ones end the rest."""
+        if isinstance(self._time, LockstepClock):
+            self._publish_all(self._time.advance_on_answer(kind, stamp))
+            if self._frozen and self._time.running:
+                self._frozen = False
+                self.destroy_timer(self._timer)
 
     def _start(self) -> None:
+        """Start the robot's time, in real time."""
+        assert isinstance(self._time, RealTimeClock)
         self._frozen = False
         self.destroy_timer(self._timer)
         self._time.start(self._now())
-        if not self._lockstep:
-            self._timer = runtime.wall_timer(self, REAL_TIME_PERIOD, self._advance_to_present)
+        self._timer = runtime.wall_timer(self, REAL_TIME_PERIOD, self._advance_to_present)
 
     def _advance_to_present(self) -> None:
         """Advance the simulation towards the present."""
@@ -238,9 +261,12 @@ class SimRobotNode(Node):
         if not isinstance(servos, GuardedServos):
             return
         self._report.publish(self._now(), servos)
-        if servos.action is not self._action:
-            self.get_logger().info(f"{servos.action.name} {servos.reason}".strip())
-        self._action = servos.action
+        self._log_action(servos.action, servos.reason)
+
+    def _log_action(self, action: Action, reason: str) -> None:
+        if action is not self._action:
+            self.get_logger().info(f"{action.name} {reason}".strip())
+        self._action = action
 
     def _publish_all(self, readings: Iterable[Reading]) -> None:
         """Publish readings; on divergence of the simulation end the node with one line."""
@@ -267,6 +293,8 @@ class SimRobotNode(Node):
             self._published_clock = self._plant.now
             clock = messages.ns_to_stamp(self._published_clock)
             self._clock_topic.publish(ClockMessage(clock=clock))
+        if isinstance(reading, ServoReport) and reading.health is not None:
+            self._log_action(reading.health.action, reading.health.reason)
         if isinstance(reading, TrueState):
             self._truth.publish(messages.odometry_to_msg(reading.odometry))
             self._legs.publish(messages.legs_to_msg(reading))
@@ -279,7 +307,12 @@ class SimRobotNode(Node):
             publisher.publish(encode(reading))
 
     def _now(self) -> int:
-        return self.get_clock().now().nanoseconds
+        """Time of the messages' clock, ns; in lockstep this robot's own."""
+        return self._plant.now if self._lockstep else self.get_clock().now().nanoseconds
+
+    def _servo_time(self) -> int:
+        """Time of a clock that never goes back, ns."""
+        return self._plant.now if self._lockstep else time.monotonic_ns()
 
 
 def main() -> None:

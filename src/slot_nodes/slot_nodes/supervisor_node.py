@@ -3,12 +3,19 @@
 The driver of the servos, real or simulated, obeys `/robot_state` and the limits on `/servo_limits`;
 it subscribes to the commands itself. On entering WALKING the supervisor requests the gait from the
 gait scheduler, on entering any other state but HOLD it requests standing.
+
+With the parameter `lockstep` it steps on every report of the servos, once it has all messages that
+precede it, at the report's stamp (safety/ticked_supervisor.py). The state is the answer for which
+the simulated robot waits; it is published when the gait scheduler has the gait that goes with it.
 """
 
+from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 from rclpy.node import Node
+from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
@@ -17,11 +24,14 @@ from slot_core.bags import decode
 from slot_core.control.gait import STAND, read_gaits
 from slot_core.control.state_estimator import Estimate, Validity
 from slot_core.robot import read_robot
+from slot_core.safety.servo_health import ServoHealth as Health
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.start_up import StartUp
 from slot_core.safety.states import RELEASED, State
 from slot_core.safety.supervisor import PERIOD, Report, Request, Supervisor
 from slot_core.safety.tendon_watch import read_tendon_watch
+from slot_core.safety.ticked_supervisor import LockstepInputs, TickedSupervisor
+from slot_core.simulation.clocks import LOCKSTEP_START
 from slot_msgs.msg import GroundReactionForces, MpcState, RobotState, ServoHealth, ServoLimits
 from slot_msgs.srv import SetGait
 from slot_nodes import inputs, messages, qos, runtime
@@ -34,21 +44,29 @@ class SupervisorNode(Node):
         super().__init__("supervisor")
         robot, settings = read_robot(), runtime.declare_settings(self, read_supervisor())
         self._supervisor = Supervisor(robot, settings, read_tendon_watch(robot, settings.tendon))
+        help_text = "step on the servos' reports, at their stamps"
+        self._lockstep = runtime.declare(self, "lockstep", False, help_text)
+        self._stepped = LOCKSTEP_START - 1  # ns, in lockstep the stamp of the last report
         self._walk = self._declare_gait()
         autostart = runtime.declare(self, "autostart", False, "stand up and walk without requests")
         self._start_up = StartUp(*self._start_up_requests() if autostart else ())
-        self._published: Report | None = None
+        self._ticked = TickedSupervisor(self._supervisor, self._start_up)
+        self._gathered = LockstepInputs()
+        self._last: Report | None = None
         self._state = runtime.publisher(self, RobotState, "robot_state", qos.STATE)
         self._limits = self.create_publisher(ServoLimits, "servo_limits", qos.STATE)
         self._limits.publish(messages.limits_to_msg(settings.servo_limits))
         self._set_gait = self.create_client(SetGait, "set_gait")
         self._wanted: SetGait.Request | None = None  # gait to request once its service is there
+        self._answer: Future | None = None  # of the last request of a gait
+        self._awaited: tuple[int, Health] | None = None  # in lockstep, report to step on
+        self._unsent: Report | None = None  # in lockstep, until it is published
         self._subscribe_to_controller()
         self._subscribe_to_robot()
         for request in Request:
             serve = partial(self._on_request, request)
             self.create_service(Trigger, f"~/{request.name.lower()}", serve)
-        runtime.wall_timer(self, PERIOD, self._step)
+        runtime.wall_timer(self, PERIOD, self._send if self._lockstep else self._step)
 
     def _declare_gait(self) -> SetGait.Request:
         """Declare gait and velocity of WALKING; raises ConfigError if they do not fit."""
@@ -59,7 +77,8 @@ class SupervisorNode(Node):
         )
         v_y = runtime.declare(self, "v_y", 0.0, "lateral velocity of WALKING [m/s]")
         gaits.require_velocity(gait, np.array([v_x, v_y, 0.0]))
-        self._supervisor.receive_gait(self._now(), gaits.find(gait).period)
+        now = LOCKSTEP_START if self._lockstep else self._now()
+        self._supervisor.receive_gait(now, gaits.find(gait).period)
         return messages.gait_request(gait, v_x, v_y)
 
     def _start_up_requests(self) -> list[Request]:
@@ -75,40 +94,78 @@ class SupervisorNode(Node):
         inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
 
     def _subscribe_to_robot(self) -> None:
-        inputs.subscribe(self, JointState, "joint_states", self._on_joints, qos.SENSOR)
+        self._joints = inputs.subscribe(
+            self, JointState, "joint_states", self._on_joints, qos.SENSOR
+        )
         inputs.subscribe(self, ServoHealth, "servo_health", self._on_health, qos.SENSOR)
         inputs.subscribe(self, Bool, "estop", self._on_estop, qos.SENSOR)
 
     def _now(self) -> int:
-        return self.get_clock().now().nanoseconds
+        """Time of the messages' clock, ns; in lockstep that of the last step."""
+        return self._stepped if self._lockstep else self.get_clock().now().nanoseconds
+
+    def _take(self, source: str, stamp: int, take: Callable[[int], Any]) -> Any:
+        """Take an input now, or in lockstep at its step; returns what `take` returns."""
+        if not self._lockstep:
+            return take(self._now())
+        self._gathered.add(source, stamp, take)
+        self._step_on_report()
+        return None
 
     def _on_state(self, message: MpcState) -> None:
-        now = self._now()
         stamp, state, validity = decode.state(message)
         covariance = np.array(message.covariance).reshape(12, 12)
-        self._supervisor.receive_heartbeat(now, "state_estimator")
-        self._supervisor.receive_estimate(
-            now, Estimate(stamp, state, covariance, Validity(validity))
-        )
+        estimate = Estimate(stamp, state, covariance, Validity(validity))
+
+        def take(now: int) -> None:
+            self._supervisor.receive_heartbeat(now, "state_estimator")
+            self._supervisor.receive_estimate(now, estimate)
+
+        self._take("state_estimator", stamp, take)
 
     def _on_forces(self, message: GroundReactionForces) -> None:
-        self._supervisor.receive_heartbeat(self._now(), "mpc_controller")
-        self._supervisor.receive_mpc(self._now(), message.status, message.fallback_cycles)
+        def take(now: int) -> None:
+            self._supervisor.receive_heartbeat(now, "mpc_controller")
+            self._supervisor.receive_mpc(now, message.status, message.fallback_cycles)
+
+        self._take("mpc_controller", decode.stamp(message), take)
 
     def _on_command(self, message: JointState) -> None:
-        self._supervisor.receive_heartbeat(self._now(), "force_mapper")
-        if fault := self._supervisor.receive_command(self._now(), *decode.joint_angles(message)):
+        stamp, angle = decode.joint_angles(message)
+
+        def take(now: int) -> str:
+            self._supervisor.receive_heartbeat(now, "force_mapper")
+            return self._supervisor.receive_command(now, stamp, angle)
+
+        if fault := self._take("force_mapper", stamp, take):
             self._step()
             raise ValueError(fault)
 
     def _on_joints(self, message: JointState) -> None:
-        self._supervisor.receive_joints(self._now(), *decode.joint_loads(message))
+        stamp, angle, torque = decode.joint_loads(message)
+
+        def take(now: int) -> None:
+            self._supervisor.receive_joints(now, stamp, angle, torque)
+
+        if self._lockstep:
+            self._gathered.add("joints", stamp, take)
+        else:
+            take(self._now())
 
     def _on_health(self, message: ServoHealth) -> None:
-        self._supervisor.receive_health(self._now(), *decode.servo_health(message))
+        stamp, health = decode.servo_health(message)
+        if not self._lockstep:
+            self._supervisor.receive_health(self._now(), stamp, health)
+        elif stamp > self._stepped:  # those at rest are repeated
+            self._awaited = stamp, health
+            self._step_on_report()
 
     def _on_estop(self, message: Bool) -> None:
-        self._supervisor.receive_estop(self._now(), message.data)
+        """Take the e-stop; in lockstep its source, in real time, is not watched."""
+        if not self._lockstep:
+            self._supervisor.receive_estop(self._now(), message.data)
+        elif message.data:
+            self._supervisor.request(self._now(), Request.ESTOP)
         if message.data:
             self._step()
 
@@ -121,17 +178,51 @@ class SupervisorNode(Node):
         return response
 
     def _step(self) -> None:
+        """Step in real time; in lockstep the next report leads to a step."""
+        if self._lockstep:
+            return
         now = self._now()
         if waiting := self._start_up.request_next(self._supervisor, now):
             self.get_logger().info(waiting, throttle_duration_sec=5.0, skip_first=True)
-        report, last = self._supervisor.step(now), self._published
-        self._published = report
+        report = self._supervisor.step(now)
+        self._note(report)
+        self._state.publish(messages.robot_state_to_msg(now, report))
+        self._request_gait()
+
+    def _step_on_report(self) -> None:
+        """In lockstep step on a report of the servos when all that precedes it is here."""
+        if self._awaited is None:
+            return
+        stamp, health = self._awaited
+        inputs.take_waiting(self._joints)  # published before the report
+        if not self._gathered.are_complete(health):
+            return
+        self._awaited, self._stepped = None, stamp
+        self._gathered.pass_to(self._ticked, health)
+        self._unsent = self._ticked.step(stamp, health)
+        self._note(self._unsent)
+        self._send()
+
+    def _send(self) -> None:
+        """In lockstep publish the state when the gait scheduler has the gait that goes with it."""
+        if self._unsent is None:
+            return
+        self._request_gait()
+        if self._wanted is None and (self._answer is None or self._answer.done()):
+            report, self._unsent = self._unsent, None
+            self._state.publish(messages.robot_state_to_msg(self._stepped, report))
+
+    def _request_gait(self) -> None:
+        """Request the wanted gait, if any, once the gait scheduler's service is there."""
+        if self._wanted is not None and self._set_gait.service_is_ready():
+            self._answer = self._set_gait.call_async(self._wanted)
+            self._wanted = None
+
+    def _note(self, report: Report) -> None:
+        """Compare a report with the last one, for a transition."""
+        last, self._last = self._last, report
         if last is None or (report.state, report.since) != (last.state, last.since):
             self._report_transition(report)
-        self._state.publish(messages.robot_state_to_msg(now, report))
-        if self._wanted is not None and self._set_gait.service_is_ready():
-            self._set_gait.call_async(self._wanted)
-            self._wanted = None
 
     def _report_transition(self, report: Report) -> None:
         """Log a transition and set the gait to request in the new state.

@@ -1,6 +1,6 @@
 """Clocks of the simulated robot: when its time advances.
 
-    LockstepClock   by one odometry period per command
+    LockstepClock   from one reading that is answered to the next
     RealTimeClock   with another clock, in bounded portions
     BusClock        so too, but it waits for a late driver of emulated servos
 
@@ -9,63 +9,58 @@ Times are ns.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Protocol
+from collections.abc import Iterable, Iterator
 
 from slot_core.clock import SECOND
 from slot_core.simulation.bus_plant import BusPlant
-from slot_core.simulation.plant import Plant, Reading
+from slot_core.simulation.plant import Plant, Reading, ServoReport
+from slot_core.simulation.sensors import OdometryReading, PictureReading
+from slot_core.simulation.stepped_servos import SteppedServos
 
 PATIENCE = SECOND // 2  # ns, longest wait for a late driver
 LONGEST_CALL = SECOND // 100  # ns, of a wait, between two calls: a longer one was late itself
 LOCKSTEP_START = 1_000_000_000  # ns; a stamp of zero means "no time" in ROS
 
 
-class SimulationClock(Protocol):
-    """Interface of the clocks."""
-
-    def start(self, now: int) -> None:
-        """Start the time of the robot."""
-        ...
-
-    def rest_stamp(self, now: int) -> int:
-        """Stamp of the readings before the start, ns."""
-        ...
-
-    def advance_on_command(self, stamp: int) -> Iterator[Reading]:
-        """Advance as far as a command for the odometry at `stamp` allows; yield the readings."""
-        ...
-
-    def advance_to(self, now: int) -> Iterator[Reading]:
-        """Advance as far as the time `now` allows; yield the readings."""
-        ...
-
-
 class LockstepClock:
-    """Time that advances by one odometry period when the last reading has been answered."""
+    """Time that stands still from a reading that is answered to its answer.
 
-    def __init__(self, plant: Plant) -> None:
-        self._plant = plant
-        self._awaited = LOCKSTEP_START  # stamp of the odometry whose command is awaited
+    Odometry, or a picture in its place, is answered by a command with its stamp; a report of the
+    servos by the supervisor's state with its stamp. So one node works at a time, and the order of
+    processes and messages has no effect. The first two, at rest, are repeated until they are heard.
+    """
 
-    def start(self, now: int) -> None:
-        """Start the time of the robot at 1 s."""
-        self._plant.start(LOCKSTEP_START)
+    def __init__(self, plant: Plant, servos: SteppedServos) -> None:
+        self._plant, self._servos = plant, servos
+        self._awaited: tuple[type, int] = OdometryReading, LOCKSTEP_START  # reading and stamp
+        self.running = False
 
-    def rest_stamp(self, now: int) -> int:
-        """Return 1 s, in ns."""
-        return LOCKSTEP_START
+    def at_rest(self) -> list[Reading]:
+        """What awaits an answer before the start of the time."""
+        if self._awaited[0] is OdometryReading:
+            return self._plant.readings_at_rest(LOCKSTEP_START)
+        return [self._servos.report()]
 
-    def advance_on_command(self, stamp: int) -> Iterator[Reading]:
-        """Advance to the next odometry reading if `stamp` is that of the last one."""
-        if stamp == self._awaited:
-            for reading in self._plant.advance_to_odometry():
+    def advance_on_answer(self, kind: type, stamp: int) -> Iterator[Reading]:
+        """Advance to the next reading that is answered if this is the answer to the last.
+
+        kind: OdometryReading or ServoReport. Yields the readings.
+        """
+        if self._awaited == (kind, stamp):
+            for reading in self._advance(kind):
                 yield reading
-            self._awaited = reading.stamp
+            is_report = isinstance(reading, ServoReport)
+            self._awaited = ServoReport if is_report else OdometryReading, reading.stamp
 
-    def advance_to(self, now: int) -> Iterator[Reading]:
-        """Do nothing: only commands advance the time."""
-        return iter(())
+    def _advance(self, kind: type) -> Iterable[Reading]:
+        """Readings up to the next that is answered; after the first command the servos report."""
+        if not self.running and kind is OdometryReading:
+            return [self._servos.report()]
+        if not self.running:
+            self.running = True
+            self._plant.start(LOCKSTEP_START)
+            self._servos.start()
+        return self._plant.advance_to_reading(OdometryReading, PictureReading, ServoReport)
 
 
 class RealTimeClock:
@@ -78,14 +73,6 @@ class RealTimeClock:
     def start(self, now: int) -> None:
         """Start the time of the robot at `now`."""
         self._plant.start(now)
-
-    def rest_stamp(self, now: int) -> int:
-        """Return `now`."""
-        return now
-
-    def advance_on_command(self, stamp: int) -> Iterator[Reading]:
-        """Do nothing: commands do not advance the time."""
-        return iter(())
 
     def advance_to(self, now: int) -> Iterator[Reading]:
         """Advance towards `now` by at most one portion."""

@@ -1,4 +1,4 @@
-"""Controller and simulated robot in one process: the graph in lockstep, without ROS."""
+"""Controller and simulated robot in one process, without supervisor and ROS."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class ClosedLoop:
     """Closed loop of the controller and the simulated robot in a scene.
 
     Deterministic: equal configuration, scene, gait, velocity [v_x, v_y, yaw rate] and seed give
-    bit-equal results, which equal those of the graph in lockstep.
+    bit-equal results.
     """
 
     def __init__(

@@ -1,7 +1,6 @@
-"""Servos of the simulated robot, between the commands of the graph and the tendons.
+"""Servos of the simulated robot in real time, between the commands of the graph and the tendons.
 
-    DirectServos   follow every command at once: in lockstep, without a supervisor
-    GuardedServos  follow the command watchdog, as the driver of real servos does: in real time
+    GuardedServos  follow the command watchdog, as the driver of real servos does
     BusServos      emulated servos on a bus, commanded by the driver at its port
 
 Times `now` are those of a clock that never goes back, ns.
@@ -68,32 +67,6 @@ class Servos(Protocol):
     def close(self, running: bool) -> str:
         """End, and return the legs with torque still on; `running`: advance the robot meanwhile."""
         ...
-
-
-class DirectServos:
-    """Servos that follow every command at once."""
-
-    powered = True
-    released = False
-    clock_jump = math.inf
-
-    def __init__(self, plant: Plant) -> None:
-        self._plant = plant
-
-    def offer(self, now: int, stamp: int, angle: Array) -> None:
-        """Take a command (4,), rad; raises ValueError for one out of range."""
-        self._plant.command(angle)
-
-    def follows(self, now: int) -> bool:
-        """Return True."""
-        return True
-
-    def step(self, now: int) -> None:
-        """Do nothing: a command holds until the next."""
-
-    def close(self, running: bool) -> str:
-        """Return "": there is nothing to end."""
-        return ""
 
 
 class BusServos:

@@ -1,0 +1,54 @@
+"""The nodes in lockstep, with messages that take time: equal to the core on one clock."""
+
+import pytest
+
+from slot_core.bags import decode
+from slot_core.safety.states import State
+from slot_core.simulation.supervised_loop import SupervisedLoop
+
+SECONDS = 2.0
+SEED = 3
+
+
+@pytest.fixture(scope="module")
+def rig(simulate):
+    made = simulate(lockstep=True, seed=SEED)
+    made.wait_for(lambda: newest(made) > 1.0 + SECONDS)
+    return made
+
+
+def newest(rig):
+    """Time of the robot, s, at the supervisor's newest state."""
+    states = rig.messages["/robot_state"]
+    return decode.stamp(states[-1]) * 1e-9 if states else 0.0
+
+
+def test_the_supervisor_answers_every_report_of_the_servos(rig):
+    states = [decode.stamp(m) for m in rig.messages["/robot_state"]]
+    reports = {decode.stamp(m) for m in rig.messages["/servo_health"]}  # repeated at rest
+    assert states == sorted(reports)[: len(states)]
+    assert len(reports) - len(states) <= 1
+    assert (states[-1] - states[0]) / (len(states) - 1) == 20_000_000
+    assert rig.state is State.WALKING
+
+
+def test_commands_and_states_equal_those_of_the_core_to_the_last_bit(rig):
+    loop = SupervisedLoop("flat", "walk", None, SEED)
+    commands, offer = {}, loop.servos.offer
+
+    def record(now, stamp, angle):
+        commands[stamp] = angle
+        offer(now, stamp, angle)
+
+    loop.servos.offer = record
+    reports = [(loop.plant.now, report) for report in loop.run(SECONDS)]
+    received = dict(decode.joint_angles(m) for m in rig.messages["/desired_joint_angles"])
+    assert len(commands) > 50
+    for stamp, angle in commands.items():
+        assert (received[stamp] == angle).all(), stamp
+    states = {decode.stamp(m): m for m in rig.messages["/robot_state"]}
+    assert len(reports) > 100
+    for stamp, report in reports:
+        assert states[stamp].state == report.state
+        assert states[stamp].reason == report.reason
+        assert list(states[stamp].slack) == pytest.approx(report.slack, abs=0.0, nan_ok=True)
