@@ -34,6 +34,10 @@ class RunError(RuntimeError):
     """A run failed; the message is one line."""
 
 
+class SilenceError(RunError):
+    """The controller has published no state for too long."""
+
+
 class Progress:
     """Progress of a run: graph time, newest state of the torso and of the supervisor."""
 
@@ -96,15 +100,19 @@ def watch(
 ) -> None:
     """Return when the robot's clock has run for `duration` (s) since the begin of the run.
 
-    A run in which a bag is `played` begins with its first state, whatever the supervisor decides.
-    Raises RunError when a node ends, no /mpc_state arrives for too long or, unless `attended` or
-    `played`, the robot goes slack.
+    A run in which a bag is `played` begins with its first state, whatever the supervisor decides,
+    and may end with the bag. Raises RunError when a node ends, no /mpc_state arrives for too long
+    or, unless `attended` or `played`, the robot goes slack.
     """
     with listener("run", namespace) as (node, executor):
         progress = Progress("supervisor" in processes and not played)
         node.create_subscription(MpcState, "mpc_state", progress.update_torso, qos.CONTROL)
         node.create_subscription(RobotState, "robot_state", progress.update_robot, qos.STATE)
-        _watch(executor, progress, processes, duration, attended or played)
+        try:
+            _watch(executor, progress, processes, duration, attended or played)
+        except SilenceError:
+            if not played:
+                raise  # else the bag has ended
 
 
 def require_no_other_graph(namespace: str = "") -> None:
@@ -172,4 +180,4 @@ def _check(progress: Progress, processes: Processes, attended: bool) -> None:
         return  # nothing moves before the operator's first request
     limit = START_TIMEOUT if progress.state is None else SILENCE_TIMEOUT
     if progress.silence > limit:
-        raise RunError(f"no /mpc_state for {progress.silence:.0f} s (limit {limit:g} s)")
+        raise SilenceError(f"no /mpc_state for {progress.silence:.0f} s (limit {limit:g} s)")

@@ -5,6 +5,7 @@ No time is asserted: the bags are played a hundred times faster than they were r
 
 import time
 from collections import defaultdict
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -13,10 +14,11 @@ from real_graph import domain  # noqa: F401 - a fixture
 from rosgraph_msgs.msg import Clock
 from synthetic_walk import Walk, write_walk
 
-from slot_bringup import play
+from slot_bringup import monitor, play
 from slot_bringup.monitor import listener
 from slot_core.bags import decode
 from slot_core.bags.bag import Bag
+from slot_msgs.msg import MpcState
 from slot_nodes import qos
 
 KEEP = QoSProfile(depth=2000)  # all messages: they are taken after the play
@@ -123,3 +125,26 @@ def test_rate_and_start_have_bounds(wrong, capsys):
     with pytest.raises(SystemExit):
         play.main([str(WALK), *wrong])
     assert "outside [" in capsys.readouterr().err
+
+
+class NoProcesses:
+    """Processes of a graph of which none ends."""
+
+    def __contains__(self, name):
+        return True
+
+    def failed(self):
+        return None
+
+
+@pytest.mark.parametrize("played", [True, False])
+def test_a_run_ends_with_the_bag_that_is_played_into_it(played, monkeypatch, capsys):
+    """Without a bag the end of the states is an error."""
+    monkeypatch.setattr(monitor, "SILENCE_TIMEOUT", 0.3)
+    with listener("state_estimator", "alone") as (node, _):
+        node.create_publisher(MpcState, "mpc_state", qos.CONTROL).publish(MpcState())
+        expected = (
+            nullcontext() if played else pytest.raises(monitor.RunError, match="no /mpc_state")
+        )
+        with expected:
+            monitor.watch(NoProcesses(), 60.0, namespace="alone", played=played)
