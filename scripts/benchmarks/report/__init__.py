@@ -1,0 +1,1 @@
+"""Report of results as one HTML file: benchmarks, runs and the paper's figures beside ours."""

@@ -1,0 +1,133 @@
+"""The report as one HTML page: no script, nothing to load; light, dark and on paper."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from benchmarks.report import paper_figures
+from benchmarks.report.paper_figures import Comparison
+from benchmarks.report.results import Picture, Result, number
+
+HERE = Path(__file__).resolve().parent
+COLUMNS = ("gait alone", "paper", "default")  # of the locomotion table
+GOOD, BAD = ("better", "reproduced"), ("worse", "not reproduced")
+NOT_MEASURED, MISSING, NO_VALUE = "not measured", "result missing", "no value"
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a report shows."""
+
+    robot: Picture
+    benchmarks: Mapping[str, tuple[str, Result | None]]  # by name: what it measures, its result
+    runs: Mapping[str, tuple[str, Result | None]]  # by folder: title, what is there
+    commands: Mapping[str, Sequence[str]]  # by name or folder: what makes it
+    faults: Sequence[Sequence[str]]  # table of faults, head first
+
+    def results(self) -> dict[str, Result]:
+        """All results that are there."""
+        found = {**self.benchmarks, **self.runs}
+        return {name: result for name, (_, result) in found.items() if result is not None}
+
+    def missing(self) -> dict[str, Sequence[str]]:
+        """Commands of what is not there."""
+        there = self.results()
+        return {name: lines for name, lines in self.commands.items() if name not in there}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A figure of ours beside the paper's."""
+
+    text: str
+    verdict: str = ""  # of GOOD and BAD, or ""
+
+
+def render(contents: Contents, revision: str) -> str:
+    """The page, made at a revision of the project; every text in it is escaped."""
+    environment = Environment(
+        loader=FileSystemLoader(HERE),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["figure"] = figure
+    results = contents.results()
+    compared = [compared_table(table, results) for table in paper_figures.comparisons()]
+    checks = [check for result in results.values() for check in result.checks]
+    return environment.get_template("page.html").render(
+        contents=contents,
+        revision=revision,
+        results=results,
+        missing=contents.missing(),
+        compared=compared,
+        verdicts=(*GOOD, *BAD, NOT_MEASURED, MISSING, NO_VALUE),
+        good=GOOD,
+        checks=checks,
+        locomotion=locomotion_rows(results.get("locomotion")),
+        locomotion_columns=COLUMNS,
+    )
+
+
+def compared_table(table: Comparison, results: Mapping[str, Result]) -> dict[str, Any]:
+    """A comparison with our figures filled in, and how many have which verdict."""
+    lines = []
+    count: Counter[str] = Counter()
+    for line in table.lines:
+        cells = []
+        papers = [""] * len(table.others) or line.paper
+        for column, paper, ours in zip(table.ours, papers, line.ours, strict=True):
+            judged = column.judged if line.judged is None else line.judged
+            cell = our_cell(ours, judged, paper, results)
+            cells.append(cell)
+            count[cell.verdict or cell.text] += 1
+        given = [f"{v:g}" if isinstance(v, float) else v for v in line.paper]
+        lines.append({"name": line.name, "place": line.place, "paper": given, "ours": cells})
+    return {"table": table, "lines": lines, "count": count}
+
+
+def our_cell(
+    ours: paper_figures.Ours | None,
+    judged: str,
+    paper: float | str,
+    results: Mapping[str, Result],
+) -> Cell:
+    """Our figure, or why there is none."""
+    if ours is None:
+        return Cell(NOT_MEASURED)
+    if ours.result not in results:
+        return Cell(MISSING)
+    value = paper_figures.find(ours, results[ours.result].rows)
+    if value is None:
+        return Cell(NO_VALUE)
+    return Cell(figure(value), paper_figures.judge(judged, paper, value))
+
+
+def locomotion_rows(result: Result | None) -> list[dict[str, Any]]:
+    """Rows of the locomotion table, each with whether the default reaches the goal."""
+    rows = []
+    for row in result.rows if result else ():
+        goal, larger = number(row.get("goal")), row.get("better") == "larger"
+        values = [number(row.get(column)) for column in COLUMNS]
+        reached = values[-1]
+        holds = False
+        if goal is not None and reached is not None:
+            holds = reached >= goal if larger else reached <= goal
+        rows.append(
+            {"name": row.get("row"), "unit": row.get("unit"), "sign": ">=" if larger else "<=",
+             "goal": goal, "values": values, "holds": holds}
+        )  # fmt: skip
+    return rows
+
+
+def figure(value: float | None) -> str:
+    """A number with four digits; a result without a finite number has no value."""
+    finite = number(value)
+    return NO_VALUE if finite is None else f"{finite:.4g}"

@@ -1,0 +1,116 @@
+"""Makes one self-contained HTML file of what scripts/bench, scripts/run and scripts/validate wrote.
+
+It works offline and without JavaScript: pictures are inside the file. Each figure stands with the
+command, revision and parameters that made it, and beside the paper's where that has one. What is
+missing is named with the command that makes it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from benchmarks.harness import ROOT, known
+from benchmarks.report.page import Contents, render
+from benchmarks.report.paper_figures import RUNS
+from benchmarks.report.results import (
+    ReportError,
+    commands,
+    fault_table,
+    read_benchmark,
+    read_picture,
+    read_run,
+)
+from slot_core.bags.origin import revision
+
+CANNOT_REPORT = 2  # exit code
+BENCHMARKS = ROOT / "scripts" / "benchmarks"
+DOC = ROOT / "slot_bringup" / "doc"
+WALK = "The robot walks: two strides of the simulation at half speed; arrows: forces of the ground"
+CAPTIONS = {
+    "rod": {"rod.png": "speed against error of the public rod, MuJoCo and PyElastica"},
+    "robot": {"robot.png": "speed against error of the whole robot"},
+    "mpc": {"mpc.png": "speed against error of the solvers, and time over the horizon"},
+    "estimation": {"estimation.png": "error of the state over the delay of the odometry"},
+    "locomotion": {
+        "table.png": "every row in units of its goal, in three columns",
+        "velocity.png": "commanded and achieved velocity in all directions",
+        "top.png": "square and 60 deg path from above",
+        "gaits.png": "every gait in stills: postures, then strides over their phase",
+    },
+    "perturbations": {
+        "perturbations.png": "costs of the perturbations over time, and the table",
+        "failures.png": "failed samples",
+    },
+    "graph": {"graph.png": "latency, CPU time and memory of the nodes"},
+    "servo": {
+        "servo_step.png": "a step of an emulated servo",
+        "servo_twins.png": "the walk over driver and bus, and without",
+    },
+}
+"""Pictures of the benchmarks with their captions, in the order of the report."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line of `scripts/report`; ends with exit code 2 and one line on a bad input."""
+    parser = argparse.ArgumentParser(prog="scripts/report", description=__doc__)
+    results, out = Path("results"), Path("results", "report.html")
+    parser.add_argument(
+        "--results", type=Path, metavar="DIR", default=results, help=f"default: {results}"
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE", default=out, help=f"default: {out}")
+    options = parser.parse_args(arguments)
+    try:
+        if options.out.suffix != ".html":
+            raise ReportError(f"--out {options.out}: expected a name that ends in .html")
+        contents = read_contents(options.results)
+        _write(options.out, render(contents, revision()))
+    except ReportError as error:
+        print(f"scripts/report: {error}", file=sys.stderr)
+        return CANNOT_REPORT
+    print(options.out)
+    return 0
+
+
+def read_contents(directory: Path) -> Contents:
+    """All that a report shows of the results in `directory`; raises ReportError."""
+    if not directory.is_dir():
+        raise ReportError(f"--results {directory}: not a directory; scripts/bench NAME makes one")
+    found = known(BENCHMARKS)
+    names = [*(name for name in CAPTIONS if name in found), *sorted(found.keys() - CAPTIONS.keys())]
+    benchmarks = {
+        name: (about(found[name]), read_benchmark(directory, name, CAPTIONS.get(name, {})))
+        for name in names
+    }
+    return Contents(
+        robot=read_picture(DOC / "walk.gif", WALK),
+        benchmarks=benchmarks,
+        runs={run.folder: (run.title, read_run(directory, run)) for run in RUNS},
+        commands={
+            name: [shlex.join(["scripts/bench", name, "--out", str(directory / name)])]
+            for name in names
+        }
+        | {run.folder: commands(directory, run) for run in RUNS},
+        faults=fault_table(DOC / "safety.md"),
+    )
+
+
+def about(benchmark: Path) -> str:
+    """What a benchmark measures: the first line of its docstring."""
+    return (ast.get_docstring(ast.parse(benchmark.read_text())) or "").partition("\n")[0]
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8", errors="xmlcharrefreplace")
+    except OSError as error:
+        raise ReportError(f"--out {path}: {error.strerror}") from None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

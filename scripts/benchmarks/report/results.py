@@ -1,0 +1,267 @@
+"""Results of benchmarks and runs: read from their files, checked, with the command behind each."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import json
+import math
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks.harness import Check
+from slot_core.bags.bag import Bag, BagError
+
+PNG = b"\x89PNG\r\n\x1a\n"
+MAGIC = {".png": PNG, ".gif": b"GIF8"}  # first bytes of a picture
+
+
+class ReportError(ValueError):
+    """A result that cannot be read, or a report that cannot be written; the message is one line."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture as a data URI."""
+
+    name: str  # of the file
+    caption: str
+    uri: str
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a command has left in a directory."""
+
+    name: str
+    path: Path
+    command: str
+    origin: str  # revision and machine, or what is known of them
+    quick: bool
+    rows: Sequence[Mapping[str, Any]]
+    checks: Sequence[Check]
+    pictures: Sequence[Picture]
+    text: str = ""  # summary
+    absent: Sequence[str] = ()  # pictures that are not there
+
+    @property
+    def missed(self) -> list[Check]:
+        """The checks that do not hold."""
+        return [check for check in self.checks if not check.holds]
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a run, a comparison or a fit leaves in `folder` of the results."""
+
+    folder: str
+    title: str
+    commands: Sequence[str]  # {} stands for the folder
+    pictures: Mapping[str, str]  # captions by file; the first one has to exist
+
+
+def read_benchmark(directory: Path, name: str, captions: Mapping[str, str]) -> Result | None:
+    """`directory/name/name.json` or `directory/name.json` with its pictures; None if not there.
+
+    Raises ReportError for a file that scripts/bench did not write so.
+    """
+    places = (directory / name / f"{name}.json", directory / f"{name}.json")
+    path = next((place for place in places if place.is_file()), None)
+    if path is None:
+        return None
+    found, pictures = _load(path), _pictures(path, name, captions)
+    try:
+        if found["name"] != name:
+            raise ValueError(f"name: expected {name!r}, got {found['name']!r}"[:200])
+        return Result(
+            name=name,
+            path=path,
+            command=bench_command(name, _flag(found, "quick"), found["options"]),
+            origin=_origin(found["revision"], found["machine"]),
+            quick=found["quick"],
+            rows=_mappings(found, "rows"),
+            checks=[_check(check) for check in _mappings(found, "checks")],
+            pictures=pictures,
+        )
+    except KeyError as error:
+        raise ReportError(f"{path}: not a result of scripts/bench: no {error}") from None
+    except (TypeError, ValueError, AttributeError) as error:
+        raise ReportError(f"{path}: not a result of scripts/bench: {_line(error)}") from None
+
+
+def bench_command(name: str, quick: bool, options: Mapping[str, Any]) -> str:
+    """Command line that made a result, with all its options."""
+    words = ["scripts/bench", name, *(["--quick"] if quick else [])]
+    for option, value in sorted(options.items()):
+        flag = f"--{option.replace('_', '-')}"
+        if value is True:
+            words.append(flag)
+        elif not (value is None or value is False or value == ""):
+            words += [flag, str(value)]
+    return shlex.join(words)
+
+
+def read_run(directory: Path, run: Run) -> Result | None:
+    """What `run` left in its folder of `directory`; None if its first picture is not there.
+
+    Raises ReportError for a damaged bag, table or picture.
+    """
+    folder = directory / run.folder
+    if not (folder / next(iter(run.pictures))).is_file():
+        return None
+    there = [file for file in run.pictures if (folder / file).is_file()]
+    summary, errors = folder / "summary.txt", folder / "errors.csv"
+    return Result(
+        name=run.folder,
+        path=folder,
+        command="\n".join(commands(directory, run)),
+        origin=_bag_origin(folder),
+        quick=False,
+        rows=_read_errors(errors) if errors.is_file() else [],
+        checks=[],
+        pictures=[read_picture(folder / file, run.pictures[file]) for file in there],
+        text=_read_text(summary) if summary.is_file() else "",
+        absent=[file for file in run.pictures if file not in there],
+    )
+
+
+def commands(directory: Path, run: Run) -> list[str]:
+    """Command lines of a run, whose results go below `directory`."""
+    return [line.replace("{}", shlex.quote(str(directory / run.folder))) for line in run.commands]
+
+
+def read_picture(path: Path, caption: str) -> Picture:
+    """A PNG or GIF; raises ReportError for another file."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ReportError(f"{path}: {error.strerror}") from None
+    kind = path.suffix.lower()
+    if kind not in MAGIC or not data.startswith(MAGIC[kind]):
+        raise ReportError(f"{path}: not a picture ({', '.join(MAGIC)})")
+    uri = f"data:image/{kind[1:]};base64,{base64.b64encode(data).decode()}"
+    return Picture(path.name, caption, uri)
+
+
+def number(value: Any) -> float | None:
+    """`value` if it is a finite number; else None, as where a benchmark found none."""
+    numeric = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return float(value) if numeric and abs(value) <= sys.float_info.max else None
+
+
+def fault_table(page: Path) -> list[list[str]]:
+    """The table of measured times in the page on safety, head first; raises ReportError."""
+    text = _read_text(page)
+    _, head, rest = text.partition("| at 1 s of a walk |")
+    if not head:
+        raise ReportError(f"{page}: no table of faults at 1 s of a walk")
+    lines = (head + rest.partition("\n\n")[0]).splitlines()
+    rows = [[cell.strip(" `") for cell in line.strip().strip("|").split("|")] for line in lines]
+    return [rows[0], *rows[2:]]
+
+
+def _load(path: Path) -> Mapping[str, Any]:
+    text = _read_text(path)
+    try:
+        found = json.loads(text, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        raise ReportError(f"{path}: not JSON: {_line(error)}") from None
+    if not isinstance(found, dict):
+        raise ReportError(f"{path}: not a result of scripts/bench: no mapping")
+    return found
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is no number")
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ReportError(f"{path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ReportError(f"{path}: not text in UTF-8") from None
+
+
+def _check(found: Mapping[str, Any]) -> Check:
+    value = number(found["value"])
+    if value is None and found["value"] is not None:
+        raise TypeError(f"value: expected a finite number, got {found['value']!r}"[:200])
+    return Check(
+        _text(found, "name"), math.nan if value is None else value, _text(found, "unit"),
+        _text(found, "goal"), _flag(found, "holds"),
+    )  # fmt: skip
+
+
+def _typed(found: Mapping[str, Any], name: str, kind: type, said: str) -> Any:
+    if not isinstance(found[name], kind):
+        raise TypeError(f"{name}: expected {said}, got {found[name]!r}"[:200])
+    return found[name]
+
+
+def _text(found: Mapping[str, Any], name: str) -> str:
+    return _typed(found, name, str, "text")
+
+
+def _flag(found: Mapping[str, Any], name: str) -> bool:
+    return _typed(found, name, bool, "true or false")
+
+
+def _mappings(found: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
+    for item in _typed(found, name, list, "a list"):
+        if not isinstance(item, dict):
+            raise TypeError(f"{name}: expected mappings, got {item!r}"[:200])
+    return found[name]
+
+
+def _origin(revision: Mapping[str, Any], machine: Mapping[str, Any]) -> str:
+    commit = revision["describe"] or "unknown"
+    changed = " with changes" if revision["dirty"] else ""
+    return (
+        f"revision {commit}{changed}; {machine['cpu']}, {machine['architecture']}, "
+        f"{machine['cores']} cores, {machine['system']}; Python {machine['python']}, "
+        f"NumPy {machine['numpy']}"
+    )
+
+
+def _bag_origin(folder: Path) -> str:
+    """Revision and arguments inside the bag in `folder`, if there is one."""
+    if not (folder / "metadata.yaml").is_file():
+        return "revision not recorded"
+    try:
+        about = dict(Bag(folder).origin.about)
+    except BagError as error:
+        raise ReportError(_line(error)) from None
+    revision = about.pop("revision", "not recorded")
+    values = ", ".join(f"{name} {value}" for name, value in about.items() if value)
+    return f"revision {revision}" + (f"; {values}" if values else "")
+
+
+def _pictures(path: Path, name: str, captions: Mapping[str, str]) -> list[Picture]:
+    """Pictures beside a result: those with a caption first, in a folder of its own all others."""
+    files = [path.parent / file for file in captions if (path.parent / file).is_file()]
+    if path.parent.name == name:
+        files += sorted(set(path.parent.glob("*.png")) - set(files))
+    return [read_picture(file, captions.get(file.name, file.stem)) for file in files]
+
+
+def _read_errors(path: Path) -> list[dict[str, Any]]:
+    """Rows of the errors.csv of scripts/validate: point, axis, and numbers."""
+    rows = []
+    for row in csv.DictReader(_read_text(path).splitlines()):
+        try:
+            numbers = {k: float(v) for k, v in row.items() if k not in ("point", "axis")}
+            labels = {"point": row["point"], "axis": row["axis"]}
+        except (TypeError, ValueError, KeyError) as error:
+            raise ReportError(f"{path}: not a table of scripts/validate: {_line(error)}") from None
+        rows.append(labels | numbers)
+    return rows
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())
