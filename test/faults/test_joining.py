@@ -1,4 +1,7 @@
-"""DDS participants that join and leave, as `ros2 topic echo` does, leave a walking robot alone."""
+"""DDS participants that join and leave, as `ros2 topic echo` does, leave a walking robot alone.
+
+Real time: what DDS does in other processes when a participant joins.
+"""
 
 import pytest
 import rclpy
