@@ -87,7 +87,7 @@ class RerunLog:
 
 def to_file(path: Path) -> RerunLog:
     """Log to a file; raises OSError if it cannot be written."""
-    path.touch()  # rerun's own error names no cause
+    path.open("wb").close()  # rerun would raise no OSError
     stream = _stream(rr.ChunkBatcherConfig.DEFAULT())
     stream.save(path, default_blueprint=blueprint())
     return RerunLog(stream)

@@ -123,19 +123,16 @@ def newest_bag(directory: Path) -> Path:
 def _save(bag: Bag | None, options: argparse.Namespace) -> None:
     from slot_bringup import rerun_log  # noqa: PLC0415 - optional
 
-    log = rerun_log.to_file(options.save)
     if bag:
-        _log_bag(bag, log)
+        _log_bag(bag, options.save)
     else:
-        _follow(options.namespace, log, lambda: False)
+        _follow(options.namespace, rerun_log.to_file(options.save), lambda: False)
 
 
 def _show_bag(bag: Bag, options: argparse.Namespace, scratch: Path) -> None:
     """Show a bag until the window is closed, or in a browser until an interrupt."""
-    from slot_bringup import rerun_log  # noqa: PLC0415 - optional
-
     recording = scratch / f"{bag.path.absolute().name}.rrd"
-    _log_bag(bag, rerun_log.to_file(recording))
+    _log_bag(bag, recording)
     with _started(options, scratch, recording) as viewer:
         viewer.wait()
 
@@ -166,12 +163,15 @@ def _started(
             viewer.stop()
 
 
-def _log_bag(bag: Bag, log: RerunLog) -> None:
-    """Log the messages of a bag; raises BagError if it has none that are shown."""
-    topics = [topic for topic in log.TOPICS if bag.counts.get(topic)]
+def _log_bag(bag: Bag, path: Path) -> None:
+    """Write a bag as a recording of rerun; raises BagError if it has nothing that is shown."""
+    from slot_bringup import rerun_log  # noqa: PLC0415 - optional
+
+    known = rerun_log.RerunLog.TOPICS
+    topics = [topic for topic in known if bag.counts.get(topic)]
     if not topics:
-        raise BagError(f"{bag.path}: holds none of {', '.join(log.TOPICS)}")
-    with log:
+        raise BagError(f"{bag.path}: holds none of {', '.join(known)}")
+    with rerun_log.to_file(path) as log:
         for topic, _, message in bag.merged(*topics):
             log.receive(topic, message)
 
@@ -223,8 +223,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             signal.signal(number, signal.default_int_handler)
     try:
         view(options)
-    except (ViewError, ViewerError, AnimationError, BagError, ConfigError, OSError) as error:
+    except (ViewError, ViewerError, AnimationError, BagError, ConfigError) as error:
         print(f"scripts/view: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"scripts/view: {error.filename}: {error.strerror}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 0

@@ -32,6 +32,7 @@ def nowhere(monkeypatch, tmp_path):
         ([str(Path(__file__).parent)], "bringup: "),
         ([str(BAG)], r"rerun-sdk is missing; run scripts/setup --view"),
         ([str(BAG), "--animate", "walk.mp4"], r"walk\.mp4: expected a name that ends in \.gif"),
+        ([str(BAG), "--animate", "/no/such/walk.gif"], "/no/such/walk.gif: No such file"),
         (["--live", "--namespace", "a b"], "namespace = 'a b'"),
     ],
 )

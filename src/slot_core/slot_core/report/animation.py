@@ -35,11 +35,13 @@ def animate(bag: Bag, path: Path) -> None:
     """
     if path.suffix.lower() not in SUFFIXES:
         raise AnimationError(f"{path}: expected a name that ends in {', '.join(SUFFIXES)}")
-    times = frame_times(bag)
-    robot = read_robot()
-    frames = [draw_frame(pose, robot) for pose in read_poses(bag, times)]
-    pause = 1e3 * SLOWER * float(np.diff(times).mean())  # ms
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=round(pause), loop=0)
+    times, robot = frame_times(bag), read_robot()
+    pause = round(1e3 * SLOWER * float(np.diff(times).mean()))  # ms
+    with path.open("wb") as file:
+        frames = [draw_frame(pose, robot) for pose in read_poses(bag, times)]
+        frames[0].save(
+            file, path.suffix[1:], save_all=True, append_images=frames[1:], duration=pause, loop=0
+        )
 
 
 def frame_times(bag: Bag) -> Array:
