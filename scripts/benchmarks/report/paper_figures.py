@@ -195,7 +195,7 @@ def _tracking() -> Comparison:
         Line("forward velocity held, friction 0.4, m/s", (0.08,),
              (_default("fastest held, mu 0.4"),), "VI-E, Fig. 9b", "larger"),
         Line("lateral deviation over 0.8 m, largest, mm", (32.0,),
-             (_default("lateral error over .8 m"),), "VI-E, Fig. 9c"),
+             (_default("lateral error over .8 m"),), "VI-E"),
         Line("lateral RMSE over 0.8 m, mm", (14.0,), (None,), "VI-E"),
         Line("roll and pitch held, standing: largest error, deg", ("not given",),
              (_default(f"{angles}angles"),)),
@@ -278,7 +278,7 @@ def _feasibility() -> Comparison:
         "Constraint map", "Section VI-E, Fig. 13",
         "Every constraint of the MPC over time, of the walk and at 60 degrees: the maps are below "
         "Runs.",
-        (Column("cycles", "", "equal"),), lines, ("walk", "diagonal"),
+        (Column("cycles", "", "equal"),), lines, ("graph", "walk", "diagonal"),
     )  # fmt: skip
 
 
