@@ -52,3 +52,15 @@ def test_commands_and_states_equal_those_of_the_core_to_the_last_bit(rig):
         assert states[stamp].state == report.state
         assert states[stamp].reason == report.reason
         assert list(states[stamp].slack) == pytest.approx(report.slack, abs=0.0, nan_ok=True)
+
+
+def test_the_estop_holds_from_the_next_step_on(rig):
+    """The last test: it ends the walk."""
+    assert rig.request("estop") == ""
+    pressed = newest(rig)
+    rig.wait_for(lambda: newest(rig) > pressed + 0.1)
+    (since, state, reason) = rig.transitions[-1]
+    assert (state, reason) == (State.ESTOP, "e-stop pressed by the operator")
+    assert 0.0 <= since * 1e-9 - pressed < 0.021  # a state is on its way to the test
+    off = [decode.stamp(m) * 1e-9 for m in rig.messages["/servo_health"] if not any(m.torque)]
+    assert pressed < off[0] < pressed + 0.05
