@@ -63,4 +63,5 @@ def test_the_estop_holds_from_the_next_step_on(rig):
     assert (state, reason) == (State.ESTOP, "e-stop pressed by the operator")
     assert 0.0 <= since * 1e-9 - pressed < 0.021  # a state is on its way to the test
     off = [decode.stamp(m) * 1e-9 for m in rig.messages["/servo_health"] if not any(m.torque)]
-    assert pressed < off[0] < pressed + 0.05
+    # the next step publishes ESTOP, the report after it says that torque is off
+    assert pressed < off[0] < pressed + 0.061
