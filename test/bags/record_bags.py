@@ -62,9 +62,9 @@ class Case:
 
 
 CASES = {
-    "walk": Case(1.42, keeps=("/ground_truth/legs", "/tf")),
-    "turn": Case(1.8, velocity=(0.03, 0.15)),
-    "path": Case(1.8, ("--path", str(BAGS / "path.csv"))),
+    "walk": Case(1.35, keeps=("/ground_truth/legs", "/tf")),
+    "turn": Case(1.65, velocity=(0.03, 0.15)),
+    "path": Case(1.5, ("--path", str(BAGS / "path.csv"))),
     "fault": Case(1.8, scene=BROKEN),
     "lost_odometry": Case(1.8, scene=LOST),
 }
