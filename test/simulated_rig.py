@@ -121,7 +121,7 @@ class Publisher:
         self._rig.deliver(self.topic_name, message, self._number)
 
     def get_subscription_count(self):
-        return 0  # none is known before it is matched
+        return len(self._rig._subscriptions[self.topic_name])
 
 
 class Answer:

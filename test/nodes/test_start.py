@@ -1,10 +1,13 @@
 """The start of the graph in any order: requests are not lost, and a frozen robot obeys."""
 
 import pytest
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Imu
 
+from slot_core.bags import decode
 from slot_core.safety.states import State
 from slot_msgs.msg import GaitPreview
-from slot_nodes import qos
+from slot_nodes import messages, qos
 
 
 @pytest.fixture
@@ -35,3 +38,20 @@ def test_a_robot_that_is_still_frozen_obeys_off(rig):
     assert rig.state is State.ESTOP
     assert not any(rig.last("/servo_health").torque)
     assert max(rig.last("/joint_states").position) < 0.05
+
+
+def test_filtered_odometry_comes_with_every_imu_sample_once_somebody_listens(rig, monkeypatch):
+    made = []
+    convert = messages.estimate_to_odometry
+    monkeypatch.setattr(messages, "estimate_to_odometry", lambda e: made.append(e) or convert(e))
+    rig.wait_for(lambda: rig.state is State.STANDING)
+    assert made == []  # it would cost more than the filter
+    rig.subscribe("/imu", Imu, qos.SENSOR)
+    rig.subscribe("/odometry/filtered", Odometry, qos.SENSOR)
+    rig.run(0.5)
+    samples, filtered = (
+        [decode.stamp(message) for message in rig.messages[topic]]
+        for topic in ("/imu", "/odometry/filtered")
+    )
+    assert len(filtered) > 90
+    assert filtered == samples[: len(filtered)]

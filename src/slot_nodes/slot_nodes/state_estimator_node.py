@@ -33,7 +33,8 @@ class StateEstimatorNode(Node):
     def _on_imu(self, message: Imu) -> None:
         self._estimator.add_imu(*decode.imu(message))
         self._publish()
-        if (present := self._estimator.present()) is not None:
+        # it costs more than the filter, and mostly nobody listens
+        if self._filtered.get_subscription_count() and (present := self._estimator.present()):
             self._filtered.publish(messages.estimate_to_odometry(present))
 
     def _on_odometry(self, message: Odometry) -> None:

@@ -111,6 +111,10 @@ class IntraProcessPublisher:
                 mailbox.guard.trigger()
         self._mailbox.send_later(self._publisher, message)
 
+    def get_subscription_count(self) -> int:
+        """Number of subscriptions to the topic by DDS."""
+        return self._publisher.get_subscription_count()
+
 
 _present: tuple[Topics, Mailbox] | None = None
 
