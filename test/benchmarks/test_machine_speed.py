@@ -75,6 +75,8 @@ def graph_checks(slower):
         which = {"kind": "figure", "nodes": nodes, "repeat": "median"}
         rows += [
             which | {"node": graph.WHOLE, "cpu_percent": 80.0 * slower / faster},
+            *(which | {"node": n, "cpu_percent": 10.0 * slower} for n in graph.STAGES),
+            which | {"node": graph.CONTROLLER, "cpu_percent": 20.0 * slower},
             which | {"stage": graph.END_TO_END, "p50_ms": 7.0 * slower / faster},
             {"kind": "lockstep", "nodes": nodes, "speed": 3.0 / slower * faster},
         ]
