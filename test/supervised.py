@@ -199,8 +199,8 @@ class Bench:
         return report
 
 
-class SupervisedLoop(ClosedLoop):
-    """The simulated robot with controller, supervisor and command watchdog.
+class DelayedLoop(ClosedLoop):
+    """The simulated robot with controller, supervisor and command watchdog; commands may be late.
 
     It stands up first; `walk` makes it walk. A servo without torque keeps its last goal here.
     """

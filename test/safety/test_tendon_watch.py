@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from supervised import HEIGHT, LOAD, ROBOT, SupervisedLoop
+from supervised import HEIGHT, LOAD, ROBOT, DelayedLoop
 
 from slot_core.control.gait import read_gaits
 from slot_core.legs.leg_map import StaticLeg
@@ -150,7 +150,7 @@ def test_a_walk_with_late_commands_raises_no_alarm(seed):
     """Without `age_max` the slack inferred here reaches 1.5 and 1.7 mm: HOLD, then overload."""
     delays = LateInOrder(seed)
     patient = {"timing.command_hold": 0.5, "estimate.coast_cycles": 30, "estimate.silence": 1.0}
-    loop = SupervisedLoop("flat", seed, delays, **patient)
+    loop = DelayedLoop("flat", seed, delays, **patient)
     for k, (_, report) in enumerate(loop.ticks(10.0)):
         if k == 60:
             loop.walk()
@@ -179,7 +179,7 @@ class LateInOrder:
 @pytest.mark.parametrize("scene", ["flat", "slippery", "split", "uneven", "payload", "push"])
 def test_commands_of_an_undamaged_walk_pass_unchanged_without_an_alarm(scene):
     """The push is at 5 s. Largest slack inferred in 22 s: 0.57 mm, and 0.66 mm at 20 deg."""
-    loop = SupervisedLoop(scene)
+    loop = DelayedLoop(scene)
     for k, (tick, report) in enumerate(loop.ticks(8.0)):
         if k == 60:
             loop.walk()
@@ -202,7 +202,7 @@ def test_commands_of_an_undamaged_walk_pass_unchanged_without_an_alarm(scene):
 )
 def test_a_tendon_damaged_while_walking_stops_the_gait_within_a_stride(leg, fault, limit):
     """Measured: 0.37 to 0.66 s for 3 mm of slack, 0.15 to 0.29 s for a broken tendon."""
-    loop = SupervisedLoop("flat")
+    loop = DelayedLoop("flat")
     for k, (_, report) in enumerate(loop.ticks(4.0 + limit)):
         if k == 60:
             loop.walk()
