@@ -39,16 +39,18 @@ WHOLE = "all nodes"
 SEPARATE, COMPOSED = "separate", "composed"  # the controller's nodes
 NODE_FIGURES = ("cpu_percent", "rss_mb", "pss_mb")
 
-# A tenth of the robot's 8 GB. A page that n nodes share counts 1/n in each.
-PSS_MB = 800.0
+# Composed, as on the robot: a thirteenth of its 8 GB. A page that n processes share counts 1/n in
+# each.
+PSS_MB = 600.0
 # Plausibility of the walk: the figures of a robot that fell do not count.
 LEAST_SPEED, LARGEST_TILT = 0.05, 0.5  # m/s; rad, where a supervisor would stop the robot
 # Against the same algorithms in one process, measured in the same run: what messages and processes
 # add. In lockstep one node works at a time, so its speed counts; in real time the CPU of all nodes.
 LARGEST_SLOWDOWN, LARGEST_CPU_RATIO = 10.0, 20.0
 # What composition saves at the least, against separate processes in the same run.
-LATENCY_RATIO, CPU_RATIO, LEAST_SPEEDUP = 0.8, 0.8, 1.3
-LARGEST_CYCLE = 3.0  # CPU of a cycle of the MPC's node, messages included, over its solution alone
+# In lockstep the clock also waits for robot and supervisor, which stay processes of their own.
+LATENCY_RATIO, CPU_RATIO, LEAST_SPEEDUP = 0.8, 0.8, 1.05
+LARGEST_CYCLE = 6.0  # CPU of a cycle of the MPC's node, messages included, over its solution alone
 
 
 @dataclass(frozen=True)
@@ -227,7 +229,10 @@ def checks(rows: Sequence[Row], plan: Plan) -> list[Check]:
             LARGEST_CPU_RATIO,
         ),
         at_most(
-            "memory of all nodes", max(over_repeats("pss_mb", "node", node=WHOLE)), PSS_MB, "MB"
+            "memory of all nodes, composed",
+            max(over_repeats("pss_mb", "node", nodes=COMPOSED, node=WHOLE)),
+            PSS_MB,
+            "MB",
         ),
         at_most(
             "CPU of a cycle of the MPC's node over its solution's",
