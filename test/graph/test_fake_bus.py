@@ -83,5 +83,5 @@ def test_lockstep_with_servos_is_refused_in_one_line(hardware):
         capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     assert done.returncode == 2
-    message = f"scripts/run: --lockstep: servos of --hardware {hardware} move in real time\n"
+    message = f"scripts/run: lockstep: servos of hardware {hardware} move in real time\n"
     assert done.stderr == message
