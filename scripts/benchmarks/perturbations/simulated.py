@@ -116,7 +116,7 @@ def states(
 ) -> tuple[np.ndarray, list[float], int]:
     """(n, 12) true states at the ticks, costs of the MPC, number of steps without a solution."""
     scene = config.replace(scene, {"start.tendon_angle_deg": realised.start_angle_deg})
-    loop = ClosedLoop("flat", "stand", np.zeros(3), SEED, "forces")
+    loop = ClosedLoop("flat", "stand", np.zeros(3), SEED)
     loop.plant = Plant(read_robot(), scene, read_servo(), np.random.default_rng(SEED))
     sim, nothing = loop.plant.simulator, np.zeros(3)
     moment = np.array([*realised.moment, 0.0])
