@@ -1,8 +1,8 @@
 """Stability of the MPC: the paper's seven perturbations beside its table, and random samples.
 
 Three studies: (a) the published problem on its own linear model, (b) the profile `forces` on a
-rigid torso with lag, (c) the default profile on the Cosserat robot. With --samples also a Monte Carlo
-study over mass, friction, lag, pushes and noise. Details are in published.py, rigid_torso.py,
+rigid torso with lag, (c) the default profile on the Cosserat robot. With --samples also a Monte
+Carlo study over mass, friction, lag, pushes and noise. Details are in published.py, rigid_torso.py,
 simulated.py and samples.py.
 """
 
