@@ -12,7 +12,6 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -128,9 +127,8 @@ class Player:
 
 def message_class(kind: str) -> type:
     """Class of the messages of a type; raises PlayError if it is not installed."""
-    package, _, name = kind.split("/")
     try:
-        return getattr(import_module(f"{package}.msg"), name)
+        return messages.message_class(kind)
     except (ImportError, AttributeError):
         raise PlayError(f"messages of {kind} are not installed") from None
 

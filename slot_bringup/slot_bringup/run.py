@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from datetime import datetime
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from slot_bringup import INTERRUPTS
 from slot_bringup.check import check
@@ -19,7 +19,7 @@ from slot_bringup.graph import Graph, is_attended, read_graph
 from slot_bringup.monitor import RunError, require_no_other_graph, watch
 from slot_bringup.processes import Processes
 from slot_bringup.view import ViewError, beside, require_rerun
-from slot_core.arguments import within
+from slot_core.arguments import OneLineParser, within
 from slot_core.bags.bag import Bag, BagError
 from slot_core.bags.record_settings import read_record_settings
 from slot_core.config import ConfigError
@@ -28,14 +28,9 @@ from slot_core.report import metrics, plots
 from slot_core.report.summary import summary_lines
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message}\n")
-
-
 def parse(arguments: Sequence[str] | None, graph: Graph) -> argparse.Namespace:
     """Parse the command line; a wrong value exits with code 2 and one line."""
-    parser = _Parser(prog="scripts/run", description=__doc__)
+    parser = OneLineParser(prog="scripts/run", description=__doc__)
     for argument in graph.arguments:
         if argument.name == "bag":
             continue

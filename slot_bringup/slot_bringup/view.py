@@ -13,22 +13,21 @@ import webbrowser
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
-
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from typing import TYPE_CHECKING
 
 from slot_bringup import INTERRUPTS
 from slot_bringup.check import check_namespace
 from slot_bringup.graph import TIED
 from slot_bringup.monitor import listener
 from slot_bringup.rerun_viewer import Viewer, ViewerError
+from slot_core.arguments import OneLineParser
 from slot_core.bags.bag import Bag
 from slot_core.bags.bag_error import BagError
 from slot_core.bags.record_settings import read_record_settings
 from slot_core.config import ConfigError
 from slot_core.report.animation import AnimationError, animate
+from slot_nodes import messages, qos
 
 if TYPE_CHECKING:
     from slot_bringup.rerun_log import RerunLog
@@ -43,14 +42,9 @@ class ViewError(RuntimeError):
     """A run cannot be shown; the message is one line."""
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message}\n")
-
-
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Parse the command line; a wrong value exits with code 2 and one line."""
-    parser = _Parser(prog="scripts/view", description=__doc__)
+    parser = OneLineParser(prog="scripts/view", description=__doc__)
     parser.add_argument(
         "bag", nargs="?", type=Path, help="directory of a bag (default: the newest in bags/)"
     )
@@ -182,17 +176,11 @@ def _follow(namespace: str, log: RerunLog, ended: Callable[[], bool]) -> None:
         for name, topic in read_record_settings().topics.items():
             if name not in log.TOPICS:
                 continue
-            package, _, kind = topic.type.split("/")
-            profile = QoSProfile(
-                reliability=ReliabilityPolicy[topic.reliability.upper()],
-                durability=DurabilityPolicy[topic.durability.upper()],
-                depth=QUEUE,
-            )
             node.create_subscription(
-                getattr(import_module(f"{package}.msg"), kind),
+                messages.message_class(topic.type),
                 name.removeprefix("/"),
                 partial(log.receive, name),
-                profile,
+                qos.recorded(topic, QUEUE),
             )
         while not ended():
             executor.spin_once(timeout_sec=SPIN)

@@ -4,9 +4,17 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-from typing import TypeVar
+from typing import NoReturn, TypeVar
 
 Number = TypeVar("Number", int, float)
+
+
+class OneLineParser(argparse.ArgumentParser):
+    """Parser that refuses with one line, without the usage, and exit code 2."""
+
+    def error(self, message: str) -> NoReturn:
+        """End the program with the message."""
+        self.exit(2, f"{self.prog}: {message}\n")
 
 
 def positive_integer(text: str) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from array import array
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -50,6 +51,12 @@ if TYPE_CHECKING:  # a node imports only the core modules that it runs
     from slot_core.simulation.sensors import ImuReading, OdometryReading, PictureReading
     from slot_core.vision.camera import Camera
     from slot_core.vision.localizer import MarkerFix, NoFix
+
+
+def message_class(kind: str) -> type:
+    """Class of a message type, package/msg/Name; raises ImportError or AttributeError."""
+    package, _, name = kind.split("/")
+    return getattr(import_module(f"{package}.msg"), name)
 
 
 def ns_to_stamp(ns: int) -> Time:

@@ -5,12 +5,19 @@ publishes best effort, the subscriptions to `/odom`, `/imu`, `/cmd_vel` and the 
 `qos_overrides` parameters.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
     QoSProfile,
     ReliabilityPolicy,
 )
+
+if TYPE_CHECKING:  # a node imports only the core modules that it runs
+    from slot_core.bags.record_settings import RecordedTopic
 
 SENSOR = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
@@ -53,3 +60,13 @@ CLOCK = QoSProfile(
     depth=1,
 )
 """Profile with which rclpy subscribes to /clock."""
+
+
+def recorded(topic: RecordedTopic, depth: int) -> QoSProfile:
+    """Profile of a subscription to a topic of `config/record.yaml`."""
+    return QoSProfile(
+        reliability=ReliabilityPolicy[topic.reliability.upper()],
+        durability=DurabilityPolicy[topic.durability.upper()],
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+    )

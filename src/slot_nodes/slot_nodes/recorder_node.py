@@ -8,11 +8,10 @@ import json
 import signal
 import time
 from functools import partial
-from importlib import import_module
 from typing import Any, cast
 
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy
 from rclpy.subscription import Subscription
 from std_msgs.msg import Bool
 
@@ -21,7 +20,7 @@ from slot_core.bags.bag_error import BagError
 from slot_core.bags.bag_writer import BagWriter
 from slot_core.bags.origin import origin_here
 from slot_core.bags.record_settings import RecordedTopic, read_record_settings
-from slot_nodes import qos, runtime
+from slot_nodes import messages, qos, runtime
 from slot_nodes.process.executor import DirectExecutor
 
 
@@ -93,14 +92,10 @@ class RecorderNode(Node):
         super().destroy_node()
 
     def _listen(self, name: str, topic: RecordedTopic) -> Subscription:
-        package, _, message = topic.type.split("/")
-        profile = QoSProfile(
-            reliability=ReliabilityPolicy[topic.reliability.upper()],
-            durability=DurabilityPolicy[topic.durability.upper()],
-            history=HistoryPolicy.KEEP_LAST,
-            depth=self._settings.depth,
+        kind, profile = (
+            messages.message_class(topic.type),
+            qos.recorded(topic, self._settings.depth),
         )
-        kind = getattr(import_module(f"{package}.msg"), message)
         # rclpy also passes the second argument; its annotation has only the first
         write = cast(Any, partial(self._write, name))
         return self.create_subscription(kind, name, write, profile, raw=True)
