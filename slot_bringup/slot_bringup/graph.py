@@ -192,9 +192,11 @@ def _start_up(values: Mapping[str, Any]) -> dict[str, Any]:
     waits for requests.
     """
     attended = is_attended(values)
-    start = {"autostart": not attended, "estop_required": None if attended else False}
-    start["simulated_time"] = values["lockstep"] or values["hardware"] == "none"
-    return start
+    return {
+        "autostart": not attended,
+        "estop_required": None if attended else False,
+        "simulated_time": values["lockstep"] or values["hardware"] == "none",
+    }
 
 
 def read_graph() -> Graph:

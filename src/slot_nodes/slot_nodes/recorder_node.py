@@ -92,10 +92,8 @@ class RecorderNode(Node):
         super().destroy_node()
 
     def _listen(self, name: str, topic: RecordedTopic) -> Subscription:
-        kind, profile = (
-            messages.message_class(topic.type),
-            qos.recorded(topic, self._settings.depth),
-        )
+        kind = messages.message_class(topic.type)
+        profile = qos.recorded(topic, self._settings.depth)
         # rclpy also passes the second argument; its annotation has only the first
         write = cast(Any, partial(self._write, name))
         return self.create_subscription(kind, name, write, profile, raw=True)

@@ -116,28 +116,29 @@ class SupervisorNode(Node):
         stamp, state, validity = decode.state(message)
         covariance = np.array(message.covariance).reshape(12, 12)
         estimate = Estimate(stamp, state, covariance, Validity(validity))
-
-        def take(now: int) -> None:
-            self._supervisor.receive_heartbeat(now, "state_estimator")
-            self._supervisor.receive_estimate(now, estimate)
-
-        self._take("state_estimator", stamp, take)
+        self._take(
+            "state_estimator",
+            stamp,
+            lambda now: self._supervisor.receive_from_estimator(now, estimate),
+        )
 
     def _on_forces(self, message: GroundReactionForces) -> None:
-        def take(now: int) -> None:
-            self._supervisor.receive_heartbeat(now, "mpc_controller")
-            self._supervisor.receive_mpc(now, message.status, message.fallback_cycles)
-
-        self._take("mpc_controller", decode.stamp(message), take)
+        self._take(
+            "mpc_controller",
+            decode.stamp(message),
+            lambda now: self._supervisor.receive_from_mpc(
+                now, message.status, message.fallback_cycles
+            ),
+        )
 
     def _on_command(self, message: JointState) -> None:
         stamp, angle = decode.joint_angles(message)
-
-        def take(now: int) -> str:
-            self._supervisor.receive_heartbeat(now, "force_mapper")
-            return self._supervisor.receive_command(now, stamp, angle)
-
-        if fault := self._take("force_mapper", stamp, take):
+        fault = self._take(
+            "force_mapper",
+            stamp,
+            lambda now: self._supervisor.receive_from_force_map(now, stamp, angle),
+        )
+        if fault:
             self._step()
             raise ValueError(fault)
 

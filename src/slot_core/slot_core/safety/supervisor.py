@@ -134,6 +134,21 @@ class Supervisor:
         """A message of one of `settings.nodes`."""
         self._inputs.receive_heartbeat(self._advance(now), node)
 
+    def receive_from_estimator(self, now: int, estimate: Estimate) -> None:
+        """A message of the state estimator: its heartbeat, and the estimate."""
+        self.receive_heartbeat(now, "state_estimator")
+        self.receive_estimate(now, estimate)
+
+    def receive_from_mpc(self, now: int, status: int, fallback_cycles: int) -> None:
+        """A message of the MPC's node: its heartbeat, and the status of a cycle."""
+        self.receive_heartbeat(now, "mpc_controller")
+        self.receive_mpc(now, status, fallback_cycles)
+
+    def receive_from_force_map(self, now: int, stamp: int, angle: Array) -> str:
+        """A message of the force mapper: its heartbeat, and the command; as `receive_command`."""
+        self.receive_heartbeat(now, "force_mapper")
+        return self.receive_command(now, stamp, angle)
+
     def receive_estop(self, now: int, pressed: bool) -> None:
         """State of the e-stop, which its source repeats within `timing.estop`."""
         self._inputs.receive_estop(self._advance(now), pressed)

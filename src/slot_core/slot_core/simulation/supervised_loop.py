@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import partial
 from typing import Any
@@ -169,23 +169,13 @@ class SupervisedLoop:
             self.loop.controller.scheduler.request(*gait)
 
 
-def _receive_estimate(supervisor: Supervisor, tick: Tick, now: int) -> None:
-    supervisor.receive_heartbeat(now, "state_estimator")
-    supervisor.receive_estimate(now, tick.estimate)
-
-
-def _receive_mpc(supervisor: Supervisor, tick: Tick, now: int) -> None:
-    supervisor.receive_heartbeat(now, "mpc_controller")
-    supervisor.receive_mpc(now, tick.result.status, tick.result.fallback_cycles)
-
-
-def _receive_command(supervisor: Supervisor, tick: Tick, now: int) -> None:
-    supervisor.receive_heartbeat(now, "force_mapper")
-    supervisor.receive_command(now, tick.estimate.stamp, tick.command.angle)
-
-
-_MESSAGES = {  # of a tick to the supervisor, by node
-    "state_estimator": _receive_estimate,
-    "mpc_controller": _receive_mpc,
-    "force_mapper": _receive_command,
+_MESSAGES: dict[str, Callable[[Supervisor, Tick, int], object]] = {
+    "state_estimator": lambda s, tick, now: s.receive_from_estimator(now, tick.estimate),
+    "mpc_controller": lambda s, tick, now: s.receive_from_mpc(
+        now, tick.result.status, tick.result.fallback_cycles
+    ),
+    "force_mapper": lambda s, tick, now: s.receive_from_force_map(
+        now, tick.estimate.stamp, tick.command.angle
+    ),
 }
+"""What each node's message of a tick is to the supervisor."""
