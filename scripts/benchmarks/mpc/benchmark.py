@@ -2,7 +2,8 @@
 
 Times are CPU times of a whole cycle of the controller: check, update of the problem, solve. Errors
 are those of the first stage's forces, which are applied, against a dual active-set method
-(`oracle.py`).
+(`oracle.py`). The solvers are compared on the paper's problem, on forces; the default problem, on
+tendon angles, has rows of its own (`posture_rows.py`).
 """
 
 import itertools
@@ -15,6 +16,7 @@ import numpy as np
 import psutil
 
 from benchmarks.harness import Check, Row, at_least, at_most
+from benchmarks.mpc import posture_rows
 from benchmarks.mpc.cases import Case, hard_cases, random_case, stretched
 from benchmarks.mpc.oracle import optimum
 from benchmarks.mpc.picture import draw
@@ -60,6 +62,8 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
     rows += horizon_rows(settings, walk[: 20 if quick else 100])
     progress("CVXPY")
     rows += cvxpy_rows(settings, walk[10 : 12 if quick else 18], exact.walk[10:])
+    progress("tendon angles")
+    rows += posture_rows.rows(quick)
     if not quick:
         progress("an hour of cycles")
         rows.append(hour_row(settings, walk))
@@ -250,6 +254,7 @@ def checks(rows: Sequence[dict[str, Any]], settings: MpcSettings) -> list[Check]
         for r in rows
         if r["kind"] == "solver" and r["solver"] != name and r["tolerance"] == row["tolerance"]
     )
+    standing, thrown = (row for row in rows if row["kind"] == "posture")
     hour = [row["gained_MB"] for row in rows if row["kind"] == "hour"]
     return [
         *(at_most("growth of memory in an hour of cycles", gained, 1.0, "MB") for gained in hour),
@@ -260,4 +265,13 @@ def checks(rows: Sequence[dict[str, Any]], settings: MpcSettings) -> list[Check]
         at_most("time of 60 stages over that of 15", time_of[60] / time_of[15], 4.5),
         at_least("faster than CVXPY, cached", cached / row["median_ms"], 10.0, "times"),
         at_least("faster than CVXPY as published", published / row["median_ms"], 300.0, "times"),
+        at_most("tendon angles: error of the first ones", standing["error_max_rad"], 1e-4, "rad"),
+        at_most("tendon angles, thrown: error", thrown["error_max_rad"], 1e-4, "rad"),
+        at_least("tendon angles, thrown: cycles with an active limit", thrown["limited"], 10),
+        at_most("tendon angles: cycles refused", standing["refused"] + thrown["refused"], 0),
+        at_most(
+            "tendon angles: cycle over that on forces",
+            standing["median_ms"] / row["median_ms"],
+            1.5,
+        ),
     ]
