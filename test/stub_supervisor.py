@@ -36,7 +36,7 @@ class StubSupervisor:
             self._states.publish(state)
         if (angle := self.angle) is not None:
             self.commanded = now
-            self._commands.publish(messages.command_to_msg(now, np.full(4, angle)))
+            self._commands.publish(messages.command_to_msg(now, np.full(4, angle), np.zeros(4)))
 
     def close(self):
         self._timer.cancel()

@@ -167,3 +167,13 @@ def test_the_shipped_table_has_the_slope_of_the_robots_stance():
     force_map = make_force_map(ROBOT, read_force_map(), "incremental")
     slope = force_map.nominal(preview(63.0), state(0.04)).slope
     assert np.radians(slope) == pytest.approx(0.177, rel=0.25)
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_a_command_goes_on_at_the_rate_of_the_gait_but_for_the_papers(make, name):
+    demand = preview()
+    demand.tendon_angle[1] += 0.033 * np.array([1.0, -2.0, 0.5, 0.0])
+    command = mapped(make(name), forces(*[5.3] * 4), demand, state())
+    wanted = [0.0] * 4 if name == "paper" else [1.0, -2.0, 0.5, 0.0]
+    assert command.rate == pytest.approx(wanted)
+    assert make(name).hold(demand).rate.tolist() == [0.0] * 4

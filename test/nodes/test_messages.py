@@ -154,11 +154,22 @@ def test_a_body_pose_without_an_orientation_is_refused():
 
 
 def test_joint_angles_are_read_by_name_not_by_position():
-    message = messages.command_to_msg(STAMP, np.array([0.1, 0.2, 0.3, 0.4]))
+    angles, rates = np.array([[0.1, 0.2, 0.3, 0.4], [1.0, 2.0, 3.0, 4.0]])
+    message = messages.command_to_msg(STAMP, angles, rates)
     message.name = list(message.name)[::-1]
-    stamp, angles = decode.joint_angles(through_dds(message))
-    assert stamp == STAMP
-    assert angles.tolist() == [0.4, 0.3, 0.2, 0.1]
+    received = through_dds(message)
+    stamp, angle = decode.joint_angles(received)
+    assert (stamp, angle.tolist()) == (STAMP, [0.4, 0.3, 0.2, 0.1])
+    assert decode.joint_command(received)[2].tolist() == [4.0, 3.0, 2.0, 1.0]
+
+
+def test_a_command_without_velocities_stays():
+    message = messages.command_to_msg(STAMP, np.ones(4), np.ones(4))
+    message.velocity = []
+    assert decode.joint_command(through_dds(message))[2].tolist() == [0.0] * 4
+    message.velocity = [1.0]
+    with pytest.raises(ValueError, match="once each"):
+        decode.joint_command(message)
 
 
 @pytest.mark.parametrize(
@@ -171,7 +182,7 @@ def test_joint_angles_are_read_by_name_not_by_position():
     ],
 )
 def test_a_command_that_does_not_name_each_joint_once_is_refused(names, positions):
-    message = messages.command_to_msg(STAMP, np.zeros(4))
+    message = messages.command_to_msg(STAMP, np.zeros(4), np.zeros(4))
     message.name, message.position = list(names), positions
     with pytest.raises(ValueError, match="once each"):
         decode.joint_angles(message)

@@ -43,19 +43,59 @@ BAD = {
 @pytest.mark.parametrize("angle", BAD.values(), ids=BAD)
 def test_a_vector_with_a_bad_value_is_rejected_as_a_whole(angle):
     built = gate()
-    assert "command" in built.offer(angle)
+    assert "command" in built.offer(0, angle)
     _, results = run(built, Action.PASS, 0.5, fast=True)
     assert (np.array([gated.angle for gated in results]) == MIDDLE).all()
 
 
 def test_a_rejection_names_leg_value_and_limit():
-    assert gate().offer([1.0, 1.0, 2.5, 1.0]) == "command RL = 2.5 rad is not inside [0, 2.029]"
+    assert gate().offer(0, [1.0, 1.0, 2.5, 1.0]) == "command RL = 2.5 rad is not inside [0, 2.029]"
+    assert gate().offer(0, MIDDLE, [0.0, math.nan, 0.0, 0.0]) == "rate FR = nan rad/s is not finite"
+    assert gate().offer(0, MIDDLE, [0.0]) == "rate has the shape (1,), limit (4,)"
+
+
+def test_goals_go_on_at_the_rate_of_the_command_within_the_range_until_it_is_held():
+    built = gate()
+    time, _ = run(built, Action.PASS, 1.0, fast=True)
+    rate = np.array([1.0, -2.0, 0.0, 12.0])
+    assert built.offer(time, MIDDLE, rate) == ""
+    _, results = run(built, Action.PASS, 0.1, time, fast=True)
+    assert results[2].angle == pytest.approx(MIDDLE + 0.02 * rate)
+    assert results[10].angle == pytest.approx([1.1, 0.8, 1.0, LIMIT])
+    _, held = run(built, Action.HOLD, 0.1, time + 11 * TICK)
+    assert (held[-1].angle == results[10].angle).all()
+
+
+def test_goals_between_commands_follow_the_gait_at_its_rate():
+    """RMS distance from the gait, whose commands come every 33 ms: a fifth of that of held ones."""
+    gait = read_gaits().strides["walk"]
+    velocity, period = np.array([0.07, 0.0, 0.0]), 0.033
+
+    def gait_at(seconds):
+        phase = np.atleast_1d(seconds) / gait.period % 1.0
+        return gait.course(phase, velocity, 1.0, np.zeros(4))[:, :4]
+
+    def distance(with_rate):
+        built = gate()
+        run(built, Action.PASS, 1.0, -round(1e9), fast=True)
+        away = []
+        for k in range(100):
+            now, later = gait_at([k * period, (k + 1) * period])
+            rate = (later - now) / period if with_rate else np.zeros(4)
+            begin = round(k * period * 1e9)
+            assert built.offer(begin, now, rate) == ""
+            for step in range(4):
+                gated = built.step(begin + step * TICK, Action.PASS, fast=True)
+                away.append(gated.angle - gait_at(k * period + step * 0.01)[0])
+        return np.sqrt(np.mean(np.square(away[40:])))
+
+    assert distance(True) < 0.2 * distance(False)
 
 
 def test_a_step_larger_than_the_rate_limit_is_slewed_and_reported():
     built = gate(np.zeros(4))
     time, _ = run(built, Action.PASS, 1.0, fast=True)  # the rate has grown to its largest
-    assert built.offer([LIMIT, 0.5, 0.0, 0.0]) == ""
+    assert built.offer(time, [LIMIT, 0.5, 0.0, 0.0]) == ""
     first = built.step(time + TICK, Action.PASS, fast=True)
     assert first.slewed.tolist() == [True, False, False, False]
     assert first.angle == pytest.approx([SETTINGS.rate_max * SETTINGS.burst, 0.5, 0.0, 0.0])
@@ -73,11 +113,12 @@ def test_every_step_of_every_gait_passes_unchanged():
         phase = np.arange(0.0, 20.0, period) / gait.period % 1.0
         angle = gait.course(phase, velocity, gait.walking(velocity), np.zeros(4))[:, :4]
         time, _ = run(built, Action.PASS, 1.0, fast=True)
-        built.offer(angle[0])
+        built.offer(time, angle[0])
         time, _ = run(built, Action.PASS, 1.0, time, fast=True)
         for k, row in enumerate(angle[1:], 1):
-            built.offer(row)
-            gated = built.step(time + round(k * period * 1e9), Action.PASS, fast=True)
+            now = time + round(k * period * 1e9)
+            built.offer(now, row)
+            gated = built.step(now, Action.PASS, fast=True)
             assert (gated.angle == row).all()
             assert not gated.slewed.any()
 
@@ -91,7 +132,7 @@ def test_torque_comes_on_without_motion():
 
 def test_standing_goals_move_at_the_approach_rate():
     built = gate(np.zeros(4))
-    built.offer(np.full(4, LIMIT))
+    built.offer(0, np.full(4, LIMIT))
     _, results = run(built, Action.PASS, 0.5)
     # half a second at approach_rate, and the burst of the first step
     most = SETTINGS.approach_rate * (0.5 + SETTINGS.burst)
@@ -102,7 +143,7 @@ def test_standing_goals_move_at_the_approach_rate():
 def test_after_a_hold_the_rate_grows_from_approach_rate():
     built = gate(np.zeros(4))
     time, _ = run(built, Action.HOLD, 1.0)
-    built.offer(np.full(4, LIMIT))
+    built.offer(time, np.full(4, LIMIT))
     _, results = run(built, Action.PASS, 0.2, time, fast=True)
     angle = np.array([gated.angle[0] for gated in results])
     moved = np.diff(angle)[2:]
@@ -155,9 +196,10 @@ def test_no_sequence_of_commands_and_actions_exceeds_range_or_rate():
         time += int(rng.choice([0, 1, 1_000_000, 10_000_000, 33_000_000, 400_000_000]))
         kind = rng.integers(4)
         if kind == 0:
-            built.offer(rng.uniform(0, LIMIT, 4))
+            built.offer(time, rng.uniform(0, LIMIT, 4), rng.normal(0, 10, 4) * rng.integers(2))
         elif kind == 1:
-            built.offer(rng.normal(0, 1e6, 4) * rng.choice([1.0, math.nan, math.inf]))
+            spoilt = rng.normal(0, 1e6, 4) * rng.choice([1.0, math.nan, math.inf])
+            built.offer(time, *((spoilt,) if rng.integers(2) else (MIDDLE, spoilt)))
         gated = built.step(time, rng.choice(list(Action)), fast=bool(rng.integers(2)))
         times.append(time * 1e-9)
         angles.append(gated.angle)

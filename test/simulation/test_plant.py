@@ -1,4 +1,4 @@
-"""Pushes of a scene act on the simulated robot at their time."""
+"""Pushes act on the simulated robot at their time, and commands go on at their rate."""
 
 import numpy as np
 import pytest
@@ -62,3 +62,16 @@ def test_push_between_two_time_steps_does_not_shift_the_clock():
     # Whole time steps: the push acts in 50 of them.
     assert np.count_nonzero(acting[:, 1]) == pytest.approx(50, abs=1)
     assert not acting[-1].any()
+
+
+def test_a_command_goes_on_at_its_rate_for_a_tenth_of_a_second():
+    """The ideal servo shows it: it follows its goal, which moves every 10 ms."""
+    ideal = config.replace(read_servo(), {"model": "ideal", "lag": 1e-3, "ideal_rpm": 1000.0})
+    scene = config.replace(read_scene("flat"), {"start.settle": 0.3})
+    each = Plant(read_robot(), scene, ideal, np.random.default_rng(0))
+    each.start(START)
+    begin, rate = each.simulator.tendon_angle, np.array([1.0, -0.5, 0.0, 2.0])
+    each.command(begin, rate)
+    for milliseconds, moved in [(9, 0.0), (19, 0.01), (99, 0.09), (200, 0.1), (300, 0.1)]:
+        list(each.advance(START + milliseconds * MILLISECOND))
+        assert each.simulator.tendon_angle == pytest.approx(begin + moved * rate, abs=1e-5)

@@ -178,12 +178,12 @@ class DynamixelDriverNode(LifecycleNode):
             raise SystemExit(1)
 
     def _on_command(self, message: JointState) -> None:
-        stamp, angle = decode.joint_angles(message)
+        stamp, angle, rate = decode.joint_command(message)
         if self._session.limits is None:
             return  # torque is off until the supervisor has sent them
         now = self.get_clock().now().nanoseconds
         inputs.require_present(stamp, now, self._session.limits.clock_jump)
-        if fault := self._session.offer(time.monotonic_ns(), stamp, angle):
+        if fault := self._session.offer(time.monotonic_ns(), stamp, angle, rate):
             raise ValueError(fault)
         if self._timer is not None:
             self._step()  # before the timer is due

@@ -61,7 +61,7 @@ class ForceMapperNode(Node):
             return
         (force, status), nominal = matched
         command = command_for(self._map, force, status, *nominal)
-        self._angles.publish(messages.command_to_msg(stamp, command.angle))
+        self._angles.publish(messages.command_to_msg(stamp, command.angle, command.rate))
         self._status.publish(messages.map_status_to_msg(stamp, command))
         if command.saturated.any():
             legs = ", ".join(leg for leg, hit in zip(LEGS, command.saturated) if hit)

@@ -163,9 +163,14 @@ def joints_to_msg(reading: JointReading) -> JointState:
     )
 
 
-def command_to_msg(stamp: int, angle: Array) -> JointState:
-    """Desired tendon angles."""
-    return JointState(header=header(stamp, BASE_FRAME), name=TENDON_JOINTS, position=angle.tolist())
+def command_to_msg(stamp: int, angle: Array, rate: Array) -> JointState:
+    """Desired tendon angles, and the rates at which they go on until the next command."""
+    return JointState(
+        header=header(stamp, BASE_FRAME),
+        name=TENDON_JOINTS,
+        position=angle.tolist(),
+        velocity=rate.tolist(),
+    )
 
 
 def legs_to_msg(truth: TrueState) -> LegStates:

@@ -212,10 +212,10 @@ class SimRobotNode(Node):
         self._continue(ServoReport, decode.stamp(message))
 
     def _on_command(self, message: JointState) -> None:
-        stamp, angle = decode.joint_angles(message)
+        stamp, angle, rate = decode.joint_command(message)
         try:
             inputs.require_present(stamp, self._now(), self._servos.clock_jump)
-            self._servos.offer(self._servo_time(), stamp, angle)
+            self._servos.offer(self._servo_time(), stamp, angle, rate)
         finally:
             self._continue(OdometryReading, stamp)
         if self._frozen and not self._lockstep and self._servos.follows(time.monotonic_ns()):

@@ -132,11 +132,11 @@ class SupervisorNode(Node):
         )
 
     def _on_command(self, message: JointState) -> None:
-        stamp, angle = decode.joint_angles(message)
+        stamp, angle, rate = decode.joint_command(message)
         fault = self._take(
             "force_mapper",
             stamp,
-            lambda now: self._supervisor.receive_from_force_map(now, stamp, angle),
+            lambda now: self._supervisor.receive_from_force_map(now, stamp, angle, rate),
         )
         if fault:
             self._step()

@@ -89,6 +89,15 @@ def joint_angles(message: Any) -> tuple[int, Array]:
     return stamp(message), _of_joints(message, message.position)
 
 
+def joint_command(message: Any) -> tuple[int, Array, Array]:
+    """(stamp, angles, rates in the order of LEGS); raises ValueError as `joint_angles`.
+
+    Without velocities the rates are zero.
+    """
+    rate = _of_joints(message, message.velocity) if len(message.velocity) else np.zeros(len(LEGS))
+    return *joint_angles(message), rate
+
+
 def joint_loads(message: Any) -> tuple[int, Array, Array]:
     """(stamp, angles, torques in the order of LEGS); raises ValueError as `joint_angles`."""
     return *joint_angles(message), _of_joints(message, message.effort)

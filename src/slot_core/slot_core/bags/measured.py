@@ -30,6 +30,7 @@ class TendonAngles:
     topic: str
     t: Array  # (n,) s, graph time
     angle: Array  # (n, 4) rad
+    rate: Array | None = None  # (n, 4) rad/s, at which a command goes on; None: it stays
 
     @property
     def measured(self) -> bool:
@@ -63,8 +64,13 @@ def tendon_angles(bag: Bag, topic: str = "") -> TendonAngles:
     """
     chosen = _chosen(bag, topic, (MEASURED, COMMANDED))
     t, angle = joint_columns(bag, chosen, "position")
-    keep = sound(f"{bag.path}: {chosen}", bag.series(chosen).stamp, angle)
-    return TendonAngles(chosen, t[keep], angle[keep])
+    where, stamps = f"{bag.path}: {chosen}", bag.series(chosen).stamp
+    if chosen == MEASURED or not bag.series(chosen, "velocity")["velocity"].size:
+        keep = sound(where, stamps, angle)
+        return TendonAngles(chosen, t[keep], angle[keep])
+    _, rate = joint_columns(bag, chosen, "velocity")
+    keep = sound(where, stamps, np.hstack([angle, rate]))
+    return TendonAngles(chosen, t[keep], angle[keep], rate[keep])
 
 
 def sound(where: str, stamps: Stamps, values: Array) -> NDArray[np.intp]:

@@ -264,17 +264,20 @@ def _forces_fields(result: MpcResult) -> Fields:
 
 
 def _angles(recorded: _Recorded) -> dict[int, Fields]:
-    """Tendon angles, as the field of JointState."""
+    """Tendon angles and their rates, as fields of JointState."""
     states, previews = recorded.states, recorded.previews
     name = read_mpc(recorded.profile).map
     force_map = make_force_map(recorded.robot, read_force_map(), name)
 
-    def angle(stamp: int, force: Any, status: int) -> Any:
+    has_rates = all(len(m.velocity) for m in recorded.messages["/desired_joint_angles"])
+
+    def fields(stamp: int, force: Any, status: int) -> Fields:
         nominal = force_map.nominal(previews[stamp], states[stamp][1])
-        return command_for(force_map, force, status, previews[stamp], nominal).angle
+        command = command_for(force_map, force, status, previews[stamp], nominal)
+        return {"position": command.angle} | ({"velocity": command.rate} if has_rates else {})
 
     return {
-        stamp: {"position": angle(stamp, force, status)}
+        stamp: fields(stamp, force, status)
         for stamp, (_, force, status) in recorded.forces.items()
         if stamp in previews and stamp in states
     }

@@ -8,7 +8,8 @@ theta_gait and f_gait are the gait's nominal angle and normal force, F_theta and
 the leg (`leg_springs.py`). `springs` is evaluated at the reference height h_ref and inverts the
 model of the MPC on tendon angles, so that the leg at the present height h exerts what is asked for;
 a leg out of contact keeps the gait's angle. `incremental` takes F_theta at the present height and
-neglects that the leg is a spring.
+neglects that the leg is a spring. Until the next command the angle goes on at the rate of
+theta_gait (`springs`, `incremental`) or stays (`paper`).
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ class TendonCommand:
     slope: Array  # (4,) N/rad
     angle_unclamped: Array  # (4,) rad, before the limits
     saturated: NDArray[np.bool_]  # (4,) whether the limits changed the angle
+    rate: Array  # (4,) rad/s, at which the angle goes on until the next command
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,7 @@ class Nominal:
     force: Array  # (4,) N, at the nominal angles and the present heights
     slope: Array  # (4,) N/rad
     contact: NDArray[np.bool_]  # (4,)
+    rate: Array  # (4,) rad/s, of the gait's angles
 
 
 class ForceMap:
@@ -70,15 +73,16 @@ class ForceMap:
         """Angles, forces and slopes of the gait at `state` (12,); they need no forces."""
         angle, force = preview.tendon_angle[0], preview.normal_force[0]
         if self._name == "paper":
-            return Nominal(angle, force, np.full(4, np.degrees(self._settings.line_slope)), _ALL)
+            slope = np.full(4, np.degrees(self._settings.line_slope))
+            return Nominal(angle, force, slope, _ALL, np.zeros(4))
         height = self._robot.clamp_heights(state[5], *state[:2])
         if self._name == "incremental":
-            return Nominal(angle, force, self._springs.at(angle, height).slope, _ALL)
+            return Nominal(angle, force, self._springs.at(angle, height).slope, _ALL, preview.rate)
         reference = preview.reference[0]
         at = self._robot.clamp_heights(reference[5], *reference[:2])
         springs = self._springs.at(angle, at)
         present = force + springs.stiffness * (height - at) if preview.posture else force
-        return Nominal(angle, present, springs.slope, preview.contact[0])
+        return Nominal(angle, present, springs.slope, preview.contact[0], preview.rate)
 
     def step(self, force: Array, nominal: Nominal) -> TendonCommand:
         """Tendon angles for forces (4, 3) N in odom."""
@@ -90,13 +94,14 @@ class ForceMap:
             angle = nominal.angle + self._limited(correction)
         clamped = self._clamp(angle)
         self._last = clamped
-        return TendonCommand(self._name, clamped, normal, slope, angle, clamped != angle)
+        saturated = clamped != angle
+        return TendonCommand(self._name, clamped, normal, slope, angle, saturated, nominal.rate)
 
     def hold(self, preview: GaitPreview) -> TendonCommand:
         """The last angles; before the first `step`, the nominal angles of `preview`."""
         angle = self._clamp(preview.tendon_angle[0]) if self._last is None else self._last
         zeros = np.zeros(4)
-        return TendonCommand("hold", angle, zeros, zeros, angle, zeros.astype(bool))
+        return TendonCommand("hold", angle, zeros, zeros, angle, zeros.astype(bool), zeros)
 
     def _clamp(self, angle: Array) -> Array:
         return np.clip(angle, 0.0, self._robot.tendon.angle_max)

@@ -318,6 +318,12 @@ class GaitPreview:
     posture: bool  # whether the legs are at rest but for changes of the posture
     command: GaitCommand  # that was in force
 
+    @property
+    def rate(self) -> Array:
+        """(4,) rad/s, of the nominal tendon angles from stage 0 to stage 1; zero without it."""
+        angle = np.asarray(self.tendon_angle, dtype=float)
+        return (angle[1] - angle[0]) / self.dt if len(angle) > 1 else np.zeros(4)
+
 
 def read_gaits() -> GaitSettings:
     """The settings of `config/gait.yaml` with every file of `config/gait/`; raises ConfigError."""

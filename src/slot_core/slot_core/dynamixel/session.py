@@ -25,7 +25,7 @@ from slot_core.dynamixel.errors import RefusedError, ServoError
 from slot_core.dynamixel.joints import Joint
 from slot_core.dynamixel.state import Cycle, Health, JointReading, TorqueOff
 from slot_core.robot import LEGS, Array
-from slot_core.safety.command_gate import Action
+from slot_core.safety.command_gate import AT_REST, Action
 from slot_core.safety.command_guard import NO_LIMITS, CommandGuard
 from slot_core.safety.command_watchdog import Permission
 from slot_core.safety.servo_health import ServoHealth
@@ -111,9 +111,9 @@ class ServoSession:
         self._last_step, self._pause = None, 0.0
         self.action, self.reason = Action.HOLD, "torque comes on"
 
-    def offer(self, now: int, stamp: int, angle: Array) -> str:
-        """Accept tendon angles (4,), rad, with their `stamp`, as a whole; or return why not."""
-        fault = self._guard.offer(now, angle)
+    def offer(self, now: int, stamp: int, angle: Array, rate: Array = AT_REST) -> str:
+        """Accept angles (4,), rad, with their `stamp` and rate (4,), rad/s; or return why not."""
+        fault = self._guard.offer(now, angle, rate)
         if not fault:
             self._offered = stamp
         return fault

@@ -1,9 +1,9 @@
 """Final command check before the servos: finite, within range, rate-limited.
 
-A vector of tendon angles is accepted or rejected as a whole. The goals of the servos follow the
-last accepted vector with a budget of time per leg: unused time is kept up to `burst`, and a leg
-moves at most its budget times the rate. So over any time T no goal moves further than
-rate_max (T + burst).
+A command is a vector of tendon angles at the time of its acceptance, and the rate at which they go
+on until the next command; it is accepted or rejected as a whole. The goals of the servos follow it
+with a budget of time per leg: unused time is kept up to `burst`, and a leg moves at most its budget
+times the largest rate. So over any time T no goal moves further than rate_max (T + burst).
 """
 
 from __future__ import annotations
@@ -28,6 +28,11 @@ class Action(enum.Enum):
     OFF = "off"  # torque off at once
 
 
+AT_REST = np.zeros(len(LEGS))
+"""Rate (4,), rad/s, of a command whose angles stay."""
+AT_REST.flags.writeable = False
+
+
 @dataclass(frozen=True)
 class Gated:
     """Goals of the servos after a step of the gate."""
@@ -38,13 +43,17 @@ class Gated:
     slewed: NDArray[np.bool_]  # (4,) whether the rate limit held the goal back
 
 
-def command_fault(angle: Array, low: float, high: float) -> str:
-    """One line that names the first angle outside [low, high] or not finite, or ""."""
-    if np.shape(angle) != (len(LEGS),):
-        return f"command has the shape {np.shape(angle)}, limit ({len(LEGS)},)"
+def command_fault(angle: Array, rate: Array, low: float, high: float) -> str:
+    """One line that names the first angle outside [low, high] or value not finite, or ""."""
+    for name, values in (("command", angle), ("rate", rate)):
+        if np.shape(values) != (len(LEGS),):
+            return f"{name} has the shape {np.shape(values)}, limit ({len(LEGS)},)"
     for leg, value in zip(LEGS, angle):
         if not low <= value <= high:  # NaN is not
             return f"command {leg} = {value:.4g} rad is not inside [{low:.4g}, {high:.4g}]"
+    for leg, value in zip(LEGS, rate):
+        if not np.isfinite(value):
+            return f"rate {leg} = {value:.4g} rad/s is not finite"
     return ""
 
 
@@ -62,6 +71,7 @@ class CommandGate:
         settings.check_ramp(high - low)
         self.settings, self._low, self._high = settings, low, high
         self._target = np.full(len(LEGS), low)
+        self._target_rate, self._accepted = AT_REST, 0  # rad/s; ns, time of the command
         self._goal = self._target.copy()
         self._budget = np.zeros(len(LEGS))  # s
         self._action = Action.OFF
@@ -74,17 +84,18 @@ class CommandGate:
         """(4,) rad, goals after the last step."""
         return self._goal.copy()
 
-    def offer(self, angle: Array) -> str:
-        """Accept a command (4,), rad, as a whole; or reject it and return the reason."""
-        fault = command_fault(angle, self._low, self._high)
+    def offer(self, time: int, angle: Array, rate: Array = AT_REST) -> str:
+        """Accept angles (4,), rad, at `time` and their rate (4,), rad/s; or return why not."""
+        fault = command_fault(angle, rate, self._low, self._high)
         if not fault:
             self._target = np.array(angle, dtype=np.float64)
+            self._target_rate, self._accepted = np.array(rate, dtype=np.float64), time
         return fault
 
     def engage(self, angle: Array) -> None:
         """Set goals and command to the servos' angles (4,), rad: torque on without motion."""
         self._goal = np.clip(np.asarray(angle, dtype=np.float64), self._low, self._high)
-        self._target = self._goal.copy()
+        self._target, self._target_rate = self._goal.copy(), AT_REST
 
     def step(self, time: int, action: Action, fast: bool = False) -> Gated:
         """Goals at `time`; `fast` allows `rate_max` instead of `approach_rate`."""
@@ -93,7 +104,7 @@ class CommandGate:
             self._action, self._since, self._relaxed = action, time, False
         self._budget = np.minimum(self._budget + elapsed, self.settings.burst)
         if action is Action.PASS:
-            return self._move(self._target, self._rate(time, fast), True)
+            return self._move(self._commanded(time), self._rate(time, fast), True)
         if action is Action.RELAX:
             return self._relax(time)
         return self._stay(action is Action.HOLD)
@@ -101,6 +112,11 @@ class CommandGate:
     def restart_rate(self, time: int) -> None:
         """Start the growth of the rate from `approach_rate` to `rate_max` anew at `time`."""
         self._since = time
+
+    def _commanded(self, time: int) -> Array:
+        """Angles (4,), rad, of the command at `time`."""
+        passed = max(time - self._accepted, 0) / SECOND
+        return np.clip(self._target + passed * self._target_rate, self._low, self._high)
 
     def _elapsed(self, time: int) -> float:
         """Seconds since the last step."""

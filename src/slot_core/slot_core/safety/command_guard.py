@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from slot_core.robot import Array
+from slot_core.safety.command_gate import AT_REST
 from slot_core.safety.command_watchdog import CommandWatchdog, Permission
 from slot_core.safety.settings import ServoLimits
 
@@ -29,9 +30,9 @@ class CommandGuard:
         else:
             self.watchdog.set_limits(limits)
 
-    def offer(self, now: int, angle: Array) -> str:
-        """Accept tendon angles (4,), rad, as a whole; or reject them and return the reason."""
-        return NO_LIMITS if self.watchdog is None else self.watchdog.offer(now, angle)
+    def offer(self, now: int, angle: Array, rate: Array = AT_REST) -> str:
+        """Accept tendon angles (4,), rad, with their rate (4,), rad/s; or return why not."""
+        return NO_LIMITS if self.watchdog is None else self.watchdog.offer(now, angle, rate)
 
     def permit(self, permission: Permission) -> None:
         """Store the supervisor's newest permission; without limits it has no effect."""

@@ -3,7 +3,8 @@
     no permission yet                            HOLD
     permission HOLD, RELAX or OFF                the same
     permission PASS, no command yet              HOLD
-    permission PASS and commands                 PASS: the goals follow them, rate-limited
+    permission PASS and commands                 PASS: the goals follow them, rate-limited; a
+                                                 command goes on at its rate until the next one
     permission or command older than
       command_hold                               HOLD
       command_lost                               RELAX: a ramp to slack, then torque off
@@ -19,7 +20,7 @@ from dataclasses import dataclass
 
 from slot_core.clock import SECOND
 from slot_core.robot import Array
-from slot_core.safety.command_gate import Action, CommandGate, Gated
+from slot_core.safety.command_gate import AT_REST, Action, CommandGate, Gated
 from slot_core.safety.settings import ServoLimits
 
 
@@ -60,9 +61,9 @@ class CommandWatchdog:
         self._gate.engage(angle)
         self._commanded, self._own_reason = None, ""
 
-    def offer(self, now: int, angle: Array) -> str:
-        """Accept tendon angles (4,), rad, as a whole; or reject them and return the reason."""
-        fault = self._gate.offer(angle)
+    def offer(self, now: int, angle: Array, rate: Array = AT_REST) -> str:
+        """Accept tendon angles (4,), rad, with their rate (4,), rad/s; or return why not."""
+        fault = self._gate.offer(now, angle, rate)
         if not fault:
             self._commanded = now
         return fault

@@ -17,7 +17,7 @@ import numpy as np
 from slot_core.clock import SECOND
 from slot_core.control.state_estimator import Estimate
 from slot_core.robot import LEGS, Array, Robot
-from slot_core.safety.command_gate import Action, command_fault
+from slot_core.safety.command_gate import AT_REST, Action, command_fault
 from slot_core.safety.conditions import Conditions
 from slot_core.safety.servo_health import ServoHealth
 from slot_core.safety.settings import SupervisorSettings
@@ -144,10 +144,10 @@ class Supervisor:
         self.receive_heartbeat(now, "mpc_controller")
         self.receive_mpc(now, status, fallback_cycles)
 
-    def receive_from_force_map(self, now: int, stamp: int, angle: Array) -> str:
+    def receive_from_force_map(self, now: int, stamp: int, angle: Array, rate: Array) -> str:
         """A message of the force mapper: its heartbeat, and the command; as `receive_command`."""
         self.receive_heartbeat(now, "force_mapper")
-        return self.receive_command(now, stamp, angle)
+        return self.receive_command(now, stamp, angle, rate)
 
     def receive_estop(self, now: int, pressed: bool) -> None:
         """State of the e-stop, which its source repeats within `timing.estop`."""
@@ -172,12 +172,12 @@ class Supervisor:
         self._inputs.receive_estimate(time, estimate)
         self._height = self._clamp_heights(estimate.state)
 
-    def receive_command(self, now: int, stamp: int, angle: Array) -> str:
-        """Tendon angles (4,), rad, of the controller; returns why they are rejected, or ""."""
+    def receive_command(self, now: int, stamp: int, angle: Array, rate: Array = AT_REST) -> str:
+        """Tendon angles (4,), rad, and their rate (4,), rad/s; returns why not accepted, or ""."""
         time = self._advance(now)
         if fault := self._stamp_fault("command", now, stamp):
             return fault
-        fault = command_fault(angle, 0.0, self._robot.tendon.angle_max)
+        fault = command_fault(angle, rate, 0.0, self._robot.tendon.angle_max)
         if not fault:
             self._command = np.array(angle, dtype=np.float64)
         self._inputs.receive_command(time, fault)

@@ -97,7 +97,8 @@ class ClosedLoop:
         for _ in range(ticks):
             ticks_now = list(iter(self.controller.poll, None))  # several after a gap
             if ticks_now:
-                self.plant.command(ticks_now[-1].command.angle)
+                command = ticks_now[-1].command
+                self.plant.command(command.angle, command.rate)
                 yield ticks_now[-1]
             elif not self._lost_from <= self.plant.now <= self._lost_until + SECOND:
                 raise RuntimeError(

@@ -11,6 +11,7 @@ from slot_core.dynamixel.settings import DynamixelSettings
 from slot_core.emulator.emulated_bus import EmulatorSettings
 from slot_core.emulator.memory_port import MemoryPort
 from slot_core.robot import Array, Robot
+from slot_core.safety.command_gate import AT_REST
 from slot_core.simulation.bus_plant import BusPlant
 from slot_core.simulation.plant import Reading
 
@@ -18,7 +19,8 @@ from slot_core.simulation.plant import Reading
 class DrivenPlant(BusPlant):
     """Simulated robot whose commands go through driver and bus, as with `--hardware fake_bus`.
 
-    A bus cycle runs every period and on every command; it takes no time.
+    A bus cycle runs every period and on every command; it takes no time. Between commands the goals
+    go on at the command's rate.
     """
 
     def __init__(
@@ -45,12 +47,13 @@ class DrivenPlant(BusPlant):
         super().start(stamp)
         self.every(self._period, self._cycle)
 
-    def command(self, angle: Array) -> None:
-        """Pass tendon angles (4,), rad, to the driver and run a bus cycle; raises ValueError."""
-        self.driver.command(angle)
-        self.driver.cycle()
+    def command(self, angle: Array, rate: Array = AT_REST) -> None:
+        """Pass tendon angles (4,), rad, and their rate (4,), rad/s, on; raises ValueError."""
+        super().command(angle, rate)
+        self._cycle()
 
     def _cycle(self) -> list[Reading]:
+        self.driver.command(self.commanded())
         self.driver.cycle()
         return []
 

@@ -19,6 +19,7 @@ from slot_core.dynamixel.state import JointReading
 from slot_core.faults import BROKEN, NAN, SLACK, Fault, legs_of, require_simulated_legs
 from slot_core.paper.paper_robot import PaperRobot
 from slot_core.robot import LEGS, Array, Robot
+from slot_core.safety.command_gate import AT_REST
 from slot_core.safety.servo_health import ServoHealth
 from slot_core.simulation.kernel_robot import KernelRobot
 from slot_core.simulation.rod_robot import RodRobot
@@ -31,6 +32,9 @@ from slot_core.simulation.sensors import (
     true_odometry,
 )
 from slot_core.simulation.tabulated_robot import TabulatedRobot
+
+CYCLE = 0.01  # s, of the servos, as the driver's bus cycles
+LONGEST = 0.1  # s that a command's rate holds, as `command_hold` of the command watchdog
 
 if TYPE_CHECKING:
     from slot_core.simulation.camera_sensor import CameraSensor
@@ -105,7 +109,9 @@ class Plant:
         self.held = False  # in its present pose: time runs, but nothing moves
         self._scene = scene
         self._step = round(scene.solver.step * 1e9)
-        self._command = self.simulator.tendon_angle.copy()
+        self._command = self._goal = self.simulator.tendon_angle.copy()  # rad
+        self._rate, self._commanded_at = AT_REST, 0  # rad/s; ns
+        self._next_cycle = 0  # ns, when the servos' goal follows the command
         self._odometry = OdometrySensor(scene.sensors.odometry, odometry_rng, trouble_rng)
         self._camera = make_camera(scene.sensors.camera, camera_rng)
         self._started = self._delivered = 0  # ns, of the clock and of the last delayed reading
@@ -173,12 +179,21 @@ class Plant:
         for key in active:
             self._end(*key)
 
-    def command(self, angle: Array) -> None:
-        """Set the commanded tendon angles (4,), rad, until the next command.
+    def command(self, angle: Array, rate: Array = AT_REST) -> None:
+        """Set the tendon angles (4,), rad, from now on, and their rate (4,), rad/s.
 
-        Raises ValueError for another shape or a value that is not finite or out of range.
+        Every `CYCLE` the servos get the angles of that time, for at most `LONGEST`, then they keep
+        them. Raises ValueError for another shape or a value that is not finite or out of range.
         """
-        self._command = self.simulator.checked(angle)
+        self._command = self._goal = self.simulator.checked(angle)
+        self._rate, self._commanded_at = rate, self.now
+        self._next_cycle = self.now + round(CYCLE * 1e9)
+
+    def commanded(self) -> Array:
+        """Commanded tendon angles (4,), rad, now."""
+        passed = min((self.now - self._commanded_at) * 1e-9, LONGEST)
+        moved = self._command + passed * self._rate
+        return np.clip(moved, 0.0, self.simulator.robot.tendon.angle_max)
 
     def advance(self, until: int) -> Iterator[Reading]:
         """Advance to `until` (ns) and yield each reading when it is due."""
@@ -224,14 +239,16 @@ class Plant:
 
     def _simulate(self, until: int) -> None:
         """Advance in whole time steps; the periods of `config/scene` are multiples of the step."""
-        steps = (until - self.now) // self._step
-        if steps > 0:
+        while (steps := (until - self.now) // self._step) > 0:
+            if self.now >= self._next_cycle:
+                self._goal, self._next_cycle = self.commanded(), self.now + round(CYCLE * 1e9)
+            steps = min(steps, -((self.now - self._next_cycle) // self._step))
             if not self.held:
                 self._advance_robot(steps)
             self.now += steps * self._step
 
     def _advance_robot(self, steps: int) -> None:
-        self.simulator.advance(steps, self._command)
+        self.simulator.advance(steps, self._goal)
 
     def _read_imu(self) -> list[Reading]:
         return [self._imu.sample(self.simulator, self.now)]

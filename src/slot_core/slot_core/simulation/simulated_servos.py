@@ -20,7 +20,7 @@ from slot_core.clock import SECOND
 from slot_core.config import ConfigError
 from slot_core.emulator.pseudo_terminal import PseudoTerminal
 from slot_core.robot import LEGS, Array
-from slot_core.safety.command_gate import Action
+from slot_core.safety.command_gate import AT_REST, Action
 from slot_core.safety.command_guard import NO_LIMITS, CommandGuard
 from slot_core.safety.command_watchdog import Permission
 from slot_core.safety.servo_health import ServoHealth, healthy_servos
@@ -47,8 +47,8 @@ class Servos(Protocol):
         """Whether the servos accept commands; before that no readings are published."""
         ...
 
-    def offer(self, now: int, stamp: int, angle: Array) -> None:
-        """Take a command (4,), rad, received at `now`; raises ValueError if it is rejected."""
+    def offer(self, now: int, stamp: int, angle: Array, rate: Array = AT_REST) -> None:
+        """Take angles (4,), rad, at `now`, and their rate; raises ValueError if rejected."""
         ...
 
     def follows(self, now: int) -> bool:
@@ -88,7 +88,7 @@ class BusServos:
         """Whether every servo has torque on."""
         return len(self._plant.powered()) == len(LEGS)
 
-    def offer(self, now: int, stamp: int, angle: Array) -> None:
+    def offer(self, now: int, stamp: int, angle: Array, rate: Array = AT_REST) -> None:
         """Check the range of a command (4,), rad; raises ValueError."""
         self._plant.command(angle)
 
@@ -153,9 +153,9 @@ class GuardedServos:
         if self._guard.watchdog is not None:
             self._permitted = self._permitted or permission.action is not Action.OFF
 
-    def offer(self, now: int, stamp: int, angle: Array) -> None:
-        """Take a command (4,), rad, at `now`; raises ValueError if it is rejected."""
-        if fault := self._guard.offer(now, angle):
+    def offer(self, now: int, stamp: int, angle: Array, rate: Array = AT_REST) -> None:
+        """Take angles (4,), rad, at `now`, and their rate; raises ValueError if rejected."""
+        if fault := self._guard.offer(now, angle, rate):
             raise ValueError(fault)
 
     def follows(self, now: int) -> bool:

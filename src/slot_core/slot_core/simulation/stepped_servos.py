@@ -19,16 +19,15 @@ from slot_core.dynamixel.session import ServoSession, measured
 from slot_core.dynamixel.settings import DynamixelSettings
 from slot_core.emulator.memory_port import MemoryPort
 from slot_core.robot import Array
-from slot_core.safety.command_gate import Action
+from slot_core.safety.command_gate import AT_REST, Action
 from slot_core.safety.command_watchdog import Permission
 from slot_core.safety.servo_health import ServoHealth
 from slot_core.safety.settings import ServoLimits
 from slot_core.safety.supervisor import PERIOD
 from slot_core.simulation.bus_plant import BusPlant
-from slot_core.simulation.plant import Plant, Reading, ServoReport
+from slot_core.simulation.plant import CYCLE, Plant, Reading, ServoReport
 from slot_core.simulation.simulated_servos import GuardedServos
 
-CYCLE = 0.01  # s, of the servos, as the driver's bus cycles
 CYCLES = round(PERIOD / CYCLE)  # between two reports
 
 
@@ -50,10 +49,10 @@ class SteppedServos(GuardedServos):
         """Begin the cycles; the robot's clock has started."""
         self._plant.every(CYCLE, self._cycle)
 
-    def offer(self, now: int, stamp: int, angle: Array) -> None:
-        """Take a command (4,), rad, and step; raises ValueError if it is rejected."""
+    def offer(self, now: int, stamp: int, angle: Array, rate: Array = AT_REST) -> None:
+        """Take angles (4,), rad, and their rate, and step; raises ValueError if rejected."""
         self.commanded, self.written = stamp, now
-        super().offer(now, stamp, angle)
+        super().offer(now, stamp, angle, rate)
         self.step(now)
 
     def report(self) -> ServoReport:
@@ -119,11 +118,11 @@ class DrivenServos:
             except RefusedError:
                 return  # the session reports it
 
-    def offer(self, now: int, stamp: int, angle: Array) -> None:
-        """Take a command (4,), rad, with a bus cycle; raises ValueError if it is rejected."""
+    def offer(self, now: int, stamp: int, angle: Array, rate: Array = AT_REST) -> None:
+        """Take angles (4,), rad, their rate, and a bus cycle; raises ValueError if rejected."""
         if self.ended:
             return
-        if fault := self.session.offer(now, stamp, angle):
+        if fault := self.session.offer(now, stamp, angle, rate):
             raise ValueError(fault)
         self._exchange()
 

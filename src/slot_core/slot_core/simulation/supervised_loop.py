@@ -148,7 +148,7 @@ class SupervisedLoop:
                 self.ticked.add(node, now, partial(receive, self.supervisor, tick))
         if "force_mapper" in self.running:
             with suppress(ValueError):  # rejected; the supervisor finds the same
-                self.servos.offer(now, tick.estimate.stamp, tick.command.angle)
+                self.servos.offer(now, tick.estimate.stamp, tick.command.angle, tick.command.rate)
 
     def supervise(self, report: ServoReport) -> Report | None:
         """Step the supervisor on a report of the servos, which take its permission."""
@@ -175,7 +175,7 @@ _MESSAGES: dict[str, Callable[[Supervisor, Tick, int], object]] = {
         now, tick.result.status, tick.result.fallback_cycles
     ),
     "force_mapper": lambda s, tick, now: s.receive_from_force_map(
-        now, tick.estimate.stamp, tick.command.angle
+        now, tick.estimate.stamp, tick.command.angle, tick.command.rate
     ),
 }
 """What each node's message of a tick is to the supervisor."""

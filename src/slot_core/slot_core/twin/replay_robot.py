@@ -2,7 +2,7 @@
 
 Measured angles are imposed: the spool follows a cubic spline through them, whatever the load. Each
 value is held for h and reached with the lag h / 2, which makes up for giving it h / 2 too early.
-Commands are held until the next one and pass through the model of the servo.
+Commands go on at their rate until the next one and pass through the model of the servo.
 
 The robot settles under the first angles and is moved to the recorded place and heading. The shapes
 of the legs are not measured; those of another start are forgotten within the run-in.
@@ -27,7 +27,7 @@ from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.robot import Array, Robot, read_parameters, read_robot
-from slot_core.simulation.plant import make_robot
+from slot_core.simulation.plant import LONGEST, make_robot
 from slot_core.twin.settings import TwinSettings
 
 LEAST_SETTLING = 1.0  # s
@@ -173,8 +173,12 @@ def _commands(
     else:
         effect = np.rint((angles.t + settings.command_delay - begin) / step).astype(int)
         edges = np.unique(np.concatenate([edges, effect[(effect > 0) & (effect < edges[-1])]]))
-        newest = np.searchsorted(effect, edges, side="left") - 1  # in effect before each edge
-        rows = angles.angle[newest.clip(min=0)]
+        # in effect before each edge
+        newest = (np.searchsorted(effect, edges, side="left") - 1).clip(min=0)
+        rows = angles.angle[newest]
+        if angles.rate is not None:
+            age = np.clip(step * (edges - hold / 2 - effect[newest]), 0.0, LONGEST)
+            rows = rows + age[:, None] * angles.rate[newest]
     return list(zip(edges.tolist(), np.clip(rows, 0.0, limit)))
 
 
