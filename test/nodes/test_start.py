@@ -8,6 +8,7 @@ from slot_core.bags import decode
 from slot_core.safety.states import State
 from slot_msgs.msg import GaitPreview
 from slot_nodes import messages, qos
+from slot_nodes.sim_robot_node import SimRobotNode
 
 
 @pytest.fixture
@@ -26,6 +27,15 @@ def test_a_gait_is_requested_once_its_service_is_discovered(rig):
     rig.hidden.clear()
     rig.run(0.3)
     assert rig.last("/gait_preview").gait == "walk"
+
+
+def test_a_subscriber_that_is_never_matched_does_not_keep_the_robot_from_starting(rig, monkeypatch):
+    """One that asks for another quality of service, for example."""
+    monkeypatch.setattr(SimRobotNode, "get_subscriptions_info_by_topic", lambda *_: [None] * 9)
+    begin = rig.now()
+    rig.wait_for(lambda: rig.messages["/odom"])
+    assert 5.0 < (rig.now() - begin) * 1e-9 < 6.0
+    rig.wait_for(lambda: rig.state is State.WALKING)
 
 
 def test_a_robot_that_is_still_frozen_obeys_off(rig):

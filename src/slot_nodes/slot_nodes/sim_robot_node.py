@@ -64,7 +64,8 @@ PORTION = 20_000_000  # ns, longest simulation per callback, so that commands ar
 BUS_PORTION = 4_000_000  # ns, so that the time of the servos stays close to that of the driver
 RECORDER = "recorder"
 PICTURES = "camera/image_raw"  # not recorded
-RECORDER_TIMEOUT = 5.0  # s after /recording; a topic without the recorder then is not recorded
+MATCH_TIMEOUT = 5.0  # s; a subscriber that is not matched then misses the first readings
+WAIT_REPORT = 5.0  # s, between two lines that say what the first readings wait for
 LAG_WARNING = 100_000_000  # ns behind real time
 
 
@@ -80,7 +81,8 @@ class SimRobotNode(Node):
         self._records = runtime.declare(
             self, "wait_for_recording", False, "publish nothing before /recording"
         )
-        self._recorded_since: float | None = None  # s, monotonic
+        self._is_recording = False
+        self._matching_since: float | None = None  # s, monotonic
         dump = runtime.declare(
             self,
             "dump",
@@ -177,32 +179,44 @@ class SimRobotNode(Node):
         if self._servos.released:
             self._start()
             return
-        if self._records and self._recorded_since is None:
-            return
-        if self._servos.powered and self._is_matched():
-            if isinstance(self._time, LockstepClock):
-                self._publish_all(self._time.at_rest())
-            else:
-                self._publish_all(self._plant.readings_at_rest(self._now()))
+        if missing := self._missing():
+            self.get_logger().info(
+                f"waiting for {missing}", throttle_duration_sec=WAIT_REPORT, skip_first=True
+            )
+        elif isinstance(self._time, LockstepClock):
+            self._publish_all(self._time.at_rest())
+        else:
+            self._publish_all(self._plant.readings_at_rest(self._now()))
 
-    def _is_matched(self) -> bool:
-        """Whether every discovered subscriber is matched, so that it receives the next message.
+    def _missing(self) -> str:
+        """What the first readings wait for, or ""."""
+        if self._records and not self._is_recording:
+            return "the recorder"
+        if not self._servos.powered:
+            return "the servos: torque on, or the limits of the supervisor"
+        now = time.monotonic()
+        self._matching_since = self._matching_since or now
+        return "" if now - self._matching_since > MATCH_TIMEOUT else self._unmatched()
 
-        The recorder has to be among them: /recording may arrive before its discovery.
+    def _unmatched(self) -> str:
+        """A topic with a discovered subscriber that would not receive the next message, or "".
+
+        The recorder has to be among the subscribers: /recording may arrive before its discovery. A
+        topic without it after `MATCH_TIMEOUT` is not recorded; a foreign subscriber of another
+        quality of service is never matched.
         """
         publishers = [publisher for publisher, _ in self._outputs.values()]
-        late = self._recorded_since and time.monotonic() - self._recorded_since > RECORDER_TIMEOUT
         for publisher in (*publishers, self._truth, self._legs):
             readers = self.get_subscriptions_info_by_topic(publisher.topic_name)
-            if publisher.get_subscription_count() < len(readers):
-                return False
+            if (matched := publisher.get_subscription_count()) < len(readers):
+                return f"{matched} of {len(readers)} subscribers to {publisher.topic_name}"
             recorded = self._records and not publisher.topic_name.endswith(PICTURES)
-            if recorded and not late and RECORDER not in {r.node_name for r in readers}:
-                return False
-        return True
+            if recorded and RECORDER not in {r.node_name for r in readers}:
+                return f"the recorder at {publisher.topic_name}"
+        return ""
 
     def _on_recording(self, message: Bool) -> None:
-        self._recorded_since = time.monotonic()
+        self._is_recording = True
 
     def _on_limits(self, servos: GuardedServos, message: ServoLimits) -> None:
         servos.set_limits(decode.servo_limits(message))
