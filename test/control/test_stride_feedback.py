@@ -174,6 +174,19 @@ def test_a_reset_keeps_the_corrections_and_forgets_the_place():
     assert np.abs(plant.gap[-1]).max() < SETTINGS.lead
 
 
+def test_what_is_lost_while_the_robot_starts_to_walk_and_turn_is_regained():
+    plant = Plant(velocity=(0.02, 0.0, 0.1))
+    for _ in range(TICKS):  # it stands: the stride is not whole yet
+        plant.time += DT
+        plant.feedback.move(DT, plant.state, plant.velocity)
+        plant.feedback.forget_stride()
+    lost = DT * (TICKS - 1)
+    assert plant.feedback.place == pytest.approx([0.02 * lost, 0.0, 0.1 * lost], abs=1e-3)
+    plant.run(30)
+    assert plant.state[2] == pytest.approx(0.1 * (plant.time - DT), abs=5e-3)
+    assert np.abs(plant.gap[-1]).max() < 1e-3
+
+
 @pytest.mark.parametrize(
     ("knob", "legs"), [(0, [1, 1, 1, 1]), (1, [1, -1, 1, -1]), (2, [1, 1, -1, -1])]
 )

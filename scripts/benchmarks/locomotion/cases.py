@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,13 +22,14 @@ from slot_core.simulation.clocks import LOCKSTEP_START
 from slot_core.simulation.closed_loop import ClosedLoop
 
 DT = read_scene("flat").sensors.odometry.period  # s, between ticks
-PERIOD = read_gaits().strides["walk"].period  # s, of a stride: for means over strides
+STRIDES = read_gaits().strides
+PERIOD = STRIDES["walk"].period  # s
 FALLEN = read_supervisor().estimate.tilt_max  # rad
 PUSH_TIME = 0.2  # s
 Vector3 = tuple[float, float, float]
 Changes = tuple[tuple[str, Any], ...]  # dotted names and values, hashable
 
-NO_STRIDE_FEEDBACK = ("gait.strides.walk.feedback.gain", 0.0)
+NO_STRIDE_FEEDBACK = tuple((f"gait.strides.{name}.feedback.gain", 0.0) for name in STRIDES)
 NO_CORRECTION = (("mpc.posture.correction_max_deg", 0.0), ("mpc.posture.dither_deg", 0.0))
 
 
@@ -40,8 +42,8 @@ class Controller:
 
 
 COLUMNS: Mapping[str, Controller] = {
-    "gait alone": Controller("default", (NO_STRIDE_FEEDBACK, *NO_CORRECTION)),
-    "paper": Controller("paper", (NO_STRIDE_FEEDBACK,)),
+    "gait alone": Controller("default", (*NO_STRIDE_FEEDBACK, *NO_CORRECTION)),
+    "paper": Controller("paper", NO_STRIDE_FEEDBACK),
     "default": Controller("default", ()),
 }
 ALONE, DEFAULT = "gait alone", "default"
@@ -70,11 +72,14 @@ class Motion:
     position: Array  # (n, 3) m, in odom
     rpy: Array  # (n, 3) rad, the yaw unwrapped
     fallen: bool
+    period: float = PERIOD  # s, of a stride: for means over strides
 
     def after(self, begin: float, end: float = math.inf) -> Motion:
         """The motion from `begin` to `end`, s."""
         part = (self.time >= begin) & (self.time <= end)
-        return Motion(self.time[part], self.position[part], self.rpy[part], self.fallen)
+        return dataclasses.replace(
+            self, time=self.time[part], position=self.position[part], rpy=self.rpy[part]
+        )
 
     @property
     def tilt(self) -> Array:
@@ -85,7 +90,7 @@ class Motion:
     def velocity(self) -> Array:
         """Mean velocity (3,) in odom over whole strides at the end: v_x, v_y, yaw rate."""
         pose = np.column_stack([self.position[:, :2], self.rpy[:, 2]])
-        whole = math.floor((self.time[-1] - self.time[0]) / PERIOD) * PERIOD
+        whole = math.floor((self.time[-1] - self.time[0]) / self.period) * self.period
         first = round(whole / DT)
         return (pose[-1] - pose[-1 - first]) / (self.time[-1] - self.time[-1 - first])
 
@@ -97,7 +102,7 @@ class Motion:
 
     def moving_mean(self, values: Array) -> Array:
         """Moving mean of values (n,) over a stride."""
-        count = min(round(PERIOD / DT), len(values))
+        count = min(round(self.period / DT), len(values))
         return np.convolve(values, np.full(count, 1.0 / count), "valid")
 
     @property
@@ -120,7 +125,7 @@ def run_case(case: Case, column: str, seed: int) -> Motion:
     loop = ClosedLoop(
         case.scene,
         case.gait,
-        np.zeros(3) if case.path else np.array(case.velocity),
+        np.array(case.velocity),
         seed,
         controller.profile,
         changes=dict(case.changes) | dict(controller.changes),
@@ -139,16 +144,17 @@ def run_case(case: Case, column: str, seed: int) -> Motion:
                 scheduler.request(case.gait, np.array(schedule.pop(0)[1]))
     except Divergence:
         fallen = True
-    return motion_of(np.array(rows), fallen)
+    period = STRIDES[case.gait].period if case.gait in STRIDES else PERIOD
+    return motion_of(np.array(rows), fallen, period)
 
 
-def motion_of(rows: Array, fallen: bool) -> Motion:
+def motion_of(rows: Array, fallen: bool, period: float) -> Motion:
     """Motion of rows (n, 7) time, position, roll, pitch, yaw, with gaps closed linearly."""
     rows[:, 6] = np.unwrap(rows[:, 6])
     time = np.arange(0.0, rows[-1, 0] + DT / 2, DT)
     even = np.column_stack([np.interp(time, rows[:, 0], column) for column in rows.T[1:]])
-    motion = Motion(time, even[:, :3], even[:, 3:], fallen)
-    return Motion(time, even[:, :3], even[:, 3:], fallen or bool(motion.tilt.max() > FALLEN))
+    motion = Motion(time, even[:, :3], even[:, 3:], fallen, period)
+    return dataclasses.replace(motion, fallen=fallen or bool(motion.tilt.max() > FALLEN))
 
 
 def _path(case: Case) -> Path | None:

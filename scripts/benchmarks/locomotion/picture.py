@@ -13,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, Case, Motion
-from benchmarks.locomotion.rows import SIDE, WARM_UP
+from benchmarks.locomotion.rows import CAUGHT_UP, SIDE
 from slot_core.report import palette
 
 COLOURS = {ALONE: "#E69F00", "paper": palette.PALE, DEFAULT: palette.TRUE}
@@ -51,7 +51,7 @@ def draw_directions(
         for case, (v_x, v_y) in zip(cases, wanted):
             for seed in seeds:
                 motion = motions[case, column, seed]
-                reached = motion.after(WARM_UP).velocity[:2]
+                reached = motion.after(CAUGHT_UP).velocity[:2]
                 ax.plot([v_x, reached[0]], [v_y, reached[1]], color=colour, linewidth=0.8)
                 ax.plot(*reached, ".", color=colour, markersize=8)
         ax.plot([], [], ".-", color=colour, label=column)

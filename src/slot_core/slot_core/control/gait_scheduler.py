@@ -189,14 +189,14 @@ class GaitScheduler:
                 continue
             active.phase += elapsed / gait.period
             complete, active.phase = active.phase >= 1.0, active.phase % 1.0
-            if active.moving < 1.0 or self._since_change < self._settings.transition:
-                feedback.reset()  # the stride is not whole yet
-                continue
             if self._path is not None:
                 feedback.place = self._path.place(state, elapsed)
                 feedback.limit_lead(state)
             else:
                 feedback.move(elapsed, state, self._velocity)
+            if active.moving < 1.0 or self._since_change < self._settings.transition:
+                feedback.forget_stride()  # the stride is not whole yet
+                continue
             feedback.add(time, state)
             if complete:
                 walking = gait.walking(self._velocity)

@@ -65,7 +65,12 @@ class StrideFeedback:
 
     def reset(self) -> None:
         """Forget the stride so far and the reference place; the knobs stay."""
-        self.place, self._rows, self._gap = None, [], []
+        self.place = None
+        self.forget_stride()
+
+    def forget_stride(self) -> None:
+        """Forget the stride so far; the reference place stays."""
+        self._rows, self._gap = [], []
 
     def move(self, dt: float, state: Array, velocity: Array) -> None:
         """Move the reference place over dt (s) with a velocity (3,) in its heading frame.
