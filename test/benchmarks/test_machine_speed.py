@@ -56,6 +56,8 @@ def mpc_checks(slower):
             ("cvxpy", "published", 15, 400.0),
         )
     ]
+    posture = {"kind": "posture", "median_ms": 1.2 * slower, "error_max_rad": 0.0}
+    rows += [posture | {"limited": n, "refused": 0} for n in (0, 20)]
     return mpc.checks(rows, settings)
 
 

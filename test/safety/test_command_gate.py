@@ -62,8 +62,11 @@ def test_goals_go_on_at_the_rate_of_the_command_within_the_range_until_it_is_hel
     _, results = run(built, Action.PASS, 0.1, time, fast=True)
     assert results[2].angle == pytest.approx(MIDDLE + 0.02 * rate)
     assert results[10].angle == pytest.approx([1.1, 0.8, 1.0, LIMIT])
-    _, held = run(built, Action.HOLD, 0.1, time + 11 * TICK)
-    assert (held[-1].angle == results[10].angle).all()
+    _, later = run(built, Action.PASS, 0.5, time + 11 * TICK, fast=True)  # no command comes
+    assert later[-1].angle == pytest.approx(results[10].angle)
+    built.offer(time + 70 * TICK, MIDDLE, rate)
+    _, held = run(built, Action.HOLD, 0.1, time + 70 * TICK)
+    assert (held[-1].angle == later[-1].angle).all()
 
 
 def test_goals_between_commands_follow_the_gait_at_its_rate():

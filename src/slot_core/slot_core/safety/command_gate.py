@@ -1,9 +1,10 @@
 """Final command check before the servos: finite, within range, rate-limited.
 
 A command is a vector of tendon angles at the time of its acceptance, and the rate at which they go
-on until the next command; it is accepted or rejected as a whole. The goals of the servos follow it
-with a budget of time per leg: unused time is kept up to `burst`, and a leg moves at most its budget
-times the largest rate. So over any time T no goal moves further than rate_max (T + burst).
+on until the next command, at most for `LONGEST`; it is accepted or rejected as a whole. The goals
+of the servos follow it with a budget of time per leg: unused time is kept up to `burst`, and a leg
+moves at most its budget times the largest rate. So over any time T no goal moves further than
+rate_max (T + burst).
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ class Action(enum.Enum):
 AT_REST = np.zeros(len(LEGS))
 """Rate (4,), rad/s, of a command whose angles stay."""
 AT_REST.flags.writeable = False
+LONGEST = 0.1  # s that angles go on at the rate of a command
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ class CommandGate:
 
     def _commanded(self, time: int) -> Array:
         """Angles (4,), rad, of the command at `time`."""
-        passed = max(time - self._accepted, 0) / SECOND
+        passed = min(max(time - self._accepted, 0) / SECOND, LONGEST)
         return np.clip(self._target + passed * self._target_rate, self._low, self._high)
 
     def _elapsed(self, time: int) -> float:

@@ -19,7 +19,7 @@ from slot_core.dynamixel.state import JointReading
 from slot_core.faults import BROKEN, NAN, SLACK, Fault, legs_of, require_simulated_legs
 from slot_core.paper.paper_robot import PaperRobot
 from slot_core.robot import LEGS, Array, Robot
-from slot_core.safety.command_gate import AT_REST
+from slot_core.safety.command_gate import AT_REST, LONGEST
 from slot_core.safety.servo_health import ServoHealth
 from slot_core.simulation.kernel_robot import KernelRobot
 from slot_core.simulation.rod_robot import RodRobot
@@ -34,7 +34,6 @@ from slot_core.simulation.sensors import (
 from slot_core.simulation.tabulated_robot import TabulatedRobot
 
 CYCLE = 0.01  # s, of the servos, as the driver's bus cycles
-LONGEST = 0.1  # s that a command's rate holds, as `command_hold` of the command watchdog
 
 if TYPE_CHECKING:
     from slot_core.simulation.camera_sensor import CameraSensor

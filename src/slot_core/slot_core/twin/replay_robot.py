@@ -27,7 +27,8 @@ from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.robot import Array, Robot, read_parameters, read_robot
-from slot_core.simulation.plant import LONGEST, make_robot
+from slot_core.safety.command_gate import LONGEST
+from slot_core.simulation.plant import make_robot
 from slot_core.twin.settings import TwinSettings
 
 LEAST_SETTLING = 1.0  # s
