@@ -9,6 +9,7 @@ from slot_core.safety.states import State
 from slot_msgs.msg import GaitPreview
 from slot_nodes import messages, qos
 from slot_nodes.sim_robot_node import SimRobotNode
+from slot_nodes.supervisor_node import SupervisorNode
 
 
 @pytest.fixture
@@ -36,6 +37,20 @@ def test_a_subscriber_that_is_never_matched_does_not_keep_the_robot_from_startin
     rig.wait_for(lambda: rig.messages["/odom"])
     assert 5.0 < (rig.now() - begin) * 1e-9 < 6.0
     rig.wait_for(lambda: rig.state is State.WALKING)
+
+
+def test_limits_that_were_lost_come_again(simulate, monkeypatch):
+    sent, send = [], SupervisorNode._send_limits
+
+    def send_but_the_first(node):
+        sent.append(node)
+        if len(sent) > 1:
+            send(node)
+
+    monkeypatch.setattr(SupervisorNode, "_send_limits", send_but_the_first)
+    rig = simulate()
+    rig.wait_for(lambda: rig.state is State.WALKING)
+    rig.close()
 
 
 def test_a_robot_that_is_still_frozen_obeys_off(rig):

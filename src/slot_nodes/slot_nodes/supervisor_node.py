@@ -36,6 +36,8 @@ from slot_msgs.msg import GroundReactionForces, MpcState, RobotState, ServoHealt
 from slot_msgs.srv import SetGait
 from slot_nodes import inputs, messages, qos, runtime
 
+LIMITS_PERIOD = 1.0  # s, between two messages with the limits of the servos
+
 
 class SupervisorNode(Node):
     """Runs the supervisor at 50 Hz, and at once on urgent inputs, and publishes its state."""
@@ -55,7 +57,9 @@ class SupervisorNode(Node):
         self._last: Report | None = None
         self._state = runtime.publisher(self, RobotState, "robot_state", qos.STATE)
         self._limits = self.create_publisher(ServoLimits, "servo_limits", qos.STATE)
-        self._limits.publish(messages.limits_to_msg(settings.servo_limits))
+        self._servo_limits = messages.limits_to_msg(settings.servo_limits)
+        self._send_limits()
+        runtime.wall_timer(self, LIMITS_PERIOD, self._send_limits)
         self._set_gait = self.create_client(SetGait, "set_gait")
         self._wanted: SetGait.Request | None = None  # gait to request once its service is there
         self._answer: Future | None = None  # of the last request of a gait
@@ -67,6 +71,13 @@ class SupervisorNode(Node):
             serve = partial(self._on_request, request)
             self.create_service(Trigger, f"~/{request.name.lower()}", serve)
         runtime.wall_timer(self, PERIOD, self._send if self._lockstep else self._step)
+
+    def _send_limits(self) -> None:
+        """Publish the limits; repeated, since the servos accept no command without them.
+
+        A latched message of a writer that is discovered at the same time does not always arrive.
+        """
+        self._limits.publish(self._servo_limits)
 
     def _declare_gait(self) -> SetGait.Request:
         """Declare gait and velocity of WALKING; raises ConfigError if they do not fit."""
