@@ -1,10 +1,13 @@
 """Records the topics of `config/record.yaml` into a bag that `ros2 bag` and Foxglove read.
 
-The node publishes `/recording` when every transient-local topic, those of the controller, has a
-matched publisher. A simulated robot that waits for it is recorded from the first tick on.
+The node publishes `/recording` from when on every transient-local topic, those of the controller,
+has a matched publisher; repeated, since Fast DDS loses a latched message of a writer that is found
+at the same time now and then (eProsima/Fast-DDS, issue 3822). A simulated robot that waits for it
+is recorded from the first tick on.
 """
 
 import json
+import math
 import signal
 import time
 from functools import partial
@@ -22,6 +25,8 @@ from slot_core.bags.origin import origin_here
 from slot_core.bags.record_settings import RecordedTopic, read_record_settings
 from slot_nodes import messages, qos, runtime
 from slot_nodes.process.executor import DirectExecutor
+
+ANNOUNCEMENT = 1.0  # s, between two messages that it records
 
 
 class RecorderNode(Node):
@@ -44,7 +49,8 @@ class RecorderNode(Node):
             raise config.ConfigError(str(error)) from None
         self._recorded = {n: self._listen(n, t) for n, t in self._settings.topics.items()}
         self._awaited = [s for s in self._recorded.values() if _is_latched(s)]
-        self._recording = self.create_publisher(Bool, "recording", qos.CONTROL)
+        self._recording = self.create_publisher(Bool, "recording", qos.STATE)
+        self._announced = -math.inf  # s, monotonic
 
     def serve(self) -> None:
         """Record until SIGINT or SIGTERM; end the node if the disk is full."""
@@ -78,9 +84,13 @@ class RecorderNode(Node):
         self._bag.write(name, kind, info["source_timestamp"], data)
 
     def _announce_when_matched(self) -> None:
-        if self._awaited and all(s.get_publisher_count() for s in self._awaited):
+        now = time.monotonic()
+        if now - self._announced < ANNOUNCEMENT:
+            return
+        self._awaited = [s for s in self._awaited if not s.get_publisher_count()]
+        if not self._awaited:
             self._recording.publish(Bool(data=True))
-            self._awaited = []
+            self._announced = now
 
     def destroy_node(self) -> None:
         """Write what has arrived, close the bag, which writes its index, and destroy the node."""

@@ -106,7 +106,7 @@ class SimRobotNode(Node):
         self._create_publishers()
         fault_service.serve(self, self._plant)
         inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
-        self.create_subscription(Bool, "recording", self._on_recording, qos.CONTROL)
+        self.create_subscription(Bool, "recording", self._on_recording, qos.STATE)
         period = FROZEN_PERIOD if self._lockstep else settings.sensors.odometry.period
         self._timer = runtime.wall_timer(self, period, self._publish_at_rest)
         self._servos: Servos = self._make_servos(link)

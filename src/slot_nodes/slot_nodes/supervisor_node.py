@@ -75,7 +75,8 @@ class SupervisorNode(Node):
     def _send_limits(self) -> None:
         """Publish the limits; repeated, since the servos accept no command without them.
 
-        A latched message of a writer that is discovered at the same time does not always arrive.
+        Fast DDS loses a latched message of a writer that is found at the same time now and then
+        (eProsima/Fast-DDS, issue 3822).
         """
         self._limits.publish(self._servo_limits)
 
