@@ -31,7 +31,7 @@ ALLOWED = {
     "report": "ground control control/mpc bags",
     "calibration": "ground dynamics legs simulation report",
     "validation": "ground bags report vision",
-    "twin": "ground dynamics simulation bags report calibration validation",
+    "twin": "ground dynamics simulation safety bags report calibration validation",
     "tuning": "ground dynamics control simulation",
 }
 # The controller combines the MPC with its other stages.
