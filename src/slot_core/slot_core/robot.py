@@ -146,8 +146,9 @@ class Robot:
     ) -> Array:
         """Clamps above the floor (..., 4) m, at heights (m), rolls and pitches (rad) (...)."""
         level = np.cos(pitch)
-        up = np.stack([-np.sin(pitch), level * np.sin(roll), level * np.cos(roll)], axis=-1)
-        return np.asarray(np.expand_dims(height, -1) + up @ self.clamps.T)
+        up = -np.sin(pitch), level * np.sin(roll), level * np.cos(roll)
+        x, y, z = (np.multiply.outer(part, axis) for part, axis in zip(up, self.clamps.T))
+        return np.asarray(np.asarray(height)[..., None] + x + y + z)
 
     @cached_property
     def outward(self) -> Array:

@@ -50,7 +50,7 @@ from slot_core.control.gait import GaitPreview
 from slot_core.control.leg_springs import LegSprings
 from slot_core.control.mpc.model import FEET, Horizon
 from slot_core.control.mpc.piqp_solver import solution
-from slot_core.control.mpc.posture_kernels import condense, predict
+from slot_core.control.mpc.posture_kernels import condense, limit_forces, linearise, predict
 from slot_core.control.mpc.solver import Solution
 from slot_core.robot import GRAVITY, Array, Robot
 
@@ -97,6 +97,7 @@ class PostureProblem:
         self._angle_max, self._weight = robot.tendon.angle_max, robot.weight
         x, y, _ = robot.clamps.T
         self._rise = np.column_stack([np.ones(FEET), y, -x])  # dh/dq of the clamps
+        self._geometry = np.vstack([x, y, robot.outward[:, :2].T]), self._rise
         o, size = options, FEET * horizon
         weights = [o.height, o.tilt, o.tilt]
         self._root_weight = np.sqrt(np.tile(weights, horizon))
@@ -128,7 +129,8 @@ class PostureProblem:
         """Set the present state (12,), the preview and the limits and targets ahead."""
         self._posture = preview.posture
         self._nominal = np.asarray(preview.tendon_angle, dtype=float)[: self._horizon]
-        self._force_ref, self._contact = ahead.force_ref[..., 2], ahead.force_max > 0.0
+        self._force_ref = np.ascontiguousarray(ahead.force_ref[..., 2])
+        self._contact = ahead.force_max > 0.0
         elapsed = self._follow_servos(preview.stamp)
         if not preview.posture:
             self.disturbance, self._dither = np.zeros(POSTURE), 0.0
@@ -138,10 +140,11 @@ class PostureProblem:
         error = posture - reference[0]
         inside = np.clip(error, -self._tolerance, self._tolerance)
         self._update_dither(np.abs(error - inside) / self._tolerance, elapsed)
-        self._observe(reference[0] + error - inside, elapsed)
-        self._linearise(reference, preview.dt)
-        at, height = (self._robot.clamp_heights(*q) for q in (reference[0], posture))
-        self._reaction = self._stiffness[0] * (height - at)  # N, of the springs
+        postures = np.vstack([reference, posture, reference[0] + error - inside])
+        heights = self._robot.clamp_heights(*postures.T)
+        self._observe(heights[-1], elapsed)
+        self._linearise(heights[:-2], preview.dt)
+        self._reaction = self._stiffness[0] * (heights[-2] - heights[0])  # N, of the springs
         self._start = np.concatenate([error - inside, self._spool - self._nominal[0]])
         limit = math.radians(self._options.correction_max_deg)
         n = self._solver.inputs
@@ -203,7 +206,14 @@ class PostureProblem:
         shapes = (count, SIZE, SIZE), (count, SIZE, FEET), (count, SIZE)
         self._model, self._start = tuple(np.zeros(shape) for shape in shapes), np.zeros(SIZE)
         self._predict(np.zeros(size))
-        condense(self._model, self._start, np.zeros((count, SIZE, size)), np.zeros((count, SIZE)))
+        condensed = np.zeros((count, SIZE, size)), np.zeros((count, SIZE))
+        condense(self._model, self._start, *condensed)
+        ones = np.ones((count, FEET))
+        legs = ones, ones, -ones, self._springs.at(ones, ones).force
+        self._work = tuple(np.zeros((POSTURE, n)) for n in (FEET, POSTURE, FEET + 1))
+        shift, rates = np.zeros((count, POSTURE, FEET + 1)), (0.5, 0.5, -STIFFNESS_MIN)
+        linearise(legs, self._geometry, np.zeros(POSTURE), rates, self._work, shift, self._model)
+        limit_forces(legs, self._rise, condensed, self._solver.G[:, :size], self._solver.h)
         self._solver.solve()
 
     def _follow_servos(self, stamp: int) -> float:
@@ -229,11 +239,11 @@ class PostureProblem:
         """Part (4,) N of the commanded forces that is dither."""
         return self._slope[0] * (self._sign * self._dither) * DIAGONALS
 
-    def _observe(self, posture: Array, elapsed: float) -> None:
-        """Filter the wrench missing from the balance of springs and gravity at a posture (3,)."""
+    def _observe(self, height: Array, elapsed: float) -> None:
+        """Filter the wrench missing from the balance of springs and gravity at heights (4,), m."""
         if self._options.observer_time == 0.0 or elapsed == 0.0:
             return
-        legs = self._springs.at(self._spool, self._robot.clamp_heights(*posture))
+        legs = self._springs.at(self._spool, height)
         lacking = -self._levers(legs.contact) @ np.maximum(legs.force, 0.0)
         lacking[0] += self._weight
         share = -math.expm1(-elapsed / self._options.observer_time)
@@ -247,31 +257,20 @@ class PostureProblem:
         y = clamps[:, 1] + contact * outward[:, 1]
         return np.stack([np.ones_like(x), y, -x], axis=-2)
 
-    def _linearise(self, reference: Array, dt: float) -> None:
-        """Discrete model of every stage about the gait's angles and the reference (H, 3)."""
+    def _linearise(self, height: Array, dt: float) -> None:
+        """Discrete model of every stage about the gait's angles and clamp heights (H, 4), m."""
         o, count = self._options, self._horizon
-        springs = self._springs.at(self._nominal, self._robot.clamp_heights(*reference.T))
+        springs = self._springs.at(self._nominal, height)
         self._slope, self._stiffness = springs.slope, springs.stiffness
-        levers = self._levers(springs.contact)
-        stiff = np.minimum(springs.stiffness, -STIFFNESS_MIN)
-        stiffness = (levers * stiff[:, None]) @ self._rise  # A
-        lacking = (levers @ self._force_ref[..., None])[..., 0] + self.disturbance
-        lacking[:, 0] -= self._weight
-        effect = np.concatenate([levers * springs.slope[:, None], lacking[..., None]], axis=2)
-        shift = -np.linalg.solve(stiffness, effect)  # of the equilibrium, by a and by e + d
+        self._legs = springs.contact, springs.slope, springs.stiffness, self._force_ref
         # trapezoidal rule: x' = (target - x) / T gives x_k+1 = keep x_k + (1 - keep) mean target
         keep, held = ((2 * time - dt) / (2 * time + dt) for time in (o.settling, o.lag))
-        angles, rest = shift[..., :FEET], shift[..., FEET]
-        a, b, drift = (np.zeros((count, SIZE, *n)) for n in ((SIZE,), (FEET,), ()))
-        a[:, range(POSTURE), range(POSTURE)] = keep
-        a[:, range(POSTURE, SIZE), range(POSTURE, SIZE)] = held
-        a[:, :POSTURE, POSTURE:] = (1 - keep) * (1 + held) / 2 * angles
-        b[:, :POSTURE] = (1 - keep) * (1 - held) / 2 * angles
-        b[:, range(POSTURE, SIZE), range(FEET)] = 1 - held
-        drift[:, :POSTURE] = (1 - keep) * rest
-        self._model = a, b, drift
-        limit, first = math.radians(o.correction_max_deg), angles[0]
-        least = -first.T @ np.linalg.solve(first @ first.T, rest[0])
+        shift = np.zeros((count, POSTURE, FEET + 1))  # of the equilibrium, by a and by e + d
+        wrench = self.disturbance - [self._weight, 0.0, 0.0]
+        rates = keep, held, -STIFFNESS_MIN
+        linearise(self._legs, self._geometry, wrench, rates, self._work, shift, self._model)
+        limit, first, rest = math.radians(o.correction_max_deg), shift[0, :, :FEET], shift[0, :, -1]
+        least = -first.T @ np.linalg.solve(first @ first.T, rest)
         self._balance = np.clip(least, -limit, limit)
 
     def _predict(self, z: Array) -> Array:
@@ -293,17 +292,7 @@ class PostureProblem:
         qp.c[:n] = weighted.T @ (self._root_weight * free[:, :POSTURE].ravel())
         qp.c[:n] -= o.angle * np.tile(self._balance, count)
         qp.c[:FEET] -= o.change * (self._command - self._nominal[0])
-        ahead = np.minimum(np.arange(1, count + 1), count - 1)  # springs at the states 1 .. H
-        gain = np.concatenate(
-            [
-                self._stiffness[ahead][..., None] * self._rise,
-                self._slope[ahead][..., None] * np.eye(FEET),
-            ],
-            axis=2,
-        )
-        force = self._force_ref[ahead] + np.einsum("kfi,ki->kf", gain, free)
-        qp.G[:, :n] = -(gain @ effect).reshape(-1, n)
-        qp.h[:] = force.ravel()
+        limit_forces(self._legs, self._rise, (effect, free), qp.G[:, :n], qp.h)
 
 
 class PostureSolver:
