@@ -393,7 +393,9 @@ class SimulatedRig(Rig):
         self.exit_codes[name] = code
 
     def _remove(self, name):
-        del self._nodes[name]
+        _, node = self._nodes.pop(name)
+        # only then its DDS participant ends: more than 32 in a domain do not all find each other
+        Node.destroy_node(node)
         self._contexts.pop(name).try_shutdown()
         self._paused.discard(name)
         if name == "sim_robot":
