@@ -62,7 +62,7 @@ class Case:
 
 
 CASES = {
-    "walk": Case(1.35, keeps=("/ground_truth/legs", "/tf")),
+    "walk": Case(1.37, keeps=("/ground_truth/legs", "/tf")),
     "turn": Case(1.65, velocity=(0.03, 0.15)),
     "path": Case(1.5, ("--path", str(BAGS / "path.csv"))),
     "fault": Case(1.8, scene=BROKEN),

@@ -86,7 +86,7 @@ def test_a_recorded_walk_is_replayed_from_its_own_angles():
     assert recorded.angles.topic == MEASURED
     off = np.linalg.norm(found.position - measured.position, axis=1)
     assert off.max() < 2e-3  # 1.3 mm at the first jump of the angles, recorded at 100 Hz
-    assert np.ptp(measured.position[:, 0]) > 0.015
+    assert np.ptp(measured.position[:, 0]) > 0.02
 
 
 def test_commands_go_through_the_servo():

@@ -77,7 +77,9 @@ def require_present(stamp: int, now: int, limit: float) -> None:
 
 
 def require_nominal(preview: GaitPreview) -> None:
-    """Raise ValueError unless the preview has finite tendon angles and loads of all legs."""
+    """Raise ValueError unless the preview has stages with finite angles and loads of all legs."""
+    if not preview.dt > 0.0:  # NaN is not
+        raise ValueError(f"dt = {preview.dt:g}: expected above 0")
     require_finite("reference", preview.reference)
     for name in ("tendon_angle", "normal_force"):
         rows = getattr(preview, name)

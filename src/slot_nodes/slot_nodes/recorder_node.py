@@ -1,9 +1,8 @@
 """Records the topics of `config/record.yaml` into a bag that `ros2 bag` and Foxglove read.
 
 The node publishes `/recording` from when on every transient-local topic, those of the controller,
-has a matched publisher; repeated, since Fast DDS loses a latched message of a writer that is found
-at the same time now and then (eProsima/Fast-DDS, issue 3822). A simulated robot that waits for it
-is recorded from the first tick on.
+has a matched publisher; repeated, so that a robot that has missed it does not wait for ever. A
+simulated robot that waits for it is recorded from the first tick on.
 """
 
 import json

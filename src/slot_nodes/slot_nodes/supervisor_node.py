@@ -73,11 +73,7 @@ class SupervisorNode(Node):
         runtime.wall_timer(self, PERIOD, self._send if self._lockstep else self._step)
 
     def _send_limits(self) -> None:
-        """Publish the limits; repeated, since the servos accept no command without them.
-
-        Fast DDS loses a latched message of a writer that is found at the same time now and then
-        (eProsima/Fast-DDS, issue 3822).
-        """
+        """Publish the limits; repeated, since servos that have missed them accept no command."""
         self._limits.publish(self._servo_limits)
 
     def _declare_gait(self) -> SetGait.Request:

@@ -64,13 +64,12 @@ def tendon_angles(bag: Bag, topic: str = "") -> TendonAngles:
     """
     chosen = _chosen(bag, topic, (MEASURED, COMMANDED))
     t, angle = joint_columns(bag, chosen, "position")
-    where, stamps = f"{bag.path}: {chosen}", bag.series(chosen).stamp
-    if chosen == MEASURED or not bag.series(chosen, "velocity")["velocity"].size:
-        keep = sound(where, stamps, angle)
-        return TendonAngles(chosen, t[keep], angle[keep])
-    _, rate = joint_columns(bag, chosen, "velocity")
-    keep = sound(where, stamps, np.hstack([angle, rate]))
-    return TendonAngles(chosen, t[keep], angle[keep], rate[keep])
+    series, rate = bag.series(chosen, "velocity"), None
+    if chosen != MEASURED and series["velocity"].size:
+        _, rate = joint_columns(bag, chosen, "velocity")
+    values = angle if rate is None else np.hstack([angle, rate])
+    keep = sound(f"{bag.path}: {chosen}", series.stamp, values)
+    return TendonAngles(chosen, t[keep], angle[keep], None if rate is None else rate[keep])
 
 
 def sound(where: str, stamps: Stamps, values: Array) -> NDArray[np.intp]:

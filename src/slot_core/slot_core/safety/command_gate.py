@@ -35,6 +35,12 @@ AT_REST.flags.writeable = False
 LONGEST = 0.1  # s that angles go on at the rate of a command
 
 
+def gone_on(angle: Array, rate: Array, age: float | Array) -> Array:
+    """Angles (..., 4), rad, of commands with their rates (..., 4), rad/s, at ages (...), s."""
+    passed = np.clip(age, 0.0, LONGEST)
+    return angle + np.expand_dims(passed, -1) * rate
+
+
 @dataclass(frozen=True)
 class Gated:
     """Goals of the servos after a step of the gate."""
@@ -117,8 +123,8 @@ class CommandGate:
 
     def _commanded(self, time: int) -> Array:
         """Angles (4,), rad, of the command at `time`."""
-        passed = min(max(time - self._accepted, 0) / SECOND, LONGEST)
-        return np.clip(self._target + passed * self._target_rate, self._low, self._high)
+        age = (time - self._accepted) / SECOND
+        return np.clip(gone_on(self._target, self._target_rate, age), self._low, self._high)
 
     def _elapsed(self, time: int) -> float:
         """Seconds since the last step."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slot_core.clock import SECOND
 from slot_core.config import ConfigError
 from slot_core.dynamics.scene import CameraSettings, Push, Scene
 from slot_core.dynamics.servo import ServoSettings
@@ -19,7 +20,7 @@ from slot_core.dynamixel.state import JointReading
 from slot_core.faults import BROKEN, NAN, SLACK, Fault, legs_of, require_simulated_legs
 from slot_core.paper.paper_robot import PaperRobot
 from slot_core.robot import LEGS, Array, Robot
-from slot_core.safety.command_gate import AT_REST, LONGEST
+from slot_core.safety.command_gate import AT_REST, gone_on
 from slot_core.safety.servo_health import ServoHealth
 from slot_core.simulation.kernel_robot import KernelRobot
 from slot_core.simulation.rod_robot import RodRobot
@@ -190,9 +191,9 @@ class Plant:
 
     def commanded(self) -> Array:
         """Commanded tendon angles (4,), rad, now."""
-        passed = min((self.now - self._commanded_at) * 1e-9, LONGEST)
-        moved = self._command + passed * self._rate
-        return np.clip(moved, 0.0, self.simulator.robot.tendon.angle_max)
+        age = (self.now - self._commanded_at) / SECOND
+        angle = gone_on(self._command, self._rate, age)
+        return np.clip(angle, 0.0, self.simulator.robot.tendon.angle_max)
 
     def advance(self, until: int) -> Iterator[Reading]:
         """Advance to `until` (ns) and yield each reading when it is due."""

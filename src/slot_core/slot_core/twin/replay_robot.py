@@ -27,7 +27,7 @@ from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.robot import Array, Robot, read_parameters, read_robot
-from slot_core.safety.command_gate import LONGEST
+from slot_core.safety.command_gate import gone_on
 from slot_core.simulation.plant import make_robot
 from slot_core.twin.settings import TwinSettings
 
@@ -178,8 +178,7 @@ def _commands(
         newest = (np.searchsorted(effect, edges, side="left") - 1).clip(min=0)
         rows = angles.angle[newest]
         if angles.rate is not None:
-            age = np.clip(step * (edges - hold / 2 - effect[newest]), 0.0, LONGEST)
-            rows = rows + age[:, None] * angles.rate[newest]
+            rows = gone_on(rows, angles.rate[newest], step * (edges - hold / 2 - effect[newest]))
     return list(zip(edges.tolist(), np.clip(rows, 0.0, limit)))
 
 
