@@ -5,6 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
+from slot_core.clock import SECOND
+from slot_core.control.imu_samples import ImuQueue
 from slot_core.control.inertial_filter import InertialFilter, OdometryMotion
 from slot_core.control.state_estimator import read_estimator
 from slot_core.robot import GRAVITY
@@ -102,6 +104,13 @@ def samples(rng, count):
     return np.hstack([w, rng.normal(0, 2.0, (count, 3)) - DOWN])
 
 
+def held(value):
+    """A single IMU sample, of which `value` are the first elements; it acts at any time."""
+    queue = ImuQueue(1)
+    queue.append(0, np.pad(value, (0, 6 - len(value))))
+    return queue.samples
+
+
 def reading(truth, rng):
     """Odometry near the state of a plain filter."""
     noise = rng.normal(size=(4, 3)) * [[0.002], [0.001], [0.005], [0.02]]
@@ -125,12 +134,12 @@ def test_a_walk_agrees_with_the_plain_filter():
     compiled, plain = InertialFilter(SETTINGS), PlainFilter(motion)
     compiled.restart(motion)
     for number, sample in enumerate(samples(rng, 2000)):
-        compiled.propagate(sample, DT)
+        compiled.propagate(held(sample), 0, round(DT * SECOND))
         plain.propagate(sample)
         if number % 7 == 6:
             gyro, motion = sample[:3] + 0.1, reading(plain, rng)
             for each in (compiled, plain):
-                each.use_gyro(gyro, *((1.0, 0.0) if each is compiled else ()))
+                each.use_gyro(*((held(gyro), 0, 0.0) if each is compiled else (gyro,)))
                 each.correct(motion)
             state, cov = compiled.output()
             np.testing.assert_allclose(state, plain.state(), rtol=0, atol=3e-11)
@@ -181,7 +190,7 @@ def test_the_transition_is_the_derivative_of_the_propagation(noiseless):
 
     def after(error):
         noiseless.restore(perturbed(before, error))
-        noiseless.propagate(sample, DT)
+        noiseless.propagate(held(sample), 0, round(DT * SECOND))
         return noiseless.state
 
     nominal = after(np.zeros(15))
@@ -196,7 +205,7 @@ def test_the_covariance_of_the_output_is_by_its_derivative(noiseless):
 
     def state(error):
         noiseless.restore(perturbed(before, error))
-        noiseless.use_gyro(np.array([0.4, -0.8, 1.1]), 1.0, 0.0)
+        noiseless.use_gyro(held(np.array([0.4, -0.8, 1.1])), 0, 0.0)
         return noiseless.output()[0]
 
     jacobian = derivative(state, 1e-5)

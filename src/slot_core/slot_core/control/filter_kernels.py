@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slot_core import compiled
+from slot_core.clock import SECOND
 from slot_core.robot import GRAVITY, Array
 
 THETA, P, V, GYRO_BIAS, FORCE_BIAS = range(0, 15, 3)
@@ -48,7 +49,6 @@ class Work(NamedTuple):
     """Work space of the kernels."""
 
     rotation: Array  # (3, 3)
-    quaternion: Array  # (4,)
     wide: Array  # (15, 15) jacobian or transition
     product: Array  # (15, 15)
     innovation: Array  # (9, 9) its covariance
@@ -57,11 +57,13 @@ class Work(NamedTuple):
     residual: Array  # (9,)
     weighted: Array  # (3,)
     error: Array  # (15,)
+    sample: Array  # (6,) of the IMU
 
 
 def work_space() -> Work:
     """Work space of one filter."""
-    shapes = ((3, 3), (4,), (15, 15), (15, 15), (9, 9), (15, 9), (3, 3), (9,), (3,), (15,))
+    wide, block = (15, 15), (3, 3)
+    shapes = (block, wide, wide, (9, 9), (15, 9), block, (9,), (3,), (15,), (6,))
     return Work(*(np.zeros(shape) for shape in shapes))
 
 
@@ -188,6 +190,16 @@ def product_transposed(out, a, b):
 
 
 @helper
+def congruence(p, f, half):
+    """p <- f p f^T with a symmetric p; fast where f is sparse. half: work space of p's shape."""
+    product(half, f, p)
+    for i in range(p.shape[0]):
+        for j in range(i):
+            half[i, j], half[j, i] = half[j, i], half[i, j]
+    product(p, f, half)
+
+
+@helper
 def symmetrise(a):
     """a <- (a + a^T) / 2."""
     for i in range(a.shape[0]):
@@ -221,7 +233,56 @@ def solve_cholesky(factor, x):
 
 
 @kernel
+def interpolate(out, stamps, samples, stamp):
+    """IMU sample out (6,) at `stamp` (ns), linear between neighbours; its noise variance factor.
+
+    stamps (n,) in ns, rising, and samples (n, 6). Beyond the last sample it is extrapolated over
+    one sample interval at most. A held value would be late by half an interval; with the torso's
+    angular acceleration that is the larger error.
+    """
+    after, weight = stamps.shape[0] - 1, 1.0
+    while after > 1 and stamps[after - 1] >= stamp:
+        after -= 1
+    before = max(after - 1, 0)
+    if after > before:
+        weight = (stamp - stamps[before]) / (stamps[after] - stamps[before])
+        weight = min(max(weight, 0.0), 2.0)
+    for i in range(6):
+        out[i] = samples[before, i] + weight * (samples[after, i] - samples[before, i])
+    return weight * weight + (1.0 - weight) * (1.0 - weight)
+
+
+@kernel
+def propagate_through(state, work, stamps, samples, begin, end, noise, longest, rate, blind_noise):
+    """Propagate from `begin` to `end` (ns) in steps between the IMU samples.
+
+    stamps (n,) in ns, rising, and samples (n, 6) [w, f] in base_link, of which each step takes the
+    value at its midpoint. A step longer than `longest` (ns) is made at constant velocities, with
+    the angular velocity `rate` (3,) and blind_noise (15,), without the samples.
+    """
+    start, sample = begin, work.sample
+    for i in range(stamps.shape[0] + 1):
+        stop = min(stamps[i], end) if i < stamps.shape[0] else end
+        if stop <= start:
+            continue
+        dt = (stop - start) / SECOND
+        if stop - start > longest:
+            sample[0], sample[1], sample[2] = 0.0, 0.0, GRAVITY
+            step(state, work, rate, sample[:3], dt, blind_noise, False)
+        else:
+            interpolate(sample, stamps, samples, (start + stop) // 2)
+            step(state, work, sample[:3], sample[3:], dt, noise, True)
+        start = stop
+
+
+@kernel
 def propagate(state, work, rate, force, dt, noise, from_imu):
+    """Propagate by dt (s): `step`."""
+    step(state, work, rate, force, dt, noise, from_imu)
+
+
+@helper
+def step(state, work, rate, force, dt, noise, from_imu):
     """Propagate by dt (s) with the rate and specific force (3,) of base_link at the midpoint.
 
     Midpoint rule, with R_m = R Exp(w dt/2) and a = R_m f + g. from_imu: they are raw samples, whose
@@ -248,8 +309,7 @@ def propagate(state, work, rate, force, dt, noise, from_imu):
     transition(work.wide, rotation, f, dt, share, work.block)
     for i in range(ERROR):
         state.cov[i, i] += dt / 2 * noise[i]
-    product(work.product, work.wide, state.cov)
-    product_transposed(state.cov, work.product, work.wide)
+    congruence(state.cov, work.wide, work.product)
     for i in range(ERROR):
         state.cov[i, i] += dt / 2 * noise[i]
 
@@ -344,13 +404,12 @@ def reduce_covariance(state, work, variance):
     for i in range(ERROR):
         for j in range(ERROR):
             work.wide[i, j] -= work.product[i, j]
-    product(work.product, work.wide, state.cov)
-    product_transposed(state.cov, work.product, work.wide)
+    congruence(state.cov, work.wide, work.product)
     for i in range(ERROR):
-        for j in range(ERROR):
+        for j in range(i + 1):
             for k in range(MEASURED):
                 state.cov[i, j] += work.gain[i, k] * variance[k] * work.gain[j, k]
-    symmetrise(state.cov)
+            state.cov[j, i] = state.cov[i, j]
 
 
 @helper

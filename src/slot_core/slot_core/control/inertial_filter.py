@@ -20,8 +20,18 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from slot_core.clock import SECOND
 from slot_core.config import quantity, text
-from slot_core.control.filter_kernels import Nominal, correct, output, propagate, work_space
+from slot_core.control.filter_kernels import (
+    Nominal,
+    correct,
+    interpolate,
+    output,
+    propagate,
+    propagate_through,
+    work_space,
+)
+from slot_core.control.imu_samples import ImuQueue, ImuSamples
 from slot_core.robot import GRAVITY, Array
 
 UP = np.array([0.0, 0.0, GRAVITY])  # specific force at rest, in odom
@@ -170,6 +180,7 @@ class InertialFilter:
         self._state = Nominal(attitude, np.zeros(3), np.zeros(3), np.zeros((2, 3)), cov)
         self._work = work_space()
         drifts = imu.gyro_drift, imu.acceleration_drift
+        self.rate = Rate(np.zeros(3), 0.0, 0.0)
         self._noise = _densities(imu.gyro_noise, imu.acceleration_noise, *drifts)
         self._blind_noise = _densities(blind.gyro_noise, blind.acceleration_noise, *drifts)
 
@@ -194,20 +205,23 @@ class InertialFilter:
         for part, value in zip(self._state, saved):
             part[:] = value
 
-    def use_gyro(self, gyro: Array, amplification: float, age: float) -> None:
-        """Set the angular velocity from the gyro (3,) rad/s, extrapolated over `age` (s).
+    def use_gyro(self, samples: ImuSamples, stamp: int, age: float) -> None:
+        """Set the angular velocity from the gyro at `stamp` (ns), `age` (s) after its last sample.
 
-        amplification: factor of the noise variance by the extrapolation. The variance includes the
-        change by an impact since the last sample.
+        The variance includes the change by an impact since that sample.
         """
-        imu = self._settings.imu
+        imu, sample = self._settings.imu, self._work.sample
+        amplification = interpolate(sample, samples.stamps, samples.values, stamp)
         noise = amplification * imu.gyro_noise**2 * imu.rate
         variance = noise + (age * imu.angular_acceleration_step) ** 2
-        self.rate = Rate(gyro - self._state.bias[0], variance, 1.0)
+        self.rate = Rate(sample[:3] - self._state.bias[0], variance, 1.0)
 
-    def propagate(self, imu: Array, dt: float) -> None:
-        """Propagate by dt (s) with the IMU sample (6,) [w, f] (rad/s, m/s^2) at its midpoint."""
-        propagate(self._state, self._work, imu[:3], imu[3:], dt, self._noise, True)
+    def propagate(self, samples: ImuSamples, begin: int, end: int) -> None:
+        """Propagate from `begin` to `end` (ns) in steps between the samples; blindly in gaps."""
+        longest = round(self._settings.timing.imu_gap * SECOND)
+        blind = longest, self.rate.value, self._blind_noise
+        steps = samples.stamps, samples.values, begin, end, self._noise
+        propagate_through(self._state, self._work, *steps, *blind)
 
     def propagate_blind(self, dt: float) -> None:
         """Propagate by dt (s) at constant velocities, without IMU data."""
@@ -215,7 +229,7 @@ class InertialFilter:
         self.rate = Rate(self.rate.value, self._settings.blind.gyro_noise**2 / dt, 0.0)
 
     def extrapolate(self, imu: Array, dt: float) -> None:
-        """Propagate by dt (s) with a held IMU sample (6,), which the next may differ from."""
+        """Propagate by dt (s) with an IMU sample (6,) held, from which the next may differ."""
         held, steps = self._noise.copy(), self._settings.imu
         held[THETA] += (dt * steps.angular_acceleration_step) ** 2 * dt
         held[V] += steps.acceleration_step**2 * dt
@@ -224,7 +238,7 @@ class InertialFilter:
     def correct(self, motion: OdometryMotion) -> bool:
         """Correct with a reading at the present stamp; False for an outlier, which is ignored."""
         pose, gate = (motion.attitude, motion.position), self._settings.gate.distance
-        noise, rate_noise = motion.variance[:9], motion.variance[9:].mean()
+        noise, rate_noise = motion.variance[:9], motion.variance[9:].sum() / 3.0
         if not correct(self._state, self._work, *pose, motion.velocity, noise, gate):
             return False
         value, variance, gyro_share = self.rate
@@ -253,7 +267,11 @@ def load_kernels(settings: EstimatorSettings) -> None:
     zero = np.zeros(3)
     still = OdometryMotion(0, np.array([0.0, 0.0, 0.0, 1.0]), zero, zero, zero, np.ones(12))
     scratch.restart(still)
-    scratch.propagate(np.concatenate([np.zeros(3), UP]), 1e-3)
+    queue, imu = ImuQueue(2), np.concatenate([zero, UP])
+    queue.append(0, imu)
+    scratch.use_gyro(queue.samples, 0, 0.0)
+    scratch.propagate(queue.samples, 0, 1)
+    scratch.extrapolate(imu, 1e-3)
     scratch.correct(still)
     scratch.output()
 

@@ -17,19 +17,16 @@ from __future__ import annotations
 
 import enum
 import math
-from bisect import bisect_left, bisect_right
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from operator import itemgetter
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.clock import SECOND
-from slot_core.control.filter_kernels import Nominal
+from slot_core.control.imu_samples import ImuQueue
 from slot_core.control.inertial_filter import (
     EstimatorSettings,
     InertialFilter,
@@ -39,7 +36,6 @@ from slot_core.control.inertial_filter import (
 )
 from slot_core.robot import Array
 
-STAMP = itemgetter(0)
 NEVER = -(2**62)  # ns
 VARIANCE_MIN, VARIANCE_MAX = 1e-12, 1e6  # SI, to which the variances of a message are clipped
 
@@ -103,14 +99,14 @@ class StateEstimator:
         """Return to the state after construction; estimates not yet polled are kept."""
         self._filter = InertialFilter(self._settings)
         self._newest: dict[str, int] = {}
-        self._imu: deque[tuple[int, Array]] = deque(maxlen=self._settings.buffers.imu)
+        self._imu = ImuQueue(self._settings.buffers.imu)
         self._waiting: deque[tuple[int, OdometryMotion | None]] = deque()
         self._rejected: deque[OdometryMotion | None] = deque(
             maxlen=self._settings.gate.max_rejections
         )
         self._stamp: int | None = None  # ns, of the filter's state; None: not started
-        # the filter's states at `_stamp` and at the IMU samples since; the filter is at the last
-        self._track: list[tuple[int, Nominal]] = []
+        self._corrected = self._filter.state  # at `_stamp`
+        self._reached = NEVER  # ns, of the filter: at or after `_stamp`
         self._tick = NEVER  # ns, stamp of the last estimate
         self._accepted_stamp = 0  # ns, of the last accepted reading
         self._accepted = 0  # accepted readings since the start; in a row until valid
@@ -128,7 +124,7 @@ class StateEstimator:
             return
         if self._mount is not None:
             rate, force = _in_base(rate, force, *self._mount)
-        self._imu.append((stamp, np.concatenate([rate, force])))
+        self._imu.append(stamp, np.concatenate([rate, force]))
         self._process_due()
         self._propagate_to_newest()
         self._tick_without_odometry(stamp)
@@ -162,10 +158,10 @@ class StateEstimator:
     def present(self) -> Estimate | None:
         """The state at the newest IMU sample; None if the filter has not reached one."""
         newest = self._newest.get("imu", NEVER)
-        if self._stamp is None or newest <= self._stamp or newest != self._track[-1][0]:
+        if self._stamp is None or newest <= self._stamp or newest != self._reached:
             return None
         validity = self._validity(self._accepted_stamp == self._stamp, True)
-        return self._predicted(self._track[-1][0], validity, 0.0)
+        return self._predicted(newest, validity, 0.0)
 
     def _decode(
         self, stamp: int, position: Array, quaternion: Array, velocity: Array, rate: Array
@@ -206,14 +202,15 @@ class StateEstimator:
         return self._newest.get("imu", stamp - 1) >= stamp or waited or full
 
     def _propagate_to_newest(self) -> None:
-        """Propagate to the newest IMU sample in advance, to save time at the next reading."""
+        """Propagate to the newest IMU sample within `odometry_gap`; blindly in gaps of the IMU."""
         if self._stamp is None:
             return
-        end, samples = self._stamp + self._settings.timing.odometry_gap * SECOND, [*self._imu]
-        for stamp, _ in samples[bisect_right(samples, self._track[-1][0], key=STAMP) :]:
-            if stamp <= end:
-                self._step(samples, self._track[-1][0], stamp)
-                self._track.append((stamp, self._filter.state))
+        end = self._stamp + round(self._settings.timing.odometry_gap * SECOND)
+        samples = self._imu.samples.until(end)
+        if len(samples.stamps) and samples.stamps[-1] > self._reached:
+            newest = int(samples.stamps[-1])
+            self._filter.propagate(samples, self._reached, newest)
+            self._reached = newest
 
     def _tick_without_odometry(self, newest: int) -> None:
         """Publish the estimates whose odometry has been due for `odometry_wait` at `newest`, ns."""
@@ -223,17 +220,6 @@ class StateEstimator:
             if newest - self._accepted_stamp > gap:
                 return
             self._publish(self._tick + round(period), Validity.ODOMETRY_LOST)
-
-    def _step(self, samples: Sequence[tuple[int, Array]], begin: int, end: int) -> None:
-        """Propagate from `begin` to `end` (ns) with the IMU at the midpoint; blindly over a gap."""
-        dt = (end - begin) / SECOND
-        if dt > self._settings.timing.imu_gap:
-            rate = self._filter.rate
-            self._filter.propagate_blind(dt)
-            self._filter.rate = rate  # for the next reading
-        else:
-            imu, _ = _interpolate(samples, (begin + end) // 2)
-            self._filter.propagate(imu, dt)
 
     def _process(self, stamp: int, motion: OdometryMotion | None) -> None:
         """Predict to a reading (None: unusable), correct with it, and publish the estimate."""
@@ -252,7 +238,7 @@ class StateEstimator:
         if motion is not None and self._has_relocalised():
             self._start(motion)
             return
-        self._track = [(stamp, self._filter.state)]
+        self._corrected, self._reached = self._filter.state, stamp
         if stamp > self._tick:
             self._publish(stamp, self._validity(accepted, imu_complete))
 
@@ -260,40 +246,27 @@ class StateEstimator:
         """Start the filter from a reading."""
         self._filter.restart(motion)
         self._stamp, self._accepted = motion.stamp, 0
-        self._track = [(motion.stamp, self._filter.state)]
+        self._corrected, self._reached = self._filter.state, motion.stamp
         self._accept(motion.stamp)
         if motion.stamp > self._tick:
             self._publish(motion.stamp, Validity.INITIALISING)
 
     def _predict(self, start: int, stamp: int) -> bool:
-        """Propagate the filter from `start` to `stamp` (ns); False if IMU data was missing.
-
-        What was propagated in advance is reused, unless no sample lies at or before `start`: its
-        first step may then have been interpolated from samples that are newer than `stamp`.
-        """
+        """Propagate the filter from `start` to `stamp` (ns); False if IMU data was missing."""
         self._stamp = stamp
-        samples = [sample for sample in self._imu if sample[0] <= stamp]
-        knots = [start, *(t for t, _ in samples if start < t < stamp), stamp]
-        before = max((t for t, _ in samples if t <= start), default=start)
-        longest = max(b - a for a, b in pairwise([before, *knots[1:]]))
-        if not samples or longest > self._settings.timing.imu_gap * SECOND:
-            self._restore(start)
+        self._filter.restore(self._corrected)
+        samples = self._imu.samples.until(stamp)
+        first = max(int(np.searchsorted(samples.stamps, start, side="right")) - 1, 0)
+        knots = [*samples.stamps[first:].tolist(), stamp]
+        knots = knots if knots[0] <= start else [start, *knots]
+        longest = max(b - a for a, b in pairwise(knots))
+        if not len(samples.stamps) or longest > self._settings.timing.imu_gap * SECOND:
             self._filter.propagate_blind((stamp - start) / SECOND)
             return False
-        reached = self._restore(stamp if samples[0][0] <= start else start)
-        for begin, end in pairwise([reached, *(t for t in knots if t > reached)]):
-            self._step(samples, begin, end)
-        imu, amplification = _interpolate(samples, stamp)
-        self._filter.use_gyro(imu[:3], amplification, (stamp - samples[-1][0]) / SECOND)
-        while len(self._imu) > 2 and self._imu[2][0] <= stamp:  # keep two, to extrapolate
-            self._imu.popleft()
+        self._filter.propagate(samples, start, stamp)
+        self._filter.use_gyro(samples, stamp, (stamp - knots[-2]) / SECOND)
+        self._imu.drop(max(len(samples.stamps) - 2, 0))  # two stay, to extrapolate
         return True
-
-    def _restore(self, stamp: int) -> int:
-        """Return to the last state propagated in advance up to `stamp` (ns); returns its stamp."""
-        reached, saved = self._track[bisect_right(self._track, stamp, key=STAMP) - 1]
-        self._filter.restore(saved)
-        return reached
 
     def _accept(self, stamp: int) -> None:
         self._accepted_stamp = stamp
@@ -340,25 +313,25 @@ class StateEstimator:
     def _predicted(self, stamp: int, validity: Validity, delay: float) -> Estimate:
         """Estimate of the tick `stamp`, predicted by `delay` (s) from where the filter is."""
         assert self._stamp is not None
-        (reached, saved), rate = self._track[-1], self._filter.rate
-        newest = self._imu[-1] if self._imu else (0, np.zeros(6))
-        if reached > self._stamp:
-            self._filter.use_gyro(newest[1][:3], 1.0, delay)
-        if delay > 0.0 and newest[0] >= reached:
-            self._filter.extrapolate(newest[1], delay)
+        saved, rate, samples = self._filter.state, self._filter.rate, self._imu.samples
+        newest = int(samples.stamps[-1]) if len(samples.stamps) else NEVER
+        if self._reached > self._stamp:
+            self._filter.use_gyro(samples, newest, delay)
+        if delay > 0.0 and newest >= self._reached:
+            self._filter.extrapolate(samples.values[-1], delay)
         elif delay > 0.0:
             self._filter.propagate_blind(delay)
         state, covariance = self._filter.output()
         self._filter.restore(saved)
         self._filter.rate = rate
-        lead = reached + round(delay * SECOND) - stamp
+        lead = self._reached + round(delay * SECOND) - stamp
         return Estimate(stamp, state, covariance, validity, lead)
 
 
 def _vector(values: Array, size: int, limit: float) -> Array | None:
     """A copy of `values` (size,); None for another shape or an element beyond +-limit."""
     array = np.array(values, dtype=np.float64)
-    usable = array.shape == (size,) and np.abs(array).max() <= limit  # false for NaN
+    usable = array.shape == (size,) and all(abs(x) <= limit for x in array.tolist())  # NaN is not
     return array if usable else None
 
 
@@ -383,17 +356,3 @@ def _known(variance: Array, nominal: Array) -> Array:
     given = np.asarray(variance, dtype=np.float64)
     known = np.where(given > 0.0, given, nominal)
     return np.clip(known, VARIANCE_MIN, VARIANCE_MAX)
-
-
-def _interpolate(samples: Sequence[tuple[int, Array]], stamp: int) -> tuple[Array, float]:
-    """IMU sample (6,) at `stamp` (ns), linear between neighbours, and its noise variance factor.
-
-    Beyond the last sample it is extrapolated over one sample interval at most. A held value would
-    be late by half an interval; with the torso's angular acceleration that is the larger error.
-    """
-    if len(samples) == 1:
-        return samples[0][1], 1.0
-    after = min(max(bisect_left(samples, stamp, key=STAMP), 1), len(samples) - 1)
-    (t0, x0), (t1, x1) = samples[after - 1], samples[after]
-    weight = min(max((stamp - t0) / (t1 - t0), 0.0), 2.0)
-    return x0 + weight * (x1 - x0), weight**2 + (1.0 - weight) ** 2
