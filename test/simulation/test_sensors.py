@@ -34,6 +34,11 @@ def flying():
     return sim
 
 
+@pytest.fixture
+def truth(standing):
+    return true_odometry(standing, 0)
+
+
 def check_noise(samples, truth, sigma):
     error = np.array(samples) - truth
     assert np.all(np.abs(error.mean(0)) < MEAN * sigma)
@@ -42,7 +47,7 @@ def check_noise(samples, truth, sigma):
 
 def test_odometry_has_the_stated_noise_and_no_bias(flying):
     sensor = OdometrySensor(SCENE.sensors.odometry, *np.random.default_rng(7).spawn(2))
-    readings = [sensor.sample(flying, 5) for _ in range(COUNT)]
+    readings = [sensor.sample(true_odometry(flying, 5)) for _ in range(COUNT)]
     settings, rotation = SCENE.sensors.odometry, Rotation.from_matrix(flying.rotation)
     check_noise([r.position for r in readings], flying.position, settings.position_noise)
     errors = [(Rotation.from_quat(r.quaternion) * rotation.inv()).as_rotvec() for r in readings]
@@ -60,35 +65,35 @@ def troubled(changes):
     return OdometrySensor(settings, *np.random.default_rng(7).spawn(2))
 
 
-def test_drift_is_a_random_walk_beside_an_unchanged_noise(standing):
+def test_drift_is_a_random_walk_beside_an_unchanged_noise(truth):
     """Over 100 s the yaw walks by 0.1 rad; the spread over n sensors has the error 1 / sqrt(2n)."""
-    plain, count, yaws = troubled({}).sample(standing, 0, 0.0), 200, []
+    plain, count, yaws = troubled({}).sample(truth, 0.0), 200, []
     for seed in range(count):
         settings = config.replace(SCENE.sensors.odometry, {"yaw_drift": 0.01})
         trouble = np.random.default_rng(seed)
         sensor = OdometrySensor(settings, np.random.default_rng(7).spawn(2)[0], trouble)
-        np.testing.assert_array_equal(sensor.sample(standing, 0, 0.0).position, plain.position)
+        np.testing.assert_array_equal(sensor.sample(truth, 0.0).position, plain.position)
         for since in (30.0, 100.0):
-            reading = sensor.sample(standing, 0, since)
+            reading = sensor.sample(truth, since)
         yaws.append(Rotation.from_quat(reading.quaternion).as_euler("ZYX")[0])
     assert np.std(yaws) == pytest.approx(0.1, rel=4 / np.sqrt(2 * count))
 
 
-def test_a_jump_displaces_the_odometry_from_its_time_on(standing):
+def test_a_jump_displaces_the_odometry_from_its_time_on(truth):
     jumps = {"jumps": {"once": {"time": 2.0, "position": [0.1, 0.0, 0.0], "yaw": 0.0}}}
     with_jump, without = troubled(jumps), troubled({})
     for since, jump in [(0.0, 0.0), (1.9, 0.0), (2.0, 0.1), (3.0, 0.1)]:
-        a, b = (sensor.sample(standing, 0, since) for sensor in (with_jump, without))
+        a, b = (sensor.sample(truth, since) for sensor in (with_jump, without))
         np.testing.assert_allclose(a.position - b.position, [jump, 0, 0], atol=1e-12)
         np.testing.assert_allclose(a.quaternion, b.quaternion, atol=1e-12)
 
 
-def test_odometry_is_lost_in_a_dropout_and_by_its_share(standing):
+def test_odometry_is_lost_in_a_dropout_and_by_its_share(truth):
     dropout = troubled({"dropouts": {"gap": {"time": 1.0, "duration": 0.5}}})
-    lost = [not dropout.sample(standing, 0, s).quaternion.any() for s in (0.0, 0.9, 1.0, 1.4, 1.5)]
+    lost = [not dropout.sample(truth, s).quaternion.any() for s in (0.0, 0.9, 1.0, 1.4, 1.5)]
     assert lost == [False, False, True, True, False]
     often = troubled({"loss": 0.25})
-    share = np.mean([not often.sample(standing, 0, 1.0).quaternion.any() for _ in range(COUNT)])
+    share = np.mean([not often.sample(truth, 1.0).quaternion.any() for _ in range(COUNT)])
     assert share == pytest.approx(0.25, abs=4 * np.sqrt(0.25 * 0.75 / COUNT))
 
 
@@ -134,10 +139,11 @@ def test_accelerometer_in_free_fall_reads_only_the_reaction_of_the_legs(flying):
     assert np.abs(flying.specific_force).max() < 0.1
 
 
-def test_equal_generators_give_equal_readings(standing):
+def test_equal_generators_give_equal_readings(truth):
     one, two = (
         OdometrySensor(SCENE.sensors.odometry, *np.random.default_rng(9).spawn(2)) for _ in range(2)
     )
     np.testing.assert_array_equal(
-        one.sample(standing, 0).position, two.sample(standing, 0).position
+        one.sample(truth).position,
+        two.sample(truth).position,
     )

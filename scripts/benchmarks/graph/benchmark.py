@@ -2,10 +2,11 @@
 
 The graph walks with its bag, its controller's nodes as separate processes and composed in one, in
 real time and in lockstep; and without ROS, controller and robot in one process, as a reference for
-the time that the algorithms take. Percentages of CPU are of one core. The warm-up of
-`config/record.yaml` is left out of every figure.
+the time that the algorithms take. A long walk in lockstep shows what grows. Percentages of CPU are
+of one core. The warm-up of `config/record.yaml` is left out of every figure.
 """
 
+import argparse
 import statistics
 import time
 from collections import defaultdict, deque
@@ -18,10 +19,12 @@ from typing import Any
 import numpy as np
 from rclpy.serialization import deserialize_message, serialize_message
 
+from benchmarks.graph.endurance import endurance_checks, long_walk
 from benchmarks.graph.measured_walk import Walk, measure_walk
 from benchmarks.graph.picture import END_TO_END, draw
 from benchmarks.harness import Check, Row, at_least, at_most, cpu_time
 from slot_bringup.graph import CONTROLLER, read_graph
+from slot_core.arguments import within
 from slot_core.bags import decode
 from slot_core.bags.walk import STAGES
 from slot_core.control.mpc.mpc import Mpc, read_mpc
@@ -61,12 +64,25 @@ class Plan:
     duration: float  # s of each walk in real time, after the warm-up
     lockstep: float  # s of graph time, after the warm-up
     blocks: int  # repeats of the closed loop
+    endurance: float  # s of graph time of the long walk
 
 
-QUICK, FULL = Plan(1, 15.0, 10.0, 5), Plan(3, 60.0, 30.0, 20)
+QUICK, FULL = Plan(1, 15.0, 10.0, 5, 0.0), Plan(3, 60.0, 30.0, 20, 3600.0)
 
 
-def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[Row], list[Check]]:
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this benchmark."""
+    parser.add_argument(
+        "--endurance",
+        type=within(0.0, 1e6, "s"),
+        metavar="S",
+        help="graph time of the long walk in lockstep, s; 0: none (default: an hour, quick: none)",
+    )
+
+
+def run(
+    quick: bool, out: Path, progress: Callable[[str], None], endurance: float | None = None
+) -> tuple[list[Row], list[Check]]:
     """Run the graph as `QUICK` or `FULL` plans; the picture goes to `out/graph.png`."""
     plan = QUICK if quick else FULL
     graph = read_graph()
@@ -98,7 +114,11 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
     ]
     rows += medians(rows)
     rows += [*speeds, loop, cycle]
-    return rows, checks(rows, plan)
+    duration = plan.endurance if endurance is None else endurance
+    if duration > 0.0:
+        progress(f"long walk in lockstep, {duration:g} s")
+        rows += long_walk(graph, values | {"composed": True}, duration)
+    return rows, [*checks(rows, plan), *endurance_checks(rows)]
 
 
 def cycle_row(ticks: int) -> dict[str, Any]:

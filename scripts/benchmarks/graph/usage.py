@@ -3,8 +3,8 @@
 import math
 import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -38,20 +38,26 @@ class Usage:
 def metered(pids: Mapping[str, int]) -> Iterator[Usage]:
     """Sample the processes (pid by node) in the background while the block runs."""
     processes = [psutil.Process(pid) for pid in pids.values()]
-    usage, ended = Usage(tuple(pids)), threading.Event()
+    usage = Usage(tuple(pids))
+    with in_background(lambda: add_sample(usage, processes), SAMPLE_PERIOD):
+        yield usage
 
-    def sample() -> None:
-        try:
-            add_sample(usage, processes)
-            while not ended.wait(SAMPLE_PERIOD):
-                add_sample(usage, processes)
-        except psutil.Error:
-            pass  # a node has ended: `watch` reports which
 
-    thread = threading.Thread(target=sample, daemon=True)
+@contextmanager
+def in_background(sample: Callable[[], None], period: float) -> Iterator[None]:
+    """Call `sample` each `period` (s) on a thread while the block runs and all nodes live."""
+    ended = threading.Event()
+
+    def sample_until_ended() -> None:
+        with suppress(psutil.Error):  # a node has ended: `watch` reports which
+            sample()
+            while not ended.wait(period):
+                sample()
+
+    thread = threading.Thread(target=sample_until_ended, daemon=True)
     thread.start()
     try:
-        yield usage
+        yield
     finally:
         ended.set()
         thread.join()

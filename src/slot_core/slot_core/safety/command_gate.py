@@ -36,9 +36,9 @@ LONGEST = 0.1  # s that angles go on at the rate of a command
 
 
 def gone_on(angle: Array, rate: Array, age: float | Array) -> Array:
-    """Angles (..., 4), rad, of commands with their rates (..., 4), rad/s, at ages (...), s."""
-    passed = np.clip(age, 0.0, LONGEST)
-    return angle + np.expand_dims(passed, -1) * rate
+    """Angles (..., 4), rad, of commands with rates (..., 4), rad/s, and ages (...) or one, s."""
+    passed = np.minimum(np.maximum(age, 0.0), LONGEST)
+    return angle + passed[..., None] * rate
 
 
 @dataclass(frozen=True)

@@ -135,7 +135,7 @@ class Plant:
             sensors = self._scene.sensors
             imu = self._read_imu() if sensors.imu.enabled else []
             joints = self._read_joints() if sensors.joints else []
-            self._at_rest = [*imu, *joints, self._place(0.0)]
+            self._at_rest = [*imu, *joints, self._place(self._truth(), 0.0)]
         return self._at_rest
 
     def start(self, stamp: int) -> None:
@@ -259,17 +259,22 @@ class Plant:
 
     def _read_odometry(self) -> list[Reading]:
         """Return the ground truth now; schedule odometry or picture after its delay, in order."""
-        reading = self._place((self.now - self._started) * 1e-9)
+        truth = self._truth()
+        reading = self._place(truth, (self.now - self._started) / SECOND)
         delay = self._odometry.delay() if self._camera is None else self._camera.delay
         self._delivered = max(self._delivered, self.now + round(delay * 1e9))
         self._schedule(self._delivered, lambda: [reading])
-        return [self._true_state()] if self._scene.sensors.truth else []
+        return [self._true_state(truth)] if self._scene.sensors.truth else []
 
-    def _place(self, since: float) -> Reading:
+    def _truth(self) -> OdometryReading:
+        """Odometry without noise, now."""
+        return true_odometry(self.simulator, self.now)
+
+    def _place(self, truth: OdometryReading, since: float) -> Reading:
         """Odometry, or the picture in its place, `since` the start (s)."""
         if self._camera is not None:
             return self._camera.sample(self.simulator, self.now)
-        return self._odometry.sample(self.simulator, self.now, since)
+        return self._odometry.sample(truth, since)
 
     def _schedule_push(self, push: Push) -> None:
         """Schedule the start and the end of a push; pushes add up."""
@@ -319,7 +324,6 @@ class Plant:
         broken = state.broken[index] or (BROKEN, leg) in self._faults
         self.simulator.damage_tendon(index, slack, broken)
 
-    def _true_state(self) -> TrueState:
+    def _true_state(self, truth: OdometryReading) -> TrueState:
         sim = self.simulator
-        odometry = true_odometry(sim, self.now)
-        return TrueState(self.now, odometry, sim.tension, sim.ground_force, sim.nodes)
+        return TrueState(self.now, truth, sim.tension, sim.ground_force, sim.nodes)

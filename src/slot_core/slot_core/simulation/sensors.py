@@ -66,21 +66,25 @@ class OdometrySensor:
         self._drift = np.zeros(4)  # m, rad: displacement and yaw
         self._last = 0.0  # s since the start
 
-    def sample(self, sim: SimulatedRobot, stamp: int, since: float = 0.0) -> OdometryReading:
-        """Reading at `stamp` (ns), `since` the start (s; 0: before it).
+    def sample(self, truth: OdometryReading, since: float = 0.0) -> OdometryReading:
+        """Reading of the true one, `since` the start (s; 0: before it).
 
         The noise of the orientation is a rotation vector in odom.
         """
-        truth, noise = true_odometry(sim, stamp), self._rng.normal(size=(4, 3))
-        s = self._settings
-        turn = Rotation.from_rotvec(s.orientation_noise * noise[1])
-        moved, yaw = self._displacement(since)
+        s, noise = self._settings, self._rng.normal(size=(4, 3))
+        displacement = self._displacement(since)
         if self._is_lost(since):
-            return lost_odometry(stamp)
+            return lost_odometry(truth.stamp)
+        position = truth.position + s.position_noise * noise[0]
+        turn = Rotation.from_rotvec(s.orientation_noise * noise[1])
+        attitude = turn * Rotation.from_quat(truth.quaternion)
+        if displacement.any():
+            yaw = Rotation.from_euler("z", displacement[3])
+            position, attitude = yaw.apply(position) + displacement[:3], yaw * attitude
         return OdometryReading(
-            stamp,
-            yaw.apply(truth.position + s.position_noise * noise[0]) + moved,
-            (yaw * turn * Rotation.from_quat(truth.quaternion)).as_quat(),
+            truth.stamp,
+            position,
+            attitude.as_quat(),
             truth.velocity + s.velocity_noise * noise[2],
             truth.angular_velocity + s.rate_noise * noise[3],
         )
@@ -90,15 +94,14 @@ class OdometrySensor:
         jitter = self._settings.jitter
         return max(0.0, self._settings.delay + jitter * self._trouble.uniform(-1.0, 1.0))
 
-    def _displacement(self, since: float) -> tuple[Array, Rotation]:
-        """Displacement (3,), m, and turn of the odometry by its drift and jumps so far."""
+    def _displacement(self, since: float) -> Array:
+        """Displacement (3,), m, and yaw, rad, of the odometry by its drift and jumps so far."""
         s = self._settings
         scale = np.array([s.position_drift] * 3 + [s.yaw_drift]) * np.sqrt(since - self._last)
         self._drift += scale * self._trouble.normal(size=4)
         self._last = since
         jumps = [[*j.position, j.yaw] for j in s.jumps.values() if 0.0 < j.time <= since]
-        total = self._drift + np.sum(jumps, axis=0) if jumps else self._drift
-        return total[:3], Rotation.from_euler("z", total[3])
+        return self._drift + np.sum(jumps, axis=0) if jumps else self._drift
 
     def _is_lost(self, since: float) -> bool:
         s = self._settings
