@@ -34,10 +34,8 @@ def check(values: Mapping[str, Any]) -> None:
     scene = read_scene(values["scene"])
     read_mpc(values["mpc"])
     hardware = values["hardware"]
-    if values["lockstep"] and hardware != "sim":
-        raise ConfigError(f"lockstep: servos of hardware {hardware} move in real time")
-    if values["lockstep"] and values["attended"]:
-        raise ConfigError("lockstep: an operator and the e-stop's source live in real time")
+    if values["lockstep"]:
+        _check_lockstep(values)
     if values["markers"] and is_simulated(values) and not scene.sensors.camera.enabled:
         raise ConfigError(f"markers: the scene {values['scene']} has no camera")
     if values["calibration"]:
@@ -53,6 +51,16 @@ def check(values: Mapping[str, Any]) -> None:
         raise ConfigError(f"frame_prefix = {prefix!r}: tf2 knows no frames that begin with a slash")
     if values["bag"]:
         _check_new(Path(values["bag"]))
+
+
+def _check_lockstep(values: Mapping[str, Any]) -> None:
+    """Raise ConfigError for what has no lockstep."""
+    if not is_simulated(values):
+        raise ConfigError(f"lockstep: servos of hardware {values['hardware']} move in real time")
+    if values["attended"]:
+        raise ConfigError("lockstep: an operator and the e-stop's source live in real time")
+    if values["port"] is not None:
+        raise ConfigError("port: emulated servos have none in lockstep")
 
 
 def _check_ranges(values: Mapping[str, Any]) -> None:

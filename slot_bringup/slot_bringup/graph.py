@@ -111,6 +111,7 @@ class Graph:
             for name, entry in self._nodes.items()
             if values["hardware"] in entry.get("hardware", [values["hardware"]])
             and ("needs" not in entry or values[entry["needs"]])
+            and ("unless" not in entry or not values[entry["unless"]])
         ]
         return self._composed(specs) if values["composed"] else specs
 

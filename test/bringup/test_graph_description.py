@@ -235,12 +235,22 @@ def test_without_hardware_a_played_bag_gives_sensors_and_clock(graph):
     assert all(spec.parameters["use_sim_time"] is True for spec in nodes.values())
 
 
+def test_in_lockstep_the_simulated_robot_has_the_driver(graph):
+    fake_bus = values(graph, hardware="fake_bus")
+    names = {spec.name for spec in graph.nodes(fake_bus)}
+    in_lockstep = {spec.name for spec in graph.nodes(fake_bus | {"lockstep": True})}
+    assert names - in_lockstep == {"dynamixel_driver"}
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
         ({"gait": "nope"}, "no gait 'nope'"),
         ({"vx": "9"}, "v_x = 9: gait walk reaches"),
-        ({"lockstep": "true", "hardware": "fake_bus"}, "lockstep: servos of hardware fake_bus"),
+        (
+            {"lockstep": "true", "hardware": "real"},
+            "lockstep: servos of hardware real move in real",
+        ),
         (
             {"lockstep": "true", "attended": "true"},
             "lockstep: an operator and the e-stop's source live in real time",

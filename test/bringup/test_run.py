@@ -30,6 +30,14 @@ from slot_core.config import config_dir
             ["--lockstep", "--attended"],
             "lockstep: an operator and the e-stop's source live in real time",
         ),
+        (
+            ["--lockstep", "--hardware", "real"],
+            "lockstep: servos of hardware real move in real time",
+        ),
+        (
+            ["--lockstep", "--hardware", "fake_bus", "--port", "/tmp/x"],
+            "port: emulated servos have none in lockstep",
+        ),
         (["--namespace", "a b"], "namespace = 'a b': Invalid namespace: "),
         (["--namespace", "//a"], "namespace = '//a': Invalid namespace: "),
         (["--frame-prefix", "/a/"], "frame_prefix = '/a/': tf2 knows no frames that begin with"),

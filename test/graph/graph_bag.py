@@ -8,6 +8,9 @@ from mcap_ros2.decoder import DecoderFactory
 
 from slot_bringup import run
 from slot_bringup.graph import read_graph
+from slot_core.bags import decode
+from slot_core.bags.bag import Bag
+from slot_core.simulation.supervised_loop import SupervisedLoop
 
 
 def record(bag: Path, *arguments: str) -> Path:
@@ -38,3 +41,26 @@ def first_times(rows):
     for (time, _), stamp in zip(rows, stamps(rows)):
         times.setdefault(stamp, time)
     return times
+
+
+def recorded_commands(bag):
+    """{stamp: [angle, rate]} of the commands in a bag."""
+    commands = {}
+    for _, message in Bag(bag).messages("/desired_joint_angles"):
+        stamp, *command = decode.joint_command(message)
+        commands[stamp] = command
+    return commands
+
+
+def commands_of_core(seed, seconds, hardware="sim"):
+    """{stamp: (angle, rate)} of the core in one process, walking on flat ground."""
+    loop = SupervisedLoop("flat", "walk", None, seed, hardware=hardware)
+    commands, offer = {}, loop.servos.offer
+
+    def record(now, stamp, *command):
+        commands[stamp] = command
+        offer(now, stamp, *command)
+
+    loop.servos.offer = record
+    list(loop.run(seconds))
+    return commands

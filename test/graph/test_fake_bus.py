@@ -74,14 +74,3 @@ def test_diagnostics_have_a_status_for_the_bus_and_every_servo(messages):
 def test_run_ends_with_torque_off_at_driver_and_servos(walk):
     assert "torque off, confirmed by every servo" in (walk / "log/dynamixel_driver.log").read_text()
     assert "servos left under torque: none" in (walk / "log/sim_robot.log").read_text()
-
-
-@pytest.mark.parametrize("hardware", ["fake_bus", "real"])
-def test_lockstep_with_servos_is_refused_in_one_line(hardware):
-    done = subprocess.run(
-        [*RUN, "--hardware", hardware, "--lockstep"],
-        capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
-    assert done.returncode == 2
-    message = f"scripts/run: lockstep: servos of hardware {hardware} move in real time\n"
-    assert done.stderr == message

@@ -5,15 +5,14 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from graph_bag import first_times, read, record, stamps
+from graph_bag import commands_of_core, first_times, read, record, recorded_commands, stamps
 from mcap.reader import make_reader
 
-from slot_core.bags import decode, replay
+from slot_core.bags import replay
 from slot_core.bags.bag import Bag
 from slot_core.clock import SECOND
 from slot_core.dynamics.scene import read_scene
 from slot_core.robot import TENDON_JOINTS, read_robot
-from slot_core.simulation.supervised_loop import SupervisedLoop
 
 CHAIN = ("/odom", "/mpc_state", "/gait_preview", "/ground_reaction_forces", "/desired_joint_angles")
 OTHERS = ("/clock", "/imu", "/joint_states", "/tf", "/force_map/status", "/ground_truth/odom",
@@ -119,29 +118,12 @@ def test_equal_seeds_give_bit_equal_states_also_in_one_process(walk, messages, t
 def test_graph_gives_the_commands_of_the_core_in_one_process(walk):
     """Bit-equal, supervisor included: processes, DDS and the order of arrival have no effect."""
     commands = commands_of_core(seed=3, seconds=4.6)
-    recorded = {}
-    for _, message in Bag(walk).messages("/desired_joint_angles"):
-        stamp, *command = decode.joint_command(message)
-        recorded[stamp] = command
+    recorded = recorded_commands(walk)
     assert len(commands) > 130
     for stamp, command in commands.items():
         assert np.array_equal(recorded[stamp], command), stamp
     other = commands_of_core(seed=4, seconds=2.5)  # the first stride needs no feedback
     assert any(not np.array_equal(recorded[stamp], sent) for stamp, sent in other.items())
-
-
-def commands_of_core(seed, seconds):
-    """Commands of the core in one process, by stamp."""
-    loop = SupervisedLoop("flat", "walk", None, seed)
-    commands, offer = {}, loop.servos.offer
-
-    def record(now, stamp, *command):
-        commands[stamp] = command
-        offer(now, stamp, *command)
-
-    loop.servos.offer = record
-    list(loop.run(seconds))
-    return commands
 
 
 def values(rows):

@@ -76,7 +76,7 @@ class FaultyLoop(SupervisedLoop):
 
     def end_driver(self):
         """End the driver as SIGKILL does."""
-        self.servos.ended = True
+        self.servos.end = "killed"
 
     def inject(self, kind, value=0.0):
         """A fault of the leg or servo FL."""

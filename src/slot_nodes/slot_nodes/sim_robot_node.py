@@ -3,16 +3,17 @@
 Two parameters choose its clock (`simulation/clocks.py`) and its servos
 (`simulation/simulated_servos.py`):
 
-    parameter    clock      servos
-    lockstep     lockstep   stepped: they obey `/robot_state` and report on the robot's clock
-    none         real time  guarded: they obey `/robot_state` and report on `/servo_health`
-    bus          real time  emulated, on a pseudo-terminal of that name
+    parameter      clock      servos
+    none           real time  guarded: they obey `/robot_state` and report on `/servo_health`
+    bus            real time  emulated, on a pseudo-terminal of that name
+    lockstep       lockstep   stepped: they obey `/robot_state` and report on the robot's clock
+    lockstep, bus  lockstep   emulated, behind the driver, which then runs in this node
 
 The robot starts frozen. It publishes nothing until its servos are powered (in lockstep: have their
 limits) and, with `wait_for_recording`, the recorder is ready; then it publishes readings at rest
 until the first command that its servos follow; in lockstep until the first command and the
-supervisor's first state. So no run depends on the order of discovery. On a bus the node waits at
-its end for the driver to switch the servos off.
+supervisor's first state. So no run depends on the order of discovery. At its end the node switches
+emulated servos off, or waits for the driver at the port to do so.
 
 Faults are planned in the scene or injected by the service `~/inject`. If the simulation diverges,
 the node writes its state to a file and ends.
@@ -38,6 +39,7 @@ from slot_core.config import ConfigError
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.dynamics.simulated_robot import Divergence
+from slot_core.dynamixel.errors import RefusedError
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.state import JointReading
 from slot_core.emulator.emulated_bus import read_emulator
@@ -53,7 +55,7 @@ from slot_core.simulation.clocks import (
 from slot_core.simulation.plant import Plant, Reading, ServoReport, TrueState
 from slot_core.simulation.sensors import ImuReading, OdometryReading, PictureReading
 from slot_core.simulation.simulated_servos import BusServos, GuardedServos, Servos
-from slot_core.simulation.stepped_servos import SteppedServos
+from slot_core.simulation.stepped_servos import DrivenServos, SteppedServos, stepped
 from slot_msgs.msg import LegStates, RobotState, ServoHealth, ServoLimits
 from slot_nodes import fault_service, inputs, messages, qos, runtime
 from slot_nodes.health_report import HealthReport
@@ -91,7 +93,10 @@ class SimRobotNode(Node):
         )
         self._save_state = partial(fault_service.save_state, dump, scene)
         link = runtime.declare(
-            self, "bus", "", "port of emulated servos; empty: servos of servo.yaml"
+            self,
+            "bus",
+            "",
+            "port of emulated servos, in lockstep without one; empty: servos of servo.yaml",
         )
         settings = runtime.declare_settings(self, read_scene(scene), "scene.")
         servo = runtime.declare_settings(self, read_servo(settings.parameters), "servo.")
@@ -116,13 +121,11 @@ class SimRobotNode(Node):
         rng, robot = np.random.default_rng(seed), read_robot(scene.parameters)
         if not bus:
             return Plant(robot, scene, servo, rng)
-        if self._lockstep:
-            raise ConfigError("sim_robot: servos on a bus move in real time: no lockstep with them")
         settings, emulator = read_settings(), read_emulator()
         return BusPlant(robot, scene, servo, rng, settings=settings, emulator=emulator)
 
     def _make_clock(self) -> LockstepClock | RealTimeClock:
-        if isinstance(self._servos, SteppedServos):
+        if isinstance(self._servos, (SteppedServos, DrivenServos)):
             return LockstepClock(self._plant, self._servos)
         if isinstance(self._plant, BusPlant):
             return BusClock(self._plant, BUS_PORTION)
@@ -130,10 +133,11 @@ class SimRobotNode(Node):
 
     def _make_servos(self, link: str) -> Servos:
         """Create the servos; last, because those on a bus must not wait for the preparation."""
-        if isinstance(self._plant, BusPlant):
-            return BusServos(self._plant, Path(link))
+        servos: GuardedServos | DrivenServos
         if self._lockstep:
-            servos: GuardedServos = SteppedServos(self._plant)
+            servos = self._make_stepped_servos()
+        elif isinstance(self._plant, BusPlant):
+            return BusServos(self._plant, Path(link))
         else:
             servos, self._report = GuardedServos(self._plant), HealthReport(self)
         on_state = partial(self._on_robot_state, servos)
@@ -141,6 +145,12 @@ class SimRobotNode(Node):
         inputs.subscribe(self, RobotState, "robot_state", on_state, qos.STATE)
         inputs.subscribe(self, ServoLimits, "servo_limits", on_limits, qos.STATE)
         return servos
+
+    def _make_stepped_servos(self) -> SteppedServos | DrivenServos:
+        try:
+            return stepped(self._plant)
+        except RefusedError as error:
+            raise ConfigError(f"sim_robot: servos refused: {error}") from None
 
     def _create_publishers(self) -> None:
         self._clock_topic = self.create_publisher(ClockMessage, "clock", qos.CLOCK)
@@ -218,10 +228,10 @@ class SimRobotNode(Node):
     def _on_recording(self, message: Bool) -> None:
         self._is_recording = True
 
-    def _on_limits(self, servos: GuardedServos, message: ServoLimits) -> None:
+    def _on_limits(self, servos: GuardedServos | DrivenServos, message: ServoLimits) -> None:
         servos.set_limits(decode.servo_limits(message))
 
-    def _on_robot_state(self, servos: GuardedServos, message: RobotState) -> None:
+    def _on_robot_state(self, servos: GuardedServos | DrivenServos, message: RobotState) -> None:
         servos.permit(decode.permission(message, self._servo_time()))
         self._continue(ServoReport, decode.stamp(message))
 
@@ -236,7 +246,7 @@ class SimRobotNode(Node):
             self._start()
 
     def _continue(self, kind: type, stamp: int) -> None:
-        """In lockstep advance if this was the awaited answer; the first ones end the rest."""
+        """In lockstep advance if this is the awaited answer; the first two start the clock."""
         if isinstance(self._time, LockstepClock):
             self._publish_all(self._time.advance_on_answer(kind, stamp))
             if self._frozen and self._time.running:
@@ -295,8 +305,13 @@ class SimRobotNode(Node):
         self.get_logger().fatal(f"{error}; {self._save_state(error)}")
         raise SystemExit(1) from None
 
+    def _end_without_driver(self) -> NoReturn:
+        assert isinstance(self._servos, DrivenServos)
+        self.get_logger().fatal(f"{self._servos.end}; their bus watchdogs stop the servos")
+        raise SystemExit(1)
+
     def destroy_node(self) -> None:
-        """Wait on a bus for the driver to switch the servos off, then destroy the node."""
+        """Switch emulated servos off, or wait for the driver to do so, then destroy the node."""
         left = self._servos.close(running=not self._frozen)
         if isinstance(self._plant, BusPlant):
             runtime.last_logger(self).info(f"servos left under torque: {left or 'none'}")
@@ -307,7 +322,9 @@ class SimRobotNode(Node):
             self._published_clock = self._plant.now
             clock = messages.ns_to_stamp(self._published_clock)
             self._clock_topic.publish(ClockMessage(clock=clock))
-        if isinstance(reading, ServoReport) and reading.health is not None:
+        if isinstance(reading, ServoReport):
+            if reading.health is None:
+                self._end_without_driver()
             self._log_action(reading.health.action, reading.health.reason)
         if isinstance(reading, TrueState):
             self._truth.publish(messages.odometry_to_msg(reading.odometry))

@@ -15,7 +15,7 @@ from slot_core.clock import SECOND
 from slot_core.simulation.bus_plant import BusPlant
 from slot_core.simulation.plant import Plant, Reading, ServoReport
 from slot_core.simulation.sensors import OdometryReading, PictureReading
-from slot_core.simulation.stepped_servos import SteppedServos
+from slot_core.simulation.stepped_servos import DrivenServos, SteppedServos
 
 PATIENCE = SECOND // 2  # ns, longest wait for a late driver
 LONGEST_CALL = SECOND // 100  # ns, of a wait, between two calls: a longer one was late itself
@@ -23,26 +23,26 @@ LOCKSTEP_START = 1_000_000_000  # ns; a stamp of zero means "no time" in ROS
 
 
 class LockstepClock:
-    """Time that stands still from a reading that is answered to its answer.
+    """Clock that stops at each reading that is answered until its answer arrives.
 
     Odometry, or a picture in its place, is answered by a command with its stamp; a report of the
     servos by the supervisor's state with its stamp. So one node works at a time, and the order of
-    processes and messages has no effect. The first two, at rest, are repeated until they are heard.
+    processes and messages has no effect. The first two, at rest, are repeated until answered.
     """
 
-    def __init__(self, plant: Plant, servos: SteppedServos) -> None:
+    def __init__(self, plant: Plant, servos: SteppedServos | DrivenServos) -> None:
         self._plant, self._servos = plant, servos
         self._awaited: tuple[type, int] = OdometryReading, LOCKSTEP_START  # reading and stamp
         self.running = False
 
     def at_rest(self) -> list[Reading]:
-        """What awaits an answer before the start of the time."""
+        """Readings at rest, repeated until they are answered, before the clock starts."""
         if self._awaited[0] is OdometryReading:
             return self._plant.readings_at_rest(LOCKSTEP_START)
         return [self._servos.report()]
 
     def advance_on_answer(self, kind: type, stamp: int) -> Iterator[Reading]:
-        """Advance to the next reading that is answered if this is the answer to the last.
+        """Advance to the next reading that needs an answer, if this is the awaited answer.
 
         kind: OdometryReading or ServoReport. Yields the readings.
         """

@@ -67,7 +67,7 @@ class OdometrySensor:
         self._last = 0.0  # s since the start
 
     def sample(self, truth: OdometryReading, since: float = 0.0) -> OdometryReading:
-        """Reading of the true one, `since` the start (s; 0: before it).
+        """Noisy odometry from the true one, `since` the start (s; 0: before it).
 
         The noise of the orientation is a rotation vector in odom.
         """

@@ -8,6 +8,8 @@ every second one they report, and the supervisor steps on the report.
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections import deque
 
 import numpy as np
 
@@ -16,7 +18,7 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.errors import PortError, RefusedError
 from slot_core.dynamixel.session import ServoSession, measured
-from slot_core.dynamixel.settings import DynamixelSettings
+from slot_core.dynamixel.settings import read_settings
 from slot_core.emulator.memory_port import MemoryPort
 from slot_core.robot import Array
 from slot_core.safety.command_gate import AT_REST, Action
@@ -80,17 +82,18 @@ class DrivenServos:
     writes nor reports.
     """
 
-    def __init__(self, plant: BusPlant, settings: DynamixelSettings) -> None:
+    def __init__(self, plant: BusPlant) -> None:
         """Check every servo; raises RefusedError."""
-        self._plant, self._number = plant, 0
+        self._plant, self._number, settings = plant, 0, read_settings()
         port = MemoryPort(plant.legs.bus, settings.bus.baud, self._seconds)
         driver = Driver(port, settings, self._seconds)
         angle_max = plant.simulator.robot.tendon.angle_max
-        self.session = ServoSession(driver, angle_max, CYCLE, lambda _: None)
+        self.session = ServoSession(driver, angle_max, CYCLE, self._pass)
         stall = read_servo().stall_torque
         self._stall_torque = np.array([abs(j.tendon_torque(stall)) for j in driver.joints])
-        self.ended = False
-        self._was_on = False
+        self.powered = self.released = self._was_on = False
+        self.end = ""  # why the driver has ended
+        self._commanded = self._arrived = 0  # ns, stamp of the newest command and when it arrived
         plant.held = True
         self.session.configure()
 
@@ -99,9 +102,16 @@ class DrivenServos:
         """What the servos do with commands."""
         return self.session.action
 
+    @property
+    def clock_jump(self) -> float:
+        """Largest difference between a command's stamp and the present, s; inf without limits."""
+        limits = self.session.limits
+        return math.inf if limits is None else limits.clock_jump
+
     def set_limits(self, limits: ServoLimits) -> None:
         """Set the limits of the supervisor; raises ConfigError as `CommandGate` does."""
         self.session.set_limits(limits)
+        self.powered = True
 
     def start(self) -> None:
         """Begin the cycles; the robot's clock has started."""
@@ -109,7 +119,7 @@ class DrivenServos:
 
     def permit(self, permission: Permission) -> None:
         """Set the newest permission of the supervisor; it switches torque on or off at once."""
-        if self.ended:
+        if self.end:
             return
         self.session.permit(permission)
         if self.session.may_start(permission):
@@ -120,16 +130,38 @@ class DrivenServos:
 
     def offer(self, now: int, stamp: int, angle: Array, rate: Array = AT_REST) -> None:
         """Take angles (4,), rad, their rate, and a bus cycle; raises ValueError if rejected."""
-        if self.ended:
+        self._commanded, self._arrived = stamp, now
+        if self.end:
             return
         if fault := self.session.offer(now, stamp, angle, rate):
             raise ValueError(fault)
         self._exchange()
 
     def report(self) -> ServoReport:
-        """The health now, unless the driver has ended."""
+        """The health now, with the newest command, unless the driver has ended."""
         now = self._plant.now
-        return ServoReport(now, None if self.ended else self.session.health(now))
+        if self.end:
+            return ServoReport(now, None)
+        health = self.session.health(now)
+        newest = {"commanded": self._commanded, "written": self._arrived}
+        return ServoReport(now, dataclasses.replace(health, **newest))
+
+    def follows(self, now: int) -> bool:
+        """Whether the servos follow commands."""
+        return self.action is Action.PASS
+
+    def step(self, now: int) -> None:
+        """Do nothing: a bus cycle follows on every command and on the robot's clock."""
+
+    def close(self, running: bool) -> str:
+        """Slacken the tendons, torque off; return the legs with torque still on."""
+        if not self.end:
+            self.end = "closed"  # no further cycles but those of the ramp
+            if running:
+                self.session.stop()
+            else:
+                self.session.driver.torque_off()
+        return ", ".join(self._plant.powered())
 
     def _cycle(self) -> list[Reading]:
         readings = self._exchange()
@@ -138,20 +170,30 @@ class DrivenServos:
 
     def _exchange(self) -> list[Reading]:
         """A bus cycle; the joints if every servo has answered."""
-        if self.ended:
+        if self.end:
             return []
         now = self._plant.now
         try:
             cycle = self.session.step(now)
-        except PortError:
-            self.ended = True
+        except PortError as error:
+            self.end = str(error)
             return []
         on = self.session.driver.active
         self._was_on = self._was_on or on
-        released = self._was_on and not on
-        self._plant.held = self._plant.held and not (self.action is Action.PASS or released)
+        self.released = self._was_on and not on
+        follows = self.action is Action.PASS
+        self._plant.held = self._plant.held and not (follows or self.released)
         reading = measured(now, cycle, self._stall_torque)
         return [] if reading is None else [reading]
 
+    def _pass(self, seconds: float) -> None:
+        """Let time pass on the robot's clock; nothing receives the readings."""
+        deque(self._plant.advance(self._plant.now + round(seconds * SECOND)), maxlen=0)
+
     def _seconds(self) -> float:
         return self._plant.now / SECOND
+
+
+def stepped(plant: Plant) -> SteppedServos | DrivenServos:
+    """The servos of a plant on the robot's clock: those of a bus behind the driver."""
+    return DrivenServos(plant) if isinstance(plant, BusPlant) else SteppedServos(plant)

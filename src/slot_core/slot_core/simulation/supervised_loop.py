@@ -31,7 +31,7 @@ from slot_core.simulation.bus_plant import BusPlant
 from slot_core.simulation.clocks import LOCKSTEP_START
 from slot_core.simulation.closed_loop import ClosedLoop, PlantMaker
 from slot_core.simulation.plant import Plant, Reading, ServoReport
-from slot_core.simulation.stepped_servos import DrivenServos, SteppedServos
+from slot_core.simulation.stepped_servos import stepped
 
 
 def make_bus_plant(
@@ -49,8 +49,8 @@ class SupervisedLoop:
     """Closed loop with the supervisor, which stands the robot up and lets it walk.
 
     The time limits are those of `config/supervisor.yaml`, on the robot's clock: whatever happens
-    takes the same simulated time on every machine. Deterministic like `ClosedLoop`; with simulated
-    servos it equals the graph in lockstep.
+    takes the same simulated time on every machine. Deterministic like `ClosedLoop`, and equal to
+    the graph in lockstep.
     """
 
     def __init__(
@@ -84,11 +84,7 @@ class SupervisedLoop:
         self.ticked = TickedSupervisor(
             self.supervisor, StartUp(Request.READY, Request.STAND, *walk)
         )
-        self.servos: SteppedServos | DrivenServos
-        if isinstance(self.plant, BusPlant):
-            self.servos = DrivenServos(self.plant, read_settings())
-        else:
-            self.servos = SteppedServos(self.plant)
+        self.servos = stepped(self.plant)
         self.servos.set_limits(settings.servo_limits)
 
     def run(self, seconds: float) -> Iterator[Report]:
