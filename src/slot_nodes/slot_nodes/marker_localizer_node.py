@@ -32,7 +32,7 @@ class MarkerLocalizerNode(Node):
         mount = read_estimator().mounts.camera
         self._mount = Transform.of(mount.position, mount.rpy)
         file = runtime.declare(
-            self, "calibration", "", "file of scripts/calibrate_camera; empty: /camera_info"
+            self, "calibration", "", "file of scripts/calibrate_camera; empty: /camera/camera_info"
         )
         self._localizer: MarkerLocalizer | None = None
         self._camera: Camera | None = None
@@ -65,7 +65,7 @@ class MarkerLocalizerNode(Node):
 
     def _on_picture(self, message: Image) -> None:
         if self._localizer is None:
-            raise ValueError("no calibration: no usable /camera_info has arrived")
+            raise ValueError("no calibration: no usable /camera/camera_info has arrived")
         fix = self._localizer.locate(decode.stamp(message), picture_message.grey(message))
         if isinstance(fix, MarkerFix):
             self._odometry.publish(messages.fix_to_odometry(fix))

@@ -104,7 +104,7 @@ def fix_to_odometry(fix: MarkerFix) -> Odometry:
 
 
 def lost_odometry(fix: NoFix) -> Odometry:
-    """That a picture gives no pose."""
+    """Odometry of a picture without a pose: zeros, which the state estimator takes as lost."""
     return _odometry(*fix.odometry[:5])
 
 

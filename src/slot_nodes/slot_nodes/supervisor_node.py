@@ -187,7 +187,7 @@ class SupervisorNode(Node):
         return response
 
     def _step(self) -> None:
-        """Step in real time; in lockstep the next report leads to a step."""
+        """Step and publish the state; in lockstep do nothing, since the reports lead to steps."""
         if self._lockstep:
             return
         now = self._now()
@@ -199,7 +199,7 @@ class SupervisorNode(Node):
         self._request_gait()
 
     def _step_on_report(self) -> None:
-        """In lockstep step on a report of the servos when all that precedes it is here."""
+        """In lockstep step on the awaited report once all messages before it have arrived."""
         if self._awaited is None:
             return
         stamp, health = self._awaited

@@ -196,7 +196,7 @@ class Bag:
         return mended(file, Path(self._scratch.name, file.stem))
 
     def _find_origin(self) -> Origin:
-        """What stands in the first MCAP file, else the custom data of metadata.yaml."""
+        """Origin by the records of the first MCAP file, else by `custom_data` of metadata.yaml."""
         first = self._files[0]
         origin = read_origin(first) if first.suffix == ".mcap" else Origin()
         return origin if origin.about else Origin(self._custom, origin.files)

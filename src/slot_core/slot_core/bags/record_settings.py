@@ -38,5 +38,5 @@ def read_record_settings(namespace: str = "") -> RecordSettings:
 
 
 def root_of(namespace: str) -> str:
-    """What stands before a topic's name in a namespace: /fred for fred, nothing for none."""
+    """Prefix of the topics in a namespace: /fred for fred, nothing for none."""
     return f"/{namespace.strip('/')}".rstrip("/")

@@ -165,7 +165,7 @@ class Stride:
         return (self.forward.speed, self.lateral.speed, self.turn.speed)
 
     def walking(self, velocity: Array) -> float:
-        """Share of steering against the pattern `turn` at a commanded velocity (3,), in [0, 1]."""
+        """Weight of steering at a velocity (3,), in [0, 1]; the rest is that of `turn`."""
         return min(1.0, float(np.hypot(*velocity[:2])) / self.walking_speed)
 
     def course(self, phase: Array, velocity: Array, walking: float, offset: Array) -> Array:

@@ -36,7 +36,10 @@ LONGEST = 0.1  # s that angles go on at the rate of a command
 
 
 def gone_on(angle: Array, rate: Array, age: float | Array) -> Array:
-    """Angles (..., 4), rad, of commands with rates (..., 4), rad/s, and ages (...) or one, s."""
+    """Angles (..., 4), rad, that commands have reached at their rates (..., 4), rad/s, and ages, s.
+
+    age: (...) or one for all; at most LONGEST counts.
+    """
     passed = np.minimum(np.maximum(age, 0.0), LONGEST)
     return angle + passed[..., None] * rate
 

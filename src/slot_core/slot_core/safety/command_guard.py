@@ -1,4 +1,4 @@
-"""The command watchdog of the servos, which exists once the supervisor has sent its limits."""
+"""Guard of the commands: rejects them until the supervisor's limits have made the watchdog."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 class _Tuning:
-    """The stages of a command."""
+    """A run of `scripts/tune`: its options, settings and stages."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         """Read the configuration; raises ConfigError."""

@@ -130,7 +130,7 @@ class _Trials:
         return [np.load(path) for path in paths]
 
     def forget(self) -> None:
-        """Remove what was kept."""
+        """Delete the results that were kept."""
         shutil.rmtree(self._directory)
 
     def _path(self, point: Array) -> Path:

@@ -36,7 +36,7 @@ class Mailbox:
         return bool(self._queue or self._newest or self._outgoing)
 
     def put(self, receive: Receive, newest_only: bool, message: Any, number: int) -> None:
-        """Add a message for a node, instead of those before if it wants the newest only."""
+        """Queue a message for a node; with `newest_only` it replaces the one that waits."""
         if newest_only:
             self._newest[receive] = message, number
         else:
@@ -47,7 +47,7 @@ class Mailbox:
         self._outgoing.append((publisher, message))
 
     def deliver(self, newest: bool) -> None:
-        """Deliver what waits; what a node wants the newest of only if `newest`. Then publish."""
+        """Deliver the queued messages, those of `newest_only` only if `newest`; then publish."""
         while self._queue or (newest and self._newest):
             if self._queue:
                 receive, message, number = self._queue.popleft()

@@ -67,7 +67,7 @@ class ForceProblem:
 
     @property
     def share(self) -> float:
-        """Mass of the model as a part of the robot's, for the reference forces."""
+        """Estimated mass over that of the robot; scales the reference forces."""
         return self._disturbance.mass / self._mass
 
     def update(self, state: Array, preview: GaitPreview, ahead: Horizon) -> None:

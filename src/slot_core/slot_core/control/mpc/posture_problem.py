@@ -122,7 +122,7 @@ class PostureProblem:
 
     @property
     def mass(self) -> float:
-        """Mass of the robot with the load that d amounts to, kg."""
+        """Estimated mass, kg: the weight without the vertical force of d, over gravity."""
         return (self._weight - float(self.disturbance[0])) / GRAVITY
 
     def update(self, state: Array, preview: GaitPreview, ahead: Horizon) -> None:
