@@ -1,8 +1,10 @@
 """ROS domain and configuration of tests that start nodes as processes."""
 
+import contextlib
 import functools
 import os
 import shutil
+import socket
 from pathlib import Path
 
 import pytest
@@ -30,14 +32,34 @@ PATIENT = {
 }
 
 
+def claim_domain():
+    """A ROS domain, 1 .. DOMAINS, that no other test process of this machine has claimed.
+
+    The claim is a socket of Linux's abstract namespace; it ends with this process.
+    """
+    for number in range(os.getpid(), os.getpid() + DOMAINS):
+        domain = str(1 + number % DOMAINS)
+        claim = socket.socket(socket.AF_UNIX)
+        with contextlib.suppress(OSError):  # has been claimed
+            claim.bind(f"\0slot_test_domain_{domain}")
+            _claims.append(claim)
+            return domain
+        claim.close()
+    raise RuntimeError(f"all {DOMAINS} ROS domains of the tests are claimed")
+
+
+_claims = []
+
+
+@functools.cache
 def process_domain():
-    """ROS domain of this process, 1 .. DOMAINS."""
-    return str(1 + os.getpid() % DOMAINS)
+    """ROS domain of this process."""
+    return claim_domain()
 
 
 @pytest.fixture(scope="session", autouse=True)
 def domain():
-    """Separate ROS domain for every test process, so that their graphs do not communicate."""
+    """Separate ROS domain for every test process, so that graphs do not communicate."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_DOMAIN_ID", process_domain())
         yield

@@ -17,6 +17,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
+from real_graph import claim_domain
 
 from slot_bringup.graph import read_graph
 from slot_bringup.processes import Processes
@@ -33,11 +34,6 @@ def attended(port):
     graph = read_graph()
     values = {a.name: a.default for a in graph.arguments}
     return graph.nodes(values | {"hardware": "fake_bus", "attended": True, "port": str(port)})
-
-
-def other_domain():
-    """A ROS domain that tests of other processes do not use."""
-    return str(1 + (int(os.environ["ROS_DOMAIN_ID"]) + 49) % 100)
 
 
 def specs(**values):
@@ -64,7 +60,7 @@ def bench(environment, tmp_path):
     """Environment of a driver with emulated servos alone, with a separate configuration."""
     config = tmp_path / "config"
     shutil.copytree(environment["SLOT_CONFIG"], config)
-    apart = environment | {"SLOT_CONFIG": str(config), "ROS_DOMAIN_ID": other_domain()}
+    apart = environment | {"SLOT_CONFIG": str(config), "ROS_DOMAIN_ID": claim_domain()}
     nodes = specs(hardware="fake_bus", port=str(tmp_path / "bus"))
     processes = Processes(tmp_path, apart)
     processes.start(nodes[name] for name in ("sim_robot", "dynamixel_driver"))

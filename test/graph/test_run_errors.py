@@ -12,6 +12,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from real_graph import claim_domain
 
 from slot_bringup import monitor
 from slot_bringup.graph import read_graph
@@ -47,7 +48,7 @@ def run(directory, *arguments, **environment):
 
 @pytest.fixture
 def own_domain(monkeypatch):
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(int(os.environ["ROS_DOMAIN_ID"]) + 20))
+    monkeypatch.setenv("ROS_DOMAIN_ID", claim_domain())
 
 
 @pytest.mark.usefixtures("own_domain")
