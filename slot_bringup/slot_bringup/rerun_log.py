@@ -38,7 +38,7 @@ class RerunLog:
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
-        self._drawing = Drawing(read_robot(), read_servo().stall_torque)
+        self._drawing = Drawing(read_robot(), read_servo().tendon_stall)
         self._start: int | None = None  # ns, stamp at time zero
         self._states: dict[str, str] = {}
         self._refused: set[str] = set()  # topics with a message that could not be drawn

@@ -134,7 +134,7 @@ def _deferred_interrupts() -> Iterator[None]:
 def report(directory: Path, keep: bool, namespace: str = "") -> None:
     """Print the summary of the bag; with `keep` also write it and the plots into `directory`."""
     bag = Bag(directory, namespace)
-    figures = metrics.walk_metrics(bag, read_record_settings().warm_up, read_servo().stall_torque)
+    figures = metrics.walk_metrics(bag, read_record_settings().warm_up, read_servo().tendon_stall)
     summary = "\n".join([*summary_lines(figures), *filter(None, [bag.remark])])
     print(summary)
     if keep:

@@ -10,7 +10,7 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from slot_core.config import config_dir
+from slot_core.dynamics.servo import read_servo
 from slot_core.robot import BASE_FRAME, LEGS, ODOM_FRAME, TENDON_JOINTS, read_robot
 
 ROOT = Path(__file__).parents[2]
@@ -93,9 +93,9 @@ def test_boxes_of_a_leg_join_along_its_natural_shape(leg):
 def test_tendon_joints_are_spools_with_the_limits_of_tendon_and_servo():
     revolute = [j.get("name") for j in URDF.findall("joint") if j.get("type") == "revolute"]
     assert tuple(revolute) == TENDON_JOINTS
-    servo = yaml.safe_load((config_dir() / "servo.yaml").read_text())
+    servo = read_servo()
     expected = [0.0, ROBOT.tendon.angle_max]
-    expected += [servo["stall_torque"], servo["no_load_rpm"] * 2 * np.pi / 60]
+    expected += [servo.tendon_stall, servo.tendon_speed]
     for leg, name in zip(LEGS, TENDON_JOINTS):
         limit = joint(name).find("limit").attrib
         found = [float(limit[key]) for key in ("lower", "upper", "effort", "velocity")]

@@ -43,7 +43,7 @@ def measure_walk(graph: Graph, values: Mapping[str, Any], duration: float) -> Wa
         try:
             usage = record(graph, {**values, "bag": str(directory)}, STANDING + warm_up + duration)
             bag = Bag(directory)
-            metrics = walk_metrics(bag, warm_up, read_servo().stall_torque)
+            metrics = walk_metrics(bag, warm_up, read_servo().tendon_stall)
             ticks = read_ticks(bag).after(read_motion(bag).t[0] + warm_up)
         except (RunError, BagError, psutil.Error) as error:
             raise BenchmarkError(f"the graph failed: {error}") from error

@@ -1,11 +1,13 @@
 """The same walk with servos of three kinds, on one simulated clock, and their distance.
 
-sim    servo.yaml, as with `--hardware sim`
-law    the emulated servos' loop and motor in the simulator: no bus, no counts
+sim    servo.yaml, as with `--hardware sim`: the emulated servos' loop and motor, no bus, no counts
+line   the motor's torque-speed line with a first-order lag, whose angle does not sag under load
 bus    driver, bus and emulated servos, as with `--hardware fake_bus`
 """
 
 from __future__ import annotations
+
+import dataclasses
 
 import numpy as np
 
@@ -14,18 +16,16 @@ from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamixel.settings import read_settings
 from slot_core.emulator.emulated_bus import read_emulator
 from slot_core.robot import Array, Robot
-from slot_core.simulation.bus_plant import equivalent_servo
 from slot_core.simulation.closed_loop import ClosedLoop, PlantMaker
 from slot_core.simulation.driven_plant import DrivenPlant
 from slot_core.simulation.plant import Plant
 
-VELOCITY = (0.06, 0.0, 0.0)  # m/s, m/s, rad/s: as gait.yaml's cruise
+VELOCITY = (0.05, 0.0, 0.0)  # m/s, m/s, rad/s: the walk's cruise
 BUS_PERIOD = 0.01  # s, of a bus cycle, as in the driver's node
 
 
-def _law(robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator) -> Plant:
-    period = read_emulator().servo.loop_period
-    return Plant(robot, scene, equivalent_servo(servo, read_settings(), period), rng)
+def _line(robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator) -> Plant:
+    return Plant(robot, scene, dataclasses.replace(servo, model="torque_speed"), rng)
 
 
 def _bus(robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator) -> Plant:
@@ -40,7 +40,7 @@ def _bus(robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Genera
     )
 
 
-PLANTS: dict[str, PlantMaker] = {"sim": Plant, "law": _law, "bus": _bus}
+PLANTS: dict[str, PlantMaker] = {"sim": Plant, "line": _line, "bus": _bus}
 
 
 def walk(make: PlantMaker, ticks: int, seed: int = 0) -> Array:

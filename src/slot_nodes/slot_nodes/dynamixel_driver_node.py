@@ -17,7 +17,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import FloatingPointRange
@@ -64,9 +63,7 @@ class DynamixelDriverNode(LifecycleNode):
         self._autostart = runtime.declare(self, "autostart", True, "configure at start")
         self._port = settings.bus.port
         self._session = make_session(settings, 1.0 / rate)
-        joints = self._session.driver.joints
-        stall = read_servo().stall_torque
-        self._stall_torque = np.array([abs(joint.tendon_torque(stall)) for joint in joints])
+        self._stall_torque = read_servo().tendon_stall
         self._open = self._active = False
         self._refusal = ""
         self._cycle: Cycle | None = None
@@ -193,6 +190,9 @@ class DynamixelDriverNode(LifecycleNode):
 
     def _on_robot_state(self, message: RobotState) -> None:
         permission = decode.permission(message, time.monotonic_ns())
+        if self._session.limits is not None:
+            now = self.get_clock().now().nanoseconds
+            inputs.require_present_permission(message, now, self._session.limits.clock_jump)
         self._session.permit(permission)
         if permission.action is Action.OFF and self._active:
             self.trigger_deactivate()

@@ -5,7 +5,8 @@ voltage, with load torque tau = r_spool T pulling back:
 
     -w0 (1 + tau / tau_stall) <= rate <= w0 (1 - tau / tau_stall)
 
-(ROBOTIS XL430-W250: 1.4 N m stall, 57 rpm no load at 11.1 V). `ideal` limits the rate only. `pid`
+(ROBOTIS XL430-W250: 1.4 N m stall, 57 rpm no load at 11.1 V, at its shaft, which turns
+servo_per_tendon times as far as the tendon angle). `ideal` limits the rate only. `pid`
 is the loop inside the servo: duty u = clip(k_p e + k_i int e dt - k_d w, -1, 1) with e = command -
 angle; the integral is held while the duty is saturated (anti-windup); the motor approaches its line
 with the time constant motor_time: motor_time dw/dt = w0 (u - tau / tau_stall) - w.
@@ -36,14 +37,26 @@ class ServoSettings:
 
     model: str = choice("model of the position loop", "torque_speed", "ideal", "pid")
     lag: float = quantity("time constant of the position loop", "s", 1e-3, 1.0)
-    stall_torque: float = quantity("stall torque at full voltage", "N m", 0.01, 100.0)
-    no_load_rpm: float = quantity("no-load speed", "rev/min", 1.0, 1000.0)
-    ideal_rpm: float = quantity("maximum speed of the ideal servo", "rev/min", 1.0, 1000.0)
+    stall_torque: float = quantity("stall torque at full voltage, at the shaft", "N m", 0.01, 100.0)
+    no_load_rpm: float = quantity("no-load speed of the shaft", "rev/min", 1.0, 1000.0)
+    ideal_rpm: float = quantity("maximum speed of the ideal servo's shaft", "rev/min", 1.0, 1000.0)
+    servo_per_tendon: float = quantity("angle of the shaft per tendon angle", "", 0.1, 10.0)
     proportional: float = quantity("P gain of the pid: duty per angle", "1/rad", 0.0, 1e3)
     integral: float = quantity("I gain of the pid: duty per angle and time", "1/(rad s)", 0.0, 1e4)
     derivative: float = quantity("D gain of the pid: duty per speed", "s/rad", 0.0, 1e2)
     motor_time: float = quantity("time constant of the motor driven by the pid", "s", 0.0, 1.0)
     backlash_deg: float = quantity("play between motor and spool", "deg", 0.0, 10.0)
+
+    @property
+    def tendon_stall(self) -> float:
+        """Stall torque on the tendon angle, N m."""
+        return self.stall_torque * self.servo_per_tendon
+
+    @property
+    def tendon_speed(self) -> float:
+        """Largest rate of the tendon angle without load, rad/s."""
+        rpm = self.ideal_rpm if self.model == "ideal" else self.no_load_rpm
+        return rpm * math.tau / 60.0 / self.servo_per_tendon
 
 
 class Servo(NamedTuple):
@@ -74,11 +87,10 @@ def read_servo(parameters: str = "") -> ServoSettings:
 def servo(settings: ServoSettings) -> Servo:
     """Parameters of the servo model in SI units."""
     ideal = settings.model == "ideal"
-    rpm = settings.ideal_rpm if ideal else settings.no_load_rpm
     return Servo(
         gain=1.0 / settings.lag,
-        speed=rpm * math.tau / 60.0,
-        speed_loss=0.0 if ideal else 1.0 / settings.stall_torque,
+        speed=settings.tendon_speed,
+        speed_loss=0.0 if ideal else 1.0 / settings.tendon_stall,
         pid=settings.model == "pid",
         proportional=settings.proportional,
         integral=settings.integral,

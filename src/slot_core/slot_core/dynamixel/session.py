@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -32,6 +33,7 @@ from slot_core.safety.servo_health import ServoHealth
 from slot_core.safety.settings import ServoLimits
 
 LATE = 1.5  # periods between two cycles that count as an overrun
+DURATIONS = 10_000  # of bus cycles that are kept for a query
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,7 @@ class ServoSession:
         self._last_step: int | None = None
         self._pause = 0.0  # s, the last between two steps that was long enough for a bus watchdog
         self._last_query: int | None = None
-        self._durations: list[float] = []
+        self._durations: deque[float] = deque(maxlen=DURATIONS)
 
     @property
     def limits(self) -> ServoLimits | None:
@@ -191,7 +193,8 @@ class ServoSession:
 
     def pace(self, now: int) -> BusPace:
         """Rate and duration of the bus cycles since the last call."""
-        times, self._durations = self._durations, []
+        times = list(self._durations)
+        self._durations.clear()
         passed = 0.0 if self._last_query is None else (now - self._last_query) / SECOND
         self._last_query = now
         if not times or passed <= 0.0:
@@ -269,11 +272,11 @@ def _check_ranges(joints: Sequence[Joint], angle_max: float) -> None:
             )
 
 
-def measured(stamp: int, cycle: Cycle, tendon_stall: Array) -> JointReading | None:
+def measured(stamp: int, cycle: Cycle, tendon_stall: float) -> JointReading | None:
     """Joint angles, rates and torques of a cycle; None unless every servo answered.
 
-    The torque is the servo's estimate: its load, a share of the stall torque `tendon_stall` (4,),
-    N m at the tendon's spool.
+    The torque is the servo's estimate: its load, a share of the stall torque `tendon_stall`, N m
+    on the tendon angle.
     """
     readings = [reading for reading in cycle.readings if reading is not None]
     if len(readings) < len(LEGS):

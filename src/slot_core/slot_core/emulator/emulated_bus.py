@@ -9,6 +9,7 @@ the bus watchdogs of all servos.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -19,7 +20,6 @@ import numpy.typing as npt
 from slot_core import config
 from slot_core.config import quantity
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.servo import servo as servo_law
 from slot_core.dynamixel.packet import (
     BROADCAST,
     FAST_OVERHEAD,
@@ -71,8 +71,8 @@ class EmulatedBus:
     def __init__(
         self, settings: EmulatorSettings, ids: Sequence[int], angles: Sequence[float]
     ) -> None:
-        law = servo_law(read_servo())
-        motor = Motor(law.speed, 1.0 / law.speed_loss if law.speed_loss else np.inf, law.motor_time)
+        servo = read_servo()
+        motor = Motor(servo.no_load_rpm * math.tau / 60.0, servo.stall_torque, servo.motor_time)
         self.settings = settings
         self.servos = tuple(
             EmulatedServo(identity, settings.servo, motor, angle)

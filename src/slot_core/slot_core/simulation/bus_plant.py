@@ -17,7 +17,6 @@ from slot_core.config import ConfigError
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamixel.settings import DynamixelSettings
-from slot_core.dynamixel.table import PWM_FULL, RAD_PER_COUNT
 from slot_core.emulator.emulated_bus import EmulatorSettings
 from slot_core.faults import BUS_KINDS, Fault
 from slot_core.robot import LEGS, Array, Robot
@@ -34,27 +33,6 @@ def immediate_servo(servo: ServoSettings, step: float) -> ServoSettings:
             f"servo.yaml: backlash_deg = {servo.backlash_deg}: emulated servos have none"
         )
     return dataclasses.replace(servo, model="ideal", lag=step, ideal_rpm=UNBOUNDED_RPM)
-
-
-def equivalent_servo(
-    servo: ServoSettings, settings: DynamixelSettings, period: float
-) -> ServoSettings:
-    """Servo model `pid` of dynamics/servo.py that is equivalent to the emulated servos.
-
-    The motor is that of `servo`. The gains are those of position control in the real servo,
-    `period` (s) is that of its loop. Angles, speeds and torques are converted to the tendon.
-    """
-    ratio, gains = settings.joints.servo_per_tendon, settings.gains
-    duty = ratio / RAD_PER_COUNT / PWM_FULL  # per rad of tendon angle, with gain 1
-    return dataclasses.replace(
-        servo,
-        model="pid",
-        proportional=gains.p / 128 * duty,
-        integral=gains.i / 65536 * duty / period,
-        derivative=gains.d / 16 * duty * period,
-        no_load_rpm=servo.no_load_rpm / ratio,
-        stall_torque=servo.stall_torque * ratio,
-    )
 
 
 class BusPlant(Plant):

@@ -10,11 +10,11 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import deque
-
-import numpy as np
+from contextlib import suppress
 
 from slot_core.clock import SECOND
 from slot_core.dynamics.servo import read_servo
+from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.errors import PortError, RefusedError
 from slot_core.dynamixel.session import ServoSession, measured
@@ -89,8 +89,7 @@ class DrivenServos:
         driver = Driver(port, settings, self._seconds)
         angle_max = plant.simulator.robot.tendon.angle_max
         self.session = ServoSession(driver, angle_max, CYCLE, self._pass)
-        stall = read_servo().stall_torque
-        self._stall_torque = np.array([abs(j.tendon_torque(stall)) for j in driver.joints])
+        self._stall_torque = read_servo().tendon_stall
         self.powered = self.released = self._was_on = False
         self.end = ""  # why the driver has ended
         self._commanded = self._arrived = 0  # ns, stamp of the newest command and when it arrived
@@ -158,7 +157,8 @@ class DrivenServos:
         if not self.end:
             self.end = "closed"  # no further cycles but those of the ramp
             if running:
-                self.session.stop()
+                with suppress(Divergence):  # of the ramp; torque is off
+                    self.session.stop()
             else:
                 self.session.driver.torque_off()
         return ", ".join(self._plant.powered())

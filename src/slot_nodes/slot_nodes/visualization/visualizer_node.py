@@ -33,7 +33,7 @@ class VisualizerNode(Node):
 
     def __init__(self) -> None:
         super().__init__("visualizer")
-        self._drawing = Drawing(read_robot(), read_servo().stall_torque)
+        self._drawing = Drawing(read_robot(), read_servo().tendon_stall)
         self._changed: dict[str, Shape] = {}
         self._stamp = 0  # ns, of the newest input
         self._markers = runtime.publisher(self, MarkerArray, "visualization", qos.SENSOR)
@@ -43,7 +43,7 @@ class VisualizerNode(Node):
 
     def _on_message(self, topic: str, message: Any) -> None:
         self._changed |= self._drawing.receive(f"/{topic}", message)
-        self._stamp = max(self._stamp, decode.stamp(message))
+        self._stamp = decode.stamp(message)
 
     def _publish(self) -> None:
         if self._changed:
