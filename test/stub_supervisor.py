@@ -32,6 +32,7 @@ class StubSupervisor:
             self.permitted = now
             action = decode.ACTION_NUMBERS.index(permission)
             state = RobotState(state=State.WALKING, action=action, reason="requested")
+            state.followed = permission is Action.PASS
             state.header.stamp = messages.ns_to_stamp(now)
             self._states.publish(state)
         if (angle := self.angle) is not None:

@@ -76,8 +76,7 @@ class Servos:
 
     def step(self, now, report, angle):
         """Step at `now` with the supervisor's report; the servos are at `angle`."""
-        fast = report.state is State.WALKING
-        self.watchdog.permit(Permission(now, report.action, fast, report.reason))
+        self.watchdog.permit(Permission(now, report.action, report.followed, report.reason))
         if report.action is Action.HOLD and not self.gated.torque:
             self.watchdog.engage(angle)  # torque comes on
         self.gated = self.watchdog.step(now)

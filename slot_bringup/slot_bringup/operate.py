@@ -19,7 +19,7 @@ import sys
 import termios
 import time
 import tty
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -37,6 +37,7 @@ from std_srvs.srv import Trigger
 from slot_bringup import operator_screen
 from slot_bringup.check import check_namespace
 from slot_bringup.monitor import listener
+from slot_core.bags import decode
 from slot_core.bags.decode import ACTION_NUMBERS
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS
@@ -128,12 +129,13 @@ class Operator:
             name: node.create_client(Trigger, f"supervisor/{name}") for name in REQUESTS
         }
         node.create_subscription(RobotState, "robot_state", self._on_state, qos.STATE)
-        for kind, topic, name in (
-            (JointState, "joint_states", "joints"),
-            (ServoHealth, "servo_health", "health"),
-            (DiagnosticArray, "diagnostics", "diagnostics"),
+        for kind, topic, name, check in (
+            (JointState, "joint_states", "joints", decode.joint_loads),
+            (ServoHealth, "servo_health", "health", decode.servo_health),
+            (DiagnosticArray, "diagnostics", "diagnostics", str),
         ):
-            node.create_subscription(kind, topic, partial(setattr, self.view, name), NEWEST)
+            show = partial(self._show, name, check)
+            node.create_subscription(kind, topic, show, NEWEST)
         runtime.wall_timer(node, ESTOP_PERIOD, self._publish_estop)
 
     def press(self, key: str) -> bool:
@@ -169,8 +171,20 @@ class Operator:
     def _on_answer(self, request: str, answer: Future) -> None:
         self.view.answer = answer_text(request, answer.result().message)
 
+    def _show(self, name: str, check: Callable[[Any], object], message: Any) -> bool:
+        """Show a message, unless `check` raises ValueError: this terminal has to outlive it."""
+        try:
+            check(message)
+        except ValueError as error:
+            self.view.answer = f"{name} refused: {error}"
+            return False
+        setattr(self.view, name, message)
+        return True
+
     def _on_state(self, message: RobotState) -> None:
-        self.view.state, self.view.state_time = message, time.monotonic()
+        if not self._show("state", decode.robot_state, message):
+            return
+        self.view.state_time = time.monotonic()
         if message.state == RobotState.ESTOP:
             self._estop_pressed = False  # received, and latched by the supervisor
 

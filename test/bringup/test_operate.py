@@ -12,6 +12,7 @@ from sensor_msgs.msg import JointState
 
 from slot_bringup import operate
 from slot_bringup.operator_screen import SILENCE, View, lines
+from slot_core.bags import decode
 from slot_core.robot import LEGS, TENDON_JOINTS
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import State
@@ -121,6 +122,25 @@ def test_a_request_without_a_supervisor_is_refused_at_once():
     operator = operate.Operator(FakeNode(ready=False))
     operator.press("w")
     assert operator.view.answer == "walk: no supervisor answers"
+
+
+@pytest.mark.parametrize(
+    ("name", "check", "foreign", "reason"),
+    [
+        ("joints", decode.joint_loads, JointState(name=["a", "b"]), "joints refused: "),
+        ("joints", decode.joint_loads, JointState(name=TENDON_JOINTS), "joints refused: "),
+        ("health", decode.servo_health, ServoHealth(action=9), "health refused: "),
+    ],
+)
+def test_a_foreign_message_is_named_and_does_not_end_the_e_stops_source(
+    name, check, foreign, reason
+):
+    operator = operate.Operator(FakeNode())
+    assert not operator._show(name, check, foreign)
+    assert operator.view.answer.startswith(reason)
+    operator._on_state(RobotState(state=99))
+    assert operator.view.answer.startswith("state refused: ")
+    assert lines(operator.view, NOW)
 
 
 def test_quitting_is_refused_under_torque():

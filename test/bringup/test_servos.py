@@ -113,6 +113,8 @@ def test_a_zero_out_of_bounds_is_not_written(dynamixel_yaml):
     before = dynamixel_yaml.read_text()
     with pytest.raises(ConfigError, match="zero_deg"):
         write_zero("RR", 400.0)
+    with pytest.raises(ConfigError, match="not within one turn"):
+        write_zero("RR", 300.0)
     assert dynamixel_yaml.read_text() == before
     dynamixel_yaml.write_text(before.replace("zero_deg", "zero"))
     with pytest.raises(ConfigError, match="no line zero_deg"):

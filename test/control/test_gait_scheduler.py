@@ -9,7 +9,7 @@ from slot_core.clock import SECOND
 from slot_core.config import ConfigError
 from slot_core.control.force_map import read_springs
 from slot_core.control.gait import GaitCommand, read_gaits
-from slot_core.control.gait_scheduler import GaitScheduler
+from slot_core.control.gait_scheduler import SETTLING, GaitScheduler
 from slot_core.control.path import Path
 from slot_core.robot import read_robot
 from slot_core.safety.settings import read_supervisor
@@ -313,6 +313,42 @@ def test_a_path_is_followed_at_the_speed_of_the_command_from_a_posture_on():
     assert robot.state[3] - before == pytest.approx(AHEAD[0], rel=0.05)
     robot.scheduler.request("walk", NOTHING)
     assert robot.run(3.0)[-1].posture  # without velocity it stands, wherever the path leads
+
+
+def test_while_the_servos_do_not_follow_the_phase_waits_and_nothing_is_corrected():
+    robot = Ideal("walk", AHEAD)
+    robot.run(3.0)
+    robot.scheduler.set_followed(False)
+    before = robot.run(0.033)[-1]
+    held = robot.run(2.0)[-1]
+    assert held.phase == before.phase
+    assert not held.command.followed
+    assert (held.tendon_angle == held.tendon_angle[0]).all()  # over the horizon too
+    robot.scheduler.set_followed(True)
+    passed = (robot.run(0.1)[-1].phase - before.phase) % 1.0
+    assert passed == pytest.approx(0.1 / held.period, abs=0.02)
+
+
+def test_a_posture_is_corrected_once_the_servos_have_followed_for_a_while():
+    robot = Ideal("stand")
+    assert robot.run(1.1)[-1].posture
+    robot.scheduler.set_followed(False)
+    assert not any(preview.posture for preview in robot.run(1.0))
+    robot.scheduler.set_followed(True)
+    assert not any(preview.posture for preview in robot.run(SETTLING - 0.1))
+    assert robot.run(0.2)[-1].posture
+
+
+@pytest.mark.parametrize("jump", [-1.0, 2.0])
+def test_a_jump_of_the_clock_does_not_enter_the_means_of_a_stride(jump):
+    robot = Ideal("walk", AHEAD)
+    robot.run(5.0)
+    feedback = robot.scheduler._current.feedback
+    before = feedback.velocity[0]
+    robot.now += round(jump * SECOND)
+    robot.run(1.5)
+    # of a robot that moves as its reference 1 mm/s; with the jump in it 18 to 50 mm/s
+    assert abs(feedback.velocity[0] - before) < 5e-3
 
 
 def test_everything_commanded_can_be_set_from_a_recorded_preview():

@@ -8,6 +8,7 @@ import pytest
 from simulated_line import LinePort
 
 from slot_core import config
+from slot_core.config import ConfigError
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.errors import (
     BaudRateError,
@@ -512,3 +513,16 @@ def test_a_cycle_takes_its_transmission_time(build):
     for _ in range(50):
         rig.driver.cycle()
     assert line.now - start >= 50 * 142 * 10 / 1e6
+
+
+def test_a_zero_whose_limits_leave_the_turn_is_refused_and_changes_nothing(rig):
+    rig.driver.configure()
+    before = rig.driver.settings, rig.driver.joints
+    with pytest.raises(ConfigError, match="not within one turn"):
+        rig.driver.set_zero("FL", 300.0)
+    assert (rig.driver.settings, rig.driver.joints) == before
+
+
+def test_a_rate_that_the_servos_do_not_have_is_refused_with_those_that_they_have():
+    with pytest.raises(ConfigError, match=r"bus\.baud = 500000: expected one of 9600, 57600"):
+        config.replace(read_settings(), {"bus.baud": 500000})

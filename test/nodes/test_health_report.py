@@ -38,3 +38,7 @@ def test_a_report_is_built_only_when_it_is_published(monkeypatch):
     assert (servos.built, len(published)) == (2, 2)
     report.publish(start + 2 * PERIOD - 1, servos)
     assert (servos.built, len(published)) == (3, 3)
+    report.publish(start, servos)  # the clock was set back
+    report.publish(start + PERIOD - 1, servos)
+    report.publish(start + PERIOD, servos)
+    assert (servos.built, len(published)) == (5, 5)

@@ -194,17 +194,59 @@ def test_walk_is_refused_far_from_the_command():
     assert "from their command, limit 0.1 rad" in bench.supervisor.request(bench.now, Request.WALK)
 
 
-def test_goals_move_slowly_right_after_walk():
+def test_the_commands_are_followed_from_when_the_legs_have_reached_them():
+    bench = Bench()
+    bench.command = np.full(4, 1.9)
+    assert not bench.bring_to(State.STANDING).followed
+    while not bench.reports[-1].followed:
+        assert np.abs(bench.angle - 1.9).max() > SETTINGS.arrived - 2.0 * STEP
+        bench.tick()
+    bench.command = np.full(4, 1.2)  # from then on any command is
+    assert bench.run(0.5).followed
+    bench.silent.add("command")
+    bench.time_until(State.HOLD, 1.0)
+    assert not bench.reports[-1].followed
+    bench.silent.clear()
+    bench.time_until(State.STANDING, 1.0)
+    assert bench.run(0.1).followed
+
+
+def test_goals_move_slowly_until_they_are_reached_and_right_afterwards():
     bench = Bench()
     bench.bring_to(State.STANDING)
-    bench.run(2.0)
-    bench.request(Request.WALK)
+    start = bench.angle.copy()
+    bench.command = np.full(4, 1.6)
+    bench.run(0.1)
+    assert (bench.angle < start + SETTINGS.gate.approach_rate * 0.15).all()
+    while not bench.reports[-1].followed:
+        bench.tick()
     bench.command = np.full(4, 2.0)
     bench.run(0.05)
     # a tenth of resume_time: the rate has grown by a tenth of its range
     gate = SETTINGS.gate
-    assert bench.angle.max() < 1.1 + 0.1 * gate.rate_max * (0.05 + gate.burst)
-    assert bench.angle.max() > 1.1
+    assert 1.6 < bench.angle.max() < 1.6 + 0.1 * gate.rate_max * (0.05 + gate.burst)
+
+
+def test_walk_is_refused_while_the_goals_of_the_servos_are_unknown():
+    bench = Bench()
+    bench.bring_to(State.STANDING)
+    bench.run(1.0)
+    bench.health = {"goal": np.full(4, math.nan)}
+    bench.run(0.1)
+    reason = bench.supervisor.request(bench.now, Request.WALK)
+    assert "the legs are nan rad from their command" in reason
+
+
+def test_a_broken_tendon_is_found_after_the_clock_was_set_back(walking):
+    """Readings with stamps of before count as new."""
+    walking.now -= 3_600_000_000_000
+    walking.tick()
+    assert walking.supervisor.state is State.HOLD
+    assert walking.time_until(State.WALKING, 1.0) < 1.0
+    walking.run(2.0)
+    walking.torque = np.zeros(4)
+    assert walking.time_until(State.HOLD, 3.0) < 3.0
+    assert "slack or broken tendon" in walking.reports[-1].reason
 
 
 # Faults

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.node import Node
+from std_srvs.srv import SetBool
 
 from slot_core.bags import decode
 from slot_core.config import ConfigError
@@ -45,6 +46,7 @@ class GaitSchedulerNode(Node):
             self, PoseStamped, "body_pose", self._on_pose, qos.SENSOR, overridable=True
         )
         self.create_service(SetGait, "set_gait", self._on_gait)
+        self.create_service(SetBool, "~/followed", self._on_followed)
         inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.CONTROL)
 
     def _on_state(self, message: MpcState) -> None:
@@ -74,6 +76,14 @@ class GaitSchedulerNode(Node):
             response.success = True
         except ConfigError as error:
             response.message = str(error)
+        return response
+
+    def _on_followed(
+        self, request: SetBool.Request, response: SetBool.Response
+    ) -> SetBool.Response:
+        """Take from the supervisor whether the servos follow the commands."""
+        self._scheduler.set_followed(request.data)
+        response.success = True
         return response
 
 

@@ -34,8 +34,8 @@ class HealthReport:
         self._last_stamp = 0  # ns
 
     def publish(self, stamp: int, servos: HealthSource) -> None:
-        """Publish the health at `stamp` (ns) if it has changed or PERIOD has passed."""
+        """Publish the health at `stamp` (ns) after a change, PERIOD or a step back of the clock."""
         urgent = servos.urgent
-        if urgent != self._last or stamp - self._last_stamp >= PERIOD:
+        if urgent != self._last or not 0 <= stamp - self._last_stamp < PERIOD:
             self._last, self._last_stamp = urgent, stamp
             self._publisher.publish(messages.health_to_msg(stamp, servos.health(stamp)))

@@ -11,8 +11,10 @@ from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
+from slot_core.bags import decode
 from slot_core.control.gait import GaitPreview
 from slot_core.robot import LEGS
+from slot_msgs.msg import RobotState
 from slot_nodes.process import intra_process
 
 
@@ -74,6 +76,15 @@ def require_present(stamp: int, now: int, limit: float) -> None:
     off = (stamp - now) * 1e-9
     if abs(off) > limit:
         raise ValueError(f"stamped {off:+.3g} s from now, limit {limit:g} s")
+
+
+def require_present_permission(message: RobotState, now: int, limit: float) -> None:
+    """Raise ValueError for a permission to hold or move of another time; torque may go off always.
+
+    A latched state may be the last of a supervisor that is gone.
+    """
+    if message.action in (RobotState.ACTION_HOLD, RobotState.ACTION_PASS):
+        require_present(decode.stamp(message), now, limit)
 
 
 def require_nominal(preview: GaitPreview) -> None:

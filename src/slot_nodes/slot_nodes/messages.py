@@ -255,6 +255,7 @@ def preview_to_msg(preview: gait.GaitPreview) -> GaitPreview:
         reference=preview.reference.ravel(),
         posture=preview.posture,
         requested=preview.command.gait,
+        followed=preview.command.followed,
         velocity=preview.command.velocity,
         pose=preview.command.pose,
     )
@@ -327,6 +328,7 @@ def robot_state_to_msg(stamp: int, report: Report) -> RobotState:
         header=header(stamp, BASE_FRAME),
         state=int(report.state),
         action=decode.ACTION_NUMBERS.index(report.action),
+        followed=report.followed,
         reason=report.reason,
         since=ns_to_stamp(report.since),
         warnings=list(report.warnings),

@@ -232,7 +232,9 @@ class SimRobotNode(Node):
         servos.set_limits(decode.servo_limits(message))
 
     def _on_robot_state(self, servos: GuardedServos | DrivenServos, message: RobotState) -> None:
-        servos.permit(decode.permission(message, self._servo_time()))
+        permission = decode.permission(message, self._servo_time())
+        inputs.require_present_permission(message, self._now(), servos.clock_jump)
+        servos.permit(permission)
         self._continue(ServoReport, decode.stamp(message))
 
     def _on_command(self, message: JointState) -> None:

@@ -2,7 +2,8 @@
 
 The driver of the servos, real or simulated, obeys `/robot_state` and the limits on `/servo_limits`;
 it subscribes to the commands itself. On entering WALKING the supervisor requests the gait from the
-gait scheduler, on entering any other state but HOLD it requests standing.
+gait scheduler, on entering any other state but HOLD it requests standing. It also tells the gait
+scheduler whether the servos follow the commands.
 
 With the parameter `lockstep` it steps on every report of the servos, once it has all messages that
 precede it, at the report's stamp (safety/ticked_supervisor.py). The state is the answer for which
@@ -14,11 +15,12 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from slot_core.bags import decode
 from slot_core.control.gait import STAND, read_gaits
@@ -32,7 +34,14 @@ from slot_core.safety.supervisor import PERIOD, Report, Request, Supervisor
 from slot_core.safety.tendon_watch import read_tendon_watch
 from slot_core.safety.ticked_supervisor import LockstepInputs, TickedSupervisor
 from slot_core.simulation.clocks import LOCKSTEP_START
-from slot_msgs.msg import GroundReactionForces, MpcState, RobotState, ServoHealth, ServoLimits
+from slot_msgs.msg import (
+    GaitPreview,
+    GroundReactionForces,
+    MpcState,
+    RobotState,
+    ServoHealth,
+    ServoLimits,
+)
 from slot_msgs.srv import SetGait
 from slot_nodes import inputs, messages, qos, runtime
 
@@ -60,9 +69,12 @@ class SupervisorNode(Node):
         self._servo_limits = messages.limits_to_msg(settings.servo_limits)
         self._send_limits()
         runtime.wall_timer(self, LIMITS_PERIOD, self._send_limits)
-        self._set_gait = self.create_client(SetGait, "set_gait")
-        self._wanted: SetGait.Request | None = None  # gait to request once its service is there
-        self._answer: Future | None = None  # of the last request of a gait
+        self._scheduler: dict[str, Client] = {
+            "gait": self.create_client(SetGait, "set_gait"),
+            "followed": self.create_client(SetBool, "gait_scheduler/followed"),
+        }
+        self._wanted: dict[str, Any] = {}  # requests to make once their services are there
+        self._answers: list[Future] = []  # that are awaited
         self._awaited: tuple[int, Health] | None = None  # in lockstep, report to step on
         self._unsent: Report | None = None  # in lockstep, until it is published
         self._subscribe_to_controller()
@@ -85,8 +97,6 @@ class SupervisorNode(Node):
         )
         v_y = runtime.declare(self, "v_y", 0.0, "lateral velocity of WALKING [m/s]")
         gaits.require_velocity(gait, np.array([v_x, v_y, 0.0]))
-        now = LOCKSTEP_START if self._lockstep else self._now()
-        self._supervisor.receive_gait(now, gaits.find(gait).period)
         return messages.gait_request(gait, v_x, v_y)
 
     def _start_up_requests(self) -> list[Request]:
@@ -96,6 +106,7 @@ class SupervisorNode(Node):
     def _subscribe_to_controller(self) -> None:
         """Subscribe to the controller; a missing gait preview shows as missing forces."""
         inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.CONTROL)
+        inputs.subscribe(self, GaitPreview, "gait_preview", self._on_preview, qos.CONTROL)
         inputs.subscribe(
             self, GroundReactionForces, "ground_reaction_forces", self._on_forces, qos.CONTROL
         )
@@ -128,6 +139,14 @@ class SupervisorNode(Node):
             "state_estimator",
             stamp,
             lambda now: self._supervisor.receive_from_estimator(now, estimate),
+        )
+
+    def _on_preview(self, message: GaitPreview) -> None:
+        period = message.period
+        self._take(
+            "gait_scheduler",
+            decode.stamp(message),
+            lambda now: self._supervisor.receive_gait(now, period),
         )
 
     def _on_forces(self, message: GroundReactionForces) -> None:
@@ -196,7 +215,7 @@ class SupervisorNode(Node):
         report = self._supervisor.step(now)
         self._note(report)
         self._state.publish(messages.robot_state_to_msg(now, report))
-        self._request_gait()
+        self._make_requests()
 
     def _step_on_report(self) -> None:
         """In lockstep step on the awaited report once all messages before it have arrived."""
@@ -213,23 +232,25 @@ class SupervisorNode(Node):
         self._send()
 
     def _send(self) -> None:
-        """In lockstep publish the state when the gait scheduler has the gait that goes with it."""
+        """In lockstep publish the state when the gait scheduler has what goes with it."""
         if self._unsent is None:
             return
-        self._request_gait()
-        if self._wanted is None and (self._answer is None or self._answer.done()):
+        self._make_requests()
+        if not (self._wanted or self._answers):
             report, self._unsent = self._unsent, None
             self._state.publish(messages.robot_state_to_msg(self._stepped, report))
 
-    def _request_gait(self) -> None:
-        """Request the wanted gait, if any, once the gait scheduler's service is there."""
-        if self._wanted is not None and self._set_gait.service_is_ready():
-            self._answer = self._set_gait.call_async(self._wanted)
-            self._wanted = None
+    def _make_requests(self) -> None:
+        """Request what is wanted of the gait scheduler, as far as its services are there."""
+        self._answers = [answer for answer in self._answers if not answer.done()]
+        for name in [name for name in self._wanted if self._scheduler[name].service_is_ready()]:
+            self._answers.append(self._scheduler[name].call_async(self._wanted.pop(name)))
 
     def _note(self, report: Report) -> None:
-        """Compare a report with the last one, for a transition."""
+        """Compare a report with the last one, for a transition and whether the servos follow."""
         last, self._last = self._last, report
+        if last is None or report.followed != last.followed:
+            self._wanted["followed"] = SetBool.Request(data=report.followed)
         if last is None or (report.state, report.since) != (last.state, last.since):
             self._report_transition(report)
 
@@ -245,7 +266,8 @@ class SupervisorNode(Node):
             self.get_logger().info(line)
         if not report.keeps_gait:
             walking = report.state is State.WALKING
-            self._wanted = self._walk if walking else messages.gait_request(STAND, 0.0, 0.0)
+            stand = messages.gait_request(STAND, 0.0, 0.0)
+            self._wanted["gait"] = self._walk if walking else stand
 
 
 def main() -> None:

@@ -144,7 +144,12 @@ def preview(message: Any) -> GaitPreview:
         tendon_angle=rows("tendon_angle"),
         reference=rows("reference", 12),
         posture=bool(message.posture),
-        command=GaitCommand(message.requested, np.array(message.velocity), np.array(message.pose)),
+        command=GaitCommand(
+            message.requested,
+            np.array(message.velocity),
+            np.array(message.pose),
+            getattr(message, "followed", True),  # not in older bags
+        ),
     )
 
 
@@ -174,8 +179,8 @@ def robot_state(message: Any) -> tuple[int, State, Action, str]:
 
 def permission(message: Any, now: int) -> Permission:
     """Permission of a RobotState received at `now` (ns); raises ValueError on unknown numbers."""
-    _, state, action, reason = robot_state(message)
-    return Permission(now, action, state is State.WALKING, reason)
+    _, _, action, reason = robot_state(message)
+    return Permission(now, action, message.followed, reason)
 
 
 def servo_health(message: Any) -> tuple[int, ServoHealth]:

@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from slot_core.bags.bag import Bag, BagError, Stamps
-from slot_core.bags.walk import ESTIMATE, GROUND_TRUTH, Motion, joint_columns, seconds
+from slot_core.bags.walk import (
+    ESTIMATE,
+    GROUND_TRUTH,
+    Motion,
+    joint_columns,
+    seconds,
+    state_time,
+)
 from slot_core.robot import Array
 
 ODOMETRY = "/odom"
@@ -116,8 +123,7 @@ def _state(bag: Bag, topic: str) -> tuple[Stamps, Array, Array, Array]:
     """Times of the state (stamp and lead), position, roll pitch yaw, velocity in odom."""
     fields = ("position", "rpy", "linear_velocity")
     series = bag.series(topic, *fields, "lead")
-    lead = series["lead"] @ np.array([1_000_000_000, 1])
-    return series.stamp + lead.astype(np.int64), *(series[field] for field in fields)
+    return state_time(series), *(series[field] for field in fields)
 
 
 def _unit(where: str, quaternion: Array) -> Rotation:

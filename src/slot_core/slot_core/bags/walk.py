@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from slot_core.bags.bag import Bag, BagError, Stamps
+from slot_core.bags.bag import Bag, BagError, Series, Stamps
 from slot_core.plane import rotate
 from slot_core.robot import TENDON_JOINTS, Array
 
@@ -134,15 +134,17 @@ def _true_motion(bag: Bag) -> Motion:
 
 
 def _estimated_motion(bag: Bag) -> Motion:
-    series = bag.series(ESTIMATE, "position", "rpy", "linear_velocity")
-    quaternion = Rotation.from_euler("ZYX", series["rpy"][:, ::-1]).as_quat()
-    return Motion(
-        ESTIMATE,
-        seconds(series.stamp),
-        series["position"],
-        quaternion,
-        series["linear_velocity"],
-    )
+    series = bag.series(ESTIMATE, "position", "rpy", "linear_velocity", "lead")
+    time, new = np.unique(state_time(series), return_index=True)
+    quaternion = Rotation.from_euler("ZYX", series["rpy"][new, ::-1]).as_quat()
+    position, velocity = series["position"][new], series["linear_velocity"][new]
+    return Motion(ESTIMATE, seconds(time), position, quaternion, velocity)
+
+
+def state_time(series: Series) -> Stamps:
+    """Times (n,), ns, of the states of /mpc_state: stamp plus lead."""
+    lead = series["lead"] @ np.array([1_000_000_000, 1])
+    return series.stamp + lead.astype(np.int64)
 
 
 def read_ticks(bag: Bag) -> Ticks:

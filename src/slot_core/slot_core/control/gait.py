@@ -291,11 +291,12 @@ class GaitSettings:
 
 @dataclass(frozen=True)
 class GaitCommand:
-    """Gait, velocity and body pose that are commanded."""
+    """Gait, velocity and body pose that are commanded, and whether the servos follow."""
 
     gait: str
     velocity: Array  # (3,) v_x, v_y m/s, yaw rate rad/s in base_link
     pose: Array  # (3,) height m, roll, pitch rad
+    followed: bool = True
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from slot_core.robot import Array, Robot
 
 STILL = 1e-4  # m/s, rad/s: below it a stride stands
 LONGEST_GAP = 0.5  # s between states; after a longer one the commands do not move
+SETTLING = 0.5  # s that the servos follow before a posture is corrected: the torso still swings
 
 
 @dataclass
@@ -54,7 +55,8 @@ class GaitScheduler:
     Velocity and body pose follow their commands at limited rates. A change of gait is a linear
     blend of the tendon angles over `transition` seconds; a request during a blend takes effect at
     its end. A run starts from the posture `stand`. A stride without velocity stands on its centre;
-    it gets there, and back, by a blend as well.
+    it gets there, and back, by a blend as well. While the servos do not follow the commands the
+    phase waits, and neither the feedback of strides nor the MPC corrects anything.
     """
 
     def __init__(  # noqa: PLR0917
@@ -80,6 +82,8 @@ class GaitScheduler:
         self._current = self._previous = self._activate(STAND)
         self._since_change = settings.transition  # s
         self._stamp: int | None = None
+        self._followed = True  # whether the servos follow the commands
+        self._followed_for = SETTLING  # s
         self._velocity = np.zeros(3)  # present, at limited rates
         self._pose = self._home(self._current.gait)  # (3,) height, roll, pitch, present
 
@@ -115,10 +119,17 @@ class GaitScheduler:
         self._settings.require_pose(self._requested, pose)
         self._wanted_pose = np.array(pose, dtype=float)
 
+    def set_followed(self, followed: bool) -> None:
+        """Set whether the servos follow the commands."""
+        if followed and not self._followed:
+            self._followed_for = 0.0
+        self._followed = followed
+
     def set_command(self, command: GaitCommand) -> None:
         """Set everything that is commanded, as recorded; raises ConfigError as the requests do."""
         self.request(command.gait, command.velocity)
         self._wanted_pose = np.array(command.pose, dtype=float)
+        self.set_followed(command.followed)
 
     def step(self, stamp: int, state: Array) -> GaitPreview:
         """Preview from `stamp` (ns) on, at `state` (12,)."""
@@ -128,10 +139,18 @@ class GaitScheduler:
         self._stamp = stamp
         if not 0.0 <= elapsed <= LONGEST_GAP:
             elapsed = 0.0
+            self._forget_strides()
+        self._followed_for += elapsed
         self._change_gait(elapsed)
         self._approach_commands(elapsed, state)
         self._stride(stamp * 1e-9, elapsed, state)
         return self._preview(stamp, state)
+
+    def _forget_strides(self) -> None:
+        """Forget the strides so far, whose means a jump of the clock would spoil."""
+        for active in (self._previous, self._current):
+            if isinstance(active, _ActiveStride):
+                active.feedback.forget_stride()
 
     def _is_expired(self, stamp: int) -> bool:
         """Whether the velocity is too old at `stamp` (ns), or too far in the future."""
@@ -184,7 +203,7 @@ class GaitScheduler:
                 continue
             gait, feedback = active.gait, active.feedback
             active.moving = float(self._moving_after(active, np.array([elapsed]))[0])
-            if active is not self._current or self._is_still():
+            if active is not self._current or self._waits():
                 feedback.reset()
                 continue
             active.phase += elapsed / gait.period
@@ -201,6 +220,10 @@ class GaitScheduler:
             if complete:
                 walking = gait.walking(self._velocity)
                 feedback.finish(Target(self._velocity, self._pose, walking))
+
+    def _waits(self) -> bool:
+        """Whether the phase of a stride waits."""
+        return self._is_still() or not self._followed
 
     def _is_still(self) -> bool:
         return bool((np.abs(self._velocity) < STILL).all())
@@ -230,11 +253,15 @@ class GaitScheduler:
             tendon_angle=angle,
             reference=reference(state, float(heading), velocity, sway, times),
             posture=self._at_rest(),
-            command=GaitCommand(self._requested, self._wanted.copy(), self._wanted_pose.copy()),
+            command=GaitCommand(
+                self._requested, self._wanted.copy(), self._wanted_pose.copy(), self._followed
+            ),
         )
 
     def _at_rest(self) -> bool:
-        """Whether the legs are loaded and move with the posture alone."""
+        """Whether the legs follow the commands, are loaded and move with the posture alone."""
+        if not self._followed or self._followed_for < SETTLING:
+            return False
         if self._since_change < self._settings.transition:
             return False
         current = self._current
@@ -267,7 +294,7 @@ class GaitScheduler:
         moving = self._moving_after(active, times)[:, None]
         if moving.max() == 0.0:
             return self._posture_course(times)
-        ahead = np.zeros_like(times) if self._is_still() else times  # the phase waits
+        ahead = np.zeros_like(times) if self._waits() else times
         phase = np.mod(active.phase + ahead / gait.period, 1.0)
         walking = gait.walking(self._velocity)
         course = gait.course(phase, self._velocity + feedback.velocity, walking, feedback.offset)

@@ -24,7 +24,7 @@ from slot_core.dynamixel.bus import Answer, Bus
 from slot_core.dynamixel.checks import ServoInfo, examine, expected
 from slot_core.dynamixel.errors import PortError, RefusedError, ServoError
 from slot_core.dynamixel.host_pid import HostPid
-from slot_core.dynamixel.joints import Joint, joints
+from slot_core.dynamixel.joints import Joint, checked_joints, joints
 from slot_core.dynamixel.port import SerialPort, check_latency
 from slot_core.dynamixel.settings import DynamixelSettings
 from slot_core.dynamixel.state import Cycle, Health, ServoReading, TorqueOff
@@ -153,15 +153,15 @@ class Driver:
     def set_zero(self, leg: str, zero_deg: float) -> None:
         """Set the servo angle (deg) at which a leg's tendon is relaxed; the servo's limits follow.
 
-        Raises ConfigError where the angle is out of bounds, ServoError where torque is on.
+        Raises ConfigError where angle or limits are out of bounds, ServoError where torque is on.
         """
         if self.active:
             raise RefusedError(["set_zero: torque is on; switch it off first"])
         index = LEGS.index(leg)
         zeros = list(self.settings.joints.zero_deg)
         zeros[index] = zero_deg
-        self.settings = config.replace(self.settings, {"joints.zero_deg": tuple(zeros)})
-        self.joints = joints(self.settings.joints)
+        settings = config.replace(self.settings, {"joints.zero_deg": tuple(zeros)})
+        self.joints, self.settings = checked_joints(settings.joints), settings
         joint = self.joints[index]
         for register in ("min_position_limit", "max_position_limit"):
             self.bus.write_verified(joint.id, register, expected(self.settings, joint)[register])

@@ -13,7 +13,7 @@ import yaml
 from slot_core import config
 from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.errors import RefusedError
-from slot_core.dynamixel.joints import Joint
+from slot_core.dynamixel.joints import Joint, checked_joints
 from slot_core.dynamixel.settings import DynamixelSettings
 from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.robot import LEGS
@@ -45,7 +45,7 @@ def write_zero(leg: str, zero_deg: float) -> Path:
     """Write the zero of a leg (deg) into `config/dynamixel.yaml`; the rest of the file is kept.
 
     Returns the path of the file. Raises ConfigError, and writes nothing, if the file has no line
-    `zero_deg` of four numbers or the value is out of bounds.
+    `zero_deg` of four numbers or the value, or the servo's limits with it, are out of bounds.
     """
     path = config.config_dir() / "dynamixel.yaml"
     text = path.read_text()
@@ -55,6 +55,7 @@ def write_zero(leg: str, zero_deg: float) -> Path:
     values = [value.strip() for value in line[2].split(",")]
     values[LEGS.index(leg)] = f"{zero_deg:.2f}"
     changed = text[: line.start(2)] + ", ".join(values) + text[line.end(2) :]
-    config.build(DynamixelSettings, yaml.safe_load(changed), path.name)
+    settings = config.build(DynamixelSettings, yaml.safe_load(changed), path.name)
+    checked_joints(settings.joints)
     path.write_text(changed)
     return path

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from slot_core.config import ConfigError
 from slot_core.dynamixel.settings import JointSettings
 from slot_core.dynamixel.table import COUNTS, PWM_FULL, RAD_PER_COUNT, RAD_S_PER_UNIT
 from slot_core.robot import LEGS
@@ -71,6 +72,14 @@ class Joint:
         ends = [self.counts(self.low), self.counts(self.high)]
         margin = math.floor(self.margin / RAD_PER_COUNT)
         return min(ends) - margin, max(ends) + margin
+
+
+def checked_joints(settings: JointSettings) -> tuple[Joint, ...]:
+    """`joints`; raises ConfigError for what they cannot have."""
+    try:
+        return joints(settings)
+    except ValueError as error:
+        raise ConfigError(f"dynamixel.yaml: {error}") from None
 
 
 def joints(settings: JointSettings) -> tuple[Joint, ...]:

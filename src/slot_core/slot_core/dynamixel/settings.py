@@ -9,8 +9,9 @@ import math
 from dataclasses import dataclass
 
 from slot_core import config
-from slot_core.config import choice, quantity, text
+from slot_core.config import ConfigError, choice, quantity, text
 from slot_core.dynamixel.table import (
+    BAUD_RATES,
     NO_SECONDARY_ID,
     RETURN_DELAY_UNIT,
     VOLTAGE_UNIT,
@@ -33,6 +34,12 @@ class BusSettings:
     quiet: float = quantity("idle time of the line awaited after an invalid answer", "s", 0.0, 0.1)
     retries: int = quantity("retries of a write or a read", "", 0, 10)
     window: int = quantity("exchanges over which error rates are taken", "", 10, 100000)
+
+    def __post_init__(self) -> None:
+        """Raise ConfigError for a baud rate that the servos do not have."""
+        if self.baud not in BAUD_RATES:
+            rates = ", ".join(str(rate) for rate in BAUD_RATES)
+            raise ConfigError(f"bus.baud = {self.baud}: expected one of {rates}")
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ class Permission:
 
     time: int
     action: Action
-    fast: bool  # walking: goals may move at rate_max
+    fast: bool  # goals may move at rate_max: they have reached the commands
     reason: str
 
 

@@ -72,6 +72,7 @@ class Report:
     warnings: tuple[str, ...]  # conditions that forbid motion now, one line each
     slack: Array  # (4,) m, extra length of the tendons, inferred from the load; NaN: unknown
     resumed: bool  # whether the last transition led from HOLD back to the state before it
+    followed: bool  # whether the servos follow the commands, and have reached them once
 
     @property
     def keeps_gait(self) -> bool:
@@ -119,6 +120,7 @@ class Supervisor:
         self._ready_since = 0  # steady time of the last READY
         self._clear_since: int | None = None  # steady time since which there is no reason to hold
         self._faulty = False  # whether RELAX ends in FAULT
+        self._followed = False  # whether the servos follow the commands
         self._command = np.zeros(len(LEGS))  # rad, last accepted
         self._tendon_angle = np.full(len(LEGS), np.nan)
         self._height = np.full(len(LEGS), np.nan)  # m, of the clamps
@@ -244,6 +246,7 @@ class Supervisor:
         if self._state is State.WALKING and self._inputs.slewed:
             distance = self._inputs.distance(self._command)
             warnings.append(f"command slewed, {distance:.3g} rad left")
+        self._followed = self._is_followed()
         return Report(
             state=self._state,
             action=ACTIONS[self._state],
@@ -252,7 +255,18 @@ class Supervisor:
             warnings=tuple(warnings),
             slack=self._tendons.slack,
             resumed=self._resumed,
+            followed=self._followed,
         )
+
+    def _is_followed(self) -> bool:
+        """Whether the servos follow the commands: permitted, and from when they have reached them.
+
+        Before, at a limited rate, they are on their way from wherever the legs were.
+        """
+        if ACTIONS[self._state] is not Action.PASS:
+            return False
+        arrived = self._inputs.distance(self._command) <= self._settings.arrived
+        return self._followed or arrived
 
     def _advance(self, now: int) -> int:
         """Steady time at `now`; after a jump every stamp counts as newer."""
@@ -260,6 +274,8 @@ class Supervisor:
         self._since = self._since or now
         if self._clock.jumped:
             self._newest.clear()
+            self._watch.pause()
+            self._tendons = self._watch.state
         return time
 
     def _stamp_fault(self, source: str, now: int, stamp: int) -> str:
@@ -353,7 +369,7 @@ class Supervisor:
         if request is Request.STAND and (unpowered := self._inputs.unpowered()):
             return unpowered
         limit, distance = self._settings.arrived, self._inputs.distance(self._command)
-        if request is Request.WALK and distance > limit:
+        if request is Request.WALK and not distance <= limit:  # nor NaN
             return [f"the legs are {distance:.3g} rad from their command, limit {limit:g} rad"]
         return []
 

@@ -79,7 +79,6 @@ class SupervisedLoop:
         robot, settings = read_robot(), read_supervisor()
         settings = config.replace(settings, {"estop_required": False})
         self.supervisor = Supervisor(robot, settings, read_tendon_watch(robot, settings.tendon))
-        self.supervisor.receive_gait(LOCKSTEP_START, found.period)
         walk = [Request.WALK] * (gait != STAND)
         self.ticked = TickedSupervisor(
             self.supervisor, StartUp(Request.READY, Request.STAND, *walk)
@@ -151,10 +150,11 @@ class SupervisedLoop:
         if "supervisor" not in self.running:
             return None
         last, self.report = self.report, self.ticked.step(report.stamp, report.health)
+        self.loop.controller.scheduler.set_followed(self.report.followed)
         if last is None or (last.state, last.since) != (self.report.state, self.report.since):
             self._request_gait(self.report)
-        fast = self.report.state is State.WALKING
-        permission = Permission(report.stamp, self.report.action, fast, self.report.reason)
+        found = self.report
+        permission = Permission(report.stamp, found.action, found.followed, found.reason)
         self.servos.permit(permission)
         return self.report
 
@@ -167,6 +167,7 @@ class SupervisedLoop:
 
 _MESSAGES: dict[str, Callable[[Supervisor, Tick, int], object]] = {
     "state_estimator": lambda s, tick, now: s.receive_from_estimator(now, tick.estimate),
+    "gait_scheduler": lambda s, tick, now: s.receive_gait(now, tick.preview.period),
     "mpc_controller": lambda s, tick, now: s.receive_from_mpc(
         now, tick.result.status, tick.result.fallback_cycles
     ),

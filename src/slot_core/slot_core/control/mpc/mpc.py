@@ -187,7 +187,8 @@ class Mpc:
         x = np.asarray(state, dtype=float)
         self._problem.update(x, preview, stages)
         result = self._accept(self._problem.solve(), self._timer() - start)
-        self._problem.follow(result.force)
+        if result.status is not Status.STOPPED:  # else the last angles are held
+            self._problem.follow(result.force)
         return result
 
     def _read(self, preview: GaitPreview) -> Horizon:
