@@ -134,7 +134,7 @@ class Operator:
             (ServoHealth, "servo_health", "health", decode.servo_health),
             (DiagnosticArray, "diagnostics", "diagnostics", str),
         ):
-            show = partial(self._show, name, check)
+            show: Any = partial(self._show, name, check)
             node.create_subscription(kind, topic, show, NEWEST)
         runtime.wall_timer(node, ESTOP_PERIOD, self._publish_estop)
 

@@ -123,7 +123,8 @@ def _state(bag: Bag, topic: str) -> tuple[Stamps, Array, Array, Array]:
     """Times of the state (stamp and lead), position, roll pitch yaw, velocity in odom."""
     fields = ("position", "rpy", "linear_velocity")
     series = bag.series(topic, *fields, "lead")
-    return state_time(series), *(series[field] for field in fields)
+    position, rpy, velocity = (series[field] for field in fields)
+    return state_time(series), position, rpy, velocity
 
 
 def _unit(where: str, quaternion: Array) -> Rotation:

@@ -141,9 +141,10 @@ class DrivenServos:
         now = self._plant.now
         if self.end:
             return ServoReport(now, None)
-        health = self.session.health(now)
-        newest = {"commanded": self._commanded, "written": self._arrived}
-        return ServoReport(now, dataclasses.replace(health, **newest))
+        health = dataclasses.replace(
+            self.session.health(now), commanded=self._commanded, written=self._arrived
+        )
+        return ServoReport(now, health)
 
     def follows(self, now: int) -> bool:
         """Whether the servos follow commands."""
