@@ -65,7 +65,7 @@ def test_a_pressed_estop_switches_torque_off_until_it_is_released_and_reset(walk
     assert walking.request("ready") == "READY changes nothing in ESTOP"
     assert walking.request("reset") == ""
     walking.wait_for(lambda: walking.state is State.IDLE)
-    assert max(walking.last("/joint_states").position) < 0.05  # the tendons are slack
+    walking.wait_for(lambda: max(walking.last("/joint_states").position) < 0.05)  # slack
 
 
 def test_a_lost_estop_source_switches_torque_off_until_it_returns_and_a_reset(walking):

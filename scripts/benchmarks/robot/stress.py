@@ -17,7 +17,7 @@ import numpy as np
 
 from slot_core import config
 from slot_core.dynamics.scene import read_scene
-from slot_core.dynamics.servo import read_servo
+from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.robot import Array, read_robot
 from slot_core.simulation.rod_robot import RodRobot
@@ -25,6 +25,20 @@ from slot_core.simulation.rod_robot import RodRobot
 Changes = Mapping[str, Any]
 STANDING_DEG = 63.0
 TILT_ARM = 0.1  # m, lever by which a tilt counts as a displacement
+# Not that of servo.yaml: impacts do not repeat themselves, and the limits would change with it.
+SERVO = ServoSettings(
+    model="pid",
+    lag=0.02,
+    stall_torque=1.4,
+    no_load_rpm=57.0,
+    ideal_rpm=57.0,
+    servo_per_tendon=1.0,
+    proportional=14.253,
+    integral=0.0,
+    derivative=0.19,
+    motor_time=0.01,
+    backlash_deg=0.0,
+)
 
 
 @dataclass(frozen=True)
@@ -95,7 +109,7 @@ class MeasuredRun:
         # without the IMU, whose period is shorter than the longest time step
         changes = {**case.scene, "solver.step": step, "sensors.imu.enabled": False}
         scene = config.replace(read_scene("flat"), changes)
-        self._sim = RodRobot(config.replace(read_robot(), case.robot), scene, read_servo())
+        self._sim = RodRobot(config.replace(read_robot(), case.robot), scene, SERVO)
         case.start(self._sim)
         self._budget = self._sim.energy()
         self._fastest, self._gained, self._sunk = 0.0, -math.inf, -math.inf
