@@ -243,10 +243,10 @@ class Supervisor:
         for source in self._right_clock:  # not before a report has named the fault
             self._wrong_clock.pop(source, None)
         self._right_clock.clear()
-        if self._state is State.WALKING and self._inputs.slewed:
+        self._followed = self._is_followed()
+        if self._followed and self._inputs.slewed:
             distance = self._inputs.distance(self._command)
             warnings.append(f"command slewed, {distance:.3g} rad left")
-        self._followed = self._is_followed()
         return Report(
             state=self._state,
             action=ACTIONS[self._state],
