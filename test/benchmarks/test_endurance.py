@@ -12,7 +12,7 @@ def samples(**grown):
     """Samples of two nodes that grow during the first fifth; the second one also by `grown`."""
     later = np.maximum(np.linspace(-0.25, 1.0, COUNT), 0.0)
     warm_up = np.minimum(np.linspace(0.0, 5.0, COUNT), 1.0)
-    result = Samples(("still", "growing"))
+    result = Samples()
     for warm, share in zip(warm_up, later):
         still = [50.0 + 10.0 * warm, 7.0, 30.0]
         growing = [v + share * grown.get(name, 0.0) for v, name in zip(still, NODE_FIGURES)]

@@ -30,7 +30,6 @@ NODE_FIGURES = ("memory_mb", "threads", "descriptors")
 class Samples:
     """Samples of the nodes and of the machine's shared memory, one after the other."""
 
-    nodes: tuple[str, ...]
     figures: list[list[list[float]]] = field(default_factory=list)  # (n, nodes, NODE_FIGURES)
     shared: list[float] = field(default_factory=list)  # (n,) MB
 
@@ -56,7 +55,7 @@ def long_walk(graph: Graph, values: Mapping[str, Any], duration: float) -> list[
     with tempfile.TemporaryDirectory() as scratch:
         values = {**values, "lockstep": True, "bag": str(Path(scratch, "bag"))}
         names = tuple(spec.name for spec in graph.nodes(values))
-        samples = Samples(names)
+        samples = Samples()
         try:
             with started(graph, values, Path(scratch, "logs")) as processes:
                 nodes = [psutil.Process(processes.pid(name)) for name in names]

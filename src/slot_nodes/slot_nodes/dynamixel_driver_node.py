@@ -179,7 +179,7 @@ class DynamixelDriverNode(LifecycleNode):
         if self._session.limits is None:
             return  # torque is off until the supervisor has sent them
         now = self.get_clock().now().nanoseconds
-        inputs.require_present(stamp, now, self._session.limits.clock_jump)
+        inputs.require_present(stamp, now, self._session.clock_jump)
         if fault := self._session.offer(time.monotonic_ns(), stamp, angle, rate):
             raise ValueError(fault)
         if self._timer is not None:
@@ -190,9 +190,8 @@ class DynamixelDriverNode(LifecycleNode):
 
     def _on_robot_state(self, message: RobotState) -> None:
         permission = decode.permission(message, time.monotonic_ns())
-        if self._session.limits is not None:
-            now = self.get_clock().now().nanoseconds
-            inputs.require_present_permission(message, now, self._session.limits.clock_jump)
+        now = self.get_clock().now().nanoseconds
+        inputs.require_present_permission(message, now, self._session.clock_jump)
         self._session.permit(permission)
         if permission.action is Action.OFF and self._active:
             self.trigger_deactivate()
@@ -289,11 +288,7 @@ class DynamixelDriverNode(LifecycleNode):
 def make_session(settings: DynamixelSettings, period: float) -> ServoSession:
     """Driver and command watchdog; raises ConfigError if the settings contradict each other."""
     port = SerialPort(settings.bus.port, settings.bus.baud, settings.bus.timeout)
-    try:
-        driver = Driver(port, settings)
-    except ValueError as error:
-        raise ConfigError(f"dynamixel.yaml: {error}") from None
-    return ServoSession(driver, read_robot().tendon.angle_max, period)
+    return ServoSession(Driver(port, settings), read_robot().tendon.angle_max, period)
 
 
 def main() -> None:

@@ -266,8 +266,7 @@ class SupervisorNode(Node):
             self.get_logger().info(line)
         if not report.keeps_gait:
             walking = report.state is State.WALKING
-            stand = messages.gait_request(STAND, 0.0, 0.0)
-            self._wanted["gait"] = self._walk if walking else stand
+            self._wanted["gait"] = self._walk if walking else messages.gait_request(STAND, 0.0, 0.0)
 
 
 def main() -> None:

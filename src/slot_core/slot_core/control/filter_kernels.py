@@ -253,36 +253,7 @@ def interpolate(out, stamps, samples, stamp):
 
 
 @kernel
-def propagate_through(state, work, stamps, samples, begin, end, noise, longest, rate, blind_noise):
-    """Propagate from `begin` to `end` (ns) in steps between the IMU samples.
-
-    stamps (n,) in ns, rising, and samples (n, 6) [w, f] in base_link, of which each step takes the
-    value at its midpoint. A step longer than `longest` (ns) is made at constant velocities, with
-    the angular velocity `rate` (3,) and blind_noise (15,), without the samples.
-    """
-    start, sample = begin, work.sample
-    for i in range(stamps.shape[0] + 1):
-        stop = min(stamps[i], end) if i < stamps.shape[0] else end
-        if stop <= start:
-            continue
-        dt = (stop - start) / SECOND
-        if stop - start > longest:
-            sample[0], sample[1], sample[2] = 0.0, 0.0, GRAVITY
-            step(state, work, rate, sample[:3], dt, blind_noise, False)
-        else:
-            interpolate(sample, stamps, samples, (start + stop) // 2)
-            step(state, work, sample[:3], sample[3:], dt, noise, True)
-        start = stop
-
-
-@kernel
 def propagate(state, work, rate, force, dt, noise, from_imu):
-    """Propagate by dt (s): `step`."""
-    step(state, work, rate, force, dt, noise, from_imu)
-
-
-@helper
-def step(state, work, rate, force, dt, noise, from_imu):
     """Propagate by dt (s) with the rate and specific force (3,) of base_link at the midpoint.
 
     Midpoint rule, with R_m = R Exp(w dt/2) and a = R_m f + g. from_imu: they are raw samples, whose
@@ -312,6 +283,29 @@ def step(state, work, rate, force, dt, noise, from_imu):
     congruence(state.cov, work.wide, work.product)
     for i in range(ERROR):
         state.cov[i, i] += dt / 2 * noise[i]
+
+
+@kernel
+def propagate_through(state, work, stamps, samples, begin, end, noise, longest, rate, blind_noise):
+    """Propagate from `begin` to `end` (ns) in steps between the IMU samples.
+
+    stamps (n,) in ns, rising, and samples (n, 6) [w, f] in base_link, of which each step takes the
+    value at its midpoint. A step longer than `longest` (ns) is made at constant velocities, with
+    the angular velocity `rate` (3,) and blind_noise (15,), without the samples.
+    """
+    start, sample = begin, work.sample
+    for i in range(stamps.shape[0] + 1):
+        stop = min(stamps[i], end) if i < stamps.shape[0] else end
+        if stop <= start:
+            continue
+        dt = (stop - start) / SECOND
+        if stop - start > longest:
+            sample[0], sample[1], sample[2] = 0.0, 0.0, GRAVITY
+            propagate(state, work, rate, sample[:3], dt, blind_noise, False)
+        else:
+            interpolate(sample, stamps, samples, (start + stop) // 2)
+            propagate(state, work, sample[:3], sample[3:], dt, noise, True)
+        start = stop
 
 
 @helper

@@ -24,7 +24,7 @@ from slot_core.dynamixel.bus import Answer, Bus
 from slot_core.dynamixel.checks import ServoInfo, examine, expected
 from slot_core.dynamixel.errors import PortError, RefusedError, ServoError
 from slot_core.dynamixel.host_pid import HostPid
-from slot_core.dynamixel.joints import Joint, checked_joints, joints
+from slot_core.dynamixel.joints import Joint, joints
 from slot_core.dynamixel.port import SerialPort, check_latency
 from slot_core.dynamixel.settings import DynamixelSettings
 from slot_core.dynamixel.state import Cycle, Health, ServoReading, TorqueOff
@@ -161,7 +161,7 @@ class Driver:
         zeros = list(self.settings.joints.zero_deg)
         zeros[index] = zero_deg
         settings = config.replace(self.settings, {"joints.zero_deg": tuple(zeros)})
-        self.joints, self.settings = checked_joints(settings.joints), settings
+        self.joints, self.settings = joints(settings.joints), settings
         joint = self.joints[index]
         for register in ("min_position_limit", "max_position_limit"):
             self.bus.write_verified(joint.id, register, expected(self.settings, joint)[register])

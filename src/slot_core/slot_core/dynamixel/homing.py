@@ -13,7 +13,7 @@ import yaml
 from slot_core import config
 from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.errors import RefusedError
-from slot_core.dynamixel.joints import Joint, checked_joints
+from slot_core.dynamixel.joints import Joint, joints
 from slot_core.dynamixel.settings import DynamixelSettings
 from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.robot import LEGS
@@ -56,6 +56,6 @@ def write_zero(leg: str, zero_deg: float) -> Path:
     values[LEGS.index(leg)] = f"{zero_deg:.2f}"
     changed = text[: line.start(2)] + ", ".join(values) + text[line.end(2) :]
     settings = config.build(DynamixelSettings, yaml.safe_load(changed), path.name)
-    checked_joints(settings.joints)
+    joints(settings.joints)
     path.write_text(changed)
     return path

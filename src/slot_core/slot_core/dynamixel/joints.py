@@ -74,35 +74,30 @@ class Joint:
         return min(ends) - margin, max(ends) + margin
 
 
-def checked_joints(settings: JointSettings) -> tuple[Joint, ...]:
-    """`joints`; raises ConfigError for what they cannot have."""
-    try:
-        return joints(settings)
-    except ValueError as error:
-        raise ConfigError(f"dynamixel.yaml: {error}") from None
-
-
 def joints(settings: JointSettings) -> tuple[Joint, ...]:
     """The four joints.
 
-    Raises ValueError for two equal ids, a direction of 0, an empty range of tendon angles, or
+    Raises ConfigError for two equal ids, a direction of 0, an empty range of tendon angles, or
     position limits that are not within one turn of the encoder.
     """
     if len(set(settings.ids)) < len(LEGS):
-        raise ValueError(f"joints.ids = {settings.ids}: two servos with one id")
+        raise ConfigError(f"dynamixel.yaml: joints.ids = {settings.ids}: two servos with one id")
     if 0 in settings.direction:
-        raise ValueError(f"joints.direction = {settings.direction}: expected 1 or -1")
+        raise ConfigError(
+            f"dynamixel.yaml: joints.direction = {settings.direction}: expected 1 or -1"
+        )
     if settings.low_deg >= settings.high_deg:
-        raise ValueError(
-            f"joints.low_deg = {settings.low_deg}: not below high_deg = {settings.high_deg}"
+        raise ConfigError(
+            f"dynamixel.yaml: joints.low_deg = {settings.low_deg}: not below high_deg ="
+            f" {settings.high_deg}"
         )
     found = tuple(_joint(settings, index) for index in range(len(LEGS)))
     for joint in found:
         low, high = joint.limits()
         if low < 0 or high >= COUNTS:
-            raise ValueError(
-                f"{joint.name}: its range, {low} to {high} counts, is not within one turn;"
-                " mount the spool at another angle"
+            raise ConfigError(
+                f"dynamixel.yaml: {joint.name}: its range, {low} to {high} counts, is not within"
+                " one turn; mount the spool at another angle"
             )
     return found
 

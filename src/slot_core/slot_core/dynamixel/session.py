@@ -84,6 +84,11 @@ class ServoSession:
         """Limits that the supervisor has sent, or None."""
         return self._guard.limits
 
+    @property
+    def clock_jump(self) -> float:
+        """Largest difference between a stamp and the present, s; inf without limits."""
+        return self._guard.clock_jump
+
     def set_limits(self, limits: ServoLimits) -> None:
         """Take the supervisor's limits; raises ConfigError as `CommandGate` does."""
         self._guard.set_limits(limits)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from slot_core.robot import Array
 from slot_core.safety.command_gate import AT_REST
 from slot_core.safety.command_watchdog import CommandWatchdog, Permission
@@ -22,6 +24,11 @@ class CommandGuard:
     def limits(self) -> ServoLimits | None:
         """Limits that the supervisor has sent, or None."""
         return None if self.watchdog is None else self.watchdog.limits
+
+    @property
+    def clock_jump(self) -> float:
+        """Largest difference between a stamp and the present, s; inf without limits."""
+        return math.inf if self.limits is None else self.limits.clock_jump
 
     def set_limits(self, limits: ServoLimits) -> None:
         """Use these limits from now on; raises ConfigError as `CommandGate` does."""

@@ -137,8 +137,7 @@ class GuardedServos:
     @property
     def clock_jump(self) -> float:
         """Largest difference between a command's stamp and the present, s; inf without limits."""
-        limits = self._guard.limits
-        return math.inf if limits is None else limits.clock_jump
+        return self._guard.clock_jump
 
     def set_limits(self, limits: ServoLimits) -> None:
         """Set the limits of the supervisor; raises ConfigError as `CommandGate` does."""

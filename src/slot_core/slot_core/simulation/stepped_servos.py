@@ -8,7 +8,6 @@ every second one they report, and the supervisor steps on the report.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections import deque
 from contextlib import suppress
 
@@ -104,8 +103,7 @@ class DrivenServos:
     @property
     def clock_jump(self) -> float:
         """Largest difference between a command's stamp and the present, s; inf without limits."""
-        limits = self.session.limits
-        return math.inf if limits is None else limits.clock_jump
+        return self.session.clock_jump
 
     def set_limits(self, limits: ServoLimits) -> None:
         """Set the limits of the supervisor; raises ConfigError as `CommandGate` does."""
