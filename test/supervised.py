@@ -226,9 +226,9 @@ class DelayedLoop(ClosedLoop):
             now = self.plant.now
             for node in nodes:
                 s.receive_heartbeat(now, node)
-            s.receive_gait(now, tick.preview.period)
             s.receive_estimate(now, tick.estimate)
-            s.receive_mpc(now, tick.result.status, tick.result.fallback_cycles)
+            result = tick.result
+            s.receive_from_mpc(now, result.status, result.fallback_cycles, tick.preview.period)
             receive = partial(self._receive_command, tick.estimate.stamp, tick.command.angle)
             if delay := self._delay(k):
                 self.plant._schedule_action(now + round(delay * 1e9), receive)

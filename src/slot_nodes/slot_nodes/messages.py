@@ -261,8 +261,8 @@ def preview_to_msg(preview: gait.GaitPreview) -> GaitPreview:
     )
 
 
-def forces_to_msg(stamp: int, result: MpcResult, pace: Pace) -> GroundReactionForces:
-    """Forces with the figures of the solve, and the counts of overruns and skipped states."""
+def forces_to_msg(stamp: int, result: MpcResult, period: float, pace: Pace) -> GroundReactionForces:
+    """Forces, figures of the solve, period of the gait, counts of overruns and skipped states."""
     return GroundReactionForces(
         header=header(stamp),
         force=[_vector(f) for f in result.force],
@@ -277,6 +277,7 @@ def forces_to_msg(stamp: int, result: MpcResult, pace: Pace) -> GroundReactionFo
         violation=result.violation,
         residual=result.residual,
         mass=result.mass,
+        period=period,
         slack_normal_min=result.slack_normal_min.tolist(),
         slack_normal_max=result.slack_normal_max.tolist(),
         slack_friction=result.slack_friction.tolist(),

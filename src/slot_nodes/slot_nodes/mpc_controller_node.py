@@ -45,7 +45,7 @@ class MpcControllerNode(Node):
         (number, state), preview = matched
         result = self._mpc.step(state, preview)
         self._pace.add(number, result.solve_time, preview.dt)
-        self._forces.publish(messages.forces_to_msg(stamp, result, self._pace))
+        self._forces.publish(messages.forces_to_msg(stamp, result, preview.period, self._pace))
         if result.status != Status.SOLVED:
             self.get_logger().warning(
                 f"{result.status.name}, fallback cycle {result.fallback_cycles}: {result.message}",

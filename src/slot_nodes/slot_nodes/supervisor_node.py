@@ -35,7 +35,6 @@ from slot_core.safety.tendon_watch import read_tendon_watch
 from slot_core.safety.ticked_supervisor import LockstepInputs, TickedSupervisor
 from slot_core.simulation.clocks import LOCKSTEP_START
 from slot_msgs.msg import (
-    GaitPreview,
     GroundReactionForces,
     MpcState,
     RobotState,
@@ -104,9 +103,8 @@ class SupervisorNode(Node):
         return [Request.READY, Request.STAND, *[Request.WALK][:walks]]
 
     def _subscribe_to_controller(self) -> None:
-        """Subscribe to the controller; a missing gait preview shows as missing forces."""
+        """Subscribe to the controller; a silent gait scheduler shows as missing forces."""
         inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.CONTROL)
-        inputs.subscribe(self, GaitPreview, "gait_preview", self._on_preview, qos.CONTROL)
         inputs.subscribe(
             self, GroundReactionForces, "ground_reaction_forces", self._on_forces, qos.CONTROL
         )
@@ -141,20 +139,12 @@ class SupervisorNode(Node):
             lambda now: self._supervisor.receive_from_estimator(now, estimate),
         )
 
-    def _on_preview(self, message: GaitPreview) -> None:
-        period = message.period
-        self._take(
-            "gait_scheduler",
-            decode.stamp(message),
-            lambda now: self._supervisor.receive_gait(now, period),
-        )
-
     def _on_forces(self, message: GroundReactionForces) -> None:
         self._take(
             "mpc_controller",
             decode.stamp(message),
             lambda now: self._supervisor.receive_from_mpc(
-                now, message.status, message.fallback_cycles
+                now, message.status, message.fallback_cycles, message.period
             ),
         )
 

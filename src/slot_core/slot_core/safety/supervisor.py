@@ -141,9 +141,10 @@ class Supervisor:
         self.receive_heartbeat(now, "state_estimator")
         self.receive_estimate(now, estimate)
 
-    def receive_from_mpc(self, now: int, status: int, fallback_cycles: int) -> None:
-        """A message of the MPC's node: its heartbeat, and the status of a cycle."""
+    def receive_from_mpc(self, now: int, status: int, fallback_cycles: int, stride: float) -> None:
+        """A message of the MPC's node: its heartbeat, status of a cycle, period of the gait."""
         self.receive_heartbeat(now, "mpc_controller")
+        self.receive_gait(now, stride)
         self.receive_mpc(now, status, fallback_cycles)
 
     def receive_from_force_map(self, now: int, stamp: int, angle: Array, rate: Array) -> str:

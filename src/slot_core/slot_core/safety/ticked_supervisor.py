@@ -14,8 +14,7 @@ from slot_core.safety.settings import NODES
 from slot_core.safety.start_up import StartUp
 from slot_core.safety.supervisor import Report, Supervisor
 
-CONTROLLER = ("gait_scheduler", *NODES)  # answer every tick
-SOURCES = ("joints", *CONTROLLER, "e-stop")  # inputs of one time are taken in this order
+SOURCES = ("joints", *NODES, "e-stop")  # inputs of one time are taken in this order
 Take = Callable[[int], object]
 
 
@@ -45,13 +44,13 @@ class TickedSupervisor:
 class LockstepInputs:
     """Messages of a graph in lockstep, until all that precede a report of the servos are there.
 
-    A report names the newest command at the servos and when it arrived there. Estimate, preview and
-    forces of that stamp precede it, and are given the same time of arrival; joints have their own.
+    A report names the newest command at the servos and when it arrived there. Estimate, forces and
+    command of that stamp precede it, and are given the same time of arrival; joints have their own.
     """
 
     def __init__(self) -> None:
         self._waiting: list[tuple[str, int, Take]] = []
-        self._newest = dict.fromkeys(CONTROLLER, 0)  # ns, stamp
+        self._newest = dict.fromkeys(NODES, 0)  # ns, stamp
 
     def add(self, source: str, stamp: int, take: Take) -> None:
         """A message of a node or of the "joints"; `take` is called with its time of arrival."""

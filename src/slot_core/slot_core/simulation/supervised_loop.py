@@ -167,9 +167,8 @@ class SupervisedLoop:
 
 _MESSAGES: dict[str, Callable[[Supervisor, Tick, int], object]] = {
     "state_estimator": lambda s, tick, now: s.receive_from_estimator(now, tick.estimate),
-    "gait_scheduler": lambda s, tick, now: s.receive_gait(now, tick.preview.period),
     "mpc_controller": lambda s, tick, now: s.receive_from_mpc(
-        now, tick.result.status, tick.result.fallback_cycles
+        now, tick.result.status, tick.result.fallback_cycles, tick.preview.period
     ),
     "force_mapper": lambda s, tick, now: s.receive_from_force_map(
         now, tick.estimate.stamp, tick.command.angle, tick.command.rate
