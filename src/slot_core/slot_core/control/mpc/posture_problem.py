@@ -21,9 +21,15 @@ about the references, with u_b the least deviations that balance e + d at q_ref,
 
     0 <= theta <= theta_max,   |u| <= correction_max,   f_i >= -s_k,   s_k >= 0.
 
-The slack s_k keeps the problem feasible from every state. The disturbance d (3,) is observed: the
-wrench that is missing from the balance of springs and gravity at the measured posture, low-pass
-filtered. It removes the steady error by payload, slope or wrong stiffness.
+The slack s_k keeps the problem feasible from every state. The disturbance d (3,) is observed: what
+is missing from the balance at the measured posture q and rate q', low-pass filtered with the time
+constants T_d of height and tilt,
+
+    T_d d' = -(A (q - q_ref + motion T_d q') + B a + e) - d.
+
+It removes the steady error by payload, slope or wrong stiffness. The balance is the linear one of
+the prediction, so that a posture at its reference is at rest. A moving torso is out of balance by
+the friction of its feet, which would count as a disturbance without the term of q'.
 
 Friction. A foot that sticks makes the leg stiff and, for small changes of the angle, even reverses
 its effect: winding the tendon first pulls the torso down. So
@@ -73,7 +79,9 @@ class PostureOptions:
     correction_max_deg: float = quantity("largest deviation from the gait", "deg", 0, 120)
     settling: float = quantity("time constant of the torso on sliding feet", "s", 1e-3, 10)
     lag: float = quantity("time constant of the servo", "s", 1e-3, 1)
-    observer_time: float = quantity("time constant of the disturbance, 0: none", "s", 0, 100)
+    height_observer: float = quantity("time constant of the disturbance, force", "s", 0.01, 1e6)
+    tilt_observer: float = quantity("time constant of the disturbance, moments", "s", 0.01, 1e6)
+    motion: float = quantity("share of these in which motion is no disturbance", "", 0, 10)
     force_disturbance: float = quantity("largest disturbance, force", "N", 0, 100)
     moment_disturbance: float = quantity("largest disturbance, moments", "N m", 0, 10)
     height_tolerance: float = quantity("error of the height that is ignored", "m", 1e-6, 0.1)
@@ -107,6 +115,7 @@ class PostureProblem:
         self._tolerance = np.array([o.height_tolerance, o.tilt_tolerance, o.tilt_tolerance])
         m = o.moment_disturbance
         self._bound = np.array([o.force_disturbance, m, m])
+        self._observer_time = np.array([o.height_observer, o.tilt_observer, o.tilt_observer])
         self.disturbance = np.zeros(POSTURE)  # N, N m
         self._spool = np.zeros(FEET)  # rad, tendon angles by the model of the servos
         self._command = np.zeros(FEET)  # rad, commanded last, without dither
@@ -142,8 +151,12 @@ class PostureProblem:
         self._update_dither(np.abs(error - inside) / self._tolerance, elapsed)
         postures = np.vstack([reference, posture, reference[0] + error - inside])
         heights = self._robot.clamp_heights(*postures.T)
-        self._observe(heights[-1], elapsed)
-        self._linearise(heights[:-2], preview.dt)
+        springs = self._springs.at(self._nominal, heights[:-2])
+        self._slope, self._stiffness = springs.slope, springs.stiffness
+        self._legs = springs.contact, springs.slope, springs.stiffness, self._force_ref
+        moved = self._options.motion * self._observer_time * state[[11, 6, 7]]
+        self._observe(heights[-1] - heights[0] + self._rise @ moved, elapsed)
+        self._linearise(preview.dt)
         self._reaction = self._stiffness[0] * (heights[-2] - heights[0])  # N, of the springs
         self._start = np.concatenate([error - inside, self._spool - self._nominal[0]])
         limit = math.radians(self._options.correction_max_deg)
@@ -239,14 +252,13 @@ class PostureProblem:
         """Part (4,) N of the commanded forces that is dither."""
         return self._slope[0] * (self._sign * self._dither) * DIAGONALS
 
-    def _observe(self, height: Array, elapsed: float) -> None:
-        """Filter the wrench missing from the balance of springs and gravity at heights (4,), m."""
-        if self._options.observer_time == 0.0 or elapsed == 0.0:
-            return
-        legs = self._springs.at(self._spool, height)
-        lacking = -self._levers(legs.contact) @ np.maximum(legs.force, 0.0)
+    def _observe(self, raised: Array, elapsed: float) -> None:
+        """Filter the wrench missing from the balance with the clamps `raised` (4,) m."""
+        contact, slope, stiffness, force_ref = (part[0] for part in self._legs)
+        force = force_ref + slope * (self._spool - self._nominal[0]) + stiffness * raised
+        lacking = -self._levers(contact) @ np.maximum(force, 0.0)
         lacking[0] += self._weight
-        share = -math.expm1(-elapsed / self._options.observer_time)
+        share = -np.expm1(-elapsed / self._observer_time)
         filtered = self.disturbance + share * (lacking - self.disturbance)
         self.disturbance = np.clip(filtered, -self._bound, self._bound)
 
@@ -257,12 +269,9 @@ class PostureProblem:
         y = clamps[:, 1] + contact * outward[:, 1]
         return np.stack([np.ones_like(x), y, -x], axis=-2)
 
-    def _linearise(self, height: Array, dt: float) -> None:
-        """Discrete model of every stage about the gait's angles and clamp heights (H, 4), m."""
+    def _linearise(self, dt: float) -> None:
+        """Discrete model of every stage about the gait's angles and the reference posture."""
         o, count = self._options, self._horizon
-        springs = self._springs.at(self._nominal, height)
-        self._slope, self._stiffness = springs.slope, springs.stiffness
-        self._legs = springs.contact, springs.slope, springs.stiffness, self._force_ref
         # trapezoidal rule: x' = (target - x) / T gives x_k+1 = keep x_k + (1 - keep) mean target
         keep, held = ((2 * time - dt) / (2 * time + dt) for time in (o.settling, o.lag))
         shift = np.zeros((count, POSTURE, FEET + 1))  # of the equilibrium, by a and by e + d
