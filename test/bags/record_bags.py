@@ -1,11 +1,12 @@
 """Records the bags of this directory in lockstep, and compares their figures with those before.
 
 A bag is recorded by the graph as a user runs it, then thinned to what a replay and the figures
-need: it has to stay below SIZE_MAX in the repository.
+need, and cut off at its duration: it has to stay below SIZE_MAX in the repository.
 """
 
 import argparse
 import dataclasses
+import math
 import os
 import shutil
 import sys
@@ -23,10 +24,12 @@ from real_graph import changed_config
 from slot_bringup import run
 from slot_bringup.graph import read_graph
 from slot_bringup.monitor import RunError, listener
+from slot_core.bags import decode
 from slot_core.bags.bag import Bag
 from slot_core.bags.bag_writer import BagWriter
 from slot_core.bags.origin import CONFIGURATION, Origin
 from slot_core.bags.record_settings import read_record_settings
+from slot_core.clock import SECOND
 from slot_core.dynamics.servo import read_servo
 from slot_core.report.metrics import walk_metrics
 from slot_core.safety.states import State
@@ -54,7 +57,7 @@ sensors.odometry.dropouts:
 class Case:
     """A bag to record: options of scripts/run, and what else happens."""
 
-    duration: float  # s, from the first tick on
+    duration: float  # s, by the stamps of the odometry
     options: tuple[str, ...] = ()
     scene: str = ""  # content of a scene file of its own
     velocity: tuple[float, float] | None = None  # m/s, rad/s on /cmd_vel while it walks
@@ -62,11 +65,11 @@ class Case:
 
 
 CASES = {
-    "walk": Case(1.37, keeps=("/ground_truth/legs", "/tf")),
-    "turn": Case(1.65, velocity=(0.03, 0.15)),
-    "path": Case(1.5, ("--path", str(BAGS / "path.csv"))),
-    "fault": Case(1.8, scene=BROKEN),
-    "lost_odometry": Case(1.8, scene=LOST),
+    "walk": Case(1.65, keeps=("/ground_truth/legs", "/tf")),
+    "turn": Case(1.95, velocity=(0.03, 0.15)),
+    "path": Case(1.82, ("--path", str(BAGS / "path.csv"))),
+    "fault": Case(2.08, scene=BROKEN),
+    "lost_odometry": Case(2.08, scene=LOST),
 }
 
 
@@ -84,7 +87,7 @@ def record(name: str, case: Case, scratch: Path) -> Path:
             run.run(run.parse([*options, "--bag", str(recorded)], graph), graph, recorded)
         except RunError as error:
             print(f"{name}: {error}", file=sys.stderr)
-    return thinned(Bag(recorded), scratch / name, case.keeps)
+    return thinned(Bag(recorded), scratch / name, case)
 
 
 @contextmanager
@@ -112,13 +115,16 @@ def commanded(velocity: tuple[float, float] | None) -> Iterator[None]:
             thread.join()
 
 
-def thinned(bag: Bag, path: Path, keeps: tuple[str, ...]) -> Path:
-    """Copy of a bag without the topics of LEFT_OUT, and without the configuration's files."""
+def thinned(bag: Bag, path: Path, case: Case) -> Path:
+    """Copy of a bag up to its duration, without LEFT_OUT and the configuration's files."""
+    odometry = [(time, decode.stamp(message)) for time, message in bag.messages("/odom")]
+    end = odometry[0][1] + case.duration * SECOND
+    after = min((time for time, stamp in odometry if stamp > end), default=math.inf)
     files = {name: data for name, data in bag.origin.files.items() if name != CONFIGURATION}
     settings = dataclasses.replace(read_record_settings(), split=0.0)
     with BagWriter(path, settings, Origin(bag.origin.about, files)) as out:
         for topic, time, data in bag.raw():
-            if topic not in LEFT_OUT or topic in keeps:
+            if time < after and (topic not in LEFT_OUT or topic in case.keeps):
                 out.write(topic, bag.topics[topic], time, data)
     return path
 
