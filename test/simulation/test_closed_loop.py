@@ -7,11 +7,14 @@ import pytest
 
 from slot_core.config import ConfigError
 from slot_core.control.state_estimator import Validity
+from slot_core.control.mpc.mpc import read_mpc
 from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
 from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 
 PERIOD = read_scene("flat").sensors.odometry.period  # s
+CHANGE = read_mpc().posture.change  # weight of the change of the angles in a posture
 
 
 def walk(duration, scene="flat", gait="walk", velocity=(0.05, 0.0, 0.0), seed=0, **options):
@@ -136,6 +139,24 @@ def test_a_payload_off_the_centre_is_carried_at_the_commanded_height_and_level()
     assert held["default"][0] < 1e-3
     assert np.degrees(held["default"][1]).max() < 0.3
     assert held["forces"][0] > 5e-3
+
+
+WRONG_MODELS = {
+    "none": {},
+    "modulus -20 %": {"robot.leg.young_modulus": 0.8 * read_robot().leg.young_modulus},
+    "modulus +20 %": {"robot.leg.young_modulus": 1.2 * read_robot().leg.young_modulus},
+    "servos' lag doubled": {"servo.lag": 2.0 * read_servo().lag},
+    "angles that change a third faster": {"mpc.posture.change": 0.75 * CHANGE},
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG_MODELS)
+def test_a_robot_that_leaps_from_its_belly_to_standing_settles(wrong):
+    """Measured within 1.7 s. With half the weight of the angles' change it would not settle."""
+    changes = {"scene.start.tendon_angle_deg": 0.0, **WRONG_MODELS[wrong]}
+    position, _, _ = walk(3.0, gait="stand", velocity=(0.0, 0.0, 0.0), changes=changes)
+    assert position[:, 2].max() > 0.05  # it leaps
+    assert position[after(2.0), 2] == pytest.approx(0.04, abs=2e-3)
 
 
 def test_estimate_follows_the_truth(minute):
