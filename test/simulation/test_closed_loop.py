@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from slot_core.config import ConfigError
-from slot_core.control.state_estimator import Validity
 from slot_core.control.mpc.mpc import read_mpc
+from slot_core.control.state_estimator import Validity
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.robot import read_robot
