@@ -50,7 +50,7 @@ def test_a_robot_that_has_lain_slack_stands_up_without_a_leap():
     request(loop, Request.STAND)
     t, height = heights(loop, 5.0)
     assert height.max() < 50.0
-    # 0.8 mm; 2 mm, of a dither that the rate of standing up would clip, up to 8 s
+    # 0.3 mm; 2 mm, of a dither that the rate of standing up would clip, up to 8 s
     assert np.abs(height[t > 3.0] - 40.0).max() < 1.0
 
 
