@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.locomotion.cases import slow_servos, stiffness
 from slot_core.config import ConfigError
 from slot_core.control.mpc.mpc import read_mpc
 from slot_core.control.state_estimator import Validity
 from slot_core.dynamics.scene import read_scene
-from slot_core.dynamics.servo import read_servo
 from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 
@@ -143,9 +143,9 @@ def test_a_payload_off_the_centre_is_carried_at_the_commanded_height_and_level()
 
 WRONG_MODELS = {
     "none": {},
-    "modulus -20 %": {"robot.leg.young_modulus": 0.8 * read_robot().leg.young_modulus},
-    "modulus +20 %": {"robot.leg.young_modulus": 1.2 * read_robot().leg.young_modulus},
-    "servos' lag doubled": {"servo.lag": 2.0 * read_servo().lag},
+    "modulus -20 %": dict(stiffness(0.8)),
+    "modulus +20 %": dict(stiffness(1.2)),
+    "servos' lag doubled": dict(slow_servos(2.0)),
     "angles that change a third faster": {"mpc.posture.change": 0.75 * CHANGE},
 }
 

@@ -142,10 +142,11 @@ class Supervisor:
         self.receive_estimate(now, estimate)
 
     def receive_from_mpc(self, now: int, status: int, fallback_cycles: int, stride: float) -> None:
-        """A message of the MPC's node: its heartbeat, status of a cycle, period of the gait."""
+        """A message of the MPC's node: its heartbeat, status of a cycle, period of the gait, s."""
         self.receive_heartbeat(now, "mpc_controller")
-        self.receive_gait(now, stride)
         self.receive_mpc(now, status, fallback_cycles)
+        if np.isfinite(stride) and stride > 0.0:
+            self._stride = float(stride)
 
     def receive_from_force_map(self, now: int, stamp: int, angle: Array, rate: Array) -> str:
         """A message of the force mapper: its heartbeat, and the command; as `receive_command`."""
@@ -155,12 +156,6 @@ class Supervisor:
     def receive_estop(self, now: int, pressed: bool) -> None:
         """State of the e-stop, which its source repeats within `timing.estop`."""
         self._inputs.receive_estop(self._advance(now), pressed)
-
-    def receive_gait(self, now: int, stride: float) -> None:
-        """Period of the present gait, s."""
-        self._advance(now)
-        if np.isfinite(stride) and stride > 0.0:
-            self._stride = float(stride)
 
     def receive_mpc(self, now: int, status: int, fallback_cycles: int) -> None:
         """Status of a cycle of the MPC (`mpc.Status`), and cycles since the last solution."""
