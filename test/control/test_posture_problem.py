@@ -398,7 +398,7 @@ def test_a_disturbance_is_forgotten_during_a_stride():
 def test_the_disturbance_stays_within_its_bounds():
     mpc = new_mpc()
     for tick in range(60):
-        mpc.step(state(0.02, 0.2, -0.2), preview(tick=tick))
+        mpc.step(state(0.0165, 0.2, -0.2), preview(tick=tick))
     moment = OPTIONS.moment_disturbance
     expected = [OPTIONS.force_disturbance, moment, moment]
     assert np.abs(mpc.problem.disturbance).tolist() == expected

@@ -21,6 +21,7 @@ import yaml
 
 T = TypeVar("T")
 SIZE_MAX = 1_000_000  # bytes of a configuration file
+DEPTH_MAX = 100  # nested collections of a YAML text
 
 
 class ConfigError(ValueError):
@@ -64,7 +65,7 @@ def load(name: str) -> Any:
     """Content of `<config_dir>/<name>.yaml`, unchecked.
 
     Raises ConfigError if the file is missing (the message lists the known names), no regular file,
-    larger than SIZE_MAX or not YAML, if it repeats a key, or nests deeper than Python's stack.
+    larger than SIZE_MAX or not YAML, if it repeats a key, or nests deeper than DEPTH_MAX.
     """
     path = config_dir() / f"{name}.yaml"
     try:
@@ -74,12 +75,20 @@ def load(name: str) -> Any:
         raise ConfigError(f"no configuration {name!r} (known: {known})") from None
     except (OSError, ValueError, yaml.YAMLError) as error:
         raise ConfigError(f"{name}.yaml: {' '.join(str(error).split())}") from None
-    except RecursionError:
-        raise ConfigError(f"{name}.yaml: nested too deeply") from None
 
 
 def parse(text: str) -> Any:
-    """Content of a YAML text; raises yaml.YAMLError, also where a mapping repeats a key."""
+    """Content of a YAML text.
+
+    Raises yaml.YAMLError, also where a mapping repeats a key, and ValueError if it nests deeper
+    than DEPTH_MAX; the loader in C would overflow its stack.
+    """
+    depth = 0
+    for event in yaml.parse(text, yaml.CSafeLoader):
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if depth > DEPTH_MAX:
+            raise ValueError(f"nested deeper than {DEPTH_MAX} levels")
     return yaml.load(text, _UniqueKeyLoader)
 
 
@@ -93,7 +102,7 @@ def _read_text(path: Path) -> str:
     return path.read_text()
 
 
-class _UniqueKeyLoader(yaml.SafeLoader):
+class _UniqueKeyLoader(yaml.CSafeLoader):
     """YAML's safe loader, which refuses a mapping that repeats a key."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
