@@ -5,13 +5,12 @@ import dataclasses
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from slot_core.clock import SECOND
+from slot_core.clock import LOCKSTEP_START, SECOND
 from slot_core.emulator.memory import TRIPPED
 from slot_core.faults import Fault
 from slot_core.robot import read_robot
 from slot_core.safety.command_gate import Action
 from slot_core.safety.states import State
-from slot_core.simulation.clocks import LOCKSTEP_START
 from slot_core.simulation.sensors import OdometryReading
 from slot_core.simulation.stepped_servos import CYCLE, DrivenServos
 from slot_core.simulation.supervised_loop import SupervisedLoop

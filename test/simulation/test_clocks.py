@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slot_core import config
-from slot_core.clock import SECOND
+from slot_core.clock import LOCKSTEP_START, SECOND
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamixel.driver import Driver
@@ -17,7 +17,6 @@ from slot_core.safety.settings import read_supervisor
 from slot_core.safety.supervisor import PERIOD as SUPERVISOR
 from slot_core.simulation.bus_plant import BusPlant
 from slot_core.simulation.clocks import (
-    LOCKSTEP_START,
     PATIENCE,
     BusClock,
     LockstepClock,

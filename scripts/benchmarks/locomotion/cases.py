@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.clock import LOCKSTEP_START
 from slot_core.control.gait import read_gaits
 from slot_core.control.path import Path
 from slot_core.control.reference import mean_velocity
@@ -18,7 +19,6 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.robot import GRAVITY, Array, read_robot
 from slot_core.safety.settings import read_supervisor
-from slot_core.simulation.clocks import LOCKSTEP_START
 from slot_core.simulation.closed_loop import ClosedLoop
 
 DT = read_scene("flat").sensors.odometry.period  # s, between ticks

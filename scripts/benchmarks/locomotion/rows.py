@@ -93,7 +93,7 @@ def rows(quick: bool) -> list[Row]:
 
 def directions(quick: bool) -> list[Case]:
     """Walks in all directions at one speed, for the row and its picture."""
-    angles = np.radians(np.arange(0, 360, 90 if quick else 30))
+    angles = np.radians(np.arange(0, 360, 60 if quick else 30))
     velocities = DIRECTION_SPEED * np.column_stack([np.cos(angles), np.sin(angles)])
     return [_fast(_round(v_x), _round(v_y)) for v_x, v_y in velocities]
 

@@ -8,7 +8,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numba
@@ -60,6 +60,17 @@ class Exact:
     robot: Robot
     contact: Contact
 
+    @cached_property
+    def _length(self) -> float:
+        return self.robot.leg.arc_length()
+
+    @cached_property
+    def _shape(self) -> tuple[Array, Array]:
+        """Coefficients of the natural shape's first and second derivative, highest power first."""
+        shape = self.robot.leg.shape
+        first, second = (shape.deriv(k).convert().coef[::-1] for k in (1, 2))
+        return first, second
+
     def stand(self, angle: Array, load: float, guess: Array) -> Array:
         """(n,) m, heights of the clamp for angles (n,) rad, from guesses (n, 3) of the unknowns.
 
@@ -93,7 +104,7 @@ class Exact:
     def _ends(self, angle: Array, u: Array, height: Array, force: Array) -> Array:
         """(3, n) residuals of V and M at the tip and of the cable's law."""
         tendon, leg = self.robot.tendon, self.robot.leg
-        length = leg.arc_length()
+        length = self._length
         anchor = tendon.end_fraction * length
         places = sorted({anchor, length, *(f * length for f in self.contact.fraction)})
         points = {f * length: k for f, k in zip(self.contact.fraction, self.contact.stiffness)}
@@ -115,7 +126,7 @@ class Exact:
         return np.array([y[4], y[3], law])
 
     def _integrate(self, y: Array, begin: float, end: float, pull: Array) -> Array:
-        steps = math.ceil(STEPS * (end - begin) / self.robot.leg.arc_length())
+        steps = math.ceil(STEPS * (end - begin) / self._length)
         h = (end - begin) / steps
         for i in range(steps):
             s = begin + i * h
@@ -128,13 +139,14 @@ class Exact:
 
     def _slope(self, s: float, y: Array, pull: Array) -> Array:
         """(7, n) dy/ds of y = (x, z, phi, M, V, extension so far, x of the natural shape)."""
-        leg, shape = self.robot.leg, self.robot.leg.shape
+        leg = self.robot.leg
         thickness = leg.thickness_clamp + (leg.thickness_tip - leg.thickness_clamp) * (
-            s / leg.arc_length()
+            s / self._length
         )
         axial = leg.young_modulus * leg.width * thickness
-        ds = np.hypot(1.0, shape.deriv()(y[6]))
-        natural = shape.deriv(2)(y[6]) / ds**3
+        first, second = self._shape
+        ds = np.hypot(1.0, np.polyval(first, y[6]))
+        natural = np.polyval(second, y[6]) / ds**3
         cos, sin = np.cos(y[2]), np.sin(y[2])
         eps = (y[4] * sin - pull) / axial
         turn = natural + (y[3] - pull * self.robot.tendon.offset) / (axial * thickness**2 / 12)

@@ -23,6 +23,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
 from slot_core.bags import decode
+from slot_core.clock import LOCKSTEP_START
 from slot_core.control.gait import STAND, read_gaits
 from slot_core.control.state_estimator import Estimate, Validity
 from slot_core.robot import read_robot
@@ -33,7 +34,6 @@ from slot_core.safety.states import RELEASED, State
 from slot_core.safety.supervisor import PERIOD, Report, Request, Supervisor
 from slot_core.safety.tendon_watch import read_tendon_watch
 from slot_core.safety.ticked_supervisor import LockstepInputs, TickedSupervisor
-from slot_core.simulation.clocks import LOCKSTEP_START
 from slot_msgs.msg import (
     GroundReactionForces,
     MpcState,

@@ -204,10 +204,12 @@ class Bag:
     def _read_types(self, readers: list[Reader]) -> Types:
         """Types by the definitions in the bag, else by those installed."""
         all_connections = [c for reader in readers for c in reader.connections]
-        types = types_inside(
-            {c.msgtype: c.msgdef.data for c in all_connections
-             if c.msgdef.format == MessageDefinitionFormat.MSG}.items()
-        )  # fmt: skip
+        inside = {
+            c.msgtype: c.msgdef.data
+            for c in all_connections
+            if c.msgdef.format == MessageDefinitionFormat.MSG
+        }
+        types = types_inside(tuple(inside.items()))
         if not {c.msgtype for c in all_connections} <= types.fielddefs.keys():
             add_installed(types)
         return types

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -29,8 +28,12 @@ def add_installed(types: Types) -> None:
     add_definitions(types, {f"{PACKAGE}/msg/{path.stem}": path.read_text() for path in files})
 
 
-def types_inside(definitions: Iterable[tuple[str, str]]) -> Types:
-    """The types of Jazzy and those of (type name, definition) pairs from a bag."""
+@functools.lru_cache(maxsize=8)
+def types_inside(definitions: tuple[tuple[str, str], ...]) -> Types:
+    """The types of Jazzy and those of (type name, definition) pairs from a bag.
+
+    Kept, as the library compiles the decoder of every type anew for each store.
+    """
     types = get_typestore(Stores.ROS2_JAZZY)
     add_definitions(types, dict(definitions))
     return types

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from slot_core.clock import SECOND
+from slot_core.clock import LOCKSTEP_START, SECOND
 from slot_core.simulation.bus_plant import BusPlant
 from slot_core.simulation.plant import Plant, Reading, ServoReport
 from slot_core.simulation.sensors import OdometryReading, PictureReading
@@ -19,7 +19,6 @@ from slot_core.simulation.stepped_servos import DrivenServos, SteppedServos
 
 PATIENCE = SECOND // 2  # ns, longest wait for a late driver
 LONGEST_CALL = SECOND // 100  # ns, of a wait, between two calls: a longer one was late itself
-LOCKSTEP_START = 1_000_000_000  # ns; a stamp of zero means "no time" in ROS
 
 
 class LockstepClock:

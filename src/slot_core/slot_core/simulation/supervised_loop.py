@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from slot_core import config
-from slot_core.clock import SECOND
+from slot_core.clock import LOCKSTEP_START, SECOND
 from slot_core.control.controller import Tick
 from slot_core.control.gait import STAND
 from slot_core.control.mpc.mpc import DEFAULT_PROFILE
@@ -28,7 +28,6 @@ from slot_core.safety.supervisor import Report, Request, Supervisor
 from slot_core.safety.tendon_watch import read_tendon_watch
 from slot_core.safety.ticked_supervisor import TickedSupervisor
 from slot_core.simulation.bus_plant import BusPlant
-from slot_core.simulation.clocks import LOCKSTEP_START
 from slot_core.simulation.closed_loop import ClosedLoop, PlantMaker
 from slot_core.simulation.plant import Plant, Reading, ServoReport
 from slot_core.simulation.stepped_servos import stepped
