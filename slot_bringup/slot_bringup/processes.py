@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -67,7 +68,7 @@ class Processes:
     def stop(self, last: str = "") -> dict[str, int]:
         """Send SIGINT to every node, to `last` after the others; SIGKILL after STOP_TIMEOUT.
 
-        Returns the exit code of every node.
+        A line on stderr names a node that had to be killed. Returns the exit code of every node.
         """
         for names in (
             [n for n in self._children if n != last],
@@ -79,6 +80,8 @@ class Processes:
                 try:
                     self._children[name].wait(max(0.0, deadline - time.monotonic()))
                 except subprocess.TimeoutExpired:
+                    late = f"{name} did not end within {STOP_TIMEOUT:g} s of SIGINT: killed"
+                    print(f"scripts/run: {late}", file=sys.stderr)
                     self._signal([name], signal.SIGKILL)
                     self._children[name].wait()
         return {name: child.returncode for name, child in self._children.items()}
