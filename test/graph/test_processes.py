@@ -123,10 +123,8 @@ def test_run_in_real_time_keeps_its_pace_and_prints_a_summary(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("name", "number"),
-    [*((name, signal.SIGTERM) for name in sorted(NODES)), ("sim_robot", signal.SIGINT)],
-)
+@pytest.mark.parametrize("name", sorted(NODES))
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_node_ends_cleanly_on_a_signal(tmp_path, name, number):
     child = subprocess.Popen(
         command_line(NODES[name]), cwd=tmp_path, stderr=subprocess.PIPE, start_new_session=True

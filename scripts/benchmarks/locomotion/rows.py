@@ -125,10 +125,10 @@ def _speeds(quick: bool) -> list[Row]:
     held = [
         Case(duration, velocity=(v, 0.0, 0.0), changes=friction(mu))
         for v in commanded
-        for mu in ((0.2, 0.6) if quick else (0.2, 0.3, 0.4, 0.6))
+        for mu in (0.2, 0.3, 0.4, 0.6)
     ]
     found = [Row("v_x held, .02 to .055, mu .2 to .6", "mm/s", 2.0, held, worst(_speed_error))]
-    tried = (0.07,) if quick else (0.05, 0.055, 0.06, 0.065, 0.07)
+    tried = (0.065, 0.07) if quick else (0.05, 0.055, 0.06, 0.065, 0.07)
     fast = (0.08,) if quick else (0.075, 0.08)
     for mu, goal in ((0.2, 0.06), (0.4, 0.075), (0.6, 0.08)):
         cases = [Case(duration, velocity=(v, 0.0, 0.0), changes=friction(mu)) for v in tried]
