@@ -3,7 +3,7 @@
 import signal
 import sys
 
-from slot_bringup import INTERRUPTS
+from slot_bringup.interrupts import INTERRUPTS
 
 try:
     from slot_bringup.run import main

@@ -15,6 +15,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from slot_bringup import interrupts
 from slot_bringup.graph import absolute
 from slot_bringup.processes import Processes
 from slot_core.bags import decode
@@ -126,7 +127,8 @@ def require_no_other_graph(namespace: str = "") -> None:
         node.create_subscription(MpcState, "mpc_state", received.append, qos.CONTROL)
         end = time.monotonic() + DISCOVERY_TIME
         while time.monotonic() < end:
-            executor.spin_once(timeout_sec=0.05)
+            with interrupts.deferred():
+                executor.spin_once(timeout_sec=0.05)
             if received:
                 domain = node.context.get_domain_id()
                 raise RunError(
@@ -161,7 +163,8 @@ def _watch(
     refresh, end = (REFRESH_TERMINAL, "\r") if terminal else (REFRESH_LOG, "\n")
     shown = time.monotonic()
     while progress.elapsed < duration:
-        executor.spin_once(timeout_sec=0.1)
+        with interrupts.deferred():
+            executor.spin_once(timeout_sec=0.1)
         _check(progress, processes, attended)
         if time.monotonic() - shown > refresh:
             shown = time.monotonic()

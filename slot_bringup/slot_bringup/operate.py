@@ -34,7 +34,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from slot_bringup import operator_screen
+from slot_bringup import interrupts, operator_screen
 from slot_bringup.check import check_namespace
 from slot_bringup.monitor import listener
 from slot_core.bags import decode
@@ -108,7 +108,8 @@ def receive_state(namespace: str) -> RobotState:
         while not received:
             if time.monotonic() > end:
                 raise OperateError(_no_answer(node, "supervisor", SEARCH_TIME))
-            executor.spin_once(timeout_sec=0.1)
+            with interrupts.deferred():
+                executor.spin_once(timeout_sec=0.1)
         return received[0]
 
 
@@ -225,7 +226,8 @@ def _serve(executor: SingleThreadedExecutor, operator: Operator, keyboard: int) 
     """Handle messages and keys until the next redraw; return False to quit."""
     end = time.monotonic() + REFRESH
     while time.monotonic() < end:
-        executor.spin_once(timeout_sec=0.05)
+        with interrupts.deferred():
+            executor.spin_once(timeout_sec=0.05)
         if select.select([keyboard], [], [], 0.0)[0]:
             keys = os.read(keyboard, 64).decode(errors="replace")
             return bool(keys) and all([operator.press(key) for key in keys])

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -68,22 +69,26 @@ class Processes:
     def stop(self, last: str = "") -> dict[str, int]:
         """Send SIGINT to every node, to `last` after the others; SIGKILL after STOP_TIMEOUT.
 
-        A line on stderr names a node that had to be killed. Returns the exit code of every node.
+        A line on stderr names a node that had to be killed or failed at its end. Returns the exit
+        code of every node.
         """
         for names in (
             [n for n in self._children if n != last],
             [n for n in self._children if n == last],
         ):
-            self._signal(names, signal.SIGINT)
+            running = [name for name in names if self._children[name].poll() is None]
+            self._signal(running, signal.SIGINT)
             deadline = time.monotonic() + STOP_TIMEOUT
-            for name in names:
+            for name in running:
+                child = self._children[name]
                 try:
-                    self._children[name].wait(max(0.0, deadline - time.monotonic()))
+                    code = child.wait(max(0.0, deadline - time.monotonic()))
+                    if code not in (0, -signal.SIGINT):  # SIGINT: ended while Python started
+                        print_error(f"{name} ended with exit code {code}: {self.last_line(name)}")
                 except subprocess.TimeoutExpired:
-                    late = f"{name} did not end within {STOP_TIMEOUT:g} s of SIGINT: killed"
-                    print(f"scripts/run: {late}", file=sys.stderr)
+                    print_error(f"{name} did not end within {STOP_TIMEOUT:g} s of SIGINT: killed")
                     self._signal([name], signal.SIGKILL)
-                    self._children[name].wait()
+                    child.wait()
         return {name: child.returncode for name, child in self._children.items()}
 
     def _signal(self, names: Iterable[str], number: signal.Signals) -> None:
@@ -111,6 +116,12 @@ def command_line(spec: NodeSpec) -> list[str]:
             for word in ("-p", f"{name}:={_yaml(value)}")
         ),
     ]
+
+
+def print_error(line: str) -> None:
+    """Print one line of `scripts/run` on stderr."""
+    with suppress(OSError):  # the terminal may have been closed
+        print(f"scripts/run: {line}", file=sys.stderr)
 
 
 def _yaml(value: Any) -> str:

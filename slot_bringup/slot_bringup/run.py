@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import shutil
 import signal
-import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
@@ -13,11 +12,11 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from slot_bringup import INTERRUPTS
 from slot_bringup.check import check
 from slot_bringup.graph import Graph, is_attended, read_graph
+from slot_bringup.interrupts import deferred, on_interrupt
 from slot_bringup.monitor import RunError, require_no_other_graph, watch
-from slot_bringup.processes import Processes
+from slot_bringup.processes import Processes, print_error
 from slot_bringup.view import ViewError, beside, require_rerun
 from slot_core.arguments import OneLineParser, within
 from slot_core.bags.bag import Bag, BagError
@@ -97,38 +96,14 @@ def started(graph: Graph, values: Mapping[str, Any], logs: Path) -> Iterator[Pro
     with tempfile.TemporaryDirectory() as scratch:
         processes = Processes(Path(scratch))
         try:
-            with _deferred_interrupts():  # an exception raised during a fork is lost
+            with deferred():
                 processes.start(graph.nodes(values))
             yield processes
         finally:
-            with _on_interrupt(signal.SIG_IGN):  # the nodes are already being stopped
+            with on_interrupt(signal.SIG_IGN):  # the nodes are already being stopped
                 processes.stop(last="recorder")
                 with suppress(OSError):  # the recorder has reported errors of the disk
                     shutil.copytree(scratch, logs, dirs_exist_ok=True)
-
-
-@contextmanager
-def _on_interrupt(handler: Any) -> Iterator[None]:
-    """Set `handler` for INTERRUPTS in the block; one ignored by the caller (nohup) stays so."""
-    before = {number: signal.getsignal(number) for number in INTERRUPTS}
-    handled = [number for number in before if before[number] != signal.SIG_IGN]
-    try:
-        for number in handled:
-            signal.signal(number, handler)
-        yield
-    finally:
-        for number in handled:
-            signal.signal(number, before[number])
-
-
-@contextmanager
-def _deferred_interrupts() -> Iterator[None]:
-    """Delay interrupts to the end of the block, then raise KeyboardInterrupt if there was one."""
-    received: list[int] = []
-    with _on_interrupt(lambda number, _: received.append(number)):
-        yield
-    if received:
-        raise KeyboardInterrupt
 
 
 def report(directory: Path, keep: bool, namespace: str = "") -> None:
@@ -149,27 +124,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     graph = read_graph()
     options = parse(arguments, graph)
     name = f"{options.gait}_{datetime.now():%Y%m%d_%H%M%S}"
-    with _on_interrupt(signal.default_int_handler), tempfile.TemporaryDirectory() as scratch:
+    with on_interrupt(signal.default_int_handler), tempfile.TemporaryDirectory() as scratch:
         directory = Path(scratch, name) if options.no_bag else options.bag or Path("bags", name)
         code = 0
         try:
             run(options, graph, directory)
         except RunError as error:
-            _print_error(str(error))
+            print_error(str(error))
             code = 1
         except KeyboardInterrupt:
-            _print_error("interrupted, all nodes stopped")
+            print_error("interrupted, all nodes stopped")
             code = 130
         try:
             report(directory, not options.no_bag, options.namespace)
         except (BagError, ConfigError, OSError) as error:
-            _print_error(f"no summary: {error}")
+            print_error(f"no summary: {error}")
         except KeyboardInterrupt:
-            _print_error("interrupted while computing the summary; the bag is complete")
+            print_error("interrupted while computing the summary; the bag is complete")
             code = 130
     return code
-
-
-def _print_error(line: str) -> None:
-    with suppress(OSError):  # the terminal may have been closed
-        print(f"scripts/run: {line}", file=sys.stderr)

@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from slot_bringup import INTERRUPTS
+from slot_bringup import interrupts
 from slot_bringup.check import check_namespace
 from slot_bringup.graph import TIED
 from slot_bringup.monitor import listener
@@ -183,7 +183,8 @@ def _follow(namespace: str, log: RerunLog, ended: Callable[[], bool]) -> None:
                 qos.recorded(topic, QUEUE),
             )
         while not ended():
-            executor.spin_once(timeout_sec=SPIN)
+            with interrupts.deferred():
+                executor.spin_once(timeout_sec=SPIN)
 
 
 @contextmanager
@@ -206,7 +207,7 @@ def beside(namespace: str) -> Iterator[None]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `scripts/view`; returns the exit code."""
     options = parse(arguments)
-    for number in INTERRUPTS:
+    for number in interrupts.INTERRUPTS:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler)
     try:

@@ -50,18 +50,41 @@ def spin(node: Any) -> None:
     rclpy.spin(node, DirectExecutor())
 
 
+class Interrupt:
+    """Handler of SIGINT and SIGTERM: ends the preparation at once, a callback not before its end.
+
+    While the node is served, only rclpy's own handler acts, which ends the context. An exception
+    would be raised anywhere in a callback. Raised while rclpy converts a message it becomes a
+    RuntimeError, or a null pointer in the converter's C code, which ends the process.
+    """
+
+    def __init__(self) -> None:
+        self.received = False
+        self.raises = True  # KeyboardInterrupt
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._handle)
+
+    def _handle(self, number: int, frame: Any) -> None:
+        self.received = True
+        if self.raises:
+            self.raises = False  # a Ctrl-C to the process group comes twice
+            raise KeyboardInterrupt
+
+
 def run(make_node: Callable[[], R], serve: Callable[[R], None] = spin) -> None:
     """Serve a node until SIGINT, SIGTERM or its own `SystemExit`; exit code 0 unless it failed.
 
     An unusable configuration ends the process with one line and exit code 2.
     """
     node = None
+    interrupt = Interrupt()
     try:
         _init()
         node = make_node()
         if os.sched_getscheduler(0) == os.SCHED_FIFO:
             lock_memory()
         gc.freeze()  # exclude what is loaded by now from garbage collections
+        interrupt.raises = False
         serve(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
@@ -69,11 +92,11 @@ def run(make_node: Callable[[], R], serve: Callable[[R], None] = spin) -> None:
         print(error, file=sys.stderr)
         sys.exit(2)
     except RuntimeError:
-        if rclpy.utilities.ok():  # taking a message while the context shuts down also raises
-            raise
+        if not interrupt.received and rclpy.utilities.ok():
+            raise  # else of a message that was taken or published as the context ended
     finally:
         for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)  # a Ctrl-C to the process group comes twice
+            signal.signal(number, signal.SIG_IGN)
         if node is not None:
             node.destroy_node()
         rclpy.utilities.try_shutdown()
@@ -87,8 +110,7 @@ def lock_memory() -> None:
 
 
 def _init() -> None:
-    """Initialise rclpy; its handlers call those set before, so SIGTERM too interrupts Python."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    """Initialise rclpy, whose handlers of signals call those set before."""
     try:
         rclpy.init()
     except RuntimeError as error:  # arguments that are not YAML, a domain that is not a number
