@@ -99,3 +99,11 @@ def test_shutdown_from_another_thread_ends_the_wait(node):
     with suppress(ExternalShutdownException):
         node.executor.spin()
     assert not node.context.ok()
+
+
+def test_a_signal_ends_the_wait_even_if_the_context_ends_later(node):
+    """Handler of rclpy: first it triggers this guard condition, then it ends the contexts."""
+    node.executor._sigint_gc.trigger()
+    with pytest.raises(ExternalShutdownException):
+        spin_until(node, lambda: False)
+    assert node.context.ok()

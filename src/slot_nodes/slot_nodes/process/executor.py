@@ -74,8 +74,12 @@ class DirectExecutor(SingleThreadedExecutor):
         for waitable in self._waitables:
             waitable.add_to_wait_set(wait_set)
         wait_set.wait(timeout_sec_to_nsec(timeout_sec))
-        if not self._context.ok():
+        # rclpy's handler of signals ends the wait just before it ends the context
+        if self._is_triggered(self._sigint_gc) or not self._context.ok():
             raise ExternalShutdownException
+
+    def _is_triggered(self, guard: Any) -> bool:
+        return guard.handle.pointer in self._wait_set.get_ready_entities("guard_condition")
 
     def _collect_entities(self) -> None:
         """Collect the entities of the nodes, and the guard conditions that wake the executor."""
@@ -102,9 +106,8 @@ class DirectExecutor(SingleThreadedExecutor):
 
     def _has_others(self) -> bool:
         """Whether anything but a message or a timer is ready."""
-        guards = self._wait_set.get_ready_entities("guard_condition")
         return (
-            any(guard.pointer in guards for guard in (self._guard.handle, self._sigint_gc.handle))
+            self._is_triggered(self._guard)
             or any(map(self._wait_set.get_ready_entities, ("client", "service")))
             or any(waitable.is_ready(self._wait_set) for waitable in self._waitables)
         )
