@@ -148,7 +148,7 @@ def test_no_file_name_has_a_leading_underscore():
 
 
 def test_launch_is_imported_only_by_the_launch_file():
-    sources = [*ROOT.glob("src/**/*.py"), *ROOT.glob("slot_bringup/slot_bringup/*.py")]
+    sources = [*ROOT.glob("src/**/*.py"), *ROOT.glob("slot_bringup/slot_bringup/**/*.py")]
     assert len(sources) > 20
     for path in sources:
         tops = {name.split(".")[0] for name in imports_of(path)}
