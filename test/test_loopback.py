@@ -32,6 +32,7 @@ SENT = re.compile(r"^(?:sendto|sendmsg|sendmmsg|connect)\(.*")
 RECEIVED = re.compile(r"^(?:recvfrom|recvmsg|recvmmsg|accept4?)\(\d+<(?:UDP|TCP)[^:]*:\[(\S+):\d+")
 BOUND = re.compile(r"^bind\(.*")
 SHARED = re.compile(r'^openat\(.*"/dev/shm/([\w.]*fast\w*)"')  # of Fast DDS
+BUFFER = re.compile(r"^setsockopt\(\d+<UDP\S+, SOL_SOCKET, SO_RCVBUF, \[(\d+)\]")  # bytes
 ADDRESS = re.compile(r'inet_addr\("([^"]+)"\)|inet_pton\(AF_INET6, "([^"]+)"')
 FAMILY = re.compile(r"sa_family=(\w+)")
 FAMILIES = {"AF_INET", "AF_INET6", "AF_UNIX", "AF_NETLINK"}  # the last two stay on the machine
@@ -153,6 +154,12 @@ def test_two_communicating_processes_open_no_segment_of_shared_memory(trace: str
     # leaves its segments behind.
     assert "openat(" in trace
     assert not list(shared_segments(trace))
+
+
+def test_the_sockets_hold_what_arrives_while_a_process_waits_for_a_processor(trace: str) -> None:
+    # The default of 200 kB lost messages within 40 ms, on a topic with a history of one for good.
+    sizes = [int(match.group(1)) for match in map(BUFFER.match, trace.splitlines()) if match]
+    assert max(sizes) >= 4 << 20  # the kernel grants net.core.rmem_max
 
 
 @pytest.mark.parametrize(
