@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -15,8 +15,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from slot_bringup import interrupts
 from slot_bringup.graph import absolute
+from slot_bringup.interrupts import deferred
 from slot_bringup.processes import Processes
 from slot_core.bags import decode
 from slot_core.robot import Array
@@ -28,6 +28,7 @@ from slot_nodes import qos
 START_TIMEOUT = 90.0  # s until the first /mpc_state; the first start compiles kernels
 SILENCE_TIMEOUT = 10.0  # s without a new /mpc_state
 DISCOVERY_TIME = 1.0  # s to wait for messages of a graph that runs already
+SPIN = 0.1  # s, longest wait for a message before an interrupt is raised
 REFRESH_TERMINAL, REFRESH_LOG = 0.2, 5.0  # s between progress lines
 
 
@@ -125,26 +126,40 @@ def require_no_other_graph(namespace: str = "") -> None:
     with listener("run", namespace) as (node, executor):
         received: list[MpcState] = []
         node.create_subscription(MpcState, "mpc_state", received.append, qos.CONTROL)
-        end = time.monotonic() + DISCOVERY_TIME
-        while time.monotonic() < end:
-            with interrupts.deferred():
-                executor.spin_once(timeout_sec=0.05)
-            if received:
-                domain = node.context.get_domain_id()
-                raise RunError(
-                    f"another graph runs in ROS domain {domain}, namespace {absolute(namespace)}:"
-                    " set another --namespace or ROS_DOMAIN_ID"
-                )
+        if executor.spin_until(lambda: bool(received), DISCOVERY_TIME):
+            domain = node.context.get_domain_id()
+            raise RunError(
+                f"another graph runs in ROS domain {domain}, namespace {absolute(namespace)}:"
+                " set another --namespace or ROS_DOMAIN_ID"
+            )
+
+
+class ListenerExecutor(SingleThreadedExecutor):
+    """Executor of a program that watches a graph; an interrupt is raised after each spin."""
+
+    def spin_once(self, timeout_sec: float | None = SPIN) -> None:
+        """Handle one event, waiting for it at most `timeout_sec`, then raise an interrupt."""
+        with deferred():
+            super().spin_once(timeout_sec=timeout_sec)
+
+    def spin_until(self, condition: Callable[[], bool], limit: float) -> bool:
+        """Handle events until a condition holds or `limit` (s) has passed; return the condition."""
+        end = time.monotonic() + limit
+        while not condition():
+            if time.monotonic() > end:
+                return False
+            self.spin_once()
+        return True
 
 
 @contextmanager
-def listener(name: str, namespace: str = "") -> Iterator[tuple[Node, SingleThreadedExecutor]]:
+def listener(name: str, namespace: str = "") -> Iterator[tuple[Node, ListenerExecutor]]:
     """Node `name` in a context of its own, with an executor; installs no signal handlers."""
     context = Context()
     rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = rclpy.create_node(name, context=context, namespace=namespace)
-        executor = SingleThreadedExecutor(context=context)
+        executor = ListenerExecutor(context=context)
         executor.add_node(node)
         yield node, executor
         node.destroy_node()
@@ -153,7 +168,7 @@ def listener(name: str, namespace: str = "") -> Iterator[tuple[Node, SingleThrea
 
 
 def _watch(
-    executor: SingleThreadedExecutor,
+    executor: ListenerExecutor,
     progress: Progress,
     processes: Processes,
     duration: float,
@@ -163,8 +178,7 @@ def _watch(
     refresh, end = (REFRESH_TERMINAL, "\r") if terminal else (REFRESH_LOG, "\n")
     shown = time.monotonic()
     while progress.elapsed < duration:
-        with interrupts.deferred():
-            executor.spin_once(timeout_sec=0.1)
+        executor.spin_once()
         _check(progress, processes, attended)
         if time.monotonic() - shown > refresh:
             shown = time.monotonic()

@@ -26,7 +26,6 @@ from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
@@ -34,9 +33,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from slot_bringup import interrupts, operator_screen
+from slot_bringup import operator_screen
 from slot_bringup.check import check_namespace
-from slot_bringup.monitor import listener
+from slot_bringup.monitor import ListenerExecutor, listener
 from slot_core.bags import decode
 from slot_core.bags.decode import ACTION_NUMBERS
 from slot_core.config import ConfigError
@@ -93,8 +92,7 @@ def call(wanted: Service, namespace: str) -> tuple[bool, str]:
         if not client.wait_for_service(SEARCH_TIME):
             raise OperateError(_no_answer(node, wanted.server, SEARCH_TIME))
         answer = client.call_async(wanted.request)
-        executor.spin_until_future_complete(answer, ANSWER_TIME)
-        if not answer.done():
+        if not executor.spin_until(answer.done, ANSWER_TIME):
             raise OperateError(_no_answer(node, wanted.server, ANSWER_TIME))
         return answer.result().success, answer.result().message
 
@@ -104,12 +102,8 @@ def receive_state(namespace: str) -> RobotState:
     with listener("operate", namespace) as (node, executor):
         received: list[RobotState] = []
         node.create_subscription(RobotState, "robot_state", received.append, qos.STATE)
-        end = time.monotonic() + SEARCH_TIME
-        while not received:
-            if time.monotonic() > end:
-                raise OperateError(_no_answer(node, "supervisor", SEARCH_TIME))
-            with interrupts.deferred():
-                executor.spin_once(timeout_sec=0.1)
+        if not executor.spin_until(lambda: bool(received), SEARCH_TIME):
+            raise OperateError(_no_answer(node, "supervisor", SEARCH_TIME))
         return received[0]
 
 
@@ -222,12 +216,11 @@ def live(namespace: str) -> None:
             _draw(operator.view)
 
 
-def _serve(executor: SingleThreadedExecutor, operator: Operator, keyboard: int) -> bool:
+def _serve(executor: ListenerExecutor, operator: Operator, keyboard: int) -> bool:
     """Handle messages and keys until the next redraw; return False to quit."""
     end = time.monotonic() + REFRESH
     while time.monotonic() < end:
-        with interrupts.deferred():
-            executor.spin_once(timeout_sec=0.05)
+        executor.spin_once(timeout_sec=0.05)
         if select.select([keyboard], [], [], 0.0)[0]:
             keys = os.read(keyboard, 64).decode(errors="replace")
             return bool(keys) and all([operator.press(key) for key in keys])

@@ -1,4 +1,4 @@
-"""Runs the node graph for a given time, a process a node, records a bag and prints a summary."""
+"""Runs the node graph for a given time, records a bag and prints a summary."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from slot_bringup.graph import Graph, is_attended, read_graph
 from slot_bringup.interrupts import deferred, on_interrupt
 from slot_bringup.monitor import RunError, require_no_other_graph, watch
 from slot_bringup.processes import Processes, print_error
-from slot_bringup.view import ViewError, beside, require_rerun
+from slot_bringup.view import ViewError, live_viewer, require_rerun
 from slot_core.arguments import OneLineParser, within
 from slot_core.bags.bag import Bag, BagError
 from slot_core.bags.record_settings import read_record_settings
@@ -80,8 +80,8 @@ def run(options: argparse.Namespace, graph: Graph, directory: Path) -> None:
     slack, or another graph runs already.
     """
     values = vars(options) | {"bag": str(directory)}
-    shown = beside(options.namespace) if options.view else nullcontext()
-    with started(graph, values, directory / "log") as processes, shown:
+    shown = live_viewer(options.namespace) if options.view else nullcontext()
+    with shown, started(graph, values, directory / "log") as processes:  # the robot stops first
         played = options.hardware == "none"
         watch(processes, options.duration, is_attended(values), options.namespace, played)
 

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from slot_bringup.rerun_log import RerunLog
 
 BAGS = Path("bags")  # where scripts/run keeps them
-SPIN = 0.1  # s, longest time between two looks whether to end
 QUEUE = 100  # messages of a topic that wait while others are drawn
 STOP_TIMEOUT = 10.0  # s, from SIGTERM to SIGKILL
 
@@ -183,12 +182,11 @@ def _follow(namespace: str, log: RerunLog, ended: Callable[[], bool]) -> None:
                 qos.recorded(topic, QUEUE),
             )
         while not ended():
-            with interrupts.deferred():
-                executor.spin_once(timeout_sec=SPIN)
+            executor.spin_once()
 
 
 @contextmanager
-def beside(namespace: str) -> Iterator[None]:
+def live_viewer(namespace: str) -> Iterator[None]:
     """Show a graph live while the block runs, in a process of its own; its errors end only it."""
     command = [*TIED, sys.executable, "-m", "slot_bringup.view", "--live"]
     command += ["--namespace", namespace, *([] if has_display() else ["--web"])]

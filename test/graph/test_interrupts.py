@@ -1,14 +1,19 @@
-"""SIGINT and SIGTERM: a node ends between two callbacks, a preparation at once."""
+"""SIGINT and SIGTERM: node and listener end between two callbacks, a preparation at once."""
 
+import os
 import signal
 import subprocess
 import sys
 
 import pytest
 
-# Arguments: signal, where it is sent: in "make" or in a "callback", which also counts to its end.
+from slot_bringup.monitor import listener
+
+# Arguments: signal, where it is sent: in "make", in a "library" called by it, which drops the
+# exception, or in a "callback".
 NODE = """
 import os, sys, time
+from contextlib import suppress
 import rclpy
 from rclpy.node import Node
 from slot_nodes import runtime
@@ -19,6 +24,10 @@ class Interrupted(Node):
     def __init__(self):
         super().__init__("interrupted")
         self.create_timer(0.01, self.work)
+        with suppress(KeyboardInterrupt):
+            self.raise_signal("library")
+        if place == "library":
+            time.sleep(100)
         self.raise_signal("make")
 
     def raise_signal(self, here):
@@ -52,5 +61,29 @@ def test_a_callback_is_not_interrupted(number):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_preparation_is_interrupted_at_once(number):
-    assert interrupted(number, "make") == []
+@pytest.mark.parametrize("place", ["make", "library"])
+def test_a_preparation_is_interrupted_at_once(number, place):
+    assert interrupted(number, place) == []
+
+
+def test_a_program_that_listens_is_interrupted_between_two_callbacks():
+    ended = []
+
+    def interrupt_itself():
+        os.kill(os.getpid(), signal.SIGINT)
+        ended.append(True)
+
+    with listener("listener") as (node, executor):
+        node.create_timer(0.01, interrupt_itself)
+        with pytest.raises(KeyboardInterrupt):
+            executor.spin_until(lambda: False, 60.0)
+    assert ended == [True]
+
+
+def test_a_program_listens_until_its_condition_holds_or_its_time_is_over():
+    ticks = []
+    with listener("listener") as (node, executor):
+        assert not executor.spin_until(lambda: False, 0.01)
+        node.create_timer(0.01, lambda: ticks.append(True))
+        assert executor.spin_until(lambda: len(ticks) == 3, 60.0)
+    assert len(ticks) == 3

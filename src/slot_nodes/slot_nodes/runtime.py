@@ -24,6 +24,7 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
+from rclpy.signals import uninstall_signal_handlers
 from rclpy.timer import Timer
 
 from slot_core import config
@@ -32,6 +33,7 @@ from slot_nodes.process import intra_process
 from slot_nodes.process.executor import DirectExecutor
 
 T = TypeVar("T")
+INTERRUPT_PERIOD = 0.5  # s between two exceptions that end a preparation
 LOCK_ALL = 1 | 2 | 4  # MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT of mlockall(2)
 
 
@@ -56,19 +58,40 @@ class Interrupt:
     While the node is served, only rclpy's own handler acts, which ends the context. An exception
     would be raised anywhere in a callback. Raised while rclpy converts a message it becomes a
     RuntimeError, or a null pointer in the converter's C code, which ends the process.
+
+    During the preparation it is raised repeatedly: llvmlite, which compiles kernels, drops what is
+    raised in its callbacks.
+
+    rclpy ends the context and wakes the executors in a thread. At the end of the block, while the
+    executors exist, it is joined: what it uses must neither be ended nor freed meanwhile.
     """
 
     def __init__(self) -> None:
         self.received = False
         self.raises = True  # KeyboardInterrupt
+
+    def __enter__(self) -> Interrupt:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._handle)
+        signal.signal(signal.SIGALRM, self._raise)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        self.raises = False
+        uninstall_signal_handlers()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
 
     def _handle(self, number: int, frame: Any) -> None:
         self.received = True
         if self.raises:
             self.raises = False  # a Ctrl-C to the process group comes twice
+            signal.setitimer(signal.ITIMER_REAL, INTERRUPT_PERIOD, INTERRUPT_PERIOD)
             raise KeyboardInterrupt
+
+    def _raise(self, number: int, frame: Any) -> None:
+        raise KeyboardInterrupt
 
 
 def run(make_node: Callable[[], R], serve: Callable[[R], None] = spin) -> None:
@@ -79,13 +102,14 @@ def run(make_node: Callable[[], R], serve: Callable[[R], None] = spin) -> None:
     node = None
     interrupt = Interrupt()
     try:
-        _init()
-        node = make_node()
-        if os.sched_getscheduler(0) == os.SCHED_FIFO:
-            lock_memory()
-        gc.freeze()  # exclude what is loaded by now from garbage collections
-        interrupt.raises = False
-        serve(node)
+        with interrupt:
+            _init()
+            node = make_node()
+            if os.sched_getscheduler(0) == os.SCHED_FIFO:
+                lock_memory()
+            gc.freeze()  # exclude what is loaded by now from garbage collections
+            interrupt.raises = False
+            serve(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except (config.ConfigError, ParameterException) as error:
@@ -95,8 +119,6 @@ def run(make_node: Callable[[], R], serve: Callable[[R], None] = spin) -> None:
         if not interrupt.received and rclpy.utilities.ok():
             raise  # else of a message that was taken or published as the context ended
     finally:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)
         if node is not None:
             node.destroy_node()
         rclpy.utilities.try_shutdown()
