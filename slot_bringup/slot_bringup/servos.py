@@ -22,7 +22,7 @@ from pathlib import Path
 from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.dynamixel.bus import Bus
-from slot_core.dynamixel.checks import differences, examine, expected
+from slot_core.dynamixel.checks import examine, expected
 from slot_core.dynamixel.errors import BaudRateError, RefusedError, ServoError
 from slot_core.dynamixel.homing import measure_zero, write_zero
 from slot_core.dynamixel.joints import Joint, joints
@@ -92,8 +92,6 @@ def assign(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     bus.write_verified(present[0], "torque_enable", 0)
     bus.write(present[0], "id", options.id)
     if options.to_baud:
-        if options.to_baud not in BAUD_RATES:
-            raise ValueError(f"--to-baud {options.to_baud}: expected one of {BAUD_RATES}")
         bus.write(options.id, "baud_rate", BAUD_RATES.index(options.to_baud))
         bus.port.close()
         bus = _open(settings, options.to_baud)
@@ -114,7 +112,7 @@ def prepare(settings: DynamixelSettings, options: argparse.Namespace) -> int:
             if found.values[name] != value:
                 bus.write_verified(joint.id, name, value)
                 print(f"{joint.name}: {name} {found.values[name]} -> {value}")
-        remaining = differences(settings, joint, examine(bus, settings, joint)[0] or found)
+        _, remaining = examine(bus, settings, joint)
         if remaining:
             raise RefusedError(remaining)
     return 0
@@ -188,7 +186,7 @@ def _parser() -> argparse.ArgumentParser:
         sub = actions.add_parser(name, help=(action.__doc__ or "").splitlines()[0])
         if name == "assign":
             sub.add_argument("id", type=int, choices=range(253), metavar="ID")
-            sub.add_argument("--to-baud", type=int, help="new baud rate")
+            sub.add_argument("--to-baud", type=int, choices=BAUD_RATES, help="new baud rate")
         if name == "zero":
             sub.add_argument("leg", choices=LEGS)
             sub.add_argument("--write", action="store_true", help="to config/dynamixel.yaml")

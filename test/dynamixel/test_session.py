@@ -37,6 +37,7 @@ class Rig:
         self.session = ServoSession(self.driver, read_robot().tendon.angle_max, PERIOD, self.sleep)
         self.session.set_limits(read_supervisor().servo_limits)
         self.session.configure()
+        self.permit(Action.HOLD)
         self.session.start()
 
     @property
@@ -109,13 +110,17 @@ def test_commands_reach_the_servos(rig):
     assert rig.legs.angles() == pytest.approx(SLIGHTLY, abs=0.01)
 
 
-def test_servos_hold_before_the_first_permission(rig):
-    rig.run(2 * TIMING.command_lost, SLIGHTLY, permission=None)
-    assert (rig.session.action, rig.session.reason) == (
-        Action.HOLD,
-        "no message of the supervisor yet",
-    )
-    assert rig.legs.angles() == pytest.approx(STANDING, abs=ONE_COUNT)
+def test_without_a_permission_torque_is_refused_until_there_is_one(rig):
+    rig.session.stop()
+    fresh = ServoSession(rig.driver, read_robot().tendon.angle_max, PERIOD, rig.sleep)
+    fresh.set_limits(read_supervisor().servo_limits)
+    with pytest.raises(RefusedError, match="the supervisor does not permit it"):
+        fresh.start()
+    assert rig.torque() == [0] * 4
+    fresh.permit(Permission(rig.now, Action.HOLD, False, ""))
+    assert fresh.may_start(Permission(rig.now, Action.HOLD, False, ""))
+    fresh.start()
+    assert rig.torque() == [1] * 4
 
 
 def test_missing_permissions_end_in_hold_then_relax_then_off(rig):
@@ -148,6 +153,7 @@ def test_only_a_relax_begun_by_the_watchdog_has_its_own_reason(rig):
     rig.run(0.2, SLIGHTLY)
     rig.run(1.0, SLIGHTLY, Action.RELAX)
     assert (rig.session.action, rig.session.own_reason) == (Action.OFF, "")
+    rig.permit(Action.HOLD)
     rig.session.start()
     rig.run(0.1, SLIGHTLY)
     rig.run(2.0)
@@ -237,6 +243,9 @@ def test_a_second_start_is_without_motion(rig):
     rig.run(2.0)
     before = rig.legs.angles()
     rig.permit(Action.OFF)
+    with pytest.raises(RefusedError, match="the supervisor does not permit it"):
+        rig.session.start()
+    rig.permit(Action.HOLD)
     rig.session.start()
     rig.run(0.2)
     assert rig.session.action is Action.HOLD

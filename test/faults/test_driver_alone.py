@@ -58,23 +58,46 @@ def test_the_driver_reads_torque_off_back_before_it_ends(rig, stub, end):
     assert rig.registers("torque_enable") == [0] * 4
 
 
-def test_the_driver_follows_lifecycle_transitions_by_service(rig, stub):
+@pytest.fixture
+def change(rig):
+    """Request a transition of the driver; returns whether it succeeded."""
+
+    def request(transition):
+        goal = Transition(id=transition)
+        return rig.call(ChangeState, f"/{DRIVER}/change_state", transition=goal).success
+
+    return request
+
+
+def test_a_driver_shut_down_by_service_has_torque_off_and_still_answers(rig, stub, change):
+    begin = rig.now()
+    start_driver(rig)
+    stub.permission = Action.HOLD
+    powered(rig, begin)
+    assert change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    assert rig.registers("torque_enable") == [0] * 4
+    stub.permission, off = Action.OFF, rig.now()
+    rig.wait_for(lambda: stub.permitted > off + 200_000_000)  # ns; ten permissions
+    assert not change(Transition.TRANSITION_CONFIGURE)  # it is finalized
+
+
+def test_the_driver_follows_lifecycle_transitions_by_service(rig, stub, change):
     rig.start(DRIVER, parameters={"autostart": False})
-
-    def change(transition):
-        request = Transition(id=transition)
-        return rig.call(ChangeState, f"/{DRIVER}/change_state", transition=request).success
-
     begin = rig.now()
     assert not change(Transition.TRANSITION_ACTIVATE)  # it is not configured
     assert change(Transition.TRANSITION_CONFIGURE)
     rig.wait_for(lambda: rig.since("/joint_states", begin))
-    rig.wait_for(lambda: change(Transition.TRANSITION_ACTIVATE))  # once it has the limits
+    assert not change(Transition.TRANSITION_ACTIVATE)  # nothing permits it
+    stub.permission = Action.HOLD
     powered(rig, begin)
     end = rig.now()
     assert change(Transition.TRANSITION_DEACTIVATE)
     rig.wait_for_torque_off(end)
     assert "torque off, confirmed by every servo" in rig.log_lines(DRIVER)[-1]
+    on = rig.now()
+    assert change(Transition.TRANSITION_ACTIVATE)
+    powered(rig, on)
+    assert change(Transition.TRANSITION_DEACTIVATE)
     assert change(Transition.TRANSITION_CLEANUP)
     assert rig.registers("torque_enable") == [0] * 4  # the driver has closed the port
     again = rig.now()

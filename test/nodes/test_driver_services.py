@@ -77,7 +77,10 @@ def test_without_limits_of_the_supervisor_torque_is_refused(rig):
 
 def test_the_torque_service_switches_torque_off_after_a_ramp_and_on_again(rig, stub):
     start_driver(rig)
-    rig.wait_for(lambda: switch(rig, True) == (True, "torque on"))  # once it has the limits
+    refusal = (False, "torque refused: the supervisor does not permit it")
+    rig.wait_for(lambda: switch(rig, True) == refusal)  # once it has the limits
+    stub.permission, begin = Action.HOLD, rig.now()
+    powered(rig, begin)
     assert switch(rig, True) == (False, "torque is on already")
     reboot = rig.call(Trigger, f"/{DRIVER}/reboot_rr")
     assert reboot.message == "needs a configured driver, torque off"

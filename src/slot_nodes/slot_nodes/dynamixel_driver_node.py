@@ -140,6 +140,8 @@ class DynamixelDriverNode(LifecycleNode):
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Slacken the tendons, torque off, close the port."""
+        self._active = False
+        self._autostart_timer.cancel()
         self._stop_cycles()
         if self._open:
             self._stop()
@@ -257,8 +259,9 @@ class DynamixelDriverNode(LifecycleNode):
         """Set the zero of a leg to its present angle at rest, now and in `dynamixel.yaml`."""
         driver = self._session.driver
         angle = measure_zero(driver.bus, driver.joints[LEGS.index(leg)], time.sleep)
+        file = write_zero(leg, angle)
         driver.set_zero(leg, angle)
-        return f"zero of {leg} at {angle:.2f} deg, written to {write_zero(leg, angle)}"
+        return f"zero of {leg} at {angle:.2f} deg, written to {file}"
 
     def _refuse(self, reason: str) -> TransitionCallbackReturn:
         self._refusal = reason

@@ -33,6 +33,7 @@ from slot_core.safety.servo_health import ServoHealth
 from slot_core.safety.settings import ServoLimits
 
 LATE = 1.5  # periods between two cycles that count as an overrun
+STARTS = (Action.HOLD, Action.PASS)  # actions under which torque comes on
 DURATIONS = 10_000  # of bus cycles that are kept for a query
 
 
@@ -105,16 +106,22 @@ class ServoSession:
         return infos
 
     def start(self) -> None:
-        """Torque on without motion; raises RefusedError with all torque off."""
+        """Torque on without motion, if the supervisor permits HOLD or PASS.
+
+        Raises RefusedError with all torque off.
+        """
+        watchdog = self._guard.watchdog
+        if watchdog is None:
+            raise RefusedError([NO_LIMITS])
+        if watchdog.permission is None or watchdog.permission.action not in STARTS:
+            raise RefusedError(["the supervisor does not permit it"])
         try:
-            if self._guard.watchdog is None:
-                raise RefusedError([NO_LIMITS])
             self.driver.activate()
         except RefusedError as error:
             self.action, self.reason = Action.OFF, f"torque refused: {error}"
             self._locked = True
             raise
-        self._guard.watchdog.engage(self.driver.goals())
+        watchdog.engage(self.driver.goals())
         self._last_step, self._pause = None, 0.0
         self.action, self.reason = Action.HOLD, "torque comes on"
 
@@ -138,7 +145,7 @@ class ServoSession:
 
     def may_start(self, permission: Permission) -> bool:
         """Whether a permission switches torque on; not after a RELAX or a refusal, until OFF."""
-        permits = permission.action in (Action.HOLD, Action.PASS) and self.limits is not None
+        permits = permission.action in STARTS and self.limits is not None
         return permits and not (self.driver.active or self._locked)
 
     def relax(self, reason: str) -> None:

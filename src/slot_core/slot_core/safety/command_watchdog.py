@@ -43,7 +43,7 @@ class CommandWatchdog:
         self.limits = limits
         self._gate = CommandGate(limits.gate, low, high)
         self._range = low, high
-        self._permission: Permission | None = None
+        self.permission: Permission | None = None
         self._commanded: int | None = None  # time of the last accepted command
         self._own_reason = ""  # of a RELAX begun by the watchdog itself
         self.overdue = False  # whether a command or permission is too old
@@ -70,11 +70,11 @@ class CommandWatchdog:
 
     def permit(self, permission: Permission) -> None:
         """Store the supervisor's newest permission."""
-        if permission.fast and not (self._permission and self._permission.fast):
+        if permission.fast and not (self.permission and self.permission.fast):
             self._gate.restart_rate(permission.time)
         if permission.action is Action.OFF:
             self._own_reason = ""
-        self._permission = permission
+        self.permission = permission
 
     def relax(self, reason: str) -> None:
         """Ramp the tendons to slack in the next steps, then torque off."""
@@ -84,9 +84,9 @@ class CommandWatchdog:
         """Decide on the action and move the goals."""
         self.action, self.reason = self._decide(now)
         received = [] if self._commanded is None else [self._commanded]
-        received += [] if self._permission is None else [self._permission.time]
+        received += [] if self.permission is None else [self.permission.time]
         self.overdue = any(now - time > self.limits.command_hold * SECOND for time in received)
-        fast = self._permission is not None and self._permission.fast
+        fast = self.permission is not None and self.permission.fast
         return self._gate.step(now, self.action, fast=fast)
 
     @property
@@ -96,7 +96,7 @@ class CommandWatchdog:
 
     def _decide(self, now: int) -> tuple[Action, str]:
         """Action and its reason, "" for PASS."""
-        permission = self._permission
+        permission = self.permission
         received = None if permission is None else permission.time
         held = self._overdue("message of the supervisor", now, received)
         if permission is not None and permission.action is Action.PASS:

@@ -18,6 +18,7 @@ import numpy as np
 
 from slot_core.clock import SECOND
 from slot_core.config import ConfigError
+from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.emulator.pseudo_terminal import PseudoTerminal
 from slot_core.robot import LEGS, Array
 from slot_core.safety.command_gate import AT_REST, Action
@@ -107,8 +108,11 @@ class BusServos:
             time.sleep(CLOSE_STEP)
             now = time.monotonic()
             if running:
-                for _ in self._plant.advance(self._plant.now + round((now - last) * SECOND)):
-                    pass  # no subscriber is left
+                try:
+                    for _ in self._plant.advance(self._plant.now + round((now - last) * SECOND)):
+                        pass  # no subscriber is left
+                except Divergence:  # the port is closed all the same
+                    running = False
             last = now
         self._terminal.close()
         return ", ".join(self._plant.powered())

@@ -2,7 +2,7 @@
 
 The nodes are those of the separate processes. A message between them is handed over as the object
 it is (intra_process.py) and goes out on its topic too. The driver has a thread of its own, so that
-a bus cycle is not late for a computation, nor a command for a bus cycle.
+neither bus cycles nor computations delay each other.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class ComposedNodes:
             sys.setswitchinterval(SWITCH_INTERVAL)
             thread.start()
         try:
-            while rclpy.utilities.ok():
+            while rclpy.utilities.ok() and self._failure is None:
                 self._executor.spin_once()
         finally:
             self._ended.set()
@@ -85,7 +85,7 @@ class ComposedNodes:
             pass
         except BaseException as error:
             self._failure = error
-            rclpy.utilities.try_shutdown()
+            self._executor.wake()
 
     def destroy_node(self) -> None:
         """End the nodes, the driver first: it switches torque off."""
