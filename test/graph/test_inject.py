@@ -59,7 +59,7 @@ class Robot:
         self.limits.publish(messages.limits_to_msg(read_supervisor().servo_limits))
         self.node.create_subscription(ServoHealth, "servo_health", self._on_health, qos.SENSOR)
         self.holding = False
-        self.odometry = None  # last odometry
+        self.odometry = self.answered = None  # last odometry; the one answered last
         self.tension = {}  # N, by time since the start, s
 
     def _on_odometry(self, message):
@@ -71,6 +71,7 @@ class Robot:
         """Answer the last odometry with the standing angles."""
         answer = JointState(name=TENDON_JOINTS, position=STANDING)
         answer.header.stamp = self.odometry.header.stamp
+        self.answered = self.odometry
         self.commands.publish(answer)
 
     def _on_health(self, message):
@@ -204,6 +205,7 @@ def test_diverged_simulation_ends_with_one_line_that_names_the_file_of_its_state
     """Without the parameter `dump` the file is in the working directory."""
     with robot(tmp_path, lockstep=True, dump=dump and str(tmp_path / dump)) as sim:
         sim.hold_until(0.1)
+        sim.spin_until(lambda: sim.odometry is not sim.answered)  # then it waits for a command
         assert sim.inject("nan", "FR") == (True, "")
         sim.hold_while(lambda: sim.process.poll() is None)
         assert sim.process.returncode == 1

@@ -1,7 +1,4 @@
-"""A run that cannot begin or is interrupted while it starts ends in one line; names of bags.
-
-Real time: processes, signals and their exit codes.
-"""
+"""A run that cannot begin or is interrupted while it starts ends in one line; names of bags."""
 
 import os
 import signal
@@ -17,8 +14,6 @@ from real_graph import claim_domain
 from slot_bringup import monitor
 from slot_bringup.graph import read_graph
 from slot_bringup.processes import Processes
-
-pytestmark = pytest.mark.real_time
 
 # Signals that the caller ignores (SIGHUP under nohup) would be ignored in the run too.
 RUN = ["env", "--default-signal=HUP,INT,TERM", sys.executable, "-m", "slot_bringup"]
@@ -78,7 +73,7 @@ def test_repeated_signals_end_the_run_cleanly(tmp_path, numbers):
         [*RUN, "--bag", "bag"], cwd=tmp_path, stderr=subprocess.PIPE, text=True
     )
     ours = psutil.Process(child.pid)
-    end = time.monotonic() + 30.0
+    end = time.monotonic() + 60.0
     while not (nodes := [c for c in ours.children() if "slot_nodes" in " ".join(c.cmdline())]):
         assert time.monotonic() < end
         time.sleep(0.01)
