@@ -30,7 +30,7 @@ def check(values: Mapping[str, Any]) -> None:
     v_x = gaits.find(values["gait"]).cruise if values["vx"] is None else values["vx"]
     gaits.require_velocity(values["gait"], np.array([v_x, values["vy"], 0.0]))
     if values["path"]:
-        read_path(Path(values["path"]), v_x, "kept")
+        read_path(Path(values["path"]), "kept")
     scene = read_scene(values["scene"])
     read_mpc(values["mpc"])
     hardware = values["hardware"]

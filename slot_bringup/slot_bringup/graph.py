@@ -117,13 +117,13 @@ class Graph:
 
     def about(self, values: Mapping[str, Any]) -> str:
         """The arguments that say how a bag came about, as JSON: the main ones and those changed."""
-        told = {
+        arguments = {
             a.name: values[a.name]
             for a in self.arguments
             if a.name in ("hardware", "gait", "scene")
             or (a.name not in ("bag", "port") and values[a.name] != a.default)
         }
-        return json.dumps(told)
+        return json.dumps(arguments)
 
     def _composed(self, specs: list[NodeSpec]) -> list[NodeSpec]:
         """The nodes with those that are composable in one process.

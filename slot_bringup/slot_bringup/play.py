@@ -82,7 +82,7 @@ class Player:
             for topic in PLAYED
             if topic in bag.counts
         }
-        self._told = 0  # ns, last time on /clock
+        self._published_time = 0  # ns, last time on /clock
 
     def wait_for_nodes(self) -> None:
         """Return once a node subscribes to the odometry; raises PlayError after SEARCH_TIME.
@@ -112,16 +112,16 @@ class Player:
             due = begin + (now - first) / SECOND / rate
             if (early := due - time.monotonic()) > 0:
                 time.sleep(early)
-            self._tell_time(now)
+            self._publish_clock(now)
             self._publishers[entry.topic].publish(entry.data)
             count += 1
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=1))
         return count, 0.0 if first is None else (now - first) / SECOND
 
-    def _tell_time(self, now: int) -> None:
-        if now >= self._told + CLOCK_PERIOD:
-            self._told = now
+    def _publish_clock(self, now: int) -> None:
+        if now >= self._published_time + CLOCK_PERIOD:
+            self._published_time = now
             self._clock.publish(Clock(clock=messages.ns_to_stamp(now)))
 
 

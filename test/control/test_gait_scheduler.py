@@ -294,7 +294,7 @@ def test_a_jump_of_the_clock_neither_moves_the_commands_nor_delays_later_changes
 
 def test_a_path_is_followed_instead_of_the_velocity():
     points = np.array([[0.0, 0.0], [0.2, 0.0], [0.2, 0.2]])
-    robot = Ideal("walk", AHEAD, Path(points, 0.05, "kept"))
+    robot = Ideal("walk", AHEAD, Path(points, "kept"))
     robot.run(15.0)
     assert robot.state[[3, 4]] == pytest.approx([0.2, 0.2], abs=0.05)
     assert robot.state[2] == pytest.approx(0.0, abs=1e-9)
@@ -304,7 +304,7 @@ def test_a_path_is_followed_instead_of_the_velocity():
 def test_a_path_is_followed_at_the_speed_of_the_command_from_a_posture_on():
     """As the supervisor starts it: it stands with the path, then walking is requested."""
     points = np.array([[0.0, 0.0], [1.0, 0.0]])
-    robot = Ideal("stand", NOTHING, Path(points, 0.0, "kept"))
+    robot = Ideal("stand", NOTHING, Path(points, "kept"))
     robot.run(0.5)
     robot.scheduler.request("walk", AHEAD)
     robot.run(3.0)

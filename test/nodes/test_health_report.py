@@ -4,10 +4,12 @@ import types
 
 import numpy as np
 
+from slot_core.clock import SECOND
 from slot_core.safety.command_gate import Action
 from slot_core.safety.servo_health import healthy_servos
-from slot_nodes import runtime
-from slot_nodes.health_report import PERIOD, HealthReport
+from slot_nodes import health_report, runtime
+
+PERIOD = round(health_report.PERIOD * SECOND)  # ns
 
 
 class Servos:
@@ -26,7 +28,7 @@ def test_a_report_is_built_only_when_it_is_published(monkeypatch):
     published = []
     publisher = types.SimpleNamespace(publish=published.append)
     monkeypatch.setattr(runtime, "publisher", lambda *_: publisher)
-    report = HealthReport(None)
+    report = health_report.HealthReport(None)
     servos, start = Servos(), 10 * PERIOD
     report.publish(start, servos)
     for later in range(2_000_000, PERIOD, 2_000_000):

@@ -160,7 +160,7 @@ def motion_of(rows: Array, fallen: bool, period: float) -> Motion:
 def _path(case: Case) -> Path | None:
     if not case.path:
         return None
-    return Path(np.array(case.path), case.velocity[0], "kept")
+    return Path(np.array(case.path), "kept")
 
 
 def friction(left: float, right: float | None = None) -> Changes:

@@ -34,7 +34,7 @@ class GaitSchedulerNode(Node):
         heading = runtime.declare(
             self, "path_heading", "kept", "heading on the path: kept or along"
         )
-        path = read_path(file, v_x, heading) if file else None
+        path = read_path(file, heading) if file else None
         springs = read_springs()
         velocity = np.array([v_x, v_y, turn])
         self._scheduler = GaitScheduler(settings, read_robot(), springs, gait, velocity, path)

@@ -4,11 +4,12 @@ from typing import Any, Protocol
 
 from rclpy.node import Node
 
+from slot_core.clock import SECOND
 from slot_core.safety.servo_health import ServoHealth
 from slot_msgs import msg as slot_msgs
 from slot_nodes import messages, qos, runtime
 
-PERIOD = 50_000_000  # ns, between two reports without change
+PERIOD = 0.05  # s, between two reports without change
 
 
 class HealthSource(Protocol):
@@ -36,6 +37,6 @@ class HealthReport:
     def publish(self, stamp: int, servos: HealthSource) -> None:
         """Publish the health at `stamp` (ns) after a change, PERIOD or a step back of the clock."""
         urgent = servos.urgent
-        if urgent != self._last or not 0 <= stamp - self._last_stamp < PERIOD:
+        if urgent != self._last or not 0 <= stamp - self._last_stamp < PERIOD * SECOND:
             self._last, self._last_stamp = urgent, stamp
             self._publisher.publish(messages.health_to_msg(stamp, servos.health(stamp)))

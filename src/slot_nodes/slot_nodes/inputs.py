@@ -79,9 +79,9 @@ def require_present(stamp: int, now: int, limit: float) -> None:
 
 
 def require_present_permission(message: RobotState, now: int, limit: float) -> None:
-    """Raise ValueError for a permission to hold or move of another time; torque may go off always.
+    """Raise ValueError for a HOLD or PASS stamped more than `limit` (s) from `now` (ns).
 
-    A latched state may be the last of a supervisor that is gone.
+    It may be the latched state of a supervisor that is gone. RELAX and OFF are always accepted.
     """
     if message.action in (RobotState.ACTION_HOLD, RobotState.ACTION_PASS):
         require_present(decode.stamp(message), now, limit)

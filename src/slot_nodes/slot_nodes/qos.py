@@ -1,8 +1,8 @@
 """Quality of service of the graph's topics.
 
-All data are reliable, because lockstep runs and replays must not lose a message. For a sensor that
-publishes best effort, the subscriptions to `/odom`, `/imu`, `/cmd_vel` and the camera declare
-`qos_overrides` parameters.
+All topics but `/clock` are reliable, because lockstep runs and replays must not lose a message. For
+a source that publishes best effort, the subscriptions to `/odom`, `/imu`, `/cmd_vel`, `/body_pose`
+and the camera declare `qos_overrides` parameters.
 """
 
 from __future__ import annotations

@@ -80,7 +80,7 @@ class SimRobotNode(Node):
         seeds = [IntegerRange(from_value=0, to_value=2**63 - 1)]
         seed = runtime.declare(self, "seed", 0, "of the sensor noise", integer_range=seeds)
         scene = runtime.declare(self, "scene", "flat", "a file of config/scene")
-        self._records = runtime.declare(
+        self._waits_for_recorder = runtime.declare(
             self, "wait_for_recording", False, "publish nothing before /recording"
         )
         self._is_recording = False
@@ -200,7 +200,7 @@ class SimRobotNode(Node):
 
     def _missing(self) -> str:
         """What the first readings wait for, or ""."""
-        if self._records and not self._is_recording:
+        if self._waits_for_recorder and not self._is_recording:
             return "the recorder"
         if not self._servos.powered:
             return "the servos: torque on, or the limits of the supervisor"
@@ -220,7 +220,7 @@ class SimRobotNode(Node):
             readers = self.get_subscriptions_info_by_topic(publisher.topic_name)
             if (matched := publisher.get_subscription_count()) < len(readers):
                 return f"{matched} of {len(readers)} subscribers to {publisher.topic_name}"
-            recorded = self._records and not publisher.topic_name.endswith(PICTURES)
+            recorded = self._waits_for_recorder and not publisher.topic_name.endswith(PICTURES)
             if recorded and RECORDER not in {r.node_name for r in readers}:
                 return f"the recorder at {publisher.topic_name}"
         return ""

@@ -162,7 +162,7 @@ class _Recorded:
         with TemporaryDirectory() as scratch:
             file = Path(scratch, PATH)
             file.write_bytes(self.origin.files[PATH])
-            return read_path(file, 0.0, "kept")
+            return read_path(file, "kept")
 
 
 def compare(

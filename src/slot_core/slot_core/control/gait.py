@@ -303,7 +303,8 @@ class GaitCommand:
 class GaitPreview:
     """Preview of contact, friction, angles and reference at the stages 0 .. n-1 of the horizon.
 
-    Stage k is at `stamp + k dt`. Legs in the order FL FR RL RR, frame odom.
+    `stamp` is that of the state; stage k is k dt after the time to which the state is predicted.
+    Legs in the order FL FR RL RR, frame odom.
     """
 
     stamp: int  # ns

@@ -184,11 +184,15 @@ class GaitScheduler:
         s = self._settings
         wanted = self._wanted
         if self._path is not None and isinstance(self._current, _ActiveStride):
-            self._path.speed = float(np.hypot(*wanted[:2]))
-            wanted = self._path.velocity(state)
+            wanted = self._path.velocity(state, self._speed)
         rates = np.array([s.acceleration, s.acceleration, s.turn_acceleration])
         self._velocity = _toward(self._velocity, wanted, elapsed * rates)
         self._pose = self._pose_after(elapsed)
+
+    @property
+    def _speed(self) -> float:
+        """Commanded speed along a path, m/s."""
+        return float(np.hypot(*self._wanted[:2]))
 
     def _pose_after(self, time: float) -> Array:
         """Height, roll and pitch (3,) after a time (s)."""
@@ -209,7 +213,7 @@ class GaitScheduler:
             active.phase += elapsed / gait.period
             complete, active.phase = active.phase >= 1.0, active.phase % 1.0
             if self._path is not None:
-                feedback.place = self._path.place(state, elapsed)
+                feedback.place = self._path.place(state, elapsed, self._speed)
                 feedback.limit_lead(state)
             else:
                 feedback.move(elapsed, state, self._velocity)

@@ -24,8 +24,8 @@ TURN_GAIN = 1.0  # 1/s, yaw rate per heading error, where the heading follows th
 class Path:
     """Polyline, and the reference place on it."""
 
-    def __init__(self, points: Array, speed: float, heading: str):
-        """Take points (n, 2) m in odom, and a speed (m/s) until another is set.
+    def __init__(self, points: Array, heading: str):
+        """Take points (n, 2) m in odom.
 
         heading: "kept", that at the start, or "along" the path. Raises ConfigError for less than
         two different points.
@@ -37,7 +37,7 @@ class Path:
         steps = np.diff(self._points, axis=0)
         self._arc = np.r_[0.0, np.cumsum(np.hypot(*steps.T))]
         self._direction = np.arctan2(steps[:, 1], steps[:, 0])
-        self.speed, self._along = speed, heading == "along"
+        self._along = heading == "along"
         self._start_yaw: float | None = None
         self.travelled = 0.0  # m, of the reference place
 
@@ -46,22 +46,22 @@ class Path:
         """Length, m."""
         return float(self._arc[-1])
 
-    def place(self, state: Array, elapsed: float) -> Array:
-        """Advance the reference place by `elapsed` (s) and return it: x, y (m), yaw (rad)."""
+    def place(self, state: Array, elapsed: float, speed: float) -> Array:
+        """Advance the reference place for `elapsed` (s) at a speed (m/s); x, y (m), yaw (rad)."""
         direction = self._direction[self._segment()]
         gap = self._point(self.travelled) - state[3:5]
         if gap[0] * math.cos(direction) + gap[1] * math.sin(direction) < LEAD:
-            self.travelled = min(self.travelled + self.speed * elapsed, self.length)
+            self.travelled = min(self.travelled + speed * elapsed, self.length)
         return np.array([*self._point(self.travelled), self._yaw(state)])
 
-    def velocity(self, state: Array) -> Array:
-        """Velocity (3,) in base_link along the path; zero at its end."""
+    def velocity(self, state: Array, speed: float) -> Array:
+        """Velocity (3,) in base_link along the path at a speed (m/s); zero at its end."""
         if self.travelled >= self.length:
             return np.zeros(3)
         along = self._direction[self._segment()] - state[2]
         error = wrapped(self._yaw(state) - state[2])
         turn = TURN_GAIN * error if self._along else 0.0
-        return np.array([self.speed * math.cos(along), self.speed * math.sin(along), turn])
+        return np.array([speed * math.cos(along), speed * math.sin(along), turn])
 
     def _segment(self) -> int:
         index = int(np.searchsorted(self._arc, self.travelled, side="right")) - 1
@@ -79,7 +79,7 @@ class Path:
         return np.array([np.interp(travelled, self._arc, x), np.interp(travelled, self._arc, y)])
 
 
-def read_path(file: FilePath | str, speed: float, heading: str) -> Path:
+def read_path(file: FilePath | str, heading: str) -> Path:
     """The path of a CSV file with columns x, y (m); heading as in `Path`. Raises ConfigError."""
     if heading not in ("kept", "along"):
         raise ConfigError(f"path_heading = {heading!r}: expected one of kept, along")
@@ -90,4 +90,4 @@ def read_path(file: FilePath | str, speed: float, heading: str) -> Path:
         raise ConfigError(f"{file}: no path with columns x, y: {error}") from None
     if len(rows) > POINTS_MAX or not np.isfinite(rows).all():
         raise ConfigError(f"{file}: more than {POINTS_MAX} points, or a value not finite")
-    return Path(np.array(rows).reshape(-1, 2), speed, heading)
+    return Path(np.array(rows).reshape(-1, 2), heading)

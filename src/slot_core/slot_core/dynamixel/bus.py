@@ -5,8 +5,8 @@ of the others, they ignore the error byte, and in an answer that has only an err
 the CRC for data. Here an answer is valid only if its id, length, CRC and error number are right; a
 servo without a valid answer has no values.
 
-The driver's different reads have answers of different lengths, so a late answer to one of them is
-not taken for the answer to another.
+The reads of a bus cycle have answers of different lengths, so a late answer to one of them is not
+taken for the answer to another.
 """
 
 from __future__ import annotations

@@ -25,8 +25,8 @@ class ServoHealth:
     temperature: Array  # degC; NaN: not known
     voltage: Array  # V; NaN: not known
     error_rate: Array  # share of the last exchanges that failed
-    commanded: int = 0  # ns, stamp of the last command sent to the servos; 0: none
-    written: int = 0  # ns, when it was sent
+    commanded: int = 0  # ns, stamp of the command written last, in lockstep arrived last; 0: none
+    written: int = 0  # ns, time of that
 
 
 def healthy_servos(

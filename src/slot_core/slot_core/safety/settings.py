@@ -7,7 +7,11 @@ from dataclasses import dataclass
 from slot_core import config
 from slot_core.config import ConfigError, flag, quantity, text
 
-NODES = ("state_estimator", "mpc_controller", "force_mapper")  # without forces no gait_scheduler
+NODES = (
+    "state_estimator",
+    "mpc_controller",
+    "force_mapper",
+)  # a missing gait_scheduler shows as missing forces
 
 
 @dataclass(frozen=True)
@@ -38,12 +42,12 @@ class EstimateLimits:
 class GateSettings:
     """Rate limits of the servos' goals, and the ramp to slack."""
 
-    rate_max: float = quantity("rate while walking", "rad/s", 1, 200)
+    rate_max: float = quantity("rate once a command has been reached", "rad/s", 1, 200)
     burst: float = quantity("unused time that a step may use at once", "s", 1e-3, 0.2)
-    approach_rate: float = quantity("rate while standing and right after a HOLD", "rad/s", 0.1, 6)
+    approach_rate: float = quantity("rate until a command is reached", "rad/s", 0.1, 6)
     resume_time: float = quantity("time from approach_rate to rate_max", "s", 0.01, 10)
     relax_rate: float = quantity("rate of the ramp to slack", "rad/s", 0.1, 20)
-    relax_time: float = quantity("duration after which torque goes off", "s", 0.1, 10)
+    relax_time: float = quantity("longest ramp to slack, then torque goes off", "s", 0.1, 10)
 
     def check_ramp(self, angle_max: float) -> None:
         """Raise ConfigError when a ramp from `angle_max` (rad) takes longer than `relax_time`."""

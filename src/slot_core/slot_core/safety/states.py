@@ -45,8 +45,8 @@ class State(enum.IntEnum):
 
     IDLE = 0  # torque off
     READY = 1  # under torque, without motion
-    STANDING = 2  # commands pass at approach_rate
-    WALKING = 3  # commands pass at rate_max
+    STANDING = 2  # the servos follow the commands of a posture
+    WALKING = 3  # the servos follow the commands of a stride
     HOLD = 4  # the last goals, until the reason is gone
     RELAX = 5  # a ramp to slack, then torque off
     ESTOP = 6  # torque off, until reset

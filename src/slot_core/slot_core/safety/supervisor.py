@@ -305,7 +305,7 @@ class Supervisor:
         return found
 
     def _follows_gait(self, time: int) -> bool:
-        """Whether the legs follow the gait: not for `resume_time` after a HOLD."""
+        """Whether the legs follow the gait: not for `resume_time` after a change of state."""
         following = time - self._entered > self._settings.gate.resume_time * SECOND
         return self._state in MOVING and following
 

@@ -135,7 +135,7 @@ class Plant:
             sensors = self._scene.sensors
             imu = self._read_imu() if sensors.imu.enabled else []
             joints = self._read_joints() if sensors.joints else []
-            self._at_rest = [*imu, *joints, self._place(self._truth(), 0.0)]
+            self._at_rest = [*imu, *joints, self._odometry_or_picture(self._truth(), 0.0)]
         return self._at_rest
 
     def start(self, stamp: int) -> None:
@@ -260,7 +260,7 @@ class Plant:
     def _read_odometry(self) -> list[Reading]:
         """Return the ground truth now; schedule odometry or picture after its delay, in order."""
         truth = self._truth()
-        reading = self._place(truth, (self.now - self._started) / SECOND)
+        reading = self._odometry_or_picture(truth, (self.now - self._started) / SECOND)
         delay = self._odometry.delay() if self._camera is None else self._camera.delay
         self._delivered = max(self._delivered, self.now + round(delay * 1e9))
         self._schedule(self._delivered, lambda: [reading])
@@ -270,7 +270,7 @@ class Plant:
         """Odometry without noise, now."""
         return true_odometry(self.simulator, self.now)
 
-    def _place(self, truth: OdometryReading, since: float) -> Reading:
+    def _odometry_or_picture(self, truth: OdometryReading, since: float) -> Reading:
         """Odometry, or the picture in its place, `since` the start (s)."""
         if self._camera is not None:
             return self._camera.sample(self.simulator, self.now)
