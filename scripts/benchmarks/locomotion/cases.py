@@ -41,12 +41,12 @@ class Controller:
     changes: Changes
 
 
+ALONE, PAPER, DEFAULT = "gait alone", "paper", "default"
 COLUMNS: Mapping[str, Controller] = {
-    "gait alone": Controller("default", (*NO_STRIDE_FEEDBACK, *NO_CORRECTION)),
-    "paper": Controller("paper", NO_STRIDE_FEEDBACK),
-    "default": Controller("default", ()),
+    ALONE: Controller("default", (*NO_STRIDE_FEEDBACK, *NO_CORRECTION)),
+    PAPER: Controller("paper", NO_STRIDE_FEEDBACK),
+    DEFAULT: Controller("default", ()),
 }
-ALONE, DEFAULT = "gait alone", "default"
 
 
 @dataclass(frozen=True)

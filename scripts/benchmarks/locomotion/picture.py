@@ -12,11 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, Case, Motion
+from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, PAPER, Case, Motion
 from benchmarks.locomotion.rows import CAUGHT_UP, SIDE
 from slot_core.report import palette
 
-COLOURS = {ALONE: "#E69F00", "paper": palette.PALE, DEFAULT: palette.TRUE}
+COLOURS = {ALONE: "#E69F00", PAPER: palette.PALE, DEFAULT: palette.TRUE}
 SHOWN = (0.01, 100.0)  # range of the bars, in goals
 Motions = Mapping[tuple[Case, str, int], Motion]
 
@@ -42,7 +42,7 @@ def draw_table(table: Sequence[Mapping[str, Any]], path: Path) -> None:
 def draw_directions(
     cases: Sequence[Case], motions: Motions, seeds: Sequence[int], path: Path
 ) -> None:
-    """Commanded (circles) and achieved mean velocity (points) in all directions."""
+    """Commanded (circles) and achieved mean velocity (points) in all directions that were run."""
     figure = _figure(5.5, 5.5)
     ax = figure.subplots()
     wanted = np.array([case.velocity[:2] for case in cases])
@@ -50,8 +50,9 @@ def draw_directions(
     for column, colour in COLOURS.items():
         for case, (v_x, v_y) in zip(cases, wanted):
             for seed in seeds:
-                motion = motions[case, column, seed]
-                reached = motion.after(CAUGHT_UP).velocity[:2]
+                if (case, column, seed) not in motions:
+                    continue
+                reached = motions[case, column, seed].after(CAUGHT_UP).velocity[:2]
                 ax.plot([v_x, reached[0]], [v_y, reached[1]], color=colour, linewidth=0.8)
                 ax.plot(*reached, ".", color=colour, markersize=8)
         ax.plot([], [], ".-", color=colour, label=column)

@@ -68,7 +68,7 @@ class Interrupt:
 
     def __init__(self) -> None:
         self.received = False
-        self.raises = True  # KeyboardInterrupt
+        self._raises = True  # KeyboardInterrupt
 
     def __enter__(self) -> Interrupt:
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -77,16 +77,23 @@ class Interrupt:
         return self
 
     def __exit__(self, *error: object) -> None:
+        self._raises = False
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        self.raises = False
         uninstall_signal_handlers()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
 
+    def end_preparation(self) -> None:
+        """Raise nothing from now on, but what was raised before and dropped."""
+        self._raises = False
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        if self.received:
+            raise KeyboardInterrupt
+
     def _handle(self, number: int, frame: Any) -> None:
         self.received = True
-        if self.raises:
-            self.raises = False  # a Ctrl-C to the process group comes twice
+        if self._raises:
+            self._raises = False  # a Ctrl-C to the process group comes twice
             signal.setitimer(signal.ITIMER_REAL, INTERRUPT_PERIOD, INTERRUPT_PERIOD)
             raise KeyboardInterrupt
 
@@ -108,7 +115,7 @@ def run(make_node: Callable[[], R], serve: Callable[[R], None] = spin) -> None:
             if os.sched_getscheduler(0) == os.SCHED_FIFO:
                 lock_memory()
             gc.freeze()  # exclude what is loaded by now from garbage collections
-            interrupt.raises = False
+            interrupt.end_preparation()
             serve(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
