@@ -205,11 +205,9 @@ def live_viewer(namespace: str) -> Iterator[None]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `scripts/view`; returns the exit code."""
     options = parse(arguments)
-    for number in interrupts.INTERRUPTS:
-        if signal.getsignal(number) != signal.SIG_IGN:
-            signal.signal(number, signal.default_int_handler)
     try:
-        view(options)
+        with interrupts.on_interrupt(signal.default_int_handler):
+            view(options)
     except (ViewError, ViewerError, AnimationError, BagError, ConfigError) as error:
         print(f"scripts/view: {error}", file=sys.stderr)
         return 2

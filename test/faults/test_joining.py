@@ -3,12 +3,13 @@
 Real time: what DDS does in other processes when a participant joins.
 """
 
+from pathlib import Path
+
 import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
-from real_graph import PATIENT
 from rig import TOPICS
 
 from slot_core.safety.states import State
@@ -17,9 +18,7 @@ pytestmark = pytest.mark.real_time
 
 JOINS = 20
 HEARD = {"/odom", "/desired_joint_angles"}  # of two nodes
-# s; below the 0.333 s for which Fast DDS sleeps where it opens a port of shared memory
-HOLD = 0.25
-CONFIG = {**PATIENT, "supervisor": PATIENT["supervisor"] | {"timing.command_hold": HOLD}}
+SEGMENT = "/dev/shm/fast"  # beginning of the name of every segment of Fast DDS
 
 
 def join_and_leave():
@@ -42,10 +41,14 @@ def join_and_leave():
 
 
 def test_participants_that_join_and_leave_do_not_stop_a_walking_robot(make_rig):
-    rig = make_rig(hardware="sim", config=CONFIG)
+    rig = make_rig(hardware="sim")
     rig.walk_steadily()
     walking = rig.transitions[-1]
     for _ in range(JOINS):
         join_and_leave()
     assert rig.transitions[-1] == walking, rig.recent_events()
     assert rig.state is State.WALKING
+    # Fast DDS can sleep for 0.333 s where it opens a port of shared memory: beyond the stock limit
+    # of a missing command, but within the delays of a busy machine, which this test allows.
+    for name, child in rig.children.items():
+        assert SEGMENT not in Path(f"/proc/{child.pid}/maps").read_text(), name
