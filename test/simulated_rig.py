@@ -166,12 +166,15 @@ class Logger:
 class Terminal:
     """Port of the emulated bus in the same process; replaces the pseudo-terminal."""
 
-    silence = 1.0  # s: the driver does not send while the robot closes
+    in_use = False  # the driver is not run while the robot closes
 
     def __init__(self, bus, link):
         self._link = link
         link.unlink(missing_ok=True)
         link.symlink_to(DEVICE)
+
+    def release(self):
+        """Do nothing: no other process has the port open."""
 
     def close(self):
         self._link.unlink(missing_ok=True)

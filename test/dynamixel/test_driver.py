@@ -27,6 +27,7 @@ from slot_core.simulation.bus_legs import EmulatedLegs
 
 # Of the pseudo-terminal, longer than on the robot: a busy machine delays the emulator's thread.
 LONG_TIMEOUT = {"bus.timeout": 1.0}
+WAIT_LIMIT = 60.0  # s, on a busy machine
 ONE_COUNT = 1.01 * RAD_PER_COUNT
 STANDING = (0.1, 0.2, 0.3, 0.4)
 
@@ -379,6 +380,30 @@ def test_a_late_answer_is_not_mistaken_for_that_of_another_servo(build):
     for cycle in cycles:
         assert [reading is None for reading in cycle.readings] == [False, False, False, True]
         assert [r.angle for r in cycle.readings[:3]] == pytest.approx(STANDING[:3], abs=ONE_COUNT)
+
+
+def released(terminal):
+    """Whether no driver has a released port open any more, within WAIT_LIMIT."""
+    end = time.monotonic() + WAIT_LIMIT
+    while terminal.in_use and time.monotonic() < end:
+        time.sleep(0.01)
+    return not terminal.in_use
+
+
+def test_a_released_port_is_in_use_until_the_driver_closes_it(terminal_rig):
+    driver, terminal = terminal_rig.driver, terminal_rig.terminal
+    driver.configure()
+    terminal.release()
+    driver.activate()
+    assert driver.torque_off().complete
+    assert terminal.in_use
+    driver.close()
+    assert released(terminal)
+
+
+def test_a_released_port_that_no_driver_has_opened_is_not_in_use(terminal_rig):
+    terminal_rig.terminal.release()
+    assert released(terminal_rig.terminal)
 
 
 def test_a_lost_port_raises_and_the_watchdogs_stop_the_servos(terminal_rig):

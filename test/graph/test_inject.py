@@ -191,7 +191,8 @@ def test_diverged_simulation_waits_for_the_driver_to_switch_the_servos_off(tmp_p
         sim.spin_until(lambda: sim.odometry)
         assert sim.inject("nan", "RL") == (True, "")
         sim.answer()
-        sim.spin_until(lambda: driver.cycle() and "simulation diverged" in sim.log.read_text())
+        sim.spin_until(lambda: "simulation diverged" in sim.log.read_text())
+        time.sleep(0.5)  # on a busy machine a driver may send nothing for so long
         assert driver.torque_off().complete
         driver.close()
         sim.spin_until(lambda: sim.process.poll() is not None)

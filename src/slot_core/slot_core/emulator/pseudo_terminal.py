@@ -46,6 +46,8 @@ class PseudoTerminal:
         self._stopping = threading.Event()
         self._free_at = 0.0  # s, when the line is idle again
         self._last_input = clock()
+        self._releasing = False
+        self.in_use = True  # until a released port is closed by the driver
         self.slave = ""  # device of the driver's side; empty while unplugged
         self._plug()
         self._thread = threading.Thread(target=self._serve, name="emulated bus", daemon=True)
@@ -56,10 +58,9 @@ class PseudoTerminal:
         """Path of the port: the link if there is one, else the device."""
         return str(self._link or self.slave)
 
-    @property
-    def silence(self) -> float:
-        """Time since the driver last sent bytes, s."""
-        return self._clock() - self._last_input
+    def release(self) -> None:
+        """Keep the port open only while the driver does; `in_use` then tells whether it does."""
+        self._releasing = True
 
     def close(self) -> None:
         """Remove the port and end the thread; may be called again."""
@@ -81,6 +82,7 @@ class PseudoTerminal:
         while not self._stopping.is_set():
             if self._bus.unplugged:
                 self._unplug()
+                self.in_use = not self._releasing
                 self._stopping.wait(POLL_PERIOD)
                 continue
             if not self.slave:
@@ -90,6 +92,8 @@ class PseudoTerminal:
 
     def _poll(self) -> None:
         """Answer the next bytes, if any come within POLL_PERIOD."""
+        if self._releasing:
+            self._close_slave()
         ready, _, _ = select.select([self._master_fd], [], [], POLL_PERIOD)
         if not ready:
             return
@@ -97,8 +101,13 @@ class PseudoTerminal:
         if now - self._last_input > PACKET_GAP:
             self._bus.discard_partial()
         self._last_input = now
-        with contextlib.suppress(BlockingIOError):
+        try:
             self._respond(os.read(self._master_fd, CHUNK), now)
+        except BlockingIOError:
+            return
+        except OSError:  # nobody has the port open
+            self.in_use = False
+            self._stopping.wait(POLL_PERIOD)
 
     def _respond(self, data: bytes, now: float) -> None:
         baud = self._baud()
@@ -120,13 +129,14 @@ class PseudoTerminal:
             time.sleep(left)
 
     def _baud(self) -> int:
-        return RATES.get(termios.tcgetattr(self._slave_fd)[4], 0) or 1
+        return RATES.get(termios.tcgetattr(self._master_fd)[4], 0) or 1
 
     def _plug(self) -> None:
-        self._master_fd, self._slave_fd = os.openpty()
-        tty.setraw(self._slave_fd)
+        self._master_fd, slave_fd = os.openpty()
+        tty.setraw(slave_fd)
         os.set_blocking(self._master_fd, False)
-        self.slave = os.ttyname(self._slave_fd)
+        self.slave = os.ttyname(slave_fd)
+        self._slave_fd: int | None = slave_fd
         if self._link is not None:
             self._link.unlink(missing_ok=True)
             self._link.symlink_to(self.slave)
@@ -135,7 +145,13 @@ class PseudoTerminal:
         if not self.slave:
             return
         self.slave = ""
-        os.close(self._slave_fd)
+        self._close_slave()
         os.close(self._master_fd)
         if self._link is not None:
             self._link.unlink(missing_ok=True)
+
+    def _close_slave(self) -> None:
+        """Close the own handle of the driver's side, which keeps the settings of the line."""
+        if self._slave_fd is not None:
+            os.close(self._slave_fd)
+            self._slave_fd = None

@@ -30,7 +30,6 @@ from slot_core.simulation.bus_plant import BusPlant
 from slot_core.simulation.plant import Plant
 
 CLOSE_TIMEOUT = 3.0  # s, for the driver to switch the servos off
-BUS_SILENCE = 0.3  # s without a byte from the driver after which it has ended
 CLOSE_STEP = 0.002  # s, between two steps of the simulation while closing
 SWITCH_INTERVAL = 5e-4  # s, between thread switches: longest delay of the bus by the simulation
 
@@ -101,10 +100,11 @@ class BusServos:
         """Do nothing: the servos are commanded over the bus."""
 
     def close(self, running: bool) -> str:
-        """Close the port when the driver has ended, at the latest after CLOSE_TIMEOUT."""
+        """Close the port when the driver has closed it, at the latest after CLOSE_TIMEOUT."""
+        self._terminal.release()
         last = time.monotonic()
         end = last + CLOSE_TIMEOUT
-        while self._terminal.silence < BUS_SILENCE and last < end:
+        while self._terminal.in_use and last < end:
             time.sleep(CLOSE_STEP)
             now = time.monotonic()
             if running:
