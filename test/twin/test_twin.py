@@ -125,6 +125,24 @@ def test_strides_begin_with_the_motion_and_have_the_period_of_the_angles(walked)
     assert strides.edges[0] == pytest.approx(1.0 + SETTINGS.run_in * strides.period, abs=0.1)
 
 
+def test_standing_before_and_after_the_walk_is_no_stride(walked):
+    """A robot that is attended stands up, waits, walks and stands again."""
+    recorded, _ = walked
+    angles = recorded.angles
+    low, waits = np.full((200, 4), 0.5), np.tile(angles.angle[0], (1500, 1))
+    stands = np.tile(angles.angle[-1], (3000, 1))
+    whole = np.vstack([low, waits, angles.angle, stands])
+    t = 0.01 * np.arange(len(whole))
+    motion = motion_of(still(t))
+    long = dataclasses.replace(
+        recorded, angles=TendonAngles(MEASURED, t, whole), motion=motion, period=0.7
+    )
+    strides = find_strides(long, SETTINGS)
+    begin, end = 17.0 + 1.0, 17.0 + SECONDS  # of the walk, which begins with a second at rest
+    assert begin + SETTINGS.run_in * 0.7 - 0.7 <= strides.edges[0] <= begin + 3 * 0.7
+    assert end - 0.7 <= strides.edges[-1] <= end + 0.7
+
+
 def test_angles_without_a_period_are_refused(walked):
     recorded, _ = walked
     t = recorded.angles.t
@@ -232,6 +250,16 @@ def test_an_interrupted_fit_takes_up_its_trials(tmp_path):
     assert len(run) == 2
     twin._Trials(tmp_path / "trials", run_all, "another")(np.square, [np.array([1.0, 2.0])])
     assert len(run) == 3
+
+
+def test_an_interrupted_fit_takes_up_only_trials_of_the_same_strides(walked, tmp_path):
+    recorded, _ = walked
+    runs = []
+    for period in (0.7, 0.7, 0.8):
+        fit = (recorded, find_strides(recorded, SETTINGS, period), PARTS, SETTINGS)
+        trials = twin._Trials(tmp_path / "trials", lambda call, points: [*map(call, points)], fit)
+        trials(lambda point: runs.append(point) or point, [np.ones(2)])
+    assert len(runs) == 2
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from slot_core.validation.comparison import compare
 from slot_core.validation.frame_alignment import align_frames
 from slot_core.validation.recording import PointTrack, Recording, RecordingError
-from slot_core.validation.tables import alignment_lines
+from slot_core.validation.tables import alignment_lines, report
 
 PERIOD, RATE, NOISE = 0.7, 30.0, 1e-3
 SHIFT = np.array([1.0, -2.0, 0.3])
@@ -87,6 +87,19 @@ def test_an_error_that_grows_shows_when_the_frames_are_aligned_by_the_start():
     found = compare(run(), Recording("slow", {"torso": slower}), frame_time=1.0)
     series = found.series["torso", "x"]
     assert (series.run - series.measured)[-1] == pytest.approx(0.002 * 15.5, abs=4 * NOISE)
+
+
+def test_points_seen_briefly_or_late_are_left_out_by_name():
+    measured, _ = film(0.0, 0.0, Rotation.identity())
+    track = measured.points["torso"]
+    brief = PointTrack(track.t[40:41], track.position[40:41])
+    late = PointTrack(track.t[200:], track.position[200:])
+    points = {"torso": track, "FL_tip": brief, "FR_tip": late}
+    mine = Recording("run", dict.fromkeys(points, run().points["torso"]))
+    found = compare(mine, Recording("film", points), zero=True, frame_time=1.0)
+    assert found.brief == ("FL_tip", "FR_tip")
+    assert {name for name, _ in found.series} == {"torso"}
+    assert "points   seen too briefly or too late: FL_tip, FR_tip" in report(found, "level")
 
 
 def test_markers_beside_their_points_are_compared_from_where_they_start():

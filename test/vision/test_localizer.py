@@ -1,5 +1,7 @@
 """Marker localisation: the torso's pose from rendered pictures, and pictures without one."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -26,6 +28,12 @@ def localizer(carrier="torso", settings=VISION, camera=CAMERA):
 
 def changed(**changes):
     return config.replace(VISION, changes)
+
+
+@pytest.mark.parametrize(("carrier", "frame"), [("torso", "odom"), ("world", "base_link")])
+def test_settings_without_a_board_to_see_are_refused(carrier, frame):
+    with pytest.raises(ConfigError, match=f"boards: none in the frame {frame}"):
+        localizer(carrier, dataclasses.replace(VISION, boards={}))
 
 
 @pytest.mark.parametrize("carrier", ["torso", "world"])

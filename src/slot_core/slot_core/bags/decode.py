@@ -66,7 +66,13 @@ def odometry(message: Any) -> tuple[int, Array, Array, Array, Array, Array]:
 
 
 def imu(message: Any) -> tuple[int, Array, Array]:
-    """(stamp, angular velocity, specific force), both in base_link."""
+    """(stamp, angular velocity, specific force), both in the IMU's frame.
+
+    Raises ValueError for a message without one of them: covariance[0] is -1 (REP 145).
+    """
+    for name in ("angular_velocity", "linear_acceleration"):
+        if getattr(message, f"{name}_covariance")[0] == -1.0:
+            raise ValueError(f"no {name}: its covariance begins with -1")
     return stamp(message), vector(message.angular_velocity), vector(message.linear_acceleration)
 
 

@@ -1,7 +1,7 @@
 """Motion and tendon angles of any bag, refused unless they are sound.
 
 Sound: finite values, stamps that increase, quaternions of length one. Equal messages with one stamp
-count once.
+count once. Odometry with a quaternion of zeros says that it is lost, and is left out.
 """
 
 from __future__ import annotations
@@ -54,6 +54,12 @@ def measured_motion(bag: Bag, topic: str = "") -> Motion:
     read = _state if chosen == ESTIMATE else _odometry
     stamps, position, attitude, velocity = read(bag, chosen)
     where = f"{bag.path}: {chosen}"
+    left_out = 0
+    if chosen != ESTIMATE:
+        known = attitude.any(axis=1)
+        left_out = int(np.sum(~known))
+        stamps, attitude = stamps[known], attitude[known]
+        position, velocity = position[known], velocity[known]
     keep = sound(where, stamps, np.hstack([position, attitude, velocity]))
     position, attitude, velocity = position[keep], attitude[keep], velocity[keep]
     if chosen == ESTIMATE:
@@ -61,7 +67,7 @@ def measured_motion(bag: Bag, topic: str = "") -> Motion:
     else:
         rotation = _unit(where, attitude)
         velocity = rotation.apply(velocity)
-    return Motion(chosen, seconds(stamps[keep]), position, rotation.as_quat(), velocity)
+    return Motion(chosen, seconds(stamps[keep]), position, rotation.as_quat(), velocity, left_out)
 
 
 def tendon_angles(bag: Bag, topic: str = "") -> TendonAngles:
@@ -120,11 +126,16 @@ def _odometry(bag: Bag, topic: str) -> tuple[Stamps, Array, Array, Array]:
 
 
 def _state(bag: Bag, topic: str) -> tuple[Stamps, Array, Array, Array]:
-    """Times of the state (stamp and lead), position, roll pitch yaw, velocity in odom."""
+    """Times of the state (stamp and lead), position, roll pitch yaw, velocity in odom.
+
+    Of two states of one time, as two late readings give them, the second knows more.
+    """
     fields = ("position", "rpy", "linear_velocity")
     series = bag.series(topic, *fields, "lead")
-    position, rpy, velocity = (series[field] for field in fields)
-    return state_time(series), position, rpy, velocity
+    time = state_time(series)
+    last = np.append(np.diff(time) != 0, True)
+    position, rpy, velocity = (series[field][last] for field in fields)
+    return time[last], position, rpy, velocity
 
 
 def _unit(where: str, quaternion: Array) -> Rotation:

@@ -28,6 +28,7 @@ class Motion:
     position: Array  # (n, 3) m
     quaternion: Array  # (n, 4) x y z w, base_link to odom
     velocity: Array  # (n, 3) m/s, in odom
+    left_out: int = 0  # readings that say that they are lost
 
     @cached_property
     def rpy(self) -> Array:
@@ -56,6 +57,7 @@ class Motion:
             self.position[keep],
             self.quaternion[keep],
             self.velocity[keep],
+            self.left_out,
         )
 
 
@@ -101,11 +103,12 @@ def stride_mean(t: Array, values: Array, period: float) -> Array:
 
 
 def stride_period(bag: Bag) -> float | None:
-    """Median period of the gait over the walk, s; None without a periodic gait."""
+    """Median period of the gait while a velocity is commanded, s; None where none ever is."""
     if not bag.counts.get("/gait_preview"):
         return None
-    period = float(np.median(bag.series("/gait_preview", "period")["period"]))
-    return period if period > 0 else None
+    series = bag.series("/gait_preview", "period", "velocity")
+    periods = series["period"][series["velocity"].any(axis=1)]
+    return float(np.median(periods)) if len(periods) else None
 
 
 def seconds(ns: Stamps, origin: int = 0) -> Array:

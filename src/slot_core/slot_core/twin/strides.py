@@ -11,7 +11,9 @@ frame of the mean heading: in the mean of 21 readings at 30 Hz their noise is a 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.signal import correlate, find_peaks
@@ -81,7 +83,7 @@ class StrideErrors:
 def find_strides(
     recorded: Recorded, settings: TwinSettings, period: float | None = None
 ) -> Strides:
-    """Strides from the first motion of the tendons on, without the run-in.
+    """The longest row of strides in which the tendons move, without the run-in.
 
     period: of a stride, s; by default that of the recorded gait, else that of the tendon angles.
     Raises ConfigError for fewer than LEAST_STRIDES.
@@ -89,16 +91,33 @@ def find_strides(
     begin, end = recorded.span
     length = period or recorded.period or angle_period(recorded)
     t, angle = recorded.angles.t, recorded.angles.angle
-    threshold = np.radians(settings.least_motion_deg) / 2
-    moved = t[np.abs(angle - angle[0]).max(axis=1) > threshold]
-    first = max(begin, float(moved[0]) if len(moved) else begin)
-    count = int((end - first) / length) - settings.run_in
+    least = np.radians(settings.least_motion_deg)
+    moved = t[np.abs(angle - angle[0]).max(axis=1) > least / 2]
+    edges = np.arange(max(begin, float(moved[0]) if len(moved) else begin), end, length)
+    row = _longest_row([_range(t, angle, *pair) >= least for pair in pairwise(edges)])
+    count = len(row) - settings.run_in
     if count < LEAST_STRIDES:
         raise ConfigError(
             f"{recorded.name}: {max(count, 0)} strides of {length:.3g} s after a run-in of"
             f" {settings.run_in}, less than {LEAST_STRIDES}"
         )
-    return Strides(length, first + length * (settings.run_in + np.arange(count + 1.0)))
+    return Strides(length, edges[row.start + settings.run_in : row.stop + 1])
+
+
+def _range(t: Array, angle: Array, begin: float, end: float) -> float:
+    """Largest range of a column of angle (n, 4) from begin to end; zero without samples."""
+    part = angle[(t >= begin) & (t < end)]
+    return float(np.ptp(part, axis=0).max()) if len(part) else 0.0
+
+
+def _longest_row(moves: Sequence[bool]) -> range:
+    """Indices of the longest row of true values, the first of equal ones; empty without one."""
+    longest, start = range(0), 0
+    for end, true in enumerate([*moves, False]):
+        if not true:
+            longest = max(longest, range(start, end), key=len)
+            start = end + 1
+    return longest
 
 
 def angle_period(recorded: Recorded) -> float:

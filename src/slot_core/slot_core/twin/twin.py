@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import os
+import pickle
 import shutil
 import signal
 import sys
@@ -18,6 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -77,7 +79,7 @@ def _run(options: argparse.Namespace) -> list[str]:
     lines = [
         f"{recorded.name}: {strides.count} strides of {strides.period:.3g} s",
         f"tendon angles       {recorded.angles.topic} ({kind})",
-        f"motion              {recorded.motion.source}",
+        f"motion              {recorded.motion.source}{_left_out(recorded.motion.left_out)}",
         f"model               scene {options.scene}, parameters {start}",
         "",
     ]
@@ -85,9 +87,8 @@ def _run(options: argparse.Namespace) -> list[str]:
     predicted = predict(recorded, parts, settings)
     if names:
         with _runner(options) as run_all:
-            kept = _Trials(
-                out / "trials", run_all, repr((recorded, parts, names, settings, options.starts))
-            )
+            trial = (recorded, strides, parts, names, settings, options.starts)
+            kept = _Trials(out / "trials", run_all, trial)
             found = fit_twin(
                 recorded, parts, names, strides, settings,
                 run_all=kept, starts=options.starts, progress=_progress,
@@ -112,12 +113,19 @@ def _run(options: argparse.Namespace) -> list[str]:
     return [*lines, "", f"twin.png, predicted.csv and summary.txt are in {out}"]
 
 
-class _Trials:
-    """Runs trials and keeps their residuals in a directory until the fit is done."""
+def _left_out(count: int) -> str:
+    return f", without {count} readings that were lost" if count else ""
 
-    def __init__(self, directory: Path, run_all: RunAll, head: str) -> None:
+
+class _Trials:
+    """Runs trials of a fit and keeps their residuals in a directory until it is done.
+
+    fit: all on which the residuals depend besides the point; those of another fit are not used.
+    """
+
+    def __init__(self, directory: Path, run_all: RunAll, fit: Any) -> None:
         self._directory, self._run_all = directory, run_all
-        self._head = hashlib.sha256(head.encode()).digest()
+        self._head = hashlib.sha256(pickle.dumps(fit)).digest()
         self._directory.mkdir(exist_ok=True)
 
     def __call__(self, call: Callable[[Array], Array], points: Sequence[Array]) -> list[Array]:

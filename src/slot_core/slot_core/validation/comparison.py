@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -14,6 +15,7 @@ from slot_core.validation.error_metrics import Errors, errors
 from slot_core.validation.frame_alignment import FrameAlignment, align_frames
 from slot_core.validation.recording import (
     ATTITUDE,
+    LEAST_SAMPLES,
     PointTrack,
     Recording,
     RecordingError,
@@ -41,6 +43,7 @@ class Comparison:
     frame: FrameAlignment
     series: Mapping[tuple[str, str], Series]  # by point and axis: x y z, roll pitch yaw
     only: tuple[str, ...]  # points of one recording alone
+    brief: tuple[str, ...] = ()  # with too few samples in the time of both, or seen too late
 
     @property
     def points(self) -> list[str]:
@@ -76,10 +79,11 @@ def compare(
     pairs = [(measured.points[name], run.points[name]) for name in names]
     clock = align_times(pairs, frame, offset)
     joined = {name: _joined(pair, clock) for name, pair in zip(names, pairs)}
-    joined = {name: part for name, part in joined.items() if len(part[0])}
+    joined = {name: part for name, part in joined.items() if len(part[0]) >= LEAST_SAMPLES}
     if not joined:
-        raise RecordingError("the recordings have no time in common")
+        raise RecordingError(f"no point has {LEAST_SAMPLES} samples in the time of both recordings")
     until = min(float(t[0]) for t, _, _ in joined.values()) + frame_time
+    joined = {name: part for name, part in joined.items() if part[0][0] <= until}
     parts = [(p.position[p.t <= until], r.position[r.t <= until]) for _, r, p in joined.values()]
     if zero:  # the turn from the motion alone
         parts = [(theirs - theirs.mean(axis=0), mine - mine.mean(axis=0)) for theirs, mine in parts]
@@ -93,7 +97,7 @@ def compare(
             shift = np.mean((r - m)[t <= until]) if zero else 0.0
             series[name, axis] = Series(t, r, m + shift, errors(r, m + shift, size))
     only = tuple(sorted(set(run.points) ^ set(measured.points)))
-    return Comparison(clock, aligned, series, only)
+    return Comparison(clock, aligned, series, only, tuple(sorted(set(names) - joined.keys())))
 
 
 def _coordinates(
@@ -118,7 +122,7 @@ def _named_alike(run: Recording, measured: Recording, leg: str) -> tuple[Recordi
 
 def _with_leg(recording: Recording, leg: str) -> Recording:
     points = {f"{leg}_{k}" if k in LEG_POINTS else k: v for k, v in recording.points.items()}
-    return Recording(recording.name, points)
+    return dataclasses.replace(recording, points=points)
 
 
 def _joined(pair: Pair, clock: TimeAlignment) -> tuple[Array, PointTrack, PointTrack]:

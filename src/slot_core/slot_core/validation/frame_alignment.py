@@ -19,7 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from slot_core.robot import Array
 
-FRAMES = ("rigid", "level", "none")
+RIGID = "rigid"
+FRAMES = (RIGID, "level", "none")
 
 
 @dataclass(frozen=True)

@@ -14,17 +14,18 @@ folders of pictures, bags with pictures, and depth.
 from __future__ import annotations
 
 import csv
+import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from slot_core.bags.bag import Bag
+from slot_core.bags.bag import STORAGES, Bag
 from slot_core.bags.measured import measured_motion, sound
 from slot_core.bags.walk import LEG_STATES, seconds
 from slot_core.body_points import BODY_POINTS, COLUMNS, LEG_POINTS, TORSO, at_shares
-from slot_core.robot import LEGS, Array
+from slot_core.robot import LEGS, ODOM_FRAME, Array
 
 POINTS = (*BODY_POINTS, *LEG_POINTS)
 WIDE = ("time", "x", "y", "z")
@@ -53,17 +54,22 @@ class Recording:
 
     name: str
     points: Mapping[str, PointTrack]
+    notes: tuple[str, ...] = ()  # what limits its use, one line each
+    tilted: bool = False  # whether it is in the axes of a camera, not in odom
 
 
-def read_recording(path: Path, namespace: str = "", camera: Path | None = None) -> Recording:
-    """A recording from a bag (directory or .mcap), a CSV file, or a video and its camera's file.
+def read_recording(
+    path: Path, namespace: str = "", camera: Path | None = None, motion: str = ""
+) -> Recording:
+    """A recording from a bag, a CSV file, or a video and its camera's file.
 
-    Raises RecordingError, BagError for a bag, ConfigError for the settings of the tracker.
+    motion: topic of a bag, by default the first of MOTION_TOPICS that is recorded. Raises
+    RecordingError, BagError for a bag, ConfigError for the settings of the tracker.
     """
     if path.suffix.lower() in VIDEOS:
         return _from_video(path, camera)
-    if path.is_dir() or path.suffix == ".mcap":
-        return _from_bag(Bag(path, namespace))
+    if path.is_dir() or path.suffix in STORAGES:
+        return _from_bag(Bag(path, namespace), motion)
     return _from_csv(path)
 
 
@@ -76,8 +82,8 @@ def write_points(path: Path, points: Mapping[str, Array], comments: Sequence[str
     path.write_text("\n".join(lines) + "\n")
 
 
-def _from_bag(bag: Bag) -> Recording:
-    motion = measured_motion(bag)
+def _from_bag(bag: Bag, topic: str) -> Recording:
+    motion = measured_motion(bag, topic)
     tracks = {TORSO: (motion.t, motion.position, motion.rpy)}
     if bag.counts.get(LEG_STATES, 0) > 1:
         series = bag.series(LEG_STATES, "position")
@@ -88,33 +94,37 @@ def _from_bag(bag: Bag) -> Recording:
             places = np.array([at_shares(shape[k]) for shape in nodes])
             for n, name in enumerate(LEG_POINTS):
                 tracks[f"{leg}_{name}"] = (t, places[:, n], None)  # type: ignore[assignment]
-    return _since_first(bag.path.name, {k: PointTrack(*v) for k, v in tracks.items()})
+    found = _since_first(bag.path.name, {k: PointTrack(*v) for k, v in tracks.items()})
+    lost = f"{motion.source}: {motion.left_out} readings that were lost are left out"
+    return dataclasses.replace(found, notes=(lost,) if motion.left_out else ())
 
 
 def _from_video(path: Path, camera: Path | None) -> Recording:
     # OpenCV takes a second to load, which other recordings do without.
     from slot_core.vision.camera import CameraError, nominal, read_camera  # noqa: PLC0415
-    from slot_core.vision.pictures import FilmError, read_film  # noqa: PLC0415
+    from slot_core.vision.pictures import FilmError  # noqa: PLC0415
     from slot_core.vision.settings import read_vision  # noqa: PLC0415
-    from slot_core.vision.tracker import Tracker  # noqa: PLC0415
+    from slot_core.vision.track import track_film  # noqa: PLC0415
 
     settings = read_vision()
     try:
         lens = read_camera(camera) if camera else nominal(settings.camera)
-        tracker = Tracker(settings, lens)
-        for frame in read_film(path):
-            tracker.add(frame.time, frame.grey, frame.depth)
-        samples = tracker.tracks().samples
+        found = track_film(path, lens, settings)
     except (FilmError, CameraError) as error:
         raise RecordingError(str(error)) from None
     rows: dict[str, list[tuple[float, ...]]] = {}
-    for sample in samples:
+    for sample in found.samples:
         rows.setdefault(sample.point, []).append((sample.time, *sample.position))
     long = {name: np.array(part) for name, part in rows.items() if len(part) >= LEAST_SAMPLES}
     if not long:
         raise RecordingError(f"{path}: no marker in {LEAST_SAMPLES} pictures; see scripts/track")
     tracks = {name: PointTrack(part[:, 0], part[:, 1:]) for name, part in long.items()}
-    return _since_first(path.name, tracks)
+    notes = [] if camera else ["without --camera: the nominal camera of config/vision.yaml"]
+    return dataclasses.replace(
+        _since_first(path.name, tracks),
+        notes=(*notes, *found.warnings),
+        tilted=found.frame != ODOM_FRAME,
+    )
 
 
 def _from_csv(path: Path) -> Recording:

@@ -48,6 +48,8 @@ def alignment_lines(comparison: Comparison, frame: str) -> list[str]:
         lines.insert(1, _rival(time))
     if comparison.only:
         lines.append(f"points   only in one recording: {', '.join(comparison.only)}")
+    if comparison.brief:
+        lines.append(f"points   seen too briefly or too late: {', '.join(comparison.brief)}")
     return lines
 
 

@@ -14,11 +14,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from slot_core.bags.bag import BagError
+from slot_core.bags.measured import MOTION_TOPICS
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_core.validation import curves, tables
 from slot_core.validation.comparison import compare
-from slot_core.validation.frame_alignment import FRAMES
+from slot_core.validation.frame_alignment import FRAMES, RIGID
 from slot_core.validation.recording import RecordingError, read_recording
 
 
@@ -35,15 +36,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace) -> list[str]:
-    run = read_recording(options.run, options.namespace, options.camera)
+    run = read_recording(options.run, options.namespace, options.camera, options.motion)
     measured = read_recording(options.measurement, camera=options.camera)
+    for recording in (run, measured):
+        if recording.tilted and options.frame != RIGID:
+            raise RecordingError(
+                f"{recording.name}: no board places the camera in odom, so the tracks are in its"
+                f" axes; align them with --frame {RIGID}"
+            )
     found = compare(
         run, measured,
         frame=options.frame, frame_time=options.frame_time, zero=options.zero,
         offset=options.offset,
         leg=options.leg, block=options.block,
     )  # fmt: skip
-    lines = [f"run {run.name}, measurement {measured.name}", *tables.report(found, options.frame)]
+    lines = [f"run {run.name}, measurement {measured.name}"]
+    lines += [f"{r.name}: {note}" for r in (run, measured) for note in r.notes]
+    lines += tables.report(found, options.frame)
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "summary.txt").write_text("\n".join(lines) + "\n")
     tables.write_csv(found, options.out / "errors.csv")
@@ -75,6 +84,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--block", type=_positive, metavar="S", default=1.0, help="of the bootstrap (default: 1 s)")
     add("--camera", type=Path, metavar="FILE", help="calibration of a video's camera")
     add("--namespace", default="", help="of the run's bag")
+    first = "motion of the run's bag (default: the first of these that is recorded)"
+    add("--motion", default="", choices=MOTION_TOPICS, help=first)
     return parser
 
 

@@ -73,6 +73,8 @@ class Stage:
         camera = settings.film_camera
         self._to_camera = optical(Transform.of(camera.position, camera.rpy)).inverse
         number = settings.dictionary_number
+        if BOARD not in settings.boards:
+            raise ConfigError(f"vision.yaml: boards: none named {BOARD}")
         self._board = make_board(settings.boards[BOARD])
         self._board_print = print_of(self._board, number)
         names = settings.points.names

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slot_core.clock import SECOND
+from slot_core.config import ConfigError
 from slot_core.robot import BASE_FRAME, ODOM_FRAME, Array
 from slot_core.vision.board import Picture, make_board
 from slot_core.vision.camera import Camera
@@ -70,12 +71,18 @@ class MarkerLocalizer:
     def __init__(
         self, settings: VisionSettings, camera: Camera, mount: Transform, carrier: str | None = None
     ) -> None:
-        """mount: camera_link in base_link, used if the carrier (default: that set) is the torso."""
+        """mount: camera_link in base_link, used if the carrier (default: that set) is the torso.
+
+        Raises ConfigError without a board in the frame that the camera does not stand on.
+        """
         on_torso = (carrier or settings.carrier) == "torso"
         placed = Transform.of(settings.world_camera.position, settings.world_camera.rpy)
         self._settings, self._camera, self._on_torso = settings.detection, camera, on_torso
         self._fixed = optical(mount if on_torso else placed)
         boards = settings.boards_in(ODOM_FRAME if on_torso else BASE_FRAME)
+        if not boards:
+            frame = ODOM_FRAME if on_torso else BASE_FRAME
+            raise ConfigError(f"vision.yaml: boards: none in the frame {frame}")
         self._boards = {name: make_board(board) for name, board in boards.items()}
         self._detector = MarkerDetector(settings.dictionary_number, camera)
         self._dictionary = settings.dictionary

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slot_core.bags.bag import Bag, BagError
+from slot_core.bags.bag import STORAGES, Bag, BagError
 from slot_core.bags.decode import stamp
 from slot_core.vision import picture_message
 from slot_core.vision.board import Picture
@@ -63,7 +63,9 @@ def claimed_length(path: Path) -> int:
 
 def is_bag(path: Path) -> bool:
     """Whether a path is a bag."""
-    return path.suffix == ".mcap" or (path / "metadata.yaml").exists() or any(path.glob("*.mcap"))
+    if path.suffix in STORAGES or (path / "metadata.yaml").exists():
+        return True
+    return any(file.suffix in STORAGES for file in path.glob("*"))
 
 
 def bag_camera(path: Path, topic: str) -> Camera:
@@ -85,12 +87,17 @@ def _of_video(path: Path, rate: float | None) -> Iterator[Frame]:
         raise FilmError(f"{path}: no video that OpenCV can read")
     if rate is None and not 0 < own < 1e4:
         raise FilmError(f"{path}: says {own:g} pictures per s; give --rate")
-    number = 0
+    number, time, step = 0, 0.0, 1.0 / (rate or own)
     while True:
         there, picture = video.read()
         if not there:
             break
-        yield Frame(number / (rate or own), _grey(picture))
+        if rate is None:  # its own times, since films of telephones vary in their rate
+            own_time = video.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+            time = own_time if own_time > time or not number else time + step
+        else:
+            time = number * step
+        yield Frame(time, _grey(picture))
         number += 1
     if not number:
         raise FilmError(f"{path}: has no picture that can be read")

@@ -38,7 +38,6 @@ from slot_core.vision.settings import VisionSettings, read_vision
 from slot_core.vision.tracker import Sample, Tracker, Tracks
 
 COMPLETE = 1.02  # pictures that a video says over those read: some estimate their length
-MOVED = 1.0  # px, of the board before a camera that stands still
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -50,7 +49,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     cv2.setNumThreads(1)
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # it repeats our messages
     try:
-        tracks = _track(options, read_vision())
+        settings = read_vision()
+        tracks = track_film(
+            options.film, _camera(options, settings), settings,
+            rate=options.rate, depth=options.depth, topic=options.topic,
+        )  # fmt: skip
         samples = of_leg(tracks.samples, options.leg)
         if not samples:
             parser.error(f"{options.film}: no marker of leg {options.leg}")
@@ -80,21 +83,30 @@ def write_tracks(path: Path, samples: list[Sample]) -> None:
             writer.writerow([f"{s.time:.6f}", s.point, *(f"{value:.6f}" for value in s.position)])
 
 
-def _track(options: argparse.Namespace, settings: VisionSettings) -> Tracks:
-    frames = read_film(options.film, options.rate, options.depth, options.topic)
+def track_film(
+    film: Path,
+    camera: Camera,
+    settings: VisionSettings,
+    *,
+    rate: float | None = None,
+    depth: str = "",
+    topic: str = PICTURES,
+) -> Tracks:
+    """Tracks of the markers of a film, as for `read_film`; raises FilmError, CameraError."""
+    frames = read_film(film, rate, depth, topic)
     first = next(frames, None)
     if first is None:
-        raise FilmError(f"{options.film}: no picture on {options.topic}")
-    tracker = Tracker(settings, _camera(options, settings))
+        raise FilmError(f"{film}: no picture on {topic}")
+    tracker = Tracker(settings, camera)
     for number, frame in enumerate(itertools.chain([first], frames)):
         tracker.add(frame.time, frame.grey, frame.depth)
         if sys.stderr.isatty() and number % 30 == 0:
             print(f"picture {number}", end="\r", file=sys.stderr, flush=True)
     tracks = tracker.tracks()
-    if (claimed := claimed_length(options.film)) > COMPLETE * tracks.pictures:
+    if (claimed := claimed_length(film)) > COMPLETE * tracks.pictures:
         tracks.notes.append(f"the video says that it has {claimed} pictures: it is damaged")
     if not tracks.samples:
-        raise FilmError(f"{options.film}: no tracked marker in {_absence(tracks, settings, first)}")
+        raise FilmError(f"{film}: no tracked marker in {_absence(tracks, settings, first)}")
     return tracks
 
 
@@ -119,11 +131,7 @@ def _camera(options: argparse.Namespace, settings: VisionSettings) -> Camera:
 def _summary(tracks: Tracks, samples: list[Sample]) -> list[str]:
     """Lines: the frame, and of each point how many pictures show it."""
     lines = [f"{tracks.pictures} pictures, tracks in {tracks.frame}"]
-    if tracks.camera_motion > MOVED:
-        lines.append(
-            f"the camera moved: the board by {tracks.camera_motion:.1f} px, limit {MOVED:g} px"
-        )
-    lines += tracks.notes
+    lines += tracks.warnings
     counts = Counter(s.point for s in samples)
     width = max(map(len, counts))
     for point, count in counts.items():

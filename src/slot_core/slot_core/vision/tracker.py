@@ -26,6 +26,7 @@ DEPTH_PIXELS = 9  # fewest in a marker for its depth to count
 FEWEST = 2  # markers of a board that place the camera
 GROSS = 5.0  # standard deviations, beyond which the depth is another object's
 CAMERA = "camera_link"
+MOVED = 1.0  # px, of the board before a camera that stands still
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,14 @@ class Tracks:
     pictures: int
     camera_motion: float  # px, largest motion of a marker of the boards
     notes: list[str] = field(default_factory=list)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What limits their use, one line each."""
+        if self.camera_motion <= MOVED:
+            return self.notes
+        moved = f"the board by {self.camera_motion:.1f} px, limit {MOVED:g} px"
+        return [f"the camera moved: {moved}", *self.notes]
 
 
 class Tracker:
@@ -122,6 +131,8 @@ class Tracker:
 
     def _camera_in_odom(self) -> Transform | None:
         """Optical frame in odom, from the median rays of the board with most markers; or None."""
+        if not self._boards:
+            return None
         rays = {number: np.median(seen, axis=0) for number, seen in self._rays.items()}
         board = max(self._boards, key=lambda board: len(rays.keys() & board.corners.keys()))
         ids = sorted(rays.keys() & board.corners.keys())
