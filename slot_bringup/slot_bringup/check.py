@@ -27,10 +27,14 @@ DOMAIN_MAX = 232  # beyond it the ports of DDS, 7400 + 250 domain, exceed 65535
 def check(values: Mapping[str, Any]) -> None:
     """Raise ConfigError for values of the graph's arguments, by name, that a node would refuse."""
     gaits = read_gaits()
-    v_x = gaits.find(values["gait"]).cruise if values["vx"] is None else values["vx"]
-    gaits.require_velocity(values["gait"], np.array([v_x, values["vy"], 0.0]))
+    gait = gaits.find(values["gait"])
+    v_x = gait.cruise if values["vx"] is None else values["vx"]
+    velocity = np.array([v_x, values["vy"], values["yaw_rate"]])
+    gaits.require_velocity(values["gait"], velocity)
     if values["path"]:
-        read_path(Path(values["path"]), "kept")
+        read_path(Path(values["path"]), values["path_heading"])
+        if not velocity[:2].any():
+            raise ConfigError(f"path: gait {values['gait']} with this velocity stays in its place")
     scene = read_scene(values["scene"])
     read_mpc(values["mpc"])
     hardware = values["hardware"]

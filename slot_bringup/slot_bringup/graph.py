@@ -187,7 +187,7 @@ def is_attended(values: Mapping[str, Any]) -> bool:
 
 
 def _start_up(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters of the supervisor at the start, and whether the clock is simulated.
+    """Parameters of the supervisor at the start, and what depends on the hardware.
 
     Unattended, the supervisor starts to walk by itself and needs no e-stop source; attended, it
     waits for requests.
@@ -196,6 +196,7 @@ def _start_up(values: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "autostart": not attended,
         "estop_required": None if attended else False,
+        "best_effort_sensors": values["hardware"] == "real",
         "simulated_time": values["lockstep"] or values["hardware"] == "none",
     }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -30,7 +31,11 @@ def deferred() -> Iterator[None]:
 
     An exception raised by a signal during a fork is lost. One raised while rclpy converts a message
     becomes a RuntimeError, or a null pointer in the converter's C code, which ends the process.
+    Only the main thread is interrupted; in another one this does nothing.
     """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
     received: list[int] = []
     with on_interrupt(lambda number, _: received.append(number)):
         yield

@@ -179,7 +179,7 @@ def _follow(namespace: str, log: RerunLog, ended: Callable[[], bool]) -> None:
                 messages.message_class(topic.type),
                 name.removeprefix("/"),
                 partial(log.receive, name),
-                qos.recorded(topic, QUEUE),
+                qos.best_effort(qos.recorded(topic, QUEUE)),
             )
         while not ended():
             executor.spin_once()

@@ -66,7 +66,7 @@ class Case:
 
 CASES = {
     "walk": Case(1.65, keeps=("/ground_truth/legs", "/tf")),
-    "turn": Case(1.95, velocity=(0.03, 0.15)),
+    "turn": Case(1.95, velocity=(0.0, 0.17)),
     "path": Case(1.82, ("--path", str(BAGS / "path.csv"))),
     "fault": Case(2.08, scene=BROKEN),
     "lost_odometry": Case(2.08, scene=LOST),

@@ -65,7 +65,7 @@ def test_a_recorded_bag_replays(name):
         ("estimator", ("odometry", "position_noise"), 0.002, "/mpc_state"),
         ("gait", ("acceleration",), 0.11, "/gait_preview"),
         ("gait/walk", ("forward", "speed"), 0.07, "/gait_preview"),
-        ("mpc", ("model", "reference"), "zero", "/ground_reaction_forces"),
+        ("mpc", ("posture", "height"), 3e5, "/ground_reaction_forces"),
         ("mpc", ("map",), "paper", "/desired_joint_angles"),
     ],
 )
@@ -83,7 +83,7 @@ def test_a_change_of_the_feedback_shows_once_a_stride_has_ended(configure):
 
 
 def test_the_first_difference_is_reported(configure, capsys):
-    configure("mpc", "model", "reference", value="zero")
+    configure("mpc", "posture", "height", value=3e5)
     assert replay.main([str(WALK)]) == 1
     line = capsys.readouterr().out.strip().splitlines()[-1]
     assert line.startswith("first difference: /ground_reaction_forces at 1.0")
@@ -162,7 +162,7 @@ def test_replay_says_what_made_the_bag_and_how_its_configuration_differs(
     first, second, *_ = capsys.readouterr().out.splitlines()
     assert re.fullmatch(r"recorded by  revision \S.*, scene flat, seed 1", first)
     assert second.startswith("/mpc_state")
-    configure("mpc", "model", "reference", value="zero")
+    configure("mpc", "posture", "height", value=3e5)
     assert replay.main([str(path)]) == 0
     shown = capsys.readouterr().out
     assert "its configuration differs in mpc.yaml\n" in shown
@@ -175,6 +175,14 @@ def test_the_profile_that_the_bag_names_is_replayed(tmp_path):
     first = {c.topic: c.first for c in replay.replay(Bag(path), replay.TOLERANCE)}
     assert first["/gait_preview"] is None
     assert first["/ground_reaction_forces"] is not None
+
+
+def test_a_path_that_the_bag_lacks_leaves_out_the_gait_by_name(tmp_path, capsys):
+    """As in a bag of `ros2 bag record`, which has the path's name without its file."""
+    topics = ["/odom", "/imu", "/mpc_state", "/gait_preview"]
+    path = partly(tmp_path / "bag", topics, origin=Origin({"path": "way.csv"}))
+    assert replay.main([str(path)]) == 0
+    assert "left out: the bag holds no way.csv" in capsys.readouterr().out
 
 
 def test_what_is_left_of_a_cut_off_bag_is_replayed(tmp_path, capsys):
@@ -190,7 +198,7 @@ def test_what_is_left_of_a_cut_off_bag_is_replayed(tmp_path, capsys):
 def test_the_bags_hold_what_they_are_named_after():
     """Else a bag recorded afresh could replay without the case that it is there for."""
     turn = Bag(HERE / "turn").series("/gait_preview", "velocity", "reference")
-    assert turn["velocity"][-1, 2] == pytest.approx(0.15)
+    assert turn["velocity"][-1, 2] == pytest.approx(0.17)
     assert turn["reference"][-1, 2] > 0.05  # rad, yaw of the reference at the end
     assert "path.csv" in Bag(HERE / "path").origin.files
     validity = Bag(HERE / "lost_odometry").series("/mpc_state", "validity")["validity"]

@@ -1,12 +1,15 @@
 """Command line of scripts/run."""
 
 import shutil
+from pathlib import Path
 
 import pytest
 
 from slot_bringup import run, view
 from slot_bringup.graph import read_graph
 from slot_core.config import config_dir
+
+PATH = Path(__file__).resolve().parents[1] / "bags/path.csv"
 
 
 @pytest.mark.parametrize(
@@ -38,6 +41,8 @@ from slot_core.config import config_dir
             ["--lockstep", "--hardware", "fake_bus", "--port", "/tmp/x"],
             "port: emulated servos have none in lockstep",
         ),
+        (["--gait", "sit", "--path", str(PATH)], "path: gait sit with this velocity stays in its"),
+        (["--yaw-rate", "0.1"], "yaw rate = 0.1: with the other velocities gait walk reaches 0.05"),
         (["--namespace", "a b"], "namespace = 'a b': Invalid namespace: "),
         (["--namespace", "//a"], "namespace = '//a': Invalid namespace: "),
         (["--frame-prefix", "/a/"], "frame_prefix = '/a/': tf2 knows no frames that begin with"),

@@ -243,6 +243,12 @@ def test_sway_rotates_with_the_heading():
         ("walk", [0, -0.2, 0], r"v_y = -0\.2: gait walk reaches"),
         ("walk", [0, 0, float("inf")], r"yaw rate = inf: gait walk reaches"),
         ("stand", [0.01, 0, 0], r"v_x = 0\.01: gait stand reaches \[0, 0\]"),
+        (
+            "walk",
+            [0.05, 0, 0.1],
+            r"yaw rate = 0\.1: with the other velocities gait walk reaches 0\.05",
+        ),
+        ("walk", [0.07, 0.07, 0], r"v_x = 0\.07: with the other velocities gait walk reaches 0\.0"),
         ("walk", [0.05], r"velocity: 1 values, not v_x, v_y, yaw rate"),
     ],
 )
@@ -264,6 +270,29 @@ def test_an_unknown_gait_or_a_velocity_out_of_range_is_refused(gait, velocity, m
 def test_a_body_pose_out_of_range_is_refused(pose, message):
     with pytest.raises(ConfigError, match=message):
         GAITS.require_pose("stand", np.array(pose))
+
+
+def test_a_body_pose_of_slack_legs_is_refused():
+    with pytest.raises(ConfigError, match="gait lie has slack tendons: no body pose"):
+        GAITS.require_pose("lie", np.array([0.05, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize("gait", ["walk", "fast_walk", "crawl"])
+def test_velocities_beyond_the_reached_ones_change_nothing(gait):
+    """The patterns scale and clip by themselves, so the limited velocity gives the same angles."""
+    stride = GAITS.strides[gait]
+    rng, phase = np.random.default_rng(0), np.linspace(0.0, 1.0, 20)
+    for _ in range(50):
+        asked = rng.uniform(-1.5, 1.5, 3) * stride.speeds
+        asked[:2] *= np.hypot(*asked[:2]) > stride.walking_speed  # walking, or turning in place
+        given = stride.reached(asked)
+        angles = [
+            stride.course(phase, v, stride.walking(v), np.zeros(4))[:, :4] for v in (asked, given)
+        ]
+        if asked[:2].any() or abs(asked[2]) <= stride.turn.speed:
+            assert angles[1] == pytest.approx(angles[0], abs=1e-9)
+        assert (np.abs(given) <= np.abs(asked) + 1e-12).all()
+        assert stride.reached(given) == pytest.approx(given, abs=1e-12)
 
 
 @pytest.mark.parametrize("kind", [None, "trot", "[1]"])

@@ -617,6 +617,11 @@ def test_the_observer_estimates_mass_and_bias_and_reduces_their_error():
     assert np.abs(with_it[:, :2]).max() < 0.5 * np.abs(without[:, :2]).max()
 
 
+def test_tendon_angles_without_the_forces_of_the_gait_are_refused():
+    with pytest.raises(config.ConfigError, match=r"model\.reference = 'zero': problem tendons"):
+        config.replace(read_mpc(), {"model.reference": "zero"})
+
+
 @pytest.mark.parametrize("profile", ["paper", "published"])
 def test_a_profile_changes_only_the_values_it_names(profile):
     settings = read_mpc(profile)

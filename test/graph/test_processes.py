@@ -9,17 +9,21 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import psutil
 import pytest
 import rclpy
+from nav_msgs.msg import Odometry
 from rclpy.context import Context
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 
 from slot_bringup.graph import read_graph
 from slot_bringup.processes import command_line
+from slot_msgs.msg import MpcState
 from slot_nodes import qos
 
 GRAPH = read_graph()
@@ -58,7 +62,7 @@ def all_ended(nodes):
     return not any(psutil.pid_exists(node.pid) and node.is_running() for node in nodes.values())
 
 
-def wait_for_commands(count=30):
+def wait_for_commands(run, count=30):
     """Wait until the graph has published `count` commands, so that the robot walks."""
     context, received = Context(), []
     rclpy.init(context=context)
@@ -69,6 +73,7 @@ def wait_for_commands(count=30):
 
     def received_enough():
         executor.spin_once(timeout_sec=0.1)
+        assert run.poll() is None, run.communicate()
         return len(received) >= count
 
     wait_until(received_enough)
@@ -80,7 +85,7 @@ def wait_for_commands(count=30):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_stops_every_process_and_keeps_the_bag(tmp_path, number):
     run, nodes = start(["--duration", "60", "--bag", "bag"], tmp_path)
-    wait_for_commands()
+    wait_for_commands(run)
     run.send_signal(number)
     _, errors = run.communicate(timeout=60)
     assert run.returncode == 130, errors
@@ -92,7 +97,7 @@ def test_signal_stops_every_process_and_keeps_the_bag(tmp_path, number):
 @pytest.mark.real_time
 def test_killed_run_leaves_no_process(tmp_path):
     run, nodes = start(["--duration", "60", "--bag", "bag"], tmp_path)
-    wait_for_commands()
+    wait_for_commands(run)
     run.kill()
     run.wait()
     wait_until(lambda: all_ended(nodes))
@@ -102,7 +107,7 @@ def test_killed_run_leaves_no_process(tmp_path):
 @pytest.mark.parametrize("name", ["sim_robot", "mpc_controller"])
 def test_killed_node_ends_the_run_and_is_named(tmp_path, name):
     run, nodes = start(["--duration", "60", "--bag", "bag"], tmp_path)
-    wait_for_commands()
+    wait_for_commands(run)
     nodes[name].kill()
     _, errors = run.communicate(timeout=60)
     assert run.returncode == 1
@@ -142,6 +147,40 @@ def test_node_ends_cleanly_on_a_signal(tmp_path, name, number):
     assert child.returncode == 0, errors.decode()
 
 
+@pytest.mark.parametrize("best_effort", [False, True])
+def test_a_best_effort_odometry_is_received_only_if_the_parameter_says_so(tmp_path, best_effort):
+    """Cameras' drivers publish best effort, which a reliable subscription does not receive."""
+    spec = replace(NODES["state_estimator"], parameters={"best_effort_sensors": best_effort})
+    child = subprocess.Popen(
+        command_line(spec), cwd=tmp_path, stderr=subprocess.DEVNULL, start_new_session=True
+    )
+    context, received = Context(), []
+    rclpy.init(context=context)
+    try:
+        node = rclpy.create_node("camera", context=context)
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+        odometry = node.create_publisher(Odometry, "odom", qos.best_effort(qos.SENSOR))
+        refused = []  # reliable subscriptions that were discovered
+        events = PublisherEventCallbacks(incompatible_qos=refused.append)
+        node.create_publisher(Imu, "imu", qos.best_effort(qos.SENSOR), event_callbacks=events)
+        node.create_subscription(MpcState, "mpc_state", received.append, qos.CONTROL)
+        message = Odometry(child_frame_id="base_link")
+
+        def answered():
+            message.header.stamp = node.get_clock().now().to_msg()
+            odometry.publish(message)
+            executor.spin_once(timeout_sec=0.05)
+            return received or refused
+
+        wait_until(answered)
+        assert bool(received) == best_effort
+    finally:
+        context.try_shutdown()
+        child.terminate()
+        child.wait()
+
+
 @pytest.mark.parametrize(
     ("name", "parameter", "message"),
     [
@@ -149,7 +188,7 @@ def test_node_ends_cleanly_on_a_signal(tmp_path, name, number):
         ("mpc_controller", "horizon:=fifteen", "horizon"),
         ("force_mapper", "profile:=cubic", "no configuration 'mpc/cubic'"),
         ("force_mapper", "slope_min:=-1.0", "slope_min"),
-        ("gait_scheduler", "gait:=trot", "no gait 'trot' (known: "),
+        ("supervisor", "gait:=trot", "no gait 'trot' (known: "),
         ("gait_scheduler", "path:=nowhere.csv", "nowhere.csv: no path with columns x, y"),
         ("sim_robot", "scene:=moon", "scene/moon"),
         ("sim_robot", "scene.solver.step:=1.0", "scene.solver.step"),

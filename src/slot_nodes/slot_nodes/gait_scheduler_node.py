@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.node import Node
 from std_srvs.srv import SetBool
@@ -10,9 +9,9 @@ from std_srvs.srv import SetBool
 from slot_core.bags import decode
 from slot_core.config import ConfigError
 from slot_core.control.force_map import read_springs
-from slot_core.control.gait import read_gaits
+from slot_core.control.gait import STAND, read_gaits
 from slot_core.control.gait_scheduler import GaitScheduler
-from slot_core.control.path import read_path
+from slot_core.control.path import KEPT, read_path
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, MpcState
 from slot_msgs.srv import SetGait
@@ -25,19 +24,11 @@ class GaitSchedulerNode(Node):
     def __init__(self) -> None:
         super().__init__("gait_scheduler")
         settings = runtime.declare_settings(self, read_gaits())
-        gait = runtime.declare(self, "gait", "stand", "gait at the start, a file of config/gait")
-        cruise = settings.find(gait).cruise
-        v_x = runtime.declare(self, "v_x", cruise, "forward velocity at the start [m/s]")
-        v_y = runtime.declare(self, "v_y", 0.0, "lateral velocity at the start [m/s]")
-        turn = runtime.declare(self, "yaw_rate", 0.0, "yaw rate at the start [rad/s]")
         file = runtime.declare(self, "path", "", "CSV with columns x, y in odom [m] to follow")
-        heading = runtime.declare(
-            self, "path_heading", "kept", "heading on the path: kept or along"
-        )
+        heading = runtime.declare(self, "path_heading", KEPT, "heading on the path: kept or along")
         path = read_path(file, heading) if file else None
         springs = read_springs()
-        velocity = np.array([v_x, v_y, turn])
-        self._scheduler = GaitScheduler(settings, read_robot(), springs, gait, velocity, path)
+        self._scheduler = GaitScheduler(settings, read_robot(), springs, STAND, None, path)
         self._preview = runtime.publisher(self, GaitPreview, "gait_preview", qos.CONTROL)
         inputs.subscribe(
             self, TwistStamped, "cmd_vel", self._on_velocity, qos.SENSOR, overridable=True

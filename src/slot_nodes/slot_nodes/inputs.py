@@ -15,6 +15,7 @@ from slot_core.bags import decode
 from slot_core.control.gait import GaitPreview
 from slot_core.robot import LEGS
 from slot_msgs.msg import RobotState
+from slot_nodes import qos, runtime
 from slot_nodes.process import intra_process
 
 
@@ -46,6 +47,14 @@ def subscribe(
     overriding = QoSOverridingOptions.with_default_policies() if overridable else None
     take = _with_number(receive) if numbered else receive
     return node.create_subscription(kind, topic, take, profile, qos_overriding_options=overriding)
+
+
+def sensor_profile(node: Node, profile: QoSProfile) -> QoSProfile:
+    """Declare the parameter `best_effort_sensors`; return the profile, or its best effort."""
+    wanted = runtime.declare(
+        node, "best_effort_sensors", False, "receive from sensors that publish best effort too"
+    )
+    return qos.best_effort(profile) if wanted else profile
 
 
 def _with_number(receive: Callable[[Any, int], None]) -> Any:

@@ -37,15 +37,12 @@ class MarkerLocalizerNode(Node):
         self._localizer: MarkerLocalizer | None = None
         self._camera: Camera | None = None
         self._odometry = runtime.publisher(self, Odometry, "odom", qos.SENSOR)
+        profile = inputs.sensor_profile(self, qos.PICTURE)
         if file:
             self._use(_calibration(file))
         else:
-            inputs.subscribe(
-                self, CameraInfo, "camera/camera_info", self._on_info, qos.PICTURE, overridable=True
-            )
-        inputs.subscribe(
-            self, Image, "camera/image_raw", self._on_picture, qos.PICTURE, overridable=True
-        )
+            inputs.subscribe(self, CameraInfo, "camera/camera_info", self._on_info, profile)
+        inputs.subscribe(self, Image, "camera/image_raw", self._on_picture, profile)
 
     def _on_info(self, message: CameraInfo) -> None:
         """Take the calibration, and a new one if it changes."""

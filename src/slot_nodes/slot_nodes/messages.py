@@ -337,6 +337,6 @@ def robot_state_to_msg(stamp: int, report: Report) -> RobotState:
     )
 
 
-def gait_request(name: str, v_x: float, v_y: float) -> SetGait.Request:
-    """Request of a gait at a velocity (m/s) in base_link, without yaw rate."""
-    return SetGait.Request(gait=name, velocity=Vector3(x=v_x, y=v_y))
+def gait_request(name: str, v_x: float, v_y: float, yaw_rate: float) -> SetGait.Request:
+    """Request of a gait at a velocity (m/s) and yaw rate (rad/s) in base_link."""
+    return SetGait.Request(gait=name, velocity=Vector3(x=v_x, y=v_y, z=yaw_rate))

@@ -1,12 +1,15 @@
 """Quality of service of the graph's topics.
 
-All topics but `/clock` are reliable, because lockstep runs and replays must not lose a message. For
-a source that publishes best effort, the subscriptions to `/odom`, `/imu`, `/cmd_vel`, `/body_pose`
-and the camera declare `qos_overrides` parameters.
+All topics but `/clock` are reliable, because lockstep runs and replays must not lose a message.
+Cameras, IMUs and visual SLAMs often publish best effort, which a reliable subscription does not
+receive: with real servos the subscriptions to `/odom`, `/imu` and the camera are best effort, by
+the parameter `best_effort_sensors`; those to `/cmd_vel` and `/body_pose` declare `qos_overrides`
+parameters.
 """
 
 from __future__ import annotations
 
+from copy import copy
 from typing import TYPE_CHECKING
 
 from rclpy.qos import (
@@ -60,6 +63,13 @@ CLOCK = QoSProfile(
     depth=1,
 )
 """Profile with which rclpy subscribes to /clock."""
+
+
+def best_effort(profile: QoSProfile) -> QoSProfile:
+    """The profile without reliability: it receives from every publisher and may lose messages."""
+    changed = copy(profile)
+    changed.reliability = ReliabilityPolicy.BEST_EFFORT
+    return changed
 
 
 def recorded(topic: RecordedTopic, depth: int) -> QoSProfile:

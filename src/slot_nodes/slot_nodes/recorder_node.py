@@ -25,6 +25,7 @@ from slot_core.bags.record_settings import RecordedTopic, read_record_settings
 from slot_nodes import messages, qos, runtime
 from slot_nodes.process.executor import DirectExecutor
 
+SENSORS = ("nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu")
 ANNOUNCEMENT = 1.0  # s, between two messages that it records
 
 
@@ -46,6 +47,9 @@ class RecorderNode(Node):
             self._bag = BagWriter(path, self._settings, origin_here(json.loads(about)))
         except (BagError, OSError) as error:
             raise config.ConfigError(str(error)) from None
+        self._best_effort = runtime.declare(
+            self, "best_effort_sensors", False, "record sensors that publish best effort too"
+        )
         self._recorded = {n: self._listen(n, t) for n, t in self._settings.topics.items()}
         self._awaited = [s for s in self._recorded.values() if _is_latched(s)]
         self._recording = self.create_publisher(Bool, "recording", qos.STATE)
@@ -103,6 +107,8 @@ class RecorderNode(Node):
     def _listen(self, name: str, topic: RecordedTopic) -> Subscription:
         kind = messages.message_class(topic.type)
         profile = qos.recorded(topic, self._settings.depth)
+        if self._best_effort and topic.type in SENSORS:
+            profile = qos.best_effort(profile)
         # rclpy also passes the second argument; its annotation has only the first
         write = cast(Any, partial(self._write, name))
         return self.create_subscription(kind, name, write, profile, raw=True)

@@ -22,15 +22,23 @@ class StateEstimatorNode(Node):
         super().__init__("state_estimator")
         settings = runtime.declare_settings(self, read_estimator())
         self._estimator = StateEstimator(settings)
+        self._in_base_axes = not any(settings.mounts.imu.rpy)
         self._state = runtime.publisher(self, MpcState, "mpc_state", qos.CONTROL)
         self._tf = runtime.publisher(self, TFMessage, "tf", qos.SENSOR)
         self._filtered = runtime.publisher(self, Odometry, "odometry/filtered", qos.SENSOR)
         mounts = runtime.publisher(self, TFMessage, "tf_static", qos.STATE)
         mounts.publish(messages.mounts_to_tf(settings.mounts.imu, settings.mounts.camera))
-        self._imu = inputs.subscribe(self, Imu, "imu", self._on_imu, qos.SENSOR, overridable=True)
-        inputs.subscribe(self, Odometry, "odom", self._on_odometry, qos.SENSOR, overridable=True)
+        profile = inputs.sensor_profile(self, qos.SENSOR)
+        self._imu = inputs.subscribe(self, Imu, "imu", self._on_imu, profile)
+        inputs.subscribe(self, Odometry, "odom", self._on_odometry, profile)
 
     def _on_imu(self, message: Imu) -> None:
+        if self._in_base_axes and message.header.frame_id.endswith("optical_frame"):
+            self.get_logger().warning(
+                f"imu in {message.header.frame_id}, z forward: mounts.imu.rpy of estimator.yaml"
+                " has zeros, which is z up",
+                once=True,
+            )
         self._estimator.add_imu(*decode.imu(message))
         self._publish()
         # it costs more than the filter, and mostly nobody listens

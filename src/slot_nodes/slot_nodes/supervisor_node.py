@@ -95,8 +95,9 @@ class SupervisorNode(Node):
             self, "v_x", gaits.find(gait).cruise, "forward velocity of WALKING [m/s]"
         )
         v_y = runtime.declare(self, "v_y", 0.0, "lateral velocity of WALKING [m/s]")
-        gaits.require_velocity(gait, np.array([v_x, v_y, 0.0]))
-        return messages.gait_request(gait, v_x, v_y)
+        turn = runtime.declare(self, "yaw_rate", 0.0, "yaw rate of WALKING [rad/s]")
+        gaits.require_velocity(gait, np.array([v_x, v_y, turn]))
+        return messages.gait_request(gait, v_x, v_y, turn)
 
     def _start_up_requests(self) -> list[Request]:
         walks = self._walk.gait != STAND
@@ -256,7 +257,8 @@ class SupervisorNode(Node):
             self.get_logger().info(line)
         if not report.keeps_gait:
             walking = report.state is State.WALKING
-            self._wanted["gait"] = self._walk if walking else messages.gait_request(STAND, 0.0, 0.0)
+            stand = messages.gait_request(STAND, 0.0, 0.0, 0.0)
+            self._wanted["gait"] = self._walk if walking else stand
 
 
 def main() -> None:

@@ -32,8 +32,8 @@ from slot_core.control.force_map import make_force_map, read_force_map, read_spr
 from slot_core.control.gait import GaitPreview, read_gaits
 from slot_core.control.gait_scheduler import GaitScheduler
 from slot_core.control.mpc.mpc import Mpc, MpcResult, read_mpc
+from slot_core.control.path import KEPT, read_path
 from slot_core.control.path import Path as FollowedPath
-from slot_core.control.path import read_path
 from slot_core.control.state_estimator import Estimate, StateEstimator, read_estimator
 from slot_core.robot import Array, read_robot
 
@@ -107,6 +107,8 @@ def replay(bag: Bag, tolerance: float) -> list[Comparison]:
     comparisons = []
     for topic, inputs in NEEDS.items():
         missing = tuple(name for name in (topic, *inputs) if not bag.counts.get(name))
+        if topic == "/gait_preview" and recorded.lost_path:
+            missing = (*missing, recorded.lost_path)
         comparisons.append(
             Comparison(topic, missing=missing)
             if missing
@@ -162,7 +164,12 @@ class _Recorded:
         with TemporaryDirectory() as scratch:
             file = Path(scratch, PATH)
             file.write_bytes(self.origin.files[PATH])
-            return read_path(file, "kept")
+            return read_path(file, self.origin.about.get("path_heading", KEPT))
+
+    @property
+    def lost_path(self) -> str:
+        """Path that was followed but is not in the bag, as of `ros2 bag record`; else ""."""
+        return "" if PATH in self.origin.files else self.origin.about.get("path", "")
 
 
 def compare(

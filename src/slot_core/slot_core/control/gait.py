@@ -43,6 +43,7 @@ FRONT_REAR, LEFT_RIGHT = [2, 3, 0, 1], [1, 0, 3, 2]
 HALF_STRIDE_LATER = np.array([1.0, -1.0, -1.0, 1.0, 1.0])
 """Factors of m, c1, s1, c2, s2 that delay a series by half a stride."""
 SPEED_NAMES = ("v_x", "v_y", "yaw rate")
+ROUNDING = 1e-9  # m/s, rad/s
 SWAY = ("roll", "pitch", "height", "v_x", "v_y")
 
 
@@ -168,6 +169,15 @@ class Stride:
         """Weight of steering at a velocity (3,), in [0, 1]; the rest is that of `turn`."""
         return min(1.0, float(np.hypot(*velocity[:2])) / self.walking_speed)
 
+    def reached(self, velocity: Array) -> Array:
+        """The velocity (3,), scaled, its yaw rate clipped, to what the patterns reach together."""
+        share = velocity[:2] / self.speeds[:2] / self.amplitude_max[:2]
+        planar = velocity[:2] / max(1.0, float(np.linalg.norm(share)))
+        walking = self.walking(planar)
+        steering = min(self.forward_steering.rate_max, self.lateral_steering.rate_max)
+        most = (1.0 - walking) * self.turn.speed + walking * steering
+        return np.append(planar, np.clip(velocity[2], -most, most))
+
     def course(self, phase: Array, velocity: Array, walking: float, offset: Array) -> Array:
         """Gait (n, 20) at phases (n,): 4 tendon angles (rad), 4 normal forces (N), 12 torso states.
 
@@ -277,10 +287,20 @@ class GaitSettings:
                 raise config.ConfigError(
                     f"{label} = {value:g}: gait {name} reaches [{0.0 - most:g}, {most:g}]"
                 )
+        if isinstance(gait, Stride):
+            for value, reached, label in zip(velocity, gait.reached(velocity), SPEED_NAMES):
+                if abs(value - reached) > ROUNDING:
+                    raise config.ConfigError(
+                        f"{label} = {value:g}: with the other velocities gait {name} reaches"
+                        f" {reached:.4g}"
+                    )
 
     def require_pose(self, name: str, pose: Array) -> None:
         """Raise ConfigError for a body pose (3,) height, roll, pitch that a gait does not reach."""
-        low, high = self.find(name).height_range
+        gait = self.find(name)
+        if isinstance(gait, Posture) and not gait.loaded:
+            raise config.ConfigError(f"gait {name} has slack tendons: no body pose")
+        low, high = gait.height_range
         limits = ((low, high), (-self.tilt_max, self.tilt_max), (-self.tilt_max, self.tilt_max))
         for value, (least, most), label in zip(pose, limits, ("height", "roll", "pitch")):
             if not least <= value <= most:

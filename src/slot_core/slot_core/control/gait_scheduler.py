@@ -184,7 +184,7 @@ class GaitScheduler:
         s = self._settings
         wanted = self._wanted
         if self._path is not None and isinstance(self._current, _ActiveStride):
-            wanted = self._path.velocity(state, self._speed)
+            wanted = self._current.gait.reached(self._path.velocity(state, self._speed))
         rates = np.array([s.acceleration, s.acceleration, s.turn_acceleration])
         self._velocity = _toward(self._velocity, wanted, elapsed * rates)
         self._pose = self._pose_after(elapsed)
@@ -298,11 +298,12 @@ class GaitScheduler:
         moving = self._moving_after(active, times)[:, None]
         if moving.max() == 0.0:
             return self._posture_course(times)
-        ahead = np.zeros_like(times) if self._waits() else times
+        advances = active is self._current and not self._waits()  # as in `_stride`
+        ahead = times if advances else np.zeros_like(times)
         phase = np.mod(active.phase + ahead / gait.period, 1.0)
         walking = gait.walking(self._velocity)
         course = gait.course(phase, self._velocity + feedback.velocity, walking, feedback.offset)
-        course[:, 13] += self._pose[0] - gait.height
+        course[:, [13, 8, 9]] += self._pose - [gait.height, 0.0, 0.0]
         if moving.min() == 1.0:
             return course
         return (1 - moving) * self._posture_course(times) + moving * course

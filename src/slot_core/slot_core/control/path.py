@@ -17,6 +17,7 @@ from slot_core.plane import wrapped
 from slot_core.robot import Array
 
 POINTS_MAX = 100_000
+KEPT, ALONG = "kept", "along"  # heading: that at the start; the path's direction
 LEAD = 0.04  # m, of the reference place before the robot
 TURN_GAIN = 1.0  # 1/s, yaw rate per heading error, where the heading follows the path
 
@@ -37,7 +38,7 @@ class Path:
         steps = np.diff(self._points, axis=0)
         self._arc = np.r_[0.0, np.cumsum(np.hypot(*steps.T))]
         self._direction = np.arctan2(steps[:, 1], steps[:, 0])
-        self._along = heading == "along"
+        self._along = heading == ALONG
         self._start_yaw: float | None = None
         self.travelled = 0.0  # m, of the reference place
 
@@ -81,7 +82,7 @@ class Path:
 
 def read_path(file: FilePath | str, heading: str) -> Path:
     """The path of a CSV file with columns x, y (m); heading as in `Path`. Raises ConfigError."""
-    if heading not in ("kept", "along"):
+    if heading not in (KEPT, ALONG):
         raise ConfigError(f"path_heading = {heading!r}: expected one of kept, along")
     try:
         with FilePath(file).open(newline="") as stream:

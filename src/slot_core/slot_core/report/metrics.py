@@ -172,11 +172,13 @@ def _control(bag: Bag, start: float) -> dict[str, Any]:
     solves = _after(bag, start, "/ground_reaction_forces", "status", "violation", "fallback_cycles")
     states = _after(bag, start, "/mpc_state", "validity")
     maps = _after(bag, start, "/force_map/status", "saturated")
+    violation = solves["violation"] if solves else np.zeros(0)
+    solved = violation[~np.isnan(violation)]  # without the cycles that were rejected
     rejected = states and int(np.sum(states["validity"] == ODOMETRY_REJECTED))
     return {
         "fallback_cycles": solves and int(np.sum(solves["status"] != SOLVED)),
         "longest_fallback": solves and int(solves["fallback_cycles"].max()),
-        "violation_max": float(solves["violation"].max()) if solves else math.nan,
+        "violation_max": float(solved.max()) if solved.size else math.nan,
         "saturated": _fraction(maps["saturated"]) if maps else NOT_KNOWN,
         "rejected_odometry": rejected,
     }

@@ -97,6 +97,14 @@ class MpcSettings:
     horizon: int = quantity("stages", "", 1, 100)
     force_max: float = quantity("largest normal force of a leg", "N", 0, 100)
 
+    def __post_init__(self) -> None:
+        """Raise ConfigError for a problem on tendon angles without the gait's forces."""
+        if self.problem == "tendons" and self.model.reference != "gait":
+            raise config.ConfigError(
+                f"model.reference = {self.model.reference!r}: problem tendons corrects the gait's"
+                " forces, expected 'gait'"
+            )
+
 
 @dataclass(frozen=True)
 class MpcResult:
