@@ -19,6 +19,7 @@ VARIANCE = (
     np.repeat([NOISE.angle_noise, NOISE.position_noise, NOISE.velocity_noise, NOISE.rate_noise], 3)
     ** 2
 )
+VARIANCE[6:9] *= [0.25, 1.0, 4.0]  # a visual SLAM may know one direction better than another
 
 
 def cross(a):
@@ -34,13 +35,18 @@ class PlainFilter:
         self.attitude = Rotation.from_quat(motion.attitude)
         self.p, self.v = motion.position, self.attitude.apply(motion.velocity)
         self.bias, self.rate = np.zeros(6), motion.rate
-        noise = [odometry.angle_noise, odometry.position_noise, odometry.velocity_noise]
-        self.noise = np.diag(np.repeat(np.square(noise), 3))
         biases = np.repeat([imu.gyro_bias, imu.acceleration_bias], 3) ** 2
         self.cov = np.zeros((15, 15))
         h = np.linalg.inv(self.measurement()[:, :9])
-        self.cov[:9, :9], self.cov[9:, 9:] = h @ self.noise @ h.T, np.diag(biases)
+        self.cov[:9, :9], self.cov[9:, 9:] = h @ self.noise() @ h.T, np.diag(biases)
         self.variance, self.share = odometry.rate_noise**2, 0.0
+
+    def noise(self):
+        """Covariance (9, 9) of a reading, in odom; that of the velocity is given in base_link."""
+        noise = np.diag(VARIANCE[:9])
+        turn = self.attitude.as_matrix()
+        noise[6:, 6:] = turn @ noise[6:, 6:] @ turn.T
+        return noise
 
     def measurement(self):
         h = np.eye(9, 15)
@@ -73,7 +79,7 @@ class PlainFilter:
         self.variance = SETTINGS.imu.gyro_noise**2 * SETTINGS.imu.rate
 
     def correct(self, motion):
-        h, weight = self.measurement(), np.linalg.inv(self.noise)
+        h, weight = self.measurement(), np.linalg.inv(self.noise())
         residual = np.concatenate(
             [
                 (Rotation.from_quat(motion.attitude) * self.attitude.inv()).as_rotvec(),

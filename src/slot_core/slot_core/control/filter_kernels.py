@@ -332,14 +332,14 @@ def transition(out, rotation, force, dt, share, block):
 def correct(state, work, attitude, position, velocity, variance, gate):
     """Correct with a reading at the state's time, velocity in base_link; False for an outlier.
 
-    variance (9,): of angle and position in odom and velocity; gate: largest Mahalanobis distance of
-    each of the three. The estimated error (15,) is left in work.error. Joseph's form:
-    P <- (I - K H) P (I - K H)^T + K R K^T.
+    variance (9,): of angle and position in odom and of velocity in base_link; gate: largest
+    Mahalanobis distance of each of the three. The estimated error (15,) is left in work.error.
+    Joseph's form: P <- (I - K H) P (I - K H)^T + K R K^T.
     """
     residual, jacobian = work.residual, work.wide[:MEASURED]
     set_residual(residual, state, work, attitude, position, velocity)
     set_identity(jacobian)
-    set_cross(jacobian, V, THETA, state.velocity, 1.0)
+    set_velocity_jacobian(jacobian, state.velocity, work)
     product(work.product[:MEASURED], jacobian, state.cov)
     product_transposed(work.innovation, work.product[:MEASURED], jacobian)
     for i in range(MEASURED):
@@ -363,16 +363,31 @@ def correct(state, work, attitude, position, velocity, variance, gate):
 
 @helper
 def set_residual(out, state, work, attitude, position, velocity):
-    """Innovation (9,): measured minus predicted angle, position and velocity, all in odom."""
+    """Innovation (9,), measured minus predicted: angle, position in odom; velocity in base_link."""
     a, rotation = state.attitude, work.rotation
     inverse = (-a[0], -a[1], -a[2], a[3])
     x, y, z, w = multiply(attitude, inverse)
     out[0], out[1], out[2] = logarithm(x, y, z, w)
     rotation_matrix(rotation, a)
-    out[V], out[V + 1], out[V + 2] = rotate(rotation, velocity)
     for i in range(3):
         out[P + i] = position[i] - state.position[i]
-        out[V + i] -= state.velocity[i]
+        out[V + i] = velocity[i]
+        for j in range(3):
+            out[V + i] -= rotation[j, i] * state.velocity[j]
+
+
+@helper
+def set_velocity_jacobian(out, velocity, work):
+    """Derivative of R^T v by the angle error in odom, R^T [v]x, and by v, R^T; block is used."""
+    rotation, block = work.rotation, work.block
+    set_cross(block, 0, 0, velocity, 1.0)
+    for i in range(3):
+        for j in range(3):
+            out[V + i, V + j] = rotation[j, i]
+            total = 0.0
+            for k in range(3):
+                total += rotation[k, i] * block[k, j]
+            out[V + i, THETA + j] = total
 
 
 @helper

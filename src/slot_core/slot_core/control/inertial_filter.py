@@ -188,9 +188,11 @@ class InertialFilter:
         """Set the state to an odometry reading; the biases and their covariance are kept."""
         state = self._state
         state.attitude[:], state.position[:] = motion.attitude, motion.position
-        state.velocity[:] = Rotation.from_quat(motion.attitude).apply(motion.velocity)
+        rotation = Rotation.from_quat(motion.attitude)
+        state.velocity[:] = rotation.apply(motion.velocity)
         jacobian = np.eye(9)
-        jacobian[V, THETA] = -np.cross(np.eye(3), state.velocity)  # is measured in base_link
+        jacobian[V, V] = rotation.as_matrix()  # is measured in base_link
+        jacobian[V, THETA] = -np.cross(np.eye(3), state.velocity)
         state.cov[:9, :] = state.cov[:, :9] = 0.0
         state.cov[:9, :9] = jacobian * motion.variance[:9] @ jacobian.T
         self.rate = Rate(motion.rate, float(motion.variance[9:].mean()), 0.0)
