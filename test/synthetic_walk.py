@@ -173,7 +173,14 @@ def _chain(walk: Walk, tick: int, t: float) -> list[Any]:
             linear_velocity=walk.velocity(t),
             validity=2 if tick in walk.rejected else 0,
         ),
-        message("/gait_preview", stamp, gait="walk", period=STRIDE, phase=(t / STRIDE) % 1.0),
+        message(
+            "/gait_preview",
+            stamp,
+            gait="walk",
+            period=STRIDE,
+            phase=(t / STRIDE) % 1.0,
+            velocity=[0.05, 0.0, 0.0],
+        ),
         message(
             "/ground_reaction_forces",
             stamp,

@@ -62,7 +62,7 @@ def all_ended(nodes):
     return not any(psutil.pid_exists(node.pid) and node.is_running() for node in nodes.values())
 
 
-def wait_for_commands(run, count=30):
+def wait_for_commands(run, cwd, count=30):
     """Wait until the graph has published `count` commands, so that the robot walks."""
     context, received = Context(), []
     rclpy.init(context=context)
@@ -76,7 +76,11 @@ def wait_for_commands(run, count=30):
         assert run.poll() is None, run.communicate()
         return len(received) >= count
 
-    wait_until(received_enough)
+    try:
+        wait_until(received_enough)
+    except AssertionError:
+        logs = sorted(cwd.glob("bag/log/*.log"))
+        raise AssertionError("\n".join(log.read_text()[-1000:] for log in logs)) from None
     listener.destroy_node()
     context.try_shutdown()
 
@@ -85,7 +89,7 @@ def wait_for_commands(run, count=30):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_stops_every_process_and_keeps_the_bag(tmp_path, number):
     run, nodes = start(["--duration", "60", "--bag", "bag"], tmp_path)
-    wait_for_commands(run)
+    wait_for_commands(run, tmp_path)
     run.send_signal(number)
     _, errors = run.communicate(timeout=60)
     assert run.returncode == 130, errors
@@ -97,7 +101,7 @@ def test_signal_stops_every_process_and_keeps_the_bag(tmp_path, number):
 @pytest.mark.real_time
 def test_killed_run_leaves_no_process(tmp_path):
     run, nodes = start(["--duration", "60", "--bag", "bag"], tmp_path)
-    wait_for_commands(run)
+    wait_for_commands(run, tmp_path)
     run.kill()
     run.wait()
     wait_until(lambda: all_ended(nodes))
@@ -107,7 +111,7 @@ def test_killed_run_leaves_no_process(tmp_path):
 @pytest.mark.parametrize("name", ["sim_robot", "mpc_controller"])
 def test_killed_node_ends_the_run_and_is_named(tmp_path, name):
     run, nodes = start(["--duration", "60", "--bag", "bag"], tmp_path)
-    wait_for_commands(run)
+    wait_for_commands(run, tmp_path)
     nodes[name].kill()
     _, errors = run.communicate(timeout=60)
     assert run.returncode == 1
