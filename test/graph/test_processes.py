@@ -22,6 +22,7 @@ from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import Imu, JointState
 
 from slot_bringup.graph import read_graph
+from slot_bringup.monitor import listener
 from slot_bringup.processes import command_line
 from slot_msgs.msg import MpcState
 from slot_nodes import qos
@@ -66,10 +67,10 @@ def wait_for_commands(run, cwd, count=30):
     """Wait until the graph has published `count` commands, so that the robot walks."""
     context, received = Context(), []
     rclpy.init(context=context)
-    listener = rclpy.create_node("listener", context=context)
-    listener.create_subscription(JointState, "desired_joint_angles", received.append, qos.CONTROL)
+    node = rclpy.create_node("listener", context=context)
+    node.create_subscription(JointState, "desired_joint_angles", received.append, qos.CONTROL)
     executor = SingleThreadedExecutor(context=context)
-    executor.add_node(listener)
+    executor.add_node(node)
 
     def received_enough():
         executor.spin_once(timeout_sec=0.1)
@@ -81,7 +82,7 @@ def wait_for_commands(run, cwd, count=30):
     except AssertionError:
         logs = sorted(cwd.glob("bag/log/*.log"))
         raise AssertionError("\n".join(log.read_text()[-1000:] for log in logs)) from None
-    listener.destroy_node()
+    node.destroy_node()
     context.try_shutdown()
 
 
@@ -158,29 +159,24 @@ def test_a_best_effort_odometry_is_received_only_if_the_parameter_says_so(tmp_pa
     child = subprocess.Popen(
         command_line(spec), cwd=tmp_path, stderr=subprocess.DEVNULL, start_new_session=True
     )
-    context, received = Context(), []
-    rclpy.init(context=context)
+    received, refused = [], []  # refused: reliable subscriptions that were discovered
     try:
-        node = rclpy.create_node("camera", context=context)
-        executor = SingleThreadedExecutor(context=context)
-        executor.add_node(node)
-        odometry = node.create_publisher(Odometry, "odom", qos.best_effort(qos.SENSOR))
-        refused = []  # reliable subscriptions that were discovered
-        events = PublisherEventCallbacks(incompatible_qos=refused.append)
-        node.create_publisher(Imu, "imu", qos.best_effort(qos.SENSOR), event_callbacks=events)
-        node.create_subscription(MpcState, "mpc_state", received.append, qos.CONTROL)
-        message = Odometry(child_frame_id="base_link")
+        with listener("camera") as (node, executor):
+            odometry = node.create_publisher(Odometry, "odom", qos.best_effort(qos.SENSOR))
+            events = PublisherEventCallbacks(incompatible_qos=refused.append)
+            node.create_publisher(Imu, "imu", qos.best_effort(qos.SENSOR), event_callbacks=events)
+            node.create_subscription(MpcState, "mpc_state", received.append, qos.CONTROL)
+            message = Odometry(child_frame_id="base_link")
 
-        def answered():
-            message.header.stamp = node.get_clock().now().to_msg()
-            odometry.publish(message)
-            executor.spin_once(timeout_sec=0.05)
-            return received or refused
+            def answered():
+                message.header.stamp = node.get_clock().now().to_msg()
+                odometry.publish(message)
+                executor.spin_once(timeout_sec=0.05)
+                return received or refused
 
-        wait_until(answered)
+            wait_until(answered)
         assert bool(received) == best_effort
     finally:
-        context.try_shutdown()
         child.terminate()
         child.wait()
 
