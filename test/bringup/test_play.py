@@ -100,7 +100,7 @@ def test_a_bag_is_not_played_where_nothing_listens_or_a_robot_runs(real_time_bag
         kind = play.message_class(real_time_bag.topics["/odom"])
         node.create_subscription(kind, "/odom", print, qos.SENSOR)
         node.create_publisher(kind, "/odom", qos.SENSOR)
-        wait(executor, lambda: node.count_publishers("/odom") == 2)
+        wait(executor, lambda: node.count_publishers("/odom") >= 2)
         with pytest.raises(play.PlayError, match="a robot publishes /odom already"):
             player.wait_for_nodes()
 
