@@ -107,3 +107,18 @@ def test_a_signal_ends_the_wait_even_if_the_context_ends_later(node):
     with pytest.raises(ExternalShutdownException):
         spin_until(node, lambda: False)
     assert node.context.ok()
+
+
+def test_a_signal_ends_the_wait_even_if_rclpy_takes_it_while_it_serves(node, monkeypatch):
+    """Else a node that is served a request then waits for a message that never comes."""
+    executor, times = node.executor, []
+
+    def signalled_while_served():
+        executor._sigint_gc.trigger()
+        times.append(1)
+        return len(times) == 1
+
+    monkeypatch.setattr(executor, "_has_others", signalled_while_served)
+    with pytest.raises(ExternalShutdownException):
+        executor.spin_once(timeout_sec=0.0)
+    assert node.context.ok()

@@ -60,6 +60,9 @@ class DirectExecutor(SingleThreadedExecutor):
         if self._context.ok() and self._has_others():
             self._entities_changed = True  # a node may have been added or removed
             super().spin_once(timeout_sec=0.0)
+            # rclpy takes the trigger of a signal, but ends only if the context has ended by then
+            if self._sigint_gc is not None and self._sigint_gc._executor_triggered:
+                raise ExternalShutdownException
         return bool(timers or subscriptions)
 
     def _wait(self, timeout_sec: float | None) -> None:
