@@ -104,6 +104,26 @@ def test_configure_switches_off_torque_left_on_by_a_killed_driver(rig):
     assert rig.torque() == [0] * 4
 
 
+def test_a_refused_configuration_switches_off_torque_left_on_by_a_killed_driver(rig):
+    rig.run(0.2, SLIGHTLY)
+    rig.driver.close()
+    rig.sleep(1.0)
+    rig.legs.bus.inject(Fault("silent", "FL", 0.0, 0.0, 0.0))
+    with pytest.raises(RefusedError, match="FL"):
+        rig.session.configure()
+    assert rig.torque()[1:] == [0] * 3
+    assert not rig.port.is_open
+
+
+def test_a_permission_of_a_supervisor_that_has_ended_switches_no_torque_on(rig):
+    rig.permit(Action.OFF)
+    rig.permit(Action.HOLD)
+    rig.sleep(TIMING.command_hold + 0.1)
+    with pytest.raises(RefusedError, match=r"the supervisor's permission is 0\.\d+ s old"):
+        rig.session.start()
+    assert rig.torque() == [0] * 4
+
+
 def test_commands_reach_the_servos(rig):
     assert rig.run(0.5, SLIGHTLY) == [(Action.PASS, 0.0)]
     assert rig.driver.goals() == pytest.approx(SLIGHTLY)

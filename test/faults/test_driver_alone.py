@@ -16,6 +16,7 @@ from slot_core.safety.command_gate import Action
 pytestmark = pytest.mark.real_time
 
 PULLED = 1.5  # rad
+DRIVER_PROGRAM = "from slot_nodes import dynamixel_driver_node; dynamixel_driver_node.main()"
 # Raises ZeroDivisionError in its first diagnostics under torque.
 BROKEN_DRIVER = """
 from slot_nodes import diagnostics, dynamixel_driver_node
@@ -41,11 +42,14 @@ def rig(bench):
         bench.stop(DRIVER)
 
 
-@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM, "exception"])
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, "exception"])
 def test_the_driver_reads_torque_off_back_before_it_ends(rig, stub, end):
+    """SIGHUP comes when the connection to a terminal with `ros2 launch` is lost."""
     before = len(rig.log_lines(DRIVER))
     broken = end == "exception"
-    start_driver(rig, program=[sys.executable, "-c", BROKEN_DRIVER] if broken else ())
+    code = BROKEN_DRIVER if broken else DRIVER_PROGRAM
+    # a signal that the caller of the tests ignores (nohup) would be ignored here too
+    start_driver(rig, program=["env", "--default-signal=HUP", sys.executable, "-c", code])
     if broken:
         stub.permission = Action.HOLD
     else:

@@ -55,6 +55,8 @@ def spin(node: Any) -> None:
 class Interrupt:
     """Handler of SIGINT and SIGTERM: ends the preparation at once, a callback not before its end.
 
+    SIGHUP, as of a lost connection to `ros2 launch`, acts as SIGTERM, unless it is ignored (nohup).
+
     While the node is served, only rclpy's own handler acts, which ends the context. An exception
     would be raised anywhere in a callback. Raised while rclpy converts a message it becomes a
     RuntimeError, or a null pointer in the converter's C code, which ends the process.
@@ -74,13 +76,15 @@ class Interrupt:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._handle)
         signal.signal(signal.SIGALRM, self._raise)
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+            signal.signal(signal.SIGHUP, lambda *_: os.kill(os.getpid(), signal.SIGTERM))
         return self
 
     def __exit__(self, *error: object) -> None:
         self._raises = False
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         uninstall_signal_handlers()
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, signal.SIG_IGN)
 
     def end_preparation(self) -> None:

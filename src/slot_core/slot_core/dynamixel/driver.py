@@ -62,13 +62,17 @@ class Driver:
         self._turn = 0
 
     def configure(self) -> tuple[ServoInfo, ...]:
-        """Open the port and check every servo; raises PortError, RefusedError (all reasons)."""
+        """Open the port and check every servo; raises PortError, RefusedError (all reasons).
+
+        A refusal switches off the torque that an earlier driver has left on.
+        """
         self.active = False
         check_latency(self._port.port_name, self.settings.bus.latency_limit)
         self._port.open()
         found = [examine(self.bus, self.settings, joint) for joint in self.joints]
         infos = tuple(info for info, _ in found if info is not None)
         if reasons := [reason for _, reasons in found for reason in reasons]:
+            self.torque_off()
             self._port.close()
             raise RefusedError(reasons)
         now = self.clock()

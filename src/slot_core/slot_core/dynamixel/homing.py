@@ -21,12 +21,15 @@ from slot_core.robot import LEGS
 Sleep = Callable[[float], None]
 SAMPLES = 20
 SAMPLE_PERIOD = 0.02  # s
+ZERO_DIGITS = 2  # of a zero in deg
 STILL = 3  # counts, largest spread of the readings of a servo at rest
 NUMBER = r"-?\d+(?:\.\d+)?"
 
 
 def measure_zero(bus: Bus, joint: Joint, sleep: Sleep) -> float:
     """Servo angle (deg), mean of SAMPLES readings with torque off.
+
+    Rounded as in the configuration, since the servo's limits follow from it.
 
     Raises ServoError, also if the readings spread by more than STILL counts.
     """
@@ -38,7 +41,7 @@ def measure_zero(bus: Bus, joint: Joint, sleep: Sleep) -> float:
     moved = max(found) - min(found)
     if moved > STILL:
         raise RefusedError([f"{joint.name}: moves by {moved} counts, limit {STILL}; hold it still"])
-    return math.degrees(statistics.fmean(found) * RAD_PER_COUNT)
+    return round(math.degrees(statistics.fmean(found) * RAD_PER_COUNT), ZERO_DIGITS)
 
 
 def write_zero(leg: str, zero_deg: float) -> Path:
@@ -53,7 +56,7 @@ def write_zero(leg: str, zero_deg: float) -> Path:
     if line is None:
         raise config.ConfigError(f"{path}: no line zero_deg: [FL, FR, RL, RR]")
     values = [value.strip() for value in line[2].split(",")]
-    values[LEGS.index(leg)] = f"{zero_deg:.2f}"
+    values[LEGS.index(leg)] = f"{zero_deg:.{ZERO_DIGITS}f}"
     changed = text[: line.start(2)] + ", ".join(values) + text[line.end(2) :]
     settings = config.build(DynamixelSettings, yaml.safe_load(changed), path.name)
     joints(settings.joints)

@@ -106,7 +106,7 @@ class ServoSession:
         return infos
 
     def start(self) -> None:
-        """Torque on without motion, if the supervisor permits HOLD or PASS.
+        """Torque on without motion, if the supervisor permits HOLD or PASS and still runs.
 
         Raises RefusedError with all torque off.
         """
@@ -115,6 +115,9 @@ class ServoSession:
             raise RefusedError([NO_LIMITS])
         if watchdog.permission is None or watchdog.permission.action not in STARTS:
             raise RefusedError(["the supervisor does not permit it"])
+        age = self.driver.clock() - watchdog.permission.time / SECOND
+        if age > watchdog.limits.command_hold:
+            raise RefusedError([f"the supervisor's permission is {age:.2f} s old"])
         try:
             self.driver.activate()
         except RefusedError as error:
