@@ -22,6 +22,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 from slot_bringup.check import check
 from slot_bringup.graph import TIED, read_graph
+from slot_bringup.monitor import require_no_other_graph
 from slot_bringup.stock_recorder import record_command
 
 GRAPH = read_graph()
@@ -56,6 +57,7 @@ def _start_nodes(context: LaunchContext) -> list[Action]:
     given = context.launch_configurations
     values = {argument.name: argument.parse(given[argument.name]) for argument in GRAPH.arguments}
     check(values)
+    require_no_other_graph(values["namespace"])
     stock = [_stock_recorder(values)] if given["recorder"] == "ros2bag" and values["bag"] else []
     if stock:
         values |= {"bag": ""}  # no node that records, and no robot that waits for it
@@ -79,7 +81,9 @@ def _start_nodes(context: LaunchContext) -> list[Action]:
 
 def _stock_recorder(values: dict[str, Any]) -> ExecuteProcess:
     """`ros2 bag record` of the same topics."""
-    command = record_command(values["bag"], values["namespace"], GRAPH.about(values))
+    command = record_command(
+        values["bag"], values["namespace"], GRAPH.about(values), GRAPH.remappings(values)
+    )
     return ExecuteProcess(cmd=[*TIED, *command], output="screen")
 
 

@@ -97,7 +97,7 @@ class Graph:
         """Nodes to start; `values` holds the value of every argument by name."""
         values = {**values, **_ports(values["hardware"], values["port"]), **_start_up(values)}
         values |= _camera(values) | {"about": self.about(values)}
-        remappings = {name: _value(target, values) for name, target in self._remappings.items()}
+        remappings = self.remappings(values)
         first = ("chrt", "--fifo", str(values["realtime"])) if values["realtime"] else ()
         specs = [
             NodeSpec(
@@ -105,7 +105,7 @@ class Graph:
                 package=entry["package"],
                 parameters=self._parameters(entry, values),
                 namespace=values["namespace"],
-                remappings={a: b for a, b in remappings.items() if a != b},
+                remappings=remappings,
                 prefix=(*TIED, *(first if entry.get("composable") else ())),
             )
             for name, entry in self._nodes.items()
@@ -114,6 +114,11 @@ class Graph:
             and ("unless" not in entry or not values[entry["unless"]])
         ]
         return self._composed(specs) if values["composed"] else specs
+
+    def remappings(self, values: Mapping[str, Any]) -> dict[str, str]:
+        """Names of topics that are replaced, as the nodes have them, by other ones."""
+        given = {name: _value(target, values) for name, target in self._remappings.items()}
+        return {name: target for name, target in given.items() if name != target}
 
     def about(self, values: Mapping[str, Any]) -> str:
         """The arguments that say how a bag came about, as JSON: the main ones and those changed."""

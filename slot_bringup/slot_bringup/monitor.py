@@ -45,7 +45,8 @@ class Progress:
 
     def __init__(self, supervised: bool) -> None:
         """The run begins at the first action PASS if supervised, else at the first torso state."""
-        self.stamp = self.origin = 0.0  # s, graph time of the last torso state and of the begin
+        self.stamp = 0.0  # s, graph time of the last torso state
+        self.elapsed = 0.0  # s, graph time since the begin; a clock that is set does not count
         self.state: Array | None = None  # (12,), as MpcState, SI
         self.robot: State | None = None
         self.reason = ""  # of the supervisor's last transition
@@ -56,20 +57,18 @@ class Progress:
     def update_torso(self, message: MpcState) -> None:
         """Take the newest /mpc_state."""
         stamp, state, _ = decode.state(message)
+        step = stamp * 1e-9 - self.stamp
         self.stamp, self._updated = stamp * 1e-9, time.monotonic()
         if self.state is None or not self._begun:
-            self.origin, self._start = self.stamp, state
+            self._start = state
+        elif 0.0 <= step <= SILENCE_TIMEOUT:
+            self.elapsed += step
         self.state = state
 
     def update_robot(self, message: RobotState) -> None:
         """Take the newest /robot_state."""
         _, self.robot, action, self.reason = decode.robot_state(message)
         self._begun = self._begun or action is Action.PASS
-
-    @property
-    def elapsed(self) -> float:
-        """Graph time since the begin, s."""
-        return self.stamp - self.origin
 
     @property
     def silence(self) -> float:
@@ -120,12 +119,14 @@ def watch(
 def require_no_other_graph(namespace: str = "") -> None:
     """Raise RunError if a graph runs in this namespace of the ROS domain already.
 
-    Two graphs would follow each other's commands. A running graph is recognised by its
-    messages: DDS lists a killed node for another 20 s.
+    Two graphs would follow each other's commands. A running graph is recognised by the messages of
+    estimator or supervisor, which has no estimate to wait for: DDS lists a killed node for another
+    20 s.
     """
     with listener("run", namespace) as (node, executor):
-        received: list[MpcState] = []
+        received: list[MpcState | RobotState] = []
         node.create_subscription(MpcState, "mpc_state", received.append, qos.CONTROL)
+        node.create_subscription(RobotState, "robot_state", received.append, qos.STATE)
         if executor.spin_until(lambda: bool(received), DISCOVERY_TIME):
             domain = node.context.get_domain_id()
             raise RunError(

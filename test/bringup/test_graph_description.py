@@ -218,7 +218,8 @@ def test_the_launch_file_starts_the_nodes_of_the_description(graph, monkeypatch)
 
 
 def test_the_launch_file_records_the_same_topics_with_ros2_bag(monkeypatch):
-    given = {"bag": "somewhere", "recorder": "ros2bag", "namespace": "fred", "gait": "crawl"}
+    given = {"bag": "somewhere", "recorder": "ros2bag", "namespace": "fred", "gait": "crawl",
+             "odometry_topic": "/rtabmap/odom"}  # fmt: skip
     stock, *nodes = load_launch_file(monkeypatch, given)
     assert "recorder" not in {node["name"] for node in nodes}
     robot = next(node for node in nodes if node["name"] == "sim_robot")
@@ -226,10 +227,21 @@ def test_the_launch_file_records_the_same_topics_with_ros2_bag(monkeypatch):
     words = stock["cmd"]
     assert words[:3] == ["setpriv", "--pdeathsig", "TERM"]
     assert words[3:8] == ["ros2", "bag", "record", "--output", "somewhere"]
-    assert words[words.index("--topics") + 1 :] == [*read_record_settings("fred").topics]
+    topics = [*read_record_settings("fred").topics]
+    topics[topics.index("/fred/odom")] = "/rtabmap/odom"
+    assert words[words.index("--topics") + 1 :] == topics
     about = words[words.index("--custom-data") + 1 : words.index("--topics")]
     assert about[0].startswith("revision=")
-    assert about[1:] == ["hardware=sim", "gait=crawl", "scene=flat", "namespace=fred"]
+    assert about[1:] == [
+        "hardware=sim", "gait=crawl", "scene=flat", "odometry_topic=/rtabmap/odom",
+        "namespace=fred",
+    ]  # fmt: skip
+
+
+def test_the_launch_file_refuses_a_second_graph(monkeypatch):
+    asked = []
+    load_launch_file(monkeypatch, {"namespace": "fred"}, asked)
+    assert asked == ["fred"]
 
 
 def test_without_hardware_a_played_bag_gives_sensors_and_clock(graph):
@@ -340,8 +352,13 @@ def test_a_camera_with_a_visual_slam_brings_up_the_graph_on_its_topics(
     check(values(graph, **given))
 
 
-def load_launch_file(monkeypatch, given):
-    """Run launch/slot.launch.py with launch arguments; return the arguments of its nodes."""
+def load_launch_file(monkeypatch, given, asked=None):
+    """Run launch/slot.launch.py with launch arguments; return the arguments of its nodes.
+
+    asked: gets the namespaces in which it looks for another graph.
+    """
+    asked = [] if asked is None else asked
+    monkeypatch.setattr("slot_bringup.monitor.require_no_other_graph", asked.append)
     names = {
         "launch": ("Action", "LaunchContext", "LaunchDescription"),
         "launch.actions": (

@@ -19,10 +19,13 @@ from slot_bringup.processes import Processes
 RUN = ["env", "--default-signal=HUP,INT,TERM", sys.executable, "-m", "slot_bringup"]
 
 
-def test_second_graph_in_the_domain_is_refused(tmp_path, monkeypatch):
+@pytest.mark.parametrize("only", [None, "supervisor"])
+def test_second_graph_in_the_domain_is_refused(tmp_path, monkeypatch, only):
+    """A real robot before its first odometry has no estimate, but a supervisor."""
     graph = read_graph()
     processes = Processes(tmp_path)
-    processes.start(graph.nodes({a.name: a.default for a in graph.arguments}))
+    nodes = graph.nodes({a.name: a.default for a in graph.arguments})
+    processes.start([spec for spec in nodes if only in (None, spec.name)])
     monkeypatch.setattr(monitor, "DISCOVERY_TIME", 60.0)  # it ends with the first message
     try:
         with pytest.raises(
