@@ -131,7 +131,7 @@ class Answer:
         self._rig, self._served = rig, None
 
         def serve():
-            rig._serve(service, request)
+            self._response = rig._serve(service, request)
             self._served = rig.now()
 
         rig.call_at(rig.now() + LATENCY, serve)
@@ -139,6 +139,10 @@ class Answer:
     def done(self):
         """Whether the answer has arrived."""
         return self._served is not None and self._rig.now() >= self._served + LATENCY
+
+    def result(self):
+        """The response."""
+        return self._response
 
 
 class Clock:

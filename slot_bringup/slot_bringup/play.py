@@ -56,11 +56,11 @@ def entries(bag: Bag, start: float) -> Iterator[Entry]:
     """
     topics = [topic for topic in PLAYED if bag.counts.get(topic)]
     clock, first = None, None
-    for topic, published, data in bag.raw(*topics, *([CLOCK] if CLOCK in bag.counts else [])):
+    for topic, published, data in bag.raw(*topics, *([CLOCK] if bag.counts.get(CLOCK) else [])):
         if topic == CLOCK:
             clock = decode.time(bag.decode(topic, data).clock)
             continue
-        now = published if CLOCK not in bag.counts else clock
+        now = clock if bag.counts.get(CLOCK) else published
         if now is None:
             continue  # before the first /clock
         first = now if first is None else first
@@ -73,7 +73,7 @@ class Player:
 
     def __init__(self, node: Node, bag: Bag) -> None:
         """Raise PlayError if something else publishes what the bag holds."""
-        if NEEDED not in bag.counts:
+        if not bag.counts.get(NEEDED):
             raise PlayError(f"{bag.path}: holds no {NEEDED}")
         self._node = node
         self._clock = node.create_publisher(Clock, CLOCK[1:], qos.CLOCK)

@@ -7,6 +7,7 @@ import time
 from collections import defaultdict
 from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from rclpy.qos import QoSProfile
@@ -82,6 +83,14 @@ def test_without_a_recorded_clock_the_time_of_the_bag_is_the_clock(real_time_bag
     played = list(play.entries(real_time_bag, 0.0))
     recorded = [(t, topic) for topic, t, _ in real_time_bag.raw() if topic in play.PLAYED]
     assert [(entry.time, entry.topic) for entry in played] == recorded
+
+
+def test_a_clock_topic_without_messages_is_no_clock():
+    """`ros2 bag record` lists the /clock of a robot in real time, which publishes none."""
+    bag = SimpleNamespace(
+        counts={"/odom": 2, "/clock": 0}, raw=lambda *topics: [("/odom", t, b"") for t in (5, 9)]
+    )
+    assert [entry.time for entry in play.entries(bag, 0.0)] == [5, 9]
 
 
 def test_a_start_offset_leaves_out_the_beginning(real_time_bag):

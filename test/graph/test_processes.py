@@ -14,11 +14,8 @@ from pathlib import Path
 
 import psutil
 import pytest
-import rclpy
 from nav_msgs.msg import Odometry
-from rclpy.context import Context
 from rclpy.event_handler import PublisherEventCallbacks
-from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import Imu, JointState
 
 from slot_bringup.graph import read_graph
@@ -65,25 +62,20 @@ def all_ended(nodes):
 
 def wait_for_commands(run, cwd, count=30):
     """Wait until the graph has published `count` commands, so that the robot walks."""
-    context, received = Context(), []
-    rclpy.init(context=context)
-    node = rclpy.create_node("listener", context=context)
-    node.create_subscription(JointState, "desired_joint_angles", received.append, qos.CONTROL)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
+    received = []
+    with listener("listener") as (node, executor):
+        node.create_subscription(JointState, "desired_joint_angles", received.append, qos.CONTROL)
 
-    def received_enough():
-        executor.spin_once(timeout_sec=0.1)
-        assert run.poll() is None, run.communicate()
-        return len(received) >= count
+        def received_enough():
+            executor.spin_once(timeout_sec=0.1)
+            assert run.poll() is None, run.communicate()
+            return len(received) >= count
 
-    try:
-        wait_until(received_enough)
-    except AssertionError:
-        logs = sorted(cwd.glob("bag/log/*.log"))
-        raise AssertionError("\n".join(log.read_text()[-1000:] for log in logs)) from None
-    node.destroy_node()
-    context.try_shutdown()
+        try:
+            wait_until(received_enough)
+        except AssertionError as error:
+            logs = "\n".join(log.read_text()[-1000:] for log in sorted(cwd.glob("bag/log/*.log")))
+            raise AssertionError(f"{error}\n{logs}") from None
 
 
 @pytest.mark.real_time

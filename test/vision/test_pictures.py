@@ -18,10 +18,10 @@ TYPES = message_types()
 IMAGE, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
 
 
-def image(pixels, encoding="mono8", step=None, **changes):
+def image(pixels, encoding="mono8", **changes):
     height, width = pixels.shape[:2]
     message = {"height": height, "width": width, "encoding": encoding, "is_bigendian": 0,
-               "step": step or pixels[0].nbytes, "data": pixels.tobytes()}  # fmt: skip
+               "step": pixels[0].nbytes, "data": pixels.tobytes()}  # fmt: skip
     return SimpleNamespace(**(message | changes))
 
 
@@ -48,6 +48,7 @@ def test_depth_of_both_byte_orders_is_in_millimetres():
     [
         ({"encoding": "yuv422"}, "encoding 'yuv422': expected one of mono8"),
         ({"height": 4}, "12 bytes in rows of 4: 4 x 4 px of mono8"),
+        ({"width": 0, "step": 0, "data": b"", "encoding": "bgr8"}, "0 bytes in rows of 0: 0 x 3"),
         ({"step": 3}, "12 bytes in rows of 3"),
         ({"data": b"", "height": 0}, "0 bytes"),
     ],

@@ -25,7 +25,12 @@ from slot_core.bags.record_settings import RecordedTopic, read_record_settings
 from slot_nodes import messages, qos, runtime
 from slot_nodes.process.executor import DirectExecutor
 
-SENSORS = ("nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu")
+SENSORS = (  # types of which drivers publish best effort
+    "nav_msgs/msg/Odometry",
+    "sensor_msgs/msg/CameraInfo",
+    "sensor_msgs/msg/Image",
+    "sensor_msgs/msg/Imu",
+)
 ANNOUNCEMENT = 1.0  # s, between two messages that it records
 
 

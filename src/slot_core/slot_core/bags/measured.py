@@ -19,8 +19,8 @@ from slot_core.bags.walk import (
     GROUND_TRUTH,
     Motion,
     joint_columns,
+    last_states,
     seconds,
-    state_time,
 )
 from slot_core.robot import Array
 
@@ -126,16 +126,12 @@ def _odometry(bag: Bag, topic: str) -> tuple[Stamps, Array, Array, Array]:
 
 
 def _state(bag: Bag, topic: str) -> tuple[Stamps, Array, Array, Array]:
-    """Times of the state (stamp and lead), position, roll pitch yaw, velocity in odom.
-
-    Of two states of one time, as two late readings give them, the second knows more.
-    """
+    """Times of the state (stamp and lead), position, roll pitch yaw, velocity in odom."""
     fields = ("position", "rpy", "linear_velocity")
     series = bag.series(topic, *fields, "lead")
-    time = state_time(series)
-    last = np.append(np.diff(time) != 0, True)
+    time, last = last_states(series)
     position, rpy, velocity = (series[field][last] for field in fields)
-    return time[last], position, rpy, velocity
+    return time, position, rpy, velocity
 
 
 def _unit(where: str, quaternion: Array) -> Rotation:

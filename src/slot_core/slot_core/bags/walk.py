@@ -138,7 +138,9 @@ def _true_motion(bag: Bag) -> Motion:
 
 def _estimated_motion(bag: Bag) -> Motion:
     series = bag.series(ESTIMATE, "position", "rpy", "linear_velocity", "lead")
-    time, new = np.unique(state_time(series), return_index=True)
+    time, last = last_states(series)
+    time, order = np.unique(time, return_index=True)  # sorted, also where the clock was set
+    new = last[order]
     quaternion = Rotation.from_euler("ZYX", series["rpy"][new, ::-1]).as_quat()
     position, velocity = series["position"][new], series["linear_velocity"][new]
     return Motion(ESTIMATE, seconds(time), position, quaternion, velocity)
@@ -148,6 +150,16 @@ def state_time(series: Series) -> Stamps:
     """Times (n,), ns, of the states of /mpc_state: stamp plus lead."""
     lead = series["lead"] @ np.array([1_000_000_000, 1])
     return series.stamp + lead.astype(np.int64)
+
+
+def last_states(series: Series) -> tuple[Stamps, Stamps]:
+    """Times (n,), ns, of the states of /mpc_state, and the indices of their messages.
+
+    Of two states of one time, as two late readings give them, the second knows more.
+    """
+    time = state_time(series)
+    last = np.flatnonzero(np.append(np.diff(time) != 0, True))
+    return time[last], last
 
 
 def read_ticks(bag: Bag) -> Ticks:

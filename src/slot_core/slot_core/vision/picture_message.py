@@ -43,7 +43,7 @@ def _pixels(message: Any, channels: int, kind: np.dtype[Any]) -> NDArray[Any]:
     height, width, step = message.height, message.width, message.step
     data = np.frombuffer(message.data, np.uint8)
     row = width * channels * kind.itemsize
-    if step < row or len(data) != height * step or not height:
+    if step < row or len(data) != height * step or not height or not width:
         raise ValueError(
             f"{len(data)} bytes in rows of {step}: {width} x {height} px of"
             f" {message.encoding} have {height} rows of {row} bytes at least"
