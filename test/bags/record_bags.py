@@ -62,11 +62,14 @@ class Case:
     scene: str = ""  # content of a scene file of its own
     velocity: tuple[float, float] | None = None  # m/s, rad/s on /cmd_vel while it walks
     keeps: tuple[str, ...] = ()  # of LEFT_OUT
+    lacks: tuple[str, ...] = ()  # besides LEFT_OUT
 
 
 CASES = {
     "walk": Case(1.65, keeps=("/ground_truth/legs", "/tf")),
-    "turn": Case(1.95, velocity=(0.0, 0.17)),
+    "turn": Case(  # with a stride that is whole, after the blend
+        2.5, velocity=(0.0, 0.17), lacks=("/ground_truth/odom", "/joint_states", "/servo_health")
+    ),
     "path": Case(1.82, ("--path", str(BAGS / "path.csv"))),
     "fault": Case(2.08, scene=BROKEN),
     "lost_odometry": Case(2.08, scene=LOST),
@@ -122,9 +125,10 @@ def thinned(bag: Bag, path: Path, case: Case) -> Path:
     after = min((time for time, stamp in odometry if stamp > end), default=math.inf)
     files = {name: data for name, data in bag.origin.files.items() if name != CONFIGURATION}
     settings = dataclasses.replace(read_record_settings(), split=0.0)
+    left_out = {*LEFT_OUT, *case.lacks} - {*case.keeps}
     with BagWriter(path, settings, Origin(bag.origin.about, files)) as out:
         for topic, time, data in bag.raw():
-            if time < after and (topic not in LEFT_OUT or topic in case.keeps):
+            if time < after and topic not in left_out:
                 out.write(topic, bag.topics[topic], time, data)
     return path
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slot_core.config import ConfigError
-from slot_core.control.path import LEAD, TURN_GAIN, Path, read_path
+from slot_core.control.path import ARRIVED, CREEP, LEAD, TURN_GAIN, Path, read_path
 from slot_core.plane import rotate
 
 L_SHAPE = np.array([[0.0, 0.0], [0.3, 0.0], [0.3, 0.2]])
@@ -63,6 +63,17 @@ def test_the_reference_does_not_wait_for_a_robot_that_is_ahead_of_it_or_beside_i
     path = Path(L_SHAPE, "kept")
     places = np.array([path.place(state(*place), DT, SPEED) for _ in range(100)])
     assert places[-1, 0] >= min(0.05 * DT * 100, place[0] + LEAD) - 1e-9
+
+
+def test_a_robot_that_lags_slows_down_before_the_end_and_stops_at_it():
+    path = Path(L_SHAPE, "kept")
+    follow(path, 20.0)
+    speeds = [
+        path.velocity(state(0.3, 0.2 - left), SPEED)[1] for left in (0.1, LEAD, LEAD / 2, 0.006)
+    ]
+    assert speeds == pytest.approx([SPEED, SPEED, SPEED / 2, CREEP * SPEED])
+    assert not path.velocity(state(0.29, 0.2 - ARRIVED / 2), SPEED).any()
+    assert not path.velocity(state(0.29, 0.18), SPEED).any()  # noise does not start it again
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.0, -2.5])

@@ -92,6 +92,18 @@ def test_a_gain_of_zero_does_nothing():
     assert not plant.feedback.knobs.any()
 
 
+def test_a_part_of_a_stride_corrects_nothing_and_the_next_whole_one_does():
+    """Where a blend ends amid a stride, the mean of the rest of it is mostly sway."""
+    plant = Plant()
+    output = plant.effect @ plant.feedback.knobs + np.array(DISTURBANCES["all"])
+    for _ in range(TICKS // 2):
+        plant.tick(DT, output)
+    plant.feedback.finish(Target(plant.velocity, HOME, 1.0))
+    assert not plant.feedback.knobs.any()
+    plant.stride(np.array(DISTURBANCES["all"]))
+    assert plant.feedback.knobs.any()
+
+
 @pytest.mark.parametrize("disturbance", [[-0.2, 0, 0, 0, 0, 0], [0, 0, 0, -0.05, 0.5, -0.5]])
 def test_the_knobs_stay_within_their_bounds(disturbance):
     plant = Plant()

@@ -19,11 +19,13 @@ from slot_core.control.leg_springs import LegSprings
 from slot_core.control.path import Path
 from slot_core.control.reference import reference
 from slot_core.control.stride_feedback import StrideFeedback, Target
+from slot_core.plane import wrapped
 from slot_core.robot import Array, Robot
 
 STILL = 1e-4  # m/s, rad/s: below it a stride stands
 LONGEST_GAP = 0.5  # s between states; after a longer one the commands do not move
 SETTLING = 0.5  # s that the servos follow before a posture is corrected: the torso still swings
+FASTEST, FASTEST_TURN = 1.0, 3.0  # m/s, rad/s of a torso; beyond it the odometry has jumped
 
 
 @dataclass
@@ -82,6 +84,7 @@ class GaitScheduler:
         self._current = self._previous = self._activate(STAND)
         self._since_change = settings.transition  # s
         self._stamp: int | None = None
+        self._seen: Array | None = None  # (3,) x, y (m), yaw (rad) of the last state
         self._followed = True  # whether the servos follow the commands
         self._followed_for = SETTLING  # s
         self._velocity = np.zeros(3)  # present, at limited rates
@@ -109,6 +112,7 @@ class GaitScheduler:
         self._settings.require_velocity(self._requested, velocity)
         self._wanted, self._command_stamp = np.array(velocity, dtype=float), stamp
         if self._stamp is not None and self._is_expired(self._stamp):
+            self._wanted = np.zeros(3)
             raise ConfigError(
                 f"stamp is {(stamp - self._stamp) * 1e-9:+.3f} s from the state's (limit "
                 f"{self._settings.velocity_timeout:g} s), velocity set to zero"
@@ -140,6 +144,9 @@ class GaitScheduler:
         if not 0.0 <= elapsed <= LONGEST_GAP:
             elapsed = 0.0
             self._forget_strides()
+        elif self._has_jumped(elapsed, state):
+            self._forget_strides()
+        self._seen = state[[3, 4, 2]].copy()
         self._followed_for += elapsed
         self._change_gait(elapsed)
         self._approach_commands(elapsed, state)
@@ -147,10 +154,17 @@ class GaitScheduler:
         return self._preview(stamp, state)
 
     def _forget_strides(self) -> None:
-        """Forget the strides so far, whose means a jump of the clock would spoil."""
+        """Forget the strides so far, whose means a jump of clock or place would spoil."""
         for active in (self._previous, self._current):
             if isinstance(active, _ActiveStride):
                 active.feedback.forget_stride()
+
+    def _has_jumped(self, elapsed: float, state: Array) -> bool:
+        """Whether the robot is further from where it was seen last than it can move."""
+        if self._seen is None:
+            return False
+        moved, turned = np.hypot(*(state[3:5] - self._seen[:2])), wrapped(state[2] - self._seen[2])
+        return bool(moved > FASTEST * elapsed or abs(turned) > FASTEST_TURN * elapsed)
 
     def _is_expired(self, stamp: int) -> bool:
         """Whether the velocity is too old at `stamp` (ns), or too far in the future."""

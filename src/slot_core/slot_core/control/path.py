@@ -19,6 +19,8 @@ from slot_core.robot import Array
 POINTS_MAX = 100_000
 KEPT, ALONG = "kept", "along"  # heading: that at the start; the path's direction
 LEAD = 0.04  # m, of the reference place before the robot
+ARRIVED = 0.005  # m along the path before its end, where the robot stops
+CREEP = 0.25  # least share of the speed before the end
 TURN_GAIN = 1.0  # 1/s, yaw rate per heading error, where the heading follows the path
 
 
@@ -41,6 +43,7 @@ class Path:
         self._along = heading == ALONG
         self._start_yaw: float | None = None
         self.travelled = 0.0  # m, of the reference place
+        self._arrived = False
 
     @property
     def length(self) -> float:
@@ -49,20 +52,31 @@ class Path:
 
     def place(self, state: Array, elapsed: float, speed: float) -> Array:
         """Advance the reference place for `elapsed` (s) at a speed (m/s); x, y (m), yaw (rad)."""
-        direction = self._direction[self._segment()]
-        gap = self._point(self.travelled) - state[3:5]
-        if gap[0] * math.cos(direction) + gap[1] * math.sin(direction) < LEAD:
+        if self._lead(state) < LEAD:
             self.travelled = min(self.travelled + speed * elapsed, self.length)
         return np.array([*self._point(self.travelled), self._yaw(state)])
 
     def velocity(self, state: Array, speed: float) -> Array:
-        """Velocity (3,) in base_link along the path at a speed (m/s); zero at its end."""
+        """Velocity (3,) in base_link along the path at a speed (m/s).
+
+        It falls from LEAD before the end on. The robot stops where it reaches or passes the end.
+        """
         if self.travelled >= self.length:
-            return np.zeros(3)
+            left = self._lead(state)
+            self._arrived = self._arrived or left < ARRIVED
+            if self._arrived:
+                return np.zeros(3)
+            speed *= min(1.0, max(left / LEAD, CREEP))
         along = self._direction[self._segment()] - state[2]
         error = wrapped(self._yaw(state) - state[2])
         turn = TURN_GAIN * error if self._along else 0.0
         return np.array([speed * math.cos(along), speed * math.sin(along), turn])
+
+    def _lead(self, state: Array) -> float:
+        """Distance of the reference place before the robot, along the path, m."""
+        direction = self._direction[self._segment()]
+        gap = self._point(self.travelled) - state[3:5]
+        return float(gap[0] * math.cos(direction) + gap[1] * math.sin(direction))
 
     def _segment(self) -> int:
         index = int(np.searchsorted(self._arc, self.travelled, side="right")) - 1

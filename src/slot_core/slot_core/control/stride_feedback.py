@@ -27,6 +27,7 @@ from slot_core.robot import Array
 VELOCITY, OFFSETS = slice(0, 3), slice(3, 6)
 # Signs of the offsets common, left-right and front-rear at the legs FL FR RL RR.
 OFFSET_SIGNS = np.array([[1, 1, 1, 1], [1, -1, 1, -1], [1, 1, -1, -1]], dtype=float)
+WHOLE = 0.9  # share of the period from which a row of ticks is a stride
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ class StrideFeedback:
     def __init__(self, stride: Stride):
         """Start without corrections."""
         self._settings: FeedbackSettings = stride.feedback
+        self._shortest = WHOLE * stride.period  # s
         self._effect = np.array(self._settings.effect, dtype=float)
         self._scale = np.array(self._settings.scale, dtype=float)
         offset = np.radians(self._settings.offset_max_deg)
@@ -103,10 +105,15 @@ class StrideFeedback:
         self._gap.append(np.append(gap, wrapped(self.place[2] - state[2])))
 
     def finish(self, target: Target) -> None:
-        """End a stride: correct the knobs by its means, if it has at least three ticks."""
+        """End a stride: correct the knobs by its means, if it has three ticks and is whole.
+
+        The sway of a stride has no mean; that of a part of one has.
+        """
         rows, gaps = np.array(self._rows), np.array(self._gap)
         self._rows, self._gap = self._rows[-1:], self._gap[-1:]  # the next one starts there
         if len(rows) < 3 or self._settings.gain == 0.0:
+            return
+        if rows[-1, 0] - rows[0, 0] < self._shortest:
             return
         error = self._error(rows, gaps.mean(axis=0), target)
         share = np.array([target.walking, target.walking, 1.0, 1.0, 1.0, 1.0])
