@@ -123,7 +123,7 @@ def test_an_invalid_command_is_refused_and_leaves_the_state_unchanged(sim, comma
         lambda sim: sim.damage_tendon(4),
         lambda sim: sim.damage_tendon(-1, broken=True),
         lambda sim: sim.damage_tendon(0, slack=math.nan),
-        lambda sim: sim.damage_tendon(0, slack=-1e-3),
+        lambda sim: sim.damage_tendon(0, slack=-math.inf),
     ],
 )
 def test_an_invalid_push_or_tendon_damage_is_refused(sim, act):

@@ -79,10 +79,17 @@ def test_drift_is_a_random_walk_beside_an_unchanged_noise(truth):
     assert np.std(yaws) == pytest.approx(0.1, rel=4 / np.sqrt(2 * count))
 
 
-def test_a_jump_displaces_the_odometry_from_its_time_on(truth):
-    jumps = {"jumps": {"once": {"time": 2.0, "position": [0.1, 0.0, 0.0], "yaw": 0.0}}}
+@pytest.mark.parametrize(
+    ("begin", "expected"),
+    [
+        (2.0, [(0.0, 0.0), (1.9, 0.0), (2.0, 0.1), (3.0, 0.1)]),
+        (0.0, [(0.0, 0.0), (0.033, 0.1)]),  # not at rest
+    ],
+)
+def test_a_jump_displaces_the_odometry_from_its_time_on(truth, begin, expected):
+    jumps = {"jumps": {"once": {"time": begin, "position": [0.1, 0.0, 0.0], "yaw": 0.0}}}
     with_jump, without = troubled(jumps), troubled({})
-    for since, jump in [(0.0, 0.0), (1.9, 0.0), (2.0, 0.1), (3.0, 0.1)]:
+    for since, jump in expected:
         a, b = (sensor.sample(truth, since) for sensor in (with_jump, without))
         np.testing.assert_allclose(a.position - b.position, [jump, 0, 0], atol=1e-12)
         np.testing.assert_allclose(a.quaternion, b.quaternion, atol=1e-12)

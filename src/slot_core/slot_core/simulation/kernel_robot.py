@@ -28,12 +28,12 @@ class KernelRobot(SimulatedRobot):
         self.model.push[:] += push
 
     def damage_tendon(self, leg: int, slack: float = 0.0, broken: bool = False) -> None:
-        """Lengthen the tendon of leg 0 .. 3 by `slack` (m), or break it, from now on.
+        """Lengthen the tendon of leg 0 .. 3 by `slack` (m), negative: shorten it, or break it.
 
-        Raises ValueError for another leg or a slack that is negative or not finite.
+        Raises ValueError for another leg or a slack that is not finite.
         """
-        if leg not in range(4) or not 0.0 <= slack < np.inf:
-            raise ValueError(f"leg {leg} must be 0 to 3, slack {slack} m not negative and finite")
+        if leg not in range(4) or not np.isfinite(slack):
+            raise ValueError(f"leg {leg} must be 0 to 3, slack {slack} m finite")
         self.model.fault[:, leg] = slack, not broken
 
     @property

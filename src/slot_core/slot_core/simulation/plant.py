@@ -99,7 +99,7 @@ class Plant:
 
     Odometry, or the camera's picture in its place, is due `delay` after its stamp, every other
     reading at its stamp. The robot is frozen in its starting pose until `start` sets the clock.
-    Raises ConfigError if the scene has a fault that the robot's model does not support.
+    Raises ConfigError if the scene has a fault or a push that the robot's model does not support.
     """
 
     def __init__(self, robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator):
@@ -122,6 +122,8 @@ class Plant:
         self._faults: dict[tuple[str, str], Fault] = {}  # by kind and leg
         for fault in scene.faults.values():
             self._require_supported(fault)
+        if scene.pushes:
+            self.simulator.push(np.zeros(3), np.zeros(3))  # raises if the robot supports none
 
     @property
     def camera(self) -> Camera | None:

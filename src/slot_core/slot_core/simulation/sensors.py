@@ -100,7 +100,7 @@ class OdometrySensor:
         scale = np.array([s.position_drift] * 3 + [s.yaw_drift]) * np.sqrt(since - self._last)
         self._drift += scale * self._trouble.normal(size=4)
         self._last = since
-        jumps = [[*j.position, j.yaw] for j in s.jumps.values() if 0.0 < j.time <= since]
+        jumps = [[*j.position, j.yaw] for j in s.jumps.values() if since > 0.0 and j.time <= since]
         return self._drift + np.sum(jumps, axis=0) if jumps else self._drift
 
     def _is_lost(self, since: float) -> bool:
