@@ -25,10 +25,11 @@ def test_random_instructions_leave_registers_within_their_range():
 
 
 def test_the_fuzz_detects_a_receiver_without_a_crc_check(monkeypatch):
-    """A parser that accepts every CRC must count as corruption."""
+    """A parser that accepts every CRC must count as corruption, and its servos move."""
     monkeypatch.setattr("slot_core.dynamixel.packet.Parser._take", _accept_any_crc)
     tally = fuzz.fuzz_emulator(COUNT // 5, np.random.default_rng(1))
     assert tally.corruption > 0
+    assert tally.motion > 0.0
 
 
 def _accept_any_crc(parser, size):

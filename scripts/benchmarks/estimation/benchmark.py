@@ -22,6 +22,8 @@ from scipy import stats
 
 from benchmarks.estimation import identification_rows, methods, picture, vision_rows
 from benchmarks.estimation.measured_streams import (
+    IMU_PERIOD,
+    PERIOD,
     RecordingPlant,
     Slam,
     Streams,
@@ -123,7 +125,7 @@ def nees_row(walks: list[Streams], settings: EstimatorSettings) -> Row:
     for walk in walks:
         arrivals = slam.arrivals(walk, np.random.default_rng(0))
         found = [e for _, e in methods.estimates(arrivals, settings) if e.time <= walk.end]
-        for e in found[round(WARM_UP / 0.033) :: NEES_EVERY]:
+        for e in found[round(WARM_UP / PERIOD) :: NEES_EVERY]:
             error = difference(e.state, walk.true_state(e.time))
             total += float(error @ np.linalg.solve(e.covariance, error))
             count += 1
@@ -178,11 +180,11 @@ def closed_loop_rows(seeds: Sequence[int], progress: Callable[[str], None]) -> l
 def _walk_figures(delay: float, seed: int) -> tuple[float, float, float]:
     """v_x (mm/s), largest drift to the side (mm) and RMS of roll and pitch (mrad) of a walk."""
     loop = ClosedLoop("flat", "walk", None, seed, make=with_delay(delay))
-    for _ in loop.run(round(10.0 / 0.033)):
+    for _ in loop.run(round(10.0 / PERIOD)):
         pass
     assert isinstance(loop.plant, RecordingPlant)
-    states = np.array([state for _, state in loop.plant.truth][round(WARM_UP * 200) :])
-    span = len(states) / 200
+    states = np.array([state for _, state in loop.plant.truth][round(WARM_UP / IMU_PERIOD) :])
+    span = len(states) * IMU_PERIOD
     drift = np.abs(states[:, 4] - states[0, 4]).max()
     tilt = np.sqrt(np.mean(states[:, 0:2] ** 2))
     return 1e3 * (states[-1, 3] - states[0, 3]) / span, 1e3 * drift, 1e3 * tilt

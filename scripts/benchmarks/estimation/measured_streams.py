@@ -10,13 +10,15 @@ from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.clock import SECOND
-from slot_core.dynamics.scene import Scene
+from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.robot import Array, Robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.simulation.plant import Plant, Reading
 from slot_core.simulation.sensors import ImuReading, OdometryReading
 
+_SENSORS = read_scene("flat").sensors
+PERIOD, IMU_PERIOD = _SENSORS.odometry.period, _SENSORS.imu.period  # s
 ARRIVAL_ORDER = {ImuReading: 0, OdometryReading: 1}
 Arrival = tuple[int, ImuReading | OdometryReading]
 
@@ -70,7 +72,7 @@ class Streams:
 def record(seed: int, duration: float) -> Streams:
     """Streams of a walk of `duration` (s) on the flat floor."""
     loop = ClosedLoop("flat", "walk", None, seed, make=RecordingPlant)
-    for _ in loop.run(round(duration / 0.033)):
+    for _ in loop.run(round(duration / PERIOD)):
         pass
     assert isinstance(loop.plant, RecordingPlant)
     stamps, states = zip(*sorted(loop.plant.truth, key=lambda entry: entry[0]))

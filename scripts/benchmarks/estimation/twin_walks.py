@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from benchmarks.estimation.measured_streams import PERIOD
 from slot_core.bags.measured import MEASURED, ODOMETRY, TendonAngles
 from slot_core.bags.walk import Motion
 from slot_core.body_points import LEG_POINTS, TORSO, at_shares
@@ -81,7 +82,7 @@ class TrueWalk:
 def walk(duration: float, changes: Mapping[str, Any], seed: int = 1) -> TrueWalk:
     """A walk of `duration` (s) of a robot changed as in `ClosedLoop`."""
     loop = ClosedLoop("flat", "walk", None, seed, changes=changes, make=TruePlant)
-    for _ in loop.run(round(duration / 0.033)):
+    for _ in loop.run(round(duration / PERIOD)):
         pass
     assert isinstance(loop.plant, TruePlant)
     return TrueWalk(loop.plant.joints, loop.plant.states)

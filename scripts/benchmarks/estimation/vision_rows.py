@@ -16,8 +16,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmarks.estimation.measured_streams import RecordingPlant
+from benchmarks.estimation.measured_streams import IMU_PERIOD, RecordingPlant
 from benchmarks.harness import Check, Row, at_most
+from slot_core.dynamics.scene import read_scene
 from slot_core.robot import Array, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.vision.camera import nominal
@@ -27,7 +28,7 @@ from slot_core.vision.settings import VisionSettings, read_vision
 from slot_core.vision.synthetic_camera import Imperfections, SyntheticCamera
 from slot_core.vision.tracker import Sample, Tracker
 
-PERIOD = 0.033  # s, of the pictures
+PERIOD = read_scene("marker_camera").sensors.camera.period  # s, of the pictures
 WARM_UP = 2.0  # s
 Moment = tuple[Transform, Array]  # base_link and the nodes of the legs in odom
 
@@ -112,12 +113,12 @@ def walk_row(scene: str, duration: float) -> Row:
         state = tick.estimate.state
         off.append(np.concatenate([state[3:6] - sim.position, state[9:12] - sim.velocity]))
     assert isinstance(loop.plant, RecordingPlant)
-    true = np.array([state for _, state in loop.plant.truth][round(WARM_UP * 200) :])
+    true = np.array([state for _, state in loop.plant.truth][round(WARM_UP / IMU_PERIOD) :])
     rms = 1e3 * np.sqrt(np.mean(np.square(off[round(WARM_UP / PERIOD) :]), axis=0))
     return {
         "kind": "pictures",
         "scene": scene,
-        "v_x_mm_s": 1e3 * float(true[-1, 3] - true[0, 3]) / (len(true) / 200),
+        "v_x_mm_s": 1e3 * float(true[-1, 3] - true[0, 3]) / (len(true) * IMU_PERIOD),
         "lateral_mm": 1e3 * float(np.abs(true[:, 4] - true[0, 4]).max()),
         "position_mm": float(np.sqrt(np.mean(rms[:3] ** 2))),
         "velocity_mm_s": float(np.sqrt(np.mean(rms[3:] ** 2))),

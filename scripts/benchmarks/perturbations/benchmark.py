@@ -87,14 +87,14 @@ def cases(
     from benchmarks.perturbations.rigid_torso import run_torso  # noqa: PLC0415
     from benchmarks.perturbations.simulated import run_robot  # noqa: PLC0415
 
-    robot, published, default = read_robot(), read_mpc("published"), read_mpc("forces")
+    robot, published, forces = read_robot(), read_mpc("published"), read_mpc("forces")
     runs: dict[str, dict[str, Run]] = {"published": {}, "torso": {}, "robot": {}}
     rows = []
     for name, change in CASES.items():
         progress(f"case {name}")
         noise = [np.random.default_rng(NOISE_SEED) if name == "Noise" else None for _ in range(2)]
         runs["published"][name] = run_published(robot, published, change, DURATION, noise[0])
-        runs["torso"][name] = run_torso(robot, default, change, duration, noise[1])
+        runs["torso"][name] = run_torso(robot, forces, change, duration, noise[1])
         runs["robot"][name], reached = run_robot(name, duration)
         for study, by_case in runs.items():
             row = {"kind": "case", "study": study, "case": name} | metrics(by_case[name])

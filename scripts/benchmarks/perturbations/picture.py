@@ -19,7 +19,7 @@ Row = Mapping[str, Any]
 
 STUDIES = {
     "published": "(a) as published, on its own linear model",
-    "torso": "(b) default profile, rigid torso with 50 ms of lag",
+    "torso": "(b) profile forces, rigid torso with 50 ms of lag",
     "robot": "(c) default profile, Cosserat robot, standing",
 }
 COLOURS = dict(zip(CASES, (palette.INK, palette.TRUE, *palette.STAGE_COLOURS, palette.TORSO)))

@@ -4,7 +4,8 @@ A sample starts at the reference with a payload that the controller's model does
 pushed after 1 s and has the rest of its time to recover. Its parameters are uniform within `RANGES`
 and depend only on the seed and the sample's index, so any sample can be run again on any machine.
 Two plants: the rigid torso with lag, which follows height and speed, and the Cosserat robot under
-the whole controller, which stands.
+the whole controller with the profile `forces`, which stands, on servos of the model `torque_speed`:
+the default's pid has no lag of its own.
 """
 
 from __future__ import annotations
@@ -37,6 +38,10 @@ RANGES = {
     "push": (0.0, 12.0),  # N on the torso's centre, horizontal
     "direction": (-math.pi, math.pi),  # rad, of the push
     "noise": (0.0, 4.0),  # factor on the sensors' noise of the scene `flat`
+}
+NOISES = {
+    "odometry": ("position_noise", "orientation_noise", "velocity_noise", "rate_noise"),
+    "imu": ("rate_noise", "acceleration_noise"),
 }
 PLANTS = ("torso", "robot")
 DURATION, PUSH_AT, PUSH_TIME, END = 5.0, 1.0, 0.2, 1.0  # s; END: length of the final interval
@@ -123,10 +128,12 @@ def torso_states(sample: Sample) -> tuple[Array, int]:
 
 def robot_states(sample: Sample) -> tuple[Array, int]:
     """(n, 12) states of the Cosserat robot, and the number of MPC cycles without a solution."""
-    flat, servo = read_scene("flat"), config.replace(read_servo(), {"lag": sample.lag})
+    flat = read_scene("flat")
+    servo = config.replace(read_servo(), {"model": "torque_speed", "lag": sample.lag})
     sensors = {
-        f"sensors.odometry.{name}": sample.noise * getattr(flat.sensors.odometry, name)
-        for name in ("position_noise", "orientation_noise", "velocity_noise", "rate_noise")
+        f"sensors.{sensor}.{name}": sample.noise * getattr(getattr(flat.sensors, sensor), name)
+        for sensor, names in NOISES.items()
+        for name in names
     }
     changes = {"payload.mass": sample.payload, "floor.friction": [sample.friction] * 4}
     scene = config.replace(flat, sensors | changes | {"floor.torso_friction": sample.friction})

@@ -16,7 +16,7 @@ from benchmarks.report.results import Picture, Result, number
 
 HERE = Path(__file__).resolve().parent
 COLUMNS = ("gait alone", "paper", "default")  # of the locomotion table
-GOOD, BAD = ("better", "reproduced"), ("worse", "not reproduced")
+GOOD, BAD = ("better", "equal", "reproduced"), ("worse", "not reproduced")
 NOT_MEASURED, MISSING, NO_VALUE = "not measured", "result missing", "no value"
 
 

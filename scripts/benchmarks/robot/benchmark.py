@@ -40,7 +40,7 @@ STEPS = (5e-3, 2e-3, 1e-3, 5e-4, 2.5e-4)
 LEVELS = ("map", "coarse", "standard", "fine")
 LARGEST_ERROR = 0.3  # mm
 # A step of the robot, two iterations of four legs in lanes, over a step of one public rod with as
-# many nodes and one iteration: no more than of four such rods.
+# many nodes, or one less, and one iteration: no more than of four such rods.
 LARGEST_RATIO = 4.0
 COMPARED = (22, 31)  # nodes
 

@@ -29,10 +29,11 @@ from slot_core.simulation.bus_legs import EmulatedLegs
 
 SDK = PacketHandler(2.0)
 BAUD = 1000000
-IDS = (5, 4, 2, 3)
+IDS = read_settings().joints.ids
 INSTRUCTIONS = tuple(Instruction)
 MUTATIONS = 6
 BATCH = 100  # packets between two time steps
+REACTION = 0.01  # s, in which a servo moves if it takes a damaged packet
 
 
 @dataclass
@@ -44,7 +45,7 @@ class Tally:
     corruption: int = 0  # accepted although the SDK's CRC does not match: an error
     collisions: int = 0  # a packet other than the one sent, whose CRC matches by chance
     intact: int = 0  # the packet sent, with other bytes beside it
-    motion: float = 0.0  # rad, largest
+    motion: float = 0.0  # rad, largest, without an undamaged packet
     crash: str = ""
 
 
@@ -98,12 +99,12 @@ def instructions() -> list[bytes]:
         build(BROADCAST, Instruction.SYNC_WRITE, b"\x64\0\2\0" + pwm),
         build(BROADCAST, Instruction.FAST_SYNC_READ, fast),
         build(BROADCAST, Instruction.SYNC_READ, fast),
-        build(5, Instruction.WRITE, _field("goal_position", 2800)),
-        build(4, Instruction.WRITE, _field("torque_enable", 0)),
-        build(2, Instruction.REG_WRITE, _field("goal_position", 1500)),
+        build(IDS[0], Instruction.WRITE, _field("goal_position", 2800)),
+        build(IDS[1], Instruction.WRITE, _field("torque_enable", 0)),
+        build(IDS[2], Instruction.REG_WRITE, _field("goal_position", 1500)),
         build(BROADCAST, Instruction.ACTION),
-        build(3, Instruction.READ, b"\x40\0\1\0"),
-        build(3, Instruction.REBOOT),
+        build(IDS[3], Instruction.READ, b"\x40\0\1\0"),
+        build(IDS[3], Instruction.REBOOT),
     ]
 
 
@@ -150,7 +151,12 @@ def _send(bus: EmulatedBus, data: bytes, original: bytes, kept: list[bytes], tal
     accepted = any(p.parameters[0] & 0x7F != Error.CRC for p in answers)
     if not accepted and _memories(bus) == kept:
         return
-    _classify(frames(data), [original], tally)
+    found = frames(data)
+    _classify(found, [original], tally)
+    if not found:
+        before = bus.advance(0.0)
+        moved = float(np.abs(bus.advance(REACTION) - before).max())
+        tally.motion = max(tally.motion, moved)
     for servo, image in zip(bus.servos, kept):
         servo.load_image(image)
 
