@@ -239,6 +239,8 @@ def checks(rows: list[Row], lost: Array) -> list[Check]:
         ),
         at_most("position after 1 s without odometry", 1e3 * lost[:, 0].max(), 50.0, "mm"),
         at_most("velocity after 1 s without odometry", 1e3 * lost[:, 1].max(), 50.0, "mm/s"),
+        at_least("mean NEES", nees["mean"], nees["low"]),
+        at_most("mean NEES", nees["mean"], nees["high"]),
         at_least("NEES within its 95 % bounds: share of the ticks", nees["within"], WITHIN),
         at_most("v_x, 80 ms late", abs(far["v_x_mm_s"] / near["v_x_mm_s"] - 1.0), 0.05),
         *[

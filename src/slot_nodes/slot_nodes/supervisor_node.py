@@ -233,8 +233,8 @@ class SupervisorNode(Node):
 
     def _make_requests(self) -> None:
         """Request what is wanted of the gait scheduler, as far as its services are there."""
-        for answer in (answer for answer in self._answers if answer.done()):
-            if not answer.result().success:
+        for answer in self._answers:
+            if answer.done() and not answer.result().success:
                 self.get_logger().error(f"gait_scheduler refuses: {answer.result().message}")
         self._answers = [answer for answer in self._answers if not answer.done()]
         for name in [name for name in self._wanted if self._scheduler[name].service_is_ready()]:

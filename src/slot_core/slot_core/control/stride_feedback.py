@@ -111,9 +111,8 @@ class StrideFeedback:
         """
         rows, gaps = np.array(self._rows), np.array(self._gap)
         self._rows, self._gap = self._rows[-1:], self._gap[-1:]  # the next one starts there
-        if len(rows) < 3 or self._settings.gain == 0.0:
-            return
-        if rows[-1, 0] - rows[0, 0] < self._shortest:
+        is_whole = len(rows) >= 3 and rows[-1, 0] - rows[0, 0] >= self._shortest
+        if not is_whole or self._settings.gain == 0.0:
             return
         error = self._error(rows, gaps.mean(axis=0), target)
         share = np.array([target.walking, target.walking, 1.0, 1.0, 1.0, 1.0])
