@@ -8,20 +8,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
-from slot_core.bags.bag import Bag
 from slot_core.bags.measured import COMMANDED, MEASURED, TendonAngles
 from slot_core.bags.walk import Motion
 from slot_core.config import ConfigError
 from slot_core.control.gait import read_gaits
+from slot_core.csv_table import TableError
 from slot_core.robot import read_parameters, read_robot
 from slot_core.twin import parameter_set, twin
+from slot_core.twin.recorded import COLUMNS, Recorded, read_recorded
 from slot_core.twin.replay_robot import (
-    Recorded,
     Track,
     measured_track,
     predict,
     read_parts,
-    read_recorded,
 )
 from slot_core.twin.settings import read_twin
 from slot_core.twin.strides import angle_period, error_growth, find_strides, stride_errors
@@ -33,14 +32,14 @@ WALK = str(Path(__file__).parents[1] / "bags" / "walk")
 SECONDS = 10.0
 
 
-def walking_angles(topic=MEASURED):
+def walking_angles():
     """Tendon angles of the stride of `walk` after a second at rest, at 100 Hz."""
     stride = read_gaits().find("walk")
     t = np.arange(0.0, SECONDS, 0.01)
     velocity = np.array([stride.cruise, 0.0, 0.0])
     phase = np.clip(t - 1.0, 0.0, None) / stride.period % 1.0
     angle = stride.course(phase, velocity, stride.walking(velocity), np.zeros(4))[:, :4]
-    return TendonAngles(topic, t, np.clip(angle, 0.0, PARTS.robot.tendon.angle_max))
+    return TendonAngles(MEASURED, t, np.clip(angle, 0.0, PARTS.robot.tendon.angle_max))
 
 
 def motion_of(track, noise=0.0):
@@ -80,17 +79,78 @@ def test_measured_angles_are_imposed_whatever_the_load(walked):
 
 
 def test_a_recorded_walk_is_replayed_from_its_own_angles():
-    recorded = read_recorded(Bag(WALK))
+    recorded = read_recorded(Path(WALK))
     measured = measured_track(recorded.motion)
     found = predict(recorded, PARTS, SETTINGS).at(measured.t)
-    assert recorded.angles.topic == MEASURED
+    assert recorded.angles.source == MEASURED
     off = np.linalg.norm(found.position - measured.position, axis=1)
     assert off.max() < 2e-3  # 1.3 mm at the first jump of the angles, recorded at 100 Hz
     assert np.ptp(measured.position[:, 0]) > 0.02
 
 
+def write_walk(path, recorded):
+    """The recorded walk as a CSV file: angles and poses in rows of their own."""
+    angles = [(t, *row, *[""] * 6) for t, row in zip(recorded.angles.t, recorded.angles.angle)]
+    pose = measured_track(recorded.motion)
+    poses = [(t, *[""] * 4, *row) for t, row in zip(pose.t, pose.columns)]
+    rows = [",".join(map(str, row)) for row in sorted(angles + poses, key=lambda row: row[0])]
+    path.write_text("\n".join(["# a walk", ",".join(COLUMNS), *rows]) + "\n")
+    return path
+
+
+def test_a_csv_file_is_the_walk_that_it_holds(walked, tmp_path):
+    recorded, _ = walked
+    found = read_recorded(write_walk(tmp_path / "walk.csv", recorded))
+    assert found.angles.measured
+    assert found.angles.t == pytest.approx(recorded.angles.t)
+    assert found.angles.angle == pytest.approx(recorded.angles.angle)
+    assert measured_track(found.motion).columns == pytest.approx(
+        measured_track(recorded.motion).columns
+    )
+    assert not read_recorded(tmp_path / "walk.csv", angles=COMMANDED).angles.measured
+
+
+def test_a_csv_file_is_replayed_and_compared(walked, tmp_path, capsys):
+    recorded, _ = walked
+    walk = write_walk(tmp_path / "walk.csv", recorded)
+    assert twin.main([str(walk), "--out", str(tmp_path / "out")]) == 0
+    text = capsys.readouterr().out
+    assert "tendon angles       FL, FR, RL, RR (measured)" in text
+    found, of_bag = read_recorded(walk), measured_track(recorded.motion)
+    strides = find_strides(found, read_twin())
+    error = stride_errors(predict(found, PARTS, read_twin()), of_bag, strides).summary()
+    assert f"{1e3 * error['place']:.3f} mm" in text
+    assert (tmp_path / "out" / "twin.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("lines", "reason"),
+    [
+        (["time,x,y,z"], "line 1: columns time,x,y,z: expected time,FL,FR,RL,RR,x,y,z,roll"),
+        ([",".join(COLUMNS)], "0 rows with FL, FR, RL, RR, less than 2"),
+        ([",".join(COLUMNS), "0,1,1,1,,,,,,,"], "line 2, RR: '' is not a finite number"),
+        ([",".join(COLUMNS), *["0,1,1,1,1,,,,,,"] * 2], "line 3, time: does not increase"),
+        (
+            [",".join(COLUMNS), "0,1,1,1,1,,,,,,", "1,1,1,1,1,0,0,0,0,0,0", "2,,,,,0,0,0,0,0,0"],
+            "FL, FR, RL, RR and x .. yaw do not overlap",
+        ),
+    ],
+)
+def test_a_csv_file_that_holds_no_walk_is_refused(tmp_path, lines, reason):
+    (tmp_path / "walk.csv").write_text("\n".join(lines) + "\n")
+    with pytest.raises((TableError, ConfigError)) as refusal:
+        read_recorded(tmp_path / "walk.csv")
+    assert reason in str(refusal.value)
+
+
+def test_topics_of_a_csv_file_are_refused(walked, tmp_path):
+    walk = write_walk(tmp_path / "walk.csv", walked[0])
+    with pytest.raises(ConfigError, match="--namespace and --motion are of bags"):
+        read_recorded(walk, motion="/odom")
+
+
 def test_commands_go_through_the_servo():
-    recorded = read_recorded(Bag(WALK), COMMANDED)
+    recorded = read_recorded(Path(WALK), angles=COMMANDED)
     measured = measured_track(recorded.motion)
     found = predict(recorded, PARTS, SETTINGS).at(measured.t)
     off = np.linalg.norm(found.position - measured.position, axis=1)

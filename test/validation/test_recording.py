@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slot_core.csv_table import TableError
 from slot_core.validation import validate
-from slot_core.validation.recording import RecordingError, read_recording, write_points
+from slot_core.validation.recording import read_recording, write_points
 
 EXAMPLE = Path(__file__).parents[2] / "slot_bringup" / "example"
 ROWS = [f"{n / 30:.4f},0.1,0.0,{0.01 * n}" for n in range(10)]
@@ -61,7 +62,7 @@ def test_written_points_are_read_again(tmp_path):
     ],
 )
 def test_a_bad_table_is_refused_with_its_line(csv, lines, message):
-    with pytest.raises(RecordingError, match=message):
+    with pytest.raises(TableError, match=message):
         read_recording(csv(*lines))
 
 

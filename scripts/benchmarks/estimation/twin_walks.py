@@ -20,7 +20,7 @@ from slot_core.dynamixel.state import JointReading
 from slot_core.robot import Array, Robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.simulation.plant import Plant, Reading, TrueState
-from slot_core.twin.replay_robot import Recorded
+from slot_core.twin.recorded import Recorded
 
 POSITION_NOISE, ANGLE_NOISE = 1e-3, 2e-3  # m, rad: the odometry of config/scene/flat.yaml
 ENCODER = 2 * np.pi / 4096  # rad, of the servos

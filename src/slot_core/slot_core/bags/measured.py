@@ -34,15 +34,11 @@ UNIT = 0.01  # largest deviation of a quaternion's length from one
 class TendonAngles:
     """Tendon angles over n samples."""
 
-    topic: str
+    source: str  # topic, or columns of a CSV file
     t: Array  # (n,) s, graph time
     angle: Array  # (n, 4) rad
     rate: Array | None = None  # (n, 4) rad/s, at which a command goes on; None: it stays
-
-    @property
-    def measured(self) -> bool:
-        """Whether these are measured angles, not commands."""
-        return self.topic == MEASURED
+    measured: bool = True  # else they are commands
 
 
 def measured_motion(bag: Bag, topic: str = "") -> Motion:
@@ -82,7 +78,8 @@ def tendon_angles(bag: Bag, topic: str = "") -> TendonAngles:
         _, rate = joint_columns(bag, chosen, "velocity")
     values = angle if rate is None else np.hstack([angle, rate])
     keep = sound(f"{bag.path}: {chosen}", series.stamp, values)
-    return TendonAngles(chosen, t[keep], angle[keep], None if rate is None else rate[keep])
+    kept = None if rate is None else rate[keep]
+    return TendonAngles(chosen, t[keep], angle[keep], kept, measured=chosen == MEASURED)
 
 
 def sound(where: str, stamps: Stamps, values: Array) -> NDArray[np.intp]:

@@ -17,7 +17,7 @@ import numpy as np
 from slot_core import config
 from slot_core.arguments import positive_integer
 from slot_core.calibration import parameter_file
-from slot_core.calibration.data import Data, DataError, read_data
+from slot_core.calibration.data import Data, read_data
 from slot_core.calibration.experiments import (
     ExperimentSettings,
     PredictionError,
@@ -34,6 +34,7 @@ from slot_core.calibration.fit import (
 )
 from slot_core.calibration.plot import write_figure
 from slot_core.config import ConfigError
+from slot_core.csv_table import TableError
 from slot_core.robot import Array, Robot, read_parameters, read_robot
 
 FREE = ("leg.young_modulus", "tendon.offset", "tendon.cable_stiffness", "tendon.slack")
@@ -48,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         content = _run(options)
-    except (DataError, ConfigError, FitError, PredictionError, OSError) as error:
+    except (TableError, ConfigError, FitError, PredictionError, OSError) as error:
         parser.error(" ".join(str(error).split()))
     print("\n".join(parameter_file.table(content)))
     return 0

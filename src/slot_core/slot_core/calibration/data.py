@@ -1,11 +1,11 @@
-"""Measurements of single legs: a CSV file with one measurement a row.
+"""Measurements of single legs: a CSV file (`csv_table.py`) with one measurement a row.
 
     kind,theta_deg,load_N,height_m,friction,place,value,sigma
     marker_range,116.28,4.905,,0.3,0,0.0886,0.002
     force_angle,90,,0.105,0.3,,2.72,0.25
     deflection,0,1.0,,,1,0.0235,0.0005
 
-Lines that begin with # are comments. Each kind has its own conditions; the other cells are empty:
+Each kind has its own conditions; the other cells are empty:
 
 `marker_range`  the vertically guided clamp carries `load_N` in addition to the leg; the tendon is
                 pulled from rest to `theta_deg`. Value: range of the height of the point at `place`,
@@ -23,12 +23,12 @@ value.
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+from slot_core.csv_table import Row, TableError, read_table
 
 CONDITIONS = {
     "marker_range": ("theta_deg", "load_N", "friction", "place"),
@@ -45,10 +45,6 @@ BOUNDS = {
     "sigma": (1e-12, 1e6),
 }
 COLUMNS = ("kind", *BOUNDS)
-
-
-class DataError(ValueError):
-    """Invalid measurement; the message names file, line, column and reason."""
 
 
 @dataclass(frozen=True)
@@ -89,56 +85,39 @@ class Data:
 
 
 def read_data(path: Path) -> Data:
-    """Read a file of measurements; raises DataError."""
-    try:
-        content = path.read_bytes()
-        text = content.decode("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: {error}") from None
-    lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if _is_data(line)]
-    if not lines:
-        raise DataError(f"{path}: no line of column names")
-    (head, names), *rest = ((n, next(csv.reader([line]))) for n, line in lines)
-    where = f"{path}, line {head}"
-    columns = [name.strip() for name in names]
+    """Read a file of measurements; raises TableError."""
+    table = read_table(path)
+    columns = table.columns
     if missing := [name for name in COLUMNS if name not in columns]:
-        raise DataError(f"{where}: column {missing[0]} is missing")
+        raise TableError(f"{table.head}: column {missing[0]} is missing")
     if unknown := [name for name in columns if name not in COLUMNS]:
-        raise DataError(f"{where}: column {unknown[0]!r} is unknown (known: {', '.join(COLUMNS)})")
+        known = ", ".join(COLUMNS)
+        raise TableError(f"{table.head}: column {unknown[0]!r} is unknown (known: {known})")
     if len(columns) > len(COLUMNS):
-        raise DataError(f"{where}: a column is repeated")
-    if not rest:
-        raise DataError(f"{path}: no measurements")
-    rows = tuple(_row(columns, cells, n, f"{path}, line {n}") for n, cells in rest)
-    return Data(path.name, hashlib.sha256(content).hexdigest(), rows)
+        raise TableError(f"{table.head}: a column is repeated")
+    if not table.rows:
+        raise TableError(f"{path}: no measurements")
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return Data(path.name, digest, tuple(_datum(row) for row in table.rows))
 
 
-def _is_data(line: str) -> bool:
-    return bool(line.strip()) and not line.lstrip().startswith("#")
-
-
-def _row(columns: Sequence[str], cells: Sequence[str], line: int, where: str) -> Datum:
-    if len(cells) != len(columns):
-        raise DataError(f"{where}: {len(cells)} cells, {len(columns)} columns")
-    cell = {name: text.strip() for name, text in zip(columns, cells)}
-    kind = cell["kind"]
+def _datum(row: Row) -> Datum:
+    kind = row.cells["kind"]
     if kind not in CONDITIONS:
-        raise DataError(f"{where}, kind: {kind!r} is unknown (known: {', '.join(CONDITIONS)})")
+        raise TableError(f"{row.where}, kind: {kind!r} is unknown (known: {', '.join(CONDITIONS)})")
     needed = {*CONDITIONS[kind], "value", "sigma"}
-    numbers = {name: _number(cell, name, name in needed, kind, where) for name in BOUNDS}
-    return Datum(kind, line=line, **numbers)
+    numbers = {name: _number(row, name, name in needed) for name in BOUNDS}
+    return Datum(kind, line=row.line, **numbers)
 
 
-def _number(cell: Mapping[str, str], name: str, needed: bool, kind: str, where: str) -> float:
-    text, (low, high) = cell[name], BOUNDS[name]
-    if not needed:
-        if text:
-            raise DataError(f"{where}, {name}: {text!r}, but {kind} has none; leave it empty")
-        return math.nan
-    try:
-        value = float(text)
-    except ValueError:
-        raise DataError(f"{where}, {name}: {text!r} is not a number") from None
-    if not low <= value <= high:
-        raise DataError(f"{where}, {name}: {text} is outside [{low:g}, {high:g}]")
-    return value
+def _number(row: Row, name: str, needed: bool) -> float:
+    text, (low, high) = row.cells[name], BOUNDS[name]
+    if needed:
+        value = row.number(name)
+        if not low <= value <= high:
+            raise TableError(f"{row.where}, {name}: {text} is outside [{low:g}, {high:g}]")
+        return value
+    if text:
+        kind = row.cells["kind"]
+        raise TableError(f"{row.where}, {name}: {text!r}, but {kind} has none; leave it empty")
+    return math.nan

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from slot_core import config
-from slot_core.calibration.data import DataError, Datum
+from slot_core.calibration.data import Datum
 from slot_core.config import ConfigError, quantity
+from slot_core.csv_table import TableError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import Divergence
@@ -53,12 +54,12 @@ def read_settings() -> ExperimentSettings:
 def predict(robot: Robot, rows: Sequence[Datum], settings: ExperimentSettings) -> Array:
     """(n,) predicted values of the measurements, in their units.
 
-    Raises DataError for a tendon angle above the robot's largest, and PredictionError where the
+    Raises TableError for a tendon angle above the robot's largest, and PredictionError where the
     simulation of a test fails.
     """
     for row in rows:
         if row.theta_deg > robot.tendon.angle_max_deg:
-            raise DataError(
+            raise TableError(
                 f"line {row.line}, theta_deg: {row.theta_deg:g} is above tendon.angle_max_deg"
                 f" = {robot.tendon.angle_max_deg:g}"
             )

@@ -31,6 +31,7 @@ from slot_core.bags.measured import COMMANDED, MEASURED, ODOMETRY
 from slot_core.bags.record_settings import read_record_settings
 from slot_core.body_points import LEG_POINTS, TORSO, at_shares
 from slot_core.config import ConfigError
+from slot_core.csv_table import TableError
 from slot_core.robot import Array
 from slot_core.simulation.plant import make_robot
 from slot_core.twin.replay_robot import ModelParts, read_parts
@@ -65,13 +66,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         write(options.recorded, options.directory)
-    except (BagError, RecordingError, ConfigError, OSError) as error:
+    except (BagError, RecordingError, TableError, ConfigError, OSError) as error:
         parser.exit(2, f"scripts/example_data: {' '.join(str(error).split())}\n")
     return 0
 
 
 def write(recorded: Path, directory: Path) -> None:
-    """Write the files of the example; raises BagError, RecordingError, ConfigError, OSError."""
+    """Write the files of the example; raises what `read_recording` raises, and OSError."""
     rng = np.random.default_rng(SEED)
     directory.mkdir(parents=True, exist_ok=True)
     _copy(recorded, directory / "walk")

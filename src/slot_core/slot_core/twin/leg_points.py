@@ -8,7 +8,8 @@ import numpy as np
 
 from slot_core.body_points import LEG_POINTS, TORSO, at_shares
 from slot_core.robot import LEGS
-from slot_core.twin.replay_robot import ModelParts, Recorded, replay
+from slot_core.twin.recorded import Recorded
+from slot_core.twin.replay_robot import ModelParts, replay
 from slot_core.twin.settings import TwinSettings
 from slot_core.validation.recording import write_points
 

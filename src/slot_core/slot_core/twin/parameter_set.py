@@ -4,7 +4,7 @@ Beside the keys of slot_core/calibration/parameter_file.py:
 
 robot, scene, servo  values by dotted name instead of those of robot.yaml, of the scene that names
                      the set, and of servo.yaml
-data                 bag, topics, strides of the fit and strides held out
+data                 recording, its topics or columns, strides of the fit and strides held out
 errors               RMS of predicted minus measured, before and after, of both
 confidence           95 % intervals by place; strides are taken as independent of each other
 """
@@ -20,7 +20,8 @@ from slot_core.calibration import parameter_file
 from slot_core.calibration.fit import ParameterEstimate
 from slot_core.config import ConfigError
 from slot_core.robot import read_parameters
-from slot_core.twin.replay_robot import ModelParts, Recorded
+from slot_core.twin.recorded import Recorded
+from slot_core.twin.replay_robot import ModelParts
 from slot_core.twin.strides import StrideErrors
 from slot_core.twin.twin_fit import TwinFit, changes
 
@@ -54,8 +55,8 @@ def record(
         "from": f"fit of the twin from {start}" + ("" if found.converged else ", not converged"),
         **({"note": note} if note else {}),
         "data": {
-            "bag": recorded.name,
-            "angles": recorded.angles.topic,
+            "recording": recorded.name,
+            "angles": recorded.angles.source,
             "motion": recorded.motion.source,
             "strides_of_fit": len(found.seen[0].level),
             "strides_held_out": len(found.held_out[0].level),

@@ -19,9 +19,8 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
-from slot_core.bags.bag import Bag
-from slot_core.bags.measured import TendonAngles, measured_motion, tendon_angles
-from slot_core.bags.walk import Motion, stride_period
+from slot_core.bags.measured import TendonAngles
+from slot_core.bags.walk import Motion
 from slot_core.config import ConfigError
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
@@ -29,28 +28,13 @@ from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.robot import Array, Robot, read_parameters, read_robot
 from slot_core.safety.command_gate import gone_on
 from slot_core.simulation.plant import make_robot
+from slot_core.twin.recorded import Recorded
 from slot_core.twin.settings import TwinSettings
 
 LEAST_SETTLING = 1.0  # s
 LONGEST_GAP = 0.06  # s, between two angles, across which a spline is drawn
 BEYOND = 0.1  # rad, by which a measured angle may exceed the range of the tendons
 FREE_RPM = 1000.0  # of a spool whose angle is imposed
-
-
-@dataclass(frozen=True)
-class Recorded:
-    """What a bag says about a walk: tendon angles and motion."""
-
-    name: str
-    angles: TendonAngles
-    motion: Motion
-    period: float | None  # s, of the gait; None: not recorded
-
-    @property
-    def span(self) -> tuple[float, float]:
-        """Begin and end of what both cover, s of graph time."""
-        t, moved = self.angles.t, self.motion.t
-        return max(float(t[0]), float(moved[0])), min(float(t[-1]), float(moved[-1]))
 
 
 @dataclass(frozen=True)
@@ -81,22 +65,6 @@ class Track:
         return Track(t, moved[:, :3], moved[:, 3:])
 
 
-def read_recorded(bag: Bag, angles: str = "", motion: str = "") -> Recorded:
-    """Angles and motion of a bag, from the topics named or the first that are recorded.
-
-    Raises BagError if they are not there or not sound, ConfigError if they do not overlap.
-    """
-    recorded = Recorded(
-        bag.path.name, tendon_angles(bag, angles), measured_motion(bag, motion), stride_period(bag)
-    )
-    begin, end = recorded.span
-    if end <= begin:
-        raise ConfigError(
-            f"{bag.path}: {recorded.angles.topic} and {recorded.motion.source} do not overlap"
-        )
-    return recorded
-
-
 def read_parts(scene: str, parameters: str = "") -> ModelParts:
     """Robot, scene and servo of a scene, or of another set of `config/parameters` in it.
 
@@ -120,7 +88,7 @@ def replay(
 ) -> Iterator[tuple[float, SimulatedRobot]]:
     """Yield (graph time, robot) at the start and after each hold; the robot is advanced in place.
 
-    Raises Divergence, and ConfigError if the bag cannot be replayed with these settings.
+    Raises Divergence, and ConfigError if the recording cannot be replayed with these settings.
     """
     begin, end = recorded.span
     scene, servo = parts.scene, parts.servo
@@ -164,7 +132,7 @@ def _commands(
     if ((angles.angle < -BEYOND) | (angles.angle > limit + BEYOND)).any():
         least, largest = angles.angle.min(), angles.angle.max()
         raise ConfigError(
-            f"{recorded.name}: {angles.topic} holds angles of {least:.4g} to {largest:.4g} rad,"
+            f"{recorded.name}: {angles.source} holds angles of {least:.4g} to {largest:.4g} rad,"
             f" outside [0, {limit:.4g}]"
         )
     edges = np.arange(0, int((end - begin) / step) + 1, hold)

@@ -21,7 +21,8 @@ from scipy.signal import correlate, find_peaks
 from slot_core.config import ConfigError
 from slot_core.plane import rotate
 from slot_core.robot import Array
-from slot_core.twin.replay_robot import Recorded, Track
+from slot_core.twin.recorded import Recorded
+from slot_core.twin.replay_robot import Track
 from slot_core.twin.settings import TwinSettings
 
 GRID = 0.01  # s, of the angles in the search of a period

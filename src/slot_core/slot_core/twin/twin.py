@@ -1,7 +1,8 @@
-"""Replays the tendon angles of a bag on the simulated robot and compares the motion.
+"""Replays recorded tendon angles on the simulated robot and compares the motion.
 
-Measured angles (/joint_states) are taken if recorded, else the commands through the model of the
-servo; the motion from the ground truth if recorded, else /odom, else /mpc_state. With --fit,
+RECORDING is a bag, or a CSV file with the header time,FL,FR,RL,RR,x,y,z,roll,pitch,yaw (s, rad, m).
+Of a bag measured angles (/joint_states) are taken if recorded, else the commands through the model
+of the servo; the motion from the ground truth if recorded, else /odom, else /mpc_state. With --fit,
 parameters of the model are fitted to the first strides and judged on the others. An interrupted fit
 continues when the same command is given again.
 """
@@ -24,15 +25,17 @@ from typing import Any
 import numpy as np
 
 from slot_core.arguments import positive_integer, within
-from slot_core.bags.bag import Bag, BagError
+from slot_core.bags.bag import BagError
 from slot_core.bags.measured import COMMANDED, MEASURED, MOTION_TOPICS
 from slot_core.calibration.experiments import PredictionError
 from slot_core.calibration.fit import FitError
 from slot_core.config import ConfigError, load
+from slot_core.csv_table import TableError
 from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.robot import Array
 from slot_core.twin import leg_points, parameter_set, twin_plot
-from slot_core.twin.replay_robot import measured_track, predict, read_parts, read_recorded
+from slot_core.twin.recorded import read_recorded
+from slot_core.twin.replay_robot import measured_track, predict, read_parts
 from slot_core.twin.settings import read_twin
 from slot_core.twin.strides import find_strides, stride_errors
 from slot_core.twin.twin_fit import RunAll, fit_twin, parameter, places, serially
@@ -40,7 +43,7 @@ from slot_core.workers import gather, workers
 
 INTERRUPTED = 130  # exit code
 ERRORS = (
-    BagError, ConfigError, Divergence, FitError, PredictionError, OSError,
+    BagError, ConfigError, Divergence, FitError, PredictionError, TableError, OSError,
 )  # fmt: skip
 
 
@@ -71,14 +74,14 @@ def _run(options: argparse.Namespace) -> list[str]:
     for name in names:
         parameter(parts, name)  # refused before anything is started
     start = parts.scene.parameters or load("robot")["parameters"]
-    recorded = read_recorded(Bag(options.bag, options.namespace), options.angles, options.motion)
+    recorded = read_recorded(options.recording, options.namespace, options.angles, options.motion)
     strides = find_strides(recorded, settings, options.period)
     out = options.out or Path("results", "twin", recorded.name)
     out.mkdir(parents=True, exist_ok=True)
     kind = "measured" if recorded.angles.measured else "commands, through the model of the servo"
     lines = [
         f"{recorded.name}: {strides.count} strides of {strides.period:.3g} s",
-        f"tendon angles       {recorded.angles.topic} ({kind})",
+        f"tendon angles       {recorded.angles.source} ({kind})",
         f"motion              {recorded.motion.source}{_left_out(recorded.motion.left_out)}",
         f"model               scene {options.scene}, parameters {start}",
         "",
@@ -167,14 +170,14 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("bag", type=Path, metavar="BAG", help="directory of the bag")
+    add("recording", type=Path, metavar="RECORDING", help="bag, or CSV file")
     add("--scene", default="flat", metavar="NAME", help="scene of config/scene (default: flat)")
     add("--parameters", default="", metavar="SET", help="set of config/parameters in that scene")
     add(
         "--angles",
         default="",
         choices=[MEASURED, COMMANDED],
-        help="tendon angles that are replayed",
+        help="tendon angles that are replayed; of a CSV file, what they are",
     )
     add("--motion", default="", choices=MOTION_TOPICS, help="motion that is compared")
     add("--namespace", default="", help="of the recorded graph")
@@ -194,7 +197,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="N",
         help="starts of the fit (default: 1)",
     )
-    add("--out", type=Path, metavar="DIR", help="default: results/twin/BAG")
+    add("--out", type=Path, metavar="DIR", help="default: results/twin/RECORDING")
     add("--scheduler", default="", metavar="ADDRESS", help="of dask; default: this machine")
     add("--workers", type=positive_integer, metavar="N", help="local processes (default: cores)")
     return parser

@@ -22,7 +22,8 @@ from slot_core.calibration.fit import FitProblem, Parameter, ParameterEstimate, 
 from slot_core.config import ConfigError, leaves
 from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.robot import LEGS, Array
-from slot_core.twin.replay_robot import ModelParts, Recorded, measured_track, predict
+from slot_core.twin.recorded import Recorded
+from slot_core.twin.replay_robot import ModelParts, measured_track, predict
 from slot_core.twin.settings import TwinSettings
 from slot_core.twin.strides import StrideErrors, Strides, residuals, stride_errors
 

@@ -1,8 +1,8 @@
 """Recordings: tracks of points of the robot over time, from a bag, a CSV file or a video.
 
 A bag gives `torso` and, if the shapes of the legs are recorded, `base`, `third`, `two_thirds` and
-`tip` of each leg, as `FL_tip`. A CSV file has SI units, lines that begin with # are comments, and
-one of two headers:
+`tip` of each leg, as `FL_tip`. A CSV file (`csv_table.py`) has SI units and one of two
+headers:
 
     time,point,x,y,z               one point a row, as above; of a single leg without `FL_`
     time,x,y,z[,roll,pitch,yaw]    the torso
@@ -13,9 +13,8 @@ folders of pictures, bags with pictures, and depth.
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,6 +24,7 @@ from slot_core.bags.bag import STORAGES, Bag
 from slot_core.bags.measured import measured_motion, sound
 from slot_core.bags.walk import LEG_STATES, seconds
 from slot_core.body_points import BODY_POINTS, COLUMNS, LEG_POINTS, TORSO, at_shares
+from slot_core.csv_table import Row, TableError, read_table
 from slot_core.robot import LEGS, ODOM_FRAME, Array
 
 POINTS = (*BODY_POINTS, *LEG_POINTS)
@@ -64,7 +64,8 @@ def read_recording(
     """A recording from a bag, a CSV file, or a video and its camera's file.
 
     motion: topic of a bag, by default the first of MOTION_TOPICS that is recorded. Raises
-    RecordingError, BagError for a bag, ConfigError for the settings of the tracker.
+    TableError for a CSV file, BagError for a bag, RecordingError for a video, and ConfigError for
+    the settings of the tracker.
     """
     if path.suffix.lower() in VIDEOS:
         return _from_video(path, camera)
@@ -128,65 +129,32 @@ def _from_video(path: Path, camera: Path | None) -> Recording:
 
 
 def _from_csv(path: Path) -> Recording:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        cause = getattr(error, "strerror", None) or "not a text file"
-        raise RecordingError(f"{path}: {cause}") from None
-    rows = list(_rows(path, text))
-    if not rows:
-        raise RecordingError(f"{path}: is empty: no line of column names")
-    (head, names), *data = rows
-    columns = tuple(name.strip() for name in names)
+    table = read_table(path)
+    columns = table.columns
     if columns not in (COLUMNS, WIDE, WIDE + ATTITUDE):
-        raise RecordingError(
-            f"{path}, line {head}: columns {','.join(columns)[:80]}: expected {','.join(COLUMNS)}"
+        raise TableError(
+            f"{table.head}: columns {','.join(columns)[:80]}: expected {','.join(COLUMNS)}"
             f" or {','.join(WIDE)}[,{','.join(ATTITUDE)}]"
         )
     parts: dict[str, list[tuple[int, list[float]]]] = {}
-    for line, cells in data:
-        name, row = _row(path, line, columns, cells)
-        parts.setdefault(name, []).append((line, row))
+    numbers = [name for name in columns if name != "point"]
+    for row in table.rows:
+        name = _point(row)
+        values = [row.number(n, "; leave out rows without a measurement") for n in numbers]
+        parts.setdefault(name, []).append((row.line, values))
     if not parts:
-        raise RecordingError(f"{path}: no samples")
+        raise TableError(f"{path}: no samples")
     tracks = {name: _track(path, name, part) for name, part in parts.items()}
     return _since_first(path.name, tracks)
 
 
-def _rows(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
-    """Line number and cells of every line that is neither empty nor a comment."""
-    for number, line in enumerate(text.splitlines(), 1):
-        if line.strip() and not line.lstrip().startswith("#"):
-            try:
-                yield number, next(csv.reader([line], strict=True))
-            except csv.Error as error:
-                raise RecordingError(f"{path}, line {number}: {error}") from None
-
-
-def _row(
-    path: Path, line: int, columns: Sequence[str], cells: Sequence[str]
-) -> tuple[str, list[float]]:
-    """Point and numbers of a row."""
-    if len(cells) != len(columns):
-        raise RecordingError(f"{path}, line {line}: {len(cells)} cells, {len(columns)} columns")
-    cell = dict(zip(columns, (text.strip() for text in cells)))
-    point = cell.pop("point", TORSO)
+def _point(row: Row) -> str:
+    """Name of the point of a row."""
+    point = row.cells.get("point", TORSO)
     if point not in POINTS:
         known = f"{TORSO}, {', '.join(LEG_POINTS)}, FL_tip ..."
-        raise RecordingError(f"{path}, line {line}, point: {point!r} is unknown (known: {known})")
-    numbers = []
-    for name, text in cell.items():
-        try:
-            value = float(text)
-        except ValueError:
-            value = np.nan
-        if not np.isfinite(value):
-            raise RecordingError(
-                f"{path}, line {line}, {name}: {text!r} is not a finite number; leave out rows"
-                " without a measurement"
-            )
-        numbers.append(value)
-    return point, numbers
+        raise TableError(f"{row.where}, point: {point!r} is unknown (known: {known})")
+    return point
 
 
 def _track(path: Path, name: str, rows: Sequence[tuple[int, list[float]]]) -> PointTrack:
@@ -195,9 +163,9 @@ def _track(path: Path, name: str, rows: Sequence[tuple[int, list[float]]]) -> Po
     if (step <= 0).any():
         k = int(np.argmax(step <= 0))
         what = "repeats the time of" if step[k] == 0 else "is earlier than"
-        raise RecordingError(f"{path}, line {rows[k + 1][0]}: {name} {what} line {rows[k][0]}")
+        raise TableError(f"{path}, line {rows[k + 1][0]}: {name} {what} line {rows[k][0]}")
     if len(values) < LEAST_SAMPLES:
-        raise RecordingError(f"{path}: {name} has {len(values)} samples, less than {LEAST_SAMPLES}")
+        raise TableError(f"{path}: {name} has {len(values)} samples, less than {LEAST_SAMPLES}")
     rpy = values[:, 4:] if values.shape[1] > 4 else None
     return PointTrack(values[:, 0], values[:, 1:4], None if rpy is None else np.unwrap(rpy, axis=0))
 

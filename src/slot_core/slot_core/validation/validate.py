@@ -16,6 +16,7 @@ from pathlib import Path
 from slot_core.bags.bag import BagError
 from slot_core.bags.measured import MOTION_TOPICS
 from slot_core.config import ConfigError
+from slot_core.csv_table import TableError
 from slot_core.robot import LEGS
 from slot_core.validation import curves, tables
 from slot_core.validation.comparison import compare
@@ -29,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         lines = _run(options)
-    except (RecordingError, BagError, ConfigError, OSError) as error:
+    except (RecordingError, TableError, BagError, ConfigError, OSError) as error:
         parser.exit(2, f"scripts/validate: {' '.join(str(error).split())}\n")
     print("\n".join(lines))
     return 0

@@ -1,0 +1,77 @@
+"""CSV files of measurements: a line of column names, then rows.
+
+Lines that begin with # are comments. Errors name file, line, column and cause.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+
+class TableError(ValueError):
+    """A file that cannot be used; the message is one line."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """Cells of a line by column, without surrounding spaces."""
+
+    line: int  # in the file, from 1
+    where: str  # file and line, for messages
+    cells: Mapping[str, str]
+
+    def number(self, column: str, hint: str = "") -> float:
+        """The finite number in a column; raises TableError, whose message ends with the hint."""
+        text = self.cells[column]
+        try:
+            value = float(text)
+        except ValueError:
+            value = np.nan
+        if not np.isfinite(value):
+            raise TableError(f"{self.where}, {column}: {text!r} is not a finite number{hint}")
+        return value
+
+
+@dataclass(frozen=True)
+class Table:
+    """Column names and rows of a file."""
+
+    head: str  # file and line of the column names, for messages
+    columns: tuple[str, ...]
+    rows: tuple[Row, ...]
+
+
+def read_table(path: Path) -> Table:
+    """Read a file; raises TableError, also for a row with more or fewer cells than columns."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        cause = getattr(error, "strerror", None) or "not a text file"
+        raise TableError(f"{path}: {cause}") from None
+    lines = list(_lines(path, text))
+    if not lines:
+        raise TableError(f"{path}: is empty: no line of column names")
+    (_, head, columns), *data = lines
+    rows = []
+    for number, where, cells in data:
+        if len(cells) != len(columns):
+            raise TableError(f"{where}: {len(cells)} cells, {len(columns)} columns")
+        rows.append(Row(number, where, dict(zip(columns, cells))))
+    return Table(head, tuple(columns), tuple(rows))
+
+
+def _lines(path: Path, text: str) -> Iterator[tuple[int, str, list[str]]]:
+    """Number, place and cells of every line that is neither empty nor a comment."""
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            where = f"{path}, line {number}"
+            try:
+                cells = next(csv.reader([line], strict=True))
+            except csv.Error as error:
+                raise TableError(f"{where}: {error}") from None
+            yield number, where, [cell.strip() for cell in cells]
