@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
@@ -16,6 +16,7 @@ import yaml
 from slot_core.dynamics.scene import read_scene
 
 CONTROLLER = "controller"  # executable of the nodes in one process
+ALWAYS, LOCKSTEP = "always", "lockstep"  # when a node can share that process
 PATH = "path"
 KINDS: dict[str, type] = {"str": str, PATH: str, "int": int, "float": float, "bool": bool}
 
@@ -106,14 +107,15 @@ class Graph:
                 parameters=self._parameters(entry, values),
                 namespace=values["namespace"],
                 remappings=remappings,
-                prefix=(*TIED, *(first if entry.get("composable") else ())),
+                prefix=(*TIED, *(first if entry.get("composable") == ALWAYS else ())),
             )
             for name, entry in self._nodes.items()
             if values["hardware"] in entry.get("hardware", [values["hardware"]])
             and ("needs" not in entry or values[entry["needs"]])
             and ("unless" not in entry or not values[entry["unless"]])
         ]
-        return self._composed(specs) if values["composed"] else specs
+        when = (ALWAYS, LOCKSTEP) if values["lockstep"] else (ALWAYS,)
+        return self._composed(specs, when) if values["composed"] else specs
 
     def remappings(self, values: Mapping[str, Any]) -> dict[str, str]:
         """Names of topics that are replaced, as the nodes have them, by other ones."""
@@ -130,12 +132,12 @@ class Graph:
         }
         return json.dumps(arguments)
 
-    def _composed(self, specs: list[NodeSpec]) -> list[NodeSpec]:
-        """The nodes with those that are composable in one process.
+    def _composed(self, specs: list[NodeSpec], when: Sequence[str]) -> list[NodeSpec]:
+        """The nodes with those that are composable then in one process.
 
         Their parameters become those of the process: a parameter of one name has one value.
         """
-        inside = [spec for spec in specs if self._nodes[spec.name].get("composable")]
+        inside = [spec for spec in specs if self._nodes[spec.name].get("composable") in when]
         parameters = {name: value for spec in inside for name, value in spec.parameters.items()}
         names = tuple(spec.name for spec in inside)
         process = replace(inside[0], name=CONTROLLER, parameters=parameters, nodes=names)

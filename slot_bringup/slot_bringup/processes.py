@@ -21,17 +21,19 @@ STOP_TIMEOUT = 5.0  # s, from SIGINT to SIGKILL
 
 
 class Processes:
-    """Child processes by node name, each in its own session with its output in a log file."""
+    """Child processes by name, each in its own session with its output in a log file."""
 
     def __init__(self, log_dir: Path, environment: dict[str, str] | None = None):
         self.log_dir = log_dir
         self._environment = environment
         self._children: dict[str, subprocess.Popen[bytes]] = {}
+        self._nodes: set[str] = set()
         log_dir.mkdir(parents=True, exist_ok=True)
 
     def start(self, specs: Iterable[NodeSpec]) -> None:
         """Start the nodes; their output goes to `<log_dir>/<name>.log`."""
         for spec in specs:
+            self._nodes.update(spec.nodes or [spec.name])
             with self.log_path(spec.name).open("wb") as log:
                 self._children[spec.name] = subprocess.Popen(
                     [*spec.prefix, *command_line(spec)],
@@ -43,8 +45,8 @@ class Processes:
                 )
 
     def __contains__(self, name: str) -> bool:
-        """Whether a node of that name was started."""
-        return name in self._children
+        """Whether a node of that name was started, also with others in one process."""
+        return name in self._nodes
 
     def log_path(self, name: str) -> Path:
         """File with the output of a node."""

@@ -70,6 +70,17 @@ def test_composed_nodes_share_a_process_and_keep_their_parameters(graph, hardwar
     assert not any(word.startswith("__node") for word in line)  # they keep their names
 
 
+@pytest.mark.parametrize("hardware", ["sim", "fake_bus"])
+def test_composed_in_lockstep_robot_and_supervisor_share_the_process_too(graph, hardware):
+    chosen = values(graph, hardware=hardware, bag="x", lockstep=True)
+    separate = {s.name: s for s in graph.nodes(chosen)}
+    recorder, process = graph.nodes(chosen | {"composed": True})
+    assert recorder.name == "recorder"
+    assert {*process.nodes, "recorder"} == set(separate)
+    for name in process.nodes:
+        assert separate[name].parameters.items() <= process.parameters.items()
+
+
 def test_only_the_controller_gets_the_real_time_priority(graph):
     specs = graph.nodes(values(graph, hardware="fake_bus", realtime=50))
     first = {spec.name for spec in specs if spec.prefix[-3:] == ("chrt", "--fifo", "50")}

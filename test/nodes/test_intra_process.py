@@ -6,7 +6,7 @@ from rclpy.context import Context
 from rclpy.qos import QoSProfile
 
 from slot_nodes.process import intra_process
-from slot_nodes.process.intra_process import Mailbox, Topics
+from slot_nodes.process.intra_process import MOST, Mailbox, Topics
 
 EVERY, NEWEST = QoSProfile(depth=50), QoSProfile(depth=1)
 
@@ -93,6 +93,32 @@ def test_an_answer_to_a_message_is_delivered_in_the_same_round(mailbox, events):
     numbers.publish(7)
     mailbox.deliver(newest=True)
     assert events == [("answer", -7, 1), ("topic", 7), ("topic", -7)]
+
+
+def test_a_reader_made_before_the_publisher_leaves_its_subscription_by_dds(mailbox, events):
+    """Robot and controller read each other's topics, so one of them is made first."""
+    with Topics().nodes_of(mailbox):
+        assert not intra_process.subscribe("/numbers", reader(events, "a"), EVERY)
+        intra_process.subscribe_later(
+            "/numbers", reader(events, "a"), EVERY, lambda: events.append("unsubscribed")
+        )
+        assert events == []
+        numbers = intra_process.publisher(Recorded(events))
+    assert events == ["unsubscribed"]
+    numbers.publish(1)
+    mailbox.deliver(newest=True)
+    assert events[1:] == [("a", 1, 1), ("topic", 1)]
+
+
+def test_nodes_that_answer_each_other_for_ever_let_the_executor_on(mailbox, events):
+    with Topics().nodes_of(mailbox):
+        numbers = intra_process.publisher(Recorded(events))
+        intra_process.subscribe("/numbers", lambda m, _: numbers.publish(m + 1), NEWEST)
+    numbers.publish(1)
+    for _ in range(3):
+        mailbox.deliver(newest=True)
+    assert mailbox.waiting
+    assert events == [("topic", number) for number in range(1, 3 * MOST + 2)]
 
 
 def test_a_message_for_another_thread_wakes_its_executor(mailbox, events):

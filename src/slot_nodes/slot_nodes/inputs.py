@@ -33,7 +33,8 @@ def subscribe(
 
     overridable: whether parameters can override the quality of service. numbered: whether the
     callback also gets the number of the message on its topic. Returns None for a topic that a node
-    of the same process publishes: its messages come without DDS.
+    of the same process publishes: its messages come without DDS. Where that node is made later, the
+    subscription that is returned is destroyed then.
     """
 
     def receive(message: Any, number: int = 0) -> None:
@@ -42,11 +43,14 @@ def subscribe(
         except ValueError as error:
             node.get_logger().warning(f"{topic} refused: {error}", throttle_duration_sec=1.0)
 
-    if intra_process.subscribe(node.resolve_topic_name(topic), receive, profile):
+    name = node.resolve_topic_name(topic)
+    if intra_process.subscribe(name, receive, profile):
         return None
     overriding = QoSOverridingOptions.with_default_policies() if overridable else None
     take = _with_number(receive) if numbered else receive
-    return node.create_subscription(kind, topic, take, profile, qos_overriding_options=overriding)
+    made = node.create_subscription(kind, topic, take, profile, qos_overriding_options=overriding)
+    intra_process.subscribe_later(name, receive, profile, lambda: node.destroy_subscription(made))
+    return made
 
 
 def sensor_profile(node: Node, profile: QoSProfile) -> QoSProfile:

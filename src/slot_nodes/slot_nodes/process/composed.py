@@ -1,8 +1,9 @@
-"""Several nodes of the controller in one process: `controller NAME... --ros-args ...`.
+"""Several nodes of the graph in one process: `controller NAME... --ros-args ...`.
 
 The nodes are those of the separate processes. A message between them is handed over as the object
 it is (intra_process.py) and goes out on its topic too. The driver has a thread of its own, so that
-neither bus cycles nor computations delay each other.
+neither bus cycles nor computations delay each other. In lockstep, in which one node works at a time
+anyway, robot and supervisor share the process too.
 """
 
 from __future__ import annotations
@@ -22,15 +23,16 @@ from slot_nodes import runtime
 from slot_nodes.process.executor import DirectExecutor
 from slot_nodes.process.intra_process import Mailbox, Topics
 
-# In the order of the data: a node is made after those whose topics it reads.
-CHAIN = ("state_estimator", "gait_scheduler", "mpc_controller", "force_mapper")
+# In the order of the data: a node that calls `inputs.take_waiting` is made after the publisher.
+CONTROLLER = ("state_estimator", "gait_scheduler", "mpc_controller", "force_mapper")
+CHAIN = ("sim_robot", *CONTROLLER, "supervisor")
 DRIVER = "dynamixel_driver"
 SWITCH_INTERVAL = 5e-4  # s after which a thread that computes lets another one on
 STOP_PERIOD = 0.1  # s
 
 
 class ComposedNodes:
-    """Nodes of one process: the controller's on one executor, the driver on its own."""
+    """Nodes of one process: the driver on an executor of its own, all others on one."""
 
     def __init__(self, names: Sequence[str]) -> None:
         """Make the nodes named; raises ConfigError as they do, and for an unknown name."""

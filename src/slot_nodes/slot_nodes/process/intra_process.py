@@ -1,7 +1,7 @@
 """Intra-process communication: a message goes to the nodes of its process as the object it is.
 
 It also goes out on its topic, after the nodes of the process have answered it: the command that it
-leads to does not wait until it is serialized. A node that reads a topic of its process makes no DDS
+leads to does not wait until it is serialized. A node that reads a topic of its process has no DDS
 subscription to it.
 """
 
@@ -19,6 +19,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
 Receive = Callable[[Any, int], None]  # a message and its number on the topic, from 1
+MOST = 250  # messages delivered in a row: robot and controller in lockstep always have another one
 
 
 class Mailbox:
@@ -47,31 +48,34 @@ class Mailbox:
         self._outgoing.append((publisher, message))
 
     def deliver(self, newest: bool) -> None:
-        """Deliver the queued messages, those of `newest_only` only if `newest`; then publish."""
-        while self._queue or (newest and self._newest):
+        """Deliver at most MOST messages, those of `newest_only` only if `newest`; then publish."""
+        delivered = 0
+        while delivered < MOST and (self._queue or (newest and self._newest)):
+            delivered += 1
             if self._queue:
                 receive, message, number = self._queue.popleft()
             else:
                 receive = next(iter(self._newest))
                 message, number = self._newest.pop(receive)
             receive(message, number)
-        while self._outgoing and not self._newest:
+        while self._outgoing and (delivered == MOST or not self._newest):
             publisher, message = self._outgoing.popleft()
             publisher.publish(message)
+
+
+Reader = tuple[Mailbox, Receive, bool]  # bool: the newest message only
 
 
 class Topics:
     """Topics that nodes of one process publish, and their readers in it."""
 
     def __init__(self) -> None:
-        self._readers: dict[str, list[tuple[Mailbox, Receive, bool]]] = {}
+        self._readers: dict[str, list[Reader]] = {}
+        self._early: dict[str, list[tuple[Reader, Callable[[], Any]]]] = {}
 
     @contextmanager
     def nodes_of(self, mailbox: Mailbox) -> Iterator[None]:
-        """Nodes made in the block publish and read the topics through their executor's mailbox.
-
-        A node that reads a topic must be made after the one that publishes it.
-        """
+        """Nodes made in the block publish and read the topics through their executor's mailbox."""
         global _present  # noqa: PLW0603 - a node does not know in which process it is
         _present = self, mailbox
         try:
@@ -79,16 +83,24 @@ class Topics:
         finally:
             _present = None
 
-    def add_reader(self, topic: str, mailbox: Mailbox, receive: Receive, newest: bool) -> bool:
+    def add_reader(self, topic: str, reader: Reader) -> bool:
         """Add a reader; false if no node of the process publishes the topic."""
         if topic not in self._readers:
             return False
-        self._readers[topic].append((mailbox, receive, newest))
+        self._readers[topic].append(reader)
         return True
 
-    def readers(self, topic: str) -> list[tuple[Mailbox, Receive, bool]]:
+    def add_early_reader(self, topic: str, reader: Reader, unsubscribe: Callable[[], Any]) -> None:
+        """Add a reader subscribed by DDS, until a node of the process publishes the topic."""
+        self._early.setdefault(topic, []).append((reader, unsubscribe))
+
+    def readers(self, topic: str) -> list[Reader]:
         """The readers of a topic that is published; more may come."""
-        return self._readers.setdefault(topic, [])
+        readers = self._readers.setdefault(topic, [])
+        for reader, unsubscribe in self._early.pop(topic, ()):
+            unsubscribe()
+            readers.append(reader)
+        return readers
 
 
 class IntraProcessPublisher:
@@ -111,6 +123,11 @@ class IntraProcessPublisher:
                 mailbox.guard.trigger()
         self._mailbox.send_later(self._publisher, message)
 
+    @property
+    def topic_name(self) -> str:
+        """Name of the topic, with its namespace."""
+        return self._publisher.topic_name
+
     def get_subscription_count(self) -> int:
         """Number of subscriptions to the topic by DDS."""
         return self._publisher.get_subscription_count()
@@ -132,4 +149,16 @@ def subscribe(topic: str, receive: Receive, profile: QoSProfile) -> bool:
     if _present is None:
         return False
     topics, mailbox = _present
-    return topics.add_reader(topic, mailbox, receive, profile.depth == 1)
+    return topics.add_reader(topic, (mailbox, receive, profile.depth == 1))
+
+
+def subscribe_later(
+    topic: str, receive: Receive, profile: QoSProfile, unsubscribe: Callable[[], Any]
+) -> None:
+    """Subscribe a node that is being made to a topic that a node made later may publish.
+
+    Then its subscription by DDS is ended by `unsubscribe`.
+    """
+    if _present is not None:
+        topics, mailbox = _present
+        topics.add_early_reader(topic, (mailbox, receive, profile.depth == 1), unsubscribe)
