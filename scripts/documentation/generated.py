@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from benchmarks.report.results import bench_command
 from documentation.markdown import ROOT, code, format_value, link, plain, table
 from slot_bringup.graph import read_graph
 from slot_core import config
@@ -187,7 +188,7 @@ def _load(path: Path) -> Any:
 def _result(result: Mapping[str, Any]) -> str:
     revision, machine = result["revision"], result["machine"]
     version = f"{plain(str(revision['describe']))}{', with changes' if revision['dirty'] else ''}"
-    command = f"scripts/bench {result['name']}{' --quick' if result['quick'] else ''}"
+    command = bench_command(result["name"], result["quick"], result["options"])
     checks = [
         ("holds" if c["holds"] else "**missed**", plain(c["name"]), _number(c["value"]),
          plain(c["unit"]), plain(c["goal"]))

@@ -50,7 +50,7 @@ def check(values: Mapping[str, Any]) -> None:
         for fault in scene.faults.values():
             require_simulated_legs(fault)
     _check_ranges(values)
-    check_namespace(values["namespace"])
+    check_place(values["namespace"])
     if (prefix := values["frame_prefix"]).startswith("/"):
         raise ConfigError(f"frame_prefix = {prefix!r}: tf2 knows no frames that begin with a slash")
     if values["bag"]:
@@ -73,13 +73,13 @@ def _check_ranges(values: Mapping[str, Any]) -> None:
         raise ConfigError(f"seed = {values['seed']}: outside [0, {2**63 - 1}]")
     if not 0 <= values["realtime"] <= PRIORITY_MAX:
         raise ConfigError(f"realtime = {values['realtime']}: outside [0, {PRIORITY_MAX}]")
+
+
+def check_place(namespace: str) -> None:
+    """Raise ConfigError for a namespace (empty: none) or a domain that ROS does not allow."""
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not (domain.isdecimal() and int(domain) <= DOMAIN_MAX):
         raise ConfigError(f"ROS_DOMAIN_ID = {domain!r}: expected a number within [0, {DOMAIN_MAX}]")
-
-
-def check_namespace(namespace: str) -> None:
-    """Raise ConfigError for a namespace that ROS does not allow; empty stands for none."""
     try:
         validate_namespace(absolute(namespace))
     except InvalidNamespaceException as error:

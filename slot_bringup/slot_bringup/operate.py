@@ -34,7 +34,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from slot_bringup import operator_screen
-from slot_bringup.check import check_namespace
+from slot_bringup.check import check_place
 from slot_bringup.monitor import ListenerExecutor, listener
 from slot_core.bags import decode
 from slot_core.bags.decode import ACTION_NUMBERS
@@ -241,7 +241,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = _parser()
     options = parser.parse_args(arguments)
     try:
-        check_namespace(options.namespace)
+        check_place(options.namespace)
     except ConfigError as error:
         parser.error(str(error))
     for number in (signal.SIGTERM, signal.SIGHUP):

@@ -15,9 +15,10 @@ from dataclasses import dataclass
 
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 
-from slot_bringup.check import check_namespace
+from slot_bringup.check import check_place
 from slot_bringup.monitor import listener
 from slot_core.arguments import within
 from slot_core.bags import decode
@@ -32,6 +33,7 @@ PLAYED = ("/odom", "/imu", "/joint_states", "/servo_health", "/cmd_vel", "/groun
           "/ground_truth/legs")  # fmt: skip
 """What comes from outside of the controller: the robot's topics, and the user's velocity."""
 NEEDED = "/odom"
+RECORDERS = ("recorder", "rosbag2_recorder")  # nodes
 CLOCK_PERIOD = 5_000_000  # ns, at least, between two messages on /clock
 SEARCH_TIME = 10.0  # s to wait for a node that subscribes
 
@@ -72,7 +74,7 @@ class Player:
     """Publishers of the bag's topics and of /clock."""
 
     def __init__(self, node: Node, bag: Bag) -> None:
-        """Raise PlayError if something else publishes what the bag holds."""
+        """Raise PlayError for a bag without odometry, or whose messages are not installed."""
         if not bag.counts.get(NEEDED):
             raise PlayError(f"{bag.path}: holds no {NEEDED}")
         self._node = node
@@ -85,13 +87,14 @@ class Player:
         self._published_time = 0  # ns, last time on /clock
 
     def wait_for_nodes(self) -> None:
-        """Return once a node subscribes to the odometry; raises PlayError after SEARCH_TIME.
+        """Return once a node uses the odometry; raises PlayError after SEARCH_TIME.
 
-        Also raises if a robot publishes the odometry already.
+        A recorder does not count: it starts before the nodes that use it. Also raises if a robot
+        publishes the odometry already.
         """
         end = time.monotonic() + SEARCH_TIME
         needed = self._publishers[NEEDED]
-        while not needed.get_subscription_count():
+        while not self._is_used(needed):
             if time.monotonic() > end:
                 raise PlayError(
                     f"no node subscribes to {needed.topic_name} within {SEARCH_TIME:g} s:"
@@ -103,6 +106,12 @@ class Player:
                 f"a robot publishes {needed.topic_name} already: start the graph with"
                 " --hardware none"
             )
+
+    def _is_used(self, publisher: Publisher) -> bool:
+        """Whether every discovered subscriber is matched, and one of them is no recorder."""
+        readers = self._node.get_subscriptions_info_by_topic(publisher.topic_name)
+        known = publisher.get_subscription_count() >= len(readers)
+        return known and any(reader.node_name not in RECORDERS for reader in readers)
 
     def play(self, played: Iterator[Entry], rate: float) -> tuple[int, float]:
         """Publish the messages; return their number, and the graph time that they span, s."""
@@ -150,7 +159,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/replay --live`; exit code 0: played, 1: interrupted, 2: refused."""
     options = _parse(arguments)
     try:
-        check_namespace(options.namespace)
+        check_place(options.namespace)
         bag = open_bag(options)
         print("\n".join(bag.lines()))
         with listener("player", options.namespace) as (node, _):

@@ -1,7 +1,7 @@
 """The viewer of rerun as a process of its own: a window, or a page for a browser.
 
 It listens on the loopback only, which the Python functions of rerun cannot be told to. Its page
-loads a font from one server, looks for news at another and sends usage data to a third: here it is
+loads a font from one server, requests news from another and sends usage data to a third: here it is
 handed on with a policy that lets the browser ask this machine alone.
 """
 
@@ -16,19 +16,21 @@ import threading
 import time
 from contextlib import suppress
 from functools import partial
+from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
-from urllib.error import HTTPError
+from urllib.error import HTTPError, URLError
 from urllib.parse import urlencode
-from urllib.request import urlopen
+from urllib.request import ProxyHandler, build_opener
 
 LOOPBACK = "127.0.0.1"
 PORT, WEB_PORT = 9876, 9090  # those of rerun; a free one if they are taken
 START_TIMEOUT = 30.0  # s
-# The window sends no usage data in CI, and asks a proxy that is not there for a newer version.
+# In CI the window sends no usage data; its look for a newer version ends at a closed port.
 NOWHERE = f"http://{LOOPBACK}:9"
 QUIET = {"CI": "1", "HTTPS_PROXY": NOWHERE, "https_proxy": NOWHERE, "ALL_PROXY": NOWHERE}
+DIRECT = build_opener(ProxyHandler({}))  # whatever proxy the environment names
 STOP_TIMEOUT = 5.0  # s, from SIGTERM to SIGKILL
 
 
@@ -60,9 +62,13 @@ class Viewer:
                 stderr=subprocess.STDOUT,
                 start_new_session=True,  # a Ctrl-C in the terminal does not close the window
             )
-        self._await(inner_port if web else port, log)
-        if web:
-            self.page = _serve(inner_port, port)
+        try:
+            self._await(inner_port if web else port, log)
+            if web:
+                self.page = _serve(inner_port, port)
+        except BaseException:  # also an interrupt
+            self.stop()
+            raise
 
     def wait(self) -> None:
         """Return when the window is closed."""
@@ -90,7 +96,6 @@ class Viewer:
                 lines = log.read_text(errors="replace").strip().splitlines()
                 raise ViewerError(f"rerun ended: {lines[-1] if lines else 'no output'}")
             if time.monotonic() > deadline:
-                self.stop()
                 raise ViewerError(f"rerun does not listen after {START_TIMEOUT:g} s")
             time.sleep(0.05)
 
@@ -105,10 +110,13 @@ class _Page(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Answer with what the viewer answers."""
         try:
-            with urlopen(f"http://{LOOPBACK}:{self._port}{self.path}") as answer:
+            with DIRECT.open(f"http://{LOOPBACK}:{self._port}{self.path}") as answer:
                 body, kind = answer.read(), answer.headers.get("Content-Type", "")
         except HTTPError as error:
             self.send_error(error.code)
+            return
+        except URLError:  # the viewer has ended
+            self.send_error(HTTPStatus.BAD_GATEWAY)
             return
         self.send_response(200)
         self.send_header("Content-Type", kind)

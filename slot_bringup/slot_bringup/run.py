@@ -21,6 +21,7 @@ from slot_bringup.view import ViewError, live_viewer, require_rerun
 from slot_core.arguments import OneLineParser, within
 from slot_core.bags.bag import Bag, BagError
 from slot_core.bags.record_settings import read_record_settings
+from slot_core.bags.walk import LEG_STATES
 from slot_core.config import ConfigError
 from slot_core.dynamics.servo import read_servo
 from slot_core.report import metrics, plots
@@ -115,8 +116,11 @@ def report(directory: Path, keep: bool, namespace: str = "") -> None:
     if keep:
         (directory / "summary.txt").write_text(summary + "\n")
         plots.dashboard(bag, figures, directory / "walk.png")
-        plots.filmstrip(bag, directory / "robot.png")
-        print(f"\nbag, summary.txt, walk.png, robot.png and log/ are in {directory}")
+        written = "bag, summary.txt, walk.png"
+        if bag.counts.get(LEG_STATES):  # of simulated legs
+            plots.filmstrip(bag, directory / "robot.png")
+            written += ", robot.png"
+        print(f"\n{written} and log/ are in {directory}")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slot_bringup import interrupts
-from slot_bringup.check import check_namespace
+from slot_bringup.check import check_place
 from slot_bringup.graph import TIED
 from slot_bringup.monitor import listener
 from slot_bringup.rerun_viewer import Viewer, ViewerError
 from slot_core.arguments import OneLineParser
-from slot_core.bags.bag import Bag
+from slot_core.bags.bag import STORAGES, Bag
 from slot_core.bags.bag_error import BagError
 from slot_core.bags.record_settings import read_record_settings
 from slot_core.config import ConfigError
@@ -76,7 +76,7 @@ def view(options: argparse.Namespace) -> None:
 
     Raises ViewError, ViewerError, AnimationError, BagError, ConfigError, OSError.
     """
-    check_namespace(options.namespace)
+    check_place(options.namespace)
     bag = None if options.live else Bag(options.bag or newest_bag(BAGS), options.namespace)
     if options.animate and bag:
         animate(bag, options.animate)
@@ -106,8 +106,9 @@ def has_display() -> bool:
 
 
 def newest_bag(directory: Path) -> Path:
-    """The bag in a directory that was begun last; raises ViewError if there is none."""
-    bags = [path for path in directory.glob("*") if path.is_dir()]
+    """The bag in a directory that was changed last; raises ViewError if there is none."""
+    files = [path for suffix in STORAGES for path in directory.glob(f"*/*{suffix}")]
+    bags = {path.parent for path in files}
     if not bags:
         raise ViewError(f"no bag in {directory.absolute()}: name one, or make one by scripts/run")
     return max(bags, key=lambda path: path.stat().st_mtime)

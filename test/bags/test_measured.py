@@ -8,6 +8,7 @@ from slot_core.bags.bag import Bag, BagError
 from slot_core.bags.bag_writer import BagWriter
 from slot_core.bags.measured import measured_motion, tendon_angles
 from slot_core.bags.record_settings import read_record_settings
+from slot_core.report import metrics
 from slot_core.robot import TENDON_JOINTS
 
 UNIT = (0.0, 0.0, 0.0, 1.0)
@@ -86,3 +87,22 @@ def test_measured_angles_go_before_commands(bag):
     angles = tendon_angles(bag(joints(1.0), joints(2.0, 1.5)))
     assert angles.measured
     assert angles.angle[:, 3].tolist() == [1.0, 1.5]
+
+
+def test_joints_of_another_robot_are_refused(bag):
+    """As many names as values, but twelve joints."""
+    others = message("/joint_states", 1.0, position=[0.0] * 12)
+    others.name = [f"joint_{n}" for n in range(12)]
+    with pytest.raises(BagError, match="does not name each of FL_tendon"):
+        tendon_angles(bag(("/joint_states", others), ("/joint_states", others)))
+
+
+def test_joints_without_torques_have_angles_but_no_saturation(bag):
+    states = []
+    for n in range(3):
+        _, built = joints(1.0 + n)
+        built.effort = np.zeros(0)
+        states.append(("/joint_states", built))
+    recorded = bag(*states)
+    assert len(tendon_angles(recorded).t) == 3
+    assert metrics._servo_saturation(recorded, 0.0, 1.0) == metrics.NOT_KNOWN

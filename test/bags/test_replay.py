@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from synthetic_walk import TYPES
 
 from slot_core import config
 from slot_core.bags import replay
@@ -131,6 +132,27 @@ def test_stages_that_a_bag_does_not_hold_are_left_out_by_name(tmp_path, capsys):
     assert lines[3].endswith(
         "left out: the bag holds no /desired_joint_angles, /ground_reaction_forces"
     )
+
+
+def test_readings_that_the_node_refuses_are_left_out(tmp_path):
+    """An IMU that says it has no rate (REP 145), odometry of another frame."""
+    source, path = Bag(WALK), tmp_path / "bag"
+    with BagWriter(path, read_record_settings()) as bag:
+        for topic, time, data in source.raw("/odom", "/imu", "/mpc_state"):
+            kind = source.topics[topic]
+            bag.write(topic, kind, time, data)
+            message = TYPES.deserialize_cdr(data, kind)
+            if topic == "/imu":
+                message.angular_velocity_covariance = np.full(9, -1.0)
+            elif topic == "/odom":
+                message.child_frame_id = "camera_link"
+                message.pose.pose.position.x += 1.0
+            else:
+                continue
+            bag.write(topic, kind, time, bytes(TYPES.serialize_cdr(message, kind)))
+    (states, *_) = replay.replay(Bag(path), replay.TOLERANCE)
+    assert states.compared > 50
+    assert states.first is None
 
 
 def test_a_bag_without_any_stage_is_refused(tmp_path, capsys):

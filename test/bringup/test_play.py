@@ -10,6 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from real_graph import domain  # noqa: F401 - a fixture
 from rosgraph_msgs.msg import Clock
@@ -112,6 +113,28 @@ def test_a_bag_is_not_played_where_nothing_listens_or_a_robot_runs(real_time_bag
         wait(executor, lambda: node.count_publishers("/odom") >= 2)
         with pytest.raises(play.PlayError, match="a robot publishes /odom already"):
             player.wait_for_nodes()
+
+
+def test_a_recorder_alone_does_not_start_the_play(real_time_bag, monkeypatch):
+    """It starts before the nodes that use the odometry, which then would miss the first."""
+    monkeypatch.setattr(play, "SEARCH_TIME", 0.2)
+    kind = play.message_class(real_time_bag.topics["/odom"])
+    with listener("player") as (node, executor):
+        recorder = Node("recorder", context=node.context)
+        recorder.create_subscription(kind, "/odom", print, qos.SENSOR)
+        player = play.Player(node, real_time_bag)
+        wait(executor, lambda: node.count_subscribers("/odom") == 1)
+        with pytest.raises(play.PlayError, match="no node subscribes to /odom"):
+            player.wait_for_nodes()
+        node.create_subscription(kind, "/odom", print, qos.SENSOR)
+        monkeypatch.setattr(play, "SEARCH_TIME", 10.0)
+        player.wait_for_nodes()
+
+
+def test_a_domain_that_dds_does_not_have_is_refused(monkeypatch, capsys):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "240")
+    assert play.main(["--live", str(WALK)]) == 2
+    assert "ROS_DOMAIN_ID = '240': expected a number within [0, 232]" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

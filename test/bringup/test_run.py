@@ -4,6 +4,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from synthetic_walk import Walk, write_walk
 
 from slot_bringup import run, view
 from slot_bringup.graph import read_graph
@@ -107,3 +108,11 @@ def test_by_default_the_simulated_robot_walks_for_20_s_in_real_time():
     options = run.parse([], read_graph())
     assert (options.hardware, options.gait, options.duration) == ("sim", "walk", 20.0)
     assert not options.lockstep
+
+
+def test_a_run_without_simulated_legs_is_reported_without_their_picture(tmp_path, capsys):
+    bag = write_walk(tmp_path / "walk", Walk(truth=False))
+    run.report(bag, keep=True)
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last == f"bag, summary.txt, walk.png and log/ are in {bag}"
+    assert not (bag / "robot.png").exists()

@@ -69,8 +69,10 @@ def test_without_a_display_the_browser_is_named(monkeypatch, capsys):
 
 
 def test_the_newest_bag_is_shown_by_default(tmp_path):
-    for i, name in enumerate(("walk_2", "walk_1")):
+    for i, name in enumerate(("walk_2", "walk_1", "pictures_of_a_film")):
         (tmp_path / name).mkdir()
+        if name.startswith("walk"):
+            (tmp_path / name / "walk.mcap").touch()
         os.utime(tmp_path / name, (time.time() + i, time.time() + i))
     (tmp_path / "note.txt").touch()
     assert view.newest_bag(tmp_path) == tmp_path / "walk_1"
@@ -89,6 +91,23 @@ def test_a_viewer_that_does_not_start_is_reported_with_its_last_line_and_may_ask
         rerun_viewer.Viewer(web=False, log=tmp_path / "log")
 
 
+def test_an_interrupt_while_the_viewer_starts_ends_it(monkeypatch, tmp_path):
+    program = tmp_path / "rerun"
+    program.write_text("#!/bin/sh\nexec sleep 100\n")
+    program.chmod(0o755)
+    started = []
+
+    def interrupt(viewer, *_):
+        started.append(viewer)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(rerun_viewer.sys, "executable", str(tmp_path / "python"))
+    monkeypatch.setattr(rerun_viewer.Viewer, "_await", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        rerun_viewer.Viewer(web=False, log=tmp_path / "log")
+    assert started[0].closed
+
+
 def test_the_page_is_handed_on_with_a_policy_that_names_this_machine_alone(monkeypatch, tmp_path):
     program = tmp_path / "rerun"
     program.write_text(
@@ -98,9 +117,10 @@ def test_the_page_is_handed_on_with_a_policy_that_names_this_machine_alone(monke
     )
     program.chmod(0o755)
     monkeypatch.setattr(rerun_viewer.sys, "executable", str(tmp_path / "python"))
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")  # without no_proxy
     viewer = rerun_viewer.Viewer(web=True, log=tmp_path / "log")
     try:
-        with rerun_viewer.urlopen(viewer.page) as answer:
+        with rerun_viewer.DIRECT.open(viewer.page) as answer:
             policy = answer.headers["Content-Security-Policy"]
             assert answer.read() == b"page\n"
         sources = [word for word in policy.split() if "//" in word]

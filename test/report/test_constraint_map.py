@@ -138,6 +138,13 @@ def test_the_command_draws_a_bag_and_its_exit_code_reports_violations(tmp_path, 
     assert main([str(tmp_path / "nothing")]) == 2
 
 
+def test_the_picture_is_named_after_the_whole_name_of_the_directory(tmp_path, monkeypatch):
+    slow = write_cycles(tmp_path / "v0.05", [cycle() for _ in range(5)])
+    monkeypatch.chdir(slow)
+    assert main(["."]) == 0
+    assert (tmp_path / "v0.05_constraints.png").exists()
+
+
 def test_every_status_has_a_name_in_the_summary(tmp_path):
     path = write_cycles(tmp_path / "bag", [cycle(status=int(status)) for status in Status])
     line = constraint_map.summary_lines(read_map(Bag(path)))[1]

@@ -4,6 +4,7 @@ import dataclasses
 import math
 import os
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -278,7 +279,7 @@ def test_the_robot_advances_in_real_time_while_bus_servos_close_if_it_is_running
 def test_bus_servos_do_not_replace_a_file(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(ConfigError, match="file: exists already"):
-        BusServos(None, tmp_path / "file")
+        BusServos(SimpleNamespace(legs=SimpleNamespace(bus=None)), tmp_path / "file")
 
 
 def test_bus_servos_replace_the_link_of_a_pseudo_terminal(bus, tmp_path):

@@ -7,7 +7,6 @@ from tf2_msgs.msg import TFMessage
 
 from slot_core.bags import decode
 from slot_core.control.state_estimator import StateEstimator, Validity, read_estimator
-from slot_core.robot import BASE_FRAME
 from slot_msgs.msg import MpcState
 from slot_nodes import inputs, messages, qos, runtime
 
@@ -41,16 +40,15 @@ class StateEstimatorNode(Node):
             )
         self._estimator.add_imu(*decode.imu(message))
         self._publish()
-        # it costs more than the filter, and mostly nobody listens
+        # skipped without subscribers: it costs more than the filter
         if self._filtered.get_subscription_count() and (present := self._estimator.present()):
             self._filtered.publish(messages.estimate_to_odometry(present))
 
     def _on_odometry(self, message: Odometry) -> None:
         """Correct with a reading, after the IMU samples that arrived with it."""
-        if message.child_frame_id.rpartition("/")[2] != BASE_FRAME:
-            raise ValueError(f"child_frame_id {message.child_frame_id!r}: expected {BASE_FRAME!r}")
+        reading = decode.torso_odometry(message)
         inputs.take_waiting(self._imu)
-        self._estimator.add_odometry(*decode.odometry(message))
+        self._estimator.add_odometry(*reading)
         self._publish()
 
     def _publish(self) -> None:

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from slot_core import config
 from slot_core.control.gait import GaitCommand, GaitPreview
 from slot_core.faults import Fault
-from slot_core.robot import LEGS, TENDON_JOINTS, Array
+from slot_core.robot import BASE_FRAME, LEGS, TENDON_JOINTS, Array
 from slot_core.safety.command_gate import Action
 from slot_core.safety.command_watchdog import Permission
 from slot_core.safety.servo_health import ServoHealth
@@ -63,6 +63,13 @@ def odometry(message: Any) -> tuple[int, Array, Array, Array, Array, Array]:
         vector(twist.angular),
         np.concatenate([pose_variance[3:], pose_variance[:3], twist_variance]),
     )
+
+
+def torso_odometry(message: Any) -> tuple[int, Array, Array, Array, Array, Array]:
+    """As `odometry`; raises ValueError for that of another frame than base_link."""
+    if message.child_frame_id.rpartition("/")[2] != BASE_FRAME:
+        raise ValueError(f"child_frame_id {message.child_frame_id!r}: expected {BASE_FRAME!r}")
+    return odometry(message)
 
 
 def imu(message: Any) -> tuple[int, Array, Array]:

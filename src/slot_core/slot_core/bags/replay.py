@@ -15,6 +15,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -204,14 +205,18 @@ def compare(
 
 
 def _estimates(recorded: _Recorded) -> dict[int, Fields]:
-    """State estimates, as fields of MpcState, from the recorded odometry and IMU."""
+    """State estimates, as fields of MpcState, from the recorded odometry and IMU.
+
+    Readings that the node refuses are left out.
+    """
     estimator = StateEstimator(read_estimator())
     fields = {}
     for topic, message in recorded.sensors:
-        if topic == ODOMETRY:
-            estimator.add_odometry(*decode.odometry(message))
-        else:
-            estimator.add_imu(*decode.imu(message))
+        with suppress(ValueError):
+            if topic == ODOMETRY:
+                estimator.add_odometry(*decode.torso_odometry(message))
+            else:
+                estimator.add_imu(*decode.imu(message))
         while (estimate := estimator.poll()) is not None:
             fields[estimate.stamp] = _state_fields(estimate)
     return fields

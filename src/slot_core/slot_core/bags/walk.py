@@ -196,7 +196,10 @@ def joint_columns(bag: Bag, topic: str, quantity: str) -> tuple[Array, Array]:
     t, names, values = seconds(series.stamp), series["name"], series[quantity]
     if not len(series):
         return t, np.zeros((0, len(TENDON_JOINTS)))
-    if names.shape != values.shape or np.any(np.sort(names, axis=1) != np.sort(TENDON_JOINTS)):
+    count = (len(TENDON_JOINTS),)
+    if names.shape[1:] != count or np.any(np.sort(names, axis=1) != np.sort(TENDON_JOINTS)):
         raise BagError(f"{bag.path}: {topic} does not name each of {', '.join(TENDON_JOINTS)} once")
+    if values.shape != names.shape:
+        raise BagError(f"{bag.path}: {topic} holds no {quantity} of every joint")
     order = np.array([[list(row).index(joint) for joint in TENDON_JOINTS] for row in names])
     return t, np.take_along_axis(values, order, axis=1)

@@ -19,9 +19,11 @@ from pathlib import Path
 from types import TracebackType
 
 from slot_core.clock import Clock
+from slot_core.config import ConfigError
 from slot_core.dynamixel.port import BITS_PER_BYTE
 from slot_core.emulator.emulated_bus import EmulatedBus
 
+TERMINALS = Path("/dev/pts")
 CHUNK = 4096  # bytes, largest read
 POLL_PERIOD = 0.01  # s, between two checks whether to stop
 PACKET_GAP = 0.005  # s: after a longer pause a new packet begins
@@ -42,6 +44,9 @@ class PseudoTerminal:
     def __init__(
         self, bus: EmulatedBus, link: Path | None = None, clock: Clock = time.monotonic
     ) -> None:
+        """Open the port; raises ConfigError if another file has the name of the link."""
+        if link is not None and link.exists() and TERMINALS not in link.resolve().parents:
+            raise ConfigError(f"{link}: exists already")
         self._bus, self._link, self._clock = bus, link, clock
         self._stopping = threading.Event()
         self._free_at = 0.0  # s, when the line is idle again

@@ -187,7 +187,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--namespace", default="", help="of the recorded graph")
     parser.add_argument("--out", type=Path, metavar="PNG", help="default: BAG_constraints.png")
     options = parser.parse_args(arguments)
-    out = options.out or options.bag.with_name(f"{options.bag.stem}_constraints.png")
+    bag = options.bag.resolve()
+    name = bag.name if bag.is_dir() else bag.stem  # a directory v0.05 has no suffix
+    out = options.out or bag.with_name(f"{name}_constraints.png")
     if out.suffix != ".png":
         parser.error(f"--out {out}: the name of a picture ends in .png")
     try:

@@ -185,8 +185,11 @@ def _control(bag: Bag, start: float) -> dict[str, Any]:
 
 
 def _servo_saturation(bag: Bag, start: float, torque_limit: float) -> tuple[float, ...]:
-    if not bag.counts.get("/joint_states"):
-        return NOT_KNOWN
+    if (
+        not bag.counts.get("/joint_states")
+        or not bag.series("/joint_states", "effort")["effort"].size
+    ):
+        return NOT_KNOWN  # a JointState may have no efforts
     t, torque = joint_columns(bag, "/joint_states", "effort")
     return _fraction(np.abs(torque[t >= start]) >= torque_limit)
 
