@@ -398,3 +398,26 @@ def test_the_figure_shows_every_kind_the_residuals_and_the_correlation():
     heights = [bar.get_height() for bar in axes[1].patches if bar.get_height() != 2]
     assert heights == pytest.approx((found.predicted - [0.0106, 0.044]) / 1e-3)
     assert [text.get_text() for text in axes[2].texts] == ["1.00", "-", "-", "-"]
+
+
+@pytest.mark.parametrize(("low", "high"), [(1e3, 1e8), (1e-3, 0.05), (-0.003, 0.007)])
+def test_a_fit_that_ends_at_a_bound_stays_within_it(low, high):
+    """exp(log(1000)) is below 1000, and the settings refuse what is outside."""
+
+    def predict(values):
+        assert low <= values[0] <= high
+        return values * np.ones(3)
+
+    start = (Parameter("p", 0.5 * (low + high), low, high),)
+    for beyond, bound in ((low - 1.0, low), (high + 1.0, high)):
+        problem = FitProblem(start, predict, np.full(3, beyond), np.ones(3))
+        found = fit.fit(problem, progress=lambda _: None)
+        assert found.values[0] == pytest.approx(bound, rel=1e-3)
+        assert low <= found.values[0] <= high
+        assert estimate(problem, found.values).at_limit.all()
+
+
+def test_a_plot_of_another_kind_is_refused_before_the_fit(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        main([str(SHIPPED / "paper_single_leg.csv"), "--plot", str(tmp_path / "fit.txt")])
+    assert "the name of a picture ends in .png" in capsys.readouterr().err

@@ -312,6 +312,21 @@ def test_an_interrupted_fit_takes_up_its_trials(tmp_path):
     assert len(run) == 3
 
 
+def test_a_fit_that_ends_deletes_its_own_trials_only(tmp_path):
+    (tmp_path / "trials").mkdir()
+    (tmp_path / "trials" / "notes.txt").touch()
+    one, other = (
+        twin._Trials(tmp_path / "trials", lambda call, points: [*map(call, points)], fit)
+        for fit in ("one", "other")
+    )
+    for trials in (one, other):
+        trials(np.square, [np.array([1.0, 2.0])])
+    one.forget()
+    kept = [path.name for path in (tmp_path / "trials").rglob("*") if path.is_file()]
+    assert len(kept) == 2
+    assert "notes.txt" in kept
+
+
 def test_an_interrupted_fit_takes_up_only_trials_of_the_same_strides(walked, tmp_path):
     recorded, _ = walked
     runs = []

@@ -1,9 +1,12 @@
 """Clock and frame of a measurement are found from the motion alone."""
 
+import math
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from slot_core.validation import time_alignment
 from slot_core.validation.comparison import compare
 from slot_core.validation.frame_alignment import align_frames
 from slot_core.validation.recording import PointTrack, Recording, RecordingError
@@ -47,7 +50,25 @@ def test_an_alignment_a_stride_off_is_not_taken():
     measured, _ = film(1.0, 0.0, Rotation.identity())
     found = compare(run(), measured).time
     assert found.offset == pytest.approx(1.0, abs=0.01)
-    assert found.rival_rest > found.rest
+
+
+def test_a_film_too_short_to_tell_has_no_interval():
+    measured, _ = film(1.0, 0.0, Rotation.identity())
+    track = measured.points["torso"]
+    brief = Recording("brief", {"torso": PointTrack(track.t[:45], track.position[:45])})
+    found = compare(run(), brief, offset=1.0)
+    assert math.isnan(found.time.offset_width)
+    assert "(+- ? ms)" in "\n".join(alignment_lines(found, "level"))
+
+
+def test_a_candidate_that_overlaps_too_little_leaves_the_others(monkeypatch):
+    measured, _ = film(1.0, 0.0, Rotation.identity())
+    of_motion = time_alignment.candidates
+    monkeypatch.setattr(time_alignment, "candidates", lambda *a: [1e3, *of_motion(*a)])
+    assert compare(run(), measured).time.offset == pytest.approx(1.0, abs=0.01)
+    monkeypatch.setattr(time_alignment, "candidates", lambda *_: [1e3])
+    with pytest.raises(RecordingError, match="only 0 samples of the measurement"):
+        compare(run(), measured)
 
 
 def test_a_film_of_periodic_motion_alone_says_so_and_takes_a_known_offset():

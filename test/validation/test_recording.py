@@ -4,10 +4,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from synthetic_walk import TOPICS, encode, message
 
+from slot_core.bags.bag_writer import BagWriter
+from slot_core.bags.record_settings import read_record_settings
 from slot_core.csv_table import TableError
 from slot_core.validation import validate
 from slot_core.validation.recording import read_recording, write_points
+from slot_core.vision.track import write_tracks
+from slot_core.vision.tracker import Sample
 
 EXAMPLE = Path(__file__).parents[2] / "slot_bringup" / "example"
 ROWS = [f"{n / 30:.4f},0.1,0.0,{0.01 * n}" for n in range(10)]
@@ -101,3 +106,31 @@ def test_the_shipped_single_leg_gives_the_papers_table_and_plots(tmp_path, capsy
     rows = (tmp_path / "errors.csv").read_text().splitlines()
     assert len(rows) == 1 + 4 * 3
     assert 1.0 < float(rows[3].split(",")[4]) * 1e3 < 20.0  # mm, base z: another robot
+
+
+def test_tracks_in_the_axes_of_a_camera_are_only_compared_with_a_free_rotation(tmp_path, capsys):
+    t = np.arange(60) / 30
+    samples = [Sample(x, "torso", np.array([0.05 * x, 0.0, 0.01 * np.sin(9 * x)])) for x in t]
+    for frame in ("odom", "camera_link"):
+        write_tracks(tmp_path / f"{frame}.csv", samples, frame)
+    odom, camera = (str(tmp_path / f"{frame}.csv") for frame in ("odom", "camera_link"))
+    out = ["--out", str(tmp_path / "out")]
+    line = refusal([odom, camera, *out], capsys)
+    assert "the tracks are in its axes; align them with --frame rigid" in line
+    assert validate.main([odom, camera, "--frame", "rigid", *out]) == 0
+
+
+def test_legs_of_two_nodes_have_no_points(tmp_path):
+    """The tabulated robot's clamp and foot say nothing about the leg between them."""
+    entries = []
+    for n in range(12):
+        legs = message("/ground_truth/legs", n / 30, nodes=2)
+        legs.position = np.zeros(24, np.float32)
+        state = message("/mpc_state", n / 30)
+        entries += [("/ground_truth/legs", legs), ("/mpc_state", state)]
+    with BagWriter(tmp_path / "bag", read_record_settings()) as out:
+        for n, (topic, built) in enumerate(entries):
+            out.write(topic, TOPICS[topic], n, encode(topic, built))
+    found = read_recording(tmp_path / "bag")
+    assert set(found.points) == {"torso"}
+    assert found.notes == ("legs of 2 nodes: no points along them",)

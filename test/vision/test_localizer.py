@@ -11,8 +11,9 @@ from slot_core import config
 from slot_core.clock import SECOND
 from slot_core.config import ConfigError
 from slot_core.simulation.closed_loop import ClosedLoop
-from slot_core.vision.board import print_of
+from slot_core.vision.board import print_of, single_marker
 from slot_core.vision.camera import Camera, CameraError
+from slot_core.vision.detector import MarkerDetector
 from slot_core.vision.frames import Transform
 from slot_core.vision.localizer import MarkerFix, MarkerLocalizer, NoFix
 from slot_core.vision.settings import VisionSettings
@@ -107,7 +108,28 @@ def test_ids_seen_twice_are_not_used():
         Surface(sheet, Transform.of((x, 0.0, 1.8), (np.pi, 0.0, 0.0)).apply(shown.outline))
         for x in (-0.45, 0.45)
     ]
-    assert "seen more than once" in reason(localizer(), synthetic().picture(sheets))
+    picture, seeing = synthetic().picture(sheets), localizer()
+    assert "seen more than once" in reason(seeing, picture)
+
+
+def test_an_id_seen_twice_is_not_used_while_only_a_part_of_the_picture_is_searched():
+    """The search around the other markers may hold one of the two only."""
+    wall, single = board("wall"), single_marker(0, 0.05)  # id 0 is of the board too
+    places = (wall, (0.0, 0.0, 1.8)), (single, (-0.75, 0.0, 1.8))
+    sheets = [
+        Surface(
+            print_of(each, VISION.dictionary_number),
+            Transform.of(at, (np.pi, 0.0, 0.0)).apply(each.outline),
+        )
+        for each, at in places
+    ]
+    picture = synthetic().picture(sheets)
+    detector = MarkerDetector(VISION.dictionary_number, CAMERA)
+    for _ in range(3):
+        found = detector.find(picture)
+        assert found.duplicates == (0,)
+        assert 0 not in found.ids
+        assert len(found.ids) == len(wall.corners) - 1
 
 
 def test_markers_that_no_board_has_are_named():
@@ -135,15 +157,39 @@ def test_one_far_marker_alone_has_no_pose_unless_the_last_one_decides():
     single = picture_from_torso(base, settings=settings)
     alone = localizer(settings=settings)
     assert "two poses explain them" in reason(alone, single)
-    alone._last = 0, base, np.zeros(6)
+    alone._last = 0, base, np.zeros((6, 6))
     fix = alone.locate(SECOND // 30, single)
     assert isinstance(fix, MarkerFix)
     np.testing.assert_allclose(fix.position, base.position, atol=0.2)
 
 
+def test_a_pose_of_after_a_clock_that_was_set_back_decides_nothing():
+    far = {"boards.wall.columns": 1, "boards.wall.rows": 1, "boards.wall.marker": 0.04}
+    settings = changed(**far)
+    base = Transform.of((0.0, 0.0, 0.2), (0.0, 0.0, 0.0))
+    alone = localizer(settings=settings)
+    alone._last = 100 * SECOND, base, np.zeros((6, 6))
+    assert "two poses explain them" in reason(alone, picture_from_torso(base, settings=settings))
+
+
+def test_the_covariance_of_the_velocity_is_in_the_axes_of_the_torso():
+    turned = Transform.of((0.0, 0.0, 0.2), (0.0, 0.0, np.pi / 2))
+    unsure = np.diag([4.0, 1.0, 0.0, 0.0, 0.0, 0.0])  # along x of odom, which is -y of the torso
+    known = localizer()
+    known._last = 0, turned, unsure
+    *_, twist = known._twist(SECOND // 30, turned, unsure)
+    late = known._twist(SECOND // 30, turned, -unsure)[2]
+    spread = (twist - late) / 30**2
+    np.testing.assert_allclose(np.diag(spread)[:2], [2.0, 8.0])
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        (
+            {"chessboard.columns": 20, "chessboard.rows": 12},
+            "chessboard: 120 markers, DICT_4X4_100",
+        ),
         ({"dictionary": "DICT_9X9"}, "dictionary = 'DICT_9X9': not one of cv2.aruco"),
         ({"points.first_id": 60}, "boards.film: id 60 is also in points"),
         ({"points.first_id": 90}, "id 106: DICT_4X4_100 ends at 99"),

@@ -50,9 +50,11 @@ def test_a_small_marker_has_two_poses_of_which_the_expected_one_is_chosen():
     rays = seen[:, :2] / seen[:, 2:] + 2e-4 * np.random.default_rng(1).normal(size=(4, 2))
     pose = board_poses(corners, rays, 1e-4)
     assert pose.ratio < VISION.detection.ambiguity
-    for expected in (pose.transform, pose.other):
-        assert nearest(pose, expected) is expected
-    tilts = [t.rotation[2, 1] for t in (pose.transform, pose.other)]
+    for expected in (pose, pose.other):
+        assert nearest(pose, expected.transform) is expected
+    assert pose.other.error == pytest.approx(pose.ratio * max(pose.error, 1e-4))
+    assert not np.allclose(pose.other.covariance, pose.covariance, rtol=0.1)
+    tilts = [each.transform.rotation[2, 1] for each in (pose, pose.other)]
     assert min(tilts) < -0.2 < 0.2 < max(tilts)
 
 

@@ -1,8 +1,12 @@
 """Prints have their true size and can be read; a calibration finds the camera that filmed."""
 
+import re
+from contextlib import nullcontext
+
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 from views import CAMERA, VISION
 
 from slot_core.vision import calibrate_camera, film, print_markers
@@ -29,7 +33,13 @@ def test_a_print_shows_its_markers_in_their_size(what):
 def test_a_print_is_written_with_its_resolution(tmp_path, capsys, name):
     out = tmp_path / name
     assert print_markers.main(["torso", "--out", str(out), "--dpi", "200"]) == 0
-    assert out.stat().st_size > 1000
+    with Image.open(out) if name.endswith("png") else nullcontext() as picture:
+        if picture:
+            assert picture.info["dpi"] == pytest.approx((200, 200), abs=0.01)
+        else:  # points of 1/72 inch
+            box = re.search(rb"/MediaBox \[ *0 0 ([\d.]+) ([\d.]+) *\]", out.read_bytes())
+            size = np.array([float(edge) for edge in box.groups()]) / 72 * 25.4
+            np.testing.assert_allclose(size, [136, 108], atol=0.5)
     assert "136 x 108 mm at 200 dots per inch" in capsys.readouterr().out
 
 

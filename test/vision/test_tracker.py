@@ -91,6 +91,7 @@ def test_a_camera_that_moves_is_noticed(shots):
 
 def rows(path):
     with path.open() as file:
+        assert next(file).startswith("# frame: ")
         return list(csv.DictReader(file))
 
 

@@ -9,7 +9,9 @@ from slot_core.robot import LEGS, Array
 TORSO = "torso"
 LEG_POINTS = {"base": 0.0, "third": 1 / 3, "two_thirds": 2 / 3, "tip": 1.0}  # share of arc length
 BODY_POINTS = (*(f"{leg}_{name}" for leg in LEGS for name in LEG_POINTS), TORSO)
+LEAST_NODES = 4  # of a leg with points along it; the tabulated robot's have two, clamp and foot
 COLUMNS = ("time", "point", "x", "y", "z")  # of a CSV file: s, m
+FRAME = "frame: "  # begins the comment of a CSV file that names its frame
 
 
 def arc_length(nodes: Array) -> Array:

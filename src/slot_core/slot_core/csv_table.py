@@ -41,6 +41,7 @@ class Row:
 class Table:
     """Column names and rows of a file."""
 
+    comments: tuple[str, ...]  # without #
     head: str  # file and line of the column names, for messages
     columns: tuple[str, ...]
     rows: tuple[Row, ...]
@@ -53,6 +54,7 @@ def read_table(path: Path) -> Table:
     except (OSError, UnicodeDecodeError) as error:
         cause = getattr(error, "strerror", None) or "not a text file"
         raise TableError(f"{path}: {cause}") from None
+    comments = [line[1:].strip() for line in map(str.strip, text.splitlines()) if line[:1] == "#"]
     lines = list(_lines(path, text))
     if not lines:
         raise TableError(f"{path}: is empty: no line of column names")
@@ -62,7 +64,7 @@ def read_table(path: Path) -> Table:
         if len(cells) != len(columns):
             raise TableError(f"{where}: {len(cells)} cells, {len(columns)} columns")
         rows.append(Row(number, where, dict(zip(columns, cells))))
-    return Table(head, tuple(columns), tuple(rows))
+    return Table(tuple(comments), head, tuple(columns), tuple(rows))
 
 
 def _lines(path: Path, text: str) -> Iterator[tuple[int, str, list[str]]]:

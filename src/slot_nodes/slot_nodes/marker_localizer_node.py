@@ -53,8 +53,8 @@ class MarkerLocalizerNode(Node):
             self._use(camera)
 
     def _use(self, camera: Camera) -> None:
-        self._camera = camera
         self._localizer = MarkerLocalizer(self._settings, camera, self._mount)
+        self._camera = camera
         self.get_logger().info(
             f"camera of {camera.width} x {camera.height} px, f = {camera.focal:.1f} px,"
             f" on the {self._settings.carrier}"

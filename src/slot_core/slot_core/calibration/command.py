@@ -47,6 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     parser = _parser()
     options = parser.parse_args(arguments)
+    if options.plot and options.plot.suffix != ".png":
+        parser.error(f"--plot {options.plot}: the name of a picture ends in .png")
     try:
         content = _run(options)
     except (TableError, ConfigError, FitError, PredictionError, OSError) as error:

@@ -89,9 +89,14 @@ class FitProblem:
         """(p,) values at coordinates u (p,)."""
         return np.array([p.value(c) for p, c in zip(self.parameters, u)])
 
+    def allowed(self, u: Array) -> Array:
+        """(p,) values at u (p,) within the bounds, which exp(log(bound)) may leave by rounding."""
+        low, high = np.array([(p.low, p.high) for p in self.parameters]).T
+        return np.clip(self.values(u), low, high)
+
     def residuals(self, u: Array) -> Array:
         """(n,) residuals (predicted - measured) / sigma at u (p,); raises PredictionError."""
-        return (self.predict(self.values(u)) - self.measured) / self.sigma
+        return (self.predict(self.allowed(u)) - self.measured) / self.sigma
 
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds (p,) of the coordinates."""
@@ -105,7 +110,7 @@ class FitProblem:
         np.fill_diagonal(up, np.minimum(u + STEP, high))
         np.fill_diagonal(down, np.maximum(u - STEP, low))
         try:
-            found = self._predictions([self.values(point) for point in (*up, *down)])
+            found = self._predictions([self.allowed(point) for point in (*up, *down)])
         except PredictionError as error:
             raise FitError(f"no derivative: {error}") from None
         change = np.array(found[: len(u)]) - np.array(found[len(u) :])
@@ -211,7 +216,7 @@ def _fit_from(problem: FitProblem, start: Array) -> FitResult:
         max_nfev=TRIALS,
     )
     u = np.where(end.x - low < EDGE, low, np.where(high - end.x < EDGE, high, end.x))
-    return FitResult(problem.values(u), float(2 * end.cost), bool(end.status))
+    return FitResult(problem.allowed(u), float(2 * end.cost), bool(end.status))
 
 
 def estimate(
@@ -245,7 +250,7 @@ def estimate(
         deviation = np.sqrt(np.diag(covariance))
         width = np.where(determined, student.ppf((1 + LEVEL) / 2, freedom) * deviation, np.nan)
     return ParameterEstimate(
-        values=problem.values(u),
+        values=problem.allowed(u),
         predicted=problem.measured + residual * problem.sigma,
         chi_square=chi_square,
         freedom=freedom,

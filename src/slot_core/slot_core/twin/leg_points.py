@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slot_core.body_points import LEG_POINTS, TORSO, at_shares
+from slot_core.body_points import LEAST_NODES, LEG_POINTS, TORSO, at_shares
 from slot_core.robot import LEGS
 from slot_core.twin.recorded import Recorded
 from slot_core.twin.replay_robot import ModelParts, replay
@@ -17,7 +17,10 @@ PERIOD = 1 / 30  # s, between two rows of a point
 
 
 def write(recorded: Recorded, parts: ModelParts, settings: TwinSettings, path: Path) -> None:
-    """Write the predicted places of torso and leg points at 30 Hz; raises OSError."""
+    """Write the predicted places of torso and leg points at 30 Hz; raises OSError.
+
+    Legs of fewer than LEAST_NODES nodes have no points.
+    """
     rows: dict[str, list[tuple[float, ...]]] = {}
     due = -np.inf
     for t, sim in replay(recorded, parts, settings):
@@ -25,6 +28,8 @@ def write(recorded: Recorded, parts: ModelParts, settings: TwinSettings, path: P
             continue
         due = t + PERIOD - settings.hold / 2
         rows.setdefault(TORSO, []).append((t, *sim.position))
+        if sim.nodes.shape[1] < LEAST_NODES:
+            continue
         for leg, nodes in zip(LEGS, sim.nodes):
             for name, place in zip(LEG_POINTS, at_shares(nodes)):
                 rows.setdefault(f"{leg}_{name}", []).append((t, *place))

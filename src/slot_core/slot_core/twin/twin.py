@@ -17,7 +17,7 @@ import shutil
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -121,15 +121,16 @@ def _left_out(count: int) -> str:
 
 
 class _Trials:
-    """Runs trials of a fit and keeps their residuals in a directory until it is done.
+    """Runs trials of a fit and keeps their residuals until it is done.
 
-    fit: all on which the residuals depend besides the point; those of another fit are not used.
+    They are in a folder of the directory that is the fit's own. fit: all on which the residuals
+    depend besides the point.
     """
 
     def __init__(self, directory: Path, run_all: RunAll, fit: Any) -> None:
-        self._directory, self._run_all = directory, run_all
-        self._head = hashlib.sha256(pickle.dumps(fit)).digest()
-        self._directory.mkdir(exist_ok=True)
+        self._run_all = run_all
+        self._directory = directory / hashlib.sha256(pickle.dumps(fit)).hexdigest()[:16]
+        self._directory.mkdir(parents=True, exist_ok=True)
 
     def __call__(self, call: Callable[[Array], Array], points: Sequence[Array]) -> list[Array]:
         paths = [self._path(point) for point in points]
@@ -141,11 +142,13 @@ class _Trials:
         return [np.load(path) for path in paths]
 
     def forget(self) -> None:
-        """Delete the results that were kept."""
+        """Delete the results that were kept; those of other fits stay."""
         shutil.rmtree(self._directory)
+        with suppress(OSError):  # not empty
+            self._directory.parent.rmdir()
 
     def _path(self, point: Array) -> Path:
-        name = hashlib.sha256(self._head + np.asarray(point).tobytes()).hexdigest()[:32]
+        name = hashlib.sha256(np.asarray(point).tobytes()).hexdigest()[:32]
         return self._directory / f"{name}.npy"
 
 

@@ -23,7 +23,15 @@ import numpy as np
 from slot_core.bags.bag import STORAGES, Bag
 from slot_core.bags.measured import measured_motion, sound
 from slot_core.bags.walk import LEG_STATES, seconds
-from slot_core.body_points import BODY_POINTS, COLUMNS, LEG_POINTS, TORSO, at_shares
+from slot_core.body_points import (
+    BODY_POINTS,
+    COLUMNS,
+    FRAME,
+    LEAST_NODES,
+    LEG_POINTS,
+    TORSO,
+    at_shares,
+)
 from slot_core.csv_table import Row, TableError, read_table
 from slot_core.robot import LEGS, ODOM_FRAME, Array
 
@@ -85,19 +93,23 @@ def write_points(path: Path, points: Mapping[str, Array], comments: Sequence[str
 
 def _from_bag(bag: Bag, topic: str) -> Recording:
     motion = measured_motion(bag, topic)
-    tracks = {TORSO: (motion.t, motion.position, motion.rpy)}
+    tracks, notes = {TORSO: (motion.t, motion.position, motion.rpy)}, []
+    if motion.left_out:
+        notes.append(f"{motion.source}: {motion.left_out} readings that were lost are left out")
     if bag.counts.get(LEG_STATES, 0) > 1:
         series = bag.series(LEG_STATES, "position")
         flat = series["position"].astype(float)
         keep = sound(f"{bag.path}: {LEG_STATES}", series.stamp, flat)
         t, nodes = seconds(series.stamp[keep]), flat[keep].reshape(len(keep), len(LEGS), -1, 3)
-        for k, leg in enumerate(LEGS):
+        shaped = nodes.shape[2] >= LEAST_NODES
+        if not shaped:
+            notes.append(f"legs of {nodes.shape[2]} nodes: no points along them")
+        for k, leg in enumerate(LEGS if shaped else ()):
             places = np.array([at_shares(shape[k]) for shape in nodes])
             for n, name in enumerate(LEG_POINTS):
                 tracks[f"{leg}_{name}"] = (t, places[:, n], None)  # type: ignore[assignment]
     found = _since_first(bag.path.name, {k: PointTrack(*v) for k, v in tracks.items()})
-    lost = f"{motion.source}: {motion.left_out} readings that were lost are left out"
-    return dataclasses.replace(found, notes=(lost,) if motion.left_out else ())
+    return dataclasses.replace(found, notes=tuple(notes))
 
 
 def _from_video(path: Path, camera: Path | None) -> Recording:
@@ -145,7 +157,9 @@ def _from_csv(path: Path) -> Recording:
     if not parts:
         raise TableError(f"{path}: no samples")
     tracks = {name: _track(path, name, part) for name, part in parts.items()}
-    return _since_first(path.name, tracks)
+    frames = [c.removeprefix(FRAME) for c in table.comments if c.startswith(FRAME)]
+    tilted = bool(frames) and frames[0] != ODOM_FRAME
+    return dataclasses.replace(_since_first(path.name, tracks), tilted=tilted)
 
 
 def _point(row: Row) -> str:

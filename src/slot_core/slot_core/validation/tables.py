@@ -39,8 +39,8 @@ def alignment_lines(comparison: Comparison, frame: str) -> list[str]:
     turned = np.degrees(Rotation.from_matrix(placed.rotation).as_rotvec())
     lines = [
         f"clock    first sample of the measurement at {time.offset:.4f} s of the run"
-        f" (+- {1e3 * time.offset_width:.1f} ms), drift {1e6 * time.drift:.0f} ppm"
-        f" (+- {1e6 * time.drift_width:.0f})",
+        f" (+- {_width(1e3 * time.offset_width, 1)} ms), drift {1e6 * time.drift:.0f} ppm"
+        f" (+- {_width(1e6 * time.drift_width, 0)})",
         f"frame    {frame}: turn about x y z {_numbers(turned, 2)} deg, shift"
         f" {_numbers(1e3 * placed.shift, 1)} mm",
     ]
@@ -51,6 +51,10 @@ def alignment_lines(comparison: Comparison, frame: str) -> list[str]:
     if comparison.brief:
         lines.append(f"points   seen too briefly or too late: {', '.join(comparison.brief)}")
     return lines
+
+
+def _width(value: float, digits: int) -> str:
+    return "?" if math.isnan(value) else f"{value:.{digits}f}"
 
 
 def _rival(time: TimeAlignment) -> str:

@@ -52,8 +52,8 @@ class TimeAlignment:
 
     offset: float  # s
     drift: float
-    offset_width: float = 0.0  # s; 0: given, not fitted
-    drift_width: float = 0.0
+    offset_width: float = 0.0  # s; NaN: too few groups to tell
+    drift_width: float = 0.0  # 0: not fitted
     rest: float = 0.0  # m, RMS per coordinate of the differences without their moving mean
     rival_rest: float = np.inf  # m, of the next best shift; infinite: there is none
     rival_offset: float = np.nan  # s
@@ -69,7 +69,15 @@ def align_times(pairs: Sequence[Pair], frame: str, offset: float | None = None) 
     Raises RecordingError for motion that is not enough to align.
     """
     starts = candidates(*cross_correlation(pairs, frame)) if offset is None else [offset]
-    found = sorted((_refine(pairs, frame, start) for start in starts), key=lambda f: f.rest)
+    found, refusals = [], []
+    for start in starts:
+        try:
+            found.append(_refine(pairs, frame, start))
+        except RecordingError as error:  # a candidate that overlaps too little
+            refusals.append(error)
+    if not found:
+        raise refusals[0]
+    found.sort(key=lambda each: each.rest)
     others = [f for f in found if abs(f.offset - found[0].offset) > APART]
     if not others:
         return found[0]
@@ -156,13 +164,12 @@ def _refine(pairs: Sequence[Pair], frame: str, start: float) -> TimeAlignment:
     block = np.repeat(np.floor((times - times.min()) / SLOW), 3)
     scores = np.array([jacobian[block == k].T @ found.fun[block == k] for k in np.unique(block)])
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
-    freedom = max(len(scores) - size, 1)
-    covariance = inverse @ scores.T @ scores @ inverse * (len(scores) / freedom)
+    freedom = len(scores) - size
+    covariance = inverse @ scores.T @ scores @ inverse * (len(scores) / max(freedom, 1))
     to_result = np.array([[1.0, -middle / duration], [0.0, 1.0 / duration]])[:, :size]
     offset, drift = to_result @ found.x
-    widths = student.ppf((1 + LEVEL) / 2, freedom) * np.sqrt(
-        np.diag(to_result @ covariance @ to_result.T)
-    )
+    factor = student.ppf((1 + LEVEL) / 2, freedom) if freedom > 0 else np.nan
+    widths = factor * np.sqrt(np.diag(to_result @ covariance @ to_result.T))
     rest = float(np.sqrt(np.mean(found.fun**2)))
     offset_width, drift_width = widths.tolist()
     return TimeAlignment(start + float(offset), float(drift), offset_width, drift_width, rest)

@@ -35,10 +35,6 @@ class Detection:
     duplicates: tuple[int, ...] = ()  # ids seen more than once: none of them is used
     size: float = field(default=0.0)  # px, shortest edge
 
-    def of(self, number: int) -> Array | None:
-        """Rays (4, 2) of a marker, or None."""
-        return self.rays[self.ids.index(number)] if number in self.ids else None
-
 
 class MarkerDetector:
     """Markers of a dictionary in pictures of a camera; call it with one picture after the other."""
@@ -47,6 +43,7 @@ class MarkerDetector:
         self._camera = camera
         self._dictionary = cv2.aruco.getPredefinedDictionary(dictionary)
         self._last: Detection | None = None
+        self._doubled: frozenset[int] = frozenset()  # in the last search of a whole picture
         self._since_whole = 0
 
     def find(self, picture: Picture) -> Detection:
@@ -57,8 +54,9 @@ class MarkerDetector:
         if last is not None and last.ids and self._since_whole < WHOLE_EVERY:
             found = self._near(picture, last)
         if found is None or not set(last.ids if last else ()) <= set(found.ids):
-            self._since_whole = 0
+            self._since_whole, self._doubled = 0, frozenset()
             found = self._refined(picture, *self._raw(picture, 1.0))
+            self._doubled = frozenset(found.duplicates)
         self._last = found
         return found
 
@@ -87,19 +85,23 @@ class MarkerDetector:
         return np.array(ids, np.int64).ravel(), (found + 0.5) / scale - 0.5
 
     def _refined(self, picture: Picture, ids: Ids, corners: Array) -> Detection:
-        """The markers with exact corners; drops those without clear edges and doubled ids."""
+        """The markers with exact corners; drops those without clear edges and doubled ids.
+
+        Of an id that was doubled in the whole picture, a part of it may show one marker only.
+        """
         if not len(ids):
             return Detection((), np.zeros((0, 4, 2)), np.zeros((0, 4, 2)))
         rays, noise = refined_rays(picture, corners, self._camera, self._dictionary.markerSize + 2)
         counts = Counter(ids.tolist())
-        single = np.array([counts[i] == 1 for i in ids.tolist()])
+        doubled = {i for i, n in counts.items() if n > 1 or i in self._doubled}
+        single = np.array([i not in doubled for i in ids.tolist()])
         keep = np.isfinite(noise) & single
         edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=-1)
         return Detection(
             tuple(ids[keep].tolist()),
             corners[keep],
             rays[keep],
-            tuple(sorted(i for i, n in counts.items() if n > 1)),
+            tuple(sorted(doubled)),
             float(edges[keep].min()) if keep.any() else 0.0,
         )
 

@@ -20,9 +20,9 @@ import numpy as np
 from slot_core.arguments import within
 from slot_core.bags.bag import Bag, BagError
 from slot_core.bags.walk import GROUND_TRUTH, LEG_STATES
-from slot_core.body_points import LEG_POINTS, TORSO, arc_length, at_shares
+from slot_core.body_points import LEAST_NODES, LEG_POINTS, TORSO, arc_length, at_shares
 from slot_core.config import ConfigError
-from slot_core.robot import LEGS, Array, Robot, read_robot
+from slot_core.robot import LEGS, ODOM_FRAME, Array, Robot, read_robot
 from slot_core.vision.board import SQUARE, Picture, make_board, print_of, single_marker
 from slot_core.vision.calibration import chessboard
 from slot_core.vision.camera import nominal
@@ -183,7 +183,7 @@ def _film(options: argparse.Namespace, settings: VisionSettings) -> int:
             truth.append(Sample(i * period, name, plate.position))
     video.release()
     if options.truth:
-        write_tracks(options.truth, truth)
+        write_tracks(options.truth, truth, ODOM_FRAME)
     return len(times)
 
 
@@ -214,6 +214,8 @@ def _motion(bag: Bag) -> tuple[Array, list[Transform], Array]:
     if len(shared) < 2:
         raise BagError(f"{bag.path}: fewer than two samples of {GROUND_TRUTH} and {LEG_STATES}")
     count = int(legs["nodes"][0])
+    if count < LEAST_NODES:
+        raise BagError(f"{bag.path}: legs of {count} nodes have no shape to film")
     places = truth["pose.pose.position"][mine]
     bases = [
         Transform.of_quaternion(p, q) for p, q in zip(places, truth["pose.pose.orientation"][mine])

@@ -26,6 +26,7 @@ from slot_core.vision.frames import Transform, optical
 from slot_core.vision.pose import BoardPose, board_poses, nearest
 from slot_core.vision.settings import VisionSettings
 
+Known = tuple[int, Transform, Array]  # stamp, ns; base_link in odom; covariance (6, 6)
 LONG = 10  # pictures without a marker, after which other dictionaries are tried
 
 
@@ -86,7 +87,7 @@ class MarkerLocalizer:
         self._boards = {name: make_board(board) for name, board in boards.items()}
         self._detector = MarkerDetector(settings.dictionary_number, camera)
         self._dictionary = settings.dictionary
-        self._last: tuple[int, Transform, Array] | None = None  # stamp, base in odom, variance
+        self._last: Known | None = None
         self._answer: MarkerFix | NoFix | None = None
         self._without = 0  # pictures in a row without a marker
 
@@ -111,23 +112,23 @@ class MarkerLocalizer:
         pose = board_poses(points, rays, self._settings.corner_noise / self._camera.focal)
         if pose is None:
             return NoFix(stamp, f"{len(points) // 4} markers of {name}: no pose explains them")
-        error = pose.error * self._camera.focal
+        expected = self._expected(stamp, self._boards[name].pose)
+        ambiguous = pose.ratio < self._settings.ambiguity
+        chosen = nearest(pose, expected) if ambiguous and expected else pose
+        error = chosen.error * self._camera.focal
         if error > self._settings.error_max:
             return NoFix(
                 stamp,
                 f"reprojection error {error:.2f} px, limit {self._settings.error_max:g} px:"
                 " wrong calibration, or boards other than in vision.yaml",
             )
-        expected = self._expected(stamp, self._boards[name].pose)
-        if pose.ratio < self._settings.ambiguity and expected is None:
+        if ambiguous and expected is None:
             return NoFix(
                 stamp,
                 f"{len(points) // 4} markers of {name}: two poses explain them, errors 1 :"
                 f" {pose.ratio:.2f}, limit {self._settings.ambiguity:g}",
             )
-        ambiguous = pose.ratio < self._settings.ambiguity and expected is not None
-        chosen = nearest(pose, expected) if ambiguous and expected else pose.transform
-        return self._fix(stamp, self._boards[name].pose, chosen, pose, len(points) // 4)
+        return self._fix(stamp, self._boards[name].pose, chosen, len(points) // 4)
 
     def _absence(self, found: Detection, picture: Picture) -> str:
         """Why no marker of the boards was found."""
@@ -146,21 +147,25 @@ class MarkerLocalizer:
         return self._fixed @ seen @ board.inverse
 
     def _expected(self, stamp: int, board: Transform) -> Transform | None:
-        """Pose of the board in the optical frame as it was last; None after `memory`."""
-        if self._last is None or stamp - self._last[0] > self._settings.memory * SECOND:
+        """Pose of the board in the optical frame as it was last; None if that is unknown."""
+        if (last := self._recent(stamp)) is None:
             return None
-        base = self._last[1]
+        base = last[1]
         if self._on_torso:
             return self._fixed.inverse @ base.inverse @ board
         return self._fixed.inverse @ base @ board
 
-    def _fix(
-        self, stamp: int, board: Transform, seen: Transform, pose: BoardPose, markers: int
-    ) -> MarkerFix:
-        base = self._base(board, seen)
-        covariance = self._pose_covariance(board, seen, pose.covariance)
-        velocity, rate, twist = self._twist(stamp, base, np.diag(covariance))
-        self._last = stamp, base, np.diag(covariance)
+    def _recent(self, stamp: int) -> Known | None:
+        """The last pose if it is before `stamp`, ns, by at most `memory`."""
+        memory = self._settings.memory * SECOND
+        recent = self._last is not None and 0 < stamp - self._last[0] <= memory
+        return self._last if recent else None
+
+    def _fix(self, stamp: int, board: Transform, pose: BoardPose, markers: int) -> MarkerFix:
+        base = self._base(board, pose.transform)
+        covariance = self._pose_covariance(board, pose.transform, pose.covariance)
+        velocity, rate, twist = self._twist(stamp, base, covariance)
+        self._last = stamp, base, covariance
         return MarkerFix(
             stamp,
             base.position,
@@ -192,17 +197,18 @@ class MarkerLocalizer:
         jacobian[:3, 3:] = -_cross(base.position - centre) @ (sign * to_odom)
         return jacobian @ covariance @ jacobian.T
 
-    def _twist(self, stamp: int, base: Transform, variance: Array) -> tuple[Array, Array, Array]:
+    def _twist(self, stamp: int, base: Transform, covariance: Array) -> tuple[Array, Array, Array]:
         """Velocity and rate in base_link with their covariance; unknown for the first pose."""
         s = self._settings
-        if self._last is None or not 0 < stamp - self._last[0] <= s.memory * SECOND:
+        if (last := self._recent(stamp)) is None:
             return np.zeros(3), np.zeros(3), np.diag(np.full(6, 1e6))
-        before, dt = self._last[1], (stamp - self._last[0]) / SECOND
+        before, dt = last[1], (stamp - last[0]) / SECOND
         velocity = base.rotation.T @ (base.position - before.position) / dt
         turn = Rotation.from_matrix(before.rotation.T @ base.rotation).as_rotvec() / dt
         late = np.repeat([s.acceleration * dt / 2, s.angular_acceleration * dt / 2], 3)
-        noise = (variance + self._last[2]) / dt**2
-        return velocity, turn, np.diag(noise + late**2)
+        to_base = np.kron(np.eye(2), base.rotation.T)
+        noise = to_base @ (covariance + last[2]) @ to_base.T / dt**2
+        return velocity, turn, noise + np.diag(late**2)
 
 
 def _corners(corners: dict[int, Array], found: Detection) -> tuple[Array, Array]:

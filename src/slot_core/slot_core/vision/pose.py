@@ -12,6 +12,7 @@ whose normal matrix gives the covariance s^2 (J^T J)^-1.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import cv2
@@ -32,8 +33,8 @@ class BoardPose:
     transform: Transform
     covariance: Array  # (6, 6) of the position (m) and of the rotation vector in the optical frame
     error: float  # RMS distance of the corners from where they should be, of focal length one
-    other: Transform | None  # the second pose of the plane
-    ratio: float  # its error over the first one's; infinite if there is none
+    other: BoardPose | None = None  # the second pose of the plane
+    ratio: float = np.inf  # its error over this one's; infinite if there is none
 
 
 def board_poses(points: Array, rays: Array, noise: float) -> BoardPose | None:
@@ -61,12 +62,19 @@ def board_poses(points: Array, rays: Array, noise: float) -> BoardPose | None:
     if not found:
         return None
     found.sort(key=lambda item: item[0])
-    error, transform, normal = found[0]
-    spread = max(noise, error * np.sqrt(2 * len(rays) / max(2 * len(rays) - 6, 1)) / np.sqrt(2))
-    other, ratio = None, np.inf
-    if len(found) > 1 and _angle(found[1][1], transform) > 1e-3:
-        other, ratio = found[1][1], found[1][0] / max(error, noise)
-    return BoardPose(transform, spread**2 * np.linalg.inv(normal), error, other, float(ratio))
+    first, *others = (_board_pose(*item, len(rays), noise) for item in found)
+    if others and _angle(others[0].transform, first.transform) > 1e-3:
+        ratio = others[0].error / max(first.error, noise)
+        return dataclasses.replace(first, other=others[0], ratio=ratio)
+    return first
+
+
+def _board_pose(
+    error: float, transform: Transform, normal: Array, rays: int, noise: float
+) -> BoardPose:
+    """The pose with the covariance of its error and normal matrix."""
+    spread = max(noise, error * np.sqrt(2 * rays / max(2 * rays - 6, 1)) / np.sqrt(2))
+    return BoardPose(transform, spread**2 * np.linalg.inv(normal), error)
 
 
 def _refined(start: Transform, points: Array, rays: Array) -> tuple[float, Transform, Array] | None:
@@ -116,8 +124,7 @@ def _angle(a: Transform, b: Transform) -> float:
     return float(np.arccos(np.clip((np.vdot(a.rotation, b.rotation) - 1) / 2, -1.0, 1.0)))
 
 
-def nearest(pose: BoardPose, expected: Transform) -> Transform:
+def nearest(pose: BoardPose, expected: Transform) -> BoardPose:
     """Of the two poses the one whose attitude is nearer to an expected one."""
-    if pose.other is None or _angle(pose.transform, expected) <= _angle(pose.other, expected):
-        return pose.transform
-    return pose.other
+    both = (pose, pose.other) if pose.other else (pose,)
+    return min(both, key=lambda each: _angle(each.transform, expected))

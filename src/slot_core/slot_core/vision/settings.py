@@ -131,6 +131,8 @@ class VisionSettings:
                 owners[number] = f"boards.{name}"
         if max(owners) >= size:
             raise ConfigError(f"id {max(owners)}: {self.dictionary} ends at {size - 1}")
+        if (used := self.chessboard.columns * self.chessboard.rows // 2) > size:
+            raise ConfigError(f"chessboard: {used} markers, {self.dictionary} has {size}")
         if self.chessboard.marker >= self.chessboard.square:
             raise ConfigError(
                 f"chessboard.marker = {self.chessboard.marker}: not smaller than square ="

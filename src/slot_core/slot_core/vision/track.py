@@ -1,10 +1,10 @@
 """Tracks the markers on torso and legs through a film and writes where they are.
 
-FILM is a video, a folder of pictures, or a bag with pictures. The CSV has the columns time (s),
-point, x, y, z (m): a row for each marker that a picture shows. Points are torso, FL_base, FL_third,
-FL_two_thirds, FL_tip and so on; with --leg those of that leg are base, third, two_thirds, tip. The
-camera has to stand still. Where it sees a board that config/vision.yaml places in odom, the tracks
-are in odom, else in the camera's own axes: x forward, y left, z up.
+FILM is a video, a folder of pictures, or a bag with pictures. The CSV has a comment with the frame
+and the columns time (s), point, x, y, z (m): a row for each marker that a picture shows. Points are
+torso, FL_base, FL_third, FL_two_thirds, FL_tip and so on; with --leg those of that leg are base,
+third, two_thirds, tip. The camera has to stand still. Where it sees a board that config/vision.yaml
+places in odom, the tracks are in odom, else in the camera's own axes: x forward, y left, z up.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pathlib import Path
 import cv2
 
 from slot_core.arguments import within
-from slot_core.body_points import COLUMNS, TORSO
+from slot_core.body_points import COLUMNS, FRAME, TORSO
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_core.vision.camera import Camera, CameraError, nominal, read_camera
@@ -57,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         samples = of_leg(tracks.samples, options.leg)
         if not samples:
             parser.error(f"{options.film}: no marker of leg {options.leg}")
-        write_tracks(options.out, samples)
+        write_tracks(options.out, samples, tracks.frame)
     except (FilmError, CameraError, ConfigError) as error:
         parser.error(" ".join(str(error).split()))
     except OSError as error:
@@ -74,9 +74,10 @@ def of_leg(samples: list[Sample], leg: str | None) -> list[Sample]:
     return [Sample(s.time, s.point.removeprefix(f"{leg}_"), s.position) for s in mine]
 
 
-def write_tracks(path: Path, samples: list[Sample]) -> None:
-    """Write samples as CSV with the columns time, point, x, y, z (s, m)."""
+def write_tracks(path: Path, samples: list[Sample], frame: str) -> None:
+    """Write samples as CSV, time, point, x, y, z (s, m), after a comment that names the frame."""
     with path.open("w", newline="") as file:
+        file.write(f"# {FRAME}{frame}\n")
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
         for s in samples:
