@@ -8,8 +8,9 @@ from operator import sub
 import pytest
 
 # ms of CPU that a tick of controller and robot takes in one process. Beyond this the processes of
-# the graph do not keep up with real time: at 4.2 ms the state estimator fell seconds behind.
-LARGEST_TICK = 2.0
+# the graph do not keep up with real time: at 4.2 ms the state estimator fell seconds behind. At 2.7
+# to 3.0 ms, with a busy loop on each core, all of these tests passed.
+LARGEST_TICK = 3.5
 BATCHES, TICKS = 5, 60  # the quickest batch counts: what else runs on the host comes and goes
 
 # A process started in the background of a script ignores SIGINT, and so do its children; those that

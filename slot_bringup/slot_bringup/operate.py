@@ -167,7 +167,7 @@ class Operator:
         self.view.answer = answer_text(request, answer.result().message)
 
     def _show(self, name: str, check: Callable[[Any], object], message: Any) -> bool:
-        """Show a message, unless `check` raises ValueError: this terminal has to outlive it."""
+        """Show a message, unless `check` raises ValueError: then a line says that it is invalid."""
         try:
             check(message)
         except ValueError as error:

@@ -28,7 +28,8 @@ SETTINGS: Any = numba.config  # its attributes are set at run time
 njit: Any = numba.njit  # the type annotations of numba.njit lack some of its options
 F = TypeVar("F", bound=Callable[..., Any])
 
-# `contract` fuses multiply and add. Full fastmath would let the compiler delete the checks for NaN.
+# `contract` fuses multiply and add where the processor can. Full fastmath would let the compiler
+# delete the checks for NaN.
 FUSED: dict[str, Any] = {"fastmath": {"contract"}}
 # Without Numba's run time (nrt) a kernel that allocates memory does not compile, and none counts
 # references to its arrays, which would cost more than the arithmetic.
@@ -42,26 +43,36 @@ INLINE: dict[str, Any] = {
 }
 
 
-def helper(function: F, fused: bool = True) -> F:
-    """Compile a function that only kernels call.
-
-    fused: whether multiply and add may be fused; the result then depends on the processor.
-    """
-    return njit(**OPTIONS, **INLINE, **(FUSED if fused else {}))(function)
+def helper(function: F) -> F:
+    """Compile a function that only kernels call; multiply and add may be fused."""
+    return njit(**OPTIONS, **INLINE, **FUSED)(function)
 
 
-def kernel(function: F, fused: bool = True) -> F:
+def exact_helper(function: F) -> F:
+    """As `helper`, nothing fused: every processor gives the same bits."""
+    return njit(**OPTIONS, **INLINE)(function)
+
+
+def kernel(function: F) -> F:
     """Compile a function that Python calls, with a cache on disk where that is possible.
 
-    fused: as for `helper`.
+    Multiply and add may be fused.
     """
+    return _kernel(function, FUSED)
+
+
+def exact_kernel(function: F) -> F:
+    """As `kernel`, nothing fused: every processor gives the same bits."""
+    return _kernel(function, {})
+
+
+def _kernel(function: F, options: dict[str, Any]) -> F:
     before = SETTINGS.CACHE_DIR, SETTINGS.CACHE_LOCATOR_CLASSES
     directory = _cache_directory(function.__module__)
     SETTINGS.CACHE_DIR = str(directory or "")
     SETTINGS.CACHE_LOCATOR_CLASSES = f"{__name__}.{DirectoryItself.__name__}"
     try:
-        options = OPTIONS | (FUSED if fused else {})
-        return njit(cache=directory is not None, **options)(function)
+        return njit(cache=directory is not None, **OPTIONS, **options)(function)
     finally:
         SETTINGS.CACHE_DIR, SETTINGS.CACHE_LOCATOR_CLASSES = before
 

@@ -21,7 +21,7 @@ FILES = {"path": "path.csv", "calibration": "camera.yaml"}
 
 @dataclass(frozen=True)
 class Origin:
-    """What made a bag; empty for a bag of somebody else."""
+    """Revision, arguments and files that made a bag; empty if none are recorded."""
 
     about: Mapping[str, str] = field(default_factory=dict)  # revision, and the graph's arguments
     files: Mapping[str, bytes] = field(default_factory=dict)  # attachments by name

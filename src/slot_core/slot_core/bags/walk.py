@@ -155,7 +155,7 @@ def state_time(series: Series) -> Stamps:
 def last_states(series: Series) -> tuple[Stamps, Stamps]:
     """Times (n,), ns, of the states of /mpc_state, and the indices of their messages.
 
-    Of two states of one time, as two late readings give them, the second knows more.
+    Of two states of one time the last is taken: it includes both of two late readings.
     """
     time = state_time(series)
     last = np.flatnonzero(np.append(np.diff(time) != 0, True))

@@ -15,24 +15,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slot_core import compiled
 from slot_core.clock import SECOND
+from slot_core.compiled import exact_helper, exact_kernel
 from slot_core.robot import GRAVITY, Array
 
 THETA, P, V, GYRO_BIAS, FORCE_BIAS = range(0, 15, 3)
 ERROR, MEASURED = 15, 9  # sizes of the error state and of a reading's angle, position, velocity
 COS_PITCH_MIN = 1e-3  # keeps the covariance of roll and yaw finite at a pitch of 90 deg
 SMALL_ANGLE = 1e-4  # rad, below which the next term of a series is less than a rounding error
-
-
-def helper(function):
-    """Compile a function called only by kernels; every processor gives the same bits."""
-    return compiled.helper(function, fused=False)
-
-
-def kernel(function):
-    """Compile a function called from Python; every processor gives the same bits."""
-    return compiled.kernel(function, fused=False)
 
 
 class Nominal(NamedTuple):
@@ -67,7 +57,7 @@ def work_space() -> Work:
     return Work(*(np.zeros(shape) for shape in shapes))
 
 
-@helper
+@exact_helper
 def exponential(x, y, z):
     """Unit quaternion (x y z w) of the rotation vector (x, y, z), rad."""
     angle = math.sqrt(x * x + y * y + z * z)
@@ -76,7 +66,7 @@ def exponential(x, y, z):
     return x * scale, y * scale, z * scale, math.cos(angle / 2.0)
 
 
-@helper
+@exact_helper
 def logarithm(x, y, z, w):
     """Rotation vector, rad, of at most pi, of the unit quaternion (x y z w)."""
     sine = math.sqrt(x * x + y * y + z * z)
@@ -88,7 +78,7 @@ def logarithm(x, y, z, w):
     return x * scale, y * scale, z * scale
 
 
-@helper
+@exact_helper
 def multiply(a, b):
     """Product a b of two quaternions: first the rotation b, then a."""
     ax, ay, az, aw = a[0], a[1], a[2], a[3]
@@ -101,7 +91,7 @@ def multiply(a, b):
     )
 
 
-@helper
+@exact_helper
 def store_unit(out, q):
     """Store the quaternion q in out (4,), of unit norm."""
     norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
@@ -109,7 +99,7 @@ def store_unit(out, q):
         out[i] = q[i] / norm
 
 
-@helper
+@exact_helper
 def rotation_matrix(out, q):
     """Rotation matrix (3, 3) of the unit quaternion q."""
     x, y, z, w = q[0], q[1], q[2], q[3]
@@ -130,7 +120,7 @@ def rotation_matrix(out, q):
     )
 
 
-@helper
+@exact_helper
 def rotate(m, a):
     """The rotation matrix m (3, 3) times the vector a (3,)."""
     return (
@@ -140,7 +130,7 @@ def rotate(m, a):
     )
 
 
-@helper
+@exact_helper
 def set_cross(out, row, column, a, scale):
     """Set a block (3, 3) of out to scale [a]x, with [a]x b = a x b."""
     x, y, z = scale * a[0], scale * a[1], scale * a[2]
@@ -149,7 +139,7 @@ def set_cross(out, row, column, a, scale):
     out[row + 2, column], out[row + 2, column + 1], out[row + 2, column + 2] = -y, x, 0.0
 
 
-@helper
+@exact_helper
 def set_scaled(out, row, column, m, scale):
     """Set a block (3, 3) of out to scale m."""
     for i in range(3):
@@ -157,7 +147,7 @@ def set_scaled(out, row, column, m, scale):
             out[row + i, column + j] = scale * m[i, j]
 
 
-@helper
+@exact_helper
 def set_identity(out):
     """Set out (m, n) to ones on the diagonal and zeros beside it."""
     for i in range(out.shape[0]):
@@ -165,7 +155,7 @@ def set_identity(out):
             out[i, j] = 1.0 if i == j else 0.0
 
 
-@helper
+@exact_helper
 def product(out, a, b):
     """out = a b."""
     for i in range(a.shape[0]):
@@ -178,7 +168,7 @@ def product(out, a, b):
                     out[i, j] += factor * b[k, j]
 
 
-@helper
+@exact_helper
 def product_transposed(out, a, b):
     """out = a b^T."""
     for i in range(a.shape[0]):
@@ -189,7 +179,7 @@ def product_transposed(out, a, b):
             out[i, j] = value
 
 
-@helper
+@exact_helper
 def congruence(p, f, half):
     """p <- f p f^T with a symmetric p; fast where f is sparse. half: work space of p's shape."""
     product(half, f, p)
@@ -199,7 +189,7 @@ def congruence(p, f, half):
     product(p, f, half)
 
 
-@helper
+@exact_helper
 def symmetrise(a):
     """a <- (a + a^T) / 2."""
     for i in range(a.shape[0]):
@@ -207,7 +197,7 @@ def symmetrise(a):
             a[i, j] = a[j, i] = 0.5 * (a[i, j] + a[j, i])
 
 
-@helper
+@exact_helper
 def cholesky(a):
     """Replace the lower triangle of a by its Cholesky factor L, a = L L^T; NaN if there is none."""
     for j in range(a.shape[0]):
@@ -218,7 +208,7 @@ def cholesky(a):
             a[i, j] = value / a[j, j] if i > j else math.sqrt(value)
 
 
-@helper
+@exact_helper
 def solve_cholesky(factor, x):
     """Replace x (n,) by the solution of L L^T x = x."""
     n = x.shape[0]
@@ -232,7 +222,7 @@ def solve_cholesky(factor, x):
         x[i] /= factor[i, i]
 
 
-@kernel
+@exact_kernel
 def interpolate(out, stamps, samples, stamp):
     """IMU sample out (6,) at `stamp` (ns), linear between neighbours; its noise variance factor.
 
@@ -252,7 +242,7 @@ def interpolate(out, stamps, samples, stamp):
     return weight * weight + (1.0 - weight) * (1.0 - weight)
 
 
-@kernel
+@exact_kernel
 def propagate(state, work, rate, force, dt, noise, from_imu):
     """Propagate by dt (s) with the rate and specific force (3,) of base_link at the midpoint.
 
@@ -285,7 +275,7 @@ def propagate(state, work, rate, force, dt, noise, from_imu):
         state.cov[i, i] += dt / 2 * noise[i]
 
 
-@kernel
+@exact_kernel
 def propagate_through(state, work, stamps, samples, begin, end, noise, longest, rate, blind_noise):
     """Propagate from `begin` to `end` (ns) in steps between the IMU samples.
 
@@ -308,7 +298,7 @@ def propagate_through(state, work, stamps, samples, begin, end, noise, longest, 
         start = stop
 
 
-@helper
+@exact_helper
 def transition(out, rotation, force, dt, share, block):
     """F = I + A + A^2 / 2 (15, 15) of the linear error equations x' dt = A x, which are
 
@@ -328,7 +318,7 @@ def transition(out, rotation, force, dt, share, block):
     set_scaled(out, V, GYRO_BIAS, block, -share * dt / 2)
 
 
-@kernel
+@exact_kernel
 def correct(state, work, attitude, position, velocity, variance, gate):
     """Correct with a reading at the state's time, velocity in base_link; False for an outlier.
 
@@ -361,7 +351,7 @@ def correct(state, work, attitude, position, velocity, variance, gate):
     return True
 
 
-@helper
+@exact_helper
 def set_residual(out, state, work, attitude, position, velocity):
     """Innovation (9,), measured minus predicted: angle, position in odom; velocity in base_link."""
     a, rotation = state.attitude, work.rotation
@@ -376,7 +366,7 @@ def set_residual(out, state, work, attitude, position, velocity):
             out[V + i] -= rotation[j, i] * state.velocity[j]
 
 
-@helper
+@exact_helper
 def set_velocity_jacobian(out, velocity, work):
     """Derivative of R^T v by the angle error in odom, R^T [v]x, and by v, R^T; block is used."""
     rotation, block = work.rotation, work.block
@@ -390,7 +380,7 @@ def set_velocity_jacobian(out, velocity, work):
             out[V + i, THETA + j] = total
 
 
-@helper
+@exact_helper
 def inside(work, start, gate):
     """Whether three residuals are within the Mahalanobis distance `gate`; False for NaN."""
     block, weighted, square = work.block, work.weighted, 0.0
@@ -405,7 +395,7 @@ def inside(work, start, gate):
     return square <= gate * gate
 
 
-@helper
+@exact_helper
 def reduce_covariance(state, work, variance):
     """P <- (I - K H) P (I - K H)^T + K R K^T; overwrites the jacobian H with I - K H."""
     product(work.product, work.gain, work.wide[:MEASURED])
@@ -421,7 +411,7 @@ def reduce_covariance(state, work, variance):
             state.cov[j, i] = state.cov[i, j]
 
 
-@helper
+@exact_helper
 def add_error(state, work):
     """Add the estimated error (15,) to the nominal state and the biases."""
     error = work.error
@@ -434,7 +424,7 @@ def add_error(state, work):
         state.bias[1, i] += error[FORCE_BIAS + i]
 
 
-@kernel
+@exact_kernel
 def output(state, work, rate, gyro_share, rate_variance, out, cov):
     """State out (12,) and covariance cov (12, 12) of `Estimate`, of first order.
 
@@ -462,7 +452,7 @@ def output(state, work, rate, gyro_share, rate_variance, out, cov):
     symmetrise(cov)
 
 
-@helper
+@exact_helper
 def set_angle_jacobian(out, pitch, yaw):
     """Set the first block of out to d(roll, pitch, yaw) by a small rotation about odom's axes."""
     s, c = math.sin(yaw), math.cos(yaw)

@@ -51,7 +51,7 @@ class TendonCommand:
 
 @dataclass(frozen=True)
 class Nominal:
-    """What the map needs beside the forces, at stage 0 of a preview and a state."""
+    """Operating point of the legs at stage 0 of a preview and a state."""
 
     angle: Array  # (4,) rad, of the gait
     force: Array  # (4,) N, at the nominal angles and the present heights

@@ -154,7 +154,7 @@ class GaitScheduler:
         return self._preview(stamp, state)
 
     def _forget_strides(self) -> None:
-        """Forget the strides so far, whose means a jump of clock or place would spoil."""
+        """Forget the strides so far: a jump of clock or place falsifies their means."""
         for active in (self._previous, self._current):
             if isinstance(active, _ActiveStride):
                 active.feedback.forget_stride()

@@ -107,7 +107,7 @@ class StrideFeedback:
     def finish(self, target: Target) -> None:
         """End a stride: correct the knobs by its means, if it has three ticks and is whole.
 
-        The sway of a stride has no mean; that of a part of one has.
+        The sway of the torso has no mean over a whole stride, but over a part of one it has.
         """
         rows, gaps = np.array(self._rows), np.array(self._gap)
         self._rows, self._gap = self._rows[-1:], self._gap[-1:]  # the next one starts there

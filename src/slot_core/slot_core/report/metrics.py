@@ -19,11 +19,11 @@ from slot_core.bags.walk import (
     read_ticks,
     seconds,
 )
+from slot_core.control.mpc.mpc import Status
+from slot_core.control.state_estimator import Validity
 from slot_core.plane import rotate
 from slot_core.robot import LEGS, Array
 
-SOLVED = 0  # GroundReactionForces.SOLVED
-ODOMETRY_REJECTED = 2  # MpcState.ODOMETRY_REJECTED
 NOT_KNOWN = (math.nan,) * len(LEGS)
 
 
@@ -174,9 +174,9 @@ def _control(bag: Bag, start: float) -> dict[str, Any]:
     maps = _after(bag, start, "/force_map/status", "saturated")
     violation = solves["violation"] if solves else np.zeros(0)
     solved = violation[~np.isnan(violation)]  # without the cycles that were rejected
-    rejected = states and int(np.sum(states["validity"] == ODOMETRY_REJECTED))
+    rejected = states and int(np.sum(states["validity"] == Validity.ODOMETRY_REJECTED))
     return {
-        "fallback_cycles": solves and int(np.sum(solves["status"] != SOLVED)),
+        "fallback_cycles": solves and int(np.sum(solves["status"] != Status.SOLVED)),
         "longest_fallback": solves and int(solves["fallback_cycles"].max()),
         "violation_max": float(solved.max()) if solved.size else math.nan,
         "saturated": _fraction(maps["saturated"]) if maps else NOT_KNOWN,

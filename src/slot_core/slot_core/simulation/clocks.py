@@ -2,7 +2,7 @@
 
     LockstepClock   from one reading that is answered to the next
     RealTimeClock   with another clock, in bounded portions
-    BusClock        so too, but it waits for a late driver of emulated servos
+    BusClock        as RealTimeClock, but stops for a late driver of emulated servos
 
 Times are ns.
 """

@@ -173,4 +173,4 @@ _MESSAGES: dict[str, Callable[[Supervisor, Tick, int], object]] = {
         now, tick.estimate.stamp, tick.command.angle, tick.command.rate
     ),
 }
-"""What each node's message of a tick is to the supervisor."""
+"""Input of the supervisor for the message of each node in a tick."""

@@ -53,7 +53,7 @@ class Motion(NamedTuple):
 
     @property
     def tilt(self) -> Array:
-        """Angle of the torso from level (n,), rad."""
+        """Angle of the torso from level (n,), rad, to the second order of roll and pitch."""
         tilt: Array = np.hypot(self.track[:, ROLL], self.track[:, PITCH])
         return tilt
 

@@ -39,7 +39,7 @@ FREE_RPM = 1000.0  # of a spool whose angle is imposed
 
 @dataclass(frozen=True)
 class ModelParts:
-    """What is simulated."""
+    """Robot, scene and servo of a replay."""
 
     robot: Robot
     scene: Scene

@@ -73,7 +73,7 @@ class TrackedMarkers:
 
 @dataclass(frozen=True)
 class DetectionSettings:
-    """What counts as a pose."""
+    """Limits within which a pose from markers is accepted."""
 
     corner_noise: float = quantity(
         "smallest standard deviation of a corner that the covariance assumes", "px", 1e-3, 10

@@ -40,7 +40,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class Imperfections:
-    """What a picture of a real camera has beside the distortion."""
+    """Noise, blur and exposure of a picture."""
 
     noise: float = 2.0  # standard deviation, grey levels of 255
     blur: float = 0.6  # px, standard deviation of the lens' blur

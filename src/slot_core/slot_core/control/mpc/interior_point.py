@@ -13,6 +13,7 @@ from the optimum is bounded by |u - u*|^2 <= 2 (s'm + |r| |u - u*|) / min R.
 
 from __future__ import annotations
 
+from slot_core.compiled import exact_helper, exact_kernel
 from slot_core.control.mpc.model import FEET, INPUTS, STATES
 from slot_core.control.mpc.riccati import (
     HALF,
@@ -28,8 +29,6 @@ from slot_core.control.mpc.riccati import (
     clear,
     factorise,
     forward_pass,
-    helper,
-    kernel,
 )
 from slot_core.robot import Array
 
@@ -39,7 +38,7 @@ MARGIN_TO_BOUNDARY = 1e-6  # smallest fraction of that way that a step leaves
 RESIDUAL_FACTOR = 0.1  # largest residual, over the root of the allowed gap
 
 
-@helper
+@exact_helper
 def leg_slacks(u: Array, mu: float, top: float, out: Array) -> None:
     """Slacks of a leg: distances of its force u (3,) N from its six limits."""
     wide = mu * u[2]
@@ -48,7 +47,7 @@ def leg_slacks(u: Array, mu: float, top: float, out: Array) -> None:
     out[4], out[5] = u[2], top - u[2]
 
 
-@helper
+@exact_helper
 def add_multipliers(z: Array, mu: float, out: Array) -> None:
     """out += G'z of a leg."""
     out[0] += z[0] - z[1]
@@ -56,7 +55,7 @@ def add_multipliers(z: Array, mu: float, out: Array) -> None:
     out[2] -= mu * (z[0] + z[1] + z[2] + z[3]) + z[4] - z[5]
 
 
-@helper
+@exact_helper
 def initialise(pb: QuadraticProgram, it: Iterate) -> None:
     """Initialise: Hessians E'QE, and forces in the middle of their limits."""
     for k in range(len(pb.weight)):
@@ -74,7 +73,7 @@ def initialise(pb: QuadraticProgram, it: Iterate) -> None:
                 it.u[k, leg, 2] = 0.5 * pb.limit[k, leg]
 
 
-@helper
+@exact_helper
 def initialise_multipliers(pb: QuadraticProgram, it: Iterate) -> None:
     """Initialise the multipliers: equal products with the slacks."""
     for k in range(len(pb.weight)):
@@ -85,7 +84,7 @@ def initialise_multipliers(pb: QuadraticProgram, it: Iterate) -> None:
                     it.multiplier[k, leg, side] = INITIAL_PRODUCT / it.slack[k, leg, side]
 
 
-@helper
+@exact_helper
 def cost_bound(pb: QuadraticProgram) -> float:
     """Cost with every variable at its target, -c'c / 2P: a lower bound."""
     cost = 0.0
@@ -96,7 +95,7 @@ def cost_bound(pb: QuadraticProgram) -> float:
     return cost
 
 
-@helper
+@exact_helper
 def predict_stage(pb: QuadraticProgram, it: Iterate, k: int, w: Array) -> None:
     """States at the end of stage k; w is the change of the velocities, and is overwritten."""
     x, before = it.x[k], it.x[k - 1]
@@ -110,7 +109,7 @@ def predict_stage(pb: QuadraticProgram, it: Iterate, k: int, w: Array) -> None:
     add_product(pb.step, w, x[:HALF])
 
 
-@helper
+@exact_helper
 def roll_out(pb: QuadraticProgram, it: Iterate, fa: Factor) -> float:
     """States, slacks and gradients at the forces; returns the cost z'Pz/2 + c'z."""
     w, slope, cost = fa.vector[0][:HALF], fa.vector[1], 0.0
@@ -137,7 +136,7 @@ def roll_out(pb: QuadraticProgram, it: Iterate, fa: Factor) -> float:
     return cost
 
 
-@helper
+@exact_helper
 def gap_after(it: Iterate, step: float) -> float:
     """Gap s'm after a step of the given length."""
     gap = 0.0
@@ -150,7 +149,7 @@ def gap_after(it: Iterate, step: float) -> float:
     return gap
 
 
-@helper
+@exact_helper
 def residual(pb: QuadraticProgram, it: Iterate, fa: Factor) -> float:
     """Largest entry of dJ/du + G'm, over the constrained forces."""
     p, gradient, g, worst = fa.vector[0], fa.vector[1][:HALF], fa.vector[2], 0.0
@@ -174,7 +173,7 @@ def residual(pb: QuadraticProgram, it: Iterate, fa: Factor) -> float:
     return worst
 
 
-@helper
+@exact_helper
 def set_target(pb: QuadraticProgram, it: Iterate, product: float, second: float) -> None:
     """Right side of the Newton step for s m = product.
 
@@ -193,7 +192,7 @@ def set_target(pb: QuadraticProgram, it: Iterate, product: float, second: float)
             add_multipliers(target, pb.friction[k, leg], gradient)
 
 
-@helper
+@exact_helper
 def newton_step(pb: QuadraticProgram, it: Iterate, fa: Factor) -> float:
     """Steps of forces, slacks and multipliers; returns the largest feasible length, at most 1."""
     backward_pass(pb, it, fa)
@@ -218,7 +217,7 @@ def newton_step(pb: QuadraticProgram, it: Iterate, fa: Factor) -> float:
     return length
 
 
-@helper
+@exact_helper
 def apply_step(it: Iterate, step: float) -> None:
     """Add the step, times its length, to forces and multipliers."""
     for k in range(len(it.u)):
@@ -229,7 +228,7 @@ def apply_step(it: Iterate, step: float) -> None:
                 it.multiplier[k, leg, side] += step * it.multiplier_step[k, leg, side]
 
 
-@helper
+@exact_helper
 def count_limits(pb: QuadraticProgram) -> int:
     """Number of constraints."""
     count = 0
@@ -241,7 +240,7 @@ def count_limits(pb: QuadraticProgram) -> int:
     return count
 
 
-@kernel
+@exact_kernel
 def minimise(  # noqa: PLR0917
     pb: QuadraticProgram, it: Iterate, fa: Factor, absolute: float, relative: float, most: int
 ) -> tuple[int, bool]:

@@ -23,30 +23,17 @@ are neither reordered nor fused, so that every processor gives the same bits.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
-from slot_core import compiled
+from slot_core.compiled import exact_helper
 from slot_core.control.mpc.model import FEET, INPUTS, STATES
 from slot_core.robot import Array
-
-F = TypeVar("F", bound=Callable[..., Any])
 
 HALF = STATES // 2  # size of positions, velocities and wrench
 SIDES = 6  # limits of a leg: mu f_z -+ f_x >= 0, mu f_z -+ f_y >= 0, f_z >= 0, f_max - f_z >= 0
 NEGLIGIBLE = 1e-9  # N, or of friction: below it the force is set to zero, without constraints
-
-
-def helper(function: F) -> F:
-    """Compile a function called only by kernels; every processor gives the same bits."""
-    return compiled.helper(function, fused=False)
-
-
-def kernel(function: F) -> F:
-    """Compile a function called from Python; every processor gives the same bits."""
-    return compiled.kernel(function, fused=False)
 
 
 class QuadraticProgram(NamedTuple):
@@ -95,14 +82,14 @@ class Factor(NamedTuple):
     vector: Array  # (4, 12) work space within one stage
 
 
-@helper
+@exact_helper
 def clear(out: Array) -> None:
     """out = 0."""
     for j in range(len(out)):
         out[j] = 0.0
 
 
-@helper
+@exact_helper
 def add_transposed(matrix: Array, vector: Array, sign: float, out: Array) -> None:
     """out += sign matrix' vector."""
     for i in range(len(vector)):
@@ -111,7 +98,7 @@ def add_transposed(matrix: Array, vector: Array, sign: float, out: Array) -> Non
             out[j] += matrix[i, j] * z
 
 
-@helper
+@exact_helper
 def add_product(matrix: Array, vector: Array, out: Array) -> None:
     """out += matrix vector."""
     for i in range(len(out)):
@@ -121,7 +108,7 @@ def add_product(matrix: Array, vector: Array, out: Array) -> None:
         out[i] = z
 
 
-@helper
+@exact_helper
 def cholesky(a: Array) -> None:
     """Replace a by c with a = c c'; for a non-positive pivot the column of c is zero."""
     for k in range(HALF):
@@ -136,7 +123,7 @@ def cholesky(a: Array) -> None:
             a[k, j] = 0.0
 
 
-@helper
+@exact_helper
 def bounded(pb: QuadraticProgram, k: int, leg: int, side: int) -> bool:
     """Whether a limit is a constraint: not for a leg in the air, nor without friction."""
     if pb.limit[k, leg] <= NEGLIGIBLE:
@@ -144,7 +131,7 @@ def bounded(pb: QuadraticProgram, k: int, leg: int, side: int) -> bool:
     return side >= 4 or pb.friction[k, leg] > NEGLIGIBLE
 
 
-@helper
+@exact_helper
 def invert_leg(pb: QuadraticProgram, it: Iterate, k: int, leg: int, arrow: Array) -> None:
     """R~^-1 of a leg: T has the last column (-arrow[0], -arrow[1], 1), d is arrow[2:].
 
@@ -166,7 +153,7 @@ def invert_leg(pb: QuadraticProgram, it: Iterate, k: int, leg: int, arrow: Array
     arrow[4] = 1.0 / pivot
 
 
-@helper
+@exact_helper
 def apply_inverse(arrow: Array, g: Array, out: Array) -> None:
     """out = -R~^-1 g of a leg."""
     z = (g[2] - arrow[0] * g[0] - arrow[1] * g[1]) * arrow[4]
@@ -175,7 +162,7 @@ def apply_inverse(arrow: Array, g: Array, out: Array) -> None:
     out[2] = -z
 
 
-@helper
+@exact_helper
 def sum_legs(arrow: Array, gain: Array, scaled_gain: Array, m: Array) -> None:
     """m = W R~^-1 W' of the four legs; arrow is that of `Factor`."""
     for leg in range(FEET):
@@ -195,7 +182,7 @@ def sum_legs(arrow: Array, gain: Array, scaled_gain: Array, m: Array) -> None:
                 m[i, j] += w * scaled_gain[column, j]
 
 
-@helper
+@exact_helper
 def project(p: Array, s: Array, f: Array) -> None:
     """s = B'PB and f = B'PA."""
     for i in range(HALF):
@@ -206,7 +193,7 @@ def project(p: Array, s: Array, f: Array) -> None:
             s[i, j] = 0.5 * first + second
 
 
-@helper
+@exact_helper
 def factorise_inner(s: Array, c: Array, y: Array, t: Array) -> None:
     """t = chol(I + C'SC); y is work space."""
     for i in range(HALF):
@@ -226,7 +213,7 @@ def factorise_inner(s: Array, c: Array, y: Array, t: Array) -> None:
     cholesky(t)
 
 
-@helper
+@exact_helper
 def solve_inner(t: Array, c: Array, y: Array) -> None:
     """y = t^-1 C'."""
     for i in range(HALF):
@@ -241,7 +228,7 @@ def solve_inner(t: Array, c: Array, y: Array) -> None:
             y[i, j] *= z
 
 
-@helper
+@exact_helper
 def multiply(y: Array, f: Array, yf: Array) -> None:
     """yf = Y F."""
     for i in range(HALF):
@@ -252,7 +239,7 @@ def multiply(y: Array, f: Array, yf: Array) -> None:
                 yf[i, j] += z * f[k, j]
 
 
-@helper
+@exact_helper
 def previous_cost_to_go(p: Array, yf: Array) -> None:
     """P of the previous stage, without its Q: A'PA - (Y F)'(Y F)."""
     for i in range(HALF):
@@ -270,7 +257,7 @@ def previous_cost_to_go(p: Array, yf: Array) -> None:
                 p[2, i, j] -= w * yf[k, HALF + j]
 
 
-@helper
+@exact_helper
 def factorise(pb: QuadraticProgram, it: Iterate, fa: Factor) -> None:
     """Riccati recursion, from the last stage to the first."""
     p = fa.p
@@ -294,7 +281,7 @@ def factorise(pb: QuadraticProgram, it: Iterate, fa: Factor) -> None:
         previous_cost_to_go(p, fa.yf[k])
 
 
-@helper
+@exact_helper
 def backward_pass(pb: QuadraticProgram, it: Iterate, fa: Factor) -> None:
     """Backward pass: gradient of the cost to go, and every stage's wrench for xi = 0."""
     p, b, lead, g = fa.vector[0], fa.vector[1][:HALF], fa.vector[2][:HALF], fa.vector[3]
@@ -319,7 +306,7 @@ def backward_pass(pb: QuadraticProgram, it: Iterate, fa: Factor) -> None:
         add_transposed(fa.f[k], w, 1.0, p)
 
 
-@helper
+@exact_helper
 def forward_pass(pb: QuadraticProgram, it: Iterate, fa: Factor) -> None:
     """Forward pass: the step of the forces of every stage."""
     x, w, gradient, g = fa.vector[0], fa.vector[1][:HALF], fa.vector[2][:HALF], fa.vector[3]
