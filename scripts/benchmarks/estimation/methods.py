@@ -74,3 +74,20 @@ def add_to(estimator: StateEstimator, r: ImuReading | OdometryReading) -> None:
         estimator.add_imu(r.stamp, r.angular_velocity, r.specific_force)
     else:
         estimator.add_odometry(r.stamp, r.position, r.quaternion, r.velocity, r.angular_velocity)
+
+
+def plain_step() -> tuple[Rotation, Array]:
+    """One step of the error-state filter in NumPy and SciPy: attitude and covariance (15, 15).
+
+    The equations of `filter_kernels.propagate` with some values, to compare the time.
+    """
+    dt, rate, noise = 0.005, np.array([0.3, -0.2, 0.5]), 1e-6 * np.eye(15)
+    half = Rotation.from_rotvec(dt / 2 * rate)
+    middle = Rotation.identity() * half
+    turn, (x, y, z) = middle.as_matrix(), middle.apply([0.1, -0.3, 9.81])
+    change = np.zeros((15, 15))
+    change[0:3, 9:12] = change[6:9, 12:15] = -dt * turn
+    change[3:6, 6:9] = dt * np.eye(3)
+    change[6:9, 0:3] = -dt * np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    transition = np.eye(15) + change + change @ change / 2
+    return middle * half, transition @ (np.eye(15) + noise) @ transition.T + noise
