@@ -71,6 +71,11 @@ def graph_checks(slower):
         {"kind": "walk", "repeat": 0, "duration_s": 15.0, "mean_v_x": 0.06, "tilt_max_rad": 0.2},
         {"kind": "node", "nodes": graph.COMPOSED, "repeat": 0, "node": graph.WHOLE,
          "pss_mb": 500.0},
+        {"kind": "node", "nodes": graph.COMPOSED, "repeat": 0, "node": graph.CONTROLLER,
+         "pss_mb": 150.0},
+        {"kind": "walk", "nodes": graph.FAST, "repeat": 0, "ticks": 1000, "unanswered": 2},
+        {"kind": "figure", "nodes": graph.FAST, "repeat": "median", "node": graph.CONTROLLER,
+         "cpu_percent": 60.0 * slower},
         {"kind": "closed loop", "cpu_s_per_s": 0.08 * slower, "speed": 12.5 / slower},
         {"kind": "cycle", "cpu_ms": 1.2 * slower, "solve_cpu_ms": 0.8 * slower},
     ]  # fmt: skip

@@ -1,7 +1,7 @@
 """Start and end of the graph: no process is left, and errors are named.
 
-Processes end while the robot walks in lockstep, so that no time matters. Real time: the run that has
-to keep its pace.
+Processes end while the robot walks in lockstep, so that no time matters. Real time: the run that
+has to keep its pace.
 """
 
 import os
