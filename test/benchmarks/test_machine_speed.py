@@ -73,7 +73,6 @@ def graph_checks(slower):
          "pss_mb": 500.0},
         {"kind": "node", "nodes": graph.COMPOSED, "repeat": 0, "node": graph.CONTROLLER,
          "pss_mb": 150.0},
-        {"kind": "walk", "nodes": graph.FAST, "repeat": 0, "ticks": 1000, "unanswered": 2},
         {"kind": "figure", "nodes": graph.FAST, "repeat": "median", "node": graph.CONTROLLER,
          "cpu_percent": 60.0 * slower},
         {"kind": "closed loop", "cpu_s_per_s": 0.08 * slower, "speed": 12.5 / slower},
