@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import gc
 import math
 import os
 import sys
@@ -193,6 +194,8 @@ def compare(
         compared += 1
         for name, value in fields.items():
             then, now = _numbers(getattr(message, name)), np.ravel(value)
+            if np.array_equal(then, now):
+                continue
             distance = _distance(then, now)
             largest = max(largest, float(distance.max(initial=0.0)))
             if first is None and (distance > tolerance).any():
@@ -297,6 +300,8 @@ def _angles(recorded: _Recorded) -> dict[int, Fields]:
 
 def _numbers(value: Any) -> np.ndarray:
     """A message's field as a flat array: numbers, arrays, vectors and arrays of vectors."""
+    if isinstance(value, np.ndarray) and value.dtype != object:
+        return value.astype(float).ravel()
     if hasattr(value, "x"):
         return decode.vector(value)
     values = list(value) if isinstance(value, (Sequence, np.ndarray)) else [value]
@@ -312,8 +317,6 @@ def _distance(recorded: np.ndarray, replayed: np.ndarray) -> np.ndarray:
     """
     if recorded.shape != replayed.shape:
         return np.full(max(len(recorded), 1), math.inf)
-    if (recorded == replayed).all():
-        return np.zeros(recorded.shape)
     same = (recorded == replayed) | (np.isnan(recorded) & np.isnan(replayed))
     finite = np.isfinite(recorded) & np.isfinite(replayed)
     distance = np.where(same, 0.0, math.inf)
@@ -391,4 +394,5 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
+    gc.disable()  # all messages are kept to the end: collections would take a tenth of the time
     sys.exit(main())
