@@ -68,7 +68,10 @@ def servo_checks(slower):
 
 def graph_checks(slower):
     rows = [
-        {"kind": "walk", "repeat": 0, "duration_s": 15.0, "mean_v_x": 0.06, "tilt_max_rad": 0.2},
+        {"kind": "walk", "repeat": 0, "duration_s": 15.0, "mean_v_x": 0.06, "tilt_max_rad": 0.2,
+         "replay_differences": 0},
+        {"kind": "walk", "nodes": graph.SEPARATE, "repeat": "median",
+         "replay_cpu_s_per_s": 0.09 * slower},
         {"kind": "node", "nodes": graph.COMPOSED, "repeat": 0, "node": graph.WHOLE,
          "pss_mb": 500.0},
         {"kind": "node", "nodes": graph.COMPOSED, "repeat": 0, "node": graph.CONTROLLER,

@@ -54,6 +54,7 @@ LEAST_SPEED, LARGEST_TILT = 0.05, 0.5  # m/s; rad, where a supervisor would stop
 LATENCY_RATIO, CPU_RATIO, LEAST_SPEEDUP = 0.8, 0.8, 1.5
 # CPU of the controller with odometry at 100 Hz over that at 30 Hz: 3.3 if a tick takes as long.
 FAST_CPU_RATIO = 3.4
+REPLAY_RATIO = 2.0  # CPU of a replay, without start-up, over that of controller and plant
 LARGEST_CYCLE = 3.0  # CPU of a cycle of the MPC's node, messages included, over its solution alone
 
 
@@ -192,6 +193,8 @@ def walk_rows(mode: str, repeat: int, one: Walk) -> list[Row]:
             "tilt_max_rad": m.tilt_max,
             "fallback_cycles": m.fallback_cycles,
             "waiting_for_a_core_percent": one.waited,  # how loaded the machine was
+            "replay_cpu_s_per_s": one.replay_cpu,
+            "replay_differences": one.replay_differences,
         },
         *({"kind": "latency", **which, "stage": s} | in_ms(v) for s, v in stages.items()),
         *(
@@ -244,6 +247,7 @@ def checks(rows: Sequence[Row], plan: Plan) -> list[Check]:
     controller = median("cpu_percent", COMPOSED, node=CONTROLLER)
     age = {mode: median("p50_ms", mode, stage=END_TO_END) for mode in (SEPARATE, COMPOSED)}
     [cycle] = (row for row in rows if row["kind"] == "cycle")
+    [loop] = column("cpu_s_per_s", kind="closed loop")
     separate, composed = column("speed", kind="lockstep")
     return [
         at_least("shortest walk", min(over_repeats("duration_s")), plan.duration, "s"),
@@ -273,6 +277,12 @@ def checks(rows: Sequence[Row], plan: Plan) -> list[Check]:
         ),
         at_most("composed over separate: CPU of the controller", controller / stages, CPU_RATIO),
         at_least("composed over separate: lockstep speed", composed / separate, LEAST_SPEEDUP),
+        at_most(
+            "CPU of a replay over that of controller and plant",
+            median("replay_cpu_s_per_s", SEPARATE, kind="walk") / loop,
+            REPLAY_RATIO,
+        ),
+        at_most("stages that a replay changes", max(over_repeats("replay_differences")), 0),
         at_most(
             "100 Hz over 30 Hz: CPU of the controller",
             median("cpu_percent", FAST, node=CONTROLLER) / controller,

@@ -1,6 +1,7 @@
 """One run of the graph, as processes, with its bag: metrics, ticks, CPU and memory."""
 
 import tempfile
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from slot_bringup.monitor import RunError, watch
 from slot_bringup.run import started
 from slot_core.bags.bag import Bag, BagError
 from slot_core.bags.record_settings import read_record_settings
+from slot_core.bags.replay import TOLERANCE, replay
 from slot_core.bags.walk import Ticks, read_motion, read_ticks
 from slot_core.dynamics.servo import read_servo
 from slot_core.report.metrics import WalkMetrics, walk_metrics
@@ -33,6 +35,8 @@ class Walk:
     cpu: Array  # (nodes,) percent of one core
     waited: float  # % of the time in which any program on the machine waited for a core
     usage: Usage
+    replay_cpu: float  # s of CPU to replay a second of the bag
+    replay_differences: int  # stages that are not replayed within `TOLERANCE`
 
 
 def measure_walk(graph: Graph, values: Mapping[str, Any], duration: float) -> Walk:
@@ -45,11 +49,15 @@ def measure_walk(graph: Graph, values: Mapping[str, Any], duration: float) -> Wa
             bag = Bag(directory)
             metrics = walk_metrics(bag, warm_up, read_servo().tendon_stall)
             ticks = read_ticks(bag).after(read_motion(bag).t[0] + warm_up)
+            start = time.process_time()
+            replayed = replay(bag, TOLERANCE)
+            replay_cpu = (time.process_time() - start) / (1e-9 * bag.duration_ns)
         except (RunError, BagError, psutil.Error) as error:
             raise BenchmarkError(f"the graph failed: {error}") from error
         begin, end = bag.end_ns / 1e9 - ticks.end + ticks.time[[0, -1], 0]
     *cpu, waiting = usage.percent(begin, end)
-    return Walk(metrics, ticks, np.array(cpu), waiting, usage)
+    differences = sum(stage.first is not None for stage in replayed)
+    return Walk(metrics, ticks, np.array(cpu), waiting, usage, replay_cpu, differences)
 
 
 def record(graph: Graph, values: Mapping[str, Any], duration: float) -> Usage:
