@@ -155,6 +155,19 @@ def test_readings_that_the_node_refuses_are_left_out(tmp_path):
     assert states.first is None
 
 
+@pytest.mark.parametrize("delay", [-12_000_000, 12_000_000])
+def test_the_order_in_which_odometry_and_imu_were_recorded_changes_nothing(tmp_path, delay):
+    """The recorder receives odometry 12 ms before or after the estimator did."""
+    source, path = Bag(WALK), tmp_path / "bag"
+    with BagWriter(path, read_record_settings()) as bag:
+        for topic, time, data in source.raw("/odom", "/imu", "/mpc_state"):
+            late = delay if topic == "/odom" else 0
+            bag.write(topic, source.topics[topic], time + late, data)
+    (states, *_) = replay.replay(Bag(path), replay.TOLERANCE)
+    assert states.compared == Bag(WALK).counts["/mpc_state"]
+    assert states.first is None
+
+
 def test_a_bag_without_any_stage_is_refused(tmp_path, capsys):
     assert replay.main([str(partly(tmp_path / "bag", ["/odom", "/imu"]))]) == 2
     assert "holds no stage together with its input" in capsys.readouterr().err

@@ -15,7 +15,7 @@ import gc
 import math
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -29,6 +29,7 @@ from slot_core import config
 from slot_core.bags import decode
 from slot_core.bags.bag import Bag, BagError
 from slot_core.bags.origin import FILES
+from slot_core.clock import SECOND
 from slot_core.control.controller import command_for
 from slot_core.control.force_map import make_force_map, read_force_map, read_springs
 from slot_core.control.gait import GaitPreview, read_gaits
@@ -36,7 +37,7 @@ from slot_core.control.gait_scheduler import GaitScheduler
 from slot_core.control.mpc.mpc import Mpc, MpcResult, read_mpc
 from slot_core.control.path import KEPT, read_path
 from slot_core.control.path import Path as FollowedPath
-from slot_core.control.state_estimator import Estimate, StateEstimator, read_estimator
+from slot_core.control.state_estimator import Estimate, StateEstimator, Validity, read_estimator
 from slot_core.robot import Array, read_robot
 
 ODOMETRY = "/odom"
@@ -212,9 +213,11 @@ def _estimates(recorded: _Recorded) -> dict[int, Fields]:
 
     Readings that the node refuses are left out.
     """
-    estimator = StateEstimator(read_estimator())
+    settings = read_estimator()
+    estimator = StateEstimator(settings)
+    delay = round(settings.timing.command_delay * SECOND)
     fields = {}
-    for topic, message in recorded.sensors:
+    for topic, message in _as_they_arrived(recorded, delay):
         with suppress(ValueError):
             if topic == ODOMETRY:
                 estimator.add_odometry(*decode.torso_odometry(message))
@@ -223,6 +226,31 @@ def _estimates(recorded: _Recorded) -> dict[int, Fields]:
         while (estimate := estimator.poll()) is not None:
             fields[estimate.stamp] = _state_fields(estimate)
     return fields
+
+
+def _as_they_arrived(recorded: _Recorded, delay: int) -> Iterator[tuple[str, Any]]:
+    """Sensor readings in the order in which the estimator got them, as (topic, message).
+
+    The recorder may have received odometry and IMU in another order. A recorded state tells the
+    newest IMU sample it was predicted with, at header.stamp + lead - `delay` (ns), and its odometry
+    follows that sample. Other readings keep their order.
+    """
+    imu = {decode.stamp(message) for topic, message in recorded.sensors if topic != ODOMETRY}
+    place: dict[int, int] = {}  # stamp of the odometry: that of the IMU sample before it
+    for stamp, _, validity, lead in recorded.states.values():
+        if validity != Validity.ODOMETRY_LOST and stamp + lead - delay in imu:
+            place[stamp] = stamp + lead - delay
+    after: dict[int, list[Any]] = {}
+    for topic, message in recorded.sensors:
+        if topic == ODOMETRY and decode.stamp(message) in place:
+            after.setdefault(place[decode.stamp(message)], []).append(message)
+    for topic, message in recorded.sensors:
+        stamp = decode.stamp(message)
+        if topic != ODOMETRY:
+            yield topic, message
+            yield from ((ODOMETRY, late) for late in after.pop(stamp, ()))
+        elif stamp not in place:
+            yield topic, message
 
 
 def _state_fields(estimate: Estimate) -> Fields:
