@@ -232,13 +232,17 @@ class _File:
         self._writer.flush()
 
     def finish(self, information: str) -> None:
-        """Write the rest, the information that rosbag2 keeps in a file, and the index."""
+        """Write the rest, the information that rosbag2 keeps in a file, and the index.
+
+        The writer is dropped, as it holds the index: 2 kB of each chunk.
+        """
         try:
             self._writer.flush()
             self._writer.add_metadata("rosbag2", {"serialized_metadata": information})
             self._writer.finish()
         finally:
             self._stream.close()
+            del self._writer
 
     def information(self) -> dict[str, Any]:
         """Entry of metadata.yaml."""
