@@ -168,6 +168,24 @@ def test_the_order_in_which_odometry_and_imu_were_recorded_changes_nothing(tmp_p
     assert states.first is None
 
 
+def test_odometry_before_the_estimator_listened_changes_nothing(tmp_path):
+    """The recorder was connected to the robot 0.5 s before the estimator was."""
+    source, path, early = Bag(WALK), tmp_path / "bag", 500_000_000
+    with BagWriter(path, read_record_settings()) as bag:
+        for topic, time, message in source.merged("/odom", "/imu"):
+            stamp = message.header.stamp
+            at = stamp.sec * 10**9 + stamp.nanosec - early
+            if at < 10**9:  # the walk's first stamp is 1 s
+                stamp.sec, stamp.nanosec = divmod(at, 10**9)
+                kind = source.topics[topic]
+                bag.write(topic, kind, time - early, bytes(TYPES.serialize_cdr(message, kind)))
+        for topic, time, data in source.raw("/odom", "/imu", "/mpc_state"):
+            bag.write(topic, source.topics[topic], time, data)
+    (states, *_) = replay.replay(Bag(path), replay.TOLERANCE)
+    assert states.compared == source.counts["/mpc_state"]
+    assert states.first is None
+
+
 def test_a_bag_without_any_stage_is_refused(tmp_path, capsys):
     assert replay.main([str(partly(tmp_path / "bag", ["/odom", "/imu"]))]) == 2
     assert "holds no stage together with its input" in capsys.readouterr().err

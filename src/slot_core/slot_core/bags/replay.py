@@ -37,7 +37,13 @@ from slot_core.control.gait_scheduler import GaitScheduler
 from slot_core.control.mpc.mpc import Mpc, MpcResult, read_mpc
 from slot_core.control.path import KEPT, read_path
 from slot_core.control.path import Path as FollowedPath
-from slot_core.control.state_estimator import Estimate, StateEstimator, Validity, read_estimator
+from slot_core.control.state_estimator import (
+    NEVER,
+    Estimate,
+    StateEstimator,
+    Validity,
+    read_estimator,
+)
 from slot_core.robot import Array, read_robot
 
 ODOMETRY = "/odom"
@@ -233,8 +239,11 @@ def _as_they_arrived(recorded: _Recorded, delay: int) -> Iterator[tuple[str, Any
 
     The recorder may have received odometry and IMU in another order. A recorded state tells the
     newest IMU sample it was predicted with, at header.stamp + lead - `delay` (ns), and its odometry
-    follows that sample. Other readings keep their order.
+    follows that sample. Other readings keep their order. Odometry before that of a first state
+    that is initialising is left out: the estimator did not listen yet.
     """
+    first = next(iter(recorded.states.values()), None)
+    begin = first[0] if first is not None and first[2] == Validity.INITIALISING else NEVER
     imu = {decode.stamp(message) for topic, message in recorded.sensors if topic != ODOMETRY}
     place: dict[int, int] = {}  # stamp of the odometry: that of the IMU sample before it
     for stamp, _, validity, lead in recorded.states.values():
@@ -249,7 +258,7 @@ def _as_they_arrived(recorded: _Recorded, delay: int) -> Iterator[tuple[str, Any
         if topic != ODOMETRY:
             yield topic, message
             yield from ((ODOMETRY, late) for late in after.pop(stamp, ()))
-        elif stamp not in place:
+        elif stamp not in place and stamp >= begin:
             yield topic, message
 
 
