@@ -12,8 +12,9 @@ It may have command line options: a function
 adds them, each with a default, and `run` takes their values as keyword arguments.
 
 A row is a mapping of names to plain values; other files, such as pictures, go to `out`. A check
-that does not hold is a result, so it does not change the exit code. No check is on a time, which is
-the processor's as much as the code's: it is on the ratio to a peer measured in the same run.
+that does not hold is a result, so it does not change the exit code. A time is the processor's as
+much as the code's, so its check is on the ratio to a peer measured in the same run; the goals of
+the graph and the servos, which are times, are checks beside that.
 
 The parts of a benchmark are the files beside it, imported as `benchmarks.NAME.PART`. Packages that
 only benchmarks need are named in `REQUIRES`, one line at the top level of the module;

@@ -7,9 +7,12 @@ wire, which is 0.34 ms for four goals at 1 Mbaud.
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, cast
 
@@ -18,7 +21,7 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 from nav_msgs.msg import Odometry
 
-from benchmarks.harness import BenchmarkError
+from benchmarks.harness import BenchmarkError, Check, Row, at_most
 from slot_bringup.graph import read_graph
 from slot_bringup.monitor import START_TIMEOUT, listener
 from slot_bringup.run import started
@@ -28,20 +31,23 @@ from slot_core.report.palette import INK, SECONDARY, STAGE_COLOURS
 from slot_msgs.msg import ServoHealth
 from slot_nodes import qos
 
-# ms, by the share of commands that are older: goals for the robot; no check on another processor
-GOALS = {0.5: 3.5, 0.01: 6.0}
+SEPARATE, COMPOSED = "separate", "composed"
+BUSY = "composed, one core kept busy"
+GOALS = {0.5: 3.5, 0.01: 6.0}  # ms, composed, by the share of commands that are older
+BUSY_GOAL = 10.0  # ms, of which 1 % may be older with one core kept busy
+AGE_RATIO = 0.7  # of the median age of a command, composed over separate nodes
 
 Ages = npt.NDArray[np.float64]
 
 
-def walk(duration: float, composed: bool) -> Ages:
+def walk(duration: float, nodes: str) -> Ages:
     """Ages (s) of every command of a walk, the warm-up left out; raises BenchmarkError.
 
-    composed: controller and driver in one process, else every node in its own.
+    nodes: `SEPARATE`, or `COMPOSED` or `BUSY` for controller and driver in one process.
     """
     graph, warm_up = read_graph(), read_record_settings().warm_up
     values = {argument.name: argument.default for argument in graph.arguments}
-    values |= {"hardware": "fake_bus", "composed": composed}
+    values |= {"hardware": "fake_bus", "composed": nodes != SEPARATE}
     published: dict[int, int] = {}  # ns, by the odometry's stamp
     written: dict[int, int] = {}
 
@@ -53,6 +59,7 @@ def walk(duration: float, composed: bool) -> Ages:
 
     with (
         tempfile.TemporaryDirectory() as logs,
+        busy_core() if nodes == BUSY else nullcontext(),
         started(graph, values, Path(logs)) as processes,
         listener("age") as (node, executor),
     ):
@@ -69,14 +76,24 @@ def walk(duration: float, composed: bool) -> Ages:
     return np.array(aged)
 
 
+@contextmanager
+def busy_core() -> Iterator[None]:
+    """Keep one core busy while the block runs."""
+    with subprocess.Popen([sys.executable, "-c", "while True: pass"]) as process:
+        try:
+            yield
+        finally:
+            process.kill()
+
+
 def span(written: Mapping[int, int]) -> float:
     """Time from the first command to the last, s; a zero stamp means: no command."""
     stamps = list(filter(None, written))
     return 1e-9 * (max(stamps) - min(stamps)) if stamps else 0.0
 
 
-def row(found: Ages, nodes: str) -> dict[str, Any]:
-    """Percentiles of the ages with separate or composed nodes."""
+def row(found: Ages, nodes: str) -> Row:
+    """Percentiles of the ages of a walk."""
     p50, p90, p99 = 1e3 * np.percentile(found, [50, 90, 99])
     return {
         "kind": "age",
@@ -89,13 +106,27 @@ def row(found: Ages, nodes: str) -> dict[str, Any]:
     }
 
 
+def checks(rows: Sequence[Row]) -> list[Check]:
+    """That one process makes the commands younger, and the goals, which are the machine's too."""
+    by_nodes = {row["nodes"]: row for row in rows}
+    composed, busy = by_nodes[COMPOSED], by_nodes[BUSY]
+    ratio = composed["p50_ms"] / by_nodes[SEPARATE]["p50_ms"]
+    median, oldest = GOALS.values()
+    return [
+        at_most("median age of a command, composed over separate", ratio, AGE_RATIO),
+        at_most("age of a command, composed, median", composed["p50_ms"], median, "ms"),
+        at_most("age of a command, composed, p99", composed["p99_ms"], oldest, "ms"),
+        at_most(f"age of a command, {BUSY}, p99", busy["p99_ms"], BUSY_GOAL, "ms"),
+    ]
+
+
 def draw(ages: Mapping[str, Ages], path: Path) -> None:
-    """Write the picture: share of the commands older than an age, separate and composed nodes."""
+    """Write the picture: share of the commands older than an age, by the nodes of the walk."""
     figure = Figure(figsize=(6.0, 3.4), layout="constrained")
     axes = figure.subplots()
-    for (nodes, found), colour in zip(ages.items(), (INK, STAGE_COLOURS[0])):
+    for (nodes, found), colour in zip(ages.items(), (INK, *STAGE_COLOURS[:2]), strict=True):
         older = 1.0 - np.arange(len(found)) / len(found)
-        axes.step(1e3 * np.sort(found), older, color=colour, label=f"{nodes} nodes")
+        axes.step(1e3 * np.sort(found), older, color=colour, label=nodes)
     axes.plot(GOALS.values(), GOALS.keys(), "x", color=SECONDARY, label="goals, composed")
     axes.set(
         xlabel="from odometry published to goals written, ms",
