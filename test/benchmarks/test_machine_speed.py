@@ -1,4 +1,4 @@
-"""No check of a benchmark depends on the speed of the machine."""
+"""No check of a benchmark depends on the speed of the machine, but for the goals named as such."""
 
 import itertools
 

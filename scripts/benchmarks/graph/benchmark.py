@@ -126,7 +126,7 @@ def run(
     if duration > 0.0:
         progress(f"long walk in lockstep, {duration:g} s")
         rows += long_walk(graph, values | {"composed": True}, duration)
-    return rows, [*checks(rows, plan), *endurance_checks(rows)]
+    return rows, [*checks(rows, plan), *goal_checks(rows), *endurance_checks(rows)]
 
 
 def cycle_row(ticks: int) -> dict[str, Any]:
@@ -250,12 +250,10 @@ def checks(rows: Sequence[Row], plan: Plan) -> list[Check]:
 
     stages = sum(median("cpu_percent", SEPARATE, node=node) for node in STAGES)
     controller = median("cpu_percent", COMPOSED, node=CONTROLLER)
-    recorder = median("cpu_percent", SEPARATE, node=RECORDER)
     age = {mode: median("p50_ms", mode, stage=END_TO_END) for mode in (SEPARATE, COMPOSED)}
     [cycle] = (row for row in rows if row["kind"] == "cycle")
     [loop] = column("cpu_s_per_s", kind="closed loop")
     separate, composed = column("speed", kind="lockstep")
-    replay_cpu = median("replay_cpu_s_per_s", SEPARATE, kind="walk")
     return [
         at_least("shortest walk", min(over_repeats("duration_s")), plan.duration, "s"),
         at_least("least mean v_x", min(over_repeats("mean_v_x")), LEAST_SPEED, "m/s"),
@@ -286,7 +284,7 @@ def checks(rows: Sequence[Row], plan: Plan) -> list[Check]:
         at_least("composed over separate: lockstep speed", composed / separate, LEAST_SPEEDUP),
         at_most(
             "CPU of a replay over that of controller and plant",
-            replay_cpu / loop,
+            median("replay_cpu_s_per_s", SEPARATE, kind="walk") / loop,
             REPLAY_RATIO,
         ),
         at_most("stages that a replay changes", max(over_repeats("replay_differences")), 0),
@@ -295,9 +293,23 @@ def checks(rows: Sequence[Row], plan: Plan) -> list[Check]:
             median("cpu_percent", FAST, node=CONTROLLER) / controller,
             FAST_CPU_RATIO,
         ),
+    ]
+
+
+def goal_checks(rows: Sequence[Row]) -> list[Check]:
+    """The goals for the robot, which depend on the speed of the machine."""
+
+    def largest(name: str, **which: Any) -> float:
+        return max(r[name] for r in rows if which.items() <= r.items() and name in r)
+
+    controller = largest("cpu_percent", nodes=COMPOSED, node=CONTROLLER, repeat="median")
+    recorder = largest("cpu_percent", nodes=SEPARATE, node=RECORDER, repeat="median")
+    speed = largest("speed", kind="lockstep", nodes=COMPOSED)
+    replay_cpu = largest("replay_cpu_s_per_s", nodes=SEPARATE, repeat="median")
+    return [
         at_most("CPU of the controller, composed", controller, CONTROLLER_CPU, "%"),
         at_most("CPU of the recorder", recorder, RECORDER_CPU, "%"),
-        at_most("100 Hz: ticks without a command", max(over_repeats("unanswered", nodes=FAST)), 0),
-        at_least("lockstep speed, composed", composed, LOCKSTEP_SPEED, "times real time"),
+        at_most("100 Hz: ticks without a command", largest("unanswered", nodes=FAST), 0),
+        at_least("lockstep speed, composed", speed, LOCKSTEP_SPEED, "times real time"),
         at_most("CPU of a replay of 60 s", REPLAYED * replay_cpu, REPLAY_CPU, "s"),
     ]
