@@ -3,23 +3,20 @@
 usage: late_kernels.py warm_up | robot | servos SCENE
     warm_up   those that the walk or its start call after scripts/setup has compiled the kernels
     robot     those that the walk calls after its start
-    servos    the same with emulated servos
+    servos    the same with the supervisor and emulated servos
 """
 
 import sys
 from collections import deque
-from functools import partial
 
 from numba.core.dispatcher import Dispatcher
 
-from slot_core.dynamixel.settings import read_settings
-from slot_core.emulator.emulated_bus import read_emulator
 from slot_core.simulation import warm_up
 from slot_core.simulation.closed_loop import ClosedLoop
-from slot_core.simulation.driven_plant import DrivenPlant
-from slot_core.simulation.plant import Plant
+from slot_core.simulation.supervised_loop import SupervisedLoop
 
 TICKS = 12  # a third of a stride; every stage of the controller answers in each tick
+SECONDS = 1.0  # the robot walks since 0.34 s
 
 
 def loaded():
@@ -30,14 +27,16 @@ def loaded():
 
 
 def main(what, scene):
-    servos = partial(DrivenPlant, settings=read_settings(), emulator=read_emulator(), period=0.01)
     if what == "warm_up":
         warm_up.main()
         before = loaded()
-    loop = ClosedLoop(scene, "walk", None, 0, make=servos if what == "servos" else Plant)
+    if what == "servos":
+        walk = SupervisedLoop(scene, "walk", None, 0, hardware="fake_bus").run(SECONDS)
+    else:
+        walk = ClosedLoop(scene, "walk", None, 0).run(TICKS)
     if what != "warm_up":
         before = loaded()
-    deque(loop.run(TICKS), maxlen=0)
+    deque(walk, maxlen=0)
     assert before
     for name, types in sorted(loaded() - before, key=str):
         print(f"{name}{types}"[:300])

@@ -47,10 +47,7 @@ CAPTIONS = {
         "failures.png": "failed samples",
     },
     "graph": {"graph.png": "latency, CPU time and memory of the nodes"},
-    "servo": {
-        "servo_step.png": "a step of an emulated servo",
-        "servo_twins.png": "the walk over driver and bus, and without",
-    },
+    "servo": {"servo_step.png": "a step of an emulated servo"},
 }
 """Pictures of the benchmarks with their captions, in the order of the report."""
 

@@ -17,7 +17,6 @@ import numpy as np
 
 from benchmarks.harness import Check, Row, at_most, cpu_ratio, cpu_time
 from benchmarks.robot.hard_rows import hard_rows
-from benchmarks.robot.modal_rows import dynamics_rows, modal_rows
 from benchmarks.robot.picture import draw
 from benchmarks.rod.release import DAMPED
 from slot_core import config
@@ -57,9 +56,6 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
     rows += [level_row(robot, name, exact, repeats) for name in LEVELS]
     progress("energy and momentum in flight")
     rows += flight_rows(robot, quick)
-    progress("leg in modes")
-    rows += [{"kind": "modal"} | dict(row) for row in modal_rows(repeats)]
-    rows += [{"kind": "modal dynamics"} | dict(row) for row in dynamics_rows(repeats)]
     if not quick:
         progress("hard cases")
         rows += [{"kind": "hard case"} | row for row in hard_rows()]
@@ -200,8 +196,4 @@ def checks(rows: list[dict[str, Any]]) -> list[Check]:
         out.append(at_most(f"violated of {len(hard)} hard cases", hard.count(False), 0))
     flights = [row["momentum"] for row in rows if row["kind"] == "flight"]
     out.append(at_most("relative drift of linear momentum in flight", max(flights), 1e-10))
-    modal = [
-        r for r in rows if r["kind"] == "modal" and r["unknowns"] == 12 and r["contact"] == "tip"
-    ]
-    out += [at_most("leg in 12 modes, on its tip", row["error_mm"], 0.02, "mm") for row in modal]
     return out

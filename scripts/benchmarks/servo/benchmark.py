@@ -1,11 +1,11 @@
-"""The servo bus: rate, CPU share, step responses of both control loops, the walk, protocol fuzz.
+"""The servo bus: rate, CPU share, step responses of both control loops, age of a command, fuzz.
 
 The servos are emulated behind a pseudo-terminal in a separate process, with the transmission time
 of the bytes at 1 Mbaud. The CPU time is that of the driver alone; the rate is that of the median
-cycle, because other processes share the machine. Step responses run in the emulated servos' time,
-the walks in the simulator's. Fuzz: `corruption` counts packets that were accepted although the
-SDK's CRC does not match; `collisions` counts packets other than the one sent whose CRC matches by
-chance (one random packet in 65536), which no receiver can detect.
+cycle, because other processes share the machine. Step responses run in the emulated servos' time.
+Fuzz: `corruption` counts packets that were accepted although the SDK's CRC does not match;
+`collisions` counts packets other than the one sent whose CRC matches by chance (one random packet
+in 65536), which no receiver can detect.
 """
 
 from __future__ import annotations
@@ -27,10 +27,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import Check, Row, at_least, at_most
-from benchmarks.servo import age, twin_rows
+from benchmarks.servo import age
 from benchmarks.servo.fuzz import Tally, fuzz_driver, fuzz_emulator, fuzz_instructions
 from benchmarks.servo.picture import draw
-from benchmarks.servo.twins import BUS_PERIOD
 from slot_core import config
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.port import SerialPort
@@ -39,6 +38,7 @@ from slot_core.emulator.emulated_bus import read_emulator
 from slot_core.emulator.pseudo_terminal import PseudoTerminal
 from slot_core.robot import LEGS
 from slot_core.simulation.bus_legs import EmulatedLegs
+from slot_core.simulation.plant import CYCLE
 
 STEP = (0.5, 1.5)  # rad
 LOADS = (0.0, 0.3)  # N m on the tendon's angle
@@ -46,7 +46,7 @@ SEED = 7
 
 
 def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[Row], list[Check]]:
-    """Run all parts; pictures: servo_step.png, servo_twins.png and servo_age.png in `out`."""
+    """Run all parts; pictures: servo_step.png and servo_age.png in `out`."""
     progress("bus cycles")
     cycles = list(cycle_rows(200 if quick else 2000))
     progress("CPU share at 100 Hz")
@@ -54,10 +54,6 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
     progress("step responses")
     steps = [step_row(control, load) for control in ("position", "pwm") for load in LOADS]
     draw(steps, out / "servo_step.png")
-    progress("walks with the bus and without")
-    paths = twin_rows.walks()
-    twin = list(twin_rows.rows(paths))
-    twin_rows.draw(paths, out / "servo_twins.png")
     ages = {}
     for nodes in (age.SEPARATE, age.COMPOSED, age.BUSY):
         progress(f"age of a command, in real time, nodes {nodes}")
@@ -67,8 +63,8 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
     progress("fuzz")
     fuzz = list(fuzz_rows(20000 if quick else 1000000))
     shown = [{k: v for k, v in row.items() if k != "trace"} for row in steps]
-    results = [*checks(cycles, fuzz), *age.checks(aged), *twin_rows.checks(twin)]
-    return [*cycles, share, *shown, *aged, *twin, *fuzz], results
+    results = [*checks(cycles, fuzz), *age.checks(aged)]
+    return [*cycles, share, *shown, *aged, *fuzz], results
 
 
 def checks(cycles: list[Row], fuzz: list[Row]) -> list[Check]:
@@ -111,10 +107,10 @@ def share_row(duration: float) -> Row:
     with emulated({}, 0.0) as driver:
         driver.activate()
         begin, used, late = time.monotonic(), _cpu(), 0
-        for number in range(round(duration / BUS_PERIOD)):
+        for number in range(round(duration / CYCLE)):
             driver.command([1.0 + 0.3 * math.sin(0.05 * number)] * 4)
             driver.cycle()
-            left = begin + (number + 1) * BUS_PERIOD - time.monotonic()
+            left = begin + (number + 1) * CYCLE - time.monotonic()
             late += left < 0
             time.sleep(max(left, 0.0))
         share = (_cpu() - used) / (time.monotonic() - begin)
@@ -135,11 +131,11 @@ def step_row(control: str, load: float) -> dict[str, Any]:
         trace = []
         for goal, time_span in ((STEP[0], 1.5), (STEP[1], 1.5)):
             trace = []
-            for _ in range(round(time_span / BUS_PERIOD)):
+            for _ in range(round(time_span / CYCLE)):
                 driver.command([goal] * 4)
                 trace.append(driver.cycle().readings[0].angle)  # type: ignore[union-attr]
-                legs.advance(BUS_PERIOD, (load,) * 4)
-                clock[0] += BUS_PERIOD
+                legs.advance(CYCLE, (load,) * 4)
+                clock[0] += CYCLE
         driver.torque_off()
         driver.close()
     return {"kind": "step", "control": control, "load": load, "trace": trace} | measures(trace)
@@ -148,7 +144,7 @@ def step_row(control: str, load: float) -> dict[str, Any]:
 def measures(trace: list[float]) -> dict[str, float]:
     """Rise time (10 to 90 %), overshoot and steady-state error of a response to STEP."""
     share = (np.array(trace) - trace[0]) / (STEP[1] - trace[0])
-    rise = BUS_PERIOD * (int(np.argmax(share > 0.9)) - int(np.argmax(share > 0.1)))
+    rise = CYCLE * (int(np.argmax(share > 0.9)) - int(np.argmax(share > 0.1)))
     return {
         "rise_ms": 1e3 * rise,
         "overshoot_deg": math.degrees(max(max(trace) - STEP[1], 0.0)),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.servo.twins import BUS_PERIOD
+from slot_core.simulation.plant import CYCLE
 
 STYLES = {"position": ("C0", "servo's own loop"), "pwm": ("C1", "loop on the host, PWM mode")}
 
@@ -20,7 +20,7 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
     axes = figure.add_subplot()
     for row in rows:
         colour, name = STYLES[row["control"]]
-        times = 1e3 * BUS_PERIOD * np.arange(len(row["trace"]))
+        times = 1e3 * CYCLE * np.arange(len(row["trace"]))
         style = "--" if row["load"] else "-"
         label = f"{name}, {row['load']:g} N m"
         axes.plot(times, row["trace"], style, color=colour, label=label, linewidth=1.2)

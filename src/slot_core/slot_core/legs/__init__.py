@@ -1,1 +1,1 @@
-"""Statics of one leg: force map over tendon angle and height, leg with friction, modal model."""
+"""Statics of one leg: force map over tendon angle and height, leg with friction."""

@@ -64,7 +64,7 @@ class LegMapSettings:
 
 
 class NoEquilibriumError(RuntimeError):
-    """No equilibrium was found; the message gives tendon angle and height or load."""
+    """No equilibrium was found; the message gives tendon angle and height."""
 
 
 class LegEquilibrium(NamedTuple):
@@ -79,8 +79,8 @@ class LegEquilibrium(NamedTuple):
     # Outward shift of the material on the floor, averaged by pressure, with angle (m/rad) and
     # height (m/m); zero without contact. Where a leg rolls, the material shifts less than the
     # contact.
-    foot_slope: float = math.nan
-    foot_rise: float = math.nan
+    foot_slope: float
+    foot_rise: float
 
 
 class StaticLeg:

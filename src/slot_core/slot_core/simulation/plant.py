@@ -191,12 +191,6 @@ class Plant:
         self._rate, self._commanded_at = rate, self.now
         self._next_cycle = self.now + round(CYCLE * 1e9)
 
-    def commanded(self) -> Array:
-        """Commanded tendon angles (4,), rad, now."""
-        age = (self.now - self._commanded_at) / SECOND
-        angle = gone_on(self._command, self._rate, age)
-        return np.clip(angle, 0.0, self.simulator.robot.tendon.angle_max)
-
     def advance(self, until: int) -> Iterator[Reading]:
         """Advance to `until` (ns) and yield each reading when it is due."""
         while self._events[0].due <= until:
@@ -243,11 +237,17 @@ class Plant:
         """Advance in whole time steps; the periods of `config/scene` are multiples of the step."""
         while (steps := (until - self.now) // self._step) > 0:
             if self.now >= self._next_cycle:
-                self._goal, self._next_cycle = self.commanded(), self.now + round(CYCLE * 1e9)
+                self._goal, self._next_cycle = self._commanded(), self.now + round(CYCLE * 1e9)
             steps = min(steps, -((self.now - self._next_cycle) // self._step))
             if not self.held:
                 self._advance_robot(steps)
             self.now += steps * self._step
+
+    def _commanded(self) -> Array:
+        """Commanded tendon angles (4,), rad, now."""
+        age = (self.now - self._commanded_at) / SECOND
+        angle = gone_on(self._command, self._rate, age)
+        return np.clip(angle, 0.0, self.simulator.robot.tendon.angle_max)
 
     def _advance_robot(self, steps: int) -> None:
         self.simulator.advance(steps, self._goal)
