@@ -19,12 +19,13 @@ from slot_core.dynamics.lanes import all_lanes, any_lane, in_lanes, largest, lik
 from slot_core.dynamics.model import (
     build_model,
     build_scheme,
+    contact_points,
     leg_lanes,
     rest_state,
     state_space,
     work_space,
 )
-from slot_core.dynamics.rod import angle_between
+from slot_core.dynamics.planar.strain import angle_between
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.robot import read_robot
@@ -40,7 +41,7 @@ class Stepper:
         self.model = build_model(robot, scene, servo)
         self.state = rest_state(self.model, scene.start.height)
         self.legs, self.work = leg_lanes(self.model, self.state), work_space()
-        start = state_space(scene.solver.nodes, self.model.floor.bristle > 0.0)
+        start = state_space(scene.solver.nodes, contact_points(self.model.floor))
         scheme = build_scheme(scene.solver, self.model.floor)
         self.machine = Handle((self.model, self.state, self.work, start, self.legs, scheme))
         self.advance = integrator.advance if in_lanes else integrator.advance_one_by_one

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from planar_energy import leg_energy
 
 from slot_core import config
 from slot_core.legs.held_leg import HeldLeg
 from slot_core.legs.leg_map import NoEquilibriumError, StaticLeg
-from slot_core.robot import GRAVITY, read_robot
+from slot_core.robot import read_robot
 
 # Without damping, a slowly moving leg has the forces of a leg at rest.
 ROBOT = config.replace(read_robot(), {"leg.damping_time": 0.0, "tendon.cable_damping": 0.0})
@@ -14,19 +15,8 @@ HEIGHT, RATE = 0.09, np.radians(20.0)
 
 
 def energy(x, model, angle):
-    """Energy of rod, cable, floor and weight of one leg, J, from its nodes."""
-    rod, tendon, floor = model.rod, model.tendon, model.floor
-    node = np.vstack([[0.0, 0.0], x.reshape(-1, 2)])
-    chord = np.diff(node, axis=0)
-    length = np.hypot(*chord.T)
-    turn = np.diff(np.arctan2(chord[:, 1], chord[:, 0]), prepend=0.0)
-    cable = tendon.along @ length + tendon.around @ turn - tendon.relaxed
-    cable = max(0.0, cable + tendon.spool_radius * angle)
-    depth = np.minimum(0.0, HEIGHT + node[1:, 1])
-    stored = rod.axial @ (length - rod.rest_length) ** 2
-    stored += rod.bending @ (turn - rod.rest_angle) ** 2
-    stored += tendon.stiffness * cable**2 + (floor.stiffness[1:] * depth) @ depth
-    return stored / 2 + GRAVITY * rod.mass @ node[:, 1]
+    """Energy of the leg, J, from its free nodes."""
+    return leg_energy(model, np.vstack([[0.0, 0.0], x.reshape(-1, 2)]), angle, HEIGHT)
 
 
 def gradient(x, *rest):

@@ -4,13 +4,14 @@ import csv
 
 import numpy as np
 import pytest
+from planar_energy import leg_energy
 from scipy.optimize import minimize
 
 from slot_core import config
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.legs.leg_map import COLUMNS, LegMapSettings, NoEquilibriumError, StaticLeg, tabulate
-from slot_core.robot import GRAVITY, read_robot
+from slot_core.robot import read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
 ROBOT = read_robot()
@@ -26,19 +27,8 @@ def pulled(nodes, angle, height, steps=20):
 
 
 def energy(x, model, angle, height):
-    """Energy of rod, cable, floor and weight of one leg, J, from its nodes."""
-    rod, tendon, floor = model.rod, model.tendon, model.floor
-    node = np.vstack([[0.0, 0.0], x.reshape(-1, 2)])
-    chord = np.diff(node, axis=0)
-    length = np.hypot(*chord.T)
-    turn = np.diff(np.arctan2(chord[:, 1], chord[:, 0]), prepend=0.0)
-    cable = tendon.along @ length + tendon.around @ turn - tendon.relaxed
-    cable = max(0.0, cable + tendon.spool_radius * angle)
-    depth = np.minimum(0.0, height + node[1:, 1])
-    stored = rod.axial @ (length - rod.rest_length) ** 2
-    stored += rod.bending @ (turn - rod.rest_angle) ** 2
-    stored += tendon.stiffness * cable**2 + floor.stiffness[1:] @ depth**2
-    return stored / 2 + GRAVITY * rod.mass @ node[:, 1]
+    """Energy of the leg, J, from its free nodes."""
+    return leg_energy(model, np.vstack([[0.0, 0.0], x.reshape(-1, 2)]), angle, height)
 
 
 def test_equilibrium_is_a_minimum_of_the_energy():

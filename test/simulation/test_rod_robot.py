@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from planar_energy import strains
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -82,8 +83,10 @@ class VerticalDrop:
 
     def __init__(self, sim, angle):
         self.model, self.angle = sim.model, angle
-        self.mass = self.model.rod.mass.copy()
-        self.mass[0] += self.model.torso.mass / 4
+        self.mass = np.diag(self.model.rod.mass)
+        for k, mu in enumerate(self.model.rod.coupling):
+            self.mass[k : k + 2, k : k + 2] += mu * np.array([[-1.0, 1.0], [1.0, -1.0]])
+        self.mass[0, 0] += self.model.torso.mass / 4
 
     def start(self, height, speed):
         node = self.model.rod.node + np.array([0.0, height])
@@ -93,8 +96,10 @@ class VerticalDrop:
     def rate(self, _, y):
         node, velocity = y.reshape(2, -1, 2)
         force = self.internal(node, velocity) + self.contact(node, velocity)
-        acceleration = force / self.mass[:, None] - [0.0, GRAVITY]
-        acceleration[0, 0] = 0.0
+        force[:, 1] -= GRAVITY * self.mass.sum(axis=1)
+        acceleration = np.zeros_like(force)
+        acceleration[:, 1] = np.linalg.solve(self.mass, force[:, 1])
+        acceleration[1:, 0] = np.linalg.solve(self.mass[1:, 1:], force[1:, 0])
         return np.concatenate([velocity.ravel(), acceleration.ravel()])
 
     def internal(self, node, velocity):
@@ -104,16 +109,19 @@ class VerticalDrop:
         along = chord / length[:, None]
         across = along[:, ::-1] * [-1, 1] / length[:, None]
         stretch_rate = np.sum(along * change, axis=1)
-        turn = np.diff(np.arctan2(chord[:, 1], chord[:, 0]), prepend=0.0)
         turn_rate = np.diff(np.sum(across * change, axis=1), prepend=0.0)
-        cable = tendon.along @ length + tendon.around @ turn - tendon.relaxed
+        extension, bend = strains(rod, node)
+        bulge = -2.0 * rod.shortening * bend
+        stretch_rate += bulge * turn_rate
+        slack = tendon.relaxed - tendon.around @ rod.rest_angle
+        cable = tendon.along @ extension + tendon.around @ bend - slack
         cable_rate = tendon.along @ stretch_rate + tendon.around @ turn_rate
         pull = tendon.stiffness * (cable + tendon.spool_radius * self.angle)
         pull = max(0.0, pull + tendon.damping * cable_rate)
-        stretched = length - rod.rest_length + rod.damping_time * stretch_rate
-        bent = turn - rod.rest_angle + rod.damping_time * turn_rate
+        stretched = extension + rod.damping_time * stretch_rate
+        bent = bend + rod.damping_time * turn_rate
         axial = rod.axial * stretched + pull * tendon.along
-        moment = rod.bending * bent + pull * tendon.around
+        moment = rod.bending * bent + pull * tendon.around + bulge * axial
         end = axial[:, None] * along + (moment - np.append(moment[1:], 0.0))[:, None] * across
         return np.vstack([end, [0, 0]]) - np.vstack([[0, 0], end])
 
@@ -174,7 +182,7 @@ def test_landing_agrees_with_an_independent_solver():
     errors, node, force = drop_error([dropped(2.5e-5, seconds, 0.55)], seconds)
     assert force > 1.0  # N: it has landed
     assert node[0, 1] > ROBOT.torso.size[2] / 2  # contact of the torso is not in the reference
-    assert errors[0] < 1e-5  # m; the motion is 20 mm
+    assert errors[0] < 2e-5  # m, of first order in the step; the motion is 20 mm
 
 
 @pytest.mark.parametrize(

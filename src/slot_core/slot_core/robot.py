@@ -57,10 +57,12 @@ class Leg:
         "cubic z(x) of the stress-free centre line, highest power first", "", -100, 100
     )
     width: float = quantity("width, constant", "m", 1e-4, 0.2)
+    contact_width: float = quantity("distance of the edges that touch the floor", "m", 1e-4, 0.2)
     thickness_clamp: float = quantity("thickness at the clamp", "m", 1e-4, 0.1)
     thickness_tip: float = quantity("thickness at the tip, linear in between", "m", 1e-4, 0.1)
     density: float = quantity("density", "kg/m^3", 1, 2e4)
     young_modulus: float = quantity("Young's modulus", "Pa", 1e5, 1e9)
+    poisson_ratio: float = quantity("Poisson's ratio", "", 0.0, 0.499)
     damping_time: float = quantity("Kelvin-Voigt time constant of the material", "s", 0, 0.1)
 
     @cached_property
@@ -74,6 +76,15 @@ class Leg:
         return float(
             quad(lambda s: math.hypot(1.0, slope(s)), 0.0, self.reach if x is None else x)[0]
         )
+
+    @property
+    def shear_modulus(self) -> float:
+        """Pa, G = E / (2 (1 + nu)) of an isotropic material."""
+        return self.young_modulus / (2.0 * (1.0 + self.poisson_ratio))
+
+    def thickness(self, fraction: Array) -> Array:
+        """Thickness at arc lengths over that of the leg, m."""
+        return self.thickness_clamp + (self.thickness_tip - self.thickness_clamp) * fraction
 
     @cached_property
     def mass(self) -> float:

@@ -88,6 +88,7 @@ def marker_ranges(robot: Robot, rows: Sequence[Datum], settings: ExperimentSetti
     first = rows[0]
     changes = {
         "floor.friction": (first.friction,) * 4,
+        "solver.legs": "planar",  # no leg leaves its plane
         "solver.nodes": settings.nodes,
         "start.tendon_angle_deg": 0.0,
     }

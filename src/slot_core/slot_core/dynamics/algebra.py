@@ -106,3 +106,33 @@ def solve(H, g):
             value -= H[k, j] * g[j]
         g[k] = value / H[k, k]
     return definite
+
+
+@helper
+def row(a, i):
+    """Row i of an array (n, 3) as three numbers."""
+    return a[i, 0], a[i, 1], a[i, 2]
+
+
+@helper
+def put(a, i, v):
+    """Write three numbers into row i of an array (n, 3)."""
+    a[i, 0], a[i, 1], a[i, 2] = v[0], v[1], v[2]
+
+
+@helper
+def dot(a, b):
+    """Scalar product of three numbers each."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@helper
+def cross(a, b):
+    """Vector product of three numbers each."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@helper
+def plus(a, share, b):
+    """a + share b, of three numbers each."""
+    return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]

@@ -6,11 +6,10 @@ Theta scheme with the stage at t + theta h: with inv = 1 / (theta h),
 
 solved for the stage velocity V by Newton's method with a fixed number of iterations.
 
-The unknowns are absolute velocities: of the nodes in their leg's plane, and of the torso. Normal to
-the plane a node moves with the torso, V_y = v_y + (omega x rho)_y, so its lateral inertia and
-contact are added to the torso. The internal forces of a segment depend only on differences of its
-nodes. Torso and leg are therefore coupled at the clamp alone, where they exchange momentum, and
-`elimination` solves each leg on its own.
+The unknowns are absolute velocities: of the nodes and of the torso, and the spins of the segments
+of spatial legs. The internal forces of a segment depend only on differences of its nodes and
+frames. Torso and leg are therefore coupled at the clamp alone, where they exchange momentum, and
+`eliminate` solves each leg on its own.
 
 The step axes are fixed in odom at R_n exp(theta h omega_n). A stage position is the mean of the
 positions at both ends of the step, each relative to the torso at that end, so that a steady spin
@@ -33,13 +32,19 @@ from slot_core.dynamics.algebra import (
     times,
     times_transposed,
 )
+from slot_core.dynamics.clamp import add_to_torso, couple
 from slot_core.dynamics.contact import advance_bristle
-from slot_core.dynamics.elimination import add_to_torso, couple, eliminate, substitute
 from slot_core.dynamics.handle import contents
-from slot_core.dynamics.lanes import all_lanes, in_lanes, like, one_lane
-from slot_core.dynamics.rod import load, measure
-from slot_core.dynamics.servo import spool_rate
-from slot_core.dynamics.tendon import pull, stretch_line
+from slot_core.dynamics.lanes import all_lanes, in_lanes, one_lane
+from slot_core.dynamics.leg import (
+    advance_bristles,
+    eliminate,
+    finish,
+    load_leg,
+    predict,
+    stage,
+    substitute,
+)
 from slot_core.dynamics.torso import add_corners, add_inertia, add_payload, add_push, at
 
 
@@ -150,12 +155,12 @@ def step(model, state, work, legs, h, scheme):
     definite, change = True, 0.0
     predict_torso(model, state, work, h, theta)
     for leg in legs:
-        _predict_leg(model, state, leg, h, theta)
+        predict(model, state, leg, h, theta)
     for _ in range(scheme.iterations):
         place = start_torso(model, state, work, tau)
         for leg in legs:
             _to_leg_axes(work, leg)
-            _stage(leg, tau)
+            stage(leg, tau)
             load_leg(model, leg, tau)
             definite = definite & all_lanes(eliminate(model, leg, inv, place))
             couple(model.tendon, leg, inv)
@@ -170,10 +175,10 @@ def step(model, state, work, legs, h, scheme):
     if model.floor.bristle > 0.0:
         bend_corners(model, state, work, h)
         for leg in legs:
-            _bend(model.floor, leg, h)
+            advance_bristles(model.floor, leg, h)
     finish_torso(state, work, h, theta)
     for leg in legs:
-        _finish_leg(state, work, leg, h, theta)
+        finish(state, work, leg, h, theta)
     finish_rate(state, work, theta)
     work.counter[1] += 0.0 if definite else 1.0
     return math.sqrt(change) if definite else math.inf
@@ -194,30 +199,6 @@ def predict_torso(model, state, work, h, theta):
             field[k, i] = work.rotation[k, i]
         motion[1, i] = motion[4, i] = w[i]
         motion[3, i] = motion[0, i]
-
-
-@helper
-def _predict_leg(model, state, leg, h, theta):
-    """The servo's rate, V_n in step axes, and the stage positions without the part due to V."""
-    torque = model.tendon.spool_radius * leg.tension[0]
-    leg.rate[0] = spool_rate(model.servo, leg.drive, leg.command[0], leg.angle[0], torque, h)
-    w, root = state.rate, leg.root
-    wx, wy, wz = times(leg.axes, w[0], w[1], w[2])
-    to_stage, to_end = leg.forth, leg.whole
-    rotation(to_stage, -theta * h * wx, -theta * h * wy, -theta * h * wz)
-    rotation(to_end, -h * wx, -h * wy, -h * wz)
-    rest = (theta - 1.0) * h
-    rotation(leg.turns, rest * wx, rest * wy, rest * wz)
-    rx, ry, rz = root[0], root[1], root[2]
-    for i in range(leg.node.shape[0]):
-        u = leg.node_velocity
-        ux, uy, uz = times(to_stage, u[i, 0], u[i, 1], u[i, 2])
-        leg.velocity[i, 0], leg.velocity[i, 1], leg.velocity[i, 2] = ux, uy, uz
-        leg.before[i, 0], leg.before[i, 1], leg.before[i, 2] = ux, uy, uz
-        x, z = leg.node[i, 0], leg.node[i, 1]
-        ex, _, ez = times(to_end, rx + x, ry, rz + z)
-        leg.base[i, 0] = (1.0 - theta) * x + theta * (ex - rx)
-        leg.base[i, 1] = (1.0 - theta) * z + theta * (ez - rz)
 
 
 @helper
@@ -251,53 +232,6 @@ def _to_leg_axes(work, leg):
     for k in range(4):
         x, y, z = work.field[k, 0], work.field[k, 1], work.field[k, 2]
         leg.field[k, 0], leg.field[k, 1], leg.field[k, 2] = times(leg.axes, x, y, z)
-
-
-@helper
-def _stage(leg, tau):
-    """Stage positions of a leg, m, and lateral velocities from the torso's motion, m/s."""
-    stage, velocity, base, motion, q = leg.stage, leg.velocity, leg.base, leg.motion, leg.turns
-    rx, ry, rz = leg.root[0], leg.root[1], leg.root[2]
-    vx, vy, vz = motion[0, 0], motion[0, 1], motion[0, 2]
-    wx, wy, wz = motion[1, 0], motion[1, 1], motion[1, 2]
-    stage[0, 0] = motion[2, 1] * rz - motion[2, 2] * ry
-    stage[0, 1] = motion[2, 0] * ry - motion[2, 1] * rx
-    velocity[0, 0] = vx + wy * rz - wz * ry
-    velocity[0, 1] = vy + wz * rx - wx * rz
-    velocity[0, 2] = vz + wx * ry - wy * rx
-    for i in range(1, stage.shape[0]):
-        x, z = base[i, 0], base[i, 1]
-        sway = wz * (rx + x) - wx * (rz + z)
-        ux, _, uz = times(q, velocity[i, 0] - vx, sway, velocity[i, 2] - vz)
-        stage[i, 0], stage[i, 1] = x + tau * ux, z + tau * uz
-        velocity[i, 1] = vy + wz * (rx + stage[i, 0]) - wx * (rz + stage[i, 1])
-
-
-@helper
-def load_leg(model, leg, tau):
-    """Geometry, tendon tension and internal forces of a leg at the iterate."""
-    s = leg.segments
-    rate, turned, turning = leg.rate[0], -leg.motion[2, 1], -leg.motion[1, 1]
-    measure(s, leg.stage, leg.velocity, turned, turning)
-    line = (like(0.0, rate), like(0.0, rate))
-    if model.tendon.straight:
-        line = stretch_line(leg.line, model.tendon, leg.stage, leg.velocity, turned, turning)
-    leg.pull[0] = pull(s, model.tendon, leg.angle[0] + tau * rate, rate, line, leg.fault)
-    load(s, model.rod, model.tendon, leg.pull[0])
-
-
-@helper
-def _bend(floor, leg, h):
-    """Integrate the bristles of a leg's nodes over the step."""
-    f = leg.field
-    for i in range(floor.first, leg.velocity.shape[0]):
-        ux, uy, uz = leg.velocity[i, 0], leg.velocity[i, 1], leg.velocity[i, 2]
-        x = f[0, 0] * ux + f[0, 1] * uy + f[0, 2] * uz
-        y = f[1, 0] * ux + f[1, 1] * uy + f[1, 2] * uz
-        z = f[2, 0] * ux + f[2, 1] * uy + f[2, 2] * uz
-        advance_bristle(
-            floor, leg.bristle[i], leg.limit[i], floor.stiffness[i], leg.slope[i], h, x, y, z
-        )
 
 
 @helper
@@ -343,33 +277,3 @@ def _move(state, work, h):
     rotation(work.turn, h * w[0], h * w[1], h * w[2])
     product(work.next, state.rotation, work.turn)
     orthonormalise(state.rotation, work.next)
-
-
-@helper
-def _finish_leg(state, work, leg, h, theta):
-    """Nodes in leg axes, tension and tendon angle at the end of the step."""
-    root, v, w, w0 = leg.root, work.motion[0], work.motion[1], state.rate
-    wx, wy, wz = times(leg.axes, w[0], w[1], w[2])
-    ox, oy, oz = times(leg.axes, w0[0], w0[1], w0[2])
-    vx, vy, vz = times(leg.axes, v[0], v[1], v[2])
-    whole, back, rest = leg.whole, leg.back_turn, leg.forth
-    past = 1.0 / theta
-    rotation(whole, -h * wx, -h * wy, -h * wz)
-    rotation(back, theta * h * ox, theta * h * oy, theta * h * oz)
-    product(rest, whole, back)
-    rx, ry, rz = root[0], root[1], root[2]
-    for i in range(leg.node.shape[0]):
-        ux, uy, uz = leg.velocity[i, 0], leg.velocity[i, 1], leg.velocity[i, 2]
-        px, py, pz = leg.before[i, 0], leg.before[i, 1], leg.before[i, 2]
-        x, z = leg.node[i, 0], leg.node[i, 1]
-        if i > 0:
-            ax, _, az = times(whole, rx + x, ry, rz + z)
-            dx, _, dz = times(rest, ux - vx, uy - vy, uz - vz)
-            leg.node[i, 0] = ax + h * dx - rx
-            leg.node[i, 1] = az + h * dz - rz
-        ex, ey, ez = px + (ux - px) * past, py + (uy - py) * past, pz + (uz - pz) * past
-        ex, ey, ez = times(rest, ex, ey, ez)
-        out = leg.node_velocity
-        out[i, 0], out[i, 1], out[i, 2] = ex, ey, ez
-    leg.tension[0] = leg.pull[0]
-    leg.angle[0] += h * leg.rate[0]

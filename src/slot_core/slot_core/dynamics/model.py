@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from slot_core.dynamics.contact import Floor
-from slot_core.dynamics.rod import Rod, Segments, discretise, segments
+from slot_core.dynamics.planar import strain as planar_strain
+from slot_core.dynamics.planar.leg import PlanarLeg
+from slot_core.dynamics.rod import Rod, discretise
 from slot_core.dynamics.scene import FloorSettings, Scene, SolverSettings
 from slot_core.dynamics.servo import Servo, ServoSettings, servo
+from slot_core.dynamics.spatial import strain as spatial_strain
+from slot_core.dynamics.spatial.leg import SpatialLeg
 from slot_core.dynamics.tendon import TendonModel, route
 from slot_core.dynamics.terrain import read_terrain
 from slot_core.dynamics.torso import TorsoModel, box
@@ -39,7 +43,7 @@ class Model(NamedTuple):
     gravity: Array  # (3,) m/s^2, odom
     axes: Array  # (4, 3, 3) base_link to leg axes
     root: Array  # (4, 3) m, clamp from the torso's centre, leg axes
-    clamp: Array  # (4, 6, 6) torso increments to the displacements (X, phi, q) of a clamp
+    clamp: Array  # (4, 6, 6) torso increments to the displacements of a clamp
     speed_limit: float  # m/s
     payload: Array  # (4,) mass, kg, and position, m, base_link
     push: Array  # (6,) N and N m, odom, about the torso's centre
@@ -55,58 +59,16 @@ class MechanicalState(NamedTuple):
     velocity: Array  # (3,) m/s, odom
     rate: Array  # (3,) rad/s, base_link
     specific_force: Array  # (3,) m/s^2, base_link, mean over the last step
-    node: Array  # (4, N, 2) m from the clamp, leg axes (x, z)
+    node: Array  # (4, N, 3) m from the clamp, leg axes
     node_velocity: Array  # (4, N, 3) m/s, absolute, leg axes
+    director: Array  # (4, N-1, 3) unit vectors along the width of the segments, leg axes
+    swirl: Array  # (4, N-1, 3) rad/s, angular momentum of their twist over its inertia, leg axes
     tendon_angle: Array  # (4,) rad
     tendon_rate: Array  # (4,) rad/s, over the last step
     tension: Array  # (4,) N, at the stage of the last step
     drive: Array  # (4, 3) state of the servos, see `servo.spool_rate`
-    bristle: Array  # (4, N, 3) m, odom, and (8, 3) of the torso's corners; empty without bristles
+    bristle: Array  # (4, P, 3) m, odom, and (8, 3) of the torso's corners; empty without bristles
     corner_bristle: Array
-
-
-class LegModel(NamedTuple):
-    """Parameters, state views and scratch arrays of one leg in leg axes; no step allocates memory.
-
-    The arrays of four legs have one axis more, the last (`lanes.py`). "Step axes" are those of
-    `integrator.py`.
-    """
-
-    axes: Array  # (3, 3) base_link to leg axes
-    root: Array  # (3,) m, clamp from the torso's centre
-    clamp: Array  # (6, 6) torso increments to the displacements (X, phi, q) of the clamp
-    friction: Array  # (2,) as in Model
-    fault: Array  # (2,) as in Model
-    node: Array  # (N, 2), node_velocity (N, 3), angle, rate, tension (1,): views of the state
-    node_velocity: Array
-    angle: Array
-    rate: Array
-    tension: Array
-    drive: Array  # (3,), bristle (N or 0, 3): views of the state
-    bristle: Array
-    command: Array  # (1,) rad, commanded tendon angle
-    stage: Array  # (N, 2) m, node at the stage
-    velocity: Array  # (N, 3) m/s, V
-    before: Array  # (N, 3) m/s, V_n in step axes
-    base: Array  # (N, 2) m, stage position without the part due to V
-    segments: Segments
-    form: Array  # (7, 8) F
-    rest: Array  # (4, 5) form over (q, lambda | 1), upper half
-    moved: Array  # (6,) displacements of the clamp
-    back: Array  # (N-1, 2, 8) rows for the substitution
-    pull: Array  # (1,) N, tension at the iterate
-    line: Array  # (3,) direction and 1 / length of a straight tendon
-    limit: Array  # (N or 0,) N, mu times the normal force
-    slope: Array  # (N or 0, 2) of the floor below
-    release: Array  # (7,) lambda = release . (displacements of the clamp, 1)
-    reduced: Array  # (6, 7) form over the displacements of the clamp
-    product: Array  # (6, 6)
-    turns: Array  # (3, 3) rotation by -(1 - theta) h omega_n
-    whole: Array  # (3, 3) scratch rotations
-    back_turn: Array  # (3, 3)
-    forth: Array  # (3, 3)
-    motion: Array  # (3, 3) torso in leg axes: v, omega, theta h (omega - omega_n)
-    field: Array  # (4, 3) odom's axes and gravity in leg axes
 
 
 class Work(NamedTuple):
@@ -124,50 +86,79 @@ class Work(NamedTuple):
     counter: Array  # (3,) halvings, steps with a pivot not positive, steps with no halving left
 
 
-def state_space(nodes: int, bristles: bool = False) -> MechanicalState:
-    """A state with N nodes per leg, all zero. The legs are the last axis in memory."""
-    held, corners = (nodes, 8) if bristles else (0, 0)
-    shapes: list[tuple[int, ...]] = [(3,), (3, 3), (3,), (3,), (3,), (nodes, 2, 4), (nodes, 3, 4)]
-    shapes += [(4,), (4,), (4,), (3, 4), (held, 3, 4), (corners, 3)]
+def state_space(nodes: int, points: int = 0) -> MechanicalState:
+    """A state with N nodes and, with bristles, `points` per leg, all zero; legs last in memory."""
+    n, corners = nodes - 1, 8 if points else 0
+    shapes: list[tuple[int, ...]] = [(3,), (3, 3), (3,), (3,), (3,)]
+    shapes += [(nodes, 3, 4), (nodes, 3, 4), (n, 3, 4), (n, 3, 4)]
+    shapes += [(4,), (4,), (4,), (3, 4), (points, 3, 4), (corners, 3)]
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     buffer = np.zeros(ends[-1])
     parts = np.split(buffer, ends[:-1])
     views = [part.reshape(shape) for part, shape in zip(parts, shapes)]
-    views[5:7] = [view.transpose(2, 0, 1) for view in views[5:7]]
-    views[10], views[11] = views[10].T, views[11].transpose(2, 0, 1)
+    views[5:9] = [view.transpose(2, 0, 1) for view in views[5:9]]
+    views[12], views[13] = views[12].T, views[13].transpose(2, 0, 1)
     return MechanicalState(buffer, *views)
 
 
-def leg_space(nodes: int, lanes: tuple[int, ...] = (), bristles: bool = False) -> LegModel:
+def planar_leg(nodes: int, lanes: tuple[int, ...] = (), points: int = 0) -> PlanarLeg:
     """Arrays of one leg of N nodes, or of four with the axis `lanes` = (4,); zero, not broken."""
-    n, held = nodes - 1, nodes if bristles else 0
-    shapes: list[tuple[int, ...]] = [(3, 3), (3,), (6, 6), (2,), (2,), (nodes, 2), (nodes, 3)]
-    shapes += [(1,), (1,), (1,), (3,), (held, 3), (1,), (nodes, 2), (nodes, 3), (nodes, 3)]
-    shapes += [(nodes, 2), (), (7, 8), (4, 5), (6,), (n, 2, 8), (1,), (3,), (held,), (held, 2)]
+    n = nodes - 1
+    shapes: list[tuple[int, ...]] = [(3, 3), (3,), (6, 6), (2,), (2,), (nodes, 3), (nodes, 3)]
+    shapes += [(1,), (1,), (1,), (3,), (points, 3), (1,), (nodes, 2), (nodes, 3), (nodes, 3)]
+    shapes += [(nodes, 2), (), (7, 8), (4, 5), (6,), (n, 2, 8), (1,), (3,), (points,), (points, 2)]
     shapes += [(7,), (6, 7), (6, 6), *[(3, 3)] * 5, (4, 3)]
-    space = [np.zeros(shape + lanes) if shape else segments(nodes, lanes) for shape in shapes]
-    legs = LegModel(*space)  # type: ignore[arg-type]
-    legs.fault[1] = 1.0  # nothing is broken
-    return legs
+    inner = planar_strain.segments(nodes, lanes)
+    space = [np.zeros(shape + lanes) if shape else inner for shape in shapes]
+    return _whole(PlanarLeg(*space))  # type: ignore[arg-type]
 
 
-def leg_lanes(model: Model, state: MechanicalState) -> LegModel:
+def spatial_leg(nodes: int, lanes: tuple[int, ...] = (), points: int = 0) -> SpatialLeg:
+    """As `planar_leg`, of a spatial leg."""
+    n = nodes - 1
+    shapes: list[tuple[int, ...]] = [(3, 3), (3,), (6, 6), (2,), (2,), (nodes, 3), (nodes, 3)]
+    shapes += [(n, 3), (n, 3), (1,), (1,), (1,), (3,), (points, 3), (1,), *[(nodes, 3)] * 4]
+    shapes += [(n, 3), (n,), (n, 3), (), (7, 8), (6,), (n, 4, 8), (1,), (points,), (points, 2)]
+    shapes += [(7,), (6, 7), (6, 6), *[(3, 3)] * 6, (3,), (4, 3)]
+    inner = spatial_strain.segments(nodes, lanes)
+    space = [np.zeros(shape + lanes) if shape else inner for shape in shapes]
+    return _whole(SpatialLeg(*space))  # type: ignore[arg-type]
+
+
+def _whole(leg: Any) -> Any:
+    leg.fault[1] = 1.0  # nothing is broken
+    return leg
+
+
+def segments(model: Model) -> planar_strain.Segments | spatial_strain.Segments:
+    """Scratch arrays for the strains of one leg."""
+    spatial = model.floor.half_width > 0.0
+    return (spatial_strain if spatial else planar_strain).segments(len(model.rod.node))
+
+
+def leg_lanes(model: Model, state: MechanicalState) -> PlanarLeg | SpatialLeg:
     """The four legs of a robot in lanes; their state arrays are views of `state`."""
-    legs = leg_space(len(model.rod.node), (4,), state.bristle.shape[1] > 0)
+    nodes, points = len(model.rod.node), state.bristle.shape[1]
+    spatial = model.floor.half_width > 0.0
+    legs = (spatial_leg if spatial else planar_leg)(nodes, (4,), points)
     legs.axes[:] = model.axes.transpose(1, 2, 0)
     legs.root[:] = model.root.T
     legs.clamp[:] = model.clamp.transpose(1, 2, 0)
-    return legs._replace(
-        friction=model.friction,
-        fault=model.fault,
-        node=state.node.transpose(1, 2, 0),
-        node_velocity=state.node_velocity.transpose(1, 2, 0),
-        angle=state.tendon_angle[None],
-        rate=state.tendon_rate[None],
-        tension=state.tension[None],
-        drive=state.drive.T,
-        bristle=state.bristle.transpose(1, 2, 0),
-    )
+    views: dict[str, Any] = {
+        "friction": model.friction,
+        "fault": model.fault,
+        "node": state.node.transpose(1, 2, 0),
+        "node_velocity": state.node_velocity.transpose(1, 2, 0),
+        "angle": state.tendon_angle[None],
+        "rate": state.tendon_rate[None],
+        "tension": state.tension[None],
+        "drive": state.drive.T,
+        "bristle": state.bristle.transpose(1, 2, 0),
+    }
+    if spatial:
+        views["director"] = state.director.transpose(1, 2, 0)
+        views["swirl"] = state.swirl.transpose(1, 2, 0)
+    return legs._replace(**views)
 
 
 def work_space() -> Work:
@@ -176,15 +167,20 @@ def work_space() -> Work:
     return Work(*(np.zeros(shape) for shape in shapes))
 
 
-def clamp_maps(axes: Array, root: Array) -> Array:
-    """(4, 6, 6) from the torso's increments (shift, turn; base_link) to a clamp's (X, phi, q)."""
+def clamp_maps(axes: Array, root: Array, spatial: bool) -> Array:
+    """(4, 6, 6) from the torso's increments (shift, turn; base_link) to a clamp's displacements.
+
+    Those of a spatial leg are (X, Phi), of a planar one (X_x, X_z, phi, q), see its elimination.
+    """
     maps = np.zeros((4, 6, 6))
     for out, a, (rx, ry, rz) in zip(maps, axes, root):
         shift, turn = np.hstack([a, np.zeros((3, 3))]), np.hstack([np.zeros((3, 3)), a])
-        out[0] = shift[0] + turn[1] * rz - turn[2] * ry
-        out[1] = shift[2] + turn[0] * ry - turn[1] * rx
-        out[2] = -turn[1]
-        out[3], out[4], out[5] = shift[1], turn[0], turn[2]
+        x = shift[0] + turn[1] * rz - turn[2] * ry
+        z = shift[2] + turn[0] * ry - turn[1] * rx
+        if spatial:
+            out[:] = x, shift[1] + turn[2] * rx - turn[0] * rz, z, *turn
+        else:
+            out[:] = x, z, -turn[1], shift[1], turn[0], turn[2]
     return maps
 
 
@@ -198,18 +194,18 @@ def build_model(robot: Robot, scene: Scene, settings: ServoSettings) -> Model:
     axes = np.array([[c, s, zero], [-s, c, zero], [zero, zero, one]]).transpose(2, 0, 1).copy()
     root = np.einsum("lij,lj->li", axes, robot.clamps)
     rod = discretise(robot.leg, scene.solver.nodes, robot.tendon.end_fraction)
-    payload = scene.payload
+    payload, spatial = scene.payload, scene.solver.legs == "spatial"
     return Model(
         rod=rod,
         tendon=route(rod, robot.tendon),
         torso=box(robot.torso),
-        floor=build_floor(scene.floor, rod),
+        floor=build_floor(scene.floor, rod, robot.leg.contact_width if spatial else 0.0),
         servo=servo(settings),
         friction=np.array([scene.floor.friction, scene.floor.friction_other]),
         gravity=np.array(scene.gravity),
         axes=axes,
         root=root,
-        clamp=clamp_maps(axes, root),
+        clamp=clamp_maps(axes, root, spatial),
         speed_limit=scene.solver.speed_limit,
         payload=np.array([payload.mass, *payload.place]),
         push=np.zeros(6),
@@ -217,22 +213,29 @@ def build_model(robot: Robot, scene: Scene, settings: ServoSettings) -> Model:
     )
 
 
-def build_floor(settings: FloorSettings, rod: Rod) -> Floor:
-    """Parameters of the contact law, with stiffness and damping per node of a rod.
+def build_floor(settings: FloorSettings, rod: Rod, width: float = 0.0) -> Floor:
+    """Parameters of the contact law, with stiffness and damping of the contact points of a rod.
 
-    Raises ConfigError for a height map that cannot be read.
+    width: m, of a spatial leg; 0: a planar one, which touches along its centre line. Raises
+    ConfigError for a height map that cannot be read.
     """
     step = np.diff(rod.arc)
-    line = settings.line_stiffness * (step[:-1] + step[1:]) / 2
-    # The clamp is in the torso, whose corners touch the floor.
-    stiffness = np.array([0.0, *line, settings.stiffness])
+    # Of the line stiffness each segment has half at each end. The clamp is in the torso, whose
+    # corners touch the floor.
+    ends = np.repeat(settings.line_stiffness * step[:, None] / 2, 2, axis=1)
+    ends[0, 0], ends[-1, 1] = 0.0, settings.stiffness
     tip_only = settings.contact == "tip"
     if tip_only:
-        stiffness[:-1] = 0.0
+        ends[:-1], ends[-1, 0] = 0.0, 0.0
+    if width > 0.0:
+        stiffness = np.repeat(ends.ravel() / 2, 2)
+    else:
+        stiffness = np.append(ends[:, 0], 0.0) + np.append(0.0, ends[:, 1])
     return Floor(
         stiffness=stiffness,
         damping=stiffness * (settings.damping / settings.stiffness),
-        first=len(stiffness) - 1 if tip_only else 1,
+        first=len(step) if tip_only else 1,
+        half_width=width / 2,
         corner_stiffness=settings.stiffness,
         corner_damping=settings.damping,
         corner_friction=settings.torso_friction,
@@ -249,7 +252,7 @@ def build_scheme(solver: SolverSettings, floor: Floor) -> ThetaScheme:
     A position error d of a node in a contact of stiffness k is an energy of up to k d^2 / 2. The
     limit of the correction, d = sqrt(2 E / k), follows from the limit of that energy.
     """
-    stiffest = max(floor.stiffness.max(), floor.corner_stiffness)
+    stiffest = max(floor.stiffness.max() * (1 + (floor.half_width > 0.0)), floor.corner_stiffness)
     return ThetaScheme(
         step=solver.step,
         theta=solver.theta,
@@ -259,10 +262,16 @@ def build_scheme(solver: SolverSettings, floor: Floor) -> ThetaScheme:
     )
 
 
+def contact_points(floor: Floor) -> int:
+    """Number of contact points of a leg with bristles; 0 where friction is viscous."""
+    return len(floor.stiffness) if floor.bristle > 0.0 else 0
+
+
 def rest_state(model: Model, height: float) -> MechanicalState:
     """Natural legs, slack tendons, level torso at a height (m), everything at rest."""
-    state = state_space(len(model.rod.node), model.floor.bristle > 0.0)
+    state = state_space(len(model.rod.node), contact_points(model.floor))
     state.position[2] = height
     state.rotation[:] = np.eye(3)
-    state.node[:] = model.rod.node
+    state.node[:, :, ::2] = model.rod.node
+    state.director[:] = 0.0, -1.0, 0.0
     return state

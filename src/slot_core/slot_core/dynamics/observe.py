@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 
 from slot_core.compiled import helper, kernel
-from slot_core.dynamics.algebra import times, times_transposed
+from slot_core.dynamics.algebra import cross, dot, plus, row, times, times_transposed
 from slot_core.dynamics.contact import coefficient, friction_force, normal_force
-from slot_core.dynamics.rod import elastic_energy, measure
+from slot_core.dynamics.leg import elastic_energy
 from slot_core.dynamics.tendon import cable_energy, straight_length
 from slot_core.dynamics.terrain import ground, is_uneven
 
@@ -21,8 +21,9 @@ def points(model, state, position, velocity):
     for leg in range(4):
         root = model.root[leg]
         for i in range(state.node.shape[1]):
-            x, z = state.node[leg, i, 0], state.node[leg, i, 1]
-            px, py, pz = _to_odom(model, state, leg, root[0] + x, root[1], root[2] + z)
+            r = state.node[leg, i]
+            x, y, z = root[0] + r[0], root[1] + r[1], root[2] + r[2]
+            px, py, pz = _to_odom(model, state, leg, x, y, z)
             out = position[leg, i]
             out[0] = state.position[0] + px
             out[1] = state.position[1] + py
@@ -37,28 +38,46 @@ def _to_odom(model, state, leg, x, y, z):
     return times(state.rotation, bx, by, bz)
 
 
+@helper
+def _contact_point(model, state, position, velocity, leg, p):
+    """Node of contact point p of a leg, its position and velocity, odom, m and m/s."""
+    reach = model.floor.half_width
+    if reach == 0.0:
+        return p, row(position[leg], p), row(velocity[leg], p)
+    k, i = p // 4, p // 4 + (p // 2) % 2
+    if p % 2 == 0:
+        reach = -reach
+    d, s = state.director[leg, k], state.swirl[leg, k]
+    arm = _to_odom(model, state, leg, reach * d[0], reach * d[1], reach * d[2])
+    a, b = row(position[leg], k), row(position[leg], k + 1)
+    e = plus(b, -1.0, a)
+    w = cross(e, plus(row(velocity[leg], k + 1), -1.0, row(velocity[leg], k)))
+    w = plus(_to_odom(model, state, leg, s[0], s[1], s[2]), 1.0 / dot(e, e), w)
+    return i, plus(row(position[leg], i), 1.0, arm), plus(row(velocity[leg], i), 1.0, cross(w, arm))
+
+
 @kernel
 def ground_forces(model, state, position, velocity, force):
-    """Write force (4, 3), N, odom: what the floor exerts on the nodes of each leg."""
+    """Write force (4, 3), N, odom: what the floor exerts on each leg."""
     force[:] = 0.0
     floor, friction = model.floor, model.friction
     for leg in range(4):
-        for i in range(floor.first, position.shape[1]):
-            gap, up = _gap(floor.terrain, position[leg, i])
-            if gap >= 0.0:
+        for p in range(floor.stiffness.size):
+            i, place, u = _contact_point(model, state, position, velocity, leg, p)
+            gap, up = _gap(floor.terrain, place)
+            if i < floor.first or gap >= 0.0:
                 continue
-            u = velocity[leg, i]
             vn = up[0] * u[0] + up[1] * u[1] + up[2] * u[2]
             v = (u[0] - vn * up[0], u[1] - vn * up[1], u[2] - vn * up[2])
             slip = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
-            stiffness, damping = floor.stiffness[i], floor.damping[i]
+            stiffness, damping = floor.stiffness[p], floor.damping[p]
             normal = normal_force(stiffness, damping, gap, vn)
             outward = _outward(model, state, leg, v)
             rate = state.tendon_rate[leg]
             mu = coefficient(floor, friction[0, leg], friction[1, leg], rate, outward, slip)
             bristle = v
             if floor.bristle > 0.0:
-                held = state.bristle[leg, i]
+                held = state.bristle[leg, p]
                 bristle = (held[0], held[1], held[2])
             hold = friction_force(floor, mu * normal, 0.0, stiffness, damping, bristle, v)
             force[leg, 0] += normal * up[0] - hold.drag * v[0] - hold.x
@@ -99,6 +118,14 @@ def momenta(model, state, position, velocity, out):
     for leg in range(4):
         for i in range(position.shape[1]):
             _add_momentum(out, model.rod.mass[i], position[leg, i], velocity[leg, i])
+        for k in range(position.shape[1] - 1):
+            # The masses between two nodes move linearly; the segment spins about itself.
+            e = plus(row(position[leg], k + 1), -1.0, row(position[leg], k))
+            u = plus(row(velocity[leg], k + 1), -1.0, row(velocity[leg], k))
+            arm, s, inertia = cross(e, u), state.swirl[leg, k], model.rod.spin[k]
+            s = _to_odom(model, state, leg, inertia * s[0], inertia * s[1], inertia * s[2])
+            for i in range(3):
+                out[1, i] += s[i] - model.rod.coupling[k] * arm[i]
 
 
 @helper
@@ -119,22 +146,34 @@ def energy(model, state, segments, position, velocity):
     total += _point_energy(model, model.payload[0], *_payload(model, state))
     total += _corner_energy(model, state)
     for leg in range(4):
-        # turning rates are not used, so the clamp's rate is arbitrary
-        measure(segments, state.node[leg], state.node_velocity[leg], 0.0, 0.0)
-        total += elastic_energy(segments, model.rod)
-        angle, line = state.tendon_angle[leg], 0.0
-        if model.tendon.straight:
-            line = straight_length(model.tendon, state.node[leg])
-        fault = (model.fault[0, leg], model.fault[1, leg])
-        total += cable_energy(segments, model.tendon, angle, line, fault)
-        for i in range(position.shape[1]):
-            total += _point_energy(model, model.rod.mass[i], position[leg, i], velocity[leg, i])
-        for i in range(model.floor.first, position.shape[1]):
-            gap, _ = _gap(model.floor.terrain, position[leg, i])
-            total += 0.5 * model.floor.stiffness[i] * min(0.0, gap) ** 2
+        total += _leg_energy(model, state, segments, position[leg], velocity[leg], leg)
+        for p in range(model.floor.stiffness.size):
+            i, place, _ = _contact_point(model, state, position, velocity, leg, p)
+            if i < model.floor.first:
+                continue
+            gap, _ = _gap(model.floor.terrain, place)
+            total += 0.5 * model.floor.stiffness[p] * min(0.0, gap) ** 2
             if model.floor.bristle > 0.0:
-                held = state.bristle[leg, i]
-                total += _bristle_energy(model.floor, model.floor.stiffness[i], held)
+                total += _bristle_energy(
+                    model.floor, model.floor.stiffness[p], state.bristle[leg, p]
+                )
+    return total
+
+
+@helper
+def _leg_energy(model, state, segments, position, velocity, leg):
+    """J, of the rod and its cable, and of the motion and weight of its masses."""
+    rod, line, angle = model.rod, 0.0, state.tendon_angle[leg]
+    total = elastic_energy(segments, rod, state.node[leg], state.director[leg])
+    if model.tendon.straight:
+        line = straight_length(model.tendon, state.node[leg])
+    fault = (model.fault[0, leg], model.fault[1, leg])
+    total += cable_energy(segments, model.tendon, angle, line, fault)
+    for i in range(position.shape[0]):
+        total += _point_energy(model, rod.mass[i], position[i], velocity[i])
+    for k in range(position.shape[0] - 1):
+        u, s = plus(row(velocity, k + 1), -1.0, row(velocity, k)), row(state.swirl[leg], k)
+        total += 0.5 * (rod.spin[k] * dot(s, s) - rod.coupling[k] * dot(u, u))
     return total
 
 

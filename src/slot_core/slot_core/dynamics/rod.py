@@ -1,61 +1,60 @@
-"""The soft leg: a planar geometrically exact rod of stretch and bending, without shear.
+"""The soft leg as a chain of N nodes and N - 1 segments: stiffness, mass and natural shape.
 
-Nodes r_0 (clamp) ... r_{N-1} (tip) in the leg's plane; segment i runs from node i to i+1, with
-length l_i, direction (cos phi_i, sin phi_i) and rest length l0_i. The turning angle at node i is
-psi_i = phi_i - phi_{i-1}, where phi_{-1} is the clamp's tangent. Energy and Kelvin-Voigt forces:
+Segment i runs from node i to i + 1; node i is the hinge between the segments i - 1 and i, and node
+0 the clamp. The strains and their energy are in `planar/strain.py` and `spatial/strain.py`. Four
+choices make the chain's error fall with the fourth power of the segments' length for tip loads and
+natural frequencies in one plane:
 
-    E   = sum EA_i (l_i - l0_i)^2 / (2 l0_i) + sum B_i (psi_i - psi0_i)^2 / 2
-    n_i = EA_i/l0_i (l_i - l0_i + beta dl_i/dt),     m_i = B_i (psi_i - psi0_i + beta dpsi_i/dt)
-
-Bending stiffness is B_i = E I_i / w_i. The deflection of the chain is then a sum over its hinges
-that approximates the integral over the curvature. Its weights w_i are those of the trapezoidal
-rule, corrected at the clamp and on both sides of the tendon's anchor, where the curvature jumps.
-Without the corrections the error at 22 nodes is four times as large; with a full cell at the clamp
-it is of first order.
+- A hinge has the stiffness E I_i / w_i. The deflection of the chain is then a sum over its hinges
+  that approximates the integral over the curvature. The weights w_i are those of Gregory's rule of
+  fourth order, applied on both sides of the tendon's anchor, where the curvature jumps.
+- The length of a segment is corrected by c_i = h^3/24 (change of curvature)^2, h its arc length:
+  h^2/12 of it comes from the hinges' sum, -h^2/24 from the chord being shorter than its arc.
+- The mass moves linearly between two nodes. The kinetic energy of a segment is
+  (m_a v_a^2 + m_b v_b^2 - mu (v_b - v_a)^2) / 2 with mu = rho A h / 6 at its middle.
+- Lengths and angles at rest are those between nodes on the natural curve.
 """
-
-# mypy: disable-error-code="no-untyped-def"
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import cumulative_simpson
 
-from slot_core.compiled import helper
-from slot_core.dynamics.algebra import cosine_sine
-from slot_core.dynamics.lanes import all_lanes, like, where
 from slot_core.robot import Array, Leg
+from slot_core.section import second_moment, torsion_constant
 
 
 class Rod(NamedTuple):
-    """A discretised rod: N nodes, N-1 segments."""
+    """A discretised rod: N nodes, N-1 segments. The natural shape lies in the plane of x and z."""
 
     node: Array  # (N, 2) m, natural shape, clamp at the origin
     arc: Array  # (N,) m, arc length of the natural shape
     mass: Array  # (N,) kg
+    coupling: Array  # (N-1,) kg, mu
+    spin: Array  # (N-1,) kg m^2, polar moment of inertia about the segment
     rest_length: Array  # (N-1,) m
     rest_angle: Array  # (N-1,) rad, natural turning angles psi0 at nodes 0 .. N-2
+    shortening: Array  # (N-1,) m/rad^2, q = h^3 / (24 w^2)
     axial: Array  # (N-1,) N/m, EA/l0
-    bending: Array  # (N-1,) N m/rad
+    bending: Array  # (N-1,) N m/rad, in the plane
+    lateral: Array  # (N-1,) N m/rad, out of the plane
+    torsion: Array  # (N-1,) N m/rad
     anchor: int  # the node where the tendon ends
     anchor_share: float  # share of that node's bending that lies before the anchor
     damping_time: float  # s, beta
 
 
-class Segments(NamedTuple):
-    """State of the segments of one rod during a step; written by `measure` and `load`."""
+class Sections(NamedTuple):
+    """Stiffness and mass of sections at any places."""
 
-    direction: Array  # (N-1, 2)
-    length: Array  # (N-1,) m
-    per_length: Array  # (N-1,) 1/m
-    stretch_rate: Array  # (N-1,) m/s
-    turn: Array  # (N-1,) rad, psi at nodes 0 .. N-2
-    turn_rate: Array  # (N-1,) rad/s
-    force: Array  # (N-1,) N, n_i, tension positive
-    moment: Array  # (N,) N m, m_i; the last is the free end's zero
+    axial: Array  # N, E A
+    bending: Array  # N m^2, E I in the plane
+    lateral: Array  # N m^2, E I out of the plane
+    torsion: Array  # N m^2, G J
+    mass: Array  # kg/m
+    spin: Array  # kg m, polar moment of inertia per length
 
 
 def discretise(leg: Leg, nodes: int, anchor: float) -> Rod:
@@ -83,116 +82,72 @@ def build(leg: Leg, node: Array, arc: Array, anchor: int) -> Rod:
     chord = np.diff(node, axis=0)
     rest_length = np.hypot(chord[:, 0], chord[:, 1])
     step, fraction = np.diff(arc), arc / arc[-1]
-    before, behind = _weights(step[:anchor]), _weights(step[anchor:])
+    before, behind = weights(step[:anchor]), weights(step[anchor:])
     extent = np.append(before, np.zeros(len(node) - len(before)))
     extent[anchor:] += behind
-    per_angle = leg.young_modulus * leg.width * _thickness(leg, fraction) ** 3 / 12
-    quarter = np.diff(fraction) / 4
-    half = leg.density * leg.width * step / 2
-    mass = np.append(half * _thickness(leg, fraction[:-1] + quarter), 0.0)
-    mass[1:] += half * _thickness(leg, fraction[1:] - quarter)
+    hinge, middle = sections(leg, fraction), sections(leg, (fraction[1:] + fraction[:-1]) / 2)
+    extent, inner = extent[:-1], [part[:-1] for part in hinge]
     return Rod(
         node=node,
         arc=arc,
-        mass=mass,
+        mass=lumped(hinge.mass, step),
+        coupling=middle.mass * step / 6,
+        spin=middle.spin * step,
         rest_length=rest_length,
         rest_angle=np.diff(np.arctan2(chord[:, 1], chord[:, 0]), prepend=0.0),
-        axial=leg.young_modulus
-        * leg.width
-        * _thickness(leg, (fraction[1:] + fraction[:-1]) / 2)
-        / rest_length,
-        bending=(per_angle / extent)[:-1],
+        shortening=step**3 / (24 * extent**2),
+        axial=middle.axial / rest_length,
+        bending=inner[1] / extent,
+        lateral=inner[2] / extent,
+        torsion=inner[3] / extent,
         anchor=anchor,
-        anchor_share=float(before[-1] / extent[anchor]),
+        anchor_share=float(before[-1] / (before[-1] + behind[0])),
         damping_time=leg.damping_time,
     )
 
 
-def _weights(step: Array) -> Array:
-    """(n + 1,) weights of a sum over n equal steps: trapezoidal rule with Gregory's correction.
+def sections(leg: Leg, fraction: Array) -> Sections:
+    """Sections of the leg at arc lengths over that of the leg."""
+    width, thick = leg.width, leg.thickness(fraction)
+    inner, outer = second_moment(width, thick), second_moment(thick, width)
+    return Sections(
+        axial=leg.young_modulus * width * thick,
+        bending=leg.young_modulus * inner,
+        lateral=leg.young_modulus * outer,
+        torsion=leg.shear_modulus * torsion_constant(width, thick),
+        mass=leg.density * width * thick,
+        spin=leg.density * (inner + outer),
+    )
 
-    Of third order in the step where the summand is smooth. The curvature is smooth on each side of
-    the anchor; at the anchor it jumps, because the tendon's moment ends there.
+
+def lumped(per_length: Array, step: Array) -> Array:
+    """(N,) kg, the masses of segments of `step` (m) at their ends, for a linear course between.
+
+    Total and centre of mass are those of the segments.
+    """
+    mass = np.zeros(len(per_length))
+    mass[:-1] += step / 6 * (2 * per_length[:-1] + per_length[1:])
+    mass[1:] += step / 6 * (per_length[:-1] + 2 * per_length[1:])
+    return mass
+
+
+def weights(step: Array) -> Array:
+    """(n + 1,) weights of a sum over n equal steps: trapezoidal rule with Gregory's corrections.
+
+    Of fourth order in the step where the summand is smooth, from three steps on.
     """
     weight = np.zeros(len(step) + 1)
     weight[:-1] += step / 2
     weight[1:] += step / 2
-    if len(step):
-        weight[[0, -1]] -= step[0] / 12
-        weight[1] += step[0] / 12
-        weight[-2] += step[0] / 12
+    h = step[0] if len(step) else 0.0
+    if len(step) > 1:  # - h/12 (first differences at the ends)
+        weight[[0, -1]] -= h / 12
+        weight[1] += h / 12
+        weight[-2] += h / 12
+    if len(step) > 2:  # - h/24 (second differences)
+        weight[[0, -1]] -= h / 24
+        weight[1] += h / 12
+        weight[-2] += h / 12
+        weight[2] -= h / 24
+        weight[-3] -= h / 24
     return weight
-
-
-def segments(nodes: int, lanes: tuple[int, ...] = ()) -> Segments:
-    """Scratch arrays for one rod of N nodes, or for four with the axis `lanes` = (4,)."""
-    n = nodes - 1
-    shapes = [(n, 2), *[(n,)] * 6, (nodes,)]
-    return Segments(*(np.zeros(shape + lanes) for shape in shapes))
-
-
-def _thickness(leg: Leg, fraction: Array) -> Array:
-    return leg.thickness_clamp + (leg.thickness_tip - leg.thickness_clamp) * fraction
-
-
-@helper
-def measure(s, node, velocity, clamp_angle, clamp_rate):
-    """Write lengths, directions, turning angles and their rates into the segments s.
-
-    node (N, 2) m, x and z; velocity (N, 3) m/s, y not used; clamp_angle phi_{-1}, rad, and
-    clamp_rate, rad/s.
-    """
-    (dx, dz), rate = cosine_sine(clamp_angle), clamp_rate
-    for i in range(s.length.size):
-        ex, ez = node[i + 1, 0] - node[i, 0], node[i + 1, 1] - node[i, 1]
-        length = math.sqrt(ex * ex + ez * ez)
-        per_length = 1.0 / length
-        ex, ez = ex * per_length, ez * per_length
-        ux, uz = velocity[i + 1, 0] - velocity[i, 0], velocity[i + 1, 2] - velocity[i, 2]
-        turning = (ex * uz - ez * ux) * per_length
-        s.direction[i, 0], s.direction[i, 1] = ex, ez
-        s.length[i], s.per_length[i] = length, per_length
-        s.stretch_rate[i] = ex * ux + ez * uz
-        s.turn[i] = angle_between(dx, dz, ex, ez)
-        s.turn_rate[i] = turning - rate
-        dx, dz, rate = ex, ez, turning
-
-
-@helper
-def angle_between(ax, az, bx, bz):
-    """Angle from the unit vector a to the unit vector b, rad, in (-pi, pi].
-
-    psi = 2 atan(y) with y = tan(psi/2) = (a x b) / (1 + a.b); up to |y| = 1/4 by Gregory's series,
-    whose first neglected term is below 1e-16 there.
-    """
-    cross, dot = ax * bz - az * bx, ax * bx + az * bz
-    y = cross / (1.0 + dot)
-    small, total = y * y < 0.0625, like(0.0, y)
-    for n in range(12, -1, -1):
-        total = 1.0 / (2 * n + 1) - y * y * total
-    angle = 2.0 * y * total
-    if all_lanes(small):
-        return angle
-    return where(small, angle, math.atan2(cross, dot))
-
-
-@helper
-def load(s, rod, tendon, tension):
-    """Write axial forces n_i, N, and moments m_i, N m, under the tendon's tension, N, into s."""
-    beta = rod.damping_time
-    for i in range(s.length.size):
-        stretch = s.length[i] - rod.rest_length[i] + beta * s.stretch_rate[i]
-        bend = s.turn[i] - rod.rest_angle[i] + beta * s.turn_rate[i]
-        s.force[i] = rod.axial[i] * stretch + tension * tendon.along[i]
-        s.moment[i] = rod.bending[i] * bend + tension * tendon.around[i]
-
-
-@helper
-def elastic_energy(s, rod):
-    """Elastic energy of stretch and bending, J; call `measure` first."""
-    energy = 0.0
-    for i in range(s.length.size):
-        stretch = s.length[i] - rod.rest_length[i]
-        bend = s.turn[i] - rod.rest_angle[i]
-        energy += 0.5 * (rod.axial[i] * stretch * stretch + rod.bending[i] * bend * bend)
-    return energy

@@ -83,8 +83,9 @@ class SolverSettings:
     """
 
     legs: str = choice(
-        "model of the legs: rods, quasi-static or as published", "rod", "map", "paper"
-    )
+        "model of the legs: rods in space or in their planes, quasi-static, or as published",
+        "spatial", "planar", "map", "paper",
+    )  # fmt: skip
     nodes: int = quantity("nodes per leg", "", 4, 401)
     step: float = quantity("time step", "s", 1e-6, 0.02)
     theta: float = quantity("stage of the theta scheme", "", 0.5, 1.0)

@@ -1,11 +1,12 @@
 """The tendon of a leg: routed along it, or straight from a pulley; slack or broken.
 
 A routed tendon runs from the spool through the clamp at offset d below the centre line. Its length
-is l = sum_i w_i l_i + d sum_i v_i psi_i over the rod's segments and turning angles. The weights are
-1 up to the node of the anchor; there v is the share of the node's bending that lies before the
-anchor. A straight tendon is the line from a pulley on the torso to the anchor, l = |r_a - p| (the
-paper's virtual pulley). With l_cmd = l_natural + slack - r_spool theta, the length left by the
-spool, the tension and the nodal forces are
+is l = sum_i w_i (l_i - c_i) + d sum_i v_i psi_i over the rod's segments, with their correction c_i,
+and turning angles in the leg's plane. The weights are 1 up to the node of the anchor; there v is
+the share of the node's bending that lies before the anchor. A straight tendon is the line from a
+pulley on the torso to the anchor, l = |r_a - p| (the paper's virtual pulley). With l_cmd =
+l_natural + slack - r_spool theta, the length left by the spool, the tension and the nodal forces
+are
 
     T = max(0, k (l - l_cmd) + c d(l - l_cmd)/dt),      nodal forces -T grad l.
 
@@ -39,7 +40,7 @@ class TendonModel(NamedTuple):
     straight: bool
     anchor: int  # node where it ends
     pulley: Array  # (2,) m from the clamp, x and z in leg axes
-    relaxed: float  # m, l_cmd at tendon angle zero
+    relaxed: float  # m, l_cmd at tendon angle zero less the natural length of the segments
     stiffness: float  # N/m
     damping: float  # N s/m
     spool_radius: float  # m
@@ -55,7 +56,7 @@ def route(rod: Rod, settings: Tendon) -> TendonModel:
         around[end] = settings.offset * rod.anchor_share
         share = rod.anchor_share * (1.0 - rod.anchor_share)
         compliance += (not straight) * settings.offset**2 * share / rod.bending[end]
-    natural = float(before @ rod.rest_length + around @ rod.rest_angle)
+    natural = float(around @ rod.rest_angle)
     if straight:
         natural = math.dist(rod.node[end], settings.pulley)
     return TendonModel(
@@ -81,8 +82,8 @@ def pull(s, tendon, angle, rate, line, fault):
     stretch = tendon.spool_radius * angle - tendon.relaxed + line[0] - fault[0]
     speed = tendon.spool_radius * rate + line[1]
     for i in range(s.length.size):
-        stretch += tendon.along[i] * s.length[i] + tendon.around[i] * s.turn[i]
-        speed += tendon.along[i] * s.stretch_rate[i] + tendon.around[i] * s.turn_rate[i]
+        stretch += tendon.along[i] * s.extension[i] + tendon.around[i] * s.turn[i]
+        speed += tendon.along[i] * s.extension_rate[i] + tendon.around[i] * s.turn_rate[i]
     return fault[1] * max(0.0, tendon.stiffness * stretch + tendon.damping * speed)
 
 
@@ -105,9 +106,9 @@ def stretch_line(out, tendon, node, velocity, turn, turning):
 
 @helper
 def straight_length(tendon, node):
-    """Length of a straight tendon on a leg at nodes (N, 2) from the clamp, m."""
+    """Length of a straight tendon on a leg at nodes (N, 3) from the clamp, m."""
     x = node[tendon.anchor, 0] - tendon.pulley[0]
-    z = node[tendon.anchor, 1] - tendon.pulley[1]
+    z = node[tendon.anchor, 2] - tendon.pulley[1]
     return math.sqrt(x * x + z * z)
 
 
@@ -119,5 +120,5 @@ def cable_energy(s, tendon, angle, line, fault):
     """
     stretch = tendon.spool_radius * angle - tendon.relaxed + line - fault[0]
     for i in range(s.length.size):
-        stretch += tendon.along[i] * s.length[i] + tendon.around[i] * s.turn[i]
+        stretch += tendon.along[i] * s.extension[i] + tendon.around[i] * s.turn[i]
     return fault[1] * 0.5 * tendon.stiffness * max(0.0, stretch) ** 2

@@ -19,10 +19,11 @@ import numpy as np
 
 from slot_core import config
 from slot_core.compiled import helper, kernel
+from slot_core.dynamics.clamp import couple
 from slot_core.dynamics.contact import normal_force
-from slot_core.dynamics.elimination import couple, eliminate, substitute
-from slot_core.dynamics.integrator import load_leg
-from slot_core.dynamics.model import Model, build_model, leg_space
+from slot_core.dynamics.model import Model, build_model, planar_leg
+from slot_core.dynamics.planar.elimination import eliminate, substitute
+from slot_core.dynamics.planar.leg import load_leg
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.legs.leg_map import NoEquilibriumError, StaticLeg
@@ -47,7 +48,7 @@ class HeldLeg:
         settings = config.replace(read_scene("flat"), changes)
         self.height = height
         self.model: Model = build_model(robot, settings, read_servo())
-        self._leg = leg_space(nodes)
+        self._leg = planar_leg(nodes)
         self._leg.friction[:] = friction
         self._leg.field[:3] = np.eye(3)
         self._leg.field[3] = self.model.gravity

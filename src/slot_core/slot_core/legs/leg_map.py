@@ -24,10 +24,11 @@ import numpy as np
 from slot_core import config
 from slot_core.compiled import kernel
 from slot_core.config import quantity
+from slot_core.dynamics.clamp import couple
 from slot_core.dynamics.contact import normal_force
-from slot_core.dynamics.elimination import couple, eliminate, follow, substitute
-from slot_core.dynamics.integrator import load_leg
-from slot_core.dynamics.model import Model, build_model, leg_space
+from slot_core.dynamics.model import Model, build_model, planar_leg
+from slot_core.dynamics.planar.elimination import eliminate, follow, substitute
+from slot_core.dynamics.planar.leg import load_leg
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.robot import Array, Robot, read_robot
@@ -91,7 +92,7 @@ class StaticLeg:
             read_scene("flat"), {"solver.nodes": nodes, "floor.friction": (0.0, 0.0, 0.0, 0.0)}
         )
         self.model: Model = build_model(robot, settings, read_servo())
-        self._leg = leg_space(nodes)
+        self._leg = planar_leg(nodes)
         self._leg.stage[:] = self.model.rod.node
 
     @property

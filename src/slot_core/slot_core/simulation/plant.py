@@ -82,7 +82,8 @@ def make_camera(settings: CameraSettings, rng: np.random.Generator) -> CameraSen
 
 
 MODELS: dict[str, type[SimulatedRobot]] = {
-    "rod": RodRobot,
+    "spatial": RodRobot,
+    "planar": RodRobot,
     "map": TabulatedRobot,
     "paper": PaperRobot,
 }

@@ -11,12 +11,13 @@ from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.model import (
     build_model,
     build_scheme,
+    contact_points,
     leg_lanes,
     rest_state,
+    segments,
     state_space,
     work_space,
 )
-from slot_core.dynamics.rod import segments
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import Divergence
@@ -38,9 +39,8 @@ class RodRobot(KernelRobot):
         self.state = rest_state(self.model, scene.start.height)
         self._legs = leg_lanes(self.model, self.state)
         self._work = work_space()
-        self._segments = segments(scene.solver.nodes)
-        bristles = self.model.floor.bristle > 0.0
-        self._start = state_space(scene.solver.nodes, bristles)
+        self._segments = segments(self.model)
+        self._start = state_space(scene.solver.nodes, contact_points(self.model.floor))
         scheme = build_scheme(scene.solver, self.model.floor)
         parts = (self.model, self.state, self._work, self._start, self._legs)
         self._handle = Handle((*parts, scheme))

@@ -174,7 +174,7 @@ def _contact_point(legs, state, work, k, place, angle):
     drop = (place[2] + ux * px + uy * py + uz * pz) / uz
     here = _interpolate(legs, angle, drop)
     x = here.x
-    state.node[k, 0, 0], state.node[k, 0, 1] = x, -drop
+    state.node[k, 0, 0], state.node[k, 0, 2] = x, -drop
     slope = ux * a[0] + uy * a[1] + uz * a[2]
     foot = Foot(
         place=(c[0] + x * a[0], c[1] + x * a[1], c[2] + x * a[2] - drop),

@@ -68,10 +68,10 @@ class TabulatedRobot(KernelRobot):
         self.model = model._replace(torso=rigid_body)
         self.legs = map_legs(robot, table)
         self._contact_drop = _contact_drop(table)
-        self.state = state_space(1, self.model.floor.bristle > 0.0)
+        self.state = state_space(1, int(self.model.floor.bristle > 0.0))
         self.state.position[2] = scene.start.height
         self.state.rotation[:] = np.eye(3)
-        self.state.node[:, 0] = table.table[0, -1, 1], -scene.start.height
+        self.state.node[:, 0] = table.table[0, -1, 1], 0.0, -scene.start.height
         self._feet = Feet(np.zeros(4), np.zeros((4, 3)), np.zeros(4), np.zeros(2))
         self._work = work_space()
         parts = (self.model, self.legs, self.state, self._feet, self._work)
@@ -108,7 +108,7 @@ class TabulatedRobot(KernelRobot):
         node = self.state.node[:, 0]
         angle = self.state.tendon_angle - self.model.fault[0] / self.robot.tendon.spool_radius
         hanging = np.interp(self.model.fault[1] * angle, *self._contact_drop)
-        down = np.minimum(-node[:, 1], hanging)
+        down = np.minimum(-node[:, 2], hanging)
         foot = self.robot.clamps + node[:, :1] * self.robot.outward - down[:, None] * [0, 0, 1]
         body = np.stack([self.robot.clamps, foot], axis=1)
         return np.asarray(self.state.position + body @ self.state.rotation.T)

@@ -3,7 +3,8 @@
 A candidate runs at amplitude one on every floor. With its speed v along the pattern's direction
 (m/s or rad/s) on each floor, and the scale s of that speed, its cost is
 
-    mean over the floors of (stray speeds, tilt and dip beyond the goals, mean roll and pitch)
+    mean over the floors of
+        (stray speeds; tilt, dip and servo load beyond the goals; mean roll and pitch)
     - (mean v + least v) / s + 2 std(v) / s,
 
 so that a pattern that is fast on every floor is preferred.
@@ -34,8 +35,10 @@ from slot_core.tuning.stride_run import HEIGHT, Job, Outcome, RunAll
 FAILED = 1000.0  # cost of a candidate that diverges on a floor
 ZERO = (0.0, 0.0, 0.0, 0.0, 0.0)
 AXIS = {"forward": 0, "turn": 2}
-# Costs: per mm of dip, deg of RMS tilt, deg of largest tilt, deg of mean roll and pitch, mm of top.
+# Costs: per mm of dip, deg of RMS tilt, deg of largest tilt, deg of mean roll and pitch, mm of top,
+# and per share of the stall torque.
 PER_DIP, PER_TILT, PER_LARGEST_TILT, PER_MEAN_TILT, PER_TOP = 0.2, 1.5, 0.5, 0.2, 1.0
+PER_LOAD = 100.0
 
 
 @dataclass(frozen=True)
@@ -96,6 +99,7 @@ def cost(
             + PER_MEAN_TILT * np.abs(np.degrees(motion.means[4:])).sum()
             + PER_DIP * max(0.0, 1e3 * dip)
             + PER_TOP * max(0.0, 1e3 * (motion.top - goal.top_max))
+            + PER_LOAD * max(0.0, motion.load - settings.load)
         )
         speed.append(motion.means[axis])
     v = np.array(speed)

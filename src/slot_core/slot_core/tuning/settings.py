@@ -25,6 +25,7 @@ class TuningSettings:
     scatter_deg: float = quantity("standard deviation of a random start", "deg", 0.01, 90)
     speed_scale: Vector3 = quantity("speed that costs 1: v_x, v_y, yaw rate", "SI", 1e-4, 1)
     tilt_deg: float = quantity("tilt RMS that costs nothing; largest tilt: twice", "deg", 0, 45)
+    load: float = quantity("mean torque over stall torque that costs nothing", "", 0, 1)
     dip: float = quantity("drop below the stride's height that costs nothing", "m", 0, 0.1)
     velocity_step: Vector3 = quantity("step of the velocity knobs", "SI", 1e-4, 0.1)
     offset_step_deg: float = quantity("step of the offset knobs", "deg", 0.01, 10)

@@ -50,6 +50,7 @@ class Motion(NamedTuple):
     means: Array  # (6,) `OUTPUTS`, mean over the strides; velocities in base_link
     offset: float  # rad, common, mean over the strides
     top: float  # m, highest point of the torso
+    load: float  # mean torque of the servos over their stall torque
 
     @property
     def tilt(self) -> Array:
@@ -75,7 +76,9 @@ def simulate(job: Job, settings: TuningSettings) -> Outcome:
 class _Run:
     def __init__(self, job: Job, settings: TuningSettings, robot: Robot, scene: Scene) -> None:
         self._job, self._settings, self._size = job, settings, robot.torso.size
-        self._robot: SimulatedRobot = make_robot(robot, scene, read_servo())
+        servo = read_servo()
+        self._stall = servo.tendon_stall
+        self._robot: SimulatedRobot = make_robot(robot, scene, servo)
         self._angle_max = robot.tendon.angle_max
         self._steps = max(1, round(settings.command_period / scene.solver.step))
         self._offset = np.array(job.offset)
@@ -99,8 +102,8 @@ class _Run:
         table = np.array(rows)
         track, rest = table[:, :7], table[:, 7:]
         means = stride_means(track)
-        offset = float(np.mean(offsets[first:]))
-        return Motion(track, rest[:, 0], rest[:, 1:5], rest[:, 5:7], means, offset, self._top)
+        offset, load = float(np.mean(offsets[first:])), float(rest[:, 7].mean() / self._stall)
+        return Motion(track, rest[:, 0], rest[:, 1:5], rest[:, 5:7], means, offset, self._top, load)
 
     def _commands(self, number: int) -> list[tuple[float, Array]]:
         """Phases and tendon angles (4,) of the commands that fall into stride `number`."""
@@ -119,7 +122,8 @@ class _Run:
         # The sample belongs to the end of the command.
         later = (phase + self._settings.command_period / self._job.stride.period) % 1.0
         force = robot.ground_force[:, 2]
-        return [robot.time, *position, *robot.rpy, later, *force, *velocity[:2]]
+        motion = [robot.time, *position, *robot.rpy, later, *force, *velocity[:2]]
+        return [*motion, float(robot.servo_torque.mean())]
 
     def _correct(self, height: float) -> None:
         """Correct the common offset by a stride's mean height (m)."""

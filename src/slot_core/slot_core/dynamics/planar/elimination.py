@@ -1,4 +1,4 @@
-"""Elimination of a leg from its tip to its clamp, in one iteration of Newton's method.
+"""Elimination of a planar leg from its tip to its clamp, in one iteration of Newton's method.
 
 The part of a leg beyond node i acts on the rest through the node's displacement X and the angle phi
 of the segment before it. Its equations are a quadratic form
@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 from slot_core.compiled import helper
 from slot_core.dynamics.contact import coefficient, friction_force, normal_force, tangential
-from slot_core.dynamics.lanes import any_lane, largest, like, total, where
+from slot_core.dynamics.lanes import any_lane, largest, like, where
 from slot_core.dynamics.terrain import ground, is_uneven, tilted
 
 
@@ -92,34 +92,46 @@ def eliminate(model, leg, inv, place):  # noqa: PLR0915 - one pivot reads best w
         ax, az = -tz * per_length, tx * per_length
         bx, bz = xf + ax * ff, zf + az * ff
         x, z = (xx + ax * xf, xz + az * xf), (xz + ax * zf, zz + az * zf)
-        # Its tangent: stretch, bending, and the geometric stiffness of its force and moments.
-        stretch, bend = viscous * model.rod.axial[k], viscous * model.rod.bending[k]
+        # Its tangent: stretch, bending, the geometric stiffness of its force and moments, and the
+        # coupling of the masses. (px, pz) and bulge are the derivatives of l - c by s and phi.
+        stretch, shortening = viscous * model.rod.axial[k], -2.0 * model.rod.shortening[k]
+        bend = viscous * model.rod.bending[k] + shortening * force
+        bulge = shortening * (s.turn[k] - model.rod.rest_angle[k])
+        px, pz = tx + bulge * ax, tz + bulge * az
+        drift = model.rod.coupling[k] * inv
+        own = -drift * inv
         across = bend + force * length
         twist = (moment - s.moment[i]) * per_length
         p = _inverse(
-            x[0] + bx * ax + stretch * tx * tx + across * ax * ax - 2.0 * twist * tx * ax,
-            z[0] + bx * az + stretch * tx * tz + across * ax * az - twist * (tx * az + tz * ax),
-            z[1] + bz * az + stretch * tz * tz + across * az * az - 2.0 * twist * tz * az,
+            x[0] + bx * ax + stretch * px * px + across * ax * ax - 2.0 * twist * tx * ax + own,
+            z[0] + bx * az + stretch * px * pz + across * ax * az - twist * (tx * az + tz * ax),
+            z[1] + bz * az + stretch * pz * pz + across * az * az - 2.0 * twist * tz * az + own,
         )
         definite = definite & p.positive
         # Right-hand sides r of s for each of the other unknowns, and solutions w = P^-1 r.
         along, around = model.tendon.along[k], model.tendon.around[k]
-        phi = (-bend * ax, -bend * az)
+        phi = (-bend * ax - stretch * bulge * px, -bend * az - stretch * bulge * pz)
         r1, r2, r3 = _lift(q1, ax, az), _lift(q2, ax, az), _lift(q3, ax, az)
         rc, ro = _lift(cable, ax, az), _lift(one, ax, az)
-        rc = (rc[0] + along * tx + around * ax, rc[1] + along * tz + around * az)
-        ro = (ro[0] + force * tx + moment * ax, ro[1] + force * tz + moment * az)
+        rc = (rc[0] + along * px + around * ax, rc[1] + along * pz + around * az)
+        lag = _lag(leg, k)
+        ro = (
+            ro[0] + force * tx + moment * ax - drift * lag[0],
+            ro[1] + force * tz + moment * az - drift * lag[2],
+        )
         wx, wz, wf = _over(p, x), _over(p, z), _over(p, phi)
         w1, w2, w3, wc, wo = _over(p, r1), _over(p, r2), _over(p, r3), _over(p, rc), _over(p, ro)
         _store(leg.back[k], wx, wz, wf, w1, w2, w3, wc, wo)
         # The remaining form acts on node k and on the segment before it.
         q1, q2, q3 = _fold(q1, x, z, phi, w1), _fold(q2, x, z, phi, w2), _fold(q3, x, z, phi, w3)
         cable, one = _fold(cable, x, z, phi, wc), _fold(one, x, z, phi, wo)
-        cable = Column(cable.x, cable.z, cable.phi - around)
+        cable = Column(cable.x, cable.z, cable.phi - around - along * bulge)
         one = Column(one.x, one.z, one.phi - moment)
         xx, xz, zz = xx - _dot(x, wx), xz - _dot(x, wz), zz - _dot(z, wz)
-        xf, zf, ff = -_dot(x, wf), -_dot(z, wf), bend - _dot(phi, wf)
+        xf, zf = -_dot(x, wf), -_dot(z, wf)
+        ff = bend + stretch * bulge * bulge - _dot(phi, wf)
         _gather(rest, node, r1, r2, r3, rc, w1, w2, w3, wc, wo)
+        _couple_lateral(rest, leg, k, own, drift * lag[1])
     node = _node(model, leg, 0, inv, place)
     xx, xz, zz = xx + node.cxx, xz + node.cxz, zz + node.czz
     _add_lateral(rest, node)
@@ -247,6 +259,28 @@ def _add_lateral(rest, node):
 
 
 @helper
+def _lag(leg, k):
+    """Change of V - V_n along segment k, m/s."""
+    v, before = leg.velocity, leg.before
+    return (
+        v[k + 1, 0] - v[k, 0] - before[k + 1, 0] + before[k, 0],
+        v[k + 1, 1] - v[k, 1] - before[k + 1, 1] + before[k, 1],
+        v[k + 1, 2] - v[k, 2] - before[k + 1, 2] + before[k, 2],
+    )
+
+
+@helper
+def _couple_lateral(rest, leg, k, own, force):
+    """Add the coupling of the masses of a segment's nodes along y to the form over q."""
+    x, z = leg.stage[k, 1] - leg.stage[k + 1, 1], leg.stage[k + 1, 0] - leg.stage[k, 0]
+    rest[1, 1] += own * x * x
+    rest[1, 2] += own * x * z
+    rest[2, 2] += own * z * z
+    rest[1, 4] -= force * x
+    rest[2, 4] -= force * z
+
+
+@helper
 def _inverse(xx, xz, zz):
     """Inverse of a symmetric 2 x 2 matrix, and whether the matrix is positive definite."""
     det = xx * zz - xz * xz
@@ -309,47 +343,6 @@ def _store(back, wx, wz, wf, w1, w2, w3, wc, wo):
 @helper
 def _write(form, c, column):
     form[0, c], form[1, c], form[2, c] = column.x, column.z, column.phi
-
-
-@helper
-def couple(tendon, leg, inv):
-    """Eliminate lambda; writes leg.reduced, the form over the displacements of the clamp."""
-    F, release, reduced = leg.form, leg.release, leg.reduced
-    taut = tendon.stiffness + tendon.damping * inv
-    stiffness = where(leg.pull[0] > 0.0, like(taut, F[6, 6]), like(0.0, F[6, 6]))
-    factor = stiffness / (1.0 - stiffness * F[6, 6])
-    for c in range(6):
-        release[c] = factor * F[6, c]
-    release[6] = factor * F[6, 7]
-    for r in range(6):
-        for c in range(6):
-            reduced[r, c] = F[r, c] + F[r, 6] * release[c]
-        reduced[r, 6] = F[r, 7] + F[r, 6] * release[6]
-
-
-@helper
-def add_to_torso(leg, matrix, vector):
-    """Add a leg's form, mapped by leg.clamp, to the torso's system; in lanes, of all legs."""
-    reduced, half, L = leg.reduced, leg.product, leg.clamp
-    for r in range(6):
-        for c in range(6):
-            value = reduced[r, 0] * L[0, c]
-            for k in range(1, 6):
-                value += reduced[r, k] * L[k, c]
-            half[r, c] = value
-    for r in range(6):
-        value = L[0, r] * reduced[0, 6]
-        for k in range(1, 6):
-            value += L[k, r] * reduced[k, 6]
-        vector[r] += total(value)
-        for c in range(r + 1):
-            value = L[0, r] * half[0, c]
-            for k in range(1, 6):
-                value += L[k, r] * half[k, c]
-            value = total(value)
-            matrix[r, c] += value
-            if c < r:
-                matrix[c, r] += value
 
 
 @helper

@@ -1,0 +1,1 @@
+"""A leg as a spatial rod: bending in both planes, twist and stretch."""

@@ -1,0 +1,26 @@
+"""Moments of a rectangular section."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slot_core.robot import Array
+
+TERMS = 21  # of the series; the first neglected one is below 1e-16 of the sum
+
+
+def second_moment(width: float | Array, thickness: float | Array) -> Array:
+    """b h^3 / 12, m^4: bending over the thickness h of a section of width b."""
+    return np.asarray(width * np.asarray(thickness) ** 3 / 12)
+
+
+def torsion_constant(width: float | Array, thickness: float | Array) -> Array:
+    """Saint-Venant's torsion constant of a rectangle of sides a >= b, m^4.
+
+    J = a b^3 (1/3 - 64/pi^5 b/a sum tanh(n pi a / (2 b)) / n^5 over odd n) (Timoshenko and Goodier,
+    Theory of Elasticity, art. 109).
+    """
+    a, b = np.maximum(width, thickness), np.minimum(width, thickness)
+    n = 2.0 * np.arange(TERMS) + 1
+    series = (np.tanh(np.multiply.outer(a / b, n) * (np.pi / 2)) / n**5).sum(axis=-1)
+    return np.asarray(a * b**3 * (1 / 3 - 64 / np.pi**5 * b / a * series))
