@@ -90,6 +90,7 @@ class Walk:
     fallback: tuple[int, ...] = ()  # ticks whose MPC found no solution
     rejected: tuple[int, ...] = ()  # ticks whose odometry the estimator rejected
     truth: bool = True  # ground truth is recorded
+    voltage: float = 11.1  # V, as the servos report it; NaN: not
     lockstep: bool = False  # /clock is recorded
     start: float = 100.0  # s, graph time of the first tick
 
@@ -145,8 +146,11 @@ def _ticks(walk: Walk) -> list[tuple[int, str, Any]]:
                 entries.append((_wall(walk, t, delay), name, built))
         entries.append((_wall(walk, t), "/odom", _odometry(walk, "/odom", t)))
         entries.append((_wall(walk, t, latency[-1]), "/force_map/status", _status(walk, t)))
-        for topic in ("/robot_state", "/servo_health"):
-            entries.append((_wall(walk, t), topic, message(topic, walk.start + t, action=3)))
+        stamp, supply = walk.start + t, [walk.voltage] * 4
+        state = message("/robot_state", stamp, action=3)
+        health = message("/servo_health", stamp, action=3, voltage=supply)
+        entries += [(_wall(walk, t), "/robot_state", state)]
+        entries += [(_wall(walk, t), "/servo_health", health)]
     return entries
 
 

@@ -30,7 +30,7 @@ ALLOWED = {
     "vision": "ground bags",
     "simulation": "ground dynamics legs paper control control/mpc safety dynamixel emulator vision",
     "bags": "ground control control/mpc safety",
-    "report": "ground control control/mpc bags",
+    "report": "ground dynamics control control/mpc bags",
     "calibration": "ground dynamics legs simulation report",
     "validation": "ground bags report vision",
     "twin": "ground dynamics simulation safety bags report calibration validation",

@@ -38,7 +38,9 @@ class RerunLog:
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
-        self._drawing = Drawing(read_robot(), read_servo().tendon_stall)
+        servo = read_servo()
+        loaded = float(servo.tendon_stall(servo.nominal_voltage))
+        self._drawing = Drawing(read_robot(), loaded)
         self._start: int | None = None  # ns, stamp at time zero
         self._states: dict[str, str] = {}
         self._refused: set[str] = set()  # topics with a message that could not be drawn

@@ -110,7 +110,7 @@ def started(graph: Graph, values: Mapping[str, Any], logs: Path) -> Iterator[Pro
 def report(directory: Path, keep: bool, namespace: str = "") -> None:
     """Print the summary of the bag; with `keep` also write it and the plots into `directory`."""
     bag = Bag(directory, namespace)
-    figures = metrics.walk_metrics(bag, read_record_settings().warm_up, read_servo().tendon_stall)
+    figures = metrics.walk_metrics(bag, read_record_settings().warm_up, read_servo())
     summary = "\n".join([*summary_lines(figures), *filter(None, [bag.remark])])
     print(summary)
     if keep:

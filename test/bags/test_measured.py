@@ -8,6 +8,7 @@ from slot_core.bags.bag import Bag, BagError
 from slot_core.bags.bag_writer import BagWriter
 from slot_core.bags.measured import measured_motion, tendon_angles
 from slot_core.bags.record_settings import read_record_settings
+from slot_core.dynamics.servo import read_servo
 from slot_core.report import metrics
 from slot_core.robot import TENDON_JOINTS
 
@@ -97,7 +98,7 @@ def test_joints_of_another_robot_are_refused(bag):
         tendon_angles(bag(("/joint_states", others), ("/joint_states", others)))
 
 
-def test_joints_without_torques_have_angles_but_no_saturation(bag):
+def test_joints_without_torques_have_angles_but_no_saturation_and_no_load(bag):
     states = []
     for n in range(3):
         _, built = joints(1.0 + n)
@@ -105,4 +106,5 @@ def test_joints_without_torques_have_angles_but_no_saturation(bag):
         states.append(("/joint_states", built))
     recorded = bag(*states)
     assert len(tendon_angles(recorded).t) == 3
-    assert metrics._servo_saturation(recorded, 0.0, 1.0) == metrics.NOT_KNOWN
+    found = metrics._servos(recorded, 0.0, read_servo())
+    assert found["servo_saturated"] == found["servo_load"] == metrics.NOT_KNOWN

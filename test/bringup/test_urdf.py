@@ -95,7 +95,8 @@ def test_tendon_joints_are_spools_with_the_limits_of_tendon_and_servo():
     assert tuple(revolute) == TENDON_JOINTS
     servo = read_servo()
     expected = [0.0, ROBOT.tendon.angle_max]
-    expected += [servo.tendon_stall, servo.tendon_speed]
+    nominal = servo.nominal_voltage
+    expected += [servo.tendon_stall(nominal), servo.tendon_speed(nominal)]
     for leg, name in zip(LEGS, TENDON_JOINTS):
         limit = joint(name).find("limit").attrib
         found = [float(limit[key]) for key in ("lower", "upper", "effort", "velocity")]

@@ -5,6 +5,7 @@ import pytest
 from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
 
 PUSH = "pushes: {left: {time: %s, duration: 1, force: [0, 0, 0], moment: [0, 0, 0]}}"
 
@@ -48,6 +49,15 @@ def test_a_scene_like_another_differs_only_in_what_it_changes(scenes):
         ("like: flat\nfloor.friction_law: dry\n", r"friction_law = 'dry': .* viscous, bristle"),
         ("like: flat\nfloor.contact: heel\n", r"contact = 'heel': expected one of all, tip"),
         ("like: flat\nfloor.friction_varies: 1\n", r"friction_varies = 1: expected str"),
+        (
+            "like: flat\nsupply_voltage: 0\n",
+            r"bad\.yaml: supply_voltage = 0\.0: outside \[9\.0, 12\.0\] V",
+        ),
+        ("like: flat\nsupply_voltage: .nan\n", r"supply_voltage = nan: outside \[9\.0, 12\.0\] V"),
+        (
+            "like: flat\nsupply_voltage: 12.6\n",
+            r"supply_voltage = 12\.6: outside \[9\.0, 12\.0\] V",
+        ),
         (f"like: flat\n{PUSH % -1}\n", r"pushes\.left\.time = -1\.0: outside"),
         (f"like: flat\n{PUSH % '.nan'}\n", r"pushes\.left\.time = nan: outside"),
         ("like: flat\npushes: {left: {time: 1}}\n", r"pushes\.left\.duration is missing"),
@@ -87,6 +97,18 @@ def test_the_flat_scene_is_a_plane_without_payload_push_or_broken_tendon():
     assert scene.pushes == {}
     assert not any(scene.tendons.broken)
     assert scene.floor.height_map == ""
+
+
+def test_a_scenes_voltage_is_bounded_by_those_for_which_the_servos_maker_has_figures():
+    bounds = {name: meta for name, _, meta in config.leaves(read_scene("flat"))}["supply_voltage"]
+    voltage = read_servo().voltage
+    assert (bounds["low"], bounds["high"]) == (voltage[0], voltage[-1])
+
+
+def test_the_scene_of_an_almost_empty_battery_is_flat_at_a_lower_voltage():
+    flat, battery = read_scene("flat"), read_scene("low_battery")
+    assert battery.supply_voltage < flat.supply_voltage == read_servo().nominal_voltage
+    assert config.replace(battery, {"supply_voltage": flat.supply_voltage}) == flat
 
 
 def test_a_push_in_a_scene_is_read_by_name():

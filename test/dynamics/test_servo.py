@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -10,13 +11,20 @@ from scipy.integrate import solve_ivp
 
 from slot_core import config
 from slot_core.config import ConfigError
+from slot_core.dynamics.model import build_model
+from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo, servo, spool_rate, turning_rate
+from slot_core.robot import read_robot
 
 SETTINGS = config.replace(
     read_servo(), {"model": "torque_speed", "proportional": 4.6, "integral": 0.0, "derivative": 0.0}
 )
+# ROBOTIS' e-manual of the XL430-W250: V, N m at stall, rev/min without load.
+FIGURES = [(9.0, 1.0, 47.0), (11.1, 1.4, 57.0), (12.0, 1.5, 61.0)]
+RPM = math.tau / 60.0  # rad/s
+NOMINAL = 11.1  # V
 STALL = 1.4 * SETTINGS.servo_per_tendon  # N m
-NO_LOAD = 57.0 * math.tau / 60.0 / SETTINGS.servo_per_tendon
+NO_LOAD = 57.0 * RPM / SETTINGS.servo_per_tendon
 
 
 @njit
@@ -27,24 +35,26 @@ def rate(law, command, angle, torque):
 @pytest.mark.parametrize(("load", "share"), [(0.0, 1.0), (0.5, 0.5), (1.0, 0.0), (1.5, -0.5)])
 def test_pulling_speed_follows_the_torque_speed_line(load, share):
     # XL430-W250 at 11.1 V: 57 rpm without load, 1.4 N m at rest; a higher load pulls it back.
-    found = rate(servo(SETTINGS), 2.0, 0.0, load * STALL)
+    found = rate(servo(SETTINGS, NOMINAL), 2.0, 0.0, load * STALL)
     assert found == pytest.approx(share * NO_LOAD, abs=1e-12)
 
 
 def test_the_load_adds_speed_while_releasing():
-    assert rate(servo(SETTINGS), 0.0, 2.0, STALL / 2) == pytest.approx(-1.5 * NO_LOAD, rel=1e-12)
+    assert rate(servo(SETTINGS, NOMINAL), 0.0, 2.0, STALL / 2) == pytest.approx(
+        -1.5 * NO_LOAD, rel=1e-12
+    )
 
 
 def test_power_is_that_of_a_motor():
     """Torque times speed is at most a quarter of stall torque times no-load speed."""
     torque = np.linspace(0.0, STALL, 101)
-    power = max(t * rate(servo(SETTINGS), 2.0, 0.0, t) for t in torque)
+    power = max(t * rate(servo(SETTINGS, NOMINAL), 2.0, 0.0, t) for t in torque)
     assert power == pytest.approx(STALL * NO_LOAD / 4, rel=1e-3)  # resolution of the torques
     assert power < 2.1  # W
 
 
 def test_small_steps_are_a_first_order_lag():
-    law, angle, step = servo(SETTINGS), 0.0, 1e-4
+    law, angle, step = servo(SETTINGS, NOMINAL), 0.0, 1e-4
     for _ in range(round(SETTINGS.lag / step)):
         angle += step * rate(law, 0.05, angle, 0.0)
     # Euler's method: (1 - h/tau)^(tau/h) = 1/e (1 - h / (2 tau)).
@@ -52,7 +62,7 @@ def test_small_steps_are_a_first_order_lag():
 
 
 def test_ideal_servo_ignores_the_load():
-    law = servo(dataclasses.replace(SETTINGS, model="ideal", ideal_rpm=40.0))
+    law = servo(dataclasses.replace(SETTINGS, model="ideal", ideal_rpm=40.0), NOMINAL)
     for torque in (0.0, STALL, 5.0):
         assert rate(law, 2.0, 0.0, torque) == pytest.approx(40.0 / 57.0 * NO_LOAD)
         assert rate(law, 0.0, 2.0, torque) == pytest.approx(-40.0 / 57.0 * NO_LOAD)
@@ -61,6 +71,54 @@ def test_ideal_servo_ignores_the_load():
 def test_an_unknown_model_is_refused_by_name():
     with pytest.raises(ConfigError, match="magic"):
         config.build(ServoSettings, dataclasses.asdict(SETTINGS) | {"model": "magic"}, "test")
+
+
+@pytest.mark.parametrize(("voltage", "stall", "rpm"), FIGURES)
+def test_at_the_makers_voltages_stall_torque_and_speed_are_the_makers(voltage, stall, rpm):
+    assert SETTINGS.stall(voltage) == pytest.approx(stall, rel=1e-12)
+    assert SETTINGS.speed(voltage) == pytest.approx(rpm * RPM, rel=1e-12)
+
+
+@pytest.mark.parametrize(("below", "above"), [*pairwise(FIGURES)])
+@pytest.mark.parametrize("share", [0.25, 0.5, 0.9])
+def test_between_the_makers_voltages_stall_torque_and_speed_are_linear(below, above, share):
+    voltage, stall, rpm = (low + share * (high - low) for low, high in zip(below, above))
+    assert SETTINGS.stall(voltage) == pytest.approx(stall, rel=1e-12)
+    assert SETTINGS.speed(voltage) == pytest.approx(rpm * RPM, rel=1e-12)
+
+
+def test_measured_voltages_beyond_the_makers_have_the_figures_of_the_nearest():
+    measured = np.array([8.0, 12.6, math.nan, 11.1])  # NaN: not measured, so the nominal one
+    assert SETTINGS.stall(measured) == pytest.approx([1.0, 1.5, 1.4, 1.4], rel=1e-12)
+
+
+@pytest.mark.parametrize("voltage", [0.0, 8.9, 12.1, math.nan, math.inf])
+def test_a_servo_is_not_simulated_at_a_voltage_without_figures(voltage):
+    message = rf"supply_voltage = {voltage}: outside \[9\.0, 12\.0\] V"
+    with pytest.raises(ConfigError, match=message):
+        servo(SETTINGS, voltage)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"voltage": [9.0, 12.0, 11.1]}, r"voltage = \[9\.0, 12\.0, 11\.1\]: expected rising"),
+        ({"voltage": []}, r"voltage = \[\]: expected rising values"),
+        ({"stall_torque": [1.0, 1.4]}, r"stall_torque = \[1\.0, 1\.4\]: expected 3 values"),
+        ({"no_load_rpm": [47.0, 57.0, 0.0]}, r"no_load_rpm\[2\] = 0\.0: outside \[1\.0, 1000\.0\]"),
+    ],
+)
+def test_figures_that_are_no_table_are_refused_by_name(changes, message):
+    with pytest.raises(ConfigError, match=message):
+        config.replace(SETTINGS, changes)
+
+
+@pytest.mark.parametrize(("voltage", "stall", "rpm"), FIGURES)
+def test_the_robot_has_the_servos_of_its_scenes_voltage(voltage, stall, rpm):
+    scene = config.replace(read_scene("flat"), {"supply_voltage": voltage})
+    found, ratio = build_model(read_robot(), scene, SETTINGS).servo, SETTINGS.servo_per_tendon
+    assert found.speed == pytest.approx(rpm * RPM / ratio, rel=1e-12)
+    assert found.speed_loss == pytest.approx(1.0 / (stall * ratio), rel=1e-12)
 
 
 @njit
@@ -79,7 +137,18 @@ PID = dataclasses.replace(SETTINGS, model="pid", integral=12.0, derivative=0.05,
 def respond(settings, command, torque, seconds, h):
     steps = round(seconds / h)
     full = np.full(steps, command), np.full(steps, torque)
-    return run(servo(settings), np.zeros(3), 0.0, *full, h)
+    return run(servo(settings, NOMINAL), np.zeros(3), 0.0, *full, h)
+
+
+@pytest.mark.parametrize(("voltage", "stall", "rpm"), FIGURES)
+def test_at_full_duty_a_spool_stands_still_at_stall_and_turns_at_no_load_speed(voltage, stall, rpm):
+    law, ratio, steps, h = servo(PID, voltage), PID.servo_per_tendon, 1000, 1e-3
+    full_duty = np.full(steps, 100.0)  # rad, beyond what the spool reaches
+    held = run(law, np.zeros(3), 0.0, full_duty, np.full(steps, stall * ratio), h)
+    assert held == pytest.approx(np.zeros(steps), abs=1e-12)  # rounding of torque times 1 / torque
+    free = run(law, np.zeros(3), 0.0, full_duty, np.zeros(steps), h)
+    # after 1 s the motor, of 20 ms, lacks (1 + h / 20 ms)^-1000 = 7e-22 of its speed
+    assert (free[-1] - free[-2]) / h * ratio / RPM == pytest.approx(rpm, rel=1e-9)
 
 
 def exact_response(settings, command, torque, seconds):
@@ -119,7 +188,7 @@ def test_a_load_displaces_the_pid_without_integral_and_not_with_it():
 
 def test_the_integral_is_held_while_the_duty_is_saturated():
     """After two seconds of stall it reaches the command without a large overshoot."""
-    law, h = servo(PID), 1e-3
+    law, h = servo(PID, NOMINAL), 1e-3
     drive = np.zeros(3)
     run(law, drive, 0.0, np.full(2000, 1.5), np.full(2000, 2 * STALL), h)
     assert 0.0 <= drive[2] <= 1.0  # without anti-windup: 12 / (rad s) x 1.5 rad x 2 s
@@ -130,7 +199,7 @@ def test_the_integral_is_held_while_the_duty_is_saturated():
 def test_backlash_is_a_dead_band_between_motor_and_spool():
     """Slow motion without load: the spool follows the play operator, computed by hand."""
     play = math.radians(2.0)
-    law = servo(dataclasses.replace(SETTINGS, model="ideal", backlash_deg=4.0))
+    law = servo(dataclasses.replace(SETTINGS, model="ideal", backlash_deg=4.0), NOMINAL)
     h, drive, motor, spool, expected = 1e-3, np.zeros(3), 0.0, 0.0, []
     command = 0.3 * np.sin(np.linspace(0.0, 2 * math.tau, 4000))
     for target in command:
@@ -143,7 +212,7 @@ def test_backlash_is_a_dead_band_between_motor_and_spool():
 
 
 def test_a_taut_tendon_takes_up_the_backlash():
-    law = servo(dataclasses.replace(SETTINGS, backlash_deg=4.0))
+    law = servo(dataclasses.replace(SETTINGS, backlash_deg=4.0), NOMINAL)
     drive = np.zeros(3)
     path = run(law, drive, 0.5, np.full(3, 0.5), np.array([0.0, 0.2, 0.2]), 1e-3)
     # The tendon pulls it back by half the backlash at once; then it follows the motor.
@@ -155,9 +224,9 @@ def test_a_taut_tendon_takes_up_the_backlash():
 
 def test_without_backlash_the_spool_moves_with_the_motor():
     drive, command = np.zeros(3), np.linspace(0.0, 0.2, 50)
-    path = run(servo(SETTINGS), drive, 0.0, command, np.full(50, 0.3), 1e-3)
+    path = run(servo(SETTINGS, NOMINAL), drive, 0.0, command, np.full(50, 0.3), 1e-3)
     angle = 0.0
     for i, target in enumerate(command):
-        angle += 1e-3 * rate(servo(SETTINGS), target, angle, 0.3)
+        angle += 1e-3 * rate(servo(SETTINGS, NOMINAL), target, angle, 0.3)
         assert path[i] == angle
     assert not drive.any()

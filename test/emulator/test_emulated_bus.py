@@ -8,6 +8,7 @@ import pytest
 from numba import njit
 
 from slot_core import config
+from slot_core.config import ConfigError
 from slot_core.dynamics.servo import read_servo, servo, spool_rate
 from slot_core.dynamixel.joints import joints
 from slot_core.dynamixel.packet import (
@@ -294,8 +295,9 @@ def test_position_loop_follows_the_simulators_servo():
     """Same motor and P gain as the simulator's `pid`, which has no encoder steps."""
     gains = {"proportional": 800 / 128 / 885 / RAD_PER_COUNT, "integral": 0.0, "derivative": 0.0}
     settings = config.replace(read_servo(), {"model": "pid"} | gains)
-    law, model = servo(settings), read_emulator().servo
-    motor = Motor(law.speed, 1 / law.speed_loss, law.motor_time)
+    model = read_emulator().servo
+    law = servo(settings, model.voltage)
+    motor = Motor(model.voltage, law.speed, 1 / law.speed_loss, law.motor_time)
     one = EmulatedServo(5, model, motor, HALF)
     for name, value in (("position_p_gain", 800), ("position_d_gain", 0), ("torque_enable", 1)):
         one.memory[name] = value
@@ -324,6 +326,37 @@ def test_full_duty_without_load_runs_at_no_load_speed(bus):
     assert read(bus, "present_load") == 500
 
 
+# e-manual: V, N m at stall, rev/min without load, A at stall
+@pytest.mark.parametrize(
+    ("voltage", "stall", "rpm", "current"),
+    [(9.0, 1.0, 47.0, 1.0), (11.1, 1.4, 57.0, 1.3), (12.0, 1.5, 61.0, 1.4)],
+)
+def test_speed_stall_torque_and_heat_are_those_of_the_supply_voltage(voltage, stall, rpm, current):
+    supplied = config.replace(read_emulator(), {"servo.voltage": voltage})
+    bus = EmulatedBus(supplied, (5, 4, 2, 3), (HALF,) * 4)
+    write(bus, "operating_mode", Mode.PWM)
+    write(bus, "torque_enable", 1)
+    run(bus, 0.3)
+    assert bus.servos[0].shaft.speed == pytest.approx(rpm * math.tau / 60.0, rel=1e-6)
+    run(bus, 0.3, loads=(stall, 0, 0, 0))
+    assert bus.servos[0].shaft.speed == pytest.approx(0.0, abs=1e-6)
+    assert read(bus, "present_load") == 1000
+    assert read(bus, "present_input_voltage") == round(10 * voltage)
+    shaft = bus.servos[0].shaft
+    shaft.temperature = shaft.settings.room
+    shaft.advance(1.0, stall, voltage, 1.0)
+    heat = (shaft.temperature - shaft.settings.room) * shaft.settings.thermal_time
+    # one resistance for three voltages: the e-manual's are 8.5 to 9.0 ohm
+    expected = shaft.settings.thermal_resistance * voltage * current
+    assert heat == pytest.approx(expected, rel=0.06)
+
+
+def test_a_bus_is_not_emulated_at_a_voltage_without_figures_of_the_motor():
+    supplied = config.replace(read_emulator(), {"servo.voltage": 8.0})
+    with pytest.raises(ConfigError, match=r"supply_voltage = 8\.0: outside \[9\.0, 12\.0\] V"):
+        EmulatedBus(supplied, (5, 4, 2, 3), (HALF,) * 4)
+
+
 def test_with_torque_off_the_gear_holds_up_to_its_friction(bus):
     angle = bus.advance(0.0)[0]
     run(bus, 1.0, loads=(0.09, 0, 0, 0))
@@ -337,7 +370,7 @@ def test_temperature_follows_the_heat_balance(bus):
     s = shaft.settings
     for _ in range(200):
         shaft.advance(0.5, 0.7, 11.1, 0.5)  # at rest at half the stall torque
-    warm = s.room + s.thermal_resistance * s.stall_power * 0.25
+    warm = s.room + s.thermal_resistance * (0.5 * 11.1) ** 2 / s.resistance
     closed = warm + (s.room - warm) * math.exp(-100.0 / s.thermal_time)
     assert shaft.temperature == pytest.approx(closed, abs=0.1)  # Euler at h/tau = 1/360
 

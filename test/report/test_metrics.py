@@ -9,6 +9,7 @@ from synthetic_walk import RATE, STRIDE, Walk, write_walk
 
 from slot_core.bags.bag import Bag, BagError
 from slot_core.bags.walk import Motion, Ticks, stride_mean
+from slot_core.dynamics.servo import read_servo
 from slot_core.report.metrics import latency, walk_metrics
 from slot_core.report.summary import summary_lines
 
@@ -16,7 +17,7 @@ COURSE = 0.01  # rad
 WALK = Walk(duration=4 * STRIDE + 1.0, course=COURSE, roll=0.1, bounce=0.004)
 TIMING = replace(WALK, truth=False)  # a smaller bag, for tests of the ticks alone
 WARM_UP = 1.0  # leaves four whole strides
-TORQUE_LIMIT = 1.4  # N m
+SERVO = read_servo()
 ROUNDING = 1e-9  # positions and speeds are doubles of order one
 
 
@@ -27,7 +28,7 @@ def metrics_of(tmp_path_factory):
     def compute(walk, warm_up=WARM_UP):
         if (walk, warm_up) not in known:
             path = write_walk(tmp_path_factory.mktemp("bags") / "walk", walk)
-            known[walk, warm_up] = walk_metrics(Bag(path), warm_up, TORQUE_LIMIT)
+            known[walk, warm_up] = walk_metrics(Bag(path), warm_up, SERVO)
         return known[walk, warm_up]
 
     return compute
@@ -164,6 +165,35 @@ def test_saturation_is_counted_per_leg(metrics_of):
     # Angles 65 + 38 sin(phase) deg exceed 100 deg for acos(35 / 38) / pi of a stride; counted in
     # odometries, a stride of 21.6 of them is right to one in 21.
     assert m.saturated == pytest.approx((math.acos(35 / 38) / math.pi,) * 4, abs=1 / 21)
+
+
+@pytest.mark.parametrize(
+    ("voltage", "stall"),
+    [(11.1, 1.4), (9.6, 1.0 + 0.4 * 0.6 / 2.1), (12.6, 1.5), (math.nan, 1.4)],  # NaN: nominal
+)
+def test_load_is_the_mean_torque_over_the_stall_torque_at_the_supply_voltage(
+    metrics_of, voltage, stall
+):
+    m = metrics_of(replace(WALK, voltage=voltage))
+    stall *= SERVO.servo_per_tendon  # N m on the tendon angle
+    # Torques are 0.5 N m, of the third leg 2 N m from t = 2 s on.
+    samples = round(WALK.duration * 120) - round(WARM_UP * 120) + 1
+    over = round(WALK.duration * 120) - 2 * 120 + 1
+    third = (0.5 * (samples - over) + 2.0 * over) / samples
+    expected = np.array([0.5, 0.5, third, 0.5]) / stall
+    assert m.servo_load == pytest.approx(expected, rel=1e-12)
+    assert m.supply_voltage == pytest.approx(voltage, rel=1e-12, nan_ok=True)
+    stall = "nominal stall" if math.isnan(voltage) else f"stall at {voltage} V"
+    lines = {line[:20].strip(): line[20:] for line in summary_lines(m)}
+    mean = f"{100 * expected.mean():.1f} % of {stall}; the maker advises 20 %"
+    assert lines["all servos"] == mean
+    assert lines["servo load"].startswith(f"FL {100 * expected[0]:.1f} %   FR ")
+
+
+def test_the_load_of_servos_whose_torque_is_not_recorded_is_not_stated(metrics_of):
+    m = metrics_of(replace(WALK, truth=False))  # nor are joint states
+    assert all(math.isnan(load) for load in m.servo_load)
+    assert f"{'  all servos':<20}-" in summary_lines(m)
 
 
 def test_without_ground_truth_the_state_estimate_is_the_stated_source(metrics_of):

@@ -16,6 +16,7 @@ from synthetic_walk import (
 )
 
 from slot_core.bags.bag import Bag, BagError
+from slot_core.dynamics.servo import read_servo
 from slot_core.report import palette, picture, plots
 from slot_core.report.metrics import walk_metrics
 from slot_core.report.picture import Camera, Pose
@@ -34,7 +35,7 @@ def bag(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def metrics(bag):
-    return walk_metrics(bag, WARM_UP, torque_limit=1.4)
+    return walk_metrics(bag, WARM_UP, read_servo())
 
 
 @pytest.fixture(scope="module")
@@ -129,6 +130,15 @@ def test_latency_panel_counts_every_tick_once_per_stage(axes, metrics):
     assert period.get_xdata()[0] == pytest.approx(1e3 / 30)
 
 
+def test_the_summary_fits_into_the_picture(bag, metrics):
+    figure = plots.dashboard_figure(bag, metrics)
+    figure.canvas.draw()
+    axes = {ax.get_label(): ax for sub in figure.subfigs for ax in sub.axes}
+    extent = axes["summary"].texts[0].get_window_extent()
+    assert extent.y0 > 0.0
+    assert extent.x1 < figure.bbox.x1
+
+
 def test_summary_panel_is_the_printed_summary(axes, metrics):
     (text,) = axes["summary"].texts
     assert text.get_text() == "\n".join(summary_lines(metrics))
@@ -136,7 +146,7 @@ def test_summary_panel_is_the_printed_summary(axes, metrics):
 
 def test_walk_without_ground_truth_is_plotted_from_the_estimate(tmp_path):
     bag = Bag(write_walk(tmp_path / "walk", Walk(duration=2.0, truth=False)))
-    figure = plots.dashboard_figure(bag, walk_metrics(bag, 0.5, torque_limit=1.4))
+    figure = plots.dashboard_figure(bag, walk_metrics(bag, 0.5, read_servo()))
     (path,) = [ax for sub in figure.subfigs for ax in sub.axes if ax.get_label() == "path"]
     assert path.get_title(loc="left") == "path, top view (/mpc_state)"
     assert line(path, "torso")[0][-1] == pytest.approx(0.1, abs=ROUNDING)

@@ -68,7 +68,7 @@ def test_a_goal_is_held_with_the_droop_of_the_p_gain_under_load(load):
         cycle(legs, driver, 1.5, load)
         rest.append(legs.angles())
     servo = read_servo()
-    droop = load / servo.tendon_stall / servo.proportional
+    droop = load / servo.tendon_stall(legs.bus.servos[0].voltage) / servo.proportional
     # from 1 to 2 s, within one count of the encoder: no limit cycle
     assert rest[100:] == pytest.approx(np.full((100, 4), 1.5 - droop), abs=RAD_PER_COUNT)
 

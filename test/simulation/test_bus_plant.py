@@ -10,6 +10,7 @@ from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamixel.driver import Driver
+from slot_core.dynamixel.session import ServoSession, measured
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.emulator.emulated_bus import read_emulator
@@ -22,11 +23,11 @@ MS = 1_000_000  # ns
 ROBOT = read_robot()
 
 
-def make(**changes):
-    scene = read_scene("flat")
-    servo = dataclasses.replace(read_servo(), **changes)
-    rng = np.random.default_rng(1)
-    return BusPlant(ROBOT, scene, servo, rng, settings=read_settings(), emulator=read_emulator())
+def make(scene="flat"):
+    rng, settings, emulator = np.random.default_rng(1), read_settings(), read_emulator()
+    return BusPlant(
+        ROBOT, read_scene(scene), read_servo(), rng, settings=settings, emulator=emulator
+    )
 
 
 @pytest.fixture
@@ -74,7 +75,8 @@ def test_loaded_servo_rests_where_its_duty_balances_the_tendon(plant):
     assert load.min() > 0.1
     duty = settings.gains.p / 128 * (goal - plant.legs.angles()) * ratio / RAD_PER_COUNT / 885
     # one count of the encoder is 0.7 % of duty; the robot still moves a little
-    assert duty == pytest.approx(load / read_servo().stall_torque, abs=0.015)
+    stall = read_servo().stall(plant.simulator.scene.supply_voltage)
+    assert duty == pytest.approx(load / stall, abs=0.015)
 
 
 def test_without_torque_tendons_unwind_until_the_friction_of_the_gear_holds_them(plant):
@@ -119,11 +121,8 @@ def test_spool_angles_stay_within_the_range_of_the_tendons(plant):
     assert (plant.simulator.tendon_angle >= 0.0).all()
 
 
-@pytest.mark.parametrize(
-    ("kind", "value", "most"), [("tendon_broken", 0.0, 0.01), ("tendon_slack", 0.003, 0.4)]
-)
-def test_driver_measures_the_loss_of_load_of_a_damaged_tendon(plant, kind, value, most):
-    """Measured: 0.47 of the stall torque at all servos, then 0 or 0.37 at this one."""
+def driver_of(plant):
+    """A driver on the plant's clock, with torque on."""
     settings = read_settings()
 
     def clock():
@@ -132,6 +131,29 @@ def test_driver_measures_the_loss_of_load_of_a_damaged_tendon(plant, kind, value
     driver = Driver(MemoryPort(plant.legs.bus, settings.bus.baud, clock), settings, clock)
     driver.configure()
     driver.activate()
+    return driver
+
+
+@pytest.mark.parametrize("scene", ["flat", "low_battery"])
+def test_servos_measure_the_scenes_voltage_and_the_torque_of_the_tendons(scene):
+    plant = make(scene)
+    session = ServoSession(driver_of(plant), ROBOT.tendon.angle_max, 0.01)
+    plant.start(0)
+    for _ in range(50):  # every servo is asked for its voltage once in 16 cycles
+        cycle = session.driver.cycle()
+        run(plant, 0.01)
+    assert session.voltage == pytest.approx([read_scene(scene).supply_voltage] * 4, abs=1e-9)
+    found = measured(plant.now, cycle, read_servo().tendon_stall(session.voltage))
+    # within two counts of the encoder, of which the P gain makes 0.7 % of stall each
+    assert found.torque == pytest.approx(plant.simulator.servo_torque, abs=2 * 0.0071 * 1.45)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "most"), [("tendon_broken", 0.0, 0.01), ("tendon_slack", 0.003, 0.4)]
+)
+def test_driver_measures_the_loss_of_load_of_a_damaged_tendon(plant, kind, value, most):
+    """Measured: 0.47 of the stall torque at all servos, then 0 or 0.37 at this one."""
+    driver = driver_of(plant)
     plant.start(0)
 
     def loads(cycles):

@@ -134,6 +134,10 @@ def test_under_hold_guarded_servos_keep_their_goals(guarded):
     assert guarded.angle == pytest.approx(goal, abs=1e-3)
 
 
+def test_health_reports_the_supply_voltage_of_the_scene(guarded):
+    assert (guarded.step().voltage == SCENE.supply_voltage).all()
+
+
 def test_health_reports_goal_slewed_and_torque(guarded):
     """The goals move at approach_rate; those that have not arrived are slewed."""
     previous, rate = guarded.angle, LIMITS.gate.approach_rate

@@ -73,7 +73,9 @@ def test_a_replay_begins_at_the_recorded_place_and_heading(walked):
 
 def test_measured_angles_are_imposed_whatever_the_load(walked):
     recorded, _ = walked
-    weak = dataclasses.replace(PARTS, servo=config.replace(PARTS.servo, {"stall_torque": 0.05}))
+    weak = dataclasses.replace(
+        PARTS, servo=config.replace(PARTS.servo, {"stall_torque": [0.05] * 3})
+    )
     first, second = (predict(recorded, parts, SETTINGS) for parts in (PARTS, weak))
     assert second.columns == pytest.approx(first.columns)
 
@@ -250,6 +252,7 @@ def test_a_parameter_without_influence_is_named_as_undetermined(walked):
 def test_a_change_for_one_leg_leaves_the_others():
     given = changes(PARTS, places(["tendon_offset"])[1:2], [0.0005])
     assert given["scene"] == {"tendons.slack": [0.0, 0.0005, 0.0, 0.0]}
+    assert changes(PARTS, ["servo.stall_torque[1]"], [1.3])["servo"]["stall_torque"][1] == 1.3
     assert changes(PARTS, ["servo.lag"], [0.05])["servo"] == {"lag": 0.05, "model": "torque_speed"}
 
 
@@ -260,6 +263,8 @@ def test_a_change_for_one_leg_leaves_the_others():
         ("robot.leg.colour", "robot has no number leg.colour"),
         ("robot.torso.mass[1]", "one number, without an index"),
         ("servo.model", "servo has no number model"),
+        ("servo.stall_torque", r"expected an index of stall_torque, 0 to 2"),
+        ("servo.stall_torque[3]", r"expected an index of stall_torque, 0 to 2"),
     ],
 )
 def test_a_parameter_that_is_none_is_refused(name, message):

@@ -47,7 +47,7 @@ def measure_walk(graph: Graph, values: Mapping[str, Any], duration: float) -> Wa
         try:
             usage = record(graph, {**values, "bag": str(directory)}, STANDING + warm_up + duration)
             bag = Bag(directory)
-            metrics = walk_metrics(bag, warm_up, read_servo().tendon_stall)
+            metrics = walk_metrics(bag, warm_up, read_servo())
             ticks = read_ticks(bag).after(read_motion(bag).t[0] + warm_up)
             start = time.process_time()
             replayed = replay(bag, TOLERANCE)

@@ -193,7 +193,7 @@ def slow_servos(factor: float) -> Changes:
     Model `torque_speed`: lag. Model `pid`: (1 / w0 + k_d) / k_p, with the no-load speed w0.
     """
     servo = read_servo()
-    loss = 1.0 / servo.tendon_speed  # s/rad
+    loss = 1.0 / float(servo.tendon_speed(servo.nominal_voltage))  # s/rad
     return (
         ("servo.lag", factor * servo.lag),
         ("servo.derivative", factor * (loss + servo.derivative) - loss),

@@ -63,7 +63,7 @@ class DynamixelDriverNode(LifecycleNode):
         self._autostart = runtime.declare(self, "autostart", True, "configure at start")
         self._port = settings.bus.port
         self._session = make_session(settings, 1.0 / rate)
-        self._stall_torque = read_servo().tendon_stall
+        self._servo = read_servo()
         self._open = self._active = False
         self._refusal = ""
         self._cycle: Cycle | None = None
@@ -216,7 +216,7 @@ class DynamixelDriverNode(LifecycleNode):
 
     def _publish(self, cycle: Cycle) -> None:
         stamp = self.get_clock().now().nanoseconds
-        reading = measured(stamp, cycle, self._stall_torque)
+        reading = measured(stamp, cycle, self._servo.tendon_stall(self._session.voltage))
         if reading is not None:
             self._joints.publish(messages.joints_to_msg(reading))
         self._health.publish(stamp, self._session)

@@ -187,7 +187,8 @@ def clamp_maps(axes: Array, root: Array, spatial: bool) -> Array:
 def build_model(robot: Robot, scene: Scene, settings: ServoSettings) -> Model:
     """Parameters of the kernels for a robot, its scene and its servos.
 
-    Raises ConfigError for a height map that cannot be read.
+    Raises ConfigError for a height map that cannot be read, and for a supply voltage beyond those
+    of the servos.
     """
     c, s = np.cos(robot.azimuth), np.sin(robot.azimuth)
     zero, one = np.zeros(4), np.ones(4)
@@ -200,7 +201,7 @@ def build_model(robot: Robot, scene: Scene, settings: ServoSettings) -> Model:
         tendon=route(rod, robot.tendon),
         torso=box(robot.torso),
         floor=build_floor(scene.floor, rod, robot.leg.contact_width if spatial else 0.0),
-        servo=servo(settings),
+        servo=servo(settings, scene.supply_voltage),
         friction=np.array([scene.floor.friction, scene.floor.friction_other]),
         gravity=np.array(scene.gravity),
         axes=axes,

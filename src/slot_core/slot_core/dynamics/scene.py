@@ -195,6 +195,9 @@ class Scene:
     gravity: tuple[float, float, float] = quantity(
         "gravity in odom, z normal to the floor", "m/s^2", -50, 50
     )
+    supply_voltage: float = quantity(
+        "supply voltage of the servos; within the maker's figures in servo.yaml", "V", 9.0, 12.0
+    )
     parameters: str = text("set of config/parameters of the robot in it; empty: robot.yaml's")
 
     def __post_init__(self) -> None:

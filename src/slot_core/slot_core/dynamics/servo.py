@@ -1,15 +1,16 @@
 """The servo of a tendon: a position loop with a speed limited by the load.
 
-`torque_speed` turns the spool at (command - angle) / lag, within the line of a DC motor at full
-voltage, with load torque tau = r_spool T pulling back:
+`torque_speed` turns the spool at (command - angle) / lag, within the line of a DC motor at the full
+supply voltage, with load torque tau = r_spool T pulling back:
 
     -w0 (1 + tau / tau_stall) <= rate <= w0 (1 - tau / tau_stall)
 
-(ROBOTIS XL430-W250: 1.4 N m stall, 57 rpm no load at 11.1 V, at its shaft, which turns
-servo_per_tendon times as far as the tendon angle). `ideal` limits the rate only. `pid`
-is the loop inside the servo: duty u = clip(k_p e + k_i int e dt - k_d w, -1, 1) with e = command -
-angle; the integral is held while the duty is saturated (anti-windup); the motor approaches its line
-with the time constant motor_time: motor_time dw/dt = w0 (u - tau / tau_stall) - w.
+w0 and tau_stall are the maker's figures at the scene's supply voltage, linear between those that
+the maker states (at the shaft, which turns servo_per_tendon times as far as the tendon angle).
+`ideal` limits the rate only, whatever the voltage. `pid` is the loop inside the servo: duty, a
+share of the supply voltage, u = clip(k_p e + k_i int e dt - k_d w, -1, 1) with e = command - angle;
+the integral is held while the duty is saturated (anti-windup); the motor approaches its line with
+the time constant motor_time: motor_time dw/dt = w0 (u - tau / tau_stall) - w.
 
 Backlash: the spool lies within half of it on either side of the motor, and a taut tendon pulls it
 to the lower side. The encoder, and with it the loop, measures the spool.
@@ -22,13 +23,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
+
+import numpy as np
 
 from slot_core import config
 from slot_core.compiled import helper
-from slot_core.config import choice, quantity
+from slot_core.config import ConfigError, choice, quantity
 from slot_core.dynamics.lanes import like, where
-from slot_core.robot import read_parameters
+from slot_core.robot import Array, read_parameters
 
 
 @dataclass(frozen=True)
@@ -37,8 +41,19 @@ class ServoSettings:
 
     model: str = choice("model of the position loop", "torque_speed", "ideal", "pid")
     lag: float = quantity("time constant of the position loop", "s", 1e-3, 1.0)
-    stall_torque: float = quantity("stall torque at full voltage, at the shaft", "N m", 0.01, 100.0)
-    no_load_rpm: float = quantity("no-load speed of the shaft", "rev/min", 1.0, 1000.0)
+    voltage: tuple[float, ...] = quantity(
+        "supply voltages for which the maker states stall torque and speed, rising", "V", 1.0, 60.0
+    )
+    stall_torque: tuple[float, ...] = quantity(
+        "stall torque at each of these voltages, at the shaft", "N m", 0.01, 100.0
+    )
+    no_load_rpm: tuple[float, ...] = quantity(
+        "no-load speed of the shaft at each of these voltages", "rev/min", 1.0, 1000.0
+    )
+    nominal_voltage: float = quantity("supply voltage assumed where none is known", "V", 1.0, 60.0)
+    continuous_load: float = quantity(
+        "largest share of the stall torque that the maker advises for continuous use", "", 0.0, 1.0
+    )
     ideal_rpm: float = quantity("maximum speed of the ideal servo's shaft", "rev/min", 1.0, 1000.0)
     servo_per_tendon: float = quantity("angle of the shaft per tendon angle", "", 0.1, 10.0)
     proportional: float = quantity("P gain of the pid: duty per angle", "1/rad", 0.0, 1e3)
@@ -47,16 +62,54 @@ class ServoSettings:
     motor_time: float = quantity("time constant of the motor driven by the pid", "s", 0.0, 1.0)
     backlash_deg: float = quantity("play between motor and spool", "deg", 0.0, 10.0)
 
-    @property
-    def tendon_stall(self) -> float:
-        """Stall torque on the tendon angle, N m."""
-        return self.stall_torque * self.servo_per_tendon
+    def __post_init__(self) -> None:
+        """Raise ConfigError unless the voltages rise and each has its torque and speed."""
+        if not self.voltage or any(low >= high for low, high in pairwise(self.voltage)):
+            raise ConfigError(f"voltage = {list(self.voltage)}: expected rising values")
+        for name in ("stall_torque", "no_load_rpm"):
+            values = getattr(self, name)
+            if len(values) != len(self.voltage):
+                raise ConfigError(
+                    f"{name} = {list(values)}: expected {len(self.voltage)} values, one for each"
+                    " voltage"
+                )
 
     @property
-    def tendon_speed(self) -> float:
-        """Largest rate of the tendon angle without load, rad/s."""
-        rpm = self.ideal_rpm if self.model == "ideal" else self.no_load_rpm
-        return rpm * math.tau / 60.0 / self.servo_per_tendon
+    def ideal_speed(self) -> float:
+        """Largest rate of the tendon angle of the ideal servo, rad/s."""
+        return self.ideal_rpm * math.tau / 60.0 / self.servo_per_tendon
+
+    def require_voltage(self, voltage: float) -> None:
+        """Raise ConfigError for a supply voltage (V) beyond those that the maker states."""
+        low, high = self.voltage[0], self.voltage[-1]
+        if not low <= voltage <= high:
+            raise ConfigError(
+                f"supply_voltage = {voltage}: outside [{low}, {high}] V, the voltages of servo.yaml"
+            )
+
+    def stall(self, voltage: float | Array) -> Array:
+        """Stall torque of the shaft at supply voltages (V), N m."""
+        return self._at(voltage, self.stall_torque)
+
+    def speed(self, voltage: float | Array) -> Array:
+        """No-load speed of the shaft at supply voltages (V), rad/s."""
+        return self._at(voltage, self.no_load_rpm) * math.tau / 60.0
+
+    def tendon_stall(self, voltage: float | Array) -> Array:
+        """Stall torque on the tendon angle at supply voltages (V), N m."""
+        return self.stall(voltage) * self.servo_per_tendon
+
+    def tendon_speed(self, voltage: float | Array) -> Array:
+        """Largest rate of the tendon angle without load at supply voltages (V), rad/s."""
+        return self.speed(voltage) / self.servo_per_tendon
+
+    def _at(self, voltage: float | Array, figures: tuple[float, ...]) -> Array:
+        """The maker's figures at supply voltages, linear in between.
+
+        Beyond the stated voltages the figures of the nearest one; at NaN those at the nominal one.
+        """
+        known = np.where(np.isnan(voltage), self.nominal_voltage, voltage)
+        return np.asarray(np.interp(known, self.voltage, figures))
 
 
 class Servo(NamedTuple):
@@ -84,13 +137,18 @@ def read_servo(parameters: str = "") -> ServoSettings:
     return config.replace(settings, read_parameters(parameters, "servo"), f"{parameters}: servo")
 
 
-def servo(settings: ServoSettings) -> Servo:
-    """Parameters of the servo model in SI units."""
+def servo(settings: ServoSettings, voltage: float) -> Servo:
+    """Parameters of the servo model at a supply voltage (V), in SI units.
+
+    Raises ConfigError for a voltage beyond those that the maker states.
+    """
+    settings.require_voltage(voltage)
     ideal = settings.model == "ideal"
+    speed = settings.ideal_speed if ideal else float(settings.tendon_speed(voltage))
     return Servo(
         gain=1.0 / settings.lag,
-        speed=settings.tendon_speed,
-        speed_loss=0.0 if ideal else 1.0 / settings.tendon_stall,
+        speed=speed,
+        speed_loss=0.0 if ideal else 1.0 / float(settings.tendon_stall(voltage)),
         pid=settings.model == "pid",
         proportional=settings.proportional,
         integral=settings.integral,

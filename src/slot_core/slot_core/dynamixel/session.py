@@ -236,11 +236,16 @@ class ServoSession:
             slewed=self._slewed,
             hardware_error=np.array([servo.hardware_error or 0 for servo in servos]),
             temperature=_known(servos, "temperature"),
-            voltage=_known(servos, "voltage"),
+            voltage=self.voltage,
             error_rate=np.array([servo.error_rate for servo in servos]),
             commanded=self.commanded,
             written=stamp - age if self.commanded else 0,
         )
+
+    @property
+    def voltage(self) -> Array:
+        """Supply voltages (4,) that the servos have measured last, V; NaN: not read yet."""
+        return _known(self.driver.health, "voltage")
 
     @property
     def own_reason(self) -> str:
@@ -287,11 +292,11 @@ def _check_ranges(joints: Sequence[Joint], angle_max: float) -> None:
             )
 
 
-def measured(stamp: int, cycle: Cycle, tendon_stall: float) -> JointReading | None:
+def measured(stamp: int, cycle: Cycle, tendon_stall: Array) -> JointReading | None:
     """Joint angles, rates and torques of a cycle; None unless every servo answered.
 
-    The torque is the servo's estimate: its load, a share of the stall torque `tendon_stall`, N m
-    on the tendon angle.
+    The torque is the servo's estimate: its load, a share of the stall torques `tendon_stall` (4,),
+    N m on the tendon angle.
     """
     readings = [reading for reading in cycle.readings if reading is not None]
     if len(readings) < len(LEGS):

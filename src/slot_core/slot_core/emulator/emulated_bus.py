@@ -9,7 +9,6 @@ the bus watchdogs of all servos.
 
 from __future__ import annotations
 
-import math
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ import numpy.typing as npt
 
 from slot_core import config
 from slot_core.config import quantity
-from slot_core.dynamics.servo import read_servo
+from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.dynamixel.packet import (
     BROADCAST,
     FAST_OVERHEAD,
@@ -65,14 +64,14 @@ class Reply:
 class EmulatedBus:
     """Four servos on one line, at initial angles (rad), in the order of LEGS.
 
-    `receive` and `advance` may be called from different threads.
+    `receive` and `advance` may be called from different threads. Raises ConfigError for a supply
+    voltage beyond those of `servo.yaml`.
     """
 
     def __init__(
         self, settings: EmulatorSettings, ids: Sequence[int], angles: Sequence[float]
     ) -> None:
-        servo = read_servo()
-        motor = Motor(servo.no_load_rpm * math.tau / 60.0, servo.stall_torque, servo.motor_time)
+        motor = _motor(read_servo(), settings.servo.voltage)
         self.settings = settings
         self.servos = tuple(
             EmulatedServo(identity, settings.servo, motor, angle)
@@ -248,6 +247,13 @@ _EVENTS = {  # faults that happen at once and are not taken back
 def read_emulator() -> EmulatorSettings:
     """The settings of `config/emulator.yaml`; raises ConfigError."""
     return config.read(EmulatorSettings, "emulator")
+
+
+def _motor(servo: ServoSettings, voltage: float) -> Motor:
+    """The motor of `servo.yaml` at a supply voltage (V); raises ConfigError."""
+    servo.require_voltage(voltage)
+    speed, stall = float(servo.speed(voltage)), float(servo.stall(voltage))
+    return Motor(voltage, speed, stall, servo.motor_time)
 
 
 def _requests(packet: Packet) -> Iterator[tuple[int, int, int]]:

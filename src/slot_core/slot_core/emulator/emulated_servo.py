@@ -39,7 +39,7 @@ class ServoModel:
     shaft: ShaftSettings
     firmware: int = quantity("firmware version", "", 1, 255)
     loop_period: float = quantity("period of the control loop", "s", 1e-4, 0.01)
-    voltage: float = quantity("supply voltage", "V", 0.0, 20.0)
+    voltage: float = quantity("supply voltage; with a robot that of its scene", "V", 1.0, 20.0)
     overload_share: float = quantity("load that counts as overload", "of stall", 0.0, 1.0)
     overload_time: float = quantity("overload until the hardware error", "s", 0.0, 100.0)
     boot_time: float = quantity("time without answers after a reboot", "s", 0.0, 10.0)

@@ -5,13 +5,15 @@ The motor's speed follows its torque-speed line with time constant motor_time, a
 
     motor_time dw/dt = w0 (v u - tau / tau_stall) - w
 
-with the duty u, the supply voltage v as a fraction of the nominal one and the load torque tau. With
-torque off the gear holds loads up to `friction`; the excess turns it along the same line, u = 0.
+with the duty u and the load torque tau; w0 and tau_stall are those of `servo.yaml` at the supply
+voltage V of the servos, v is 1 but while a fault gives a servo another voltage, v V. With torque
+off the gear holds loads up to `friction`; the excess turns it along the same line, u = 0.
 Temperature:
 
-    C dT/dt = P_stall (torque / tau_stall)^2 - (T - T_room) / R
+    C dT/dt = (V torque / tau_stall)^2 / R_el - (T - T_room) / R
 
-with time constant R C and the motor's torque. `R`, `C`, `friction` are assumed, not measured.
+with time constant R C, the motor's torque and its electric resistance R_el. `R`, `C`, `friction`
+are assumed, not measured.
 """
 
 from __future__ import annotations
@@ -28,16 +30,16 @@ class ShaftSettings:
     """Gear and heat; the motor itself is in `servo.yaml`."""
 
     friction: float = quantity("load torque that the gear holds with torque off", "N m", 0.0, 10.0)
-    nominal_voltage: float = quantity("supply voltage of the motor's data", "V", 1.0, 20.0)
-    stall_power: float = quantity("electric power at stall", "W", 0.0, 100.0)
+    resistance: float = quantity("electric resistance of the motor at stall", "ohm", 0.1, 1e3)
     room: float = quantity("room temperature", "degC", -40.0, 60.0)
     thermal_resistance: float = quantity("thermal resistance from motor to room", "K/W", 0.0, 100.0)
     thermal_time: float = quantity("time constant of the temperature", "s", 1.0, 1e5)
 
 
 class Motor(NamedTuple):
-    """Torque-speed line and time constant of the motor."""
+    """Torque-speed line at a supply voltage, and time constant of the motor."""
 
+    voltage: float  # V
     speed: float  # rad/s, no-load speed
     stall: float  # N m, stall torque
     time: float  # s, time constant of the speed
@@ -57,10 +59,11 @@ class Shaft:
 
         A positive load lowers the angle.
         """
-        target = self._target(duty, load, voltage / self.settings.nominal_voltage)
+        supply = voltage / self.motor.voltage
+        target = self._target(duty, load, supply)
         self.speed += (target - self.speed) * (h / (self.motor.time + h))
         self.angle += h * self.speed
-        self._heat(duty, voltage / self.settings.nominal_voltage, h)
+        self._heat(duty, supply, h)
 
     def _target(self, duty: float | None, load: float, supply: float) -> float:
         motor = self.motor
@@ -73,5 +76,6 @@ class Shaft:
         settings, motor = self.settings, self.motor
         share = 0.0 if duty is None else supply * duty - self.speed / motor.speed
         self.torque = share * motor.stall
-        steady = settings.room + settings.thermal_resistance * settings.stall_power * share**2
+        power = (motor.voltage * share) ** 2 / settings.resistance
+        steady = settings.room + settings.thermal_resistance * power
         self.temperature += (steady - self.temperature) * (h / settings.thermal_time)

@@ -21,6 +21,7 @@ from slot_core.bags.walk import (
 )
 from slot_core.control.mpc.mpc import Status
 from slot_core.control.state_estimator import Validity
+from slot_core.dynamics.servo import ServoSettings
 from slot_core.plane import rotate
 from slot_core.robot import LEGS, Array
 
@@ -73,13 +74,16 @@ class WalkMetrics:
     saturated: tuple[float, ...]  # fraction of cycles, per leg: force map at an angle limit
     rejected_odometry: int | None
     servo_saturated: tuple[float, ...]  # fraction of samples, per leg: torque at its limit
+    servo_load: tuple[float, ...]  # mean of torque over stall torque at the supply voltage, per leg
+    supply_voltage: float  # V, mean of the servos; NaN: not known, the nominal one is assumed
+    continuous_load: float  # largest mean of torque over stall torque that the maker advises
 
 
-def walk_metrics(bag: Bag, warm_up: float, torque_limit: float) -> WalkMetrics:
+def walk_metrics(bag: Bag, warm_up: float, servo: ServoSettings) -> WalkMetrics:
     """Compute the metrics of a walk.
 
-    `warm_up` is the time left out at the start, s of graph time; `torque_limit` is the torque from
-    which a servo counts as saturated, N m. Raises BagError if less than two samples are left.
+    `warm_up` is the time left out at the start, s of graph time; `servo` has the stall torque at a
+    supply voltage. Raises BagError if less than two samples are left.
     """
     whole = read_motion(bag)
     start = whole.t[0] + warm_up
@@ -94,7 +98,7 @@ def walk_metrics(bag: Bag, warm_up: float, torque_limit: float) -> WalkMetrics:
         **_drift(whole, motion),
         **_timing(bag, start),
         **_control(bag, start),
-        servo_saturated=_servo_saturation(bag, start, torque_limit),
+        **_servos(bag, start, servo),
     )
 
 
@@ -179,19 +183,38 @@ def _control(bag: Bag, start: float) -> dict[str, Any]:
         "fallback_cycles": solves and int(np.sum(solves["status"] != Status.SOLVED)),
         "longest_fallback": solves and int(solves["fallback_cycles"].max()),
         "violation_max": float(solved.max()) if solved.size else math.nan,
-        "saturated": _fraction(maps["saturated"]) if maps else NOT_KNOWN,
+        "saturated": _mean(maps["saturated"]) if maps else NOT_KNOWN,
         "rejected_odometry": rejected,
     }
 
 
-def _servo_saturation(bag: Bag, start: float, torque_limit: float) -> tuple[float, ...]:
-    if (
-        not bag.counts.get("/joint_states")
-        or not bag.series("/joint_states", "effort")["effort"].size
-    ):
-        return NOT_KNOWN  # a JointState may have no efforts
-    t, torque = joint_columns(bag, "/joint_states", "effort")
-    return _fraction(np.abs(torque[t >= start]) >= torque_limit)
+def _servos(bag: Bag, start: float, servo: ServoSettings) -> dict[str, Any]:
+    voltage = _supply_voltage(bag, start)
+    share = _torques(bag, start) / servo.tendon_stall(voltage)
+    return {
+        "servo_saturated": _mean(share >= 1.0),
+        "servo_load": _mean(share),
+        "supply_voltage": float(voltage.mean()),
+        "continuous_load": servo.continuous_load,
+    }
+
+
+def _torques(bag: Bag, start: float) -> Array:
+    """(n, 4) magnitudes of the servos' torques, N m; n = 0 where they are not recorded."""
+    topic = "/joint_states"
+    if not bag.counts.get(topic) or not bag.series(topic, "effort")["effort"].size:
+        return np.empty((0, len(LEGS)))  # a JointState may have no efforts
+    t, torque = joint_columns(bag, topic, "effort")
+    return np.abs(torque[t >= start])
+
+
+def _supply_voltage(bag: Bag, start: float) -> Array:
+    """(4,) medians of the supply voltages that the servos report, V; NaN: not known."""
+    health = _after(bag, start, "/servo_health", "voltage")
+    if health is None:
+        return np.array(NOT_KNOWN)
+    known = [column[np.isfinite(column)] for column in health["voltage"].T]
+    return np.array([np.median(column) if len(column) else math.nan for column in known])
 
 
 def _after(bag: Bag, start: float, topic: str, *fields: str) -> dict[str, Array] | None:
@@ -203,5 +226,5 @@ def _after(bag: Bag, start: float, topic: str, *fields: str) -> dict[str, Array]
     return {field: series[field][keep] for field in fields} if keep.any() else None
 
 
-def _fraction(flags: NDArray[Any]) -> tuple[float, ...]:
-    return tuple(float(f) for f in flags.mean(axis=0)) if len(flags) else NOT_KNOWN
+def _mean(rows: NDArray[Any]) -> tuple[float, ...]:
+    return tuple(float(f) for f in rows.mean(axis=0)) if len(rows) else NOT_KNOWN

@@ -134,7 +134,7 @@ def draw_summary(ax: Axes, metrics: WalkMetrics) -> None:
     ax.set_axis_off()
     text = ax.text(
         0.0, 1.0, "\n".join(summary_lines(metrics)), transform=ax.transAxes, va="top",
-        family="monospace", fontsize=7.6, linespacing=1.55, color=palette.INK,
+        family="monospace", fontsize=7.2, linespacing=1.55, color=palette.INK,
     )  # fmt: skip
     text.set_in_layout(False)  # wide text must not narrow the panels above
 

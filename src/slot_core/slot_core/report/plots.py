@@ -45,7 +45,7 @@ def dashboard_figure(bag: Bag, metrics: WalkMetrics) -> Figure:
     panels.draw_angles(axes[:4], bag, motion.t[0], motion.t[-1])
     panels.draw_forces(axes[4:], bag, motion.t[0], motion.t[-1])
 
-    latency, slack, summary = _stack(right, ("latency", "slack", "summary"), (1.0, 1.3, 1.7))
+    latency, slack, summary = _stack(right, ("latency", "slack", "summary"), (1.0, 1.15, 2.0))
     panels.draw_latency(latency, read_ticks(bag).after(motion.t[0] + metrics.warm_up))
     panels.draw_slack(slack, bag, motion.t[0])
     panels.draw_summary(summary, metrics)

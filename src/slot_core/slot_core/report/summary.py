@@ -35,6 +35,8 @@ def summary_lines(metrics: WalkMetrics) -> list[str]:
         ("largest violation", _number(m.violation_max, "{:.1e} N")),
         ("map saturated", _per_leg(m.saturated)),
         ("servo at stall", _per_leg(m.servo_saturated)),
+        ("servo load", _per_leg(m.servo_load)),
+        ("  all servos", _load(m)),
         ("rejected odometry", "-" if m.rejected_odometry is None else str(m.rejected_odometry)),
     ]
     return [f"{name:<{NAME_WIDTH}}{value}" for name, value in rows]
@@ -63,6 +65,16 @@ def _fallback(metrics: WalkMetrics) -> str:
     if metrics.fallback_cycles is None:
         return "-"
     return f"{metrics.fallback_cycles} cycles, at most {metrics.longest_fallback} in a row"
+
+
+def _load(metrics: WalkMetrics) -> str:
+    """Mean load of the servos beside the one that the maker advises."""
+    load, voltage = sum(metrics.servo_load) / len(LEGS), metrics.supply_voltage
+    if not math.isfinite(load):
+        return "-"
+    stall = f"stall at {voltage:.1f} V" if math.isfinite(voltage) else "nominal stall"
+    advised = f"{100 * metrics.continuous_load:.0f} %"
+    return f"{100 * load:.1f} % of {stall}; the maker advises {advised}"
 
 
 def _per_leg(fractions: Iterable[float]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,8 +36,10 @@ def healthy_servos(
     torque: bool,
     goal: Array,
     slewed: NDArray[np.bool_] | None = None,
+    *,
+    voltage: float = math.nan,
 ) -> ServoHealth:
-    """Health of servos without faults: simulated ones without a bus."""
+    """Health of servos without faults: simulated ones without a bus, at a supply voltage (V)."""
     count = len(LEGS)
     return ServoHealth(
         action=action,
@@ -47,6 +50,6 @@ def healthy_servos(
         slewed=np.zeros(count, dtype=bool) if slewed is None else slewed,
         hardware_error=np.zeros(count, dtype=np.int64),
         temperature=np.full(count, np.nan),
-        voltage=np.full(count, np.nan),
+        voltage=np.full(count, voltage),
         error_rate=np.zeros(count),
     )

@@ -2,7 +2,7 @@
 
 In every time step the servos advance by that step, loaded by the tendon torques at its start; the
 spools end the step at the angles of the shafts. The emulated servo replaces model, lag and backlash
-of `servo.yaml`.
+of `servo.yaml`; its supply voltage is that of the scene.
 """
 
 from __future__ import annotations
@@ -52,6 +52,8 @@ class BusPlant(Plant):
         sensors = dataclasses.replace(scene.sensors, joints=False)  # the driver reads the joints
         scene = dataclasses.replace(scene, sensors=sensors)
         super().__init__(robot, scene, immediate_servo(servo, scene.solver.step), rng)
+        supplied = dataclasses.replace(emulator.servo, voltage=scene.supply_voltage)
+        emulator = dataclasses.replace(emulator, servo=supplied)
         self.legs = EmulatedLegs(settings, emulator, self.simulator.tendon_angle)
 
     def powered(self) -> tuple[str, ...]:

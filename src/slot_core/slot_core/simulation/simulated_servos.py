@@ -188,7 +188,14 @@ class GuardedServos:
 
     def health(self, stamp: int) -> ServoHealth:
         """Health report of the servos: they have no faults."""
-        return healthy_servos(self.action, self.reason, self._torque, self._goal, self._slewed)
+        return healthy_servos(
+            self.action,
+            self.reason,
+            self._torque,
+            self._goal,
+            self._slewed,
+            voltage=self._plant.simulator.scene.supply_voltage,
+        )
 
     def close(self, running: bool) -> str:
         """Return "": there is nothing to end."""

@@ -88,7 +88,7 @@ class DrivenServos:
         driver = Driver(port, settings, self._seconds)
         angle_max = plant.simulator.robot.tendon.angle_max
         self.session = ServoSession(driver, angle_max, CYCLE, self._pass)
-        self._stall_torque = read_servo().tendon_stall
+        self._servo = read_servo()
         self.powered = self.released = self._was_on = False
         self.end = ""  # why the driver has ended
         self._commanded = self._arrived = 0  # ns, stamp of the newest command and when it arrived
@@ -182,7 +182,7 @@ class DrivenServos:
         self.released = self._was_on and not on
         follows = self.action is Action.PASS
         self._plant.held = self._plant.held and not (follows or self.released)
-        reading = measured(now, cycle, self._stall_torque)
+        reading = measured(now, cycle, self._servo.tendon_stall(self.session.voltage))
         return [] if reading is None else [reading]
 
     def _pass(self, seconds: float) -> None:

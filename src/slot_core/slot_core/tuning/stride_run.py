@@ -77,7 +77,7 @@ class _Run:
     def __init__(self, job: Job, settings: TuningSettings, robot: Robot, scene: Scene) -> None:
         self._job, self._settings, self._size = job, settings, robot.torso.size
         servo = read_servo()
-        self._stall = servo.tendon_stall
+        self._stall = float(servo.tendon_stall(scene.supply_voltage))
         self._robot: SimulatedRobot = make_robot(robot, scene, servo)
         self._angle_max = robot.tendon.angle_max
         self._steps = max(1, round(settings.command_period / scene.solver.step))

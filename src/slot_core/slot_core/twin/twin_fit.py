@@ -1,9 +1,9 @@
 """Parameters with which the model explains a bag, fitted to some of its strides.
 
 A parameter is named by its place, `robot.leg.young_modulus`, `scene.floor.friction[0]`,
-`servo.lag`, or by one of the short names in `SHORT`. One without an index of a value per leg is
-equal for all legs. The whole bag is replayed for every trial; the residuals are those of the
-strides of the fit, the last strides are held out.
+`servo.lag`, or by one of the short names in `SHORT`. Without an index a value per leg is equal for
+all legs; any other list needs one. The whole bag is replayed for every trial; the residuals are
+those of the strides of the fit, the last strides are held out.
 """
 
 from __future__ import annotations
@@ -69,15 +69,18 @@ def places(names: Sequence[str]) -> tuple[str, ...]:
 
 def parameter(parts: ModelParts, place: str) -> Parameter:
     """The free parameter of a place, with its value and bounds; raises ConfigError."""
-    part, name, leg = _split(place)
+    part, name, index = _split(place)
     known = {n: (v, meta) for n, v, meta in leaves(getattr(parts, part)) if _is_number(v, meta)}
     if name not in known:
         raise ConfigError(f"--fit {place}: {part} has no number {name}")
     value, meta = known[name]
-    if leg is not None and not isinstance(value, tuple):
+    if index is not None and not isinstance(value, tuple):
         raise ConfigError(f"--fit {place}: {name} is one number, without an index")
     if isinstance(value, tuple):
-        value = value[leg or 0]
+        index = 0 if index is None and len(value) == len(LEGS) else index
+        if index is None or index >= len(value):
+            raise ConfigError(f"--fit {place}: expected an index of {name}, 0 to {len(value) - 1}")
+        value = value[index]
     low, high = BOUNDS.get(f"{part}.{name}", (meta["low"], meta["high"]))
     if not low <= value <= high:
         raise ConfigError(f"--fit {place}: its value {value:g} is outside [{low:g}, {high:g}]")
@@ -90,13 +93,13 @@ def changes(
     """Changed values by dotted name, for each of robot, scene, servo."""
     out: dict[str, dict[str, Any]] = {"robot": {}, "scene": {}, "servo": {}}
     for place, value in zip(names, values):
-        part, name, leg = _split(place)
+        part, name, index = _split(place)
         old = out[part].get(name) or _value(getattr(parts, part), name)
         number = float(value)
         if not isinstance(old, (tuple, list)):
             out[part][name] = number
         else:
-            out[part][name] = [number if leg in (None, k) else v for k, v in enumerate(old)]
+            out[part][name] = [number if index in (None, k) else v for k, v in enumerate(old)]
     if "lag" in out["servo"]:
         out["servo"]["model"] = "torque_speed"  # the pid has none
     return out
@@ -178,13 +181,13 @@ def stride_residuals(
 def _split(place: str) -> tuple[str, str, int | None]:
     match = PLACE.fullmatch(place)
     assert match is not None
-    part, name, leg = match.groups()
-    return part, name, None if leg is None else int(leg)
+    part, name, index = match.groups()
+    return part, name, None if index is None else int(index)
 
 
 def _is_number(value: Any, meta: Mapping[str, Any]) -> bool:
-    per_leg = isinstance(value, tuple) and len(value) == len(LEGS)
-    return "low" in meta and (isinstance(value, float) or (per_leg and isinstance(value[0], float)))
+    first = value[0] if isinstance(value, tuple) and value else value
+    return "low" in meta and isinstance(first, float)
 
 
 def _value(settings: Any, name: str) -> Any:

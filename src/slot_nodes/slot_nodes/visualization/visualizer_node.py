@@ -33,7 +33,9 @@ class VisualizerNode(Node):
 
     def __init__(self) -> None:
         super().__init__("visualizer")
-        self._drawing = Drawing(read_robot(), read_servo().tendon_stall)
+        servo = read_servo()
+        loaded = float(servo.tendon_stall(servo.nominal_voltage))
+        self._drawing = Drawing(read_robot(), loaded)
         self._changed: dict[str, Shape] = {}
         self._stamp = 0  # ns, of the newest input
         self._markers = runtime.publisher(self, MarkerArray, "visualization", qos.SENSOR)
