@@ -10,15 +10,10 @@ with the change lambda of the tendon's tension; the last column is the gradient.
 
     X_i = X_k + s,      Phi_k = t x s / l + t w = A s + t w.
 
-A hinge with the moment m (in odom's or any fixed axes) between the segments k - 1 and k has the
-tangent dm = (Phi_k + Phi_{k-1}) x m / 2 + K (Phi_k - Phi_{k-1}) with a symmetric K. With the
-derivative V^T of the rotation vector psi by Phi_k - Phi_{k-1}, m = V mu and
-
-    K = V B V^T + (m psi^T + psi m^T - 2 (psi.m) 1) / 12 + O(psi^3 m).
-
-What is left antisymmetric in the block of one segment comes from spins not being coordinates; it is
-left out. The twist about a segment has the inertia of its section's polar moment. The mass moves
-linearly between two nodes, which adds -mu (ds/dt)^2 / 2 to the energy of the lumped masses.
+The tangent of a hinge is in `hinge.py`. What is left antisymmetric in the block of one segment
+comes from spins not being coordinates; it is left out. The twist about a segment has the inertia of
+its section's polar moment. The mass moves linearly between two nodes, which adds -mu (ds/dt)^2 / 2
+to the energy of the lumped masses.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -32,18 +27,9 @@ from slot_core.compiled import helper
 from slot_core.dynamics.algebra import cross, dot, plus, row
 from slot_core.dynamics.contact import coefficient, friction_force, normal_force, tangential
 from slot_core.dynamics.lanes import any_lane, largest, like, where
+from slot_core.dynamics.spatial.hinge import Symmetric, bend
+from slot_core.dynamics.spatial.strain import frame
 from slot_core.dynamics.terrain import ground, is_uneven, tilted
-
-
-class Symmetric(NamedTuple):
-    """Upper half of a symmetric 3 x 3 matrix."""
-
-    xx: float
-    xy: float
-    xz: float
-    yy: float
-    yz: float
-    zz: float
 
 
 class Form(NamedTuple):
@@ -58,15 +44,6 @@ class Form(NamedTuple):
     twist: tuple[float, float, float]  # rows Phi
     force: tuple[float, float, float]  # gradient, rows X
     moment: tuple[float, float, float]  # rows Phi
-
-
-class Hinge(NamedTuple):
-    """Moment of a hinge on the segment behind it, its tangent, and two derivatives by Phi_k."""
-
-    moment: tuple[float, float, float]  # N m
-    tangent: Symmetric  # K, N m/rad
-    tendon: tuple[float, float, float]  # m, of the tendon's length
-    bulge: tuple[float, float, float]  # m, of the segment's correction -c
 
 
 class Pivot(NamedTuple):
@@ -116,7 +93,10 @@ def _reduce(model, leg, k, inv, place, form, both, one):
     axial = viscous * rod.axial[k]
     normal = rod.axial[k] * (s.extension[k] + rod.damping_time * s.extension_rate[k])
     normal += leg.pull[0] * along
-    hinge = _bend(model, leg, k, viscous, normal)
+    before = (row(leg.frame, 0), row(leg.frame, 1), row(leg.frame, 2))
+    if k > 0:
+        before = frame(s, k - 1)
+    hinge = bend(rod, s, k, before, viscous, normal, model.tendon, leg.pull[0])
     # Contact of the segment's begin moves with X_k and Phi_k.
     m = hinge.moment
     begin = _add_contact(model, leg, k, 0, inv, place, _spun(rod, leg, k, inv, form, hinge))
@@ -240,62 +220,6 @@ def _lag(leg, k):
         v[k + 1, 0] - v[k, 0] - before[k + 1, 0] + before[k, 0],
         v[k + 1, 1] - v[k, 1] - before[k + 1, 1] + before[k, 1],
         v[k + 1, 2] - v[k, 2] - before[k + 1, 2] + before[k, 2],
-    )
-
-
-@helper
-def _bend(model, leg, k, viscous, normal):
-    """The hinge at node k under the tendon's tension and the axial force `normal` (N) behind it."""
-    s, rod, beta = leg.segments, model.rod, model.rod.damping_time
-    t, d, b = row(leg.frame, 0), row(leg.frame, 1), row(leg.frame, 2)
-    if k > 0:
-        t, d = row(s.direction, k - 1), row(s.director, k - 1)
-        b = cross(t, d)
-    x, y, z, c = s.twist[k], s.turn[k], s.side[k], s.curl[k]
-    # V = (t, d, b) (1 + [psi] / 2 + c [psi]^2), whose columns belong to the components of psi.
-    vt = _mapped(t, d, b, 1.0 - c * (y * y + z * z), c * x * y + 0.5 * z, c * x * z - 0.5 * y)
-    vd = _mapped(t, d, b, c * x * y - 0.5 * z, 1.0 - c * (x * x + z * z), c * y * z + 0.5 * x)
-    vb = _mapped(t, d, b, c * x * z + 0.5 * y, c * y * z - 0.5 * x, 1.0 - c * (x * x + y * y))
-    bend, q = y - rod.rest_angle[k], -2.0 * rod.shortening[k]
-    around, along, geometric = model.tendon.around[k], model.tendon.along[k], q * normal
-    twist, inner, outer = rod.torsion[k], rod.bending[k], rod.lateral[k]
-    mt = twist * (x + beta * s.twist_rate[k])
-    md = inner * (bend + beta * s.turn_rate[k]) + leg.pull[0] * around + geometric * bend
-    mb = outer * (z + beta * s.side_rate[k]) + geometric * z
-    m = _mapped(vt, vd, vb, mt, md, mb)
-    bulge = _mapped(vt, vd, vb, like(0.0, x), q * bend, q * z)
-    psi = _mapped(t, d, b, x, y, z)
-    level = -(psi[0] * m[0] + psi[1] * m[1] + psi[2] * m[2]) / 6.0
-    kt, kd, kb = viscous * twist, viscous * inner + geometric, viscous * outer + geometric
-    third = (psi[0] / 12.0, psi[1] / 12.0, psi[2] / 12.0)
-    et, ed, eb = (
-        (kt * vt[0], kt * vt[1], kt * vt[2]),
-        (kd * vd[0], kd * vd[1], kd * vd[2]),
-        (kb * vb[0], kb * vb[1], kb * vb[2]),
-    )
-    tangent = Symmetric(
-        et[0] * vt[0] + ed[0] * vd[0] + eb[0] * vb[0] + 2.0 * third[0] * m[0] + level,
-        et[0] * vt[1] + ed[0] * vd[1] + eb[0] * vb[1] + third[0] * m[1] + third[1] * m[0],
-        et[0] * vt[2] + ed[0] * vd[2] + eb[0] * vb[2] + third[0] * m[2] + third[2] * m[0],
-        et[1] * vt[1] + ed[1] * vd[1] + eb[1] * vb[1] + 2.0 * third[1] * m[1] + level,
-        et[1] * vt[2] + ed[1] * vd[2] + eb[1] * vb[2] + third[1] * m[2] + third[2] * m[1],
-        et[2] * vt[2] + ed[2] * vd[2] + eb[2] * vb[2] + 2.0 * third[2] * m[2] + level,
-    )
-    tendon = (
-        around * vd[0] + along * bulge[0],
-        around * vd[1] + along * bulge[1],
-        around * vd[2] + along * bulge[2],
-    )
-    return Hinge(m, tangent, tendon, bulge)
-
-
-@helper
-def _mapped(a, b, c, x, y, z):
-    """x a + y b + z c for vectors a, b, c."""
-    return (
-        x * a[0] + y * b[0] + z * c[0],
-        x * a[1] + y * b[1] + z * c[1],
-        x * a[2] + y * b[2] + z * c[2],
     )
 
 

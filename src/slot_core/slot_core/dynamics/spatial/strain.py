@@ -90,6 +90,13 @@ def orient(s, begin, director, spin, rate, time):
 
 
 @helper
+def frame(s, k):
+    """Frame (t, d, b) of segment k."""
+    t, d = row(s.direction, k), row(s.director, k)
+    return t, d, cross(t, d)
+
+
+@helper
 def transported(d, a, t):
     """Vector d, normal to the unit vector a, turned with a to the unit vector t."""
     share = dot(d, t) / (1.0 + dot(a, t))
@@ -116,21 +123,21 @@ def measure(s, rod, velocity, spin, clamp, clamp_rate):
     """
     before, rate = clamp, clamp_rate
     for k in range(s.length.size):
-        t, d = row(s.direction, k), row(s.director, k)
-        frame = (t, d, cross(t, d))
+        own = frame(s, k)
+        t = own[0]
         ux, uy, uz = (
             velocity[k + 1, 0] - velocity[k, 0],
             velocity[k + 1, 1] - velocity[k, 1],
             velocity[k + 1, 2] - velocity[k, 2],
         )
         w = cross(t, (ux, uy, uz))
-        scale, own = s.per_length[k], spin[k]
+        scale, turning = s.per_length[k], spin[k]
         w = (
-            w[0] * scale + own * t[0],
-            w[1] * scale + own * t[1],
-            w[2] * scale + own * t[2],
+            w[0] * scale + turning * t[0],
+            w[1] * scale + turning * t[1],
+            w[2] * scale + turning * t[2],
         )
-        psi, curl = rotation_vector(before, frame)
+        psi, curl = rotation_vector(before, own)
         beta = (w[0] - rate[0], w[1] - rate[1], w[2] - rate[2])
         beta = (dot(before[0], beta), dot(before[1], beta), dot(before[2], beta))
         across = cross(psi, beta)
@@ -147,7 +154,7 @@ def measure(s, rod, velocity, spin, clamp, clamp_rate):
         s.extension_rate[k] = (
             t[0] * ux + t[1] * uy + t[2] * uz - 2.0 * q * (bend * psi_rate[1] + side * psi_rate[2])
         )
-        before, rate = frame, w
+        before, rate = own, w
 
 
 @helper
@@ -185,13 +192,13 @@ def elastic_energy(s, rod, node, director):
     point_along(s, node)
     for k in range(s.length.size):
         t, d = row(s.direction, k), row(director, k)
-        frame = (t, d, cross(t, d))
-        psi, _ = rotation_vector(before, frame)
+        own = (t, d, cross(t, d))
+        psi, _ = rotation_vector(before, own)
         s.turn[k] = psi[1]
         bend = psi[1] - rod.rest_angle[k]
         bulge = rod.shortening[k] * (bend * bend + psi[2] * psi[2])
         s.extension[k] = s.length[k] - rod.rest_length[k] - bulge
         energy += rod.axial[k] * s.extension[k] ** 2 + rod.torsion[k] * psi[0] * psi[0]
         energy += rod.bending[k] * bend * bend + rod.lateral[k] * psi[2] * psi[2]
-        before = frame
+        before = own
     return 0.5 * energy
