@@ -201,7 +201,7 @@ def build_model(robot: Robot, scene: Scene, settings: ServoSettings) -> Model:
         tendon=route(rod, robot.tendon),
         torso=box(robot.torso),
         floor=build_floor(scene.floor, rod, robot.leg.contact_width if spatial else 0.0),
-        servo=servo(settings, scene.supply_voltage),
+        servo=servo(settings, scene.supply_voltage)._replace(friction=robot.tendon.capstan),
         friction=np.array([scene.floor.friction, scene.floor.friction_other]),
         gravity=np.array(scene.gravity),
         axes=axes,
