@@ -22,7 +22,7 @@ ALLOWED = {
     "dynamics": "ground dynamics/planar dynamics/spatial",
     "control": "ground",
     "control/mpc": "ground control",
-    "legs": "ground dynamics dynamics/planar",
+    "legs": "ground dynamics dynamics/planar dynamics/spatial",
     "paper": "ground dynamics",
     "safety": "ground control control/mpc",
     "dynamixel": "ground safety",
