@@ -33,7 +33,10 @@ DOC = ROOT / "slot_bringup" / "doc"
 WALK = "The robot walks: two strides of the simulation at half speed; arrows: forces of the ground"
 CAPTIONS = {
     "rod": {"rod.png": "speed against error of the public rod, MuJoCo and PyElastica"},
-    "robot": {"robot.png": "speed against error of the whole robot"},
+    "robot": {
+        "robot.png": "speed against error of the whole robot",
+        "other_engine.png": "speeds of the gaits here and in MuJoCo",
+    },
     "mpc": {"mpc.png": "speed against error of the solvers, and time over the horizon"},
     "estimation": {"estimation.png": "error of the state over the delay of the odometry"},
     "locomotion": {

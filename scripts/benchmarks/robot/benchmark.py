@@ -2,7 +2,8 @@
 
 The test is to stand up and step: natural legs on the floor, tendons pulled to 63 deg, after half a
 second to 90, 30, 50 and 75 deg, 1.5 s in all. The error is the root mean square of the distance of
-the torso's centre from that of a fine solution (121 nodes, 10 us, converged).
+the torso's centre from that of a fine solution (121 nodes, 10 us, converged). The robot is also
+compared with the same robot in MuJoCo (other_engine.py).
 """
 
 import dataclasses
@@ -29,6 +30,7 @@ from slot_core.rod.cosserat_rod import Scheme
 from slot_core.simulation.plant import make_robot
 from slot_core.simulation.rod_robot import RodRobot
 
+REQUIRES = ("mujoco",)
 COMMANDS = ((0.5, (63.0, 63.0, 63.0, 63.0)), (1.0, (90.0, 30.0, 50.0, 75.0)))  # s, deg
 DURATION = sum(seconds for seconds, _ in COMMANDS)
 SAMPLE = 0.01  # s
@@ -45,7 +47,9 @@ COMPARED = (22, 31)  # nodes
 
 
 def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[Row], list[Check]]:
-    """Run all tests; the picture of error over cost goes to `out/robot.png`."""
+    """Run all tests; pictures of error over cost and of the other engine go to `out`."""
+    from benchmarks.robot import other_engine  # noqa: PLC0415 - after REQUIRES is checked
+
     robot, repeats = read_robot(), 3 if quick else 9
     progress("cost of a step")
     rows: list[dict[str, Any]] = [cost_row(robot, nodes, repeats) for nodes in (10, 16, 22, 31, 61)]
@@ -61,7 +65,8 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
         rows += [{"kind": "hard case"} | row for row in hard_rows()]
     mark_front([row for row in rows if row["kind"] in {"stand and step", "level"}])
     draw(rows, out / "robot.png")
-    return rows, checks(rows)
+    compared = other_engine.rows(quick, out, progress)
+    return [*rows, *compared], [*checks(rows), *other_engine.checks(compared)]
 
 
 def simulator(robot: Robot, solver: dict[str, Any], **changes: Any) -> RodRobot:

@@ -1,0 +1,341 @@
+"""The robot in MuJoCo: an independent engine with a contact law of its own, for comparison.
+
+A leg is a chain of rigid links, one for each segment of the rod. At node i are a hinge in the leg's
+plane and one sideways, with the rod's bending stiffness and natural shape. The link behind it turns
+about itself with the twist of its segment, G J / h, and stretches with E A / l (`Engine.stretch`).
+Each joint has the damping time of the material, a link the masses of its segment. The figures are
+those of `slot_core.dynamics.rod`; equations of motion, integration and contact are the engine's.
+
+The hinges turn one after the other, the twist last, about the link. With G J of node i, as in the
+rod, the chain's sideways deflection would have an error of first order in the links' length; twist
+belongs to the link.
+
+The tendon is an actuator on the combination of hinges and slides that lengthens it. Its tension
+T = max(0, k (l - l_cmd) + c d(l - l_cmd)/dt) follows `slot_core.dynamics.tendon`. The servo is the
+pid of `slot_core.dynamics.servo`, in NumPy.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from slot_core.dynamics.model import Model, build_model
+from slot_core.dynamics.rod import sections
+from slot_core.dynamics.scene import Scene
+from slot_core.dynamics.servo import Servo, ServoSettings
+from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
+from slot_core.robot import LEGS, Array, Robot
+
+POINT = 1e-6  # m, radius of the spheres that stand for contact points
+CORNERS = 8  # of the torso
+FLOOR, TOUCHING = 1, 2  # bits: points touch the floor, not each other
+
+
+@dataclass(frozen=True)
+class Engine:
+    """Set-up of the engine. A contact is held by the acceleration -b v - k r of its points.
+
+    k = 1 / (d reach)^2 and b = 2 / (d reach) belong to critical damping. 1 - d is the share of the
+    acceleration without the contact that is let through: the softness of normal forces. Along the
+    floor it is divided by `tangential`; sticking points creep by what is left.
+    """
+
+    step: float = 2e-4  # s
+    cone: str = "elliptic"  # friction cone: round, or with four sides (pyramidal)
+    reach: float = 2e-3  # s, time constant of a contact; the engine wants two steps at least
+    hold: float = 0.95  # d
+    tangential: float = 100.0  # softness of normal forces over that of friction
+    stretch: bool = True  # whether the links stretch; else their compliance is the tendon's
+
+
+DEFAULT = Engine()
+
+
+class TorsoMotion(NamedTuple):
+    """Motion of the torso, see `RobotState`."""
+
+    position: Array
+    rotation: Array
+    velocity: Array
+    rate: Array
+    specific_force: Array
+
+
+class Links(NamedTuple):
+    """Links of a leg, one for each segment."""
+
+    mass: Array  # (n,) kg
+    centre: Array  # (n,) m from the joint, along the link
+    inertia: Array  # (n, 3) kg m^2 about the centre and the link, its width and its thickness
+    torsion: Array  # (n,) N m/rad
+
+
+def links(robot: Robot, model: Model) -> Links:
+    """Links with the kinetic energy of the rod's segments, and their twist.
+
+    A segment has masses a, b at its nodes and the coupling mu: about its centre, across the link,
+    the inertia is a b l^2 / (a + b) - mu l^2. A section's own inertia about its width and its
+    thickness, which the rod neglects, is added: the engine refuses a link without it.
+    """
+    rod, leg = model.rod, robot.leg
+    step, fraction = np.diff(rod.arc), rod.arc / rod.arc[-1]
+    line = sections(leg, fraction).mass
+    begin, end = step / 6 * (2 * line[:-1] + line[1:]), step / 6 * (line[:-1] + 2 * line[1:])
+    mass, square = begin + end, rod.rest_length**2
+    across = begin * end / mass * square - rod.coupling * square
+    wide, thick = leg.width**2, leg.thickness((fraction[:-1] + fraction[1:]) / 2) ** 2
+    flat, upright = rod.spin * thick / (wide + thick), rod.spin * wide / (wide + thick)
+    inertia = np.column_stack([rod.spin, across + flat, across + upright])
+    torsion = sections(leg, (fraction[:-1] + fraction[1:]) / 2).torsion / step
+    return Links(mass, end / mass * rod.rest_length, inertia, torsion)
+
+
+class Cable(NamedTuple):
+    """A tendon as the engine has it."""
+
+    stiffness: float  # N/m
+    delay: float  # s, damping over stiffness
+    slack: float  # m, at tendon angle zero
+
+
+def cable(model: Model, stretch: bool) -> Cable:
+    """Stiffness, damping and slack of a tendon.
+
+    Where the links do not stretch, their compliance up to the anchor, sum 1 / k_i with the damping
+    time of the material, is in series with the cable's.
+    """
+    rod, tendon = model.rod, model.tendon
+    slack = tendon.relaxed - float(tendon.around @ rod.rest_angle)
+    compliance, lag = 1 / tendon.stiffness, tendon.damping / tendon.stiffness**2
+    if not stretch:
+        soft = float(np.sum(tendon.along / rod.axial))
+        compliance, lag = compliance + soft, lag + soft * rod.damping_time
+    return Cable(1 / compliance, lag / compliance, slack)
+
+
+class Parts(NamedTuple):
+    """What the engine's robot is built from."""
+
+    robot: Robot
+    model: Model
+    links: Links
+    engine: Engine
+
+
+def build(robot: Robot, model: Model, engine: Engine) -> mujoco.MjModel:
+    """The robot on its floor.
+
+    Raises ValueError for a straight tendon: the engine's is routed along the leg.
+    """
+    if model.tendon.straight:
+        raise ValueError("the robot in MuJoCo has routed tendons only, not straight ones")
+    parts, spec = Parts(robot, model, links(robot, model), engine), mujoco.MjSpec()
+    set_option(spec.option, model, engine)
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0, 0, -POINT],
+        contype=FLOOR, conaffinity=TOUCHING,
+    )  # fmt: skip
+    torso = spec.worldbody.add_body(
+        name="torso", mass=model.torso.mass, inertia=np.diag(model.torso.inertia),
+        explicitinertial=True,
+    )  # fmt: skip
+    torso.add_freejoint()
+    for corner in model.torso.corners:
+        add_point(torso, corner, model.floor.corner_friction, engine)
+    for leg in range(4):
+        add_leg(torso, leg, parts)
+        add_tendon(spec, leg, model, engine)
+    return spec.compile()
+
+
+def set_option(option: Any, model: Model, engine: Engine) -> None:
+    """Step, integrator and friction cone of the engine.
+
+    `implicitfast` is Euler's method, semi-implicit in positions and implicit in damping: springs
+    with a damping time of more than half a step are stable however stiff they are.
+    """
+    option.timestep, option.gravity = engine.step, model.gravity
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.cone = getattr(mujoco.mjtCone, f"mjCONE_{engine.cone.upper()}")
+    option.impratio = engine.tangential
+
+
+def add_leg(torso: Any, leg: int, parts: Parts) -> None:
+    """Add leg 0 .. 3: links from the clamp outward, each with its joints and its end's points."""
+    robot, model, shape, engine = parts
+    length, body, place = model.rod.rest_length, torso, robot.clamps[leg]
+    turn = Rotation.from_euler("z", robot.azimuth[leg])
+    for k in range(len(length)):
+        turn = turn * Rotation.from_euler("y", -model.rod.rest_angle[k])
+        body = body.add_body(
+            name=f"{LEGS[leg]}{k}", pos=place, quat=turn.as_quat(scalar_first=True),
+            mass=shape.mass[k], ipos=[shape.centre[k], 0, 0], inertia=shape.inertia[k],
+            explicitinertial=True,
+        )  # fmt: skip
+        add_joints(body, k, parts)
+        for side in (-0.5, 0.5):
+            edge = [length[k], side * robot.leg.contact_width, 0]
+            add_point(body, edge, model.friction[0, leg], engine)
+        place, turn = [length[k], 0, 0], Rotation.identity()
+
+
+def add_joints(body: Any, k: int, parts: Parts) -> None:
+    """Add the joints of link k: positive in the plane is upward, as the rod's turning angle."""
+    rod, hinge = parts.model.rod, mujoco.mjtJoint.mjJNT_HINGE
+    joints = [
+        ("turn", hinge, (0, -1, 0), rod.bending[k]),
+        ("side", hinge, (0, 0, 1), rod.lateral[k]),
+        ("twist", hinge, (1, 0, 0), parts.links.torsion[k]),
+    ]
+    if parts.engine.stretch:
+        joints.append(("along", mujoco.mjtJoint.mjJNT_SLIDE, (1, 0, 0), rod.axial[k]))
+    for kind, form, axis, stiffness in joints:
+        body.add_joint(
+            name=f"{body.name}{kind}", type=form, axis=axis,
+            stiffness=stiffness, damping=stiffness * rod.damping_time,
+        )  # fmt: skip
+
+
+def add_point(body: Any, place: Any, friction: float, engine: Engine) -> None:
+    """Add a point (3,), m, that touches the floor.
+
+    Its priority makes the contact's softness and friction the point's; else they are means with
+    the floor's.
+    """
+    hold = engine.hold
+    body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[POINT, 0, 0], pos=place, mass=0,
+        contype=TOUCHING, conaffinity=FLOOR, friction=[friction, 0, 0], condim=3,
+        priority=1, solref=[engine.reach, 1.0], solimp=[hold, hold, 1e-3, 0.5, 2],
+    )  # fmt: skip
+
+
+def add_tendon(spec: Any, leg: int, model: Model, engine: Engine) -> None:
+    """Add the tendon of leg 0 .. 3 and what pulls it: force k (control - l - delay dl/dt) <= 0."""
+    tendon, line = spec.add_tendon(name=LEGS[leg]), cable(model, engine.stretch)
+    for k, (around, along) in enumerate(zip(model.tendon.around, model.tendon.along)):
+        if around:
+            tendon.wrap_joint(f"{LEGS[leg]}{k}turn", around)
+        if along and engine.stretch:
+            tendon.wrap_joint(f"{LEGS[leg]}{k}along", along)
+    k = line.stiffness
+    spec.add_actuator(
+        name=LEGS[leg], target=LEGS[leg], trntype=mujoco.mjtTrn.mjTRN_TENDON,
+        gaintype=mujoco.mjtGain.mjGAIN_FIXED, gainprm=[k] + 9 * [0],
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE, biasprm=[0, -k, -k * line.delay] + 7 * [0],
+        forcelimited=True, forcerange=[-1e4, 0],
+    )  # fmt: skip
+
+
+def motor_speed(law: Servo, speed: Array, error: Array, torque: Array, h: float) -> Array:
+    """Speed of the motors (4,) after h (s), rad/s, by the pid without its integral.
+
+    error: commanded less measured angle, rad; torque: load, N m. As in `slot_core.dynamics.servo`.
+    """
+    duty = np.clip(law.proportional * error - law.derivative * speed, -1.0, 1.0)
+    target = law.speed * (duty - law.speed_loss * torque)
+    return speed + (target - speed) * h / (law.motor_time + h)
+
+
+class MujocoRobot(SimulatedRobot):
+    """The robot in MuJoCo with the interface of the project's; settles as that does.
+
+    Raises ValueError for a straight tendon and for a servo other than the pid without integral
+    and backlash. Payload, damaged tendons and uneven floors are not modelled.
+    """
+
+    def __init__(
+        self, robot: Robot, scene: Scene, servo: ServoSettings, engine: Engine = DEFAULT
+    ) -> None:
+        self.robot, self.scene, self.engine = robot, scene, engine
+        model = build_model(robot, scene, servo)
+        self._law, self._radius = model.servo, model.tendon.spool_radius
+        if not self._law.pid or self._law.integral or self._law.play:
+            raise ValueError("the servo in MuJoCo is the pid without integral and backlash")
+        self._cable = cable(model, engine.stretch)
+        self._model = build(robot, model, engine)
+        self._data = mujoco.MjData(self._model)
+        self._data.qpos[2] = scene.start.height
+        self._angle, self._speed, self._tip_force = np.zeros(4), np.zeros(4), np.zeros((4, 3))
+        mujoco.mj_forward(self._model, self._data)
+        self._settle()
+
+    def advance(self, steps: int, command: Array) -> None:
+        """See SimulatedRobot; `steps` are those of the scene's solver."""
+        command, h, data = self.checked(command), self.engine.step, self._data
+        self._pull_tips()
+        for _ in range(steps * round(self.scene.solver.step / h)):
+            torque = -self._radius * data.actuator_force
+            self._speed = motor_speed(self._law, self._speed, command - self._angle, torque, h)
+            self._angle = self._angle + h * self._speed
+            ahead = self._angle + self._cable.delay * self._speed
+            data.ctrl[:] = self._cable.slack - self._radius * ahead
+            mujoco.mj_step(self._model, data)
+        self.steps += steps
+        if any(warning.number for warning in data.warning):  # the engine has started anew
+            raise Divergence(f"MuJoCo's simulation diverged before {self.time:.3f} s")
+
+    def push(self, force: Array, moment: Array) -> None:
+        """See SimulatedRobot."""
+        self._data.xfrc_applied[1] += [*force, *moment]
+
+    def pull_tip(self, leg: int, force: Array) -> None:
+        """Add a force (3,), N, odom, at the tip of leg 0 .. 3.
+
+        Its moment about the last link is set anew with every call of `advance`.
+        """
+        self._tip_force[leg] += force
+
+    def _pull_tips(self) -> None:
+        last = 1 + np.arange(1, 5) * ((self._model.nbody - 2) // 4)
+        arm = self.nodes[:, -1] - self._data.xipos[last]
+        self._data.xfrc_applied[last, :3] = self._tip_force
+        self._data.xfrc_applied[last, 3:] = np.cross(arm, self._tip_force)
+
+    @property
+    def state(self) -> TorsoMotion:  # type: ignore[override]
+        """Motion of the torso; the specific force is not measured, NaN."""
+        place, velocity = self._data.qpos[:7], self._data.qvel[:6]
+        rotation = Rotation.from_quat(place[3:], scalar_first=True).as_matrix()
+        return TorsoMotion(place[:3], rotation, velocity[:3], velocity[3:], np.full(3, math.nan))
+
+    @property
+    def tendon_angle(self) -> Array:
+        """(4,) rad, angle of the spools."""
+        return self._angle.copy()
+
+    @property
+    def tendon_rate(self) -> Array:
+        """(4,) rad/s, over the last step."""
+        return self._speed.copy()
+
+    @property
+    def tension(self) -> Array:
+        """(4,) N, of the tendons in the last step."""
+        return -self._data.actuator_force
+
+    @property
+    def nodes(self) -> Array:
+        """(4, N, 3) m, nodes of the legs in odom, clamp first; between the edges of the links."""
+        mujoco.mj_kinematics(self._model, self._data)
+        ends = self._data.geom_xpos[1 + CORNERS :].reshape(4, -1, 2, 3).mean(axis=2)
+        clamps = self.position + self.robot.clamps @ self.rotation.T
+        return np.concatenate([clamps[:, None], ends], axis=1)
+
+    @property
+    def ground_force(self) -> Array:
+        """(4, 3) N in odom, force of the floor on each leg in the last step."""
+        force, out = np.zeros((4, 3)), np.zeros(6)
+        points = (self._model.ngeom - 1 - CORNERS) // 4
+        for k, contact in enumerate(self._data.contact):
+            mujoco.mj_contactForce(self._model, self._data, k, out)
+            leg = (contact.geom2 - 1 - CORNERS) // points
+            if leg >= 0:
+                force[leg] += contact.frame.reshape(3, 3).T @ out[:3]
+        return force

@@ -1,0 +1,264 @@
+"""Rows that compare the robot on spatial rod legs with the same robot in MuJoCo.
+
+- sideways: a leg with a pulled tendon, no floor, no gravity; its tip is pulled sideways. Deflection
+  per force in both engines, and by the unit-load integral along the bent leg.
+- stand: height of the torso under the scene's tendon angle.
+- replay: the gaits' tendon angles at amplitude one, without feedback, on floors of several
+  frictions. Mean velocities over the strides that count in config/tune.yaml.
+- variation: one replay again with one setting changed, of either engine.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from benchmarks.harness import Check, at_most
+from benchmarks.robot.engine_picture import draw
+from benchmarks.robot.mujoco_robot import DEFAULT, Engine, MujocoRobot
+from slot_core import config
+from slot_core.control.gait import Stride, read_gaits
+from slot_core.dynamics.rod import discretise, sections
+from slot_core.dynamics.scene import Scene, read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
+from slot_core.robot import Array, Leg, Robot, read_robot
+from slot_core.simulation.rod_robot import RodRobot
+from slot_core.tuning.settings import TuningSettings, read_tuning
+from slot_core.tuning.stride_run import stride_means
+
+Make = Callable[[Scene], SimulatedRobot]
+Progress = Callable[[str], None]
+
+GAITS = ("walk", "fast_walk", "crawl")
+ANGLES_DEG = (40.0, 63.0, 90.0)  # tendon angles of the stiffness
+SETTLED = 3.0  # s: vibrations of a leg under a load have died away
+TIP_MASS = 0.02  # kg
+SIDEWAYS = 1.0  # m/s^2
+HELD = 1e6  # kg, a torso that no leg moves
+QUICK_NODES = 10
+VARIED = ("walk", 0.4)
+SHARE, SPEED = 0.1, 3.0  # goal of a replay: a share of our speed, or mm/s
+STIFFNESS_PERCENT, STAND_MM = 5.0, 1.0
+
+# One setting changed at a time: name, of which engine, its changes, what it shows.
+VARIATIONS: tuple[tuple[str, str, dict[str, Any]], ...] = (
+    ("half the time step", "other", {"step": 1e-4}),
+    ("contact half as soft", "other", {"hold": 0.975}),
+    ("contact twice as soft", "other", {"hold": 0.9}),
+    ("contact half as fast", "other", {"reach": 4e-3}),
+    ("creep of sticking feet times ten", "other", {"tangential": 10.0}),
+    ("creep of sticking feet over ten", "other", {"tangential": 1000.0}),
+    ("friction cone with four sides", "other", {"cone": "pyramidal"}),
+    ("links that do not stretch", "other", {"stretch": False}),
+    ("time step over four", "own", {"solver.step": 2.5e-4}),
+    ("feet that stick without creep", "own", {"floor.friction_law": "bristle"}),
+    ("creep of sticking feet times ten", "own", {"floor.friction_velocity": 1e-2}),
+)
+
+
+def rows(quick: bool, out: Path, progress: Progress) -> list[dict[str, Any]]:
+    """All rows; the picture of the replays goes to `out/other_engine.png`."""
+    robot, nodes = read_robot(), {"solver.nodes": QUICK_NODES} if quick else {}
+    scene = config.replace(read_scene("flat"), {"solver.legs": "spatial", **nodes})
+    progress("other engine: stiffness and stand")
+    found = [sideways_row(robot, scene, a) for a in (ANGLES_DEG[1:2] if quick else ANGLES_DEG)]
+    found.append(stand_row(robot, scene))
+    found += replay_rows(robot, scene, quick, progress)
+    if not quick:
+        found += variation_rows(robot, scene, progress)
+    draw([row for row in found if row["kind"] == "replay"], out / "other_engine.png")
+    return [{**row, "nodes": scene.solver.nodes} | row for row in found]
+
+
+def own_robot(robot: Robot) -> Make:
+    """Maker of the project's robot in a scene."""
+    return lambda scene: RodRobot(robot, scene, read_servo())
+
+
+def other_robot(robot: Robot, engine: Engine = DEFAULT) -> Make:
+    """Maker of the robot in MuJoCo in a scene."""
+    return lambda scene: MujocoRobot(robot, scene, read_servo(), engine)
+
+
+def hold(sim: SimulatedRobot, degrees: float, seconds: float = SETTLED) -> None:
+    """Hold commanded tendon angles (deg) for a time (s), in pieces of 10 ms."""
+    for _ in range(round(seconds / 0.01)):
+        sim.advance(round(0.01 / sim.scene.solver.step), np.full(4, math.radians(degrees)))
+
+
+def sideways_row(robot: Robot, scene: Scene, degrees: float) -> dict[str, Any]:
+    """Sideways deflection of a free leg's tip per force, mm/N."""
+    heavy = dataclasses.replace(robot, torso=dataclasses.replace(robot.torso, mass=HELD))
+    aside = np.array([-robot.outward[0, 1], robot.outward[0, 0], 0.0])
+    bare, loaded = (own_nodes(heavy, scene, degrees, aside, mass) for mass in (0.0, TIP_MASS))
+    own = float((loaded[-1] - bare[-1]) @ aside) / (TIP_MASS * SIDEWAYS)
+    arc = discretise(robot.leg, len(bare), robot.tendon.end_fraction).arc
+    other = other_tip(heavy, scene, degrees, aside)
+    shape = (bare - bare[0]) @ np.column_stack([robot.outward[0], [0.0, 0.0, 1.0]])
+    return {
+        "kind": "sideways",
+        "tendon_deg": degrees,
+        "own_mm_per_N": 1e3 * own,
+        "other_mm_per_N": 1e3 * other,
+        "integral_mm_per_N": 1e3 * sideways_compliance(robot.leg, arc, shape),
+    }
+
+
+def own_nodes(robot: Robot, scene: Scene, degrees: float, aside: Array, mass: float) -> Array:
+    """Nodes (N, 3) of leg FL, m, with a mass (kg) at the tip under gravity sideways.
+
+    The torso is held by a push against its weight.
+    """
+    gravity = SIDEWAYS * aside
+    sim = RodRobot(robot, floating(scene, gravity.tolist()), read_servo())
+    sim.model.rod.mass[-1] += mass
+    sim.push(-HELD * gravity, np.zeros(3))
+    hold(sim, degrees)
+    return sim.nodes[0] - sim.position
+
+
+def other_tip(robot: Robot, scene: Scene, degrees: float, aside: Array) -> float:
+    """Sideways deflection of leg FL's tip per force in MuJoCo, m/N."""
+    sim = MujocoRobot(robot, floating(scene, [0.0, 0.0, 0.0]), read_servo())
+    force = TIP_MASS * SIDEWAYS
+    sim.pull_tip(0, force * aside)
+    hold(sim, degrees)
+    return float((sim.nodes[0, -1] - sim.nodes[0, 0]) @ aside) / force
+
+
+def floating(scene: Scene, gravity: list[float]) -> Scene:
+    """The scene above its floor, without settling, under a gravity (m/s^2)."""
+    changes = {"gravity": gravity, "start.height": 5.0, "start.settle": 0.0}
+    return config.replace(scene, changes)
+
+
+def sideways_compliance(leg: Leg, arc: Array, nodes: Array) -> float:
+    """Deflection of a bent leg's tip per force, both normal to its plane, m/N: unit-load integral.
+
+    A unit force has at s the moment m = (r_L - r) x e_y: (m.b)^2 / E I_b + (m.t)^2 / G J, summed
+    over the natural length with the tangent t and the normal b in the plane. arc: (N,) m, natural
+    arc length; nodes: (N, 2) m, in the plane.
+    """
+    curve, s = CubicSpline(arc, nodes), np.linspace(0.0, arc[-1], 2001)
+    arm, tangent = nodes[-1] - curve(s), curve(s, 1)
+    tangent /= np.hypot(*tangent.T)[:, None]
+    bending = arm[:, 0] * tangent[:, 0] + arm[:, 1] * tangent[:, 1]
+    twist = arm[:, 0] * tangent[:, 1] - arm[:, 1] * tangent[:, 0]
+    part = sections(leg, s / arc[-1])
+    return float(np.trapezoid(bending**2 / part.lateral + twist**2 / part.torsion, s))
+
+
+def stand_row(robot: Robot, scene: Scene) -> dict[str, Any]:
+    """Height of the torso that stands under the scene's tendon angle, mm."""
+    degrees, height = scene.start.tendon_angle_deg, {}
+    for name, make in (("own", own_robot(robot)), ("other", other_robot(robot))):
+        sim = make(scene)
+        hold(sim, degrees)
+        height[f"{name}_mm"] = 1e3 * float(sim.position[2])
+    return {"kind": "other stand", "tendon_deg": degrees, **height}
+
+
+def replay_rows(
+    robot: Robot, scene: Scene, quick: bool, progress: Progress
+) -> Iterator[dict[str, Any]]:
+    """Replays of the gaits on the floors of config/tune.yaml; `quick`: of one on one floor."""
+    tuning, strides = read_tuning(), read_gaits().strides
+    cases = [(gait, friction) for gait in GAITS for friction in tuning.friction]
+    if quick:
+        cases, tuning = [VARIED], dataclasses.replace(tuning, strides=4)
+    for gait, friction in cases:
+        progress(f"other engine: {gait} at friction {friction}")
+        floor = config.replace(scene, {"floor.friction": [friction] * 4})
+        both = {"own": own_robot(robot), "other": other_robot(robot)}
+        row: dict[str, Any] = {"kind": "replay", "gait": gait, "friction": friction}
+        for name, make in both.items():
+            found = replay(make, floor, strides[gait], tuning)
+            row |= {f"{name}_{key}": value for key, value in found.items()}
+        yield row | judged(row)
+
+
+def replay(make: Make, scene: Scene, stride: Stride, tuning: TuningSettings) -> dict[str, float]:
+    """Mean motion over the strides that count, at amplitude one and without offsets.
+
+    v_x, v_y in mm/s, yaw rate in rad/s, height in mm, tilt (RMS) in deg; NaN if the simulation
+    diverges.
+    """
+    try:
+        track = tracked(make(scene), stride, tuning)
+    except Divergence:
+        return dict.fromkeys(("v_x", "v_y", "yaw_rate", "height", "tilt"), math.nan)
+    means = stride_means(track)
+    tilt = math.degrees(math.sqrt(np.square(track[:, 4:6]).sum(axis=1).mean()))
+    return {
+        "v_x": 1e3 * float(means[0]),
+        "v_y": 1e3 * float(means[1]),
+        "yaw_rate": float(means[2]),
+        "height": 1e3 * float(means[3]),
+        "tilt": tilt,
+    }
+
+
+def tracked(sim: SimulatedRobot, stride: Stride, tuning: TuningSettings) -> Array:
+    """(n, 7) time, position, roll, pitch and yaw after each command of the strides that count."""
+    dt, settling = tuning.command_period, tuning.settling_strides
+    steps, first = round(dt / sim.scene.solver.step), round(settling * stride.period / dt)
+    last = round((settling + tuning.strides) * stride.period / dt)
+    velocity = np.array([stride.forward.speed, 0.0, 0.0])
+    phase = np.arange(last) * dt / stride.period % 1.0
+    angle = stride.course(phase, velocity, stride.walking(velocity), np.zeros(4))[:, :4]
+    rows = []
+    for command in np.minimum(angle, sim.robot.tendon.angle_max):
+        sim.advance(steps, command)
+        rows.append([sim.time, *sim.position, *sim.rpy])
+    return np.array(rows[first - 1 :])
+
+
+def judged(row: dict[str, Any]) -> dict[str, Any]:
+    """Difference of the speeds and its goal, mm/s."""
+    return {
+        "difference": abs(row["own_v_x"] - row["other_v_x"]),
+        "goal": max(SHARE * abs(row["own_v_x"]), SPEED),
+    }
+
+
+def variation_rows(robot: Robot, scene: Scene, progress: Progress) -> Iterator[dict[str, Any]]:
+    """One replay with one setting changed at a time, at fewer nodes."""
+    gait, friction = VARIED
+    stride, tuning = read_gaits().strides[gait], read_tuning()
+    changes = {"floor.friction": [friction] * 4, "solver.nodes": QUICK_NODES}
+    floor = config.replace(scene, changes)
+    same = [("as above", "own", {}), ("as above", "other", {})]
+    for name, which, change in [*same, *VARIATIONS]:
+        progress(f"other engine: {name}")
+        make, place = own_robot(robot), floor
+        if which == "other":
+            make = other_robot(robot, dataclasses.replace(DEFAULT, **change))
+        else:
+            place = config.replace(floor, change)
+        found = replay(make, place, stride, tuning)
+        row = {"kind": "variation", "engine": which, "changed": name, "nodes": QUICK_NODES}
+        yield row | {"gait": gait, "friction": friction} | found
+
+
+def checks(found: list[dict[str, Any]]) -> list[Check]:
+    """The differences of the engines against their goals."""
+    ratios = [
+        row["other_mm_per_N"] / row["own_mm_per_N"] for row in found if row["kind"] == "sideways"
+    ]
+    worst = max(100 * abs(ratio - 1) for ratio in ratios)
+    out = [at_most("MuJoCo: sideways compliance of a leg", worst, STIFFNESS_PERCENT, "%")]
+    for row in found:
+        if row["kind"] == "other stand":
+            apart = abs(row["own_mm"] - row["other_mm"])
+            out.append(at_most("MuJoCo: height of the standing robot", apart, STAND_MM, "mm"))
+        if row["kind"] == "replay":
+            name = f"MuJoCo: speed of {row['gait']} at friction {row['friction']}"
+            out.append(at_most(name, row["difference"], row["goal"], "mm/s"))
+    return out
