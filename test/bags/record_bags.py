@@ -66,7 +66,7 @@ class Case:
 
 
 CASES = {
-    "walk": Case(1.65, keeps=("/ground_truth/legs", "/tf")),
+    "walk": Case(1.45, keeps=("/ground_truth/legs", "/tf")),
     "turn": Case(  # with a stride that is whole, after the blend
         2.5, velocity=(0.0, 0.17), lacks=("/ground_truth/odom", "/joint_states", "/servo_health")
     ),
