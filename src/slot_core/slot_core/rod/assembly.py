@@ -73,11 +73,26 @@ def hinge(mesh, work, k, inv, before, behind):
     h = bend(mesh, s, k, base, viscous, work.tension[k], mesh.none, 0.0)
     work.normal[k] = normal
     m = plus(h.moment, normal - work.tension[k], h.bulge)
+    m = plus(m, -1.0, _refined(mesh, s, k, base))
     put(work.moment, k, h.moment)
     put(work.residual, k, m)
     _stiffness(work.form, h, before, behind)
     _gradient(work.form, m, normal, before, behind)
     _stretch(work.stretch[k], work.form, h.bulge, before, behind, viscous * mesh.axial[k])
+
+
+@helper
+def _refined(mesh, s, k, base):
+    """Moment of the hinge's correction `refine.py`, B delta mapped as in `strain.py`."""
+    t, d, b = base
+    psi, mu = (s.twist[k], s.turn[k], s.side[k]), row(mesh.refinement.delta, k)
+    once = cross(psi, mu)
+    v = plus(plus(mu, 0.5, once), s.curl[k], cross(psi, once))
+    return (
+        v[0] * t[0] + v[1] * d[0] + v[2] * b[0],
+        v[0] * t[1] + v[1] * d[1] + v[2] * b[1],
+        v[0] * t[2] + v[1] * d[2] + v[2] * b[2],
+    )
 
 
 @helper

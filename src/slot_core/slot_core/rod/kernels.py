@@ -14,6 +14,7 @@ import math
 
 from slot_core.compiled import helper, kernel
 from slot_core.dynamics.algebra import cross, dot, plus, put, rotation, row, times
+from slot_core.dynamics.spatial.refine import refine
 from slot_core.dynamics.spatial.strain import (
     frame,
     measure,
@@ -63,6 +64,7 @@ def look(mesh, work):
     work.spin[n - 1] = dot(rate, t)
     base = (row(f[0], 0), row(f[0], 1), row(f[0], 2))
     measure(work.segments, mesh, work.speed, work.spin, base, row(work.rate, 0))
+    refine(mesh.refinement, work.segments, mesh)
 
 
 @helper

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slot_core.dynamics.rod import Sections, links, weights
+from slot_core.dynamics.spatial.refine import Refinement, tilts
 from slot_core.robot import Array
 from slot_core.rod.model import Geometry, Material, Support, need
 
@@ -46,6 +47,7 @@ class Mesh(NamedTuple):
     metric: Array  # (4 N + 7,) norm of the unknowns: masses, and of turns mass L^2 / 12
     held: Array  # (2, 6) bool, held components of position and rotation at base and tip
     none: NoTendon
+    refinement: Refinement
     length: float  # m
     damping_time: float  # s
 
@@ -76,6 +78,7 @@ def build_mesh(
         torsion=chain.torsion,
         metric=_metric(chain.mass, length),
         held=np.array([[*end.position, *end.rotation] for end in (base, tip)]),
+        refinement=_refinement(geometry, arc),
         none=NoTendon(np.zeros(nodes), np.zeros(nodes)),
         length=length,
         damping_time=material.damping_time,
@@ -94,6 +97,23 @@ def sections(material: Material, geometry: Geometry, s: Array) -> Sections:
         torsion=material.shear_modulus * section.torsion_constant(fraction),
         mass=material.density * area,
         spin=material.density * (inner + outer),
+    )
+
+
+def _refinement(geometry: Geometry, arc: Array) -> Refinement:
+    """Correction of the hinges at arc lengths (N,), m."""
+    step, n = np.diff(arc), len(arc)
+    curvature = np.array(geometry.curvature_at(arc))
+    return Refinement(
+        extent=weights(step),
+        curvature=curvature,
+        slope=np.gradient(curvature, arc, edge_order=min(2, n - 1)),
+        tilt=tilts(n) * step[0],
+        step=float(step[0]),
+        strain=np.zeros((n, 3)),
+        moment=np.zeros((n, 3)),
+        shift=np.zeros((n, 3)),
+        delta=np.zeros((n, 3)),
     )
 
 

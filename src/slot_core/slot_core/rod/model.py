@@ -190,14 +190,15 @@ class Geometry:
         cell = self.length / (nodes - 1)
         start = np.arange(nodes - 1) * cell
         inner = start[:, None, None] + cell * x[:, None] * x  # points up to each point
-        part = cell * x * (self._curvature(inner) @ w)
-        whole = cell * (self._curvature(start[:, None] + cell * x) @ w)
+        part = cell * x * (self.curvature_at(inner) @ w)
+        whole = cell * (self.curvature_at(start[:, None] + cell * x) @ w)
         angle = np.concatenate([[0.0], np.cumsum(whole)])
         inside = angle[:-1, None] + part
         steps = cell * np.stack([np.cos(inside) @ w, np.sin(inside) @ w], axis=1)
         return np.column_stack([np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)]), angle])
 
-    def _curvature(self, s: Array) -> Array:
+    def curvature_at(self, s: Array) -> Array:
+        """Natural curvature at arc lengths s (m), 1/m."""
         value = self.curvature(s) if callable(self.curvature) else self.curvature
         return np.broadcast_to(np.asarray(value, dtype=np.float64), s.shape)
 
