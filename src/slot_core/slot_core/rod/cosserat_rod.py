@@ -119,6 +119,9 @@ class CosseratRod:
     nodes: number of nodes, at least 2.
     base, tip: supports of the ends.
     pose: of the base.
+    refined: with the correction of the hinges where bending and twist meet, which makes the error
+        of third order in any direction (`dynamics/spatial/refine.py`). Newton's method then needs
+        more iterations; on a strip that is hundreds of times as stiff sideways it may fail.
 
     The rod starts at rest in its natural shape. A step allocates no memory.
 
@@ -134,9 +137,10 @@ class CosseratRod:
         tip: Support = FREE,
         pose: Pose = ORIGIN,
         scheme: Scheme = MIDPOINT,
+        refined: bool = True,
     ) -> None:
         need_finite(*pose.position, *pose.rotation)
-        self.mesh = build_mesh(material, geometry, nodes, base, tip)
+        self.mesh = build_mesh(material, geometry, nodes, base, tip, refined)
         self.scheme = scheme
         self.time = 0.0  # s
         self._work = work_space(self.mesh)

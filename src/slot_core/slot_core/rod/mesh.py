@@ -52,10 +52,13 @@ class Mesh(NamedTuple):
     damping_time: float  # s
 
 
-def build_mesh(
-    material: Material, geometry: Geometry, nodes: int, base: Support, tip: Support
+def build_mesh(  # noqa: PLR0917
+    material: Material, geometry: Geometry, nodes: int, base: Support, tip: Support, refined: bool
 ) -> Mesh:
-    """Divide a rod into nodes - 1 segments of equal arc length; raises RodError for fewer than one."""
+    """Divide a rod into nodes - 1 segments of equal arc length; raises RodError for fewer than one.
+
+    refined: with the correction of `dynamics/spatial/refine.py`.
+    """
     need(nodes >= 2, f"nodes {nodes} must be at least 2")
     length, shape = geometry.length, geometry.natural_shape(nodes)
     arc = np.linspace(0.0, length, nodes)
@@ -78,7 +81,7 @@ def build_mesh(
         torsion=chain.torsion,
         metric=_metric(chain.mass, length),
         held=np.array([[*end.position, *end.rotation] for end in (base, tip)]),
-        refinement=_refinement(geometry, arc),
+        refinement=_refinement(geometry, arc, refined),
         none=NoTendon(np.zeros(nodes), np.zeros(nodes)),
         length=length,
         damping_time=material.damping_time,
@@ -100,7 +103,7 @@ def sections(material: Material, geometry: Geometry, s: Array) -> Sections:
     )
 
 
-def _refinement(geometry: Geometry, arc: Array) -> Refinement:
+def _refinement(geometry: Geometry, arc: Array, active: bool) -> Refinement:
     """Correction of the hinges at arc lengths (N,), m."""
     step, n = np.diff(arc), len(arc)
     curvature = np.array(geometry.curvature_at(arc))
@@ -114,6 +117,7 @@ def _refinement(geometry: Geometry, arc: Array) -> Refinement:
         moment=np.zeros((n, 3)),
         shift=np.zeros((n, 3)),
         delta=np.zeros((n, 3)),
+        active=active,
     )
 
 

@@ -47,11 +47,12 @@ class Refinement(NamedTuple):
     strain: Array  # (n, 3) 1/m, eta
     moment: Array  # (n, 3) N m, mu
     shift: Array  # (n, 3) 1/m^2, z
-    delta: Array  # (n, 3) rad, times the hinge's stiffness: N m
+    delta: Array  # (n, 3) N m, delta times the hinge's stiffness; zero where not `active`
+    active: bool
 
 
 def tilts(hinges: int) -> Array:
-    """(n, 2) E and N of hinges at equal steps; for fewer than six the ends are left alone."""
+    """(n, 2) E and N of n hinges at equal steps; zero for fewer than six, whose ends overlap."""
     tilt = np.zeros((hinges, 2))
     if hinges >= 6:
         tilt[:3, 0], tilt[0, 1] = (3 / 16, -1 / 24, 1 / 48), 1 / 4
@@ -63,6 +64,8 @@ def tilts(hinges: int) -> Array:
 def refine(r, s, rod):
     """Write r.delta from the rotation vectors in s (`strain.py`)."""
     n = r.extent.size
+    if not r.active:
+        return
     for k in range(n):
         scale, c = 1.0 / r.extent[k], r.curvature[k]
         x, y, z = s.twist[k], s.turn[k] - rod.rest_angle[k], s.side[k]
