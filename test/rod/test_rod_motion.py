@@ -167,8 +167,8 @@ def test_accelerated_clamp_is_equivalent_to_gravity():
         carried.step(h, base=Pose(tuple(shift)))
         hanging.step(h, Loads(gravity=tuple(-a)))
     seen = carried.state.position - shift
-    # The midpoint rule integrates the parabola exactly; Newton's tolerance is 1e-9.
-    np.testing.assert_allclose(seen, hanging.state.position, atol=1e-8)
+    # The midpoint rule integrates the parabola exactly, but for the clamp's start from rest.
+    np.testing.assert_allclose(seen, hanging.state.position, atol=3e-7)
     assert np.ptp(seen[:, 1]) > 1e-4  # the rod bends in both planes
     assert np.ptp(seen[:, 2]) > 1e-3
 
@@ -284,7 +284,7 @@ def test_divergence_is_an_error_with_time_step_and_node():
         rod.run(1e-2, 50)
 
 
-@pytest.mark.parametrize("nodes", [17, 41])
+@pytest.mark.parametrize("nodes", [7, 17, 31])
 def test_one_newton_iteration_per_step_follows_the_converged_damped_motion(nodes):
     """Released from an oblique force of 1 N, steps of 1 ms."""
     paths = []

@@ -6,10 +6,11 @@ tip's node, the turn of the tip's section (3) and one not used: x has 4 N + 7 en
 node k depends on x[4 k : 4 k + 11]. Over the difference s of a segment's two displacements and w,
 its rotation is
 
-    Phi = t x s / l + t w,
+    Phi = t x s / l + t (w + z.s),      z = t x a / (l (1 + a.t)),
 
-and a moment m on the segment acts on (s, w) with (m x t / l, m.t). An end's section has Phi itself
-as s.
+and a moment m on the segment acts on (s, w) with (m x t / l + m.t z, m.t). Here a is the direction
+from which the director is carried to t in this step; z is 0 in statics. An end's section has Phi
+itself as s.
 
 The axial force is an independent unknown and enters the geometric stiffness (mixed integration
 points; Magisano, Leonetti, Garcea 2017). The solution is the same, but Newton's method converges in
@@ -34,27 +35,36 @@ from slot_core.dynamics.spatial.strain import frame
 
 
 class Lever(NamedTuple):
-    """How a moment acts on (s, w): (scale m x t + keep m, m.t)."""
+    """How a moment acts on (s, w): (scale m x t + keep m + m.t z, m.t)."""
 
     t: tuple[float, float, float]
     scale: float
     keep: float
+    z: tuple[float, float, float]
 
 
-SECTION = Lever((0.0, 0.0, 0.0), 0.0, 1.0)  # of an end
+STILL = (0.0, 0.0, 0.0)
+SECTION = Lever((0.0, 0.0, 0.0), 0.0, 1.0, STILL)  # of an end
 
 
 @helper
-def segment(s, k):
-    """Lever of segment k."""
-    return Lever(row(s.direction, k), s.per_length[k], 0.0)
+def segment(work, k):
+    """Lever of segment k, whose director is carried on from the direction a = work.begin[k]."""
+    s, a = work.segments, row(work.begin, k)
+    t, scale = row(s.direction, k), s.per_length[k]
+    return Lever(t, scale, 0.0, plus(STILL, scale / (1.0 + dot(a, t)), cross(t, a)))
 
 
 @helper
 def acting(lever, m):
     """The four components over (s, w) of a moment m."""
-    a, h, q = cross(m, lever.t), lever.scale, lever.keep
-    return h * a[0] + q * m[0], h * a[1] + q * m[1], h * a[2] + q * m[2], dot(m, lever.t)
+    a, h, q, z, w = cross(m, lever.t), lever.scale, lever.keep, lever.z, dot(m, lever.t)
+    return (
+        h * a[0] + q * m[0] + w * z[0],
+        h * a[1] + q * m[1] + w * z[1],
+        h * a[2] + q * m[2] + w * z[2],
+        w,
+    )
 
 
 @helper
@@ -220,13 +230,13 @@ def spread_last(F, Q):
 @helper
 def assemble(mesh, work, inv):
     """Write the blocks of all hinges to work.factor, at the strains of the iterate."""
-    s, F, Q, last = work.segments, work.factor, work.form, work.normal.size - 1
+    F, Q, last = work.factor, work.form, work.normal.size - 1
     # A hinge's segment before it is complete with the moment of this hinge.
-    ahead = segment(s, 0)
+    ahead = segment(work, 0)
     hinge(mesh, work, 0, inv, SECTION, ahead)
     spread(F[0], Q, 1.0, 0.0)
     for k in range(1, last):
-        here, ahead = ahead, segment(s, k)
+        here, ahead = ahead, segment(work, k)
         hinge(mesh, work, k, inv, here, ahead)
         own(mesh, work, k - 1, inv, here)
         spread(F[k], Q, -1.0, 1.0)

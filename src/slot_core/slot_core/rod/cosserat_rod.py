@@ -200,6 +200,7 @@ class CosseratRod:
         for frame, axes in zip(work.frame, state.ends):
             frame[:] = np.transpose(axes) * np.array([[1.0], [-1.0], [-1.0]])
         work.turning[:] = 0.0
+        work.driven[:] = work.velocity[[0, n - 1]]
         self._apply(NO_LOADS)
         self._rest()
 

@@ -157,13 +157,16 @@ def finish(mesh, work, h, theta):
 def finish_end(mesh, work, end, h):
     """Velocity and section of an end after the step.
 
-    Held components have the velocity of the stage, without extrapolation. A section that turns
-    freely has no mass: it keeps the stage's position to its segment.
+    A held component's velocity at the stage is its mean over the step; that at the end follows from
+    the last two, since an extrapolation from the start would oscillate after a jump. A section that
+    turns freely has no mass: it keeps the stage's position to its segment.
     """
     i, k, f = end * (work.spin.size - 1), end * (work.spin.size - 2), work.frame
     for c in range(3):
+        v = work.speed[i, c]
         if mesh.held[end, c]:
-            work.velocity[i, c] = work.speed[i, c]
+            work.velocity[i, c] = v + 0.5 * (v - work.driven[end, c])
+        work.driven[end, c] = v
     if mesh.held[end, 3] or mesh.held[end, 4] or mesh.held[end, 5]:
         w = row(work.rate, end)
         end_frame(work, f, f, end, (h * w[0], h * w[1], h * w[2]))
@@ -313,6 +316,7 @@ def settle(work):
     work.velocity[:] = 0.0
     work.swirl[:] = 0.0
     work.turning[:] = 0.0
+    work.driven[:] = 0.0
 
 
 @kernel

@@ -25,6 +25,7 @@ class RodWork(NamedTuple):
     swirl: Array  # (N, 3) rad/s, angular momentum about the segments over their polar inertia
     frame: Array  # (2, 3, 3) of the base's and the tip's section
     turning: Array  # (2, 3) rad/s, their angular velocity in the last stage
+    driven: Array  # (2, 3) m/s, their nodes' velocity in the last stage
     posture: Array  # the iterate of statics, and the stage of a step; its parts are views:
     stage: Array  # (N + 1, 3) m
     begin: Array  # (N, 3) directions from which the directors `from_director` are carried on
@@ -72,6 +73,7 @@ def work_space(mesh: Mesh) -> RodWork:
         swirl=np.zeros((n, 3)),
         frame=np.zeros((2, 3, 3)),
         turning=np.zeros((2, 3)),
+        driven=np.zeros((2, 3)),
         posture=posture,
         **views,
         speed=np.zeros((n + 1, 3)),
