@@ -192,9 +192,7 @@ def test_both_sides_of_a_buckled_column_are_reached():
     heights = []
     for side in (1, -1):
         rod = CosseratRod(UNIT, OBLONG)
-        rod.solve_static(
-            Loads(force=(-3.0, 0.0, 0.0)), StaticSettings(stay_stable=True, side=side)
-        )
+        rod.solve_static(Loads(force=(-3.0, 0.0, 0.0)), StaticSettings(stay_stable=True, side=side))
         heights.append(place(rod)[2])
     assert heights[0] == pytest.approx(-heights[1], rel=1e-9)
 
@@ -283,4 +281,3 @@ def test_state_that_is_refused_changes_nothing():
 def test_invalid_arguments_are_refused_by_name(act, rule):
     with pytest.raises(RodError, match=rule):
         act()
-

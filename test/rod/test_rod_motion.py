@@ -174,7 +174,7 @@ def test_accelerated_clamp_is_equivalent_to_gravity():
 
 
 def test_turned_clamp_turns_the_rod():
-    """Slowly turned by a quarter about an oblique axis, the damped rod rests in its natural shape."""
+    """Turned by a quarter about an oblique axis, the damped rod rests in its natural shape."""
     axis, steps = np.array([2.0, -1.0, 2.0]) / 3, 400
     material = Material(1e7, 1e7 / 3, 1200.0, 2e-2)
     rod = CosseratRod(material, Geometry(LEG.length, LEG.section, 3.0), 9)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from rods import OBLONG, STRIP, UNIT, slender
+from rods import OBLONG, UNIT, slender
 from scipy.linalg import eig
 
 from benchmarks.rod import exact
@@ -76,7 +76,3 @@ def test_column_under_a_follower_force_flutters_beyond_becks_load(load, flutters
     flexibility = eig(rod.mass_matrix()[free], rod.tangent(loads)[free], right=False)
     lowest = flexibility[np.argsort(-np.abs(flexibility))[:2]]  # 1 / omega^2; 0 without mass
     assert (np.abs(lowest.imag).max() > 1e-3 * np.abs(lowest).max()) == flutters
-
-
-def test_sections_of_the_strip_and_of_its_references_agree():
-    assert STRIP.section.second_moment(np.zeros(1)) * THIN_MATERIAL.young_modulus == pytest.approx(1)

@@ -45,10 +45,10 @@ BEND = Geometry(25 * math.pi, Uniform(1.0, 1 / 12, 1 / 12, 1 / 6), 0.01)
 BEND_MATERIAL = Material(1e7, 5e6, 1.0, 0.0)
 BEND_TIPS = {300.0: (58.84, 40.08, 22.33), 600.0: (47.23, 53.37, 15.79)}
 
-# Princeton's beam (Dowell and Traybar 1975): tip displacements (m) along the stiff and the soft axis
-# over the angle (deg) of the load from the stiff one. Ansys beams of Obrezkov et al. (2022). They
-# give the torsion constant .198 (I1 + I2) of their own elements; Ansys has Saint-Venant's of the
-# section, .210, which is taken here. With .198 the stiff component is up to 2.3 % larger.
+# Princeton's beam (Dowell and Traybar 1975): tip displacements (m) along the stiff and the soft
+# axis over the angle (deg) of the load from the stiff one, by Ansys beams (Obrezkov et al. 2022).
+# Saint-Venant's torsion constant of the section, .210 (I1 + I2), is taken here. With .198, which
+# that paper names, the stiff component of our rod and of the collocation is up to 2.3 % larger.
 PRINCETON = Geometry(0.508, Rectangle(12.3777e-3, (3.2024e-3, 3.2024e-3)))
 PRINCETON_MATERIAL = Material(71.7e9, 71.7e9 / 2.62, 2700.0, 0.0)
 PRINCETON_FORCE = 8.896  # N
@@ -96,7 +96,7 @@ def follower(p: float) -> Array:
 
 
 def axes(q: Array) -> Array:
-    """(3, 3, ...) columns tangent, width, normal of quaternions (4, ...), w first, of any length."""
+    """(3, 3, ...) columns tangent, width, normal of quaternions (4, ...) of any length."""
     w, x, y, z = q / np.sqrt((q * q).sum(axis=0))
     return np.array([
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -218,7 +218,8 @@ def _ritz(stiffness: Field, mass: Field, order: int) -> Array:
     x, weight = (x + 1) / 2, weight / 2
     power = np.polynomial.Polynomial([0.0] * order + [1.0])
     shapes = [
-        power * np.polynomial.Legendre.basis(j, domain=[0, 1]).convert(kind=np.polynomial.Polynomial)
+        power
+        * np.polynomial.Legendre.basis(j, domain=[0, 1]).convert(kind=np.polynomial.Polynomial)
         for j in range(16)
     ]
     bent = np.array([shape.deriv(order)(x) for shape in shapes])

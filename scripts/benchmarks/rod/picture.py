@@ -14,7 +14,9 @@ from slot_core.report import palette
 COST, ERROR = (5e-4, 5.0), (8e-3, 100.0)  # limits of the axes
 CURVES = {  # simulator and physics: name, mark, colour
     (OURS, DAMPED.name): ("CosseratRod, damped", "o", palette.STAGE_COLOURS[0]),
-    ("MuJoCo hinge chain", DAMPED.name): ("MuJoCo hinge chain, damped", "X", palette.STAGE_COLOURS[1]),
+    ("MuJoCo hinge chain", DAMPED.name): (
+        "MuJoCo hinge chain, damped", "X", palette.STAGE_COLOURS[1],
+    ),
     (OURS, UNDAMPED.name): ("CosseratRod, undamped", "D", palette.STAGE_COLOURS[2]),
     ("PyElastica, clamp as documented", UNDAMPED.name): (
         "PyElastica, undamped, clamp as documented", "P", palette.INK,
@@ -40,7 +42,7 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
         xlabel="CPU seconds per simulated second",
         ylabel="error of the tip, % of its first deflection",
     )  # fmt: skip
-    ax.legend(frameon=False, loc="upper right")
+    ax.legend(frameon=False, loc="lower left")
     figure.suptitle(
         "Release of the leg from an oblique force: error against the own converged motion;\n"
         "lines: best of each, numbers: nodes, dotted: goal; left and below is better"

@@ -164,7 +164,7 @@ def straight_rod(cells: Cells) -> Any:
         base_radius=section.width / 2, density=TPU.density,
         youngs_modulus=TPU.young_modulus, shear_modulus=TPU.shear_modulus,
     )  # fmt: skip
-    area, inner, outer, twist = sections(cells.middles)
+    area, inner, outer, _ = sections(cells.middles)
     lateral = SHEAR_FACTOR * TPU.shear_modulus * area
     fill(rod.shear_matrix, lateral, lateral, TPU.young_modulus * area)
     _, bend, aside, torsion = sections(cells.edges[1:-1])

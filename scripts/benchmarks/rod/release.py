@@ -175,7 +175,7 @@ def thrown(scheme: Scheme) -> CosseratRod:
     rod = CosseratRod(UNDAMPED_TPU, LEG, 17, base=FREE, scheme=scheme)
     state, rate = rod.state, np.array([6.0, 8.0, -4.0])
     r = state.position
-    velocity = np.cross(rate, r) + [0.3, -0.2, 0.1]
+    velocity = np.cross(rate, r) + np.array([0.3, -0.2, 0.1])
     velocity[:, 1:] += np.outer((r[:, 0] - 0.1) ** 2, [40.0, 60.0])
     swirl = np.outer(rate[0] + np.linspace(-20.0, 30.0, 16), [1.0, 0.0, 0.0])
     rod.state = RodState(r, state.director, velocity, swirl, state.ends)
@@ -183,7 +183,7 @@ def thrown(scheme: Scheme) -> CosseratRod:
 
 
 def mark_front(rows: list[dict[str, Any]]) -> None:
-    """Mark each simulator's Pareto front, of one physics: no row of it is faster and more accurate."""
+    """Mark the rows of a simulator and physics that no other is faster and more accurate than."""
     for row in rows:
         row["front"] = row["percent"] < math.inf and not any(
             other["physics"] == row["physics"]
@@ -212,9 +212,9 @@ def release_checks(rows: list[dict[str, Any]]) -> list[Check]:
 def rival_check(
     peer: str, error: float, own: dict[str, Any], rivals: list[dict[str, Any]], goal: float
 ) -> Check:
-    """Cost of a peer's fastest row within an error, %, over that of `own`, which must be within too.
+    """Cost of a peer's fastest row within an error, %, over that of `own`, which must be within.
 
-    A peer without such a row is represented by its most accurate one; `own` is then more accurate.
+    A peer without such a row is represented by its most accurate one.
     """
     reached = min((row["percent"] for row in rivals if row["percent"] < math.inf), default=math.nan)
     enough = max(error, reached)

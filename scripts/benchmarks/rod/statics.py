@@ -122,9 +122,7 @@ def princeton_rows() -> Iterator[dict[str, Any]]:
         yield published_row(f"Bathe and Bolourchi's bend at {load:g}", rod.tip.position, tip)
 
 
-def published_row(
-    case: str, found: tuple[float, ...], wanted: tuple[float, ...]
-) -> dict[str, Any]:
+def published_row(case: str, found: tuple[float, ...], wanted: tuple[float, ...]) -> dict[str, Any]:
     """Largest relative difference of the components that are not zero, in percent."""
     percent = max(100 * abs(a / b - 1) for a, b in zip(found, wanted) if b)
     return {"kind": "published", "case": case, "percent": percent}

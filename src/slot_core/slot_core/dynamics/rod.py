@@ -47,7 +47,7 @@ class Rod(NamedTuple):
 
 
 class Links(NamedTuple):
-    """Masses and stiffness of any chain of nodes; units as in `Rod`. A leg has no hinge at its tip."""
+    """Masses and stiffness of any chain of nodes; units as in `Rod`. A leg's tip has no hinge."""
 
     mass: Array  # (N,)
     coupling: Array  # (N-1,)

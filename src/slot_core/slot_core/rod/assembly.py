@@ -1,10 +1,10 @@
 """Tangent and gradient of a rod, hinge by hinge, over the unknowns of Newton's method.
 
-The unknowns are the turn of the base's section (3, and one that is not used), then of every node its
-displacement (3) and the turn w of the segment behind it about itself, last the displacement of the
-tip's node, the turn of the tip's section (3) and one not used: x has 4 N + 7 entries. The hinge at
-node k depends on x[4 k : 4 k + 11]. Over the difference s of a segment's two displacements and w,
-its rotation is
+The unknowns are the turn of the base's section (3, and one that is not used), then of every node
+its displacement (3) and the turn w of the segment behind it about itself, last the displacement of
+the tip's node, the turn of the tip's section (3) and one not used: x has 4 N + 7 entries. The hinge
+at node k depends on x[4 k : 4 k + 11]. Over the difference s of a segment's two displacements and
+w, its rotation is
 
     Phi = t x s / l + t (w + z.s),      z = t x a / (l (1 + a.t)),
 
@@ -189,8 +189,8 @@ def own(mesh, work, k, inv, lever):
 def spread(F, Q, sign, share):
     """Write a hinge's form to F (11, 12) over its unknowns; the upper half.
 
-    sign, share: -1 and 1, since s before the hinge is share times the node's displacement, plus sign
-    times that of the node before; +1 and 0 for the base's section.
+    sign, share: -1 and 1, since s before the hinge is share times the node's displacement plus
+    sign times that of the node before; +1 and 0 for the base's section.
     """
     for i in range(3):
         for j in range(3):

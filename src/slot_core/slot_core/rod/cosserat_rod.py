@@ -64,7 +64,7 @@ class Scheme:
     motion, the energy oscillates about its initial value. Above 1/2 the scheme is of first order
     and damps motion that the step does not resolve.
 
-    Raises RodError for theta outside of 0.5 .. 1, fewer than one iteration, or a negative tolerance.
+    Raises RodError for theta outside of 0.5 .. 1, fewer than one iteration, a tolerance below 0.
     """
 
     theta: float = 0.5
@@ -187,7 +187,7 @@ class CosseratRod:
 
     @state.setter
     def state(self, state: RodState) -> None:
-        """Set the state; raises RodError, and changes nothing, for a shape or value that is wrong."""
+        """Set the state; raises RodError, and changes nothing, for a wrong shape or value."""
         work, n, own = self._work, self.nodes, self.state
         for name in RodState.__dataclass_fields__:
             given, there = getattr(state, name), getattr(own, name)
@@ -329,7 +329,9 @@ class CosseratRod:
         and `mass_matrix` there.
         """
         if _has_no_potential(loads):
-            raise RodError("natural frequencies need loads with a potential: no moment, no follower")
+            raise RodError(
+                "natural frequencies need loads with a potential: no moment, no follower"
+            )
         free = self.free_unknowns()
         square = np.ix_(free, free)
         stiffness, mass = self.tangent(loads)[square], self.mass_matrix()[square]
@@ -370,7 +372,7 @@ class CosseratRod:
             )
 
     def _fastest(self) -> int:
-        """Node with the largest change, of its place or of the segment behind, in Newton's method."""
+        """Node with the largest last increment, of its place or of the segment behind."""
         change = np.abs(self._work.change[4:-3].reshape(-1, 4))
         return int(np.nan_to_num(change, nan=np.inf).max(axis=1).argmax())
 

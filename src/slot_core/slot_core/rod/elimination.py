@@ -1,8 +1,8 @@
 """Elimination of the rod's unknowns from its base to its tip, and the substitution.
 
-Four unknowns are eliminated with each hinge. The unsymmetric terms of a follower force and of a dead
-moment enter the last 6 x 6 block alone. A negative pivot means that the tangent is not positive
-definite: the number of negative pivots is the number of unstable directions.
+Four unknowns are eliminated with each hinge. The unsymmetric terms of a follower force and of a
+dead moment enter the last 6 x 6 block alone. A negative pivot means that the tangent is not
+positive definite: the number of negative pivots is the number of unstable directions.
 """
 
 # mypy: disable-error-code="no-untyped-def"

@@ -28,8 +28,10 @@ class NoTendon(NamedTuple):
 
 
 class Mesh(NamedTuple):
-    """A chain of N nodes and N - 1 segments; arrays (N,) of the hinges, or of the segments and the
-    tip's section. Fields and units as in `dynamics.rod.Rod`.
+    """A chain of N nodes and N - 1 segments.
+
+    Arrays (N,) belong to the hinges, or to the segments and the tip's section; fields and units as
+    in `dynamics.rod.Rod`.
     """
 
     natural: Array  # (N, 3) m, from the base's pose
@@ -55,7 +57,7 @@ class Mesh(NamedTuple):
 def build_mesh(  # noqa: PLR0917
     material: Material, geometry: Geometry, nodes: int, base: Support, tip: Support, refined: bool
 ) -> Mesh:
-    """Divide a rod into nodes - 1 segments of equal arc length; raises RodError for fewer than one.
+    """Divide a rod into nodes - 1 segments of equal arc length; raises RodError below one.
 
     refined: with the correction of `dynamics/spatial/refine.py`.
     """
@@ -110,7 +112,7 @@ def _refinement(geometry: Geometry, arc: Array, active: bool) -> Refinement:
     return Refinement(
         extent=weights(step),
         curvature=curvature,
-        slope=np.gradient(curvature, arc, edge_order=min(2, n - 1)),
+        slope=np.gradient(curvature, arc),
         tilt=tilts(n) * step[0],
         step=float(step[0]),
         strain=np.zeros((n, 3)),

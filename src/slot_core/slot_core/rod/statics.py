@@ -64,7 +64,9 @@ class StaticSettings:
         if not 0.0 < self.least_step <= self.first_step <= 1.0:
             raise RodError(f"steps {self.least_step}, {self.first_step} must be within 0 .. 1")
         if not self.tolerance > 0.0 or not self.critical_tolerance > 0.0:
-            raise RodError(f"tolerances {self.tolerance}, {self.critical_tolerance} must be above 0")
+            raise RodError(
+                f"tolerances {self.tolerance}, {self.critical_tolerance} must be above 0"
+            )
 
 
 @dataclass(frozen=True)
@@ -105,8 +107,8 @@ def free_unknowns(mesh: Mesh) -> NDArray[np.intp]:
     """Indices of the unknowns (`assembly.py`) that exist and that no support holds."""
     free, tip = np.ones(len(mesh.metric), dtype=bool), len(mesh.metric) - 7
     free[[3, -1]] = False
-    free[:3], free[4:7] = ~mesh.held[0, 3:], ~mesh.held[0, :3]
-    free[tip : tip + 6] = ~mesh.held[1]
+    free[:3], free[4:7] = np.logical_not(mesh.held[0, 3:]), np.logical_not(mesh.held[0, :3])
+    free[tip : tip + 6] = np.logical_not(mesh.held[1])
     return np.flatnonzero(free)
 
 

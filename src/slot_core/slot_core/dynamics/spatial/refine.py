@@ -23,7 +23,6 @@ correction is taken at the iterate and left out of the tangent.
 """
 
 # mypy: disable-error-code="no-untyped-def"
-# ruff: noqa: PLR0917 - kernels take their arguments by position
 
 from __future__ import annotations
 
@@ -32,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slot_core.compiled import helper
-from slot_core.dynamics.algebra import cross, dot, plus, put, row
+from slot_core.dynamics.algebra import cross, plus, put, row
 from slot_core.robot import Array
 
 

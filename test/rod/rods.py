@@ -24,7 +24,7 @@ def flying(scheme, nodes=17):
     rod = CosseratRod(UNDAMPED, geometry, nodes, base=FREE, scheme=scheme)
     state, rate = rod.state, np.array([6.0, 8.0, -4.0])
     r = state.position
-    velocity = np.cross(rate, r) + [0.3, -0.2, 0.1]
+    velocity = np.cross(rate, r) + np.array([0.3, -0.2, 0.1])
     velocity[:, 1:] += np.outer((r[:, 0] - 0.1) ** 2, [40.0, 60.0])  # bends the leg
     t = np.diff(r, axis=0)
     t /= np.linalg.norm(t, axis=1)[:, None]
