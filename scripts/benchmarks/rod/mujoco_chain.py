@@ -6,7 +6,7 @@ inertia are those of the tapered leg. A
 joint's damping is its stiffness times the damping time, integrated implicitly by `implicitfast`;
 contacts and constraints are switched off. The order of a joint's hinges is reversed from link to
 link: with the same order everywhere the error is of first order in the links' length (20 links
-.43 %, reversed ORDER20).
+.43 % instead of .20 %).
 """
 
 import itertools
