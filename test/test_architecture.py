@@ -16,7 +16,7 @@ LARGEST_FOLDER = 17  # files, `__init__.py` not counted
 # Folders that each folder may import from; `ground`: the files beside the folders.
 ALLOWED = {
     GROUND: "",
-    "rod": "ground",
+    "rod": "ground dynamics dynamics/spatial",
     "dynamics/planar": "ground dynamics",
     "dynamics/spatial": "ground dynamics",
     "dynamics": "ground dynamics/planar dynamics/spatial",
@@ -46,7 +46,7 @@ REPEATED = {
     "settings.py": "settings class of the folder's YAML file",
     "statics.py": "equilibria of the rod, and those of its benchmark",
     "strain.py": "strains of planar and of spatial legs",
-    "elimination.py": "elimination of planar and of spatial legs",
+    "elimination.py": "elimination of planar and of spatial legs, and of the public rod",
     "leg.py": "a planar and a spatial leg in a time step, and the choice between them",
     "setup.py": "one in each ROS package",
     "conftest.py": "pytest fixtures of a folder",

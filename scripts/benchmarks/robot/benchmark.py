@@ -41,7 +41,7 @@ STEPS = (5e-3, 2e-3, 1e-3, 5e-4, 2.5e-4)
 LEVELS = ("map", "coarse", "standard", "fine")
 LARGEST_ERROR = 0.3  # mm
 # A step of the robot, two iterations of four legs in lanes, over a step of one public rod with as
-# many nodes, or one less, and one iteration: no more than of four such rods.
+# many nodes and two iterations: no more than of four such rods.
 LARGEST_RATIO = 4.0
 COMPARED = (22, 31)  # nodes
 
@@ -106,7 +106,7 @@ def cost_row(robot: Robot, nodes: int, repeats: int) -> dict[str, Any]:
     row = {"kind": "cost", "nodes": nodes, "us_per_step": 1e6 * time, "real_time": step / time}
     if nodes not in COMPARED:
         return row
-    rod, _ = DAMPED.leg((nodes - 1) // 2, Scheme(0.5, 1))
+    rod, _ = DAMPED.leg(nodes, Scheme(0.5, 2))
     ratio = cpu_ratio(
         lambda: sim.advance(calls, sim.tendon_angle), lambda: rod.run(step, calls), repeats
     )
