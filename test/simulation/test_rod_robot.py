@@ -139,6 +139,7 @@ DROP = {"height": 0.05, "speed": -0.4, "angle": 1.2}  # m, m/s, rad: suddenly ta
 
 def dropped(step, seconds, theta):
     sim = simulator(
+        solver__legs="planar",
         servo="ideal",  # the jerk of the tendon at the start would turn a torque-limited servo back
         start__height=DROP["height"],
         start__settle=0.0,

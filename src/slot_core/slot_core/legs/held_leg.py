@@ -46,7 +46,7 @@ class HeldLeg:
     """
 
     def __init__(self, robot: Robot, nodes: int, friction: float, height: float):
-        changes = {"solver.nodes": nodes, "floor.friction_law": "viscous"}
+        changes = {"solver.legs": "planar", "solver.nodes": nodes, "floor.friction_law": "viscous"}
         settings = config.replace(read_scene("flat"), changes)
         self.height = height
         self.model: Model = build_model(robot, settings, read_servo())

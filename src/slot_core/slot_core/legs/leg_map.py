@@ -92,9 +92,12 @@ class StaticLeg:
     """One leg on a frictionless floor, clamp horizontal; keeps its shape between solutions."""
 
     def __init__(self, robot: Robot, nodes: int):
-        settings = config.replace(
-            read_scene("flat"), {"solver.nodes": nodes, "floor.friction": (0.0, 0.0, 0.0, 0.0)}
-        )
+        changes = {
+            "solver.legs": "planar",
+            "solver.nodes": nodes,
+            "floor.friction": (0.0, 0.0, 0.0, 0.0),
+        }
+        settings = config.replace(read_scene("flat"), changes)
         self.model: Model = build_model(robot, settings, read_servo())
         self._leg = planar_leg(nodes)
         self._leg.stage[:] = self.model.rod.node
