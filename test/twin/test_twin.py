@@ -27,7 +27,9 @@ from slot_core.twin.strides import angle_period, error_growth, find_strides, str
 from slot_core.twin.twin_fit import changed, changes, fit_twin, parameter, places
 
 SETTINGS = config.replace(read_twin(), {"held_out": 0.5})
-PARTS = read_parts("flat")
+FLAT = read_parts("flat")
+# Planar legs: quicker, and a stride on them settles on one course from every start.
+PARTS = dataclasses.replace(FLAT, scene=config.replace(FLAT.scene, {"solver.legs": "planar"}))
 WALK = str(Path(__file__).parents[1] / "bags" / "walk")
 SECONDS = 10.0
 
@@ -83,11 +85,11 @@ def test_measured_angles_are_imposed_whatever_the_load(walked):
 def test_a_recorded_walk_is_replayed_from_its_own_angles():
     recorded = read_recorded(Path(WALK))
     measured = measured_track(recorded.motion)
-    found = predict(recorded, PARTS, SETTINGS).at(measured.t)
+    found = predict(recorded, FLAT, SETTINGS).at(measured.t)
     assert recorded.angles.source == MEASURED
     off = np.linalg.norm(found.position - measured.position, axis=1)
     assert off.max() < 2e-3  # 1.3 mm at the first jump of the angles, recorded at 100 Hz
-    assert np.ptp(measured.position[:, 0]) > 0.02
+    assert np.ptp(measured.position[:, 0]) > 0.008
 
 
 def write_walk(path, recorded):
