@@ -28,7 +28,7 @@ def rod_checks(slower):
 def robot_checks(slower):
     costs = [
         {"kind": "cost", "nodes": n, "us_per_step": n * slower, "real_time": 500 / n / slower,
-         "over_rod": 2.3}
+         "over_rod": 2.3, "over_planar": 2.6}
         for n in robot.COMPARED
     ]  # fmt: skip
     level = {"kind": "level", "level": "standard", "error_mm": 0.2, "us_per_ms": 9.0 * slower}
