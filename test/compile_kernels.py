@@ -22,12 +22,17 @@ ROBOT = read_robot()
 NO_STEP = 0
 
 
-def compile_robots(law):
-    """Rods, in lanes and leg by leg, and tabulated legs, with a law of friction."""
-    changes = {"floor.friction_law": law, "start.settle": 0.0}
+def compile_robots(legs, law):
+    """Robots with a model of the legs, in lanes and leg by leg, and a law of friction."""
+    changes = {"floor.friction_law": law, "start.settle": 0.0, "solver.legs": legs}
     rods = RodRobot(ROBOT, config.replace(read_scene("flat"), changes), read_servo())
     _ = rods.momentum(), rods.energy(), rods.snapshot()
     integrator.advance_one_by_one(rods._handle, NO_STEP)
+
+
+def compile_tabulated(law):
+    """A robot on tabulated legs with a law of friction."""
+    changes = {"floor.friction_law": law, "start.settle": 0.0}
     TabulatedRobot(ROBOT, config.replace(read_scene("map"), changes), read_servo())
 
 
@@ -50,8 +55,17 @@ def compile_mpc():
     Mpc(ROBOT, read_mpc("forces"), time.perf_counter)
 
 
-JOBS = ((compile_robots, "bristle"), (compile_robots, "viscous"), (compile_mpc,), (compile_legs,),
-        (compile_rod,))  # fmt: skip
+JOBS = (
+    (compile_robots, "spatial", "bristle"),
+    (compile_robots, "spatial", "viscous"),
+    (compile_robots, "planar", "bristle"),
+    (compile_robots, "planar", "viscous"),
+    (compile_tabulated, "bristle"),
+    (compile_tabulated, "viscous"),
+    (compile_mpc,),
+    (compile_legs,),
+    (compile_rod,),
+)
 
 
 def run(job):

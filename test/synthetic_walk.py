@@ -10,8 +10,8 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 from scipy.spatial.transform import Rotation
 
-from slot_core.bags.bag_writer import BagWriter
-from slot_core.bags.message_types import message_types
+from slot_core.bags.bag_writer import BagWriter, MessageType
+from slot_core.bags.message_types import message_types, types_inside
 from slot_core.bags.record_settings import read_record_settings
 from slot_core.robot import TENDON_JOINTS, Array, read_robot
 
@@ -264,3 +264,23 @@ def _legs(walk: Walk, t: float) -> Any:
         nodes=NODES,
         position=leg_nodes(walk, t),
     )
+
+
+OLD_LEGS = """std_msgs/Header header
+float64[4] tension
+geometry_msgs/Vector3[4] ground_force
+uint32 nodes
+float32[] position
+"""
+
+
+def write_old_legs(path: Path, nodes: Array) -> Path:
+    """Write a bag of one leg state, nodes (4, n, 3) m, whose type has no directors yet."""
+    topic = "/ground_truth/legs"
+    kind, now = TOPICS[topic], message(topic, 1.0, nodes=nodes.shape[1], position=nodes)
+    types = types_inside(((kind, OLD_LEGS),))
+    old = types.types[kind](now.header, now.tension, now.ground_force, now.nodes, now.position)
+    with BagWriter(path, read_record_settings()) as bag:
+        bag.add_topic(topic, MessageType(kind, OLD_LEGS))
+        bag.write(topic, kind, WALL, bytes(types.serialize_cdr(old, kind)))
+    return path

@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -23,7 +24,9 @@ from slot_bringup.monitor import listener
 from slot_core.arguments import within
 from slot_core.bags import decode
 from slot_core.bags.bag import Bag, BagError
+from slot_core.bags.message_types import Types, message_types
 from slot_core.bags.replay import add_bag_arguments, open_bag
+from slot_core.bags.walk import LEG_STATES
 from slot_core.clock import SECOND
 from slot_core.config import ConfigError
 from slot_nodes import messages, qos
@@ -57,7 +60,7 @@ def entries(bag: Bag, start: float) -> Iterator[Entry]:
     The graph time is that of /clock in a bag of a graph in lockstep, else that of the bag.
     """
     topics = [topic for topic in PLAYED if bag.counts.get(topic)]
-    clock, first = None, None
+    types, clock, first = message_types(), None, None
     for topic, published, data in bag.raw(*topics, *([CLOCK] if bag.counts.get(CLOCK) else [])):
         if topic == CLOCK:
             clock = decode.time(bag.decode(topic, data).clock)
@@ -67,7 +70,16 @@ def entries(bag: Bag, start: float) -> Iterator[Entry]:
             continue  # before the first /clock
         first = now if first is None else first
         if now - first >= start * SECOND:
-            yield Entry(now, topic, data)
+            yield Entry(now, topic, readable(bag, topic, data, types))
+
+
+def readable(bag: Bag, topic: str, data: bytes, types: Types) -> bytes:
+    """CDR bytes of a message that nodes can read: leg states get the field that old ones lack."""
+    if topic != LEG_STATES or hasattr(old := bag.decode(topic, data), "director"):
+        return data
+    kind = bag.topics[topic]
+    fields = (old.header, old.tension, old.ground_force, old.nodes, old.position)
+    return bytes(types.serialize_cdr(types.types[kind](*fields, np.zeros(0, np.float32)), kind))
 
 
 class Player:

@@ -19,7 +19,7 @@ from slot_core.bags import decode
 from slot_core.dynamics.servo import read_servo
 from slot_core.report import palette, traces
 from slot_core.report.drawing import Drawing
-from slot_core.report.shapes import Arrows, Box, Shape, Strips
+from slot_core.report.shapes import Arrows, Bars, Box, Shape, Strips, halves, normals
 from slot_core.robot import read_robot
 
 APPLICATION = "slot"
@@ -161,11 +161,25 @@ def _archetype(shape: Shape) -> Any:
         return rr.LineStrips3D(
             shape.points.astype(np.float32), radii=shape.width / 2, colors=colours.astype(np.uint8)
         )
+    if isinstance(shape, Bars):
+        return _mesh(shape)
     assert isinstance(shape, Arrows)
     return rr.Arrows3D(
         origins=shape.tail, vectors=shape.vector, radii=shape.width / 2,
         colors=colours.astype(np.uint8),
     )  # fmt: skip
+
+
+def _mesh(bars: Bars) -> rr.Mesh3D:
+    """Bars as one mesh; every face has corners of its own, so that edges are sharp in the light."""
+    faces, colours = np.concatenate(bars.faces), np.round(255 * bars.colours).astype(np.uint8)
+    count = 4 * len(faces)
+    return rr.Mesh3D(
+        vertex_positions=faces.reshape(-1, 3).astype(np.float32),
+        vertex_normals=np.repeat(normals(faces), 4, axis=0).astype(np.float32),
+        vertex_colors=np.repeat(colours, count // len(colours), axis=0),
+        triangle_indices=halves(np.arange(count).reshape(-1, 4)),
+    )
 
 
 def _rgba(*colours: str) -> NDArray[np.uint32]:

@@ -66,9 +66,9 @@ class Case:
 
 
 CASES = {
-    "walk": Case(1.65, keeps=("/ground_truth/legs", "/tf")),
+    "walk": Case(1.45, keeps=("/ground_truth/legs", "/tf")),
     "turn": Case(  # with a stride that is whole, after the blend
-        2.5, velocity=(0.0, 0.17), lacks=("/ground_truth/odom", "/joint_states", "/servo_health")
+        2.5, velocity=(0.0, 0.11), lacks=("/ground_truth/odom", "/joint_states", "/servo_health")
     ),
     "path": Case(1.82, ("--path", str(BAGS / "path.csv"))),
     "fault": Case(2.08, scene=BROKEN),

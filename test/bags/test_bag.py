@@ -11,13 +11,15 @@ import yaml
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import Reader
-from synthetic_walk import TOPICS, TYPES, WALL, Walk, encode, message, write_walk
+from synthetic_walk import TOPICS, TYPES, WALL, Walk, encode, message, write_old_legs, write_walk
 
+from slot_core.bags import decode
 from slot_core.bags.bag import Bag, BagError, NoFieldError
 from slot_core.bags.bag_writer import BagWriter
 from slot_core.bags.message_types import message_types
 from slot_core.bags.origin import Origin
 from slot_core.bags.record_settings import read_record_settings
+from slot_core.bags.walk import LEG_STATES
 
 SETTINGS = read_record_settings()
 
@@ -251,3 +253,12 @@ def test_error_names_the_missing_topic_or_field(walk_bag):
 def test_recorded_topics_are_of_known_types():
     types = message_types()
     assert [t for t, topic in SETTINGS.topics.items() if topic.type not in types.fielddefs] == []
+
+
+def test_legs_recorded_before_they_had_directors_are_read_without_them(tmp_path):
+    recorded = np.arange(24.0).reshape(4, 2, 3)
+    ((_, received),) = Bag(write_old_legs(tmp_path / "bag", recorded)).messages(LEG_STATES)
+    assert not hasattr(received, "director")
+    _, _, _, nodes, directors = decode.legs(received)
+    assert np.array_equal(nodes, recorded)
+    assert directors.shape == (4, 0, 3)

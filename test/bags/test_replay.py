@@ -151,7 +151,7 @@ def test_readings_that_the_node_refuses_are_left_out(tmp_path):
                 continue
             bag.write(topic, kind, time, bytes(TYPES.serialize_cdr(message, kind)))
     (states, *_) = replay.replay(Bag(path), replay.TOLERANCE)
-    assert states.compared > 50
+    assert states.compared > 40
     assert states.first is None
 
 
@@ -196,7 +196,7 @@ def test_topics_of_other_names_are_replayed_by_their_new_ones(tmp_path, capsys):
     path = partly(tmp_path / "bag", ["/odom", "/imu", "/mpc_state"], names=names)
     remaps = [word for new, old in names.items() for word in ("--remap", f"{old}:={new}")]
     assert replay.main([str(path), *remaps]) == 0
-    assert re.match(r"/mpc_state +5\d compared", capsys.readouterr().out)
+    assert re.match(r"/mpc_state +4\d compared", capsys.readouterr().out)
 
 
 @pytest.mark.parametrize("wrong", ["/odom", "/odom:=", ":=/odom", "/odom=/imu"])
@@ -251,7 +251,7 @@ def test_what_is_left_of_a_cut_off_bag_is_replayed(tmp_path, capsys):
 def test_the_bags_hold_what_they_are_named_after():
     """Else a bag recorded afresh could replay without the case that it is there for."""
     turn = Bag(HERE / "turn").series("/gait_preview", "velocity", "reference")
-    assert turn["velocity"][-1, 2] == pytest.approx(0.17)
+    assert turn["velocity"][-1, 2] == pytest.approx(0.11)
     assert turn["reference"][-1, 2] > 0.05  # rad, yaw of the reference at the end
     assert "path.csv" in Bag(HERE / "path").origin.files
     validity = Bag(HERE / "lost_odometry").series("/mpc_state", "validity")["validity"]

@@ -72,9 +72,9 @@ def test_a_sliding_robot_decelerates_at_mu_g(sliding):
     sim, before, after = sliding
     normal = sim.robot.weight * 0.2 + (after - before)[2]
     lost = np.linalg.norm(before[:2]) - np.linalg.norm(after[:2])
-    # All feet slide, but they also move across the heading while they splay, so their friction is
-    # not all along it. The regularisation costs (eps/v)^2 = 1e-5.
-    assert lost == pytest.approx(0.4 * normal, rel=0.02)
+    # All feet slide, but they also move across the heading while they splay and bend sideways, so
+    # their friction is not all along it. The regularisation costs (eps/v)^2 = 1e-5.
+    assert lost == pytest.approx(0.4 * normal, rel=0.04)
     assert lost / sim.robot.mass / 0.2 == pytest.approx(0.4 * GRAVITY, rel=0.05)
 
 

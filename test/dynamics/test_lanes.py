@@ -11,6 +11,7 @@ from numba import njit
 from numba.core.errors import NumbaError, TypingError
 
 from slot_core import compiled, config
+from slot_core.config import ConfigError
 from slot_core.control.gait import read_gaits
 from slot_core.dynamics import integrator
 from slot_core.dynamics.algebra import cosine_sine
@@ -61,10 +62,11 @@ def stand_and_step(time):
     return np.radians([63.0] * 4 if time < 0.5 else [90.0, 30.0, 50.0, 75.0])
 
 
+@pytest.mark.parametrize("legs", ["planar", "spatial"])
 @pytest.mark.parametrize("motion", [walk, stand_and_step])
-def test_legs_in_lanes_move_as_legs_one_by_one(motion):
+def test_legs_in_lanes_move_as_legs_one_by_one(motion, legs):
     """For 1.5 s from the start; 1e-7 m is a thousandth of the time step's discretisation error."""
-    lanes, single = Stepper(True), Stepper(False)
+    lanes, single = Stepper(True, solver__legs=legs), Stepper(False, solver__legs=legs)
     for k in range(50):
         for stepper in (lanes, single):
             stepper.run(motion(0.03 * k), 30)
@@ -95,11 +97,17 @@ FEATURES = {
 }
 
 
+@pytest.mark.parametrize("legs", ["planar", "spatial"])
 @pytest.mark.parametrize("feature", FEATURES)
-def test_legs_in_lanes_move_as_legs_one_by_one_with_every_feature(feature):
+def test_legs_in_lanes_move_as_legs_one_by_one_with_every_feature(feature, legs):
     """From the start for 0.3 s, tendons pulled and then partly released, each leg differently."""
-    lanes, single = (Stepper(which, **FEATURES[feature]) for which in (True, False))
-    plain = Stepper(True)
+    if (feature, legs) == ("straight", "spatial"):
+        with pytest.raises(ConfigError, match=r"tendon.routing = 'straight': spatial legs need"):
+            Stepper(True, solver__legs=legs, **FEATURES[feature])
+        return
+    changes = {"solver__legs": legs} | FEATURES[feature]
+    lanes, single = (Stepper(which, **changes) for which in (True, False))
+    plain = Stepper(True, solver__legs=legs)
     for degrees in [[90.0, 40.0, 60.0, 75.0]] * 6 + [[30.0, 70.0, 0.0, 75.0]] * 4:
         for stepper in (lanes, single, plain):
             stepper.run(np.radians(degrees), 30)
@@ -110,7 +118,7 @@ def test_legs_in_lanes_move_as_legs_one_by_one_with_every_feature(feature):
 
 def test_legs_in_lanes_halve_the_same_steps_as_legs_one_by_one():
     """An impact at 3 m/s with different tendon angles: contact and large angles in some lanes."""
-    changes = {"start__height": 0.06, "solver__correction_limit": 1e-4}
+    changes = {"start__height": 0.06, "solver__correction_limit": 1e-4, "solver__legs": "planar"}
     steppers = [Stepper(in_lanes, **changes) for in_lanes in (True, False)]
     for stepper in steppers:
         stepper.state.node_velocity[:, :, 2] = stepper.state.velocity[2] = -3.0

@@ -13,7 +13,7 @@ PUSH = "pushes: {left: {time: %s, duration: 1, force: [0, 0, 0], moment: [0, 0, 
 @pytest.fixture
 def scenes(tmp_path, monkeypatch):
     """A temporary configuration directory; returns a function that adds a scene."""
-    for name in ("scene/flat.yaml", "solver/planar.yaml"):
+    for name in ("scene/flat.yaml", "solver/standard.yaml"):
         (tmp_path / name).parent.mkdir()
         (tmp_path / name).write_text((config.config_dir() / name).read_text())
     monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
@@ -38,7 +38,7 @@ def test_a_scene_like_another_differs_only_in_what_it_changes(scenes):
         ("like: bad\n", r"scene/bad\.yaml: like is not a setting"),
         ("like: flat\nfloor.colour: 1\n", r"scene/bad\.yaml: floor\.colour is not a setting"),
         ("like: flat\nsolver.step: 1.0\n", r"scene/bad\.yaml: solver\.step = 1\.0: outside"),
-        ("like: flat\nsolver: magic\n", r"no configuration 'solver/magic' \(known: planar\)"),
+        ("like: flat\nsolver: magic\n", r"no configuration 'solver/magic' \(known: standard\)"),
         ("", r"scene/bad\.yaml: expected a mapping of Scene, got None"),
         ("like: flat\npayload.mass: 21\n", r"payload\.mass = 21\.0: outside \[0\.0, 20\.0\] kg"),
         ("like: flat\npayload.place: [0, 2, 0]\n", r"payload\.place\[1\] = 2\.0: outside"),

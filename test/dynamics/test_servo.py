@@ -196,6 +196,28 @@ def test_the_integral_is_held_while_the_duty_is_saturated():
     assert path.max() < 1.5 + 0.1  # a wound-up integral would run on at full speed for 1 s
 
 
+def test_the_guide_resists_the_spool_in_both_directions_and_holds_it_in_between():
+    """Euler's rope friction: the load counts 1.2 times while winding, 1 / 1.2 while releasing."""
+    law = servo(SETTINGS, NOMINAL)._replace(friction=1.2)
+    frictionless, h = servo(SETTINGS, NOMINAL), 1e-3
+    load = 0.5 * STALL
+    for command, seen in ((2.0, 1.2 * load), (0.0, load / 1.2)):
+        moved = run(law, np.zeros(3), 1.0, np.array([command]), np.array([load]), h)[0] - 1.0
+        assert moved == pytest.approx(h * rate(frictionless, command, 1.0, seen), rel=1e-12)
+    # Winding it would be pulled back, releasing it would wind: it stands still.
+    assert run(law, np.zeros(3), 1.0, np.array([2.0]), np.array([0.9 * STALL]), h)[0] == 1.0
+
+
+@pytest.mark.parametrize("model", ["torque_speed", "pid"])
+def test_a_servo_that_stalls_in_winding_holds_with_the_friction_of_its_guide(model):
+    """Between stall / f and f stall the spool neither winds nor runs back."""
+    law = servo(config.replace(SETTINGS, {"model": model, "proportional": 20.0}), NOMINAL)
+    law = law._replace(friction=1.2)
+    for share, end in ((1.1, 1.0), (1.25, 0.0), (0.8, 2.0)):
+        path = run(law, np.zeros(3), 1.0, np.full(200, 2.0), np.full(200, share * STALL), 1e-3)
+        assert np.sign(path[-1] - 1.0) == np.sign(end - 1.0)
+
+
 def test_backlash_is_a_dead_band_between_motor_and_spool():
     """Slow motion without load: the spool follows the play operator, computed by hand."""
     play = math.radians(2.0)

@@ -239,7 +239,13 @@ def test_a_straight_tendon_conserves_momentum_in_flight():
     """Its reaction on the torso acts at the pulley."""
     errors = []
     for step in (2e-3, 1e-3):
-        sim = hanging(STRAIGHT, solver__step=step, solver__theta=0.5, solver__iterations=8)
+        sim = hanging(
+            STRAIGHT,
+            solver__legs="planar",
+            solver__step=step,
+            solver__theta=0.5,
+            solver__iterations=8,
+        )
         sim.set_motion(np.array([0.3, 0.2, 0.1]), np.array([3.0, 4.0, 5.0]))
         before = sim.momentum()
         sim.advance(round(0.4 / step), np.array([0.8, 0.6, 0.4, 0.2]))
@@ -258,7 +264,9 @@ def test_an_undamped_straight_tendon_conserves_energy_in_flight():
     robot = dataclasses.replace(STRAIGHT, leg=leg, tendon=tendon)
     errors = []
     for step in (2.5e-4, 1.25e-4):
-        sim = hanging(robot, solver__step=step, solver__theta=0.5, solver__iterations=8)
+        sim = hanging(
+            robot, solver__legs="planar", solver__step=step, solver__theta=0.5, solver__iterations=8
+        )
         sim.set_motion(np.zeros(3), np.array([3.0, 4.0, 5.0]))
         sim.state.tendon_angle[:] = 0.5
         before = sim.energy()

@@ -106,7 +106,7 @@ def test_an_inclined_height_map_is_a_plane_under_tilted_gravity(maps, law, frict
     assert tilted.energy() == pytest.approx(flat.energy(), abs=1e-6)
     if pulled == 0.0:
         corners = flat.position + flat.model.torso.corners @ flat.rotation.T
-        assert corners[:, 2].min() < 0.0  # the torso lies on the floor
+        assert corners[:, 2].min() < 1e-4  # the torso lies on the floor
 
 
 def test_bumps_carry_the_weight(maps):

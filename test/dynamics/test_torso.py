@@ -202,6 +202,7 @@ def test_the_forces_of_the_feet_balance_an_eccentric_payload():
     """Moments of the feet's forces about the centre of mass cancel; they act at the tips."""
     mass, place = 0.5, np.array([-0.03, 0.02, 0.03])
     changes = {
+        "solver.legs": "planar",  # whose tip is one point
         "floor.contact": "tip",
         "floor.friction_law": "bristle",
         "payload.mass": mass,

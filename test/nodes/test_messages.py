@@ -14,6 +14,7 @@ from slot_core.control.gait import GaitCommand, GaitPreview
 from slot_core.control.inertial_filter import Mount
 from slot_core.control.state_estimator import Estimate, Validity
 from slot_core.robot import TENDON_JOINTS
+from slot_core.simulation.plant import TrueState
 from slot_core.simulation.sensors import ImuReading, OdometryReading
 from slot_nodes import messages
 
@@ -186,3 +187,19 @@ def test_a_command_that_does_not_name_each_joint_once_is_refused(names, position
     message.name, message.position = list(names), positions
     with pytest.raises(ValueError, match="once each"):
         decode.joint_angles(message)
+
+
+@pytest.mark.parametrize("segments", [6, 0])
+def test_legs_with_and_without_directors(segments):
+    odometry = OdometryReading(STAMP, *RNG.normal(size=(4, 3)))
+    shape = RNG.normal(size=(4, 7, 3)), RNG.normal(size=(4, segments, 3))
+    sent = TrueState(STAMP, odometry, RNG.normal(size=4), RNG.normal(size=(4, 3)), *shape)
+    message = through_dds(messages.legs_to_msg(sent))
+    assert message.header.frame_id == "odom"
+    stamp, tension, force, nodes, directors = decode.legs(message)
+    assert stamp == STAMP
+    assert (tension == sent.tension).all()
+    assert (force == sent.ground_force).all()
+    assert (nodes == sent.nodes.astype(np.float32)).all()
+    assert (directors == sent.directors.astype(np.float32)).all()
+    assert directors.shape == (4, segments, 3)

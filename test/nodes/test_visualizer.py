@@ -17,23 +17,26 @@ from slot_nodes.visualization.visualizer_node import VisualizerNode
 ROBOT = read_robot()
 STILL = np.array([0.0, 0.0, 0.0, 1.0])
 PLACE = np.array([0.1, 0.2, 0.3])
-NODES = shapes.natural_nodes(PLACE, STILL, ROBOT, 10)
+LEGS = shapes.natural_legs(PLACE, STILL, ROBOT, 10)
+NODES = LEGS.nodes
 
 
 def points_of(marker):
     return np.array([[p.x, p.y, p.z] for p in marker.points])
 
 
-def test_bent_legs_are_four_lines_in_their_colours_and_place():
-    message = shapes_to_msg(7_000_000_001, {"legs": shapes.leg_strips(NODES, ROBOT)})
+def test_bent_legs_are_four_solids_in_their_colours_and_place():
+    bars = shapes.leg_bars(LEGS, ROBOT)
+    message = shapes_to_msg(7_000_000_001, {"legs": bars})
     assert [(m.ns, m.id, m.type) for m in message.markers] == [
-        ("legs", i, Marker.LINE_STRIP) for i in range(4)
+        ("legs", i, Marker.TRIANGLE_LIST) for i in range(4)
     ]
-    for marker, nodes, colour in zip(message.markers, NODES, shapes.LEG_COLOURS):
-        assert np.allclose(points_of(marker), nodes)
+    for marker, faces, colour in zip(message.markers, bars.faces, shapes.LEG_COLOURS):
+        halves = np.stack([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]], axis=1)
+        assert np.allclose(points_of(marker), halves.reshape(-1, 3))
         assert np.allclose([marker.color.r, marker.color.g, marker.color.b], colour)
         assert (marker.color.a, marker.pose.orientation.w) == (1.0, 1.0)  # else nothing is shown
-        assert marker.scale.x == pytest.approx(0.0085)
+        assert (marker.scale.x, marker.scale.y, marker.scale.z) == (1.0, 1.0, 1.0)
         assert (marker.header.frame_id, marker.header.stamp.nanosec) == ("odom", 1)
 
 
@@ -58,7 +61,7 @@ def test_the_torso_is_a_box_in_its_pose():
 
 
 def test_frames_of_markers_get_the_prefix():
-    message = shapes_to_msg(0, {"legs": shapes.leg_strips(NODES, ROBOT)})
+    message = shapes_to_msg(0, {"legs": shapes.leg_bars(LEGS, ROBOT)})
     messages.prefix_frames(message, "fred/")
     assert {m.header.frame_id for m in message.markers} == {"fred/odom"}
 

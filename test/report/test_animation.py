@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 from PIL import Image
-from synthetic_walk import STRIDE, Walk, write_walk
+from synthetic_walk import ROBOT, STRIDE, Walk, write_walk
 
 from slot_core.bags.bag import Bag
 from slot_core.bags.bag_error import BagError
 from slot_core.report import animation
 from slot_core.report.animation import AnimationError, animate, draw_frame, frame_times
 from slot_core.report.plots import read_poses
-from slot_core.robot import read_robot
 
 RATE = 30  # Hz, of the leg shapes
 
@@ -28,8 +27,8 @@ def test_it_shows_the_last_strides_without_repeating_its_first_frame(bag):
 
 
 def test_a_frame_shows_the_whole_robot_from_the_side(bag):
-    (pose,) = read_poses(bag, frame_times(bag)[:1])
-    frame = np.asarray(draw_frame(pose, read_robot()), float)
+    (pose,) = read_poses(bag, frame_times(bag)[:1], ROBOT)
+    frame = np.asarray(draw_frame(pose, ROBOT), float)
     width, height = (round(animation.DPI * inches) for inches in animation.SIZE)
     assert frame.shape == (height, width, 3)
     inked = np.argwhere(np.ptp(frame, axis=2) > 40)  # the colours of the legs

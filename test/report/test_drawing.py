@@ -34,10 +34,11 @@ def preview(stamp=1.0, speed=0.05, height=0.06):
     )  # fmt: skip
 
 
-def legs(nodes, stamp=1.0):
+def legs(nodes, stamp=1.0, director=()):
     return message(
         "/ground_truth/legs", stamp, tension=np.array([0.0, 70.0, 140.0, 9.0]),
         ground_force=np.tile([0.0, 0.0, 5.0], (4, 1)), nodes=nodes.shape[1], position=nodes,
+        director=director,
     )  # fmt: skip
 
 
@@ -55,12 +56,28 @@ def test_a_simulated_walk_is_drawn_with_its_bent_legs_where_they_were(bag):
     assert set(seen) == {"torso", "path", "legs", "tendons", "ground_forces", "demanded_forces"}
     end = WALK.duration
     assert np.allclose(seen["torso"].centre, WALK.position(end))
-    assert np.allclose(seen["legs"].points, leg_nodes(WALK, end), atol=1e-6)  # float32
-    assert np.allclose(seen["ground_forces"].tail, seen["legs"].points[:, -1])
+    middles = seen["legs"].corners.mean(axis=2)
+    assert np.allclose(middles, leg_nodes(WALK, end), atol=1e-6)  # float32
+    assert np.allclose(seen["ground_forces"].tail, middles[:, -1])
     (path,) = seen["path"].points
     steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
     assert steps.min() >= 0.005
     assert np.linalg.norm(path[-1] - WALK.position(end)) < 0.005
+
+
+def test_legs_are_twisted_as_their_directors_say_and_else_lie_in_their_planes():
+    drawing, nodes = Drawing(ROBOT, TORQUE), np.zeros((4, 9, 3))
+    nodes[..., 0] = np.linspace(0.0, 0.2, 9)
+    upright = np.tile([0.0, 0.0, 1.0], (4, 8, 1))
+    seen = drawing.receive("/ground_truth/legs", legs(nodes, director=upright))
+    corners = seen["legs"].corners
+    assert np.allclose(corners[:, :, 1] - corners[:, :, 0], [0.0, 0.0, ROBOT.leg.width])
+    tendon = seen["tendons"].points - nodes[:, : seen["tendons"].points.shape[1]]
+    assert np.allclose(tendon, [0.0, -ROBOT.tendon.offset, 0.0])  # t x d = x cross z
+    corners = drawing.receive("/ground_truth/legs", legs(nodes))["legs"].corners
+    right = np.cross(ROBOT.outward, [0.0, 0.0, 1.0])[:, None]
+    width = np.broadcast_to(ROBOT.leg.width * right, corners[:, :, 0].shape)
+    assert np.allclose(corners[:, :, 1] - corners[:, :, 0], width)
 
 
 def test_without_a_simulator_the_legs_are_drawn_as_without_stress_and_loaded_by_the_servos():
@@ -69,8 +86,8 @@ def test_without_a_simulator_the_legs_are_drawn_as_without_stress_and_loaded_by_
     state = message("/mpc_state", 1.0, rpy=[0.1, 0.0, 0.5], position=[0.2, 0.1, 0.07])
     seen = drawing.receive("/mpc_state", state)
     quaternion = Rotation.from_euler("xyz", [0.1, 0.0, 0.5]).as_quat()
-    natural = shapes.natural_nodes(np.array([0.2, 0.1, 0.07]), quaternion, ROBOT, 20)
-    assert np.allclose(seen["legs"].points, natural)
+    natural = shapes.natural_legs(np.array([0.2, 0.1, 0.07]), quaternion, ROBOT, 20)
+    assert np.allclose(seen["legs"].corners, shapes.leg_bars(natural, ROBOT).corners)
     assert np.array_equal(seen["legs"].colours, np.tile(shapes.SLACK, (4, 1)))
     loaded = drawing.receive("/joint_states", joints(TORQUE * np.array([0.0, 0.5, 1.0, 2.0])))
     assert np.allclose(loaded["tendons"].colours[[0, 2, 3]], [shapes.SLACK, *2 * [shapes.LOADED]])
@@ -97,6 +114,8 @@ def test_the_reference_is_a_box_in_its_pose_with_its_way_over_the_horizon():
     [
         ("/ground_truth/legs", {"nodes": 7}, "not 4 legs of 7 nodes"),
         ("/ground_truth/legs", {"position": np.full(264, np.nan)}, "finite"),
+        ("/ground_truth/legs", {"director": np.ones(264)}, "director has 264 values"),
+        ("/ground_truth/legs", {"director": np.full(252, np.nan)}, "finite"),
         ("/gait_preview", {"stages": 2}, "not 2 stages"),
         ("/mpc_state", {}, "finite"),
     ],

@@ -20,6 +20,7 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.report import palette, picture, plots
 from slot_core.report.metrics import walk_metrics
 from slot_core.report.picture import Camera, Pose
+from slot_core.report.shapes import bent_legs
 from slot_core.report.summary import summary_lines
 from slot_core.robot import LEGS
 
@@ -170,19 +171,18 @@ def test_filmstrip_needs_the_leg_shapes(tmp_path):
 
 
 def test_poses_are_the_recorded_shapes(bag):
-    (pose,) = plots.read_poses(bag, np.array([WALK.start + 2.0]))
+    (pose,) = plots.read_poses(bag, np.array([WALK.start + 2.0]), ROBOT)
     assert pose.t == pytest.approx(2.0)
     assert np.allclose(pose.position, WALK.position(2.0))
-    assert np.allclose(pose.nodes, leg_nodes(WALK, 2.0), atol=1e-7)  # recorded as float32
+    assert np.allclose(pose.legs.nodes, leg_nodes(WALK, 2.0), atol=1e-7)  # recorded as float32
     assert pose.force.shape == (4, 3)
 
 
 @pytest.fixture
 def pose():
-    walk = Walk()
-    return Pose(
-        0.0, walk.position(0.0), np.array([0, 0, 0, 1.0]), leg_nodes(walk, 0.1), np.eye(4, 3)
-    )
+    walk, still = Walk(), np.array([0, 0, 0, 1.0])
+    legs = bent_legs(leg_nodes(walk, 0.1), np.zeros((4, 0, 3)), still, ROBOT)
+    return Pose(0.0, walk.position(0.0), still, legs, np.eye(4, 3))
 
 
 def area_and_volume(faces):
@@ -197,7 +197,7 @@ def test_solids_are_closed_face_outward_and_have_the_robots_volume(pose):
     area, volume = area_and_volume(picture.torso_solid(pose, ROBOT).faces)
     assert np.allclose(area, 0.0, atol=1e-15)  # closed
     assert volume == pytest.approx(np.prod(ROBOT.torso.size), rel=1e-12)
-    for nodes, solid in zip(pose.nodes, picture.leg_solids(pose, ROBOT)):
+    for nodes, solid in zip(pose.legs.nodes, picture.leg_solids(pose, ROBOT)):
         area, volume = area_and_volume(solid.faces)
         assert np.allclose(area, 0.0, atol=1e-15)
         length = np.linalg.norm(np.diff(nodes, axis=0), axis=1).sum()
@@ -228,4 +228,4 @@ def test_drawn_robot_lies_within_its_axes_and_shows_the_forces_to_scale(pose):
     head, tail = np.array(arrows[2])
     drawn = camera.project(np.array([0.0, 0.0, picture.FORCE_SCALE]))
     assert np.allclose(head - tail, drawn, atol=1e-12)
-    assert pose.nodes.shape == (4, NODES, 3)
+    assert pose.legs.nodes.shape == (4, NODES, 3)

@@ -14,9 +14,23 @@ TURN = Rotation.from_euler("xyz", [0.2, -0.1, 0.9])
 PLACE = np.array([0.3, -0.2, 0.08])
 
 
+STILL = np.array([0.0, 0.0, 0.0, 1.0])
+NONE = np.zeros((4, 0, 3))
+
+
 @pytest.fixture
-def nodes():
-    return leg_nodes(WALK, 0.2)
+def legs():
+    """Bent legs of a robot that stands still, without directors."""
+    return shapes.bent_legs(leg_nodes(WALK, 0.2), NONE, STILL, ROBOT)
+
+
+def straight_legs(turn):
+    """Four equal straight legs along x, twisted by angles (5,) (rad) at their nodes."""
+    nodes, middle = np.zeros((5, 3)), (turn[1:] + turn[:-1]) / 2
+    nodes[:, 0] = np.linspace(0.0, 0.2, 5)
+    # To the right, -y, turned about x.
+    directors = -np.column_stack([np.zeros(4), np.cos(middle), np.sin(middle)])
+    return shapes.Legs(np.tile(nodes, (4, 1, 1)), np.tile(directors, (4, 1, 1)))
 
 
 def test_colours_are_those_of_the_palette():
@@ -37,24 +51,66 @@ def test_edges_of_a_box_are_its_twelve_and_turn_with_it():
 
 
 def test_stress_free_legs_start_at_the_clamps_and_end_at_the_feet():
-    nodes = shapes.natural_nodes(PLACE, TURN.as_quat(), ROBOT, 30)
+    nodes = shapes.natural_legs(PLACE, TURN.as_quat(), ROBOT, 30).nodes
     assert np.allclose(nodes[:, 0], PLACE + TURN.apply(ROBOT.clamps))
     assert np.allclose(nodes[:, -1], PLACE + TURN.apply(ROBOT.feet))
     length = np.linalg.norm(np.diff(nodes, axis=1), axis=2).sum(axis=1)
     assert np.allclose(length, ROBOT.leg.arc_length(), rtol=1e-3)  # 29 chords of an arc
 
 
-def test_legs_are_drawn_through_their_nodes_and_pale_if_the_shape_is_not_known(nodes):
-    assert shapes.leg_strips(nodes, ROBOT).points is nodes
-    assert np.array_equal(shapes.leg_strips(nodes, ROBOT).colours, shapes.LEG_COLOURS)
-    pale = shapes.leg_strips(nodes, ROBOT, known=False)
+def test_legs_are_drawn_around_their_nodes_and_pale_if_the_shape_is_not_known(legs):
+    bars = shapes.leg_bars(legs, ROBOT)
+    assert np.allclose(bars.corners.mean(axis=2), legs.nodes)
+    assert np.array_equal(bars.colours, shapes.LEG_COLOURS)
+    pale = shapes.leg_bars(legs, ROBOT, known=False)
     assert np.array_equal(pale.colours, np.tile(shapes.SLACK, (4, 1)))
 
 
+def test_a_straight_leg_turned_about_itself_by_90_deg_is_wide_upward_and_thick_sideways():
+    bars = shapes.leg_bars(straight_legs(np.full(5, np.pi / 2)), ROBOT)
+    for corners in bars.corners:
+        assert np.allclose(corners[..., 0], np.linspace(0.0, 0.2, 5)[:, None])
+        # 13.5 mm thick at the clamp, 3.5 mm at the tip
+        half = np.array([6.75, 5.5, 4.25, 3.0, 1.75])[:, None] * 1e-3
+        assert np.allclose(corners[..., 1], half * [-1, -1, 1, 1])  # its lower side faces left
+        assert np.allclose(corners[..., 2], 0.01 * np.array([1, -1, -1, 1]))  # 20 mm wide
+
+
+def test_a_twisted_leg_turns_its_width_from_node_to_node():
+    bars = shapes.leg_bars(straight_legs(np.linspace(0.0, np.pi / 2, 5)), ROBOT)
+    width = bars.corners[0, :, 1] - bars.corners[0, :, 0]
+    assert np.allclose(np.linalg.norm(width, axis=1), 0.02)
+    angle = np.degrees(np.arctan2(-width[:, 2], -width[:, 1]))
+    # at the ends that of the segment, 90 deg / 8 from the node
+    assert np.allclose(angle, [11.25, 22.5, 45.0, 67.5, 78.75])
+
+
+def test_without_directors_a_leg_is_wide_across_the_plane_of_its_azimuth():
+    legs = shapes.natural_legs(PLACE, TURN.as_quat(), ROBOT, NODES)
+    right = np.cross(ROBOT.outward, [0.0, 0.0, 1.0])
+    assert np.allclose(TURN.inv().apply(legs.directors[:, 7]), right)
+    corners = TURN.inv().apply((shapes.leg_bars(legs, ROBOT).corners - PLACE).reshape(-1, 3))
+    corners = corners.reshape(4, -1, 3) - ROBOT.clamps[:, None]
+    across = np.einsum("lni,li->ln", corners, right)
+    assert np.allclose(np.abs(across), 0.01)  # in front of and behind the plane
+
+
+def test_faces_of_a_bar_face_outward(legs):
+    bars = shapes.leg_bars(legs, ROBOT)
+    for corners, faces in zip(bars.corners, bars.faces):
+        assert faces.shape == (4 * NODES - 2, 4, 3)
+        normal, nodes = shapes.normals(faces), corners.mean(axis=1)
+        around = np.repeat((nodes[1:] + nodes[:-1]) / 2, 4, axis=0)
+        inside = np.concatenate([around, nodes[[1, -2]]])  # behind the two ends
+        assert np.all(((faces.mean(axis=1) - inside) * normal).sum(axis=1) > 0)
+    first, second = shapes.halves(bars.quads)[:2]
+    assert [*first, second[2]] == bars.quads[0].tolist()
+
+
 def test_a_tendon_runs_below_its_leg_at_the_offset_up_to_the_anchor():
-    nodes = shapes.natural_nodes(PLACE, TURN.as_quat(), ROBOT, NODES)
-    drawn = shapes.tendon_strips(nodes, TURN.as_quat(), np.zeros(4), ROBOT, 1.0).points
-    apart = TURN.inv().apply((drawn - nodes[:, : drawn.shape[1]]).reshape(-1, 3))
+    legs = shapes.natural_legs(PLACE, TURN.as_quat(), ROBOT, NODES)
+    drawn = shapes.tendon_strips(legs, TURN.as_quat(), np.zeros(4), ROBOT, 1.0).points
+    apart = TURN.inv().apply((drawn - legs.nodes[:, : drawn.shape[1]]).reshape(-1, 3))
     assert np.allclose(np.linalg.norm(apart, axis=1), ROBOT.tendon.offset)
     assert np.all(apart[:, 2] < -0.8 * ROBOT.tendon.offset)  # below in the torso's frame
     along = np.linalg.norm(np.diff(drawn, axis=1), axis=2).sum(axis=1)
@@ -63,27 +119,33 @@ def test_a_tendon_runs_below_its_leg_at_the_offset_up_to_the_anchor():
     assert np.allclose(share, ROBOT.tendon.end_fraction, atol=1.5 / NODES)
 
 
-def test_a_straight_tendon_goes_from_the_pulley_to_the_anchor(nodes):
+def test_a_tendon_turns_with_its_leg():
+    legs = straight_legs(np.full(5, np.pi / 2))
+    drawn = shapes.tendon_strips(legs, STILL, np.zeros(4), ROBOT, 1.0).points
+    beside = np.array([0.0, ROBOT.tendon.offset, 0.0])  # of the lower side, turned to the left
+    assert np.allclose(drawn, legs.nodes[:, : drawn.shape[1]] + beside)
+
+
+def test_a_straight_tendon_goes_from_the_pulley_to_the_anchor(legs):
     robot = config.replace(ROBOT, {"tendon.routing": "straight"})
-    still = np.array([0.0, 0.0, 0.0, 1.0])
-    drawn = shapes.tendon_strips(nodes, still, np.zeros(4), robot, 1.0).points
+    drawn = shapes.tendon_strips(legs, STILL, np.zeros(4), robot, 1.0).points
     assert drawn.shape == (4, 2, 3)
-    distance = np.linalg.norm(drawn[:, 0] - nodes[:, 0], axis=1)
+    distance = np.linalg.norm(drawn[:, 0] - legs.nodes[:, 0], axis=1)
     assert np.allclose(distance, robot.tendon.pulley_distance)
-    assert np.allclose(drawn[:, 1], nodes[:, round(2 / 3 * (NODES - 1))])
+    assert np.allclose(drawn[:, 1], legs.nodes[:, round(2 / 3 * (NODES - 1))])
 
 
-def test_the_colour_of_a_tendon_goes_with_its_tension_up_to_the_largest(nodes):
+def test_the_colour_of_a_tendon_goes_with_its_tension_up_to_the_largest(legs):
     tension = np.array([0.0, 5.0, 10.0, 30.0])
-    still = np.array([0.0, 0.0, 0.0, 1.0])
-    colours = shapes.tendon_strips(nodes, still, tension, ROBOT, 10.0).colours
+    colours = shapes.tendon_strips(legs, STILL, tension, ROBOT, 10.0).colours
     middle = (shapes.SLACK + shapes.LOADED) / 2
     assert np.allclose(colours, [shapes.SLACK, middle, shapes.LOADED, shapes.LOADED])
 
 
-def test_a_force_is_an_arrow_to_scale_from_the_tip_and_a_small_one_is_not_drawn(nodes):
+def test_a_force_is_an_arrow_to_scale_from_the_tip_and_a_small_one_is_not_drawn(legs):
     force = np.array([[0, 0, 5.0], [1.0, 0, 2.0], [0, 0, 0.1], [0, 0, 0.0]])
-    drawn = shapes.force_arrows(nodes[:, -1], force, shapes.LEG_COLOURS)
-    assert np.array_equal(drawn.tail, nodes[:2, -1])
+    tips = legs.nodes[:, -1]
+    drawn = shapes.force_arrows(tips, force, shapes.LEG_COLOURS)
+    assert np.array_equal(drawn.tail, tips[:2])
     assert np.allclose(drawn.vector, shapes.FORCE_SCALE * force[:2])
     assert np.array_equal(drawn.colours, shapes.LEG_COLOURS[:2])

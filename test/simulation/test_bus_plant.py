@@ -76,7 +76,9 @@ def test_loaded_servo_rests_where_its_duty_balances_the_tendon(plant):
     duty = settings.gains.p / 128 * (goal - plant.legs.angles()) * ratio / RAD_PER_COUNT / 885
     # one count of the encoder is 0.7 % of duty; the robot still moves a little
     stall = read_servo().stall(plant.simulator.scene.supply_voltage)
-    assert duty == pytest.approx(load / stall, abs=0.015)
+    give = ROBOT.tendon.capstan  # the friction of the guide holds part of the load
+    assert (duty > load / stall / give - 0.015).all()
+    assert (duty < load / stall * give + 0.015).all()
 
 
 def test_without_torque_tendons_unwind_until_the_friction_of_the_gear_holds_them(plant):
@@ -144,8 +146,10 @@ def test_servos_measure_the_scenes_voltage_and_the_torque_of_the_tendons(scene):
         run(plant, 0.01)
     assert session.voltage == pytest.approx([read_scene(scene).supply_voltage] * 4, abs=1e-9)
     found = measured(plant.now, cycle, read_servo().tendon_stall(session.voltage))
-    # within two counts of the encoder, of which the P gain makes 0.7 % of stall each
-    assert found.torque == pytest.approx(plant.simulator.servo_torque, abs=2 * 0.0071 * 1.45)
+    # within two counts of the encoder, of which the P gain makes 0.7 % of stall each, and what the
+    # friction of the guide holds
+    expected, give = plant.simulator.servo_torque, ROBOT.tendon.capstan
+    assert (np.abs(found.torque - expected) < 2 * 0.0071 * 1.45 + (give - 1) * expected).all()
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.faults import Fault
 from slot_core.robot import read_robot
-from slot_core.simulation.plant import Plant
+from slot_core.simulation.plant import Plant, TrueState
 
 START, MILLISECOND = 7_000_000_000, 1_000_000  # ns
 FORCE, MOMENT = [0.0, 4.0, 1.0], [0.1, 0.0, 0.2]
@@ -92,3 +92,14 @@ def test_a_command_goes_on_at_its_rate_for_a_tenth_of_a_second():
     for milliseconds, moved in [(9, 0.0), (19, 0.01), (99, 0.09), (200, 0.1), (300, 0.1)]:
         list(each.advance(START + milliseconds * MILLISECOND))
         assert each.simulator.tendon_angle == pytest.approx(begin + moved * rate, abs=1e-5)
+
+
+@pytest.mark.parametrize(("legs", "segments"), [("spatial", 21), ("planar", 21), ("map", 0)])
+def test_the_truth_has_the_directors_of_the_legs_that_have_a_width(legs, segments):
+    changes = {"solver.legs": legs, "solver.halvings": 0, "start.settle": 0.1}
+    scene = config.replace(read_scene("flat"), changes)
+    made = Plant(read_robot(), scene, read_servo(), np.random.default_rng(0))
+    made.start(START)
+    truth = [r for r in made.advance(START + 40 * MILLISECOND) if isinstance(r, TrueState)][-1]
+    assert truth.directors.shape == (4, segments, 3)
+    assert truth.nodes.shape[1] == {0: 2}.get(segments, segments + 1)

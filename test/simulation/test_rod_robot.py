@@ -139,6 +139,7 @@ DROP = {"height": 0.05, "speed": -0.4, "angle": 1.2}  # m, m/s, rad: suddenly ta
 
 def dropped(step, seconds, theta):
     sim = simulator(
+        solver__legs="planar",
         servo="ideal",  # the jerk of the tendon at the start would turn a torque-limited servo back
         start__height=DROP["height"],
         start__settle=0.0,
@@ -317,3 +318,37 @@ def test_walking_steps_are_neither_halved_nor_indefinite():
     for k in range(20):
         sim.advance(50, np.radians([[90.0, 30.0, 50.0, 75.0], [30.0, 90.0, 75.0, 50.0]][k % 2]))
     assert (sim.halvings, sim.indefinite_steps, sim.unconverged_steps) == (0, 0, 0)
+
+
+PULLED = np.array([0.2, 0.6, 1.0, 1.4])  # rad
+
+
+def tilted(legs):
+    """A floating robot that has tumbled, with legs of a model pulled unequally."""
+    changes = {"gravity": [0.0, 0.0, 0.0], "start__height": 5.0, "start__settle": 0.0}
+    sim = simulator(solver__legs=legs, **changes)
+    sim.set_motion(np.zeros(3), np.array([3.0, 4.0, 5.0]))
+    sim.advance(100, PULLED)
+    return sim
+
+
+def test_directors_of_planar_legs_are_the_normals_of_their_planes_to_the_right():
+    sim = tilted("planar")
+    right = np.cross(ROBOT.outward, [0.0, 0.0, 1.0]) @ sim.rotation.T
+    assert np.degrees(np.arccos(sim.rotation[2, 2])) > 20.0
+    np.testing.assert_allclose(sim.directors, np.repeat(right[:, None], 21, axis=1), atol=1e-12)
+    apart = np.einsum("lki,lki->lk", np.diff(sim.nodes, axis=1), sim.directors)
+    np.testing.assert_allclose(apart, 0.0, atol=1e-12)
+
+
+def test_directors_of_spatial_legs_are_across_their_segments_and_turn_with_the_clamp():
+    sim = tilted("spatial")
+    sim.state.node_velocity[:, :, 1] += 3.0 * np.linspace(0.0, 1.0, 22) ** 2  # m/s, to the left
+    sim.advance(10, PULLED)
+    directors, along = sim.directors, np.diff(sim.nodes, axis=1)
+    np.testing.assert_allclose(np.linalg.norm(directors, axis=2), 1.0, atol=1e-12)
+    np.testing.assert_allclose(np.einsum("lki,lki->lk", along, directors), 0.0, atol=1e-12)
+    right = np.cross(ROBOT.outward, [0.0, 0.0, 1.0]) @ sim.rotation.T
+    turned = np.degrees(np.arccos(np.einsum("lki,li->lk", directors, right)))
+    assert turned[:, 0].max() < 1.0  # a segment of 9 mm, the thickest
+    assert turned[:, -1].min() > 2.0

@@ -154,16 +154,64 @@ def test_energy_does_not_grow_in_a_bounce(robot):
         assert energies[-1] < start - 0.1
 
 
-def test_friction_only_slows_a_robot_that_slides_and_turns():
-    sim = at_rest(simulator(), STANCE, 0.04)
+def energy(sim, line, sideways):
+    """J, of a robot on held spools: torso, legs in their planes (`line`) and sideways, bristles."""
+    v, w, foot = sim.velocity, sim.angular_velocity, sim.state.node[:, 0]
+    grip = sim.model.floor.bristle * sim.model.floor.stiffness[-1]
+    moving = ROBOT.mass * v @ v + w @ ROBOT.inertia @ w
+    springs = sideways * (foot[:, 1] ** 2).sum() + grip * (sim.state.bristle**2).sum()
+    weight = ROBOT.mass * GRAVITY * sim.position[2]
+    return (moving + springs) / 2 + weight - line(-foot[:, 2]).sum()
+
+
+@pytest.mark.parametrize("law", ["viscous", "bristle"])
+@pytest.mark.parametrize("robot", [ELASTIC, ROBOT])
+def test_energy_of_a_robot_that_slides_and_turns_does_not_grow(robot, law):
+    """Its feet stick, bend their legs sideways, and slip; equal stiffness sideways everywhere."""
+    force, knots, sideways = read("force_N"), np.linspace(0.015, 0.12, 22), 100.0
+    line = make_interp_spline(knots, [force(STANCE, h) for h in knots], k=1).antiderivative()
+    sim = simulator(robot, **{"floor.friction_law": law, "start.settle": 5.0})
+    sim.legs.table[:, :, 5] = sideways
     sim.set_motion(np.array([0.5, -0.3, 0.0]), np.array([0.0, 0.0, 3.0]))
-    before = np.inf
-    for _ in range(20):
-        sim.advance(10, sim.tendon_angle)
-        now = float(np.hypot(*sim.velocity[:2])) + 0.1 * abs(sim.angular_velocity[2])
-        assert now <= before + 2e-3  # bouncing disturbs the slow end of the motion
-        before = now
-    assert before < 0.01
+    energies, furthest = [energy(sim, line, sideways)], 0.0
+    for _ in range(500):
+        sim.advance(1, sim.tendon_angle)
+        energies.append(energy(sim, line, sideways))
+        furthest = max(furthest, np.abs(sim.state.node[:, 0, 1]).max())
+    assert furthest > 0.01  # m
+    assert energies[0] - energies[-1] > 0.35  # J
+    # On a tilted torso the legs are no exact potential, because the contact and the material on the
+    # floor shift differently: at most 1e-6 J a step of 7e-4 J on average.
+    assert np.diff(energies).max() < 3e-6
+
+
+@pytest.mark.parametrize("sideways", [1e-3, 1e9])
+@pytest.mark.parametrize("law", ["viscous", "bristle"])
+def test_soft_and_stiff_legs_are_stable_at_steps_of_5_ms(sideways, law):
+    sim = simulator(**{"solver.step": 5e-3, "floor.friction_law": law})
+    sim.legs.table[:, :, 5] = sideways
+    for command in (np.full(4, STANCE), np.radians([90.0, 30.0, 50.0, 75.0])):
+        sim.advance(1000, command)
+        force = sideways * np.abs(sim.state.node[:, 0, 1])
+        # A foot holds at most mu N, 4 N; this bounds the shift of a stiff leg to some nanometres.
+        assert force.max() < 4.0
+        assert np.abs(sim.velocity).max() < 5e-3  # m/s: at rest after 5 s
+
+
+def test_moment_about_the_vertical_turns_a_stuck_robot_by_the_springs_of_its_legs():
+    """Each foot resists sideways with its leg and bristle in series, outward with its bristle."""
+    sim, moment = simulator(**{"floor.friction_law": "bristle", "start.settle": 10.0} | SMOOTH), 0.1
+    sim.model.friction[:] = 2.0
+    before, height = sim.rpy[2], sim.position[2]
+    sim.push(np.zeros(3), np.array([0.0, 0.0, moment]))
+    sim.advance(5000, sim.tendon_angle)
+    foot = ROBOT.clamps + read("contact_x_m")(STANCE, height) * ROBOT.outward
+    lever, offset = (foot * ROBOT.outward).sum(1), (foot * sim.legs.left).sum(1)
+    grip, leg = sim.model.floor.stiffness[-1], read("sideways_N_per_m")(STANCE, height)
+    stiffness = (lever**2 / (1.0 / grip + 1.0 / leg) + offset**2 * grip).sum()
+    assert np.abs(sim.state.node[:, 0, 1]).min() > 3e-4  # m
+    # The angle is 2e-3; changes of the bristles' directions are of second order in it.
+    assert sim.rpy[2] - before == pytest.approx(moment / stiffness, rel=5e-3)
 
 
 def test_error_is_of_first_order_in_the_step():
@@ -194,7 +242,8 @@ def test_robot_sticks_on_a_slope_with_bristles_and_creeps_with_viscous_friction(
     tilted = (GRAVITY * math.sin(0.1), 0.0, -GRAVITY * math.cos(0.1))
     drift = {}
     for law in ("viscous", "bristle"):
-        sim = simulator(gravity=tilted, **{"floor.friction_law": law, "start.settle": 3.0})
+        # A foot creeps against the spring of its leg with mu N / (eps k_y), 12 s.
+        sim = simulator(gravity=tilted, **{"floor.friction_law": law, "start.settle": 60.0})
         before = sim.position
         sim.advance(2000, sim.tendon_angle)
         drift[law] = (sim.position - before)[0]
@@ -214,26 +263,30 @@ def test_slack_tendon_equals_a_spool_turned_back_and_broken_one_has_no_tension()
     assert broken.position[2] < 0.018  # the torso lies on the floor
 
 
-def test_standing_and_stepping_agree_with_the_rods_within_two_millimetres():
+SPATIAL = {"solver.legs": "spatial"}  # of the scene `flat`, 22 nodes
+
+
+def test_standing_and_stepping_agree_with_the_rods_within_a_millimetre_and_a_half():
     paths = []
-    for name in ("map", "flat"):
-        scene = config.replace(read_scene(name), {"start.settle": 0.0})
+    for name, legs in (("map", {}), ("flat", SPATIAL)):
+        scene = config.replace(read_scene(name), {"start.settle": 0.0} | legs)
         sim, path = make_robot(ROBOT, scene, read_servo()), []
         for k in range(150):
             late = np.radians([90.0, 30.0, 50.0, 75.0])
             sim.advance(10, np.full(4, STANCE) if k < 50 else late)
             path.append(sim.position)
         paths.append(np.array(path))
-    assert np.sqrt(np.sum((paths[0] - paths[1]) ** 2, axis=1).mean()) < 2e-3  # 1.2 mm
+    assert np.sqrt(np.sum((paths[0] - paths[1]) ** 2, axis=1).mean()) < 1.5e-3  # 1.1 mm
 
 
 def test_walking_speed_agrees_with_the_rods():
+    """Of a walk found on spatial legs: a spring at the foot gives three quarters of their speed."""
     speeds = []
-    for name in ("map", "flat"):
-        loop = ClosedLoop(name, "walk", None, 0)
+    for name, legs in (("map", {}), ("flat", {"scene.solver.legs": "spatial"})):
+        loop = ClosedLoop(name, "walk", None, 0, changes=legs)
         where = [loop.plant.simulator.position[0] for _ in loop.run(260)]
         speeds.append((where[-1] - where[42]) / (PERIOD * 217))  # ten strides
-    assert speeds[0] == pytest.approx(speeds[1], rel=0.15)  # 2 % were measured over 15 s
+    assert 0.6 * speeds[1] < speeds[0] < 1.1 * speeds[1]  # 0.039 and 0.051 m/s
 
 
 @pytest.mark.parametrize(

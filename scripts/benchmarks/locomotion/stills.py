@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from scipy.spatial.transform import Rotation
 
 from benchmarks.locomotion.cases import DT, Case
 from slot_core.control.gait import read_gaits
 from slot_core.report.picture import Camera, Pose, draw_robot
+from slot_core.report.shapes import bent_legs
 from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 
@@ -63,10 +63,9 @@ def poses(case: Case, times: Sequence[float]) -> list[Pose]:
     loop = ClosedLoop(case.scene, case.gait, np.array(case.velocity), 1)
     if case.pose is not None:
         loop.controller.scheduler.set_pose(np.array(case.pose))
-    sim, found = loop.plant.simulator, {}
+    sim, robot, found = loop.plant.simulator, read_robot(), {}
     wanted = [round((case.duration + time) / DT) for time in times]
     for k, _ in enumerate(loop.run(max(wanted) + 1)):
-        attitude = Rotation.from_matrix(sim.rotation).as_quat()
-        state = sim.position.copy(), attitude, sim.nodes.copy(), sim.ground_force.copy()
-        found[k] = Pose(k * DT, *state)
+        legs = bent_legs(sim.nodes, sim.directors, sim.quaternion, robot)
+        found[k] = Pose(k * DT, sim.position, sim.quaternion, legs, sim.ground_force)
     return [found[k] for k in wanted]

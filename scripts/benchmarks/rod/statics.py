@@ -11,18 +11,29 @@ from benchmarks.rod import exact
 from benchmarks.rod.exact import LEG, PUSH, THIN, THIN_MATERIAL, TPU
 from slot_core.robot import Array
 from slot_core.rod.cosserat_rod import CosseratRod, RodState
-from slot_core.rod.model import Geometry, Loads, Rectangle
+from slot_core.rod.model import Geometry, Loads, Material, Rectangle, Uniform
 
-ELEMENTS = (4, 8, 15, 32, 64)  # 9 .. 129 nodes
-STANDARD = 15  # elements, 31 nodes, at which the goals are set
-PERCENT = (0.1, 0.3, 0.6)  # goals of the first three frequencies' errors
+NODES = (9, 17, 31, 61)
+STANDARD, FINE = 31, 61  # nodes at which the goals are set: in the plane, and in space
+PERCENT = 0.01  # goal of the frequencies' errors
 COLUMN_OVERLOAD = 1.2  # of the load at which a column buckles
 
+UNIT = Material(1.0, 1.0, 1e-6, 0.0)  # L = EI = 1, EI sideways 2, GJ .8; stretch 1e-6 at load 1
+OBLONG = Uniform(1e6, 1.0, 2.0, 0.8)
+SPATIAL = {  # name: material, geometry and loads of cantilevers that bend in both planes and twist
+    "oblique force": (UNIT, Geometry(1.0, OBLONG), Loads(force=(0.5, 2.0, 2.0))),
+    "force against the tip": (UNIT, Geometry(1.0, OBLONG), Loads(force=(-1.0, 1.0, 3.0))),
+    "sideways force, curved": (UNIT, Geometry(1.0, OBLONG, 1.0), Loads(force=(0.0, 2.0, 0.0))),
+    "leg": (TPU, LEG, PUSH),
+    "curved leg": (TPU, Geometry(LEG.length, LEG.section, 6.0), PUSH),
+    "bend, 300": (exact.BEND_MATERIAL, exact.BEND, Loads(force=(0.0, 300.0, 0.0))),
+    "bend, 600": (exact.BEND_MATERIAL, exact.BEND, Loads(force=(0.0, 600.0, 0.0))),
+}
 
-def slender(elements: int, taper: float = 1.0) -> CosseratRod:
-    """A rod with L = EI = rho A = 1 at its base, without shear and rotary inertia."""
-    geometry = Geometry(1.0, Rectangle(1.0, (THIN, THIN * taper)))
-    return CosseratRod(THIN_MATERIAL, geometry, elements, shear=False, rotary_inertia=False)
+
+def slender(nodes: int, taper: float = 1.0) -> CosseratRod:
+    """A rod with L = EI = rho A = 1 at its base."""
+    return CosseratRod(THIN_MATERIAL, Geometry(1.0, Rectangle(1.0, (THIN, THIN * taper))), nodes)
 
 
 def static_rows(repeats: int) -> Iterator[dict[str, Any]]:
@@ -32,29 +43,32 @@ def static_rows(repeats: int) -> Iterator[dict[str, Any]]:
     which stretches by 1e-6 of its length at load 10.
     """
     for p in (0.2, 1.0, 3.0, 10.0):
-        yield from tip_rows("elastica", p, Loads(force=(0.0, p)), exact.elastica(p),
-                            exact.thin(exact.dead(p)), repeats)  # fmt: skip
+        loads = Loads(force=(0.0, 0.0, p))
+        yield from tip_rows("elastica", p, loads, exact.elastica(p), repeats)
     for p in (1.0, 3.0, 10.0):
-        yield from tip_rows("follower force", p, Loads(follower=(0.0, p)), exact.follower(p),
-                            exact.thin(exact.across_tip(p)), repeats)  # fmt: skip
+        loads = Loads(follower=(0.0, 0.0, p))
+        yield from tip_rows("follower force", p, loads, exact.follower(p), repeats)
     for w in (1.0, 10.0, 50.0):
-        yield from tip_rows("heavy elastica", w, Loads(gravity=(0.0, -w)), exact.heavy(w),
-                            exact.thin(exact.weight(w)), repeats)  # fmt: skip
+        loads = Loads(gravity=(0.0, 0.0, -w))
+        yield from tip_rows("heavy elastica", w, loads, exact.heavy(w), repeats)
     yield from circle_rows()
-    yield from leg_rows()
+    yield from spatial_rows()
+    yield from princeton_rows()
     yield buckling_row("Euler's column", exact.EULER, force=True)
     yield buckling_row("heavy column", exact.GREENHILL, force=False)
+    yield lateral_row()
 
 
-def tip_rows(  # noqa: PLR0917
-    case: str, load: float, loads: Loads, tip: Array, modelled: Array, repeats: int
+def tip_rows(
+    case: str, load: float, loads: Loads, tip: Array, repeats: int
 ) -> Iterator[dict[str, Any]]:
-    """Tip errors of a cantilever over the number of nodes; `tip` exact, `modelled` collocated."""
-    for elements in ELEMENTS:
-        rod = slender(elements)
+    """Tip errors of a cantilever that bends in the plane, over the number of nodes."""
+    modelled = exact.thin(loads)
+    for nodes in NODES:
+        rod = slender(nodes)
         rest = rod.state
         found = rod.solve_static(loads)
-        reached = rod.state.pose[-1, :2]
+        reached = np.array(rod.tip.position)[[0, 2]]
 
         def solve(rod: CosseratRod = rod, rest: RodState = rest) -> None:
             rod.state = rest
@@ -63,7 +77,7 @@ def tip_rows(  # noqa: PLR0917
         yield {
             "kind": case,
             "load": load,
-            "nodes": rod.nodes,
+            "nodes": nodes,
             "error": math.dist(reached, tip),
             "discretisation": math.dist(reached, modelled),
             "iterations": found.iterations,
@@ -73,84 +87,118 @@ def tip_rows(  # noqa: PLR0917
 
 def circle_rows() -> Iterator[dict[str, Any]]:
     """Closing error of the circle under the end moment 2 pi EI / L."""
-    for elements in ELEMENTS:
-        rod = slender(elements)
-        rod.solve_static(Loads(moment=2 * math.pi))
-        error = math.hypot(*rod.state.pose[-1, :2])
-        yield {"kind": "circle", "nodes": rod.nodes, "error": error}
+    for nodes in NODES:
+        rod = slender(nodes)
+        rod.solve_static(Loads(moment=(0.0, 2 * math.pi, 0.0)))
+        yield {"kind": "circle", "nodes": nodes, "error": math.hypot(*rod.tip.position)}
 
 
-def leg_rows() -> Iterator[dict[str, Any]]:
-    """The tapered leg under 1 N at its tip; the error is over its length."""
-    for shear in (True, False):
-        tip = exact.leg_tip(shear)
-        for elements in ELEMENTS:
-            rod = CosseratRod(TPU, LEG, elements, shear=shear)
-            rod.solve_static(PUSH)
-            error = math.dist(rod.state.pose[-1, :2], tip) / LEG.length
-            drop = -1e3 * rod.state.pose[-1, 1]
-            yield {
-                "kind": "leg", "shear": shear, "nodes": rod.nodes, "error": error, "tip_mm": drop
-            }  # fmt: skip
+def spatial_rows() -> Iterator[dict[str, Any]]:
+    """Tip errors over the length of cantilevers that bend in both planes and twist."""
+    for case, (material, geometry, loads) in SPATIAL.items():
+        wanted = exact.tip(material, geometry, loads)
+        for refined in (True, False):
+            for nodes in NODES:
+                rod = CosseratRod(material, geometry, nodes, refined=refined)
+                found = rod.solve_static(loads)
+                error = math.dist(rod.tip.position, wanted) / geometry.length
+                yield {
+                    "kind": "spatial", "case": case, "refined": refined, "nodes": nodes,
+                    "error": error, "iterations": found.iterations,
+                }  # fmt: skip
+
+
+def princeton_rows() -> Iterator[dict[str, Any]]:
+    """Largest difference from the published displacements of Princeton's beam and the bend, %."""
+    for degrees, tip in exact.PRINCETON_TIPS.items():
+        angle = math.radians(degrees)
+        rod = CosseratRod(exact.PRINCETON_MATERIAL, exact.PRINCETON, STANDARD)
+        force = exact.PRINCETON_FORCE
+        rod.solve_static(Loads(force=(0.0, force * math.cos(angle), force * math.sin(angle))))
+        yield published_row(f"Princeton's beam at {degrees} deg", rod.tip.position[1:], tip)
+    for load, tip in exact.BEND_TIPS.items():
+        rod = CosseratRod(exact.BEND_MATERIAL, exact.BEND, STANDARD)
+        rod.solve_static(Loads(force=(0.0, load, 0.0)))
+        yield published_row(f"Bathe and Bolourchi's bend at {load:g}", rod.tip.position, tip)
+
+
+def published_row(case: str, found: tuple[float, ...], wanted: tuple[float, ...]) -> dict[str, Any]:
+    """Largest relative difference of the components that are not zero, in percent."""
+    percent = max(100 * abs(a / b - 1) for a, b in zip(found, wanted) if b)
+    return {"kind": "published", "case": case, "percent": percent}
 
 
 def buckling_row(column: str, load: float, force: bool) -> dict[str, Any]:
     """Error of a column's critical load, at its tip (`force`) or its own weight, in percent."""
-    rod, push = slender(STANDARD), (-COLUMN_OVERLOAD * load, 0.0)
+    rod, push = slender(STANDARD), (-COLUMN_OVERLOAD * load, 0.0, 0.0)
     found = rod.solve_static(Loads(force=push) if force else Loads(gravity=push))
     error = abs(COLUMN_OVERLOAD * found.critical[0] - 1)
     return {"kind": "buckling", "column": column, "nodes": rod.nodes, "percent": 100 * error}
 
 
+def lateral_row() -> dict[str, Any]:
+    """The same of a cantilever, stiff in the plane of its tip force, that buckles sideways."""
+    geometry = Geometry(1.0, Uniform(1e6, 1e4, 1.0, 0.8))
+    rod, load = CosseratRod(UNIT, geometry, STANDARD), exact.LATERAL * math.sqrt(0.8)
+    found = rod.solve_static(Loads(force=(0.0, 0.0, COLUMN_OVERLOAD * load)))
+    percent = 100 * abs(COLUMN_OVERLOAD * found.critical[0] - 1)
+    return {"kind": "buckling", "column": "sideways", "nodes": rod.nodes, "percent": percent}
+
+
 def frequency_rows() -> Iterator[dict[str, Any]]:
-    """Errors of the first three clamped-free frequencies, in percent."""
-    for elements in ELEMENTS:
-        for name, wanted in exact.FREQUENCIES.items():
-            if name == "leg":
-                rod, unit = CosseratRod(TPU, LEG, elements, shear=False, rotary_inertia=False), 1.0
-            else:
-                rod, unit = slender(elements, 0.5 if name == "tapered" else 1.0), 2 * math.pi
-            percent = 100 * np.abs(rod.natural_frequencies(3) * unit / wanted - 1)
-            yield {"kind": "frequency", "rod": name, "nodes": rod.nodes, "percent": percent}
+    """Errors of the first clamped-free frequencies of a kind, in percent."""
+    wanted = {
+        **{name: found / (1.0 if name == "leg" else 2 * math.pi)
+           for name, found in exact.FREQUENCIES.items()},
+        "leg, sideways": exact.sideways(TPU, LEG, 3),
+        "leg, twist": exact.twisting(TPU, LEG, 1),
+    }  # fmt: skip
+    for nodes in NODES:
+        for name, frequencies in wanted.items():
+            rod = CosseratRod(TPU, LEG, nodes)
+            if not name.startswith("leg"):
+                rod = slender(nodes, 0.5 if name == "tapered" else 1.0)
+            found = rod.natural_frequencies(20)
+            percent = [100 * np.abs(found / f - 1).min() for f in frequencies]
+            yield {"kind": "frequency", "rod": name, "nodes": nodes, "percent": np.array(percent)}
 
 
 def static_checks(rows: list[dict[str, Any]]) -> list[Check]:
-    """The goals at 31 nodes, and the order of convergence."""
+    """The goals at the standard numbers of nodes, and the order of convergence."""
     out: list[Check] = []
     for row in rows:
-        if row.get("nodes") == 2 * STANDARD + 1:
-            out += row_checks(row)
+        out += row_checks(row)
     for case in ("elastica", "follower force", "heavy elastica"):
         of_case = [row for row in rows if row["kind"] == case]
         largest = max(row["load"] for row in of_case)
-        for last in (31, 129):
-            found = order([row for row in of_case if row["load"] == largest], last)
-            out.append(at_least(f"{case}'s order, 9 to {last} nodes", found, 2.0))
-    for shear in (True, False):
-        of_leg = [row for row in rows if row["kind"] == "leg" and row["shear"] is shear]
-        name = f"leg's order {'with' if shear else 'without'} shear, 9 to 31 nodes"
-        out.append(at_least(name, order(of_leg, 31), 2.0))
+        found = order([row for row in of_case if row["load"] == largest], 9, 31)
+        out.append(at_least(f"{case}'s order, 9 to 31 nodes", found, 2.0))
+    for case in SPATIAL:
+        of_case = [r for r in rows if r["kind"] == "spatial" and r["case"] == case and r["refined"]]
+        found = order(of_case, 17, FINE)
+        out.append(at_least(f"{case}: order, 17 to {FINE} nodes", found, 2.5))
     return out
 
 
 def row_checks(row: dict[str, Any]) -> Iterable[Check]:
-    """The goals of one row at 31 nodes."""
-    match row["kind"]:
-        case "elastica" | "follower force" | "heavy elastica" as case:
+    """The goals of one row."""
+    match row["kind"], row.get("nodes"):
+        case ("elastica" | "follower force" | "heavy elastica") as case, nodes if nodes == STANDARD:
             yield at_most(f"{case}, load {row['load']:g}", row["error"], 2e-4, "of the length")
-        case "circle":
-            yield at_most("circle, closing error", row["error"], 1e-6, "of the length")
-        case "leg":
-            name = f"leg {'with' if row['shear'] else 'without'} shear, 1 N"
-            yield at_most(name, row["error"], 2e-4, "of the length")
-        case "buckling":
-            yield at_most(f"buckling load, {row['column']}", row["percent"], 0.5, "%")
-        case "frequency":
-            for mode, (percent, goal) in enumerate(zip(row["percent"], PERCENT), 1):
-                yield at_most(f"frequency {mode}, {row['rod']}", percent, goal, "%")
+        case "circle", nodes if nodes == STANDARD:
+            yield at_most("circle, closing error", row["error"], 1e-4, "of the length")
+        case "spatial", nodes if nodes == FINE and row["refined"]:
+            yield at_most(f"{row['case']}, {FINE} nodes", row["error"], 1e-6, "of the length")
+        case "published", _:
+            yield at_most(row["case"], row["percent"], 1.0, "%")
+        case "buckling", _:
+            yield at_most(f"buckling load, {row['column']}", row["percent"], 0.1, "%")
+        case "frequency", nodes if nodes == STANDARD:
+            for mode, percent in enumerate(row["percent"], 1):
+                yield at_most(f"frequency {mode}, {row['rod']}", percent, PERCENT, "%")
 
 
-def order(rows: list[dict[str, Any]], last: int) -> float:
-    """Order of convergence between 9 and `last` nodes, against the modelled rod."""
+def order(rows: list[dict[str, Any]], first: int, last: int) -> float:
+    """Order of convergence between two numbers of nodes, against the modelled rod."""
     error = {row["nodes"]: row.get("discretisation", row["error"]) for row in rows}
-    return math.log(error[9] / error[last]) / math.log((last - 1) / 8)
+    return math.log(error[first] / error[last]) / math.log((last - 1) / (first - 1))

@@ -104,6 +104,8 @@ class Tendon:
     slack: float = quantity("slack at tendon angle zero", "m", 0, 0.02)
     spool_radius: float = quantity("radius of the spool", "m", 1e-3, 0.05)
     angle_max_deg: float = quantity("largest tendon angle", "deg", 1, 360)
+    guide_friction: float = quantity("friction coefficient of the cable in its guide", "", 0.0, 1.0)
+    guide_angle_deg: float = quantity("angle by which the guide turns the cable", "deg", 0.0, 720.0)
     routing: str = choice("path: through the leg, or straight from a pulley", "routed", "straight")
     pulley_angle_deg: float = quantity(
         "direction of the pulley from the clamp, 0: outward", "deg", -360, 360
@@ -115,6 +117,11 @@ class Tendon:
         """(2,) m, pulley of a straight tendon relative to the clamp, x and z in leg axes."""
         angle = math.radians(self.pulley_angle_deg)
         return self.pulley_distance * np.array([math.cos(angle), math.sin(angle)])
+
+    @property
+    def capstan(self) -> float:
+        """Tension at the spool over that in the leg while the spool winds: exp(mu alpha), Euler."""
+        return math.exp(self.guide_friction * math.radians(self.guide_angle_deg))
 
     @property
     def angle_max(self) -> float:

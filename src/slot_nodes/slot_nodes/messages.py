@@ -181,6 +181,7 @@ def legs_to_msg(truth: TrueState) -> LegStates:
         ground_force=[_vector(f) for f in truth.ground_force],
         nodes=truth.nodes.shape[1],
         position=truth.nodes.astype(np.float32).ravel(),
+        director=truth.directors.astype(np.float32).ravel(),
     )
 
 

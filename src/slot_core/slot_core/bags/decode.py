@@ -171,18 +171,24 @@ def forces(message: Any) -> tuple[int, Array, int]:
     return stamp(message), np.array([vector(f) for f in message.force]), int(message.status)
 
 
-def legs(message: Any) -> tuple[int, Array, Array, Array]:
-    """(stamp, tension (4,) N, ground force (4, 3) N, nodes (4, n, 3) m), the vectors in odom.
+def legs(message: Any) -> tuple[int, Array, Array, Array, Array]:
+    """(stamp, tension (4,) N, ground force (4, 3) N, nodes (4, n, 3) m, directors), all in odom.
 
-    Raises ValueError if the positions are not those of the stated number of nodes, or not finite.
+    directors: (4, n - 1, 3), or (4, 0, 3) where the legs have none, as in messages recorded before
+    the field existed. Raises ValueError if positions or directors are not those of the stated
+    number of nodes, or not finite.
     """
     count, position = int(message.nodes), np.array(message.position, dtype=np.float64)
+    director = np.array(getattr(message, "director", ()), dtype=np.float64)
     if count < 2 or position.size != len(LEGS) * count * 3:
         raise ValueError(f"position has {position.size} values, not 4 legs of {count} nodes")
-    if not np.isfinite(position).all():
-        raise ValueError("position: expected finite numbers")
+    if director.size not in {0, len(LEGS) * (count - 1) * 3}:
+        raise ValueError(f"director has {director.size} values, not 4 legs of {count} nodes")
+    if not (np.isfinite(position).all() and np.isfinite(director).all()):
+        raise ValueError("position, director: expected finite numbers")
     force = np.array([vector(f) for f in message.ground_force])
-    return stamp(message), np.array(message.tension), force, position.reshape(len(LEGS), count, 3)
+    shape = position.reshape(len(LEGS), count, 3), director.reshape(len(LEGS), -1, 3)
+    return stamp(message), np.array(message.tension), force, *shape
 
 
 def robot_state(message: Any) -> tuple[int, State, Action, str]:

@@ -2,7 +2,8 @@
 
 The floor is that of the scene `flat`, with the friction of the measurement. The tests are
 quasi-static: inertia is negligible and friction has its Coulomb value. The result depends on the
-history of the motion, so the simulation follows it from rest.
+history of the motion, so the simulation follows it from rest. The leg is planar: the tests load it
+in its plane alone, and there it equals a spatial one.
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from slot_core.config import ConfigError
 from slot_core.dynamics.contact import Floor
 from slot_core.dynamics.planar import strain as planar_strain
 from slot_core.dynamics.planar.leg import PlanarLeg
@@ -187,21 +188,27 @@ def clamp_maps(axes: Array, root: Array, spatial: bool) -> Array:
 def build_model(robot: Robot, scene: Scene, settings: ServoSettings) -> Model:
     """Parameters of the kernels for a robot, its scene and its servos.
 
-    Raises ConfigError for a height map that cannot be read, and for a supply voltage beyond those
-    of the servos.
+    Raises ConfigError for a height map that cannot be read, a supply voltage beyond those of the
+    servos, and a straight tendon on spatial legs.
     """
+    spatial = scene.solver.legs == "spatial"
+    if spatial and robot.tendon.routing != "routed":
+        raise ConfigError(
+            f"tendon.routing = {robot.tendon.routing!r}: spatial legs need 'routed'; solver.legs ="
+            " 'planar' has straight tendons"
+        )
     c, s = np.cos(robot.azimuth), np.sin(robot.azimuth)
     zero, one = np.zeros(4), np.ones(4)
     axes = np.array([[c, s, zero], [-s, c, zero], [zero, zero, one]]).transpose(2, 0, 1).copy()
     root = np.einsum("lij,lj->li", axes, robot.clamps)
     rod = discretise(robot.leg, scene.solver.nodes, robot.tendon.end_fraction)
-    payload, spatial = scene.payload, scene.solver.legs == "spatial"
+    payload = scene.payload
     return Model(
         rod=rod,
         tendon=route(rod, robot.tendon),
         torso=box(robot.torso),
         floor=build_floor(scene.floor, rod, robot.leg.contact_width if spatial else 0.0),
-        servo=servo(settings, scene.supply_voltage),
+        servo=servo(settings, scene.supply_voltage)._replace(friction=robot.tendon.capstan),
         friction=np.array([scene.floor.friction, scene.floor.friction_other]),
         gravity=np.array(scene.gravity),
         axes=axes,

@@ -46,6 +46,21 @@ class Rod(NamedTuple):
     damping_time: float  # s, beta
 
 
+class Links(NamedTuple):
+    """Masses and stiffness of any chain of nodes; units as in `Rod`. A leg's tip has no hinge."""
+
+    mass: Array  # (N,)
+    coupling: Array  # (N-1,)
+    spin: Array  # (N-1,)
+    rest_length: Array  # (N-1,)
+    rest_angle: Array  # (N-1,)
+    shortening: Array  # (N-1,)
+    axial: Array  # (N-1,)
+    bending: Array  # (N,) hinges at all nodes
+    lateral: Array  # (N,)
+    torsion: Array  # (N,)
+
+
 class Sections(NamedTuple):
     """Stiffness and mass of sections at any places."""
 
@@ -79,30 +94,42 @@ def stations(nodes: int, anchor: float) -> Array:
 
 def build(leg: Leg, node: Array, arc: Array, anchor: int) -> Rod:
     """A rod with the leg's sections and material: natural nodes (N, 2) at arc lengths (N,), m."""
-    chord = np.diff(node, axis=0)
-    rest_length = np.hypot(chord[:, 0], chord[:, 1])
     step, fraction = np.diff(arc), arc / arc[-1]
     before, behind = weights(step[:anchor]), weights(step[anchor:])
     extent = np.append(before, np.zeros(len(node) - len(before)))
     extent[anchor:] += behind
-    hinge, middle = sections(leg, fraction), sections(leg, (fraction[1:] + fraction[:-1]) / 2)
-    extent, inner = extent[:-1], [part[:-1] for part in hinge]
+    middle = sections(leg, (fraction[1:] + fraction[:-1]) / 2)
+    chain = links(node, arc, extent, sections(leg, fraction), middle)
     return Rod(
         node=node,
         arc=arc,
+        **chain._replace(
+            bending=chain.bending[:-1], lateral=chain.lateral[:-1], torsion=chain.torsion[:-1]
+        )._asdict(),
+        anchor=anchor,
+        anchor_share=float(before[-1] / (before[-1] + behind[0])),
+        damping_time=leg.damping_time,
+    )
+
+
+def links(node: Array, arc: Array, extent: Array, hinge: Sections, middle: Sections) -> Links:
+    """Links of a chain: natural nodes (N, 2), arc lengths (N,) and hinges' weights (N,), m.
+
+    hinge, middle: sections at the nodes and at the middles of the segments.
+    """
+    chord, step = np.diff(node, axis=0), np.diff(arc)
+    rest_length = np.hypot(chord[:, 0], chord[:, 1])
+    return Links(
         mass=lumped(hinge.mass, step),
         coupling=middle.mass * step / 6,
         spin=middle.spin * step,
         rest_length=rest_length,
         rest_angle=np.diff(np.arctan2(chord[:, 1], chord[:, 0]), prepend=0.0),
-        shortening=step**3 / (24 * extent**2),
+        shortening=step**3 / (24 * extent[:-1] ** 2),
         axial=middle.axial / rest_length,
-        bending=inner[1] / extent,
-        lateral=inner[2] / extent,
-        torsion=inner[3] / extent,
-        anchor=anchor,
-        anchor_share=float(before[-1] / (before[-1] + behind[0])),
-        damping_time=leg.damping_time,
+        bending=hinge.bending / extent,
+        lateral=hinge.lateral / extent,
+        torsion=hinge.torsion / extent,
     )
 
 

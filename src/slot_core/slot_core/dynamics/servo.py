@@ -124,6 +124,7 @@ class Servo(NamedTuple):
     derivative: float  # s/rad
     motor_time: float  # s
     play: float  # rad, half the backlash
+    friction: float = 1.0  # load on the spool over the load without friction, while it winds
 
 
 def read_servo(parameters: str = "") -> ServoSettings:
@@ -163,13 +164,22 @@ def spool_rate(law, drive, command, angle, torque, h):
     """Mean rate of the tendon angle over the next h (s), rad/s, positive when pulling.
 
     drive (3,), updated in place: motor's angle minus the spool's (rad), motor's speed (rad/s),
-    duty of the integral. command, angle: rad; torque: load on the spool, N m.
+    duty of the integral. command, angle: rad; torque: load on the spool without friction, N m.
+
+    The friction of the tendon's guide multiplies the load while the spool winds and divides it
+    while it releases. Between the two loads the spool stands still.
     """
-    rate = (
-        regulate(law, drive, command, angle, torque, h)
-        if law.pid
-        else turning_rate(law, command, angle, torque)
-    )
+    winding, releasing = torque * law.friction, torque / law.friction
+    if law.pid:
+        free, give = drive_free(law, drive, command, angle, h)
+        pulled, let_go = free - give * winding, free - give * releasing
+    else:
+        pulled = turning_rate(law, command, angle, winding)
+        let_go = turning_rate(law, command, angle, releasing)
+    still = like(0.0, pulled)
+    rate = where(pulled > 0.0, pulled, where(let_go < 0.0, let_go, still))
+    if law.pid:
+        drive[1] = rate
     if law.play == 0.0:
         return rate
     ahead = drive[0] + h * rate
@@ -188,13 +198,16 @@ def turning_rate(law, command, angle, torque):
 
 
 @helper
-def regulate(law, drive, command, angle, torque, h):
-    """Rate of the motor driven by the pid, rad/s; updates speed and integral in `drive`."""
+def drive_free(law, drive, command, angle, h):
+    """Motor driven by the pid: rate after h (s) without load, rad/s, and its loss, rad/(s N m).
+
+    Updates the integral in `drive`.
+    """
     error = command - angle
     grown = drive[2] + law.integral * h * error
     duty = law.proportional * error + grown - law.derivative * drive[1]
     bounded = min(max(duty, like(-1.0, duty)), like(1.0, duty))
     drive[2] = where((duty - bounded) * error > 0.0, drive[2], grown)
-    target = law.speed * (bounded - law.speed_loss * torque)
-    drive[1] += (target - drive[1]) * (h / (law.motor_time + h))
-    return drive[1]
+    share = h / (law.motor_time + h)
+    free = drive[1] + (law.speed * bounded - drive[1]) * share
+    return free, law.speed * law.speed_loss * share

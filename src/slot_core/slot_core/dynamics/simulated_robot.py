@@ -132,6 +132,14 @@ class SimulatedRobot(ABC):
         """(4, N, 3) m, nodes of the legs in odom, clamp first."""
 
     @property
+    def directors(self) -> Array:
+        """(4, N-1, 3) unit vectors along the width of the segments, to the right, in odom.
+
+        (4, 0, 3) of legs that have no width: those from a table and those as published.
+        """
+        return np.zeros((4, 0, 3))
+
+    @property
     @abstractmethod
     def ground_force(self) -> Array:
         """(4, 3) N in odom, force of the floor on each leg now."""

@@ -10,6 +10,10 @@ are
 
     T = max(0, k (l - l_cmd) + c d(l - l_cmd)/dt),      nodal forces -T grad l.
 
+The guide between spool and leg turns the cable by an angle alpha. While the spool winds, the cable
+pulls on it with T exp(mu alpha), while it releases with T exp(-mu alpha) (Euler and Eytelwein's
+rope friction); in between the spool stands still (`servo.spool_rate`).
+
 For a routed tendon k is the stiffness of the cable in series with the compliance d^2 v (1 - v) / B
 of the anchor's node, because the weight v cannot divide the bending of one node; without it
 convergence is of first order. The tangent of a straight tendon neglects the rotation of its

@@ -6,10 +6,12 @@ The equations are those of the robot with the torso at rest, integrated with bac
 
 With friction the force depends on the history of the motion. The leg starts at rest on a
 frictionless floor with its tendon slack; each call of `pull` continues the motion. `leg_map.py`
-solves the leg without friction.
+solves the leg without friction. The leg is planar: loads in its plane neither bend it sideways nor
+twist it.
 """
 
 # mypy: disable-error-code="no-untyped-def"
+# ruff: noqa: PLR0917 - kernels take their arguments by position
 
 from __future__ import annotations
 
@@ -44,11 +46,12 @@ class HeldLeg:
     """
 
     def __init__(self, robot: Robot, nodes: int, friction: float, height: float):
-        changes = {"solver.nodes": nodes, "floor.friction_law": "viscous"}
+        changes = {"solver.legs": "planar", "solver.nodes": nodes, "floor.friction_law": "viscous"}
         settings = config.replace(read_scene("flat"), changes)
         self.height = height
         self.model: Model = build_model(robot, settings, read_servo())
         self._leg = planar_leg(nodes)
+        self._start = np.zeros((nodes, 2)), np.zeros((nodes, 3))
         self._leg.friction[:] = friction
         self._leg.field[:3] = np.eye(3)
         self._leg.field[3] = self.model.gravity
@@ -68,7 +71,8 @@ class HeldLeg:
         """
         start = float(self._leg.angle[0])
         steps = max(1, math.ceil(abs(angle - start) / (rate * STEP)))
-        change = turn_spool(self.model, self._leg, self.height, (angle - start) / steps, steps)
+        turn = (angle - start) / steps
+        change = turn_spool(self.model, self._leg, self._start, self.height, turn, steps)
         if not change <= LIMIT:
             raise NoEquilibriumError(
                 f"leg at {math.degrees(self._leg.angle[0]):.3f} deg, {self.height:.4f} m:"
@@ -79,16 +83,17 @@ class HeldLeg:
 
 
 @kernel
-def turn_spool(model, leg, height, turn, steps):
+def turn_spool(model, leg, start, height, turn, steps):
     """Take steps of STEP that turn the spool by `turn` (rad) each; returns the last correction, m.
 
+    start: scratch space for the nodes (N, 2) and velocities (N, 3) at the start of a step.
     A step whose last correction is above LIMIT is repeated in 2, 4, ... 2^HALVINGS substeps. If it
     stays above, the motion ends with this step.
     """
     change = 0.0
     for _ in range(steps):
         begin = leg.angle[0]
-        copy_motion(leg.node, leg.node_velocity, leg.stage, leg.velocity)
+        copy_motion(start[0], start[1], leg.stage, leg.velocity)
         for halving in range(HALVINGS + 1):
             substeps = 2**halving
             for k in range(substeps):
@@ -99,7 +104,7 @@ def turn_spool(model, leg, height, turn, steps):
             if change <= LIMIT:
                 break
             if halving < HALVINGS:
-                copy_motion(leg.stage, leg.velocity, leg.node, leg.node_velocity)
+                copy_motion(leg.stage, leg.velocity, start[0], start[1])
         if not change <= LIMIT:
             break
     return change

@@ -2,7 +2,8 @@
 
 The floor has no friction, so that the force depends on angle and height alone and not on the motion
 before. Of several equilibria the map holds the branch that starts at tendon angle zero and follows
-the increasing angle.
+the increasing angle. Two columns hold the stiffness at the clamp of a leg whose foot sticks, along
+the leg and sideways, from `sticking_leg.py`.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -31,6 +32,7 @@ from slot_core.dynamics.planar.elimination import eliminate, follow, substitute
 from slot_core.dynamics.planar.leg import load_leg
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
+from slot_core.legs.sticking_leg import StickingLeg
 from slot_core.robot import Array, Robot, read_robot
 
 COLUMNS = (
@@ -43,6 +45,8 @@ COLUMNS = (
     "tension_N",
     "foot_m_per_rad",
     "foot_m_per_m",
+    "longitudinal_N_per_m",
+    "sideways_N_per_m",
 )
 TOLERANCE = 1e-11  # m, last Newton correction of a node
 ITERATIONS = 2000
@@ -88,9 +92,12 @@ class StaticLeg:
     """One leg on a frictionless floor, clamp horizontal; keeps its shape between solutions."""
 
     def __init__(self, robot: Robot, nodes: int):
-        settings = config.replace(
-            read_scene("flat"), {"solver.nodes": nodes, "floor.friction": (0.0, 0.0, 0.0, 0.0)}
-        )
+        changes = {
+            "solver.legs": "planar",
+            "solver.nodes": nodes,
+            "floor.friction": (0.0, 0.0, 0.0, 0.0),
+        }
+        settings = config.replace(read_scene("flat"), changes)
         self.model: Model = build_model(robot, settings, read_servo())
         self._leg = planar_leg(nodes)
         self._leg.stage[:] = self.model.rod.node
@@ -198,7 +205,7 @@ def respond(model, leg, height, rise, turn):
 
 
 def tabulate(robot: Robot, grid: LegMapSettings) -> Array:
-    """Leg map, (angles x heights, 9), columns and units of `COLUMNS`; the height varies fastest.
+    """Leg map, (angles x heights, 11), columns and units of `COLUMNS`; the height varies fastest.
 
     Raises NoEquilibriumError.
     """
@@ -215,8 +222,8 @@ def tabulate(robot: Robot, grid: LegMapSettings) -> Array:
 def _rows_at_height(
     robot: Robot, grid: LegMapSettings, node: Array, height: float, angles: Array
 ) -> Array:
-    """(angles, 9) rows of the map at one height (m), from the shape (N, 2) at angle zero."""
-    leg = StaticLeg(robot, grid.nodes)
+    """(angles, 11) rows of the map at one height (m), from the shape (N, 2) at angle zero."""
+    leg, stuck = StaticLeg(robot, grid.nodes), StickingLeg(robot, grid.nodes)
     leg.node = node
     rows = []
     for before, angle in zip([0.0, *angles], angles):
@@ -224,7 +231,8 @@ def _rows_at_height(
             here = leg.solve(between, height)
         numbers = (here.force, here.slope, here.stiffness, here.contact_x, here.tension)
         feet = (here.foot_slope, here.foot_rise)
-        rows.append((math.degrees(angle), height, *numbers, *feet))
+        held = stuck.stiffness(here.node, angle, height)
+        rows.append((math.degrees(angle), height, *numbers, *feet, held[0, 0], held[1, 1]))
     return np.array(rows)
 
 

@@ -38,7 +38,7 @@ def animate(bag: Bag, path: Path) -> None:
     times, robot = frame_times(bag), read_robot()
     pause = round(1e3 * SLOWER * float(np.diff(times).mean()))  # ms
     with path.open("wb") as file:
-        frames = [draw_frame(pose, robot) for pose in read_poses(bag, times)]
+        frames = [draw_frame(pose, robot) for pose in read_poses(bag, times, robot)]
         frames[0].save(
             file, path.suffix[1:], save_all=True, append_images=frames[1:], duration=pause, loop=0
         )

@@ -17,10 +17,11 @@ from slot_core.report import palette
 from slot_core.report.shapes import (
     LEG_COLOURS,
     Shape,
+    bent_legs,
     box_edges,
     force_arrows,
-    leg_strips,
-    natural_nodes,
+    leg_bars,
+    natural_legs,
     path_strip,
     rgb,
     tendon_strips,
@@ -56,7 +57,7 @@ class Drawing:
         self._robot = robot
         self._tension_max = torque_max / robot.tendon.spool_radius
         self._position, self._quaternion = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
-        self._nodes = natural_nodes(self._position, self._quaternion, robot, NATURAL_NODES)
+        self._legs = natural_legs(self._position, self._quaternion, robot, NATURAL_NODES)
         self._placed = self._simulated = False  # whether a pose, the exact one has been received
         self._path, self._reference_path = Path(), Path()
 
@@ -78,8 +79,8 @@ class Drawing:
         _, state, _ = decode.state(message)
         quaternion = Rotation.from_euler("xyz", _finite(state)[:3]).as_quat()
         shapes = self._draw_torso(state[3:6], quaternion)
-        self._nodes = natural_nodes(self._position, quaternion, self._robot, NATURAL_NODES)
-        return shapes | {"legs": leg_strips(self._nodes, self._robot, known=False)}
+        self._legs = natural_legs(self._position, quaternion, self._robot, NATURAL_NODES)
+        return shapes | {"legs": leg_bars(self._legs, self._robot, known=False)}
 
     def _draw_torso(self, position: Array, quaternion: Array) -> dict[str, Shape]:
         self._position, self._quaternion = _finite(position), _finite(quaternion)
@@ -90,11 +91,12 @@ class Drawing:
 
     def _draw_legs(self, message: Any) -> dict[str, Shape]:
         self._simulated = True
-        _, tension, force, self._nodes = decode.legs(message)
+        _, tension, force, nodes, directors = decode.legs(message)
+        self._legs = bent_legs(nodes, directors, self._quaternion, self._robot)
         return {
-            "legs": leg_strips(self._nodes, self._robot),
+            "legs": leg_bars(self._legs, self._robot),
             "tendons": self._tendons(tension),
-            "ground_forces": force_arrows(self._nodes[:, -1], force, LEG_COLOURS),
+            "ground_forces": force_arrows(nodes[:, -1], force, LEG_COLOURS),
         }
 
     def _draw_load(self, message: Any) -> dict[str, Shape]:
@@ -105,7 +107,7 @@ class Drawing:
         return {"tendons": self._tendons(_finite(torque) / self._robot.tendon.spool_radius)}
 
     def _tendons(self, tension: Array) -> Shape:
-        return tendon_strips(self._nodes, self._quaternion, tension, self._robot, self._tension_max)
+        return tendon_strips(self._legs, self._quaternion, tension, self._robot, self._tension_max)
 
     def _draw_reference(self, message: Any) -> dict[str, Shape]:
         """Reference pose of the torso now, its way over the horizon, and where it was."""
@@ -125,7 +127,7 @@ class Drawing:
             return {}
         _, force, _ = decode.forces(message)
         colours = np.tile(DEMANDED, (len(LEGS), 1))
-        return {"demanded_forces": force_arrows(self._nodes[:, -1], _finite(force), colours)}
+        return {"demanded_forces": force_arrows(self._legs.nodes[:, -1], _finite(force), colours)}
 
     _DRAW: ClassVar[dict[str, Callable[[Drawing, Any], dict[str, Shape]]]] = {
         "/ground_truth/odom": _draw_truth,

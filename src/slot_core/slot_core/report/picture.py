@@ -13,7 +13,7 @@ from matplotlib.colors import to_rgb
 from scipy.spatial.transform import Rotation
 
 from slot_core.report import palette
-from slot_core.report.shapes import FORCE_SCALE, LEAST_FORCE
+from slot_core.report.shapes import FORCE_SCALE, LEAST_FORCE, Legs, leg_bars, normals
 from slot_core.robot import LEGS, Array, Robot
 
 SUN = np.array([0.25, -0.45, 0.86]) / np.linalg.norm([0.25, -0.45, 0.86])
@@ -33,7 +33,7 @@ class Pose:
     t: float  # s since the start
     position: Array  # (3,) m
     quaternion: Array  # (4,) x y z w
-    nodes: Array  # (4, n, 3) m, centre lines of the legs
+    legs: Legs
     force: Array  # (4, 3) N, of the ground on the legs
 
 
@@ -90,43 +90,15 @@ def torso_solid(pose: Pose, robot: Robot) -> Solid:
 
 
 def leg_solids(pose: Pose, robot: Robot) -> list[Solid]:
-    """The legs: bands of the leg's width and tapering thickness along their centre lines."""
-    thickness = np.linspace(robot.leg.thickness_clamp, robot.leg.thickness_tip, pose.nodes.shape[1])
-    return [
-        Solid(_band(nodes, robot.leg.width, thickness), palette.LEG_COLOURS[leg])
-        for leg, nodes in zip(LEGS, pose.nodes)
-    ]
-
-
-def _band(nodes: Array, width: float, thickness: Array) -> Array:
-    """(m, 4, 3) faces of a band around a centre line (n, 3) that bends in a vertical plane."""
-    tangent = np.gradient(nodes, axis=0)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    reach = nodes[-1] - nodes[0]
-    side = np.cross([0.0, 0.0, 1.0], reach) / np.hypot(reach[0], reach[1])
-    normal = np.cross(tangent, side)
-    across, up = width / 2 * side, thickness[:, None] / 2 * normal
-    ring = np.stack(
-        [nodes - across - up, nodes + across - up, nodes + across + up, nodes - across + up], axis=1
-    )
-    return np.concatenate([_tube(ring), [ring[0, ::-1], ring[-1]]])
-
-
-def _tube(ring: Array) -> Array:
-    """(4 (n - 1), 4, 3) faces between rings (n, 4, 3) of corners."""
-    following = np.roll(ring, -1, axis=1)
-    return np.stack([ring[:-1], following[:-1], following[1:], ring[1:]], axis=2).reshape(-1, 4, 3)
-
-
-def _normals(faces: Array) -> Array:
-    normal = np.cross(faces[:, 2] - faces[:, 0], faces[:, 3] - faces[:, 1])
-    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    """The legs, with their width and their taper."""
+    bars = leg_bars(pose.legs, robot)
+    return [Solid(faces, palette.LEG_COLOURS[leg]) for leg, faces in zip(LEGS, bars.faces)]
 
 
 def _draw_solids(ax: Axes, solids: list[Solid], centre: Array, camera: Camera) -> None:
     faces = np.concatenate([solid.faces for solid in solids])
     colours = np.concatenate([[to_rgb(s.colour)] * len(s.faces) for s in solids])
-    normal = _normals(faces)
+    normal = normals(faces)
     seen = normal @ camera.toward > 0
     light = AMBIENT + (1 - AMBIENT) * (normal @ SUN).clip(min=0.0)
     depth = np.where(seen, faces.mean(axis=1) @ camera.toward, np.inf)
@@ -173,7 +145,7 @@ def _marks(x: float, half: float) -> Array:
 
 def _draw_forces(ax: Axes, pose: Pose, centre: Array, camera: Camera) -> None:
     arrow = {"arrowstyle": "-|>", "color": palette.INK, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
-    for foot, force in zip(pose.nodes[:, -1] * [1.0, 1.0, 0.0], pose.force):
+    for foot, force in zip(pose.legs.nodes[:, -1] * [1.0, 1.0, 0.0], pose.force):
         if np.linalg.norm(force) > LEAST_FORCE:
             ends = np.array([foot, foot + FORCE_SCALE * force]) - centre
             tail, head = camera.project(ends).tolist()

@@ -11,13 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, FigureBase
 
+from slot_core.bags import decode
 from slot_core.bags.bag import Bag, BagError
 from slot_core.bags.walk import LEG_STATES, read_motion, read_ticks, seconds, stride_period
 from slot_core.report import panels
 from slot_core.report.metrics import WalkMetrics
 from slot_core.report.picture import Camera, Pose, draw_robot
-from slot_core.report.shapes import FORCE_SCALE
-from slot_core.robot import LEGS, Array, read_robot
+from slot_core.report.shapes import FORCE_SCALE, bent_legs
+from slot_core.robot import LEGS, Array, Robot, read_robot
 
 DPI = 100
 
@@ -62,9 +63,9 @@ def filmstrip(bag: Bag, path: Path, stills: int = 5) -> None:
 
 def filmstrip_figure(bag: Bag, stills: int) -> Figure:
     """The filmstrip; its axes are the stills in the order of time."""
-    poses = read_poses(bag, still_times(bag, stills))
-    figure = _figure(3.6 * stills, 2.2)
     robot, camera = read_robot(), Camera()
+    poses = read_poses(bag, still_times(bag, stills), robot)
+    figure = _figure(3.6 * stills, 2.2)
     for i, pose in enumerate(poses):
         ax = figure.add_subplot(1, stills, i + 1, label=f"still {i}")
         draw_robot(ax, pose, robot, camera)
@@ -92,18 +93,19 @@ def still_times(bag: Bag, stills: int) -> Array:
     return t[0] + (strides + phase) * period
 
 
-def read_poses(bag: Bag, times: Array) -> list[Pose]:
+def read_poses(bag: Bag, times: Array, robot: Robot) -> list[Pose]:
     """The robot at the recorded leg states nearest to `times` (s of graph time)."""
-    legs = bag.series(LEG_STATES, "nodes", "position", "ground_force")
+    states = [message for _, message in bag.messages(LEG_STATES)]
     motion = read_motion(bag)
-    t = seconds(legs.stamp)
+    t = seconds(np.array([decode.stamp(message) for message in states]))
     poses = []
     for time in times:
         k = int(np.abs(t - time).argmin())
         m = int(np.abs(motion.t - t[k]).argmin())
-        nodes = legs["position"][k].reshape(len(LEGS), int(legs["nodes"][k]), 3).astype(float)
-        pose = (motion.position[m], motion.quaternion[m], nodes, legs["ground_force"][k])
-        poses.append(Pose(float(t[k] - motion.t[0]), *pose))
+        _, _, force, nodes, directors = decode.legs(states[k])
+        place = motion.position[m], motion.quaternion[m]
+        legs = bent_legs(nodes, directors, motion.quaternion[m], robot)
+        poses.append(Pose(float(t[k] - motion.t[0]), *place, legs, force))
     return poses
 
 

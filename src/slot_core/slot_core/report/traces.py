@@ -118,7 +118,7 @@ def _of_reference(message: Any) -> Values:
 
 
 def _of_legs_truth(message: Any) -> Values:
-    _, tension, force, _ = decode.legs(message)
+    _, tension, force, *_ = decode.legs(message)
     return {"force/ground": force[:, 2], "tension/simulated": tension}
 
 

@@ -1,13 +1,15 @@
-"""Planar Cosserat rod: statics, natural frequencies and motion, independent of the robot.
+"""Spatial Cosserat rod: statics, natural frequencies and motion, independent of the robot.
 
     leg = Geometry(0.2, Rectangle(0.02, (8e-3, 4e-3)))
-    rod = CosseratRod(Material(1e7, 4e6, 1200.0, 5e-4), leg)
-    rod.solve_static(Loads(force=(0.0, 1.0)))
+    rod = CosseratRod(Material(1e7, 3.3e6, 1200.0, 5e-4), leg)
+    rod.solve_static(Loads(force=(0.0, 0.3, 1.0)))
     for _ in range(1000):
         rod.step(1e-3)
 
-The elements are quadratic, with two Gauss points and lumped masses; the error falls with the fourth
-power of the element size. Elements, tangent and elimination are in `kernels.py`.
+The rod stretches, bends in both planes and twists; it does not shear, and its sections have no
+moment of inertia about their cross axes. It is the chain of the robot's legs
+(`dynamics/rod.py`, `dynamics/spatial`), of fourth order in the length of a segment for bending in
+one plane. Tangent and elimination are in `assembly.py` and `elimination.py`.
 """
 
 from __future__ import annotations
@@ -18,22 +20,34 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
+from scipy.spatial.transform import Rotation
 
 from slot_core.robot import Array
 from slot_core.rod import kernels
+from slot_core.rod.mesh import build_mesh
 from slot_core.rod.model import (
     CLAMPED,
     FREE,
     Geometry,
     Loads,
     Material,
+    Pose,
     RodError,
     Support,
-    build_mesh,
+    need_finite,
 )
-from slot_core.rod.statics import Equilibrium, EquilibriumError, RodLoads, StaticSettings, follow
+from slot_core.rod.statics import (
+    Equilibrium,
+    EquilibriumError,
+    RodLoads,
+    StaticSettings,
+    follow,
+    free_unknowns,
+)
+from slot_core.rod.work import place, work_space
 
 NO_LOADS = Loads()
+ORIGIN = Pose()
 STATICS = StaticSettings()
 
 
@@ -50,7 +64,7 @@ class Scheme:
     motion, the energy oscillates about its initial value. Above 1/2 the scheme is of first order
     and damps motion that the step does not resolve.
 
-    Raises RodError for theta outside of 0.5 .. 1 or fewer than one iteration.
+    Raises RodError for theta outside of 0.5 .. 1, fewer than one iteration, a tolerance below 0.
     """
 
     theta: float = 0.5
@@ -62,6 +76,8 @@ class Scheme:
             raise RodError(f"theta {self.theta} must be within 0.5 .. 1")
         if self.iterations < 1:
             raise RodError(f"iterations {self.iterations} must be at least 1")
+        if not self.tolerance >= 0.0:
+            raise RodError(f"tolerance {self.tolerance} must not be below 0")
 
 
 MIDPOINT = Scheme()
@@ -69,15 +85,23 @@ MIDPOINT = Scheme()
 
 @dataclass(frozen=True)
 class RodState:
-    """Poses (n, 3), m, m, rad, and velocities (n, 3), m/s, m/s, rad/s, of the nodes."""
+    """State of a rod of N nodes.
 
-    pose: Array
-    velocity: Array
+    The directors are unit vectors normal to their segments, against the width. The swirl is the
+    angular momentum of each segment about itself over its polar moment of inertia: its spin times
+    its direction. The columns of an end's axes are its section's tangent, width and normal.
+    """
+
+    position: Array  # (N, 3) m
+    director: Array  # (N-1, 3)
+    velocity: Array  # (N, 3) m/s
+    swirl: Array  # (N-1, 3) rad/s
+    ends: Array  # (2, 3, 3) axes of the sections at base and tip
 
 
 @dataclass(frozen=True)
 class Energy:
-    """Energies, J. The potential is that of gravity and dead loads, zero at the origin."""
+    """Energies, J. The potential is that of gravity and dead forces, zero at the origin."""
 
     kinetic: float
     elastic: float
@@ -90,44 +114,48 @@ class Energy:
 
 
 class CosseratRod:
-    """Planar geometrically exact rod with stretch, bending and, optionally, shear.
+    """Spatial geometrically exact rod with stretch, bending and twist.
 
-    elements: number of elements, at least 1; the rod has 2 elements + 1 nodes.
+    nodes: number of nodes, at least 2.
     base, tip: supports of the ends.
-    pose: (x, y, angle) of the base, m, m, rad.
-    shear, rotary_inertia: whether the sections shear and have a moment of inertia.
+    pose: of the base.
+    refined: with the correction of the hinges where bending and twist meet, which makes the error
+        of third order in any direction (`dynamics/spatial/refine.py`). Newton's method then needs
+        more iterations; on a strip that is hundreds of times as stiff sideways it may fail.
 
     The rod starts at rest in its natural shape. A step allocates no memory.
 
-    Raises RodError for invalid material, geometry or number of elements.
+    Raises RodError for invalid material, geometry, pose or number of nodes.
     """
 
     def __init__(  # noqa: PLR0917
         self,
         material: Material,
         geometry: Geometry,
-        elements: int = 15,
+        nodes: int = 31,
         base: Support = CLAMPED,
         tip: Support = FREE,
-        pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        shear: bool = True,
-        rotary_inertia: bool = True,
+        pose: Pose = ORIGIN,
         scheme: Scheme = MIDPOINT,
+        refined: bool = True,
     ) -> None:
-        self.mesh = build_mesh(material, geometry, elements, base, tip, shear, rotary_inertia)
-        self.mesh.natural[:] = _moved(self.mesh.natural, pose)
+        need_finite(*pose.position, *pose.rotation)
+        self.mesh = build_mesh(material, geometry, nodes, base, tip, refined)
         self.scheme = scheme
         self.time = 0.0  # s
-        self._work = kernels.work_space(self.mesh)
-        self._target = self._work.pose[[0, -1]].copy()
+        self._work = work_space(self.mesh)
+        axes = Rotation.from_rotvec(pose.rotation).as_matrix()
+        place(self.mesh, self._work, np.asarray(pose.position), axes)
+        self._target = np.zeros((2, 4, 3))
         self._loads: Loads | None = None
-        self._load, self._follower = np.zeros_like(self.mesh.natural), np.zeros(2)
+        self._load = RodLoads(np.zeros((nodes, 3)), np.zeros(3), np.zeros(3))
         self._no_record = np.zeros((0, 3))
+        self._rest()
 
     @property
     def nodes(self) -> int:
-        """Number of nodes, 2 elements + 1."""
-        return len(self.mesh.natural)
+        """Number of nodes."""
+        return len(self.mesh.mass)
 
     @property
     def unconverged(self) -> int:
@@ -135,59 +163,79 @@ class CosseratRod:
         return int(self._work.unconverged[0])
 
     @property
-    def mass(self) -> Array:
-        """(n, 3) lumped masses of the nodes, kg, kg, kg m^2."""
-        return self.mesh.mass.copy()
+    def mass(self) -> float:
+        """Mass, kg."""
+        return float(self.mesh.mass.sum())
+
+    @property
+    def tip(self) -> Pose:
+        """Pose of the tip's section."""
+        turn = Rotation.from_matrix(_axes(self._work.frame[1])).as_rotvec()
+        return Pose(tuple(self._work.node[self.nodes - 1]), tuple(turn))
 
     @property
     def state(self) -> RodState:
-        """A copy of poses and velocities."""
-        return RodState(self._work.pose.copy(), self._work.velocity.copy())
+        """A copy of the state."""
+        work, n = self._work, self.nodes
+        return RodState(
+            position=work.node[:n].copy(),
+            director=work.director[: n - 1].copy(),
+            velocity=work.velocity[:n].copy(),
+            swirl=work.swirl[: n - 1].copy(),
+            ends=np.array([_axes(frame) for frame in work.frame]),
+        )
 
     @state.setter
     def state(self, state: RodState) -> None:
-        for own, given in ((self._work.pose, state.pose), (self._work.velocity, state.velocity)):
-            if np.shape(given) != own.shape:
-                raise RodError(f"state of shape {np.shape(given)} must have {own.shape}")
+        """Set the state; raises RodError, and changes nothing, for a wrong shape or value."""
+        work, n, own = self._work, self.nodes, self.state
+        for name in RodState.__dataclass_fields__:
+            given, there = getattr(state, name), getattr(own, name)
+            if np.shape(given) != there.shape:
+                raise RodError(f"{name} of shape {np.shape(given)} must have {there.shape}")
             if not np.all(np.isfinite(given)):
-                raise RodError("state must be finite")
-            own[:] = given
-        self._work.stage[:] = self._work.pose
-        kernels.stress_of(self.mesh, self._work)
+                raise RodError(f"{name} must be finite")
+        work.node[:n], work.velocity[:n] = state.position, state.velocity
+        work.director[: n - 1], work.swirl[: n - 1] = state.director, state.swirl
+        for frame, axes in zip(work.frame, state.ends):
+            frame[:] = np.transpose(axes) * np.array([[1.0], [-1.0], [-1.0]])
+        work.turning[:] = 0.0
+        work.driven[:] = work.velocity[[0, n - 1]]
         self._apply(NO_LOADS)
-        self._target[:] = self._work.pose[[0, -1]]
+        self._rest()
 
     def step(
         self,
         h: float,
         loads: Loads = NO_LOADS,
-        base: tuple[float, float, float] | None = None,
-        tip: tuple[float, float, float] | None = None,
+        base: Pose | None = None,
+        tip: Pose | None = None,
     ) -> None:
         """Advance the motion by h (s) under loads.
 
-        base, tip: poses (x, y, angle), m, m, rad, that the supported components of the ends reach
-        at the end of the step, at a constant rate. Without a pose they stay in place.
+        base, tip: poses that the held components of the ends reach at the end of the step, at a
+        constant rate. Without a pose they stay in place.
 
         Raises DivergenceError, and RodError for a step, load or pose that is not finite or for a
         step that is not above 0.
         """
         for end, pose in ((0, base), (1, tip)):
             if pose is not None:
-                if not all(math.isfinite(part) for part in pose):
-                    raise RodError(f"pose {pose} must be finite")
-                self._target[end] = pose
+                need_finite(*pose.position, *pose.rotation)
+                axes = Rotation.from_rotvec(pose.rotation).as_matrix()
+                self._target[end, 0], self._target[end, 1:] = pose.position, _frame(axes)
         self._run(h, 1, loads, self._no_record)
 
     def run(self, h: float, steps: int, loads: Loads = NO_LOADS, samples: int = 0) -> Array:
         """Advance by `steps` equal steps of h (s) with the supports at rest, in a compiled loop.
 
-        Returns (samples, 3) poses of the tip at evenly spaced times, the last at the end.
+        Returns (samples, 3) positions of the tip at evenly spaced times, the last at the end.
 
-        Raises RodError where `samples` does not divide `steps`, and the errors of `step`.
+        Raises RodError for a negative number or where `samples` does not divide `steps`, and the
+        errors of `step`.
         """
-        if samples and steps % samples:
-            raise RodError(f"samples {samples} must divide steps {steps}")
+        if min(steps, samples) < 0 or (samples and steps % samples):
+            raise RodError(f"samples {samples} must divide steps {steps}, none below 0")
         record = np.zeros((samples, 3))
         self._run(h, steps, loads, record)
         return record
@@ -201,73 +249,95 @@ class CosseratRod:
         after the state was set. The rod must be near an equilibrium under them.
 
         Raises EquilibriumError with the last load factor that was reached; the rod is then in that
-        equilibrium. Raises RodError for `stay_stable` with a follower force, which has no potential
-        to descend.
+        equilibrium. Raises RodError for `stay_stable` with a moment or a follower force, which have
+        no potential to descend.
         """
-        if settings.stay_stable and any(loads.follower):
-            raise RodError("stay_stable needs loads with a potential, not a follower force")
-        work, begin = self._work, RodLoads(self._load.copy(), self._follower.copy())
+        if settings.stay_stable and _has_no_potential(loads):
+            raise RodError("stay_stable needs loads with a potential: no moment, no follower force")
+        begin = RodLoads(*(part.copy() for part in self._load))
         self._apply(loads)
-        end = RodLoads(self._load.copy(), self._follower.copy())
-        work.stage[:] = work.pose
+        end = RodLoads(*(part.copy() for part in self._load))
+        kernels.pose(self.mesh, self._work)
         reached = 1.0
         try:
-            return follow(self.mesh, work, begin, end, settings)
+            return follow(self.mesh, self._work, begin, end, settings)
         except EquilibriumError as error:
             reached = error.load_factor
             raise
         finally:
-            work.pose[:] = work.stage
-            work.velocity[:] = 0.0
-            self._target[:] = work.pose[[0, -1]]
+            kernels.settle(self._work)
+            self._rest()
             self._set(begin.toward(end, reached), loads if reached == 1.0 else None)
 
     def energy(self, loads: Loads = NO_LOADS) -> Energy:
         """Kinetic, elastic and potential energy of the present state under loads, J."""
-        pose, velocity = self._work.pose, self._work.velocity
+        mesh, work, n = self.mesh, self._work, self.nodes
+        v, spin = work.velocity[:n], work.swirl[: n - 1]
+        kinetic = mesh.mass @ (v**2).sum(axis=1) + mesh.spin[:-1] @ (spin**2).sum(axis=1)
+        kinetic -= mesh.coupling[:-1] @ (np.diff(v, axis=0) ** 2).sum(axis=1)
+        kernels.pose(mesh, work)
         return Energy(
-            kinetic=float((self.mesh.mass * velocity**2).sum() / 2),
-            elastic=float(kernels.elastic_energy(self.mesh, pose)),
-            potential=-float((self._nodal(loads).dead * pose).sum()),
+            kinetic=float(kinetic / 2),
+            elastic=float(kernels.elastic_energy(mesh, work)),
+            potential=-float((self._nodal(loads).dead * work.node[:n]).sum()),
         )
 
-    def momentum(self) -> tuple[float, float, float]:
-        """Linear momentum x, y (N s) and angular momentum about the origin (N m s)."""
-        p = self.mesh.mass * self._work.velocity
-        q = self._work.pose
-        angular = q[:, 0] @ p[:, 1] - q[:, 1] @ p[:, 0] + p[:, 2].sum()
-        return float(p[:, 0].sum()), float(p[:, 1].sum()), float(angular)
+    def momentum(self) -> tuple[Array, Array]:
+        """Linear momentum (3,), N s, and angular momentum about the origin (3,), N m s."""
+        mesh, work, n = self.mesh, self._work, self.nodes
+        r, v = work.node[:n], work.velocity[:n]
+        p, less = mesh.mass[:, None] * v, mesh.coupling[:-1, None] * np.diff(v, axis=0)
+        angular = np.cross(r, p).sum(axis=0) - np.cross(np.diff(r, axis=0), less).sum(axis=0)
+        angular += mesh.spin[:-1] @ work.swirl[: n - 1]
+        return p.sum(axis=0), angular
 
     def tangent(self, loads: Loads = NO_LOADS) -> Array:
-        """(3 n, 3 n) tangent stiffness over the nodes' x, y, angle, supported ones included."""
-        self._work.stage[:] = self._work.pose
-        kernels.stress_of(self.mesh, self._work)
-        matrix = np.zeros((3 * self.nodes, 3 * self.nodes))
-        kernels.dense(self.mesh, self._work, *self._nodal(loads), matrix)
+        """(4 N + 7, 4 N + 7) tangent stiffness over the unknowns of `assembly.py`, held included.
+
+        Antisymmetric parts that vanish in equilibrium are left out.
+        """
+        kernels.pose(self.mesh, self._work)
+        matrix = np.zeros((len(self.mesh.metric), len(self.mesh.metric)))
+        kernels.dense(self.mesh, self._work, self._nodal(loads), matrix)
+        return matrix
+
+    def mass_matrix(self) -> Array:
+        """(4 N + 7, 4 N + 7) mass matrix over the unknowns of `tangent`; sections have no mass."""
+        mesh, n = self.mesh, self.nodes
+        matrix = np.zeros((len(mesh.metric), len(mesh.metric)))
+        for c in range(3):
+            at = 4 * np.arange(n) + 4 + c
+            matrix[at, at] = mesh.mass
+            matrix[at[1:], at[1:]] -= mesh.coupling[:-1]
+            matrix[at[:-1], at[:-1]] -= mesh.coupling[:-1]
+            matrix[at[1:], at[:-1]] = matrix[at[:-1], at[1:]] = mesh.coupling[:-1]
+        at = 4 * np.arange(n - 1) + 7
+        matrix[at, at] = mesh.spin[:-1]
         return matrix
 
     def free_unknowns(self) -> NDArray[np.intp]:
-        """Indices of the unknowns that no support prescribes."""
-        held = np.zeros((self.nodes, 3), dtype=bool)
-        held[[0, -1]] = self.mesh.held
-        return np.flatnonzero(~held.ravel())
+        """Indices of the unknowns of `tangent` that exist and that no support holds."""
+        return free_unknowns(self.mesh)
 
     def natural_frequencies(self, count: int, loads: Loads = NO_LOADS) -> Array:
-        """Lowest undamped natural frequencies (count,), Hz, about the present poses.
+        """Lowest undamped natural frequencies (count,), Hz, about the present state at rest.
 
         Solves K x = (2 pi f)^2 M x on the free unknowns. In an unstable state the growth rates over
         2 pi come first, with a negative sign.
 
-        Raises RodError for a follower force, whose K is not symmetric; use `tangent` there.
+        Raises RodError for a moment or a follower force, whose K is not symmetric; use `tangent`
+        and `mass_matrix` there.
         """
-        if any(loads.follower):
-            raise RodError("natural frequencies need loads with a potential, not a follower force")
+        if _has_no_potential(loads):
+            raise RodError(
+                "natural frequencies need loads with a potential: no moment, no follower"
+            )
         free = self.free_unknowns()
-        stiffness = self.tangent(loads)[np.ix_(free, free)]
-        mass = np.diag(self.mesh.mass.ravel()[free])
-        metric = np.diag(self.mesh.metric.ravel()[free])
+        square = np.ix_(free, free)
+        stiffness, mass = self.tangent(loads)[square], self.mass_matrix()[square]
+        metric = np.diag(self.mesh.metric[free])
         # M x = mu (K + a M) x: the lowest frequencies have the largest mu, which are the most
-        # accurate, and angles without inertia are allowed.
+        # accurate, and turns without inertia are allowed.
         shift = 1e-3 * stiffness.trace() / metric.trace() / len(free) ** 3
         while True:
             try:
@@ -275,26 +345,36 @@ class CosseratRod:
                 break
             except np.linalg.LinAlgError:
                 shift *= 10
-        square = np.sort(1 / values[::-1][:count] - shift)
-        return np.sign(square) * np.sqrt(np.abs(square)) / (2 * math.pi)
+        found = np.sort(1 / values[::-1][:count] - shift)
+        return np.sign(found) * np.sqrt(np.abs(found)) / (2 * math.pi)
+
+    def _rest(self) -> None:
+        """Let the supports stay where they are; the axial forces are those of the strains."""
+        kernels.pose(self.mesh, self._work)
+        for end, node in ((0, 0), (1, self.nodes - 1)):
+            self._target[end, 0] = self._work.node[node]
+            self._target[end, 1:] = self._work.frame[end]
 
     def _run(self, h: float, steps: int, loads: Loads, record: Array) -> None:
         if not 0.0 < h < math.inf:
             raise RodError(f"step {h} must be above 0 and finite")
         self._apply(loads)
         scheme = self.scheme
+        settings = (scheme.theta, scheme.iterations, scheme.tolerance)
         done = kernels.run(
-            self.mesh, self._work, self._load, self._follower, self._target, h,
-            scheme.theta, scheme.iterations, scheme.tolerance, steps, record,
-        )  # fmt: skip
+            self.mesh, self._work, self._load, self._target, h, settings, steps, record
+        )
         self.time += h * done
         if done < steps:
-            change = np.abs(self._work.change)
-            node = int(np.nan_to_num(change, nan=np.inf).max(axis=1).argmax())
             raise DivergenceError(
                 f"diverged after t = {self.time:g} s in step {done + 1} of {steps} "
-                f"(h = {h:g} s), largest change at node {node}"
+                f"(h = {h:g} s), largest change at node {self._fastest()}"
             )
+
+    def _fastest(self) -> int:
+        """Node with the largest last increment, of its place or of the segment behind."""
+        change = np.abs(self._work.change[4:-3].reshape(-1, 4))
+        return int(np.nan_to_num(change, nan=np.inf).max(axis=1).argmax())
 
     def _apply(self, loads: Loads) -> None:
         """Set the present loads, unless they are set already."""
@@ -302,23 +382,28 @@ class CosseratRod:
             self._set(self._nodal(loads), loads)
 
     def _nodal(self, loads: Loads) -> RodLoads:
-        """Loads at the nodes; raises RodError for a load that is not finite."""
-        values = (*loads.gravity, *loads.force, loads.moment, *loads.follower)
-        if not all(math.isfinite(value) for value in values):
-            raise RodError(f"{loads} must be finite")
-        dead = np.zeros_like(self._load)
-        dead[:, :2] = self.mesh.mass[:, :1] * np.asarray(loads.gravity)
-        dead[-1] += (*loads.force, loads.moment)
-        return RodLoads(dead, np.asarray(loads.follower, dtype=np.float64))
+        """Loads at the nodes."""
+        dead = self.mesh.mass[:, None] * np.asarray(loads.gravity, dtype=np.float64)
+        dead[-1] += loads.force
+        return RodLoads(dead, np.array(loads.moment, float), np.array(loads.follower, float))
 
     def _set(self, nodal: RodLoads, loads: Loads | None) -> None:
         """Set the present loads from nodal loads."""
-        self._load[:], self._follower[:] = nodal
+        for own, part in zip(self._load, nodal):
+            own[:] = part
         self._loads = loads
 
 
-def _moved(shape: Array, pose: tuple[float, float, float]) -> Array:
-    """Shape (n, 3), given from the origin along x, moved to a pose (x, y, angle)."""
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    turned = shape[:, :2] @ np.array([[c, s], [-s, c]])
-    return np.column_stack([turned + pose[:2], shape[:, 2] + pose[2]])
+def _has_no_potential(loads: Loads) -> bool:
+    return any(loads.moment) or any(loads.follower)
+
+
+def _axes(frame: Array) -> Array:
+    """(3, 3) columns tangent, width, normal of a section with the frame rows t, d, b."""
+    axes: Array = np.transpose(frame * np.array([[1.0], [-1.0], [-1.0]]))
+    return axes
+
+
+def _frame(axes: Array) -> Array:
+    """(3, 3) rows t, d, b of a section with the axes tangent, width, normal as columns."""
+    return np.array([axes[:, 0], -axes[:, 1], -axes[:, 2]])

@@ -1,22 +1,8 @@
-"""Compiled kernels of the planar Cosserat rod: elements, block elimination, time step.
+"""Compiled kernels of the spatial rod: time step, equilibrium, tangent and energy.
 
-Geometrically exact rod after Reissner (1972) and Simo (1985). With the section's angle a,
-t = (cos a, sin a) and d = (-sin a, cos a), the strains are t.r', d.r' and a'. Their differences
-from the natural values, times EA, kappa GA and EI, are the normal force N, the shear force Q and
-the moment M. With f = N t + Q d, the gradient of the energy over two Gauss points of weight w is
-
-    dE = sum w ( f.dr' + (N d.r' - Q t.r') da + M da' ).
-
-Kelvin-Voigt damping adds beta times the strain rates to the strains. An element's tangent is
-9 x 9. The elimination goes from base to tip, six unknowns an element, so that the unsymmetric term
-of a follower force at the tip enters the last 3 x 3 block alone. A negative pivot means that the
-tangent is not positive definite: the number of negative pivots is the number of unstable
-directions.
-
-N and Q are independent unknowns at the Gauss points and enter the geometric stiffness (mixed
-integration points; Magisano, Leonetti, Garcea 2017). The solution is the same, but Newton's method
-converges in fewer iterations and from farther away where stretch and shear are much stiffer than
-bending; without this it fails where shear is switched off.
+A step solves the theta scheme for the velocities V of the nodes, the spins Omega of the segments
+about themselves and the angular velocities of the ends' sections, all at the stage t + theta h. The
+spin's angular momentum is kept as a vector, as in `dynamics/spatial/leg.py`.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -25,396 +11,368 @@ bending; without this it fails where shear is switched off.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
-
-import numpy as np
 
 from slot_core.compiled import helper, kernel
-from slot_core.robot import Array
-from slot_core.rod.model import SHAPE, Mesh
-
-NODES = ((float(SHAPE[0, 0]), float(SHAPE[0, 1]), float(SHAPE[0, 2])),
-         (float(SHAPE[1, 0]), float(SHAPE[1, 1]), float(SHAPE[1, 2])))  # fmt: skip
+from slot_core.dynamics.algebra import cross, dot, plus, put, rotation, row, times
+from slot_core.dynamics.spatial.refine import refine
+from slot_core.dynamics.spatial.strain import (
+    frame,
+    measure,
+    orient,
+    point_along,
+    rotation_vector,
+    turned,
+)
+from slot_core.rod.assembly import assemble
+from slot_core.rod.elimination import eliminate, load_tip, pull, substitute
 
 LARGEST_INCREMENT = 1.0  # rod lengths and rad; a step that ends with more has diverged
-
-
-class RodWork(NamedTuple):
-    """State and scratch arrays of a rod, allocated once."""
-
-    pose: Array  # (n, 3) m, m, rad
-    velocity: Array  # (n, 3) m/s, m/s, rad/s
-    stage: Array  # (n, 3) pose at the stage t + theta h
-    speed: Array  # (n, 3) V, velocity at the stage
-    change: Array  # (n, 3) Newton increment
-    factor: Array  # (E, 9, 10) tangent | -gradient of the elements, factorised in place
-    last: Array  # (3, 4) the same of the tip node
-    unknowns: Array  # (3 n,) view of change
-    measure: Array  # (E, 2, 6) cos, sin, t.r', d.r' at the stage; their N and Q times weight
-    stress: Array  # (E, 2, 2) independent N and Q, times weight
-    unconverged: Array  # (1,) steps whose last increment was above the tolerance
-
-
-def work_space(mesh: Mesh) -> RodWork:
-    """Work arrays of a rod at rest in its natural shape."""
-    elements, nodes = len(mesh.axial), len(mesh.natural)
-    change = np.zeros((nodes, 3))
-    return RodWork(
-        pose=mesh.natural.copy(),
-        velocity=np.zeros((nodes, 3)),
-        stage=mesh.natural.copy(),
-        speed=np.zeros((nodes, 3)),
-        change=change,
-        unknowns=change.reshape(-1),
-        factor=np.zeros((elements, 9, 10)),
-        last=np.zeros((3, 4)),
-        measure=np.zeros((elements, 2, 6)),
-        stress=np.zeros((elements, 2, 2)),
-        unconverged=np.zeros(1, dtype=np.int64),
-    )
+STILL = (0.0, 0.0, 0.0)
 
 
 @helper
-def strain(mesh, q, k, g):
-    """cos, sin of the angle, strains t.r', d.r', a' at Gauss point g; the element starts at k."""
-    n, p = NODES[g], mesh.slope[g]
-    x = p[0] * q[k, 0] + p[1] * q[k + 1, 0] + p[2] * q[k + 2, 0]
-    y = p[0] * q[k, 1] + p[1] * q[k + 1, 1] + p[2] * q[k + 2, 1]
-    bend = p[0] * q[k, 2] + p[1] * q[k + 1, 2] + p[2] * q[k + 2, 2]
-    angle = n[0] * q[k, 2] + n[1] * q[k + 1, 2] + n[2] * q[k + 2, 2]
-    c, s = math.cos(angle), math.sin(angle)
-    return c, s, c * x + s * y, c * y - s * x, bend
+def copy(out, source):
+    """Copy rows of three numbers, as many as `out` has."""
+    for i in range(out.shape[0]):
+        put(out, i, row(source, i))
 
 
 @helper
-def strain_rate(mesh, v, k, g, c, s, along, across):
-    """Rates of the three strains under the velocities or increments v."""
-    n, p = NODES[g], mesh.slope[g]
-    x = p[0] * v[k, 0] + p[1] * v[k + 1, 0] + p[2] * v[k + 2, 0]
-    y = p[0] * v[k, 1] + p[1] * v[k + 1, 1] + p[2] * v[k + 2, 1]
-    bend = p[0] * v[k, 2] + p[1] * v[k + 1, 2] + p[2] * v[k + 2, 2]
-    turn = n[0] * v[k, 2] + n[1] * v[k + 1, 2] + n[2] * v[k + 2, 2]
-    return c * x + s * y + across * turn, c * y - s * x - along * turn, bend
+def end_frame(work, out, source, end, turn):
+    """Turn the frame of an end's section by a rotation vector (3 numbers), rad."""
+    m = work.rotation
+    rotation(m, turn[0], turn[1], turn[2])
+    for i in range(3):
+        v = row(source[end], i)
+        put(out[end], i, times(m, v[0], v[1], v[2]))
 
 
 @helper
-def point(mesh, work, e, g, inv):
-    """Gradient (x, y, a, a') and tangent (xx, xy, yy, xa, ya, aa, a'a') at Gauss point g.
-
-    inv is 1 / (theta h), and 0 in statics. Writes work.measure for `_update_stress`.
-    """
-    beta, viscous = mesh.damping_time, 1.0 + mesh.damping_time * inv
-    c, s, along, across, bend = strain(mesh, work.stage, 2 * e, g)
-    e1, e2, e3 = along - mesh.strain[e, g, 0], across - mesh.strain[e, g, 1], bend
-    e3 -= mesh.strain[e, g, 2]
-    if beta * inv > 0.0:
-        r1, r2, r3 = strain_rate(mesh, work.speed, 2 * e, g, c, s, along, across)
-        e1, e2, e3 = e1 + beta * r1, e2 + beta * r2, e3 + beta * r3
-    axial, shear, bending = mesh.axial[e, g], mesh.shear[e, g], mesh.bending[e, g]
-    normal, lateral, moment = axial * e1, shear * e2, bending * e3
-    measure = work.measure[e, g]
-    measure[0], measure[1], measure[2], measure[3] = c, s, along, across
-    measure[4], measure[5] = normal, lateral
-    fx, fy = normal * c - lateral * s, normal * s + lateral * c
-    turn = normal * across - lateral * along
-    normal, lateral = work.stress[e, g, 0], work.stress[e, g, 1]
-    axial, shear, bending = axial * viscous, shear * viscous, bending * viscous
-    hxx = axial * c * c + shear * s * s
-    hxy = (axial - shear) * c * s
-    hyy = axial * s * s + shear * c * c
-    u, v = axial * across - lateral, normal - shear * along
-    hxa, hya = u * c - v * s, u * s + v * c
-    haa = axial * across * across + shear * along * along - normal * along - lateral * across
-    return (fx, fy, turn, moment), (hxx, hxy, hyy, hxa, hya, haa, bending)
+def show_tip(work, nodes, frames):
+    """Let the last row of the nodes stand for the tip's section."""
+    n = work.spin.size
+    put(nodes, n, plus(row(nodes, n - 1), 1.0, row(frames[1], 0)))
+    put(work.segments.director, n - 1, row(frames[1], 1))
 
 
 @helper
-def element(mesh, work, e, inv, F):
-    """Write the tangent (upper half) and the negative gradient of element e to F (9, 10).
-
-    a and b are nodes. At the first and the second Gauss point: p and q are slopes, n and m shape
-    functions, f and g gradients, h and k tangents.
-    """
-    f, h = point(mesh, work, e, 0, inv)
-    g, k = point(mesh, work, e, 1, inv)
-    (n0, m0), slope = NODES, mesh.slope
-    for a in range(3):
-        i, p, q, n, m = 3 * a, slope[0, a], slope[1, a], n0[a], m0[a]
-        F[i, 9] = -p * f[0] - q * g[0]
-        F[i + 1, 9] = -p * f[1] - q * g[1]
-        F[i + 2, 9] = -n * f[2] - m * g[2] - p * f[3] - q * g[3]
-        for b in range(a, 3):
-            j, pb, qb, nb, mb = 3 * b, slope[0, b], slope[1, b], n0[b], m0[b]
-            pp, qq = p * pb, q * qb
-            F[i, j] = pp * h[0] + qq * k[0]
-            F[i, j + 1] = pp * h[1] + qq * k[1]
-            F[i, j + 2] = p * nb * h[3] + q * mb * k[3]
-            F[i + 1, j] = pp * h[1] + qq * k[1]
-            F[i + 1, j + 1] = pp * h[2] + qq * k[2]
-            F[i + 1, j + 2] = p * nb * h[4] + q * mb * k[4]
-            F[i + 2, j] = n * pb * h[3] + m * qb * k[3]
-            F[i + 2, j + 1] = n * pb * h[4] + m * qb * k[4]
-            F[i + 2, j + 2] = n * nb * h[5] + m * mb * k[5] + pp * h[6] + qq * k[6]
+def look(mesh, work):
+    """Strains and their rates at the stage, after its frames."""
+    n, f = work.spin.size, work.stage_frame
+    rate, t = row(work.rate, 1), row(f[1], 0)
+    put(work.speed, n, plus(row(work.speed, n - 1), 1.0, cross(rate, t)))
+    work.spin[n - 1] = dot(rate, t)
+    base = (row(f[0], 0), row(f[0], 1), row(f[0], 2))
+    measure(work.segments, mesh, work.speed, work.spin, base, row(work.rate, 0))
+    refine(mesh.refinement, work.segments, mesh)
 
 
 @helper
-def node(mesh, work, load, i, inv, shift, F, row):
-    """Add inertia, shift and loads of node i to the diagonal and the last column of F."""
-    for c in range(3):
-        mass = mesh.mass[i, c] * inv
-        F[row + c, row + c] += mass * inv + shift * mesh.metric[i, c]
-        force = load[i, c] - mass * (work.speed[i, c] - work.velocity[i, c])
-        F[row + c, F.shape[1] - 1] += force
+def stage(work, tau):
+    """Positions and frames at the stage, tau after the start of the step."""
+    n = work.spin.size
+    for i in range(n):
+        put(work.stage, i, plus(row(work.node, i), tau, row(work.speed, i)))
+    for end in range(2):
+        w = row(work.rate, end)
+        end_frame(work, work.stage_frame, work.frame, end, (tau * w[0], tau * w[1], tau * w[2]))
+    show_tip(work, work.stage, work.stage_frame)
+    point_along(work.segments, work.stage)
+    orient(work.segments, work.begin, work.from_director, work.spin, STILL, tau)
+    show_tip(work, work.stage, work.stage_frame)
 
 
 @helper
-def prescribe(held, F, rows):
-    """Replace the equations of the prescribed unknowns among the first three of F by x = 0."""
+def start(mesh, work, target, h):
+    """First iterate of a step: the velocities at its start, and those of the supports."""
+    s, n = work.segments, work.spin.size
+    show_tip(work, work.node, work.frame)
+    point_along(s, work.node)
+    copy(work.begin, s.direction)
+    copy(work.from_director, work.director)
+    put(work.from_director, n - 1, row(work.frame[1], 1))
+    copy(work.speed, work.velocity)
+    copy(work.before, work.velocity)
+    copy(work.rate, work.turning)
+    for k in range(n - 1):
+        work.spin[k] = dot(row(work.swirl, k), row(s.direction, k))
+    for end in range(2):
+        drive(mesh, work, target[end], end, h)
+
+
+@helper
+def drive(mesh, work, target, end, h):
+    """Velocities that move held components to the target (4, 3), place and frame, within h."""
+    i, held = end * (work.spin.size - 1), mesh.held[end]
     for c in range(3):
         if held[c]:
-            for j in range(F.shape[1]):
-                F[c, j] = 0.0
-            for i in range(rows):
-                F[i, c] = 0.0
-            F[c, c] = 1.0
+            work.speed[i, c] = (target[0, c] - work.node[i, c]) / h
+    if not (held[3] or held[4] or held[5]):
+        return
+    f, a, b, c = work.frame[end], row(target, 1), row(target, 2), row(target, 3)
+    own = (row(f, 0), row(f, 1), row(f, 2))
+    v, _ = rotation_vector(own, (a, b, c))
+    for j in range(3):
+        if held[3 + j]:
+            work.rate[end, j] = (v[0] * f[0, j] + v[1] * f[1, j] + v[2] * f[2, j]) / h
 
 
 @helper
-def eliminate(mesh, work, load, follower, inv, shift):
-    """Factorise the tangent from base to tip; returns the number of negative pivots.
+def move(mesh, work, inv):
+    """Add the Newton increment to the velocities and the axial forces."""
+    x, n = work.change, work.spin.size
+    pull(mesh, work, inv)
+    for k in range(n):
+        at = 4 * k + 4
+        for c in range(3):
+            work.speed[k, c] += x[at + c] * inv
+        if k < n - 1:
+            work.spin[k] += x[at + 3] * inv
+    for c in range(3):
+        work.rate[0, c] += x[c] * inv
+        work.rate[1, c] += x[4 * n + 3 + c] * inv
 
-    Each pivot depends on the one before. The elements are independent and are therefore assembled
-    first, which lets the processor work on several at once.
+
+@helper
+def finish(mesh, work, h, theta):
+    """State at the end of the step from the stage."""
+    s, n, past = work.segments, work.spin.size, 1.0 / theta
+    for k in range(n - 1):
+        t, p, own = row(s.direction, k), row(work.swirl, k), work.spin[k]
+        change = (own * t[0] - p[0], own * t[1] - p[1], own * t[2] - p[2])
+        put(work.swirl, k, plus(p, past, change))
+    for i in range(n):
+        v, p = row(work.speed, i), row(work.before, i)
+        put(work.node, i, plus(row(work.node, i), h, v))
+        put(work.velocity, i, plus(p, past, plus(v, -1.0, p)))
+    point_along(s, work.node)
+    orient(s, work.begin, work.from_director, work.spin, STILL, h)
+    copy(work.director, s.director)
+    copy(work.turning, work.rate)
+    for end in range(2):
+        finish_end(mesh, work, end, h)
+
+
+@helper
+def finish_end(mesh, work, end, h):
+    """Velocity and section of an end after the step.
+
+    A held component's velocity at the stage is its mean over the step; that at the end follows from
+    the last two, since an extrapolation from the start would oscillate after a jump. A section that
+    turns freely has no mass: it keeps the stage's position to its segment.
     """
-    negative, elements = 0, mesh.axial.shape[0]
-    for e in range(elements):
-        element(mesh, work, e, inv, work.factor[e])
-    for e in range(elements):
-        F = work.factor[e]
-        if e > 0:
-            before = work.factor[e - 1]
-            for i in range(3):
-                F[i, 9] += before[6 + i, 9]
-                for j in range(i, 3):
-                    F[i, j] += before[6 + i, 6 + j]
-        node(mesh, work, load, 2 * e, inv, shift, F, 0)
-        node(mesh, work, load, 2 * e + 1, inv, shift, F, 3)
-        if e == 0:
-            prescribe(mesh.held[0], F, 9)
-        for i in range(6):
-            negative += F[i, i] < 0.0
-            pivot = 1.0 / F[i, i]
-            for r in range(i + 1, 9):
-                ratio = F[i, r] * pivot
-                for c in range(r, 10):
-                    F[r, c] -= ratio * F[i, c]
-            F[i, i] = pivot
-    return negative + _last(mesh, work, load, follower, inv, shift)
+    i, k, f = end * (work.spin.size - 1), end * (work.spin.size - 2), work.frame
+    for c in range(3):
+        v = work.speed[i, c]
+        if mesh.held[end, c]:
+            work.velocity[i, c] = v + 0.5 * (v - work.driven[end, c])
+        work.driven[end, c] = v
+    if mesh.held[end, 3] or mesh.held[end, 4] or mesh.held[end, 5]:
+        w = row(work.rate, end)
+        end_frame(work, f, f, end, (h * w[0], h * w[1], h * w[2]))
+        return
+    follow(work, end, k)
 
 
 @helper
-def _last(mesh, work, load, follower, inv, shift):
-    """Factorise the tip's block with the unsymmetric term of the follower force."""
-    F, before = work.last, work.factor[-1]
-    tip = work.stage.shape[0] - 1
+def follow(work, end, k):
+    """Carry the frame of a free end with segment k, from the stage to the end of the step."""
+    s, x = work.segments, work.stage
+    now = frame(s, k)
+    t = plus(row(x, k + 1), -1.0, row(x, k))
+    scale = 1.0 / math.sqrt(dot(t, t))
+    t = (scale * t[0], scale * t[1], scale * t[2])
+    d = row(work.stage_director, end)
+    b = cross(t, d)
     for i in range(3):
-        F[i, 3] = before[6 + i, 9]
-        for j in range(3):
-            F[i, j] = before[6 + min(i, j), 6 + max(i, j)]
-    node(mesh, work, load, tip, inv, shift, F, 0)
-    c, s = math.cos(work.stage[tip, 2]), math.sin(work.stage[tip, 2])
-    fx, fy = c * follower[0] - s * follower[1], s * follower[0] + c * follower[1]
-    F[0, 3], F[1, 3] = F[0, 3] + fx, F[1, 3] + fy
-    F[0, 2], F[1, 2] = F[0, 2] + fy, F[1, 2] - fx
-    prescribe(mesh.held[1], F, 3)
-    negative = 0
-    for i in range(3):
-        negative += F[i, i] < 0.0
-        F[i, i] = 1.0 / F[i, i]
-        for r in range(i + 1, 3):
-            ratio = F[r, i] * F[i, i]
-            for k in range(i + 1, 4):
-                F[r, k] -= ratio * F[i, k]
-    return negative
+        v = row(work.stage_frame[end], i)
+        p, q, r = dot(v, t), dot(v, d), dot(v, b)
+        own = plus(plus((0.0, 0.0, 0.0), p, now[0]), q, now[1])
+        put(work.frame[end], i, plus(own, r, now[2]))
 
 
 @helper
-def substitute(mesh, work):
-    """Write the Newton increment to work.change; returns its largest entry, rad or rod lengths."""
-    x, F, tip = work.unknowns, work.last, work.unknowns.size - 3
-    for i in range(2, -1, -1):
-        value = F[i, 3]
-        for j in range(i + 1, 3):
-            value -= F[i, j] * x[tip + j]
-        x[tip + i] = value * F[i, i]
-    for e in range(mesh.axial.shape[0] - 1, -1, -1):
-        F, k = work.factor[e], 6 * e
-        for i in range(5, -1, -1):
-            value = F[i, 9]
-            for j in range(8, i, -1):  # the newest entry last: it is available last
-                value -= F[i, j] * x[k + j]
-            x[k + i] = value * F[i, i]
-    return _largest(work.change, 1.0 / mesh.length)
+def advance(mesh, work, loads, target, h, scheme):
+    """One step; returns the largest entry of the last Newton increment.
 
-
-@helper
-def _largest(change, scale):
-    """Largest absolute entry, positions times scale; NaN if any entry is NaN."""
-    largest = 0.0
-    for i in range(change.shape[0]):
-        for c in range(3):
-            size = abs(change[i, c]) * (scale if c < 2 else 1.0)
-            if math.isnan(size):
-                return size
-            largest = max(largest, size)
-    return largest
-
-
-@helper
-def advance(mesh, work, load, follower, target, h, theta, iterations, tolerance):
-    """One step of the theta scheme; returns the largest entry of the last Newton increment.
-
-    The Newton iteration starts from the velocity of the step before.
+    target: (2, 4, 3) place and frame that held components of both ends reach; scheme: (theta,
+    iterations, tolerance).
     """
-    q, v, stage, speed = work.pose, work.velocity, work.stage, work.speed
-    reach, nodes = theta * h, q.shape[0]
-    inv, size = 1.0 / reach, 0.0
-    for i in range(nodes):
-        for c in range(3):
-            speed[i, c] = v[i, c]
-    _drive_supports(mesh, q, speed, target, h)
-    for i in range(nodes):
-        for c in range(3):
-            stage[i, c] = q[i, c] + reach * speed[i, c]
+    theta, iterations, tolerance = scheme
+    work.gap[:] = 0.0
+    tau, size = theta * h, 0.0
+    inv = 1.0 / tau
+    start(mesh, work, target, h)
+    stage(work, tau)
     for _ in range(iterations):
-        eliminate(mesh, work, load, follower, inv, 0.0)
+        look(mesh, work)
+        eliminate(mesh, work, loads, inv, 0.0)
         size = substitute(mesh, work)
-        _update_stress(mesh, work, inv)
-        for i in range(nodes):
-            for c in range(3):
-                stage[i, c] += work.change[i, c]
-                speed[i, c] += work.change[i, c] * inv
+        move(mesh, work, inv)
+        stage(work, tau)
         if not size > tolerance:
             break
-    for i in range(nodes):
-        for c in range(3):
-            q[i, c] += h * speed[i, c]
-            factor = 1.0 / theta if mesh.mass[i, c] > 0.0 else 1.0
-            v[i, c] += (speed[i, c] - v[i, c]) * factor
-    _support_velocity(mesh, v, speed)
+    n = work.spin.size
+    put(work.stage_director, 0, row(work.segments.director, 0))
+    put(work.stage_director, 1, row(work.segments.director, n - 2))
+    finish(mesh, work, h, theta)
     return size
 
 
-@helper
-def _drive_supports(mesh, q, speed, target, h):
-    """Set the velocities that move the supported components to their targets (2, 3) within h."""
-    for end in range(2):
-        i = end * (q.shape[0] - 1)
-        for c in range(3):
-            if mesh.held[end, c]:
-                speed[i, c] = (target[end, c] - q[i, c]) / h
-
-
-@helper
-def _support_velocity(mesh, v, speed):
-    """Set supported components to the velocity of the stage, without extrapolation."""
-    for end in range(2):
-        i = end * (v.shape[0] - 1)
-        for c in range(3):
-            if mesh.held[end, c]:
-                v[i, c] = speed[i, c]
-
-
 @kernel
-def run(mesh, work, load, follower, target, h, theta, iterations, tolerance, steps, record):
-    """Advance `steps` steps; writes the tip's pose to record (m, 3) every steps/m steps.
+def run(mesh, work, loads, target, h, scheme, steps, record):
+    """Advance `steps` steps; writes the tip's position to record (m, 3) every steps/m steps.
 
     Returns the number of steps done. It is less than `steps` where the last Newton increment of a
     step was not finite or above LARGEST_INCREMENT.
     """
-    every = max(1, steps // max(1, record.shape[0]))
+    every, tip = max(1, steps // max(1, record.shape[0])), work.spin.size - 1
     for n in range(steps):
-        size = advance(mesh, work, load, follower, target, h, theta, iterations, tolerance)
+        size = advance(mesh, work, loads, target, h, scheme)
         if not size < LARGEST_INCREMENT:
             return n
-        work.unconverged[0] += size > tolerance
+        work.unconverged[0] += size > scheme[2]
         if (n + 1) % every == 0 and (n + 1) // every <= record.shape[0]:
-            for c in range(3):
-                record[(n + 1) // every - 1, c] = work.pose[-1, c]
+            put(record, (n + 1) // every - 1, row(work.node, tip))
     return steps
 
 
+@helper
+def displace(work, x):
+    """Add an increment (4 N + 7,) to the posture: nodes, directors and ends' sections.
+
+    Segments turn by their rotation vectors and change their lengths by the increment along them.
+    For Newton's method, large turns then do not stretch them.
+    """
+    s, n, m = work.segments, work.spin.size, work.rotation
+    at = 4 * n + 3
+    end_frame(work, work.stage_frame, work.stage_frame, 0, (x[0], x[1], x[2]))
+    end_frame(work, work.stage_frame, work.stage_frame, 1, (x[at], x[at + 1], x[at + 2]))
+    put(work.stage, 0, plus(row(work.stage, 0), 1.0, (x[4], x[5], x[6])))
+    for k in range(n - 1):
+        i, t, d = 4 * k + 4, row(s.direction, k), row(work.from_director, k)
+        u = (x[i + 4] - x[i], x[i + 5] - x[i + 1], x[i + 6] - x[i + 2])
+        turn = plus(cross(t, u), s.length[k] * x[i + 3], t)
+        scale = s.per_length[k]
+        rotation(m, scale * turn[0], scale * turn[1], scale * turn[2])
+        ahead, length = times(m, t[0], t[1], t[2]), s.length[k] + dot(t, u)
+        put(work.stage, k + 1, plus(row(work.stage, k), length, ahead))
+        put(work.from_director, k, turned(times(m, d[0], d[1], d[2]), ahead, 0.0))
+    show_tip(work, work.stage, work.stage_frame)
+    point_along(s, work.stage)
+    copy(work.begin, s.direction)
+
+
+@helper
+def close(mesh, work, place):
+    """Set the increments that bring the tip's node to its place (3,) where it is held."""
+    for c in range(3):
+        if mesh.held[1, c]:
+            work.gap[1, c] = place[c] - work.stage[work.spin.size - 1, c]
+
+
+@helper
+def strain_posture(mesh, work):
+    """Strains of the posture at rest."""
+    work.speed[:] = 0.0
+    work.spin[:] = 0.0
+    work.rate[:] = 0.0
+    point_along(work.segments, work.stage)
+    copy(work.segments.director, work.from_director)
+    show_tip(work, work.stage, work.stage_frame)
+    look(mesh, work)
+
+
 @kernel
-def equilibrium(mesh, work, load, follower, shift, iterations, tolerance):
-    """Newton's method for an equilibrium, from work.stage.
+def pose(mesh, work):
+    """Set the posture to the state, with the axial forces of its strains."""
+    n = work.spin.size
+    copy(work.stage, work.node)
+    for end in range(2):
+        copy(work.stage_frame[end], work.frame[end])
+    show_tip(work, work.stage, work.stage_frame)
+    point_along(work.segments, work.stage)
+    copy(work.begin, work.segments.direction)
+    copy(work.from_director, work.director)
+    relax(mesh, work)
+    work.tension[n - 1] = 0.0
+
+
+@helper
+def relax(mesh, work):
+    """Set the independent axial forces to those of the strains."""
+    strain_posture(mesh, work)
+    for k in range(work.tension.size):
+        work.tension[k] = mesh.axial[k] * work.segments.extension[k]
+
+
+@kernel
+def settle(work):
+    """Set the state to the posture, at rest."""
+    copy(work.node, work.stage)
+    copy(work.director, work.from_director)
+    for end in range(2):
+        copy(work.frame[end], work.stage_frame[end])
+    work.velocity[:] = 0.0
+    work.swirl[:] = 0.0
+    work.turning[:] = 0.0
+    work.driven[:] = 0.0
+
+
+@kernel
+def push_aside(mesh, work, change):
+    """Displace the posture by an increment (4 N + 7,), with the axial forces of its strains."""
+    displace(work, change)
+    relax(mesh, work)
+
+
+@kernel
+def equilibrium(mesh, work, loads, place, shift, iterations, tolerance):
+    """Newton's method for an equilibrium, from the posture, with a held tip at its place (3,), m.
 
     With shift > 0 the tangent is augmented by shift times the metric: the iterations are then
     damped steps. Returns (largest entry of the last increment, negative pivots, iterations).
     """
     size, negative = math.inf, 0
     for n in range(iterations):
-        negative = eliminate(mesh, work, load, follower, 0.0, shift)
+        strain_posture(mesh, work)
+        close(mesh, work, place)
+        negative = eliminate(mesh, work, loads, 0.0, shift)
         size = substitute(mesh, work)
         if not size < math.inf:
             return size, negative, n + 1
-        _update_stress(mesh, work, 0.0)
-        for i in range(work.stage.shape[0]):
-            for c in range(3):
-                work.stage[i, c] += work.change[i, c]
+        pull(mesh, work, 0.0)
+        displace(work, work.change)
         if size < tolerance:
             return size, negative, n + 1
     return size, negative, iterations
 
 
 @kernel
-def stress_of(mesh, work):
-    """Set the independent N and Q to those of the poses work.stage."""
-    for e in range(mesh.axial.shape[0]):
-        for g in range(2):
-            point(mesh, work, e, g, 0.0)
-            work.stress[e, g, 0], work.stress[e, g, 1] = (
-                work.measure[e, g, 4],
-                work.measure[e, g, 5],
-            )
-
-
-@helper
-def _update_stress(mesh, work, inv):
-    """Update N and Q by the Newton increment: stiffness times the linearised strains."""
-    viscous = 1.0 + mesh.damping_time * inv
-    for e in range(mesh.axial.shape[0]):
-        for g in range(2):
-            m = work.measure[e, g]
-            d1, d2, _ = strain_rate(mesh, work.change, 2 * e, g, m[0], m[1], m[2], m[3])
-            work.stress[e, g, 0] = m[4] + mesh.axial[e, g] * viscous * d1
-            work.stress[e, g, 1] = m[5] + mesh.shear[e, g] * viscous * d2
-
-
-@kernel
-def dense(mesh, work, load, follower, matrix):
-    """Write the tangent at work.stage to matrix (3 n, 3 n), supported unknowns included."""
+def dense(mesh, work, loads, matrix):
+    """Write the tangent of the posture to matrix (4 N + 7, 4 N + 7), held unknowns included."""
     matrix[:] = 0.0
-    F = work.factor[0]
-    for e in range(mesh.axial.shape[0]):
-        element(mesh, work, e, 0.0, F)
-        for i in range(9):
-            for j in range(9):
-                matrix[6 * e + i, 6 * e + j] += F[min(i, j), max(i, j)]
-    tip = work.stage.shape[0] - 1
-    c, s = math.cos(work.stage[tip, 2]), math.sin(work.stage[tip, 2])
-    matrix[3 * tip, 3 * tip + 2] += s * follower[0] + c * follower[1]
-    matrix[3 * tip + 1, 3 * tip + 2] -= c * follower[0] - s * follower[1]
+    strain_posture(mesh, work)
+    assemble(mesh, work, 0.0)
+    count = work.normal.size
+    for k in range(count):
+        for i in range(11):
+            for j in range(11):
+                matrix[4 * k + i, 4 * k + j] += work.factor[k, min(i, j), max(i, j)]
+    work.last[:] = 0.0
+    load_tip(work, loads, work.last)
+    for i in range(6):
+        for j in range(6):
+            matrix[4 * count + i, 4 * count + j] += work.last[i, j]
 
 
 @kernel
-def elastic_energy(mesh, pose):
-    """Elastic energy of poses (n, 3), J."""
-    total = 0.0
-    for e in range(mesh.axial.shape[0]):
-        for g in range(2):
-            _, _, along, across, bend = strain(mesh, pose, 2 * e, g)
-            e1, e2 = along - mesh.strain[e, g, 0], across - mesh.strain[e, g, 1]
-            e3 = bend - mesh.strain[e, g, 2]
-            total += mesh.axial[e, g] * e1 * e1 + mesh.shear[e, g] * e2 * e2
-            total += mesh.bending[e, g] * e3 * e3
+def elastic_energy(mesh, work):
+    """Elastic energy of the posture, J."""
+    strain_posture(mesh, work)
+    s, total = work.segments, 0.0
+    for k in range(work.normal.size):
+        bend = s.turn[k] - mesh.rest_angle[k]
+        total += mesh.axial[k] * s.extension[k] ** 2 + mesh.torsion[k] * s.twist[k] ** 2
+        total += mesh.bending[k] * bend * bend + mesh.lateral[k] * s.side[k] ** 2
     return total / 2

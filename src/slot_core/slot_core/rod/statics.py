@@ -14,11 +14,14 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from slot_core.robot import Array
 from slot_core.rod import kernels
-from slot_core.rod.model import Mesh, RodError
+from slot_core.rod.mesh import Mesh
+from slot_core.rod.model import RodError
+from slot_core.rod.work import RodWork
 
 FIRST_PROBE = 64  # divisor of the first step, which measures the first rate of turn
 DESCENT_STEPS = 60  # damped steps from an unstable equilibrium, at most
@@ -40,7 +43,8 @@ class StaticSettings:
     stay_stable: where a branch loses its stability, switch to the stable branch on the side `side`
     (+1, -1) of the critical shape; otherwise follow the unstable branch.
 
-    Raises RodError for another side, or unless 0 < least_step <= first_step <= 1.
+    Raises RodError for another side, unless 0 < least_step <= first_step <= 1, or for
+    a tolerance that is not above 0.
     """
 
     stay_stable: bool = False
@@ -59,6 +63,10 @@ class StaticSettings:
             raise RodError(f"side {self.side} must be -1 or 1")
         if not 0.0 < self.least_step <= self.first_step <= 1.0:
             raise RodError(f"steps {self.least_step}, {self.first_step} must be within 0 .. 1")
+        if not self.tolerance > 0.0 or not self.critical_tolerance > 0.0:
+            raise RodError(
+                f"tolerances {self.tolerance}, {self.critical_tolerance} must be above 0"
+            )
 
 
 @dataclass(frozen=True)
@@ -84,14 +92,24 @@ class EquilibriumError(ArithmeticError):
 
 
 class RodLoads(NamedTuple):
-    """Nodal loads: dead loads at the nodes and the follower force at the tip."""
+    """Dead forces at the nodes, dead moment and follower force at the tip."""
 
-    dead: Array  # (n, 3) N, N, N m
-    follower: Array  # (2,) N
+    dead: Array  # (N, 3) N
+    moment: Array  # (3,) N m
+    follower: Array  # (3,) N, along the axes of the tip's section
 
     def toward(self, other: RodLoads, factor: float) -> RodLoads:
         """Linear interpolation: these loads at factor 0, the others at 1."""
         return RodLoads(*(a + factor * (b - a) for a, b in zip(self, other)))
+
+
+def free_unknowns(mesh: Mesh) -> NDArray[np.intp]:
+    """Indices of the unknowns (`assembly.py`) that exist and that no support holds."""
+    free, tip = np.ones(len(mesh.metric), dtype=bool), len(mesh.metric) - 7
+    free[[3, -1]] = False
+    free[:3], free[4:7] = np.logical_not(mesh.held[0, 3:]), np.logical_not(mesh.held[0, :3])
+    free[tip : tip + 6] = np.logical_not(mesh.held[1])
+    return np.flatnonzero(free)
 
 
 class _Path:
@@ -100,13 +118,14 @@ class _Path:
     def __init__(
         self,
         mesh: Mesh,
-        work: kernels.RodWork,
+        work: RodWork,
         begin: RodLoads,
         end: RodLoads,
         settings: StaticSettings,
     ) -> None:
         self.mesh, self.work, self.settings = mesh, work, settings
         self.begin, self.end = begin, end
+        self.place = work.stage[len(mesh.mass) - 1].copy()  # m, of the tip
         self.factor, self.negative = 0.0, 0
         self.steps = self.iterations = 0
         self.critical: list[float] = []
@@ -114,18 +133,27 @@ class _Path:
         self.rate = math.inf  # rad, turn per load factor in the last step
 
     def correct(self, factor: float) -> int | None:
-        """Newton's method at a load factor from work.stage; negative pivots, None if it fails."""
-        start, stress = self.work.stage.copy(), self.work.stress.copy()
+        """Newton's method at a load factor from the posture; negative pivots, None if it fails."""
+        start, frames = self.work.posture.copy(), self.frames()
         size, negative, count = kernels.equilibrium(
-            self.mesh, self.work, *self.begin.toward(self.end, factor), 0.0,
+            self.mesh, self.work, self.begin.toward(self.end, factor), self.place, 0.0,
             self.settings.iterations, self.settings.tolerance,
         )  # fmt: skip
         self.iterations += count
-        turn = np.abs(self.work.stage - start)[:, 2].max()
-        if size < self.settings.tolerance and turn <= self.limit(factor):
+        if size < self.settings.tolerance and self.turn(frames) <= self.limit(factor):
             return int(negative)
-        self.work.stage[:], self.work.stress[:] = start, stress
+        self.work.posture[:] = start
         return None
+
+    def frames(self) -> Array:
+        """(2 N + 6, 3) unit vectors of all segments and of the ends' sections."""
+        work = self.work
+        return np.concatenate([work.begin, work.from_director, *work.stage_frame])
+
+    def turn(self, before: Array) -> float:
+        """Largest turn of a segment or section from its unit vectors before, rad."""
+        chord = np.linalg.norm(self.frames() - before, axis=1).max()
+        return float(2 * np.arcsin(min(1.0, chord / 2)))
 
     def limit(self, factor: float) -> float:
         """Largest accepted turn of a section in the step to a load factor, rad."""
@@ -135,30 +163,30 @@ class _Path:
 
     def bisect(self, low: float, high: float, negative: int) -> float:
         """Load factor between low and high at which the number of negative pivots changes."""
-        start, stress = self.work.stage.copy(), self.work.stress.copy()
+        start = self.work.posture.copy()
         while high - low > self.settings.critical_tolerance * high:
             middle = (low + high) / 2
             if self.correct(middle) == negative:
                 low = middle
             else:
                 high = middle
-        self.work.stage[:], self.work.stress[:] = start, stress
+        self.work.posture[:] = start
         return (low + high) / 2
 
     def advance(self, factor: float) -> bool:
         """Step to a larger load factor; False if no equilibrium was accepted there."""
-        before = self.work.stage.copy(), self.work.stress.copy()
+        before, frames = self.work.posture.copy(), self.frames()
         negative = self.correct(factor)
         if negative is None:
             return False
         if negative != self.negative:
-            after = self.work.stage.copy(), self.work.stress.copy()
-            self.work.stage[:], self.work.stress[:] = before
+            after = self.work.posture.copy()
+            self.work.posture[:] = before
             self.critical.append(self.bisect(self.factor, factor, self.negative))
-            self.work.stage[:], self.work.stress[:] = after
+            self.work.posture[:] = after
             if negative > self.negative and self.settings.stay_stable:
                 negative = self.descend(factor)
-        turn = np.abs(self.work.stage - before[0])[:, 2].max()
+        turn = self.turn(frames)
         self.rate = math.inf if self.left_at == factor else turn / (factor - self.factor)
         self.factor, self.negative, self.steps = factor, negative, self.steps + 1
         return True
@@ -170,23 +198,22 @@ class _Path:
         negative pivots, 0. Raises EquilibriumError where no stable equilibrium is found.
         """
         work, mesh = self.work, self.mesh
-        load, follower = self.begin.toward(self.end, factor)
-        value, shape = self.critical_shape(load, follower)
-        work.stage[:] += self.settings.side * self.settings.largest_turn / 10 * shape
-        kernels.stress_of(mesh, work)
+        loads = self.begin.toward(self.end, factor)
+        value, shape = self.critical_shape(loads)
+        kernels.push_aside(mesh, work, self.settings.side * self.settings.largest_turn / 10 * shape)
         shift = -20 * value
         for _ in range(DESCENT_STEPS):
             if shift < 1e-3 * abs(value):
                 break
             size, negative, count = kernels.equilibrium(
-                mesh, work, load, follower, shift, 10, self.settings.tolerance
+                mesh, work, loads, self.place, shift, 10, self.settings.tolerance
             )
             self.iterations += count
             if not np.isfinite(size):
                 break
             shift /= 2 if negative == 0 else 0.5
         size, negative, count = kernels.equilibrium(
-            mesh, work, load, follower, 0.0, self.settings.iterations, self.settings.tolerance
+            mesh, work, loads, self.place, 0.0, self.settings.iterations, self.settings.tolerance
         )
         self.iterations += count
         if not size < self.settings.tolerance or negative:
@@ -194,25 +221,26 @@ class _Path:
         self.left_at = factor
         return 0
 
-    def critical_shape(self, load: Array, follower: Array) -> tuple[float, Array]:
-        """Lowest eigenvalue of the tangent in the metric, and its shape (n, 3).
+    def critical_shape(self, loads: RodLoads) -> tuple[float, Array]:
+        """Lowest eigenvalue of the tangent in the metric, and its shape (4 N + 7,).
 
-        The shape is scaled so that its largest angle in absolute value is 1.
+        The shape is scaled so that its largest turn in absolute value is 1, of those of a segment
+        about the axes and about itself.
         """
-        nodes = len(self.mesh.natural)
-        matrix = np.zeros((3 * nodes, 3 * nodes))
-        kernels.dense(self.mesh, self.work, load, follower, matrix)
-        held = np.zeros((nodes, 3), dtype=bool)
-        held[[0, -1]] = self.mesh.held
-        free = np.flatnonzero(~held.ravel())
+        mesh, size = self.mesh, len(self.mesh.metric)
+        matrix, free = np.zeros((size, size)), free_unknowns(mesh)
+        kernels.dense(mesh, self.work, loads, matrix)
         value, vector = eigh(
             (matrix + matrix.T)[np.ix_(free, free)] / 2,
-            np.diag(self.mesh.metric.ravel()[free]),
+            np.diag(mesh.metric[free]),
             subset_by_index=[0, 0],
         )
-        shape = np.zeros((nodes, 3))
-        shape.ravel()[free] = vector[:, 0]
-        return float(value[0]), shape / shape[np.abs(shape[:, 2]).argmax(), 2]
+        shape = np.zeros(size)
+        shape[free] = vector[:, 0]
+        rows = shape[4:-3].reshape(-1, 4)
+        step = np.diff(rows[:, :3], axis=0) / mesh.rest_length[:-1, None]
+        turns = np.concatenate([step.ravel(), rows[:-1, 3]])
+        return float(value[0]), shape / turns[np.abs(turns).argmax()]
 
     def branch(self) -> Branch:
         """Branch that was reached."""
@@ -222,15 +250,14 @@ class _Path:
 
 
 def follow(
-    mesh: Mesh, work: kernels.RodWork, begin: RodLoads, end: RodLoads, settings: StaticSettings
+    mesh: Mesh, work: RodWork, begin: RodLoads, end: RodLoads, settings: StaticSettings
 ) -> Equilibrium:
-    """Follow the equilibria from work.stage under the loads `begin` to the loads `end`.
+    """Follow the equilibria from work's posture under the loads `begin` to the loads `end`.
 
-    The equilibrium is written to work.stage. Raises EquilibriumError where the path ends or folds;
-    work.stage is then the last equilibrium.
+    The posture becomes the equilibrium. Raises EquilibriumError where the path ends or folds; the
+    posture is then the last equilibrium.
     """
     path = _Path(mesh, work, begin, end, settings)
-    kernels.stress_of(mesh, work)
     negative = path.correct(0.0)
     if negative is None:
         raise EquilibriumError("the present state is not near an equilibrium", 0.0, 0)

@@ -60,3 +60,11 @@ class KernelRobot(SimulatedRobot):
     def tension(self) -> Array:
         """(4,) N, of the tendons, at the stage of the last step."""
         return self.state.tension.copy()
+
+    @property
+    def servo_torque(self) -> Array:
+        """(4,) N m, load on the servos, with the friction of the guides against the spool's motion.
+
+        A spool that stands still is taken to carry the load without friction.
+        """
+        return super().servo_torque * self.model.servo.friction ** np.sign(self.state.tendon_rate)

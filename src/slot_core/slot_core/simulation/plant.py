@@ -50,6 +50,7 @@ class TrueState:
     tension: Array  # (4,) N
     ground_force: Array  # (4, 3) N in odom
     nodes: Array  # (4, N, 3) m in odom
+    directors: Array  # (4, N-1, 3) along the width of the segments, in odom; (4, 0, 3): none
 
 
 @dataclass(frozen=True)
@@ -329,4 +330,4 @@ class Plant:
 
     def _true_state(self, truth: OdometryReading) -> TrueState:
         sim = self.simulator
-        return TrueState(self.now, truth, sim.tension, sim.ground_force, sim.nodes)
+        return TrueState(self.now, truth, sim.tension, sim.ground_force, sim.nodes, sim.directors)

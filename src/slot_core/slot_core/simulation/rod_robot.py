@@ -103,6 +103,15 @@ class RodRobot(KernelRobot):
         return self._observe()[0].copy()
 
     @property
+    def directors(self) -> Array:
+        """(4, N-1, 3) unit vectors along the width of the segments, to the right, in odom.
+
+        Those of planar legs are the normals of their planes.
+        """
+        body = np.einsum("lij,lki->lkj", self.model.axes, self.state.director)
+        return np.asarray(body @ self.state.rotation.T)
+
+    @property
     def ground_force(self) -> Array:
         """(4, 3) N in odom, force of the floor on each leg now."""
         force = np.zeros((4, 3))

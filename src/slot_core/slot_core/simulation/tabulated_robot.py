@@ -3,24 +3,38 @@
 At tendon angle theta and drop eta (foot below clamp) a leg carries the force F(theta, eta) at
 x(theta, eta) outward from the clamp, and its tendon the tension T(theta, eta). The table
 `config/leg_map.csv` holds them for a leg on a frictionless floor. The foot is at
-r = c + x a - eta k in base_link, with the clamp c, the azimuth a of the leg and the vertical k of
-the torso; eta is such that r is on the floor, whose normal is n. The material in contact shifts
-outward by x_theta per angle and x_eta per drop; where the leg rolls they differ from the
-derivatives of x.
-When the torso moves, n.dr = 0 gives d eta = (n.(dp + dphi x r) + n.a x_theta dtheta) / D with
-D = n.k - n.a x_eta, and the principle of virtual work, with friction f at r and m = x_eta a - k,
+r = c + x a + y b - eta k in base_link, with the clamp c, the axes a outward and b to the left of
+the leg, the vertical k of the torso, and the foot's displacement y out of the leg's plane; eta is
+such that r is on the floor, whose normal is n. The material in contact shifts outward by x_theta
+per angle and x_eta per drop; where the leg rolls they differ from the derivatives of x.
+When the torso moves, n.dr = 0 gives
+d eta = (n.(dp + dphi x r) + n.a x_theta dtheta + n.b dy) / D with D = n.k - n.a x_eta, and the
+principle of virtual work, with friction f at r and m = x_eta a - k,
 
     N = (F + beta dF/dt + f.m) / D          normal force at r,
+    k_y (y + beta dy/dt) = f.w + (F + beta dF/dt) n.b / D,      w = b + (n.b / D) m,
     T' = T + beta dT/dt - x_theta (f.a + (F + beta dF/dt + f.m) n.a / D) / r_spool.
+
+k_y(theta, eta) is the stiffness sideways of a leg whose foot sticks, from the table too; the leg
+has no inertia, so y is a state of first order. With y + theta h dy/dt at the stage, and friction
+f = -drag (s + w dy/dt) - f_0 at the slip s without dy/dt, its equation is linear in dy/dt,
+
+    (k_y (theta h + beta) + drag w.w) dy/dt = (F + beta dF/dt) n.b / D - f_0.w - drag s.w - k_y y,
+
+and stable for every k_y. The drag depends on the slip and on N: they are iterated. dF/dt omits
+the part of dy/dt in d eta, some mN.
 
 beta is the Kelvin-Voigt time of the material: with stress E (e + beta de/dt) the force is
 F + beta dF/dt wherever F is linear in the deformation. Where dF/deta is positive, at the fold of a
 fully pulled leg that is high up, dF/dt omits the height, since it would feed energy to the motion.
 
 Neglected: vibration of the legs (first frequency: 10 Hz hanging, 25 Hz standing); the effect of
-friction on the shape of a leg beyond the path of its foot; the tilt of gravity in a leg. Contact is
-that of the scene `flat`. Mass and inertia of the undeformed legs are added to the torso, with the
-centre of mass at that of the torso.
+friction on the shape of a leg beyond the path of its foot, along the leg (where it carries load
+below 80 mm its stiffness there is 1 to 20 N/mm); slip and lifting of an edge of the foot, which
+turns it in its place after 1 to 4 mm, so that at 10 mm a leg has some 0.4 of the force k_y y; the
+force y^2/2 dk_y/deta, some 0.1 N at 10 mm; the tilt of gravity in a leg. Contact is that of the
+scene `flat`. Mass and inertia of the undeformed legs are added to the torso, with the centre of
+mass at that of the torso.
 
 The table is interpolated bilinearly. Below the lowest and above the highest height, force and
 tension are extrapolated linearly from the cell at the edge, down to zero; the other columns are
@@ -46,7 +60,14 @@ from slot_core.robot import Array, Robot
 from slot_core.simulation.kernel_robot import KernelRobot
 from slot_core.simulation.tabulated_kernels import COS_TILT_MAX, TOO_TILTED, Feet, MapLegs, advance
 
-COLUMNS = ("force_N", "contact_x_m", "tension_N", "foot_m_per_rad", "foot_m_per_m")
+COLUMNS = (
+    "force_N",
+    "contact_x_m",
+    "tension_N",
+    "foot_m_per_rad",
+    "foot_m_per_m",
+    "sideways_N_per_m",
+)
 
 
 class TabulatedRobot(KernelRobot):
@@ -72,7 +93,7 @@ class TabulatedRobot(KernelRobot):
         self.state.position[2] = scene.start.height
         self.state.rotation[:] = np.eye(3)
         self.state.node[:, 0] = table.table[0, -1, 1], 0.0, -scene.start.height
-        self._feet = Feet(np.zeros(4), np.zeros((4, 3)), np.zeros(4), np.zeros(2))
+        self._feet = Feet(*(np.zeros(shape) for shape in (4, (4, 3), 4, 4, 2)))
         self._work = work_space()
         parts = (self.model, self.legs, self.state, self._feet, self._work)
         self._handle = Handle((*parts, build_scheme(scene.solver, self.model.floor)))
@@ -109,7 +130,8 @@ class TabulatedRobot(KernelRobot):
         angle = self.state.tendon_angle - self.model.fault[0] / self.robot.tendon.spool_radius
         hanging = np.interp(self.model.fault[1] * angle, *self._contact_drop)
         down = np.minimum(-node[:, 2], hanging)
-        foot = self.robot.clamps + node[:, :1] * self.robot.outward - down[:, None] * [0, 0, 1]
+        foot = self.robot.clamps - down[:, None] * [0, 0, 1]
+        foot += node[:, :1] * self.robot.outward + node[:, 1:2] * self.legs.left
         body = np.stack([self.robot.clamps, foot], axis=1)
         return np.asarray(self.state.position + body @ self.state.rotation.T)
 
@@ -161,6 +183,7 @@ def map_legs(robot: Robot, table: LegTable) -> MapLegs:
         height_step=(height[-1] - height[0]) / (len(height) - 1),
         clamps=robot.clamps,
         outward=robot.outward,
+        left=np.cross([0.0, 0.0, 1.0], robot.outward),
         damping_time=robot.leg.damping_time,
     )
 

@@ -1,13 +1,14 @@
 """Search of a stride's pattern by CMA-ES, resumable.
 
-A candidate runs at amplitude one on every floor. With its speed v along the pattern's direction
-(m/s or rad/s) on each floor, and the scale s of that speed, its cost is
+A candidate runs at amplitude one on every floor, and at half of it on the middle one. With its
+speed v along the pattern's direction (m/s or rad/s) on each floor, w at half the amplitude, and the
+scale s of that speed, its cost is
 
     mean over the floors of
         (stray speeds; tilt, dip and servo load beyond the goals; mean roll and pitch)
-    - (mean v + least v) / s + 2 std(v) / s,
+    - (mean v + least v) / s + 2 std(v) / s + |2 w - v| / s,
 
-so that a pattern that is fast on every floor is preferred.
+so that a pattern is preferred that is fast on every floor and whose speed goes with its amplitude.
 
 Source of the algorithm: N. Hansen, The CMA Evolution Strategy: A Tutorial, arXiv:1604.00772, in the
 library `cma`. The record holds the costs of every generation that is done; a search that is started
@@ -37,7 +38,7 @@ ZERO = (0.0, 0.0, 0.0, 0.0, 0.0)
 AXIS = {"forward": 0, "turn": 2}
 # Costs: per mm of dip, deg of RMS tilt, deg of largest tilt, deg of mean roll and pitch, mm of top,
 # and per share of the stall torque.
-PER_DIP, PER_TILT, PER_LARGEST_TILT, PER_MEAN_TILT, PER_TOP = 0.2, 1.5, 0.5, 0.2, 1.0
+PER_DIP, PER_TILT, PER_LARGEST_TILT, PER_MEAN_TILT, PER_TOP = 0.2, 1.5, 0.5, 1.0, 1.0
 PER_LOAD = 100.0
 
 
@@ -72,23 +73,22 @@ def bare_pattern(angle: Array) -> Pattern:
 
 
 def jobs(stride: Stride, goal: Goal, x: Array, settings: TuningSettings) -> list[Job]:
-    """Runs of a candidate: at amplitude one, on every floor."""
-    velocity = [0.0, 0.0, 0.0]
-    velocity[AXIS[goal.kind]] = getattr(stride, goal.kind).speed
-    changed = trial(stride, goal.kind, x)
-    v_x, v_y, turn = velocity
-    return [Job(changed, friction, (v_x, v_y, turn)) for friction in settings.friction]
+    """Runs of a candidate: at amplitude one on every floor, then at half on the middle one."""
+    speed = getattr(stride, goal.kind).speed * np.eye(3)[AXIS[goal.kind]]
+    changed, floors = trial(stride, goal.kind, x), settings.friction
+    whole = [Job(changed, friction, tuple(speed)) for friction in floors]
+    return [*whole, Job(changed, floors[len(floors) // 2], tuple(speed / 2))]
 
 
 def cost(
     outcomes: Sequence[Outcome], stride: Stride, goal: Goal, settings: TuningSettings
 ) -> tuple[float, Array]:
-    """Cost of a candidate from its runs on all floors, and its speed on each."""
-    axis, scale = AXIS[goal.kind], np.array(settings.speed_scale)
+    """Cost of a candidate from the outcomes of its `jobs`, and its speed on each floor."""
+    axis, scale, floors = AXIS[goal.kind], np.array(settings.speed_scale), len(outcomes) - 1
     speed, penalty = [], []
     for motion in outcomes:
         if motion is None:
-            return FAILED, np.full(len(outcomes), np.nan)
+            return FAILED, np.full(floors, np.nan)
         stray = np.abs(motion.means[:3]) / scale
         tilt = np.degrees(motion.tilt)
         dip = stride.height - settings.dip - motion.track[:, HEIGHT].min()
@@ -102,9 +102,9 @@ def cost(
             + PER_LOAD * max(0.0, motion.load - settings.load)
         )
         speed.append(motion.means[axis])
-    v = np.array(speed)
-    gain = (v.mean() + v.min() - 2 * v.std()) / scale[axis]
-    return float(np.mean(penalty) - gain), v
+    v, half = np.array(speed[:-1]), speed[-1]
+    gain = v.mean() + v.min() - 2 * v.std() - abs(2 * half - v[floors // 2])
+    return float(np.mean(penalty[:-1]) - gain / scale[axis]), v
 
 
 class PatternSearch:
@@ -121,6 +121,7 @@ class PatternSearch:
         }  # fmt: skip
         options: dict[str, Any] = {
             "seed": seed, "popsize": settings.population, "verbose": -9,
+            "bounds": [-settings.coefficient_max_deg, settings.coefficient_max_deg],
         }  # fmt: skip
         self._strategy = cma.CMAEvolutionStrategy(start, settings.step_deg, options)
         self.best = Found(start, np.inf, np.full(len(settings.friction), np.nan))
@@ -161,12 +162,12 @@ class PatternSearch:
         return [value for value, _ in rows]
 
     def _evaluate(self, candidates: Sequence[Array], run_all: RunAll) -> list[Any]:
-        floors = len(self._settings.friction)
+        runs = len(self._settings.friction) + 1
         todo = [jobs(self._stride, self._goal, np.array(x), self._settings) for x in candidates]
         outcomes = list(run_all([job for each in todo for job in each]))
         rows = []
         for n in range(len(candidates)):
-            part = outcomes[n * floors : (n + 1) * floors]
+            part = outcomes[n * runs : (n + 1) * runs]
             value, speed = cost(part, self._stride, self._goal, self._settings)
             rows.append([value, speed.tolist()])
         return rows

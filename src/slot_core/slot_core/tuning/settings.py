@@ -22,6 +22,7 @@ class TuningSettings:
     evaluations: int = quantity("candidates of a search", "", 1, 1_000_000)
     population: int = quantity("candidates of a generation", "", 4, 10_000)
     step_deg: float = quantity("first standard deviation of the candidates", "deg", 0.01, 90)
+    coefficient_max_deg: float = quantity("largest coefficient of a pattern", "deg", 1, 360)
     scatter_deg: float = quantity("standard deviation of a random start", "deg", 0.01, 90)
     speed_scale: Vector3 = quantity("speed that costs 1: v_x, v_y, yaw rate", "SI", 1e-4, 1)
     tilt_deg: float = quantity("tilt RMS that costs nothing; largest tilt: twice", "deg", 0, 45)

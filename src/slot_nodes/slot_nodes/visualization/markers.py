@@ -9,7 +9,7 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from slot_core.report.shapes import Arrows, Box, Shape, Strips
+from slot_core.report.shapes import Arrows, Bars, Box, Shape, Strips, halves
 from slot_core.robot import Array
 from slot_nodes import messages
 
@@ -28,6 +28,8 @@ def _markers(stamp: int, name: str, shape: Shape) -> list[Marker]:
         return [_box(stamp, name, shape)]
     if isinstance(shape, Strips):
         return _strips(stamp, name, shape)
+    if isinstance(shape, Bars):
+        return _bars(stamp, name, shape)
     before = _marker(stamp, name, 0, action=Marker.DELETEALL)  # of this namespace
     return [before, *_arrows(stamp, name, shape)]
 
@@ -40,6 +42,20 @@ def _strips(stamp: int, name: str, strips: Strips) -> list[Marker]:
         )
         for i, (points, colour) in enumerate(zip(strips.points, strips.colours))
     ]  # fmt: skip
+
+
+def _bars(stamp: int, name: str, bars: Bars) -> list[Marker]:
+    triangles = halves(bars.quads).ravel().tolist()
+    found = []
+    for i, (corners, colour) in enumerate(zip(bars.corners, bars.colours)):
+        points = [_point(p) for p in corners.reshape(-1, 3).tolist()]
+        found.append(
+            _marker(
+                stamp, name, i, type=Marker.TRIANGLE_LIST, scale=Vector3(x=1.0, y=1.0, z=1.0),
+                color=_colour(colour), points=[points[k] for k in triangles],
+            )
+        )  # fmt: skip
+    return found
 
 
 def _arrows(stamp: int, name: str, arrows: Arrows) -> list[Marker]:

@@ -1,0 +1,190 @@
+"""Spatial legs: equations of motion from an independent energy, conservation, planar limit."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from slot_core import config
+from slot_core.config import ConfigError
+from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.robot import read_robot
+from slot_core.section import torsion_constant
+from slot_core.simulation.rod_robot import RodRobot
+
+ROBOT = read_robot()
+UNDAMPED = config.replace(ROBOT, {"leg.damping_time": 0.0, "tendon.cable_damping": 0.0})
+
+
+def simulator(legs="spatial", robot=ROBOT, servo="torque_speed", **changes):
+    """A robot in the scene `flat` without settling; solver__step is solver.step."""
+    changes = {name.replace("__", "."): value for name, value in changes.items()}
+    changes = {"solver.legs": legs, "start.settle": 0.0} | changes
+    scene = config.replace(read_scene("flat"), changes)
+    return RodRobot(robot, scene, dataclasses.replace(read_servo(), model=servo))
+
+
+def kicked(robot=ROBOT, **changes):
+    """A floating robot whose legs are struck sideways and downwards and set to twist."""
+    floating = {"gravity": [0.0, 0.0, 0.0], "start__height": 5.0}
+    sim = simulator(robot=robot, **floating | changes)
+    sim.set_motion(np.array([0.3, 0.2, 0.1]), np.array([3.0, 4.0, 5.0]))
+    state, part = sim.state, sim.model.rod.arc / sim.model.rod.arc[-1]
+    state.node_velocity[:, :, 1] += 1.5 * part**2 * np.array([[1.0], [-1.0], [0.5], [0.7]])
+    state.node_velocity[:, :, 2] += 0.5 * part**2
+    along = np.diff(state.node, axis=1)
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    rate = np.einsum("lki,lki->lk", along, np.cross(along, np.diff(state.node_velocity, axis=1)))
+    state.swirl[:] = (rate + 20.0 * part[1:])[..., None] * along
+    return sim
+
+
+class Chain:
+    """Energy of a leg as a chain of frames, in NumPy and with SciPy's rotations."""
+
+    def __init__(self, sim, leg):
+        model, self.rod, self.tendon = sim.model, sim.model.rod, sim.model.tendon
+        self.cable = model.tendon.spool_radius * sim.state.tendon_angle[leg] - model.tendon.relaxed
+        axes = model.axes[leg].T
+        self.turn = sim.rotation @ axes  # leg axes to odom
+        self.node = sim.nodes[leg]
+        self.director = sim.state.director[leg] @ self.turn.T
+
+    def energy(self, node, twist):
+        """J, at nodes (N, 3) in odom, segments turned about themselves by twist (N-1,), rad."""
+        rod, before = self.rod, Rotation.from_matrix(self.turn @ np.diag([1.0, -1.0, -1.0]))
+        old, total, pulled = directions(self.node), 0.0, self.cable
+        for k, t in enumerate(directions(node)):
+            axis = np.cross(old[k], t)
+            angle = np.arctan2(np.linalg.norm(axis), old[k] @ t)
+            size = np.linalg.norm(axis)
+            transport = Rotation.from_rotvec(axis * (angle / size if size else 0.0))
+            d = (Rotation.from_rotvec(twist[k] * t) * transport).apply(self.director[k])
+            own = Rotation.from_matrix(np.column_stack([t, d, np.cross(t, d)]))
+            x, y, z = (before.inv() * own).as_rotvec() - [0.0, rod.rest_angle[k], 0.0]
+            length = np.linalg.norm(node[k + 1] - node[k])
+            stretch = length - rod.rest_length[k] - rod.shortening[k] * (y * y + z * z)
+            total += rod.axial[k] * stretch**2 + rod.torsion[k] * x**2
+            total += rod.bending[k] * y**2 + rod.lateral[k] * z**2
+            pulled += self.tendon.along[k] * stretch + self.tendon.around[k] * y
+            pulled += self.tendon.around[k] * rod.rest_angle[k]
+            before = own
+        return (total + self.tendon.stiffness * max(0.0, pulled) ** 2) / 2
+
+
+def directions(node):
+    chord = np.diff(node, axis=0)
+    return chord / np.linalg.norm(chord, axis=1, keepdims=True)
+
+
+def mass_matrix(rod):
+    mass = np.diag(rod.mass)
+    for k, mu in enumerate(rod.coupling):
+        mass[k : k + 2, k : k + 2] += mu * np.array([[-1.0, 1.0], [1.0, -1.0]])
+    return mass
+
+
+def in_odom(sim, leg, vectors):
+    return vectors @ (sim.rotation @ sim.model.axes[leg].T).T
+
+
+def test_a_step_solves_the_equations_of_motion_of_an_independent_energy():
+    """Backward Euler: mass times change of velocity over h is minus the gradient at the end."""
+    h, leg = 1e-3, 1
+    step = {"solver__step": h, "solver__theta": 1.0, "solver__iterations": 12}
+    sim = kicked(UNDAMPED, servo="ideal", solver__nodes=6, **step)
+    sim.state.tendon_angle[:] = 1.0
+    sim.advance(40, np.full(4, 1.0))  # bends, twists and pulls the legs
+    _, before = sim._observe()[0].copy(), sim._observe()[1].copy()
+    swirl = in_odom(sim, leg, sim.state.swirl[leg])
+    sim.advance(1, np.full(4, 1.0))
+    chain, rod = Chain(sim, leg), sim.model.rod
+    change = mass_matrix(rod) @ (sim._observe()[1][leg] - before[leg]) / h
+    spin = in_odom(sim, leg, sim.state.swirl[leg]) - swirl
+    t, still, tiny = directions(chain.node), np.zeros(5), 1e-6
+    forces, moments = np.zeros((6, 3)), np.zeros(5)
+    for i, axis in np.ndindex(6, 3):
+        shift = np.zeros((6, 3))
+        shift[i, axis] = tiny
+        up, down = (chain.energy(chain.node + s * shift, still) for s in (1.0, -1.0))
+        forces[i, axis] = -(up - down) / (2 * tiny)
+    for k in range(5):
+        up, down = (chain.energy(chain.node, s * tiny * np.eye(5)[k]) for s in (1.0, -1.0))
+        moments[k] = -(up - down) / (2 * tiny)
+    couple = rod.spin[:, None] * spin / h
+    across = np.cross(couple, t) / np.linalg.norm(np.diff(chain.node, axis=0), axis=1)[:, None]
+    change[:-1] -= across  # the gyroscopic couple of the spins acts through the nodes
+    change[1:] += across
+    assert np.ptp(chain.node @ sim.rotation[:, 1]) > 1e-3
+    # Forces of some newtons; differences of an energy of 1 J leave 1e-9 / 1e-6.
+    np.testing.assert_allclose(change[1:], forces[1:], atol=2e-3)
+    np.testing.assert_allclose(np.einsum("ki,ki->k", couple, t), moments, atol=2e-5)
+
+
+def test_two_newton_iterations_are_within_a_micrometre_of_the_solution():
+    found = []
+    for iterations in (2, 8):
+        sim = kicked(solver__iterations=iterations)
+        sim.advance(100, np.full(4, 1.5))
+        found.append(sim.nodes)
+    assert np.abs(found[0] - found[1]).max() < 1e-6
+
+
+@pytest.mark.parametrize("iterations", [1, 2])
+def test_linear_momentum_is_conserved_to_rounding(iterations):
+    sim = kicked(solver__iterations=iterations)
+    before = sim.momentum()[0]
+    sim.advance(500, np.full(4, 1.5))
+    np.testing.assert_allclose(sim.momentum()[0], before, rtol=1e-12)
+
+
+def test_angular_momentum_is_conserved_to_second_order():
+    errors = []
+    for step in (2e-3, 1e-3):
+        sim = kicked(solver__step=step, solver__theta=0.5, solver__iterations=6)
+        before = sim.momentum()[1]
+        sim.advance(round(0.4 / step), np.full(4, 1.5))
+        errors.append(np.linalg.norm(sim.momentum()[1] - before) / np.linalg.norm(before))
+    assert errors[0] < 1e-6
+    assert np.log2(errors[0] / errors[1]) > 1.9
+
+
+def test_energy_of_undamped_legs_is_conserved_in_flight():
+    errors = []
+    for step in (1e-3, 5e-4):
+        sim = kicked(UNDAMPED, solver__step=step, solver__theta=0.5, solver__iterations=6)
+        before = sim.energy()
+        sim.advance(round(0.2 / step), np.zeros(4))
+        errors.append(abs(sim.energy() / before - 1))
+    assert errors[0] < 1e-4
+    assert np.log2(errors[0] / errors[1]) > 1.5  # 2 in the limit; the stiff modes converge last
+
+
+def test_a_motion_in_the_planes_of_the_legs_equals_that_of_planar_legs():
+    planar, spatial = simulator("planar"), simulator("spatial")
+    for k in range(60):
+        for sim in (planar, spatial):
+            sim.advance(10, np.full(4, min(1.1, 0.03 * k)))
+        np.testing.assert_allclose(spatial.nodes, planar.nodes, rtol=0, atol=1e-9)
+    assert planar.position[2] > 0.035  # m: it has stood up
+
+
+@pytest.mark.parametrize(
+    ("width", "thickness", "factor"), [(1.0, 1.0, 0.1406), (2.0, 1.0, 0.229), (10.0, 1.0, 0.312)]
+)
+def test_torsion_constants_of_rectangles_are_the_tabulated_ones(width, thickness, factor):
+    """J = factor a b^3, Timoshenko and Goodier, Theory of Elasticity, art. 109, three digits."""
+    found = torsion_constant(width, thickness) / (width * thickness**3)
+    assert found == pytest.approx(factor, abs=6e-4)
+    assert torsion_constant(thickness, width) == pytest.approx(torsion_constant(width, thickness))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("leg.width", 0.0), ("leg.poisson_ratio", 0.5), ("leg.contact_width", float("nan"))],
+)
+def test_a_bad_value_is_refused_with_name_value_and_limit(name, value):
+    with pytest.raises(ConfigError, match=rf"{name} = {value}: outside \["):
+        config.replace(ROBOT, {name: value})
