@@ -141,14 +141,16 @@ def own_rate(law, drive, error, torque, h):
     return spool_rate(law, drive, error, 0.0, torque, h)
 
 
-def test_servo_is_the_projects():
-    # without the friction of the guide, which is no part of the servo
-    law, h = build_model(ROBOT, ABOVE, read_servo()).servo._replace(friction=1.0), 1e-3
-    for speed, error, torque in [(0.0, 0.01, 0.0), (2.0, 1.0, 0.7), (-1.0, -0.02, 0.5)]:
+def test_servo_and_friction_of_the_guide_are_the_projects():
+    law, h = build_model(ROBOT, ABOVE, read_servo()).servo, 1e-3
+    assert law.friction > 1.0
+    cases = [(0.0, 0.01, 0.0), (2.0, 1.0, 0.7), (-1.0, -0.02, 0.5), (0.0, 0.044, 0.9)]
+    for speed, error, torque in cases:  # the last one stands still between the two loads
         drive = np.array([0.0, speed, 0.0])
         expected = own_rate(law, drive, error, torque, h)
         found = mujoco_robot.motor_speed(law, np.array(speed), np.array(error), torque, h)
         assert float(found) == pytest.approx(expected, rel=1e-12)
+    assert expected == 0.0
 
 
 @pytest.mark.parametrize(

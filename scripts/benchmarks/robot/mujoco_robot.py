@@ -13,7 +13,7 @@ order in the links' length, and so with the twist at nodes, as the rod has it.
 
 The tendon is an actuator on the combination of hinges and slides that lengthens it. Its tension
 T = max(0, k (l - l_cmd) + c d(l - l_cmd)/dt) follows `slot_core.dynamics.tendon`. The servo is the
-pid of `slot_core.dynamics.servo`, in NumPy.
+pid of `slot_core.dynamics.servo` with the friction of the tendon's guide, in NumPy.
 """
 
 from __future__ import annotations
@@ -239,11 +239,17 @@ def add_tendon(spec: Any, leg: int, model: Model, engine: Engine) -> None:
 def motor_speed(law: Servo, speed: Array, error: Array, torque: Array, h: float) -> Array:
     """Speed of the motors (4,) after h (s), rad/s, by the pid without its integral.
 
-    error: commanded less measured angle, rad; torque: load, N m. As in `slot_core.dynamics.servo`.
+    error: commanded less measured angle, rad; torque: load by the tendons, N m. The friction of
+    their guides adds to it while a spool winds and lessens it while it releases; between the two a
+    spool stands still. As in `slot_core.dynamics.servo`.
     """
     duty = np.clip(law.proportional * error - law.derivative * speed, -1.0, 1.0)
-    target = law.speed * (duty - law.speed_loss * torque)
-    return speed + (target - speed) * h / (law.motor_time + h)
+    loads = torque * law.friction, torque / law.friction
+    winding, releasing = (
+        speed + (law.speed * (duty - law.speed_loss * load) - speed) * h / (law.motor_time + h)
+        for load in loads
+    )
+    return np.maximum(winding, 0.0) + np.minimum(releasing, 0.0)
 
 
 class MujocoRobot(SimulatedRobot):
