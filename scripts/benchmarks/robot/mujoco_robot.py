@@ -6,13 +6,14 @@ about itself with the twist of its segment, G J / h, and stretches with E A / l 
 Each joint has the damping time of the material, a link the masses of its segment. The figures are
 those of `slot_core.dynamics.rod`; equations of motion, integration and contact are the engine's.
 
-The hinges turn one after the other, the twist last, about the link. With G J of node i, as in the
-rod, the chain's sideways deflection would have an error of first order in the links' length; twist
-belongs to the link.
+The hinges of a node turn one after the other, so the second one's axis is turned by the first. The
+sideways hinge is alternately the second, in the frame of the link behind, and the first, in that of
+the link before. With one order at all nodes the sideways deflection would have an error of first
+order in the links' length, and so with the twist at nodes, as the rod has it.
 
 The tendon is an actuator on the combination of hinges and slides that lengthens it. Its tension
 T = max(0, k (l - l_cmd) + c d(l - l_cmd)/dt) follows `slot_core.dynamics.tendon`. The servo is the
-pid of `slot_core.dynamics.servo`, in NumPy.
+pid of `slot_core.dynamics.servo` with the friction of the tendon's guide, in NumPy.
 """
 
 from __future__ import annotations
@@ -188,11 +189,13 @@ def add_leg(torso: Any, leg: int, parts: Parts) -> None:
 def add_joints(body: Any, k: int, parts: Parts) -> None:
     """Add the joints of link k: positive in the plane is upward, as the rod's turning angle."""
     rod, hinge = parts.model.rod, mujoco.mjtJoint.mjJNT_HINGE
+    before = Rotation.from_euler("y", rod.rest_angle[k]).apply([0.0, 0.0, 1.0])
     joints = [
         ("turn", hinge, (0, -1, 0), rod.bending[k]),
-        ("side", hinge, (0, 0, 1), rod.lateral[k]),
-        ("twist", hinge, (1, 0, 0), parts.links.torsion[k]),
+        ("side", hinge, before if k % 2 else (0, 0, 1), rod.lateral[k]),
     ]
+    joints = joints[::-1] if k % 2 else joints
+    joints.append(("twist", hinge, (1, 0, 0), parts.links.torsion[k]))
     if parts.engine.stretch:
         joints.append(("along", mujoco.mjtJoint.mjJNT_SLIDE, (1, 0, 0), rod.axial[k]))
     for kind, form, axis, stiffness in joints:
@@ -236,11 +239,17 @@ def add_tendon(spec: Any, leg: int, model: Model, engine: Engine) -> None:
 def motor_speed(law: Servo, speed: Array, error: Array, torque: Array, h: float) -> Array:
     """Speed of the motors (4,) after h (s), rad/s, by the pid without its integral.
 
-    error: commanded less measured angle, rad; torque: load, N m. As in `slot_core.dynamics.servo`.
+    error: commanded less measured angle, rad; torque: load by the tendons, N m. The friction of
+    their guides adds to it while a spool winds and lessens it while it releases; between the two a
+    spool stands still. As in `slot_core.dynamics.servo`.
     """
     duty = np.clip(law.proportional * error - law.derivative * speed, -1.0, 1.0)
-    target = law.speed * (duty - law.speed_loss * torque)
-    return speed + (target - speed) * h / (law.motor_time + h)
+    loads = torque * law.friction, torque / law.friction
+    winding, releasing = (
+        speed + (law.speed * (duty - law.speed_loss * load) - speed) * h / (law.motor_time + h)
+        for load in loads
+    )
+    return np.maximum(winding, 0.0) + np.minimum(releasing, 0.0)
 
 
 class MujocoRobot(SimulatedRobot):
