@@ -20,10 +20,9 @@ from slot_core.dynamics.lanes import all_lanes, any_lane, in_lanes, largest, lik
 from slot_core.dynamics.model import (
     build_model,
     build_scheme,
-    contact_points,
     leg_lanes,
+    matching_state,
     rest_state,
-    state_space,
     work_space,
 )
 from slot_core.dynamics.planar.strain import angle_between
@@ -42,7 +41,7 @@ class Stepper:
         self.model = build_model(robot, scene, servo)
         self.state = rest_state(self.model, scene.start.height)
         self.legs, self.work = leg_lanes(self.model, self.state), work_space()
-        start = state_space(scene.solver.nodes, contact_points(self.model.floor))
+        start = matching_state(self.model)
         scheme = build_scheme(scene.solver, self.model.floor)
         self.machine = Handle((self.model, self.state, self.work, start, self.legs, scheme))
         self.advance = integrator.advance if in_lanes else integrator.advance_one_by_one

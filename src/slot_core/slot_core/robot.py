@@ -64,6 +64,12 @@ class Leg:
     young_modulus: float = quantity("Young's modulus", "Pa", 1e5, 1e9)
     poisson_ratio: float = quantity("Poisson's ratio", "", 0.0, 0.499)
     damping_time: float = quantity("Kelvin-Voigt time constant of the material", "s", 0, 0.1)
+    relaxation_share: tuple[float, float] = quantity(
+        "moduli of two Maxwell branches over Young's modulus", "", 0.0, 10.0
+    )
+    relaxation_time: tuple[float, float] = quantity(
+        "relaxation times of the branches", "s", 1e-3, 100.0
+    )
 
     @cached_property
     def shape(self) -> Polynomial:
@@ -81,6 +87,11 @@ class Leg:
     def shear_modulus(self) -> float:
         """Pa, G = E / (2 (1 + nu)) of an isotropic material."""
         return self.young_modulus / (2.0 * (1.0 + self.poisson_ratio))
+
+    @property
+    def relaxes(self) -> bool:
+        """Whether the material has Maxwell branches."""
+        return any(self.relaxation_share)
 
     def thickness(self, fraction: Array) -> Array:
         """Thickness at arc lengths over that of the leg, m."""

@@ -178,7 +178,7 @@ def step(model, state, work, legs, h, scheme):
             advance_bristles(model.floor, leg, h)
     finish_torso(state, work, h, theta)
     for leg in legs:
-        finish(state, work, leg, h, theta)
+        finish(model, state, work, leg, h, theta)
     finish_rate(state, work, theta)
     work.counter[1] += 0.0 if definite else 1.0
     return math.sqrt(change) if definite else math.inf

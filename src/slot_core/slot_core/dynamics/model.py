@@ -70,6 +70,7 @@ class MechanicalState(NamedTuple):
     drive: Array  # (4, 3) state of the servos, see `servo.spool_rate`
     bristle: Array  # (4, P, 3) m, odom, and (8, 3) of the torso's corners; empty without bristles
     corner_bristle: Array
+    memory: Array  # (4, N-1, 4, 2) of a material that relaxes, see spatial/relaxation.py; else empty
 
 
 class Work(NamedTuple):
@@ -87,18 +88,20 @@ class Work(NamedTuple):
     counter: Array  # (3,) halvings, steps with a pivot not positive, steps with no halving left
 
 
-def state_space(nodes: int, points: int = 0) -> MechanicalState:
+def state_space(nodes: int, points: int = 0, relaxes: bool = False) -> MechanicalState:
     """A state with N nodes and, with bristles, `points` per leg, all zero; legs last in memory."""
     n, corners = nodes - 1, 8 if points else 0
     shapes: list[tuple[int, ...]] = [(3,), (3, 3), (3,), (3,), (3,)]
     shapes += [(nodes, 3, 4), (nodes, 3, 4), (n, 3, 4), (n, 3, 4)]
     shapes += [(4,), (4,), (4,), (3, 4), (points, 3, 4), (corners, 3)]
+    shapes += [(n if relaxes else 0, 4, 2, 4)]
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     buffer = np.zeros(ends[-1])
     parts = np.split(buffer, ends[:-1])
     views = [part.reshape(shape) for part, shape in zip(parts, shapes)]
     views[5:9] = [view.transpose(2, 0, 1) for view in views[5:9]]
     views[12], views[13] = views[12].T, views[13].transpose(2, 0, 1)
+    views[15] = views[15].transpose(3, 0, 1, 2)
     return MechanicalState(buffer, *views)
 
 
@@ -118,7 +121,8 @@ def spatial_leg(nodes: int, lanes: tuple[int, ...] = (), points: int = 0) -> Spa
     """As `planar_leg`, of a spatial leg."""
     n = nodes - 1
     shapes: list[tuple[int, ...]] = [(3, 3), (3,), (6, 6), (2,), (2,), (nodes, 3), (nodes, 3)]
-    shapes += [(n, 3), (n, 3), (1,), (1,), (1,), (3,), (points, 3), (1,), *[(nodes, 3)] * 4]
+    shapes += [(n, 3), (n, 3), (1,), (1,), (1,), (3,), (points, 3), (0, 4, 2), (1,)]
+    shapes += [(nodes, 3)] * 4
     shapes += [(n, 3), (n,), (n, 3), (), (7, 8), (6,), (n, 4, 8), (1,), (points,), (points, 2)]
     shapes += [(7,), (6, 7), (6, 6), *[(3, 3)] * 6, (3,), (4, 3)]
     inner = spatial_strain.segments(nodes, lanes)
@@ -159,6 +163,7 @@ def leg_lanes(model: Model, state: MechanicalState) -> PlanarLeg | SpatialLeg:
     if spatial:
         views["director"] = state.director.transpose(1, 2, 0)
         views["swirl"] = state.swirl.transpose(1, 2, 0)
+        views["memory"] = state.memory.transpose(1, 2, 3, 0)
     return legs._replace(**views)
 
 
@@ -275,9 +280,15 @@ def contact_points(floor: Floor) -> int:
     return len(floor.stiffness) if floor.bristle > 0.0 else 0
 
 
+def matching_state(model: Model) -> MechanicalState:
+    """A state for the model's nodes, contact points and branches, all zero."""
+    spatial, relaxes = model.floor.half_width > 0.0, bool(model.rod.relaxation[0].any())
+    return state_space(len(model.rod.node), contact_points(model.floor), spatial and relaxes)
+
+
 def rest_state(model: Model, height: float) -> MechanicalState:
     """Natural legs, slack tendons, level torso at a height (m), everything at rest."""
-    state = state_space(len(model.rod.node), contact_points(model.floor))
+    state = matching_state(model)
     state.position[2] = height
     state.rotation[:] = np.eye(3)
     state.node[:, :, ::2] = model.rod.node

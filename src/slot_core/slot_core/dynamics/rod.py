@@ -44,6 +44,7 @@ class Rod(NamedTuple):
     anchor: int  # the node where the tendon ends
     anchor_share: float  # share of that node's bending that lies before the anchor
     damping_time: float  # s, beta
+    relaxation: Array  # (2, 2) shares and times (s) of the Maxwell branches, see spatial/relaxation
 
 
 class Links(NamedTuple):
@@ -109,6 +110,7 @@ def build(leg: Leg, node: Array, arc: Array, anchor: int) -> Rod:
         anchor=anchor,
         anchor_share=float(before[-1] / (before[-1] + behind[0])),
         damping_time=leg.damping_time,
+        relaxation=np.array([leg.relaxation_share, leg.relaxation_time]),
     )
 
 

@@ -92,7 +92,15 @@ ROBOT_WITH_FAULT = {SLACK: KernelRobot, BROKEN: KernelRobot, NAN: RodRobot}
 
 
 def make_robot(robot: Robot, scene: Scene, servo: ServoSettings) -> SimulatedRobot:
-    """Simulated robot with the model of the legs `scene.solver.legs`, settled at its start."""
+    """Simulated robot with the model of the legs `scene.solver.legs`, settled at its start.
+
+    Raises ConfigError for legs that relax of another model than `spatial`.
+    """
+    if robot.leg.relaxes and scene.solver.legs != "spatial":
+        raise ConfigError(
+            f"leg.relaxation_share = {list(robot.leg.relaxation_share)}: legs of the model"
+            f" {scene.solver.legs!r} cannot relax; those of 'spatial' can"
+        )
     return MODELS[scene.solver.legs](robot, scene, servo)
 
 

@@ -11,11 +11,10 @@ from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.model import (
     build_model,
     build_scheme,
-    contact_points,
     leg_lanes,
+    matching_state,
     rest_state,
     segments,
-    state_space,
     work_space,
 )
 from slot_core.dynamics.scene import Scene
@@ -40,7 +39,7 @@ class RodRobot(KernelRobot):
         self._legs = leg_lanes(self.model, self.state)
         self._work = work_space()
         self._segments = segments(self.model)
-        self._start = state_space(scene.solver.nodes, contact_points(self.model.floor))
+        self._start = matching_state(self.model)
         scheme = build_scheme(scene.solver, self.model.floor)
         parts = (self.model, self.state, self._work, self._start, self._legs)
         self._handle = Handle((*parts, scheme))

@@ -137,8 +137,8 @@ def advance_bristles(floor, leg, h):
 
 
 @helper
-def finish(state, work, leg, h, theta):
-    """Nodes in leg axes, tension and tendon angle at the end of the step."""
+def finish(model, state, work, leg, h, theta):
+    """Nodes in leg axes, tension and tendon angle at the end of the step; model: not used."""
     root, v, w, w0 = leg.root, work.motion[0], work.motion[1], state.rate
     wx, wy, wz = times(leg.axes, w[0], w[1], w[2])
     ox, oy, oz = times(leg.axes, w0[0], w0[1], w0[2])

@@ -89,9 +89,10 @@ def _reduce(model, leg, k, inv, place, form, both, one):
     """Eliminate segment k: the form over its begin and over the segment before it."""
     s, rod = leg.segments, model.rod
     t, per_length, along = row(s.direction, k), s.per_length[k], model.tendon.along[k]
-    viscous = 1.0 + rod.damping_time * inv
+    whole, beta = 1.0 + s.firm[0], rod.damping_time
+    viscous = whole + beta * inv
     axial = viscous * rod.axial[k]
-    normal = rod.axial[k] * (s.extension[k] + rod.damping_time * s.extension_rate[k])
+    normal = rod.axial[k] * (whole * s.extension[k] + beta * s.extension_rate[k] + s.lag[k, 3])
     normal += leg.pull[0] * along
     before = (row(leg.frame, 0), row(leg.frame, 1), row(leg.frame, 2))
     if k > 0:

@@ -45,7 +45,7 @@ class Hinge(NamedTuple):
 def bend(rod, s, k, before, viscous, normal, tendon, tension):
     """The hinge at node k behind the frame `before` = (t, d, b).
 
-    viscous: 1 + beta / tau in a step whose strains change at their rates for a time tau, else 1;
+    viscous: derivative of the moment over the stiffness by the strain in a step, 1 in statics;
     normal: axial force of segment k, N; tendon, tension (N): a tendon along the rod (`tendon.py`).
     """
     t, d, b = before
@@ -57,9 +57,11 @@ def bend(rod, s, k, before, viscous, normal, tendon, tension):
     bend, q = y - rod.rest_angle[k], -2.0 * rod.shortening[k]
     around, along, geometric = tendon.around[k], tendon.along[k], q * normal
     twist, inner, outer = rod.torsion[k], rod.bending[k], rod.lateral[k]
-    mt = twist * (x + beta * s.twist_rate[k])
-    md = inner * (bend + beta * s.turn_rate[k]) + tension * around + geometric * bend
-    mb = outer * (z + beta * s.side_rate[k]) + geometric * z
+    whole, lag = 1.0 + s.firm[0], s.lag[k]
+    mt = twist * (whole * x + beta * s.twist_rate[k] + lag[0])
+    md = inner * (whole * bend + beta * s.turn_rate[k] + lag[1])
+    md += tension * around + geometric * bend
+    mb = outer * (whole * z + beta * s.side_rate[k] + lag[2]) + geometric * z
     m = _mapped(vt, vd, vb, mt, md, mb)
     bulge = _mapped(vt, vd, vb, like(0.0, x), q * bend, q * z)
     psi = _mapped(t, d, b, x, y, z)

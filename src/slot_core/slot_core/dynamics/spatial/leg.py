@@ -17,6 +17,7 @@ from slot_core.dynamics.contact import advance_bristle
 from slot_core.dynamics.lanes import like
 from slot_core.dynamics.servo import spool_rate
 from slot_core.dynamics.spatial.elimination import angular_velocity
+from slot_core.dynamics.spatial.relaxation import relax, remember
 from slot_core.dynamics.spatial.strain import Segments, measure, orient, point_along
 from slot_core.dynamics.tendon import pull
 from slot_core.robot import Array
@@ -43,8 +44,9 @@ class SpatialLeg(NamedTuple):
     angle: Array
     rate: Array
     tension: Array
-    drive: Array  # (3,), bristle (P or 0, 3): views of the state
+    drive: Array  # (3,), bristle (P or 0, 3), memory (N-1 or 0, 4, 2): views of the state
     bristle: Array
+    memory: Array
     command: Array  # (1,) rad, commanded tendon angle
     stage: Array  # (N, 3) m, node at the stage
     velocity: Array  # (N, 3) m/s, V
@@ -103,6 +105,7 @@ def predict(model, state, leg, h, theta):
         put(leg.begin, k, t)
         leg.spin[k] = dot(t, s)
         put(leg.spin_before, k, times(to_stage, s[0], s[1], s[2]))
+    remember(leg.segments, model.rod.relaxation, leg.memory, theta * h)
 
 
 @helper
@@ -158,8 +161,9 @@ def advance_bristles(floor, leg, h):
 
 
 @helper
-def finish(state, work, leg, h, theta):
+def finish(model, state, work, leg, h, theta):
     """Nodes in leg axes, frames, tension and tendon angle at the end of the step."""
+    relax(leg.segments, model.rod, leg.memory, h, theta)
     v, w, w0 = work.motion[0], work.motion[1], state.rate
     w = times(leg.axes, w[0], w[1], w[2])
     ox, oy, oz = times(leg.axes, w0[0], w0[1], w0[2])

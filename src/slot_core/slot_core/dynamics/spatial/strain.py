@@ -51,12 +51,14 @@ class Segments(NamedTuple):
     side: Array  # about b, sideways
     side_rate: Array
     curl: Array  # (N-1,) c
+    firm: Array  # (1,) part of the strains of twist, turn, side and extension that adds to them,
+    lag: Array  # (N-1, 4) and what adds besides, in a material that relaxes (`relaxation.py`)
 
 
 def segments(nodes: int, lanes: tuple[int, ...] = ()) -> Segments:
     """Scratch arrays for one rod of N nodes, or for four with the axis `lanes` = (4,)."""
     n = nodes - 1
-    shapes = [(n, 3), (n, 3), *[(n,)] * 11]
+    shapes = [(n, 3), (n, 3), *[(n,)] * 11, (1,), (n, 4)]
     return Segments(*(np.zeros(shape + lanes) for shape in shapes))
 
 

@@ -1,0 +1,81 @@
+"""Legs that relax, compared with the creep of a material with two Maxwell branches."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from slot_core import config
+from slot_core.config import ConfigError
+from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.robot import read_robot
+from slot_core.simulation.plant import make_robot
+from slot_core.simulation.rod_robot import RodRobot
+
+HELD = 1e9  # kg, a torso that no leg moves
+FIELD = np.array([-2.0, 4.0, -1.0])  # m/s^2: the legs bend in both planes, twist and stretch
+SHARE, TIME, DAMPING = (0.7, 0.4), (0.05, 0.6), 0.01
+RELAXING = config.replace(
+    read_robot(),
+    {
+        "leg.young_modulus": 9e8,  # small deflections, above all vibrations
+        "leg.relaxation_share": SHARE,
+        "leg.relaxation_time": TIME,
+        "leg.damping_time": DAMPING,
+    },
+)
+
+
+def loaded(robot):
+    """The robot above the floor, its torso held, its legs under a field from time 0 on."""
+    held = dataclasses.replace(robot, torso=dataclasses.replace(robot.torso, mass=HELD))
+    start = {"start.height": 5.0, "start.settle": 0.0, "gravity": FIELD.tolist()}
+    sim = RodRobot(held, config.replace(read_scene("flat"), start), read_servo())
+    sim.push(-HELD * FIELD, np.zeros(3))
+    return sim
+
+
+def creep(times):
+    """Strain over its static value under a constant load, e = e_static f(t)."""
+
+    def rate(_, y):
+        e, a = y[0], y[1:]
+        held = np.dot(SHARE, e - a)
+        return [(1.0 - e - held) / DAMPING, *((e - a) / TIME)]
+
+    return solve_ivp(rate, (0.0, times[-1]), np.zeros(3), t_eval=times, rtol=1e-9, atol=1e-12).y[0]
+
+
+def test_a_loaded_leg_creeps_as_its_material():
+    sim = loaded(RELAXING)
+    begin, times, course = sim.state.node[0, -1].copy(), np.arange(1, 201) * 0.01, []
+    for _ in times:
+        sim.advance(10, np.zeros(4))
+        course.append(sim.state.node[0, -1] - begin)
+    sim.advance(10_000, np.zeros(4))
+    static = sim.state.node[0, -1] - begin
+    assert np.abs(static).min() > 1e-6
+    assert creep(times)[10] < 0.7
+    for axis in range(3):
+        found = np.array(course)[:, axis] / static[axis]
+        assert found[1:] == pytest.approx(creep(times)[1:], abs=3e-3), axis
+
+
+def test_only_spatial_legs_relax():
+    for legs in ("planar", "map", "paper"):
+        scene = config.replace(read_scene("flat"), {"solver.legs": legs})
+        with pytest.raises(ConfigError, match=f"leg.relaxation_share = .* model '{legs}' cannot"):
+            make_robot(RELAXING, scene, read_servo())
+
+
+def test_the_scene_relaxing_legs_stands_as_high_as_flat():
+    flat, relaxing = (read_scene(name) for name in ("flat", "relaxing_legs"))
+    heights = []
+    for scene in (flat, relaxing):
+        sim = RodRobot(read_robot(scene.parameters), scene, read_servo())
+        sim.advance(3000, sim.tendon_angle)
+        heights.append(sim.position[2])
+    # slow loads: Young's modulus
+    assert heights[1] == pytest.approx(heights[0], abs=2e-4)
