@@ -4,7 +4,7 @@ Every row of the table is measured in three columns: the gait's angles drive the
 feedback; the paper's MPC and force map (with --quick only in the first case of a row, because its
 problem takes half of the time); the default. The default must reach the goal of the row,
 and where the gait alone does not, be better by the row's `share`, so that a controller without
-effect fails.
+effect fails. Apart from the table stand the margins of the walk (margins.py).
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ REPORTS = 20  # lines of progress
 def run(
     quick: bool, out: Path, progress: Callable[[str], None]
 ) -> tuple[list[Result], list[Check]]:
-    """Measure all rows; `table.png`, `velocity.png` and `top.png` show them, `gaits.png` stills."""
-    from benchmarks.locomotion import stills  # noqa: PLC0415
+    """Measure all rows; the pictures show them, and stills of the gaits."""
+    from benchmarks.locomotion import margins, stills  # noqa: PLC0415
     from benchmarks.locomotion.picture import draw_directions, draw_table, draw_top  # noqa: PLC0415
 
     seeds = SEEDS[:1] if quick else SEEDS
@@ -42,9 +42,12 @@ def run(
     draw_directions(directions(quick), motions, seeds, out / "velocity.png")
     draw_top(square(), slanted(), motions, seeds, out / "top.png")
     stills.draw(out / "gaits.png")
+    progress("margins of the walk")
+    found = margins.rows(quick)
+    margins.draw(found, out / "margins.png")
     for line in table_lines(table):
         progress(line)
-    return list(table), checks(wanted, table)
+    return [*table, *found], [*checks(wanted, table), *margins.checks(found)]
 
 
 def run_all(

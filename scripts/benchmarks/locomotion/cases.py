@@ -26,6 +26,7 @@ STRIDES = read_gaits().strides
 PERIOD = STRIDES["walk"].period  # s
 FALLEN = read_supervisor().estimate.tilt_max  # rad
 PUSH_TIME = 0.2  # s
+COURSES = ("time", "position", "rpy", "torque")  # of a motion, over its ticks
 Vector3 = tuple[float, float, float]
 Changes = tuple[tuple[str, Any], ...]  # dotted names and values, hashable
 
@@ -71,15 +72,15 @@ class Motion:
     time: Array  # (n,) s
     position: Array  # (n, 3) m, in odom
     rpy: Array  # (n, 3) rad, the yaw unwrapped
+    torque: Array  # (n,) N m, mean over the servos
     fallen: bool
     period: float = PERIOD  # s, of a stride: for means over strides
 
     def after(self, begin: float, end: float = math.inf) -> Motion:
         """The motion from `begin` to `end`, s."""
         part = (self.time >= begin) & (self.time <= end)
-        return dataclasses.replace(
-            self, time=self.time[part], position=self.position[part], rpy=self.rpy[part]
-        )
+        courses = {name: getattr(self, name)[part] for name in COURSES}
+        return dataclasses.replace(self, **courses)
 
     @property
     def tilt(self) -> Array:
@@ -139,7 +140,7 @@ def run_case(case: Case, column: str, seed: int) -> Motion:
     try:
         for _ in loop.run(round(case.duration / DT)):
             time = (loop.plant.now - LOCKSTEP_START) * 1e-9
-            rows.append([time, *sim.position, *sim.rpy])
+            rows.append([time, *sim.position, *sim.rpy, sim.servo_torque.mean()])
             if schedule and time >= schedule[0][0]:
                 scheduler.request(case.gait, np.array(schedule.pop(0)[1]))
     except Divergence:
@@ -149,11 +150,11 @@ def run_case(case: Case, column: str, seed: int) -> Motion:
 
 
 def motion_of(rows: Array, fallen: bool, period: float) -> Motion:
-    """Motion of rows (n, 7) time, position, roll, pitch, yaw, with gaps closed linearly."""
+    """Motion of rows (n, 8) time, position, roll, pitch, yaw, torque; gaps are closed linearly."""
     rows[:, 6] = np.unwrap(rows[:, 6])
     time = np.arange(0.0, rows[-1, 0] + DT / 2, DT)
     even = np.column_stack([np.interp(time, rows[:, 0], column) for column in rows.T[1:]])
-    motion = Motion(time, even[:, :3], even[:, 3:], fallen, period)
+    motion = Motion(time, even[:, :3], even[:, 3:6], even[:, 6], fallen, period)
     return dataclasses.replace(motion, fallen=fallen or bool(motion.tilt.max() > FALLEN))
 
 

@@ -193,7 +193,7 @@ def row_checks(row: dict[str, Any]) -> Iterable[Check]:
             yield at_most(row["case"], row["percent"], 1.0, "%")
         case "buckling", _:
             yield at_most(f"buckling load, {row['column']}", row["percent"], 0.1, "%")
-        case "frequency", nodes if nodes == STANDARD:
+        case "frequency", nodes if nodes == FINE:
             for mode, percent in enumerate(row["percent"], 1):
                 yield at_most(f"frequency {mode}, {row['rod']}", percent, PERCENT, "%")
 

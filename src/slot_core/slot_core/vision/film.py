@@ -13,6 +13,7 @@ import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -43,22 +44,32 @@ GAP = 1.5  # periods between two samples from which the film has no motion there
 SKIN = np.full((4, 4), 60, np.uint8)  # of the robot's body
 
 
-def plates(
-    robot: Robot, settings: TrackedMarkers, base: Transform, nodes: Array
-) -> dict[str, Transform]:
-    """Frames of the plates in odom by name: x along the leg outward, z away from its side.
+class Pose(NamedTuple):
+    """Place of the robot: base_link in odom, and its legs in odom."""
 
-    base: base_link in odom. nodes: (4, N, 3) m, centre lines in odom. Looking outward along a leg,
-    the plates are on its right side.
-    """
-    found = {TORSO: base @ Transform.of(settings.torso.position, settings.torso.rpy)}
-    for index, leg in enumerate(LEGS):
-        side = base.rotation @ np.cross(robot.outward[index], [0.0, 0.0, 1.0])
-        line = nodes[index].astype(float)
+    base: Transform
+    nodes: Array  # (4, N, 3) m, centre lines
+    sides: Array  # (4, N, 3) unit vectors along the width, to the right looking outward
+
+
+def pose(robot: Robot, base: Transform, nodes: Array, directors: Array) -> Pose:
+    """Pose with directors (4, N-1, 3) of the segments, or (4, 0, 3): the legs do not twist."""
+    sides = np.concatenate([directors[:, :1], directors], axis=1)
+    if not directors.size:
+        right = np.cross(robot.outward, [0.0, 0.0, 1.0]) @ base.rotation.T
+        sides = np.broadcast_to(right[:, None], nodes.shape)
+    return Pose(base, nodes, sides)
+
+
+def plates(robot: Robot, settings: TrackedMarkers, at: Pose) -> dict[str, Transform]:
+    """Frames of the plates in odom by name: x along the leg outward, z away from its right side."""
+    found = {TORSO: at.base @ Transform.of(settings.torso.position, settings.torso.rpy)}
+    for leg, line, side in zip(LEGS, at.nodes, at.sides):
         tangents = np.gradient(line, arc_length(line), axis=0)
-        for name, point, along in zip(LEG_POINTS, at_shares(line), at_shares(line, tangents)):
+        places = at_shares(line), at_shares(line, tangents), at_shares(line, side)
+        for name, point, along, aside in zip(LEG_POINTS, *places):
             x = along / np.linalg.norm(along)
-            z = side - (side @ x) * x
+            z = aside - (aside @ x) * x
             z /= np.linalg.norm(z)
             middle = point + (robot.leg.width / 2 + settings.stand_off) * z
             found[f"{leg}_{name}"] = Transform(np.column_stack([x, np.cross(z, x), z]), middle)
@@ -82,21 +93,19 @@ class Stage:
         self._prints = {name: print_of(marker, number) for name, marker in markers.items()}
         self._outline = next(iter(markers.values())).outline
 
-    def plates(self, base: Transform, nodes: Array) -> dict[str, Transform]:
-        """Frames of the plates in odom, for base_link in odom and the legs' nodes (4, N, 3)."""
-        return plates(self._robot, self._settings.points, base, nodes)
+    def plates(self, at: Pose) -> dict[str, Transform]:
+        """Frames of the plates in odom."""
+        return plates(self._robot, self._settings.points, at)
 
-    def surfaces(
-        self, base: Transform, nodes: Array, soon: tuple[Transform, Array, float] | None = None
-    ) -> list[Surface]:
-        """Surfaces before the camera; soon: base, nodes and the time (s) until then."""
+    def surfaces(self, at: Pose, soon: tuple[Pose, float] | None = None) -> list[Surface]:
+        """Surfaces before the camera; soon: another pose and the time (s) until then."""
         board = self._seen(self._board_print, self._board.pose.apply(self._board.outline))
-        body = [self._seen(SKIN, face) for face in self._body(base, nodes)]
-        later, shown = self.plates(*soon[:2]) if soon else {}, []
-        for name, plate in self.plates(base, nodes).items():
+        body = [self._seen(SKIN, face) for face in self._body(at)]
+        later, shown = self.plates(soon[0]) if soon else {}, []
+        for name, plate in self.plates(at).items():
             corners, velocity = plate.apply(self._outline), None
             if soon:
-                velocity = (later[name].apply(self._outline) - corners) / soon[2]
+                velocity = (later[name].apply(self._outline) - corners) / soon[1]
             shown.append(self._seen(self._prints[name], corners, velocity))
         return [board, *sorted(body, key=_distance), *sorted(shown, key=_distance)]
 
@@ -106,18 +115,19 @@ class Stage:
             velocity = velocity @ self._to_camera.rotation.T
         return Surface(sheet, self._to_camera.apply(corners), velocity)
 
-    def _body(self, base: Transform, nodes: Array) -> Iterator[Array]:
+    def _body(self, at: Pose) -> Iterator[Array]:
         """Faces (4, 3) of torso and legs in odom, turned to the camera."""
         half = np.array(self._robot.torso.size) / 2
         around = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         for axis in range(3):
             for sign in (-1, 1):
                 corners = np.insert(around, axis, sign, axis=1) * half
-                yield from _turned(base.apply(corners), self._to_camera)
+                yield from _turned(at.base.apply(corners), self._to_camera)
         leg = self._robot.leg
-        for line in nodes.astype(float):
+        for line, side in zip(at.nodes, at.sides):
             thick = np.linspace(leg.thickness_clamp, leg.thickness_tip, len(line)) / 2
-            up = thick[:, None] * np.array([0.0, 0.0, 1.0])
+            normal = np.cross(side, np.gradient(line, axis=0))
+            up = normal * (thick / np.linalg.norm(normal, axis=1))[:, None]
             for i in range(len(line) - 1):
                 quad = [line[i] - up[i], line[i + 1] - up[i + 1], line[i + 1] + up[i + 1]]
                 yield from _turned(np.array([*quad, line[i] + up[i]]), self._to_camera)
@@ -155,10 +165,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _film(options: argparse.Namespace, settings: VisionSettings) -> int:
     """Write film, depth pictures and true tracks; the number of pictures."""
-    times, bases, nodes = _motion(Bag(options.what))
-    last = int(np.searchsorted(times, times[0] + options.duration))
-    times, bases, nodes = times[:last], bases[:last], nodes[:last]
-    stage = Stage(settings, read_robot())
+    robot = read_robot()
+    times, poses = _motion(Bag(options.what), robot)
+    times = times[: int(np.searchsorted(times, times[0] + options.duration))]
+    stage = Stage(settings, robot)
     rng = np.random.default_rng(options.seed)
     camera = SyntheticCamera(nominal(settings.camera), Imperfections(), rng)
     if options.depth:
@@ -173,13 +183,13 @@ def _film(options: argparse.Namespace, settings: VisionSettings) -> int:
     for i, time in enumerate(times):
         soon = None
         if i + 1 < len(times) and times[i + 1] - time < GAP * period:
-            soon = bases[i + 1], nodes[i + 1], float(times[i + 1] - time)
-        surfaces = stage.surfaces(bases[i], nodes[i], soon)
+            soon = poses[i + 1], float(times[i + 1] - time)
+        surfaces = stage.surfaces(poses[i], soon)
         video.write(camera.picture(surfaces))
         if options.depth:
             depth = camera.depth(surfaces, DEPTH_NOISE)
             cv2.imwrite(str(options.depth / f"{i:06d}.png"), depth)
-        for name, plate in stage.plates(bases[i], nodes[i]).items():
+        for name, plate in stage.plates(poses[i]).items():
             truth.append(Sample(i * period, name, plate.position))
     video.release()
     if options.truth:
@@ -206,22 +216,24 @@ def _film_chessboard(options: argparse.Namespace, settings: VisionSettings) -> i
     return VIEWS
 
 
-def _motion(bag: Bag) -> tuple[Array, list[Transform], Array]:
-    """Times (n,) s, base_link in odom, and nodes (n, 4, N, 3) m of a recorded walk."""
+def _motion(bag: Bag, robot: Robot) -> tuple[Array, list[Pose]]:
+    """Times (n,) s, and n poses, of a recorded walk."""
     truth = bag.series(GROUND_TRUTH, "pose.pose.position", "pose.pose.orientation")
-    legs = bag.series(LEG_STATES, "nodes", "position")
+    legs = bag.series(LEG_STATES, "nodes", "position", "director")
     shared, mine, theirs = np.intersect1d(truth.stamp, legs.stamp, return_indices=True)
     if len(shared) < 2:
         raise BagError(f"{bag.path}: fewer than two samples of {GROUND_TRUTH} and {LEG_STATES}")
     count = int(legs["nodes"][0])
     if count < LEAST_NODES:
         raise BagError(f"{bag.path}: legs of {count} nodes have no shape to film")
-    places = truth["pose.pose.position"][mine]
-    bases = [
-        Transform.of_quaternion(p, q) for p, q in zip(places, truth["pose.pose.orientation"][mine])
-    ]
+    places, turns = truth["pose.pose.position"][mine], truth["pose.pose.orientation"][mine]
     nodes = legs["position"][theirs].reshape(-1, 4, count, 3).astype(np.float64)
-    return np.asarray(shared * 1e-9, np.float64), bases, nodes
+    directors = legs["director"][theirs].reshape(len(nodes), 4, -1, 3).astype(np.float64)
+    poses = [
+        pose(robot, Transform.of_quaternion(place, turn), line, director)
+        for place, turn, line, director in zip(places, turns, nodes, directors)
+    ]
+    return np.asarray(shared * 1e-9, np.float64), poses
 
 
 def _parser() -> argparse.ArgumentParser:

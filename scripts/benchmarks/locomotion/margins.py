@@ -1,0 +1,84 @@
+"""Margins of the default walk: what friction and the servos' supply voltage leave of it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from benchmarks.harness import Check, at_most
+from benchmarks.locomotion.cases import DEFAULT, Case, friction, run_case
+from benchmarks.locomotion.rows import DEG, MM, SPEED, WARM_UP
+from slot_core.dynamics.servo import read_servo
+from slot_core.report import palette
+
+FRICTION = (0.2, 0.4, 0.6)
+VOLTAGE = (11.1, 9.6)  # V, of a battery's nominal and almost empty cells
+LARGEST_LOAD = 50.0  # % of the stall torque, at the nominal voltage
+SHOWN = (
+    ("speed", "m/s"),
+    ("aside", "mm per m walked"),
+    ("heading", "deg"),
+    ("tilt", "deg RMS"),
+    ("load", "% of stall"),
+)
+
+
+def rows(quick: bool) -> list[dict[str, Any]]:
+    """A walk at the usual speed on every floor at every voltage."""
+    duration = WARM_UP + (7.0 if quick else 28.0)
+    return [row(duration, mu, volt) for volt, mu in itertools.product(VOLTAGE, FRICTION)]
+
+
+def row(duration: float, mu: float, volt: float) -> dict[str, Any]:
+    """Speed, straightness, tilt and load of the servos after the start of a walk.
+
+    aside: largest stride mean of |y| over the distance; load: mean torque over the stall torque at
+    the voltage.
+    """
+    changes = (*friction(mu), ("scene.supply_voltage", volt))
+    case = Case(duration, velocity=(SPEED, 0.0, 0.0), changes=changes)
+    motion = run_case(case, DEFAULT, 1).after(WARM_UP)
+    y = motion.moving_mean(motion.position[:, 1] - motion.position[0, 1])
+    stall = float(read_servo().tendon_stall(volt))
+    return {
+        "row": "margin",
+        "friction": mu,
+        "voltage": volt,
+        "fallen": motion.fallen,
+        "speed": motion.forward_speed,
+        "aside": MM * float(np.abs(y).max()) / float(np.ptp(motion.position[:, 0])),
+        "heading": DEG * motion.heading,
+        "tilt": DEG * math.sqrt(np.mean(motion.tilt**2)),
+        "load": 100.0 * float(motion.torque.mean()) / stall,
+    }
+
+
+def checks(found: Sequence[dict[str, Any]]) -> list[Check]:
+    """The servos' load at the nominal voltage against its goal."""
+    loads = [values["load"] for values in found if values["voltage"] == VOLTAGE[0]]
+    name = f"load of the servos, walk at {SPEED:g}, mu .2 to .6"
+    return [at_most(name, max(loads), LARGEST_LOAD, "% of stall")]
+
+
+def draw(found: Sequence[dict[str, Any]], path: Path) -> None:
+    """The margins over friction, a line for each voltage."""
+    figure = Figure(figsize=(12.0, 2.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    for ax, (name, unit) in zip(figure.subplots(1, len(SHOWN)), SHOWN):
+        for volt, colour in zip(VOLTAGE, (palette.TRUE, palette.INK)):
+            line = [values for values in found if values["voltage"] == volt]
+            place = [values["friction"] for values in line]
+            course = [values[name] for values in line]
+            ax.plot(place, course, "o-", color=colour, label=f"{volt:g} V")
+        ax.set(title=f"{name}, {unit}", xlabel="friction", xticks=FRICTION)
+        ax.set_ylim(bottom=0.0)
+        ax.grid(alpha=0.3)
+    figure.axes[0].legend()
+    figure.savefig(path, dpi=150)
