@@ -17,7 +17,7 @@ def still(case, column, seed):
     """Motion of a robot that stands level at 40 mm, whatever is commanded."""
     time = np.arange(0.0, case.duration, 0.033)
     position = np.tile([0.0, 0.0, 0.04], (len(time), 1))
-    return Motion(time, position, np.zeros((len(time), 3)), False)
+    return Motion(time, position, np.zeros((len(time), 3)), np.zeros(len(time)), False)
 
 
 def checks_of(wanted, move):
@@ -88,7 +88,7 @@ def test_the_commanded_square_closes():
     yaw = np.cumsum(velocity[:, 2]) * dt
     x, y = np.cumsum(velocity[:, 0] * [np.cos(yaw), np.sin(yaw)], axis=1) * dt
     rpy = np.column_stack([np.zeros((len(times), 2)), yaw])
-    motion = Motion(times, np.column_stack([x, y, np.zeros(len(times))]), rpy, False)
+    motion = Motion(times, np.column_stack([x, y, 0 * times]), rpy, 0 * times, False)
     found = {row.name: row.value([motion]) for row in rows(quick=True) if "square" in row.name}
     assert found["square of .6 m closes"] < 2.0
     assert found["square of .6 m, heading"] < 0.2

@@ -32,7 +32,8 @@ def robot_checks(slower):
         for n in robot.COMPARED
     ]  # fmt: skip
     level = {"kind": "level", "level": "standard", "error_mm": 0.2, "us_per_ms": 9.0 * slower}
-    return robot.checks([*costs, level, {"kind": "flight", "momentum": 0.0}])
+    memory = [{"kind": "memory", "legs": legs, "MB": 200.0} for legs in ("planar", "spatial")]
+    return robot.checks([*costs, level, *memory, {"kind": "flight", "momentum": 0.0}])
 
 
 def mpc_checks(slower):

@@ -10,6 +10,8 @@ import dataclasses
 import functools
 import itertools
 import math
+import subprocess
+import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -34,6 +36,14 @@ REQUIRES = ("mujoco",)
 COMMANDS = ((0.5, (63.0, 63.0, 63.0, 63.0)), (1.0, (90.0, 30.0, 50.0, 75.0)))  # s, deg
 DURATION = sum(seconds for seconds, _ in COMMANDS)
 SAMPLE = 0.01  # s
+MEMORY = """
+import numpy, resource
+from slot_core.simulation.closed_loop import ClosedLoop
+velocity, changes = numpy.array([0.05, 0.0, 0.0]), {{"scene.solver.legs": "{legs}"}}
+for _ in ClosedLoop("flat", "walk", velocity, 1, changes=changes).run(300):
+    pass
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
 FINE = {"nodes": 121, "step": 1e-5, "theta": 0.5, "iterations": 3}
 SCHEMES = ((0.5, 1), (0.5, 2), (0.55, 1), (0.55, 2), (0.55, 4), (1.0, 1), (1.0, 2))
 NODES = (7, 10, 16, 22, 31, 61)
@@ -44,6 +54,7 @@ LARGEST_ERROR = 0.3  # mm
 # many nodes and two iterations: no more than of four such rods.
 LARGEST_RATIO = 4.0
 LARGEST_OVER_PLANAR = 6.0  # a step of spatial legs over one of planar legs
+LARGEST_MEMORY = 1.2  # of a run, over one with planar legs
 COMPARED = (22, 31)  # nodes
 
 
@@ -61,6 +72,8 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
     rows += [level_row(robot, name, exact, repeats) for name in LEVELS]
     progress("energy and momentum in flight")
     rows += flight_rows(robot, quick)
+    progress("memory of a run")
+    rows += [memory_row(legs) for legs in ("planar", "spatial")]
     if not quick:
         progress("hard cases")
         rows += [{"kind": "hard case"} | row for row in hard_rows()]
@@ -183,6 +196,13 @@ def flight_rows(robot: Robot, quick: bool) -> Iterable[dict[str, Any]]:
         }
 
 
+def memory_row(legs: str) -> dict[str, Any]:
+    """Memory of a process that walks, MB."""
+    code = MEMORY.format(legs=legs)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
+    return {"kind": "memory", "legs": legs, "MB": float(done.stdout) / 1024}
+
+
 def mark_front(rows: list[dict[str, Any]]) -> None:
     """Mark the Pareto front: rows for which no other is both faster and more accurate."""
     finite = [row for row in rows if row["error_mm"] < math.inf]
@@ -205,6 +225,9 @@ def checks(rows: list[dict[str, Any]]) -> list[Check]:
         if row["kind"] == "level" and row["level"] == "standard":
             name = "stand and step: 22 nodes, 1 ms, 2 iterations"
             out.append(at_most(name, row["error_mm"], LARGEST_ERROR, "mm RMS"))
+    memory = {row["legs"]: row["MB"] for row in rows if row["kind"] == "memory"}
+    ratio = memory["spatial"] / memory["planar"]
+    out.append(at_most("memory of a run over that with planar legs", ratio, LARGEST_MEMORY))
     hard = [row["holds"] for row in rows if row["kind"] == "hard case"]
     if hard:
         out.append(at_most(f"violated of {len(hard)} hard cases", hard.count(False), 0))
