@@ -28,7 +28,7 @@ LOCOMOTION = [
         ("fast", "m/s", 0.08, "larger", 0.0, 0.0, 0.07),
         ("odd \ud800", [1], "high", 3, 10**400, True, {}),
     )
-]  # fmt: skip
+] + [{"row": "margin", "voltage": 9.6, "friction": 0.2, "speed": 0.0101, "load": None}]  # fmt: skip
 ERRORS = """\
 point,axis,samples,range,rmse,mae,nrmse,mean_error,error,accuracy
 base,z,9,0.1,0.00494,0.00372,0.056,0.00138,0.0157,0.9843
@@ -235,6 +235,11 @@ def test_the_locomotion_table_has_its_three_columns_and_marks_what_is_missed(pag
     assert "60 deg path, cross-track RMSE mm <= 10 1.97 no value 2.72 holds" in page.words
     assert "fast m/s >= 0.08 0 0 0.07 missed" in page.words
     assert "[1] <= no value no value no value no value missed" in page.words
+
+
+def test_the_margins_have_a_table_of_their_own(page):
+    assert "9.6 0.2 0.0101 no value no value no value no value" in page.words
+    assert "margin <=" not in page.words
 
 
 def test_figures_are_looked_up_under_names_that_the_benchmarks_use():

@@ -16,6 +16,10 @@ from benchmarks.report.results import Picture, Result, number
 
 HERE = Path(__file__).resolve().parent
 COLUMNS = ("gait alone", "paper", "default")  # of the locomotion table
+MARGINS = {
+    "voltage": "V", "friction": "", "speed": "m/s", "aside": "mm per m walked",
+    "heading": "deg", "tilt": "deg RMS", "load": "% of stall",
+}  # fmt: skip
 GOOD, BAD = ("better", "equal", "reproduced"), ("worse", "not reproduced")
 NOT_MEASURED, MISSING, NO_VALUE = "not measured", "result missing", "no value"
 
@@ -73,6 +77,8 @@ def render(contents: Contents, revision: str) -> str:
         checks=checks,
         locomotion=locomotion_rows(results.get("locomotion")),
         locomotion_columns=COLUMNS,
+        margins=margin_rows(results.get("locomotion")),
+        margin_columns=MARGINS,
     )
 
 
@@ -114,6 +120,8 @@ def locomotion_rows(result: Result | None) -> list[dict[str, Any]]:
     """Rows of the locomotion table, each with whether the default reaches the goal."""
     rows = []
     for row in result.rows if result else ():
+        if row.get("row") == "margin":
+            continue
         goal, larger = number(row.get("goal")), row.get("better") == "larger"
         values = [number(row.get(column)) for column in COLUMNS]
         reached = values[-1]
@@ -125,6 +133,12 @@ def locomotion_rows(result: Result | None) -> list[dict[str, Any]]:
              "goal": goal, "values": values, "holds": holds}
         )  # fmt: skip
     return rows
+
+
+def margin_rows(result: Result | None) -> list[list[float | None]]:
+    """Rows of the walk's margins over friction and supply voltage, in the order of MARGINS."""
+    rows = [row for row in result.rows if row.get("row") == "margin"] if result else []
+    return [[number(row.get(column)) for column in MARGINS] for row in rows]
 
 
 def figure(value: float | None) -> str:

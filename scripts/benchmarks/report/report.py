@@ -43,6 +43,7 @@ CAPTIONS = {
         "table.png": "every row in units of its goal, in three columns",
         "velocity.png": "commanded and achieved velocity in all directions",
         "top.png": "square and 60 deg path from above",
+        "margins.png": "the walk over friction and the servos' supply voltage",
         "gaits.png": "every gait in stills: postures, then strides over their phase",
     },
     "perturbations": {
