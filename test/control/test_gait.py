@@ -189,10 +189,16 @@ def test_the_simulated_robot_moves_with_the_opposite_velocity_in_the_mirror_imag
 
 
 def test_the_lateral_pattern_is_the_forward_one_reflected_at_a_diagonal():
-    """The robot is symmetric under the exchange of x and y, of the legs FR and RL."""
+    """The robot is symmetric under the exchange of x and y, of the legs FR and RL.
+
+    But for an offset common to all legs, with which each pattern holds the height.
+    """
     forward = course([0.5 * WALK.forward.speed, 0, 0])[:, :4]
     lateral = course([0, 0.5 * WALK.lateral.speed, 0])[:, :4]
-    assert lateral == pytest.approx(forward[:, [0, 2, 1, 3]], abs=1e-9)
+    offset = lateral - forward[:, [0, 2, 1, 3]]
+    inside = np.abs(offset) > 0  # where neither is at the end of its range
+    assert inside.mean() > 0.3
+    assert offset[inside] == pytest.approx(offset.max(), abs=1e-9)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -250,7 +256,7 @@ def test_sway_rotates_with_the_heading():
             [0.05, 0, 0.1],
             r"yaw rate = 0\.1: with the other velocities gait walk reaches 0\.05",
         ),
-        ("walk", [0.07, 0.07, 0], r"v_x = 0\.07: with the other velocities gait walk reaches 0\.0"),
+        ("walk", [0.06, 0.06, 0], r"v_x = 0\.06: with the other velocities gait walk reaches 0\.0"),
         ("walk", [0.05], r"velocity: 1 values, not v_x, v_y, yaw rate"),
     ],
 )

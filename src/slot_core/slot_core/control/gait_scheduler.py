@@ -236,8 +236,8 @@ class GaitScheduler:
                 continue
             feedback.add(time, state)
             if complete:
-                walking = gait.walking(self._velocity)
-                feedback.finish(Target(self._velocity, self._pose, walking))
+                posture = self._pose + np.append(0.0, gait.mean_tilt(self._velocity))
+                feedback.finish(Target(self._velocity, posture, gait.walking(self._velocity)))
 
     def _waits(self) -> bool:
         """Whether the phase of a stride waits."""

@@ -12,7 +12,7 @@ from slot_core.plane import rotate
 from slot_core.robot import Array
 from slot_core.tuning import symmetry
 from slot_core.tuning.settings import TuningSettings
-from slot_core.tuning.stride_run import HEIGHT, PITCH, ROLL, YAW, Job, Motion, RunAll
+from slot_core.tuning.stride_run import HEIGHT, HELD, PITCH, ROLL, YAW, Job, Motion, RunAll
 
 V_X, V_Y, YAW_RATE, ROLL_MEAN = 0, 1, 2, 4  # in the means of a motion
 STEERED = [V_Y, YAW_RATE, ROLL_MEAN]
@@ -102,7 +102,12 @@ def tabulate(stride: Stride, settings: TuningSettings, run_all: RunAll) -> dict[
     The means of their tendon angles take the common offset that holds the height there.
     """
     jobs = [
-        Job(stride, mu, tuple(np.eye(3)[n] * getattr(stride, name).speed))
+        Job(
+            stride,
+            mu,
+            tuple(np.eye(3)[n] * getattr(stride, name).speed),
+            hold_height=name in HELD,
+        )
         for n, name in enumerate(PATTERNS)
         for mu in settings.friction
     ]

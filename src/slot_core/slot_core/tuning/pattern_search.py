@@ -5,7 +5,7 @@ speed v along the pattern's direction (m/s or rad/s) on each floor, w at half th
 scale s of that speed, its cost is
 
     mean over the floors of
-        (stray speeds; tilt, dip and servo load beyond the goals; mean roll and pitch)
+        (stray speeds; tilt, dip and servo load beyond the goals; mean height missed, roll, pitch)
     - (mean v + least v) / s + 2 std(v) / s + |2 w - v| / s,
 
 so that a pattern is preferred that is fast on every floor and whose speed goes with its amplitude.
@@ -31,13 +31,13 @@ from slot_core.control.gait import Pattern, Stride
 from slot_core.robot import Array
 from slot_core.tuning import symmetry
 from slot_core.tuning.settings import TuningSettings
-from slot_core.tuning.stride_run import HEIGHT, Job, Outcome, RunAll
+from slot_core.tuning.stride_run import HEIGHT, HELD, Job, Outcome, RunAll
 
 FAILED = 1000.0  # cost of a candidate that diverges on a floor
 ZERO = (0.0, 0.0, 0.0, 0.0, 0.0)
 AXIS = {"forward": 0, "turn": 2}
-# Costs: per mm of dip, deg of RMS tilt, deg of largest tilt, deg of mean roll and pitch, mm of top,
-# and per share of the stall torque.
+# Costs: per mm of dip and of mean height missed, deg of RMS tilt, deg of largest tilt, deg of mean
+# roll and pitch, mm of top, and per share of the stall torque.
 PER_DIP, PER_TILT, PER_LARGEST_TILT, PER_MEAN_TILT, PER_TOP = 0.2, 1.5, 0.5, 1.0, 1.0
 PER_LOAD = 100.0
 
@@ -76,8 +76,10 @@ def jobs(stride: Stride, goal: Goal, x: Array, settings: TuningSettings) -> list
     """Runs of a candidate: at amplitude one on every floor, then at half on the middle one."""
     speed = getattr(stride, goal.kind).speed * np.eye(3)[AXIS[goal.kind]]
     changed, floors = trial(stride, goal.kind, x), settings.friction
-    whole = [Job(changed, friction, tuple(speed)) for friction in floors]
-    return [*whole, Job(changed, floors[len(floors) // 2], tuple(speed / 2))]
+    hold = goal.kind in HELD
+    whole = [Job(changed, friction, tuple(speed), hold_height=hold) for friction in floors]
+    half = Job(changed, floors[len(floors) // 2], tuple(speed / 2), hold_height=hold)
+    return [*whole, half]
 
 
 def cost(
@@ -97,7 +99,7 @@ def cost(
             + PER_TILT * max(0.0, np.sqrt(np.mean(tilt**2)) - settings.tilt_deg)
             + PER_LARGEST_TILT * max(0.0, tilt.max() - 2 * settings.tilt_deg)
             + PER_MEAN_TILT * np.abs(np.degrees(motion.means[4:])).sum()
-            + PER_DIP * max(0.0, 1e3 * dip)
+            + PER_DIP * (max(0.0, 1e3 * dip) + 1e3 * abs(motion.means[3] - stride.height))
             + PER_TOP * max(0.0, 1e3 * (motion.top - goal.top_max))
             + PER_LOAD * max(0.0, motion.load - settings.load)
         )

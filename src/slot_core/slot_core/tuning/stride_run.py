@@ -26,6 +26,7 @@ from slot_core.tuning.settings import TuningSettings
 
 OUTPUTS = ("v_x", "v_y", "yaw rate", "height", "roll", "pitch")
 OFFSET_MAX = math.radians(15.0)  # of the height's correction
+HELD = ("forward", "lateral")  # patterns run at the stride's height; a turn finds its own
 TIME, X, Y, HEIGHT, ROLL, PITCH, YAW = range(7)  # columns of a track; s, m, rad
 
 

@@ -5,8 +5,7 @@ the robot, each together with half a stride:
 
     forward   left and right exchanged: FR = FL, RR = RL half a stride later; 10 numbers
     lateral   the forward pattern reflected at the diagonal: FR and RL exchanged
-    turn      half a turn of the robot: RR = FL, RL = FR half a stride later; the means of the
-              diagonals are opposite, so that the height stays; 9 numbers
+    turn      half a turn of the robot: RR = FL, RL = FR half a stride later; 10 numbers
     steering  antisymmetric where forward is symmetric, so that it only turns the robot; 10 numbers
 """
 
@@ -24,7 +23,7 @@ from slot_core.control.gait import (
 from slot_core.robot import Array
 
 DIAGONAL = [0, 2, 1, 3]  # legs after the reflection at the diagonal through FL and RR
-NUMBERS = {"forward": 10, "turn": 9}
+NUMBERS = {"forward": 10, "turn": 10}
 # Symmetry of the motion of each pattern: legs exchanged, and the sway that changes its sign.
 EXCHANGED = {"forward": LEFT_RIGHT, "lateral": FRONT_REAR, "turn": [3, 2, 1, 0]}
 REVERSED = {
@@ -58,8 +57,8 @@ def lateral_steering(change: Array) -> Array:
 
 
 def turn(x: Array) -> Array:
-    """Coefficients (4, 5) of the numbers (9,): mean and harmonics of FL, then harmonics of FR."""
-    left, right = x[:5], np.array([-x[0], *x[5:]])
+    """Coefficients (4, 5) of the numbers (10,): those of FL, then those of FR."""
+    left, right = x[:5], x[5:]
     return np.stack([left, right, right * HALF_STRIDE_LATER, left * HALF_STRIDE_LATER])
 
 
@@ -68,8 +67,7 @@ def numbers(kind: str, pattern: Array) -> Array:
     later = pattern * HALF_STRIDE_LATER
     if kind == "forward":
         return np.concatenate([pattern[0] + later[1], pattern[2] + later[3]]) / 2
-    left, right = (pattern[0] + later[3]) / 2, (pattern[1] + later[2]) / 2
-    return np.array([(left[0] - right[0]) / 2, *left[1:], *right[1:]])
+    return np.concatenate([pattern[0] + later[3], pattern[1] + later[2]]) / 2
 
 
 def symmetrised(name: str, table: Array) -> Array:
