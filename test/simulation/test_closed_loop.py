@@ -46,8 +46,8 @@ def mean_velocity(position, seconds=4.0):
 def test_a_minute_of_walking_is_straight_at_the_commanded_speed_and_height(minute):
     position, rpy, _ = minute
     assert mean_velocity(position)[0] == pytest.approx(0.05, abs=1e-3)
-    # measured: 38 mm, 5.0 deg
-    assert np.abs(position[:, 1]).max() < 0.06
+    # measured: 11 mm, 5 deg
+    assert np.abs(position[:, 1]).max() < 0.03
     assert np.degrees(np.abs(rpy[:, 2])).max() < 8.0
     assert position[after(4.0), 2].mean() == pytest.approx(0.064, abs=1e-3)
 
@@ -55,9 +55,9 @@ def test_a_minute_of_walking_is_straight_at_the_commanded_speed_and_height(minut
 def test_the_torso_of_the_walk_stays_level(minute):
     _, rpy, _ = minute
     tilt = np.degrees(np.arccos(np.cos(rpy[:, 0]) * np.cos(rpy[:, 1])))
-    # measured: 3.8 deg RMS, 8.5 deg at most; the supervisor's limit is 28 deg
-    assert np.sqrt(np.mean(tilt**2)) < 4.5
-    assert tilt.max() < 10.0
+    # measured: 3.2 deg RMS, 5.5 deg at most; the supervisor's limit is 28 deg
+    assert np.sqrt(np.mean(tilt**2)) < 3.8
+    assert tilt.max() < 8.0
 
 
 def test_every_cycle_is_solved_and_commands_stay_within_their_range(minute):
@@ -105,21 +105,20 @@ def test_robot_holds_its_speed_on_other_floors(scene, error, aside):
     assert np.degrees(np.abs(rpy[:, :2])).max() < 12.0
 
 
-def test_robot_slides_back_on_an_incline_of_5_deg_but_stays_upright():
-    """Its stride does not climb: its feet slide all the time."""
+def test_robot_does_not_climb_an_incline_of_5_deg_but_stays_upright():
+    """Its feet slide all the time; measured: 8 mm/s of the commanded 50 uphill."""
     position, rpy, _ = walk(15.0, "slope5")
-    assert -0.04 < mean_velocity(position, 6.0)[0] < 0.0  # measured: -0.020
+    assert -0.01 < mean_velocity(position, 6.0)[0] < 0.03
     assert np.degrees(np.abs(rpy[:, :2])).max() < 12.0
 
 
-def test_without_feedback_the_same_gait_rises_and_pitches():
-    """The feedback makes the difference: 4 mm of height and 3 deg of mean pitch in 12 s."""
+def test_without_feedback_a_payload_lowers_the_robot():
+    """The feedback makes the difference: 8 mm of height at 12 s."""
     alone = {"gait.strides.walk.feedback.gain": 0.0}
-    runs = [walk(12.0, changes=c) for c in ({}, alone)]
-    raised = [abs(position[after(4.0), 2].mean() - 0.064) for position, _, _ in runs]
-    pitched = [abs(rpy[after(4.0), 1].mean()) for _, rpy, _ in runs]
-    assert raised[0] < 0.3 * raised[1]
-    assert pitched[0] < 0.3 * pitched[1]
+    runs = [walk(12.0, "payload", changes=c) for c in ({}, alone)]
+    lowered = [abs(position[after(4.0), 2].mean() - 0.064) for position, _, _ in runs]
+    assert lowered[1] > 5e-3
+    assert lowered[0] < 0.3 * lowered[1]
 
 
 def test_standing_robot_does_not_drift():
