@@ -124,7 +124,8 @@ def test_an_invalid_parameter_set_is_refused(settings, values, message):
 
 def test_an_unknown_parameter_set_names_the_known_ones():
     with pytest.raises(
-        config.ConfigError, match=r"'parameters/x' \(known: calibrated, paper, relaxing, synthetic\)"
+        config.ConfigError,
+        match=r"'parameters/x' \(known: calibrated, paper, relaxing, synthetic\)",
     ):
         read_robot("x")
 

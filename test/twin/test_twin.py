@@ -29,15 +29,15 @@ from slot_core.twin.twin_fit import changed, changes, fit_twin, parameter, place
 SETTINGS = config.replace(read_twin(), {"held_out": 0.5})
 PARTS = read_parts("flat")
 WALK = str(Path(__file__).parents[1] / "bags" / "walk")
-SECONDS, SPEED = 10.0, 0.03  # s, m/s
+SECONDS, SPEED = 10.0, 0.021  # s, m/s
 
 
 def walking_angles():
-    """Tendon angles of a slow stride of `walk` after a second at rest, at 100 Hz.
+    """Tendon angles of a slow stride of `fast_walk` after a second at rest, at 100 Hz.
 
     The spools reach them, and the motion settles on one course from every start.
     """
-    stride = read_gaits().find("walk")
+    stride = read_gaits().find("fast_walk")
     t = np.arange(0.0, SECONDS, 0.01)
     velocity = np.array([SPEED, 0.0, 0.0])
     phase = np.clip(t - 1.0, 0.0, None) / stride.period % 1.0
@@ -187,7 +187,7 @@ def test_a_start_that_is_not_recorded_is_forgotten_within_the_run_in(walked, mon
 def test_strides_begin_with_the_motion_and_have_the_period_of_the_angles(walked):
     recorded, _ = walked
     strides = find_strides(recorded, SETTINGS)
-    period = read_gaits().find("walk").period
+    period = read_gaits().find("fast_walk").period
     assert strides.period == pytest.approx(period, abs=0.01)
     assert strides.edges[0] == pytest.approx(1.0 + SETTINGS.run_in * strides.period, abs=0.1)
 
@@ -351,7 +351,7 @@ def test_an_interrupted_fit_takes_up_only_trials_of_the_same_strides(walked, tmp
     ("arguments", "reason"),
     [
         ([str(Path(__file__).parent)], "holds no metadata.yaml, .mcap or .db3 file: not a bag"),
-        ([WALK], "strides of 0.7 s after a run-in of 2, less than 5"),
+        ([WALK], "strides of 0.62 s after a run-in of 2, less than 5"),
         ([WALK, "--fit", "colour"], "--fit colour: expected one of friction"),
         ([WALK, "--fit", "friction,friction"], "a parameter is named twice"),
         ([WALK, "--set", "calibrated"], "it stays as it is"),

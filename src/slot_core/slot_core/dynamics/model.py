@@ -70,7 +70,9 @@ class MechanicalState(NamedTuple):
     drive: Array  # (4, 3) state of the servos, see `servo.spool_rate`
     bristle: Array  # (4, P, 3) m, odom, and (8, 3) of the torso's corners; empty without bristles
     corner_bristle: Array
-    memory: Array  # (4, N-1, 4, 2) of a material that relaxes, see spatial/relaxation.py; else empty
+    memory: (
+        Array  # (4, N-1, 4, 2) of a material that relaxes, see spatial/relaxation.py; else empty
+    )
 
 
 class Work(NamedTuple):

@@ -6,6 +6,7 @@ torso.
 """
 
 # mypy: disable-error-code="no-untyped-def"
+# ruff: noqa: PLR0917 - kernels take their arguments by position
 
 from __future__ import annotations
 

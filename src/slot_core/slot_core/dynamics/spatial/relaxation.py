@@ -7,7 +7,8 @@ A branch has the share g of the modulus and the relaxation time T. With a strain
 
 The theta scheme's stage value of a is (a_n + r e) / (1 + r), r = theta h / T, so that in a step
 
-    stress / modulus = (1 + A) e + beta de/dt + lag,   A = sum g / (1 + r),   lag = -sum a_n g / (1 + r).
+    stress / modulus = (1 + A) e + beta de/dt + lag,
+    A = sum g / (1 + r),      lag = -sum a_n g / (1 + r).
 
 For slow loads the modulus is Young's, for fast ones (1 + sum g) times as large.
 """
