@@ -52,7 +52,11 @@ COLUMNS: Mapping[str, Controller] = {
 
 @dataclass(frozen=True)
 class Case:
-    """A run of the closed loop; the robot stands at first."""
+    """A run of the closed loop; the robot stands at first.
+
+    A velocity that the gait refuses is commanded as the largest that it takes, and missed by so
+    much.
+    """
 
     duration: float  # s
     scene: str = "flat"
@@ -126,7 +130,7 @@ def run_case(case: Case, column: str, seed: int) -> Motion:
     loop = ClosedLoop(
         case.scene,
         case.gait,
-        np.array(case.velocity),
+        reachable(case.gait, case.velocity),
         seed,
         controller.profile,
         changes=dict(case.changes) | dict(controller.changes),
@@ -142,11 +146,19 @@ def run_case(case: Case, column: str, seed: int) -> Motion:
             time = (loop.plant.now - LOCKSTEP_START) * 1e-9
             rows.append([time, *sim.position, *sim.rpy, sim.servo_torque.mean()])
             if schedule and time >= schedule[0][0]:
-                scheduler.request(case.gait, np.array(schedule.pop(0)[1]))
+                scheduler.request(case.gait, reachable(case.gait, schedule.pop(0)[1]))
     except Divergence:
         fallen = True
     period = STRIDES[case.gait].period if case.gait in STRIDES else PERIOD
     return motion_of(np.array(rows), fallen, period)
+
+
+def reachable(gait: str, velocity: Vector3) -> Array:
+    """The velocity, or the largest one that a stride takes in its place."""
+    if gait not in STRIDES:
+        return np.array(velocity)
+    stride = STRIDES[gait]
+    return stride.reached(np.clip(velocity, np.negative(stride.speeds), stride.speeds))
 
 
 def motion_of(rows: Array, fallen: bool, period: float) -> Motion:
