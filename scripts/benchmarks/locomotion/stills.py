@@ -32,7 +32,7 @@ STRIDES = {
     "walk to the left, 0.05 m/s": Case(SETTLED, velocity=(0.0, 0.05, 0.0)),
     "walk, turn in place, 0.15 rad/s": Case(SETTLED, velocity=(0.0, 0.0, 0.15)),
     "fast_walk, 0.08 m/s": Case(SETTLED, gait="fast_walk", velocity=(0.08, 0.0, 0.0)),
-    "crawl, 0.03 m/s": Case(SETTLED, gait="crawl", velocity=(0.03, 0.0, 0.0)),
+    "crawl, 0.02 m/s": Case(SETTLED, gait="crawl", velocity=(0.02, 0.0, 0.0)),
     "paper_walk": Case(SETTLED, gait="paper_walk", velocity=(0.08, 0.0, 0.0)),
     "paper_crawl": Case(SETTLED, gait="paper_crawl", velocity=(0.02, 0.0, 0.0)),
 }
