@@ -193,10 +193,10 @@ class Stride:
         torso[:, [6, 7, 11]] = slopes[:, 8:11]
         return np.hstack([angle, np.maximum(values[:, 4:8], 0.0), torso])
 
-    def mean_tilt(self, velocity: Array) -> Array:
-        """Mean roll and pitch (2,), rad, of the motion at a velocity (3,)."""
-        tilt: Array = self._moving(velocity, self.walking(velocity))[8:10, 0]
-        return tilt
+    def mean_posture(self, velocity: Array) -> Array:
+        """Mean height (m), roll and pitch (rad) of the motion at a velocity (3,), less the rest."""
+        posture: Array = self._moving(velocity, self.walking(velocity))[[10, 8, 9], 0]
+        return posture
 
     def _moving(self, velocity: Array, walking: float) -> Array:
         """Coefficients (13, 5) of the patterns and their steering at a velocity (3,)."""

@@ -236,7 +236,7 @@ class GaitScheduler:
                 continue
             feedback.add(time, state)
             if complete:
-                posture = self._pose + np.append(0.0, gait.mean_tilt(self._velocity))
+                posture = self._pose + gait.mean_posture(self._velocity)
                 feedback.finish(Target(self._velocity, posture, gait.walking(self._velocity)))
 
     def _waits(self) -> bool:
