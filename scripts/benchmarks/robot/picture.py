@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from slot_core.report import palette
 
+BESIDE = {"coarse": (9, -22), "fine": (-95, -4)}  # points, of a name from its level
 RANGE = {"xlim": (0.3, 300), "ylim": (0.01, 30)}
 
 
@@ -47,4 +48,5 @@ def draw_levels(ax: Axes, levels: Sequence[Mapping[str, Any]]) -> None:
             text = f"{row['level']}\n{1e3 * row['step']:g} ms"
             if row["level"] != "map":
                 text += f", {row['nodes']} nodes"
-            ax.annotate(text, place, (9, 2), textcoords="offset points", fontsize=9)
+            beside = BESIDE.get(row["level"], (9, 4))
+            ax.annotate(text, place, beside, textcoords="offset points", fontsize=9)
