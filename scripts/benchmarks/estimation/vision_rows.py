@@ -22,7 +22,7 @@ from slot_core.dynamics.scene import read_scene
 from slot_core.robot import Array, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.vision.camera import nominal
-from slot_core.vision.film import DEPTH_NOISE, Stage
+from slot_core.vision.film import DEPTH_NOISE, Pose, Stage, pose
 from slot_core.vision.frames import Transform
 from slot_core.vision.settings import VisionSettings, read_vision
 from slot_core.vision.synthetic_camera import Imperfections, SyntheticCamera
@@ -30,14 +30,13 @@ from slot_core.vision.tracker import Sample, Tracker
 
 PERIOD = read_scene("marker_camera").sensors.camera.period  # s, of the pictures
 WARM_UP = 2.0  # s
-Moment = tuple[Transform, Array]  # base_link and the nodes of the legs in odom
 
 
 def rows(quick: bool, progress: Callable[[str], None]) -> list[Row]:
     """Rows of the kinds `tracker` and `pictures`."""
     cv2.setNumThreads(1)
     progress("film of a walk")
-    result = tracker_rows(read_vision(), moments(40 if quick else 150))
+    result = tracker_rows(read_vision(), poses(40 if quick else 150))
     duration = 4.0 if quick else 10.0
     for scene in ("flat", "marker_camera"):
         progress(f"walk of {duration:g} s in the scene {scene}")
@@ -45,16 +44,17 @@ def rows(quick: bool, progress: Callable[[str], None]) -> list[Row]:
     return result
 
 
-def moments(count: int) -> list[Moment]:
+def poses(count: int) -> list[Pose]:
     """The walking robot at `count` pictures."""
-    loop, found = ClosedLoop("flat", "walk", None, 0), list[Moment]()
+    loop, found, robot = ClosedLoop("flat", "walk", None, 0), list[Pose](), read_robot()
     sim = loop.plant.simulator
     for _ in loop.run(count):
-        found.append((Transform(sim.rotation.copy(), sim.position.copy()), sim.nodes.copy()))
+        base = Transform(sim.rotation.copy(), sim.position.copy())
+        found.append(pose(robot, base, sim.nodes.copy(), sim.directors.copy()))
     return found
 
 
-def tracker_rows(settings: VisionSettings, walk: list[Moment]) -> list[Row]:
+def tracker_rows(settings: VisionSettings, walk: list[Pose]) -> list[Row]:
     """Errors and CPU time of the tracker without and with the depth channel."""
     stage, camera = Stage(settings, read_robot()), nominal(settings.camera)
     synthetic = SyntheticCamera(camera, Imperfections(), np.random.default_rng(0))
@@ -63,9 +63,9 @@ def tracker_rows(settings: VisionSettings, walk: list[Moment]) -> list[Row]:
     plain = cv2.aruco.ArucoDetector(dictionary)
     truth, times, plain_times = list[dict[str, Transform]](), list[float](), list[float]()
     for number, (now, soon) in enumerate(pairwise(walk)):
-        surfaces = stage.surfaces(*now, (*soon, PERIOD))
+        surfaces = stage.surfaces(now, (soon, PERIOD))
         picture, depth = synthetic.picture(surfaces), synthetic.depth(surfaces, DEPTH_NOISE)
-        truth.append(stage.plates(*now))
+        truth.append(stage.plates(now))
         plain_times.append(cpu_time(lambda p=picture: plain.detectMarkers(p)))
         times.append(cpu_time(lambda p=picture, n=number: trackers[False].add(float(n), p)))
         trackers[True].add(float(number), picture, depth)
