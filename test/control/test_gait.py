@@ -201,6 +201,15 @@ def test_the_lateral_pattern_is_the_forward_one_reflected_at_a_diagonal():
     assert offset[inside] == pytest.approx(offset.max(), abs=1e-9)
 
 
+def test_the_mean_posture_is_the_mean_of_the_course_over_a_stride():
+    velocity = np.array([-0.04, 0.03, 0.02])
+    phase, walking = np.arange(200) / 200, WALK.walking(velocity)
+    torso = WALK.course(phase, velocity, walking, np.zeros(4))[:, 8:]
+    mean = torso[:, [5, 0, 1]].mean(axis=0) - [WALK.height, 0.0, 0.0]
+    assert WALK.mean_posture(velocity) == pytest.approx(mean, abs=1e-12)
+    assert WALK.mean_posture(np.zeros(3)) == pytest.approx(np.zeros(3))
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_steering_alters_the_angles_in_proportion_to_the_yaw_rate(sign):
     plain = course([0.05, 0, 0], stride=filled())

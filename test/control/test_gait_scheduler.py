@@ -1,6 +1,7 @@
 """Gait scheduler: rates, blends, expiry of commands, refused requests, the preview."""
 
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -357,6 +358,15 @@ def test_a_path_is_followed_at_the_speed_of_the_command_from_a_posture_on():
     assert robot.state[3] - before == pytest.approx(AHEAD[0] * strides, rel=0.05)
     robot.scheduler.request("walk", NOTHING)
     assert robot.run(3.0)[-1].posture  # without velocity it stands, wherever the path leads
+
+
+def test_a_robot_that_moves_as_its_reference_is_hardly_corrected():
+    """The reference leans forward by some 2 deg, which would take an offset of 6 deg to level."""
+    robot = Ideal("walk", AHEAD)
+    robot.run(10 * GAITS.strides["walk"].period)
+    assert math.degrees(GAITS.strides["walk"].mean_posture(AHEAD)[2]) > 1.0
+    offset = np.degrees(robot.scheduler._current.feedback.offset)
+    assert np.abs(offset).max() < 1.0
 
 
 def test_while_the_servos_do_not_follow_the_phase_waits_and_nothing_is_corrected():

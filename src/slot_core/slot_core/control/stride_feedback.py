@@ -32,10 +32,10 @@ WHOLE = 0.9  # share of the period from which a row of ticks is a stride
 
 @dataclass(frozen=True)
 class Target:
-    """Commanded velocity in base_link, and commanded posture of the torso."""
+    """Commanded velocity in base_link, and the posture of the torso that a stride is to have."""
 
     velocity: Array  # (3,) v_x, v_y m/s, yaw rate rad/s
-    posture: Array  # (3,) height m, roll, pitch rad
+    posture: Array  # (3,) height m, roll, pitch rad, the stride's own means included
     walking: float  # share of the bounds on changes of v_x and v_y; 0: it turns in place
 
 
@@ -107,7 +107,8 @@ class StrideFeedback:
     def finish(self, target: Target) -> None:
         """End a stride: correct the knobs by its means, if it has three ticks and is whole.
 
-        The sway of the torso has no mean over a whole stride, but over a part of one it has.
+        The target's posture holds the mean of the motion over a whole stride; a part of one has
+        another.
         """
         rows, gaps = np.array(self._rows), np.array(self._gap)
         self._rows, self._gap = self._rows[-1:], self._gap[-1:]  # the next one starts there
