@@ -137,10 +137,10 @@ def sweep(
     robot: Robot, exact: Array, repeats: int, quick: bool, progress: Callable[[str], None]
 ) -> Iterable[dict[str, Any]]:
     """Stand and step over schemes, numbers of nodes and time steps."""
-    steps = STEPS[:-1] if quick else STEPS
+    steps, numbers = (STEPS[1:-1], COMPARED) if quick else (STEPS, NODES)
     for theta, iterations in SCHEMES:
         progress(f"stand and step: theta {theta}, {iterations} iterations")
-        for nodes, step in itertools.product(NODES, steps):
+        for nodes, step in itertools.product(numbers, steps):
             solver = {"nodes": nodes, "step": step, "theta": theta, "iterations": iterations}
             yield (
                 {"kind": "stand and step"}
