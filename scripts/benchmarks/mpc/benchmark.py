@@ -33,10 +33,9 @@ SOLVERS = {
     "piqp multistage": (1e-3, 1e-4, 1e-6, 1e-8, 1e-10),
     "piqp ldlt": (1e-6, 1e-10),
     "clarabel": (1e-4, 1e-6, 1e-8, 1e-10),
-    "osqp": (1e-2, 1e-3, 1e-4, 1e-6, 1e-8),
 }
-HORIZON_TOLERANCE = {"osqp": 1e-6}  # in `horizon_rows`; the other solvers: 1e-10
-ITERATIONS = {"osqp": 10000}  # limit; the other solvers: 50
+HORIZON_TOLERANCE = 1e-10  # in `horizon_rows`
+ITERATIONS = 50  # limit
 HORIZONS = (5, 10, 15, 30, 45, 60)
 STATES, RANDOM = 220, 60  # cases of the walk, random cases
 SEED = 1
@@ -120,7 +119,7 @@ def controller(settings: MpcSettings, solver: str, tolerance: float) -> Mpc:
         "solver.backend": backend or settings.solver.backend,
         "solver.tolerance_abs": tolerance,
         "solver.tolerance_rel": tolerance,
-        "solver.iterations": ITERATIONS.get(name, 50),
+        "solver.iterations": ITERATIONS,
     }
     return Mpc(read_robot(), config.replace(settings, changes), time.process_time)
 
@@ -203,7 +202,7 @@ def horizon_rows(settings: MpcSettings, walk: Sequence[Case]) -> Iterable[dict[s
         for stages in HORIZONS:
             changes = {"horizon": stages, "acceptance.condition_max": 1e12}
             longer = config.replace(settings, changes)
-            mpc = controller(longer, solver, HORIZON_TOLERANCE.get(solver, 1e-10))
+            mpc = controller(longer, solver, HORIZON_TOLERANCE)
             results = [mpc.step(x, stretched(ahead, stages + 1)) for x, ahead in walk]
             yield {
                 "kind": "horizon",

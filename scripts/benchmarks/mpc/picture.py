@@ -16,7 +16,6 @@ COLOURS = {
     "piqp multistage": palette.SECONDARY,
     "piqp ldlt": "#E69F00",
     "clarabel": "#009E73",
-    "osqp": "#CC79A7",
 }
 ROUNDOFF = 1e-13  # N, drawn for smaller errors
 

@@ -18,7 +18,6 @@ SOLVERS = {
     "riccati": ("slot_core.control.mpc.riccati_solver", "RiccatiSolver"),
     "piqp": ("slot_core.control.mpc.piqp_solver", "PiqpSolver"),
     "clarabel": ("slot_core.control.mpc.clarabel_solver", "ClarabelSolver"),
-    "osqp": ("slot_core.control.mpc.osqp_solver", "OsqpSolver"),
 }
 
 
