@@ -28,7 +28,10 @@ LOCOMOTION = [
         ("fast", "m/s", 0.08, "larger", 0.0, 0.0, 0.07),
         ("odd \ud800", [1], "high", 3, 10**400, True, {}),
     )
-] + [{"row": "margin", "voltage": 9.6, "friction": 0.2, "speed": 0.0101, "load": None}]  # fmt: skip
+]  # fmt: skip
+LOCOMOTION.append(
+    {"kind": "margin", "voltage": 9.6, "friction": 0.2, "speed": 0.0101, "load": None}
+)
 ERRORS = """\
 point,axis,samples,range,rmse,mae,nrmse,mean_error,error,accuracy
 base,z,9,0.1,0.00494,0.00372,0.056,0.00138,0.0157,0.9843

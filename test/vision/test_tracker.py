@@ -6,12 +6,12 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
-from views import CAMERA, VISION, natural_pose, stage, synthetic
+from views import CAMERA, VISION, natural_robot, stage, synthetic
 
 from slot_core.robot import read_robot
 from slot_core.vision import track
 from slot_core.vision.camera import Camera, camera_text
-from slot_core.vision.film import pose
+from slot_core.vision.film import filmed
 from slot_core.vision.frames import Transform
 from slot_core.vision.tracker import Tracker
 
@@ -29,7 +29,7 @@ def shots():
     """Picture, depth picture and true plates of COUNT poses."""
     result = []
     for base in bases():
-        at = natural_pose(base)
+        at = natural_robot(base)
         surfaces = stage().surfaces(at)
         pictures = synthetic().picture(surfaces), synthetic().depth(surfaces, 0.002)
         result.append((*pictures, stage().plates(at)))
@@ -176,13 +176,13 @@ def test_films_that_do_not_fit_are_refused(folder, capsys):
 
 
 def test_plates_turn_with_a_leg_that_twists():
-    straight = natural_pose(bases()[0])
+    straight = natural_robot(bases()[0])
     angle = np.linspace(0.0, 0.3, straight.nodes.shape[1] - 1)
     along = np.diff(straight.nodes, axis=1)
     along /= np.linalg.norm(along, axis=2, keepdims=True)
     side = straight.sides[:, 1:]
     directors = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * np.cross(along, side)
-    twisted = stage().plates(pose(read_robot(), straight.base, straight.nodes, directors))
+    twisted = stage().plates(filmed(read_robot(), straight.base, straight.nodes, directors))
     for name, plate in stage().plates(straight).items():
         turned = np.arccos(min(1.0, plate.rotation[:, 2] @ twisted[name].rotation[:, 2]))
         share = {"torso": 0.0, "base": 0.0, "third": 1 / 3, "thirds": 2 / 3, "tip": 1.0}

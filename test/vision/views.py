@@ -7,7 +7,7 @@ import numpy as np
 from slot_core.robot import read_robot
 from slot_core.vision.board import make_board, print_of
 from slot_core.vision.camera import nominal
-from slot_core.vision.film import Stage, pose
+from slot_core.vision.film import Stage, filmed
 from slot_core.vision.frames import Transform, optical
 from slot_core.vision.settings import read_vision
 from slot_core.vision.synthetic_camera import Imperfections, Surface, SyntheticCamera
@@ -50,14 +50,14 @@ def picture_from_world(base):
     return synthetic().picture([Surface(sheet, corners)])
 
 
-def natural_pose(base):
-    """Pose of the robot with stress-free legs and its torso at `base`."""
+def natural_robot(base):
+    """The robot with stress-free legs and its torso at `base`."""
     robot = read_robot()
     x = np.linspace(0.0, robot.leg.reach, 21)
     drop = robot.leg.shape(x) - robot.leg.shape(0.0)
     legs = robot.clamps[:, None] + x[:, None] * robot.outward[:, None]
     legs[..., 2] += drop
-    return pose(robot, base, base.apply(legs), np.zeros((4, 0, 3)))
+    return filmed(robot, base, base.apply(legs), np.zeros((4, 0, 3)))
 
 
 @functools.cache

@@ -22,7 +22,7 @@ from slot_core.dynamics.scene import read_scene
 from slot_core.robot import Array, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.vision.camera import nominal
-from slot_core.vision.film import DEPTH_NOISE, Pose, Stage, pose
+from slot_core.vision.film import DEPTH_NOISE, FilmedRobot, Stage, filmed
 from slot_core.vision.frames import Transform
 from slot_core.vision.settings import VisionSettings, read_vision
 from slot_core.vision.synthetic_camera import Imperfections, SyntheticCamera
@@ -36,7 +36,7 @@ def rows(quick: bool, progress: Callable[[str], None]) -> list[Row]:
     """Rows of the kinds `tracker` and `pictures`."""
     cv2.setNumThreads(1)
     progress("film of a walk")
-    result = tracker_rows(read_vision(), poses(40 if quick else 150))
+    result = tracker_rows(read_vision(), shots(40 if quick else 150))
     duration = 4.0 if quick else 10.0
     for scene in ("flat", "marker_camera"):
         progress(f"walk of {duration:g} s in the scene {scene}")
@@ -44,17 +44,17 @@ def rows(quick: bool, progress: Callable[[str], None]) -> list[Row]:
     return result
 
 
-def poses(count: int) -> list[Pose]:
+def shots(count: int) -> list[FilmedRobot]:
     """The walking robot at `count` pictures."""
-    loop, found, robot = ClosedLoop("flat", "walk", None, 0), list[Pose](), read_robot()
+    loop, found, robot = ClosedLoop("flat", "walk", None, 0), list[FilmedRobot](), read_robot()
     sim = loop.plant.simulator
     for _ in loop.run(count):
         base = Transform(sim.rotation.copy(), sim.position.copy())
-        found.append(pose(robot, base, sim.nodes.copy(), sim.directors.copy()))
+        found.append(filmed(robot, base, sim.nodes.copy(), sim.directors.copy()))
     return found
 
 
-def tracker_rows(settings: VisionSettings, walk: list[Pose]) -> list[Row]:
+def tracker_rows(settings: VisionSettings, walk: list[FilmedRobot]) -> list[Row]:
     """Errors and CPU time of the tracker without and with the depth channel."""
     stage, camera = Stage(settings, read_robot()), nominal(settings.camera)
     synthetic = SyntheticCamera(camera, Imperfections(), np.random.default_rng(0))

@@ -36,29 +36,30 @@ def run(
 
     seeds = SEEDS[:1] if quick else SEEDS
     wanted = rows(quick)
-    motions = run_all(wanted, seeds, quick, progress)
+    walks = margins.jobs(quick)
+    motions = run_all([*jobs_of(wanted, seeds, quick), *walks], progress)
     table = measured(wanted, motions, seeds, quick)
     draw_table(table, out / "table.png")
     draw_directions(directions(quick), motions, seeds, out / "velocity.png")
     draw_top(square(), slanted(), motions, seeds, out / "top.png")
     stills.draw(out / "gaits.png")
-    progress("margins of the walk")
-    found = margins.rows(quick)
+    found = [margins.row(case, motions[case, column, seed]) for case, column, seed in walks]
     margins.draw(found, out / "margins.png")
     for line in table_lines(table):
         progress(line)
     return [*table, *found], [*checks(wanted, table), *margins.checks(found)]
 
 
-def run_all(
-    wanted: Sequence[Row], seeds: Sequence[int], quick: bool, progress: Callable[[str], None]
-) -> dict[Job, Motion]:
-    """Run the cases of every row once, in all columns and with all seeds, on all cores."""
+def jobs_of(wanted: Sequence[Row], seeds: Sequence[int], quick: bool) -> list[Job]:
+    """The cases of every row once, in all columns and with all seeds."""
     pairs = ((row, column) for row in wanted for column in COLUMNS)
     runs = dict.fromkeys((case, c) for row, c in pairs for case in cases_of(row, c, quick))
-    jobs = [(case, column, seed) for (case, column), seed in itertools.product(runs, seeds)]
-    jobs.sort(key=lambda job: -job[0].duration)
-    found = {}
+    return [(case, column, seed) for (case, column), seed in itertools.product(runs, seeds)]
+
+
+def run_all(wanted: Sequence[Job], progress: Callable[[str], None]) -> dict[Job, Motion]:
+    """Run the jobs on all cores, the longest first."""
+    jobs, found = sorted(wanted, key=lambda job: -job[0].duration), {}
     run_job(jobs[-1])  # the kernels are compiled once, before the workers start
     with multiprocessing.get_context("spawn").Pool(len(os.sched_getaffinity(0))) as pool:
         for job, motion in pool.imap_unordered(run_job, jobs):

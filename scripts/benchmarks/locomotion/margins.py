@@ -13,13 +13,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from benchmarks.harness import Check, at_most
-from benchmarks.locomotion.cases import DEFAULT, Case, friction, run_case
+from benchmarks.locomotion.cases import DEFAULT, Case, Changes, Job, Motion, friction
 from benchmarks.locomotion.rows import DEG, MM, SPEED, WARM_UP
 from slot_core.dynamics.servo import read_servo
 from slot_core.report import palette
 
 FRICTION = (0.2, 0.4, 0.6)
 VOLTAGE = (11.1, 9.6)  # V, of a battery's nominal and almost empty cells
+SEED = 1
 LARGEST_LOAD = 50.0  # % of the stall torque, at the nominal voltage
 SHOWN = (
     ("speed", "m/s"),
@@ -30,25 +31,32 @@ SHOWN = (
 )
 
 
-def rows(quick: bool) -> list[dict[str, Any]]:
+def jobs(quick: bool) -> list[Job]:
     """A walk at the usual speed on every floor at every voltage."""
     duration = WARM_UP + (7.0 if quick else 28.0)
-    return [row(duration, mu, volt) for volt, mu in itertools.product(VOLTAGE, FRICTION)]
+    return [
+        (Case(duration, velocity=(SPEED, 0.0, 0.0), changes=changes(mu, volt)), DEFAULT, SEED)
+        for volt, mu in itertools.product(VOLTAGE, FRICTION)
+    ]
 
 
-def row(duration: float, mu: float, volt: float) -> dict[str, Any]:
+def changes(mu: float, volt: float) -> Changes:
+    """A floor's friction and the servos' supply voltage."""
+    return (*friction(mu), ("scene.supply_voltage", volt))
+
+
+def row(case: Case, whole: Motion) -> dict[str, Any]:
     """Speed, straightness, tilt and load of the servos after the start of a walk.
 
     aside: largest stride mean of |y| over the distance; load: mean torque over the stall torque at
     the voltage.
     """
-    changes = (*friction(mu), ("scene.supply_voltage", volt))
-    case = Case(duration, velocity=(SPEED, 0.0, 0.0), changes=changes)
-    motion = run_case(case, DEFAULT, 1).after(WARM_UP)
+    set_to, motion = dict(case.changes), whole.after(WARM_UP)
+    mu, volt = set_to["scene.floor.friction"][0], set_to["scene.supply_voltage"]
     y = motion.moving_mean(motion.position[:, 1] - motion.position[0, 1])
     stall = float(read_servo().tendon_stall(volt))
     return {
-        "row": "margin",
+        "kind": "margin",
         "friction": mu,
         "voltage": volt,
         "fallen": motion.fallen,

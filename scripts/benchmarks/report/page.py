@@ -120,7 +120,7 @@ def locomotion_rows(result: Result | None) -> list[dict[str, Any]]:
     """Rows of the locomotion table, each with whether the default reaches the goal."""
     rows = []
     for row in result.rows if result else ():
-        if row.get("row") == "margin":
+        if row.get("kind") == "margin":
             continue
         goal, larger = number(row.get("goal")), row.get("better") == "larger"
         values = [number(row.get(column)) for column in COLUMNS]
@@ -137,7 +137,7 @@ def locomotion_rows(result: Result | None) -> list[dict[str, Any]]:
 
 def margin_rows(result: Result | None) -> list[list[float | None]]:
     """Rows of the walk's margins over friction and supply voltage, in the order of MARGINS."""
-    rows = [row for row in result.rows if row.get("row") == "margin"] if result else []
+    rows = [row for row in result.rows if row.get("kind") == "margin"] if result else []
     return [[number(row.get(column)) for column in MARGINS] for row in rows]
 
 

@@ -37,10 +37,10 @@ COMMANDS = ((0.5, (63.0, 63.0, 63.0, 63.0)), (1.0, (90.0, 30.0, 50.0, 75.0)))  #
 DURATION = sum(seconds for seconds, _ in COMMANDS)
 SAMPLE = 0.01  # s
 MEMORY = """
-import numpy, resource
+import resource
 from slot_core.simulation.closed_loop import ClosedLoop
-velocity, changes = numpy.array([0.05, 0.0, 0.0]), {{"scene.solver.legs": "{legs}"}}
-for _ in ClosedLoop("flat", "walk", velocity, 1, changes=changes).run(300):
+changes = {{"scene.solver.legs": "{legs}"}}
+for _ in ClosedLoop("flat", "walk", None, 1, changes=changes).run(300):
     pass
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """

@@ -51,9 +51,7 @@ FINER = {"crawl": dataclasses.replace(DEFAULT, step=1e-4)}
 VARIED = ("crawl", 0.2)
 SHARE, SPEED = 0.1, 3.0  # goal of a replay: a share of our speed, or mm/s
 STIFFNESS_PERCENT, STAND_MM = 5.0, 1.0
-REASON = (
-    "the laws of friction differ, and the stride changes with them: see the rows of kind variation"
-)
+REASON = "what this speed depends on, in either engine: see the rows of kind variation"
 
 # One setting changed at a time: name, of which engine, its changes, what it shows.
 VARIATIONS: tuple[tuple[str, str, dict[str, Any]], ...] = (

@@ -185,6 +185,11 @@ class Robot:
         return np.column_stack([np.cos(self.azimuth), np.sin(self.azimuth), np.zeros(4)])
 
     @cached_property
+    def rightward(self) -> Array:
+        """(4, 3) unit vectors in base_link across the legs' width, to the right looking outward."""
+        return np.cross(self.outward, [0.0, 0.0, 1.0])
+
+    @cached_property
     def feet(self) -> Array:
         """(4, 3) tips of the natural legs in base_link, m."""
         drop = self.leg.shape(self.leg.reach) - self.leg.shape(0.0)

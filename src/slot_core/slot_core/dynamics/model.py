@@ -70,9 +70,7 @@ class MechanicalState(NamedTuple):
     drive: Array  # (4, 3) state of the servos, see `servo.spool_rate`
     bristle: Array  # (4, P, 3) m, odom, and (8, 3) of the torso's corners; empty without bristles
     corner_bristle: Array
-    memory: (
-        Array  # (4, N-1, 4, 2) of a material that relaxes, see spatial/relaxation.py; else empty
-    )
+    memory: Array  # (4, N-1, 4, 2) strains of `spatial/relaxation.py`; empty without branches
 
 
 class Work(NamedTuple):
@@ -91,7 +89,10 @@ class Work(NamedTuple):
 
 
 def state_space(nodes: int, points: int = 0, relaxes: bool = False) -> MechanicalState:
-    """A state with N nodes and, with bristles, `points` per leg, all zero; legs last in memory."""
+    """A state with N nodes and, with bristles, `points` per leg, all zero; legs last in memory.
+
+    relaxes: whether the legs have Maxwell branches.
+    """
     n, corners = nodes - 1, 8 if points else 0
     shapes: list[tuple[int, ...]] = [(3,), (3, 3), (3,), (3,), (3,)]
     shapes += [(nodes, 3, 4), (nodes, 3, 4), (n, 3, 4), (n, 3, 4)]
@@ -137,16 +138,20 @@ def _whole(leg: Any) -> Any:
     return leg
 
 
+def is_spatial(model: Model) -> bool:
+    """Whether the legs are spatial: only these touch the floor with a width."""
+    return model.floor.half_width > 0.0
+
+
 def segments(model: Model) -> planar_strain.Segments | spatial_strain.Segments:
     """Scratch arrays for the strains of one leg."""
-    spatial = model.floor.half_width > 0.0
-    return (spatial_strain if spatial else planar_strain).segments(len(model.rod.node))
+    return (spatial_strain if is_spatial(model) else planar_strain).segments(len(model.rod.node))
 
 
 def leg_lanes(model: Model, state: MechanicalState) -> PlanarLeg | SpatialLeg:
     """The four legs of a robot in lanes; their state arrays are views of `state`."""
     nodes, points = len(model.rod.node), state.bristle.shape[1]
-    spatial = model.floor.half_width > 0.0
+    spatial = is_spatial(model)
     legs = (spatial_leg if spatial else planar_leg)(nodes, (4,), points)
     legs.axes[:] = model.axes.transpose(1, 2, 0)
     legs.root[:] = model.root.T
@@ -284,8 +289,8 @@ def contact_points(floor: Floor) -> int:
 
 def matching_state(model: Model) -> MechanicalState:
     """A state for the model's nodes, contact points and branches, all zero."""
-    spatial, relaxes = model.floor.half_width > 0.0, bool(model.rod.relaxation[0].any())
-    return state_space(len(model.rod.node), contact_points(model.floor), spatial and relaxes)
+    relaxes = is_spatial(model) and bool(model.rod.relaxation[0].any())
+    return state_space(len(model.rod.node), contact_points(model.floor), relaxes)
 
 
 def rest_state(model: Model, height: float) -> MechanicalState:

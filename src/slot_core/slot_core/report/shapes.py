@@ -150,7 +150,7 @@ def bent_legs(nodes: Array, directors: Array, quaternion: Array, robot: Robot) -
     torso at quaternion (4,) x y z w.
     """
     if not directors.size:
-        right = Rotation.from_quat(quaternion).apply(np.cross(robot.outward, [0.0, 0.0, 1.0]))
+        right = Rotation.from_quat(quaternion).apply(robot.rightward)
         directors = np.repeat(right[:, None], nodes.shape[1] - 1, axis=1)
     return Legs(nodes, directors)
 

@@ -183,7 +183,7 @@ def map_legs(robot: Robot, table: LegTable) -> MapLegs:
         height_step=(height[-1] - height[0]) / (len(height) - 1),
         clamps=robot.clamps,
         outward=robot.outward,
-        left=np.cross([0.0, 0.0, 1.0], robot.outward),
+        left=-robot.rightward,
         damping_time=robot.leg.damping_time,
     )
 

@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 
 from slot_core.arguments import within
+from slot_core.bags import decode
 from slot_core.bags.bag import Bag, BagError
 from slot_core.bags.walk import GROUND_TRUTH, LEG_STATES
 from slot_core.body_points import LEAST_NODES, LEG_POINTS, TORSO, arc_length, at_shares
@@ -44,24 +45,24 @@ GAP = 1.5  # periods between two samples from which the film has no motion there
 SKIN = np.full((4, 4), 60, np.uint8)  # of the robot's body
 
 
-class Pose(NamedTuple):
-    """Place of the robot: base_link in odom, and its legs in odom."""
+class FilmedRobot(NamedTuple):
+    """What a film shows of the robot: its torso and its legs, in odom."""
 
-    base: Transform
+    base: Transform  # of base_link
     nodes: Array  # (4, N, 3) m, centre lines
     sides: Array  # (4, N, 3) unit vectors along the width, to the right looking outward
 
 
-def pose(robot: Robot, base: Transform, nodes: Array, directors: Array) -> Pose:
-    """Pose with directors (4, N-1, 3) of the segments, or (4, 0, 3): the legs do not twist."""
+def filmed(robot: Robot, base: Transform, nodes: Array, directors: Array) -> FilmedRobot:
+    """The robot with directors (4, N-1, 3) of its segments, or (4, 0, 3): legs without twist."""
     sides = np.concatenate([directors[:, :1], directors], axis=1)
     if not directors.size:
-        right = np.cross(robot.outward, [0.0, 0.0, 1.0]) @ base.rotation.T
+        right = robot.rightward @ base.rotation.T
         sides = np.broadcast_to(right[:, None], nodes.shape)
-    return Pose(base, nodes, sides)
+    return FilmedRobot(base, nodes, sides)
 
 
-def plates(robot: Robot, settings: TrackedMarkers, at: Pose) -> dict[str, Transform]:
+def plates(robot: Robot, settings: TrackedMarkers, at: FilmedRobot) -> dict[str, Transform]:
     """Frames of the plates in odom by name: x along the leg outward, z away from its right side."""
     found = {TORSO: at.base @ Transform.of(settings.torso.position, settings.torso.rpy)}
     for leg, line, side in zip(LEGS, at.nodes, at.sides):
@@ -93,12 +94,14 @@ class Stage:
         self._prints = {name: print_of(marker, number) for name, marker in markers.items()}
         self._outline = next(iter(markers.values())).outline
 
-    def plates(self, at: Pose) -> dict[str, Transform]:
+    def plates(self, at: FilmedRobot) -> dict[str, Transform]:
         """Frames of the plates in odom."""
         return plates(self._robot, self._settings.points, at)
 
-    def surfaces(self, at: Pose, soon: tuple[Pose, float] | None = None) -> list[Surface]:
-        """Surfaces before the camera; soon: another pose and the time (s) until then."""
+    def surfaces(
+        self, at: FilmedRobot, soon: tuple[FilmedRobot, float] | None = None
+    ) -> list[Surface]:
+        """Surfaces before the camera; soon: the robot later, and the time (s) until then."""
         board = self._seen(self._board_print, self._board.pose.apply(self._board.outline))
         body = [self._seen(SKIN, face) for face in self._body(at)]
         later, shown = self.plates(soon[0]) if soon else {}, []
@@ -115,7 +118,7 @@ class Stage:
             velocity = velocity @ self._to_camera.rotation.T
         return Surface(sheet, self._to_camera.apply(corners), velocity)
 
-    def _body(self, at: Pose) -> Iterator[Array]:
+    def _body(self, at: FilmedRobot) -> Iterator[Array]:
         """Faces (4, 3) of torso and legs in odom, turned to the camera."""
         half = np.array(self._robot.torso.size) / 2
         around = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
@@ -166,8 +169,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _film(options: argparse.Namespace, settings: VisionSettings) -> int:
     """Write film, depth pictures and true tracks; the number of pictures."""
     robot = read_robot()
-    times, poses = _motion(Bag(options.what), robot)
-    times = times[: int(np.searchsorted(times, times[0] + options.duration))]
+    times, shots = _motion(Bag(options.what), robot, options.duration)
     stage = Stage(settings, robot)
     rng = np.random.default_rng(options.seed)
     camera = SyntheticCamera(nominal(settings.camera), Imperfections(), rng)
@@ -183,13 +185,13 @@ def _film(options: argparse.Namespace, settings: VisionSettings) -> int:
     for i, time in enumerate(times):
         soon = None
         if i + 1 < len(times) and times[i + 1] - time < GAP * period:
-            soon = poses[i + 1], float(times[i + 1] - time)
-        surfaces = stage.surfaces(poses[i], soon)
+            soon = shots[i + 1], float(times[i + 1] - time)
+        surfaces = stage.surfaces(shots[i], soon)
         video.write(camera.picture(surfaces))
         if options.depth:
             depth = camera.depth(surfaces, DEPTH_NOISE)
             cv2.imwrite(str(options.depth / f"{i:06d}.png"), depth)
-        for name, plate in stage.plates(poses[i]).items():
+        for name, plate in stage.plates(shots[i]).items():
             truth.append(Sample(i * period, name, plate.position))
     video.release()
     if options.truth:
@@ -216,24 +218,29 @@ def _film_chessboard(options: argparse.Namespace, settings: VisionSettings) -> i
     return VIEWS
 
 
-def _motion(bag: Bag, robot: Robot) -> tuple[Array, list[Pose]]:
-    """Times (n,) s, and n poses, of a recorded walk."""
+def _motion(bag: Bag, robot: Robot, duration: float) -> tuple[Array, list[FilmedRobot]]:
+    """Times (n,) s, and the robot at these, of a recorded walk, up to a duration (s)."""
     truth = bag.series(GROUND_TRUTH, "pose.pose.position", "pose.pose.orientation")
-    legs = bag.series(LEG_STATES, "nodes", "position", "director")
-    shared, mine, theirs = np.intersect1d(truth.stamp, legs.stamp, return_indices=True)
+    places, turns = truth["pose.pose.position"], truth["pose.pose.orientation"]
+    states = [message for _, message in bag.messages(LEG_STATES)]
+    stamps = np.array([decode.stamp(message) for message in states])
+    shared, mine, theirs = np.intersect1d(truth.stamp, stamps, return_indices=True)
     if len(shared) < 2:
         raise BagError(f"{bag.path}: fewer than two samples of {GROUND_TRUTH} and {LEG_STATES}")
-    count = int(legs["nodes"][0])
+    count = int(states[0].nodes)
     if count < LEAST_NODES:
         raise BagError(f"{bag.path}: legs of {count} nodes have no shape to film")
-    places, turns = truth["pose.pose.position"][mine], truth["pose.pose.orientation"][mine]
-    nodes = legs["position"][theirs].reshape(-1, 4, count, 3).astype(np.float64)
-    directors = legs["director"][theirs].reshape(len(nodes), 4, -1, 3).astype(np.float64)
-    poses = [
-        pose(robot, Transform.of_quaternion(place, turn), line, director)
-        for place, turn, line, director in zip(places, turns, nodes, directors)
-    ]
-    return np.asarray(shared * 1e-9, np.float64), poses
+    times = np.asarray(shared * 1e-9, np.float64)
+    times = times[: int(np.searchsorted(times, times[0] + duration))]
+    shots = []
+    for m, k in zip(mine[: len(times)], theirs):
+        try:
+            *_, nodes, directors = decode.legs(states[k])
+        except ValueError as error:
+            raise BagError(f"{bag.path}: {LEG_STATES}: {error}") from None
+        base = Transform.of_quaternion(places[m], turns[m])
+        shots.append(filmed(robot, base, nodes, directors))
+    return times, shots
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -26,24 +26,29 @@ def remember(s, relaxation, memory, tau):
 
     relaxation (2, 2): shares and times; memory (N-1 or 0, 4, 2): the strains a.
     """
+    first = relaxation[0, 0] / (1.0 + tau / relaxation[1, 0])
+    second = relaxation[0, 1] / (1.0 + tau / relaxation[1, 1])
+    s.firm[0] = first + second
     for k in range(memory.shape[0]):
-        for b in range(2):
-            part = relaxation[0, b] / (1.0 + tau / relaxation[1, b])
-            for c in range(4):
-                held = part * memory[k, c, b]
-                s.lag[k, c] = -held if b == 0 else s.lag[k, c] - held
-    s.firm[0] = 0.0
-    for b in range(2):
-        s.firm[0] += relaxation[0, b] / (1.0 + tau / relaxation[1, b])
+        for c in range(4):
+            s.lag[k, c] = -first * memory[k, c, 0] - second * memory[k, c, 1]
 
 
 @helper
 def relax(s, rod, memory, h, theta):
     """Advance the strains a over a step from the strains at its stage."""
+    first = h / (rod.relaxation[1, 0] + theta * h)
+    second = h / (rod.relaxation[1, 1] + theta * h)
     for k in range(memory.shape[0]):
-        for b in range(2):
-            share = h / (rod.relaxation[1, b] + theta * h)
-            memory[k, 0, b] += share * (s.twist[k] - memory[k, 0, b])
-            memory[k, 1, b] += share * (s.turn[k] - rod.rest_angle[k] - memory[k, 1, b])
-            memory[k, 2, b] += share * (s.side[k] - memory[k, 2, b])
-            memory[k, 3, b] += share * (s.extension[k] - memory[k, 3, b])
+        bend = s.turn[k] - rod.rest_angle[k]
+        _approach(memory[k, 0], s.twist[k], first, second)
+        _approach(memory[k, 1], bend, first, second)
+        _approach(memory[k, 2], s.side[k], first, second)
+        _approach(memory[k, 3], s.extension[k], first, second)
+
+
+@helper
+def _approach(a, strain, first, second):
+    """Move both strains a (2,) towards a strain by a share each."""
+    a[0] += first * (strain - a[0])
+    a[1] += second * (strain - a[1])
