@@ -22,12 +22,12 @@ from std_srvs.srv import Trigger
 
 from slot_bringup.graph import TIED, read_graph
 from slot_bringup.processes import command_line
-from slot_core.bags import decode
 from slot_core.config import build
 from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT
+from slot_core.messages import decode
 from slot_core.safety.settings import SupervisorSettings, read_supervisor
 from slot_core.safety.states import State
 from slot_msgs.msg import LegStates, RobotState, ServoHealth

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
 
-from slot_core.bags import decode
+from slot_core.messages import decode
 from slot_core.safety.command_gate import Action
 from slot_core.safety.states import State
 from slot_msgs.msg import RobotState, ServoLimits

@@ -10,9 +10,9 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 from scipy.spatial.transform import Rotation
 
-from slot_core.bags.bag_writer import BagWriter, MessageType
-from slot_core.bags.message_types import message_types, types_inside
-from slot_core.bags.record_settings import read_record_settings
+from slot_core.recording.bag_writer import BagWriter, MessageType
+from slot_core.recording.message_types import message_types, types_inside
+from slot_core.recording.record_settings import read_record_settings
 from slot_core.robot import TENDON_JOINTS, Array, read_robot
 
 TYPES = message_types()

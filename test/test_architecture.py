@@ -1,7 +1,10 @@
-"""Architecture: allowed imports between folders, size of folders, unique file names."""
+"""Architecture: allowed imports between folders, no circles, size of folders and files, names."""
 
 import ast
 import collections
+import functools
+import graphlib
+import itertools
 import subprocess
 import sys
 from pathlib import Path
@@ -9,35 +12,56 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-CORE = ROOT / "src" / "slot_core" / "slot_core"
-GROUND = "ground"
-LARGEST_FOLDER = 17  # files, `__init__.py` not counted
-
-# Folders that each folder may import from; `ground`: the files beside the folders.
-ALLOWED = {
-    GROUND: "",
-    "rod": "ground dynamics dynamics/spatial",
-    "dynamics/planar": "ground dynamics",
-    "dynamics/spatial": "ground dynamics",
-    "dynamics": "ground dynamics/planar dynamics/spatial",
-    "control": "ground",
-    "control/mpc": "ground control",
-    "legs": "ground dynamics dynamics/planar dynamics/spatial",
-    "paper": "ground dynamics",
-    "safety": "ground control control/mpc",
-    "dynamixel": "ground safety",
-    "emulator": "ground dynamics dynamixel",
-    "vision": "ground bags",
-    "simulation": "ground dynamics legs paper control control/mpc safety dynamixel emulator vision",
-    "bags": "ground control control/mpc safety",
-    "report": "ground dynamics control control/mpc bags",
-    "calibration": "ground dynamics legs simulation report",
-    "validation": "ground bags report vision",
-    "twin": "ground dynamics simulation safety bags report calibration validation",
-    "tuning": "ground dynamics control simulation",
+PACKAGES = {
+    "slot_core": ROOT / "src" / "slot_core",
+    "slot_lab": ROOT / "src" / "slot_lab",
+    "slot_nodes": ROOT / "src" / "slot_nodes",
+    "slot_bringup": ROOT / "slot_bringup",
 }
-# The controller combines the MPC with its other stages.
-EXCEPTIONS = {("control/controller.py", "control/mpc")}
+LARGEST_FOLDER = 17  # files, `__init__.py` not counted
+LONGEST_FILE = 400  # lines
+GROUND = "ground"  # the files of a package beside its folders
+
+# What each package may import of the others.
+ABOVE = {
+    "slot_core": set(),
+    "slot_lab": {"slot_core"},
+    "slot_nodes": {"slot_core", "slot_msgs"},
+    "slot_bringup": {"slot_core", "slot_lab", "slot_nodes", "slot_msgs"},
+}
+# Folders of each package that a folder may import from, besides the ground. Each line names only
+# folders of the lines above it, so that there is no circle.
+CORE = {
+    GROUND: "",
+    "dynamics": "",
+    "rod": "dynamics",
+    "legs": "dynamics",
+    "paper": "dynamics",
+    "estimation": "",
+    "gait": "legs",
+    "mpc": "legs gait",
+    "control": "estimation gait mpc",
+    "safety": "legs estimation mpc",
+    "messages": "gait safety",
+    "recording": "",
+    "drawing": "messages",
+    "vision": "",
+    "dynamixel": "safety",
+    "emulator": "dynamics dynamixel",
+    "simulation": (
+        "dynamics legs paper estimation gait mpc control safety vision dynamixel emulator"
+    ),
+}
+LAB = {
+    GROUND: "",
+    "bags": "",
+    "film": "bags",
+    "report": "bags",
+    "calibration": "",
+    "validation": "bags film",
+    "twin": "bags calibration validation",
+    "tuning": "",
+}
 # File names that occur in several folders, with the reason.
 REPEATED = {
     "__init__.py": "subject of the folder",
@@ -62,99 +86,148 @@ print(*sorted(name.split(".")[0] for name in sys.modules))
 """
 
 
-def imports_of(path: Path) -> set[str]:
-    """Dotted names of all imports in a file, also inside functions."""
+@functools.cache
+def modules() -> dict[str, Path]:
+    """Files of the packages by dotted name."""
+    found = {}
+    for package, root in PACKAGES.items():
+        for path in (root / package).rglob("*.py"):
+            name = ".".join(path.relative_to(root).with_suffix("").parts)
+            found[name.removesuffix(".__init__")] = path
+    return found
+
+
+@functools.cache
+def imports_of(path: Path) -> frozenset[str]:
+    """Dotted names of all imports in a file, also in functions and under `TYPE_CHECKING`."""
     names = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
-            names |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return names
+            inside = {f"{node.module}.{alias.name}" for alias in node.names}
+            names |= {name if name in modules() else node.module for name in inside}
+    return frozenset(names)
 
 
-def folder_of(path: Path) -> str:
-    """Folder of a file of the core, relative to the core."""
-    folder = path.parent.relative_to(CORE).as_posix()
-    return GROUND if folder == "." else folder
+def tops(path: Path) -> set[str]:
+    """Packages that a file imports."""
+    return {name.split(".")[0] for name in imports_of(path)}
 
 
-def imported_folders(path: Path) -> set[str]:
-    """Folders of the core that a file imports from, without its own."""
-    folders = set()
-    for name in imports_of(path):
-        parts = name.split(".")
-        if parts[0] == "slot_core":
-            places = (
-                CORE.joinpath(*parts[1:n]).with_suffix(".py") for n in (len(parts) - 1, len(parts))
-            )
-            found = next((p for p in places if p.is_file()), None)
-            folders.add(GROUND if found is None else folder_of(found))
-    return folders - {folder_of(path)}
+def room(name: str) -> tuple[str, str]:
+    """Package and folder of a module; a folder in a folder belongs to it."""
+    package, *inside = name.split(".")
+    return package, inside[0] if len(inside) > 1 else GROUND
 
 
 def test_core_imports_nothing_of_ros():
     run = subprocess.run(
-        [sys.executable, "-c", IMPORT_ALL], capture_output=True, text=True, check=True, timeout=120
+        [sys.executable, "-c", IMPORT_ALL], capture_output=True, text=True, check=True
     )
     loaded = set(run.stdout.split())
     assert "slot_core" in loaded
-    assert not loaded & {"rclpy", "rosidl_parser", "slot_msgs", "slot_nodes", "ament_index_python"}
+    others = {"rclpy", "rosidl_parser", "ament_index_python", *PACKAGES, "slot_msgs"}
+    assert loaded & others == {"slot_core"}
 
 
-def test_every_folder_of_the_core_is_in_the_table():
-    assert {folder_of(path) for path in CORE.rglob("*.py")} == set(ALLOWED)
-
-
-@pytest.mark.parametrize("folder", ALLOWED)
-def test_a_folder_imports_only_what_the_table_allows(folder):
-    files = [path for path in CORE.rglob("*.py") if folder_of(path) == folder]
-    assert len(files) > 2
-    for path in files:
-        for other in imported_folders(path) - set(ALLOWED[folder].split()):
-            assert (path.relative_to(CORE).as_posix(), other) in EXCEPTIONS, f"{path}: {other}"
-        names = {name.split(".")[0] for name in imports_of(path)}
-        assert not names & {"slot_nodes", "slot_bringup", "slot_msgs", "benchmarks"}, path
-
-
-def test_nodes_do_not_import_the_bring_up():
-    files = list((ROOT / "src" / "slot_nodes").rglob("*.py"))
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_package_imports_only_packages_below_it(package):
+    files = [path for name, path in modules().items() if room(name)[0] == package]
     assert len(files) > 10
+    ours = {*PACKAGES, "slot_msgs", "benchmarks", "documentation", "examples"} - {package}
     for path in files:
-        assert not {name.split(".")[0] for name in imports_of(path)} & {"slot_bringup"}, path
+        assert tops(path) & ours <= ABOVE[package], path
+
+
+@pytest.mark.parametrize("table", [CORE, LAB], ids=["slot_core", "slot_lab"])
+def test_a_folder_of_the_table_imports_only_folders_above_it(table):
+    known = []
+    for folder, allowed in table.items():
+        assert set(allowed.split()) <= set(known)
+        known.append(folder)
+
+
+@pytest.mark.parametrize(("package", "table"), [("slot_core", CORE), ("slot_lab", LAB)])
+def test_a_folder_imports_only_what_the_table_allows(package, table):
+    seen = set()
+    for name, path in modules().items():
+        mine, folder = room(name)
+        if mine == package and name != package:
+            seen.add(folder if path.name != "__init__.py" else name.split(".")[1])
+            others = {room(n) for n in imports_of(path) & modules().keys()}
+            inside = {other for which, other in others if which == package} - {folder, GROUND}
+            assert inside <= set(table[folder].split()), path
+    assert seen == set(table)
+
+
+def test_no_module_imports_itself_by_way_of_others():
+    graph = {name: imports_of(path) & modules().keys() - {name} for name, path in modules().items()}
+    assert len(list(graphlib.TopologicalSorter(graph).static_order())) == len(modules())
+
+
+def test_nothing_outside_of_scripts_imports_scripts():
+    python = [path for path in tracked() if path.parts[0] not in ("scripts", "test")]
+    assert len(python) > 100
+    for path in python:
+        assert not tops(ROOT / path) & {"benchmarks", "documentation", "examples"}, path
 
 
 def tracked() -> list[Path]:
-    """Files of the repository."""
+    """Python files of the repository."""
     listed = subprocess.run(
-        ["git", "ls-files", "-co", "--exclude-standard"],
+        ["git", "ls-files", "-co", "--exclude-standard", "*.py"],
         cwd=ROOT, capture_output=True, text=True, check=True,
     )  # fmt: skip
     return [Path(line) for line in listed.stdout.splitlines() if (ROOT / line).exists()]
 
 
 def test_no_folder_has_too_many_python_files():
-    python = [path for path in tracked() if path.suffix == ".py" and path.name != "__init__.py"]
-    sizes = collections.Counter(path.parent for path in python)
+    sizes = collections.Counter(path.parent for path in tracked() if path.name != "__init__.py")
     assert len(sizes) > 20
     assert {str(p): n for p, n in sizes.items() if n > LARGEST_FOLDER} == {}
 
 
+def test_no_file_is_too_long():
+    lengths = {str(path): len((ROOT / path).read_text().splitlines()) for path in tracked()}
+    assert {path: n for path, n in lengths.items() if n > LONGEST_FILE} == {}
+
+
 def test_a_file_name_occurs_in_several_folders_only_with_a_reason():
-    python = [path for path in tracked() if path.suffix == ".py"]
-    counts = collections.Counter(path.name for path in python)
+    counts = collections.Counter(path.name for path in tracked())
     assert {name for name, n in counts.items() if n > 1} == set(REPEATED)
 
 
+def test_a_class_name_occurs_once():
+    found = collections.Counter(
+        node.name
+        for path in tracked()
+        if path.parts[0] != "test"
+        for node in ast.parse((ROOT / path).read_text()).body
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    )
+    assert {name for name, n in found.items() if n > 1} == set()
+
+
+def test_the_median_function_is_short():
+    functions = (ast.FunctionDef, ast.AsyncFunctionDef)
+    lengths = sorted(
+        node.end_lineno
+        - node.body[1 if ast.get_docstring(node) and node.body[1:] else 0].lineno
+        + 1
+        for path in itertools.chain(modules().values())
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, functions)
+    )
+    assert lengths[len(lengths) // 2] <= 8
+
+
 def test_no_file_name_has_a_leading_underscore():
-    private = [p for p in tracked() if p.suffix == ".py" and p.name.startswith("_")]
+    private = [p for p in tracked() if p.name.startswith("_")]
     assert {p.name for p in private} <= {"__init__.py", "__main__.py"}
 
 
 def test_launch_is_imported_only_by_the_launch_file():
-    sources = [*ROOT.glob("src/**/*.py"), *ROOT.glob("slot_bringup/slot_bringup/**/*.py")]
-    assert len(sources) > 20
-    for path in sources:
-        tops = {name.split(".")[0] for name in imports_of(path)}
-        assert not tops & {"launch", "launch_ros"}, path
+    for path in modules().values():
+        assert not tops(path) & {"launch", "launch_ros"}, path

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import command_line
+from benchmarks import __main__ as command_line
 from slot_bringup import run
 from slot_bringup.graph import read_graph
 from slot_core.config import ConfigError
-from slot_core.control.mpc.mpc import read_mpc
 from slot_core.legs import leg_map
-from slot_core.report import constraint_map
-from slot_core.tuning import tune
+from slot_core.mpc.mpc import read_mpc
+from slot_lab.report import constraint_map
+from slot_lab.tuning import tune
 
 WALK = Path(__file__).parent / "bags" / "walk"
 
@@ -88,7 +88,7 @@ def test_a_bag_with_a_name_too_long_is_refused(capsys):
 
 
 def test_a_replay_whose_output_cannot_be_written_says_so():
-    command = [sys.executable, "-m", "slot_core.bags.replay", str(WALK)]
+    command = [sys.executable, "-m", "slot_lab.bags.check_bag", str(WALK)]
     with Path("/dev/full").open("w") as full:
         ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert ended.returncode == 2

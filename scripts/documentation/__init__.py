@@ -1,1 +1,1 @@
-"""Parts of the documentation that are generated from the code, for `slot_bringup/doc/conf.py`."""
+"""Parts of the documentation that are generated from the code, for `conf.py`."""

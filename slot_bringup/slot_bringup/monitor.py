@@ -18,7 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from slot_bringup.graph import absolute
 from slot_bringup.interrupts import deferred
 from slot_bringup.processes import Processes
-from slot_core.bags import decode
+from slot_core.messages import decode
 from slot_core.robot import Array
 from slot_core.safety.command_gate import Action
 from slot_core.safety.states import RELEASED, State

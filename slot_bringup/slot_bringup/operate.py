@@ -36,9 +36,9 @@ from std_srvs.srv import Trigger
 from slot_bringup import operator_screen
 from slot_bringup.check import check_place
 from slot_bringup.monitor import ListenerExecutor, listener
-from slot_core.bags import decode
-from slot_core.bags.decode import ACTION_NUMBERS
 from slot_core.config import ConfigError
+from slot_core.messages import decode
+from slot_core.messages.decode import ACTION_NUMBERS
 from slot_core.robot import LEGS
 from slot_core.safety.command_gate import Action
 from slot_core.safety.states import State

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import JointState
 
-from slot_core.bags import decode
 from slot_core.hardware_error import hardware_errors
+from slot_core.messages import decode
 from slot_core.robot import LEGS
 from slot_core.safety.states import RELEASED, State
 from slot_msgs.msg import RobotState, ServoHealth

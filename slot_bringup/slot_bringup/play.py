@@ -21,14 +21,14 @@ from rosgraph_msgs.msg import Clock
 
 from slot_bringup.check import check_place
 from slot_bringup.monitor import listener
-from slot_core.arguments import within
-from slot_core.bags import decode
-from slot_core.bags.bag import Bag, BagError
-from slot_core.bags.message_types import Types, message_types
-from slot_core.bags.replay import add_bag_arguments, open_bag
-from slot_core.bags.walk import LEG_STATES
 from slot_core.clock import SECOND
+from slot_core.command_line import within
 from slot_core.config import ConfigError
+from slot_core.messages import decode
+from slot_core.recording.message_types import Types, message_types
+from slot_lab.bags.bag import Bag, BagError
+from slot_lab.bags.check_bag import add_bag_arguments, open_bag
+from slot_lab.bags.walk import LEG_STATES
 from slot_nodes import messages, qos
 
 CLOCK = "/clock"

@@ -15,12 +15,13 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from slot_core.bags import decode
+from slot_core.drawing import palette
+from slot_core.drawing.drawing import Drawing
+from slot_core.drawing.shapes import Arrows, Bars, Box, Shape, Strips, halves, normals
 from slot_core.dynamics.servo import read_servo
-from slot_core.report import palette, traces
-from slot_core.report.drawing import Drawing
-from slot_core.report.shapes import Arrows, Bars, Box, Shape, Strips, halves, normals
+from slot_core.messages import decode
 from slot_core.robot import read_robot
+from slot_lab.report import traces
 
 APPLICATION = "slot"
 TIME_LINE = "robot_time"

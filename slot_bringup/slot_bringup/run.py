@@ -18,14 +18,14 @@ from slot_bringup.interrupts import deferred, on_interrupt
 from slot_bringup.monitor import RunError, require_no_other_graph, watch
 from slot_bringup.processes import Processes, print_error
 from slot_bringup.view import ViewError, live_viewer, require_rerun
-from slot_core.arguments import OneLineParser, within
-from slot_core.bags.bag import Bag, BagError
-from slot_core.bags.record_settings import read_record_settings
-from slot_core.bags.walk import LEG_STATES
+from slot_core.command_line import OneLineParser, within
 from slot_core.config import ConfigError
 from slot_core.dynamics.servo import read_servo
-from slot_core.report import metrics, plots
-from slot_core.report.summary import summary_lines
+from slot_core.recording.record_settings import read_record_settings
+from slot_lab.bags.bag import Bag, BagError
+from slot_lab.bags.walk import LEG_STATES
+from slot_lab.report import metrics, plots
+from slot_lab.report.summary import summary_lines
 
 
 def parse(arguments: Sequence[str] | None, graph: Graph) -> argparse.Namespace:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 
-from slot_core.bags.bag_writer import MEGABYTE
-from slot_core.bags.origin import origin_here
-from slot_core.bags.record_settings import read_record_settings, root_of
+from slot_core.recording.bag_writer import MEGABYTE
+from slot_core.recording.origin import origin_here
+from slot_core.recording.record_settings import read_record_settings, root_of
 
 
 def record_command(

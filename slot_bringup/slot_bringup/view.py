@@ -21,12 +21,12 @@ from slot_bringup.check import check_place
 from slot_bringup.graph import TIED
 from slot_bringup.monitor import listener
 from slot_bringup.rerun_viewer import Viewer, ViewerError
-from slot_core.arguments import OneLineParser
-from slot_core.bags.bag import STORAGES, Bag
-from slot_core.bags.bag_error import BagError
-from slot_core.bags.record_settings import read_record_settings
+from slot_core.command_line import OneLineParser
 from slot_core.config import ConfigError
-from slot_core.report.animation import AnimationError, animate
+from slot_core.recording.bag_error import BagError
+from slot_core.recording.record_settings import read_record_settings
+from slot_lab.bags.bag import STORAGES, Bag
+from slot_lab.report.animation import AnimationError, animate
 from slot_nodes import messages, qos
 
 if TYPE_CHECKING:

@@ -6,13 +6,8 @@ setup(
     packages=find_packages(),
     package_data={
         "slot_core": [
-            "defaults/*.yaml",
-            "defaults/*.csv",
-            "defaults/scene/*",
-            "defaults/solver/*",
-            "defaults/gait/*",
-            "defaults/mpc/*",
-            "defaults/parameters/*",
+            "defaults/**/*.yaml",
+            "defaults/**/*.csv",
         ]
     },
     data_files=[

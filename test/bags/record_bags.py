@@ -24,15 +24,15 @@ from real_graph import changed_config
 from slot_bringup import run
 from slot_bringup.graph import read_graph
 from slot_bringup.monitor import RunError, listener
-from slot_core.bags import decode
-from slot_core.bags.bag import Bag
-from slot_core.bags.bag_writer import BagWriter
-from slot_core.bags.origin import CONFIGURATION, Origin
-from slot_core.bags.record_settings import read_record_settings
 from slot_core.clock import SECOND
 from slot_core.dynamics.servo import read_servo
-from slot_core.report.metrics import walk_metrics
+from slot_core.messages import decode
+from slot_core.recording.bag_writer import BagWriter
+from slot_core.recording.origin import CONFIGURATION, Origin
+from slot_core.recording.record_settings import read_record_settings
 from slot_core.safety.states import State
+from slot_lab.bags.bag import Bag
+from slot_lab.report.metrics import walk_metrics
 from slot_msgs.msg import MpcState
 from slot_nodes import qos
 

@@ -13,13 +13,13 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import Reader
 from synthetic_walk import TOPICS, TYPES, WALL, Walk, encode, message, write_old_legs, write_walk
 
-from slot_core.bags import decode
-from slot_core.bags.bag import Bag, BagError, NoFieldError
-from slot_core.bags.bag_writer import BagWriter
-from slot_core.bags.message_types import message_types
-from slot_core.bags.origin import Origin
-from slot_core.bags.record_settings import read_record_settings
-from slot_core.bags.walk import LEG_STATES
+from slot_core.messages import decode
+from slot_core.recording.bag_writer import BagWriter
+from slot_core.recording.message_types import message_types
+from slot_core.recording.origin import Origin
+from slot_core.recording.record_settings import read_record_settings
+from slot_lab.bags.bag import Bag, BagError, NoFieldError
+from slot_lab.bags.walk import LEG_STATES
 
 SETTINGS = read_record_settings()
 
@@ -119,7 +119,7 @@ def test_a_bag_is_readable_with_its_own_definitions_alone(walk_bag, monkeypatch)
     def nowhere(types):
         raise FileNotFoundError
 
-    monkeypatch.setattr("slot_core.bags.bag.add_installed", nowhere)
+    monkeypatch.setattr("slot_lab.bags.bag.add_installed", nowhere)
     (_, state), *_ = Bag(walk_bag).messages("/mpc_state")
     assert state.position.z == pytest.approx(0.06)
 

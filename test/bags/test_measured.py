@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from synthetic_walk import TOPICS, encode, message
 
-from slot_core.bags.bag import Bag, BagError
-from slot_core.bags.bag_writer import BagWriter
-from slot_core.bags.measured import measured_motion, tendon_angles
-from slot_core.bags.record_settings import read_record_settings
 from slot_core.dynamics.servo import read_servo
-from slot_core.report import metrics
+from slot_core.recording.bag_writer import BagWriter
+from slot_core.recording.record_settings import read_record_settings
 from slot_core.robot import TENDON_JOINTS
+from slot_lab.bags.bag import Bag, BagError
+from slot_lab.bags.measured import measured_motion, tendon_angles
+from slot_lab.report import metrics
 
 UNIT = (0.0, 0.0, 0.0, 1.0)
 

@@ -10,12 +10,12 @@ import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from synthetic_walk import TOPICS, TYPES, WALL, Walk, encode, message, write_walk
 
-from slot_core.bags import replay
-from slot_core.bags.bag import Bag, BagError
-from slot_core.bags.bag_writer import BagWriter
-from slot_core.bags.message_types import message_types
-from slot_core.bags.origin import Origin
-from slot_core.bags.record_settings import read_record_settings
+from slot_core.recording.bag_writer import BagWriter
+from slot_core.recording.message_types import message_types
+from slot_core.recording.origin import Origin
+from slot_core.recording.record_settings import read_record_settings
+from slot_lab.bags import check_bag as replay
+from slot_lab.bags.bag import Bag, BagError
 
 SETTINGS = read_record_settings()
 ODOM = TOPICS["/odom"]

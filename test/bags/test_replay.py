@@ -10,12 +10,12 @@ import yaml
 from synthetic_walk import TYPES
 
 from slot_core import config
-from slot_core.bags import replay
-from slot_core.bags.bag import Bag
-from slot_core.bags.bag_writer import BagWriter
-from slot_core.bags.origin import Origin, origin_here
-from slot_core.bags.record_settings import read_record_settings
-from slot_core.control.state_estimator import Validity
+from slot_core.estimation.state_estimator import Validity
+from slot_core.recording.bag_writer import BagWriter
+from slot_core.recording.origin import Origin, origin_here
+from slot_core.recording.record_settings import read_record_settings
+from slot_lab.bags import check_bag as replay
+from slot_lab.bags.bag import Bag
 
 HERE = Path(__file__).parent
 BAGS = ["walk", "turn", "path", "fault", "lost_odometry"]

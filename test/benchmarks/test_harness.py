@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks import harness
-from benchmarks.command_line import main
+from benchmarks.__main__ import main
 from benchmarks.graph.usage import Usage
 from benchmarks.harness import at_least, at_most, cpu_time
 
@@ -199,4 +199,4 @@ def test_script_sets_up_sources_the_environment_and_passes_its_arguments_and_exi
     assert ended.returncode == 7
     order = (tmp_path / "order").read_text().splitlines()
     setups = ["setup", "setup --bench"] if needs else ["setup"]
-    assert order == [*setups, "env", "python -m benchmarks.command_line graph --quick"]
+    assert order == [*setups, "env", "python -m benchmarks graph --quick"]

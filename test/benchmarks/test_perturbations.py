@@ -10,11 +10,11 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 
-from benchmarks import command_line
+from benchmarks import __main__ as command_line
 from benchmarks.perturbations import cases, published, rigid_torso, samples
-from slot_core.control.mpc.mpc import read_mpc
+from slot_core.mpc.mpc import read_mpc
 from slot_core.robot import GRAVITY, read_robot
-from slot_core.workers import workers
+from slot_lab.workers import workers
 
 ROBOT = read_robot()
 

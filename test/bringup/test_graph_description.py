@@ -12,8 +12,8 @@ import pytest
 from slot_bringup.check import check
 from slot_bringup.graph import read_graph
 from slot_bringup.processes import command_line
-from slot_core.bags.record_settings import read_record_settings
 from slot_core.config import ConfigError
+from slot_core.recording.record_settings import read_record_settings
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ from real_graph import domain  # noqa: F401 - a fixture
 
 from slot_bringup import monitor, run
 from slot_bringup.graph import read_graph
-from slot_core.bags import decode
-from slot_core.bags.bag import Bag
+from slot_core.messages import decode
+from slot_lab.bags.bag import Bag
 
 DURATION = 3.0  # s of the robot's time
 SPACE = "/fleet/ida"

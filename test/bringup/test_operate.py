@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 
 from slot_bringup import operate
 from slot_bringup.operator_screen import SILENCE, View, lines
-from slot_core.bags import decode
+from slot_core.messages import decode
 from slot_core.robot import LEGS, TENDON_JOINTS
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import State

@@ -20,9 +20,9 @@ from synthetic_walk import Walk, write_old_legs, write_walk
 
 from slot_bringup import monitor, play
 from slot_bringup.monitor import listener
-from slot_core.bags import decode
-from slot_core.bags.bag import Bag
-from slot_core.bags.walk import LEG_STATES
+from slot_core.messages import decode
+from slot_lab.bags.bag import Bag
+from slot_lab.bags.walk import LEG_STATES
 from slot_msgs.msg import LegStates, MpcState
 from slot_nodes import qos
 

@@ -13,8 +13,8 @@ from real_graph import domain  # noqa: F401 - a fixture
 from slot_bringup.graph import read_graph
 from slot_bringup.monitor import listener
 from slot_bringup.processes import command_line
-from slot_core.bags.bag import Bag
-from slot_core.bags.bag_error import BagError
+from slot_core.recording.bag_error import BagError
+from slot_lab.bags.bag import Bag
 from slot_nodes import qos
 
 LEAST = 50  # messages on disk before the recorder is ended

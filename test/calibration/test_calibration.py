@@ -9,13 +9,13 @@ from scipy import stats
 from scipy.integrate import quad
 
 from slot_core import config
-from slot_core.calibration import experiments, fit, plot
-from slot_core.calibration.command import FREE, build_problem, main
-from slot_core.calibration.data import COLUMNS, Data, Datum, read_data
-from slot_core.calibration.fit import FitProblem, Parameter, estimate
-from slot_core.calibration.line import fit_line
-from slot_core.csv_table import TableError
 from slot_core.robot import read_robot
+from slot_lab.calibration import experiments, fit, plot
+from slot_lab.calibration.command import FREE, build_problem, main
+from slot_lab.calibration.data import COLUMNS, Data, Datum, read_data
+from slot_lab.calibration.fit import FitProblem, Parameter, estimate
+from slot_lab.calibration.line import fit_line
+from slot_lab.csv_table import TableError
 
 ROBOT = read_robot()
 SETTINGS = experiments.read_settings()

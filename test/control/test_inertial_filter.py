@@ -6,9 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.clock import SECOND
-from slot_core.control.imu_samples import ImuQueue
-from slot_core.control.inertial_filter import InertialFilter, OdometryMotion
-from slot_core.control.state_estimator import read_estimator
+from slot_core.estimation.imu_samples import ImuQueue
+from slot_core.estimation.inertial_filter import InertialFilter, OdometryMotion
+from slot_core.estimation.state_estimator import read_estimator
 from slot_core.robot import GRAVITY
 
 SETTINGS = read_estimator()

@@ -5,8 +5,8 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from slot_core.config import ConfigError
-from slot_core.control.leg_springs import COLUMNS, LegSprings, read_leg_springs
-from slot_core.leg_table import LegTable, read_leg_table
+from slot_core.legs.leg_springs import COLUMNS, LegSprings, read_leg_springs
+from slot_core.legs.leg_table import LegTable, read_leg_table
 from slot_core.robot import read_robot
 
 ROBOT = read_robot()

@@ -14,10 +14,10 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
-from slot_core.control.gait import GaitCommand, GaitPreview
-from slot_core.control.mpc.model import Horizon, HorizonQp, TorsoModel
-from slot_core.control.mpc.mpc import Mpc, Status, read_mpc
-from slot_core.control.mpc.solver import Solution, make_solver
+from slot_core.gait.gait import GaitCommand, GaitPreview
+from slot_core.mpc.model import Horizon, HorizonQp, TorsoModel
+from slot_core.mpc.mpc import Mpc, Status, read_mpc
+from slot_core.mpc.solver import Solution, make_solver
 from slot_core.robot import GRAVITY, read_robot
 
 ROBOT = read_robot()
@@ -396,7 +396,7 @@ def test_a_nan_solution_reported_as_solved_is_not_accepted(monkeypatch):
             self.count += 1
             return Solution(solutions[max(self.count, 0)], fault="", iterations=1)
 
-    monkeypatch.setattr("slot_core.control.mpc.force_problem.make_solver", FaultySolver)
+    monkeypatch.setattr("slot_core.mpc.force_problem.make_solver", FaultySolver)
     mpc = new_mpc()
     assert mpc.step(state(), preview()).status == Status.SOLVED
     result = mpc.step(state(), preview())

@@ -10,9 +10,9 @@ from scipy import sparse
 from benchmarks.mpc.cases import hard_cases, random_case, standing, state
 from benchmarks.mpc.oracle import optimum
 from slot_core import config
-from slot_core.control.mpc.cvxpy_reference import CvxpyReference
-from slot_core.control.mpc.mpc import Mpc, Status, read_mpc
-from slot_core.control.mpc.solver import SOLVERS, MpcSolverSettings, make_solver
+from slot_core.mpc.cvxpy_reference import CvxpyReference
+from slot_core.mpc.mpc import Mpc, Status, read_mpc
+from slot_core.mpc.solver import SOLVERS, MpcSolverSettings, make_solver
 from slot_core.robot import read_robot
 
 ROBOT = read_robot()

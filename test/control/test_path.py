@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from slot_core.config import ConfigError
-from slot_core.control.path import ARRIVED, CREEP, LEAD, TURN_GAIN, Path, read_path
-from slot_core.plane import rotate
+from slot_core.gait.route import ARRIVED, CREEP, LEAD, TURN_GAIN, Path, read_path
+from slot_core.geometry import rotate
 
 L_SHAPE = np.array([[0.0, 0.0], [0.3, 0.0], [0.3, 0.2]])
 DT = 0.033

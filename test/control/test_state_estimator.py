@@ -9,13 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.clock import SECOND
-from slot_core.control.state_estimator import (
+from slot_core.estimation.state_estimator import (
     Estimate,
     StateEstimator,
     Validity,
     read_estimator,
 )
-from slot_core.plane import wrapped
+from slot_core.geometry import wrapped
 from slot_core.robot import GRAVITY
 
 UP = np.array([0.0, 0.0, GRAVITY])

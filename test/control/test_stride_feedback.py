@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from slot_core.control.gait import read_gaits
-from slot_core.control.stride_feedback import OFFSET_SIGNS, StrideFeedback, Target
-from slot_core.plane import wrapped
+from slot_core.gait.gait import read_gaits
+from slot_core.gait.stride_feedback import OFFSET_SIGNS, StrideFeedback, Target
+from slot_core.geometry import wrapped
 
 WALK = read_gaits().strides["walk"]
 SETTINGS = WALK.feedback

@@ -1,6 +1,6 @@
 """Messages are matched by their stamp."""
 
-from slot_core.control.time_synchronizer import TimeSynchronizer
+from slot_core.estimation.time_synchronizer import TimeSynchronizer
 
 
 def test_set_is_returned_when_it_is_complete():

@@ -173,7 +173,7 @@ def test_version_and_licence_are_the_same_everywhere():
     manifests = [ROOT / "slot_msgs", ROOT / "slot_bringup", *(ROOT / "src").iterdir()]
     packages = [ElementTree.parse(folder / "package.xml") for folder in manifests]
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
-    assert len(packages) == 4
+    assert len(packages) == 5
     assert {package.findtext("version") for package in packages} == {citation["version"]}
     assert {package.findtext("license") for package in packages} == {citation["license"]}
     assert f"## {citation['version']}" in (DOC / "changelog.md").read_text()

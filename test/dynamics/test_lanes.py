@@ -12,7 +12,6 @@ from numba.core.errors import NumbaError, TypingError
 
 from slot_core import compiled, config
 from slot_core.config import ConfigError
-from slot_core.control.gait import read_gaits
 from slot_core.dynamics import integrator
 from slot_core.dynamics.algebra import cosine_sine
 from slot_core.dynamics.handle import Handle
@@ -28,6 +27,7 @@ from slot_core.dynamics.model import (
 from slot_core.dynamics.planar.strain import angle_between
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
+from slot_core.gait.gait import read_gaits
 from slot_core.robot import read_robot
 
 ROBOT, SCENE, SERVO = read_robot(), read_scene("flat"), read_servo()

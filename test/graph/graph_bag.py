@@ -8,9 +8,9 @@ from mcap_ros2.decoder import DecoderFactory
 
 from slot_bringup import run
 from slot_bringup.graph import read_graph
-from slot_core.bags import decode
-from slot_core.bags.bag import Bag
+from slot_core.messages import decode
 from slot_core.simulation.supervised_loop import SupervisedLoop
+from slot_lab.bags.bag import Bag
 
 
 def record(bag: Path, *arguments: str) -> Path:

@@ -17,10 +17,10 @@ from sensor_msgs.msg import JointState
 from slot_bringup.graph import NodeSpec
 from slot_bringup.processes import command_line
 from slot_core import config
-from slot_core.bags import decode
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.settings import read_settings
+from slot_core.messages import decode
 from slot_core.robot import TENDON_JOINTS
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import State

@@ -8,11 +8,11 @@ import pytest
 from graph_bag import commands_of_core, first_times, read, record, recorded_commands, stamps
 from mcap.reader import make_reader
 
-from slot_core.bags import replay
-from slot_core.bags.bag import Bag
 from slot_core.clock import SECOND
 from slot_core.dynamics.scene import read_scene
 from slot_core.robot import TENDON_JOINTS, read_robot
+from slot_lab.bags import check_bag as replay
+from slot_lab.bags.bag import Bag
 
 CHAIN = ("/odom", "/mpc_state", "/gait_preview", "/ground_reaction_forces", "/desired_joint_angles")
 OTHERS = ("/clock", "/imu", "/joint_states", "/tf", "/force_map/status", "/ground_truth/odom",

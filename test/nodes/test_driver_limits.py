@@ -5,8 +5,8 @@ import pytest
 from rig import RAMP, servo_angle
 from stub_supervisor import DRIVER
 
-from slot_core.bags import decode
 from slot_core.dynamixel.table import RAD_PER_COUNT
+from slot_core.messages import decode
 from slot_core.safety.command_gate import Action
 from slot_msgs.msg import RobotState
 

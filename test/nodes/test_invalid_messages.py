@@ -7,7 +7,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped, TwistStamped, Vector3
 from sensor_msgs.msg import Imu
 
-from slot_core.bags import decode
+from slot_core.messages import decode
 from slot_core.robot import TENDON_JOINTS, read_robot
 from slot_core.safety.states import State
 from slot_msgs.msg import GaitPreview, GroundReactionForces, MpcState

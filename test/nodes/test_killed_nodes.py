@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rig import TICK
 
-from slot_core.bags import decode
+from slot_core.messages import decode
 from slot_core.safety.command_gate import Action
 from slot_core.safety.states import State
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slot_core.bags import decode
+from slot_core.messages import decode
 from slot_core.safety.states import State
 from slot_core.simulation.supervised_loop import SupervisedLoop
 

@@ -9,10 +9,10 @@ from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
 from tf2_msgs.msg import TFMessage
 
-from slot_core.bags import decode
-from slot_core.control.gait import GaitCommand, GaitPreview
-from slot_core.control.inertial_filter import Mount
-from slot_core.control.state_estimator import Estimate, Validity
+from slot_core.estimation.inertial_filter import Mount
+from slot_core.estimation.state_estimator import Estimate, Validity
+from slot_core.gait.gait import GaitCommand, GaitPreview
+from slot_core.messages import decode
 from slot_core.robot import TENDON_JOINTS
 from slot_core.simulation.plant import TrueState
 from slot_core.simulation.sensors import ImuReading, OdometryReading

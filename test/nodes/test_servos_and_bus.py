@@ -6,8 +6,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rig import RAMP, SAG, servo_angle
 from std_srvs.srv import SetBool, Trigger
 
-from slot_core.bags import decode
 from slot_core.dynamixel.table import RAD_PER_COUNT
+from slot_core.messages import decode
 from slot_core.robot import read_robot
 from slot_core.safety.states import State
 

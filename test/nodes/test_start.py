@@ -4,7 +4,7 @@ import pytest
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
 
-from slot_core.bags import decode
+from slot_core.messages import decode
 from slot_core.safety.states import State
 from slot_msgs.msg import GaitPreview
 from slot_nodes import messages, qos

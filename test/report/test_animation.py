@@ -5,11 +5,11 @@ import pytest
 from PIL import Image
 from synthetic_walk import ROBOT, STRIDE, Walk, write_walk
 
-from slot_core.bags.bag import Bag
-from slot_core.bags.bag_error import BagError
-from slot_core.report import animation
-from slot_core.report.animation import AnimationError, animate, draw_frame, frame_times
-from slot_core.report.plots import read_poses
+from slot_core.recording.bag_error import BagError
+from slot_lab.bags.bag import Bag
+from slot_lab.report import animation
+from slot_lab.report.animation import AnimationError, animate, draw_frame, frame_times
+from slot_lab.report.plots import read_poses
 
 RATE = 30  # Hz, of the leg shapes
 

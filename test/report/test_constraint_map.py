@@ -6,13 +6,13 @@ import synthetic_walk
 from matplotlib.image import imread
 from synthetic_walk import WALL, encode, message
 
-from slot_core.bags import message_types
-from slot_core.bags.bag import Bag, BagError
-from slot_core.bags.bag_writer import BagWriter
-from slot_core.bags.record_settings import read_record_settings
-from slot_core.control.mpc.mpc import Status
-from slot_core.report import constraint_map
-from slot_core.report.constraint_map import TOPIC, draw_map, main, map_figure, read_map
+from slot_core.mpc.mpc import Status
+from slot_core.recording import message_types
+from slot_core.recording.bag_writer import BagWriter
+from slot_core.recording.record_settings import read_record_settings
+from slot_lab.bags.bag import Bag, BagError
+from slot_lab.report import constraint_map
+from slot_lab.report.constraint_map import TOPIC, draw_map, main, map_figure, read_map
 
 TYPE = "slot_msgs/msg/GroundReactionForces"
 

@@ -5,10 +5,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 from synthetic_walk import ROBOT, STRIDE, Walk, angles, leg_nodes, message, write_walk
 
-from slot_core.bags.bag import Bag
-from slot_core.report import shapes, traces
-from slot_core.report.drawing import Drawing
+from slot_core.drawing import shapes
+from slot_core.drawing.drawing import Drawing
 from slot_core.robot import TENDON_JOINTS
+from slot_lab.bags.bag import Bag
+from slot_lab.report import traces
 
 WALK = Walk(duration=0.8, roll=0.1, bounce=0.004, yaw_rate=0.1)
 TORQUE = 1.4  # N m

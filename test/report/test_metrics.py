@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from synthetic_walk import RATE, STRIDE, Walk, write_walk
 
-from slot_core.bags.bag import Bag, BagError
-from slot_core.bags.walk import Motion, Ticks, stride_mean
 from slot_core.dynamics.servo import read_servo
-from slot_core.report.metrics import latency, walk_metrics
-from slot_core.report.summary import summary_lines
+from slot_lab.bags.bag import Bag, BagError
+from slot_lab.bags.walk import Motion, Ticks, stride_mean
+from slot_lab.report.metrics import latency, walk_metrics
+from slot_lab.report.summary import summary_lines
 
 COURSE = 0.01  # rad
 WALK = Walk(duration=4 * STRIDE + 1.0, course=COURSE, roll=0.1, bounce=0.004)

@@ -15,14 +15,15 @@ from synthetic_walk import (
     write_walk,
 )
 
-from slot_core.bags.bag import Bag, BagError
+from slot_core.drawing import palette
+from slot_core.drawing.shapes import bent_legs
 from slot_core.dynamics.servo import read_servo
-from slot_core.report import palette, picture, plots
-from slot_core.report.metrics import walk_metrics
-from slot_core.report.picture import Camera, Pose
-from slot_core.report.shapes import bent_legs
-from slot_core.report.summary import summary_lines
 from slot_core.robot import LEGS
+from slot_lab.bags.bag import Bag, BagError
+from slot_lab.report import picture, plots
+from slot_lab.report.metrics import walk_metrics
+from slot_lab.report.picture import Camera, Pose
+from slot_lab.report.summary import summary_lines
 
 WALK = Walk(duration=5.0, course=0.02, roll=0.1, bounce=0.004, late=(50,))
 WARM_UP = 1.0

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from synthetic_walk import NODES, ROBOT, Walk, leg_nodes
 
 from slot_core import config
-from slot_core.report import palette, shapes
+from slot_core.drawing import palette, shapes
 from slot_core.robot import LEGS
 
 WALK = Walk(roll=0.1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slot_core import config
-from slot_core.control.gait import read_gaits
+from slot_core.gait.gait import read_gaits
 from slot_core.robot import read_robot
 from slot_core.safety.command_gate import Action, CommandGate
 from slot_core.safety.settings import read_supervisor

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from supervised import ROBOT, START, TICK, Bench, health, load, state
 
-from slot_core.control.mpc.mpc import Status, read_mpc
-from slot_core.control.state_estimator import Estimate, StateEstimator, Validity, read_estimator
+from slot_core.estimation.state_estimator import Estimate, StateEstimator, Validity, read_estimator
+from slot_core.mpc.mpc import Status, read_mpc
 from slot_core.safety import states as table
 from slot_core.safety.command_gate import Action
 from slot_core.safety.settings import read_supervisor

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from supervised import HEIGHT, LOAD, ROBOT, DelayedLoop
 
-from slot_core.control.gait import read_gaits
+from slot_core.gait.gait import read_gaits
 from slot_core.legs.leg_map import StaticLeg
 from slot_core.robot import LEGS
 from slot_core.safety.settings import read_supervisor

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from slot_core import config
-from slot_core.control.gait import HarmonicBasis, read_gaits
-from slot_core.tuning import gait_file, identification, symmetry
-from slot_core.tuning.pattern_search import FAILED, Goal, PatternSearch, cost, trial
-from slot_core.tuning.settings import read_tuning
-from slot_core.tuning.stride_run import Job, Motion, simulate
+from slot_core.gait.gait import HarmonicBasis, read_gaits
+from slot_lab.tuning import gait_file, identification, symmetry
+from slot_lab.tuning.pattern_search import FAILED, Goal, PatternSearch, cost, trial
+from slot_lab.tuning.settings import read_tuning
+from slot_lab.tuning.stride_run import Job, Motion, simulate
 
 WALK = read_gaits().strides["walk"]
 SETTINGS = config.replace(

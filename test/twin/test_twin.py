@@ -8,23 +8,23 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
-from slot_core.bags.measured import COMMANDED, MEASURED, TendonAngles
-from slot_core.bags.walk import Motion
 from slot_core.config import ConfigError
-from slot_core.control.gait import read_gaits
-from slot_core.csv_table import TableError
+from slot_core.gait.gait import read_gaits
 from slot_core.robot import read_parameters, read_robot
-from slot_core.twin import parameter_set, twin
-from slot_core.twin.recorded import COLUMNS, Recorded, read_recorded
-from slot_core.twin.replay_robot import (
+from slot_lab.bags.measured import COMMANDED, MEASURED, TendonAngles
+from slot_lab.bags.walk import Motion
+from slot_lab.csv_table import TableError
+from slot_lab.twin import parameter_set, twin
+from slot_lab.twin.recorded import COLUMNS, Recorded, read_recorded
+from slot_lab.twin.replay_robot import (
     Track,
     measured_track,
     predict,
     read_parts,
 )
-from slot_core.twin.settings import read_twin
-from slot_core.twin.strides import angle_period, error_growth, find_strides, stride_errors
-from slot_core.twin.twin_fit import changed, changes, fit_twin, parameter, places
+from slot_lab.twin.settings import read_twin
+from slot_lab.twin.strides import angle_period, error_growth, find_strides, stride_errors
+from slot_lab.twin.twin_fit import changed, changes, fit_twin, parameter, places
 
 SETTINGS = config.replace(read_twin(), {"held_out": 0.5})
 PARTS = read_parts("flat")
@@ -167,7 +167,7 @@ def test_commands_go_through_the_servo():
 def test_a_start_that_is_not_recorded_is_forgotten_within_the_run_in(walked, monkeypatch):
     recorded, _ = walked
     first = predict(recorded, PARTS, SETTINGS)
-    from slot_core.twin import replay_robot  # noqa: PLC0415 - its function is replaced
+    from slot_lab.twin import replay_robot  # noqa: PLC0415 - its function is replaced
 
     place = replay_robot._place
 

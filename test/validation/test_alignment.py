@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from slot_core.validation import time_alignment
-from slot_core.validation.comparison import compare
-from slot_core.validation.frame_alignment import align_frames
-from slot_core.validation.recording import PointTrack, Recording, RecordingError
-from slot_core.validation.tables import alignment_lines, report
+from slot_lab.validation import time_alignment
+from slot_lab.validation.comparison import compare
+from slot_lab.validation.frame_alignment import align_frames
+from slot_lab.validation.recording import PointTrack, Recording, RecordingError
+from slot_lab.validation.tables import alignment_lines, report
 
 PERIOD, RATE, NOISE = 0.7, 30.0, 1e-3
 SHIFT = np.array([1.0, -2.0, 0.3])

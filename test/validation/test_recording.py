@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from synthetic_walk import TOPICS, encode, message
 
-from slot_core.bags.bag_writer import BagWriter
-from slot_core.bags.record_settings import read_record_settings
-from slot_core.csv_table import TableError
-from slot_core.validation import validate
-from slot_core.validation.recording import read_recording, write_points
-from slot_core.vision.track import write_tracks
-from slot_core.vision.tracker import Sample
+from slot_core.recording.bag_writer import BagWriter
+from slot_core.recording.record_settings import read_record_settings
+from slot_lab.csv_table import TableError
+from slot_lab.film.track import write_tracks
+from slot_lab.film.tracker import Sample
+from slot_lab.validation import validate
+from slot_lab.validation.recording import read_recording, write_points
 
 EXAMPLE = Path(__file__).parents[2] / "slot_bringup" / "example"
 ROWS = [f"{n / 30:.4f},0.1,0.0,{0.01 * n}" for n in range(10)]

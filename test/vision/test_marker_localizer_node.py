@@ -6,7 +6,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from simulated_rig import SimulatedRig
 from views import CAMERA, picture_from_torso
 
-from slot_core.bags import decode
+from slot_core.messages import decode
 from slot_core.simulation.sensors import PictureReading
 from slot_core.vision.frames import Transform
 from slot_nodes import messages, qos

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from views import CAMERA
 
-from slot_core.bags.bag_writer import BagWriter
-from slot_core.bags.message_types import message_types
-from slot_core.bags.record_settings import read_record_settings
+from slot_core.recording.bag_writer import BagWriter
+from slot_core.recording.message_types import message_types
+from slot_core.recording.record_settings import read_record_settings
 from slot_core.vision import picture_message
-from slot_core.vision.pictures import FilmError, bag_camera, read_film
+from slot_lab.film.pictures import FilmError, bag_camera, read_film
 
 TYPES = message_types()
 IMAGE, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"

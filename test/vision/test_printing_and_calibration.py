@@ -9,10 +9,10 @@ import pytest
 from PIL import Image
 from views import CAMERA, VISION
 
-from slot_core.vision import calibrate_camera, film, print_markers
-from slot_core.vision.calibration import View, calibrate
 from slot_core.vision.camera import CameraError, read_camera
-from slot_core.vision.print_markers import sheet_of
+from slot_lab.film import calibrate_camera, film, print_markers
+from slot_lab.film.calibration import View, calibrate
+from slot_lab.film.print_markers import sheet_of
 
 DOTS = 4000.0  # px per m
 

@@ -9,11 +9,11 @@ import pytest
 from views import CAMERA, VISION, natural_robot, stage, synthetic
 
 from slot_core.robot import read_robot
-from slot_core.vision import track
 from slot_core.vision.camera import Camera, camera_text
-from slot_core.vision.film import filmed
 from slot_core.vision.frames import Transform
-from slot_core.vision.tracker import Tracker
+from slot_lab.film import track
+from slot_lab.film.film import filmed
+from slot_lab.film.tracker import Tracker
 
 COUNT = 6
 POINTS = ["torso", "FR_base", "FR_third", "FR_two_thirds", "FR_tip"]

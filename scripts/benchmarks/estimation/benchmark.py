@@ -33,9 +33,9 @@ from benchmarks.estimation.measured_streams import (
 )
 from benchmarks.harness import Check, Row, at_least, at_most, cpu_time
 from slot_core.clock import SECOND
-from slot_core.control.inertial_filter import EstimatorSettings
-from slot_core.control.state_estimator import StateEstimator, read_estimator
-from slot_core.plane import wrapped
+from slot_core.estimation.inertial_filter import EstimatorSettings
+from slot_core.estimation.state_estimator import StateEstimator, read_estimator
+from slot_core.geometry import wrapped
 from slot_core.robot import Array
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.simulation.sensors import ImuReading, OdometryReading

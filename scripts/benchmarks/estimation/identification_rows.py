@@ -14,12 +14,12 @@ from benchmarks.estimation.twin_walks import POSITION_NOISE, TrueWalk, walk
 from benchmarks.harness import Check, Row, at_most
 from slot_core.body_points import TORSO
 from slot_core.robot import read_robot
-from slot_core.twin.replay_robot import read_parts
-from slot_core.twin.settings import read_twin
-from slot_core.twin.strides import StrideErrors, find_strides
-from slot_core.twin.twin_fit import fit_twin, places
-from slot_core.validation.comparison import compare
-from slot_core.validation.recording import PointTrack, Recording
+from slot_lab.twin.replay_robot import read_parts
+from slot_lab.twin.settings import read_twin
+from slot_lab.twin.strides import StrideErrors, find_strides
+from slot_lab.twin.twin_fit import fit_twin, places
+from slot_lab.validation.comparison import compare
+from slot_lab.validation.recording import PointTrack, Recording
 
 RATE = 30.0  # Hz, of the camera
 CUT = 1.0  # s, of the walk that the camera misses at either end

@@ -7,7 +7,7 @@ from typing import Any
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from slot_core.report import palette
+from slot_core.drawing import palette
 
 COLOURS = {
     "finite differences": "#E69F00",

@@ -10,8 +10,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.estimation.measured_streams import PERIOD
-from slot_core.bags.measured import MEASURED, ODOMETRY, TendonAngles
-from slot_core.bags.walk import Motion
 from slot_core.body_points import LEG_POINTS, TORSO, at_shares
 from slot_core.clock import SECOND
 from slot_core.dynamics.scene import Scene
@@ -20,7 +18,9 @@ from slot_core.dynamixel.state import JointReading
 from slot_core.robot import Array, Robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.simulation.plant import Plant, Reading, TrueState
-from slot_core.twin.recorded import Recorded
+from slot_lab.bags.measured import MEASURED, ODOMETRY, TendonAngles
+from slot_lab.bags.walk import Motion
+from slot_lab.twin.recorded import Recorded
 
 POSITION_NOISE, ANGLE_NOISE = 1e-3, 2e-3  # m, rad: the odometry of config/scene/flat.yaml
 ENCODER = 2 * np.pi / 4096  # rad, of the servos

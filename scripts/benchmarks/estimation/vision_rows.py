@@ -22,11 +22,11 @@ from slot_core.dynamics.scene import read_scene
 from slot_core.robot import Array, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.vision.camera import nominal
-from slot_core.vision.film import DEPTH_NOISE, FilmedRobot, Stage, filmed
 from slot_core.vision.frames import Transform
 from slot_core.vision.settings import VisionSettings, read_vision
 from slot_core.vision.synthetic_camera import Imperfections, SyntheticCamera
-from slot_core.vision.tracker import Sample, Tracker
+from slot_lab.film.film import DEPTH_NOISE, FilmedRobot, Stage, filmed
+from slot_lab.film.tracker import Sample, Tracker
 
 PERIOD = read_scene("marker_camera").sensors.camera.period  # s, of the pictures
 WARM_UP = 2.0  # s

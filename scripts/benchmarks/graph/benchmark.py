@@ -25,15 +25,15 @@ from benchmarks.graph.measured_walk import Walk, measure_walk
 from benchmarks.graph.picture import END_TO_END, draw
 from benchmarks.harness import Check, Row, at_least, at_most, cpu_time
 from slot_bringup.graph import CONTROLLER, read_graph
-from slot_core.arguments import within
-from slot_core.bags import decode
-from slot_core.bags.walk import STAGES
-from slot_core.control.mpc.mpc import Mpc, read_mpc
+from slot_core.command_line import within
 from slot_core.control.pace import Pace
 from slot_core.dynamics.scene import read_scene
-from slot_core.report.metrics import Latency
+from slot_core.messages import decode
+from slot_core.mpc.mpc import Mpc, read_mpc
 from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
+from slot_lab.bags.walk import STAGES
+from slot_lab.report.metrics import Latency
 from slot_msgs.msg import GaitPreview, MpcState
 from slot_nodes import messages
 

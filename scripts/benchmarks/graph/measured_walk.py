@@ -15,13 +15,13 @@ from benchmarks.harness import BenchmarkError
 from slot_bringup.graph import Graph
 from slot_bringup.monitor import RunError, watch
 from slot_bringup.run import started
-from slot_core.bags.bag import Bag, BagError
-from slot_core.bags.record_settings import read_record_settings
-from slot_core.bags.replay import TOLERANCE, replay
-from slot_core.bags.walk import Ticks, read_motion, read_ticks
 from slot_core.dynamics.servo import read_servo
-from slot_core.report.metrics import WalkMetrics, walk_metrics
+from slot_core.recording.record_settings import read_record_settings
 from slot_core.robot import Array
+from slot_lab.bags.bag import Bag, BagError
+from slot_lab.bags.check_bag import TOLERANCE, replay
+from slot_lab.bags.walk import Ticks, read_motion, read_ticks
+from slot_lab.report.metrics import WalkMetrics, walk_metrics
 
 STANDING = 1.0  # s, at most, from the first state to the first command: the robot stands still
 

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from slot_core.clock import LOCKSTEP_START
-from slot_core.control.gait import read_gaits
-from slot_core.control.path import Path
-from slot_core.control.reference import mean_velocity
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import Divergence
+from slot_core.gait.gait import read_gaits
+from slot_core.gait.reference import mean_velocity
+from slot_core.gait.route import Path
 from slot_core.robot import GRAVITY, Array, read_robot
 from slot_core.safety.settings import read_supervisor
 from slot_core.simulation.closed_loop import ClosedLoop

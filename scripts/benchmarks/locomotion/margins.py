@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from benchmarks.harness import Check, at_most
 from benchmarks.locomotion.cases import DEFAULT, Case, Changes, Job, Motion, friction
 from benchmarks.locomotion.rows import DEG, MM, SPEED, WARM_UP
+from slot_core.drawing import palette
 from slot_core.dynamics.servo import read_servo
-from slot_core.report import palette
 
 FRICTION = (0.2, 0.4, 0.6)
 VOLTAGE = (11.1, 9.6)  # V, of a battery's nominal and almost empty cells

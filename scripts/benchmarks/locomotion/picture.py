@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, PAPER, Case, Motion
 from benchmarks.locomotion.rows import CAUGHT_UP, SIDE
-from slot_core.report import palette
+from slot_core.drawing import palette
 
 COLOURS = {ALONE: "#E69F00", PAPER: palette.PALE, DEFAULT: palette.TRUE}
 SHOWN = (0.01, 100.0)  # range of the bars, in goals

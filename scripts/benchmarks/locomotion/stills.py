@@ -11,11 +11,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from benchmarks.locomotion.cases import DT, Case
-from slot_core.control.gait import read_gaits
-from slot_core.report.picture import Camera, Pose, draw_robot
-from slot_core.report.shapes import bent_legs
+from slot_core.drawing.shapes import bent_legs
+from slot_core.gait.gait import read_gaits
 from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
+from slot_lab.report.picture import Camera, Pose, draw_robot
 
 COLUMNS = 5
 SETTLED = 3.0  # s, before the first still

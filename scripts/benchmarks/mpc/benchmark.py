@@ -22,8 +22,8 @@ from benchmarks.mpc.oracle import optimum
 from benchmarks.mpc.picture import draw
 from benchmarks.mpc.restated import restated
 from slot_core import config
-from slot_core.control.mpc.cvxpy_reference import CvxpyReference
-from slot_core.control.mpc.mpc import Mpc, MpcResult, MpcSettings, Status, read_mpc
+from slot_core.mpc.cvxpy_reference import CvxpyReference
+from slot_core.mpc.mpc import Mpc, MpcResult, MpcSettings, Status, read_mpc
 from slot_core.robot import Array, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 

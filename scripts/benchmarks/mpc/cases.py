@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from slot_core.control.gait import GaitCommand, GaitPreview, read_gaits
+from slot_core.gait.gait import GaitCommand, GaitPreview, read_gaits
 from slot_core.robot import Array
 
 HEIGHT = 0.04  # m, of the standing torso

@@ -3,7 +3,7 @@
 import numpy as np
 import quadprog
 
-from slot_core.control.mpc.model import INPUTS, HorizonQp
+from slot_core.mpc.model import INPUTS, HorizonQp
 from slot_core.robot import Array
 
 STAGE = INPUTS + 12

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from slot_core.report import palette
+from slot_core.drawing import palette
 
 COLOURS = {
     "riccati": palette.TRUE,

@@ -16,10 +16,10 @@ import quadprog
 
 from benchmarks.mpc.cases import Case
 from slot_core import config
-from slot_core.control.gait import STAND
-from slot_core.control.mpc.model import FEET
-from slot_core.control.mpc.mpc import Mpc, Status, read_mpc
-from slot_core.control.mpc.posture_problem import PostureProblem, PostureSolver
+from slot_core.gait.gait import STAND
+from slot_core.mpc.model import FEET
+from slot_core.mpc.mpc import Mpc, Status, read_mpc
+from slot_core.mpc.posture_problem import PostureProblem, PostureSolver
 from slot_core.robot import Array, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 

@@ -3,9 +3,9 @@
 import cvxpy
 import numpy as np
 
-from slot_core.control.gait import GaitPreview
-from slot_core.control.mpc.model import FEET, INPUTS, STATES, TorsoModel
-from slot_core.control.mpc.mpc import MpcSettings
+from slot_core.gait.gait import GaitPreview
+from slot_core.mpc.model import FEET, INPUTS, STATES, TorsoModel
+from slot_core.mpc.mpc import MpcSettings
 from slot_core.robot import Array, Robot
 
 

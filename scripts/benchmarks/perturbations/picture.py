@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.perturbations.cases import CASES, SETTLED, TABLE, Run
 from benchmarks.perturbations.samples import LIMITS, RANGES, interval
-from slot_core.report import palette
+from slot_core.drawing import palette
 
 Row = Mapping[str, Any]
 

@@ -25,7 +25,7 @@ from benchmarks.report.results import (
     read_picture,
     read_run,
 )
-from slot_core.bags.origin import revision
+from slot_core.recording.origin import revision
 
 CANNOT_REPORT = 2  # exit code
 BENCHMARKS = ROOT / "scripts" / "benchmarks"

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import Check
-from slot_core.bags.bag import Bag, BagError
+from slot_lab.bags.bag import Bag, BagError
 
 PNG = b"\x89PNG\r\n\x1a\n"
 MAGIC = {".png": PNG, ".gif": b"GIF8"}  # first bytes of a picture

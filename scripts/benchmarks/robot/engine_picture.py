@@ -7,7 +7,7 @@ from typing import Any
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from slot_core.report import palette
+from slot_core.drawing import palette
 
 ENGINES = (("own", "rod legs of this project", palette.TRUE, "o"),
            ("other", "hinge chains in MuJoCo", palette.SECONDARY, "s"))  # fmt: skip

@@ -24,15 +24,15 @@ from benchmarks.harness import Check, at_most
 from benchmarks.robot.engine_picture import draw
 from benchmarks.robot.mujoco_robot import DEFAULT, Engine, MujocoRobot
 from slot_core import config
-from slot_core.control.gait import Stride, read_gaits
 from slot_core.dynamics.rod import discretise, sections
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
+from slot_core.gait.gait import Stride, read_gaits
 from slot_core.robot import GRAVITY, Array, Leg, Robot, read_robot
 from slot_core.simulation.rod_robot import RodRobot
-from slot_core.tuning.settings import TuningSettings, read_tuning
-from slot_core.tuning.stride_run import stride_means
+from slot_lab.tuning.settings import TuningSettings, read_tuning
+from slot_lab.tuning.stride_run import stride_means
 
 Make = Callable[[Scene], SimulatedRobot]
 Progress = Callable[[str], None]

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from slot_core.report import palette
+from slot_core.drawing import palette
 
 BESIDE = {"coarse": (9, -22), "fine": (-95, -4)}  # points, of a name from its level
 RANGE = {"xlim": (0.3, 300), "ylim": (0.01, 30)}

@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from benchmarks.rod.release import DAMPED, LARGEST_ERROR, OURS, UNDAMPED
-from slot_core.report import palette
+from slot_core.drawing import palette
 
 COST, ERROR = (5e-4, 5.0), (8e-3, 100.0)  # limits of the axes
 CURVES = {  # simulator and physics: name, mark, colour

@@ -25,9 +25,9 @@ from benchmarks.harness import BenchmarkError, Check, Row, at_most
 from slot_bringup.graph import read_graph
 from slot_bringup.monitor import START_TIMEOUT, listener
 from slot_bringup.run import started
-from slot_core.bags import decode
-from slot_core.bags.record_settings import read_record_settings
-from slot_core.report.palette import INK, SECONDARY, STAGE_COLOURS
+from slot_core.drawing.palette import INK, SECONDARY, STAGE_COLOURS
+from slot_core.messages import decode
+from slot_core.recording.record_settings import read_record_settings
 from slot_msgs.msg import ServoHealth
 from slot_nodes import qos
 

@@ -25,7 +25,6 @@ from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-from slot_core.bags import decode
 from slot_core.config import ConfigError
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamixel.driver import Driver
@@ -35,6 +34,7 @@ from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.session import ServoSession, measured
 from slot_core.dynamixel.settings import DynamixelSettings, read_settings
 from slot_core.dynamixel.state import Cycle
+from slot_core.messages import decode
 from slot_core.robot import LEGS, read_robot
 from slot_core.safety.command_gate import Action
 from slot_msgs.msg import RobotState, ServoLimits

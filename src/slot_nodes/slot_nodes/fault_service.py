@@ -6,8 +6,8 @@ from pathlib import Path
 
 from rclpy.node import Node
 
-from slot_core.bags import decode
 from slot_core.dynamics.simulated_robot import Divergence
+from slot_core.messages import decode
 from slot_core.simulation.plant import Plant
 from slot_msgs.srv import InjectFault
 

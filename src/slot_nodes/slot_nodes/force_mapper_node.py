@@ -3,11 +3,11 @@
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from slot_core.bags import decode
 from slot_core.control.controller import command_for
-from slot_core.control.force_map import make_force_map, read_force_map
-from slot_core.control.mpc.mpc import DEFAULT_PROFILE, read_mpc
-from slot_core.control.time_synchronizer import TimeSynchronizer
+from slot_core.estimation.time_synchronizer import TimeSynchronizer
+from slot_core.messages import decode
+from slot_core.mpc.force_map import make_force_map, read_force_map
+from slot_core.mpc.mpc import DEFAULT_PROFILE, read_mpc
 from slot_core.robot import LEGS, read_robot
 from slot_msgs.msg import ForceMapStatus, GaitPreview, GroundReactionForces, MpcState
 from slot_nodes import inputs, messages, qos, runtime

@@ -6,12 +6,12 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.node import Node
 from std_srvs.srv import SetBool
 
-from slot_core.bags import decode
 from slot_core.config import ConfigError
-from slot_core.control.force_map import read_springs
-from slot_core.control.gait import STAND, read_gaits
-from slot_core.control.gait_scheduler import GaitScheduler
-from slot_core.control.path import KEPT, read_path
+from slot_core.gait.gait import STAND, read_gaits
+from slot_core.gait.gait_scheduler import GaitScheduler
+from slot_core.gait.route import KEPT, read_path
+from slot_core.messages import decode
+from slot_core.mpc.force_map import read_springs
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, MpcState
 from slot_msgs.srv import SetGait

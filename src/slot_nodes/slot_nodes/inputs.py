@@ -11,8 +11,8 @@ from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
-from slot_core.bags import decode
-from slot_core.control.gait import GaitPreview
+from slot_core.gait.gait import GaitPreview
+from slot_core.messages import decode
 from slot_core.robot import LEGS
 from slot_msgs.msg import RobotState
 from slot_nodes import qos, runtime

@@ -11,9 +11,9 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
-from slot_core.bags import decode
 from slot_core.config import ConfigError
-from slot_core.control.state_estimator import read_estimator
+from slot_core.estimation.state_estimator import read_estimator
+from slot_core.messages import decode
 from slot_core.vision import picture_message
 from slot_core.vision.camera import Camera, CameraError, from_camera_info, read_camera
 from slot_core.vision.frames import Transform

@@ -1,4 +1,4 @@
-"""ROS messages from values of the core; the inverse is slot_core.bags.decode."""
+"""ROS messages from values of the core; the inverse is slot_core.messages.decode."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from sensor_msgs.msg import CameraInfo, Image, Imu, JointState
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from slot_core.bags import decode
 from slot_core.clock import SECOND
-from slot_core.control import gait
+from slot_core.gait import gait
+from slot_core.messages import decode
 from slot_core.robot import BASE_FRAME, ODOM_FRAME, TENDON_JOINTS, Array
 from slot_msgs import msg as slot_msgs
 from slot_msgs.msg import (
@@ -38,12 +38,12 @@ OPTICAL_FRAME = "camera_optical_frame"
 LOST = 9999.0  # variance of lost odometry, as of RTAB-Map
 
 if TYPE_CHECKING:  # a node imports only the core modules that it runs
-    from slot_core.control.force_map import TendonCommand
-    from slot_core.control.inertial_filter import Mount
-    from slot_core.control.mpc.mpc import MpcResult
     from slot_core.control.pace import Pace
-    from slot_core.control.state_estimator import Estimate
     from slot_core.dynamixel.state import JointReading
+    from slot_core.estimation.inertial_filter import Mount
+    from slot_core.estimation.state_estimator import Estimate
+    from slot_core.mpc.force_map import TendonCommand
+    from slot_core.mpc.mpc import MpcResult
     from slot_core.safety.servo_health import ServoHealth
     from slot_core.safety.settings import ServoLimits
     from slot_core.safety.supervisor import Report

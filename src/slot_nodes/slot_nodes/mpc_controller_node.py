@@ -4,10 +4,10 @@ import time
 
 from rclpy.node import Node
 
-from slot_core.bags import decode
-from slot_core.control.mpc.mpc import DEFAULT_PROFILE, Mpc, Status, read_mpc
 from slot_core.control.pace import Pace
-from slot_core.control.time_synchronizer import TimeSynchronizer
+from slot_core.estimation.time_synchronizer import TimeSynchronizer
+from slot_core.messages import decode
+from slot_core.mpc.mpc import DEFAULT_PROFILE, Mpc, Status, read_mpc
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, GroundReactionForces, MpcState
 from slot_nodes import inputs, messages, qos, runtime

@@ -20,7 +20,7 @@ from rclpy.qos import (
 )
 
 if TYPE_CHECKING:  # a node imports only the core modules that it runs
-    from slot_core.bags.record_settings import RecordedTopic
+    from slot_core.recording.record_settings import RecordedTopic
 
 SENSOR = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,

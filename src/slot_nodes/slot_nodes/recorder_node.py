@@ -18,10 +18,10 @@ from rclpy.subscription import Subscription
 from std_msgs.msg import Bool
 
 from slot_core import config
-from slot_core.bags.bag_error import BagError
-from slot_core.bags.bag_writer import BagWriter
-from slot_core.bags.origin import origin_here
-from slot_core.bags.record_settings import RecordedTopic, read_record_settings
+from slot_core.recording.bag_error import BagError
+from slot_core.recording.bag_writer import BagWriter
+from slot_core.recording.origin import origin_here
+from slot_core.recording.record_settings import RecordedTopic, read_record_settings
 from slot_nodes import messages, qos, runtime
 from slot_nodes.process.executor import DirectExecutor
 

@@ -34,7 +34,6 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import CameraInfo, Image, Imu, JointState
 from std_msgs.msg import Bool
 
-from slot_core.bags import decode
 from slot_core.config import ConfigError
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
@@ -43,6 +42,7 @@ from slot_core.dynamixel.errors import RefusedError
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.state import JointReading
 from slot_core.emulator.emulated_bus import read_emulator
+from slot_core.messages import decode
 from slot_core.robot import read_robot
 from slot_core.safety.command_gate import Action
 from slot_core.simulation.bus_plant import BusPlant

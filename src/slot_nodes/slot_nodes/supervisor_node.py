@@ -22,10 +22,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
-from slot_core.bags import decode
 from slot_core.clock import LOCKSTEP_START
-from slot_core.control.gait import STAND, read_gaits
-from slot_core.control.state_estimator import Estimate, Validity
+from slot_core.estimation.state_estimator import Estimate, Validity
+from slot_core.gait.gait import STAND, read_gaits
+from slot_core.messages import decode
 from slot_core.robot import read_robot
 from slot_core.safety.servo_health import ServoHealth as Health
 from slot_core.safety.settings import read_supervisor

@@ -1,1 +1,1 @@
-"""Controller, in the order of the graph: state estimator, gait, MPC, force map."""
+"""Controller: the chain from odometry to tendon angles in one process."""

@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from slot_core.control.force_map import (
+from slot_core.estimation.state_estimator import Estimate, StateEstimator, read_estimator
+from slot_core.gait.gait import GaitPreview, GaitSettings, read_gaits
+from slot_core.gait.gait_scheduler import GaitScheduler
+from slot_core.gait.route import Path
+from slot_core.mpc.force_map import (
     ForceMap,
     Nominal,
     TendonCommand,
@@ -13,11 +17,7 @@ from slot_core.control.force_map import (
     read_force_map,
     read_springs,
 )
-from slot_core.control.gait import GaitPreview, GaitSettings, read_gaits
-from slot_core.control.gait_scheduler import GaitScheduler
-from slot_core.control.mpc.mpc import Mpc, MpcResult, MpcSettings, Status
-from slot_core.control.path import Path
-from slot_core.control.state_estimator import Estimate, StateEstimator, read_estimator
+from slot_core.mpc.mpc import Mpc, MpcResult, MpcSettings, Status
 from slot_core.robot import Array, Robot
 
 

@@ -26,10 +26,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
 
 from slot_core.clock import SECOND
-from slot_core.leg_table import LegTable, read_leg_table
+from slot_core.legs.leg_table import LegTable, read_leg_table
 from slot_core.robot import LEGS, Array, Robot
 from slot_core.safety.settings import TendonLimits
 
@@ -41,15 +40,12 @@ class TendonLoad:
         """`statics` with the one column of tension (N)."""
         torque = statics.table[..., 0] * spool_radius
         slope = np.gradient(torque, statics.angle, axis=0)
-        self._low = np.array([statics.angle[0], statics.height[0]])
-        self._high = np.array([statics.angle[-1], statics.height[-1]])
-        columns = np.stack([torque, slope], axis=-1)
-        self._interpolate = RegularGridInterpolator((statics.angle, statics.height), columns)
+        self._table = statics._replace(table=np.stack([torque, slope], axis=-1))
+        self(np.zeros(1), np.zeros(1))  # compiles the kernel
 
     def __call__(self, angle: Array, height: Array) -> tuple[Array, Array]:
         """N m and N m/rad at angles (n,), rad, and heights (n,), m; clipped to the table."""
-        points = np.clip(np.column_stack([angle, height]), self._low, self._high)
-        columns = self._interpolate(points)
+        columns = self._table.at(angle, height)
         return columns[:, 0], columns[:, 1]
 
 

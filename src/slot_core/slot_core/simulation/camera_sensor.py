@@ -6,10 +6,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slot_core.config import ConfigError
-from slot_core.control.inertial_filter import Mount
-from slot_core.control.state_estimator import read_estimator
 from slot_core.dynamics.scene import CameraSettings
 from slot_core.dynamics.simulated_robot import SimulatedRobot
+from slot_core.estimation.inertial_filter import Mount
+from slot_core.estimation.state_estimator import read_estimator
 from slot_core.robot import BASE_FRAME, ODOM_FRAME
 from slot_core.simulation.sensors import PictureReading
 from slot_core.vision.board import Board, Picture, make_board, print_of

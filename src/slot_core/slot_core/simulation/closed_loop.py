@@ -11,11 +11,11 @@ import numpy as np
 from slot_core import config
 from slot_core.clock import LOCKSTEP_START, SECOND
 from slot_core.control.controller import Controller, Tick
-from slot_core.control.gait import read_gaits
-from slot_core.control.mpc.mpc import DEFAULT_PROFILE, read_mpc
-from slot_core.control.path import Path
 from slot_core.dynamics.scene import CameraSettings, Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
+from slot_core.gait.gait import read_gaits
+from slot_core.gait.route import Path
+from slot_core.mpc.mpc import DEFAULT_PROFILE, read_mpc
 from slot_core.robot import Array, Robot, read_robot
 from slot_core.simulation.plant import Plant, Reading
 from slot_core.simulation.sensors import ImuReading, OdometryReading, PictureReading

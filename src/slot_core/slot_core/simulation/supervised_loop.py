@@ -12,13 +12,13 @@ import numpy as np
 from slot_core import config
 from slot_core.clock import LOCKSTEP_START, SECOND
 from slot_core.control.controller import Tick
-from slot_core.control.gait import STAND
-from slot_core.control.mpc.mpc import DEFAULT_PROFILE
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.state import JointReading
 from slot_core.emulator.emulated_bus import read_emulator
+from slot_core.gait.gait import STAND
+from slot_core.mpc.mpc import DEFAULT_PROFILE
 from slot_core.robot import Array, Robot, read_robot
 from slot_core.safety.command_watchdog import Permission
 from slot_core.safety.settings import read_supervisor

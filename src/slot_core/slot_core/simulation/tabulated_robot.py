@@ -55,7 +55,7 @@ from slot_core.dynamics.model import build_model, build_scheme, state_space, wor
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import Divergence
-from slot_core.leg_table import LegTable, read_leg_table
+from slot_core.legs.leg_table import LegTable, read_leg_table
 from slot_core.robot import Array, Robot
 from slot_core.simulation.kernel_robot import KernelRobot
 from slot_core.simulation.tabulated_kernels import COS_TILT_MAX, TOO_TILTED, Feet, MapLegs, advance

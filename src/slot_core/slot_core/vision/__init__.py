@@ -1,1 +1,1 @@
-"""Markers seen by a camera: camera model, boards, localisation, tracking, a synthetic camera."""
+"""Markers seen by a camera: camera model, boards, localisation, a synthetic camera."""

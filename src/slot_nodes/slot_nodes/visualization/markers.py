@@ -1,4 +1,4 @@
-"""Markers for RViz and Foxglove from the shapes of slot_core.report."""
+"""Markers for RViz and Foxglove from the shapes of slot_core.drawing."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from slot_core.report.shapes import Arrows, Bars, Box, Shape, Strips, halves
+from slot_core.drawing.shapes import Arrows, Bars, Box, Shape, Strips, halves
 from slot_core.robot import Array
 from slot_nodes import messages
 

@@ -8,10 +8,10 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
-from slot_core.bags import decode
+from slot_core.drawing.drawing import Drawing
+from slot_core.drawing.shapes import Shape
 from slot_core.dynamics.servo import read_servo
-from slot_core.report.drawing import Drawing
-from slot_core.report.shapes import Shape
+from slot_core.messages import decode
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, GroundReactionForces, LegStates, MpcState
 from slot_nodes import inputs, qos, runtime

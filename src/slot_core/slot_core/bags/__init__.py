@@ -1,1 +1,0 @@
-"""Recordings: writing, reading and decoding bags, and replaying them through the cores."""

@@ -1,0 +1,146 @@
+"""Drawing of the robot for a viewer, kept up to date by the messages of the graph.
+
+The messages may be rclpy's or those that the `rosbags` library reads from a bag. On the real robot
+no topic has the shape of the legs: they are then drawn as without stress, and pale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from slot_core.drawing import palette
+from slot_core.drawing.shapes import (
+    LEG_COLOURS,
+    Shape,
+    bent_legs,
+    box_edges,
+    force_arrows,
+    leg_bars,
+    natural_legs,
+    path_strip,
+    rgb,
+    tendon_strips,
+    torso_box,
+)
+from slot_core.messages import decode
+from slot_core.robot import LEGS, Array, Robot
+
+NATURAL_NODES = 20  # of a leg whose shape is not known
+PATH_STEP = 0.005  # m between two points of a path
+PATH_POINTS = 2000  # the oldest points of a longer path are dropped
+REFERENCE, DEMANDED = rgb(palette.SECONDARY), rgb(palette.INK)
+
+
+class Path:
+    """Line through the places where something was."""
+
+    def __init__(self) -> None:
+        self._points: list[Array] = []
+
+    def extend(self, point: Array) -> Array | None:
+        """Points (n, 3) m of the line with one more; None if it is closer than PATH_STEP."""
+        if self._points and np.linalg.norm(point - self._points[-1]) < PATH_STEP:
+            return None
+        self._points = [*self._points[-PATH_POINTS + 1 :], point]
+        return np.array(self._points) if len(self._points) > 1 else None
+
+
+class Drawing:
+    """Shapes by name, from the newest message of every topic."""
+
+    def __init__(self, robot: Robot, torque_max: float) -> None:
+        """torque_max: torque of a servo (N m) at which its tendon is drawn as fully loaded."""
+        self._robot = robot
+        self._tension_max = torque_max / robot.tendon.spool_radius
+        self._position, self._quaternion = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
+        self._legs = natural_legs(self._position, self._quaternion, robot, NATURAL_NODES)
+        self._placed = self._simulated = False  # whether a pose, the exact one has been received
+        self._path, self._reference_path = Path(), Path()
+
+    def receive(self, topic: str, message: Any) -> dict[str, Shape]:
+        """Shapes that a message changes; none of a topic that is not drawn.
+
+        Raises ValueError for a message whose arrays do not fit, and for values that are not finite.
+        """
+        return self._DRAW[topic](self, message) if topic in self._DRAW else {}
+
+    def _draw_truth(self, message: Any) -> dict[str, Shape]:
+        self._simulated = True
+        _, position, quaternion, *_ = decode.odometry(message)
+        return self._draw_torso(position, quaternion)
+
+    def _draw_estimate(self, message: Any) -> dict[str, Shape]:
+        if self._simulated:
+            return {}
+        _, state, _ = decode.state(message)
+        quaternion = Rotation.from_euler("xyz", _finite(state)[:3]).as_quat()
+        shapes = self._draw_torso(state[3:6], quaternion)
+        self._legs = natural_legs(self._position, quaternion, self._robot, NATURAL_NODES)
+        return shapes | {"legs": leg_bars(self._legs, self._robot, known=False)}
+
+    def _draw_torso(self, position: Array, quaternion: Array) -> dict[str, Shape]:
+        self._position, self._quaternion = _finite(position), _finite(quaternion)
+        self._placed = True
+        path = self._path.extend(position)
+        shapes: dict[str, Shape] = {"torso": torso_box(position, quaternion, self._robot)}
+        return shapes if path is None else shapes | {"path": path_strip(path, LEG_COLOURS[0])}
+
+    def _draw_legs(self, message: Any) -> dict[str, Shape]:
+        self._simulated = True
+        _, tension, force, nodes, directors = decode.legs(message)
+        self._legs = bent_legs(nodes, directors, self._quaternion, self._robot)
+        return {
+            "legs": leg_bars(self._legs, self._robot),
+            "tendons": self._tendons(tension),
+            "ground_forces": force_arrows(nodes[:, -1], force, LEG_COLOURS),
+        }
+
+    def _draw_load(self, message: Any) -> dict[str, Shape]:
+        """Tendons with the tension T = torque / radius of the spool, where it is not simulated."""
+        if self._simulated or not self._placed:
+            return {}
+        _, _, torque = decode.joint_loads(message)
+        return {"tendons": self._tendons(_finite(torque) / self._robot.tendon.spool_radius)}
+
+    def _tendons(self, tension: Array) -> Shape:
+        return tendon_strips(self._legs, self._quaternion, tension, self._robot, self._tension_max)
+
+    def _draw_reference(self, message: Any) -> dict[str, Shape]:
+        """Reference pose of the torso now, its way over the horizon, and where it was."""
+        reference = _finite(decode.preview(message).reference)
+        position, size = reference[0, 3:6], np.array(self._robot.torso.size)
+        quaternion = Rotation.from_euler("xyz", reference[0, :3]).as_quat()
+        shapes: dict[str, Shape] = {
+            "reference": box_edges(position, quaternion, size, REFERENCE),
+            "horizon": path_strip(reference[:, 3:6], REFERENCE),
+        }
+        path = self._reference_path.extend(position)
+        return shapes if path is None else shapes | {"reference_path": path_strip(path, REFERENCE)}
+
+    def _draw_demand(self, message: Any) -> dict[str, Shape]:
+        """Forces demanded by the MPC, at the tips of the legs."""
+        if not self._placed:
+            return {}
+        _, force, _ = decode.forces(message)
+        colours = np.tile(DEMANDED, (len(LEGS), 1))
+        return {"demanded_forces": force_arrows(self._legs.nodes[:, -1], _finite(force), colours)}
+
+    _DRAW: ClassVar[dict[str, Callable[[Drawing, Any], dict[str, Shape]]]] = {
+        "/ground_truth/odom": _draw_truth,
+        "/ground_truth/legs": _draw_legs,
+        "/mpc_state": _draw_estimate,
+        "/joint_states": _draw_load,
+        "/gait_preview": _draw_reference,
+        "/ground_reaction_forces": _draw_demand,
+    }
+    TOPICS = tuple(_DRAW)
+
+
+def _finite(values: Array) -> Array:
+    if not np.isfinite(values).all():
+        raise ValueError(f"{values.tolist()}: expected finite numbers")
+    return values

@@ -1,0 +1,1 @@
+"""State estimation: from odometry and IMU to the state of the torso."""

@@ -1,0 +1,283 @@
+"""Error-state Kalman filter of the torso: the IMU propagates, the odometry corrects.
+
+After Sola, "Quaternion kinematics for the error-state Kalman filter", 2017, with the angle error in
+odom:
+
+    R' = R [w - b_w]x
+    p' = v
+    v' = R (f - b_f) + g
+
+with w, f the angular velocity and specific force of the IMU in base_link and b_w, b_f their biases.
+The error state is x = [d_theta, d_p, d_v, d_b_w, d_b_f] (15,), with R_true = Exp(d_theta) R.
+The arithmetic is compiled: `filter_kernels.py`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from slot_core.clock import SECOND
+from slot_core.config import quantity, text
+from slot_core.estimation.filter_kernels import (
+    Nominal,
+    correct,
+    interpolate,
+    output,
+    propagate,
+    propagate_through,
+    work_space,
+)
+from slot_core.estimation.imu_samples import ImuQueue, ImuSamples
+from slot_core.robot import GRAVITY, Array
+
+UP = np.array([0.0, 0.0, GRAVITY])  # specific force at rest, in odom
+THETA, P, V, GYRO_BIAS, FORCE_BIAS = (slice(i, i + 3) for i in range(0, 15, 3))
+
+
+@dataclass(frozen=True)
+class OdometryNoise:
+    """Period, noise and admissible range of the odometry."""
+
+    period: float = quantity("nominal", "s", 1e-3, 1)
+    position_noise: float = quantity("standard deviation of the position", "m", 1e-6, 1)
+    angle_noise: float = quantity("standard deviation of the attitude", "rad", 1e-6, 1)
+    velocity_noise: float = quantity("standard deviation of the velocity", "m/s", 1e-6, 10)
+    rate_noise: float = quantity("standard deviation of the angular velocity", "rad/s", 1e-6, 10)
+    position_max: float = quantity("largest magnitude accepted, per axis", "m", 1, 1e6)
+    velocity_max: float = quantity("largest magnitude accepted, per axis", "m/s", 0.1, 100)
+    quaternion_tolerance: float = quantity("largest error of its norm", "", 1e-9, 0.1)
+
+
+@dataclass(frozen=True)
+class ImuNoise:
+    """Noise, biases and admissible range of the IMU."""
+
+    rate: float = quantity("nominal sample rate", "Hz", 10, 1e4)
+    gyro_noise: float = quantity("noise density", "rad/s/sqrt(Hz)", 1e-7, 1)
+    acceleration_noise: float = quantity("noise density", "m/s^2/sqrt(Hz)", 1e-7, 10)
+    gyro_bias: float = quantity("initial standard deviation", "rad/s", 0, 1)
+    acceleration_bias: float = quantity("the same, with the tilt of odom", "m/s^2", 0, 5)
+    gyro_drift: float = quantity("random walk of the bias", "rad/s/sqrt(s)", 0, 0.1)
+    acceleration_drift: float = quantity("random walk of the bias", "m/s^2/sqrt(s)", 0, 1)
+    angular_acceleration_step: float = quantity(
+        "change between two samples, by impacts", "rad/s^2", 0, 1e4
+    )
+    acceleration_step: float = quantity("change between two samples", "m/s^2", 0, 1e3)
+    gyro_max: float = quantity("largest magnitude accepted, per axis", "rad/s", 1, 100)
+    acceleration_max: float = quantity("largest magnitude accepted, per axis", "m/s^2", 10, 1e4)
+
+
+@dataclass(frozen=True)
+class BlindSettings:
+    """Process noise of the constant-velocity model, used without IMU data."""
+
+    gyro_noise: float = quantity(
+        "noise density of the angular velocity", "rad/s/sqrt(Hz)", 1e-4, 10
+    )
+    acceleration_noise: float = quantity(
+        "noise density of the acceleration", "m/s^2/sqrt(Hz)", 1e-4, 100
+    )
+
+
+@dataclass(frozen=True)
+class OutlierSettings:
+    """Outlier gate of the odometry, and when the filter restarts from rejected readings."""
+
+    distance: float = quantity("largest Mahalanobis distance of angle, p, v", "sigma", 3, 1e3)
+    max_rejections: int = quantity("in a row; then restart if they agree", "", 2, 100)
+    agreement_distance: float = quantity("between readings, motion subtracted", "m", 1e-4, 1)
+    agreement_angle: float = quantity("between readings, motion subtracted", "rad", 1e-4, 1)
+    initial_readings: int = quantity("accepted in a row until valid", "", 1, 1000)
+
+
+@dataclass(frozen=True)
+class TimingSettings:
+    """Waiting time for the IMU, and gaps after which the filter degrades or restarts."""
+
+    imu_wait: float = quantity("odometry newer by this ends the wait for the IMU", "s", 0, 1)
+    imu_gap: float = quantity("longest interval between samples", "s", 1e-3, 1)
+    odometry_gap: float = quantity("longest interval between accepted readings", "s", 0.02, 5)
+    odometry_wait: float = quantity("after a reading is due, the IMU ticks alone", "s", 0.02, 5)
+    command_delay: float = quantity("from the newest sample to the command's effect", "s", 0, 0.2)
+    clock_jump: float = quantity(
+        "a larger step back of the stamps resets the filter", "s", 0.01, 60
+    )
+
+
+@dataclass(frozen=True)
+class BufferSettings:
+    """Lengths of the queues."""
+
+    imu: int = quantity("IMU samples", "", 4, 100_000)
+    odometry: int = quantity("readings waiting", "", 1, 1000)
+    estimates: int = quantity("estimates not yet polled; the oldest is dropped", "", 1, 10_000)
+
+
+@dataclass(frozen=True)
+class Mount:
+    """Where a sensor sits on the torso; its frame is base_link if it needs no transform."""
+
+    frame: str = text("frame of the sensor")
+    position: tuple[float, float, float] = quantity("of its origin in base_link", "m", -1, 1)
+    rpy: tuple[float, float, float] = quantity("Rz(yaw) Ry(pitch) Rx(roll)", "rad", -3.15, 3.15)
+
+
+@dataclass(frozen=True)
+class MountSettings:
+    """Mounts of the sensors; published on `/tf_static`."""
+
+    imu: Mount
+    camera: Mount
+
+
+@dataclass(frozen=True)
+class EstimatorSettings:
+    """Settings of `config/estimator.yaml`."""
+
+    odometry: OdometryNoise
+    imu: ImuNoise
+    blind: BlindSettings
+    gate: OutlierSettings
+    timing: TimingSettings
+    buffers: BufferSettings
+    mounts: MountSettings
+
+
+@dataclass(frozen=True)
+class OdometryMotion:
+    """A decoded odometry reading: attitude and position in odom, twist in base_link."""
+
+    stamp: int  # ns
+    attitude: Array  # (4,) unit quaternion x y z w
+    position: Array  # (3,) m
+    velocity: Array  # (3,) m/s
+    rate: Array  # (3,) rad/s
+    variance: Array  # (12,) of angle, position, velocity and rate; SI
+
+
+class Rate(NamedTuple):
+    """Angular velocity in base_link."""
+
+    value: Array  # (3,) rad/s
+    variance: float
+    gyro_share: float  # how much of the gyro bias it contains
+
+
+class InertialFilter:
+    """Error-state filter: nominal state, covariance (15, 15), propagation and correction."""
+
+    def __init__(self, settings: EstimatorSettings) -> None:
+        self._settings = settings
+        imu, blind = settings.imu, settings.blind
+        cov = np.zeros((15, 15))
+        cov[GYRO_BIAS, GYRO_BIAS] = imu.gyro_bias**2 * np.eye(3)
+        cov[FORCE_BIAS, FORCE_BIAS] = imu.acceleration_bias**2 * np.eye(3)
+        attitude = np.array([0.0, 0.0, 0.0, 1.0])
+        self._state = Nominal(attitude, np.zeros(3), np.zeros(3), np.zeros((2, 3)), cov)
+        self._work = work_space()
+        drifts = imu.gyro_drift, imu.acceleration_drift
+        self.rate = Rate(np.zeros(3), 0.0, 0.0)
+        self._noise = _densities(imu.gyro_noise, imu.acceleration_noise, *drifts)
+        self._blind_noise = _densities(blind.gyro_noise, blind.acceleration_noise, *drifts)
+
+    def restart(self, motion: OdometryMotion) -> None:
+        """Set the state to an odometry reading; the biases and their covariance are kept."""
+        state = self._state
+        state.attitude[:], state.position[:] = motion.attitude, motion.position
+        rotation = Rotation.from_quat(motion.attitude)
+        state.velocity[:] = rotation.apply(motion.velocity)
+        jacobian = np.eye(9)
+        jacobian[V, V] = rotation.as_matrix()  # is measured in base_link
+        jacobian[V, THETA] = -np.cross(np.eye(3), state.velocity)
+        state.cov[:9, :] = state.cov[:, :9] = 0.0
+        state.cov[:9, :9] = jacobian * motion.variance[:9] @ jacobian.T
+        self.rate = Rate(motion.rate, float(motion.variance[9:].mean()), 0.0)
+
+    @property
+    def state(self) -> Nominal:
+        """A copy of nominal state and covariance, for `restore`."""
+        return Nominal(*(part.copy() for part in self._state))
+
+    def restore(self, saved: Nominal) -> None:
+        """Set nominal state and covariance; valid only without a correction in between."""
+        for part, value in zip(self._state, saved):
+            part[:] = value
+
+    def use_gyro(self, samples: ImuSamples, stamp: int, age: float) -> None:
+        """Set the angular velocity from the gyro at `stamp` (ns), `age` (s) after its last sample.
+
+        The variance includes the change by an impact since that sample.
+        """
+        imu, sample = self._settings.imu, self._work.sample
+        amplification = interpolate(sample, samples.stamps, samples.values, stamp)
+        noise = amplification * imu.gyro_noise**2 * imu.rate
+        variance = noise + (age * imu.angular_acceleration_step) ** 2
+        self.rate = Rate(sample[:3] - self._state.bias[0], variance, 1.0)
+
+    def propagate(self, samples: ImuSamples, begin: int, end: int) -> None:
+        """Propagate from `begin` to `end` (ns) in steps between the samples; blindly in gaps."""
+        longest = round(self._settings.timing.imu_gap * SECOND)
+        blind = longest, self.rate.value, self._blind_noise
+        steps = samples.stamps, samples.values, begin, end, self._noise
+        propagate_through(self._state, self._work, *steps, *blind)
+
+    def propagate_blind(self, dt: float) -> None:
+        """Propagate by dt (s) at constant velocities, without IMU data."""
+        propagate(self._state, self._work, self.rate.value, UP, dt, self._blind_noise, False)
+        self.rate = Rate(self.rate.value, self._settings.blind.gyro_noise**2 / dt, 0.0)
+
+    def extrapolate(self, imu: Array, dt: float) -> None:
+        """Propagate by dt (s) with an IMU sample (6,) held, from which the next may differ."""
+        held, steps = self._noise.copy(), self._settings.imu
+        held[THETA] += (dt * steps.angular_acceleration_step) ** 2 * dt
+        held[V] += steps.acceleration_step**2 * dt
+        propagate(self._state, self._work, imu[:3], imu[3:], dt, held, True)
+
+    def correct(self, motion: OdometryMotion) -> bool:
+        """Correct with a reading at the present stamp; False for an outlier, which is ignored."""
+        pose, gate = (motion.attitude, motion.position), self._settings.gate.distance
+        noise, rate_noise = motion.variance[:9], motion.variance[9:].sum() / 3.0
+        if not correct(self._state, self._work, *pose, motion.velocity, noise, gate):
+            return False
+        value, variance, gyro_share = self.rate
+        value = value - gyro_share * self._work.error[GYRO_BIAS]
+        share = rate_noise / (rate_noise + variance)
+        fused = share * value + (1.0 - share) * motion.rate  # by the inverse variances
+        self.rate = Rate(fused, share * variance, share * gyro_share)
+        return True
+
+    @property
+    def gyro_bias(self) -> Array:
+        """Estimated gyro bias (3,) rad/s, in base_link."""
+        return self._state.bias[0].copy()
+
+    def output(self) -> tuple[Array, Array]:
+        """State (12,) and covariance (12, 12) of `Estimate`; the covariance is of first order."""
+        state, cov = np.empty(12), np.empty((12, 12))
+        rate, variance, gyro_share = self.rate
+        output(self._state, self._work, rate, gyro_share, variance, state, cov)
+        return state, cov
+
+
+def load_kernels(settings: EstimatorSettings) -> None:
+    """Call every kernel once, which loads or compiles it, so that no reading waits for it."""
+    scratch = InertialFilter(settings)
+    zero = np.zeros(3)
+    still = OdometryMotion(0, np.array([0.0, 0.0, 0.0, 1.0]), zero, zero, zero, np.ones(12))
+    scratch.restart(still)
+    queue, imu = ImuQueue(2), np.concatenate([zero, UP])
+    queue.append(0, imu)
+    scratch.use_gyro(queue.samples, 0, 0.0)
+    scratch.propagate(queue.samples, 0, 1)
+    scratch.extrapolate(imu, 1e-3)
+    scratch.correct(still)
+    scratch.output()
+
+
+def _densities(gyro: float, force: float, gyro_drift: float, force_drift: float) -> Array:
+    """Variance densities (15,) of the error state from noise densities."""
+    return np.square(np.repeat([gyro, 0.0, force, gyro_drift, force_drift], 3))

@@ -1,0 +1,358 @@
+"""State estimator: the MPC's twelve states and their covariance, from odometry and IMU.
+
+Each odometry reading, stamped t, corrects the filter at t; it waits until the IMU has reached t, so
+the filter depends only on data stamped up to t, not on the order in which the streams arrive. The
+estimate is then predicted with all IMU samples that have arrived, and by `command_delay` beyond the
+newest, to the time at which its command takes effect: the delay of the odometry costs no more than
+the drift of the IMU over it. The filter itself is in `inertial_filter.py`.
+
+    reading                        effect
+    newer than the last one:       corrects when the IMU has reached it, or after `imu_wait`
+    not newer:                     dropped: repeated, or overtaken by a newer one
+    none for `odometry_wait`:      estimates continue on the IMU alone, as ODOMETRY_LOST
+    none for `odometry_gap`:       estimates end; the next reading restarts the filter
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from slot_core import config
+from slot_core.clock import SECOND
+from slot_core.estimation.imu_samples import ImuQueue
+from slot_core.estimation.inertial_filter import (
+    EstimatorSettings,
+    InertialFilter,
+    Mount,
+    OdometryMotion,
+    load_kernels,
+)
+from slot_core.robot import Array
+
+NEVER = -(2**62)  # ns
+VARIANCE_MIN, VARIANCE_MAX = 1e-12, 1e6  # SI, to which the variances of a message are clipped
+
+
+class Validity(enum.IntEnum):
+    """Validity of an estimate; the values are those of slot_msgs/msg/MpcState."""
+
+    VALID = 0
+    INITIALISING = 1
+    ODOMETRY_REJECTED = 2
+    IMU_MISSING = 3
+    ODOMETRY_LOST = 4
+
+
+def read_estimator() -> EstimatorSettings:
+    """The settings of `config/estimator.yaml`; raises ConfigError."""
+    return config.read(EstimatorSettings, "estimator")
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """State of the torso for a control tick, predicted to the time when its command takes effect.
+
+    `stamp` names the tick: it is that of the odometry reading, or of the one that was due. The
+    state is [roll pitch yaw, p, omega, v]: rad, m, rad/s, m/s, all in odom, with
+    R = Rz(yaw) Ry(pitch) Rx(roll) and yaw in (-pi, pi].
+    """
+
+    stamp: int  # ns
+    state: Array  # (12,)
+    covariance: Array  # (12, 12), in the order of the state
+    validity: Validity
+    lead: int = 0  # ns, from `stamp` to the time of the state
+
+    @property
+    def time(self) -> int:
+        """Time of the state, ns."""
+        return self.stamp + self.lead
+
+
+class StateEstimator:
+    """Orders the odometry and IMU streams, filters them, and rates the validity of each estimate.
+
+    Every odometry reading gives one estimate, except before the first usable reading and, once
+    `odometry_gap` has passed without an accepted reading, before the next usable one, and except
+    readings whose place an estimate without odometry has taken. Bad data raises nothing: IMU
+    samples are dropped, odometry readings are rejected.
+    """
+
+    def __init__(self, settings: EstimatorSettings) -> None:
+        load_kernels(settings)
+        self._settings = settings
+        o = settings.odometry
+        noise = [o.angle_noise, o.position_noise, o.velocity_noise, o.rate_noise]
+        self._variance = np.square(np.repeat(noise, 3))
+        self._mount = _mount(settings.mounts.imu)
+        self._ready: deque[Estimate] = deque(maxlen=settings.buffers.estimates)
+        self._reset()
+
+    def _reset(self) -> None:
+        """Return to the state after construction; estimates not yet polled are kept."""
+        self._filter = InertialFilter(self._settings)
+        self._newest: dict[str, int] = {}
+        self._imu = ImuQueue(self._settings.buffers.imu)
+        self._waiting: deque[tuple[int, OdometryMotion | None]] = deque()
+        self._rejected: deque[OdometryMotion | None] = deque(
+            maxlen=self._settings.gate.max_rejections
+        )
+        self._stamp: int | None = None  # ns, of the filter's state; None: not started
+        self._corrected = self._filter.state  # at `_stamp`
+        self._reached = NEVER  # ns, of the filter: at or after `_stamp`
+        self._tick = NEVER  # ns, stamp of the last estimate
+        self._accepted_stamp = 0  # ns, of the last accepted reading
+        self._accepted = 0  # accepted readings since the start; in a row until valid
+
+    @property
+    def gyro_bias(self) -> Array:
+        """Estimated gyro bias (3,) rad/s, in base_link."""
+        return self._filter.gyro_bias
+
+    def add_imu(self, stamp: int, angular_velocity: Array, specific_force: Array) -> None:
+        """Add an IMU sample: stamp (ns), (3,) rad/s and (3,) m/s^2 in the frame of the IMU."""
+        rate = _vector(angular_velocity, 3, self._settings.imu.gyro_max)
+        force = _vector(specific_force, 3, self._settings.imu.acceleration_max)
+        if rate is None or force is None or not self._advances("imu", stamp):
+            return
+        if self._mount is not None:
+            rate, force = _in_base(rate, force, *self._mount)
+        self._imu.append(stamp, np.concatenate([rate, force]))
+        self._process_due()
+        self._propagate_to_newest()
+        self._tick_without_odometry(stamp)
+
+    def add_odometry(  # noqa: PLR0917 - in the order of the message
+        self,
+        stamp: int,
+        position: Array,
+        quaternion_xyzw: Array,
+        velocity: Array,
+        angular_velocity: Array,
+        variance: Array | None = None,
+    ) -> None:
+        """Add an odometry reading: stamp (ns), pose in odom (m), twist in base_link (SI).
+
+        variance: (12,) of angle, position, velocity and rate, from the message; where it is not
+        positive, or without it, the noise is that of the settings.
+        """
+        if not self._advances("odometry", stamp):
+            return
+        motion = self._decode(stamp, position, quaternion_xyzw, velocity, angular_velocity)
+        if motion is not None and variance is not None:
+            motion = replace(motion, variance=_known(variance, self._variance))
+        self._waiting.append((stamp, motion))
+        self._process_due()
+
+    def poll(self) -> Estimate | None:
+        """The next estimate, in order of the stamps; None if none is ready."""
+        return self._ready.popleft() if self._ready else None
+
+    def present(self) -> Estimate | None:
+        """The state at the newest IMU sample; None if the filter has not reached one."""
+        newest = self._newest.get("imu", NEVER)
+        if self._stamp is None or newest <= self._stamp or newest != self._reached:
+            return None
+        validity = self._validity(self._accepted_stamp == self._stamp, True)
+        return self._predicted(newest, validity, 0.0)
+
+    def _decode(
+        self, stamp: int, position: Array, quaternion: Array, velocity: Array, rate: Array
+    ) -> OdometryMotion | None:
+        """The decoded reading; None if it is not finite, of a wrong shape, or out of range."""
+        limits = self._settings.odometry
+        p = _vector(position, 3, limits.position_max)
+        q = _vector(quaternion, 4, 2.0)
+        v = _vector(velocity, 3, limits.velocity_max)
+        w = _vector(rate, 3, self._settings.imu.gyro_max)
+        if p is None or q is None or v is None or w is None:
+            return None
+        norm = math.hypot(*q)
+        if abs(norm - 1.0) > limits.quaternion_tolerance:
+            return None
+        return OdometryMotion(stamp, q / norm, p, v, w, self._variance)
+
+    def _advances(self, stream: str, stamp: int) -> bool:
+        """Whether `stamp` is the newest of its stream; a clock set back resets the estimator."""
+        newest = self._newest.get(stream)
+        if newest is not None and newest - stamp > self._settings.timing.clock_jump * SECOND:
+            self._reset()
+            newest = None
+        if newest is not None and stamp <= newest:
+            return False
+        self._newest[stream] = stamp
+        return True
+
+    def _process_due(self) -> None:
+        """Process the waiting readings that are due."""
+        while self._waiting and self._is_due(self._waiting[0][0]):
+            self._process(*self._waiting.popleft())
+
+    def _is_due(self, stamp: int) -> bool:
+        """Whether the IMU has reached `stamp` (ns), `imu_wait` is over, or the queue is full."""
+        waited = self._waiting[-1][0] - stamp > self._settings.timing.imu_wait * SECOND
+        full = len(self._waiting) > self._settings.buffers.odometry
+        return self._newest.get("imu", stamp - 1) >= stamp or waited or full
+
+    def _propagate_to_newest(self) -> None:
+        """Propagate to the newest IMU sample within `odometry_gap`; blindly in gaps of the IMU."""
+        if self._stamp is None:
+            return
+        end = self._stamp + round(self._settings.timing.odometry_gap * SECOND)
+        samples = self._imu.samples.until(end)
+        if len(samples.stamps) and samples.stamps[-1] > self._reached:
+            newest = int(samples.stamps[-1])
+            self._filter.propagate(samples, self._reached, newest)
+            self._reached = newest
+
+    def _tick_without_odometry(self, newest: int) -> None:
+        """Publish the estimates whose odometry has been due for `odometry_wait` at `newest`, ns."""
+        timing, period = self._settings.timing, self._settings.odometry.period * SECOND
+        wait, gap = timing.odometry_wait * SECOND, timing.odometry_gap * SECOND
+        while self._stamp is not None and newest - self._tick - period > wait:
+            if newest - self._accepted_stamp > gap:
+                return
+            self._publish(self._tick + round(period), Validity.ODOMETRY_LOST)
+
+    def _process(self, stamp: int, motion: OdometryMotion | None) -> None:
+        """Predict to a reading (None: unusable), correct with it, and publish the estimate."""
+        gap = self._settings.timing.odometry_gap * SECOND
+        if self._stamp is None or stamp - self._accepted_stamp > gap:
+            self._stamp = None
+            if motion is not None:
+                self._start(motion)
+            return
+        imu_complete = self._predict(self._stamp, stamp)
+        accepted = motion is not None and self._filter.correct(motion)
+        if accepted:
+            self._accept(stamp)
+        else:
+            self._reject(motion)
+        if motion is not None and self._has_relocalised():
+            self._start(motion)
+            return
+        self._corrected, self._reached = self._filter.state, stamp
+        if stamp > self._tick:
+            self._publish(stamp, self._validity(accepted, imu_complete))
+
+    def _start(self, motion: OdometryMotion) -> None:
+        """Start the filter from a reading."""
+        self._filter.restart(motion)
+        self._stamp, self._accepted = motion.stamp, 0
+        self._corrected, self._reached = self._filter.state, motion.stamp
+        self._accept(motion.stamp)
+        if motion.stamp > self._tick:
+            self._publish(motion.stamp, Validity.INITIALISING)
+
+    def _predict(self, start: int, stamp: int) -> bool:
+        """Propagate the filter from `start` to `stamp` (ns); False if IMU data was missing."""
+        self._stamp = stamp
+        self._filter.restore(self._corrected)
+        samples = self._imu.samples.until(stamp)
+        first = max(int(np.searchsorted(samples.stamps, start, side="right")) - 1, 0)
+        knots = [*samples.stamps[first:].tolist(), stamp]
+        knots = knots if knots[0] <= start else [start, *knots]
+        longest = max(b - a for a, b in pairwise(knots))
+        if not len(samples.stamps) or longest > self._settings.timing.imu_gap * SECOND:
+            self._filter.propagate_blind((stamp - start) / SECOND)
+            return False
+        self._filter.propagate(samples, start, stamp)
+        self._filter.use_gyro(samples, stamp, (stamp - knots[-2]) / SECOND)
+        self._imu.drop(max(len(samples.stamps) - 2, 0))  # two stay, to extrapolate
+        return True
+
+    def _accept(self, stamp: int) -> None:
+        self._accepted_stamp = stamp
+        self._accepted += 1
+        self._rejected.clear()
+
+    def _reject(self, motion: OdometryMotion | None) -> None:
+        """Count a rejection; before the filter is valid it restarts the count of readings."""
+        self._rejected.append(motion)
+        if self._accepted < self._settings.gate.initial_readings:
+            self._accepted = 0
+
+    def _has_relocalised(self) -> bool:
+        """Whether `max_rejections` readings in a row were rejected and agree with each other."""
+        readings = [motion for motion in self._rejected if motion is not None]
+        if len(readings) < self._settings.gate.max_rejections:
+            return False
+        return all(self._agree(a, b) for a, b in pairwise(readings))
+
+    def _agree(self, a: OdometryMotion, b: OdometryMotion) -> bool:
+        """Whether a, moved at the mean velocity of a and b, gives b within the gate."""
+        half = (b.stamp - a.stamp) / SECOND / 2
+        before, after = Rotation.from_quat(a.attitude), Rotation.from_quat(b.attitude)
+        travel = half * (before.apply(a.velocity) + after.apply(b.velocity))
+        turn = Rotation.from_rotvec(half * (a.rate + b.rate))
+        distance = float(np.linalg.norm(b.position - a.position - travel))
+        angle = ((before * turn).inv() * after).magnitude()
+        gate = self._settings.gate
+        return distance <= gate.agreement_distance and bool(angle <= gate.agreement_angle)
+
+    def _validity(self, accepted: bool, imu_complete: bool) -> Validity:
+        if not accepted:
+            return Validity.ODOMETRY_REJECTED
+        if self._accepted < self._settings.gate.initial_readings:
+            return Validity.INITIALISING
+        return Validity.VALID if imu_complete else Validity.IMU_MISSING
+
+    def _publish(self, stamp: int, validity: Validity) -> None:
+        """Make the estimate of a tick, predicted with the newest IMU sample and beyond it."""
+        self._tick = stamp
+        self._propagate_to_newest()
+        self._ready.append(self._predicted(stamp, validity, self._settings.timing.command_delay))
+
+    def _predicted(self, stamp: int, validity: Validity, delay: float) -> Estimate:
+        """Estimate of the tick `stamp`, predicted by `delay` (s) from where the filter is."""
+        assert self._stamp is not None
+        saved, rate, samples = self._filter.state, self._filter.rate, self._imu.samples
+        newest = int(samples.stamps[-1]) if len(samples.stamps) else NEVER
+        if self._reached > self._stamp:
+            self._filter.use_gyro(samples, newest, delay)
+        if delay > 0.0 and newest >= self._reached:
+            self._filter.extrapolate(samples.values[-1], delay)
+        elif delay > 0.0:
+            self._filter.propagate_blind(delay)
+        state, covariance = self._filter.output()
+        self._filter.restore(saved)
+        self._filter.rate = rate
+        lead = self._reached + round(delay * SECOND) - stamp
+        return Estimate(stamp, state, covariance, validity, lead)
+
+
+def _vector(values: Array, size: int, limit: float) -> Array | None:
+    """A copy of `values` (size,); None for another shape or an element beyond +-limit."""
+    array = np.array(values, dtype=np.float64)
+    usable = array.shape == (size,) and all(abs(x) <= limit for x in array.tolist())  # NaN is not
+    return array if usable else None
+
+
+def _mount(imu: Mount) -> tuple[Array, Array] | None:
+    """Rotation (3, 3) from the IMU's frame to base_link and its position; None for base_link."""
+    rotation = Rotation.from_euler("xyz", imu.rpy).as_matrix()
+    place = np.array(imu.position)
+    return (rotation, place) if np.any(imu.rpy) or place.any() else None
+
+
+def _in_base(rate: Array, force: Array, rotation: Array, place: Array) -> tuple[Array, Array]:
+    """Angular velocity and specific force of base_link from those of an IMU at `place` on it.
+
+    f = R f_imu - w x (w x r); the angular acceleration's share is neglected, as no IMU measures it.
+    """
+    w = rotation @ rate
+    return w, rotation @ force - np.cross(w, np.cross(w, place))
+
+
+def _known(variance: Array, nominal: Array) -> Array:
+    """Variances (12,): where one is not positive, or not a number, the nominal one."""
+    given = np.asarray(variance, dtype=np.float64)
+    known = np.where(given > 0.0, given, nominal)
+    return np.clip(known, VARIANCE_MIN, VARIANCE_MAX)

@@ -1,0 +1,1 @@
+"""Gaits: strides, schedule, routes, reference, and the feedback once a stride."""

@@ -1,0 +1,343 @@
+"""Gait scheduler: advances the gait with the state's stamps and previews the MPC's horizon."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slot_core.config import ConfigError
+from slot_core.gait.gait import (
+    STAND,
+    GaitCommand,
+    GaitPreview,
+    GaitSettings,
+    Posture,
+    Stride,
+)
+from slot_core.gait.reference import reference
+from slot_core.gait.route import Path
+from slot_core.gait.stride_feedback import StrideFeedback, Target
+from slot_core.geometry import wrapped
+from slot_core.legs.leg_springs import LegSprings
+from slot_core.robot import Array, Robot
+
+STILL = 1e-4  # m/s, rad/s: below it a stride stands
+LONGEST_GAP = 0.5  # s between states; after a longer one the commands do not move
+SETTLING = 0.5  # s that the servos follow before a posture is corrected: the torso still swings
+FASTEST, FASTEST_TURN = 1.0, 3.0  # m/s, rad/s of a torso; beyond it the odometry has jumped
+
+
+@dataclass
+class _ActivePosture:
+    """A posture that is held."""
+
+    name: str
+    gait: Posture
+    phase = 0.0
+
+
+@dataclass
+class _ActiveStride:
+    """A stride that runs, with its phase and its feedback."""
+
+    name: str
+    gait: Stride
+    feedback: StrideFeedback
+    phase: float = 0.0  # in [0, 1)
+    moving: float = 1.0  # share of the stride against standing on its centre
+
+
+_Active = _ActivePosture | _ActiveStride
+
+
+class GaitScheduler:
+    """Runs a gait at a commanded velocity and body pose.
+
+    Velocity and body pose follow their commands at limited rates. A change of gait is a linear
+    blend of the tendon angles over `transition` seconds; a request during a blend takes effect at
+    its end. A run starts from the posture `stand`. A stride without velocity stands on its centre;
+    it gets there, and back, by a blend as well. While the servos do not follow the commands the
+    phase waits, and neither the feedback of strides nor the MPC corrects anything.
+    """
+
+    def __init__(  # noqa: PLR0917
+        self,
+        settings: GaitSettings,
+        robot: Robot,
+        springs: LegSprings,
+        gait: str,
+        velocity: Array | None,
+        path: Path | None = None,
+    ):
+        """Blend from `stand` to `gait` at velocity [v_x, v_y, yaw rate] from the first tick on.
+
+        velocity: (3,) m/s, m/s, rad/s in base_link; None: straight ahead at the gait's `cruise`.
+        path: followed by a stride at the speed of the velocity, whatever its direction. Raises
+        ConfigError for an unknown gait or a velocity outside the gait's range.
+        """
+        self._settings, self._robot, self._springs = settings, robot, springs
+        if velocity is None:
+            velocity = np.array([settings.find(gait).cruise, 0.0, 0.0])
+        self.request(gait, velocity)
+        self._path = path
+        self._current = self._previous = self._activate(STAND)
+        self._since_change = settings.transition  # s
+        self._stamp: int | None = None
+        self._seen: Array | None = None  # (3,) x, y (m), yaw (rad) of the last state
+        self._followed = True  # whether the servos follow the commands
+        self._followed_for = SETTLING  # s
+        self._velocity = np.zeros(3)  # present, at limited rates
+        self._pose = self._home(self._current.gait)  # (3,) height, roll, pitch, present
+
+    def request(self, gait: str, velocity: Array) -> None:
+        """Request a gait and a velocity [v_x, v_y, yaw rate] (m/s, rad/s) in base_link.
+
+        The body pose returns to the gait's own. Raises ConfigError for an unknown gait or a
+        velocity outside the gait's range.
+        """
+        self._settings.require_velocity(gait, velocity)
+        wanted = self._settings.find(gait)
+        self._requested, self._wanted = gait, np.array(velocity, dtype=float)
+        self._wanted_pose = self._home(wanted)
+        self._command_stamp: int | None = None  # ns, of the velocity; None: it does not expire
+
+    def set_velocity(self, stamp: int, velocity: Array) -> None:
+        """Set the velocity of the requested gait; after `velocity_timeout` it becomes zero.
+
+        stamp: ns, on the clock of the states. Raises ConfigError as `request` does, and for a stamp
+        further than `velocity_timeout` from the last state's. Such a command stops the robot, since
+        it may have been a late stop.
+        """
+        self._settings.require_velocity(self._requested, velocity)
+        self._wanted, self._command_stamp = np.array(velocity, dtype=float), stamp
+        if self._stamp is not None and self._is_expired(self._stamp):
+            self._wanted = np.zeros(3)
+            raise ConfigError(
+                f"stamp is {(stamp - self._stamp) * 1e-9:+.3f} s from the state's (limit "
+                f"{self._settings.velocity_timeout:g} s), velocity set to zero"
+            )
+
+    def set_pose(self, pose: Array) -> None:
+        """Set height (m), roll and pitch (rad) of the torso; raises ConfigError out of range."""
+        self._settings.require_pose(self._requested, pose)
+        self._wanted_pose = np.array(pose, dtype=float)
+
+    def set_followed(self, followed: bool) -> None:
+        """Set whether the servos follow the commands."""
+        if followed and not self._followed:
+            self._followed_for = 0.0
+        self._followed = followed
+
+    def set_command(self, command: GaitCommand) -> None:
+        """Set everything that is commanded, as recorded; raises ConfigError as the requests do."""
+        self.request(command.gait, command.velocity)
+        self._wanted_pose = np.array(command.pose, dtype=float)
+        self.set_followed(command.followed)
+
+    def step(self, stamp: int, state: Array) -> GaitPreview:
+        """Preview from `stamp` (ns) on, at `state` (12,)."""
+        if self._is_expired(stamp):
+            self._wanted = np.zeros(3)
+        elapsed = 0.0 if self._stamp is None else (stamp - self._stamp) * 1e-9
+        self._stamp = stamp
+        if not 0.0 <= elapsed <= LONGEST_GAP:
+            elapsed = 0.0
+            self._forget_strides()
+        elif self._has_jumped(elapsed, state):
+            self._forget_strides()
+        self._seen = state[[3, 4, 2]].copy()
+        self._followed_for += elapsed
+        self._change_gait(elapsed)
+        self._approach_commands(elapsed, state)
+        self._stride(stamp * 1e-9, elapsed, state)
+        return self._preview(stamp, state)
+
+    def _forget_strides(self) -> None:
+        """Forget the strides so far: a jump of clock or place falsifies their means."""
+        for active in (self._previous, self._current):
+            if isinstance(active, _ActiveStride):
+                active.feedback.forget_stride()
+
+    def _has_jumped(self, elapsed: float, state: Array) -> bool:
+        """Whether the robot is further from where it was seen last than it can move."""
+        if self._seen is None:
+            return False
+        moved, turned = np.hypot(*(state[3:5] - self._seen[:2])), wrapped(state[2] - self._seen[2])
+        return bool(moved > FASTEST * elapsed or abs(turned) > FASTEST_TURN * elapsed)
+
+    def _is_expired(self, stamp: int) -> bool:
+        """Whether the velocity is too old at `stamp` (ns), or too far in the future."""
+        if self._command_stamp is None:
+            return False
+        return abs(stamp - self._command_stamp) > self._settings.velocity_timeout * 1e9
+
+    def _activate(self, name: str) -> _Active:
+        gait = self._settings.find(name)
+        if isinstance(gait, Stride):
+            return _ActiveStride(name, gait, StrideFeedback(gait))
+        return _ActivePosture(name, gait)
+
+    def _home(self, gait: Posture | Stride) -> Array:
+        """Height, roll and pitch (3,) of a gait without a commanded body pose."""
+        if isinstance(gait, Stride):
+            return np.array([gait.height, 0.0, 0.0])
+        return np.array([gait.height, *np.radians([gait.roll_deg, gait.pitch_deg])])
+
+    def _change_gait(self, elapsed: float) -> None:
+        """Start the requested gait, unless a blend is under way."""
+        self._since_change += elapsed
+        current = self._current.name
+        if self._requested == current or self._since_change < self._settings.transition:
+            return
+        self._previous, self._since_change = self._current, 0.0
+        self._current = self._activate(self._requested)
+
+    def _approach_commands(self, elapsed: float, state: Array) -> None:
+        """Let velocity and body pose follow their commands at limited rates."""
+        s = self._settings
+        wanted = self._wanted
+        if self._path is not None and isinstance(self._current, _ActiveStride):
+            wanted = self._current.gait.reached(self._path.velocity(state, self._speed))
+        rates = np.array([s.acceleration, s.acceleration, s.turn_acceleration])
+        self._velocity = _toward(self._velocity, wanted, elapsed * rates)
+        self._pose = self._pose_after(elapsed)
+
+    @property
+    def _speed(self) -> float:
+        """Commanded speed along a path, m/s."""
+        return float(np.hypot(*self._wanted[:2]))
+
+    def _pose_after(self, time: float) -> Array:
+        """Height, roll and pitch (3,) after a time (s)."""
+        s = self._settings
+        rates = np.array([s.lift_speed, s.tilt_speed, s.tilt_speed])
+        return _toward(self._pose, self._wanted_pose, time * rates)
+
+    def _stride(self, time: float, elapsed: float, state: Array) -> None:
+        """Advance phase, reference place and feedback of the strides that run."""
+        for active in {id(a): a for a in (self._previous, self._current)}.values():
+            if isinstance(active, _ActivePosture):
+                continue
+            gait, feedback = active.gait, active.feedback
+            active.moving = float(self._moving_after(active, np.array([elapsed]))[0])
+            if active is not self._current or self._waits():
+                feedback.reset()
+                continue
+            active.phase += elapsed / gait.period
+            complete, active.phase = active.phase >= 1.0, active.phase % 1.0
+            if self._path is not None:
+                feedback.place = self._path.place(state, elapsed, self._speed)
+                feedback.limit_lead(state)
+            else:
+                feedback.move(elapsed, state, self._velocity)
+            if active.moving < 1.0 or self._since_change < self._settings.transition:
+                feedback.forget_stride()  # the stride is not whole yet
+                continue
+            feedback.add(time, state)
+            if complete:
+                posture = self._pose + gait.mean_posture(self._velocity)
+                feedback.finish(Target(self._velocity, posture, gait.walking(self._velocity)))
+
+    def _waits(self) -> bool:
+        """Whether the phase of a stride waits."""
+        return self._is_still() or not self._followed
+
+    def _is_still(self) -> bool:
+        return bool((np.abs(self._velocity) < STILL).all())
+
+    def _moving_after(self, active: _ActiveStride, times: Array) -> Array:
+        """Share (n,) of a stride's motion at `times` (s) ahead."""
+        change = times / max(self._settings.transition, 1e-9)
+        return np.clip(active.moving + (-change if self._is_still() else change), 0.0, 1.0)
+
+    def _preview(self, stamp: int, state: Array) -> GaitPreview:
+        times = self._settings.dt * np.arange(self._settings.stages, dtype=float)
+        course = self._blend(times)
+        angle, force, sway = np.split(course, [4, 8], axis=1)
+        current = self._current
+        heading, velocity = state[2], self._velocity
+        if isinstance(current, _ActiveStride) and current.feedback.place is not None:
+            heading = current.feedback.place[2]
+        return GaitPreview(
+            stamp=stamp,
+            gait=current.name,
+            phase=current.phase,
+            period=current.gait.period,
+            dt=self._settings.dt,
+            contact=force >= self._settings.contact_force,
+            friction=np.full(force.shape, self._settings.friction),
+            normal_force=force,
+            tendon_angle=angle,
+            reference=reference(state, float(heading), velocity, sway, times),
+            posture=self._at_rest(),
+            command=GaitCommand(
+                self._requested, self._wanted.copy(), self._wanted_pose.copy(), self._followed
+            ),
+        )
+
+    def _at_rest(self) -> bool:
+        """Whether the legs follow the commands, are loaded and move with the posture alone."""
+        if not self._followed or self._followed_for < SETTLING:
+            return False
+        if self._since_change < self._settings.transition:
+            return False
+        current = self._current
+        if isinstance(current, _ActivePosture):
+            return current.gait.loaded
+        return current.moving == 0.0
+
+    def _blend(self, times: Array) -> Array:
+        """Blend (n, 20) of the previous and the present gait, as `Stride.course`."""
+        elapsed = self._since_change + times
+        weight = np.clip(elapsed / max(self._settings.transition, 1e-9), 0.0, 1.0)[:, None]
+        current = self._course(self._current, times)
+        if weight.min() == 1.0:
+            return current
+        return (1 - weight) * self._course(self._previous, times) + weight * current
+
+    def _course(self, active: _Active, times: Array) -> Array:
+        """Angles, normal forces and torso states (n, 20) of a gait at `times` (s) ahead."""
+        if isinstance(active, _ActiveStride):
+            return self._stride_course(active, times)
+        if active.gait.loaded:
+            return self._posture_course(times)
+        slack = np.zeros((len(times), 20))
+        slack[:, 13] = self._pose[0]
+        return slack
+
+    def _stride_course(self, active: _ActiveStride, times: Array) -> Array:
+        """Course (n, 20) of a stride that moves, stands on its centre, or changes between both."""
+        gait, feedback = active.gait, active.feedback
+        moving = self._moving_after(active, times)[:, None]
+        if moving.max() == 0.0:
+            return self._posture_course(times)
+        advances = active is self._current and not self._waits()  # as in `_stride`
+        ahead = times if advances else np.zeros_like(times)
+        phase = np.mod(active.phase + ahead / gait.period, 1.0)
+        walking = gait.walking(self._velocity)
+        course = gait.course(phase, self._velocity + feedback.velocity, walking, feedback.offset)
+        course[:, [13, 8, 9]] += self._pose - [gait.height, 0.0, 0.0]
+        if moving.min() == 1.0:
+            return course
+        return (1 - moving) * self._posture_course(times) + moving * course
+
+    def _posture_course(self, times: Array) -> Array:
+        """Angles, normal forces and torso states (n, 20) of a posture; linear in the time ahead."""
+        ends = np.stack([self._posture_row(self._pose_after(t)) for t in (0.0, times[-1])])
+        share = (times / max(times[-1], 1e-9))[:, None]
+        return (1 - share) * ends[0] + share * ends[1]
+
+    def _posture_row(self, pose: Array) -> Array:
+        """Angles at which legs at rest carry equal shares of the weight at a pose (3,)."""
+        height = self._robot.clamp_heights(*pose)
+        angle = self._springs.angle(np.full(4, self._robot.weight / 4), height)
+        row = np.zeros(20)
+        row[:4], row[4:8] = angle, self._springs.at(angle, height).force
+        row[[13, 8, 9]] = pose
+        return row
+
+
+def _toward(value: Array, target: Array, step: Array) -> Array:
+    """The value moved toward the target by at most `step`, each element."""
+    return value + np.clip(target - value, -step, step)

@@ -1,0 +1,108 @@
+"""Path on the floor that the robot follows: a polyline in odom, travelled at a speed.
+
+The reference place travels along the path; it waits where it is LEAD ahead of the robot, along the
+path. The heading is kept, or follows the path's direction.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path as FilePath
+
+import numpy as np
+
+from slot_core.config import ConfigError
+from slot_core.geometry import wrapped
+from slot_core.robot import Array
+
+POINTS_MAX = 100_000
+KEPT, ALONG = "kept", "along"  # heading: that at the start; the path's direction
+LEAD = 0.04  # m, of the reference place before the robot
+ARRIVED = 0.005  # m along the path before its end, where the robot stops
+CREEP = 0.25  # least share of the speed before the end
+TURN_GAIN = 1.0  # 1/s, yaw rate per heading error, where the heading follows the path
+
+
+class Path:
+    """Polyline, and the reference place on it."""
+
+    def __init__(self, points: Array, heading: str):
+        """Take points (n, 2) m in odom.
+
+        heading: "kept", that at the start, or "along" the path. Raises ConfigError for less than
+        two different points.
+        """
+        moved = np.diff(points, axis=0).any(axis=1)
+        self._points = points[np.r_[True, moved][: len(points)]]
+        if len(self._points) < 2:
+            raise ConfigError("path: needs at least two different points")
+        steps = np.diff(self._points, axis=0)
+        self._arc = np.r_[0.0, np.cumsum(np.hypot(*steps.T))]
+        self._direction = np.arctan2(steps[:, 1], steps[:, 0])
+        self._along = heading == ALONG
+        self._start_yaw: float | None = None
+        self.travelled = 0.0  # m, of the reference place
+        self._arrived = False
+
+    @property
+    def length(self) -> float:
+        """Length, m."""
+        return float(self._arc[-1])
+
+    def place(self, state: Array, elapsed: float, speed: float) -> Array:
+        """Advance the reference place for `elapsed` (s) at a speed (m/s); x, y (m), yaw (rad)."""
+        if self._lead(state) < LEAD:
+            self.travelled = min(self.travelled + speed * elapsed, self.length)
+        return np.array([*self._point(self.travelled), self._yaw(state)])
+
+    def velocity(self, state: Array, speed: float) -> Array:
+        """Velocity (3,) in base_link along the path at a speed (m/s).
+
+        It falls from LEAD before the end on. The robot stops where it reaches or passes the end.
+        """
+        if self.travelled >= self.length:
+            left = self._lead(state)
+            self._arrived = self._arrived or left < ARRIVED
+            if self._arrived:
+                return np.zeros(3)
+            speed *= min(1.0, max(left / LEAD, CREEP))
+        along = self._direction[self._segment()] - state[2]
+        error = wrapped(self._yaw(state) - state[2])
+        turn = TURN_GAIN * error if self._along else 0.0
+        return np.array([speed * math.cos(along), speed * math.sin(along), turn])
+
+    def _lead(self, state: Array) -> float:
+        """Distance of the reference place before the robot, along the path, m."""
+        direction = self._direction[self._segment()]
+        gap = self._point(self.travelled) - state[3:5]
+        return float(gap[0] * math.cos(direction) + gap[1] * math.sin(direction))
+
+    def _segment(self) -> int:
+        index = int(np.searchsorted(self._arc, self.travelled, side="right")) - 1
+        return min(index, len(self._direction) - 1)
+
+    def _yaw(self, state: Array) -> float:
+        if self._along:
+            return float(self._direction[self._segment()])
+        if self._start_yaw is None:
+            self._start_yaw = float(state[2])
+        return self._start_yaw
+
+    def _point(self, travelled: float) -> Array:
+        x, y = self._points.T
+        return np.array([np.interp(travelled, self._arc, x), np.interp(travelled, self._arc, y)])
+
+
+def read_path(file: FilePath | str, heading: str) -> Path:
+    """The path of a CSV file with columns x, y (m); heading as in `Path`. Raises ConfigError."""
+    if heading not in (KEPT, ALONG):
+        raise ConfigError(f"path_heading = {heading!r}: expected one of kept, along")
+    try:
+        with FilePath(file).open(newline="") as stream:
+            rows = [[float(row["x"]), float(row["y"])] for row in csv.DictReader(stream)]
+    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
+        raise ConfigError(f"{file}: no path with columns x, y: {error}") from None
+    if len(rows) > POINTS_MAX or not np.isfinite(rows).all():
+        raise ConfigError(f"{file}: more than {POINTS_MAX} points, or a value not finite")
+    return Path(np.array(rows).reshape(-1, 2), heading)

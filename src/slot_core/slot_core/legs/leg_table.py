@@ -1,0 +1,67 @@
+"""Tabulated statics of a leg, `config/leg_map.csv`: reader and bilinear interpolation.
+
+The file is written by `scripts/tabulate_leg`; its columns are defined in `leg_map.py`.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from slot_core import config
+from slot_core.compiled import helper, kernel
+from slot_core.robot import Array
+
+
+class LegTable(NamedTuple):
+    """Columns of the leg map on its grid of tendon angle and clamp height."""
+
+    angle: Array  # (m,) rad, rising
+    height: Array  # (n,) m, rising
+    table: Array  # (m, n, requested columns)
+
+    def at(self, angle: Array, height: Array) -> Array:
+        """Columns (k, c) at angles (k,) rad and heights (k,) m, bilinear; outside: at the edge."""
+        a, h = (np.ascontiguousarray(values, dtype=float) for values in (angle, height))
+        columns = np.zeros((len(a), self.table.shape[2]))
+        interpolate(*self, a, h, columns)
+        return columns
+
+
+def read_leg_table(columns: Sequence[str]) -> LegTable:
+    """Columns of `config/leg_map.csv`; raises ConfigError if it is missing or not a grid."""
+    names = ("theta_deg", "height_m", *columns)
+    try:
+        with (config.config_dir() / "leg_map.csv").open() as file:
+            rows = [[float(row[name]) for name in names] for row in csv.DictReader(file)]
+        theta_deg, height, *values = np.array(sorted(rows)).T
+        angles, heights = np.unique(theta_deg), np.unique(height)
+        table = np.array(values).T.reshape(len(angles), len(heights), len(columns))
+        return LegTable(np.radians(angles), heights, np.ascontiguousarray(table))
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise config.ConfigError(f"leg_map.csv: no table of {names}: {error}") from None
+
+
+@kernel
+def interpolate(  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    angles, heights, table, angle, height, out
+):
+    """Rows (k, c) of a table (m, n, c) at k points, bilinear; outside: at the edge."""
+    for k in range(len(angle)):
+        i, p = _place(angles, angle[k])
+        j, q = _place(heights, height[k])
+        for c in range(out.shape[1]):
+            low = (1 - q) * table[i, j, c] + q * table[i, j + 1, c]
+            high = (1 - q) * table[i + 1, j, c] + q * table[i + 1, j + 1, c]
+            out[k, c] = (1 - p) * low + p * high
+
+
+@helper
+def _place(grid, value):  # type: ignore[no-untyped-def]
+    """Index of the cell of a rising grid that holds a value, and the share of its upper end."""
+    inside = min(max(value, grid[0]), grid[-1])
+    index = min(max(np.searchsorted(grid, inside, side="right") - 1, 0), len(grid) - 2)
+    return index, (inside - grid[index]) / (grid[index + 1] - grid[index])

@@ -1,0 +1,1 @@
+"""ROS messages decoded into values of the core, without ROS."""

@@ -1,0 +1,244 @@
+"""Decodes messages of the graph into the core's values.
+
+Independent of ROS: the functions only read attributes, so they decode rclpy's messages in the nodes
+as well as the messages that the `rosbags` library reads from a bag.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from slot_core import config
+from slot_core.faults import Fault
+from slot_core.gait.gait import GaitCommand, GaitPreview
+from slot_core.robot import BASE_FRAME, LEGS, TENDON_JOINTS, Array
+from slot_core.safety.command_gate import Action
+from slot_core.safety.command_watchdog import Permission
+from slot_core.safety.servo_health import ServoHealth
+from slot_core.safety.settings import GateSettings, ServoLimits
+from slot_core.safety.states import State
+
+ACTION_NUMBERS = (
+    Action.OFF,
+    Action.RELAX,
+    Action.HOLD,
+    Action.PASS,
+)  # as in RobotState
+
+
+def stamp(message: Any) -> int:
+    """Nanoseconds of the header's stamp."""
+    return time(message.header.stamp)
+
+
+def time(message: Any) -> int:
+    """Nanoseconds of a Time."""
+    return int(message.sec) * 1_000_000_000 + int(message.nanosec)
+
+
+def vector(message: Any) -> Array:
+    """(3,) of a Vector3 or Point."""
+    return np.array([message.x, message.y, message.z])
+
+
+def odometry(message: Any) -> tuple[int, Array, Array, Array, Array, Array]:
+    """(stamp, position, quaternion xyzw, velocity, angular velocity, variance), twist in base_link.
+
+    variance (12,) of angle, position, velocity and rate: the diagonals of the covariances; zero
+    where they are unknown.
+    """
+    pose, twist = message.pose.pose, message.twist.twist
+    pose_variance = np.array(message.pose.covariance)[::7]  # of position, angle
+    twist_variance = np.array(message.twist.covariance)[::7]  # of velocity, rate
+    q = pose.orientation
+    return (
+        stamp(message),
+        vector(pose.position),
+        np.array([q.x, q.y, q.z, q.w]),
+        vector(twist.linear),
+        vector(twist.angular),
+        np.concatenate([pose_variance[3:], pose_variance[:3], twist_variance]),
+    )
+
+
+def torso_odometry(message: Any) -> tuple[int, Array, Array, Array, Array, Array]:
+    """As `odometry`; raises ValueError for that of another frame than base_link."""
+    if message.child_frame_id.rpartition("/")[2] != BASE_FRAME:
+        raise ValueError(f"child_frame_id {message.child_frame_id!r}: expected {BASE_FRAME!r}")
+    return odometry(message)
+
+
+def imu(message: Any) -> tuple[int, Array, Array]:
+    """(stamp, angular velocity, specific force), both in the IMU's frame.
+
+    Raises ValueError for a message without one of them: covariance[0] is -1 (REP 145).
+    """
+    for name in ("angular_velocity", "linear_acceleration"):
+        if getattr(message, f"{name}_covariance")[0] == -1.0:
+            raise ValueError(f"no {name}: its covariance begins with -1")
+    return stamp(message), vector(message.angular_velocity), vector(message.linear_acceleration)
+
+
+def velocity(message: Any) -> tuple[int, Array]:
+    """(stamp, [v_x, v_y, yaw rate]) of a TwistStamped in base_link."""
+    twist = message.twist
+    return stamp(message), np.array([twist.linear.x, twist.linear.y, twist.angular.z])
+
+
+def body_pose(message: Any) -> Array:
+    """(3,) height, roll, pitch of a PoseStamped; raises ValueError for a zero quaternion."""
+    q = message.pose.orientation
+    rotation = Rotation.from_quat([q.x, q.y, q.z, q.w])
+    roll, pitch, _ = rotation.as_euler("xyz")
+    return np.array([message.pose.position.z, roll, pitch])
+
+
+def joint_angles(message: Any) -> tuple[int, Array]:
+    """(stamp, angles in the order of LEGS); raises ValueError unless each joint is named once."""
+    return stamp(message), _of_joints(message, message.position)
+
+
+def joint_command(message: Any) -> tuple[int, Array, Array]:
+    """(stamp, angles, rates in the order of LEGS); raises ValueError as `joint_angles`.
+
+    Without velocities the rates are zero.
+    """
+    rate = _of_joints(message, message.velocity) if len(message.velocity) else np.zeros(len(LEGS))
+    return *joint_angles(message), rate
+
+
+def joint_loads(message: Any) -> tuple[int, Array, Array]:
+    """(stamp, angles, torques in the order of LEGS); raises ValueError as `joint_angles`."""
+    return *joint_angles(message), _of_joints(message, message.effort)
+
+
+def _of_joints(message: Any, values: Any) -> Array:
+    names = list(message.name)
+    if sorted(names) != sorted(TENDON_JOINTS) or len(values) != len(LEGS):
+        raise ValueError(f"joints {names}: expected {', '.join(TENDON_JOINTS)} once each")
+    by_name = dict(zip(names, values))
+    return np.array([by_name[joint] for joint in TENDON_JOINTS])
+
+
+def state(message: Any) -> tuple[int, Array, int]:
+    """(stamp, [roll pitch yaw, p, omega, v], validity)."""
+    parts = (message.rpy, message.position, message.angular_velocity, message.linear_velocity)
+    return stamp(message), np.concatenate([vector(p) for p in parts]), int(message.validity)
+
+
+def lead(message: Any) -> int:
+    """Nanoseconds from the stamp of a state to its time."""
+    return time(message.lead)
+
+
+def preview(message: Any) -> GaitPreview:
+    """Gait preview; raises ValueError if an array does not have the stated number of stages."""
+    stages = int(message.stages)
+
+    def rows(name: str, columns: int = 4) -> Array:
+        values = np.array(getattr(message, name))
+        if stages < 1 or values.size != stages * columns:
+            raise ValueError(f"{name} has {values.size} values, not {stages} stages of {columns}")
+        return values.reshape(stages, columns)
+
+    return GaitPreview(
+        stamp=stamp(message),
+        gait=message.gait,
+        phase=message.phase,
+        period=message.period,
+        dt=message.dt,
+        contact=rows("contact").astype(bool),
+        friction=rows("friction"),
+        normal_force=rows("normal_force"),
+        tendon_angle=rows("tendon_angle"),
+        reference=rows("reference", 12),
+        posture=bool(message.posture),
+        command=GaitCommand(
+            message.requested,
+            np.array(message.velocity),
+            np.array(message.pose),
+            getattr(message, "followed", True),  # not in older bags
+        ),
+    )
+
+
+def forces(message: Any) -> tuple[int, Array, int]:
+    """(stamp, force (4, 3) N in odom, status)."""
+    return stamp(message), np.array([vector(f) for f in message.force]), int(message.status)
+
+
+def legs(message: Any) -> tuple[int, Array, Array, Array, Array]:
+    """(stamp, tension (4,) N, ground force (4, 3) N, nodes (4, n, 3) m, directors), all in odom.
+
+    directors: (4, n - 1, 3), or (4, 0, 3) where the legs have none, as in messages recorded before
+    the field existed. Raises ValueError if positions or directors are not those of the stated
+    number of nodes, or not finite.
+    """
+    count, position = int(message.nodes), np.array(message.position, dtype=np.float64)
+    director = np.array(getattr(message, "director", ()), dtype=np.float64)
+    if count < 2 or position.size != len(LEGS) * count * 3:
+        raise ValueError(f"position has {position.size} values, not 4 legs of {count} nodes")
+    if director.size not in {0, len(LEGS) * (count - 1) * 3}:
+        raise ValueError(f"director has {director.size} values, not 4 legs of {count} nodes")
+    if not (np.isfinite(position).all() and np.isfinite(director).all()):
+        raise ValueError("position, director: expected finite numbers")
+    force = np.array([vector(f) for f in message.ground_force])
+    shape = position.reshape(len(LEGS), count, 3), director.reshape(len(LEGS), -1, 3)
+    return stamp(message), np.array(message.tension), force, *shape
+
+
+def robot_state(message: Any) -> tuple[int, State, Action, str]:
+    """(stamp, state, action of the servos, reason); raises ValueError on unknown numbers."""
+    return stamp(message), State(message.state), _action(message.action), message.reason
+
+
+def permission(message: Any, now: int) -> Permission:
+    """Permission of a RobotState received at `now` (ns); raises ValueError on unknown numbers."""
+    _, _, action, reason = robot_state(message)
+    return Permission(now, action, message.followed, reason)
+
+
+def servo_health(message: Any) -> tuple[int, ServoHealth]:
+    """(stamp, health); raises ValueError on an unknown action."""
+    return stamp(message), ServoHealth(
+        action=_action(message.action),
+        reason=message.reason,
+        torque=np.array(message.torque, dtype=bool),
+        silence=np.array(message.silence, dtype=np.float64),
+        goal=np.array(message.goal, dtype=np.float64),
+        slewed=np.array(message.slewed, dtype=bool),
+        hardware_error=np.array(message.hardware_error, dtype=np.int64),
+        temperature=np.array(message.temperature, dtype=np.float64),
+        voltage=np.array(message.voltage, dtype=np.float64),
+        error_rate=np.array(message.error_rate, dtype=np.float64),
+        commanded=time(message.commanded),
+        written=time(message.written),
+    )
+
+
+def servo_limits(message: Any) -> ServoLimits:
+    """Limits of whatever drives the servos; raises ConfigError on one out of bounds."""
+    gate = {field.name: getattr(message, field.name) for field in fields(GateSettings)}
+    timing = {
+        field.name: getattr(message, field.name)
+        for field in fields(ServoLimits)
+        if field.name != "gate"
+    }
+    return config.build(ServoLimits, timing | {"gate": gate}, "servo_limits: message")
+
+
+def _action(number: int) -> Action:
+    if number >= len(ACTION_NUMBERS):
+        raise ValueError(f"action {number}: expected at most {len(ACTION_NUMBERS) - 1}")
+    return ACTION_NUMBERS[number]
+
+
+def fault(request: Any) -> Fault:
+    """Fault of a request to inject one, at time 0 s; raises ConfigError if it is invalid."""
+    names = ("kind", "leg", "duration", "value")
+    wanted = {name: getattr(request, name) for name in names}
+    return config.build(Fault, wanted | {"time": 0.0}, "inject: fault")

@@ -1,0 +1,97 @@
+"""Reference formulation of the MPC's problem in CVXPY, to check the solvers.
+
+It covers the problem without options and is far too slow for control. The parameters follow the
+rules of disciplined parametrised programming (Agrawal et al., 2019), so that CVXPY compiles the
+problem once; with a product of parameters, or a quadratic form of one, it would do so every time.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from slot_core.gait.gait import GaitPreview
+from slot_core.mpc.model import FEET, INPUTS, STATES, YAW, TorsoModel
+from slot_core.mpc.mpc import MpcSettings
+from slot_core.robot import Array, Robot
+
+SOLVERS: dict[str, dict[str, Any]] = {
+    "CLARABEL": {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11},
+}
+
+
+class NoReferenceError(RuntimeError):
+    """The reference gave no solution; the message is one line."""
+
+
+class CvxpyReference:
+    """min sum (x - x_ref)' Q (x - x_ref) + (u - u_ref)' R (u - u_ref) within the limits."""
+
+    def __init__(self, robot: Robot, settings: MpcSettings):
+        """Set up the problem; raises NoReferenceError if CVXPY is missing."""
+        self._cp = cp = _cvxpy()
+        self._model, self._settings = TorsoModel(robot), settings
+        stages = settings.horizon
+        self.x0, self.drift = cp.Parameter(STATES), cp.Parameter(STATES)
+        self.a, self.b = cp.Parameter((STATES, STATES)), cp.Parameter((STATES, INPUTS))
+        self.x_ref, self.u_ref = cp.Parameter((stages, STATES)), cp.Parameter((stages, INPUTS))
+        self.friction = cp.Parameter((stages, FEET), nonneg=True)
+        self.limit = cp.Parameter((stages, FEET), nonneg=True)
+        self.u, self.x = cp.Variable((stages, INPUTS)), cp.Variable((stages + 1, STATES))
+        self._problem = cp.Problem(cp.Minimize(self._cost()), [*self._dynamics(), *self._limits()])
+
+    def _cost(self) -> Any:
+        """Sum of squares of the errors, scaled by the roots of the weights."""
+        weights = self._settings.weights
+        state = (self.x[1:] - self.x_ref) @ np.diag(np.sqrt(weights.q))
+        force = (self.u - self.u_ref) @ np.diag(np.sqrt(weights.r))
+        return self._cp.sum_squares(state) + self._cp.sum_squares(force)
+
+    def _dynamics(self) -> list[Any]:
+        steps = [
+            self.x[k + 1] == self.a @ self.x[k] + self.b @ self.u[k] + self.drift
+            for k in range(self._settings.horizon)
+        ]
+        return [self.x[0] == self.x0, *steps]
+
+    def _limits(self) -> list[Any]:
+        f_x, f_y, f_z = self.u[:, 0::3], self.u[:, 1::3], self.u[:, 2::3]
+        largest = self._cp.multiply(self.friction, f_z)
+        pyramid = [self._cp.abs(f_x) <= largest, self._cp.abs(f_y) <= largest]
+        return [f_z >= 0, f_z <= self.limit, *pyramid]
+
+    def solve(self, state: Array, preview: GaitPreview, solver: str) -> tuple[Array, float]:
+        """Forces (H, 4, 3) N and cost for a state (12,), by one of `SOLVERS`.
+
+        Raises NoReferenceError unless the problem is solved.
+        """
+        self._set_parameters(state, preview)
+        self._problem.solve(solver=solver, **SOLVERS[solver])
+        if self._problem.status != self._cp.OPTIMAL:
+            raise NoReferenceError(f"{solver}: {self._problem.status}")
+        return self.u.value.reshape(-1, FEET, 3), float(self._problem.value)
+
+    def _set_parameters(self, state: Array, preview: GaitPreview) -> None:
+        now = np.arange(self._settings.horizon)
+        prediction = self._model.predict(state[2], state[5], preview.dt)
+        self.x0.value, self.a.value, self.b.value = state, prediction.a, prediction.b
+        self.drift.value = prediction.drift
+        following = np.minimum(now + 1, len(preview.reference) - 1)
+        target = np.array(preview.reference, dtype=float)[following]
+        target[:, YAW] += 2 * np.pi * np.round((state[YAW] - target[0, YAW]) / (2 * np.pi))
+        self.x_ref.value = target
+        force = np.zeros((len(now), INPUTS))
+        force[:, 2::3] = np.asarray(preview.normal_force)[now]
+        self.u_ref.value = force
+        self.friction.value = np.asarray(preview.friction, dtype=float)[now]
+        contact = np.asarray(preview.contact, dtype=float)[now]
+        self.limit.value = self._settings.force_max * contact
+
+
+def _cvxpy() -> Any:
+    try:
+        return import_module("cvxpy")
+    except ModuleNotFoundError:
+        raise NoReferenceError("CVXPY is missing; run scripts/setup --bench") from None

@@ -1,0 +1,1 @@
+"""Recording: bag writer, message types, origin of a bag."""

@@ -1,0 +1,1 @@
+"""Work at the desk with the SLOT robot: bags, reports, validation, identification, films."""

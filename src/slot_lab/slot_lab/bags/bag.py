@@ -1,0 +1,282 @@
+"""Bags: rosbag2 recordings in MCAP or SQLite, read as NumPy arrays.
+
+A bag contains its message definitions, so it stays readable when slot_msgs changes. The time of a
+message is its publisher's wall clock at publication; its stamp is graph time.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import heapq
+import operator
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path, PurePath
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from rosbags.interfaces import Connection, MessageDefinitionFormat
+from rosbags.rosbag2 import Reader
+
+from slot_core.recording.bag_error import BagError, NoFieldError
+from slot_core.recording.bag_writer import BagWriter, MessageType
+from slot_core.recording.message_types import Types, add_installed, types_inside
+from slot_core.recording.origin import Origin
+from slot_core.recording.record_settings import read_record_settings, root_of
+from slot_lab.bags.repair import is_whole, mended, read_origin
+
+__all__ = ["Bag", "BagError", "NoFieldError", "Series", "Stamps"]
+
+Stamps = NDArray[np.int64]
+STORAGES = (".mcap", ".db3")
+
+
+@dataclass(frozen=True)
+class Series:
+    """Fields of a topic as arrays over its n messages, in the order of the bag."""
+
+    time: Stamps  # (n,) ns, publisher's wall clock
+    stamp: Stamps  # (n,) ns, graph time
+    values: dict[str, NDArray[Any]]  # by field: (n, ...)
+
+    def __getitem__(self, field: str) -> NDArray[Any]:
+        return self.values[field]
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+
+class Bag:
+    """Reads a rosbag2 bag: a directory, or one .mcap or .db3 file; also one that was cut off.
+
+    With a `namespace` only its topics are read, named without it: /fred/odom of `fred` is /odom.
+    `remap` names topics of the bag (in full) otherwise; a topic that has the new name is left out.
+    Raises BagError, also while reading, if the bag is missing, damaged or not a bag.
+    """
+
+    def __init__(
+        self, path: Path | str, namespace: str = "", remap: Mapping[str, str] | None = None
+    ) -> None:
+        self.path = Path(path)
+        self._root = root_of(namespace)
+        self._remap = {_slashed(old): _slashed(new) for old, new in (remap or {}).items()}
+        self._cache: dict[str, list[tuple[int, Any]]] = {}
+        self._scratch: TemporaryDirectory[str] | None = None  # of mended files
+        with self._readable():
+            self._files, self._custom = self._find_files()
+            self.origin = self._find_origin()
+        with self._open() as readers:
+            connections = [(r, *entry) for r in readers for entry in self._connections(r)]
+            self.topics = {topic: c.msgtype for _, topic, c in connections}
+            self.counts = dict.fromkeys(self.topics, 0)
+            for _, topic, connection in connections:
+                self.counts[topic] += connection.msgcount
+            self._known = sorted({c.topic for r in readers for c in r.connections})
+            spans = [(r.start_time, r.end_time - 1) for r in readers if r.message_count]
+            self.start_ns = min((first for first, _ in spans), default=0)
+            self.end_ns = max((last for _, last in spans), default=0)
+            self._types = self._read_types(readers)
+        self._require_known(self._remap)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the recording ended; else what is left of it is read."""
+        return self._scratch is None
+
+    @property
+    def remark(self) -> str:
+        """A line on a recording that did not end; empty for one that did."""
+        left = f"unfinished   what is left of it: {self.duration_ns * 1e-9:.2f} s"
+        return "" if self.finished else left
+
+    def lines(self) -> list[str]:
+        """Text on where the bag comes from, and whether its recording ended."""
+        return [*self.origin.lines(), *filter(None, [self.remark])]
+
+    def save(self, path: Path) -> None:
+        """Write what is read of the bag as a new, whole one; raises BagError."""
+        with BagWriter(path, read_record_settings(), self.origin) as copy:
+            with self._open() as readers:
+                kinds = {t: c for reader in readers for t, c in self._connections(reader)}
+            for topic, c in kinds.items():
+                copy.add_topic(topic, MessageType(c.msgtype, c.msgdef.data, digest=c.digest))
+            for topic, time, data in self.raw():
+                copy.write(topic, self.topics[topic], time, data)
+
+    @property
+    def duration_ns(self) -> int:
+        """Time from the first to the last message, ns."""
+        return self.end_ns - self.start_ns
+
+    def raw(self, *topics: str) -> Iterator[tuple[str, int, bytes]]:
+        """Yield (topic, time in ns, CDR bytes) of these topics (default: all), ordered by time."""
+        self._require(*topics)
+        with self._open() as readers:
+            streams = (self._messages(reader, topics) for reader in readers)
+            yield from heapq.merge(*streams, key=operator.itemgetter(1))
+
+    def _messages(
+        self, reader: Reader, topics: tuple[str, ...]
+    ) -> Iterator[tuple[str, int, bytes]]:
+        names = {c.id: t for t, c in self._connections(reader) if not topics or t in topics}
+        wanted = [c for c in reader.connections if c.id in names]
+        if wanted:
+            for connection, time, data in reader.messages(wanted):
+                yield names[connection.id], time, bytes(data)
+
+    def merged(self, *topics: str) -> Iterator[tuple[str, int, Any]]:
+        """Yield (topic, time in ns, message) of these topics (default: all), ordered by time."""
+        for topic, time, data in self.raw(*topics):
+            yield topic, time, self.decode(topic, data)
+
+    def decode(self, topic: str, data: bytes) -> Any:
+        """Message of CDR bytes on a topic of the bag."""
+        with self._readable():
+            return self._types.deserialize_cdr(data, self.topics[topic])
+
+    def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
+        """Yield (time in ns, message) of one topic, ordered by time."""
+        return ((time, message) for _, time, message in self.merged(topic))
+
+    def series(self, topic: str, *fields: str) -> Series:
+        """Fields (dotted, as `pose.pose.position`) as arrays over the messages of a topic.
+
+        A field that is a message becomes the vector of its own fields, so a Vector3[4] is (n, 4, 3)
+        and a quaternion (n, 4) in the order x y z w. Raises NoFieldError if the type lacks a
+        field, BagError if the field's shape changes.
+        """
+        if topic not in self._cache:
+            self._cache[topic] = list(self.messages(topic))
+        entries = self._cache[topic]
+        return Series(
+            np.array([time for time, _ in entries], np.int64),
+            np.array([_stamp(message, time) for time, message in entries], np.int64),
+            {field: self._column(topic, field) for field in fields},
+        )
+
+    def _column(self, topic: str, field: str) -> NDArray[Any]:
+        getter = operator.attrgetter(field)
+        try:
+            return np.array([_plain(getter(message)) for _, message in self._cache[topic]])
+        except AttributeError:
+            raise NoFieldError(f"{self.path}: {topic} has no field {field}") from None
+        except ValueError:
+            raise BagError(f"{self.path}: {topic} {field} changes its shape") from None
+
+    def _find_files(self) -> tuple[list[Path], Mapping[str, str]]:
+        """Whole files of the bag, mended where needed, and the custom data of metadata.yaml."""
+        if not self.path.is_dir():
+            return [self._whole(self.path)], {}
+        metadata = self.path / "metadata.yaml"
+        if not metadata.exists():
+            found = sorted(p for p in self.path.iterdir() if p.suffix in STORAGES)
+            if not found:
+                raise BagError(
+                    f"{self.path}: holds no metadata.yaml, .mcap or .db3 file: not a bag"
+                )
+            files = [self._whole(file) for file in found]
+            self._scratch = self._scratch or TemporaryDirectory()  # it did not end, even if whole
+            return files, {}
+        information = yaml.safe_load(metadata.read_text())["rosbag2_bagfile_information"]
+        custom = information.get("custom_data") or {}
+        if information.get("compression_mode", "").lower() not in ("", "none"):
+            return [self.path], custom  # the library unpacks it
+        listed = [self.path / PurePath(name).name for name in information["relative_file_paths"]]
+        return [self._whole(file) for file in listed], custom
+
+    def _whole(self, file: Path) -> Path:
+        """The file, or a mended copy if its recording did not end."""
+        if is_whole(file):
+            return file
+        self._scratch = self._scratch or TemporaryDirectory()
+        return mended(file, Path(self._scratch.name, file.stem))
+
+    def _find_origin(self) -> Origin:
+        """Origin by the records of the first MCAP file, else by `custom_data` of metadata.yaml."""
+        first = self._files[0]
+        origin = read_origin(first) if first.suffix == ".mcap" else Origin()
+        return origin if origin.about else Origin(self._custom, origin.files)
+
+    def _read_types(self, readers: list[Reader]) -> Types:
+        """Types by the definitions in the bag, else by those installed."""
+        all_connections = [c for reader in readers for c in reader.connections]
+        inside = {
+            c.msgtype: c.msgdef.data
+            for c in all_connections
+            if c.msgdef.format == MessageDefinitionFormat.MSG
+        }
+        types = types_inside(tuple(inside.items()))
+        if not {c.msgtype for c in all_connections} <= types.fielddefs.keys():
+            add_installed(types)
+        return types
+
+    def _connections(self, reader: Reader) -> list[tuple[str, Connection]]:
+        """Name within the namespace, and connection, of every topic in the namespace."""
+        named = [(c, self._remap.get(c.topic)) for c in reader.connections]
+        root, replaced = f"{self._root}/", set(self._remap.values())
+        inside = [(c.topic.removeprefix(self._root), c) for c, new in named
+                  if new is None and c.topic.startswith(root)]  # fmt: skip
+        kept = [(name, c) for name, c in inside if name not in replaced]
+        return kept + [(new, c) for c, new in named if new is not None]
+
+    def _require(self, *topics: str) -> None:
+        for topic in topics:
+            if topic not in self.topics:
+                raise self._unknown(f"{self._root}{topic}")
+
+    def _require_known(self, topics: Mapping[str, str]) -> None:
+        for topic in topics:
+            if topic not in self._known:
+                raise self._unknown(topic)
+
+    def _unknown(self, topic: str) -> BagError:
+        known = ", ".join(self._known) or "none"
+        return BagError(f"{self.path}: no topic {topic} (topics: {known})")
+
+    @contextmanager
+    def _open(self) -> Iterator[list[Reader]]:
+        with self._readable(), ExitStack() as stack:
+            yield [stack.enter_context(Reader(file)) for file in self._files]
+
+    @contextmanager
+    def _readable(self) -> Iterator[None]:
+        """Turn every error of the reading libraries into a BagError."""
+        try:
+            yield
+        except BagError:
+            raise
+        except FileNotFoundError as error:
+            missing = Path(error.filename or self.path)
+            raise BagError(f"{missing}: does not exist") from None
+        except Exception as error:
+            # On a damaged file the libraries also raise struct, zstd, assertion and type errors.
+            raise BagError(f"{self.path}: cannot be read: {_one_line(error)}") from error
+
+
+def _slashed(topic: str) -> str:
+    """Full name of a topic that may lack its slash."""
+    return f"/{topic.lstrip('/')}"
+
+
+def _stamp(message: Any, time: int) -> int:
+    """Graph time of a message in ns: its stamp, a clock's value, else its time in the bag."""
+    stamp = message.header.stamp if hasattr(message, "header") else getattr(message, "clock", None)
+    return time if stamp is None else int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def _plain(value: Any) -> Any:
+    """Numbers, strings and arrays as they are; a message as the list of its fields."""
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if dataclasses.is_dataclass(value):
+        names = [f.name for f in dataclasses.fields(value) if f.name != "__msgtype__"]
+        return [_plain(getattr(value, name)) for name in names]
+    return value
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

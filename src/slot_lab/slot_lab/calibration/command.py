@@ -1,0 +1,133 @@
+"""Fits free parameters of a leg to measurements and writes a parameter file.
+
+DATA.csv has one measurement a row: the range of a marker, the force at a tendon angle or a
+deflection. slot_lab/calibration/data.py describes the columns;
+config/parameters/paper_single_leg.csv is an example.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from slot_core import config
+from slot_core.command_line import positive_integer
+from slot_core.config import ConfigError
+from slot_core.robot import Array, Robot, read_parameters, read_robot
+from slot_lab.calibration import parameter_file
+from slot_lab.calibration.data import Data, read_data
+from slot_lab.calibration.experiments import (
+    ExperimentSettings,
+    PredictionError,
+    predict,
+    read_settings,
+)
+from slot_lab.calibration.fit import (
+    FitError,
+    FitProblem,
+    ParameterEstimate,
+    estimate,
+    fit,
+    parameters_of,
+)
+from slot_lab.calibration.plot import write_figure
+from slot_lab.csv_table import TableError
+
+FREE = ("leg.young_modulus", "tendon.offset", "tendon.cable_stiffness", "tendon.slack")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line of `scripts/calibrate`: prints a table, returns the exit code.
+
+    Ends with exit code 2 and one line of error for invalid data, settings or arguments.
+    """
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if options.plot and options.plot.suffix != ".png":
+        parser.error(f"--plot {options.plot}: the name of a picture ends in .png")
+    try:
+        content = _run(options)
+    except (TableError, ConfigError, FitError, PredictionError, OSError) as error:
+        parser.error(" ".join(str(error).split()))
+    print("\n".join(parameter_file.table(content)))
+    return 0
+
+
+def _run(options: argparse.Namespace) -> dict[str, object]:
+    """Fit or evaluate, write the files, and return the content of the parameter file."""
+    data, settings = read_data(options.data), read_settings()
+    robot, full_set = read_robot(options.start), read_parameters(options.start)
+    problem = build_problem(robot, options.free, data, settings)
+    values = [p.start for p in problem.parameters]
+    _log(f"{data.name}: {len(data.rows)} measurements, {len(values)} free parameters")
+    origin = f"evaluation of {options.start}"
+    if not options.evaluate:
+        found = fit(problem, options.starts, _log)
+        values = [parameter_file.rounded(value) for value in found.values]  # those of the file
+        end = "" if found.converged else ", not converged"
+        origin = f"fit, {options.starts} starts from {options.start}{end}"
+    result = estimate(problem, values)
+    fitted = {**full_set, **dict(zip(options.free, values))}
+    content = parameter_file.record(data, options.free, result, fitted, origin, options.note)
+    _write(options, data, result, content)
+    return content
+
+
+def build_problem(
+    robot: Robot, names: Sequence[str], data: Data, settings: ExperimentSettings
+) -> FitProblem:
+    """Fit problem of a robot's parameters `names` to measurements; raises ConfigError."""
+
+    def predicted(values: Array) -> Array:
+        changed = config.replace(robot, dict(zip(names, values.tolist())))
+        return predict(changed, data.rows, settings)
+
+    return FitProblem(
+        parameters_of(robot, names),
+        predicted,
+        np.array([row.value for row in data.rows]),
+        np.array([row.sigma for row in data.rows]),
+    )
+
+
+def _write(
+    options: argparse.Namespace, data: Data, result: ParameterEstimate, content: dict[str, object]
+) -> None:
+    if options.out:
+        parameter_file.write(options.out, content)
+        _log(f"wrote {options.out}")
+    if options.plot:
+        write_figure(data, options.free, result, f"{data.name}: {content['from']}", options.plot)
+        _log(f"wrote {options.plot}")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="scripts/calibrate",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("data", type=Path, metavar="DATA.csv", help="measurements")
+    add("--out", type=Path, metavar="FILE", help="parameter file to write (YAML)")
+    add("--plot", type=Path, metavar="PNG", help="picture to write")
+    free = "parameters to fit (default: " + " ".join(FREE) + ")"
+    add("--free", nargs="+", metavar="NAME", default=FREE, help=free)
+    add("--start", metavar="SET", default="paper", help="set of config/parameters to start from")
+    starts = "starts of the fit, scattered about the first (default: 8)"
+    add("--starts", type=positive_integer, metavar="N", default=8, help=starts)
+    add("--evaluate", action="store_true", help="evaluate the set of --start without a fit")
+    add("--note", default="", metavar="TEXT", help="text for the parameter file")
+    return parser
+
+
+def _log(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,149 @@
+"""Predictions of the measurements: the single-leg tests of `data.py` on the simulated leg.
+
+The floor is that of the scene `flat`, with the friction of the measurement. The tests are
+quasi-static: inertia is negligible and friction has its Coulomb value. The result depends on the
+history of the motion, so the simulation follows it from rest. The leg is planar: the tests load it
+in its plane alone, and there it equals a spatial one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from slot_core import config
+from slot_core.config import ConfigError, quantity
+from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.dynamics.simulated_robot import Divergence
+from slot_core.legs.held_leg import HeldLeg
+from slot_core.legs.leg_map import NoEquilibriumError, StaticLeg
+from slot_core.robot import GRAVITY, LEGS, Array, Robot
+from slot_core.simulation.rod_robot import RodRobot
+from slot_lab.calibration.data import Datum
+from slot_lab.csv_table import TableError
+
+SAMPLE = 10e-3  # s, between two samples of the marker heights
+FREE_HEIGHT = 10.0  # m, clamp height of a leg without floor
+PULL_STEP = math.radians(5.0)  # of the tendon angle of a hanging leg, at most
+
+
+@dataclass(frozen=True)
+class ExperimentSettings:
+    """Settings of the simulated tests: `config/calibration.yaml`."""
+
+    nodes: int = quantity("nodes of the leg", "", 4, 401)
+    pull_time: float = quantity(
+        "of marker_range: T of theta sin(pi t / 2 T), t <= T", "s", 0.1, 100
+    )
+    hold_time: float = quantity("of marker_range: time at the full angle", "s", 0, 100)
+    pull_rate_deg: float = quantity("of force_angle: rate of the tendon angle", "deg/s", 0.1, 1000)
+
+
+class PredictionError(RuntimeError):
+    """The simulation of a measurement failed; the message names the test and the cause."""
+
+
+def read_settings() -> ExperimentSettings:
+    """The settings of `config/calibration.yaml`; raises ConfigError."""
+    return config.read(ExperimentSettings, "calibration")
+
+
+def predict(robot: Robot, rows: Sequence[Datum], settings: ExperimentSettings) -> Array:
+    """(n,) predicted values of the measurements, in their units.
+
+    Raises TableError for a tendon angle above the robot's largest, and PredictionError where the
+    simulation of a test fails.
+    """
+    for row in rows:
+        if row.theta_deg > robot.tendon.angle_max_deg:
+            raise TableError(
+                f"line {row.line}, theta_deg: {row.theta_deg:g} is above tendon.angle_max_deg"
+                f" = {robot.tendon.angle_max_deg:g}"
+            )
+    out = np.full(len(rows), np.nan)
+    for test in {_test(row): None for row in rows}:
+        members = [i for i, row in enumerate(rows) if _test(row) == test]
+        try:
+            out[members] = TESTS[test[0]](robot, [rows[i] for i in members], settings)
+        except (Divergence, NoEquilibriumError, ConfigError) as error:
+            raise PredictionError(f"{test[0]} of line {rows[members[0]].line}: {error}") from None
+    return out
+
+
+def _test(row: Datum) -> tuple[str, tuple[float, ...]]:
+    """Kind and shared conditions: rows with equal ones are simulated in one test."""
+    shared = SHARED[row.kind]
+    return row.kind, tuple(getattr(row, name) for name in shared)
+
+
+def marker_ranges(robot: Robot, rows: Sequence[Datum], settings: ExperimentSettings) -> Array:
+    """(n,) ranges of the heights of points of a leg that lifts its load, m.
+
+    The robot's four legs lift four times the load. By symmetry the torso neither tilts nor moves
+    sideways, so that it is the guided clamp of each leg. The servo is ideal.
+    """
+    first = rows[0]
+    changes = {
+        "floor.friction": (first.friction,) * 4,
+        "solver.legs": "planar",  # no leg leaves its plane
+        "solver.nodes": settings.nodes,
+        "start.tendon_angle_deg": 0.0,
+    }
+    loaded = config.replace(robot, {"torso.mass": 4 * first.load_N / GRAVITY})
+    scene = config.replace(read_scene("flat"), changes)
+    sim = RodRobot(loaded, scene, config.replace(read_servo(), {"model": "ideal"}))
+    steps = max(1, round(SAMPLE / scene.solver.step))
+    heights = [sim.nodes[0, :, 2]]
+    while sim.time < settings.pull_time + settings.hold_time:
+        part = math.sin(math.pi / 2 * min(1.0, sim.time / settings.pull_time))
+        sim.advance(steps, np.full(len(LEGS), math.radians(part * first.theta_deg)))
+        heights.append(sim.nodes[0, :, 2])
+    arc = sim.model.rod.arc
+    return np.array([np.ptp([_at(row.place, arc, height) for height in heights]) for row in rows])
+
+
+def forces(robot: Robot, rows: Sequence[Datum], settings: ExperimentSettings) -> Array:
+    """(n,) vertical forces of the floor on a leg whose clamp is held, N."""
+    first = rows[0]
+    leg = HeldLeg(robot, settings.nodes, first.friction, first.height_m)
+    rate, out = math.radians(settings.pull_rate_deg), np.zeros(len(rows))
+    for i in np.argsort([row.theta_deg for row in rows], kind="stable"):
+        out[i] = leg.pull(math.radians(rows[i].theta_deg), rate)
+    return out
+
+
+def deflections(robot: Robot, rows: Sequence[Datum], settings: ExperimentSettings) -> Array:
+    """(n,) downward displacements of points of a hanging leg under weights at its tip, m."""
+    leg = StaticLeg(robot, settings.nodes)
+    angle, unloaded = math.radians(rows[0].theta_deg), leg.model
+    for part in np.linspace(0.0, angle, 1 + math.ceil(angle / PULL_STEP)):
+        start = leg.solve(part, FREE_HEIGHT).node[:, 1]
+    out = np.zeros(len(rows))
+    for i in np.argsort([row.load_N for row in rows], kind="stable"):
+        mass = unloaded.rod.mass.copy()
+        mass[-1] += rows[i].load_N / GRAVITY
+        leg.model = unloaded._replace(rod=unloaded.rod._replace(mass=mass))
+        drop = start - leg.solve(angle, FREE_HEIGHT).node[:, 1]
+        out[i] = _at(rows[i].place, unloaded.rod.arc, drop)
+    return out
+
+
+def _at(place: float, arc: Array, along: Array) -> float:
+    """Interpolated value at a place, from values (N,) at the nodes of arc lengths `arc` (N,)."""
+    return float(np.interp(place, arc / arc[-1], along))
+
+
+TESTS: dict[str, Callable[[Robot, Sequence[Datum], ExperimentSettings], Array]] = {
+    "marker_range": marker_ranges,
+    "force_angle": forces,
+    "deflection": deflections,
+}
+SHARED = {
+    "marker_range": ("theta_deg", "load_N", "friction"),
+    "force_angle": ("height_m", "friction"),
+    "deflection": ("theta_deg",),
+}

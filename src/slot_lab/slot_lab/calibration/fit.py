@@ -1,0 +1,274 @@
+"""Weighted nonlinear least squares with bounds, confidence intervals and correlation.
+
+    min sum r_i^2,   r_i = (predicted_i - measured_i) / sigma_i
+
+over the coordinates u of the parameters: u = log(value) where the bounds are positive, else value
+over the width of its bounds. With the Jacobian J = dr/du, residual variance s^2 = r.r / (n - rank)
+and covariance C = s^2 (J^T J)^-1, the interval of a coordinate is u +- t sqrt(C_kk), with t of
+Student's distribution at n - rank degrees of freedom (Seber and Wild, Nonlinear Regression, 1989,
+ch. 5). It linearises the model and neglects the bounds: at a bound it is a rough estimate.
+
+Residuals that belong together, as those of a stride, form one of K groups. With g_k = J_k^T r_k,
+
+    C = K / (K - rank) (J^T J)^-1 (sum_k g_k g_k^T) (J^T J)^-1
+
+at K - rank degrees of freedom (Cameron and Miller, A Practitioner's Guide to Cluster-Robust
+Inference, 2015, sec. II).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.stats import t as student
+
+from slot_core.config import ConfigError, leaves
+from slot_core.robot import Array, Robot
+from slot_lab.calibration.experiments import PredictionError
+
+LEVEL = 0.95  # of the intervals
+STEP = 0.01  # of a coordinate in central differences; wide, because predictions have kinks
+# A singular value of the scaled Jacobian below this part of the largest is taken as zero:
+# differences of simulated values have about four digits.
+RANK = 1e-4
+NULL_SHARE = 1e-3  # share of a parameter in a null direction above which it is undetermined
+FAILED_RESIDUAL = 1e6  # residual of a trial whose prediction fails, so that it is rejected
+TOLERANCE = 1e-5  # of the last step of the coordinates and the last decrease of the sum of squares
+EDGE = 1e-6  # of a coordinate; the search stays off the bounds, a result this close is at its bound
+TRIALS = 60  # evaluations of a start, at most
+SCATTER = 1.0  # of the coordinates of further starts: a factor e, or the width of the bounds
+
+Predict = Callable[[Array], Array]  # values of the parameters (p,) to predictions (n,)
+PredictAll = Callable[[Sequence[Array]], Sequence[Array]]  # the same of several, in parallel
+
+
+class FitError(RuntimeError):
+    """The fit failed; the message names the cause."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A free parameter: start value and bounds."""
+
+    name: str
+    start: float
+    low: float
+    high: float
+
+    def coordinate(self, value: float) -> float:
+        """Coordinate u of a value: log(value) for positive bounds, else value over their width."""
+        return math.log(value) if self.low > 0.0 else value / (self.high - self.low)
+
+    def value(self, coordinate: float) -> float:
+        """Inverse of `coordinate`."""
+        if self.low > 0.0:
+            return float(np.exp(coordinate))
+        return coordinate * (self.high - self.low)
+
+
+@dataclass(frozen=True)
+class FitProblem:
+    """Free parameters, predictions and measurements."""
+
+    parameters: tuple[Parameter, ...]
+    predict: Predict
+    measured: Array  # (n,)
+    sigma: Array  # (n,)
+    predict_all: PredictAll | None = None  # by default one after the other
+
+    def coordinates(self, values: Sequence[float] | Array) -> Array:
+        """(p,) coordinates of values (p,)."""
+        return np.array([p.coordinate(v) for p, v in zip(self.parameters, values)])
+
+    def values(self, u: Array) -> Array:
+        """(p,) values at coordinates u (p,)."""
+        return np.array([p.value(c) for p, c in zip(self.parameters, u)])
+
+    def allowed(self, u: Array) -> Array:
+        """(p,) values at u (p,) within the bounds, which exp(log(bound)) may leave by rounding."""
+        low, high = np.array([(p.low, p.high) for p in self.parameters]).T
+        return np.clip(self.values(u), low, high)
+
+    def residuals(self, u: Array) -> Array:
+        """(n,) residuals (predicted - measured) / sigma at u (p,); raises PredictionError."""
+        return (self.predict(self.allowed(u)) - self.measured) / self.sigma
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (p,) of the coordinates."""
+        low = self.coordinates([p.low for p in self.parameters])
+        return low, self.coordinates([p.high for p in self.parameters])
+
+    def jacobian(self, u: Array) -> Array:
+        """(n, p) dr/du by central differences, one-sided at a bound; raises FitError."""
+        low, high = self.bounds()
+        up, down = (np.tile(u, (len(u), 1)) for _ in range(2))
+        np.fill_diagonal(up, np.minimum(u + STEP, high))
+        np.fill_diagonal(down, np.maximum(u - STEP, low))
+        try:
+            found = self._predictions([self.allowed(point) for point in (*up, *down)])
+        except PredictionError as error:
+            raise FitError(f"no derivative: {error}") from None
+        change = np.array(found[: len(u)]) - np.array(found[len(u) :])
+        return np.asarray((change / self.sigma / np.diag(up - down)[:, None]).T)
+
+    def _predictions(self, values: Sequence[Array]) -> Sequence[Array]:
+        return self.predict_all(values) if self.predict_all else [self.predict(v) for v in values]
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """Result of a fit; without convergence, the best point of its trials."""
+
+    values: Array  # (p,)
+    chi_square: float  # sum of squares r.r
+    converged: bool
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """Parameters with intervals and correlation; those of undetermined parameters are NaN.
+
+    A parameter is undetermined if the data do not depend on it, or if its interval contains both
+    of its bounds.
+    """
+
+    values: Array  # (p,)
+    predicted: Array  # (n,)
+    chi_square: float  # r.r
+    freedom: int  # n - rank, or of groups K - rank
+    interval: Array  # (p, 2), 95 % interval: least and largest value
+    correlation: Array  # (p, p), of the coordinates
+    condition: float  # of the Jacobian with columns of length one
+    at_limit: NDArray[np.bool_]  # (p,) within STEP of a bound
+
+
+def parameters_of(robot: Robot, names: Sequence[str]) -> tuple[Parameter, ...]:
+    """Free parameters by dotted name, with start and bounds of their settings.
+
+    Raises ConfigError for a name that is no number of the robot or is given twice.
+    """
+    known = {name: (v, meta) for name, v, meta in leaves(robot) if isinstance(v, float)}
+    for name in names:
+        if name not in known:
+            raise ConfigError(f"{name} is not a number of the robot (known: {', '.join(known)})")
+    if len(set(names)) < len(names):
+        raise ConfigError(f"a parameter is named twice: {', '.join(names)}")
+    return tuple(
+        Parameter(name, known[name][0], known[name][1]["low"], known[name][1]["high"])
+        for name in names
+    )
+
+
+def fit(problem: FitProblem, starts: int = 1, progress: Callable[[str], None] = print) -> FitResult:
+    """Best of the fits from the parameters' start values and from `starts` - 1 further starts.
+
+    The further starts scatter about the first, with a random generator of fixed seed. progress
+    takes a line of text per start. Raises FitError where every start fails.
+    """
+    rng = np.random.default_rng(0)
+    first = problem.coordinates([p.start for p in problem.parameters])
+    low, high = problem.bounds()
+    best, reason = None, ""
+    for k in range(starts):
+        shift = SCATTER * rng.uniform(-1.0, 1.0, len(first)) if k else 0.0
+        try:
+            found = _fit_from(problem, np.clip(first + shift, low, high))
+        except FitError as error:
+            reason = str(error)
+            progress(f"start {k + 1} of {starts}: {error}")
+            continue
+        end = "" if found.converged else f", stopped after {TRIALS} trials"
+        progress(f"start {k + 1} of {starts}: sum of squares {found.chi_square:.6g}{end}")
+        if best is None or found.chi_square < best.chi_square:
+            best = found
+    if best is None:
+        raise FitError(reason)
+    return best
+
+
+def _fit_from(problem: FitProblem, start: Array) -> FitResult:
+    """Fit from coordinates `start`; raises FitError where prediction or derivative fails."""
+    try:
+        problem.residuals(start)
+    except PredictionError as error:
+        raise FitError(f"no prediction at the start: {error}") from None
+
+    def residuals(u: Array) -> Array:
+        try:
+            return problem.residuals(u)
+        except PredictionError:
+            return np.full(len(problem.measured), FAILED_RESIDUAL)
+
+    low, high = problem.bounds()
+    end = least_squares(
+        residuals,
+        start,
+        jac=problem.jacobian,
+        bounds=(low, high),
+        x_scale="jac",
+        xtol=TOLERANCE,
+        ftol=TOLERANCE,
+        max_nfev=TRIALS,
+    )
+    u = np.where(end.x - low < EDGE, low, np.where(high - end.x < EDGE, high, end.x))
+    return FitResult(problem.allowed(u), float(2 * end.cost), bool(end.status))
+
+
+def estimate(
+    problem: FitProblem, values: Sequence[float] | Array, groups: NDArray[np.intp] | None = None
+) -> ParameterEstimate:
+    """Intervals and correlation at given values (p,); raises PredictionError, FitError.
+
+    groups: (n,) number of the group of each residual; by default each is one of its own.
+    """
+    u, (low, high) = problem.coordinates(values), problem.bounds()
+    residual, jacobian = problem.residuals(u), problem.jacobian(u)
+    length = np.linalg.norm(jacobian, axis=0)
+    length[length == 0.0] = 1.0
+    scaled = jacobian / length
+    left, singular, directions = np.linalg.svd(scaled, full_matrices=len(residual) < len(u))
+    singular = np.append(singular, np.zeros(len(u) - len(singular)))
+    significant = singular > RANK * singular[0]
+    chi_square, rank = float(residual @ residual), int(significant.sum())
+    determined = np.all(np.abs(directions[~significant]) < NULL_SHARE, axis=0)
+    inverse = directions[significant].T / singular[significant] / length[:, None]
+    if groups is None:
+        freedom = len(residual) - rank
+        covariance = inverse @ inverse.T * (chi_square / max(freedom, 1))
+    else:
+        moved = inverse @ (left[:, : len(u)].T[significant] * residual)  # (p, n), by each residual
+        sums = np.array([moved[:, groups == k].sum(axis=1) for k in np.unique(groups)])
+        freedom = max(len(sums) - rank, 0)
+        covariance = sums.T @ sums * (len(sums) / max(freedom, 1))
+    width = np.full(len(u), np.nan)
+    if freedom:
+        deviation = np.sqrt(np.diag(covariance))
+        width = np.where(determined, student.ppf((1 + LEVEL) / 2, freedom) * deviation, np.nan)
+    return ParameterEstimate(
+        values=problem.allowed(u),
+        predicted=problem.measured + residual * problem.sigma,
+        chi_square=chi_square,
+        freedom=freedom,
+        interval=_intervals(problem, u, width),
+        correlation=_correlation(covariance, determined),
+        condition=float(singular[0] / singular[-1]) if significant.all() else math.inf,
+        at_limit=(u - low < STEP) | (high - u < STEP),
+    )
+
+
+def _intervals(problem: FitProblem, u: Array, width: Array) -> Array:
+    """(p, 2) intervals; NaN where one contains both bounds: the data say nothing there."""
+    low, high = problem.bounds()
+    width = np.where((u - width <= low) & (u + width >= high), np.nan, width)
+    with np.errstate(over="ignore"):  # overflow gives infinity
+        return np.column_stack([problem.values(u - width), problem.values(u + width)])
+
+
+def _correlation(covariance: Array, determined: NDArray[np.bool_]) -> Array:
+    deviation = np.where(determined, np.sqrt(np.diag(covariance)), np.nan)
+    return covariance / np.outer(deviation, deviation)

@@ -1,0 +1,190 @@
+"""Parameter file of `config/parameters`: values, their origin, residuals and uncertainty.
+
+values              by dotted name, for `read_robot`
+from, note          origin of the values
+data                file of the measurements, its SHA-256 and number of measurements
+residuals           per measurement: conditions, measured, predicted, sigma, difference over sigma
+fit                 sum of squares, degrees of freedom, condition of the Jacobian, parameters at a
+                    bound
+confidence          95 % intervals, or `undetermined`: no influence, or wider than the bounds
+correlation         of the fitted coordinates, in the order of confidence; null: undetermined
+validity            least and largest value of each condition of the data
+force_angle_line    theta_deg = (f_z + a) / b, of the samples and of the predictions at their angles
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from slot_core.robot import Array
+from slot_lab.calibration.data import Data
+from slot_lab.calibration.fit import ParameterEstimate
+from slot_lab.calibration.line import ForceLine, fit_line, line_groups
+
+HEAD = """# Parameter set of the robot; `parameters` in config/robot.yaml names the set in use.
+# Written by scripts/calibrate; slot_lab/calibration/parameter_file.py describes the keys.
+"""
+DIGITS = 6  # significant, of values and predictions
+WIDTH = 160  # characters a line; a measurement fits in one
+UNDETERMINED = "undetermined"
+
+
+def record(  # noqa: PLR0917
+    data: Data,
+    names: Sequence[str],
+    estimate: ParameterEstimate,
+    values: Mapping[str, float],
+    origin: str,
+    note: str,
+) -> dict[str, Any]:
+    """Content of the file.
+
+    names: the fitted parameters. values: those of the whole set, by dotted name. origin, note:
+    text.
+    """
+    return {
+        "values": {name: float(value) for name, value in values.items()},
+        "from": origin,
+        **({"note": note} if note else {}),
+        "data": {"file": data.name, "sha256": data.sha256, "figures": len(data.rows)},
+        "residuals": residuals(data, estimate),
+        "fit": {
+            "sum_of_squares": rounded(estimate.chi_square),
+            "degrees_of_freedom": estimate.freedom,
+            "condition": rounded(estimate.condition),
+            "at_limit": [n for n, at in zip(names, estimate.at_limit) if at],
+        },
+        "confidence": {n: interval_of(row) for n, row in zip(names, estimate.interval)},
+        "correlation": [[_number(v, 3) for v in row] for row in estimate.correlation],
+        "validity": data.validity(),
+        "force_angle_line": lines(data, estimate.predicted),
+    }
+
+
+def residuals(data: Data, estimate: ParameterEstimate) -> list[dict[str, Any]]:
+    """Conditions and residual of each measurement."""
+    return [
+        {
+            "kind": row.kind,
+            **row.conditions(),
+            "measured": row.value,
+            "predicted": rounded(predicted),
+            "sigma": row.sigma,
+            "off_by_sigma": rounded((predicted - row.value) / row.sigma, 3),
+        }
+        for row, predicted in zip(data.rows, estimate.predicted)
+    ]
+
+
+def lines(data: Data, predicted: Array) -> list[dict[str, Any]]:
+    """Force-angle lines of the samples and of the predictions (n,), by height and friction."""
+    out = []
+    for (height, friction), members in line_groups(data.rows).items():
+        rows = [data.rows[i] for i in members]
+        theta = np.array([row.theta_deg for row in rows])
+        sigma = np.array([row.sigma for row in rows])
+        measured = fit_line(theta, np.array([row.value for row in rows]), sigma)
+        out.append(
+            {
+                "height_m": height,
+                "friction": friction,
+                "theta_deg": [float(theta.min()), float(theta.max())],
+                "measured": _line(measured),
+                "predicted": _line(fit_line(theta, predicted[members], sigma)),
+            }
+        )
+    return out
+
+
+def _line(line: ForceLine) -> dict[str, Any]:
+    return {
+        "a_N": rounded(line.a),
+        "b_N_per_deg": rounded(line.b),
+        "a_confidence": interval_of((line.a - line.a_half_width, line.a + line.a_half_width)),
+        "b_confidence": interval_of((line.b - line.b_half_width, line.b + line.b_half_width)),
+        "residuals_N": [round(float(value), DIGITS) for value in line.residuals],
+    }
+
+
+def write(path: Path, content: Mapping[str, Any], head: str = HEAD) -> None:
+    """Write the file and create its directory if necessary; raises OSError."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    values, rest = {"values": content["values"]}, {k: content[k] for k in content if k != "values"}
+    body = yaml.safe_dump(rest, sort_keys=False, default_flow_style=None, width=WIDTH)
+    path.write_text(head + yaml.safe_dump(values, sort_keys=False) + body)
+
+
+def table(content: Mapping[str, Any]) -> list[str]:
+    """Text of the content, line by line, for the terminal."""
+    out = _residual_table(content["residuals"])
+    out += [_summary(content["fit"]), "", f"{'parameter':<28}{'value':>12}   95 % interval"]
+    for name, interval in content["confidence"].items():
+        limit = "   at its bound" if name in content["fit"]["at_limit"] else ""
+        out.append(f"{name:<28}{content['values'][name]:>12.6g}   {_bounds(interval)}{limit}")
+    out += ["", "correlation"]
+    for name, row in zip(content["confidence"], content["correlation"]):
+        out.append(f"{name:<28}" + "".join("     -" if v is None else f"{v:6.2f}" for v in row))
+    return out + [text for line in content["force_angle_line"] for text in _line_table(line)]
+
+
+def _residual_table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    conditions = [[f"{k} {row[k]:g}" for k in row if k not in RESULTS] for row in rows]
+    labels = [" ".join([row["kind"], *texts]) for row, texts in zip(rows, conditions)]
+    width = max(map(len, labels)) + 1
+    out = [f"{'measurement':<{width}}{'measured':>11}{'predicted':>11}{'sigma':>9}{'off by':>8}"]
+    for label, row in zip(labels, rows):
+        out.append(
+            f"{label:<{width}}{row['measured']:>11.5g}{row['predicted']:>11.5g}"
+            f"{row['sigma']:>9.3g}{row['off_by_sigma']:>8.2f}"
+        )
+    return out
+
+
+def _summary(fit: Mapping[str, Any]) -> str:
+    return (
+        f"sum of squares {fit['sum_of_squares']:.4g}, {fit['degrees_of_freedom']} degrees of"
+        f" freedom, condition {fit['condition']:.3g}"
+    )
+
+
+def _bounds(interval: Sequence[float] | str) -> str:
+    return interval if isinstance(interval, str) else f"{interval[0]:.4g} to {interval[1]:.4g}"
+
+
+def _line_table(line: Mapping[str, Any]) -> list[str]:
+    out = [
+        "",
+        f"theta_deg = (f_z + a) / b at {line['height_m']:g} m, friction {line['friction']:g}",
+    ]
+    for which in ("measured", "predicted"):
+        part = line[which]
+        a, b = _bounds(part["a_confidence"]), _bounds(part["b_confidence"])
+        out.append(
+            f"{which:<10} a {part['a_N']:.4g} N ({a}), b {part['b_N_per_deg']:.4g} N/deg ({b})"
+        )
+    return out
+
+
+RESULTS = ("kind", "measured", "predicted", "sigma", "off_by_sigma")
+
+
+def rounded(value: float, digits: int = DIGITS) -> float:
+    """A value with its significant digits of the file."""
+    return float(f"{value:.{digits}g}")
+
+
+def _number(value: float, digits: int) -> float | None:
+    return rounded(value, digits) if math.isfinite(value) else None
+
+
+def interval_of(interval: Sequence[float] | Array) -> list[float] | str:
+    """Ends of an interval with four digits; UNDETERMINED for NaN."""
+    if any(math.isnan(value) for value in interval):
+        return UNDETERMINED
+    return [rounded(float(value), 4) for value in interval]

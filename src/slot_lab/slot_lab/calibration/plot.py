@@ -1,0 +1,89 @@
+"""Plots of a calibration: predicted over measured by kind, residuals, correlation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from slot_core.drawing import palette
+from slot_core.robot import Array
+from slot_lab.calibration.data import CONDITIONS, Data
+from slot_lab.calibration.fit import ParameterEstimate
+
+DPI = 100
+UNITS = {"marker_range": (1e3, "mm"), "force_angle": (1.0, "N"), "deflection": (1e3, "mm")}
+
+
+def write_figure(
+    data: Data, names: Sequence[str], estimate: ParameterEstimate, title: str, path: Path
+) -> None:
+    """Write the figure as PNG and create its directory if necessary; raises OSError."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure(data, names, estimate, title).savefig(path, dpi=DPI)
+
+
+def figure(data: Data, names: Sequence[str], estimate: ParameterEstimate, title: str) -> Figure:
+    """The figure; the label of each axes is a kind of measurement, `residuals` or `correlation`."""
+    kinds = [kind for kind in CONDITIONS if any(row.kind == kind for row in data.rows)]
+    out = Figure(figsize=(4.2 * (len(kinds) + 2), 4.4), dpi=DPI, layout="constrained")
+    FigureCanvasAgg(out)
+    out.suptitle(title, fontsize=13, fontweight="bold")
+    labels = [*kinds, "residuals", "correlation"]
+    axes = {n: out.add_subplot(1, len(labels), i, label=n) for i, n in enumerate(labels, 1)}
+    for kind in kinds:
+        _predicted_over_measured(axes[kind], data, kind, estimate.predicted)
+    _residuals(axes["residuals"], data, kinds, estimate.predicted)
+    _correlation(axes["correlation"], names, estimate.correlation)
+    return out
+
+
+def _predicted_over_measured(ax: Axes, data: Data, kind: str, predicted: Array) -> None:
+    members = [i for i, row in enumerate(data.rows) if row.kind == kind]
+    scale, unit = UNITS[kind]
+    measured = scale * np.array([data.rows[i].value for i in members])
+    sigma = scale * np.array([data.rows[i].sigma for i in members])
+    model = scale * predicted[members]
+    ends = (
+        np.array([min(measured.min(), model.min(), 0.0), max(measured.max(), model.max())]) * 1.05
+    )
+    ax.plot(ends, ends, color=palette.PALE, lw=1.2, zorder=0)
+    ax.errorbar(measured, model, xerr=sigma, fmt="o", color=_colour(kind), ms=6, capsize=3)
+    ax.set_title(kind.replace("_", " "), fontsize=11, color=palette.INK)
+    ax.set_xlabel(f"measured, one sigma ({unit})")
+    ax.set_ylabel(f"predicted ({unit})")
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.grid(color=palette.SHADE)
+
+
+def _residuals(ax: Axes, data: Data, kinds: Sequence[str], predicted: Array) -> None:
+    off = [(p - row.value) / row.sigma for p, row in zip(predicted, data.rows)]
+    colours = [_colour(row.kind) for row in data.rows]
+    ax.axhspan(-1, 1, color=palette.SHADE, zorder=0)
+    ax.bar(range(1, len(off) + 1), off, color=colours)
+    ax.axhline(0.0, color=palette.INK, lw=0.8)
+    ax.set_title("residuals, in the order of the file", fontsize=11, color=palette.INK)
+    ax.set_ylabel("(predicted - measured) / sigma")
+    ax.set_xlabel("measurement")
+
+
+def _correlation(ax: Axes, names: Sequence[str], correlation: Array) -> None:
+    ax.imshow(np.ma.masked_invalid(correlation), cmap="RdBu_r", vmin=-1, vmax=1)
+    ax.set_facecolor(palette.PALE)
+    for (r, c), value in np.ndenumerate(correlation):
+        determined = bool(np.isfinite(value))
+        colour = "white" if determined and abs(value) > 0.6 else palette.INK
+        text = f"{value:.2f}" if determined else "-"
+        ax.text(c, r, text, ha="center", va="center", color=colour, fontsize=10)
+    short = [name.split(".")[-1].replace("_", "\n") for name in names]
+    ax.set_xticks(range(len(names)), short, fontsize=8)
+    ax.set_yticks(range(len(names)), short, fontsize=8)
+    ax.set_title("correlation", fontsize=11, color=palette.INK)
+
+
+def _colour(kind: str) -> str:
+    return palette.STAGE_COLOURS[list(CONDITIONS).index(kind)]

@@ -1,0 +1,1 @@
+"""Films: markers tracked through them, camera calibration, synthetic films, printed markers."""

@@ -1,0 +1,94 @@
+"""Calibrates a camera from pictures of the ChArUco board: OpenCV's procedure, wrapped.
+
+Print the board (scripts/print_markers chessboard --out chessboard.pdf), glue it to something flat,
+and film it: near and far, in all corners of the picture, tilted by up to 45 degrees to every side,
+20 to 40 views. FILM is a folder of pictures, a video, or a bag. The file has the format of ROS's
+camera_info.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+
+from slot_core.command_line import positive_integer
+from slot_core.config import ConfigError
+from slot_core.vision.camera import CameraError, camera_text
+from slot_core.vision.settings import VisionSettings, read_vision
+from slot_lab.film.calibration import Calibration, View, calibrate, chessboard, find_view
+from slot_lab.film.pictures import PICTURES, FilmError, read_film
+
+NAMES = ("f_x", "f_y", "c_x", "c_y", "k1", "k2", "p1", "p2", "k3")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line of `scripts/calibrate_camera`; one line and exit code 2 for unusable views."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # it repeats our messages
+    try:
+        found = _calibrate(options, read_vision())
+        options.out.write_text(camera_text(found.camera, options.name))
+    except (FilmError, CameraError, ConfigError) as error:
+        parser.error(" ".join(str(error).split()))
+    except OSError as error:
+        parser.error(f"--out {options.out}: {error.strerror}")
+    print("\n".join([*report(found), f"wrote {options.out}"]))
+    return 0
+
+
+def _calibrate(options: argparse.Namespace, settings: VisionSettings) -> Calibration:
+    board, views, size = chessboard(settings), list[View](), (0, 0)
+    frames = read_film(options.film, topic=options.topic)
+    for number, frame in enumerate(frames):
+        shape = frame.grey.shape[1], frame.grey.shape[0]
+        if number and shape != size:
+            raise FilmError(f"{options.film}: picture {number} has another size: {shape}, {size}")
+        size = shape
+        if number % options.every == 0:
+            view = find_view(board, f"picture {number}", frame.grey)
+            views += [view] if view else []
+    return calibrate(views, size)
+
+
+def report(found: Calibration) -> list[str]:
+    """Lines: error, parameters with their standard deviations, and what the views cover."""
+    camera = found.camera
+    values = [*camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], *camera.distortion]
+    worst = max(found.errors, key=lambda name: found.errors[name])
+    lines = [
+        f"{len(found.errors)} views, reprojection error {found.error:.3f} px"
+        f" (largest {found.errors[worst]:.3f} px, {worst})",
+        f"corners span {100 * found.covered[0]:.0f} % of the width,"
+        f" {100 * found.covered[1]:.0f} % of the height",
+    ]
+    if found.left_out:
+        lines.append(f"left out for gross errors: {', '.join(found.left_out)}")
+    for name, value, deviation in zip(NAMES, values, found.deviation):
+        lines.append(f"{name:<4} {value:10.4f} +- {deviation:.4f}")
+    return lines
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="scripts/calibrate_camera",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("film", type=Path, metavar="FILM", help="folder of pictures, video, or bag")
+    add("--out", type=Path, metavar="YAML", required=True, help="calibration file to write")
+    add("--name", default="camera", help="name of the camera in the file (default: camera)")
+    every = "use every Nth picture only, of a video for example every 15th (default: 1)"
+    add("--every", type=positive_integer, default=1, metavar="N", help=every)
+    topic = f"topic of the bag (default: {PICTURES})"
+    add("--topic", default=PICTURES, metavar="TOPIC", help=topic)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

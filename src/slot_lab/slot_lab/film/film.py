@@ -1,0 +1,264 @@
+"""Films a recorded walk with a synthetic camera beside the robot, to try scripts/track with.
+
+WHAT is a recording of scripts/run. The film shows the markers on torso and legs and the board
+behind the robot, as config/vision.yaml places them, from `film_camera`. With the word chessboard
+the result is a folder of pictures of the ChArUco board, for scripts/calibrate_camera. Both are
+synthetic: distortion, blur and noise are added to rendered pictures, and nothing in them was
+measured.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from slot_core.body_points import LEAST_NODES, LEG_POINTS, TORSO, arc_length, at_shares
+from slot_core.command_line import within
+from slot_core.config import ConfigError
+from slot_core.messages import decode
+from slot_core.robot import LEGS, ODOM_FRAME, Array, Robot, read_robot
+from slot_core.vision.board import SQUARE, Picture, make_board, print_of, single_marker
+from slot_core.vision.camera import nominal
+from slot_core.vision.frames import Transform, optical
+from slot_core.vision.settings import (
+    TrackedMarkers,
+    VisionSettings,
+    read_vision,
+)
+from slot_core.vision.synthetic_camera import Imperfections, Surface, SyntheticCamera
+from slot_lab.bags.bag import Bag, BagError
+from slot_lab.bags.walk import GROUND_TRUTH, LEG_STATES
+from slot_lab.film.calibration import chessboard
+from slot_lab.film.track import write_tracks
+from slot_lab.film.tracker import Sample
+
+BOARD = "film"
+DEPTH_NOISE = 0.002  # m, of a pixel of a RealSense D435 at 0.8 m
+CHESSBOARD, VIEWS = "chessboard", 30
+GAP = 1.5  # periods between two samples from which the film has no motion there
+SKIN = np.full((4, 4), 60, np.uint8)  # of the robot's body
+
+
+class FilmedRobot(NamedTuple):
+    """What a film shows of the robot: its torso and its legs, in odom."""
+
+    base: Transform  # of base_link
+    nodes: Array  # (4, N, 3) m, centre lines
+    sides: Array  # (4, N, 3) unit vectors along the width, to the right looking outward
+
+
+def filmed(robot: Robot, base: Transform, nodes: Array, directors: Array) -> FilmedRobot:
+    """The robot with directors (4, N-1, 3) of its segments, or (4, 0, 3): legs without twist."""
+    sides = np.concatenate([directors[:, :1], directors], axis=1)
+    if not directors.size:
+        right = robot.rightward @ base.rotation.T
+        sides = np.broadcast_to(right[:, None], nodes.shape)
+    return FilmedRobot(base, nodes, sides)
+
+
+def plates(robot: Robot, settings: TrackedMarkers, at: FilmedRobot) -> dict[str, Transform]:
+    """Frames of the plates in odom by name: x along the leg outward, z away from its right side."""
+    found = {TORSO: at.base @ Transform.of(settings.torso.position, settings.torso.rpy)}
+    for leg, line, side in zip(LEGS, at.nodes, at.sides):
+        tangents = np.gradient(line, arc_length(line), axis=0)
+        places = at_shares(line), at_shares(line, tangents), at_shares(line, side)
+        for name, point, along, aside in zip(LEG_POINTS, *places):
+            x = along / np.linalg.norm(along)
+            z = aside - (aside @ x) * x
+            z /= np.linalg.norm(z)
+            middle = point + (robot.leg.width / 2 + settings.stand_off) * z
+            found[f"{leg}_{name}"] = Transform(np.column_stack([x, np.cross(z, x), z]), middle)
+    return found
+
+
+class Stage:
+    """The robot with its plates and the board behind it, before the camera that films them."""
+
+    def __init__(self, settings: VisionSettings, robot: Robot) -> None:
+        self._settings, self._robot = settings, robot
+        camera = settings.film_camera
+        self._to_camera = optical(Transform.of(camera.position, camera.rpy)).inverse
+        number = settings.dictionary_number
+        if BOARD not in settings.boards:
+            raise ConfigError(f"vision.yaml: boards: none named {BOARD}")
+        self._board = make_board(settings.boards[BOARD])
+        self._board_print = print_of(self._board, number)
+        names = settings.points.names
+        markers = {name: single_marker(i, settings.points.size) for i, name in names.items()}
+        self._prints = {name: print_of(marker, number) for name, marker in markers.items()}
+        self._outline = next(iter(markers.values())).outline
+
+    def plates(self, at: FilmedRobot) -> dict[str, Transform]:
+        """Frames of the plates in odom."""
+        return plates(self._robot, self._settings.points, at)
+
+    def surfaces(
+        self, at: FilmedRobot, soon: tuple[FilmedRobot, float] | None = None
+    ) -> list[Surface]:
+        """Surfaces before the camera; soon: the robot later, and the time (s) until then."""
+        board = self._seen(self._board_print, self._board.pose.apply(self._board.outline))
+        body = [self._seen(SKIN, face) for face in self._body(at)]
+        later, shown = self.plates(soon[0]) if soon else {}, []
+        for name, plate in self.plates(at).items():
+            corners, velocity = plate.apply(self._outline), None
+            if soon:
+                velocity = (later[name].apply(self._outline) - corners) / soon[1]
+            shown.append(self._seen(self._prints[name], corners, velocity))
+        return [board, *sorted(body, key=_distance), *sorted(shown, key=_distance)]
+
+    def _seen(self, sheet: Picture, corners: Array, velocity: Array | None = None) -> Surface:
+        """A surface in the optical frame from corners (4, 3) and velocities in odom."""
+        if velocity is not None:
+            velocity = velocity @ self._to_camera.rotation.T
+        return Surface(sheet, self._to_camera.apply(corners), velocity)
+
+    def _body(self, at: FilmedRobot) -> Iterator[Array]:
+        """Faces (4, 3) of torso and legs in odom, turned to the camera."""
+        half = np.array(self._robot.torso.size) / 2
+        around = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        for axis in range(3):
+            for sign in (-1, 1):
+                corners = np.insert(around, axis, sign, axis=1) * half
+                yield from _turned(at.base.apply(corners), self._to_camera)
+        leg = self._robot.leg
+        for line, side in zip(at.nodes, at.sides):
+            thick = np.linspace(leg.thickness_clamp, leg.thickness_tip, len(line)) / 2
+            normal = np.cross(side, np.gradient(line, axis=0))
+            up = normal * (thick / np.linalg.norm(normal, axis=1))[:, None]
+            for i in range(len(line) - 1):
+                quad = [line[i] - up[i], line[i + 1] - up[i + 1], line[i + 1] + up[i + 1]]
+                yield from _turned(np.array([*quad, line[i] + up[i]]), self._to_camera)
+
+
+def _distance(surface: Surface) -> float:
+    """Negative distance of the middle, m: the farthest comes first."""
+    return -float(np.linalg.norm(surface.corners.mean(axis=0)))
+
+
+def _turned(corners: Array, to_camera: Transform) -> Iterator[Array]:
+    """Corners (4, 3) in the order that faces the camera; none for a face seen from its edge."""
+    for order in (corners, corners[::-1]):
+        if Surface(SKIN, to_camera.apply(order)).faces_camera:
+            yield order
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line of `scripts/film`; one line and exit code 2 for a bag that cannot be filmed."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if not options.out.absolute().parent.is_dir():
+        parser.error(f"--out {options.out}: not in an existing directory")
+    cv2.setNumThreads(1)
+    try:
+        film = _film_chessboard if options.what == CHESSBOARD else _film
+        count = film(options, read_vision())
+    except (BagError, ConfigError) as error:
+        parser.error(" ".join(str(error).split()))
+    except OSError as error:
+        parser.error(f"{error.filename}: {error.strerror}")
+    print(f"{count} pictures in {options.out}")
+    return 0
+
+
+def _film(options: argparse.Namespace, settings: VisionSettings) -> int:
+    """Write film, depth pictures and true tracks; the number of pictures."""
+    robot = read_robot()
+    times, shots = _motion(Bag(options.what), robot, options.duration)
+    stage = Stage(settings, robot)
+    rng = np.random.default_rng(options.seed)
+    camera = SyntheticCamera(nominal(settings.camera), Imperfections(), rng)
+    if options.depth:
+        options.depth.mkdir(parents=True, exist_ok=True)
+    period = float(np.median(np.diff(times)))
+    size = settings.camera.width, settings.camera.height
+    coding = cv2.VideoWriter.fourcc(*"MJPG")
+    video = cv2.VideoWriter(str(options.out), coding, 1 / period, size, isColor=False)
+    if not video.isOpened():
+        raise OSError(0, "no video can be written there", str(options.out))
+    truth: list[Sample] = []
+    for i, time in enumerate(times):
+        soon = None
+        if i + 1 < len(times) and times[i + 1] - time < GAP * period:
+            soon = shots[i + 1], float(times[i + 1] - time)
+        surfaces = stage.surfaces(shots[i], soon)
+        video.write(camera.picture(surfaces))
+        if options.depth:
+            depth = camera.depth(surfaces, DEPTH_NOISE)
+            cv2.imwrite(str(options.depth / f"{i:06d}.png"), depth)
+        for name, plate in stage.plates(shots[i]).items():
+            truth.append(Sample(i * period, name, plate.position))
+    video.release()
+    if options.truth:
+        write_tracks(options.truth, truth, ODOM_FRAME)
+    return len(times)
+
+
+def _film_chessboard(options: argparse.Namespace, settings: VisionSettings) -> int:
+    """Write VIEWS pictures of the ChArUco board, held in all parts of the picture and tilted."""
+    rng = np.random.default_rng(options.seed)
+    camera = nominal(settings.camera)
+    board, dots = chessboard(settings), 3000.0  # px per m of the print
+    size = np.array(board.getChessboardSize()) * board.getSquareLength()  # m
+    sheet = np.asarray(board.generateImage(np.round(dots * size).astype(int).tolist()), np.uint8)
+    synthetic = SyntheticCamera(camera, Imperfections(), rng)
+    options.out.mkdir(parents=True, exist_ok=True)
+    for number in range(VIEWS):
+        distance = rng.uniform(0.35, 0.7)
+        ray = camera.rays(rng.uniform(0.2, 0.8, 2) * [camera.width, camera.height])
+        tilt = np.array([np.pi, 0.0, 0.0]) + rng.uniform(-0.6, 0.6, 3)
+        pose = Transform.of(distance * np.array([*ray, 1.0]), tilt)
+        surface = Surface(sheet, pose.apply(SQUARE * [*size, 0.0]))
+        cv2.imwrite(str(options.out / f"{number:03d}.png"), synthetic.picture([surface]))
+    return VIEWS
+
+
+def _motion(bag: Bag, robot: Robot, duration: float) -> tuple[Array, list[FilmedRobot]]:
+    """Times (n,) s, and the robot at these, of a recorded walk, up to a duration (s)."""
+    truth = bag.series(GROUND_TRUTH, "pose.pose.position", "pose.pose.orientation")
+    places, turns = truth["pose.pose.position"], truth["pose.pose.orientation"]
+    states = [message for _, message in bag.messages(LEG_STATES)]
+    stamps = np.array([decode.stamp(message) for message in states])
+    shared, mine, theirs = np.intersect1d(truth.stamp, stamps, return_indices=True)
+    if len(shared) < 2:
+        raise BagError(f"{bag.path}: fewer than two samples of {GROUND_TRUTH} and {LEG_STATES}")
+    count = int(states[0].nodes)
+    if count < LEAST_NODES:
+        raise BagError(f"{bag.path}: legs of {count} nodes have no shape to film")
+    times = np.asarray(shared * 1e-9, np.float64)
+    times = times[: int(np.searchsorted(times, times[0] + duration))]
+    shots = []
+    for m, k in zip(mine[: len(times)], theirs):
+        try:
+            *_, nodes, directors = decode.legs(states[k])
+        except ValueError as error:
+            raise BagError(f"{bag.path}: {LEG_STATES}: {error}") from None
+        base = Transform.of_quaternion(places[m], turns[m])
+        shots.append(filmed(robot, base, nodes, directors))
+    return times, shots
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="scripts/film",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("what", metavar="WHAT", help=f"recording of scripts/run, or the word {CHESSBOARD}")
+    add("--out", type=Path, metavar="OUT", required=True, help="video (.avi), or folder")
+    add("--depth", type=Path, metavar="FOLDER", help="also write depth pictures (mm, 16 bit)")
+    add("--truth", type=Path, metavar="CSV", help="also write the true tracks")
+    duration = "length of the film, s (default: 6)"
+    add("--duration", type=within(0.1, 3600.0, "s"), default=6.0, metavar="S", help=duration)
+    add("--seed", type=int, default=0, help="of the noise (default: 0)")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

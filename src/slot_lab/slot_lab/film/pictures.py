@@ -1,0 +1,164 @@
+"""Pictures of a film one after the other: from a video, a folder of pictures, or a bag."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slot_core.messages.decode import stamp
+from slot_core.vision import picture_message
+from slot_core.vision.board import Picture
+from slot_core.vision.camera import Camera, CameraError, from_camera_info
+from slot_lab.bags.bag import STORAGES, Bag, BagError
+
+Depth = NDArray[np.uint16]
+PICTURES = "/camera/image_raw"  # topic of a bag
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+SYNCHRONOUS = 0.017  # s, largest distance of a depth picture from the picture
+
+
+class FilmError(ValueError):
+    """A film that cannot be read; the message is one line with its path and the cause."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A picture and, if there is one, its depth."""
+
+    time: float  # s
+    grey: Picture  # (h, w)
+    depth: Depth | None = None  # (h, w) mm
+
+
+def read_film(
+    path: Path, rate: float | None = None, depth: str = "", topic: str = PICTURES
+) -> Iterator[Frame]:
+    """Frames of a video, a folder or a bag; raises FilmError.
+
+    rate: pictures per s of a video (default: its own) or a folder (default: 30). depth: folder of
+    16-bit pictures in mm, one for each picture, or a topic of the bag. topic: of its pictures.
+    """
+    if is_bag(path):
+        return _of_bag(path, topic, depth)
+    if not path.exists():
+        raise FilmError(f"{path}: does not exist")
+    depths = _files(Path(depth)) if depth else None
+    return _with_depth(
+        _of_folder(path, rate or 30.0) if path.is_dir() else _of_video(path, rate), depths, depth
+    )
+
+
+def claimed_length(path: Path) -> int:
+    """Number of pictures that a video says it has; zero if it says none, and for other films."""
+    if path.is_dir() or is_bag(path):
+        return 0
+    return max(0, int(cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FRAME_COUNT)))
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is a bag."""
+    if path.suffix in STORAGES or (path / "metadata.yaml").exists():
+        return True
+    return any(file.suffix in STORAGES for file in path.glob("*"))
+
+
+def bag_camera(path: Path, topic: str) -> Camera:
+    """The camera of a bag's pictures, from `camera_info` beside their topic; raises FilmError."""
+    beside = f"{topic.rpartition('/')[0]}/camera_info"
+    try:
+        for _, message in Bag(path).messages(beside):
+            m = message
+            return from_camera_info(m.width, m.height, m.distortion_model, m.d, m.k)
+    except (BagError, CameraError) as error:
+        raise FilmError(f"{path}: {beside}: {error}") from None
+    raise FilmError(f"{path}: {beside} has no message")
+
+
+def _of_video(path: Path, rate: float | None) -> Iterator[Frame]:
+    video = cv2.VideoCapture(str(path))
+    own = video.get(cv2.CAP_PROP_FPS)
+    if not video.isOpened():
+        raise FilmError(f"{path}: no video that OpenCV can read")
+    if rate is None and not 0 < own < 1e4:
+        raise FilmError(f"{path}: says {own:g} pictures per s; give --rate")
+    number, time, step = 0, 0.0, 1.0 / (rate or own)
+    while True:
+        there, picture = video.read()
+        if not there:
+            break
+        if rate is None:  # its own times, since films of telephones vary in their rate
+            own_time = video.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+            time = own_time if own_time > time or not number else time + step
+        else:
+            time = number * step
+        yield Frame(time, _grey(picture))
+        number += 1
+    if not number:
+        raise FilmError(f"{path}: has no picture that can be read")
+
+
+def _of_folder(path: Path, rate: float) -> Iterator[Frame]:
+    for number, file in enumerate(_files(path)):
+        yield Frame(number / rate, _grey(_read(file, cv2.IMREAD_COLOR)))
+
+
+def _with_depth(frames: Iterator[Frame], depths: list[Path] | None, name: str) -> Iterator[Frame]:
+    """The frames with the depth pictures of a folder, in order."""
+    for number, frame in enumerate(frames):
+        if depths is None:
+            yield frame
+            continue
+        if number >= len(depths):
+            raise FilmError(f"{name}: {len(depths)} depth pictures, fewer than pictures")
+        depth = _read(depths[number], cv2.IMREAD_UNCHANGED)
+        if depth.dtype != np.uint16 or depth.ndim != 2:
+            raise FilmError(f"{depths[number]}: {depth.dtype}, expected one 16-bit channel in mm")
+        yield Frame(frame.time, frame.grey, depth.astype(np.uint16))
+
+
+def _of_bag(path: Path, topic: str, depth_topic: str) -> Iterator[Frame]:
+    try:
+        bag = Bag(path)
+        depths = _depths(bag, depth_topic) if depth_topic else iter(())
+        before, after = None, next(depths, None)
+        for _, message in bag.messages(topic):
+            time = stamp(message) * 1e-9
+            while after is not None and after[0] < time:
+                before, after = after, next(depths, None)
+            near = [d for d in (before, after) if d is not None and abs(d[0] - time) < SYNCHRONOUS]
+            nearest = min(near, key=lambda d: abs(d[0] - time))[1] if near else None
+            yield Frame(time, picture_message.grey(message), nearest)
+    except (BagError, ValueError, AttributeError) as error:
+        raise FilmError(f"{path}: {topic}: {' '.join(str(error).split())}") from None
+
+
+def _depths(bag: Bag, topic: str) -> Iterator[tuple[float, Depth]]:
+    for _, message in bag.messages(topic):
+        yield stamp(message) * 1e-9, picture_message.depth(message)
+
+
+def _files(path: Path) -> list[Path]:
+    """The pictures of a folder in the order of their names; raises FilmError if there are none."""
+    files = sorted(f for f in path.glob("*") if f.suffix.lower() in SUFFIXES)
+    if not files:
+        raise FilmError(f"{path}: a folder without pictures ({', '.join(SUFFIXES)})")
+    return files
+
+
+def _read(file: Path, mode: int) -> NDArray[Any]:
+    picture = cv2.imread(str(file), mode)
+    if picture is None:
+        raise FilmError(f"{file}: no picture that OpenCV can read")
+    return np.asarray(picture)
+
+
+def _grey(picture: Any) -> Picture:
+    if picture.ndim == 2:
+        return np.asarray(picture, np.uint8)
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), np.uint8)

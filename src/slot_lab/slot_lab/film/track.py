@@ -1,0 +1,164 @@
+"""Tracks the markers on torso and legs through a film and writes where they are.
+
+FILM is a video, a folder of pictures, or a bag with pictures. The CSV has a comment with the frame
+and the columns time (s), point, x, y, z (m): a row for each marker that a picture shows. Points are
+torso, FL_base, FL_third, FL_two_thirds, FL_tip and so on; with --leg those of that leg are base,
+third, two_thirds, tip. The camera has to stand still. Where it sees a board that config/vision.yaml
+places in odom, the tracks are in odom, else in the camera's own axes: x forward, y left, z up.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import itertools
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+
+from slot_core.body_points import COLUMNS, FRAME, TORSO
+from slot_core.command_line import within
+from slot_core.config import ConfigError
+from slot_core.robot import LEGS
+from slot_core.vision.camera import Camera, CameraError, nominal, read_camera
+from slot_core.vision.detector import other_dictionary
+from slot_core.vision.settings import VisionSettings, read_vision
+from slot_lab.film.pictures import (
+    PICTURES,
+    FilmError,
+    Frame,
+    bag_camera,
+    claimed_length,
+    is_bag,
+    read_film,
+)
+from slot_lab.film.tracker import Sample, Tracker, Tracks
+
+COMPLETE = 1.02  # pictures that a video says over those read: some estimate their length
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line of `scripts/track`; one line and exit code 2 for what cannot be tracked."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if not options.out.absolute().parent.is_dir():
+        parser.error(f"--out {options.out}: not in an existing directory")
+    cv2.setNumThreads(1)
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # it repeats our messages
+    try:
+        settings = read_vision()
+        tracks = track_film(
+            options.film, _camera(options, settings), settings,
+            rate=options.rate, depth=options.depth, topic=options.topic,
+        )  # fmt: skip
+        samples = of_leg(tracks.samples, options.leg)
+        if not samples:
+            parser.error(f"{options.film}: no marker of leg {options.leg}")
+        write_tracks(options.out, samples, tracks.frame)
+    except (FilmError, CameraError, ConfigError) as error:
+        parser.error(" ".join(str(error).split()))
+    except OSError as error:
+        parser.error(f"--out {options.out}: {error.strerror}")
+    print("\n".join(_summary(tracks, samples)))
+    return 0
+
+
+def of_leg(samples: list[Sample], leg: str | None) -> list[Sample]:
+    """The samples of the torso and of one leg, its points without its name; all without a leg."""
+    if leg is None:
+        return samples
+    mine = [s for s in samples if s.point == TORSO or s.point.startswith(f"{leg}_")]
+    return [Sample(s.time, s.point.removeprefix(f"{leg}_"), s.position) for s in mine]
+
+
+def write_tracks(path: Path, samples: list[Sample], frame: str) -> None:
+    """Write samples as CSV, time, point, x, y, z (s, m), after a comment that names the frame."""
+    with path.open("w", newline="") as file:
+        file.write(f"# {FRAME}{frame}\n")
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        for s in samples:
+            writer.writerow([f"{s.time:.6f}", s.point, *(f"{value:.6f}" for value in s.position)])
+
+
+def track_film(
+    film: Path,
+    camera: Camera,
+    settings: VisionSettings,
+    *,
+    rate: float | None = None,
+    depth: str = "",
+    topic: str = PICTURES,
+) -> Tracks:
+    """Tracks of the markers of a film, as for `read_film`; raises FilmError, CameraError."""
+    frames = read_film(film, rate, depth, topic)
+    first = next(frames, None)
+    if first is None:
+        raise FilmError(f"{film}: no picture on {topic}")
+    tracker = Tracker(settings, camera)
+    for number, frame in enumerate(itertools.chain([first], frames)):
+        tracker.add(frame.time, frame.grey, frame.depth)
+        if sys.stderr.isatty() and number % 30 == 0:
+            print(f"picture {number}", end="\r", file=sys.stderr, flush=True)
+    tracks = tracker.tracks()
+    if (claimed := claimed_length(film)) > COMPLETE * tracks.pictures:
+        tracks.notes.append(f"the video says that it has {claimed} pictures: it is damaged")
+    if not tracks.samples:
+        raise FilmError(f"{film}: no tracked marker in {_absence(tracks, settings, first)}")
+    return tracks
+
+
+def _absence(tracks: Tracks, settings: VisionSettings, first: Frame) -> str:
+    ids = settings.points.names
+    text = f"{tracks.pictures} pictures (ids {min(ids)} to {max(ids)} of {settings.dictionary}"
+    other = other_dictionary(first.grey)
+    return text + (f"; the first shows {other})" if other else "; the first shows no marker)")
+
+
+def _camera(options: argparse.Namespace, settings: VisionSettings) -> Camera:
+    if options.camera:
+        return read_camera(options.camera)
+    if is_bag(options.film):
+        return bag_camera(options.film, options.topic)
+    print(
+        "without --camera FILE: the nominal camera of config/vision.yaml is used", file=sys.stderr
+    )
+    return nominal(settings.camera)
+
+
+def _summary(tracks: Tracks, samples: list[Sample]) -> list[str]:
+    """Lines: the frame, and of each point how many pictures show it."""
+    lines = [f"{tracks.pictures} pictures, tracks in {tracks.frame}"]
+    lines += tracks.warnings
+    counts = Counter(s.point for s in samples)
+    width = max(map(len, counts))
+    for point, count in counts.items():
+        lines.append(f"{point:<{width}}  in {100 * count / tracks.pictures:5.1f} % of the pictures")
+    return lines
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="scripts/track",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("film", type=Path, metavar="FILM", help="video, folder of pictures, or bag")
+    add("--out", type=Path, metavar="CSV", required=True, help="file to write")
+    add("--camera", type=Path, metavar="FILE", help="calibration; default: that in the bag")
+    add("--leg", choices=LEGS, help="write the torso and this leg only")
+    depth = "folder of 16-bit depth pictures (mm) registered to the pictures, or topic of the bag"
+    add("--depth", default="", metavar="FOLDER|TOPIC", help=depth)
+    topic = f"topic of the bag (default: {PICTURES})"
+    add("--topic", default=PICTURES, metavar="TOPIC", help=topic)
+    rate = "pictures per second (default: the video's own; 30 for a folder)"
+    add("--rate", type=within(0.1, 10000.0), metavar="HZ", help=rate)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

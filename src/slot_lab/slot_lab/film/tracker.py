@@ -1,0 +1,173 @@
+"""Marker tracker: 3-D tracks of the markers on torso and legs, seen by a camera that stands still.
+
+A point is the middle of its marker. Its place along the line of sight is that of the marker's pose
+or, with a depth picture, the mean of both by their variances. Where a board of `config/vision.yaml`
+that is fixed in odom is seen, the tracks are in odom; the pose of the camera is then that of the
+board's median corners over all pictures. Else they are in camera_link, z up if the camera is level.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from slot_core.robot import ODOM_FRAME, Array
+from slot_core.vision.board import Picture, make_board, single_marker
+from slot_core.vision.camera import Camera, CameraError
+from slot_core.vision.detector import Detection, MarkerDetector
+from slot_core.vision.frames import OPTICAL, Transform
+from slot_core.vision.pose import board_poses
+from slot_core.vision.settings import VisionSettings
+from slot_lab.film.pictures import Depth
+
+DEPTH_PIXELS = 9  # fewest in a marker for its depth to count
+FEWEST = 2  # markers of a board that place the camera
+GROSS = 5.0  # standard deviations, beyond which the depth is another object's
+CAMERA = "camera_link"
+MOVED = 1.0  # px, of the board before a camera that stands still
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A point at one time."""
+
+    time: float  # s
+    point: str
+    position: Array  # (3,) m
+
+
+@dataclass
+class Tracks:
+    """Result of a film."""
+
+    frame: str  # odom, or camera_link
+    samples: list[Sample]
+    pictures: int
+    camera_motion: float  # px, largest motion of a marker of the boards
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What limits their use, one line each."""
+        if self.camera_motion <= MOVED:
+            return self.notes
+        moved = f"the board by {self.camera_motion:.1f} px, limit {MOVED:g} px"
+        return [f"the camera moved: {moved}", *self.notes]
+
+
+class Tracker:
+    """Tracks the markers through the pictures of a film, given in order."""
+
+    def __init__(self, settings: VisionSettings, camera: Camera) -> None:
+        self._settings, self._camera = settings.detection, camera
+        self._names = settings.points.names
+        self._marker = single_marker(0, settings.points.size).corners[0]
+        boards = settings.boards_in(ODOM_FRAME)
+        self._boards = [make_board(board) for board in boards.values()]
+        self._detector = MarkerDetector(settings.dictionary_number, camera)
+        self._noise = settings.detection.corner_noise / camera.focal
+        self._seen: list[Sample] = []  # in the optical frame
+        self._rays: dict[int, list[Array]] = {}  # (4, 2) of the boards' markers
+        self._pictures = 0
+        self._duplicates: set[int] = set()
+
+    def add(self, time: float, picture: Picture, depth: Depth | None = None) -> list[Sample]:
+        """Add the grey picture (h, w) of a time (s); its points in the optical frame.
+
+        depth: (h, w) mm along the optical axis, registered to the picture; zero: unknown. Raises
+        CameraError for another size.
+        """
+        if depth is not None:
+            self._camera.require_size(depth.shape[1], depth.shape[0])
+        found = self._detector.find(picture)
+        self._pictures += 1
+        self._duplicates |= set(found.duplicates)
+        self._see_boards(found)
+        new = []
+        for index, number in enumerate(found.ids):
+            if number in self._names:
+                place = self._locate(found, index, depth)
+                if place is not None:
+                    new.append(Sample(time, self._names[number], place))
+        self._seen += new
+        return new
+
+    def tracks(self) -> Tracks:
+        """All tracks so far; raises CameraError if the board is not as it is configured."""
+        frame, to_frame = ODOM_FRAME, self._camera_in_odom()
+        if to_frame is None:
+            frame, to_frame = CAMERA, Transform(OPTICAL, np.zeros(3))
+        motion = self._camera_motion()
+        samples = [Sample(s.time, s.point, to_frame.apply(s.position)) for s in self._seen]
+        notes = []
+        if self._duplicates:
+            ids = ", ".join(map(str, sorted(self._duplicates)))
+            notes.append(f"ids {ids} were seen more than once in a picture and left out there")
+        return Tracks(frame, samples, self._pictures, motion, notes)
+
+    def _locate(self, found: Detection, index: int, depth: Depth | None) -> Array | None:
+        """Middle of a marker (3,) m in the optical frame; None without a pose."""
+        pose = board_poses(self._marker, found.rays[index], self._noise)
+        if pose is None or pose.error * self._camera.focal > self._settings.error_max:
+            return None
+        place = pose.transform.position
+        if depth is None:
+            return place
+        measured = _depth(depth, found.pixels[index])
+        variance = float(pose.covariance[2, 2])
+        noise = self._settings.depth_noise**2
+        if measured is None or (measured - place[2]) ** 2 > GROSS**2 * (variance + noise):
+            return place
+        z = (place[2] * noise + measured * variance) / (noise + variance)
+        return np.asarray(place * (z / place[2]), float)
+
+    def _see_boards(self, found: Detection) -> None:
+        """Add the rays of the boards' markers, which stand still as the camera does."""
+        for index, number in enumerate(found.ids):
+            if any(number in board.corners for board in self._boards):
+                self._rays.setdefault(number, []).append(found.rays[index])
+
+    def _camera_in_odom(self) -> Transform | None:
+        """Optical frame in odom, from the median rays of the board with most markers; or None."""
+        if not self._boards:
+            return None
+        rays = {number: np.median(seen, axis=0) for number, seen in self._rays.items()}
+        board = max(self._boards, key=lambda board: len(rays.keys() & board.corners.keys()))
+        ids = sorted(rays.keys() & board.corners.keys())
+        if len(ids) < FEWEST:
+            return None
+        points = np.concatenate([board.corners[number] for number in ids])
+        pose = board_poses(points, np.concatenate([rays[n] for n in ids]), self._noise)
+        if pose is None or pose.ratio < self._settings.ambiguity:
+            return None
+        if (error := pose.error * self._camera.focal) > self._settings.error_max:
+            raise CameraError(
+                f"reprojection error of the board {error:.2f} px, limit"
+                f" {self._settings.error_max:g} px: wrong calibration, a moving camera, or a"
+                " board other than in vision.yaml"
+            )
+        return board.pose @ pose.transform.inverse
+
+    def _camera_motion(self) -> float:
+        """Largest motion of a marker of the boards from its median place, px."""
+        off = [np.abs(seen - np.median(seen, axis=0)).mean(axis=(1, 2)) for seen in self._stacks()]
+        return self._camera.focal * max((float(o.max()) for o in off), default=0.0)
+
+    def _stacks(self) -> list[Array]:
+        return [np.array(seen) for seen in self._rays.values()]
+
+
+def _depth(depth: Depth, corners: Array) -> float | None:
+    """Median depth, m, within a marker's corners (4, 2) px; None if too few pixels have one."""
+    middle = corners.mean(axis=0)
+    inner = np.round(middle + 0.8 * (corners - middle)).astype(np.int32)
+    low = np.maximum(inner.min(axis=0), 0)
+    part = depth[low[1] : inner[:, 1].max() + 1, low[0] : inner[:, 0].max() + 1]
+    if not part.size:
+        return None
+    mask = np.zeros(part.shape, np.uint8)
+    cv2.fillConvexPoly(mask, inner - low.astype(np.int32), 1)
+    values = part[(mask > 0) & (part > 0)]
+    return 1e-3 * float(np.median(values)) if len(values) >= DEPTH_PIXELS else None

@@ -1,0 +1,208 @@
+"""The Dynamic Constraint Map of a bag: slack of every constraint of the MPC over time.
+
+Read from `/ground_reaction_forces`, first stage of every cycle: for each leg the slack of the least
+and the largest normal force and of friction; for the whole robot the slack of the total support and
+of the balance of the normal forces. Cycles without a solution are hatched. Fields that the messages
+of an older bag lack are listed and left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LinearSegmentedColormap, TwoSlopeNorm
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from slot_core.drawing import palette
+from slot_core.mpc.mpc import Status
+from slot_core.robot import LEGS, Array
+from slot_lab.bags.bag import Bag, BagError, NoFieldError
+from slot_lab.bags.walk import seconds
+
+TOPIC = "/ground_reaction_forces"
+PER_LEG = {
+    "slack_normal_min": "least normal",
+    "slack_normal_max": "largest normal",
+    "slack_friction": "friction",
+}
+WHOLE = {"slack_total": "total support", "slack_balance": "total balance"}
+TOLERANCE = 1e-4  # N: the violation that the MPC accepts from its solver
+COLOURS = LinearSegmentedColormap.from_list(
+    "slack", [(0.0, "#67000d"), (0.4999, "#ef3b2c"), (0.5001, "#f7fcf5"), (1.0, "#1b7837")]
+)
+"""Red where a constraint is violated, pale green where it is met with zero slack."""
+CAPACITY = 1600  # columns of the picture; with more cycles each column shows its least slack
+
+
+@dataclass(frozen=True)
+class ConstraintMap:
+    """Slack over n cycles; NaN where a constraint is inactive."""
+
+    name: str  # of the bag
+    time: Array  # (n,) s since the first cycle
+    constraints: tuple[str, ...]
+    slack: Array  # (constraints, n) N, negative is violated
+    status: NDArray[np.uint8]  # (n,) values of `Status`
+    missing: tuple[str, ...]  # fields that the bag's messages lack
+
+    @property
+    def violated(self) -> NDArray[np.bool_]:
+        """(constraints, n), true where violated by more than the solver's tolerance."""
+        return self.slack < -TOLERANCE
+
+
+def read_map(bag: Bag) -> ConstraintMap:
+    """The map of a bag; raises BagError if it holds no forces or none of the slacks."""
+    if not bag.counts.get(TOPIC):
+        raise BagError(f"{bag.path}: {TOPIC} holds no messages")
+    names: list[str] = []
+    rows: list[Array] = []
+    missing: list[str] = []
+    for field, label in (PER_LEG | WHOLE).items():
+        column = _column(bag, field)
+        if column is None:
+            missing.append(field)
+            continue
+        names += [f"{leg} {label}" for leg in LEGS] if field in PER_LEG else [label]
+        rows.append(column.reshape(len(column), -1).T)
+    if not rows:
+        raise BagError(f"{bag.path}: {TOPIC} has none of the fields {', '.join(missing)}")
+    series = bag.series(TOPIC, "status")
+    time = seconds(series.stamp, int(series.stamp[0]))
+    slack = np.concatenate(rows).astype(float)
+    slack[~np.isfinite(slack)] = np.nan  # infinite where the constraint is inactive
+    return ConstraintMap(bag.path.name, time, tuple(names), slack, series["status"], tuple(missing))
+
+
+def _column(bag: Bag, field: str) -> NDArray[Any] | None:
+    """The values of a field, None if the messages of this bag do not have it."""
+    try:
+        return bag.series(TOPIC, field)[field]
+    except NoFieldError:
+        return None
+
+
+def summary_lines(found: ConstraintMap) -> list[str]:
+    """Cycles by status, and for each constraint its least slack, when, and how often violated."""
+    lines = [f"{found.name}: {len(found.time)} cycles over {found.time[-1]:.2f} s"]
+    counts = {status.name: int((found.status == status).sum()) for status in Status}
+    lines.append("  ".join(f"{name} {count}" for name, count in counts.items() if count))
+    lines.append(f"{'constraint':<18}{'least slack':>12}{'at':>10}{'violated':>10}")
+    for name, slack, violated in zip(found.constraints, found.slack, found.violated):
+        if np.isnan(slack).all():
+            lines.append(f"{name:<18}{'inactive':>22}")
+            continue
+        at = int(np.nanargmin(slack))
+        lines.append(
+            f"{name:<18}{slack[at]:10.4f} N{found.time[at]:8.2f} s{int(violated.sum()):10d}"
+        )
+    lines += [f"{field}: not in the messages of this bag" for field in found.missing]
+    return lines
+
+
+def draw_map(found: ConstraintMap, path: Path) -> None:
+    """Write the heat map as a PNG."""
+    figure = map_figure(found)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+
+
+def map_figure(found: ConstraintMap) -> Figure:
+    """Heat map: constraints down, time across; cycles without a solution are hatched."""
+    figure = Figure(figsize=(14, 1.2 + 0.36 * len(found.constraints)), layout="constrained")
+    FigureCanvasAgg(figure)
+    ax = figure.subplots()
+    edges = _edges(found.time)
+    groups = np.arange(0, len(found.time), -(-len(found.time) // CAPACITY))
+    rows = np.fmin.reduceat(found.slack, groups, axis=1)  # NaN only where all are
+    # Scaled by the legs' slack: the total support is larger and would leave the legs pale.
+    legs = [name not in WHOLE.values() for name in found.constraints]
+    bound = float(np.nanmax(np.abs(rows[legs]), initial=TOLERANCE))
+    times = np.append(edges[groups], edges[-1])
+    shown = np.where((rows < 0) & (rows >= -TOLERANCE), 0.0, rows)
+    mesh = ax.pcolormesh(
+        times, np.arange(len(rows) + 1), shown, cmap=COLOURS,
+        norm=TwoSlopeNorm(0.0, -bound, bound), rasterized=True,
+    )  # fmt: skip
+    figure.colorbar(mesh, ax=ax, label="slack (N), red: violated", pad=0.01, extend="both")
+    _mark(ax, found, edges)
+    _finish(ax, found)
+    return figure
+
+
+def _edges(time: Array) -> Array:
+    """(n + 1,) s, the starts of the cycles and the end of the last one."""
+    period = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
+    return np.append(time, time[-1] + period)
+
+
+def _mark(ax: Axes, found: ConstraintMap, edges: Array) -> None:
+    """Hatch the cycles that were not SOLVED, one span for consecutive ones."""
+    bad = found.status != Status.SOLVED
+    changes = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(int)))
+    for begin, end in changes.reshape(-1, 2):
+        ax.axvspan(
+            edges[begin], edges[end], facecolor="none", edgecolor=palette.INK, hatch="////", lw=0.8
+        )
+
+
+def _finish(ax: Axes, found: ConstraintMap) -> None:
+    ax.set_yticks(np.arange(len(found.constraints)) + 0.5, found.constraints, fontsize=8)
+    ax.invert_yaxis()
+    for row in range(len(LEGS), len(found.constraints), len(LEGS)):
+        ax.axhline(row, color=palette.INK, lw=0.8)
+    ax.set_facecolor(palette.SHADE)  # shows where a constraint is inactive
+    ax.set(xlabel="time (s)")
+    bad = int((found.status != Status.SOLVED).sum())
+    violated = int(found.violated.any(axis=0).sum())
+    ax.set_title(
+        f"Dynamic Constraint Map, {found.name}: {len(found.time)} cycles, "
+        f"{violated} with a violation, {bad} not solved",
+        loc="left", fontsize=10,
+    )  # fmt: skip
+    hatched = Patch(facecolor="none", edgecolor=palette.INK, hatch="////", label="not solved")
+    grey = Patch(facecolor=palette.SHADE, edgecolor=palette.INK, label="inactive")
+    ax.legend(
+        handles=[hatched, grey], ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0),
+        fontsize=8, frameon=False,
+    )  # fmt: skip
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line of `scripts/constraint_map`; exit code 0: clean, 1: a violation, 2: no map."""
+    parser = argparse.ArgumentParser(
+        prog="scripts/constraint_map", description="Draws the Dynamic Constraint Map of a bag."
+    )
+    parser.add_argument("bag", type=Path, help="directory of a bag, or its .mcap file")
+    parser.add_argument("--namespace", default="", help="of the recorded graph")
+    parser.add_argument("--out", type=Path, metavar="PNG", help="default: BAG_constraints.png")
+    options = parser.parse_args(arguments)
+    bag = options.bag.resolve()
+    name = bag.name if bag.is_dir() else bag.stem  # a directory v0.05 has no suffix
+    out = options.out or bag.with_name(f"{name}_constraints.png")
+    if out.suffix != ".png":
+        parser.error(f"--out {out}: the name of a picture ends in .png")
+    try:
+        found = read_map(Bag(options.bag, options.namespace))
+        draw_map(found, out)
+    except (BagError, OSError) as error:
+        print(f"scripts/constraint_map: {error}", file=sys.stderr)
+        return 2
+    for line in summary_lines(found):
+        print(line)
+    print(out)
+    return 1 if found.violated.any() else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,230 @@
+"""Metrics of a recorded walk: motion, timing, MPC and servos."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slot_core.dynamics.servo import ServoSettings
+from slot_core.estimation.state_estimator import Validity
+from slot_core.geometry import rotate
+from slot_core.mpc.mpc import Status
+from slot_core.robot import LEGS, Array
+from slot_lab.bags.bag import Bag, BagError
+from slot_lab.bags.walk import (
+    GROUND_TRUTH,
+    STAGES,
+    Motion,
+    joint_columns,
+    read_motion,
+    read_ticks,
+    seconds,
+)
+
+NOT_KNOWN = (math.nan,) * len(LEGS)
+
+
+@dataclass(frozen=True)
+class Latency:
+    """Distribution of one latency, s; NaN where nothing was measured."""
+
+    count: int
+    p50: float
+    p99: float
+    max: float
+
+
+@dataclass(frozen=True)
+class WalkMetrics:
+    """Metrics of one walk after the warm-up; None or NaN where the bag lacks the data.
+
+    Drift is measured from a straight line, which starts where the warm-up ends and points along the
+    robot's heading at the start of the bag.
+    """
+
+    source: str  # topic of the motion: ground truth if it was recorded
+    warm_up: float  # s left out
+    duration: float  # s, graph time
+    distance: float  # m, horizontal, from the first to the last position
+    mean_v_x: float  # m/s along the momentary heading
+    mean_v_y: float  # m/s left of it
+    height_mean: float  # m, of base_link
+    height_std: float  # m
+    tilt_rms: float  # rad, angle between body z and world z
+    tilt_max: float  # rad
+    lateral_drift_max: float  # m, largest distance from the line
+    lateral_drift_end: float  # m, last distance from the line, left positive
+    yaw_drift: float  # rad, last yaw minus the heading of the line
+    period: float  # s, control period
+    ticks: int  # odometry readings that require a command
+    deadline_misses: int  # ticks whose command came more than one period later, or never
+    unanswered: int  # ticks without a command
+    missed_ticks: int  # missing odometry readings: gaps in the stamps
+    stages: dict[str, Latency]  # by node
+    end_to_end: Latency
+    real_time_factor: float  # graph time over wall time
+    behind: Latency  # of the simulated time behind real time; empty in lockstep and on hardware
+    fallback_cycles: int | None  # MPC cycles without a solution
+    longest_fallback: int | None  # consecutive ones
+    violation_max: float  # N, largest constraint violation
+    saturated: tuple[float, ...]  # fraction of cycles, per leg: force map at an angle limit
+    rejected_odometry: int | None
+    servo_saturated: tuple[float, ...]  # fraction of samples, per leg: torque at its limit
+    servo_load: tuple[float, ...]  # mean of torque over stall torque at the supply voltage, per leg
+    supply_voltage: float  # V, mean of the servos; NaN: not known, the nominal one is assumed
+    continuous_load: float  # largest mean of torque over stall torque that the maker advises
+
+
+def walk_metrics(bag: Bag, warm_up: float, servo: ServoSettings) -> WalkMetrics:
+    """Compute the metrics of a walk.
+
+    `warm_up` is the time left out at the start, s of graph time; `servo` has the stall torque at a
+    supply voltage. Raises BagError if less than two samples are left.
+    """
+    whole = read_motion(bag)
+    start = whole.t[0] + warm_up
+    motion = whole.after(start)
+    if len(motion.t) < 2:
+        span = whole.t[-1] - whole.t[0]
+        raise BagError(f"{bag.path}: holds {span:.1f} s, the warm-up leaves out {warm_up:.1f} s")
+    return WalkMetrics(
+        source=motion.source,
+        warm_up=warm_up,
+        **_progress(motion),
+        **_drift(whole, motion),
+        **_timing(bag, start),
+        **_control(bag, start),
+        **_servos(bag, start, servo),
+    )
+
+
+def latency(values: Array) -> Latency:
+    """Percentiles of latencies in s; NaN entries are ignored."""
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return Latency(0, math.nan, math.nan, math.nan)
+    p50, p99 = np.percentile(values, [50, 99])
+    return Latency(len(values), float(p50), float(p99), float(values.max()))
+
+
+def _progress(motion: Motion) -> dict[str, Any]:
+    duration = float(motion.t[-1] - motion.t[0])
+    steps = np.diff(motion.position[:, :2], axis=0)
+    middle = (motion.rpy[1:, 2] + motion.rpy[:-1, 2]) / 2
+    forward, left = rotate(steps, -middle).sum(axis=0) / duration
+    height = motion.position[:, 2]
+    return {
+        "duration": duration,
+        "distance": float(np.linalg.norm(steps.sum(axis=0))),
+        "mean_v_x": float(forward),
+        "mean_v_y": float(left),
+        "height_mean": float(height.mean()),
+        "height_std": float(height.std()),
+        "tilt_rms": math.sqrt(float(np.mean(motion.tilt**2))),
+        "tilt_max": float(motion.tilt.max()),
+    }
+
+
+def _drift(whole: Motion, motion: Motion) -> dict[str, Any]:
+    heading, yaw = whole.rpy[[0, -1], 2]
+    across = rotate(motion.position[:, :2] - motion.position[0, :2], -heading)[:, 1]
+    return {
+        "lateral_drift_max": float(np.abs(across).max()),
+        "lateral_drift_end": float(across[-1]),
+        "yaw_drift": float(yaw - heading),
+    }
+
+
+def _timing(bag: Bag, start: float) -> dict[str, Any]:
+    ticks = read_ticks(bag).after(start)
+    answered = np.isfinite(ticks.time[:, -1])
+    # A tick counts only if its command was recorded or the recording went on for a period after it.
+    due = answered | (ticks.time[:, 0] + ticks.period <= ticks.end)
+    late = answered & (ticks.end_to_end > ticks.period)
+    wall = np.ptp(ticks.time[:, 0]) if len(ticks.stamp) else 0.0
+    gaps = np.rint(np.diff(ticks.stamp) / ticks.period).astype(int) - 1
+    return {
+        "period": ticks.period,
+        "ticks": int(due.sum()),
+        "deadline_misses": int(late.sum() + (due & ~answered).sum()),
+        "unanswered": int((due & ~answered).sum()),
+        "missed_ticks": int(gaps.clip(min=0).sum()),
+        "stages": {name: latency(ticks.latency[:, i]) for i, name in enumerate(STAGES)},
+        "end_to_end": latency(ticks.end_to_end),
+        "real_time_factor": float(np.ptp(ticks.stamp) / wall) if wall > 0 else math.nan,
+        "behind": latency(_behind(bag, start)),
+    }
+
+
+def _behind(bag: Bag, start: float) -> Array:
+    """Simulated time behind real time, s, from its least in the bag.
+
+    The machine was late, or the robot's time has waited for a driver that was.
+    """
+    if bag.counts.get("/clock") or not bag.counts.get(GROUND_TRUTH):
+        return np.empty(0)
+    series = bag.series(GROUND_TRUTH)
+    behind = series.time - series.stamp
+    return seconds(behind[seconds(series.stamp) >= start], behind.min())
+
+
+def _control(bag: Bag, start: float) -> dict[str, Any]:
+    solves = _after(bag, start, "/ground_reaction_forces", "status", "violation", "fallback_cycles")
+    states = _after(bag, start, "/mpc_state", "validity")
+    maps = _after(bag, start, "/force_map/status", "saturated")
+    violation = solves["violation"] if solves else np.zeros(0)
+    solved = violation[~np.isnan(violation)]  # without the cycles that were rejected
+    rejected = states and int(np.sum(states["validity"] == Validity.ODOMETRY_REJECTED))
+    return {
+        "fallback_cycles": solves and int(np.sum(solves["status"] != Status.SOLVED)),
+        "longest_fallback": solves and int(solves["fallback_cycles"].max()),
+        "violation_max": float(solved.max()) if solved.size else math.nan,
+        "saturated": _mean(maps["saturated"]) if maps else NOT_KNOWN,
+        "rejected_odometry": rejected,
+    }
+
+
+def _servos(bag: Bag, start: float, servo: ServoSettings) -> dict[str, Any]:
+    voltage = _supply_voltage(bag, start)
+    share = _torques(bag, start) / servo.tendon_stall(voltage)
+    return {
+        "servo_saturated": _mean(share >= 1.0),
+        "servo_load": _mean(share),
+        "supply_voltage": float(voltage.mean()),
+        "continuous_load": servo.continuous_load,
+    }
+
+
+def _torques(bag: Bag, start: float) -> Array:
+    """(n, 4) magnitudes of the servos' torques, N m; n = 0 where they are not recorded."""
+    topic = "/joint_states"
+    if not bag.counts.get(topic) or not bag.series(topic, "effort")["effort"].size:
+        return np.empty((0, len(LEGS)))  # a JointState may have no efforts
+    t, torque = joint_columns(bag, topic, "effort")
+    return np.abs(torque[t >= start])
+
+
+def _supply_voltage(bag: Bag, start: float) -> Array:
+    """(4,) medians of the supply voltages that the servos report, V; NaN: not known."""
+    health = _after(bag, start, "/servo_health", "voltage")
+    if health is None:
+        return np.array(NOT_KNOWN)
+    known = [column[np.isfinite(column)] for column in health["voltage"].T]
+    return np.array([np.median(column) if len(column) else math.nan for column in known])
+
+
+def _after(bag: Bag, start: float, topic: str, *fields: str) -> dict[str, Array] | None:
+    """Fields of a topic at or after graph time `start`; None if there are no messages."""
+    if topic not in bag.topics:
+        return None
+    series = bag.series(topic, *fields)
+    keep = seconds(series.stamp) >= start
+    return {field: series[field][keep] for field in fields} if keep.any() else None
+
+
+def _mean(rows: NDArray[Any]) -> tuple[float, ...]:
+    return tuple(float(f) for f in rows.mean(axis=0)) if len(rows) else NOT_KNOWN

@@ -1,0 +1,181 @@
+"""The panels of a walk's dashboard; each function draws one panel into the given axes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import TwoSlopeNorm
+from matplotlib.ticker import FuncFormatter
+
+from slot_core.drawing import palette
+from slot_core.geometry import rotate
+from slot_core.robot import LEGS, Array
+from slot_lab.bags.bag import Bag
+from slot_lab.bags.walk import STAGES, Motion, Ticks, joint_columns, seconds, stride_mean
+from slot_lab.report.metrics import WalkMetrics
+from slot_lab.report.summary import summary_lines
+
+WINDOW = 4.0  # s at the end of the walk, shown in the panels of the legs
+LATENCY_BINS = 60
+SLACKS = (("slack_normal_min", "min"), ("slack_normal_max", "max"), ("slack_friction", "fric"))
+
+
+def draw_path(ax: Axes, motion: Motion, measured: Motion) -> None:
+    """Top view of the torso's path, and the straight line from which drift is measured.
+
+    `measured` is the motion after the warm-up.
+    """
+    start, heading = measured.position[0, :2], motion.rpy[0, 2]
+    along = rotate(measured.position[:, :2] - start, -heading)[:, 0].max()
+    end = start + rotate(np.array([along, 0.0]), heading)
+    ax.plot(*motion.position[:, :2].T, color=palette.TRUE, lw=1.6, label="torso")
+    ax.plot(*np.array([start, end]).T, color=palette.INK, lw=1, ls="--", label="initial heading")
+    ax.plot(*motion.position[0, :2], "o", color=palette.TRUE, ms=6)
+    ax.plot(*motion.position[-1, :2], ">", color=palette.SECONDARY, ms=8)
+    ax.set_aspect("equal", adjustable="datalim")
+    _finish(ax, f"path, top view ({motion.source})", "y (m)", "x (m)")
+    ax.legend(**LEGEND)
+
+
+def draw_height(ax: Axes, motion: Motion, warm_up: float) -> None:
+    """Height of the torso's centre."""
+    ax.plot(motion.t - motion.t[0], 1e3 * motion.position[:, 2], color=palette.TRUE, lw=1)
+    _over_time(ax, motion, warm_up, "height of base_link", "z (mm)")
+
+
+def draw_speed(ax: Axes, motion: Motion, period: float | None, warm_up: float) -> None:
+    """Forward velocity along the heading, raw and averaged over the stride around each time."""
+    v_x = motion.heading_velocity[:, 0]
+    t = motion.t - motion.t[0]
+    ax.plot(t, v_x, color=palette.PALE, lw=0.8, label="momentary")
+    if period is not None:
+        mean = stride_mean(t, v_x, period)
+        ax.plot(
+            t, mean, color=palette.SECONDARY, lw=1.8, label=f"mean over a stride, {period:.2f} s"
+        )
+    ax.axhline(0.0, color=palette.INK, lw=0.6)
+    _over_time(ax, motion, warm_up, "forward velocity", "v_x (m/s)")
+    ax.legend(**LEGEND)
+
+
+def draw_tilt(ax: Axes, motion: Motion, warm_up: float) -> None:
+    """Roll and pitch."""
+    for i, (name, colour) in enumerate((("roll", palette.TRUE), ("pitch", palette.SECONDARY))):
+        degrees = np.degrees(motion.rpy[:, i])
+        ax.plot(motion.t - motion.t[0], degrees, color=colour, lw=1, label=name)
+    _over_time(ax, motion, warm_up, "roll and pitch", "angle (deg)")
+    ax.set_xlabel("time (s)")
+    ax.legend(**LEGEND)
+
+
+def draw_angles(axes: Sequence[Axes], bag: Bag, start: float, end: float) -> None:
+    """Tendon angles of each leg, desired and true, over the last strides."""
+    for topic, label in (("/desired_joint_angles", "desired"), ("/joint_states", "measured")):
+        if bag.counts.get(topic):
+            t, angle = joint_columns(bag, topic, "position")
+            _per_leg(axes, t - start, np.degrees(angle), label)
+    _finish_legs(axes, "tendon angles (deg)", end - start)
+
+
+def draw_forces(axes: Sequence[Axes], bag: Bag, start: float, end: float) -> None:
+    """Normal forces of each leg, commanded by the MPC and true, over the last strides."""
+    commanded = ("/ground_reaction_forces", "force", "MPC")
+    for topic, field, label in (commanded, ("/ground_truth/legs", "ground_force", "true")):
+        if bag.counts.get(topic):
+            series = bag.series(topic, field)
+            _per_leg(axes, seconds(series.stamp) - start, series[field][:, :, 2], label)
+    _finish_legs(axes, "normal forces (N)", end - start)
+    axes[-1].set_xlabel("time (s)")
+
+
+def draw_latency(ax: Axes, ticks: Ticks) -> None:
+    """Histogram of every stage's latency and of the whole chain's, over a logarithmic axis."""
+    columns = [*ticks.latency.T, ticks.end_to_end]
+    ms = [1e3 * column[np.isfinite(column) & (column > 0)] for column in columns]
+    if measured := [values for values in ms if len(values)]:
+        low, high = min(v.min() for v in measured), max(v.max() for v in measured)
+        high = max(high, 1e3 * ticks.period)
+        bins = np.geomspace(low / 1.2, high * 1.2, LATENCY_BINS).tolist()
+        for values, name, colour in zip(ms, (*STAGES, "end to end"), LATENCY_COLOURS):
+            ax.hist(values, bins, histtype="stepfilled", color=colour, alpha=0.75, label=name)
+        ax.set_xscale("log")
+        ax.set_yscale("log")  # a single late tick stays visible
+    ax.axvline(1e3 * ticks.period, color=palette.INK, ls="--", lw=1, label="control period")
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    _finish(ax, "latency", "ticks", "latency (ms, logarithmic)")
+    ax.legend(**LEGEND)
+
+
+def draw_slack(ax: Axes, bag: Bag, start: float) -> None:
+    """Dynamic Constraint Map: slack of each constraint of the MPC's first stage over time."""
+    if bag.counts.get("/ground_reaction_forces", 0) > 1:
+        fields = [field for field, _ in SLACKS]
+        series = bag.series("/ground_reaction_forces", *fields)
+        rows = np.concatenate([series[field].T for field in fields])
+        t = seconds(series.stamp) - start
+        bound = float(np.abs(rows[np.isfinite(rows)]).max(initial=1e-9))
+        mesh = ax.pcolormesh(
+            t, np.arange(len(rows)), rows, cmap="RdBu", norm=TwoSlopeNorm(0.0, -bound, bound),
+            shading="nearest", rasterized=True,
+        )  # fmt: skip
+        ax.figure.colorbar(mesh, ax=ax, label="slack (N), red: violated", pad=0.01, aspect=30)
+    names = [f"{leg} {name}" for _, name in SLACKS for leg in LEGS]
+    ax.set_yticks(range(len(names)), names, fontsize=7)
+    ax.invert_yaxis()
+    _finish(ax, "Dynamic Constraint Map", "", "time (s)")
+    ax.grid(visible=False)
+
+
+def draw_summary(ax: Axes, metrics: WalkMetrics) -> None:
+    """The summary as text."""
+    ax.set_axis_off()
+    text = ax.text(
+        0.0, 1.0, "\n".join(summary_lines(metrics)), transform=ax.transAxes, va="top",
+        family="monospace", fontsize=7.2, linespacing=1.55, color=palette.INK,
+    )  # fmt: skip
+    text.set_in_layout(False)  # wide text must not narrow the panels above
+
+
+LEGEND: dict[str, Any] = {
+    "fontsize": 7, "bbox_to_anchor": (1.0, 0.97), "borderpad": 0.0, "borderaxespad": 0.2,
+    "columnspacing": 1.2, "handlelength": 1.5,
+    "frameon": False, "loc": "lower right", "ncols": 3,
+}  # fmt: skip
+LATENCY_COLOURS = (*palette.STAGE_COLOURS, palette.INK)
+
+
+def _per_leg(axes: Sequence[Axes], t: Array, values: Array, label: str) -> None:
+    for ax, leg, column in zip(axes, LEGS, values.T):
+        if label in ("true", "measured"):
+            ax.plot(t, column, color=palette.LEG_COLOURS[leg], lw=1.8, alpha=0.75, label=label)
+        else:
+            ax.plot(t, column, color=palette.INK, ls="--", lw=1, label=label)
+
+
+def _finish_legs(axes: Sequence[Axes], title: str, end: float) -> None:
+    for ax, leg in zip(axes, LEGS):
+        _finish(ax, "", leg, "")
+        ax.set_xlim(max(0.0, end - WINDOW), end)
+        ax.tick_params(labelbottom=ax is axes[-1])
+    axes[0].set_title(f"{title}, last {min(WINDOW, end):.0f} s", fontsize=9, loc="left")
+    if axes[0].lines:
+        axes[0].legend(**LEGEND)
+
+
+def _over_time(ax: Axes, motion: Motion, warm_up: float, title: str, label: str) -> None:
+    ax.axvspan(0.0, warm_up, color=palette.SHADE, zorder=0)
+    ax.set_xlim(0.0, motion.t[-1] - motion.t[0])
+    _finish(ax, title, label, "")
+
+
+def _finish(ax: Axes, title: str, y_label: str, x_label: str) -> None:
+    ax.set_title(title, fontsize=9, loc="left")
+    ax.set_ylabel(y_label, fontsize=8)
+    ax.set_xlabel(x_label, fontsize=8)
+    ax.tick_params(labelsize=7)
+    ax.grid(color="#e3e7eb", lw=0.6)
+    ax.set_axisbelow(True)
+    ax.spines[["top", "right"]].set_visible(False)

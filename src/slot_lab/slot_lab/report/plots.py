@@ -1,0 +1,125 @@
+"""Plots of a walk: the dashboard, and a filmstrip of the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure, FigureBase
+
+from slot_core.drawing.shapes import FORCE_SCALE, bent_legs
+from slot_core.messages import decode
+from slot_core.robot import LEGS, Array, Robot, read_robot
+from slot_lab.bags.bag import Bag, BagError
+from slot_lab.bags.walk import LEG_STATES, read_motion, read_ticks, seconds, stride_period
+from slot_lab.report import panels
+from slot_lab.report.metrics import WalkMetrics
+from slot_lab.report.picture import Camera, Pose, draw_robot
+
+DPI = 100
+
+
+def dashboard(bag: Bag, metrics: WalkMetrics, path: Path) -> None:
+    """Write the dashboard of a walk as a PNG of 1600 x 1000 pixels; raises BagError."""
+    _save(dashboard_figure(bag, metrics), path)
+
+
+def dashboard_figure(bag: Bag, metrics: WalkMetrics) -> Figure:
+    """The dashboard; the label of each axes is the name of its panel."""
+    figure = _figure(16.0, 10.0)
+    figure.suptitle(f"{bag.path.name}", fontsize=14, fontweight="bold")
+    columns: Any = figure.subfigures(1, 3, wspace=0.03)
+    left, middle, right = columns
+    motion = read_motion(bag)
+    path, height, speed, tilt = _stack(left, ("path", "height", "speed", "tilt"), (1.3, 1, 1, 1))
+    panels.draw_path(path, motion, motion.after(motion.t[0] + metrics.warm_up))
+    panels.draw_height(height, motion, metrics.warm_up)
+    panels.draw_speed(speed, motion, stride_period(bag), metrics.warm_up)
+    panels.draw_tilt(tilt, motion, metrics.warm_up)
+
+    names = [f"{kind} {leg}" for kind in ("angle", "force") for leg in LEGS]
+    axes = _stack(middle, names, (1.0,) * len(names))
+    panels.draw_angles(axes[:4], bag, motion.t[0], motion.t[-1])
+    panels.draw_forces(axes[4:], bag, motion.t[0], motion.t[-1])
+
+    latency, slack, summary = _stack(right, ("latency", "slack", "summary"), (1.0, 1.15, 2.0))
+    panels.draw_latency(latency, read_ticks(bag).after(motion.t[0] + metrics.warm_up))
+    panels.draw_slack(slack, bag, motion.t[0])
+    panels.draw_summary(summary, metrics)
+    return figure
+
+
+def filmstrip(bag: Bag, path: Path, stills: int = 5) -> None:
+    """Write a PNG with stills of the robot over the walk, each at another phase of the stride.
+
+    Raises BagError if the bag holds no leg shapes (only the simulator publishes them).
+    """
+    _save(filmstrip_figure(bag, stills), path)
+
+
+def filmstrip_figure(bag: Bag, stills: int) -> Figure:
+    """The filmstrip; its axes are the stills in the order of time."""
+    robot, camera = read_robot(), Camera()
+    poses = read_poses(bag, still_times(bag, stills), robot)
+    figure = _figure(3.6 * stills, 2.2)
+    for i, pose in enumerate(poses):
+        ax = figure.add_subplot(1, stills, i + 1, label=f"still {i}")
+        draw_robot(ax, pose, robot, camera)
+        ax.set_title(f"{pose.t:.1f} s", fontsize=11)
+    figure.supxlabel(f"arrows: force of the ground, {1e-2 / FORCE_SCALE:.2f} N per cm", fontsize=9)
+    return figure
+
+
+def still_times(bag: Bag, stills: int) -> Array:
+    """(stills,) s of graph time, evenly over the walk; still k is at phase k / stills of a stride.
+
+    Without a periodic gait, or in a walk shorter than `stills` strides, the phases are not set.
+    Raises BagError if the bag holds no leg shapes.
+    """
+    t = seconds(bag.series(LEG_STATES).stamp)
+    if not len(t):
+        raise BagError(f"{bag.path}: {LEG_STATES} holds no messages")
+    times = np.linspace(t[0], t[-1], stills)
+    period = stride_period(bag)
+    if period is None or t[-1] - t[0] < stills * period:
+        return times
+    phase = np.arange(stills) / stills
+    last = (t[-1] - t[0]) / period - phase[-1]  # latest stride of the last still
+    strides = np.floor(np.linspace(0.0, last, stills))
+    return t[0] + (strides + phase) * period
+
+
+def read_poses(bag: Bag, times: Array, robot: Robot) -> list[Pose]:
+    """The robot at the recorded leg states nearest to `times` (s of graph time)."""
+    states = [message for _, message in bag.messages(LEG_STATES)]
+    motion = read_motion(bag)
+    t = seconds(np.array([decode.stamp(message) for message in states]))
+    poses = []
+    for time in times:
+        k = int(np.abs(t - time).argmin())
+        m = int(np.abs(motion.t - t[k]).argmin())
+        _, _, force, nodes, directors = decode.legs(states[k])
+        place = motion.position[m], motion.quaternion[m]
+        legs = bent_legs(nodes, directors, motion.quaternion[m], robot)
+        poses.append(Pose(float(t[k] - motion.t[0]), *place, legs, force))
+    return poses
+
+
+def _stack(figure: FigureBase, names: Sequence[str], heights: Sequence[float]) -> list[Axes]:
+    grid = figure.add_gridspec(len(names), 1, height_ratios=heights)
+    return [figure.add_subplot(grid[i], label=name) for i, name in enumerate(names)]
+
+
+def _figure(width: float, height: float) -> Figure:
+    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _save(figure: Figure, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=DPI)

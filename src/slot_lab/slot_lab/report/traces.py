@@ -1,0 +1,151 @@
+"""Curves and states of a run over time, for a viewer, from the messages of the graph.
+
+The messages may be rclpy's or those that the `rosbags` library reads from a bag.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from slot_core.drawing import palette
+from slot_core.geometry import rotate
+from slot_core.messages import decode
+from slot_core.mpc.mpc import Status
+from slot_core.robot import LEGS, Array
+
+Values: TypeAlias = dict[str, Array]
+States: TypeAlias = dict[str, str]
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Curves of one quantity from one source: name and colour of each."""
+
+    names: tuple[str, ...]
+    colours: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Plot:
+    """Curves that share their axes; the keys are those of `values`, after the plot's own."""
+
+    title: str
+    curves: dict[str, Curve] = field(default_factory=dict)
+
+
+def _one(name: str, colour: str) -> Curve:
+    return Curve((name,), (colour,))
+
+
+def _of_legs(suffix: str, *, pale: bool = False) -> Curve:
+    colours = tuple(palette.LEG_COLOURS[leg] + ("70" if pale else "") for leg in LEGS)
+    return Curve(tuple(f"{leg} {suffix}" for leg in LEGS), colours)
+
+
+def _sources(quantity: str = "") -> dict[str, Curve]:
+    """The three curves of a quantity of the torso."""
+    return {
+        "true": _one(f"{quantity}true", palette.TRUE),
+        "estimated": _one(f"{quantity}estimated", palette.INK),
+        "reference": _one(f"{quantity}reference", palette.SECONDARY),
+    }
+
+
+PLOTS = {
+    "velocity": Plot("v_x (m/s)", _sources()),
+    "height": Plot("height (mm)", _sources()),
+    "roll": Plot("roll (deg)", _sources()),
+    "pitch": Plot("pitch (deg)", _sources()),
+    "angle": Plot(
+        "tendon angle (deg)",
+        {"measured": _of_legs("measured"), "commanded": _of_legs("commanded", pale=True)},
+    ),
+    "force": Plot(
+        "vertical force (N)",
+        {"ground": _of_legs("ground"), "demanded": _of_legs("demanded", pale=True)},
+    ),
+    "tension": Plot("tendon tension (N)", {"simulated": _of_legs("simulated")}),
+    "solve_time": Plot("solve time of the MPC (ms)", {"mpc": _one("solve time", palette.INK)}),
+}
+OF_TORSO = ("velocity", "height", "roll", "pitch")  # plots
+STATES = {"supervisor": "supervisor", "mpc": "MPC", "gait": "gait"}  # by key of `states`: title
+
+
+def values(topic: str, message: Any) -> Values:
+    """Values (n,) of curves by `plot/curve`; none of a topic that has no curve."""
+    return _VALUES[topic](message) if topic in _VALUES else {}
+
+
+def states(topic: str, message: Any) -> States:
+    """Names of states by a key of STATES; none of a topic that has no state."""
+    return _STATES[topic](message) if topic in _STATES else {}
+
+
+def _torso(source: str, forward: float, height: float, roll: float, pitch: float) -> Values:
+    scaled = {
+        "velocity": forward,
+        "height": 1e3 * height,
+        "roll": math.degrees(roll),
+        "pitch": math.degrees(pitch),
+    }
+    return {f"{name}/{source}": np.array([value]) for name, value in scaled.items()}
+
+
+def _of_truth(message: Any) -> Values:
+    _, position, quaternion, velocity, *_ = decode.odometry(message)
+    rotation = Rotation.from_quat(quaternion)
+    yaw, pitch, roll = rotation.as_euler("ZYX")
+    forward = rotate(rotation.apply(velocity)[:2], -yaw)[0]
+    return _torso("true", forward, position[2], roll, pitch)
+
+
+def _of_estimate(message: Any) -> Values:
+    _, state, _ = decode.state(message)
+    forward = rotate(state[9:11], -state[2])[0]
+    return _torso("estimated", forward, state[5], state[0], state[1])
+
+
+def _of_reference(message: Any) -> Values:
+    first = decode.preview(message).reference[0]
+    forward = rotate(first[9:11], -first[2])[0]
+    return _torso("reference", forward, first[5], first[0], first[1])
+
+
+def _of_legs_truth(message: Any) -> Values:
+    _, tension, force, *_ = decode.legs(message)
+    return {"force/ground": force[:, 2], "tension/simulated": tension}
+
+
+def _of_forces(message: Any) -> Values:
+    _, force, _ = decode.forces(message)
+    return {
+        "force/demanded": force[:, 2],
+        "solve_time/mpc": np.array([1e3 * message.solve_time]),
+    }
+
+
+def _angle(source: str) -> Callable[[Any], Values]:
+    return lambda message: {f"angle/{source}": np.degrees(decode.joint_angles(message)[1])}
+
+
+_VALUES: dict[str, Callable[[Any], Values]] = {
+    "/ground_truth/odom": _of_truth,
+    "/ground_truth/legs": _of_legs_truth,
+    "/mpc_state": _of_estimate,
+    "/gait_preview": _of_reference,
+    "/ground_reaction_forces": _of_forces,
+    "/joint_states": _angle("measured"),
+    "/desired_joint_angles": _angle("commanded"),
+}
+_STATES: dict[str, Callable[[Any], States]] = {
+    "/robot_state": lambda message: {"supervisor": decode.robot_state(message)[1].name},
+    "/ground_reaction_forces": lambda message: {"mpc": Status(message.status).name},
+    "/gait_preview": lambda message: {"gait": message.gait},
+}
+TOPICS = tuple({**_VALUES, **_STATES})

@@ -1,0 +1,145 @@
+"""Identification of a stride on the simulated robot: steering, effect of the knobs, and tables."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from slot_core.gait.gait import SWAY, HarmonicBasis, Pattern, Steering, Stride
+from slot_core.geometry import rotate
+from slot_core.robot import Array
+from slot_lab.tuning import symmetry
+from slot_lab.tuning.settings import TuningSettings
+from slot_lab.tuning.stride_run import HEIGHT, HELD, PITCH, ROLL, YAW, Job, Motion, RunAll
+
+V_X, V_Y, YAW_RATE, ROLL_MEAN = 0, 1, 2, 4  # in the means of a motion
+STEERED = [V_Y, YAW_RATE, ROLL_MEAN]
+STEERED_AMPLITUDE = 0.8
+PATTERNS = ("forward", "lateral", "turn")
+
+
+class IdentificationError(RuntimeError):
+    """A run of the identification has diverged."""
+
+
+class Steered(NamedTuple):
+    """Steering found, and what one amplitude of it changes."""
+
+    steering: Steering
+    change: Array  # (3,) predicted v_y (m/s), yaw rate (rad/s), roll (rad)
+
+
+def run_jobs(run_all: RunAll, jobs: list[Job]) -> list[Motion]:
+    """Motions of the jobs; raises IdentificationError if one diverges."""
+    motions = []
+    for job, motion in zip(jobs, run_all(jobs)):
+        if motion is None:
+            raise IdentificationError(
+                f"the simulation diverges at velocity {job.velocity}, friction {job.friction}"
+            )
+        motions.append(motion)
+    return motions
+
+
+def find_steering(stride: Stride, settings: TuningSettings, run_all: RunAll) -> Steered:
+    """Antisymmetric change of the forward pattern that alters the yaw rate alone.
+
+    With the effect J (3, 10) of its numbers x on v_y, yaw rate and roll, by central differences,
+    and the scales S: min |S (J x - [0, w, 0])|^2 + |damping x|^2.
+    """
+    step, size = settings.steering_step_deg, len(settings.friction)
+    probe = 0.01  # rad/s, of the steering that is tried
+    speed = STEERED_AMPLITUDE * stride.forward.speed
+    jobs = []
+    for column in np.eye(10):
+        tried = Steering(probe, probe, symmetry.rows(symmetry.steering(step * column)))
+        changed = replace(stride, forward_steering=tried)
+        for sign in (1.0, -1.0):
+            jobs += [Job(changed, mu, (speed, 0.0, sign * probe)) for mu in settings.friction]
+    means = np.array([motion.means[STEERED] for motion in run_jobs(run_all, jobs)])
+    plus, minus = means.reshape(10, 2, size, 3).mean(axis=2).transpose(1, 0, 2)
+    effect = (plus - minus).T / (2 * step)
+    scale = 1.0 / np.array(settings.steering_scale)[:, None]
+    wanted = np.array([0.0, settings.steering_rate, 0.0])
+    matrix = np.vstack([scale * effect, settings.steering_damping * np.eye(10)])
+    target = np.concatenate([scale[:, 0] * wanted, np.zeros(10)])
+    x = np.linalg.lstsq(matrix, target, rcond=None)[0]
+    change = effect @ x
+    rate = float(change[1])
+    rate_max = stride.forward_steering.rate_max
+    return Steered(Steering(rate, rate_max, symmetry.rows(symmetry.steering(x))), change)
+
+
+def effect_of_knobs(stride: Stride, settings: TuningSettings, run_all: RunAll) -> Array:
+    """Effect (6, 6) of the knobs on the means over a stride, mean over the floors.
+
+    Central differences about the stride at `cruise`, with the offset constant at the value that
+    holds the height there.
+    """
+    base = (stride.cruise, 0.0, 0.0)
+    held = run_jobs(run_all, [Job(stride, mu, base) for mu in settings.friction])
+    offset_step = np.radians(settings.offset_step_deg)
+    steps = np.array([*settings.velocity_step, *[offset_step] * 3])
+    jobs = []
+    for knob in range(6):
+        for sign in (1.0, -1.0):
+            change = np.zeros(6)
+            change[knob] = sign * steps[knob]
+            v_x, v_y, turn = np.array(base) + change[:3]
+            for mu, motion in zip(settings.friction, held):
+                common, side, front = np.array([motion.offset, 0.0, 0.0]) + change[3:]
+                jobs.append(Job(stride, mu, (v_x, v_y, turn), (common, side, front), False))
+    means = np.array([motion.means for motion in run_jobs(run_all, jobs)])
+    plus, minus = means.reshape(6, 2, len(settings.friction), 6).mean(axis=2).transpose(1, 0, 2)
+    return np.asarray((plus - minus).T / (2 * steps))
+
+
+def tabulate(stride: Stride, settings: TuningSettings, run_all: RunAll) -> dict[str, Pattern]:
+    """Patterns with speed, normal forces and sway at amplitude one, mean over the floors.
+
+    The means of their tendon angles take the common offset that holds the height there.
+    """
+    jobs = [
+        Job(
+            stride,
+            mu,
+            tuple(np.eye(3)[n] * getattr(stride, name).speed),
+            hold_height=name in HELD,
+        )
+        for n, name in enumerate(PATTERNS)
+        for mu in settings.friction
+    ]
+    motions, size = run_jobs(run_all, jobs), len(settings.friction)
+    found = {}
+    for n, name in enumerate(PATTERNS):
+        part = motions[n * size : (n + 1) * size]
+        tables = np.mean([_table(motion, stride) for motion in part], axis=0)
+        tables = symmetry.symmetrised(name, tables)
+        speed = float(np.mean([motion.means[n] for motion in part]))
+        angle = np.array(getattr(stride, name).angle_deg)
+        angle[:, 0] += np.degrees(np.mean([motion.offset for motion in part]))
+        sway: dict[str, Any] = {key: tuple(row.tolist()) for key, row in zip(SWAY, tables[4:])}
+        found[name] = replace(
+            getattr(stride, name),
+            speed=speed,
+            angle_deg=symmetry.rows(angle),
+            normal_force=symmetry.rows(tables[:4]),
+            **sway,
+        )
+    return found
+
+
+def _table(motion: Motion, stride: Stride) -> Array:
+    """Coefficients (9, 5): normal forces (N) and sway, as differences to the stride at rest."""
+    yaw = motion.track[:, YAW]
+    velocity = rotate(motion.velocity, -yaw)
+    posture = motion.track[:, [ROLL, PITCH, HEIGHT]]
+    samples = np.hstack([motion.force, posture, velocity])
+    basis = HarmonicBasis.at(motion.phase).value
+    table = np.linalg.lstsq(basis, samples, rcond=None)[0].T
+    table[:4, 0] -= stride.centre_force
+    table[6, 0] -= stride.height
+    table[7:9, 0] = 0.0
+    return np.asarray(table)

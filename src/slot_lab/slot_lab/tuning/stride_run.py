@@ -1,0 +1,141 @@
+"""Run of a stride on the simulated robot, and its means over strides.
+
+The tendon angles are set every `command_period`. The height is held by an offset common to all
+legs, corrected once a stride by a share of the mean height error; or the offset is constant.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from slot_core import config
+from slot_core.dynamics.scene import Scene, read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
+from slot_core.gait.gait import Stride
+from slot_core.gait.reference import mean_velocity
+from slot_core.gait.stride_feedback import OFFSET_SIGNS
+from slot_core.robot import Array, Robot, read_robot
+from slot_core.simulation.plant import make_robot
+from slot_lab.tuning.settings import TuningSettings
+
+OUTPUTS = ("v_x", "v_y", "yaw rate", "height", "roll", "pitch")
+OFFSET_MAX = math.radians(15.0)  # of the height's correction
+HELD = ("forward", "lateral")  # patterns run at the stride's height; a turn finds its own
+TIME, X, Y, HEIGHT, ROLL, PITCH, YAW = range(7)  # columns of a track; s, m, rad
+
+
+@dataclass(frozen=True)
+class Job:
+    """A stride at constant knobs on a floor of equal friction."""
+
+    stride: Stride
+    friction: float
+    velocity: tuple[float, float, float]  # m/s, rad/s, sets the amplitudes
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rad, common, left-right, front-rear
+    hold_height: bool = True
+
+
+class Motion(NamedTuple):
+    """Motion over the strides that count; SI units, frame odom."""
+
+    track: Array  # (n, 7) TIME .. YAW
+    phase: Array  # (n,)
+    force: Array  # (n, 4) N, normal
+    velocity: Array  # (n, 2) m/s
+    means: Array  # (6,) `OUTPUTS`, mean over the strides; velocities in base_link
+    offset: float  # rad, common, mean over the strides
+    top: float  # m, highest point of the torso
+    load: float  # mean torque of the servos over their stall torque
+
+    @property
+    def tilt(self) -> Array:
+        """Angle of the torso from level (n,), rad, to the second order of roll and pitch."""
+        tilt: Array = np.hypot(self.track[:, ROLL], self.track[:, PITCH])
+        return tilt
+
+
+Outcome = Motion | None  # None: the simulation diverged
+RunAll = Callable[[Sequence[Job]], Iterable[Outcome]]
+
+
+def simulate(job: Job, settings: TuningSettings) -> Outcome:
+    """Run a job; None if the simulation diverges. Raises ConfigError."""
+    scene = read_scene(settings.scene)
+    floor = config.replace(scene, {"floor.friction": [job.friction] * 4})
+    try:
+        return _Run(job, settings, read_robot(), floor).motion()
+    except Divergence:
+        return None
+
+
+class _Run:
+    def __init__(self, job: Job, settings: TuningSettings, robot: Robot, scene: Scene) -> None:
+        self._job, self._settings, self._size = job, settings, robot.torso.size
+        servo = read_servo()
+        self._stall = float(servo.tendon_stall(scene.supply_voltage))
+        self._robot: SimulatedRobot = make_robot(robot, scene, servo)
+        self._angle_max = robot.tendon.angle_max
+        self._steps = max(1, round(settings.command_period / scene.solver.step))
+        self._offset = np.array(job.offset)
+        self._top = 0.0
+
+    def motion(self) -> Motion:
+        """Run all strides; keep those that count."""
+        first, count = self._settings.settling_strides, self._settings.strides
+        rows: list[list[float]] = []
+        offsets: list[float] = []
+        for stride in range(first + count):
+            if stride == first:
+                rows, self._top = [], 0.0
+            begin = len(rows)
+            for phase, angle in self._commands(stride):
+                self._robot.advance(self._steps, angle)
+                rows.append(self._sample(phase))
+            offsets.append(float(self._offset[0]))
+            if self._job.hold_height:
+                self._correct(float(np.mean([row[HEIGHT] for row in rows[begin:]])))
+        table = np.array(rows)
+        track, rest = table[:, :7], table[:, 7:]
+        means = stride_means(track)
+        offset, load = float(np.mean(offsets[first:])), float(rest[:, 7].mean() / self._stall)
+        return Motion(track, rest[:, 0], rest[:, 1:5], rest[:, 5:7], means, offset, self._top, load)
+
+    def _commands(self, number: int) -> list[tuple[float, Array]]:
+        """Phases and tendon angles (4,) of the commands that fall into stride `number`."""
+        period, dt = self._job.stride.period, self._settings.command_period
+        first, last = (math.ceil(n * period / dt - 1e-9) for n in (number, number + 1))
+        phases = np.clip(np.arange(first, last) * dt / period - number, 0.0, 1.0 - 1e-12)
+        legs = self._offset @ OFFSET_SIGNS
+        stride, velocity = self._job.stride, np.array(self._job.velocity)
+        angles = stride.course(phases, velocity, stride.walking(velocity), legs)[:, :4]
+        return list(zip(phases.tolist(), np.clip(angles, 0.0, self._angle_max)))
+
+    def _sample(self, phase: float) -> list[float]:
+        robot, rotation = self._robot, self._robot.rotation
+        position, velocity = robot.position, robot.velocity
+        self._top = max(self._top, float(position[2] + abs(rotation[2]) @ self._size / 2))
+        # The sample belongs to the end of the command.
+        later = (phase + self._settings.command_period / self._job.stride.period) % 1.0
+        force = robot.ground_force[:, 2]
+        motion = [robot.time, *position, *robot.rpy, later, *force, *velocity[:2]]
+        return [*motion, float(robot.servo_torque.mean())]
+
+    def _correct(self, height: float) -> None:
+        """Correct the common offset by a stride's mean height (m)."""
+        stride = self._job.stride
+        per_offset = stride.feedback.effect[3][3]  # m/rad
+        error = stride.height - height
+        change = self._settings.height_gain * error / per_offset
+        self._offset[0] = np.clip(self._offset[0] + change, -OFFSET_MAX, OFFSET_MAX)
+
+
+def stride_means(track: Array) -> Array:
+    """Means (6,) `OUTPUTS` of a track (n, 7) over its whole length."""
+    velocity = mean_velocity(track[:, TIME], track[:, [X, Y, YAW]])
+    return np.concatenate([velocity, track[1:, [HEIGHT, ROLL, PITCH]].mean(axis=0)])

@@ -1,0 +1,38 @@
+"""Predicted places of torso and legs as CSV: `time,point,x,y,z`, as scripts/validate reads it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from slot_core.body_points import LEAST_NODES, LEG_POINTS, TORSO, at_shares
+from slot_core.robot import LEGS
+from slot_lab.twin.recorded import Recorded
+from slot_lab.twin.replay_robot import ModelParts, replay
+from slot_lab.twin.settings import TwinSettings
+from slot_lab.validation.recording import write_points
+
+PERIOD = 1 / 30  # s, between two rows of a point
+
+
+def write(recorded: Recorded, parts: ModelParts, settings: TwinSettings, path: Path) -> None:
+    """Write the predicted places of torso and leg points at 30 Hz; raises OSError.
+
+    Legs of fewer than LEAST_NODES nodes have no points.
+    """
+    rows: dict[str, list[tuple[float, ...]]] = {}
+    due = -np.inf
+    for t, sim in replay(recorded, parts, settings):
+        if t < due:
+            continue
+        due = t + PERIOD - settings.hold / 2
+        rows.setdefault(TORSO, []).append((t, *sim.position))
+        if sim.nodes.shape[1] < LEAST_NODES:
+            continue
+        for leg, nodes in zip(LEGS, sim.nodes):
+            for name, place in zip(LEG_POINTS, at_shares(nodes)):
+                rows.setdefault(f"{leg}_{name}", []).append((t, *place))
+    write_points(
+        path, {name: np.array(part) for name, part in rows.items()}, ["Predicted by scripts/twin"]
+    )

@@ -1,0 +1,95 @@
+"""Recorded walk of a robot: tendon angles and motion of the torso, from a bag or a CSV file.
+
+The CSV file (`csv_table.py`) has the columns
+
+    time,FL,FR,RL,RR,x,y,z,roll,pitch,yaw
+
+in s of one clock, rad and m: tendon angles, and the pose of base_link in odom, z up, with
+R = Rz(yaw) Ry(pitch) Rx(roll). A row holds the angles, the pose or both; the other cells are empty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from slot_core.config import ConfigError
+from slot_core.robot import LEGS, Array
+from slot_lab.bags.bag import STORAGES, Bag
+from slot_lab.bags.measured import COMMANDED, TendonAngles, measured_motion, tendon_angles
+from slot_lab.bags.walk import Motion, stride_period
+from slot_lab.csv_table import Table, TableError, read_table
+
+POSE = ("x", "y", "z", "roll", "pitch", "yaw")
+COLUMNS = ("time", *LEGS, *POSE)
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What a recording says about a walk: tendon angles and motion."""
+
+    name: str
+    angles: TendonAngles
+    motion: Motion
+    period: float | None  # s, of the gait; None: not recorded
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Begin and end of what both cover, s of graph time."""
+        t, moved = self.angles.t, self.motion.t
+        return max(float(t[0]), float(moved[0])), min(float(t[-1]), float(moved[-1]))
+
+
+def read_recorded(path: Path, namespace: str = "", angles: str = "", motion: str = "") -> Recorded:
+    """Angles and motion of a bag, from the topics named or the first that are recorded, or of CSV.
+
+    The angles of a CSV file are measured ones, unless `angles` names the topic of commands. Raises
+    BagError or TableError if they are not there or not sound, ConfigError if they do not overlap or
+    if a CSV file is given with a namespace or a topic of the motion.
+    """
+    if path.is_dir() or path.suffix in STORAGES:
+        bag = Bag(path, namespace)
+        found = Recorded(
+            path.name, tendon_angles(bag, angles), measured_motion(bag, motion), stride_period(bag)
+        )
+    elif namespace or motion:
+        raise ConfigError(f"{path}: --namespace and --motion are of bags")
+    else:
+        found = _from_table(path, measured=angles != COMMANDED)
+    begin, end = found.span
+    if end <= begin:
+        raise ConfigError(f"{path}: {found.angles.source} and {found.motion.source} do not overlap")
+    return found
+
+
+def _from_table(path: Path, measured: bool) -> Recorded:
+    table = read_table(path)
+    if table.columns != COLUMNS:
+        given = ",".join(table.columns)[:80]
+        raise TableError(f"{table.head}: columns {given}: expected {','.join(COLUMNS)}")
+    t, angle = _columns(path, table, LEGS)
+    at, pose = _columns(path, table, POSE)
+    quaternion = Rotation.from_euler("ZYX", pose[:, :2:-1]).as_quat()
+    velocity = np.gradient(pose[:, :3], at, axis=0)
+    return Recorded(
+        path.name,
+        TendonAngles("FL, FR, RL, RR", t, angle, measured=measured),
+        Motion("x .. yaw", at, pose[:, :3], quaternion, velocity),
+        period=None,
+    )
+
+
+def _columns(path: Path, table: Table, names: Sequence[str]) -> tuple[Array, Array]:
+    """Times (n,) and values (n, m) of the rows in which the columns are not all empty."""
+    rows = [row for row in table.rows if any(row.cells[name] for name in names)]
+    values = np.array([[row.number(name) for name in ("time", *names)] for row in rows])
+    if len(rows) < 2:
+        raise TableError(f"{path}: {len(rows)} rows with {', '.join(names)}, less than 2")
+    step = np.diff(values[:, 0])
+    if (step <= 0).any():
+        raise TableError(f"{rows[int(np.argmax(step <= 0)) + 1].where}, time: does not increase")
+    return values[:, 0], values[:, 1:]

@@ -1,0 +1,168 @@
+"""Replay: recorded tendon angles on the simulated robot, from the recorded start.
+
+Measured angles are imposed: the spool follows a cubic spline through them, whatever the load. Each
+value is held for h and reached with the lag h / 2, which makes up for giving it h / 2 too early.
+Commands go on at their rate until the next one and pass through the model of the servo.
+
+The robot settles under the first angles and is moved to the recorded place and heading. The shapes
+of the legs are not measured; those of another start are forgotten within the run-in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from slot_core import config
+from slot_core.config import ConfigError
+from slot_core.dynamics.scene import Scene, read_scene
+from slot_core.dynamics.servo import ServoSettings, read_servo
+from slot_core.dynamics.simulated_robot import SimulatedRobot
+from slot_core.robot import Array, Robot, read_parameters, read_robot
+from slot_core.safety.command_gate import gone_on
+from slot_core.simulation.plant import make_robot
+from slot_lab.bags.measured import TendonAngles
+from slot_lab.bags.walk import Motion
+from slot_lab.twin.recorded import Recorded
+from slot_lab.twin.settings import TwinSettings
+
+LEAST_SETTLING = 1.0  # s
+LONGEST_GAP = 0.06  # s, between two angles, across which a spline is drawn
+BEYOND = 0.1  # rad, by which a measured angle may exceed the range of the tendons
+FREE_RPM = 1000.0  # of a spool whose angle is imposed
+
+
+@dataclass(frozen=True)
+class ModelParts:
+    """Robot, scene and servo of a replay."""
+
+    robot: Robot
+    scene: Scene
+    servo: ServoSettings
+
+
+@dataclass(frozen=True)
+class Track:
+    """The torso's motion over n times."""
+
+    t: Array  # (n,) s, graph time
+    position: Array  # (n, 3) m, odom
+    rpy: Array  # (n, 3) rad, yaw unwrapped
+
+    @cached_property
+    def columns(self) -> Array:
+        """(n, 6): position, rpy."""
+        return np.hstack([self.position, self.rpy])
+
+    def at(self, t: Array) -> Track:
+        """The motion at other times (m,), linear in between."""
+        moved = np.column_stack([np.interp(t, self.t, column) for column in self.columns.T])
+        return Track(t, moved[:, :3], moved[:, 3:])
+
+
+def read_parts(scene: str, parameters: str = "") -> ModelParts:
+    """Robot, scene and servo of a scene, or of another set of `config/parameters` in it.
+
+    Raises ConfigError.
+    """
+    floor = read_scene(scene)
+    named = parameters or floor.parameters
+    if parameters:
+        values = read_parameters(parameters, "scene") | {"parameters": parameters}
+        floor = config.replace(floor, values, f"parameters/{parameters}.yaml: scene")
+    return ModelParts(read_robot(named), floor, read_servo(named))
+
+
+def measured_track(motion: Motion) -> Track:
+    """The recorded motion."""
+    return Track(motion.t, motion.position, motion.rpy)
+
+
+def replay(
+    recorded: Recorded, parts: ModelParts, settings: TwinSettings
+) -> Iterator[tuple[float, SimulatedRobot]]:
+    """Yield (graph time, robot) at the start and after each hold; the robot is advanced in place.
+
+    Raises Divergence, and ConfigError if the recording cannot be replayed with these settings.
+    """
+    begin, end = recorded.span
+    scene, servo = parts.scene, parts.servo
+    step = scene.solver.step
+    if recorded.angles.measured:
+        servo = _imposed(servo, settings.hold)
+    commands = _commands(recorded, parts, settings, begin, end)
+    sim = make_robot(parts.robot, config.replace(scene, {"start.settle": 0.0}), servo)
+    settling = max(scene.start.settle, LEAST_SETTLING)
+    sim.advance(round(settling / step), commands[0][1])
+    _place(sim, recorded.motion, begin)
+    yield begin, sim
+    now = 0
+    for until, command in commands:
+        if until > now:
+            sim.advance(until - now, command)
+            now = until
+            yield begin + now * step, sim
+
+
+def predict(recorded: Recorded, parts: ModelParts, settings: TwinSettings) -> Track:
+    """The predicted motion after each hold; raises as `replay`."""
+    rows = [(t, *sim.position, *sim.rpy) for t, sim in replay(recorded, parts, settings)]
+    table = np.array(rows)
+    table[:, 6] = np.unwrap(table[:, 6])
+    return Track(table[:, 0], table[:, 1:4], table[:, 4:])
+
+
+def _imposed(servo: ServoSettings, hold: float) -> ServoSettings:
+    """A servo whose spool follows what it is given."""
+    changes = {"model": "ideal", "ideal_rpm": FREE_RPM, "lag": hold / 2, "backlash_deg": 0.0}
+    return config.replace(servo, changes)
+
+
+def _commands(
+    recorded: Recorded, parts: ModelParts, settings: TwinSettings, begin: float, end: float
+) -> list[tuple[int, Array]]:
+    """(last step, angles (4,)) of each hold, ordered by time; the first is for settling."""
+    step, limit = parts.scene.solver.step, parts.robot.tendon.angle_max
+    hold, angles = max(1, round(settings.hold / step)), recorded.angles
+    if ((angles.angle < -BEYOND) | (angles.angle > limit + BEYOND)).any():
+        least, largest = angles.angle.min(), angles.angle.max()
+        raise ConfigError(
+            f"{recorded.name}: {angles.source} holds angles of {least:.4g} to {largest:.4g} rad,"
+            f" outside [0, {limit:.4g}]"
+        )
+    edges = np.arange(0, int((end - begin) / step) + 1, hold)
+    if angles.measured:
+        at = begin + edges * step
+        rows = _spline(angles)(at)
+    else:
+        effect = np.rint((angles.t + settings.command_delay - begin) / step).astype(int)
+        edges = np.unique(np.concatenate([edges, effect[(effect > 0) & (effect < edges[-1])]]))
+        # in effect before each edge
+        newest = (np.searchsorted(effect, edges, side="left") - 1).clip(min=0)
+        rows = angles.angle[newest]
+        if angles.rate is not None:
+            rows = gone_on(rows, angles.rate[newest], step * (edges - hold / 2 - effect[newest]))
+    return list(zip(edges.tolist(), np.clip(rows, 0.0, limit)))
+
+
+def _spline(angles: TendonAngles) -> CubicSpline:
+    """Angles (rad) over time (s); straight across gaps, where a spline would overshoot."""
+    gaps = np.flatnonzero(np.diff(angles.t) > LONGEST_GAP)
+    added = [np.arange(angles.t[k] + LONGEST_GAP / 2, angles.t[k + 1], LONGEST_GAP) for k in gaps]
+    t = np.union1d(angles.t, np.concatenate([angles.t[:0], *added]))
+    straight = [np.interp(t, angles.t, column) for column in angles.angle.T]
+    return CubicSpline(t, np.column_stack(straight))
+
+
+def _place(sim: SimulatedRobot, motion: Motion, begin: float) -> None:
+    """Move the robot to the recorded place and heading; the floor's height is that of the scene."""
+    k = int(np.searchsorted(motion.t, begin))
+    turn = Rotation.from_euler("z", motion.rpy[k, 2] - sim.rpy[2])
+    sim.state.rotation[:] = turn.as_matrix() @ sim.state.rotation
+    sim.state.velocity[:] = turn.apply(sim.state.velocity)
+    sim.state.position[:2] = motion.position[k, :2]

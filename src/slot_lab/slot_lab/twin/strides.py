@@ -1,0 +1,230 @@
+"""Comparison of predicted and measured motion stride by stride.
+
+Place x, y and heading of a walk are the sum of all that was before, errors included; height, roll
+and pitch are not: the legs' springs bring them back. So a prediction is compared over windows of a
+few strides, each predicted from the measured place and heading: within a window both motions are
+laid on each other in the plane, by the turn and the shift that make their means equal.
+
+A stride's displacement is that of the mean place over a stride to the mean over the next, in the
+frame of the mean heading: in the mean of 21 readings at 30 Hz their noise is a fifth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.signal import correlate, find_peaks
+
+from slot_core.config import ConfigError
+from slot_core.geometry import rotate
+from slot_core.robot import Array
+from slot_lab.twin.recorded import Recorded
+from slot_lab.twin.replay_robot import Track
+from slot_lab.twin.settings import TwinSettings
+
+GRID = 0.01  # s, of the angles in the search of a period
+PERIODS = (0.2, 10.0)  # s, sought
+LEAST_CORRELATION = 0.5  # of angles with themselves a period later
+HORIZON = 4  # strides
+LEAST_STRIDES = HORIZON + 1
+PER_STRIDE = 40  # points of a mean over a stride
+X, Y, Z, ROLL, PITCH, YAW = range(6)
+
+
+@dataclass(frozen=True)
+class Strides:
+    """Times that delimit the strides that are compared."""
+
+    period: float  # s
+    edges: Array  # (k + 1,) s, graph time
+
+    @property
+    def count(self) -> int:
+        """Number of strides."""
+        return len(self.edges) - 1
+
+    def part(self, first: int, last: int) -> Strides:
+        """Strides first .. last - 1."""
+        return Strides(self.period, self.edges[first : last + 1])
+
+    def split(self, held_out: float) -> tuple[Strides, Strides]:
+        """Strides for a fit, and the last ones that it does not see; raises ConfigError."""
+        seen = self.count - round(held_out * self.count)
+        if seen < LEAST_STRIDES or self.count - seen < LEAST_STRIDES:
+            raise ConfigError(
+                f"{self.count} strides: a fit and its test need {LEAST_STRIDES} each; record longer"
+            )
+        return self.part(0, seen), self.part(seen, self.count)
+
+
+@dataclass(frozen=True)
+class StrideErrors:
+    """Predicted minus measured motion of each stride."""
+
+    predicted: Array  # (k - 1, 3) displacement m, m, and turn, rad, per stride
+    measured: Array  # (k - 1, 3)
+    far: Array  # (k - HORIZON, 2) error of the place after HORIZON strides, m
+    level: Array  # (k, 3) error of mean height, m, roll and pitch, rad
+
+    def summary(self) -> dict[str, float]:
+        """RMS errors by name, SI units."""
+        off = self.predicted - self.measured
+        return {
+            "displacement": _rms(np.hypot(off[:, 0], off[:, 1])),
+            "turn": _rms(off[:, 2]),
+            "place": _rms(np.hypot(*self.far.T)),
+            "height": _rms(self.level[:, 0]),
+            "tilt": _rms(np.hypot(self.level[:, 1], self.level[:, 2])),
+        }
+
+
+def find_strides(
+    recorded: Recorded, settings: TwinSettings, period: float | None = None
+) -> Strides:
+    """The longest row of strides in which the tendons move, without the run-in.
+
+    period: of a stride, s; by default that of the recorded gait, else that of the tendon angles.
+    Raises ConfigError for fewer than LEAST_STRIDES.
+    """
+    begin, end = recorded.span
+    length = period or recorded.period or angle_period(recorded)
+    t, angle = recorded.angles.t, recorded.angles.angle
+    least = np.radians(settings.least_motion_deg)
+    moved = t[np.abs(angle - angle[0]).max(axis=1) > least / 2]
+    edges = np.arange(max(begin, float(moved[0]) if len(moved) else begin), end, length)
+    row = _longest_row([_range(t, angle, *pair) >= least for pair in pairwise(edges)])
+    count = len(row) - settings.run_in
+    if count < LEAST_STRIDES:
+        raise ConfigError(
+            f"{recorded.name}: {max(count, 0)} strides of {length:.3g} s after a run-in of"
+            f" {settings.run_in}, less than {LEAST_STRIDES}"
+        )
+    return Strides(length, edges[row.start + settings.run_in : row.stop + 1])
+
+
+def _range(t: Array, angle: Array, begin: float, end: float) -> float:
+    """Largest range of a column of angle (n, 4) from begin to end; zero without samples."""
+    part = angle[(t >= begin) & (t < end)]
+    return float(np.ptp(part, axis=0).max()) if len(part) else 0.0
+
+
+def _longest_row(moves: Sequence[bool]) -> range:
+    """Indices of the longest row of true values, the first of equal ones; empty without one."""
+    longest, start = range(0), 0
+    for end, true in enumerate([*moves, False]):
+        if not true:
+            longest = max(longest, range(start, end), key=len)
+            start = end + 1
+    return longest
+
+
+def angle_period(recorded: Recorded) -> float:
+    """Period of the tendon angles, s: the first peak of their autocorrelation.
+
+    Raises ConfigError if they are not periodic.
+    """
+    angles = recorded.angles
+    t = np.arange(angles.t[0], angles.t[-1], GRID)
+    columns = np.column_stack([np.interp(t, angles.t, column) for column in angles.angle.T])
+    columns -= columns.mean(axis=0)
+    total = sum(correlate(c, c, method="fft")[len(t) - 1 :] for c in columns.T)
+    assert isinstance(total, np.ndarray)
+    overlap = np.arange(len(t), 0, -1) / len(t)
+    likeness = total / max(float(total[0]), 1e-12) / overlap
+    low, high = (round(p / GRID) for p in PERIODS)
+    part = likeness[low : min(high, len(t) // 2)]
+    peaks, _ = find_peaks(part, height=LEAST_CORRELATION)
+    if not len(peaks):
+        raise ConfigError(
+            f"{recorded.name}: the tendon angles are not periodic; name a length with --period"
+        )
+    best = peaks[part[peaks] > 0.9 * part[peaks].max()][0]
+    return float((low + best) * GRID)
+
+
+def stride_errors(predicted: Track, measured: Track, strides: Strides) -> StrideErrors:
+    """Errors of each stride."""
+    moved = [_means(track, strides) for track in (predicted, measured)]
+    first, second = (_displacements(means, 1) for means in moved)
+    far = _displacements(moved[0], HORIZON) - _displacements(moved[1], HORIZON)
+    return StrideErrors(first, second, far[:, :2], (moved[0] - moved[1])[:, [Z, ROLL, PITCH]])
+
+
+def error_growth(predicted: Track, measured: Track, strides: Strides) -> Array:
+    """(k - 1, 3) RMS over all starts of the error after 1 .. k - 1 strides: m, and rad of heading.
+
+    Columns: strides, error of the place, error of the heading.
+    """
+    moved = [_means(track, strides) for track in (predicted, measured)]
+    rows = []
+    for ahead in range(1, strides.count):
+        off = _displacements(moved[0], ahead) - _displacements(moved[1], ahead)
+        rows.append((ahead, _rms(np.hypot(off[:, 0], off[:, 1])), _rms(off[:, 2])))
+    return np.array(rows)
+
+
+def residuals(
+    predicted: Track, measured: Track, strides: Strides, settings: TwinSettings
+) -> list[Array]:
+    """Residuals of each window, (n, 6) over their standard uncertainty; windows without samples
+    are left out.
+
+    x and y in the frame of the mean heading.
+    """
+    scale = np.repeat([settings.position_sigma, settings.angle_sigma], 3)
+    out = []
+    for first in range(0, strides.count, settings.window):
+        last = min(first + settings.window, strides.count)
+        inside = (measured.t >= strides.edges[first]) & (measured.t < strides.edges[last])
+        if inside.sum() >= 3:
+            out.append(_laid_on(predicted.at(measured.t[inside]), measured.columns[inside]) / scale)
+    return out
+
+
+def _laid_on(predicted: Track, measured: Array) -> Array:
+    """Predicted minus measured (n, 6), laid on each other in the plane."""
+    moved = predicted.columns
+    off = moved - measured
+    off[:, :2] = _in_plane(moved) - _in_plane(measured)
+    off[:, YAW] -= off[:, YAW].mean()
+    return off
+
+
+def _in_plane(track: Array) -> Array:
+    """(n, 2) places of a track (n, 6) from their mean, in the frame of the mean heading."""
+    local = rotate(track[:, :2], -track[:, YAW].mean())
+    return np.asarray(local - local.mean(axis=0))
+
+
+def _means(track: Track, strides: Strides) -> Array:
+    """(k, 6) means over the strides."""
+    share = (np.arange(PER_STRIDE) + 0.5) / PER_STRIDE
+    t = strides.edges[:-1, None] + share * strides.period
+    moved = track.at(t.ravel()).columns.reshape(strides.count, PER_STRIDE, 6)
+    return np.asarray(moved.mean(axis=1))
+
+
+def _displacements(means: Array, ahead: int) -> Array:
+    """(k - ahead, 3) of means (k, 6): displacement in the frame of the heading, and turn."""
+    off = means[ahead:] - means[:-ahead]
+    place = rotate(off[:, :2], -means[:-ahead, YAW])
+    return np.column_stack([place, off[:, YAW]])
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def placed(predicted: Track, measured: Track, strides: Strides) -> Track:
+    """The prediction over the strides, laid on the measured place and heading of the first one."""
+    first = strides.part(0, 1)
+    mine, given = (_means(track, first)[0] for track in (predicted, measured))
+    keep = (predicted.t >= strides.edges[0]) & (predicted.t <= strides.edges[-1])
+    position, rpy = predicted.position[keep].copy(), predicted.rpy[keep].copy()
+    turned = given[YAW] - mine[YAW]
+    position[:, :2] = given[:2] + rotate(position[:, :2] - mine[:2], turned)
+    rpy[:, 2] += turned
+    return Track(predicted.t[keep], position, rpy)

@@ -1,0 +1,214 @@
+"""Replays recorded tendon angles on the simulated robot and compares the motion.
+
+RECORDING is a bag, or a CSV file with the header time,FL,FR,RL,RR,x,y,z,roll,pitch,yaw (s, rad, m).
+Of a bag measured angles (/joint_states) are taken if recorded, else the commands through the model
+of the servo; the motion from the ground truth if recorded, else /odom, else /mpc_state. With --fit,
+parameters of the model are fitted to the first strides and judged on the others. An interrupted fit
+continues when the same command is given again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import pickle
+import shutil
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slot_core.command_line import positive_integer, within
+from slot_core.config import ConfigError, load
+from slot_core.dynamics.simulated_robot import Divergence
+from slot_core.robot import Array
+from slot_lab.bags.bag import BagError
+from slot_lab.bags.measured import COMMANDED, MEASURED, MOTION_TOPICS
+from slot_lab.calibration.experiments import PredictionError
+from slot_lab.calibration.fit import FitError
+from slot_lab.csv_table import TableError
+from slot_lab.twin import leg_points, parameter_set, twin_plot
+from slot_lab.twin.recorded import read_recorded
+from slot_lab.twin.replay_robot import measured_track, predict, read_parts
+from slot_lab.twin.settings import read_twin
+from slot_lab.twin.strides import find_strides, stride_errors
+from slot_lab.twin.twin_fit import RunAll, fit_twin, parameter, places, serially
+from slot_lab.workers import gather, workers
+
+INTERRUPTED = 130  # exit code
+ERRORS = (
+    BagError, ConfigError, Divergence, FitError, PredictionError, TableError, OSError,
+)  # fmt: skip
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line of `scripts/twin`; returns the exit code."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        lines = _run(options)
+    except KeyboardInterrupt:
+        print("\nscripts/twin: interrupted; the same command continues", file=sys.stderr)
+        return INTERRUPTED
+    except ModuleNotFoundError as error:
+        parser.exit(2, f"scripts/twin: {error}: run scripts/setup --bench, or give --workers 1\n")
+    except ERRORS as error:
+        parser.exit(2, f"scripts/twin: {' '.join(str(error).split())}\n")
+    print("\n".join(lines))
+    return 0
+
+
+def _run(options: argparse.Namespace) -> list[str]:
+    """Replay, fit if asked for, and write the files; returns the lines of the report."""
+    settings, names = read_twin(), places(options.fit)
+    if options.set:
+        parameter_set.place_of(options.set)
+    parts = read_parts(options.scene, options.parameters)
+    for name in names:
+        parameter(parts, name)  # refused before anything is started
+    start = parts.scene.parameters or load("robot")["parameters"]
+    recorded = read_recorded(options.recording, options.namespace, options.angles, options.motion)
+    strides = find_strides(recorded, settings, options.period)
+    out = options.out or Path("results", "twin", recorded.name)
+    out.mkdir(parents=True, exist_ok=True)
+    kind = "measured" if recorded.angles.measured else "commands, through the model of the servo"
+    lines = [
+        f"{recorded.name}: {strides.count} strides of {strides.period:.3g} s",
+        f"tendon angles       {recorded.angles.source} ({kind})",
+        f"motion              {recorded.motion.source}{_left_out(recorded.motion.left_out)}",
+        f"model               scene {options.scene}, parameters {start}",
+        "",
+    ]
+    measured = measured_track(recorded.motion)
+    predicted = predict(recorded, parts, settings)
+    if names:
+        with _runner(options) as run_all:
+            trial = (recorded, strides, parts, names, settings, options.starts)
+            kept = _Trials(out / "trials", run_all, trial)
+            found = fit_twin(
+                recorded, parts, names, strides, settings,
+                run_all=kept, starts=options.starts, progress=_progress,
+            )  # fmt: skip
+        seen = len(found.seen[0].level)
+        content = parameter_set.record(recorded, parts, start, found, options.note)
+        written = parameter_set.write(options.set, content) if options.set else None
+        columns = {"before": found.held_out[0], "after": found.held_out[1]}
+        lines += [f"fit to {seen} strides, judged on the {strides.count - seen} others", ""]
+        lines += [*parameter_set.error_lines(columns), "", *parameter_set.fit_lines(found)]
+        lines += ["", f"written: {os.path.relpath(written)}"] if written else []
+        tracks = {"model": predicted, "fitted": predict(recorded, found.parts, settings)}
+        parts = found.parts
+        kept.forget()
+    else:
+        seen, tracks = None, {"model": predicted}
+        lines += parameter_set.error_lines({"model": stride_errors(predicted, measured, strides)})
+    title = f"{recorded.name}: predicted and measured motion"
+    twin_plot.draw(out / "twin.png", title, measured, tracks, strides=strides, seen=seen)
+    leg_points.write(recorded, parts, settings, out / "predicted.csv")
+    (out / "summary.txt").write_text("\n".join(lines) + "\n")
+    return [*lines, "", f"twin.png, predicted.csv and summary.txt are in {out}"]
+
+
+def _left_out(count: int) -> str:
+    return f", without {count} readings that were lost" if count else ""
+
+
+class _Trials:
+    """Runs trials of a fit and keeps their residuals until it is done.
+
+    They are in a folder of the directory that is the fit's own. fit: all on which the residuals
+    depend besides the point.
+    """
+
+    def __init__(self, directory: Path, run_all: RunAll, fit: Any) -> None:
+        self._run_all = run_all
+        self._directory = directory / hashlib.sha256(pickle.dumps(fit)).hexdigest()[:16]
+        self._directory.mkdir(parents=True, exist_ok=True)
+
+    def __call__(self, call: Callable[[Array], Array], points: Sequence[Array]) -> list[Array]:
+        paths = [self._path(point) for point in points]
+        todo = [n for n, path in enumerate(paths) if not path.exists()]
+        for n, result in zip(todo, self._run_all(call, [points[n] for n in todo])):
+            partial = paths[n].with_suffix(".part.npy")
+            np.save(partial, result)
+            partial.replace(paths[n])
+        return [np.load(path) for path in paths]
+
+    def forget(self) -> None:
+        """Delete the results that were kept; those of other fits stay."""
+        shutil.rmtree(self._directory)
+        with suppress(OSError):  # not empty
+            self._directory.parent.rmdir()
+
+    def _path(self, point: Array) -> Path:
+        name = hashlib.sha256(np.asarray(point).tobytes()).hexdigest()[:32]
+        return self._directory / f"{name}.npy"
+
+
+@contextmanager
+def _runner(options: argparse.Namespace) -> Iterator[RunAll]:
+    """Runs the trials: in this process, in local ones or on a cluster."""
+    if options.workers == 1 and not options.scheduler:
+        yield serially
+        return
+    with workers(options.scheduler, options.workers) as client:
+        yield partial(gather, client)
+
+
+def _progress(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="scripts/twin",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("recording", type=Path, metavar="RECORDING", help="bag, or CSV file")
+    add("--scene", default="flat", metavar="NAME", help="scene of config/scene (default: flat)")
+    add("--parameters", default="", metavar="SET", help="set of config/parameters in that scene")
+    add(
+        "--angles",
+        default="",
+        choices=[MEASURED, COMMANDED],
+        help="tendon angles that are replayed; of a CSV file, what they are",
+    )
+    add("--motion", default="", choices=MOTION_TOPICS, help="motion that is compared")
+    add("--namespace", default="", help="of the recorded graph")
+    add(
+        "--period",
+        type=within(0.05, 60.0, "s"),
+        metavar="S",
+        help="length of a stride (default: the gait's)",
+    )
+    add("--fit", default=[], type=_names, metavar="NAME,...", help="parameters to fit")
+    add("--set", default="", metavar="NAME", help="write the fit as config/parameters/NAME.yaml")
+    add("--note", default="", metavar="TEXT", help="text for that file")
+    add(
+        "--starts",
+        type=positive_integer,
+        default=1,
+        metavar="N",
+        help="starts of the fit (default: 1)",
+    )
+    add("--out", type=Path, metavar="DIR", help="default: results/twin/RECORDING")
+    add("--scheduler", default="", metavar="ADDRESS", help="of dask; default: this machine")
+    add("--workers", type=positive_integer, metavar="N", help="local processes (default: cores)")
+    return parser
+
+
+def _names(text: str) -> list[str]:
+    return [name for name in text.split(",") if name]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

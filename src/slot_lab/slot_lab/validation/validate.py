@@ -1,0 +1,108 @@
+"""Compares a run with a measurement: aligned in time and space, with the paper's error metrics.
+
+RUN and MEASUREMENT are each a bag, a CSV file with the header time,point,x,y,z (m, s) or
+time,x,y,z[,roll,pitch,yaw], or a video, whose markers are tracked as by scripts/track. MEASUREMENT
+is the reference: errors are RUN minus MEASUREMENT. The intervals are 95 % of a block bootstrap.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from slot_core.config import ConfigError
+from slot_core.robot import LEGS
+from slot_lab.bags.bag import BagError
+from slot_lab.bags.measured import MOTION_TOPICS
+from slot_lab.csv_table import TableError
+from slot_lab.validation import curves, tables
+from slot_lab.validation.comparison import compare
+from slot_lab.validation.frame_alignment import FRAMES, RIGID
+from slot_lab.validation.recording import RecordingError, read_recording
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line of `scripts/validate`; ends with exit code 2 and one line on a bad input."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    try:
+        lines = _run(options)
+    except (RecordingError, TableError, BagError, ConfigError, OSError) as error:
+        parser.exit(2, f"scripts/validate: {' '.join(str(error).split())}\n")
+    print("\n".join(lines))
+    return 0
+
+
+def _run(options: argparse.Namespace) -> list[str]:
+    run = read_recording(options.run, options.namespace, options.camera, options.motion)
+    measured = read_recording(options.measurement, camera=options.camera)
+    for recording in (run, measured):
+        if recording.tilted and options.frame != RIGID:
+            raise RecordingError(
+                f"{recording.name}: no board places the camera in odom, so the tracks are in its"
+                f" axes; align them with --frame {RIGID}"
+            )
+    found = compare(
+        run, measured,
+        frame=options.frame, frame_time=options.frame_time, zero=options.zero,
+        offset=options.offset,
+        leg=options.leg, block=options.block,
+    )  # fmt: skip
+    lines = [f"run {run.name}, measurement {measured.name}"]
+    lines += [f"{r.name}: {note}" for r in (run, measured) for note in r.notes]
+    lines += tables.report(found, options.frame)
+    options.out.mkdir(parents=True, exist_ok=True)
+    (options.out / "summary.txt").write_text("\n".join(lines) + "\n")
+    tables.write_csv(found, options.out / "errors.csv")
+    pictures = curves.draw(found, f"{run.name} and {measured.name}", options.out)
+    names = ["summary.txt", "errors.csv", *(path.name for path in pictures)]
+    return [*lines, "", f"{', '.join(names)} are in {options.out}"]
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="scripts/validate",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("run", type=Path, metavar="RUN", help="bag, CSV or video")
+    add("measurement", type=Path, metavar="MEASUREMENT", help="bag, CSV or video")
+    out = Path("results", "validate")
+    add("--out", type=Path, metavar="DIR", default=out, help=f"default: {out}")
+    free = "what is free between the frames: rotation and shift, turn about z and shift, nothing"
+    add("--frame", choices=FRAMES, default="level", help=f"{free} (default: level)")
+    begin = "align the frames by the first S seconds only, so that later errors show"
+    add("--frame-time", type=_positive, metavar="S", default=math.inf, help=begin)
+    beside = "take out each point's mean difference over that time: markers beside their points"
+    add("--zero", action="store_true", help=beside)
+    offset = "time of the measurement's first sample in the run, to 0.1 s (default: searched)"
+    add("--offset", type=_number, metavar="S", help=offset)
+    add("--leg", choices=LEGS, default="FL", help="leg of points without one (default: FL)")
+    add("--block", type=_positive, metavar="S", default=1.0, help="of the bootstrap (default: 1 s)")
+    add("--camera", type=Path, metavar="FILE", help="calibration of a video's camera")
+    add("--namespace", default="", help="of the run's bag")
+    first = "motion of the run's bag (default: the first of these that is recorded)"
+    add("--motion", default="", choices=MOTION_TOPICS, help=first)
+    return parser
+
+
+def _number(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text}: not a finite number")
+    return value
+
+
+def _positive(text: str) -> float:
+    value = _number(text)
+    if value <= 0.0:
+        raise argparse.ArgumentTypeError(f"{text}: not positive")
+    return value
+
+
+if __name__ == "__main__":
+    sys.exit(main())
