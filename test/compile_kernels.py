@@ -11,7 +11,8 @@ from slot_core.dynamics import integrator
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.legs.held_leg import HeldLeg
-from slot_core.mpc.mpc import Mpc, read_mpc
+from slot_core.mpc.mpc import Mpc
+from slot_core.mpc.settings import read_mpc
 from slot_core.robot import read_robot
 from slot_core.rod.cosserat_rod import CosseratRod
 from slot_core.rod.model import Geometry, Material, Rectangle

@@ -7,10 +7,10 @@ from functools import partial
 import numpy as np
 
 from slot_core import config
+from slot_core.control.policy import Status
 from slot_core.dynamixel.state import JointReading
-from slot_core.estimation.state_estimator import Estimate, Validity
+from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.legs.leg_table import read_leg_table
-from slot_core.mpc.mpc import Status
 from slot_core.robot import read_robot
 from slot_core.safety.command_gate import Action, Gated
 from slot_core.safety.command_watchdog import CommandWatchdog, Permission

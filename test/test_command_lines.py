@@ -11,7 +11,7 @@ from slot_bringup import run
 from slot_bringup.graph import read_graph
 from slot_core.config import ConfigError
 from slot_core.legs import leg_map
-from slot_core.mpc.mpc import read_mpc
+from slot_core.mpc.settings import read_mpc
 from slot_lab.report import constraint_map
 from slot_lab.tuning import tune
 

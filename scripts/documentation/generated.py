@@ -16,6 +16,7 @@ from benchmarks.report.results import bench_command
 from documentation.markdown import ROOT, code, format_value, link, plain, table
 from slot_bringup.graph import read_graph
 from slot_core import config
+from slot_core.control.force_map import ForceMapSettings
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamixel.settings import read_settings
@@ -23,8 +24,7 @@ from slot_core.emulator.emulated_bus import read_emulator
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.gait.gait import read_gaits
 from slot_core.legs.leg_map import LegMapSettings
-from slot_core.mpc.force_map import ForceMapSettings
-from slot_core.mpc.mpc import read_mpc
+from slot_core.mpc.settings import read_mpc
 from slot_core.paper.numbers import PaperSettings
 from slot_core.recording.record_settings import RecordSettings
 from slot_core.robot import read_robot

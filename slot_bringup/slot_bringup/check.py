@@ -14,11 +14,11 @@ from rclpy.validate_topic_name import validate_topic_name
 
 from slot_bringup.graph import absolute, is_simulated
 from slot_core.config import ConfigError
+from slot_core.control.policy import policy_class
 from slot_core.dynamics.scene import read_scene
 from slot_core.faults import require_simulated_legs
 from slot_core.gait.gait import read_gaits
 from slot_core.gait.route import read_path
-from slot_core.mpc.mpc import read_mpc
 
 PRIORITY_MAX = os.sched_get_priority_max(os.SCHED_FIFO)
 DOMAIN_MAX = 232  # beyond it the ports of DDS, 7400 + 250 domain, exceed 65535
@@ -36,7 +36,7 @@ def check(values: Mapping[str, Any]) -> None:
         if not velocity[:2].any():
             raise ConfigError(f"path: gait {values['gait']} with this velocity stays in its place")
     scene = read_scene(values["scene"])
-    read_mpc(values["mpc"])
+    policy_class(values["policy"]).read_settings(values["policy"])
     hardware = values["hardware"]
     if values["lockstep"]:
         _check_lockstep(values)

@@ -56,7 +56,8 @@ class Progress:
 
     def update_torso(self, message: MpcState) -> None:
         """Take the newest /mpc_state."""
-        stamp, state, _ = decode.state(message)
+        estimate = decode.estimate(message)
+        stamp, state = estimate.stamp, estimate.state
         step = stamp * 1e-9 - self.stamp
         self.stamp, self._updated = stamp * 1e-9, time.monotonic()
         if self.state is None or not self._begun:

@@ -10,7 +10,7 @@ import yaml
 from synthetic_walk import TYPES
 
 from slot_core import config
-from slot_core.estimation.state_estimator import Validity
+from slot_core.estimation.estimate import Validity
 from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.origin import Origin, origin_here
 from slot_core.recording.record_settings import read_record_settings

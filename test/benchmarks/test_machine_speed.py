@@ -8,7 +8,7 @@ from benchmarks.mpc import benchmark as mpc
 from benchmarks.robot import benchmark as robot
 from benchmarks.rod import release
 from benchmarks.servo import benchmark as servo
-from slot_core.mpc.mpc import read_mpc
+from slot_core.mpc.settings import read_mpc
 
 
 def rod_checks(slower):

@@ -12,7 +12,7 @@ from scipy.stats import binom
 
 from benchmarks import __main__ as command_line
 from benchmarks.perturbations import cases, published, rigid_torso, samples
-from slot_core.mpc.mpc import read_mpc
+from slot_core.mpc.settings import read_mpc
 from slot_core.robot import GRAVITY, read_robot
 from slot_lab.workers import workers
 

@@ -7,10 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
+from slot_core.control.force_map import ForceMap, make_force_map, read_force_map
 from slot_core.gait.gait import GaitCommand, GaitPreview
 from slot_core.legs.leg_springs import LegSprings
 from slot_core.legs.leg_table import LegTable
-from slot_core.mpc.force_map import ForceMap, make_force_map, read_force_map
 from slot_core.robot import read_robot
 
 ROBOT = read_robot()

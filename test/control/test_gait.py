@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.config import ConfigError
+from slot_core.control.force_map import read_springs
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.gait.gait import FRONT_REAR, LEFT_RIGHT, Posture, Stride, read_gaits
 from slot_core.gait.reference import reference
-from slot_core.mpc.force_map import read_springs
 from slot_core.robot import read_robot
 from slot_core.simulation.plant import make_robot
 

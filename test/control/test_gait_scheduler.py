@@ -8,10 +8,10 @@ import pytest
 
 from slot_core.clock import SECOND
 from slot_core.config import ConfigError
+from slot_core.control.force_map import read_springs
 from slot_core.gait.gait import GaitCommand, read_gaits
 from slot_core.gait.gait_scheduler import SETTLING, GaitScheduler
 from slot_core.gait.route import ARRIVED, LEAD, Path
-from slot_core.mpc.force_map import read_springs
 from slot_core.robot import read_robot
 from slot_core.safety.settings import read_supervisor
 

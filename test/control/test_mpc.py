@@ -14,9 +14,11 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
+from slot_core.control.policy import Status
 from slot_core.gait.gait import GaitCommand, GaitPreview
 from slot_core.mpc.model import Horizon, HorizonQp, TorsoModel
-from slot_core.mpc.mpc import Mpc, Status, read_mpc
+from slot_core.mpc.mpc import Mpc
+from slot_core.mpc.settings import read_mpc
 from slot_core.mpc.solver import Solution, make_solver
 from slot_core.robot import GRAVITY, read_robot
 

@@ -8,10 +8,12 @@ import pytest
 from scipy import sparse
 
 from benchmarks.mpc.cases import hard_cases, random_case, standing, state
+from benchmarks.mpc.cvxpy_reference import CvxpyReference
 from benchmarks.mpc.oracle import optimum
 from slot_core import config
-from slot_core.mpc.cvxpy_reference import CvxpyReference
-from slot_core.mpc.mpc import Mpc, Status, read_mpc
+from slot_core.control.policy import Status
+from slot_core.mpc.mpc import Mpc
+from slot_core.mpc.settings import read_mpc
 from slot_core.mpc.solver import SOLVERS, MpcSolverSettings, make_solver
 from slot_core.robot import read_robot
 

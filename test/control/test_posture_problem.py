@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 
 from slot_core import config
+from slot_core.control.force_map import make_force_map, read_force_map, read_springs
+from slot_core.control.policy import Status
 from slot_core.gait.gait import GaitCommand, GaitPreview
 from slot_core.legs.leg_springs import LegSprings
 from slot_core.legs.leg_table import LegTable
-from slot_core.mpc.force_map import make_force_map, read_force_map, read_springs
 from slot_core.mpc.model import Horizon
-from slot_core.mpc.mpc import Mpc, Status, read_mpc
+from slot_core.mpc.mpc import Mpc
 from slot_core.mpc.posture_problem import PostureProblem
+from slot_core.mpc.settings import read_mpc
 from slot_core.robot import GRAVITY, read_robot
 
 ROBOT = read_robot()

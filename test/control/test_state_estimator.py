@@ -9,12 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.clock import SECOND
-from slot_core.estimation.state_estimator import (
-    Estimate,
-    StateEstimator,
-    Validity,
-    read_estimator,
-)
+from slot_core.estimation.estimate import Estimate, Validity
+from slot_core.estimation.state_estimator import StateEstimator, read_estimator
 from slot_core.geometry import wrapped
 from slot_core.robot import GRAVITY
 

@@ -16,11 +16,11 @@ from rclpy.context import Context
 from slot_bringup.graph import read_graph
 from slot_bringup.processes import command_line
 from slot_core import config
-from slot_core.estimation.state_estimator import Estimate, Validity
+from slot_core.control.force_map import read_springs
+from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.gait.gait import read_gaits
 from slot_core.gait.gait_scheduler import GaitScheduler
 from slot_core.messages import decode
-from slot_core.mpc.force_map import read_springs
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, GroundReactionForces, MpcState
 from slot_nodes import messages, qos

@@ -13,9 +13,10 @@ from geometry_msgs.msg import Vector3
 from rig import TICK
 from sensor_msgs.msg import Imu
 
-from slot_core.estimation.state_estimator import Validity
+from slot_core.control.policy import Status
+from slot_core.estimation.estimate import Validity
 from slot_core.messages import decode
-from slot_core.mpc.mpc import Status, read_mpc
+from slot_core.mpc.settings import read_mpc
 from slot_core.robot import read_robot
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import State

@@ -9,8 +9,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
 from tf2_msgs.msg import TFMessage
 
+from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.inertial_filter import Mount
-from slot_core.estimation.state_estimator import Estimate, Validity
 from slot_core.gait.gait import GaitCommand, GaitPreview
 from slot_core.messages import decode
 from slot_core.robot import TENDON_JOINTS

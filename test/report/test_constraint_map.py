@@ -6,7 +6,7 @@ import synthetic_walk
 from matplotlib.image import imread
 from synthetic_walk import WALL, encode, message
 
-from slot_core.mpc.mpc import Status
+from slot_core.control.policy import Status
 from slot_core.recording import message_types
 from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.record_settings import read_record_settings

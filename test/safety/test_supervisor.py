@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from supervised import ROBOT, START, TICK, Bench, health, load, state
 
-from slot_core.estimation.state_estimator import Estimate, StateEstimator, Validity, read_estimator
-from slot_core.mpc.mpc import Status, read_mpc
+from slot_core.control.policy import Status
+from slot_core.estimation.estimate import Estimate, Validity
+from slot_core.estimation.state_estimator import StateEstimator, read_estimator
+from slot_core.mpc.settings import read_mpc
 from slot_core.safety import states as table
 from slot_core.safety.command_gate import Action
 from slot_core.safety.settings import read_supervisor

@@ -8,8 +8,8 @@ import pytest
 from benchmarks.locomotion.cases import slow_servos, stiffness
 from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
-from slot_core.estimation.state_estimator import Validity
-from slot_core.mpc.mpc import read_mpc
+from slot_core.estimation.estimate import Validity
+from slot_core.mpc.settings import read_mpc
 from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 

@@ -15,7 +15,7 @@ from slot_core.dynamixel.settings import read_settings
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.faults import Fault
 from slot_core.gait.gait import read_gaits
-from slot_core.mpc.mpc import read_mpc
+from slot_core.mpc.settings import read_mpc
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import State
 from slot_core.safety.supervisor import PERIOD

@@ -14,8 +14,9 @@ from scipy.spatial.transform import Rotation
 from benchmarks.estimation.measured_streams import Arrival
 from slot_core import config
 from slot_core.clock import SECOND
+from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.inertial_filter import EstimatorSettings
-from slot_core.estimation.state_estimator import Estimate, StateEstimator, Validity
+from slot_core.estimation.state_estimator import StateEstimator
 from slot_core.robot import Array
 from slot_core.simulation.sensors import ImuReading, OdometryReading
 

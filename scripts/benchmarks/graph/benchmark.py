@@ -29,7 +29,8 @@ from slot_core.command_line import within
 from slot_core.control.pace import Pace
 from slot_core.dynamics.scene import read_scene
 from slot_core.messages import decode
-from slot_core.mpc.mpc import Mpc, read_mpc
+from slot_core.mpc.mpc import Mpc
+from slot_core.mpc.settings import read_mpc
 from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_lab.bags.walk import STAGES

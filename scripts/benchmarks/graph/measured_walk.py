@@ -19,7 +19,7 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.recording.record_settings import read_record_settings
 from slot_core.robot import Array
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.check_bag import TOLERANCE, replay
+from slot_lab.bags.check_bag import TOLERANCE, check_bag
 from slot_lab.bags.walk import Ticks, read_motion, read_ticks
 from slot_lab.report.metrics import WalkMetrics, walk_metrics
 
@@ -50,7 +50,7 @@ def measure_walk(graph: Graph, values: Mapping[str, Any], duration: float) -> Wa
             metrics = walk_metrics(bag, warm_up, read_servo())
             ticks = read_ticks(bag).after(read_motion(bag).t[0] + warm_up)
             start = time.process_time()
-            replayed = replay(bag, TOLERANCE)
+            replayed = check_bag(bag, TOLERANCE)
             replay_cpu = (time.process_time() - start) / (1e-9 * bag.duration_ns)
         except (RunError, BagError, psutil.Error) as error:
             raise BenchmarkError(f"the graph failed: {error}") from error

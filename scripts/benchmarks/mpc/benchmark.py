@@ -18,12 +18,14 @@ import psutil
 from benchmarks.harness import Check, Row, at_least, at_most
 from benchmarks.mpc import posture_rows
 from benchmarks.mpc.cases import Case, hard_cases, random_case, stretched
+from benchmarks.mpc.cvxpy_reference import CvxpyReference
 from benchmarks.mpc.oracle import optimum
 from benchmarks.mpc.picture import draw
 from benchmarks.mpc.restated import restated
 from slot_core import config
-from slot_core.mpc.cvxpy_reference import CvxpyReference
-from slot_core.mpc.mpc import Mpc, MpcResult, MpcSettings, Status, read_mpc
+from slot_core.control.policy import Status
+from slot_core.mpc.mpc import Mpc, MpcResult
+from slot_core.mpc.settings import MpcSettings, read_mpc
 from slot_core.robot import Array, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 

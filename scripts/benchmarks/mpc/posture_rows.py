@@ -16,10 +16,12 @@ import quadprog
 
 from benchmarks.mpc.cases import Case
 from slot_core import config
+from slot_core.control.policy import Status
 from slot_core.gait.gait import STAND
 from slot_core.mpc.model import FEET
-from slot_core.mpc.mpc import Mpc, Status, read_mpc
+from slot_core.mpc.mpc import Mpc
 from slot_core.mpc.posture_problem import PostureProblem, PostureSolver
+from slot_core.mpc.settings import read_mpc
 from slot_core.robot import Array, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 

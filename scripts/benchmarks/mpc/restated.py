@@ -5,7 +5,7 @@ import numpy as np
 
 from slot_core.gait.gait import GaitPreview
 from slot_core.mpc.model import FEET, INPUTS, STATES, TorsoModel
-from slot_core.mpc.mpc import MpcSettings
+from slot_core.mpc.settings import MpcSettings
 from slot_core.robot import Array, Robot
 
 

@@ -19,7 +19,7 @@ from benchmarks.harness import ROOT, BenchmarkError, Check, Row, at_most, revisi
 from benchmarks.perturbations.cases import CASES, DURATION, TABLE, Run, metrics
 from benchmarks.perturbations.picture import draw_costs, draw_failures, table_lines
 from benchmarks.perturbations.samples import PLANTS, Record, draw, summary
-from slot_core.mpc.mpc import read_mpc
+from slot_core.mpc.settings import read_mpc
 from slot_core.robot import read_robot
 from slot_lab.workers import workers
 

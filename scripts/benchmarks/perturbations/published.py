@@ -27,7 +27,7 @@ from scipy import sparse
 
 from benchmarks.perturbations.cases import DT, DURATION, HEIGHT, NOISE, P_Z, SPEED, V_X, Run, tilt
 from slot_core.mpc.model import FEET, INPUTS, STATES
-from slot_core.mpc.mpc import MpcSettings
+from slot_core.mpc.settings import MpcSettings
 from slot_core.robot import GRAVITY, Array, Robot
 
 MASS = 2.16  # kg, torso and legs of 0.04 kg

@@ -24,10 +24,12 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.perturbations.cases import DT, DURATION, HEIGHT, NOISE, P_Z, SPEED, Run, tilt
 from slot_core import config
+from slot_core.control.policy import Status
 from slot_core.gait.gait import GaitCommand, GaitPreview, read_gaits
 from slot_core.gait.reference import reference
 from slot_core.geometry import rotate
-from slot_core.mpc.mpc import Mpc, MpcResult, MpcSettings, Status
+from slot_core.mpc.mpc import Mpc, MpcResult
+from slot_core.mpc.settings import MpcSettings
 from slot_core.robot import GRAVITY, Array, Robot
 
 LAG = 0.05  # s

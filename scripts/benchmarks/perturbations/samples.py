@@ -23,10 +23,12 @@ from scipy.stats import beta
 from benchmarks.perturbations.cases import DT, HEIGHT, P_Z, SPEED, tilt
 from benchmarks.perturbations.rigid_torso import Body, TorsoLoop
 from slot_core import config
+from slot_core.control.policy import Status
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import Divergence
-from slot_core.mpc.mpc import Mpc, Status, read_mpc
+from slot_core.mpc.mpc import Mpc
+from slot_core.mpc.settings import read_mpc
 from slot_core.robot import Array, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.simulation.plant import Plant

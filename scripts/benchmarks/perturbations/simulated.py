@@ -37,9 +37,9 @@ from benchmarks.perturbations.cases import (
     tilt,
 )
 from slot_core import config
+from slot_core.control.policy import Status
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.mpc.mpc import Status
 from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.simulation.plant import Plant

@@ -7,11 +7,11 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool
 
 from slot_core.config import ConfigError
+from slot_core.control.force_map import read_springs
 from slot_core.gait.gait import STAND, read_gaits
 from slot_core.gait.gait_scheduler import GaitScheduler
 from slot_core.gait.route import KEPT, read_path
 from slot_core.messages import decode
-from slot_core.mpc.force_map import read_springs
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, MpcState
 from slot_msgs.srv import SetGait
@@ -41,10 +41,10 @@ class GaitSchedulerNode(Node):
         inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.CONTROL)
 
     def _on_state(self, message: MpcState) -> None:
-        stamp, state, _ = decode.state(message)
-        inputs.require_finite("state", state)
-        preview = self._scheduler.step(stamp + decode.lead(message), state)
-        self._preview.publish(messages.preview_to_msg(replace(preview, stamp=stamp)))
+        estimate = decode.estimate(message)
+        inputs.require_finite("state", estimate.state)
+        preview = self._scheduler.step(estimate.time, estimate.state)
+        self._preview.publish(messages.preview_to_msg(replace(preview, stamp=estimate.stamp)))
 
     def _on_velocity(self, message: TwistStamped) -> None:
         """Set the velocity; a zero stamp, as of a plain `ros2 topic pub`, stands for now."""

@@ -24,10 +24,10 @@ from slot_msgs import msg as slot_msgs
 from slot_msgs.msg import (
     ForceMapStatus,
     GaitPreview,
-    GroundReactionForces,
     LegStates,
     MpcState,
     RobotState,
+    TendonPlan,
 )
 from slot_msgs.srv import SetGait
 
@@ -38,12 +38,12 @@ OPTICAL_FRAME = "camera_optical_frame"
 LOST = 9999.0  # variance of lost odometry, as of RTAB-Map
 
 if TYPE_CHECKING:  # a node imports only the core modules that it runs
+    from slot_core.control import policy
+    from slot_core.control.force_map import TendonCommand
     from slot_core.control.pace import Pace
     from slot_core.dynamixel.state import JointReading
+    from slot_core.estimation.estimate import Estimate
     from slot_core.estimation.inertial_filter import Mount
-    from slot_core.estimation.state_estimator import Estimate
-    from slot_core.mpc.force_map import TendonCommand
-    from slot_core.mpc.mpc import MpcResult
     from slot_core.safety.servo_health import ServoHealth
     from slot_core.safety.settings import ServoLimits
     from slot_core.safety.supervisor import Report
@@ -262,33 +262,33 @@ def preview_to_msg(preview: gait.GaitPreview) -> GaitPreview:
     )
 
 
-def forces_to_msg(stamp: int, result: MpcResult, period: float, pace: Pace) -> GroundReactionForces:
-    """Forces, figures of the solve, period of the gait, counts of overruns and skipped states."""
-    return GroundReactionForces(
-        header=header(stamp),
-        force=[_vector(f) for f in result.force],
-        status=int(result.status),
-        message=result.message,
-        fallback_cycles=result.fallback_cycles,
-        cost=result.cost,
-        iterations=result.iterations,
-        solve_time=result.solve_time,
+def plan_to_msg(
+    plan: policy.TendonPlan, preview: gait.GaitPreview, elapsed: float, pace: Pace
+) -> TendonPlan:
+    """Plan for a preview with its stamp; `elapsed`: time of the policy's step, s."""
+    report = vars(plan.report)
+    slacks = ("slack_normal_min", "slack_normal_max", "slack_friction")
+    return TendonPlan(
+        header=header(preview.stamp),
+        dt=preview.dt,
+        stages=len(plan.force),
+        angle=plan.angle.ravel(),
+        rate=plan.rate.tolist(),
+        force=plan.force.ravel(),
+        map=plan.map,
+        status=int(plan.status),
+        message=plan.message,
+        fallback_cycles=plan.fallback_cycles,
+        solve_time=elapsed,
         overruns=pace.overruns,
         skipped=pace.skipped,
-        violation=result.violation,
-        residual=result.residual,
-        mass=result.mass,
-        period=period,
-        slack_normal_min=result.slack_normal_min.tolist(),
-        slack_normal_max=result.slack_normal_max.tolist(),
-        slack_friction=result.slack_friction.tolist(),
-        slack_total=result.slack_total,
-        slack_balance=result.slack_balance,
+        period=preview.period,
+        **report | {name: report[name].tolist() for name in slacks},
     )
 
 
 def map_status_to_msg(stamp: int, command: TendonCommand) -> ForceMapStatus:
-    """Map of the forces to tendon angles: slopes, unclamped angles, saturation."""
+    """Map of a plan to tendon angles: slopes, unclamped angles, saturation."""
     return ForceMapStatus(
         header=header(stamp),
         map=command.map,

@@ -1,54 +1,57 @@
-"""`/mpc_state` and `/gait_preview` to `/ground_reaction_forces`."""
+"""`/mpc_state` and `/gait_preview` to `/tendon_plan`."""
 
 import time
 
 from rclpy.node import Node
 
 from slot_core.control.pace import Pace
+from slot_core.control.policy import DEFAULT_POLICY, Status, policy_class
 from slot_core.estimation.time_synchronizer import TimeSynchronizer
 from slot_core.messages import decode
-from slot_core.mpc.mpc import DEFAULT_PROFILE, Mpc, Status, read_mpc
 from slot_core.robot import read_robot
-from slot_msgs.msg import GaitPreview, GroundReactionForces, MpcState
+from slot_msgs.msg import GaitPreview, MpcState, TendonPlan
 from slot_nodes import inputs, messages, qos, runtime
 
 
 class MpcControllerNode(Node):
-    """Solves the MPC for the newest state and its preview; skips older states."""
+    """Runs the policy on the newest state and its preview; skips older states."""
 
     def __init__(self) -> None:
         super().__init__("mpc_controller")
-        profile = runtime.declare(
-            self, "profile", DEFAULT_PROFILE, "a file of config/mpc, or the default"
+        name = runtime.declare(
+            self, "policy", DEFAULT_POLICY, "policy by its name, or a Python file with one"
         )
-        settings = runtime.declare_settings(self, read_mpc(profile))
-        self._mpc = Mpc(read_robot(), settings, time.perf_counter)
-        self._pace = Pace()
+        kind = policy_class(name)
+        settings = runtime.declare_settings(self, kind.read_settings(name))
+        self._policy = kind(read_robot(), settings, time.perf_counter)
+        self._pace, self._stamp = Pace(), 0
         self._inputs = TimeSynchronizer("state", "preview")
-        self._forces = runtime.publisher(
-            self, GroundReactionForces, "ground_reaction_forces", qos.CONTROL
-        )
+        self._plans = runtime.publisher(self, TendonPlan, "tendon_plan", qos.CONTROL)
         inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.STATE, numbered=True)
         inputs.subscribe(self, GaitPreview, "gait_preview", self._on_preview, qos.STATE)
 
     def _on_state(self, message: MpcState, number: int) -> None:
-        stamp, state, _ = decode.state(message)
-        self._solve(stamp, self._inputs.add("state", stamp, (number, state)))
+        estimate = decode.estimate(message)
+        self._step(self._inputs.add("state", estimate.stamp, (number, estimate)))
 
     def _on_preview(self, message: GaitPreview) -> None:
         preview = decode.preview(message)
-        self._solve(preview.stamp, self._inputs.add("preview", preview.stamp, preview))
+        self._step(self._inputs.add("preview", preview.stamp, preview))
 
-    def _solve(self, stamp: int, matched: tuple | None) -> None:
+    def _step(self, matched: tuple | None) -> None:
         if matched is None:
             return
-        (number, state), preview = matched
-        result = self._mpc.step(state, preview)
-        self._pace.add(number, result.solve_time, preview.dt)
-        self._forces.publish(messages.forces_to_msg(stamp, result, preview.period, self._pace))
-        if result.status != Status.SOLVED:
+        (number, estimate), preview = matched
+        if estimate.stamp < self._stamp:
+            self._policy.reset()
+        self._stamp, start = estimate.stamp, time.perf_counter()
+        plan = self._policy.step(estimate, preview)
+        elapsed = time.perf_counter() - start
+        self._pace.add(number, elapsed, preview.dt)
+        self._plans.publish(messages.plan_to_msg(plan, preview, elapsed, self._pace))
+        if plan.status != Status.SOLVED:
             self.get_logger().warning(
-                f"{result.status.name}, fallback cycle {result.fallback_cycles}: {result.message}",
+                f"{plan.status.name}, fallback cycle {plan.fallback_cycles}: {plan.message}",
                 throttle_duration_sec=1.0,
             )
 

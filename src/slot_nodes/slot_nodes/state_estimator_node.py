@@ -5,7 +5,8 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu
 from tf2_msgs.msg import TFMessage
 
-from slot_core.estimation.state_estimator import StateEstimator, Validity, read_estimator
+from slot_core.estimation.estimate import Validity
+from slot_core.estimation.state_estimator import StateEstimator, read_estimator
 from slot_core.messages import decode
 from slot_msgs.msg import MpcState
 from slot_nodes import inputs, messages, qos, runtime

@@ -23,7 +23,6 @@ from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
 from slot_core.clock import LOCKSTEP_START
-from slot_core.estimation.state_estimator import Estimate, Validity
 from slot_core.gait.gait import STAND, read_gaits
 from slot_core.messages import decode
 from slot_core.robot import read_robot
@@ -35,11 +34,11 @@ from slot_core.safety.supervisor import PERIOD, Report, Request, Supervisor
 from slot_core.safety.tendon_watch import read_tendon_watch
 from slot_core.safety.ticked_supervisor import LockstepInputs, TickedSupervisor
 from slot_msgs.msg import (
-    GroundReactionForces,
     MpcState,
     RobotState,
     ServoHealth,
     ServoLimits,
+    TendonPlan,
 )
 from slot_msgs.srv import SetGait
 from slot_nodes import inputs, messages, qos, runtime
@@ -104,11 +103,9 @@ class SupervisorNode(Node):
         return [Request.READY, Request.STAND, *[Request.WALK][:walks]]
 
     def _subscribe_to_controller(self) -> None:
-        """Subscribe to the controller; a silent gait scheduler shows as missing forces."""
+        """Subscribe to the controller; a silent gait scheduler shows as missing plans."""
         inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.CONTROL)
-        inputs.subscribe(
-            self, GroundReactionForces, "ground_reaction_forces", self._on_forces, qos.CONTROL
-        )
+        inputs.subscribe(self, TendonPlan, "tendon_plan", self._on_plan, qos.CONTROL)
         inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
 
     def _subscribe_to_robot(self) -> None:
@@ -131,16 +128,14 @@ class SupervisorNode(Node):
         return None
 
     def _on_state(self, message: MpcState) -> None:
-        stamp, state, validity = decode.state(message)
-        covariance = np.array(message.covariance).reshape(12, 12)
-        estimate = Estimate(stamp, state, covariance, Validity(validity))
+        estimate = decode.estimate(message)
         self._take(
             "state_estimator",
-            stamp,
+            estimate.stamp,
             lambda now: self._supervisor.receive_from_estimator(now, estimate),
         )
 
-    def _on_forces(self, message: GroundReactionForces) -> None:
+    def _on_plan(self, message: TendonPlan) -> None:
         self._take(
             "mpc_controller",
             decode.stamp(message),

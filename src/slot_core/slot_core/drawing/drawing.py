@@ -76,7 +76,7 @@ class Drawing:
     def _draw_estimate(self, message: Any) -> dict[str, Shape]:
         if self._simulated:
             return {}
-        _, state, _ = decode.state(message)
+        state = decode.estimate(message).state
         quaternion = Rotation.from_euler("xyz", _finite(state)[:3]).as_quat()
         shapes = self._draw_torso(state[3:6], quaternion)
         self._legs = natural_legs(self._position, quaternion, self._robot, NATURAL_NODES)
@@ -121,11 +121,11 @@ class Drawing:
         path = self._reference_path.extend(position)
         return shapes if path is None else shapes | {"reference_path": path_strip(path, REFERENCE)}
 
-    def _draw_demand(self, message: Any) -> dict[str, Shape]:
-        """Forces demanded by the MPC, at the tips of the legs."""
+    def _draw_plan(self, message: Any) -> dict[str, Shape]:
+        """Planned forces of the first stage, at the tips of the legs."""
         if not self._placed:
             return {}
-        _, force, _ = decode.forces(message)
+        force = decode.plan(message)[1].force[0]
         colours = np.tile(DEMANDED, (len(LEGS), 1))
         return {"demanded_forces": force_arrows(self._legs.nodes[:, -1], _finite(force), colours)}
 
@@ -135,7 +135,7 @@ class Drawing:
         "/mpc_state": _draw_estimate,
         "/joint_states": _draw_load,
         "/gait_preview": _draw_reference,
-        "/ground_reaction_forces": _draw_demand,
+        "/tendon_plan": _draw_plan,
     }
     TOPICS = tuple(_DRAW)
 

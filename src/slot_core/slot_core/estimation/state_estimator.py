@@ -15,10 +15,9 @@ the drift of the IMU over it. The filter itself is in `inertial_filter.py`.
 
 from __future__ import annotations
 
-import enum
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -26,6 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.clock import SECOND
+from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.imu_samples import ImuQueue
 from slot_core.estimation.inertial_filter import (
     EstimatorSettings,
@@ -40,40 +40,9 @@ NEVER = -(2**62)  # ns
 VARIANCE_MIN, VARIANCE_MAX = 1e-12, 1e6  # SI, to which the variances of a message are clipped
 
 
-class Validity(enum.IntEnum):
-    """Validity of an estimate; the values are those of slot_msgs/msg/MpcState."""
-
-    VALID = 0
-    INITIALISING = 1
-    ODOMETRY_REJECTED = 2
-    IMU_MISSING = 3
-    ODOMETRY_LOST = 4
-
-
 def read_estimator() -> EstimatorSettings:
     """The settings of `config/estimator.yaml`; raises ConfigError."""
     return config.read(EstimatorSettings, "estimator")
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """State of the torso for a control tick, predicted to the time when its command takes effect.
-
-    `stamp` names the tick: it is that of the odometry reading, or of the one that was due. The
-    state is [roll pitch yaw, p, omega, v]: rad, m, rad/s, m/s, all in odom, with
-    R = Rz(yaw) Ry(pitch) Rx(roll) and yaw in (-pi, pi].
-    """
-
-    stamp: int  # ns
-    state: Array  # (12,)
-    covariance: Array  # (12, 12), in the order of the state
-    validity: Validity
-    lead: int = 0  # ns, from `stamp` to the time of the state
-
-    @property
-    def time(self) -> int:
-        """Time of the state, ns."""
-        return self.stamp + self.lead
 
 
 class StateEstimator:

@@ -13,6 +13,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
+from slot_core.control.policy import Status, TendonPlan
+from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.faults import Fault
 from slot_core.gait.gait import GaitCommand, GaitPreview
 from slot_core.robot import BASE_FRAME, LEGS, TENDON_JOINTS, Array
@@ -124,15 +126,16 @@ def _of_joints(message: Any, values: Any) -> Array:
     return np.array([by_name[joint] for joint in TENDON_JOINTS])
 
 
-def state(message: Any) -> tuple[int, Array, int]:
-    """(stamp, [roll pitch yaw, p, omega, v], validity)."""
+def estimate(message: Any) -> Estimate:
+    """Estimate of an MpcState; raises ValueError on an unknown validity."""
     parts = (message.rpy, message.position, message.angular_velocity, message.linear_velocity)
-    return stamp(message), np.concatenate([vector(p) for p in parts]), int(message.validity)
-
-
-def lead(message: Any) -> int:
-    """Nanoseconds from the stamp of a state to its time."""
-    return time(message.lead)
+    return Estimate(
+        stamp(message),
+        np.concatenate([vector(part) for part in parts]),
+        np.array(message.covariance).reshape(12, 12),
+        Validity(message.validity),
+        time(message.lead),
+    )
 
 
 def preview(message: Any) -> GaitPreview:
@@ -166,9 +169,23 @@ def preview(message: Any) -> GaitPreview:
     )
 
 
-def forces(message: Any) -> tuple[int, Array, int]:
-    """(stamp, force (4, 3) N in odom, status)."""
-    return stamp(message), np.array([vector(f) for f in message.force]), int(message.status)
+def plan(message: Any) -> tuple[int, TendonPlan]:
+    """(stamp, plan) without its report; raises ValueError if an array does not fit its stages."""
+    stages, legs = int(message.stages), len(LEGS)
+    angle, force = np.array(message.angle), np.array(message.force)
+    if stages < 1 or force.size != 3 * legs * stages:
+        raise ValueError(f"force has {force.size} values, not {stages} stages of {legs} vectors")
+    if angle.size not in {0, legs * stages}:
+        raise ValueError(f"angle has {angle.size} values, not {stages} stages of {legs}")
+    return stamp(message), TendonPlan(
+        angle=angle.reshape(-1, legs),
+        rate=np.array(message.rate),
+        force=force.reshape(stages, legs, 3),
+        status=Status(message.status),
+        message=message.message,
+        map=message.map,
+        fallback_cycles=int(message.fallback_cycles),
+    )
 
 
 def legs(message: Any) -> tuple[int, Array, Array, Array, Array]:

@@ -7,25 +7,25 @@ which soft legs are not.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from slot_core import config
+from slot_core.control.policy import TendonPlan
 from slot_core.gait.gait import GaitPreview
 from slot_core.mpc.disturbance import Disturbance
 from slot_core.mpc.model import (
+    FEET,
+    FirstStage,
     Horizon,
     HorizonQp,
     Prediction,
     TorsoModel,
     condensed_condition,
 )
+from slot_core.mpc.settings import MpcSettings
 from slot_core.mpc.solver import Solution, make_solver
 from slot_core.robot import GRAVITY, Array, Robot
-
-if TYPE_CHECKING:
-    from slot_core.mpc.mpc import MpcSettings
 
 LONGEST_GAP = 0.5  # s between ticks; after a longer one the acting forces are unknown
 
@@ -45,8 +45,7 @@ class ForceProblem:
     def __init__(self, robot: Robot, settings: MpcSettings):
         """Set up problem and solver.
 
-        Raises ConfigError if the weights leave the problem ill-conditioned, or if the solver does
-        not cover the options of the model.
+        Raises ConfigError if the weights leave the problem ill-conditioned.
         """
         self._settings, self._mass = settings, robot.mass
         self._model = TorsoModel(robot)
@@ -82,13 +81,21 @@ class ForceProblem:
         """Solve the problem with its present values; raises nothing."""
         return self._solver.solve()
 
-    def follow(self, force: Array) -> None:
-        """Take the forces (4, 3) N that the legs are commanded from this tick on."""
-        self._last = _LastTick(self._stamp, self._state, force)
+    def follow(self, plan: TendonPlan) -> None:
+        """Take the plan that the legs are commanded from this tick on."""
+        self._last = _LastTick(self._stamp, self._state, plan.force[0])
 
-    def forces(self, z: Array) -> Array:
-        """Forces (H, 4, 3) N of a solution."""
-        return self.qp.forces(z)
+    def plan(self, z: Array) -> tuple[Array, Array]:
+        """No angles (0, 4), and the forces (H, 4, 3) N of a solution."""
+        return np.zeros((0, FEET)), self.qp.forces(z)
+
+    def deviation(self, stage: FirstStage, angle: Array, force: Array) -> Array:
+        """First forces of a plan minus those of reference (4, 3), N."""
+        return np.asarray(force[0] - stage.force_ref)
+
+    def fallback(self, stage: FirstStage, deviation: Array) -> tuple[Array, Array]:
+        """No angles (0, 4), and forces (1, 4, 3) N by a deviation from those of reference."""
+        return np.zeros((0, FEET)), stage.clip(stage.force_ref + deviation)[None]
 
     def cost(self, z: Array) -> float:
         """Objective at z."""

@@ -71,6 +71,23 @@ class Horizon:
     state_ref: Array  # (H, 12)
 
 
+@dataclass(frozen=True)
+class FirstStage:
+    """Limits and reference inputs of stage 0 of the newest valid preview."""
+
+    force_max: Array  # (4,) N
+    friction: Array  # (4,)
+    force_ref: Array  # (4, 3) N
+    angle_ref: Array  # (4,) rad, tendon angles of the gait
+    rate: Array  # (4,) rad/s, of these
+
+    def clip(self, force: Array) -> Array:
+        """Forces (4, 3) N clipped to the limits, the normal forces first."""
+        normal = np.clip(force[:, 2:], 0.0, self.force_max[:, None])
+        limit = self.friction[:, None] * normal
+        return np.hstack([np.clip(force[:, :2], -limit, limit), normal])
+
+
 class TorsoModel:
     """Single rigid body model of the torso, driven by the forces on its feet."""
 

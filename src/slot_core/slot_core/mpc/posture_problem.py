@@ -52,9 +52,10 @@ import numpy as np
 import piqp
 
 from slot_core.config import quantity
+from slot_core.control.policy import TendonPlan
 from slot_core.gait.gait import GaitPreview
 from slot_core.legs.leg_springs import LegSprings
-from slot_core.mpc.model import FEET, Horizon
+from slot_core.mpc.model import FEET, FirstStage, Horizon
 from slot_core.mpc.piqp_solver import solution
 from slot_core.mpc.posture_kernels import condense, limit_forces, linearise, predict
 from slot_core.mpc.solver import Solution
@@ -171,28 +172,39 @@ class PostureProblem:
             return Solution(np.zeros(len(self._solver.c)), "", 0)
         return self._solver.solve()
 
-    def follow(self, force: Array) -> None:
-        """Take the forces (4, 3) N that the legs are commanded from this tick on."""
-        if not self._posture:
-            self._command = self._nominal[0]
-            return
-        normal = force[:, 2] - self._dither_force()
-        deviation = (normal - self._force_ref[0] - self._reaction) / self._slope[0]
-        self._command = np.clip(self._nominal[0] + deviation, 0.0, self._angle_max)
+    def follow(self, plan: TendonPlan) -> None:
+        """Take the plan that the legs are commanded from this tick on."""
+        undithered = plan.angle[0] - self._dither_angle()
+        self._command = np.clip(undithered, 0.0, self._angle_max)
 
-    def forces(self, z: Array) -> Array:
-        """Forces (H, 4, 3) N of legs at rest at the commanded angles, at the predicted postures."""
-        force = np.zeros((self._horizon, FEET, 3))
-        force[..., 2] = self._force_ref
+    def plan(self, z: Array) -> tuple[Array, Array]:
+        """Tendon angles (H, 4) rad, and forces (H, 4, 3) N that are predicted with them.
+
+        The forces are those of legs at rest at the commanded angles, at the predicted postures. A
+        leg out of contact keeps the angle of the gait.
+        """
+        force, angle = np.zeros((self._horizon, FEET, 3)), self._nominal.copy()
+        normal = force[..., 2]
+        normal[:] = self._force_ref
         if self._posture:
-            u = z[: self._solver.inputs].reshape(-1, FEET)
+            u = z[: self._solver.inputs].reshape(-1, FEET).copy()
             x = self._predict(z)[:-1]
-            force[..., 2] += self._slope * u + self._stiffness * (x[:, :POSTURE] @ self._rise.T)
-            # at the measured posture, without the tolerance
-            force[0, :, 2] = self._force_ref[0] + self._slope[0] * u[0] + self._reaction
-            force[0, :, 2] += self._dither_force()
-        force[..., 2] = np.where(self._contact, np.maximum(force[..., 2], 0.0), 0.0)
-        return force
+            normal += self._stiffness * (x[:, :POSTURE] @ self._rise.T)
+            normal[0] = self._force_ref[0] + self._reaction  # at the measured posture
+            u[0] += self._dither_angle()
+            normal += self._slope * u
+            angle += np.where(self._contact, u, 0.0)
+        normal[:] = np.where(self._contact, np.maximum(normal, 0.0), 0.0)
+        return np.clip(angle, 0.0, self._angle_max), force
+
+    def deviation(self, stage: FirstStage, angle: Array, force: Array) -> Array:
+        """First angles of a plan minus those of the gait (4,), rad."""
+        return np.asarray(angle[0] - stage.angle_ref)
+
+    def fallback(self, stage: FirstStage, deviation: Array) -> tuple[Array, Array]:
+        """Angles (1, 4) rad by a deviation from the gait's, and the gait's forces (1, 4, 3) N."""
+        angle = np.clip(stage.angle_ref + deviation, 0.0, self._angle_max)
+        return angle[None], stage.clip(stage.force_ref)[None]
 
     def cost(self, z: Array) -> float:
         """Objective at z without its constant."""
@@ -248,9 +260,9 @@ class PostureProblem:
         self._dither = max(math.radians(demand), fading)
         self._sign = -self._sign
 
-    def _dither_force(self) -> Array:
-        """Part (4,) N of the commanded forces that is dither."""
-        return self._slope[0] * (self._sign * self._dither) * DIAGONALS
+    def _dither_angle(self) -> Array:
+        """Part (4,) rad of the commanded angles that is dither."""
+        return (self._sign * self._dither) * DIAGONALS
 
     def _observe(self, raised: Array, elapsed: float) -> None:
         """Filter the wrench missing from the balance with the clamps `raised` (4,) m."""

@@ -15,7 +15,6 @@ from slot_core.mpc.model import HorizonQp
 from slot_core.robot import Array
 
 SOLVERS = {
-    "riccati": ("slot_core.mpc.riccati_solver", "RiccatiSolver"),
     "piqp": ("slot_core.mpc.piqp_solver", "PiqpSolver"),
     "clarabel": ("slot_core.mpc.clarabel_solver", "ClarabelSolver"),
 }

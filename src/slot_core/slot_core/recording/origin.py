@@ -15,7 +15,7 @@ from slot_core import config
 
 ORIGIN = "slot"  # name of the MCAP metadata record
 CONFIGURATION = "config.zip"  # name of the attachment
-FILES = {"path": "path.csv", "calibration": "camera.yaml"}
+FILES = {"path": "path.csv", "calibration": "camera.yaml", "policy": "policy.py"}
 """Attachments by the argument that names their file."""
 
 
@@ -53,6 +53,8 @@ def origin_here(arguments: Mapping[str, Any]) -> Origin:
     Raises OSError if a file among the arguments cannot be read.
     """
     named = {name: Path(arguments[name]) for name in FILES.keys() & arguments.keys()}
+    if "policy" in named and named["policy"].suffix != ".py":
+        del named["policy"]  # a name
     about = {name: str(value) for name, value in arguments.items()}
     about |= {name: path.name for name, path in named.items()}
     files = {FILES[name]: path.read_bytes() for name, path in named.items()}

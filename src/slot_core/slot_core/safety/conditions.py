@@ -11,9 +11,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from slot_core.clock import SECOND
-from slot_core.estimation.state_estimator import Estimate, Validity
+from slot_core.control.policy import Status
+from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.hardware_error import hardware_errors
-from slot_core.mpc.mpc import Status
 from slot_core.robot import LEGS, Array
 from slot_core.safety.command_gate import Action
 from slot_core.safety.servo_health import ServoHealth

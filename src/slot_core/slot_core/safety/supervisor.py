@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slot_core.clock import SECOND
-from slot_core.estimation.state_estimator import Estimate
+from slot_core.estimation.estimate import Estimate
 from slot_core.robot import LEGS, Array, Robot
 from slot_core.safety.command_gate import AT_REST, Action, command_fault
 from slot_core.safety.conditions import Conditions

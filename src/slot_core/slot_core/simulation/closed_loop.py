@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -11,11 +10,11 @@ import numpy as np
 from slot_core import config
 from slot_core.clock import LOCKSTEP_START, SECOND
 from slot_core.control.controller import Controller, Tick
+from slot_core.control.policy import DEFAULT_POLICY, make_policy, policy_class
 from slot_core.dynamics.scene import CameraSettings, Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.gait.gait import read_gaits
 from slot_core.gait.route import Path
-from slot_core.mpc.mpc import DEFAULT_PROFILE, read_mpc
 from slot_core.robot import Array, Robot, read_robot
 from slot_core.simulation.plant import Plant, Reading
 from slot_core.simulation.sensors import ImuReading, OdometryReading, PictureReading
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     from slot_core.vision.localizer import MarkerLocalizer
 
 PlantMaker = Callable[[Robot, Scene, ServoSettings, np.random.Generator], Plant]
-CHANGEABLE = ("scene", "servo", "robot", "gait", "mpc")
+CHANGEABLE = ("scene", "servo", "robot", "gait", "policy")
 Settings = TypeVar("Settings")
 
 
@@ -41,7 +40,7 @@ class ClosedLoop:
         gait: str,
         velocity: Array | None,
         seed: int,
-        profile: str = DEFAULT_PROFILE,
+        policy: str = DEFAULT_POLICY,
         *,
         changes: Mapping[str, Any] | None = None,
         path: Path | None = None,
@@ -50,8 +49,8 @@ class ClosedLoop:
     ):
         """Build controller and plant; the robot stands in the scene.
 
-        velocity: (3,) m/s, m/s, rad/s, or None for the gait's `cruise`. profile: a file of
-        config/mpc, or the default. changes: values by dotted name below one of `CHANGEABLE`, as
+        velocity: (3,) m/s, m/s, rad/s, or None for the gait's `cruise`. policy: name or
+        file (`policy.py`). changes: values by dotted name below one of `CHANGEABLE`, as
         `scene.payload.mass`; those of the robot change the simulated one, not the controller's.
         path: followed instead of the velocity. lost_odometry: begin and duration of a gap, s.
         make: builds the plant. Raises ConfigError for a bad argument or configuration.
@@ -62,16 +61,9 @@ class ClosedLoop:
                 raise config.ConfigError(f"{name}: expected one of {', '.join(CHANGEABLE)}")
         nominal, simulated = read_robot(), read_scene(scene)
         self.gaits = _changed(read_gaits(), "gait", given)
-        mpc = config.replace(read_mpc(profile), {"acceptance.time_budget": math.inf})
-        self.controller = Controller(
-            nominal,
-            _changed(mpc, "mpc", given),
-            lambda: 0.0,
-            gait,
-            velocity,
-            path,
-            gaits=self.gaits,
-        )
+        settings = _changed(policy_class(policy).read_settings(policy), "policy", given)
+        chosen = make_policy(policy, nominal, lambda: 0.0, settings)
+        self.controller = Controller(nominal, chosen, gait, velocity, path, self.gaits)
         scenery = _changed(simulated, "scene", given)
         self._localizer = make_localizer(scenery.sensors.camera)
         self.plant = make(

@@ -12,13 +12,13 @@ import numpy as np
 from slot_core import config
 from slot_core.clock import LOCKSTEP_START, SECOND
 from slot_core.control.controller import Tick
+from slot_core.control.policy import DEFAULT_POLICY
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.state import JointReading
 from slot_core.emulator.emulated_bus import read_emulator
 from slot_core.gait.gait import STAND
-from slot_core.mpc.mpc import DEFAULT_PROFILE
 from slot_core.robot import Array, Robot, read_robot
 from slot_core.safety.command_watchdog import Permission
 from slot_core.safety.settings import read_supervisor
@@ -58,7 +58,7 @@ class SupervisedLoop:
         gait: str,
         velocity: Array | None,
         seed: int,
-        profile: str = DEFAULT_PROFILE,
+        policy: str = DEFAULT_POLICY,
         *,
         hardware: str = "sim",
         changes: Mapping[str, Any] | None = None,
@@ -68,7 +68,7 @@ class SupervisedLoop:
         hardware: `sim` or `fake_bus`, the driver with emulated servos.
         """
         self.loop = ClosedLoop(
-            scene, STAND, None, seed, profile, changes=changes, make=MAKERS[hardware]
+            scene, STAND, None, seed, policy, changes=changes, make=MAKERS[hardware]
         )
         self.plant = self.loop.plant
         self.report: Report | None = None  # the last
@@ -167,7 +167,7 @@ class SupervisedLoop:
 _MESSAGES: dict[str, Callable[[Supervisor, Tick, int], object]] = {
     "state_estimator": lambda s, tick, now: s.receive_from_estimator(now, tick.estimate),
     "mpc_controller": lambda s, tick, now: s.receive_from_mpc(
-        now, tick.result.status, tick.result.fallback_cycles, tick.preview.period
+        now, tick.plan.status, tick.plan.fallback_cycles, tick.preview.period
     ),
     "force_mapper": lambda s, tick, now: s.receive_from_force_map(
         now, tick.estimate.stamp, tick.command.angle, tick.command.rate

@@ -15,7 +15,7 @@ from slot_lab.bags.bag import Bag, BagError, Series, Stamps
 GROUND_TRUTH = "/ground_truth/odom"
 LEG_STATES = "/ground_truth/legs"
 ESTIMATE = "/mpc_state"
-CHAIN = ("/odom", "/mpc_state", "/gait_preview", "/ground_reaction_forces", "/desired_joint_angles")
+CHAIN = ("/odom", "/mpc_state", "/gait_preview", "/tendon_plan", "/desired_joint_angles")
 STAGES = ("state_estimator", "gait_scheduler", "mpc_controller", "force_mapper")
 
 

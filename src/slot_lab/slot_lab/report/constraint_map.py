@@ -1,6 +1,6 @@
 """The Dynamic Constraint Map of a bag: slack of every constraint of the MPC over time.
 
-Read from `/ground_reaction_forces`, first stage of every cycle: for each leg the slack of the least
+Read from `/tendon_plan`, first stage of every cycle: for each leg the slack of the least
 and the largest normal force and of friction; for the whole robot the slack of the total support and
 of the balance of the normal forces. Cycles without a solution are hatched. Fields that the messages
 of an older bag lack are listed and left out.
@@ -23,13 +23,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from slot_core.control.policy import Status
 from slot_core.drawing import palette
-from slot_core.mpc.mpc import Status
 from slot_core.robot import LEGS, Array
 from slot_lab.bags.bag import Bag, BagError, NoFieldError
 from slot_lab.bags.walk import seconds
 
-TOPIC = "/ground_reaction_forces"
+TOPIC = "/tendon_plan"
 PER_LEG = {
     "slack_normal_min": "least normal",
     "slack_normal_max": "largest normal",

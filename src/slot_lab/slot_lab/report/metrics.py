@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slot_core.control.policy import Status
 from slot_core.dynamics.servo import ServoSettings
-from slot_core.estimation.state_estimator import Validity
+from slot_core.estimation.estimate import Validity
 from slot_core.geometry import rotate
-from slot_core.mpc.mpc import Status
 from slot_core.robot import LEGS, Array
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.walk import (
@@ -173,7 +173,7 @@ def _behind(bag: Bag, start: float) -> Array:
 
 
 def _control(bag: Bag, start: float) -> dict[str, Any]:
-    solves = _after(bag, start, "/ground_reaction_forces", "status", "violation", "fallback_cycles")
+    solves = _after(bag, start, "/tendon_plan", "status", "violation", "fallback_cycles")
     states = _after(bag, start, "/mpc_state", "validity")
     maps = _after(bag, start, "/force_map/status", "saturated")
     violation = solves["violation"] if solves else np.zeros(0)

@@ -81,12 +81,13 @@ def draw_angles(axes: Sequence[Axes], bag: Bag, start: float, end: float) -> Non
 
 
 def draw_forces(axes: Sequence[Axes], bag: Bag, start: float, end: float) -> None:
-    """Normal forces of each leg, commanded by the MPC and true, over the last strides."""
-    commanded = ("/ground_reaction_forces", "force", "MPC")
-    for topic, field, label in (commanded, ("/ground_truth/legs", "ground_force", "true")):
+    """Normal forces of each leg, planned and true, over the last strides."""
+    planned = ("/tendon_plan", "force", "planned")
+    for topic, field, label in (planned, ("/ground_truth/legs", "ground_force", "true")):
         if bag.counts.get(topic):
             series = bag.series(topic, field)
-            _per_leg(axes, seconds(series.stamp) - start, series[field][:, :, 2], label)
+            first = series[field].reshape(len(series), -1, len(LEGS), 3)[:, 0]
+            _per_leg(axes, seconds(series.stamp) - start, first[..., 2], label)
     _finish_legs(axes, "normal forces (N)", end - start)
     axes[-1].set_xlabel("time (s)")
 
@@ -111,9 +112,9 @@ def draw_latency(ax: Axes, ticks: Ticks) -> None:
 
 def draw_slack(ax: Axes, bag: Bag, start: float) -> None:
     """Dynamic Constraint Map: slack of each constraint of the MPC's first stage over time."""
-    if bag.counts.get("/ground_reaction_forces", 0) > 1:
+    if bag.counts.get("/tendon_plan", 0) > 1:
         fields = [field for field, _ in SLACKS]
-        series = bag.series("/ground_reaction_forces", *fields)
+        series = bag.series("/tendon_plan", *fields)
         rows = np.concatenate([series[field].T for field in fields])
         t = seconds(series.stamp) - start
         bound = float(np.abs(rows[np.isfinite(rows)]).max(initial=1e-9))

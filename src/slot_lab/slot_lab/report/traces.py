@@ -13,10 +13,10 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from slot_core.control.policy import Status
 from slot_core.drawing import palette
 from slot_core.geometry import rotate
 from slot_core.messages import decode
-from slot_core.mpc.mpc import Status
 from slot_core.robot import LEGS, Array
 
 Values: TypeAlias = dict[str, Array]
@@ -106,7 +106,7 @@ def _of_truth(message: Any) -> Values:
 
 
 def _of_estimate(message: Any) -> Values:
-    _, state, _ = decode.state(message)
+    state = decode.estimate(message).state
     forward = rotate(state[9:11], -state[2])[0]
     return _torso("estimated", forward, state[5], state[0], state[1])
 
@@ -122,10 +122,9 @@ def _of_legs_truth(message: Any) -> Values:
     return {"force/ground": force[:, 2], "tension/simulated": tension}
 
 
-def _of_forces(message: Any) -> Values:
-    _, force, _ = decode.forces(message)
+def _of_plan(message: Any) -> Values:
     return {
-        "force/demanded": force[:, 2],
+        "force/demanded": decode.plan(message)[1].force[0, :, 2],
         "solve_time/mpc": np.array([1e3 * message.solve_time]),
     }
 
@@ -139,13 +138,13 @@ _VALUES: dict[str, Callable[[Any], Values]] = {
     "/ground_truth/legs": _of_legs_truth,
     "/mpc_state": _of_estimate,
     "/gait_preview": _of_reference,
-    "/ground_reaction_forces": _of_forces,
+    "/tendon_plan": _of_plan,
     "/joint_states": _angle("measured"),
     "/desired_joint_angles": _angle("commanded"),
 }
 _STATES: dict[str, Callable[[Any], States]] = {
     "/robot_state": lambda message: {"supervisor": decode.robot_state(message)[1].name},
-    "/ground_reaction_forces": lambda message: {"mpc": Status(message.status).name},
+    "/tendon_plan": lambda message: {"mpc": Status(message.status).name},
     "/gait_preview": lambda message: {"gait": message.gait},
 }
 TOPICS = tuple({**_VALUES, **_STATES})

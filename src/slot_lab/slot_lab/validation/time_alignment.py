@@ -9,8 +9,9 @@
    R as above, of the differences without their moving mean. So a place or heading that the run gets
    wrong by and by is not taken for a drift of the clock.
 
-The intervals take the differences of every `SLOW` as one group (as the fit of the calibration does):
-a run that differs from the measurement in shape is not aligned as exactly as noise alone would let it.
+The intervals take the differences of every `SLOW` as one group (as the fit of the calibration
+does): a run that differs from the measurement in shape is not aligned as exactly as noise alone
+would let it.
 
 Periodic motion fits nearly as well a period later: the shifts of the highest peaks are all refined,
 and that with the least rest is taken. `rival_rest` says what the next best one leaves.

@@ -13,7 +13,7 @@ from slot_core.drawing.shapes import Shape
 from slot_core.dynamics.servo import read_servo
 from slot_core.messages import decode
 from slot_core.robot import read_robot
-from slot_msgs.msg import GaitPreview, GroundReactionForces, LegStates, MpcState
+from slot_msgs.msg import GaitPreview, LegStates, MpcState, TendonPlan
 from slot_nodes import inputs, qos, runtime
 from slot_nodes.visualization import markers
 
@@ -24,7 +24,7 @@ INPUTS = {
     "joint_states": (JointState, qos.SENSOR),
     "mpc_state": (MpcState, qos.STATE),
     "gait_preview": (GaitPreview, qos.STATE),
-    "ground_reaction_forces": (GroundReactionForces, qos.STATE),
+    "tendon_plan": (TendonPlan, qos.STATE),
 }
 
 

@@ -1,0 +1,121 @@
+"""Force map: the tendon angles of a plan, from its forces where it has no angles.
+
+    incremental    theta = theta_gait + (f_z - f_gait) / F_theta
+    paper          theta = (f_z + line_offset) / line_slope, the paper's force-angle fit
+
+theta_gait and f_gait are the gait's nominal angle and normal force, F_theta the slope of a leg at
+rest at that angle and its present height (`legs/leg_springs.py`); that the leg is a spring is
+neglected. Until the next command the angle goes on at the rate of theta_gait (`incremental`) or
+stays (`paper`). A planned angle is passed on. All angles are clipped to [0, angle_max].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slot_core import config
+from slot_core.config import quantity
+from slot_core.control.policy import Status, TendonPlan
+from slot_core.gait.gait import GaitPreview
+from slot_core.legs.leg_springs import LegSprings, read_leg_springs
+from slot_core.robot import LEGS, Array, Robot
+
+PLANNED, HELD = "planned", "hold"  # names where no map is applied
+
+
+@dataclass(frozen=True)
+class ForceMapSettings:
+    """Settings of `config/force_map.yaml`."""
+
+    line_offset: float = quantity("paper's line: force at angle zero, negated", "N", 0, 50)
+    line_slope: float = quantity("paper's line: slope", "N/deg", 1e-3, 10)
+    slope_min: float = quantity("least slope of a leg's force over its angle", "N/rad", 0.1, 100)
+    correction_max_deg: float = quantity("largest correction of map incremental", "deg", 0, 120)
+
+
+@dataclass(frozen=True)
+class TendonCommand:
+    """Tendon angles of the four legs, with the forces and slopes behind them."""
+
+    map: str  # of the plan, or PLANNED, HELD
+    angle: Array  # (4,) rad, within [0, angle_max]
+    force: Array  # (4,) N, f_z of the plan
+    slope: Array  # (4,) N/rad, zero without a map
+    angle_unclamped: Array  # (4,) rad, before the limits
+    saturated: NDArray[np.bool_]  # (4,) whether the limits changed the angle
+    rate: Array  # (4,) rad/s, at which the angle goes on until the next command
+
+
+class ForceMap:
+    """Computes tendon angles from the plans of a policy and the gait's nominal angles."""
+
+    def __init__(self, robot: Robot, settings: ForceMapSettings, springs: LegSprings):
+        self._robot, self._settings, self._springs = robot, settings, springs
+        self._maps: dict[str, Callable[..., tuple[Array, Array, Array]]] = {
+            "incremental": self._incremental,
+            "paper": self._paper,
+        }
+        self._last: Array | None = None
+
+    def step(self, plan: TendonPlan, preview: GaitPreview, state: Array) -> TendonCommand:
+        """Command of a plan for the preview and state (12,) of its stamp.
+
+        On STOPPED the last angles are held. Raises ValueError for an unknown map.
+        """
+        if plan.status == Status.STOPPED:
+            return self._hold(preview)
+        normal = plan.force[0, :, 2]
+        if len(plan.angle):
+            found = plan.angle[0], np.zeros(len(LEGS)), plan.rate
+        elif plan.map in self._maps:
+            found = self._maps[plan.map](normal, preview, state)
+        else:
+            raise ValueError(f"map {plan.map!r}: expected one of {', '.join(self._maps)}")
+        angle, slope, rate = found
+        self._last = clipped = self._clip(angle)
+        name = plan.map or PLANNED
+        return TendonCommand(name, clipped, normal, slope, angle, clipped != angle, rate)
+
+    def _incremental(
+        self, normal: Array, preview: GaitPreview, state: Array
+    ) -> tuple[Array, Array, Array]:
+        """Angle, slope and rate for normal forces (4,) N."""
+        nominal = preview.tendon_angle[0]
+        height = self._robot.clamp_heights(state[5], *state[:2])
+        slope = self._springs.at(nominal, height).slope
+        limit = np.radians(self._settings.correction_max_deg)
+        correction = np.clip((normal - preview.normal_force[0]) / slope, -limit, limit)
+        return nominal + correction, slope, preview.rate
+
+    def _paper(self, normal: Array, *_: object) -> tuple[Array, Array, Array]:
+        """Angle, slope and rate for normal forces (4,) N."""
+        slope = np.full(len(LEGS), np.degrees(self._settings.line_slope))
+        return (normal + self._settings.line_offset) / slope, slope, np.zeros(len(LEGS))
+
+    def _hold(self, preview: GaitPreview) -> TendonCommand:
+        """The last angles; before the first of them, the nominal angles of the preview."""
+        angle = self._clip(preview.tendon_angle[0]) if self._last is None else self._last
+        zeros = np.zeros(len(LEGS))
+        return TendonCommand(HELD, angle, zeros, zeros, angle, zeros.astype(bool), zeros)
+
+    def _clip(self, angle: Array) -> Array:
+        return np.clip(angle, 0.0, self._robot.tendon.angle_max)
+
+
+def read_force_map() -> ForceMapSettings:
+    """The settings of `config/force_map.yaml`; raises ConfigError."""
+    return config.read(ForceMapSettings, "force_map")
+
+
+def read_springs() -> LegSprings:
+    """Legs as springs with the map's `slope_min`, for MPC and gait alike; raises ConfigError."""
+    return read_leg_springs(read_force_map().slope_min)
+
+
+def make_force_map(robot: Robot, settings: ForceMapSettings) -> ForceMap:
+    """The map with the table of `config/leg_map.csv`; raises ConfigError."""
+    return ForceMap(robot, settings, read_leg_springs(settings.slope_min))

@@ -1,0 +1,149 @@
+"""Policy: contract of a controller, from the estimated state and the gait's preview to a plan.
+
+`mpc_controller` runs the policy that `scripts/run --policy` names and publishes its plan;
+`force_mapper` makes the tendon angles of it (`force_map.py`). A policy of one's own is a class like
+those of `POLICIES`, named there, or in a Python file that ends with `POLICY = TheClass`.
+"""
+
+from __future__ import annotations
+
+import enum
+import importlib
+import importlib.util
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from slot_core.config import ConfigError
+from slot_core.estimation.estimate import Estimate
+from slot_core.gait.gait import GaitPreview
+from slot_core.robot import LEGS, Array, Robot
+
+Timer = Callable[[], float]  # s
+DEFAULT_POLICY = "angles"
+MPC = "slot_core.mpc.mpc:Mpc"
+POLICIES = {
+    DEFAULT_POLICY: MPC,  # MPC on tendon angles in postures
+    "forces": MPC,  # MPC on ground reaction forces
+    "paper_text": MPC,  # the same as printed in the paper
+    "paper_code": MPC,  # and as in the authors' published scripts
+    "gait_alone": "slot_core.control.gait_alone:GaitAlone",
+}
+"""Module and class by name."""
+
+
+class Status(enum.IntEnum):
+    """How a plan was made; the numbers are those of slot_msgs/msg/TendonPlan."""
+
+    SOLVED = 0
+    NOT_SOLVED = 1  # infeasible, inaccurate or iteration limit: fallback in use
+    LATE = 2  # solved after its time budget: fallback in use
+    REJECTED = 3  # input rejected before the solve: fallback in use
+    STOPPED = 4  # no feasible input yet, or fallback used up: not to be applied
+
+
+def _unknown() -> Array:
+    return np.full(len(LEGS), math.nan)
+
+
+@dataclass(frozen=True)
+class PlanReport:
+    """Figures of a solve and slacks of the first stage; NaN: a policy without them."""
+
+    cost: float = math.nan  # of the solver's solution
+    iterations: int = 0
+    violation: float = math.nan  # N, largest over the horizon
+    residual: float = math.nan  # SI, largest error of the dynamics
+    slack_normal_min: Array = field(default_factory=_unknown)  # (4,) N
+    slack_normal_max: Array = field(default_factory=_unknown)  # (4,) N
+    slack_friction: Array = field(default_factory=_unknown)  # (4,) N
+    slack_total: float = math.nan  # N, sum of contact f_max - m g
+    slack_balance: float = math.nan  # N, band - |sum f_z - m g|; infinite without `equality`
+    mass: float = math.nan  # kg, of the model
+
+
+@dataclass(frozen=True)
+class TendonPlan:
+    """Tendon angles and ground reaction forces over the stages 0 .. n-1; legs FL FR RL RR.
+
+    A policy that plans forces alone leaves `angle` empty and names the map that turns the forces of
+    the first stage into angles, one of `force_map.py`.
+    """
+
+    angle: Array  # (n, 4) rad, or (0, 4)
+    rate: Array  # (4,) rad/s, at which the angles of the first stage go on until the next plan
+    force: Array  # (n, 4, 3) N, predicted or planned, in odom
+    status: Status = Status.SOLVED
+    message: str = ""  # one line, empty if SOLVED
+    map: str = ""  # of a plan of forces alone
+    fallback_cycles: int = 0  # consecutive cycles without an accepted solution
+    report: PlanReport = PlanReport()
+
+
+@dataclass(frozen=True)
+class NoSettings:
+    """Settings of a policy that has none."""
+
+
+class Policy(Protocol):
+    """Controller of the legs; its class can derive from this one, which has all but `step`."""
+
+    def __init__(self, robot: Robot, settings: Any, timer: Timer) -> None:
+        """Take the nominal robot and `read_settings`; `timer` returns seconds.
+
+        Raises ConfigError for settings that contradict each other.
+        """
+
+    @staticmethod
+    def read_settings(name: str) -> Any:
+        """Frozen dataclass of `config.read`, whose values become parameters of the node.
+
+        name: that of the policy. Raises ConfigError.
+        """
+        return NoSettings()
+
+    def step(self, estimate: Estimate, preview: GaitPreview) -> TendonPlan:
+        """Plan for an estimate and the preview of the same stamp; raises nothing for bad data."""
+
+    def reset(self) -> None:
+        """Discard what was learned from earlier estimates: time has been set back."""
+
+
+def policy_class(name: str) -> type[Policy]:
+    """Class of a policy, by its name in POLICIES or by its file; raises ConfigError."""
+    if name.endswith(".py"):
+        return _class_in_file(Path(name))
+    if name not in POLICIES:
+        known = ", ".join(POLICIES)
+        raise ConfigError(f"policy {name!r}: expected one of {known}, or a file that ends with .py")
+    module, _, kind = POLICIES[name].partition(":")
+    found: type[Policy] = getattr(importlib.import_module(module), kind)
+    return found
+
+
+def make_policy(
+    name: str, robot: Robot, timer: Timer = time.perf_counter, settings: Any = None
+) -> Policy:
+    """The policy of that name or file, by default with its own settings; raises ConfigError."""
+    kind = policy_class(name)
+    return kind(robot, kind.read_settings(name) if settings is None else settings, timer)
+
+
+def _class_in_file(path: Path) -> type[Policy]:
+    """`POLICY` of a Python file; raises ConfigError, also for an error of the file itself."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+        found: type[Policy] = module.POLICY
+    except Exception as error:
+        reason = " ".join(str(error).split())
+        raise ConfigError(f"policy {path}: {type(error).__name__}: {reason}") from error
+    return found

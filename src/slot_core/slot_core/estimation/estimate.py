@@ -1,0 +1,39 @@
+"""Estimated state of the torso, as the state estimator publishes it for a control tick."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+from slot_core.robot import Array
+
+
+class Validity(enum.IntEnum):
+    """Validity of an estimate; the values are those of slot_msgs/msg/MpcState."""
+
+    VALID = 0
+    INITIALISING = 1
+    ODOMETRY_REJECTED = 2
+    IMU_MISSING = 3
+    ODOMETRY_LOST = 4
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """State of the torso for a control tick, predicted to the time when its command takes effect.
+
+    `stamp` names the tick: it is that of the odometry reading, or of the one that was due. The
+    state is [roll pitch yaw, p, omega, v]: rad, m, rad/s, m/s, all in odom, with
+    R = Rz(yaw) Ry(pitch) Rx(roll) and yaw in (-pi, pi].
+    """
+
+    stamp: int  # ns
+    state: Array  # (12,)
+    covariance: Array  # (12, 12), in the order of the state
+    validity: Validity
+    lead: int = 0  # ns, from `stamp` to the time of the state
+
+    @property
+    def time(self) -> int:
+        """Time of the state, ns."""
+        return self.stamp + self.lead

@@ -1,0 +1,99 @@
+"""Settings of the MPC: `config/mpc.yaml`, changed by the profile of a policy."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from slot_core import config
+from slot_core.config import choice, quantity
+from slot_core.control.policy import DEFAULT_POLICY
+from slot_core.gait.gait import Vector3
+from slot_core.mpc.disturbance import DisturbanceSettings
+from slot_core.mpc.model import FEET, ModelOptions
+from slot_core.mpc.posture_problem import PostureOptions
+from slot_core.mpc.solver import MpcSolverSettings
+from slot_core.robot import Array
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Diagonals of Q (per squared rad, m, rad/s, m/s) and R (per squared N), axes x, y, z."""
+
+    angle: Vector3 = quantity("weight of roll, pitch, yaw", "1/rad^2", 0, 1e9)
+    position: Vector3 = quantity("weight of the position", "1/m^2", 0, 1e9)
+    rate: Vector3 = quantity("weight of the angular velocity", "s^2/rad^2", 0, 1e9)
+    velocity: Vector3 = quantity("weight of the velocity", "s^2/m^2", 0, 1e9)
+    force: Vector3 = quantity(
+        "weight of a leg's deviation from its reference force", "1/N^2", 1e-12, 1e9
+    )
+
+    @property
+    def q(self) -> Array:
+        """(12,) diagonal of Q."""
+        return np.concatenate([self.angle, self.position, self.rate, self.velocity])
+
+    @property
+    def r(self) -> Array:
+        """(12,) diagonal of R."""
+        return np.tile(self.force, FEET)
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """Limits of the inputs and of an accepted solution."""
+
+    violation_max: float = quantity("largest accepted violation of a force limit", "N", 0, 1)
+    time_budget: float = quantity("longest time for checks, update and solve", "s", 0, math.inf)
+    condition_max: float = quantity(
+        "largest condition number of the Hessian, at the longest stage", "", 1, 1e12
+    )
+    stage: tuple[float, float] = quantity("shortest and longest accepted stage", "s", 1e-4, 1)
+    input_max: float = quantity("largest accepted magnitude of any input, SI units", "", 1, 1e9)
+
+
+@dataclass(frozen=True)
+class Fallback:
+    """Fallback without a solution: u = u_ref + decay^n (u - u_ref)_last in its n-th cycle."""
+
+    cycles: int = quantity("largest number of cycles in a row without a solution", "", 0, 1000)
+    decay: float = quantity("factor of the last input's deviation per such cycle", "", 0, 1)
+
+
+@dataclass(frozen=True)
+class MpcSettings:
+    """Settings of `config/mpc.yaml`."""
+
+    posture: PostureOptions
+    weights: Weights
+    model: ModelOptions
+    disturbance: DisturbanceSettings
+    solver: MpcSolverSettings
+    acceptance: Acceptance
+    fallback: Fallback
+    problem: str = choice("inputs of the problem", "tendons", "forces")
+    map: str = choice("force map of a problem on forces", "incremental", "paper")
+    horizon: int = quantity("number of stages of the horizon", "", 1, 100)
+    force_max: float = quantity("largest normal force of a leg", "N", 0, 100)
+
+    def __post_init__(self) -> None:
+        """Raise ConfigError for a problem on tendon angles without the gait's forces."""
+        if self.problem == "tendons" and self.model.reference != "gait":
+            raise config.ConfigError(
+                f"model.reference = {self.model.reference!r}: problem tendons corrects the gait's"
+                " forces, expected 'gait'"
+            )
+
+
+def read_mpc(policy: str = DEFAULT_POLICY) -> MpcSettings:
+    """The settings of `config/mpc.yaml`, changed by the profile of a policy; raises ConfigError.
+
+    A profile `config/mpc/<policy>.yaml` holds only the changed values, by dotted name; the default
+    policy has none.
+    """
+    settings = config.read(MpcSettings, "mpc")
+    if policy == DEFAULT_POLICY:
+        return settings
+    return config.replace(settings, config.load(f"mpc/{policy}"), f"mpc/{policy}.yaml")

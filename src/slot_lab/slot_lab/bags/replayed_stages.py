@@ -1,0 +1,206 @@
+"""Stages of the controller on the recorded inputs of their nodes, without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import cached_property
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from slot_core.clock import SECOND
+from slot_core.control.force_map import make_force_map, read_force_map, read_springs
+from slot_core.control.policy import DEFAULT_POLICY, TendonPlan, make_policy
+from slot_core.estimation.estimate import Estimate, Validity
+from slot_core.estimation.state_estimator import NEVER, StateEstimator, read_estimator
+from slot_core.gait.gait import GaitPreview, read_gaits
+from slot_core.gait.gait_scheduler import GaitScheduler
+from slot_core.gait.route import KEPT, read_path
+from slot_core.gait.route import Path as FollowedPath
+from slot_core.messages import decode
+from slot_core.recording.origin import FILES
+from slot_core.robot import read_robot
+from slot_lab.bags.bag import Bag
+
+ODOMETRY, PLANS = "/odom", "/tendon_plan"
+SENSORS = (ODOMETRY, "/imu")
+PATH = FILES["path"]
+NEEDS = {
+    "/mpc_state": (ODOMETRY,),
+    "/gait_preview": ("/mpc_state",),
+    PLANS: ("/mpc_state", "/gait_preview"),
+    "/desired_joint_angles": ("/mpc_state", "/gait_preview", PLANS),
+}
+"""Inputs by the output of each stage, in the order of the graph."""
+
+Fields = dict[str, Any]
+"""Values by the name of the message's field."""
+
+
+class RecordedStages:
+    """What a bag holds of the stages, read once."""
+
+    def __init__(self, bag: Bag, own_policy: str = "") -> None:
+        """own_policy: file with the policy, where the bag's is neither a name nor found here."""
+        self.own_policy = own_policy
+        self.bag, self.origin, self.robot = bag, bag.origin, read_robot()
+        self.sensors: list[tuple[str, Any]] = []  # topic and message
+        self.messages: dict[str, list[Any]] = {topic: [] for topic in NEEDS}
+        topics = [t for t in (*SENSORS, *NEEDS) if bag.counts.get(t)]
+        for topic, _, message in bag.merged(*topics) if topics else ():
+            if topic in NEEDS:
+                self.messages[topic].append(message)
+            else:
+                self.sensors.append((topic, message))
+
+    @cached_property
+    def estimates(self) -> dict[int, Estimate]:
+        """Estimated states by stamp."""
+        return self._by_stamp("/mpc_state", decode.estimate)
+
+    @cached_property
+    def previews(self) -> dict[int, GaitPreview]:
+        """Gait previews by stamp."""
+        return self._by_stamp("/gait_preview", decode.preview)
+
+    @cached_property
+    def plans(self) -> dict[int, TendonPlan]:
+        """Plans by stamp."""
+        return self._by_stamp(PLANS, lambda message: decode.plan(message)[1])
+
+    def _by_stamp(self, topic: str, convert: Callable[[Any], Any]) -> dict[int, Any]:
+        return {decode.stamp(m): convert(m) for m in self.messages[topic]}
+
+    def matched(self) -> Iterator[tuple[int, Estimate, GaitPreview, TendonPlan]]:
+        """Estimate, preview and plan of the stamps that have all three, in the order of the states.
+
+        A state that the recorded controller skipped has no plan.
+        """
+        for stamp, estimate in self.estimates.items():
+            if stamp in self.previews and stamp in self.plans:
+                yield stamp, estimate, self.previews[stamp], self.plans[stamp]
+
+    @property
+    def policy(self) -> str:
+        """Name of the policy, or file if it is one of one's own; the default if none is named."""
+        return self.own_policy or self.origin.about.get("policy", DEFAULT_POLICY)
+
+    @property
+    def path(self) -> FollowedPath | None:
+        """The path that was followed, at the speed of the recorded commands; None without one."""
+        if PATH not in self.origin.files:
+            return None
+        with TemporaryDirectory() as scratch:
+            file = Path(scratch, PATH)
+            file.write_bytes(self.origin.files[PATH])
+            return read_path(file, self.origin.about.get("path_heading", KEPT))
+
+    @property
+    def lost_path(self) -> str:
+        """Path that was followed but is not in the bag, as of `ros2 bag record`; else ""."""
+        return "" if PATH in self.origin.files else self.origin.about.get("path", "")
+
+
+def estimates(recorded: RecordedStages) -> dict[int, Fields]:
+    """State estimates, as fields of MpcState, from the recorded odometry and IMU.
+
+    Readings that the node refuses are left out.
+    """
+    settings = read_estimator()
+    estimator = StateEstimator(settings)
+    delay = round(settings.timing.command_delay * SECOND)
+    fields = {}
+    for topic, message in _as_they_arrived(recorded, delay):
+        with suppress(ValueError):
+            if topic == ODOMETRY:
+                estimator.add_odometry(*decode.torso_odometry(message))
+            else:
+                estimator.add_imu(*decode.imu(message))
+        while (estimate := estimator.poll()) is not None:
+            fields[estimate.stamp] = _state_fields(estimate)
+    return fields
+
+
+def _as_they_arrived(recorded: RecordedStages, delay: int) -> Iterator[tuple[str, Any]]:
+    """Sensor readings in the order in which the estimator got them, as (topic, message).
+
+    The recorder may have received odometry and IMU in another order. A recorded state tells the
+    newest IMU sample it was predicted with, at header.stamp + lead - `delay` (ns), and its odometry
+    follows that sample. Other readings keep their order. Odometry before that of a first state
+    that is initialising is left out: the estimator did not listen yet.
+    """
+    first = next(iter(recorded.estimates.values()), None)
+    initial = first is not None and first.validity is Validity.INITIALISING
+    begin = first.stamp if first is not None and initial else NEVER
+    imu = {decode.stamp(message) for topic, message in recorded.sensors if topic != ODOMETRY}
+    place: dict[int, int] = {}  # stamp of the odometry: that of the IMU sample before it
+    for stamp, estimate in recorded.estimates.items():
+        if estimate.validity != Validity.ODOMETRY_LOST and estimate.time - delay in imu:
+            place[stamp] = estimate.time - delay
+    after: dict[int, list[Any]] = {}
+    for topic, message in recorded.sensors:
+        if topic == ODOMETRY and decode.stamp(message) in place:
+            after.setdefault(place[decode.stamp(message)], []).append(message)
+    for topic, message in recorded.sensors:
+        stamp = decode.stamp(message)
+        if topic != ODOMETRY:
+            yield topic, message
+            yield from ((ODOMETRY, late) for late in after.pop(stamp, ()))
+        elif stamp not in place and stamp >= begin:
+            yield topic, message
+
+
+def _state_fields(estimate: Estimate) -> Fields:
+    x = estimate.state
+    return {
+        "rpy": x[0:3],
+        "position": x[3:6],
+        "angular_velocity": x[6:9],
+        "linear_velocity": x[9:12],
+        "covariance": estimate.covariance,
+        "validity": int(estimate.validity),
+    }
+
+
+def previews(recorded: RecordedStages) -> dict[int, Fields]:
+    """Gait previews, as fields of GaitPreview, from the recorded states and commands."""
+    gaits, first = read_gaits(), next(iter(recorded.previews.values())).command
+    scheduler = GaitScheduler(
+        gaits, recorded.robot, read_springs(), first.gait, first.velocity, recorded.path
+    )
+    fields = {}
+    for stamp, estimate in recorded.estimates.items():
+        if stamp in recorded.previews:
+            scheduler.set_command(recorded.previews[stamp].command)
+            fields[stamp] = _preview_fields(scheduler.step(estimate.time, estimate.state))
+    return fields
+
+
+def _preview_fields(preview: GaitPreview) -> Fields:
+    names = ("phase", "period", "dt", "contact", "friction", "normal_force", "tendon_angle")
+    return {name: getattr(preview, name) for name in (*names, "reference", "posture")}
+
+
+def plans(recorded: RecordedStages) -> dict[int, Fields]:
+    """Plans of the policy, as fields of TendonPlan; its steps take no time."""
+    policy = make_policy(recorded.policy, recorded.robot, timer=lambda: 0.0)
+    return {
+        stamp: _plan_fields(policy.step(estimate, preview))
+        for stamp, estimate, preview, _ in recorded.matched()
+    }
+
+
+def _plan_fields(plan: TendonPlan) -> Fields:
+    names = ("angle", "rate", "force", "status", "fallback_cycles")
+    return {name: getattr(plan, name) for name in names} | vars(plan.report)
+
+
+def commands(recorded: RecordedStages) -> dict[int, Fields]:
+    """Tendon angles and their rates, as fields of JointState."""
+    force_map = make_force_map(recorded.robot, read_force_map())
+    fields = {}
+    for stamp, estimate, preview, plan in recorded.matched():
+        command = force_map.step(plan, preview, estimate.state)
+        fields[stamp] = {"position": command.angle, "velocity": command.rate}
+    return fields
