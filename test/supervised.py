@@ -227,7 +227,7 @@ class DelayedLoop(ClosedLoop):
             for node in nodes:
                 s.receive_heartbeat(now, node)
             s.receive_estimate(now, tick.estimate)
-            result = tick.result
+            result = tick.plan
             s.receive_from_mpc(now, result.status, result.fallback_cycles, tick.preview.period)
             receive = partial(self._receive_command, tick.estimate.stamp, tick.command.angle)
             if delay := self._delay(k):

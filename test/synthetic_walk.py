@@ -140,7 +140,7 @@ def _ticks(walk: Walk) -> list[tuple[int, str, Any]]:
         latency = np.cumsum(walk.latencies) + (1 / RATE if tick in walk.late else 0.0) * np.array(
             [0, 0, 1, 1]
         )
-        names = ["/mpc_state", "/gait_preview", "/ground_reaction_forces", "/desired_joint_angles"]
+        names = ["/mpc_state", "/gait_preview", "/tendon_plan", "/desired_joint_angles"]
         for name, delay, built in zip(names, latency, _chain(walk, tick, t)):
             if not (tick in walk.unanswered and name == "/desired_joint_angles"):
                 entries.append((_wall(walk, t, delay), name, built))
@@ -186,8 +186,9 @@ def _chain(walk: Walk, tick: int, t: float) -> list[Any]:
             velocity=[0.05, 0.0, 0.0],
         ),
         message(
-            "/ground_reaction_forces",
+            "/tendon_plan",
             stamp,
+            stages=1,
             force=force,
             status=1 if tick in walk.fallback else 0,
             fallback_cycles=int(tick in walk.fallback),

@@ -20,7 +20,7 @@ from slot_lab.bags.bag import Bag
 HERE = Path(__file__).parent
 BAGS = ["walk", "turn", "path", "fault", "lost_odometry"]
 WALK = HERE / "walk"
-TOPICS = ["/mpc_state", "/gait_preview", "/ground_reaction_forces", "/desired_joint_angles"]
+TOPICS = ["/mpc_state", "/gait_preview", "/tendon_plan", "/desired_joint_angles"]
 
 
 @pytest.fixture
@@ -43,7 +43,7 @@ def configure(tmp_path, monkeypatch):
 
 
 def first_differences(name="walk"):
-    return {c.topic: c.first for c in replay.replay(Bag(HERE / name), replay.TOLERANCE)}
+    return {c.topic: c.first for c in replay.check_bag(Bag(HERE / name), replay.TOLERANCE)}
 
 
 @pytest.mark.parametrize("name", BAGS)
@@ -53,7 +53,7 @@ def test_a_bag_in_the_repository_is_small(name):
 
 @pytest.mark.parametrize("name", BAGS)
 def test_a_recorded_bag_replays(name):
-    comparisons = replay.replay(Bag(HERE / name), replay.TOLERANCE)
+    comparisons = replay.check_bag(Bag(HERE / name), replay.TOLERANCE)
     assert [c.topic for c in comparisons] == TOPICS
     for comparison in comparisons:
         assert comparison.first is None, str(comparison.first)
@@ -66,8 +66,7 @@ def test_a_recorded_bag_replays(name):
         ("estimator", ("odometry", "position_noise"), 0.002, "/mpc_state"),
         ("gait", ("acceleration",), 0.11, "/gait_preview"),
         ("gait/walk", ("forward", "speed"), 0.07, "/gait_preview"),
-        ("mpc", ("posture", "height"), 3e5, "/ground_reaction_forces"),
-        ("mpc", ("map",), "paper", "/desired_joint_angles"),
+        ("mpc", ("posture", "height"), 3e5, "/tendon_plan"),
     ],
 )
 def test_a_change_shows_only_at_its_own_stage(configure, file, path, value, topic):
@@ -87,8 +86,8 @@ def test_the_first_difference_is_reported(configure, capsys):
     configure("mpc", "posture", "height", value=3e5)
     assert replay.main([str(WALK)]) == 1
     line = capsys.readouterr().out.strip().splitlines()[-1]
-    assert line.startswith("first difference: /ground_reaction_forces at 1.0")
-    assert " s: force[" in line
+    assert line.startswith("first difference: /tendon_plan at 1.0")
+    assert " s: angle[" in line
 
 
 def test_replay_reports_every_compared_topic(capsys):
@@ -128,10 +127,8 @@ def test_stages_that_a_bag_does_not_hold_are_left_out_by_name(tmp_path, capsys):
     assert replay.main([str(path)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[2] for line in lines[:2]] == ["compared,"] * 2
-    assert lines[2].endswith("left out: the bag holds no /ground_reaction_forces")
-    assert lines[3].endswith(
-        "left out: the bag holds no /desired_joint_angles, /ground_reaction_forces"
-    )
+    assert lines[2].endswith("left out: the bag holds no /tendon_plan")
+    assert lines[3].endswith("left out: the bag holds no /desired_joint_angles, /tendon_plan")
 
 
 def test_readings_that_the_node_refuses_are_left_out(tmp_path):
@@ -150,7 +147,7 @@ def test_readings_that_the_node_refuses_are_left_out(tmp_path):
             else:
                 continue
             bag.write(topic, kind, time, bytes(TYPES.serialize_cdr(message, kind)))
-    (states, *_) = replay.replay(Bag(path), replay.TOLERANCE)
+    (states, *_) = replay.check_bag(Bag(path), replay.TOLERANCE)
     assert states.compared > 40
     assert states.first is None
 
@@ -163,7 +160,7 @@ def test_the_order_in_which_odometry_and_imu_were_recorded_changes_nothing(tmp_p
         for topic, time, data in source.raw("/odom", "/imu", "/mpc_state"):
             late = delay if topic == "/odom" else 0
             bag.write(topic, source.topics[topic], time + late, data)
-    (states, *_) = replay.replay(Bag(path), replay.TOLERANCE)
+    (states, *_) = replay.check_bag(Bag(path), replay.TOLERANCE)
     assert states.compared == Bag(WALK).counts["/mpc_state"]
     assert states.first is None
 
@@ -181,7 +178,7 @@ def test_odometry_before_the_estimator_listened_changes_nothing(tmp_path):
                 bag.write(topic, kind, time - early, bytes(TYPES.serialize_cdr(message, kind)))
         for topic, time, data in source.raw("/odom", "/imu", "/mpc_state"):
             bag.write(topic, source.topics[topic], time, data)
-    (states, *_) = replay.replay(Bag(path), replay.TOLERANCE)
+    (states, *_) = replay.check_bag(Bag(path), replay.TOLERANCE)
     assert states.compared == source.counts["/mpc_state"]
     assert states.first is None
 
@@ -221,13 +218,14 @@ def test_replay_says_what_made_the_bag_and_how_its_configuration_differs(
     assert "its configuration differs in mpc.yaml\n" in shown
 
 
-def test_the_profile_that_the_bag_names_is_replayed(tmp_path):
-    """The force map of the profile `paper` is another than that of the default."""
-    topics = ["/mpc_state", "/gait_preview", "/ground_reaction_forces", "/desired_joint_angles"]
-    path = partly(tmp_path / "bag", topics, origin=Origin({"mpc": "paper"}))
-    first = {c.topic: c.first for c in replay.replay(Bag(path), replay.TOLERANCE)}
+def test_the_policy_that_the_bag_names_is_replayed(tmp_path):
+    """The recorded plans are of the default policy, which plans angles."""
+    topics = ["/mpc_state", "/gait_preview", "/tendon_plan", "/desired_joint_angles"]
+    path = partly(tmp_path / "bag", topics, origin=Origin({"policy": "paper_text"}))
+    first = {c.topic: c.first for c in replay.check_bag(Bag(path), replay.TOLERANCE)}
     assert first["/gait_preview"] is None
-    assert first["/ground_reaction_forces"] is not None
+    assert first["/tendon_plan"] is not None
+    assert first["/desired_joint_angles"] is None
 
 
 def test_a_path_that_the_bag_lacks_leaves_out_the_gait_by_name(tmp_path, capsys):

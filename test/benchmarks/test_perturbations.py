@@ -46,7 +46,7 @@ def test_a_torso_off_its_height_or_tilted_has_not_settled(height, tilt):
 
 def test_the_published_problem_reaches_the_papers_maximum_costs():
     """The peak is over after 5 s; 0.5 % covers the accuracy of SCS, the authors' solver."""
-    settings = read_mpc("published")
+    settings = read_mpc("paper_code")
     for name in ("Baseline", "Combined"):
         run = published.run_published(ROBOT, settings, cases.CASES[name], duration=5.3)
         assert run.cost.max() == pytest.approx(cases.TABLE[name][0], rel=5e-3)
@@ -55,14 +55,14 @@ def test_the_published_problem_reaches_the_papers_maximum_costs():
 
 def test_the_published_problem_costs_nothing_at_the_papers_reference():
     """At the initial state stated in the paper, the cost is that of the inputs alone."""
-    problem = published.PublishedProblem(ROBOT, read_mpc("published"), phase=0)
+    problem = published.PublishedProblem(ROBOT, read_mpc("paper_code"), phase=0)
     _, cost, solved = problem.solve(problem.target)
     assert solved
     assert 0.0 <= cost < 1e-4  # 15 x 4 x (5.3 N)^2 x 1e-8 = 1.7e-5, drag and turning beside it
 
 
 def test_the_published_forces_keep_their_limits():
-    problem = published.PublishedProblem(ROBOT, read_mpc("published"), phase=1)
+    problem = published.PublishedProblem(ROBOT, read_mpc("paper_code"), phase=1)
     force, _, _ = problem.solve(np.zeros(12))
     tolerance = 1e-5  # N, above that of the solver
     assert abs(force[:, 2].sum() - published.MASS * GRAVITY) <= 0.01 + tolerance

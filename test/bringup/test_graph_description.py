@@ -56,7 +56,7 @@ def test_the_supervisor_has_the_gait_and_its_velocity(graph, lockstep):
 
 @pytest.mark.parametrize("hardware", ["sim", "fake_bus", "real"])
 def test_composed_nodes_share_a_process_and_keep_their_parameters(graph, hardware):
-    chosen = values(graph, hardware=hardware, bag="x", vx=0.05, mpc="paper")
+    chosen = values(graph, hardware=hardware, bag="x", vx=0.05, policy="paper_text")
     separate = {s.name: s for s in graph.nodes(chosen)}
     *others, process = graph.nodes(chosen | {"composed": True})
     driver = ["dynamixel_driver"] if hardware != "sim" else []

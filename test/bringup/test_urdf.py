@@ -1,6 +1,7 @@
 """URDF, RViz and Foxglove files against slot_core.robot and the messages of the graph."""
 
 import json
+import math
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -121,13 +122,14 @@ def test_every_panel_of_the_layout_is_configured_and_shown_once():
 
 
 def message_fields(name):
-    """{field: array length or 0} of a message of slot_msgs, without its constants."""
+    """{field: array length, inf if not fixed, 0 if none} of a message, without its constants."""
     text = (ROOT / f"slot_msgs/msg/{name}.msg").read_text()
-    rows = re.findall(r"^[\w/]+?(?:\[(\d*)\])? +(\w+)\s*(?:#.*)?$", text, re.MULTILINE)
-    return {field: int(length or 0) for length, field in rows}
+    rows = re.findall(r"^[\w/]+?(\[\d*\])? +(\w+)\s*(?:#.*)?$", text, re.MULTILINE)
+    sizes = {"": 0, "[]": math.inf}
+    return {field: sizes[size] if size in sizes else int(size[1:-1]) for size, field in rows}
 
 
-MESSAGES = {"mpc_state": "MpcState", "ground_reaction_forces": "GroundReactionForces"}
+MESSAGES = {"mpc_state": "MpcState", "tendon_plan": "TendonPlan"}
 
 
 def test_plots_name_fields_that_the_messages_have():
@@ -135,7 +137,7 @@ def test_plots_name_fields_that_the_messages_have():
     values = [path["value"] for plot in plots for path in plot["paths"]]
     assert len(values) == len(set(values)) == 11
     for value in values:
-        topic, field, index = re.match(r"/(\w+)\.(\w+)(?:\[(\d)\])?", value).groups()
+        topic, field, index = re.match(r"/(\w+)\.(\w+)(?:\[(\d+)\])?", value).groups()
         if topic == "desired_joint_angles":  # sensor_msgs/JointState
             assert field == "position"
             assert int(index) < len(TENDON_JOINTS)

@@ -1,6 +1,4 @@
-"""Force map: tendon angles from ground reaction forces."""
-
-import dataclasses
+"""Force map: tendon angles of plans, with angles and of forces alone."""
 
 import numpy as np
 import pytest
@@ -8,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.control.force_map import ForceMap, make_force_map, read_force_map
+from slot_core.control.policy import Status, TendonPlan
 from slot_core.gait.gait import GaitCommand, GaitPreview
 from slot_core.legs.leg_springs import LegSprings
 from slot_core.legs.leg_table import LegTable
@@ -18,8 +17,7 @@ HEIGHT = 0.06
 THETA = np.radians([0.0, 60.0, 120.0])
 HEIGHTS = np.array([0.02, 0.06, 0.10])
 SLOPES = np.array([[5.0, 6.0, 7.0], [8.0, 9.0, 10.0], [11.0, 12.0, 13.0]])
-STIFFNESS = -100.0  # N/m
-MAPS = ("springs", "incremental", "paper")
+MAPS = ("incremental", "paper")
 
 
 def preview(angle_deg=60.0, load=5.3, posture=True):
@@ -42,35 +40,43 @@ def preview(angle_deg=60.0, load=5.3, posture=True):
     )
 
 
-def forces(*normal):
-    return np.column_stack([np.zeros((4, 2)), normal])
-
-
 def state(height=HEIGHT, rpy=(0, 0, 0)):
     x = np.zeros(12)
     x[0:3], x[5] = rpy, height
     return x
 
 
-def mapped(force_map, force, demand, torso):
-    return force_map.step(force, force_map.nominal(demand, torso))
+def of_forces(name, *normal, status=Status.SOLVED):
+    """A plan of normal forces (4,) N alone."""
+    force = np.zeros((1, 4, 3))
+    force[0, :, 2] = normal
+    return TendonPlan(np.zeros((0, 4)), np.zeros(4), force, status, map=name)
 
 
 @pytest.fixture
 def make():
     table = np.zeros((3, 3, 4))  # force, slope, stiffness, contact
-    table[..., 1], table[..., 2] = SLOPES, STIFFNESS
+    table[..., 1] = SLOPES
 
-    def build(name, **changes):
+    def build(**changes):
         settings = config.replace(read_force_map(), changes)
         springs = LegSprings(LegTable(THETA, HEIGHTS, table), settings.slope_min)
-        return ForceMap(ROBOT, settings, name, springs)
+        return ForceMap(ROBOT, settings, springs)
 
     return build
 
 
+def test_planned_angles_and_rates_are_passed_on_to_the_last_bit(make):
+    angle, rate = np.array([[0.3, 1.1, 2.0, 0.0], [0.4, 1.2, 2.0, 0.1]]), np.arange(4.0)
+    command = make().step(TendonPlan(angle, rate, np.ones((2, 4, 3))), preview(), state())
+    assert command.map == "planned"
+    np.testing.assert_array_equal(command.angle, angle[0])
+    np.testing.assert_array_equal(command.rate, rate)
+    assert not command.saturated.any()
+
+
 def test_the_paper_map_is_the_line_of_the_paper(make):
-    command = mapped(make("paper"), forces(0.0, 2.0, 4.0, 5.0), preview(), state())
+    command = make().step(of_forces("paper", 0.0, 2.0, 4.0, 5.0), preview(), state())
     expected = (np.array([0.0, 2.0, 4.0, 5.0]) + 6.91) / 0.107
     assert np.degrees(command.angle) == pytest.approx(expected)
     assert not command.saturated.any()
@@ -78,94 +84,72 @@ def test_the_paper_map_is_the_line_of_the_paper(make):
 
 def test_the_paper_map_saturates_at_the_limit_of_the_servo(make):
     """6 N, the paper's bound, needs 120.65 deg; the servo's limit of 116.28 deg is 5.532 N."""
-    command = mapped(make("paper"), forces(5.53, 5.54, 6.0, 1.0), preview(), state())
+    command = make().step(of_forces("paper", 5.53, 5.54, 6.0, 1.0), preview(), state())
     assert command.saturated.tolist() == [False, True, True, False]
     assert command.angle[1:3] == pytest.approx(ROBOT.tendon.angle_max)
     assert np.degrees(command.angle_unclamped[2]) == pytest.approx(120.65, abs=0.01)
 
 
-@pytest.mark.parametrize("name", ["springs", "incremental"])
-def test_the_normal_force_of_the_gait_gives_its_nominal_angle(make, name):
-    command = mapped(make(name), forces(5.3, 5.3, 5.3, 5.3), preview(), state())
-    assert np.degrees(command.angle) == pytest.approx(60.0)
-
-
-@pytest.mark.parametrize("name", ["springs", "incremental"])
-def test_a_deviation_is_divided_by_the_slope_at_angle_and_height(make, name):
-    command = mapped(make(name), forces(5.3, 5.8, 4.8, 6.3), preview(), state())
+def test_a_deviation_from_the_force_of_the_gait_is_divided_by_the_slope(make):
+    plan = of_forces("incremental", 5.3, 5.8, 4.8, 6.3)
+    command = make().step(plan, preview(), state())
     assert command.slope == pytest.approx(9.0)
     assert command.angle - np.radians(60) == pytest.approx(np.array([0, 0.5, -0.5, 1.0]) / 9.0)
 
 
 def test_the_incremental_slope_is_that_at_the_clamp_height_of_a_tilted_torso(make):
     rpy = (0.05, -0.08, 0.7)
-    command = mapped(make("incremental"), forces(*[5.3] * 4), preview(), state(HEIGHT, rpy))
+    command = make().step(of_forces("incremental", *[5.3] * 4), preview(), state(HEIGHT, rpy))
     rotation = Rotation.from_euler("ZYX", rpy[::-1]).as_matrix()
     heights = HEIGHT + (ROBOT.clamps @ rotation.T)[:, 2]
     assert command.slope == pytest.approx(9.0 + (heights - 0.06) / 0.04)
 
 
-def test_a_spring_that_is_too_high_is_wound_by_the_force_that_it_has_lost(make):
-    """f = f_gait + F_theta (theta - theta_gait) + F_h (h - h_ref), at the angle that is returned.
-
-    10 mm too high, a spring of -100 N/m lacks 1 N, and the slope at the reference is 9 N/rad.
-    """
-    wanted = np.array([5.3, 5.8, 4.8, 6.3])
-    command = mapped(make("springs"), forces(*wanted), preview(), state(HEIGHT + 0.01))
-    turned = command.angle - np.radians(60)
-    assert 5.3 + 9.0 * turned + STIFFNESS * 0.01 == pytest.approx(wanted)
-
-
-def test_the_legs_of_a_stride_are_no_springs_at_rest(make):
-    """Their height swings with the stride: a difference from the reference is no error."""
-    walking = preview(posture=False)
-    command = mapped(make("springs"), forces(*[5.3] * 4), walking, state(HEIGHT + 0.01))
-    assert np.degrees(command.angle) == pytest.approx(60.0)
-
-
-def test_a_leg_out_of_contact_keeps_the_angle_of_the_gait(make):
-    contact = np.ones((15, 4), dtype=bool)
-    contact[0, 2] = False
-    lifted = dataclasses.replace(preview(), contact=contact)
-    command = mapped(make("springs"), forces(6.2, 6.2, 0.0, 6.2), lifted, state())
-    assert command.angle[2] == np.radians(60.0)
-    assert command.angle[[0, 1, 3]] == pytest.approx(np.radians(60.0) + 0.1)
-
-
 def test_the_incremental_correction_is_bounded(make):
-    bounded = make("incremental", correction_max_deg=10.0)
-    command = mapped(bounded, forces(0, 50, 5.3, 5.3), preview(), state())
+    plan = of_forces("incremental", 0, 50, 5.3, 5.3)
+    command = make(correction_max_deg=10.0).step(plan, preview(), state())
     assert np.degrees(command.angle) == pytest.approx([50.0, 70.0, 60.0, 60.0])
 
 
 @pytest.mark.parametrize("name", MAPS)
 def test_angles_stay_within_their_limits_for_any_force(make, name):
     rng = np.random.default_rng(1)
-    force_map, limit = make(name, correction_max_deg=120.0), ROBOT.tendon.angle_max
+    force_map, limit = make(correction_max_deg=120.0), ROBOT.tendon.angle_max
     for _ in range(200):
-        demand = preview(rng.uniform(0, 116))
-        command = mapped(
-            force_map, forces(*rng.normal(5, 20, 4)), demand, state(rng.uniform(0, 0.2))
-        )
+        demand, plan = preview(rng.uniform(0, 116)), of_forces(name, *rng.normal(5, 20, 4))
+        command = force_map.step(plan, demand, state(rng.uniform(0, 0.2)))
         assert command.angle.min() >= 0.0
         assert command.angle.max() <= limit
         assert (command.saturated == (command.angle != command.angle_unclamped)).all()
 
 
+def test_a_planned_angle_beyond_the_limit_is_clipped_and_reported(make):
+    angle = np.array([[-0.1, 0.5, 3.0, 1.0]])
+    command = make().step(TendonPlan(angle, np.zeros(4), np.ones((1, 4, 3))), preview(), state())
+    assert command.angle.tolist() == [0.0, 0.5, ROBOT.tendon.angle_max, 1.0]
+    assert command.saturated.tolist() == [True, False, True, False]
+
+
 @pytest.mark.parametrize("name", MAPS)
-def test_hold_repeats_the_last_angles(make, name):
-    force_map = make(name)
-    assert np.degrees(force_map.hold(preview(70.0)).angle) == pytest.approx(70.0)
-    last = mapped(force_map, forces(5.0, 5.3, 5.1, 4.9), preview(), state())
-    held = force_map.hold(preview(70.0))
+def test_a_plan_that_has_stopped_holds_the_last_angles(make, name):
+    force_map, stopped = make(), of_forces(name, 1.0, 2.0, 3.0, 4.0, status=Status.STOPPED)
+    assert np.degrees(force_map.step(stopped, preview(70.0), state()).angle) == pytest.approx(70.0)
+    last = force_map.step(of_forces(name, 5.0, 5.3, 5.1, 4.9), preview(), state())
+    held = force_map.step(stopped, preview(70.0), state())
     assert held.map == "hold"
     assert (held.angle == last.angle).all()
+    assert held.rate.tolist() == [0.0] * 4
+
+
+def test_an_unknown_map_is_refused(make):
+    with pytest.raises(ValueError, match="map 'cubic': expected one of incremental, paper"):
+        make().step(of_forces("cubic", *[5.3] * 4), preview(), state())
 
 
 def test_the_shipped_table_has_the_slope_of_the_robots_stance():
     """About 0.177 N/deg at 63 deg and 40 mm. The bound is coarse; the table has its own test."""
-    force_map = make_force_map(ROBOT, read_force_map(), "incremental")
-    slope = force_map.nominal(preview(63.0), state(0.04)).slope
+    force_map, plan = make_force_map(ROBOT, read_force_map()), of_forces("incremental", *[5.3] * 4)
+    slope = force_map.step(plan, preview(63.0), state(0.04)).slope
     assert np.radians(slope) == pytest.approx(0.177, rel=0.25)
 
 
@@ -173,7 +157,6 @@ def test_the_shipped_table_has_the_slope_of_the_robots_stance():
 def test_a_command_goes_on_at_the_rate_of_the_gait_but_for_the_papers(make, name):
     demand = preview()
     demand.tendon_angle[1] += 0.033 * np.array([1.0, -2.0, 0.5, 0.0])
-    command = mapped(make(name), forces(*[5.3] * 4), demand, state())
+    command = make().step(of_forces(name, *[5.3] * 4), demand, state())
     wanted = [0.0] * 4 if name == "paper" else [1.0, -2.0, 0.5, 0.0]
     assert command.rate == pytest.approx(wanted)
-    assert make(name).hold(demand).rate.tolist() == [0.0] * 4

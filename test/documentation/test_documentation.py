@@ -114,7 +114,7 @@ def test_the_reference_has_what_a_node_declares():
     assert f"| `/mpc_state` | {state}" in topics
     assert "describe_parameters" not in topics
     assert "## force_mapper" in parameters
-    assert "| `profile` | `default` |" in parameters
+    assert "| `line_slope` | `0.107` |" in parameters
     assert "use_sim_time" not in parameters
 
 

@@ -22,7 +22,7 @@ from slot_core.gait.gait import read_gaits
 from slot_core.gait.gait_scheduler import GaitScheduler
 from slot_core.messages import decode
 from slot_core.robot import read_robot
-from slot_msgs.msg import GaitPreview, GroundReactionForces, MpcState
+from slot_msgs.msg import GaitPreview, MpcState, TendonPlan
 from slot_nodes import messages, qos
 from slot_nodes.process.executor import DirectExecutor
 
@@ -57,9 +57,7 @@ class Robot:
         self.executor.add_node(self.node)
         self.state = self.node.create_publisher(MpcState, "mpc_state", qos.CONTROL)
         self.preview = self.node.create_publisher(GaitPreview, "gait_preview", qos.CONTROL)
-        self.node.create_subscription(
-            GroundReactionForces, "ground_reaction_forces", self.keep, qos.CONTROL
-        )
+        self.node.create_subscription(TendonPlan, "tendon_plan", self.keep, qos.CONTROL)
         springs = read_springs()
         gaits = config.replace(read_gaits(), STAGES)
         self.scheduler = GaitScheduler(gaits, read_robot(), springs, "stand", None)

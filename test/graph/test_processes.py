@@ -177,7 +177,7 @@ def test_a_best_effort_odometry_is_received_only_if_the_parameter_says_so(tmp_pa
     [
         ("mpc_controller", "horizon:=1000", "horizon"),
         ("mpc_controller", "horizon:=fifteen", "horizon"),
-        ("force_mapper", "profile:=cubic", "no configuration 'mpc/cubic'"),
+        ("mpc_controller", "policy:=cubic", "policy 'cubic': expected one of"),
         ("force_mapper", "slope_min:=-1.0", "slope_min"),
         ("supervisor", "gait:=trot", "no gait 'trot' (known: "),
         ("gait_scheduler", "path:=nowhere.csv", "nowhere.csv: no path with columns x, y"),

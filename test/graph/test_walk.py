@@ -14,7 +14,7 @@ from slot_core.robot import TENDON_JOINTS, read_robot
 from slot_lab.bags import check_bag as replay
 from slot_lab.bags.bag import Bag
 
-CHAIN = ("/odom", "/mpc_state", "/gait_preview", "/ground_reaction_forces", "/desired_joint_angles")
+CHAIN = ("/odom", "/mpc_state", "/gait_preview", "/tendon_plan", "/desired_joint_angles")
 OTHERS = ("/clock", "/imu", "/joint_states", "/tf", "/force_map/status", "/ground_truth/odom",
           "/ground_truth/legs")  # fmt: skip
 PERIOD = round(read_scene("flat").sensors.odometry.period * SECOND)  # ns
@@ -98,7 +98,7 @@ def test_tendon_angles_stay_within_their_range(messages):
 
 
 def test_mpc_solves_every_cycle(messages):
-    assert {m.status for _, m in messages["/ground_reaction_forces"]} == {0}
+    assert {m.status for _, m in messages["/tendon_plan"]} == {0}
 
 
 def test_bag_contains_the_definitions_of_its_messages(walk):
@@ -106,7 +106,7 @@ def test_bag_contains_the_definitions_of_its_messages(walk):
         schemas = {
             s.name: s.data.decode() for s in make_reader(file).get_summary().schemas.values()
         }
-    assert "float64[4] slack_friction" in schemas["slot_msgs/msg/GroundReactionForces"]
+    assert "float64[4] slack_friction" in schemas["slot_msgs/msg/TendonPlan"]
 
 
 def test_equal_seeds_give_bit_equal_states_also_in_one_process(walk, messages, tmp_path):
@@ -136,6 +136,6 @@ def values(rows):
 
 
 def test_replay_of_the_bag_gives_bit_equal_results(walk):
-    for comparison in replay.replay(Bag(walk), tolerance=0.0):
+    for comparison in replay.check_bag(Bag(walk), tolerance=0.0):
         assert comparison.first is None, str(comparison.first)
         assert comparison.compared > 100

@@ -9,7 +9,6 @@ import math
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import Vector3
 from rig import TICK
 from sensor_msgs.msg import Imu
 
@@ -20,7 +19,7 @@ from slot_core.mpc.settings import read_mpc
 from slot_core.robot import read_robot
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import State
-from slot_msgs.msg import ForceMapStatus, GroundReactionForces, MpcState
+from slot_msgs.msg import ForceMapStatus, MpcState, TendonPlan
 from slot_nodes import qos
 
 COAST = read_supervisor().estimate.coast_cycles
@@ -36,7 +35,7 @@ def rig(simulate):
     made = simulate(parameters={"mpc_controller": {"solver.iterations": 20}})
     made.subscribe("/mpc_state", MpcState, qos.CONTROL)
     made.subscribe("/force_map/status", ForceMapStatus, qos.CONTROL)
-    made.subscribe("/ground_reaction_forces", GroundReactionForces, qos.CONTROL)
+    made.subscribe("/tendon_plan", TendonPlan, qos.CONTROL)
     made.subscribe("/imu", Imu, qos.SENSOR)
     return made
 
@@ -82,7 +81,7 @@ def test_odometry_that_is_nan_is_bridged_for_three_cycles_then_ends_in_hold(walk
     after = walking.messages["/mpc_state"][before:]
     lost = [m for m in after if m.validity == Validity.ODOMETRY_REJECTED]
     assert len(lost) > COAST
-    assert all(np.isfinite(decode.state(message)[1]).all() for message in lost)
+    assert all(np.isfinite(decode.estimate(message).state).all() for message in lost)
 
 
 def test_missing_odometry_ends_in_hold(walking):
@@ -120,15 +119,15 @@ def test_an_mpc_without_solutions_ends_in_hold_after_its_fallback(walking):
 
     most = read_mpc().fallback.cycles
     for change, status in ((infeasible, Status.NOT_SOLVED), (invalid, Status.REJECTED)):
-        before = len(walking.messages["/ground_reaction_forces"])
+        before = len(walking.messages["/tendon_plan"])
         with walking.changed("gait_preview", change) as begin:
             wait_for_warning(walking, begin, f"MPC stopped, {most + 1} cycles without a solution")
             assert time_to_hold(walking, begin) < (most + 3) * TICK + STEP
         wait_for_walking(walking)
-        failed = [m for m in walking.messages["/ground_reaction_forces"][before:] if m.message]
+        failed = [m for m in walking.messages["/tendon_plan"][before:] if m.message]
         assert [m.status for m in failed[:most]] == [status] * most
         assert failed[most].status == Status.STOPPED
-        assert all(force == Vector3() for force in failed[most].force)
+        assert not len(failed[most].angle)
 
 
 def test_stand_is_refused_while_the_mpc_is_always_late(walking):
@@ -138,7 +137,7 @@ def test_stand_is_refused_while_the_mpc_is_always_late(walking):
     assert walking.request("reset") == ""
     assert walking.request("ready") == ""
     assert walking.request("stand").startswith("STAND refused in READY: MPC stopped, ")
-    status = walking.last("/ground_reaction_forces")
+    status = walking.last("/tendon_plan")
     assert status.status == Status.STOPPED
     assert "ms exceed 0.001 ms" in status.message
     walking.kill("mpc_controller")
@@ -194,11 +193,11 @@ def test_a_robot_that_stands_up_moves_at_most_at_the_approach_rate(walking):
     walking.walk()
 
 
-def test_forces_beyond_the_map_are_clamped_to_the_largest_angle_and_reported(walking):
+def test_planned_angles_beyond_the_largest_are_clipped_and_reported(walking):
     def pull(message):
-        message.force = [Vector3(z=100.0)] * 4
+        message.angle = [3.0] * len(message.angle)
 
-    with walking.changed("ground_reaction_forces", pull) as begin:
+    with walking.changed("tendon_plan", pull) as begin:
 
         def saturated():
             return [m for m in walking.since("/force_map/status", begin) if any(m.saturated)]

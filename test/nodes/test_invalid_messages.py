@@ -10,7 +10,7 @@ from sensor_msgs.msg import Imu
 from slot_core.messages import decode
 from slot_core.robot import TENDON_JOINTS, read_robot
 from slot_core.safety.states import State
-from slot_msgs.msg import GaitPreview, GroundReactionForces, MpcState
+from slot_msgs.msg import GaitPreview, MpcState, TendonPlan
 from slot_msgs.srv import SetGait
 from slot_nodes import qos
 
@@ -20,7 +20,7 @@ TOPICS = {
     "cmd_vel": (TwistStamped, qos.SENSOR),
     "mpc_state": (MpcState, qos.CONTROL),
     "gait_preview": (GaitPreview, qos.CONTROL),
-    "ground_reaction_forces": (GroundReactionForces, qos.CONTROL),
+    "tendon_plan": (TendonPlan, qos.CONTROL),
     "desired_joint_angles": (None, qos.CONTROL),
     "body_pose": (PoseStamped, qos.SENSOR),
 }
@@ -115,8 +115,10 @@ def sets(**values):
         ("desired_joint_angles", sets(name=["a", "b", "c", "d"])),
         ("desired_joint_angles", sets(velocity=[NAN] * 4)),
         ("desired_joint_angles", sets(velocity=[1.0] * 3)),
-        ("ground_reaction_forces", sets(force=[Vector3(z=NAN)] * 4)),
-        ("ground_reaction_forces", sets(force=[Vector3(z=INF)] * 4)),
+        ("tendon_plan", sets(angle=[NAN] * 60)),
+        ("tendon_plan", sets(rate=[INF] * 4)),
+        ("tendon_plan", sets(force=[])),
+        ("tendon_plan", sets(angle=[1.0] * 7)),
         ("gait_preview", sets(stages=0)),
         ("gait_preview", sets(stages=7)),
         ("gait_preview", sets(dt=0.0)),
@@ -149,8 +151,8 @@ def test_burst_of_messages_of_another_time_has_no_effect(graph, topic, shift):
 @pytest.mark.parametrize(
     ("topic", "change", "name", "line"),
     [
-        ("ground_reaction_forces", sets(force=[Vector3(z=NAN)] * 4), "force_mapper",
-         "ground_reaction_forces refused: force[0, 2] = nan: expected a finite number"),
+        ("tendon_plan", sets(angle=[NAN] * 60), "force_mapper",
+         "tendon_plan refused: angle[0, 0] = nan: expected a finite number"),
         ("mpc_state", sets(position__x=NAN), "gait_scheduler",
          "mpc_state refused: state[3] = nan: expected a finite number"),
         ("desired_joint_angles", sets(position=[-0.1] * 4), "sim_robot",

@@ -70,10 +70,10 @@ def test_state_and_its_transform():
     state = np.concatenate([[0.1, -0.2, 2.0], RNG.normal(size=9)])
     estimate = Estimate(STAMP, state, RNG.normal(size=(12, 12)), Validity.IMU_MISSING, LEAD)
     message = through_dds(messages.state_to_msg(estimate))
-    stamp, got, validity = decode.state(message)
-    assert (stamp, validity, decode.lead(message)) == (STAMP, 3, LEAD)
-    assert (got == state).all()
-    assert (message.covariance.reshape(12, 12) == estimate.covariance).all()
+    got = decode.estimate(message)
+    assert (got.stamp, got.validity, got.lead) == (STAMP, 3, LEAD)
+    assert (got.state == state).all()
+    assert (got.covariance == estimate.covariance).all()
     transform = through_dds(messages.state_to_tf(estimate)).transforms[0]
     assert (transform.header.frame_id, transform.child_frame_id) == ("odom", "base_link")
     q = transform.transform.rotation

@@ -14,7 +14,7 @@ from slot_lab.bags.bag import Bag, BagError
 from slot_lab.report import constraint_map
 from slot_lab.report.constraint_map import TOPIC, draw_map, main, map_figure, read_map
 
-TYPE = "slot_msgs/msg/GroundReactionForces"
+TYPE = "slot_msgs/msg/TendonPlan"
 
 
 def write_cycles(path, cycles):

@@ -178,9 +178,9 @@ def test_curves_of_the_legs_are_in_their_order_whatever_that_of_the_message(bag)
 def test_states_are_named_and_every_curve_has_its_plot():
     walking = message("/robot_state", 1.0, state=3)
     assert traces.states("/robot_state", walking) == {"supervisor": "WALKING"}
-    late = message("/ground_reaction_forces", 1.0, status=2, solve_time=0.004)
-    assert traces.states("/ground_reaction_forces", late) == {"mpc": "LATE"}
-    assert traces.values("/ground_reaction_forces", late)["solve_time/mpc"] == pytest.approx([4.0])
+    late = message("/tendon_plan", 1.0, stages=1, force=np.zeros(12), status=2, solve_time=0.004)
+    assert traces.states("/tendon_plan", late) == {"mpc": "LATE"}
+    assert traces.values("/tendon_plan", late)["solve_time/mpc"] == pytest.approx([4.0])
     assert traces.states("/gait_preview", preview()) == {"gait": "walk"}
     received = {
         "/ground_truth/odom": message(
@@ -189,7 +189,7 @@ def test_states_are_named_and_every_curve_has_its_plot():
         "/ground_truth/legs": legs(leg_nodes(WALK, 0.0)),
         "/mpc_state": message("/mpc_state", 1.0),
         "/gait_preview": preview(),
-        "/ground_reaction_forces": late,
+        "/tendon_plan": late,
         "/robot_state": walking,
         "/joint_states": joints(np.zeros(4)),
         "/desired_joint_angles": joints(np.zeros(4)),

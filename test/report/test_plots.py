@@ -98,7 +98,7 @@ def test_leg_panels_show_desired_and_true_of_their_leg_in_its_colour(axes, i):
     assert np.allclose(desired, [np.degrees(angles(s))[i] for s in t], atol=1e-4)
     t, true = line(ax, "measured")
     assert np.allclose(true, [0.97 * np.degrees(angles(s - 0.04))[i] for s in t], atol=1e-4)
-    t, commanded = line(axes[f"force {LEGS[i]}"], "MPC")
+    t, commanded = line(axes[f"force {LEGS[i]}"], "planned")
     assert np.allclose(commanded, [normal_forces(s)[i] for s in t], atol=ROUNDING * 10)
     t, true = line(axes[f"force {LEGS[i]}"], "true")
     assert np.allclose(true, [1.05 * normal_forces(s - 0.03)[i] for s in t], atol=ROUNDING * 10)

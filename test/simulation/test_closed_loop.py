@@ -62,7 +62,7 @@ def test_the_torso_of_the_walk_stays_level(minute):
 
 def test_every_cycle_is_solved_and_commands_stay_within_their_range(minute):
     _, _, ticks = minute
-    assert {tick.result.status.name for tick in ticks} == {"SOLVED"}
+    assert {tick.plan.status.name for tick in ticks} == {"SOLVED"}
     limit = read_robot().tendon.angle_max
     angles = np.array([tick.command.angle for tick in ticks])
     assert angles.min() >= 0.0
@@ -72,7 +72,7 @@ def test_every_cycle_is_solved_and_commands_stay_within_their_range(minute):
 def test_mean_normal_forces_of_the_mpc_sum_to_the_weight(minute):
     """On the mean over many strides."""
     _, _, ticks = minute
-    normal = np.array([tick.result.force[:, 2] for tick in ticks[100:]])
+    normal = np.array([tick.plan.force[0, :, 2] for tick in ticks[100:]])
     assert normal.sum(axis=1).mean() == pytest.approx(read_robot().weight, rel=0.02)
 
 
@@ -134,14 +134,12 @@ def test_a_payload_off_the_centre_is_carried_at_the_commanded_height_and_level()
     """The MPC on tendon angles against that on forces, under which it sinks by 7 mm."""
     load = {"scene.payload.mass": 0.3, "scene.payload.place": (0.04, 0.03, 0.03)}
     held = {}
-    for profile in ("default", "forces"):
-        position, rpy, _ = walk(
-            8.0, gait="stand", velocity=(0, 0, 0), profile=profile, changes=load
-        )
+    for policy in ("angles", "forces"):
+        position, rpy, _ = walk(8.0, gait="stand", velocity=(0, 0, 0), policy=policy, changes=load)
         late = after(4.0)
-        held[profile] = (abs(position[late, 2].mean() - 0.04), np.abs(rpy[late, :2].mean(axis=0)))
-    assert held["default"][0] < 1e-3
-    assert np.degrees(held["default"][1]).max() < 0.3
+        held[policy] = (abs(position[late, 2].mean() - 0.04), np.abs(rpy[late, :2].mean(axis=0)))
+    assert held["angles"][0] < 1e-3
+    assert np.degrees(held["angles"][1]).max() < 0.3
     assert held["forces"][0] > 5e-3
 
 
@@ -150,7 +148,7 @@ WRONG_MODELS = {
     "modulus -20 %": dict(stiffness(0.8)),
     "modulus +20 %": dict(stiffness(1.2)),
     "servos' lag doubled": dict(slow_servos(2.0)),
-    "angles that change a third faster": {"mpc.posture.change": 0.75 * CHANGE},
+    "angles that change a third faster": {"policy.posture.change": 0.75 * CHANGE},
 }
 
 
@@ -187,7 +185,7 @@ def test_values_by_dotted_name_change_the_simulated_robot_and_the_controller():
         "servo.lag": 0.04,
         "robot.leg.young_modulus": 2e7,
         "gait.strides.walk.feedback.gain": 0.0,
-        "mpc.horizon": 10,
+        "policy.horizon": 10,
     }
     loop = ClosedLoop("flat", "stand", np.zeros(3), 0, changes=changes)
     assert loop.plant.simulator.scene.payload.mass == 0.3

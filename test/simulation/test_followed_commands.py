@@ -57,7 +57,7 @@ def test_a_robot_that_has_lain_slack_stands_up_without_a_leap():
 def test_after_a_second_without_solutions_a_standing_robot_does_not_drop():
     """It sinks to 37.6 mm. When the zero forces of STOPPED counted as commanded, to 16 mm."""
     loop = SupervisedLoop("flat", "stand", None, 0)
-    problem = loop.loop.controller.mpc.problem
+    problem = loop.loop.controller.policy.problem
     solve = problem.solve
     list(loop.run(5.0))
     problem.solve = lambda: dataclasses.replace(solve(), fault="none")

@@ -27,10 +27,9 @@ from benchmarks.harness import Check, Row, at_least, at_most, cpu_time
 from slot_bringup.graph import CONTROLLER, read_graph
 from slot_core.command_line import within
 from slot_core.control.pace import Pace
+from slot_core.control.policy import DEFAULT_POLICY, make_policy
 from slot_core.dynamics.scene import read_scene
 from slot_core.messages import decode
-from slot_core.mpc.mpc import Mpc
-from slot_core.mpc.settings import read_mpc
 from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_lab.bags.walk import STAGES
@@ -141,17 +140,18 @@ def cycle_row(ticks: int) -> dict[str, Any]:
         for tick in loop.run(ticks)
     ]
     inputs = [tuple(map(serialize_message, pair)) for pair in standing]
-    mpc, elapsed, cpu, alone = Mpc(read_robot(), read_mpc(), time.process_time), [], [], []
+    policy, elapsed, cpu, alone = make_policy(DEFAULT_POLICY, read_robot()), [], [], []
     for preview, state in inputs:
         time.sleep(period)
         start, busy = time.perf_counter(), time.process_time()
-        stamp, x, *_ = decode.state(deserialize_message(state, MpcState))
+        estimate = decode.estimate(deserialize_message(state, MpcState))
         ahead = decode.preview(deserialize_message(preview, GaitPreview))
-        result = mpc.step(x, ahead)
-        serialize_message(messages.forces_to_msg(stamp, result, ahead.period, Pace()))
+        solving = time.process_time()
+        plan = policy.step(estimate, ahead)
+        alone.append(time.process_time() - solving)
+        serialize_message(messages.plan_to_msg(plan, ahead, 0.0, Pace()))
         elapsed.append(time.perf_counter() - start)
         cpu.append(time.process_time() - busy)
-        alone.append(result.solve_time)
     return {
         "kind": "cycle",
         "median_ms": 1e3 * np.median(elapsed),

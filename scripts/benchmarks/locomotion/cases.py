@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from slot_core.clock import LOCKSTEP_START
+from slot_core.control.policy import DEFAULT_POLICY
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import Divergence
@@ -31,22 +32,21 @@ Vector3 = tuple[float, float, float]
 Changes = tuple[tuple[str, Any], ...]  # dotted names and values, hashable
 
 NO_STRIDE_FEEDBACK = tuple((f"gait.strides.{name}.feedback.gain", 0.0) for name in STRIDES)
-NO_CORRECTION = (("mpc.posture.correction_max_deg", 0.0), ("mpc.posture.dither_deg", 0.0))
 
 
 @dataclass(frozen=True)
-class Controller:
-    """What a column of the table runs: a profile of the MPC, and changes of the configuration."""
+class Column:
+    """What a column of the table runs: a policy, and changes of the configuration."""
 
-    profile: str
+    policy: str
     changes: Changes
 
 
 ALONE, PAPER, DEFAULT = "gait alone", "paper", "default"
-COLUMNS: Mapping[str, Controller] = {
-    ALONE: Controller("default", (*NO_STRIDE_FEEDBACK, *NO_CORRECTION)),
-    PAPER: Controller("paper", NO_STRIDE_FEEDBACK),
-    DEFAULT: Controller("default", ()),
+COLUMNS: Mapping[str, Column] = {
+    ALONE: Column("gait_alone", NO_STRIDE_FEEDBACK),
+    PAPER: Column("paper_text", NO_STRIDE_FEEDBACK),
+    DEFAULT: Column(DEFAULT_POLICY, ()),
 }
 
 
@@ -126,14 +126,14 @@ def run_job(job: Job) -> tuple[Job, Motion]:
 
 def run_case(case: Case, column: str, seed: int) -> Motion:
     """Run a case with the controller of a column."""
-    controller = COLUMNS[column]
+    chosen = COLUMNS[column]
     loop = ClosedLoop(
         case.scene,
         case.gait,
         reachable(case.gait, case.velocity),
         seed,
-        controller.profile,
-        changes=dict(case.changes) | dict(controller.changes),
+        chosen.policy,
+        changes=dict(case.changes) | dict(chosen.changes),
         path=_path(case),
         lost_odometry=case.lost_odometry,
     )

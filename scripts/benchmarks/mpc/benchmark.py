@@ -23,15 +23,14 @@ from benchmarks.mpc.oracle import optimum
 from benchmarks.mpc.picture import draw
 from benchmarks.mpc.restated import restated
 from slot_core import config
-from slot_core.control.policy import Status
-from slot_core.mpc.mpc import Mpc, MpcResult
+from slot_core.control.policy import Status, TendonPlan
+from slot_core.mpc.mpc import Mpc
 from slot_core.mpc.settings import MpcSettings, read_mpc
 from slot_core.robot import Array, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 
 REQUIRES = ("cvxpy", "quadprog")
 SOLVERS = {
-    "riccati": (1e-3, 1e-4, 1e-6, 1e-8, 1e-10),
     "piqp multistage": (1e-3, 1e-4, 1e-6, 1e-8, 1e-10),
     "piqp ldlt": (1e-6, 1e-10),
     "clarabel": (1e-4, 1e-6, 1e-8, 1e-10),
@@ -75,7 +74,7 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
 def walk_cases() -> list[Case]:
     """States and previews of a walk of the Cosserat robot, from its start."""
     loop = ClosedLoop("flat", "walk", None, SEED)
-    return [(tick.estimate.state, tick.preview) for tick in loop.run(STATES)]
+    return [(tick.estimate, tick.preview) for tick in loop.run(STATES)]
 
 
 def hard_and_random(stages: int) -> Iterable[Case]:
@@ -91,13 +90,13 @@ class Exact:
 
     def __init__(self, settings: MpcSettings, walk: Sequence[Case], hard: Sequence[Case]):
         """Solve all cases; a controller only assembles the problems."""
-        self._mpc = controller(settings, "riccati", 1e-6)
+        self._mpc = controller(settings, "piqp multistage", 1e-6)
         self.walk, self.hard = self._optima(walk), self._optima(hard)
 
     def _optima(self, cases: Sequence[Case]) -> Array:
         optima = []
-        for state, preview in cases:
-            self._mpc.step(state, preview)
+        for case in cases:
+            self._mpc.step(*case)
             optima.append(optimum(self._mpc.problem.qp)[0])
         return np.array(optima)
 
@@ -105,10 +104,10 @@ class Exact:
 def hour_row(settings: MpcSettings, walk: Sequence[Case]) -> dict[str, Any]:
     """Growth of the controller's memory over an hour of cycles at 30 Hz, after the first minute."""
     mpc, process = Mpc(read_robot(), settings, time.process_time), psutil.Process()
-    for n, (state, preview) in zip(range(HOUR), itertools.cycle(walk)):
+    for n, case in zip(range(HOUR), itertools.cycle(walk)):
         if n == MINUTE:
             before = process.memory_info().rss
-        mpc.step(state, preview)
+        mpc.step(*case)
     gained = (process.memory_info().rss - before) / 2**20
     return {"kind": "hour", "cycles": HOUR, "gained_MB": gained}
 
@@ -136,9 +135,8 @@ def solver_row(  # noqa: PLR0917
 ) -> dict[str, Any]:
     """One solver at one tolerance: the walk twice (timed the second time), then the hard cases."""
     mpc = controller(settings, solver, tolerance)
-    walked = [[mpc.step(*case) for case in walk] for _ in range(2)][1]
-    results = [mpc.step(*case) for case in hard]
-    times = [1e3 * result.solve_time for result in walked]
+    walked, times = [timed(mpc, walk) for _ in range(2)][1]
+    results, hard_times = timed(mpc, hard)
     error = errors(walked, exact.walk)
     return {
         "kind": "solver",
@@ -146,34 +144,44 @@ def solver_row(  # noqa: PLR0917
         "tolerance": tolerance,
         "median_ms": float(np.median(times)),
         "p99_ms": float(np.quantile(times, 0.99)),
-        "hard_max_ms": 1e3 * max(result.solve_time for result in results),
+        "hard_max_ms": max(hard_times),
         "error_median": float(np.median(error)),
         "error_max": float(np.max(error)),
         "hard_error_max": float(np.nanmax(errors(results, exact.hard))),
-        "violation": max(result.violation for result in [*walked, *results]),
-        "iterations_median": float(np.median([result.iterations for result in walked])),
-        "iterations_max": max(result.iterations for result in [*walked, *results]),
+        "violation": max(plan.report.violation for plan in [*walked, *results]),
+        "iterations_median": float(np.median([plan.report.iterations for plan in walked])),
+        "iterations_max": max(plan.report.iterations for plan in [*walked, *results]),
         "walk_refused": len(walked) - sum(accepted(result) for result in walked),
     } | outcomes(results, errors(results, exact.hard))
 
 
-def accepted(result: MpcResult) -> bool:
+def timed(mpc: Mpc, cases: Sequence[Case]) -> tuple[list[TendonPlan], list[float]]:
+    """Plans of the cases and CPU times of their cycles, ms."""
+    plans, times = [], []
+    for case in cases:
+        start = time.process_time()
+        plans.append(mpc.step(*case))
+        times.append(1e3 * (time.process_time() - start))
+    return plans, times
+
+
+def accepted(result: TendonPlan) -> bool:
     """Whether the controller accepts the result with its configured limit of the violation."""
     limit = read_mpc("forces").acceptance.violation_max
-    return result.status == Status.SOLVED and result.violation <= limit
+    return result.status == Status.SOLVED and result.report.violation <= limit
 
 
-def errors(results: Sequence[MpcResult], exact: Array) -> Array:
+def errors(results: Sequence[TendonPlan], exact: Array) -> Array:
     """(n,) N, largest error of the first stage's forces; NaN without a solution."""
     return np.array(
         [
-            np.abs(result.force - optimal).max() if result.status == Status.SOLVED else np.nan
+            np.abs(result.force[0] - optimal).max() if result.status == Status.SOLVED else np.nan
             for result, optimal in zip(results, exact)
         ]
     )
 
 
-def outcomes(results: Sequence[MpcResult], error: Array) -> dict[str, int]:
+def outcomes(results: Sequence[TendonPlan], error: Array) -> dict[str, int]:
     """How many hard cases were accepted within `WRONG`, accepted beyond it, and refused."""
     taken = np.array([accepted(result) for result in results])
     return {
@@ -205,12 +213,13 @@ def horizon_rows(settings: MpcSettings, walk: Sequence[Case]) -> Iterable[dict[s
             changes = {"horizon": stages, "acceptance.condition_max": 1e12}
             longer = config.replace(settings, changes)
             mpc = controller(longer, solver, HORIZON_TOLERANCE)
-            results = [mpc.step(x, stretched(ahead, stages + 1)) for x, ahead in walk]
+            longer_walk = [(x, stretched(ahead, stages + 1)) for x, ahead in walk]
+            results, times = timed(mpc, longer_walk)
             yield {
                 "kind": "horizon",
                 "solver": solver,
                 "stages": stages,
-                "median_ms": 1e3 * float(np.median([r.solve_time for r in results])),
+                "median_ms": float(np.median(times)),
                 "refused": sum(not accepted(result) for result in results),
             }
 
@@ -219,11 +228,12 @@ def cvxpy_rows(
     settings: MpcSettings, cases: Sequence[Case], exact: Array
 ) -> Iterable[dict[str, Any]]:
     """CVXPY with the problem compiled once, and with the problem rebuilt in every cycle."""
-    cached = CvxpyReference(read_robot(), settings)
-    cached.solve(*cases[0], "CLARABEL")
+    robot = read_robot()
+    cached = CvxpyReference(robot, settings)
+    cached.solve(cases[0][0].state, cases[0][1])
     solvers = {
-        "CVXPY, cached, Clarabel": lambda *case: cached.solve(*case, "CLARABEL")[0],
-        "CVXPY, as published, SCS": lambda *case: restated(read_robot(), settings, *case),
+        "CVXPY, cached, Clarabel": lambda x, ahead: cached.solve(x.state, ahead),
+        "CVXPY, as published, SCS": lambda x, ahead: restated(robot, settings, x.state, ahead),
     }
     for name, solve in solvers.items():
         errors_, times = [], []

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitCommand, GaitPreview, read_gaits
 from slot_core.robot import Array
 
@@ -14,7 +15,7 @@ HEIGHT = 0.04  # m, of the standing torso
 LOAD = 5.2  # N, about a quarter of the weight
 DT = read_gaits().dt  # s, of a stage
 
-Case = tuple[Array, GaitPreview]
+Case = tuple[Estimate, GaitPreview]
 
 
 def state(
@@ -22,6 +23,11 @@ def state(
 ) -> Array:
     """(12,) state [rpy, p, omega, v]; rad, m, rad/s, m/s."""
     return np.concatenate([rpy, p, omega, v]).astype(float)
+
+
+def torso(**parts: Any) -> Estimate:
+    """A known state; the parts are those of `state`."""
+    return Estimate.exact(state(**parts))
 
 
 def standing(stages: int, **changes: Any) -> GaitPreview:
@@ -46,18 +52,18 @@ def hard_cases(stages: int) -> dict[str, Case]:
     swing[stages // 3 : 2 * stages // 3, 1] = False
     lifted, diagonal = (np.tile(feet, (stages, 1)) for feet in ([1, 0, 1, 1], [1, 0, 0, 1]))
     landing = np.repeat(np.arange(stages) >= stages // 2, 4).reshape(stages, 4)
-    moving = state(rpy=(0.02, -0.01, 0.2), p=(0, 0, 0.05), omega=(0.1, 0, 0), v=(0.1, 0.05, 0))
+    moving = torso(rpy=(0.02, -0.01, 0.2), p=(0, 0, 0.05), omega=(0.1, 0, 0), v=(0.1, 0.05, 0))
     stance = standing(stages)
     return {
-        "low": (state(p=(0, 0, 0.01)), stance),
-        "tilt of 0.5 rad": (state(rpy=(0.5, -0.5, 0)), stance),
-        "on its side": (state(rpy=(1.5, 0, 0)), stance),
-        "turned by 1 rad": (state(rpy=(0.1, 0.05, 1.05)), stance),
-        "height of 1000 m": (state(p=(0, 0, 1e3)), stance),
-        "depth of 1000 m": (state(p=(0, 0, -1e3)), stance),
-        "falling": (state(v=(0, 0, -1.0)), stance),
-        "spinning": (state(omega=(2.0, -2.0, 1.0)), stance),
-        "sliding": (state(v=(1.0, -1.0, 0)), stance),
+        "low": (torso(p=(0, 0, 0.01)), stance),
+        "tilt of 0.5 rad": (torso(rpy=(0.5, -0.5, 0)), stance),
+        "on its side": (torso(rpy=(1.5, 0, 0)), stance),
+        "turned by 1 rad": (torso(rpy=(0.1, 0.05, 1.05)), stance),
+        "height of 1000 m": (torso(p=(0, 0, 1e3)), stance),
+        "depth of 1000 m": (torso(p=(0, 0, -1e3)), stance),
+        "falling": (torso(v=(0, 0, -1.0)), stance),
+        "spinning": (torso(omega=(2.0, -2.0, 1.0)), stance),
+        "sliding": (torso(v=(1.0, -1.0, 0)), stance),
         "no friction": (moving, standing(stages, friction=zeros)),
         "hardly any friction": (moving, standing(stages, friction=zeros + 1e-6)),
         "friction of 100": (moving, standing(stages, friction=zeros + 100.0)),
@@ -75,7 +81,7 @@ def hard_cases(stages: int) -> dict[str, Case]:
 def random_case(rng: np.random.Generator, stages: int) -> Case:
     """Random state, contacts, friction (0 to 0.8), normal forces and reference."""
     yaw = rng.uniform(-np.pi, np.pi)
-    x = state(
+    x = torso(
         rpy=(*rng.normal(0, 0.1, 2), yaw),
         p=(*rng.normal(0, 0.1, 2), rng.uniform(0.01, 0.12)),
         omega=rng.normal(0, 0.5, 3),

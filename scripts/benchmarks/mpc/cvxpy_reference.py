@@ -7,9 +7,9 @@ problem once; with a product of parameters, or a quadratic form of one, it would
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import Any
 
+import cvxpy as cp
 import numpy as np
 
 from slot_core.gait.gait import GaitPreview
@@ -17,21 +17,14 @@ from slot_core.mpc.model import FEET, INPUTS, STATES, YAW, TorsoModel
 from slot_core.mpc.settings import MpcSettings
 from slot_core.robot import Array, Robot
 
-SOLVERS: dict[str, dict[str, Any]] = {
-    "CLARABEL": {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11},
-}
-
-
-class NoReferenceError(RuntimeError):
-    """The reference gave no solution; the message is one line."""
+TOLERANCES = {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11}
 
 
 class CvxpyReference:
     """min sum (x - x_ref)' Q (x - x_ref) + (u - u_ref)' R (u - u_ref) within the limits."""
 
     def __init__(self, robot: Robot, settings: MpcSettings):
-        """Set up the problem; raises NoReferenceError if CVXPY is missing."""
-        self._cp = cp = _cvxpy()
+        """Set up the problem."""
         self._model, self._settings = TorsoModel(robot), settings
         stages = settings.horizon
         self.x0, self.drift = cp.Parameter(STATES), cp.Parameter(STATES)
@@ -47,7 +40,7 @@ class CvxpyReference:
         weights = self._settings.weights
         state = (self.x[1:] - self.x_ref) @ np.diag(np.sqrt(weights.q))
         force = (self.u - self.u_ref) @ np.diag(np.sqrt(weights.r))
-        return self._cp.sum_squares(state) + self._cp.sum_squares(force)
+        return cp.sum_squares(state) + cp.sum_squares(force)
 
     def _dynamics(self) -> list[Any]:
         steps = [
@@ -58,20 +51,17 @@ class CvxpyReference:
 
     def _limits(self) -> list[Any]:
         f_x, f_y, f_z = self.u[:, 0::3], self.u[:, 1::3], self.u[:, 2::3]
-        largest = self._cp.multiply(self.friction, f_z)
-        pyramid = [self._cp.abs(f_x) <= largest, self._cp.abs(f_y) <= largest]
+        largest = cp.multiply(self.friction, f_z)
+        pyramid = [cp.abs(f_x) <= largest, cp.abs(f_y) <= largest]
         return [f_z >= 0, f_z <= self.limit, *pyramid]
 
-    def solve(self, state: Array, preview: GaitPreview, solver: str) -> tuple[Array, float]:
-        """Forces (H, 4, 3) N and cost for a state (12,), by one of `SOLVERS`.
-
-        Raises NoReferenceError unless the problem is solved.
-        """
+    def solve(self, state: Array, preview: GaitPreview) -> Array:
+        """Optimal forces (H, 4, 3) N for a state (12,), by Clarabel."""
         self._set_parameters(state, preview)
-        self._problem.solve(solver=solver, **SOLVERS[solver])
-        if self._problem.status != self._cp.OPTIMAL:
-            raise NoReferenceError(f"{solver}: {self._problem.status}")
-        return self.u.value.reshape(-1, FEET, 3), float(self._problem.value)
+        self._problem.solve(solver=cp.CLARABEL, **TOLERANCES)
+        assert self._problem.status == cp.OPTIMAL
+        forces: Array = self.u.value.reshape(-1, FEET, 3)
+        return forces
 
     def _set_parameters(self, state: Array, preview: GaitPreview) -> None:
         now = np.arange(self._settings.horizon)
@@ -88,10 +78,3 @@ class CvxpyReference:
         self.friction.value = np.asarray(preview.friction, dtype=float)[now]
         contact = np.asarray(preview.contact, dtype=float)[now]
         self.limit.value = self._settings.force_max * contact
-
-
-def _cvxpy() -> Any:
-    try:
-        return import_module("cvxpy")
-    except ModuleNotFoundError:
-        raise NoReferenceError("CVXPY is missing; run scripts/setup --bench") from None

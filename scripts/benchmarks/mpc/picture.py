@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from slot_core.drawing import palette
 
 COLOURS = {
-    "riccati": palette.TRUE,
-    "piqp multistage": palette.SECONDARY,
+    "piqp multistage": palette.TRUE,
     "piqp ldlt": "#E69F00",
     "clarabel": "#009E73",
 }

@@ -1,7 +1,7 @@
 """Stability of the MPC: the paper's seven perturbations beside its table, and random samples.
 
-Three studies: (a) the published problem on its own linear model, (b) the profile `forces` on a
-rigid torso with lag, (c) the default profile on the Cosserat robot. With --samples also a Monte
+Three studies: (a) the published problem on its own linear model, (b) the policy `forces` on a
+rigid torso with lag, (c) the default policy on the Cosserat robot. With --samples also a Monte
 Carlo study over mass, friction, lag, pushes and noise. Details are in published.py, rigid_torso.py,
 simulated.py and samples.py.
 """
@@ -87,7 +87,7 @@ def cases(
     from benchmarks.perturbations.rigid_torso import run_torso  # noqa: PLC0415
     from benchmarks.perturbations.simulated import run_robot  # noqa: PLC0415
 
-    robot, published, forces = read_robot(), read_mpc("published"), read_mpc("forces")
+    robot, published, forces = read_robot(), read_mpc("paper_code"), read_mpc("forces")
     runs: dict[str, dict[str, Run]] = {"published": {}, "torso": {}, "robot": {}}
     rows = []
     for name, change in CASES.items():

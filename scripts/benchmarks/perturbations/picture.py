@@ -19,8 +19,8 @@ Row = Mapping[str, Any]
 
 STUDIES = {
     "published": "(a) as published, on its own linear model",
-    "torso": "(b) profile forces, rigid torso with 50 ms of lag",
-    "robot": "(c) default profile, Cosserat robot, standing",
+    "torso": "(b) policy forces, rigid torso with 50 ms of lag",
+    "robot": "(c) default policy, Cosserat robot, standing",
 }
 COLOURS = dict(zip(CASES, (palette.INK, palette.TRUE, *palette.STAGE_COLOURS, palette.TORSO)))
 STYLES = {"Roll": "--", "Velocity": "-.", "Noise": ":"}

@@ -24,11 +24,12 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.perturbations.cases import DT, DURATION, HEIGHT, NOISE, P_Z, SPEED, Run, tilt
 from slot_core import config
-from slot_core.control.policy import Status
+from slot_core.control.policy import Status, TendonPlan
+from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitCommand, GaitPreview, read_gaits
 from slot_core.gait.reference import reference
 from slot_core.geometry import rotate
-from slot_core.mpc.mpc import Mpc, MpcResult
+from slot_core.mpc.mpc import Mpc
 from slot_core.mpc.settings import MpcSettings
 from slot_core.robot import GRAVITY, Array, Robot
 
@@ -128,13 +129,13 @@ class TorsoLoop:
         settings = config.replace(settings, {"acceptance.time_budget": math.inf})
         self._mpc, self._share, self.step = Mpc(robot, settings, lambda: 0.0), share[:, 2], 0
 
-    def tick(self, disturb: Callable[[Array], Array]) -> MpcResult:
+    def tick(self, disturb: Callable[[Array], Array]) -> TendonPlan:
         """One control step: the MPC solves for `disturb(state)`, its forces are held for DT."""
         measured = disturb(self.torso.state)
-        result = self._mpc.step(measured, self._preview(measured))
-        self.torso.advance(result.force, DT)
+        plan = self._mpc.step(Estimate.exact(measured), self._preview(measured))
+        self.torso.advance(plan.force[0], DT)
         self.step += 1
-        return result
+        return plan
 
     def _preview(self, state: Array) -> GaitPreview:
         gaits = self._gaits
@@ -175,7 +176,7 @@ def run_torso(
         now = loop.torso.state
         result = loop.tick(lambda x: x if noise is None else x + NOISE * noise.normal(size=len(x)))
         infeasible += result.status != Status.SOLVED
-        entries.append((step * DT, result.cost, now[P_Z], float(tilt(now[:3]))))
+        entries.append((step * DT, result.report.cost, now[P_Z], float(tilt(now[:3]))))
     return Run(*np.array(entries).T, infeasible=infeasible)
 
 

@@ -4,7 +4,7 @@ A sample starts at the reference with a payload that the controller's model does
 pushed after 1 s and has the rest of its time to recover. Its parameters are uniform within `RANGES`
 and depend only on the seed and the sample's index, so any sample can be run again on any machine.
 Two plants: the rigid torso with lag, which follows height and speed, and the Cosserat robot under
-the whole controller with the profile `forces`, which stands, on servos of the model `torque_speed`:
+the whole controller with the policy `forces`, which stands, on servos of the model `torque_speed`:
 the default's pid has no lag of its own.
 """
 
@@ -27,7 +27,6 @@ from slot_core.control.policy import Status
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import Divergence
-from slot_core.mpc.mpc import Mpc
 from slot_core.mpc.settings import read_mpc
 from slot_core.robot import Array, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
@@ -139,8 +138,8 @@ def robot_states(sample: Sample) -> tuple[Array, int]:
     }
     changes = {"payload.mass": sample.payload, "floor.friction": [sample.friction] * 4}
     scene = config.replace(flat, sensors | changes | {"floor.torso_friction": sample.friction})
-    loop = ClosedLoop("flat", "stand", np.zeros(3), sample.seed, "forces")
-    loop.controller.mpc = _observing_mpc(sample.observer)
+    observer = {"policy.disturbance.time": sample.observer}
+    loop = ClosedLoop("flat", "stand", np.zeros(3), sample.seed, "forces", changes=observer)
     rng = np.random.default_rng([sample.seed, sample.index, 1])
     loop.plant = Plant(read_robot(), scene, servo, rng)
     sim, push, rows, unsolved = loop.plant.simulator, _push(sample), [], 0
@@ -149,13 +148,8 @@ def robot_states(sample: Sample) -> tuple[Array, int]:
         if k in {begin, end}:
             sim.push(push if k == begin else -push, np.zeros(3))
         rows.append(np.concatenate([sim.rpy, sim.position, sim.angular_velocity, sim.velocity]))
-        unsolved += tick.result.status != Status.SOLVED
+        unsolved += tick.plan.status != Status.SOLVED
     return np.array(rows), unsolved
-
-
-def _observing_mpc(observer: float) -> Mpc:
-    changes = {"disturbance.time": observer, "acceptance.time_budget": math.inf}
-    return Mpc(read_robot(), config.replace(read_mpc("forces"), changes), lambda: 0.0)
 
 
 RUNNERS = {"torso": torso_states, "robot": robot_states}

@@ -127,8 +127,8 @@ def states(
         if k in {0, PULSE_TICKS}:
             sim.push(nothing, moment if k == 0 else -moment)
         rows.append(np.concatenate([sim.rpy, sim.position, sim.angular_velocity, sim.velocity]))
-        costs.append(tick.result.cost)
-        infeasible += tick.result.status != Status.SOLVED
+        costs.append(tick.plan.report.cost)
+        infeasible += tick.plan.status != Status.SOLVED
     return np.array(rows), costs, infeasible
 
 

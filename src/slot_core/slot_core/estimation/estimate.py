@@ -5,6 +5,8 @@ from __future__ import annotations
 import enum
 from dataclasses import dataclass
 
+import numpy as np
+
 from slot_core.robot import Array
 
 
@@ -32,6 +34,11 @@ class Estimate:
     covariance: Array  # (12, 12), in the order of the state
     validity: Validity
     lead: int = 0  # ns, from `stamp` to the time of the state
+
+    @classmethod
+    def exact(cls, state: Array, stamp: int = 0) -> Estimate:
+        """A valid estimate without uncertainty of a known state (12,)."""
+        return cls(stamp, np.asarray(state), np.zeros((12, 12)), Validity.VALID)
 
     @property
     def time(self) -> int:

@@ -1,0 +1,77 @@
+"""Policies: the contract, their names, policies of one's own."""
+
+import numpy as np
+import pytest
+
+from slot_core.config import ConfigError
+from slot_core.control.policy import POLICIES, Status, make_policy, policy_class
+from slot_core.robot import LEGS, read_robot
+from slot_core.simulation.closed_loop import ClosedLoop
+
+OWN = """
+from slot_core.control.policy import Policy, TendonPlan
+class Own(Policy):
+    def step(self, estimate, preview):
+        return TendonPlan(preview.tendon_angle + 0.01, preview.rate, [])
+POLICY = Own
+"""
+
+
+def ticks(policy, count=40, **changes):
+    return list(ClosedLoop("flat", "stand", None, 0, policy, changes=changes).run(count))
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_every_policy_plans_angles_or_forces_with_a_map_that_has_a_name(name):
+    for tick in ticks(name):
+        plan = tick.plan
+        stages = len(plan.force)
+        assert stages >= 1
+        assert plan.force.shape == (stages, len(LEGS), 3)
+        assert plan.rate.shape == (len(LEGS),)
+        if plan.status != Status.STOPPED:
+            assert len(plan.angle) == (0 if plan.map else stages)
+            assert tick.command.map == (plan.map or "planned")
+
+
+def test_a_policy_that_was_reset_plans_as_a_new_one():
+    for name in POLICIES:
+        used, fresh = (make_policy(name, read_robot(), lambda: 0.0) for _ in range(2))
+        recorded = ticks("angles")
+        for tick in recorded:
+            used.step(tick.estimate, tick.preview)
+        used.reset()
+        for tick in recorded:
+            plans = [policy.step(tick.estimate, tick.preview) for policy in (used, fresh)]
+            np.testing.assert_array_equal(plans[0].angle, plans[1].angle)
+            np.testing.assert_array_equal(plans[0].force, plans[1].force)
+
+
+def test_the_gait_alone_commands_the_angles_of_the_gait_and_the_mpc_others():
+    alone, mpc = ticks("gait_alone"), ticks("angles", **{"scene.payload.mass": 0.3})
+    assert all((t.command.angle == t.preview.tendon_angle[0]).all() for t in alone)
+    assert any((t.command.angle != t.preview.tendon_angle[0]).all() for t in mpc)
+
+
+def test_a_policy_of_ones_own_is_named_by_its_file(tmp_path):
+    file = tmp_path / "own.py"
+    file.write_text(OWN.replace("[])", "__import__('numpy').zeros((15, 4, 3)))"))
+    for tick in ticks(str(file)):
+        np.testing.assert_array_equal(tick.command.angle, tick.preview.tendon_angle[0] + 0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "reason"),
+    [
+        ("magic", None, "policy 'magic': expected one of angles, forces, .* or a file"),
+        ("missing.py", None, "missing.py: FileNotFoundError"),
+        ("broken.py", "import nothing_of_this_name", "broken.py: ModuleNotFoundError: No module"),
+        ("empty.py", "", "empty.py: AttributeError: .*POLICY"),
+    ],
+)
+def test_a_policy_that_is_not_there_is_refused_in_one_line(tmp_path, name, text, reason):
+    if text is not None:
+        (tmp_path / name).write_text(text)
+    with pytest.raises(ConfigError, match=reason) as refused:
+        policy_class(str(tmp_path / name) if name.endswith(".py") else name)
+    assert "\n" not in str(refused.value)
