@@ -66,7 +66,8 @@ def benchmark_loop(gait, velocity):
     from slot_core.simulation.closed_loop import ClosedLoop  # noqa: PLC0415
 
     changes = dict(COLUMNS[ALONE].changes) | {"scene.payload.mass": 0.5}
-    return ClosedLoop("flat", gait, np.array([velocity, 0.0, 0.0]), 1, changes=changes)
+    speed = np.array([velocity, 0.0, 0.0])
+    return ClosedLoop("flat", gait, speed, 1, COLUMNS[ALONE].policy, changes=changes)
 
 
 def test_a_fall_is_worse_than_any_error():

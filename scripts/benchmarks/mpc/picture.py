@@ -1,5 +1,6 @@
 """The picture of the MPC's benchmark: error over CPU time, and CPU time over the horizon."""
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,11 +12,7 @@ from matplotlib.figure import Figure
 
 from slot_core.drawing import palette
 
-COLOURS = {
-    "piqp multistage": palette.TRUE,
-    "piqp ldlt": "#E69F00",
-    "clarabel": "#009E73",
-}
+COLOURS = (palette.TRUE, "#E69F00", "#009E73", "#CC79A7", "#D55E00")  # of the solvers
 ROUNDOFF = 1e-13  # N, drawn for smaller errors
 
 
@@ -32,7 +29,7 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
 def draw_errors(ax: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
     """Largest error on the walk and the hard cases, over the median CPU time on the walk."""
     runs = [row for row in rows if row["kind"] == "solver"]
-    for name, colour in COLOURS.items():
+    for name, colour in coloured(rows):
         mine = [row for row in runs if row["solver"] == name]
         places = [(row["median_ms"], worst(row)) for row in mine]
         ax.plot(*zip(*places), "-", color=colour, lw=0.8)
@@ -66,6 +63,12 @@ def draw_errors(ax: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
     ax.legend(fontsize=8)
 
 
+def coloured(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
+    """The solvers of the rows, each with a colour."""
+    names = dict.fromkeys(row["solver"] for row in rows if row["kind"] in ("solver", "horizon"))
+    return list(zip(names, itertools.cycle(COLOURS)))
+
+
 def worst(row: Mapping[str, Any]) -> float:
     """Largest error of the solutions found, N."""
     return max(ROUNDOFF, *(row[k] for k in ("error_max", "hard_error_max") if row[k] < math.inf))
@@ -73,7 +76,7 @@ def worst(row: Mapping[str, Any]) -> float:
 
 def draw_horizons(ax: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
     """CPU time over the number of stages."""
-    for name, colour in COLOURS.items():
+    for name, colour in coloured(rows):
         places = [(row["stages"], row["median_ms"]) for row in rows if row["solver"] == name]
         ax.plot(*zip(*places), "o-", color=colour, ms=4, label=name)
     ax.set(

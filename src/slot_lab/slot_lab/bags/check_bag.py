@@ -121,7 +121,10 @@ def compare(
             if first is None and (distance > tolerance).any():
                 at = int(np.argmax(distance > tolerance))
                 place = f"{name}[{at}]" if len(then) > 1 else name
-                first = Difference(topic, stamp, place, float(then[at]), float(now[at]))
+                values = (
+                    float(array[at]) if at < len(array) else math.nan for array in (then, now)
+                )
+                first = Difference(topic, stamp, place, *values)
     if not compared and first is None:
         raise BagError(f"{recorded.bag.path}: holds no {topic} together with its input")
     return StageComparison(topic, compared, largest, first)

@@ -1,0 +1,82 @@
+"""The examples run as they are written, and say what their texts promise."""
+
+import math
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from slot_lab.bags.bag import Bag
+from slot_lab.bags.check_bag import check_bag
+
+EXAMPLES = Path(__file__).parents[2] / "scripts" / "examples"
+OWN = str(EXAMPLES / "own_controller.py")
+
+
+def output(name, cwd, *arguments):
+    run = subprocess.run(
+        [sys.executable, EXAMPLES / name, *arguments],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    assert run.stderr == ""
+    return run.stdout
+
+
+def numbers(pattern, text):
+    return [float(number) for number in re.findall(pattern, text)]
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in EXAMPLES.glob("*.py")))
+def test_an_example_has_20_to_40_lines(name):
+    assert 20 <= len((EXAMPLES / name).read_text().splitlines()) <= 40
+
+
+def test_walk(tmp_path):
+    x = numbers(r"x +(-?[\d.]+) m", output("walk.py", tmp_path))
+    assert len(x) == 10
+    assert x[-1] > 0.4  # m: 9 s at 50 mm/s, less the start
+
+
+def test_own_controller(tmp_path):
+    own, alone = numbers(r"([\d.]+) mm high", output("own_controller.py", tmp_path))
+    assert alone < 34.0  # mm, of 40
+    assert own > 36.5
+
+
+def test_rod_bends(tmp_path):
+    text = output("rod_bends.py", tmp_path)
+    small, smallest, *large = re.findall(r"([\d.]+) mm +([\d.]+) mm", text)
+    for rod, beam in (small, smallest):
+        assert float(rod) == pytest.approx(float(beam), rel=1e-3)
+    for rod, beam in large:
+        assert float(rod) < 0.96 * float(beam)
+    strip = math.sqrt(1e7 * 4e-3**2 / 12 / 1200) / 0.2**2  # 1/s, sqrt(E I / (rho A)) / L^2
+    assert numbers(r"rest, Hz: \[([\d.]+)", text) == [pytest.approx(0.5596 * strip, rel=0.01)]
+
+
+def test_read_a_bag(tmp_path):
+    text = output("read_a_bag.py", tmp_path)
+    assert "/joint_states  sensor_msgs/msg/JointState" in text
+    assert (tmp_path / "walk.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_graph_walks_with_a_controller_of_ones_own_and_its_bag_replays(tmp_path):
+    bag = tmp_path / "bag"
+    command = ["--policy", OWN, "--lockstep", "--composed", "--duration", "2", "--bag", str(bag)]
+    run = subprocess.run(
+        [sys.executable, "-m", "slot_bringup", *command],
+        capture_output=True, text=True, env=os.environ, cwd=tmp_path, check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    recorded = Bag(bag)
+    assert recorded.origin.files["policy.py"] == Path(OWN).read_bytes()
+    compared = {c.topic: c for c in check_bag(recorded, 0.0, OWN)}
+    assert compared["/tendon_plan"].compared > 50
+    assert [c.largest for c in compared.values()] == [0.0] * 4
