@@ -18,7 +18,7 @@ from slot_core import config
 from slot_core.drawing import palette
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.robot import Array, Robot, read_robot
+from slot_core.robot import Array, RobotParameters, read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
 OUT = Path(__file__).resolve().parents[2] / "slot_bringup" / "doc" / "leg.png"
@@ -40,7 +40,7 @@ def main() -> None:
     print(OUT)
 
 
-def pushed_leg(robot: Robot) -> tuple[Array, Array]:
+def pushed_leg(robot: RobotParameters) -> tuple[Array, Array]:
     """Nodes (N, 3), m, and directors (N-1, 3), in leg axes, of a leg of a robot that is pushed."""
     changes = {"solver.legs": "spatial", "solver.nodes": NODES, "floor.friction": [3.0] * 4}
     sim = RodRobot(robot, config.replace(read_scene("flat"), changes), read_servo())
@@ -49,7 +49,7 @@ def pushed_leg(robot: Robot) -> tuple[Array, Array]:
     return sim.state.node[LEG], sim.state.director[LEG]
 
 
-def draw(axes: Any, robot: Robot, node: Array, director: Array) -> None:
+def draw(axes: Any, robot: RobotParameters, node: Array, director: Array) -> None:
     """Draw a leg at nodes (N, 3) with directors (N-1, 3), mm in the picture."""
     node = 1e3 * node
     along = np.diff(node, axis=0)

@@ -18,7 +18,7 @@ from slot_core.control.policy import policy_class
 from slot_core.dynamics.scene import read_scene
 from slot_core.faults import require_simulated_legs
 from slot_core.gait.gait import read_gaits
-from slot_core.gait.route import read_path
+from slot_core.gait.route import read_route
 
 PRIORITY_MAX = os.sched_get_priority_max(os.SCHED_FIFO)
 DOMAIN_MAX = 232  # beyond it the ports of DDS, 7400 + 250 domain, exceed 65535
@@ -32,7 +32,7 @@ def check(values: Mapping[str, Any]) -> None:
     velocity = np.array([v_x, values["vy"], values["yaw_rate"]])
     gaits.require_velocity(values["gait"], velocity)
     if values["path"]:
-        read_path(Path(values["path"]), values["path_heading"])
+        read_route(Path(values["path"]), values["path_heading"])
         if not velocity[:2].any():
             raise ConfigError(f"path: gait {values['gait']} with this velocity stays in its place")
     scene = read_scene(values["scene"])

@@ -116,7 +116,7 @@ class Operator:
     """ROS interface of the live display: e-stop publisher, service clients, subscriptions."""
 
     def __init__(self, node: Node) -> None:
-        self.view = operator_screen.View()
+        self.view = operator_screen.OperatorView()
         self._node = node
         self._estop_pressed = False
         self._estop = node.create_publisher(Bool, "estop", qos.SENSOR)
@@ -227,7 +227,7 @@ def _serve(executor: ListenerExecutor, operator: Operator, keyboard: int) -> boo
     return True
 
 
-def _draw(view: operator_screen.View) -> None:
+def _draw(view: operator_screen.OperatorView) -> None:
     now = time.monotonic()
     width, height = shutil.get_terminal_size()
     first, *others = (line[:width] for line in operator_screen.lines(view, now)[:height])

@@ -20,7 +20,7 @@ HEADER = "     angle deg  torque N m  slack mm  silent s  degC     V  lost %  po
 
 
 @dataclass
-class View:
+class OperatorView:
     """Newest messages; None before the first."""
 
     state: RobotState | None = None
@@ -51,7 +51,7 @@ def state_lines(message: RobotState) -> list[str]:
     ]
 
 
-def lines(view: View, now: float) -> list[str]:
+def lines(view: OperatorView, now: float) -> list[str]:
     """All lines of the screen at `now` (s)."""
     return [
         *_robot(view, now),
@@ -66,7 +66,7 @@ def lines(view: View, now: float) -> list[str]:
     ]
 
 
-def _robot(view: View, now: float) -> list[str]:
+def _robot(view: OperatorView, now: float) -> list[str]:
     if view.state is None:
         return ["no state from the supervisor yet"]
     if view.silent(now):
@@ -76,7 +76,7 @@ def _robot(view: View, now: float) -> list[str]:
     return state_lines(view.state)
 
 
-def _leg(view: View, k: int) -> str:
+def _leg(view: OperatorView, k: int) -> str:
     joints, health = view.joints, view.health
     angle = torque = slack = math.nan
     if joints is not None:
@@ -94,7 +94,7 @@ def _leg(view: View, k: int) -> str:
     )
 
 
-def _driver(view: View) -> list[str]:
+def _driver(view: OperatorView) -> list[str]:
     """Action and reason of the servos, figures of their bus, and diagnostics that are not OK."""
     if view.health is None:
         return ["no report of the servos yet"]
@@ -106,7 +106,7 @@ def _driver(view: View) -> list[str]:
     return [first, *(["  " + ", ".join(bus)] if bus else []), *problems]
 
 
-def _sources(view: View) -> list[str]:
+def _sources(view: OperatorView) -> list[str]:
     """Warning of more than one e-stop source: the loss of one of them goes unnoticed."""
     if view.sources < 2:
         return []

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from benchmarks.locomotion import benchmark
-from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, Case, Motion, payload, run_case
-from benchmarks.locomotion.rows import Row, rows, square
+from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, Case, WalkMotion, payload, run_case
+from benchmarks.locomotion.rows import LocomotionRow, rows, square
 
 SEEDS = (1,)
 
@@ -17,7 +17,7 @@ def still(case, column, seed):
     """Motion of a robot that stands level at 40 mm, whatever is commanded."""
     time = np.arange(0.0, case.duration, 0.033)
     position = np.tile([0.0, 0.0, 0.04], (len(time), 1))
-    return Motion(time, position, np.zeros((len(time), 3)), np.zeros(len(time)), False)
+    return WalkMotion(time, position, np.zeros((len(time), 3)), np.zeros(len(time)), False)
 
 
 def checks_of(wanted, move):
@@ -73,7 +73,7 @@ def benchmark_loop(gait, velocity):
 def test_a_fall_is_worse_than_any_error():
     case = Case(4.0)
     fallen = dataclasses.replace(still(case, DEFAULT, 1), fallen=True)
-    small = Row("a", "mm", 1.0, [case], lambda cases, motions: 0.0)
+    small = LocomotionRow("a", "mm", 1.0, [case], lambda cases, motions: 0.0)
     large = dataclasses.replace(small, larger=True)
     assert small.value([fallen]) == math.inf
     assert large.value([fallen]) == 0.0
@@ -89,7 +89,7 @@ def test_the_commanded_square_closes():
     yaw = np.cumsum(velocity[:, 2]) * dt
     x, y = np.cumsum(velocity[:, 0] * [np.cos(yaw), np.sin(yaw)], axis=1) * dt
     rpy = np.column_stack([np.zeros((len(times), 2)), yaw])
-    motion = Motion(times, np.column_stack([x, y, 0 * times]), rpy, 0 * times, False)
+    motion = WalkMotion(times, np.column_stack([x, y, 0 * times]), rpy, 0 * times, False)
     found = {row.name: row.value([motion]) for row in rows(quick=True) if "square" in row.name}
     assert found["square of .6 m closes"] < 2.0
     assert found["square of .6 m, heading"] < 0.2

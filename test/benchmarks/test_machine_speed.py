@@ -70,7 +70,7 @@ def graph_checks(slower):
          "replay_differences": 0},
         {"kind": "walk", "nodes": graph.SEPARATE, "repeat": "median",
          "replay_cpu_s_per_s": 0.09 * slower},
-        {"kind": "node", "nodes": graph.COMPOSED, "repeat": 0, "node": graph.WHOLE,
+        {"kind": "node", "nodes": graph.COMPOSED, "repeat": 0, "node": graph.ALL_NODES,
          "pss_mb": 500.0},
         {"kind": "node", "nodes": graph.COMPOSED, "repeat": 0, "node": graph.CONTROLLER,
          "pss_mb": 150.0},
@@ -82,7 +82,7 @@ def graph_checks(slower):
     for nodes, faster in ((graph.SEPARATE, 1.0), (graph.COMPOSED, 2.0)):
         which = {"kind": "figure", "nodes": nodes, "repeat": "median"}
         rows += [
-            which | {"node": graph.WHOLE, "cpu_percent": 80.0 * slower / faster},
+            which | {"node": graph.ALL_NODES, "cpu_percent": 80.0 * slower / faster},
             *(which | {"node": n, "cpu_percent": 10.0 * slower} for n in graph.STAGES),
             which | {"node": graph.CONTROLLER, "cpu_percent": 20.0 * slower},
             which | {"stage": graph.END_TO_END, "p50_ms": 7.0 * slower / faster},

@@ -22,7 +22,7 @@ ROBOT = read_robot()
 def series(cost, height=0.04, tilt=0.0):
     time = np.arange(len(cost), dtype=float)
     still = np.ones(len(cost))
-    return cases.Run(time, np.array(cost), height * still, tilt * still, infeasible=2)
+    return cases.PerturbedRun(time, np.array(cost), height * still, tilt * still, infeasible=2)
 
 
 def test_a_cost_that_rises_again_settles_after_its_last_rise():
@@ -182,9 +182,9 @@ def result(index, failed=""):
 
 def test_recorded_samples_are_not_run_again(tmp_path):
     path, like = tmp_path / "samples.csv", samples.draw("torso", 1, 0.0, 0)
-    samples.Record(path, "abc", like).add(result(0))
-    samples.Record(path, "abc", like).add(result(2, "tilt_max"))
-    again = samples.Record(path, "abc", like)
+    samples.SampleRecord(path, "abc", like).add(result(0))
+    samples.SampleRecord(path, "abc", like).add(result(2, "tilt_max"))
+    again = samples.SampleRecord(path, "abc", like)
     assert again.missing(4) == [1, 3]
     assert [row["failed"] for row in again.rows] == ["", "tilt_max"]
     assert again.rows[0]["push"] == samples.draw("torso", 1, 0.0, 0).push
@@ -192,22 +192,22 @@ def test_recorded_samples_are_not_run_again(tmp_path):
 
 def test_samples_of_another_revision_or_seed_are_run_again(tmp_path):
     path, like = tmp_path / "samples.csv", samples.draw("torso", 1, 0.0, 0)
-    samples.Record(path, "abc", like).add(result(0))
-    assert samples.Record(path, "abd", like).missing(1) == [0]
-    assert samples.Record(path, "abc", samples.draw("torso", 2, 0.0, 0)).missing(1) == [0]
-    assert samples.Record(path, "abc", samples.draw("torso", 1, 0.5, 0)).missing(1) == [0]
+    samples.SampleRecord(path, "abc", like).add(result(0))
+    assert samples.SampleRecord(path, "abd", like).missing(1) == [0]
+    assert samples.SampleRecord(path, "abc", samples.draw("torso", 2, 0.0, 0)).missing(1) == [0]
+    assert samples.SampleRecord(path, "abc", samples.draw("torso", 1, 0.5, 0)).missing(1) == [0]
 
 
 def test_the_sample_of_an_incomplete_row_is_run_again(tmp_path):
     path, like = tmp_path / "samples.csv", samples.draw("torso", 1, 0.0, 0)
-    record = samples.Record(path, "abc", like)
+    record = samples.SampleRecord(path, "abc", like)
     record.add(result(0))
     record.add(result(1))
     path.write_text(path.read_text()[:-5])
-    again = samples.Record(path, "abc", like)
+    again = samples.SampleRecord(path, "abc", like)
     assert again.missing(2) == [1]
     again.add(result(1))
-    assert samples.Record(path, "abc", like).missing(2) == []
+    assert samples.SampleRecord(path, "abc", like).missing(2) == []
 
 
 def test_the_summary_counts_failures_and_gives_their_parameters():
@@ -228,7 +228,7 @@ def test_two_local_workers_give_the_results_of_one_process(tmp_path):
     from benchmarks.perturbations import farm  # noqa: PLC0415
 
     like = samples.draw("torso", 1, 0.0, 0)
-    record = samples.Record(tmp_path / "samples.csv", "abc", like)
+    record = samples.SampleRecord(tmp_path / "samples.csv", "abc", like)
     with workers("", 2) as client:
         own = psutil.Process()
         sockets = [c for p in (own, *own.children(recursive=True)) for c in p.net_connections()]

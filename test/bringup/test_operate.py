@@ -11,7 +11,7 @@ from real_graph import domain  # noqa: F401 - a fixture
 from sensor_msgs.msg import JointState
 
 from slot_bringup import operate
-from slot_bringup.operator_screen import SILENCE, View, lines
+from slot_bringup.operator_screen import SILENCE, OperatorView, lines
 from slot_core.messages import decode
 from slot_core.robot import LEGS, TENDON_JOINTS
 from slot_core.safety.settings import read_supervisor
@@ -44,7 +44,7 @@ def joints():
 
 
 def screen(**parts):
-    return lines(View(**{"state": state(), "state_time": NOW} | parts), NOW)
+    return lines(OperatorView(**{"state": state(), "state_time": NOW} | parts), NOW)
 
 
 class FakeClient:
@@ -209,8 +209,8 @@ def test_an_outdated_state_is_not_shown():
 @pytest.mark.parametrize("which", State)
 def test_the_first_line_is_red_in_relax_estop_and_fault_and_without_a_present_state(which):
     alarming = which in (State.RELAX, State.ESTOP, State.FAULT)
-    assert View(state=state(which), state_time=NOW).alarming(NOW) == alarming
-    assert View(state=state(which), state_time=NOW - 1.0).alarming(NOW)
+    assert OperatorView(state=state(which), state_time=NOW).alarming(NOW) == alarming
+    assert OperatorView(state=state(which), state_time=NOW - 1.0).alarming(NOW)
 
 
 def test_the_screen_warns_of_a_second_e_stop_source():

@@ -11,7 +11,7 @@ from slot_core.config import ConfigError
 from slot_core.control.force_map import read_springs
 from slot_core.gait.gait import GaitCommand, read_gaits
 from slot_core.gait.gait_scheduler import SETTLING, GaitScheduler
-from slot_core.gait.route import ARRIVED, LEAD, Path
+from slot_core.gait.route import ARRIVED, LEAD, Route
 from slot_core.robot import read_robot
 from slot_core.safety.settings import read_supervisor
 
@@ -235,7 +235,7 @@ def test_a_stride_tilts_its_reference_as_the_body_is_commanded():
 
 def test_a_path_asks_no_more_than_the_gait_reaches():
     """Where the path turns by 90 deg the heading along it would change at 1.6 rad/s."""
-    corner = Path(np.array([[0.0, 0.0], [0.05, 0.0], [0.05, 0.5]]), "along")
+    corner = Route(np.array([[0.0, 0.0], [0.05, 0.0], [0.05, 0.5]]), "along")
     robot = Ideal("walk", AHEAD, corner)
     robot.run(6.0)
     rates = [preview.reference[0, 8] for preview in robot.previews]
@@ -338,7 +338,7 @@ def test_a_jump_of_the_clock_neither_moves_the_commands_nor_delays_later_changes
 
 def test_a_path_is_followed_instead_of_the_velocity():
     points = np.array([[0.0, 0.0], [0.2, 0.0], [0.2, 0.2]])
-    robot = Ideal("walk", AHEAD, Path(points, "kept"))
+    robot = Ideal("walk", AHEAD, Route(points, "kept"))
     robot.run(15.0)
     assert robot.state[3] == pytest.approx(0.2, abs=2 * LEAD)  # this robot knows no feedback
     assert robot.state[4] == pytest.approx(0.2, abs=3 * ARRIVED)
@@ -349,7 +349,7 @@ def test_a_path_is_followed_instead_of_the_velocity():
 def test_a_path_is_followed_at_the_speed_of_the_command_from_a_posture_on():
     """As the supervisor starts it: it stands with the path, then walking is requested."""
     points = np.array([[0.0, 0.0], [1.0, 0.0]])
-    robot = Ideal("stand", NOTHING, Path(points, "kept"))
+    robot = Ideal("stand", NOTHING, Route(points, "kept"))
     robot.run(0.5)
     robot.scheduler.request("walk", AHEAD)
     robot.run(3.0)

@@ -6,7 +6,7 @@ from rclpy.context import Context
 from rclpy.qos import QoSProfile
 
 from slot_nodes.process import intra_process
-from slot_nodes.process.intra_process import MOST, Mailbox, Topics
+from slot_nodes.process.intra_process import DELIVERIES_MAX, Mailbox, Topics
 
 EVERY, NEWEST = QoSProfile(depth=50), QoSProfile(depth=1)
 
@@ -118,7 +118,7 @@ def test_nodes_that_answer_each_other_for_ever_let_the_executor_on(mailbox, even
     for _ in range(3):
         mailbox.deliver(newest=True)
     assert mailbox.waiting
-    assert events == [("topic", number) for number in range(1, 3 * MOST + 2)]
+    assert events == [("topic", number) for number in range(1, 3 * DELIVERIES_MAX + 2)]
 
 
 def test_a_message_for_another_thread_wakes_its_executor(mailbox, events):

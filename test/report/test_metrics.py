@@ -9,7 +9,7 @@ from synthetic_walk import RATE, STRIDE, Walk, write_walk
 
 from slot_core.dynamics.servo import read_servo
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.walk import Motion, Ticks, stride_mean
+from slot_lab.bags.walk import Ticks, TorsoTrack, stride_mean
 from slot_lab.report.metrics import latency, walk_metrics
 from slot_lab.report.summary import summary_lines
 
@@ -64,7 +64,7 @@ def test_tilt_is_the_angle_between_the_z_axes_whatever_the_yaw(angle):
     z, w = np.sin(yaw / 2), np.cos(yaw / 2)
     x, y, _, v = tilt
     yawed = [w * x - z * y, w * y + z * x, z * v, w * v]  # Hamilton product yaw * tilt
-    motion = Motion("", np.zeros(1), np.zeros((1, 3)), np.array([yawed]), np.zeros((1, 3)))
+    motion = TorsoTrack("", np.zeros(1), np.zeros((1, 3)), np.array([yawed]), np.zeros((1, 3)))
     assert motion.tilt[0] == pytest.approx(angle, rel=1e-12)
 
 

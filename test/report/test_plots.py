@@ -22,7 +22,7 @@ from slot_core.robot import LEGS
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.report import picture, plots
 from slot_lab.report.metrics import walk_metrics
-from slot_lab.report.picture import Camera, Pose
+from slot_lab.report.picture import Snapshot, Viewpoint
 from slot_lab.report.summary import summary_lines
 
 WALK = Walk(duration=5.0, course=0.02, roll=0.1, bounce=0.004, late=(50,))
@@ -183,7 +183,7 @@ def test_poses_are_the_recorded_shapes(bag):
 def pose():
     walk, still = Walk(), np.array([0, 0, 0, 1.0])
     legs = bent_legs(leg_nodes(walk, 0.1), np.zeros((4, 0, 3)), still, ROBOT)
-    return Pose(0.0, walk.position(0.0), still, legs, np.eye(4, 3))
+    return Snapshot(0.0, walk.position(0.0), still, legs, np.eye(4, 3))
 
 
 def area_and_volume(faces):
@@ -208,10 +208,10 @@ def test_solids_are_closed_face_outward_and_have_the_robots_volume(pose):
 
 
 def test_camera_keeps_lengths_across_its_view_and_drops_those_along_it():
-    camera = Camera(azimuth=-np.pi / 2, elevation=0.0)
+    camera = Viewpoint(azimuth=-np.pi / 2, elevation=0.0)
     shown = camera.project(np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]]))
     assert np.allclose(shown, [[1, 0], [0, 0], [0, 1]], atol=1e-15)
-    tilted = Camera()
+    tilted = Viewpoint()
     basis = tilted.project(np.eye(3))
     assert np.allclose(basis.T @ basis, np.eye(2), atol=1e-15)  # orthographic
     assert np.allclose(tilted.project(tilted.toward), 0.0, atol=1e-15)
@@ -219,7 +219,7 @@ def test_camera_keeps_lengths_across_its_view_and_drops_those_along_it():
 
 def test_drawn_robot_lies_within_its_axes_and_shows_the_forces_to_scale(pose):
     ax = Figure().add_subplot()
-    camera = Camera()
+    camera = Viewpoint()
     picture.draw_robot(ax, pose, ROBOT, camera)
     faces = np.concatenate([path.vertices for c in ax.collections for path in c.get_paths()])
     low, high = np.array([ax.get_xlim(), ax.get_ylim()]).T

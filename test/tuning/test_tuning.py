@@ -11,7 +11,7 @@ from slot_core.gait.gait import HarmonicBasis, read_gaits
 from slot_lab.tuning import gait_file, identification, symmetry
 from slot_lab.tuning.pattern_search import FAILED, Goal, PatternSearch, cost, trial
 from slot_lab.tuning.settings import read_tuning
-from slot_lab.tuning.stride_run import Job, Motion, simulate
+from slot_lab.tuning.stride_run import Job, StrideMotion, simulate
 
 WALK = read_gaits().strides["walk"]
 SETTINGS = config.replace(
@@ -71,7 +71,9 @@ def motion(v_x=0.05, tilt=0.0, top=0.06):
     track = np.zeros((10, 7))
     track[:, 3], track[:, 4] = WALK.height, tilt
     means = np.array([v_x, 0.0, 0.0, WALK.height, 0.0, 0.0])
-    return Motion(track, np.zeros(10), np.zeros((10, 4)), np.zeros((10, 2)), means, 0.0, top, 0.5)
+    return StrideMotion(
+        track, np.zeros(10), np.zeros((10, 4)), np.zeros((10, 2)), means, 0.0, top, 0.5
+    )
 
 
 def test_a_faster_pattern_is_better_and_one_that_tilts_or_diverges_is_worse():

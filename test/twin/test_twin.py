@@ -12,12 +12,12 @@ from slot_core.config import ConfigError
 from slot_core.gait.gait import read_gaits
 from slot_core.robot import read_parameters, read_robot
 from slot_lab.bags.measured import COMMANDED, MEASURED, TendonAngles
-from slot_lab.bags.walk import Motion
+from slot_lab.bags.walk import TorsoTrack
 from slot_lab.csv_table import TableError
 from slot_lab.twin import parameter_set, twin
-from slot_lab.twin.recorded import COLUMNS, Recorded, read_recorded
+from slot_lab.twin.recorded import COLUMNS, BagRecording, read_recorded
 from slot_lab.twin.replay_robot import (
-    Track,
+    PredictedTrack,
     measured_track,
     predict,
     read_parts,
@@ -50,18 +50,20 @@ def motion_of(track, noise=0.0):
     position = track.position + rng.normal(scale=noise, size=track.position.shape)
     rpy = track.rpy + rng.normal(scale=2 * noise, size=track.rpy.shape)
     quaternion = Rotation.from_euler("ZYX", rpy[:, ::-1]).as_quat()
-    return Motion("/odom", track.t, position, quaternion, np.zeros_like(position))
+    return TorsoTrack("/odom", track.t, position, quaternion, np.zeros_like(position))
 
 
 def still(t):
-    return Track(t, np.tile([0.3, -0.2, 0.04], (len(t), 1)), np.tile([0.0, 0.0, 0.5], (len(t), 1)))
+    return PredictedTrack(
+        t, np.tile([0.3, -0.2, 0.04], (len(t), 1)), np.tile([0.0, 0.0, 0.5], (len(t), 1))
+    )
 
 
 @pytest.fixture(scope="module")
 def walked():
     """A recorded walk of another robot, friction 0.3, E -15 %, that starts somewhere."""
     angles = walking_angles()
-    blank = Recorded("walked", angles, motion_of(still(np.arange(0.0, SECONDS, 0.033))), None)
+    blank = BagRecording("walked", angles, motion_of(still(np.arange(0.0, SECONDS, 0.033))), None)
     other = changed(PARTS, ["scene.floor.friction", "robot.leg.young_modulus"], [0.3, 0.85 * 2.6e7])
     moved = predict(blank, other, SETTINGS).at(blank.motion.t[:-1])
     return dataclasses.replace(blank, motion=motion_of(moved, noise=1e-3)), other
@@ -221,7 +223,9 @@ def test_angles_without_a_period_are_refused(walked):
 def test_errors_of_strides_are_those_of_the_closed_form(walked):
     strides = find_strides(walked[0], SETTINGS)
     t = np.arange(0.0, SECONDS, 0.033)
-    slow, fast = (Track(t, np.outer(t, [v, 0.0, 0.0]), np.zeros((len(t), 3))) for v in (0.05, 0.06))
+    slow, fast = (
+        PredictedTrack(t, np.outer(t, [v, 0.0, 0.0]), np.zeros((len(t), 3))) for v in (0.05, 0.06)
+    )
     found = stride_errors(fast, slow, strides).summary()
     assert found["displacement"] == pytest.approx(0.01 * strides.period)
     assert found["place"] == pytest.approx(0.04 * strides.period)

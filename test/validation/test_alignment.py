@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from slot_lab.validation import time_alignment
 from slot_lab.validation.comparison import compare
 from slot_lab.validation.frame_alignment import align_frames
-from slot_lab.validation.recording import PointTrack, Recording, RecordingError
+from slot_lab.validation.recording import PointRecording, PointTrack, RecordingError
 from slot_lab.validation.tables import alignment_lines, report
 
 PERIOD, RATE, NOISE = 0.7, 30.0, 1e-3
@@ -29,12 +29,12 @@ def film(offset, drift, rotation, seed=0, duration=16.0):
     rng = np.random.default_rng(seed)
     t = np.arange(offset, duration, 1 / RATE)
     places = rotation.apply(walk(t)) + SHIFT + rng.normal(scale=NOISE, size=(len(t), 3))
-    return Recording("film", {"torso": PointTrack((t - t[0]) / (1 + drift), places)}), t
+    return PointRecording("film", {"torso": PointTrack((t - t[0]) / (1 + drift), places)}), t
 
 
 def run(duration=20.0):
     t = np.arange(0.0, duration, 0.033)
-    return Recording("run", {"torso": PointTrack(t, walk(t))})
+    return PointRecording("run", {"torso": PointTrack(t, walk(t))})
 
 
 @pytest.mark.parametrize(("offset", "drift"), [(0.5, 0.0), (0.8, 4e-4), (1.0, -4e-4)])
@@ -55,7 +55,7 @@ def test_an_alignment_a_stride_off_is_not_taken():
 def test_a_film_too_short_to_tell_has_no_interval():
     measured, _ = film(1.0, 0.0, Rotation.identity())
     track = measured.points["torso"]
-    brief = Recording("brief", {"torso": PointTrack(track.t[:45], track.position[:45])})
+    brief = PointRecording("brief", {"torso": PointTrack(track.t[:45], track.position[:45])})
     found = compare(run(), brief, offset=1.0)
     assert math.isnan(found.time.offset_width)
     assert "(+- ? ms)" in "\n".join(alignment_lines(found, "level"))
@@ -80,7 +80,7 @@ def test_a_film_of_periodic_motion_alone_says_so_and_takes_a_known_offset():
 
 
 def test_recordings_that_do_not_move_cannot_be_aligned():
-    still = Recording("still", {"torso": PointTrack(np.arange(90) / RATE, np.zeros((90, 3)))})
+    still = PointRecording("still", {"torso": PointTrack(np.arange(90) / RATE, np.zeros((90, 3)))})
     with pytest.raises(RecordingError, match="nothing moves in one of the recordings"):
         compare(run(), still)
 
@@ -105,7 +105,7 @@ def test_an_error_that_grows_shows_when_the_frames_are_aligned_by_the_start():
     measured, t = film(0.0, 0.0, Rotation.identity())
     track = measured.points["torso"]
     slower = PointTrack(track.t, track.position - np.column_stack([0.002 * t, 0 * t, 0 * t]))
-    found = compare(run(), Recording("slow", {"torso": slower}), frame_time=1.0)
+    found = compare(run(), PointRecording("slow", {"torso": slower}), frame_time=1.0)
     series = found.series["torso", "x"]
     assert (series.run - series.measured)[-1] == pytest.approx(0.002 * 15.5, abs=4 * NOISE)
 
@@ -116,8 +116,8 @@ def test_points_seen_briefly_or_late_are_left_out_by_name():
     brief = PointTrack(track.t[40:41], track.position[40:41])
     late = PointTrack(track.t[200:], track.position[200:])
     points = {"torso": track, "FL_tip": brief, "FR_tip": late}
-    mine = Recording("run", dict.fromkeys(points, run().points["torso"]))
-    found = compare(mine, Recording("film", points), zero=True, frame_time=1.0)
+    mine = PointRecording("run", dict.fromkeys(points, run().points["torso"]))
+    found = compare(mine, PointRecording("film", points), zero=True, frame_time=1.0)
     assert found.brief == ("FL_tip", "FR_tip")
     assert {name for name, _ in found.series} == {"torso"}
     assert "points   seen too briefly or too late: FL_tip, FR_tip" in report(found, "level")
@@ -128,8 +128,8 @@ def test_markers_beside_their_points_are_compared_from_where_they_start():
     track = measured.points["torso"]
     beside = PointTrack(track.t, track.position + 0.05 * SHIFT)
     points = {"torso": track, "FL_tip": beside}
-    both = Recording("run", {"torso": run().points["torso"], "FL_tip": run().points["torso"]})
-    off = compare(both, Recording("beside", points)).series["FL_tip", "z"].errors.value["rmse"]
-    zeroed = compare(both, Recording("beside", points), zero=True).series["FL_tip", "z"].errors
+    both = PointRecording("run", {"torso": run().points["torso"], "FL_tip": run().points["torso"]})
+    off = compare(both, PointRecording("beside", points)).series["FL_tip", "z"].errors.value["rmse"]
+    zeroed = compare(both, PointRecording("beside", points), zero=True).series["FL_tip", "z"].errors
     assert off > 4 * NOISE
     assert zeroed.value["rmse"] < 1.5 * NOISE

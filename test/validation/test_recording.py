@@ -10,7 +10,7 @@ from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.record_settings import read_record_settings
 from slot_lab.csv_table import TableError
 from slot_lab.film.track import write_tracks
-from slot_lab.film.tracker import Sample
+from slot_lab.film.tracker import MarkerSample
 from slot_lab.validation import validate
 from slot_lab.validation.recording import read_recording, write_points
 
@@ -110,7 +110,7 @@ def test_the_shipped_single_leg_gives_the_papers_table_and_plots(tmp_path, capsy
 
 def test_tracks_in_the_axes_of_a_camera_are_only_compared_with_a_free_rotation(tmp_path, capsys):
     t = np.arange(60) / 30
-    samples = [Sample(x, "torso", np.array([0.05 * x, 0.0, 0.01 * np.sin(9 * x)])) for x in t]
+    samples = [MarkerSample(x, "torso", np.array([0.05 * x, 0.0, 0.01 * np.sin(9 * x)])) for x in t]
     for frame in ("odom", "camera_link"):
         write_tracks(tmp_path / f"{frame}.csv", samples, frame)
     odom, camera = (str(tmp_path / f"{frame}.csv") for frame in ("odom", "camera_link"))

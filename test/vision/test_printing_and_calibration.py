@@ -11,7 +11,7 @@ from views import CAMERA, VISION
 
 from slot_core.vision.camera import CameraError, read_camera
 from slot_lab.film import calibrate_camera, film, print_markers
-from slot_lab.film.calibration import View, calibrate
+from slot_lab.film.calibration import BoardView, calibrate
 from slot_lab.film.print_markers import sheet_of
 
 DOTS = 4000.0  # px per m
@@ -82,14 +82,14 @@ def views(count, spread=1.0):
         turn, _ = cv2.Rodrigues(rng.uniform(-0.5, 0.5, 3))
         place = spread * np.array([*rng.uniform(-0.25, 0.25, 2) * [1.0, 0.5], 0.0])
         points = board @ turn.T + place + [0.0, 0.0, 0.6]
-        result.append(View(f"{number}", board, CAMERA.project(points)))
+        result.append(BoardView(f"{number}", board, CAMERA.project(points)))
     return result
 
 
 def test_a_view_with_gross_errors_is_left_out():
     given = views(12)
     rng = np.random.default_rng(1)
-    bad = View("bad", given[0].points, given[0].pixels + 5 * rng.normal(size=(24, 2)))
+    bad = BoardView("bad", given[0].points, given[0].pixels + 5 * rng.normal(size=(24, 2)))
     found = calibrate([*given, bad], (1280, 720))
     assert found.left_out == ("bad",)
     np.testing.assert_allclose(found.camera.matrix, CAMERA.matrix, atol=0.05)

@@ -19,7 +19,7 @@ from slot_lab.twin.settings import read_twin
 from slot_lab.twin.strides import StrideErrors, find_strides
 from slot_lab.twin.twin_fit import fit_twin, places
 from slot_lab.validation.comparison import compare
-from slot_lab.validation.recording import PointTrack, Recording
+from slot_lab.validation.recording import PointRecording, PointTrack
 
 RATE = 30.0  # Hz, of the camera
 CUT = 1.0  # s, of the walk that the camera misses at either end
@@ -27,7 +27,7 @@ FITTED = ("friction", "young_modulus", "tendon_offset")
 
 
 @dataclass(frozen=True)
-class Case:
+class IdentificationCase:
     """A change of the robot, and where a fit is to find it."""
 
     name: str
@@ -39,17 +39,23 @@ class Case:
     scale: float  # from SI to the unit
 
 
-def cases() -> list[Case]:
-    """The changes of the issue: friction, stiffness, one tendon."""
+def cases() -> list[IdentificationCase]:
+    """Changes of friction, stiffness and one tendon."""
     stiffness = 0.85 * read_robot().leg.young_modulus
     slack = [0.0005, 0.0, 0.0, 0.0]
     return [
-        Case("friction .4 to .3", {"scene.floor.friction": [0.3] * 4}, "scene.floor.friction",
-             0.3, 0.05 * 0.3, "", 1.0),
-        Case("E -15 %", {"robot.leg.young_modulus": stiffness}, "robot.leg.young_modulus",
-             stiffness, 0.05 * stiffness, "MPa", 1e-6),
-        Case("one tendon +.5 mm", {"scene.tendons.slack": slack}, "scene.tendons.slack[0]",
-             0.0005, 0.0001, "mm", 1e3),
+        IdentificationCase(
+            "friction .4 to .3", {"scene.floor.friction": [0.3] * 4}, "scene.floor.friction",
+            0.3, 0.05 * 0.3, "", 1.0,
+        ),
+        IdentificationCase(
+            "E -15 %", {"robot.leg.young_modulus": stiffness}, "robot.leg.young_modulus",
+            stiffness, 0.05 * stiffness, "MPa", 1e-6,
+        ),
+        IdentificationCase(
+            "one tendon +.5 mm", {"scene.tendons.slack": slack}, "scene.tendons.slack[0]",
+            0.0005, 0.0001, "mm", 1e3,
+        ),
     ]  # fmt: skip
 
 
@@ -68,7 +74,7 @@ def rows_and_checks(quick: bool, progress: Callable[[str], None]) -> tuple[list[
     return rows + clocks, [at_most("clock aligned on 30 Hz data, RMS", worst, 2.0, "ms"), *checks]
 
 
-def fit_row(case: Case, true: TrueWalk, names: Sequence[str]) -> Row:
+def fit_row(case: IdentificationCase, true: TrueWalk, names: Sequence[str]) -> Row:
     """A fit to a noisy walk, with the error of the place after four unseen strides."""
     recorded, settings = true.recorded(np.random.default_rng(3)), read_twin()
     strides = find_strides(recorded, settings)
@@ -89,7 +95,7 @@ def _place(errors: StrideErrors) -> float:
     return 1e3 * errors.summary()["place"]
 
 
-def fit_checks(case: Case, row: Row) -> list[Check]:
+def fit_checks(case: IdentificationCase, row: Row) -> list[Check]:
     """Error of the parameter, and of the strides that the fit has not seen."""
     off, ratio = abs(row["found"] - case.true), row["place_after_mm"] / row["place_before_mm"]
     return [
@@ -102,7 +108,7 @@ def clock_row(true: TrueWalk, points: int, seeds: int) -> Row:
     """Error of the clock's alignment for noisy points in a frame of their own."""
     names = [TORSO, "FL_base", "FL_third", "FL_two_thirds", "FL_tip"][:points]
     places_of = true.points()
-    run = Recording("run", {n: PointTrack(true.t - true.t[0], places_of[n]) for n in names})
+    run = PointRecording("run", {n: PointTrack(true.t - true.t[0], places_of[n]) for n in names})
     errors = [_clock_errors(run, np.random.default_rng(seed)) for seed in range(seeds)]
     off = 1e3 * np.concatenate(errors)
     return {
@@ -111,7 +117,7 @@ def clock_row(true: TrueWalk, points: int, seeds: int) -> Row:
     }  # fmt: skip
 
 
-def _clock_errors(run: Recording, rng: np.random.Generator) -> np.ndarray:
+def _clock_errors(run: PointRecording, rng: np.random.Generator) -> np.ndarray:
     """Error of the time of every sample of a film with its own clock and frame, s."""
     drift, turn = rng.uniform(-5e-4, 5e-4), Rotation.random(random_state=rng)
     end = next(iter(run.points.values())).t[-1]
@@ -121,5 +127,5 @@ def _clock_errors(run: Recording, rng: np.random.Generator) -> np.ndarray:
         place = CubicSpline(track.t, track.position)(t)
         noisy = place + rng.normal(scale=POSITION_NOISE, size=place.shape)
         film[name] = PointTrack((t - t[0]) * (1 + drift), turn.apply(noisy))
-    clock = compare(run, Recording("film", film), frame="rigid").time
+    clock = compare(run, PointRecording("film", film), frame="rigid").time
     return np.asarray(clock.apply(film[next(iter(film))].t) - t)

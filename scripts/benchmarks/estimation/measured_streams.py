@@ -12,7 +12,7 @@ from slot_core import config
 from slot_core.clock import SECOND
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings
-from slot_core.robot import Array, Robot
+from slot_core.robot import Array, RobotParameters
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.simulation.plant import Plant, Reading
 from slot_core.simulation.sensors import ImuReading, OdometryReading
@@ -26,7 +26,9 @@ Arrival = tuple[int, ImuReading | OdometryReading]
 class RecordingPlant(Plant):
     """A plant that keeps its IMU samples, its odometry and the true state at every IMU sample."""
 
-    def __init__(self, robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator):
+    def __init__(
+        self, robot: RobotParameters, scene: Scene, servo: ServoSettings, rng: np.random.Generator
+    ):
         super().__init__(robot, scene, servo, rng)
         self.readings: list[ImuReading | OdometryReading] = []
         self.truth: list[tuple[int, Array]] = []
@@ -120,7 +122,11 @@ def with_delay(delay: float) -> type[Plant]:
         """The recording plant with another delay."""
 
         def __init__(
-            self, robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator
+            self,
+            robot: RobotParameters,
+            scene: Scene,
+            servo: ServoSettings,
+            rng: np.random.Generator,
         ):
             late = config.replace(scene, {"sensors.odometry.delay": delay})
             super().__init__(robot, late, servo, rng)

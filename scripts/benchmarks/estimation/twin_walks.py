@@ -15,12 +15,12 @@ from slot_core.clock import SECOND
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamixel.state import JointReading
-from slot_core.robot import Array, Robot
+from slot_core.robot import Array, RobotParameters
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.simulation.plant import Plant, Reading, TrueState
 from slot_lab.bags.measured import MEASURED, ODOMETRY, TendonAngles
-from slot_lab.bags.walk import Motion
-from slot_lab.twin.recorded import Recorded
+from slot_lab.bags.walk import TorsoTrack
+from slot_lab.twin.recorded import BagRecording
 
 POSITION_NOISE, ANGLE_NOISE = 1e-3, 2e-3  # m, rad: the odometry of config/scene/flat.yaml
 ENCODER = 2 * np.pi / 4096  # rad, of the servos
@@ -29,7 +29,9 @@ ENCODER = 2 * np.pi / 4096  # rad, of the servos
 class TruePlant(Plant):
     """A plant that keeps its tendon angles and its true states."""
 
-    def __init__(self, robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator):
+    def __init__(
+        self, robot: RobotParameters, scene: Scene, servo: ServoSettings, rng: np.random.Generator
+    ):
         super().__init__(robot, scene, servo, rng)
         self.joints: list[JointReading] = []
         self.states: list[TrueState] = []
@@ -63,7 +65,7 @@ class TrueWalk:
         torso = np.array([state.odometry.position for state in self.states])
         return {TORSO: torso} | {f"FL_{name}": shares[:, k] for k, name in enumerate(LEG_POINTS)}
 
-    def recorded(self, rng: np.random.Generator) -> Recorded:
+    def recorded(self, rng: np.random.Generator) -> BagRecording:
         """The walk as its bag would hold it: encoders, noisy odometry."""
         angle = np.array([r.angle for r in self.joints])
         stamps = np.array([r.stamp for r in self.joints]) / SECOND
@@ -73,10 +75,10 @@ class TrueWalk:
         noise = rng.normal(scale=POSITION_NOISE, size=position.shape)
         turned = Rotation.from_rotvec(rng.normal(scale=ANGLE_NOISE, size=position.shape))
         attitude = turned * Rotation.from_quat([o.quaternion for o in exact])
-        motion = Motion(
+        motion = TorsoTrack(
             ODOMETRY, self.t, position + noise, attitude.as_quat(), np.zeros_like(position)
         )
-        return Recorded("walk", angles, motion, None)
+        return BagRecording("walk", angles, motion, None)
 
 
 def walk(duration: float, changes: Mapping[str, Any], seed: int = 1) -> TrueWalk:

@@ -26,7 +26,7 @@ from slot_core.vision.frames import Transform
 from slot_core.vision.settings import VisionSettings, read_vision
 from slot_core.vision.synthetic_camera import Imperfections, SyntheticCamera
 from slot_lab.film.film import DEPTH_NOISE, FilmedRobot, Stage, filmed
-from slot_lab.film.tracker import Sample, Tracker
+from slot_lab.film.tracker import MarkerSample, Tracker
 
 PERIOD = read_scene("marker_camera").sensors.camera.period  # s, of the pictures
 WARM_UP = 2.0  # s
@@ -97,7 +97,7 @@ def cpu_time(call: Callable[[], Any]) -> float:
 
 
 def errors(
-    samples: list[Sample], truth: list[dict[str, Transform]], look: Array
+    samples: list[MarkerSample], truth: list[dict[str, Transform]], look: Array
 ) -> tuple[Array, Array]:
     """Errors (n,) across and along a line of sight, m."""
     off = np.array([s.position - truth[round(s.time)][s.point].position for s in samples])

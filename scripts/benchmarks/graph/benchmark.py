@@ -39,7 +39,7 @@ from slot_nodes import messages
 
 BLOCK = 30  # ticks of the closed loop per repeat, about a second
 CYCLES = 120  # of the MPC's node
-WHOLE, RECORDER = "all nodes", "recorder"
+ALL_NODES, RECORDER = "all nodes", "recorder"
 SEPARATE, COMPOSED = "separate", "composed"  # the controller's nodes
 FAST = "composed, 100 Hz"  # odometry; else it is at 30 Hz
 NODE_FIGURES = ("cpu_percent", "rss_mb", "pss_mb")
@@ -183,7 +183,7 @@ def walk_rows(mode: str, repeat: int, one: Walk) -> list[Row]:
     m = one.metrics
     stages = {**m.stages, END_TO_END: m.end_to_end}
     figures = np.column_stack([one.cpu, *(np.divide([one.usage.rss, one.usage.pss], 1e6))])
-    nodes = [*zip(one.usage.nodes, figures), (WHOLE, figures.sum(axis=0))]
+    nodes = [*zip(one.usage.nodes, figures), (ALL_NODES, figures.sum(axis=0))]
     return [
         {
             "kind": "walk",
@@ -261,7 +261,7 @@ def checks(rows: Sequence[Row], plan: Plan) -> list[Check]:
         at_most("largest tilt", max(over_repeats("tilt_max_rad")), LARGEST_TILT, "rad"),
         at_most(
             "memory of all nodes, composed",
-            max(over_repeats("pss_mb", "node", nodes=COMPOSED, node=WHOLE)),
+            max(over_repeats("pss_mb", "node", nodes=COMPOSED, node=ALL_NODES)),
             PSS_MB,
             "MB",
         ),

@@ -19,9 +19,18 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import Check, at_least, at_most
-from benchmarks.harness import Row as Result
-from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, PAPER, Case, Job, Motion, run_job
-from benchmarks.locomotion.rows import Row, directions, rows, slanted, square
+from benchmarks.harness import LocomotionRow as Result
+from benchmarks.locomotion.cases import (
+    ALONE,
+    COLUMNS,
+    DEFAULT,
+    PAPER,
+    Case,
+    Job,
+    WalkMotion,
+    run_job,
+)
+from benchmarks.locomotion.rows import LocomotionRow, directions, rows, slanted, square
 
 SEEDS = (1, 2)
 REPORTS = 20  # lines of progress
@@ -50,14 +59,14 @@ def run(
     return [*table, *found], [*checks(wanted, table), *margins.checks(found)]
 
 
-def jobs_of(wanted: Sequence[Row], seeds: Sequence[int], quick: bool) -> list[Job]:
+def jobs_of(wanted: Sequence[LocomotionRow], seeds: Sequence[int], quick: bool) -> list[Job]:
     """The cases of every row once, in all columns and with all seeds."""
     pairs = ((row, column) for row in wanted for column in COLUMNS)
     runs = dict.fromkeys((case, c) for row, c in pairs for case in cases_of(row, c, quick))
     return [(case, column, seed) for (case, column), seed in itertools.product(runs, seeds)]
 
 
-def run_all(wanted: Sequence[Job], progress: Callable[[str], None]) -> dict[Job, Motion]:
+def run_all(wanted: Sequence[Job], progress: Callable[[str], None]) -> dict[Job, WalkMotion]:
     """Run the jobs on all cores, the longest first."""
     jobs, found = sorted(wanted, key=lambda job: -job[0].duration), {}
     run_job(jobs[-1])  # the kernels are compiled once, before the workers start
@@ -69,13 +78,16 @@ def run_all(wanted: Sequence[Job], progress: Callable[[str], None]) -> dict[Job,
     return found
 
 
-def cases_of(row: Row, column: str, quick: bool) -> Sequence[Case]:
+def cases_of(row: LocomotionRow, column: str, quick: bool) -> Sequence[Case]:
     """The cases of a row that are run in a column."""
     return row.cases[:1] if quick and column == PAPER else row.cases
 
 
 def measured(
-    wanted: Sequence[Row], motions: Mapping[Job, Motion], seeds: Sequence[int], quick: bool
+    wanted: Sequence[LocomotionRow],
+    motions: Mapping[Job, WalkMotion],
+    seeds: Sequence[int],
+    quick: bool,
 ) -> list[dict[str, Any]]:
     """Rows of the table: the worst value over the seeds in every column."""
     table = []
@@ -92,12 +104,12 @@ def measured(
     return table
 
 
-def checks(wanted: Sequence[Row], table: Sequence[Result]) -> list[Check]:
+def checks(wanted: Sequence[LocomotionRow], table: Sequence[Result]) -> list[Check]:
     """Every goal, and the benefit over the gait alone where that misses the goal."""
     return [check for row, values in zip(wanted, table) for check in _checks(row, values)]
 
 
-def _checks(row: Row, values: Result) -> Iterator[Check]:
+def _checks(row: LocomotionRow, values: Result) -> Iterator[Check]:
     reached, alone = values[DEFAULT], values[ALONE]
     compare = at_least if row.larger else at_most
     yield compare(row.name, reached, row.goal, row.unit)

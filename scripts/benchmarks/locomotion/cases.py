@@ -17,7 +17,7 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.gait.gait import read_gaits
 from slot_core.gait.reference import mean_velocity
-from slot_core.gait.route import Path
+from slot_core.gait.route import Route
 from slot_core.robot import GRAVITY, Array, read_robot
 from slot_core.safety.settings import read_supervisor
 from slot_core.simulation.closed_loop import ClosedLoop
@@ -35,7 +35,7 @@ NO_STRIDE_FEEDBACK = tuple((f"gait.strides.{name}.feedback.gain", 0.0) for name 
 
 
 @dataclass(frozen=True)
-class Column:
+class ControllerColumn:
     """What a column of the table runs: a policy, and changes of the configuration."""
 
     policy: str
@@ -43,10 +43,10 @@ class Column:
 
 
 ALONE, PAPER, DEFAULT = "gait alone", "paper", "default"
-COLUMNS: Mapping[str, Column] = {
-    ALONE: Column("gait_alone", NO_STRIDE_FEEDBACK),
-    PAPER: Column("paper_text", NO_STRIDE_FEEDBACK),
-    DEFAULT: Column(DEFAULT_POLICY, ()),
+COLUMNS: Mapping[str, ControllerColumn] = {
+    ALONE: ControllerColumn("gait_alone", NO_STRIDE_FEEDBACK),
+    PAPER: ControllerColumn("paper_text", NO_STRIDE_FEEDBACK),
+    DEFAULT: ControllerColumn(DEFAULT_POLICY, ()),
 }
 
 
@@ -70,7 +70,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Motion:
+class WalkMotion:
     """True motion of the torso at the ticks 0, 1 .. n-1; `fallen`: tilted too far or diverged."""
 
     time: Array  # (n,) s
@@ -80,7 +80,7 @@ class Motion:
     fallen: bool
     period: float = PERIOD  # s, of a stride: for means over strides
 
-    def after(self, begin: float, end: float = math.inf) -> Motion:
+    def after(self, begin: float, end: float = math.inf) -> WalkMotion:
         """The motion from `begin` to `end`, s."""
         part = (self.time >= begin) & (self.time <= end)
         courses = {name: getattr(self, name)[part] for name in COURSES}
@@ -119,12 +119,12 @@ class Motion:
 Job = tuple[Case, str, int]  # case, column, seed
 
 
-def run_job(job: Job) -> tuple[Job, Motion]:
+def run_job(job: Job) -> tuple[Job, WalkMotion]:
     """The job and its motion, for processes that return results in any order."""
     return job, run_case(*job)
 
 
-def run_case(case: Case, column: str, seed: int) -> Motion:
+def run_case(case: Case, column: str, seed: int) -> WalkMotion:
     """Run a case with the controller of a column."""
     chosen = COLUMNS[column]
     loop = ClosedLoop(
@@ -161,19 +161,19 @@ def reachable(gait: str, velocity: Vector3) -> Array:
     return stride.reached(np.clip(velocity, np.negative(stride.speeds), stride.speeds))
 
 
-def motion_of(rows: Array, fallen: bool, period: float) -> Motion:
+def motion_of(rows: Array, fallen: bool, period: float) -> WalkMotion:
     """Motion of rows (n, 8) time, position, roll, pitch, yaw, torque; gaps are closed linearly."""
     rows[:, 6] = np.unwrap(rows[:, 6])
     time = np.arange(0.0, rows[-1, 0] + DT / 2, DT)
     even = np.column_stack([np.interp(time, rows[:, 0], column) for column in rows.T[1:]])
-    motion = Motion(time, even[:, :3], even[:, 3:6], even[:, 6], fallen, period)
+    motion = WalkMotion(time, even[:, :3], even[:, 3:6], even[:, 6], fallen, period)
     return dataclasses.replace(motion, fallen=fallen or bool(motion.tilt.max() > FALLEN))
 
 
-def _path(case: Case) -> Path | None:
+def _path(case: Case) -> Route | None:
     if not case.path:
         return None
-    return Path(np.array(case.path), "kept")
+    return Route(np.array(case.path), "kept")
 
 
 def friction(left: float, right: float | None = None) -> Changes:

@@ -13,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from benchmarks.harness import Check, at_most
-from benchmarks.locomotion.cases import DEFAULT, Case, Changes, Job, Motion, friction
+from benchmarks.locomotion.cases import DEFAULT, Case, Changes, Job, WalkMotion, friction
 from benchmarks.locomotion.rows import DEG, MM, SPEED, WARM_UP
 from slot_core.drawing import palette
 from slot_core.dynamics.servo import read_servo
@@ -45,7 +45,7 @@ def changes(mu: float, volt: float) -> Changes:
     return (*friction(mu), ("scene.supply_voltage", volt))
 
 
-def row(case: Case, whole: Motion) -> dict[str, Any]:
+def row(case: Case, whole: WalkMotion) -> dict[str, Any]:
     """Speed, straightness, tilt and load of the servos after the start of a walk.
 
     aside: largest stride mean of |y| over the distance; load: mean torque over the stall torque at

@@ -12,13 +12,13 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, PAPER, Case, Motion
+from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, PAPER, Case, WalkMotion
 from benchmarks.locomotion.rows import CAUGHT_UP, SIDE
 from slot_core.drawing import palette
 
 COLOURS = {ALONE: "#E69F00", PAPER: palette.PALE, DEFAULT: palette.TRUE}
 SHOWN = (0.01, 100.0)  # range of the bars, in goals
-Motions = Mapping[tuple[Case, str, int], Motion]
+Motions = Mapping[tuple[Case, str, int], WalkMotion]
 
 
 def draw_table(table: Sequence[Mapping[str, Any]], path: Path) -> None:
@@ -81,7 +81,7 @@ def draw_top(
     figure.savefig(path, dpi=150)
 
 
-def _track(ax: Axes, motion: Motion, label: str, column: str) -> None:
+def _track(ax: Axes, motion: WalkMotion, label: str, column: str) -> None:
     """The torso's track, with its heading every two seconds."""
     x, y = motion.position[:, :2].T
     ax.plot(x, y, color=COLOURS[column], linewidth=1.2, label=label)

@@ -18,8 +18,8 @@ from benchmarks.locomotion.cases import (
     STRIDES,
     Case,
     Changes,
-    Motion,
     Vector3,
+    WalkMotion,
     friction,
     payload,
     push,
@@ -43,11 +43,11 @@ RECOVERED = 3.0  # s, how long the robot has to stay on the path
 BODY = (0.040, 0.0, 0.0)  # m, rad: of the posture `stand`
 MM, DEG = 1e3, 180 / math.pi
 
-Measure = Callable[[Sequence[Case], Sequence[Motion]], float]
+Measure = Callable[[Sequence[Case], Sequence[WalkMotion]], float]
 
 
 @dataclass(frozen=True)
-class Row:
+class LocomotionRow:
     """A row of the table.
 
     share: largest ratio of the default's value to the gait alone's; the smallest one where larger
@@ -62,19 +62,19 @@ class Row:
     share: float | None = 0.5
     larger: bool = False
 
-    def value(self, motions: Sequence[Motion]) -> float:
+    def value(self, motions: Sequence[WalkMotion]) -> float:
         """The value of a seed; after a fall the worst possible one."""
         if any(motion.fallen for motion in motions):
             return 0.0 if self.larger else math.inf
         return self.measure(self.cases, motions)
 
 
-def worst(of: Callable[[Case, Motion], float]) -> Measure:
+def worst(of: Callable[[Case, WalkMotion], float]) -> Measure:
     """The largest value over the cases."""
     return lambda cases, motions: max(of(c, m) for c, m in zip(cases, motions))
 
 
-def rows(quick: bool) -> list[Row]:
+def rows(quick: bool) -> list[LocomotionRow]:
     """All rows."""
     return [
         *_speeds(quick),
@@ -119,7 +119,7 @@ def slanted() -> Case:
     return Case(LENGTH / SPEED + 3.0, velocity=(SPEED, 0.0, 0.0), path=((0.0, 0.0), end))
 
 
-def _speeds(quick: bool) -> list[Row]:
+def _speeds(quick: bool) -> list[LocomotionRow]:
     duration = CAUGHT_UP + 10.5  # 15 strides
     commanded = (0.02, 0.055) if quick else (0.02, 0.03, 0.04, 0.055)
     held = [
@@ -127,23 +127,25 @@ def _speeds(quick: bool) -> list[Row]:
         for v in commanded
         for mu in ((0.2, 0.6) if quick else (0.2, 0.3, 0.4, 0.6))
     ]
-    found = [Row("v_x held, .02 to .055, mu .2 to .6", "mm/s", 2.0, held, worst(_speed_error))]
+    found = [
+        LocomotionRow("v_x held, .02 to .055, mu .2 to .6", "mm/s", 2.0, held, worst(_speed_error))
+    ]
     tried = (0.065,) if quick else (0.05, 0.055, 0.06, 0.065, 0.07)
     fast = (0.08,) if quick else (0.075, 0.08)
     for mu, goal in ((0.2, 0.06), (0.4, 0.075), (0.6, 0.08)):
         cases = [Case(duration, velocity=(v, 0.0, 0.0), changes=friction(mu)) for v in tried]
         cases += [_fast(v, changes=friction(mu)) for v in fast]
         name = f"fastest held, mu {mu:g}"
-        found.append(Row(name, "m/s", goal, cases, _fastest_held, 1.05, larger=True))
+        found.append(LocomotionRow(name, "m/s", goal, cases, _fastest_held, 1.05, larger=True))
     return found
 
 
-def _straight() -> list[Row]:
+def _straight() -> list[LocomotionRow]:
     equal, split = straight(), straight(friction(0.5, 0.3))
     return [
-        Row("lateral error over .8 m", "mm", 10.0, [equal], worst(_lateral)),
-        Row("lateral error, split friction", "mm", 20.0, [split], worst(_lateral)),
-        Row("heading, split friction", "deg", 2.0, [split], worst(_heading)),
+        LocomotionRow("lateral error over .8 m", "mm", 10.0, [equal], worst(_lateral)),
+        LocomotionRow("lateral error, split friction", "mm", 20.0, [split], worst(_lateral)),
+        LocomotionRow("heading, split friction", "deg", 2.0, [split], worst(_heading)),
     ]
 
 
@@ -157,8 +159,8 @@ def straight(changes: Changes = (), **others: object) -> Case:
     )
 
 
-def _path() -> list[Row]:
-    def cross_track(case: Case, motion: Motion) -> float:
+def _path() -> list[LocomotionRow]:
+    def cross_track(case: Case, motion: WalkMotion) -> float:
         x, y = motion.position[:, :2].T
         (dx, dy) = case.path[1]
         if dx * x[-1] + dy * y[-1] < LENGTH**2 / 2:
@@ -167,63 +169,63 @@ def _path() -> list[Row]:
 
     case = slanted()
     return [
-        Row("60 deg path, cross-track RMSE", "mm", 10.0, [case], worst(cross_track)),
-        Row("60 deg path, heading", "deg", 2.0, [case], worst(_heading)),
+        LocomotionRow("60 deg path, cross-track RMSE", "mm", 10.0, [case], worst(cross_track)),
+        LocomotionRow("60 deg path, heading", "deg", 2.0, [case], worst(_heading)),
     ]
 
 
-def _square() -> list[Row]:
-    def gap(case: Case, motion: Motion) -> float:
+def _square() -> list[LocomotionRow]:
+    def gap(case: Case, motion: WalkMotion) -> float:
         if np.ptp(motion.position[:, :2], axis=0).min() < SIDE / 2:
             return math.inf  # it does not walk
         return MM * math.dist(motion.position[-1, :2], motion.position[0, :2])
 
-    def turned(case: Case, motion: Motion) -> float:
+    def turned(case: Case, motion: WalkMotion) -> float:
         return DEG * float(abs(motion.rpy[-1, 2] - motion.rpy[0, 2] - 2 * math.pi))
 
     case = square()
     return [
-        Row("square of .6 m closes", "mm", 50.0, [case], worst(gap)),
-        Row("square of .6 m, heading", "deg", 5.0, [case], worst(turned)),
+        LocomotionRow("square of .6 m closes", "mm", 50.0, [case], worst(gap)),
+        LocomotionRow("square of .6 m, heading", "deg", 5.0, [case], worst(turned)),
     ]
 
 
-def _turn() -> list[Row]:
+def _turn() -> list[LocomotionRow]:
     quarter = math.pi / 2 / TURN_RATE
     schedule = ((0.0, (0.0, 0.0, TURN_RATE)), (quarter, (0.0, 0.0, 0.0)))
     cases = [Case(quarter + 2.0, schedule=schedule, changes=friction(mu)) for mu in (0.2, 0.4, 0.6)]
 
-    def rate(case: Case, motion: Motion) -> float:
+    def rate(case: Case, motion: WalkMotion) -> float:
         late = motion.after(quarter - STEADY_STRIDES * PERIOD, quarter)
         return float(abs(late.velocity[2] - TURN_RATE))
 
-    def angle(case: Case, motion: Motion) -> float:
+    def angle(case: Case, motion: WalkMotion) -> float:
         return DEG * float(abs(motion.rpy[-1, 2] - motion.rpy[0, 2] - math.pi / 2))
 
-    def drift(case: Case, motion: Motion) -> float:
+    def drift(case: Case, motion: WalkMotion) -> float:
         away = np.hypot(*(motion.position[:, :2] - motion.position[0, :2]).T)
         return MM * float(motion.moving_mean(away).max())
 
     return [
-        Row("turn in place, rate", "rad/s", 0.01, cases, worst(rate)),
-        Row("turn in place, 90 deg", "deg", 2.0, cases, worst(angle)),
-        Row("turn in place, drift", "mm", 30.0, cases, worst(drift)),
+        LocomotionRow("turn in place, rate", "rad/s", 0.01, cases, worst(rate)),
+        LocomotionRow("turn in place, 90 deg", "deg", 2.0, cases, worst(angle)),
+        LocomotionRow("turn in place, drift", "mm", 30.0, cases, worst(drift)),
     ]
 
 
-def _directions(quick: bool) -> list[Row]:
-    def error(case: Case, motion: Motion) -> float:
+def _directions(quick: bool) -> list[LocomotionRow]:
+    def error(case: Case, motion: WalkMotion) -> float:
         reached = motion.after(CAUGHT_UP).velocity[:2]
         return MM * math.dist(reached, case.velocity[:2])
 
     cases = directions(quick)
     return [
-        Row("v of .06 held in all directions", "mm/s", 3.0, cases, worst(error)),
-        Row("v of .06, heading", "deg", 2.0, cases, worst(_heading)),
+        LocomotionRow("v of .06 held in all directions", "mm/s", 3.0, cases, worst(error)),
+        LocomotionRow("v of .06, heading", "deg", 2.0, cases, worst(_heading)),
     ]
 
 
-def _standing(quick: bool) -> list[Row]:
+def _standing(quick: bool) -> list[LocomotionRow]:
     heights = [(h, 0.0, 0.0) for h in (0.030, 0.040, 0.050, 0.060)]
     five = math.radians(5.0)
     tilts = [(0.040, five, 0.0), (0.040, -five, 0.0), (0.040, 0.0, five), (0.040, 0.0, -five)]
@@ -240,10 +242,14 @@ def _standing(quick: bool) -> list[Row]:
     }
     found = []
     for name, cases in groups.items():
-        found.append(Row(f"standing, {name}: height", "mm", 1.0, cases, worst(_height_off)))
+        found.append(
+            LocomotionRow(f"standing, {name}: height", "mm", 1.0, cases, worst(_height_off))
+        )
         # a level torso on equal legs stays level without a controller
         share = None if name.startswith("heights") else 0.5
-        found.append(Row(f"standing, {name}: angles", "deg", 0.3, cases, worst(_angle_off), share))
+        found.append(
+            LocomotionRow(f"standing, {name}: angles", "deg", 0.3, cases, worst(_angle_off), share)
+        )
     return found
 
 
@@ -251,7 +257,7 @@ def _stand(pose: Vector3, changes: Changes = ()) -> Case:
     return Case(4.0, gait="stand", pose=pose, changes=changes)
 
 
-def _heights(quick: bool) -> list[Row]:
+def _heights(quick: bool) -> list[LocomotionRow]:
     loads = ((), payload(0.3, (-0.04, 0.0, 0.03)), payload(0.3, (0.0, 0.04, 0.02)))
     commanded = (0.055, 0.070) if quick else (0.055, 0.0625, 0.070)
     cases = [
@@ -260,39 +266,39 @@ def _heights(quick: bool) -> list[Row]:
         for load in loads[: 1 if quick else None]
     ]
 
-    def error(case: Case, motion: Motion) -> float:
+    def error(case: Case, motion: WalkMotion) -> float:
         assert case.pose is not None
         return MM * float(abs(motion.after(WARM_UP).position[:, 2].mean() - case.pose[0]))
 
-    return [Row("mean height walking, .3 kg", "mm", 3.0, cases, worst(error))]
+    return [LocomotionRow("mean height walking, .3 kg", "mm", 3.0, cases, worst(error))]
 
 
-def _slopes() -> list[Row]:
+def _slopes() -> list[LocomotionRow]:
     found = []
     easy = Case(CAUGHT_UP + 10.5, velocity=(0.04, 0.0, 0.0), changes=slope(5.0, 0.0, 0.4))
     steep = _fast(0.03, changes=slope(10.0, 0.0, 0.6))
     for degrees, case in ((5, easy), (10, steep)):
         name = f"slope {degrees} deg, v_x of {case.velocity[0]:g}"
-        found.append(Row(name, "mm/s", 3.0, [case], worst(_speed_error)))
+        found.append(LocomotionRow(name, "mm/s", 3.0, [case], worst(_speed_error)))
     return found
 
 
-def _posture() -> list[Row]:
-    def rms(case: Case, motion: Motion) -> float:
+def _posture() -> list[LocomotionRow]:
+    def rms(case: Case, motion: WalkMotion) -> float:
         return DEG * float(np.sqrt(np.mean(motion.after(WARM_UP).tilt ** 2)))
 
-    def largest(case: Case, motion: Motion) -> float:
+    def largest(case: Case, motion: WalkMotion) -> float:
         return DEG * float(motion.after(WARM_UP).tilt.max())
 
     low = Case(12.0, gait="crawl", velocity=(0.03, 0.0, 0.0))
     return [
-        Row("tilt of the walk, RMS", "deg", 4.5, [straight()], worst(rms), None),
-        Row("tilt of the walk, largest", "deg", 8.0, [straight()], worst(largest), None),
-        Row("crawl, torso's top", "mm", 70.0, [low], worst(_top), None),
+        LocomotionRow("tilt of the walk, RMS", "deg", 4.5, [straight()], worst(rms), None),
+        LocomotionRow("tilt of the walk, largest", "deg", 8.0, [straight()], worst(largest), None),
+        LocomotionRow("crawl, torso's top", "mm", 70.0, [low], worst(_top), None),
     ]
 
 
-def _disturbed() -> list[Row]:
+def _disturbed() -> list[LocomotionRow]:
     aside, gap = (0.0, 1.5, 0.0), (DISTURBED, 0.3)
     pushed = push(DISTURBED, aside)
     wrong = tendon_errors(0.5e-3)
@@ -307,7 +313,7 @@ def _disturbed() -> list[Row]:
         "all at once": recovery(everything, scene="push", lost_odometry=gap),
     }
     return [
-        Row(f"{name}: off the path after .8 m", "mm", 10.0, [case], worst(_off_path))
+        LocomotionRow(f"{name}: off the path after .8 m", "mm", 10.0, [case], worst(_off_path))
         for name, case in cases.items()
     ]
 
@@ -322,49 +328,49 @@ def recovery(changes: Changes = (), **others: object) -> Case:
     )
 
 
-def _speed_error(case: Case, motion: Motion) -> float:
+def _speed_error(case: Case, motion: WalkMotion) -> float:
     return MM * abs(motion.after(CAUGHT_UP).forward_speed - case.velocity[0])
 
 
-def _fastest_held(cases: Sequence[Case], motions: Sequence[Motion]) -> float:
+def _fastest_held(cases: Sequence[Case], motions: Sequence[WalkMotion]) -> float:
     """Largest of the commanded speeds that is reached but for HELD; 0: none."""
     speeds = [(c.velocity[0], m.after(CAUGHT_UP).forward_speed) for c, m in zip(cases, motions)]
     return max((v for v, reached in speeds if reached >= v - HELD), default=0.0)
 
 
-def _walks(case: Case, motion: Motion) -> bool:
+def _walks(case: Case, motion: WalkMotion) -> bool:
     """Whether the robot covers half of the commanded distance: standing is no straight walk."""
     return bool(motion.position[-1, 0] > 0.5 * case.velocity[0] * case.duration)
 
 
-def _lateral(case: Case, motion: Motion) -> float:
+def _lateral(case: Case, motion: WalkMotion) -> float:
     if not _walks(case, motion):
         return math.inf
     return MM * float(np.abs(motion.position[:, 1]).max())
 
 
-def _heading(case: Case, motion: Motion) -> float:
+def _heading(case: Case, motion: WalkMotion) -> float:
     return DEG * motion.heading
 
 
-def _off_path(case: Case, motion: Motion) -> float:
+def _off_path(case: Case, motion: WalkMotion) -> float:
     if not _walks(case, motion):
         return math.inf
     late = motion.after(DISTURBED + LENGTH / SPEED)
     return MM * float(np.abs(late.moving_mean(late.position[:, 1])).max())
 
 
-def _height_off(case: Case, motion: Motion) -> float:
+def _height_off(case: Case, motion: WalkMotion) -> float:
     assert case.pose is not None
     return MM * float(np.abs(motion.after(2.0).position[:, 2] - case.pose[0]).max())
 
 
-def _angle_off(case: Case, motion: Motion) -> float:
+def _angle_off(case: Case, motion: WalkMotion) -> float:
     assert case.pose is not None
     return DEG * float(np.abs(motion.after(2.0).rpy[:, :2] - case.pose[1:]).max())
 
 
-def _top(case: Case, motion: Motion) -> float:
+def _top(case: Case, motion: WalkMotion) -> float:
     """Height of the highest corner of the torso after the start, mm."""
     if not _walks(case, motion):
         return math.inf

@@ -15,7 +15,7 @@ from slot_core.drawing.shapes import bent_legs
 from slot_core.gait.gait import read_gaits
 from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
-from slot_lab.report.picture import Camera, Pose, draw_robot
+from slot_lab.report.picture import Snapshot, Viewpoint, draw_robot
 
 COLUMNS = 5
 SETTLED = 3.0  # s, before the first still
@@ -42,7 +42,7 @@ def draw(path: Path) -> None:
     """Write a PNG: the postures in its first row, then a stride a row at equal shares of it."""
     figure = Figure(figsize=(3.2 * COLUMNS, 1.9 * (1 + len(STRIDES))), layout="constrained")
     FigureCanvasAgg(figure)
-    robot, camera = read_robot(), Camera()
+    robot, camera = read_robot(), Viewpoint()
     rows = [[(name, poses(case, [0.0])[0]) for name, case in POSTURES.items()]]
     for name, case in STRIDES.items():
         period = read_gaits().strides[case.gait].period
@@ -58,7 +58,7 @@ def draw(path: Path) -> None:
     figure.savefig(path, dpi=80)
 
 
-def poses(case: Case, times: Sequence[float]) -> list[Pose]:
+def poses(case: Case, times: Sequence[float]) -> list[Snapshot]:
     """The robot at `times` (s) after it has settled in the case, to the nearest tick."""
     loop = ClosedLoop(case.scene, case.gait, np.array(case.velocity), 1)
     if case.pose is not None:
@@ -67,5 +67,5 @@ def poses(case: Case, times: Sequence[float]) -> list[Pose]:
     wanted = [round((case.duration + time) / DT) for time in times]
     for k, _ in enumerate(loop.run(max(wanted) + 1)):
         legs = bent_legs(sim.nodes, sim.directors, sim.quaternion, robot)
-        found[k] = Pose(k * DT, sim.position, sim.quaternion, legs, sim.ground_force)
+        found[k] = Snapshot(k * DT, sim.position, sim.quaternion, legs, sim.ground_force)
     return [found[k] for k in wanted]

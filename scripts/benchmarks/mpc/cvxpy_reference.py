@@ -15,7 +15,7 @@ import numpy as np
 from slot_core.gait.gait import GaitPreview
 from slot_core.mpc.model import FEET, INPUTS, STATES, YAW, TorsoModel
 from slot_core.mpc.settings import MpcSettings
-from slot_core.robot import Array, Robot
+from slot_core.robot import Array, RobotParameters
 
 TOLERANCES = {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11}
 
@@ -23,7 +23,7 @@ TOLERANCES = {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11}
 class CvxpyReference:
     """min sum (x - x_ref)' Q (x - x_ref) + (u - u_ref)' R (u - u_ref) within the limits."""
 
-    def __init__(self, robot: Robot, settings: MpcSettings):
+    def __init__(self, robot: RobotParameters, settings: MpcSettings):
         """Set up the problem."""
         self._model, self._settings = TorsoModel(robot), settings
         stages = settings.horizon

@@ -6,10 +6,12 @@ import numpy as np
 from slot_core.gait.gait import GaitPreview
 from slot_core.mpc.model import FEET, INPUTS, STATES, TorsoModel
 from slot_core.mpc.settings import MpcSettings
-from slot_core.robot import Array, Robot
+from slot_core.robot import Array, RobotParameters
 
 
-def restated(robot: Robot, settings: MpcSettings, state: Array, preview: GaitPreview) -> Array:
+def restated(
+    robot: RobotParameters, settings: MpcSettings, state: Array, preview: GaitPreview
+) -> Array:
     """Optimal forces (H, 4, 3), N, by SCS, for a state (12,)."""
     stages = settings.horizon
     model = TorsoModel(robot).predict(state[2], state[5], preview.dt)

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import ROOT, BenchmarkError, Check, Row, at_most, revision
-from benchmarks.perturbations.cases import CASES, DURATION, TABLE, Run, metrics
+from benchmarks.perturbations.cases import CASES, DURATION, TABLE, PerturbedRun, metrics
 from benchmarks.perturbations.picture import draw_costs, draw_failures, table_lines
-from benchmarks.perturbations.samples import PLANTS, Record, draw, summary
+from benchmarks.perturbations.samples import PLANTS, SampleRecord, draw, summary
 from slot_core.mpc.settings import read_mpc
 from slot_core.robot import read_robot
 from slot_lab.workers import workers
@@ -80,7 +80,7 @@ def run(
 
 def cases(
     duration: float, progress: Callable[[str], None]
-) -> tuple[dict[str, dict[str, Run]], list[dict[str, Any]]]:
+) -> tuple[dict[str, dict[str, PerturbedRun]], list[dict[str, Any]]]:
     """Run every case of every study; (a) always lasts as long as in the paper."""
     # Imported after REQUIRES is checked.
     from benchmarks.perturbations.published import run_published  # noqa: PLC0415
@@ -88,7 +88,7 @@ def cases(
     from benchmarks.perturbations.simulated import run_robot  # noqa: PLC0415
 
     robot, published, forces = read_robot(), read_mpc("paper_code"), read_mpc("forces")
-    runs: dict[str, dict[str, Run]] = {"published": {}, "torso": {}, "robot": {}}
+    runs: dict[str, dict[str, PerturbedRun]] = {"published": {}, "torso": {}, "robot": {}}
     rows = []
     for name, change in CASES.items():
         progress(f"case {name}")
@@ -116,7 +116,7 @@ def sample_rows(
 
     if count < 0:
         raise BenchmarkError(f"--samples {count}: a number of samples, 0 or more")
-    record = Record(out / "samples.csv", state_of_code(), like)
+    record = SampleRecord(out / "samples.csv", state_of_code(), like)
     with workers(scheduler) as client:
         results = run_samples(client, record, like, count, progress)
     found = summary(results)

@@ -42,7 +42,7 @@ TABLE = {
 
 
 @dataclass(frozen=True)
-class Run:
+class PerturbedRun:
     """A perturbed run; the cost is NaN in steps without one."""
 
     time: Array  # (n,) s
@@ -60,7 +60,7 @@ def settling_time(time: Array, inside: Array) -> float:
     return float(time[outside[-1] + 1]) if outside[-1] + 1 < len(time) else math.nan
 
 
-def metrics(run: Run, height: float = HEIGHT) -> dict[str, float]:
+def metrics(run: PerturbedRun, height: float = HEIGHT) -> dict[str, float]:
     """The paper's metrics, and the time after which the torso stays at `height` (m) and level."""
     still = (np.abs(run.height - height) < HEIGHT_BAND) & (run.tilt < TILT_BAND)
     return {

@@ -10,14 +10,18 @@ from typing import Any
 
 from distributed import Client, as_completed
 
-from benchmarks.perturbations.samples import Record, Sample, draw, run_sample
+from benchmarks.perturbations.samples import RandomSample, SampleRecord, draw, run_sample
 
 PACKAGE = Path(__file__).resolve().parents[1]  # benchmarks
 REPORTS = 20  # lines of progress
 
 
 def run_samples(
-    client: Client, record: Record, like: Sample, count: int, progress: Callable[[str], None]
+    client: Client,
+    record: SampleRecord,
+    like: RandomSample,
+    count: int,
+    progress: Callable[[str], None],
 ) -> Sequence[Mapping[str, Any]]:
     """Results of the samples 0 .. count-1; samples in `record` are not run again."""
     missing = record.missing(count)

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from benchmarks.perturbations.cases import CASES, SETTLED, TABLE, Run
+from benchmarks.perturbations.cases import CASES, SETTLED, TABLE, PerturbedRun
 from benchmarks.perturbations.samples import LIMITS, RANGES, interval
 from slot_core.drawing import palette
 
@@ -30,7 +30,9 @@ LIMIT_COLOURS = (palette.SECONDARY, "#CC79A7", "#E69F00", "#56B4E9", "#009E73", 
 PAIRS = (("payload", "friction"), ("push", "friction"), ("lag", "noise"))
 
 
-def draw_costs(runs: Mapping[str, Mapping[str, Run]], rows: Sequence[Row], path: Path) -> None:
+def draw_costs(
+    runs: Mapping[str, Mapping[str, PerturbedRun]], rows: Sequence[Row], path: Path
+) -> None:
     """Costs over time, one panel for each study, and the table of the metrics below."""
     figure = Figure(figsize=(15, 7.2), layout="constrained")
     FigureCanvasAgg(figure)

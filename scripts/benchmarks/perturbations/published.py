@@ -25,10 +25,20 @@ import clarabel
 import numpy as np
 from scipy import sparse
 
-from benchmarks.perturbations.cases import DT, DURATION, HEIGHT, NOISE, P_Z, SPEED, V_X, Run, tilt
+from benchmarks.perturbations.cases import (
+    DT,
+    DURATION,
+    HEIGHT,
+    NOISE,
+    P_Z,
+    SPEED,
+    V_X,
+    PerturbedRun,
+    tilt,
+)
 from slot_core.mpc.model import FEET, INPUTS, STATES
 from slot_core.mpc.settings import MpcSettings
-from slot_core.robot import GRAVITY, Array, Robot
+from slot_core.robot import GRAVITY, Array, RobotParameters
 
 MASS = 2.16  # kg, torso and legs of 0.04 kg
 FOOT_OFFSET = 0.19 * np.sqrt(2.0)  # m from the corner along each axis: twice the leg's length
@@ -47,7 +57,7 @@ AXES = 3
 class PublishedProblem:
     """The published second-order cone programme in one phase; z = [u_0, x_1, u_1, x_2, ...]."""
 
-    def __init__(self, robot: Robot, settings: MpcSettings, phase: int):
+    def __init__(self, robot: RobotParameters, settings: MpcSettings, phase: int):
         """`phase` is the front leg that is pulled, 0 or 1."""
         self._settings, self.horizon = settings, settings.horizon
         self.a, self.b, self.drift = published_model(robot)
@@ -141,7 +151,7 @@ class PublishedProblem:
         return np.array(rows), np.array(cones), np.array(bound)
 
 
-def published_model(robot: Robot) -> tuple[Array, Array, Array]:
+def published_model(robot: RobotParameters) -> tuple[Array, Array, Array]:
     """(a, b, drift) of x_k+1 = a x_k + b u_k + drift: a box with the robot's mass, feet far out."""
     a, b = np.zeros((STATES, STATES)), np.zeros((STATES, INPUTS))
     a[:6, 6:] = np.eye(6)
@@ -158,12 +168,12 @@ def published_model(robot: Robot) -> tuple[Array, Array, Array]:
 
 
 def run_published(
-    robot: Robot,
+    robot: RobotParameters,
     settings: MpcSettings,
     change: Mapping[int, float],
     duration: float = DURATION,
     noise: np.random.Generator | None = None,
-) -> Run:
+) -> PerturbedRun:
     """Run a case over whole cycles of 15 solved and 5 held steps; `noise` is added to the state."""
     problems = [PublishedProblem(robot, settings, phase) for phase in (0, 1)]
     state, entries, infeasible = np.zeros(STATES), [], 0
@@ -183,7 +193,7 @@ def run_published(
         state = problem.a @ state + problem.b @ force.ravel() + problem.drift
         if noise is not None:
             state = np.clip(state + NOISE * noise.normal(size=STATES), -MOST_STATE, MOST_STATE)
-    return Run(*np.array(entries).T, infeasible=infeasible)
+    return PerturbedRun(*np.array(entries).T, infeasible=infeasible)
 
 
 def _friction(leg: int, phase: int) -> float:

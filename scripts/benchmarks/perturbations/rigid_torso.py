@@ -22,7 +22,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.perturbations.cases import DT, DURATION, HEIGHT, NOISE, P_Z, SPEED, Run, tilt
+from benchmarks.perturbations.cases import (
+    DT,
+    DURATION,
+    HEIGHT,
+    NOISE,
+    P_Z,
+    SPEED,
+    PerturbedRun,
+    tilt,
+)
 from slot_core import config
 from slot_core.control.policy import Status, TendonPlan
 from slot_core.estimation.estimate import Estimate
@@ -31,7 +40,7 @@ from slot_core.gait.reference import reference
 from slot_core.geometry import rotate
 from slot_core.mpc.mpc import Mpc
 from slot_core.mpc.settings import MpcSettings
-from slot_core.robot import GRAVITY, Array, Robot
+from slot_core.robot import GRAVITY, Array, RobotParameters
 
 LAG = 0.05  # s
 VELOCITY_AHEAD = np.array([SPEED, 0.0, 0.0])  # v_x, v_y m/s, yaw rate rad/s, commanded
@@ -52,7 +61,7 @@ class Body:
     lag: float  # s
 
 
-def body(robot: Robot, friction: float) -> Body:
+def body(robot: RobotParameters, friction: float) -> Body:
     """The robot as a rigid body."""
     return Body(robot.mass, robot.inertia, robot.feet, friction, LAG)
 
@@ -120,7 +129,7 @@ def friction_limited(force: Array, friction: float) -> Array:
 class TorsoLoop:
     """The torso under an MPC that stands on four feet and follows height and speed."""
 
-    def __init__(self, robot: Robot, settings: MpcSettings, torso: Body, state: Array):
+    def __init__(self, robot: RobotParameters, settings: MpcSettings, torso: Body, state: Array):
         """Start at a state (12,) with a quarter of the weight in the MPC's model on each leg."""
         self._gaits = read_gaits()
         share = np.zeros((4, 3))
@@ -159,12 +168,12 @@ class TorsoLoop:
 
 
 def run_torso(
-    robot: Robot,
+    robot: RobotParameters,
     settings: MpcSettings,
     change: Mapping[int, float],
     duration: float = DURATION,
     noise: np.random.Generator | None = None,
-) -> Run:
+) -> PerturbedRun:
     """Run a case from the reference state with `change`; `noise` is on the MPC's input state."""
     state = np.zeros(12)
     state[[P_Z, 9]] = HEIGHT, SPEED
@@ -177,7 +186,7 @@ def run_torso(
         result = loop.tick(lambda x: x if noise is None else x + NOISE * noise.normal(size=len(x)))
         infeasible += result.status != Status.SOLVED
         entries.append((step * DT, result.report.cost, now[P_Z], float(tilt(now[:3]))))
-    return Run(*np.array(entries).T, infeasible=infeasible)
+    return PerturbedRun(*np.array(entries).T, infeasible=infeasible)
 
 
 def _matrix(q: Array) -> Array:

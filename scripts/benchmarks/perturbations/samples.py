@@ -60,7 +60,7 @@ FIELDS = ("revision", "seed", "plant", "observer", "index", *RANGES, *LIMITS, "f
 
 
 @dataclass(frozen=True)
-class Sample:
+class RandomSample:
     """Parameters of one sample; units as in `RANGES`."""
 
     plant: str
@@ -75,14 +75,14 @@ class Sample:
     noise: float
 
 
-def draw(plant: str, seed: int, observer: float, index: int) -> Sample:
+def draw(plant: str, seed: int, observer: float, index: int) -> RandomSample:
     """Draw the sample of an index."""
     rng = np.random.default_rng([seed, index])
     values = {name: float(rng.uniform(*limits)) for name, limits in RANGES.items()}
-    return Sample(plant, seed, observer, index, **values)
+    return RandomSample(plant, seed, observer, index, **values)
 
 
-def run_sample(sample: Sample) -> dict[str, Any]:
+def run_sample(sample: RandomSample) -> dict[str, Any]:
     """Run a sample: its parameters, measurements, and the limits exceeded, joined by `+`."""
     try:
         states, unsolved = RUNNERS[sample.plant](sample)
@@ -107,7 +107,7 @@ def measure(states: Array, speed: Array) -> dict[str, float]:
     }
 
 
-def torso_states(sample: Sample) -> tuple[Array, int]:
+def torso_states(sample: RandomSample) -> tuple[Array, int]:
     """(n, 12) states of the rigid torso, and the number of MPC cycles without a solution."""
     robot, rng = read_robot(), np.random.default_rng([sample.seed, sample.index, 1])
     mass = robot.mass + sample.payload
@@ -127,7 +127,7 @@ def torso_states(sample: Sample) -> tuple[Array, int]:
     return np.array(rows), unsolved
 
 
-def robot_states(sample: Sample) -> tuple[Array, int]:
+def robot_states(sample: RandomSample) -> tuple[Array, int]:
     """(n, 12) states of the Cosserat robot, and the number of MPC cycles without a solution."""
     flat = read_scene("flat")
     servo = config.replace(read_servo(), {"model": "torque_speed", "lag": sample.lag})
@@ -155,7 +155,7 @@ def robot_states(sample: Sample) -> tuple[Array, int]:
 RUNNERS = {"torso": torso_states, "robot": robot_states}
 
 
-def _push(sample: Sample) -> Array:
+def _push(sample: RandomSample) -> Array:
     direction = np.array([math.cos(sample.direction), math.sin(sample.direction), 0.0])
     return sample.push * direction
 
@@ -166,10 +166,10 @@ def _sensor_noise() -> Array:
     return np.repeat([o.orientation_noise, o.position_noise, o.rate_noise, o.velocity_noise], 3)
 
 
-class Record:
+class SampleRecord:
     """Samples of one revision, seed, plant and observer in a CSV file; results are added to it."""
 
-    def __init__(self, path: Path, revision: str, like: Sample):
+    def __init__(self, path: Path, revision: str, like: RandomSample):
         """Ignore, but keep, the file's rows of other revisions, seeds, plants and observers."""
         self._path = path
         _drop_incomplete_line(path)

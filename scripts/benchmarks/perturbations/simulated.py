@@ -33,7 +33,7 @@ from benchmarks.perturbations.cases import (
     ROLL,
     SPEED,
     V_X,
-    Run,
+    PerturbedRun,
     tilt,
 )
 from slot_core import config
@@ -132,7 +132,7 @@ def states(
     return np.array(rows), costs, infeasible
 
 
-def run_robot(name: str, duration: float = DURATION) -> tuple[Run, dict[str, float]]:
+def run_robot(name: str, duration: float = DURATION) -> tuple[PerturbedRun, dict[str, float]]:
     """Run a case; returns the run and the perturbations that the robot really had."""
     realised = realise(CASES[name], read_scene("flat").start.tendon_angle_deg)
     scene = quiet(NOISE if name == "Noise" else 0.0)
@@ -148,6 +148,6 @@ def run_robot(name: str, duration: float = DURATION) -> tuple[Run, dict[str, flo
         "final_height": float(rows[-1, P_Z]),
         "height_error": float(rows[-1, P_Z]) - HEIGHT,
     }
-    run = Run(time, np.array(costs), rows[:, P_Z], tilt(rows[:, :3]), infeasible)
+    run = PerturbedRun(time, np.array(costs), rows[:, P_Z], tilt(rows[:, :3]), infeasible)
     assert all(math.isfinite(value) for value in reached.values())
     return run, reached

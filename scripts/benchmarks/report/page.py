@@ -11,7 +11,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from benchmarks.report import paper_figures
-from benchmarks.report.paper_figures import Comparison
+from benchmarks.report.paper_figures import PaperComparison
 from benchmarks.report.results import Picture, Result, number
 
 HERE = Path(__file__).resolve().parent
@@ -82,7 +82,7 @@ def render(contents: Contents, revision: str) -> str:
     )
 
 
-def compared_table(table: Comparison, results: Mapping[str, Result]) -> dict[str, Any]:
+def compared_table(table: PaperComparison, results: Mapping[str, Result]) -> dict[str, Any]:
     """A comparison with our figures filled in, and how many have which verdict."""
     lines = []
     count: Counter[str] = Counter()

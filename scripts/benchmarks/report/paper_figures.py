@@ -58,7 +58,7 @@ class Ours:
 
 
 @dataclass(frozen=True)
-class Column:
+class TableColumn:
     """A figure of a table: its unit, and what makes ours good beside the paper's.
 
     judged: `equal` (within REPRODUCED), `smaller`, `larger`, or "" where they do not compare.
@@ -84,24 +84,24 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class PaperComparison:
     """A table of the paper beside ours; `about` says what differs between the two."""
 
     title: str
     place: str
     about: str
-    columns: Sequence[Column]  # of the paper
+    columns: Sequence[TableColumn]  # of the paper
     lines: Sequence[Line]
     results: Sequence[str]  # whose figures and pictures show the same
-    others: Sequence[Column] = ()  # ours, if not those of the paper; then nothing is judged
+    others: Sequence[TableColumn] = ()  # ours, if not those of the paper; then nothing is judged
 
     @property
-    def ours(self) -> Sequence[Column]:
+    def ours(self) -> Sequence[TableColumn]:
         """Columns of our figures."""
         return self.others or self.columns
 
 
-def comparisons() -> list[Comparison]:
+def comparisons() -> list[PaperComparison]:
     """All comparisons, in the order of the paper."""
     return [
         _timing(), _single_leg(), _whole_body(), _tracking(), _diagonal(), _stability(),
@@ -109,7 +109,7 @@ def comparisons() -> list[Comparison]:
     ]  # fmt: skip
 
 
-def _timing() -> Comparison:
+def _timing() -> PaperComparison:
     rod = Ours("robot", "us_per_step", {"kind": "cost", "nodes": 31}, 1e-3)
     solver = {"kind": "solver", "solver": "piqp ldlt", "tolerance": 1e-10}
     published = {"kind": "cvxpy", "solver": "CVXPY, as published, SCS"}
@@ -130,16 +130,16 @@ def _timing() -> Comparison:
         Line("force map; with gait scheduling and PID in the paper", (0.5,),
              (stage("force_mapper"),)),
     ]  # fmt: skip
-    return Comparison(
+    return PaperComparison(
         "Time of each component", "Section V",
         "The paper's times are of an NVIDIA Jetson Xavier, ours of the machine named at each "
         "benchmark. Ours of the gait scheduler and the force map are medians from message to "
         "message, between processes; the paper's is an upper bound of both and the PID together.",
-        (Column("time", "ms"),), lines, ("robot", "mpc", "graph"),
+        (TableColumn("time", "ms"),), lines, ("robot", "mpc", "graph"),
     )  # fmt: skip
 
 
-def _single_leg() -> Comparison:
+def _single_leg() -> PaperComparison:
     points = {"fixed base": "base", "1/3": "third", "2/3": "two_thirds", "tip": "tip"}
     metrics = {
         "RMSE, mm": ("rmse", 1e3, (5.20, 5.72, 4.00, 0.89)),
@@ -156,15 +156,15 @@ def _single_leg() -> Comparison:
         ])
         for title, (name, factor, paper) in metrics.items()
     ]  # fmt: skip
-    return Comparison(
+    return PaperComparison(
         "Single leg: height of four points", "Table II, Fig. 5",
         "Not reproduced: no robot was measured. Ours are the same metrics between the simulated "
         "leg and a synthetic measurement of another simulated robot.",
-        [Column(name) for name in points], lines, ("single_leg",),
+        [TableColumn(name) for name in points], lines, ("single_leg",),
     )  # fmt: skip
 
 
-def _whole_body() -> Comparison:
+def _whole_body() -> PaperComparison:
     def torso(axis: str) -> Ours:
         return Ours("walk_validated", "rmse", {"point": "torso", "axis": axis}, 1e3)
 
@@ -172,12 +172,12 @@ def _whole_body() -> Comparison:
         Line("forward walk", (4.0, 4.8), (torso("x"), torso("z"))),
         Line("crawl", (5.1, 4.6), (None, None)),
     ]
-    return Comparison(
+    return PaperComparison(
         "Walk and crawl: place of the torso", "Table III, Fig. 6 to 8",
         "Not reproduced: no robot was measured. Ours is the walk that the model predicts from the "
         "tendon angles of a bag against a synthetic measurement of another simulated robot, whose "
         "parameters the model does not know.",
-        (Column("RMSE in x", "mm"), Column("RMSE in z", "mm")), lines,
+        (TableColumn("RMSE in x", "mm"), TableColumn("RMSE in z", "mm")), lines,
         ("walk_validated", "walk", "crawl"),
     )  # fmt: skip
 
@@ -187,7 +187,7 @@ def _default(row: str) -> Ours:
     return Ours("locomotion", "default", {"row": row})
 
 
-def _tracking() -> Comparison:
+def _tracking() -> PaperComparison:
     heights, angles = "standing, heights .030 to .060: ", "standing, roll and pitch of 5 deg: "
     lines = [
         Line("height held, standing: largest error, mm", ("reaches 0.04 m",),
@@ -200,30 +200,30 @@ def _tracking() -> Comparison:
         Line("roll and pitch held, standing: largest error, deg", ("not given",),
              (_default(f"{angles}angles"),)),
     ]  # fmt: skip
-    return Comparison(
+    return PaperComparison(
         "Height, velocity and angles under the MPC", "Section VI-E, Fig. 9 and 10",
         "The paper's lateral deviation is of its robot on a floor, ours of the simulated robot on "
         "even friction; ours are the worst cases of the rows below Locomotion.",
-        (Column("value"),), lines, ("locomotion", "walk"),
+        (TableColumn("value"),), lines, ("locomotion", "walk"),
     )  # fmt: skip
 
 
-def _diagonal() -> Comparison:
+def _diagonal() -> PaperComparison:
     lines = [
         Line("RMSE of the path, mm", (35.0,), (_default("60 deg path, cross-track RMSE"),),
              judged="smaller"),
         Line("velocity ahead and sideways, m/s", ("0.052, 0.09",), (None,)),
         Line("change of heading, deg", ("not given",), (_default("60 deg path, heading"),)),
     ]  # fmt: skip
-    return Comparison(
+    return PaperComparison(
         "Omnidirectional walk at 60 degrees", "Section VI-E, Fig. 11",
         "Both are simulated. The paper's velocity is not reproduced: our robot walks the path "
         "at the lower velocity of its benchmark.",
-        (Column("value"),), lines, ("locomotion", "diagonal"),
+        (TableColumn("value"),), lines, ("locomotion", "diagonal"),
     )  # fmt: skip
 
 
-def _stability() -> Comparison:
+def _stability() -> PaperComparison:
     names = ("max_cost", "mean_cost", "final_cost", "settling_cost_s")
     lines = [
         Line(case, [*(_settled(v) for v in paper), 0.0], [
@@ -233,10 +233,10 @@ def _stability() -> Comparison:
         for case, paper in TABLE.items()
     ]  # fmt: skip
     columns = (
-        Column("max cost", "", "equal"), Column("mean cost"), Column("final cost"),
-        Column("settled", "s"), Column("infeasible steps"),
+        TableColumn("max cost", "", "equal"), TableColumn("mean cost"), TableColumn("final cost"),
+        TableColumn("settled", "s"), TableColumn("infeasible steps"),
     )  # fmt: skip
-    return Comparison(
+    return PaperComparison(
         "Perturbations: the published problem on its own model", "Table IV, Fig. 12",
         "Only the maximum cost is judged: the interval of mean cost and settling is not published, "
         "nor are the seed of the noise and its clipping.",
@@ -244,7 +244,7 @@ def _stability() -> Comparison:
     )  # fmt: skip
 
 
-def _settling() -> Comparison:
+def _settling() -> PaperComparison:
     lines = [
         Line(case, [_settled(paper[3])], [
             Ours("perturbations", "settling_s", {"kind": "case", "study": study, "case": case})
@@ -252,13 +252,13 @@ def _settling() -> Comparison:
         ])
         for case, paper in TABLE.items()
     ]  # fmt: skip
-    return Comparison(
+    return PaperComparison(
         "Perturbations: settling with our weights", "Table IV",
         "The paper's settling is of its cost below 0.01; ours of height within 2 mm and tilt "
         "within 10 mrad: of a rigid torso with lag under the policy forces, and of the Cosserat "
         "robot, which stands, under the default.",
-        (Column("settled", "s"),), lines, ("perturbations",),
-        (Column("rigid torso", "s"), Column("Cosserat robot", "s")),
+        (TableColumn("settled", "s"),), lines, ("perturbations",),
+        (TableColumn("rigid torso", "s"), TableColumn("Cosserat robot", "s")),
     )  # fmt: skip
 
 
@@ -266,7 +266,7 @@ def _settled(value: float) -> float | str:
     return "never" if math.isnan(value) else value
 
 
-def _feasibility() -> Comparison:
+def _feasibility() -> PaperComparison:
     fallback = Ours(
         "graph", "fallback_cycles", {"kind": "walk", "nodes": "separate", "repeat": "median"}
     )
@@ -274,11 +274,11 @@ def _feasibility() -> Comparison:
         Line("walk: infeasible cycles", (0.0,), (fallback,), "Fig. 13a"),
         Line("60 degrees: infeasible", ("at 22.374 and 61.875 s",), (None,), "Fig. 13b"),
     ]
-    return Comparison(
+    return PaperComparison(
         "Constraint map", "Section VI-E, Fig. 13",
         "Every constraint of the MPC over time, of the walk and at 60 degrees: the maps are below "
         "Runs. In a stride our default solves no problem, so its cycles are not judged.",
-        (Column("cycles"),), lines, ("graph", "walk", "diagonal"),
+        (TableColumn("cycles"),), lines, ("graph", "walk", "diagonal"),
     )  # fmt: skip
 
 

@@ -27,7 +27,7 @@ from slot_core.config import ConfigError
 from slot_core.dynamics.scene import SolverSettings, read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
-from slot_core.robot import Array, Robot, read_robot
+from slot_core.robot import Array, RobotParameters, read_robot
 from slot_core.rod.cosserat_rod import Scheme
 from slot_core.simulation.plant import make_robot
 from slot_core.simulation.rod_robot import RodRobot
@@ -83,7 +83,7 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
     return [*rows, *compared], [*checks(rows), *other_engine.checks(compared)]
 
 
-def simulator(robot: Robot, solver: dict[str, Any], **changes: Any) -> RodRobot:
+def simulator(robot: RobotParameters, solver: dict[str, Any], **changes: Any) -> RodRobot:
     """RodRobot in the scene `flat` without settling, with changes of the solver and the scene."""
     values = {f"solver.{name}": value for name, value in solver.items()}
     scene = config.replace(read_scene("flat"), {"start.settle": 0.0} | values | changes)
@@ -112,7 +112,7 @@ def deviation(path: Array, exact: Array) -> float:
     return 1e3 * float(np.sqrt(((path - exact) ** 2).sum(axis=1).mean()))
 
 
-def cost_row(robot: Robot, nodes: int, repeats: int) -> dict[str, Any]:
+def cost_row(robot: RobotParameters, nodes: int, repeats: int) -> dict[str, Any]:
     """CPU time of a step of the standing robot, with contact, friction, corners and servos."""
     sim, calls = simulator(robot, {"nodes": nodes}, **{"start.settle": 1.0}), 1000
     time = cpu_time(lambda: sim.advance(calls, sim.tendon_angle), repeats).median / calls
@@ -134,7 +134,7 @@ def cost_row(robot: Robot, nodes: int, repeats: int) -> dict[str, Any]:
 
 
 def sweep(
-    robot: Robot, exact: Array, repeats: int, quick: bool, progress: Callable[[str], None]
+    robot: RobotParameters, exact: Array, repeats: int, quick: bool, progress: Callable[[str], None]
 ) -> Iterable[dict[str, Any]]:
     """Stand and step over schemes, numbers of nodes and time steps."""
     steps, numbers = (STEPS[1:-1], COMPARED) if quick else (STEPS, NODES)
@@ -166,7 +166,7 @@ def measured(make: Callable[[], SimulatedRobot], exact: Array, repeats: int) -> 
     return {"error_mm": error, "us_per_ms": cost, "halvings": sim.halvings}
 
 
-def level_row(robot: Robot, name: str, exact: Array, repeats: int) -> dict[str, Any]:
+def level_row(robot: RobotParameters, name: str, exact: Array, repeats: int) -> dict[str, Any]:
     """Stand and step at the level of `config/solver/<name>.yaml`."""
     solver = config.read(SolverSettings, f"solver/{name}")
     scene = config.replace(read_scene("flat"), {"start.settle": 0.0})
@@ -175,7 +175,7 @@ def level_row(robot: Robot, name: str, exact: Array, repeats: int) -> dict[str, 
     return {"kind": "level", "level": name, "nodes": solver.nodes, "step": solver.step} | found
 
 
-def flight_rows(robot: Robot, quick: bool) -> Iterable[dict[str, Any]]:
+def flight_rows(robot: RobotParameters, quick: bool) -> Iterable[dict[str, Any]]:
     """Undamped legs tumbling for 0.2 s: relative change of energy and momentum."""
     free = dataclasses.replace(robot, leg=dataclasses.replace(robot.leg, damping_time=0.0))
     steps = (1e-3, 2.5e-4) if quick else (1e-3, 5e-4, 2.5e-4, 1.25e-4)

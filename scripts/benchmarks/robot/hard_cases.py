@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.robot.stress import Case, Changes, Limits, hold
+from benchmarks.robot.stress import Changes, Limits, StressCase, hold
 from slot_core.robot import GRAVITY, Array, read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
@@ -106,25 +106,25 @@ SPINNING = [thrown(0.0, spin, 0.25) for spin in ((20.0, 0, 0), (0, 20.0, 0), (0,
 
 # From 30 mm the legs fall 8 mm and the underside 13 mm, which adds 0.25 m^2/s^2 to speed squared.
 IMPACTS = {
-    "impact at 1 m/s": Case(
+    "impact at 1 m/s": StressCase(
         Limits(landing(1.1), bottom(1.12), 3.0), seconds=1.0, **thrown(1.0, (0.5, 0.2, 0.0))
     ),
     # It bounces to 0.4 m; one step more or less on the floor changes that by a tenth.
-    "impact at 3 m/s": Case(
+    "impact at 3 m/s": StressCase(
         Limits(landing(3.1), bottom(3.1), 60.0), seconds=1.0, **thrown(3.0, (0.5, 0.2, 0.0))
     ),
     # Falls on its back or side from 0.25 m, at 2 m/s, on two corners first: 2 J each.
-    "spin of 20 rad/s about x": Case(
+    "spin of 20 rad/s about x": StressCase(
         Limits(landing(2.0), bottom(2.0, corners=2), 15.0), **SPINNING[0], seconds=0.8
     ),
-    "spin of 20 rad/s about y": Case(
+    "spin of 20 rad/s about y": StressCase(
         Limits(landing(2.0), bottom(2.0, corners=2), 35.0), **SPINNING[1], seconds=0.8
     ),
-    "spin of 20 rad/s about z": Case(
+    "spin of 20 rad/s about z": StressCase(
         Limits(landing(2.0), bottom(2.0, corners=2), 15.0), **SPINNING[2], seconds=0.8
     ),
     # Falls 0.13 m onto its back and bounces: its pose after 1 s depends on every contact.
-    "flipped robot": Case(
+    "flipped robot": StressCase(
         Limits(landing(1.6), bottom(1.6), 35.0),
         {"start.height": 0.15, "start.settle": 0.0},
         start=turned_over,
@@ -134,27 +134,27 @@ IMPACTS = {
 
 # The servos' work is accounted for, so the energy limit covers rounding and the robot's settling.
 PULLS = {
-    "full pull, as fast as the servos can": Case(
+    "full pull, as fast as the servos can": StressCase(
         Limits(1e-4, 0.5, 0.2), {"start.tendon_angle_deg": 0.0}, command=hold(FULL_DEG)
     ),
     # 40 J in the cables at once: nodes reach 9 m/s and the robot jumps.
-    "full pull within one step": Case(
+    "full pull within one step": StressCase(
         Limits(1e-4, 4.0, 4.0),
         {"start.tendon_angle_deg": 0.0},
         start=wound,
         command=hold(FULL_DEG),
     ),
-    "full pull within one step, in the air": Case(
+    "full pull within one step, in the air": StressCase(
         Limits(1e-4, 0.0, 0.2),
         {"start.tendon_angle_deg": 0.0, "start.settle": 0.0, "start.height": 2.0},
         start=wound,
         command=hold(FULL_DEG),
         seconds=0.3,
     ),
-    "pull by 180 deg": Case(
+    "pull by 180 deg": StressCase(
         Limits(1e-4, 1.0, 0.4), {}, HALF_TURN, command=hold(180.0), seconds=1.0
     ),
-    "pull by 180 deg within one step": Case(
+    "pull by 180 deg within one step": StressCase(
         Limits(1e-4, 4.0, 3.0), {}, HALF_TURN, start=wound, command=hold(180.0)
     ),
 }
@@ -162,48 +162,50 @@ PULLS = {
 # A drop at 0.5 m/s: nodes reach the floor at 0.72 m/s.
 DROP = Limits(landing(0.72), bottom(0.72), 5.0)
 PARAMETERS = {
-    "E = 1e5 Pa": Case(replace(DROP, apart=10.0), **drop({"leg.young_modulus": 1e5})),
-    "E = 1e6 Pa": Case(replace(DROP, apart=15.0), **drop({"leg.young_modulus": 1e6})),
-    "E = 1e7 Pa": Case(DROP, **drop({"leg.young_modulus": 1e7})),
-    "E = 1e8 Pa": Case(DROP, **drop({"leg.young_modulus": 1e8})),
-    "E = 1e9 Pa": Case(DROP, **drop({"leg.young_modulus": 1e9})),
-    "EA x 100": Case(DROP, **{**drop(), "start": stretch_stiff}),
-    "contact of 1e5 N/m": Case(
+    "E = 1e5 Pa": StressCase(replace(DROP, apart=10.0), **drop({"leg.young_modulus": 1e5})),
+    "E = 1e6 Pa": StressCase(replace(DROP, apart=15.0), **drop({"leg.young_modulus": 1e6})),
+    "E = 1e7 Pa": StressCase(DROP, **drop({"leg.young_modulus": 1e7})),
+    "E = 1e8 Pa": StressCase(DROP, **drop({"leg.young_modulus": 1e8})),
+    "E = 1e9 Pa": StressCase(DROP, **drop({"leg.young_modulus": 1e9})),
+    "EA x 100": StressCase(DROP, **{**drop(), "start": stretch_stiff}),
+    "contact of 1e5 N/m": StressCase(
         Limits(landing(0.72, stiffness=1e5), bottom(0.72, stiffness=1e5), 3.0),
         **drop(floor__stiffness=1e5, floor__line_stiffness=1.1e7),
     ),
     # Stiff edges rebound at other moments at half the step.
-    "contact of 1e6 N/m": Case(
+    "contact of 1e6 N/m": StressCase(
         Limits(0.04, bottom(0.72, stiffness=1e6), 10.0),
         **drop(floor__stiffness=1e6, floor__line_stiffness=1.1e8),
     ),
-    "contact of 1e7 N/m": Case(
+    "contact of 1e7 N/m": StressCase(
         Limits(0.04, bottom(0.72, stiffness=1e7), 35.0),
         **drop(floor__stiffness=1e7, floor__line_stiffness=1.1e9),
     ),
-    "eps = 1e-4 m/s": Case(DROP, **drop(floor__friction_velocity=1e-4)),
-    "eps = 1e-6 m/s": Case(DROP, **drop(floor__friction_velocity=1e-6)),
-    "friction of bristles": Case(DROP, **drop(floor__friction_law="bristle")),
-    "tip of 1 mm": Case(DROP, **drop({"leg.thickness_tip": 1e-3})),
-    "tip of 0.1 mm": Case(DROP, **drop({"leg.thickness_tip": 1e-4})),
-    "torso of 0.02 kg": Case(DROP, **drop({"torso.mass": 0.02})),
-    "torso of 20 kg": Case(replace(DROP, sunk=bottom(0.72, 20.16)), **drop({"torso.mass": 20.0})),
+    "eps = 1e-4 m/s": StressCase(DROP, **drop(floor__friction_velocity=1e-4)),
+    "eps = 1e-6 m/s": StressCase(DROP, **drop(floor__friction_velocity=1e-6)),
+    "friction of bristles": StressCase(DROP, **drop(floor__friction_law="bristle")),
+    "tip of 1 mm": StressCase(DROP, **drop({"leg.thickness_tip": 1e-3})),
+    "tip of 0.1 mm": StressCase(DROP, **drop({"leg.thickness_tip": 1e-4})),
+    "torso of 0.02 kg": StressCase(DROP, **drop({"torso.mass": 0.02})),
+    "torso of 20 kg": StressCase(
+        replace(DROP, sunk=bottom(0.72, 20.16)), **drop({"torso.mass": 20.0})
+    ),
     **{
-        f"{nodes} nodes": Case(DROP, **drop(solver__nodes=nodes))
+        f"{nodes} nodes": StressCase(DROP, **drop(solver__nodes=nodes))
         for nodes in (8, 16, 31, 61, 121, 201, 401)
     },
 }
 
 # Slowly through the fold near 110 deg and back, with friction 0.4 and without friction.
 FOLDS = {
-    "snap-through": Case(
+    "snap-through": StressCase(
         Limits(1e-4, 0.5, 0.1),
         {"start.tendon_angle_deg": 90.0},
         command=there_and_back,
         seconds=10.0,
     ),
     # Without friction it snaps to one side or the other.
-    "snap-through without friction": Case(
+    "snap-through without friction": StressCase(
         Limits(1e-4, 0.5, 120.0),
         {
             "start.tendon_angle_deg": 90.0,
@@ -217,13 +219,13 @@ FOLDS = {
 
 # Legs that leave their planes.
 IN_SPACE = {
-    "legs twisted by 200 deg": Case(
+    "legs twisted by 200 deg": StressCase(
         Limits(landing(2.4), bottom(2.4), 15.0),
         {"start.height": 0.3, "start.settle": 0.0},
         start=wrung,
     ),
-    "legs kicked sideways": Case(Limits(1e-3, 3.0, 5.0), {}, start=struck),
-    "fall on one edge": Case(
+    "legs kicked sideways": StressCase(Limits(1e-3, 3.0, 5.0), {}, start=struck),
+    "fall on one edge": StressCase(
         Limits(landing(1.4), bottom(1.4, corners=2), 15.0),
         {"start.height": 0.16, "start.settle": 0.0},
         start=rolled,
@@ -232,7 +234,7 @@ IN_SPACE = {
 
 # The impact at 1 m/s; its limits grow with the time step.
 STEPS = {
-    f"time step of {1e3 * step:g} ms": Case(
+    f"time step of {1e3 * step:g} ms": StressCase(
         Limits(landing(1.12, step), bottom(1.12), apart),
         seconds=1.0,
         step=step,

@@ -31,7 +31,7 @@ from slot_core.dynamics.rod import sections
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import Servo, ServoSettings
 from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
-from slot_core.robot import LEGS, Array, Robot
+from slot_core.robot import LEGS, Array, RobotParameters
 
 POINT = 1e-6  # m, radius of the spheres that stand for contact points
 CORNERS = 8  # of the torso
@@ -58,7 +58,7 @@ class Engine:
 DEFAULT = Engine()
 
 
-class TorsoMotion(NamedTuple):
+class MujocoMotion(NamedTuple):
     """Motion of the torso, see `RobotState`."""
 
     position: Array
@@ -68,7 +68,7 @@ class TorsoMotion(NamedTuple):
     specific_force: Array
 
 
-class Links(NamedTuple):
+class MujocoLinks(NamedTuple):
     """Links of a leg, one for each segment."""
 
     mass: Array  # (n,) kg
@@ -77,7 +77,7 @@ class Links(NamedTuple):
     torsion: Array  # (n,) N m/rad
 
 
-def links(robot: Robot, model: Model) -> Links:
+def links(robot: RobotParameters, model: Model) -> MujocoLinks:
     """Links with the kinetic energy of the rod's segments, and their twist.
 
     A segment has masses a, b at its nodes and the coupling mu: about its centre, across the link,
@@ -94,7 +94,7 @@ def links(robot: Robot, model: Model) -> Links:
     flat, upright = rod.spin * thick / (wide + thick), rod.spin * wide / (wide + thick)
     inertia = np.column_stack([rod.spin, across + flat, across + upright])
     torsion = sections(leg, (fraction[:-1] + fraction[1:]) / 2).torsion / step
-    return Links(mass, end / mass * rod.rest_length, inertia, torsion)
+    return MujocoLinks(mass, end / mass * rod.rest_length, inertia, torsion)
 
 
 class Cable(NamedTuple):
@@ -123,13 +123,13 @@ def cable(model: Model, stretch: bool) -> Cable:
 class Parts(NamedTuple):
     """What the engine's robot is built from."""
 
-    robot: Robot
+    robot: RobotParameters
     model: Model
-    links: Links
+    links: MujocoLinks
     engine: Engine
 
 
-def build(robot: Robot, model: Model, engine: Engine) -> mujoco.MjModel:
+def build(robot: RobotParameters, model: Model, engine: Engine) -> mujoco.MjModel:
     """The robot on its floor.
 
     Raises ValueError for a straight tendon: the engine's is routed along the leg.
@@ -260,7 +260,7 @@ class MujocoRobot(SimulatedRobot):
     """
 
     def __init__(
-        self, robot: Robot, scene: Scene, servo: ServoSettings, engine: Engine = DEFAULT
+        self, robot: RobotParameters, scene: Scene, servo: ServoSettings, engine: Engine = DEFAULT
     ) -> None:
         self.robot, self.scene, self.engine = robot, scene, engine
         model = build_model(robot, scene, servo)
@@ -308,11 +308,11 @@ class MujocoRobot(SimulatedRobot):
         self._data.xfrc_applied[last, 3:] = np.cross(arm, self._tip_force)
 
     @property
-    def state(self) -> TorsoMotion:  # type: ignore[override]
+    def state(self) -> MujocoMotion:  # type: ignore[override]
         """Motion of the torso; the specific force is not measured, NaN."""
         place, velocity = self._data.qpos[:7], self._data.qvel[:6]
         rotation = Rotation.from_quat(place[3:], scalar_first=True).as_matrix()
-        return TorsoMotion(place[:3], rotation, velocity[:3], velocity[3:], np.full(3, math.nan))
+        return MujocoMotion(place[:3], rotation, velocity[:3], velocity[3:], np.full(3, math.nan))
 
     @property
     def tendon_angle(self) -> Array:

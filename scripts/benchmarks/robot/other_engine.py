@@ -29,7 +29,7 @@ from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
 from slot_core.gait.gait import Stride, read_gaits
-from slot_core.robot import GRAVITY, Array, Leg, Robot, read_robot
+from slot_core.robot import GRAVITY, Array, Leg, RobotParameters, read_robot
 from slot_core.simulation.rod_robot import RodRobot
 from slot_lab.tuning.settings import TuningSettings, read_tuning
 from slot_lab.tuning.stride_run import stride_means
@@ -43,7 +43,7 @@ SETTLED = 3.0  # s: vibrations of a leg under a load have died away
 TIP_MASS = 0.02  # kg
 SIDEWAYS = 1.0  # m/s^2
 HELD = 1e9  # kg, a torso that no leg moves
-STILL = 0.05  # s, damping time at which also a loaded leg comes to rest in `SETTLED`
+RESTING_DAMPING = 0.05  # s, damping time at which also a loaded leg comes to rest in `SETTLED`
 FEW_NODES = 14  # of a leg in MuJoCo: the variations, and what `quick` runs
 QUICK = ("walk", 0.2)
 # The crawl, whose feet slide most of the time, changes by a third between 0.2 and 0.1 ms.
@@ -93,12 +93,12 @@ def rows(quick: bool, out: Path, progress: Progress) -> list[dict[str, Any]]:
     return found
 
 
-def own_robot(robot: Robot) -> Make:
+def own_robot(robot: RobotParameters) -> Make:
     """Maker of the project's robot in a scene."""
     return lambda scene: RodRobot(robot, scene, read_servo())
 
 
-def other_robot(robot: Robot, nodes: int, engine: Engine = DEFAULT) -> Make:
+def other_robot(robot: RobotParameters, nodes: int, engine: Engine = DEFAULT) -> Make:
     """Maker of the robot in MuJoCo in a scene, with its own number of nodes."""
 
     def make(scene: Scene) -> SimulatedRobot:
@@ -114,7 +114,7 @@ def hold(sim: SimulatedRobot, degrees: float, seconds: float = SETTLED) -> None:
         sim.advance(round(0.01 / sim.scene.solver.step), np.full(4, math.radians(degrees)))
 
 
-def sideways_row(robot: Robot, scene: Scene, degrees: float) -> dict[str, Any]:
+def sideways_row(robot: RobotParameters, scene: Scene, degrees: float) -> dict[str, Any]:
     """Sideways deflection of a free leg's tip per force, mm/N."""
     field, tip = SIDEWAYS * aside(robot), TIP_MASS * SIDEWAYS * aside(robot)
     bare, loaded = (own_leg(robot, scene, degrees, field, mass) for mass in (0.0, TIP_MASS))
@@ -132,7 +132,7 @@ def sideways_row(robot: Robot, scene: Scene, degrees: float) -> dict[str, Any]:
     }
 
 
-def loaded_row(robot: Robot, scene: Scene, degrees: float) -> dict[str, Any]:
+def loaded_row(robot: RobotParameters, scene: Scene, degrees: float) -> dict[str, Any]:
     """The same per sideways force on a tip with a quarter of the robot's weight; mm/N.
 
     A field acts upward and sideways on a mass at the tip, and on the leg itself.
@@ -148,20 +148,22 @@ def loaded_row(robot: Robot, scene: Scene, degrees: float) -> dict[str, Any]:
     return row
 
 
-def aside(robot: Robot) -> Array:
+def aside(robot: RobotParameters) -> Array:
     """(3,) unit vector sideways of leg FL."""
     x, y, _ = robot.outward[0]
     return np.array([-y, x, 0.0])
 
 
-def held(robot: Robot) -> Robot:
+def held(robot: RobotParameters) -> RobotParameters:
     """The robot with a torso that no leg moves, and legs that come to rest soon."""
     torso = dataclasses.replace(robot.torso, mass=HELD)
-    leg = dataclasses.replace(robot.leg, damping_time=STILL)
+    leg = dataclasses.replace(robot.leg, damping_time=RESTING_DAMPING)
     return dataclasses.replace(robot, torso=torso, leg=leg)
 
 
-def own_leg(robot: Robot, scene: Scene, degrees: float, field: Array, mass: float) -> Array:
+def own_leg(
+    robot: RobotParameters, scene: Scene, degrees: float, field: Array, mass: float
+) -> Array:
     """Nodes (N, 3) of leg FL from its clamp, m, in a field (m/s^2), with a mass (kg) at the tip.
 
     The torso is held by a push against its weight.
@@ -173,7 +175,9 @@ def own_leg(robot: Robot, scene: Scene, degrees: float, field: Array, mass: floa
     return sim.nodes[0] - sim.nodes[0, 0]
 
 
-def other_leg(robot: Robot, scene: Scene, degrees: float, field: Array, tip: Array) -> Array:
+def other_leg(
+    robot: RobotParameters, scene: Scene, degrees: float, field: Array, tip: Array
+) -> Array:
     """The same in MuJoCo, with a force (3,), N, at the tip."""
     sim = MujocoRobot(held(robot), floating(scene, field.tolist()), read_servo())
     sim.push(-HELD * field, np.zeros(3))
@@ -204,7 +208,7 @@ def sideways_compliance(leg: Leg, arc: Array, nodes: Array) -> float:
     return float(np.trapezoid(bending**2 / part.lateral + twist**2 / part.torsion, s))
 
 
-def stand_row(robot: Robot, scene: Scene) -> dict[str, Any]:
+def stand_row(robot: RobotParameters, scene: Scene) -> dict[str, Any]:
     """Height of the torso that stands under the scene's tendon angle, mm."""
     degrees, height = scene.start.tendon_angle_deg, {}
     for name, make in (
@@ -218,7 +222,7 @@ def stand_row(robot: Robot, scene: Scene) -> dict[str, Any]:
 
 
 def replay_rows(
-    robot: Robot, scene: Scene, quick: bool, progress: Progress
+    robot: RobotParameters, scene: Scene, quick: bool, progress: Progress
 ) -> Iterator[dict[str, Any]]:
     """Replays of the gaits on the floors of config/tune.yaml; `quick`: of one on one floor."""
     tuning, strides = read_tuning(), read_gaits().strides
@@ -282,7 +286,9 @@ def judged(row: dict[str, Any]) -> dict[str, Any]:
     return {"difference": difference, "goal": goal, "reason": reason}
 
 
-def variation_rows(robot: Robot, scene: Scene, progress: Progress) -> Iterator[dict[str, Any]]:
+def variation_rows(
+    robot: RobotParameters, scene: Scene, progress: Progress
+) -> Iterator[dict[str, Any]]:
     """One replay with one setting changed at a time; MuJoCo's with few nodes, for its time."""
     gait, friction = VARIED
     stride, tuning = read_gaits().strides[gait], read_tuning()

@@ -2,8 +2,8 @@
 
 Every case runs at its time step h and at h/2, and must stay finite. `Limits` bound the energy over
 the servos' work, the depth to which nodes and torso sink into the floor, and the difference between
-the two solutions. The step control of `dynamics/integrator.py` keeps a case within them; a `Record`
-counts how often it acted.
+the two solutions. The step control of `dynamics/integrator.py` keeps a case within them; a
+`StressRecord` counts how often it acted.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def hold(degrees: float) -> Callable[[float], Array]:
 
 
 @dataclass(frozen=True)
-class Case:
+class StressCase:
     """Changes of `robot.yaml` and of the scene `flat`, start, commands and limits of a case."""
 
     limits: Limits
@@ -76,7 +76,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Record:
+class StressRecord:
     """Measurements at h; `apart` compares with h/2."""
 
     lost: str  # cause of the divergence; empty: none
@@ -94,7 +94,7 @@ class Record:
         return not self.lost and within and self.apart <= limits.apart
 
 
-def examine(case: Case) -> Record:
+def examine(case: StressCase) -> StressRecord:
     """Run a case at h and at h/2, and record it."""
     coarse, fine = MeasuredRun(case, case.step), MeasuredRun(case, case.step / 2)
     try:
@@ -107,7 +107,7 @@ def examine(case: Case) -> Record:
 class MeasuredRun:
     """A run of a case at one time step, with the largest values of what the limits bound."""
 
-    def __init__(self, case: Case, step: float) -> None:
+    def __init__(self, case: StressCase, step: float) -> None:
         self._case, self._steps = case, round(case.step / step)
         # without the IMU, whose period is shorter than the longest time step
         changes = {**case.scene, "solver.step": step, "sensors.imu.enabled": False}
@@ -125,11 +125,11 @@ class MeasuredRun:
                 self._advance(command)
             yield np.append(self._sim.position, TILT_ARM * self._sim.rotation[2, :2])
 
-    def record(self, apart: float, lost: str) -> Record:
+    def record(self, apart: float, lost: str) -> StressRecord:
         """The record of the run."""
         sim = self._sim
         counts = sim.halvings, sim.indefinite_steps, sim.unconverged_steps
-        return Record(lost, self._fastest, self._gained, 1e3 * self._sunk, apart, *counts)
+        return StressRecord(lost, self._fastest, self._gained, 1e3 * self._sunk, apart, *counts)
 
     def _advance(self, command: Array) -> None:
         sim, before = self._sim, self._sim.tendon_angle

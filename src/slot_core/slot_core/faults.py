@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from slot_core.config import ConfigError, choice, quantity
 from slot_core.robot import LEGS
 
-ALL = "all"
+ALL_LEGS = "all"
 SLACK, BROKEN, NAN = "tendon_slack", "tendon_broken", "nan"
 BUS_KINDS = (
     "silent", "corrupt", "late", "wrong_id", "overload", "overheating", "undervoltage",
@@ -31,7 +31,7 @@ class Fault:
     """One fault; a scene may hold several by name."""
 
     kind: str = choice("kind of the fault", *BUS_KINDS, SLACK, BROKEN, NAN)
-    leg: str = choice("leg or servo that has the fault", ALL, *LEGS)
+    leg: str = choice("leg or servo that has the fault", ALL_LEGS, *LEGS)
     time: float = quantity("start time after the robot's start", "s", 0.0, 1e6)
     duration: float = quantity("duration; 0: permanent", "s", 0.0, 1e6)
     value: float = quantity(
@@ -53,7 +53,7 @@ class Fault:
 
 def legs_of(kind: str, leg: str) -> tuple[str, ...]:
     """Names of the legs that a fault of `kind` at `leg` affects; `unplugged` affects all servos."""
-    return LEGS if leg == ALL or kind == "unplugged" else (leg,)
+    return LEGS if leg == ALL_LEGS or kind == "unplugged" else (leg,)
 
 
 def require_simulated_legs(fault: Fault) -> None:

@@ -141,7 +141,7 @@ class Tendon:
 
 
 @dataclass(frozen=True)
-class Robot:
+class RobotParameters:
     """Torso, four equal legs and their tendons; arrays over legs are in the order of `LEGS`."""
 
     torso: Torso
@@ -214,7 +214,7 @@ class Robot:
         return self.torso.inertia + np.trace(square) * np.eye(3) - square
 
 
-def read_robot(parameters: str = "") -> Robot:
+def read_robot(parameters: str = "") -> RobotParameters:
     """The robot of `config/robot.yaml` with a set of `config/parameters`; raises ConfigError.
 
     `parameters` names the set; if empty, it is the one named in robot.yaml. A value that is set in
@@ -228,7 +228,7 @@ def read_robot(parameters: str = "") -> Robot:
     content = config.load(f"parameters/{name}")
     for dotted, value in _part(content, name, "values").items():
         _insert(mapping, dotted, value, f"parameters/{name}.yaml")
-    robot = config.build(Robot, mapping, f"robot.yaml with parameters/{name}.yaml")
+    robot = config.build(RobotParameters, mapping, f"robot.yaml with parameters/{name}.yaml")
     return config.replace(robot, _part(content, name, "robot"), f"parameters/{name}.yaml: robot")
 
 

@@ -18,7 +18,7 @@ class TableError(ValueError):
 
 
 @dataclass(frozen=True)
-class Row:
+class CsvRow:
     """Cells of a line by column, without surrounding spaces."""
 
     line: int  # in the file, from 1
@@ -44,7 +44,7 @@ class Table:
     comments: tuple[str, ...]  # without #
     head: str  # file and line of the column names, for messages
     columns: tuple[str, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[CsvRow, ...]
 
 
 def read_table(path: Path) -> Table:
@@ -63,7 +63,7 @@ def read_table(path: Path) -> Table:
     for number, where, cells in data:
         if len(cells) != len(columns):
             raise TableError(f"{where}: {len(cells)} cells, {len(columns)} columns")
-        rows.append(Row(number, where, dict(zip(columns, cells))))
+        rows.append(CsvRow(number, where, dict(zip(columns, cells))))
     return Table(tuple(comments), head, tuple(columns), tuple(rows))
 
 

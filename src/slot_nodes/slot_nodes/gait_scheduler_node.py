@@ -10,7 +10,7 @@ from slot_core.config import ConfigError
 from slot_core.control.force_map import read_springs
 from slot_core.gait.gait import STAND, read_gaits
 from slot_core.gait.gait_scheduler import GaitScheduler
-from slot_core.gait.route import KEPT, read_path
+from slot_core.gait.route import KEPT, read_route
 from slot_core.messages import decode
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, MpcState
@@ -26,7 +26,7 @@ class GaitSchedulerNode(Node):
         settings = runtime.declare_settings(self, read_gaits())
         file = runtime.declare(self, "path", "", "CSV with columns x, y in odom [m] to follow")
         heading = runtime.declare(self, "path_heading", KEPT, "heading on the path: kept or along")
-        path = read_path(file, heading) if file else None
+        path = read_route(file, heading) if file else None
         springs = read_springs()
         self._scheduler = GaitScheduler(settings, read_robot(), springs, STAND, None, path)
         self._preview = runtime.publisher(self, GaitPreview, "gait_preview", qos.CONTROL)

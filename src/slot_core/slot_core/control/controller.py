@@ -15,8 +15,8 @@ from slot_core.estimation.estimate import Estimate
 from slot_core.estimation.state_estimator import StateEstimator, read_estimator
 from slot_core.gait.gait import GaitPreview, GaitSettings, read_gaits
 from slot_core.gait.gait_scheduler import GaitScheduler
-from slot_core.gait.route import Path
-from slot_core.robot import Array, Robot
+from slot_core.gait.route import Route
+from slot_core.robot import Array, RobotParameters
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,11 @@ class Controller:
 
     def __init__(  # noqa: PLR0917
         self,
-        robot: Robot,
+        robot: RobotParameters,
         policy: Policy,
         gait: str,
         velocity: Array | None,
-        path: Path | None = None,
+        path: Route | None = None,
         gaits: GaitSettings | None = None,
     ):
         """Build the steps from `config/*.yaml`; raises ConfigError as they do.

@@ -22,7 +22,7 @@ from slot_core.config import quantity
 from slot_core.control.policy import Status, TendonPlan
 from slot_core.gait.gait import GaitPreview
 from slot_core.legs.leg_springs import LegSprings, read_leg_springs
-from slot_core.robot import LEGS, Array, Robot
+from slot_core.robot import LEGS, Array, RobotParameters
 
 PLANNED, HELD = "planned", "hold"  # names where no map is applied
 
@@ -53,7 +53,7 @@ class TendonCommand:
 class ForceMap:
     """Computes tendon angles from the plans of a policy and the gait's nominal angles."""
 
-    def __init__(self, robot: Robot, settings: ForceMapSettings, springs: LegSprings):
+    def __init__(self, robot: RobotParameters, settings: ForceMapSettings, springs: LegSprings):
         self._robot, self._settings, self._springs = robot, settings, springs
         self._maps: dict[str, Callable[..., tuple[Array, Array, Array]]] = {
             "incremental": self._incremental,
@@ -116,6 +116,6 @@ def read_springs() -> LegSprings:
     return read_leg_springs(read_force_map().slope_min)
 
 
-def make_force_map(robot: Robot, settings: ForceMapSettings) -> ForceMap:
+def make_force_map(robot: RobotParameters, settings: ForceMapSettings) -> ForceMap:
     """The map with the table of `config/leg_map.csv`; raises ConfigError."""
     return ForceMap(robot, settings, read_leg_springs(settings.slope_min))

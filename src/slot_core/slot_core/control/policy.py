@@ -22,7 +22,7 @@ import numpy as np
 from slot_core.config import ConfigError
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview
-from slot_core.robot import LEGS, Array, Robot
+from slot_core.robot import LEGS, Array, RobotParameters
 
 Timer = Callable[[], float]  # s
 DEFAULT_POLICY = "angles"
@@ -93,7 +93,7 @@ class NoSettings:
 class Policy(Protocol):
     """Controller of the legs; its class can derive from this one, which has all but `step`."""
 
-    def __init__(self, robot: Robot, settings: Any, timer: Timer) -> None:
+    def __init__(self, robot: RobotParameters, settings: Any, timer: Timer) -> None:
         """Take the nominal robot and `read_settings`; `timer` returns seconds.
 
         Raises ConfigError for settings that contradict each other.
@@ -127,7 +127,7 @@ def policy_class(name: str) -> type[Policy]:
 
 
 def make_policy(
-    name: str, robot: Robot, timer: Timer = time.perf_counter, settings: Any = None
+    name: str, robot: RobotParameters, timer: Timer = time.perf_counter, settings: Any = None
 ) -> Policy:
     """The policy of that name or file, by default with its own settings; raises ConfigError."""
     kind = policy_class(name)

@@ -27,7 +27,7 @@ from slot_core.drawing.shapes import (
     torso_box,
 )
 from slot_core.messages import decode
-from slot_core.robot import LEGS, Array, Robot
+from slot_core.robot import LEGS, Array, RobotParameters
 
 NATURAL_NODES = 20  # of a leg whose shape is not known
 PATH_STEP = 0.005  # m between two points of a path
@@ -35,7 +35,7 @@ PATH_POINTS = 2000  # the oldest points of a longer path are dropped
 REFERENCE, DEMANDED = rgb(palette.SECONDARY), rgb(palette.INK)
 
 
-class Path:
+class Trace:
     """Line through the places where something was."""
 
     def __init__(self) -> None:
@@ -52,14 +52,14 @@ class Path:
 class Drawing:
     """Shapes by name, from the newest message of every topic."""
 
-    def __init__(self, robot: Robot, torque_max: float) -> None:
+    def __init__(self, robot: RobotParameters, torque_max: float) -> None:
         """torque_max: torque of a servo (N m) at which its tendon is drawn as fully loaded."""
         self._robot = robot
         self._tension_max = torque_max / robot.tendon.spool_radius
         self._position, self._quaternion = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
         self._legs = natural_legs(self._position, self._quaternion, robot, NATURAL_NODES)
         self._placed = self._simulated = False  # whether a pose, the exact one has been received
-        self._path, self._reference_path = Path(), Path()
+        self._path, self._reference_path = Trace(), Trace()
 
     def receive(self, topic: str, message: Any) -> dict[str, Shape]:
         """Shapes that a message changes; none of a topic that is not drawn.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from slot_core.drawing import palette
-from slot_core.robot import LEGS, Array, Robot
+from slot_core.robot import LEGS, Array, RobotParameters
 
 FORCE_SCALE = 0.012  # m of arrow per N
 LEAST_FORCE = 0.2  # N, smaller forces are not drawn
@@ -132,7 +132,7 @@ LEG_COLOURS = np.array([rgb(palette.LEG_COLOURS[leg]) for leg in LEGS])
 SLACK, LOADED = rgb(palette.PALE), rgb("#C00000")  # tendons without load and at the largest
 
 
-def torso_box(position: Array, quaternion: Array, robot: Robot) -> Box:
+def torso_box(position: Array, quaternion: Array, robot: RobotParameters) -> Box:
     """The torso at position (3,) m and quaternion (4,) x y z w."""
     return Box(position, quaternion, np.array(robot.torso.size), rgb(palette.TORSO))
 
@@ -143,7 +143,7 @@ def box_edges(position: Array, quaternion: Array, size: Array, colour: Array) ->
     return Strips(corners[EDGE_WALK][None], colour[None], EDGE_WIDTH)
 
 
-def bent_legs(nodes: Array, directors: Array, quaternion: Array, robot: Robot) -> Legs:
+def bent_legs(nodes: Array, directors: Array, quaternion: Array, robot: RobotParameters) -> Legs:
     """Legs at nodes (4, n, 3) m with directors (4, n - 1, 3).
 
     Without directors, (4, 0, 3), a leg lies in the plane of its azimuth, which is fixed to the
@@ -155,7 +155,7 @@ def bent_legs(nodes: Array, directors: Array, quaternion: Array, robot: Robot) -
     return Legs(nodes, directors)
 
 
-def natural_legs(position: Array, quaternion: Array, robot: Robot, nodes: int) -> Legs:
+def natural_legs(position: Array, quaternion: Array, robot: RobotParameters, nodes: int) -> Legs:
     """Stress-free legs of a torso, at `nodes` nodes: where the bent ones are not known."""
     x = np.linspace(0.0, robot.leg.reach, nodes)
     rise = robot.leg.shape(x) - robot.leg.shape(0.0)
@@ -166,7 +166,7 @@ def natural_legs(position: Array, quaternion: Array, robot: Robot, nodes: int) -
     return bent_legs(points, np.zeros((len(LEGS), 0, 3)), quaternion, robot)
 
 
-def leg_bars(legs: Legs, robot: Robot, *, known: bool = True) -> Bars:
+def leg_bars(legs: Legs, robot: RobotParameters, *, known: bool = True) -> Bars:
     """The legs, with their width and their taper; pale if their shape is not known."""
     width, thickness = legs.axes
     d = robot.leg.width / 2 * width
@@ -176,7 +176,7 @@ def leg_bars(legs: Legs, robot: Robot, *, known: bool = True) -> Bars:
 
 
 def tendon_strips(
-    legs: Legs, quaternion: Array, tension: Array, robot: Robot, top: float
+    legs: Legs, quaternion: Array, tension: Array, robot: RobotParameters, top: float
 ) -> Strips:
     """Tendons along the lower sides of the legs up to the anchors.
 

@@ -18,8 +18,8 @@ from slot_core.dynamics.spatial import strain as spatial_strain
 from slot_core.dynamics.spatial.leg import SpatialLeg
 from slot_core.dynamics.tendon import TendonModel, route
 from slot_core.dynamics.terrain import read_terrain
-from slot_core.dynamics.torso import TorsoModel, box
-from slot_core.robot import Array, Robot
+from slot_core.dynamics.torso import TorsoBox, box
+from slot_core.robot import Array, RobotParameters
 
 
 class ThetaScheme(NamedTuple):
@@ -37,7 +37,7 @@ class Model(NamedTuple):
 
     rod: Rod
     tendon: TendonModel
-    torso: TorsoModel
+    torso: TorsoBox
     floor: Floor
     servo: Servo
     friction: Array  # (2, 4) coefficient of the legs, and its other value where it varies
@@ -143,7 +143,7 @@ def is_spatial(model: Model) -> bool:
     return model.floor.half_width > 0.0
 
 
-def segments(model: Model) -> planar_strain.Segments | spatial_strain.Segments:
+def segments(model: Model) -> planar_strain.PlanarSegments | spatial_strain.Segments:
     """Scratch arrays for the strains of one leg."""
     return (spatial_strain if is_spatial(model) else planar_strain).segments(len(model.rod.node))
 
@@ -197,7 +197,7 @@ def clamp_maps(axes: Array, root: Array, spatial: bool) -> Array:
     return maps
 
 
-def build_model(robot: Robot, scene: Scene, settings: ServoSettings) -> Model:
+def build_model(robot: RobotParameters, scene: Scene, settings: ServoSettings) -> Model:
     """Parameters of the kernels for a robot, its scene and its servos.
 
     Raises ConfigError for a height map that cannot be read, a supply voltage beyond those of the

@@ -13,7 +13,7 @@ import numpy as np
 from slot_core.config import ConfigError
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
-from slot_core.robot import Array, Robot
+from slot_core.robot import Array, RobotParameters
 
 SNAPSHOT = (
     "time", "halvings", "indefinite_steps", "position", "rotation", "velocity", "angular_velocity",
@@ -37,7 +37,7 @@ class Divergence(RuntimeError):  # noqa: N818 - it names the event
         np.savez(path, scene=scene, message=str(self), **self.state)
 
 
-class RobotState(Protocol):
+class TorsoMotion(Protocol):
     """Motion of the torso in every model, as arrays that the model writes in place."""
 
     @property
@@ -67,13 +67,13 @@ class SimulatedRobot(ABC):
     All arrays that are returned are copies; legs are in the order FL FR RL RR.
     """
 
-    robot: Robot
+    robot: RobotParameters
     scene: Scene
-    state: RobotState
+    state: TorsoMotion
     steps = 0  # since the end of settling
 
     @abstractmethod
-    def __init__(self, robot: Robot, scene: Scene, servo: ServoSettings) -> None:
+    def __init__(self, robot: RobotParameters, scene: Scene, servo: ServoSettings) -> None:
         """Start at `scene.start` and settle; time zero is the end of settling."""
 
     @abstractmethod

@@ -24,7 +24,7 @@ from slot_core.dynamics.terrain import Ground, ground, is_uneven, tilted
 from slot_core.robot import Array, Torso
 
 
-class TorsoModel(NamedTuple):
+class TorsoBox(NamedTuple):
     """Mass, inertia and contact points of the box."""
 
     mass: float  # kg
@@ -32,10 +32,10 @@ class TorsoModel(NamedTuple):
     corners: Array  # (8, 3) m, base_link
 
 
-def box(settings: Torso) -> TorsoModel:
+def box(settings: Torso) -> TorsoBox:
     """Parameters of the torso: mass, inertia and the eight corners of the box."""
     signs = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
-    return TorsoModel(settings.mass, settings.inertia, signs * np.array(settings.size))
+    return TorsoBox(settings.mass, settings.inertia, signs * np.array(settings.size))
 
 
 @helper

@@ -22,7 +22,7 @@ Sleep = Callable[[float], None]
 SAMPLES = 20
 SAMPLE_PERIOD = 0.02  # s
 ZERO_DIGITS = 2  # of a zero in deg
-STILL = 3  # counts, largest spread of the readings of a servo at rest
+SPREAD_MAX = 3  # counts, largest spread of the readings of a servo at rest
 NUMBER = r"-?\d+(?:\.\d+)?"
 
 
@@ -31,7 +31,7 @@ def measure_zero(bus: Bus, joint: Joint, sleep: Sleep) -> float:
 
     Rounded as in the configuration, since the servo's limits follow from it.
 
-    Raises ServoError, also if the readings spread by more than STILL counts.
+    Raises ServoError, also if the readings spread by more than SPREAD_MAX counts.
     """
     bus.write_verified(joint.id, "torque_enable", 0)
     found = []
@@ -39,8 +39,10 @@ def measure_zero(bus: Bus, joint: Joint, sleep: Sleep) -> float:
         found.append(bus.read(joint.id, "present_position")["present_position"])
         sleep(SAMPLE_PERIOD)
     moved = max(found) - min(found)
-    if moved > STILL:
-        raise RefusedError([f"{joint.name}: moves by {moved} counts, limit {STILL}; hold it still"])
+    if moved > SPREAD_MAX:
+        raise RefusedError(
+            [f"{joint.name}: moves by {moved} counts, limit {SPREAD_MAX}; hold it still"]
+        )
     return round(math.degrees(statistics.fmean(found) * RAD_PER_COUNT), ZERO_DIGITS)
 
 

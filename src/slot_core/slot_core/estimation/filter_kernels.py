@@ -25,7 +25,7 @@ COS_PITCH_MIN = 1e-3  # keeps the covariance of roll and yaw finite at a pitch o
 SMALL_ANGLE = 1e-4  # rad, below which the next term of a series is less than a rounding error
 
 
-class Nominal(NamedTuple):
+class FilterState(NamedTuple):
     """Nominal state and covariance of the error state; the kernels change them in place."""
 
     attitude: Array  # (4,) unit quaternion x y z w
@@ -35,7 +35,7 @@ class Nominal(NamedTuple):
     cov: Array  # (15, 15)
 
 
-class Work(NamedTuple):
+class FilterWork(NamedTuple):
     """Work space of the kernels."""
 
     rotation: Array  # (3, 3)
@@ -50,11 +50,11 @@ class Work(NamedTuple):
     sample: Array  # (6,) of the IMU
 
 
-def work_space() -> Work:
+def work_space() -> FilterWork:
     """Work space of one filter."""
     wide, block = (15, 15), (3, 3)
     shapes = (block, wide, wide, (9, 9), (15, 9), block, (9,), (3,), (15,), (6,))
-    return Work(*(np.zeros(shape) for shape in shapes))
+    return FilterWork(*(np.zeros(shape) for shape in shapes))
 
 
 @exact_helper

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from slot_core.clock import SECOND
 from slot_core.config import quantity, text
 from slot_core.estimation.filter_kernels import (
-    Nominal,
+    FilterState,
     correct,
     interpolate,
     output,
@@ -177,7 +177,7 @@ class InertialFilter:
         cov[GYRO_BIAS, GYRO_BIAS] = imu.gyro_bias**2 * np.eye(3)
         cov[FORCE_BIAS, FORCE_BIAS] = imu.acceleration_bias**2 * np.eye(3)
         attitude = np.array([0.0, 0.0, 0.0, 1.0])
-        self._state = Nominal(attitude, np.zeros(3), np.zeros(3), np.zeros((2, 3)), cov)
+        self._state = FilterState(attitude, np.zeros(3), np.zeros(3), np.zeros((2, 3)), cov)
         self._work = work_space()
         drifts = imu.gyro_drift, imu.acceleration_drift
         self.rate = Rate(np.zeros(3), 0.0, 0.0)
@@ -198,11 +198,11 @@ class InertialFilter:
         self.rate = Rate(motion.rate, float(motion.variance[9:].mean()), 0.0)
 
     @property
-    def state(self) -> Nominal:
+    def state(self) -> FilterState:
         """A copy of nominal state and covariance, for `restore`."""
-        return Nominal(*(part.copy() for part in self._state))
+        return FilterState(*(part.copy() for part in self._state))
 
-    def restore(self, saved: Nominal) -> None:
+    def restore(self, saved: FilterState) -> None:
         """Set nominal state and covariance; valid only without a correction in between."""
         for part, value in zip(self._state, saved):
             part[:] = value

@@ -36,7 +36,7 @@ from slot_core.estimation.inertial_filter import (
 )
 from slot_core.robot import Array
 
-NEVER = -(2**62)  # ns
+BEFORE_ALL_TIMES = -(2**62)  # ns
 VARIANCE_MIN, VARIANCE_MAX = 1e-12, 1e6  # SI, to which the variances of a message are clipped
 
 
@@ -75,8 +75,8 @@ class StateEstimator:
         )
         self._stamp: int | None = None  # ns, of the filter's state; None: not started
         self._corrected = self._filter.state  # at `_stamp`
-        self._reached = NEVER  # ns, of the filter: at or after `_stamp`
-        self._tick = NEVER  # ns, stamp of the last estimate
+        self._reached = BEFORE_ALL_TIMES  # ns, of the filter: at or after `_stamp`
+        self._tick = BEFORE_ALL_TIMES  # ns, stamp of the last estimate
         self._accepted_stamp = 0  # ns, of the last accepted reading
         self._accepted = 0  # accepted readings since the start; in a row until valid
 
@@ -126,7 +126,7 @@ class StateEstimator:
 
     def present(self) -> Estimate | None:
         """The state at the newest IMU sample; None if the filter has not reached one."""
-        newest = self._newest.get("imu", NEVER)
+        newest = self._newest.get("imu", BEFORE_ALL_TIMES)
         if self._stamp is None or newest <= self._stamp or newest != self._reached:
             return None
         validity = self._validity(self._accepted_stamp == self._stamp, True)
@@ -283,7 +283,7 @@ class StateEstimator:
         """Estimate of the tick `stamp`, predicted by `delay` (s) from where the filter is."""
         assert self._stamp is not None
         saved, rate, samples = self._filter.state, self._filter.rate, self._imu.samples
-        newest = int(samples.stamps[-1]) if len(samples.stamps) else NEVER
+        newest = int(samples.stamps[-1]) if len(samples.stamps) else BEFORE_ALL_TIMES
         if self._reached > self._stamp:
             self._filter.use_gyro(samples, newest, delay)
         if delay > 0.0 and newest >= self._reached:

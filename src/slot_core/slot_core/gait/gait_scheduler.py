@@ -16,13 +16,13 @@ from slot_core.gait.gait import (
     Stride,
 )
 from slot_core.gait.reference import reference
-from slot_core.gait.route import Path
+from slot_core.gait.route import Route
 from slot_core.gait.stride_feedback import StrideFeedback, Target
 from slot_core.geometry import wrapped
 from slot_core.legs.leg_springs import LegSprings
-from slot_core.robot import Array, Robot
+from slot_core.robot import Array, RobotParameters
 
-STILL = 1e-4  # m/s, rad/s: below it a stride stands
+LEAST_VELOCITY = 1e-4  # m/s, rad/s: below it a stride stands
 LONGEST_GAP = 0.5  # s between states; after a longer one the commands do not move
 SETTLING = 0.5  # s that the servos follow before a posture is corrected: the torso still swings
 FASTEST, FASTEST_TURN = 1.0, 3.0  # m/s, rad/s of a torso; beyond it the odometry has jumped
@@ -64,11 +64,11 @@ class GaitScheduler:
     def __init__(  # noqa: PLR0917
         self,
         settings: GaitSettings,
-        robot: Robot,
+        robot: RobotParameters,
         springs: LegSprings,
         gait: str,
         velocity: Array | None,
-        path: Path | None = None,
+        path: Route | None = None,
     ):
         """Blend from `stand` to `gait` at velocity [v_x, v_y, yaw rate] from the first tick on.
 
@@ -244,7 +244,7 @@ class GaitScheduler:
         return self._is_still() or not self._followed
 
     def _is_still(self) -> bool:
-        return bool((np.abs(self._velocity) < STILL).all())
+        return bool((np.abs(self._velocity) < LEAST_VELOCITY).all())
 
     def _moving_after(self, active: _ActiveStride, times: Array) -> Array:
         """Share (n,) of a stride's motion at `times` (s) ahead."""

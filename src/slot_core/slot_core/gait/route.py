@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import math
-from pathlib import Path as FilePath
+from pathlib import Path
 
 import numpy as np
 
@@ -24,7 +24,7 @@ CREEP = 0.25  # least share of the speed before the end
 TURN_GAIN = 1.0  # 1/s, yaw rate per heading error, where the heading follows the path
 
 
-class Path:
+class Route:
     """Polyline, and the reference place on it."""
 
     def __init__(self, points: Array, heading: str):
@@ -94,15 +94,15 @@ class Path:
         return np.array([np.interp(travelled, self._arc, x), np.interp(travelled, self._arc, y)])
 
 
-def read_path(file: FilePath | str, heading: str) -> Path:
-    """The path of a CSV file with columns x, y (m); heading as in `Path`. Raises ConfigError."""
+def read_route(file: Path | str, heading: str) -> Route:
+    """The path of a CSV file with columns x, y (m); heading as in `Route`. Raises ConfigError."""
     if heading not in (KEPT, ALONG):
         raise ConfigError(f"path_heading = {heading!r}: expected one of kept, along")
     try:
-        with FilePath(file).open(newline="") as stream:
+        with Path(file).open(newline="") as stream:
             rows = [[float(row["x"]), float(row["y"])] for row in csv.DictReader(stream)]
     except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
         raise ConfigError(f"{file}: no path with columns x, y: {error}") from None
     if len(rows) > POINTS_MAX or not np.isfinite(rows).all():
         raise ConfigError(f"{file}: more than {POINTS_MAX} points, or a value not finite")
-    return Path(np.array(rows).reshape(-1, 2), heading)
+    return Route(np.array(rows).reshape(-1, 2), heading)

@@ -27,7 +27,7 @@ from slot_core.robot import Array
 VELOCITY, OFFSETS = slice(0, 3), slice(3, 6)
 # Signs of the offsets common, left-right and front-rear at the legs FL FR RL RR.
 OFFSET_SIGNS = np.array([[1, 1, 1, 1], [1, -1, 1, -1], [1, 1, -1, -1]], dtype=float)
-WHOLE = 0.9  # share of the period from which a row of ticks is a stride
+WHOLE_STRIDE_SHARE = 0.9  # share of the period from which a row of ticks is a stride
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class StrideFeedback:
     def __init__(self, stride: Stride):
         """Start without corrections."""
         self._settings: FeedbackSettings = stride.feedback
-        self._shortest = WHOLE * stride.period  # s
+        self._shortest = WHOLE_STRIDE_SHARE * stride.period  # s
         self._effect = np.array(self._settings.effect, dtype=float)
         self._scale = np.array(self._settings.scale, dtype=float)
         offset = np.radians(self._settings.offset_max_deg)

@@ -29,7 +29,7 @@ from slot_core.dynamics.planar.leg import load_leg
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.legs.leg_map import NoEquilibriumError, StaticLeg
-from slot_core.robot import Array, Robot
+from slot_core.robot import Array, RobotParameters
 
 STEP = 1e-3  # s; half of it changes the force by less than 1e-3 N
 ITERATIONS = 50  # of a step, at most
@@ -45,7 +45,7 @@ class HeldLeg:
     NoEquilibriumError where the leg has no equilibrium at the start.
     """
 
-    def __init__(self, robot: Robot, nodes: int, friction: float, height: float):
+    def __init__(self, robot: RobotParameters, nodes: int, friction: float, height: float):
         changes = {"solver.legs": "planar", "solver.nodes": nodes, "floor.friction_law": "viscous"}
         settings = config.replace(read_scene("flat"), changes)
         self.height = height

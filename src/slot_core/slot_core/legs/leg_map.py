@@ -33,7 +33,7 @@ from slot_core.dynamics.planar.leg import load_leg
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.legs.sticking_leg import StickingLeg
-from slot_core.robot import Array, Robot, read_robot
+from slot_core.robot import Array, RobotParameters, read_robot
 
 COLUMNS = (
     "theta_deg",
@@ -91,7 +91,7 @@ class LegEquilibrium(NamedTuple):
 class StaticLeg:
     """One leg on a frictionless floor, clamp horizontal; keeps its shape between solutions."""
 
-    def __init__(self, robot: Robot, nodes: int):
+    def __init__(self, robot: RobotParameters, nodes: int):
         changes = {
             "solver.legs": "planar",
             "solver.nodes": nodes,
@@ -204,7 +204,7 @@ def respond(model, leg, height, rise, turn):
     return force, shift / weight if weight > 0.0 else 0.0
 
 
-def tabulate(robot: Robot, grid: LegMapSettings) -> Array:
+def tabulate(robot: RobotParameters, grid: LegMapSettings) -> Array:
     """Leg map, (angles x heights, 11), columns and units of `COLUMNS`; the height varies fastest.
 
     Raises NoEquilibriumError.
@@ -220,7 +220,7 @@ def tabulate(robot: Robot, grid: LegMapSettings) -> Array:
 
 
 def _rows_at_height(
-    robot: Robot, grid: LegMapSettings, node: Array, height: float, angles: Array
+    robot: RobotParameters, grid: LegMapSettings, node: Array, height: float, angles: Array
 ) -> Array:
     """(angles, 11) rows of the map at one height (m), from the shape (N, 2) at angle zero."""
     leg, stuck = StaticLeg(robot, grid.nodes), StickingLeg(robot, grid.nodes)

@@ -28,7 +28,7 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.spatial.elimination import eliminate
 from slot_core.dynamics.spatial.leg import hold_clamp, load_leg
 from slot_core.dynamics.spatial.strain import point_along
-from slot_core.robot import Array, Robot
+from slot_core.robot import Array, RobotParameters
 
 # 1/s, reciprocal of a step so long that inertia and damping, some kg and some N s/m times powers
 # of it, are below the rounding of the stiffness.
@@ -39,7 +39,7 @@ TOUCH = 1e-9  # m into the floor of the lowest node of a leg above it
 class StickingLeg:
     """One leg of `nodes` nodes, clamp horizontal, on the floor of the scene `flat`."""
 
-    def __init__(self, robot: Robot, nodes: int):
+    def __init__(self, robot: RobotParameters, nodes: int):
         settings = {"legs": "spatial", "nodes": nodes}
         changes = {f"solver.{name}": value for name, value in settings.items()}
         scene = config.replace(read_scene("flat"), changes | {"floor.friction_law": "bristle"})

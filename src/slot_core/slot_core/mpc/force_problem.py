@@ -25,7 +25,7 @@ from slot_core.mpc.model import (
 )
 from slot_core.mpc.settings import MpcSettings
 from slot_core.mpc.solver import Solution, make_solver
-from slot_core.robot import GRAVITY, Array, Robot
+from slot_core.robot import GRAVITY, Array, RobotParameters
 
 LONGEST_GAP = 0.5  # s between ticks; after a longer one the acting forces are unknown
 
@@ -42,7 +42,7 @@ class _LastTick:
 class ForceProblem:
     """The problem with the values of the present tick, its observer and its solver."""
 
-    def __init__(self, robot: Robot, settings: MpcSettings):
+    def __init__(self, robot: RobotParameters, settings: MpcSettings):
         """Set up problem and solver.
 
         Raises ConfigError if the weights leave the problem ill-conditioned.

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from slot_core.config import choice, quantity
-from slot_core.robot import GRAVITY, LEGS, Array, Robot
+from slot_core.robot import GRAVITY, LEGS, Array, RobotParameters
 
 FEET = len(LEGS)
 STATES = 12
@@ -91,7 +91,7 @@ class FirstStage:
 class TorsoModel:
     """Single rigid body model of the torso, driven by the forces on its feet."""
 
-    def __init__(self, robot: Robot):
+    def __init__(self, robot: RobotParameters):
         self._feet = robot.feet
         self._inverse_inertia = np.linalg.inv(robot.inertia)
         self._mass = robot.mass

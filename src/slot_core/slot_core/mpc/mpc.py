@@ -24,7 +24,7 @@ from slot_core.mpc.model import FEET, STATES, FirstStage, Horizon, slacks
 from slot_core.mpc.posture_problem import PostureProblem
 from slot_core.mpc.settings import MpcSettings, read_mpc
 from slot_core.mpc.solver import Solution
-from slot_core.robot import GRAVITY, Array, Robot
+from slot_core.robot import GRAVITY, Array, RobotParameters
 
 _NONE = np.zeros(FEET)
 NO_STAGE = FirstStage(_NONE, _NONE, np.zeros((FEET, 3)), _NONE, _NONE)
@@ -43,7 +43,7 @@ class _SolverReport:
 class Mpc(Policy):
     """The MPC. `step` raises nothing for bad data; the solver's iterations are limited."""
 
-    def __init__(self, robot: Robot, settings: MpcSettings, timer: Timer):
+    def __init__(self, robot: RobotParameters, settings: MpcSettings, timer: Timer):
         """Set up problem and solver; `timer` returns seconds.
 
         Raises ConfigError if the weights leave the problem ill-conditioned.

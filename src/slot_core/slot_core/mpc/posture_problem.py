@@ -59,7 +59,7 @@ from slot_core.mpc.model import FEET, FirstStage, Horizon
 from slot_core.mpc.piqp_solver import solution
 from slot_core.mpc.posture_kernels import condense, limit_forces, linearise, predict
 from slot_core.mpc.solver import Solution
-from slot_core.robot import GRAVITY, Array, Robot
+from slot_core.robot import GRAVITY, Array, RobotParameters
 
 POSTURE = 3  # z, roll, pitch
 SIZE = POSTURE + FEET  # state: q, a
@@ -99,7 +99,9 @@ class PostureProblem:
 
     share = 1.0  # of the robot's mass in the reference forces, which are the gait's
 
-    def __init__(self, robot: Robot, springs: LegSprings, options: PostureOptions, horizon: int):
+    def __init__(
+        self, robot: RobotParameters, springs: LegSprings, options: PostureOptions, horizon: int
+    ):
         """Set up weights and solver."""
         self._robot, self._springs = robot, springs
         self._options, self._horizon = options, horizon

@@ -11,7 +11,7 @@ import numpy as np
 from slot_core import config
 from slot_core.config import quantity
 from slot_core.dynamics.scene import Scene
-from slot_core.robot import GRAVITY, Array, Robot
+from slot_core.robot import GRAVITY, Array, RobotParameters
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def read_paper() -> PaperSettings:
     return config.read(PaperSettings, "paper")
 
 
-def tension_of(settings: PaperSettings, robot: Robot, angle: Array) -> Array:
+def tension_of(settings: PaperSettings, robot: RobotParameters, angle: Array) -> Array:
     """Tensions (N) at tendon angles (rad): T = (angle / range) torque / spool radius."""
     torque = angle / math.radians(settings.servo_range_deg) * settings.servo_torque
     return np.asarray(torque / robot.tendon.spool_radius)
@@ -112,7 +112,7 @@ class PaperTorsoState(NamedTuple):
 
 
 def leg_model(
-    robot: Robot,
+    robot: RobotParameters,
     settings: PaperSettings,
     touching: int,
     base_load: float,
@@ -158,7 +158,7 @@ def leg_state(model: PaperLegModel, legs: int) -> PaperLegState:
     return PaperLegState(node, *(np.zeros(shape) for shape in shapes))
 
 
-def torso_model(robot: Robot, scene: Scene, settings: PaperSettings) -> PaperTorso:
+def torso_model(robot: RobotParameters, scene: Scene, settings: PaperSettings) -> PaperTorso:
     """Numbers of the torso; its vertical spring is relaxed at the scene's start height."""
     return PaperTorso(
         mass=robot.torso.mass,
@@ -182,7 +182,7 @@ def torso_state(height: float) -> PaperTorsoState:
     return state
 
 
-def _initial(robot: Robot, count: int) -> Array:
+def _initial(robot: RobotParameters, count: int) -> Array:
     """(N, 2) m, initial shape at equal distances in x."""
     x = np.linspace(0.0, robot.leg.reach, count)
     return np.column_stack([x, robot.leg.shape(x)])

@@ -79,7 +79,7 @@ from slot_core.paper.numbers import (
     torso_model,
     torso_state,
 )
-from slot_core.robot import LEGS, Array, Robot
+from slot_core.robot import LEGS, Array, RobotParameters
 
 
 class PaperLeg:
@@ -89,7 +89,7 @@ class PaperLeg:
     x outward from the base, z above the floor.
     """
 
-    def __init__(self, robot: Robot, settings: PaperSettings) -> None:
+    def __init__(self, robot: RobotParameters, settings: PaperSettings) -> None:
         self.settings = settings
         self.model = leg_model(robot, settings, touching=0, base_load=0.0)
         self.state = leg_state(self.model, 1)
@@ -141,7 +141,7 @@ class PaperRobot(SimulatedRobot):
 
     def __init__(
         self,
-        robot: Robot,
+        robot: RobotParameters,
         scene: Scene,
         servo: ServoSettings,
         settings: PaperSettings | None = None,

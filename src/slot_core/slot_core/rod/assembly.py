@@ -43,8 +43,8 @@ class Lever(NamedTuple):
     z: tuple[float, float, float]
 
 
-STILL = (0.0, 0.0, 0.0)
-SECTION = Lever((0.0, 0.0, 0.0), 0.0, 1.0, STILL)  # of an end
+ZERO = (0.0, 0.0, 0.0)
+SECTION = Lever((0.0, 0.0, 0.0), 0.0, 1.0, ZERO)  # of an end
 
 
 @helper
@@ -52,7 +52,7 @@ def segment(work, k):
     """Lever of segment k, whose director is carried on from the direction a = work.begin[k]."""
     s, a = work.segments, row(work.begin, k)
     t, scale = row(s.direction, k), s.per_length[k]
-    return Lever(t, scale, 0.0, plus(STILL, scale / (1.0 + dot(a, t)), cross(t, a)))
+    return Lever(t, scale, 0.0, plus(ZERO, scale / (1.0 + dot(a, t)), cross(t, a)))
 
 
 @helper

@@ -27,7 +27,7 @@ from slot_core.rod.assembly import assemble
 from slot_core.rod.elimination import eliminate, load_tip, pull, substitute
 
 LARGEST_INCREMENT = 1.0  # rod lengths and rad; a step that ends with more has diverged
-STILL = (0.0, 0.0, 0.0)
+ZERO = (0.0, 0.0, 0.0)
 
 
 @helper
@@ -78,7 +78,7 @@ def stage(work, tau):
         end_frame(work, work.stage_frame, work.frame, end, (tau * w[0], tau * w[1], tau * w[2]))
     show_tip(work, work.stage, work.stage_frame)
     point_along(work.segments, work.stage)
-    orient(work.segments, work.begin, work.from_director, work.spin, STILL, tau)
+    orient(work.segments, work.begin, work.from_director, work.spin, ZERO, tau)
     show_tip(work, work.stage, work.stage_frame)
 
 
@@ -146,7 +146,7 @@ def finish(mesh, work, h, theta):
         put(work.node, i, plus(row(work.node, i), h, v))
         put(work.velocity, i, plus(p, past, plus(v, -1.0, p)))
     point_along(s, work.node)
-    orient(s, work.begin, work.from_director, work.spin, STILL, h)
+    orient(s, work.begin, work.from_director, work.spin, ZERO, h)
     copy(work.director, s.director)
     copy(work.turning, work.rate)
     for end in range(2):

@@ -21,7 +21,7 @@ Vector = tuple[float, float, float]
 Components = tuple[bool, bool, bool]
 
 NOWHERE: Vector = (0.0, 0.0, 0.0)
-ALL: Components = (True, True, True)
+ALL_COMPONENTS: Components = (True, True, True)
 NONE: Components = (False, False, False)
 
 
@@ -222,8 +222,8 @@ class Support:
     rotation: Components
 
 
-CLAMPED = Support(ALL, ALL)
-PINNED = Support(ALL, (True, False, False))  # turns about y and z
+CLAMPED = Support(ALL_COMPONENTS, ALL_COMPONENTS)
+PINNED = Support(ALL_COMPONENTS, (True, False, False))  # turns about y and z
 FREE = Support(NONE, NONE)
 ROLLER = Support((False, True, True), NONE)  # slides along x
 

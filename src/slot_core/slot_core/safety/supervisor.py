@@ -16,7 +16,7 @@ import numpy as np
 
 from slot_core.clock import SECOND
 from slot_core.estimation.estimate import Estimate
-from slot_core.robot import LEGS, Array, Robot
+from slot_core.robot import LEGS, Array, RobotParameters
 from slot_core.safety.command_gate import AT_REST, Action, command_fault
 from slot_core.safety.conditions import Conditions
 from slot_core.safety.servo_health import ServoHealth
@@ -103,7 +103,7 @@ class SteadyClock:
 class Supervisor:
     """State machine; inputs: `receive_...` and `request`, output: result of `step`."""
 
-    def __init__(self, robot: Robot, settings: SupervisorSettings, watch: TendonWatch):
+    def __init__(self, robot: RobotParameters, settings: SupervisorSettings, watch: TendonWatch):
         """Raises ConfigError when the ramp to slack takes longer than `gate.relax_time`."""
         settings.gate.check_ramp(robot.tendon.angle_max)
         self._robot, self._settings, self._watch = robot, settings, watch

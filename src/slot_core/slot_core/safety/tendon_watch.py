@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from slot_core.clock import SECOND
 from slot_core.legs.leg_table import LegTable, read_leg_table
-from slot_core.robot import LEGS, Array, Robot
+from slot_core.robot import LEGS, Array, RobotParameters
 from slot_core.safety.settings import TendonLimits
 
 
@@ -152,7 +152,7 @@ class TendonWatch:
         return f"slack or broken tendon {legs}, limit {limit:.1f} mm"
 
 
-def read_tendon_watch(robot: Robot, limits: TendonLimits) -> TendonWatch:
+def read_tendon_watch(robot: RobotParameters, limits: TendonLimits) -> TendonWatch:
     """The watch of the robot's tendons; raises ConfigError without `config/leg_map.csv`."""
     radius = robot.tendon.spool_radius
     return TendonWatch(TendonLoad(read_leg_table(("tension_N",)), radius), radius, limits)

@@ -19,7 +19,7 @@ from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamixel.settings import DynamixelSettings
 from slot_core.emulator.emulated_bus import EmulatorSettings
 from slot_core.faults import BUS_KINDS, Fault
-from slot_core.robot import LEGS, Array, Robot
+from slot_core.robot import LEGS, Array, RobotParameters
 from slot_core.simulation.bus_legs import EmulatedLegs
 from slot_core.simulation.plant import Plant
 
@@ -40,7 +40,7 @@ class BusPlant(Plant):
 
     def __init__(
         self,
-        robot: Robot,
+        robot: RobotParameters,
         scene: Scene,
         servo: ServoSettings,
         rng: np.random.Generator,

@@ -14,15 +14,15 @@ from slot_core.control.policy import DEFAULT_POLICY, make_policy, policy_class
 from slot_core.dynamics.scene import CameraSettings, Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.gait.gait import read_gaits
-from slot_core.gait.route import Path
-from slot_core.robot import Array, Robot, read_robot
+from slot_core.gait.route import Route
+from slot_core.robot import Array, RobotParameters, read_robot
 from slot_core.simulation.plant import Plant, Reading
 from slot_core.simulation.sensors import ImuReading, OdometryReading, PictureReading
 
 if TYPE_CHECKING:
     from slot_core.vision.localizer import MarkerLocalizer
 
-PlantMaker = Callable[[Robot, Scene, ServoSettings, np.random.Generator], Plant]
+PlantMaker = Callable[[RobotParameters, Scene, ServoSettings, np.random.Generator], Plant]
 CHANGEABLE = ("scene", "servo", "robot", "gait", "policy")
 Settings = TypeVar("Settings")
 
@@ -43,7 +43,7 @@ class ClosedLoop:
         policy: str = DEFAULT_POLICY,
         *,
         changes: Mapping[str, Any] | None = None,
-        path: Path | None = None,
+        path: Route | None = None,
         lost_odometry: tuple[float, float] = (0.0, 0.0),
         make: PlantMaker = Plant,
     ):

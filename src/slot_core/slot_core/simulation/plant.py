@@ -19,7 +19,7 @@ from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.dynamixel.state import JointReading
 from slot_core.faults import BROKEN, NAN, SLACK, Fault, legs_of, require_simulated_legs
 from slot_core.paper.paper_robot import PaperRobot
-from slot_core.robot import LEGS, Array, Robot
+from slot_core.robot import LEGS, Array, RobotParameters
 from slot_core.safety.command_gate import AT_REST, gone_on
 from slot_core.safety.servo_health import ServoHealth
 from slot_core.simulation.kernel_robot import KernelRobot
@@ -91,7 +91,7 @@ MODELS: dict[str, type[SimulatedRobot]] = {
 ROBOT_WITH_FAULT = {SLACK: KernelRobot, BROKEN: KernelRobot, NAN: RodRobot}
 
 
-def make_robot(robot: Robot, scene: Scene, servo: ServoSettings) -> SimulatedRobot:
+def make_robot(robot: RobotParameters, scene: Scene, servo: ServoSettings) -> SimulatedRobot:
     """Simulated robot with the model of the legs `scene.solver.legs`, settled at its start.
 
     Raises ConfigError for legs that relax of another model than `spatial`.
@@ -112,7 +112,9 @@ class Plant:
     Raises ConfigError if the scene has a fault or a push that the robot's model does not support.
     """
 
-    def __init__(self, robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator):
+    def __init__(
+        self, robot: RobotParameters, scene: Scene, servo: ServoSettings, rng: np.random.Generator
+    ):
         odometry_rng, imu_rng, trouble_rng, camera_rng = rng.spawn(4)
         self.simulator = make_robot(robot, scene, servo)
         self.now = 0  # ns

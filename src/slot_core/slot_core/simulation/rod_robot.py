@@ -20,7 +20,7 @@ from slot_core.dynamics.model import (
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import Divergence
-from slot_core.robot import LEGS, Array, Robot
+from slot_core.robot import LEGS, Array, RobotParameters
 from slot_core.simulation.kernel_robot import KernelRobot
 
 
@@ -31,7 +31,7 @@ class RodRobot(KernelRobot):
     command; time zero is the end of settling. Equal inputs give bit-equal results.
     """
 
-    def __init__(self, robot: Robot, scene: Scene, servo: ServoSettings) -> None:
+    def __init__(self, robot: RobotParameters, scene: Scene, servo: ServoSettings) -> None:
         self.robot = robot
         self.scene = scene
         self.model = build_model(robot, scene, servo)

@@ -19,7 +19,7 @@ from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.state import JointReading
 from slot_core.emulator.emulated_bus import read_emulator
 from slot_core.gait.gait import STAND
-from slot_core.robot import Array, Robot, read_robot
+from slot_core.robot import Array, RobotParameters, read_robot
 from slot_core.safety.command_watchdog import Permission
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.start_up import StartUp
@@ -34,7 +34,7 @@ from slot_core.simulation.stepped_servos import stepped
 
 
 def make_bus_plant(
-    robot: Robot, scene: Scene, servo: ServoSettings, rng: np.random.Generator
+    robot: RobotParameters, scene: Scene, servo: ServoSettings, rng: np.random.Generator
 ) -> BusPlant:
     """Simulated robot on emulated servos as configured."""
     settings, emulator = read_settings(), read_emulator()

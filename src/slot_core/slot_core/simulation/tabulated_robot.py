@@ -56,7 +56,7 @@ from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.legs.leg_table import LegTable, read_leg_table
-from slot_core.robot import Array, Robot
+from slot_core.robot import Array, RobotParameters
 from slot_core.simulation.kernel_robot import KernelRobot
 from slot_core.simulation.tabulated_kernels import COS_TILT_MAX, TOO_TILTED, Feet, MapLegs, advance
 
@@ -79,7 +79,7 @@ class TabulatedRobot(KernelRobot):
     a floor below the torso.
     """
 
-    def __init__(self, robot: Robot, scene: Scene, servo: ServoSettings) -> None:
+    def __init__(self, robot: RobotParameters, scene: Scene, servo: ServoSettings) -> None:
         _require_tabulated(robot, scene)
         self.robot, self.scene = robot, scene
         table = read_leg_table(COLUMNS)
@@ -149,7 +149,7 @@ class _Requirement(NamedTuple):
     needed: object
 
 
-def _require_tabulated(robot: Robot, scene: Scene) -> None:
+def _require_tabulated(robot: RobotParameters, scene: Scene) -> None:
     """Raise ConfigError at the first setting that the table does not cover."""
     floor, made_for = scene.floor, read_scene("flat").floor
     needs = (
@@ -167,7 +167,7 @@ def _require_tabulated(robot: Robot, scene: Scene) -> None:
             )
 
 
-def map_legs(robot: Robot, table: LegTable) -> MapLegs:
+def map_legs(robot: RobotParameters, table: LegTable) -> MapLegs:
     """Parameters of the legs; raises ConfigError for an uneven grid or one not from zero."""
     angle, height = table.angle, table.height
     for values in (angle, height):

@@ -26,7 +26,7 @@ class Intrinsics:
 
 
 @dataclass(frozen=True)
-class Pose:
+class Placement:
     """Position and attitude in a frame."""
 
     position: tuple[float, float, float] = quantity("of the origin", "m", -100, 100)
@@ -37,7 +37,7 @@ class Pose:
 class BoardSettings:
     """A grid of square markers in one plane: x to the right, y up, z towards the viewer."""
 
-    pose: Pose
+    pose: Placement
     frame: str = choice("frame that it is fixed in", ODOM_FRAME, BASE_FRAME)
     columns: int = quantity("markers in a row", "", 1, 50)
     rows: int = quantity("rows, the first at the top", "", 1, 50)
@@ -55,7 +55,7 @@ class BoardSettings:
 class TrackedMarkers:
     """Single markers on the torso and along the legs."""
 
-    torso: Pose
+    torso: Placement
     size: float = quantity("edge of a marker", "m", 1e-3, 0.5)
     stand_off: float = quantity("from the side of a leg to the markers on it", "m", 0, 0.1)
     first_id: int = quantity(
@@ -109,8 +109,8 @@ class VisionSettings:
     """Settings of `config/vision.yaml`."""
 
     camera: Intrinsics
-    world_camera: Pose
-    film_camera: Pose
+    world_camera: Placement
+    film_camera: Placement
     points: TrackedMarkers
     detection: DetectionSettings
     chessboard: ChessboardSettings

@@ -18,7 +18,7 @@ from slot_lab.bags.bag import Bag, BagError, Stamps
 from slot_lab.bags.walk import (
     ESTIMATE,
     GROUND_TRUTH,
-    Motion,
+    TorsoTrack,
     joint_columns,
     last_states,
     seconds,
@@ -41,7 +41,7 @@ class TendonAngles:
     measured: bool = True  # else they are commands
 
 
-def measured_motion(bag: Bag, topic: str = "") -> Motion:
+def measured_motion(bag: Bag, topic: str = "") -> TorsoTrack:
     """The torso's motion from a topic of MOTION_TOPICS (default: the first that is recorded).
 
     Raises BagError if there is none, for fewer than two samples, and if they are not sound.
@@ -63,7 +63,9 @@ def measured_motion(bag: Bag, topic: str = "") -> Motion:
     else:
         rotation = _unit(where, attitude)
         velocity = rotation.apply(velocity)
-    return Motion(chosen, seconds(stamps[keep]), position, rotation.as_quat(), velocity, left_out)
+    return TorsoTrack(
+        chosen, seconds(stamps[keep]), position, rotation.as_quat(), velocity, left_out
+    )
 
 
 def tendon_angles(bag: Bag, topic: str = "") -> TendonAngles:

@@ -13,11 +13,10 @@ from slot_core.clock import SECOND
 from slot_core.control.force_map import make_force_map, read_force_map, read_springs
 from slot_core.control.policy import DEFAULT_POLICY, TendonPlan, make_policy
 from slot_core.estimation.estimate import Estimate, Validity
-from slot_core.estimation.state_estimator import NEVER, StateEstimator, read_estimator
+from slot_core.estimation.state_estimator import BEFORE_ALL_TIMES, StateEstimator, read_estimator
 from slot_core.gait.gait import GaitPreview, read_gaits
 from slot_core.gait.gait_scheduler import GaitScheduler
-from slot_core.gait.route import KEPT, read_path
-from slot_core.gait.route import Path as FollowedPath
+from slot_core.gait.route import KEPT, Route, read_route
 from slot_core.messages import decode
 from slot_core.recording.origin import FILES
 from slot_core.robot import read_robot
@@ -87,14 +86,14 @@ class RecordedStages:
         return self.own_policy or self.origin.about.get("policy", DEFAULT_POLICY)
 
     @property
-    def path(self) -> FollowedPath | None:
+    def path(self) -> Route | None:
         """The path that was followed, at the speed of the recorded commands; None without one."""
         if PATH not in self.origin.files:
             return None
         with TemporaryDirectory() as scratch:
             file = Path(scratch, PATH)
             file.write_bytes(self.origin.files[PATH])
-            return read_path(file, self.origin.about.get("path_heading", KEPT))
+            return read_route(file, self.origin.about.get("path_heading", KEPT))
 
     @property
     def lost_path(self) -> str:
@@ -132,7 +131,7 @@ def _as_they_arrived(recorded: RecordedStages, delay: int) -> Iterator[tuple[str
     """
     first = next(iter(recorded.estimates.values()), None)
     initial = first is not None and first.validity is Validity.INITIALISING
-    begin = first.stamp if first is not None and initial else NEVER
+    begin = first.stamp if first is not None and initial else BEFORE_ALL_TIMES
     imu = {decode.stamp(message) for topic, message in recorded.sensors if topic != ODOMETRY}
     place: dict[int, int] = {}  # stamp of the odometry: that of the IMU sample before it
     for stamp, estimate in recorded.estimates.items():

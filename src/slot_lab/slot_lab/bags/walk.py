@@ -20,7 +20,7 @@ STAGES = ("state_estimator", "gait_scheduler", "mpc_controller", "force_mapper")
 
 
 @dataclass(frozen=True)
-class Motion:
+class TorsoTrack:
     """The torso's motion over n samples of one topic, in odom."""
 
     source: str  # topic
@@ -48,10 +48,10 @@ class Motion:
         """(n, 2) horizontal velocity along and left of the momentary heading, m/s."""
         return rotate(self.velocity[:, :2], -self.rpy[:, 2])
 
-    def after(self, t: float) -> Motion:
+    def after(self, t: float) -> TorsoTrack:
         """The samples at or after graph time t."""
         keep = self.t >= t
-        return Motion(
+        return TorsoTrack(
             self.source,
             self.t[keep],
             self.position[keep],
@@ -116,7 +116,7 @@ def seconds(ns: Stamps, origin: int = 0) -> Array:
     return (ns - origin) / 1e9
 
 
-def read_motion(bag: Bag) -> Motion:
+def read_motion(bag: Bag) -> TorsoTrack:
     """The motion from ground truth if recorded, else from the state estimate.
 
     Raises BagError if the bag holds neither, or fewer than two samples.
@@ -128,22 +128,22 @@ def read_motion(bag: Bag) -> Motion:
     return _true_motion(bag) if topic == GROUND_TRUTH else _estimated_motion(bag)
 
 
-def _true_motion(bag: Bag) -> Motion:
+def _true_motion(bag: Bag) -> TorsoTrack:
     fields = ("pose.pose.position", "pose.pose.orientation", "twist.twist.linear")
     series = bag.series(GROUND_TRUTH, *fields)
     position, quaternion, twist = (series[field] for field in fields)
     velocity = Rotation.from_quat(quaternion).apply(twist)
-    return Motion(GROUND_TRUTH, seconds(series.stamp), position, quaternion, velocity)
+    return TorsoTrack(GROUND_TRUTH, seconds(series.stamp), position, quaternion, velocity)
 
 
-def _estimated_motion(bag: Bag) -> Motion:
+def _estimated_motion(bag: Bag) -> TorsoTrack:
     series = bag.series(ESTIMATE, "position", "rpy", "linear_velocity", "lead")
     time, last = last_states(series)
     time, order = np.unique(time, return_index=True)  # sorted, also where the clock was set
     new = last[order]
     quaternion = Rotation.from_euler("ZYX", series["rpy"][new, ::-1]).as_quat()
     position, velocity = series["position"][new], series["linear_velocity"][new]
-    return Motion(ESTIMATE, seconds(time), position, quaternion, velocity)
+    return TorsoTrack(ESTIMATE, seconds(time), position, quaternion, velocity)
 
 
 def state_time(series: Series) -> Stamps:

@@ -17,7 +17,7 @@ import numpy as np
 from slot_core import config
 from slot_core.command_line import positive_integer
 from slot_core.config import ConfigError
-from slot_core.robot import Array, Robot, read_parameters, read_robot
+from slot_core.robot import Array, RobotParameters, read_parameters, read_robot
 from slot_lab.calibration import parameter_file
 from slot_lab.calibration.data import Data, read_data
 from slot_lab.calibration.experiments import (
@@ -78,7 +78,7 @@ def _run(options: argparse.Namespace) -> dict[str, object]:
 
 
 def build_problem(
-    robot: Robot, names: Sequence[str], data: Data, settings: ExperimentSettings
+    robot: RobotParameters, names: Sequence[str], data: Data, settings: ExperimentSettings
 ) -> FitProblem:
     """Fit problem of a robot's parameters `names` to measurements; raises ConfigError."""
 

@@ -28,7 +28,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from slot_lab.csv_table import Row, TableError, read_table
+from slot_lab.csv_table import CsvRow, TableError, read_table
 
 CONDITIONS = {
     "marker_range": ("theta_deg", "load_N", "friction", "place"),
@@ -101,7 +101,7 @@ def read_data(path: Path) -> Data:
     return Data(path.name, digest, tuple(_datum(row) for row in table.rows))
 
 
-def _datum(row: Row) -> Datum:
+def _datum(row: CsvRow) -> Datum:
     kind = row.cells["kind"]
     if kind not in CONDITIONS:
         raise TableError(f"{row.where}, kind: {kind!r} is unknown (known: {', '.join(CONDITIONS)})")
@@ -110,7 +110,7 @@ def _datum(row: Row) -> Datum:
     return Datum(kind, line=row.line, **numbers)
 
 
-def _number(row: Row, name: str, needed: bool) -> float:
+def _number(row: CsvRow, name: str, needed: bool) -> float:
     text, (low, high) = row.cells[name], BOUNDS[name]
     if needed:
         value = row.number(name)

@@ -21,7 +21,7 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.legs.held_leg import HeldLeg
 from slot_core.legs.leg_map import NoEquilibriumError, StaticLeg
-from slot_core.robot import GRAVITY, LEGS, Array, Robot
+from slot_core.robot import GRAVITY, LEGS, Array, RobotParameters
 from slot_core.simulation.rod_robot import RodRobot
 from slot_lab.calibration.data import Datum
 from slot_lab.csv_table import TableError
@@ -52,7 +52,7 @@ def read_settings() -> ExperimentSettings:
     return config.read(ExperimentSettings, "calibration")
 
 
-def predict(robot: Robot, rows: Sequence[Datum], settings: ExperimentSettings) -> Array:
+def predict(robot: RobotParameters, rows: Sequence[Datum], settings: ExperimentSettings) -> Array:
     """(n,) predicted values of the measurements, in their units.
 
     Raises TableError for a tendon angle above the robot's largest, and PredictionError where the
@@ -80,7 +80,9 @@ def _test(row: Datum) -> tuple[str, tuple[float, ...]]:
     return row.kind, tuple(getattr(row, name) for name in shared)
 
 
-def marker_ranges(robot: Robot, rows: Sequence[Datum], settings: ExperimentSettings) -> Array:
+def marker_ranges(
+    robot: RobotParameters, rows: Sequence[Datum], settings: ExperimentSettings
+) -> Array:
     """(n,) ranges of the heights of points of a leg that lifts its load, m.
 
     The robot's four legs lift four times the load. By symmetry the torso neither tilts nor moves
@@ -106,7 +108,7 @@ def marker_ranges(robot: Robot, rows: Sequence[Datum], settings: ExperimentSetti
     return np.array([np.ptp([_at(row.place, arc, height) for height in heights]) for row in rows])
 
 
-def forces(robot: Robot, rows: Sequence[Datum], settings: ExperimentSettings) -> Array:
+def forces(robot: RobotParameters, rows: Sequence[Datum], settings: ExperimentSettings) -> Array:
     """(n,) vertical forces of the floor on a leg whose clamp is held, N."""
     first = rows[0]
     leg = HeldLeg(robot, settings.nodes, first.friction, first.height_m)
@@ -116,7 +118,9 @@ def forces(robot: Robot, rows: Sequence[Datum], settings: ExperimentSettings) ->
     return out
 
 
-def deflections(robot: Robot, rows: Sequence[Datum], settings: ExperimentSettings) -> Array:
+def deflections(
+    robot: RobotParameters, rows: Sequence[Datum], settings: ExperimentSettings
+) -> Array:
     """(n,) downward displacements of points of a hanging leg under weights at its tip, m."""
     leg = StaticLeg(robot, settings.nodes)
     angle, unloaded = math.radians(rows[0].theta_deg), leg.model
@@ -137,7 +141,7 @@ def _at(place: float, arc: Array, along: Array) -> float:
     return float(np.interp(place, arc / arc[-1], along))
 
 
-TESTS: dict[str, Callable[[Robot, Sequence[Datum], ExperimentSettings], Array]] = {
+TESTS: dict[str, Callable[[RobotParameters, Sequence[Datum], ExperimentSettings], Array]] = {
     "marker_range": marker_ranges,
     "force_angle": forces,
     "deflection": deflections,

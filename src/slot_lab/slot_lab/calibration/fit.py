@@ -28,7 +28,7 @@ from scipy.optimize import least_squares
 from scipy.stats import t as student
 
 from slot_core.config import ConfigError, leaves
-from slot_core.robot import Array, Robot
+from slot_core.robot import Array, RobotParameters
 from slot_lab.calibration.experiments import PredictionError
 
 LEVEL = 0.95  # of the intervals
@@ -147,7 +147,7 @@ class ParameterEstimate:
     at_limit: NDArray[np.bool_]  # (p,) within STEP of a bound
 
 
-def parameters_of(robot: Robot, names: Sequence[str]) -> tuple[Parameter, ...]:
+def parameters_of(robot: RobotParameters, names: Sequence[str]) -> tuple[Parameter, ...]:
     """Free parameters by dotted name, with start and bounds of their settings.
 
     Raises ConfigError for a name that is no number of the robot or is given twice.

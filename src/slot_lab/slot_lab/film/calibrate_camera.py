@@ -19,7 +19,7 @@ from slot_core.command_line import positive_integer
 from slot_core.config import ConfigError
 from slot_core.vision.camera import CameraError, camera_text
 from slot_core.vision.settings import VisionSettings, read_vision
-from slot_lab.film.calibration import Calibration, View, calibrate, chessboard, find_view
+from slot_lab.film.calibration import BoardView, Calibration, calibrate, chessboard, find_view
 from slot_lab.film.pictures import PICTURES, FilmError, read_film
 
 NAMES = ("f_x", "f_y", "c_x", "c_y", "k1", "k2", "p1", "p2", "k3")
@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _calibrate(options: argparse.Namespace, settings: VisionSettings) -> Calibration:
-    board, views, size = chessboard(settings), list[View](), (0, 0)
+    board, views, size = chessboard(settings), list[BoardView](), (0, 0)
     frames = read_film(options.film, topic=options.topic)
     for number, frame in enumerate(frames):
         shape = frame.grey.shape[1], frame.grey.shape[0]

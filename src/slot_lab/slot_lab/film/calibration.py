@@ -20,7 +20,7 @@ GROSS = 3.0  # times the median error of the views, beyond which a view is left 
 
 
 @dataclass(frozen=True)
-class View:
+class BoardView:
     """Corners of the board in one picture."""
 
     name: str
@@ -48,16 +48,16 @@ def chessboard(settings: VisionSettings) -> cv2.aruco.CharucoBoard:
     return cv2.aruco.CharucoBoard(size, board.square, board.marker, dictionary)
 
 
-def find_view(board: cv2.aruco.CharucoBoard, name: str, picture: Picture) -> View | None:
+def find_view(board: cv2.aruco.CharucoBoard, name: str, picture: Picture) -> BoardView | None:
     """The board's corners in a grey picture; None if fewer than CORNERS_MIN are found."""
     corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(picture)
     if ids is None or len(ids) < CORNERS_MIN:
         return None
     points = np.asarray(board.getChessboardCorners(), np.float64)[np.asarray(ids).ravel()]
-    return View(name, points, np.asarray(corners, np.float64).reshape(-1, 2))
+    return BoardView(name, points, np.asarray(corners, np.float64).reshape(-1, 2))
 
 
-def calibrate(views: list[View], size: tuple[int, int]) -> Calibration:
+def calibrate(views: list[BoardView], size: tuple[int, int]) -> Calibration:
     """The camera of `size` (px) from at least VIEWS_MIN views; raises CameraError.
 
     Views whose error is GROSS times the median are left out once. Raises also if the corners do not
@@ -94,7 +94,9 @@ def calibrate(views: list[View], size: tuple[int, int]) -> Calibration:
     )
 
 
-def _solve(views: list[View], size: tuple[int, int]) -> tuple[float, Array, Array, Array, Array]:
+def _solve(
+    views: list[BoardView], size: tuple[int, int]
+) -> tuple[float, Array, Array, Array, Array]:
     """RMS error, K, distortion (5,), standard deviations (9,) and the errors of the views."""
     points = [view.points.astype(np.float32) for view in views]
     pixels = [view.pixels.astype(np.float32) for view in views]
@@ -112,7 +114,7 @@ def _solve(views: list[View], size: tuple[int, int]) -> tuple[float, Array, Arra
     )  # fmt: skip
 
 
-def _covered(views: list[View], size: tuple[int, int]) -> tuple[float, float]:
+def _covered(views: list[BoardView], size: tuple[int, int]) -> tuple[float, float]:
     if not views:
         return 0.0, 0.0
     pixels = np.vstack([view.pixels for view in views])

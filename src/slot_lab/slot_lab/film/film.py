@@ -22,7 +22,7 @@ from slot_core.body_points import LEAST_NODES, LEG_POINTS, TORSO, arc_length, at
 from slot_core.command_line import within
 from slot_core.config import ConfigError
 from slot_core.messages import decode
-from slot_core.robot import LEGS, ODOM_FRAME, Array, Robot, read_robot
+from slot_core.robot import LEGS, ODOM_FRAME, Array, RobotParameters, read_robot
 from slot_core.vision.board import SQUARE, Picture, make_board, print_of, single_marker
 from slot_core.vision.camera import nominal
 from slot_core.vision.frames import Transform, optical
@@ -36,7 +36,7 @@ from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.walk import GROUND_TRUTH, LEG_STATES
 from slot_lab.film.calibration import chessboard
 from slot_lab.film.track import write_tracks
-from slot_lab.film.tracker import Sample
+from slot_lab.film.tracker import MarkerSample
 
 BOARD = "film"
 DEPTH_NOISE = 0.002  # m, of a pixel of a RealSense D435 at 0.8 m
@@ -53,7 +53,7 @@ class FilmedRobot(NamedTuple):
     sides: Array  # (4, N, 3) unit vectors along the width, to the right looking outward
 
 
-def filmed(robot: Robot, base: Transform, nodes: Array, directors: Array) -> FilmedRobot:
+def filmed(robot: RobotParameters, base: Transform, nodes: Array, directors: Array) -> FilmedRobot:
     """The robot with directors (4, N-1, 3) of its segments, or (4, 0, 3): legs without twist."""
     sides = np.concatenate([directors[:, :1], directors], axis=1)
     if not directors.size:
@@ -62,7 +62,9 @@ def filmed(robot: Robot, base: Transform, nodes: Array, directors: Array) -> Fil
     return FilmedRobot(base, nodes, sides)
 
 
-def plates(robot: Robot, settings: TrackedMarkers, at: FilmedRobot) -> dict[str, Transform]:
+def plates(
+    robot: RobotParameters, settings: TrackedMarkers, at: FilmedRobot
+) -> dict[str, Transform]:
     """Frames of the plates in odom by name: x along the leg outward, z away from its right side."""
     found = {TORSO: at.base @ Transform.of(settings.torso.position, settings.torso.rpy)}
     for leg, line, side in zip(LEGS, at.nodes, at.sides):
@@ -80,7 +82,7 @@ def plates(robot: Robot, settings: TrackedMarkers, at: FilmedRobot) -> dict[str,
 class Stage:
     """The robot with its plates and the board behind it, before the camera that films them."""
 
-    def __init__(self, settings: VisionSettings, robot: Robot) -> None:
+    def __init__(self, settings: VisionSettings, robot: RobotParameters) -> None:
         self._settings, self._robot = settings, robot
         camera = settings.film_camera
         self._to_camera = optical(Transform.of(camera.position, camera.rpy)).inverse
@@ -181,7 +183,7 @@ def _film(options: argparse.Namespace, settings: VisionSettings) -> int:
     video = cv2.VideoWriter(str(options.out), coding, 1 / period, size, isColor=False)
     if not video.isOpened():
         raise OSError(0, "no video can be written there", str(options.out))
-    truth: list[Sample] = []
+    truth: list[MarkerSample] = []
     for i, time in enumerate(times):
         soon = None
         if i + 1 < len(times) and times[i + 1] - time < GAP * period:
@@ -192,7 +194,7 @@ def _film(options: argparse.Namespace, settings: VisionSettings) -> int:
             depth = camera.depth(surfaces, DEPTH_NOISE)
             cv2.imwrite(str(options.depth / f"{i:06d}.png"), depth)
         for name, plate in stage.plates(shots[i]).items():
-            truth.append(Sample(i * period, name, plate.position))
+            truth.append(MarkerSample(i * period, name, plate.position))
     video.release()
     if options.truth:
         write_tracks(options.truth, truth, ODOM_FRAME)
@@ -218,7 +220,7 @@ def _film_chessboard(options: argparse.Namespace, settings: VisionSettings) -> i
     return VIEWS
 
 
-def _motion(bag: Bag, robot: Robot, duration: float) -> tuple[Array, list[FilmedRobot]]:
+def _motion(bag: Bag, robot: RobotParameters, duration: float) -> tuple[Array, list[FilmedRobot]]:
     """Times (n,) s, and the robot at these, of a recorded walk, up to a duration (s)."""
     truth = bag.series(GROUND_TRUTH, "pose.pose.position", "pose.pose.orientation")
     places, turns = truth["pose.pose.position"], truth["pose.pose.orientation"]

@@ -35,7 +35,7 @@ from slot_lab.film.pictures import (
     is_bag,
     read_film,
 )
-from slot_lab.film.tracker import Sample, Tracker, Tracks
+from slot_lab.film.tracker import MarkerSample, Tracker, Tracks
 
 COMPLETE = 1.02  # pictures that a video says over those read: some estimate their length
 
@@ -66,15 +66,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def of_leg(samples: list[Sample], leg: str | None) -> list[Sample]:
+def of_leg(samples: list[MarkerSample], leg: str | None) -> list[MarkerSample]:
     """The samples of the torso and of one leg, its points without its name; all without a leg."""
     if leg is None:
         return samples
     mine = [s for s in samples if s.point == TORSO or s.point.startswith(f"{leg}_")]
-    return [Sample(s.time, s.point.removeprefix(f"{leg}_"), s.position) for s in mine]
+    return [MarkerSample(s.time, s.point.removeprefix(f"{leg}_"), s.position) for s in mine]
 
 
-def write_tracks(path: Path, samples: list[Sample], frame: str) -> None:
+def write_tracks(path: Path, samples: list[MarkerSample], frame: str) -> None:
     """Write samples as CSV, time, point, x, y, z (s, m), after a comment that names the frame."""
     with path.open("w", newline="") as file:
         file.write(f"# {FRAME}{frame}\n")
@@ -129,7 +129,7 @@ def _camera(options: argparse.Namespace, settings: VisionSettings) -> Camera:
     return nominal(settings.camera)
 
 
-def _summary(tracks: Tracks, samples: list[Sample]) -> list[str]:
+def _summary(tracks: Tracks, samples: list[MarkerSample]) -> list[str]:
     """Lines: the frame, and of each point how many pictures show it."""
     lines = [f"{tracks.pictures} pictures, tracks in {tracks.frame}"]
     lines += tracks.warnings

@@ -30,7 +30,7 @@ MOVED = 1.0  # px, of the board before a camera that stands still
 
 
 @dataclass(frozen=True)
-class Sample:
+class MarkerSample:
     """A point at one time."""
 
     time: float  # s
@@ -43,7 +43,7 @@ class Tracks:
     """Result of a film."""
 
     frame: str  # odom, or camera_link
-    samples: list[Sample]
+    samples: list[MarkerSample]
     pictures: int
     camera_motion: float  # px, largest motion of a marker of the boards
     notes: list[str] = field(default_factory=list)
@@ -68,12 +68,12 @@ class Tracker:
         self._boards = [make_board(board) for board in boards.values()]
         self._detector = MarkerDetector(settings.dictionary_number, camera)
         self._noise = settings.detection.corner_noise / camera.focal
-        self._seen: list[Sample] = []  # in the optical frame
+        self._seen: list[MarkerSample] = []  # in the optical frame
         self._rays: dict[int, list[Array]] = {}  # (4, 2) of the boards' markers
         self._pictures = 0
         self._duplicates: set[int] = set()
 
-    def add(self, time: float, picture: Picture, depth: Depth | None = None) -> list[Sample]:
+    def add(self, time: float, picture: Picture, depth: Depth | None = None) -> list[MarkerSample]:
         """Add the grey picture (h, w) of a time (s); its points in the optical frame.
 
         depth: (h, w) mm along the optical axis, registered to the picture; zero: unknown. Raises
@@ -90,7 +90,7 @@ class Tracker:
             if number in self._names:
                 place = self._locate(found, index, depth)
                 if place is not None:
-                    new.append(Sample(time, self._names[number], place))
+                    new.append(MarkerSample(time, self._names[number], place))
         self._seen += new
         return new
 
@@ -100,7 +100,7 @@ class Tracker:
         if to_frame is None:
             frame, to_frame = CAMERA, Transform(OPTICAL, np.zeros(3))
         motion = self._camera_motion()
-        samples = [Sample(s.time, s.point, to_frame.apply(s.position)) for s in self._seen]
+        samples = [MarkerSample(s.time, s.point, to_frame.apply(s.position)) for s in self._seen]
         notes = []
         if self._duplicates:
             ids = ", ".join(map(str, sorted(self._duplicates)))

@@ -9,17 +9,17 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from slot_core.robot import Array, Robot, read_robot
+from slot_core.robot import Array, RobotParameters, read_robot
 from slot_lab.bags.bag import Bag
 from slot_lab.bags.walk import LEG_STATES, seconds, stride_period
-from slot_lab.report.picture import Camera, Pose, draw_robot
+from slot_lab.report.picture import Snapshot, Viewpoint, draw_robot
 from slot_lab.report.plots import read_poses
 
 STRIDES = 2  # the last ones
-STILL = 1.5  # s, shown of a run without a stride
+SHOWN_WITHOUT_STRIDE = 1.5  # s, shown of a run without a stride
 SLOWER = 2.0  # times slower than the run
 SIZE, DPI = (6.4, 2.6), 100  # inches, dots per inch
-SIDE = Camera(azimuth=np.radians(-90.0), elevation=np.radians(11.0))
+SIDE = Viewpoint(azimuth=np.radians(-90.0), elevation=np.radians(11.0))
 BELOW, ABOVE = 0.07, 0.14  # m shown below and above the point of the ground below the torso
 SUFFIXES = (".gif", ".png", ".webp")
 
@@ -53,11 +53,11 @@ def frame_times(bag: Bag) -> Array:
     t = seconds(bag.series(LEG_STATES).stamp)
     if len(t) < 2:
         raise AnimationError(f"{bag.path}: {LEG_STATES} holds {len(t)} messages, less than 2")
-    length = STRIDES * (stride_period(bag) or STILL / STRIDES)
+    length = STRIDES * (stride_period(bag) or SHOWN_WITHOUT_STRIDE / STRIDES)
     return t[-max(2, round(length / float(np.median(np.diff(t))))) :]
 
 
-def draw_frame(pose: Pose, robot: Robot) -> Image.Image:
+def draw_frame(pose: Snapshot, robot: RobotParameters) -> Image.Image:
     """The robot from the side."""
     figure = Figure(figsize=SIZE, dpi=DPI)
     canvas = FigureCanvasAgg(figure)

@@ -35,7 +35,7 @@ PER_LEG = {
     "slack_normal_max": "largest normal",
     "slack_friction": "friction",
 }
-WHOLE = {"slack_total": "total support", "slack_balance": "total balance"}
+OF_THE_ROBOT = {"slack_total": "total support", "slack_balance": "total balance"}
 TOLERANCE = 1e-4  # N: the violation that the MPC accepts from its solver
 COLOURS = LinearSegmentedColormap.from_list(
     "slack", [(0.0, "#67000d"), (0.4999, "#ef3b2c"), (0.5001, "#f7fcf5"), (1.0, "#1b7837")]
@@ -68,7 +68,7 @@ def read_map(bag: Bag) -> ConstraintMap:
     names: list[str] = []
     rows: list[Array] = []
     missing: list[str] = []
-    for field, label in (PER_LEG | WHOLE).items():
+    for field, label in (PER_LEG | OF_THE_ROBOT).items():
         column = _column(bag, field)
         if column is None:
             missing.append(field)
@@ -126,7 +126,7 @@ def map_figure(found: ConstraintMap) -> Figure:
     groups = np.arange(0, len(found.time), -(-len(found.time) // CAPACITY))
     rows = np.fmin.reduceat(found.slack, groups, axis=1)  # NaN only where all are
     # Scaled by the legs' slack: the total support is larger and would leave the legs pale.
-    legs = [name not in WHOLE.values() for name in found.constraints]
+    legs = [name not in OF_THE_ROBOT.values() for name in found.constraints]
     bound = float(np.nanmax(np.abs(rows[legs]), initial=TOLERANCE))
     times = np.append(edges[groups], edges[-1])
     shown = np.where((rows < 0) & (rows >= -TOLERANCE), 0.0, rows)

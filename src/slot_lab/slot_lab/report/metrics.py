@@ -18,7 +18,7 @@ from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.walk import (
     GROUND_TRUTH,
     STAGES,
-    Motion,
+    TorsoTrack,
     joint_columns,
     read_motion,
     read_ticks,
@@ -111,7 +111,7 @@ def latency(values: Array) -> Latency:
     return Latency(len(values), float(p50), float(p99), float(values.max()))
 
 
-def _progress(motion: Motion) -> dict[str, Any]:
+def _progress(motion: TorsoTrack) -> dict[str, Any]:
     duration = float(motion.t[-1] - motion.t[0])
     steps = np.diff(motion.position[:, :2], axis=0)
     middle = (motion.rpy[1:, 2] + motion.rpy[:-1, 2]) / 2
@@ -129,7 +129,7 @@ def _progress(motion: Motion) -> dict[str, Any]:
     }
 
 
-def _drift(whole: Motion, motion: Motion) -> dict[str, Any]:
+def _drift(whole: TorsoTrack, motion: TorsoTrack) -> dict[str, Any]:
     heading, yaw = whole.rpy[[0, -1], 2]
     across = rotate(motion.position[:, :2] - motion.position[0, :2], -heading)[:, 1]
     return {

@@ -14,7 +14,7 @@ from slot_core.drawing import palette
 from slot_core.geometry import rotate
 from slot_core.robot import LEGS, Array
 from slot_lab.bags.bag import Bag
-from slot_lab.bags.walk import STAGES, Motion, Ticks, joint_columns, seconds, stride_mean
+from slot_lab.bags.walk import STAGES, Ticks, TorsoTrack, joint_columns, seconds, stride_mean
 from slot_lab.report.metrics import WalkMetrics
 from slot_lab.report.summary import summary_lines
 
@@ -23,7 +23,7 @@ LATENCY_BINS = 60
 SLACKS = (("slack_normal_min", "min"), ("slack_normal_max", "max"), ("slack_friction", "fric"))
 
 
-def draw_path(ax: Axes, motion: Motion, measured: Motion) -> None:
+def draw_path(ax: Axes, motion: TorsoTrack, measured: TorsoTrack) -> None:
     """Top view of the torso's path, and the straight line from which drift is measured.
 
     `measured` is the motion after the warm-up.
@@ -40,13 +40,13 @@ def draw_path(ax: Axes, motion: Motion, measured: Motion) -> None:
     ax.legend(**LEGEND)
 
 
-def draw_height(ax: Axes, motion: Motion, warm_up: float) -> None:
+def draw_height(ax: Axes, motion: TorsoTrack, warm_up: float) -> None:
     """Height of the torso's centre."""
     ax.plot(motion.t - motion.t[0], 1e3 * motion.position[:, 2], color=palette.TRUE, lw=1)
     _over_time(ax, motion, warm_up, "height of base_link", "z (mm)")
 
 
-def draw_speed(ax: Axes, motion: Motion, period: float | None, warm_up: float) -> None:
+def draw_speed(ax: Axes, motion: TorsoTrack, period: float | None, warm_up: float) -> None:
     """Forward velocity along the heading, raw and averaged over the stride around each time."""
     v_x = motion.heading_velocity[:, 0]
     t = motion.t - motion.t[0]
@@ -61,7 +61,7 @@ def draw_speed(ax: Axes, motion: Motion, period: float | None, warm_up: float) -
     ax.legend(**LEGEND)
 
 
-def draw_tilt(ax: Axes, motion: Motion, warm_up: float) -> None:
+def draw_tilt(ax: Axes, motion: TorsoTrack, warm_up: float) -> None:
     """Roll and pitch."""
     for i, (name, colour) in enumerate((("roll", palette.TRUE), ("pitch", palette.SECONDARY))):
         degrees = np.degrees(motion.rpy[:, i])
@@ -166,7 +166,7 @@ def _finish_legs(axes: Sequence[Axes], title: str, end: float) -> None:
         axes[0].legend(**LEGEND)
 
 
-def _over_time(ax: Axes, motion: Motion, warm_up: float, title: str, label: str) -> None:
+def _over_time(ax: Axes, motion: TorsoTrack, warm_up: float, title: str, label: str) -> None:
     ax.axvspan(0.0, warm_up, color=palette.SHADE, zorder=0)
     ax.set_xlim(0.0, motion.t[-1] - motion.t[0])
     _finish(ax, title, label, "")

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from slot_core.drawing import palette
 from slot_core.drawing.shapes import FORCE_SCALE, LEAST_FORCE, Legs, leg_bars, normals
-from slot_core.robot import LEGS, Array, Robot
+from slot_core.robot import LEGS, Array, RobotParameters
 
 SUN = np.array([0.25, -0.45, 0.86]) / np.linalg.norm([0.25, -0.45, 0.86])
 AMBIENT = 0.55  # brightness of a face turned away from the sun
@@ -27,7 +27,7 @@ BOX_FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4
 
 
 @dataclass(frozen=True)
-class Pose:
+class Snapshot:
     """Torso pose, leg shapes and ground forces at one time, in odom."""
 
     t: float  # s since the start
@@ -38,7 +38,7 @@ class Pose:
 
 
 @dataclass(frozen=True)
-class Camera:
+class Viewpoint:
     """An orthographic view from a direction given by azimuth and elevation, rad."""
 
     azimuth: float = math.radians(-70.0)
@@ -66,7 +66,7 @@ class Solid:
     colour: str
 
 
-def draw_robot(ax: Axes, pose: Pose, robot: Robot, camera: Camera) -> None:
+def draw_robot(ax: Axes, pose: Snapshot, robot: RobotParameters, camera: Viewpoint) -> None:
     """Draw ground, shadow, legs, torso and ground forces into `ax`, whose unit is the metre.
 
     The picture's origin is the point of the ground below the torso. Lines on the ground are fixed
@@ -82,20 +82,20 @@ def draw_robot(ax: Axes, pose: Pose, robot: Robot, camera: Camera) -> None:
     ax.set_axis_off()
 
 
-def torso_solid(pose: Pose, robot: Robot) -> Solid:
+def torso_solid(pose: Snapshot, robot: RobotParameters) -> Solid:
     """The torso's box."""
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     corners = Rotation.from_quat(pose.quaternion).apply(signs * np.array(robot.torso.size) / 2)
     return Solid((pose.position + corners)[np.array(BOX_FACES)], palette.TORSO)
 
 
-def leg_solids(pose: Pose, robot: Robot) -> list[Solid]:
+def leg_solids(pose: Snapshot, robot: RobotParameters) -> list[Solid]:
     """The legs, with their width and their taper."""
     bars = leg_bars(pose.legs, robot)
     return [Solid(faces, palette.LEG_COLOURS[leg]) for leg, faces in zip(LEGS, bars.faces)]
 
 
-def _draw_solids(ax: Axes, solids: list[Solid], centre: Array, camera: Camera) -> None:
+def _draw_solids(ax: Axes, solids: list[Solid], centre: Array, camera: Viewpoint) -> None:
     faces = np.concatenate([solid.faces for solid in solids])
     colours = np.concatenate([[to_rgb(s.colour)] * len(s.faces) for s in solids])
     normal = normals(faces)
@@ -112,7 +112,7 @@ def _draw_solids(ax: Axes, solids: list[Solid], centre: Array, camera: Camera) -
     )
 
 
-def _draw_shadow(ax: Axes, solids: list[Solid], centre: Array, camera: Camera) -> None:
+def _draw_shadow(ax: Axes, solids: list[Solid], centre: Array, camera: Viewpoint) -> None:
     faces = np.concatenate([solid.faces for solid in solids]) * [1.0, 1.0, 0.0]
     polygons = camera.project(faces - centre)
     ax.add_collection(
@@ -120,7 +120,7 @@ def _draw_shadow(ax: Axes, solids: list[Solid], centre: Array, camera: Camera) -
     )
 
 
-def _draw_ground(ax: Axes, centre: Array, camera: Camera) -> None:
+def _draw_ground(ax: Axes, centre: Array, camera: Viewpoint) -> None:
     half = np.array([*GROUND_HALF, 0.0])
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * half
     outline = camera.project(corners)
@@ -143,7 +143,7 @@ def _marks(x: float, half: float) -> Array:
     return GROUND_LINE * np.arange(first, last + 1, dtype=np.float64)
 
 
-def _draw_forces(ax: Axes, pose: Pose, centre: Array, camera: Camera) -> None:
+def _draw_forces(ax: Axes, pose: Snapshot, centre: Array, camera: Viewpoint) -> None:
     arrow = {"arrowstyle": "-|>", "color": palette.INK, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
     for foot, force in zip(pose.legs.nodes[:, -1] * [1.0, 1.0, 0.0], pose.force):
         if np.linalg.norm(force) > LEAST_FORCE:

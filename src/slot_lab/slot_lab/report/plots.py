@@ -13,12 +13,12 @@ from matplotlib.figure import Figure, FigureBase
 
 from slot_core.drawing.shapes import FORCE_SCALE, bent_legs
 from slot_core.messages import decode
-from slot_core.robot import LEGS, Array, Robot, read_robot
+from slot_core.robot import LEGS, Array, RobotParameters, read_robot
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.walk import LEG_STATES, read_motion, read_ticks, seconds, stride_period
 from slot_lab.report import panels
 from slot_lab.report.metrics import WalkMetrics
-from slot_lab.report.picture import Camera, Pose, draw_robot
+from slot_lab.report.picture import Snapshot, Viewpoint, draw_robot
 
 DPI = 100
 
@@ -63,7 +63,7 @@ def filmstrip(bag: Bag, path: Path, stills: int = 5) -> None:
 
 def filmstrip_figure(bag: Bag, stills: int) -> Figure:
     """The filmstrip; its axes are the stills in the order of time."""
-    robot, camera = read_robot(), Camera()
+    robot, camera = read_robot(), Viewpoint()
     poses = read_poses(bag, still_times(bag, stills), robot)
     figure = _figure(3.6 * stills, 2.2)
     for i, pose in enumerate(poses):
@@ -93,7 +93,7 @@ def still_times(bag: Bag, stills: int) -> Array:
     return t[0] + (strides + phase) * period
 
 
-def read_poses(bag: Bag, times: Array, robot: Robot) -> list[Pose]:
+def read_poses(bag: Bag, times: Array, robot: RobotParameters) -> list[Snapshot]:
     """The robot at the recorded leg states nearest to `times` (s of graph time)."""
     states = [message for _, message in bag.messages(LEG_STATES)]
     motion = read_motion(bag)
@@ -105,7 +105,7 @@ def read_poses(bag: Bag, times: Array, robot: Robot) -> list[Pose]:
         _, _, force, nodes, directors = decode.legs(states[k])
         place = motion.position[m], motion.quaternion[m]
         legs = bent_legs(nodes, directors, motion.quaternion[m], robot)
-        poses.append(Pose(float(t[k] - motion.t[0]), *place, legs, force))
+        poses.append(Snapshot(float(t[k] - motion.t[0]), *place, legs, force))
     return poses
 
 

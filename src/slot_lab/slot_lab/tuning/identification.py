@@ -12,7 +12,7 @@ from slot_core.geometry import rotate
 from slot_core.robot import Array
 from slot_lab.tuning import symmetry
 from slot_lab.tuning.settings import TuningSettings
-from slot_lab.tuning.stride_run import HEIGHT, HELD, PITCH, ROLL, YAW, Job, Motion, RunAll
+from slot_lab.tuning.stride_run import HEIGHT, HELD, PITCH, ROLL, YAW, Job, RunAll, StrideMotion
 
 V_X, V_Y, YAW_RATE, ROLL_MEAN = 0, 1, 2, 4  # in the means of a motion
 STEERED = [V_Y, YAW_RATE, ROLL_MEAN]
@@ -31,7 +31,7 @@ class Steered(NamedTuple):
     change: Array  # (3,) predicted v_y (m/s), yaw rate (rad/s), roll (rad)
 
 
-def run_jobs(run_all: RunAll, jobs: list[Job]) -> list[Motion]:
+def run_jobs(run_all: RunAll, jobs: list[Job]) -> list[StrideMotion]:
     """Motions of the jobs; raises IdentificationError if one diverges."""
     motions = []
     for job, motion in zip(jobs, run_all(jobs)):
@@ -131,7 +131,7 @@ def tabulate(stride: Stride, settings: TuningSettings, run_all: RunAll) -> dict[
     return found
 
 
-def _table(motion: Motion, stride: Stride) -> Array:
+def _table(motion: StrideMotion, stride: Stride) -> Array:
     """Coefficients (9, 5): normal forces (N) and sway, as differences to the stride at rest."""
     yaw = motion.track[:, YAW]
     velocity = rotate(motion.velocity, -yaw)

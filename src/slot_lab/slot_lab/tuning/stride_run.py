@@ -20,7 +20,7 @@ from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
 from slot_core.gait.gait import Stride
 from slot_core.gait.reference import mean_velocity
 from slot_core.gait.stride_feedback import OFFSET_SIGNS
-from slot_core.robot import Array, Robot, read_robot
+from slot_core.robot import Array, RobotParameters, read_robot
 from slot_core.simulation.plant import make_robot
 from slot_lab.tuning.settings import TuningSettings
 
@@ -41,7 +41,7 @@ class Job:
     hold_height: bool = True
 
 
-class Motion(NamedTuple):
+class StrideMotion(NamedTuple):
     """Motion over the strides that count; SI units, frame odom."""
 
     track: Array  # (n, 7) TIME .. YAW
@@ -60,7 +60,7 @@ class Motion(NamedTuple):
         return tilt
 
 
-Outcome = Motion | None  # None: the simulation diverged
+Outcome = StrideMotion | None  # None: the simulation diverged
 RunAll = Callable[[Sequence[Job]], Iterable[Outcome]]
 
 
@@ -75,7 +75,9 @@ def simulate(job: Job, settings: TuningSettings) -> Outcome:
 
 
 class _Run:
-    def __init__(self, job: Job, settings: TuningSettings, robot: Robot, scene: Scene) -> None:
+    def __init__(
+        self, job: Job, settings: TuningSettings, robot: RobotParameters, scene: Scene
+    ) -> None:
         self._job, self._settings, self._size = job, settings, robot.torso.size
         servo = read_servo()
         self._stall = float(servo.tendon_stall(scene.supply_voltage))
@@ -85,7 +87,7 @@ class _Run:
         self._offset = np.array(job.offset)
         self._top = 0.0
 
-    def motion(self) -> Motion:
+    def motion(self) -> StrideMotion:
         """Run all strides; keep those that count."""
         first, count = self._settings.settling_strides, self._settings.strides
         rows: list[list[float]] = []
@@ -104,7 +106,9 @@ class _Run:
         track, rest = table[:, :7], table[:, 7:]
         means = stride_means(track)
         offset, load = float(np.mean(offsets[first:])), float(rest[:, 7].mean() / self._stall)
-        return Motion(track, rest[:, 0], rest[:, 1:5], rest[:, 5:7], means, offset, self._top, load)
+        return StrideMotion(
+            track, rest[:, 0], rest[:, 1:5], rest[:, 5:7], means, offset, self._top, load
+        )
 
     def _commands(self, number: int) -> list[tuple[float, Array]]:
         """Phases and tendon angles (4,) of the commands that fall into stride `number`."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from slot_core.body_points import LEAST_NODES, LEG_POINTS, TORSO, at_shares
 from slot_core.robot import LEGS
-from slot_lab.twin.recorded import Recorded
+from slot_lab.twin.recorded import BagRecording
 from slot_lab.twin.replay_robot import ModelParts, replay
 from slot_lab.twin.settings import TwinSettings
 from slot_lab.validation.recording import write_points
@@ -16,7 +16,7 @@ from slot_lab.validation.recording import write_points
 PERIOD = 1 / 30  # s, between two rows of a point
 
 
-def write(recorded: Recorded, parts: ModelParts, settings: TwinSettings, path: Path) -> None:
+def write(recorded: BagRecording, parts: ModelParts, settings: TwinSettings, path: Path) -> None:
     """Write the predicted places of torso and leg points at 30 Hz; raises OSError.
 
     Legs of fewer than LEAST_NODES nodes have no points.

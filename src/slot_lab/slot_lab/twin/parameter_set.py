@@ -20,7 +20,7 @@ from slot_core.config import ConfigError
 from slot_core.robot import read_parameters
 from slot_lab.calibration import parameter_file
 from slot_lab.calibration.fit import ParameterEstimate
-from slot_lab.twin.recorded import Recorded
+from slot_lab.twin.recorded import BagRecording
 from slot_lab.twin.replay_robot import ModelParts
 from slot_lab.twin.strides import StrideErrors
 from slot_lab.twin.twin_fit import TwinFit, changes
@@ -39,7 +39,7 @@ UNITS = {
 
 
 def record(
-    recorded: Recorded, parts: ModelParts, start: str, found: TwinFit, note: str
+    recorded: BagRecording, parts: ModelParts, start: str, found: TwinFit, note: str
 ) -> dict[str, Any]:
     """Content of the file; start: the set that the fit started from."""
     fitted = [parameter_file.rounded(value) for value in found.estimate.values]

@@ -21,7 +21,7 @@ from slot_core.config import ConfigError
 from slot_core.robot import LEGS, Array
 from slot_lab.bags.bag import STORAGES, Bag
 from slot_lab.bags.measured import COMMANDED, TendonAngles, measured_motion, tendon_angles
-from slot_lab.bags.walk import Motion, stride_period
+from slot_lab.bags.walk import TorsoTrack, stride_period
 from slot_lab.csv_table import Table, TableError, read_table
 
 POSE = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -29,12 +29,12 @@ COLUMNS = ("time", *LEGS, *POSE)
 
 
 @dataclass(frozen=True)
-class Recorded:
+class BagRecording:
     """What a recording says about a walk: tendon angles and motion."""
 
     name: str
     angles: TendonAngles
-    motion: Motion
+    motion: TorsoTrack
     period: float | None  # s, of the gait; None: not recorded
 
     @property
@@ -44,7 +44,9 @@ class Recorded:
         return max(float(t[0]), float(moved[0])), min(float(t[-1]), float(moved[-1]))
 
 
-def read_recorded(path: Path, namespace: str = "", angles: str = "", motion: str = "") -> Recorded:
+def read_recorded(
+    path: Path, namespace: str = "", angles: str = "", motion: str = ""
+) -> BagRecording:
     """Angles and motion of a bag, from the topics named or the first that are recorded, or of CSV.
 
     The angles of a CSV file are measured ones, unless `angles` names the topic of commands. Raises
@@ -53,7 +55,7 @@ def read_recorded(path: Path, namespace: str = "", angles: str = "", motion: str
     """
     if path.is_dir() or path.suffix in STORAGES:
         bag = Bag(path, namespace)
-        found = Recorded(
+        found = BagRecording(
             path.name, tendon_angles(bag, angles), measured_motion(bag, motion), stride_period(bag)
         )
     elif namespace or motion:
@@ -66,7 +68,7 @@ def read_recorded(path: Path, namespace: str = "", angles: str = "", motion: str
     return found
 
 
-def _from_table(path: Path, measured: bool) -> Recorded:
+def _from_table(path: Path, measured: bool) -> BagRecording:
     table = read_table(path)
     if table.columns != COLUMNS:
         given = ",".join(table.columns)[:80]
@@ -75,10 +77,10 @@ def _from_table(path: Path, measured: bool) -> Recorded:
     at, pose = _columns(path, table, POSE)
     quaternion = Rotation.from_euler("ZYX", pose[:, :2:-1]).as_quat()
     velocity = np.gradient(pose[:, :3], at, axis=0)
-    return Recorded(
+    return BagRecording(
         path.name,
         TendonAngles("FL, FR, RL, RR", t, angle, measured=measured),
-        Motion("x .. yaw", at, pose[:, :3], quaternion, velocity),
+        TorsoTrack("x .. yaw", at, pose[:, :3], quaternion, velocity),
         period=None,
     )
 

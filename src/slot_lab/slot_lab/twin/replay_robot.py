@@ -23,12 +23,12 @@ from slot_core.config import ConfigError
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.dynamics.simulated_robot import SimulatedRobot
-from slot_core.robot import Array, Robot, read_parameters, read_robot
+from slot_core.robot import Array, RobotParameters, read_parameters, read_robot
 from slot_core.safety.command_gate import gone_on
 from slot_core.simulation.plant import make_robot
 from slot_lab.bags.measured import TendonAngles
-from slot_lab.bags.walk import Motion
-from slot_lab.twin.recorded import Recorded
+from slot_lab.bags.walk import TorsoTrack
+from slot_lab.twin.recorded import BagRecording
 from slot_lab.twin.settings import TwinSettings
 
 LEAST_SETTLING = 1.0  # s
@@ -41,13 +41,13 @@ FREE_RPM = 1000.0  # of a spool whose angle is imposed
 class ModelParts:
     """Robot, scene and servo of a replay."""
 
-    robot: Robot
+    robot: RobotParameters
     scene: Scene
     servo: ServoSettings
 
 
 @dataclass(frozen=True)
-class Track:
+class PredictedTrack:
     """The torso's motion over n times."""
 
     t: Array  # (n,) s, graph time
@@ -59,10 +59,10 @@ class Track:
         """(n, 6): position, rpy."""
         return np.hstack([self.position, self.rpy])
 
-    def at(self, t: Array) -> Track:
+    def at(self, t: Array) -> PredictedTrack:
         """The motion at other times (m,), linear in between."""
         moved = np.column_stack([np.interp(t, self.t, column) for column in self.columns.T])
-        return Track(t, moved[:, :3], moved[:, 3:])
+        return PredictedTrack(t, moved[:, :3], moved[:, 3:])
 
 
 def read_parts(scene: str, parameters: str = "") -> ModelParts:
@@ -78,13 +78,13 @@ def read_parts(scene: str, parameters: str = "") -> ModelParts:
     return ModelParts(read_robot(named), floor, read_servo(named))
 
 
-def measured_track(motion: Motion) -> Track:
+def measured_track(motion: TorsoTrack) -> PredictedTrack:
     """The recorded motion."""
-    return Track(motion.t, motion.position, motion.rpy)
+    return PredictedTrack(motion.t, motion.position, motion.rpy)
 
 
 def replay(
-    recorded: Recorded, parts: ModelParts, settings: TwinSettings
+    recorded: BagRecording, parts: ModelParts, settings: TwinSettings
 ) -> Iterator[tuple[float, SimulatedRobot]]:
     """Yield (graph time, robot) at the start and after each hold; the robot is advanced in place.
 
@@ -109,12 +109,12 @@ def replay(
             yield begin + now * step, sim
 
 
-def predict(recorded: Recorded, parts: ModelParts, settings: TwinSettings) -> Track:
+def predict(recorded: BagRecording, parts: ModelParts, settings: TwinSettings) -> PredictedTrack:
     """The predicted motion after each hold; raises as `replay`."""
     rows = [(t, *sim.position, *sim.rpy) for t, sim in replay(recorded, parts, settings)]
     table = np.array(rows)
     table[:, 6] = np.unwrap(table[:, 6])
-    return Track(table[:, 0], table[:, 1:4], table[:, 4:])
+    return PredictedTrack(table[:, 0], table[:, 1:4], table[:, 4:])
 
 
 def _imposed(servo: ServoSettings, hold: float) -> ServoSettings:
@@ -124,7 +124,7 @@ def _imposed(servo: ServoSettings, hold: float) -> ServoSettings:
 
 
 def _commands(
-    recorded: Recorded, parts: ModelParts, settings: TwinSettings, begin: float, end: float
+    recorded: BagRecording, parts: ModelParts, settings: TwinSettings, begin: float, end: float
 ) -> list[tuple[int, Array]]:
     """(last step, angles (4,)) of each hold, ordered by time; the first is for settling."""
     step, limit = parts.scene.solver.step, parts.robot.tendon.angle_max
@@ -159,7 +159,7 @@ def _spline(angles: TendonAngles) -> CubicSpline:
     return CubicSpline(t, np.column_stack(straight))
 
 
-def _place(sim: SimulatedRobot, motion: Motion, begin: float) -> None:
+def _place(sim: SimulatedRobot, motion: TorsoTrack, begin: float) -> None:
     """Move the robot to the recorded place and heading; the floor's height is that of the scene."""
     k = int(np.searchsorted(motion.t, begin))
     turn = Rotation.from_euler("z", motion.rpy[k, 2] - sim.rpy[2])

@@ -21,8 +21,8 @@ from scipy.signal import correlate, find_peaks
 from slot_core.config import ConfigError
 from slot_core.geometry import rotate
 from slot_core.robot import Array
-from slot_lab.twin.recorded import Recorded
-from slot_lab.twin.replay_robot import Track
+from slot_lab.twin.recorded import BagRecording
+from slot_lab.twin.replay_robot import PredictedTrack
 from slot_lab.twin.settings import TwinSettings
 
 GRID = 0.01  # s, of the angles in the search of a period
@@ -82,7 +82,7 @@ class StrideErrors:
 
 
 def find_strides(
-    recorded: Recorded, settings: TwinSettings, period: float | None = None
+    recorded: BagRecording, settings: TwinSettings, period: float | None = None
 ) -> Strides:
     """The longest row of strides in which the tendons move, without the run-in.
 
@@ -121,7 +121,7 @@ def _longest_row(moves: Sequence[bool]) -> range:
     return longest
 
 
-def angle_period(recorded: Recorded) -> float:
+def angle_period(recorded: BagRecording) -> float:
     """Period of the tendon angles, s: the first peak of their autocorrelation.
 
     Raises ConfigError if they are not periodic.
@@ -145,7 +145,9 @@ def angle_period(recorded: Recorded) -> float:
     return float((low + best) * GRID)
 
 
-def stride_errors(predicted: Track, measured: Track, strides: Strides) -> StrideErrors:
+def stride_errors(
+    predicted: PredictedTrack, measured: PredictedTrack, strides: Strides
+) -> StrideErrors:
     """Errors of each stride."""
     moved = [_means(track, strides) for track in (predicted, measured)]
     first, second = (_displacements(means, 1) for means in moved)
@@ -153,7 +155,7 @@ def stride_errors(predicted: Track, measured: Track, strides: Strides) -> Stride
     return StrideErrors(first, second, far[:, :2], (moved[0] - moved[1])[:, [Z, ROLL, PITCH]])
 
 
-def error_growth(predicted: Track, measured: Track, strides: Strides) -> Array:
+def error_growth(predicted: PredictedTrack, measured: PredictedTrack, strides: Strides) -> Array:
     """(k - 1, 3) RMS over all starts of the error after 1 .. k - 1 strides: m, and rad of heading.
 
     Columns: strides, error of the place, error of the heading.
@@ -167,7 +169,7 @@ def error_growth(predicted: Track, measured: Track, strides: Strides) -> Array:
 
 
 def residuals(
-    predicted: Track, measured: Track, strides: Strides, settings: TwinSettings
+    predicted: PredictedTrack, measured: PredictedTrack, strides: Strides, settings: TwinSettings
 ) -> list[Array]:
     """Residuals of each window, (n, 6) over their standard uncertainty; windows without samples
     are left out.
@@ -184,7 +186,7 @@ def residuals(
     return out
 
 
-def _laid_on(predicted: Track, measured: Array) -> Array:
+def _laid_on(predicted: PredictedTrack, measured: Array) -> Array:
     """Predicted minus measured (n, 6), laid on each other in the plane."""
     moved = predicted.columns
     off = moved - measured
@@ -199,7 +201,7 @@ def _in_plane(track: Array) -> Array:
     return np.asarray(local - local.mean(axis=0))
 
 
-def _means(track: Track, strides: Strides) -> Array:
+def _means(track: PredictedTrack, strides: Strides) -> Array:
     """(k, 6) means over the strides."""
     share = (np.arange(PER_STRIDE) + 0.5) / PER_STRIDE
     t = strides.edges[:-1, None] + share * strides.period
@@ -218,7 +220,7 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def placed(predicted: Track, measured: Track, strides: Strides) -> Track:
+def placed(predicted: PredictedTrack, measured: PredictedTrack, strides: Strides) -> PredictedTrack:
     """The prediction over the strides, laid on the measured place and heading of the first one."""
     first = strides.part(0, 1)
     mine, given = (_means(track, first)[0] for track in (predicted, measured))
@@ -227,4 +229,4 @@ def placed(predicted: Track, measured: Track, strides: Strides) -> Track:
     turned = given[YAW] - mine[YAW]
     position[:, :2] = given[:2] + rotate(position[:, :2] - mine[:2], turned)
     rpy[:, 2] += turned
-    return Track(predicted.t[keep], position, rpy)
+    return PredictedTrack(predicted.t[keep], position, rpy)

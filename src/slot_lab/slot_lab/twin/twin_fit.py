@@ -22,7 +22,7 @@ from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.robot import LEGS, Array
 from slot_lab.calibration.experiments import PredictionError
 from slot_lab.calibration.fit import FitProblem, Parameter, ParameterEstimate, estimate, fit
-from slot_lab.twin.recorded import Recorded
+from slot_lab.twin.recorded import BagRecording
 from slot_lab.twin.replay_robot import ModelParts, measured_track, predict
 from slot_lab.twin.settings import TwinSettings
 from slot_lab.twin.strides import StrideErrors, Strides, residuals, stride_errors
@@ -119,7 +119,7 @@ def serially(call: Callable[[Array], Array], points: Sequence[Array]) -> Sequenc
 
 
 def fit_twin(
-    recorded: Recorded,
+    recorded: BagRecording,
     parts: ModelParts,
     names: Sequence[str],
     strides: Strides,
@@ -163,7 +163,7 @@ def fit_twin(
 
 
 def stride_residuals(
-    recorded: Recorded,
+    recorded: BagRecording,
     parts: ModelParts,
     names: tuple[str, ...],
     seen: tuple[Strides, TwinSettings],

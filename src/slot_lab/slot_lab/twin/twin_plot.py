@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from slot_core.drawing import palette
-from slot_lab.twin.replay_robot import Track
+from slot_lab.twin.replay_robot import PredictedTrack
 from slot_lab.twin.strides import (
     PITCH,
     ROLL,
@@ -30,8 +30,8 @@ COLOURS = (palette.SECONDARY, palette.TRUE)
 def draw(
     path: Path,
     title: str,
-    measured: Track,
-    predictions: Mapping[str, Track],
+    measured: PredictedTrack,
+    predictions: Mapping[str, PredictedTrack],
     *,
     strides: Strides,
     seen: int | None,
@@ -60,12 +60,12 @@ def draw(
     figure.savefig(path, dpi=DPI)
 
 
-def _inside(track: Track, strides: Strides) -> Track:
+def _inside(track: PredictedTrack, strides: Strides) -> PredictedTrack:
     keep = (track.t >= strides.edges[0]) & (track.t <= strides.edges[-1])
-    return Track(track.t[keep], track.position[keep], track.rpy[keep])
+    return PredictedTrack(track.t[keep], track.position[keep], track.rpy[keep])
 
 
-def _path(ax: Axes, measured: Track, predictions: Mapping[str, Track]) -> None:
+def _path(ax: Axes, measured: PredictedTrack, predictions: Mapping[str, PredictedTrack]) -> None:
     ax.plot(*1e3 * measured.position[:, :2].T, color=palette.INK, lw=1, label="measured")
     for (name, track), colour in zip(predictions.items(), COLOURS):
         ax.plot(*1e3 * track.position[:, :2].T, color=colour, lw=1, label=name)
@@ -74,7 +74,11 @@ def _path(ax: Axes, measured: Track, predictions: Mapping[str, Track]) -> None:
 
 
 def _of_strides(
-    ax: Axes, column: int, measured: Track, predictions: Mapping[str, Track], strides: Strides
+    ax: Axes,
+    column: int,
+    measured: PredictedTrack,
+    predictions: Mapping[str, PredictedTrack],
+    strides: Strides,
 ) -> None:
     """Displacement forward (column 0) or turn (column 2) of each stride."""
     factor = 1e3 if column == 0 else 180.0 / np.pi
@@ -87,7 +91,9 @@ def _of_strides(
     _finish(ax, f"{kind} of each stride", "stride", "mm" if column == 0 else "deg")
 
 
-def _growth(ax: Axes, measured: Track, predictions: Mapping[str, Track], strides: Strides) -> None:
+def _growth(
+    ax: Axes, measured: PredictedTrack, predictions: Mapping[str, PredictedTrack], strides: Strides
+) -> None:
     for (name, track), colour in zip(predictions.items(), COLOURS):
         ahead, place, turned = error_growth(track, measured, strides).T
         ax.plot(ahead, 1e3 * place, color=colour, label=f"{name}: place (mm)")
@@ -98,7 +104,11 @@ def _growth(ax: Axes, measured: Track, predictions: Mapping[str, Track], strides
 
 
 def _over_time(
-    ax: Axes, measured: Track, predictions: Mapping[str, Track], column: int, label: str
+    ax: Axes,
+    measured: PredictedTrack,
+    predictions: Mapping[str, PredictedTrack],
+    column: int,
+    label: str,
 ) -> None:
     scale = 1e3 if column < 3 else 180.0 / np.pi
     ax.plot(measured.t - measured.t[0], scale * measured.columns[:, column], ".", ms=2,

@@ -16,8 +16,8 @@ from slot_lab.validation.frame_alignment import FrameAlignment, align_frames
 from slot_lab.validation.recording import (
     ATTITUDE,
     LEAST_SAMPLES,
+    PointRecording,
     PointTrack,
-    Recording,
     RecordingError,
 )
 from slot_lab.validation.time_alignment import Pair, TimeAlignment, align_times
@@ -26,7 +26,7 @@ AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
-class Series:
+class PointSeries:
     """A coordinate of a point at n times, in m or rad."""
 
     t: Array  # (n,) s, clock of the run
@@ -41,7 +41,7 @@ class Comparison:
 
     time: TimeAlignment
     frame: FrameAlignment
-    series: Mapping[tuple[str, str], Series]  # by point and axis: x y z, roll pitch yaw
+    series: Mapping[tuple[str, str], PointSeries]  # by point and axis: x y z, roll pitch yaw
     only: tuple[str, ...]  # points of one recording alone
     brief: tuple[str, ...] = ()  # with too few samples in the time of both, or seen too late
 
@@ -52,8 +52,8 @@ class Comparison:
 
 
 def compare(
-    run: Recording,
-    measured: Recording,
+    run: PointRecording,
+    measured: PointRecording,
     *,
     frame: str = "level",
     offset: float | None = None,
@@ -95,7 +95,7 @@ def compare(
         size = max(1, round(block / float(np.median(np.diff(t)))))
         for axis, (r, m) in _coordinates(mine, theirs, aligned).items():
             shift = np.mean((r - m)[t <= until]) if zero else 0.0
-            series[name, axis] = Series(t, r, m + shift, errors(r, m + shift, size))
+            series[name, axis] = PointSeries(t, r, m + shift, errors(r, m + shift, size))
     only = tuple(sorted(set(run.points) ^ set(measured.points)))
     return Comparison(clock, aligned, series, only, tuple(sorted(set(names) - joined.keys())))
 
@@ -113,14 +113,16 @@ def _coordinates(
     return columns | dict(zip(ATTITUDE, zip(run.rpy.T, turned.T)))
 
 
-def _named_alike(run: Recording, measured: Recording, leg: str) -> tuple[Recording, Recording]:
+def _named_alike(
+    run: PointRecording, measured: PointRecording, leg: str
+) -> tuple[PointRecording, PointRecording]:
     """Both with the leg in the names of leg points if one of them has it."""
     if any(f"{leg}_{name}" in r.points for r in (run, measured) for name in LEG_POINTS):
         return _with_leg(run, leg), _with_leg(measured, leg)
     return run, measured
 
 
-def _with_leg(recording: Recording, leg: str) -> Recording:
+def _with_leg(recording: PointRecording, leg: str) -> PointRecording:
     points = {f"{leg}_{k}" if k in LEG_POINTS else k: v for k, v in recording.points.items()}
     return dataclasses.replace(recording, points=points)
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from slot_core.body_points import LEG_POINTS, TORSO
 from slot_core.drawing import palette
-from slot_lab.validation.comparison import AXES, Comparison, Series, paper_points
+from slot_lab.validation.comparison import AXES, Comparison, PointSeries, paper_points
 from slot_lab.validation.recording import ATTITUDE
 from slot_lab.validation.tables import scale, unit
 
@@ -48,14 +48,14 @@ def _figure(
     return path
 
 
-def _both(ax: Axes, series: Series, point: str, axis: str) -> None:
+def _both(ax: Axes, series: PointSeries, point: str, axis: str) -> None:
     factor = scale(axis)
     ax.plot(series.t, factor * series.measured, ".", ms=2.5, color=palette.INK, label="measured")
     ax.plot(series.t, factor * series.run, color=palette.SECONDARY, lw=1.2, label="run")
     _finish(ax, f"{point} {axis} ({unit(axis)})")
 
 
-def _difference(ax: Axes, series: Series, axis: str) -> None:
+def _difference(ax: Axes, series: PointSeries, axis: str) -> None:
     factor, e = scale(axis), series.errors
     ax.plot(series.t, factor * (series.run - series.measured), color=palette.TRUE, lw=0.8)
     ax.axhline(0.0, color=palette.INK, lw=0.6)

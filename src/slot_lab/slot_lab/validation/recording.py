@@ -33,7 +33,7 @@ from slot_core.robot import LEGS, ODOM_FRAME, Array
 from slot_lab.bags.bag import STORAGES, Bag
 from slot_lab.bags.measured import measured_motion, sound
 from slot_lab.bags.walk import LEG_STATES, seconds
-from slot_lab.csv_table import Row, TableError, read_table
+from slot_lab.csv_table import CsvRow, TableError, read_table
 
 POINTS = (*BODY_POINTS, *LEG_POINTS)
 WIDE = ("time", "x", "y", "z")
@@ -57,7 +57,7 @@ class PointTrack:
 
 
 @dataclass(frozen=True)
-class Recording:
+class PointRecording:
     """Tracks by name of the point."""
 
     name: str
@@ -68,7 +68,7 @@ class Recording:
 
 def read_recording(
     path: Path, namespace: str = "", camera: Path | None = None, motion: str = ""
-) -> Recording:
+) -> PointRecording:
     """A recording from a bag, a CSV file, or a video and its camera's file.
 
     motion: topic of a bag, by default the first of MOTION_TOPICS that is recorded. Raises
@@ -91,7 +91,7 @@ def write_points(path: Path, points: Mapping[str, Array], comments: Sequence[str
     path.write_text("\n".join(lines) + "\n")
 
 
-def _from_bag(bag: Bag, topic: str) -> Recording:
+def _from_bag(bag: Bag, topic: str) -> PointRecording:
     motion = measured_motion(bag, topic)
     tracks, notes = {TORSO: (motion.t, motion.position, motion.rpy)}, []
     if motion.left_out:
@@ -112,7 +112,7 @@ def _from_bag(bag: Bag, topic: str) -> Recording:
     return dataclasses.replace(found, notes=tuple(notes))
 
 
-def _from_video(path: Path, camera: Path | None) -> Recording:
+def _from_video(path: Path, camera: Path | None) -> PointRecording:
     # OpenCV takes a second to load, which other recordings do without.
     from slot_core.vision.camera import CameraError, nominal, read_camera  # noqa: PLC0415
     from slot_core.vision.settings import read_vision  # noqa: PLC0415
@@ -140,7 +140,7 @@ def _from_video(path: Path, camera: Path | None) -> Recording:
     )
 
 
-def _from_csv(path: Path) -> Recording:
+def _from_csv(path: Path) -> PointRecording:
     table = read_table(path)
     columns = table.columns
     if columns not in (COLUMNS, WIDE, WIDE + ATTITUDE):
@@ -162,7 +162,7 @@ def _from_csv(path: Path) -> Recording:
     return dataclasses.replace(_since_first(path.name, tracks), tilted=tilted)
 
 
-def _point(row: Row) -> str:
+def _point(row: CsvRow) -> str:
     """Name of the point of a row."""
     point = row.cells.get("point", TORSO)
     if point not in POINTS:
@@ -184,8 +184,8 @@ def _track(path: Path, name: str, rows: Sequence[tuple[int, list[float]]]) -> Po
     return PointTrack(values[:, 0], values[:, 1:4], None if rpy is None else np.unwrap(rpy, axis=0))
 
 
-def _since_first(name: str, tracks: Mapping[str, PointTrack]) -> Recording:
+def _since_first(name: str, tracks: Mapping[str, PointTrack]) -> PointRecording:
     first = min(float(track.t[0]) for track in tracks.values())
-    return Recording(
+    return PointRecording(
         name, {k: PointTrack(v.t - first, v.position, v.rpy) for k, v in tracks.items()}
     )

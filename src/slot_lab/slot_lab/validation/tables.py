@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from slot_core.body_points import LEG_POINTS, TORSO
 from slot_core.robot import Array
-from slot_lab.validation.comparison import AXES, Comparison, Series, paper_points
+from slot_lab.validation.comparison import AXES, Comparison, PointSeries, paper_points
 from slot_lab.validation.error_metrics import NAMES
 from slot_lab.validation.time_alignment import TimeAlignment
 
@@ -120,7 +120,7 @@ def unit(axis: str) -> str:
     return "mm" if axis in AXES else "deg"
 
 
-def cell(series: Series, axis: str, name: str) -> str:
+def cell(series: PointSeries, axis: str, name: str) -> str:
     """A metric with its unit."""
     value = series.errors.value[name]
     if name in ("nrmse", "error", "accuracy"):
@@ -128,7 +128,7 @@ def cell(series: Series, axis: str, name: str) -> str:
     return f"{scale(axis) * value:.2f} {unit(axis)}"
 
 
-def _with_interval(series: Series, axis: str, name: str) -> str:
+def _with_interval(series: PointSeries, axis: str, name: str) -> str:
     factor = 100.0 if name in ("nrmse", "error", "accuracy") else scale(axis)
     low, high = (factor * v for v in series.errors.interval[name])
     if math.isnan(low):

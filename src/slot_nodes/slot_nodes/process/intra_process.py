@@ -19,7 +19,9 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
 Receive = Callable[[Any, int], None]  # a message and its number on the topic, from 1
-MOST = 250  # messages delivered in a row: robot and controller in lockstep always have another one
+DELIVERIES_MAX = (
+    250  # messages delivered in a row: robot and controller in lockstep always have another one
+)
 
 
 class Mailbox:
@@ -50,7 +52,7 @@ class Mailbox:
     def deliver(self, newest: bool) -> None:
         """Deliver at most MOST messages, those of `newest_only` only if `newest`; then publish."""
         delivered = 0
-        while delivered < MOST and (self._queue or (newest and self._newest)):
+        while delivered < DELIVERIES_MAX and (self._queue or (newest and self._newest)):
             delivered += 1
             if self._queue:
                 receive, message, number = self._queue.popleft()
@@ -58,7 +60,7 @@ class Mailbox:
                 receive = next(iter(self._newest))
                 message, number = self._newest.pop(receive)
             receive(message, number)
-        while self._outgoing and (delivered == MOST or not self._newest):
+        while self._outgoing and (delivered == DELIVERIES_MAX or not self._newest):
             publisher, message = self._outgoing.popleft()
             publisher.publish(message)
 

@@ -37,7 +37,7 @@ class Column(NamedTuple):
     phi: float
 
 
-class Pivot(NamedTuple):
+class PlanarPivot(NamedTuple):
     """Inverse of a symmetric 2 x 2 matrix."""
 
     xx: float
@@ -285,7 +285,7 @@ def _inverse(xx, xz, zz):
     """Inverse of a symmetric 2 x 2 matrix, and whether the matrix is positive definite."""
     det = xx * zz - xz * xz
     scale = 1.0 / det
-    return Pivot(zz * scale, -xz * scale, xx * scale, (det > 0.0) & (xx > 0.0))
+    return PlanarPivot(zz * scale, -xz * scale, xx * scale, (det > 0.0) & (xx > 0.0))
 
 
 @helper

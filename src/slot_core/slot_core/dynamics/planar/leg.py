@@ -16,7 +16,7 @@ from slot_core.compiled import helper
 from slot_core.dynamics.algebra import product, rotation, times
 from slot_core.dynamics.contact import advance_bristle
 from slot_core.dynamics.lanes import like
-from slot_core.dynamics.planar.strain import Segments, load, measure
+from slot_core.dynamics.planar.strain import PlanarSegments, load, measure
 from slot_core.dynamics.servo import spool_rate
 from slot_core.dynamics.tendon import pull, stretch_line
 from slot_core.robot import Array
@@ -46,7 +46,7 @@ class PlanarLeg(NamedTuple):
     velocity: Array  # (N, 3) m/s, V
     before: Array  # (N, 3) m/s, V_n in step axes
     base: Array  # (N, 2) m, stage position without the part due to V
-    segments: Segments
+    segments: PlanarSegments
     form: Array  # (7, 8) F
     rest: Array  # (4, 5) form over (q, lambda | 1), upper half
     moved: Array  # (6,) displacements of the clamp

@@ -26,7 +26,7 @@ from slot_core.dynamics.lanes import all_lanes, like, where
 from slot_core.robot import Array
 
 
-class Segments(NamedTuple):
+class PlanarSegments(NamedTuple):
     """State of the segments of one rod during a step; written by `measure` and `load`."""
 
     direction: Array  # (N-1, 2)
@@ -40,11 +40,11 @@ class Segments(NamedTuple):
     moment: Array  # (N,) N m, m_i; the last is the free end's zero
 
 
-def segments(nodes: int, lanes: tuple[int, ...] = ()) -> Segments:
+def segments(nodes: int, lanes: tuple[int, ...] = ()) -> PlanarSegments:
     """Scratch arrays for one rod of N nodes, or for four with the axis `lanes` = (4,)."""
     n = nodes - 1
     shapes = [(n, 2), *[(n,)] * 7, (nodes,)]
-    return Segments(*(np.zeros(shape + lanes) for shape in shapes))
+    return PlanarSegments(*(np.zeros(shape + lanes) for shape in shapes))
 
 
 @helper
