@@ -39,18 +39,16 @@ CORE = {
     "paper": "dynamics",
     "estimation": "",
     "gait": "legs",
-    "mpc": "legs gait",
-    "control": "estimation gait mpc",
-    "safety": "legs estimation mpc",
-    "messages": "gait safety",
+    "control": "legs estimation gait",
+    "mpc": "legs estimation gait control",
+    "safety": "legs estimation control",
+    "messages": "estimation gait control safety",
     "recording": "",
     "drawing": "messages",
     "vision": "",
     "dynamixel": "safety",
     "emulator": "dynamics dynamixel",
-    "simulation": (
-        "dynamics legs paper estimation gait mpc control safety vision dynamixel emulator"
-    ),
+    "simulation": "dynamics legs paper estimation gait control safety vision dynamixel emulator",
 }
 LAB = {
     GROUND: "",
@@ -74,6 +72,7 @@ REPEATED = {
     "leg.py": "a planar and a spatial leg in a time step, and the choice between them",
     "setup.py": "one in each ROS package",
     "conftest.py": "pytest fixtures of a folder",
+    "__main__.py": "command of a package",
     "benchmark.py": "main function of each benchmark",
     "picture.py": "plots of each benchmark, and of a run",
     "cases.py": "cases of each benchmark",

@@ -7,9 +7,9 @@ import pytest
 
 from slot_core import config
 from slot_core.config import ConfigError
+from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.dynamixel.settings import read_settings
 from slot_core.emulator.emulated_bus import read_emulator
 from slot_core.faults import Fault
@@ -185,7 +185,9 @@ def test_a_nan_in_a_rod_raises_divergence_and_its_state_can_be_saved_and_loaded(
     plant.start(START)
     command = plant.simulator.tendon_angle + 0.1
     plant.command(command)
-    with pytest.raises(Divergence, match=r"in step 21 at 0\.0200 s: .* not a number") as raised:
+    with pytest.raises(
+        DivergenceError, match=r"in step 21 at 0\.0200 s: .* not a number"
+    ) as raised:
         advance(plant, 100)
     raised.value.save(tmp_path / "log" / "lost.npz", "flat")
     state = np.load(tmp_path / "log" / "lost.npz")  # numbers and text: nothing to unpickle
@@ -210,7 +212,7 @@ def test_every_model_attaches_its_state_to_the_divergence(solver, monkeypatch):
     plant.start(START)
     plant.simulator.state.velocity[:] = 2000.0  # m/s, beyond the speed limit of every model
     plant.command(np.full(4, 0.5))
-    with pytest.raises(Divergence) as raised:
+    with pytest.raises(DivergenceError) as raised:
         advance(plant, 10)
     assert raised.value.state["command"].tolist() == [0.5] * 4
     assert {"time", "position", "velocity", "nodes", "tendon_angle"} <= set(raised.value.state)

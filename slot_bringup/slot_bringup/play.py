@@ -28,7 +28,7 @@ from slot_core.messages import decode
 from slot_core.recording.message_types import Types, message_types
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.check_bag import add_bag_arguments, open_bag
-from slot_lab.bags.walk import LEG_STATES
+from slot_lab.bags.recorded_walk import LEG_STATES
 from slot_nodes import messages, qos
 
 CLOCK = "/clock"

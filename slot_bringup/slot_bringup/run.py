@@ -23,7 +23,7 @@ from slot_core.config import ConfigError
 from slot_core.dynamics.servo import read_servo
 from slot_core.recording.record_settings import read_record_settings
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.walk import LEG_STATES
+from slot_lab.bags.recorded_walk import LEG_STATES
 from slot_lab.report import metrics, plots
 from slot_lab.report.summary import summary_lines
 

@@ -19,7 +19,7 @@ from slot_core.recording.message_types import message_types
 from slot_core.recording.origin import Origin
 from slot_core.recording.record_settings import read_record_settings
 from slot_lab.bags.bag import Bag, BagError, NoFieldError
-from slot_lab.bags.walk import LEG_STATES
+from slot_lab.bags.recorded_walk import LEG_STATES
 
 SETTINGS = read_record_settings()
 

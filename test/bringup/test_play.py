@@ -22,7 +22,7 @@ from slot_bringup import monitor, play
 from slot_bringup.monitor import listener
 from slot_core.messages import decode
 from slot_lab.bags.bag import Bag
-from slot_lab.bags.walk import LEG_STATES
+from slot_lab.bags.recorded_walk import LEG_STATES
 from slot_msgs.msg import LegStates, MpcState
 from slot_nodes import qos
 

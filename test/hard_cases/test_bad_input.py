@@ -7,9 +7,9 @@ import pytest
 
 from slot_core import config
 from slot_core.config import ConfigError
+from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.robot import read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
@@ -150,7 +150,7 @@ def test_a_nan_in_the_state_raises_divergence_with_its_place(halvings, part, ind
     sim = RodRobot(SETTINGS["robot"], scene, SETTINGS["servo"])
     sim.advance(3, np.full(4, 1.0))
     getattr(sim.state, part)[index] = math.nan
-    with pytest.raises(Divergence, match=rf"in step 4 at 0\.0030 s: {place} .* not a number"):
+    with pytest.raises(DivergenceError, match=rf"in step 4 at 0\.0030 s: {place} .* not a number"):
         sim.advance(5, np.full(4, 1.0))
     assert sim.steps == 3
 
@@ -159,5 +159,7 @@ def test_a_node_beyond_the_speed_limit_raises_divergence_with_its_place():
     changes = {"start.settle": 0.0, "start.height": 0.5, "solver.speed_limit": 5.0}
     sim = RodRobot(SETTINGS["robot"], config.replace(SETTINGS["scene"], changes), SETTINGS["servo"])
     sim.state.node_velocity[2, 21] = [0.0, 0.0, 40.0]
-    with pytest.raises(Divergence, match=r"in step 1 at 0\.0000 s: leg RL node (19|20|21) .* 5\.0"):
+    with pytest.raises(
+        DivergenceError, match=r"in step 1 at 0\.0000 s: leg RL node (19|20|21) .* 5\.0"
+    ):
         sim.advance(1, np.zeros(4))

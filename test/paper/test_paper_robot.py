@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.config import ConfigError
+from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.paper.numbers import read_paper
 from slot_core.paper.paper_robot import PaperLeg, PaperRobot
 from slot_core.robot import GRAVITY, read_robot
@@ -60,7 +60,7 @@ def test_below_the_step_limit_a_pulled_and_released_leg_comes_to_rest(changes):
 def test_printed_modulus_and_step_diverge_at_once_without_load():
     """From rest: the initial shape is longer than L, hence stretched by up to 1.5 %."""
     with pytest.raises(
-        Divergence, match=r"^simulation diverged at 0\.00\d\d s: node \d+ is beyond 1000"
+        DivergenceError, match=r"^simulation diverged at 0\.00\d\d s: node \d+ is beyond 1000"
     ):
         leg().advance(1000, 0.0)
 
@@ -84,7 +84,7 @@ def largest_frequency(model):
 def is_stable(step, **changes):
     try:
         leg(step=step, **changes).advance(4000, 0.0)
-    except Divergence:
+    except DivergenceError:
         return False
     return True
 
@@ -112,7 +112,7 @@ def test_a_sudden_pull_diverges_above_the_step_limit_of_the_contact(tension):
     assert limit == pytest.approx(4.4e-5, rel=0.01)
     leg(**STABLE).advance(25000, tension)
     leg(**SOFT, **AIRBORNE).advance(10000, tension)
-    with pytest.raises(Divergence, match="node 30"):
+    with pytest.raises(DivergenceError, match="node 30"):
         leg(**SOFT).advance(10000, tension)
 
 
@@ -321,7 +321,7 @@ def test_equal_commands_keep_the_robot_still_and_unequal_ones_accelerate_it_in_y
 
 def test_the_printed_numbers_diverge_with_time_leg_and_node():
     message = r"^simulation diverged at 0\.00\d0 s: leg FL node \d+ is beyond 1000\.0 m/s or not a"
-    with pytest.raises(Divergence, match=message):
+    with pytest.raises(DivergenceError, match=message):
         simulator()
 
 

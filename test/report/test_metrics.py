@@ -9,7 +9,7 @@ from synthetic_walk import RATE, STRIDE, Walk, write_walk
 
 from slot_core.dynamics.servo import read_servo
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.walk import Ticks, TorsoTrack, stride_mean
+from slot_lab.bags.recorded_walk import Ticks, TorsoTrack, stride_mean
 from slot_lab.report.metrics import latency, walk_metrics
 from slot_lab.report.summary import summary_lines
 

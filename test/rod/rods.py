@@ -3,8 +3,9 @@
 import numpy as np
 
 from benchmarks.rod.exact import LEG, THIN, THIN_MATERIAL, TPU
-from slot_core.rod.cosserat_rod import CosseratRod, RodState
+from slot_core.rod.cosserat_rod import CosseratRod
 from slot_core.rod.model import FREE, Geometry, Material, Rectangle, Uniform
+from slot_core.rod.motion import RodState
 
 STRIP = Geometry(1.0, Rectangle(1.0, (THIN, THIN)))
 UNDAMPED = Material(TPU.young_modulus, TPU.shear_modulus, TPU.density, 0.0)

@@ -10,7 +10,7 @@ from scipy.special import ellipk
 
 from benchmarks.rod import exact
 from benchmarks.rod.exact import LEG, TPU
-from slot_core.rod.cosserat_rod import CosseratRod, RodState, Scheme
+from slot_core.rod.cosserat_rod import CosseratRod
 from slot_core.rod.model import (
     CLAMPED,
     FREE,
@@ -26,6 +26,7 @@ from slot_core.rod.model import (
     Support,
     Uniform,
 )
+from slot_core.rod.motion import RodState, Scheme
 from slot_core.rod.statics import Branch, EquilibriumError, StaticSettings
 
 

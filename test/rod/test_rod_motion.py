@@ -9,7 +9,8 @@ from rods import flying
 from scipy.integrate import solve_ivp
 
 from benchmarks.rod.exact import LEG, TPU
-from slot_core.rod.cosserat_rod import CosseratRod, DivergenceError, RodState, Scheme
+from slot_core.divergence import DivergenceError
+from slot_core.rod.cosserat_rod import CosseratRod
 from slot_core.rod.model import (
     Circle,
     Geometry,
@@ -18,6 +19,7 @@ from slot_core.rod.model import (
     Pose,
     Support,
 )
+from slot_core.rod.motion import RodState, Scheme
 
 CONVERGED = Scheme(theta=0.5, tolerance=1e-14)
 

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from slot_core import compiled, config
 from slot_core.config import ConfigError
+from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.robot import GRAVITY, read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
@@ -274,10 +274,10 @@ def test_invalid_command_is_refused_and_nothing_moves(command, message):
 def test_divergence_names_time_place_and_limit():
     sim = simulator(start__settle=0.0, solver__halvings=0)
     sim.state.node_velocity[2, 9] = np.nan
-    with pytest.raises(Divergence, match=r"at 0\.0000 s: "):
+    with pytest.raises(DivergenceError, match=r"at 0\.0000 s: "):
         sim.advance(1, np.zeros(4))
     sim = simulator(start__settle=0.0, start__height=3.0, solver__speed_limit=1.0)
-    with pytest.raises(Divergence, match=r"0\.10[12]0 s: torso .* 1\.0 m/s"):
+    with pytest.raises(DivergenceError, match=r"0\.10[12]0 s: torso .* 1\.0 m/s"):
         sim.advance(200, np.zeros(4))  # free fall exceeds 1 m/s at t = 1/g = 0.1019 s
 
 

@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.config import ConfigError
+from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.robot import GRAVITY, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.simulation.plant import make_robot
@@ -314,12 +314,12 @@ def test_straight_tendon_is_refused():
 def test_torso_tilted_too_far_is_a_divergence():
     sim = simulator(**{"start.height": 0.5})
     sim.set_motion(np.zeros(3), np.array([15.0, 0.0, 0.0]))
-    with pytest.raises(Divergence, match=r"tilted by more than 60 deg"):
+    with pytest.raises(DivergenceError, match=r"tilted by more than 60 deg"):
         sim.advance(300, np.zeros(4))
 
 
 def test_speed_that_is_not_a_number_is_a_divergence():
     sim = simulator()
     sim.set_motion(np.array([np.nan, 0.0, 0.0]), np.zeros(3))
-    with pytest.raises(Divergence, match=r"beyond 100\.0 m/s or not a number"):
+    with pytest.raises(DivergenceError, match=r"beyond 100\.0 m/s or not a number"):
         sim.advance(1, np.zeros(4))

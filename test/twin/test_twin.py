@@ -12,7 +12,7 @@ from slot_core.config import ConfigError
 from slot_core.gait.gait import read_gaits
 from slot_core.robot import read_parameters, read_robot
 from slot_lab.bags.measured import COMMANDED, MEASURED, TendonAngles
-from slot_lab.bags.walk import TorsoTrack
+from slot_lab.bags.recorded_walk import TorsoTrack
 from slot_lab.csv_table import TableError
 from slot_lab.twin import parameter_set, twin
 from slot_lab.twin.recorded import COLUMNS, BagRecording, read_recorded

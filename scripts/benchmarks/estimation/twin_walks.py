@@ -19,7 +19,7 @@ from slot_core.robot import Array, RobotParameters
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.simulation.plant import Plant, Reading, TrueState
 from slot_lab.bags.measured import MEASURED, ODOMETRY, TendonAngles
-from slot_lab.bags.walk import TorsoTrack
+from slot_lab.bags.recorded_walk import TorsoTrack
 from slot_lab.twin.recorded import BagRecording
 
 POSITION_NOISE, ANGLE_NOISE = 1e-3, 2e-3  # m, rad: the odometry of config/scene/flat.yaml

@@ -32,7 +32,7 @@ from slot_core.dynamics.scene import read_scene
 from slot_core.messages import decode
 from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
-from slot_lab.bags.walk import STAGES
+from slot_lab.bags.recorded_walk import STAGES
 from slot_lab.report.metrics import Latency
 from slot_msgs.msg import GaitPreview, MpcState
 from slot_nodes import messages

@@ -12,9 +12,9 @@ import numpy as np
 
 from slot_core.clock import LOCKSTEP_START
 from slot_core.control.policy import DEFAULT_POLICY
+from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.gait.gait import read_gaits
 from slot_core.gait.reference import mean_velocity
 from slot_core.gait.route import Route
@@ -147,7 +147,7 @@ def run_case(case: Case, column: str, seed: int) -> WalkMotion:
             rows.append([time, *sim.position, *sim.rpy, sim.servo_torque.mean()])
             if schedule and time >= schedule[0][0]:
                 scheduler.request(case.gait, reachable(case.gait, schedule.pop(0)[1]))
-    except Divergence:
+    except DivergenceError:
         fallen = True
     period = STRIDES[case.gait].period if case.gait in STRIDES else PERIOD
     return motion_of(np.array(rows), fallen, period)

@@ -24,9 +24,9 @@ from benchmarks.perturbations.cases import DT, HEIGHT, P_Z, SPEED, tilt
 from benchmarks.perturbations.rigid_torso import Body, TorsoLoop
 from slot_core import config
 from slot_core.control.policy import Status
+from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.mpc.settings import read_mpc
 from slot_core.robot import Array, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
@@ -88,7 +88,7 @@ def run_sample(sample: RandomSample) -> dict[str, Any]:
         states, unsolved = RUNNERS[sample.plant](sample)
         speed = np.array([SPEED if sample.plant == "torso" else 0.0, 0.0])
         found = measure(states, speed) | {"unsolved": float(unsolved), "lost": 0.0}
-    except Divergence:
+    except DivergenceError:
         found = dict.fromkeys(LIMITS, math.nan) | {"lost": 1.0}
     over = [name for name, limit in LIMITS.items() if found[name] > limit]
     return asdict(sample) | found | {"failed": "+".join(over)}

@@ -24,11 +24,12 @@ from benchmarks.robot.picture import draw
 from benchmarks.rod.release import DAMPED
 from slot_core import config
 from slot_core.config import ConfigError
+from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import SolverSettings, read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
+from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.robot import Array, RobotParameters, read_robot
-from slot_core.rod.cosserat_rod import Scheme
+from slot_core.rod.motion import Scheme
 from slot_core.simulation.plant import make_robot
 from slot_core.simulation.rod_robot import RodRobot
 
@@ -160,7 +161,7 @@ def measured(make: Callable[[], SimulatedRobot], exact: Array, repeats: int) -> 
         error = deviation(motion(sim), exact)
         again = [make() for _ in range(repeats + 1)]
         time = cpu_time(lambda: run_through(again.pop()), repeats).median
-    except (Divergence, ConfigError) as reason:
+    except (DivergenceError, ConfigError) as reason:
         return {"error_mm": math.nan, "us_per_ms": math.nan, "lost": str(reason)}
     cost = 1e6 * time / DURATION * 1e-3
     return {"error_mm": error, "us_per_ms": cost, "halvings": sim.halvings}

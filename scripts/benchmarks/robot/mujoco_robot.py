@@ -26,11 +26,12 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from slot_core.divergence import DivergenceError
 from slot_core.dynamics.model import Model, build_model
 from slot_core.dynamics.rod import sections
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import Servo, ServoSettings
-from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
+from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.robot import LEGS, Array, RobotParameters
 
 POINT = 1e-6  # m, radius of the spheres that stand for contact points
@@ -288,7 +289,7 @@ class MujocoRobot(SimulatedRobot):
             mujoco.mj_step(self._model, data)
         self.steps += steps
         if any(warning.number for warning in data.warning):  # the engine has started anew
-            raise Divergence(f"MuJoCo's simulation diverged before {self.time:.3f} s")
+            raise DivergenceError(f"MuJoCo's simulation diverged before {self.time:.3f} s")
 
     def push(self, force: Array, moment: Array) -> None:
         """See SimulatedRobot."""

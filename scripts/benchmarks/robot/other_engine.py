@@ -24,10 +24,11 @@ from benchmarks.harness import Check, at_most
 from benchmarks.robot.engine_picture import draw
 from benchmarks.robot.mujoco_robot import DEFAULT, Engine, MujocoRobot
 from slot_core import config
+from slot_core.divergence import DivergenceError
 from slot_core.dynamics.rod import discretise, sections
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
+from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.gait.gait import Stride, read_gaits
 from slot_core.robot import GRAVITY, Array, Leg, RobotParameters, read_robot
 from slot_core.simulation.rod_robot import RodRobot
@@ -250,7 +251,7 @@ def replay(make: Make, scene: Scene, stride: Stride, tuning: TuningSettings) -> 
     """
     try:
         track = tracked(make(scene), stride, tuning)
-    except Divergence:
+    except DivergenceError:
         return dict.fromkeys(("v_x", "v_y", "yaw_rate", "height", "tilt"), math.nan)
     means = stride_means(track)
     tilt = math.degrees(math.sqrt(np.square(track[:, 4:6]).sum(axis=1).mean()))

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from slot_core import config
+from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import ServoSettings
-from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.robot import Array, read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
@@ -99,7 +99,7 @@ def examine(case: StressCase) -> StressRecord:
     coarse, fine = MeasuredRun(case, case.step), MeasuredRun(case, case.step / 2)
     try:
         paths = [np.array(list(one.run())) for one in (coarse, fine)]
-    except Divergence as error:
+    except DivergenceError as error:
         return coarse.record(math.inf, str(error))
     return coarse.record(1e3 * float(np.abs(paths[0] - paths[1]).max()), "")
 

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.rod.exact import LEG, PUSH, TPU
 from benchmarks.rod.release import DURATION, SAMPLES, UNDAMPED, percent
 from slot_core.robot import Array
-from slot_core.rod.cosserat_rod import Scheme
+from slot_core.rod.motion import Scheme
 
 FINE = {True: (30, 60), False: (60, 120)}  # elements, for its own converged motion, by `quick`
 SHEAR_FACTOR = 5 / 6

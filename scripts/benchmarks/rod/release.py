@@ -18,9 +18,11 @@ import numpy as np
 
 from benchmarks.harness import Check, at_least, at_most, cpu_time
 from benchmarks.rod.exact import LEG, PUSH, TPU
+from slot_core.divergence import DivergenceError
 from slot_core.robot import Array
-from slot_core.rod.cosserat_rod import CosseratRod, DivergenceError, RodState, Scheme
+from slot_core.rod.cosserat_rod import CosseratRod
 from slot_core.rod.model import FREE
+from slot_core.rod.motion import RodState, Scheme
 
 DURATION, SAMPLES = 1.0, 100  # s, number of samples of the tip
 OURS = "CosseratRod"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rclpy.node import Node
 
-from slot_core.dynamics.simulated_robot import Divergence
+from slot_core.divergence import DivergenceError
 from slot_core.messages import decode
 from slot_core.simulation.plant import Plant
 from slot_msgs.srv import InjectFault
@@ -34,7 +34,7 @@ def _inject(
     return response
 
 
-def save_state(directory: str, scene: str, divergence: Divergence) -> str:
+def save_state(directory: str, scene: str, divergence: DivergenceError) -> str:
     """Write the state of a diverged simulation; return a line with its path or the error."""
     name = f"lost_{datetime.now():%Y%m%d_%H%M%S}.npz"
     path = Path(directory, name).absolute()

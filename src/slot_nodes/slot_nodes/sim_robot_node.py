@@ -35,9 +35,9 @@ from sensor_msgs.msg import CameraInfo, Image, Imu, JointState
 from std_msgs.msg import Bool
 
 from slot_core.config import ConfigError
+from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
-from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.dynamixel.errors import RefusedError
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.state import JointReading
@@ -103,7 +103,7 @@ class SimRobotNode(Node):
         self.get_logger().info("preparing; a first start compiles the dynamics, about 10 s")
         try:
             self._plant = self._make_plant(settings, servo, seed, bool(link))
-        except Divergence as error:
+        except DivergenceError as error:
             self._end_diverged(error)
         self._frozen = True
         self._published_clock = 0  # last time on /clock, ns
@@ -299,10 +299,10 @@ class SimRobotNode(Node):
         try:
             for reading in readings:
                 self._publish(reading)
-        except Divergence as error:
+        except DivergenceError as error:
             self._end_diverged(error)
 
-    def _end_diverged(self, error: Divergence) -> NoReturn:
+    def _end_diverged(self, error: DivergenceError) -> NoReturn:
         self._frozen = True  # time stands still while the driver switches the servos off
         self.get_logger().fatal(f"{error}; {self._save_state(error)}")
         raise SystemExit(1) from None

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,22 +17,6 @@ SNAPSHOT = (
     "time", "halvings", "indefinite_steps", "position", "rotation", "velocity", "angular_velocity",
     "tendon_angle", "tendon_rate", "tension", "nodes",
 )  # fmt: skip
-
-
-class Divergence(RuntimeError):  # noqa: N818 - it names the event
-    """The simulation has diverged; the message names the time, the leg or the torso, and the node.
-
-    `state` holds the values of `SimulatedRobot.snapshot` by name.
-    """
-
-    def __init__(self, message: str, state: Mapping[str, Any] | None = None) -> None:
-        super().__init__(message)
-        self.state = dict(state or {})
-
-    def save(self, path: Path, scene: str) -> None:
-        """Write state, message and the scene's name for `numpy.load`; raises OSError."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        np.savez(path, scene=scene, message=str(self), **self.state)
 
 
 class TorsoMotion(Protocol):
@@ -81,7 +63,7 @@ class SimulatedRobot(ABC):
         """Advance by `steps` steps with constant commanded tendon angles (4,), rad.
 
         Raises ValueError for a command of the wrong shape, not finite or outside [0, angle_max],
-        and Divergence when a speed is not finite or exceeds the limit.
+        and DivergenceError when a speed is not finite or exceeds the limit.
         """
 
     def push(self, force: Array, moment: Array) -> None:

@@ -65,10 +65,11 @@ from typing import Any
 import numpy as np
 
 from slot_core.config import ConfigError
+from slot_core.divergence import DivergenceError
 from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
-from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
+from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.paper.kernels import advance_legs, advance_robot
 from slot_core.paper.numbers import (
     PaperSettings,
@@ -99,7 +100,7 @@ class PaperLeg:
     def advance(self, steps: int, tension: float) -> None:
         """Advance `steps` steps of `settings.step` at a constant tension, N.
 
-        Raises Divergence when a speed is not finite or above `settings.speed_limit`.
+        Raises DivergenceError when a speed is not finite or above `settings.speed_limit`.
         """
         self.state.tension[0] = tension
         done, failed = advance_legs(self._handle, steps, self.settings.step)
@@ -136,7 +137,7 @@ class PaperRobot(SimulatedRobot):
     command without delay or limit.
 
     Raises ConfigError when the scene's gravity is not along z or when its step is no multiple of
-    `settings.step`; Divergence when settling is unstable, as it is with the printed numbers.
+    `settings.step`; DivergenceError when settling is unstable, as it is with the printed numbers.
     """
 
     def __init__(
@@ -162,7 +163,7 @@ class PaperRobot(SimulatedRobot):
         """Advance `steps` steps of the scene at constant commanded tendon angles (4,), rad.
 
         Raises ValueError for a command of the wrong shape, not finite or outside [0, angle_max],
-        and Divergence when a speed is not finite or above `settings.speed_limit`.
+        and DivergenceError when a speed is not finite or above `settings.speed_limit`.
         """
         command = self.checked(command)
         self._set_tension(command, steps)
@@ -243,8 +244,8 @@ def _divergence(
     settings: PaperSettings,
     place: str,
     state: Mapping[str, Any] | None = None,
-) -> Divergence:
+) -> DivergenceError:
     limit = settings.speed_limit
-    return Divergence(
+    return DivergenceError(
         f"simulation diverged at {time:.4f} s: {place} is beyond {limit} m/s or not a number", state
     )

@@ -80,8 +80,8 @@ class ClosedLoop:
         """Yield each tick after its command is set; then advance the plant to the next odometry.
 
         Where odometry is lost, the last command is held until the estimator goes on without it.
-        Raises Divergence when the simulation diverges, and RuntimeError when the estimator has no
-        estimate for an odometry reading.
+        Raises DivergenceError when the simulation diverges, and RuntimeError when the estimator
+        has no estimate for an odometry reading.
         """
         self.read(self.plant.readings_at_rest(LOCKSTEP_START))
         self.plant.start(LOCKSTEP_START)

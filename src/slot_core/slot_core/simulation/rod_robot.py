@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.divergence import DivergenceError
 from slot_core.dynamics import integrator, observe
 from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.model import (
@@ -19,7 +20,6 @@ from slot_core.dynamics.model import (
 )
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
-from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.robot import LEGS, Array, RobotParameters
 from slot_core.simulation.kernel_robot import KernelRobot
 
@@ -51,14 +51,14 @@ class RodRobot(KernelRobot):
         """Advance by `steps` steps with constant commanded tendon angles (4,), rad.
 
         Raises ValueError for a command of the wrong shape, not finite or outside [0, angle_max],
-        and Divergence when a speed is not finite or exceeds `scene.solver.speed_limit`.
+        and DivergenceError when a speed is not finite or exceeds `scene.solver.speed_limit`.
         """
         command = self.checked(command)
         self._legs.command[0] = command
         done, where = integrator.advance(self._handle, steps)
         self.steps += done
         if where >= 0:
-            raise Divergence(
+            raise DivergenceError(
                 self._divergence_message(where), self.snapshot() | {"command": command}
             )
 

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from slot_core.clock import SECOND
-from slot_core.dynamics.simulated_robot import Divergence
+from slot_core.divergence import DivergenceError
 from slot_core.emulator.pseudo_terminal import PseudoTerminal
 from slot_core.robot import LEGS, Array
 from slot_core.safety.command_gate import AT_REST, Action
@@ -108,7 +108,7 @@ class BusServos:
                 try:
                     for _ in self._plant.advance(self._plant.now + round((now - last) * SECOND)):
                         pass  # no subscriber is left
-                except Divergence:  # the port is closed all the same
+                except DivergenceError:  # the port is closed all the same
                     running = False
             last = now
         self._terminal.close()

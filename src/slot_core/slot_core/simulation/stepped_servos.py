@@ -12,8 +12,8 @@ from collections import deque
 from contextlib import suppress
 
 from slot_core.clock import SECOND
+from slot_core.divergence import DivergenceError
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.errors import PortError, RefusedError
 from slot_core.dynamixel.session import ServoSession, measured
@@ -156,7 +156,7 @@ class DrivenServos:
         if not self.end:
             self.end = "closed"  # no further cycles but those of the ramp
             if running:
-                with suppress(Divergence):  # of the ramp; torque is off
+                with suppress(DivergenceError):  # of the ramp; torque is off
                     self.session.stop()
             else:
                 self.session.driver.torque_off()

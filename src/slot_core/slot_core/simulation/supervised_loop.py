@@ -88,7 +88,7 @@ class SupervisedLoop:
     def run(self, seconds: float) -> Iterator[Report]:
         """Advance the robot's clock and yield each report of the supervisor, every 20 ms.
 
-        Raises Divergence when the simulation diverges.
+        Raises DivergenceError when the simulation diverges.
         """
         if self.report is None:
             yield self._begin()

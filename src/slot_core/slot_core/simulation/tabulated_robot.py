@@ -50,11 +50,11 @@ from typing import NamedTuple
 import numpy as np
 
 from slot_core.config import ConfigError
+from slot_core.divergence import DivergenceError
 from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.model import build_model, build_scheme, state_space, work_space
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings
-from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.legs.leg_table import LegTable, read_leg_table
 from slot_core.robot import Array, RobotParameters
 from slot_core.simulation.kernel_robot import KernelRobot
@@ -75,8 +75,8 @@ class TabulatedRobot(KernelRobot):
 
     Raises ConfigError, which names the setting, for a robot or scene that the table does not cover:
     an uneven floor, another stiffness of the floor, contact of the tips alone, halved steps, a
-    straight tendon. A torso tilted by more than 60 deg is a Divergence, because the legs touch only
-    a floor below the torso.
+    straight tendon. A torso tilted by more than 60 deg is a DivergenceError, because the legs touch
+    only a floor below the torso.
     """
 
     def __init__(self, robot: RobotParameters, scene: Scene, servo: ServoSettings) -> None:
@@ -103,8 +103,8 @@ class TabulatedRobot(KernelRobot):
         """Advance by `steps` steps with constant commanded tendon angles (4,), rad.
 
         Raises ValueError for a command of the wrong shape, not finite or outside [0, angle_max],
-        and Divergence when a speed is not finite or exceeds `scene.solver.speed_limit`, or the tilt
-        of the torso exceeds 60 deg.
+        and DivergenceError when a speed is not finite or exceeds `scene.solver.speed_limit`, or the
+        tilt of the torso exceeds 60 deg.
         """
         self._feet.command[:] = self.checked(command)
         done, divergence = advance(self._handle, steps)
@@ -116,7 +116,7 @@ class TabulatedRobot(KernelRobot):
                     f"torso is tilted by more than {math.degrees(math.acos(COS_TILT_MAX)):.0f} deg"
                 )
             state = self.snapshot() | {"command": self._feet.command.copy()}
-            raise Divergence(f"simulation diverged at {self.time:.4f} s: {limit}", state)
+            raise DivergenceError(f"simulation diverged at {self.time:.4f} s: {limit}", state)
 
     def set_motion(self, velocity: Array, angular_velocity: Array) -> None:
         """Set the motion of the torso: (3,) m/s in odom, (3,) rad/s in base_link."""

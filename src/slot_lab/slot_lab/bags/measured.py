@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from slot_core.robot import Array
 from slot_lab.bags.bag import Bag, BagError, Stamps
-from slot_lab.bags.walk import (
+from slot_lab.bags.recorded_walk import (
     ESTIMATE,
     GROUND_TRUTH,
     TorsoTrack,

@@ -16,9 +16,9 @@ import numpy as np
 
 from slot_core import config
 from slot_core.config import ConfigError, quantity
+from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.simulated_robot import Divergence
 from slot_core.legs.held_leg import HeldLeg
 from slot_core.legs.leg_map import NoEquilibriumError, StaticLeg
 from slot_core.robot import GRAVITY, LEGS, Array, RobotParameters
@@ -69,7 +69,7 @@ def predict(robot: RobotParameters, rows: Sequence[Datum], settings: ExperimentS
         members = [i for i, row in enumerate(rows) if _test(row) == test]
         try:
             out[members] = TESTS[test[0]](robot, [rows[i] for i in members], settings)
-        except (Divergence, NoEquilibriumError, ConfigError) as error:
+        except (DivergenceError, NoEquilibriumError, ConfigError) as error:
             raise PredictionError(f"{test[0]} of line {rows[members[0]].line}: {error}") from None
     return out
 

@@ -33,7 +33,7 @@ from slot_core.vision.settings import (
 )
 from slot_core.vision.synthetic_camera import Imperfections, Surface, SyntheticCamera
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.walk import GROUND_TRUTH, LEG_STATES
+from slot_lab.bags.recorded_walk import GROUND_TRUTH, LEG_STATES
 from slot_lab.film.calibration import chessboard
 from slot_lab.film.track import write_tracks
 from slot_lab.film.tracker import MarkerSample

@@ -27,7 +27,7 @@ from slot_core.control.policy import Status
 from slot_core.drawing import palette
 from slot_core.robot import LEGS, Array
 from slot_lab.bags.bag import Bag, BagError, NoFieldError
-from slot_lab.bags.walk import seconds
+from slot_lab.bags.recorded_walk import seconds
 
 TOPIC = "/tendon_plan"
 PER_LEG = {

@@ -15,7 +15,7 @@ from slot_core.estimation.estimate import Validity
 from slot_core.geometry import rotate
 from slot_core.robot import LEGS, Array
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.walk import (
+from slot_lab.bags.recorded_walk import (
     GROUND_TRUTH,
     STAGES,
     TorsoTrack,

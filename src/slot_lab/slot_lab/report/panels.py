@@ -14,7 +14,14 @@ from slot_core.drawing import palette
 from slot_core.geometry import rotate
 from slot_core.robot import LEGS, Array
 from slot_lab.bags.bag import Bag
-from slot_lab.bags.walk import STAGES, Ticks, TorsoTrack, joint_columns, seconds, stride_mean
+from slot_lab.bags.recorded_walk import (
+    STAGES,
+    Ticks,
+    TorsoTrack,
+    joint_columns,
+    seconds,
+    stride_mean,
+)
 from slot_lab.report.metrics import WalkMetrics
 from slot_lab.report.summary import summary_lines
 

@@ -14,9 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from slot_core import config
+from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.simulated_robot import Divergence, SimulatedRobot
+from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.gait.gait import Stride
 from slot_core.gait.reference import mean_velocity
 from slot_core.gait.stride_feedback import OFFSET_SIGNS
@@ -70,7 +71,7 @@ def simulate(job: Job, settings: TuningSettings) -> Outcome:
     floor = config.replace(scene, {"floor.friction": [job.friction] * 4})
     try:
         return _Run(job, settings, read_robot(), floor).motion()
-    except Divergence:
+    except DivergenceError:
         return None
 
 

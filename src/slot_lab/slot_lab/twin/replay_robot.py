@@ -27,7 +27,7 @@ from slot_core.robot import Array, RobotParameters, read_parameters, read_robot
 from slot_core.safety.command_gate import gone_on
 from slot_core.simulation.plant import make_robot
 from slot_lab.bags.measured import TendonAngles
-from slot_lab.bags.walk import TorsoTrack
+from slot_lab.bags.recorded_walk import TorsoTrack
 from slot_lab.twin.recorded import BagRecording
 from slot_lab.twin.settings import TwinSettings
 
@@ -88,7 +88,7 @@ def replay(
 ) -> Iterator[tuple[float, SimulatedRobot]]:
     """Yield (graph time, robot) at the start and after each hold; the robot is advanced in place.
 
-    Raises Divergence, and ConfigError if the recording cannot be replayed with these settings.
+    Raises DivergenceError, and ConfigError if the recording cannot be replayed with these settings.
     """
     begin, end = recorded.span
     scene, servo = parts.scene, parts.servo

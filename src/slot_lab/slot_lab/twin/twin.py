@@ -26,7 +26,7 @@ import numpy as np
 
 from slot_core.command_line import positive_integer, within
 from slot_core.config import ConfigError, load
-from slot_core.dynamics.simulated_robot import Divergence
+from slot_core.divergence import DivergenceError
 from slot_core.robot import Array
 from slot_lab.bags.bag import BagError
 from slot_lab.bags.measured import COMMANDED, MEASURED, MOTION_TOPICS
@@ -43,7 +43,7 @@ from slot_lab.workers import gather, workers
 
 INTERRUPTED = 130  # exit code
 ERRORS = (
-    BagError, ConfigError, Divergence, FitError, PredictionError, TableError, OSError,
+    BagError, ConfigError, DivergenceError, FitError, PredictionError, TableError, OSError,
 )  # fmt: skip
 
 

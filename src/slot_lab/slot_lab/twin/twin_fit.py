@@ -18,7 +18,7 @@ import numpy as np
 
 from slot_core import config
 from slot_core.config import ConfigError, leaves
-from slot_core.dynamics.simulated_robot import Divergence
+from slot_core.divergence import DivergenceError
 from slot_core.robot import LEGS, Array
 from slot_lab.calibration.experiments import PredictionError
 from slot_lab.calibration.fit import FitProblem, Parameter, ParameterEstimate, estimate, fit
@@ -172,7 +172,7 @@ def stride_residuals(
     """(n,) residuals of the strides at values of the parameters; raises PredictionError."""
     try:
         predicted = predict(recorded, changed(parts, names, values), seen[1])
-    except (Divergence, ConfigError) as error:
+    except (DivergenceError, ConfigError) as error:
         raise PredictionError(str(error)) from None
     blocks = residuals(predicted, measured_track(recorded.motion), *seen)
     return np.concatenate([block.ravel() for block in blocks])

@@ -32,7 +32,7 @@ from slot_core.body_points import (
 from slot_core.robot import LEGS, ODOM_FRAME, Array
 from slot_lab.bags.bag import STORAGES, Bag
 from slot_lab.bags.measured import measured_motion, sound
-from slot_lab.bags.walk import LEG_STATES, seconds
+from slot_lab.bags.recorded_walk import LEG_STATES, seconds
 from slot_lab.csv_table import CsvRow, TableError, read_table
 
 POINTS = (*BODY_POINTS, *LEG_POINTS)

@@ -21,45 +21,13 @@ to the energy of the lumped masses.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import cross, dot, plus, row
-from slot_core.dynamics.contact import coefficient, friction_force, normal_force, tangential
-from slot_core.dynamics.lanes import any_lane, largest, like, where
+from slot_core.dynamics.lanes import largest, like
+from slot_core.dynamics.spatial.floor_contact import add_contact
 from slot_core.dynamics.spatial.hinge import Symmetric, bend
+from slot_core.dynamics.spatial.quadratic_form import Form, dot4, factor, solve, sum_of
 from slot_core.dynamics.spatial.strain import frame
-from slot_core.dynamics.terrain import ground, is_uneven, tilted
-
-
-class Form(NamedTuple):
-    """Quadratic form over (X, Phi, lambda | 1) of what lies beyond a node."""
-
-    place: Symmetric  # over X
-    x: tuple[float, float, float]  # rows X of the coupling to Phi
-    y: tuple[float, float, float]
-    z: tuple[float, float, float]
-    turn: Symmetric  # over Phi
-    pull: tuple[float, float, float]  # column of lambda, rows X
-    twist: tuple[float, float, float]  # rows Phi
-    force: tuple[float, float, float]  # gradient, rows X
-    moment: tuple[float, float, float]  # rows Phi
-
-
-class Pivot(NamedTuple):
-    """Factors L D L^T of a symmetric 4 x 4 matrix: L below the diagonal, 1 / D."""
-
-    l10: float
-    l20: float
-    l30: float
-    l21: float
-    l31: float
-    l32: float
-    d0: float
-    d1: float
-    d2: float
-    d3: float
-    positive: bool
 
 
 @helper
@@ -76,7 +44,7 @@ def eliminate(model, leg, inv, place):
     definite = True
     for k in range(leg.segments.length.size - 1, -1, -1):
         form = _add_node(model, leg, k + 1, inv, form)
-        form = _add_contact(model, leg, k, 1, inv, place, form)
+        form = add_contact(model, leg, k, 1, inv, place, form)
         form, positive, both, one = _reduce(model, leg, k, inv, place, form, both, one)
         definite = definite & positive
     form = _add_node(model, leg, 0, inv, form)
@@ -100,7 +68,7 @@ def _reduce(model, leg, k, inv, place, form, both, one):
     hinge = bend(rod, s, k, before, viscous, normal, model.tendon, leg.pull[0])
     # Contact of the segment's begin moves with X_k and Phi_k.
     m = hinge.moment
-    begin = _add_contact(model, leg, k, 0, inv, place, _spun(rod, leg, k, inv, form, hinge))
+    begin = add_contact(model, leg, k, 0, inv, place, _spun(rod, leg, k, inv, form, hinge))
     moment, turn = begin.moment, begin.turn
     P, B = form.place, begin.place
     ax, ay, az = (
@@ -156,7 +124,7 @@ def _reduce(model, leg, k, inv, place, form, both, one):
     )
     own = across - inv * inv * rod.coupling[k]
     turning = _arm(ft, t, per_length)
-    pivot = _factor(
+    pivot = factor(
         P.xx + 2.0 * ax[0] + wx[0] + axial * p[0] * p[0] + 2.0 * t[0] * g[0] + own,
         P.xy + ax[1] + ay[0] + wx[1] + axial * p[0] * p[1] + t[0] * g[1] + t[1] * g[0],
         P.xz + ax[2] + az[0] + wx[2] + axial * p[0] * p[2] + t[0] * g[2] + t[2] * g[0],
@@ -180,37 +148,37 @@ def _reduce(model, leg, k, inv, place, form, both, one):
     force = plus(plus(form.force, normal, t), -inv * rod.coupling[k], _lag(leg, k))
     rc = _lift(plus(form.pull, along, t), plus(form.twist, 1.0, hinge.tendon), t, per_length)
     ro = _lift(force, moment, t, per_length)
-    w1, w2, w3 = _solve(pivot, x1), _solve(pivot, x2), _solve(pivot, x3)
-    z1, z2, z3 = _solve(pivot, r1), _solve(pivot, r2), _solve(pivot, r3)
-    wc, wo = _solve(pivot, rc), _solve(pivot, ro)
+    w1, w2, w3 = solve(pivot, x1), solve(pivot, x2), solve(pivot, x3)
+    z1, z2, z3 = solve(pivot, r1), solve(pivot, r2), solve(pivot, r3)
+    wc, wo = solve(pivot, rc), solve(pivot, ro)
     _store(leg.back[k], w1, w2, w3, z1, z2, z3, wc, wo)
     c, o, h = form.pull, form.force, hinge.tendon
     form = Form(
         Symmetric(
-            P.xx + B.xx - _dot(x1, w1), P.xy + B.xy - _dot(x1, w2), P.xz + B.xz - _dot(x1, w3),
-            P.yy + B.yy - _dot(x2, w2), P.yz + B.yz - _dot(x2, w3), P.zz + B.zz - _dot(x3, w3),
+            P.xx + B.xx - dot4(x1, w1), P.xy + B.xy - dot4(x1, w2), P.xz + B.xz - dot4(x1, w3),
+            P.yy + B.yy - dot4(x2, w2), P.yz + B.yz - dot4(x2, w3), P.zz + B.zz - dot4(x3, w3),
         ),
-        (-_dot(x1, z1), -_dot(x1, z2), -_dot(x1, z3)),
-        (-_dot(x2, z1), -_dot(x2, z2), -_dot(x2, z3)),
-        (-_dot(x3, z1), -_dot(x3, z2), -_dot(x3, z3)),
+        (-dot4(x1, z1), -dot4(x1, z2), -dot4(x1, z3)),
+        (-dot4(x2, z1), -dot4(x2, z2), -dot4(x2, z3)),
+        (-dot4(x3, z1), -dot4(x3, z2), -dot4(x3, z3)),
         Symmetric(
-            K.xx + axial * bulge[0] * bulge[0] - _dot(r1, z1),
-            K.xy + axial * bulge[0] * bulge[1] - _dot(r1, z2),
-            K.xz + axial * bulge[0] * bulge[2] - _dot(r1, z3),
-            K.yy + axial * bulge[1] * bulge[1] - _dot(r2, z2),
-            K.yz + axial * bulge[1] * bulge[2] - _dot(r2, z3),
-            K.zz + axial * bulge[2] * bulge[2] - _dot(r3, z3),
+            K.xx + axial * bulge[0] * bulge[0] - dot4(r1, z1),
+            K.xy + axial * bulge[0] * bulge[1] - dot4(r1, z2),
+            K.xz + axial * bulge[0] * bulge[2] - dot4(r1, z3),
+            K.yy + axial * bulge[1] * bulge[1] - dot4(r2, z2),
+            K.yz + axial * bulge[1] * bulge[2] - dot4(r2, z3),
+            K.zz + axial * bulge[2] * bulge[2] - dot4(r3, z3),
         ),
-        (c[0] - _dot(x1, wc), c[1] - _dot(x2, wc), c[2] - _dot(x3, wc)),
-        (-h[0] - _dot(r1, wc), -h[1] - _dot(r2, wc), -h[2] - _dot(r3, wc)),
+        (c[0] - dot4(x1, wc), c[1] - dot4(x2, wc), c[2] - dot4(x3, wc)),
+        (-h[0] - dot4(r1, wc), -h[1] - dot4(r2, wc), -h[2] - dot4(r3, wc)),
         (
-            o[0] + begin.force[0] - _dot(x1, wo),
-            o[1] + begin.force[1] - _dot(x2, wo),
-            o[2] + begin.force[2] - _dot(x3, wo),
+            o[0] + begin.force[0] - dot4(x1, wo),
+            o[1] + begin.force[1] - dot4(x2, wo),
+            o[2] + begin.force[2] - dot4(x3, wo),
         ),
-        (-m[0] - _dot(r1, wo), -m[1] - _dot(r2, wo), -m[2] - _dot(r3, wo)),
+        (-m[0] - dot4(r1, wo), -m[1] - dot4(r2, wo), -m[2] - dot4(r3, wo)),
     )  # fmt: skip
-    return form, pivot.positive, both - _dot(rc, wc), one - _dot(rc, wo)
+    return form, pivot.positive, both - dot4(rc, wc), one - dot4(rc, wo)
 
 
 @helper
@@ -236,7 +204,7 @@ def _spun(rod, leg, k, inv, form, hinge):
         o[1] + m[1] + inertia * (own * t[1] - before[k, 1]),
         o[2] + m[2] + inertia * (own * t[2] - before[k, 2]),
     )
-    turn = _sum(form.turn, hinge.tangent)
+    turn = sum_of(form.turn, hinge.tangent)
     return Form(none, zero, zero, zero, turn, zero, zero, zero, moment)
 
 
@@ -252,121 +220,6 @@ def _add_node(model, leg, i, inv, form):
     )
     place = Symmetric(P.xx + inertia, P.xy, P.xz, P.yy + inertia, P.yz, P.zz + inertia)
     return Form(place, form.x, form.y, form.z, form.turn, form.pull, form.twist, force, form.moment)
-
-
-@helper
-def _add_contact(model, leg, k, end, inv, place, form):
-    """Add the floor's forces on both edges of segment k at its begin or end (0, 1)."""
-    floor, i = model.floor, k + end
-    if i < floor.first:
-        return form
-    for side in range(2):
-        reach = floor.half_width if side else -floor.half_width
-        form = _add_corner(model, leg, k, i, 4 * k + 2 * end + side, reach, inv, place, form)
-    return form
-
-
-@helper
-def _add_corner(model, leg, k, i, p, reach, inv, place, form):
-    """Add the floor's force on contact point p at node i and `reach` (m) along the director."""
-    floor, f, d = model.floor, leg.field, row(leg.segments.director, k)
-    a = (reach * d[0], reach * d[1], reach * d[2])
-    x, y, z = (
-        leg.root[0] + leg.stage[i, 0] + a[0],
-        leg.root[1] + leg.stage[i, 1] + a[1],
-        leg.root[2] + leg.stage[i, 2] + a[2],
-    )
-    up = (f[2, 0], f[2, 1], f[2, 2])
-    gap = place[2] + up[0] * x + up[1] * y + up[2] * z
-    if is_uneven(floor.terrain):
-        east = place[0] + f[0, 0] * x + f[0, 1] * y + f[0, 2] * z
-        north = place[1] + f[1, 0] * x + f[1, 1] * y + f[1, 2] * z
-        below = ground(floor.terrain, east, north)
-        gap, up = tilted(f, below, gap - below.height)
-        if floor.bristle > 0.0:
-            leg.slope[p, 0], leg.slope[p, 1] = below.slope_x, below.slope_y
-    if floor.bristle > 0.0:
-        leg.limit[p] = like(0.0, gap)
-    if any_lane(gap < 0.0):
-        return _touch(floor, leg, k, i, p, a, gap, up, inv, form)
-    return form
-
-
-@helper
-def _touch(floor, leg, k, i, p, a, gap, up, inv, form):
-    """Add the floor's force on a point at a (3 numbers), m, from node i, and its tangent."""
-    w = angular_velocity(leg, k)
-    u = plus(row(leg.velocity, i), 1.0, cross(w, a))
-    vn = dot(up, u)
-    v = plus(u, -vn, up)
-    stiffness, damping = floor.stiffness[p], floor.damping[p]
-    normal = normal_force(stiffness, damping, gap, vn)
-    mu = coefficient(floor, leg.friction[0], leg.friction[1], leg.rate[0], v[0], dot(v, v))
-    bristle = v
-    if floor.bristle > 0.0:
-        leg.limit[p] = mu * normal
-        bristle = tangential(leg.field, leg.bristle[p], up)
-    hold = friction_force(floor, mu * normal, 1.0 / inv, stiffness, damping, bristle, v)
-    drag = hold.drag * inv
-    stiff = where(normal > 0.0, stiffness + damping * inv - drag, like(0.0, drag))
-    # Force on the floor, tangent C = drag 1 + stiff up up^T, and its coupling -C [a] to Phi.
-    g = (
-        hold.drag * v[0] + hold.x - normal * up[0],
-        hold.drag * v[1] + hold.y - normal * up[1],
-        hold.drag * v[2] + hold.z - normal * up[2],
-    )
-    s = (stiff * up[0], stiff * up[1], stiff * up[2])
-    C = Symmetric(
-        drag + s[0] * up[0], s[0] * up[1], s[0] * up[2], drag + s[1] * up[1], s[1] * up[2],
-        drag + s[2] * up[2],
-    )  # fmt: skip
-    bx, by, bz = (
-        cross(a, (C.xx, C.xy, C.xz)),
-        cross(a, (C.xy, C.yy, C.yz)),
-        cross(a, (C.xz, C.yz, C.zz)),
-    )
-    t1, t2, t3 = (
-        cross(a, (bx[0], by[0], bz[0])),
-        cross(a, (bx[1], by[1], bz[1])),
-        cross(a, (bx[2], by[2], bz[2])),
-    )
-    # The arm a turns with the segment: -(Phi x a) x f, f = -g, without its antisymmetric part.
-    level = -dot(a, g)
-    T = form.turn
-    turn = Symmetric(
-        T.xx + t1[0] + a[0] * g[0] + level,
-        T.xy + t2[0] + 0.5 * (a[0] * g[1] + a[1] * g[0]),
-        T.xz + t3[0] + 0.5 * (a[0] * g[2] + a[2] * g[0]),
-        T.yy + t2[1] + a[1] * g[1] + level,
-        T.yz + t3[1] + 0.5 * (a[1] * g[2] + a[2] * g[1]),
-        T.zz + t3[2] + a[2] * g[2] + level,
-    )
-    return Form(
-        _sum(form.place, C),
-        plus(form.x, 1.0, bx),
-        plus(form.y, 1.0, by),
-        plus(form.z, 1.0, bz),
-        turn,
-        form.pull,
-        form.twist,
-        plus(form.force, 1.0, g),
-        plus(form.moment, 1.0, cross(a, g)),
-    )
-
-
-@helper
-def angular_velocity(leg, k):
-    """Angular velocity of segment k at the stage, rad/s, in leg axes."""
-    s, v = leg.segments, leg.velocity
-    t, own, scale = row(s.direction, k), leg.spin[k], s.per_length[k]
-    w = cross(t, (v[k + 1, 0] - v[k, 0], v[k + 1, 1] - v[k, 1], v[k + 1, 2] - v[k, 2]))
-    return scale * w[0] + own * t[0], scale * w[1] + own * t[1], scale * w[2] + own * t[2]
-
-
-@helper
-def _sum(a, b):
-    """Sum of two symmetric matrices."""
-    return Symmetric(a.xx + b.xx, a.xy + b.xy, a.xz + b.xz, a.yy + b.yy, a.yz + b.yz, a.zz + b.zz)
 
 
 @helper
@@ -388,39 +241,6 @@ def _column(c, t, per_length, p, pw, share):
     """Right-hand side of u of a moment c on the segment, and share times the stretch (p, pw)."""
     a = _arm(c, t, per_length)
     return a[0] + share * p[0], a[1] + share * p[1], a[2] + share * p[2], dot(t, c) + share * pw
-
-
-@helper
-def _factor(xx, xy, xz, xw, yy, yz, yw, zz, zw, ww):
-    """Factors of a symmetric 4 x 4 matrix, and whether it is positive definite."""
-    d0 = 1.0 / xx
-    l10, l20, l30 = xy * d0, xz * d0, xw * d0
-    yy, yz, yw = yy - l10 * xy, yz - l10 * xz, yw - l10 * xw
-    d1 = 1.0 / yy
-    l21, l31 = yz * d1, yw * d1
-    zz, zw = zz - l20 * xz - l21 * yz, zw - l20 * xw - l21 * yw
-    d2 = 1.0 / zz
-    l32 = zw * d2
-    ww = ww - l30 * xw - l31 * yw - l32 * zw
-    positive = (xx > 0.0) & (yy > 0.0) & (zz > 0.0) & (ww > 0.0)
-    return Pivot(l10, l20, l30, l21, l31, l32, d0, d1, d2, 1.0 / ww, positive)
-
-
-@helper
-def _solve(p, r):
-    """Solution of the pivot's system for a right-hand side of four numbers."""
-    b = r[1] - p.l10 * r[0]
-    c = r[2] - p.l20 * r[0] - p.l21 * b
-    d = r[3] - p.l30 * r[0] - p.l31 * b - p.l32 * c
-    d = d * p.d3
-    c = c * p.d2 - p.l32 * d
-    b = b * p.d1 - p.l21 * c - p.l31 * d
-    return r[0] * p.d0 - p.l10 * b - p.l20 * c - p.l30 * d, b, c, d
-
-
-@helper
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
 
 
 @helper

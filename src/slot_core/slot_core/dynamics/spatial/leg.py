@@ -17,7 +17,7 @@ from slot_core.dynamics.algebra import cross, dot, plus, product, put, rotation,
 from slot_core.dynamics.contact import advance_bristle
 from slot_core.dynamics.lanes import like
 from slot_core.dynamics.servo import spool_rate
-from slot_core.dynamics.spatial.elimination import angular_velocity
+from slot_core.dynamics.spatial.floor_contact import angular_velocity
 from slot_core.dynamics.spatial.relaxation import relax, remember
 from slot_core.dynamics.spatial.strain import Segments, measure, orient, point_along
 from slot_core.dynamics.tendon import pull
