@@ -1,5 +1,6 @@
 """The command line tools refuse what they cannot do in one line, with exit code 2."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -15,7 +16,8 @@ from slot_core.mpc.settings import read_mpc
 from slot_lab.report import constraint_map
 from slot_lab.tuning import tune
 
-WALK = Path(__file__).parent / "bags" / "walk"
+ROOT = Path(__file__).parents[1]
+WALK = ROOT / "test" / "bags" / "walk"
 
 
 def refusal(call, capsys):
@@ -28,6 +30,44 @@ def refusal(call, capsys):
     lines = capsys.readouterr().err.splitlines()
     assert "Traceback" not in "".join(lines)
     return lines[-1]
+
+
+WITHOUT_EXTRAS = """
+import runpy, sys
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in %r:
+            raise ModuleNotFoundError(f"No module named {name!r}")
+sys.meta_path.insert(0, Missing())
+sys.argv = ["", "--help"]
+runpy.run_module(%r, run_name="__main__", alter_sys=True)
+"""
+EXTRAS = ("cma", "cvxpy", "distributed", "elastica", "mujoco", "pytest", "quadprog", "rerun")
+
+
+def programs():
+    """Python modules by the command of scripts/ that runs them."""
+    for script in sorted((ROOT / "scripts").iterdir()):
+        if script.is_file() and not script.suffix:
+            for module in re.findall(r"^exec python -m ([\w.]+)", script.read_text(), re.MULTILINE):
+                yield script.name, module
+
+
+@pytest.mark.parametrize(("script", "module"), programs())
+def test_every_help_works_without_the_packages_of_an_extra(script, module):
+    run = subprocess.run(
+        [sys.executable, "-c", WITHOUT_EXTRAS % (EXTRAS, module)],
+        capture_output=True, text=True, cwd=ROOT / "scripts", check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.startswith(f"usage: scripts/{script} ")
+
+
+def test_a_new_file_of_the_configuration_costs_no_rebuild():
+    setup = (ROOT / "scripts" / "setup").read_text()
+    (inputs,) = re.findall(r"^workspace_state\(\).*?^\)", setup, re.MULTILINE | re.DOTALL)
+    assert "slot_msgs" in inputs
+    assert "config" not in inputs
 
 
 def test_a_leg_map_into_a_directory_that_is_not_there_is_refused_before_the_work(tmp_path, capsys):

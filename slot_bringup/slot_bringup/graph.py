@@ -13,6 +13,8 @@ from typing import Any
 
 import yaml
 
+from slot_core import config
+from slot_core.control.policy import POLICIES
 from slot_core.dynamics.scene import read_scene
 
 CONTROLLER = "controller"  # executable of the nodes in one process
@@ -35,6 +37,12 @@ class Argument:
     help: str
     choices: tuple[str, ...] | None = None
     is_path: bool = False  # whether ~ stands for the home directory
+    unit: str = ""  # of a number
+
+    @property
+    def metavar(self) -> str:
+        """What stands for a value in a help."""
+        return self.unit or ("FILE" if self.is_path else {str: "NAME"}.get(self.kind, "N"))
 
     @property
     def text(self) -> str:
@@ -84,9 +92,10 @@ class Graph:
                 name=name,
                 kind=KINDS[entry["type"]],
                 default=entry["default"],
-                help=entry["help"],
+                help=entry["help"].format_map(_names()),
                 choices=tuple(entry["choices"]) if "choices" in entry else None,
                 is_path=entry["type"] == PATH,
+                unit=entry.get("unit", ""),
             )
             for name, entry in description["arguments"].items()
         )
@@ -149,6 +158,12 @@ class Graph:
             parameters |= extra if values[argument] else {}
         parameters = {name: _value(value, values) for name, value in parameters.items()}
         return {name: value for name, value in parameters.items() if value is not None}
+
+
+def _names() -> dict[str, str]:
+    """Names that can be chosen, by the word that stands for them in a help."""
+    known = {"gaits": config.names("gait"), "scenes": config.names("scene"), "policies": POLICIES}
+    return {word: ", ".join(names) for word, names in known.items()}
 
 
 def _value(value: Any, values: Mapping[str, Any]) -> Any:

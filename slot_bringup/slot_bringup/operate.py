@@ -36,6 +36,7 @@ from std_srvs.srv import Trigger
 from slot_bringup import operator_screen
 from slot_bringup.check import check_place
 from slot_bringup.monitor import ListenerExecutor, listener
+from slot_core.command_line import Parser
 from slot_core.config import ConfigError
 from slot_core.messages import decode
 from slot_core.messages.decode import ACTION_NUMBERS
@@ -271,7 +272,7 @@ def _act(options: argparse.Namespace) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="scripts/operate",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,

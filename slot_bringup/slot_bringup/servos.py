@@ -20,6 +20,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from slot_core import config
+from slot_core.command_line import Parser
 from slot_core.config import ConfigError
 from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.checks import examine, expected
@@ -174,7 +175,7 @@ def _open(settings: DynamixelSettings, baud: int | None = None) -> Bus:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="scripts/servos",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -21,7 +21,7 @@ from slot_bringup.check import check_place
 from slot_bringup.graph import TIED
 from slot_bringup.monitor import listener
 from slot_bringup.rerun_viewer import Viewer, ViewerError
-from slot_core.command_line import OneLineParser
+from slot_core.command_line import Parser
 from slot_core.config import ConfigError
 from slot_core.recording.bag_error import BagError
 from slot_core.recording.record_settings import read_record_settings
@@ -43,7 +43,7 @@ class ViewError(RuntimeError):
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Parse the command line; a wrong value exits with code 2 and one line."""
-    parser = OneLineParser(prog="scripts/view", description=__doc__)
+    parser = Parser(prog="scripts/view", description=__doc__)
     parser.add_argument(
         "bag", nargs="?", type=Path, help="directory of a bag (default: the newest in bags/)"
     )
@@ -51,9 +51,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--namespace", default="", help="of the graph")
     out = parser.add_mutually_exclusive_group()
     out.add_argument("--web", action="store_true", help="in a browser (default: in a window)")
-    out.add_argument(
-        "--save", type=Path, metavar="FILE.rrd", help="only write a file that rerun opens"
-    )
+    out.add_argument("--save", type=Path, metavar="FILE", help="only write a file that rerun opens")
     out.add_argument(
         "--animate",
         type=Path,

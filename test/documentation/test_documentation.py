@@ -18,7 +18,7 @@ PAGES = [ROOT / "README.md", *sorted(DOC.rglob("*.md"))]
 FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 FIELDS = {"quantity", "choice", "flag", "text"}  # of slot_core.config
-README_LINES = 200  # fewer
+README_LINES = 110  # at most
 
 
 def anchors(page):
@@ -56,11 +56,11 @@ def test_every_mark_stands_for_a_generated_part():
 def test_the_front_page_is_the_readme_with_links_from_its_place():
     text = pages.read("<!-- generated: readme -->", DOC / "index.md")
     assert "# SLOT" in text
-    assert "](../../config/mpc.yaml)" in text
+    assert "](../../src/slot_core/slot_core/control/policy.py)" in text
     assert "](graph.md#topics-and-services)" in text
-    assert "[config/gait/](" not in text  # a folder has no page
-    back = pages.read("[table](../../../README.md#benchmarks)", DOC / "reference" / "results.md")
-    assert back == "[table](../index.md#benchmarks)"
+    assert "[config](" not in text  # a folder has no page
+    back = pages.read("[table](../../../README.md#results)", DOC / "reference" / "results.md")
+    assert back == "[table](../index.md#results)"
 
 
 def test_the_reference_has_every_message_and_service():
@@ -181,7 +181,7 @@ def test_version_and_licence_are_the_same_everywhere():
 
 
 def test_the_readme_stays_short():
-    assert len((ROOT / "README.md").read_text().splitlines()) < README_LINES
+    assert len((ROOT / "README.md").read_text().splitlines()) <= README_LINES
 
 
 def test_the_workflow_of_github_calls_what_there_is():

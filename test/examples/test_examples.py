@@ -38,6 +38,13 @@ def test_an_example_has_20_to_40_lines(name):
     assert 20 <= len((EXAMPLES / name).read_text().splitlines()) <= 40
 
 
+def test_the_five_lines_of_the_readme(tmp_path):
+    readme = (EXAMPLES.parents[1] / "README.md").read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
+    (tmp_path / "five.py").write_text(code)
+    assert len(output(tmp_path / "five.py", tmp_path).splitlines()) == 300
+
+
 def test_walk(tmp_path):
     x = numbers(r"x +(-?[\d.]+) m", output("walk.py", tmp_path))
     assert len(x) == 10

@@ -1,4 +1,8 @@
-"""Types of command line arguments, for argparse."""
+"""Command lines: one parser, one way to refuse, types of arguments.
+
+Names of values in a help: BAG, FILE, DIR; RECORDING: a bag, a CSV file or a film; NAME: of a gait,
+scene or other thing of config/; N: a number; S: seconds; units: M, DEG, HZ, M/S, RAD/S.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,7 @@ from typing import NoReturn, TypeVar
 Number = TypeVar("Number", int, float)
 
 
-class OneLineParser(argparse.ArgumentParser):
+class Parser(argparse.ArgumentParser):
     """Parser that refuses with one line, without the usage, and exit code 2."""
 
     def error(self, message: str) -> NoReturn:

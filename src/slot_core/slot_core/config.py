@@ -77,6 +77,11 @@ def load(name: str) -> Any:
         raise ConfigError(f"{name}.yaml: {' '.join(str(error).split())}") from None
 
 
+def names(folder: str) -> list[str]:
+    """Names of the files of `<config_dir>/<folder>`, sorted."""
+    return sorted(path.stem for path in (config_dir() / folder).glob("*.yaml"))
+
+
 def parse(text: str) -> Any:
     """Content of a YAML text.
 

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from slot_core import config
+from slot_core.command_line import Parser
 from slot_core.messages import decode
 from slot_lab.bags import replayed_stages
 from slot_lab.bags.bag import Bag, BagError
@@ -172,8 +173,10 @@ def _renaming(text: str) -> tuple[str, str]:
 
 def add_bag_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the bag, its namespace and the new names of its topics."""
-    parser.add_argument("bag", type=Path, help="directory of the bag, or one .mcap or .db3 file")
-    parser.add_argument("--namespace", default="", help="of the recorded graph")
+    parser.add_argument(
+        "bag", type=Path, metavar="BAG", help="directory of the bag, or one .mcap or .db3 file"
+    )
+    parser.add_argument("--namespace", default="", metavar="NAME", help="of the recorded graph")
     parser.add_argument(
         "--remap", type=_renaming, action="append", default=[], metavar="OLD:=NEW",
         help="read the bag's topic OLD as NEW, for example /camera/odom:=/odom; may be repeated",
@@ -187,20 +190,27 @@ def open_bag(options: argparse.Namespace) -> Bag:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/replay`; exit code 0: equal, 1: a difference, 2: no replay."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="scripts/replay",
         description=__doc__.split("\n\n")[0],
         epilog="With --live it plays the sensors into running nodes: scripts/replay --live --help",
     )
     add_bag_arguments(parser)
     parser.add_argument(
-        "--tolerance", type=_tolerance, default=TOLERANCE, help="in SI units (default: %(default)g)"
+        "--tolerance",
+        type=_tolerance,
+        default=TOLERANCE,
+        metavar="N",
+        help="largest difference, in SI units (default: %(default)g)",
     )
     parser.add_argument(
         "--policy", default="", metavar="FILE", help="file of the policy, if it is one of your own"
     )
     parser.add_argument(
-        "--mend", type=Path, metavar="NEW", help="only write what is left as a new, whole bag NEW"
+        "--mend",
+        type=Path,
+        metavar="DIR",
+        help="only write what is left of it as a new bag in DIR",
     )
     options = parser.parse_args(arguments)
     try:

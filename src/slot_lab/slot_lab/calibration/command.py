@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from slot_core import config
-from slot_core.command_line import positive_integer
+from slot_core.command_line import Parser, positive_integer
 from slot_core.config import ConfigError
 from slot_core.robot import Array, RobotParameters, read_parameters, read_robot
 from slot_lab.calibration import parameter_file
@@ -106,18 +106,18 @@ def _write(
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="scripts/calibrate",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("data", type=Path, metavar="DATA.csv", help="measurements")
+    add("data", type=Path, metavar="FILE", help="measurements")
     add("--out", type=Path, metavar="FILE", help="parameter file to write (YAML)")
-    add("--plot", type=Path, metavar="PNG", help="picture to write")
+    add("--plot", type=Path, metavar="FILE", help="picture to write")
     free = "parameters to fit (default: " + " ".join(FREE) + ")"
     add("--free", nargs="+", metavar="NAME", default=FREE, help=free)
-    add("--start", metavar="SET", default="paper", help="set of config/parameters to start from")
+    add("--start", metavar="NAME", default="paper", help="set of config/parameters to start from")
     starts = "starts of the fit, scattered about the first (default: 8)"
     add("--starts", type=positive_integer, metavar="N", default=8, help=starts)
     add("--evaluate", action="store_true", help="evaluate the set of --start without a fit")

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import cv2
 
-from slot_core.command_line import positive_integer
+from slot_core.command_line import Parser, positive_integer
 from slot_core.config import ConfigError
 from slot_core.vision.camera import CameraError, camera_text
 from slot_core.vision.settings import VisionSettings, read_vision
@@ -74,19 +74,19 @@ def report(found: Calibration) -> list[str]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="scripts/calibrate_camera",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("film", type=Path, metavar="FILM", help="folder of pictures, video, or bag")
-    add("--out", type=Path, metavar="YAML", required=True, help="calibration file to write")
+    add("film", type=Path, metavar="RECORDING", help="folder of pictures, video, or bag")
+    add("--out", type=Path, metavar="FILE", required=True, help="calibration file to write")
     add("--name", default="camera", help="name of the camera in the file (default: camera)")
     every = "use every Nth picture only, of a video for example every 15th (default: 1)"
     add("--every", type=positive_integer, default=1, metavar="N", help=every)
     topic = f"topic of the bag (default: {PICTURES})"
-    add("--topic", default=PICTURES, metavar="TOPIC", help=topic)
+    add("--topic", default=PICTURES, metavar="NAME", help=topic)
     return parser
 
 

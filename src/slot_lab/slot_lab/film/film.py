@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from slot_core.body_points import LEAST_NODES, LEG_POINTS, TORSO, arc_length, at_shares
-from slot_core.command_line import within
+from slot_core.command_line import Parser, within
 from slot_core.config import ConfigError
 from slot_core.messages import decode
 from slot_core.robot import LEGS, ODOM_FRAME, Array, RobotParameters, read_robot
@@ -246,16 +246,16 @@ def _motion(bag: Bag, robot: RobotParameters, duration: float) -> tuple[Array, l
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="scripts/film",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("what", metavar="WHAT", help=f"recording of scripts/run, or the word {CHESSBOARD}")
-    add("--out", type=Path, metavar="OUT", required=True, help="video (.avi), or folder")
-    add("--depth", type=Path, metavar="FOLDER", help="also write depth pictures (mm, 16 bit)")
-    add("--truth", type=Path, metavar="CSV", help="also write the true tracks")
+    add("what", metavar="BAG", help=f"recording of scripts/run, or the word {CHESSBOARD}")
+    add("--out", type=Path, metavar="FILE", required=True, help="video (.avi), or folder")
+    add("--depth", type=Path, metavar="DIR", help="also write depth pictures (mm, 16 bit)")
+    add("--truth", type=Path, metavar="FILE", help="also write the true tracks")
     duration = "length of the film, s (default: 6)"
     add("--duration", type=within(0.1, 3600.0, "s"), default=6.0, metavar="S", help=duration)
     add("--seed", type=int, default=0, help="of the noise (default: 0)")

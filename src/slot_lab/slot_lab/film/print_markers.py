@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from slot_core.command_line import within
+from slot_core.command_line import Parser, within
 from slot_core.config import ConfigError
 from slot_core.vision.board import WHITE, Picture, make_board, picture_of, single_marker
 from slot_core.vision.settings import VisionSettings, read_vision
@@ -100,19 +100,19 @@ def _write(page: Picture, text: str, place: tuple[int, int], height: float) -> N
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="scripts/print_markers",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("what", metavar="WHAT", help="name of a board, points, or chessboard")
+    add("what", metavar="NAME", help="name of a board, points, or chessboard")
     add("--out", type=Path, metavar="FILE", required=True, help="PNG or PDF to write")
     add(
         "--dpi",
         type=within(50, 1200),
         default=300,
-        metavar="DPI",
+        metavar="N",
         help="dots per inch (default: 300)",
     )
     return parser

@@ -20,7 +20,7 @@ from pathlib import Path
 import cv2
 
 from slot_core.body_points import COLUMNS, FRAME, TORSO
-from slot_core.command_line import within
+from slot_core.command_line import Parser, within
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_core.vision.camera import Camera, CameraError, nominal, read_camera
@@ -141,20 +141,20 @@ def _summary(tracks: Tracks, samples: list[MarkerSample]) -> list[str]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="scripts/track",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("film", type=Path, metavar="FILM", help="video, folder of pictures, or bag")
-    add("--out", type=Path, metavar="CSV", required=True, help="file to write")
+    add("film", type=Path, metavar="RECORDING", help="video, folder of pictures, or bag")
+    add("--out", type=Path, metavar="FILE", required=True, help="file to write")
     add("--camera", type=Path, metavar="FILE", help="calibration; default: that in the bag")
     add("--leg", choices=LEGS, help="write the torso and this leg only")
     depth = "folder of 16-bit depth pictures (mm) registered to the pictures, or topic of the bag"
-    add("--depth", default="", metavar="FOLDER|TOPIC", help=depth)
+    add("--depth", default="", metavar="DIR|NAME", help=depth)
     topic = f"topic of the bag (default: {PICTURES})"
-    add("--topic", default=PICTURES, metavar="TOPIC", help=topic)
+    add("--topic", default=PICTURES, metavar="NAME", help=topic)
     rate = "pictures per second (default: the video's own; 30 for a folder)"
     add("--rate", type=within(0.1, 10000.0), metavar="HZ", help=rate)
     return parser

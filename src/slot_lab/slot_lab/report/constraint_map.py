@@ -8,7 +8,6 @@ of an older bag lack are listed and left out.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from slot_core.command_line import Parser
 from slot_core.control.policy import Status
 from slot_core.drawing import palette
 from slot_core.robot import LEGS, Array
@@ -180,12 +180,12 @@ def _finish(ax: Axes, found: ConstraintMap) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/constraint_map`; exit code 0: clean, 1: a violation, 2: no map."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="scripts/constraint_map", description="Draws the Dynamic Constraint Map of a bag."
     )
     parser.add_argument("bag", type=Path, help="directory of a bag, or its .mcap file")
     parser.add_argument("--namespace", default="", help="of the recorded graph")
-    parser.add_argument("--out", type=Path, metavar="PNG", help="default: BAG_constraints.png")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="default: BAG_constraints.png")
     options = parser.parse_args(arguments)
     bag = options.bag.resolve()
     name = bag.name if bag.is_dir() else bag.stem  # a directory v0.05 has no suffix

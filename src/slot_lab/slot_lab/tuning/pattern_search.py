@@ -23,7 +23,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import cma
 import numpy as np
 
 from slot_core.config import ConfigError
@@ -116,6 +115,8 @@ class PatternSearch:
         self, stride: Stride, goal: Goal, start: Array, settings: TuningSettings, seed: int
     ) -> None:
         """Start from the numbers `start`; seed: positive."""
+        import cma  # noqa: PLC0415 - not installed with the robot
+
         self._stride, self._goal, self._settings = stride, goal, settings
         self._head = {
             "kind": goal.kind, "seed": seed, "start": start.tolist(), "cma": cma.__version__,

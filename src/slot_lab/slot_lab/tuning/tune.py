@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from slot_core import config
-from slot_core.command_line import positive_integer
+from slot_core.command_line import Parser, positive_integer
 from slot_core.config import ConfigError
 from slot_core.control.force_map import read_springs
 from slot_core.gait.gait import Pattern, Steering, Stride, read_gaits
@@ -212,26 +212,26 @@ def _rest(height: float) -> dict[str, object]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="scripts/tune",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("gait", metavar="GAIT", help="name of the stride that is written")
+    add("gait", metavar="NAME", help="name of the stride that is written")
     add("stages", nargs="*", metavar="STAGE", type=_stage, help=", ".join(STAGES))
-    add("--like", metavar="GAIT", help="stride to start from (default: GAIT itself)")
+    add("--like", metavar="NAME", help="stride to start from (default: the same)")
     add("--scratch", action="store_true", help="start the searches from a random pattern")
-    add("--out", type=Path, metavar="FILE", help="default: config/gait/GAIT.yaml")
+    add("--out", type=Path, metavar="FILE", help="default: config/gait/NAME.yaml")
     add("--seed", type=positive_integer, default=1, help="seed of the searches (default: 1)")
     add("--evaluations", type=int, metavar="N", help="candidates of a search")
-    add("--friction", type=float, nargs="+", metavar="MU", help="friction of the floors")
+    add("--friction", type=float, nargs="+", metavar="N", help="friction of the floors")
     add("--tilt", type=float, metavar="DEG", help="tilt RMS that costs nothing")
     add("--top", type=float, default=np.inf, metavar="M", help="height the torso stays below")
     add("--height", type=float, metavar="M", help="height of base_link")
     add("--height-range", type=float, nargs=2, metavar="M", help="heights that can be commanded")
     add("--period", type=float, metavar="S", help="duration of a stride")
-    add("--cruise", type=float, metavar="V", help="v_x if none is requested, m/s")
+    add("--cruise", type=float, metavar="M/S", help="v_x if none is requested, m/s")
     add("--scene", help="scene of config/scene; map is three times as fast")
     add("--effect", action="store_true", help="write the effect of the knobs too")
     add("--scheduler", default="", metavar="ADDRESS", help="of dask; default: this machine")

@@ -26,6 +26,7 @@ from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.body_points import LEG_POINTS, TORSO, at_shares
+from slot_core.command_line import Parser
 from slot_core.config import ConfigError
 from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.record_settings import read_record_settings
@@ -56,13 +57,13 @@ REST, PULL, HOLD, RELEASE = 1.024, 2.4, 0.2, 2.0  # s
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line; ends with exit code 2 and one line on a bad input."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="scripts/example_data",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("recorded", type=Path, metavar="RECORDED", help="bag of the scene")
-    parser.add_argument("directory", type=Path, metavar="DIRECTORY")
+    parser.add_argument("recorded", type=Path, metavar="BAG", help="bag of the scene")
+    parser.add_argument("directory", type=Path, metavar="DIR")
     options = parser.parse_args(arguments)
     try:
         write(options.recorded, options.directory)

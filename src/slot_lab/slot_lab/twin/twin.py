@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from slot_core.command_line import positive_integer, within
+from slot_core.command_line import Parser, positive_integer, within
 from slot_core.config import ConfigError, load
 from slot_core.divergence import DivergenceError
 from slot_core.robot import Array
@@ -167,7 +167,7 @@ def _progress(line: str) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="scripts/twin",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -175,7 +175,7 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("recording", type=Path, metavar="RECORDING", help="bag, or CSV file")
     add("--scene", default="flat", metavar="NAME", help="scene of config/scene (default: flat)")
-    add("--parameters", default="", metavar="SET", help="set of config/parameters in that scene")
+    add("--parameters", default="", metavar="NAME", help="set of config/parameters in that scene")
     add(
         "--angles",
         default="",

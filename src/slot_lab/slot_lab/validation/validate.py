@@ -13,6 +13,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from slot_core.command_line import Parser
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_lab.bags.bag import BagError
@@ -63,14 +64,14 @@ def _run(options: argparse.Namespace) -> list[str]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="scripts/validate",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("run", type=Path, metavar="RUN", help="bag, CSV or video")
-    add("measurement", type=Path, metavar="MEASUREMENT", help="bag, CSV or video")
+    add("run", type=Path, metavar="RECORDING", help="bag, CSV or video")
+    add("measurement", type=Path, metavar="RECORDING", help="bag, CSV or video")
     out = Path("results", "validate")
     add("--out", type=Path, metavar="DIR", default=out, help=f"default: {out}")
     free = "what is free between the frames: rotation and shift, turn about z and shift, nothing"
