@@ -42,7 +42,8 @@ class Argument:
     @property
     def metavar(self) -> str:
         """What stands for a value in a help."""
-        return self.unit or ("FILE" if self.is_path else {str: "NAME"}.get(self.kind, "N"))
+        kind = "NAME" if self.kind is str else "N"
+        return self.unit or ("FILE" if self.is_path else kind)
 
     @property
     def text(self) -> str:
