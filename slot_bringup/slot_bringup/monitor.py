@@ -18,6 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from slot_bringup.graph import absolute
 from slot_bringup.interrupts import deferred
 from slot_bringup.processes import Processes
+from slot_core.clock import to_seconds
 from slot_core.messages import decode
 from slot_core.robot import Array
 from slot_core.safety.command_gate import Action
@@ -58,8 +59,8 @@ class Progress:
         """Take the newest /mpc_state."""
         estimate = decode.estimate(message)
         stamp, state = estimate.stamp, estimate.state
-        step = stamp * 1e-9 - self.stamp
-        self.stamp, self._updated = stamp * 1e-9, time.monotonic()
+        step = to_seconds(stamp) - self.stamp
+        self.stamp, self._updated = to_seconds(stamp), time.monotonic()
         if self.state is None or not self._begun:
             self._start = state
         elif 0.0 <= step <= SILENCE_TIMEOUT:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import JointState
 
+from slot_core.clock import to_seconds
 from slot_core.hardware_error import hardware_errors
 from slot_core.messages import decode
 from slot_core.robot import LEGS
@@ -43,7 +44,7 @@ class OperatorView:
 def state_lines(message: RobotState) -> list[str]:
     """State, its age and reason in one line; then each warning in a line."""
     since = decode.time(message.since)
-    held = (decode.stamp(message) - since) * 1e-9
+    held = to_seconds(decode.stamp(message) - since)
     span = f" for {held:.1f} s" if since else ""  # 0: not set yet
     return [
         f"{State(message.state).name}{span}: {message.reason}",

@@ -21,7 +21,7 @@ from rosgraph_msgs.msg import Clock
 
 from slot_bringup.check import check_place
 from slot_bringup.monitor import listener
-from slot_core.clock import SECOND
+from slot_core.clock import SECOND, to_seconds
 from slot_core.command_line import Parser, within
 from slot_core.config import ConfigError
 from slot_core.messages import decode
@@ -130,7 +130,7 @@ class Player:
         begin, first, count, now = time.monotonic(), None, 0, 0
         for entry in played:
             first, now = entry.time if first is None else first, entry.time
-            due = begin + (now - first) / SECOND / rate
+            due = begin + to_seconds(now - first) / rate
             if (early := due - time.monotonic()) > 0:
                 time.sleep(early)
             self._publish_clock(now)
@@ -138,7 +138,7 @@ class Player:
             count += 1
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=1))
-        return count, 0.0 if first is None else (now - first) / SECOND
+        return count, 0.0 if first is None else to_seconds(now - first)
 
     def _publish_clock(self, now: int) -> None:
         if now >= self._published_time + CLOCK_PERIOD:

@@ -15,6 +15,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
+from slot_core.clock import to_seconds
 from slot_core.drawing import palette
 from slot_core.drawing.drawing import Drawing
 from slot_core.drawing.shapes import Arrows, Bars, Box, Shape, Strips, halves, normals
@@ -66,7 +67,7 @@ class RerunLog:
         except ValueError as error:
             if topic not in self._refused:
                 self._refused.add(topic)
-                time = (stamp - self._start) * 1e-9
+                time = to_seconds(stamp - self._start)
                 print(f"{topic} at {time:.3f} s cannot be drawn: {error}", file=sys.stderr)
 
     def _log(self, topic: str, message: Any) -> None:

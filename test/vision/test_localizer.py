@@ -10,11 +10,11 @@ from views import CAMERA, MOUNT, VISION, board, picture_from_torso, picture_from
 from slot_core import config
 from slot_core.clock import SECOND
 from slot_core.config import ConfigError
+from slot_core.geometry import Transform
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.vision.board import print_of, single_marker
 from slot_core.vision.camera import Camera, CameraError
 from slot_core.vision.detector import MarkerDetector
-from slot_core.vision.frames import Transform
 from slot_core.vision.localizer import MarkerFix, MarkerLocalizer, NoFix
 from slot_core.vision.settings import VisionSettings
 from slot_core.vision.synthetic_camera import Surface

@@ -6,9 +6,9 @@ from sensor_msgs.msg import CameraInfo, Image
 from simulated_rig import SimulatedRig
 from views import CAMERA, picture_from_torso
 
+from slot_core.geometry import Transform
 from slot_core.messages import decode
 from slot_core.simulation.sensors import PictureReading
-from slot_core.vision.frames import Transform
 from slot_nodes import messages, qos
 
 BASE = Transform.of((0.15, -0.03, 0.07), (0.06, -0.05, 0.08))

@@ -6,9 +6,9 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 from views import CAMERA, VISION, board, picture_from_torso, seen_from_torso
 
+from slot_core.geometry import Transform
 from slot_core.vision.camera import Camera, CameraError, camera_text, from_camera_info, read_camera
 from slot_core.vision.detector import MarkerDetector
-from slot_core.vision.frames import Transform
 from slot_core.vision.pose import board_poses, nearest
 
 

@@ -4,10 +4,10 @@ import functools
 
 import numpy as np
 
+from slot_core.geometry import Transform, optical
 from slot_core.robot import read_robot
 from slot_core.vision.board import make_board, print_of
 from slot_core.vision.camera import nominal
-from slot_core.vision.frames import Transform, optical
 from slot_core.vision.settings import read_vision
 from slot_core.vision.synthetic_camera import Imperfections, Surface, SyntheticCamera
 from slot_lab.film.film import Stage, filmed

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
-from slot_core.clock import SECOND
+from slot_core.clock import to_ns, to_seconds
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings
+from slot_core.geometry import rpy_of
 from slot_core.robot import Array, RobotParameters
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.simulation.plant import Plant, Reading
@@ -35,7 +36,7 @@ class RecordingPlant(Plant):
 
     def _read_imu(self) -> list[Reading]:
         sim, readings = self.simulator, super()._read_imu()
-        angles = Rotation.from_matrix(sim.rotation).as_euler("ZYX")[::-1]
+        angles = rpy_of(Rotation.from_matrix(sim.rotation))
         rate = sim.rotation @ sim.angular_velocity
         self.truth.append((self.now, np.concatenate([angles, sim.position, rate, sim.velocity])))
         self.readings += [r for r in readings if isinstance(r, ImuReading)]
@@ -102,7 +103,7 @@ class Slam:
             if isinstance(r, ImuReading):
                 result.append((r.stamp, r))
                 continue
-            since, late = (r.stamp - start) / SECOND, self.delay + self.jitter * rng.uniform(-1, 1)
+            since, late = to_seconds(r.stamp - start), self.delay + self.jitter * rng.uniform(-1, 1)
             if rng.random() < self.loss or self.gap[0] < since < self.gap[1]:
                 continue
             jumped = r
@@ -111,7 +112,7 @@ class Slam:
                 place = r.position + np.array([0.2, 0.0, 0.0])
                 twist = r.velocity, r.angular_velocity
                 jumped = OdometryReading(r.stamp, place, r.quaternion, *twist)
-            result.append((r.stamp + round(max(late, 0.0) * SECOND), jumped))
+            result.append((r.stamp + to_ns(max(late, 0.0)), jumped))
         return sorted(result, key=lambda item: (item[0], ARRIVAL_ORDER[type(item[1])]))
 
 

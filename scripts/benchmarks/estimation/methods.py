@@ -13,10 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.estimation.measured_streams import Arrival
 from slot_core import config
-from slot_core.clock import SECOND
+from slot_core.clock import to_seconds
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.inertial_filter import EstimatorSettings
 from slot_core.estimation.state_estimator import StateEstimator
+from slot_core.geometry import rpy_of
 from slot_core.robot import Array
 from slot_core.simulation.sensors import ImuReading, OdometryReading
 
@@ -31,8 +32,8 @@ def finite_differences(arrivals: Sequence[Arrival]) -> Iterator[Use]:
         if not isinstance(r, OdometryReading) or (last is not None and r.stamp <= last.stamp):
             continue
         if last is not None:
-            velocity = (r.position - last.position) / ((r.stamp - last.stamp) / SECOND)
-            angles = Rotation.from_quat(r.quaternion).as_euler("ZYX")[::-1]
+            velocity = (r.position - last.position) / to_seconds(r.stamp - last.stamp)
+            angles = rpy_of(Rotation.from_quat(r.quaternion))
             yield arrival, np.concatenate([angles, r.position, np.zeros(3), velocity])
         last = r
 

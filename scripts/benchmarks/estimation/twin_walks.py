@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.estimation.measured_streams import PERIOD
 from slot_core.body_points import LEG_POINTS, TORSO, at_shares
-from slot_core.clock import SECOND
+from slot_core.clock import to_seconds
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamixel.state import JointReading
@@ -57,7 +57,7 @@ class TrueWalk:
     @property
     def t(self) -> Array:
         """(n,) s, of the states."""
-        return np.array([state.stamp for state in self.states]) / SECOND
+        return to_seconds(np.array([state.stamp for state in self.states]))
 
     def points(self) -> dict[str, Array]:
         """(n, 3) m, places of the torso and of LEG_POINTS of the first leg."""
@@ -68,7 +68,7 @@ class TrueWalk:
     def recorded(self, rng: np.random.Generator) -> BagRecording:
         """The walk as its bag would hold it: encoders, noisy odometry."""
         angle = np.array([r.angle for r in self.joints])
-        stamps = np.array([r.stamp for r in self.joints]) / SECOND
+        stamps = to_seconds(np.array([r.stamp for r in self.joints]))
         angles = TendonAngles(MEASURED, stamps, np.round(angle / ENCODER) * ENCODER)
         exact = [state.odometry for state in self.states]
         position = np.array([o.position for o in exact])

@@ -19,10 +19,10 @@ import numpy as np
 from benchmarks.estimation.measured_streams import IMU_PERIOD, RecordingPlant
 from benchmarks.harness import Check, Row, at_most
 from slot_core.dynamics.scene import read_scene
+from slot_core.geometry import Transform
 from slot_core.robot import Array, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.vision.camera import nominal
-from slot_core.vision.frames import Transform
 from slot_core.vision.settings import VisionSettings, read_vision
 from slot_core.vision.synthetic_camera import Imperfections, SyntheticCamera
 from slot_lab.film.film import DEPTH_NOISE, FilmedRobot, Stage, filmed

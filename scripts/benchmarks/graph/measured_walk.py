@@ -15,6 +15,7 @@ from benchmarks.harness import BenchmarkError
 from slot_bringup.graph import Graph
 from slot_bringup.monitor import RunError, watch
 from slot_bringup.run import started
+from slot_core.clock import to_seconds
 from slot_core.dynamics.servo import read_servo
 from slot_core.recording.record_settings import read_record_settings
 from slot_core.robot import Array
@@ -54,7 +55,7 @@ def measure_walk(graph: Graph, values: Mapping[str, Any], duration: float) -> Wa
             replay_cpu = (time.process_time() - start) / (1e-9 * bag.duration_ns)
         except (RunError, BagError, psutil.Error) as error:
             raise BenchmarkError(f"the graph failed: {error}") from error
-        begin, end = bag.end_ns / 1e9 - ticks.end + ticks.time[[0, -1], 0]
+        begin, end = to_seconds(bag.end_ns) - ticks.end + ticks.time[[0, -1], 0]
     *cpu, waiting = usage.percent(begin, end)
     differences = sum(stage.first is not None for stage in replayed)
     return Walk(metrics, ticks, np.array(cpu), waiting, usage, replay_cpu, differences)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from slot_core.clock import LOCKSTEP_START
+from slot_core.clock import LOCKSTEP_START, to_seconds
 from slot_core.control.policy import DEFAULT_POLICY
 from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import read_scene
@@ -143,7 +143,7 @@ def run_case(case: Case, column: str, seed: int) -> WalkMotion:
     rows, fallen = [], False
     try:
         for _ in loop.run(round(case.duration / DT)):
-            time = (loop.plant.now - LOCKSTEP_START) * 1e-9
+            time = to_seconds(loop.plant.now - LOCKSTEP_START)
             rows.append([time, *sim.position, *sim.rpy, sim.servo_torque.mean()])
             if schedule and time >= schedule[0][0]:
                 scheduler.request(case.gait, reachable(case.gait, schedule.pop(0)[1]))

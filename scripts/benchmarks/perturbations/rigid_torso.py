@@ -33,11 +33,12 @@ from benchmarks.perturbations.cases import (
     tilt,
 )
 from slot_core import config
+from slot_core.clock import to_ns
 from slot_core.control.policy import Status, TendonPlan
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitCommand, GaitPreview, read_gaits
 from slot_core.gait.reference import reference
-from slot_core.geometry import rotate
+from slot_core.geometry import rotate, rotation_of, rpy_of
 from slot_core.mpc.mpc import Mpc
 from slot_core.mpc.settings import MpcSettings
 from slot_core.robot import GRAVITY, Array, RobotParameters
@@ -72,7 +73,7 @@ class RigidTorso:
     def __init__(self, torso: Body, state: Array, force: Array):
         """Start at a state (12,) [rpy, p, omega, v] in odom, with ground forces (4, 3), N."""
         self.body = torso
-        turn = Rotation.from_euler("ZYX", state[2::-1])
+        turn = rotation_of(state[:3])
         rate = turn.inv().apply(state[6:9])
         self.y = np.concatenate([state[3:6], turn.as_quat(), state[9:12], rate, force.ravel()])
         self.external = np.zeros(6)  # N and N m on the centre, odom
@@ -82,7 +83,7 @@ class RigidTorso:
     def state(self) -> Array:
         """(12,) [roll pitch yaw, p, omega, v] in odom."""
         turn = Rotation.from_quat(self.y[QUATERNION])
-        rpy = turn.as_euler("ZYX")[::-1]
+        rpy = rpy_of(turn)
         return np.concatenate([rpy, self.y[POSITION], turn.apply(self.y[RATE]), self.y[VELOCITY]])
 
     def advance(self, command: Array, dt: float) -> None:
@@ -152,7 +153,7 @@ class TorsoLoop:
         sway[:, P_Z] = HEIGHT
         shape = (gaits.stages, 4)
         return GaitPreview(
-            stamp=round(self.step * DT * 1e9),
+            stamp=to_ns(self.step * DT),
             gait="stand",
             phase=0.0,
             period=1.0,

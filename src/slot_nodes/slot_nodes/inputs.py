@@ -11,6 +11,7 @@ from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
+from slot_core.clock import to_seconds
 from slot_core.gait.gait import GaitPreview
 from slot_core.messages import decode
 from slot_core.robot import LEGS
@@ -86,7 +87,7 @@ def require_finite(name: str, values: Any) -> None:
 
 def require_present(stamp: int, now: int, limit: float) -> None:
     """Raise ValueError for a stamp (ns) of another clock, more than `limit` (s) from `now` (ns)."""
-    off = (stamp - now) * 1e-9
+    off = to_seconds(stamp - now)
     if abs(off) > limit:
         raise ValueError(f"stamped {off:+.3g} s from now, limit {limit:g} s")
 

@@ -11,12 +11,13 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
+from slot_core.clock import to_seconds
 from slot_core.config import ConfigError
 from slot_core.estimation.state_estimator import read_estimator
+from slot_core.geometry import Transform
 from slot_core.messages import decode
 from slot_core.vision import picture_message
 from slot_core.vision.camera import Camera, CameraError, from_camera_info, read_camera
-from slot_core.vision.frames import Transform
 from slot_core.vision.localizer import MarkerFix, MarkerLocalizer
 from slot_core.vision.settings import read_vision
 from slot_nodes import inputs, messages, qos, runtime
@@ -69,7 +70,7 @@ class MarkerLocalizerNode(Node):
             return
         self._odometry.publish(messages.lost_odometry(fix))
         self.get_logger().warning(
-            f"picture at {fix.stamp * 1e-9:.3f} s: {fix.reason}", throttle_duration_sec=1.0
+            f"picture at {to_seconds(fix.stamp):.3f} s: {fix.reason}", throttle_duration_sec=1.0
         )
 
 

@@ -11,13 +11,13 @@ import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import Point, Quaternion, TransformStamped, Vector3
 from nav_msgs.msg import Odometry
-from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image, Imu, JointState
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from slot_core.clock import SECOND
 from slot_core.gait import gait
+from slot_core.geometry import rotation_of
 from slot_core.messages import decode
 from slot_core.robot import BASE_FRAME, ODOM_FRAME, TENDON_JOINTS, Array
 from slot_msgs import msg as slot_msgs
@@ -204,7 +204,7 @@ def state_to_tf(estimate: Estimate) -> TFMessage:
     """Transform from odom to base_link."""
     transform = TransformStamped(header=header(estimate.time), child_frame_id=BASE_FRAME)
     transform.transform.translation = _vector(estimate.state[3:6])
-    transform.transform.rotation = _quaternion(_attitude(estimate.state[0:3]).as_quat())
+    transform.transform.rotation = _quaternion(rotation_of(estimate.state[0:3]).as_quat())
     return TFMessage(transforms=[transform])
 
 
@@ -215,14 +215,14 @@ def mounts_to_tf(*mounts: Mount) -> TFMessage:
         if mount.frame != BASE_FRAME:
             place = TransformStamped(header=header(0, BASE_FRAME), child_frame_id=mount.frame)
             place.transform.translation = _vector(np.array(mount.position))
-            place.transform.rotation = _quaternion(_attitude(np.array(mount.rpy)).as_quat())
+            place.transform.rotation = _quaternion(rotation_of(np.array(mount.rpy)).as_quat())
             transforms.append(place)
     return TFMessage(transforms=transforms)
 
 
 def estimate_to_odometry(estimate: Estimate) -> Odometry:
     """Pose in odom, twist in base_link, with covariances (REP-105); angles as roll, pitch, yaw."""
-    x, cov, attitude = estimate.state, estimate.covariance, _attitude(estimate.state[0:3])
+    x, cov, attitude = estimate.state, estimate.covariance, rotation_of(estimate.state[0:3])
     message = Odometry(header=header(estimate.time), child_frame_id=BASE_FRAME)
     pose, twist = message.pose, message.twist
     pose.pose.position = Point(x=float(x[3]), y=float(x[4]), z=float(x[5]))
@@ -233,11 +233,6 @@ def estimate_to_odometry(estimate: Estimate) -> Odometry:
     both = np.kron(np.eye(2), to_base)
     twist.covariance = (both @ cov[np.ix_(TWIST_ORDER, TWIST_ORDER)] @ both.T).ravel()
     return message
-
-
-def _attitude(rpy: Array) -> Rotation:
-    """Rz(yaw) Ry(pitch) Rx(roll)."""
-    return Rotation.from_euler("xyz", rpy)
 
 
 def preview_to_msg(preview: gait.GaitPreview) -> GaitPreview:

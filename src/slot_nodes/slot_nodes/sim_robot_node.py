@@ -34,6 +34,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import CameraInfo, Image, Imu, JointState
 from std_msgs.msg import Bool
 
+from slot_core.clock import to_seconds
 from slot_core.config import ConfigError
 from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import Scene, read_scene
@@ -270,13 +271,14 @@ class SimRobotNode(Node):
         assert isinstance(self._time, RealTimeClock)
         if (lag := self._time.lag(now)) > LAG_WARNING:
             self.get_logger().warning(
-                f"simulation is {lag * 1e-9:.2f} s behind real time (limit {LAG_WARNING * 1e-9} s)",
+                f"simulation is {to_seconds(lag):.2f} s behind real time"
+                f" (limit {to_seconds(LAG_WARNING)} s)",
                 throttle_duration_sec=1.0,
             )
         self._publish_all(self._time.advance_to(now))
         if isinstance(self._time, BusClock) and self._time.waited:
             self.get_logger().warning(
-                f"the driver is late: the robot's time waits, at most {PATIENCE * 1e-9:g} s",
+                f"the driver is late: the robot's time waits, at most {to_seconds(PATIENCE):g} s",
                 throttle_duration_sec=1.0,
             )
 

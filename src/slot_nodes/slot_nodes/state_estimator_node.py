@@ -5,6 +5,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu
 from tf2_msgs.msg import TFMessage
 
+from slot_core.clock import to_seconds
 from slot_core.estimation.estimate import Validity
 from slot_core.estimation.state_estimator import StateEstimator, read_estimator
 from slot_core.messages import decode
@@ -58,7 +59,7 @@ class StateEstimatorNode(Node):
             self._tf.publish(messages.state_to_tf(estimate))
             if estimate.validity != Validity.VALID:
                 self.get_logger().warning(
-                    f"state at {estimate.stamp * 1e-9:.3f} s: {estimate.validity.name}",
+                    f"state at {to_seconds(estimate.stamp):.3f} s: {estimate.validity.name}",
                     throttle_duration_sec=1.0,
                 )
 

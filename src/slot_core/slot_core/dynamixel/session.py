@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from slot_core.clock import SECOND
+from slot_core.clock import to_ns, to_seconds
 from slot_core.config import ConfigError
 from slot_core.dynamixel.checks import ServoInfo
 from slot_core.dynamixel.driver import Driver
@@ -115,7 +115,7 @@ class ServoSession:
             raise RefusedError([NO_LIMITS])
         if watchdog.permission is None or watchdog.permission.action not in STARTS:
             raise RefusedError(["the supervisor does not permit it"])
-        age = self.driver.clock() - watchdog.permission.time / SECOND
+        age = self.driver.clock() - to_seconds(watchdog.permission.time)
         if age > watchdog.limits.command_hold:
             raise RefusedError([f"the supervisor's permission is {age:.2f} s old"])
         try:
@@ -196,7 +196,7 @@ class ServoSession:
         self._off = None
         try:
             while self.driver.active:
-                self.step(round(self.driver.clock() * SECOND))
+                self.step(to_ns(self.driver.clock()))
                 self._sleep(self.period)
         except ServoError:
             pass  # torque goes off without a ramp
@@ -210,7 +210,7 @@ class ServoSession:
         """Rate and duration of the bus cycles since the last call."""
         times = list(self._durations)
         self._durations.clear()
-        passed = 0.0 if self._last_query is None else (now - self._last_query) / SECOND
+        passed = 0.0 if self._last_query is None else to_seconds(now - self._last_query)
         self._last_query = now
         if not times or passed <= 0.0:
             return BusPace(0.0, 0.0, 0.0, self.overruns)
@@ -226,7 +226,7 @@ class ServoSession:
     def health(self, stamp: int) -> ServoHealth:
         """Health report of the servos at `stamp` (ns of the messages' clock)."""
         servos = self.driver.health
-        age = round((self.driver.clock() - self.written) * SECOND)
+        age = to_ns(self.driver.clock() - self.written)
         return ServoHealth(
             action=self.action,
             reason=self.reason,
@@ -275,7 +275,7 @@ class ServoSession:
 
     def _count_overrun(self, now: int) -> None:
         """Count an overrun."""
-        pause = 0.0 if self._last_step is None else (now - self._last_step) / SECOND
+        pause = 0.0 if self._last_step is None else to_seconds(now - self._last_step)
         self.overruns += pause > LATE * self.period
         if pause > self.driver.settings.servo.watchdog:
             self._pause = pause

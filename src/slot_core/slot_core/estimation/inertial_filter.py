@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from slot_core.clock import SECOND
+from slot_core.clock import to_ns
 from slot_core.config import quantity, text
 from slot_core.estimation.filter_kernels import (
     FilterState,
@@ -220,7 +220,7 @@ class InertialFilter:
 
     def propagate(self, samples: ImuSamples, begin: int, end: int) -> None:
         """Propagate from `begin` to `end` (ns) in steps between the samples; blindly in gaps."""
-        longest = round(self._settings.timing.imu_gap * SECOND)
+        longest = to_ns(self._settings.timing.imu_gap)
         blind = longest, self.rate.value, self._blind_noise
         steps = samples.stamps, samples.values, begin, end, self._noise
         propagate_through(self._state, self._work, *steps, *blind)

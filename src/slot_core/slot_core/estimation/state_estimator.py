@@ -24,7 +24,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
-from slot_core.clock import SECOND
+from slot_core.clock import SECOND, to_ns, to_seconds
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.imu_samples import ImuQueue
 from slot_core.estimation.inertial_filter import (
@@ -34,6 +34,7 @@ from slot_core.estimation.inertial_filter import (
     OdometryMotion,
     load_kernels,
 )
+from slot_core.geometry import rotation_of
 from slot_core.robot import Array
 
 BEFORE_ALL_TIMES = -(2**62)  # ns
@@ -174,7 +175,7 @@ class StateEstimator:
         """Propagate to the newest IMU sample within `odometry_gap`; blindly in gaps of the IMU."""
         if self._stamp is None:
             return
-        end = self._stamp + round(self._settings.timing.odometry_gap * SECOND)
+        end = self._stamp + to_ns(self._settings.timing.odometry_gap)
         samples = self._imu.samples.until(end)
         if len(samples.stamps) and samples.stamps[-1] > self._reached:
             newest = int(samples.stamps[-1])
@@ -230,10 +231,10 @@ class StateEstimator:
         knots = knots if knots[0] <= start else [start, *knots]
         longest = max(b - a for a, b in pairwise(knots))
         if not len(samples.stamps) or longest > self._settings.timing.imu_gap * SECOND:
-            self._filter.propagate_blind((stamp - start) / SECOND)
+            self._filter.propagate_blind(to_seconds(stamp - start))
             return False
         self._filter.propagate(samples, start, stamp)
-        self._filter.use_gyro(samples, stamp, (stamp - knots[-2]) / SECOND)
+        self._filter.use_gyro(samples, stamp, to_seconds(stamp - knots[-2]))
         self._imu.drop(max(len(samples.stamps) - 2, 0))  # two stay, to extrapolate
         return True
 
@@ -257,7 +258,7 @@ class StateEstimator:
 
     def _agree(self, a: OdometryMotion, b: OdometryMotion) -> bool:
         """Whether a, moved at the mean velocity of a and b, gives b within the gate."""
-        half = (b.stamp - a.stamp) / SECOND / 2
+        half = to_seconds(b.stamp - a.stamp) / 2
         before, after = Rotation.from_quat(a.attitude), Rotation.from_quat(b.attitude)
         travel = half * (before.apply(a.velocity) + after.apply(b.velocity))
         turn = Rotation.from_rotvec(half * (a.rate + b.rate))
@@ -293,7 +294,7 @@ class StateEstimator:
         state, covariance = self._filter.output()
         self._filter.restore(saved)
         self._filter.rate = rate
-        lead = self._reached + round(delay * SECOND) - stamp
+        lead = self._reached + to_ns(delay) - stamp
         return Estimate(stamp, state, covariance, validity, lead)
 
 
@@ -306,7 +307,7 @@ def _vector(values: Array, size: int, limit: float) -> Array | None:
 
 def _mount(imu: Mount) -> tuple[Array, Array] | None:
     """Rotation (3, 3) from the IMU's frame to base_link and its position; None for base_link."""
-    rotation = Rotation.from_euler("xyz", imu.rpy).as_matrix()
+    rotation = rotation_of(imu.rpy).as_matrix()
     place = np.array(imu.position)
     return (rotation, place) if np.any(imu.rpy) or place.any() else None
 

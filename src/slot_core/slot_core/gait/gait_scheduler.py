@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slot_core.clock import to_seconds
 from slot_core.config import ConfigError
 from slot_core.gait.gait import (
     STAND,
@@ -114,7 +115,7 @@ class GaitScheduler:
         if self._stamp is not None and self._is_expired(self._stamp):
             self._wanted = np.zeros(3)
             raise ConfigError(
-                f"stamp is {(stamp - self._stamp) * 1e-9:+.3f} s from the state's (limit "
+                f"stamp is {to_seconds(stamp - self._stamp):+.3f} s from the state's (limit "
                 f"{self._settings.velocity_timeout:g} s), velocity set to zero"
             )
 
@@ -139,7 +140,7 @@ class GaitScheduler:
         """Preview from `stamp` (ns) on, at `state` (12,)."""
         if self._is_expired(stamp):
             self._wanted = np.zeros(3)
-        elapsed = 0.0 if self._stamp is None else (stamp - self._stamp) * 1e-9
+        elapsed = 0.0 if self._stamp is None else to_seconds(stamp - self._stamp)
         self._stamp = stamp
         if not 0.0 <= elapsed <= LONGEST_GAP:
             elapsed = 0.0
@@ -150,7 +151,7 @@ class GaitScheduler:
         self._followed_for += elapsed
         self._change_gait(elapsed)
         self._approach_commands(elapsed, state)
-        self._stride(stamp * 1e-9, elapsed, state)
+        self._stride(to_seconds(stamp), elapsed, state)
         return self._preview(stamp, state)
 
     def _forget_strides(self) -> None:

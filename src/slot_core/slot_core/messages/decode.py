@@ -17,6 +17,7 @@ from slot_core.control.policy import Status, TendonPlan
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.faults import Fault
 from slot_core.gait.gait import GaitCommand, GaitPreview
+from slot_core.geometry import rpy_of
 from slot_core.robot import BASE_FRAME, LEGS, TENDON_JOINTS, Array
 from slot_core.safety.command_gate import Action
 from slot_core.safety.command_watchdog import Permission
@@ -95,7 +96,7 @@ def body_pose(message: Any) -> Array:
     """(3,) height, roll, pitch of a PoseStamped; raises ValueError for a zero quaternion."""
     q = message.pose.orientation
     rotation = Rotation.from_quat([q.x, q.y, q.z, q.w])
-    roll, pitch, _ = rotation.as_euler("xyz")
+    roll, pitch, _ = rpy_of(rotation)
     return np.array([message.pose.position.z, roll, pitch])
 
 

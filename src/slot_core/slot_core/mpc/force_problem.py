@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slot_core import config
+from slot_core.clock import to_seconds
 from slot_core.control.policy import TendonPlan
 from slot_core.gait.gait import GaitPreview
 from slot_core.mpc.disturbance import Disturbance
@@ -114,7 +115,7 @@ class ForceProblem:
         last = self._last
         if last is None or self._settings.disturbance.time == 0.0:
             return
-        dt = (stamp - last.stamp) * 1e-9
+        dt = to_seconds(stamp - last.stamp)
         if not 0.0 < dt <= LONGEST_GAP:
             return
         disturbance = self._disturbance

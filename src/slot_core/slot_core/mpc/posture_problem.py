@@ -51,6 +51,7 @@ from dataclasses import dataclass
 import numpy as np
 import piqp
 
+from slot_core.clock import to_seconds
 from slot_core.config import quantity
 from slot_core.control.policy import TendonPlan
 from slot_core.gait.gait import GaitPreview
@@ -245,7 +246,7 @@ class PostureProblem:
 
     def _follow_servos(self, stamp: int) -> float:
         """Advance the model of the servos to `stamp` (ns); return the time since the last, s."""
-        elapsed = 0.0 if self._stamp is None else (stamp - self._stamp) * 1e-9
+        elapsed = 0.0 if self._stamp is None else to_seconds(stamp - self._stamp)
         self._stamp = stamp
         if not 0.0 < elapsed <= LONGEST_GAP:
             self._spool = self._command = self._nominal[0].copy()

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slot_core.clock import SECOND
+from slot_core.clock import SECOND, to_seconds
 from slot_core.robot import LEGS, Array
 from slot_core.safety.settings import GateSettings
 
@@ -126,21 +126,21 @@ class CommandGate:
 
     def _commanded(self, time: int) -> Array:
         """Angles (4,), rad, of the command at `time`."""
-        age = (time - self._accepted) / SECOND
+        age = to_seconds(time - self._accepted)
         return np.clip(gone_on(self._target, self._target_rate, age), self._low, self._high)
 
     def _elapsed(self, time: int) -> float:
         """Seconds since the last step."""
         elapsed = 0 if self._time is None else max(time - self._time, 0)
         self._time = time
-        return elapsed / SECOND
+        return to_seconds(elapsed)
 
     def _rate(self, time: int, fast: bool) -> float:
         """Largest rate of the goals, rad/s."""
         s = self.settings
         if not fast:
             return s.approach_rate
-        share = (time - self._since) / SECOND / s.resume_time
+        share = to_seconds(time - self._since) / s.resume_time
         return s.approach_rate + (s.rate_max - s.approach_rate) * min(max(share, 0.0), 1.0)
 
     def _relax(self, time: int) -> Gated:

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from slot_core.clock import SECOND
+from slot_core.clock import SECOND, to_seconds
 from slot_core.robot import Array
 from slot_core.safety.command_gate import AT_REST, Action, CommandGate, Gated
 from slot_core.safety.settings import ServoLimits
@@ -115,7 +115,7 @@ class CommandWatchdog:
         """Reason to hold because of a late message, or ""; begins RELAX beyond `command_lost`."""
         if received is None:
             return f"no {what} yet"
-        age, limits = (now - received) / SECOND, self.limits
+        age, limits = to_seconds(now - received), self.limits
         if age > limits.command_lost:
             self.relax(f"no {what} for {age:.2f} s, limit {limits.command_lost:g} s")
         if age > limits.command_hold:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from slot_core.clock import SECOND
+from slot_core.clock import to_ns, to_seconds
 from slot_core.control.policy import Status
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.hardware_error import hardware_errors
@@ -86,7 +86,7 @@ class Conditions:
         self._health, self._reported = health, time
         for leg, silence in enumerate(health.silence):
             known = math.isfinite(silence) and silence >= 0.0
-            self._answered[leg] = time - round(silence * SECOND) if known else None
+            self._answered[leg] = time - to_ns(silence) if known else None
 
     def unpowered(self) -> list[str]:
         """Servos without torque, one line each."""
@@ -130,7 +130,7 @@ class Conditions:
     def _age(self, time: int, source: str) -> float:
         """Seconds since the last message of `source`."""
         received = self._received.get(source)
-        return math.inf if received is None else (time - received) / SECOND
+        return math.inf if received is None else to_seconds(time - received)
 
     def _estop(self, time: int) -> Iterator[Finding]:
         limit = self._settings.timing.estop
@@ -145,9 +145,9 @@ class Conditions:
         if errors := list(self._hardware_errors()):
             yield Condition.SERVO_FAULT, "; ".join(errors)
         for leg, answered, since in zip(LEGS, self._answered, self._not_finite):
-            age = math.inf if answered is None else (time - answered) / SECOND
+            age = math.inf if answered is None else to_seconds(time - answered)
             if since is not None:
-                age = max(age, (time - since) / SECOND)
+                age = max(age, to_seconds(time - since))
             if age > limit:
                 yield (
                     Condition.SERVO_SILENT,

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slot_core.clock import SECOND
+from slot_core.clock import SECOND, to_ns, to_seconds
 from slot_core.estimation.estimate import Estimate
 from slot_core.robot import LEGS, Array, RobotParameters
 from slot_core.safety.command_gate import AT_REST, Action, command_fault
@@ -84,7 +84,7 @@ class SteadyClock:
     """Time that never goes back; a jump of the clock adds nothing to it."""
 
     def __init__(self, jump: float):
-        self._jump = round(jump * SECOND)
+        self._jump = to_ns(jump)
         self._last: int | None = None
         self._time = 0
         self.jumped = ""  # one line on the last jump, until it is cleared
@@ -94,7 +94,9 @@ class SteadyClock:
         passed = 0 if self._last is None else now - self._last
         self._last = now
         if abs(passed) > self._jump:
-            self.jumped = f"clock jumped by {passed / SECOND:+.3g} s, limit {self._jump / SECOND:g}"
+            self.jumped = (
+                f"clock jumped by {to_seconds(passed):+.3g} s, limit {to_seconds(self._jump):g}"
+            )
             passed = 0
         self._time += max(passed, 0)
         return self._time
@@ -190,7 +192,7 @@ class Supervisor:
         self._tendon_angle = np.array(angle, dtype=np.float64)
         if self._follows_gait(time):
             oldest = min(stamp, *(self._newest.get(name, 0) for name in ("estimate", "command")))
-            age = (now - oldest) / SECOND
+            age = to_seconds(now - oldest)
             self._tendons = self._watch.observe(
                 stamp, angle, torque, self._height, self._stride, age=age
             )
@@ -277,7 +279,7 @@ class Supervisor:
     def _stamp_fault(self, source: str, now: int, stamp: int) -> str:
         """Why a stamp is rejected: of another clock, or not newer than the last; or ""."""
         limit = self._settings.timing.clock_jump
-        ahead = (stamp - now) / SECOND
+        ahead = to_seconds(stamp - now)
         if abs(ahead) > limit:
             fault = f"{source} stamped {ahead:+.3g} s from now, limit {limit:g} s"
             self._wrong_clock[source] = fault
@@ -326,14 +328,14 @@ class Supervisor:
             found[ending] = f"slack after: {self._reason}"
             return
         limit = self._settings.gate.relax_time + self._settings.timing.torque_change
-        if (time - self._entered) / SECOND > limit:
+        if to_seconds(time - self._entered) > limit:
             reason = f"torque off not confirmed within {limit:.3g} s, after: {self._reason}"
             found[Condition.RELAXED_AFTER_FAULT] = reason
 
     def _end_hold(self, time: int, found: dict[Condition, str]) -> None:
         """Add the condition that ends HOLD."""
         timing = self._settings.timing
-        held = (time - self._entered) / SECOND
+        held = to_seconds(time - self._entered)
         if held > timing.hold_max:
             reason = f"held for {held:.3g} s, limit {timing.hold_max:g} s, since: {self._reason}"
             found[Condition.HELD_TOO_LONG] = reason

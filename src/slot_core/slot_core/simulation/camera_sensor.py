@@ -10,11 +10,11 @@ from slot_core.dynamics.scene import CameraSettings
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.estimation.inertial_filter import Mount
 from slot_core.estimation.state_estimator import read_estimator
+from slot_core.geometry import Transform, optical
 from slot_core.robot import BASE_FRAME, ODOM_FRAME
 from slot_core.simulation.sensors import PictureReading
 from slot_core.vision.board import Board, Picture, make_board, print_of
 from slot_core.vision.camera import nominal
-from slot_core.vision.frames import Transform, optical
 from slot_core.vision.localizer import MarkerLocalizer
 from slot_core.vision.settings import read_vision
 from slot_core.vision.synthetic_camera import Imperfections, Surface, SyntheticCamera

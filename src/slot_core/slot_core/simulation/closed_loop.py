@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from slot_core import config
-from slot_core.clock import LOCKSTEP_START, SECOND
+from slot_core.clock import LOCKSTEP_START, SECOND, to_ns
 from slot_core.control.controller import Controller, Tick
 from slot_core.control.policy import DEFAULT_POLICY, make_policy, policy_class
 from slot_core.dynamics.scene import CameraSettings, Scene, read_scene
@@ -73,8 +73,8 @@ class ClosedLoop:
             np.random.default_rng(seed),
         )
         begin, duration = lost_odometry
-        self._lost_from = LOCKSTEP_START + round(begin * SECOND)  # ns
-        self._lost_until = self._lost_from + round(duration * SECOND)
+        self._lost_from = LOCKSTEP_START + to_ns(begin)  # ns
+        self._lost_until = self._lost_from + to_ns(duration)
 
     def run(self, ticks: int) -> Iterator[Tick]:
         """Yield each tick after its command is set; then advance the plant to the next odometry.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slot_core.clock import SECOND
+from slot_core.clock import to_ns, to_seconds
 from slot_core.config import ConfigError
 from slot_core.dynamics.scene import CameraSettings, Push, Scene
 from slot_core.dynamics.servo import ServoSettings
@@ -120,7 +120,7 @@ class Plant:
         self.now = 0  # ns
         self.held = False  # in its present pose: time runs, but nothing moves
         self._scene = scene
-        self._step = round(scene.solver.step * 1e9)
+        self._step = to_ns(scene.solver.step)
         self._command = self._goal = self.simulator.tendon_angle.copy()  # rad
         self._rate, self._commanded_at = AT_REST, 0  # rad/s; ns
         self._next_cycle = 0  # ns, when the servos' goal follows the command
@@ -167,7 +167,7 @@ class Plant:
         for present in self._faults.values():
             self._schedule_end(present)
         for fault in self._scene.faults.values():
-            self._schedule_action(self.now + round(fault.time * 1e9), partial(self.inject, fault))
+            self._schedule_action(self.now + to_ns(fault.time), partial(self.inject, fault))
 
     def inject(self, fault: Fault) -> None:
         """Start a fault now, whatever its `time`; it replaces one of its kind at that leg.
@@ -201,7 +201,7 @@ class Plant:
         """
         self._command = self._goal = self.simulator.checked(angle)
         self._rate, self._commanded_at = rate, self.now
-        self._next_cycle = self.now + round(CYCLE * 1e9)
+        self._next_cycle = self.now + to_ns(CYCLE)
 
     def advance(self, until: int) -> Iterator[Reading]:
         """Advance to `until` (ns) and yield each reading when it is due."""
@@ -213,7 +213,7 @@ class Plant:
 
     def every(self, period: float, read: Callable[[], list[Reading]]) -> None:
         """Schedule a periodic reading (s), first after one period."""
-        interval = round(period * 1e9)
+        interval = to_ns(period)
 
         def action() -> list[Reading]:
             self._schedule(self.now + interval, action)
@@ -249,7 +249,7 @@ class Plant:
         """Advance in whole time steps; the periods of `config/scene` are multiples of the step."""
         while (steps := (until - self.now) // self._step) > 0:
             if self.now >= self._next_cycle:
-                self._goal, self._next_cycle = self._commanded(), self.now + round(CYCLE * 1e9)
+                self._goal, self._next_cycle = self._commanded(), self.now + to_ns(CYCLE)
             steps = min(steps, -((self.now - self._next_cycle) // self._step))
             if not self.held:
                 self._advance_robot(steps)
@@ -257,7 +257,7 @@ class Plant:
 
     def _commanded(self) -> Array:
         """Commanded tendon angles (4,), rad, now."""
-        age = (self.now - self._commanded_at) / SECOND
+        age = to_seconds(self.now - self._commanded_at)
         angle = gone_on(self._command, self._rate, age)
         return np.clip(angle, 0.0, self.simulator.robot.tendon.angle_max)
 
@@ -274,9 +274,9 @@ class Plant:
     def _read_odometry(self) -> list[Reading]:
         """Return the ground truth now; schedule odometry or picture after its delay, in order."""
         truth = self._truth()
-        reading = self._odometry_or_picture(truth, (self.now - self._started) / SECOND)
+        reading = self._odometry_or_picture(truth, to_seconds(self.now - self._started))
         delay = self._odometry.delay() if self._camera is None else self._camera.delay
-        self._delivered = max(self._delivered, self.now + round(delay * 1e9))
+        self._delivered = max(self._delivered, self.now + to_ns(delay))
         self._schedule(self._delivered, lambda: [reading])
         return [self._true_state(truth)] if self._scene.sensors.truth else []
 
@@ -293,17 +293,15 @@ class Plant:
     def _schedule_push(self, push: Push) -> None:
         """Schedule the start and the end of a push; pushes add up."""
         force, moment = np.array(push.force), np.array(push.moment)
-        begin = self.now + round(push.time * 1e9)
+        begin = self.now + to_ns(push.time)
         self._schedule_action(begin, partial(self.simulator.push, force, moment))
         self._schedule_action(
-            begin + round(push.duration * 1e9), partial(self.simulator.push, -force, -moment)
+            begin + to_ns(push.duration), partial(self.simulator.push, -force, -moment)
         )
 
     def _schedule_end(self, fault: Fault) -> None:
         if fault.duration:
-            self._schedule_action(
-                self.now + round(fault.duration * 1e9), partial(self._expire, fault)
-            )
+            self._schedule_action(self.now + to_ns(fault.duration), partial(self._expire, fault))
 
     def _expire(self, fault: Fault) -> None:
         """End a fault unless it has been cleared or replaced."""

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from slot_core.clock import SECOND
+from slot_core.clock import to_ns
 from slot_core.divergence import DivergenceError
 from slot_core.emulator.pseudo_terminal import PseudoTerminal
 from slot_core.robot import LEGS, Array
@@ -106,7 +106,7 @@ class BusServos:
             now = time.monotonic()
             if running:
                 try:
-                    for _ in self._plant.advance(self._plant.now + round((now - last) * SECOND)):
+                    for _ in self._plant.advance(self._plant.now + to_ns(now - last)):
                         pass  # no subscriber is left
                 except DivergenceError:  # the port is closed all the same
                     running = False

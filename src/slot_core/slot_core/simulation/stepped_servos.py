@@ -11,7 +11,7 @@ import dataclasses
 from collections import deque
 from contextlib import suppress
 
-from slot_core.clock import SECOND
+from slot_core.clock import to_ns, to_seconds
 from slot_core.divergence import DivergenceError
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamixel.driver import Driver
@@ -187,10 +187,10 @@ class DrivenServos:
 
     def _pass(self, seconds: float) -> None:
         """Let time pass on the robot's clock; nothing receives the readings."""
-        deque(self._plant.advance(self._plant.now + round(seconds * SECOND)), maxlen=0)
+        deque(self._plant.advance(self._plant.now + to_ns(seconds)), maxlen=0)
 
     def _seconds(self) -> float:
-        return self._plant.now / SECOND
+        return to_seconds(self._plant.now)
 
 
 def stepped(plant: Plant) -> SteppedServos | DrivenServos:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from slot_core import config
-from slot_core.clock import LOCKSTEP_START, SECOND
+from slot_core.clock import LOCKSTEP_START, to_ns
 from slot_core.control.controller import Tick
 from slot_core.control.policy import DEFAULT_POLICY
 from slot_core.dynamics.scene import Scene
@@ -92,7 +92,7 @@ class SupervisedLoop:
         """
         if self.report is None:
             yield self._begin()
-        end = self.plant.now + round(seconds * SECOND)
+        end = self.plant.now + to_ns(seconds)
         while self.plant.now < end:
             report = self._take(self.plant.advance_to_reading(ServoReport))
             if report is not None:

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slot_core.geometry import Transform
 from slot_core.robot import Array
-from slot_core.vision.frames import Transform
 from slot_core.vision.settings import BoardSettings
 
 Picture = NDArray[np.uint8]

@@ -16,13 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from slot_core.clock import SECOND
+from slot_core.clock import SECOND, to_seconds
 from slot_core.config import ConfigError
+from slot_core.geometry import Transform, optical
 from slot_core.robot import BASE_FRAME, ODOM_FRAME, Array
 from slot_core.vision.board import Picture, make_board
 from slot_core.vision.camera import Camera
 from slot_core.vision.detector import Detection, MarkerDetector, other_dictionary
-from slot_core.vision.frames import Transform, optical
 from slot_core.vision.pose import BoardPose, board_poses, nearest
 from slot_core.vision.settings import VisionSettings
 
@@ -202,7 +202,7 @@ class MarkerLocalizer:
         s = self._settings
         if (last := self._recent(stamp)) is None:
             return np.zeros(3), np.zeros(3), np.diag(np.full(6, 1e6))
-        before, dt = last[1], (stamp - last[0]) / SECOND
+        before, dt = last[1], to_seconds(stamp - last[0])
         velocity = base.rotation.T @ (base.position - before.position) / dt
         turn = Rotation.from_matrix(before.rotation.T @ base.rotation).as_rotvec() / dt
         late = np.repeat([s.acceleration * dt / 2, s.angular_acceleration * dt / 2], 3)

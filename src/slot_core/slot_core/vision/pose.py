@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from slot_core.geometry import Transform
 from slot_core.robot import Array
-from slot_core.vision.frames import Transform
 
 ITERATIONS = 6
 SMALL = 1e-6  # m and rad, step at which they end

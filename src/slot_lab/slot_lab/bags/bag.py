@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
 
+from slot_core.clock import to_seconds
 from slot_core.recording.bag_error import BagError, NoFieldError
 from slot_core.recording.bag_writer import BagWriter, MessageType
 from slot_core.recording.message_types import Types, add_installed, types_inside
@@ -90,7 +91,7 @@ class Bag:
     @property
     def remark(self) -> str:
         """A line on a recording that did not end; empty for one that did."""
-        left = f"unfinished   what is left of it: {self.duration_ns * 1e-9:.2f} s"
+        left = f"unfinished   what is left of it: {to_seconds(self.duration_ns):.2f} s"
         return "" if self.finished else left
 
     def lines(self) -> list[str]:

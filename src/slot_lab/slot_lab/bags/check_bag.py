@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from slot_core import config
+from slot_core.clock import to_seconds
 from slot_core.command_line import Parser
 from slot_core.messages import decode
 from slot_lab.bags import replayed_stages
@@ -46,7 +47,7 @@ class Difference:
 
     def __str__(self) -> str:
         return (
-            f"{self.topic} at {self.stamp * 1e-9:.6f} s: {self.field} "
+            f"{self.topic} at {to_seconds(self.stamp):.6f} s: {self.field} "
             f"recorded {self.recorded!r}, replayed {self.replayed!r}"
         )
 

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from slot_core.clock import to_seconds
+from slot_core.geometry import rotation_of
 from slot_core.robot import Array
 from slot_lab.bags.bag import Bag, BagError, Stamps
 from slot_lab.bags.recorded_walk import (
@@ -59,7 +61,7 @@ def measured_motion(bag: Bag, topic: str = "") -> TorsoTrack:
     keep = sound(where, stamps, np.hstack([position, attitude, velocity]))
     position, attitude, velocity = position[keep], attitude[keep], velocity[keep]
     if chosen == ESTIMATE:
-        rotation = Rotation.from_euler("ZYX", attitude[:, ::-1])
+        rotation = rotation_of(attitude)
     else:
         rotation = _unit(where, attitude)
         velocity = rotation.apply(velocity)
@@ -96,7 +98,7 @@ def sound(where: str, stamps: Stamps, values: Array) -> NDArray[np.intp]:
     step = np.diff(stamps)
     if (step < 0).any():
         k = int(np.argmax(step < 0))
-        raise BagError(f"{where}: time goes back by {-step[k] / 1e9:g} s after message {k}")
+        raise BagError(f"{where}: time goes back by {to_seconds(-step[k]):g} s after message {k}")
     same = (values[1:] == values[:-1]).all(axis=1)
     if (clash := (step == 0) & ~same).any():
         raise BagError(f"{where}: messages {int(np.argmax(clash))} and the next have one stamp")

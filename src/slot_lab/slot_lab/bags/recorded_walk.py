@@ -8,7 +8,8 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from slot_core.geometry import rotate
+from slot_core.clock import to_seconds
+from slot_core.geometry import rotate, rotation_of, rpy_of
 from slot_core.robot import TENDON_JOINTS, Array
 from slot_lab.bags.bag import Bag, BagError, Series, Stamps
 
@@ -33,7 +34,7 @@ class TorsoTrack:
     @cached_property
     def rpy(self) -> Array:
         """(n, 3) roll, pitch and yaw (unwrapped), rad: R = Rz(yaw) Ry(pitch) Rx(roll)."""
-        angles = Rotation.from_quat(self.quaternion).as_euler("ZYX")[:, ::-1]
+        angles = rpy_of(Rotation.from_quat(self.quaternion))
         angles[:, 2] = np.unwrap(angles[:, 2])
         return angles
 
@@ -113,7 +114,7 @@ def stride_period(bag: Bag) -> float | None:
 
 def seconds(ns: Stamps, origin: int = 0) -> Array:
     """Nanoseconds since `origin` (ns) as seconds."""
-    return (ns - origin) / 1e9
+    return to_seconds(ns - origin)
 
 
 def read_motion(bag: Bag) -> TorsoTrack:
@@ -141,7 +142,7 @@ def _estimated_motion(bag: Bag) -> TorsoTrack:
     time, last = last_states(series)
     time, order = np.unique(time, return_index=True)  # sorted, also where the clock was set
     new = last[order]
-    quaternion = Rotation.from_euler("ZYX", series["rpy"][new, ::-1]).as_quat()
+    quaternion = rotation_of(series["rpy"][new]).as_quat()
     position, velocity = series["position"][new], series["linear_velocity"][new]
     return TorsoTrack(ESTIMATE, seconds(time), position, quaternion, velocity)
 
@@ -170,8 +171,8 @@ def read_ticks(bag: Bag) -> Ticks:
         raise BagError(f"{bag.path}: /odom holds {len(stamps)} stamps, less than 2")
     origin = int(odom.time.min())
     times = [_first_times(bag, topic, stamps, origin) for topic in CHAIN]
-    period = float(np.median(np.diff(stamps))) / 1e9
-    end = (bag.end_ns - origin) / 1e9
+    period = to_seconds(float(np.median(np.diff(stamps))))
+    end = to_seconds(bag.end_ns - origin)
     return Ticks(seconds(stamps), np.column_stack(times), period, end)
 
 

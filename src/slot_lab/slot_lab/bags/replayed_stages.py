@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from slot_core.clock import SECOND
+from slot_core.clock import to_ns
 from slot_core.control.force_map import make_force_map, read_force_map, read_springs
 from slot_core.control.policy import DEFAULT_POLICY, TendonPlan, make_policy
 from slot_core.estimation.estimate import Estimate, Validity
@@ -108,7 +108,7 @@ def estimates(recorded: RecordedStages) -> dict[int, Fields]:
     """
     settings = read_estimator()
     estimator = StateEstimator(settings)
-    delay = round(settings.timing.command_delay * SECOND)
+    delay = to_ns(settings.timing.command_delay)
     fields = {}
     for topic, message in _as_they_arrived(recorded, delay):
         with suppress(ValueError):

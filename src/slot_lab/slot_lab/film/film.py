@@ -19,13 +19,14 @@ import cv2
 import numpy as np
 
 from slot_core.body_points import LEAST_NODES, LEG_POINTS, TORSO, arc_length, at_shares
+from slot_core.clock import to_seconds
 from slot_core.command_line import Parser, within
 from slot_core.config import ConfigError
+from slot_core.geometry import Transform, optical
 from slot_core.messages import decode
 from slot_core.robot import LEGS, ODOM_FRAME, Array, RobotParameters, read_robot
 from slot_core.vision.board import SQUARE, Picture, make_board, print_of, single_marker
 from slot_core.vision.camera import nominal
-from slot_core.vision.frames import Transform, optical
 from slot_core.vision.settings import (
     TrackedMarkers,
     VisionSettings,
@@ -232,7 +233,7 @@ def _motion(bag: Bag, robot: RobotParameters, duration: float) -> tuple[Array, l
     count = int(states[0].nodes)
     if count < LEAST_NODES:
         raise BagError(f"{bag.path}: legs of {count} nodes have no shape to film")
-    times = np.asarray(shared * 1e-9, np.float64)
+    times = np.asarray(to_seconds(shared), np.float64)
     times = times[: int(np.searchsorted(times, times[0] + duration))]
     shots = []
     for m, k in zip(mine[: len(times)], theirs):

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slot_core.clock import to_seconds
 from slot_core.messages.decode import stamp
 from slot_core.vision import picture_message
 from slot_core.vision.board import Picture
@@ -128,7 +129,7 @@ def _of_bag(path: Path, topic: str, depth_topic: str) -> Iterator[Frame]:
         depths = _depths(bag, depth_topic) if depth_topic else iter(())
         before, after = None, next(depths, None)
         for _, message in bag.messages(topic):
-            time = stamp(message) * 1e-9
+            time = to_seconds(stamp(message))
             while after is not None and after[0] < time:
                 before, after = after, next(depths, None)
             near = [d for d in (before, after) if d is not None and abs(d[0] - time) < SYNCHRONOUS]
@@ -140,7 +141,7 @@ def _of_bag(path: Path, topic: str, depth_topic: str) -> Iterator[Frame]:
 
 def _depths(bag: Bag, topic: str) -> Iterator[tuple[float, Depth]]:
     for _, message in bag.messages(topic):
-        yield stamp(message) * 1e-9, picture_message.depth(message)
+        yield to_seconds(stamp(message)), picture_message.depth(message)
 
 
 def _files(path: Path) -> list[Path]:

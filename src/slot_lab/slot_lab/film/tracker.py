@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+from slot_core.geometry import OPTICAL, Transform
 from slot_core.robot import ODOM_FRAME, Array
 from slot_core.vision.board import Picture, make_board, single_marker
 from slot_core.vision.camera import Camera, CameraError
 from slot_core.vision.detector import Detection, MarkerDetector
-from slot_core.vision.frames import OPTICAL, Transform
 from slot_core.vision.pose import board_poses
 from slot_core.vision.settings import VisionSettings
 from slot_lab.film.pictures import Depth

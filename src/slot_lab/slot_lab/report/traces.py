@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from slot_core.control.policy import Status
 from slot_core.drawing import palette
-from slot_core.geometry import rotate
+from slot_core.geometry import rotate, rpy_of
 from slot_core.messages import decode
 from slot_core.robot import LEGS, Array
 
@@ -100,7 +100,7 @@ def _torso(source: str, forward: float, height: float, roll: float, pitch: float
 def _of_truth(message: Any) -> Values:
     _, position, quaternion, velocity, *_ = decode.odometry(message)
     rotation = Rotation.from_quat(quaternion)
-    yaw, pitch, roll = rotation.as_euler("ZYX")
+    roll, pitch, yaw = rpy_of(rotation)
     forward = rotate(rotation.apply(velocity)[:2], -yaw)[0]
     return _torso("true", forward, position[2], roll, pitch)
 
