@@ -28,9 +28,9 @@ REFLECTED_X = np.array([1, -1, -1, -1, 1, 1, 1, -1, -1, -1, 1, 1], dtype=float)
 REFLECTED_Y = np.array([-1, 1, -1, 1, -1, 1, -1, 1, -1, 1, -1, 1], dtype=float)
 
 
-def course(velocity, phase=PHASES, stride=WALK, offset=NO_OFFSET):
+def stride_table(velocity, phase=PHASES, stride=WALK, offset=NO_OFFSET):
     velocity = np.asarray(velocity, dtype=float)
-    return stride.course(phase, velocity, stride.walking(velocity), offset)
+    return stride.stride_table(phase, velocity, stride.walking(velocity), offset)
 
 
 def harmonics(rows, phase):
@@ -49,11 +49,11 @@ def filled(seed=1, size=0.2):
     rng = np.random.default_rng(seed)
 
     def table(pattern):
-        sway = {name: tuple(1e-3 * rng.normal(size=5)) for name in ("roll", "pitch", "height")}
+        motion = {name: tuple(1e-3 * rng.normal(size=5)) for name in ("roll", "pitch", "height")}
         speed = {name: tuple(1e-2 * rng.normal(size=5)) for name in ("v_x", "v_y")}
         load = tuple(map(tuple, 0.1 * rng.normal(size=(4, 5))))
         angle = tuple(map(tuple, size * np.array(pattern.angle_deg)))
-        return dataclasses.replace(pattern, angle_deg=angle, normal_force=load, **sway, **speed)
+        return dataclasses.replace(pattern, angle_deg=angle, normal_force=load, **motion, **speed)
 
     patterns = {name: table(getattr(WALK, name)) for name in ("forward", "lateral", "turn")}
     return dataclasses.replace(WALK, centre_deg=(60.0,) * 4, **patterns)
@@ -65,38 +65,41 @@ def filled(seed=1, size=0.2):
 )
 def test_at_the_speed_of_a_pattern_the_angles_are_its_harmonics_about_the_centre(name, velocity):
     pattern = getattr(WALK, name)
-    angle = np.degrees(course(pattern.speed * np.array(velocity))[:, :4])
+    angle = np.degrees(stride_table(pattern.speed * np.array(velocity))[:, :4])
     expected = np.array(WALK.centre_deg) + harmonics(pattern.angle_deg, PHASES)
     assert angle == pytest.approx(np.clip(expected, *WALK.range_deg))
 
 
 def test_half_the_velocity_is_half_the_amplitude():
     stride = filled()
-    half, full = (course([v, 0, 0], stride=stride) for v in (0.03, 0.06))
-    centre = course([0, 0, 0], stride=stride)
+    half, full = (stride_table([v, 0, 0], stride=stride) for v in (0.03, 0.06))
+    centre = stride_table([0, 0, 0], stride=stride)
     assert half - centre == pytest.approx((full - centre) / 2, abs=1e-12)
 
 
 def test_the_patterns_of_two_directions_add_up():
     stride = filled()
-    forward, lateral = course([0.03, 0, 0], stride=stride), course([0, -0.02, 0], stride=stride)
-    centre = course([0, 0, 0], stride=stride)
-    both = course([0.03, -0.02, 0], stride=stride)
+    forward, lateral = (
+        stride_table([0.03, 0, 0], stride=stride),
+        stride_table([0, -0.02, 0], stride=stride),
+    )
+    centre = stride_table([0, 0, 0], stride=stride)
+    both = stride_table([0.03, -0.02, 0], stride=stride)
     assert both - centre == pytest.approx(forward + lateral - 2 * centre, abs=1e-12)
 
 
 def test_amplitudes_are_bounded_by_an_ellipsoid():
     stride = dataclasses.replace(filled(), amplitude_max=(1.0, 0.5, 1.0))
     ahead, aside = stride.forward.speed, stride.lateral.speed
-    fast, share = course([ahead, aside / 2, 0], stride=stride), 1 / math.sqrt(2)
-    assert fast == pytest.approx(course([share * ahead, share * aside / 2, 0], stride=stride))
-    sideways = course([0, 0.2, 0], stride=stride)
-    assert sideways == pytest.approx(course([0, aside / 2, 0], stride=stride))
+    fast, share = stride_table([ahead, aside / 2, 0], stride=stride), 1 / math.sqrt(2)
+    assert fast == pytest.approx(stride_table([share * ahead, share * aside / 2, 0], stride=stride))
+    sideways = stride_table([0, 0.2, 0], stride=stride)
+    assert sideways == pytest.approx(stride_table([0, aside / 2, 0], stride=stride))
 
 
 def test_offsets_shift_the_angles_within_the_range():
     offset = np.radians([5.0, -5.0, 90.0, -90.0])
-    plain, shifted = course([0.05, 0, 0]), course([0.05, 0, 0], offset=offset)
+    plain, shifted = stride_table([0.05, 0, 0]), stride_table([0.05, 0, 0], offset=offset)
     low, high = np.radians(WALK.range_deg)
     assert shifted[:, :2] == pytest.approx(np.clip(plain[:, :2] + offset[:2], low, high), abs=0.15)
     # 90 deg more or less leave little of the range.
@@ -106,7 +109,7 @@ def test_offsets_shift_the_angles_within_the_range():
 
 def test_normal_forces_are_never_negative():
     stride = dataclasses.replace(filled(), centre_force=0.1)
-    force = course([0.07, 0, 0], stride=stride)[:, 4:8]
+    force = stride_table([0.07, 0, 0], stride=stride)[:, 4:8]
     assert force.min() == 0.0
     assert force.max() > 0.1
 
@@ -114,7 +117,7 @@ def test_normal_forces_are_never_negative():
 def test_rates_of_the_torso_are_the_derivatives_of_its_sway():
     stride, h = filled(), 1e-6
     for velocity in ([0.05, 0, 0], [0.03, -0.03, 0.0], [0, 0, 0.1]):
-        before, now, after = (course(velocity, PHASES + d, stride)[:, 8:] for d in (-h, 0, h))
+        before, now, after = (stride_table(velocity, PHASES + d, stride)[:, 8:] for d in (-h, 0, h))
         slope = (after - before) / (2 * h * stride.period)
         assert now[:, [6, 7, 11]] == pytest.approx(slope[:, [0, 1, 5]], abs=1e-7)
 
@@ -132,8 +135,8 @@ MIRRORS = {
 def test_the_opposite_velocity_is_the_mirror_image_half_a_stride_later(case):
     velocity, opposite, legs, signs = MIRRORS[case]
     stride = filled()
-    there = course(velocity, (PHASES + 0.5) % 1.0, stride)
-    back = course(opposite, PHASES, stride)
+    there = stride_table(velocity, (PHASES + 0.5) % 1.0, stride)
+    back = stride_table(opposite, PHASES, stride)
     assert back[:, :4] == pytest.approx(there[:, :4][:, legs], abs=1e-12)
     assert back[:, 4:8] == pytest.approx(there[:, 4:8][:, legs], abs=1e-12)
     assert back[:, 8:] == pytest.approx(signs * there[:, 8:], abs=1e-12)
@@ -154,13 +157,19 @@ def test_the_mirror_image_of_the_mirror_image_is_the_pattern(case):
         angle_deg=half * np.array(pattern.angle_deg)[legs],
         normal_force=half * np.array(pattern.normal_force)[legs],
         **{
-            sway: signs[k] * half * np.array(getattr(pattern, sway))
-            for sway, k in (("roll", 0), ("pitch", 1), ("height", 5), ("v_x", 9), ("v_y", 10))
+            motion: signs[k] * half * np.array(getattr(pattern, motion))
+            for motion, k in (
+                ("roll", 0),
+                ("pitch", 1),
+                ("height", 5),
+                ("v_x", 9),
+                ("v_y", 10),
+            )
         },
     )
     reflected = dataclasses.replace(stride, **{name: mirrored})
-    assert course(opposite, stride=reflected) == pytest.approx(
-        course(velocity, stride=stride), abs=1e-12
+    assert stride_table(opposite, stride=reflected) == pytest.approx(
+        stride_table(velocity, stride=stride), abs=1e-12
     )
 
 
@@ -170,7 +179,7 @@ def motion(velocity, phase, duration=2.8, stride=WALK):
     states, step = [], 0.03
     for k in range(round(duration / step)):
         at = np.array([(phase + k * step / stride.period) % 1.0])
-        sim.advance(30, course(velocity, at, stride)[0, :4])
+        sim.advance(30, stride_table(velocity, at, stride)[0, :4])
         states.append(np.concatenate([sim.rpy, sim.position, sim.angular_velocity, sim.velocity]))
     return np.array(states)
 
@@ -193,8 +202,8 @@ def test_the_lateral_pattern_is_the_forward_one_reflected_at_a_diagonal():
 
     But for an offset common to all legs, with which each pattern holds the height.
     """
-    forward = course([0.5 * WALK.forward.speed, 0, 0])[:, :4]
-    lateral = course([0, 0.5 * WALK.lateral.speed, 0])[:, :4]
+    forward = stride_table([0.5 * WALK.forward.speed, 0, 0])[:, :4]
+    lateral = stride_table([0, 0.5 * WALK.lateral.speed, 0])[:, :4]
     offset = lateral - forward[:, [0, 2, 1, 3]]
     inside = np.abs(offset) > 0  # where neither is at the end of its range
     assert inside.mean() > 0.3
@@ -204,7 +213,7 @@ def test_the_lateral_pattern_is_the_forward_one_reflected_at_a_diagonal():
 def test_the_mean_posture_is_the_mean_of_the_course_over_a_stride():
     velocity = np.array([-0.04, 0.03, 0.02])
     phase, walking = np.arange(200) / 200, WALK.walking(velocity)
-    torso = WALK.course(phase, velocity, walking, np.zeros(4))[:, 8:]
+    torso = WALK.stride_table(phase, velocity, walking, np.zeros(4))[:, 8:]
     mean = torso[:, [5, 0, 1]].mean(axis=0) - [WALK.height, 0.0, 0.0]
     assert WALK.mean_posture(velocity) == pytest.approx(mean, abs=1e-12)
     assert WALK.mean_posture(np.zeros(3)) == pytest.approx(np.zeros(3))
@@ -212,8 +221,8 @@ def test_the_mean_posture_is_the_mean_of_the_course_over_a_stride():
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_steering_alters_the_angles_in_proportion_to_the_yaw_rate(sign):
-    plain = course([0.05, 0, 0], stride=filled())
-    one, two = (course([0.05, 0, sign * w], stride=filled()) for w in (0.01, 0.02))
+    plain = stride_table([0.05, 0, 0], stride=filled())
+    one, two = (stride_table([0.05, 0, sign * w], stride=filled()) for w in (0.01, 0.02))
     assert two - plain == pytest.approx(2 * (one - plain), abs=1e-12)
     assert np.abs(one[:, :4] - plain[:, :4]).max() > 1e-3
 
@@ -239,16 +248,16 @@ def test_the_reference_is_within_half_a_turn_of_the_state(heading, yaw):
 def test_sway_rotates_with_the_heading():
     """v = [v_x, v_y] and omega = [roll rate, pitch rate], rotated by yaw, are vectors in odom."""
     rng = np.random.default_rng(0)
-    sway, times = rng.normal(size=(5, 12)), 0.033 * np.arange(5)
-    rows = reference(LEVEL, 0.7, np.array([0.1, -0.2, 0.3]), sway, times)
+    motion, times = rng.normal(size=(5, 12)), 0.033 * np.arange(5)
+    rows = reference(LEVEL, 0.7, np.array([0.1, -0.2, 0.3]), motion, times)
     rotation = Rotation.from_euler("z", (0.7 + 0.3 * times)[:, None])
     flat = np.zeros(5)
-    rates = rotation.apply(np.column_stack([sway[:, 6:8], flat]))
-    speeds = rotation.apply(np.column_stack([sway[:, 9:11] + [0.1, -0.2], flat]))
+    rates = rotation.apply(np.column_stack([motion[:, 6:8], flat]))
+    speeds = rotation.apply(np.column_stack([motion[:, 9:11] + [0.1, -0.2], flat]))
     assert rows[:, 6:8] == pytest.approx(rates[:, :2])
     assert rows[:, 9:11] == pytest.approx(speeds[:, :2])
     assert rows[:, 8] == pytest.approx(0.3)
-    assert rows[:, [0, 1, 5, 11]] == pytest.approx(sway[:, [0, 1, 5, 11]])
+    assert rows[:, [0, 1, 5, 11]] == pytest.approx(motion[:, [0, 1, 5, 11]])
 
 
 @pytest.mark.parametrize(
@@ -304,7 +313,8 @@ def test_velocities_beyond_the_reached_ones_change_nothing(gait):
         asked[:2] *= np.hypot(*asked[:2]) > stride.walking_speed  # walking, or turning in place
         given = stride.reached(asked)
         angles = [
-            stride.course(phase, v, stride.walking(v), np.zeros(4))[:, :4] for v in (asked, given)
+            stride.stride_table(phase, v, stride.walking(v), np.zeros(4))[:, :4]
+            for v in (asked, given)
         ]
         if asked[:2].any() or abs(asked[2]) <= stride.turn.speed:
             assert angles[1] == pytest.approx(angles[0], abs=1e-9)
@@ -328,7 +338,7 @@ def test_the_shipped_gaits_are_within_the_robots_limits():
     for stride in GAITS.strides.values():
         assert np.radians(stride.range_deg).max() <= limit
         for velocity in (np.zeros(3), *np.diag(stride.speeds), *-np.diag(stride.speeds)):
-            rows = course(velocity, stride=stride)
+            rows = stride_table(velocity, stride=stride)
             assert rows[:, :4].min() >= 0.0
             assert rows[:, :4].max() <= limit
             # over a stride the ground carries the weight; two harmonics miss some of it

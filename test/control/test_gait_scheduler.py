@@ -61,8 +61,10 @@ def largest_step():
     phase = np.linspace(0, 1, 500)
     return max(
         np.abs(
-            WALK.course(phase + TICK * 1e-9 / WALK.period, v, WALK.walking(v), np.zeros(4))[:, :4]
-            - WALK.course(phase, v, WALK.walking(v), np.zeros(4))[:, :4]
+            WALK.stride_table(phase + TICK * 1e-9 / WALK.period, v, WALK.walking(v), np.zeros(4))[
+                :, :4
+            ]
+            - WALK.stride_table(phase, v, WALK.walking(v), np.zeros(4))[:, :4]
         ).max()
         for v in (AHEAD, np.array([0.0, 0.05, 0.0]), np.array([0.0, 0.0, 0.1]))
     )
@@ -86,7 +88,7 @@ def test_a_stride_stops_and_starts_again_without_a_jump():
     robot = Ideal("walk", AHEAD)
     robot.run(4.0)
     feedback = robot.scheduler._current.feedback
-    feedback.knobs[:] = [0.03, -0.02, 0.05, 0.2, -0.1, 0.1]  # as found against a disturbance
+    feedback.corrections[:] = [0.03, -0.02, 0.05, 0.2, -0.1, 0.1]  # as found against a disturbance
     robot.previews = robot.previews[:0]
     robot.scheduler.request("walk", NOTHING)
     stopped = robot.run(3.0)
@@ -148,13 +150,13 @@ def test_velocity_and_yaw_rate_change_at_limited_rates():
     robot.scheduler.request("walk", wanted)
     rows = np.array([p.reference[0] for p in robot.run(2.0)])
     yaw = rows[:, 2]
-    sway = 0.02  # m/s, of the torso over a stride
+    torso_motion = 0.02  # m/s, of the torso over a stride
     v_x = rows[:, 9] * np.cos(yaw) + rows[:, 10] * np.sin(yaw)
     assert rows[-1, 8] == pytest.approx(0.04)
     assert np.abs(np.diff(rows[:, 8])).max() <= GAITS.turn_acceleration * TICK * 1e-9 + 1e-12
     # 0.05 m/s at 0.1 m/s^2 take 0.5 s, 15 ticks
-    assert v_x[7] < 0.05 / 2 + sway
-    assert v_x[20:].mean() == pytest.approx(0.05, abs=sway)
+    assert v_x[7] < 0.05 / 2 + torso_motion
+    assert v_x[20:].mean() == pytest.approx(0.05, abs=torso_motion)
 
 
 def test_height_and_tilt_follow_their_commands_at_limited_rates():

@@ -19,7 +19,7 @@ LIMITS = np.array([*SETTINGS.velocity_max, *[np.radians(SETTINGS.offset_max_deg)
 
 
 class Plant:
-    """A torso whose means over a stride are the command, the knobs' effect and a disturbance."""
+    """A torso whose means over a stride are command, effect of the corrections, disturbance."""
 
     def __init__(self, velocity=(0.05, 0.0, 0.0), effect=EFFECT, yaw=0.0, **changes):
         settings = dataclasses.replace(SETTINGS, **changes)
@@ -31,7 +31,7 @@ class Plant:
 
     def stride(self, disturbance=NONE, walking=1.0):
         """Errors (6,) of the means over a stride against the command."""
-        output = self.effect @ self.feedback.knobs + disturbance
+        output = self.effect @ self.feedback.corrections + disturbance
         output[:3] += self.velocity
         self.state[[5, 0, 1]] = HOME + output[3:]
         if self.feedback.place is None:
@@ -83,25 +83,25 @@ def test_effects_that_are_half_or_double_the_identified_ones_still_leave_no_erro
 def test_without_a_disturbance_the_knobs_stay_zero():
     plant = Plant()
     plant.run(10)
-    np.testing.assert_allclose(plant.feedback.knobs / LIMITS, 0.0, atol=1e-6)
+    np.testing.assert_allclose(plant.feedback.corrections / LIMITS, 0.0, atol=1e-6)
 
 
 def test_a_gain_of_zero_does_nothing():
     plant = Plant(gain=0.0)
     plant.run(10, DISTURBANCES["all"])
-    assert not plant.feedback.knobs.any()
+    assert not plant.feedback.corrections.any()
 
 
 def test_a_part_of_a_stride_corrects_nothing_and_the_next_whole_one_does():
     """Where a blend ends amid a stride, the mean of the rest of it is mostly sway."""
     plant = Plant()
-    output = plant.effect @ plant.feedback.knobs + np.array(DISTURBANCES["all"])
+    output = plant.effect @ plant.feedback.corrections + np.array(DISTURBANCES["all"])
     for _ in range(TICKS // 2):
         plant.tick(DT, output)
     plant.feedback.finish(Target(plant.velocity, HOME, 1.0))
-    assert not plant.feedback.knobs.any()
+    assert not plant.feedback.corrections.any()
     plant.stride(np.array(DISTURBANCES["all"]))
-    assert plant.feedback.knobs.any()
+    assert plant.feedback.corrections.any()
 
 
 @pytest.mark.parametrize("disturbance", [[-0.2, 0, 0, 0, 0, 0], [0, 0, 0, -0.05, 0.5, -0.5]])
@@ -109,8 +109,8 @@ def test_the_knobs_stay_within_their_bounds(disturbance):
     plant = Plant()
     for _ in range(40):
         plant.stride(np.array(disturbance))
-        assert (np.abs(plant.feedback.knobs) <= LIMITS + 1e-12).all()
-    assert (np.abs(plant.feedback.knobs) > 0.99 * LIMITS).any()  # it is saturated
+        assert (np.abs(plant.feedback.corrections) <= LIMITS + 1e-12).all()
+    assert (np.abs(plant.feedback.corrections) > 0.99 * LIMITS).any()  # it is saturated
 
 
 @pytest.mark.parametrize("disturbance", [[-0.2, 0, 0, 0, 0, 0], [0, 0, 0, -0.05, 0.5, -0.5]])
@@ -154,7 +154,7 @@ def test_the_yaw_may_pass_half_a_turn_within_a_stride():
     for _ in range(3):
         plant.stride()
         plant.state[2] = wrapped(plant.state[2])
-    np.testing.assert_allclose(plant.feedback.knobs / LIMITS, 0.0, atol=1e-6)
+    np.testing.assert_allclose(plant.feedback.corrections / LIMITS, 0.0, atol=1e-6)
 
 
 def test_less_than_three_ticks_are_no_stride():
@@ -163,7 +163,7 @@ def test_less_than_three_ticks_are_no_stride():
         feedback.move(0.033, np.zeros(12), np.array([0.05, 0, 0]))
         feedback.add(time, np.zeros(12))
     feedback.finish(Target(np.array([0.05, 0.0, 0.0]), HOME, 1.0))
-    assert not feedback.knobs.any()
+    assert not feedback.corrections.any()
 
 
 def test_while_it_turns_in_place_v_x_and_v_y_are_left_alone():
@@ -177,10 +177,10 @@ def test_while_it_turns_in_place_v_x_and_v_y_are_left_alone():
 def test_a_reset_keeps_the_corrections_and_forgets_the_place():
     plant = Plant()
     plant.run(5, DISTURBANCES["all"])
-    knobs = plant.feedback.knobs.copy()
+    corrections = plant.feedback.corrections.copy()
     plant.feedback.reset()
     assert plant.feedback.place is None
-    assert (plant.feedback.knobs == knobs).all()
+    assert (plant.feedback.corrections == corrections).all()
     plant.state[3:5] += 5.0  # carried away meanwhile
     plant.stride()
     assert np.abs(plant.gap[-1]).max() < SETTINGS.lead
@@ -200,11 +200,11 @@ def test_what_is_lost_while_the_robot_starts_to_walk_and_turn_is_regained():
 
 
 @pytest.mark.parametrize(
-    ("knob", "legs"), [(0, [1, 1, 1, 1]), (1, [1, -1, 1, -1]), (2, [1, 1, -1, -1])]
+    ("correction", "legs"), [(0, [1, 1, 1, 1]), (1, [1, -1, 1, -1]), (2, [1, 1, -1, -1])]
 )
-def test_offsets_are_common_left_minus_right_and_front_minus_rear(knob, legs):
+def test_offsets_are_common_left_minus_right_and_front_minus_rear(correction, legs):
     """Legs in the order FL FR RL RR; half the difference at each."""
     feedback = StrideFeedback(WALK)
-    feedback.knobs[3 + knob] = 0.1
+    feedback.corrections[3 + correction] = 0.1
     assert feedback.offset == pytest.approx(0.1 * np.array(legs))
     assert OFFSET_SIGNS.shape == (3, 4)

@@ -119,7 +119,7 @@ def test_the_reference_has_what_a_node_declares():
 
 
 def test_a_row_of_the_configuration_has_value_unit_bounds_and_meaning():
-    row = "| `torso.mass` | `2` | kg | 0.02 to 20 | mass |"
+    row = "| `torso.mass` | `2` | kg | 0.02 to 20 | mass of the torso |"
     assert row in generated.configuration()
 
 

@@ -70,15 +70,15 @@ def test_after_a_second_without_solutions_a_standing_robot_does_not_drop():
 
 
 def test_a_walk_goes_on_after_a_hold_of_four_seconds():
-    """With the feedback at work in HOLD its knobs ran to their limits, and the walk to FAULT."""
+    """With the feedback at work in HOLD its corrections reached their limits, then FAULT."""
     loop = SupervisedLoop("flat", "walk", np.array([0.05, 0.0, 0.0]), 0)
     list(loop.run(6.0))
     feedback = loop.loop.controller.scheduler._current.feedback
-    before = feedback.knobs.copy()
+    before = feedback.corrections.copy()
     loop.running.discard("mpc_controller")
     list(loop.run(4.0))
     assert loop.report.state is State.HOLD
-    np.testing.assert_array_equal(feedback.knobs, before)
+    np.testing.assert_array_equal(feedback.corrections, before)
     loop.running.add("mpc_controller")
     begin = loop.plant.simulator.position[0]
     assert {report.state for report in loop.run(8.0)} == {State.HOLD, State.WALKING}

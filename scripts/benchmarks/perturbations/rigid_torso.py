@@ -149,8 +149,11 @@ class TorsoLoop:
 
     def _preview(self, state: Array) -> GaitPreview:
         gaits = self._gaits
-        times, sway = DT * np.arange(gaits.stages, dtype=float), np.zeros((gaits.stages, 12))
-        sway[:, P_Z] = HEIGHT
+        times, motion = (
+            DT * np.arange(gaits.stages, dtype=float),
+            np.zeros((gaits.stages, 12)),
+        )
+        motion[:, P_Z] = HEIGHT
         shape = (gaits.stages, 4)
         return GaitPreview(
             stamp=to_ns(self.step * DT),
@@ -162,7 +165,7 @@ class TorsoLoop:
             friction=np.full(shape, gaits.friction),
             normal_force=np.tile(self._share, (gaits.stages, 1)),
             tendon_angle=np.zeros(shape),
-            reference=reference(state, 0.0, VELOCITY_AHEAD, sway, times),
+            reference=reference(state, 0.0, VELOCITY_AHEAD, motion, times),
             posture=True,
             command=GaitCommand("stand", VELOCITY_AHEAD, np.array([HEIGHT, 0.0, 0.0])),
         )

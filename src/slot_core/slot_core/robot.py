@@ -35,8 +35,10 @@ BASE_FRAME = "base_link"
 class Torso:
     """The rigid box between the legs."""
 
-    mass: float = quantity("mass", "kg", 0.02, 20.0)
-    size: tuple[float, float, float] = quantity("edge lengths along x, y, z", "m", 0.01, 1.0)
+    mass: float = quantity("mass of the torso", "kg", 0.02, 20.0)
+    size: tuple[float, float, float] = quantity(
+        "edge lengths of the torso along x, y, z", "m", 0.01, 1.0
+    )
 
     @property
     def inertia(self) -> Array:
@@ -52,17 +54,21 @@ class Leg:
     azimuth_deg: tuple[float, float, float, float] = quantity(
         "azimuth of FL FR RL RR", "deg", -180, 180
     )
-    reach: float = quantity("horizontal extent of the natural shape", "m", 0.02, 1.0)
+    reach: float = quantity("horizontal extent of a leg's natural shape", "m", 0.02, 1.0)
     natural_shape: tuple[float, float, float, float] = quantity(
         "cubic z(x) of the stress-free centre line, highest power first", "", -100, 100
     )
-    width: float = quantity("width, constant", "m", 1e-4, 0.2)
-    contact_width: float = quantity("distance of the edges that touch the floor", "m", 1e-4, 0.2)
-    thickness_clamp: float = quantity("thickness at the clamp", "m", 1e-4, 0.1)
-    thickness_tip: float = quantity("thickness at the tip, linear in between", "m", 1e-4, 0.1)
-    density: float = quantity("density", "kg/m^3", 1, 2e4)
-    young_modulus: float = quantity("Young's modulus", "Pa", 1e5, 1e9)
-    poisson_ratio: float = quantity("Poisson's ratio", "", 0.0, 0.499)
+    width: float = quantity("width of a leg", "m", 1e-4, 0.2)
+    contact_width: float = quantity(
+        "distance of a leg's edges that touch the floor", "m", 1e-4, 0.2
+    )
+    thickness_clamp: float = quantity("thickness of a leg at the clamp", "m", 1e-4, 0.1)
+    thickness_tip: float = quantity(
+        "thickness of a leg at the tip, linear in between", "m", 1e-4, 0.1
+    )
+    density: float = quantity("density of the leg's material", "kg/m^3", 1, 2e4)
+    young_modulus: float = quantity("Young's modulus of the leg's material", "Pa", 1e5, 1e9)
+    poisson_ratio: float = quantity("Poisson's ratio of the leg's material", "", 0.0, 0.499)
     damping_time: float = quantity("Kelvin-Voigt time constant of the material", "s", 0, 0.1)
     relaxation_share: tuple[float, float] = quantity(
         "moduli of two Maxwell branches over Young's modulus", "", 0.0, 10.0
@@ -109,15 +115,17 @@ class Tendon:
     """The tendon of a leg: from the spool through the clamp, at an offset below the centre line."""
 
     end_fraction: float = quantity("arc length of the anchor over that of the leg", "", 0.1, 1.0)
-    offset: float = quantity("distance below the centre line", "m", 1e-3, 0.05)
+    offset: float = quantity("distance of the tendon below the leg's centre line", "m", 1e-3, 0.05)
     cable_stiffness: float = quantity("stiffness of the cable", "N/m", 1e3, 1e8)
     cable_damping: float = quantity("damping of the cable", "N s/m", 0, 1e3)
-    slack: float = quantity("slack at tendon angle zero", "m", 0, 0.02)
+    slack: float = quantity("slack of a tendon at angle zero", "m", 0, 0.02)
     spool_radius: float = quantity("radius of the spool", "m", 1e-3, 0.05)
     angle_max_deg: float = quantity("largest tendon angle", "deg", 1, 360)
     guide_friction: float = quantity("friction coefficient of the cable in its guide", "", 0.0, 1.0)
     guide_angle_deg: float = quantity("angle by which the guide turns the cable", "deg", 0.0, 720.0)
-    routing: str = choice("path: through the leg, or straight from a pulley", "routed", "straight")
+    routing: str = choice(
+        "path of the tendon: through the leg, or straight from a pulley", "routed", "straight"
+    )
     pulley_angle_deg: float = quantity(
         "direction of the pulley from the clamp, 0: outward", "deg", -360, 360
     )

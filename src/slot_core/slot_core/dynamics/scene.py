@@ -51,8 +51,10 @@ class FloorSettings:
 class PayloadSettings:
     """A point mass on the torso."""
 
-    mass: float = quantity("mass", "kg", 0.0, 20.0)
-    place: tuple[float, float, float] = quantity("position in base_link", "m", -1.0, 1.0)
+    mass: float = quantity("mass of the payload", "kg", 0.0, 20.0)
+    place: tuple[float, float, float] = quantity(
+        "position of the payload in base_link", "m", -1.0, 1.0
+    )
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,9 @@ class TendonDamage:
     slack: tuple[float, float, float, float] = quantity(
         "slack beside the usual one; negative: shorter tendon", "m", -0.01, 0.1
     )
-    broken: tuple[bool, bool, bool, bool] = flag("broken: carries no tension")
+    broken: tuple[bool, bool, bool, bool] = flag(
+        "whether a tendon is broken and carries no tension"
+    )
 
 
 @dataclass(frozen=True)
@@ -112,8 +116,10 @@ class Jump:
     """A lasting displacement of the odometry, as a relocalisation makes one."""
 
     time: float = quantity("time", "s", 0.0, 1e6)
-    position: tuple[float, float, float] = quantity("displacement in odom", "m", -100.0, 100.0)
-    yaw: float = quantity("turn about the origin of odom", "rad", -3.15, 3.15)
+    position: tuple[float, float, float] = quantity(
+        "displacement of the odometry in odom", "m", -100.0, 100.0
+    )
+    yaw: float = quantity("turn of the odometry about the origin of odom", "rad", -3.15, 3.15)
 
 
 @dataclass(frozen=True)
@@ -122,16 +128,22 @@ class OdometrySettings:
 
     period: float = quantity("period of the readings", "s", 1e-3, 10.0)
     delay: float = quantity("delay from capture to publication", "s", 0.0, 1.0)
-    position_noise: float = quantity("standard deviation per axis", "m", 0.0, 1.0)
-    orientation_noise: float = quantity("standard deviation per axis", "rad", 0.0, 1.0)
-    velocity_noise: float = quantity("standard deviation per axis", "m/s", 0.0, 10.0)
-    rate_noise: float = quantity("standard deviation per axis", "rad/s", 0.0, 10.0)
+    position_noise: float = quantity("standard deviation of the position per axis", "m", 0.0, 1.0)
+    orientation_noise: float = quantity(
+        "standard deviation of the orientation per axis", "rad", 0.0, 1.0
+    )
+    velocity_noise: float = quantity(
+        "standard deviation of the velocity per axis", "m/s", 0.0, 10.0
+    )
+    rate_noise: float = quantity(
+        "standard deviation of the angular velocity per axis", "rad/s", 0.0, 10.0
+    )
     jitter: float = quantity("largest deviation of the delay", "s", 0.0, 1.0)
-    position_drift: float = quantity("random walk per axis", "m/sqrt(s)", 0.0, 1.0)
-    yaw_drift: float = quantity("random walk", "rad/sqrt(s)", 0.0, 1.0)
+    position_drift: float = quantity("random walk of the position per axis", "m/sqrt(s)", 0.0, 1.0)
+    yaw_drift: float = quantity("random walk of the yaw", "rad/sqrt(s)", 0.0, 1.0)
     loss: float = quantity("share of lost readings", "", 0.0, 1.0)
     dropouts: dict[str, Dropout] = text("times without odometry by name")
-    jumps: dict[str, Jump] = text("jumps by name")
+    jumps: dict[str, Jump] = text("jumps of the odometry by name")
 
 
 @dataclass(frozen=True)
@@ -154,9 +166,11 @@ class ImuSettings:
 
     enabled: bool = flag("whether the robot has an IMU")
     period: float = quantity("period of the readings", "s", 1e-4, 1.0)
-    rate_noise: float = quantity("gyroscope, standard deviation", "rad/s", 0.0, 10.0)
-    rate_bias: float = quantity("gyroscope, standard deviation of its bias", "rad/s", 0.0, 1.0)
-    acceleration_noise: float = quantity("accelerometer, standard deviation", "m/s^2", 0.0, 100.0)
+    rate_noise: float = quantity("standard deviation of the gyroscope", "rad/s", 0.0, 10.0)
+    rate_bias: float = quantity("standard deviation of the gyroscope's bias", "rad/s", 0.0, 1.0)
+    acceleration_noise: float = quantity(
+        "standard deviation of the accelerometer", "m/s^2", 0.0, 100.0
+    )
 
 
 @dataclass(frozen=True)

@@ -42,33 +42,50 @@ THETA, P, V, GYRO_BIAS, FORCE_BIAS = (slice(i, i + 3) for i in range(0, 15, 3))
 class OdometryNoise:
     """Period, noise and admissible range of the odometry."""
 
-    period: float = quantity("nominal", "s", 1e-3, 1)
+    period: float = quantity("nominal period of the odometry", "s", 1e-3, 1)
     position_noise: float = quantity("standard deviation of the position", "m", 1e-6, 1)
     angle_noise: float = quantity("standard deviation of the attitude", "rad", 1e-6, 1)
     velocity_noise: float = quantity("standard deviation of the velocity", "m/s", 1e-6, 10)
     rate_noise: float = quantity("standard deviation of the angular velocity", "rad/s", 1e-6, 10)
-    position_max: float = quantity("largest magnitude accepted, per axis", "m", 1, 1e6)
-    velocity_max: float = quantity("largest magnitude accepted, per axis", "m/s", 0.1, 100)
-    quaternion_tolerance: float = quantity("largest error of its norm", "", 1e-9, 0.1)
+    position_max: float = quantity("largest magnitude of a component that is accepted", "m", 1, 1e6)
+    velocity_max: float = quantity(
+        "largest magnitude of a component that is accepted", "m/s", 0.1, 100
+    )
+    quaternion_tolerance: float = quantity(
+        "largest deviation of a quaternion's norm from one", "", 1e-9, 0.1
+    )
 
 
 @dataclass(frozen=True)
 class ImuNoise:
     """Noise, biases and admissible range of the IMU."""
 
-    rate: float = quantity("nominal sample rate", "Hz", 10, 1e4)
-    gyro_noise: float = quantity("noise density", "rad/s/sqrt(Hz)", 1e-7, 1)
-    acceleration_noise: float = quantity("noise density", "m/s^2/sqrt(Hz)", 1e-7, 10)
-    gyro_bias: float = quantity("initial standard deviation", "rad/s", 0, 1)
-    acceleration_bias: float = quantity("the same, with the tilt of odom", "m/s^2", 0, 5)
-    gyro_drift: float = quantity("random walk of the bias", "rad/s/sqrt(s)", 0, 0.1)
-    acceleration_drift: float = quantity("random walk of the bias", "m/s^2/sqrt(s)", 0, 1)
+    rate: float = quantity("nominal sample rate of the IMU", "Hz", 10, 1e4)
+    gyro_noise: float = quantity("noise density of the gyroscope", "rad/s/sqrt(Hz)", 1e-7, 1)
+    acceleration_noise: float = quantity(
+        "noise density of the accelerometer", "m/s^2/sqrt(Hz)", 1e-7, 10
+    )
+    gyro_bias: float = quantity("initial standard deviation of the gyroscope's bias", "rad/s", 0, 1)
+    acceleration_bias: float = quantity(
+        "initial standard deviation of the accelerometer's bias, tilt of odom included",
+        "m/s^2",
+        0,
+        5,
+    )
+    gyro_drift: float = quantity("random walk of the gyroscope's bias", "rad/s/sqrt(s)", 0, 0.1)
+    acceleration_drift: float = quantity(
+        "random walk of the accelerometer's bias", "m/s^2/sqrt(s)", 0, 1
+    )
     angular_acceleration_step: float = quantity(
         "change between two samples, by impacts", "rad/s^2", 0, 1e4
     )
-    acceleration_step: float = quantity("change between two samples", "m/s^2", 0, 1e3)
-    gyro_max: float = quantity("largest magnitude accepted, per axis", "rad/s", 1, 100)
-    acceleration_max: float = quantity("largest magnitude accepted, per axis", "m/s^2", 10, 1e4)
+    acceleration_step: float = quantity(
+        "change of the acceleration between two samples", "m/s^2", 0, 1e3
+    )
+    gyro_max: float = quantity("largest magnitude of a component that is accepted", "rad/s", 1, 100)
+    acceleration_max: float = quantity(
+        "largest magnitude of a component that is accepted", "m/s^2", 10, 1e4
+    )
 
 
 @dataclass(frozen=True)
@@ -88,21 +105,35 @@ class OutlierSettings:
     """Outlier gate of the odometry, and when the filter restarts from rejected readings."""
 
     distance: float = quantity("largest Mahalanobis distance of angle, p, v", "sigma", 3, 1e3)
-    max_rejections: int = quantity("in a row; then restart if they agree", "", 2, 100)
-    agreement_distance: float = quantity("between readings, motion subtracted", "m", 1e-4, 1)
-    agreement_angle: float = quantity("between readings, motion subtracted", "rad", 1e-4, 1)
-    initial_readings: int = quantity("accepted in a row until valid", "", 1, 1000)
+    max_rejections: int = quantity(
+        "rejected readings in a row after which the filter restarts if they agree", "", 2, 100
+    )
+    agreement_distance: float = quantity(
+        "largest distance of readings that agree, motion subtracted", "m", 1e-4, 1
+    )
+    agreement_angle: float = quantity(
+        "largest angle of readings that agree, motion subtracted", "rad", 1e-4, 1
+    )
+    initial_readings: int = quantity(
+        "accepted readings in a row until an estimate is valid", "", 1, 1000
+    )
 
 
 @dataclass(frozen=True)
 class TimingSettings:
     """Waiting time for the IMU, and gaps after which the filter degrades or restarts."""
 
-    imu_wait: float = quantity("odometry newer by this ends the wait for the IMU", "s", 0, 1)
-    imu_gap: float = quantity("longest interval between samples", "s", 1e-3, 1)
-    odometry_gap: float = quantity("longest interval between accepted readings", "s", 0.02, 5)
-    odometry_wait: float = quantity("after a reading is due, the IMU ticks alone", "s", 0.02, 5)
-    command_delay: float = quantity("from the newest sample to the command's effect", "s", 0, 0.2)
+    imu_wait: float = quantity("a reading newer by this ends the wait for the IMU", "s", 0, 1)
+    imu_gap: float = quantity("longest interval between IMU samples that are used", "s", 1e-3, 1)
+    odometry_gap: float = quantity(
+        "longest interval between accepted readings; then the filter restarts", "s", 0.02, 5
+    )
+    odometry_wait: float = quantity(
+        "time after a reading was due from which the IMU alone gives estimates", "s", 0.02, 5
+    )
+    command_delay: float = quantity(
+        "time from the newest sample to the effect of its command", "s", 0, 0.2
+    )
     clock_jump: float = quantity(
         "a larger step back of the stamps resets the filter", "s", 0.01, 60
     )
@@ -112,9 +143,11 @@ class TimingSettings:
 class BufferSettings:
     """Lengths of the queues."""
 
-    imu: int = quantity("IMU samples", "", 4, 100_000)
-    odometry: int = quantity("readings waiting", "", 1, 1000)
-    estimates: int = quantity("estimates not yet polled; the oldest is dropped", "", 1, 10_000)
+    imu: int = quantity("largest number of IMU samples kept", "", 4, 100_000)
+    odometry: int = quantity("largest number of readings that wait", "", 1, 1000)
+    estimates: int = quantity(
+        "largest number of estimates not yet polled; the oldest is dropped", "", 1, 10_000
+    )
 
 
 @dataclass(frozen=True)
@@ -122,8 +155,12 @@ class Mount:
     """Where a sensor sits on the torso; its frame is base_link if it needs no transform."""
 
     frame: str = text("frame of the sensor")
-    position: tuple[float, float, float] = quantity("of its origin in base_link", "m", -1, 1)
-    rpy: tuple[float, float, float] = quantity("Rz(yaw) Ry(pitch) Rx(roll)", "rad", -3.15, 3.15)
+    position: tuple[float, float, float] = quantity(
+        "position of the sensor's origin in base_link", "m", -1, 1
+    )
+    rpy: tuple[float, float, float] = quantity(
+        "roll, pitch, yaw of the sensor in base_link", "rad", -3.15, 3.15
+    )
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ HALF_STRIDE_LATER = np.array([1.0, -1.0, -1.0, 1.0, 1.0])
 """Factors of m, c1, s1, c2, s2 that delay a series by half a stride."""
 SPEED_NAMES = ("v_x", "v_y", "yaw rate")
 ROUNDING = 1e-9  # m/s, rad/s
-SWAY = ("roll", "pitch", "height", "v_x", "v_y")
+TORSO_MOTION = ("roll", "pitch", "height", "v_x", "v_y")
 
 
 class HarmonicBasis(NamedTuple):
@@ -80,9 +80,9 @@ class Pattern:
 
     @cached_property
     def table(self) -> Array:
-        """Coefficients (13, 5): 4 tendon angles (rad), 4 normal forces, the sway of `SWAY`."""
-        sway = [getattr(self, name) for name in SWAY]
-        return np.vstack([np.radians(self.angle_deg), self.normal_force, sway])
+        """Coefficients (13, 5): 4 tendon angles (rad), 4 normal forces, TORSO_MOTION."""
+        motion = [getattr(self, name) for name in TORSO_MOTION]
+        return np.vstack([np.radians(self.angle_deg), self.normal_force, motion])
 
 
 @dataclass(frozen=True)
@@ -117,25 +117,27 @@ class Posture:
 
 @dataclass(frozen=True)
 class FeedbackSettings:
-    """Feedback once a stride: gains, bounds, and the effects of the knobs.
+    """Feedback once a stride: gains, bounds, and the effects of the corrections.
 
-    Knobs: changes of the velocities [v_x, v_y, yaw rate] (m/s, rad/s) that set the amplitudes;
-    offsets of the tendon angles (rad) common, left minus right, front minus rear (half the
-    difference each). Outputs: v_x, v_y, yaw rate, height (m), roll, pitch (rad), means over a
+    Corrections: changes of the velocities [v_x, v_y, yaw rate] (m/s, rad/s) that set the
+    amplitudes; offsets of the tendon angles (rad) common, left minus right, front minus rear (half
+    the difference each). Outputs: v_x, v_y, yaw rate, height (m), roll, pitch (rad), means over a
     stride.
     """
 
     gain: float = quantity("share of an error that one stride corrects; 0: no feedback", "", 0, 1)
-    position_gain: float = quantity("velocity per position error", "1/s", 0, 10)
-    heading_gain: float = quantity("yaw rate per heading error", "1/s", 0, 10)
+    position_gain: float = quantity("correcting velocity per error of the position", "1/s", 0, 10)
+    heading_gain: float = quantity("correcting yaw rate per error of the heading", "1/s", 0, 10)
     lead: float = quantity("largest distance of the reference from the robot", "m", 0, 1)
     heading_lead: float = quantity("largest angle of the reference from the robot", "rad", 0, 1)
-    velocity_max: Vector3 = quantity("largest change of v_x, v_y, yaw rate", "SI", 0, 1)
-    offset_max_deg: float = quantity("largest offset", "deg", 0, 40)
-    regularisation: float = quantity("weight of the knobs' change against the errors", "", 0, 10)
-    scale: tuple[float, ...] = quantity("size of an error of each output", "SI", 1e-6, 10)
+    velocity_max: Vector3 = quantity("largest correction of v_x, v_y, yaw rate", "SI", 0, 1)
+    offset_max_deg: float = quantity("largest offset of the tendon angles", "deg", 0, 40)
+    regularisation: float = quantity(
+        "weight of the corrections' change against the errors", "", 0, 10
+    )
+    scale: tuple[float, ...] = quantity("error of each output that counts as one", "SI", 1e-6, 10)
     effect: tuple[tuple[float, ...], ...] = quantity(
-        "change of each output (rows) per knob (columns)", "SI", -100, 100
+        "change of each output (rows) per correction (columns)", "SI", -100, 100
     )
 
 
@@ -153,7 +155,9 @@ class Stride:
     period: float = quantity("duration of a stride", "s", 0.1, 10.0)
     cruise: float = quantity("v_x if none is requested", "m/s", -1, 1)
     centre_deg: Four = quantity("tendon angle at rest", "deg", 0, 120)
-    range_deg: tuple[float, float] = quantity("clip of the tendon angle", "deg", 0, 120)
+    range_deg: tuple[float, float] = quantity(
+        "range to which tendon angles are clipped", "deg", 0, 120
+    )
     centre_force: float = quantity("normal force of a leg at rest", "N", 0, 50)
     height: float = quantity("height of base_link at rest", "m", 0.015, 0.12)
     height_range: tuple[float, float] = quantity("heights that can be commanded", "m", 0.015, 0.12)
@@ -178,7 +182,7 @@ class Stride:
         most = (1.0 - walking) * self.turn.speed + walking * steering
         return np.append(planar, np.clip(velocity[2], -most, most))
 
-    def course(self, phase: Array, velocity: Array, walking: float, offset: Array) -> Array:
+    def stride_table(self, phase: Array, velocity: Array, walking: float, offset: Array) -> Array:
         """Gait (n, 20) at phases (n,): 4 tendon angles (rad), 4 normal forces (N), 12 torso states.
 
         velocity: (3,) [v_x, v_y, yaw rate] that sets the amplitudes; walking: share of steering;
@@ -262,10 +266,16 @@ class GaitSettings:
     friction: float = quantity("friction coefficient assumed by the controller", "", 0, 2)
     contact_force: float = quantity("smallest normal force of a leg in stance", "N", 0, 10)
     transition: float = quantity("duration of a blend between gaits", "s", 0, 10)
-    acceleration: float = quantity("largest change of the velocity", "m/s^2", 1e-3, 10)
-    turn_acceleration: float = quantity("largest change of the yaw rate", "rad/s^2", 1e-3, 10)
-    lift_speed: float = quantity("largest change of a commanded height", "m/s", 1e-3, 1)
-    tilt_speed: float = quantity("largest change of commanded roll and pitch", "rad/s", 1e-3, 10)
+    acceleration: float = quantity(
+        "largest rate of change of the commanded velocity", "m/s^2", 1e-3, 10
+    )
+    turn_acceleration: float = quantity(
+        "largest rate of change of the commanded yaw rate", "rad/s^2", 1e-3, 10
+    )
+    lift_speed: float = quantity("largest rate of change of the commanded height", "m/s", 1e-3, 1)
+    tilt_speed: float = quantity(
+        "largest rate of change of commanded roll and pitch", "rad/s", 1e-3, 10
+    )
     tilt_max: float = quantity("largest commanded roll and pitch", "rad", 0, 0.5)
     velocity_timeout: float = quantity("age at which a velocity command expires", "s", 0.05, 10)
     stages: int = quantity("stages of the preview, at least the MPC's horizon", "", 1, 100)

@@ -254,8 +254,8 @@ class GaitScheduler:
 
     def _preview(self, stamp: int, state: Array) -> GaitPreview:
         times = self._settings.dt * np.arange(self._settings.stages, dtype=float)
-        course = self._blend(times)
-        angle, force, sway = np.split(course, [4, 8], axis=1)
+        table = self._blend(times)
+        angle, force, motion = np.split(table, [4, 8], axis=1)
         current = self._current
         heading, velocity = state[2], self._velocity
         if isinstance(current, _ActiveStride) and current.feedback.place is not None:
@@ -270,7 +270,7 @@ class GaitScheduler:
             friction=np.full(force.shape, self._settings.friction),
             normal_force=force,
             tendon_angle=angle,
-            reference=reference(state, float(heading), velocity, sway, times),
+            reference=reference(state, float(heading), velocity, motion, times),
             posture=self._at_rest(),
             command=GaitCommand(
                 self._requested, self._wanted.copy(), self._wanted_pose.copy(), self._followed
@@ -317,11 +317,13 @@ class GaitScheduler:
         ahead = times if advances else np.zeros_like(times)
         phase = np.mod(active.phase + ahead / gait.period, 1.0)
         walking = gait.walking(self._velocity)
-        course = gait.course(phase, self._velocity + feedback.velocity, walking, feedback.offset)
-        course[:, [13, 8, 9]] += self._pose - [gait.height, 0.0, 0.0]
+        table = gait.stride_table(
+            phase, self._velocity + feedback.velocity, walking, feedback.offset
+        )
+        table[:, [13, 8, 9]] += self._pose - [gait.height, 0.0, 0.0]
         if moving.min() == 1.0:
-            return course
-        return (1 - moving) * self._posture_course(times) + moving * course
+            return table
+        return (1 - moving) * self._posture_course(times) + moving * table
 
     def _posture_course(self, times: Array) -> Array:
         """Angles, normal forces and torso states (n, 20) of a posture; linear in the time ahead."""

@@ -8,21 +8,21 @@ from slot_core.geometry import rotate
 from slot_core.robot import Array
 
 
-def reference(state: Array, heading: float, velocity: Array, sway: Array, times: Array) -> Array:
+def reference(state: Array, heading: float, velocity: Array, motion: Array, times: Array) -> Array:
     """Reference (n, 12) [roll pitch yaw, p, omega, v] in odom at `times` (n,) s ahead.
 
     The torso starts at the position of `state` (12,) and moves with `velocity` [v_x, v_y, yaw rate]
-    (m/s, rad/s), expressed in the heading frame. The yaw starts at `heading` (rad). `sway` (n, 12)
-    of the gait, in the heading frame, is added. The state's yaw wraps at +-pi, so the reference yaw
+    (m/s, rad/s), expressed in the heading frame. The yaw starts at `heading` (rad). The gait's own
+    `motion` (n, 12), in the heading frame, is added. The state's yaw wraps at +-pi, so the reference yaw
     is shifted by the number of full turns that brings it nearest to the state's.
     """
     turns = np.round((state[2] - heading) / (2 * np.pi))
     yaw = heading + 2 * np.pi * turns + velocity[2] * times
-    rows = sway.copy()
+    rows = motion.copy()
     rows[:, 2] = yaw
-    rows[:, 6:8] = rotate(sway[:, 6:8], yaw)
+    rows[:, 6:8] = rotate(motion[:, 6:8], yaw)
     rows[:, 8] = velocity[2]
-    rows[:, 9:11] = rotate(sway[:, 9:11] + velocity[:2], yaw)
+    rows[:, 9:11] = rotate(motion[:, 9:11] + velocity[:2], yaw)
     rows[:, 3:5] = state[3:5] + rotate(velocity[:2], yaw) * times[:, None]
     return rows
 

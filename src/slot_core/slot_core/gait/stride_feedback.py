@@ -2,8 +2,8 @@
 
 The gait's angles alone do not reject disturbances: friction, payload, a slope or a wrong stiffness
 change speed, heading and height. At the end of every stride its means are compared with the
-commands. With the errors e (6,) and the effect J (6, 6) of the knobs (`FeedbackSettings`),
-identified on the simulated robot, the knobs k change by the solution of
+commands. With the errors e (6,) and the effect J (6, 6) of the corrections (`FeedbackSettings`),
+identified on the simulated robot, the corrections k change by the solution of
 
     min |S (J dk - gain e)|^2 + regularisation^2 |dk / k_max|^2,    |k + dk| <= k_max,
 
@@ -40,7 +40,7 @@ class Target:
 
 
 class StrideFeedback:
-    """Reference place and knobs of a stride."""
+    """Reference place and corrections of a stride."""
 
     def __init__(self, stride: Stride):
         """Start without corrections."""
@@ -50,7 +50,7 @@ class StrideFeedback:
         self._scale = np.array(self._settings.scale, dtype=float)
         offset = np.radians(self._settings.offset_max_deg)
         self._limit = np.array([*self._settings.velocity_max, offset, offset, offset])
-        self.knobs = np.zeros(6)
+        self.corrections = np.zeros(6)
         self.place: Array | None = None  # (3,) x, y (m), yaw (rad) of the reference, in odom
         self._rows: list[Array] = []  # stamp (s) and state (13,) of the ticks of this stride
         self._gap: list[Array] = []  # (3,) reference place minus the robot's, heading frame
@@ -58,15 +58,15 @@ class StrideFeedback:
     @property
     def offset(self) -> Array:
         """Offsets (4,) of the tendon angles, rad."""
-        return self.knobs[OFFSETS] @ OFFSET_SIGNS
+        return self.corrections[OFFSETS] @ OFFSET_SIGNS
 
     @property
     def velocity(self) -> Array:
         """Change (3,) of the velocity that sets the amplitudes."""
-        return self.knobs[VELOCITY]
+        return self.corrections[VELOCITY]
 
     def reset(self) -> None:
-        """Forget the stride so far and the reference place; the knobs stay."""
+        """Forget the stride so far and the reference place; the corrections stay."""
         self.place = None
         self.forget_stride()
 
@@ -105,15 +105,15 @@ class StrideFeedback:
         self._gap.append(np.append(gap, wrapped(self.place[2] - state[2])))
 
     def finish(self, target: Target) -> None:
-        """End a stride: correct the knobs by its means, if it has three ticks and is whole.
+        """End a stride: correct the corrections by its means, if it has three ticks and is whole.
 
         The target's posture holds the mean of the motion over a whole stride; a part of one has
         another.
         """
         rows, gaps = np.array(self._rows), np.array(self._gap)
         self._rows, self._gap = self._rows[-1:], self._gap[-1:]  # the next one starts there
-        is_whole = len(rows) >= 3 and rows[-1, 0] - rows[0, 0] >= self._shortest
-        if not is_whole or self._settings.gain == 0.0:
+        is_complete = len(rows) >= 3 and rows[-1, 0] - rows[0, 0] >= self._shortest
+        if not is_complete or self._settings.gain == 0.0:
             return
         error = self._error(rows, gaps.mean(axis=0), target)
         share = np.array([target.walking, target.walking, 1.0, 1.0, 1.0, 1.0])
@@ -129,12 +129,12 @@ class StrideFeedback:
         return np.concatenate([wanted - velocity, target.posture - posture])
 
     def _correct(self, error: Array, limit: Array) -> None:
-        """Solve for the change of the knobs within limits (6,); all in units of their limits."""
+        """Solve for the change of the corrections within limits (6,), in units of their limits."""
         s = self._settings
         matrix = np.vstack(
             [self._effect * limit / self._scale[:, None], s.regularisation * np.eye(6)]
         )
         wanted = np.concatenate([s.gain * error / self._scale, np.zeros(6)])
-        now = np.clip(self.knobs / limit, -1.0, 1.0)
+        now = np.clip(self.corrections / limit, -1.0, 1.0)
         change = lsq_linear(matrix, wanted, (-1.0 - now - 1e-9, 1.0 - now + 1e-9)).x
-        self.knobs = (now + change).clip(-1.0, 1.0) * limit
+        self.corrections = (now + change).clip(-1.0, 1.0) * limit

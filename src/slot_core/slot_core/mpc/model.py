@@ -48,8 +48,10 @@ class ModelOptions:
     """Options of the problem beside its weights and limits."""
 
     support: str = choice("whether the normal forces balance the weight", "free", "equality")
-    support_band: float = quantity("equality: largest imbalance", "N", 0, 100)
-    reference: str = choice("reference of the inputs", "gait", "zero")
+    support_band: float = quantity(
+        "largest imbalance of the normal forces, with support: equality", "N", 0, 100
+    )
+    reference: str = choice("reference of the forces", "gait", "zero")
 
 
 @dataclass(frozen=True)

@@ -73,26 +73,40 @@ DIAGONALS = np.array([1.0, -1.0, -1.0, 1.0])
 class PostureOptions:
     """Weights, limits, observer and dither of the problem on tendon angles."""
 
-    height: float = quantity("weight of the height", "1/m^2", 0, 1e9)
-    tilt: float = quantity("weight of roll and pitch", "1/rad^2", 0, 1e9)
-    angle: float = quantity("weight of the deviation from the balance", "1/rad^2", 1e-9, 1e9)
-    change: float = quantity("weight of the change from stage to stage", "1/rad^2", 0, 1e9)
+    height: float = quantity("weight of an error of the height", "1/m^2", 0, 1e9)
+    tilt: float = quantity("weight of errors of roll and pitch", "1/rad^2", 0, 1e9)
+    angle: float = quantity(
+        "weight of an angle's deviation from the one in balance", "1/rad^2", 1e-9, 1e9
+    )
+    change: float = quantity("weight of an angle's change from stage to stage", "1/rad^2", 0, 1e9)
     slack: float = quantity("weight of a negative normal force, 1/N and 1/N^2", "", 0, 1e9)
-    correction_max_deg: float = quantity("largest deviation from the gait", "deg", 0, 120)
+    correction_max_deg: float = quantity(
+        "largest deviation of a tendon angle from the gait", "deg", 0, 120
+    )
     settling: float = quantity("time constant of the torso on sliding feet", "s", 1e-3, 10)
     lag: float = quantity("time constant of the servo", "s", 1e-3, 1)
-    height_observer: float = quantity("time constant of the disturbance, force", "s", 0.01, 1e6)
-    tilt_observer: float = quantity("time constant of the disturbance, moments", "s", 0.01, 1e6)
-    motion: float = quantity("share of these in which motion is no disturbance", "", 0, 10)
-    force_disturbance: float = quantity("largest disturbance, force", "N", 0, 100)
-    moment_disturbance: float = quantity("largest disturbance, moments", "N m", 0, 10)
+    height_observer: float = quantity(
+        "time constant of the observer of the vertical force", "s", 0.01, 1e6
+    )
+    tilt_observer: float = quantity("time constant of the observer of the moments", "s", 0.01, 1e6)
+    motion: float = quantity(
+        "time constant of the rate feed-forward, as a share of the observer's", "", 0, 10
+    )
+    force_disturbance: float = quantity("largest disturbance force that is estimated", "N", 0, 100)
+    moment_disturbance: float = quantity(
+        "largest disturbance moment that is estimated", "N m", 0, 10
+    )
     height_tolerance: float = quantity("error of the height that is ignored", "m", 1e-6, 0.1)
     tilt_tolerance: float = quantity("error of roll and pitch that is ignored", "rad", 1e-6, 1)
-    dither_deg: float = quantity("largest dither", "deg", 0, 30)
-    dither_gain_deg: float = quantity("dither at an error of twice the tolerance", "deg", 0, 30)
-    dither_decay: float = quantity("time constant of the dither's end", "s", 1e-3, 10)
-    tolerance: float = quantity("absolute residual and duality gap", "", 1e-12, 1e-2)
-    iterations: int = quantity("largest number of iterations", "", 1, 10_000)
+    dither_deg: float = quantity("largest amplitude of the dither", "deg", 0, 30)
+    dither_gain_deg: float = quantity(
+        "amplitude of the dither at an error of twice the tolerance", "deg", 0, 30
+    )
+    dither_decay: float = quantity("time constant with which the dither decays", "s", 1e-3, 10)
+    tolerance: float = quantity(
+        "largest absolute residual and duality gap of a solution", "", 1e-12, 1e-2
+    )
+    iterations: int = quantity("largest number of iterations of the solver", "", 1, 10_000)
 
 
 class PostureProblem:

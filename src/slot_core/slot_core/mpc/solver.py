@@ -24,11 +24,15 @@ SOLVERS = {
 class MpcSolverSettings:
     """Choice of the solver and its termination criteria."""
 
-    name: str = choice("solver", *SOLVERS)
+    name: str = choice("solver of the problem on forces", *SOLVERS)
     backend: str = choice("PIQP's factorisation of the KKT system", "multistage", "ldlt")
-    tolerance_abs: float = quantity("absolute residual and duality gap", "", 1e-12, 1e-1)
-    tolerance_rel: float = quantity("relative residual and duality gap", "", 1e-12, 1e-1)
-    iterations: int = quantity("largest number of iterations", "", 1, 100000)
+    tolerance_abs: float = quantity(
+        "largest absolute residual and duality gap of a solution", "", 1e-12, 1e-1
+    )
+    tolerance_rel: float = quantity(
+        "largest relative residual and duality gap of a solution", "", 1e-12, 1e-1
+    )
+    iterations: int = quantity("largest number of iterations of the solver", "", 1, 100000)
 
 
 @dataclass(frozen=True)

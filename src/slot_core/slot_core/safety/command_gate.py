@@ -35,7 +35,7 @@ AT_REST.flags.writeable = False
 LONGEST = 0.1  # s that angles go on at the rate of a command
 
 
-def gone_on(angle: Array, rate: Array, age: float | Array) -> Array:
+def extrapolated(angle: Array, rate: Array, age: float | Array) -> Array:
     """Angles (..., 4), rad, that commands have reached at their rates (..., 4), rad/s, and ages, s.
 
     age: (...) or one for all; at most LONGEST counts.
@@ -127,7 +127,7 @@ class CommandGate:
     def _commanded(self, time: int) -> Array:
         """Angles (4,), rad, of the command at `time`."""
         age = to_seconds(time - self._accepted)
-        return np.clip(gone_on(self._target, self._target_rate, age), self._low, self._high)
+        return np.clip(extrapolated(self._target, self._target_rate, age), self._low, self._high)
 
     def _elapsed(self, time: int) -> float:
         """Seconds since the last step."""

@@ -20,7 +20,7 @@ from slot_core.dynamixel.state import JointReading
 from slot_core.faults import BROKEN, NAN, SLACK, Fault, legs_of, require_simulated_legs
 from slot_core.paper.paper_robot import PaperRobot
 from slot_core.robot import LEGS, Array, RobotParameters
-from slot_core.safety.command_gate import AT_REST, gone_on
+from slot_core.safety.command_gate import AT_REST, extrapolated
 from slot_core.safety.servo_health import ServoHealth
 from slot_core.simulation.kernel_robot import KernelRobot
 from slot_core.simulation.rod_robot import RodRobot
@@ -258,7 +258,7 @@ class Plant:
     def _commanded(self) -> Array:
         """Commanded tendon angles (4,), rad, now."""
         age = to_seconds(self.now - self._commanded_at)
-        angle = gone_on(self._command, self._rate, age)
+        angle = extrapolated(self._command, self._rate, age)
         return np.clip(angle, 0.0, self.simulator.robot.tendon.angle_max)
 
     def _advance_robot(self, steps: int) -> None:

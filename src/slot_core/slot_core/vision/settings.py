@@ -29,8 +29,8 @@ class Intrinsics:
 class Placement:
     """Position and attitude in a frame."""
 
-    position: tuple[float, float, float] = quantity("of the origin", "m", -100, 100)
-    rpy: tuple[float, float, float] = quantity("Rz(yaw) Ry(pitch) Rx(roll)", "rad", -3.15, 3.15)
+    position: tuple[float, float, float] = quantity("position of the origin", "m", -100, 100)
+    rpy: tuple[float, float, float] = quantity("roll, pitch, yaw of the axes", "rad", -3.15, 3.15)
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,11 @@ class BoardSettings:
     """A grid of square markers in one plane: x to the right, y up, z towards the viewer."""
 
     pose: Placement
-    frame: str = choice("frame that it is fixed in", ODOM_FRAME, BASE_FRAME)
-    columns: int = quantity("markers in a row", "", 1, 50)
-    rows: int = quantity("rows, the first at the top", "", 1, 50)
+    frame: str = choice("frame to which the object is fixed", ODOM_FRAME, BASE_FRAME)
+    columns: int = quantity("number of markers in a row", "", 1, 50)
+    rows: int = quantity("number of rows of markers", "", 1, 50)
     marker: float = quantity("edge of a marker", "m", 1e-3, 2.0)
-    gap: float = quantity("white between two markers, and around them", "m", 1e-4, 1.0)
+    gap: float = quantity("width of the white between two markers and around them", "m", 1e-4, 1.0)
     first_id: int = quantity("id at the top left; ids increase along the rows", "", 0, 1000)
 
     @property
@@ -57,7 +57,7 @@ class TrackedMarkers:
 
     torso: Placement
     size: float = quantity("edge of a marker", "m", 1e-3, 0.5)
-    stand_off: float = quantity("from the side of a leg to the markers on it", "m", 0, 0.1)
+    stand_off: float = quantity("distance from the side of a leg to the markers on it", "m", 0, 0.1)
     first_id: int = quantity(
         "id at the base of FL; then third, two_thirds, tip, those of FR RL RR, the torso",
         "",
@@ -85,7 +85,9 @@ class DetectionSettings:
     depth_noise: float = quantity(
         "standard deviation of a marker's depth in a depth picture, with its bias", "m", 1e-4, 1
     )
-    memory: float = quantity("time for which the last pose decides otherwise", "s", 0, 10)
+    memory: float = quantity(
+        "time for which the last pose decides between two solutions", "s", 0, 10
+    )
     acceleration: float = quantity(
         "of the torso, that a velocity by differences misses", "m/s^2", 0, 100
     )
@@ -98,8 +100,8 @@ class DetectionSettings:
 class ChessboardSettings:
     """The ChArUco board with which a camera is calibrated."""
 
-    columns: int = quantity("squares", "", 3, 50)
-    rows: int = quantity("squares", "", 3, 50)
+    columns: int = quantity("number of squares in a row of the chessboard", "", 3, 50)
+    rows: int = quantity("number of rows of squares of the chessboard", "", 3, 50)
     square: float = quantity("edge of a square", "m", 1e-3, 1.0)
     marker: float = quantity("edge of a marker in a square", "m", 1e-3, 1.0)
 
@@ -114,7 +116,7 @@ class VisionSettings:
     points: TrackedMarkers
     detection: DetectionSettings
     chessboard: ChessboardSettings
-    dictionary: str = text("of the markers, a name of cv2.aruco as DICT_4X4_100")
+    dictionary: str = text("dictionary of the markers, a name of cv2.aruco as DICT_4X4_100")
     carrier: str = choice("what the camera of the localiser stands on", *CARRIERS)
     boards: dict[str, BoardSettings] = text("boards by name")
 

@@ -28,7 +28,7 @@ from slot_core.recording.bag_writer import BagWriter, MessageType
 from slot_core.recording.message_types import Types, add_installed, types_inside
 from slot_core.recording.origin import Origin
 from slot_core.recording.record_settings import read_record_settings, root_of
-from slot_lab.bags.repair import is_whole, mended, read_origin
+from slot_lab.bags.repair import is_complete, read_origin, repaired
 
 __all__ = ["Bag", "BagError", "NoFieldError", "Series", "Stamps"]
 
@@ -191,10 +191,10 @@ class Bag:
 
     def _whole(self, file: Path) -> Path:
         """The file, or a mended copy if its recording did not end."""
-        if is_whole(file):
+        if is_complete(file):
             return file
         self._scratch = self._scratch or TemporaryDirectory()
-        return mended(file, Path(self._scratch.name, file.stem))
+        return repaired(file, Path(self._scratch.name, file.stem))
 
     def _find_origin(self) -> Origin:
         """Origin by the records of the first MCAP file, else by `custom_data` of metadata.yaml."""

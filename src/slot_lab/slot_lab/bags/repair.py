@@ -18,7 +18,7 @@ from slot_core.recording.record_settings import read_record_settings
 MAGIC = b"\x89MCAP0\r\n"  # at both ends of a whole file
 
 
-def is_whole(file: Path) -> bool:
+def is_complete(file: Path) -> bool:
     """Whether a file of a bag was finished; true of one that was never an MCAP or SQLite file."""
     if file.suffix == ".db3":
         return not _log(file).exists()
@@ -29,7 +29,7 @@ def is_whole(file: Path) -> bool:
         return stream.read() == MAGIC
 
 
-def mended(file: Path, directory: Path) -> Path:
+def repaired(file: Path, directory: Path) -> Path:
     """Whole copy of an unfinished file, in a new directory; raises OSError."""
     if file.suffix == ".db3":
         return _mended_database(file, directory)

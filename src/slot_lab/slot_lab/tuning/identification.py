@@ -1,4 +1,4 @@
-"""Identification of a stride on the simulated robot: steering, effect of the knobs, and tables."""
+"""Identification of a stride on the simulated robot: steering, effect of corrections, tables."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slot_core.gait.gait import SWAY, HarmonicBasis, Pattern, Steering, Stride
+from slot_core.gait.gait import TORSO_MOTION, HarmonicBasis, Pattern, Steering, Stride
 from slot_core.geometry import rotate
 from slot_core.robot import Array
 from slot_lab.tuning import symmetry
@@ -73,7 +73,7 @@ def find_steering(stride: Stride, settings: TuningSettings, run_all: RunAll) -> 
 
 
 def effect_of_knobs(stride: Stride, settings: TuningSettings, run_all: RunAll) -> Array:
-    """Effect (6, 6) of the knobs on the means over a stride, mean over the floors.
+    """Effect (6, 6) of the corrections on the means over a stride, mean over the floors.
 
     Central differences about the stride at `cruise`, with the offset constant at the value that
     holds the height there.
@@ -83,10 +83,10 @@ def effect_of_knobs(stride: Stride, settings: TuningSettings, run_all: RunAll) -
     offset_step = np.radians(settings.offset_step_deg)
     steps = np.array([*settings.velocity_step, *[offset_step] * 3])
     jobs = []
-    for knob in range(6):
+    for correction in range(6):
         for sign in (1.0, -1.0):
             change = np.zeros(6)
-            change[knob] = sign * steps[knob]
+            change[correction] = sign * steps[correction]
             v_x, v_y, turn = np.array(base) + change[:3]
             for mu, motion in zip(settings.friction, held):
                 common, side, front = np.array([motion.offset, 0.0, 0.0]) + change[3:]
@@ -120,13 +120,15 @@ def tabulate(stride: Stride, settings: TuningSettings, run_all: RunAll) -> dict[
         speed = float(np.mean([motion.means[n] for motion in part]))
         angle = np.array(getattr(stride, name).angle_deg)
         angle[:, 0] += np.degrees(np.mean([motion.offset for motion in part]))
-        sway: dict[str, Any] = {key: tuple(row.tolist()) for key, row in zip(SWAY, tables[4:])}
+        motion: dict[str, Any] = {
+            key: tuple(row.tolist()) for key, row in zip(TORSO_MOTION, tables[4:])
+        }
         found[name] = replace(
             getattr(stride, name),
             speed=speed,
             angle_deg=symmetry.rows(angle),
             normal_force=symmetry.rows(tables[:4]),
-            **sway,
+            **motion,
         )
     return found
 

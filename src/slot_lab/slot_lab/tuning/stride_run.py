@@ -33,7 +33,7 @@ TIME, X, Y, HEIGHT, ROLL, PITCH, YAW = range(7)  # columns of a track; s, m, rad
 
 @dataclass(frozen=True)
 class Job:
-    """A stride at constant knobs on a floor of equal friction."""
+    """A stride at constant corrections on a floor of equal friction."""
 
     stride: Stride
     friction: float
@@ -118,7 +118,7 @@ class _Run:
         phases = np.clip(np.arange(first, last) * dt / period - number, 0.0, 1.0 - 1e-12)
         legs = self._offset @ OFFSET_SIGNS
         stride, velocity = self._job.stride, np.array(self._job.velocity)
-        angles = stride.course(phases, velocity, stride.walking(velocity), legs)[:, :4]
+        angles = stride.stride_table(phases, velocity, stride.walking(velocity), legs)[:, :4]
         return list(zip(phases.tolist(), np.clip(angles, 0.0, self._angle_max)))
 
     def _sample(self, phase: float) -> list[float]:

@@ -17,7 +17,7 @@ from slot_core.gait.gait import (
     FRONT_REAR,
     HALF_STRIDE_LATER,
     LEFT_RIGHT,
-    SWAY,
+    TORSO_MOTION,
     FourHarmonics,
 )
 from slot_core.robot import Array
@@ -72,7 +72,7 @@ def numbers(kind: str, pattern: Array) -> Array:
 
 def symmetrised(name: str, table: Array) -> Array:
     """Table (9, 5) of normal forces and sway; terms that the symmetry excludes become zero."""
-    sign = np.array([-1.0 if key in REVERSED[name] else 1.0 for key in SWAY])[:, None]
+    sign = np.array([-1.0 if key in REVERSED[name] else 1.0 for key in TORSO_MOTION])[:, None]
     image = np.vstack([table[:4][EXCHANGED[name]], sign * table[4:]]) * HALF_STRIDE_LATER
     return np.asarray((table + image) / 2)
 
