@@ -187,7 +187,7 @@ def _camera(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _ports(hardware: str, port: str | None) -> dict[str, str | None]:
-    """Serial port that the driver opens, and that of the emulated servos (fake_bus only)."""
+    """Serial ports of the driver and of the emulated servos (fake_bus only)."""
     if hardware != "fake_bus":
         return {"driver_port": port, "emulated_port": None}
     link = port or str(Path(tempfile.gettempdir(), f"slot_bus_{os.getpid()}"))

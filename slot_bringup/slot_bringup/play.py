@@ -57,7 +57,7 @@ class Entry:
 def entries(bag: Bag, start: float) -> Iterator[Entry]:
     """Messages of PLAYED in the order of the bag, from `start` (s) after the first on.
 
-    The graph time is that of /clock in a bag of a graph in lockstep, else that of the bag.
+    The graph time is /clock in a bag of a graph in lockstep, else the time of the bag.
     """
     topics = [topic for topic in PLAYED if bag.counts.get(topic)]
     types, clock, first = message_types(), None, None

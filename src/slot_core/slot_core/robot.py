@@ -100,7 +100,7 @@ class Leg:
         return any(self.relaxation_share)
 
     def thickness(self, fraction: Array) -> Array:
-        """Thickness at arc lengths over that of the leg, m."""
+        """Thickness at shares of the leg's arc length, m."""
         return self.thickness_clamp + (self.thickness_tip - self.thickness_clamp) * fraction
 
     @cached_property
@@ -114,7 +114,9 @@ class Leg:
 class Tendon:
     """The tendon of a leg: from the spool through the clamp, at an offset below the centre line."""
 
-    end_fraction: float = quantity("arc length of the anchor over that of the leg", "", 0.1, 1.0)
+    end_fraction: float = quantity(
+        "arc length of the tendon's anchor as a share of the leg's", "", 0.1, 1.0
+    )
     offset: float = quantity("distance of the tendon below the leg's centre line", "m", 1e-3, 0.05)
     cable_stiffness: float = quantity("stiffness of the cable", "N/m", 1e3, 1e8)
     cable_damping: float = quantity("damping of the cable", "N s/m", 0, 1e3)

@@ -59,7 +59,7 @@ class Controller:
         if estimate is None:
             return None
         preview = self.scheduler.step(estimate.time, estimate.state)
-        preview = replace(preview, stamp=estimate.stamp)  # that of the tick
+        preview = replace(preview, stamp=estimate.stamp)  # of the tick
         plan = self.policy.step(estimate, preview)
         command = self.force_map.step(plan, preview, estimate.state)
         return Tick(estimate, preview, plan, command)

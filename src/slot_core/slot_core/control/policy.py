@@ -103,7 +103,7 @@ class Policy(Protocol):
     def read_settings(name: str) -> Any:
         """Frozen dataclass of `config.read`, whose values become parameters of the node.
 
-        name: that of the policy. Raises ConfigError.
+        name: the policy's. Raises ConfigError.
         """
         return NoSettings()
 

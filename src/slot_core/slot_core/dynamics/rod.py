@@ -76,7 +76,7 @@ class Sections(NamedTuple):
 def discretise(leg: Leg, nodes: int, anchor: float) -> Rod:
     """Discretise the leg, with equal steps of arc length on each side of its tendon's anchor.
 
-    anchor: arc length of the anchor over that of the leg.
+    anchor: arc length of the anchor as a share of the leg's.
     """
     arc, node = stations(nodes, anchor) * leg.arc_length(), np.zeros((nodes, 2))
     x = np.linspace(0.0, leg.reach, 4001)
@@ -136,7 +136,7 @@ def links(node: Array, arc: Array, extent: Array, hinge: Sections, middle: Secti
 
 
 def sections(leg: Leg, fraction: Array) -> Sections:
-    """Sections of the leg at arc lengths over that of the leg."""
+    """Sections of the leg at shares of its arc length."""
     width, thick = leg.width, leg.thickness(fraction)
     inner, outer = second_moment(width, thick), second_moment(thick, width)
     return Sections(

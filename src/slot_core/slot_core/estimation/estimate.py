@@ -24,7 +24,7 @@ class Validity(enum.IntEnum):
 class Estimate:
     """State of the torso for a control tick, predicted to the time when its command takes effect.
 
-    `stamp` names the tick: it is that of the odometry reading, or of the one that was due. The
+    `stamp` names the tick: the stamp of its odometry reading, or of the one that was due. The
     state is [roll pitch yaw, p, omega, v]: rad, m, rad/s, m/s, all in odom, with
     R = Rz(yaw) Ry(pitch) Rx(roll) and yaw in (-pi, pi].
     """

@@ -12,9 +12,9 @@ def reference(state: Array, heading: float, velocity: Array, motion: Array, time
     """Reference (n, 12) [roll pitch yaw, p, omega, v] in odom at `times` (n,) s ahead.
 
     The torso starts at the position of `state` (12,) and moves with `velocity` [v_x, v_y, yaw rate]
-    (m/s, rad/s), expressed in the heading frame. The yaw starts at `heading` (rad). The gait's own
-    `motion` (n, 12), in the heading frame, is added. The state's yaw wraps at +-pi, so the reference yaw
-    is shifted by the number of full turns that brings it nearest to the state's.
+    (m/s, rad/s), expressed in the heading frame. The yaw starts at `heading` (rad). `motion` (n,
+    12), the gait's own, in the heading frame, is added. The state's yaw wraps at +-pi, so the
+    reference yaw is shifted by the number of full turns that brings it nearest to the state's.
     """
     turns = np.round((state[2] - heading) / (2 * np.pi))
     yaw = heading + 2 * np.pi * turns + velocity[2] * times

@@ -67,7 +67,7 @@ class ForceProblem:
 
     @property
     def share(self) -> float:
-        """Estimated mass over that of the robot; scales the reference forces."""
+        """Estimated mass over the robot's nominal mass; scales the reference forces."""
         return self._disturbance.mass / self._mass
 
     def update(self, state: Array, preview: GaitPreview, ahead: Horizon) -> None:

@@ -133,7 +133,7 @@ def _as_they_arrived(recorded: RecordedStages, delay: int) -> Iterator[tuple[str
     initial = first is not None and first.validity is Validity.INITIALISING
     begin = first.stamp if first is not None and initial else BEFORE_ALL_TIMES
     imu = {decode.stamp(message) for topic, message in recorded.sensors if topic != ODOMETRY}
-    place: dict[int, int] = {}  # stamp of the odometry: that of the IMU sample before it
+    place: dict[int, int] = {}  # stamp of the odometry: stamp of the IMU sample before it
     for stamp, estimate in recorded.estimates.items():
         if estimate.validity != Validity.ODOMETRY_LOST and estimate.time - delay in imu:
             place[stamp] = estimate.time - delay

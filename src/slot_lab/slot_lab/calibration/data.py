@@ -17,7 +17,7 @@ Each kind has its own conditions; the other cells are empty:
                 `place`, m.
 
 `theta_deg` is the angle of the tendon's spool, `friction` the coefficient of the floor, `place` the
-arc length from the clamp over that of the leg (0 to 1), `sigma` the standard uncertainty of the
+share of the leg's arc length from the clamp (0 to 1), `sigma` the standard uncertainty of the
 value.
 """
 

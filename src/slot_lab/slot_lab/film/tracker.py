@@ -1,4 +1,4 @@
-"""Marker tracker: 3-D tracks of the markers on torso and legs, seen by a camera that stands still.
+"""Marker tracker: 3-D tracks of the markers on torso and legs, seen by a camera at rest.
 
 A point is the middle of its marker. Its place along the line of sight is that of the marker's pose
 or, with a depth picture, the mean of both by their variances. Where a board of `config/vision.yaml`

@@ -162,7 +162,7 @@ def _spline(angles: TendonAngles) -> CubicSpline:
 
 
 def _place(sim: SimulatedRobot, motion: TorsoTrack, begin: float) -> None:
-    """Move the robot to the recorded place and heading; the floor's height is that of the scene."""
+    """Move the robot to the recorded place and heading, at the height of the scene's floor."""
     k = int(np.searchsorted(motion.t, begin))
     turn = Rotation.from_euler("z", motion.rpy[k, 2] - sim.rpy[2])
     sim.state.rotation[:] = turn.as_matrix() @ sim.state.rotation

@@ -86,7 +86,7 @@ def find_strides(
 ) -> Strides:
     """The longest row of strides in which the tendons move, without the run-in.
 
-    period: of a stride, s; by default that of the recorded gait, else that of the tendon angles.
+    period: of a stride, s; by default the recorded gait's, else the tendon angles'.
     Raises ConfigError for fewer than LEAST_STRIDES.
     """
     begin, end = recorded.span

@@ -7,7 +7,7 @@ The rotation R and shift d minimise sum |R m_i + d - r_i|^2 over the samples of 
     level   turn about z, and d: both have z upwards
     none    nothing: both are in one frame
 
-What is free cannot be found wrong: with `rigid` neither place, nor heading, nor inclination.
+The alignment removes errors in what it fits: with `rigid` place, heading and inclination.
 """
 
 from __future__ import annotations
