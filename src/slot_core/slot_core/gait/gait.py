@@ -338,7 +338,7 @@ class GaitCommand:
 class GaitPreview:
     """Preview of contact, friction, angles and reference at the stages 0 .. n-1 of the horizon.
 
-    `stamp` is the stamp of the state; stage k is k dt after the time to which the state is predicted.
+    `stamp` is the state's; stage k is k dt after the time to which the state is predicted.
     Legs in the order FL FR RL RR, frame odom.
     """
 
