@@ -7,6 +7,7 @@ computation, and the result depends neither on the machine nor on what else runs
 
 import contextlib
 import copy
+import dataclasses
 import heapq
 import importlib
 import inspect
@@ -27,11 +28,12 @@ from rig import TOPICS, Rig
 from slot_bringup.graph import read_graph
 from slot_bringup.processes import command_line
 from slot_core.clock import SECOND
+from slot_core.dynamixel.brand import DYNAMIXEL
 from slot_core.dynamixel.driver import Driver
-from slot_core.dynamixel.errors import PortError
-from slot_core.dynamixel.session import ServoSession
-from slot_core.emulator.memory_port import MemoryPort
-from slot_core.robot import read_robot
+from slot_core.dynamixel.emulator import emulated_legs
+from slot_core.dynamixel.emulator.memory_port import MemoryPort
+from slot_core.servos import registry
+from slot_core.servos.servo_errors import PortError
 from slot_core.simulation import simulated_servos
 from slot_msgs.srv import InjectFault
 from slot_nodes import dynamixel_driver_node, mpc_controller_node, runtime, sim_robot_node
@@ -167,7 +169,7 @@ class Logger:
     debug = warning = error = fatal = info
 
 
-class Terminal:
+class StubTerminal:
     """Port of the emulated bus in the same process; replaces the pseudo-terminal."""
 
     in_use = False  # the driver is not run while the robot closes
@@ -188,13 +190,14 @@ class Port(MemoryPort):
     """Port of the driver, which is lost with the robot or its plug."""
 
     def __init__(self, rig, name, *arguments):
-        self._rig, self._name = rig, name
+        self._rig = rig
         super().__init__(None, *arguments)
+        self.port_name = name
 
     def open(self):
         self._bus = self._rig.emulated_bus()
-        if self._bus is None or not Path(self._name).exists():
-            raise PortError(f"{self._name}: no such port")
+        if self._bus is None or not Path(self.port_name).exists():
+            raise PortError(f"{self.port_name}: no such port")
         super().open()
 
     def writePort(self, packet):  # noqa: N802
@@ -272,7 +275,7 @@ class SimulatedRig(Rig):
         patch(runtime, "get_logger", lambda name: Logger(rig._logs[name.split(".")[0]]))
         ticks = itertools.count()
         clock = types.SimpleNamespace(
-            monotonic=rig._seconds,
+            monotonic=rig.seconds,
             monotonic_ns=rig.now,
             sleep=rig.sleep,
             perf_counter=lambda: next(ticks) * rig.solve_time,
@@ -284,13 +287,13 @@ class SimulatedRig(Rig):
             simulated_servos,
         ):
             patch(module, "time", clock)
-        patch(simulated_servos, "PseudoTerminal", Terminal)
-        patch(dynamixel_driver_node, "make_session", rig._make_session)
+        patch(emulated_legs, "PseudoTerminal", StubTerminal)
+        brand = dataclasses.replace(DYNAMIXEL, make_bus=rig._make_bus)
+        self._patch.setitem(registry.BRANDS, "dynamixel", lambda: brand)
 
-    def _make_session(self, settings, period):
-        port = Port(self, settings.bus.port, settings.bus.baud, self._seconds)
-        driver = Driver(port, settings, self._seconds)
-        return ServoSession(driver, read_robot().tendon.angle_max, period, self.sleep)
+    def _make_bus(self, settings):
+        port = Port(self, settings.bus.port, settings.bus.baud, self.seconds)
+        return Driver(port, settings, self.seconds)
 
     @staticmethod
     def _profile(profile):
@@ -303,7 +306,7 @@ class SimulatedRig(Rig):
     def now(self):
         return self._time
 
-    def _seconds(self):
+    def seconds(self):
         return self._time / SECOND
 
     def call_at(self, time, action):
@@ -445,7 +448,7 @@ class SimulatedRig(Rig):
         """The bus of the emulated servos; None without a robot."""
         if "sim_robot" not in self._nodes:
             return None
-        return self._nodes["sim_robot"][1]._plant.legs.bus
+        return self._nodes["sim_robot"][1]._plant.emulated.bus
 
     def registers(self, name):
         """A register of every servo."""

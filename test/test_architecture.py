@@ -46,10 +46,12 @@ CORE = {
     "recording": "",
     "drawing": "messages",
     "vision": "",
-    "dynamixel": "safety",
-    "emulator": "dynamics dynamixel",
-    "simulation": "dynamics legs paper estimation gait control safety vision dynamixel emulator",
+    "servos": "safety",
+    "dynamixel": "dynamics servos",
+    "simulation": "dynamics legs paper estimation gait control safety vision servos",
 }
+BRANDS = ("dynamixel",)  # of servos; only their registry imports them
+REGISTRY = "slot_core.servos.registry"
 LAB = {
     GROUND: "",
     "bags": "",
@@ -73,6 +75,8 @@ REPEATED = {
     "setup.py": "one in each ROS package",
     "conftest.py": "pytest fixtures of a folder",
     "__main__.py": "command of a package",
+    "brand.py": "what a brand of servos provides, and each brand",
+    "servo_bus.py": "the contract of a servo driver, and its example",
     "benchmark.py": "main function of each benchmark",
     "picture.py": "plots of each benchmark, and of a run",
     "cases.py": "cases of each benchmark",
@@ -157,8 +161,30 @@ def test_a_folder_imports_only_what_the_table_allows(package, table):
             seen.add(folder if path.name != "__init__.py" else name.split(".")[1])
             others = {room(n) for n in imports_of(path) & modules().keys()}
             inside = {other for which, other in others if which == package} - {folder, GROUND}
+            inside -= set(BRANDS) if name == REGISTRY else set()
             assert inside <= set(table[folder].split()), path
     assert seen == set(table)
+
+
+def test_only_the_registry_imports_a_brand_of_servos():
+    brands = tuple(f"slot_core.{brand}" for brand in BRANDS)
+    users = {
+        name
+        for name, path in modules().items()
+        if not name.startswith(brands) and any(n.startswith(brands) for n in imports_of(path))
+    }
+    assert users == {REGISTRY}
+
+
+def test_a_contract_is_at_most_50_lines():
+    lengths = {
+        node.name: node.end_lineno - node.lineno + 1
+        for path in modules().values()
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, ast.ClassDef) and "Protocol" in map(ast.unparse, node.bases)
+    }
+    assert {"Policy", "ServoBus"} < lengths.keys()
+    assert max(lengths.values()) <= 50, lengths
 
 
 def test_no_module_imports_itself_by_way_of_others():

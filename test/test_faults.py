@@ -10,11 +10,9 @@ from slot_core.config import ConfigError
 from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamixel.settings import read_settings
-from slot_core.emulator.emulated_bus import read_emulator
 from slot_core.faults import Fault
 from slot_core.robot import read_robot
-from slot_core.simulation.bus_plant import BusPlant
+from slot_core.servos.registry import read_brand
 from slot_core.simulation.plant import Plant
 
 START, MILLISECOND = 7_000_000_000, 1_000_000  # ns
@@ -30,9 +28,8 @@ def make(solver="standard", bus=False, tendons=None, **faults):
     changes = {"faults": faults, "start.settle": SETTLE} | (tendons or {})
     changes["solver"] = config.load(f"solver/{solver}")
     scene = config.replace(read_scene("flat"), changes)
-    more = {"settings": read_settings(), "emulator": read_emulator()} if bus else {}
-    kind = BusPlant if bus else Plant
-    return kind(read_robot(), scene, read_servo(), np.random.default_rng(0), **more)
+    emulate = read_brand().emulate if bus else None
+    return Plant(read_robot(), scene, read_servo(), np.random.default_rng(0), emulate)
 
 
 def advance(plant, milliseconds):
@@ -163,7 +160,7 @@ def test_an_invalid_fault_is_refused_by_name(change, message):
 def test_a_fault_of_the_bus_begins_and_ends_by_simulated_time():
     plant = make(bus=True, warm=planned("overheating", "RR", 0.010, 0.020, 90.0))
     plant.start(START)
-    servo = plant.legs.bus.servos[3]
+    servo = plant.emulated.bus.servos[3]
     hot = recorded(plant, 40, lambda: servo.forced_temperature == 90.0)
     assert np.flatnonzero(hot).tolist() == list(range(10, 30))
 
@@ -175,9 +172,9 @@ def test_a_robot_on_a_bus_supports_the_faults_of_its_legs_too():
     plant.inject(Fault("unplugged", "FL", 0, 0, 0))
     advance(plant, 2)
     assert plant.simulator.tension[0] == 0.0
-    assert plant.legs.bus.unplugged
+    assert plant.emulated.bus.unplugged
     plant.clear("unplugged", "FL")
-    assert not plant.legs.bus.unplugged
+    assert not plant.emulated.bus.unplugged
 
 
 def test_a_nan_in_a_rod_raises_divergence_and_its_state_can_be_saved_and_loaded(tmp_path):

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import ROOT, BenchmarkError, known, load, run
-from slot_core.command_line import Parser
+from slot_core.command_line import CommandParser
 
 CANNOT_RUN = 2  # exit code
 INTERRUPTED = 130  # exit code
@@ -74,7 +74,7 @@ def _add_options(parser: argparse.ArgumentParser, common: argparse.Namespace) ->
 
 
 def _parser(add_help: bool = True) -> argparse.ArgumentParser:
-    parser = Parser(
+    parser = CommandParser(
         prog="scripts/bench",
         description="Runs a benchmark and writes DIR/NAME.json.",
         epilog="NAME --help also names the options of that benchmark.",

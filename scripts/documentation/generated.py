@@ -19,8 +19,8 @@ from slot_core import config
 from slot_core.control.force_map import ForceMapSettings
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
+from slot_core.dynamixel.emulator.emulated_bus import read_emulator
 from slot_core.dynamixel.settings import read_settings
-from slot_core.emulator.emulated_bus import read_emulator
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.gait.gait import read_gaits
 from slot_core.legs.leg_map import LegMapSettings
@@ -29,6 +29,7 @@ from slot_core.paper.numbers import PaperSettings
 from slot_core.recording.record_settings import RecordSettings
 from slot_core.robot import read_robot
 from slot_core.safety.settings import read_supervisor
+from slot_core.servos.registry import read_servo_bus
 from slot_core.vision.settings import VisionSettings
 from slot_lab.calibration.experiments import ExperimentSettings
 from slot_lab.tuning.settings import TuningSettings
@@ -44,6 +45,7 @@ SETTINGS: dict[str, Callable[[], Any]] = {
     "mpc.yaml": read_mpc,
     "force_map.yaml": partial(config.read, ForceMapSettings, "force_map"),
     "supervisor.yaml": read_supervisor,
+    "servo_bus.yaml": read_servo_bus,
     "dynamixel.yaml": read_settings,
     "emulator.yaml": read_emulator,
     "vision.yaml": partial(config.read, VisionSettings, "vision"),

@@ -21,7 +21,7 @@ from slot_bringup.processes import Processes
 from slot_core.clock import to_seconds
 from slot_core.messages import decode
 from slot_core.robot import Array
-from slot_core.safety.command_gate import Action
+from slot_core.safety.commands import Action
 from slot_core.safety.states import RELEASED, State
 from slot_msgs.msg import MpcState, RobotState
 from slot_nodes import qos

@@ -36,12 +36,12 @@ from std_srvs.srv import Trigger
 from slot_bringup import operator_screen
 from slot_bringup.check import check_place
 from slot_bringup.monitor import ListenerExecutor, listener
-from slot_core.command_line import Parser
+from slot_core.command_line import CommandParser
 from slot_core.config import ConfigError
 from slot_core.messages import decode
 from slot_core.messages.decode import ACTION_NUMBERS
 from slot_core.robot import LEGS
-from slot_core.safety.command_gate import Action
+from slot_core.safety.commands import Action
 from slot_core.safety.states import State
 from slot_msgs.msg import RobotState, ServoHealth
 from slot_msgs.srv import InjectFault
@@ -272,7 +272,7 @@ def _act(options: argparse.Namespace) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
+    parser = CommandParser(
         prog="scripts/operate",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,

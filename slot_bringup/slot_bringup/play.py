@@ -22,7 +22,7 @@ from rosgraph_msgs.msg import Clock
 from slot_bringup.check import check_place
 from slot_bringup.monitor import listener
 from slot_core.clock import SECOND, to_seconds
-from slot_core.command_line import Parser, within
+from slot_core.command_line import CommandParser, within
 from slot_core.config import ConfigError
 from slot_core.messages import decode
 from slot_core.recording.message_types import Types, message_types
@@ -155,7 +155,7 @@ def message_class(kind: str) -> type:
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = Parser(prog="scripts/replay", description=__doc__)
+    parser = CommandParser(prog="scripts/replay", description=__doc__)
     parser.add_argument("--live", action="store_true", help="play into running nodes")
     add_bag_arguments(parser)
     parser.add_argument(

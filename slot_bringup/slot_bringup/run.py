@@ -18,7 +18,7 @@ from slot_bringup.interrupts import deferred, on_interrupt
 from slot_bringup.monitor import RunError, require_no_other_graph, watch
 from slot_bringup.processes import Processes, print_error
 from slot_bringup.view import ViewError, live_viewer, require_rerun
-from slot_core.command_line import Parser, within
+from slot_core.command_line import CommandParser, within
 from slot_core.config import ConfigError
 from slot_core.dynamics.servo import read_servo
 from slot_core.recording.record_settings import read_record_settings
@@ -30,7 +30,7 @@ from slot_lab.report.summary import summary_lines
 
 def parse(arguments: Sequence[str] | None, graph: Graph) -> argparse.Namespace:
     """Parse the command line; a wrong value exits with code 2 and one line."""
-    parser = Parser(prog="scripts/run", description=__doc__)
+    parser = CommandParser(prog="scripts/run", description=__doc__)
     for argument in graph.arguments:
         if argument.name == "bag":
             continue

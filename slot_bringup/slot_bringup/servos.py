@@ -1,210 +1,21 @@
-"""Servos on the bench: scan, inspect, set up, zero or emulate them.
-
-scan      list the servos that answer, with their baud rates
-info      print state of the four servos and differences from the configuration
-assign    set id and baud rate of the only servo on the line
-prepare   write the configuration into the servos' EEPROM
-zero      measure the servo angle at which a leg's tendon is relaxed (torque off)
-emulate   emulate the four servos on a pseudo-terminal, until interrupted
-"""
+"""Servos on the bench, without a running graph: the tools of the configured brand."""
 
 from __future__ import annotations
 
-import argparse
-import dataclasses
-import math
-import signal
 import sys
-import time
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 
-from slot_core import config
-from slot_core.command_line import Parser
 from slot_core.config import ConfigError
-from slot_core.dynamixel.bus import Bus
-from slot_core.dynamixel.checks import examine, expected
-from slot_core.dynamixel.errors import BaudRateError, RefusedError, ServoError
-from slot_core.dynamixel.homing import measure_zero, write_zero
-from slot_core.dynamixel.joints import Joint, joints
-from slot_core.dynamixel.port import SerialPort, check_latency
-from slot_core.dynamixel.settings import DynamixelSettings, read_settings
-from slot_core.dynamixel.table import BAUD_RATES, VOLTAGE_UNIT
-from slot_core.hardware_error import hardware_errors
-from slot_core.robot import LEGS
-
-PERIOD = 0.002  # s, between two steps of the emulated servos
-FAILED = 1  # exit code
+from slot_core.servos.registry import read_brand
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `scripts/servos`; returns the exit code."""
-    options = _parser().parse_args(arguments)
     try:
-        settings = read_settings()
-        changed = {k: v for k, v in (("port", options.port), ("baud", options.baud)) if v}
-        bus = dataclasses.replace(settings.bus, **changed)
-        return _ACTIONS[options.action](dataclasses.replace(settings, bus=bus), options)
-    except RefusedError as error:
-        print("\n".join(error.reasons), file=sys.stderr)
-    except (ServoError, ConfigError, ValueError, OSError) as error:
+        return read_brand().tools(arguments)
+    except ConfigError as error:
         print(f"scripts/servos: {error}", file=sys.stderr)
-    return FAILED
-
-
-def scan(settings: DynamixelSettings, options: argparse.Namespace) -> int:
-    """List the servos that answer, at every baud rate the port supports, fastest first."""
-    rates = [options.baud] if options.baud else sorted(BAUD_RATES, key=lambda b: -b)
-    found = 0
-    for baud in rates:
-        try:
-            bus = _open(settings, baud)
-        except BaudRateError:
-            continue
-        for identity, (model, firmware) in bus.scan().items():
-            print(f"{baud:>8} baud  id {identity:>3}  model {model}  firmware {firmware}")
-            found += 1
-        bus.port.close()
-    if not found:
-        print("no servo answered: check power, cable and port", file=sys.stderr)
-    return 0 if found else FAILED
-
-
-def info(settings: DynamixelSettings, options: argparse.Namespace) -> int:
-    """Print state of the four servos and differences from the configuration; exit code 0: none."""
-    bus, faulty = _open(settings), 0
-    for joint in joints(settings.joints):
-        found, reasons = examine(bus, settings, joint)
-        if found is not None:
-            print(f"{joint.name}: model {found.model}, firmware {found.firmware}")
-            print(f"  {_state(bus, joint)}")
-        for reason in reasons:
-            print(f"  {reason}")
-        faulty += bool(reasons)
-    return FAILED if faulty else 0
-
-
-def assign(settings: DynamixelSettings, options: argparse.Namespace) -> int:
-    """Set the id and optionally the baud rate of the only servo on the line."""
-    bus = _open(settings)
-    present = list(bus.scan())
-    if len(present) != 1:
-        raise RefusedError([f"{len(present)} servos on the line {present}, expected exactly one"])
-    bus.write_verified(present[0], "torque_enable", 0)
-    bus.write(present[0], "id", options.id)
-    if options.to_baud:
-        bus.write(options.id, "baud_rate", BAUD_RATES.index(options.to_baud))
-        bus.port.close()
-        bus = _open(settings, options.to_baud)
-    bus.ping(options.id)
-    print(f"id {options.id} at {options.to_baud or settings.bus.baud} baud")
-    return 0
-
-
-def prepare(settings: DynamixelSettings, options: argparse.Namespace) -> int:
-    """Write the configuration into the servos' EEPROM, where it differs; torque off."""
-    bus = _open(settings)
-    for joint in joints(settings.joints):
-        found, reasons = examine(bus, settings, joint)
-        if found is None:
-            raise RefusedError(reasons)
-        bus.write_verified(joint.id, "torque_enable", 0)
-        for name, value in expected(settings, joint).items():
-            if found.values[name] != value:
-                bus.write_verified(joint.id, name, value)
-                print(f"{joint.name}: {name} {found.values[name]} -> {value}")
-        _, remaining = examine(bus, settings, joint)
-        if remaining:
-            raise RefusedError(remaining)
-    return 0
-
-
-def zero(settings: DynamixelSettings, options: argparse.Namespace) -> int:
-    """Measure the zero of a leg at its present position; optionally write it."""
-    joint = joints(settings.joints)[LEGS.index(options.leg)]
-    angle = measure_zero(_open(settings), joint, time.sleep)
-    was = math.degrees(joint.zero)
-    print(f"{joint.name}: zero at {angle:.2f} deg, {was:.2f} deg before")
-    if options.write:
-        print(f"written to {write_zero(options.leg, angle)}; now run scripts/servos prepare")
-    return 0
-
-
-def emulate(settings: DynamixelSettings, options: argparse.Namespace) -> int:
-    """Emulate four configured servos with relaxed tendons on a pseudo-terminal."""
-    from slot_core.emulator.emulated_bus import read_emulator  # noqa: PLC0415 - compiles dynamics
-    from slot_core.emulator.pseudo_terminal import PseudoTerminal  # noqa: PLC0415
-    from slot_core.simulation.bus_legs import EmulatedLegs  # noqa: PLC0415
-
-    emulator = read_emulator()
-    if options.usb_latency is not None:
-        emulator = config.replace(emulator, {"usb_latency": options.usb_latency})
-    legs = EmulatedLegs(settings, emulator)
-    for end in (signal.SIGINT, signal.SIGTERM):  # a shell's `&` makes SIGINT ignored
-        signal.signal(end, signal.default_int_handler)
-    with PseudoTerminal(legs.bus, options.link) as terminal:
-        print(terminal.name, flush=True)
-        last = time.monotonic()
-        try:
-            while True:
-                time.sleep(PERIOD)
-                now = time.monotonic()
-                legs.advance(now - last)
-                last = now
-        except KeyboardInterrupt:
-            return 0
-
-
-def _state(bus: Bus, joint: Joint) -> str:
-    values = bus.read(joint.id, "torque_enable") | bus.read(joint.id, "hardware_error_status")
-    values |= bus.read(joint.id, "present_position", "present_temperature")
-    torque = "on" if values["torque_enable"] else "off"
-    return (
-        f"tendon {math.degrees(joint.tendon(values['present_position'])):.1f} deg, "
-        f"{values['present_input_voltage'] * VOLTAGE_UNIT:.1f} V, "
-        f"{values['present_temperature']} degC, torque {torque}, "
-        f"hardware errors: {hardware_errors(values['hardware_error_status'])}"
-    )
-
-
-def _open(settings: DynamixelSettings, baud: int | None = None) -> Bus:
-    check_latency(settings.bus.port, settings.bus.latency_limit)
-    port = SerialPort(settings.bus.port, baud or settings.bus.baud, settings.bus.timeout)
-    port.open()
-    return Bus(port, settings.bus, {joint.id: joint.name for joint in joints(settings.joints)})
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
-        prog="scripts/servos",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--port", help="serial port; default: of config/dynamixel.yaml")
-    parser.add_argument("--baud", type=int, help="baud rate; default: configured, scan: all")
-    actions = parser.add_subparsers(dest="action", required=True)
-    for name, action in _ACTIONS.items():
-        sub = actions.add_parser(name, help=(action.__doc__ or "").splitlines()[0])
-        if name == "assign":
-            sub.add_argument("id", type=int, choices=range(253), metavar="ID")
-            sub.add_argument("--to-baud", type=int, choices=BAUD_RATES, help="new baud rate")
-        if name == "zero":
-            sub.add_argument("leg", choices=LEGS)
-            sub.add_argument("--write", action="store_true", help="to config/dynamixel.yaml")
-        if name == "emulate":
-            sub.add_argument("--link", type=Path, help="symbolic link to the port")
-            sub.add_argument("--usb-latency", type=float, help="latency of the emulated adapter, s")
-    return parser
-
-
-_ACTIONS: dict[str, Callable[[DynamixelSettings, argparse.Namespace], int]] = {
-    "scan": scan,
-    "info": info,
-    "assign": assign,
-    "prepare": prepare,
-    "zero": zero,
-    "emulate": emulate,
-}
+        return 1
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from slot_bringup.check import check_place
 from slot_bringup.graph import TIED
 from slot_bringup.monitor import listener
 from slot_bringup.rerun_viewer import Viewer, ViewerError
-from slot_core.command_line import Parser
+from slot_core.command_line import CommandParser
 from slot_core.config import ConfigError
 from slot_core.recording.bag_error import BagError
 from slot_core.recording.record_settings import read_record_settings
@@ -43,7 +43,7 @@ class ViewError(RuntimeError):
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Parse the command line; a wrong value exits with code 2 and one line."""
-    parser = Parser(prog="scripts/view", description=__doc__)
+    parser = CommandParser(prog="scripts/view", description=__doc__)
     parser.add_argument(
         "bag", nargs="?", type=Path, help="directory of a bag (default: the newest in bags/)"
     )

@@ -11,12 +11,12 @@ import pytest
 from slot_bringup.servos import main
 from slot_core import config
 from slot_core.config import ConfigError
+from slot_core.dynamixel.emulator.emulated_bus import read_emulator
+from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
+from slot_core.dynamixel.emulator.pseudo_terminal import PseudoTerminal
 from slot_core.dynamixel.homing import write_zero
 from slot_core.dynamixel.port import UDEV_RULE
 from slot_core.dynamixel.settings import read_settings
-from slot_core.emulator.emulated_bus import read_emulator
-from slot_core.emulator.pseudo_terminal import PseudoTerminal
-from slot_core.simulation.bus_legs import EmulatedLegs
 
 PATIENT = 0.1  # s, answer timeout on a busy machine
 
@@ -34,7 +34,7 @@ def dynamixel_yaml(tmp_path, monkeypatch):
 
 @pytest.fixture
 def legs(dynamixel_yaml):
-    return EmulatedLegs(read_settings(), read_emulator(), (0.1, 0.0, 0.0, 0.0))
+    return EmulatedDynamixels(read_settings(), read_emulator(), (0.1, 0.0, 0.0, 0.0))
 
 
 @pytest.fixture

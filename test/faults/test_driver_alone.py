@@ -11,7 +11,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from stub_supervisor import DRIVER, powered, start_driver
 
-from slot_core.safety.command_gate import Action
+from slot_core.safety.commands import Action
 
 pytestmark = pytest.mark.real_time
 
@@ -22,7 +22,7 @@ BROKEN_DRIVER = """
 from slot_nodes import diagnostics, dynamixel_driver_node
 original = diagnostics.to_msg
 def to_msg(stamp, session, *rest):
-    return original(stamp // (not session.driver.active), session, *rest)
+    return original(stamp // (not session.bus.active), session, *rest)
 diagnostics.to_msg = to_msg
 dynamixel_driver_node.main()
 """

@@ -5,20 +5,22 @@ import types
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from slot_core.dynamixel.session import BusPace
-from slot_core.dynamixel.state import Health
 from slot_core.robot import LEGS
-from slot_core.safety.command_gate import Action
+from slot_core.safety.commands import Action
+from slot_core.servos.servo_state import ServoStatus
+from slot_core.servos.session import BusPace
 from slot_nodes import diagnostics
 
 
 @pytest.mark.parametrize("silent", LEGS)
 def test_a_silent_servo_is_an_error_of_that_servo_alone(silent):
-    health = [Health(leg, 1) for leg in LEGS]  # all with one id
+    health = [ServoStatus(leg, 1) for leg in LEGS]  # all with one id
     session = types.SimpleNamespace(
-        driver=types.SimpleNamespace(health=health, active=False),
+        bus=types.SimpleNamespace(
+            health=health, active=False, facts=types.SimpleNamespace(brand="")
+        ),
+        watchdog=types.SimpleNamespace(overdue=False),
         silent=lambda: {silent: "the line of its silence"},
-        overdue=False,
         reason="",
         action=Action.PASS,
     )

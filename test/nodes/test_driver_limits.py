@@ -7,7 +7,7 @@ from stub_supervisor import DRIVER
 
 from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.messages import decode
-from slot_core.safety.command_gate import Action
+from slot_core.safety.commands import Action
 from slot_msgs.msg import RobotState
 
 LATE = 0.02  # s, from a limit to the reaction: two bus cycles

@@ -7,7 +7,7 @@ from std_srvs.srv import SetBool, Trigger
 from stub_supervisor import DRIVER, powered, start_driver
 
 from slot_core.dynamixel.table import RAD_PER_COUNT
-from slot_core.safety.command_gate import Action
+from slot_core.safety.commands import Action
 
 PULLED = 1.5  # rad
 

@@ -5,11 +5,11 @@ import types
 import numpy as np
 
 from slot_core.clock import SECOND
-from slot_core.safety.command_gate import Action
-from slot_core.safety.servo_health import healthy_servos
-from slot_nodes import health_report, runtime
+from slot_core.safety.commands import Action
+from slot_core.safety.servo_health import ServoHealth
+from slot_nodes import health_publisher, runtime
 
-PERIOD = round(health_report.PERIOD * SECOND)  # ns
+PERIOD = round(health_publisher.PERIOD * SECOND)  # ns
 
 
 class Servos:
@@ -21,14 +21,14 @@ class Servos:
 
     def health(self, stamp):
         self.built += 1
-        return healthy_servos(self.urgent[0], "", True, np.zeros(4))
+        return ServoHealth(self.urgent[0], "", np.ones(4, dtype=bool), np.zeros(4))
 
 
 def test_a_report_is_built_only_when_it_is_published(monkeypatch):
     published = []
     publisher = types.SimpleNamespace(publish=published.append)
     monkeypatch.setattr(runtime, "publisher", lambda *_: publisher)
-    report = health_report.HealthReport(None)
+    report = health_publisher.HealthPublisher(None)
     servos, start = Servos(), 10 * PERIOD
     report.publish(start, servos)
     for later in range(2_000_000, PERIOD, 2_000_000):

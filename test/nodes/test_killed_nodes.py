@@ -8,7 +8,7 @@ import pytest
 from rig import TICK
 
 from slot_core.messages import decode
-from slot_core.safety.command_gate import Action
+from slot_core.safety.commands import Action
 from slot_core.safety.states import State
 
 STEP = 0.021  # s, between two steps of the supervisor, with the latency of a message

@@ -1,7 +1,7 @@
 """Start-up without an operator: each request once, and none after a fault."""
 
 import pytest
-from supervised import Bench, state
+from supervisor_bench import SupervisorBench, state
 
 from slot_core.safety.start_up import StartUp
 from slot_core.safety.states import State
@@ -24,13 +24,13 @@ def run(bench, start_up, seconds):
     ],
 )
 def test_start_up_reaches_the_state_of_its_last_request(steps, goal):
-    bench = Bench()
+    bench = SupervisorBench()
     assert run(bench, StartUp(*steps), 2.0) is goal
     assert all("by the start-up" in r.reason for r in bench.reports if r.state is goal and steps)
 
 
 def test_start_up_repeats_a_refused_request_and_returns_the_reason():
-    bench, start_up = Bench(), StartUp(Request.READY)
+    bench, start_up = SupervisorBench(), StartUp(Request.READY)
     bench.silent.add("servos")
     assert run(bench, start_up, 1.0) is State.IDLE
     assert "READY refused in IDLE: servo FL silent" in start_up.request_next(
@@ -41,14 +41,14 @@ def test_start_up_repeats_a_refused_request_and_returns_the_reason():
 
 
 def test_start_up_makes_no_request_after_the_operators_relax():
-    bench, start_up = Bench(), StartUp(Request.READY, Request.STAND, Request.WALK)
+    bench, start_up = SupervisorBench(), StartUp(Request.READY, Request.STAND, Request.WALK)
     run(bench, start_up, 2.0)
     bench.request(Request.RELAX)
     assert run(bench, start_up, 3.0) is State.IDLE
 
 
 def test_start_up_makes_no_request_after_a_fault():
-    bench, start_up = Bench(), StartUp(Request.READY, Request.STAND, Request.WALK)
+    bench, start_up = SupervisorBench(), StartUp(Request.READY, Request.STAND, Request.WALK)
     bench.silent.add("command")  # STAND is refused without commands
     assert run(bench, start_up, 1.0) is State.READY
     bench.state = state(roll=1.0)

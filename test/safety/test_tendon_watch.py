@@ -5,7 +5,9 @@ import math
 
 import numpy as np
 import pytest
-from supervised import HEIGHT, LOAD, ROBOT, DelayedLoop
+from faulty_loop import BEGIN, FaultyLoop
+from real_graph import changed_config
+from supervisor_bench import HEIGHT, LOAD, ROBOT
 
 from slot_core.gait.gait import read_gaits
 from slot_core.legs.leg_map import StaticLeg
@@ -145,71 +147,56 @@ def test_readings_of_a_stride_with_late_data_raise_no_alarm():
     assert state.damaged.all()
 
 
+PATIENT = {
+    "timing.command_hold": 0.5, "estimate.coast_cycles": 30, "estimate.silence": 1.0,
+}  # fmt: skip
+
+
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_walk_with_late_commands_raises_no_alarm(seed):
-    """Without `age_max` the slack inferred here reaches 1.5 and 1.7 mm: HOLD, then overload."""
-    delays = LateInOrder(seed)
-    patient = {"timing.command_hold": 0.5, "estimate.coast_cycles": 30, "estimate.silence": 1.0}
-    loop = DelayedLoop("flat", seed, delays, **patient)
-    for k, (_, report) in enumerate(loop.ticks(10.0)):
-        if k == 60:
-            loop.walk()
-        if k > 80:
-            assert report.state is State.WALKING, report.reason
-    assert delays.largest > 2 * LIMITS.age_max
+def test_a_walk_with_late_commands_raises_no_alarm(seed, tmp_path, monkeypatch):
+    """Three of ten ticks of the controller are late, by up to 0.2 s; none overtakes another."""
+    config = changed_config(tmp_path, {"supervisor": PATIENT})
+    monkeypatch.setenv("SLOT_CONFIG", str(config))
+    loop, rng, last, delays = FaultyLoop(seed=seed), np.random.default_rng(seed), 0.0, []
+    list(loop.run(BEGIN))
 
+    def delay():
+        nonlocal last
+        now = loop.plant.now * 1e-9
+        late = rng.uniform(0.0, 0.2) if rng.random() < 0.3 else 0.005
+        last = max(now + late, last + 1e-3)
+        delays.append(last - now)
+        return delays[-1]
 
-class LateInOrder:
-    """Delays of three of ten commands, up to 0.2 s; none overtakes another."""
-
-    def __init__(self, seed):
-        self._rng = np.random.default_rng(seed)
-        self._last = self.largest = 0.0
-
-    def __call__(self, tick):
-        if tick <= 80:  # the robot stands up and begins to walk
-            return 0.0
-        sent = tick * 0.033
-        late = self._rng.uniform(0.0, 0.2) if self._rng.random() < 0.3 else 0.005
-        self._last = max(sent + late, self._last + 1e-3)
-        self.largest = max(self.largest, self._last - sent)
-        return self._last - sent
+    loop.delay = delay
+    for report in loop.run(8.0):
+        assert report.state is State.WALKING, report.reason
+    assert max(delays) > 2 * LIMITS.age_max
 
 
 @pytest.mark.parametrize("scene", ["flat", "slippery", "split", "uneven", "payload", "push"])
 def test_commands_of_an_undamaged_walk_pass_unchanged_without_an_alarm(scene):
     """The push is at 5 s. Largest slack inferred in 22 s: 0.57 mm, and 0.66 mm at 20 deg."""
-    loop = DelayedLoop(scene)
-    for k, (tick, report) in enumerate(loop.ticks(8.0)):
-        if k == 60:
-            loop.walk()
-        if k > 80:  # half a second after its start
-            assert report.state is State.WALKING
-            assert report.warnings == ()
-            assert np.array_equal(report.command.angle, tick.command.angle)
+    loop = FaultyLoop(scene=scene)
+    list(loop.run(BEGIN))
+    for report in loop.run(7.0):
+        assert (report.state, report.warnings) == (State.WALKING, ())
+        assert not loop.servos.report().health.slewed.any()
     assert np.nanmax(report.slack) < 0.75 * LIMITS.slack_max
 
 
 @pytest.mark.parametrize(
-    ("leg", "fault", "limit"),
+    ("leg", "kind", "value", "limit"),
     [
-        (0, {"slack": 3e-3}, 0.8),
-        (3, {"slack": 3e-3}, 0.8),
-        (1, {"broken": True}, 0.4),
-        (2, {"broken": True}, 0.4),
+        ("FL", "tendon_slack", 3e-3, 0.8),
+        ("RR", "tendon_slack", 3e-3, 0.8),
+        ("FR", "tendon_broken", 0.0, 0.4),
+        ("RL", "tendon_broken", 0.0, 0.4),
     ],
-    ids=["FL slack", "RR slack", "FR broken", "RL broken"],
 )
-def test_a_tendon_damaged_while_walking_stops_the_gait_within_a_stride(leg, fault, limit):
-    """Measured: 0.37 to 0.66 s for 3 mm of slack, 0.15 to 0.29 s for a broken tendon."""
-    loop = DelayedLoop("flat")
-    for k, (_, report) in enumerate(loop.ticks(4.0 + limit)):
-        if k == 60:
-            loop.walk()
-        if k == 121:
-            assert report.state is State.WALKING
-            loop.plant.simulator.damage_tendon(leg, **fault)
-    held = [(time, r) for time, r in loop.reports if r.state is State.HOLD]
-    assert held, dataclasses.astuple(report)
-    assert held[0][0] - 121 * 0.033 <= limit
-    assert held[0][1].reason.startswith(f"slack or broken tendon {LEGS[leg]} (")
+def test_a_tendon_damaged_while_walking_stops_the_gait_within_a_stride(leg, kind, value, limit):
+    """Measured: 0.28 to 0.62 s for 3 mm of slack, 0.16 to 0.24 s for a broken tendon."""
+    loop = FaultyLoop()
+    loop.react(lambda loop: loop.inject(kind, value, leg), "HOLD", limit, begin=3.0)
+    assert loop.first["HOLD"] <= limit
+    assert loop.reasons["HOLD"].startswith(f"slack or broken tendon {leg} (")

@@ -7,24 +7,20 @@ from slot_core import config
 from slot_core.clock import LOCKSTEP_START, SECOND
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamixel.driver import Driver
-from slot_core.dynamixel.settings import read_settings
-from slot_core.dynamixel.state import JointReading
-from slot_core.emulator.emulated_bus import read_emulator
-from slot_core.emulator.memory_port import MemoryPort
+from slot_core.joint_reading import JointReading
 from slot_core.robot import read_robot
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.supervisor import PERIOD as SUPERVISOR
-from slot_core.simulation.bus_plant import BusPlant
+from slot_core.servos.registry import read_brand
 from slot_core.simulation.clocks import (
     PATIENCE,
     BusClock,
     LockstepClock,
     RealTimeClock,
 )
-from slot_core.simulation.plant import Plant, ServoReport
+from slot_core.simulation.plant import Plant, StampedHealth
 from slot_core.simulation.sensors import ImuReading, OdometryReading
-from slot_core.simulation.stepped_servos import SteppedServos
+from slot_core.simulation.simulated_servos import DirectServos
 
 SCENE = config.replace(read_scene("map"), {"start.settle": 0.1})
 PERIOD = round(SCENE.sensors.odometry.period * SECOND)  # ns
@@ -42,8 +38,8 @@ def plant():
 @pytest.fixture
 def lockstep(plant):
     """Lockstep clock; the first command and the supervisor's first state have been received."""
-    servos = SteppedServos(plant)
-    servos.set_limits(read_supervisor().servo_limits)
+    servos = DirectServos(plant, lockstep=True)
+    servos.watchdog.set_limits(read_supervisor().servo_limits)
     clock = LockstepClock(plant, servos)
     assert [type(r) for r in clock.at_rest()] == [ImuReading, JointReading, OdometryReading]
     (report,) = clock.advance_on_answer(OdometryReading, LOCKSTEP_START)
@@ -61,23 +57,23 @@ def real_time(plant):
 
 
 def test_lockstep_advances_from_one_reading_that_is_answered_to_the_next(plant, lockstep):
-    kind, stamp, answered = ServoReport, LOCKSTEP_START, []
+    kind, stamp, answered = StampedHealth, LOCKSTEP_START, []
     for _ in range(40):
         *others, reading = lockstep.advance_on_answer(kind, stamp)
-        assert not any(isinstance(r, (OdometryReading, ServoReport)) for r in others)
+        assert not any(isinstance(r, (OdometryReading, StampedHealth)) for r in others)
         kind, stamp = type(reading), reading.stamp
         assert plant.now == stamp + (DELAY if kind is OdometryReading else 0)
         answered.append((kind, stamp - LOCKSTEP_START))
-    for kind, period in ((OdometryReading, PERIOD), (ServoReport, round(SUPERVISOR * SECOND))):
+    for kind, period in ((OdometryReading, PERIOD), (StampedHealth, round(SUPERVISOR * SECOND))):
         times = [time for k, time in answered if k is kind]
         assert times == [period * n for n in range(1, len(times) + 1)]
         assert len(times) > 10
 
 
-@pytest.mark.parametrize("kind", [OdometryReading, ServoReport])
+@pytest.mark.parametrize("kind", [OdometryReading, StampedHealth])
 @pytest.mark.parametrize("offset", [-PERIOD, -1, 0, 1, PERIOD])
 def test_lockstep_advances_on_no_other_answer(plant, lockstep, kind, offset):
-    reading = list(lockstep.advance_on_answer(ServoReport, LOCKSTEP_START))[-1]
+    reading = list(lockstep.advance_on_answer(StampedHealth, LOCKSTEP_START))[-1]
     before = plant.now
     if (kind, offset) != (type(reading), 0):
         assert list(lockstep.advance_on_answer(kind, reading.stamp + offset)) == []
@@ -85,9 +81,9 @@ def test_lockstep_advances_on_no_other_answer(plant, lockstep, kind, offset):
 
 
 def test_lockstep_takes_an_answer_once(plant, lockstep):
-    list(lockstep.advance_on_answer(ServoReport, LOCKSTEP_START))
+    list(lockstep.advance_on_answer(StampedHealth, LOCKSTEP_START))
     before = plant.now
-    assert list(lockstep.advance_on_answer(ServoReport, LOCKSTEP_START)) == []
+    assert list(lockstep.advance_on_answer(StampedHealth, LOCKSTEP_START)) == []
     assert plant.now == before
 
 
@@ -127,18 +123,14 @@ class LateDriver:
     """A driver with a bus cycle every 10 ms of real time, and a robot whose clock follows it."""
 
     def __init__(self):
-        settings = read_settings()
-        self.plant = BusPlant(
-            read_robot(), SCENE, read_servo(), np.random.default_rng(0),
-            settings=settings, emulator=read_emulator(),
-        )  # fmt: skip
+        rng = np.random.default_rng(0)
+        self.plant = Plant(read_robot(), SCENE, read_servo(), rng, read_brand().emulate)
         self.now = NOW
-        port = MemoryPort(self.plant.legs.bus, settings.bus.baud, lambda: self.now / SECOND)
-        self.driver = Driver(port, settings, lambda: self.now / SECOND)
+        self.driver = self.plant.emulated.connect(lambda: self.now / SECOND)
         self.driver.configure()
         self.driver.activate()
-        self.watchdog = round(settings.servo.watchdog * SECOND)  # ns
-        self.clock = BusClock(self.plant, PORTION)
+        self.watchdog = round(self.driver.facts.watchdog * SECOND)  # ns
+        self.clock = BusClock(self.plant, self.plant.emulated, PORTION)
         self.clock.start(NOW)
 
     def run(self, seconds, cycles=True):
@@ -151,7 +143,7 @@ class LateDriver:
 
     def tripped(self):
         """Servos that their bus watchdog has stopped."""
-        return sum(s.memory["bus_watchdog"] < 0 for s in self.plant.legs.bus.servos)
+        return sum(s.memory["bus_watchdog"] < 0 for s in self.plant.emulated.bus.servos)
 
 
 @pytest.mark.parametrize("late", [0.15, 0.3, 0.45])

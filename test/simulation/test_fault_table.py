@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from faulty_loop import ANGLE_MAX, FaultyLoop
 
-from slot_core.dynamixel.errors import RefusedError
 from slot_core.dynamixel.settings import read_settings
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.faults import Fault
@@ -19,8 +18,9 @@ from slot_core.mpc.settings import read_mpc
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import State
 from slot_core.safety.supervisor import PERIOD
+from slot_core.servos.servo_errors import RefusedError
 from slot_core.simulation import supervised_loop
-from slot_core.simulation.stepped_servos import CYCLE
+from slot_core.simulation.plant import CYCLE
 
 PAGE = Path(__file__).parents[2] / "slot_bringup" / "doc" / "safety.md"
 SETTINGS = read_supervisor()
@@ -128,6 +128,15 @@ def test_a_fault_of_a_walking_robot_ends_as_the_table_says_at_the_time_it_says(r
         assert low < loop.first[event] <= high, event
 
 
+@pytest.mark.parametrize("fault", [FaultyLoop.jump_odometry, FaultyLoop.spoil_odometry])
+def test_bad_odometry_is_bridged_for_three_cycles_and_then_ends_in_hold(fault):
+    loop = FaultyLoop("sim")
+    loop.react(fault, "HOLD", 1.0)
+    low, high = after((SETTINGS.estimate.coast_cycles + 1) * ODOMETRY)
+    assert low < loop.first["HOLD"] <= high
+    assert loop.reasons["HOLD"] == "4 estimates in a row unusable, limit 3"
+
+
 def test_every_figure_of_the_page_is_tested():
     assert set(page_rows()) == set(CASES)
 
@@ -153,4 +162,4 @@ def test_a_servo_with_a_wrong_id_is_refused_and_named_without_torque(monkeypatch
     monkeypatch.setitem(supervised_loop.MAKERS, "fake_bus", make)
     with pytest.raises(RefusedError, match=re.escape("servo FL (id 5): ping: ")):
         FaultyLoop("fake_bus")
-    assert plants[0].powered() == ()
+    assert plants[0].emulated.powered() == ()

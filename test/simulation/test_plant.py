@@ -7,7 +7,6 @@ from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.faults import Fault
 from slot_core.robot import read_robot
 from slot_core.simulation.plant import Plant, TrueState
 
@@ -70,15 +69,6 @@ def test_a_push_that_the_robot_does_not_support_is_refused_at_once():
     scene = config.replace(read_scene("paper"), {"pushes": {"first": FIRST}, "start.settle": 0.0})
     with pytest.raises(ConfigError, match="legs of the model 'paper' do not support pushes"):
         Plant(read_robot(), scene, read_servo(), np.random.default_rng(0))
-
-
-def test_a_fault_of_a_shortened_tendon_adds_to_its_slack():
-    scene = config.replace(read_scene("flat"), {"tendons.slack": [-5e-4, 0, 0, 0]})
-    robot = Plant(read_robot(), scene, read_servo(), np.random.default_rng(0))
-    robot.inject(Fault("tendon_slack", "all", 0.0, 0.0, 2e-4))
-    assert robot.simulator.model.fault[0] == pytest.approx([-3e-4, 2e-4, 2e-4, 2e-4])
-    robot.clear("tendon_slack", "all")
-    assert robot.simulator.model.fault[0] == pytest.approx([-5e-4, 0, 0, 0])
 
 
 def test_a_command_goes_on_at_its_rate_for_a_tenth_of_a_second():

@@ -14,7 +14,7 @@ from slot_core.body_points import LEG_POINTS, TORSO, at_shares
 from slot_core.clock import to_seconds
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
-from slot_core.dynamixel.state import JointReading
+from slot_core.joint_reading import JointReading
 from slot_core.robot import Array, RobotParameters
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.simulation.plant import Plant, Reading, TrueState

@@ -24,7 +24,7 @@ from benchmarks.report.results import (
     read_picture,
     read_run,
 )
-from slot_core.command_line import Parser
+from slot_core.command_line import CommandParser
 from slot_core.recording.origin import revision
 
 CANNOT_REPORT = 2  # exit code
@@ -58,7 +58,7 @@ CAPTIONS = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/report`; ends with exit code 2 and one line on a bad input."""
-    parser = Parser(prog="scripts/report", description=__doc__)
+    parser = CommandParser(prog="scripts/report", description=__doc__)
     results, out = Path("results"), Path("results", "report.html")
     parser.add_argument(
         "--results", type=Path, metavar="DIR", default=results, help=f"default: {results}"

@@ -32,12 +32,11 @@ from benchmarks.servo.fuzz import Tally, fuzz_driver, fuzz_emulator, fuzz_instru
 from benchmarks.servo.picture import draw
 from slot_core import config
 from slot_core.dynamixel.driver import Driver
+from slot_core.dynamixel.emulator.emulated_bus import read_emulator
+from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
 from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.settings import DynamixelSettings, read_settings
-from slot_core.emulator.emulated_bus import read_emulator
-from slot_core.emulator.pseudo_terminal import PseudoTerminal
 from slot_core.robot import LEGS
-from slot_core.simulation.bus_legs import EmulatedLegs
 from slot_core.simulation.plant import CYCLE
 
 STEP = (0.5, 1.5)  # rad
@@ -120,24 +119,19 @@ def share_row(duration: float) -> Row:
 
 def step_row(control: str, load: float) -> dict[str, Any]:
     """Response to a step, sampled every 10 ms; `load`: torque on the tendon angles, N m."""
-    settings = config.replace(read_settings(), {"control": control, "bus.timeout": 0.1})
-    legs = EmulatedLegs(settings, read_emulator(), (STEP[0],) * 4)
-    clock = [0.0]
-    with PseudoTerminal(legs.bus) as terminal:
-        port = SerialPort(terminal.name, settings.bus.baud, settings.bus.timeout)
-        driver = Driver(port, settings, clock=lambda: clock[0])
-        driver.configure()
-        driver.activate()
-        trace = []
-        for goal, time_span in ((STEP[0], 1.5), (STEP[1], 1.5)):
-            trace = []
-            for _ in range(round(time_span / CYCLE)):
-                driver.command([goal] * 4)
-                trace.append(driver.cycle().readings[0].angle)  # type: ignore[union-attr]
-                legs.advance(CYCLE, (load,) * 4)
-                clock[0] += CYCLE
-        driver.torque_off()
-        driver.close()
+    settings = config.replace(read_settings(), {"control": control})
+    servos = EmulatedDynamixels(settings, read_emulator(), (STEP[0],) * 4)
+    driver = servos.connect(lambda: servos.bus.time)
+    driver.configure()
+    driver.activate()
+    trace: list[float] = []
+    for goal, time_span in ((STEP[0], 1.5), (STEP[1], 1.5)):
+        trace.clear()
+        for _ in range(round(time_span / CYCLE)):
+            driver.command([goal] * 4)
+            trace.append(driver.cycle().readings[0].angle)  # type: ignore[union-attr]
+            servos.advance(CYCLE, (load,) * 4)
+    driver.torque_off()
     return {"kind": "step", "control": control, "load": load, "trace": trace} | measures(trace)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,9 @@ from dynamixel_sdk import PacketHandler
 from slot_core import config
 from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.driver import FAST
+from slot_core.dynamixel.emulator.emulated_bus import EmulatedBus, Reply, read_emulator
+from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
+from slot_core.dynamixel.emulator.memory_port import MemoryPort
 from slot_core.dynamixel.packet import (
     BROADCAST,
     HEADER,
@@ -21,11 +24,8 @@ from slot_core.dynamixel.packet import (
     fast_status,
     status,
 )
-from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import REGISTERS, TABLE, span
-from slot_core.emulator.emulated_bus import EmulatedBus, read_emulator
-from slot_core.simulation.bus_legs import EmulatedLegs
 
 SDK = PacketHandler(2.0)
 BAUD = 1000000
@@ -126,7 +126,7 @@ def fuzz_emulator(count: int, rng: np.random.Generator) -> Tally:
 
 
 def _holding_bus() -> EmulatedBus:
-    legs = EmulatedLegs(read_settings(), read_emulator(), (0.5,) * 4)
+    legs = EmulatedDynamixels(read_settings(), read_emulator(), (0.5,) * 4)
     for servo in legs.bus.servos:
         servo.memory["goal_position"] = servo.position()
         servo.memory["torque_enable"] = 1
@@ -201,45 +201,22 @@ def _out_of_range(memory: object) -> bool:
     )
 
 
-class ScriptedPort(SerialPort):
-    """A port that replies at once with scripted bytes."""
+class ScriptedBus:
+    """Stands for a bus of servos: replies to every packet with scripted bytes."""
 
-    def __init__(self) -> None:
-        super().__init__("scripted", BAUD, 0.0)
-        self.incoming = bytearray()
-        self.answer: Callable[[bytes], bytes] = bytes
+    unplugged, answer = False, b""
 
-    def clearPort(self) -> None:  # noqa: N802
-        """Discard the incoming bytes."""
-        self.incoming.clear()
-
-    def writePort(self, packet: list[int]) -> int:  # noqa: N802
-        """Take an instruction; append the reply."""
-        self.incoming += self.answer(bytes(packet))
-        return len(packet)
-
-    def readPort(self, length: int) -> bytes:  # noqa: N802
-        """Up to `length` of the incoming bytes."""
-        data = bytes(self.incoming[: max(length, 0)])
-        del self.incoming[: len(data)]
-        return data
-
-    def isPacketTimeout(self) -> bool:  # noqa: N802
-        """True when no incoming byte is left."""
-        if not self.incoming:
-            self.packet_timeout = 0.0
-        return not self.incoming
-
-    def drain(self, quiet: float) -> int:
-        """Discard all incoming bytes."""
-        self.incoming.clear()
-        return 0
+    def receive(self, data: bytes, baud: int) -> list[Reply]:
+        """The reply, at once."""
+        return [Reply(self.answer, 0.0)]
 
 
 def fuzz_driver(count: int, rng: np.random.Generator) -> Tally:
     """Mutated replies to the driver's fast and plain sync read."""
-    tally, port = Tally(), ScriptedPort()
-    bus = Bus(port, config.replace(read_settings().bus, {"retries": 0}))
+    tally, line = Tally(), ScriptedBus()
+    bus = Bus(
+        MemoryPort(line, BAUD, time.monotonic), config.replace(read_settings().bus, {"retries": 0})
+    )
     for _ in range(count):
         truth = {identity: _data(rng) for identity in IDS}
         fast = bool(rng.integers(2))
@@ -251,7 +228,7 @@ def fuzz_driver(count: int, rng: np.random.Generator) -> Tally:
         )
         which = int(rng.integers(len(sent)))
         data = b"".join(mutate(d, rng) if k == which else d for k, d in enumerate(sent))
-        port.answer = lambda _, data=data: data  # type: ignore[misc]
+        line.answer = data
         tally.packets += 1
         try:
             answers = bus.sync_read(IDS, *FAST, fast)

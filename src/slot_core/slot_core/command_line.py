@@ -13,8 +13,8 @@ from typing import NoReturn, TypeVar
 Number = TypeVar("Number", int, float)
 
 
-class Parser(argparse.ArgumentParser):
-    """Parser that refuses with one line, without the usage, and exit code 2."""
+class CommandParser(argparse.ArgumentParser):
+    """CommandParser that refuses with one line, without the usage, and exit code 2."""
 
     def error(self, message: str) -> NoReturn:
         """End the program with the message."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from slot_core.dynamixel.session import BusPace, ServoSession
-from slot_core.dynamixel.state import Cycle, Health
 from slot_core.hardware_error import hardware_errors
+from slot_core.servos.servo_state import Cycle, ServoStatus
+from slot_core.servos.session import BusPace, ServoSession
 from slot_nodes import messages
 
 ERROR_RATE_WARNING = 0.05  # share of exchanges that failed
@@ -16,22 +16,25 @@ def to_msg(
     stamp: int, session: ServoSession, pace: BusPace, cycle: Cycle | None
 ) -> DiagnosticArray:
     """One status for the bus and one for each servo, at `stamp` (ns)."""
-    silent = session.silent()
-    readings = cycle.readings if cycle is not None else (None,) * len(session.driver.health)
-    servos = [
+    silent, servos = session.silent(), session.bus.health
+    readings = cycle.readings if cycle is not None else (None,) * len(servos)
+    found = [
         _servo(
-            health,
-            session.driver.active,
-            silent.get(health.leg, ""),
+            servo,
+            session.bus.active,
+            silent.get(servo.leg, ""),
             None if reading is None else reading.load,
         )
-        for health, reading in zip(session.driver.health, readings)
+        for servo, reading in zip(servos, readings)
     ]
-    return DiagnosticArray(header=messages.header(stamp, ""), status=[_bus(session, pace), *servos])
+    array = DiagnosticArray(header=messages.header(stamp, ""), status=[_bus(session, pace), *found])
+    for status in array.status:
+        status.hardware_id = session.bus.facts.brand
+    return array
 
 
 def _bus(session: ServoSession, pace: BusPace) -> DiagnosticStatus:
-    level = DiagnosticStatus.ERROR if session.overdue else DiagnosticStatus.OK
+    level = DiagnosticStatus.ERROR if session.watchdog.overdue else DiagnosticStatus.OK
     return _status(
         "servo bus",
         level,
@@ -44,14 +47,14 @@ def _bus(session: ServoSession, pace: BusPace) -> DiagnosticStatus:
     )
 
 
-def _servo(health: Health, active: bool, silent: str, load: float | None) -> DiagnosticStatus:
+def _servo(health: ServoStatus, active: bool, silent: str, load: float | None) -> DiagnosticStatus:
     faults = [*health.faults(active), *filter(None, [silent])]
     level = DiagnosticStatus.ERROR if faults else DiagnosticStatus.OK
     if not faults and health.error_rate > ERROR_RATE_WARNING:
         level = DiagnosticStatus.WARN
     errors = health.hardware_error
     return _status(
-        f"servo {health.leg} (id {health.id})",
+        health.name,
         level,
         "; ".join(faults) or "sound",
         temperature_C=_number(health.temperature),
@@ -65,9 +68,7 @@ def _servo(health: Health, active: bool, silent: str, load: float | None) -> Dia
 
 def _status(name: str, level: bytes, message: str, **values: str) -> DiagnosticStatus:
     pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
-    return DiagnosticStatus(
-        level=level, name=name, message=message, hardware_id="dynamixel", values=pairs
-    )
+    return DiagnosticStatus(level=level, name=name, message=message, values=pairs)
 
 
 def _number(value: float | None) -> str:

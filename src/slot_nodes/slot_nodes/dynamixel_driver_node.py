@@ -1,4 +1,4 @@
-"""Driver node of the servos: commands and permissions in, joint states and health out.
+"""Driver node of the servos of any brand: commands and permissions in, joints and health out.
 
     configure    open the port, check every servo, torque off; then a bus cycle every period
     activate     torque on at the present angles of the servos
@@ -8,7 +8,8 @@
 With `autostart` the node configures itself, and ends with exit code 1 if that is refused.
 `/robot_state` activates it by HOLD or PASS and deactivates it by OFF. The supervisor sends its
 limits on `/servo_limits`. At every end of the process except SIGKILL the node first deactivates,
-which needs no ROS context.
+which needs no ROS context. The brand is that of `config/servo_bus.yaml`; the node, its topics and
+its services have kept the name of the first one, by which operators and recordings know them.
 """
 
 import time
@@ -27,19 +28,18 @@ from std_srvs.srv import SetBool, Trigger
 
 from slot_core.config import ConfigError
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamixel.driver import Driver
-from slot_core.dynamixel.errors import PortError, RefusedError, ServoError
-from slot_core.dynamixel.homing import measure_zero, write_zero
-from slot_core.dynamixel.port import SerialPort
-from slot_core.dynamixel.session import ServoSession, measured
-from slot_core.dynamixel.settings import DynamixelSettings, read_settings
-from slot_core.dynamixel.state import Cycle
 from slot_core.messages import decode
 from slot_core.robot import LEGS, read_robot
-from slot_core.safety.command_gate import Action
+from slot_core.safety.commands import Action
+from slot_core.servos.brand import Brand
+from slot_core.servos.registry import read_brand
+from slot_core.servos.servo_bus import ServoMaintenance
+from slot_core.servos.servo_errors import PortError, RefusedError, ServoError
+from slot_core.servos.servo_state import Cycle
+from slot_core.servos.session import ServoSession
 from slot_msgs.msg import RobotState, ServoLimits
 from slot_nodes import diagnostics, inputs, messages, qos, runtime
-from slot_nodes.health_report import HealthReport
+from slot_nodes.health_publisher import HealthPublisher
 
 PORT_PERIOD = 0.1  # s, between two checks for the port
 DIAGNOSTICS_PERIOD = 1.0  # s
@@ -53,7 +53,8 @@ class DynamixelDriverNode(LifecycleNode):
         super().__init__("dynamixel_driver")
         if self.get_parameter("use_sim_time").value:
             raise ConfigError("dynamixel_driver: servos move in real time: no lockstep with them")
-        settings = runtime.declare_settings(self, read_settings())
+        brand = read_brand()
+        settings = runtime.declare_settings(self, brand.read_settings())
         rates = [FloatingPointRange(from_value=20.0, to_value=500.0)]
         rate = runtime.declare(self, "rate", 100.0, "bus cycles [Hz]", floating_point_range=rates)
         waits = [FloatingPointRange(from_value=0.0, to_value=3600.0)]
@@ -61,8 +62,8 @@ class DynamixelDriverNode(LifecycleNode):
             self, "wait_for_port", 60.0, "time to wait for the port [s]", floating_point_range=waits
         )
         self._autostart = runtime.declare(self, "autostart", True, "configure at start")
-        self._port = settings.bus.port
-        self._session = make_session(settings, 1.0 / rate)
+        self._session = make_session(brand, settings, 1.0 / rate)
+        self._port = self._session.bus.facts.port
         self._servo = read_servo()
         self._open = self._active = False
         self._refusal = ""
@@ -82,7 +83,7 @@ class DynamixelDriverNode(LifecycleNode):
 
     def _create_outputs(self) -> None:
         self._joints = runtime.publisher(self, JointState, "joint_states", qos.SENSOR)
-        self._health = HealthReport(self)
+        self._health = HealthPublisher(self)
         self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", qos.SENSOR)
         runtime.wall_timer(self, DIAGNOSTICS_PERIOD, self._publish_diagnostics)
         self.create_service(SetBool, "~/torque", self._on_torque)
@@ -107,13 +108,12 @@ class DynamixelDriverNode(LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open the port and check every servo."""
         try:
-            infos = self._session.configure()
+            servos = self._session.configure()
         except ServoError as error:
-            self._session.driver.close()
+            self._session.bus.close()
             return self._refuse(f"servos refused: {error}")
         self._open = True
-        firmware = ", ".join(f"{info.leg} id {info.id} v{info.firmware}" for info in infos)
-        self.get_logger().info(f"servos on {self._port}: {firmware}")
+        self.get_logger().info(f"servos on {self._port}: {', '.join(servos)}")
         self._timer = runtime.wall_timer(self, self._session.period, self._step)
         return SUCCESS
 
@@ -178,22 +178,22 @@ class DynamixelDriverNode(LifecycleNode):
 
     def _on_command(self, message: JointState) -> None:
         stamp, angle, rate = decode.joint_command(message)
-        if self._session.limits is None:
+        if self._session.watchdog.limits is None:
             return  # torque is off until the supervisor has sent them
         now = self.get_clock().now().nanoseconds
-        inputs.require_present(stamp, now, self._session.clock_jump)
+        inputs.require_present(stamp, now, self._session.watchdog.clock_jump)
         if fault := self._session.offer(time.monotonic_ns(), stamp, angle, rate):
             raise ValueError(fault)
         if self._timer is not None:
             self._step()  # before the timer is due
 
     def _on_limits(self, message: ServoLimits) -> None:
-        self._session.set_limits(decode.servo_limits(message))
+        self._session.watchdog.set_limits(decode.servo_limits(message))
 
     def _on_robot_state(self, message: RobotState) -> None:
         permission = decode.permission(message, time.monotonic_ns())
         now = self.get_clock().now().nanoseconds
-        inputs.require_present_permission(message, now, self._session.clock_jump)
+        inputs.require_present_permission(message, now, self._session.watchdog.clock_jump)
         self._session.permit(permission)
         if permission.action is Action.OFF and self._active:
             self.trigger_deactivate()
@@ -211,12 +211,12 @@ class DynamixelDriverNode(LifecycleNode):
         if self._session.action is not before:
             self.get_logger().info(f"{self._session.action.name} {self._session.reason}".strip())
         self._publish(cycle)
-        if self._active and not self._session.driver.active:
+        if self._active and not self._session.bus.active:
             self.trigger_deactivate()
 
     def _publish(self, cycle: Cycle) -> None:
         stamp = self.get_clock().now().nanoseconds
-        reading = measured(stamp, cycle, self._servo.tendon_stall(self._session.voltage))
+        reading = cycle.joints(stamp, self._servo.tendon_stall(self._session.voltage))
         if reading is not None:
             self._joints.publish(messages.joints_to_msg(reading))
         self._health.publish(stamp, self._session)
@@ -228,7 +228,7 @@ class DynamixelDriverNode(LifecycleNode):
 
     def _on_torque(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if not request.data:
-            self._session.relax("torque switched off by the operator")
+            self._session.watchdog.relax("torque switched off by the operator")
             response.success, response.message = True, "slackening, then torque off"
         elif self._timer is None or self._active:
             response.message = "torque is on already" if self._active else "not configured"
@@ -242,7 +242,7 @@ class DynamixelDriverNode(LifecycleNode):
 
         def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
-                if self._timer is None or self._session.driver.active:
+                if self._timer is None or self._session.bus.active:
                     raise RefusedError(["needs a configured driver, torque off"])
                 response.success, response.message = True, action()
             except (ServoError, ConfigError, OSError) as error:
@@ -251,17 +251,19 @@ class DynamixelDriverNode(LifecycleNode):
 
         self.create_service(Trigger, name, serve)
 
+    def _maintenance(self) -> ServoMaintenance:
+        """The bus, if it can; else raises RefusedError."""
+        bus = self._session.bus
+        if not isinstance(bus, ServoMaintenance):
+            raise RefusedError([f"servos of {bus.facts.brand} have no such service"])
+        return bus
+
     def _reboot(self, leg: str) -> str:
-        self._session.driver.reboot(leg)
+        self._maintenance().reboot(leg)
         return f"servo {leg} restarts"
 
     def _zero(self, leg: str) -> str:
-        """Set the zero of a leg to its present angle at rest, now and in `dynamixel.yaml`."""
-        driver = self._session.driver
-        angle = measure_zero(driver.bus, driver.joints[LEGS.index(leg)], time.sleep)
-        file = write_zero(leg, angle)
-        driver.set_zero(leg, angle)
-        return f"zero of {leg} at {angle:.2f} deg, written to {file}"
+        return self._maintenance().zero(leg, time.sleep)
 
     def _refuse(self, reason: str) -> TransitionCallbackReturn:
         self._refusal = reason
@@ -285,13 +287,13 @@ class DynamixelDriverNode(LifecycleNode):
 
     def _close(self) -> None:
         self._open = False
-        self._session.driver.close()
+        self._session.bus.close()
 
 
-def make_session(settings: DynamixelSettings, period: float) -> ServoSession:
-    """Driver and command watchdog; raises ConfigError if the settings contradict each other."""
-    port = SerialPort(settings.bus.port, settings.bus.baud, settings.bus.timeout)
-    return ServoSession(Driver(port, settings), read_robot().tendon.angle_max, period)
+def make_session(brand: Brand, settings: Any, period: float) -> ServoSession:
+    """Bus and watchdog; raises ConfigError if the settings contradict each other."""
+    angle_max = read_robot().tendon.angle_max
+    return ServoSession(brand.make_bus(settings), angle_max, period, time.sleep)
 
 
 def main() -> None:

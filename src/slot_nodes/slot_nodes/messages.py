@@ -41,9 +41,9 @@ if TYPE_CHECKING:  # a node imports only the core modules that it runs
     from slot_core.control import policy
     from slot_core.control.force_map import TendonCommand
     from slot_core.control.pace import Pace
-    from slot_core.dynamixel.state import JointReading
     from slot_core.estimation.estimate import Estimate
     from slot_core.estimation.inertial_filter import Mount
+    from slot_core.joint_reading import JointReading
     from slot_core.safety.servo_health import ServoHealth
     from slot_core.safety.settings import ServoLimits
     from slot_core.safety.supervisor import Report

@@ -4,9 +4,9 @@ Two parameters choose its clock (`simulation/clocks.py`) and its servos
 (`simulation/simulated_servos.py`):
 
     parameter      clock      servos
-    none           real time  guarded: they obey `/robot_state` and report on `/servo_health`
+    none           real time  direct: they obey `/robot_state` and report on `/servo_health`
     bus            real time  emulated, on a pseudo-terminal of that name
-    lockstep       lockstep   stepped: they obey `/robot_state` and report on the robot's clock
+    lockstep       lockstep   direct, on the robot's clock
     lockstep, bus  lockstep   emulated, behind the driver, which then runs in this node
 
 The robot starts frozen. It publishes nothing until its servos are powered (in lockstep: have their
@@ -39,27 +39,29 @@ from slot_core.config import ConfigError
 from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
-from slot_core.dynamixel.errors import RefusedError
-from slot_core.dynamixel.settings import read_settings
-from slot_core.dynamixel.state import JointReading
-from slot_core.emulator.emulated_bus import read_emulator
+from slot_core.joint_reading import JointReading
 from slot_core.messages import decode
 from slot_core.robot import read_robot
-from slot_core.safety.command_gate import Action
-from slot_core.simulation.bus_plant import BusPlant
+from slot_core.safety.commands import Action
+from slot_core.servos.registry import read_brand
+from slot_core.servos.servo_errors import RefusedError
 from slot_core.simulation.clocks import (
     PATIENCE,
     BusClock,
     LockstepClock,
     RealTimeClock,
 )
-from slot_core.simulation.plant import Plant, Reading, ServoReport, TrueState
+from slot_core.simulation.plant import Plant, Reading, StampedHealth, TrueState
 from slot_core.simulation.sensors import ImuReading, OdometryReading, PictureReading
-from slot_core.simulation.simulated_servos import BusServos, GuardedServos, Servos
-from slot_core.simulation.stepped_servos import DrivenServos, SteppedServos, stepped
+from slot_core.simulation.simulated_servos import (
+    BusServos,
+    DirectServos,
+    SimulatedServos,
+    make_servos,
+)
 from slot_msgs.msg import LegStates, RobotState, ServoHealth, ServoLimits
 from slot_nodes import fault_service, inputs, messages, qos, runtime
-from slot_nodes.health_report import HealthReport
+from slot_nodes.health_publisher import HealthPublisher
 
 FROZEN_PERIOD = 0.1  # s, between two readings of the frozen robot in lockstep
 REAL_TIME_PERIOD = 0.002  # s, between two advances of the simulation
@@ -108,50 +110,42 @@ class SimRobotNode(Node):
             self._end_diverged(error)
         self._frozen = True
         self._published_clock = 0  # last time on /clock, ns
-        self._action: Action | None = None  # of guarded servos, as last logged
+        self._action: Action | None = None  # of the servos, as last logged
         self._create_publishers()
         fault_service.serve(self, self._plant)
         inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
         self.create_subscription(Bool, "recording", self._on_recording, qos.STATE)
         period = FROZEN_PERIOD if self._lockstep else settings.sensors.odometry.period
         self._timer = runtime.wall_timer(self, period, self._publish_at_rest)
-        self._servos: Servos = self._make_servos(link)
+        self._servos = self._make_servos(link)
         self._time = self._make_clock()
 
     def _make_plant(self, scene: Scene, servo: ServoSettings, seed: int, bus: bool) -> Plant:
         rng, robot = np.random.default_rng(seed), read_robot(scene.parameters)
-        if not bus:
-            return Plant(robot, scene, servo, rng)
-        settings, emulator = read_settings(), read_emulator()
-        return BusPlant(robot, scene, servo, rng, settings=settings, emulator=emulator)
+        return Plant(robot, scene, servo, rng, read_brand().emulate if bus else None)
 
     def _make_clock(self) -> LockstepClock | RealTimeClock:
-        if isinstance(self._servos, (SteppedServos, DrivenServos)):
+        if self._lockstep:
             return LockstepClock(self._plant, self._servos)
-        if isinstance(self._plant, BusPlant):
-            return BusClock(self._plant, BUS_PORTION)
+        if self._plant.emulated is not None:
+            return BusClock(self._plant, self._plant.emulated, BUS_PORTION)
         return RealTimeClock(self._plant, PORTION)
 
-    def _make_servos(self, link: str) -> Servos:
+    def _make_servos(self, link: str) -> SimulatedServos:
         """Create the servos; last, because those on a bus must not wait for the preparation."""
-        servos: GuardedServos | DrivenServos
-        if self._lockstep:
-            servos = self._make_stepped_servos()
-        elif isinstance(self._plant, BusPlant):
-            return BusServos(self._plant, Path(link))
-        else:
-            servos, self._report = GuardedServos(self._plant), HealthReport(self)
+        try:
+            servos = make_servos(self._plant, self._lockstep, Path(link))
+        except RefusedError as error:
+            raise ConfigError(f"sim_robot: servos refused: {error}") from None
+        if isinstance(servos, BusServos) and not self._lockstep:
+            return servos  # the driver obeys the supervisor and reports
+        if not self._lockstep:
+            self._health = HealthPublisher(self)
         on_state = partial(self._on_robot_state, servos)
         on_limits = partial(self._on_limits, servos)
         inputs.subscribe(self, RobotState, "robot_state", on_state, qos.STATE)
         inputs.subscribe(self, ServoLimits, "servo_limits", on_limits, qos.STATE)
         return servos
-
-    def _make_stepped_servos(self) -> SteppedServos | DrivenServos:
-        try:
-            return stepped(self._plant)
-        except RefusedError as error:
-            raise ConfigError(f"sim_robot: servos refused: {error}") from None
 
     def _create_publishers(self) -> None:
         self._clock_topic = self.create_publisher(ClockMessage, "clock", qos.CLOCK)
@@ -163,7 +157,7 @@ class SimRobotNode(Node):
             ),
         }
         if self._lockstep:
-            self._outputs[ServoReport] = (
+            self._outputs[StampedHealth] = (
                 runtime.publisher(self, ServoHealth, "servo_health", qos.SENSOR),
                 lambda report: messages.health_to_msg(report.stamp, report.health),
             )
@@ -229,24 +223,26 @@ class SimRobotNode(Node):
     def _on_recording(self, message: Bool) -> None:
         self._is_recording = True
 
-    def _on_limits(self, servos: GuardedServos | DrivenServos, message: ServoLimits) -> None:
-        servos.set_limits(decode.servo_limits(message))
+    def _on_limits(self, servos: SimulatedServos, message: ServoLimits) -> None:
+        servos.watchdog.set_limits(decode.servo_limits(message))
 
-    def _on_robot_state(self, servos: GuardedServos | DrivenServos, message: RobotState) -> None:
+    def _on_robot_state(self, servos: SimulatedServos, message: RobotState) -> None:
         permission = decode.permission(message, self._servo_time())
-        inputs.require_present_permission(message, self._now(), servos.clock_jump)
+        inputs.require_present_permission(message, self._now(), servos.watchdog.clock_jump)
         servos.permit(permission)
-        self._continue(ServoReport, decode.stamp(message))
+        self._continue(StampedHealth, decode.stamp(message))
 
     def _on_command(self, message: JointState) -> None:
         stamp, angle, rate = decode.joint_command(message)
         try:
-            inputs.require_present(stamp, self._now(), self._servos.clock_jump)
+            inputs.require_present(stamp, self._now(), self._servos.watchdog.clock_jump)
             self._servos.offer(self._servo_time(), stamp, angle, rate)
         finally:
             self._continue(OdometryReading, stamp)
-        if self._frozen and not self._lockstep and self._servos.follows(time.monotonic_ns()):
-            self._start()
+        if self._frozen and not self._lockstep:
+            self._servos.step(time.monotonic_ns())
+            if self._servos.powered and self._servos.action is Action.PASS:
+                self._start()
 
     def _continue(self, kind: type, stamp: int) -> None:
         """In lockstep advance if this is the awaited answer; the first two start the clock."""
@@ -286,10 +282,9 @@ class SimRobotNode(Node):
         """Update the commands of the servos; publish their health and log changes of the action."""
         servos = self._servos
         servos.step(time.monotonic_ns())
-        if not isinstance(servos, GuardedServos):
-            return
-        self._report.publish(self._now(), servos)
-        self._log_action(servos.action, servos.reason)
+        if isinstance(servos, DirectServos):
+            self._health.publish(self._now(), servos)
+            self._log_action(servos.action, servos.watchdog.reason)
 
     def _log_action(self, action: Action, reason: str) -> None:
         if action is not self._action:
@@ -305,19 +300,19 @@ class SimRobotNode(Node):
             self._end_diverged(error)
 
     def _end_diverged(self, error: DivergenceError) -> NoReturn:
-        self._frozen = True  # time stands still while the driver switches the servos off
+        self._frozen = True  # time stops while the driver switches the servos off
         self.get_logger().fatal(f"{error}; {self._save_state(error)}")
         raise SystemExit(1) from None
 
     def _end_without_driver(self) -> NoReturn:
-        assert isinstance(self._servos, DrivenServos)
+        assert isinstance(self._servos, BusServos)
         self.get_logger().fatal(f"{self._servos.end}; their bus watchdogs stop the servos")
         raise SystemExit(1)
 
     def destroy_node(self) -> None:
         """Switch emulated servos off, or wait for the driver to do so, then destroy the node."""
         left = self._servos.close(running=not self._frozen)
-        if isinstance(self._plant, BusPlant):
+        if self._plant.emulated is not None:
             runtime.last_logger(self).info(f"servos left under torque: {left or 'none'}")
         super().destroy_node()
 
@@ -326,7 +321,7 @@ class SimRobotNode(Node):
             self._published_clock = self._plant.now
             clock = messages.ns_to_stamp(self._published_clock)
             self._clock_topic.publish(ClockMessage(clock=clock))
-        if isinstance(reading, ServoReport):
+        if isinstance(reading, StampedHealth):
             if reading.health is None:
                 self._end_without_driver()
             self._log_action(reading.health.action, reading.health.reason)

@@ -29,7 +29,7 @@ STATUS_BYTES = OVERHEAD + 4  # of a status packet without data: instruction, err
 
 
 @dataclass(frozen=True)
-class Answer:
+class RegisterValues:
     """Values by register name; `alert`: the servo's hardware error status is not 0."""
 
     values: Mapping[str, int]
@@ -154,7 +154,9 @@ class Bus:
                 f"writing {register} of all servos: {self._result_text(result)}"
             )
 
-    def sync_read(self, ids: Iterable[int], first: str, last: str, fast: bool) -> dict[int, Answer]:
+    def sync_read(
+        self, ids: Iterable[int], first: str, last: str, fast: bool
+    ) -> dict[int, RegisterValues]:
         """Valid answers by id, of the registers `first` to `last`.
 
         `fast`: use fast sync read, which all servos must support. A servo that does not answer is
@@ -174,7 +176,7 @@ class Bus:
                 found |= self._read_alone(identity, address, size)
         self._silent = (self._silent - set(order)) | (set(order) - set(found))
         return {
-            identity: Answer(decode_span(address, status.data), bool(status.error & ALERT))
+            identity: RegisterValues(decode_span(address, status.data), bool(status.error & ALERT))
             for identity, status in found.items()
         }
 

@@ -1,36 +1,32 @@
-"""Driver of the four servos: checks, torque on without motion, bus cycles, torque off.
+"""Driver of four Dynamixel servos, which implements `ServoBus` and `ServoMaintenance`.
 
-    configure  check model, firmware and EEPROM of every servo; else RefusedError with all reasons
-    activate   goals := present positions, then torque on; every write is read back
-    command    goals of the next cycles: tendon angles (rad), checked by the command gate before
-    cycle      one exchange with all servos: goals out, positions, velocities and loads in
-    torque_off confirmed by reading back; never raises
-
-A servo that did not answer has no reading. All times come from `clock`.
+Model, firmware and EEPROM of every servo are checked; every write but those of a cycle is read
+back. Raises also CommunicationError and InstructionError of `errors.py`, which are ServoErrors.
 """
 
 from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from slot_core import config
 from slot_core.clock import Clock
-from slot_core.dynamixel.bus import Answer, Bus
+from slot_core.dynamixel.bus import Bus, RegisterValues
 from slot_core.dynamixel.checks import ServoInfo, examine, expected
-from slot_core.dynamixel.errors import PortError, RefusedError, ServoError
+from slot_core.dynamixel.homing import measure_zero, write_zero
 from slot_core.dynamixel.host_pid import HostPid
 from slot_core.dynamixel.joints import Joint, joints
 from slot_core.dynamixel.port import SerialPort, check_latency
 from slot_core.dynamixel.settings import DynamixelSettings
-from slot_core.dynamixel.state import Cycle, Health, ServoReading, TorqueOff
 from slot_core.dynamixel.table import LOAD_FULL, VOLTAGE_UNIT, Mode
 from slot_core.hardware_error import hardware_errors
 from slot_core.robot import LEGS, Array
+from slot_core.servos.servo_errors import PortError, RefusedError, ServoError
+from slot_core.servos.servo_state import BusFacts, Cycle, ServoReading, ServoStatus, TorqueOff
 
 TORQUE_OFF_ATTEMPTS = 3
 # One of these is read from one servo in every cycle; no two have the same length.
@@ -52,25 +48,25 @@ class Driver:
         self.settings = settings
         self.joints: tuple[Joint, ...] = joints(settings.joints)
         self.bus = Bus(port, settings.bus, {joint.id: joint.name for joint in self.joints})
+        first, watchdog = self.joints[0], settings.servo.watchdog
+        self.facts = BusFacts("dynamixel", port.port_name, first.low, first.high, watchdog)
         self.active = False
-        self.health = tuple(Health(joint.leg, joint.id) for joint in self.joints)
+        self.health = tuple(ServoStatus(joint.leg, joint.id) for joint in self.joints)
         self.clock, self._port = clock, port
         self._fast = False
+        self._alerts: set[int] = set()  # ids whose last answer had a hardware error
         self._pid = HostPid(settings.host_pid)
         self._goal: Array = np.zeros(len(LEGS))  # rad, of the tendons
         self._last: float | None = None
         self._turn = 0
 
-    def configure(self) -> tuple[ServoInfo, ...]:
-        """Open the port and check every servo; raises PortError, RefusedError (all reasons).
-
-        A refusal switches off the torque that an earlier driver has left on.
-        """
+    def configure(self) -> tuple[str, ...]:
+        """Open the port and check every servo; switches off torque where it refuses."""
         self.active = False
         check_latency(self._port.port_name, self.settings.bus.latency_limit)
         self._port.open()
         found = [examine(self.bus, self.settings, joint) for joint in self.joints]
-        infos = tuple(info for info, _ in found if info is not None)
+        infos: list[ServoInfo] = [info for info, _ in found if info is not None]
         if reasons := [reason for _, reasons in found for reason in reasons]:
             self.torque_off()
             self._port.close()
@@ -79,7 +75,7 @@ class Driver:
         self.health = tuple(replace(health, last_answer=now) for health in self.health)
         oldest = min(info.firmware for info in infos)
         self._fast = oldest >= self.settings.servo.fast_from_firmware
-        return infos
+        return tuple(f"{info.leg} id {info.id} v{info.firmware}" for info in infos)
 
     def activate(self) -> None:
         """Torque on at the present positions, without motion; else torque off and RefusedError."""
@@ -99,11 +95,7 @@ class Driver:
         self.active = True
 
     def command(self, angles: Sequence[float] | Array) -> None:
-        """Set the goals: tendon angles (4,), rad; raises ValueError and keeps the last goals.
-
-        A vector of another shape, a value outside of its joint's range, and a command while torque
-        is off are programmer's errors: the command gate rejects such commands before.
-        """
+        """Set the goals: tendon angles (4,), rad; raises ValueError and keeps the last goals."""
         goal = np.asarray(angles, dtype=float)
         if goal.shape != (len(LEGS),):
             raise ValueError(f"{goal.size} angles, expected {len(LEGS)}")
@@ -122,24 +114,25 @@ class Driver:
 
     def cycle(self) -> Cycle:
         """One exchange with all servos; raises PortError if the port has disappeared."""
+        self._port.is_using = False  # an interrupt may have left an exchange unfinished
         start = self.clock()
         h = 0.0 if self._last is None else max(start - self._last, 0.0)
         self._last = start
         if self.settings.mode is Mode.PWM:
             readings = self._read()
-            duty = self._regulate(readings, h)
+            self._regulate(readings, h)
             written = self.clock()
         else:
             self._write_positions()
             written = self.clock()
-            readings, duty = self._read(), None
+            readings = self._read()
         self._update_health(readings)
         end = self.clock()
-        return Cycle(end - start, written, readings, duty)
+        return Cycle(end - start, written, readings)
 
     def torque_off(self) -> TorqueOff:
         """Switch all torque off and read it back; never raises."""
-        self.active = False
+        self.active = self._port.is_using = False
         self._pid.reset()
         with contextlib.suppress(ServoError):  # all at once first: a silent servo delays the others
             self.bus.sync_write("torque_enable", {joint.id: 0 for joint in self.joints})
@@ -150,17 +143,26 @@ class Driver:
 
     def reboot(self, leg: str) -> None:
         """Restart a servo, as after a hardware error; raises ServoError, also while active."""
-        if self.active:
-            raise RefusedError(["reboot: torque is on; switch it off first"])
+        self._require_off("reboot")
         self.bus.reboot(self.joints[LEGS.index(leg)].id)
+
+    def zero(self, leg: str, sleep: Callable[[float], None]) -> str:
+        """Set the zero of a leg to its present angle at rest, now and in `dynamixel.yaml`.
+
+        Raises ConfigError, OSError and ServoError, also where torque is on.
+        """
+        self._require_off("zero")
+        angle = measure_zero(self.bus, self.joints[LEGS.index(leg)], sleep)
+        file = write_zero(leg, angle)
+        self.set_zero(leg, angle)
+        return f"zero of {leg} at {angle:.2f} deg, written to {file}"
 
     def set_zero(self, leg: str, zero_deg: float) -> None:
         """Set the servo angle (deg) at which a leg's tendon is relaxed; the servo's limits follow.
 
         Raises ConfigError where angle or limits are out of bounds, ServoError where torque is on.
         """
-        if self.active:
-            raise RefusedError(["set_zero: torque is on; switch it off first"])
+        self._require_off("set_zero")
         index = LEGS.index(leg)
         zeros = list(self.settings.joints.zero_deg)
         zeros[index] = zero_deg
@@ -174,14 +176,9 @@ class Driver:
         """Close the port; torque stays as it is."""
         self._port.close()
 
-    def silent_for(self, leg: str) -> float:
-        """Time since the last answer of a servo, s; infinite if it never answered."""
-        last = self.health[LEGS.index(leg)].last_answer
-        return np.inf if last is None else self.clock() - last
-
-    def faults(self) -> list[str]:
-        """Faults of the servos, one line each."""
-        return [fault for health in self.health for fault in health.faults(self.active)]
+    def _require_off(self, action: str) -> None:
+        if self.active:
+            raise RefusedError([f"{action}: torque is on; switch it off first"])
 
     def _prepare(self) -> None:
         """Do everything that comes before torque on; the goals become the present positions."""
@@ -236,32 +233,31 @@ class Driver:
                 "goal_position", {joint.id: joint.counts(goal) for joint, goal in goals}
             )
 
-    def _regulate(self, readings: tuple[ServoReading | None, ...], h: float) -> Array:
-        """Write the duty of the host PID; returns it, (4,)."""
+    def _regulate(self, readings: tuple[ServoReading | None, ...], h: float) -> None:
+        """Write the duty of the host PID."""
         if not self.active or h == 0.0:
-            return self._pid.duty.copy()
+            return
         angle = np.array([np.nan if r is None else r.angle for r in readings])
         speed = np.array([np.nan if r is None else r.rate for r in readings])
         duty = self._pid.step(self._goal, angle, speed, h)
         pwm = {joint.id: joint.pwm(share) for joint, share in zip(self.joints, duty)}
         self.bus.sync_write("goal_pwm", pwm)
-        return duty
 
     def _read(self) -> tuple[ServoReading | None, ...]:
         answers = self.bus.sync_read((joint.id for joint in self.joints), *FAST, self._fast)
+        self._alerts = {identity for identity, answer in answers.items() if answer.alert}
         return tuple(
             self._reading(joint, answers[joint.id]) if joint.id in answers else None
             for joint in self.joints
         )
 
-    def _reading(self, joint: Joint, answer: Answer) -> ServoReading:
+    def _reading(self, joint: Joint, answer: RegisterValues) -> ServoReading:
         values = answer.values
         return ServoReading(
             time=self.clock(),
             angle=joint.tendon(values["present_position"]),
             rate=joint.tendon_rate(values["present_velocity"]),
             load=joint.direction * values["present_load"] / LOAD_FULL,
-            alert=answer.alert,
         )
 
     def _update_health(self, readings: tuple[ServoReading | None, ...]) -> None:
@@ -269,7 +265,7 @@ class Driver:
         turn, self._turn = self._turn, self._turn + 1
         for index, reading in enumerate(readings):
             self._update_quality(index, reading)
-            if reading is not None and reading.alert:
+            if self.joints[index].id in self._alerts:
                 self._read_slow(index, SLOW[1])
         index = turn % len(LEGS)
         if readings[index] is not None:
@@ -297,7 +293,7 @@ class Driver:
         if "hardware_error_status" in values:
             health = replace(health, hardware_error=values["hardware_error_status"])
         if "bus_watchdog" in values:
-            health = replace(health, watchdog=values["bus_watchdog"])
+            health = replace(health, stopped=values["bus_watchdog"] < 0)
         if "present_temperature" in values:
             health = replace(
                 health,
@@ -306,7 +302,7 @@ class Driver:
             )
         self._set_health(index, health)
 
-    def _set_health(self, index: int, health: Health) -> None:
+    def _set_health(self, index: int, health: ServoStatus) -> None:
         self.health = (*self.health[:index], health, *self.health[index + 1 :])
 
     def _confirm_off(self, index: int, joint: Joint) -> str:

@@ -1,14 +1,8 @@
-"""Errors of the servo bus; messages name the servo and the cause."""
+"""Errors of Dynamixel servos and their line, beside those of every servo bus."""
 
 from __future__ import annotations
 
-
-class ServoError(Exception):
-    """Base class of the errors of the servo bus."""
-
-
-class PortError(ServoError):
-    """The port cannot be opened or set up, or has disappeared (unplugged)."""
+from slot_core.servos.servo_errors import PortError, ServoError
 
 
 class BaudRateError(PortError):
@@ -24,11 +18,3 @@ class InstructionError(ServoError):
 
     Also: a register holds another value than the one written.
     """
-
-
-class RefusedError(ServoError):
-    """An action was refused because of the servos' state or set-up; `reasons`: one line each."""
-
-    def __init__(self, reasons: list[str]) -> None:
-        super().__init__("; ".join(reasons))
-        self.reasons = tuple(reasons)

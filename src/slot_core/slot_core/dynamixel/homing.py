@@ -12,11 +12,11 @@ import yaml
 
 from slot_core import config
 from slot_core.dynamixel.bus import Bus
-from slot_core.dynamixel.errors import RefusedError
 from slot_core.dynamixel.joints import Joint, joints
 from slot_core.dynamixel.settings import DynamixelSettings
 from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.robot import LEGS
+from slot_core.servos.servo_errors import RefusedError
 
 Sleep = Callable[[float], None]
 SAMPLES = 20

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE
-LONGEST = 1024  # bytes of the longest packet accepted, as in dynamixel-sdk
-SHORTEST = 3  # value of `length` without parameters: instruction and CRC
+PACKET_MAX = 1024  # bytes of the longest packet accepted, as in dynamixel-sdk
+LENGTH_MIN = 3  # value of `length` without parameters: instruction and CRC
 OVERHEAD = 7  # bytes from the header to the length, both included
 FAST_OVERHEAD = 4  # bytes of each servo in a fast answer beside its data: error, id, CRC
 ALERT = 0x80  # bit of the error byte: Hardware Error Status is not 0
@@ -149,7 +149,7 @@ class Parser:
         buffer = self._buffer
         while self._align():
             length = int.from_bytes(buffer[5:7], "little")
-            if not SHORTEST <= length <= LONGEST - OVERHEAD or buffer[4] > BROADCAST:
+            if not LENGTH_MIN <= length <= PACKET_MAX - OVERHEAD or buffer[4] > BROADCAST:
                 del buffer[:1]  # no packet begins here
                 continue
             if len(buffer) < length + OVERHEAD:

@@ -18,7 +18,8 @@ import serial
 from dynamixel_sdk import PortHandler
 
 from slot_core.clock import Clock
-from slot_core.dynamixel.errors import BaudRateError, PortError
+from slot_core.dynamixel.errors import BaudRateError
+from slot_core.servos.servo_errors import PortError
 
 BITS_PER_BYTE = 10  # with start and stop bit
 WRITE_TIMEOUT = 0.5  # s, for a device that does not accept bytes

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slot_core import config
-from slot_core.command_line import Parser
+from slot_core.command_line import CommandParser
 from slot_core.compiled import kernel
 from slot_core.config import quantity
 from slot_core.dynamics.clamp import couple
@@ -246,7 +246,7 @@ def write(path: Path, table: Array) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/tabulate_leg`: writes the map of config/leg_map.yaml as CSV."""
-    parser = Parser(prog="scripts/tabulate_leg", description=__doc__)
+    parser = CommandParser(prog="scripts/tabulate_leg", description=__doc__)
     default = config.config_dir() / "leg_map.csv"
     parser.add_argument("--out", type=Path, default=default, help="CSV file (default: %(default)s)")
     out = parser.parse_args(arguments).out

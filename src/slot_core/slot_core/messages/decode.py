@@ -19,11 +19,11 @@ from slot_core.faults import Fault
 from slot_core.gait.gait import GaitCommand, GaitPreview
 from slot_core.geometry import rpy_of
 from slot_core.robot import BASE_FRAME, LEGS, TENDON_JOINTS, Array
-from slot_core.safety.command_gate import Action
-from slot_core.safety.command_watchdog import Permission
+from slot_core.safety.commands import Action
 from slot_core.safety.servo_health import ServoHealth
 from slot_core.safety.settings import GateSettings, ServoLimits
 from slot_core.safety.states import State
+from slot_core.safety.watchdog import Permission
 
 ACTION_NUMBERS = (
     Action.OFF,

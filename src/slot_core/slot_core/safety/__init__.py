@@ -1,1 +1,1 @@
-"""What may stop the robot: supervisor, conditions, command gate, watchdogs."""
+"""What may stop the robot: supervisor, conditions, watchdog and rate limiter of the servos."""

@@ -15,7 +15,7 @@ from slot_core.control.policy import Status
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.hardware_error import hardware_errors
 from slot_core.robot import LEGS, Array
-from slot_core.safety.command_gate import Action
+from slot_core.safety.commands import Action
 from slot_core.safety.servo_health import ServoHealth
 from slot_core.safety.settings import SupervisorSettings
 from slot_core.safety.states import Condition

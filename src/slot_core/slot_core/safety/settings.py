@@ -61,7 +61,7 @@ class GateSettings:
 
 @dataclass(frozen=True)
 class ServoLimits:
-    """Limits of the servos' command watchdog; the supervisor sends them on `/servo_limits`."""
+    """Limits of the servos' watchdog; the supervisor sends them on `/servo_limits`."""
 
     gate: GateSettings
     command_hold: float = quantity("time without a command that ends in HOLD", "s", 0.01, 1)
@@ -106,7 +106,7 @@ class SupervisorSettings:
 
     @property
     def servo_limits(self) -> ServoLimits:
-        """Limits that the servos' command watchdog keeps."""
+        """Limits that the servos' watchdog keeps."""
         timing = self.timing
         return ServoLimits(
             command_hold=timing.command_hold,

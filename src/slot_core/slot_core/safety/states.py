@@ -37,7 +37,7 @@ from __future__ import annotations
 
 import enum
 
-from slot_core.safety.command_gate import Action
+from slot_core.safety.commands import Action
 
 
 class State(enum.IntEnum):

@@ -2,7 +2,7 @@
 
 States and transitions are data (`states.py`). Conditions that forbid motion come from
 `conditions.py`, damaged tendons from `tendon_watch.py`. Commands do not pass through here: the
-driver and simulated servos check them (`command_watchdog.py`) and report back (`servo_health.py`).
+driver and simulated servos check them (`watchdog.py`) and report back (`servo_health.py`).
 Every input and `step` carry the present time `now` (ns) of one clock, that of the messages' stamps.
 Bad data raise no exception: they are rejected, and then count as missing.
 """
@@ -17,7 +17,7 @@ import numpy as np
 from slot_core.clock import SECOND, to_ns, to_seconds
 from slot_core.estimation.estimate import Estimate
 from slot_core.robot import LEGS, Array, RobotParameters
-from slot_core.safety.command_gate import AT_REST, Action, command_fault
+from slot_core.safety.commands import AT_REST, Action, command_fault
 from slot_core.safety.conditions import Conditions
 from slot_core.safety.servo_health import ServoHealth
 from slot_core.safety.settings import SupervisorSettings
@@ -84,9 +84,8 @@ class SteadyClock:
     """Time that never goes back; a jump of the clock adds nothing to it."""
 
     def __init__(self, jump: float):
-        self._jump = to_ns(jump)
+        self._jump, self._time = to_ns(jump), 0
         self._last: int | None = None
-        self._time = 0
         self.jumped = ""  # one line on the last jump, until it is cleared
 
     def advance(self, now: int) -> int:
@@ -94,9 +93,8 @@ class SteadyClock:
         passed = 0 if self._last is None else now - self._last
         self._last = now
         if abs(passed) > self._jump:
-            self.jumped = (
-                f"clock jumped by {to_seconds(passed):+.3g} s, limit {to_seconds(self._jump):g}"
-            )
+            limit = to_seconds(self._jump)
+            self.jumped = f"clock jumped by {to_seconds(passed):+.3g} s, limit {limit:g}"
             passed = 0
         self._time += max(passed, 0)
         return self._time

@@ -9,13 +9,14 @@ Times are ns.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 
-from slot_core.clock import LOCKSTEP_START, SECOND
-from slot_core.simulation.bus_plant import BusPlant
-from slot_core.simulation.plant import Plant, Reading, ServoReport
+from slot_core.clock import LOCKSTEP_START, SECOND, to_ns
+from slot_core.servos.brand import EmulatedServos
+from slot_core.simulation.plant import Plant, Reading, StampedHealth
 from slot_core.simulation.sensors import OdometryReading, PictureReading
-from slot_core.simulation.stepped_servos import DrivenServos, SteppedServos
+from slot_core.simulation.simulated_servos import SimulatedServos
 
 PATIENCE = SECOND // 2  # ns, longest wait for a late driver
 LONGEST_CALL = SECOND // 100  # ns, of a wait, between two calls: a longer one was late itself
@@ -29,7 +30,7 @@ class LockstepClock:
     processes and messages has no effect. The first two, at rest, are repeated until answered.
     """
 
-    def __init__(self, plant: Plant, servos: SteppedServos | DrivenServos) -> None:
+    def __init__(self, plant: Plant, servos: SimulatedServos) -> None:
         self._plant, self._servos = plant, servos
         self._awaited: tuple[type, int] = OdometryReading, LOCKSTEP_START  # reading and stamp
         self.running = False
@@ -43,13 +44,13 @@ class LockstepClock:
     def advance_on_answer(self, kind: type, stamp: int) -> Iterator[Reading]:
         """Advance to the next reading that needs an answer, if this is the awaited answer.
 
-        kind: OdometryReading or ServoReport. Yields the readings.
+        kind: OdometryReading or StampedHealth. Yields the readings.
         """
         if self._awaited == (kind, stamp):
             for reading in self._advance(kind):
                 yield reading
-            is_report = isinstance(reading, ServoReport)
-            self._awaited = ServoReport if is_report else OdometryReading, reading.stamp
+            is_report = isinstance(reading, StampedHealth)
+            self._awaited = StampedHealth if is_report else OdometryReading, reading.stamp
 
     def _advance(self, kind: type) -> Iterable[Reading]:
         """Readings up to the next that is answered; after the first command the servos report."""
@@ -59,7 +60,7 @@ class LockstepClock:
             self.running = True
             self._plant.start(LOCKSTEP_START)
             self._servos.start()
-        return self._plant.advance_to_reading(OdometryReading, PictureReading, ServoReport)
+        return self._plant.advance_to_reading(OdometryReading, PictureReading, StampedHealth)
 
 
 class RealTimeClock:
@@ -87,24 +88,31 @@ class BusClock(RealTimeClock):
 
     The driver runs on the same machine, which may delay it by more than the watchdog's time. On a
     robot that delay does not exist, so the robot's time stops until the next instruction. A driver
-    that sends none for PATIENCE has ended: then the time goes on, and the watchdogs stop the servos
-    as soon after the last instruction, on the robot's clock, as on a robot.
+    that sends none for PATIENCE has ended: then the time advances, and the watchdogs stop the
+    servos as soon after the last instruction, on the robot's clock, as on a robot.
     """
 
-    def __init__(self, plant: BusPlant, portion: int) -> None:
-        """`portion` as for RealTimeClock."""
+    def __init__(self, plant: Plant, servos: EmulatedServos, portion: int) -> None:
+        """`servos`: those of the plant; `portion` as for RealTimeClock."""
         super().__init__(plant, portion)
-        self._bus_plant = plant
+        self._servos, self._step = servos, to_ns(plant.simulator.scene.solver.step)
         self._last = 0  # ns, `now` of the last call
         self.waited = 0  # ns, of the present wait for the driver
 
     def advance_to(self, now: int) -> Iterator[Reading]:
         """Advance towards `now` by at most one portion, and not past the next bus watchdog."""
         passed, self._last = now - self._last, now
-        until, due = min(now, self._plant.now + self._portion), self._bus_plant.watchdog_due()
+        until, due = min(now, self._plant.now + self._portion), self._watchdog_due()
         if due is None or until <= due:
             self.waited = 0
         else:
             self.waited += min(passed, LONGEST_CALL)
             until = until if self.waited > PATIENCE else due
         return self._plant.advance(until)
+
+    def _watchdog_due(self) -> int | None:
+        """Time (ns) up to which no bus watchdog stops a servo; None if none is armed."""
+        left = self._servos.watchdog_left()
+        if math.isinf(left):
+            return None
+        return self._plant.now + (math.floor(left * SECOND) // self._step - 1) * self._step

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import heapq
 import itertools
 from collections.abc import Callable, Iterator
@@ -16,12 +17,13 @@ from slot_core.config import ConfigError
 from slot_core.dynamics.scene import CameraSettings, Push, Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import SimulatedRobot
-from slot_core.dynamixel.state import JointReading
-from slot_core.faults import BROKEN, NAN, SLACK, Fault, legs_of, require_simulated_legs
+from slot_core.faults import BROKEN, BUS_KINDS, NAN, SLACK, Fault, legs_of, require_simulated_legs
+from slot_core.joint_reading import JointReading
 from slot_core.paper.paper_robot import PaperRobot
 from slot_core.robot import LEGS, Array, RobotParameters
-from slot_core.safety.command_gate import AT_REST, extrapolated
+from slot_core.safety.commands import AT_REST, extrapolated
 from slot_core.safety.servo_health import ServoHealth
+from slot_core.servos.brand import Emulate, EmulatedServos
 from slot_core.simulation.kernel_robot import KernelRobot
 from slot_core.simulation.rod_robot import RodRobot
 from slot_core.simulation.sensors import (
@@ -35,6 +37,7 @@ from slot_core.simulation.sensors import (
 from slot_core.simulation.tabulated_robot import TabulatedRobot
 
 CYCLE = 0.01  # s, of the servos, as the driver's bus cycles
+UNBOUNDED_RPM = 1e6  # above the speed of any shaft
 
 if TYPE_CHECKING:
     from slot_core.simulation.camera_sensor import CameraSensor
@@ -54,14 +57,14 @@ class TrueState:
 
 
 @dataclass(frozen=True)
-class ServoReport:
+class StampedHealth:
     """Health of the servos at `stamp` (ns), on which the supervisor steps; None: not reported."""
 
     stamp: int
     health: ServoHealth | None
 
 
-Reading = OdometryReading | PictureReading | ImuReading | JointReading | TrueState | ServoReport
+Reading = OdometryReading | PictureReading | ImuReading | JointReading | TrueState | StampedHealth
 
 
 @dataclass(frozen=True, order=True)
@@ -104,19 +107,45 @@ def make_robot(robot: RobotParameters, scene: Scene, servo: ServoSettings) -> Si
     return MODELS[scene.solver.legs](robot, scene, servo)
 
 
+def immediate_servo(servo: ServoSettings, step: float) -> ServoSettings:
+    """Ideal servo that reaches its command within one step (s); raises ConfigError on backlash."""
+    if servo.backlash_deg:
+        raise ConfigError(
+            f"servo.yaml: backlash_deg = {servo.backlash_deg}: emulated servos have none"
+        )
+    return dataclasses.replace(servo, model="ideal", lag=step, ideal_rpm=UNBOUNDED_RPM)
+
+
 class Plant:
     """Simulated robot, servos and sensors on one clock; yields readings when they are due.
 
     Odometry, or the camera's picture in its place, is due `delay` after its stamp, every other
     reading at its stamp. The robot is frozen in its starting pose until `start` sets the clock.
     Raises ConfigError if the scene has a fault or a push that the robot's model does not support.
+
+    Emulated servos replace model, lag and backlash of `servo.yaml`: in every time step they advance
+    by that step, loaded by the tendon torques at its start, and the spools end it at the angles of
+    their shafts. They take commands from the bus, `command` only checks; their driver reads them.
     """
 
     def __init__(
-        self, robot: RobotParameters, scene: Scene, servo: ServoSettings, rng: np.random.Generator
+        self,
+        robot: RobotParameters,
+        scene: Scene,
+        servo: ServoSettings,
+        rng: np.random.Generator,
+        emulate: Emulate | None = None,
     ):
+        """`emulate`: makes the emulated servos, if there are any; their torque is off."""
         odometry_rng, imu_rng, trouble_rng, camera_rng = rng.spawn(4)
-        self.simulator = make_robot(robot, scene, servo)
+        self.emulated: EmulatedServos | None = None
+        if emulate is None:
+            self.simulator = make_robot(robot, scene, servo)
+        else:
+            ideal = immediate_servo(servo, scene.solver.step)
+            self.simulator = make_robot(robot, scene, ideal)
+            self.emulated = emulate(self.simulator.tendon_angle, scene.supply_voltage)
+        self._reads_joints = scene.sensors.joints and emulate is None
         self.now = 0  # ns
         self.held = False  # in its present pose: time runs, but nothing moves
         self._scene = scene
@@ -148,7 +177,7 @@ class Plant:
             self.now = stamp
             sensors = self._scene.sensors
             imu = self._read_imu() if sensors.imu.enabled else []
-            joints = self._read_joints() if sensors.joints else []
+            joints = self._read_joints() if self._reads_joints else []
             self._at_rest = [*imu, *joints, self._odometry_or_picture(self._truth(), 0.0)]
         return self._at_rest
 
@@ -158,7 +187,7 @@ class Plant:
         sensors = self._scene.sensors
         if sensors.imu.enabled:
             self.every(sensors.imu.period, self._read_imu)
-        if sensors.joints:
+        if self._reads_joints:
             self.every(sensors.joint_period, self._read_joints)
         placing = sensors.camera if sensors.camera.enabled else sensors.odometry
         self.every(placing.period, self._read_odometry)
@@ -196,8 +225,8 @@ class Plant:
     def command(self, angle: Array, rate: Array = AT_REST) -> None:
         """Set the tendon angles (4,), rad, from now on, and their rate (4,), rad/s.
 
-        Every `CYCLE` the servos get the angles of that time, for at most `LONGEST`, then they keep
-        them. Raises ValueError for another shape or a value that is not finite or out of range.
+        Every `CYCLE` the servos get the angles of that time, at most for `EXTRAPOLATION_MAX`, then
+        they keep them. Raises ValueError for another shape, or a value not finite or out of range.
         """
         self._command = self._goal = self.simulator.checked(angle)
         self._rate, self._commanded_at = rate, self.now
@@ -262,7 +291,12 @@ class Plant:
         return np.clip(angle, 0.0, self.simulator.robot.tendon.angle_max)
 
     def _advance_robot(self, steps: int) -> None:
-        self.simulator.advance(steps, self._goal)
+        if self.emulated is None:
+            self.simulator.advance(steps, self._goal)
+            return
+        for _ in range(steps):
+            angle = self.emulated.advance(self._scene.solver.step, self.simulator.servo_torque)
+            self.simulator.advance(1, np.clip(angle, 0.0, self.simulator.robot.tendon.angle_max))
 
     def _read_imu(self) -> list[Reading]:
         return [self._imu.sample(self.simulator, self.now)]
@@ -311,6 +345,8 @@ class Plant:
 
     def _require_supported(self, fault: Fault) -> None:
         """Raise ConfigError if this robot does not support a fault."""
+        if fault.kind in BUS_KINDS and self.emulated is not None:
+            return
         require_simulated_legs(fault)
         if not isinstance(self.simulator, ROBOT_WITH_FAULT[fault.kind]):
             model = self._scene.solver.legs
@@ -321,7 +357,11 @@ class Plant:
 
     def _set_fault(self, fault: Fault, leg: str, on: bool) -> None:
         """Apply a fault that is in `_faults` to a leg, or remove it."""
-        if fault.kind != NAN:
+        if fault.kind in BUS_KINDS:
+            assert self.emulated is not None
+            act = self.emulated.inject if on else self.emulated.clear
+            act(dataclasses.replace(fault, leg=leg))
+        elif fault.kind != NAN:
             self._update_tendon(leg)
         elif on:
             assert isinstance(self.simulator, RodRobot)

@@ -1,207 +1,324 @@
-"""Servos of the simulated robot in real time, between the commands of the graph and the tendons.
+"""Servos of the simulated robot, between the commands of the graph and the tendons.
 
-    GuardedServos  follow the command watchdog, as the driver of real servos does
-    BusServos      emulated servos on a bus, commanded by the driver at its port
+    DirectServos  follow the watchdog, as the driver of real servos does
+    BusServos     emulated servos on a bus: in lockstep behind driver and watchdog in this process,
+                  in real time at a device, commanded by a driver in another process
 
-Times `now` are those of a clock that never goes back, ns.
+In lockstep they are stepped on the robot's clock, which holds the robot in its starting pose until
+its servos first follow a command. From then on a servo without torque moves as on a robot. In every
+cycle the servos take the newest permission; in every second one they report, and the supervisor
+steps on the report. Times `now` are those of a clock that never goes back, ns.
 """
 
 from __future__ import annotations
 
-import math
+import dataclasses
 import sys
 import time
+from abc import ABC, abstractmethod
+from collections import deque
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from slot_core.clock import to_ns
+from slot_core.clock import to_ns, to_seconds
 from slot_core.divergence import DivergenceError
-from slot_core.emulator.pseudo_terminal import PseudoTerminal
+from slot_core.dynamics.servo import read_servo
 from slot_core.robot import LEGS, Array
-from slot_core.safety.command_gate import AT_REST, Action
-from slot_core.safety.command_guard import NO_LIMITS, CommandGuard
-from slot_core.safety.command_watchdog import Permission
-from slot_core.safety.servo_health import ServoHealth, healthy_servos
-from slot_core.safety.settings import ServoLimits
-from slot_core.simulation.bus_plant import BusPlant
-from slot_core.simulation.plant import Plant
+from slot_core.safety.commands import AT_REST, Action
+from slot_core.safety.rate_limiter import unchanged
+from slot_core.safety.servo_health import ServoHealth
+from slot_core.safety.supervisor import PERIOD
+from slot_core.safety.watchdog import Permission, Watchdog
+from slot_core.servos.brand import EmulatedPort, EmulatedServos
+from slot_core.servos.servo_errors import PortError, RefusedError
+from slot_core.servos.session import ServoSession
+from slot_core.simulation.plant import CYCLE, Plant, Reading, StampedHealth
 
+CYCLES = round(PERIOD / CYCLE)  # between two reports
 CLOSE_TIMEOUT = 3.0  # s, for the driver to switch the servos off
 CLOSE_STEP = 0.002  # s, between two steps of the simulation while closing
 SWITCH_INTERVAL = 5e-4  # s, between thread switches: longest delay of the bus by the simulation
 
 
-class Servos(Protocol):
-    """Interface of the servos.
+class SimulatedServos(ABC):
+    """Servos of a simulated robot, and their cycles in lockstep.
 
-    released: whether torque has gone off again, so that the tendons unwind without a command.
+    watchdog: of the servos; of those on a bus in real time it is in the driver, and this one has no
+    limits. released: whether torque has gone off again, so that the tendons unwind.
     """
 
-    released: bool
+    def __init__(self, plant: Plant, lockstep: bool) -> None:
+        self._plant, self._lockstep, self._number = plant, lockstep, 0
+        plant.held = lockstep
+        self.watchdog = Watchdog(0.0, plant.simulator.robot.tendon.angle_max)
+        self.released = self._was_on = False
+        self._commanded = self._arrived = 0  # ns, stamp of the newest command and when it arrived
 
     @property
+    @abstractmethod
+    def action(self) -> Action:
+        """What the servos do with commands."""
+
+    @property
+    @abstractmethod
     def powered(self) -> bool:
         """Whether the servos accept commands; before that no readings are published."""
-        ...
 
+    @abstractmethod
+    def permit(self, permission: Permission) -> None:
+        """Set the newest permission of the supervisor."""
+
+    @abstractmethod
     def offer(self, now: int, stamp: int, angle: Array, rate: Array = AT_REST) -> None:
         """Take angles (4,), rad, at `now`, and their rate; raises ValueError if rejected."""
-        ...
 
-    def follows(self, now: int) -> bool:
-        """Whether the servos follow commands at `now`; before that the robot stays frozen."""
-        ...
-
+    @abstractmethod
     def step(self, now: int) -> None:
-        """Update the commands of the robot at `now`."""
-        ...
+        """Update the commands of the robot at `now`, in real time."""
 
-    @property
-    def clock_jump(self) -> float:
-        """Largest difference between the stamp of a command and the present, s."""
-        ...
+    @abstractmethod
+    def health(self, stamp: int) -> ServoHealth | None:
+        """Health report at `stamp` (ns); None: nobody reports any more."""
 
+    @abstractmethod
     def close(self, running: bool) -> str:
         """End, and return the legs with torque still on; `running`: advance the robot meanwhile."""
-        ...
+
+    @abstractmethod
+    def _exchange(self) -> list[Reading]:
+        """Pass commands to the servos in lockstep, and return their readings."""
+
+    def start(self) -> None:
+        """Begin the cycles in lockstep; the robot's clock has started."""
+        self._plant.every(CYCLE, self._cycle)
+
+    def report(self) -> StampedHealth:
+        """The health now, with the newest command, in lockstep."""
+        now, found = self._plant.now, self.health(self._plant.now)
+        if found is not None:
+            found = dataclasses.replace(found, commanded=self._commanded, written=self._arrived)
+        return StampedHealth(now, found)
+
+    def _cycle(self) -> list[Reading]:
+        readings = self._exchange()
+        self._number += 1
+        return readings if self._number % CYCLES else [*readings, self.report()]
+
+    def _note_torque(self, on: bool) -> None:
+        """Note whether torque, once permitted, has gone off."""
+        self._was_on = self._was_on or on
+        self.released = self._was_on and not on
+
+    def _unhold(self) -> None:
+        """Let the robot move once its servos follow commands or are without torque."""
+        free = self.action is Action.PASS or self.released
+        self._plant.held = self._plant.held and not free
 
 
-class BusServos:
-    """Emulated servos, which take the commands of the graph through the driver."""
-
-    released = False
-    clock_jump = math.inf
-
-    def __init__(self, plant: BusPlant, link: Path) -> None:
-        """Open the pseudo-terminal `link`; raises ConfigError if another file has that name."""
-        self._plant = plant
-        sys.setswitchinterval(SWITCH_INTERVAL)
-        self._terminal = PseudoTerminal(plant.legs.bus, link)
-
-    @property
-    def powered(self) -> bool:
-        """Whether every servo has torque on."""
-        return len(self._plant.powered()) == len(LEGS)
-
-    def offer(self, now: int, stamp: int, angle: Array, rate: Array = AT_REST) -> None:
-        """Check the range of a command (4,), rad; raises ValueError."""
-        self._plant.command(angle)
-
-    def follows(self, now: int) -> bool:
-        """Whether every servo has torque on."""
-        return self.powered
-
-    def step(self, now: int) -> None:
-        """Do nothing: the servos are commanded over the bus."""
-
-    def close(self, running: bool) -> str:
-        """Close the port when the driver has closed it, at the latest after CLOSE_TIMEOUT."""
-        self._terminal.release()
-        last = time.monotonic()
-        end = last + CLOSE_TIMEOUT
-        while self._terminal.in_use and last < end:
-            time.sleep(CLOSE_STEP)
-            now = time.monotonic()
-            if running:
-                try:
-                    for _ in self._plant.advance(self._plant.now + to_ns(now - last)):
-                        pass  # no subscriber is left
-                except DivergenceError:  # the port is closed all the same
-                    running = False
-            last = now
-        self._terminal.close()
-        return ", ".join(self._plant.powered())
-
-
-class GuardedServos:
-    """Servos behind the command watchdog, without a bus; they have no faults of their own.
+class DirectServos(SimulatedServos):
+    """Servos behind the watchdog, without a bus; they have no faults of their own.
 
     With torque off a servo turns to a slack tendon at its own speed. Until the limits of the
     supervisor are received, commands are rejected.
     """
 
-    powered = True
-
-    def __init__(self, plant: Plant) -> None:
-        self._plant = plant
-        self._guard = CommandGuard(0.0, plant.simulator.robot.tendon.angle_max)
-        self.action, self.reason = Action.HOLD, NO_LIMITS
-        self._goal = _spool_angles(plant)  # (4,) rad
-        self._slewed = np.zeros(len(LEGS), dtype=bool)
-        self._torque = True
-        self._permitted = False  # whether the supervisor has ever permitted torque
-        self._was_on = False  # torque, by permission
-        self.released = False
+    def __init__(self, plant: Plant, lockstep: bool = False) -> None:
+        super().__init__(plant, lockstep)
+        self.watchdog.engage(plant.simulator.tendon_angle)
+        self._goals = unchanged(Action.HOLD, plant.simulator.tendon_angle, True)
 
     @property
-    def clock_jump(self) -> float:
-        """Largest difference between a command's stamp and the present, s; inf without limits."""
-        return self._guard.clock_jump
+    def action(self) -> Action:
+        """What the servos do with commands."""
+        return self.watchdog.action
 
-    def set_limits(self, limits: ServoLimits) -> None:
-        """Set the limits of the supervisor; raises ConfigError as `CommandGate` does."""
-        first = self._guard.watchdog is None
-        self._guard.set_limits(limits)
-        if first and self._guard.watchdog:
-            self._guard.watchdog.engage(_spool_angles(self._plant))
+    @property
+    def powered(self) -> bool:
+        """Whether the servos accept commands: in lockstep with the limits of the supervisor."""
+        return not self._lockstep or self.watchdog.limits is not None
 
     def permit(self, permission: Permission) -> None:
         """Set the newest permission of the supervisor."""
-        self._guard.permit(permission)
-        if self._guard.watchdog is not None:
-            self._permitted = self._permitted or permission.action is not Action.OFF
+        self.watchdog.permit(permission)
 
     def offer(self, now: int, stamp: int, angle: Array, rate: Array = AT_REST) -> None:
         """Take angles (4,), rad, at `now`, and their rate; raises ValueError if rejected."""
-        if fault := self._guard.offer(now, angle, rate):
+        self._commanded, self._arrived = stamp, now
+        if fault := self.watchdog.offer(now, angle, rate):
             raise ValueError(fault)
-
-    def follows(self, now: int) -> bool:
-        """Whether the action of the watchdog is PASS."""
-        watchdog = self._guard.watchdog
-        if watchdog is None:
-            return False
-        watchdog.step(now)
-        return watchdog.action is Action.PASS
+        if self._lockstep:
+            self.step(now)
 
     def step(self, now: int) -> None:
         """Command the simulated servos as the watchdog decides."""
-        watchdog = self._guard.watchdog
-        if watchdog is None:
+        if self.watchdog.limits is None:
             return
-        gated = watchdog.step(now)
-        if gated.torque and not self._torque:
-            watchdog.engage(_spool_angles(self._plant))
-            gated = watchdog.step(now)
-        self.action, self.reason = watchdog.action, watchdog.reason
-        self._goal, self._slewed, self._torque = gated.angle, gated.slewed, gated.torque
-        self._was_on = self._was_on or (self._permitted and gated.torque)
-        self.released = self._was_on and not gated.torque
-        self._plant.command(gated.angle if gated.torque else np.zeros(len(LEGS)))
+        goals = self.watchdog.step(now)
+        if goals.torque and not self._goals.torque:
+            self.watchdog.engage(self._plant.simulator.tendon_angle)
+            goals = self.watchdog.step(now)
+        self._goals = goals
+        self._note_torque(goals.torque and self.watchdog.permission is not None)
+        self._plant.command(goals.angle if goals.torque else np.zeros(len(LEGS)))
 
     @property
     def urgent(self) -> tuple[Any, ...]:
         """Values of the health report whose change is published at once."""
-        return self.action, self._torque, self._slewed.tobytes()
+        return self.action, self._goals.torque, self._goals.slewed.tobytes()
 
     def health(self, stamp: int) -> ServoHealth:
         """Health report of the servos: they have no faults."""
-        return healthy_servos(
+        goals, voltage = self._goals, self._plant.simulator.scene.supply_voltage
+        return ServoHealth(
             self.action,
-            self.reason,
-            self._torque,
-            self._goal,
-            self._slewed,
-            voltage=self._plant.simulator.scene.supply_voltage,
+            self.watchdog.reason,
+            np.full(len(LEGS), goals.torque),
+            goals.angle,
+            goals.slewed,
+            voltage=np.full(len(LEGS), voltage),
         )
 
     def close(self, running: bool) -> str:
         """Return "": there is nothing to end."""
         return ""
 
+    def _exchange(self) -> list[Reading]:
+        self.step(self._plant.now)
+        self._unhold()
+        return []
 
-def _spool_angles(plant: Plant) -> Array:
-    """Angles of the spools (4,), rad."""
-    return plant.simulator.tendon_angle
+
+class BusServos(SimulatedServos):
+    """Emulated servos on a bus, behind their driver and its watchdog.
+
+    In lockstep exchanges take no time, and a driver whose port disappears ends, as the node does.
+    One that has ended neither reads nor writes nor reports.
+    """
+
+    session: ServoSession  # driver and watchdog, in lockstep
+    _port: EmulatedPort  # for the driver in another process, in real time
+
+    def __init__(self, plant: Plant, lockstep: bool = False, link: Path | None = None) -> None:
+        """In lockstep check every servo, else open a device under the name `link`.
+
+        Raises RefusedError, or ConfigError if another file has the name of the link.
+        """
+        super().__init__(plant, lockstep)
+        assert plant.emulated is not None
+        self._servos: EmulatedServos = plant.emulated
+        self._model = read_servo()
+        self.end = ""  # why the driver has ended, in lockstep
+        if lockstep:
+            bus = self._servos.connect(lambda: to_seconds(plant.now))
+            self.session = ServoSession(
+                bus, plant.simulator.robot.tendon.angle_max, CYCLE, self._pass
+            )
+            self.watchdog = self.session.watchdog
+            self.session.configure()
+        else:
+            sys.setswitchinterval(SWITCH_INTERVAL)
+            self._port = self._servos.serve(link)
+
+    @property
+    def action(self) -> Action:
+        """What the servos do with commands; in real time the driver decides it."""
+        return self.session.action if self._lockstep else Action.PASS
+
+    @property
+    def powered(self) -> bool:
+        """Whether the servos accept commands: every torque is on, in lockstep may come on."""
+        if self._lockstep:
+            return self.watchdog.limits is not None
+        return len(self._servos.powered()) == len(LEGS)
+
+    def permit(self, permission: Permission) -> None:
+        """Set the newest permission, in lockstep; it switches torque on or off at once."""
+        if self.end:
+            return
+        self.session.permit(permission)
+        if self.session.may_start(permission):
+            with suppress(RefusedError):  # the session reports it
+                self.session.start()
+
+    def offer(self, now: int, stamp: int, angle: Array, rate: Array = AT_REST) -> None:
+        """Take angles (4,), rad, their rate, and a bus cycle; raises ValueError if rejected.
+
+        In real time the driver takes the command: here only its range is checked.
+        """
+        if not self._lockstep:
+            self._plant.command(angle)
+            return
+        self._commanded, self._arrived = stamp, now
+        if self.end:
+            return
+        if fault := self.session.offer(now, stamp, angle, rate):
+            raise ValueError(fault)
+        self._exchange()
+
+    def step(self, now: int) -> None:
+        """Do nothing: the servos are commanded over the bus."""
+
+    def health(self, stamp: int) -> ServoHealth | None:
+        """Health report in lockstep, unless the driver has ended."""
+        return None if self.end else self.session.health(stamp)
+
+    def close(self, running: bool) -> str:
+        """Slacken the tendons, torque off; return the legs with torque still on.
+
+        In real time the driver does so until it closes the device, at the latest in CLOSE_TIMEOUT.
+        """
+        if not self._lockstep:
+            self._await_driver(running)
+        elif not self.end:
+            self.end = "closed"  # no further cycles but those of the ramp
+            if running:
+                with suppress(DivergenceError):  # of the ramp; torque is off
+                    self.session.stop()
+            else:
+                self.session.bus.torque_off()
+        return ", ".join(self._servos.powered())
+
+    def _await_driver(self, running: bool) -> None:
+        """Advance the robot until the driver has closed the device, then remove it."""
+        self._port.release()
+        last = time.monotonic()
+        end = last + CLOSE_TIMEOUT
+        while self._port.in_use and last < end:
+            time.sleep(CLOSE_STEP)
+            now = time.monotonic()
+            if running:
+                try:
+                    self._pass(now - last)
+                except DivergenceError:  # the device is removed all the same
+                    running = False
+            last = now
+        self._port.close()
+
+    def _exchange(self) -> list[Reading]:
+        """A bus cycle; the joints if every servo has answered."""
+        if self.end:
+            return []
+        now = self._plant.now
+        try:
+            cycle = self.session.step(now)
+        except PortError as error:
+            self.end = str(error)
+            return []
+        self._note_torque(self.session.bus.active)
+        self._unhold()
+        reading = cycle.joints(now, self._model.tendon_stall(self.session.voltage))
+        return [] if reading is None else [reading]
+
+    def _pass(self, seconds: float) -> None:
+        """Let time pass on the robot's clock; nothing receives the readings."""
+        deque(self._plant.advance(self._plant.now + to_ns(seconds)), maxlen=0)
+
+
+def make_servos(plant: Plant, lockstep: bool, link: Path | None = None) -> SimulatedServos:
+    """The servos of a plant; raises RefusedError, ConfigError as `BusServos`."""
+    if plant.emulated is None:
+        return DirectServos(plant, lockstep)
+    return BusServos(plant, lockstep, link)

@@ -15,30 +15,27 @@ from slot_core.control.controller import Tick
 from slot_core.control.policy import DEFAULT_POLICY
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
-from slot_core.dynamixel.settings import read_settings
-from slot_core.dynamixel.state import JointReading
-from slot_core.emulator.emulated_bus import read_emulator
 from slot_core.gait.gait import STAND
+from slot_core.joint_reading import JointReading
 from slot_core.robot import Array, RobotParameters, read_robot
-from slot_core.safety.command_watchdog import Permission
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.start_up import StartUp
 from slot_core.safety.states import State
 from slot_core.safety.supervisor import Report, Request, Supervisor
 from slot_core.safety.tendon_watch import read_tendon_watch
 from slot_core.safety.ticked_supervisor import TickedSupervisor
-from slot_core.simulation.bus_plant import BusPlant
+from slot_core.safety.watchdog import Permission
+from slot_core.servos.registry import read_brand
 from slot_core.simulation.closed_loop import ClosedLoop, PlantMaker
-from slot_core.simulation.plant import Plant, Reading, ServoReport
-from slot_core.simulation.stepped_servos import stepped
+from slot_core.simulation.plant import Plant, Reading, StampedHealth
+from slot_core.simulation.simulated_servos import make_servos
 
 
 def make_bus_plant(
     robot: RobotParameters, scene: Scene, servo: ServoSettings, rng: np.random.Generator
-) -> BusPlant:
-    """Simulated robot on emulated servos as configured."""
-    settings, emulator = read_settings(), read_emulator()
-    return BusPlant(robot, scene, servo, rng, settings=settings, emulator=emulator)
+) -> Plant:
+    """Simulated robot on emulated servos of the configured brand."""
+    return Plant(robot, scene, servo, rng, read_brand().emulate)
 
 
 MAKERS: dict[str, PlantMaker] = {"sim": Plant, "fake_bus": make_bus_plant}
@@ -82,8 +79,8 @@ class SupervisedLoop:
         self.ticked = TickedSupervisor(
             self.supervisor, StartUp(Request.READY, Request.STAND, *walk)
         )
-        self.servos = stepped(self.plant)
-        self.servos.set_limits(settings.servo_limits)
+        self.servos = make_servos(self.plant, lockstep=True)
+        self.servos.watchdog.set_limits(settings.servo_limits)
 
     def run(self, seconds: float) -> Iterator[Report]:
         """Advance the robot's clock and yield each report of the supervisor, every 20 ms.
@@ -94,7 +91,7 @@ class SupervisedLoop:
             yield self._begin()
         end = self.plant.now + to_ns(seconds)
         while self.plant.now < end:
-            report = self._take(self.plant.advance_to_reading(ServoReport))
+            report = self._take(self.plant.advance_to_reading(StampedHealth))
             if report is not None:
                 yield report
 
@@ -111,7 +108,7 @@ class SupervisedLoop:
         """Take readings in turn; returns the supervisor's report on that of the servos."""
         report = None
         for reading in readings:
-            if isinstance(reading, ServoReport):
+            if isinstance(reading, StampedHealth):
                 report = self.supervise(reading)
             elif isinstance(reading, JointReading):
                 self.receive_joints(reading)
@@ -144,7 +141,7 @@ class SupervisedLoop:
             with suppress(ValueError):  # rejected; the supervisor finds the same
                 self.servos.offer(now, tick.estimate.stamp, tick.command.angle, tick.command.rate)
 
-    def supervise(self, report: ServoReport) -> Report | None:
+    def supervise(self, report: StampedHealth) -> Report | None:
         """Step the supervisor on a report of the servos, which take its permission."""
         if "supervisor" not in self.running:
             return None

@@ -24,7 +24,7 @@ import numpy as np
 
 from slot_core import config
 from slot_core.clock import to_seconds
-from slot_core.command_line import Parser
+from slot_core.command_line import CommandParser
 from slot_core.messages import decode
 from slot_lab.bags import replayed_stages
 from slot_lab.bags.bag import Bag, BagError
@@ -191,7 +191,7 @@ def open_bag(options: argparse.Namespace) -> Bag:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/replay`; exit code 0: equal, 1: a difference, 2: no replay."""
-    parser = Parser(
+    parser = CommandParser(
         prog="scripts/replay",
         description=__doc__.split("\n\n")[0],
         epilog="With --live it plays the sensors into running nodes: scripts/replay --live --help",

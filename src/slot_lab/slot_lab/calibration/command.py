@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from slot_core import config
-from slot_core.command_line import Parser, positive_integer
+from slot_core.command_line import CommandParser, positive_integer
 from slot_core.config import ConfigError
 from slot_core.robot import Array, RobotParameters, read_parameters, read_robot
 from slot_lab.calibration import parameter_file
@@ -106,7 +106,7 @@ def _write(
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
+    parser = CommandParser(
         prog="scripts/calibrate",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,

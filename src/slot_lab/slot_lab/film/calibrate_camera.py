@@ -15,7 +15,7 @@ from pathlib import Path
 
 import cv2
 
-from slot_core.command_line import Parser, positive_integer
+from slot_core.command_line import CommandParser, positive_integer
 from slot_core.config import ConfigError
 from slot_core.vision.camera import CameraError, camera_text
 from slot_core.vision.settings import VisionSettings, read_vision
@@ -74,7 +74,7 @@ def report(found: Calibration) -> list[str]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
+    parser = CommandParser(
         prog="scripts/calibrate_camera",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -20,7 +20,7 @@ import numpy as np
 
 from slot_core.body_points import LEAST_NODES, LEG_POINTS, TORSO, arc_length, at_shares
 from slot_core.clock import to_seconds
-from slot_core.command_line import Parser, within
+from slot_core.command_line import CommandParser, within
 from slot_core.config import ConfigError
 from slot_core.geometry import Transform, optical
 from slot_core.messages import decode
@@ -247,7 +247,7 @@ def _motion(bag: Bag, robot: RobotParameters, duration: float) -> tuple[Array, l
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
+    parser = CommandParser(
         prog="scripts/film",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,

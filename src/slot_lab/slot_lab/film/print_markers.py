@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from slot_core.command_line import Parser, within
+from slot_core.command_line import CommandParser, within
 from slot_core.config import ConfigError
 from slot_core.vision.board import WHITE, Picture, make_board, picture_of, single_marker
 from slot_core.vision.settings import VisionSettings, read_vision
@@ -100,7 +100,7 @@ def _write(page: Picture, text: str, place: tuple[int, int], height: float) -> N
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
+    parser = CommandParser(
         prog="scripts/print_markers",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -20,7 +20,7 @@ from pathlib import Path
 import cv2
 
 from slot_core.body_points import COLUMNS, FRAME, TORSO
-from slot_core.command_line import Parser, within
+from slot_core.command_line import CommandParser, within
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_core.vision.camera import Camera, CameraError, nominal, read_camera
@@ -141,7 +141,7 @@ def _summary(tracks: Tracks, samples: list[MarkerSample]) -> list[str]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
+    parser = CommandParser(
         prog="scripts/track",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from slot_core.command_line import Parser
+from slot_core.command_line import CommandParser
 from slot_core.control.policy import Status
 from slot_core.drawing import palette
 from slot_core.robot import LEGS, Array
@@ -180,7 +180,7 @@ def _finish(ax: Axes, found: ConstraintMap) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/constraint_map`; exit code 0: clean, 1: a violation, 2: no map."""
-    parser = Parser(
+    parser = CommandParser(
         prog="scripts/constraint_map", description="Draws the Dynamic Constraint Map of a bag."
     )
     parser.add_argument("bag", type=Path, help="directory of a bag, or its .mcap file")

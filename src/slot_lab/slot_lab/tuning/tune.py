@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from slot_core import config
-from slot_core.command_line import Parser, positive_integer
+from slot_core.command_line import CommandParser, positive_integer
 from slot_core.config import ConfigError
 from slot_core.control.force_map import read_springs
 from slot_core.gait.gait import Pattern, Steering, Stride, read_gaits
@@ -212,7 +212,7 @@ def _rest(height: float) -> dict[str, object]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
+    parser = CommandParser(
         prog="scripts/tune",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.body_points import LEG_POINTS, TORSO, at_shares
-from slot_core.command_line import Parser
+from slot_core.command_line import CommandParser
 from slot_core.config import ConfigError
 from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.record_settings import read_record_settings
@@ -57,7 +57,7 @@ REST, PULL, HOLD, RELEASE = 1.024, 2.4, 0.2, 2.0  # s
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line; ends with exit code 2 and one line on a bad input."""
-    parser = Parser(
+    parser = CommandParser(
         prog="scripts/example_data",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -24,7 +24,7 @@ from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.robot import Array, RobotParameters, read_parameters, read_robot
-from slot_core.safety.command_gate import extrapolated
+from slot_core.safety.commands import extrapolated
 from slot_core.simulation.plant import make_robot
 from slot_lab.bags.measured import TendonAngles
 from slot_lab.bags.recorded_walk import TorsoTrack
@@ -146,9 +146,8 @@ def _commands(
         newest = (np.searchsorted(effect, edges, side="left") - 1).clip(min=0)
         rows = angles.angle[newest]
         if angles.rate is not None:
-            rows = extrapolated(
-                rows, angles.rate[newest], step * (edges - hold / 2 - effect[newest])
-            )
+            age = step * (edges - hold / 2 - effect[newest])
+            rows = extrapolated(rows, angles.rate[newest], age)
     return list(zip(edges.tolist(), np.clip(rows, 0.0, limit)))
 
 

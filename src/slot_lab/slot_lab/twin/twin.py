@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from slot_core.command_line import Parser, positive_integer, within
+from slot_core.command_line import CommandParser, positive_integer, within
 from slot_core.config import ConfigError, load
 from slot_core.divergence import DivergenceError
 from slot_core.robot import Array
@@ -167,7 +167,7 @@ def _progress(line: str) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
+    parser = CommandParser(
         prog="scripts/twin",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,

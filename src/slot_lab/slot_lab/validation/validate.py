@@ -13,7 +13,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from slot_core.command_line import Parser
+from slot_core.command_line import CommandParser
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_lab.bags.bag import BagError
@@ -64,7 +64,7 @@ def _run(options: argparse.Namespace) -> list[str]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
+    parser = CommandParser(
         prog="scripts/validate",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,

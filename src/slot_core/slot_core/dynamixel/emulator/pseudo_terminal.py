@@ -20,8 +20,8 @@ from types import TracebackType
 
 from slot_core.clock import Clock
 from slot_core.config import ConfigError
+from slot_core.dynamixel.emulator.emulated_bus import EmulatedBus
 from slot_core.dynamixel.port import BITS_PER_BYTE
-from slot_core.emulator.emulated_bus import EmulatedBus
 
 TERMINALS = Path("/dev/pts")
 CHUNK = 4096  # bytes, largest read

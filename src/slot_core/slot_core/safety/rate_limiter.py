@@ -1,15 +1,12 @@
-"""Final command check before the servos: finite, within range, rate-limited.
+"""Rate limiter: the last command before the servos, checked, and goals that follow it.
 
-A command is a vector of tendon angles at the time of its acceptance, and the rate at which they go
-on until the next command, at most for `LONGEST`; it is accepted or rejected as a whole. The goals
-of the servos follow it with a budget of time per leg: unused time is kept up to `burst`, and a leg
-moves at most its budget times the largest rate. So over any time T no goal moves further than
-rate_max (T + burst).
+A command is accepted or rejected as a whole. The goals follow it with a budget of time per leg:
+unused time is kept up to `burst`, and a leg moves at most its budget times the largest rate. So
+over any time T no goal moves further than rate_max (T + burst).
 """
 
 from __future__ import annotations
 
-import enum
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,36 +14,13 @@ from numpy.typing import NDArray
 
 from slot_core.clock import SECOND, to_seconds
 from slot_core.robot import LEGS, Array
+from slot_core.safety.commands import AT_REST, Action, command_fault, extrapolated
 from slot_core.safety.settings import GateSettings
 
 
-class Action(enum.Enum):
-    """What the servos do with commands."""
-
-    PASS = "pass"  # follow them, rate-limited
-    HOLD = "hold"  # keep the last goals
-    RELAX = "relax"  # a ramp to slack, then torque off
-    OFF = "off"  # torque off at once
-
-
-AT_REST = np.zeros(len(LEGS))
-"""Rate (4,), rad/s, of a command whose angles stay."""
-AT_REST.flags.writeable = False
-LONGEST = 0.1  # s that angles go on at the rate of a command
-
-
-def extrapolated(angle: Array, rate: Array, age: float | Array) -> Array:
-    """Angles (..., 4), rad, that commands have reached at their rates (..., 4), rad/s, and ages, s.
-
-    age: (...) or one for all; at most LONGEST counts.
-    """
-    passed = np.minimum(np.maximum(age, 0.0), LONGEST)
-    return angle + passed[..., None] * rate
-
-
 @dataclass(frozen=True)
-class Gated:
-    """Goals of the servos after a step of the gate."""
+class Goals:
+    """Goals of the servos after a step of the rate limiter."""
 
     action: Action
     angle: Array  # (4,) rad, within the range
@@ -54,21 +28,12 @@ class Gated:
     slewed: NDArray[np.bool_]  # (4,) whether the rate limit held the goal back
 
 
-def command_fault(angle: Array, rate: Array, low: float, high: float) -> str:
-    """One line that names the first angle outside [low, high] or value not finite, or ""."""
-    for name, values in (("command", angle), ("rate", rate)):
-        if np.shape(values) != (len(LEGS),):
-            return f"{name} has the shape {np.shape(values)}, limit ({len(LEGS)},)"
-    for leg, value in zip(LEGS, angle):
-        if not low <= value <= high:  # NaN is not
-            return f"command {leg} = {value:.4g} rad is not inside [{low:.4g}, {high:.4g}]"
-    for leg, value in zip(LEGS, rate):
-        if not np.isfinite(value):
-            return f"rate {leg} = {value:.4g} rad/s is not finite"
-    return ""
+def unchanged(action: Action, angle: Array, torque: bool) -> Goals:
+    """Goals that stay at angles (4,), rad."""
+    return Goals(action, angle.copy(), torque, np.zeros(len(LEGS), dtype=bool))
 
 
-class CommandGate:
+class RateLimiter:
     """Last accepted command, and goals that approach it at a limited rate.
 
     Times are those of a clock that never goes back, ns.
@@ -108,17 +73,17 @@ class CommandGate:
         self._goal = np.clip(np.asarray(angle, dtype=np.float64), self._low, self._high)
         self._target, self._target_rate = self._goal.copy(), AT_REST
 
-    def step(self, time: int, action: Action, fast: bool = False) -> Gated:
+    def step(self, time: int, action: Action, fast: bool = False) -> Goals:
         """Goals at `time`; `fast` allows `rate_max` instead of `approach_rate`."""
         elapsed = self._elapsed(time)
         if action is not self._action:
             self._action, self._since, self._relaxed = action, time, False
         self._budget = np.minimum(self._budget + elapsed, self.settings.burst)
         if action is Action.PASS:
-            return self._move(self._commanded(time), self._rate(time, fast), True)
+            return self._move(self._commanded(time), self._rate(time, fast))
         if action is Action.RELAX:
             return self._relax(time)
-        return self._stay(action is Action.HOLD)
+        return unchanged(action, self._goal, action is Action.HOLD)
 
     def restart_rate(self, time: int) -> None:
         """Start the growth of the rate from `approach_rate` to `rate_max` anew at `time`."""
@@ -143,15 +108,15 @@ class CommandGate:
         share = to_seconds(time - self._since) / s.resume_time
         return s.approach_rate + (s.rate_max - s.approach_rate) * min(max(share, 0.0), 1.0)
 
-    def _relax(self, time: int) -> Gated:
+    def _relax(self, time: int) -> Goals:
         """Ramp to slack; torque goes off at its end, whether or not the servos have followed."""
-        expired = time - self._since >= self.settings.relax_time * SECOND
         slack = np.full(len(LEGS), self._low)
-        gated = self._move(slack, self.settings.relax_rate, not self._relaxed)
+        moved = self._move(slack, self.settings.relax_rate)
+        expired = time - self._since >= self.settings.relax_time * SECOND
         self._relaxed = self._relaxed or expired or bool((self._goal == slack).all())
-        return gated if not self._relaxed else self._stay(False)
+        return unchanged(self._action, self._goal, False) if self._relaxed else moved
 
-    def _move(self, target: Array, rate: float, torque: bool) -> Gated:
+    def _move(self, target: Array, rate: float) -> Goals:
         """Move the goals towards `target`, within the budget."""
         distance = target - self._goal
         step = np.clip(distance, -rate * self._budget, rate * self._budget)
@@ -160,8 +125,4 @@ class CommandGate:
         # clipped, because goal + distance may round to beyond the limit
         goal = np.where(slewed, self._goal + step, target)
         self._goal = np.clip(goal, self._low, self._high)
-        return Gated(self._action, self.goal, torque, slewed)
-
-    def _stay(self, torque: bool) -> Gated:
-        """Keep the goals."""
-        return Gated(self._action, self.goal, torque, np.zeros(len(LEGS), dtype=bool))
+        return Goals(self._action, self.goal, True, slewed)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from slot_core.dynamixel.emulator.emulated_servo import EmulatedServo
+from slot_core.dynamixel.emulator.memory import RegisterError
 from slot_core.dynamixel.packet import BROADCAST, Error, Instruction, Packet
 from slot_core.dynamixel.table import MODEL_NUMBER
-from slot_core.emulator.emulated_servo import EmulatedServo
-from slot_core.emulator.memory import RegisterError
 
 CLEAR_TURNS = b"\x01\x44\x58\x4c\x22"  # parameters of Clear
 # Registers kept by Factory Reset, by its parameter.

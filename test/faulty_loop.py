@@ -1,18 +1,20 @@
 """The whole loop on simulated time with the faults of slot_bringup/doc/safety.md."""
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slot_core.clock import LOCKSTEP_START, SECOND
-from slot_core.emulator.memory import TRIPPED
+from slot_core.dynamixel.emulator.memory import TRIPPED
 from slot_core.faults import Fault
 from slot_core.robot import read_robot
-from slot_core.safety.command_gate import Action
+from slot_core.safety.commands import Action
 from slot_core.safety.states import State
+from slot_core.simulation.plant import CYCLE
 from slot_core.simulation.sensors import OdometryReading
-from slot_core.simulation.stepped_servos import CYCLE, DrivenServos
+from slot_core.simulation.simulated_servos import BusServos
 from slot_core.simulation.supervised_loop import SupervisedLoop
 
 ANGLE_MAX = read_robot().tendon.angle_max  # rad
@@ -20,23 +22,24 @@ BEGIN = 1.0  # s since the start, of the fault; the robot walks since 0.34 s
 
 
 class FaultyLoop(SupervisedLoop):
-    """A walk on the flat floor, with dead nodes and bad inputs."""
+    """A walk, with dead nodes, late commands and bad inputs."""
 
-    def __init__(self, hardware):
-        super().__init__("flat", "walk", None, 0, hardware=hardware)
+    def __init__(self, hardware="sim", scene="flat", seed=0):
+        super().__init__(scene, "walk", None, seed, hardware=hardware)
         self.first, self.reasons = {}, {}  # s since the fault, and the reason of a state
-        self.odometry_lost = False
         self.change_odometry = self.change_command = lambda value: value
         self.estop = None  # whether it is pressed; None: no source
         self.clock_offset = 0  # ns, of the computer's clock
+        self.delay = lambda: 0.0  # s, by which the next tick of the controller arrives late
 
-    def react(self, fault, last, limit):
-        """Walk, let `fault` happen, and run until the event `last`, at most for `limit` s.
+    def react(self, fault, last, limit, begin=BEGIN):
+        """Walk for `begin` s, let `fault` happen, and run until the event `last` or for `limit` s.
 
         Events are states of the robot, actions of the servos, slewed commands, torque off, and
         servos that their own watchdog has stopped. `first` has the first time of each.
         """
-        list(self.run(BEGIN))
+        self._fault_at = begin
+        list(self.run(begin))
         assert self.report.state is State.WALKING
         self.plant.every(CYCLE, self._watch)  # after the cycle of the servos
         fault(self)
@@ -49,9 +52,9 @@ class FaultyLoop(SupervisedLoop):
         """Note what the servos do after a cycle."""
         self._note(self.servos.action.name)
         health = self.servos.report().health
-        if isinstance(self.servos, DrivenServos):
-            powered = self.plant.powered()
-            servos = self.plant.legs.bus.servos
+        if isinstance(self.servos, BusServos):
+            powered = self.plant.emulated.powered()
+            servos = self.plant.emulated.bus.servos
             if all(servo.memory["bus_watchdog"] == TRIPPED for servo in servos):
                 self._note("servos stopped")
         else:
@@ -63,7 +66,7 @@ class FaultyLoop(SupervisedLoop):
         return []
 
     def _note(self, event, reason=""):
-        since = (self.plant.now - LOCKSTEP_START) / SECOND - BEGIN
+        since = (self.plant.now - LOCKSTEP_START) / SECOND - self._fault_at
         self.first.setdefault(event, round(since, 9))
         self.reasons.setdefault(event, reason)
 
@@ -77,12 +80,18 @@ class FaultyLoop(SupervisedLoop):
         """End the driver as SIGKILL does."""
         self.servos.end = "killed"
 
-    def inject(self, kind, value=0.0):
-        """A fault of the leg or servo FL."""
-        self.plant.inject(Fault(kind, "FL", 0.0, 0.0, value))
+    def inject(self, kind, value=0.0, leg="FL"):
+        """A fault of a leg or its servo."""
+        self.plant.inject(Fault(kind, leg, 0.0, 0.0, value))
 
     def lose_odometry(self):
-        self.odometry_lost = True
+        self.change_odometry = lambda o: None
+
+    def jump_odometry(self):
+        """Let the position of the odometry jump by 10 cm."""
+        self.change_odometry = lambda o: dataclasses.replace(
+            o, position=o.position + np.array([0.1, 0, 0])
+        )
 
     def spoil_odometry(self):
         """Let the position of the odometry be NaN."""
@@ -131,15 +140,18 @@ class FaultyLoop(SupervisedLoop):
 
     def receive(self, reading):
         if isinstance(reading, OdometryReading):
-            if self.odometry_lost:
-                return
             reading = self.change_odometry(reading)
-        super().receive(reading)
+        if reading is not None:
+            super().receive(reading)
 
     def control(self, tick):
         angle = self.change_command(tick.command.angle)
         command = dataclasses.replace(tick.command, angle=angle)
-        super().control(dataclasses.replace(tick, command=command))
+        arrive = partial(super().control, dataclasses.replace(tick, command=command))
+        if late := self.delay():
+            self.plant._schedule_action(self.plant.now + round(late * SECOND), arrive)
+        else:
+            arrive()
 
     def supervise(self, report):
         if self.estop is not None:

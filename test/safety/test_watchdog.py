@@ -1,13 +1,13 @@
-"""Command watchdog: action of the servos from permission, commands and the age of both."""
+"""Watchdog: action of the servos from permission, commands and the age of both."""
 
 import numpy as np
 import pytest
 
 from slot_core import config
 from slot_core.robot import read_robot
-from slot_core.safety.command_gate import Action
-from slot_core.safety.command_watchdog import CommandWatchdog, Permission
+from slot_core.safety.commands import Action
 from slot_core.safety.settings import read_supervisor
+from slot_core.safety.watchdog import Permission, Watchdog
 
 SETTINGS = read_supervisor()
 TIMING = SETTINGS.timing
@@ -16,11 +16,12 @@ START = np.full(4, 1.0)
 COMMAND = np.full(4, 1.2)
 
 
-class Bench:
+class WatchdogBench:
     """A watchdog with a permission and a command every 10 ms, unless one is None."""
 
     def __init__(self):
-        self.watchdog = CommandWatchdog(SETTINGS.servo_limits, 0.0, read_robot().tendon.angle_max)
+        self.watchdog = Watchdog(0.0, read_robot().tendon.angle_max)
+        self.watchdog.set_limits(SETTINGS.servo_limits)
         self.watchdog.engage(START)
         self.now = 0
 
@@ -32,25 +33,25 @@ class Bench:
                 self.watchdog.permit(Permission(self.now, permission, fast, reason))
             if command is not None:
                 self.watchdog.offer(self.now, command)
-            self.gated = self.watchdog.step(self.now)
+            self.goals = self.watchdog.step(self.now)
         return self.watchdog.action
 
 
 @pytest.fixture
 def bench():
-    return Bench()
+    return WatchdogBench()
 
 
 def test_without_a_permission_nothing_moves_and_torque_stays(bench):
     assert bench.run(10.0, permission=None) is Action.HOLD
     assert bench.watchdog.reason == "no message of the supervisor yet"
-    assert (bench.gated.angle == START).all()
+    assert (bench.goals.angle == START).all()
 
 
 def test_without_a_command_nothing_moves_and_torque_stays(bench):
     assert bench.run(10.0, command=None) is Action.HOLD
     assert bench.watchdog.reason == "no command yet"
-    assert bench.gated.torque
+    assert bench.goals.torque
 
 
 @pytest.mark.parametrize("missing", [{"permission": None}, {"command": None}])
@@ -60,7 +61,7 @@ def test_a_missing_message_holds_and_then_relaxes_until_the_permission_has_been_
     assert bench.run(2 * TICK * 1e-9, **missing) is Action.HOLD
     assert bench.run(TIMING.command_lost - TIMING.command_hold, **missing) is Action.RELAX
     assert bench.run(3.0) is Action.RELAX
-    assert not bench.gated.torque
+    assert not bench.goals.torque
     assert bench.run(0.1, Action.OFF) is Action.OFF
     bench.watchdog.engage(START)
     assert bench.run(0.1) is Action.PASS
@@ -84,46 +85,50 @@ def test_relax_continues_when_the_supervisor_stops(bench):
     bench.run(0.2, Action.RELAX)
     assert bench.run(TIMING.command_hold + 0.02, permission=None) is Action.RELAX
     bench.run(SETTINGS.gate.relax_time, permission=None)
-    assert not bench.gated.torque
+    assert not bench.goals.torque
 
 
 def test_goals_move_slowly_while_standing_and_gain_speed_while_walking(bench):
     far, gate = np.full(4, 2.0), SETTINGS.gate
     bench.run(0.1, command=START, fast=False)
     bench.run(0.1, command=far, fast=False)
-    moved = bench.gated.angle - START
+    moved = bench.goals.angle - START
     # ten ticks, the first of them within the burst
     assert moved == pytest.approx(gate.approach_rate * (0.09 + gate.burst), rel=1e-6)
     bench.run(0.02, command=far)
-    assert (bench.gated.angle - START - moved < 0.2 * gate.rate_max * 0.02).all()
+    assert (bench.goals.angle - START - moved < 0.2 * gate.rate_max * 0.02).all()
     bench.run(gate.resume_time, command=far)
-    assert bench.gated.angle == pytest.approx(far)
+    assert bench.goals.angle == pytest.approx(far)
     bench.run(0.02, command=START)  # a budget of burst and two ticks covers the whole step
-    assert bench.gated.angle == pytest.approx(START)
+    assert bench.goals.angle == pytest.approx(START)
 
 
 def test_new_limits_apply_from_the_next_step_without_moving_a_goal(bench):
     bench.run(0.5)
-    goal = bench.gated.angle
+    goal = bench.goals.angle
     slower = config.replace(SETTINGS, {"gate.approach_rate": 0.5, "timing.command_hold": 0.05})
     bench.watchdog.set_limits(slower.servo_limits)
     assert bench.run(TICK * 1e-9, Action.HOLD) is Action.HOLD
-    assert (bench.gated.angle == goal).all()
+    assert (bench.goals.angle == goal).all()
     bench.run(0.1, command=START, fast=False)
-    moved = goal - bench.gated.angle
+    moved = goal - bench.goals.angle
     assert moved.max() <= 0.5 * (0.1 + SETTINGS.gate.burst) + 1e-9
     assert bench.run(0.06 + TICK * 1e-9, command=None) is Action.HOLD
+    with pytest.raises(config.ConfigError, match=r"gate\.relax_time = 0\.1"):
+        bench.watchdog.set_limits(config.replace(SETTINGS, {"gate.relax_time": 0.1}).servo_limits)
+    assert bench.watchdog.limits == slower.servo_limits
 
 
 def test_slack_is_the_lower_end_of_the_range():
-    watchdog = CommandWatchdog(SETTINGS.servo_limits, 0.2, 2.0)
+    watchdog = Watchdog(0.2, 2.0)
+    watchdog.set_limits(SETTINGS.servo_limits)
     watchdog.engage(START)
     assert "FL = 0.1 rad is not inside [0.2, 2]" in watchdog.offer(0, np.full(4, 0.1))
     watchdog.relax("a fault")
     times = range(0, round(SETTINGS.gate.relax_time * 1e9), TICK)
-    gated = [watchdog.step(time) for time in times]
-    assert (gated[-1].angle == 0.2).all()
-    assert not gated[-1].torque
+    goals = [watchdog.step(time) for time in times]
+    assert (goals[-1].angle == 0.2).all()
+    assert not goals[-1].torque
 
 
 @pytest.mark.parametrize("action", [Action.PASS, Action.HOLD, Action.RELAX])

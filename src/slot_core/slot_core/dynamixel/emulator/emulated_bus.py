@@ -19,10 +19,14 @@ import numpy.typing as npt
 from slot_core import config
 from slot_core.config import quantity
 from slot_core.dynamics.servo import ServoSettings, read_servo
+from slot_core.dynamixel.emulator.emulated_servo import EmulatedServo, ServoModel
+from slot_core.dynamixel.emulator.instructions import execute, read_data, uint16
+from slot_core.dynamixel.emulator.line_faults import LineFaults, damaged
+from slot_core.dynamixel.emulator.shaft import Motor
 from slot_core.dynamixel.packet import (
     BROADCAST,
     FAST_OVERHEAD,
-    LONGEST,
+    PACKET_MAX,
     Error,
     Instruction,
     Packet,
@@ -31,10 +35,6 @@ from slot_core.dynamixel.packet import (
     status,
 )
 from slot_core.dynamixel.table import BAUD_RATES, NO_SECONDARY_ID, RETURN_DELAY_UNIT
-from slot_core.emulator.emulated_servo import EmulatedServo, ServoModel
-from slot_core.emulator.instructions import execute, read_data, uint16
-from slot_core.emulator.line_faults import LineFaults, damaged
-from slot_core.emulator.shaft import Motor
 from slot_core.faults import Fault
 from slot_core.hardware_error import HardwareError
 from slot_core.robot import LEGS
@@ -190,7 +190,7 @@ class EmulatedBus:
         fast = packet.instruction in {Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ}
         parts, delay = [], 0.0
         requests = list(_requests(packet))
-        if fast and sum(size + FAST_OVERHEAD for _, _, size in requests) > LONGEST:
+        if fast and sum(size + FAST_OVERHEAD for _, _, size in requests) > PACKET_MAX:
             return  # the answer is longer than a packet
         for identity, address, size in requests:
             index, servo = by_id.get(identity, (-1, None))

@@ -25,7 +25,7 @@ class HealthSource(Protocol):
         ...
 
 
-class HealthReport:
+class HealthPublisher:
     """Publishes the health of the servos for a node."""
 
     def __init__(self, node: Node) -> None:

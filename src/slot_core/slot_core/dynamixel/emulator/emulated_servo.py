@@ -16,6 +16,8 @@ import math
 from dataclasses import dataclass
 
 from slot_core.config import quantity
+from slot_core.dynamixel.emulator.memory import TRIPPED, Memory, RegisterError
+from slot_core.dynamixel.emulator.shaft import Motor, Shaft, ShaftSettings
 from slot_core.dynamixel.packet import ALERT, Error
 from slot_core.dynamixel.table import (
     COUNTS,
@@ -27,8 +29,6 @@ from slot_core.dynamixel.table import (
     WATCHDOG_UNIT,
     Mode,
 )
-from slot_core.emulator.memory import TRIPPED, Memory, RegisterError
-from slot_core.emulator.shaft import Motor, Shaft, ShaftSettings
 from slot_core.hardware_error import HardwareError
 
 

@@ -7,9 +7,9 @@ equal to the last bit.
 from __future__ import annotations
 
 from slot_core.clock import Clock
-from slot_core.dynamixel.errors import PortError
+from slot_core.dynamixel.emulator.emulated_bus import EmulatedBus
 from slot_core.dynamixel.port import SerialPort
-from slot_core.emulator.emulated_bus import EmulatedBus
+from slot_core.servos.servo_errors import PortError
 
 
 class MemoryPort(SerialPort):

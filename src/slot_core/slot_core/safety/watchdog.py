@@ -1,10 +1,10 @@
-"""Action of the servos, from the supervisor's permission, the commands and the age of both.
+"""Watchdog of the servos: their action, from the supervisor's permission and the commands.
 
-    no permission yet                            HOLD
+    no limits or no permission yet               HOLD
     permission HOLD, RELAX or OFF                the same
     permission PASS, no command yet              HOLD
-    permission PASS and commands                 PASS: the goals follow them, rate-limited; a
-                                                 command goes on at its rate until the next one
+    permission PASS and commands                 PASS: the goals follow them, rate-limited;
+                                                 between two they continue at the command's rate
     permission or command older than
       command_hold                               HOLD
       command_lost                               RELAX: a ramp to slack, then torque off
@@ -16,12 +16,18 @@ counts under PASS only. Times are those of a clock that never goes back, ns.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from slot_core.clock import SECOND, to_seconds
-from slot_core.robot import Array
-from slot_core.safety.command_gate import AT_REST, Action, CommandGate, Gated
+from slot_core.robot import LEGS, Array
+from slot_core.safety.commands import AT_REST, Action
+from slot_core.safety.rate_limiter import Goals, RateLimiter, unchanged
 from slot_core.safety.settings import ServoLimits
+
+NO_LIMITS = "no limits of the supervisor yet"
 
 
 @dataclass(frozen=True)
@@ -34,88 +40,98 @@ class Permission:
     reason: str
 
 
-class CommandWatchdog:
-    """Command gate under the supervisor's permission and the time limits of messages."""
+class Watchdog:
+    """Rate limiter under the supervisor's permission and the time limits of messages.
 
-    def __init__(self, limits: ServoLimits, low: float, high: float):
-        """Commands within [low, high], rad; raises ConfigError as `CommandGate` does."""
-        self.action, self.reason = Action.OFF, "not started"
-        self.limits = limits
-        self._gate = CommandGate(limits.gate, low, high)
-        self._range = low, high
+    Until the limits of the supervisor are set it rejects commands and ignores permissions.
+    """
+
+    def __init__(self, low: float, high: float):
+        """Commands within [low, high], rad; `low` is slack."""
+        self.action, self.reason = Action.HOLD, NO_LIMITS
         self.permission: Permission | None = None
-        self._commanded: int | None = None  # time of the last accepted command
-        self._own_reason = ""  # of a RELAX begun by the watchdog itself
         self.overdue = False  # whether a command or permission is too old
+        self.own_reason = ""  # of a RELAX begun by the watchdog itself
+        self.limits: ServoLimits | None = None
+        self._limiter: RateLimiter | None = None  # None: no limits yet
+        self._range = low, high
+        self._engaged = np.full(len(LEGS), low)  # rad, angles of the servos when torque came on
+        self._commanded: int | None = None  # time of the last accepted command
+
+    @property
+    def clock_jump(self) -> float:
+        """Largest difference between a stamp and the present, s; inf without limits."""
+        return math.inf if self.limits is None else self.limits.clock_jump
 
     def set_limits(self, limits: ServoLimits) -> None:
-        """Use other limits from now on; the goals stay. Raises ConfigError as `CommandGate`."""
+        """Use these limits from now on; the goals stay. Raises ConfigError as `RateLimiter`."""
         if limits == self.limits:
             return
-        goal, self._gate = self._gate.goal, CommandGate(limits.gate, *self._range)
-        self._gate.engage(goal)
-        self.limits = limits
+        goal = self._engaged if self._limiter is None else self._limiter.goal
+        self._limiter, self.limits = RateLimiter(limits.gate, *self._range), limits
+        self._limiter.engage(goal)
 
     def engage(self, angle: Array) -> None:
         """Start with goals at the servos' angles (4,), rad, and without a command."""
-        self._gate.engage(angle)
-        self._commanded, self._own_reason = None, ""
+        self._engaged = np.array(angle, dtype=np.float64)
+        if self._limiter is not None:
+            self._limiter.engage(angle)
+        self._commanded, self.own_reason = None, ""
 
     def offer(self, now: int, angle: Array, rate: Array = AT_REST) -> str:
         """Accept tendon angles (4,), rad, with their rate (4,), rad/s; or return why not."""
-        fault = self._gate.offer(now, angle, rate)
+        fault = NO_LIMITS if self._limiter is None else self._limiter.offer(now, angle, rate)
         if not fault:
             self._commanded = now
         return fault
 
     def permit(self, permission: Permission) -> None:
         """Store the supervisor's newest permission."""
+        if self._limiter is None:
+            return
         if permission.fast and not (self.permission and self.permission.fast):
-            self._gate.restart_rate(permission.time)
+            self._limiter.restart_rate(permission.time)
         if permission.action is Action.OFF:
-            self._own_reason = ""
+            self.own_reason = ""
         self.permission = permission
 
     def relax(self, reason: str) -> None:
         """Ramp the tendons to slack in the next steps, then torque off."""
-        self._own_reason = self._own_reason or reason
+        self.own_reason = self.own_reason or reason
 
-    def step(self, now: int) -> Gated:
+    def step(self, now: int) -> Goals:
         """Decide on the action and move the goals."""
-        self.action, self.reason = self._decide(now)
+        if self.limits is None or self._limiter is None:
+            return unchanged(self.action, self._engaged, True)
+        self.action, self.reason = self._decide(now, self.limits)
         received = [] if self._commanded is None else [self._commanded]
         received += [] if self.permission is None else [self.permission.time]
         self.overdue = any(now - time > self.limits.command_hold * SECOND for time in received)
         fast = self.permission is not None and self.permission.fast
-        return self._gate.step(now, self.action, fast=fast)
+        return self._limiter.step(now, self.action, fast=fast)
 
-    @property
-    def own_reason(self) -> str:
-        """Reason of a RELAX begun by the watchdog itself, or ""."""
-        return self._own_reason
-
-    def _decide(self, now: int) -> tuple[Action, str]:
+    def _decide(self, now: int, limits: ServoLimits) -> tuple[Action, str]:
         """Action and its reason, "" for PASS."""
         permission = self.permission
         received = None if permission is None else permission.time
-        held = self._overdue("message of the supervisor", now, received)
+        held = self._overdue("message of the supervisor", now, received, limits)
         if permission is not None and permission.action is Action.PASS:
-            held = held or self._overdue("command", now, self._commanded)
+            held = held or self._overdue("command", now, self._commanded, limits)
         if permission is not None and permission.action is Action.OFF:
             return Action.OFF, permission.reason
-        if self._own_reason:
-            return Action.RELAX, self._own_reason
+        if self.own_reason:
+            return Action.RELAX, self.own_reason
         if permission is not None and permission.action is Action.RELAX:
             return Action.RELAX, permission.reason
         if held or permission is None:
             return Action.HOLD, held
         return permission.action, "" if permission.action is Action.PASS else permission.reason
 
-    def _overdue(self, what: str, now: int, received: int | None) -> str:
+    def _overdue(self, what: str, now: int, received: int | None, limits: ServoLimits) -> str:
         """Reason to hold because of a late message, or ""; begins RELAX beyond `command_lost`."""
         if received is None:
             return f"no {what} yet"
-        age, limits = to_seconds(now - received), self.limits
+        age = to_seconds(now - received)
         if age > limits.command_lost:
             self.relax(f"no {what} for {age:.2f} s, limit {limits.command_lost:g} s")
         if age > limits.command_hold:

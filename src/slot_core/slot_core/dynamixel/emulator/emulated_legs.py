@@ -1,0 +1,91 @@
+"""Emulated servos that wind the tendons of a simulated robot, in angles of the tendons."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from slot_core.clock import Clock
+from slot_core.dynamixel.checks import expected
+from slot_core.dynamixel.driver import Driver
+from slot_core.dynamixel.emulator.emulated_bus import EmulatedBus, EmulatorSettings, read_emulator
+from slot_core.dynamixel.emulator.memory_port import MemoryPort
+from slot_core.dynamixel.emulator.pseudo_terminal import PseudoTerminal
+from slot_core.dynamixel.joints import joints
+from slot_core.dynamixel.settings import DynamixelSettings, read_settings
+from slot_core.faults import Fault
+from slot_core.robot import LEGS, Array
+
+
+class EmulatedDynamixels:
+    """Bus of emulated servos with the registers of `settings`; implements `EmulatedServos`."""
+
+    def __init__(
+        self,
+        settings: DynamixelSettings,
+        emulator: EmulatorSettings,
+        angles: Sequence[float] | Array = (0.0,) * 4,
+    ) -> None:
+        """Servos at tendon angles (4,), rad."""
+        self.settings, self.joints = settings, joints(settings.joints)
+        shaft_angles = [j.servo_angle(float(angle)) for j, angle in zip(self.joints, angles)]
+        self.bus = EmulatedBus(emulator, settings.joints.ids, shaft_angles)
+        for joint, servo in zip(self.joints, self.bus.servos):
+            for name, value in expected(settings, joint).items():
+                servo.memory[name] = value
+            servo.reboot()
+            servo.advance(emulator.servo.boot_time, 0.0)
+
+    def advance(self, dt: float, torques: Sequence[float] | Array = (0.0,) * 4) -> Array:
+        """Advance the servos by dt (s) and return `angles`.
+
+        torques: (4,) N m, of the tendons on their spools.
+        """
+        loads = [joint.servo_torque(float(t)) for joint, t in zip(self.joints, torques)]
+        self.bus.advance(dt, loads)
+        return self.angles()
+
+    def angles(self) -> Array:
+        """Tendon angles (4,), rad, exact, without the encoder's resolution."""
+        return np.array(
+            [
+                joint.tendon_angle(servo.shaft.angle)
+                for joint, servo in zip(self.joints, self.bus.servos)
+            ]
+        )
+
+    def powered(self) -> tuple[str, ...]:
+        """Names of the legs whose servos have torque on."""
+        servos = zip(LEGS, self.bus.servos)
+        return tuple(leg for leg, servo in servos if servo.memory["torque_enable"])
+
+    def watchdog_left(self) -> float:
+        """Time after which the first bus watchdog stops its servo, s; inf if none is armed."""
+        return self.bus.watchdog_left()
+
+    def inject(self, fault: Fault) -> None:
+        """Start a fault now; its time is not used."""
+        self.bus.inject(fault)
+
+    def clear(self, fault: Fault) -> None:
+        """End a fault; hardware errors stay until the servo is rebooted."""
+        self.bus.clear(fault)
+
+    def connect(self, clock: Clock) -> Driver:
+        """Driver of these servos in the same process, on a clock (s)."""
+        return Driver(MemoryPort(self.bus, self.settings.bus.baud, clock), self.settings, clock)
+
+    def serve(self, link: Path | None) -> PseudoTerminal:
+        """Pseudo-terminal of these servos; raises ConfigError if another file has its name."""
+        return PseudoTerminal(self.bus, link)
+
+
+def read_emulated_legs(angles: Sequence[float] | Array, voltage: float) -> EmulatedDynamixels:
+    """The servos of `config/` at tendon angles (4,), rad, and a supply voltage (V)."""
+    emulator = read_emulator()
+    supplied = dataclasses.replace(emulator.servo, voltage=voltage)
+    emulator = dataclasses.replace(emulator, servo=supplied)
+    return EmulatedDynamixels(read_settings(), emulator, angles)

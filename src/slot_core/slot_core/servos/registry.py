@@ -1,0 +1,41 @@
+"""Registry of the brands of servos: the only module that imports them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from slot_core import config
+from slot_core.config import ConfigError, text
+from slot_core.servos.brand import Brand
+
+
+def _dynamixel() -> Brand:
+    from slot_core.dynamixel.brand import DYNAMIXEL  # noqa: PLC0415 - loads the brand's library
+
+    return DYNAMIXEL
+
+
+BRANDS: dict[str, Callable[[], Brand]] = {"dynamixel": _dynamixel}
+
+
+@dataclass(frozen=True)
+class ServoBusSettings:
+    """Contents of `config/servo_bus.yaml`."""
+
+    brand: str = text(f"brand of the servos, one of: {', '.join(BRANDS)}")
+
+    def __post_init__(self) -> None:
+        """Raise ConfigError for an unknown brand."""
+        if self.brand not in BRANDS:
+            raise ConfigError(f"brand = {self.brand!r}: expected one of {', '.join(BRANDS)}")
+
+
+def read_servo_bus() -> ServoBusSettings:
+    """The settings of `config/servo_bus.yaml`; raises ConfigError."""
+    return config.read(ServoBusSettings, "servo_bus")
+
+
+def read_brand() -> Brand:
+    """The configured brand; raises ConfigError."""
+    return BRANDS[read_servo_bus().brand]()

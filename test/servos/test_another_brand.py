@@ -1,0 +1,82 @@
+"""A brand of servos in one file runs in simulation and driver node as they are."""
+
+import shutil
+
+import numpy as np
+import pytest
+import yaml
+from ideal_servos import IdealServos, make_brand
+from real_graph import domain  # noqa: F401 - a fixture
+from simulated_rig import SimulatedRig
+from std_srvs.srv import Trigger
+from stub_supervisor import DRIVER, StubSupervisor
+
+from slot_core import config
+from slot_core.config import ConfigError
+from slot_core.safety.commands import Action
+from slot_core.safety.states import State
+from slot_core.servos import registry
+from slot_core.simulation.supervised_loop import SupervisedLoop
+
+
+@pytest.fixture
+def name_brand(tmp_path, monkeypatch):
+    """Name the brand of the servos in the configuration."""
+
+    def name(brand):
+        directory = tmp_path / "config"
+        shutil.copytree(config.config_dir(), directory)
+        (directory / "servo_bus.yaml").write_text(yaml.safe_dump({"brand": brand}))
+        monkeypatch.setenv("SLOT_CONFIG", str(directory))
+
+    return name
+
+
+def test_the_robot_stands_on_servos_of_another_brand(name_brand, monkeypatch):
+    monkeypatch.setitem(registry.BRANDS, "ideal", make_brand)
+    name_brand("ideal")
+    loop = SupervisedLoop("flat", "stand", None, 0, hardware="fake_bus")
+    reports = list(loop.run(3.0))
+    assert reports[-1].state is State.STANDING
+    assert reports[-1].followed
+    assert loop.servos.session.bus.facts.brand == "ideal"
+    assert loop.plant.simulator.position[2] == pytest.approx(0.04, abs=2e-3)
+    assert loop.servos.close(running=True) == ""
+
+
+def test_the_driver_node_drives_servos_of_another_brand(tmp_path, monkeypatch):
+    changes = {"servo_bus": {"brand": "ideal"}}
+    rig = SimulatedRig(tmp_path, changes, only=[], hardware="real")
+    servos = IdealServos()
+    brand = make_brand(servos, rig.seconds)
+    monkeypatch.setitem(registry.BRANDS, "ideal", lambda: brand)
+    rig.every(0.01, lambda: servos.advance(0.01))
+    rig.start(DRIVER)
+    stub = StubSupervisor(rig)
+    stub.move_to(1.0)
+    rig.run(0.5)
+    assert rig.last("/joint_states").position == pytest.approx(np.ones(4))
+    assert all(rig.last("/servo_health").torque)
+    rig.wait_for(lambda: rig.messages["/diagnostics"])
+    assert rig.last("/diagnostics").status[1].hardware_id == "ideal"
+    stub.permission, begin = Action.OFF, rig.now()
+    rig.wait_for_torque_off(begin)
+    answer = rig.call(Trigger, f"/{DRIVER}/zero_fl")
+    assert (answer.success, answer.message) == (False, "servos of ideal have no such service")
+    rig.close()
+
+
+def test_an_unknown_brand_is_refused_with_those_there_are(name_brand):
+    name_brand("other")
+    with pytest.raises(ConfigError, match=r"brand = 'other': expected one of dynamixel"):
+        registry.read_brand()
+
+
+def test_a_brand_without_an_emulator_is_refused_as_a_simulated_robot(name_brand, monkeypatch):
+    bare = registry.Brand(lambda: None, lambda settings: None)
+    monkeypatch.setitem(registry.BRANDS, "bare", lambda: bare)
+    name_brand("bare")
+    with pytest.raises(ConfigError, match="cannot be emulated"):
+        SupervisedLoop("flat", "stand", None, 0, hardware="fake_bus")
+    with pytest.raises(ConfigError, match="have no tools"):
+        registry.read_brand().tools([])
