@@ -1,21 +1,50 @@
-"""Signal handling of the test process; precondition of tests that need real time."""
+"""Signal handling of the test process; machines on which tests in real time say nothing."""
 
 import functools
 import signal
 import time
 from operator import sub
 
+import machine_load
 import pytest
+from real_graph import changed_config, domain  # noqa: F401 - a fixture
 
 # ms of CPU that a tick of controller and robot takes in one process. Beyond this the processes of
 # the graph do not keep up with real time: at 4.2 ms the state estimator fell seconds behind. At 2.7
 # to 3.0 ms, with a busy loop on each core, all of these tests passed.
 LARGEST_TICK = 3.5
 BATCHES, TICKS = 5, 60  # the quickest batch counts: what else runs on the host comes and goes
+LOAD = pytest.StashKey[machine_load.Load]()
+JUDGE = machine_load.Judge()
 
 # A process started in the background of a script ignores SIGINT, and so do its children; those that
 # the tests interrupt must receive it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture
+def own_config(tmp_path, monkeypatch):
+    """A copy of config/ that is in force, and that a test may change."""
+    copy = changed_config(tmp_path / "own", {})
+    monkeypatch.setenv("SLOT_CONFIG", str(copy))
+    return copy
+
+
+@pytest.fixture
+def refusal(capsys):
+    """A function that calls a program, which has to refuse with exit code 2; its last line."""
+
+    def refused(program, *arguments):
+        try:
+            code = program(list(map(str, arguments)))
+        except SystemExit as ended:
+            code = ended.code
+        assert code == 2
+        lines = capsys.readouterr().err.splitlines()
+        assert "Traceback" not in "".join(lines)
+        return lines[-1]
+
+    return refused
 
 
 @functools.cache
@@ -28,10 +57,29 @@ def tick_time():
     return min(map(sub, times[1:], times)) / TICKS * 1e3
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item):
+    """Measure the load of the machine while a test in real time runs, its fixtures included."""
+    if not item.get_closest_marker("real_time"):
+        return (yield)
+    tick_time()  # not part of any test
+    with machine_load.measured() as item.stash[LOAD]:
+        return (yield)
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item):
     """Skip a test that needs real time on a machine that cannot keep up with it."""
-    if item.get_closest_marker("real_time") and tick_time() > LARGEST_TICK:
+    if LOAD in item.stash and tick_time() > LARGEST_TICK:
         pytest.skip(
             f"no real time here: {tick_time():.1f} ms of CPU a tick, limit {LARGEST_TICK:g} ms"
         )
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    """Report a failure on a machine that did not keep up as skipped."""
+    report = yield
+    if LOAD in item.stash and call.excinfo is not None:
+        JUDGE.judge(report, item.location[:2], call.excinfo.value, item.stash[LOAD])
+    return report

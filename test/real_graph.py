@@ -66,12 +66,15 @@ def domain():
 
 
 def changed_config(directory, changes):
-    """Copy config/ below `directory` and set values in it: {file: {dotted name: value}}.
-
-    Returns the path of the copy. A name that is not in the file fails.
-    """
+    """Copy config/ below `directory` and set values in the copy, see `set_values`; its path."""
     config = directory / "config"
     shutil.copytree(Path(__file__).parents[1] / "config", config)
+    set_values(config, changes)
+    return config
+
+
+def set_values(config, changes):
+    """Set values in a copy of config/: {file: {dotted name: value}}; every name has to be there."""
     for file, values in changes.items():
         path = config / f"{file}.yaml"
         content = yaml.safe_load(path.read_text())
@@ -82,4 +85,3 @@ def changed_config(directory, changes):
             mapping[last] = value
         # one line per list, as `write_zero` expects
         path.write_text(yaml.safe_dump(content, default_flow_style=None, width=1000))
-    return config

@@ -9,6 +9,7 @@ import time
 from collections import defaultdict
 
 import numpy as np
+import pytest
 import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
@@ -325,6 +326,24 @@ class Rig:
         self.context.try_shutdown()
         self._thread.join(5)
         return {name: child.returncode for name, child in self.children.items()}
+
+
+def maker(kind):
+    """A fixture: a function that makes rigs of a kind; their nodes end with the module."""
+
+    @pytest.fixture(scope="module")
+    def make_rig(tmp_path_factory):
+        made = []
+
+        def make(**options):
+            made.append(kind(tmp_path_factory.mktemp("rig"), **options))
+            return made[-1]
+
+        yield make
+        for rig in made:
+            rig.close()
+
+    return make_rig
 
 
 def servo_angle(tendon_angle):

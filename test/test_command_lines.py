@@ -8,28 +8,114 @@ from pathlib import Path
 import pytest
 
 from benchmarks import __main__ as command_line
-from slot_bringup import run
+from slot_bringup import operate, play, run, view
 from slot_bringup.graph import read_graph
+from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.legs import leg_map
 from slot_core.mpc.settings import read_mpc
+from slot_lab.bags import check_bag as replay
+from slot_lab.calibration import command as calibrate
+from slot_lab.film import print_markers
 from slot_lab.report import constraint_map
 from slot_lab.tuning import tune
+from slot_lab.twin import twin
+from slot_lab.validation import validate
 
-ROOT = Path(__file__).parents[1]
-WALK = ROOT / "test" / "bags" / "walk"
+HERE = Path(__file__).parent
+ROOT = HERE.parent
+WALK = str(HERE / "bags" / "walk")
+EXAMPLE = HERE.parent / "slot_bringup" / "example"
+LEG_RUN = str(EXAMPLE / "single_leg_run.csv")
+MEASURED = str(config.config_dir() / "parameters" / "paper_single_leg.csv")
+# Arguments and what the line says, by tool; {} stands for an empty directory.
+REFUSED = {
+    "tabulate_leg": (leg_map.main, [
+        (["--out", "{}/nowhere/map.csv"], "/map.csv: not a file in an existing directory"),
+    ]),
+    "tune": (tune.main, [
+        (["walk", "fly"], "STAGE: 'fly': expected one of forward, turn, steering, identify"),
+        (["stand"], "gait 'stand' is a posture, not a stride"),
+        (["trot"], "no gait 'trot' (known: "),
+        (["walk", "--friction", "-1"], "friction[0] = -1.0: outside [0.01, 2]"),
+        (["walk", "--seed", "0"], "argument --seed: 0 is below 1"),
+    ]),
+    "constraint_map": (constraint_map.main, [
+        (["{}"], "holds no metadata.yaml, .mcap or .db3 file"),
+        ([WALK, "--out", "{}/map.foo"], "/map.foo: the name of a picture ends in .png"),
+    ]),
+    "twin": (twin.main, [
+        (["{}"], "holds no metadata.yaml, .mcap or .db3 file: not a bag"),
+        ([WALK], "strides of 0.62 s after a run-in of 2, less than 5"),
+        ([WALK, "--fit", "colour"], "--fit colour: expected one of friction"),
+        ([WALK, "--fit", "friction,friction"], "a parameter is named twice"),
+        ([WALK, "--set", "calibrated"], "it stays as it is"),
+        ([WALK, "--set", "../x"], "expected letters, digits, _ and -"),
+        ([WALK, "--scene", "moon"], "no configuration 'scene/moon'"),
+        ([WALK, "--parameters", "moon"], "no configuration 'parameters/moon'"),
+        ([WALK, "--namespace", "fred"], "holds none of /joint_states"),
+    ]),
+    "validate": (validate.main, [
+        ([LEG_RUN, "{}/nothing.csv"], "nothing.csv"),
+        ([LEG_RUN, "{}"], "holds no metadata.yaml, .mcap or .db3 file"),
+        ([LEG_RUN, __file__], "test_command_lines.py"),
+    ]),
+    "calibrate": (calibrate.main, [
+        (["{}/absent.csv"], "absent.csv"),
+        ([MEASURED, "--start", "x"], "no configuration 'parameters/x'"),
+        ([MEASURED, "--free", "leg.colour"], "leg.colour is not a number of the robot"),
+        ([MEASURED, "--starts", "0"], "0 is below 1"),
+        ([MEASURED, "--plot", "{}/fit.txt"], "the name of a picture ends in .png"),
+    ]),
+    "print_markers": (print_markers.main, [
+        (["door", "--out", "{}/x.png"], "'door': expected one of wall, film, torso, points"),
+        (["torso", "--out", "{}/x.gif"], "ends in .png or .pdf"),
+        (["torso", "--out", "{}/nowhere/x.png"], "No such file or directory"),
+        (["torso", "--out", "{}/x.png", "--dpi", "9"], "outside [50, 1200]"),
+    ]),
+    "replay": (replay.main, [
+        (["{}/nothing"], "nothing: does not exist"),
+        ([WALK, "--tolerance", "nan"], "argument --tolerance: nan: outside [0, inf)"),
+        ([WALK, "--tolerance", "-1"], "argument --tolerance: -1: outside [0, inf)"),
+        ([WALK, "--remap", "/odom"], "expected OLD:=NEW, names of topics"),
+        ([WALK, "--remap", ":=/odom"], "expected OLD:=NEW, names of topics"),
+        ([WALK, "--remap", "/odom=/imu"], "expected OLD:=NEW, names of topics"),
+    ]),
+    "replay --live": (lambda arguments: play.main(["--live", *arguments]), [
+        (["{}/nowhere"], "nowhere: does not exist"),
+        ([WALK, "--namespace", "a b"], "namespace = 'a b'"),
+        ([WALK, "--remap", "/odom:=/camera"], "holds no /odom"),
+        ([WALK, "--rate", "0"], "outside ["),
+        ([WALK, "--rate", "nan"], "outside ["),
+        ([WALK, "--start", "-1"], "outside ["),
+    ]),
+    "view": (view.main, [
+        (["{}/nowhere"], "nowhere: does not exist"),
+        ([WALK, "--animate", "{}/walk.mp4"], "walk.mp4: expected a name that ends in .gif"),
+        ([WALK, "--animate", "{}/nowhere/walk.gif"], "walk.gif: No such file"),
+        (["--live", "--namespace", "a b"], "namespace = 'a b'"),
+        (["--live", "bag"], ""),
+        (["--live", "--animate", "x.gif"], ""),
+        (["--no-browser"], ""),
+        (["--web", "--save", "x.rrd"], ""),
+        (["one", "two"], ""),
+    ]),
+    "operate": (operate.main, [
+        (["zero"], ""),
+        (["reboot", "tail"], ""),
+        (["dance"], ""),
+        (["inject"], ""),
+        (["--namespace", "a b", "state"], "namespace = 'a b': Invalid namespace"),
+    ]),
+}  # fmt: skip
+CASES = [(name, *case) for name, (_, cases) in REFUSED.items() for case in cases]
 
 
-def refusal(call, capsys):
-    """The one line on the standard error of a call that ends with exit code 2."""
-    try:
-        code = call()
-    except SystemExit as ended:
-        code = ended.code
-    assert code == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert "Traceback" not in "".join(lines)
-    return lines[-1]
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """The empty directory in which a tool is called."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
 
 WITHOUT_EXTRAS = """
@@ -53,7 +139,7 @@ def programs():
                 yield script.name, module
 
 
-@pytest.mark.parametrize(("script", "module"), programs())
+@pytest.mark.parametrize(("script", "module"), list(programs()))
 def test_every_help_works_without_the_packages_of_an_extra(script, module):
     run = subprocess.run(
         [sys.executable, "-c", WITHOUT_EXTRAS % (EXTRAS, module)],
@@ -70,65 +156,43 @@ def test_a_new_file_of_the_configuration_costs_no_rebuild():
     assert "config" not in inputs
 
 
-def test_a_leg_map_into_a_directory_that_is_not_there_is_refused_before_the_work(tmp_path, capsys):
-    out = tmp_path / "nowhere" / "map.csv"
-    line = refusal(lambda: leg_map.main(["--out", str(out)]), capsys)
-    assert line.endswith(f"--out {out}: not a file in an existing directory")
+@pytest.mark.parametrize(("tool", "arguments", "reason"), CASES)
+def test_what_a_tool_cannot_do_is_refused_before_the_work(place, refusal, tool, arguments, reason):
+    main, _ = REFUSED[tool]
+    line = refusal(main, *(word.format(place) for word in arguments))
+    assert line.startswith(f"scripts/{tool.split()[0]}")
+    assert reason in line
+    assert list(place.iterdir()) == []
 
 
 @pytest.mark.parametrize("text", [None, "", "nodes: many\n"])
-def test_a_leg_map_without_its_configuration_is_refused(tmp_path, monkeypatch, capsys, text):
+def test_a_leg_map_without_its_configuration_is_refused(tmp_path, monkeypatch, refusal, text):
     monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
     if text is not None:
         (tmp_path / "leg_map.yaml").write_text(text)
     out = tmp_path / "map.csv"
-    line = refusal(lambda: leg_map.main(["--out", str(out)]), capsys)
+    line = refusal(leg_map.main, "--out", out)
     assert line.startswith("scripts/tabulate_leg: ")
     assert not out.exists()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        (
-            ["walk", "fly"],
-            "argument STAGE: 'fly': expected one of forward, turn, steering, identify",
-        ),
-        (["stand"], "gait 'stand' is a posture, not a stride"),
-        (["trot"], "no gait 'trot' (known: "),
-        (["walk", "--friction", "-1"], "scripts/tune: friction[0] = -1.0: outside [0.01, 2]"),
-        (["walk", "--seed", "0"], "argument --seed: 0 is below 1"),
-    ],
-)
-def test_a_search_that_cannot_be_is_refused(tmp_path, capsys, arguments, reason):
-    line = refusal(lambda: tune.main([*arguments, "--out", str(tmp_path / "gait.yaml")]), capsys)
-    assert line.startswith("scripts/tune: ")
-    assert reason in line
-    assert not (tmp_path / "gait.yaml").exists()
-
-
-def test_a_constraint_map_in_an_unknown_format_is_refused(capsys):
-    line = refusal(lambda: constraint_map.main([str(WALK), "--out", "map.foo"]), capsys)
-    assert line.endswith("--out map.foo: the name of a picture ends in .png")
-
-
-def test_results_of_a_benchmark_into_a_file_are_refused(tmp_path, capsys):
+def test_results_of_a_benchmark_into_a_file_are_refused(tmp_path, refusal):
     (tmp_path / "tiny").mkdir()
     source = '"""Tiny."""\n\ndef run(quick, out, progress):\n    return [], []\n'
     (tmp_path / "tiny" / "benchmark.py").write_text(source)
     (tmp_path / "file").write_text("")
-    place = ["--benchmarks", str(tmp_path), "--out", str(tmp_path / "file")]
-    line = refusal(lambda: command_line.main(["tiny", *place]), capsys)
+    place = ["--benchmarks", tmp_path, "--out", tmp_path / "file"]
+    line = refusal(command_line.main, "tiny", *place)
     assert line == f"scripts/bench: --out {tmp_path / 'file'}: File exists"
 
 
-def test_a_bag_with_a_name_too_long_is_refused(capsys):
-    line = refusal(lambda: run.parse(["--bag", "x" * 300], read_graph()), capsys)
+def test_a_bag_with_a_name_too_long_is_refused(refusal):
+    line = refusal(lambda arguments: run.parse(arguments, read_graph()), "--bag", "x" * 300)
     assert line == "scripts/run: bag: File name too long"
 
 
 def test_a_replay_whose_output_cannot_be_written_says_so():
-    command = [sys.executable, "-m", "slot_lab.bags.check_bag", str(WALK)]
+    command = [sys.executable, "-m", "slot_lab.bags.check_bag", WALK]
     with Path("/dev/full").open("w") as full:
         ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert ended.returncode == 2
@@ -136,11 +200,7 @@ def test_a_replay_whose_output_cannot_be_written_says_so():
 
 
 @pytest.mark.parametrize("text", ["", "[1]\n", "horizon\n"])
-def test_a_profile_of_the_mpc_that_is_no_mapping_is_refused(tmp_path, monkeypatch, text):
-    shipped = Path(__file__).parents[1] / "config" / "mpc.yaml"
-    (tmp_path / "mpc").mkdir()
-    (tmp_path / "mpc.yaml").write_text(shipped.read_text())
-    (tmp_path / "mpc" / "own.yaml").write_text(text)
-    monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
+def test_a_profile_of_the_mpc_that_is_no_mapping_is_refused(own_config, text):
+    (own_config / "mpc" / "own.yaml").write_text(text)
     with pytest.raises(ConfigError, match=r"mpc/own\.yaml: expected a mapping of dotted names"):
         read_mpc("own")

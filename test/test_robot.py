@@ -1,7 +1,5 @@
 """Geometry, masses and frames of the robot."""
 
-import shutil
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -75,28 +73,14 @@ def test_clamp_heights_are_those_of_the_rotated_torso(robot):
     assert robot.clamp_heights(*posture[0]) == pytest.approx(expected[0])
 
 
-@pytest.mark.parametrize("mass", [0.0, -1.0, 100.0])
-def test_a_torso_mass_outside_its_bounds_is_refused(robot, mass):
-    with pytest.raises(config.ConfigError, match=r"torso\.mass = .* outside \[0\.02, 20\.0\] kg"):
-        config.replace(robot, {"torso.mass": mass})
-
-
-@pytest.fixture
-def settings(tmp_path, monkeypatch):
-    """A copy of the configuration directory that a test may change."""
-    shutil.copytree(config.config_dir(), tmp_path / "config")
-    monkeypatch.setenv("SLOT_CONFIG", str(tmp_path / "config"))
-    return tmp_path / "config"
-
-
 def test_another_parameter_set_changes_its_values_and_nothing_else(robot):
     paper, values = read_robot("paper"), read_parameters("paper")
     assert paper.leg.young_modulus == 1e7  # as printed
     assert paper == config.replace(robot, values)
 
 
-def test_robot_uses_the_parameter_set_named_in_its_file(settings):
-    path = settings / "robot.yaml"
+def test_robot_uses_the_parameter_set_named_in_its_file(own_config):
+    path = own_config / "robot.yaml"
     path.write_text(path.read_text().replace("parameters: calibrated", "parameters: paper"))
     assert read_robot() == read_robot("paper") != read_robot("calibrated")
 
@@ -116,8 +100,8 @@ def test_robot_uses_the_parameter_set_named_in_its_file(settings):
         ("", r"^parameters/own\.yaml: values is missing"),
     ],
 )
-def test_an_invalid_parameter_set_is_refused(settings, values, message):
-    (settings / "parameters" / "own.yaml").write_text(f"values: {values}")
+def test_an_invalid_parameter_set_is_refused(own_config, values, message):
+    (own_config / "parameters" / "own.yaml").write_text(f"values: {values}")
     with pytest.raises(config.ConfigError, match=message):
         read_robot("own")
 
@@ -130,7 +114,7 @@ def test_an_unknown_parameter_set_names_the_known_ones():
         read_robot("x")
 
 
-def test_a_robot_without_a_parameter_set_is_refused(settings):
-    (settings / "robot.yaml").write_text("torso: {}")
+def test_a_robot_without_a_parameter_set_is_refused(own_config):
+    (own_config / "robot.yaml").write_text("torso: {}")
     with pytest.raises(config.ConfigError, match=r"^robot\.yaml: parameters is missing"):
         read_robot()

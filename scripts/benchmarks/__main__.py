@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import ast
 import json
 import signal
 import sys
@@ -11,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness import ROOT, BenchmarkError, known, load, run
+from benchmarks.harness import ROOT, BenchmarkError, about, known, load, run
 from slot_core.command_line import CommandParser
 
 CANNOT_RUN = 2  # exit code
@@ -96,13 +95,7 @@ def _parser(add_help: bool = True) -> argparse.ArgumentParser:
 
 def _list(directory: Path) -> None:
     for name, path in known(directory).items():
-        print(f"{name:<16}{_first_line(path)}")
-
-
-def _first_line(path: Path) -> str:
-    """First line of a module's docstring, without importing the module."""
-    doc = ast.get_docstring(ast.parse(path.read_text())) or ""
-    return doc.partition("\n")[0]
+        print(f"{name:<16}{about(path)}")
 
 
 def _print_progress(line: str) -> None:

@@ -23,6 +23,7 @@ scripts/setup --bench installs them.
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import importlib.util
 import json
@@ -117,9 +118,25 @@ def cpu_ratio(
     )
 
 
+def mark_front(rows: Sequence[dict[str, Any]], cost: str, error: str) -> None:
+    """Mark the Pareto front: rows for which no other is both cheaper and more exact.
+
+    A row without a finite error is not on it.
+    """
+    for row in rows:
+        row["front"] = row[error] < math.inf and not any(
+            other[cost] < row[cost] and other[error] < row[error] for other in rows
+        )
+
+
 def known(directory: Path) -> dict[str, Path]:
     """The benchmarks in a directory by name."""
     return {path.parent.name: path for path in sorted(directory.glob("*/benchmark.py"))}
+
+
+def about(benchmark: Path) -> str:
+    """What a benchmark measures: the first line of its docstring; the module is not imported."""
+    return (ast.get_docstring(ast.parse(benchmark.read_text())) or "").partition("\n")[0]
 
 
 def run(

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,6 @@ from synthetic_walk import TOPICS, TYPES, WALL, Walk, encode, message, write_old
 
 from slot_core.messages import decode
 from slot_core.recording.bag_writer import BagWriter
-from slot_core.recording.message_types import message_types
 from slot_core.recording.origin import Origin
 from slot_core.recording.record_settings import read_record_settings
 from slot_lab.bags.bag import Bag, BagError, NoFieldError
@@ -109,12 +109,6 @@ def test_bag_offers_the_recorded_quality_of_service(walk_bag):
         assert profile["reliability"] == SETTINGS.topics[name].reliability
 
 
-def test_chunks_are_compressed(walk_bag):
-    with next(walk_bag.glob("*.mcap")).open("rb") as file:
-        chunks = make_reader(file).get_summary().chunk_indexes
-    assert {chunk.compression for chunk in chunks} == {"zstd"}
-
-
 def test_a_bag_is_readable_with_its_own_definitions_alone(walk_bag, monkeypatch):
     def nowhere(types):
         raise FileNotFoundError
@@ -155,27 +149,31 @@ def test_writer_does_not_overwrite_a_bag(walk_bag):
     assert next(walk_bag.glob("*.mcap")).read_bytes() == before
 
 
-def test_empty_file_is_an_error_of_one_line(walk_bag, tmp_path):
-    path = tmp_path / "walk"
-    path.mkdir()
-    (path / "metadata.yaml").write_bytes((walk_bag / "metadata.yaml").read_bytes())
-    (path / "walk.mcap").touch()
+@pytest.fixture
+def damaged(walk_bag, tmp_path):
+    """A function that opens a copy of the bag with other bytes in the place of its messages."""
+
+    def copy(data):
+        shutil.copytree(walk_bag, tmp_path / "walk")
+        (tmp_path / "walk" / "walk.mcap").write_bytes(data)
+        return Bag(tmp_path / "walk")
+
+    return copy
+
+
+def test_empty_file_is_an_error_of_one_line(damaged, tmp_path):
     with pytest.raises(BagError, match="seems to be empty") as refused:
-        Bag(path)
-    assert str(path) in str(refused.value)
+        damaged(b"")
+    assert str(tmp_path / "walk") in str(refused.value)
     assert "\n" not in str(refused.value)
 
 
-def test_damaged_chunk_is_a_bag_error(walk_bag, tmp_path):
-    path = tmp_path / "walk"
-    path.mkdir()
-    (path / "metadata.yaml").write_bytes((walk_bag / "metadata.yaml").read_bytes())
+def test_damaged_chunk_is_a_bag_error(walk_bag, damaged):
     data = bytearray((walk_bag / "walk.mcap").read_bytes())
     start = data.index(b"\x28\xb5\x2f\xfd")  # magic number of a zstd frame
     data[start : start + 200] = bytes(200)
-    (path / "walk.mcap").write_bytes(data)
     with pytest.raises(BagError, match="cannot be read"):
-        list(Bag(path).merged())
+        list(damaged(data).merged())
 
 
 def test_missing_empty_and_foreign_bags_have_errors_of_their_own(tmp_path):
@@ -248,11 +246,6 @@ def test_error_names_the_missing_topic_or_field(walk_bag):
         list(bag.messages("/scan"))
     with pytest.raises(NoFieldError, match=r"/odom has no field pose\.speed"):
         bag.series("/odom", "pose.speed")
-
-
-def test_recorded_topics_are_of_known_types():
-    types = message_types()
-    assert [t for t, topic in SETTINGS.topics.items() if topic.type not in types.fielddefs] == []
 
 
 def test_legs_recorded_before_they_had_directors_are_read_without_them(tmp_path):

@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 from synthetic_walk import TOPICS, encode, message
 
-from slot_core.dynamics.servo import read_servo
 from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.record_settings import read_record_settings
 from slot_core.robot import TENDON_JOINTS
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.measured import measured_motion, tendon_angles
-from slot_lab.report import metrics
 
 UNIT = (0.0, 0.0, 0.0, 1.0)
 
@@ -96,15 +94,3 @@ def test_joints_of_another_robot_are_refused(bag):
     others.name = [f"joint_{n}" for n in range(12)]
     with pytest.raises(BagError, match="does not name each of FL_tendon"):
         tendon_angles(bag(("/joint_states", others), ("/joint_states", others)))
-
-
-def test_joints_without_torques_have_angles_but_no_saturation_and_no_load(bag):
-    states = []
-    for n in range(3):
-        _, built = joints(1.0 + n)
-        built.effort = np.zeros(0)
-        states.append(("/joint_states", built))
-    recorded = bag(*states)
-    assert len(tendon_angles(recorded).t) == 3
-    found = metrics._servos(recorded, 0.0, read_servo())
-    assert found["servo_saturated"] == found["servo_load"] == metrics.NOT_KNOWN

@@ -73,46 +73,46 @@ def test_quick_is_passed_on_and_recorded(places):
     assert bench(places, "tiny", "--quick") == 0
     result = json.loads((places[1] / "tiny.json").read_text())
     assert (result["quick"], len(result["rows"])) == (True, 2)
-    assert result["checks"][0]["holds"]
 
 
-def test_unknown_name_lists_the_known_ones_in_one_line_with_exit_code_2(places, capsys):
-    assert bench(places, "tinny") == 2
-    output = capsys.readouterr()
-    assert output.err == "scripts/bench: no benchmark 'tinny' (known: tiny)\n"
-    assert output.out == ""
+@pytest.mark.parametrize(
+    ("name", "source", "reason"),
+    [
+        ("tinny", None, "no benchmark 'tinny' (known: tiny)"),
+        ("empty", '"""Nothing."""', "benchmark empty: has no function run"),
+        (
+            "rival",
+            f'REQUIRES = ("json", "no_such_peer", "nor_this")\n{TINY}',
+            "benchmark rival: needs no_such_peer, nor_this; run scripts/setup --bench",
+        ),
+    ],
+)
+def test_a_benchmark_that_cannot_run_is_refused_in_one_line(places, capsys, name, source, reason):
+    if source is not None:
+        write_benchmark(places[0], name, source)
+    assert bench(places, name) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"scripts/bench: {reason}")
     assert not places[1].exists()
 
 
-def test_no_name_lists_the_known_ones_with_exit_code_2(places, capsys):
-    with pytest.raises(SystemExit) as ended:
-        bench(places)
-    assert ended.value.code == 2
-    assert "no benchmark named (known: tiny)" in capsys.readouterr().err
+OWN = '''"""With options of its own."""
+
+def options(parser):
+    parser.add_argument("--count", type=int, default=3)
+
+def run(quick, out, progress, *, count):
+    return [{"count": count}], []
+'''
 
 
-def test_module_without_run_is_refused_by_name(places, capsys):
-    write_benchmark(places[0], "empty", '"""Nothing."""')
-    assert bench(places, "empty") == 2
-    assert "benchmark empty: has no function run" in capsys.readouterr().err
-
-
-def test_missing_packages_are_listed_in_one_line(places, capsys):
-    source = 'REQUIRES = ("json", "no_such_peer", "nor_this")\n'
-    write_benchmark(places[0], "rival", f'"""Races."""\n{source}{TINY}')
-    assert bench(places, "rival") == 2
-    line = "benchmark rival: needs no_such_peer, nor_this; run scripts/setup --bench\n"
-    assert capsys.readouterr().err == f"scripts/bench: {line}"
-    assert not places[1].exists()
-
-
-def test_list_shows_the_first_line_of_each_docstring(places, capsys):
-    write_benchmark(places[0], "other", '"""Measures other things."""\nraise SystemExit(9)\n')
-    assert bench(places, "--list") == 0
-    assert [line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()] == [
-        ["other", "Measures other things."],
-        ["tiny", "Counts to the number of its rows."],
-    ]
+@pytest.mark.parametrize(("given", "count"), [((), 3), (("--count", "5"), 5)])
+def test_a_benchmark_gets_the_options_that_it_declares_and_no_others(places, given, count):
+    write_benchmark(places[0], "own", OWN)
+    assert bench(places, "own", *given) == 0
+    assert json.loads((places[1] / "own.json").read_text())["rows"] == [{"count": count}]
+    with pytest.raises(SystemExit):
+        bench(places, "own", "--other", "5")
 
 
 def test_checks_hold_up_to_their_goal():

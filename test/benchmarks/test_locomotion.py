@@ -9,6 +9,7 @@ import pytest
 from benchmarks.locomotion import benchmark
 from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, Case, WalkMotion, payload, run_case
 from benchmarks.locomotion.rows import LocomotionRow, rows, square
+from slot_core.simulation.closed_loop import ClosedLoop
 
 SEEDS = (1,)
 
@@ -28,14 +29,11 @@ def checks_of(wanted, move):
     return benchmark.checks(wanted, benchmark.measured(wanted, motions, SEEDS, quick=False))
 
 
-def benefits(found):
-    return [check for check in found if check.name.endswith("over the gait alone")]
-
-
 def test_a_controller_without_effect_fails_every_benefit():
     """Equal motions with and without it, here those of a robot that does not move."""
     wanted = rows(quick=True)
-    found = benefits(checks_of(wanted, still))
+    checks = checks_of(wanted, still)
+    found = [check for check in checks if check.name.endswith("over the gait alone")]
     assert len(found) > 20
     assert not [check.name for check in found if check.holds]
 
@@ -55,19 +53,12 @@ def test_a_controller_without_effect_fails_on_the_simulated_robot():
 
 
 def test_the_gait_alone_commands_the_angles_of_the_gait():
+    """Under a payload, of which nothing else takes account."""
+    changes = dict(COLUMNS[ALONE].changes) | {"scene.payload.mass": 0.5}
     for gait, velocity in (("stand", 0.0), ("walk", 0.05)):
-        loop = benchmark_loop(gait, velocity)
+        loop = ClosedLoop("flat", gait, np.array([velocity, 0.0, 0.0]), 1, changes=changes)
         for tick in loop.run(30):
             assert tick.command.angle == pytest.approx(tick.preview.tendon_angle[0], abs=1e-9)
-
-
-def benchmark_loop(gait, velocity):
-    """Closed loop of the gait alone under a payload, of which nothing else takes account."""
-    from slot_core.simulation.closed_loop import ClosedLoop  # noqa: PLC0415
-
-    changes = dict(COLUMNS[ALONE].changes) | {"scene.payload.mass": 0.5}
-    speed = np.array([velocity, 0.0, 0.0])
-    return ClosedLoop("flat", gait, speed, 1, COLUMNS[ALONE].policy, changes=changes)
 
 
 def test_a_fall_is_worse_than_any_error():

@@ -10,7 +10,6 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 
-from benchmarks import __main__ as command_line
 from benchmarks.perturbations import cases, published, rigid_torso, samples
 from slot_core.mpc.settings import read_mpc
 from slot_core.robot import GRAVITY, read_robot
@@ -180,34 +179,42 @@ def result(index, failed=""):
     return samples.asdict(drawn) | dict.fromkeys(samples.LIMITS, 0.0) | {"failed": failed}
 
 
-def test_recorded_samples_are_not_run_again(tmp_path):
-    path, like = tmp_path / "samples.csv", samples.draw("torso", 1, 0.0, 0)
-    samples.SampleRecord(path, "abc", like).add(result(0))
-    samples.SampleRecord(path, "abc", like).add(result(2, "tilt_max"))
-    again = samples.SampleRecord(path, "abc", like)
+@pytest.fixture
+def record(tmp_path):
+    """Opens one file of samples for a revision and the settings of a sample."""
+
+    def opened(revision="abc", *settings):
+        return samples.SampleRecord(
+            tmp_path / "samples.csv", revision, samples.draw("torso", *(settings or (1, 0.0)), 0)
+        )
+
+    return opened
+
+
+def test_recorded_samples_are_not_run_again(record):
+    record().add(result(0))
+    record().add(result(2, "tilt_max"))
+    again = record()
     assert again.missing(4) == [1, 3]
     assert [row["failed"] for row in again.rows] == ["", "tilt_max"]
     assert again.rows[0]["push"] == samples.draw("torso", 1, 0.0, 0).push
 
 
-def test_samples_of_another_revision_or_seed_are_run_again(tmp_path):
-    path, like = tmp_path / "samples.csv", samples.draw("torso", 1, 0.0, 0)
-    samples.SampleRecord(path, "abc", like).add(result(0))
-    assert samples.SampleRecord(path, "abd", like).missing(1) == [0]
-    assert samples.SampleRecord(path, "abc", samples.draw("torso", 2, 0.0, 0)).missing(1) == [0]
-    assert samples.SampleRecord(path, "abc", samples.draw("torso", 1, 0.5, 0)).missing(1) == [0]
+@pytest.mark.parametrize("others", [("abd",), ("abc", 2, 0.0), ("abc", 1, 0.5)])
+def test_samples_of_another_revision_or_seed_are_run_again(record, others):
+    record().add(result(0))
+    assert record(*others).missing(1) == [0]
 
 
-def test_the_sample_of_an_incomplete_row_is_run_again(tmp_path):
-    path, like = tmp_path / "samples.csv", samples.draw("torso", 1, 0.0, 0)
-    record = samples.SampleRecord(path, "abc", like)
-    record.add(result(0))
-    record.add(result(1))
+def test_the_sample_of_an_incomplete_row_is_run_again(record, tmp_path):
+    for index in (0, 1):
+        record().add(result(index))
+    path = tmp_path / "samples.csv"
     path.write_text(path.read_text()[:-5])
-    again = samples.SampleRecord(path, "abc", like)
+    again = record()
     assert again.missing(2) == [1]
     again.add(result(1))
-    assert samples.SampleRecord(path, "abc", like).missing(2) == []
+    assert record().missing(2) == []
 
 
 def test_the_summary_counts_failures_and_gives_their_parameters():
@@ -224,45 +231,16 @@ def test_the_summary_counts_failures_and_gives_their_parameters():
 @pytest.mark.skipif(
     importlib.util.find_spec("distributed") is None, reason="scripts/setup --bench not run"
 )
-def test_two_local_workers_give_the_results_of_one_process(tmp_path):
+def test_two_local_workers_give_the_results_of_one_process(record):
     from benchmarks.perturbations import farm  # noqa: PLC0415
 
-    like = samples.draw("torso", 1, 0.0, 0)
-    record = samples.SampleRecord(tmp_path / "samples.csv", "abc", like)
     with workers("", 2) as client:
         own = psutil.Process()
         sockets = [c for p in (own, *own.children(recursive=True)) for c in p.net_connections()]
         listening = {c.laddr.ip for c in sockets if c.status == psutil.CONN_LISTEN}
         assert listening == {"127.0.0.1"}
-        rows = farm.run_samples(client, record, like, 2, lambda line: None)
+        rows = farm.run_samples(client, record(), samples.draw("torso", 1, 0.0, 0), 2, print)
     here = {index: samples.run_sample(samples.draw("torso", 1, 0.0, index)) for index in (0, 1)}
     for row in rows:
         assert row["tilt_max"] == here[row["index"]]["tilt_max"]
         assert row["failed"] == here[row["index"]]["failed"]
-
-
-OWN = '''"""With options of its own."""
-
-def options(parser):
-    parser.add_argument("--count", type=int, default=3)
-
-def run(quick, out, progress, *, count):
-    return [{"count": count}], []
-'''
-
-
-@pytest.mark.parametrize(("given", "count"), [((), 3), (("--count", "5"), 5)])
-def test_a_benchmark_gets_the_options_it_declares(tmp_path, given, count):
-    (tmp_path / "own").mkdir()
-    (tmp_path / "own" / "benchmark.py").write_text(OWN)
-    place = ["--benchmarks", str(tmp_path), "--out", str(tmp_path / "out")]
-    assert command_line.main(["own", *given, *place]) == 0
-    assert f'"count": {count}' in (tmp_path / "out" / "own.json").read_text()
-
-
-def test_an_undeclared_option_is_refused(tmp_path):
-    (tmp_path / "own").mkdir()
-    (tmp_path / "own" / "benchmark.py").write_text(OWN)
-    with pytest.raises(SystemExit) as stop:
-        command_line.main(["own", "--other", "5", "--benchmarks", str(tmp_path)])
-    assert stop.value.code == 2

@@ -5,7 +5,6 @@ from contextlib import ExitStack
 
 import numpy as np
 import pytest
-from real_graph import domain  # noqa: F401 - a fixture
 
 from slot_bringup import monitor, run
 from slot_bringup.graph import read_graph

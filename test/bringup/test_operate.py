@@ -1,13 +1,10 @@
 """Keys, screen and command line of the operator's terminal."""
 
-import math
 import os
 from types import SimpleNamespace
 
 import pytest
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from real_graph import domain  # noqa: F401 - a fixture
 from sensor_msgs.msg import JointState
 
 from slot_bringup import operate
@@ -36,11 +33,6 @@ def health(**fields):
         "temperature": [31.0, 32.0, 33.0, 34.0], "voltage": [11.9] * 4,
     }  # fmt: skip
     return ServoHealth(**sound | fields)
-
-
-def joints():
-    angles = [math.radians(d) for d in (10, 20, 30, 40)]
-    return JointState(name=TENDON_JOINTS, position=angles, effort=[0.1, 0.2, 0.3, 0.4])
 
 
 def screen(**parts):
@@ -152,57 +144,27 @@ def test_quitting_is_refused_under_torque():
     idle.action = RobotState.ACTION_OFF
     operator._on_state(idle)
     assert not operator.press(operate.QUIT)
+    assert not operate.Operator(FakeNode()).press(operate.QUIT)  # without a supervisor
 
 
-def test_quitting_is_allowed_without_a_supervisor():
-    assert not operate.Operator(FakeNode()).press(operate.QUIT)
-
-
-def test_the_screen_shows_state_reason_warnings_and_slack():
+def test_the_screen_shows_state_warnings_and_what_is_wrong_with_a_servo():
     message = state(reason="walk requested", warnings=["node mpc_controller silent for 1 s"])
-    message.slack = [0.0001, 0.0002, 0.0003, math.nan]
-    shown = screen(state=message, joints=joints())
-    assert shown[0] == "WALKING for 2.5 s: walk requested"
-    assert shown[1] == "  ! node mpc_controller silent for 1 s"
-    rows = [line.split() for line in shown if line[:2] in LEGS]
-    assert rows == [
-        ["FL", "10.0", "0.10", "0.1"], ["FR", "20.0", "0.20", "0.2"],
-        ["RL", "30.0", "0.30", "0.3"], ["RR", "40.0", "0.40", "nan"],
+    broken = health(hardware_error=[0, 0, 0x20, 0], torque=[True, True, False, True])
+    angles = JointState(name=TENDON_JOINTS, position=[0.5] * 4, effort=[0.1] * 4)
+    shown = screen(state=message, health=broken, joints=angles, sources=2)
+    assert shown[:2] == [
+        "WALKING for 2.5 s: walk requested", "  ! node mpc_controller silent for 1 s"
     ]  # fmt: skip
-
-
-def test_the_screen_shows_the_health_of_every_servo():
-    overloaded = health(hardware_error=[0, 0, 0x20, 0], torque=[True, True, False, True],
-                        error_rate=[0.0, 0.125, 0.0, 0.0])  # fmt: skip
-    rows = {line[:2]: line.split()[4:] for line in screen(joints=joints(), health=overloaded)}
-    assert rows["FL"] == ["0.01", "31", "11.9", "0.0", "on", "none"]
-    assert rows["FR"] == ["0.01", "32", "11.9", "12.5", "on", "none"]
-    assert rows["RL"] == ["0.01", "33", "11.9", "0.0", "off", "overload"]
-
-
-def test_the_screen_shows_bus_figures_and_only_diagnostics_that_are_not_ok():
-    bus = DiagnosticStatus(
-        name="servo bus", level=DiagnosticStatus.ERROR, message="no command for 0.2 s",
-        values=[KeyValue(key="rate_Hz", value="100.0"), KeyValue(key="overruns", value="3")],
-    )  # fmt: skip
-    sound = DiagnosticStatus(name="servo FL (id 5)", level=DiagnosticStatus.OK, message="sound")
-    shown = screen(health=health(), diagnostics=DiagnosticArray(status=[bus, sound]))
-    at = shown.index("servos: PASS")
-    assert shown[at + 1 : at + 3] == [
-        "  rate_Hz 100.0, overruns 3", "  ! servo bus: no command for 0.2 s"
-    ]  # fmt: skip
-    assert not any("sound" in line for line in shown)
-
-
-def test_the_state_at_the_start_has_no_age():
-    first = state(State.IDLE, reason="started")
-    first.since = Time()
-    assert screen(state=first)[0] == "IDLE: started"
+    assert {line[:2]: line.split()[-2:] for line in shown if line[:2] in LEGS} == {
+        "FL": ["on", "none"], "FR": ["on", "none"], "RL": ["off", "overload"],
+        "RR": ["on", "none"],
+    }  # fmt: skip
+    assert any("2 sources of the e-stop" in line for line in shown)
 
 
 def test_an_outdated_state_is_not_shown():
     shown = screen(state_time=NOW - SILENCE - 0.1)
-    assert shown[0] == f"NO STATE from the supervisor for 0.6 s, limit {SILENCE:g} s"
+    assert shown[0].startswith("NO STATE from the supervisor for 0.6 s")
     assert not any("WALKING" in line for line in shown)
 
 
@@ -211,11 +173,6 @@ def test_the_first_line_is_red_in_relax_estop_and_fault_and_without_a_present_st
     alarming = which in (State.RELAX, State.ESTOP, State.FAULT)
     assert OperatorView(state=state(which), state_time=NOW).alarming(NOW) == alarming
     assert OperatorView(state=state(which), state_time=NOW - 1.0).alarming(NOW)
-
-
-def test_the_screen_warns_of_a_second_e_stop_source():
-    assert any("2 sources of the e-stop" in line for line in screen(sources=2))
-    assert not any("of the e-stop" in line for line in screen(sources=1))
 
 
 @pytest.mark.parametrize(
@@ -237,21 +194,6 @@ def test_inject_passes_every_field_of_the_fault():
     request = operate.service(operate._parser().parse_args(arguments)).request
     fields = (request.kind, request.leg, request.value, request.duration, request.clear)
     assert fields == ("late", "RR", 0.02, 3.0, True)
-
-
-@pytest.mark.parametrize("arguments", [["zero"], ["reboot", "tail"], ["dance"], ["inject"]])
-def test_wrong_arguments_end_with_exit_code_2(arguments, capsys):
-    with pytest.raises(SystemExit) as refusal:
-        operate.main(arguments)
-    assert refusal.value.code == 2
-    assert "scripts/operate" in capsys.readouterr().err
-
-
-def test_an_invalid_namespace_is_refused(capsys):
-    with pytest.raises(SystemExit) as refusal:
-        operate.main(["--namespace", "a b", "state"])
-    assert refusal.value.code == 2
-    assert "namespace = 'a b': Invalid namespace" in capsys.readouterr().err
 
 
 def test_the_live_display_without_a_terminal_is_refused_in_one_line(capsys, monkeypatch):

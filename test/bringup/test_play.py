@@ -3,7 +3,6 @@
 No time is asserted: the bags are played a hundred times faster than they were recorded.
 """
 
-import time
 from collections import defaultdict
 from contextlib import nullcontext
 from pathlib import Path
@@ -14,7 +13,6 @@ import pytest
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
-from real_graph import domain  # noqa: F401 - a fixture
 from rosgraph_msgs.msg import Clock
 from synthetic_walk import Walk, write_old_legs, write_walk
 
@@ -51,9 +49,7 @@ def received():
 
 
 def wait(executor, reached):
-    end = time.monotonic() + 30.0
     while not reached():
-        assert time.monotonic() < end
         executor.spin_once(timeout_sec=0.1)
 
 
@@ -140,35 +136,6 @@ def test_a_recorder_alone_does_not_start_the_play(real_time_bag, monkeypatch):
         node.create_subscription(kind, "/odom", print, qos.SENSOR)
         monkeypatch.setattr(play, "SEARCH_TIME", 10.0)
         player.wait_for_nodes()
-
-
-def test_a_domain_that_dds_does_not_have_is_refused(monkeypatch, capsys):
-    monkeypatch.setenv("ROS_DOMAIN_ID", "240")
-    assert play.main(["--live", str(WALK)]) == 2
-    assert "ROS_DOMAIN_ID = '240': expected a number within [0, 232]" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["nowhere"], "nowhere: does not exist"),
-        ([str(WALK), "--namespace", "a b"], "namespace = 'a b'"),
-        ([str(WALK), "--remap", "/odom:=/camera"], "holds no /odom"),
-    ],
-)
-def test_what_cannot_be_played_is_refused_in_one_line(arguments, message, capsys):
-    assert play.main(["--live", *arguments]) == 2
-    errors = capsys.readouterr().err
-    assert errors.startswith("scripts/replay: ")
-    assert message in errors
-    assert errors.count("\n") == 1
-
-
-@pytest.mark.parametrize("wrong", [["--rate", "0"], ["--rate", "nan"], ["--start", "-1"]])
-def test_rate_and_start_have_bounds(wrong, capsys):
-    with pytest.raises(SystemExit):
-        play.main([str(WALK), *wrong])
-    assert "outside [" in capsys.readouterr().err
 
 
 class NoProcesses:

@@ -8,7 +8,6 @@ from dataclasses import replace
 import pytest
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
-from real_graph import domain  # noqa: F401 - a fixture
 
 from slot_bringup.graph import read_graph
 from slot_bringup.monitor import listener
@@ -39,7 +38,7 @@ def record(path, number):
             time.sleep(0.005)
         assert publisher.wait_for_all_acked(Duration(seconds=60))
         process.send_signal(number)
-        code = process.wait(timeout=60)
+        code = process.wait()
     return code, [str(n) for n in range(count)]
 
 

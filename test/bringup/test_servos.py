@@ -1,6 +1,5 @@
 """scripts/servos against emulated servos."""
 
-import shutil
 import signal
 import subprocess
 import sys
@@ -9,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from slot_bringup.servos import main
-from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.dynamixel.emulator.emulated_bus import read_emulator
 from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
@@ -22,13 +20,10 @@ PATIENT = 0.1  # s, answer timeout on a busy machine
 
 
 @pytest.fixture
-def dynamixel_yaml(tmp_path, monkeypatch):
+def dynamixel_yaml(own_config):
     """Path of dynamixel.yaml in a writable copy of the configuration."""
-    directory = tmp_path / "config"
-    shutil.copytree(config.config_dir(), directory)
-    path = directory / "dynamixel.yaml"
+    path = own_config / "dynamixel.yaml"
     path.write_text(path.read_text().replace("timeout: 0.008", f"timeout: {PATIENT}"))
-    monkeypatch.setenv("SLOT_CONFIG", str(directory))
     return path
 
 

@@ -8,7 +8,6 @@ import time
 
 import psutil
 import pytest
-from real_graph import domain  # noqa: F401 - a fixture
 
 from slot_bringup.graph import NodeSpec
 from slot_bringup.processes import command_line
@@ -26,14 +25,11 @@ child.wait()
 def test_a_node_ends_when_its_parent_is_ended_by_a_signal(number):
     parent = subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True)
     node = psutil.Process(int(parent.stdout.readline()))
-    end = time.monotonic() + 20.0
     while node.name() != "sleep":  # until setpriv has become the node
-        assert time.monotonic() < end
         time.sleep(0.01)
     parent.send_signal(number)
     parent.communicate()
-    _, alive = psutil.wait_procs([node], timeout=20.0)
-    assert not alive
+    node.wait()  # pytest's timeout ends a test whose node outlives its parent
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -46,7 +42,8 @@ def test_a_node_that_compiles_its_kernels_ends_at_a_signal(number, tmp_path):
     try:
         assert "preparing; a first start compiles" in node.stderr.readline()
         node.send_signal(number)
-        node.communicate(timeout=10.0)  # compiling takes longer
+        node.communicate()
         assert node.returncode == 0
+        assert len(list(tmp_path.rglob("*.nbi"))) < 9  # of 18 kernels: it has not gone on
     finally:
         node.kill()

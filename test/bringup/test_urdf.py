@@ -113,14 +113,6 @@ def test_tendon_joints_are_spools_with_the_limits_of_tendon_and_servo():
         np.testing.assert_allclose(np.abs(turned @ axis), 1.0, atol=1e-9)  # the drum's axis
 
 
-def panels(node):
-    return [node] if isinstance(node, str) else panels(node["first"]) + panels(node["second"])
-
-
-def test_every_panel_of_the_layout_is_configured_and_shown_once():
-    assert sorted(panels(LAYOUT["layout"])) == sorted(LAYOUT["configById"])
-
-
 def message_fields(name):
     """{field: array length, inf if not fixed, 0 if none} of a message, without its constants."""
     text = (ROOT / f"slot_msgs/msg/{name}.msg").read_text()
@@ -147,18 +139,7 @@ def test_plots_name_fields_that_the_messages_have():
 
 
 def test_viewers_start_in_the_world_frame_on_the_topics_of_the_graph():
-    assert LAYOUT["configById"]["3D!slot"]["followTf"] == ODOM_FRAME
-    assert RVIZ["Global Options"]["Fixed Frame"] == ODOM_FRAME
-    assert RVIZ["Views"]["Current"]["Target Frame"] == BASE_FRAME
-    shown = {d["Class"].split("/")[1]: d for d in RVIZ["Displays"]}
-    assert {"TF", "RobotModel", "Odometry", "MarkerArray"} <= set(shown)
-    assert shown["MarkerArray"]["Topic"]["Value"] == "/visualization"
-    assert shown["MarkerArray"]["Enabled"]
-    assert not shown["RobotModel"]["Enabled"]  # it would cover the bent legs
-    assert shown["RobotModel"]["Description Topic"]["Value"] == "/robot_description"
-    odometry = {d["Topic"]["Value"] for d in RVIZ["Displays"] if d["Class"].endswith("/Odometry")}
     drawn = LAYOUT["configById"]["3D!slot"]
-    assert odometry == {"/odom", "/ground_truth/odom"}
-    assert set(drawn["topics"]) == odometry | {"/visualization"}
-    assert all(topic["visible"] for topic in drawn["topics"].values())
-    assert not drawn["layers"]["urdf"]["visible"]
+    assert drawn["followTf"] == RVIZ["Global Options"]["Fixed Frame"] == ODOM_FRAME
+    shown = {d.get("Topic", {}).get("Value") for d in RVIZ["Displays"]} - {None, ""}
+    assert {"/visualization", "/odom", "/ground_truth/odom"} == set(drawn["topics"]) <= shown

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 
 from slot_core import config
 from slot_core.robot import read_robot
-from slot_lab.calibration import experiments, fit, plot
+from slot_lab.calibration import experiments, fit
 from slot_lab.calibration.command import FREE, build_problem, main
 from slot_lab.calibration.data import COLUMNS, Data, Datum, read_data
 from slot_lab.calibration.fit import FitProblem, Parameter, estimate
@@ -369,37 +369,6 @@ def test_the_command_fits_and_writes_file_and_figure(tmp_path, capsys):
     assert png.read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["absent.csv"], "absent.csv"),
-        (["{data}", "--start", "x"], "no configuration 'parameters/x'"),
-        (["{data}", "--free", "leg.colour"], "leg.colour is not a number of the robot"),
-        (["{data}", "--starts", "0"], "0 is below 1"),
-    ],
-)
-def test_an_error_of_the_command_is_one_line(tmp_path, capsys, arguments, message):
-    data = write(tmp_path / "leg.csv", DEFLECTION)
-    with pytest.raises(SystemExit) as end:
-        main([part.format(data=data) for part in arguments])
-    assert end.value.code == 2
-    *_, last = capsys.readouterr().err.strip().splitlines()
-    assert last.startswith("scripts/calibrate: error: ")
-    assert message in last
-
-
-def test_the_figure_shows_every_kind_the_residuals_and_the_correlation():
-    rows = (deflection(0.2, value=0.0106, sigma=1e-3), deflection(1.0, value=0.044, sigma=1e-3))
-    data = Data("leg.csv", "", rows)
-    names = ("leg.young_modulus", "tendon.slack")
-    found = estimate(build_problem(ROBOT, names, data, SETTINGS), [2.6e7, 0.003])
-    axes = plot.figure(data, names, found, "title").axes
-    assert [ax.get_label() for ax in axes] == ["deflection", "residuals", "correlation"]
-    heights = [bar.get_height() for bar in axes[1].patches if bar.get_height() != 2]
-    assert heights == pytest.approx((found.predicted - [0.0106, 0.044]) / 1e-3)
-    assert [text.get_text() for text in axes[2].texts] == ["1.00", "-", "-", "-"]
-
-
 @pytest.mark.parametrize(("low", "high"), [(1e3, 1e8), (1e-3, 0.05), (-0.003, 0.007)])
 def test_a_fit_that_ends_at_a_bound_stays_within_it(low, high):
     """exp(log(1000)) is below 1000, and the settings refuse what is outside."""
@@ -415,9 +384,3 @@ def test_a_fit_that_ends_at_a_bound_stays_within_it(low, high):
         assert found.values[0] == pytest.approx(bound, rel=1e-3)
         assert low <= found.values[0] <= high
         assert estimate(problem, found.values).at_limit.all()
-
-
-def test_a_plot_of_another_kind_is_refused_before_the_fit(tmp_path, capsys):
-    with pytest.raises(SystemExit):
-        main([str(SHIPPED / "paper_single_leg.csv"), "--plot", str(tmp_path / "fit.txt")])
-    assert "the name of a picture ends in .png" in capsys.readouterr().err

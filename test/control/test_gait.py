@@ -8,12 +8,11 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.control.force_map import read_springs
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.gait.gait import FRONT_REAR, LEFT_RIGHT, Posture, Stride, read_gaits
+from slot_core.gait.gait import FRONT_REAR, LEFT_RIGHT, Posture, read_gaits
 from slot_core.gait.reference import reference
 from slot_core.robot import read_robot
 from slot_core.simulation.plant import make_robot
@@ -70,22 +69,15 @@ def test_at_the_speed_of_a_pattern_the_angles_are_its_harmonics_about_the_centre
     assert angle == pytest.approx(np.clip(expected, *WALK.range_deg))
 
 
-def test_half_the_velocity_is_half_the_amplitude():
+def test_the_amplitude_grows_with_the_velocity_and_patterns_of_two_directions_add_up():
     stride = filled()
-    half, full = (stride_table([v, 0, 0], stride=stride) for v in (0.03, 0.06))
     centre = stride_table([0, 0, 0], stride=stride)
-    assert half - centre == pytest.approx((full - centre) / 2, abs=1e-12)
-
-
-def test_the_patterns_of_two_directions_add_up():
-    stride = filled()
-    forward, lateral = (
-        stride_table([0.03, 0, 0], stride=stride),
-        stride_table([0, -0.02, 0], stride=stride),
+    forward, half, lateral, both = (
+        stride_table(v, stride=stride) - centre
+        for v in ([0.03, 0, 0], [0.015, 0, 0], [0, -0.02, 0], [0.03, -0.02, 0])
     )
-    centre = stride_table([0, 0, 0], stride=stride)
-    both = stride_table([0.03, -0.02, 0], stride=stride)
-    assert both - centre == pytest.approx(forward + lateral - 2 * centre, abs=1e-12)
+    assert half == pytest.approx(forward / 2, abs=1e-12)
+    assert both == pytest.approx(forward + lateral, abs=1e-12)
 
 
 def test_amplitudes_are_bounded_by_an_ellipsoid():
@@ -142,37 +134,6 @@ def test_the_opposite_velocity_is_the_mirror_image_half_a_stride_later(case):
     assert back[:, 8:] == pytest.approx(signs * there[:, 8:], abs=1e-12)
 
 
-@pytest.mark.parametrize("case", ["backward", "to the right", "turning right"])
-def test_the_mirror_image_of_the_mirror_image_is_the_pattern(case):
-    """A stride made of the mirror images moves backward as the original moves forward."""
-    velocity, opposite, legs, _ = MIRRORS[case]
-    index = int(np.flatnonzero(velocity)[0])
-    name = ("forward", "lateral", "turn")[index]
-    stride = filled()
-    pattern = getattr(stride, name)
-    half = np.array([1, -1, -1, 1, 1])
-    signs = REFLECTED_X if legs == FRONT_REAR else REFLECTED_Y
-    mirrored = dataclasses.replace(
-        pattern,
-        angle_deg=half * np.array(pattern.angle_deg)[legs],
-        normal_force=half * np.array(pattern.normal_force)[legs],
-        **{
-            motion: signs[k] * half * np.array(getattr(pattern, motion))
-            for motion, k in (
-                ("roll", 0),
-                ("pitch", 1),
-                ("height", 5),
-                ("v_x", 9),
-                ("v_y", 10),
-            )
-        },
-    )
-    reflected = dataclasses.replace(stride, **{name: mirrored})
-    assert stride_table(opposite, stride=reflected) == pytest.approx(
-        stride_table(velocity, stride=stride), abs=1e-12
-    )
-
-
 def motion(velocity, phase, duration=2.8, stride=WALK):
     """States (n, 12) of the simulated robot on the flat floor, open loop, every 30 ms."""
     sim = make_robot(ROBOT, read_scene("flat"), read_servo())
@@ -195,19 +156,6 @@ def test_the_simulated_robot_moves_with_the_opposite_velocity_in_the_mirror_imag
     there, back = motion(velocity, 0.5), motion(opposite, 0.0)
     assert np.abs(there[-1, 2:5]).max() > 0.02  # it has moved, or turned
     np.testing.assert_allclose(back, signs * there, rtol=0, atol=1e-9)
-
-
-def test_the_lateral_pattern_is_the_forward_one_reflected_at_a_diagonal():
-    """The robot is symmetric under the exchange of x and y, of the legs FR and RL.
-
-    But for an offset common to all legs, with which each pattern holds the height.
-    """
-    forward = stride_table([0.5 * WALK.forward.speed, 0, 0])[:, :4]
-    lateral = stride_table([0, 0.5 * WALK.lateral.speed, 0])[:, :4]
-    offset = lateral - forward[:, [0, 2, 1, 3]]
-    inside = np.abs(offset) > 0  # where neither is at the end of its range
-    assert inside.mean() > 0.3
-    assert offset[inside] == pytest.approx(offset.max(), abs=1e-9)
 
 
 def test_the_mean_posture_is_the_mean_of_the_course_over_a_stride():
@@ -323,11 +271,8 @@ def test_velocities_beyond_the_reached_ones_change_nothing(gait):
 
 
 @pytest.mark.parametrize("kind", [None, "trot", "[1]"])
-def test_a_gait_of_an_unknown_kind_is_refused(tmp_path, monkeypatch, kind):
-    (tmp_path / "gait").mkdir()
-    (tmp_path / "gait.yaml").write_text((config.config_dir() / "gait.yaml").read_text())
-    (tmp_path / "gait" / "own.yaml").write_text(yaml.safe_dump({"kind": kind}))
-    monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
+def test_a_gait_of_an_unknown_kind_is_refused(own_config, kind):
+    (own_config / "gait" / "own.yaml").write_text(yaml.safe_dump({"kind": kind}))
     with pytest.raises(ConfigError, match=r"gait/own\.yaml: kind = .*expected one of posture"):
         read_gaits()
 
@@ -360,10 +305,3 @@ def test_the_legs_can_carry_every_posture_that_can_be_commanded():
         for height in posture.height_range:
             angle = springs.angle(share, ROBOT.clamp_heights(height, 0.0, 0.0))
             assert angle.max() < ROBOT.tendon.angle_max, (posture, height)
-
-
-def test_every_gait_has_its_fields_from_its_own_file():
-    for name, gait in GAITS.gaits.items():
-        file = config.config_dir() / "gait" / f"{name}.yaml"
-        assert yaml.safe_load(file.read_text())["kind"] == gait.kind
-        assert isinstance(gait, Stride if gait.kind == "stride" else Posture)

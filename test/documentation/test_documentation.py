@@ -1,16 +1,14 @@
 """The documentation: links that lead somewhere, and a reference that leaves nothing out."""
 
 import ast
-import json
 import re
 import subprocess
 from xml.etree import ElementTree
 
 import pytest
 import yaml
-from real_graph import domain  # noqa: F401 - a fixture
 
-from documentation import generated, nodes, pages
+from documentation import generated, pages
 from documentation.markdown import DOC, ROOT
 from slot_bringup.graph import read_graph
 
@@ -53,16 +51,6 @@ def test_every_mark_stands_for_a_generated_part():
         pages.read("<!-- generated: nothing -->", DOC / "index.md")
 
 
-def test_the_front_page_is_the_readme_with_links_from_its_place():
-    text = pages.read("<!-- generated: readme -->", DOC / "index.md")
-    assert "# SLOT" in text
-    assert "](../../src/slot_core/slot_core/control/policy.py)" in text
-    assert "](graph.md#topics-and-services)" in text
-    assert "[config](" not in text  # a folder has no page
-    back = pages.read("[table](../../../README.md#results)", DOC / "reference" / "results.md")
-    assert back == "[table](../index.md#results)"
-
-
 def test_the_reference_has_every_message_and_service():
     text = generated.messages()
     files = [*(ROOT / "slot_msgs/msg").iterdir(), *(ROOT / "slot_msgs/srv").iterdir()]
@@ -98,62 +86,12 @@ def test_the_reference_has_every_settings_class_and_file_of_the_configuration():
     assert files <= set(generated.SETTINGS)
 
 
-@pytest.fixture
-def force_mapper(monkeypatch):
-    """The reference of one node that needs no compilation, in place of all."""
-    described = (nodes.describe("force_mapper", {}),)
-    monkeypatch.setattr(nodes, "descriptions", lambda: described)
-
-
-@pytest.mark.usefixtures("force_mapper")
-def test_the_reference_has_what_a_node_declares():
-    topics, parameters = nodes.topics(), nodes.parameters()
-    angles = "| `/desired_joint_angles` | `sensor_msgs/JointState`, latched | force\\_mapper |  |"
-    assert angles in topics
-    state = "[`slot_msgs/MpcState`](messages.md#mpcstate), latched |  | force\\_mapper |"
-    assert f"| `/mpc_state` | {state}" in topics
-    assert "describe_parameters" not in topics
-    assert "## force_mapper" in parameters
-    assert "| `line_slope` | `0.107` |" in parameters
-    assert "use_sim_time" not in parameters
-
-
-def test_a_row_of_the_configuration_has_value_unit_bounds_and_meaning():
-    row = "| `torso.mass` | `2` | kg | 0.02 to 20 | mass of the torso |"
-    assert row in generated.configuration()
-
-
-@pytest.mark.parametrize("holds", [True, False])
-def test_results_of_a_benchmark_become_tables(tmp_path, monkeypatch, holds):
-    (tmp_path / "results" / "tiny").mkdir(parents=True)
-    check = {"name": "error", "value": 0.123456, "unit": "mm", "goal": "<= 1", "holds": holds}
-    result = {
-        "name": "tiny", "quick": True, "options": {}, "rows": [{"case": "a", "n": 3}],
-        "revision": {"commit": "0", "describe": "v1", "dirty": True},
-        "machine": {"cpu": "a cpu", "cores": 2, "python": "3.11.7"}, "checks": [check],
-    }  # fmt: skip
-    (tmp_path / "results" / "tiny" / "tiny.json").write_text(json.dumps(result))
-    monkeypatch.setattr(generated, "ROOT", tmp_path)
-    text = generated.results()
-    assert "`scripts/bench tiny --quick`, revision v1, with changes, a cpu, 2 cores" in text
-    assert f"| {'holds' if holds else '**missed**'} | error | 0.1235 | mm |" in text
-    assert "| case | n |\n| --- | --- |\n| a | 3 |" in text
-
-
 def test_a_damaged_result_is_named(tmp_path, monkeypatch):
     (tmp_path / "results" / "tiny").mkdir(parents=True)
     (tmp_path / "results" / "tiny" / "tiny.json").write_text('{"name": ')
     monkeypatch.setattr(generated, "ROOT", tmp_path)
     with pytest.raises(ValueError, match=r"results/tiny/tiny\.json: Expecting value"):
         generated.results()
-
-
-def test_without_results_the_page_says_which_command_makes_them(tmp_path, monkeypatch):
-    (tmp_path / "scripts/benchmarks/tiny").mkdir(parents=True)
-    (tmp_path / "scripts/benchmarks/tiny/benchmark.py").write_text("")
-    monkeypatch.setattr(generated, "ROOT", tmp_path)
-    assert "`scripts/bench NAME` writes" in generated.results()
-    assert "one of tiny." in generated.results()
 
 
 @pytest.mark.parametrize(

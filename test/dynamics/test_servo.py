@@ -13,7 +13,7 @@ from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.dynamics.model import build_model
 from slot_core.dynamics.scene import read_scene
-from slot_core.dynamics.servo import ServoSettings, read_servo, servo, spool_rate, turning_rate
+from slot_core.dynamics.servo import read_servo, servo, spool_rate, turning_rate
 from slot_core.robot import read_robot
 
 SETTINGS = config.replace(
@@ -68,21 +68,13 @@ def test_ideal_servo_ignores_the_load():
         assert rate(law, 0.0, 2.0, torque) == pytest.approx(-40.0 / 57.0 * NO_LOAD)
 
 
-def test_an_unknown_model_is_refused_by_name():
-    with pytest.raises(ConfigError, match="magic"):
-        config.build(ServoSettings, dataclasses.asdict(SETTINGS) | {"model": "magic"}, "test")
+BETWEEN = [tuple(np.average(pair, axis=0, weights=(1, 3))) for pair in pairwise(FIGURES)]
 
 
-@pytest.mark.parametrize(("voltage", "stall", "rpm"), FIGURES)
-def test_at_the_makers_voltages_stall_torque_and_speed_are_the_makers(voltage, stall, rpm):
-    assert SETTINGS.stall(voltage) == pytest.approx(stall, rel=1e-12)
-    assert SETTINGS.speed(voltage) == pytest.approx(rpm * RPM, rel=1e-12)
-
-
-@pytest.mark.parametrize(("below", "above"), [*pairwise(FIGURES)])
-@pytest.mark.parametrize("share", [0.25, 0.5, 0.9])
-def test_between_the_makers_voltages_stall_torque_and_speed_are_linear(below, above, share):
-    voltage, stall, rpm = (low + share * (high - low) for low, high in zip(below, above))
+@pytest.mark.parametrize(("voltage", "stall", "rpm"), [*FIGURES, *BETWEEN])
+def test_stall_torque_and_speed_are_the_makers_at_its_voltages_and_linear_between(
+    voltage, stall, rpm
+):
     assert SETTINGS.stall(voltage) == pytest.approx(stall, rel=1e-12)
     assert SETTINGS.speed(voltage) == pytest.approx(rpm * RPM, rel=1e-12)
 

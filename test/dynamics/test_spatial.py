@@ -7,7 +7,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
-from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.robot import read_robot
@@ -179,12 +178,3 @@ def test_torsion_constants_of_rectangles_are_the_tabulated_ones(width, thickness
     found = torsion_constant(width, thickness) / (width * thickness**3)
     assert found == pytest.approx(factor, abs=6e-4)
     assert torsion_constant(thickness, width) == pytest.approx(torsion_constant(width, thickness))
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("leg.width", 0.0), ("leg.poisson_ratio", 0.5), ("leg.contact_width", float("nan"))],
-)
-def test_a_bad_value_is_refused_with_name_value_and_limit(name, value):
-    with pytest.raises(ConfigError, match=rf"{name} = {value}: outside \["):
-        config.replace(ROBOT, {name: value})

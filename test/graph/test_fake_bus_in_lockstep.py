@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from graph_bag import commands_of_core, read, record, recorded_commands
-from real_graph import changed_config
 
 from slot_bringup.monitor import RunError
 from slot_core.dynamixel.settings import read_settings
@@ -49,10 +48,8 @@ def test_run_ends_with_torque_off(walk):
     assert "servos left under torque: none" in (walk / "log/sim_robot.log").read_text()
 
 
-def test_an_unplugged_bus_ends_the_run_as_its_driver_would(tmp_path, monkeypatch):
-    config = changed_config(tmp_path, {})
-    (config / "scene" / "unplugged.yaml").write_text(UNPLUGGED)
-    monkeypatch.setenv("SLOT_CONFIG", str(config))
+def test_an_unplugged_bus_ends_the_run_as_its_driver_would(tmp_path, own_config):
+    (own_config / "scene" / "unplugged.yaml").write_text(UNPLUGGED)
     with pytest.raises(RunError, match="sim_robot ended"):
         record(tmp_path / "bag", *OPTIONS, "--scene", "unplugged", "--duration", "5")
     log = (tmp_path / "bag/log/sim_robot.log").read_text()

@@ -1,5 +1,6 @@
 """SIGINT and SIGTERM: node and listener end between two callbacks, a preparation at once."""
 
+import math
 import os
 import signal
 import subprocess
@@ -51,7 +52,7 @@ runtime.run(Interrupted)
 def interrupted(number, place):
     """Output of a node that sends itself the signal at that place; it must end without a fault."""
     command = [sys.executable, "-c", NODE, str(int(number)), place]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (ended.returncode, ended.stderr) == (0, "")
     return ended.stdout.splitlines()
 
@@ -77,7 +78,7 @@ def test_a_program_that_listens_is_interrupted_between_two_callbacks():
     with listener("listener") as (node, executor):
         node.create_timer(0.01, interrupt_itself)
         with pytest.raises(KeyboardInterrupt):
-            executor.spin_until(lambda: False, 60.0)
+            executor.spin_until(lambda: False, math.inf)
     assert ended == [True]
 
 
@@ -92,5 +93,5 @@ def test_a_program_listens_until_its_condition_holds_or_its_time_is_over():
     with listener("listener") as (node, executor):
         assert not executor.spin_until(lambda: False, 0.01)
         node.create_timer(0.01, lambda: ticks.append(True))
-        assert executor.spin_until(lambda: len(ticks) == 3, 60.0)
+        assert executor.spin_until(lambda: len(ticks) == 3, math.inf)
     assert len(ticks) == 3

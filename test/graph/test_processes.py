@@ -1,7 +1,7 @@
 """Start and end of the graph: no process is left, and errors are named.
 
-Processes end while the robot walks in lockstep, so that no time matters. Real time: the run that
-has to keep its pace.
+Processes end while the robot walks in lockstep, so that no time matters: a process that hangs is
+ended by pytest's timeout.
 """
 
 import os
@@ -32,11 +32,9 @@ RUN = [sys.executable, "-m", "slot_bringup"]
 LOCKSTEP = ["--lockstep", "--duration", "600"]  # a run that does not end by itself
 
 
-def wait_until(condition, limit=90.0):
-    """Wait for a condition, at most `limit` seconds."""
-    end = time.monotonic() + limit
+def wait_until(condition):
+    """Wait for a condition."""
     while not condition():
-        assert time.monotonic() < end, "condition not reached"
         time.sleep(0.05)
 
 
@@ -48,6 +46,7 @@ def start(arguments, cwd):
     nodes = {}
 
     def all_started():
+        assert run.poll() is None, run.communicate()
         for child in psutil.Process(run.pid).children():
             with suppress(psutil.NoSuchProcess):
                 names = {Path(word).name for word in child.cmdline()}
@@ -62,30 +61,22 @@ def all_ended(nodes):
     return not any(psutil.pid_exists(node.pid) and node.is_running() for node in nodes.values())
 
 
-def wait_for_commands(run, cwd, count=30):
+def wait_for_commands(run, count=30):
     """Wait until the graph has published `count` commands, so that the robot walks."""
     received = []
     with listener("listener") as (node, executor):
         node.create_subscription(JointState, "desired_joint_angles", received.append, qos.CONTROL)
-
-        def received_enough():
+        while len(received) < count:
             executor.spin_once(timeout_sec=0.1)
             assert run.poll() is None, run.communicate()
-            return len(received) >= count
-
-        try:
-            wait_until(received_enough)
-        except AssertionError as error:
-            logs = "\n".join(log.read_text()[-1000:] for log in sorted(cwd.glob("bag/log/*.log")))
-            raise AssertionError(f"{error}\n{logs}") from None
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_stops_every_process_and_keeps_the_bag(tmp_path, number):
     run, nodes = start([*LOCKSTEP, "--bag", "bag"], tmp_path)
-    wait_for_commands(run, tmp_path)
+    wait_for_commands(run)
     run.send_signal(number)
-    _, errors = run.communicate(timeout=60)
+    _, errors = run.communicate()
     assert run.returncode == 130, errors
     assert "scripts/run: interrupted, all nodes stopped" in errors
     assert all_ended(nodes)
@@ -94,7 +85,7 @@ def test_signal_stops_every_process_and_keeps_the_bag(tmp_path, number):
 
 def test_killed_run_leaves_no_process(tmp_path):
     run, nodes = start([*LOCKSTEP, "--bag", "bag"], tmp_path)
-    wait_for_commands(run, tmp_path)
+    wait_for_commands(run)
     run.kill()
     run.wait()
     wait_until(lambda: all_ended(nodes))
@@ -103,25 +94,12 @@ def test_killed_run_leaves_no_process(tmp_path):
 @pytest.mark.parametrize("name", ["sim_robot", "mpc_controller"])
 def test_killed_node_ends_the_run_and_is_named(tmp_path, name):
     run, nodes = start([*LOCKSTEP, "--bag", "bag"], tmp_path)
-    wait_for_commands(run, tmp_path)
+    wait_for_commands(run)
     nodes[name].kill()
-    _, errors = run.communicate(timeout=60)
+    _, errors = run.communicate()
     assert run.returncode == 1
     assert f"scripts/run: {name} ended with exit code -9" in errors
     assert all_ended(nodes)
-
-
-@pytest.mark.real_time
-def test_run_in_real_time_keeps_its_pace_and_prints_a_summary(tmp_path):
-    done = subprocess.run(
-        [*RUN, "--duration", "4", "--no-bag"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=100, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    figures = dict(line.split(maxsplit=1) for line in done.stdout.splitlines() if line.strip())
-    factor = next(v for line, v in figures.items() if line == "real-time")
-    assert float(factor.split()[-1]) == pytest.approx(1.0, abs=0.1)
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", sorted(NODES))
@@ -136,7 +114,7 @@ def test_node_ends_cleanly_on_a_signal(tmp_path, name, number):
         wait_until(lambda: len(process.net_connections(kind="udp")) > 1)
         time.sleep(0.5)
         child.send_signal(number)
-        _, errors = child.communicate(timeout=20)
+        _, errors = child.communicate()
     finally:
         if child.poll() is None:
             os.killpg(child.pid, signal.SIGKILL)
@@ -187,9 +165,7 @@ def test_a_best_effort_odometry_is_received_only_if_the_parameter_says_so(tmp_pa
 )
 def test_invalid_parameter_is_refused_in_one_line(tmp_path, name, parameter, message):
     command = [*command_line(NODES[name]), "-p", parameter]
-    done = subprocess.run(
-        command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
-    )
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 2, done.stderr
     assert message in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1, done.stderr

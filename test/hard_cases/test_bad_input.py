@@ -50,38 +50,6 @@ def test_no_bounded_value_may_be_nan_or_a_string(source, name, nonsense):
 
 
 @pytest.mark.parametrize(
-    ("source", "name", "value"),
-    [
-        ("robot", "leg.thickness_tip", -0.0035),
-        ("robot", "leg.thickness_tip", 0.0),
-        ("robot", "leg.width", -0.02),
-        ("robot", "leg.density", 0.0),
-        ("robot", "leg.young_modulus", -1e7),
-        ("robot", "leg.damping_time", -1e-3),
-        ("robot", "torso.mass", 0.0),
-        ("robot", "tendon.cable_stiffness", 0.0),
-        ("robot", "tendon.routing", "crosswise"),
-        ("scene", "solver.nodes", 1),
-        ("scene", "solver.nodes", 22.5),
-        ("scene", "solver.step", 0.0),
-        ("scene", "solver.theta", 0.4),
-        ("scene", "floor.stiffness", 0.0),
-        ("scene", "floor.friction", [0.4, 0.4, 0.4]),
-        ("scene", "floor.friction_law", "sticky"),
-        ("scene", "floor.friction_varies", "always"),
-        ("scene", "floor.contact", "none"),
-        ("scene", "payload.mass", -1.0),
-        ("scene", "tendons.slack", [-0.02, 0.0, 0.0, 0.0]),
-        ("scene", "tendons.broken", ["yes", False, False, False]),
-        ("servo", "backlash_deg", -1.0),
-    ],
-)
-def test_an_impossible_value_is_refused_by_name(source, name, value):
-    with pytest.raises(ConfigError, match=rf"{name}"):
-        config.replace(SETTINGS[source], {name: value})
-
-
-@pytest.mark.parametrize(
     ("text", "message"),
     [(None, "uneven"), ("1.0\n", "2 x 2"), ("0,nan\n0,0\n", "finite"), ("0,a\n0,0\n", "bad.csv")],
 )

@@ -1,20 +1,15 @@
 """Fixtures of tests of the graph on simulated time."""
 
 import pytest
-from real_graph import domain  # noqa: F401 - a fixture
+from rig import maker
 from simulated_rig import SimulatedRig
 from stub_supervisor import stub  # noqa: F401 - a fixture
 
+simulate = maker(SimulatedRig)  # one at a time
 
-@pytest.fixture(scope="module")
-def simulate(tmp_path_factory):
-    """A function that makes the graph on simulated time; one at a time."""
-    made = []
 
-    def make(**options):
-        made.append(SimulatedRig(tmp_path_factory.mktemp("rig"), **options))
-        return made[-1]
-
-    yield make
-    for rig in made:
-        rig.close()
+@pytest.fixture
+def walking(rig):
+    """The rig of the module, whose robot walks."""
+    rig.walk_steadily()
+    return rig

@@ -36,25 +36,14 @@ def request_gait(rig, gait, v_x):
     rig.wait_for(lambda: rig.last("/gait_preview").gait == gait)
 
 
-def test_a_robot_that_was_told_to_stand_does_not_walk_off_after_a_hold(rig):
+@pytest.mark.parametrize(("gait", "v_x"), [("stand", 0.0), ("walk", 0.02)])
+def test_what_was_requested_last_holds_after_a_hold(rig, gait, v_x):
+    """A robot that was told to stand does not walk off; the velocity of the start is 0.05 m/s."""
     rig.walk_steadily()
-    request_gait(rig, "stand", 0.0)
-    previews = previews_after(rig, hold(rig))
-    assert {preview.gait for preview in previews} == {"stand"}
-
-
-def test_a_velocity_that_was_requested_last_holds_after_a_hold(rig):
-    rig.walk_steadily()
-    request_gait(rig, "walk", 0.02)
-    previews = previews_after(rig, hold(rig))
-    assert {preview.gait for preview in previews} == {"walk"}
-    # two strides; the velocity of the start is 0.05 m/s
-    assert np.mean([preview.reference[V_X] for preview in previews]) == pytest.approx(
-        0.02, abs=0.01
-    )
-
-
-def previews_after(rig, since):
-    """Two strides of previews."""
+    request_gait(rig, gait, v_x)
+    since = hold(rig)
     rig.wait_for(lambda: len(rig.since("/gait_preview", since)) > 44)
-    return rig.since("/gait_preview", since)[:44]
+    previews = rig.since("/gait_preview", since)[:44]  # two strides
+    assert {preview.gait for preview in previews} == {gait}
+    mean = np.mean([preview.reference[V_X] for preview in previews])
+    assert mean == pytest.approx(v_x, abs=0.01)

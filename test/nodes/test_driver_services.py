@@ -1,15 +1,11 @@
 """Driver with emulated servos, without the rest of the graph: refusals and services."""
 
-import numpy as np
 import pytest
-from rig import SAG
 from std_srvs.srv import SetBool, Trigger
 from stub_supervisor import DRIVER, powered, start_driver
 
 from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.safety.commands import Action
-
-PULLED = 1.5  # rad
 
 
 @pytest.fixture(scope="module")
@@ -52,27 +48,6 @@ def test_a_port_that_does_not_appear_is_named(rig):
     rig.start(DRIVER, parameters={"wait_for_port": 0.5, "bus.port": missing})
     assert rig.exit_code(DRIVER) == 1
     assert f"servos refused: {missing}: " in rig.log_lines(DRIVER)[-1]
-
-
-def test_torque_comes_on_without_motion_far_from_the_command(rig, stub):
-    start_driver(rig)
-    stub.move_to(PULLED)
-    stub.permission = Action.OFF
-    rig.wait_for_torque_off(rig.now())
-    before, on = rig.wait_for_rest(), rig.now()  # the tendons are slack
-    assert np.abs(PULLED - before).min() > 0.5
-    stub.permission = Action.HOLD
-    powered(rig, on)
-    rig.wait_for(lambda: len(rig.since("/joint_states", on)) > 100)
-    sag, pull = rig.moved(before, on)
-    assert -SAG < sag <= pull < 1.5  # 1 count of a position between two
-
-
-def test_without_limits_of_the_supervisor_torque_is_refused(rig):
-    start_driver(rig)
-    assert switch(rig, True) == (False, "torque refused: no limits of the supervisor yet")
-    assert rig.stop(DRIVER) == 0
-    assert rig.registers("torque_enable") == [0] * 4
 
 
 def test_the_torque_service_switches_torque_off_after_a_ramp_and_on_again(rig, stub):

@@ -122,7 +122,7 @@ def test_nodes_that_answer_each_other_for_ever_let_the_executor_on(mailbox, even
 
 
 def test_a_message_for_another_thread_wakes_its_executor(mailbox, events):
-    other, topics, woken = Mailbox(mailbox_context(mailbox)), Topics(), []
+    other, topics, woken = Mailbox(mailbox.guard._context), Topics(), []
     other.guard.trigger = lambda: woken.append(True)
     with topics.nodes_of(mailbox):
         numbers = intra_process.publisher(Recorded(events))
@@ -135,7 +135,3 @@ def test_a_message_for_another_thread_wakes_its_executor(mailbox, events):
     assert events == [("topic", 1)]
     other.deliver(newest=True)
     assert events[1:] == [("other", 1, 1)]
-
-
-def mailbox_context(mailbox):
-    return mailbox.guard._context

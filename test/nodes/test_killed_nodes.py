@@ -1,4 +1,6 @@
-"""Each node of a walking graph is killed: which limit stops the robot, and how soon.
+"""Each node of a walking graph is killed or slowed down: which limit stops the robot, how soon.
+
+Faults that are injected into the robot stop it too, or are refused.
 
 Times are those of the messages' stamps.
 """
@@ -6,10 +8,14 @@ Times are those of the messages' stamps.
 import numpy as np
 import pytest
 from rig import TICK
+from simulated_rig import SOLVE_TIME
 
 from slot_core.messages import decode
 from slot_core.safety.commands import Action
 from slot_core.safety.states import State
+from slot_msgs.msg import MpcState, TendonPlan
+from slot_msgs.srv import InjectFault
+from slot_nodes import qos
 
 STEP = 0.021  # s, between two steps of the supervisor, with the latency of a message
 CONTROLLER = ("state_estimator", "gait_scheduler", "mpc_controller", "force_mapper")
@@ -21,13 +27,9 @@ def rig(simulate, tmp_path_factory):
     dump = tmp_path_factory.mktemp("killed")
     made = simulate(parameters={"sim_robot": {"dump": dump}})
     made.dump = dump
+    made.subscribe("/mpc_state", MpcState, qos.CONTROL)
+    made.subscribe("/tendon_plan", TendonPlan, qos.CONTROL)
     return made
-
-
-@pytest.fixture
-def walking(rig):
-    rig.walk_steadily()
-    return rig
 
 
 def seconds_to(rig, state, begin):
@@ -89,6 +91,53 @@ def test_a_node_that_was_suspended_for_a_second_catches_up(walking, name):
     walking.walk()
 
 
+def test_a_controller_slower_than_its_period_skips_states_without_a_queue(walking):
+    before = walking.last("/tendon_plan")
+    paused = walking.pause("mpc_controller")
+    walking.run(0.2)  # six states
+    newest = decode.stamp(walking.last("/mpc_state"))
+    walking.resume("mpc_controller")
+    walking.run(TICK)
+    after, *_ = walking.since("/tendon_plan", paused + 1)
+    assert decode.stamp(after) == newest
+    skipped = round((newest - decode.stamp(before)) * 1e-9 / TICK) - 1
+    assert after.skipped - before.skipped == skipped > 3
+    walking.solve_time = 1.5 * TICK
+    walking.run(3 * TICK)
+    walking.solve_time = SOLVE_TIME
+    assert 2 <= walking.last("/tendon_plan").overruns - after.overruns <= 3
+
+
+def test_a_tendon_that_breaks_stops_the_robot_which_walks_again_once_it_is_repaired(walking):
+    begin = walking.inject("tendon_broken", "RR")
+    relaxed, reason = walking.wait_for_state(State.RELAX, begin)
+    assert "broken tendon RR" in reason
+    pulled = [m.tension for m in walking.since("/ground_truth/legs", begin) if any(m.tension)]
+    assert [max(leg) > 1.0 for leg in zip(*pulled)] == [True, True, True, False]
+    walking.inject("tendon_broken", "RR", clear=True)
+    walking.wait_for_state(State.FAULT, relaxed)
+    walking.walk_steadily()
+    last = walking.messages["/ground_truth/legs"][-20:]
+    assert max(m.tension[3] for m in last) > 1.0
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        ({"kind": "silent"}, "fault 'silent': only the servos of hardware fake_bus can have it"),
+        ({"kind": "tired"}, "inject: fault.kind = 'tired': expected one of silent, "),
+        ({"kind": "nan", "leg": "tail"}, "inject: fault.leg = 'tail': expected one of all, FL, "),
+        ({"kind": "tendon_slack", "value": 0.2},
+         "inject: fault.value = 0.2: outside [0.0001, 0.1] m"),
+        ({"kind": "tendon_broken", "clear": True}, "no fault 'tendon_broken' at 'FL'"),
+    ],
+)  # fmt: skip
+def test_a_fault_that_cannot_be_is_refused_with_the_reason(rig, fault, reason):
+    answer = rig.call(InjectFault, "/sim_robot/inject", **({"leg": "FL"} | fault))
+    assert not answer.success
+    assert answer.message.startswith(reason)
+
+
 def test_a_lost_simulation_ends_its_node_and_writes_its_state(walking):
     begin = walking.inject("nan", "FL")
     assert walking.exit_code("sim_robot") == 1
@@ -100,3 +149,4 @@ def test_a_lost_simulation_ends_its_node_and_writes_its_state(walking):
     assert hold < walking.limit("command_hold") + TICK + STEP
     assert relax < walking.limit("command_lost") + TICK + STEP
     walking.wait_for_state(State.FAULT, begin)
+    walking.start("sim_robot")

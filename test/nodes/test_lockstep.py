@@ -1,6 +1,5 @@
 """The nodes in lockstep, with messages that take time: equal to the core on one clock."""
 
-import numpy as np
 import pytest
 
 from slot_core.messages import decode
@@ -11,11 +10,12 @@ SECONDS = 2.0
 SEED = 3
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def rig(simulate):
     made = simulate(lockstep=True, seed=SEED)
     made.wait_for(lambda: newest(made) > 1.0 + SECONDS)
-    return made
+    yield made
+    made.close()
 
 
 def newest(rig):
@@ -33,21 +33,10 @@ def test_the_supervisor_answers_every_report_of_the_servos(rig):
     assert rig.state is State.WALKING
 
 
-def test_commands_and_states_equal_those_of_the_core_to_the_last_bit(rig):
+def test_states_equal_those_of_the_core_to_the_last_bit(rig):
+    """Commands too: test/graph compares them with those of the processes."""
     loop = SupervisedLoop("flat", "walk", None, SEED)
-    commands, offer = {}, loop.servos.offer
-
-    def record(now, stamp, *command):
-        commands[stamp] = command
-        offer(now, stamp, *command)
-
-    loop.servos.offer = record
     reports = [(loop.plant.now, report) for report in loop.run(SECONDS)]
-    sent = map(decode.joint_command, rig.messages["/desired_joint_angles"])
-    received = {stamp: command for stamp, *command in sent}
-    assert len(commands) > 50
-    for stamp, command in commands.items():
-        assert np.array_equal(received[stamp], command), stamp
     states = {decode.stamp(m): m for m in rig.messages["/robot_state"]}
     assert len(reports) > 100
     for stamp, report in reports:
@@ -57,7 +46,6 @@ def test_commands_and_states_equal_those_of_the_core_to_the_last_bit(rig):
 
 
 def test_the_estop_holds_from_the_next_step_on(rig):
-    """The last test: it ends the walk."""
     assert rig.request("estop") == ""
     pressed = newest(rig)
     rig.wait_for(lambda: newest(rig) > pressed + 0.1)

@@ -60,12 +60,6 @@ def test_the_torso_is_a_box_in_its_pose():
     assert marker.pose.orientation.z == pytest.approx(np.sqrt(0.5))
 
 
-def test_frames_of_markers_get_the_prefix():
-    message = shapes_to_msg(0, {"legs": shapes.leg_bars(LEGS, ROBOT)})
-    messages.prefix_frames(message, "fred/")
-    assert {m.header.frame_id for m in message.markers} == {"fred/odom"}
-
-
 @pytest.fixture
 def node():
     rclpy.init()

@@ -1,15 +1,13 @@
 """Animation of a walk: its frames, its speed, and what it refuses."""
 
-import numpy as np
 import pytest
 from PIL import Image
-from synthetic_walk import ROBOT, STRIDE, Walk, write_walk
+from synthetic_walk import STRIDE, Walk, write_walk
 
 from slot_core.recording.bag_error import BagError
 from slot_lab.bags.bag import Bag
 from slot_lab.report import animation
-from slot_lab.report.animation import AnimationError, animate, draw_frame, frame_times
-from slot_lab.report.plots import read_poses
+from slot_lab.report.animation import AnimationError, animate, frame_times
 
 RATE = 30  # Hz, of the leg shapes
 
@@ -24,19 +22,6 @@ def test_it_shows_the_last_strides_without_repeating_its_first_frame(bag):
     assert times[-1] == pytest.approx(Walk().start + 1.6)
     assert len(times) == round(animation.STRIDES * STRIDE * RATE)
     assert times[-1] - times[0] < animation.STRIDES * STRIDE
-
-
-def test_a_frame_shows_the_whole_robot_from_the_side(bag):
-    (pose,) = read_poses(bag, frame_times(bag)[:1], ROBOT)
-    frame = np.asarray(draw_frame(pose, ROBOT), float)
-    width, height = (round(animation.DPI * inches) for inches in animation.SIZE)
-    assert frame.shape == (height, width, 3)
-    inked = np.argwhere(np.ptp(frame, axis=2) > 40)  # the colours of the legs
-    assert len(inked) > 3000
-    (top, left), (bottom, right) = inked.min(axis=0), inked.max(axis=0)
-    assert 0 < top < bottom < height - 1
-    assert 0 < left < right < width - 1
-    assert right - left > width / 2
 
 
 def test_the_file_moves_in_a_loop_at_half_the_speed(bag, tmp_path, monkeypatch):

@@ -66,21 +66,6 @@ def test_a_simulated_walk_is_drawn_with_its_bent_legs_where_they_were(bag):
     assert np.linalg.norm(path[-1] - WALK.position(end)) < 0.005
 
 
-def test_legs_are_twisted_as_their_directors_say_and_else_lie_in_their_planes():
-    drawing, nodes = Drawing(ROBOT, TORQUE), np.zeros((4, 9, 3))
-    nodes[..., 0] = np.linspace(0.0, 0.2, 9)
-    upright = np.tile([0.0, 0.0, 1.0], (4, 8, 1))
-    seen = drawing.receive("/ground_truth/legs", legs(nodes, director=upright))
-    corners = seen["legs"].corners
-    assert np.allclose(corners[:, :, 1] - corners[:, :, 0], [0.0, 0.0, ROBOT.leg.width])
-    tendon = seen["tendons"].points - nodes[:, : seen["tendons"].points.shape[1]]
-    assert np.allclose(tendon, [0.0, -ROBOT.tendon.offset, 0.0])  # t x d = x cross z
-    corners = drawing.receive("/ground_truth/legs", legs(nodes))["legs"].corners
-    right = np.cross(ROBOT.outward, [0.0, 0.0, 1.0])[:, None]
-    width = np.broadcast_to(ROBOT.leg.width * right, corners[:, :, 0].shape)
-    assert np.allclose(corners[:, :, 1] - corners[:, :, 0], width)
-
-
 def test_without_a_simulator_the_legs_are_drawn_as_without_stress_and_loaded_by_the_servos():
     drawing = Drawing(ROBOT, TORQUE)
     assert drawing.receive("/joint_states", joints(np.zeros(4))) == {}  # no pose yet
@@ -175,33 +160,26 @@ def test_curves_of_the_legs_are_in_their_order_whatever_that_of_the_message(bag)
     assert np.array_equal(truth["force/ground"], np.full(4, 5.0))
 
 
-def test_states_are_named_and_every_curve_has_its_plot():
+def test_states_are_named_and_every_topic_has_curves_of_its_plots():
     walking = message("/robot_state", 1.0, state=3)
+    late = message("/tendon_plan", 1.0, status=2, solve_time=0.004)
     assert traces.states("/robot_state", walking) == {"supervisor": "WALKING"}
-    late = message("/tendon_plan", 1.0, stages=1, force=np.zeros(12), status=2, solve_time=0.004)
     assert traces.states("/tendon_plan", late) == {"mpc": "LATE"}
     assert traces.values("/tendon_plan", late)["solve_time/mpc"] == pytest.approx([4.0])
     assert traces.states("/gait_preview", preview()) == {"gait": "walk"}
-    received = {
+    received = {topic: message(topic, 1.0) for topic in traces.TOPICS} | {
         "/ground_truth/odom": message(
             "/ground_truth/odom", 1.0, pose__pose__orientation=[0, 0, 0, 1]
         ),
         "/ground_truth/legs": legs(leg_nodes(WALK, 0.0)),
-        "/mpc_state": message("/mpc_state", 1.0),
         "/gait_preview": preview(),
-        "/tendon_plan": late,
-        "/robot_state": walking,
         "/joint_states": joints(np.zeros(4)),
         "/desired_joint_angles": joints(np.zeros(4)),
-    }  # fmt: skip
-    assert set(received) == set(traces.TOPICS)
-    values = {k: v for topic, m in received.items() for k, v in traces.values(topic, m).items()}
-    sizes = {
-        f"{plot}/{curve}": len(c.names)
-        for plot, p in traces.PLOTS.items()
-        for curve, c in p.curves.items()
     }
-    assert {name: len(value) for name, value in values.items()} == sizes
-    assert all(
-        len(c.names) == len(c.colours) for p in traces.PLOTS.values() for c in p.curves.values()
-    )
+    values = {k: v for topic, m in received.items() for k, v in traces.values(topic, m).items()}
+    curves = {
+        f"{p}/{c}": curve for p, plot in traces.PLOTS.items() for c, curve in plot.curves.items()
+    }
+    assert {name: len(v) for name, v in values.items()} == {
+        n: len(c.names) for n, c in curves.items()
+    }

@@ -6,8 +6,7 @@ from scipy.spatial.transform import Rotation
 from synthetic_walk import NODES, ROBOT, Walk, leg_nodes
 
 from slot_core import config
-from slot_core.drawing import palette, shapes
-from slot_core.robot import LEGS
+from slot_core.drawing import shapes
 
 WALK = Walk(roll=0.1)
 TURN = Rotation.from_euler("xyz", [0.2, -0.1, 0.9])
@@ -31,12 +30,6 @@ def straight_legs(turn):
     # To the right, -y, turned about x.
     directors = -np.column_stack([np.zeros(4), np.cos(middle), np.sin(middle)])
     return shapes.Legs(np.tile(nodes, (4, 1, 1)), np.tile(directors, (4, 1, 1)))
-
-
-def test_colours_are_those_of_the_palette():
-    assert np.allclose(shapes.rgb("#FF8000"), [1.0, 128 / 255, 0.0])
-    for leg, colour in zip(LEGS, shapes.LEG_COLOURS):
-        assert np.allclose(colour, shapes.rgb(palette.LEG_COLOURS[leg]))
 
 
 def test_edges_of_a_box_are_its_twelve_and_turn_with_it():
@@ -95,18 +88,6 @@ def test_without_directors_a_leg_is_wide_across_the_plane_of_its_azimuth():
     assert np.allclose(np.abs(across), 0.01)  # in front of and behind the plane
 
 
-def test_faces_of_a_bar_face_outward(legs):
-    bars = shapes.leg_bars(legs, ROBOT)
-    for corners, faces in zip(bars.corners, bars.faces):
-        assert faces.shape == (4 * NODES - 2, 4, 3)
-        normal, nodes = shapes.normals(faces), corners.mean(axis=1)
-        around = np.repeat((nodes[1:] + nodes[:-1]) / 2, 4, axis=0)
-        inside = np.concatenate([around, nodes[[1, -2]]])  # behind the two ends
-        assert np.all(((faces.mean(axis=1) - inside) * normal).sum(axis=1) > 0)
-    first, second = shapes.halves(bars.quads)[:2]
-    assert [*first, second[2]] == bars.quads[0].tolist()
-
-
 def test_a_tendon_runs_below_its_leg_at_the_offset_up_to_the_anchor():
     legs = shapes.natural_legs(PLACE, TURN.as_quat(), ROBOT, NODES)
     drawn = shapes.tendon_strips(legs, TURN.as_quat(), np.zeros(4), ROBOT, 1.0).points
@@ -117,13 +98,6 @@ def test_a_tendon_runs_below_its_leg_at_the_offset_up_to_the_anchor():
     share = along / ROBOT.leg.arc_length()
     # to one node; a line below a leg that bends downwards is shorter than the leg
     assert np.allclose(share, ROBOT.tendon.end_fraction, atol=1.5 / NODES)
-
-
-def test_a_tendon_turns_with_its_leg():
-    legs = straight_legs(np.full(5, np.pi / 2))
-    drawn = shapes.tendon_strips(legs, STILL, np.zeros(4), ROBOT, 1.0).points
-    beside = np.array([0.0, ROBOT.tendon.offset, 0.0])  # of the lower side, turned to the left
-    assert np.allclose(drawn, legs.nodes[:, : drawn.shape[1]] + beside)
 
 
 def test_a_straight_tendon_goes_from_the_pulley_to_the_anchor(legs):

@@ -170,11 +170,8 @@ def test_the_identification_repeats_the_shipped_walk():
         assert found.table[8:] == pytest.approx(shipped.table[8:], abs=0.06)
 
 
-def test_the_written_file_is_read_as_the_same_stride(tmp_path, monkeypatch):
-    (tmp_path / "gait").mkdir()
-    (tmp_path / "gait.yaml").write_text((config.config_dir() / "gait.yaml").read_text())
-    gait_file.write(tmp_path / "gait" / "own.yaml", WALK, ["scripts/tune own"])
-    monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
+def test_the_written_file_is_read_as_the_same_stride(own_config):
+    gait_file.write(own_config / "gait" / "own.yaml", WALK, ["scripts/tune own"])
     read = read_gaits().strides["own"]
     for field in dataclasses.fields(WALK):
         assert getattr(read, field.name) == getattr(WALK, field.name)

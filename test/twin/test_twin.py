@@ -281,22 +281,14 @@ def test_a_parameter_that_is_none_is_refused(name, message):
         parameter(PARTS, places([name])[0])
 
 
-def test_a_scene_names_a_parameter_set_and_its_own_values_go_before(tmp_path, monkeypatch):
-    shipped = config.config_dir()
-    for name in ("scene", "solver", "parameters"):
-        (tmp_path / name).mkdir()
-        for path in (shipped / name).glob("*.yaml"):
-            (tmp_path / name / path.name).write_text(path.read_text())
-    for name in ("robot", "servo"):
-        (tmp_path / f"{name}.yaml").write_text((shipped / f"{name}.yaml").read_text())
-    monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
+def test_a_scene_names_a_parameter_set_and_its_own_values_go_before(own_config):
     values = read_parameters("calibrated") | {"leg.young_modulus": 2.0e7}
     content = {
         "values": values, "robot": {"torso.mass": 2.2}, "servo": {"motor_time": 0.02},
         "scene": {"floor.friction": [0.3] * 4, "tendons.slack": [0.0, -0.0005, 0.0, 0.0]},
     }  # fmt: skip
     parameter_set.write("mine", content)
-    (tmp_path / "scene" / "mine.yaml").write_text(
+    (own_config / "scene" / "mine.yaml").write_text(
         "like: flat\nparameters: mine\nfloor.friction: [0.2, 0.2, 0.2, 0.2]\n"
     )
     found = read_parts("mine")
@@ -349,30 +341,6 @@ def test_an_interrupted_fit_takes_up_only_trials_of_the_same_strides(walked, tmp
         trials = twin._Trials(tmp_path / "trials", lambda call, points: [*map(call, points)], fit)
         trials(lambda point: runs.append(point) or point, [np.ones(2)])
     assert len(runs) == 2
-
-
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        ([str(Path(__file__).parent)], "holds no metadata.yaml, .mcap or .db3 file: not a bag"),
-        ([WALK], "strides of 0.62 s after a run-in of 2, less than 5"),
-        ([WALK, "--fit", "colour"], "--fit colour: expected one of friction"),
-        ([WALK, "--fit", "friction,friction"], "a parameter is named twice"),
-        ([WALK, "--set", "calibrated"], "it stays as it is"),
-        ([WALK, "--set", "../x"], "expected letters, digits, _ and -"),
-        ([WALK, "--scene", "moon"], "no configuration 'scene/moon'"),
-        ([WALK, "--parameters", "moon"], "no configuration 'parameters/moon'"),
-        ([WALK, "--namespace", "fred"], "holds none of /joint_states"),
-    ],
-)
-def test_a_twin_that_cannot_be_is_refused_in_one_line(tmp_path, capsys, arguments, reason):
-    with pytest.raises(SystemExit) as ended:
-        twin.main([*arguments, "--out", str(tmp_path / "out")])
-    assert ended.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("scripts/twin: ")
-    assert reason in line
-    assert not (tmp_path / "out").exists()
 
 
 def test_a_fit_of_the_servo_to_measured_angles_is_refused(walked):

@@ -87,18 +87,19 @@ def reason(located, picture, pictures=1):
     return fix.reason
 
 
-def test_a_picture_without_markers_has_no_pose():
-    assert reason(localizer(), BLANK) == "no marker of DICT_4X4_100"
-
-
-def test_a_picture_blurred_beyond_recognition_has_no_pose():
-    assert reason(localizer(), picture_from_torso(BASE, blur=14.0)).startswith("no marker")
-
-
-def test_markers_of_another_dictionary_are_named():
-    foreign = changed(dictionary="DICT_5X5_100")
-    picture = picture_from_torso(BASE, settings=foreign)
-    assert "but 15 of DICT_5X5_1000" in reason(localizer(), picture, pictures=10)
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        (lambda: BLANK, "no marker of DICT_4X4_100"),
+        (lambda: picture_from_torso(BASE, blur=14.0), "no marker"),  # beyond recognition
+        (
+            lambda: picture_from_torso(BASE, settings=changed(dictionary="DICT_5X5_100")),
+            "but 15 of DICT_5X5_1000",
+        ),
+    ],
+)
+def test_a_picture_without_markers_of_the_dictionary_has_no_pose(made, said):
+    assert said in reason(localizer(), made(), pictures=10)
 
 
 def test_ids_seen_twice_are_not_used():
@@ -150,26 +151,30 @@ def test_a_picture_of_another_size_is_refused():
         localizer().locate(0, BLANK[:360, :640])
 
 
-def test_one_far_marker_alone_has_no_pose_unless_the_last_one_decides():
+FAR = Transform.of((0.0, 0.0, 0.2), (0.0, 0.0, 0.0))
+
+
+@pytest.fixture
+def alone():
+    """A localizer that knows a single far marker, and its picture."""
     far = {"boards.wall.columns": 1, "boards.wall.rows": 1, "boards.wall.marker": 0.04}
     settings = changed(**far)
-    base = Transform.of((0.0, 0.0, 0.2), (0.0, 0.0, 0.0))
-    single = picture_from_torso(base, settings=settings)
-    alone = localizer(settings=settings)
-    assert "two poses explain them" in reason(alone, single)
-    alone._last = 0, base, np.zeros((6, 6))
-    fix = alone.locate(SECOND // 30, single)
+    return localizer(settings=settings), picture_from_torso(FAR, settings=settings)
+
+
+def test_one_far_marker_alone_has_no_pose_unless_the_last_one_decides(alone):
+    located, single = alone
+    assert "two poses explain them" in reason(located, single)
+    located._last = 0, FAR, np.zeros((6, 6))
+    fix = located.locate(SECOND // 30, single)
     assert isinstance(fix, MarkerFix)
-    np.testing.assert_allclose(fix.position, base.position, atol=0.2)
+    np.testing.assert_allclose(fix.position, FAR.position, atol=0.2)
 
 
-def test_a_pose_of_after_a_clock_that_was_set_back_decides_nothing():
-    far = {"boards.wall.columns": 1, "boards.wall.rows": 1, "boards.wall.marker": 0.04}
-    settings = changed(**far)
-    base = Transform.of((0.0, 0.0, 0.2), (0.0, 0.0, 0.0))
-    alone = localizer(settings=settings)
-    alone._last = 100 * SECOND, base, np.zeros((6, 6))
-    assert "two poses explain them" in reason(alone, picture_from_torso(base, settings=settings))
+def test_a_pose_of_after_a_clock_that_was_set_back_decides_nothing(alone):
+    located, single = alone
+    located._last = 100 * SECOND, FAR, np.zeros((6, 6))
+    assert "two poses explain them" in reason(located, single)
 
 
 def test_the_covariance_of_the_velocity_is_in_the_axes_of_the_torso():

@@ -13,27 +13,26 @@ from slot_nodes import messages, qos
 
 BASE = Transform.of((0.15, -0.03, 0.07), (0.06, -0.05, 0.08))
 BLANK = np.full((720, 1280), 120, np.uint8)
+CALIBRATION = messages.camera_to_msg(1, CAMERA)
 
 
-@pytest.fixture(scope="module")
-def rig(tmp_path_factory):
-    directory = tmp_path_factory.mktemp("rig")
-    made = SimulatedRig(directory, only=["marker_localizer"], scene="marker_camera")
+@pytest.fixture
+def rig(tmp_path):
+    made = SimulatedRig(tmp_path, only=["marker_localizer"], scene="marker_camera")
     yield made
     made.close()
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def show(rig):
-    """A function that publishes a picture (and a calibration) and returns the odometry since."""
+    """A function that publishes a calibration and a picture and returns the odometry since."""
     picture = rig.publisher(Image, "/camera/image_raw", qos.PICTURE)
     calibration = rig.publisher(CameraInfo, "/camera/camera_info", qos.PICTURE)
 
-    def publish(grey, info=None):
+    def publish(grey, info=CALIBRATION):
         before = rig.now()
-        if info is not None:
-            calibration.publish(info)
-            rig.run(0.01)
+        calibration.publish(info)
+        rig.run(0.01)
         message = messages.picture_to_msg(PictureReading(rig.now(), grey))
         picture.publish(message)
         rig.run(0.01)
@@ -51,7 +50,7 @@ def test_without_a_calibration_there_is_no_odometry_and_it_says_why(rig, show):
 
 
 def test_a_picture_of_the_board_is_an_odometry_with_its_stamp_and_covariance(show):
-    picture, (odometry,) = show(picture_from_torso(BASE), messages.camera_to_msg(1, CAMERA))
+    picture, (odometry,) = show(picture_from_torso(BASE))
     assert odometry.header.stamp == picture.header.stamp
     assert (odometry.header.frame_id, odometry.child_frame_id) == ("odom", "base_link")
     _, position, quaternion, *_, variance = decode.odometry(odometry)

@@ -43,21 +43,6 @@ def test_a_print_is_written_with_its_resolution(tmp_path, capsys, name):
     assert "136 x 108 mm at 200 dots per inch" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        (["door", "--out", "x.png"], "WHAT = 'door': expected one of wall, film, torso, points"),
-        (["torso", "--out", "x.gif"], "ends in .png or .pdf"),
-        (["torso", "--out", "/nowhere/x.png"], "No such file or directory"),
-        (["torso", "--out", "x.png", "--dpi", "9"], "outside [50, 1200]"),
-    ],
-)
-def test_a_print_that_cannot_be_is_refused(capsys, arguments, reason):
-    with pytest.raises(SystemExit):
-        print_markers.main(arguments)
-    assert reason in capsys.readouterr().err.splitlines()[-1]
-
-
 def test_a_calibration_finds_the_camera_that_filmed_the_board(tmp_path, monkeypatch):
     monkeypatch.setattr(film, "VIEWS", 14)
     film.main(["chessboard", "--out", str(tmp_path / "views")])

@@ -126,13 +126,6 @@ def test_a_damaged_video_is_tracked_as_far_as_it_can_be_read_and_named(tmp_path,
     assert 0 < len(half) < len(whole)
 
 
-def refusal(arguments, capsys):
-    with pytest.raises(SystemExit) as ended:
-        track.main(arguments)
-    assert ended.value.code == 2
-    return capsys.readouterr().err.splitlines()[-1]
-
-
 @pytest.mark.parametrize(
     ("name", "content", "reason"),
     [
@@ -142,36 +135,36 @@ def refusal(arguments, capsys):
         ("bag.mcap", b"nothing", "cannot be read"),
     ],
 )
-def test_an_unreadable_film_is_refused_in_one_line(tmp_path, capsys, name, content, reason):
+def test_an_unreadable_film_is_refused_in_one_line(tmp_path, refusal, name, content, reason):
     film, out = tmp_path / name, tmp_path / "out.csv"
     if content is not None:
         film.write_bytes(content)
-    assert reason in refusal([str(film), "--out", str(out)], capsys)
+    assert reason in refusal(track.main, str(film), "--out", str(out))
     assert not out.exists()
 
 
-def test_a_result_that_cannot_be_written_is_refused_before_the_work(tmp_path, capsys):
+def test_a_result_that_cannot_be_written_is_refused_before_the_work(tmp_path, refusal):
     out = str(tmp_path / "nowhere" / "x.csv")
-    line = refusal([str(tmp_path / "no.avi"), "--out", out], capsys)
+    line = refusal(track.main, str(tmp_path / "no.avi"), "--out", out)
     assert line.endswith(f"--out {out}: not in an existing directory")
 
 
-def test_films_that_do_not_fit_are_refused(folder, capsys):
+def test_films_that_do_not_fit_are_refused(folder, refusal):
     film, out = str(folder / "film"), ["--out", str(folder / "x.csv")]
     (folder / "none").mkdir()
-    assert "without pictures" in refusal([str(folder / "none"), *out], capsys)
+    assert "without pictures" in refusal(track.main, str(folder / "none"), *out)
     half = Camera(640, 360, CAMERA.matrix / 2, CAMERA.distortion)
     (folder / "half.yaml").write_text(camera_text(half))
     place = ["--camera", str(folder / "half.yaml")]
-    assert "calibrated at 640 x 360 px" in refusal([film, *out, *place], capsys)
-    assert "expected one 16-bit channel" in refusal([film, *out, "--depth", film], capsys)
+    assert "calibrated at 640 x 360 px" in refusal(track.main, film, *out, *place)
+    assert "expected one 16-bit channel" in refusal(track.main, film, *out, "--depth", film)
     (folder / "depth" / "005.png").unlink()
-    line = refusal([film, *out, "--depth", str(folder / "depth")], capsys)
+    line = refusal(track.main, film, *out, "--depth", str(folder / "depth"))
     assert line.endswith("5 depth pictures, fewer than pictures")
     assert not (folder / "x.csv").exists()
     (folder / "blank").mkdir()
     cv2.imwrite(str(folder / "blank" / "0.png"), np.full((720, 1280), 90, np.uint8))
-    line = refusal([str(folder / "blank"), *out], capsys)
+    line = refusal(track.main, str(folder / "blank"), *out)
     assert line.endswith("(ids 40 to 56 of DICT_4X4_100; the first shows no marker)")
 
 

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from slot_core.drawing import palette
@@ -25,7 +24,6 @@ PANELS = {
 def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Write the picture of the rows of kind `delay`."""
     figure = Figure(figsize=(12, 3.4), layout="constrained")
-    FigureCanvasAgg(figure)
     for ax, (name, label) in zip(figure.subplots(1, len(PANELS)), PANELS.items()):
         for method, colour in COLOURS.items():
             mine = [r for r in rows if r["kind"] == "delay" and r["method"] == method]

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -21,7 +20,6 @@ END_TO_END = "end to end"
 def draw(walks: Sequence[Walk], composed: Sequence[Walk], path: Path) -> None:
     """Write the picture of all repeats with separate nodes; of composed ones the latency."""
     figure = Figure(figsize=(13.0, 5.0), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
     duration = walks[0].metrics.duration
     waiting = np.median([one.waited for one in walks])
     figure.suptitle(

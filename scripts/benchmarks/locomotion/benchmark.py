@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import Check, at_least, at_most
-from benchmarks.harness import LocomotionRow as Result
+from benchmarks.harness import Row as Result
 from benchmarks.locomotion.cases import (
     ALONE,
     COLUMNS,
@@ -54,8 +54,6 @@ def run(
     stills.draw(out / "gaits.png")
     found = [margins.row(case, motions[case, column, seed]) for case, column, seed in walks]
     margins.draw(found, out / "margins.png")
-    for line in table_lines(table):
-        progress(line)
     return [*table, *found], [*checks(wanted, table), *margins.checks(found)]
 
 
@@ -125,16 +123,3 @@ def _ratio(value: float, other: float) -> float:
     if other == 0.0:
         return math.nan if value == 0.0 else math.inf
     return value / other
-
-
-def table_lines(table: Sequence[Result]) -> list[str]:
-    """The table as aligned text."""
-    width = max(len(values["row"]) for values in table)
-    head = f"{'':<{width}}  {'goal':>10}" + "".join(f"{column:>12}" for column in COLUMNS)
-    lines = [head]
-    for values in table:
-        sign = ">=" if values["better"] == "larger" else "<="
-        goal = f"{sign} {values['goal']:g}"
-        cells = "".join(f"{values[column]:>12.4g}" for column in COLUMNS)
-        lines.append(f"{values['row']:<{width}}  {goal:>10}{cells}  {values['unit']}")
-    return lines

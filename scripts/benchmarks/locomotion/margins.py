@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from benchmarks.harness import Check, at_most
@@ -78,7 +77,6 @@ def checks(found: Sequence[dict[str, Any]]) -> list[Check]:
 def draw(found: Sequence[dict[str, Any]], path: Path) -> None:
     """The margins over friction, a line for each voltage."""
     figure = Figure(figsize=(12.0, 2.8), layout="constrained")
-    FigureCanvasAgg(figure)
     for ax, (name, unit) in zip(figure.subplots(1, len(SHOWN)), SHOWN):
         for volt, colour in zip(VOLTAGE, (palette.TRUE, palette.INK)):
             line = [values for values in found if values["voltage"] == volt]

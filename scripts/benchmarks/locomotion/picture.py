@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, PAPER, Case, WalkMotion
@@ -23,7 +22,7 @@ Motions = Mapping[tuple[Case, str, int], WalkMotion]
 
 def draw_table(table: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Every row in all columns, as a multiple of its goal; a fall ends at the right edge."""
-    figure = _figure(10.0, 1.0 + 0.3 * len(table))
+    figure = Figure(figsize=(10.0, 1.0 + 0.3 * len(table)), layout="constrained")
     ax = figure.subplots()
     place, height = np.arange(len(table)), 0.8 / len(COLUMNS)
     for k, (column, colour) in enumerate(COLOURS.items()):
@@ -43,7 +42,7 @@ def draw_directions(
     cases: Sequence[Case], motions: Motions, seeds: Sequence[int], path: Path
 ) -> None:
     """Commanded (circles) and achieved mean velocity (points) in all directions that were run."""
-    figure = _figure(5.5, 5.5)
+    figure = Figure(figsize=(5.5, 5.5), layout="constrained")
     ax = figure.subplots()
     wanted = np.array([case.velocity[:2] for case in cases])
     ax.plot(*wanted.T, "o", color=palette.INK, fillstyle="none", markersize=12, label="commanded")
@@ -66,7 +65,7 @@ def draw_top(
     square: Case, slanted: Case, motions: Motions, seeds: Sequence[int], path: Path
 ) -> None:
     """The square and the 60 deg path from above."""
-    figure = _figure(11.0, 5.5)
+    figure = Figure(figsize=(11.0, 5.5), layout="constrained")
     left, right = figure.subplots(1, 2)
     corners = np.array([[0, 0], [SIDE, 0], [SIDE, SIDE], [0, SIDE], [0, 0]])
     left.plot(*corners.T, color=palette.INK, linewidth=1.0, linestyle="--", label="commanded")
@@ -96,9 +95,3 @@ def _in_goals(values: Mapping[str, Any], column: str) -> float:
     if values["better"] == "smaller":
         return float(value / goal)
     return float(goal / value) if value else math.inf
-
-
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from benchmarks.locomotion.cases import DT, Case
@@ -41,7 +40,6 @@ STRIDES = {
 def draw(path: Path) -> None:
     """Write a PNG: the postures in its first row, then a stride a row at equal shares of it."""
     figure = Figure(figsize=(3.2 * COLUMNS, 1.9 * (1 + len(STRIDES))), layout="constrained")
-    FigureCanvasAgg(figure)
     robot, camera = read_robot(), Viewpoint()
     rows = [[(name, poses(case, [0.0])[0]) for name, case in POSTURES.items()]]
     for name, case in STRIDES.items():

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from slot_core.drawing import palette
@@ -19,7 +18,6 @@ ROUNDOFF = 1e-13  # N, drawn for smaller errors
 def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Write the picture of all rows."""
     figure = Figure(figsize=(12, 5), layout="constrained")
-    FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     draw_errors(left, rows)
     draw_horizons(right, [row for row in rows if row["kind"] == "horizon"])

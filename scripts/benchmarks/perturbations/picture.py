@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from benchmarks.perturbations.cases import CASES, SETTLED, TABLE, PerturbedRun
@@ -35,7 +34,6 @@ def draw_costs(
 ) -> None:
     """Costs over time, one panel for each study, and the table of the metrics below."""
     figure = Figure(figsize=(15, 7.2), layout="constrained")
-    FigureCanvasAgg(figure)
     grid = figure.add_gridspec(2, 3, height_ratios=(2.4, 1.0))
     for column, (study, title) in enumerate(STUDIES.items()):
         ax = figure.add_subplot(grid[0, column], label=study)
@@ -95,7 +93,6 @@ def _time(seconds: float) -> str:
 def draw_failures(rows: Sequence[Row], title: str, path: Path) -> None:
     """Rate of failure over each parameter, and the failures in three planes of two parameters."""
     figure = Figure(figsize=(14, 7.5), layout="constrained")
-    FigureCanvasAgg(figure)
     grid = figure.add_gridspec(2, 1)
     top = grid[0].subgridspec(1, len(RANGES))
     below = grid[1].subgridspec(1, len(PAIRS))

@@ -7,13 +7,12 @@ missing is named with the command that makes it.
 
 from __future__ import annotations
 
-import ast
 import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.harness import ROOT, known
+from benchmarks.harness import ROOT, about, known
 from benchmarks.report.page import Contents, render
 from benchmarks.report.paper_figures import RUNS
 from benchmarks.report.results import (
@@ -98,11 +97,6 @@ def read_contents(directory: Path) -> Contents:
         | {run.folder: commands(directory, run) for run in RUNS},
         faults=fault_table(DOC / "safety.md"),
     )
-
-
-def about(benchmark: Path) -> str:
-    """What a benchmark measures: the first line of its docstring."""
-    return (ast.get_docstring(ast.parse(benchmark.read_text())) or "").partition("\n")[0]
 
 
 def _write(path: Path, text: str) -> None:

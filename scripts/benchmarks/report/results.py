@@ -80,11 +80,11 @@ def read_benchmark(directory: Path, name: str, captions: Mapping[str, str]) -> R
         return Result(
             name=name,
             path=path,
-            command=bench_command(name, _flag(found, "quick"), found["options"]),
+            command=bench_command(name, found["quick"], found["options"]),
             origin=_origin(found["revision"], found["machine"]),
             quick=found["quick"],
-            rows=_mappings(found, "rows"),
-            checks=[_check(check) for check in _mappings(found, "checks")],
+            rows=[dict(row) for row in found["rows"]],
+            checks=[_check(check) for check in found["checks"]],
             pictures=pictures,
         )
     except KeyError as error:
@@ -167,16 +167,12 @@ def fault_table(page: Path) -> list[list[str]]:
 def _load(path: Path) -> Mapping[str, Any]:
     text = _read_text(path)
     try:
-        found = json.loads(text, parse_constant=_refuse_constant)
+        found = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise ReportError(f"{path}: not JSON: {_line(error)}") from None
     if not isinstance(found, dict):
         raise ReportError(f"{path}: not a result of scripts/bench: no mapping")
     return found
-
-
-def _refuse_constant(name: str) -> None:
-    raise ValueError(f"{name} is no number")
 
 
 def _read_text(path: Path) -> str:
@@ -192,31 +188,7 @@ def _check(found: Mapping[str, Any]) -> Check:
     value = number(found["value"])
     if value is None and found["value"] is not None:
         raise TypeError(f"value: expected a finite number, got {found['value']!r}"[:200])
-    return Check(
-        _text(found, "name"), math.nan if value is None else value, _text(found, "unit"),
-        _text(found, "goal"), _flag(found, "holds"),
-    )  # fmt: skip
-
-
-def _typed(found: Mapping[str, Any], name: str, kind: type, said: str) -> Any:
-    if not isinstance(found[name], kind):
-        raise TypeError(f"{name}: expected {said}, got {found[name]!r}"[:200])
-    return found[name]
-
-
-def _text(found: Mapping[str, Any], name: str) -> str:
-    return _typed(found, name, str, "text")
-
-
-def _flag(found: Mapping[str, Any], name: str) -> bool:
-    return _typed(found, name, bool, "true or false")
-
-
-def _mappings(found: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
-    for item in _typed(found, name, list, "a list"):
-        if not isinstance(item, dict):
-            raise TypeError(f"{name}: expected mappings, got {item!r}"[:200])
-    return found[name]
+    return Check(**{**found, "value": math.nan if value is None else value})
 
 
 def _origin(revision: Mapping[str, Any], machine: Mapping[str, Any]) -> str:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import Check, Row, at_most, cpu_ratio, cpu_time
+from benchmarks.harness import Check, Row, at_most, cpu_ratio, cpu_time, mark_front
 from benchmarks.robot.hard_rows import hard_rows
 from benchmarks.robot.picture import draw
 from benchmarks.rod.release import DAMPED
@@ -78,7 +78,8 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
     if not quick:
         progress("hard cases")
         rows += [{"kind": "hard case"} | row for row in hard_rows()]
-    mark_front([row for row in rows if row["kind"] in {"stand and step", "level"}])
+    moved = [row for row in rows if row["kind"] in {"stand and step", "level"}]
+    mark_front(moved, "us_per_ms", "error_mm")
     draw(rows, out / "robot.png")
     compared = other_engine.rows(quick, out, progress)
     return [*rows, *compared], [*checks(rows), *other_engine.checks(compared)]
@@ -202,16 +203,6 @@ def memory_row(legs: str) -> dict[str, Any]:
     code = MEMORY.format(legs=legs)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
     return {"kind": "memory", "legs": legs, "MB": float(done.stdout) / 1024}
-
-
-def mark_front(rows: list[dict[str, Any]]) -> None:
-    """Mark the Pareto front: rows for which no other is both faster and more accurate."""
-    finite = [row for row in rows if row["error_mm"] < math.inf]
-    for row in rows:
-        row["front"] = row in finite and not any(
-            other["us_per_ms"] < row["us_per_ms"] and other["error_mm"] < row["error_mm"]
-            for other in finite
-        )
 
 
 def checks(rows: list[dict[str, Any]]) -> list[Check]:

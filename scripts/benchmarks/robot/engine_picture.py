@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from slot_core.drawing import palette
@@ -18,7 +17,6 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Write the picture of the replays: a panel for each gait, a pair of points for each floor."""
     gaits = list(dict.fromkeys(row["gait"] for row in rows))
     figure = Figure(figsize=(1.2 + 3.0 * len(gaits), 4.2), layout="constrained")
-    FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(gaits), sharey=True, squeeze=False)[0]
     for ax, gait in zip(panels, gaits):
         draw_gait(ax, [row for row in rows if row["gait"] == gait])

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from slot_core.drawing import palette
@@ -18,7 +17,6 @@ RANGE = {"xlim": (0.3, 300), "ylim": (0.01, 30)}
 def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Write the picture of all rows with an error and a cost."""
     figure = Figure(figsize=(8, 5), layout="constrained")
-    FigureCanvasAgg(figure)
     ax = figure.subplots()
     runs = [row for row in rows if row["kind"] == "stand and step" and row["error_mm"] < math.inf]
     ax.plot(

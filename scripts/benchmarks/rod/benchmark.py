@@ -23,7 +23,7 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
     progress("energy and momentum")
     moving = list(release.energy_rows())
     released = release_rows(quick, repeats, progress)
-    release.mark_front(released)
+    release.mark_fronts(released)
     picture.draw(released, out / "rod.png")
     flight = [row["momentum"] for row in moving if row["kind"] == "flight" and row["theta"] == 0.5]
     return [*still, *moving, *released], [

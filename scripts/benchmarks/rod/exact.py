@@ -185,27 +185,23 @@ def heavy(w: float) -> Array:
 def sideways(material: Material, geometry: Geometry, count: int) -> Array:
     """Lowest frequencies (count,), Hz, of a straight cantilever that bends sideways (`_ritz`)."""
     section = geometry.section
-
-    def stiffness(f: Array) -> Array:
-        return material.young_modulus * section.lateral_moment(f)
-
-    def mass(f: Array) -> Array:
-        return material.density * section.area(f)
-
-    return _ritz(stiffness, mass, 2)[:count] / (2 * math.pi * geometry.length**2)
+    found = _ritz(
+        lambda f: material.young_modulus * section.lateral_moment(f),
+        lambda f: material.density * section.area(f),
+        2,
+    )
+    return found[:count] / (2 * math.pi * geometry.length**2)
 
 
 def twisting(material: Material, geometry: Geometry, count: int) -> Array:
     """Lowest frequencies (count,), Hz, of a straight cantilever that twists (`_ritz`)."""
     section = geometry.section
-
-    def stiffness(f: Array) -> Array:
-        return material.shear_modulus * section.torsion_constant(f)
-
-    def inertia(f: Array) -> Array:
-        return material.density * (section.second_moment(f) + section.lateral_moment(f))
-
-    return _ritz(stiffness, inertia, 1)[:count] / (2 * math.pi * geometry.length)
+    found = _ritz(
+        lambda f: material.shear_modulus * section.torsion_constant(f),
+        lambda f: material.density * (section.second_moment(f) + section.lateral_moment(f)),
+        1,
+    )
+    return found[:count] / (2 * math.pi * geometry.length)
 
 
 def _ritz(stiffness: Field, mass: Field, order: int) -> Array:

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from benchmarks.rod.release import DAMPED, LARGEST_ERROR, OURS, UNDAMPED
@@ -30,7 +29,6 @@ CURVES = {  # simulator and physics: name, mark, colour
 def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Write the picture."""
     figure = Figure(figsize=(9.5, 6.6), layout="constrained")
-    FigureCanvasAgg(figure)
     ax = figure.subplots()
     for (simulator, physics), look in CURVES.items():
         own = [row for row in rows if (row["simulator"], row["physics"]) == (simulator, physics)]

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import Check, at_least, at_most, cpu_time
+from benchmarks.harness import Check, at_least, at_most, cpu_time, mark_front
 from benchmarks.rod.exact import LEG, PUSH, TPU
 from slot_core.divergence import DivergenceError
 from slot_core.robot import Array
@@ -186,16 +186,11 @@ def thrown(scheme: Scheme) -> CosseratRod:
     return rod
 
 
-def mark_front(rows: list[dict[str, Any]]) -> None:
-    """Mark the rows of a simulator and physics that no other is faster and more accurate than."""
-    for row in rows:
-        row["front"] = row["percent"] < math.inf and not any(
-            other["physics"] == row["physics"]
-            and other["simulator"] == row["simulator"]
-            and other["cpu_s"] < row["cpu_s"]
-            and other["percent"] < row["percent"]
-            for other in rows
-        )
+def mark_fronts(rows: list[dict[str, Any]]) -> None:
+    """Mark the Pareto front of every simulator and physics."""
+    for kind in {(row["physics"], row["simulator"]) for row in rows}:
+        own = [row for row in rows if (row["physics"], row["simulator"]) == kind]
+        mark_front(own, "cpu_s", "percent")
 
 
 def release_checks(rows: list[dict[str, Any]]) -> list[Check]:

@@ -1,8 +1,7 @@
-"""DDS participants that join and leave, as `ros2 topic echo` does, leave a walking robot alone.
+"""Runs at the pace of the wall clock: scripts/run, the real driver, participants that join."""
 
-Real time: what DDS does in other processes when a participant joins.
-"""
-
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,12 +12,41 @@ from rclpy.signals import SignalHandlerOptions
 from rig import TOPICS
 
 from slot_core.safety.states import State
+from slot_lab.bags.bag import Bag
 
 pytestmark = pytest.mark.real_time
 
+RUN = [sys.executable, "-m", "slot_bringup"]
 JOINS = 20
 HEARD = {"/odom", "/desired_joint_angles"}  # of two nodes
 SEGMENT = "/dev/shm/fast"  # beginning of the name of every segment of Fast DDS
+
+
+def run(*arguments, **options):
+    """Output of a run; it must succeed."""
+    done = subprocess.run(
+        [*RUN, *arguments], capture_output=True, text=True, check=False, **options
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_run_in_real_time_keeps_its_pace_and_prints_a_summary(tmp_path):
+    output = run("--duration", "4", "--no-bag", cwd=tmp_path)
+    figures = dict(line.split(maxsplit=1) for line in output.splitlines() if line.strip())
+    assert float(figures["real-time"].split()[-1]) == pytest.approx(1.0, abs=0.1)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_robot_walks_with_the_real_driver_which_leaves_no_torque(environment, tmp_path):
+    """At a pseudo-terminal. Measured: 44 mm/s on average; half of it shows that it walks."""
+    bag = tmp_path / "bag"
+    run("--hardware", "fake_bus", "--duration", "5", "--bag", str(bag), env=environment)
+    place = Bag(bag).series("/ground_truth/odom", "pose.pose.position")
+    walked = place["pose.pose.position"][:, 0]
+    assert (walked[-1] - walked[0]) / (place.stamp[-1] - place.stamp[0]) * 1e9 > 0.02
+    assert "torque off, confirmed by every servo" in (bag / "log/dynamixel_driver.log").read_text()
+    assert "servos left under torque: none" in (bag / "log/sim_robot.log").read_text()
 
 
 def join_and_leave():
@@ -41,6 +69,7 @@ def join_and_leave():
 
 
 def test_participants_that_join_and_leave_do_not_stop_a_walking_robot(make_rig):
+    """As `ros2 topic echo` does; what DDS does in other processes takes real time."""
     rig = make_rig(hardware="sim")
     rig.walk_steadily()
     walking = rig.transitions[-1]

@@ -16,12 +16,11 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 REQUIREMENTS = ROOT / "scripts/requirements"
 REQUIREMENT_FILES = ("build", "ros", "runtime", "test", "bench", "docs", "view")
 PINNED = re.compile(r"^([A-Za-z0-9._-]+)==(\S+) \\$")
 HASH = re.compile(r"^    --hash=sha256:[0-9a-f]{64}( \\)?$")
-ENOUGH = 60  # s for one setup of a copy; it takes some 3 s
 
 # Builds nothing; waits while the file `hold` exists, so that a test can interrupt it.
 COLCON = """#!/bin/bash
@@ -90,7 +89,7 @@ class Copy:
 
     def setup(self, *arguments: str) -> tuple[int, str]:
         process = self.start(*arguments)
-        output = process.communicate(timeout=ENOUGH)[1]
+        output = process.communicate()[1]
         return process.returncode, output
 
     @property
@@ -129,14 +128,12 @@ def ready(tmp_path_factory: pytest.TempPathFactory) -> Copy:
 
 
 def until(condition: Callable[[], bool]) -> None:
-    """Wait until a condition holds, at most ENOUGH s."""
-    deadline = time.monotonic() + ENOUGH
+    """Wait until a condition holds."""
     while not condition():
-        assert time.monotonic() < deadline
         time.sleep(0.02)
 
 
-def test_a_second_setup_prints_and_does_nothing_within_a_second(ready: Copy) -> None:
+def test_a_second_setup_prints_and_does_nothing_within_a_second(ready):
     builds = ready.calls
     stamps = {path: path.stat().st_mtime_ns for path in ready.home.glob("*/.stamp")}
     assert len(stamps) == 2  # the venv and the workspace
@@ -149,13 +146,13 @@ def test_a_second_setup_prints_and_does_nothing_within_a_second(ready: Copy) -> 
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 1.0
 
 
-def test_an_interrupted_setup_continues_with_the_interrupted_phase(copy: Copy) -> None:
+def test_an_interrupted_setup_continues_with_the_interrupted_phase(copy):
     hold = copy.stubs / "hold"
     hold.touch()
     process = copy.start()
     until(lambda: copy.calls == ["build"])
     os.killpg(process.pid, signal.SIGINT)
-    output = process.communicate(timeout=ENOUGH)[1]
+    output = process.communicate()[1]
     assert process.returncode == 130
     assert "interrupted" in output.splitlines()[-1]
     venv = (copy.home / "venv/.stamp").stat().st_mtime_ns
@@ -168,7 +165,7 @@ def test_an_interrupted_setup_continues_with_the_interrupted_phase(copy: Copy) -
 
 
 @pytest.mark.parametrize("loss", ["venv/bin/python", "venv/.stamp"])
-def test_a_broken_or_unfinished_venv_is_rebuilt(ready: Copy, loss: str) -> None:
+def test_a_broken_or_unfinished_venv_is_rebuilt(ready, loss):
     (ready.home / loss).unlink()
     leftover = ready.home / "venv/leftover"
     leftover.touch()
@@ -177,9 +174,7 @@ def test_a_broken_or_unfinished_venv_is_rebuilt(ready: Copy, loss: str) -> None:
     subprocess.run([ready.home / "venv/bin/python", "-c", "import pip"], check=True)
 
 
-def test_a_failing_build_is_reported_with_its_log_and_repeated_at_the_next_setup(
-    ready: Copy,
-) -> None:
+def test_a_failing_build_is_reported_with_its_log_and_repeated_at_the_next_setup(ready):
     colcon = ready.stubs / "bin/colcon"
     executable(colcon, "#!/bin/bash\necho no such message\nexit 3\n")
     (ready.root / "slot_msgs/msg/New.msg").write_text("float64 x\n")
@@ -201,9 +196,7 @@ def test_a_failing_build_is_reported_with_its_log_and_repeated_at_the_next_setup
         ("src/slot_core/slot_core/new_module.py", False),  # installed by symbolic link
     ],
 )
-def test_the_workspace_is_rebuilt_only_for_files_that_are_not_linked(
-    ready: Copy, path: str, rebuilt: bool
-) -> None:
+def test_the_workspace_is_rebuilt_only_for_files_that_are_not_linked(ready, path, rebuilt):
     assert ready.setup()[0] == 0
     builds = len(ready.calls)
     with (ready.root / path).open("a") as file:
@@ -212,18 +205,16 @@ def test_the_workspace_is_rebuilt_only_for_files_that_are_not_linked(
     assert len(ready.calls) == builds + rebuilt
 
 
-def test_two_concurrent_setups_build_once(ready: Copy) -> None:
+def test_two_concurrent_setups_build_once(ready):
     builds = len(ready.calls)
     (ready.home / "install/.stamp").unlink()
     processes = [ready.start() for _ in range(2)]
-    assert [process.wait(ENOUGH) for process in processes] == [0, 0]
+    assert [process.wait() for process in processes] == [0, 0]
     assert len(ready.calls) == builds + 1
 
 
 @pytest.mark.parametrize("extra", ["test", "bench", "docs", "view"])
-def test_extra_packages_are_installed_once_and_again_when_their_pins_change(
-    ready: Copy, extra: str
-) -> None:
+def test_extra_packages_are_installed_once_and_again_when_their_pins_change(ready, extra):
     output = f"setup: installing the packages for --{extra}\n"
     assert ready.setup(f"--{extra}") == (0, output)
     assert ready.setup(f"--{extra}") == (0, "")
@@ -231,7 +222,7 @@ def test_extra_packages_are_installed_once_and_again_when_their_pins_change(
     assert ready.setup(f"--{extra}") == (0, output)
 
 
-def test_a_failed_installation_of_extra_packages_is_reported_at_every_setup(copy: Copy) -> None:
+def test_a_failed_installation_of_extra_packages_is_reported_at_every_setup(copy):
     bench = copy.root / "scripts/requirements/bench.txt"
     bench.write_text(f"no-such-package==1.0 --hash=sha256:{'0' * 64}\n")
     copy.variables["PIP_NO_INDEX"] = "1"
@@ -242,29 +233,21 @@ def test_a_failed_installation_of_extra_packages_is_reported_at_every_setup(copy
         assert str(copy.home / "log/setup-bench.log") in output.splitlines()[-1]
 
 
-def test_without_root_rights_setup_prints_the_command_to_run(copy: Copy) -> None:
+def test_missing_packages_are_installed_with_sudo_and_else_named_with_the_command(copy):
     copy.restrict_tools()
-    status, output = copy.setup()
-    assert status == 1
-    assert output.splitlines() == [
-        "setup: Debian packages are missing; run: sudo apt-get install -y cmake"
-    ]
+    command = "setup: Debian packages are missing; run: sudo apt-get install -y cmake"
+    assert copy.setup() == (1, f"{command}\n")
     assert not copy.calls
-
-
-def test_with_sudo_setup_installs_missing_packages_itself(copy: Copy) -> None:
-    copy.restrict_tools()
     (copy.stubs / "sudoer").touch()
     status, output = copy.setup()
     assert status == 0, output
-    assert copy.calls[0] == "apt-get -q update"
-    assert copy.calls[1] == "apt-get -q -y install --no-install-recommends cmake"
+    assert copy.calls[:2] == [
+        "apt-get -q update", "apt-get -q -y install --no-install-recommends cmake"
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ["sl\u00f6t", "\u4e8c", "a b", "a:b"])
-def test_a_path_that_cmake_cannot_bear_is_refused_before_anything_is_built(
-    tmp_path: Path, name: str
-) -> None:
+def test_a_path_that_cmake_cannot_bear_is_refused_before_anything_is_built(tmp_path, name):
     (tmp_path / name).mkdir()
     copy = Copy(tmp_path / name)
     status, output = copy.setup()
@@ -274,7 +257,7 @@ def test_a_path_that_cmake_cannot_bear_is_refused_before_anything_is_built(
     assert not copy.home.exists()
 
 
-def test_a_wrong_argument_gets_one_line_and_status_2(copy: Copy) -> None:
+def test_a_wrong_argument_gets_one_line_and_status_2(copy):
     status, output = copy.setup("--tests")
     assert status == 2
     expected = "--test, --bench, --docs or --view"
@@ -282,30 +265,25 @@ def test_a_wrong_argument_gets_one_line_and_status_2(copy: Copy) -> None:
 
 
 @pytest.mark.parametrize("name", REQUIREMENT_FILES)
-def test_every_requirement_is_pinned_to_one_version_with_hashes(name: str) -> None:
+def test_every_package_is_pinned_to_one_version_with_hashes(name):
     lines = (REQUIREMENTS / f"{name}.txt").read_text().splitlines()
-    assert lines
     for line, following in zip(lines, [*lines[1:], "end"], strict=True):
         assert PINNED.match(line) or HASH.match(line), line  # and no index or URL
         if PINNED.match(line):
             assert HASH.match(following), line
-
-
-@pytest.mark.parametrize("name", REQUIREMENT_FILES)
-def test_every_package_of_the_in_files_is_pinned(name: str) -> None:
     required = re.findall(r"^([A-Za-z][\w.-]*)", (REQUIREMENTS / f"{name}.in").read_text(), re.M)
     assert required
     assert {package.lower() for package in required} <= {package.lower() for package in pins(name)}
 
 
-def test_all_requirement_files_agree_on_versions() -> None:
+def test_all_requirement_files_agree_on_versions():
     every: dict[str, str] = {}
     for name in REQUIREMENT_FILES:
         for package, version in pins(name).items():
             assert every.setdefault(package, version) == version, package
 
 
-def test_logs_and_caches_go_below_the_repository(ready: Copy) -> None:
+def test_logs_and_caches_go_below_the_repository(ready):
     shell = ". scripts/env; echo $ROS_LOG_DIR $NUMBA_CACHE_DIR $MPLCONFIGDIR $COLCON_LOG_PATH"
     paths = subprocess.check_output(
         ["bash", "-c", shell], cwd=ready.root, env={}, text=True
@@ -314,7 +292,7 @@ def test_logs_and_caches_go_below_the_repository(ready: Copy) -> None:
     assert all(Path(path).is_relative_to(ready.home) for path in paths)
 
 
-def test_sourcing_the_environment_twice_changes_nothing() -> None:
+def test_sourcing_the_environment_twice_changes_nothing():
     def variables(script: str) -> set[str]:
         shell = ["bash", "-c", f"{script}; env"]
         lines = subprocess.check_output(shell, cwd=ROOT, env={}, text=True).splitlines()

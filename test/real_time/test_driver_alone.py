@@ -73,18 +73,6 @@ def change(rig):
     return request
 
 
-def test_a_driver_shut_down_by_service_has_torque_off_and_still_answers(rig, stub, change):
-    begin = rig.now()
-    start_driver(rig)
-    stub.permission = Action.HOLD
-    powered(rig, begin)
-    assert change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
-    assert rig.registers("torque_enable") == [0] * 4
-    stub.permission, off = Action.OFF, rig.now()
-    rig.wait_for(lambda: stub.permitted > off + 200_000_000)  # ns; ten permissions
-    assert not change(Transition.TRANSITION_CONFIGURE)  # it is finalized
-
-
 def test_the_driver_follows_lifecycle_transitions_by_service(rig, stub, change):
     rig.start(DRIVER, parameters={"autostart": False})
     begin = rig.now()
@@ -107,3 +95,8 @@ def test_the_driver_follows_lifecycle_transitions_by_service(rig, stub, change):
     again = rig.now()
     assert change(Transition.TRANSITION_CONFIGURE)
     rig.wait_for(lambda: rig.since("/joint_states", again))
+    assert change(Transition.TRANSITION_ACTIVATE)
+    powered(rig, again)
+    assert change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    assert rig.registers("torque_enable") == [0] * 4
+    assert not change(Transition.TRANSITION_CONFIGURE)  # it is finalized, and still answers

@@ -1,0 +1,169 @@
+"""Streams of IMU and odometry readings of closed-form motions, and the estimator run on them."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from slot_core import config
+from slot_core.clock import SECOND
+from slot_core.estimation.estimate import Estimate
+from slot_core.estimation.state_estimator import StateEstimator, read_estimator
+from slot_core.geometry import wrapped
+from slot_core.robot import GRAVITY
+
+UP = np.array([0.0, 0.0, GRAVITY])
+# without the prediction beyond the newest sample, which has a test of its own
+SETTINGS = config.replace(read_estimator(), {"timing.command_delay": 0.0})
+GYRO_BIAS = np.array([0.02, -0.015, 0.01])
+GYRO_NOISE, FORCE_NOISE = 0.01, 0.3  # of one sample at 200 Hz, as in MATCHED
+MATCHED = config.replace(
+    SETTINGS,
+    {
+        "imu.gyro_noise": GYRO_NOISE / 200**0.5,
+        "imu.acceleration_noise": FORCE_NOISE / 200**0.5,
+        "imu.acceleration_bias": 0.1,
+        "imu.angular_acceleration_step": 1.0,  # of the sinusoids: 0.22 rad (2 pi / 0.7 s)^3 5 ms
+    },
+)
+EXACT = config.replace(SETTINGS, {"imu.gyro_bias": 0.0, "imu.acceleration_bias": 0.0})
+
+
+class Walk:
+    """Sinusoids in roll, pitch, yaw and position, with the walk's amplitudes and frequencies."""
+
+    def __init__(self, tilt=0.22, frequency=1 / 0.7, sway=0.01, speed=0.05, yaw=0.3):
+        self.amplitude = np.array([tilt, tilt, 0.05, sway, sway, sway])
+        self.omega = 2 * np.pi * frequency * np.array([1.0, 1.0, 0.5, 1.0, 1.0, 2.0])
+        self.phase = np.array([0.0, 1.1, 0.4, 0.2, 1.9, 0.7])
+        self.offset = np.array([0.0, 0.0, yaw, 0.0, 0.0, 0.06])
+        self.drift = np.array([0.0, 0.0, 0.0, speed, 0.0, 0.0])
+
+    def at(self, t):
+        """State (12,), attitude, angular velocity and specific force in base_link at t."""
+        angle = self.omega * t + self.phase
+        q = self.offset + self.drift * t + self.amplitude * np.sin(angle)
+        dq = self.drift + self.amplitude * self.omega * np.cos(angle)
+        ddq = -self.amplitude * self.omega**2 * np.sin(angle)
+        attitude = Rotation.from_euler("ZYX", q[2::-1])
+        # rates of the intrinsic z, y', x'' angles add along their own axes
+        axes = [
+            attitude.as_matrix()[:, 0],
+            Rotation.from_euler("Z", q[2]).as_matrix()[:, 1],
+            np.array([0.0, 0.0, 1.0]),
+        ]
+        omega = dq[0] * axes[0] + dq[1] * axes[1] + dq[2] * axes[2]
+        force = attitude.inv().apply(ddq[3:] + UP)
+        state = np.concatenate([q, omega, dq[3:]])
+        return state, attitude, attitude.inv().apply(omega), force
+
+
+class Spin(Walk):
+    """Constant rotation about a tilted axis, sinusoidal translation."""
+
+    AXIS = np.array([0.6, -0.9, 1.4])  # rad/s, in base_link
+
+    def at(self, t):
+        state, _, _, _ = super().at(t)
+        attitude = Rotation.from_rotvec(self.AXIS * t)
+        acceleration = -self.amplitude[3:] * self.omega[3:] ** 2
+        acceleration = acceleration * np.sin(self.omega[3:] * t + self.phase[3:])
+        force = attitude.inv().apply(acceleration + UP)
+        state[:3] = attitude.as_euler("ZYX")[::-1]
+        state[6:9] = attitude.apply(self.AXIS)
+        return state, attitude, self.AXIS, force
+
+
+def imu_messages(motion, duration, rate=200, rng=None, bias=0.0):
+    messages = []
+    for k in range(round(duration * rate) + 1):
+        _, _, w, f = motion.at(k / rate)
+        if rng is not None:
+            w, f = w + rng.normal(0, GYRO_NOISE, 3), f + rng.normal(0, FORCE_NOISE, 3)
+        messages.append(("imu", k * SECOND // rate, (w + bias, f)))
+    return messages
+
+
+def odometry_messages(motion, duration, rate=30, rng=None, noise=SETTINGS.odometry):
+    messages = []
+    for k in range(round(duration * rate)):
+        stamp = k * SECOND // rate
+        state, attitude, w, _ = motion.at(stamp / SECOND)
+        p, v = state[3:6], attitude.inv().apply(state[9:])
+        if rng is not None:
+            attitude = Rotation.from_rotvec(rng.normal(0, noise.angle_noise, 3)) * attitude
+            p = p + rng.normal(0, noise.position_noise, 3)
+            v = v + rng.normal(0, noise.velocity_noise, 3)
+            w = w + rng.normal(0, noise.rate_noise, 3)
+        messages.append(("odometry", stamp, (p, attitude.as_quat(), v, w)))
+    return messages
+
+
+def arrivals(*streams):
+    """The messages of all streams in order of the stamps; at equal stamps the IMU is first."""
+    return sorted((m for s in streams for m in s), key=lambda m: (m[1], m[0]))
+
+
+def run(messages, settings=SETTINGS):
+    """Estimates and estimator after all messages; polled after each message."""
+    estimator = StateEstimator(settings)
+    estimates: list[Estimate] = []
+    for kind, stamp, values in messages:
+        (estimator.add_imu if kind == "imu" else estimator.add_odometry)(stamp, *values)
+        while (estimate := estimator.poll()) is not None:
+            estimates.append(estimate)
+    return estimates, estimator
+
+
+def error(estimate, motion):
+    """Estimate minus truth (12,), angles wrapped."""
+    difference = estimate.state - motion.at(estimate.time / SECOND)[0]
+    difference[:3] = wrapped(difference[:3])
+    return difference
+
+
+def noisy(motion, duration, seed, bias=0.0):
+    rng = np.random.default_rng(seed)
+    return arrivals(
+        imu_messages(motion, duration, rng=rng, bias=bias),
+        odometry_messages(motion, duration, rng=rng),
+    )
+
+
+def clean(motion, duration):
+    return arrivals(imu_messages(motion, duration), odometry_messages(motion, duration))
+
+
+def without_odometry(messages, keep=1):
+    """The messages with every odometry reading after the first `keep` made unusable."""
+    count, result = 0, []
+    for kind, stamp, values in messages:
+        count += kind == "odometry"
+        damage = kind == "odometry" and count > keep
+        result.append((kind, stamp, (np.full(3, np.nan), *values[1:]) if damage else values))
+    return result
+
+
+def with_jump(messages, start, shift, stop=np.inf):
+    """The messages with the odometry positions from `start` to `stop` shifted by `shift` m."""
+    count, result = -1, []
+    for kind, stamp, values in messages:
+        count += kind == "odometry"
+        if kind == "odometry" and start <= count < stop:
+            values = (values[0] + shift, *values[1:])  # noqa: PLW2901
+        result.append((kind, stamp, values))
+    return result
+
+
+def validities(estimates):
+    return [e.validity for e in estimates]
+
+
+def same(a, b):
+    return [(e.stamp, e.state.tobytes(), e.covariance.tobytes(), e.validity) for e in a] == [
+        (e.stamp, e.state.tobytes(), e.covariance.tobytes(), e.validity) for e in b
+    ]
+
+
+def arriving(messages, delay):
+    """The messages in the order of their arrival, `delay(kind)` s after their stamps."""
+    at = [stamp + delay(kind) * SECOND for kind, stamp, _ in messages]
+    return [messages[i] for i in np.argsort(at, kind="stable")]

@@ -1,0 +1,49 @@
+"""A robot that moves exactly as the reference of its gait scheduler says."""
+
+import numpy as np
+
+from slot_core.clock import SECOND
+from slot_core.control.force_map import read_springs
+from slot_core.gait.gait import read_gaits
+from slot_core.gait.gait_scheduler import GaitScheduler
+from slot_core.robot import read_robot
+
+ROBOT, GAITS = read_robot(), read_gaits()
+SPRINGS = read_springs()
+WALK = GAITS.strides["walk"]
+TICK = 33_000_000  # ns
+NOTHING = np.zeros(3)
+AHEAD = np.array([0.05, 0.0, 0.0])
+
+
+def state(x=0.0, y=0.0, yaw=0.0, z=0.06):
+    row = np.zeros(12)
+    row[[3, 4, 2, 5]] = x, y, yaw, z
+    return row
+
+
+class Ideal:
+    """A robot that moves exactly as its reference says, driven by the scheduler's own ticks."""
+
+    def __init__(self, gait="stand", velocity=NOTHING, path=None):
+        self.scheduler = GaitScheduler(GAITS, ROBOT, SPRINGS, gait, velocity, path)
+        self.now, self.state, self.previews = SECOND, state(), []
+
+    def run(self, seconds):
+        """Previews of the ticks of that time."""
+        ran = []
+        for _ in range(round(seconds * SECOND / TICK)):
+            ran.append(self.scheduler.step(self.now, self.state))
+            reference = ran[-1].reference[0]
+            v = reference[[9, 10, 8]] if ran[-1].gait in GAITS.strides else np.zeros(3)
+            self.state[[3, 4, 2]] += v * TICK * 1e-9
+            self.state[[5, 0, 1]] = reference[[5, 0, 1]]
+            self.now += TICK
+        self.previews += ran
+        return ran
+
+    @property
+    def steps(self):
+        """Largest change (n,) of an angle from tick to tick, rad."""
+        angle = np.array([preview.tendon_angle[0] for preview in self.previews])
+        return np.abs(np.diff(angle, axis=0)).max(axis=1)

@@ -1,0 +1,199 @@
+"""Commands of the gait scheduler: expiry, refusals, paths, jumps, servos that do not follow."""
+
+import math
+
+import numpy as np
+import pytest
+from ideal_robot import AHEAD, GAITS, NOTHING, ROBOT, SPRINGS, TICK, Ideal, state
+
+from slot_core.clock import SECOND
+from slot_core.config import ConfigError
+from slot_core.gait.gait import GaitCommand
+from slot_core.gait.gait_scheduler import SETTLING, GaitScheduler
+from slot_core.gait.route import ARRIVED, LEAD, Route
+
+
+def test_a_velocity_command_expires_and_the_robot_stops():
+    robot = Ideal("walk", NOTHING)
+    robot.run(3.0)
+    robot.scheduler.set_velocity(robot.now, AHEAD)
+    early = robot.run(GAITS.velocity_timeout)[-1]
+    late = robot.run(3.0)
+    assert early.command.velocity == pytest.approx(AHEAD)
+    assert not late[2].command.velocity.any()
+    assert late[-1].reference[0, 9:11] == pytest.approx(0.0)
+    assert late[-1].posture
+    assert np.ptp(late[-1].tendon_angle, axis=0) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_requested_velocity_does_not_expire():
+    robot = Ideal("walk", AHEAD)
+    assert robot.run(5.0)[-1].command.velocity == pytest.approx(AHEAD)
+
+
+@pytest.mark.parametrize("late", [-1.0, 0.52, 10_000.0])
+def test_a_command_with_a_stamp_far_from_the_states_stops_the_robot_and_is_refused(late):
+    """A stamp from the future might never expire, and an old command may be a late stop."""
+    robot = Ideal("walk", AHEAD)
+    robot.run(3.0)
+    with pytest.raises(
+        ConfigError, match=r"stamp is [+-]\d+\.\d{3} s from the state's \(limit 0\.5 s"
+    ) as refusal:
+        robot.scheduler.set_velocity(robot.now + round(late * SECOND), AHEAD)
+    assert "\n" not in str(refusal.value)
+    after = robot.run(0.1)  # in which a stamp just too far ahead would come within the limit
+    assert not np.any([preview.command.velocity for preview in after])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda s: s.request("trot", NOTHING), "no gait 'trot'"),
+        (lambda s: s.request("walk", [0.5, 0, 0]), r"v_x = 0\.5: gait walk reaches"),
+        (lambda s: s.request("walk", [np.nan, 0, 0]), r"v_x = nan: gait walk reaches"),
+        (lambda s: s.set_velocity(SECOND, [0, np.nan, 0]), r"v_y = nan: gait walk reaches"),
+        (lambda s: s.set_velocity(SECOND, [0, 0, -9.0]), r"yaw rate = -9: gait walk reaches"),
+        (lambda s: s.set_pose([np.nan, 0, 0]), r"height = nan: gait walk reaches"),
+        (lambda s: s.set_pose([0.06, 0, 1.0]), r"pitch = 1: gait walk reaches \[-0\.09, 0\.09\]"),
+    ],
+)
+def test_a_refused_command_changes_nothing_and_names_value_and_limit(call, message):
+    robot, other = Ideal("walk", AHEAD), Ideal("walk", AHEAD)
+    robot.run(2.0)
+    other.run(2.0)
+    with pytest.raises(ConfigError, match=message) as refusal:
+        call(robot.scheduler)
+    assert "\n" not in str(refusal.value)
+    for mine, theirs in zip(robot.run(1.0), other.run(1.0)):
+        assert (mine.tendon_angle == theirs.tendon_angle).all()
+        assert (mine.command.velocity == theirs.command.velocity).all()
+
+
+def test_a_request_during_a_blend_waits_for_its_end():
+    robot = Ideal("walk", AHEAD)
+    robot.run(3.0)
+    robot.scheduler.request("stand", NOTHING)
+    assert robot.run(0.5)[-1].gait == "stand"
+    robot.scheduler.request("walk", AHEAD)
+    assert robot.run(0.4)[-1].gait == "stand"
+    assert robot.run(0.3)[-1].gait == "walk"
+
+
+@pytest.mark.parametrize("jump", [-500.0, -0.04, 5.0, 1e4])
+def test_a_jump_of_the_clock_neither_moves_the_commands_nor_delays_later_changes(jump):
+    robot = Ideal("stand")
+    robot.run(2.0)
+    robot.scheduler.request("walk", AHEAD)
+    before = robot.run(0.3)[-1]
+    robot.now += round(jump * SECOND)
+    after = robot.run(0.033)[0]
+    assert after.tendon_angle[0] == pytest.approx(before.tendon_angle[0], abs=1e-9)
+    assert robot.run(3.0)[-1].reference[0, 9] > 0.0
+    assert robot.steps.max() < 1.0
+
+
+def test_a_path_is_followed_instead_of_the_velocity():
+    points = np.array([[0.0, 0.0], [0.2, 0.0], [0.2, 0.2]])
+    robot = Ideal("walk", AHEAD, Route(points, "kept"))
+    robot.run(15.0)
+    assert robot.state[3] == pytest.approx(0.2, abs=2 * LEAD)  # this robot knows no feedback
+    assert robot.state[4] == pytest.approx(0.2, abs=3 * ARRIVED)
+    assert robot.state[2] == pytest.approx(0.0, abs=1e-9)
+    assert robot.previews[-1].posture  # it stands at the end
+
+
+def test_a_path_is_followed_at_the_speed_of_the_command_from_a_posture_on():
+    """As the supervisor starts it: it stands with the path, then walking is requested."""
+    points = np.array([[0.0, 0.0], [1.0, 0.0]])
+    robot = Ideal("stand", NOTHING, Route(points, "kept"))
+    robot.run(0.5)
+    robot.scheduler.request("walk", AHEAD)
+    robot.run(3.0)
+    before, strides = robot.state[3], 5 * GAITS.strides["walk"].period
+    robot.run(strides)
+    assert robot.state[3] - before == pytest.approx(AHEAD[0] * strides, rel=0.05)
+    robot.scheduler.request("walk", NOTHING)
+    assert robot.run(3.0)[-1].posture  # without velocity it stands, wherever the path leads
+
+
+def test_a_robot_that_moves_as_its_reference_is_hardly_corrected():
+    """The reference leans forward by some 2 deg, which would take an offset of 6 deg to level."""
+    robot = Ideal("walk", AHEAD)
+    robot.run(10 * GAITS.strides["walk"].period)
+    assert math.degrees(GAITS.strides["walk"].mean_posture(AHEAD)[2]) > 1.0
+    offset = np.degrees(robot.scheduler._current.feedback.offset)
+    assert np.abs(offset).max() < 1.0
+
+
+def test_while_the_servos_do_not_follow_the_phase_waits_and_nothing_is_corrected():
+    robot = Ideal("walk", AHEAD)
+    robot.run(3.0)
+    robot.scheduler.set_followed(False)
+    before = robot.run(0.033)[-1]
+    held = robot.run(2.0)[-1]
+    assert held.phase == before.phase
+    assert not held.command.followed
+    assert (held.tendon_angle == held.tendon_angle[0]).all()  # over the horizon too
+    robot.scheduler.set_followed(True)
+    passed = (robot.run(0.1)[-1].phase - before.phase) % 1.0
+    assert passed == pytest.approx(0.1 / held.period, abs=0.02)
+
+
+def test_a_posture_is_corrected_once_the_servos_have_followed_for_a_while():
+    robot = Ideal("stand")
+    assert robot.run(1.1)[-1].posture
+    robot.scheduler.set_followed(False)
+    assert not any(preview.posture for preview in robot.run(1.0))
+    robot.scheduler.set_followed(True)
+    assert not any(preview.posture for preview in robot.run(SETTLING - 0.1))
+    assert robot.run(0.2)[-1].posture
+
+
+@pytest.mark.parametrize(
+    ("seconds", "place"),
+    [(-1.0, np.zeros(3)), (2.0, np.zeros(3)), (0.0, [0.06, -0.03, 0.0]), (0.0, [0.0, 0.0, 0.2])],
+)
+def test_a_jump_of_the_clock_or_the_odometry_does_not_enter_the_means_of_a_stride(seconds, place):
+    robot = Ideal("walk", AHEAD)
+    robot.run(5.0)
+    feedback = robot.scheduler._current.feedback
+    before = feedback.velocity.copy()
+    robot.now += round(seconds * SECOND)
+    robot.state[[3, 4, 2]] += place
+    feedback.place += place  # else the robot rightly returns to its place
+    robot.run(1.5)
+    # of a robot that moves as its reference 1 mm/s; with a jump in it 11 to 50 mm/s, or 0.1 rad/s
+    assert np.abs(feedback.velocity - before).max() < 5e-3
+
+
+def test_everything_commanded_can_be_set_from_a_recorded_preview():
+    robot, replayed = Ideal("stand"), GaitScheduler(GAITS, ROBOT, SPRINGS, "stand", NOTHING)
+    robot.run(0.5)
+    robot.scheduler.request("walk", AHEAD)
+    robot.run(3.0)
+    robot.scheduler.set_velocity(robot.now, np.array([0.0, 0.03, 0.05]))
+    robot.scheduler.set_pose(np.array([0.06, 0.0, 0.0]))
+    robot.run(2.0)
+    robot.scheduler.request("sit", NOTHING)
+    robot.run(2.0)
+    current = state()
+    for k, preview in enumerate(robot.previews):
+        replayed.set_command(preview.command)
+        again = replayed.step(SECOND + k * TICK, current)
+        assert (again.tendon_angle == preview.tendon_angle).all()
+        assert (again.reference[:, 5] == preview.reference[:, 5]).all()
+        v = again.reference[0, [9, 10, 8]] if again.gait == "walk" else np.zeros(3)
+        current[[3, 4, 2]] += v * TICK * 1e-9
+        current[[5, 0, 1]] = again.reference[0, [5, 0, 1]]
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        GaitCommand("trot", NOTHING, np.array([0.04, 0.0, 0.0])),
+        GaitCommand("walk", np.full(3, 9.0), np.array([0.06, 0.0, 0.0])),
+    ],
+)
+def test_a_recorded_command_that_is_out_of_range_is_refused(command):
+    with pytest.raises(ConfigError):
+        GaitScheduler(GAITS, ROBOT, SPRINGS, "stand", NOTHING).set_command(command)

@@ -1,0 +1,123 @@
+"""Whether the machine kept up with real time while a test ran: late wake-ups, CPU that others took.
+
+A test in real time that fails on a machine which did not keep up says nothing about the graph: it
+is reported as skipped, with the figures. On a machine that kept up a failure stays a failure.
+"""
+
+import os
+import threading
+import time
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+PERIOD = 0.05  # s, between two wake-ups
+WINDOW = 20  # periods, over which the CPU is counted: the kernel does so in steps of 10 ms
+LATE = 0.05  # s; the limits of the tests are ten times as long or more
+LARGEST_LATE_SHARE = 0.02  # of the wake-ups
+LARGEST_TAKEN = 0.25  # of the CPU, over the whole test
+LARGEST_TAKEN_IN_WINDOW = 0.6  # of the CPU, over a second: a half of two cores, and a tenth
+
+
+@dataclass(frozen=True)
+class Cpu:
+    """CPU time since the machine's start, s: passed on all cores, spent, and spent by the test."""
+
+    passed: float
+    busy: float  # stolen time included
+    own: float
+
+
+@dataclass
+class Load:
+    """Samples of a test's time: lateness of each wake-up (s), and the CPU every WINDOW of them."""
+
+    late: list[float] = field(default_factory=list)
+    cpu: list[Cpu] = field(default_factory=list)
+
+    def taken(self) -> np.ndarray:
+        """Share of the CPU that others took or the host stole, in each window (n,)."""
+        passed, busy, own = np.diff([[c.passed, c.busy, c.own] for c in self.cpu], axis=0).T
+        return np.clip((busy - own) / np.maximum(passed, 1e-9), 0.0, 1.0)
+
+    def overload(self) -> str:
+        """Why the machine did not keep up, with the figures; "" if it did."""
+        reasons = []
+        late_share = np.mean(np.array(self.late) > LATE) if self.late else 0.0
+        if late_share > LARGEST_LATE_SHARE:
+            reasons.append(
+                f"{100 * late_share:.0f} % of the wake-ups more than {1e3 * LATE:.0f} ms late, "
+                f"at most {1e3 * max(self.late):.0f} ms"
+            )
+        taken = self.taken() if len(self.cpu) > 1 else np.zeros(1)
+        if taken.mean() > LARGEST_TAKEN or taken.max() > LARGEST_TAKEN_IN_WINDOW:
+            reasons.append(
+                f"other programs took {100 * taken.mean():.0f} % of the CPU, "
+                f"at most {100 * taken.max():.0f} % in a second"
+            )
+        return "; ".join(reasons)
+
+
+def read_cpu():
+    """The CPU times now, of the cores that this process may use."""
+    cores = {f"cpu{number}" for number in os.sched_getaffinity(0)}
+    rows = [line.split() for line in Path("/proc/stat").read_text().splitlines()]
+    ticks = np.sum([[int(v) for v in row[1:9]] for row in rows if row[0] in cores], axis=0)
+    idle = ticks[3] + ticks[4]  # user nice system idle iowait irq softirq steal
+    hertz = os.sysconf("SC_CLK_TCK")
+    return Cpu(ticks.sum() / hertz, (ticks.sum() - idle) / hertz, own_cpu())
+
+
+def own_cpu():
+    """CPU time of this process, its descendants and those that have ended, s."""
+    this, total = psutil.Process(), 0.0
+    for process in (this, *this.children(recursive=True)):
+        with suppress(psutil.Error):  # it has ended meanwhile
+            total += sum(process.cpu_times()[:4])  # user, system, and both of ended children
+    return total
+
+
+@contextmanager
+def measured():
+    """The load while the block runs; sampled on a thread."""
+    load, ended = Load(cpu=[read_cpu()]), threading.Event()
+
+    def sample():
+        due = time.monotonic() + PERIOD
+        while not ended.wait(max(0.0, due - time.monotonic())):
+            now = time.monotonic()
+            load.late.append(now - due)
+            due = now + PERIOD
+            if len(load.late) % WINDOW == 0:
+                load.cpu.append(read_cpu())
+
+    thread = threading.Thread(target=sample, daemon=True)
+    thread.start()
+    try:
+        yield load
+    finally:
+        ended.set()
+        thread.join()
+
+
+class Judge:
+    """Excuses the failures of tests on a machine that did not keep up.
+
+    A fixture of a module fails once, and every test that uses it gets the same exception later.
+    """
+
+    def __init__(self):
+        self._excused = []  # exceptions with their reasons
+
+    def judge(self, report, where, error, load):
+        """Change the report of a failure with its exception if the load excuses it."""
+        if not report.failed:
+            return
+        known = next((reason for excused, reason in self._excused if excused is error), "")
+        if reason := known or load.overload():
+            self._excused.append((error, reason))
+            report.outcome = "skipped"
+            report.longrepr = (*where, f"Skipped: machine too slow: {reason}")

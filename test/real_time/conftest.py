@@ -1,0 +1,17 @@
+"""Fixtures of tests in real time: a graph as processes, and limits that hold on a busy machine."""
+
+import os
+
+import pytest
+from real_graph import PATIENT, changed_config
+from rig import Rig, maker
+from stub_supervisor import stub  # noqa: F401 - a fixture
+
+make_rig = maker(Rig)
+
+
+@pytest.fixture(scope="session")
+def environment(tmp_path_factory):
+    """Environment variables with a configuration of longer time limits."""
+    config = changed_config(tmp_path_factory.mktemp("patient"), PATIENT)
+    return os.environ | {"SLOT_CONFIG": str(config)}
