@@ -56,7 +56,8 @@ def test_the_gait_alone_commands_the_angles_of_the_gait():
     """Under a payload, of which nothing else takes account."""
     changes = dict(COLUMNS[ALONE].changes) | {"scene.payload.mass": 0.5}
     for gait, velocity in (("stand", 0.0), ("walk", 0.05)):
-        loop = ClosedLoop("flat", gait, np.array([velocity, 0.0, 0.0]), 1, changes=changes)
+        speed = np.array([velocity, 0.0, 0.0])
+        loop = ClosedLoop("flat", gait, speed, 1, COLUMNS[ALONE].policy, changes=changes)
         for tick in loop.run(30):
             assert tick.command.angle == pytest.approx(tick.preview.tendon_angle[0], abs=1e-9)
 

@@ -109,6 +109,7 @@ def test_the_reference_is_a_box_in_its_pose_with_its_way_over_the_horizon():
 def test_a_message_that_does_not_fit_is_refused_with_its_reason(topic, broken, reason):
     received = {
         "/ground_truth/legs": legs(leg_nodes(WALK, 0.0)),
+        "/tendon_plan": late,
         "/gait_preview": preview(),
         "/mpc_state": message("/mpc_state", 1.0, position=[np.nan, 0.0, 0.0]),
     }[topic]
@@ -162,7 +163,7 @@ def test_curves_of_the_legs_are_in_their_order_whatever_that_of_the_message(bag)
 
 def test_states_are_named_and_every_topic_has_curves_of_its_plots():
     walking = message("/robot_state", 1.0, state=3)
-    late = message("/tendon_plan", 1.0, status=2, solve_time=0.004)
+    late = message("/tendon_plan", 1.0, stages=1, force=np.zeros(12), status=2, solve_time=0.004)
     assert traces.states("/robot_state", walking) == {"supervisor": "WALKING"}
     assert traces.states("/tendon_plan", late) == {"mpc": "LATE"}
     assert traces.values("/tendon_plan", late)["solve_time/mpc"] == pytest.approx([4.0])
@@ -172,6 +173,7 @@ def test_states_are_named_and_every_topic_has_curves_of_its_plots():
             "/ground_truth/odom", 1.0, pose__pose__orientation=[0, 0, 0, 1]
         ),
         "/ground_truth/legs": legs(leg_nodes(WALK, 0.0)),
+        "/tendon_plan": late,
         "/gait_preview": preview(),
         "/joint_states": joints(np.zeros(4)),
         "/desired_joint_angles": joints(np.zeros(4)),

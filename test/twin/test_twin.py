@@ -41,7 +41,7 @@ def walking_angles():
     t = np.arange(0.0, SECONDS, 0.01)
     velocity = np.array([SPEED, 0.0, 0.0])
     phase = np.clip(t - 1.0, 0.0, None) / stride.period % 1.0
-    angle = stride.course(phase, velocity, stride.walking(velocity), np.zeros(4))[:, :4]
+    angle = stride.stride_table(phase, velocity, stride.walking(velocity), np.zeros(4))[:, :4]
     return TendonAngles(MEASURED, t, np.clip(angle, 0.0, PARTS.robot.tendon.angle_max))
 
 

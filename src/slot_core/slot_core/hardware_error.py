@@ -1,5 +1,6 @@
-"""Hardware errors of the XL430-W250: the bits of its registers Hardware Error Status and Shutdown.
+"""Hardware errors of servos, as bits; another brand maps its own errors onto them.
 
+They are those of the registers Hardware Error Status and Shutdown of the XL430-W250.
 Source: ROBOTIS e-manual, XL430-W250, "Hardware Error Status".
 """
 

@@ -68,28 +68,27 @@ class SimulatedServos(ABC):
         """Whether the servos accept commands; before that no readings are published."""
 
     @abstractmethod
-    def permit(self, permission: Permission) -> None:
-        """Set the newest permission of the supervisor."""
-
-    @abstractmethod
     def offer(self, now: int, stamp: int, angle: Array, rate: Array = AT_REST) -> None:
         """Take angles (4,), rad, at `now`, and their rate; raises ValueError if rejected."""
-
-    @abstractmethod
-    def step(self, now: int) -> None:
-        """Update the commands of the robot at `now`, in real time."""
 
     @abstractmethod
     def health(self, stamp: int) -> ServoHealth | None:
         """Health report at `stamp` (ns); None: nobody reports any more."""
 
     @abstractmethod
-    def close(self, running: bool) -> str:
-        """End, and return the legs with torque still on; `running`: advance the robot meanwhile."""
-
-    @abstractmethod
     def _exchange(self) -> list[Reading]:
         """Pass commands to the servos in lockstep, and return their readings."""
+
+    def permit(self, permission: Permission) -> None:
+        """Set the newest permission of the supervisor."""
+        self.watchdog.permit(permission)
+
+    def step(self, now: int) -> None:  # noqa: B027 - servos on a bus are commanded over it
+        """Update the commands of the robot at `now`."""
+
+    def close(self, running: bool) -> str:
+        """End, and return the legs with torque still on; `running`: advance the robot meanwhile."""
+        return ""
 
     def start(self) -> None:
         """Begin the cycles in lockstep; the robot's clock has started."""
@@ -140,10 +139,6 @@ class DirectServos(SimulatedServos):
         """Whether the servos accept commands: in lockstep with the limits of the supervisor."""
         return not self._lockstep or self.watchdog.limits is not None
 
-    def permit(self, permission: Permission) -> None:
-        """Set the newest permission of the supervisor."""
-        self.watchdog.permit(permission)
-
     def offer(self, now: int, stamp: int, angle: Array, rate: Array = AT_REST) -> None:
         """Take angles (4,), rad, at `now`, and their rate; raises ValueError if rejected."""
         self._commanded, self._arrived = stamp, now
@@ -180,10 +175,6 @@ class DirectServos(SimulatedServos):
             goals.slewed,
             voltage=np.full(len(LEGS), voltage),
         )
-
-    def close(self, running: bool) -> str:
-        """Return "": there is nothing to end."""
-        return ""
 
     def _exchange(self) -> list[Reading]:
         self.step(self._plant.now)
@@ -257,9 +248,6 @@ class BusServos(SimulatedServos):
         if fault := self.session.offer(now, stamp, angle, rate):
             raise ValueError(fault)
         self._exchange()
-
-    def step(self, now: int) -> None:
-        """Do nothing: the servos are commanded over the bus."""
 
     def health(self, stamp: int) -> ServoHealth | None:
         """Health report in lockstep, unless the driver has ended."""
