@@ -109,7 +109,6 @@ def test_the_reference_is_a_box_in_its_pose_with_its_way_over_the_horizon():
 def test_a_message_that_does_not_fit_is_refused_with_its_reason(topic, broken, reason):
     received = {
         "/ground_truth/legs": legs(leg_nodes(WALK, 0.0)),
-        "/tendon_plan": late,
         "/gait_preview": preview(),
         "/mpc_state": message("/mpc_state", 1.0, position=[np.nan, 0.0, 0.0]),
     }[topic]
