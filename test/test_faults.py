@@ -13,7 +13,7 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.faults import Fault
 from slot_core.robot import read_robot
 from slot_core.servos.registry import read_brand
-from slot_core.simulation.plant import Plant
+from slot_core.simulation.plant import RobotSimulator
 
 START, MILLISECOND = 7_000_000_000, 1_000_000  # ns
 STEP = 0.001  # s, of the solver
@@ -29,7 +29,7 @@ def make(solver="standard", bus=False, tendons=None, **faults):
     changes["solver"] = config.load(f"solver/{solver}")
     scene = config.replace(read_scene("flat"), changes)
     emulate = read_brand().emulate if bus else None
-    return Plant(read_robot(), scene, read_servo(), np.random.default_rng(0), emulate)
+    return RobotSimulator(read_robot(), scene, read_servo(), np.random.default_rng(0), emulate)
 
 
 def advance(plant, milliseconds):
@@ -49,7 +49,7 @@ def recorded(plant, milliseconds, read):
 def test_a_planned_tendon_breaks_at_its_time_and_recovers_after_its_duration(solver):
     plant = make(solver, broken=planned("tendon_broken", "RL", 0.010, 0.020))
     plant.start(START)
-    tension = recorded(plant, 60, lambda: plant.simulator.tension)
+    tension = recorded(plant, 60, lambda: plant.robot.tension)
     assert (tension[:11, 2] > 1.0).all()
     # the tension is that of the last step's stage
     assert (tension[11:31, 2] == 0.0).all()
@@ -61,7 +61,7 @@ def test_a_planned_tendon_breaks_at_its_time_and_recovers_after_its_duration(sol
 def test_tendon_slack_lowers_the_tension_of_its_leg_only(solver):
     plant = make(solver, longer=planned("tendon_slack", "FR", 0.010, 0.0, 0.003))
     plant.start(START)
-    tension = recorded(plant, 12, lambda: plant.simulator.tension)
+    tension = recorded(plant, 12, lambda: plant.robot.tension)
     assert tension[11, 1] < 0.8 * tension[10, 1]
     # no effect on the others within one step
     assert tension[11, [0, 2, 3]] == pytest.approx(tension[10, [0, 2, 3]], rel=0.05)
@@ -73,7 +73,7 @@ def test_a_fault_adds_to_the_tendon_damage_of_the_scene_and_ends_without_it():
     plant.start(START)
     plant.inject(Fault("tendon_slack", "all", 0, 0.01, 0.002))
     plant.inject(Fault("tendon_broken", "all", 0, 0.01, 0))
-    fault = plant.simulator.model.fault
+    fault = plant.robot.model.fault
     assert fault.tolist() == [[0.003, 0.002, 0.002, 0.002], [0.0] * 4]
     advance(plant, 11)
     assert fault.tolist() == [[0.001, 0.0, 0.0, 0.0], [1.0, 0.0, 1.0, 1.0]]
@@ -82,7 +82,7 @@ def test_a_fault_adds_to_the_tendon_damage_of_the_scene_and_ends_without_it():
 def test_the_end_of_a_replaced_or_cleared_fault_does_not_end_its_successor():
     plant = make()
     plant.start(START)
-    slack = plant.simulator.model.fault[0]
+    slack = plant.robot.model.fault[0]
     plant.inject(Fault("tendon_slack", "FL", 0, 0.010, 0.001))
     advance(plant, 5)
     plant.inject(Fault("tendon_slack", "all", 0, 0.020, 0.002))
@@ -99,7 +99,7 @@ def test_a_fault_injected_before_the_start_acts_at_once_and_its_time_runs_from_t
     plant = make()
     plant.readings_at_rest(START)
     plant.inject(Fault("tendon_broken", "FL", 0, 0.010, 0))
-    holds = plant.simulator.model.fault[1]
+    holds = plant.robot.model.fault[1]
     assert holds[0] == 0.0
     plant.start(START + 1000 * MILLISECOND)
     assert recorded(plant, 15, lambda: holds[0]).tolist() == [0.0] * 10 + [1.0] * 6
@@ -171,7 +171,7 @@ def test_a_robot_on_a_bus_supports_the_faults_of_its_legs_too():
     plant.inject(Fault("tendon_broken", "FL", 0, 0, 0))
     plant.inject(Fault("unplugged", "FL", 0, 0, 0))
     advance(plant, 2)
-    assert plant.simulator.tension[0] == 0.0
+    assert plant.robot.tension[0] == 0.0
     assert plant.emulated.bus.unplugged
     plant.clear("unplugged", "FL")
     assert not plant.emulated.bus.unplugged
@@ -180,7 +180,7 @@ def test_a_robot_on_a_bus_supports_the_faults_of_its_legs_too():
 def test_a_nan_in_a_rod_raises_divergence_and_its_state_can_be_saved_and_loaded(tmp_path):
     plant = make(lost=planned("nan", "RL", 0.020))
     plant.start(START)
-    command = plant.simulator.tendon_angle + 0.1
+    command = plant.robot.tendon_angle + 0.1
     plant.command(command)
     with pytest.raises(
         DivergenceError, match=r"in step 21 at 0\.0200 s: .* not a number"
@@ -207,7 +207,7 @@ def test_every_model_attaches_its_state_to_the_divergence(solver, monkeypatch):
     monkeypatch.setattr(f"{__name__}.SETTLE", 0.0)
     plant = make(solver)
     plant.start(START)
-    plant.simulator.state.velocity[:] = 2000.0  # m/s, beyond the speed limit of every model
+    plant.robot.state.velocity[:] = 2000.0  # m/s, beyond the speed limit of every model
     plant.command(np.full(4, 0.5))
     with pytest.raises(DivergenceError) as raised:
         advance(plant, 10)

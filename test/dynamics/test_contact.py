@@ -67,12 +67,12 @@ def test_a_sliding_robot_decelerates_at_mu_g_and_keeps_its_heading():
     before = sim.momentum()[0]
     sim.advance(200, command)
     after = sim.momentum()[0]
-    normal = sim.robot.weight * 0.2 + (after - before)[2]
+    normal = sim.parameters.weight * 0.2 + (after - before)[2]
     lost = np.linalg.norm(before[:2]) - np.linalg.norm(after[:2])
     # All feet slide, but they also move across the heading while they splay and bend sideways, so
     # their friction is not all along it. The regularisation costs (eps/v)^2 = 1e-5.
     assert lost == pytest.approx(0.4 * normal, rel=0.04)
-    assert lost / sim.robot.mass / 0.2 == pytest.approx(0.4 * GRAVITY, rel=0.05)
+    assert lost / sim.parameters.mass / 0.2 == pytest.approx(0.4 * GRAVITY, rel=0.05)
     turned = np.arctan2(after[1], after[0]) - np.arctan2(before[1], before[0])
     assert abs(turned) < 0.03  # the robot is not isotropic
 
@@ -86,7 +86,7 @@ def test_a_robot_on_a_frictionless_incline_accelerates_freely():
     sim.advance(300, sim.tendon_angle)
     gained = sim.momentum()[0][0] - before
     # Exact up to the iteration: only gravity acts along the floor.
-    assert gained == pytest.approx(sim.robot.mass * scene.gravity[0] * 0.3, rel=1e-9)
+    assert gained == pytest.approx(sim.parameters.mass * scene.gravity[0] * 0.3, rel=1e-9)
 
 
 @njit
@@ -201,7 +201,7 @@ def test_bristles_hold_below_the_friction_angle_without_creep():
     sim.advance(10000, sim.tendon_angle)
     assert np.abs(sim.position - x)[:2].max() < 1e-6  # m in 10 s
     assert sim.ground_force[:, 0].sum() == pytest.approx(
-        sim.robot.weight * np.sin(np.radians(20.0)), rel=1e-3
+        sim.parameters.weight * np.sin(np.radians(20.0)), rel=1e-3
     )
 
 
@@ -210,14 +210,14 @@ def test_bristles_slide_above_the_friction_angle_by_coulombs_law():
     before = sim.momentum()[0]
     sim.advance(1000, sim.tendon_angle)
     gained = sim.momentum()[0] - before
-    weight = sim.robot.weight
+    weight = sim.parameters.weight
     normal = weight * np.cos(np.radians(25.0)) + gained[2]  # N s, impulse of the floor in 1 s
     expected = -weight * np.sin(np.radians(25.0)) + 0.4 * normal
     assert gained[0] == pytest.approx(expected, rel=1e-4)  # the feet splay a little meanwhile
     # The normal impulse is that of the weight, except for the settling of the legs.
     slope = np.radians(25.0)
     free = -GRAVITY * (np.sin(slope) - 0.4 * np.cos(slope))
-    assert gained[0] / sim.robot.mass == pytest.approx(free, rel=0.03)
+    assert gained[0] / sim.parameters.mass == pytest.approx(free, rel=0.03)
 
 
 @pytest.mark.parametrize("law", ["viscous", "bristle"])
@@ -233,7 +233,7 @@ def test_the_floor_carries_robot_and_payload(law, contact):
     }
     sim = RodRobot(read_robot(), config.replace(read_scene("flat"), changes), read_servo())
     sim.advance(15000, sim.tendon_angle)  # on its tips it oscillates for seconds
-    force, weight = sim.ground_force.sum(0), sim.robot.weight + 0.5 * GRAVITY
+    force, weight = sim.ground_force.sum(0), sim.parameters.weight + 0.5 * GRAVITY
     np.testing.assert_allclose(force, [0.0, 0.0, weight], atol=1e-4 * weight)
 
 

@@ -119,6 +119,8 @@ def test_bumps_carry_the_weight(maps):
     )
     sim.advance(4000, sim.tendon_angle)
     np.testing.assert_allclose(
-        sim.ground_force.sum(0), [0.0, 0.0, sim.robot.weight], atol=1e-3 * sim.robot.weight
+        sim.ground_force.sum(0),
+        [0.0, 0.0, sim.parameters.weight],
+        atol=1e-3 * sim.parameters.weight,
     )
     assert np.abs(sim.rpy[:2]).max() > 1e-3  # it stands tilted

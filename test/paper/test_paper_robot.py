@@ -321,15 +321,15 @@ def test_a_plant_runs_the_papers_robot(monkeypatch):
     changed = functools.partial(PaperRobot, settings=config.replace(PRINTED, STABLE))
     monkeypatch.setitem(plant.MODELS, "paper", changed)
     scene = config.replace(read_scene("paper"), {"start.settle": 0.1})
-    robot = plant.Plant(ROBOT, scene, read_servo(), np.random.default_rng(1))
+    robot = plant.RobotSimulator(ROBOT, scene, read_servo(), np.random.default_rng(1))
     robot.start(0)
     robot.command(np.full(4, 1.0))
     *others, odometry = robot.advance_to_odometry()
     assert isinstance(odometry, OdometryReading)
     kinds = {type(reading) for reading in others}
     assert kinds == {plant.ImuReading, plant.JointReading, plant.TrueState}
-    np.testing.assert_array_equal(robot.simulator.tendon_angle, 1.0)
-    assert robot.simulator.servo_torque == pytest.approx(np.full(4, 1.0 / math.radians(270) * 1.5))
+    np.testing.assert_array_equal(robot.robot.tendon_angle, 1.0)
+    assert robot.robot.servo_torque == pytest.approx(np.full(4, 1.0 / math.radians(270) * 1.5))
 
 
 def test_one_call_of_many_steps_equals_many_calls_of_one_step():

@@ -40,7 +40,7 @@ def test_the_robot_stands_on_servos_of_another_brand(name_brand, monkeypatch):
     assert reports[-1].state is State.STANDING
     assert reports[-1].followed
     assert loop.servos.session.bus.facts.brand == "ideal"
-    assert loop.plant.simulator.position[2] == pytest.approx(0.04, abs=2e-3)
+    assert loop.plant.robot.position[2] == pytest.approx(0.04, abs=2e-3)
     assert loop.servos.close(running=True) == ""
 
 

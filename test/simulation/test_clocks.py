@@ -18,7 +18,7 @@ from slot_core.simulation.clocks import (
     LockstepClock,
     RealTimeClock,
 )
-from slot_core.simulation.plant import Plant, StampedHealth
+from slot_core.simulation.plant import RobotSimulator, StampedHealth
 from slot_core.simulation.sensors import ImuReading, OdometryReading
 from slot_core.simulation.simulated_servos import DirectServos
 
@@ -32,7 +32,7 @@ NOW = 7 * SECOND  # ns
 
 @pytest.fixture
 def plant():
-    return Plant(read_robot(), SCENE, read_servo(), np.random.default_rng(0))
+    return RobotSimulator(read_robot(), SCENE, read_servo(), np.random.default_rng(0))
 
 
 @pytest.fixture
@@ -124,7 +124,7 @@ class LateDriver:
 
     def __init__(self):
         rng = np.random.default_rng(0)
-        self.plant = Plant(read_robot(), SCENE, read_servo(), rng, read_brand().emulate)
+        self.plant = RobotSimulator(read_robot(), SCENE, read_servo(), rng, read_brand().emulate)
         self.now = NOW
         self.driver = self.plant.emulated.connect(lambda: self.now / SECOND)
         self.driver.configure()

@@ -22,8 +22,8 @@ def walk(duration, scene="flat", gait="walk", velocity=(0.05, 0.0, 0.0), seed=0,
     loop = ClosedLoop(scene, gait, np.array(velocity), seed, **options)
     positions, angles, ticks = [], [], []
     for tick in loop.run(round(duration / PERIOD)):
-        positions.append(loop.plant.simulator.position)
-        angles.append(loop.plant.simulator.rpy)
+        positions.append(loop.plant.robot.position)
+        angles.append(loop.plant.robot.rpy)
         ticks.append(tick)
     return np.array(positions), np.array(angles), ticks
 
@@ -188,8 +188,8 @@ def test_values_by_dotted_name_change_the_simulated_robot_and_the_controller():
         "policy.horizon": 10,
     }
     loop = ClosedLoop("flat", "stand", np.zeros(3), 0, changes=changes)
-    assert loop.plant.simulator.scene.payload.mass == 0.3
-    assert loop.plant.simulator.robot.leg.young_modulus == 2e7
+    assert loop.plant.robot.scene.payload.mass == 0.3
+    assert loop.plant.robot.parameters.leg.young_modulus == 2e7
     with pytest.raises(ConfigError, match=r"floor\.friction: expected one of scene, servo, robot"):
         ClosedLoop("flat", "stand", np.zeros(3), 0, changes={"floor.friction": 0.2})
     with pytest.raises(ConfigError, match=r"robot: leg\.mass is not a setting"):
@@ -202,7 +202,7 @@ def test_robot_stands_through_a_gap_of_the_odometry():
     for tick in loop.run(90):
         validities.append(tick.estimate.validity)
         stamps.append(tick.estimate.stamp)
-        height = loop.plant.simulator.position[2]
+        height = loop.plant.robot.position[2]
     assert Validity.ODOMETRY_LOST in validities
     assert validities[-1] == Validity.VALID
     assert np.diff(stamps).min() > 0

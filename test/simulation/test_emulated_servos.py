@@ -17,7 +17,7 @@ from slot_core.faults import Fault
 from slot_core.robot import LEGS, read_robot
 from slot_core.servos.registry import read_brand
 from slot_core.servos.session import ServoSession
-from slot_core.simulation.plant import Plant, immediate_servo
+from slot_core.simulation.plant import RobotSimulator, immediate_servo
 from slot_core.simulation.supervised_loop import SupervisedLoop
 
 ROBOT = read_robot()
@@ -26,7 +26,7 @@ SETTLED = 150  # reports of the supervisor, 3 s: the robot walks at its speed
 
 def make(scene="flat"):
     rng = np.random.default_rng(1)
-    return Plant(ROBOT, read_scene(scene), read_servo(), rng, read_brand().emulate)
+    return RobotSimulator(ROBOT, read_scene(scene), read_servo(), rng, read_brand().emulate)
 
 
 @pytest.fixture
@@ -47,28 +47,28 @@ def switch_on(plant, angles):
 
 
 def test_servos_start_at_the_settled_tendon_angles_with_torque_off(plant):
-    assert plant.emulated.angles() == pytest.approx(plant.simulator.tendon_angle, abs=1e-12)
+    assert plant.emulated.angles() == pytest.approx(plant.robot.tendon_angle, abs=1e-12)
     assert plant.emulated.powered() == ()
 
 
 def test_spool_angles_equal_shaft_angles_after_every_step(plant):
     plant.start(0)
-    switch_on(plant, plant.simulator.tendon_angle + np.array([0.3, -0.1, 0.2, 0.1]))
+    switch_on(plant, plant.robot.tendon_angle + np.array([0.3, -0.1, 0.2, 0.1]))
     assert plant.emulated.powered() == ("FL", "FR", "RL", "RR")
     for _ in range(100):
         run(plant, 0.001)
         # rounding of angle + h (command - angle) / h
-        assert plant.simulator.tendon_angle == pytest.approx(plant.emulated.angles(), abs=1e-12)
+        assert plant.robot.tendon_angle == pytest.approx(plant.emulated.angles(), abs=1e-12)
 
 
 def test_without_torque_tendons_unwind_until_the_friction_of_the_gear_holds_them(plant):
     plant.start(0)
-    before = plant.simulator.tendon_angle
+    before = plant.robot.tendon_angle
     run(plant, 2.0)
-    assert (plant.simulator.tendon_angle < before - 0.05).all()
+    assert (plant.robot.tendon_angle < before - 0.05).all()
     friction = read_emulator().servo.shaft.friction * read_settings().joints.servo_per_tendon
     # the gear holds this load and creeps at a slightly larger one
-    assert plant.simulator.servo_torque.max() < friction * 1.1
+    assert plant.robot.servo_torque.max() < friction * 1.1
 
 
 def test_joint_readings_come_only_from_the_driver(plant):
@@ -90,7 +90,7 @@ def test_spool_angles_stay_within_the_range_of_the_tendons(plant):
     switch_on(plant, np.full(4, low))
     run(plant, 1.0)
     assert plant.emulated.angles().max() < 0.0
-    assert (plant.simulator.tendon_angle >= 0.0).all()
+    assert (plant.robot.tendon_angle >= 0.0).all()
 
 
 def driver_of(plant):
@@ -113,7 +113,7 @@ def test_servos_measure_the_scenes_voltage_and_the_torque_of_the_tendons(scene):
     found = cycle.joints(plant.now, read_servo().tendon_stall(session.voltage))
     # within two counts of the encoder, of which the P gain makes 0.7 % of stall each, and what the
     # friction of the guide holds
-    expected, give = plant.simulator.servo_torque, ROBOT.tendon.capstan
+    expected, give = plant.robot.servo_torque, ROBOT.tendon.capstan
     assert (np.abs(found.torque - expected) < 2 * 0.0071 * 1.45 + (give - 1) * expected).all()
 
 
@@ -146,7 +146,7 @@ def test_driver_measures_the_loss_of_load_of_a_damaged_tendon(plant, kind, value
 def walk(hardware):
     """A walk of 10 s: the loop at its end, and the torso's centre (n, 3), m, every 20 ms."""
     loop = SupervisedLoop("flat", "walk", None, 0, hardware=hardware)
-    return loop, np.array([loop.plant.simulator.position for _ in loop.run(10.0)])
+    return loop, np.array([loop.plant.robot.position for _ in loop.run(10.0)])
 
 
 @pytest.fixture(scope="module")

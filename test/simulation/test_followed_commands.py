@@ -33,7 +33,7 @@ def until(loop, wanted, seconds):
 def heights(loop, seconds):
     """Times since the call, s, and heights of the torso, mm."""
     begin = time(loop)
-    rows = [(time(loop) - begin, 1e3 * loop.plant.simulator.position[2]) for _ in loop.run(seconds)]
+    rows = [(time(loop) - begin, 1e3 * loop.plant.robot.position[2]) for _ in loop.run(seconds)]
     return np.array(rows).T
 
 
@@ -46,7 +46,7 @@ def test_a_robot_that_has_lain_slack_stands_up_without_a_leap():
     list(loop.run(1.0))
     request(loop, Request.READY)
     list(loop.run(1.0))
-    assert loop.plant.simulator.position[2] < 0.02
+    assert loop.plant.robot.position[2] < 0.02
     request(loop, Request.STAND)
     t, height = heights(loop, 5.0)
     assert height.max() < 50.0
@@ -80,6 +80,6 @@ def test_a_walk_goes_on_after_a_hold_of_four_seconds():
     assert loop.report.state is State.HOLD
     np.testing.assert_array_equal(feedback.corrections, before)
     loop.running.add("mpc_controller")
-    begin = loop.plant.simulator.position[0]
+    begin = loop.plant.robot.position[0]
     assert {report.state for report in loop.run(8.0)} == {State.HOLD, State.WALKING}
-    assert loop.plant.simulator.position[0] - begin > 0.05 * 6.0
+    assert loop.plant.robot.position[0] - begin > 0.05 * 6.0

@@ -8,7 +8,7 @@ from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.robot import read_robot
-from slot_core.simulation.plant import Plant, TrueState
+from slot_core.simulation.plant import RobotSimulator, TrueState
 
 START, MILLISECOND = 7_000_000_000, 1_000_000  # ns
 FORCE, MOMENT = [0.0, 4.0, 1.0], [0.1, 0.0, 0.2]
@@ -19,7 +19,7 @@ SECOND = {"time": 0.12, "duration": 0.1, "force": [2.0, 0.0, 0.0], "moment": [0.
 def plant(**pushes):
     changes = {"pushes": pushes, "start.settle": 0.3}
     scene = config.replace(read_scene("flat"), changes)
-    return Plant(read_robot(), scene, read_servo(), np.random.default_rng(0))
+    return RobotSimulator(read_robot(), scene, read_servo(), np.random.default_rng(0))
 
 
 def acting_pushes(plant, milliseconds):
@@ -27,7 +27,7 @@ def acting_pushes(plant, milliseconds):
     plant.start(START)
     acting = []
     for k in range(milliseconds):
-        acting.append(plant.simulator.model.push.copy())
+        acting.append(plant.robot.model.push.copy())
         list(plant.advance(START + (k + 1) * MILLISECOND))
     return np.array(acting)
 
@@ -47,11 +47,11 @@ def test_robots_with_and_without_a_push_are_equal_until_it_begins():
     for until, same in [(100, True), (101, False)]:
         for each in (pushed, still):
             list(each.advance(START + until * MILLISECOND))
-        equal = np.array_equal(pushed.simulator.position, still.simulator.position)
+        equal = np.array_equal(pushed.robot.position, still.robot.position)
         assert equal is same  # bit-equal until the push begins
     for each in (pushed, still):
         list(each.advance(START + 150 * MILLISECOND))
-    gained = (pushed.simulator.momentum()[0] - still.simulator.momentum()[0])[1]
+    gained = (pushed.robot.momentum()[0] - still.robot.momentum()[0])[1]
     assert 0.0 < gained < 4.0 * 0.05  # N s; the floor takes a part
 
 
@@ -68,27 +68,27 @@ def test_push_between_two_time_steps_does_not_shift_the_clock():
 def test_a_push_that_the_robot_does_not_support_is_refused_at_once():
     scene = config.replace(read_scene("paper"), {"pushes": {"first": FIRST}, "start.settle": 0.0})
     with pytest.raises(ConfigError, match="legs of the model 'paper' do not support pushes"):
-        Plant(read_robot(), scene, read_servo(), np.random.default_rng(0))
+        RobotSimulator(read_robot(), scene, read_servo(), np.random.default_rng(0))
 
 
 def test_a_command_goes_on_at_its_rate_for_a_tenth_of_a_second():
     """The ideal servo shows it: it follows its goal, which moves every 10 ms."""
     ideal = config.replace(read_servo(), {"model": "ideal", "lag": 1e-3, "ideal_rpm": 1000.0})
     scene = config.replace(read_scene("flat"), {"start.settle": 0.3})
-    each = Plant(read_robot(), scene, ideal, np.random.default_rng(0))
+    each = RobotSimulator(read_robot(), scene, ideal, np.random.default_rng(0))
     each.start(START)
-    begin, rate = each.simulator.tendon_angle, np.array([1.0, -0.5, 0.0, 2.0])
+    begin, rate = each.robot.tendon_angle, np.array([1.0, -0.5, 0.0, 2.0])
     each.command(begin, rate)
     for milliseconds, moved in [(9, 0.0), (19, 0.01), (99, 0.09), (200, 0.1), (300, 0.1)]:
         list(each.advance(START + milliseconds * MILLISECOND))
-        assert each.simulator.tendon_angle == pytest.approx(begin + moved * rate, abs=1e-5)
+        assert each.robot.tendon_angle == pytest.approx(begin + moved * rate, abs=1e-5)
 
 
 @pytest.mark.parametrize(("legs", "segments"), [("spatial", 21), ("planar", 21), ("map", 0)])
 def test_the_truth_has_the_directors_of_the_legs_that_have_a_width(legs, segments):
     changes = {"solver.legs": legs, "solver.halvings": 0, "start.settle": 0.1}
     scene = config.replace(read_scene("flat"), changes)
-    made = Plant(read_robot(), scene, read_servo(), np.random.default_rng(0))
+    made = RobotSimulator(read_robot(), scene, read_servo(), np.random.default_rng(0))
     made.start(START)
     truth = [r for r in made.advance(START + 40 * MILLISECOND) if isinstance(r, TrueState)][-1]
     assert truth.directors.shape == (4, segments, 3)

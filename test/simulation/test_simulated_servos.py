@@ -17,7 +17,7 @@ from slot_core.safety.commands import Action
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.watchdog import NO_LIMITS, Permission
 from slot_core.servos.registry import read_brand
-from slot_core.simulation.plant import Plant
+from slot_core.simulation.plant import RobotSimulator
 from slot_core.simulation.simulated_servos import (
     CLOSE_TIMEOUT,
     BusServos,
@@ -34,7 +34,7 @@ COMMAND = np.array([1.3, 1.0, 0.9, 1.2])  # rad, within 0.3 rad of the start
 
 
 def make_plant():
-    return Plant(ROBOT, SCENE, SERVO, np.random.default_rng(0))
+    return RobotSimulator(ROBOT, SCENE, SERVO, np.random.default_rng(0))
 
 
 class DirectRig:
@@ -50,7 +50,7 @@ class DirectRig:
     @property
     def angle(self):
         """(4,) rad, angles of the spools."""
-        return self.plant.simulator.tendon_angle
+        return self.plant.robot.tendon_angle
 
     def offer(self, angle):
         self.servos.offer(self.plant.now, self.plant.now, angle)
@@ -112,7 +112,7 @@ def test_under_off_torque_is_off_and_the_tendons_unwind(direct):
     assert not health.torque.any()
     direct.run(1.0, Action.OFF)
     assert direct.angle == pytest.approx(np.zeros(4), abs=1e-3)
-    assert direct.plant.simulator.tension == pytest.approx(np.zeros(4), abs=1e-6)
+    assert direct.plant.robot.tension == pytest.approx(np.zeros(4), abs=1e-6)
 
 
 def test_torque_back_on_engages_at_the_angles_of_the_spools(direct):
@@ -135,7 +135,7 @@ def bus(tmp_path):
     """Bus servos at a pseudo-terminal, with their simulated robot."""
     interval = sys.getswitchinterval()
     rng = np.random.default_rng(0)
-    plant = Plant(ROBOT, SCENE, read_servo(), rng, read_brand().emulate)
+    plant = RobotSimulator(ROBOT, SCENE, read_servo(), rng, read_brand().emulate)
     servos = BusServos(plant, link=tmp_path / "servos")
     yield servos, plant
     servos.close(running=False)
@@ -160,15 +160,15 @@ def test_bus_servos_check_the_range_of_commands_and_do_not_apply_them(bus):
     plant.start(0)
     set_torque(plant, *LEGS)
     for joint, servo, angle in zip(
-        plant.emulated.joints, plant.emulated.bus.servos, plant.simulator.tendon_angle
+        plant.emulated.joints, plant.emulated.bus.servos, plant.robot.tendon_angle
     ):
         servo.memory["goal_position"] = joint.counts(angle)
-    before = plant.simulator.tendon_angle
+    before = plant.robot.tendon_angle
     servos.offer(0, 0, np.full(4, 2.0))
     servos.step(0)
     list(plant.advance(10 * TICK))
     # they hold the goal in the register, but for the error of a proportional controller
-    assert plant.simulator.tendon_angle == pytest.approx(before, abs=0.2)
+    assert plant.robot.tendon_angle == pytest.approx(before, abs=0.2)
     with pytest.raises(ValueError, match="is not inside"):
         servos.offer(0, 0, np.full(4, -0.1))
 

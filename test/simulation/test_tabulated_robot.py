@@ -284,7 +284,7 @@ def test_walking_speed_agrees_with_the_rods():
     speeds = []
     for name, legs in (("map", {}), ("flat", {"scene.solver.legs": "spatial"})):
         loop = ClosedLoop(name, "walk", None, 0, changes=legs)
-        where = [loop.plant.simulator.position[0] for _ in loop.run(260)]
+        where = [loop.plant.robot.position[0] for _ in loop.run(260)]
         speeds.append((where[-1] - where[42]) / (PERIOD * 217))  # ten strides
     assert 0.6 * speeds[1] < speeds[0] < 1.1 * speeds[1]  # 0.039 and 0.051 m/s
 

@@ -215,7 +215,7 @@ def test_the_robot_walks_in_closed_loop_through_its_pictures(changes):
     loop = ClosedLoop("marker_camera", "walk", None, 0, changes=changes)
     errors, ticks = [], 48
     for tick in loop.run(ticks):
-        true, state = loop.plant.simulator, tick.estimate.state
+        true, state = loop.plant.robot, tick.estimate.state
         errors.append([*(state[3:6] - true.position), *(state[9:12] - true.velocity)])
     assert len(errors) == ticks
     rms = np.sqrt(np.mean(np.square(errors[15:]), axis=0))

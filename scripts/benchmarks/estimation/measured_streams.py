@@ -15,7 +15,7 @@ from slot_core.dynamics.servo import ServoSettings
 from slot_core.geometry import rpy_of
 from slot_core.robot import Array, RobotParameters
 from slot_core.simulation.closed_loop import ClosedLoop
-from slot_core.simulation.plant import Plant, Reading
+from slot_core.simulation.plant import Reading, RobotSimulator
 from slot_core.simulation.sensors import ImuReading, OdometryReading
 
 _SENSORS = read_scene("flat").sensors
@@ -24,7 +24,7 @@ ARRIVAL_ORDER = {ImuReading: 0, OdometryReading: 1}
 Arrival = tuple[int, ImuReading | OdometryReading]
 
 
-class RecordingPlant(Plant):
+class RecordingPlant(RobotSimulator):
     """A plant that keeps its IMU samples, its odometry and the true state at every IMU sample."""
 
     def __init__(
@@ -35,7 +35,7 @@ class RecordingPlant(Plant):
         self.truth: list[tuple[int, Array]] = []
 
     def _read_imu(self) -> list[Reading]:
-        sim, readings = self.simulator, super()._read_imu()
+        sim, readings = self.robot, super()._read_imu()
         angles = rpy_of(Rotation.from_matrix(sim.rotation))
         rate = sim.rotation @ sim.angular_velocity
         self.truth.append((self.now, np.concatenate([angles, sim.position, rate, sim.velocity])))
@@ -116,7 +116,7 @@ class Slam:
         return sorted(result, key=lambda item: (item[0], ARRIVAL_ORDER[type(item[1])]))
 
 
-def with_delay(delay: float) -> type[Plant]:
+def with_delay(delay: float) -> type[RobotSimulator]:
     """A plant whose odometry is late by `delay`, s."""
 
     class LatePlant(RecordingPlant):

@@ -17,7 +17,7 @@ from slot_core.dynamics.servo import ServoSettings
 from slot_core.joint_reading import JointReading
 from slot_core.robot import Array, RobotParameters
 from slot_core.simulation.closed_loop import ClosedLoop
-from slot_core.simulation.plant import Plant, Reading, TrueState
+from slot_core.simulation.plant import Reading, RobotSimulator, TrueState
 from slot_lab.bags.measured import MEASURED, ODOMETRY, TendonAngles
 from slot_lab.bags.recorded_walk import TorsoTrack
 from slot_lab.twin.recorded import BagRecording
@@ -26,7 +26,7 @@ POSITION_NOISE, ANGLE_NOISE = 1e-3, 2e-3  # m, rad: the odometry of config/scene
 ENCODER = 2 * np.pi / 4096  # rad, of the servos
 
 
-class TruePlant(Plant):
+class TruePlant(RobotSimulator):
     """A plant that keeps its tendon angles and its true states."""
 
     def __init__(

@@ -47,7 +47,7 @@ def rows(quick: bool, progress: Callable[[str], None]) -> list[Row]:
 def shots(count: int) -> list[FilmedRobot]:
     """The walking robot at `count` pictures."""
     loop, found, robot = ClosedLoop("flat", "walk", None, 0), list[FilmedRobot](), read_robot()
-    sim = loop.plant.simulator
+    sim = loop.plant.robot
     for _ in loop.run(count):
         base = Transform(sim.rotation.copy(), sim.position.copy())
         found.append(filmed(robot, base, sim.nodes.copy(), sim.directors.copy()))
@@ -108,7 +108,7 @@ def errors(
 def walk_row(scene: str, duration: float) -> Row:
     """Velocity, drift to the side and error of the estimate of a walk."""
     loop, off = ClosedLoop(scene, "walk", None, 0, make=RecordingPlant), list[Array]()
-    sim = loop.plant.simulator
+    sim = loop.plant.robot
     for tick in loop.run(round(duration / PERIOD)):
         state = tick.estimate.state
         off.append(np.concatenate([state[3:6] - sim.position, state[9:12] - sim.velocity]))

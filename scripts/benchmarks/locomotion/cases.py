@@ -137,7 +137,7 @@ def run_case(case: Case, column: str, seed: int) -> WalkMotion:
         path=_path(case),
         lost_odometry=case.lost_odometry,
     )
-    scheduler, sim, schedule = loop.controller.scheduler, loop.plant.simulator, [*case.schedule]
+    scheduler, sim, schedule = loop.controller.scheduler, loop.plant.robot, [*case.schedule]
     if case.pose is not None:
         scheduler.set_pose(np.array(case.pose))
     rows, fallen = [], False

@@ -61,7 +61,7 @@ def poses(case: Case, times: Sequence[float]) -> list[Snapshot]:
     loop = ClosedLoop(case.scene, case.gait, np.array(case.velocity), 1)
     if case.pose is not None:
         loop.controller.scheduler.set_pose(np.array(case.pose))
-    sim, robot, found = loop.plant.simulator, read_robot(), {}
+    sim, robot, found = loop.plant.robot, read_robot(), {}
     wanted = [round((case.duration + time) / DT) for time in times]
     for k, _ in enumerate(loop.run(max(wanted) + 1)):
         legs = bent_legs(sim.nodes, sim.directors, sim.quaternion, robot)

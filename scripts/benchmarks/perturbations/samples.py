@@ -30,7 +30,7 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.mpc.settings import read_mpc
 from slot_core.robot import Array, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
-from slot_core.simulation.plant import Plant
+from slot_core.simulation.plant import RobotSimulator
 
 RANGES = {
     "payload": (0.0, 0.6),  # kg at the torso's centre, not in the controller's model
@@ -141,8 +141,8 @@ def robot_states(sample: RandomSample) -> tuple[Array, int]:
     observer = {"policy.disturbance.time": sample.observer}
     loop = ClosedLoop("flat", "stand", np.zeros(3), sample.seed, "forces", changes=observer)
     rng = np.random.default_rng([sample.seed, sample.index, 1])
-    loop.plant = Plant(read_robot(), scene, servo, rng)
-    sim, push, rows, unsolved = loop.plant.simulator, _push(sample), [], 0
+    loop.plant = RobotSimulator(read_robot(), scene, servo, rng)
+    sim, push, rows, unsolved = loop.plant.robot, _push(sample), [], 0
     begin, end = round(PUSH_AT / DT), round((PUSH_AT + PUSH_TIME) / DT)
     for k, tick in enumerate(loop.run(round(DURATION / DT))):
         if k in {begin, end}:

@@ -42,7 +42,7 @@ from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
-from slot_core.simulation.plant import Plant
+from slot_core.simulation.plant import RobotSimulator
 
 SEED = 0  # of the sensors' noise
 PULSE_TICKS = 3
@@ -77,8 +77,8 @@ def lowest_angle(height: float) -> float:
 
     def above(angle_deg: float) -> float:
         scene = config.replace(read_scene("flat"), {"start.tendon_angle_deg": angle_deg})
-        plant = Plant(read_robot(), scene, read_servo(), np.random.default_rng(0))
-        return float(plant.simulator.position[2]) - height
+        plant = RobotSimulator(read_robot(), scene, read_servo(), np.random.default_rng(0))
+        return float(plant.robot.position[2]) - height
 
     return (
         0.0
@@ -117,8 +117,8 @@ def states(
     """(n, 12) true states at the ticks, costs of the MPC, number of steps without a solution."""
     scene = config.replace(scene, {"start.tendon_angle_deg": realised.start_angle_deg})
     loop = ClosedLoop("flat", "stand", np.zeros(3), SEED)
-    loop.plant = Plant(read_robot(), scene, read_servo(), np.random.default_rng(SEED))
-    sim, nothing = loop.plant.simulator, np.zeros(3)
+    loop.plant = RobotSimulator(read_robot(), scene, read_servo(), np.random.default_rng(SEED))
+    sim, nothing = loop.plant.robot, np.zeros(3)
     moment = np.array([*realised.moment, 0.0])
     rows, costs, infeasible = [], [], 0
     for k, tick in enumerate(loop.run(round(duration / DT))):

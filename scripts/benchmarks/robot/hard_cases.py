@@ -60,7 +60,7 @@ def drop(robot: Changes | None = None, **floor_or_solver: Any) -> Changes:
 
 def wound(sim: RodRobot) -> None:
     """Set all spools to the largest tendon angle at once: the cables stretch by 17 mm and more."""
-    sim.state.tendon_angle[:] = sim.robot.tendon.angle_max
+    sim.state.tendon_angle[:] = sim.parameters.tendon.angle_max
 
 
 def turned_over(sim: RodRobot) -> None:

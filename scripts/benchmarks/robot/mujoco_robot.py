@@ -263,7 +263,7 @@ class MujocoRobot(SimulatedRobot):
     def __init__(
         self, robot: RobotParameters, scene: Scene, servo: ServoSettings, engine: Engine = DEFAULT
     ) -> None:
-        self.robot, self.scene, self.engine = robot, scene, engine
+        self.parameters, self.scene, self.engine = robot, scene, engine
         model = build_model(robot, scene, servo)
         self._law, self._radius = model.servo, model.tendon.spool_radius
         if not self._law.pid or self._law.integral or self._law.play:
@@ -335,7 +335,7 @@ class MujocoRobot(SimulatedRobot):
         """(4, N, 3) m, nodes of the legs in odom, clamp first; between the edges of the links."""
         mujoco.mj_kinematics(self._model, self._data)
         ends = self._data.geom_xpos[1 + CORNERS :].reshape(4, -1, 2, 3).mean(axis=2)
-        clamps = self.position + self.robot.clamps @ self.rotation.T
+        clamps = self.position + self.parameters.clamps @ self.rotation.T
         return np.concatenate([clamps[:, None], ends], axis=1)
 
     @property

@@ -273,7 +273,7 @@ def tracked(sim: SimulatedRobot, stride: Stride, tuning: TuningSettings) -> Arra
     phase = np.arange(last) * dt / stride.period % 1.0
     angle = stride.stride_table(phase, velocity, stride.walking(velocity), np.zeros(4))[:, :4]
     rows = []
-    for command in np.minimum(angle, sim.robot.tendon.angle_max):
+    for command in np.minimum(angle, sim.parameters.tendon.angle_max):
         sim.advance(steps, command)
         rows.append([sim.time, *sim.position, *sim.rpy])
     return np.array(rows[first - 1 :])

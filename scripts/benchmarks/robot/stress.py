@@ -134,7 +134,7 @@ class MeasuredRun:
     def _advance(self, command: Array) -> None:
         sim, before = self._sim, self._sim.tendon_angle
         sim.advance(1, command)
-        reeled = sim.robot.tendon.spool_radius * (sim.tendon_angle - before)
+        reeled = sim.parameters.tendon.spool_radius * (sim.tendon_angle - before)
         self._budget += float(sim.tension @ reeled)
         self._gained = max(self._gained, sim.energy() - self._budget)
         corners = sim.position + sim.model.torso.corners @ sim.rotation.T

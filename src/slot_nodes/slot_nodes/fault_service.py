@@ -8,17 +8,17 @@ from rclpy.node import Node
 
 from slot_core.divergence import DivergenceError
 from slot_core.messages import decode
-from slot_core.simulation.plant import Plant
+from slot_core.simulation.plant import RobotSimulator
 from slot_msgs.srv import InjectFault
 
 
-def serve(node: Node, plant: Plant) -> None:
+def serve(node: Node, plant: RobotSimulator) -> None:
     """Create the service `~/inject` for a simulated robot."""
     node.create_service(InjectFault, "~/inject", partial(_inject, node, plant))
 
 
 def _inject(
-    node: Node, plant: Plant, request: InjectFault.Request, response: InjectFault.Response
+    node: Node, plant: RobotSimulator, request: InjectFault.Request, response: InjectFault.Response
 ) -> InjectFault.Response:
     try:
         if request.clear:

@@ -51,7 +51,7 @@ from slot_core.simulation.clocks import (
     LockstepClock,
     RealTimeClock,
 )
-from slot_core.simulation.plant import Plant, Reading, StampedHealth, TrueState
+from slot_core.simulation.plant import Reading, RobotSimulator, StampedHealth, TrueState
 from slot_core.simulation.sensors import ImuReading, OdometryReading, PictureReading
 from slot_core.simulation.simulated_servos import (
     BusServos,
@@ -120,9 +120,11 @@ class SimRobotNode(Node):
         self._servos = self._make_servos(link)
         self._time = self._make_clock()
 
-    def _make_plant(self, scene: Scene, servo: ServoSettings, seed: int, bus: bool) -> Plant:
+    def _make_plant(
+        self, scene: Scene, servo: ServoSettings, seed: int, bus: bool
+    ) -> RobotSimulator:
         rng, robot = np.random.default_rng(seed), read_robot(scene.parameters)
-        return Plant(robot, scene, servo, rng, read_brand().emulate if bus else None)
+        return RobotSimulator(robot, scene, servo, rng, read_brand().emulate if bus else None)
 
     def _make_clock(self) -> LockstepClock | RealTimeClock:
         if self._lockstep:

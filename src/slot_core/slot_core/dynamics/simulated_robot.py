@@ -49,7 +49,7 @@ class SimulatedRobot(ABC):
     All arrays that are returned are copies; legs are in the order FL FR RL RR.
     """
 
-    robot: RobotParameters
+    parameters: RobotParameters
     scene: Scene
     state: TorsoMotion
     steps = 0  # since the end of settling
@@ -129,7 +129,7 @@ class SimulatedRobot(ABC):
     @property
     def servo_torque(self) -> Array:
         """(4,) N m, load on the servos: tension times spool radius."""
-        return self.tension * self.robot.tendon.spool_radius
+        return self.tension * self.parameters.tendon.spool_radius
 
     @property
     def position(self) -> Array:
@@ -177,7 +177,7 @@ class SimulatedRobot(ABC):
     def checked(self, command: Array) -> Array:
         """The command as an array (4,), rad; raises ValueError as `advance` does."""
         command = np.array(command, dtype=np.float64)
-        limit = self.robot.tendon.angle_max
+        limit = self.parameters.tendon.angle_max
         if command.shape != (4,):
             raise ValueError(f"command has the shape {command.shape}, not (4,)")
         if not all(0.0 <= angle <= limit for angle in command.tolist()):

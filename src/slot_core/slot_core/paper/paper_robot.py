@@ -147,7 +147,7 @@ class PaperRobot(SimulatedRobot):
         servo: ServoSettings,
         settings: PaperSettings | None = None,
     ) -> None:
-        self.robot, self.scene = robot, scene
+        self.parameters, self.scene = robot, scene
         self.settings = settings or read_paper()
         self._substeps = _substeps(scene, self.settings)
         load = self.settings.weight_share * robot.torso.mass * -_vertical(scene)
@@ -204,13 +204,13 @@ class PaperRobot(SimulatedRobot):
         s = self.settings
         normal = np.where(z < 0.0, -s.contact_stiffness * z - s.contact_damping * vz, 0.0)
         friction = np.where(z <= 0.0, -self.model.friction * np.sign(vx), 0.0)
-        out = np.einsum("ij,lj,l->li", self.state.rotation, self.robot.outward, friction)
+        out = np.einsum("ij,lj,l->li", self.state.rotation, self.parameters.outward, friction)
         out[:, 2] = normal
         return out
 
     def _from_corners(self, x: Array) -> Array:
         """(4, N, 3) m in odom, points at distances x (4, N) outward from the torso's corners."""
-        body = self.robot.clamps[:, None] + x[..., None] * self.robot.outward[:, None]
+        body = self.parameters.clamps[:, None] + x[..., None] * self.parameters.outward[:, None]
         return np.asarray(self.state.position + body @ self.state.rotation.T)
 
     def _set_tension(self, command: Array, steps: int) -> None:
@@ -219,7 +219,7 @@ class PaperRobot(SimulatedRobot):
             self._rate[:] = jump / self.scene.solver.step
             self._angle[:] = command
             self.legs.tension[:] = self.settings.tension_scale * tension_of(
-                self.settings, self.robot, command
+                self.settings, self.parameters, command
             )
 
 

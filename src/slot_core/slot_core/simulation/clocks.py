@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator
 
 from slot_core.clock import LOCKSTEP_START, SECOND, to_ns
 from slot_core.servos.brand import EmulatedServos
-from slot_core.simulation.plant import Plant, Reading, StampedHealth
+from slot_core.simulation.plant import Reading, RobotSimulator, StampedHealth
 from slot_core.simulation.sensors import OdometryReading, PictureReading
 from slot_core.simulation.simulated_servos import SimulatedServos
 
@@ -30,7 +30,7 @@ class LockstepClock:
     processes and messages has no effect. The first two, at rest, are repeated until answered.
     """
 
-    def __init__(self, plant: Plant, servos: SimulatedServos) -> None:
+    def __init__(self, plant: RobotSimulator, servos: SimulatedServos) -> None:
         self._plant, self._servos = plant, servos
         self._awaited: tuple[type, int] = OdometryReading, LOCKSTEP_START  # reading and stamp
         self.running = False
@@ -66,7 +66,7 @@ class LockstepClock:
 class RealTimeClock:
     """Time that follows another clock."""
 
-    def __init__(self, plant: Plant, portion: int) -> None:
+    def __init__(self, plant: RobotSimulator, portion: int) -> None:
         """`portion`: largest time to simulate at once, ns, so that commands are taken between."""
         self._plant, self._portion = plant, portion
 
@@ -92,10 +92,10 @@ class BusClock(RealTimeClock):
     servos as soon after the last instruction, on the robot's clock, as on a robot.
     """
 
-    def __init__(self, plant: Plant, servos: EmulatedServos, portion: int) -> None:
+    def __init__(self, plant: RobotSimulator, servos: EmulatedServos, portion: int) -> None:
         """`servos`: those of the plant; `portion` as for RealTimeClock."""
         super().__init__(plant, portion)
-        self._servos, self._step = servos, to_ns(plant.simulator.scene.solver.step)
+        self._servos, self._step = servos, to_ns(plant.robot.scene.solver.step)
         self._last = 0  # ns, `now` of the last call
         self.waited = 0  # ns, of the present wait for the driver
 

@@ -16,13 +16,13 @@ from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.gait.gait import read_gaits
 from slot_core.gait.route import Route
 from slot_core.robot import Array, RobotParameters, read_robot
-from slot_core.simulation.plant import Plant, Reading
+from slot_core.simulation.plant import Reading, RobotSimulator
 from slot_core.simulation.sensors import ImuReading, OdometryReading, PictureReading
 
 if TYPE_CHECKING:
     from slot_core.vision.localizer import MarkerLocalizer
 
-PlantMaker = Callable[[RobotParameters, Scene, ServoSettings, np.random.Generator], Plant]
+PlantMaker = Callable[[RobotParameters, Scene, ServoSettings, np.random.Generator], RobotSimulator]
 CHANGEABLE = ("scene", "servo", "robot", "gait", "policy")
 Settings = TypeVar("Settings")
 
@@ -45,7 +45,7 @@ class ClosedLoop:
         changes: Mapping[str, Any] | None = None,
         path: Route | None = None,
         lost_odometry: tuple[float, float] = (0.0, 0.0),
-        make: PlantMaker = Plant,
+        make: PlantMaker = RobotSimulator,
     ):
         """Build controller and plant; the robot stands in the scene.
 

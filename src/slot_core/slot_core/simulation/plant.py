@@ -116,7 +116,7 @@ def immediate_servo(servo: ServoSettings, step: float) -> ServoSettings:
     return dataclasses.replace(servo, model="ideal", lag=step, ideal_rpm=UNBOUNDED_RPM)
 
 
-class Plant:
+class RobotSimulator:
     """Simulated robot, servos and sensors on one clock; yields readings when they are due.
 
     Odometry, or the camera's picture in its place, is due `delay` after its stamp, every other
@@ -140,17 +140,17 @@ class Plant:
         odometry_rng, imu_rng, trouble_rng, camera_rng = rng.spawn(4)
         self.emulated: EmulatedServos | None = None
         if emulate is None:
-            self.simulator = make_robot(robot, scene, servo)
+            self.robot = make_robot(robot, scene, servo)
         else:
             ideal = immediate_servo(servo, scene.solver.step)
-            self.simulator = make_robot(robot, scene, ideal)
-            self.emulated = emulate(self.simulator.tendon_angle, scene.supply_voltage)
+            self.robot = make_robot(robot, scene, ideal)
+            self.emulated = emulate(self.robot.tendon_angle, scene.supply_voltage)
         self._reads_joints = scene.sensors.joints and emulate is None
         self.now = 0  # ns
         self.held = False  # in its present pose: time runs, but nothing moves
         self._scene = scene
         self._step = to_ns(scene.solver.step)
-        self._command = self._goal = self.simulator.tendon_angle.copy()  # rad
+        self._command = self._goal = self.robot.tendon_angle.copy()  # rad
         self._rate, self._commanded_at = AT_REST, 0  # rad/s; ns
         self._next_cycle = 0  # ns, when the servos' goal follows the command
         self._odometry = OdometrySensor(scene.sensors.odometry, odometry_rng, trouble_rng)
@@ -164,7 +164,7 @@ class Plant:
         for fault in scene.faults.values():
             self._require_supported(fault)
         if scene.pushes:
-            self.simulator.push(np.zeros(3), np.zeros(3))  # raises if the robot supports none
+            self.robot.push(np.zeros(3), np.zeros(3))  # raises if the robot supports none
 
     @property
     def camera(self) -> Camera | None:
@@ -228,7 +228,7 @@ class Plant:
         Every `CYCLE` the servos get the angles of that time, at most for `EXTRAPOLATION_MAX`, then
         they keep them. Raises ValueError for another shape, or a value not finite or out of range.
         """
-        self._command = self._goal = self.simulator.checked(angle)
+        self._command = self._goal = self.robot.checked(angle)
         self._rate, self._commanded_at = rate, self.now
         self._next_cycle = self.now + to_ns(CYCLE)
 
@@ -288,21 +288,21 @@ class Plant:
         """Commanded tendon angles (4,), rad, now."""
         age = to_seconds(self.now - self._commanded_at)
         angle = extrapolated(self._command, self._rate, age)
-        return np.clip(angle, 0.0, self.simulator.robot.tendon.angle_max)
+        return np.clip(angle, 0.0, self.robot.parameters.tendon.angle_max)
 
     def _advance_robot(self, steps: int) -> None:
         if self.emulated is None:
-            self.simulator.advance(steps, self._goal)
+            self.robot.advance(steps, self._goal)
             return
         for _ in range(steps):
-            angle = self.emulated.advance(self._scene.solver.step, self.simulator.servo_torque)
-            self.simulator.advance(1, np.clip(angle, 0.0, self.simulator.robot.tendon.angle_max))
+            angle = self.emulated.advance(self._scene.solver.step, self.robot.servo_torque)
+            self.robot.advance(1, np.clip(angle, 0.0, self.robot.parameters.tendon.angle_max))
 
     def _read_imu(self) -> list[Reading]:
-        return [self._imu.sample(self.simulator, self.now)]
+        return [self._imu.sample(self.robot, self.now)]
 
     def _read_joints(self) -> list[Reading]:
-        sim = self.simulator
+        sim = self.robot
         return [JointReading(self.now, sim.tendon_angle, sim.tendon_rate, sim.servo_torque)]
 
     def _read_odometry(self) -> list[Reading]:
@@ -316,21 +316,21 @@ class Plant:
 
     def _truth(self) -> OdometryReading:
         """Odometry without noise, now."""
-        return true_odometry(self.simulator, self.now)
+        return true_odometry(self.robot, self.now)
 
     def _odometry_or_picture(self, truth: OdometryReading, since: float) -> Reading:
         """Odometry, or the picture in its place, `since` the start (s)."""
         if self._camera is not None:
-            return self._camera.sample(self.simulator, self.now)
+            return self._camera.sample(self.robot, self.now)
         return self._odometry.sample(truth, since)
 
     def _schedule_push(self, push: Push) -> None:
         """Schedule the start and the end of a push; pushes add up."""
         force, moment = np.array(push.force), np.array(push.moment)
         begin = self.now + to_ns(push.time)
-        self._schedule_action(begin, partial(self.simulator.push, force, moment))
+        self._schedule_action(begin, partial(self.robot.push, force, moment))
         self._schedule_action(
-            begin + to_ns(push.duration), partial(self.simulator.push, -force, -moment)
+            begin + to_ns(push.duration), partial(self.robot.push, -force, -moment)
         )
 
     def _schedule_end(self, fault: Fault) -> None:
@@ -348,7 +348,7 @@ class Plant:
         if fault.kind in BUS_KINDS and self.emulated is not None:
             return
         require_simulated_legs(fault)
-        if not isinstance(self.simulator, ROBOT_WITH_FAULT[fault.kind]):
+        if not isinstance(self.robot, ROBOT_WITH_FAULT[fault.kind]):
             model = self._scene.solver.legs
             raise ConfigError(f"fault {fault.kind!r}: legs of the model {model!r} cannot have it")
 
@@ -364,18 +364,18 @@ class Plant:
         elif fault.kind != NAN:
             self._update_tendon(leg)
         elif on:
-            assert isinstance(self.simulator, RodRobot)
-            self.simulator.set_tip_to_nan(LEGS.index(leg))
+            assert isinstance(self.robot, RodRobot)
+            self.robot.set_tip_to_nan(LEGS.index(leg))
 
     def _update_tendon(self, leg: str) -> None:
         """Set slack and breakage of a tendon from the scene and the present faults."""
-        assert isinstance(self.simulator, KernelRobot)
+        assert isinstance(self.robot, KernelRobot)
         index, state = LEGS.index(leg), self._scene.tendons
         added = self._faults.get((SLACK, leg))
         slack = state.slack[index] + (added.value if added else 0.0)
         broken = state.broken[index] or (BROKEN, leg) in self._faults
-        self.simulator.damage_tendon(index, slack, broken)
+        self.robot.damage_tendon(index, slack, broken)
 
     def _true_state(self, truth: OdometryReading) -> TrueState:
-        sim = self.simulator
+        sim = self.robot
         return TrueState(self.now, truth, sim.tension, sim.ground_force, sim.nodes, sim.directors)

@@ -32,7 +32,7 @@ class RodRobot(KernelRobot):
     """
 
     def __init__(self, robot: RobotParameters, scene: Scene, servo: ServoSettings) -> None:
-        self.robot = robot
+        self.parameters = robot
         self.scene = scene
         self.model = build_model(robot, scene, servo)
         self.state = rest_state(self.model, scene.start.height)

@@ -35,7 +35,7 @@ from slot_core.safety.watchdog import Permission, Watchdog
 from slot_core.servos.brand import EmulatedPort, EmulatedServos
 from slot_core.servos.servo_errors import PortError, RefusedError
 from slot_core.servos.session import ServoSession
-from slot_core.simulation.plant import CYCLE, Plant, Reading, StampedHealth
+from slot_core.simulation.plant import CYCLE, Reading, RobotSimulator, StampedHealth
 
 CYCLES = round(PERIOD / CYCLE)  # between two reports
 CLOSE_TIMEOUT = 3.0  # s, for the driver to switch the servos off
@@ -50,10 +50,10 @@ class SimulatedServos(ABC):
     limits. released: whether torque has gone off again, so that the tendons unwind.
     """
 
-    def __init__(self, plant: Plant, lockstep: bool) -> None:
+    def __init__(self, plant: RobotSimulator, lockstep: bool) -> None:
         self._plant, self._lockstep, self._number = plant, lockstep, 0
         plant.held = lockstep
-        self.watchdog = Watchdog(0.0, plant.simulator.robot.tendon.angle_max)
+        self.watchdog = Watchdog(0.0, plant.robot.parameters.tendon.angle_max)
         self.released = self._was_on = False
         self._commanded = self._arrived = 0  # ns, stamp of the newest command and when it arrived
 
@@ -124,10 +124,10 @@ class DirectServos(SimulatedServos):
     supervisor are received, commands are rejected.
     """
 
-    def __init__(self, plant: Plant, lockstep: bool = False) -> None:
+    def __init__(self, plant: RobotSimulator, lockstep: bool = False) -> None:
         super().__init__(plant, lockstep)
-        self.watchdog.engage(plant.simulator.tendon_angle)
-        self._goals = unchanged(Action.HOLD, plant.simulator.tendon_angle, True)
+        self.watchdog.engage(plant.robot.tendon_angle)
+        self._goals = unchanged(Action.HOLD, plant.robot.tendon_angle, True)
 
     @property
     def action(self) -> Action:
@@ -153,7 +153,7 @@ class DirectServos(SimulatedServos):
             return
         goals = self.watchdog.step(now)
         if goals.torque and not self._goals.torque:
-            self.watchdog.engage(self._plant.simulator.tendon_angle)
+            self.watchdog.engage(self._plant.robot.tendon_angle)
             goals = self.watchdog.step(now)
         self._goals = goals
         self._note_torque(goals.torque and self.watchdog.permission is not None)
@@ -166,7 +166,7 @@ class DirectServos(SimulatedServos):
 
     def health(self, stamp: int) -> ServoHealth:
         """Health report of the servos: they have no faults."""
-        goals, voltage = self._goals, self._plant.simulator.scene.supply_voltage
+        goals, voltage = self._goals, self._plant.robot.scene.supply_voltage
         return ServoHealth(
             self.action,
             self.watchdog.reason,
@@ -192,7 +192,9 @@ class BusServos(SimulatedServos):
     session: ServoSession  # driver and watchdog, in lockstep
     _port: EmulatedPort  # for the driver in another process, in real time
 
-    def __init__(self, plant: Plant, lockstep: bool = False, link: Path | None = None) -> None:
+    def __init__(
+        self, plant: RobotSimulator, lockstep: bool = False, link: Path | None = None
+    ) -> None:
         """In lockstep check every servo, else open a device under the name `link`.
 
         Raises RefusedError, or ConfigError if another file has the name of the link.
@@ -205,7 +207,7 @@ class BusServos(SimulatedServos):
         if lockstep:
             bus = self._servos.connect(lambda: to_seconds(plant.now))
             self.session = ServoSession(
-                bus, plant.simulator.robot.tendon.angle_max, CYCLE, self._pass
+                bus, plant.robot.parameters.tendon.angle_max, CYCLE, self._pass
             )
             self.watchdog = self.session.watchdog
             self.session.configure()
@@ -305,7 +307,7 @@ class BusServos(SimulatedServos):
         deque(self._plant.advance(self._plant.now + to_ns(seconds)), maxlen=0)
 
 
-def make_servos(plant: Plant, lockstep: bool, link: Path | None = None) -> SimulatedServos:
+def make_servos(plant: RobotSimulator, lockstep: bool, link: Path | None = None) -> SimulatedServos:
     """The servos of a plant; raises RefusedError, ConfigError as `BusServos`."""
     if plant.emulated is None:
         return DirectServos(plant, lockstep)

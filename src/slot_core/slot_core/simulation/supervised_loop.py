@@ -27,18 +27,18 @@ from slot_core.safety.ticked_supervisor import TickedSupervisor
 from slot_core.safety.watchdog import Permission
 from slot_core.servos.registry import read_brand
 from slot_core.simulation.closed_loop import ClosedLoop, PlantMaker
-from slot_core.simulation.plant import Plant, Reading, StampedHealth
+from slot_core.simulation.plant import Reading, RobotSimulator, StampedHealth
 from slot_core.simulation.simulated_servos import make_servos
 
 
 def make_bus_plant(
     robot: RobotParameters, scene: Scene, servo: ServoSettings, rng: np.random.Generator
-) -> Plant:
+) -> RobotSimulator:
     """Simulated robot on emulated servos of the configured brand."""
-    return Plant(robot, scene, servo, rng, read_brand().emulate)
+    return RobotSimulator(robot, scene, servo, rng, read_brand().emulate)
 
 
-MAKERS: dict[str, PlantMaker] = {"sim": Plant, "fake_bus": make_bus_plant}
+MAKERS: dict[str, PlantMaker] = {"sim": RobotSimulator, "fake_bus": make_bus_plant}
 
 
 class SupervisedLoop:

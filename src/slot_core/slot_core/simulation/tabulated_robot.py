@@ -81,7 +81,7 @@ class TabulatedRobot(KernelRobot):
 
     def __init__(self, robot: RobotParameters, scene: Scene, servo: ServoSettings) -> None:
         _require_tabulated(robot, scene)
-        self.robot, self.scene = robot, scene
+        self.parameters, self.scene = robot, scene
         table = read_leg_table(COLUMNS)
         model = build_model(robot, scene, servo)
         # The torso carries the mass of the legs.
@@ -127,12 +127,12 @@ class TabulatedRobot(KernelRobot):
     def nodes(self) -> Array:
         """(4, 2, 3) m in odom: clamp and foot, in contact or the lowest point of the leg."""
         node = self.state.node[:, 0]
-        angle = self.state.tendon_angle - self.model.fault[0] / self.robot.tendon.spool_radius
+        angle = self.state.tendon_angle - self.model.fault[0] / self.parameters.tendon.spool_radius
         hanging = np.interp(self.model.fault[1] * angle, *self._contact_drop)
         down = np.minimum(-node[:, 2], hanging)
-        foot = self.robot.clamps - down[:, None] * [0, 0, 1]
-        foot += node[:, :1] * self.robot.outward + node[:, 1:2] * self.legs.left
-        body = np.stack([self.robot.clamps, foot], axis=1)
+        foot = self.parameters.clamps - down[:, None] * [0, 0, 1]
+        foot += node[:, :1] * self.parameters.outward + node[:, 1:2] * self.legs.left
+        body = np.stack([self.parameters.clamps, foot], axis=1)
         return np.asarray(self.state.position + body @ self.state.rotation.T)
 
     @property
