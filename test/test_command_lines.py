@@ -128,6 +128,7 @@ sys.meta_path.insert(0, Missing())
 sys.argv = ["", "--help"]
 runpy.run_module(%r, run_name="__main__", alter_sys=True)
 """
+MODULE = r"^(?:exec python -m |module=)([\w.]+)"  # that a script runs
 EXTRAS = ("cma", "cvxpy", "distributed", "elastica", "mujoco", "pytest", "quadprog", "rerun")
 
 
@@ -135,7 +136,7 @@ def programs():
     """Python modules by the command of scripts/ that runs them."""
     for script in sorted((ROOT / "scripts").iterdir()):
         if script.is_file() and not script.suffix:
-            for module in re.findall(r"^exec python -m ([\w.]+)", script.read_text(), re.MULTILINE):
+            for module in re.findall(MODULE, script.read_text(), re.MULTILINE):
                 yield script.name, module
 
 
