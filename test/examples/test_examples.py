@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from slot_lab.bags.bag import Bag
+from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.check_bag import check_bag
 
 EXAMPLES = Path(__file__).parents[2] / "scripts" / "examples"
@@ -87,3 +87,5 @@ def test_the_graph_walks_with_a_controller_of_ones_own_and_its_bag_replays(tmp_p
     compared = {c.topic: c for c in check_bag(recorded, 0.0, OWN)}
     assert compared["/tendon_plan"].compared > 50
     assert [c.largest for c in compared.values()] == [0.0] * 4
+    with pytest.raises(BagError, match=r"its policy is a file, own_controller\.py: add --policy"):
+        check_bag(recorded, 0.0)

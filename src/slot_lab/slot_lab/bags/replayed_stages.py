@@ -20,7 +20,7 @@ from slot_core.gait.route import KEPT, Route, read_route
 from slot_core.messages import decode
 from slot_core.recording.origin import FILES
 from slot_core.robot import read_robot
-from slot_lab.bags.bag import Bag
+from slot_lab.bags.bag import Bag, BagError
 
 ODOMETRY, PLANS = "/odom", "/tendon_plan"
 SENSORS = (ODOMETRY, "/imu")
@@ -41,7 +41,7 @@ class RecordedStages:
     """What a bag holds of the stages, read once."""
 
     def __init__(self, bag: Bag, own_policy: str = "") -> None:
-        """own_policy: file with the policy, where the bag's is neither a name nor found here."""
+        """own_policy: file of the policy, needed if the bag's policy is a file."""
         self.own_policy = own_policy
         self.bag, self.origin, self.robot = bag, bag.origin, read_robot()
         self.sensors: list[tuple[str, Any]] = []  # topic and message
@@ -82,8 +82,14 @@ class RecordedStages:
 
     @property
     def policy(self) -> str:
-        """Name of the policy, or file if it is one of one's own; the default if none is named."""
-        return self.own_policy or self.origin.about.get("policy", DEFAULT_POLICY)
+        """Name of the policy, or file if it is one of one's own; the default if none is named.
+
+        Raises BagError for a policy of one's own whose file is not given.
+        """
+        named = self.origin.about.get("policy", DEFAULT_POLICY)
+        if named.endswith(".py") and not self.own_policy:
+            raise BagError(f"{self.bag.path}: its policy is a file, {named}: add --policy FILE")
+        return self.own_policy or named
 
     @property
     def path(self) -> Route | None:
