@@ -25,11 +25,6 @@ def values(graph, **changes):
     return {a.name: a.default for a in graph.arguments} | changes
 
 
-def test_every_node_has_an_executable(graph):
-    for spec in graph.nodes(values(graph, bag="somewhere")):
-        assert command_line(spec)[0].endswith(f"/lib/{spec.package}/{spec.name}")
-
-
 def test_the_recorder_runs_only_with_a_bag(graph):
     without = [spec.name for spec in graph.nodes(values(graph))]
     assert "recorder" not in without
@@ -46,12 +41,6 @@ def test_arguments_reach_their_nodes_in_the_yaml_that_ros_parses(graph):
     assert "seed:=3" in command_line(nodes["sim_robot"])
     assert not any("gait:=" in word for word in command_line(nodes["gait_scheduler"]))
     assert all("use_sim_time:=true" in command_line(spec) for spec in nodes.values())
-
-
-def test_a_parameter_without_a_value_keeps_the_nodes_default(graph):
-    for spec in graph.nodes(values(graph)):
-        assert "v_x" not in spec.parameters
-        assert spec.parameters["use_sim_time"] is False
 
 
 @pytest.mark.parametrize("hardware", ["sim", "fake_bus", "real"])
@@ -220,13 +209,6 @@ def test_without_hardware_a_played_bag_gives_sensors_and_clock(graph):
     assert not {"sim_robot", "dynamixel_driver"} & nodes.keys()
     assert {"recorder", "state_estimator", "supervisor"} <= nodes.keys()
     assert all(spec.parameters["use_sim_time"] is True for spec in nodes.values())
-
-
-def test_in_lockstep_the_simulated_robot_has_the_driver(graph):
-    fake_bus = values(graph, hardware="fake_bus")
-    names = {spec.name for spec in graph.nodes(fake_bus)}
-    in_lockstep = {spec.name for spec in graph.nodes(fake_bus | {"lockstep": True})}
-    assert names - in_lockstep == {"dynamixel_driver"}
 
 
 @pytest.mark.parametrize(

@@ -116,11 +116,6 @@ def test_a_zero_out_of_bounds_is_not_written(dynamixel_yaml):
         write_zero("RR", 100.0)
 
 
-def test_a_missing_port_is_reported(capsys):
-    assert main(["--port", "/dev/none", "info"]) == 1
-    assert "/dev/none" in capsys.readouterr().err
-
-
 def test_emulate_answers_at_its_link_until_interrupted(tmp_path, dynamixel_yaml):
     link = tmp_path / "servos"
     command = [sys.executable, "-m", "slot_bringup.servos", "emulate", "--link", str(link)]

@@ -3,33 +3,11 @@
 import os
 import signal
 import subprocess
-import sys
-import time
 
-import psutil
 import pytest
 
 from slot_bringup.graph import NodeSpec
 from slot_bringup.processes import command_line
-
-PARENT = """
-import subprocess
-from slot_bringup.graph import TIED
-child = subprocess.Popen([*TIED, "sleep", "100"])
-print(child.pid, flush=True)
-child.wait()
-"""
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_a_node_ends_when_its_parent_is_ended_by_a_signal(number):
-    parent = subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True)
-    node = psutil.Process(int(parent.stdout.readline()))
-    while node.name() != "sleep":  # until setpriv has become the node
-        time.sleep(0.01)
-    parent.send_signal(number)
-    parent.communicate()
-    node.wait()  # pytest's timeout ends a test whose node outlives its parent
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -148,17 +148,6 @@ def test_only_the_broken_tendon_has_no_tension():
     assert np.abs(whole.state.node[1, :, ::2] - natural).max() > 0.03
 
 
-def test_tendons_can_break_and_slacken_during_a_run():
-    sim = hanging()
-    sim.advance(300, np.full(4, 1.5))
-    assert (sim.tension > 20.0).all()
-    sim.damage_tendon(2, broken=True)
-    sim.damage_tendon(3, slack=0.1)
-    sim.advance(1, np.full(4, 1.5))
-    assert (sim.tension[:2] > 20.0).all()
-    np.testing.assert_array_equal(sim.tension[2:], 0.0)
-
-
 def test_slack_is_equivalent_to_an_angle_of_the_spool():
     """A tendon longer by s has at theta + s / r the tension of an intact one at theta."""
     slack = 2e-3

@@ -182,13 +182,6 @@ def test_a_push_changes_angular_momentum_by_its_angular_impulse():
     assert np.log2(errors[0] / errors[1]) > 1.9  # second order, with the middle of each step
 
 
-def test_pushes_add_up():
-    sim = flying()
-    sim.push([1.0, 2.0, 3.0], [4.0, 5.0, 6.0])
-    sim.push([1.0, 0.0, 0.0], [0.0, 0.0, -6.0])
-    np.testing.assert_array_equal(sim.model.push, [2.0, 2.0, 3.0, 4.0, 5.0, 0.0])
-
-
 def test_the_forces_of_the_feet_balance_an_eccentric_payload():
     """Moments of the feet's forces about the centre of mass cancel; they act at the tips."""
     mass, place = 0.5, np.array([-0.03, 0.02, 0.03])

@@ -161,27 +161,6 @@ def test_the_sockets_hold_what_arrives_while_a_process_waits_for_a_processor(tra
     assert max(sizes) >= 4 << 20  # the kernel grants net.core.rmem_max
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        'sendto(9<UDP:[0.0.0.0:40000]>, "RTPS"..., 88, MSG_NOSIGNAL, {sa_family=AF_INET, '
-        'sin_port=htons(7400), sin_addr=inet_addr("239.255.0.1")}, 16) = 88',
-        "sendmsg(9<UDP:[0.0.0.0:40000]>, {msg_name={sa_family=AF_INET, sin_port=htons(7400), "
-        'sin_addr=inet_addr("192.0.2.1")}, msg_namelen=16}, 0) = 88',
-        "connect(9<TCPv6:[77]>, {sa_family=AF_INET6, sin6_port=htons(80), sin6_flowinfo=htonl(0), "
-        'inet_pton(AF_INET6, "2001:db8::1", &sin6_addr), sin6_scope_id=0}, 28) = 0',
-        'sendto(9<PACKET:[77]>, "x", 1, 0, {sa_family=AF_PACKET, sll_protocol=htons(0)}, 20) = 1',
-    ],
-)
-def test_the_trace_parser_detects_a_destination_outside_the_loopback(line):
-    assert not all(map(is_loopback, named_in(SENT, line)))
-
-
-def test_the_trace_parser_detects_a_socket_bound_to_all_interfaces():
-    line = 'recvfrom(9<UDP:[0.0.0.0:7400]>, "RTPS"..., 65500, 0, {sa_family=AF_INET}, [16]) = 88'
-    assert not all(map(is_loopback, received_on(line)))
-
-
 def test_the_trace_parser_detects_a_segment_of_shared_memory():
     line = 'openat(AT_FDCWD, "/dev/shm/fastrtps_008e51d8180942b9", O_RDWR|O_CREAT|O_EXCL, 0644) = 9'
     assert list(shared_segments(line)) == ["fastrtps_008e51d8180942b9"]

@@ -73,10 +73,14 @@ def sim():
     )
 
 
-@pytest.mark.parametrize("command", [[math.nan] * 4, [0.0, 0.0, 0.0, math.inf], [0.5], "pull"])
+INVALID = [[math.nan] * 4, [0.5, 0.5, 0.5, math.inf], [0.5] * 3, "pull"]
+OUTSIDE = [[0.5, -1e-6, 0.5, 0.5], [0.5, 0.5, 0.5, 2.03]]
+
+
+@pytest.mark.parametrize("command", INVALID + OUTSIDE)
 def test_an_invalid_command_is_refused_and_leaves_the_state_unchanged(sim, command):
     before = sim.state.buffer.copy()
-    with pytest.raises(ValueError, match=r".+"):
+    with pytest.raises(ValueError, match=r"inside \[0, 2\.02" if command in OUTSIDE else r".+"):
         sim.advance(1, command)
     np.testing.assert_array_equal(sim.state.buffer, before)
     assert sim.steps == 0

@@ -4,24 +4,19 @@ The test changes the messages between the nodes. Times are those of the messages
 supervisor makes of each fault is shown without messages: test/safety, test/simulation.
 """
 
-import copy
 import math
 
-import numpy as np
 import pytest
 from rig import TICK
 from sensor_msgs.msg import Imu
 
 from slot_core.control.policy import Status
-from slot_core.estimation.estimate import Validity
 from slot_core.messages import decode
 from slot_core.mpc.settings import read_mpc
-from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import State
 from slot_msgs.msg import ForceMapStatus, MpcState, TendonPlan
 from slot_nodes import qos
 
-COAST = read_supervisor().estimate.coast_cycles
 STEP = 0.021  # s, between two steps of the supervisor, with the latency of a message
 NAN = math.nan
 
@@ -57,22 +52,6 @@ def wait_for_warning(rig, begin, part):
 def wait_for_walking(rig):
     """Wait until the robot walks again, without a request."""
     rig.wait_for_state(State.WALKING, rig.now())
-
-
-def lose_position(message):
-    message.pose.pose.position.x = NAN
-
-
-def test_odometry_that_is_nan_is_bridged_for_three_cycles_then_ends_in_hold(walking):
-    before = len(walking.messages["/mpc_state"])
-    with walking.changed("odom", lose_position) as begin:
-        wait_for_warning(walking, begin, "estimates in a row unusable, limit 3")
-        assert time_to_hold(walking, begin) < 5 * TICK + STEP
-    wait_for_walking(walking)
-    after = walking.messages["/mpc_state"][before:]
-    lost = [m for m in after if m.validity == Validity.ODOMETRY_REJECTED]
-    assert len(lost) > COAST
-    assert all(np.isfinite(decode.estimate(message).state).all() for message in lost)
 
 
 def test_an_mpc_without_solutions_ends_in_hold_after_its_fallback(walking):
@@ -111,29 +90,4 @@ def test_stand_is_refused_while_the_mpc_is_always_late(walking):
     assert "ms exceed 0.001 ms" in status.message
     walking.kill("mpc_controller")
     walking.start("mpc_controller")
-    walking.walk()
-
-
-@pytest.mark.parametrize(
-    ("topic", "profile", "warning"),
-    [
-        ("odom", qos.SENSOR, "estimate stamped -"),
-        ("imu", qos.SENSOR, ""),
-        ("joint_states", qos.SENSOR, "joints stamped -"),
-        ("desired_joint_angles", qos.CONTROL, "command stamped -"),
-    ],
-)
-def test_messages_stamped_in_simulated_time_are_rejected(walking, topic, profile, warning):
-    """The warning lasts until the next message of the present, a few ms later."""
-    publisher = walking.publisher(None, topic, profile)
-    begin = walking.now()
-    for number in range(5):
-        foreign = copy.deepcopy(walking.last(f"/{topic}"))
-        foreign.header.stamp.sec = 10
-        foreign.header.stamp.nanosec = 1_000_000 * number
-        publisher.publish(foreign)
-        walking.run(0.1)
-    if warning:
-        wait_for_warning(walking, begin, warning)
-    walking.run(1.0)
     walking.walk()

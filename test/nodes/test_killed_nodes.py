@@ -108,19 +108,6 @@ def test_a_controller_slower_than_its_period_skips_states_without_a_queue(walkin
     assert 2 <= walking.last("/tendon_plan").overruns - after.overruns <= 3
 
 
-def test_a_tendon_that_breaks_stops_the_robot_which_walks_again_once_it_is_repaired(walking):
-    begin = walking.inject("tendon_broken", "RR")
-    relaxed, reason = walking.wait_for_state(State.RELAX, begin)
-    assert "broken tendon RR" in reason
-    pulled = [m.tension for m in walking.since("/ground_truth/legs", begin) if any(m.tension)]
-    assert [max(leg) > 1.0 for leg in zip(*pulled)] == [True, True, True, False]
-    walking.inject("tendon_broken", "RR", clear=True)
-    walking.wait_for_state(State.FAULT, relaxed)
-    walking.walk_steadily()
-    last = walking.messages["/ground_truth/legs"][-20:]
-    assert max(m.tension[3] for m in last) > 1.0
-
-
 @pytest.mark.parametrize(
     ("fault", "reason"),
     [
@@ -136,17 +123,3 @@ def test_a_fault_that_cannot_be_is_refused_with_the_reason(rig, fault, reason):
     answer = rig.call(InjectFault, "/sim_robot/inject", **({"leg": "FL"} | fault))
     assert not answer.success
     assert answer.message.startswith(reason)
-
-
-def test_a_lost_simulation_ends_its_node_and_writes_its_state(walking):
-    begin = walking.inject("nan", "FL")
-    assert walking.exit_code("sim_robot") == 1
-    line = walking.log("sim_robot").splitlines()[-1]
-    assert "simulation diverged in step" in line
-    (file,) = walking.dump.glob("lost_*.npz")
-    assert line.endswith(f"; its state is in {file}")
-    hold, relax = (seconds_to(walking, s, begin) for s in (State.HOLD, State.RELAX))
-    assert hold < walking.limit("command_hold") + TICK + STEP
-    assert relax < walking.limit("command_lost") + TICK + STEP
-    walking.wait_for_state(State.FAULT, begin)
-    walking.start("sim_robot")

@@ -332,20 +332,6 @@ def test_a_plant_runs_the_papers_robot(monkeypatch):
     assert robot.robot.servo_torque == pytest.approx(np.full(4, 1.0 / math.radians(270) * 1.5))
 
 
-def test_one_call_of_many_steps_equals_many_calls_of_one_step():
-    one = simulator(start={"settle": 0.01}, **STABLE)
-    many = simulator(start={"settle": 0.01}, **STABLE)
-    command = np.array([1.2, 0.8, 1.0, 1.4])
-    one.advance(50, command)
-    many.advance(1, command)
-    assert many.tendon_rate == pytest.approx((command - math.radians(63.0)) / 1e-3)
-    for _ in range(49):
-        many.advance(1, command)
-    for name in ("nodes", "position", "velocity", "specific_force", "tendon_rate", "quaternion"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(many, name))
-    assert one.time == many.time == pytest.approx(0.05)
-
-
 def test_unsupported_scenes_and_steps_are_refused_by_name():
     with pytest.raises(ConfigError, match="gravity along z alone"):
         simulator("slope5", **STABLE)

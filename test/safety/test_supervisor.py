@@ -59,31 +59,6 @@ def test_commands_pass_only_in_standing_and_walking():
     assert {s for s, action in table.ACTIONS.items() if action is Action.OFF} == set(OFF)
 
 
-def test_the_diagram_shows_the_table():
-    drawn = set()
-    groups = {
-        "a reason to hold": table.REASONS_TO_HOLD,
-        "a fault": table.FAULTS,
-    }
-    for line in table.__doc__.splitlines():
-        if "-->" in line and "[*]" not in line:
-            way, _, labels = line.partition(":")
-            before, after = (State[name.strip()] for name in way.split("-->"))
-            for label in labels.split(","):
-                named = groups.get(label.strip()) or {Condition[label.strip()]}
-                drawn |= {(before, c, after) for c in named}
-    estop = {Condition.ESTOP_PRESSED, Condition.ESTOP_LOST}  # in a note
-    real = {
-        (s, c, next_state(s, c))
-        for s, c in itertools.product(State, Condition)
-        if next_state(s, c) is not s and c not in estop
-    }
-    assert drawn == real
-    for name in ("FAULTS", "REASONS_TO_HOLD"):
-        for condition in getattr(table, name):
-            assert condition.name in table.__doc__
-
-
 # From IDLE to WALKING
 
 

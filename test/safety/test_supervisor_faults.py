@@ -69,15 +69,6 @@ def test_a_robot_held_while_it_stands_resumes_standing():
     assert bench.reports[-1].resumed
 
 
-def test_a_hold_longer_than_its_limit_ends_in_relax(walking):
-    walking.status = Status.STOPPED
-    walking.time_until(State.HOLD, 1.0)
-    took = walking.time_until(State.RELAX, 10.0)
-    assert took == pytest.approx(TIMING.hold_max, abs=2 * STEP)
-    assert "limit 5 s, since: MPC stopped" in walking.reports[-1].reason
-    assert ends_in_fault(walking)
-
-
 @pytest.mark.parametrize("bad", [Validity.ODOMETRY_REJECTED, Validity.INITIALISING, "NaN"])
 def test_the_fourth_unusable_estimate_in_a_row_ends_in_hold(walking, bad):
     if bad == "NaN":

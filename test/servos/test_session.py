@@ -141,18 +141,6 @@ def test_without_a_permission_torque_is_refused_until_there_is_one(rig):
     assert rig.torque() == LEGS
 
 
-def test_missing_permissions_end_in_hold_then_relax_then_off(rig):
-    rig.run(0.1, SLIGHTLY)
-    last = rig.time - PERIOD
-    (hold, held), (relax, relaxed), (off, _) = rig.run(2.0, SLIGHTLY, permission=None)
-    assert (hold, relax, off) == (Action.HOLD, Action.RELAX, Action.OFF)
-    assert held - last == pytest.approx(TIMING.command_hold + PERIOD, abs=1.01 * PERIOD)
-    assert relaxed - last == pytest.approx(TIMING.command_lost + PERIOD, abs=1.01 * PERIOD)
-    assert "no message of the supervisor for 0.5" in rig.session.reason
-    rig.run(0.5, SLIGHTLY)  # PASS does not bring torque back
-    assert rig.torque() == ()
-
-
 def test_only_a_relax_begun_by_the_watchdog_has_its_own_reason(rig):
     rig.run(0.2, SLIGHTLY)
     rig.run(1.0, SLIGHTLY, Action.RELAX)
@@ -280,20 +268,6 @@ def test_without_limits_torque_stays_off_and_commands_are_rejected(rig):
     fresh.permit(Permission(rig.now, Action.PASS, True, ""))
     fresh.step(rig.now)
     assert rig.torque() == ()
-
-
-def test_a_step_beyond_the_rate_limit_is_slewed_and_reported(rig):
-    rig.run(1.0, SLIGHTLY)  # the rate has grown to its largest
-    far = np.array([2.0, *SLIGHTLY[1:]])
-    rig.run(PERIOD, far)
-    health = rig.session.health(rig.now)
-    gate = read_supervisor().gate
-    assert health.slewed.tolist() == [True, False, False, False]
-    assert health.goal[0] - SLIGHTLY[0] == pytest.approx(gate.rate_max * gate.burst)
-    rig.run(0.1, far)
-    health = rig.session.health(rig.now)
-    assert not health.slewed.any()
-    assert health.goal == pytest.approx(far)
 
 
 def test_an_interrupted_stop_switches_torque_off(rig):

@@ -10,11 +10,10 @@ from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamixel.emulator.emulated_bus import read_emulator
-from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import PWM_FULL, RAD_PER_COUNT
 from slot_core.faults import Fault
-from slot_core.robot import LEGS, read_robot
+from slot_core.robot import read_robot
 from slot_core.servos.registry import read_brand
 from slot_core.servos.session import ServoSession
 from slot_core.simulation.plant import RobotSimulator, immediate_servo
@@ -184,33 +183,3 @@ def test_ten_seconds_of_walking_neither_overload_nor_heat_a_servo(walks):
     assert [servo.memory["hardware_error_status"] for servo in servos] == [0] * 4
     assert max(servo.temperature() for servo in servos) < read_emulator().servo.shaft.room + 5.0
     assert [health.error_rate for health in loop.servos.session.bus.health] == [0.0] * 4
-
-
-@pytest.mark.parametrize("load", [0.0, 0.3, 0.8])
-def test_a_goal_is_held_with_the_droop_of_the_p_gain_under_load(load):
-    legs, driver = driven()
-    rest = []
-    for _ in range(200):
-        cycle(legs, driver, 1.5, load)
-        rest.append(legs.angles())
-    servo = read_servo()
-    droop = load / servo.tendon_stall(legs.bus.servos[0].voltage) / servo.proportional
-    # from 1 to 2 s, within one count of the encoder: no limit cycle
-    assert rest[100:] == pytest.approx(np.full((100, 4), 1.5 - droop), abs=RAD_PER_COUNT)
-
-
-def driven():
-    """Servos at 0.5 rad and their driver, which runs on the servos' clock."""
-    legs = EmulatedDynamixels(read_settings(), read_emulator(), (0.5,) * 4)
-    driver = legs.connect(lambda: legs.bus.time)
-    assert len(driver.configure()) == len(LEGS)
-    driver.activate()
-    return legs, driver
-
-
-def cycle(legs, driver, goal, load):
-    """One bus cycle, then 10 ms under a load on every tendon (N m)."""
-    driver.command([goal] * 4)
-    driver.cycle()
-    for _ in range(10):
-        legs.advance(0.001, (load,) * 4)

@@ -144,13 +144,3 @@ def test_accelerometer_in_free_fall_reads_only_the_reaction_of_the_legs(flying):
     """
     flying.advance(1, np.zeros(4))
     assert np.abs(flying.specific_force).max() < 0.1
-
-
-def test_equal_generators_give_equal_readings(truth):
-    one, two = (
-        OdometrySensor(SCENE.sensors.odometry, *np.random.default_rng(9).spawn(2)) for _ in range(2)
-    )
-    np.testing.assert_array_equal(
-        one.sample(truth).position,
-        two.sample(truth).position,
-    )
