@@ -29,7 +29,7 @@ from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.messages import decode
-from slot_core.safety.settings import SupervisorSettings, read_supervisor
+from slot_core.safety.settings import SupervisorSettings
 from slot_core.safety.states import State
 from slot_msgs.msg import LegStates, RobotState, ServoHealth
 from slot_msgs.srv import InjectFault
@@ -51,16 +51,11 @@ NEXT_REQUEST = {
     State.ESTOP: "reset", State.FAULT: "reset",
     State.IDLE: "ready", State.READY: "stand", State.STANDING: "walk",
 }  # fmt: skip
-# s, from a limit to the reaction: two periods of the supervisor (20 ms) or of a bus cycle, and the
-# delay of a process on a busy machine.
-LATE = 0.5
-BUSY = 0.3  # s, delay of a reaction on a busy machine
 TICK = 0.033  # s, between two odometry readings
 JOINTS, GAINS = read_settings().joints, read_settings().gains
 # counts, largest motion under load when torque comes on: before, gearbox friction holds up to 0.1
 # of the stall torque (emulator.yaml); then the position loop, with p/128 of 885 steps a count.
 SAG = 1 + 0.1 * 885 * 128 / GAINS.p
-RAMP = read_supervisor().gate.relax_time  # s, longest ramp to slack
 
 
 class Rig:
@@ -103,10 +98,6 @@ class Rig:
         with contextlib.suppress(ExternalShutdownException):
             self._executor.spin()
 
-    def subscribe(self, topic, kind, profile):
-        """Record one more topic."""
-        self.node.create_subscription(kind, topic, self.messages[topic].append, profile)
-
     def publisher(self, kind, topic, profile):
         """Publisher of the test."""
         return self.node.create_publisher(kind, topic, profile)
@@ -131,25 +122,16 @@ class Rig:
             executable, *arguments = command_line(self.specs[name])
             values = {**self._parameters.get(name, {}), **(parameters or {})}
             options = [w for key, value in values.items() for w in ("-p", f"{key}:={value}")]
-            with self._log(name).open("ab") as log:
+            with (self.directory / f"{name}.log").open("ab") as log:
                 self.children[name] = subprocess.Popen(
                     [*TIED, *(program or [executable]), *arguments, *options],
                     env=environment, stdout=log, stderr=log, start_new_session=True,
                     cwd=self.directory,
                 )  # fmt: skip
 
-    def kill(self, name):
-        """SIGKILL, and wait for the end; returns the time before the signal."""
-        begin = self.send_signal(name, signal.SIGKILL)
-        self.exit_code(name)
-        return begin
-
-    def _log(self, name):
-        return self.directory / f"{name}.log"
-
     def log(self, name):
         """Output of a node so far."""
-        log = self._log(name)
+        log = self.directory / f"{name}.log"
         return log.read_text(errors="replace") if log.exists() else ""
 
     def log_lines(self, name):
@@ -208,15 +190,6 @@ class Rig:
         assert answer.success, answer.message
         self._injected = {*self._injected, (kind, leg)} - ({(kind, leg)} if clear else set())
         return now
-
-    def restore(self):
-        """Clear the faults that a test has injected, and continue stopped nodes."""
-        for kind, leg in self._injected:
-            self.call(InjectFault, "/sim_robot/inject", kind=kind, leg=leg, clear=True)
-        self._injected = set()
-        for child in self.children.values():
-            if child.poll() is None:
-                child.send_signal(signal.SIGCONT)
 
     @property
     def state(self):
@@ -315,7 +288,6 @@ class Rig:
         """End every node; returns the exit codes."""
         for child in self.children.values():
             if child.poll() is None:
-                child.send_signal(signal.SIGCONT)
                 child.send_signal(signal.SIGINT)
         for child in self.children.values():
             try:

@@ -18,7 +18,6 @@ class StubSupervisor:
 
     def __init__(self, rig):
         self.permission, self.angle = None, None
-        self.commanded = self.permitted = 0  # ns, before the last message of each
         self._rig = rig
         self._states = rig.publisher(RobotState, "robot_state", qos.STATE)
         self._limits = rig.publisher(ServoLimits, "servo_limits", qos.STATE)
@@ -29,14 +28,12 @@ class StubSupervisor:
     def _send(self):
         now = self._rig.now()
         if (permission := self.permission) is not None:
-            self.permitted = now
             action = decode.ACTION_NUMBERS.index(permission)
             state = RobotState(state=State.WALKING, action=action, reason="requested")
             state.followed = permission is Action.PASS
             state.header.stamp = messages.ns_to_stamp(now)
             self._states.publish(state)
         if (angle := self.angle) is not None:
-            self.commanded = now
             self._commands.publish(messages.command_to_msg(now, np.full(4, angle), np.zeros(4)))
 
     def close(self):
@@ -44,14 +41,6 @@ class StubSupervisor:
         self._rig.destroy_publisher(self._states)
         self._rig.destroy_publisher(self._limits)
         self._rig.destroy_publisher(self._commands)
-
-    def stop_sending(self, what):
-        """Stop the "command" or else the permission; returns the time before the last one."""
-        if what == "command":
-            self.angle = None
-            return self.commanded
-        self.permission = None
-        return self.permitted
 
     def move_to(self, angle):
         """Move all tendons to an angle, rad; again if a busy machine has caused a RELAX."""
