@@ -50,23 +50,6 @@ class Stepper:
         assert self.advance(self.machine, steps) == (steps, -1)
 
 
-def stand_and_step(time):
-    return np.radians([63.0] * 4 if time < 0.5 else [90.0, 30.0, 50.0, 75.0])
-
-
-@pytest.mark.parametrize("legs", ["planar", "spatial"])
-def test_legs_in_lanes_move_as_legs_one_by_one(legs):
-    """For 1.5 s from the start; 1e-7 m is a thousandth of the time step's discretisation error."""
-    lanes, single = Stepper(True, solver__legs=legs), Stepper(False, solver__legs=legs)
-    for k in range(50):
-        for stepper in (lanes, single):
-            stepper.run(stand_and_step(0.03 * k), 30)
-        np.testing.assert_allclose(lanes.state.position, single.state.position, rtol=0, atol=1e-7)
-        np.testing.assert_allclose(lanes.state.node, single.state.node, rtol=0, atol=1e-7)
-        np.testing.assert_allclose(lanes.state.tension, single.state.tension, rtol=0, atol=1e-3)
-    assert lanes.state.position[2] > 0.03  # m: it stands
-
-
 FEATURES = {
     "bristles": {"floor__friction_law": "bristle"},
     "direction": {"floor__friction_varies": "direction", "floor__friction_other": [0.1] * 4},

@@ -202,15 +202,6 @@ def mass_matrix(rod):
     return np.kron(mass[1:, 1:], np.eye(2))
 
 
-def test_uniform_beam_vibrates_at_euler_bernoulli_frequencies():
-    rod, stiffness = straight(41)
-    per_length = rod.mass.sum() / LENGTH
-    beta = np.array([1.8751040687, 4.6940911330, 7.8547574382]) / LENGTH  # clamped, free
-    exact = beta**2 * np.sqrt(stiffness / per_length) / (2 * np.pi)
-    # Fourth order in 1/40, growing with the mode; differences of forces limit the lowest one.
-    np.testing.assert_array_less(np.abs(lowest_frequencies(rod, 3) / exact - 1), [2e-5, 1e-5, 5e-5])
-
-
 def test_tapered_leg_vibrates_at_the_frequencies_of_a_tapered_bernoulli_beam():
     taper = (ROBOT.leg.thickness_clamp, ROBOT.leg.thickness_tip)
     exact = np.array([6.5209720302, 25.5124367433, 61.3511026964])

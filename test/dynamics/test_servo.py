@@ -234,13 +234,3 @@ def test_a_taut_tendon_takes_up_the_backlash():
     assert path[1] == pytest.approx(0.5 - math.radians(2.0), abs=1e-12)
     assert path[2] > path[1]
     assert drive[0] == pytest.approx(math.radians(2.0), abs=1e-12)
-
-
-def test_without_backlash_the_spool_moves_with_the_motor():
-    drive, command = np.zeros(3), np.linspace(0.0, 0.2, 50)
-    path = run(servo(SETTINGS, NOMINAL), drive, 0.0, command, np.full(50, 0.3), 1e-3)
-    angle = 0.0
-    for i, target in enumerate(command):
-        angle += 1e-3 * rate(servo(SETTINGS, NOMINAL), target, angle, 0.3)
-        assert path[i] == angle
-    assert not drive.any()

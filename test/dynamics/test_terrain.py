@@ -64,11 +64,10 @@ TURN = Rotation.from_rotvec([0.0, -SLOPE, 0.0]).as_matrix()  # the plane's axes 
 
 @pytest.fixture
 def maps(tmp_path, monkeypatch):
-    """A configuration directory with two height maps, an inclined plane and bumps."""
+    """A configuration directory with the height map of an inclined plane."""
     scenes = tmp_path / "scene"
     scenes.mkdir()
     np.savetxt(scenes / "plane.csv", PLANE, delimiter=",", fmt="%.18e")
-    np.savetxt(scenes / "bumps.csv", HEIGHT / 3, delimiter=",")
     scene = read_scene("flat")
     robot, servo = read_robot(), read_servo()
     monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
@@ -107,20 +106,3 @@ def test_an_inclined_height_map_is_a_plane_under_tilted_gravity(maps, law, frict
     if pulled == 0.0:
         corners = flat.position + flat.model.torso.corners @ flat.rotation.T
         assert corners[:, 2].min() < 1e-4  # the torso lies on the floor
-
-
-def test_bumps_carry_the_weight(maps):
-    sim = maps(
-        floor__height_map="bumps.csv",
-        floor__spacing=SPACING,
-        floor__friction_law="bristle",
-        start__height=0.04,
-        start__settle=2.0,
-    )
-    sim.advance(4000, sim.tendon_angle)
-    np.testing.assert_allclose(
-        sim.ground_force.sum(0),
-        [0.0, 0.0, sim.parameters.weight],
-        atol=1e-3 * sim.parameters.weight,
-    )
-    assert np.abs(sim.rpy[:2]).max() > 1e-3  # it stands tilted

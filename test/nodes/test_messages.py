@@ -13,7 +13,6 @@ from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.inertial_filter import Mount
 from slot_core.gait.gait import GaitCommand, GaitPreview
 from slot_core.messages import decode
-from slot_core.robot import TENDON_JOINTS
 from slot_core.simulation.plant import TrueState
 from slot_core.simulation.sensors import ImuReading, OdometryReading
 from slot_nodes import messages
@@ -164,22 +163,6 @@ def test_a_command_without_velocities_stays():
     message.velocity = [1.0]
     with pytest.raises(ValueError, match="once each"):
         decode.joint_command(message)
-
-
-@pytest.mark.parametrize(
-    ("names", "positions"),
-    [
-        (TENDON_JOINTS[:3], [0.0] * 3),
-        (("FL_tendon",) * 4, [0.0] * 4),
-        (TENDON_JOINTS, [0.0] * 3),
-        (("a", "b", "c", "d"), [0.0] * 4),
-    ],
-)
-def test_a_command_that_does_not_name_each_joint_once_is_refused(names, positions):
-    message = messages.command_to_msg(STAMP, np.zeros(4), np.zeros(4))
-    message.name, message.position = list(names), positions
-    with pytest.raises(ValueError, match="once each"):
-        decode.joint_angles(message)
 
 
 @pytest.mark.parametrize("segments", [6, 0])

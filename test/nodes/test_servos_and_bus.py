@@ -4,10 +4,12 @@ import copy
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from rig import SAG, servo_angle
 from std_srvs.srv import SetBool, Trigger
 
 from slot_core.dynamixel.table import RAD_PER_COUNT
+from slot_core.messages import decode
 from slot_core.robot import read_robot
 from slot_core.safety.states import State
 from slot_nodes import qos
@@ -31,6 +33,34 @@ LATE = 0.05  # s, from a limit to the reaction: two steps of the supervisor and 
 
 def seconds(begin, end):
     return (end - begin) * 1e-9
+
+
+def errors(rig, since):
+    """Lines of /diagnostics with the level ERROR."""
+    return [
+        f"{status.name}: {status.message}"
+        for message in rig.since("/diagnostics", since)
+        for status in message.status
+        if status.level == DiagnosticStatus.ERROR
+    ]
+
+
+def test_a_silent_servo_ends_in_relax_without_joint_states(rig):
+    begin = rig.inject("silent", "RL")
+    silent = rig.now()  # at the latest
+    relaxed, reason = rig.wait_for_state(State.RELAX, silent)
+    rig.wait_for_state(State.FAULT, relaxed)
+    limit = rig.limit("servo_silent")
+    assert seconds(begin, relaxed) >= limit - 0.1  # its last answer, a cycle before
+    assert seconds(silent, relaxed) <= limit + LATE
+    # supervisor and driver have the same limit; which of them is first depends on the bus cycle
+    assert reason.startswith(("servo RL silent", "servos: servo RL (id 2): no answer for 0.5"))
+    assert not rig.since("/joint_states", silent + 10_000_000)
+    rig.wait_for(lambda: any(line.startswith("servo RL (id 2): ") for line in errors(rig, silent)))
+    while_silent = [m for m in rig.since("/servo_health", silent) if decode.stamp(m) < relaxed]
+    # the others answer in every cycle
+    assert max(m.silence[k] for m in while_silent for k in (0, 1, 3)) < LATE
+    rig.inject("silent", "RL", clear=True)
 
 
 def test_noise_on_the_bus_causes_at_most_a_hold_and_no_false_angle(rig):

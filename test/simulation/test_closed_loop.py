@@ -172,13 +172,6 @@ def test_estimate_follows_the_truth(minute):
     assert tilt_error < math.radians(1.5)  # up to 3 rad/s over 10 ms
 
 
-def test_equal_seeds_give_equal_walks_and_other_seeds_others():
-    """The noise of the sensors enters with the first feedback, after two strides."""
-    first, second, third = (walk(2.5, seed=seed)[0] for seed in (1, 1, 2))
-    assert np.array_equal(first, second)
-    assert not np.array_equal(first, third)
-
-
 def test_values_by_dotted_name_change_the_simulated_robot_and_the_controller():
     changes = {
         "scene.payload.mass": 0.3,

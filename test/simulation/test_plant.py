@@ -40,21 +40,6 @@ def test_pushes_act_from_their_time_for_their_duration_and_add_up():
     np.testing.assert_allclose(acting, expected, atol=1e-15)
 
 
-def test_robots_with_and_without_a_push_are_equal_until_it_begins():
-    pushed, still = plant(first=FIRST), plant()
-    for each in (pushed, still):
-        each.start(START)
-    for until, same in [(100, True), (101, False)]:
-        for each in (pushed, still):
-            list(each.advance(START + until * MILLISECOND))
-        equal = np.array_equal(pushed.robot.position, still.robot.position)
-        assert equal is same  # bit-equal until the push begins
-    for each in (pushed, still):
-        list(each.advance(START + 150 * MILLISECOND))
-    gained = (pushed.robot.momentum()[0] - still.robot.momentum()[0])[1]
-    assert 0.0 < gained < 4.0 * 0.05  # N s; the floor takes a part
-
-
 def test_push_between_two_time_steps_does_not_shift_the_clock():
     odd = {**FIRST, "time": 0.1004, "duration": 0.0501}
     each = plant(first=odd)
