@@ -5,7 +5,6 @@ it was published, and a callback takes no time. So what the robot does in second
 computation, and the result depends neither on the machine nor on what else runs there.
 """
 
-import contextlib
 import dataclasses
 import heapq
 import importlib
@@ -64,7 +63,6 @@ class SimulatedRig(Rig):
         self._logs = defaultdict(list)
         self._injected = set()
         self.hidden = set()  # services that are not discovered yet
-        self.changes = {}  # by topic, function that changes a message or returns False to drop it
         self.solve_time = SOLVE_TIME
         self.messages, self.transitions = defaultdict(list), []
         self._patch = pytest.MonkeyPatch()
@@ -290,7 +288,7 @@ class SimulatedRig(Rig):
     # messages and services
 
     def _publish(self, node, topic, profile):
-        made = Publisher(self, node, topic, profile)
+        made = Publisher(self, topic, profile)
         self._publishers.append((node, made))
         return made
 
@@ -318,15 +316,6 @@ class SimulatedRig(Rig):
     def deliver(self, topic, message, number):
         for subscription in self._subscriptions[topic]:
             subscription.receive(message, number)
-
-    @contextlib.contextmanager
-    def changed(self, topic, change):
-        """Meanwhile `change` alters each message of a topic, or returns False to drop it."""
-        self.changes[f"/{topic}"] = change
-        try:
-            yield self._time
-        finally:
-            del self.changes[f"/{topic}"]
 
     def _offers(self, service):
         if service in self.hidden:

@@ -1,6 +1,5 @@
 """What the nodes of a SimulatedRig get in place of rclpy's timers, topics, clocks and ports."""
 
-import copy
 import inspect
 import types
 from collections import deque
@@ -75,20 +74,15 @@ class Subscription:
 
 
 class Publisher:
-    """Publisher of a node, or of the test (`node` is None)."""
+    """Publisher of a node, or of the test."""
 
-    def __init__(self, rig, node, topic, profile):
-        self._rig, self._node, self.topic_name = rig, node, f"/{topic.lstrip('/')}"
+    def __init__(self, rig, topic, profile):
+        self._rig, self.topic_name = rig, f"/{topic.lstrip('/')}"
         self.latched = deque(maxlen=profile.depth)
         self.latches = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
         self._number = 0
 
     def publish(self, message):
-        change = self._rig.changes.get(self.topic_name) if self._node else None
-        if change is not None:
-            message = copy.deepcopy(message)
-            if change(message) is False:
-                return
         self._number += 1
         if self.latches:
             self.latched.append((message, self._number))

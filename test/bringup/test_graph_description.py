@@ -43,31 +43,26 @@ def test_arguments_reach_their_nodes_in_the_yaml_that_ros_parses(graph):
     assert all("use_sim_time:=true" in command_line(spec) for spec in nodes.values())
 
 
-@pytest.mark.parametrize("hardware", ["sim", "fake_bus", "real"])
-def test_composed_nodes_share_a_process_and_keep_their_parameters(graph, hardware):
-    chosen = values(graph, hardware=hardware, bag="x", vx=0.05, policy="paper_text")
+@pytest.mark.parametrize(
+    ("hardware", "lockstep"),
+    [("sim", False), ("fake_bus", False), ("real", False), ("sim", True), ("fake_bus", True)],
+)
+def test_composed_nodes_share_a_process_and_keep_their_parameters(graph, hardware, lockstep):
+    """In lockstep robot and supervisor too."""
+    given = {"hardware": hardware, "lockstep": lockstep, "vx": 0.05, "policy": "paper_text"}
+    chosen = values(graph, bag="x", **given)
     separate = {s.name: s for s in graph.nodes(chosen)}
     *others, process = graph.nodes(chosen | {"composed": True})
-    driver = ["dynamixel_driver"] if hardware != "sim" else []
-    controller = ["state_estimator", "gait_scheduler", "mpc_controller", "force_mapper"]
-    assert sorted(process.nodes) == sorted(driver + controller)
+    shared = ["state_estimator", "gait_scheduler", "mpc_controller", "force_mapper"]
+    shared += ["dynamixel_driver"] if hardware != "sim" and not lockstep else []
+    shared += ["sim_robot", "supervisor"] if lockstep else []
+    assert sorted(process.nodes) == sorted(shared)
     assert [s.name for s in others] == [name for name in separate if name not in process.nodes]
     for name in process.nodes:
         assert separate[name].parameters.items() <= process.parameters.items()
     line = command_line(process)
     assert line[1 : 1 + len(process.nodes)] == list(process.nodes)
     assert not any(word.startswith("__node") for word in line)  # they keep their names
-
-
-@pytest.mark.parametrize("hardware", ["sim", "fake_bus"])
-def test_composed_in_lockstep_robot_and_supervisor_share_the_process_too(graph, hardware):
-    chosen = values(graph, hardware=hardware, bag="x", lockstep=True)
-    separate = {s.name: s for s in graph.nodes(chosen)}
-    recorder, process = graph.nodes(chosen | {"composed": True})
-    assert recorder.name == "recorder"
-    assert {*process.nodes, "recorder"} == set(separate)
-    for name in process.nodes:
-        assert separate[name].parameters.items() <= process.parameters.items()
 
 
 def test_only_the_controller_gets_the_real_time_priority(graph):
@@ -162,7 +157,9 @@ def test_a_launch_argument_of_the_wrong_type_is_refused_by_name(graph, name, tex
 def test_the_launch_file_starts_the_nodes_of_the_description(graph, monkeypatch):
     """Against stubs of launch and launch_ros, which are not among the Python wheels."""
     given = {"bag": "somewhere", "gait": "stand", "vx": "0.0", "namespace": "fred"}
-    started = load_launch_file(monkeypatch, given)
+    asked = []
+    started = load_launch_file(monkeypatch, given, asked)
+    assert asked == ["fred"]
     described = graph.nodes(values(graph, bag="somewhere", gait="stand", vx=0.0, namespace="fred"))
     assert [node["name"] for node in started] == [spec.name for spec in described]
     for node, spec in zip(started, described):
@@ -196,12 +193,6 @@ def test_the_launch_file_records_the_same_topics_with_ros2_bag(monkeypatch):
         "hardware=sim", "gait=crawl", "scene=flat", "odometry_topic=/rtabmap/odom",
         "namespace=fred",
     ]  # fmt: skip
-
-
-def test_the_launch_file_refuses_a_second_graph(monkeypatch):
-    asked = []
-    load_launch_file(monkeypatch, {"namespace": "fred"}, asked)
-    assert asked == ["fred"]
 
 
 def test_without_hardware_a_played_bag_gives_sensors_and_clock(graph):
