@@ -11,6 +11,14 @@ def strains(rod, node):
     return np.hypot(*chord.T) - rod.rest_length - rod.shortening * bend**2, bend
 
 
+def mass_matrix(rod):
+    """(N, N) kg, consistent mass of a rod's nodes along an axis."""
+    mass = np.diag(rod.mass)
+    for k, mu in enumerate(rod.coupling):
+        mass[k : k + 2, k : k + 2] += mu * np.array([[-1.0, 1.0], [1.0, -1.0]])
+    return mass
+
+
 def rod_energy(rod, node):
     """Elastic energy of a rod at nodes (N, 2), J."""
     extension, bend = strains(rod, node)

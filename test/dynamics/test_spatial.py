@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from planar_energy import mass_matrix
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
@@ -76,13 +77,6 @@ class Chain:
 def directions(node):
     chord = np.diff(node, axis=0)
     return chord / np.linalg.norm(chord, axis=1, keepdims=True)
-
-
-def mass_matrix(rod):
-    mass = np.diag(rod.mass)
-    for k, mu in enumerate(rod.coupling):
-        mass[k : k + 2, k : k + 2] += mu * np.array([[-1.0, 1.0], [1.0, -1.0]])
-    return mass
 
 
 def in_odom(sim, leg, vectors):

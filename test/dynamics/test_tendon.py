@@ -244,3 +244,22 @@ def test_a_straight_tendon_conserves_momentum_in_flight():
         errors.append(np.linalg.norm(after[1] - before[1]) / np.linalg.norm(before[1]))
     assert errors[0] < 1e-6
     assert np.log2(errors[0] / errors[1]) > 1.9  # second order
+
+
+def test_an_undamped_straight_tendon_conserves_energy_in_flight():
+    """With fixed spools the tendon's force is the gradient of the cable's energy."""
+    leg = dataclasses.replace(STRAIGHT.leg, damping_time=0.0)
+    tendon = dataclasses.replace(STRAIGHT.tendon, cable_damping=0.0, cable_stiffness=2e3)
+    robot = dataclasses.replace(STRAIGHT, leg=leg, tendon=tendon)
+    errors = []
+    for step in (2.5e-4, 1.25e-4):
+        sim = hanging(
+            robot, solver__legs="planar", solver__step=step, solver__theta=0.5, solver__iterations=8
+        )
+        sim.set_motion(np.zeros(3), np.array([3.0, 4.0, 5.0]))
+        sim.state.tendon_angle[:] = 0.5
+        before = sim.energy()
+        sim.advance(round(0.1 / step), np.full(4, 0.5))
+        errors.append(abs(sim.energy() / before - 1))
+    assert errors[0] < 1e-3
+    assert np.log2(errors[0] / errors[1]) > 1.5  # two in the limit; the stiff modes converge late

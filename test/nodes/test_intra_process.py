@@ -63,13 +63,6 @@ def test_a_topic_that_no_node_of_the_process_publishes_is_left_to_dds(mailbox, e
     assert intra_process.publisher(alone) is alone
 
 
-def test_a_message_without_a_reader_goes_out_at_once(mailbox, events):
-    with Topics().nodes_of(mailbox):
-        numbers = intra_process.publisher(Recorded(events))
-    numbers.publish(1)
-    assert events == [("topic", 1)]
-
-
 def test_a_slow_reader_of_the_newest_skips_the_others_and_sees_their_number(mailbox, events):
     with Topics().nodes_of(mailbox):
         numbers = intra_process.publisher(Recorded(events))

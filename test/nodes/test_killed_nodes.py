@@ -22,11 +22,9 @@ CONTROLLER = ("state_estimator", "gait_scheduler", "mpc_controller", "force_mapp
 
 
 @pytest.fixture(scope="module")
-def rig(simulate, tmp_path_factory):
+def rig(simulate):
     """A robot with simulated servos."""
-    dump = tmp_path_factory.mktemp("killed")
-    made = simulate(parameters={"sim_robot": {"dump": dump}})
-    made.dump = dump
+    made = simulate()
     made.subscribe("/mpc_state", MpcState, qos.CONTROL)
     made.subscribe("/tendon_plan", TendonPlan, qos.CONTROL)
     return made

@@ -40,33 +40,20 @@ def ends_in_fault(bench):
     )
 
 
-def test_the_robot_walks_again_when_commands_return_in_time(walking):
-    walking.silent.add("command")
-    walking.time_until(State.HOLD, 1.0)
-    walking.silent.clear()
-    assert walking.time_until(State.WALKING, 1.0) <= TIMING.recovery + CYCLE + STEP
-    assert "no reason to hold for 0.2 s" in walking.reports[-1].reason
-    assert walking.reports[-1].resumed  # with the gait that was requested last
-
-
-def test_stand_requested_in_hold_ends_in_standing(walking):
-    walking.silent.add("command")
-    walking.time_until(State.HOLD, 1.0)
-    walking.request(Request.STAND)
-    walking.silent.clear()
-    assert walking.time_until(State.STANDING, 1.0) < 1.0
-    assert not walking.reports[-1].resumed  # it walked before
-
-
-def test_a_robot_held_while_it_stands_resumes_standing():
-    bench = SupervisorBench()
-    bench.bring_to(State.STANDING)
+@pytest.mark.parametrize("begin", [State.WALKING, State.STANDING])
+@pytest.mark.parametrize("stand", [False, True])
+def test_the_robot_does_again_what_was_requested_last_when_commands_return(begin, stand):
+    bench, wanted = SupervisorBench(), State.STANDING if stand else begin
+    bench.bring_to(begin)
     assert not bench.tick().resumed
     bench.silent.add("command")
     bench.time_until(State.HOLD, 1.0)
+    if stand:
+        bench.request(Request.STAND)
     bench.silent.clear()
-    assert bench.time_until(State.STANDING, 1.0) < 1.0
-    assert bench.reports[-1].resumed
+    assert bench.time_until(wanted, 1.0) <= TIMING.recovery + CYCLE + STEP
+    assert "no reason to hold for 0.2 s" in bench.reports[-1].reason
+    assert bench.reports[-1].resumed == (wanted is begin)  # with the gait requested last
 
 
 @pytest.mark.parametrize("bad", [Validity.ODOMETRY_REJECTED, Validity.INITIALISING, "NaN"])
@@ -83,18 +70,14 @@ def test_the_fourth_unusable_estimate_in_a_row_ends_in_hold(walking, bad):
     assert walking.reports[-1].reason == "4 estimates in a row unusable, limit 3"
 
 
-def test_the_robot_walks_on_without_imu(walking):
-    walking.validity = Validity.IMU_MISSING
-    assert walking.run(1.0).state is State.WALKING
-
-
 def test_missing_estimates_end_in_hold(walking):
     walking.silent.add("estimate")
     limit = SETTINGS.estimate.silence
     assert limit - CYCLE <= walking.time_until(State.HOLD, 1.0) <= limit + STEP
 
 
-def test_the_robot_walks_on_while_the_mpc_falls_back(walking):
+def test_the_robot_walks_on_without_imu_and_while_the_mpc_falls_back(walking):
+    walking.validity = Validity.IMU_MISSING
     walking.status, walking.fallback_cycles = Status.NOT_SOLVED, read_mpc().fallback.cycles
     assert walking.run(1.0).state is State.WALKING
 

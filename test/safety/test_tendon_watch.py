@@ -63,13 +63,6 @@ def test_a_tendon_3_mm_longer_is_measured_and_named(leg):
     assert np.delete(state.slack, leg) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_undamaged_tendons_have_no_slack():
-    _, state = feed(watch(), 5.0)
-    assert state.message == ""
-    assert not state.damaged.any()
-    assert state.slack == pytest.approx(0.0, abs=1e-9)
-
-
 def test_slack_is_unknown_before_a_whole_stride():
     _, state = feed(watch(), STRIDE - 0.02, [0.01] * 4)
     assert np.isnan(state.slack).all()
@@ -83,15 +76,20 @@ def test_a_gap_in_the_readings_restarts_the_mean():
     assert np.isnan(state.slack).all()
 
 
-def test_two_damaged_tendons_are_both_named():
-    _, state = feed(watch(), 2.0, [0.003, 0.0, 0.0025, 0.0])
-    assert state.damaged.tolist() == [True, False, True, False]
-
-
-def test_neighbours_that_carry_less_because_of_a_damaged_tendon_are_not_named():
-    _, state = feed(watch(), 2.0, [0.006, 0.002, 0.002, 0.0])
-    assert (state.slack[:3] > LIMITS.slack_max).all()
-    assert state.damaged.tolist() == [True, False, False, False]
+@pytest.mark.parametrize(
+    ("slack", "over", "damaged"),
+    [
+        ([0.0] * 4, [False] * 4, [False] * 4),
+        ([0.003, 0.0, 0.0025, 0.0], [True, False, True, False], [True, False, True, False]),
+        # neighbours carry less because of a damaged tendon
+        ([0.006, 0.002, 0.002, 0.0], [True, True, True, False], [True, False, False, False]),
+    ],
+)
+def test_tendons_with_slack_of_their_own_are_named_and_no_others(slack, over, damaged):
+    _, state = feed(watch(), 5.0, slack)
+    assert (state.slack > LIMITS.slack_max).tolist() == over
+    assert state.slack[~np.array(over)] == pytest.approx(0.0, abs=1e-9)
+    assert (state.damaged.tolist(), bool(state.message)) == (damaged, any(damaged))
 
 
 def test_slack_shorter_than_confirm_raises_no_alarm():

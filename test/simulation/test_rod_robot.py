@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from planar_energy import strains
+from planar_energy import mass_matrix, strains
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -33,9 +33,7 @@ class VerticalDrop:
 
     def __init__(self, sim, angle):
         self.model, self.angle = sim.model, angle
-        self.mass = np.diag(self.model.rod.mass)
-        for k, mu in enumerate(self.model.rod.coupling):
-            self.mass[k : k + 2, k : k + 2] += mu * np.array([[-1.0, 1.0], [1.0, -1.0]])
+        self.mass = mass_matrix(self.model.rod)
         self.mass[0, 0] += self.model.torso.mass / 4
 
     def start(self, height, speed):
