@@ -64,21 +64,22 @@ class Rig:
     def __init__(self, directory, config=PATIENT, parameters=None, only=None, **arguments):
         """`config`: as for `changed_config`; `parameters`: by node; `only`: nodes to
         start now, else all; `arguments`: of the graph."""
-        self.directory = directory
-        self.bus = directory / "bus"
-        self.config = changed_config(directory, config)
-        self._parameters = {name: dict(values) for name, values in (parameters or {}).items()}
+        self._describe(directory, config, parameters, {"hardware": "fake_bus"} | arguments)
+        self.children = {}
+        self._open_node()
+        self.start(*(self.specs if only is None else only))
+
+    def _describe(self, directory, config, parameters, arguments):
+        """Configuration and nodes; no messages yet."""
+        self.directory, self.bus = directory, directory / "bus"
+        self.config, self._parameters = changed_config(directory, config), parameters or {}
         graph = read_graph()
-        values = {a.name: a.default for a in graph.arguments} | {"hardware": "fake_bus"} | arguments
+        values = {a.name: a.default for a in graph.arguments} | arguments
         if values["hardware"] == "fake_bus":
             values["port"] = str(self.bus)
         self.specs = {spec.name: spec for spec in graph.nodes(values)}
-        self.children = {}
         self._injected = set()  # (kind, leg)
-        self.messages = defaultdict(list)
-        self.transitions = []  # (since, State, reason)
-        self._open_node()
-        self.start(*(self.specs if only is None else only))
+        self.messages, self.transitions = defaultdict(list), []  # (since, State, reason)
 
     def _open_node(self):
         """Subscribe to TOPICS, and receive in a thread."""

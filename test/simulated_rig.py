@@ -18,11 +18,9 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy
 from rclpy.signals import SignalHandlerOptions
-from real_graph import changed_config
 from rig import TOPICS, Rig
 from simulated_ros import Answer, Clock, Logger, Port, Publisher, StubTerminal, Subscription, Timer
 
-from slot_bringup.graph import read_graph
 from slot_bringup.processes import command_line
 from slot_core.clock import SECOND
 from slot_core.dynamixel.brand import DYNAMIXEL
@@ -43,14 +41,7 @@ class SimulatedRig(Rig):
 
     def __init__(self, directory, config=None, parameters=None, only=None, **arguments):
         """As Rig, with the time limits of config/, which hold here as on a robot."""
-        self.directory, self.bus = directory, directory / "bus"
-        self.config = changed_config(directory, config or {})
-        self._parameters = parameters or {}
-        graph = read_graph()
-        values = {a.name: a.default for a in graph.arguments} | arguments
-        if values["hardware"] == "fake_bus":
-            values["port"] = str(self.bus)
-        self.specs = {spec.name: spec for spec in graph.nodes(values)}
+        self._describe(directory, config or {}, parameters, arguments)
         self._time, self._events, self._count = START, [], itertools.count()
         self._building = None  # (name, number of its start) of the node that is being made
         self._starts = itertools.count()
@@ -61,10 +52,8 @@ class SimulatedRig(Rig):
         self._publishers = []  # (node, publisher)
         self._services = {}  # (node, kind, callback), by name
         self._logs = defaultdict(list)
-        self._injected = set()
         self.hidden = set()  # services that are not discovered yet
         self.solve_time = SOLVE_TIME
-        self.messages, self.transitions = defaultdict(list), []
         self._patch = pytest.MonkeyPatch()
         self._patch.setenv("SLOT_CONFIG", str(self.config))
         self._replace()

@@ -179,14 +179,3 @@ def test_no_folder_has_too_many_python_files():
 def test_no_file_is_too_long():
     lengths = {str(path): len((ROOT / path).read_text().splitlines()) for path in tracked()}
     assert {path: n for path, n in lengths.items() if n > LONGEST_FILE} == {}
-
-
-def test_a_class_name_occurs_once():
-    found = collections.Counter(
-        node.name
-        for path in tracked()
-        if path.parts[0] != "test"
-        for node in ast.parse((ROOT / path).read_text()).body
-        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
-    )
-    assert {name for name, n in found.items() if n > 1} == set()

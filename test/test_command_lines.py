@@ -150,13 +150,6 @@ def test_every_help_works_without_the_packages_of_an_extra(script, module):
     assert run.stdout.startswith(f"usage: scripts/{script} ")
 
 
-def test_a_new_file_of_the_configuration_costs_no_rebuild():
-    setup = (ROOT / "scripts" / "setup").read_text()
-    (inputs,) = re.findall(r"^workspace_state\(\).*?^\)", setup, re.MULTILINE | re.DOTALL)
-    assert "slot_msgs" in inputs
-    assert "config" not in inputs
-
-
 @pytest.mark.parametrize(("tool", "arguments", "reason"), CASES)
 def test_what_a_tool_cannot_do_is_refused_before_the_work(place, refusal, tool, arguments, reason):
     main, _ = REFUSED[tool]

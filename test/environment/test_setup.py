@@ -194,6 +194,7 @@ def test_a_failing_build_is_reported_with_its_log_and_repeated_at_the_next_setup
         ("src/slot_nodes/setup.py", True),
         ("slot_bringup/rviz/new.rviz", True),
         ("src/slot_core/slot_core/new_module.py", False),  # installed by symbolic link
+        ("config/scene/new.yaml", False),
     ],
 )
 def test_the_workspace_is_rebuilt_only_for_files_that_are_not_linked(ready, path, rebuilt):

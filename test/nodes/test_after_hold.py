@@ -20,16 +20,6 @@ def rig(simulate):
     return made
 
 
-def hold(rig):
-    """A HOLD by a force_mapper that is stopped for a moment; returns when the robot walks again."""
-    begin = rig.pause("force_mapper")
-    rig.run(STOPPED)
-    rig.resume("force_mapper")
-    rig.wait_for_state(State.HOLD, begin)
-    since, _ = rig.wait_for_state(State.WALKING, begin)
-    return since
-
-
 def request_gait(rig, gait, v_x):
     answer = rig.call(SetGait, "/set_gait", gait=gait, velocity=Vector3(x=v_x))
     assert answer.success, answer.message
@@ -41,7 +31,11 @@ def test_what_was_requested_last_holds_after_a_hold(rig, gait, v_x):
     """A robot that was told to stand does not walk off; the velocity of the start is 0.05 m/s."""
     rig.walk_steadily()
     request_gait(rig, gait, v_x)
-    since = hold(rig)
+    begin = rig.pause("force_mapper")
+    rig.run(STOPPED)
+    rig.resume("force_mapper")
+    rig.wait_for_state(State.HOLD, begin)
+    since, _ = rig.wait_for_state(State.WALKING, begin)
     rig.wait_for(lambda: len(rig.since("/gait_preview", since)) > 44)
     previews = rig.since("/gait_preview", since)[:44]  # two strides
     assert {preview.gait for preview in previews} == {gait}

@@ -9,25 +9,15 @@ SECONDS = 2.0
 SEED = 3
 
 
-@pytest.fixture
-def rig(simulate):
-    made = simulate(lockstep=True, seed=SEED)
-    made.wait_for(lambda: newest(made) > 1.0 + SECONDS)
-    yield made
-    made.close()
-
-
-def newest(rig):
-    """Time of the robot, s, at the supervisor's newest state."""
-    states = rig.messages["/robot_state"]
-    return decode.stamp(states[-1]) * 1e-9 if states else 0.0
-
-
-def test_states_equal_those_of_the_core_to_the_last_bit(rig):
+def test_states_equal_those_of_the_core_to_the_last_bit(simulate):
     """Commands too: test/graph compares them with those of the processes."""
+    rig = simulate(lockstep=True, seed=SEED)
+    rig.wait_for(lambda: rig.messages["/robot_state"])
+    states = rig.messages["/robot_state"]
+    rig.wait_for(lambda: decode.stamp(states[-1]) * 1e-9 > 1.0 + SECONDS)
     loop = SupervisedLoop("flat", "walk", None, SEED)
     reports = [(loop.plant.now, report) for report in loop.run(SECONDS)]
-    states = {decode.stamp(m): m for m in rig.messages["/robot_state"]}
+    states = {decode.stamp(m): m for m in states}
     assert len(reports) > 100
     for stamp, report in reports:
         assert states[stamp].state == report.state

@@ -42,16 +42,15 @@ def bench():
     return WatchdogBench()
 
 
-def test_without_a_permission_nothing_moves_and_torque_stays(bench):
-    assert bench.run(10.0, permission=None) is Action.HOLD
-    assert bench.watchdog.reason == "no message of the supervisor yet"
-    assert (bench.goals.angle == START).all()
-
-
-def test_without_a_command_nothing_moves_and_torque_stays(bench):
-    assert bench.run(10.0, command=None) is Action.HOLD
-    assert bench.watchdog.reason == "no command yet"
+@pytest.mark.parametrize(
+    ("missing", "reason"),
+    [("permission", "no message of the supervisor yet"), ("command", "no command yet")],
+)
+def test_without_permission_or_command_nothing_moves_and_torque_stays(bench, missing, reason):
+    assert bench.run(10.0, **{missing: None}) is Action.HOLD
+    assert bench.watchdog.reason == reason
     assert bench.goals.torque
+    assert (bench.goals.angle == START).all()
 
 
 @pytest.mark.parametrize("missing", [{"permission": None}, {"command": None}])

@@ -95,18 +95,15 @@ def test_torque_comes_on_without_motion_below_the_range_of_commands():
 
 
 def test_configure_switches_off_torque_left_on_by_a_killed_driver(rig):
+    """Also if it is refused."""
     rig.run(0.2, SLIGHTLY)
     rig.bus.close()  # as the kernel does after a kill
     rig.sleep(1.0)
     assert rig.torque() == LEGS
     rig.session.configure()
     assert rig.torque() == ()
-
-
-def test_a_refused_configuration_switches_off_torque_left_on_by_a_killed_driver(rig):
-    rig.run(0.2, SLIGHTLY)
-    rig.bus.close()
-    rig.sleep(1.0)
+    rig.permit(Action.HOLD)
+    rig.session.start()
     rig.inject("silent", "FL")
     with pytest.raises(RefusedError, match="FL"):
         rig.session.configure()

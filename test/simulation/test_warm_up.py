@@ -27,17 +27,13 @@ def output(*command, **variables):
     return result.stdout
 
 
-@pytest.mark.parametrize("scene", ["flat", "map"])  # rods, table
-def test_every_kernel_of_a_walk_is_compiled_before_the_first_reading(scene):
-    assert output(LATE_KERNELS, "robot", scene) == ""
-
-
-def test_every_kernel_of_a_walk_on_emulated_servos_is_compiled_before_the_first_reading():
-    assert output(LATE_KERNELS, "servos", "flat") == ""
-
-
-def test_the_setup_compiles_every_kernel_of_a_default_run():
-    assert output(LATE_KERNELS, "warm_up", "flat") == ""
+@pytest.mark.parametrize(
+    ("what", "scene"),
+    [("robot", "flat"), ("robot", "map"), ("servos", "flat"), ("warm_up", "flat")],
+)
+def test_every_kernel_of_a_walk_is_compiled_before_the_first_reading(what, scene):
+    """On rods, a table and emulated servos; and those of a default run by scripts/setup."""
+    assert output(LATE_KERNELS, what, scene) == ""
 
 
 def test_an_installed_copy_uses_the_kernels_that_the_setup_has_compiled(tmp_path):
