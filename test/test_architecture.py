@@ -1,9 +1,10 @@
-"""Architecture: allowed imports between folders, no circles, size of folders and files."""
+"""Architecture: allowed imports between folders, no circles, size of folders and files, names."""
 
 import ast
 import collections
 import functools
 import graphlib
+import itertools
 import subprocess
 import sys
 from pathlib import Path
@@ -62,6 +63,24 @@ LAB = {
     "tuning": "",
 }
 # File names that occur in several folders, with the reason.
+REPEATED = {
+    "__init__.py": "subject of the folder",
+    "model.py": "numerical form of the equations of the folder's subject",
+    "kernels.py": "the compiled functions of the folder's subject",
+    "settings.py": "settings class of the folder's YAML file",
+    "statics.py": "equilibria of the rod, and those of its benchmark",
+    "strain.py": "strains of planar and of spatial legs",
+    "elimination.py": "elimination of planar and of spatial legs, and of the public rod",
+    "leg.py": "a planar and a spatial leg in a time step, and the choice between them",
+    "setup.py": "one in each ROS package",
+    "conftest.py": "pytest fixtures of a folder",
+    "__main__.py": "command of a package",
+    "brand.py": "what a brand of servos provides, and each brand",
+    "servo_bus.py": "the contract of a servo driver, and its example",
+    "benchmark.py": "main function of each benchmark",
+    "picture.py": "plots of each benchmark, and of a run",
+    "cases.py": "cases of each benchmark",
+}
 IMPORT_ALL = """
 import importlib, pkgutil, sys, slot_core
 for module in pkgutil.walk_packages(slot_core.__path__, "slot_core."):
@@ -125,6 +144,14 @@ def test_a_package_imports_only_packages_below_it(package):
         assert tops(path) & ours <= ABOVE[package], path
 
 
+@pytest.mark.parametrize("table", [CORE, LAB], ids=["slot_core", "slot_lab"])
+def test_a_folder_of_the_table_imports_only_folders_above_it(table):
+    known = []
+    for folder, allowed in table.items():
+        assert set(allowed.split()) <= set(known)
+        known.append(folder)
+
+
 @pytest.mark.parametrize(("package", "table"), [("slot_core", CORE), ("slot_lab", LAB)])
 def test_a_folder_imports_only_what_the_table_allows(package, table):
     seen = set()
@@ -147,6 +174,17 @@ def test_only_the_registry_imports_a_brand_of_servos():
         if not name.startswith(brands) and any(n.startswith(brands) for n in imports_of(path))
     }
     assert users == {REGISTRY}
+
+
+def test_a_contract_is_at_most_50_lines():
+    lengths = {
+        node.name: node.end_lineno - node.lineno + 1
+        for path in modules().values()
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, ast.ClassDef) and "Protocol" in map(ast.unparse, node.bases)
+    }
+    assert {"Policy", "ServoBus"} < lengths.keys()
+    assert max(lengths.values()) <= 50, lengths
 
 
 def test_no_module_imports_itself_by_way_of_others():
@@ -179,3 +217,42 @@ def test_no_folder_has_too_many_python_files():
 def test_no_file_is_too_long():
     lengths = {str(path): len((ROOT / path).read_text().splitlines()) for path in tracked()}
     assert {path: n for path, n in lengths.items() if n > LONGEST_FILE} == {}
+
+
+def test_a_file_name_occurs_in_several_folders_only_with_a_reason():
+    counts = collections.Counter(path.name for path in tracked())
+    assert {name for name, n in counts.items() if n > 1} == set(REPEATED)
+
+
+def test_a_class_name_occurs_once():
+    found = collections.Counter(
+        node.name
+        for path in tracked()
+        if path.parts[0] != "test"
+        for node in ast.parse((ROOT / path).read_text()).body
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    )
+    assert {name for name, n in found.items() if n > 1} == set()
+
+
+def test_the_median_function_is_short():
+    functions = (ast.FunctionDef, ast.AsyncFunctionDef)
+    lengths = sorted(
+        node.end_lineno
+        - node.body[1 if ast.get_docstring(node) and node.body[1:] else 0].lineno
+        + 1
+        for path in itertools.chain(modules().values())
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, functions)
+    )
+    assert lengths[len(lengths) // 2] <= 8
+
+
+def test_no_file_name_has_a_leading_underscore():
+    private = [p for p in tracked() if p.name.startswith("_")]
+    assert {p.name for p in private} <= {"__init__.py", "__main__.py"}
+
+
+def test_launch_is_imported_only_by_the_launch_file():
+    for path in modules().values():
+        assert not tops(path) & {"launch", "launch_ros"}, path

@@ -49,7 +49,7 @@ def bench(places, *arguments):
     return main([*arguments, "--benchmarks", str(directory), "--out", str(out)])
 
 
-def test_result_holds_rows_checks_revision_and_machine(places, capsys):
+def test_result_holds_rows_checks_revision_machine_and_whether_it_was_quick(places, capsys):
     assert bench(places, "tiny") == 0
     result = json.loads((places[1] / "tiny.json").read_text())
     assert [row["n"] for row in result["rows"]] == [0, 1, 2, 3]
@@ -67,9 +67,6 @@ def test_result_holds_rows_checks_revision_and_machine(places, capsys):
     output = capsys.readouterr()
     assert "MISSED  rows" in output.out
     assert output.err == "half way\n"
-
-
-def test_quick_is_passed_on_and_recorded(places):
     assert bench(places, "tiny", "--quick") == 0
     result = json.loads((places[1] / "tiny.json").read_text())
     assert (result["quick"], len(result["rows"])) == (True, 2)

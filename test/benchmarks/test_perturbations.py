@@ -24,16 +24,13 @@ def series(cost, height=0.04, tilt=0.0):
     return cases.PerturbedRun(time, np.array(cost), height * still, tilt * still, infeasible=2)
 
 
-def test_a_cost_that_rises_again_settles_after_its_last_rise():
+def test_a_cost_settles_after_its_last_rise_if_it_is_small_at_the_end():
     found = cases.metrics(series([4.0, 0.001, 0.5, 0.009, 0.001]))
     assert found["max_cost"] == 4.0
     assert found["mean_cost"] == pytest.approx(4.511 / 5)
     assert found["final_cost"] == 0.001
     assert found["settling_cost_s"] == 3.0
     assert found["infeasible"] == 2
-
-
-def test_a_cost_above_the_limit_at_the_end_has_not_settled():
     assert math.isnan(cases.metrics(series([0.0, 0.0, 0.02]))["settling_cost_s"])
 
 
@@ -118,11 +115,8 @@ def test_a_torso_in_flight_keeps_energy_and_angular_momentum():
     plant = rigid_torso.RigidTorso(body, twisted_state(), np.zeros((4, 3)))
 
     def conserved():
-        turn, rate, v = (
-            plant.y[rigid_torso.QUATERNION],
-            plant.y[rigid_torso.RATE],
-            plant.y[rigid_torso.VELOCITY],
-        )
+        parts = (rigid_torso.QUATERNION, rigid_torso.RATE, rigid_torso.VELOCITY)
+        turn, rate, v = (plant.y[part] for part in parts)
         spin = body.inertia @ rate
         energy = (rate @ spin + body.mass * v @ v) / 2 + body.mass * GRAVITY * plant.y[2]
         return np.append(Rotation.from_quat(turn).apply(spin), energy)
@@ -139,11 +133,14 @@ def test_ground_forces_stay_within_friction_and_do_not_pull():
     assert rigid_torso.friction_limited(force, 0.4) == pytest.approx(np.array(expected))
 
 
-@pytest.mark.parametrize("name", ["Pitch", "Combined"])
-def test_the_mpc_on_forces_settles_a_perturbed_torso_with_lag(name):
-    run = rigid_torso.run_torso(ROBOT, read_mpc("forces"), cases.CASES[name], duration=1.5)
+@pytest.mark.parametrize(
+    ("name", "limit"), [("Roll", 0.5), ("Pitch", 1.0), ("Height", 0.8), ("Combined", 1.0)]
+)
+def test_the_mpc_on_forces_settles_a_perturbed_torso_with_lag(name, limit):
+    run = rigid_torso.run_torso(ROBOT, read_mpc("forces"), cases.CASES[name], duration=2.0)
     assert run.infeasible == 0
-    assert cases.metrics(run)["settling_s"] < 1.0
+    assert cases.metrics(run)["settling_s"] < limit
+    assert run.height.max() < 0.045  # overshoot below a sixth of the largest step
 
 
 def test_a_sample_depends_only_on_its_seed_and_index():

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
-from scipy.linalg import eigh
 from scipy.optimize import brentq, root
 from scipy.special import jv
 
@@ -13,39 +12,24 @@ from benchmarks.rod import exact, release, statics
 from slot_core.rod.model import Geometry, Loads, Material, Uniform
 
 
-def shoot(
-    moment_rate, base_moment, stretch=lambda s, a: (1.0, 0.0), bending=lambda s: 1.0, end=1.0
-):
-    """State (angle, M, x, y) at the tip by Runge-Kutta from a clamp with a given moment.
-
-    M' = moment_rate(s, angle, x', y'), angle' = M / bending(s), and stretch(s, angle) is the
-    tangent's length along and across the section.
-    """
-
-    def slope(s, state):
-        along, across = stretch(s, state[0])
-        c, d = math.cos(state[0]), math.sin(state[0])
-        x, y = c * along - d * across, d * along + c * across
-        return [state[1] / bending(s), moment_rate(s, state[0], x, y), x, y]
-
-    found = solve_ivp(slope, (0, end), [0, base_moment, 0, 0], "DOP853", rtol=1e-11, atol=1e-13)
-    return found.y[:, -1]
-
-
-def tip_by_shooting(farthest, moment_rate, **options):
-    """Tip (x, y) for the base moment, between 0 and `farthest`, with zero moment at the tip."""
-
-    def tip_moment(moment):
-        return shoot(moment_rate, moment, **options)[1]
-
-    moment = brentq(tip_moment, 0.0, farthest, xtol=1e-13)
-    return shoot(moment_rate, moment, **options)[2:]
+def integrated(slope, start):
+    """State at the end of the unit length, by Runge-Kutta of eighth order."""
+    return solve_ivp(slope, (0, 1), start, "DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
 
 
 @pytest.mark.parametrize("p", [0.2, 1.0, 3.0, 10.0])
 def test_elastica_by_elliptic_integrals_agrees_with_shooting(p):
-    shot = tip_by_shooting(p, lambda s, a, x, y: -p * math.cos(a))
-    np.testing.assert_allclose(exact.elastica(p), shot, atol=1e-9)
+    """From the clamp: angle' = M, M' = -p cos angle; the clamp's moment makes the tip's zero."""
+
+    def tip(moment):
+        def slope(_, state):
+            c, s = math.cos(state[0]), math.sin(state[0])
+            return [state[1], -p * c, c, s]
+
+        return integrated(slope, [0, moment, 0, 0])
+
+    moment = brentq(lambda m: tip(m)[1], 0.0, p, xtol=1e-13)
+    np.testing.assert_allclose(exact.elastica(p), tip(moment)[2:], atol=1e-9)
 
 
 @pytest.mark.parametrize("p", [1.0, 3.0, 10.0])
@@ -60,8 +44,7 @@ def test_follower_force_by_elliptic_integrals_agrees_with_integration_from_the_t
         c, s = math.cos(state[0]), math.sin(state[0])
         return [-state[1], p * c, -c, -s]
 
-    found = solve_ivp(slope, (0, 1), [0, 0, 0, 0], "DOP853", rtol=1e-11, atol=1e-13)
-    angle, _, x, y = found.y[:, -1]
+    angle, _, x, y = integrated(slope, [0, 0, 0, 0])
     c, s = math.cos(angle), math.sin(angle)
     np.testing.assert_allclose(exact.follower(p), [-c * x - s * y, s * x - c * y], atol=1e-9)
 
@@ -75,37 +58,16 @@ def test_heavy_elastica_by_collocation_agrees_with_shooting_from_the_tip(w):
             c, s = math.cos(state[0]), math.sin(state[0])
             return [-state[1], -w * t * c, c, s]
 
-        return solve_ivp(slope, (0, 1), [angle, 0, 0, 0], "DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
+        return integrated(slope, [angle, 0, 0, 0])
 
     angle = brentq(lambda a: back(a)[0], -math.pi / 2, 0.0, xtol=1e-14)
     np.testing.assert_allclose(exact.heavy(w), back(angle)[2:], atol=1e-7)
 
 
-def test_elastica_under_a_small_weight_sags_by_an_eighth_of_it():
-    w = 1e-3
-    assert exact.heavy(w)[1] == pytest.approx(
-        -w / 8, rel=1e-5
-    )  # second order: the slope squared, w^2 / 36
-
-
-def test_greenhills_load_is_the_first_zero_of_the_bessel_function():
-    zero = brentq(lambda x: jv(-1 / 3, x), 1.0, 3.0, xtol=1e-14)
-    assert math.isclose(exact.GREENHILL, 9 / 4 * zero**2, rel_tol=1e-12)
-
-
-def test_greenhills_load_is_the_least_of_the_rayleigh_quotient():
-    """EI a'' + w (1 - s) a = 0 for the angle a, in sines with a' = 0 at the tip."""
-    count = 12
-    mode = [(k + 0.5) * math.pi for k in range(count)]
-    weight = [
-        [
-            quad(lambda s, i=i, j=j: (1 - s) * math.sin(i * s) * math.sin(j * s), 0, 1)[0]
-            for j in mode
-        ]
-        for i in mode
-    ]
-    values = eigh(weight, np.diag(np.square(mode)) / 2, eigvals_only=True)
-    assert math.isclose(exact.GREENHILL, 1 / values[-1], rel_tol=1e-6)
+def test_greenhills_and_prandtls_loads_are_the_first_zeros_of_bessel_functions():
+    column, lateral = (brentq(lambda x, n=n: jv(-1 / n, x), 1.0, 3.0, xtol=1e-14) for n in (3, 4))
+    assert math.isclose(exact.GREENHILL, 9 / 4 * column**2, rel_tol=1e-12)
+    assert math.isclose(exact.LATERAL, 2 * lateral, rel_tol=1e-5)
 
 
 def shot(material, geometry, force, steps=4000):
@@ -183,11 +145,6 @@ def test_ritzs_method_gives_the_known_frequencies_of_uniform_rods():
     np.testing.assert_allclose(found, exact.FREQUENCIES["uniform"], rtol=1e-9)
     wanted = (np.arange(3) + 0.5) * math.pi * math.sqrt(0.75 / 1.5)
     np.testing.assert_allclose(exact.twisting(material, geometry, 3) * turn, wanted, rtol=1e-9)
-
-
-def test_prandtls_load_is_the_first_zero_of_the_bessel_function():
-    zero = brentq(lambda x: jv(-1 / 4, x), 1.0, 3.0, xtol=1e-14)
-    assert pytest.approx(2 * zero, rel=1e-5) == exact.LATERAL
 
 
 def row(percent, cost, simulator="peer"):

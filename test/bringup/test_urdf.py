@@ -35,6 +35,21 @@ def joint(name):
     return URDF.find(f"joint[@name='{name}']")
 
 
+def test_links_form_one_tree_rooted_in_the_base_frame():
+    links = [element.get("name") for element in URDF.iter("link")]
+    parents = {
+        j.find("child").get("link"): j.find("parent").get("link") for j in URDF.findall("joint")
+    }
+    assert len(links) == len(set(links)) == 1 + 2 * len(LEGS)
+    assert set(links) - set(parents) == {BASE_FRAME}
+    for name in links:
+        seen = [name]
+        while seen[-1] in parents:
+            seen.append(parents[seen[-1]])
+            assert len(seen) <= len(links)
+        assert seen[-1] == BASE_FRAME
+
+
 def test_torso_has_the_size_mass_and_inertia_of_the_robot():
     torso = link(BASE_FRAME)
     for kind in ("visual", "collision"):

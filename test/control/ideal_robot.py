@@ -23,11 +23,12 @@ def state(x=0.0, y=0.0, yaw=0.0, z=0.06):
 
 
 class Ideal:
-    """A robot that moves exactly as its reference says, driven by the scheduler's own ticks."""
+    """A robot that moves exactly as its reference says, after `seconds` of ticks."""
 
-    def __init__(self, gait="stand", velocity=NOTHING, path=None):
+    def __init__(self, gait="stand", velocity=NOTHING, path=None, seconds=0.0):
         self.scheduler = GaitScheduler(GAITS, ROBOT, SPRINGS, gait, velocity, path)
         self.now, self.state, self.previews = SECOND, state(), []
+        self.run(seconds)
 
     def run(self, seconds):
         """Previews of the ticks of that time."""

@@ -217,11 +217,7 @@ def test_sway_rotates_with_the_heading():
         ("walk", [0, -0.2, 0], r"v_y = -0\.2: gait walk reaches"),
         ("walk", [0, 0, float("inf")], r"yaw rate = inf: gait walk reaches"),
         ("stand", [0.01, 0, 0], r"v_x = 0\.01: gait stand reaches \[0, 0\]"),
-        (
-            "walk",
-            [0.05, 0, 0.1],
-            r"yaw rate = 0\.1: with the other velocities gait walk reaches 0\.05",
-        ),
+        ("walk", [0.05, 0, 0.1], r"yaw rate = 0\.1: with the other velocities gait walk reaches"),
         ("walk", [0.06, 0.06, 0], r"v_x = 0\.06: with the other velocities gait walk reaches 0\.0"),
         ("walk", [0.05], r"velocity: 1 values, not v_x, v_y, yaw rate"),
     ],
@@ -233,22 +229,18 @@ def test_an_unknown_gait_or_a_velocity_out_of_range_is_refused(gait, velocity, m
 
 
 @pytest.mark.parametrize(
-    ("pose", "message"),
+    ("gait", "pose", "message"),
     [
-        ([0.2, 0, 0], r"height = 0\.2: gait stand reaches \[0\.03, 0\.06\]"),
-        ([float("nan"), 0, 0], r"height = nan: gait stand reaches"),
-        ([0.04, 0.2, 0], r"roll = 0\.2: gait stand reaches \[-0\.09, 0\.09\]"),
-        ([0.04, 0, -0.2], r"pitch = -0\.2: gait stand reaches"),
+        ("stand", [0.2, 0, 0], r"height = 0\.2: gait stand reaches \[0\.03, 0\.06\]"),
+        ("stand", [float("nan"), 0, 0], r"height = nan: gait stand reaches"),
+        ("stand", [0.04, 0.2, 0], r"roll = 0\.2: gait stand reaches \[-0\.09, 0\.09\]"),
+        ("stand", [0.04, 0, -0.2], r"pitch = -0\.2: gait stand reaches"),
+        ("lie", [0.05, 0, 0], "gait lie has slack tendons: no body pose"),
     ],
 )
-def test_a_body_pose_out_of_range_is_refused(pose, message):
+def test_a_body_pose_out_of_range_or_of_slack_legs_is_refused(gait, pose, message):
     with pytest.raises(ConfigError, match=message):
-        GAITS.require_pose("stand", np.array(pose))
-
-
-def test_a_body_pose_of_slack_legs_is_refused():
-    with pytest.raises(ConfigError, match="gait lie has slack tendons: no body pose"):
-        GAITS.require_pose("lie", np.array([0.05, 0.0, 0.0]))
+        GAITS.require_pose(gait, np.array(pose))
 
 
 @pytest.mark.parametrize("gait", ["walk", "fast_walk", "crawl"])

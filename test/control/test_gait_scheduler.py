@@ -28,8 +28,7 @@ def largest_step():
     ("first", "second"), list(itertools.permutations(["lie", "sit", "stand", "walk"], 2))
 )
 def test_the_angles_are_continuous_between_any_two_gaits(first, second):
-    robot = Ideal(first, AHEAD if first == "walk" else NOTHING)
-    robot.run(4.0)
+    robot = Ideal(first, AHEAD if first == "walk" else NOTHING, seconds=4.0)
     robot.scheduler.request(second, AHEAD if second == "walk" else NOTHING)
     robot.run(4.0)
     assert robot.previews[-1].gait == second
@@ -39,8 +38,7 @@ def test_the_angles_are_continuous_between_any_two_gaits(first, second):
 
 
 def test_a_stride_stops_and_starts_again_without_a_jump():
-    robot = Ideal("walk", AHEAD)
-    robot.run(4.0)
+    robot = Ideal("walk", AHEAD, seconds=4.0)
     feedback = robot.scheduler._current.feedback
     feedback.corrections[:] = [0.03, -0.02, 0.05, 0.2, -0.1, 0.1]  # as found against a disturbance
     robot.previews = robot.previews[:0]
@@ -98,8 +96,7 @@ def test_no_sequence_of_commands_asks_for_more_than_the_final_check_lets_pass():
 
 
 def test_velocity_and_yaw_rate_change_at_limited_rates():
-    robot = Ideal("walk", NOTHING)
-    robot.run(3.0)
+    robot = Ideal("walk", NOTHING, seconds=3.0)
     wanted = np.array([0.05, -0.05, 0.04])
     robot.scheduler.request("walk", wanted)
     rows = np.array([p.reference[0] for p in robot.run(2.0)])
@@ -114,8 +111,7 @@ def test_velocity_and_yaw_rate_change_at_limited_rates():
 
 
 def test_height_and_tilt_follow_their_commands_at_limited_rates():
-    robot = Ideal("stand")
-    robot.run(2.0)
+    robot = Ideal("stand", seconds=2.0)
     robot.scheduler.set_pose(np.array([0.055, 0.08, -0.06]))
     rows = np.array([p.reference[0, [5, 0, 1]] for p in robot.run(3.0)])
     speed = np.abs(np.diff(rows, axis=0)).max(axis=0) / (TICK * 1e-9)
@@ -156,8 +152,7 @@ def test_lying_slackens_the_tendons_and_puts_no_leg_in_contact():
 
 
 def test_stage_k_of_the_preview_is_stage_0_of_the_tick_k_later():
-    robot = Ideal("walk", AHEAD)
-    robot.run(4.0)
+    robot = Ideal("walk", AHEAD, seconds=4.0)
     early, later = robot.run(3 * 0.033), robot.run(0.033)[0]
     assert early[0].tendon_angle[3:] == pytest.approx(later.tendon_angle[:-3], abs=1e-9)
     assert early[0].reference[3:, :2] == pytest.approx(later.reference[:-3, :2], abs=1e-9)
@@ -168,8 +163,7 @@ def test_stage_k_of_the_preview_is_stage_0_of_the_tick_k_later():
     ("first", "second"), [("walk", "stand"), ("walk", "fast_walk"), ("stand", "walk")]
 )
 def test_the_preview_of_a_blend_is_that_of_the_next_ticks(first, second):
-    robot = Ideal(first, AHEAD if first != "stand" else NOTHING)
-    robot.run(4.0)
+    robot = Ideal(first, AHEAD if first != "stand" else NOTHING, seconds=4.0)
     robot.scheduler.request(second, AHEAD if second != "stand" else NOTHING)
     ran = robot.run(GAITS.transition)
     ahead = np.array([preview.tendon_angle[1] for preview in ran[:-1]])
@@ -179,8 +173,7 @@ def test_the_preview_of_a_blend_is_that_of_the_next_ticks(first, second):
 
 
 def test_a_stride_tilts_its_reference_as_the_body_is_commanded():
-    robot = Ideal("walk", AHEAD)
-    robot.run(3.0)
+    robot = Ideal("walk", AHEAD, seconds=3.0)
     level = np.mean([preview.reference[0] for preview in robot.run(WALK.period)], axis=0)
     robot.scheduler.set_pose(np.array([0.065, 0.08, 0.05]))
     robot.run(3.0)
@@ -192,8 +185,7 @@ def test_a_stride_tilts_its_reference_as_the_body_is_commanded():
 def test_a_path_asks_no_more_than_the_gait_reaches():
     """Where the path turns by 90 deg the heading along it would change at 1.6 rad/s."""
     corner = Route(np.array([[0.0, 0.0], [0.05, 0.0], [0.05, 0.5]]), "along")
-    robot = Ideal("walk", AHEAD, corner)
-    robot.run(6.0)
+    robot = Ideal("walk", AHEAD, corner, seconds=6.0)
     rates = [preview.reference[0, 8] for preview in robot.previews]
     assert max(np.abs(rates)) <= WALK.forward_steering.rate_max + 1e-9
 

@@ -1,5 +1,7 @@
 """Counters of late and skipped controller cycles."""
 
+import pytest
+
 from slot_core.control.pace import Pace
 
 
@@ -10,15 +12,9 @@ def test_a_cycle_longer_than_its_period_is_an_overrun():
     assert pace.overruns == 2
 
 
-def test_inputs_between_two_processed_ones_are_skipped_and_those_before_the_first_are_not():
+@pytest.mark.parametrize(("numbers", "skipped"), [((7, 8, 12, 13), 3), ((100, 1, 2, 5), 2)])
+def test_inputs_between_two_processed_ones_are_skipped_also_after_a_restart(numbers, skipped):
     pace = Pace()
-    for number in (7, 8, 12, 13):
+    for number in numbers:
         pace.add(number, 0.0, 1.0)
-    assert pace.skipped == 3
-
-
-def test_a_restart_of_the_source_adds_no_skipped_inputs():
-    pace = Pace()
-    for number in (100, 1, 2, 5):
-        pace.add(number, 0.0, 1.0)
-    assert pace.skipped == 2
+    assert pace.skipped == skipped

@@ -37,14 +37,6 @@ def test_the_reference_travels_at_the_speed_along_the_polyline():
     np.testing.assert_allclose(places[:, :2], expected, atol=1e-9)
 
 
-def test_it_ends_at_the_last_point_and_stays_there():
-    path = Route(L_SHAPE, "kept")
-    places, robot = follow(path, 20.0)
-    assert places[-1, :2] == pytest.approx([0.3, 0.2])
-    assert path.travelled == path.length
-    assert not path.velocity(robot, SPEED).any()
-
-
 def test_the_reference_waits_for_a_robot_that_does_not_come():
     path = Route(L_SHAPE, "kept")
     places = np.array([path.place(state(), DT, SPEED) for _ in range(300)])
@@ -115,12 +107,6 @@ def test_points_that_repeat_are_one_point():
     np.testing.assert_allclose(places, expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("points", [[], [[0.0, 0.0]], [[1.0, 2.0]] * 5])
-def test_a_path_needs_two_different_points(points):
-    with pytest.raises(ConfigError, match="path: needs at least two different points"):
-        Route(np.array(points).reshape(-1, 2), "kept")
-
-
 def test_a_file_gives_its_points(tmp_path):
     file = tmp_path / "path.csv"
     file.write_text("y,x,note\n0,0,start\n0,0.3,corner\n0.2,0.3,end\n")
@@ -134,13 +120,14 @@ def test_a_file_gives_its_points(tmp_path):
     ("content", "message"),
     [
         (None, r"no path with columns x, y: "),
-        (b"", r"needs at least two different points"),
+        (b"", r"path: needs at least two different points"),
         (bytes(range(256)), "no path"),
         (b"x,z\n0,0\n1,1\n", r"no path with columns x, y: 'y'"),
         (b"x,y\n0,0\n1,far\n", r"no path with columns x, y: could not convert"),
         (b"x,y\n0,0\n1\n", r"no path with columns x, y: "),
         (b"x,y\n0,0\ninf,1\n", r"value not finite"),
-        (b"x,y\n0,0\n", r"needs at least two different points"),
+        (b"x,y\n0,0\n", r"path: needs at least two different points"),
+        (b"x,y\n1,2\n1,2\n1,2\n", r"path: needs at least two different points"),
         (b'x,y\n0,"' + 200_000 * b"9" + b'"\n', r"no path with columns x, y: field larger"),
     ],
 )

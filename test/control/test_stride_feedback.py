@@ -80,12 +80,6 @@ def test_effects_that_are_half_or_double_the_identified_ones_still_leave_no_erro
     np.testing.assert_allclose(errors[-1] / SETTINGS.scale, 0.0, atol=0.05)
 
 
-def test_without_a_disturbance_the_knobs_stay_zero():
-    plant = Plant()
-    plant.run(10)
-    np.testing.assert_allclose(plant.feedback.corrections / LIMITS, 0.0, atol=1e-6)
-
-
 def test_a_gain_of_zero_does_nothing():
     plant = Plant(gain=0.0)
     plant.run(10, DISTURBANCES["all"])

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numba import njit
+from rod_robots import ROBOT, simulator
 
 from slot_core import config
 from slot_core.dynamics.contact import (
@@ -19,8 +20,6 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.robot import GRAVITY, read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
-ROBOT = read_robot()
-HELD = config.replace(read_servo(), {"model": "torque_speed"})  # holds its angle under load
 ROD = discretise(ROBOT.leg, 22, ROBOT.tendon.end_fraction)
 MU, STIFFNESS, DAMPING = 0.4, 2e4, 5.0
 
@@ -61,7 +60,7 @@ def test_a_sliding_robot_decelerates_at_mu_g_and_keeps_its_heading():
 
     A standing robot, given 0.8 m/s along a heading of 30 deg, for 0.2 s.
     """
-    sim = RodRobot(read_robot(), read_scene("flat"), read_servo())
+    sim = simulator(servo="pid")
     command = sim.tendon_angle
     sim.set_motion(0.8 * np.array([np.cos(np.pi / 6), 0.5, 0.0]), np.zeros(3))
     before = sim.momentum()[0]
@@ -184,18 +183,16 @@ def test_friction_by_phase_is_the_other_coefficient_while_the_tendon_is_released
     assert factor(floor(), 0.6, 0.2, -1.0, 0.3, 0.09) == 0.6  # uniform: no effect
 
 
-def inclined(degrees, **changes):
-    """A robot that has settled for 2 s on an incline, with bristle friction."""
+def inclined(degrees):
+    """A settled start on an incline, with bristle friction."""
     slope = np.radians(degrees)
     gravity = [-GRAVITY * np.sin(slope), 0.0, -GRAVITY * np.cos(slope)]
-    changes = {name.replace("__", "."): value for name, value in changes.items()}
-    changes |= {"gravity": gravity, "start.settle": 2.0, "floor.friction_law": "bristle"}
-    return RodRobot(read_robot(), config.replace(read_scene("flat"), changes), HELD)
+    return {"gravity": gravity, "start__settle": 2.0, "floor__friction_law": "bristle"}
 
 
 def test_bristles_hold_below_the_friction_angle_without_creep():
     """20 deg with friction 0.4; sliding begins at 21.8 deg."""
-    sim = inclined(20.0)
+    sim = simulator(**inclined(20.0))
     sim.advance(3000, sim.tendon_angle)  # until the legs' oscillation has decayed
     x = sim.position
     sim.advance(10000, sim.tendon_angle)
@@ -206,7 +203,7 @@ def test_bristles_hold_below_the_friction_angle_without_creep():
 
 
 def test_bristles_slide_above_the_friction_angle_by_coulombs_law():
-    sim = inclined(25.0)
+    sim = simulator(**inclined(25.0))
     before = sim.momentum()[0]
     sim.advance(1000, sim.tendon_angle)
     gained = sim.momentum()[0] - before
@@ -223,15 +220,11 @@ def test_bristles_slide_above_the_friction_angle_by_coulombs_law():
 @pytest.mark.parametrize("law", ["viscous", "bristle"])
 @pytest.mark.parametrize("contact", ["all", "tip"])
 def test_the_floor_carries_robot_and_payload(law, contact):
-    changes = {
-        "floor.friction_law": law,
-        "floor.contact": contact,
-        "payload.mass": 0.5,
-        "payload.place": [-0.03, 0.02, 0.03],
-        "start.settle": 3.0,
-        "start.tendon_angle_deg": 90.0,  # with less, a robot on its tips would rest on its torso
-    }
-    sim = RodRobot(read_robot(), config.replace(read_scene("flat"), changes), read_servo())
+    floor = {"floor__friction_law": law, "floor__contact": contact}
+    load = {"payload__mass": 0.5, "payload__place": [-0.03, 0.02, 0.03]}
+    # with less than 90 deg a robot on its tips would rest on its torso
+    start = {"start__settle": 3.0, "start__tendon_angle_deg": 90.0}
+    sim = simulator(servo="pid", **floor, **load, **start)
     sim.advance(15000, sim.tendon_angle)  # on its tips it oscillates for seconds
     force, weight = sim.ground_force.sum(0), sim.parameters.weight + 0.5 * GRAVITY
     np.testing.assert_allclose(force, [0.0, 0.0, weight], atol=1e-4 * weight)
@@ -257,7 +250,7 @@ def test_the_total_contact_stiffness_is_the_same_at_any_number_of_nodes(nodes):
 
 def test_ground_force_is_the_sum_of_springs_dampers_and_friction_of_all_nodes():
     """For a robot that moves rigidly over the floor, computed by hand."""
-    sim = RodRobot(read_robot(), read_scene("flat"), read_servo())
+    sim = simulator(servo="pid")
     velocity, law = np.array([0.03, -0.02, -0.01]), floor()
     sim.set_motion(velocity, np.zeros(3))
     depth = np.maximum(0.0, -sim.nodes[:, :, 2])

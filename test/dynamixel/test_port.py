@@ -5,9 +5,7 @@ import time
 import pytest
 from driver_rig import TerminalRig
 
-from slot_core.dynamixel.errors import (
-    BaudRateError,
-)
+from slot_core.dynamixel.errors import BaudRateError
 from slot_core.dynamixel.port import SerialPort, check_latency
 from slot_core.faults import Fault
 from slot_core.servos.servo_errors import PortError

@@ -43,6 +43,14 @@ def stamps(rows):
     return [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for _, m in rows]
 
 
+def first_times(rows):
+    """{stamp: publishing time of the first message with it}, both in ns."""
+    times = {}
+    for (time, _), stamp in zip(rows, stamps(rows)):
+        times.setdefault(stamp, time)
+    return times
+
+
 def recorded_commands(bag):
     """{stamp: [angle, rate]} of the commands in a bag."""
     commands = {}

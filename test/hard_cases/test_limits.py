@@ -76,3 +76,11 @@ def test_a_minute_of_standing_on_bristles_creeps_less_than_a_tenth_of_a_millimet
     moved, late = stand("stick", 60.0, solver__step=step)
     assert moved < 0.1
     assert late < 1e-6  # no creep: rounding over 10 000 steps
+
+
+def test_viscous_friction_creeps_where_bristles_hold():
+    """On an incline of 5 deg, at eps tan(slope) / mu = 0.2 mm/s."""
+    creeping = stand("slope5", 3.0)[1] / 0.5
+    sticking = stand("slope5", 3.0, floor__friction_law="bristle")[1] / 0.5
+    assert 0.1 < creeping < 0.3  # mm/s
+    assert sticking < 0.01 * creeping

@@ -1,15 +1,18 @@
 """Postures and previews for the MPC on tendon angles."""
 
+import dataclasses
+
 import numpy as np
 
+from benchmarks.mpc.cases import DT, standing
 from slot_core.control.force_map import read_springs
 from slot_core.estimation.estimate import Estimate
-from slot_core.gait.gait import GaitCommand, GaitPreview
+from slot_core.gait.gait import GaitCommand
 from slot_core.mpc.settings import read_mpc
 from slot_core.robot import read_robot
 
 ROBOT = read_robot()
-H, DT = read_mpc().horizon, 0.033
+H = read_mpc().horizon
 SPRINGS = read_springs()
 HOME = np.array([0.04, 0.0, 0.0])  # z, roll, pitch
 
@@ -29,18 +32,13 @@ def preview(start=HOME, end=None, tick=0, **changes):
     share = np.full(4, ROBOT.weight / 4)
     angle = np.array([SPRINGS.angle(share, row) for row in height])
     values = {
-        "contact": np.ones((H + 1, 4), dtype=bool),
-        "friction": np.full((H + 1, 4), 0.4),
         "normal_force": SPRINGS.at(angle, height).force,
         "tendon_angle": angle,
         "reference": reference,
-        "posture": True,
-    } | changes
-    command = GaitCommand("stand", np.zeros(3), np.asarray(start))
-    return GaitPreview(
-        stamp=10**9 + round(tick * DT * 1e9), gait="stand", phase=0.0, period=1.0, dt=DT,
-        command=command, **values,
-    )  # fmt: skip
+        "command": GaitCommand("stand", np.zeros(3), np.asarray(start)),
+    }
+    stamp = 10**9 + round(tick * DT * 1e9)
+    return dataclasses.replace(standing(H + 1, **values | changes), stamp=stamp)
 
 
 def known(*posture):

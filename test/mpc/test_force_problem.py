@@ -6,7 +6,6 @@ import dataclasses
 import cvxpy
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
@@ -142,32 +141,6 @@ def test_the_forces_of_every_stage_are_within_their_limits(name):
     assert np.all(np.abs(f[..., :2]) <= friction_limit + limit * ahead.friction.max())
 
 
-def test_without_friction_there_is_no_tangential_force():
-    x0, ahead = CASES["no friction"]
-    assert np.abs(solve_whole_horizon(x0, ahead)[..., :2]).max() < 1e-6  # N, solver tolerance
-    assert np.abs(new_mpc().step(x0, preview()).force[0, :, :2]).max() > 0.01  # with friction
-
-
-def test_in_flight_all_forces_are_zero():
-    x0, ahead = CASES["flight"]
-    assert np.abs(solve_whole_horizon(x0, ahead)).max() < 1e-6  # N, solver tolerance
-
-
-def test_rotating_robot_and_target_rotates_the_forces():
-    # Errors are small, so that the friction pyramid, which does not rotate, is inactive.
-    rotation = Rotation.from_euler("z", 1.0)
-    rest = state(rpy=(0.01, 0.02, 0), p=(0.01, 0, 0.039), omega=(0.05, 0, 0.02), v=(0.01, 0, 0))
-    turned = np.concatenate([rest[:3], *(rotation.apply(rest[i : i + 3]) for i in (3, 6, 9))])
-    turned[2] += 1.0
-    reference = np.tile(state(rpy=(0, 0, 1.0)), (H + 1, 1))
-    mpc = new_mpc()
-    straight = mpc.step(Estimate.exact(rest), preview())
-    across = mpc.step(Estimate.exact(turned), preview(reference=reference))
-    assert straight.report.slack_friction.min() > 0.1
-    # angular weights are equal about x and y; 1e-6 N is the solver's tolerance
-    np.testing.assert_allclose(across.force[0], rotation.apply(straight.force[0]), atol=1e-6)
-
-
 def test_full_turns_of_the_reference_do_not_matter():
     known = torso(rpy=(0, 0, 3.1))
     near, far = (np.tile(state(rpy=(0, 0, 3.2 - 2 * np.pi * n)), (H + 1, 1)) for n in (0, 1))
@@ -237,75 +210,6 @@ def test_force_max_is_the_force_of_a_fully_pulled_leg_at_the_height_of_the_walk(
     pulled = [row for row in rows if row["theta_deg"] == max(r["theta_deg"] for r in rows)]
     force = np.interp(0.064, *zip(*((row["height_m"], row["force_N"]) for row in pulled)))
     assert SETTINGS.force_max == pytest.approx(force, abs=0.05)  # one decimal
-
-
-class RigidTorso:
-    """Free rigid body on massless legs; the forces lag by 50 ms.
-
-    The feet stay on the floor at fixed places below the torso: with feet fixed in odom, standing
-    8 mm off their centre would need all the moment that f_max allows.
-    """
-
-    LAG = 0.05  # s
-
-    def __init__(self, x0):
-        self.attitude = Rotation.from_euler("ZYX", x0[2::-1])
-        omega = self.attitude.inv().apply(x0[6:9])
-        force = np.tile([0, 0, HOVER], 4)
-        quaternion = self.attitude.as_quat()
-        self.y = np.concatenate([quaternion, x0[3:6], omega, x0[9:12], force])
-
-    def rate(self, command, y):
-        attitude = Rotation.from_quat(y[:4])
-        force, inertia, w = y[13:].reshape(4, 3), ROBOT.inertia, y[7:10]
-        yaw = attitude.as_euler("ZYX")[0]
-        arm = Rotation.from_euler("z", yaw).apply(ROBOT.feet)
-        arm[:, 2] = -y[6]
-        torque = np.cross(arm, force).sum(axis=0)  # in odom
-        spin = np.linalg.solve(inertia, attitude.inv().apply(torque) - np.cross(w, inertia @ w))
-        x, y_, z, s = y[:4]
-        quaternion = 0.5 * np.array([[s, -z, y_], [z, s, -x], [-y_, x, s], [-x, -y_, -z]]) @ w
-        acceleration = force.sum(axis=0) / ROBOT.mass - [0, 0, GRAVITY]
-        lag = (command - y[13:]) / self.LAG
-        return np.concatenate([quaternion, y[10:13], spin, acceleration, lag])
-
-    def advance(self, force, dt):
-        run = solve_ivp(lambda _, y: self.rate(force.ravel(), y), (0, dt), self.y, rtol=1e-6)
-        self.y = run.y[:, -1]
-
-    def state(self):
-        attitude = Rotation.from_quat(self.y[:4])
-        rpy = attitude.as_euler("ZYX")[::-1]
-        return np.concatenate([rpy, self.y[4:7], attitude.apply(self.y[7:10]), self.y[10:13]])
-
-
-def stand(x0, duration, ahead):
-    """States (n, 12) of the closed loop, one row per cycle."""
-    body, mpc, states = RigidTorso(x0), new_mpc(), [x0]
-    for _ in range(round(duration / DT)):
-        plan = mpc.step(Estimate.exact(body.state()), ahead)
-        assert plan.status == Status.SOLVED
-        body.advance(plan.force[0], DT)
-        states.append(body.state())
-    return np.array(states)
-
-
-def test_a_height_step_settles_with_lagging_forces():
-    states = stand(state(p=(0, 0, 0.01)), 2.0, preview())
-    late = states[round(0.8 / DT) :]
-    assert np.abs(late[:, 5] - 0.04).max() < 0.002  # 5 % of the height
-    assert states[:, 5].max() < 0.045  # overshoot below a sixth of the step
-    assert np.abs(states[:, :2]).max() < 1e-3  # it stays level
-
-
-@pytest.mark.parametrize("yaw", [0.0, 1.0])
-def test_a_roll_error_decays_with_lagging_forces(yaw):
-    target = np.tile(state(rpy=(0, 0, yaw)), (H + 1, 1))
-    states = stand(state(rpy=(0.1, 0, yaw)), 2.0, preview(reference=target))
-    late = states[round(0.5 / DT) :]
-    assert np.abs(late[:, :2]).max() < 0.01  # a tenth of the disturbance
-    assert np.abs(states[-1, 6:]).max() < 0.01  # rad/s and m/s: at rest
-    assert np.abs(states[:, 5] - 0.04).max() < 0.01
 
 
 @pytest.mark.parametrize("band", [0.0, 0.01])

@@ -202,42 +202,6 @@ def test_after_a_gap_the_servos_are_taken_to_be_at_the_angles_of_the_gait(gap):
     np.testing.assert_allclose(used.problem.solve().z, fresh.problem.solve().z, atol=1e-6)
 
 
-BAD = {
-    "state[5] = nan": (state(math.nan), preview()),
-    "state[0] = inf": (state(0.04, math.inf), preview()),
-    "preview.tendon_angle[0, 0] = nan": (
-        state(), preview(tendon_angle=np.full((H + 1, 4), math.nan)),
-    ),
-    "preview.normal_force[0, 0] = inf": (
-        state(), preview(normal_force=np.full((H + 1, 4), math.inf)),
-    ),
-    "preview.reference[0, 0] = nan": (
-        state(), preview(reference=np.full((H + 1, 12), math.nan)),
-    ),
-    "preview.tendon_angle: shape (64,)": (state(), preview(tendon_angle=np.ones(64))),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("fault", BAD)
-def test_bad_input_is_rejected_and_has_no_later_effect(fault):
-    mpc, other = new_mpc(), new_mpc()
-    for tick in range(3):
-        good = mpc.step(known(0.037), preview(tick=tick))
-        other.step(known(0.037), preview(tick=tick))
-    x, ahead = BAD[fault]
-    result = mpc.step(Estimate.exact(x), dataclasses.replace(ahead, stamp=preview(tick=3).stamp))
-    assert result.status == Status.REJECTED
-    assert fault in result.message
-    assert "\n" not in result.message
-    assert np.isfinite(result.force).all()
-    home = preview().tendon_angle[0]
-    expected = home + SETTINGS.fallback.decay * (good.angle[0] - home)
-    np.testing.assert_allclose(result.angle[0], expected, atol=1e-9)
-    again = mpc.step(known(0.037), preview(tick=4))
-    assert again.status == Status.SOLVED
-    assert np.isfinite(mpc.problem.disturbance).all()
-
-
 def test_fallback_decays_to_the_angles_of_the_gait_and_then_stops():
     mpc, rule = new_mpc(), SETTINGS.fallback
     last, home = mpc.step(known(0.036), preview()), preview().tendon_angle[0]

@@ -4,7 +4,7 @@ import copy
 import math
 
 import pytest
-from geometry_msgs.msg import PoseStamped, TwistStamped, Vector3
+from geometry_msgs.msg import PoseStamped, Vector3
 from sensor_msgs.msg import Imu
 
 from slot_core.messages import decode
@@ -17,7 +17,6 @@ from slot_nodes import qos
 TOPICS = {
     "odom": (None, qos.SENSOR),
     "imu": (Imu, qos.SENSOR),
-    "cmd_vel": (TwistStamped, qos.SENSOR),
     "mpc_state": (MpcState, qos.CONTROL),
     "gait_preview": (GaitPreview, qos.CONTROL),
     "tendon_plan": (TendonPlan, qos.CONTROL),
@@ -56,11 +55,10 @@ class Graph:
                 assert tuple(message.name) == TENDON_JOINTS
                 assert all(0.0 <= angle <= limit for angle in message.position)
 
-    def send(self, topic, change=lambda m: None, shift=0):
-        """Send a changed copy of the last message of a topic, its stamp shifted by `shift` (s)."""
+    def send(self, topic, change):
+        """Send a changed copy of the last message of a topic."""
         message = copy.deepcopy(self.last(topic))
         message.header.frame_id = "intruder"
-        message.header.stamp.sec += shift
         change(message)
         self.publishers[topic].publish(message)
 
@@ -70,14 +68,6 @@ class Graph:
             before = self.last(topic)
             self.rig.wait_for(lambda before=before: self.last(topic) is not before)
             self.send(topic, change)
-
-    def request_gait(self, gait, *velocity):
-        velocity = Vector3(**dict(zip("xyz", velocity)))
-        return self.rig.call(SetGait, "/set_gait", gait=gait, velocity=velocity)
-
-    def velocity(self):
-        """Forward velocity of the reference, m/s."""
-        return self.last("gait_preview").reference[9]
 
 
 @pytest.fixture(scope="module")
@@ -160,7 +150,7 @@ def test_a_body_pose_is_followed_unless_it_is_invalid_or_out_of_range(graph):
         pose.pose.position.z, pose.pose.orientation.w = height, w
         graph.publishers["body_pose"].publish(pose)
 
-    assert graph.request_gait("walk", 0.05).success
+    assert graph.rig.call(SetGait, "/set_gait", gait="walk", velocity=Vector3(x=0.05)).success
     command(0.065)
     graph.rig.wait_for(lambda: graph.last("gait_preview").pose[0] == 0.065)
     for height, w in ((NAN, 1.0), (INF, 1.0), (0.5, 1.0), (0.06, 0.0), (0.06, NAN)):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from rig import SAG, servo_angle
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
 
 from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.messages import decode
@@ -129,20 +129,6 @@ def test_after_a_killed_driver_a_new_one_starts_without_motion(rig):
     check_restart(rig, begin)
 
 
-def test_a_killed_robot_ends_its_driver_in_one_line_and_both_start_again(rig):
-    """Its odometry ends with it, a little before the servos' last answers."""
-    before, begin = len(rig.log("dynamixel_driver")), rig.kill("sim_robot")
-    assert rig.exit_code("dynamixel_driver") == 1
-    log = rig.log("dynamixel_driver")[before:]
-    assert "their bus watchdogs stop the servos" in log
-    assert "Traceback" not in log
-    relaxed, reason = rig.wait_for_state(State.RELAX, begin)
-    assert reason.startswith("no command for ")
-    assert seconds(begin, relaxed) < rig.limit("command_lost") + LATE
-    rig.start("sim_robot", "dynamixel_driver")
-    rig.walk_steadily()
-
-
 def test_the_driver_rejects_commands_stamped_by_another_clock(rig):
     """Commands do not pass through the supervisor: the driver checks the stamps itself."""
     foreign = copy.deepcopy(rig.last("/desired_joint_angles"))
@@ -165,17 +151,6 @@ def test_diagnostics_have_a_status_for_the_bus_and_every_servo(rig):
         assert (values["torque"], values["hardware_errors"]) == ("on", "none")
         assert float(values["voltage_V"]) == pytest.approx(11.1, abs=0.05)
         assert 20.0 < float(values["temperature_C"]) < 40.0
-
-
-def test_the_torque_service_relaxes_a_walking_robot(rig):
-    begin = rig.now()
-    off = rig.call(SetBool, "/dynamixel_driver/torque", data=False)
-    assert (off.success, off.message) == (True, "slackening, then torque off")
-    _, reason = rig.wait_for_state(State.RELAX, begin)
-    assert reason.startswith("servos: ")
-    assert reason.endswith("torque switched off by the operator")
-    rig.wait_for_torque_off(begin)
-    rig.wait_for_state(State.FAULT, begin)
 
 
 def test_the_driver_ends_with_torque_off_confirmed_by_every_servo(rig):

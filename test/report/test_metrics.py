@@ -16,6 +16,8 @@ COURSE = 0.01  # rad
 WALK = Walk(duration=4 * STRIDE + 1.0, course=COURSE, roll=0.1, bounce=0.004)
 TIMING = replace(WALK, truth=False)  # a smaller bag, for tests of the ticks alone
 WARM_UP = 1.0  # leaves four whole strides
+SAMPLES = round(WALK.duration * 120)  # of the whole walk
+OVER = (SAMPLES - 2 * 120 + 1) / (SAMPLES - round(WARM_UP * 120) + 1)  # share after t = 2 s
 SERVO = read_servo()
 ROUNDING = 1e-9  # positions and speeds are doubles of order one
 
@@ -153,9 +155,7 @@ def test_largest_violation_and_fallbacks_are_those_after_the_warm_up(metrics_of)
 def test_saturation_is_counted_per_leg(metrics_of):
     # The third leg's torque exceeds the limit from t = 2 s on; joints are recorded in reverse
     m = metrics_of(WALK)
-    samples = round(WALK.duration * 120) - round(WARM_UP * 120) + 1
-    over = round(WALK.duration * 120) - 2 * 120 + 1
-    assert m.servo_saturated == pytest.approx((0.0, 0.0, over / samples, 0.0))
+    assert m.servo_saturated == pytest.approx((0.0, 0.0, OVER, 0.0))
     # Angles 65 + 38 sin(phase) deg exceed 100 deg for acos(35 / 38) / pi of a stride; counted in
     # odometries, a stride of 21.6 of them is right to one in 21.
     assert m.saturated == pytest.approx((math.acos(35 / 38) / math.pi,) * 4, abs=1 / 21)
@@ -171,17 +171,9 @@ def test_load_is_the_mean_torque_over_the_stall_torque_at_the_supply_voltage(
     m = metrics_of(replace(WALK, voltage=voltage))
     stall *= SERVO.servo_per_tendon  # N m on the tendon angle
     # Torques are 0.5 N m, of the third leg 2 N m from t = 2 s on.
-    samples = round(WALK.duration * 120) - round(WARM_UP * 120) + 1
-    over = round(WALK.duration * 120) - 2 * 120 + 1
-    third = (0.5 * (samples - over) + 2.0 * over) / samples
-    expected = np.array([0.5, 0.5, third, 0.5]) / stall
+    expected = np.array([0.5, 0.5, 0.5 + 1.5 * OVER, 0.5]) / stall
     assert m.servo_load == pytest.approx(expected, rel=1e-12)
     assert m.supply_voltage == pytest.approx(voltage, rel=1e-12, nan_ok=True)
-
-
-def test_the_load_of_servos_whose_torque_is_not_recorded_is_not_stated(metrics_of):
-    m = metrics_of(replace(WALK, truth=False))  # nor are joint states
-    assert all(math.isnan(load) for load in m.servo_load)
 
 
 def test_without_ground_truth_the_state_estimate_is_the_stated_source(metrics_of):
@@ -190,7 +182,7 @@ def test_without_ground_truth_the_state_estimate_is_the_stated_source(metrics_of
     assert (truth.source, m.source) == ("/ground_truth/odom", "/mpc_state")
     assert m.mean_v_x == pytest.approx(0.05 * math.cos(COURSE), abs=ROUNDING)
     assert m.tilt_max == pytest.approx(0.1, rel=2e-2)  # 30 Hz samples miss the peak by 1 % at most
-    assert all(math.isnan(f) for f in m.servo_saturated)
+    assert all(math.isnan(f) for f in (*m.servo_saturated, *m.servo_load))
 
 
 def test_bag_shorter_than_the_warm_up_is_refused(metrics_of):

@@ -159,8 +159,7 @@ def test_short_cantilever_has_the_unit_load_deflection():
 
 
 @pytest.mark.parametrize(
-    ("base", "tip", "load"),
-    [(CLAMPED, FREE, math.pi**2 / 4), (PINNED, ROLLER, math.pi**2)],
+    ("base", "tip", "load"), [(CLAMPED, FREE, math.pi**2 / 4), (PINNED, ROLLER, math.pi**2)]
 )
 def test_column_becomes_unstable_at_eulers_load(base, tip, load):
     rod = slender(base=base, tip=tip)

@@ -11,14 +11,7 @@ from scipy.integrate import solve_ivp
 from benchmarks.rod.exact import LEG, TPU
 from slot_core.divergence import DivergenceError
 from slot_core.rod.cosserat_rod import CosseratRod
-from slot_core.rod.model import (
-    Circle,
-    Geometry,
-    Loads,
-    Material,
-    Pose,
-    Support,
-)
+from slot_core.rod.model import Circle, Geometry, Loads, Material, Pose, Support
 from slot_core.rod.motion import RodState, Scheme
 
 CONVERGED = Scheme(theta=0.5, tolerance=1e-14)

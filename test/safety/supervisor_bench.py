@@ -28,6 +28,11 @@ HEIGHT = 0.04  # m, of the standing robot
 LOAD = TendonLoad(read_leg_table(("tension_N",)), ROBOT.tendon.spool_radius)
 
 
+def make_supervisor(**changes):
+    settings = config.replace(read_supervisor(), changes)
+    return Supervisor(ROBOT, settings, read_tendon_watch(ROBOT, settings.tendon))
+
+
 def state(roll=0.0, pitch=0.0):
     x = np.zeros(12)
     x[:2], x[5] = (roll, pitch), HEIGHT
@@ -48,9 +53,7 @@ class SupervisorBench:
     """A supervisor with its inputs; those named in `silent` are omitted."""
 
     def __init__(self, **changes):
-        settings = config.replace(read_supervisor(), changes)
-        watch = read_tendon_watch(ROBOT, settings.tendon)
-        self.supervisor = Supervisor(ROBOT, settings, watch)
+        self.supervisor = make_supervisor(**changes)
         self.nodes = read_supervisor().nodes
         self.now = START
         self.silent = set()
@@ -62,7 +65,7 @@ class SupervisorBench:
         self.pressed = False
         self.torque = None  # N m; None: that of the tabulated leg
         self.watchdog = Watchdog(0.0, ROBOT.tendon.angle_max)
-        self.watchdog.set_limits(settings.servo_limits)
+        self.watchdog.set_limits(config.replace(read_supervisor(), changes).servo_limits)
         self.goals = unchanged(Action.OFF, np.zeros(4), False)  # of the servos
         self.health = {}  # differences from servos without faults
         self.reports, self.torque_on = [], []
@@ -167,3 +170,10 @@ class SupervisorBench:
         report = self.tick() if wanted not in {State.HOLD, State.RELAX} else None
         assert self.supervisor.state is wanted
         return report
+
+
+def bench_in(wanted):
+    """A bench whose robot is in a state."""
+    bench = SupervisorBench()
+    bench.bring_to(wanted)
+    return bench

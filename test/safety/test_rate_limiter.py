@@ -131,8 +131,9 @@ def test_every_step_of_every_gait_passes_unchanged():
 def test_relax_ends_slack_and_without_torque_within_relax_time(angle):
     built = gate(np.full(4, angle))
     time, results = run(built, Action.RELAX, SETTINGS.relax_time)
-    assert not any(goals.torque for goals in run(built, Action.RELAX, 3.0, time)[1])
     assert not results[-1].torque
+    _, later = run(built, Action.RELAX, 3.0, time)
+    assert not any(goals.torque for goals in later)
     assert (results[-1].angle == 0.0).all()
     falling = np.diff([goals.angle[0] for goals in results])
     assert falling.max(initial=0.0) <= 0.0
@@ -155,3 +156,30 @@ def test_off_switches_torque_off_at_once():
 def test_a_ramp_longer_than_relax_time_is_refused():
     with pytest.raises(config.ConfigError, match=r"relax_time = 0\.5: the ramp .* takes 1\.015 s"):
         gate(relax_time=0.5)
+
+
+def test_no_sequence_of_commands_and_actions_exceeds_range_or_rate():
+    rng = np.random.default_rng(3)
+    built = gate()
+    time, times, angles = 0, [], []
+    for _ in range(20_000):
+        time += int(rng.choice([0, 1, 1_000_000, 10_000_000, 33_000_000, 400_000_000]))
+        kind = rng.integers(4)
+        if kind == 0:
+            built.offer(time, rng.uniform(0, LIMIT, 4), rng.normal(0, 10, 4) * rng.integers(2))
+        elif kind == 1:
+            spoilt = rng.normal(0, 1e6, 4) * rng.choice([1.0, math.nan, math.inf])
+            built.offer(time, *((spoilt,) if rng.integers(2) else (MIDDLE, spoilt)))
+        goals = built.step(time, rng.choice(list(Action)), fast=bool(rng.integers(2)))
+        times.append(time * 1e-9)
+        angles.append(goals.angle)
+    angle = np.array(angles)
+    assert np.isfinite(angle).all()
+    assert angle.min() >= 0.0
+    assert angle.max() <= LIMIT
+    for lag in (1, 3, 10):
+        moved = np.abs(angle[lag:] - angle[:-lag]).max(axis=1)
+        span = np.array(times[lag:]) - np.array(times[:-lag])
+        # 1e-9: rounding of sums of some twenty steps
+        assert (moved <= SETTINGS.rate_max * (span + SETTINGS.burst) + 1e-9).all()
+    assert np.ptp(angle[:, 0]) > 1.0  # the goals did move

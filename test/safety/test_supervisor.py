@@ -5,8 +5,9 @@ import math
 
 import numpy as np
 import pytest
-from supervisor_bench import STEP, SupervisorBench, state
+from supervisor_bench import STEP, SupervisorBench, bench_in, state
 
+from slot_core.control.policy import Status
 from slot_core.safety import states as table
 from slot_core.safety.commands import Action
 from slot_core.safety.settings import read_supervisor
@@ -21,13 +22,13 @@ OFF = (State.IDLE, State.ESTOP, State.FAULT)
 
 
 def test_the_table_covers_every_state_and_condition():
-    by_action = {a: {s for s, action in table.ACTIONS.items() if action is a} for a in Action}
-    assert by_action[Action.PASS] == {State.STANDING, State.WALKING}
-    assert by_action[Action.OFF] == set(OFF)
     assert list(table.TRANSITIONS) == list(Condition)  # in the order of urgency
     for state_, condition in itertools.product(State, Condition):
         assert isinstance(next_state(state_, condition), State)
     assert set(table.ACTIONS) == set(State)
+    for state_ in State:
+        assert next_state(state_, Condition.ESTOP_PRESSED) is State.ESTOP
+        assert next_state(state_, Condition.ESTOP_LOST) is State.ESTOP or state_ in OFF
 
 
 @pytest.mark.parametrize("latched", [State.ESTOP, State.FAULT])
@@ -47,6 +48,34 @@ def test_dangerous_conditions_precede_requests():
 def test_relax_leads_only_to_states_without_torque():
     for condition in Condition:
         assert next_state(State.RELAX, condition) in {State.RELAX, *OFF}
+
+
+def test_commands_pass_only_in_standing_and_walking():
+    passing = {s for s, action in table.ACTIONS.items() if action is Action.PASS}
+    assert passing == {State.STANDING, State.WALKING}
+    assert {s for s, action in table.ACTIONS.items() if action is Action.OFF} == set(OFF)
+
+
+def test_the_diagram_shows_the_table():
+    drawn = set()
+    groups = {"a reason to hold": table.REASONS_TO_HOLD, "a fault": table.FAULTS}
+    for line in table.__doc__.splitlines():
+        if "-->" in line and "[*]" not in line:
+            way, _, labels = line.partition(":")
+            before, after = (State[name.strip()] for name in way.split("-->"))
+            for label in labels.split(","):
+                named = groups.get(label.strip()) or {Condition[label.strip()]}
+                drawn |= {(before, c, after) for c in named}
+    estop = {Condition.ESTOP_PRESSED, Condition.ESTOP_LOST}  # in a note
+    real = {
+        (s, c, next_state(s, c))
+        for s, c in itertools.product(State, Condition)
+        if next_state(s, c) is not s and c not in estop
+    }
+    assert drawn == real
+    for name in ("FAULTS", "REASONS_TO_HOLD"):
+        for condition in getattr(table, name):
+            assert condition.name in table.__doc__
 
 
 # From IDLE to WALKING
@@ -84,8 +113,7 @@ def test_the_robot_goes_from_idle_to_walking_on_request():
     ],
 )
 def test_a_request_that_the_state_does_not_allow_is_refused(wanted, request_, text):
-    bench = SupervisorBench()
-    bench.bring_to(wanted)
+    bench = bench_in(wanted)
     assert bench.supervisor.request(bench.now, request_) == text
     assert bench.tick().state is wanted
 
@@ -110,27 +138,21 @@ def test_ready_is_refused_during_a_fault(cause, text):
     assert bench.tick().state is State.IDLE
 
 
-@pytest.mark.parametrize("missing", ["command", "estimate", *SETTINGS.nodes])
+@pytest.mark.parametrize("missing", ["command", "estimate", "solution", *SETTINGS.nodes])
 def test_stand_is_refused_while_an_input_is_missing(missing):
-    bench = SupervisorBench()
-    bench.bring_to(State.READY)
+    bench = bench_in(State.READY)
     bench.silent.add(missing)
+    bench.status = Status.STOPPED if missing == "solution" else Status.SOLVED
     bench.run(0.6)
     assert bench.supervisor.request(bench.now, Request.STAND).startswith("STAND refused in READY")
     assert bench.tick().state is State.READY
 
 
-def test_walk_is_refused_far_from_the_command_and_while_the_servos_goals_are_unknown():
-    bench = SupervisorBench()
-    bench.bring_to(State.STANDING)
+def test_walk_is_refused_far_from_the_command():
+    bench = bench_in(State.STANDING)
     bench.command = np.full(4, 1.9)
     bench.run(0.05)
     assert "from their command, limit 0.1 rad" in bench.supervisor.request(bench.now, Request.WALK)
-    bench.run(1.0)
-    bench.health = {"goal": np.full(4, math.nan)}
-    bench.run(0.1)
-    reason = bench.supervisor.request(bench.now, Request.WALK)
-    assert "the legs are nan rad from their command" in reason
 
 
 def test_the_commands_are_followed_from_when_the_legs_have_reached_them():
@@ -150,10 +172,18 @@ def test_the_commands_are_followed_from_when_the_legs_have_reached_them():
     assert bench.run(0.1).followed
 
 
+def test_walk_is_refused_while_the_goals_of_the_servos_are_unknown():
+    bench = bench_in(State.STANDING)
+    bench.run(1.0)
+    bench.health = {"goal": np.full(4, math.nan)}
+    bench.run(0.1)
+    reason = bench.supervisor.request(bench.now, Request.WALK)
+    assert "the legs are nan rad from their command" in reason
+
+
 def test_a_broken_tendon_is_found_after_the_clock_was_set_back():
     """Readings with stamps of before count as new."""
-    walking = SupervisorBench()
-    walking.bring_to(State.WALKING)
+    walking = bench_in(State.WALKING)
     walking.now -= 3_600_000_000_000
     walking.tick()
     assert walking.supervisor.state is State.HOLD

@@ -46,11 +46,11 @@ def bench():
     ("missing", "reason"),
     [("permission", "no message of the supervisor yet"), ("command", "no command yet")],
 )
-def test_without_permission_or_command_nothing_moves_and_torque_stays(bench, missing, reason):
+def test_without_a_permission_or_a_command_nothing_moves_and_torque_stays(bench, missing, reason):
     assert bench.run(10.0, **{missing: None}) is Action.HOLD
     assert bench.watchdog.reason == reason
-    assert bench.goals.torque
     assert (bench.goals.angle == START).all()
+    assert bench.goals.torque
 
 
 @pytest.mark.parametrize("missing", [{"permission": None}, {"command": None}])

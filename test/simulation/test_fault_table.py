@@ -3,6 +3,7 @@
 Everything runs on the robot's clock, so the times are the same on every machine.
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,14 @@ from faulty_loop import ANGLE_MAX, FaultyLoop
 
 from slot_core.dynamixel.settings import read_settings
 from slot_core.estimation.state_estimator import read_estimator
+from slot_core.faults import Fault
 from slot_core.gait.gait import read_gaits
 from slot_core.mpc.settings import read_mpc
 from slot_core.safety.settings import read_supervisor
+from slot_core.safety.states import State
 from slot_core.safety.supervisor import PERIOD
+from slot_core.servos.servo_errors import RefusedError
+from slot_core.simulation import supervised_loop
 from slot_core.simulation.plant import CYCLE
 
 PAGE = Path(__file__).parents[2] / "slot_bringup" / "doc" / "safety.md"
@@ -123,5 +128,38 @@ def test_a_fault_of_a_walking_robot_ends_as_the_table_says_at_the_time_it_says(r
         assert low < loop.first[event] <= high, event
 
 
+@pytest.mark.parametrize("fault", [FaultyLoop.jump_odometry, FaultyLoop.spoil_odometry])
+def test_bad_odometry_is_bridged_for_three_cycles_and_then_ends_in_hold(fault):
+    loop = FaultyLoop("sim")
+    loop.react(fault, "HOLD", 1.0)
+    low, high = after((SETTINGS.estimate.coast_cycles + 1) * ODOMETRY)
+    assert low < loop.first["HOLD"] <= high
+    assert loop.reasons["HOLD"] == "4 estimates in a row unusable, limit 3"
+
+
 def test_every_figure_of_the_page_is_tested():
     assert set(page_rows()) == set(CASES)
+
+
+def test_a_hold_ends_a_fifth_of_a_second_after_its_reason_and_the_robot_walks_on():
+    loop = FaultyLoop("sim")
+    loop.react(lambda loop: loop.spoil_command(np.nan), "HOLD", 1.0)
+    loop.change_command = lambda angle: angle
+    begin = loop.plant.now
+    walks = next(r for r in loop.run(1.0) if r.state is State.WALKING)
+    taken = (walks.since - begin) * 1e-9
+    assert TIMING.recovery < taken <= TIMING.recovery + ODOMETRY + 2 * PERIOD
+
+
+def test_a_servo_with_a_wrong_id_is_refused_and_named_without_torque(monkeypatch):
+    plants = []
+
+    def make(*arguments):
+        plants.append(supervised_loop.make_bus_plant(*arguments))
+        plants[0].inject(Fault("wrong_id", "FL", 0.0, 0.0, 9))
+        return plants[0]
+
+    monkeypatch.setitem(supervised_loop.MAKERS, "fake_bus", make)
+    with pytest.raises(RefusedError, match=re.escape("servo FL (id 5): ping: ")):
+        FaultyLoop("fake_bus")
+    assert plants[0].emulated.powered() == ()

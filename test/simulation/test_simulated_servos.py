@@ -18,11 +18,7 @@ from slot_core.safety.settings import read_supervisor
 from slot_core.safety.watchdog import NO_LIMITS, Permission
 from slot_core.servos.registry import read_brand
 from slot_core.simulation.plant import RobotSimulator
-from slot_core.simulation.simulated_servos import (
-    CLOSE_TIMEOUT,
-    BusServos,
-    DirectServos,
-)
+from slot_core.simulation.simulated_servos import CLOSE_TIMEOUT, BusServos, DirectServos
 
 ROBOT = read_robot()
 SCENE = config.replace(read_scene("map"), {"start.settle": 0.5})

@@ -1,7 +1,6 @@
 """Tracks of the markers on torso and leg against what was rendered; films that cannot be read."""
 
 import csv
-import dataclasses
 
 import cv2
 import numpy as np
@@ -75,13 +74,6 @@ def test_without_a_board_the_tracks_are_in_the_axes_of_the_camera(shots):
     assert tracks.frame == "camera_link"
     (same,) = [s.position for s in tracks.samples if s.point == "FR_tip"]
     np.testing.assert_allclose(same, [tip[2], -tip[0], -tip[1]])
-
-
-def test_settings_without_a_board_in_the_world_track_in_the_axes_of_the_camera(shots):
-    boards = {name: board for name, board in VISION.boards.items() if name == "torso"}
-    tracker = Tracker(dataclasses.replace(VISION, boards=boards), CAMERA)
-    tracker.add(0.0, shots[0][0])
-    assert tracker.tracks().frame == "camera_link"
 
 
 def test_a_camera_that_moves_is_noticed(shots):
