@@ -127,14 +127,14 @@ def cpu_ratio(
     )
 
 
-def mark_front(rows: Sequence[dict[str, Any]], cost: str, error: str) -> None:
+def mark_front(rows: Sequence[dict[str, Any]], cost: str, error: Callable[[Row], float]) -> None:
     """Mark the Pareto front: rows for which no other is both cheaper and more exact.
 
     A row without a finite error is not on it.
     """
     for row in rows:
-        row["front"] = row[error] < math.inf and not any(
-            other[cost] < row[cost] and other[error] < row[error] for other in rows
+        row["front"] = error(row) < math.inf and not any(
+            other[cost] < row[cost] and error(other) < error(row) for other in rows
         )
 
 

@@ -13,6 +13,7 @@ import math
 import subprocess
 import sys
 from collections.abc import Callable, Iterable
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +81,7 @@ def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Che
         progress("hard cases")
         rows += [hard_row(name, case) for name, case in CASES.items()]
     moved = [row for row in rows if row["kind"] in {"stand and step", "level"}]
-    mark_front(moved, "us_per_ms", "error_mm")
+    mark_front(moved, "us_per_ms", itemgetter("error_mm"))
     draw(rows, out / "robot.png")
     compared = other_engine.rows(quick, out, progress)
     return [*rows, *compared], [*checks(rows), *other_engine.checks(compared)]

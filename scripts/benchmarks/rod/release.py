@@ -13,6 +13,7 @@ import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -184,7 +185,7 @@ def mark_fronts(rows: list[dict[str, Any]]) -> None:
     """Mark the Pareto front of every simulator and physics."""
     for kind in {(row["physics"], row["simulator"]) for row in rows}:
         own = [row for row in rows if (row["physics"], row["simulator"]) == kind]
-        mark_front(own, "cpu_s", "percent")
+        mark_front(own, "cpu_s", itemgetter("percent"))
 
 
 def release_checks(rows: list[dict[str, Any]]) -> list[Check]:
