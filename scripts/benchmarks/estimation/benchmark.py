@@ -136,9 +136,7 @@ def nees_row(walks: list[Streams], settings: EstimatorSettings) -> Row:
         arrivals = slam.arrivals(walk, np.random.default_rng(0))
         found = [e for _, e in methods.estimates(arrivals, settings) if e.time <= walk.end]
         errors = [(difference(e.state, walk.true_state(e.time)), e) for e in found[first:]]
-        by_walk.append(
-            [[nees(error, e, part) for part in (ESTIMATED, RATE)] for error, e in errors]
-        )
+        by_walk.append([(nees(x, e, ESTIMATED), nees(x, e, RATE)) for x, e in errors])
     ticks = min(map(len, by_walk))
     estimated, rate = np.mean([walk[:ticks] for walk in by_walk], axis=0).T
     low, high = stats.chi2.ppf([0.025, 0.975], len(ESTIMATED) * len(walks)) / len(walks)
