@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import ROOT, BenchmarkError, Check, Progress, Row, at_most, revision
-from benchmarks.perturbations.cases import CASES, DURATION, TABLE, PerturbedRun, metrics
+from benchmarks.perturbations.cases import CASES, DURATION, NOISE, TABLE, PerturbedRun, metrics
 from benchmarks.perturbations.picture import draw_costs, draw_failures, table_lines
 from benchmarks.perturbations.samples import PLANTS, RandomSample, SampleRecord, draw, summary
 from slot_core.mpc.settings import read_mpc
@@ -26,6 +26,7 @@ from slot_lab.workers import workers
 REQUIRES = ("clarabel", "distributed")
 QUICK_DURATION = 6.0  # s, of (b) and (c)
 NOISE_SEED = 1
+PAPER = ("max_cost", "mean_cost", "final_cost", "settling_s")  # figures of the table
 REPRODUCED = ("Baseline", "Roll", "Height", "Velocity", "Combined")
 MOST_DEVIATION = 0.5  # % of the paper's maximum cost
 LATEST = 2.0  # s, settling time
@@ -82,20 +83,16 @@ def cases(duration: float, progress: Progress) -> tuple[dict[str, Runs], list[di
     rows = []
     for name, change in CASES.items():
         progress(f"case {name}")
-        noise = [np.random.default_rng(NOISE_SEED) if name == "Noise" else None for _ in range(2)]
+        noisy = name == "Noise"
+        noise = [np.random.default_rng(NOISE_SEED) if noisy else None for _ in range(2)]
         runs["published"][name] = run_published(robot, published, change, DURATION, noise[0])
         runs["torso"][name] = run_torso(robot, forces, change, duration, noise[1])
-        runs["robot"][name], reached = run_robot(name, duration)
+        runs["robot"][name], reached = run_robot(change, duration, NOISE if noisy else 0.0)
         for study, by_case in runs.items():
             row = {"kind": "case", "study": study, "case": name} | metrics(by_case[name])
-            rows.append(row | paper(name) | (reached if study == "robot" else {}))
+            row |= {f"paper_{key}": value for key, value in zip(PAPER, TABLE[name])}
+            rows.append(row | (reached if study == "robot" else {}))
     return runs, rows
-
-
-def paper(name: str) -> dict[str, float]:
-    """The paper's figures of a case."""
-    keys = ("paper_max_cost", "paper_mean_cost", "paper_final_cost", "paper_settling_s")
-    return dict(zip(keys, TABLE[name]))
 
 
 def sample_rows(

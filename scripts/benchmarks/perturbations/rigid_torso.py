@@ -23,16 +23,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.mpc.cases import standing
-from benchmarks.perturbations.cases import (
-    DT,
-    DURATION,
-    HEIGHT,
-    NOISE,
-    P_Z,
-    SPEED,
-    PerturbedRun,
-    tilt,
-)
+from benchmarks.perturbations.cases import DT, HEIGHT, NOISE, P_Z, SPEED, PerturbedRun
 from slot_core import config
 from slot_core.clock import to_ns
 from slot_core.control.policy import Status, TendonPlan
@@ -168,7 +159,7 @@ def run_torso(
     robot: RobotParameters,
     settings: MpcSettings,
     change: Mapping[int, float],
-    duration: float = DURATION,
+    duration: float,
     noise: np.random.Generator | None = None,
 ) -> PerturbedRun:
     """Run a case from the reference state with `change`; `noise` is on the MPC's input state."""
@@ -177,13 +168,13 @@ def run_torso(
     for place, value in change.items():
         state[place] = value
     loop = TorsoLoop(robot, settings, body(robot, read_gaits().friction), state)
-    entries, infeasible = [], 0
-    for step in range(round(duration / DT)):
-        now = loop.torso.state
+    states, costs, infeasible = [], [], 0
+    for _ in range(round(duration / DT)):
+        states.append(loop.torso.state)
         result = loop.tick(lambda x: x if noise is None else x + NOISE * noise.normal(size=len(x)))
         infeasible += result.status != Status.SOLVED
-        entries.append((step * DT, result.report.cost, now[P_Z], float(tilt(now[:3]))))
-    return PerturbedRun(*np.array(entries).T, infeasible=infeasible)
+        costs.append(result.report.cost)
+    return PerturbedRun.of(DT * np.arange(len(costs)), costs, states, infeasible)
 
 
 def _quaternion_rate(q: Array, rate: Array) -> Array:

@@ -22,20 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from benchmarks.perturbations.cases import (
-    CASES,
-    DT,
-    DURATION,
-    HEIGHT,
-    NOISE,
-    P_Z,
-    PITCH,
-    ROLL,
-    SPEED,
-    V_X,
-    PerturbedRun,
-    tilt,
-)
+from benchmarks.perturbations.cases import DT, HEIGHT, P_Z, PITCH, ROLL, SPEED, V_X, PerturbedRun
 from slot_core import config
 from slot_core.control.policy import Status
 from slot_core.dynamics.scene import Scene, read_scene
@@ -124,17 +111,16 @@ def states(realised: Realised, scene: Scene, duration: float) -> tuple[Array, li
     return np.array(rows), costs, infeasible
 
 
-def run_robot(name: str, duration: float = DURATION) -> tuple[PerturbedRun, dict[str, float]]:
+def run_robot(
+    change: Mapping[int, float], duration: float, noise: float
+) -> tuple[PerturbedRun, dict[str, float]]:
     """Run a case; returns the run and the perturbations that the robot really had."""
-    realised = realise(CASES[name], read_scene("flat").start.tendon_angle_deg)
-    scene = quiet(NOISE if name == "Noise" else 0.0)
-    rows, costs, infeasible = states(realised, scene, duration)
-    time = DT * np.arange(len(rows))
+    realised = realise(change, read_scene("flat").start.tendon_angle_deg)
+    rows, costs, infeasible = states(realised, quiet(noise), duration)
     peaks, height = np.abs(rows).max(axis=0), rows[:, P_Z]
     reached = {"peak_roll": peaks[ROLL], "peak_pitch": peaks[PITCH], "start_height": height[0]}
     reached |= {"v_x_error": realised.speed}
     reached |= dict(zip(("moment_x", "moment_y"), realised.moment))
     reached |= {"final_height": height[-1], "height_error": height[-1] - HEIGHT}
-    run = PerturbedRun(time, np.array(costs), height, tilt(rows[:, :3]), infeasible)
     assert all(math.isfinite(value) for value in reached.values())
-    return run, reached
+    return PerturbedRun.of(DT * np.arange(len(rows)), costs, rows, infeasible), reached
