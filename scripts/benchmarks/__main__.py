@@ -7,6 +7,7 @@ import json
 import signal
 import sys
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return CANNOT_RUN
     options = parser.parse_args(arguments)
     if options.list:
-        _list(options.benchmarks)
+        for name, path in known(options.benchmarks).items():
+            print(f"{name:<16}{about(path)}")
         return 0
     if options.name is None:
         parser.error(
@@ -36,9 +38,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
     out = options.out or Path("results") / options.name
     chosen = {name: getattr(options, name) for name in own}
+    progress = partial(print, file=sys.stderr, flush=True)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        path = run(options.name, options.benchmarks, options.quick, out, _print_progress, **chosen)
+        path = run(options.name, options.benchmarks, options.quick, out, progress, **chosen)
     except BenchmarkError as error:
         print(f"scripts/bench: {error}", file=sys.stderr)
         return CANNOT_RUN
@@ -91,15 +94,6 @@ def _parser(add_help: bool = True) -> argparse.ArgumentParser:
         help="where the benchmarks are (default: scripts/benchmarks)",
     )
     return parser
-
-
-def _list(directory: Path) -> None:
-    for name, path in known(directory).items():
-        print(f"{name:<16}{about(path)}")
-
-
-def _print_progress(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

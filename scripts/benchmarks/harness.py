@@ -3,7 +3,7 @@
 A benchmark is a module `scripts/benchmarks/NAME/benchmark.py`. The first line of its docstring says
 what it measures; it has a function
 
-    run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[Row], list[Check]]
+    run(quick: bool, out: Path, progress: Progress) -> Outcome
 
 It may have command line options: a function
 
@@ -43,6 +43,8 @@ from typing import Any
 import numpy as np
 
 Row = Mapping[str, Any]
+Progress = Callable[[str], None]
+Outcome = tuple[Sequence[Row], Sequence["Check"]]  # of a benchmark
 
 ROOT = Path(os.environ.get("SLOT_ROOT") or Path(__file__).resolve().parents[2])
 
@@ -102,6 +104,13 @@ def cpu_time(
     return CpuTime(statistics.median(times), min(times), max(times), repeats)
 
 
+def timed(call: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
+    """What a call returns, and its CPU time, s."""
+    start = time.process_time()
+    result = call(*arguments)
+    return result, time.process_time() - start
+
+
 def cpu_ratio(
     call: Callable[[], Any],
     reference: Callable[[], Any],
@@ -118,14 +127,14 @@ def cpu_ratio(
     )
 
 
-def mark_front(rows: Sequence[dict[str, Any]], cost: str, error: str) -> None:
+def mark_front(rows: Sequence[dict[str, Any]], cost: str, error: Callable[[Row], float]) -> None:
     """Mark the Pareto front: rows for which no other is both cheaper and more exact.
 
     A row without a finite error is not on it.
     """
     for row in rows:
-        row["front"] = row[error] < math.inf and not any(
-            other[cost] < row[cost] and other[error] < row[error] for other in rows
+        row["front"] = error(row) < math.inf and not any(
+            other[cost] < row[cost] and error(other) < error(row) for other in rows
         )
 
 
@@ -140,12 +149,7 @@ def about(benchmark: Path) -> str:
 
 
 def run(
-    name: str,
-    directory: Path,
-    quick: bool,
-    out: Path,
-    progress: Callable[[str], None],
-    **chosen: Any,
+    name: str, directory: Path, quick: bool, out: Path, progress: Progress, **chosen: Any
 ) -> Path:
     """Run a benchmark and write `out/NAME.json`; returns its path.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from benchmarks.estimation.twin_walks import POSITION_NOISE, TrueWalk, walk
-from benchmarks.harness import Check, Row, at_most
+from benchmarks.harness import Check, Progress, Row, at_most
 from slot_core.body_points import TORSO
 from slot_core.robot import read_robot
 from slot_lab.twin.replay_robot import read_parts
@@ -59,7 +59,7 @@ def cases() -> list[IdentificationCase]:
     ]  # fmt: skip
 
 
-def rows_and_checks(quick: bool, progress: Callable[[str], None]) -> tuple[list[Row], list[Check]]:
+def rows_and_checks(quick: bool, progress: Progress) -> tuple[list[Row], list[Check]]:
     """Rows of clocks and fits; `quick`: one fit of the friction alone to 14 s."""
     rows: list[Row] = []
     checks: list[Check] = []

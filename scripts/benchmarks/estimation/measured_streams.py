@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from slot_core import config
 from slot_core.clock import to_ns, to_seconds
-from slot_core.dynamics.scene import Scene, read_scene
-from slot_core.dynamics.servo import ServoSettings
+from slot_core.dynamics.scene import read_scene
 from slot_core.geometry import rpy_of
-from slot_core.robot import Array, RobotParameters
+from slot_core.robot import Array
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.simulation.plant import Reading, RobotSimulator
 from slot_core.simulation.sensors import ImuReading, OdometryReading
 
 _SENSORS = read_scene("flat").sensors
 PERIOD, IMU_PERIOD = _SENSORS.odometry.period, _SENSORS.imu.period  # s
+WARM_UP = 2.0  # s, until the robot walks and the biases are known
 ARRIVAL_ORDER = {ImuReading: 0, OdometryReading: 1}
 Arrival = tuple[int, ImuReading | OdometryReading]
 
@@ -27,10 +28,8 @@ Arrival = tuple[int, ImuReading | OdometryReading]
 class RecordingPlant(RobotSimulator):
     """A plant that keeps its IMU samples, its odometry and the true state at every IMU sample."""
 
-    def __init__(
-        self, robot: RobotParameters, scene: Scene, servo: ServoSettings, rng: np.random.Generator
-    ):
-        super().__init__(robot, scene, servo, rng)
+    def __init__(self, *parts: Any):
+        super().__init__(*parts)
         self.readings: list[ImuReading | OdometryReading] = []
         self.truth: list[tuple[int, Array]] = []
 
@@ -41,6 +40,13 @@ class RecordingPlant(RobotSimulator):
         self.truth.append((self.now, np.concatenate([angles, sim.position, rate, sim.velocity])))
         self.readings += [r for r in readings if isinstance(r, ImuReading)]
         return readings
+
+    def motion(self) -> tuple[Array, dict[str, float]]:
+        """True states (n, 12) after the warm-up; their mean v_x and largest drift to the side."""
+        states = np.array([state for _, state in self.truth][round(WARM_UP / IMU_PERIOD) :])
+        speed = (states[-1, 3] - states[0, 3]) / (len(states) * IMU_PERIOD)
+        drift = np.abs(states[:, 4] - states[0, 4]).max()
+        return states, {"v_x_mm_s": 1e3 * speed, "lateral_mm": 1e3 * drift}
 
     def _read_odometry(self) -> list[Reading]:
         pending = {event.number for event in self._events}
@@ -72,16 +78,27 @@ class Streams:
         return int(self.stamps[-1])
 
 
-def record(seed: int, duration: float) -> Streams:
-    """Streams of a walk of `duration` (s) on the flat floor."""
-    loop = ClosedLoop("flat", "walk", None, seed, make=RecordingPlant)
+Plant = TypeVar("Plant", bound=RobotSimulator)
+
+
+def walked(
+    make: type[Plant], seed: int, duration: float, changes: Mapping[str, Any] | None = None
+) -> Plant:
+    """The plant after a walk of `duration` (s) on the flat floor, changed as in `ClosedLoop`."""
+    loop = ClosedLoop("flat", "walk", None, seed, changes=changes, make=make)
     for _ in loop.run(round(duration / PERIOD)):
         pass
-    assert isinstance(loop.plant, RecordingPlant)
-    stamps, states = zip(*sorted(loop.plant.truth, key=lambda entry: entry[0]))
+    assert isinstance(loop.plant, make)
+    return loop.plant
+
+
+def record(seed: int, duration: float) -> Streams:
+    """Streams of a walk of `duration` (s) on the flat floor."""
+    plant = walked(RecordingPlant, seed, duration)
+    stamps, states = zip(*sorted(plant.truth, key=lambda entry: entry[0]))
     array = np.array(states)
     array[:, 2] = np.unwrap(array[:, 2])
-    return Streams(loop.plant.readings, np.array(stamps), array)
+    return Streams(plant.readings, np.array(stamps), array)
 
 
 @dataclass(frozen=True)
@@ -109,27 +126,6 @@ class Slam:
             jumped = r
             if jumps and since >= jumps[0]:
                 jumps.pop(0)
-                place = r.position + np.array([0.2, 0.0, 0.0])
-                twist = r.velocity, r.angular_velocity
-                jumped = OdometryReading(r.stamp, place, r.quaternion, *twist)
+                jumped = replace(r, position=r.position + np.array([0.2, 0.0, 0.0]))
             result.append((r.stamp + to_ns(max(late, 0.0)), jumped))
         return sorted(result, key=lambda item: (item[0], ARRIVAL_ORDER[type(item[1])]))
-
-
-def with_delay(delay: float) -> type[RobotSimulator]:
-    """A plant whose odometry is late by `delay`, s."""
-
-    class LatePlant(RecordingPlant):
-        """The recording plant with another delay."""
-
-        def __init__(
-            self,
-            robot: RobotParameters,
-            scene: Scene,
-            servo: ServoSettings,
-            rng: np.random.Generator,
-        ):
-            late = config.replace(scene, {"sensors.odometry.delay": delay})
-            super().__init__(robot, late, servo, rng)
-
-    return LatePlant

@@ -9,14 +9,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.estimation.measured_streams import PERIOD
+from benchmarks.estimation.measured_streams import walked
 from slot_core.body_points import LEG_POINTS, TORSO, at_shares
 from slot_core.clock import to_seconds
-from slot_core.dynamics.scene import Scene
-from slot_core.dynamics.servo import ServoSettings
 from slot_core.joint_reading import JointReading
-from slot_core.robot import Array, RobotParameters
-from slot_core.simulation.closed_loop import ClosedLoop
+from slot_core.robot import Array
 from slot_core.simulation.plant import Reading, RobotSimulator, TrueState
 from slot_lab.bags.measured import MEASURED, ODOMETRY, TendonAngles
 from slot_lab.bags.recorded_walk import TorsoTrack
@@ -29,10 +26,8 @@ ENCODER = 2 * np.pi / 4096  # rad, of the servos
 class TruePlant(RobotSimulator):
     """A plant that keeps its tendon angles and its true states."""
 
-    def __init__(
-        self, robot: RobotParameters, scene: Scene, servo: ServoSettings, rng: np.random.Generator
-    ):
-        super().__init__(robot, scene, servo, rng)
+    def __init__(self, *parts: Any):
+        super().__init__(*parts)
         self.joints: list[JointReading] = []
         self.states: list[TrueState] = []
 
@@ -83,8 +78,5 @@ class TrueWalk:
 
 def walk(duration: float, changes: Mapping[str, Any], seed: int = 1) -> TrueWalk:
     """A walk of `duration` (s) of a robot changed as in `ClosedLoop`."""
-    loop = ClosedLoop("flat", "walk", None, seed, changes=changes, make=TruePlant)
-    for _ in loop.run(round(duration / PERIOD)):
-        pass
-    assert isinstance(loop.plant, TruePlant)
-    return TrueWalk(loop.plant.joints, loop.plant.states)
+    plant = walked(TruePlant, seed, duration, changes)
+    return TrueWalk(plant.joints, plant.states)

@@ -11,7 +11,7 @@ import argparse
 import statistics
 import time
 from collections import defaultdict, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -23,7 +23,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from benchmarks.graph.endurance import endurance_checks, long_walk
 from benchmarks.graph.measured_walk import Walk, measure_walk
 from benchmarks.graph.picture import END_TO_END, draw
-from benchmarks.harness import Check, Row, at_least, at_most, cpu_time
+from benchmarks.harness import Check, Progress, Row, at_least, at_most, cpu_time, timed
 from slot_bringup.graph import CONTROLLER, read_graph
 from slot_core.command_line import within
 from slot_core.control.pace import Pace
@@ -43,6 +43,8 @@ ALL_NODES, RECORDER = "all nodes", "recorder"
 SEPARATE, COMPOSED = "separate", "composed"  # the controller's nodes
 FAST = "composed, 100 Hz"  # odometry; else it is at 30 Hz
 NODE_FIGURES = ("cpu_percent", "rss_mb", "pss_mb")
+WALK_FIGURES = ("ticks", "deadline_misses", "unanswered", "missed_ticks", "real_time_factor")
+WALK_FIGURES += ("mean_v_x", "fallback_cycles")
 
 # Composed, as on the robot: a thirteenth of its 8 GB. A page that n processes share counts 1/n in
 # each.
@@ -88,7 +90,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(
-    quick: bool, out: Path, progress: Callable[[str], None], endurance: float | None = None
+    quick: bool, out: Path, progress: Progress, endurance: float | None = None
 ) -> tuple[list[Row], list[Check]]:
     """Run the graph as `QUICK` or `FULL` plans; the picture goes to `out/graph.png`."""
     plan = QUICK if quick else FULL
@@ -103,10 +105,8 @@ def run(
     for mode, chosen in modes.items():
         progress(f"lockstep, {mode}")
         metrics = measure_walk(graph, chosen | {"lockstep": True}, plan.lockstep).metrics
-        speeds.append(
-            {"kind": "lockstep", "nodes": mode, "duration_s": metrics.duration,
-             "speed": metrics.real_time_factor}
-        )  # fmt: skip
+        figures = {"duration_s": metrics.duration, "speed": metrics.real_time_factor}
+        speeds.append({"kind": "lockstep", "nodes": mode} | figures)
     modes[FAST] = modes[COMPOSED] | {"scene": "fast_odometry"}
     walks: dict[str, list[Walk]] = {mode: [] for mode in modes}
     for repeat in range(plan.repeats):
@@ -114,12 +114,10 @@ def run(
             progress(f"real time, {mode}, {repeat + 1} of {plan.repeats}")
             walks[mode].append(measure_walk(graph, chosen, plan.duration))
     draw(walks[SEPARATE], walks[COMPOSED], out / "graph.png")
-    rows = [
-        row
-        for mode, some in walks.items()
-        for repeat, one in enumerate(some)
-        for row in walk_rows(mode, repeat, one)
-    ]
+    rows = []
+    for mode, some in walks.items():
+        for repeat, one in enumerate(some):
+            rows += walk_rows(mode, repeat, one)
     rows += medians(rows)
     rows += [*speeds, loop, cycle]
     duration = plan.endurance if endurance is None else endurance
@@ -146,19 +144,14 @@ def cycle_row(ticks: int) -> dict[str, Any]:
         start, busy = time.perf_counter(), time.process_time()
         estimate = decode.estimate(deserialize_message(state, MpcState))
         ahead = decode.preview(deserialize_message(preview, GaitPreview))
-        solving = time.process_time()
-        plan = policy.step(estimate, ahead)
-        alone.append(time.process_time() - solving)
+        plan, seconds = timed(policy.step, estimate, ahead)
+        alone.append(seconds)
         serialize_message(messages.plan_to_msg(plan, ahead, 0.0, Pace()))
         elapsed.append(time.perf_counter() - start)
         cpu.append(time.process_time() - busy)
-    return {
-        "kind": "cycle",
-        "median_ms": 1e3 * np.median(elapsed),
-        "p99_ms": 1e3 * np.percentile(elapsed, 99),
-        "cpu_ms": 1e3 * np.median(cpu),
-        "solve_cpu_ms": 1e3 * np.median(alone),
-    }
+    row = {"kind": "cycle", "p99_ms": 1e3 * np.percentile(elapsed, 99)}
+    times = {"median_ms": elapsed, "cpu_ms": cpu, "solve_cpu_ms": alone}
+    return row | {name: 1e3 * np.median(values) for name, values in times.items()}
 
 
 def closed_loop_row(values: Mapping[str, Any], blocks: int) -> Row:
@@ -167,14 +160,10 @@ def closed_loop_row(values: Mapping[str, Any], blocks: int) -> Row:
     ticks = loop.run((blocks + 1) * BLOCK)  # the first one warms up
     figure = cpu_time(lambda: deque(islice(ticks, BLOCK), maxlen=0), blocks)
     duration = BLOCK * read_scene(values["scene"]).sensors.odometry.period
-    return {
-        "kind": "closed loop",
-        "duration_s": blocks * duration,
-        "cpu_s_per_s": figure.median / duration,
-        "cpu_s_per_s_least": figure.least / duration,
-        "cpu_s_per_s_largest": figure.largest / duration,
-        "speed": duration / figure.median,
-    }
+    seconds = {"": figure.median, "_least": figure.least, "_largest": figure.largest}
+    row = {"kind": "closed loop", "duration_s": blocks * duration}
+    row |= {f"cpu_s_per_s{name}": value / duration for name, value in seconds.items()}
+    return row | {"speed": duration / figure.median}
 
 
 def walk_rows(mode: str, repeat: int, one: Walk) -> list[Row]:
@@ -184,29 +173,15 @@ def walk_rows(mode: str, repeat: int, one: Walk) -> list[Row]:
     stages = {**m.stages, END_TO_END: m.end_to_end}
     figures = np.column_stack([one.cpu, *(np.divide([one.usage.rss, one.usage.pss], 1e6))])
     nodes = [*zip(one.usage.nodes, figures), (ALL_NODES, figures.sum(axis=0))]
+    walk = {"kind": "walk", **which, "duration_s": m.duration, "period_ms": 1e3 * m.period}
+    walk |= {name: getattr(m, name) for name in WALK_FIGURES} | {"tilt_max_rad": m.tilt_max}
+    walk["waiting_for_a_core_percent"] = one.waited  # how loaded the machine was
+    walk |= {"replay_cpu_s_per_s": one.replay_cpu, "replay_differences": one.replay_differences}
+    node, latency = {"kind": "node", **which}, {"kind": "latency", **which}
     return [
-        {
-            "kind": "walk",
-            **which,
-            "duration_s": m.duration,
-            "period_ms": 1e3 * m.period,
-            "ticks": m.ticks,
-            "deadline_misses": m.deadline_misses,
-            "unanswered": m.unanswered,
-            "missed_ticks": m.missed_ticks,
-            "real_time_factor": m.real_time_factor,
-            "mean_v_x": m.mean_v_x,
-            "tilt_max_rad": m.tilt_max,
-            "fallback_cycles": m.fallback_cycles,
-            "waiting_for_a_core_percent": one.waited,  # how loaded the machine was
-            "replay_cpu_s_per_s": one.replay_cpu,
-            "replay_differences": one.replay_differences,
-        },
-        *({"kind": "latency", **which, "stage": s} | in_ms(v) for s, v in stages.items()),
-        *(
-            {"kind": "node", **which, "node": node} | dict(zip(NODE_FIGURES, values))
-            for node, values in nodes
-        ),
+        walk,
+        *(latency | {"stage": stage} | in_ms(found) for stage, found in stages.items()),
+        *(node | {"node": name} | dict(zip(NODE_FIGURES, values)) for name, values in nodes),
     ]
 
 
@@ -255,45 +230,27 @@ def checks(rows: Sequence[Row], plan: Plan) -> list[Check]:
     [cycle] = (row for row in rows if row["kind"] == "cycle")
     [loop] = column("cpu_s_per_s", kind="closed loop")
     separate, composed = column("speed", kind="lockstep")
+    nodes, own = (
+        max(over_repeats("pss_mb", "node", nodes=COMPOSED, node=node))
+        for node in (ALL_NODES, CONTROLLER)
+    )
+    solving = cycle["cpu_ms"] / cycle["solve_cpu_ms"]
+    replay = median("replay_cpu_s_per_s", SEPARATE, kind="walk") / loop
+    fast = median("cpu_percent", FAST, node=CONTROLLER) / controller
+    younger, beside = age[COMPOSED] / age[SEPARATE], "composed over separate"
     return [
         at_least("shortest walk", min(over_repeats("duration_s")), plan.duration, "s"),
         at_least("least mean v_x", min(over_repeats("mean_v_x")), LEAST_SPEED, "m/s"),
         at_most("largest tilt", max(over_repeats("tilt_max_rad")), LARGEST_TILT, "rad"),
-        at_most(
-            "memory of all nodes, composed",
-            max(over_repeats("pss_mb", "node", nodes=COMPOSED, node=ALL_NODES)),
-            PSS_MB,
-            "MB",
-        ),
-        at_most(
-            "memory of the controller, composed",
-            max(over_repeats("pss_mb", "node", nodes=COMPOSED, node=CONTROLLER)),
-            CONTROLLER_PSS_MB,
-            "MB",
-        ),
-        at_most(
-            "CPU of a cycle of the MPC's node over its solution's",
-            cycle["cpu_ms"] / cycle["solve_cpu_ms"],
-            LARGEST_CYCLE,
-        ),
-        at_most(
-            "composed over separate: odometry to command, median",
-            age[COMPOSED] / age[SEPARATE],
-            LATENCY_RATIO,
-        ),
-        at_most("composed over separate: CPU of the controller", controller / stages, CPU_RATIO),
-        at_least("composed over separate: lockstep speed", composed / separate, LEAST_SPEEDUP),
-        at_most(
-            "CPU of a replay over that of controller and plant",
-            median("replay_cpu_s_per_s", SEPARATE, kind="walk") / loop,
-            REPLAY_RATIO,
-        ),
+        at_most("memory of all nodes, composed", nodes, PSS_MB, "MB"),
+        at_most("memory of the controller, composed", own, CONTROLLER_PSS_MB, "MB"),
+        at_most("CPU of a cycle of the MPC's node over its solution's", solving, LARGEST_CYCLE),
+        at_most(f"{beside}: odometry to command, median", younger, LATENCY_RATIO),
+        at_most(f"{beside}: CPU of the controller", controller / stages, CPU_RATIO),
+        at_least(f"{beside}: lockstep speed", composed / separate, LEAST_SPEEDUP),
+        at_most("CPU of a replay over that of controller and plant", replay, REPLAY_RATIO),
         at_most("stages that a replay changes", max(over_repeats("replay_differences")), 0),
-        at_most(
-            "100 Hz over 30 Hz: CPU of the controller",
-            median("cpu_percent", FAST, node=CONTROLLER) / controller,
-            FAST_CPU_RATIO,
-        ),
+        at_most("100 Hz over 30 Hz: CPU of the controller", fast, FAST_CPU_RATIO),
     ]
 
 

@@ -34,17 +34,16 @@ class Samples:
     shared: list[float] = field(default_factory=list)  # (n,) MB
 
     def growth(self) -> tuple[np.ndarray, float]:
-        """Growth (nodes, NODE_FIGURES) of the nodes and, MB, of the shared memory."""
+        """Growth (nodes, NODE_FIGURES) of the nodes and, MB, of the shared memory.
+
+        From the first tenth of the samples after the warm-up to the last one.
+        """
         figures, shared = np.array(self.figures), np.array(self.shared)
-        first, last = _ends(len(shared))
+        count = len(shared)
+        begin, tenth = int(WARM_UP * count), max(1, int((1.0 - WARM_UP) * count / 10))
+        first, last = slice(begin, begin + tenth), slice(count - tenth, count)
         nodes = np.median(figures[last], axis=0) - np.median(figures[first], axis=0)
         return nodes, float(np.median(shared[last]) - np.median(shared[first]))
-
-
-def _ends(count: int) -> tuple[slice, slice]:
-    """The first tenth of `count` samples after the warm-up, and the last one."""
-    begin, tenth = int(WARM_UP * count), max(1, int((1.0 - WARM_UP) * count / 10))
-    return slice(begin, begin + tenth), slice(count - tenth, count)
 
 
 def long_walk(graph: Graph, values: Mapping[str, Any], duration: float) -> list[Row]:
@@ -64,23 +63,18 @@ def long_walk(graph: Graph, values: Mapping[str, Any], duration: float) -> list[
         except RunError as error:
             raise BenchmarkError(f"the graph failed: {error}") from error
     grown, shared = samples.growth()
-    return [
-        *(
-            {"kind": "endurance", "duration_s": duration, "node": name}
-            | {f"{figure}_grown": float(value) for figure, value in zip(NODE_FIGURES, row)}
-            for name, row in zip(names, grown)
-        ),
-        {"kind": "shared memory", "duration_s": duration, "grown_mb": shared},
+    figures = [f"{figure}_grown" for figure in NODE_FIGURES]
+    rows = [
+        {"kind": "endurance", "duration_s": duration, "node": name} | dict(zip(figures, row))
+        for name, row in zip(names, grown.tolist())
     ]
+    return [*rows, {"kind": "shared memory", "duration_s": duration, "grown_mb": shared}]
 
 
 def add(samples: Samples, nodes: Sequence[psutil.Process]) -> None:
     """Take one sample; raises psutil.Error if a node has ended."""
     samples.figures.append(
-        [
-            [float(p.memory_full_info().uss) / 1e6, float(p.num_threads()), float(p.num_fds())]
-            for p in nodes
-        ]
+        [[p.memory_full_info().uss / 1e6, p.num_threads(), p.num_fds()] for p in nodes]
     )
     samples.shared.append(sum(f.stat().st_size for f in SHARED_MEMORY.iterdir()) / 1e6)
 

@@ -1,7 +1,6 @@
 """One run of the graph, as processes, with its bag: metrics, ticks, CPU and memory."""
 
 import tempfile
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ import numpy as np
 import psutil
 
 from benchmarks.graph.usage import Usage, add_memory, metered
-from benchmarks.harness import BenchmarkError
+from benchmarks.harness import BenchmarkError, timed
 from slot_bringup.graph import Graph
 from slot_bringup.monitor import RunError, watch
 from slot_bringup.run import started
@@ -50,9 +49,8 @@ def measure_walk(graph: Graph, values: Mapping[str, Any], duration: float) -> Wa
             bag = Bag(directory)
             metrics = walk_metrics(bag, warm_up, read_servo())
             ticks = read_ticks(bag).after(read_motion(bag).t[0] + warm_up)
-            start = time.process_time()
-            replayed = check_bag(bag, TOLERANCE)
-            replay_cpu = (time.process_time() - start) / (1e-9 * bag.duration_ns)
+            replayed, seconds = timed(check_bag, bag, TOLERANCE)
+            replay_cpu = seconds / (1e-9 * bag.duration_ns)
         except (RunError, BagError, psutil.Error) as error:
             raise BenchmarkError(f"the graph failed: {error}") from error
         begin, end = to_seconds(bag.end_ns) - ticks.end + ticks.time[[0, -1], 0]

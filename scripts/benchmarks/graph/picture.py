@@ -53,15 +53,13 @@ def draw_latency(ax: Axes, ticks: Sequence[Ticks], composed: Sequence[Ticks]) ->
                     textcoords="offset points", va="center", fontsize=7)  # fmt: skip
     period = 1e3 * ticks[0].period
     ax.axvline(period, color=palette.INK, ls=":", lw=1, label=f"control period, {period:.0f} ms")
-    ax.set_xscale("log")
-    ax.set_yscale("log")
+    ax.set(xscale="log", yscale="log")
     ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     ax.xaxis.set_minor_formatter(NullFormatter())
     for axis in (ax.xaxis, ax.yaxis):
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    finish(
-        ax, "latency of each stage", "latency (ms, logarithmic)", "share of ticks that took longer"
-    )
+    title = "latency of each stage"
+    finish(ax, title, "latency (ms, logarithmic)", "share of ticks that took longer")
     ax.legend(fontsize=8, frameon=False, loc="lower left")
 
 

@@ -14,31 +14,21 @@ import itertools
 import math
 import multiprocessing
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness import Check, at_least, at_most
+from benchmarks.harness import Check, Progress, at_least, at_most
 from benchmarks.harness import Row as Result
-from benchmarks.locomotion.cases import (
-    ALONE,
-    COLUMNS,
-    DEFAULT,
-    PAPER,
-    Case,
-    Job,
-    WalkMotion,
-    run_job,
-)
+from benchmarks.locomotion import cases
+from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, PAPER, Case, Job, WalkMotion
 from benchmarks.locomotion.rows import LocomotionRow, directions, rows, slanted, square
 
 SEEDS = (1, 2)
 REPORTS = 20  # lines of progress
 
 
-def run(
-    quick: bool, out: Path, progress: Callable[[str], None]
-) -> tuple[list[Result], list[Check]]:
+def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Result], list[Check]]:
     """Measure all rows; the pictures show them, and stills of the gaits."""
     from benchmarks.locomotion import margins, stills  # noqa: PLC0415
     from benchmarks.locomotion.picture import draw_directions, draw_table, draw_top  # noqa: PLC0415
@@ -64,12 +54,12 @@ def jobs_of(wanted: Sequence[LocomotionRow], seeds: Sequence[int], quick: bool) 
     return [(case, column, seed) for (case, column), seed in itertools.product(runs, seeds)]
 
 
-def run_all(wanted: Sequence[Job], progress: Callable[[str], None]) -> dict[Job, WalkMotion]:
+def run_all(wanted: Sequence[Job], progress: Progress) -> dict[Job, WalkMotion]:
     """Run the jobs on all cores, the longest first."""
     jobs, found = sorted(wanted, key=lambda job: -job[0].duration), {}
-    run_job(jobs[-1])  # the kernels are compiled once, before the workers start
+    cases.run_job(jobs[-1])  # the kernels are compiled once, before the workers start
     with multiprocessing.get_context("spawn").Pool(len(os.sched_getaffinity(0))) as pool:
-        for job, motion in pool.imap_unordered(run_job, jobs):
+        for job, motion in pool.imap_unordered(cases.run_job, jobs):
             found[job] = motion
             if len(found) % max(1, len(jobs) // REPORTS) == 0:
                 progress(f"{len(found)} of {len(jobs)} runs")

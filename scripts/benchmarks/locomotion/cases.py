@@ -134,7 +134,7 @@ def run_case(case: Case, column: str, seed: int) -> WalkMotion:
         seed,
         chosen.policy,
         changes=dict(case.changes) | dict(chosen.changes),
-        path=_path(case),
+        path=Route(np.array(case.path), "kept") if case.path else None,
         lost_odometry=case.lost_odometry,
     )
     scheduler, sim, schedule = loop.controller.scheduler, loop.plant.robot, [*case.schedule]
@@ -168,12 +168,6 @@ def motion_of(rows: Array, fallen: bool, period: float) -> WalkMotion:
     even = np.column_stack([np.interp(time, rows[:, 0], column) for column in rows.T[1:]])
     motion = WalkMotion(time, even[:, :3], even[:, 3:6], even[:, 6], fallen, period)
     return dataclasses.replace(motion, fallen=fallen or bool(motion.tilt.max() > FALLEN))
-
-
-def _path(case: Case) -> Route | None:
-    if not case.path:
-        return None
-    return Route(np.array(case.path), "kept")
 
 
 def friction(left: float, right: float | None = None) -> Changes:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from benchmarks.locomotion.cases import (
     stiffness,
     tendon_errors,
 )
-from slot_core.robot import Array, read_robot
+from slot_core.robot import read_robot
 
 WARM_UP = 4.0  # s, start of a run, which is not measured
 CAUGHT_UP = 6.0  # s, after which the distance lost at the start is regained
@@ -95,7 +96,7 @@ def directions(quick: bool) -> list[Case]:
     """Walks in all directions at one speed, for the row and its picture."""
     angles = np.radians(np.arange(0, 360, 120 if quick else 30))
     velocities = DIRECTION_SPEED * np.column_stack([np.cos(angles), np.sin(angles)])
-    return [_fast(_round(v_x), _round(v_y)) for v_x, v_y in velocities]
+    return [_fast(*velocity) for velocity in velocities.round(6).tolist()]
 
 
 def _fast(v_x: float, v_y: float = 0.0, changes: Changes = ()) -> Case:
@@ -149,14 +150,9 @@ def _straight() -> list[LocomotionRow]:
     ]
 
 
-def straight(changes: Changes = (), **others: object) -> Case:
+def straight(changes: Changes = ()) -> Case:
     """Straight walk of .8 m."""
-    return Case(
-        LENGTH / SPEED + 0.5,
-        velocity=(SPEED, 0.0, 0.0),
-        changes=changes,
-        **others,  # type: ignore[arg-type]
-    )
+    return Case(LENGTH / SPEED + 0.5, velocity=(SPEED, 0.0, 0.0), changes=changes)
 
 
 def _path() -> list[LocomotionRow]:
@@ -242,14 +238,12 @@ def _standing(quick: bool) -> list[LocomotionRow]:
     }
     found = []
     for name, cases in groups.items():
-        found.append(
-            LocomotionRow(f"standing, {name}: height", "mm", 1.0, cases, worst(_height_off))
-        )
         # a level torso on equal legs stays level without a controller
-        share = None if name.startswith("heights") else 0.5
-        found.append(
-            LocomotionRow(f"standing, {name}: angles", "deg", 0.3, cases, worst(_angle_off), share)
-        )
+        share, row = None if name.startswith("heights") else 0.5, f"standing, {name}"
+        found += [
+            LocomotionRow(f"{row}: height", "mm", 1.0, cases, worst(_height_off)),
+            LocomotionRow(f"{row}: angles", "deg", 0.3, cases, worst(_angle_off), share),
+        ]
     return found
 
 
@@ -274,13 +268,13 @@ def _heights(quick: bool) -> list[LocomotionRow]:
 
 
 def _slopes() -> list[LocomotionRow]:
-    found = []
     easy = Case(CAUGHT_UP + 10.5, velocity=(0.04, 0.0, 0.0), changes=slope(5.0, 0.0, 0.4))
     steep = _fast(0.03, changes=slope(10.0, 0.0, 0.6))
-    for degrees, case in ((5, easy), (10, steep)):
-        name = f"slope {degrees} deg, v_x of {case.velocity[0]:g}"
-        found.append(LocomotionRow(name, "mm/s", 3.0, [case], worst(_speed_error)))
-    return found
+    cases = {"slope 5 deg, v_x of 0.04": easy, "slope 10 deg, v_x of 0.03": steep}
+    return [
+        LocomotionRow(name, "mm/s", 3.0, [case], worst(_speed_error))
+        for name, case in cases.items()
+    ]
 
 
 def _posture() -> list[LocomotionRow]:
@@ -318,14 +312,9 @@ def _disturbed() -> list[LocomotionRow]:
     ]
 
 
-def recovery(changes: Changes = (), **others: object) -> Case:
+def recovery(changes: Changes = (), **others: Any) -> Case:
     """Straight walk with a disturbance, then .8 m to return to the path and some more."""
-    return Case(
-        DISTURBED + LENGTH / SPEED + RECOVERED,
-        velocity=(SPEED, 0.0, 0.0),
-        changes=changes,
-        **others,  # type: ignore[arg-type]
-    )
+    return replace(straight(changes), duration=DISTURBED + LENGTH / SPEED + RECOVERED, **others)
 
 
 def _speed_error(case: Case, motion: WalkMotion) -> float:
@@ -375,20 +364,7 @@ def _top(case: Case, motion: WalkMotion) -> float:
     if not _walks(case, motion):
         return math.inf
     late = motion.after(WARM_UP)
-    length, width, thickness = np.array(read_robot().torso.size) / 2
     roll, pitch = late.rpy[:, 0], late.rpy[:, 1]
-    rise = _corners(roll, pitch, length, width, thickness)
+    upward = np.array([np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)])
+    rise = np.array(read_robot().torso.size) / 2 @ np.abs(upward)
     return MM * float((late.position[:, 2] + rise).max())
-
-
-def _corners(roll: Array, pitch: Array, length: float, width: float, thickness: float) -> Array:
-    """Height (n,) of a box's highest corner above its centre; half sizes, m."""
-    return (
-        length * np.abs(np.sin(pitch))
-        + width * np.abs(np.cos(pitch) * np.sin(roll))
-        + thickness * np.cos(pitch) * np.cos(roll)
-    )
-
-
-def _round(value: float) -> float:
-    return round(float(value), 6)

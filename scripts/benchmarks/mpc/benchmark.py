@@ -8,14 +8,14 @@ tendon angles, has rows of its own (`posture_rows.py`).
 
 import itertools
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import psutil
 
-from benchmarks.harness import Check, Row, at_least, at_most
+from benchmarks.harness import Check, Progress, Row, at_least, at_most, mark_front, timed
 from benchmarks.mpc import posture_rows
 from benchmarks.mpc.cases import Case, hard_cases, random_case, stretched
 from benchmarks.mpc.cvxpy_reference import CvxpyReference
@@ -41,9 +41,10 @@ STATES, RANDOM = 220, 60  # cases of the walk, random cases
 SEED = 1
 WRONG = 1e-3  # N, error above which an accepted solution counts as wrong
 MINUTE, HOUR = 1800, 108_000  # cycles at 30 Hz
+Solved = tuple[Sequence[Case], Array]  # cases, and the first forces of their optima
 
 
-def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[Row], list[Check]]:
+def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Check]]:
     """Run all measurements; the picture goes to `out/mpc.png`."""
     settings = config.replace(
         read_mpc("forces"), {"acceptance.time_budget": np.inf, "acceptance.violation_max": 1.0}
@@ -51,16 +52,16 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
     progress("walk")
     walk, hard = walk_cases(), list(hard_and_random(settings.horizon))
     progress("optima")
-    exact = Exact(settings, walk, hard)
+    solved, of_hard = ((cases, optima(settings, cases)) for cases in (walk, hard))
     rows = []
     for name in SOLVERS:
         progress(f"solver {name}")
-        rows += [solver_row(settings, name, tol, walk, hard, exact) for tol in TOLERANCES]
-    mark_front(rows)
+        rows += [solver_row(settings, name, tol, solved, of_hard) for tol in TOLERANCES]
+    mark_front(rows, "median_ms", worst)
     progress("horizons")
     rows += horizon_rows(settings, walk[: 20 if quick else 100])
     progress("CVXPY")
-    rows += cvxpy_rows(settings, walk[10 : 12 if quick else 18], exact.walk[10:])
+    rows += cvxpy_rows(settings, walk[10 : 12 if quick else 18], solved[1][10:])
     progress("tendon angles")
     rows += posture_rows.rows(quick)
     if not quick:
@@ -84,20 +85,13 @@ def hard_and_random(stages: int) -> Iterable[Case]:
         yield random_case(rng, stages + 1)
 
 
-class Exact:
-    """First forces of the optima, (n, 4, 3) N."""
-
-    def __init__(self, settings: MpcSettings, walk: Sequence[Case], hard: Sequence[Case]):
-        """Solve all cases; a controller only assembles the problems."""
-        self._mpc = controller(settings, "piqp multistage", 1e-6)
-        self.walk, self.hard = self._optima(walk), self._optima(hard)
-
-    def _optima(self, cases: Sequence[Case]) -> Array:
-        optima = []
-        for case in cases:
-            self._mpc.step(*case)
-            optima.append(optimum(self._mpc.problem.qp)[0])
-        return np.array(optima)
+def optima(settings: MpcSettings, cases: Sequence[Case]) -> Array:
+    """First forces of the optima, (n, 4, 3) N; a controller only assembles the problems."""
+    mpc, found = controller(settings, "piqp multistage", 1e-6), []
+    for case in cases:
+        mpc.step(*case)
+        found.append(optimum(mpc.problem.qp)[0])
+    return np.array(found)
 
 
 def hour_row(settings: MpcSettings, walk: Sequence[Case]) -> dict[str, Any]:
@@ -124,44 +118,35 @@ def controller(settings: MpcSettings, variant: str, tolerance: float) -> Mpc:
     return Mpc(read_robot(), config.replace(settings, changes), time.process_time)
 
 
-def solver_row(  # noqa: PLR0917
-    settings: MpcSettings,
-    variant: str,
-    tolerance: float,
-    walk: Sequence[Case],
-    hard: Sequence[Case],
-    exact: Exact,
+def solver_row(
+    settings: MpcSettings, variant: str, tolerance: float, walk: Solved, hard: Solved
 ) -> dict[str, Any]:
     """One solver at one tolerance: the walk twice (timed the second time), then the hard cases."""
     mpc = controller(settings, variant, tolerance)
-    walked, times = [timed(mpc, walk) for _ in range(2)][1]
-    results, hard_times = timed(mpc, hard)
-    error = errors(walked, exact.walk)
-    return {
-        "kind": "solver",
-        "solver": variant,
-        "tolerance": tolerance,
-        "median_ms": float(np.median(times)),
-        "p99_ms": float(np.quantile(times, 0.99)),
-        "hard_max_ms": max(hard_times),
-        "error_median": float(np.median(error)),
-        "error_max": float(np.max(error)),
-        "hard_error_max": float(np.nanmax(errors(results, exact.hard))),
-        "violation": max(plan.report.violation for plan in [*walked, *results]),
-        "iterations_median": float(np.median([plan.report.iterations for plan in walked])),
-        "iterations_max": max(plan.report.iterations for plan in [*walked, *results]),
-        "walk_refused": len(walked) - sum(accepted(result) for result in walked),
-    } | outcomes(results, errors(results, exact.hard))
+    walked, times = [plans(mpc, walk[0]) for _ in range(2)][1]
+    results, hard_times = plans(mpc, hard[0])
+    error, hard_error = errors(walked, walk[1]), errors(results, hard[1])
+    reports = [plan.report for plan in [*walked, *results]]
+    row = {"kind": "solver", "solver": variant, "tolerance": tolerance}
+    row |= {"median_ms": np.median(times), "p99_ms": np.quantile(times, 0.99)}
+    row |= {"hard_max_ms": max(hard_times), "hard_error_max": np.nanmax(hard_error)}
+    row |= {"error_median": np.median(error), "error_max": np.max(error)}
+    return (
+        row
+        | outcomes(results, hard_error)
+        | {
+            "violation": max(report.violation for report in reports),
+            "iterations_median": np.median([plan.report.iterations for plan in walked]),
+            "iterations_max": max(report.iterations for report in reports),
+            "walk_refused": len(walked) - sum(map(accepted, walked)),
+        }
+    )
 
 
-def timed(mpc: Mpc, cases: Sequence[Case]) -> tuple[list[TendonPlan], list[float]]:
+def plans(mpc: Mpc, cases: Sequence[Case]) -> tuple[list[TendonPlan], list[float]]:
     """Plans of the cases and CPU times of their cycles, ms."""
-    plans, times = [], []
-    for case in cases:
-        start = time.process_time()
-        plans.append(mpc.step(*case))
-        times.append(1e3 * (time.process_time() - start))
-    return plans, times
+    found = [timed(mpc.step, *case) for case in cases]
+    return [plan for plan, _ in found], [1e3 * seconds for _, seconds in found]
 
 
 def accepted(result: TendonPlan) -> bool:
@@ -172,12 +157,9 @@ def accepted(result: TendonPlan) -> bool:
 
 def errors(results: Sequence[TendonPlan], exact: Array) -> Array:
     """(n,) N, largest error of the first stage's forces; NaN without a solution."""
-    return np.array(
-        [
-            np.abs(result.force[0] - optimal).max() if result.status == Status.SOLVED else np.nan
-            for result, optimal in zip(results, exact)
-        ]
-    )
+    forces = np.array([plan.force[0] for plan in results])
+    solved = [plan.status == Status.SOLVED for plan in results]
+    return np.where(solved, np.abs(forces - exact).max(axis=(1, 2)), np.nan)
 
 
 def outcomes(results: Sequence[TendonPlan], error: Array) -> dict[str, int]:
@@ -190,15 +172,7 @@ def outcomes(results: Sequence[TendonPlan], error: Array) -> dict[str, int]:
     }
 
 
-def mark_front(rows: list[dict[str, Any]]) -> None:
-    """Mark the Pareto front: rows for which no other is both faster and more accurate."""
-    for row in rows:
-        row["front"] = not any(
-            other["median_ms"] < row["median_ms"] and worst(other) < worst(row) for other in rows
-        )
-
-
-def worst(row: dict[str, Any]) -> float:
+def worst(row: Row) -> float:
     """Largest error over all cases, N; infinite if a case was refused."""
     if row["walk_refused"] or row["hard_refused"]:
         return float("inf")
@@ -213,19 +187,13 @@ def horizon_rows(settings: MpcSettings, walk: Sequence[Case]) -> Iterable[dict[s
             longer = config.replace(settings, changes)
             mpc = controller(longer, variant, HORIZON_TOLERANCE)
             longer_walk = [(x, stretched(ahead, stages + 1)) for x, ahead in walk]
-            results, times = timed(mpc, longer_walk)
-            yield {
-                "kind": "horizon",
-                "solver": variant,
-                "stages": stages,
-                "median_ms": float(np.median(times)),
-                "refused": sum(not accepted(result) for result in results),
-            }
+            results, times = plans(mpc, longer_walk)
+            row = {"kind": "horizon", "solver": variant, "stages": stages}
+            refused = sum(not accepted(result) for result in results)
+            yield row | {"median_ms": np.median(times), "refused": refused}
 
 
-def cvxpy_rows(
-    settings: MpcSettings, cases: Sequence[Case], exact: Array
-) -> Iterable[dict[str, Any]]:
+def cvxpy_rows(settings: MpcSettings, cases: Sequence[Case], exact: Array) -> Iterable[Row]:
     """CVXPY with the problem compiled once, and with the problem rebuilt in every cycle."""
     robot = read_robot()
     cached = CvxpyReference(robot, settings)
@@ -235,19 +203,10 @@ def cvxpy_rows(
         "CVXPY, as published, SCS": lambda x, ahead: restated(robot, settings, x.state, ahead),
     }
     for name, solve in solvers.items():
-        errors_, times = [], []
-        for case, optimal in zip(cases, exact):
-            start = time.process_time()
-            force = solve(*case)
-            times.append(time.process_time() - start)
-            errors_.append(np.abs(force[0] - optimal).max())
-        yield {
-            "kind": "cvxpy",
-            "solver": name,
-            "median_ms": 1e3 * float(np.median(times)),
-            "error_median": float(np.median(errors_)),
-            "error_max": float(np.max(errors_)),
-        }
+        forces, times = zip(*(timed(solve, *case) for case in cases))
+        off = [np.abs(force[0] - optimal).max() for force, optimal in zip(forces, exact)]
+        row = {"kind": "cvxpy", "solver": name, "median_ms": 1e3 * np.median(times)}
+        yield row | {"error_median": np.median(off), "error_max": np.max(off)}
 
 
 def checks(rows: Sequence[dict[str, Any]], settings: MpcSettings) -> list[Check]:
@@ -259,16 +218,12 @@ def checks(rows: Sequence[dict[str, Any]], settings: MpcSettings) -> list[Check]
     time_of = {r["stages"]: r["median_ms"] for r in mine if r["kind"] == "horizon"}
     cached, published = (r["median_ms"] for r in rows if r["kind"] == "cvxpy")
     # the fastest other solver at the same tolerance that refuses no hard case
-    rival = min(
-        r["median_ms"]
-        for r in rows
-        if r["kind"] == "solver"
-        and r["solver"] != name
-        and r["tolerance"] == row["tolerance"]
-        and not r["hard_refused"]
-    )
+    others = [r for r in rows if r["kind"] == "solver" and r["solver"] != name]
+    alike = [r for r in others if r["tolerance"] == row["tolerance"] and not r["hard_refused"]]
+    rival = min(r["median_ms"] for r in alike)
     standing, thrown = (row for row in rows if row["kind"] == "posture")
     hour = [row["gained_MB"] for row in rows if row["kind"] == "hour"]
+    dearer = standing["median_ms"] / row["median_ms"]
     return [
         *(at_most("growth of memory in an hour of cycles", gained, 1.0, "MB") for gained in hour),
         at_least(f"{name}: faster than the next solver", rival / row["median_ms"], 1.2, "times"),
@@ -282,9 +237,5 @@ def checks(rows: Sequence[dict[str, Any]], settings: MpcSettings) -> list[Check]
         at_most("tendon angles, thrown: error", thrown["error_max_rad"], 1e-4, "rad"),
         at_least("tendon angles, thrown: cycles with an active limit", thrown["limited"], 10),
         at_most("tendon angles: cycles refused", standing["refused"] + thrown["refused"], 0),
-        at_most(
-            "tendon angles: cycle over that on forces",
-            standing["median_ms"] / row["median_ms"],
-            1.5,
-        ),
+        at_most("tendon angles: cycle over that on forces", dearer, 1.5),
     ]

@@ -33,6 +33,7 @@ def torso(**parts: Any) -> Estimate:
 def standing(stages: int, **changes: Any) -> GaitPreview:
     """Preview of standing still on four feet; `changes` replace fields, arrays as (stages, ...)."""
     values: dict[str, Any] = {
+        "stamp": 0,
         "contact": np.ones((stages, 4), dtype=bool),
         "friction": np.full((stages, 4), 0.4),
         "normal_force": np.full((stages, 4), LOAD),
@@ -42,7 +43,7 @@ def standing(stages: int, **changes: Any) -> GaitPreview:
         "posture": True,
         "command": GaitCommand("stand", np.zeros(3), np.array([HEIGHT, 0.0, 0.0])),
     }
-    return GaitPreview(stamp=0, gait="stand", phase=0.0, period=0.72, **(values | changes))
+    return GaitPreview(gait="stand", phase=0.0, period=0.72, **(values | changes))
 
 
 def hard_cases(stages: int) -> dict[str, Case]:

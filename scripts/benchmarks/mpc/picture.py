@@ -41,14 +41,8 @@ def draw_errors(ax: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
         if row["kind"] == "cvxpy":
             place = (row["median_ms"], max(ROUNDOFF, row["error_max"]))
             ax.plot(*place, "s", color=palette.TORSO)
-            ax.annotate(
-                f"{row['solver']} (walk only)",
-                place,
-                (-5, 7),
-                textcoords="offset points",
-                size=7,
-                ha="right",
-            )
+            style = {"textcoords": "offset points", "size": 7, "ha": "right"}
+            ax.annotate(f"{row['solver']} (walk only)", place, (-5, 7), **style)
     front = sorted((row["median_ms"], worst(row)) for row in runs if row["front"])
     ax.step(*zip(*front), where="post", color=palette.INK, lw=1.2, ls=":", label="Pareto front")
     ax.plot([], [], "o", color=palette.INK, mfc="none", label="hollow: some cases refused")

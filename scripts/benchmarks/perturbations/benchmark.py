@@ -9,16 +9,16 @@ simulated.py and samples.py.
 import argparse
 import hashlib
 import subprocess
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import ROOT, BenchmarkError, Check, Row, at_most, revision
-from benchmarks.perturbations.cases import CASES, DURATION, TABLE, PerturbedRun, metrics
+from benchmarks.harness import ROOT, BenchmarkError, Check, Progress, Row, at_most, revision
+from benchmarks.perturbations.cases import CASES, DURATION, NOISE, TABLE, PerturbedRun, metrics
 from benchmarks.perturbations.picture import draw_costs, draw_failures, table_lines
-from benchmarks.perturbations.samples import PLANTS, SampleRecord, draw, summary
+from benchmarks.perturbations.samples import PLANTS, RandomSample, SampleRecord, draw, summary
 from slot_core.mpc.settings import read_mpc
 from slot_core.robot import read_robot
 from slot_lab.workers import workers
@@ -26,6 +26,7 @@ from slot_lab.workers import workers
 REQUIRES = ("clarabel", "distributed")
 QUICK_DURATION = 6.0  # s, of (b) and (c)
 NOISE_SEED = 1
+PAPER = ("max_cost", "mean_cost", "final_cost", "settling_s")  # figures of the table
 REPRODUCED = ("Baseline", "Roll", "Height", "Velocity", "Combined")
 MOST_DEVIATION = 0.5  # % of the paper's maximum cost
 LATEST = 2.0  # s, settling time
@@ -39,6 +40,7 @@ NOTES = (
     "(c) stands still: the sway of a walk is larger than the perturbations",
     "(c) Height: the torso's underside reaches the floor at 17 mm, so 10 mm is not possible",
 )
+Runs = dict[str, PerturbedRun]  # by case
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -56,15 +58,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(
-    quick: bool,
-    out: Path,
-    progress: Callable[[str], None],
-    *,
-    samples: int,
-    seed: int,
-    plant: str,
-    observer: float,
-    scheduler: str,
+    quick: bool, out: Path, progress: Progress, *, samples: int, scheduler: str, **like: Any
 ) -> tuple[list[Row], list[Check]]:
     """Run the studies; `perturbations.png` shows costs and table, `failures.png` failed samples."""
     runs, rows = cases(QUICK_DURATION if quick else DURATION, progress)
@@ -73,14 +67,11 @@ def run(
     for line in table_lines(rows):
         progress(line)
     if samples:
-        like = draw(plant, seed, observer, 0)
-        rows += sample_rows(samples, like, scheduler, out, progress)
+        rows += sample_rows(samples, draw(**like, index=0), scheduler, out, progress)
     return rows, checks(rows)
 
 
-def cases(
-    duration: float, progress: Callable[[str], None]
-) -> tuple[dict[str, dict[str, PerturbedRun]], list[dict[str, Any]]]:
+def cases(duration: float, progress: Progress) -> tuple[dict[str, Runs], list[dict[str, Any]]]:
     """Run every case of every study; (a) always lasts as long as in the paper."""
     # Imported after REQUIRES is checked.
     from benchmarks.perturbations.published import run_published  # noqa: PLC0415
@@ -88,28 +79,24 @@ def cases(
     from benchmarks.perturbations.simulated import run_robot  # noqa: PLC0415
 
     robot, published, forces = read_robot(), read_mpc("paper_code"), read_mpc("forces")
-    runs: dict[str, dict[str, PerturbedRun]] = {"published": {}, "torso": {}, "robot": {}}
+    runs: dict[str, Runs] = {"published": {}, "torso": {}, "robot": {}}
     rows = []
     for name, change in CASES.items():
         progress(f"case {name}")
-        noise = [np.random.default_rng(NOISE_SEED) if name == "Noise" else None for _ in range(2)]
+        noisy = name == "Noise"
+        noise = [np.random.default_rng(NOISE_SEED) if noisy else None for _ in range(2)]
         runs["published"][name] = run_published(robot, published, change, DURATION, noise[0])
         runs["torso"][name] = run_torso(robot, forces, change, duration, noise[1])
-        runs["robot"][name], reached = run_robot(name, duration)
+        runs["robot"][name], reached = run_robot(change, duration, NOISE if noisy else 0.0)
         for study, by_case in runs.items():
             row = {"kind": "case", "study": study, "case": name} | metrics(by_case[name])
-            rows.append(row | paper(name) | (reached if study == "robot" else {}))
+            row |= {f"paper_{key}": value for key, value in zip(PAPER, TABLE[name])}
+            rows.append(row | (reached if study == "robot" else {}))
     return runs, rows
 
 
-def paper(name: str) -> dict[str, float]:
-    """The paper's figures of a case."""
-    keys = ("paper_max_cost", "paper_mean_cost", "paper_final_cost", "paper_settling_s")
-    return dict(zip(keys, TABLE[name]))
-
-
 def sample_rows(
-    count: int, like: Any, scheduler: str, out: Path, progress: Callable[[str], None]
+    count: int, like: RandomSample, scheduler: str, out: Path, progress: Progress
 ) -> list[Row]:
     """Run the samples that `out/samples.csv` lacks; raises BenchmarkError for a negative count."""
     from benchmarks.perturbations.farm import run_samples  # noqa: PLC0415
@@ -126,7 +113,7 @@ def sample_rows(
     return list(found)
 
 
-def title(total: Row, like: Any) -> str:
+def title(total: Row, like: RandomSample) -> str:
     """Title of the samples' picture."""
     observer = f"observer {like.observer:g} s" if like.observer else "no observer"
     return (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -50,6 +51,12 @@ class PerturbedRun:
     height: Array  # (n,) m
     tilt: Array  # (n,) rad
     infeasible: int  # steps without an accepted solution
+
+    @classmethod
+    def of(cls, time: Any, cost: Any, states: Any, infeasible: int) -> PerturbedRun:
+        """The run with states (n, 12)."""
+        x = np.array(states)
+        return cls(np.array(time), np.array(cost), x[:, P_Z], tilt(x[:, :3]), infeasible)
 
 
 def settling_time(time: Array, inside: Array) -> float:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from distributed import Client, as_completed
 
+from benchmarks.harness import Progress
 from benchmarks.perturbations.samples import RandomSample, SampleRecord, draw, run_sample
 
 PACKAGE = Path(__file__).resolve().parents[1]  # benchmarks
@@ -17,12 +17,8 @@ REPORTS = 20  # lines of progress
 
 
 def run_samples(
-    client: Client,
-    record: SampleRecord,
-    like: RandomSample,
-    count: int,
-    progress: Callable[[str], None],
-) -> Sequence[Mapping[str, Any]]:
+    client: Client, record: SampleRecord, like: RandomSample, count: int, progress: Progress
+) -> list[dict[str, Any]]:
     """Results of the samples 0 .. count-1; samples in `record` are not run again."""
     missing = record.missing(count)
     progress(f"{count - len(missing)} of {count} samples are recorded")

@@ -24,18 +24,9 @@ from collections.abc import Mapping
 import clarabel
 import numpy as np
 from scipy import sparse
+from scipy.spatial.transform import Rotation
 
-from benchmarks.perturbations.cases import (
-    DT,
-    DURATION,
-    HEIGHT,
-    NOISE,
-    P_Z,
-    SPEED,
-    V_X,
-    PerturbedRun,
-    tilt,
-)
+from benchmarks.perturbations.cases import DT, HEIGHT, NOISE, P_Z, SPEED, V_X, PerturbedRun
 from slot_core.mpc.model import FEET, INPUTS, STATES
 from slot_core.mpc.settings import MpcSettings
 from slot_core.robot import GRAVITY, Array, RobotParameters
@@ -63,7 +54,8 @@ class PublishedProblem:
         self.a, self.b, self.drift = published_model(robot)
         self.target = np.zeros(STATES)
         self.target[[P_Z, V_X]] = HEIGHT, SPEED
-        self._turns = [_leg_frame(robot.azimuth[leg]) for leg in range(FEET)]
+        # (4, 3, 3) odom to the legs' frames of the authors' scripts: x at minus the azimuth
+        self._turns = Rotation.from_euler("z", np.reshape(robot.azimuth, (FEET, 1))).as_matrix()
         self._cost(phase)
         self._constrain(phase)
 
@@ -110,9 +102,8 @@ class PublishedProblem:
         dynamics = sparse.kron(stages, here) + sparse.kron(sparse.eye(size, k=-1), before)
         parts = [dynamics, sparse.kron(stages, wide), sparse.kron(stages, cone)]
         self._rows = sparse.csc_matrix(sparse.vstack(parts))
-        self._b = np.concatenate(
-            [np.tile(self.drift, size), np.tile(bound, size), np.zeros(size * len(cone))]
-        )
+        most = [np.tile(self.drift, size), np.tile(bound, size), np.zeros(size * len(cone))]
+        self._b = np.concatenate(most)
         self._cones = [
             clarabel.ZeroConeT(size * STATES),
             clarabel.NonnegativeConeT(size * len(linear)),
@@ -121,9 +112,7 @@ class PublishedProblem:
 
     def _stage_limits(self, phase: int) -> tuple[Array, Array, Array]:
         """A stage's linear rows (m, 12) and cone rows (6, 12) over its inputs; bounds (m,)."""
-        rows: list[Array] = []
-        bound: list[float] = []
-        cones: list[Array] = []
+        rows, bound, cones = list[Array](), list[float](), list[Array]()
 
         def at_most(row: Array, most: float) -> None:
             rows.append(row)
@@ -171,7 +160,7 @@ def run_published(
     robot: RobotParameters,
     settings: MpcSettings,
     change: Mapping[int, float],
-    duration: float = DURATION,
+    duration: float,
     noise: np.random.Generator | None = None,
 ) -> PerturbedRun:
     """Run a case over whole cycles of 15 solved and 5 held steps; `noise` is added to the state."""
@@ -187,21 +176,15 @@ def run_published(
             problem = problems[int(time % GAIT_PERIOD >= GAIT_PERIOD / 2)]
             force, cost, solved = problem.solve(state)
             infeasible += not solved
-            entries.append((time, cost, state[P_Z], float(tilt(state[:3]))))
+            entries.append((time, cost, state))
         if step < RAISED_STEPS:
             force[:, 2] = np.maximum(force[:, 2], MASS * GRAVITY / FEET + RAISED_FORCE)
         state = problem.a @ state + problem.b @ force.ravel() + problem.drift
         if noise is not None:
             state = np.clip(state + NOISE * noise.normal(size=STATES), -MOST_STATE, MOST_STATE)
-    return PerturbedRun(*np.array(entries).T, infeasible=infeasible)
+    return PerturbedRun.of(*zip(*entries), infeasible)
 
 
 def _friction(leg: int, phase: int) -> float:
     front = FRICTION["pulled"] if leg == phase else FRICTION["released"]
     return front if leg in (0, 1) else FRICTION["rear"]
-
-
-def _leg_frame(azimuth: float) -> Array:
-    """(3, 3) odom to the leg's frame of the authors' scripts: x at minus the leg's azimuth."""
-    s, c = np.sin(azimuth), np.cos(azimuth)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -22,16 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.perturbations.cases import (
-    DT,
-    DURATION,
-    HEIGHT,
-    NOISE,
-    P_Z,
-    SPEED,
-    PerturbedRun,
-    tilt,
-)
+from benchmarks.mpc.cases import standing
+from benchmarks.perturbations.cases import DT, HEIGHT, NOISE, P_Z, SPEED, PerturbedRun
 from slot_core import config
 from slot_core.clock import to_ns
 from slot_core.control.policy import Status, TendonPlan
@@ -105,17 +97,18 @@ class RigidTorso:
 
     def slope(self, y: Array, u: Array, feet: Array) -> Array:
         """(25,) time derivative of the state y, forces included, under the commands u (12,), N."""
-        torso, turn, rate = self.body, _matrix(y[QUATERNION]), y[RATE]
+        torso, rate = self.body, y[RATE]
+        turn = Rotation.from_quat(y[QUATERNION])  # normalises, as Runge-Kutta's stages are not
         force = friction_limited(y[FORCES].reshape(4, 3), torso.friction)
         arm = feet - y[POSITION]
-        moment = turn.T @ (_cross(arm, force).sum(axis=0) + self.external[3:])
+        moment = turn.inv().apply(_cross(arm, force).sum(axis=0) + self.external[3:])
         spin = torso.inertia @ rate
         out = np.empty(25)
         out[POSITION] = y[VELOCITY]
         out[QUATERNION] = _quaternion_rate(y[QUATERNION], rate)
         out[VELOCITY] = (force.sum(axis=0) + self.external[:3]) / torso.mass
         out[9] -= GRAVITY
-        out[RATE] = self._inverse @ (moment - _cross(rate[None], spin[None])[0])
+        out[RATE] = self._inverse @ (moment - _cross(rate, spin))
         out[FORCES] = (u - y[FORCES]) / torso.lag
         return out
 
@@ -149,24 +142,15 @@ class TorsoLoop:
 
     def _preview(self, state: Array) -> GaitPreview:
         gaits = self._gaits
-        times, motion = (
-            DT * np.arange(gaits.stages, dtype=float),
-            np.zeros((gaits.stages, 12)),
-        )
+        times, motion = DT * np.arange(gaits.stages, dtype=float), np.zeros((gaits.stages, 12))
         motion[:, P_Z] = HEIGHT
-        shape = (gaits.stages, 4)
-        return GaitPreview(
+        return standing(
+            gaits.stages,
             stamp=to_ns(self.step * DT),
-            gait="stand",
-            phase=0.0,
-            period=1.0,
             dt=DT,
-            contact=np.ones(shape, dtype=bool),
-            friction=np.full(shape, gaits.friction),
+            friction=np.full((gaits.stages, 4), gaits.friction),
             normal_force=np.tile(self._share, (gaits.stages, 1)),
-            tendon_angle=np.zeros(shape),
             reference=reference(state, 0.0, VELOCITY_AHEAD, motion, times),
-            posture=True,
             command=GaitCommand("stand", VELOCITY_AHEAD, np.array([HEIGHT, 0.0, 0.0])),
         )
 
@@ -175,7 +159,7 @@ def run_torso(
     robot: RobotParameters,
     settings: MpcSettings,
     change: Mapping[int, float],
-    duration: float = DURATION,
+    duration: float,
     noise: np.random.Generator | None = None,
 ) -> PerturbedRun:
     """Run a case from the reference state with `change`; `noise` is on the MPC's input state."""
@@ -184,41 +168,20 @@ def run_torso(
     for place, value in change.items():
         state[place] = value
     loop = TorsoLoop(robot, settings, body(robot, read_gaits().friction), state)
-    entries, infeasible = [], 0
-    for step in range(round(duration / DT)):
-        now = loop.torso.state
+    states, costs, infeasible = [], [], 0
+    for _ in range(round(duration / DT)):
+        states.append(loop.torso.state)
         result = loop.tick(lambda x: x if noise is None else x + NOISE * noise.normal(size=len(x)))
         infeasible += result.status != Status.SOLVED
-        entries.append((step * DT, result.report.cost, now[P_Z], float(tilt(now[:3]))))
-    return PerturbedRun(*np.array(entries).T, infeasible=infeasible)
-
-
-def _matrix(q: Array) -> Array:
-    """(3, 3) rotation of a quaternion x y z w; normalised, for Runge-Kutta's stages are not."""
-    x, y, z, w = q / math.sqrt(q @ q)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+        costs.append(result.report.cost)
+    return PerturbedRun.of(DT * np.arange(len(costs)), costs, states, infeasible)
 
 
 def _quaternion_rate(q: Array, rate: Array) -> Array:
     """(4,) q o (rate, 0) / 2 for a rate in body axes."""
-    x, y, z, w = q
-    a, b, c = rate
-    return 0.5 * np.array(
-        [
-            w * a + y * c - z * b,
-            w * b + z * a - x * c,
-            w * c + x * b - y * a,
-            -x * a - y * b - z * c,
-        ]
-    )
+    return np.append(q[3] * rate + _cross(q[:3], rate), -q[:3] @ rate) / 2
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """(n, 3) rows of a x b; np.cross takes ten times as long on four rows."""
-    return a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]
+    """(..., 3) a x b; np.cross takes ten times as long on four rows."""
+    return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]

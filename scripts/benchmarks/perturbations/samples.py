@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta
+from scipy.stats import binomtest
 
 from benchmarks.perturbations.cases import DT, HEIGHT, P_Z, SPEED, tilt
 from benchmarks.perturbations.rigid_torso import Body, TorsoLoop
@@ -156,8 +156,7 @@ RUNNERS = {"torso": torso_states, "robot": robot_states}
 
 
 def _push(sample: RandomSample) -> Array:
-    direction = np.array([math.cos(sample.direction), math.sin(sample.direction), 0.0])
-    return sample.push * direction
+    return sample.push * np.array([math.cos(sample.direction), math.sin(sample.direction), 0.0])
 
 
 def _sensor_noise() -> Array:
@@ -173,8 +172,8 @@ class SampleRecord:
         """Ignore, but keep, the file's rows of other revisions, seeds, plants and observers."""
         self._path = path
         _drop_incomplete_line(path)
-        self._head = {"revision": revision, "seed": like.seed, "plant": like.plant}
-        self._head["observer"] = like.observer
+        names = ("seed", "plant", "observer")
+        self._head = {"revision": revision} | {name: getattr(like, name) for name in names}
         self.rows = [row for row in _read(path) if self._is_ours(row)]
         self._index = {int(row["index"]) for row in self.rows}
 
@@ -215,10 +214,8 @@ def _read(path: Path) -> Iterator[dict[str, Any]]:
 
 def interval(failures: int, count: int) -> tuple[float, float]:
     """Confidence interval of a rate by Clopper and Pearson (Biometrika 26, 1934)."""
-    rest = (1.0 - CONFIDENCE) / 2.0
-    low = beta.ppf(rest, failures, count - failures + 1) if failures else 0.0
-    high = beta.ppf(1.0 - rest, failures + 1, count - failures) if failures < count else 1.0
-    return float(low), float(high)
+    found = binomtest(failures, count).proportion_ci(CONFIDENCE)
+    return float(found.low), float(found.high)
 
 
 def summary(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:

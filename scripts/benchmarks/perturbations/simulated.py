@@ -22,25 +22,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from benchmarks.perturbations.cases import (
-    CASES,
-    DT,
-    DURATION,
-    HEIGHT,
-    NOISE,
-    P_Z,
-    PITCH,
-    ROLL,
-    SPEED,
-    V_X,
-    PerturbedRun,
-    tilt,
-)
+from benchmarks.perturbations.cases import DT, HEIGHT, P_Z, PITCH, ROLL, SPEED, V_X, PerturbedRun
 from slot_core import config
 from slot_core.control.policy import Status
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.robot import read_robot
+from slot_core.robot import Array, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.simulation.plant import RobotSimulator
 
@@ -63,9 +50,7 @@ class Realised:
 
 def realise(change: Mapping[int, float], start_angle_deg: float) -> Realised:
     """Inputs of a case; `start_angle_deg` is the tendon angle at the reference height."""
-    angle = start_angle_deg
-    if P_Z in change:
-        angle = lowest_angle(change[P_Z])
+    angle = lowest_angle(change[P_Z]) if P_Z in change else start_angle_deg
     moment = (pulse(ROLL, change.get(ROLL, 0.0)), pulse(PITCH, change.get(PITCH, 0.0)))
     speed = change[V_X] - SPEED if V_X in change else 0.0
     return Realised(angle, moment, speed)
@@ -80,11 +65,9 @@ def lowest_angle(height: float) -> float:
         plant = RobotSimulator(read_robot(), scene, read_servo(), np.random.default_rng(0))
         return float(plant.robot.position[2]) - height
 
-    return (
-        0.0
-        if above(0.0) >= 0.0
-        else float(brentq(above, 0.0, read_scene("flat").start.tendon_angle_deg, xtol=0.1))
-    )
+    if above(0.0) >= 0.0:
+        return 0.0
+    return float(brentq(above, 0.0, read_scene("flat").start.tendon_angle_deg, xtol=0.1))
 
 
 @functools.cache
@@ -106,14 +89,10 @@ def quiet(noise: float = 0.0) -> Scene:
     """The scene `flat` with the same noise on every state of the odometry, and none of the IMU."""
     odometry = {f"sensors.odometry.{name}": noise for name in NOISE_FIELDS}
     imu = ("rate_noise", "rate_bias", "acceleration_noise")
-    return config.replace(
-        read_scene("flat"), odometry | {f"sensors.imu.{name}": 0.0 for name in imu}
-    )
+    return config.replace(read_scene("flat"), odometry | {f"sensors.imu.{n}": 0.0 for n in imu})
 
 
-def states(
-    realised: Realised, scene: Scene, duration: float
-) -> tuple[np.ndarray, list[float], int]:
+def states(realised: Realised, scene: Scene, duration: float) -> tuple[Array, list[float], int]:
     """(n, 12) true states at the ticks, costs of the MPC, number of steps without a solution."""
     scene = config.replace(scene, {"start.tendon_angle_deg": realised.start_angle_deg})
     loop = ClosedLoop("flat", "stand", np.zeros(3), SEED)
@@ -132,22 +111,16 @@ def states(
     return np.array(rows), costs, infeasible
 
 
-def run_robot(name: str, duration: float = DURATION) -> tuple[PerturbedRun, dict[str, float]]:
+def run_robot(
+    change: Mapping[int, float], duration: float, noise: float
+) -> tuple[PerturbedRun, dict[str, float]]:
     """Run a case; returns the run and the perturbations that the robot really had."""
-    realised = realise(CASES[name], read_scene("flat").start.tendon_angle_deg)
-    scene = quiet(NOISE if name == "Noise" else 0.0)
-    rows, costs, infeasible = states(realised, scene, duration)
-    time = DT * np.arange(len(rows))
-    reached = {
-        "peak_roll": float(np.abs(rows[:, ROLL]).max()),
-        "peak_pitch": float(np.abs(rows[:, PITCH]).max()),
-        "start_height": float(rows[0, P_Z]),
-        "v_x_error": realised.speed,
-        "moment_x": realised.moment[0],
-        "moment_y": realised.moment[1],
-        "final_height": float(rows[-1, P_Z]),
-        "height_error": float(rows[-1, P_Z]) - HEIGHT,
-    }
-    run = PerturbedRun(time, np.array(costs), rows[:, P_Z], tilt(rows[:, :3]), infeasible)
+    realised = realise(change, read_scene("flat").start.tendon_angle_deg)
+    rows, costs, infeasible = states(realised, quiet(noise), duration)
+    peaks, height = np.abs(rows).max(axis=0), rows[:, P_Z]
+    reached = {"peak_roll": peaks[ROLL], "peak_pitch": peaks[PITCH], "start_height": height[0]}
+    reached |= {"v_x_error": realised.speed}
+    reached |= dict(zip(("moment_x", "moment_y"), realised.moment))
+    reached |= {"final_height": height[-1], "height_error": height[-1] - HEIGHT}
     assert all(math.isfinite(value) for value in reached.values())
-    return run, reached
+    return PerturbedRun.of(DT * np.arange(len(rows)), costs, rows, infeasible), reached

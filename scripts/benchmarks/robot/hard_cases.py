@@ -25,6 +25,7 @@ from slot_core.simulation.rod_robot import RodRobot
 
 FULL_DEG = read_robot().tendon.angle_max_deg
 CONTACTS = 8  # two nodes per leg
+SLACK = {"start.tendon_angle_deg": 0.0}
 HALF_TURN = {"tendon.angle_max_deg": 180.0}
 
 
@@ -48,7 +49,12 @@ def thrown(down: float, spin: tuple[float, float, float], height: float = 0.03) 
     def throw(sim: RodRobot) -> None:
         sim.set_motion(np.array([0.1, 0.0, -down]), np.array(spin))
 
-    return {"start": throw, "scene": {"start.height": height, "start.settle": 0.0}}
+    return {"start": throw, "scene": above(height)}
+
+
+def above(height: float) -> Changes:
+    """Scene of a case that starts at a height of the torso (m), without settling."""
+    return {"start.height": height, "start.settle": 0.0}
 
 
 def drop(robot: Changes | None = None, **floor_or_solver: Any) -> Changes:
@@ -101,9 +107,6 @@ def there_and_back(time: float) -> Array:
     return np.full(4, math.radians(116.0 - 26.0 * abs(time - 5.0) / 5.0))
 
 
-SPINNING = [thrown(0.0, spin, 0.25) for spin in ((20.0, 0, 0), (0, 20.0, 0), (0, 0, 20.0))]
-
-
 # From 30 mm the legs fall 8 mm and the underside 13 mm, which adds 0.25 m^2/s^2 to speed squared.
 IMPACTS = {
     "impact at 1 m/s": StressCase(
@@ -114,39 +117,32 @@ IMPACTS = {
         Limits(landing(3.1), bottom(3.1), 60.0), seconds=1.0, **thrown(3.0, (0.5, 0.2, 0.0))
     ),
     # Falls on its back or side from 0.25 m, at 2 m/s, on two corners first: 2 J each.
-    "spin of 20 rad/s about x": StressCase(
-        Limits(landing(2.0), bottom(2.0, corners=2), 15.0), **SPINNING[0], seconds=0.8
-    ),
-    "spin of 20 rad/s about y": StressCase(
-        Limits(landing(2.0), bottom(2.0, corners=2), 35.0), **SPINNING[1], seconds=0.8
-    ),
-    "spin of 20 rad/s about z": StressCase(
-        Limits(landing(2.0), bottom(2.0, corners=2), 15.0), **SPINNING[2], seconds=0.8
-    ),
+    **{
+        f"spin of 20 rad/s about {axis}": StressCase(
+            Limits(landing(2.0), bottom(2.0, corners=2), apart),
+            **thrown(0.0, spin, 0.25),
+            seconds=0.8,
+        )
+        for axis, spin, apart in zip("xyz", 20.0 * np.eye(3), (15.0, 35.0, 15.0))
+    },
     # Falls 0.13 m onto its back and bounces: its pose after 1 s depends on every contact.
     "flipped robot": StressCase(
-        Limits(landing(1.6), bottom(1.6), 35.0),
-        {"start.height": 0.15, "start.settle": 0.0},
-        start=turned_over,
-        seconds=1.0,
+        Limits(landing(1.6), bottom(1.6), 35.0), above(0.15), start=turned_over, seconds=1.0
     ),
 }
 
 # The servos' work is accounted for, so the energy limit covers rounding and the robot's settling.
 PULLS = {
     "full pull, as fast as the servos can": StressCase(
-        Limits(1e-4, 0.5, 0.2), {"start.tendon_angle_deg": 0.0}, command=hold(FULL_DEG)
+        Limits(1e-4, 0.5, 0.2), SLACK, command=hold(FULL_DEG)
     ),
     # 40 J in the cables at once: nodes reach 9 m/s and the robot jumps.
     "full pull within one step": StressCase(
-        Limits(1e-4, 4.0, 4.0),
-        {"start.tendon_angle_deg": 0.0},
-        start=wound,
-        command=hold(FULL_DEG),
+        Limits(1e-4, 4.0, 4.0), SLACK, start=wound, command=hold(FULL_DEG)
     ),
     "full pull within one step, in the air": StressCase(
         Limits(1e-4, 0.0, 0.2),
-        {"start.tendon_angle_deg": 0.0, "start.settle": 0.0, "start.height": 2.0},
+        {**SLACK, **above(2.0)},
         start=wound,
         command=hold(FULL_DEG),
         seconds=0.3,
@@ -162,11 +158,12 @@ PULLS = {
 # A drop at 0.5 m/s: nodes reach the floor at 0.72 m/s.
 DROP = Limits(landing(0.72), bottom(0.72), 5.0)
 PARAMETERS = {
-    "E = 1e5 Pa": StressCase(replace(DROP, apart=10.0), **drop({"leg.young_modulus": 1e5})),
-    "E = 1e6 Pa": StressCase(replace(DROP, apart=15.0), **drop({"leg.young_modulus": 1e6})),
-    "E = 1e7 Pa": StressCase(DROP, **drop({"leg.young_modulus": 1e7})),
-    "E = 1e8 Pa": StressCase(DROP, **drop({"leg.young_modulus": 1e8})),
-    "E = 1e9 Pa": StressCase(DROP, **drop({"leg.young_modulus": 1e9})),
+    **{
+        f"E = {young} Pa": StressCase(
+            replace(DROP, apart=apart), **drop({"leg.young_modulus": float(young)})
+        )
+        for young, apart in {"1e5": 10.0, "1e6": 15.0, "1e7": 5.0, "1e8": 5.0, "1e9": 5.0}.items()
+    },
     "EA x 100": StressCase(DROP, **{**drop(), "start": stretch_stiff}),
     "contact of 1e5 N/m": StressCase(
         Limits(landing(0.72, stiffness=1e5), bottom(0.72, stiffness=1e5), 3.0),
@@ -197,21 +194,13 @@ PARAMETERS = {
 }
 
 # Slowly through the fold near 110 deg and back, with friction 0.4 and without friction.
+BENT = {"start.tendon_angle_deg": 90.0}
 FOLDS = {
-    "snap-through": StressCase(
-        Limits(1e-4, 0.5, 0.1),
-        {"start.tendon_angle_deg": 90.0},
-        command=there_and_back,
-        seconds=10.0,
-    ),
+    "snap-through": StressCase(Limits(1e-4, 0.5, 0.1), BENT, command=there_and_back, seconds=10.0),
     # Without friction it snaps to one side or the other.
     "snap-through without friction": StressCase(
         Limits(1e-4, 0.5, 120.0),
-        {
-            "start.tendon_angle_deg": 90.0,
-            "floor.friction": [0.0] * 4,
-            "floor.torso_friction": 0.0,
-        },
+        {**BENT, "floor.friction": [0.0] * 4, "floor.torso_friction": 0.0},
         command=there_and_back,
         seconds=10.0,
     ),
@@ -220,15 +209,11 @@ FOLDS = {
 # Legs that leave their planes.
 IN_SPACE = {
     "legs twisted by 200 deg": StressCase(
-        Limits(landing(2.4), bottom(2.4), 15.0),
-        {"start.height": 0.3, "start.settle": 0.0},
-        start=wrung,
+        Limits(landing(2.4), bottom(2.4), 15.0), above(0.3), start=wrung
     ),
     "legs kicked sideways": StressCase(Limits(1e-3, 3.0, 5.0), {}, start=struck),
     "fall on one edge": StressCase(
-        Limits(landing(1.4), bottom(1.4, corners=2), 15.0),
-        {"start.height": 0.16, "start.settle": 0.0},
-        start=rolled,
+        Limits(landing(1.4), bottom(1.4, corners=2), 15.0), above(0.16), start=rolled
     ),
 }
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from benchmarks.harness import Check, at_most
+from benchmarks.harness import Check, Progress, at_most
 from benchmarks.robot.engine_picture import draw
 from benchmarks.robot.mujoco_robot import DEFAULT, Engine, MujocoRobot
 from slot_core import config
@@ -36,7 +36,6 @@ from slot_lab.tuning.settings import TuningSettings, read_tuning
 from slot_lab.tuning.stride_run import stride_means
 
 Make = Callable[[Scene], SimulatedRobot]
-Progress = Callable[[str], None]
 
 GAITS = ("walk", "fast_walk", "crawl")
 ANGLES_DEG = (40.0, 63.0, 90.0)  # tendon angles of the stiffness
@@ -122,15 +121,13 @@ def sideways_row(robot: RobotParameters, scene: Scene, degrees: float) -> dict[s
     other = other_leg(robot, scene, degrees, np.zeros(3), tip)
     shape = bare @ np.column_stack([robot.outward[0], [0.0, 0.0, 1.0]])
     arc = discretise(robot.leg, len(bare), robot.tendon.end_fraction).arc
-    unit = 1e3 / (TIP_MASS * SIDEWAYS)
-    return {
-        "kind": "sideways",
-        "tendon_deg": degrees,
-        "nodes": len(bare),
-        "own_mm_per_N": unit * float((loaded[-1] - bare[-1]) @ aside(robot)),
-        "other_mm_per_N": unit * float(other[-1] @ aside(robot)),
-        "integral_mm_per_N": 1e3 * sideways_compliance(robot.leg, arc, shape),
+    compliance = {
+        "own_mm_per_N": float((loaded[-1] - bare[-1]) @ aside(robot)) / (TIP_MASS * SIDEWAYS),
+        "other_mm_per_N": float(other[-1] @ aside(robot)) / (TIP_MASS * SIDEWAYS),
+        "integral_mm_per_N": sideways_compliance(robot.leg, arc, shape),
     }
+    row = {"kind": "sideways", "tendon_deg": degrees, "nodes": len(bare)}
+    return row | {name: 1e3 * value for name, value in compliance.items()}
 
 
 def loaded_row(robot: RobotParameters, scene: Scene, degrees: float) -> dict[str, Any]:
@@ -212,10 +209,8 @@ def sideways_compliance(leg: Leg, arc: Array, nodes: Array) -> float:
 def stand_row(robot: RobotParameters, scene: Scene) -> dict[str, Any]:
     """Height of the torso that stands under the scene's tendon angle, mm."""
     degrees, height = scene.start.tendon_angle_deg, {}
-    for name, make in (
-        ("own", own_robot(robot)),
-        ("other", other_robot(robot, scene.solver.nodes)),
-    ):
+    makers = {"own": own_robot(robot), "other": other_robot(robot, scene.solver.nodes)}
+    for name, make in makers.items():
         sim = make(scene)
         hold(sim, degrees)
         height[f"{name}_mm"] = 1e3 * float(sim.position[2])
@@ -249,19 +244,14 @@ def replay(make: Make, scene: Scene, stride: Stride, tuning: TuningSettings) -> 
     v_x, v_y in mm/s, yaw rate in rad/s, height in mm, tilt (RMS) in deg; NaN if the simulation
     diverges.
     """
+    names = ("v_x", "v_y", "yaw_rate", "height", "tilt")
     try:
         track = tracked(make(scene), stride, tuning)
     except DivergenceError:
-        return dict.fromkeys(("v_x", "v_y", "yaw_rate", "height", "tilt"), math.nan)
-    means = stride_means(track)
+        return dict.fromkeys(names, math.nan)
     tilt = math.degrees(math.sqrt(np.square(track[:, 4:6]).sum(axis=1).mean()))
-    return {
-        "v_x": 1e3 * float(means[0]),
-        "v_y": 1e3 * float(means[1]),
-        "yaw_rate": float(means[2]),
-        "height": 1e3 * float(means[3]),
-        "tilt": tilt,
-    }
+    means = np.array([1e3, 1e3, 1.0, 1e3]) * stride_means(track)[:4]
+    return dict(zip(names, [*means.tolist(), tilt]))
 
 
 def tracked(sim: SimulatedRobot, stride: Stride, tuning: TuningSettings) -> Array:
@@ -311,10 +301,8 @@ def checks(found: list[dict[str, Any]]) -> list[Check]:
     """The differences of the engines against their goals."""
     out = []
     for kind, leg in (("sideways", "a free"), ("loaded", "a loaded")):
-        ratios = [
-            row["other_mm_per_N"] / row["own_mm_per_N"] for row in found if row["kind"] == kind
-        ]
-        worst = max((100 * abs(ratio - 1) for ratio in ratios), default=math.nan)
+        pairs = [(r["other_mm_per_N"], r["own_mm_per_N"]) for r in found if r["kind"] == kind]
+        worst = max((100 * abs(other / own - 1) for other, own in pairs), default=math.nan)
         name = f"MuJoCo: sideways compliance of {leg} leg"
         out.append(at_most(name, worst, STIFFNESS_PERCENT, "%"))
     for row in found:

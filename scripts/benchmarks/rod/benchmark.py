@@ -4,18 +4,17 @@ Static errors are those of the tip over the length, against closed forms, publis
 collocation (exact.py). In the release test (release.py) MuJoCo and PyElastica run as peers.
 """
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness import Check, Row, at_most
+from benchmarks.harness import Outcome, Progress, at_most
 from benchmarks.rod import picture, release, statics
 
 REQUIRES = ("mujoco", "elastica")
 ELEMENTS = {True: (10, 20, 30), False: (10, 20, 30, 60, 100)}  # of PyElastica, by `quick`
 
 
-def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[Row], list[Check]]:
+def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     """Run all tests; the picture of the release test goes to `out/rod.png`."""
     repeats = 3 if quick else 9
     progress("statics and vibration")
@@ -33,9 +32,7 @@ def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[R
     ]
 
 
-def release_rows(
-    quick: bool, repeats: int, progress: Callable[[str], None]
-) -> list[dict[str, Any]]:
+def release_rows(quick: bool, repeats: int, progress: Progress) -> list[dict[str, Any]]:
     """The release test of CosseratRod and of the peers."""
     # Imported after REQUIRES is checked.
     from benchmarks.rod import mujoco_chain, pyelastica_rod  # noqa: PLC0415
@@ -43,7 +40,7 @@ def release_rows(
     rows = []
     for physics in (release.DAMPED, release.UNDAMPED):
         progress(f"release test, {physics.name}")
-        rows += release.own_rows(physics, physics.exact(), quick, repeats)
+        rows += release.own_rows(physics, quick, repeats)
     progress("release test, MuJoCo")
     rows += mujoco_chain.rows(quick, repeats)
     progress("release test, PyElastica")

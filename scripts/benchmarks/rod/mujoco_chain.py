@@ -20,7 +20,7 @@ from scipy.optimize import fsolve
 
 from benchmarks.harness import cpu_time
 from benchmarks.rod.exact import LEG, PUSH, TPU
-from benchmarks.rod.release import DAMPED, DURATION, SAMPLES, percent
+from benchmarks.rod.release import DAMPED, DURATION, SAMPLES, percent, release_row
 from slot_core.dynamics.rod import weights
 from slot_core.robot import Array
 from slot_core.rod.mesh import sections
@@ -41,16 +41,8 @@ def rows(quick: bool, repeats: int) -> Iterator[dict[str, Any]]:
         error = percent(motion, exact, start)
         if not error < MEANINGFUL:
             error = cost = math.nan
-        yield {
-            "kind": "release",
-            "simulator": "MuJoCo hinge chain",
-            "version": mujoco.__version__,
-            "physics": DAMPED.name,
-            "nodes": links + 1,
-            "h": h,
-            "percent": error,
-            "cpu_s": cost,
-        }
+        figures = {"h": h, "percent": error, "cpu_s": cost, "version": mujoco.__version__}
+        yield release_row("MuJoCo hinge chain", DAMPED, links + 1, **figures)
 
 
 def converged() -> Array:
@@ -101,8 +93,9 @@ def equilibrium(model: Any, data: Any) -> Array:
 
     angles = np.zeros(model.nv)
     for factor in (0.5, 1.0):
-        found = fsolve(imbalance, angles, (factor,), xtol=1e-10, full_output=True)
-        angles, _, status, message = found
+        angles, _, status, message = fsolve(
+            imbalance, angles, (factor,), xtol=1e-10, full_output=True
+        )
     if status != 1:
         raise ArithmeticError(f"no equilibrium of MuJoCo's chain: {message}")
     solution: Array = angles

@@ -9,7 +9,6 @@ clamp moved, the rod begins half an element behind it, so that it is held at the
 
 import itertools
 import math
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -20,8 +19,9 @@ import numpy as np
 from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
 
+from benchmarks.harness import timed
 from benchmarks.rod.exact import LEG, PUSH, TPU
-from benchmarks.rod.release import DURATION, SAMPLES, UNDAMPED, percent
+from benchmarks.rod.release import DURATION, SAMPLES, UNDAMPED, percent, release_row
 from slot_core.robot import Array
 from slot_core.rod.motion import Scheme
 
@@ -67,16 +67,9 @@ def rows(quick: bool, elements: tuple[int, ...]) -> Iterator[dict[str, Any]]:
     exact = (4 * many - few) / 3  # second order
     for count, moved in itertools.product(elements, (False, True)):
         tip, start, h, cost = release(Cells(count, moved))
-        yield {
-            "kind": "release",
-            "simulator": f"PyElastica, clamp {'moved' if moved else 'as documented'}",
-            "version": version("pyelastica"),
-            "physics": UNDAMPED.name,
-            "nodes": count + 1,
-            "h": h,
-            "percent": percent(tip, exact, start),
-            "cpu_s": cost,
-        }
+        name = f"PyElastica, clamp {'moved' if moved else 'as documented'}"
+        figures = {"h": h, "percent": percent(tip, exact, start), "cpu_s": cost}
+        yield release_row(name, UNDAMPED, count + 1, **figures, version=version("pyelastica"))
 
 
 def release(cells: Cells) -> tuple[Array, Array, float, float]:
@@ -85,10 +78,9 @@ def release(cells: Cells) -> tuple[Array, Array, float, float]:
     h = FIRST_STEP
     while True:
         substeps = math.ceil(SAMPLE / h)
-        begin = time.process_time()
-        tip, start = run(cells, SAMPLE / substeps, SAMPLES)
+        (tip, start), seconds = timed(run, cells, SAMPLE / substeps, SAMPLES)
         if np.isfinite(tip).all():
-            return tip, start, SAMPLE / substeps, (time.process_time() - begin) / DURATION
+            return tip, start, SAMPLE / substeps, seconds / DURATION
         h *= STEP_RATIO
 
 

@@ -9,9 +9,11 @@ converged motion, because their physics differ:
     undamped    PyElastica has no Kelvin-Voigt damping; it shears and its sections have inertia
 """
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -29,6 +31,7 @@ OURS = "CosseratRod"
 LARGEST_ERROR = 0.5  # percent
 LARGEST_GROWTH = 6.0  # of the cost from 7 to 31 nodes; 5 if proportional to their segments
 NODES = (4, 5, 7, 9, 13, 17, 31)
+STEPS = (2e-3, 1e-3, 5e-4, 2.5e-4, 1.25e-4)  # s; the longest one damped, the shortest undamped
 SCHEMES = ((0.5, 1), (0.5, 2), (0.5, 20), (0.55, 2))  # theta, iterations
 
 
@@ -95,18 +98,13 @@ RIVALS = (  # peer, error of both (percent), the setting compared with it, least
 )
 
 
-def own_rows(physics: Physics, exact: Array, quick: bool, repeats: int) -> list[dict[str, Any]]:
+def own_rows(physics: Physics, quick: bool, repeats: int) -> list[dict[str, Any]]:
     """CosseratRod over number of nodes, time step and scheme."""
-    schemes, steps = list(SCHEMES), [2e-3, 1e-3, 5e-4, 2.5e-4]
-    if not physics.damped:
-        schemes, steps = schemes[:2], [*steps[1:], 1.25e-4]
-    if quick:
-        schemes = schemes[:2]
+    exact, steps = physics.exact(), STEPS[:-1] if physics.damped else STEPS[1:]
+    schemes = SCHEMES[:2] if quick or not physics.damped else SCHEMES
     return [
-        own_row(physics, exact, nodes, h, Scheme(theta, iterations), repeats)
-        for nodes in NODES
-        for h in steps
-        for theta, iterations in schemes
+        own_row(physics, exact, nodes, h, Scheme(*scheme), repeats)
+        for nodes, h, scheme in itertools.product(NODES, steps, schemes)
     ]
 
 
@@ -126,17 +124,14 @@ def own_row(  # noqa: PLR0917
         cost = cpu_time(release, repeats).median / DURATION
     except DivergenceError:
         pass
-    return {
-        "kind": "release",
-        "simulator": OURS,
-        "physics": physics.name,
-        "nodes": rod.nodes,
-        "h": h,
-        "theta": scheme.theta,
-        "iterations": scheme.iterations,
-        "percent": error,
-        "cpu_s": cost,
-    }
+    setting = {"h": h, "theta": scheme.theta, "iterations": scheme.iterations}
+    return release_row(OURS, physics, rod.nodes, **setting, percent=error, cpu_s=cost)
+
+
+def release_row(simulator: str, physics: Physics, nodes: int, **figures: Any) -> dict[str, Any]:
+    """A row of the release test."""
+    place = {"kind": "release", "simulator": simulator, "physics": physics.name, "nodes": nodes}
+    return place | figures
 
 
 def percent(tip: Array, exact: Array, start: Array) -> float:
@@ -190,7 +185,7 @@ def mark_fronts(rows: list[dict[str, Any]]) -> None:
     """Mark the Pareto front of every simulator and physics."""
     for kind in {(row["physics"], row["simulator"]) for row in rows}:
         own = [row for row in rows if (row["physics"], row["simulator"]) == kind]
-        mark_front(own, "cpu_s", "percent")
+        mark_front(own, "cpu_s", itemgetter("percent"))
 
 
 def release_checks(rows: list[dict[str, Any]]) -> list[Check]:

@@ -55,9 +55,7 @@ def static_rows(repeats: int) -> Iterator[dict[str, Any]]:
     yield from circle_rows()
     yield from spatial_rows()
     yield from princeton_rows()
-    yield buckling_row("Euler's column", exact.EULER, force=True)
-    yield buckling_row("heavy column", exact.GREENHILL, force=False)
-    yield lateral_row()
+    yield from buckling_rows()
 
 
 def tip_rows(
@@ -75,15 +73,9 @@ def tip_rows(
             rod.state = rest
             rod.solve_static(loads)
 
-        yield {
-            "kind": case,
-            "load": load,
-            "nodes": nodes,
-            "error": math.dist(reached, tip),
-            "discretisation": math.dist(reached, modelled),
-            "iterations": found.iterations,
-            "cpu_ms": 1e3 * cpu_time(solve, repeats).median,
-        }
+        row = {"kind": case, "load": load, "nodes": nodes, "error": math.dist(reached, tip)}
+        row |= {"discretisation": math.dist(reached, modelled), "iterations": found.iterations}
+        yield row | {"cpu_ms": 1e3 * cpu_time(solve, repeats).median}
 
 
 def circle_rows() -> Iterator[dict[str, Any]]:
@@ -129,21 +121,20 @@ def published_row(case: str, found: tuple[float, ...], wanted: tuple[float, ...]
     return {"kind": "published", "case": case, "percent": percent}
 
 
-def buckling_row(column: str, load: float, force: bool) -> dict[str, Any]:
-    """Error of a column's critical load, at its tip (`force`) or its own weight, in percent."""
-    rod, push = slender(STANDARD), (-COLUMN_OVERLOAD * load, 0.0, 0.0)
-    found = rod.solve_static(Loads(force=push) if force else Loads(gravity=push))
-    error = abs(COLUMN_OVERLOAD * found.critical[0] - 1)
-    return {"kind": "buckling", "column": column, "nodes": rod.nodes, "percent": 100 * error}
+def buckling_rows() -> Iterator[dict[str, Any]]:
+    """Errors of critical loads, in percent: of columns under a tip force and their own weight.
 
-
-def lateral_row() -> dict[str, Any]:
-    """The same of a cantilever, stiff in the plane of its tip force, that buckles sideways."""
-    geometry = Geometry(1.0, Uniform(1e6, 1e4, 1.0, 0.8))
-    rod, load = CosseratRod(UNIT, geometry, STANDARD), exact.LATERAL * math.sqrt(0.8)
-    found = rod.solve_static(Loads(force=(0.0, 0.0, COLUMN_OVERLOAD * load)))
-    percent = 100 * abs(COLUMN_OVERLOAD * found.critical[0] - 1)
-    return {"kind": "buckling", "column": "sideways", "nodes": rod.nodes, "percent": percent}
+    The last one is a cantilever, stiff in the plane of its tip force, that buckles sideways.
+    """
+    over, stiff = COLUMN_OVERLOAD, Geometry(1.0, Uniform(1e6, 1e4, 1.0, 0.8))
+    aside = Loads(force=(0.0, 0.0, over * exact.LATERAL * math.sqrt(0.8)))
+    for column, rod, loads in (
+        ("Euler's column", slender(STANDARD), Loads(force=(-over * exact.EULER, 0.0, 0.0))),
+        ("heavy column", slender(STANDARD), Loads(gravity=(-over * exact.GREENHILL, 0.0, 0.0))),
+        ("sideways", CosseratRod(UNIT, stiff, STANDARD), aside),
+    ):
+        percent = 100 * abs(over * rod.solve_static(loads).critical[0] - 1)
+        yield {"kind": "buckling", "column": column, "nodes": rod.nodes, "percent": percent}
 
 
 def frequency_rows() -> Iterator[dict[str, Any]]:

@@ -14,21 +14,20 @@ import contextlib
 import dataclasses
 import math
 import os
-import resource
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import Check, Row, at_least, at_most
+from benchmarks.harness import Check, Progress, Row, at_least, at_most
 from benchmarks.servo import age
-from benchmarks.servo.fuzz import Tally, fuzz_driver, fuzz_emulator, fuzz_instructions
+from benchmarks.servo.fuzz import fuzz_driver, fuzz_emulator, fuzz_instructions
 from benchmarks.servo.picture import draw
 from slot_core import config
 from slot_core.dynamixel.driver import Driver
@@ -44,7 +43,7 @@ LOADS = (0.0, 0.3)  # N m on the tendon's angle
 SEED = 7
 
 
-def run(quick: bool, out: Path, progress: Callable[[str], None]) -> tuple[list[Row], list[Check]]:
+def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Check]]:
     """Run all parts; pictures: servo_step.png and servo_age.png in `out`."""
     progress("bus cycles")
     cycles = list(cycle_rows(200 if quick else 2000))
@@ -89,30 +88,25 @@ def cycle_rows(count: int) -> Iterator[Row]:
             duration = time.monotonic() - start
             driver.torque_off()
         times = sorted(cycle.duration for cycle in found)
-        yield {
-            "kind": "cycle",
-            "fast_sync_read": fast,
-            "usb_latency_ms": 1e3 * latency,
-            "rate_hz": 1.0 / statistics.median(times),
-            "mean_rate_hz": count / duration,
-            "p50_ms": 1e3 * statistics.median(times),
-            "p99_ms": 1e3 * times[math.ceil(0.99 * count) - 1],
-            "incomplete": sum(not cycle.complete for cycle in found),
-        }
+        median, p99 = statistics.median(times), times[math.ceil(0.99 * count) - 1]
+        row = {"kind": "cycle", "fast_sync_read": fast, "usb_latency_ms": 1e3 * latency}
+        row |= {"rate_hz": 1.0 / median, "mean_rate_hz": count / duration}
+        incomplete = sum(not cycle.complete for cycle in found)
+        yield row | {"p50_ms": 1e3 * median, "p99_ms": 1e3 * p99, "incomplete": incomplete}
 
 
 def share_row(duration: float) -> Row:
     """CPU time of the driver's process over elapsed time, with cycles at 100 Hz."""
     with emulated({}, 0.0) as driver:
         driver.activate()
-        begin, used, late = time.monotonic(), _cpu(), 0
+        begin, used, late = time.monotonic(), time.process_time(), 0
         for number in range(round(duration / CYCLE)):
             driver.command([1.0 + 0.3 * math.sin(0.05 * number)] * 4)
             driver.cycle()
             left = begin + (number + 1) * CYCLE - time.monotonic()
             late += left < 0
             time.sleep(max(left, 0.0))
-        share = (_cpu() - used) / (time.monotonic() - begin)
+        share = (time.process_time() - used) / (time.monotonic() - begin)
         driver.torque_off()
     return {"kind": "share", "cpu_share": share, "overruns": late, "seconds": duration}
 
@@ -139,21 +133,17 @@ def measures(trace: list[float]) -> dict[str, float]:
     """Rise time (10 to 90 %), overshoot and steady-state error of a response to STEP."""
     share = (np.array(trace) - trace[0]) / (STEP[1] - trace[0])
     rise = CYCLE * (int(np.argmax(share > 0.9)) - int(np.argmax(share > 0.1)))
-    return {
-        "rise_ms": 1e3 * rise,
-        "overshoot_deg": math.degrees(max(max(trace) - STEP[1], 0.0)),
-        "error_deg": math.degrees(STEP[1] - float(np.mean(trace[-20:]))),
-    }
+    over, error = max(max(trace) - STEP[1], 0.0), STEP[1] - float(np.mean(trace[-20:]))
+    degrees = {"overshoot_deg": math.degrees(over), "error_deg": math.degrees(error)}
+    return {"rise_ms": 1e3 * rise} | degrees
 
 
 def fuzz_rows(count: int) -> Iterator[Row]:
     """Mutated packets to emulator and driver; random contents with a valid CRC to the emulator."""
-    for name, part, number in (
-        ("emulator", fuzz_emulator, count),
-        ("driver", fuzz_driver, count),
-        ("instructions", fuzz_instructions, count // 10),
-    ):
-        tally: Tally = part(number, np.random.default_rng(SEED))
+    parts = {"emulator": fuzz_emulator, "driver": fuzz_driver, "instructions": fuzz_instructions}
+    for name, part in parts.items():
+        number = count // 10 if name == "instructions" else count
+        tally = part(number, np.random.default_rng(SEED))
         yield {"kind": "fuzz", "at": name} | dataclasses.asdict(tally)
 
 
@@ -177,8 +167,3 @@ def _driver(settings: DynamixelSettings, name: str) -> Driver:
     driver = Driver(SerialPort(name, settings.bus.baud, settings.bus.timeout), settings)
     assert len(driver.configure()) == len(LEGS)
     return driver
-
-
-def _cpu() -> float:
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    return usage.ru_utime + usage.ru_stime
