@@ -36,13 +36,13 @@ from std_srvs.srv import Trigger
 from slot_bringup import operator_screen
 from slot_bringup.check import check_place
 from slot_bringup.monitor import ListenerExecutor, listener
-from slot_core.command_line import CommandParser
 from slot_core.config import ConfigError
 from slot_core.messages import decode
 from slot_core.messages.decode import ACTION_NUMBERS
 from slot_core.robot import LEGS
 from slot_core.safety.commands import Action
 from slot_core.safety.states import State
+from slot_lab.commands import command_parser
 from slot_msgs.msg import RobotState, ServoHealth
 from slot_msgs.srv import InjectFault
 from slot_nodes import qos, runtime
@@ -272,11 +272,7 @@ def _act(options: argparse.Namespace) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = CommandParser(
-        prog="scripts/operate",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser("operate", __doc__)
     parser.add_argument("--namespace", default="", help="of the graph, as given to scripts/run")
     actions = parser.add_subparsers(dest="action", metavar="ACTION")
     for name in (*REQUESTS, "state"):

@@ -18,10 +18,11 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from slot_core.command_line import CommandParser, within
+from slot_core.command_line import within
 from slot_core.config import ConfigError
 from slot_core.vision.board import WHITE, Picture, make_board, picture_of, single_marker
 from slot_core.vision.settings import VisionSettings, read_vision
+from slot_lab.commands import command_parser
 from slot_lab.film.calibration import chessboard
 
 INCH = 0.0254  # m
@@ -100,11 +101,7 @@ def _write(page: Picture, text: str, place: tuple[int, int], height: float) -> N
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = CommandParser(
-        prog="scripts/print_markers",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser("print_markers", __doc__)
     add = parser.add_argument
     add("what", metavar="NAME", help="name of a board, points, or chessboard")
     add("--out", type=Path, metavar="FILE", required=True, help="PNG or PDF to write")

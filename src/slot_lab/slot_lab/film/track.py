@@ -20,12 +20,13 @@ from pathlib import Path
 import cv2
 
 from slot_core.body_points import COLUMNS, FRAME, TORSO
-from slot_core.command_line import CommandParser, within
+from slot_core.command_line import within
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_core.vision.camera import Camera, CameraError, nominal, read_camera
 from slot_core.vision.detector import other_dictionary
 from slot_core.vision.settings import VisionSettings, read_vision
+from slot_lab.commands import command_parser, one_line
 from slot_lab.film.pictures import (
     PICTURES,
     FilmError,
@@ -59,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             parser.error(f"{options.film}: no marker of leg {options.leg}")
         write_tracks(options.out, samples, tracks.frame)
     except (FilmError, CameraError, ConfigError) as error:
-        parser.error(" ".join(str(error).split()))
+        parser.error(one_line(error))
     except OSError as error:
         parser.error(f"--out {options.out}: {error.strerror}")
     print("\n".join(_summary(tracks, samples)))
@@ -141,11 +142,7 @@ def _summary(tracks: Tracks, samples: list[MarkerSample]) -> list[str]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = CommandParser(
-        prog="scripts/track",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser("track", __doc__)
     add = parser.add_argument
     add("film", type=Path, metavar="RECORDING", help="video, folder of pictures, or bag")
     add("--out", type=Path, metavar="FILE", required=True, help="file to write")

@@ -27,11 +27,12 @@ from typing import Any
 import numpy as np
 
 from slot_core import config
-from slot_core.command_line import CommandParser, positive_integer
+from slot_core.command_line import positive_integer
 from slot_core.config import ConfigError
 from slot_core.control.force_map import read_springs
 from slot_core.gait.gait import Pattern, Steering, Stride, read_gaits
 from slot_core.robot import Array, read_robot
+from slot_lab.commands import INTERRUPTED, command_parser
 from slot_lab.tuning import gait_file, identification, symmetry
 from slot_lab.tuning.identification import IdentificationError
 from slot_lab.tuning.pattern_search import Goal, PatternSearch, bare_pattern
@@ -43,7 +44,6 @@ STAGES = ("forward", "turn", "steering", "identify")
 RECORDS = Path("results", "tune")
 QUICK = {"friction": [0.4], "strides": 3, "evaluations": 32, "population": 8}
 LEAST_SPEED = 1e-3  # m/s, rad/s, of a pattern
-INTERRUPTED = 130  # exit code
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -212,11 +212,7 @@ def _rest(height: float) -> dict[str, object]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = CommandParser(
-        prog="scripts/tune",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser("tune", __doc__)
     add = parser.add_argument
     add("gait", metavar="NAME", help="name of the stride that is written")
     add("stages", nargs="*", metavar="STAGE", type=_stage, help=", ".join(STAGES))

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from slot_core.command_line import CommandParser, positive_integer, within
+from slot_core.command_line import positive_integer, within
 from slot_core.config import ConfigError, load
 from slot_core.divergence import DivergenceError
 from slot_core.robot import Array
@@ -32,6 +32,7 @@ from slot_lab.bags.bag import BagError
 from slot_lab.bags.measured import COMMANDED, MEASURED, MOTION_TOPICS
 from slot_lab.calibration.experiments import PredictionError
 from slot_lab.calibration.fit import FitError
+from slot_lab.commands import INTERRUPTED, command_parser, one_line, progress
 from slot_lab.csv_table import TableError
 from slot_lab.twin import leg_points, parameter_set, twin_plot
 from slot_lab.twin.recorded import read_recorded
@@ -41,7 +42,6 @@ from slot_lab.twin.strides import find_strides, stride_errors
 from slot_lab.twin.twin_fit import RunAll, fit_twin, parameter, places, serially
 from slot_lab.workers import gather, workers
 
-INTERRUPTED = 130  # exit code
 ERRORS = (
     BagError, ConfigError, DivergenceError, FitError, PredictionError, TableError, OSError,
 )  # fmt: skip
@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         parser.exit(2, f"scripts/twin: {error}: run scripts/setup --bench, or give --workers 1\n")
     except ERRORS as error:
-        parser.exit(2, f"scripts/twin: {' '.join(str(error).split())}\n")
+        parser.exit(2, f"scripts/twin: {one_line(error)}\n")
     print("\n".join(lines))
     return 0
 
@@ -94,7 +94,7 @@ def _run(options: argparse.Namespace) -> list[str]:
             kept = _Trials(out / "trials", run_all, trial)
             found = fit_twin(
                 recorded, parts, names, strides, settings,
-                run_all=kept, starts=options.starts, progress=_progress,
+                run_all=kept, starts=options.starts, progress=progress,
             )  # fmt: skip
         seen = len(found.seen[0].level)
         content = parameter_set.record(recorded, parts, start, found, options.note)
@@ -162,16 +162,8 @@ def _runner(options: argparse.Namespace) -> Iterator[RunAll]:
         yield partial(gather, client)
 
 
-def _progress(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
-
-
 def _parser() -> argparse.ArgumentParser:
-    parser = CommandParser(
-        prog="scripts/twin",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser("twin", __doc__)
     add = parser.add_argument
     add("recording", type=Path, metavar="RECORDING", help="bag, or CSV file")
     add("--scene", default="flat", metavar="NAME", help="scene of config/scene (default: flat)")

@@ -13,11 +13,11 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from slot_core.command_line import CommandParser
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_lab.bags.bag import BagError
 from slot_lab.bags.measured import MOTION_TOPICS
+from slot_lab.commands import command_parser, one_line
 from slot_lab.csv_table import TableError
 from slot_lab.validation import curves, tables
 from slot_lab.validation.comparison import compare
@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         lines = _run(options)
     except (RecordingError, TableError, BagError, ConfigError, OSError) as error:
-        parser.exit(2, f"scripts/validate: {' '.join(str(error).split())}\n")
+        parser.exit(2, f"scripts/validate: {one_line(error)}\n")
     print("\n".join(lines))
     return 0
 
@@ -64,11 +64,7 @@ def _run(options: argparse.Namespace) -> list[str]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = CommandParser(
-        prog="scripts/validate",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser("validate", __doc__)
     add = parser.add_argument
     add("run", type=Path, metavar="RECORDING", help="bag, CSV or video")
     add("measurement", type=Path, metavar="RECORDING", help="bag, CSV or video")
