@@ -42,7 +42,7 @@ from slot_core.messages.decode import ACTION_NUMBERS
 from slot_core.robot import LEGS
 from slot_core.safety.commands import Action
 from slot_core.safety.states import State
-from slot_lab.commands import command_parser
+from slot_lab.terminal import command_parser
 from slot_msgs.msg import RobotState, ServoHealth
 from slot_msgs.srv import InjectFault
 from slot_nodes import qos, runtime

@@ -35,8 +35,8 @@ from slot_lab.calibration.fit import (
     parameters_of,
 )
 from slot_lab.calibration.plot import write_figure
-from slot_lab.commands import command_parser, one_line, progress
 from slot_lab.csv_table import TableError
+from slot_lab.terminal import command_parser, one_line, progress
 
 FREE = ("leg.young_modulus", "tendon.offset", "tendon.cable_stiffness", "tendon.slack")
 

@@ -35,10 +35,10 @@ from slot_core.vision.settings import (
 from slot_core.vision.synthetic_camera import Imperfections, Surface, SyntheticCamera
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.recorded_walk import GROUND_TRUTH, LEG_STATES
-from slot_lab.commands import command_parser, one_line
 from slot_lab.film.calibration import chessboard
 from slot_lab.film.track import write_tracks
 from slot_lab.film.tracker import MarkerSample
+from slot_lab.terminal import command_parser, one_line
 
 BOARD = "film"
 DEPTH_NOISE = 0.002  # m, of a pixel of a RealSense D435 at 0.8 m

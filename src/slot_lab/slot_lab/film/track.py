@@ -26,7 +26,6 @@ from slot_core.robot import LEGS
 from slot_core.vision.camera import Camera, CameraError, nominal, read_camera
 from slot_core.vision.detector import other_dictionary
 from slot_core.vision.settings import VisionSettings, read_vision
-from slot_lab.commands import command_parser, one_line
 from slot_lab.film.pictures import (
     PICTURES,
     FilmError,
@@ -37,6 +36,7 @@ from slot_lab.film.pictures import (
     read_film,
 )
 from slot_lab.film.tracker import MarkerSample, Tracker, Tracks
+from slot_lab.terminal import command_parser, one_line
 
 COMPLETE = 1.02  # pictures that a video says over those read: some estimate their length
 

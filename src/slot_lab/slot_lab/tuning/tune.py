@@ -32,7 +32,7 @@ from slot_core.config import ConfigError
 from slot_core.control.force_map import read_springs
 from slot_core.gait.gait import Pattern, Steering, Stride, read_gaits
 from slot_core.robot import Array, read_robot
-from slot_lab.commands import INTERRUPTED, command_parser
+from slot_lab.terminal import INTERRUPTED, command_parser
 from slot_lab.tuning import gait_file, identification, symmetry
 from slot_lab.tuning.identification import IdentificationError
 from slot_lab.tuning.pattern_search import Goal, PatternSearch, bare_pattern

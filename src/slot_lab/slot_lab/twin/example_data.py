@@ -32,8 +32,8 @@ from slot_core.robot import Array
 from slot_core.simulation.plant import make_robot
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.measured import COMMANDED, MEASURED, ODOMETRY
-from slot_lab.commands import command_parser, one_line
 from slot_lab.csv_table import TableError
+from slot_lab.terminal import command_parser, one_line
 from slot_lab.twin.replay_robot import ModelParts, read_parts
 from slot_lab.validation.recording import (
     PointTrack,

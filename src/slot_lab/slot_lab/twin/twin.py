@@ -32,8 +32,8 @@ from slot_lab.bags.bag import BagError
 from slot_lab.bags.measured import COMMANDED, MEASURED, MOTION_TOPICS
 from slot_lab.calibration.experiments import PredictionError
 from slot_lab.calibration.fit import FitError
-from slot_lab.commands import INTERRUPTED, command_parser, one_line, progress
 from slot_lab.csv_table import TableError
+from slot_lab.terminal import INTERRUPTED, command_parser, one_line, progress
 from slot_lab.twin import leg_points, parameter_set, twin_plot
 from slot_lab.twin.recorded import read_recorded
 from slot_lab.twin.replay_robot import measured_track, predict, read_parts
