@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(options: argparse.Namespace) -> list[str]:
     """Replay, fit if asked for, and write the files; returns the lines of the report."""
-    settings, names = read_twin(), places(options.fit)
+    settings, names = read_twin(), places([*filter(None, options.fit.split(","))])
     if options.set:
         parameter_set.place_of(options.set)
     parts = read_parts(options.scene, options.parameters)
@@ -78,11 +78,13 @@ def _run(options: argparse.Namespace) -> list[str]:
     strides = find_strides(recorded, settings, options.period)
     out = options.out or Path("results", "twin", recorded.name)
     out.mkdir(parents=True, exist_ok=True)
+    lost = recorded.motion.left_out
+    left_out = f", without {lost} readings that were lost" if lost else ""
     kind = "measured" if recorded.angles.measured else "commands, through the model of the servo"
     lines = [
         f"{recorded.name}: {strides.count} strides of {strides.period:.3g} s",
         f"tendon angles       {recorded.angles.source} ({kind})",
-        f"motion              {recorded.motion.source}{_left_out(recorded.motion.left_out)}",
+        f"motion              {recorded.motion.source}{left_out}",
         f"model               scene {options.scene}, parameters {start}",
         "",
     ]
@@ -114,10 +116,6 @@ def _run(options: argparse.Namespace) -> list[str]:
     leg_points.write(recorded, parts, settings, out / "predicted.csv")
     (out / "summary.txt").write_text("\n".join(lines) + "\n")
     return [*lines, "", f"twin.png, predicted.csv and summary.txt are in {out}"]
-
-
-def _left_out(count: int) -> str:
-    return f", without {count} readings that were lost" if count else ""
 
 
 class _Trials:
@@ -168,38 +166,21 @@ def _parser() -> argparse.ArgumentParser:
     add("recording", type=Path, metavar="RECORDING", help="bag, or CSV file")
     add("--scene", default="flat", metavar="NAME", help="scene of config/scene (default: flat)")
     add("--parameters", default="", metavar="NAME", help="set of config/parameters in that scene")
-    add(
-        "--angles",
-        default="",
-        choices=[MEASURED, COMMANDED],
-        help="tendon angles that are replayed; of a CSV file, what they are",
-    )
+    angles = "tendon angles that are replayed; of a CSV file, what they are"
+    add("--angles", default="", choices=[MEASURED, COMMANDED], help=angles)
     add("--motion", default="", choices=MOTION_TOPICS, help="motion that is compared")
     add("--namespace", default="", help="of the recorded graph")
-    add(
-        "--period",
-        type=within(0.05, 60.0, "s"),
-        metavar="S",
-        help="length of a stride (default: the gait's)",
-    )
-    add("--fit", default=[], type=_names, metavar="NAME,...", help="parameters to fit")
+    length = "length of a stride (default: the gait's)"
+    add("--period", type=within(0.05, 60.0, "s"), metavar="S", help=length)
+    add("--fit", default="", metavar="NAME,...", help="parameters to fit")
     add("--set", default="", metavar="NAME", help="write the fit as config/parameters/NAME.yaml")
     add("--note", default="", metavar="TEXT", help="text for that file")
-    add(
-        "--starts",
-        type=positive_integer,
-        default=1,
-        metavar="N",
-        help="starts of the fit (default: 1)",
-    )
+    starts = "starts of the fit (default: 1)"
+    add("--starts", type=positive_integer, default=1, metavar="N", help=starts)
     add("--out", type=Path, metavar="DIR", help="default: results/twin/RECORDING")
     add("--scheduler", default="", metavar="ADDRESS", help="of dask; default: this machine")
     add("--workers", type=positive_integer, metavar="N", help="local processes (default: cores)")
     return parser
-
-
-def _names(text: str) -> list[str]:
-    return [name for name in text.split(",") if name]
 
 
 if __name__ == "__main__":

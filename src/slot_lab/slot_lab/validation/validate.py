@@ -13,6 +13,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from slot_core.command_line import within
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_lab.bags.bag import BagError
@@ -73,32 +74,19 @@ def _parser() -> argparse.ArgumentParser:
     free = "what is free between the frames: rotation and shift, turn about z and shift, nothing"
     add("--frame", choices=FRAMES, default="level", help=f"{free} (default: level)")
     begin = "align the frames by the first S seconds only, so that later errors show"
-    add("--frame-time", type=_positive, metavar="S", default=math.inf, help=begin)
+    time = within(1e-3, 1e6, "s")
+    add("--frame-time", type=time, metavar="S", default=math.inf, help=begin)
     beside = "take out each point's mean difference over that time: markers beside their points"
     add("--zero", action="store_true", help=beside)
     offset = "time of the measurement's first sample in the run, to 0.1 s (default: searched)"
-    add("--offset", type=_number, metavar="S", help=offset)
+    add("--offset", type=within(-1e6, 1e6, "s"), metavar="S", help=offset)
     add("--leg", choices=LEGS, default="FL", help="leg of points without one (default: FL)")
-    add("--block", type=_positive, metavar="S", default=1.0, help="of the bootstrap (default: 1 s)")
+    add("--block", type=time, metavar="S", default=1.0, help="of the bootstrap (default: 1 s)")
     add("--camera", type=Path, metavar="FILE", help="calibration of a video's camera")
     add("--namespace", default="", help="of the run's bag")
     first = "motion of the run's bag (default: the first of these that is recorded)"
     add("--motion", default="", choices=MOTION_TOPICS, help=first)
     return parser
-
-
-def _number(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text}: not a finite number")
-    return value
-
-
-def _positive(text: str) -> float:
-    value = _number(text)
-    if value <= 0.0:
-        raise argparse.ArgumentTypeError(f"{text}: not positive")
-    return value
 
 
 if __name__ == "__main__":
