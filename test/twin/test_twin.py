@@ -16,12 +16,7 @@ from slot_lab.bags.recorded_walk import TorsoTrack
 from slot_lab.csv_table import TableError
 from slot_lab.twin import parameter_set, twin
 from slot_lab.twin.recorded import COLUMNS, BagRecording, read_recorded
-from slot_lab.twin.replay_robot import (
-    PredictedTrack,
-    measured_track,
-    predict,
-    read_parts,
-)
+from slot_lab.twin.replay_robot import PredictedTrack, measured_track, predict, read_parts
 from slot_lab.twin.settings import read_twin
 from slot_lab.twin.strides import angle_period, error_growth, find_strides, stride_errors
 from slot_lab.twin.twin_fit import changed, changes, fit_twin, parameter, places

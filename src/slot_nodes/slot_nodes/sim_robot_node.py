@@ -45,12 +45,7 @@ from slot_core.robot import read_robot
 from slot_core.safety.commands import Action
 from slot_core.servos.registry import read_brand
 from slot_core.servos.servo_errors import RefusedError
-from slot_core.simulation.clocks import (
-    PATIENCE,
-    BusClock,
-    LockstepClock,
-    RealTimeClock,
-)
+from slot_core.simulation.clocks import PATIENCE, BusClock, LockstepClock, RealTimeClock
 from slot_core.simulation.plant import Reading, RobotSimulator, StampedHealth, TrueState
 from slot_core.simulation.sensors import ImuReading, OdometryReading, PictureReading
 from slot_core.simulation.simulated_servos import (

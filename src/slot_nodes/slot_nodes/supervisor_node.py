@@ -33,13 +33,7 @@ from slot_core.safety.states import RELEASED, State
 from slot_core.safety.supervisor import PERIOD, Report, Request, Supervisor
 from slot_core.safety.tendon_watch import read_tendon_watch
 from slot_core.safety.ticked_supervisor import LockstepInputs, TickedSupervisor
-from slot_msgs.msg import (
-    MpcState,
-    RobotState,
-    ServoHealth,
-    ServoLimits,
-    TendonPlan,
-)
+from slot_msgs.msg import MpcState, RobotState, ServoHealth, ServoLimits, TendonPlan
 from slot_msgs.srv import SetGait
 from slot_nodes import inputs, messages, qos, runtime
 

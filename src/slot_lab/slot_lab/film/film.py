@@ -27,11 +27,7 @@ from slot_core.messages import decode
 from slot_core.robot import LEGS, ODOM_FRAME, Array, RobotParameters, read_robot
 from slot_core.vision.board import SQUARE, Picture, make_board, print_of, single_marker
 from slot_core.vision.camera import nominal
-from slot_core.vision.settings import (
-    TrackedMarkers,
-    VisionSettings,
-    read_vision,
-)
+from slot_core.vision.settings import TrackedMarkers, VisionSettings, read_vision
 from slot_core.vision.synthetic_camera import Imperfections, Surface, SyntheticCamera
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.recorded_walk import GROUND_TRUTH, LEG_STATES

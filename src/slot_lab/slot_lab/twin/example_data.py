@@ -35,12 +35,7 @@ from slot_lab.bags.measured import COMMANDED, MEASURED, ODOMETRY
 from slot_lab.csv_table import TableError
 from slot_lab.terminal import command_parser, one_line
 from slot_lab.twin.replay_robot import ModelParts, read_parts
-from slot_lab.validation.recording import (
-    PointTrack,
-    RecordingError,
-    read_recording,
-    write_points,
-)
+from slot_lab.validation.recording import PointTrack, RecordingError, read_recording, write_points
 
 SCENE = "synthetic"
 TOPICS = (MEASURED, COMMANDED, ODOMETRY)
