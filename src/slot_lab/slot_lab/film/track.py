@@ -36,7 +36,7 @@ from slot_lab.film.pictures import (
     read_film,
 )
 from slot_lab.film.tracker import MarkerSample, Tracker, Tracks
-from slot_lab.terminal import command_parser, one_line
+from slot_lab.terminal import command_parser, one_line, progress
 
 COMPLETE = 1.02  # pictures that a video says over those read: some estimate their length
 
@@ -124,9 +124,7 @@ def _camera(options: argparse.Namespace, settings: VisionSettings) -> Camera:
         return read_camera(options.camera)
     if is_bag(options.film):
         return bag_camera(options.film, options.topic)
-    print(
-        "without --camera FILE: the nominal camera of config/vision.yaml is used", file=sys.stderr
-    )
+    progress("without --camera FILE: the nominal camera of config/vision.yaml is used")
     return nominal(settings.camera)
 
 
