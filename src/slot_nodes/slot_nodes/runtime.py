@@ -10,7 +10,7 @@ import signal
 import sys
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, Protocol, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import rclpy
 import rclpy.utilities
@@ -35,16 +35,6 @@ from slot_nodes.process.executor import DirectExecutor
 T = TypeVar("T")
 INTERRUPT_PERIOD = 0.5  # s between two exceptions that end a preparation
 LOCK_ALL = 1 | 2 | 4  # MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT of mlockall(2)
-
-
-class Runnable(Protocol):
-    """What a process runs: a node, or several."""
-
-    def destroy_node(self) -> None:
-        """End it."""
-
-
-R = TypeVar("R", bound=Runnable)
 
 
 def spin(node: Any) -> None:
@@ -105,8 +95,8 @@ class Interrupt:
         raise KeyboardInterrupt
 
 
-def run(make_node: Callable[[], R], serve: Callable[[R], None] = spin) -> None:
-    """Serve a node until SIGINT, SIGTERM or its own `SystemExit`; exit code 0 unless it failed.
+def run(make_node: Callable[[], Any], serve: Callable[[Any], None] = spin) -> None:
+    """Serve a node or several until SIGINT, SIGTERM or `SystemExit`; exit code 0 unless it failed.
 
     An unusable configuration ends the process with one line and exit code 2.
     """
