@@ -149,31 +149,17 @@ def test_writer_does_not_overwrite_a_bag(walk_bag):
     assert next(walk_bag.glob("*.mcap")).read_bytes() == before
 
 
-@pytest.fixture
-def damaged(walk_bag, tmp_path):
-    """A function that opens a copy of the bag with other bytes in the place of its messages."""
-
-    def copy(data):
-        shutil.copytree(walk_bag, tmp_path / "walk")
-        (tmp_path / "walk" / "walk.mcap").write_bytes(data)
-        return Bag(tmp_path / "walk")
-
-    return copy
-
-
-def test_empty_file_is_an_error_of_one_line(damaged, tmp_path):
-    with pytest.raises(BagError, match="seems to be empty") as refused:
-        damaged(b"")
-    assert str(tmp_path / "walk") in str(refused.value)
-    assert "\n" not in str(refused.value)
-
-
-def test_damaged_chunk_is_a_bag_error(walk_bag, damaged):
+def test_an_empty_file_and_a_damaged_chunk_are_errors_of_one_line(walk_bag, tmp_path):
     data = bytearray((walk_bag / "walk.mcap").read_bytes())
     start = data.index(b"\x28\xb5\x2f\xfd")  # magic number of a zstd frame
     data[start : start + 200] = bytes(200)
-    with pytest.raises(BagError, match="cannot be read"):
-        list(damaged(data).merged())
+    path = shutil.copytree(walk_bag, tmp_path / "walk")
+    for content, reason in ((b"", "seems to be empty"), (data, "cannot be read")):
+        (path / "walk.mcap").write_bytes(content)
+        with pytest.raises(BagError, match=reason) as refused:
+            list(Bag(path).merged())
+        assert str(path) in str(refused.value)
+        assert "\n" not in str(refused.value)
 
 
 def test_missing_empty_and_foreign_bags_have_errors_of_their_own(tmp_path):

@@ -179,18 +179,13 @@ def test_load_is_the_mean_torque_over_the_stall_torque_at_the_supply_voltage(
     assert m.supply_voltage == pytest.approx(voltage, rel=1e-12, nan_ok=True)
 
 
-def test_the_load_of_servos_whose_torque_is_not_recorded_is_not_stated(metrics_of):
-    m = metrics_of(replace(WALK, truth=False))  # nor are joint states
-    assert all(math.isnan(load) for load in m.servo_load)
-
-
 def test_without_ground_truth_the_state_estimate_is_the_stated_source(metrics_of):
     truth = metrics_of(WALK)
     m = metrics_of(replace(WALK, truth=False))
     assert (truth.source, m.source) == ("/ground_truth/odom", "/mpc_state")
     assert m.mean_v_x == pytest.approx(0.05 * math.cos(COURSE), abs=ROUNDING)
     assert m.tilt_max == pytest.approx(0.1, rel=2e-2)  # 30 Hz samples miss the peak by 1 % at most
-    assert all(math.isnan(f) for f in m.servo_saturated)
+    assert all(math.isnan(f) for f in (*m.servo_saturated, *m.servo_load))  # no joint states either
 
 
 def test_bag_shorter_than_the_warm_up_is_refused(metrics_of):
