@@ -121,9 +121,8 @@ class Operator:
         self._node = node
         self._estop_pressed = False
         self._estop = node.create_publisher(Bool, "estop", qos.SENSOR)
-        self._clients = {
-            name: node.create_client(Trigger, f"supervisor/{name}") for name in REQUESTS
-        }
+        named = {name: f"supervisor/{name}" for name in REQUESTS}
+        self._clients = {name: node.create_client(Trigger, n) for name, n in named.items()}
         node.create_subscription(RobotState, "robot_state", self._on_state, qos.STATE)
         for kind, topic, name, check in (
             (JointState, "joint_states", "joints", decode.joint_loads),
@@ -162,10 +161,11 @@ class Operator:
             self.view.answer = f"{request}: no supervisor answers"
             return
         self.view.answer = f"{request} ..."
-        client.call_async(Trigger.Request()).add_done_callback(partial(self._on_answer, request))
 
-    def _on_answer(self, request: str, answer: Future) -> None:
-        self.view.answer = answer_text(request, answer.result().message)
+        def show(answer: Future) -> None:
+            self.view.answer = answer_text(request, answer.result().message)
+
+        client.call_async(Trigger.Request()).add_done_callback(show)
 
     def _show(self, name: str, check: Callable[[Any], object], message: Any) -> bool:
         """Show a message, unless `check` raises ValueError: then a line says that it is invalid."""
