@@ -154,8 +154,14 @@ def declare_settings(node: Node, settings: T, prefix: str = "") -> T:
     return config.replace(settings, changes, where=f"parameters of {node.get_name()}")
 
 
-def declare(node: Node, name: str, default: Any, description: str, **descriptor: Any) -> Any:
-    """Declare one read-only parameter and return its value."""
+def declare(
+    node: Node, name: str, default: Any, description: str,
+    *, between: tuple[float, float] | None = None, **descriptor: Any,
+) -> Any:  # fmt: skip
+    """Declare one read-only parameter, a number `between` two ones, and return its value."""
+    if between is not None:
+        field, kind = _RANGES[type(default)]
+        descriptor[field] = [kind(from_value=between[0], to_value=between[1])]
     return node.declare_parameter(
         name, default, ParameterDescriptor(description=description, read_only=True, **descriptor)
     ).value
@@ -206,9 +212,7 @@ def _descriptor(meta: Mapping[str, Any], value: Any) -> dict[str, Any]:
     if "options" in meta:
         descriptor["additional_constraints"] = "one of " + ", ".join(meta["options"])
     if type(value) in _RANGES and all(math.isfinite(meta[end]) for end in ("low", "high")):
-        name, kind = _RANGES[type(value)]
-        low, high = (type(value)(meta[end]) for end in ("low", "high"))
-        descriptor[name] = [kind(from_value=low, to_value=high)]
+        descriptor["between"] = tuple(type(value)(meta[end]) for end in ("low", "high"))
     return descriptor
 
 

@@ -27,7 +27,6 @@ from typing import Any, NoReturn
 
 import numpy as np
 from nav_msgs.msg import Odometry
-from rcl_interfaces.msg import IntegerRange
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -75,8 +74,7 @@ class SimRobotNode(Node):
     def __init__(self) -> None:
         super().__init__("sim_robot")
         self._lockstep = runtime.declare(self, "lockstep", False, "advance only on an answer")
-        seeds = [IntegerRange(from_value=0, to_value=2**63 - 1)]
-        seed = runtime.declare(self, "seed", 0, "of the sensor noise", integer_range=seeds)
+        seed = runtime.declare(self, "seed", 0, "of the sensor noise", between=(0, 2**63 - 1))
         scene = runtime.declare(self, "scene", "flat", "a file of config/scene")
         text = "publish nothing before /recording"
         self._waits_for_recorder = runtime.declare(self, "wait_for_recording", False, text)
@@ -126,7 +124,10 @@ class SimRobotNode(Node):
         if not self._lockstep:
             self._health = HealthPublisher(self)
         on_state = partial(self._on_robot_state, servos)
-        on_limits = partial(self._on_limits, servos)
+
+        def on_limits(message: ServoLimits) -> None:
+            servos.watchdog.set_limits(decode.servo_limits(message))
+
         inputs.subscribe(self, RobotState, "robot_state", on_state, qos.STATE)
         inputs.subscribe(self, ServoLimits, "servo_limits", on_limits, qos.STATE)
         return servos
@@ -202,9 +203,6 @@ class SimRobotNode(Node):
 
     def _on_recording(self, message: Bool) -> None:
         self._is_recording = True
-
-    def _on_limits(self, servos: SimulatedServos, message: ServoLimits) -> None:
-        servos.watchdog.set_limits(decode.servo_limits(message))
 
     def _on_robot_state(self, servos: SimulatedServos, message: RobotState) -> None:
         permission = decode.permission(message, self._servo_time())

@@ -118,7 +118,15 @@ def estimates(recorded: RecordedStages) -> dict[int, Fields]:
             else:
                 estimator.add_imu(*decode.imu(message))
         while (estimate := estimator.poll()) is not None:
-            fields[estimate.stamp] = _state_fields(estimate)
+            x = estimate.state
+            fields[estimate.stamp] = {
+                "rpy": x[0:3],
+                "position": x[3:6],
+                "angular_velocity": x[6:9],
+                "linear_velocity": x[9:12],
+                "covariance": estimate.covariance,
+                "validity": int(estimate.validity),
+            }
     return fields
 
 
@@ -149,18 +157,6 @@ def _as_they_arrived(recorded: RecordedStages, delay: int) -> Iterator[tuple[str
             yield from ((ODOMETRY, late) for late in after.pop(stamp, ()))
         elif stamp not in place and stamp >= begin:
             yield topic, message
-
-
-def _state_fields(estimate: Estimate) -> Fields:
-    x = estimate.state
-    return {
-        "rpy": x[0:3],
-        "position": x[3:6],
-        "angular_velocity": x[6:9],
-        "linear_velocity": x[9:12],
-        "covariance": estimate.covariance,
-        "validity": int(estimate.validity),
-    }
 
 
 def previews(recorded: RecordedStages) -> dict[int, Fields]:

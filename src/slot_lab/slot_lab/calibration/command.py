@@ -29,7 +29,6 @@ from slot_lab.calibration.experiments import (
 from slot_lab.calibration.fit import (
     FitError,
     FitProblem,
-    ParameterEstimate,
     estimate,
     fit,
     parameters_of,
@@ -74,7 +73,12 @@ def _run(options: argparse.Namespace) -> dict[str, object]:
     result = estimate(problem, values)
     fitted = {**full_set, **dict(zip(options.free, values))}
     content = parameter_file.record(data, options.free, result, fitted, origin, options.note)
-    _write(options, data, result, content)
+    if options.out:
+        parameter_file.write(options.out, content)
+        progress(f"wrote {options.out}")
+    if options.plot:
+        write_figure(data, options.free, result, f"{data.name}: {content['from']}", options.plot)
+        progress(f"wrote {options.plot}")
     return content
 
 
@@ -93,17 +97,6 @@ def build_problem(
         np.array([row.value for row in data.rows]),
         np.array([row.sigma for row in data.rows]),
     )
-
-
-def _write(
-    options: argparse.Namespace, data: Data, result: ParameterEstimate, content: dict[str, object]
-) -> None:
-    if options.out:
-        parameter_file.write(options.out, content)
-        progress(f"wrote {options.out}")
-    if options.plot:
-        write_figure(data, options.free, result, f"{data.name}: {content['from']}", options.plot)
-        progress(f"wrote {options.plot}")
 
 
 def _parser() -> argparse.ArgumentParser:
