@@ -86,10 +86,8 @@ def test_type_hashes_are_those_of_the_ros_installation(walk_bag):
         package, _, stem = name.split("/")
         for path in (p / "share" / package / "msg" / f"{stem}.json" for p in prefixes):
             if path.is_file():
-                hashes = {
-                    h["type_name"]: h["hash_string"]
-                    for h in json.loads(path.read_text())["type_hashes"]
-                }
+                listed = json.loads(path.read_text())["type_hashes"]
+                hashes = {h["type_name"]: h["hash_string"] for h in listed}
                 assert TYPES.hash_rihs01(name) == hashes[name], name
                 checked.add(package)
                 break
@@ -98,10 +96,8 @@ def test_type_hashes_are_those_of_the_ros_installation(walk_bag):
 
 def test_bag_offers_the_recorded_quality_of_service(walk_bag):
     information = yaml.safe_load((walk_bag / "metadata.yaml").read_text())
-    topics = [
-        entry["topic_metadata"]
-        for entry in information["rosbag2_bagfile_information"]["topics_with_message_count"]
-    ]
+    listed = information["rosbag2_bagfile_information"]["topics_with_message_count"]
+    topics = [entry["topic_metadata"] for entry in listed]
     offered = {t["name"]: t["offered_qos_profiles"][0] for t in topics}
     assert offered["/mpc_state"]["durability"] == "transient_local"
     assert offered["/odom"]["durability"] == "volatile"
@@ -119,9 +115,8 @@ def test_a_bag_is_readable_with_its_own_definitions_alone(walk_bag, monkeypatch)
 
 
 def test_series_are_arrays_in_the_order_of_the_fields(walk_bag):
-    series = Bag(walk_bag).series(
-        "/tendon_plan", "force", "status", "slack_friction", "header.frame_id"
-    )
+    fields = ("force", "status", "slack_friction", "header.frame_id")
+    series = Bag(walk_bag).series("/tendon_plan", *fields)
     n = len(series)
     assert n == 16  # 0.5 s at 30 Hz, both ends
     force = series["force"].reshape(n, 4, 3)

@@ -216,7 +216,7 @@ def test_errors_of_strides_are_those_of_the_closed_form(strides):
 
 def test_known_changes_of_the_robot_are_found_and_hold_for_unseen_strides(recorded, strides):
     names = places(["friction", "young_modulus"])
-    found = fit_twin(recorded, PARTS, names, strides, SETTINGS, progress=lambda _: None)
+    found = fit_twin(recorded, PARTS, names, strides, SETTINGS)
     friction, modulus = found.estimate.values
     assert friction == pytest.approx(0.3, rel=0.05)
     assert modulus == pytest.approx(MODULUS, rel=0.05)
@@ -229,7 +229,7 @@ def test_known_changes_of_the_robot_are_found_and_hold_for_unseen_strides(record
 
 def test_a_parameter_without_influence_is_named_as_undetermined(recorded, strides):
     names = places(["scene.floor.torso_friction"])
-    found = fit_twin(recorded, PARTS, names, strides, SETTINGS, progress=lambda _: None)
+    found = fit_twin(recorded, PARTS, names, strides, SETTINGS)
     assert np.isnan(found.estimate.interval).all()
     assert parameter_set.undetermined(found.names, found.estimate) == list(names)
 

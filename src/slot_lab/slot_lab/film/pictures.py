@@ -118,7 +118,8 @@ def _with_depth(frames: Iterator[Frame], depths: list[Path], name: str) -> Itera
 def _of_bag(path: Path, topic: str, depth_topic: str) -> Iterator[Frame]:
     try:
         bag = Bag(path)
-        depths = _depths(bag, depth_topic) if depth_topic else iter(())
+        found = bag.messages(depth_topic) if depth_topic else ()
+        depths = ((to_seconds(stamp(m)), picture_message.depth(m)) for _, m in found)
         before, after = None, next(depths, None)
         for _, message in bag.messages(topic):
             time = to_seconds(stamp(message))
@@ -129,11 +130,6 @@ def _of_bag(path: Path, topic: str, depth_topic: str) -> Iterator[Frame]:
             yield Frame(time, picture_message.grey(message), nearest)
     except (BagError, ValueError, AttributeError) as error:
         raise FilmError(f"{path}: {topic}: {one_line(error)}") from None
-
-
-def _depths(bag: Bag, topic: str) -> Iterator[tuple[float, Depth]]:
-    for _, message in bag.messages(topic):
-        yield to_seconds(stamp(message)), picture_message.depth(message)
 
 
 def _files(path: Path) -> list[Path]:

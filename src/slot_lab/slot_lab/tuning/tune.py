@@ -145,9 +145,9 @@ class _Tuning:
             self.stride = replace(self.stride, feedback=replace(self.stride.feedback, effect=rows))
         speeds = ", ".join(f"{name} {getattr(self.stride, name).speed:.4f}" for name in tables)
         cells = [" ".join(f"{value:8.4f}" for value in row) for row in effect]
-        rows_text = [f"  {name:<9}{row}" for name, row in zip(OUTPUTS, cells)]
+        lines = [f"  {name:<9}{row}" for name, row in zip(OUTPUTS, cells)]
         title = "effect of the corrections v_x, v_y, yaw rate, common, left-right, front-rear on"
-        return [f"speeds at amplitude one: {speeds}", title, *rows_text]
+        return [f"speeds at amplitude one: {speeds}", title, *lines]
 
     def _record(self, kind: str) -> Path:
         return RECORDS / f"{self._options.out.stem}.{kind}.jsonl"
