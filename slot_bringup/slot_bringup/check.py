@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rclpy.exceptions import InvalidNamespaceException, InvalidTopicNameException
+from rclpy.exceptions import NameValidationException
 from rclpy.validate_namespace import validate_namespace
 from rclpy.validate_topic_name import validate_topic_name
 
@@ -45,7 +45,7 @@ def check(values: Mapping[str, Any]) -> None:
     if values["calibration"]:
         _check_calibration(Path(values["calibration"]))
     for name in ("odometry_topic", "imu_topic"):
-        _check_topic(name, values[name])
+        _check_name(name, values[name], validate_topic_name)
     if hardware == "sim":
         for fault in scene.faults.values():
             require_simulated_legs(fault)
@@ -80,11 +80,7 @@ def check_place(namespace: str) -> None:
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not (domain.isdecimal() and int(domain) <= DOMAIN_MAX):
         raise ConfigError(f"ROS_DOMAIN_ID = {domain!r}: expected a number within [0, {DOMAIN_MAX}]")
-    try:
-        validate_namespace(absolute(namespace))
-    except InvalidNamespaceException as error:
-        reason = str(error).splitlines()[0]
-        raise ConfigError(f"namespace = {namespace!r}: {reason}") from None
+    _check_name("namespace", namespace, lambda name: validate_namespace(absolute(name)))
 
 
 def _check_calibration(file: Path) -> None:
@@ -97,12 +93,12 @@ def _check_calibration(file: Path) -> None:
         raise ConfigError(f"calibration {error}") from None
 
 
-def _check_topic(name: str, topic: str) -> None:
-    """Raise ConfigError for a name of a topic that ROS does not allow."""
+def _check_name(argument: str, name: str, validate: Callable[[str], Any]) -> None:
+    """Raise ConfigError for a name that ROS does not allow."""
     try:
-        validate_topic_name(topic)
-    except InvalidTopicNameException as error:
-        raise ConfigError(f"{name} = {topic!r}: {str(error).splitlines()[0]}") from None
+        validate(name)
+    except NameValidationException as error:
+        raise ConfigError(f"{argument} = {name!r}: {str(error).splitlines()[0]}") from None
 
 
 def _check_new(bag: Path) -> None:

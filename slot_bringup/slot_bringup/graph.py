@@ -40,8 +40,10 @@ class Argument:
     unit: str = ""  # of a number
 
     @property
-    def metavar(self) -> str:
-        """What stands for a value in a help."""
+    def metavar(self) -> str | None:
+        """What stands for a value in a help; None if that are the choices."""
+        if self.choices:
+            return None
         kind = "NAME" if self.kind is str else "N"
         return self.unit or ("FILE" if self.is_path else kind)
 

@@ -112,7 +112,15 @@ def watch(
         node.create_subscription(MpcState, "mpc_state", progress.update_torso, qos.CONTROL)
         node.create_subscription(RobotState, "robot_state", progress.update_robot, qos.STATE)
         try:
-            _watch(executor, progress, processes, duration, attended or played)
+            terminal, shown = sys.stderr.isatty(), time.monotonic()
+            refresh, end = (REFRESH_TERMINAL, "\r") if terminal else (REFRESH_LOG, "\n")
+            while progress.elapsed < duration:
+                executor.spin_once()
+                _check(progress, processes, attended or played)
+                if time.monotonic() - shown > refresh:
+                    shown, line = time.monotonic(), f"{progress.line()} of {duration:g} s"
+                    print(line, end=end, file=sys.stderr, flush=True)
+            print(progress.line(), file=sys.stderr)
         except SilenceError:
             if not played:
                 raise  # else the bag has ended
@@ -168,25 +176,6 @@ def listener(name: str, namespace: str = "") -> Iterator[tuple[Node, ListenerExe
         node.destroy_node()
     finally:
         context.try_shutdown()
-
-
-def _watch(
-    executor: ListenerExecutor,
-    progress: Progress,
-    processes: Processes,
-    duration: float,
-    attended: bool,
-) -> None:
-    terminal = sys.stderr.isatty()
-    refresh, end = (REFRESH_TERMINAL, "\r") if terminal else (REFRESH_LOG, "\n")
-    shown = time.monotonic()
-    while progress.elapsed < duration:
-        executor.spin_once()
-        _check(progress, processes, attended)
-        if time.monotonic() - shown > refresh:
-            shown = time.monotonic()
-            print(f"{progress.line()} of {duration:g} s", end=end, file=sys.stderr, flush=True)
-    print(progress.line(), file=sys.stderr)
 
 
 def _check(progress: Progress, processes: Processes, attended: bool) -> None:

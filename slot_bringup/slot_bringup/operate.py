@@ -36,13 +36,13 @@ from std_srvs.srv import Trigger
 from slot_bringup import operator_screen
 from slot_bringup.check import check_place
 from slot_bringup.monitor import ListenerExecutor, listener
-from slot_core.command_line import CommandParser
 from slot_core.config import ConfigError
 from slot_core.messages import decode
 from slot_core.messages.decode import ACTION_NUMBERS
 from slot_core.robot import LEGS
 from slot_core.safety.commands import Action
 from slot_core.safety.states import State
+from slot_lab.terminal import command_parser
 from slot_msgs.msg import RobotState, ServoHealth
 from slot_msgs.srv import InjectFault
 from slot_nodes import qos, runtime
@@ -121,9 +121,8 @@ class Operator:
         self._node = node
         self._estop_pressed = False
         self._estop = node.create_publisher(Bool, "estop", qos.SENSOR)
-        self._clients = {
-            name: node.create_client(Trigger, f"supervisor/{name}") for name in REQUESTS
-        }
+        named = {name: f"supervisor/{name}" for name in REQUESTS}
+        self._clients = {name: node.create_client(Trigger, n) for name, n in named.items()}
         node.create_subscription(RobotState, "robot_state", self._on_state, qos.STATE)
         for kind, topic, name, check in (
             (JointState, "joint_states", "joints", decode.joint_loads),
@@ -162,10 +161,11 @@ class Operator:
             self.view.answer = f"{request}: no supervisor answers"
             return
         self.view.answer = f"{request} ..."
-        client.call_async(Trigger.Request()).add_done_callback(partial(self._on_answer, request))
 
-    def _on_answer(self, request: str, answer: Future) -> None:
-        self.view.answer = answer_text(request, answer.result().message)
+        def show(answer: Future) -> None:
+            self.view.answer = answer_text(request, answer.result().message)
+
+        client.call_async(Trigger.Request()).add_done_callback(show)
 
     def _show(self, name: str, check: Callable[[Any], object], message: Any) -> bool:
         """Show a message, unless `check` raises ValueError: then a line says that it is invalid."""
@@ -272,11 +272,7 @@ def _act(options: argparse.Namespace) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = CommandParser(
-        prog="scripts/operate",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser("operate", __doc__)
     parser.add_argument("--namespace", default="", help="of the graph, as given to scripts/run")
     actions = parser.add_subparsers(dest="action", metavar="ACTION")
     for name in (*REQUESTS, "state"):

@@ -54,17 +54,12 @@ def state_lines(message: RobotState) -> list[str]:
 
 def lines(view: OperatorView, now: float) -> list[str]:
     """All lines of the screen at `now` (s)."""
-    return [
-        *_robot(view, now),
-        "",
-        HEADER,
-        *(_leg(view, k) for k in range(len(LEGS))),
-        "",
-        *_driver(view),
-        *_sources(view),
-        f"> {view.answer}",
-        HELP,
-    ]
+    legs = [_leg(view, k) for k in range(len(LEGS))]
+    end = [f"> {view.answer}", HELP]
+    if view.sources > 1:  # the loss of one of them goes unnoticed
+        problem = f"{view.sources} sources of the e-stop: closing this terminal may not stop it"
+        end.insert(0, f"  ! {problem}")
+    return [*_robot(view, now), "", HEADER, *legs, "", *_driver(view), *end]
 
 
 def _robot(view: OperatorView, now: float) -> list[str]:
@@ -105,10 +100,3 @@ def _driver(view: OperatorView) -> list[str]:
     problems = [f"  ! {s.name}: {s.message}" for s in status if s.level != DiagnosticStatus.OK]
     first = f"servos: {action} {view.health.reason}".rstrip()
     return [first, *(["  " + ", ".join(bus)] if bus else []), *problems]
-
-
-def _sources(view: OperatorView) -> list[str]:
-    """Warning of more than one e-stop source: the loss of one of them goes unnoticed."""
-    if view.sources < 2:
-        return []
-    return [f"  ! {view.sources} sources of the e-stop: closing this terminal may not stop it"]

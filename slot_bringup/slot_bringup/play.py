@@ -133,17 +133,14 @@ class Player:
             due = begin + to_seconds(now - first) / rate
             if (early := due - time.monotonic()) > 0:
                 time.sleep(early)
-            self._publish_clock(now)
+            if now >= self._published_time + CLOCK_PERIOD:
+                self._published_time = now
+                self._clock.publish(Clock(clock=messages.ns_to_stamp(now)))
             self._publishers[entry.topic].publish(entry.data)
             count += 1
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=1))
         return count, 0.0 if first is None else to_seconds(now - first)
-
-    def _publish_clock(self, now: int) -> None:
-        if now >= self._published_time + CLOCK_PERIOD:
-            self._published_time = now
-            self._clock.publish(Clock(clock=messages.ns_to_stamp(now)))
 
 
 def message_class(kind: str) -> type:
@@ -156,14 +153,12 @@ def message_class(kind: str) -> type:
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = CommandParser(prog="scripts/replay", description=__doc__)
-    parser.add_argument("--live", action="store_true", help="play into running nodes")
+    add = parser.add_argument
+    add("--live", action="store_true", help="play into running nodes")
     add_bag_arguments(parser)
-    parser.add_argument(
-        "--rate", type=within(0.01, 100.0), default=1.0, help="of the clock (default: %(default)g)"
-    )
-    parser.add_argument(
-        "--start", type=within(0.0, 1e6, "s"), default=0.0, metavar="S", help="leave out S seconds"
-    )
+    rate, time = within(0.01, 100.0), within(0.0, 1e6, "s")
+    add("--rate", type=rate, default=1.0, help="of the clock (default: %(default)g)")
+    add("--start", type=time, default=0.0, metavar="S", help="leave out S seconds")
     return parser.parse_args(arguments)
 
 

@@ -74,11 +74,9 @@ class Processes:
         A line on stderr names a node that had to be killed or failed at its end. Returns the exit
         code of every node.
         """
-        for names in (
-            [n for n in self._children if n != last],
-            [n for n in self._children if n == last],
-        ):
-            running = [name for name in names if self._children[name].poll() is None]
+        others = [name for name in self._children if name != last]
+        for names in (others, [last]):
+            running = [name for name in names if self._is_running(name)]
             self._signal(running, signal.SIGINT)
             deadline = time.monotonic() + STOP_TIMEOUT
             for name in running:
@@ -93,9 +91,12 @@ class Processes:
                     child.wait()
         return {name: child.returncode for name, child in self._children.items()}
 
+    def _is_running(self, name: str) -> bool:
+        return name in self._children and self._children[name].poll() is None
+
     def _signal(self, names: Iterable[str], number: signal.Signals) -> None:
         for name in names:
-            if self._children[name].poll() is None:
+            if self._is_running(name):
                 os.killpg(self._children[name].pid, number)
 
 
@@ -107,17 +108,12 @@ def command_line(spec: NodeSpec) -> list[str]:
         remaps["__node"] = spec.node_name
     if spec.namespace:
         remaps["__ns"] = absolute(spec.namespace)
-    return [
-        str(executable),
-        *spec.nodes,
-        "--ros-args",
-        *(word for old, new in remaps.items() for word in ("-r", f"{old}:={new}")),
-        *(
-            word
-            for name, value in spec.parameters.items()
-            for word in ("-p", f"{name}:={_yaml(value)}")
-        ),
-    ]
+    command = [str(executable), *spec.nodes, "--ros-args"]
+    for old, new in remaps.items():
+        command += ["-r", f"{old}:={new}"]
+    for name, value in spec.parameters.items():
+        command += ["-p", f"{name}:={_yaml(value)}"]
+    return command
 
 
 def print_error(line: str) -> None:

@@ -51,9 +51,8 @@ class RerunLog:
             for key, curve in plot.curves.items():
                 lines = rr.SeriesLines(names=curve.names, colors=_rgba(*curve.colours))
                 stream.log(f"plots/{name}/{key}", lines, static=True)
-        colours = rr.StateConfiguration(
-            values=list(STATE_COLOURS), colors=_rgba(*STATE_COLOURS.values())
-        )
+        names, shades = list(STATE_COLOURS), _rgba(*STATE_COLOURS.values())
+        colours = rr.StateConfiguration(values=names, colors=shades)
         for name in traces.STATES:
             stream.log(f"states/{name}", colours, static=True)
 
@@ -151,30 +150,26 @@ def blueprint() -> rrb.Blueprint:
 
 
 def _archetype(shape: Shape) -> Any:
-    colours = np.round(
-        255 * np.atleast_2d(shape.colour if isinstance(shape, Box) else shape.colours)
-    )
+    shades = np.atleast_2d(shape.colour if isinstance(shape, Box) else shape.colours)
+    colours = np.round(255 * shades).astype(np.uint8)
     if isinstance(shape, Box):
         return rr.Boxes3D(
             centers=[shape.centre], sizes=[shape.size], quaternions=[shape.quaternion],
-            colors=colours.astype(np.uint8), fill_mode="solid",
+            colors=colours, fill_mode="solid",
         )  # fmt: skip
     if isinstance(shape, Strips):
-        return rr.LineStrips3D(
-            shape.points.astype(np.float32), radii=shape.width / 2, colors=colours.astype(np.uint8)
-        )
+        points = shape.points.astype(np.float32)
+        return rr.LineStrips3D(points, radii=shape.width / 2, colors=colours)
     if isinstance(shape, Bars):
-        return _mesh(shape)
+        return _mesh(shape, colours)
     assert isinstance(shape, Arrows)
-    return rr.Arrows3D(
-        origins=shape.tail, vectors=shape.vector, radii=shape.width / 2,
-        colors=colours.astype(np.uint8),
-    )  # fmt: skip
+    width = shape.width / 2
+    return rr.Arrows3D(origins=shape.tail, vectors=shape.vector, radii=width, colors=colours)
 
 
-def _mesh(bars: Bars) -> rr.Mesh3D:
+def _mesh(bars: Bars, colours: NDArray[np.uint8]) -> rr.Mesh3D:
     """Bars as one mesh; every face has corners of its own, so that edges are sharp in the light."""
-    faces, colours = np.concatenate(bars.faces), np.round(255 * bars.colours).astype(np.uint8)
+    faces = np.concatenate(bars.faces)
     count = 4 * len(faces)
     return rr.Mesh3D(
         vertex_positions=faces.reshape(-1, 3).astype(np.float32),

@@ -39,30 +39,17 @@ def parse(arguments: Sequence[str] | None, graph: Graph) -> argparse.Namespace:
         if argument.kind is bool:
             flag["action"] = "store_true"
         else:
-            flag |= {
-                "type": argument.kind,
-                "default": argument.default,
-                "choices": argument.choices,
-                "metavar": None if argument.choices else argument.metavar,
-            }
+            flag |= {name: getattr(argument, name) for name in ("default", "choices", "metavar")}
+            flag["type"] = argument.kind
         parser.add_argument(f"--{argument.name.replace('_', '-')}", **flag)
-    parser.add_argument(
-        "--duration",
-        type=within(0.5, 86400.0, "s"),
-        default=20.0,
-        metavar="S",
-        help="length of the run on the robot's clock, s (default: 20)",
-    )
-    parser.add_argument(
-        "--view", action="store_true", help="show the run in rerun: a window, or for a browser"
-    )
+    add, time = parser.add_argument, within(0.5, 86400.0, "s")
+    length = "length of the run on the robot's clock, s (default: 20)"
+    add("--duration", type=time, default=20.0, metavar="S", help=length)
+    show = "show the run in rerun: a window, or for a browser"
+    add("--view", action="store_true", help=show)
     keep = parser.add_mutually_exclusive_group()
-    keep.add_argument(
-        "--bag",
-        type=Path,
-        metavar="DIR",
-        help="directory for bag, logs, summary and plots (default: bags/GAIT_DATE_TIME)",
-    )
+    place = "directory for bag, logs, summary and plots (default: bags/GAIT_DATE_TIME)"
+    keep.add_argument("--bag", type=Path, metavar="DIR", help=place)
     keep.add_argument("--no-bag", action="store_true", help="write nothing, only print the summary")
     options = parser.parse_args(arguments)
     try:

@@ -44,23 +44,16 @@ class ViewError(RuntimeError):
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Parse the command line; a wrong value exits with code 2 and one line."""
     parser = CommandParser(prog="scripts/view", description=__doc__)
-    parser.add_argument(
-        "bag", nargs="?", type=Path, help="directory of a bag (default: the newest in bags/)"
-    )
-    parser.add_argument("--live", action="store_true", help="show a running graph, not a bag")
-    parser.add_argument("--namespace", default="", help="of the graph")
+    add = parser.add_argument
+    add("bag", nargs="?", type=Path, help="directory of a bag (default: the newest in bags/)")
+    add("--live", action="store_true", help="show a running graph, not a bag")
+    add("--namespace", default="", help="of the graph")
     out = parser.add_mutually_exclusive_group()
     out.add_argument("--web", action="store_true", help="in a browser (default: in a window)")
     out.add_argument("--save", type=Path, metavar="FILE", help="only write a file that rerun opens")
-    out.add_argument(
-        "--animate",
-        type=Path,
-        metavar="FILE",
-        help="only write two strides as a GIF, PNG or WebP that moves; needs no rerun",
-    )
-    parser.add_argument(
-        "--no-browser", action="store_true", help="with --web: print the address, open nothing"
-    )
+    moving = "only write two strides as a GIF, PNG or WebP that moves; needs no rerun"
+    out.add_argument("--animate", type=Path, metavar="FILE", help=moving)
+    add("--no-browser", action="store_true", help="with --web: print the address, open nothing")
     options = parser.parse_args(arguments)
     if options.live and (options.bag or options.animate):
         parser.error("--live: shows a running graph, not a bag")

@@ -95,7 +95,10 @@ def record(name: str, case: Case, scratch: Path) -> Path:
 
 @contextmanager
 def commanded(velocity: tuple[float, float] | None) -> Iterator[None]:
-    """Publish a velocity at every state, as a user's joystick would."""
+    """Publish a velocity, if there is one, at every state, as a user's joystick would."""
+    if velocity is None:
+        yield
+        return
     ended = threading.Event()
 
     def publish() -> None:
@@ -107,15 +110,13 @@ def commanded(velocity: tuple[float, float] | None) -> Iterator[None]:
             while not ended.is_set():
                 executor.spin_once(timeout_sec=0.1)
 
-    thread = threading.Thread(target=publish, daemon=True) if velocity else None
-    if thread:
-        thread.start()
+    thread = threading.Thread(target=publish, daemon=True)
+    thread.start()
     try:
         yield
     finally:
         ended.set()
-        if thread:
-            thread.join()
+        thread.join()
 
 
 def thinned(bag: Bag, path: Path, case: Case) -> Path:

@@ -86,10 +86,8 @@ def test_type_hashes_are_those_of_the_ros_installation(walk_bag):
         package, _, stem = name.split("/")
         for path in (p / "share" / package / "msg" / f"{stem}.json" for p in prefixes):
             if path.is_file():
-                hashes = {
-                    h["type_name"]: h["hash_string"]
-                    for h in json.loads(path.read_text())["type_hashes"]
-                }
+                listed = json.loads(path.read_text())["type_hashes"]
+                hashes = {h["type_name"]: h["hash_string"] for h in listed}
                 assert TYPES.hash_rihs01(name) == hashes[name], name
                 checked.add(package)
                 break
@@ -98,10 +96,8 @@ def test_type_hashes_are_those_of_the_ros_installation(walk_bag):
 
 def test_bag_offers_the_recorded_quality_of_service(walk_bag):
     information = yaml.safe_load((walk_bag / "metadata.yaml").read_text())
-    topics = [
-        entry["topic_metadata"]
-        for entry in information["rosbag2_bagfile_information"]["topics_with_message_count"]
-    ]
+    listed = information["rosbag2_bagfile_information"]["topics_with_message_count"]
+    topics = [entry["topic_metadata"] for entry in listed]
     offered = {t["name"]: t["offered_qos_profiles"][0] for t in topics}
     assert offered["/mpc_state"]["durability"] == "transient_local"
     assert offered["/odom"]["durability"] == "volatile"
@@ -119,9 +115,8 @@ def test_a_bag_is_readable_with_its_own_definitions_alone(walk_bag, monkeypatch)
 
 
 def test_series_are_arrays_in_the_order_of_the_fields(walk_bag):
-    series = Bag(walk_bag).series(
-        "/tendon_plan", "force", "status", "slack_friction", "header.frame_id"
-    )
+    fields = ("force", "status", "slack_friction", "header.frame_id")
+    series = Bag(walk_bag).series("/tendon_plan", *fields)
     n = len(series)
     assert n == 16  # 0.5 s at 30 Hz, both ends
     force = series["force"].reshape(n, 4, 3)
@@ -149,31 +144,17 @@ def test_writer_does_not_overwrite_a_bag(walk_bag):
     assert next(walk_bag.glob("*.mcap")).read_bytes() == before
 
 
-@pytest.fixture
-def damaged(walk_bag, tmp_path):
-    """A function that opens a copy of the bag with other bytes in the place of its messages."""
-
-    def copy(data):
-        shutil.copytree(walk_bag, tmp_path / "walk")
-        (tmp_path / "walk" / "walk.mcap").write_bytes(data)
-        return Bag(tmp_path / "walk")
-
-    return copy
-
-
-def test_empty_file_is_an_error_of_one_line(damaged, tmp_path):
-    with pytest.raises(BagError, match="seems to be empty") as refused:
-        damaged(b"")
-    assert str(tmp_path / "walk") in str(refused.value)
-    assert "\n" not in str(refused.value)
-
-
-def test_damaged_chunk_is_a_bag_error(walk_bag, damaged):
+def test_an_empty_file_and_a_damaged_chunk_are_errors_of_one_line(walk_bag, tmp_path):
     data = bytearray((walk_bag / "walk.mcap").read_bytes())
     start = data.index(b"\x28\xb5\x2f\xfd")  # magic number of a zstd frame
     data[start : start + 200] = bytes(200)
-    with pytest.raises(BagError, match="cannot be read"):
-        list(damaged(data).merged())
+    path = shutil.copytree(walk_bag, tmp_path / "walk")
+    for content, reason in ((b"", "seems to be empty"), (data, "cannot be read")):
+        (path / "walk.mcap").write_bytes(content)
+        with pytest.raises(BagError, match=reason) as refused:
+            list(Bag(path).merged())
+        assert str(path) in str(refused.value)
+        assert "\n" not in str(refused.value)
 
 
 def test_missing_empty_and_foreign_bags_have_errors_of_their_own(tmp_path):

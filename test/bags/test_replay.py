@@ -18,20 +18,17 @@ from slot_lab.bags.bag import Bag
 HERE = Path(__file__).parent
 BAGS = ["walk", "turn", "path", "fault", "lost_odometry"]
 WALK = HERE / "walk"
+STATES = ["/odom", "/imu", "/mpc_state"]  # what the first stage needs
 TOPICS = ["/mpc_state", "/gait_preview", "/tendon_plan", "/desired_joint_angles"]
 
 
-def first_differences(name="walk"):
-    return {c.topic: c.first for c in replay.check_bag(Bag(HERE / name), replay.TOLERANCE)}
+def first_differences(path=WALK):
+    return {c.topic: c.first for c in replay.check_bag(Bag(path), replay.TOLERANCE)}
 
 
 @pytest.mark.parametrize("name", BAGS)
-def test_a_bag_in_the_repository_is_small(name):
+def test_a_recorded_bag_is_small_and_replays(name):
     assert sum(file.stat().st_size for file in (HERE / name).iterdir()) < 300_000
-
-
-@pytest.mark.parametrize("name", BAGS)
-def test_a_recorded_bag_replays(name):
     comparisons = replay.check_bag(Bag(HERE / name), replay.TOLERANCE)
     assert [c.topic for c in comparisons] == TOPICS
     for comparison in comparisons:
@@ -57,8 +54,8 @@ def test_a_change_shows_only_at_its_own_stage(own_config, file, name, value, top
 
 def test_a_change_of_the_feedback_shows_once_a_stride_has_ended(own_config):
     set_values(own_config, {"gait/walk": {"feedback.gain": 0.4}})
-    assert first_differences("walk")["/gait_preview"] is None
-    assert first_differences("turn")["/gait_preview"] is not None
+    assert first_differences()["/gait_preview"] is None
+    assert first_differences(HERE / "turn")["/gait_preview"] is not None
 
 
 def test_the_first_difference_is_reported(own_config, capsys):
@@ -70,17 +67,18 @@ def test_the_first_difference_is_reported(own_config, capsys):
 
 
 def partly(path, topics, **changes):
-    """Copy of some topics of the walk, by its present or a new name."""
+    """Copy of some topics of the walk: `names` replaces theirs, `late` delays them (ns)."""
     source = Bag(WALK)
     with BagWriter(path, read_record_settings(), changes.get("origin")) as bag:
         for topic, time, data in source.raw(*topics):
             name = changes.get("names", {}).get(topic, topic)
-            bag.write(name, source.topics[topic], time, data)
+            late = changes.get("late", {}).get(topic, 0)
+            bag.write(name, source.topics[topic], time + late, data)
     return path
 
 
 def test_stages_that_a_bag_does_not_hold_are_left_out_by_name(tmp_path, capsys):
-    path = partly(tmp_path / "bag", ["/odom", "/imu", "/mpc_state", "/gait_preview"])
+    path = partly(tmp_path / "bag", [*STATES, "/gait_preview"])
     assert replay.main([str(path)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[2] for line in lines[:2]] == ["compared,"] * 2
@@ -112,11 +110,7 @@ def test_readings_that_the_node_refuses_are_left_out(tmp_path):
 @pytest.mark.parametrize("delay", [-12_000_000, 12_000_000])
 def test_the_order_in_which_odometry_and_imu_were_recorded_changes_nothing(tmp_path, delay):
     """The recorder receives odometry 12 ms before or after the estimator did."""
-    source, path = Bag(WALK), tmp_path / "bag"
-    with BagWriter(path, read_record_settings()) as bag:
-        for topic, time, data in source.raw("/odom", "/imu", "/mpc_state"):
-            late = delay if topic == "/odom" else 0
-            bag.write(topic, source.topics[topic], time + late, data)
+    path = partly(tmp_path / "bag", STATES, late={"/odom": delay})
     (states, *_) = replay.check_bag(Bag(path), replay.TOLERANCE)
     assert states.compared == Bag(WALK).counts["/mpc_state"]
     assert states.first is None
@@ -147,7 +141,7 @@ def test_a_bag_without_any_stage_is_refused(tmp_path, capsys):
 
 def test_topics_of_other_names_are_replayed_by_their_new_ones(tmp_path, capsys):
     names = {"/odom": "/visual_slam/odometry", "/imu": "/camera/imu"}
-    path = partly(tmp_path / "bag", ["/odom", "/imu", "/mpc_state"], names=names)
+    path = partly(tmp_path / "bag", STATES, names=names)
     remaps = [word for new, old in names.items() for word in ("--remap", f"{old}:={new}")]
     assert replay.main([str(path), *remaps]) == 0
     assert re.match(r"/mpc_state +4\d compared", capsys.readouterr().out)
@@ -156,8 +150,8 @@ def test_topics_of_other_names_are_replayed_by_their_new_ones(tmp_path, capsys):
 def test_replay_says_what_made_the_bag_and_how_its_configuration_differs(
     own_config, tmp_path, capsys
 ):
-    path = tmp_path / "bag"
-    partly(path, ["/odom", "/imu", "/mpc_state"], origin=origin_here({"scene": "flat", "seed": 1}))
+    origin = origin_here({"scene": "flat", "seed": 1})
+    path = partly(tmp_path / "bag", STATES, origin=origin)
     assert replay.main([str(path)]) == 0
     first, second, *_ = capsys.readouterr().out.splitlines()
     assert re.fullmatch(r"recorded by  revision \S.*, scene flat, seed 1", first)
@@ -170,9 +164,8 @@ def test_replay_says_what_made_the_bag_and_how_its_configuration_differs(
 
 def test_the_policy_that_the_bag_names_is_replayed(tmp_path):
     """The recorded plans are of the default policy, which plans angles."""
-    topics = ["/mpc_state", "/gait_preview", "/tendon_plan", "/desired_joint_angles"]
-    path = partly(tmp_path / "bag", topics, origin=Origin({"policy": "paper_text"}))
-    first = {c.topic: c.first for c in replay.check_bag(Bag(path), replay.TOLERANCE)}
+    path = partly(tmp_path / "bag", TOPICS, origin=Origin({"policy": "paper_text"}))
+    first = first_differences(path)
     assert first["/gait_preview"] is None
     assert first["/tendon_plan"] is not None
     assert first["/desired_joint_angles"] is None
@@ -180,14 +173,13 @@ def test_the_policy_that_the_bag_names_is_replayed(tmp_path):
 
 def test_a_path_that_the_bag_lacks_leaves_out_the_gait_by_name(tmp_path, capsys):
     """As in a bag of `ros2 bag record`, which has the path's name without its file."""
-    topics = ["/odom", "/imu", "/mpc_state", "/gait_preview"]
-    path = partly(tmp_path / "bag", topics, origin=Origin({"path": "way.csv"}))
+    path = partly(tmp_path / "bag", [*STATES, "/gait_preview"], origin=Origin({"path": "way.csv"}))
     assert replay.main([str(path)]) == 0
     assert "left out: the bag holds no way.csv" in capsys.readouterr().out
 
 
 def test_what_is_left_of_a_cut_off_bag_is_replayed(tmp_path, capsys):
-    whole = partly(tmp_path / "whole", ["/odom", "/imu", "/mpc_state"])
+    whole = partly(tmp_path / "whole", STATES)
     data = (whole / "whole.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[:-20])
     assert replay.main([str(tmp_path / "cut.mcap")]) == 0

@@ -148,9 +148,8 @@ def test_marker_ranges_decrease_toward_the_tip_and_with_the_load():
 
 
 def test_a_tendon_angle_above_the_robots_largest_is_refused():
-    with pytest.raises(
-        TableError, match=r"theta_deg: 120 is above tendon\.angle_max_deg = 116\.28"
-    ):
+    reason = r"theta_deg: 120 is above tendon\.angle_max_deg = 116\.28"
+    with pytest.raises(TableError, match=reason):
         experiments.predict(ROBOT, [deflection(1.0, theta_deg=120.0)], SETTINGS)
 
 
@@ -174,11 +173,10 @@ def test_known_parameters_are_recovered_within_their_intervals():
     fine = dataclasses.replace(quick, nodes=31)
     exact = experiments.predict(config.replace(ROBOT, truth), rows, fine)
     noise = np.random.default_rng(3).standard_normal(len(rows))
-    rows = [
-        dataclasses.replace(row, value=v + row.sigma * e) for row, v, e in zip(rows, exact, noise)
-    ]
-    problem = build_problem(ROBOT, FREE, Data("synthetic", "", tuple(rows)), quick)
-    found = estimate(problem, fit.fit(problem, progress=lambda line: None).values)
+    noisy = [v + row.sigma * e for row, v, e in zip(rows, exact, noise)]
+    measured = tuple(dataclasses.replace(row, value=v) for row, v in zip(rows, noisy))
+    problem = build_problem(ROBOT, FREE, Data("synthetic", "", measured), quick)
+    found = estimate(problem, fit.fit(problem).values)
     true = np.array(list(truth.values()))
     assert is_determined(found).all()
     assert np.all(found.interval[:, 0] < true)
@@ -207,7 +205,7 @@ def test_intervals_contain_the_truth_with_their_probability():
     rng, inside = np.random.default_rng(1), []
     for _ in range(400):
         problem, truth = beam_problem(rng)
-        interval = estimate(problem, fit.fit(problem, progress=lambda line: None).values).interval
+        interval = estimate(problem, fit.fit(problem).values).interval
         inside.append((interval[:, 0] < truth) & (truth < interval[:, 1]))
     # 400 trials at 95 %: three standard deviations are 3.3 %.
     assert np.mean(inside, axis=0) == pytest.approx(0.95, abs=0.033)
@@ -219,10 +217,7 @@ def test_intervals_and_correlation_of_a_linear_model_match_regression():
     y = 0.3 + 0.4 * x + 0.01 * rng.standard_normal(12)
     parameters = (Parameter("a", 0.5, 0.0, 1.0), Parameter("b", 0.5, 0.0, 2.0))
     problem = FitProblem(parameters, lambda v: v[0] + v[1] * x, y, np.full(12, 0.02))
-    found, line = (
-        estimate(problem, fit.fit(problem, progress=lambda s: None).values),
-        stats.linregress(x, y),
-    )
+    found, line = estimate(problem, fit.fit(problem).values), stats.linregress(x, y)
     half = stats.t.ppf(0.975, 10) * np.array([line.intercept_stderr, line.stderr])
     middle = np.array([line.intercept, line.slope])
     expected = np.column_stack([middle - half, middle + half])
@@ -235,9 +230,8 @@ def test_parameters_without_effect_on_the_data_are_undetermined():
     """With a slack tendon, deflections determine the modulus and no parameter of the tendon."""
     robot = config.replace(ROBOT, {"leg.young_modulus": 2.5e7})
     rows = tuple(deflection(load, value=v, sigma=1e-3) for load, v in ((0.2, 0.0106), (1.0, 0.044)))
-    found = estimate(
-        build_problem(robot, FREE, Data("", "", rows), SETTINGS), [2.5e7, 8e-3, 1e5, 2e-3]
-    )
+    problem = build_problem(robot, FREE, Data("", "", rows), SETTINGS)
+    found = estimate(problem, [2.5e7, 8e-3, 1e5, 2e-3])
     assert is_determined(found).tolist() == [True, False, False, False]
     assert np.isnan(found.interval[1:]).all()
     assert np.isfinite(found.interval[0]).all()
@@ -281,15 +275,14 @@ def test_a_failed_prediction_is_an_error_at_the_start_and_rejected_in_a_trial():
         return np.array([values[0], 2 * values[0]])
 
     def problem(start):
-        return FitProblem(
-            (Parameter("a", start, 0.0, 1.0),), predict, np.array([0.45, 0.9]), np.ones(2)
-        )
+        free = (Parameter("a", start, 0.0, 1.0),)
+        return FitProblem(free, predict, np.array([0.45, 0.9]), np.ones(2))
 
-    found = fit.fit(problem(0.1), progress=lambda line: None)
+    found = fit.fit(problem(0.1))
     assert found.converged
     assert found.values == pytest.approx([0.45], abs=1e-6)
     with pytest.raises(fit.FitError, match="no prediction at the start: too much"):
-        fit.fit(problem(0.6), progress=lambda line: None)
+        fit.fit(problem(0.6))
 
 
 def test_a_fit_that_runs_out_of_trials_reports_it_and_keeps_its_best_point(monkeypatch):
@@ -380,7 +373,7 @@ def test_a_fit_that_ends_at_a_bound_stays_within_it(low, high):
     start = (Parameter("p", 0.5 * (low + high), low, high),)
     for beyond, bound in ((low - 1.0, low), (high + 1.0, high)):
         problem = FitProblem(start, predict, np.full(3, beyond), np.ones(3))
-        found = fit.fit(problem, progress=lambda _: None)
+        found = fit.fit(problem)
         assert found.values[0] == pytest.approx(bound, rel=1e-3)
         assert low <= found.values[0] <= high
         assert estimate(problem, found.values).at_limit.all()

@@ -68,6 +68,7 @@ def test_a_simulated_walk_is_drawn_with_its_bent_legs_where_they_were(bag):
 
 def test_without_a_simulator_the_legs_are_drawn_as_without_stress_and_loaded_by_the_servos():
     drawing = Drawing(ROBOT, TORQUE)
+    assert drawing.receive("/imu", object()) == {}  # is not drawn
     assert drawing.receive("/joint_states", joints(np.zeros(4))) == {}  # no pose yet
     state = message("/mpc_state", 1.0, rpy=[0.1, 0.0, 0.5], position=[0.2, 0.1, 0.07])
     seen = drawing.receive("/mpc_state", state)
@@ -118,12 +119,6 @@ def test_a_message_that_does_not_fit_is_refused_with_its_reason(topic, broken, r
         Drawing(ROBOT, TORQUE).receive(topic, received)
 
 
-def test_topics_that_are_not_drawn_change_nothing():
-    assert Drawing(ROBOT, TORQUE).receive("/imu", object()) == {}
-    assert traces.values("/imu", object()) == {}
-    assert traces.states("/imu", object()) == {}
-
-
 def test_curves_of_the_torso_are_along_its_heading_in_the_units_of_their_plots(bag):
     seen = {}
     for topic in ("/ground_truth/odom", "/mpc_state"):
@@ -143,24 +138,20 @@ def test_curves_of_the_torso_are_along_its_heading_in_the_units_of_their_plots(b
 
 
 def test_curves_of_the_legs_are_in_their_order_whatever_that_of_the_message(bag):
-    measured = [traces.values("/joint_states", m) for _, m in bag.messages("/joint_states")]
-    commanded = [
-        traces.values("/desired_joint_angles", m) for _, m in bag.messages("/desired_joint_angles")
-    ]
-    at = STRIDE  # s
-    assert np.allclose(
-        measured[round(at * 120)]["angle/measured"],
-        0.97 * np.degrees(angles(round(at * 120) / 120 - 0.04)),
-    )
-    assert np.allclose(
-        commanded[round(at * 30)]["angle/commanded"], np.degrees(angles(round(at * 30) / 30))
-    )
+    for topic, curve, rate, gain, late in (
+        ("/joint_states", "angle/measured", 120, 0.97, 0.04),
+        ("/desired_joint_angles", "angle/commanded", 30, 1.0, 0.0),
+    ):
+        seen = [traces.values(topic, received)[curve] for _, received in bag.messages(topic)]
+        k = round(STRIDE * rate)
+        assert np.allclose(seen[k], gain * np.degrees(angles(k / rate - late)))
     truth = traces.values("/ground_truth/legs", legs(leg_nodes(WALK, 0.0)))
     assert np.array_equal(truth["tension/simulated"], [0.0, 70.0, 140.0, 9.0])
     assert np.array_equal(truth["force/ground"], np.full(4, 5.0))
 
 
 def test_states_are_named_and_every_topic_has_curves_of_its_plots():
+    assert traces.values("/imu", object()) == traces.states("/imu", object()) == {}
     walking = message("/robot_state", 1.0, state=3)
     late = message("/tendon_plan", 1.0, stages=1, force=np.zeros(12), status=2, solve_time=0.004)
     assert traces.states("/robot_state", walking) == {"supervisor": "WALKING"}

@@ -15,9 +15,10 @@ from slot_lab.report.metrics import latency, walk_metrics
 COURSE = 0.01  # rad
 WALK = Walk(duration=4 * STRIDE + 1.0, course=COURSE, roll=0.1, bounce=0.004)
 TIMING = replace(WALK, truth=False)  # a smaller bag, for tests of the ticks alone
+LAST = round(TIMING.duration * RATE)  # tick
 WARM_UP = 1.0  # leaves four whole strides
-SAMPLES = round(WALK.duration * 120)  # of the whole walk
-OVER = (SAMPLES - 2 * 120 + 1) / (SAMPLES - round(WARM_UP * 120) + 1)  # share after t = 2 s
+SAMPLES = round(WALK.duration * 120) - round(WARM_UP * 120) + 1
+OVER = round(WALK.duration * 120) - 2 * 120 + 1  # of which the third leg's torque is high
 SERVO = read_servo()
 ROUNDING = 1e-9  # positions and speeds are doubles of order one
 
@@ -106,16 +107,16 @@ def test_late_and_missing_commands_are_misses(metrics_of):
     assert m.end_to_end.count == m.ticks - 1
 
 
-def test_command_cut_off_by_the_end_of_the_bag_is_not_a_miss(metrics_of):
-    last = round(TIMING.duration * RATE)
-    m = metrics_of(replace(TIMING, unanswered=(last,)))
-    assert (m.deadline_misses, m.ticks) == (0, metrics_of(TIMING).ticks - 1)
-
-
-def test_gaps_in_the_odometry_are_missed_ticks_but_not_deadline_misses(metrics_of):
-    m = metrics_of(replace(TIMING, lost=(50, 80, 81)))
-    assert (m.missed_ticks, m.deadline_misses) == (3, 0)
-    assert m.ticks == metrics_of(TIMING).ticks - 3
+@pytest.mark.parametrize(
+    ("change", "missed", "fewer"),
+    [({"unanswered": (LAST,)}, 0, 1), ({"lost": (50, 80, 81)}, 3, 3)],  # gaps in the odometry
+)
+def test_a_command_cut_off_by_the_end_and_gaps_are_no_deadline_misses(
+    metrics_of, change, missed, fewer
+):
+    m = metrics_of(replace(TIMING, **change))
+    assert (m.missed_ticks, m.deadline_misses) == (missed, 0)
+    assert m.ticks == metrics_of(TIMING).ticks - fewer
 
 
 @pytest.mark.parametrize(("warm_up", "counted"), [(WARM_UP, (0, 0, 0, 0)), (0.0, (2, 1, 1, 1))])
@@ -147,15 +148,14 @@ def test_nothing_is_behind_real_time_in_lockstep_and_on_hardware(metrics_of, wit
 
 def test_largest_violation_and_fallbacks_are_those_after_the_warm_up(metrics_of):
     m = metrics_of(replace(TIMING, fallback=(40, 90)))
-    last = round(TIMING.duration * RATE)
     assert (m.fallback_cycles, m.longest_fallback) == (2, 1)
-    assert m.violation_max == pytest.approx(1e-6 * (last + 1), rel=1e-12)
+    assert m.violation_max == pytest.approx(1e-6 * (LAST + 1), rel=1e-12)
 
 
 def test_saturation_is_counted_per_leg(metrics_of):
     # The third leg's torque exceeds the limit from t = 2 s on; joints are recorded in reverse
     m = metrics_of(WALK)
-    assert m.servo_saturated == pytest.approx((0.0, 0.0, OVER, 0.0))
+    assert m.servo_saturated == pytest.approx((0.0, 0.0, OVER / SAMPLES, 0.0))
     # Angles 65 + 38 sin(phase) deg exceed 100 deg for acos(35 / 38) / pi of a stride; counted in
     # odometries, a stride of 21.6 of them is right to one in 21.
     assert m.saturated == pytest.approx((math.acos(35 / 38) / math.pi,) * 4, abs=1 / 21)
@@ -171,7 +171,8 @@ def test_load_is_the_mean_torque_over_the_stall_torque_at_the_supply_voltage(
     m = metrics_of(replace(WALK, voltage=voltage))
     stall *= SERVO.servo_per_tendon  # N m on the tendon angle
     # Torques are 0.5 N m, of the third leg 2 N m from t = 2 s on.
-    expected = np.array([0.5, 0.5, 0.5 + 1.5 * OVER, 0.5]) / stall
+    third = (0.5 * (SAMPLES - OVER) + 2.0 * OVER) / SAMPLES
+    expected = np.array([0.5, 0.5, third, 0.5]) / stall
     assert m.servo_load == pytest.approx(expected, rel=1e-12)
     assert m.supply_voltage == pytest.approx(voltage, rel=1e-12, nan_ok=True)
 
@@ -182,7 +183,7 @@ def test_without_ground_truth_the_state_estimate_is_the_stated_source(metrics_of
     assert (truth.source, m.source) == ("/ground_truth/odom", "/mpc_state")
     assert m.mean_v_x == pytest.approx(0.05 * math.cos(COURSE), abs=ROUNDING)
     assert m.tilt_max == pytest.approx(0.1, rel=2e-2)  # 30 Hz samples miss the peak by 1 % at most
-    assert all(math.isnan(f) for f in (*m.servo_saturated, *m.servo_load))
+    assert all(math.isnan(f) for f in (*m.servo_saturated, *m.servo_load))  # no joint states either
 
 
 def test_bag_shorter_than_the_warm_up_is_refused(metrics_of):

@@ -3,15 +3,7 @@
 import matplotlib.image
 import numpy as np
 import pytest
-from synthetic_walk import (
-    ROBOT,
-    STRIDE,
-    Walk,
-    angles,
-    leg_nodes,
-    normal_forces,
-    write_walk,
-)
+from synthetic_walk import ROBOT, STRIDE, Walk, angles, leg_nodes, normal_forces, write_walk
 
 from slot_core.drawing.shapes import bent_legs
 from slot_core.dynamics.servo import read_servo

@@ -19,11 +19,13 @@ from slot_lab.twin.recorded import COLUMNS, BagRecording, read_recorded
 from slot_lab.twin.replay_robot import PredictedTrack, measured_track, predict, read_parts
 from slot_lab.twin.settings import read_twin
 from slot_lab.twin.strides import angle_period, error_growth, find_strides, stride_errors
-from slot_lab.twin.twin_fit import changed, changes, fit_twin, parameter, places
+from slot_lab.twin.twin_fit import changed, changes, fit_twin, parameter, places, serially
 
 SETTINGS = config.replace(read_twin(), {"held_out": 0.5})
 PARTS = read_parts("flat")
-WALK = str(Path(__file__).parents[1] / "bags" / "walk")
+MODULUS = 0.85 * 2.6e7  # Pa
+OTHER = changed(PARTS, ["scene.floor.friction", "robot.leg.young_modulus"], [0.3, MODULUS])
+WALK = Path(__file__).parents[1] / "bags" / "walk"
 SECONDS, SPEED = 10.0, 0.021  # s, m/s
 
 
@@ -49,30 +51,31 @@ def motion_of(track, noise=0.0):
 
 
 def still(t):
-    return PredictedTrack(
-        t, np.tile([0.3, -0.2, 0.04], (len(t), 1)), np.tile([0.0, 0.0, 0.5], (len(t), 1))
-    )
+    place, rpy = (np.tile(row, (len(t), 1)) for row in ([0.3, -0.2, 0.04], [0.0, 0.0, 0.5]))
+    return PredictedTrack(t, place, rpy)
 
 
 @pytest.fixture(scope="module")
-def walked():
-    """A recorded walk of another robot, friction 0.3, E -15 %, that starts somewhere."""
+def recorded():
+    """A recorded walk of OTHER that starts somewhere."""
     angles = walking_angles()
     blank = BagRecording("walked", angles, motion_of(still(np.arange(0.0, SECONDS, 0.033))), None)
-    other = changed(PARTS, ["scene.floor.friction", "robot.leg.young_modulus"], [0.3, 0.85 * 2.6e7])
-    moved = predict(blank, other, SETTINGS).at(blank.motion.t[:-1])
-    return dataclasses.replace(blank, motion=motion_of(moved, noise=1e-3)), other
+    moved = predict(blank, OTHER, SETTINGS).at(blank.motion.t[:-1])
+    return dataclasses.replace(blank, motion=motion_of(moved, noise=1e-3))
 
 
-def test_a_replay_begins_at_the_recorded_place_and_heading(walked):
-    recorded, _ = walked
+@pytest.fixture
+def strides(recorded):
+    return find_strides(recorded, SETTINGS)
+
+
+def test_a_replay_begins_at_the_recorded_place_and_heading(recorded):
     track = predict(recorded, PARTS, SETTINGS)
     assert track.position[0, :2] == pytest.approx(recorded.motion.position[0, :2])
     assert track.rpy[0, 2] == pytest.approx(recorded.motion.rpy[0, 2], abs=1e-6)
 
 
-def test_measured_angles_are_imposed_whatever_the_load(walked):
-    recorded, _ = walked
+def test_measured_angles_are_imposed_whatever_the_load(recorded):
     weak = dataclasses.replace(
         PARTS, servo=config.replace(PARTS.servo, {"stall_torque": [0.05] * 3})
     )
@@ -80,13 +83,18 @@ def test_measured_angles_are_imposed_whatever_the_load(walked):
     assert second.columns == pytest.approx(first.columns)
 
 
-def test_a_recorded_walk_is_replayed_from_its_own_angles():
-    recorded = read_recorded(Path(WALK))
+@pytest.mark.parametrize(("angles", "source"), [("", MEASURED), (COMMANDED, COMMANDED)])
+def test_a_recorded_walk_is_replayed_from_its_own_angles(angles, source):
+    """Measured ones, else the commands through the servo, whose lag of 0.1 s makes 10 mm."""
+    recorded = read_recorded(WALK, angles=angles)
     measured = measured_track(recorded.motion)
     found = predict(recorded, PARTS, SETTINGS).at(measured.t)
-    assert recorded.angles.source == MEASURED
+    assert recorded.angles.source == source
     off = np.linalg.norm(found.position - measured.position, axis=1)
-    assert off.max() < 2e-3  # 1.3 mm at the first jump of the angles, recorded at 100 Hz
+    # The recording may end before a command.
+    inside = measured.t <= (recorded.angles.t[-1] if angles else np.inf)
+    assert inside.sum() > 40
+    assert off[inside].max() < 2e-3  # 1.3 mm at the first jump of the angles, recorded at 100 Hz
     assert np.ptp(measured.position[:, 0]) > 0.008
 
 
@@ -100,8 +108,7 @@ def write_walk(path, recorded):
     return path
 
 
-def test_a_csv_file_is_the_walk_that_it_holds(walked, tmp_path):
-    recorded, _ = walked
+def test_a_csv_file_is_the_walk_that_it_holds(recorded, tmp_path):
     found = read_recorded(write_walk(tmp_path / "walk.csv", recorded))
     assert found.angles.measured
     assert found.angles.t == pytest.approx(recorded.angles.t)
@@ -110,10 +117,11 @@ def test_a_csv_file_is_the_walk_that_it_holds(walked, tmp_path):
         measured_track(recorded.motion).columns
     )
     assert not read_recorded(tmp_path / "walk.csv", angles=COMMANDED).angles.measured
+    with pytest.raises(ConfigError, match="--namespace and --motion are of bags"):
+        read_recorded(tmp_path / "walk.csv", motion="/odom")
 
 
-def test_a_csv_file_is_replayed_and_compared(walked, tmp_path, capsys):
-    recorded, _ = walked
+def test_a_csv_file_is_replayed_and_compared(recorded, tmp_path, capsys):
     walk = write_walk(tmp_path / "walk.csv", recorded)
     assert twin.main([str(walk), "--out", str(tmp_path / "out")]) == 0
     text = capsys.readouterr().out
@@ -145,24 +153,7 @@ def test_a_csv_file_that_holds_no_walk_is_refused(tmp_path, lines, reason):
     assert reason in str(refusal.value)
 
 
-def test_topics_of_a_csv_file_are_refused(walked, tmp_path):
-    walk = write_walk(tmp_path / "walk.csv", walked[0])
-    with pytest.raises(ConfigError, match="--namespace and --motion are of bags"):
-        read_recorded(walk, motion="/odom")
-
-
-def test_commands_go_through_the_servo():
-    recorded = read_recorded(Path(WALK), angles=COMMANDED)
-    measured = measured_track(recorded.motion)
-    found = predict(recorded, PARTS, SETTINGS).at(measured.t)
-    off = np.linalg.norm(found.position - measured.position, axis=1)
-    commanded = measured.t <= recorded.angles.t[-1]  # the recording may end before a command
-    assert off[commanded].max() < 2e-3  # the lag of the servo is 0.1 s: without it 10 mm
-    assert commanded.sum() > 40
-
-
-def test_a_start_that_is_not_recorded_is_forgotten_within_the_run_in(walked, monkeypatch):
-    recorded, _ = walked
+def test_a_start_that_is_not_recorded_is_forgotten_within_the_run_in(recorded, monkeypatch):
     first = predict(recorded, PARTS, SETTINGS)
     from slot_lab.twin import replay_robot  # noqa: PLC0415 - its function is replaced
 
@@ -176,22 +167,18 @@ def test_a_start_that_is_not_recorded_is_forgotten_within_the_run_in(walked, mon
     monkeypatch.setattr(replay_robot, "_place", kick)
     second = predict(recorded, PARTS, SETTINGS)
     late = first.t > first.t[0] + 5.0
-    assert (
-        np.abs(second.columns - first.columns)[late, 2:5].max() < 5e-4
-    )  # m, rad, of a kick of 4 mm
+    off = np.abs(second.columns - first.columns)[late, 2:5]
+    assert off.max() < 5e-4  # m, rad, of a kick of 4 mm
 
 
-def test_strides_begin_with_the_motion_and_have_the_period_of_the_angles(walked):
-    recorded, _ = walked
-    strides = find_strides(recorded, SETTINGS)
+def test_strides_begin_with_the_motion_and_have_the_period_of_the_angles(strides):
     period = read_gaits().find("fast_walk").period
     assert strides.period == pytest.approx(period, abs=0.01)
     assert strides.edges[0] == pytest.approx(1.0 + SETTINGS.run_in * strides.period, abs=0.1)
 
 
-def test_standing_before_and_after_the_walk_is_no_stride(walked):
+def test_standing_before_and_after_the_walk_is_no_stride(recorded):
     """A robot that is attended stands up, waits, walks and stands again."""
-    recorded, _ = walked
     angles = recorded.angles
     low, waits = np.full((200, 4), 0.5), np.tile(angles.angle[0], (1500, 1))
     stands = np.tile(angles.angle[-1], (3000, 1))
@@ -207,16 +194,14 @@ def test_standing_before_and_after_the_walk_is_no_stride(walked):
     assert end - 0.7 <= strides.edges[-1] <= end + 0.7
 
 
-def test_angles_without_a_period_are_refused(walked):
-    recorded, _ = walked
+def test_angles_without_a_period_are_refused(recorded):
     t = recorded.angles.t
     rising = TendonAngles(MEASURED, t, np.tile(t[:, None] / 20, (1, 4)))
     with pytest.raises(ConfigError, match="not periodic; name a length with --period"):
         angle_period(dataclasses.replace(recorded, angles=rising))
 
 
-def test_errors_of_strides_are_those_of_the_closed_form(walked):
-    strides = find_strides(walked[0], SETTINGS)
+def test_errors_of_strides_are_those_of_the_closed_form(strides):
     t = np.arange(0.0, SECONDS, 0.033)
     slow, fast = (
         PredictedTrack(t, np.outer(t, [v, 0.0, 0.0]), np.zeros((len(t), 3))) for v in (0.05, 0.06)
@@ -229,14 +214,12 @@ def test_errors_of_strides_are_those_of_the_closed_form(walked):
     assert growth[:, 1] == pytest.approx(0.01 * strides.period * growth[:, 0])
 
 
-def test_known_changes_of_the_robot_are_found_and_hold_for_unseen_strides(walked):
-    recorded, other = walked
+def test_known_changes_of_the_robot_are_found_and_hold_for_unseen_strides(recorded, strides):
     names = places(["friction", "young_modulus"])
-    strides = find_strides(recorded, SETTINGS)
-    found = fit_twin(recorded, PARTS, names, strides, SETTINGS, progress=lambda _: None)
+    found = fit_twin(recorded, PARTS, names, strides, SETTINGS)
     friction, modulus = found.estimate.values
     assert friction == pytest.approx(0.3, rel=0.05)
-    assert modulus == pytest.approx(other.robot.leg.young_modulus, rel=0.05)
+    assert modulus == pytest.approx(MODULUS, rel=0.05)
     before, after = (errors.summary() for errors in found.held_out)
     assert after["place"] < before["place"] / 3
     low, high = found.estimate.interval[0]
@@ -244,11 +227,9 @@ def test_known_changes_of_the_robot_are_found_and_hold_for_unseen_strides(walked
     assert abs(friction - 0.3) < high - low
 
 
-def test_a_parameter_without_influence_is_named_as_undetermined(walked):
-    recorded, _ = walked
+def test_a_parameter_without_influence_is_named_as_undetermined(recorded, strides):
     names = places(["scene.floor.torso_friction"])
-    strides = find_strides(recorded, SETTINGS)
-    found = fit_twin(recorded, PARTS, names, strides, SETTINGS, progress=lambda _: None)
+    found = fit_twin(recorded, PARTS, names, strides, SETTINGS)
     assert np.isnan(found.estimate.interval).all()
     assert parameter_set.undetermined(found.names, found.estimate) == list(names)
 
@@ -297,29 +278,10 @@ def test_a_scene_names_a_parameter_set_and_its_own_values_go_before(own_config):
         parameter_set.place_of("mine")
 
 
-def test_an_interrupted_fit_takes_up_its_trials(tmp_path):
-    run = []
-
-    def run_all(call, points):
-        run.extend(points)
-        return [call(point) for point in points]
-
-    for _ in range(2):
-        trials = twin._Trials(tmp_path / "trials", run_all, "one fit")
-        found = trials(np.square, [np.array([1.0, 2.0]), np.array([3.0, 4.0])])
-        assert found[1].tolist() == [9.0, 16.0]
-    assert len(run) == 2
-    twin._Trials(tmp_path / "trials", run_all, "another")(np.square, [np.array([1.0, 2.0])])
-    assert len(run) == 3
-
-
 def test_a_fit_that_ends_deletes_its_own_trials_only(tmp_path):
     (tmp_path / "trials").mkdir()
     (tmp_path / "trials" / "notes.txt").touch()
-    one, other = (
-        twin._Trials(tmp_path / "trials", lambda call, points: [*map(call, points)], fit)
-        for fit in ("one", "other")
-    )
+    one, other = (twin._Trials(tmp_path / "trials", serially, fit) for fit in ("one", "other"))
     for trials in (one, other):
         trials(np.square, [np.array([1.0, 2.0])])
     one.forget()
@@ -328,33 +290,33 @@ def test_a_fit_that_ends_deletes_its_own_trials_only(tmp_path):
     assert "notes.txt" in kept
 
 
-def test_an_interrupted_fit_takes_up_only_trials_of_the_same_strides(walked, tmp_path):
-    recorded, _ = walked
+def test_an_interrupted_fit_takes_up_only_trials_of_the_same_strides(recorded, tmp_path):
     runs = []
+
+    def run(point):
+        runs.append(point)
+        return point**2
+
     for period in (0.7, 0.7, 0.8):
         fit = (recorded, find_strides(recorded, SETTINGS, period), PARTS, SETTINGS)
-        trials = twin._Trials(tmp_path / "trials", lambda call, points: [*map(call, points)], fit)
-        trials(lambda point: runs.append(point) or point, [np.ones(2)])
-    assert len(runs) == 2
+        found = twin._Trials(tmp_path / "trials", serially, fit)(run, [np.ones(2), np.full(2, 3.0)])
+        assert found[1].tolist() == [9.0, 9.0]
+    assert len(runs) == 4
 
 
-def test_a_fit_of_the_servo_to_measured_angles_is_refused(walked):
-    recorded, _ = walked
-    strides = find_strides(recorded, SETTINGS)
-    with pytest.raises(ConfigError, match="needs its commands: --angles /desired_joint_angles"):
-        fit_twin(recorded, PARTS, places(["lag"]), strides, SETTINGS)
+@pytest.mark.parametrize(
+    ("names", "reason"),
+    [
+        (["lag"], "needs its commands: --angles /desired_joint_angles"),  # angles are measured
+        (["friction", "young_modulus", "tendon_offset"], "5 windows of 1 strides for 6 parameters"),
+    ],
+)
+def test_a_fit_that_the_recording_cannot_tell_is_refused(recorded, strides, names, reason):
+    with pytest.raises(ConfigError, match=reason):
+        fit_twin(recorded, PARTS, places(names), strides, SETTINGS)
 
 
-def test_a_fit_of_more_parameters_than_windows_is_refused(walked):
-    recorded, _ = walked
-    strides = find_strides(recorded, SETTINGS)
-    names = places(["friction", "young_modulus", "tendon_offset"])
-    with pytest.raises(ConfigError, match="5 windows of 1 strides for 6 parameters: no intervals"):
-        fit_twin(recorded, PARTS, names, strides, SETTINGS)
-
-
-def test_angles_in_degrees_are_refused(walked):
-    recorded, _ = walked
+def test_angles_in_degrees_are_refused(recorded):
     degrees = dataclasses.replace(recorded.angles, angle=np.degrees(recorded.angles.angle))
     with pytest.raises(ConfigError, match=r"angles of .* rad, outside \[0, 2.029\]"):
         predict(dataclasses.replace(recorded, angles=degrees), PARTS, SETTINGS)

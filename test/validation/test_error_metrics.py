@@ -48,11 +48,8 @@ def test_an_interval_contains_the_truth_in_most_series_and_widens_with_correlati
     assert np.mean(widths[30:]) > 1.5 * np.mean(widths[:30])
 
 
-def test_a_series_of_few_blocks_has_no_interval():
+def test_few_blocks_have_no_interval_and_no_range_no_relative_error():
     assert np.isnan(errors(np.ones(50), np.zeros(50), 20).interval["rmse"]).all()
-
-
-def test_a_measurement_without_range_has_no_relative_error():
     assert np.isnan(errors(np.ones(50), np.zeros(50), 5).value["accuracy"])
 
 

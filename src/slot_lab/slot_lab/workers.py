@@ -34,10 +34,7 @@ def workers(scheduler: str, count: int | None = None) -> Iterator[Any]:
     }  # fmt: skip
     # By default the web servers listen on every interface.
     pages = dict.fromkeys(("dashboard_address", "worker_dashboard_address"), f"{LOOPBACK}:0")
-    with (
-        LocalCluster(n_workers=cores, **local, **pages) as here,
-        Client(here) as client,
-    ):
+    with LocalCluster(n_workers=cores, **local, **pages) as here, Client(here) as client:
         yield client
 
 

@@ -18,15 +18,9 @@ def to_msg(
     """One status for the bus and one for each servo, at `stamp` (ns)."""
     silent, servos = session.silent(), session.bus.health
     readings = cycle.readings if cycle is not None else (None,) * len(servos)
-    found = [
-        _servo(
-            servo,
-            session.bus.active,
-            silent.get(servo.leg, ""),
-            None if reading is None else reading.load,
-        )
-        for servo, reading in zip(servos, readings)
-    ]
+    loads = [None if reading is None else reading.load for reading in readings]
+    active = session.bus.active
+    found = [_servo(s, active, silent.get(s.leg, ""), load) for s, load in zip(servos, loads)]
     array = DiagnosticArray(header=messages.header(stamp, ""), status=[_bus(session, pace), *found])
     for status in array.status:
         status.hardware_id = session.bus.facts.brand

@@ -20,7 +20,6 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState
-from rcl_interfaces.msg import FloatingPointRange
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
@@ -55,11 +54,9 @@ class DynamixelDriverNode(LifecycleNode):
             raise ConfigError("dynamixel_driver: servos move in real time: no lockstep with them")
         brand = read_brand()
         settings = runtime.declare_settings(self, brand.read_settings())
-        rates = [FloatingPointRange(from_value=20.0, to_value=500.0)]
-        rate = runtime.declare(self, "rate", 100.0, "bus cycles [Hz]", floating_point_range=rates)
-        waits = [FloatingPointRange(from_value=0.0, to_value=3600.0)]
+        rate = runtime.declare(self, "rate", 100.0, "bus cycles [Hz]", between=(20.0, 500.0))
         self._port_timeout = runtime.declare(
-            self, "wait_for_port", 60.0, "time to wait for the port [s]", floating_point_range=waits
+            self, "wait_for_port", 60.0, "time to wait for the port [s]", between=(0.0, 3600.0)
         )
         self._autostart = runtime.declare(self, "autostart", True, "configure at start")
         self._session = make_session(brand, settings, 1.0 / rate)

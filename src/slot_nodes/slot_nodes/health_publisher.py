@@ -1,28 +1,20 @@
 """Publisher of `/servo_health`: at every change, and every 50 ms."""
 
-from typing import Any, Protocol
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
 
 from rclpy.node import Node
 
 from slot_core.clock import SECOND
-from slot_core.safety.servo_health import ServoHealth
 from slot_msgs import msg as slot_msgs
 from slot_nodes import messages, qos, runtime
 
+if TYPE_CHECKING:  # a node imports only the core modules that it runs
+    from slot_core.servos.session import ServoSession
+    from slot_core.simulation.simulated_servos import DirectServos
+
 PERIOD = 0.05  # s, between two reports without change
-
-
-class HealthSource(Protocol):
-    """Servos that report their health."""
-
-    @property
-    def urgent(self) -> tuple[Any, ...]:
-        """Values of the report whose change is published at once."""
-        ...
-
-    def health(self, stamp: int) -> ServoHealth:
-        """The report at `stamp` (ns)."""
-        ...
 
 
 class HealthPublisher:
@@ -34,7 +26,7 @@ class HealthPublisher:
         self._last: tuple[Any, ...] = ()
         self._last_stamp = 0  # ns
 
-    def publish(self, stamp: int, servos: HealthSource) -> None:
+    def publish(self, stamp: int, servos: ServoSession | DirectServos) -> None:
         """Publish the health at `stamp` (ns) after a change, PERIOD or a step back of the clock."""
         urgent = servos.urgent
         if urgent != self._last or not 0 <= stamp - self._last_stamp < PERIOD * SECOND:

@@ -32,15 +32,17 @@ class MarkerLocalizerNode(Node):
         self._settings = runtime.declare_settings(self, read_vision())
         mount = read_estimator().mounts.camera
         self._mount = Transform.of(mount.position, mount.rpy)
-        file = runtime.declare(
-            self, "calibration", "", "file of scripts/calibrate_camera; empty: /camera/camera_info"
-        )
+        text = "file of scripts/calibrate_camera; empty: /camera/camera_info"
+        file = runtime.declare(self, "calibration", "", text)
         self._localizer: MarkerLocalizer | None = None
         self._camera: Camera | None = None
         self._odometry = runtime.publisher(self, Odometry, "odom", qos.SENSOR)
         profile = inputs.sensor_profile(self, qos.PICTURE)
         if file:
-            self._use(_calibration(file))
+            try:
+                self._use(read_camera(Path(file)))
+            except CameraError as error:
+                raise ConfigError(f"marker_localizer: calibration {error}") from None
         else:
             inputs.subscribe(self, CameraInfo, "camera/camera_info", self._on_info, profile)
         inputs.subscribe(self, Image, "camera/image_raw", self._on_picture, profile)
@@ -72,13 +74,6 @@ class MarkerLocalizerNode(Node):
         self.get_logger().warning(
             f"picture at {to_seconds(fix.stamp):.3f} s: {fix.reason}", throttle_duration_sec=1.0
         )
-
-
-def _calibration(file: str) -> Camera:
-    try:
-        return read_camera(Path(file))
-    except CameraError as error:
-        raise ConfigError(f"marker_localizer: calibration {error}") from None
 
 
 def main() -> None:

@@ -21,14 +21,7 @@ from slot_core.geometry import rotation_of
 from slot_core.messages import decode
 from slot_core.robot import BASE_FRAME, ODOM_FRAME, TENDON_JOINTS, Array
 from slot_msgs import msg as slot_msgs
-from slot_msgs.msg import (
-    ForceMapStatus,
-    GaitPreview,
-    LegStates,
-    MpcState,
-    RobotState,
-    TendonPlan,
-)
+from slot_msgs.msg import ForceMapStatus, GaitPreview, LegStates, MpcState, RobotState, TendonPlan
 from slot_msgs.srv import SetGait
 
 # rows of an estimate's covariance in the order of the messages': position, angle; linear, angular

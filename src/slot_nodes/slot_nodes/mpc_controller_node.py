@@ -18,9 +18,8 @@ class MpcControllerNode(Node):
 
     def __init__(self) -> None:
         super().__init__("mpc_controller")
-        name = runtime.declare(
-            self, "policy", DEFAULT_POLICY, "policy by its name, or a Python file with one"
-        )
+        text = "policy by its name, or a Python file with one"
+        name = runtime.declare(self, "policy", DEFAULT_POLICY, text)
         kind = policy_class(name)
         settings = runtime.declare_settings(self, kind.read_settings(name))
         self._policy = kind(read_robot(), settings, time.perf_counter)

@@ -12,56 +12,36 @@ from __future__ import annotations
 from copy import copy
 from typing import TYPE_CHECKING
 
-from rclpy.qos import (
-    DurabilityPolicy,
-    HistoryPolicy,
-    QoSProfile,
-    ReliabilityPolicy,
-)
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 if TYPE_CHECKING:  # a node imports only the core modules that it runs
     from slot_core.recording.record_settings import RecordedTopic
 
-SENSOR = QoSProfile(
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-    history=HistoryPolicy.KEEP_LAST,
-    depth=200,
-)
+
+def _profile(
+    depth: int,
+    durability: DurabilityPolicy = DurabilityPolicy.VOLATILE,
+    reliability: ReliabilityPolicy = ReliabilityPolicy.RELIABLE,
+) -> QoSProfile:
+    last = HistoryPolicy.KEEP_LAST
+    return QoSProfile(reliability=reliability, durability=durability, history=last, depth=depth)
+
+
+SENSOR = _profile(200)
 """Measurements and commands from outside; a late subscriber receives only new messages."""
 
-CONTROL = QoSProfile(
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-    history=HistoryPolicy.KEEP_LAST,
-    depth=50,
-)
+CONTROL = _profile(50, DurabilityPolicy.TRANSIENT_LOCAL)
 """Topics of the controller; a late subscriber also receives the last messages, so that the first
 tick of a run reaches every node and the bag in any order of discovery."""
 
-PICTURE = QoSProfile(
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-    history=HistoryPolicy.KEEP_LAST,
-    depth=2,
-)
+PICTURE = _profile(2)
 """Pictures of a camera, some megabytes each: a slow subscriber gets the newest."""
 
-STATE = QoSProfile(
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-)
+STATE = _profile(1, DurabilityPolicy.TRANSIENT_LOCAL)
 """Values that hold until they are replaced; only the newest counts. With it a slow subscriber to a
 topic of the controller drops older messages in place of a queue."""
 
-CLOCK = QoSProfile(
-    reliability=ReliabilityPolicy.BEST_EFFORT,
-    durability=DurabilityPolicy.VOLATILE,
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-)
+CLOCK = _profile(1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Profile with which rclpy subscribes to /clock."""
 
 
@@ -74,9 +54,5 @@ def best_effort(profile: QoSProfile) -> QoSProfile:
 
 def recorded(topic: RecordedTopic, depth: int) -> QoSProfile:
     """Profile of a subscription to a topic of `config/record.yaml`."""
-    return QoSProfile(
-        reliability=ReliabilityPolicy[topic.reliability.upper()],
-        durability=DurabilityPolicy[topic.durability.upper()],
-        history=HistoryPolicy.KEEP_LAST,
-        depth=depth,
-    )
+    durability = DurabilityPolicy[topic.durability.upper()]
+    return _profile(depth, durability, ReliabilityPolicy[topic.reliability.upper()])

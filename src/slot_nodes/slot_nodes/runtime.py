@@ -10,7 +10,7 @@ import signal
 import sys
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, Protocol, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import rclpy
 import rclpy.utilities
@@ -35,16 +35,6 @@ from slot_nodes.process.executor import DirectExecutor
 T = TypeVar("T")
 INTERRUPT_PERIOD = 0.5  # s between two exceptions that end a preparation
 LOCK_ALL = 1 | 2 | 4  # MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT of mlockall(2)
-
-
-class Runnable(Protocol):
-    """What a process runs: a node, or several."""
-
-    def destroy_node(self) -> None:
-        """End it."""
-
-
-R = TypeVar("R", bound=Runnable)
 
 
 def spin(node: Any) -> None:
@@ -105,8 +95,8 @@ class Interrupt:
         raise KeyboardInterrupt
 
 
-def run(make_node: Callable[[], R], serve: Callable[[R], None] = spin) -> None:
-    """Serve a node until SIGINT, SIGTERM or its own `SystemExit`; exit code 0 unless it failed.
+def run(make_node: Callable[[], Any], serve: Callable[[Any], None] = spin) -> None:
+    """Serve a node or several until SIGINT, SIGTERM or `SystemExit`; exit code 0 unless it failed.
 
     An unusable configuration ends the process with one line and exit code 2.
     """
@@ -164,8 +154,14 @@ def declare_settings(node: Node, settings: T, prefix: str = "") -> T:
     return config.replace(settings, changes, where=f"parameters of {node.get_name()}")
 
 
-def declare(node: Node, name: str, default: Any, description: str, **descriptor: Any) -> Any:
-    """Declare one read-only parameter and return its value."""
+def declare(
+    node: Node, name: str, default: Any, description: str,
+    *, between: tuple[float, float] | None = None, **descriptor: Any,
+) -> Any:  # fmt: skip
+    """Declare one read-only parameter, a number `between` two ones, and return its value."""
+    if between is not None:
+        field, kind = _RANGES[type(default)]
+        descriptor[field] = [kind(from_value=between[0], to_value=between[1])]
     return node.declare_parameter(
         name, default, ParameterDescriptor(description=description, read_only=True, **descriptor)
     ).value
@@ -216,9 +212,7 @@ def _descriptor(meta: Mapping[str, Any], value: Any) -> dict[str, Any]:
     if "options" in meta:
         descriptor["additional_constraints"] = "one of " + ", ".join(meta["options"])
     if type(value) in _RANGES and all(math.isfinite(meta[end]) for end in ("low", "high")):
-        name, kind = _RANGES[type(value)]
-        low, high = (type(value)(meta[end]) for end in ("low", "high"))
-        descriptor[name] = [kind(from_value=low, to_value=high)]
+        descriptor["between"] = tuple(type(value)(meta[end]) for end in ("low", "high"))
     return descriptor
 
 

@@ -27,7 +27,6 @@ from typing import Any, NoReturn
 
 import numpy as np
 from nav_msgs.msg import Odometry
-from rcl_interfaces.msg import IntegerRange
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -37,20 +36,15 @@ from std_msgs.msg import Bool
 from slot_core.clock import to_seconds
 from slot_core.config import ConfigError
 from slot_core.divergence import DivergenceError
-from slot_core.dynamics.scene import Scene, read_scene
-from slot_core.dynamics.servo import ServoSettings, read_servo
+from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
 from slot_core.joint_reading import JointReading
 from slot_core.messages import decode
 from slot_core.robot import read_robot
 from slot_core.safety.commands import Action
 from slot_core.servos.registry import read_brand
 from slot_core.servos.servo_errors import RefusedError
-from slot_core.simulation.clocks import (
-    PATIENCE,
-    BusClock,
-    LockstepClock,
-    RealTimeClock,
-)
+from slot_core.simulation.clocks import PATIENCE, BusClock, LockstepClock, RealTimeClock
 from slot_core.simulation.plant import Reading, RobotSimulator, StampedHealth, TrueState
 from slot_core.simulation.sensors import ImuReading, OdometryReading, PictureReading
 from slot_core.simulation.simulated_servos import (
@@ -80,32 +74,24 @@ class SimRobotNode(Node):
     def __init__(self) -> None:
         super().__init__("sim_robot")
         self._lockstep = runtime.declare(self, "lockstep", False, "advance only on an answer")
-        seeds = [IntegerRange(from_value=0, to_value=2**63 - 1)]
-        seed = runtime.declare(self, "seed", 0, "of the sensor noise", integer_range=seeds)
+        seed = runtime.declare(self, "seed", 0, "of the sensor noise", between=(0, 2**63 - 1))
         scene = runtime.declare(self, "scene", "flat", "a file of config/scene")
-        self._waits_for_recorder = runtime.declare(
-            self, "wait_for_recording", False, "publish nothing before /recording"
-        )
+        text = "publish nothing before /recording"
+        self._waits_for_recorder = runtime.declare(self, "wait_for_recording", False, text)
         self._is_recording = False
         self._matching_since: float | None = None  # s, monotonic
-        dump = runtime.declare(
-            self,
-            "dump",
-            "",
-            "directory for the state of a diverged simulation; empty: working directory",
-        )
+        text = "directory for the state of a diverged simulation; empty: working directory"
+        dump = runtime.declare(self, "dump", "", text)
         self._save_state = partial(fault_service.save_state, dump, scene)
-        link = runtime.declare(
-            self,
-            "bus",
-            "",
-            "port of emulated servos, in lockstep without one; empty: servos of servo.yaml",
-        )
+        text = "port of emulated servos, in lockstep without one; empty: servos of servo.yaml"
+        link = runtime.declare(self, "bus", "", text)
         settings = runtime.declare_settings(self, read_scene(scene), "scene.")
         servo = runtime.declare_settings(self, read_servo(settings.parameters), "servo.")
         self.get_logger().info("preparing; a first start compiles the dynamics, about 10 s")
         try:
-            self._plant = self._make_plant(settings, servo, seed, bool(link))
+            robot, rng = read_robot(settings.parameters), np.random.default_rng(seed)
+            emulate = read_brand().emulate if link else None
+            self._plant = RobotSimulator(robot, settings, servo, rng, emulate)
         except DivergenceError as error:
             self._end_diverged(error)
         self._frozen = True
@@ -119,12 +105,6 @@ class SimRobotNode(Node):
         self._timer = runtime.wall_timer(self, period, self._publish_at_rest)
         self._servos = self._make_servos(link)
         self._time = self._make_clock()
-
-    def _make_plant(
-        self, scene: Scene, servo: ServoSettings, seed: int, bus: bool
-    ) -> RobotSimulator:
-        rng, robot = np.random.default_rng(seed), read_robot(scene.parameters)
-        return RobotSimulator(robot, scene, servo, rng, read_brand().emulate if bus else None)
 
     def _make_clock(self) -> LockstepClock | RealTimeClock:
         if self._lockstep:
@@ -144,37 +124,36 @@ class SimRobotNode(Node):
         if not self._lockstep:
             self._health = HealthPublisher(self)
         on_state = partial(self._on_robot_state, servos)
-        on_limits = partial(self._on_limits, servos)
+
+        def on_limits(message: ServoLimits) -> None:
+            servos.watchdog.set_limits(decode.servo_limits(message))
+
         inputs.subscribe(self, RobotState, "robot_state", on_state, qos.STATE)
         inputs.subscribe(self, ServoLimits, "servo_limits", on_limits, qos.STATE)
         return servos
 
     def _create_publishers(self) -> None:
         self._clock_topic = self.create_publisher(ClockMessage, "clock", qos.CLOCK)
+        made = partial(runtime.publisher, self)
         self._outputs: dict[type, tuple[Publisher, Callable[..., Any]]] = {
-            ImuReading: (runtime.publisher(self, Imu, "imu", qos.SENSOR), messages.imu_to_msg),
-            JointReading: (
-                runtime.publisher(self, JointState, "joint_states", qos.SENSOR),
-                messages.joints_to_msg,
-            ),
+            ImuReading: (made(Imu, "imu", qos.SENSOR), messages.imu_to_msg),
+            JointReading: (made(JointState, "joint_states", qos.SENSOR), messages.joints_to_msg),
         }
         if self._lockstep:
             self._outputs[StampedHealth] = (
-                runtime.publisher(self, ServoHealth, "servo_health", qos.SENSOR),
+                made(ServoHealth, "servo_health", qos.SENSOR),
                 lambda report: messages.health_to_msg(report.stamp, report.health),
             )
         self._camera_info = None
         if self._plant.camera is None:
-            odometry = runtime.publisher(self, Odometry, "odom", qos.SENSOR)
+            odometry = made(Odometry, "odom", qos.SENSOR)
             self._outputs[OdometryReading] = odometry, messages.odometry_to_msg
         else:
-            picture = runtime.publisher(self, Image, PICTURES, qos.PICTURE)
+            picture = made(Image, PICTURES, qos.PICTURE)
             self._outputs[PictureReading] = picture, messages.picture_to_msg
-            self._camera_info = runtime.publisher(
-                self, CameraInfo, "camera/camera_info", qos.PICTURE
-            )
-        self._truth = runtime.publisher(self, Odometry, "ground_truth/odom", qos.SENSOR)
-        self._legs = runtime.publisher(self, LegStates, "ground_truth/legs", qos.SENSOR)
+            self._camera_info = made(CameraInfo, "camera/camera_info", qos.PICTURE)
+        self._truth = made(Odometry, "ground_truth/odom", qos.SENSOR)
+        self._legs = made(LegStates, "ground_truth/legs", qos.SENSOR)
 
     def _publish_at_rest(self) -> None:
         """Publish readings at rest; called until the robot's time starts.
@@ -224,9 +203,6 @@ class SimRobotNode(Node):
 
     def _on_recording(self, message: Bool) -> None:
         self._is_recording = True
-
-    def _on_limits(self, servos: SimulatedServos, message: ServoLimits) -> None:
-        servos.watchdog.set_limits(decode.servo_limits(message))
 
     def _on_robot_state(self, servos: SimulatedServos, message: RobotState) -> None:
         permission = decode.permission(message, self._servo_time())
@@ -306,11 +282,6 @@ class SimRobotNode(Node):
         self.get_logger().fatal(f"{error}; {self._save_state(error)}")
         raise SystemExit(1) from None
 
-    def _end_without_driver(self) -> NoReturn:
-        assert isinstance(self._servos, BusServos)
-        self.get_logger().fatal(f"{self._servos.end}; their bus watchdogs stop the servos")
-        raise SystemExit(1)
-
     def destroy_node(self) -> None:
         """Switch emulated servos off, or wait for the driver to do so, then destroy the node."""
         left = self._servos.close(running=not self._frozen)
@@ -325,7 +296,10 @@ class SimRobotNode(Node):
             self._clock_topic.publish(ClockMessage(clock=clock))
         if isinstance(reading, StampedHealth):
             if reading.health is None:
-                self._end_without_driver()
+                assert isinstance(self._servos, BusServos)
+                reason = f"{self._servos.end}; their bus watchdogs stop the servos"
+                self.get_logger().fatal(reason)
+                raise SystemExit(1)
             self._log_action(reading.health.action, reading.health.reason)
         if isinstance(reading, TrueState):
             self._truth.publish(messages.odometry_to_msg(reading.odometry))

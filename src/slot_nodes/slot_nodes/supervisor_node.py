@@ -33,13 +33,7 @@ from slot_core.safety.states import RELEASED, State
 from slot_core.safety.supervisor import PERIOD, Report, Request, Supervisor
 from slot_core.safety.tendon_watch import read_tendon_watch
 from slot_core.safety.ticked_supervisor import LockstepInputs, TickedSupervisor
-from slot_msgs.msg import (
-    MpcState,
-    RobotState,
-    ServoHealth,
-    ServoLimits,
-    TendonPlan,
-)
+from slot_msgs.msg import MpcState, RobotState, ServoHealth, ServoLimits, TendonPlan
 from slot_msgs.srv import SetGait
 from slot_nodes import inputs, messages, qos, runtime
 
@@ -119,52 +113,35 @@ class SupervisorNode(Node):
         """Time of the messages' clock, ns; in lockstep that of the last step."""
         return self._stepped if self._lockstep else self.get_clock().now().nanoseconds
 
-    def _take(self, source: str, stamp: int, take: Callable[[int], Any]) -> Any:
+    def _take(self, source: str, stamp: int, take: Callable[..., Any], *given: Any) -> Any:
         """Take an input now, or in lockstep at its step; returns what `take` returns."""
         if not self._lockstep:
-            return take(self._now())
-        self._gathered.add(source, stamp, take)
-        self._step_on_report()
+            return take(self._now(), *given)
+        self._gathered.add(source, stamp, lambda now: take(now, *given))
+        if source != "joints":
+            self._step_on_report()
         return None
 
     def _on_state(self, message: MpcState) -> None:
         estimate = decode.estimate(message)
-        self._take(
-            "state_estimator",
-            estimate.stamp,
-            lambda now: self._supervisor.receive_from_estimator(now, estimate),
-        )
+        receive = self._supervisor.receive_from_estimator
+        self._take("state_estimator", estimate.stamp, receive, estimate)
 
     def _on_plan(self, message: TendonPlan) -> None:
-        self._take(
-            "mpc_controller",
-            decode.stamp(message),
-            lambda now: self._supervisor.receive_from_mpc(
-                now, message.status, message.fallback_cycles, message.period
-            ),
-        )
+        given = message.status, message.fallback_cycles, message.period
+        receive = self._supervisor.receive_from_mpc
+        self._take("mpc_controller", decode.stamp(message), receive, *given)
 
     def _on_command(self, message: JointState) -> None:
         stamp, angle, rate = decode.joint_command(message)
-        fault = self._take(
-            "force_mapper",
-            stamp,
-            lambda now: self._supervisor.receive_from_force_map(now, stamp, angle, rate),
-        )
-        if fault:
+        receive = self._supervisor.receive_from_force_map
+        if fault := self._take("force_mapper", stamp, receive, stamp, angle, rate):
             self._step()
             raise ValueError(fault)
 
     def _on_joints(self, message: JointState) -> None:
         stamp, angle, torque = decode.joint_loads(message)
-
-        def take(now: int) -> None:
-            self._supervisor.receive_joints(now, stamp, angle, torque)
-
-        if self._lockstep:
-            self._gathered.add("joints", stamp, take)
-        else:
-            take(self._now())
+        self._take("joints", stamp, self._supervisor.receive_joints, stamp, angle, torque)
 
     def _on_health(self, message: ServoHealth) -> None:
         stamp, health = decode.servo_health(message)

@@ -29,6 +29,7 @@ from slot_core.recording.message_types import Types, add_installed, types_inside
 from slot_core.recording.origin import Origin
 from slot_core.recording.record_settings import read_record_settings, root_of
 from slot_lab.bags.repair import is_complete, read_origin, repaired
+from slot_lab.terminal import one_line
 
 __all__ = ["Bag", "BagError", "NoFieldError", "Series", "Stamps"]
 
@@ -68,8 +69,10 @@ class Bag:
         self._cache: dict[str, list[tuple[int, Any]]] = {}
         self._scratch: TemporaryDirectory[str] | None = None  # of mended files
         with self._readable():
-            self._files, self._custom = self._find_files()
-            self.origin = self._find_origin()
+            self._files, custom = self._find_files()
+            first = self._files[0]
+            origin = read_origin(first) if first.suffix == ".mcap" else Origin()
+            self.origin = origin if origin.about else Origin(custom, origin.files)
         with self._open() as readers:
             connections = [(r, *entry) for r in readers for entry in self._connections(r)]
             self.topics = {topic: c.msgtype for _, topic, c in connections}
@@ -81,7 +84,9 @@ class Bag:
             self.start_ns = min((first for first, _ in spans), default=0)
             self.end_ns = max((last for _, last in spans), default=0)
             self._types = self._read_types(readers)
-        self._require_known(self._remap)
+        for topic in self._remap:
+            if topic not in self._known:
+                raise self._unknown(topic)
 
     @property
     def finished(self) -> bool:
@@ -115,7 +120,9 @@ class Bag:
 
     def raw(self, *topics: str) -> Iterator[tuple[str, int, bytes]]:
         """Yield (topic, time in ns, CDR bytes) of these topics (default: all), ordered by time."""
-        self._require(*topics)
+        for topic in topics:
+            if topic not in self.topics:
+                raise self._unknown(f"{self._root}{topic}")
         with self._open() as readers:
             streams = (self._messages(reader, topics) for reader in readers)
             yield from heapq.merge(*streams, key=operator.itemgetter(1))
@@ -196,12 +203,6 @@ class Bag:
         self._scratch = self._scratch or TemporaryDirectory()
         return repaired(file, Path(self._scratch.name, file.stem))
 
-    def _find_origin(self) -> Origin:
-        """Origin by the records of the first MCAP file, else by `custom_data` of metadata.yaml."""
-        first = self._files[0]
-        origin = read_origin(first) if first.suffix == ".mcap" else Origin()
-        return origin if origin.about else Origin(self._custom, origin.files)
-
     def _read_types(self, readers: list[Reader]) -> Types:
         """Types by the definitions in the bag, else by those installed."""
         all_connections = [c for reader in readers for c in reader.connections]
@@ -224,16 +225,6 @@ class Bag:
         kept = [(name, c) for name, c in inside if name not in replaced]
         return kept + [(new, c) for c, new in named if new is not None]
 
-    def _require(self, *topics: str) -> None:
-        for topic in topics:
-            if topic not in self.topics:
-                raise self._unknown(f"{self._root}{topic}")
-
-    def _require_known(self, topics: Mapping[str, str]) -> None:
-        for topic in topics:
-            if topic not in self._known:
-                raise self._unknown(topic)
-
     def _unknown(self, topic: str) -> BagError:
         known = ", ".join(self._known) or "none"
         return BagError(f"{self.path}: no topic {topic} (topics: {known})")
@@ -255,7 +246,8 @@ class Bag:
             raise BagError(f"{missing}: does not exist") from None
         except Exception as error:
             # On a damaged file the libraries also raise struct, zstd, assertion and type errors.
-            raise BagError(f"{self.path}: cannot be read: {_one_line(error)}") from error
+            reason = one_line(error) or type(error).__name__
+            raise BagError(f"{self.path}: cannot be read: {reason}") from error
 
 
 def _slashed(topic: str) -> str:
@@ -277,7 +269,3 @@ def _plain(value: Any) -> Any:
         names = [f.name for f in dataclasses.fields(value) if f.name != "__msgtype__"]
         return [_plain(getattr(value, name)) for name in names]
     return value
-
-
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split()) or type(error).__name__

@@ -15,7 +15,7 @@ import gc
 import math
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,9 +26,8 @@ from slot_core import config
 from slot_core.clock import to_seconds
 from slot_core.command_line import CommandParser
 from slot_core.messages import decode
-from slot_lab.bags import replayed_stages
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.replayed_stages import NEEDS, PLANS, Fields, RecordedStages
+from slot_lab.bags.replayed_stages import STAGES, Fields, RecordedStages
 
 TOLERANCE = 1e-6
 """Default of the largest difference, in the field's SI unit. On another machine the order of
@@ -75,21 +74,14 @@ def check_bag(bag: Bag, tolerance: float, own_policy: str = "") -> list[StageCom
     bag holds no stage with its input, ConfigError if the configuration is invalid.
     """
     recorded = RecordedStages(bag, own_policy)
-    replayed: dict[str, Callable[[RecordedStages], dict[int, Fields]]] = {
-        "/mpc_state": replayed_stages.estimates,
-        "/gait_preview": replayed_stages.previews,
-        PLANS: replayed_stages.plans,
-        "/desired_joint_angles": replayed_stages.commands,
-    }
     comparisons = []
-    for topic, inputs in NEEDS.items():
-        missing = tuple(name for name in (topic, *inputs) if not bag.counts.get(name))
+    for topic, (replay, *inputs) in STAGES.items():
+        missing = [name for name in (topic, *inputs) if not bag.counts.get(name)]
         if topic == "/gait_preview" and recorded.lost_path:
-            missing = (*missing, recorded.lost_path)
+            missing.append(recorded.lost_path)
+        found = StageComparison(topic, missing=tuple(missing))
         comparisons.append(
-            StageComparison(topic, missing=missing)
-            if missing
-            else compare(recorded, topic, replayed[topic](recorded), tolerance)
+            found if missing else compare(recorded, topic, replay(recorded), tolerance)
         )
     if all(comparison.missing for comparison in comparisons):
         raise BagError(f"{bag.path}: holds no stage together with its input")
@@ -174,14 +166,12 @@ def _renaming(text: str) -> tuple[str, str]:
 
 def add_bag_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the bag, its namespace and the new names of its topics."""
-    parser.add_argument(
-        "bag", type=Path, metavar="BAG", help="directory of the bag, or one .mcap or .db3 file"
-    )
-    parser.add_argument("--namespace", default="", metavar="NAME", help="of the recorded graph")
-    parser.add_argument(
-        "--remap", type=_renaming, action="append", default=[], metavar="OLD:=NEW",
-        help="read the bag's topic OLD as NEW, for example /camera/odom:=/odom; may be repeated",
-    )  # fmt: skip
+    add = parser.add_argument
+    place = "directory of the bag, or one .mcap or .db3 file"
+    add("bag", type=Path, metavar="BAG", help=place)
+    add("--namespace", default="", metavar="NAME", help="of the recorded graph")
+    new = "read the bag's topic OLD as NEW, for example /camera/odom:=/odom; may be repeated"
+    add("--remap", type=_renaming, action="append", default=[], metavar="OLD:=NEW", help=new)
 
 
 def open_bag(options: argparse.Namespace) -> Bag:
@@ -197,22 +187,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         epilog="With --live it plays the sensors into running nodes: scripts/replay --live --help",
     )
     add_bag_arguments(parser)
-    parser.add_argument(
-        "--tolerance",
-        type=_tolerance,
-        default=TOLERANCE,
-        metavar="N",
-        help="largest difference, in SI units (default: %(default)g)",
-    )
-    parser.add_argument(
-        "--policy", default="", metavar="FILE", help="file of the policy, if it is one of your own"
-    )
-    parser.add_argument(
-        "--mend",
-        type=Path,
-        metavar="DIR",
-        help="only write what is left of it as a new bag in DIR",
-    )
+    add, size = parser.add_argument, "largest difference, in SI units (default: %(default)g)"
+    add("--tolerance", type=_tolerance, default=TOLERANCE, metavar="N", help=size)
+    own = "file of the policy, if it is one of your own"
+    add("--policy", default="", metavar="FILE", help=own)
+    left = "only write what is left of it as a new bag in DIR"
+    add("--mend", type=Path, metavar="DIR", help=left)
     options = parser.parse_args(arguments)
     try:
         bag = open_bag(options)

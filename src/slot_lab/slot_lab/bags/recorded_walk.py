@@ -52,14 +52,9 @@ class TorsoTrack:
     def after(self, t: float) -> TorsoTrack:
         """The samples at or after graph time t."""
         keep = self.t >= t
-        return TorsoTrack(
-            self.source,
-            self.t[keep],
-            self.position[keep],
-            self.quaternion[keep],
-            self.velocity[keep],
-            self.left_out,
-        )
+        columns = (self.t, self.position, self.quaternion, self.velocity)
+        time, position, quaternion, velocity = (column[keep] for column in columns)
+        return TorsoTrack(self.source, time, position, quaternion, velocity, self.left_out)
 
 
 @dataclass(frozen=True)
@@ -147,18 +142,13 @@ def _estimated_motion(bag: Bag) -> TorsoTrack:
     return TorsoTrack(ESTIMATE, seconds(time), position, quaternion, velocity)
 
 
-def state_time(series: Series) -> Stamps:
-    """Times (n,), ns, of the states of /mpc_state: stamp plus lead."""
-    lead = series["lead"] @ np.array([1_000_000_000, 1])
-    return series.stamp + lead.astype(np.int64)
-
-
 def last_states(series: Series) -> tuple[Stamps, Stamps]:
-    """Times (n,), ns, of the states of /mpc_state, and the indices of their messages.
+    """Times (n,), ns, of the states of /mpc_state, stamp plus lead, and indices of their messages.
 
     Of two states of one time the last is taken: it includes both of two late readings.
     """
-    time = state_time(series)
+    lead = series["lead"] @ np.array([1_000_000_000, 1])
+    time = series.stamp + lead.astype(np.int64)
     last = np.flatnonzero(np.append(np.diff(time) != 0, True))
     return time[last], last
 

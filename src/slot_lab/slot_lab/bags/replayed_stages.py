@@ -25,14 +25,9 @@ from slot_lab.bags.bag import Bag, BagError
 ODOMETRY, PLANS = "/odom", "/tendon_plan"
 SENSORS = (ODOMETRY, "/imu")
 PATH = FILES["path"]
-NEEDS = {
-    "/mpc_state": (ODOMETRY,),
-    "/gait_preview": ("/mpc_state",),
-    PLANS: ("/mpc_state", "/gait_preview"),
-    "/desired_joint_angles": ("/mpc_state", "/gait_preview", PLANS),
-}
-"""Inputs by the output of each stage, in the order of the graph."""
-
+PREVIEW = ("phase", "period", "dt", "contact", "friction", "normal_force", "tendon_angle",
+           "reference", "posture")  # fmt: skip
+PLAN = ("angle", "rate", "force", "status", "fallback_cycles")
 Fields = dict[str, Any]
 """Values by the name of the message's field."""
 
@@ -45,10 +40,10 @@ class RecordedStages:
         self.own_policy = own_policy
         self.bag, self.origin, self.robot = bag, bag.origin, read_robot()
         self.sensors: list[tuple[str, Any]] = []  # topic and message
-        self.messages: dict[str, list[Any]] = {topic: [] for topic in NEEDS}
-        topics = [t for t in (*SENSORS, *NEEDS) if bag.counts.get(t)]
+        self.messages: dict[str, list[Any]] = {topic: [] for topic in STAGES}
+        topics = [t for t in (*SENSORS, *STAGES) if bag.counts.get(t)]
         for topic, _, message in bag.merged(*topics) if topics else ():
-            if topic in NEEDS:
+            if topic in STAGES:
                 self.messages[topic].append(message)
             else:
                 self.sensors.append((topic, message))
@@ -123,7 +118,15 @@ def estimates(recorded: RecordedStages) -> dict[int, Fields]:
             else:
                 estimator.add_imu(*decode.imu(message))
         while (estimate := estimator.poll()) is not None:
-            fields[estimate.stamp] = _state_fields(estimate)
+            x = estimate.state
+            fields[estimate.stamp] = {
+                "rpy": x[0:3],
+                "position": x[3:6],
+                "angular_velocity": x[6:9],
+                "linear_velocity": x[9:12],
+                "covariance": estimate.covariance,
+                "validity": int(estimate.validity),
+            }
     return fields
 
 
@@ -156,18 +159,6 @@ def _as_they_arrived(recorded: RecordedStages, delay: int) -> Iterator[tuple[str
             yield topic, message
 
 
-def _state_fields(estimate: Estimate) -> Fields:
-    x = estimate.state
-    return {
-        "rpy": x[0:3],
-        "position": x[3:6],
-        "angular_velocity": x[6:9],
-        "linear_velocity": x[9:12],
-        "covariance": estimate.covariance,
-        "validity": int(estimate.validity),
-    }
-
-
 def previews(recorded: RecordedStages) -> dict[int, Fields]:
     """Gait previews, as fields of GaitPreview, from the recorded states and commands."""
     gaits, first = read_gaits(), next(iter(recorded.previews.values())).command
@@ -178,27 +169,19 @@ def previews(recorded: RecordedStages) -> dict[int, Fields]:
     for stamp, estimate in recorded.estimates.items():
         if stamp in recorded.previews:
             scheduler.set_command(recorded.previews[stamp].command)
-            fields[stamp] = _preview_fields(scheduler.step(estimate.time, estimate.state))
+            preview = scheduler.step(estimate.time, estimate.state)
+            fields[stamp] = {name: getattr(preview, name) for name in PREVIEW}
     return fields
-
-
-def _preview_fields(preview: GaitPreview) -> Fields:
-    names = ("phase", "period", "dt", "contact", "friction", "normal_force", "tendon_angle")
-    return {name: getattr(preview, name) for name in (*names, "reference", "posture")}
 
 
 def plans(recorded: RecordedStages) -> dict[int, Fields]:
     """Plans of the policy, as fields of TendonPlan; its steps take no time."""
     policy = make_policy(recorded.policy, recorded.robot, timer=lambda: 0.0)
-    return {
-        stamp: _plan_fields(policy.step(estimate, preview))
-        for stamp, estimate, preview, _ in recorded.matched()
-    }
-
-
-def _plan_fields(plan: TendonPlan) -> Fields:
-    names = ("angle", "rate", "force", "status", "fallback_cycles")
-    return {name: getattr(plan, name) for name in names} | vars(plan.report)
+    fields = {}
+    for stamp, estimate, preview, _ in recorded.matched():
+        plan = policy.step(estimate, preview)
+        fields[stamp] = {name: getattr(plan, name) for name in PLAN} | vars(plan.report)
+    return fields
 
 
 def commands(recorded: RecordedStages) -> dict[int, Fields]:
@@ -209,3 +192,12 @@ def commands(recorded: RecordedStages) -> dict[int, Fields]:
         command = force_map.step(plan, preview, estimate.state)
         fields[stamp] = {"position": command.angle, "velocity": command.rate}
     return fields
+
+
+STAGES: dict[str, tuple[Any, ...]] = {
+    "/mpc_state": (estimates, ODOMETRY),
+    "/gait_preview": (previews, "/mpc_state"),
+    PLANS: (plans, "/mpc_state", "/gait_preview"),
+    "/desired_joint_angles": (commands, "/mpc_state", "/gait_preview", PLANS),
+}
+"""By the output of each stage its function here, then its inputs; in the order of the graph."""

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from slot_core import config
-from slot_core.command_line import CommandParser, positive_integer
+from slot_core.command_line import positive_integer
 from slot_core.config import ConfigError
 from slot_core.robot import Array, RobotParameters, read_parameters, read_robot
 from slot_lab.calibration import parameter_file
@@ -29,13 +29,13 @@ from slot_lab.calibration.experiments import (
 from slot_lab.calibration.fit import (
     FitError,
     FitProblem,
-    ParameterEstimate,
     estimate,
     fit,
     parameters_of,
 )
 from slot_lab.calibration.plot import write_figure
 from slot_lab.csv_table import TableError
+from slot_lab.terminal import command_parser, one_line, progress
 
 FREE = ("leg.young_modulus", "tendon.offset", "tendon.cable_stiffness", "tendon.slack")
 
@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         content = _run(options)
     except (TableError, ConfigError, FitError, PredictionError, OSError) as error:
-        parser.error(" ".join(str(error).split()))
+        parser.error(one_line(error))
     print("\n".join(parameter_file.table(content)))
     return 0
 
@@ -63,17 +63,22 @@ def _run(options: argparse.Namespace) -> dict[str, object]:
     robot, full_set = read_robot(options.start), read_parameters(options.start)
     problem = build_problem(robot, options.free, data, settings)
     values = [p.start for p in problem.parameters]
-    _log(f"{data.name}: {len(data.rows)} measurements, {len(values)} free parameters")
+    progress(f"{data.name}: {len(data.rows)} measurements, {len(values)} free parameters")
     origin = f"evaluation of {options.start}"
     if not options.evaluate:
-        found = fit(problem, options.starts, _log)
+        found = fit(problem, options.starts, progress)
         values = [parameter_file.rounded(value) for value in found.values]  # those of the file
         end = "" if found.converged else ", not converged"
         origin = f"fit, {options.starts} starts from {options.start}{end}"
     result = estimate(problem, values)
     fitted = {**full_set, **dict(zip(options.free, values))}
     content = parameter_file.record(data, options.free, result, fitted, origin, options.note)
-    _write(options, data, result, content)
+    if options.out:
+        parameter_file.write(options.out, content)
+        progress(f"wrote {options.out}")
+    if options.plot:
+        write_figure(data, options.free, result, f"{data.name}: {content['from']}", options.plot)
+        progress(f"wrote {options.plot}")
     return content
 
 
@@ -94,23 +99,8 @@ def build_problem(
     )
 
 
-def _write(
-    options: argparse.Namespace, data: Data, result: ParameterEstimate, content: dict[str, object]
-) -> None:
-    if options.out:
-        parameter_file.write(options.out, content)
-        _log(f"wrote {options.out}")
-    if options.plot:
-        write_figure(data, options.free, result, f"{data.name}: {content['from']}", options.plot)
-        _log(f"wrote {options.plot}")
-
-
 def _parser() -> argparse.ArgumentParser:
-    parser = CommandParser(
-        prog="scripts/calibrate",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser("calibrate", __doc__)
     add = parser.add_argument
     add("data", type=Path, metavar="FILE", help="measurements")
     add("--out", type=Path, metavar="FILE", help="parameter file to write (YAML)")
@@ -123,10 +113,6 @@ def _parser() -> argparse.ArgumentParser:
     add("--evaluate", action="store_true", help="evaluate the set of --start without a fit")
     add("--note", default="", metavar="TEXT", help="text for the parameter file")
     return parser
-
-
-def _log(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

@@ -9,8 +9,9 @@ in its plane alone, and there it equals a spatial one.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -65,19 +66,16 @@ def predict(robot: RobotParameters, rows: Sequence[Datum], settings: ExperimentS
                 f" = {robot.tendon.angle_max_deg:g}"
             )
     out = np.full(len(rows), np.nan)
-    for test in {_test(row): None for row in rows}:
-        members = [i for i, row in enumerate(rows) if _test(row) == test]
+    tests: dict[tuple[Any, ...], list[int]] = {}  # of rows of one kind with equal shared conditions
+    for i, row in enumerate(rows):
+        _, *shared = TESTS[row.kind]
+        tests.setdefault((row.kind, *(getattr(row, name) for name in shared)), []).append(i)
+    for (kind, *_), members in tests.items():
         try:
-            out[members] = TESTS[test[0]](robot, [rows[i] for i in members], settings)
+            out[members] = TESTS[kind][0](robot, [rows[i] for i in members], settings)
         except (DivergenceError, NoEquilibriumError, ConfigError) as error:
-            raise PredictionError(f"{test[0]} of line {rows[members[0]].line}: {error}") from None
+            raise PredictionError(f"{kind} of line {rows[members[0]].line}: {error}") from None
     return out
-
-
-def _test(row: Datum) -> tuple[str, tuple[float, ...]]:
-    """Kind and shared conditions: rows with equal ones are simulated in one test."""
-    shared = SHARED[row.kind]
-    return row.kind, tuple(getattr(row, name) for name in shared)
 
 
 def marker_ranges(
@@ -141,13 +139,9 @@ def _at(place: float, arc: Array, along: Array) -> float:
     return float(np.interp(place, arc / arc[-1], along))
 
 
-TESTS: dict[str, Callable[[RobotParameters, Sequence[Datum], ExperimentSettings], Array]] = {
-    "marker_range": marker_ranges,
-    "force_angle": forces,
-    "deflection": deflections,
+TESTS: dict[str, tuple[Any, ...]] = {
+    "marker_range": (marker_ranges, "theta_deg", "load_N", "friction"),
+    "force_angle": (forces, "height_m", "friction"),
+    "deflection": (deflections, "theta_deg"),
 }
-SHARED = {
-    "marker_range": ("theta_deg", "load_N", "friction"),
-    "force_angle": ("height_m", "friction"),
-    "deflection": ("theta_deg",),
-}
+"""By kind its simulation, then the conditions that its rows share."""

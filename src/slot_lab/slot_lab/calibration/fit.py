@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,14 +111,12 @@ class FitProblem:
         np.fill_diagonal(up, np.minimum(u + STEP, high))
         np.fill_diagonal(down, np.maximum(u - STEP, low))
         try:
-            found = self._predictions([self.allowed(point) for point in (*up, *down)])
+            points = [self.allowed(point) for point in (*up, *down)]
+            found = self.predict_all(points) if self.predict_all else [*map(self.predict, points)]
         except PredictionError as error:
             raise FitError(f"no derivative: {error}") from None
         change = np.array(found[: len(u)]) - np.array(found[len(u) :])
         return np.asarray((change / self.sigma / np.diag(up - down)[:, None]).T)
-
-    def _predictions(self, values: Sequence[Array]) -> Sequence[Array]:
-        return self.predict_all(values) if self.predict_all else [self.predict(v) for v in values]
 
 
 @dataclass(frozen=True)
@@ -158,10 +157,8 @@ def parameters_of(robot: RobotParameters, names: Sequence[str]) -> tuple[Paramet
             raise ConfigError(f"{name} is not a number of the robot (known: {', '.join(known)})")
     if len(set(names)) < len(names):
         raise ConfigError(f"a parameter is named twice: {', '.join(names)}")
-    return tuple(
-        Parameter(name, known[name][0], known[name][1]["low"], known[name][1]["high"])
-        for name in names
-    )
+    chosen = [(name, *known[name]) for name in names]
+    return tuple(Parameter(name, v, meta["low"], meta["high"]) for name, v, meta in chosen)
 
 
 def fit(problem: FitProblem, starts: int = 1, progress: Callable[[str], None] = print) -> FitResult:
@@ -205,15 +202,9 @@ def _fit_from(problem: FitProblem, start: Array) -> FitResult:
             return np.full(len(problem.measured), FAILED_RESIDUAL)
 
     low, high = problem.bounds()
+    limits: dict[str, Any] = {"xtol": TOLERANCE, "ftol": TOLERANCE, "max_nfev": TRIALS}
     end = least_squares(
-        residuals,
-        start,
-        jac=problem.jacobian,
-        bounds=(low, high),
-        x_scale="jac",
-        xtol=TOLERANCE,
-        ftol=TOLERANCE,
-        max_nfev=TRIALS,
+        residuals, start, jac=problem.jacobian, bounds=(low, high), x_scale="jac", **limits
     )
     u = np.where(end.x - low < EDGE, low, np.where(high - end.x < EDGE, high, end.x))
     return FitResult(problem.allowed(u), float(2 * end.cost), bool(end.status))
@@ -245,17 +236,15 @@ def estimate(
         sums = np.array([moved[:, groups == k].sum(axis=1) for k in np.unique(groups)])
         freedom = max(len(sums) - rank, 0)
         covariance = sums.T @ sums * (len(sums) / max(freedom, 1))
-    width = np.full(len(u), np.nan)
-    if freedom:
-        deviation = np.sqrt(np.diag(covariance))
-        width = np.where(determined, student.ppf((1 + LEVEL) / 2, freedom) * deviation, np.nan)
+    deviation = np.where(determined, np.sqrt(np.diag(covariance)), np.nan)
+    width = deviation * (student.ppf((1 + LEVEL) / 2, freedom) if freedom else np.nan)
     return ParameterEstimate(
         values=problem.allowed(u),
         predicted=problem.measured + residual * problem.sigma,
         chi_square=chi_square,
         freedom=freedom,
         interval=_intervals(problem, u, width),
-        correlation=_correlation(covariance, determined),
+        correlation=covariance / np.outer(deviation, deviation),
         condition=float(singular[0] / singular[-1]) if significant.all() else math.inf,
         at_limit=(u - low < STEP) | (high - u < STEP),
     )
@@ -267,8 +256,3 @@ def _intervals(problem: FitProblem, u: Array, width: Array) -> Array:
     width = np.where((u - width <= low) & (u + width >= high), np.nan, width)
     with np.errstate(over="ignore"):  # overflow gives infinity
         return np.column_stack([problem.values(u - width), problem.values(u + width)])
-
-
-def _correlation(covariance: Array, determined: NDArray[np.bool_]) -> Array:
-    deviation = np.where(determined, np.sqrt(np.diag(covariance)), np.nan)
-    return covariance / np.outer(deviation, deviation)

@@ -37,25 +37,15 @@ def fit_line(theta_deg: Array, force: Array, sigma: Array) -> ForceLine:
     """
     if np.ptp(theta_deg) == 0.0:
         raise ValueError("a line needs samples at two angles")
-    weight = 1 / sigma**2
-    centre = weight @ theta_deg / weight.sum()
-    spread = weight @ (theta_deg - centre) ** 2
-    b = float(weight @ ((theta_deg - centre) * force) / spread)
-    middle = float(weight @ force / weight.sum())
-    residuals = middle + b * (theta_deg - centre) - force
+    (slope, ordinate), covariance = np.polyfit(theta_deg, force, 1, w=1 / sigma, cov="unscaled")
+    residuals = slope * theta_deg + ordinate - force
     freedom = len(force) - 2
     half = math.nan
     if freedom > 0:
-        variance = weight @ residuals**2 / freedom
-        half = float(student.ppf((1 + LEVEL) / 2, freedom) * np.sqrt(variance))
-    a_deviation = math.sqrt(1 / weight.sum() + centre**2 / spread)
-    return ForceLine(
-        a=b * centre - middle,
-        b=b,
-        a_half_width=half * a_deviation,
-        b_half_width=half / math.sqrt(spread),
-        residuals=residuals,
-    )
+        variance = np.sum((residuals / sigma) ** 2) / freedom
+        half = student.ppf((1 + LEVEL) / 2, freedom) * np.sqrt(variance)
+    b_half_width, a_half_width = (half * np.sqrt(np.diag(covariance))).tolist()
+    return ForceLine(float(-ordinate), float(slope), a_half_width, b_half_width, residuals)
 
 
 def line_groups(rows: Sequence[Datum]) -> dict[tuple[float, float], list[int]]:
@@ -64,8 +54,5 @@ def line_groups(rows: Sequence[Datum]) -> dict[tuple[float, float], list[int]]:
     for i, row in enumerate(rows):
         if row.kind == "force_angle":
             groups.setdefault((row.height_m, row.friction), []).append(i)
-    return {
-        key: members
-        for key, members in groups.items()
-        if len({rows[i].theta_deg for i in members}) > 1
-    }
+    angles = {key: {rows[i].theta_deg for i in members} for key, members in groups.items()}
+    return {key: members for key, members in groups.items() if len(angles[key]) > 1}

@@ -123,9 +123,14 @@ def write(path: Path, content: Mapping[str, Any], head: str = HEAD) -> None:
 def table(content: Mapping[str, Any]) -> list[str]:
     """Text of the content, line by line, for the terminal."""
     out = _residual_table(content["residuals"])
-    out += [_summary(content["fit"]), "", f"{'parameter':<28}{'value':>12}   95 % interval"]
+    fit = content["fit"]
+    out.append(
+        f"sum of squares {fit['sum_of_squares']:.4g}, {fit['degrees_of_freedom']} degrees of"
+        f" freedom, condition {fit['condition']:.3g}"
+    )
+    out += ["", f"{'parameter':<28}{'value':>12}   95 % interval"]
     for name, interval in content["confidence"].items():
-        limit = "   at its bound" if name in content["fit"]["at_limit"] else ""
+        limit = "   at its bound" if name in fit["at_limit"] else ""
         out.append(f"{name:<28}{content['values'][name]:>12.6g}   {_bounds(interval)}{limit}")
     out += ["", "correlation"]
     for name, row in zip(content["confidence"], content["correlation"]):
@@ -146,22 +151,13 @@ def _residual_table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     return out
 
 
-def _summary(fit: Mapping[str, Any]) -> str:
-    return (
-        f"sum of squares {fit['sum_of_squares']:.4g}, {fit['degrees_of_freedom']} degrees of"
-        f" freedom, condition {fit['condition']:.3g}"
-    )
-
-
 def _bounds(interval: Sequence[float] | str) -> str:
     return interval if isinstance(interval, str) else f"{interval[0]:.4g} to {interval[1]:.4g}"
 
 
 def _line_table(line: Mapping[str, Any]) -> list[str]:
-    out = [
-        "",
-        f"theta_deg = (f_z + a) / b at {line['height_m']:g} m, friction {line['friction']:g}",
-    ]
+    place = f"{line['height_m']:g} m, friction {line['friction']:g}"
+    out = ["", f"theta_deg = (f_z + a) / b at {place}"]
     for which in ("measured", "predicted"):
         part = line[which]
         a, b = _bounds(part["a_confidence"]), _bounds(part["b_confidence"])

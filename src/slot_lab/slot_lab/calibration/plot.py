@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from slot_core.drawing import palette
@@ -31,7 +30,6 @@ def figure(data: Data, names: Sequence[str], estimate: ParameterEstimate, title:
     """The figure; the label of each axes is a kind of measurement, `residuals` or `correlation`."""
     kinds = [kind for kind in CONDITIONS if any(row.kind == kind for row in data.rows)]
     out = Figure(figsize=(4.2 * (len(kinds) + 2), 4.4), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(out)
     out.suptitle(title, fontsize=13, fontweight="bold")
     labels = [*kinds, "residuals", "correlation"]
     axes = {n: out.add_subplot(1, len(labels), i, label=n) for i, n in enumerate(labels, 1)}
@@ -48,27 +46,23 @@ def _predicted_over_measured(ax: Axes, data: Data, kind: str, predicted: Array) 
     measured = scale * np.array([data.rows[i].value for i in members])
     sigma = scale * np.array([data.rows[i].sigma for i in members])
     model = scale * predicted[members]
-    ends = (
-        np.array([min(measured.min(), model.min(), 0.0), max(measured.max(), model.max())]) * 1.05
-    )
+    both = np.concatenate([measured, model])
+    ends = 1.05 * np.array([both.min(initial=0.0), both.max()])
     ax.plot(ends, ends, color=palette.PALE, lw=1.2, zorder=0)
     ax.errorbar(measured, model, xerr=sigma, fmt="o", color=_colour(kind), ms=6, capsize=3)
     ax.set_title(kind.replace("_", " "), fontsize=11, color=palette.INK)
-    ax.set_xlabel(f"measured, one sigma ({unit})")
-    ax.set_ylabel(f"predicted ({unit})")
+    ax.set(xlabel=f"measured, one sigma ({unit})", ylabel=f"predicted ({unit})")
     ax.set_aspect("equal", adjustable="datalim")
     ax.grid(color=palette.SHADE)
 
 
 def _residuals(ax: Axes, data: Data, kinds: Sequence[str], predicted: Array) -> None:
     off = [(p - row.value) / row.sigma for p, row in zip(predicted, data.rows)]
-    colours = [_colour(row.kind) for row in data.rows]
     ax.axhspan(-1, 1, color=palette.SHADE, zorder=0)
-    ax.bar(range(1, len(off) + 1), off, color=colours)
+    ax.bar(range(1, len(off) + 1), off, color=[_colour(row.kind) for row in data.rows])
     ax.axhline(0.0, color=palette.INK, lw=0.8)
     ax.set_title("residuals, in the order of the file", fontsize=11, color=palette.INK)
-    ax.set_ylabel("(predicted - measured) / sigma")
-    ax.set_xlabel("measurement")
+    ax.set(xlabel="measurement", ylabel="(predicted - measured) / sigma")
 
 
 def _correlation(ax: Axes, names: Sequence[str], correlation: Array) -> None:

@@ -15,12 +15,13 @@ from pathlib import Path
 
 import cv2
 
-from slot_core.command_line import CommandParser, positive_integer
+from slot_core.command_line import positive_integer
 from slot_core.config import ConfigError
 from slot_core.vision.camera import CameraError, camera_text
 from slot_core.vision.settings import VisionSettings, read_vision
 from slot_lab.film.calibration import BoardView, Calibration, calibrate, chessboard, find_view
 from slot_lab.film.pictures import PICTURES, FilmError, read_film
+from slot_lab.terminal import command_parser, one_line
 
 NAMES = ("f_x", "f_y", "c_x", "c_y", "k1", "k2", "p1", "p2", "k3")
 
@@ -34,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         found = _calibrate(options, read_vision())
         options.out.write_text(camera_text(found.camera, options.name))
     except (FilmError, CameraError, ConfigError) as error:
-        parser.error(" ".join(str(error).split()))
+        parser.error(one_line(error))
     except OSError as error:
         parser.error(f"--out {options.out}: {error.strerror}")
     print("\n".join([*report(found), f"wrote {options.out}"]))
@@ -74,11 +75,7 @@ def report(found: Calibration) -> list[str]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = CommandParser(
-        prog="scripts/calibrate_camera",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser("calibrate_camera", __doc__)
     add = parser.add_argument
     add("film", type=Path, metavar="RECORDING", help="folder of pictures, video, or bag")
     add("--out", type=Path, metavar="FILE", required=True, help="calibration file to write")

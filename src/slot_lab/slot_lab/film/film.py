@@ -20,24 +20,21 @@ import numpy as np
 
 from slot_core.body_points import LEAST_NODES, LEG_POINTS, TORSO, arc_length, at_shares
 from slot_core.clock import to_seconds
-from slot_core.command_line import CommandParser, within
+from slot_core.command_line import within
 from slot_core.config import ConfigError
 from slot_core.geometry import Transform, optical
 from slot_core.messages import decode
 from slot_core.robot import LEGS, ODOM_FRAME, Array, RobotParameters, read_robot
 from slot_core.vision.board import SQUARE, Picture, make_board, print_of, single_marker
 from slot_core.vision.camera import nominal
-from slot_core.vision.settings import (
-    TrackedMarkers,
-    VisionSettings,
-    read_vision,
-)
+from slot_core.vision.settings import TrackedMarkers, VisionSettings, read_vision
 from slot_core.vision.synthetic_camera import Imperfections, Surface, SyntheticCamera
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.recorded_walk import GROUND_TRUTH, LEG_STATES
 from slot_lab.film.calibration import chessboard
 from slot_lab.film.track import write_tracks
 from slot_lab.film.tracker import MarkerSample
+from slot_lab.terminal import command_parser, one_line
 
 BOARD = "film"
 DEPTH_NOISE = 0.002  # m, of a pixel of a RealSense D435 at 0.8 m
@@ -162,7 +159,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         film = _film_chessboard if options.what == CHESSBOARD else _film
         count = film(options, read_vision())
     except (BagError, ConfigError) as error:
-        parser.error(" ".join(str(error).split()))
+        parser.error(one_line(error))
     except OSError as error:
         parser.error(f"{error.filename}: {error.strerror}")
     print(f"{count} pictures in {options.out}")
@@ -247,11 +244,7 @@ def _motion(bag: Bag, robot: RobotParameters, duration: float) -> tuple[Array, l
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = CommandParser(
-        prog="scripts/film",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser("film", __doc__)
     add = parser.add_argument
     add("what", metavar="BAG", help=f"recording of scripts/run, or the word {CHESSBOARD}")
     add("--out", type=Path, metavar="FILE", required=True, help="video (.avi), or folder")

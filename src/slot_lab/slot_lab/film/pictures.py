@@ -17,6 +17,7 @@ from slot_core.vision import picture_message
 from slot_core.vision.board import Picture
 from slot_core.vision.camera import Camera, CameraError, from_camera_info
 from slot_lab.bags.bag import STORAGES, Bag, BagError
+from slot_lab.terminal import one_line
 
 Depth = NDArray[np.uint16]
 PICTURES = "/camera/image_raw"  # topic of a bag
@@ -49,10 +50,8 @@ def read_film(
         return _of_bag(path, topic, depth)
     if not path.exists():
         raise FilmError(f"{path}: does not exist")
-    depths = _files(Path(depth)) if depth else None
-    return _with_depth(
-        _of_folder(path, rate or 30.0) if path.is_dir() else _of_video(path, rate), depths, depth
-    )
+    frames = _of_folder(path, rate or 30.0) if path.is_dir() else _of_video(path, rate)
+    return _with_depth(frames, _files(Path(depth)), depth) if depth else frames
 
 
 def claimed_length(path: Path) -> int:
@@ -73,8 +72,7 @@ def bag_camera(path: Path, topic: str) -> Camera:
     """The camera of a bag's pictures, from `camera_info` beside their topic; raises FilmError."""
     beside = f"{topic.rpartition('/')[0]}/camera_info"
     try:
-        for _, message in Bag(path).messages(beside):
-            m = message
+        for _, m in Bag(path).messages(beside):
             return from_camera_info(m.width, m.height, m.distortion_model, m.d, m.k)
     except (BagError, CameraError) as error:
         raise FilmError(f"{path}: {beside}: {error}") from None
@@ -89,10 +87,7 @@ def _of_video(path: Path, rate: float | None) -> Iterator[Frame]:
     if rate is None and not 0 < own < 1e4:
         raise FilmError(f"{path}: says {own:g} pictures per s; give --rate")
     number, time, step = 0, 0.0, 1.0 / (rate or own)
-    while True:
-        there, picture = video.read()
-        if not there:
-            break
+    while (picture := video.read()[1]) is not None:
         if rate is None:  # its own times, since films of telephones vary in their rate
             own_time = video.get(cv2.CAP_PROP_POS_MSEC) / 1e3
             time = own_time if own_time > time or not number else time + step
@@ -109,12 +104,9 @@ def _of_folder(path: Path, rate: float) -> Iterator[Frame]:
         yield Frame(number / rate, _grey(_read(file, cv2.IMREAD_COLOR)))
 
 
-def _with_depth(frames: Iterator[Frame], depths: list[Path] | None, name: str) -> Iterator[Frame]:
+def _with_depth(frames: Iterator[Frame], depths: list[Path], name: str) -> Iterator[Frame]:
     """The frames with the depth pictures of a folder, in order."""
     for number, frame in enumerate(frames):
-        if depths is None:
-            yield frame
-            continue
         if number >= len(depths):
             raise FilmError(f"{name}: {len(depths)} depth pictures, fewer than pictures")
         depth = _read(depths[number], cv2.IMREAD_UNCHANGED)
@@ -126,7 +118,8 @@ def _with_depth(frames: Iterator[Frame], depths: list[Path] | None, name: str) -
 def _of_bag(path: Path, topic: str, depth_topic: str) -> Iterator[Frame]:
     try:
         bag = Bag(path)
-        depths = _depths(bag, depth_topic) if depth_topic else iter(())
+        found = bag.messages(depth_topic) if depth_topic else ()
+        depths = ((to_seconds(stamp(m)), picture_message.depth(m)) for _, m in found)
         before, after = None, next(depths, None)
         for _, message in bag.messages(topic):
             time = to_seconds(stamp(message))
@@ -136,12 +129,7 @@ def _of_bag(path: Path, topic: str, depth_topic: str) -> Iterator[Frame]:
             nearest = min(near, key=lambda d: abs(d[0] - time))[1] if near else None
             yield Frame(time, picture_message.grey(message), nearest)
     except (BagError, ValueError, AttributeError) as error:
-        raise FilmError(f"{path}: {topic}: {' '.join(str(error).split())}") from None
-
-
-def _depths(bag: Bag, topic: str) -> Iterator[tuple[float, Depth]]:
-    for _, message in bag.messages(topic):
-        yield to_seconds(stamp(message)), picture_message.depth(message)
+        raise FilmError(f"{path}: {topic}: {one_line(error)}") from None
 
 
 def _files(path: Path) -> list[Path]:

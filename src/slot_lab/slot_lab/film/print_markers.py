@@ -18,11 +18,12 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from slot_core.command_line import CommandParser, within
+from slot_core.command_line import within
 from slot_core.config import ConfigError
 from slot_core.vision.board import WHITE, Picture, make_board, picture_of, single_marker
 from slot_core.vision.settings import VisionSettings, read_vision
 from slot_lab.film.calibration import chessboard
+from slot_lab.terminal import command_parser
 
 INCH = 0.0254  # m
 SCALE = 0.1  # m, of the line to measure
@@ -75,12 +76,10 @@ def with_scale(sheet: Picture, name: str, dots: float) -> Picture:
     """The sheet with white around it, and below it a line of SCALE with its name."""
     edge, height, width = round(0.005 * dots), *sheet.shape
     foot = round(0.012 * dots)
-    page = np.full(
-        (height + 2 * edge + foot, max(width, round(SCALE * dots)) + 2 * edge), WHITE, np.uint8
-    )
+    y, length = height + 2 * edge, round(SCALE * dots)
+    page = np.full((y + foot, max(width, length) + 2 * edge), WHITE, np.uint8)
     page[edge : edge + height, edge : edge + width] = sheet
-    y = height + 2 * edge
-    page[y : y + max(1, edge // 10), edge : edge + round(SCALE * dots)] = 0
+    page[y : y + max(1, edge // 10), edge : edge + length] = 0
     text = f"{name}: this line is {1e3 * SCALE:.0f} mm long"
     _write(page, text, (edge, y + round(0.008 * dots)), 0.003 * dots)
     return page
@@ -100,21 +99,12 @@ def _write(page: Picture, text: str, place: tuple[int, int], height: float) -> N
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = CommandParser(
-        prog="scripts/print_markers",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser("print_markers", __doc__)
     add = parser.add_argument
     add("what", metavar="NAME", help="name of a board, points, or chessboard")
     add("--out", type=Path, metavar="FILE", required=True, help="PNG or PDF to write")
-    add(
-        "--dpi",
-        type=within(50, 1200),
-        default=300,
-        metavar="N",
-        help="dots per inch (default: 300)",
-    )
+    dots = "dots per inch (default: 300)"
+    add("--dpi", type=within(50, 1200), default=300, metavar="N", help=dots)
     return parser
 
 

@@ -20,7 +20,7 @@ from pathlib import Path
 import cv2
 
 from slot_core.body_points import COLUMNS, FRAME, TORSO
-from slot_core.command_line import CommandParser, within
+from slot_core.command_line import within
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_core.vision.camera import Camera, CameraError, nominal, read_camera
@@ -36,6 +36,7 @@ from slot_lab.film.pictures import (
     read_film,
 )
 from slot_lab.film.tracker import MarkerSample, Tracker, Tracks
+from slot_lab.terminal import command_parser, one_line, progress
 
 COMPLETE = 1.02  # pictures that a video says over those read: some estimate their length
 
@@ -59,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             parser.error(f"{options.film}: no marker of leg {options.leg}")
         write_tracks(options.out, samples, tracks.frame)
     except (FilmError, CameraError, ConfigError) as error:
-        parser.error(" ".join(str(error).split()))
+        parser.error(one_line(error))
     except OSError as error:
         parser.error(f"--out {options.out}: {error.strerror}")
     print("\n".join(_summary(tracks, samples)))
@@ -123,9 +124,7 @@ def _camera(options: argparse.Namespace, settings: VisionSettings) -> Camera:
         return read_camera(options.camera)
     if is_bag(options.film):
         return bag_camera(options.film, options.topic)
-    print(
-        "without --camera FILE: the nominal camera of config/vision.yaml is used", file=sys.stderr
-    )
+    progress("without --camera FILE: the nominal camera of config/vision.yaml is used")
     return nominal(settings.camera)
 
 
@@ -141,11 +140,7 @@ def _summary(tracks: Tracks, samples: list[MarkerSample]) -> list[str]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = CommandParser(
-        prog="scripts/track",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser("track", __doc__)
     add = parser.add_argument
     add("film", type=Path, metavar="RECORDING", help="video, folder of pictures, or bag")
     add("--out", type=Path, metavar="FILE", required=True, help="file to write")

@@ -69,7 +69,7 @@ class Tracker:
         self._detector = MarkerDetector(settings.dictionary_number, camera)
         self._noise = settings.detection.corner_noise / camera.focal
         self._seen: list[MarkerSample] = []  # in the optical frame
-        self._rays: dict[int, list[Array]] = {}  # (4, 2) of the boards' markers
+        self._rays: dict[int, list[Array]] = {}  # (4, 2) of the boards' markers, which stand still
         self._pictures = 0
         self._duplicates: set[int] = set()
 
@@ -84,9 +84,10 @@ class Tracker:
         found = self._detector.find(picture)
         self._pictures += 1
         self._duplicates |= set(found.duplicates)
-        self._see_boards(found)
         new = []
         for index, number in enumerate(found.ids):
+            if any(number in board.corners for board in self._boards):
+                self._rays.setdefault(number, []).append(found.rays[index])
             if number in self._names:
                 place = self._locate(found, index, depth)
                 if place is not None:
@@ -99,7 +100,9 @@ class Tracker:
         frame, to_frame = ODOM_FRAME, self._camera_in_odom()
         if to_frame is None:
             frame, to_frame = CAMERA, Transform(OPTICAL, np.zeros(3))
-        motion = self._camera_motion()
+        stacks = [np.array(seen) for seen in self._rays.values()]
+        off = [np.abs(seen - np.median(seen, axis=0)).mean(axis=(1, 2)) for seen in stacks]
+        motion = self._camera.focal * max((float(o.max()) for o in off), default=0.0)
         samples = [MarkerSample(s.time, s.point, to_frame.apply(s.position)) for s in self._seen]
         notes = []
         if self._duplicates:
@@ -123,12 +126,6 @@ class Tracker:
         z = (place[2] * noise + measured * variance) / (noise + variance)
         return np.asarray(place * (z / place[2]), float)
 
-    def _see_boards(self, found: Detection) -> None:
-        """Add the rays of the boards' markers, which stand still as the camera does."""
-        for index, number in enumerate(found.ids):
-            if any(number in board.corners for board in self._boards):
-                self._rays.setdefault(number, []).append(found.rays[index])
-
     def _camera_in_odom(self) -> Transform | None:
         """Optical frame in odom, from the median rays of the board with most markers; or None."""
         if not self._boards:
@@ -149,14 +146,6 @@ class Tracker:
                 " board other than in vision.yaml"
             )
         return board.pose @ pose.transform.inverse
-
-    def _camera_motion(self) -> float:
-        """Largest motion of a marker of the boards from its median place, px."""
-        off = [np.abs(seen - np.median(seen, axis=0)).mean(axis=(1, 2)) for seen in self._stacks()]
-        return self._camera.focal * max((float(o.max()) for o in off), default=0.0)
-
-    def _stacks(self) -> list[Array]:
-        return [np.array(seen) for seen in self._rays.values()]
 
 
 def _depth(depth: Depth, corners: Array) -> float | None:

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap, TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -41,6 +40,7 @@ COLOURS = LinearSegmentedColormap.from_list(
     "slack", [(0.0, "#67000d"), (0.4999, "#ef3b2c"), (0.5001, "#f7fcf5"), (1.0, "#1b7837")]
 )
 """Red where a constraint is violated, pale green where it is met with zero slack."""
+HATCHED: dict[str, Any] = {"facecolor": "none", "edgecolor": palette.INK, "hatch": "////"}
 CAPACITY = 1600  # columns of the picture; with more cycles each column shows its least slack
 
 
@@ -69,8 +69,9 @@ def read_map(bag: Bag) -> ConstraintMap:
     rows: list[Array] = []
     missing: list[str] = []
     for field, label in (PER_LEG | OF_THE_ROBOT).items():
-        column = _column(bag, field)
-        if column is None:
+        try:
+            column = bag.series(TOPIC, field)[field]
+        except NoFieldError:
             missing.append(field)
             continue
         names += [f"{leg} {label}" for leg in LEGS] if field in PER_LEG else [label]
@@ -82,14 +83,6 @@ def read_map(bag: Bag) -> ConstraintMap:
     slack = np.concatenate(rows).astype(float)
     slack[~np.isfinite(slack)] = np.nan  # infinite where the constraint is inactive
     return ConstraintMap(bag.path.name, time, tuple(names), slack, series["status"], tuple(missing))
-
-
-def _column(bag: Bag, field: str) -> NDArray[Any] | None:
-    """The values of a field, None if the messages of this bag do not have it."""
-    try:
-        return bag.series(TOPIC, field)[field]
-    except NoFieldError:
-        return None
 
 
 def summary_lines(found: ConstraintMap) -> list[str]:
@@ -120,9 +113,10 @@ def draw_map(found: ConstraintMap, path: Path) -> None:
 def map_figure(found: ConstraintMap) -> Figure:
     """Heat map: constraints down, time across; cycles without a solution are hatched."""
     figure = Figure(figsize=(14, 1.2 + 0.36 * len(found.constraints)), layout="constrained")
-    FigureCanvasAgg(figure)
     ax = figure.subplots()
-    edges = _edges(found.time)
+    time = found.time  # starts of the cycles; the last one ends a period later
+    period = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
+    edges = np.append(time, time[-1] + period)
     groups = np.arange(0, len(found.time), -(-len(found.time) // CAPACITY))
     rows = np.fmin.reduceat(found.slack, groups, axis=1)  # NaN only where all are
     # Scaled by the legs' slack: the total support is larger and would leave the legs pale.
@@ -140,20 +134,12 @@ def map_figure(found: ConstraintMap) -> Figure:
     return figure
 
 
-def _edges(time: Array) -> Array:
-    """(n + 1,) s, the starts of the cycles and the end of the last one."""
-    period = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
-    return np.append(time, time[-1] + period)
-
-
 def _mark(ax: Axes, found: ConstraintMap, edges: Array) -> None:
     """Hatch the cycles that were not SOLVED, one span for consecutive ones."""
     bad = found.status != Status.SOLVED
     changes = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(int)))
     for begin, end in changes.reshape(-1, 2):
-        ax.axvspan(
-            edges[begin], edges[end], facecolor="none", edgecolor=palette.INK, hatch="////", lw=0.8
-        )
+        ax.axvspan(edges[begin], edges[end], lw=0.8, **HATCHED)
 
 
 def _finish(ax: Axes, found: ConstraintMap) -> None:
@@ -170,7 +156,7 @@ def _finish(ax: Axes, found: ConstraintMap) -> None:
         f"{violated} with a violation, {bad} not solved",
         loc="left", fontsize=10,
     )  # fmt: skip
-    hatched = Patch(facecolor="none", edgecolor=palette.INK, hatch="////", label="not solved")
+    hatched = Patch(label="not solved", **HATCHED)
     grey = Patch(facecolor=palette.SHADE, edgecolor=palette.INK, label="inactive")
     ax.legend(
         handles=[hatched, grey], ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0),
@@ -198,9 +184,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (BagError, OSError) as error:
         print(f"scripts/constraint_map: {error}", file=sys.stderr)
         return 2
-    for line in summary_lines(found):
-        print(line)
-    print(out)
+    print("\n".join([*summary_lines(found), str(out)]))
     return 1 if found.violated.any() else 0
 
 

@@ -59,10 +59,8 @@ def draw_speed(ax: Axes, motion: TorsoTrack, period: float | None, warm_up: floa
     t = motion.t - motion.t[0]
     ax.plot(t, v_x, color=palette.PALE, lw=0.8, label="momentary")
     if period is not None:
-        mean = stride_mean(t, v_x, period)
-        ax.plot(
-            t, mean, color=palette.SECONDARY, lw=1.8, label=f"mean over a stride, {period:.2f} s"
-        )
+        mean, label = stride_mean(t, v_x, period), f"mean over a stride, {period:.2f} s"
+        ax.plot(t, mean, color=palette.SECONDARY, lw=1.8, label=label)
     ax.axhline(0.0, color=palette.INK, lw=0.6)
     _over_time(ax, motion, warm_up, "forward velocity", "v_x (m/s)")
     ax.legend(**LEGEND)

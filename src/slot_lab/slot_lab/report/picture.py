@@ -105,19 +105,13 @@ def _draw_solids(ax: Axes, solids: list[Solid], centre: Array, camera: Viewpoint
     order = np.argsort(depth)[: int(seen.sum())]
     shaded = (colours * light[:, None])[order]
     polygons = camera.project(faces[order] - centre)
-    ax.add_collection(
-        PolyCollection(
-            list(polygons), facecolors=shaded, edgecolors=shaded, linewidths=0.4, zorder=3
-        )
-    )
+    ax.add_collection(PolyCollection(list(polygons), color=shaded, linewidths=0.4, zorder=3))
 
 
 def _draw_shadow(ax: Axes, solids: list[Solid], centre: Array, camera: Viewpoint) -> None:
     faces = np.concatenate([solid.faces for solid in solids]) * [1.0, 1.0, 0.0]
     polygons = camera.project(faces - centre)
-    ax.add_collection(
-        PolyCollection(list(polygons), facecolors="#d3d9df", edgecolors="#d3d9df", zorder=2)
-    )
+    ax.add_collection(PolyCollection(list(polygons), color="#d3d9df", zorder=2))
 
 
 def _draw_ground(ax: Axes, centre: Array, camera: Viewpoint) -> None:
@@ -125,22 +119,16 @@ def _draw_ground(ax: Axes, centre: Array, camera: Viewpoint) -> None:
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * half
     outline = camera.project(corners)
     ax.add_collection(PolyCollection([outline], facecolors=palette.SHADE, zorder=0))
-    marks = _marks(centre[0], half[0])
+    ends = np.array([centre[0] - half[0], centre[0] + half[0]]) / GROUND_LINE
+    marks = GROUND_LINE * np.arange(math.ceil(ends[0]), math.floor(ends[1]) + 1)
     lines = [np.array([[x, -half[1], 0.0], [x, half[1], 0.0]]) for x in marks - centre[0]]
-    ax.add_collection(
-        LineCollection([camera.project(line) for line in lines], colors="white", zorder=1)
-    )
-    for x, line in zip(marks, lines):
-        ax.annotate(f"{x:.1f} m", camera.project(line[0]).tolist(), (0, -3), **MARK)
+    shown = [camera.project(line) for line in lines]
+    ax.add_collection(LineCollection(shown, colors="white", zorder=1))
+    for x, line in zip(marks, shown):
+        ax.annotate(f"{x:.1f} m", line[0].tolist(), (0, -3), **MARK)
     (left, low), (right, high) = outline.min(axis=0), outline.max(axis=0)
     ax.set_xlim(left, right)
     ax.set_ylim(low - 0.03, high + 0.02)
-
-
-def _marks(x: float, half: float) -> Array:
-    """Multiples of GROUND_LINE within x +- half."""
-    first, last = math.ceil((x - half) / GROUND_LINE), math.floor((x + half) / GROUND_LINE)
-    return GROUND_LINE * np.arange(first, last + 1, dtype=np.float64)
 
 
 def _draw_forces(ax: Axes, pose: Snapshot, centre: Array, camera: Viewpoint) -> None:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, FigureBase
 
 from slot_core.drawing.shapes import FORCE_SCALE, bent_legs
@@ -30,10 +29,9 @@ def dashboard(bag: Bag, metrics: WalkMetrics, path: Path) -> None:
 
 def dashboard_figure(bag: Bag, metrics: WalkMetrics) -> Figure:
     """The dashboard; the label of each axes is the name of its panel."""
-    figure = _figure(16.0, 10.0)
-    figure.suptitle(f"{bag.path.name}", fontsize=14, fontweight="bold")
-    columns: Any = figure.subfigures(1, 3, wspace=0.03)
-    left, middle, right = columns
+    figure = Figure(figsize=(16.0, 10.0), dpi=DPI, layout="constrained")
+    figure.suptitle(bag.path.name, fontsize=14, fontweight="bold")
+    left, middle, right = cast(Any, figure.subfigures(1, 3, wspace=0.03))
     motion = read_motion(bag)
     path, height, speed, tilt = _stack(left, ("path", "height", "speed", "tilt"), (1.3, 1, 1, 1))
     panels.draw_path(path, motion, motion.after(motion.t[0] + metrics.warm_up))
@@ -65,7 +63,7 @@ def filmstrip_figure(bag: Bag, stills: int) -> Figure:
     """The filmstrip; its axes are the stills in the order of time."""
     robot, camera = read_robot(), Viewpoint()
     poses = read_poses(bag, still_times(bag, stills), robot)
-    figure = _figure(3.6 * stills, 2.2)
+    figure = Figure(figsize=(3.6 * stills, 2.2), dpi=DPI, layout="constrained")
     for i, pose in enumerate(poses):
         ax = figure.add_subplot(1, stills, i + 1, label=f"still {i}")
         draw_robot(ax, pose, robot, camera)
@@ -112,12 +110,6 @@ def read_poses(bag: Bag, times: Array, robot: RobotParameters) -> list[Snapshot]
 def _stack(figure: FigureBase, names: Sequence[str], heights: Sequence[float]) -> list[Axes]:
     grid = figure.add_gridspec(len(names), 1, height_ratios=heights)
     return [figure.add_subplot(grid[i], label=name) for i, name in enumerate(names)]
-
-
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
 
 
 def _save(figure: Figure, path: Path) -> None:

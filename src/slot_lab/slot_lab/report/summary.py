@@ -16,6 +16,8 @@ def summary_lines(metrics: WalkMetrics) -> list[str]:
     m = metrics
     misses = f"{m.deadline_misses} of {m.ticks} ticks later than {1e3 * m.period:.1f} ms"
     unanswered = f"{m.unanswered} ticks, {m.missed_ticks} odometries missing"
+    most = f"at most {m.longest_fallback} in a row"
+    fallback = "-" if m.fallback_cycles is None else f"{m.fallback_cycles} cycles, {most}"
     rows = [
         ("motion from", m.source),
         ("duration", f"{m.duration:.2f} s after {m.warm_up:.1f} s of warm-up"),
@@ -31,7 +33,7 @@ def summary_lines(metrics: WalkMetrics) -> list[str]:
         ("  never answered", unanswered),
         ("real-time factor", _number(m.real_time_factor, "{:.2f}")),
         ("  behind real time", _latency(m.behind)),
-        ("MPC fallback", _fallback(m)),
+        ("MPC fallback", fallback),
         ("largest violation", _number(m.violation_max, "{:.1e} N")),
         ("map saturated", _per_leg(m.saturated)),
         ("servo at stall", _per_leg(m.servo_saturated)),
@@ -59,12 +61,6 @@ def _latency(stage: Latency) -> str:
         return "-"
     p50, p99, largest = (1e3 * value for value in (stage.p50, stage.p99, stage.max))
     return f"p50 {p50:6.2f}   p99 {p99:6.2f}   max {largest:6.2f} ms"
-
-
-def _fallback(metrics: WalkMetrics) -> str:
-    if metrics.fallback_cycles is None:
-        return "-"
-    return f"{metrics.fallback_cycles} cycles, at most {metrics.longest_fallback} in a row"
 
 
 def _load(metrics: WalkMetrics) -> str:

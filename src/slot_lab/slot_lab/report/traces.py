@@ -105,16 +105,9 @@ def _of_truth(message: Any) -> Values:
     return _torso("true", forward, position[2], roll, pitch)
 
 
-def _of_estimate(message: Any) -> Values:
-    state = decode.estimate(message).state
-    forward = rotate(state[9:11], -state[2])[0]
-    return _torso("estimated", forward, state[5], state[0], state[1])
-
-
-def _of_reference(message: Any) -> Values:
-    first = decode.preview(message).reference[0]
-    forward = rotate(first[9:11], -first[2])[0]
-    return _torso("reference", forward, first[5], first[0], first[1])
+def _of_state(source: str, x: Array) -> Values:
+    """Values of the twelve states (12,)."""
+    return _torso(source, rotate(x[9:11], -x[2])[0], x[5], x[0], x[1])
 
 
 def _of_legs_truth(message: Any) -> Values:
@@ -136,8 +129,8 @@ def _angle(source: str) -> Callable[[Any], Values]:
 _VALUES: dict[str, Callable[[Any], Values]] = {
     "/ground_truth/odom": _of_truth,
     "/ground_truth/legs": _of_legs_truth,
-    "/mpc_state": _of_estimate,
-    "/gait_preview": _of_reference,
+    "/mpc_state": lambda message: _of_state("estimated", decode.estimate(message).state),
+    "/gait_preview": lambda message: _of_state("reference", decode.preview(message).reference[0]),
     "/tendon_plan": _of_plan,
     "/joint_states": _angle("measured"),
     "/desired_joint_angles": _angle("commanded"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -24,13 +24,6 @@ class IdentificationError(RuntimeError):
     """A run of the identification has diverged."""
 
 
-class Steered(NamedTuple):
-    """Steering found, and what one amplitude of it changes."""
-
-    steering: Steering
-    change: Array  # (3,) predicted v_y (m/s), yaw rate (rad/s), roll (rad)
-
-
 def run_jobs(run_all: RunAll, jobs: list[Job]) -> list[StrideMotion]:
     """Motions of the jobs; raises IdentificationError if one diverges."""
     motions = []
@@ -43,8 +36,12 @@ def run_jobs(run_all: RunAll, jobs: list[Job]) -> list[StrideMotion]:
     return motions
 
 
-def find_steering(stride: Stride, settings: TuningSettings, run_all: RunAll) -> Steered:
+def find_steering(
+    stride: Stride, settings: TuningSettings, run_all: RunAll
+) -> tuple[Steering, Array]:
     """Antisymmetric change of the forward pattern that alters the yaw rate alone.
+
+    Also returns what one amplitude of it changes (3,): v_y (m/s), yaw rate (rad/s), roll (rad).
 
     With the effect J (3, 10) of its numbers x on v_y, yaw rate and roll, by central differences,
     and the scales S: min |S (J x - [0, w, 0])|^2 + |damping x|^2.
@@ -69,7 +66,7 @@ def find_steering(stride: Stride, settings: TuningSettings, run_all: RunAll) -> 
     change = effect @ x
     rate = float(change[1])
     rate_max = stride.forward_steering.rate_max
-    return Steered(Steering(rate, rate_max, symmetry.rows(symmetry.steering(x))), change)
+    return Steering(rate, rate_max, symmetry.rows(symmetry.steering(x))), change
 
 
 def effect_of_knobs(stride: Stride, settings: TuningSettings, run_all: RunAll) -> Array:
@@ -101,16 +98,11 @@ def tabulate(stride: Stride, settings: TuningSettings, run_all: RunAll) -> dict[
 
     The means of their tendon angles take the common offset that holds the height there.
     """
-    jobs = [
-        Job(
-            stride,
-            mu,
-            tuple(np.eye(3)[n] * getattr(stride, name).speed),
-            hold_height=name in HELD,
-        )
-        for n, name in enumerate(PATTERNS)
-        for mu in settings.friction
-    ]
+    jobs = []
+    for axis, name in zip(np.eye(3), PATTERNS):
+        velocity = tuple(axis * getattr(stride, name).speed)
+        held = name in HELD
+        jobs += [Job(stride, mu, velocity, hold_height=held) for mu in settings.friction]
     motions, size = run_jobs(run_all, jobs), len(settings.friction)
     found = {}
     for n, name in enumerate(PATTERNS):

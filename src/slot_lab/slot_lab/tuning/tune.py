@@ -27,11 +27,12 @@ from typing import Any
 import numpy as np
 
 from slot_core import config
-from slot_core.command_line import CommandParser, positive_integer
+from slot_core.command_line import positive_integer
 from slot_core.config import ConfigError
 from slot_core.control.force_map import read_springs
 from slot_core.gait.gait import Pattern, Steering, Stride, read_gaits
-from slot_core.robot import Array, read_robot
+from slot_core.robot import read_robot
+from slot_lab.terminal import INTERRUPTED, command_parser
 from slot_lab.tuning import gait_file, identification, symmetry
 from slot_lab.tuning.identification import IdentificationError
 from slot_lab.tuning.pattern_search import Goal, PatternSearch, bare_pattern
@@ -43,7 +44,6 @@ STAGES = ("forward", "turn", "steering", "identify")
 RECORDS = Path("results", "tune")
 QUICK = {"friction": [0.4], "strides": 3, "evaluations": 32, "population": 8}
 LEAST_SPEED = 1e-3  # m/s, rad/s, of a pattern
-INTERRUPTED = 130  # exit code
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -118,11 +118,11 @@ class _Tuning:
             raise IdentificationError(f"{kind}: no candidate moves; more evaluations are needed")
         pattern = replace(bare_pattern(angle), speed=float(np.mean(found.speed)))
         speeds = ", ".join(f"{v:.4f}" for v in found.speed)
-        return pattern, f"{kind}: {speeds} at friction {_list(self.settings.friction)}, open loop"
+        friction = ", ".join(f"{value:g}" for value in self.settings.friction)
+        return pattern, f"{kind}: {speeds} at friction {friction}, open loop"
 
     def _steering(self, run_all: RunAll) -> list[str]:
-        found = identification.find_steering(self.stride, self.settings, run_all)
-        steering, change = found
+        steering, change = identification.find_steering(self.stride, self.settings, run_all)
         if steering.rate < self.settings.steering_rate / 4:
             raise IdentificationError(f"steering: only {steering.rate:.4f} rad/s was found")
         across = symmetry.lateral_steering(np.array(steering.angle_deg))
@@ -144,9 +144,10 @@ class _Tuning:
             rows = tuple(tuple(row) for row in effect.tolist())
             self.stride = replace(self.stride, feedback=replace(self.stride.feedback, effect=rows))
         speeds = ", ".join(f"{name} {getattr(self.stride, name).speed:.4f}" for name in tables)
-        rows_text = [f"  {name:<9}" + _row(row) for name, row in zip(OUTPUTS, effect)]
+        cells = [" ".join(f"{value:8.4f}" for value in row) for row in effect]
+        lines = [f"  {name:<9}{row}" for name, row in zip(OUTPUTS, cells)]
         title = "effect of the corrections v_x, v_y, yaw rate, common, left-right, front-rear on"
-        return [f"speeds at amplitude one: {speeds}", title, *rows_text]
+        return [f"speeds at amplitude one: {speeds}", title, *lines]
 
     def _record(self, kind: str) -> Path:
         return RECORDS / f"{self._options.out.stem}.{kind}.jsonl"
@@ -166,14 +167,6 @@ class _Progress:
         elif (now := time.monotonic()) - self._last >= self.INTERVAL:
             self._last = now
             print(line, file=sys.stderr, flush=True)
-
-
-def _row(values: Array) -> str:
-    return " ".join(f"{value:8.4f}" for value in values)
-
-
-def _list(values: Sequence[float]) -> str:
-    return ", ".join(f"{value:g}" for value in values)
 
 
 def _settings(options: argparse.Namespace) -> TuningSettings:
@@ -212,11 +205,7 @@ def _rest(height: float) -> dict[str, object]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = CommandParser(
-        prog="scripts/tune",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser("tune", __doc__)
     add = parser.add_argument
     add("gait", metavar="NAME", help="name of the stride that is written")
     add("stages", nargs="*", metavar="STAGE", type=_stage, help=", ".join(STAGES))

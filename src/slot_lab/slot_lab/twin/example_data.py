@@ -12,7 +12,6 @@ DIRECTORY gets
 
 from __future__ import annotations
 
-import argparse
 import math
 import shutil
 import sys
@@ -26,7 +25,6 @@ from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.body_points import LEG_POINTS, TORSO, at_shares
-from slot_core.command_line import CommandParser
 from slot_core.config import ConfigError
 from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.record_settings import read_record_settings
@@ -35,13 +33,9 @@ from slot_core.simulation.plant import make_robot
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.measured import COMMANDED, MEASURED, ODOMETRY
 from slot_lab.csv_table import TableError
+from slot_lab.terminal import command_parser, one_line
 from slot_lab.twin.replay_robot import ModelParts, read_parts
-from slot_lab.validation.recording import (
-    PointTrack,
-    RecordingError,
-    read_recording,
-    write_points,
-)
+from slot_lab.validation.recording import PointTrack, RecordingError, read_recording, write_points
 
 SCENE = "synthetic"
 TOPICS = (MEASURED, COMMANDED, ODOMETRY)
@@ -57,18 +51,14 @@ REST, PULL, HOLD, RELEASE = 1.024, 2.4, 0.2, 2.0  # s
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line; ends with exit code 2 and one line on a bad input."""
-    parser = CommandParser(
-        prog="scripts/example_data",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser("example_data", __doc__)
     parser.add_argument("recorded", type=Path, metavar="BAG", help="bag of the scene")
     parser.add_argument("directory", type=Path, metavar="DIR")
     options = parser.parse_args(arguments)
     try:
         write(options.recorded, options.directory)
     except (BagError, RecordingError, TableError, ConfigError, OSError) as error:
-        parser.exit(2, f"scripts/example_data: {' '.join(str(error).split())}\n")
+        parser.exit(2, f"scripts/example_data: {one_line(error)}\n")
     return 0
 
 

@@ -33,6 +33,5 @@ def write(recorded: BagRecording, parts: ModelParts, settings: TwinSettings, pat
         for leg, nodes in zip(LEGS, sim.nodes):
             for name, place in zip(LEG_POINTS, at_shares(nodes)):
                 rows.setdefault(f"{leg}_{name}", []).append((t, *place))
-    write_points(
-        path, {name: np.array(part) for name, part in rows.items()}, ["Predicted by scripts/twin"]
-    )
+    points = {name: np.array(part) for name, part in rows.items()}
+    write_points(path, points, ["Predicted by scripts/twin"])

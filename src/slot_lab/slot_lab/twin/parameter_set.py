@@ -121,10 +121,8 @@ def undetermined(names: tuple[str, ...], result: ParameterEstimate) -> list[str]
 
 
 def _errors(errors: StrideErrors) -> dict[str, float]:
-    summary = errors.summary()
-    return {
-        f"{key}_{unit}": round(scale * summary[key], 4) for key, (_, scale, unit) in UNITS.items()
-    }
+    found, units = errors.summary(), UNITS.items()
+    return {f"{key}_{unit}": round(scale * found[key], 4) for key, (_, scale, unit) in units}
 
 
 def _number(value: float) -> float | None:

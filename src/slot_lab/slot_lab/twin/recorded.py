@@ -55,9 +55,8 @@ def read_recorded(
     """
     if path.is_dir() or path.suffix in STORAGES:
         bag = Bag(path, namespace)
-        found = BagRecording(
-            path.name, tendon_angles(bag, angles), measured_motion(bag, motion), stride_period(bag)
-        )
+        turned, moved = tendon_angles(bag, angles), measured_motion(bag, motion)
+        found = BagRecording(path.name, turned, moved, stride_period(bag))
     elif namespace or motion:
         raise ConfigError(f"{path}: --namespace and --motion are of bags")
     else:

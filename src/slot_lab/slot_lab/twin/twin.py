@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from slot_core.command_line import CommandParser, positive_integer, within
+from slot_core.command_line import positive_integer, within
 from slot_core.config import ConfigError, load
 from slot_core.divergence import DivergenceError
 from slot_core.robot import Array
@@ -33,6 +33,7 @@ from slot_lab.bags.measured import COMMANDED, MEASURED, MOTION_TOPICS
 from slot_lab.calibration.experiments import PredictionError
 from slot_lab.calibration.fit import FitError
 from slot_lab.csv_table import TableError
+from slot_lab.terminal import INTERRUPTED, command_parser, one_line, progress
 from slot_lab.twin import leg_points, parameter_set, twin_plot
 from slot_lab.twin.recorded import read_recorded
 from slot_lab.twin.replay_robot import measured_track, predict, read_parts
@@ -41,7 +42,6 @@ from slot_lab.twin.strides import find_strides, stride_errors
 from slot_lab.twin.twin_fit import RunAll, fit_twin, parameter, places, serially
 from slot_lab.workers import gather, workers
 
-INTERRUPTED = 130  # exit code
 ERRORS = (
     BagError, ConfigError, DivergenceError, FitError, PredictionError, TableError, OSError,
 )  # fmt: skip
@@ -60,14 +60,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         parser.exit(2, f"scripts/twin: {error}: run scripts/setup --bench, or give --workers 1\n")
     except ERRORS as error:
-        parser.exit(2, f"scripts/twin: {' '.join(str(error).split())}\n")
+        parser.exit(2, f"scripts/twin: {one_line(error)}\n")
     print("\n".join(lines))
     return 0
 
 
 def _run(options: argparse.Namespace) -> list[str]:
     """Replay, fit if asked for, and write the files; returns the lines of the report."""
-    settings, names = read_twin(), places(options.fit)
+    settings, names = read_twin(), places([*filter(None, options.fit.split(","))])
     if options.set:
         parameter_set.place_of(options.set)
     parts = read_parts(options.scene, options.parameters)
@@ -78,11 +78,13 @@ def _run(options: argparse.Namespace) -> list[str]:
     strides = find_strides(recorded, settings, options.period)
     out = options.out or Path("results", "twin", recorded.name)
     out.mkdir(parents=True, exist_ok=True)
+    lost = recorded.motion.left_out
+    left_out = f", without {lost} readings that were lost" if lost else ""
     kind = "measured" if recorded.angles.measured else "commands, through the model of the servo"
     lines = [
         f"{recorded.name}: {strides.count} strides of {strides.period:.3g} s",
         f"tendon angles       {recorded.angles.source} ({kind})",
-        f"motion              {recorded.motion.source}{_left_out(recorded.motion.left_out)}",
+        f"motion              {recorded.motion.source}{left_out}",
         f"model               scene {options.scene}, parameters {start}",
         "",
     ]
@@ -94,7 +96,7 @@ def _run(options: argparse.Namespace) -> list[str]:
             kept = _Trials(out / "trials", run_all, trial)
             found = fit_twin(
                 recorded, parts, names, strides, settings,
-                run_all=kept, starts=options.starts, progress=_progress,
+                run_all=kept, starts=options.starts, progress=progress,
             )  # fmt: skip
         seen = len(found.seen[0].level)
         content = parameter_set.record(recorded, parts, start, found, options.note)
@@ -114,10 +116,6 @@ def _run(options: argparse.Namespace) -> list[str]:
     leg_points.write(recorded, parts, settings, out / "predicted.csv")
     (out / "summary.txt").write_text("\n".join(lines) + "\n")
     return [*lines, "", f"twin.png, predicted.csv and summary.txt are in {out}"]
-
-
-def _left_out(count: int) -> str:
-    return f", without {count} readings that were lost" if count else ""
 
 
 class _Trials:
@@ -162,52 +160,27 @@ def _runner(options: argparse.Namespace) -> Iterator[RunAll]:
         yield partial(gather, client)
 
 
-def _progress(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
-
-
 def _parser() -> argparse.ArgumentParser:
-    parser = CommandParser(
-        prog="scripts/twin",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser("twin", __doc__)
     add = parser.add_argument
     add("recording", type=Path, metavar="RECORDING", help="bag, or CSV file")
     add("--scene", default="flat", metavar="NAME", help="scene of config/scene (default: flat)")
     add("--parameters", default="", metavar="NAME", help="set of config/parameters in that scene")
-    add(
-        "--angles",
-        default="",
-        choices=[MEASURED, COMMANDED],
-        help="tendon angles that are replayed; of a CSV file, what they are",
-    )
+    angles = "tendon angles that are replayed; of a CSV file, what they are"
+    add("--angles", default="", choices=[MEASURED, COMMANDED], help=angles)
     add("--motion", default="", choices=MOTION_TOPICS, help="motion that is compared")
     add("--namespace", default="", help="of the recorded graph")
-    add(
-        "--period",
-        type=within(0.05, 60.0, "s"),
-        metavar="S",
-        help="length of a stride (default: the gait's)",
-    )
-    add("--fit", default=[], type=_names, metavar="NAME,...", help="parameters to fit")
+    length = "length of a stride (default: the gait's)"
+    add("--period", type=within(0.05, 60.0, "s"), metavar="S", help=length)
+    add("--fit", default="", metavar="NAME,...", help="parameters to fit")
     add("--set", default="", metavar="NAME", help="write the fit as config/parameters/NAME.yaml")
     add("--note", default="", metavar="TEXT", help="text for that file")
-    add(
-        "--starts",
-        type=positive_integer,
-        default=1,
-        metavar="N",
-        help="starts of the fit (default: 1)",
-    )
+    starts = "starts of the fit (default: 1)"
+    add("--starts", type=positive_integer, default=1, metavar="N", help=starts)
     add("--out", type=Path, metavar="DIR", help="default: results/twin/RECORDING")
     add("--scheduler", default="", metavar="ADDRESS", help="of dask; default: this machine")
     add("--workers", type=positive_integer, metavar="N", help="local processes (default: cores)")
     return parser
-
-
-def _names(text: str) -> list[str]:
-    return [name for name in text.split(",") if name]
 
 
 if __name__ == "__main__":

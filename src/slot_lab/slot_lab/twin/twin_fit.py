@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -94,7 +95,7 @@ def changes(
     out: dict[str, dict[str, Any]] = {"robot": {}, "scene": {}, "servo": {}}
     for place, value in zip(names, values):
         part, name, index = _split(place)
-        old = out[part].get(name) or _value(getattr(parts, part), name)
+        old = out[part].get(name) or attrgetter(f"{part}.{name}")(parts)
         number = float(value)
         if not isinstance(old, (tuple, list)):
             out[part][name] = number
@@ -188,9 +189,3 @@ def _split(place: str) -> tuple[str, str, int | None]:
 def _is_number(value: Any, meta: Mapping[str, Any]) -> bool:
     first = value[0] if isinstance(value, tuple) and value else value
     return "low" in meta and isinstance(first, float)
-
-
-def _value(settings: Any, name: str) -> Any:
-    for part in name.split("."):
-        settings = getattr(settings, part)
-    return settings

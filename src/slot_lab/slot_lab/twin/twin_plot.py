@@ -7,21 +7,11 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from slot_core.drawing import palette
 from slot_lab.twin.replay_robot import PredictedTrack
-from slot_lab.twin.strides import (
-    PITCH,
-    ROLL,
-    YAW,
-    Strides,
-    Z,
-    error_growth,
-    placed,
-    stride_errors,
-)
+from slot_lab.twin.strides import PITCH, ROLL, YAW, Strides, Z, error_growth, placed, stride_errors
 
 DPI = 100
 COLOURS = (palette.SECONDARY, palette.TRUE)
@@ -42,11 +32,11 @@ def draw(
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     figure = Figure(figsize=(16.0, 7.5), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=12, fontweight="bold")
     path_of, forward, turned, growth, heading, height, roll, pitch = figure.subplots(2, 4).ravel()
     laid = {name: placed(track, measured, strides) for name, track in predictions.items()}
-    inside = _inside(measured, strides)
+    keep = (measured.t >= strides.edges[0]) & (measured.t <= strides.edges[-1])
+    inside = PredictedTrack(measured.t[keep], measured.position[keep], measured.rpy[keep])
     _path(path_of, inside, laid)
     for ax, column in ((forward, 0), (turned, 2)):
         _of_strides(ax, column, measured, predictions, strides)
@@ -58,11 +48,6 @@ def draw(
     for ax, column, label in (*columns, (roll, ROLL, "roll (deg)"), (pitch, PITCH, "pitch (deg)")):
         _over_time(ax, inside, laid, column, label)
     figure.savefig(path, dpi=DPI)
-
-
-def _inside(track: PredictedTrack, strides: Strides) -> PredictedTrack:
-    keep = (track.t >= strides.edges[0]) & (track.t <= strides.edges[-1])
-    return PredictedTrack(track.t[keep], track.position[keep], track.rpy[keep])
 
 
 def _path(ax: Axes, measured: PredictedTrack, predictions: Mapping[str, PredictedTrack]) -> None:
@@ -111,8 +96,8 @@ def _over_time(
     label: str,
 ) -> None:
     scale = 1e3 if column < 3 else 180.0 / np.pi
-    ax.plot(measured.t - measured.t[0], scale * measured.columns[:, column], ".", ms=2,
-            color=palette.INK)  # fmt: skip
+    place = scale * measured.columns[:, column]
+    ax.plot(measured.t - measured.t[0], place, ".", ms=2, color=palette.INK)
     for track, colour in zip(predictions.values(), COLOURS):
         ax.plot(track.t - measured.t[0], scale * track.columns[:, column], color=colour, lw=1)
     _finish(ax, label, "time (s)", "")

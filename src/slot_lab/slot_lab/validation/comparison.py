@@ -69,7 +69,8 @@ def compare(
     point. offset: of the clocks, s, if known. leg: of points without one. block: of the bootstrap,
     s. Raises RecordingError if the recordings have no point or no time in common.
     """
-    run, measured = _named_alike(run, measured, leg)
+    if any(f"{leg}_{name}" in r.points for r in (run, measured) for name in LEG_POINTS):
+        run, measured = _with_leg(run, leg), _with_leg(measured, leg)
     names = [name for name in run.points if name in measured.points]
     if not names:
         raise RecordingError(
@@ -113,16 +114,8 @@ def _coordinates(
     return columns | dict(zip(ATTITUDE, zip(run.rpy.T, turned.T)))
 
 
-def _named_alike(
-    run: PointRecording, measured: PointRecording, leg: str
-) -> tuple[PointRecording, PointRecording]:
-    """Both with the leg in the names of leg points if one of them has it."""
-    if any(f"{leg}_{name}" in r.points for r in (run, measured) for name in LEG_POINTS):
-        return _with_leg(run, leg), _with_leg(measured, leg)
-    return run, measured
-
-
 def _with_leg(recording: PointRecording, leg: str) -> PointRecording:
+    """The recording with the leg in the names of leg points."""
     points = {f"{leg}_{k}" if k in LEG_POINTS else k: v for k, v in recording.points.items()}
     return dataclasses.replace(recording, points=points)
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from slot_core.body_points import LEG_POINTS, TORSO
 from slot_core.drawing import palette
-from slot_lab.validation.comparison import AXES, Comparison, PointSeries, paper_points
+from slot_lab.validation.comparison import AXES, Comparison, paper_points
 from slot_lab.validation.recording import ATTITUDE
 from slot_lab.validation.tables import scale, unit
 
@@ -35,34 +33,23 @@ def _figure(
     comparison: Comparison, keys: Sequence[tuple[str, str]], title: str, path: Path
 ) -> Path:
     figure = Figure(figsize=(11.0, 1.9 * len(keys) + 0.8), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=12, fontweight="bold")
     axes = figure.subplots(len(keys), 2, sharex=True, squeeze=False, width_ratios=(1.6, 1.0))
-    for row, key in zip(axes, keys):
-        _both(row[0], comparison.series[key], *key)
-        _difference(row[1], comparison.series[key], key[1])
+    for (both, difference), (point, axis) in zip(axes, keys):
+        found, factor = comparison.series[point, axis], scale(axis)
+        run, measured = factor * found.run, factor * found.measured
+        both.plot(found.t, measured, ".", ms=2.5, color=palette.INK, label="measured")
+        both.plot(found.t, run, color=palette.SECONDARY, lw=1.2, label="run")
+        both.set_title(f"{point} {axis} ({unit(axis)})", fontsize=9, loc="left")
+        difference.plot(found.t, run - measured, color=palette.TRUE, lw=0.8)
+        difference.axhline(0.0, color=palette.INK, lw=0.6)
+        rmse = f"RMSE {factor * found.errors.value['rmse']:.2f} {unit(axis)}"
+        difference.set_title(f"run - measured, {rmse}", fontsize=9, loc="left")
+    for ax in axes.flat:
+        ax.tick_params(labelsize=8)
+        ax.grid(color=palette.SHADE)
     axes[0][0].legend(fontsize=8, frameon=False, ncols=2)
     for ax in axes[-1]:
         ax.set_xlabel("time of the run (s)", fontsize=9)
     figure.savefig(path, dpi=DPI)
     return path
-
-
-def _both(ax: Axes, series: PointSeries, point: str, axis: str) -> None:
-    factor = scale(axis)
-    ax.plot(series.t, factor * series.measured, ".", ms=2.5, color=palette.INK, label="measured")
-    ax.plot(series.t, factor * series.run, color=palette.SECONDARY, lw=1.2, label="run")
-    _finish(ax, f"{point} {axis} ({unit(axis)})")
-
-
-def _difference(ax: Axes, series: PointSeries, axis: str) -> None:
-    factor, e = scale(axis), series.errors
-    ax.plot(series.t, factor * (series.run - series.measured), color=palette.TRUE, lw=0.8)
-    ax.axhline(0.0, color=palette.INK, lw=0.6)
-    _finish(ax, f"run - measured, RMSE {factor * e.value['rmse']:.2f} {unit(axis)}")
-
-
-def _finish(ax: Axes, title: str) -> None:
-    ax.set_title(title, fontsize=9, loc="left")
-    ax.tick_params(labelsize=8)
-    ax.grid(color=palette.SHADE)

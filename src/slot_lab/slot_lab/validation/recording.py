@@ -186,6 +186,5 @@ def _track(path: Path, name: str, rows: Sequence[tuple[int, list[float]]]) -> Po
 
 def _since_first(name: str, tracks: Mapping[str, PointTrack]) -> PointRecording:
     first = min(float(track.t[0]) for track in tracks.values())
-    return PointRecording(
-        name, {k: PointTrack(v.t - first, v.position, v.rpy) for k, v in tracks.items()}
-    )
+    moved = {k: PointTrack(v.t - first, v.position, v.rpy) for k, v in tracks.items()}
+    return PointRecording(name, moved)

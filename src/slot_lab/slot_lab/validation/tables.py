@@ -14,7 +14,6 @@ from slot_core.body_points import LEG_POINTS, TORSO
 from slot_core.robot import Array
 from slot_lab.validation.comparison import AXES, Comparison, PointSeries, paper_points
 from slot_lab.validation.error_metrics import NAMES
-from slot_lab.validation.time_alignment import TimeAlignment
 
 RIVAL = 1.05  # times the best shift's rest, up to which another shift is as good
 TITLES = {
@@ -45,7 +44,12 @@ def alignment_lines(comparison: Comparison, frame: str) -> list[str]:
         f" {_numbers(1e3 * placed.shift, 1)} mm",
     ]
     if time.rival_rest < RIVAL * time.rest:
-        lines.insert(1, _rival(time))
+        rests = f"{1e3 * time.rival_rest:.2f} mm of rest, here {1e3 * time.rest:.2f}"
+        lines.insert(
+            1,
+            f"         {time.rival_offset:.3f} s is nearly as good ({rests}): periodic motion; if"
+            " that is right, give --offset",
+        )
     if comparison.only:
         lines.append(f"points   only in one recording: {', '.join(comparison.only)}")
     if comparison.brief:
@@ -55,14 +59,6 @@ def alignment_lines(comparison: Comparison, frame: str) -> list[str]:
 
 def _width(value: float, digits: int) -> str:
     return "?" if math.isnan(value) else f"{value:.{digits}f}"
-
-
-def _rival(time: TimeAlignment) -> str:
-    rests = f"{1e3 * time.rival_rest:.2f} mm of rest, here {1e3 * time.rest:.2f}"
-    return (
-        f"         {time.rival_offset:.3f} s is nearly as good ({rests}): periodic motion; if that"
-        " is right, give --offset"
-    )
 
 
 def coordinate_table(comparison: Comparison) -> list[str]:

@@ -115,7 +115,7 @@ def cross_correlation(pairs: Sequence[Pair], frame: str) -> tuple[Array, Array]:
     sums = [np.concatenate([[0.0], np.cumsum(each)]) for each in energy]
     begin, end = np.maximum(0, lags), np.minimum(sizes[1], sizes[0] + lags)
     power = (sums[1][end] - sums[1][begin]) * (sums[0][end - lags] - sums[0][begin - lags])
-    score = np.array([_largest_trace(h, frame) for h in total[good]])
+    score = np.array([np.trace(best_rotation(h, frame) @ h) for h in total[good]])
     if not power[good].max() > 0:
         raise RecordingError("nothing moves in one of the recordings: no alignment in time")
     score /= np.sqrt(np.maximum(power[good], 1e-6 * power[good].max()))
@@ -127,10 +127,6 @@ def _velocity(track: PointTrack, grid: Array) -> Array:
     place = np.column_stack([np.interp(grid, track.t, column) for column in track.position.T])
     speed = gaussian_filter1d(np.gradient(place, GRID, axis=0), SMOOTH / GRID, axis=0)
     return np.asarray(speed - speed.mean(axis=0))
-
-
-def _largest_trace(h: Array, frame: str) -> float:
-    return float(np.trace(best_rotation(h, frame) @ h))
 
 
 def _refine(pairs: Sequence[Pair], frame: str, start: float) -> TimeAlignment:

@@ -13,12 +13,13 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from slot_core.command_line import CommandParser
+from slot_core.command_line import within
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_lab.bags.bag import BagError
 from slot_lab.bags.measured import MOTION_TOPICS
 from slot_lab.csv_table import TableError
+from slot_lab.terminal import command_parser, one_line
 from slot_lab.validation import curves, tables
 from slot_lab.validation.comparison import compare
 from slot_lab.validation.frame_alignment import FRAMES, RIGID
@@ -32,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         lines = _run(options)
     except (RecordingError, TableError, BagError, ConfigError, OSError) as error:
-        parser.exit(2, f"scripts/validate: {' '.join(str(error).split())}\n")
+        parser.exit(2, f"scripts/validate: {one_line(error)}\n")
     print("\n".join(lines))
     return 0
 
@@ -64,11 +65,7 @@ def _run(options: argparse.Namespace) -> list[str]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = CommandParser(
-        prog="scripts/validate",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser("validate", __doc__)
     add = parser.add_argument
     add("run", type=Path, metavar="RECORDING", help="bag, CSV or video")
     add("measurement", type=Path, metavar="RECORDING", help="bag, CSV or video")
@@ -77,32 +74,19 @@ def _parser() -> argparse.ArgumentParser:
     free = "what is free between the frames: rotation and shift, turn about z and shift, nothing"
     add("--frame", choices=FRAMES, default="level", help=f"{free} (default: level)")
     begin = "align the frames by the first S seconds only, so that later errors show"
-    add("--frame-time", type=_positive, metavar="S", default=math.inf, help=begin)
+    time = within(1e-3, 1e6, "s")
+    add("--frame-time", type=time, metavar="S", default=math.inf, help=begin)
     beside = "take out each point's mean difference over that time: markers beside their points"
     add("--zero", action="store_true", help=beside)
     offset = "time of the measurement's first sample in the run, to 0.1 s (default: searched)"
-    add("--offset", type=_number, metavar="S", help=offset)
+    add("--offset", type=within(-1e6, 1e6, "s"), metavar="S", help=offset)
     add("--leg", choices=LEGS, default="FL", help="leg of points without one (default: FL)")
-    add("--block", type=_positive, metavar="S", default=1.0, help="of the bootstrap (default: 1 s)")
+    add("--block", type=time, metavar="S", default=1.0, help="of the bootstrap (default: 1 s)")
     add("--camera", type=Path, metavar="FILE", help="calibration of a video's camera")
     add("--namespace", default="", help="of the run's bag")
     first = "motion of the run's bag (default: the first of these that is recorded)"
     add("--motion", default="", choices=MOTION_TOPICS, help=first)
     return parser
-
-
-def _number(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text}: not a finite number")
-    return value
-
-
-def _positive(text: str) -> float:
-    value = _number(text)
-    if value <= 0.0:
-        raise argparse.ArgumentTypeError(f"{text}: not positive")
-    return value
 
 
 if __name__ == "__main__":

@@ -19,9 +19,8 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
 Receive = Callable[[Any, int], None]  # a message and its number on the topic, from 1
-DELIVERIES_MAX = (
-    250  # messages delivered in a row: robot and controller in lockstep always have another one
-)
+# messages delivered in a row: robot and controller in lockstep always have another one
+DELIVERIES_MAX = 250
 
 
 class Mailbox:
