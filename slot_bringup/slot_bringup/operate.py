@@ -36,13 +36,13 @@ from std_srvs.srv import Trigger
 from slot_bringup import operator_screen
 from slot_bringup.check import check_place
 from slot_bringup.monitor import ListenerExecutor, listener
+from slot_core.command_line import command_parser
 from slot_core.config import ConfigError
 from slot_core.messages import decode
 from slot_core.messages.decode import ACTION_NUMBERS
 from slot_core.robot import LEGS
 from slot_core.safety.commands import Action
 from slot_core.safety.states import State
-from slot_lab.terminal import command_parser
 from slot_msgs.msg import RobotState, ServoHealth
 from slot_msgs.srv import InjectFault
 from slot_nodes import qos, runtime

@@ -7,10 +7,12 @@ scene or other thing of config/; N: a number; S: seconds; units: M, DEG, HZ, M/S
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable
 from typing import NoReturn, TypeVar
 
 Number = TypeVar("Number", int, float)
+INTERRUPTED = 130  # exit code
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -19,6 +21,22 @@ class CommandParser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """End the program with the message."""
         self.exit(2, f"{self.prog}: {message}\n")
+
+
+def command_parser(name: str, description: str | None) -> CommandParser:
+    """Parser of `scripts/NAME`, whose help shows the description as it is written."""
+    form = argparse.RawDescriptionHelpFormatter
+    return CommandParser(prog=f"scripts/{name}", description=description, formatter_class=form)
+
+
+def one_line(error: BaseException) -> str:
+    """The message of an error without line breaks."""
+    return " ".join(str(error).split())
+
+
+def progress(line: str) -> None:
+    """Print a line of progress."""
+    print(line, file=sys.stderr, flush=True)
 
 
 def positive_integer(text: str) -> int:

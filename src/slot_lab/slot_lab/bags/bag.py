@@ -23,13 +23,13 @@ from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
 
 from slot_core.clock import to_seconds
+from slot_core.command_line import one_line
 from slot_core.recording.bag_error import BagError, NoFieldError
 from slot_core.recording.bag_writer import BagWriter, MessageType
 from slot_core.recording.message_types import Types, add_installed, types_inside
 from slot_core.recording.origin import Origin
 from slot_core.recording.record_settings import read_record_settings, root_of
 from slot_lab.bags.repair import is_complete, read_origin, repaired
-from slot_lab.terminal import one_line
 
 __all__ = ["Bag", "BagError", "NoFieldError", "Series", "Stamps"]
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from slot_core import config
-from slot_core.command_line import positive_integer
+from slot_core.command_line import command_parser, one_line, positive_integer, progress
 from slot_core.config import ConfigError
 from slot_core.robot import Array, RobotParameters, read_parameters, read_robot
 from slot_lab.calibration import parameter_file
@@ -35,7 +35,6 @@ from slot_lab.calibration.fit import (
 )
 from slot_lab.calibration.plot import write_figure
 from slot_lab.csv_table import TableError
-from slot_lab.terminal import command_parser, one_line, progress
 
 FREE = ("leg.young_modulus", "tendon.offset", "tendon.cable_stiffness", "tendon.slack")
 

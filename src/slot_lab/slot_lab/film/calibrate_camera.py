@@ -15,13 +15,12 @@ from pathlib import Path
 
 import cv2
 
-from slot_core.command_line import positive_integer
+from slot_core.command_line import command_parser, one_line, positive_integer
 from slot_core.config import ConfigError
 from slot_core.vision.camera import CameraError, camera_text
 from slot_core.vision.settings import VisionSettings, read_vision
 from slot_lab.film.calibration import BoardView, Calibration, calibrate, chessboard, find_view
 from slot_lab.film.pictures import PICTURES, FilmError, read_film
-from slot_lab.terminal import command_parser, one_line
 
 NAMES = ("f_x", "f_y", "c_x", "c_y", "k1", "k2", "p1", "p2", "k3")
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from slot_core.body_points import LEAST_NODES, LEG_POINTS, TORSO, arc_length, at_shares
 from slot_core.clock import to_seconds
-from slot_core.command_line import within
+from slot_core.command_line import command_parser, one_line, within
 from slot_core.config import ConfigError
 from slot_core.geometry import Transform, optical
 from slot_core.messages import decode
@@ -34,7 +34,6 @@ from slot_lab.bags.recorded_walk import GROUND_TRUTH, LEG_STATES
 from slot_lab.film.calibration import chessboard
 from slot_lab.film.track import write_tracks
 from slot_lab.film.tracker import MarkerSample
-from slot_lab.terminal import command_parser, one_line
 
 BOARD = "film"
 DEPTH_NOISE = 0.002  # m, of a pixel of a RealSense D435 at 0.8 m

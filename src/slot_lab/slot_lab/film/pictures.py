@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slot_core.clock import to_seconds
+from slot_core.command_line import one_line
 from slot_core.messages.decode import stamp
 from slot_core.vision import picture_message
 from slot_core.vision.board import Picture
 from slot_core.vision.camera import Camera, CameraError, from_camera_info
 from slot_lab.bags.bag import STORAGES, Bag, BagError
-from slot_lab.terminal import one_line
 
 Depth = NDArray[np.uint16]
 PICTURES = "/camera/image_raw"  # topic of a bag

@@ -18,12 +18,11 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from slot_core.command_line import within
+from slot_core.command_line import command_parser, within
 from slot_core.config import ConfigError
 from slot_core.vision.board import WHITE, Picture, make_board, picture_of, single_marker
 from slot_core.vision.settings import VisionSettings, read_vision
 from slot_lab.film.calibration import chessboard
-from slot_lab.terminal import command_parser
 
 INCH = 0.0254  # m
 SCALE = 0.1  # m, of the line to measure

@@ -20,7 +20,7 @@ from pathlib import Path
 import cv2
 
 from slot_core.body_points import COLUMNS, FRAME, TORSO
-from slot_core.command_line import within
+from slot_core.command_line import command_parser, one_line, progress, within
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_core.vision.camera import Camera, CameraError, nominal, read_camera
@@ -36,7 +36,6 @@ from slot_lab.film.pictures import (
     read_film,
 )
 from slot_lab.film.tracker import MarkerSample, Tracker, Tracks
-from slot_lab.terminal import command_parser, one_line, progress
 
 COMPLETE = 1.02  # pictures that a video says over those read: some estimate their length
 

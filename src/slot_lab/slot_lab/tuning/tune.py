@@ -27,12 +27,11 @@ from typing import Any
 import numpy as np
 
 from slot_core import config
-from slot_core.command_line import positive_integer
+from slot_core.command_line import INTERRUPTED, command_parser, positive_integer
 from slot_core.config import ConfigError
 from slot_core.control.force_map import read_springs
 from slot_core.gait.gait import Pattern, Steering, Stride, read_gaits
 from slot_core.robot import read_robot
-from slot_lab.terminal import INTERRUPTED, command_parser
 from slot_lab.tuning import gait_file, identification, symmetry
 from slot_lab.tuning.identification import IdentificationError
 from slot_lab.tuning.pattern_search import Goal, PatternSearch, bare_pattern

@@ -25,6 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.body_points import LEG_POINTS, TORSO, at_shares
+from slot_core.command_line import command_parser, one_line
 from slot_core.config import ConfigError
 from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.record_settings import read_record_settings
@@ -33,7 +34,6 @@ from slot_core.simulation.plant import make_robot
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.measured import COMMANDED, MEASURED, ODOMETRY
 from slot_lab.csv_table import TableError
-from slot_lab.terminal import command_parser, one_line
 from slot_lab.twin.replay_robot import ModelParts, read_parts
 from slot_lab.validation.recording import PointTrack, RecordingError, read_recording, write_points
 

@@ -24,7 +24,14 @@ from typing import Any
 
 import numpy as np
 
-from slot_core.command_line import positive_integer, within
+from slot_core.command_line import (
+    INTERRUPTED,
+    command_parser,
+    one_line,
+    positive_integer,
+    progress,
+    within,
+)
 from slot_core.config import ConfigError, load
 from slot_core.divergence import DivergenceError
 from slot_core.robot import Array
@@ -33,7 +40,6 @@ from slot_lab.bags.measured import COMMANDED, MEASURED, MOTION_TOPICS
 from slot_lab.calibration.experiments import PredictionError
 from slot_lab.calibration.fit import FitError
 from slot_lab.csv_table import TableError
-from slot_lab.terminal import INTERRUPTED, command_parser, one_line, progress
 from slot_lab.twin import leg_points, parameter_set, twin_plot
 from slot_lab.twin.recorded import read_recorded
 from slot_lab.twin.replay_robot import measured_track, predict, read_parts

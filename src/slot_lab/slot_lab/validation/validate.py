@@ -13,13 +13,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from slot_core.command_line import within
+from slot_core.command_line import command_parser, one_line, within
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_lab.bags.bag import BagError
 from slot_lab.bags.measured import MOTION_TOPICS
 from slot_lab.csv_table import TableError
-from slot_lab.terminal import command_parser, one_line
 from slot_lab.validation import curves, tables
 from slot_lab.validation.comparison import compare
 from slot_lab.validation.frame_alignment import FRAMES, RIGID
