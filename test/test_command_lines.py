@@ -42,7 +42,7 @@ REFUSED = {
     ]),
     "constraint_map": (constraint_map.main, [
         (["{}"], "holds no metadata.yaml, .mcap or .db3 file"),
-        ([WALK, "--out", "{}/map.foo"], "/map.foo: the name of a picture ends in .png"),
+        ([WALK, "--out", "{}/map.foo"], "/map.foo: the name of a plot ends in .png"),
     ]),
     "twin": (twin.main, [
         (["{}"], "holds no metadata.yaml, .mcap or .db3 file: not a bag"),
@@ -65,7 +65,7 @@ REFUSED = {
         ([MEASURED, "--start", "x"], "no configuration 'parameters/x'"),
         ([MEASURED, "--free", "leg.colour"], "leg.colour is not a number of the robot"),
         ([MEASURED, "--starts", "0"], "0 is below 1"),
-        ([MEASURED, "--plot", "{}/fit.txt"], "the name of a picture ends in .png"),
+        ([MEASURED, "--plot", "{}/fit.txt"], "the name of a plot ends in .png"),
     ]),
     "print_markers": (print_markers.main, [
         (["door", "--out", "{}/x.png"], "'door': expected one of wall, film, torso, points"),

@@ -11,7 +11,7 @@ It may have command line options: a function
 
 adds them, each with a default, and `run` takes their values as keyword arguments.
 
-A row is a mapping of names to plain values; other files, such as pictures, go to `out`. A check
+A row is a mapping of names to plain values; other files, such as plots, go to `out`. A check
 that does not hold is a result, so it does not change the exit code. A time is the processor's as
 much as the code's, so its check is on the ratio to a peer measured in the same run; the goals of
 the graph and the servos, which are times, are checks beside that.

@@ -175,7 +175,7 @@ def _value(value: Any, values: Mapping[str, Any]) -> Any:
 
 
 def _camera(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Whether pictures are localised, and what the camera stands on: None for what is configured.
+    """Whether images are localised, and what the camera stands on: None for what is configured.
 
     The camera of a scene replaces its odometry.
     """

@@ -116,7 +116,7 @@ def blueprint() -> rrb.Blueprint:
         rrb.TimeSeriesView(
             origin=f"/plots/{name}",
             name=plot.title,
-            # the legs have the colours of the picture
+            # the legs have the colours of the plot
             plot_legend=rrb.PlotLegend("LeftTop", visible=name in traces.OF_TORSO),
         )
         for name, plot in traces.PLOTS.items()

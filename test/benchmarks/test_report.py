@@ -14,7 +14,7 @@ from benchmarks.report import paper_figures
 from benchmarks.report.report import BENCHMARKS, CAPTIONS, main
 from benchmarks.report.results import PNG, bench_command
 
-PICTURE = PNG + b"no more of it is read"
+IMAGE = PNG + b"no more of it is read"
 HOSTILE = "<script>alert('x')</script> & \"<b>\""
 COLUMNS = ("row", "unit", "goal", "better", "gait alone", "paper", "default")
 LOCOMOTION = [  # the last row of a kind that no benchmark writes
@@ -76,17 +76,17 @@ def write_results(directory):
     """Results of three benchmarks and a comparison, with a hostile name and without values."""
     checks = [(HOSTILE, 0.125, "N", "<= 0.5", True), ("slow", None, "ms", "<= 2", False)]
     folder = write(directory, result("rod", checks=checks))
-    (folder / "rod.png").write_bytes(PICTURE)
-    (folder / "more.png").write_bytes(PICTURE + b"!")
+    (folder / "rod.png").write_bytes(IMAGE)
+    (folder / "more.png").write_bytes(IMAGE + b"!")
     write(directory, result("perturbations", options={"seed": 7, "scheduler": ""}))
     write(directory, result("locomotion", LOCOMOTION))
     (directory / "mpc.json").write_text(json.dumps(result("mpc")))  # not in a folder of its own
-    (directory / "mpc.png").write_bytes(PICTURE)
+    (directory / "mpc.png").write_bytes(IMAGE)
     (directory / "others.png").write_bytes(b"not read")
     (directory / "walk").mkdir()
-    (directory / "walk" / "walk.png").write_bytes(PICTURE)
+    (directory / "walk" / "walk.png").write_bytes(IMAGE)
     (directory / "single_leg").mkdir()
-    (directory / "single_leg" / "leg.png").write_bytes(PICTURE)
+    (directory / "single_leg" / "leg.png").write_bytes(IMAGE)
     (directory / "single_leg" / "errors.csv").write_text(ERRORS)
     (directory / "single_leg" / "summary.txt").write_text(f"run {HOSTILE}")
     return directory
@@ -116,10 +116,10 @@ def page(text):
     return Page(text)
 
 
-def test_a_page_holds_its_pictures_loads_nothing_and_runs_nothing(page, text):
+def test_a_page_holds_its_images_loads_nothing_and_runs_nothing(page, text):
     sources = page.all("src")
     assert [base64.b64decode(s.partition("base64,")[2]) for s in sources[1:]] == [
-        PICTURE, PICTURE + b"!", PICTURE, PICTURE, PICTURE
+        IMAGE, IMAGE + b"!", IMAGE, IMAGE, IMAGE
     ]  # fmt: skip
     assert all(source.startswith("data:image/") for source in sources)
     assert not {tag for tag, _ in page.tags} & {"script", "link", "iframe", "object", "base"}
@@ -195,7 +195,7 @@ def test_a_file_that_is_no_result_is_refused_in_one_line(results, refusal, text)
 @pytest.mark.parametrize(
     ("file", "content", "said"),
     [
-        ("rod/rod.png", b"GIF89a", "rod/rod.png: not a picture"),
+        ("rod/rod.png", b"GIF89a", "rod/rod.png: not an image"),
         ("rod/rod.json", b"\xff\xfe\x00", "not text in UTF-8"),
         ("single_leg/errors.csv", b"point,axis,rmse\nbase,z,much\n", "not a table of"),
         ("single_leg/metadata.yaml", b"nonsense", "single_leg: cannot be read"),

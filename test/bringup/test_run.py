@@ -65,7 +65,7 @@ def test_a_scene_with_a_servo_fault_is_refused_without_a_servo_bus(own_config, r
     assert run.parse(["--scene", "mute", "--hardware", "fake_bus"], read_graph()).scene == "mute"
 
 
-def test_a_run_without_simulated_legs_is_reported_without_their_picture(tmp_path, capsys):
+def test_a_run_without_simulated_legs_is_reported_without_their_plot(tmp_path, capsys):
     bag = write_walk(tmp_path / "walk", Walk(truth=False))
     run.report(bag, keep=True)
     last = capsys.readouterr().out.splitlines()[-1]

@@ -42,7 +42,7 @@ def test_without_a_display_the_browser_is_named(monkeypatch, refusal):
 
 
 def test_the_newest_bag_is_shown_by_default(tmp_path):
-    for i, name in enumerate(("walk_2", "walk_1", "pictures_of_a_film")):
+    for i, name in enumerate(("walk_2", "walk_1", "plots_of_a_film")):
         (tmp_path / name).mkdir()
         if name.startswith("walk"):
             (tmp_path / name / "walk.mcap").touch()

@@ -27,10 +27,10 @@ def test_it_shows_the_last_strides_without_repeating_its_first_frame(bag):
 def test_the_file_moves_in_a_loop_at_half_the_speed(bag, tmp_path, monkeypatch):
     monkeypatch.setattr(animation, "frame_times", lambda bag: frame_times(bag)[:3])
     animate(bag, tmp_path / "walk.gif")
-    with Image.open(tmp_path / "walk.gif") as picture:
-        assert picture.n_frames == 3
-        assert picture.info["loop"] == 0
-        assert picture.info["duration"] == pytest.approx(1e3 * 2 / RATE, abs=10)  # GIF: in 10 ms
+    with Image.open(tmp_path / "walk.gif") as plot:
+        assert plot.n_frames == 3
+        assert plot.info["loop"] == 0
+        assert plot.info["duration"] == pytest.approx(1e3 * 2 / RATE, abs=10)  # GIF: in 10 ms
 
 
 def test_another_kind_of_file_and_a_bag_without_leg_shapes_are_refused(bag, tmp_path):

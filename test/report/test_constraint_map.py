@@ -60,7 +60,7 @@ def test_a_violation_is_slack_below_the_solvers_tolerance(tmp_path):
     assert read_map(Bag(path)).violated.sum(axis=0).tolist() == [0, 1]
 
 
-def test_the_picture_is_red_exactly_where_a_constraint_is_violated(slipping):
+def test_the_plot_is_red_exactly_where_a_constraint_is_violated(slipping):
     """A cell is red if its red exceeds twice its green."""
     found = read_map(Bag(slipping))
     mesh = map_figure(found).axes[0].collections[0]
@@ -70,7 +70,7 @@ def test_the_picture_is_red_exactly_where_a_constraint_is_violated(slipping):
 
 
 def test_a_single_violated_cycle_shows_in_a_long_walk(tmp_path, monkeypatch):
-    """Cycles that share a column of the picture show the least slack among them."""
+    """Cycles that share a column of the plot show the least slack among them."""
     monkeypatch.setattr(constraint_map, "CAPACITY", 10)
     cycles = [cycle(friction=-0.5 if k == 33 else 1.0) for k in range(95)]
     found = read_map(Bag(write_cycles(tmp_path / "long", cycles)))

@@ -1,4 +1,4 @@
-"""The twin: what was recorded is replayed, and known changes of the robot are found."""
+"""The twin: what was recorded is predicted, and known changes of the robot are found."""
 
 import dataclasses
 from pathlib import Path
@@ -15,8 +15,8 @@ from slot_lab.bags.measured import COMMANDED, MEASURED, TendonAngles
 from slot_lab.bags.recorded_walk import TorsoTrack
 from slot_lab.csv_table import TableError
 from slot_lab.twin import parameter_set, twin
+from slot_lab.twin.prediction import PredictedTrack, measured_track, predict, read_parts
 from slot_lab.twin.recorded import COLUMNS, BagRecording, read_recorded
-from slot_lab.twin.replay_robot import PredictedTrack, measured_track, predict, read_parts
 from slot_lab.twin.settings import read_twin
 from slot_lab.twin.strides import angle_period, error_growth, find_strides, stride_errors
 from slot_lab.twin.twin_fit import changed, changes, fit_twin, parameter, places, serially
@@ -69,7 +69,7 @@ def strides(recorded):
     return find_strides(recorded, SETTINGS)
 
 
-def test_a_replay_begins_at_the_recorded_place_and_heading(recorded):
+def test_a_prediction_begins_at_the_recorded_place_and_heading(recorded):
     track = predict(recorded, PARTS, SETTINGS)
     assert track.position[0, :2] == pytest.approx(recorded.motion.position[0, :2])
     assert track.rpy[0, 2] == pytest.approx(recorded.motion.rpy[0, 2], abs=1e-6)
@@ -84,7 +84,7 @@ def test_measured_angles_are_imposed_whatever_the_load(recorded):
 
 
 @pytest.mark.parametrize(("angles", "source"), [("", MEASURED), (COMMANDED, COMMANDED)])
-def test_a_recorded_walk_is_replayed_from_its_own_angles(angles, source):
+def test_a_recorded_walk_is_predicted_from_its_own_angles(angles, source):
     """Measured ones, else the commands through the servo, whose lag of 0.1 s makes 10 mm."""
     recorded = read_recorded(WALK, angles=angles)
     measured = measured_track(recorded.motion)
@@ -121,7 +121,7 @@ def test_a_csv_file_is_the_walk_that_it_holds(recorded, tmp_path):
         read_recorded(tmp_path / "walk.csv", motion="/odom")
 
 
-def test_a_csv_file_is_replayed_and_compared(recorded, tmp_path, capsys):
+def test_a_csv_file_is_predicted_and_compared(recorded, tmp_path, capsys):
     walk = write_walk(tmp_path / "walk.csv", recorded)
     assert twin.main([str(walk), "--out", str(tmp_path / "out")]) == 0
     text = capsys.readouterr().out
@@ -155,16 +155,16 @@ def test_a_csv_file_that_holds_no_walk_is_refused(tmp_path, lines, reason):
 
 def test_a_start_that_is_not_recorded_is_forgotten_within_the_run_in(recorded, monkeypatch):
     first = predict(recorded, PARTS, SETTINGS)
-    from slot_lab.twin import replay_robot  # noqa: PLC0415 - its function is replaced
+    from slot_lab.twin import prediction  # noqa: PLC0415 - its function is replaced
 
-    place = replay_robot._place
+    place = prediction._place
 
     def kick(sim, *rest):
         place(sim, *rest)
         sim.state.velocity[:] += [0.02, 0.03, -0.02]
         sim.state.position[2] += 0.004
 
-    monkeypatch.setattr(replay_robot, "_place", kick)
+    monkeypatch.setattr(prediction, "_place", kick)
     second = predict(recorded, PARTS, SETTINGS)
     late = first.t > first.t[0] + 5.0
     off = np.abs(second.columns - first.columns)[late, 2:5]

@@ -1,11 +1,11 @@
-"""Marker localisation: the torso's pose from rendered pictures, and pictures without one."""
+"""Marker localisation: the torso's pose from rendered images, and images without one."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from views import CAMERA, MOUNT, VISION, board, picture_from_torso, picture_from_world, synthetic
+from views import CAMERA, MOUNT, VISION, board, image_from_torso, image_from_world, synthetic
 
 from slot_core import config
 from slot_core.clock import SECOND
@@ -39,8 +39,8 @@ def test_settings_without_a_board_to_see_are_refused(carrier, frame):
 
 @pytest.mark.parametrize("carrier", ["torso", "world"])
 def test_the_pose_is_that_of_the_torso_within_its_covariance(carrier):
-    picture = picture_from_torso(BASE) if carrier == "torso" else picture_from_world(BASE)
-    fix = localizer(carrier).locate(5, picture)
+    image = image_from_torso(BASE) if carrier == "torso" else image_from_world(BASE)
+    fix = localizer(carrier).locate(5, image)
     assert isinstance(fix, MarkerFix)
     turn = Rotation.from_quat(fix.quaternion) * Rotation.from_matrix(BASE.rotation).inv()
     error = np.concatenate([fix.position - BASE.position, turn.as_rotvec()])
@@ -53,8 +53,8 @@ def test_the_pose_is_that_of_the_torso_within_its_covariance(carrier):
 def test_velocity_and_rate_are_the_difference_of_two_poses():
     located, dt = localizer(), 0.033
     moved = Transform.of((0.155, -0.03, 0.07), (0.06, -0.05, 0.09))
-    located.locate(0, picture_from_torso(BASE))
-    fix = located.locate(round(dt * SECOND), picture_from_torso(moved))
+    located.locate(0, image_from_torso(BASE))
+    fix = located.locate(round(dt * SECOND), image_from_torso(moved))
     expected = moved.rotation.T @ (moved.position - BASE.position) / dt
     turn = Rotation.from_matrix(BASE.rotation.T @ moved.rotation).as_rotvec() / dt
     np.testing.assert_allclose(fix.velocity, expected, atol=0.03)
@@ -64,24 +64,24 @@ def test_velocity_and_rate_are_the_difference_of_two_poses():
 
 
 def test_without_a_former_pose_the_velocity_is_unknown():
-    fix = localizer().locate(0, picture_from_torso(BASE))
+    fix = localizer().locate(0, image_from_torso(BASE))
     assert np.diag(fix.twist_covariance).min() >= 1e6
 
 
-def test_a_picture_that_repeats_its_stamp_changes_nothing():
+def test_a_image_that_repeats_its_stamp_changes_nothing():
     first, repeating = localizer(), localizer()
     other = Transform.of((0.16, -0.03, 0.07), (0.06, -0.05, 0.08))
-    pictures = picture_from_torso(BASE), picture_from_torso(other)
+    images = image_from_torso(BASE), image_from_torso(other)
     for _ in range(5):
-        repeating.locate(0, pictures[0])
-    first.locate(0, pictures[0])
-    a, b = (each.locate(33_000_000, pictures[1]) for each in (first, repeating))
+        repeating.locate(0, images[0])
+    first.locate(0, images[0])
+    a, b = (each.locate(33_000_000, images[1]) for each in (first, repeating))
     np.testing.assert_array_equal(np.concatenate(a.odometry[1:]), np.concatenate(b.odometry[1:]))
 
 
-def reason(located, picture, pictures=1):
-    for number in range(pictures):
-        fix = located.locate(number, picture)
+def reason(located, image, images=1):
+    for number in range(images):
+        fix = located.locate(number, image)
     assert isinstance(fix, NoFix)
     assert not fix.odometry[2].any()  # the quaternion of lost odometry
     return fix.reason
@@ -91,15 +91,15 @@ def reason(located, picture, pictures=1):
     ("made", "said"),
     [
         (lambda: BLANK, "no marker of DICT_4X4_100"),
-        (lambda: picture_from_torso(BASE, blur=14.0), "no marker"),  # beyond recognition
+        (lambda: image_from_torso(BASE, blur=14.0), "no marker"),  # beyond recognition
         (
-            lambda: picture_from_torso(BASE, settings=changed(dictionary="DICT_5X5_100")),
+            lambda: image_from_torso(BASE, settings=changed(dictionary="DICT_5X5_100")),
             "but 15 of DICT_5X5_1000",
         ),
     ],
 )
-def test_a_picture_without_markers_of_the_dictionary_has_no_pose(made, said):
-    assert said in reason(localizer(), made(), pictures=10)
+def test_a_image_without_markers_of_the_dictionary_has_no_pose(made, said):
+    assert said in reason(localizer(), made(), images=10)
 
 
 def test_ids_seen_twice_are_not_used():
@@ -109,11 +109,11 @@ def test_ids_seen_twice_are_not_used():
         Surface(sheet, Transform.of((x, 0.0, 1.8), (np.pi, 0.0, 0.0)).apply(shown.outline))
         for x in (-0.45, 0.45)
     ]
-    picture, seeing = synthetic().picture(sheets), localizer()
-    assert "seen more than once" in reason(seeing, picture)
+    image, seeing = synthetic().image(sheets), localizer()
+    assert "seen more than once" in reason(seeing, image)
 
 
-def test_an_id_seen_twice_is_not_used_while_only_a_part_of_the_picture_is_searched():
+def test_an_id_seen_twice_is_not_used_while_only_a_part_of_the_image_is_searched():
     """The search around the other markers may hold one of the two only."""
     wall, single = board("wall"), single_marker(0, 0.05)  # id 0 is of the board too
     places = (wall, (0.0, 0.0, 1.8)), (single, (-0.75, 0.0, 1.8))
@@ -124,30 +124,28 @@ def test_an_id_seen_twice_is_not_used_while_only_a_part_of_the_picture_is_search
         )
         for each, at in places
     ]
-    picture = synthetic().picture(sheets)
+    image = synthetic().image(sheets)
     detector = MarkerDetector(VISION.dictionary_number, CAMERA)
     for _ in range(3):
-        found = detector.find(picture)
+        found = detector.find(image)
         assert found.duplicates == (0,)
         assert 0 not in found.ids
         assert len(found.ids) == len(wall.corners) - 1
 
 
 def test_markers_that_no_board_has_are_named():
-    picture = picture_from_torso(BASE)
+    image = image_from_torso(BASE)
     elsewhere = changed(**{"boards.wall.frame": "base_link"})
-    assert "no marker of the boards, only ids 0, 1" in reason(
-        localizer(settings=elsewhere), picture
-    )
+    assert "no marker of the boards, only ids 0, 1" in reason(localizer(settings=elsewhere), image)
 
 
 def test_a_wrong_calibration_is_refused_by_its_reprojection_error():
     wrong = Camera(1280, 720, CAMERA.matrix, np.array([0.4, 0.0, 0.0, 0.0, 0.0]))
-    assert "reprojection error" in reason(localizer(camera=wrong), picture_from_torso(BASE))
+    assert "reprojection error" in reason(localizer(camera=wrong), image_from_torso(BASE))
 
 
-def test_a_picture_of_another_size_is_refused():
-    with pytest.raises(CameraError, match=r"picture of 640 x 360 px.*1280 x 720"):
+def test_a_image_of_another_size_is_refused():
+    with pytest.raises(CameraError, match=r"image of 640 x 360 px.*1280 x 720"):
         localizer().locate(0, BLANK[:360, :640])
 
 
@@ -156,10 +154,10 @@ FAR = Transform.of((0.0, 0.0, 0.2), (0.0, 0.0, 0.0))
 
 @pytest.fixture
 def alone():
-    """A localizer that knows a single far marker, and its picture."""
+    """A localizer that knows a single far marker, and its image."""
     far = {"boards.wall.columns": 1, "boards.wall.rows": 1, "boards.wall.marker": 0.04}
     settings = changed(**far)
-    return localizer(settings=settings), picture_from_torso(FAR, settings=settings)
+    return localizer(settings=settings), image_from_torso(FAR, settings=settings)
 
 
 def test_one_far_marker_alone_has_no_pose_unless_the_last_one_decides(alone):
@@ -210,8 +208,8 @@ def test_settings_that_contradict_each_other_are_refused(changes, message):
 @pytest.mark.parametrize("changes", [
     {}, {"scene.sensors.camera.carrier": "world", "scene.sensors.camera.boards": ("torso",)},
 ])  # fmt: skip
-def test_the_robot_walks_in_closed_loop_through_its_pictures(changes):
-    """Two strides: every picture gives an estimate, within 3 mm and 30 mm/s of the truth."""
+def test_the_robot_walks_in_closed_loop_through_its_images(changes):
+    """Two strides: every image gives an estimate, within 3 mm and 30 mm/s of the truth."""
     loop = ClosedLoop("marker_camera", "walk", None, 0, changes=changes)
     errors, ticks = [], 48
     for tick in loop.run(ticks):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
-from views import CAMERA, VISION, board, picture_from_torso, seen_from_torso
+from views import CAMERA, VISION, board, image_from_torso, seen_from_torso
 
 from slot_core.geometry import Transform
 from slot_core.vision.camera import Camera, CameraError, camera_text, from_camera_info, read_camera
@@ -15,9 +15,7 @@ from slot_core.vision.pose import board_poses, nearest
 @pytest.mark.parametrize("blur", [0.0, 0.6, 1.5])
 def test_corners_are_found_to_a_twentieth_of_a_pixel_whatever_the_blur(blur):
     base = Transform.of((0.1, 0.05, 0.07), (0.05, -0.04, 0.1))
-    found = MarkerDetector(VISION.dictionary_number, CAMERA).find(
-        picture_from_torso(base, blur=blur)
-    )
+    found = MarkerDetector(VISION.dictionary_number, CAMERA).find(image_from_torso(base, blur=blur))
     wall = board("wall")
     assert set(found.ids) == set(wall.corners)
     true = seen_from_torso(base).apply(np.array([wall.corners[i] for i in found.ids]))
@@ -58,7 +56,7 @@ def test_a_small_marker_has_two_poses_of_which_the_expected_one_is_chosen():
     assert min(tilts) < -0.2 < 0.2 < max(tilts)
 
 
-def test_rays_invert_the_projection_everywhere_in_the_picture():
+def test_rays_invert_the_projection_everywhere_in_the_image():
     x, y = np.meshgrid(np.linspace(0, 1279, 20), np.linspace(0, 719, 12))
     pixels = np.stack([x, y], axis=-1)
     rays = CAMERA.rays(pixels)

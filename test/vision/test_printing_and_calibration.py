@@ -33,9 +33,9 @@ def test_a_print_shows_its_markers_in_their_size(what):
 def test_a_print_is_written_with_its_resolution(tmp_path, capsys, name):
     out = tmp_path / name
     assert print_markers.main(["torso", "--out", str(out), "--dpi", "200"]) == 0
-    with Image.open(out) if name.endswith("png") else nullcontext() as picture:
-        if picture:
-            assert picture.info["dpi"] == pytest.approx((200, 200), abs=0.01)
+    with Image.open(out) if name.endswith("png") else nullcontext() as image:
+        if image:
+            assert image.info["dpi"] == pytest.approx((200, 200), abs=0.01)
         else:  # points of 1/72 inch
             box = re.search(rb"/MediaBox \[ *0 0 ([\d.]+) ([\d.]+) *\]", out.read_bytes())
             size = np.array([float(edge) for edge in box.groups()]) / 72 * 25.4
@@ -83,8 +83,8 @@ def test_a_view_with_gross_errors_is_left_out():
 @pytest.mark.parametrize(
     ("given", "reason"),
     [
-        (views(7), "7 pictures show the board, at least 8 are needed"),
-        ([], "0 pictures show the board"),
+        (views(7), "7 images show the board, at least 8 are needed"),
+        ([], "0 images show the board"),
         (views(3)[:1] * 9, "covers .* at least 50 % are needed"),
     ],
 )

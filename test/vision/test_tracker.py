@@ -25,23 +25,23 @@ def bases():
 
 @pytest.fixture(scope="module")
 def shots():
-    """Picture, depth picture and true plates of COUNT poses."""
+    """Image, depth image and true plates of COUNT poses."""
     result = []
     for base in bases():
         at = natural_robot(base)
         surfaces = stage().surfaces(at)
-        pictures = synthetic().picture(surfaces), synthetic().depth(surfaces, 0.002)
-        result.append((*pictures, stage().plates(at)))
+        images = synthetic().image(surfaces), synthetic().depth(surfaces, 0.002)
+        result.append((*images, stage().plates(at)))
     return result
 
 
 @pytest.fixture
 def folder(tmp_path, shots):
-    """Folders of the pictures and the depth pictures, and the calibration."""
+    """Folders of the images and the depth images, and the calibration."""
     for name in ("film", "depth"):
         (tmp_path / name).mkdir()
-    for number, (picture, depth, _) in enumerate(shots):
-        cv2.imwrite(str(tmp_path / "film" / f"{number:03d}.png"), picture)
+    for number, (image, depth, _) in enumerate(shots):
+        cv2.imwrite(str(tmp_path / "film" / f"{number:03d}.png"), image)
         cv2.imwrite(str(tmp_path / "depth" / f"{number:03d}.png"), depth)
     (tmp_path / "camera.yaml").write_text(camera_text(CAMERA))
     return tmp_path
@@ -50,8 +50,8 @@ def folder(tmp_path, shots):
 @pytest.mark.parametrize("with_depth", [False, True])
 def test_tracks_are_within_a_millimetre_in_the_image_plane_and_three_in_depth(shots, with_depth):
     tracker = Tracker(VISION, CAMERA)
-    for number, (picture, depth, _) in enumerate(shots):
-        tracker.add(float(number), picture, depth if with_depth else None)
+    for number, (image, depth, _) in enumerate(shots):
+        tracker.add(float(number), image, depth if with_depth else None)
     tracks = tracker.tracks()
     assert tracks.frame == "odom"
     assert tracks.camera_motion < 1.0
@@ -67,9 +67,9 @@ def test_tracks_are_within_a_millimetre_in_the_image_plane_and_three_in_depth(sh
 
 def test_without_a_board_the_tracks_are_in_the_axes_of_the_camera(shots):
     tracker = Tracker(VISION, CAMERA)
-    picture = shots[0][0].copy()
-    picture[:290] = 120  # the board
-    (tip,) = [s.position for s in tracker.add(0.0, picture) if s.point == "FR_tip"]
+    image = shots[0][0].copy()
+    image[:290] = 120  # the board
+    (tip,) = [s.position for s in tracker.add(0.0, image) if s.point == "FR_tip"]
     tracks = tracker.tracks()
     assert tracks.frame == "camera_link"
     (same,) = [s.position for s in tracks.samples if s.point == "FR_tip"]
@@ -89,7 +89,7 @@ def rows(path):
         return list(csv.DictReader(file))
 
 
-def test_the_csv_has_a_row_for_every_marker_that_a_picture_shows(folder, capsys):
+def test_the_csv_has_a_row_for_every_marker_that_a_image_shows(folder, capsys):
     out = folder / "tracks.csv"
     place = ["--camera", str(folder / "camera.yaml"), "--out", str(out), "--rate", "25"]
     assert track.main([str(folder / "film"), *place, "--depth", str(folder / "depth")]) == 0
@@ -99,21 +99,21 @@ def test_the_csv_has_a_row_for_every_marker_that_a_picture_shows(folder, capsys)
     assert sorted({float(r["time"]) for r in found}) == pytest.approx(np.arange(COUNT) / 25)
     assert track.main([str(folder / "film"), *place, "--leg", "FR"]) == 0
     assert {r["point"] for r in rows(out)} == {"torso", "base", "third", "two_thirds", "tip"}
-    assert "100.0 % of the pictures" in capsys.readouterr().out
+    assert "100.0 % of the images" in capsys.readouterr().out
 
 
 def test_a_damaged_video_is_tracked_as_far_as_it_can_be_read_and_named(tmp_path, shots, capsys):
     film = tmp_path / "film.avi"
     coding = cv2.VideoWriter.fourcc(*"MJPG")
     video = cv2.VideoWriter(str(film), coding, 30.0, (1280, 720), isColor=False)
-    for picture, _, _ in shots:
-        video.write(picture)
+    for image, _, _ in shots:
+        video.write(image)
     video.release()
     assert track.main([str(film), "--out", str(tmp_path / "all.csv")]) == 0
     assert "damaged" not in capsys.readouterr().out
     film.write_bytes(film.read_bytes()[: film.stat().st_size // 2])
     assert track.main([str(film), "--out", str(tmp_path / "half.csv")]) == 0
-    assert "says that it has 6 pictures: it is damaged" in capsys.readouterr().out
+    assert "says that it has 6 images: it is damaged" in capsys.readouterr().out
     whole, half = (rows(tmp_path / f"{name}.csv") for name in ("all", "half"))
     assert 0 < len(half) < len(whole)
 
@@ -144,7 +144,7 @@ def test_a_result_that_cannot_be_written_is_refused_before_the_work(tmp_path, re
 def test_films_that_do_not_fit_are_refused(folder, refusal):
     film, out = str(folder / "film"), ["--out", str(folder / "x.csv")]
     (folder / "none").mkdir()
-    assert "without pictures" in refusal(track.main, str(folder / "none"), *out)
+    assert "without images" in refusal(track.main, str(folder / "none"), *out)
     half = Camera(640, 360, CAMERA.matrix / 2, CAMERA.distortion)
     (folder / "half.yaml").write_text(camera_text(half))
     place = ["--camera", str(folder / "half.yaml")]
@@ -152,7 +152,7 @@ def test_films_that_do_not_fit_are_refused(folder, refusal):
     assert "expected one 16-bit channel" in refusal(track.main, film, *out, "--depth", film)
     (folder / "depth" / "005.png").unlink()
     line = refusal(track.main, film, *out, "--depth", str(folder / "depth"))
-    assert line.endswith("5 depth pictures, fewer than pictures")
+    assert line.endswith("5 depth images, fewer than images")
     assert not (folder / "x.csv").exists()
     (folder / "blank").mkdir()
     cv2.imwrite(str(folder / "blank" / "0.png"), np.full((720, 1280), 90, np.uint8))

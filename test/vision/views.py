@@ -19,7 +19,7 @@ MOUNT = Transform.of((0.06, 0.0, 0.03), (0.0, 0.0, 0.0))  # camera_link in base_
 
 @functools.cache
 def synthetic(**made):
-    """A synthetic camera; its pictures depend on those before it only in the noise."""
+    """A synthetic camera; its images depend on those before it only in the noise."""
     return SyntheticCamera(CAMERA, Imperfections(**made), np.random.default_rng(0))
 
 
@@ -32,22 +32,22 @@ def seen_from_torso(base, name="wall"):
     return optical(base @ MOUNT).inverse @ board(name).pose
 
 
-def picture_from_torso(base, name="wall", settings=None, **made):
-    """Picture of the camera on the torso at `base`."""
+def image_from_torso(base, name="wall", settings=None, **made):
+    """Image of the camera on the torso at `base`."""
     vision = settings or VISION
     shown = board(name, vision)
     corners = seen_from_torso(base, name).apply(shown.outline)
     sheet = print_of(shown, vision.dictionary_number)
-    return synthetic(**made).picture([Surface(sheet, corners)])
+    return synthetic(**made).image([Surface(sheet, corners)])
 
 
-def picture_from_world(base):
-    """Picture of the camera in the world, of the board on the torso at `base`."""
+def image_from_world(base):
+    """Image of the camera in the world, of the board on the torso at `base`."""
     shown = board("torso")
     placed = Transform.of(VISION.world_camera.position, VISION.world_camera.rpy)
     corners = (optical(placed).inverse @ base @ shown.pose).apply(shown.outline)
     sheet = print_of(shown, VISION.dictionary_number)
-    return synthetic().picture([Surface(sheet, corners)])
+    return synthetic().image([Surface(sheet, corners)])
 
 
 def natural_robot(base):

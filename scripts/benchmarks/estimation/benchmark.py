@@ -4,7 +4,7 @@ Sensor streams are those of walks in simulation, with the sensors' noise of conf
 delays, losses and jumps are put on them. Three ways are compared: the authors' finite differences
 with zero angular rates, the filter's state at the stamp of the odometry, and the state predicted
 with the IMU to its newest sample. Errors are RMS over all axes, at the arrival of the odometry.
-Vision, on rendered pictures: `vision_rows.py`.
+Vision, on rendered images: `vision_rows.py`.
 
 Beside that: how exactly scripts/validate aligns the clock of a camera, and scripts/twin recovers
 known changes of a robot from a noisy walk.
@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from benchmarks.estimation import identification_rows, methods, picture, vision_rows
+from benchmarks.estimation import identification_rows, methods, plots, vision_rows
 from benchmarks.estimation.measured_streams import (
     PERIOD,
     WARM_UP,
@@ -73,7 +73,7 @@ def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Che
     rows.append(nees_row(walks, settings))
     rows += [cpu_row(walks[0], settings), *closed_loop_rows(range(8 if quick else 20), progress)]
     rows += vision_rows.rows(quick, progress)
-    picture.draw(rows, out / "estimation.png")
+    plots.draw(rows, out / "estimation.png")
     more, of_twin = identification_rows.rows_and_checks(quick, progress)
     return [*rows, *more], [*checks(rows, np.array(lost)), *of_twin]
 

@@ -14,7 +14,7 @@ from benchmarks.estimation.twin_walks import POSITION_NOISE, TrueWalk, walk
 from benchmarks.harness import Check, Progress, Row, at_most
 from slot_core.body_points import TORSO
 from slot_core.robot import read_robot
-from slot_lab.twin.replay_robot import read_parts
+from slot_lab.twin.prediction import read_parts
 from slot_lab.twin.settings import read_twin
 from slot_lab.twin.strides import StrideErrors, find_strides
 from slot_lab.twin.twin_fit import fit_twin, places

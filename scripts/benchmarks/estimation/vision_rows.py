@@ -1,9 +1,9 @@
-"""Vision on rendered pictures: error and CPU time of the marker tracker, a walk through pictures.
+"""Vision on rendered images: error and CPU time of the marker tracker, a walk through images.
 
 The film is that of scripts/film: the leg FR and the torso from 0.8 m, 1280 x 720 px, with
 distortion, blur, motion and noise. Errors are those of all its points, across and along the line of
 sight of the camera. The tracker's CPU time is compared with that of cv2.aruco.detectMarkers on the
-same pictures.
+same images.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from slot_core.vision.synthetic_camera import Imperfections, SyntheticCamera
 from slot_lab.film.film import DEPTH_NOISE, FilmedRobot, Stage, filmed
 from slot_lab.film.tracker import MarkerSample, Tracker
 
-PERIOD = read_scene("marker_camera").sensors.camera.period  # s, of the pictures
+PERIOD = read_scene("marker_camera").sensors.camera.period  # s, of the images
 
 
 def rows(quick: bool, progress: Progress) -> list[Row]:
-    """Rows of the kinds `tracker` and `pictures`."""
+    """Rows of the kinds `tracker` and `images`."""
     cv2.setNumThreads(1)
     progress("film of a walk")
     result = tracker_rows(read_vision(), shots(40 if quick else 150))
@@ -42,7 +42,7 @@ def rows(quick: bool, progress: Progress) -> list[Row]:
 
 
 def shots(count: int) -> list[FilmedRobot]:
-    """The walking robot at `count` pictures."""
+    """The walking robot at `count` images."""
     loop, found, robot = ClosedLoop("flat", "walk", None, 0), list[FilmedRobot](), read_robot()
     sim = loop.plant.robot
     for _ in loop.run(count):
@@ -61,20 +61,20 @@ def tracker_rows(settings: VisionSettings, walk: list[FilmedRobot]) -> list[dict
     truth, times, plain_times = list[dict[str, Transform]](), list[float](), list[float]()
     for number, (now, soon) in enumerate(pairwise(walk)):
         surfaces = stage.surfaces(now, (soon, PERIOD))
-        picture, depth = synthetic.picture(surfaces), synthetic.depth(surfaces, DEPTH_NOISE)
+        image, depth = synthetic.image(surfaces), synthetic.depth(surfaces, DEPTH_NOISE)
         truth.append(stage.plates(now))
-        plain_times.append(timed(plain.detectMarkers, picture)[1])
-        times.append(timed(trackers[False].add, float(number), picture)[1])
-        trackers[True].add(float(number), picture, depth)
+        plain_times.append(timed(plain.detectMarkers, image)[1])
+        times.append(timed(trackers[False].add, float(number), image)[1])
+        trackers[True].add(float(number), image, depth)
     look = Transform.of((0, 0, 0), settings.film_camera.rpy).rotation[:, 0]
     found: list[dict[str, Any]] = []
     for depth, tracker in trackers.items():
         across, along = errors(tracker.tracks().samples, truth, look)
-        row = {"kind": "tracker", "depth_channel": depth, "pictures": len(truth)}
+        row = {"kind": "tracker", "depth_channel": depth, "images": len(truth)}
         row |= {"samples": len(along), "image_plane_mm": 1e3 * np.sqrt(np.mean(across**2))}
         found.append(row | {"depth_mm": 1e3 * np.sqrt(np.mean(along**2))})
     cpu = {"cpu_ms": 1e3 * np.median(times), "plain_ms": 1e3 * np.median(plain_times)}
-    cpu |= {"pictures_per_s": 1 / np.median(times)}
+    cpu |= {"images_per_s": 1 / np.median(times)}
     found[0] |= cpu | {"ratio": np.median(np.array(times) / plain_times)}
     return found
 
@@ -97,21 +97,21 @@ def walk_row(scene: str, duration: float) -> Row:
         off.append(np.concatenate([state[3:6] - sim.position, state[9:12] - sim.velocity]))
     assert isinstance(loop.plant, RecordingPlant)
     rms = 1e3 * np.sqrt(np.mean(np.square(off[round(WARM_UP / PERIOD) :]), axis=0))
-    row = {"kind": "pictures", "scene": scene, **loop.plant.motion()[1]}
+    row = {"kind": "images", "scene": scene, **loop.plant.motion()[1]}
     place, speed = np.sqrt(np.mean(rms.reshape(2, 3) ** 2, axis=1))
     return row | {"position_mm": place, "velocity_mm_s": speed}
 
 
 def checks(rows: list[Row]) -> list[Check]:
     """Figures of these rows that have a goal."""
-    picture, deep = (r for r in rows if r["kind"] == "tracker")
-    stock, seen = (r for r in rows if r["kind"] == "pictures")
-    aside, beyond = "lateral error through pictures", seen["lateral_mm"] - stock["lateral_mm"]
+    image, deep = (r for r in rows if r["kind"] == "tracker")
+    stock, seen = (r for r in rows if r["kind"] == "images")
+    aside, beyond = "lateral error through images", seen["lateral_mm"] - stock["lateral_mm"]
     return [
-        at_most("tracker, image plane at 0.8 m", picture["image_plane_mm"], 1.0, "mm"),
-        at_most("tracker, depth at 0.8 m", picture["depth_mm"], 3.0, "mm"),
+        at_most("tracker, image plane at 0.8 m", image["image_plane_mm"], 1.0, "mm"),
+        at_most("tracker, depth at 0.8 m", image["depth_mm"], 3.0, "mm"),
         at_most("tracker, depth with the depth channel", deep["depth_mm"], 2.0, "mm"),
-        at_most("tracker, CPU over that of detectMarkers", picture["ratio"], 3.0),
-        at_most("v_x through pictures", abs(seen["v_x_mm_s"] / stock["v_x_mm_s"] - 1.0), 0.05),
+        at_most("tracker, CPU over that of detectMarkers", image["ratio"], 3.0),
+        at_most("v_x through images", abs(seen["v_x_mm_s"] / stock["v_x_mm_s"] - 1.0), 0.05),
         at_most(f"{aside}, beyond that of stock odometry", beyond, 2.0, "mm"),
     ]

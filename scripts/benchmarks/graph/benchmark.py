@@ -22,7 +22,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from benchmarks.graph.endurance import endurance_checks, long_walk
 from benchmarks.graph.measured_walk import Walk, measure_walk
-from benchmarks.graph.picture import END_TO_END, draw
+from benchmarks.graph.plots import END_TO_END, draw
 from benchmarks.harness import Check, Progress, Row, at_least, at_most, cpu_time, timed
 from slot_bringup.graph import CONTROLLER, read_graph
 from slot_core.command_line import within
@@ -92,7 +92,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 def run(
     quick: bool, out: Path, progress: Progress, endurance: float | None = None
 ) -> tuple[list[Row], list[Check]]:
-    """Run the graph as `QUICK` or `FULL` plans; the picture goes to `out/graph.png`."""
+    """Run the graph as `QUICK` or `FULL` plans; the plot goes to `out/graph.png`."""
     plan = QUICK if quick else FULL
     graph = read_graph()
     values = {argument.name: argument.default for argument in graph.arguments}

@@ -29,9 +29,9 @@ REPORTS = 20  # lines of progress
 
 
 def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Result], list[Check]]:
-    """Measure all rows; the pictures show them, and stills of the gaits."""
+    """Measure all rows; the plots show them, and stills of the gaits."""
     from benchmarks.locomotion import margins, stills  # noqa: PLC0415
-    from benchmarks.locomotion.picture import draw_directions, draw_table, draw_top  # noqa: PLC0415
+    from benchmarks.locomotion.plots import draw_directions, draw_table, draw_top  # noqa: PLC0415
 
     seeds = SEEDS[:1] if quick else SEEDS
     wanted = rows(quick)

@@ -93,7 +93,7 @@ def rows(quick: bool) -> list[LocomotionRow]:
 
 
 def directions(quick: bool) -> list[Case]:
-    """Walks in all directions at one speed, for the row and its picture."""
+    """Walks in all directions at one speed, for the row and its plot."""
     angles = np.radians(np.arange(0, 360, 120 if quick else 30))
     velocities = DIRECTION_SPEED * np.column_stack([np.cos(angles), np.sin(angles)])
     return [_fast(*velocity) for velocity in velocities.round(6).tolist()]

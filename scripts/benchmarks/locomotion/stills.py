@@ -14,7 +14,7 @@ from slot_core.drawing.shapes import bent_legs
 from slot_core.gait.gait import read_gaits
 from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
-from slot_lab.report.picture import Snapshot, Viewpoint, draw_robot
+from slot_lab.report.plot import Snapshot, Viewpoint, draw_robot
 
 COLUMNS = 5
 SETTLED = 3.0  # s, before the first still
@@ -52,7 +52,7 @@ def draw(path: Path) -> None:
             draw_robot(ax, pose, robot, camera)
             ax.set_title(title, fontsize=11, loc="left")
             for shape in ax.collections:
-                shape.set_clip_on(False)  # a leg may stand above the ground's picture
+                shape.set_clip_on(False)  # a leg may stand above the ground's plot
     figure.savefig(path, dpi=80)
 
 

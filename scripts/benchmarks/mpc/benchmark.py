@@ -20,7 +20,7 @@ from benchmarks.mpc import posture_rows
 from benchmarks.mpc.cases import Case, hard_cases, random_case, stretched
 from benchmarks.mpc.cvxpy_reference import CvxpyReference
 from benchmarks.mpc.oracle import optimum
-from benchmarks.mpc.picture import draw
+from benchmarks.mpc.plots import draw
 from benchmarks.mpc.restated import restated
 from slot_core import config
 from slot_core.control.policy import Status, TendonPlan
@@ -45,7 +45,7 @@ Solved = tuple[Sequence[Case], Array]  # cases, and the first forces of their op
 
 
 def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Check]]:
-    """Run all measurements; the picture goes to `out/mpc.png`."""
+    """Run all measurements; the plot goes to `out/mpc.png`."""
     settings = config.replace(
         read_mpc("forces"), {"acceptance.time_budget": np.inf, "acceptance.violation_max": 1.0}
     )

@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.harness import ROOT, BenchmarkError, Check, Progress, Row, at_most, revision
 from benchmarks.perturbations.cases import CASES, DURATION, NOISE, TABLE, PerturbedRun, metrics
-from benchmarks.perturbations.picture import draw_costs, draw_failures, table_lines
+from benchmarks.perturbations.plots import draw_costs, draw_failures, table_lines
 from benchmarks.perturbations.samples import PLANTS, RandomSample, SampleRecord, draw, summary
 from slot_core.mpc.settings import read_mpc
 from slot_core.robot import read_robot
@@ -114,7 +114,7 @@ def sample_rows(
 
 
 def title(total: Row, like: RandomSample) -> str:
-    """Title of the samples' picture."""
+    """Title of the samples' plot."""
     observer = f"observer {like.observer:g} s" if like.observer else "no observer"
     return (
         f"{total['failed']} of {total['samples']} samples exceed a limit: {total['rate']:.1%} "

@@ -92,7 +92,7 @@ class PaperComparison:
     about: str
     columns: Sequence[TableColumn]  # of the paper
     lines: Sequence[Line]
-    results: Sequence[str]  # whose figures and pictures show the same
+    results: Sequence[str]  # whose figures and images show the same
     others: Sequence[TableColumn] = ()  # ours, if not those of the paper; then nothing is judged
 
     @property

@@ -1,6 +1,6 @@
 """Makes one self-contained HTML file of what scripts/bench, scripts/run and scripts/validate wrote.
 
-It works offline and without JavaScript: pictures are inside the file. Each figure stands with the
+It works offline and without JavaScript: images are inside the file. Each figure stands with the
 command, revision and parameters that made it, and beside the paper's where that has one. What is
 missing is named with the command that makes it.
 """
@@ -20,7 +20,7 @@ from benchmarks.report.results import (
     commands,
     fault_table,
     read_benchmark,
-    read_picture,
+    read_image,
     read_run,
 )
 from slot_core.command_line import CommandParser
@@ -52,7 +52,7 @@ CAPTIONS = {
     "graph": {"graph.png": "latency, CPU time and memory of the nodes"},
     "servo": {"servo_step.png": "a step of an emulated servo"},
 }
-"""Pictures of the benchmarks with their captions, in the order of the report."""
+"""Images of the benchmarks with their captions, in the order of the report."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -87,7 +87,7 @@ def read_contents(directory: Path) -> Contents:
         for name in names
     }
     return Contents(
-        robot=read_picture(DOC / "walk.gif", WALK),
+        robot=read_image(DOC / "walk.gif", WALK),
         benchmarks=benchmarks,
         runs={run.folder: (run.title, read_run(directory, run)) for run in RUNS},
         commands={

@@ -17,7 +17,7 @@ from benchmarks.harness import Check
 from slot_lab.bags.bag import Bag, BagError
 
 PNG = b"\x89PNG\r\n\x1a\n"
-MAGIC = {".png": PNG, ".gif": b"GIF8"}  # first bytes of a picture
+MAGIC = {".png": PNG, ".gif": b"GIF8"}  # first bytes of an image
 
 
 class ReportError(ValueError):
@@ -25,8 +25,8 @@ class ReportError(ValueError):
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A picture as a data URI."""
+class Image:
+    """An image as a data URI."""
 
     name: str  # of the file
     caption: str
@@ -44,9 +44,9 @@ class Result:
     quick: bool
     rows: Sequence[Mapping[str, Any]]
     checks: Sequence[Check]
-    pictures: Sequence[Picture]
+    images: Sequence[Image]
     text: str = ""  # summary
-    absent: Sequence[str] = ()  # pictures that are not there
+    absent: Sequence[str] = ()  # images that are not there
 
     @property
     def missed(self) -> list[Check]:
@@ -61,11 +61,11 @@ class Run:
     folder: str
     title: str
     commands: Sequence[str]  # {} stands for the folder
-    pictures: Mapping[str, str]  # captions by file; the first one has to exist
+    images: Mapping[str, str]  # captions by file; the first one has to exist
 
 
 def read_benchmark(directory: Path, name: str, captions: Mapping[str, str]) -> Result | None:
-    """`directory/name/name.json` or `directory/name.json` with its pictures; None if not there.
+    """`directory/name/name.json` or `directory/name.json` with its images; None if not there.
 
     Raises ReportError for a file that scripts/bench did not write so.
     """
@@ -73,7 +73,7 @@ def read_benchmark(directory: Path, name: str, captions: Mapping[str, str]) -> R
     path = next((place for place in places if place.is_file()), None)
     if path is None:
         return None
-    found, pictures = _load(path), _pictures(path, name, captions)
+    found, images = _load(path), _images(path, name, captions)
     try:
         if found["name"] != name:
             raise ValueError(f"name: expected {name!r}, got {found['name']!r}"[:200])
@@ -85,7 +85,7 @@ def read_benchmark(directory: Path, name: str, captions: Mapping[str, str]) -> R
             quick=found["quick"],
             rows=[dict(row) for row in found["rows"]],
             checks=[_check(check) for check in found["checks"]],
-            pictures=pictures,
+            images=images,
         )
     except KeyError as error:
         raise ReportError(f"{path}: not a result of scripts/bench: no {error}") from None
@@ -106,14 +106,14 @@ def bench_command(name: str, quick: bool, options: Mapping[str, Any]) -> str:
 
 
 def read_run(directory: Path, run: Run) -> Result | None:
-    """What `run` left in its folder of `directory`; None if its first picture is not there.
+    """What `run` left in its folder of `directory`; None if its first image is not there.
 
-    Raises ReportError for a damaged bag, table or picture.
+    Raises ReportError for a damaged bag, table or image.
     """
     folder = directory / run.folder
-    if not (folder / next(iter(run.pictures))).is_file():
+    if not (folder / next(iter(run.images))).is_file():
         return None
-    there = [file for file in run.pictures if (folder / file).is_file()]
+    there = [file for file in run.images if (folder / file).is_file()]
     summary, errors = folder / "summary.txt", folder / "errors.csv"
     return Result(
         name=run.folder,
@@ -123,9 +123,9 @@ def read_run(directory: Path, run: Run) -> Result | None:
         quick=False,
         rows=_read_errors(errors) if errors.is_file() else [],
         checks=[],
-        pictures=[read_picture(folder / file, run.pictures[file]) for file in there],
+        images=[read_image(folder / file, run.images[file]) for file in there],
         text=_read_text(summary) if summary.is_file() else "",
-        absent=[file for file in run.pictures if file not in there],
+        absent=[file for file in run.images if file not in there],
     )
 
 
@@ -134,7 +134,7 @@ def commands(directory: Path, run: Run) -> list[str]:
     return [line.replace("{}", shlex.quote(str(directory / run.folder))) for line in run.commands]
 
 
-def read_picture(path: Path, caption: str) -> Picture:
+def read_image(path: Path, caption: str) -> Image:
     """A PNG or GIF; raises ReportError for another file."""
     try:
         data = path.read_bytes()
@@ -142,9 +142,9 @@ def read_picture(path: Path, caption: str) -> Picture:
         raise ReportError(f"{path}: {error.strerror}") from None
     kind = path.suffix.lower()
     if kind not in MAGIC or not data.startswith(MAGIC[kind]):
-        raise ReportError(f"{path}: not a picture ({', '.join(MAGIC)})")
+        raise ReportError(f"{path}: not an image ({', '.join(MAGIC)})")
     uri = f"data:image/{kind[1:]};base64,{base64.b64encode(data).decode()}"
-    return Picture(path.name, caption, uri)
+    return Image(path.name, caption, uri)
 
 
 def number(value: Any) -> float | None:
@@ -214,12 +214,12 @@ def _bag_origin(folder: Path) -> str:
     return f"revision {revision}" + (f"; {values}" if values else "")
 
 
-def _pictures(path: Path, name: str, captions: Mapping[str, str]) -> list[Picture]:
-    """Pictures beside a result: those with a caption first, in a folder of its own all others."""
+def _images(path: Path, name: str, captions: Mapping[str, str]) -> list[Image]:
+    """Images beside a result: those with a caption first, in a folder of its own all others."""
     files = [path.parent / file for file in captions if (path.parent / file).is_file()]
     if path.parent.name == name:
         files += sorted(set(path.parent.glob("*.png")) - set(files))
-    return [read_picture(file, captions.get(file.name, file.stem)) for file in files]
+    return [read_image(file, captions.get(file.name, file.stem)) for file in files]
 
 
 def _read_errors(path: Path) -> list[dict[str, Any]]:

@@ -21,7 +21,7 @@ import numpy as np
 
 from benchmarks.harness import Check, Progress, Row, at_most, cpu_ratio, cpu_time, mark_front
 from benchmarks.robot.hard_cases import CASES
-from benchmarks.robot.picture import draw
+from benchmarks.robot.plots import draw
 from benchmarks.robot.stress import StressCase, examine
 from benchmarks.rod.release import DAMPED
 from slot_core import config
@@ -62,7 +62,7 @@ COMPARED = (22, 31)  # nodes
 
 
 def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Check]]:
-    """Run all tests; pictures of error over cost and of the other engine go to `out`."""
+    """Run all tests; plots of error over cost and of the other engine go to `out`."""
     from benchmarks.robot import other_engine  # noqa: PLC0415 - after REQUIRES is checked
 
     robot, repeats = read_robot(), 3 if quick else 9

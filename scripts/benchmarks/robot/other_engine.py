@@ -21,7 +21,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from benchmarks.harness import Check, Progress, at_most
-from benchmarks.robot.engine_picture import draw
+from benchmarks.robot.engine_plots import draw
 from benchmarks.robot.mujoco_robot import DEFAULT, Engine, MujocoRobot
 from slot_core import config
 from slot_core.divergence import DivergenceError
@@ -77,7 +77,7 @@ VARIATIONS: tuple[tuple[str, str, dict[str, Any]], ...] = (
 
 
 def rows(quick: bool, out: Path, progress: Progress) -> list[dict[str, Any]]:
-    """All rows; the picture of the replays goes to `out/other_engine.png`."""
+    """All rows; the plot of the replays goes to `out/other_engine.png`."""
     robot = read_robot()
     scene = config.replace(read_scene("flat"), {"solver.legs": "spatial"})
     still = config.replace(scene, {"solver.nodes": FEW_NODES} if quick else {})

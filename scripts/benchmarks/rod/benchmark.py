@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import Outcome, Progress, at_most
-from benchmarks.rod import picture, release, statics
+from benchmarks.rod import plots, release, statics
 
 REQUIRES = ("mujoco", "elastica")
 ELEMENTS = {True: (10, 20, 30), False: (10, 20, 30, 60, 100)}  # of PyElastica, by `quick`
 
 
 def run(quick: bool, out: Path, progress: Progress) -> Outcome:
-    """Run all tests; the picture of the release test goes to `out/rod.png`."""
+    """Run all tests; the plot of the release test goes to `out/rod.png`."""
     repeats = 3 if quick else 9
     progress("statics and vibration")
     still = [*statics.static_rows(repeats), *statics.frequency_rows()]
@@ -23,7 +23,7 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     moving = list(release.energy_rows())
     released = release_rows(quick, repeats, progress)
     release.mark_fronts(released)
-    picture.draw(released, out / "rod.png")
+    plots.draw(released, out / "rod.png")
     flight = [row["momentum"] for row in moving if row["kind"] == "flight" and row["theta"] == 0.5]
     return [*still, *moving, *released], [
         *statics.static_checks(still),

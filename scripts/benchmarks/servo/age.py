@@ -114,7 +114,7 @@ def checks(rows: Sequence[Row]) -> list[Check]:
 
 
 def draw(ages: Mapping[str, Ages], path: Path) -> None:
-    """Write the picture: share of the commands older than an age, by the nodes of the walk."""
+    """Write the plot: share of the commands older than an age, by the nodes of the walk."""
     figure = Figure(figsize=(6.0, 3.4), layout="constrained")
     axes = figure.subplots()
     for (nodes, found), colour in zip(ages.items(), (INK, *STAGE_COLOURS[:2]), strict=True):

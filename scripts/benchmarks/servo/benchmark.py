@@ -28,7 +28,7 @@ import numpy as np
 from benchmarks.harness import Check, Progress, Row, at_least, at_most
 from benchmarks.servo import age
 from benchmarks.servo.fuzz import fuzz_driver, fuzz_emulator, fuzz_instructions
-from benchmarks.servo.picture import draw
+from benchmarks.servo.plots import draw
 from slot_core import config
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.emulator.emulated_bus import read_emulator
@@ -44,7 +44,7 @@ SEED = 7
 
 
 def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Check]]:
-    """Run all parts; pictures: servo_step.png and servo_age.png in `out`."""
+    """Run all parts; plots: servo_step.png and servo_age.png in `out`."""
     progress("bus cycles")
     cycles = list(cycle_rows(200 if quick else 2000))
     progress("CPU share at 100 Hz")

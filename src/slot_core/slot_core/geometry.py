@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from slot_core.robot import Array
 
 Angle = TypeVar("Angle", float, Array)
-# Axes of a camera's optical frame (z forward, x to the right of the picture, y down) in camera_link
+# Axes of a camera's optical frame (z forward, x to the right of the image, y down) in camera_link
 # (x forward, y left, z up).
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 

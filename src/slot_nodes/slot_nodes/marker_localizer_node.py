@@ -1,6 +1,6 @@
 """`/camera/image_raw` and `/camera/camera_info` to `/odom`: the torso's pose from markers.
 
-The parameter `carrier` says what the camera stands on. A picture without a usable pose gives an
+The parameter `carrier` says what the camera stands on. An image without a usable pose gives an
 odometry that says it is lost, as RTAB-Map does: a quaternion of zeros and a covariance of 9999.
 """
 
@@ -16,7 +16,7 @@ from slot_core.config import ConfigError
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.geometry import Transform
 from slot_core.messages import decode
-from slot_core.vision import picture_message
+from slot_core.vision import image_message
 from slot_core.vision.camera import Camera, CameraError, from_camera_info, read_camera
 from slot_core.vision.localizer import MarkerFix, MarkerLocalizer
 from slot_core.vision.settings import read_vision
@@ -24,7 +24,7 @@ from slot_nodes import inputs, messages, qos, runtime
 
 
 class MarkerLocalizerNode(Node):
-    """Localises the torso in every picture once the camera's calibration is known."""
+    """Localises the torso in every image once the camera's calibration is known."""
 
     def __init__(self) -> None:
         super().__init__("marker_localizer")
@@ -37,7 +37,7 @@ class MarkerLocalizerNode(Node):
         self._localizer: MarkerLocalizer | None = None
         self._camera: Camera | None = None
         self._odometry = runtime.publisher(self, Odometry, "odom", qos.SENSOR)
-        profile = inputs.sensor_profile(self, qos.PICTURE)
+        profile = inputs.sensor_profile(self, qos.IMAGE)
         if file:
             try:
                 self._use(read_camera(Path(file)))
@@ -45,7 +45,7 @@ class MarkerLocalizerNode(Node):
                 raise ConfigError(f"marker_localizer: calibration {error}") from None
         else:
             inputs.subscribe(self, CameraInfo, "camera/camera_info", self._on_info, profile)
-        inputs.subscribe(self, Image, "camera/image_raw", self._on_picture, profile)
+        inputs.subscribe(self, Image, "camera/image_raw", self._on_image, profile)
 
     def _on_info(self, message: CameraInfo) -> None:
         """Take the calibration, and a new one if it changes."""
@@ -63,16 +63,16 @@ class MarkerLocalizerNode(Node):
             f" on the {self._settings.carrier}"
         )
 
-    def _on_picture(self, message: Image) -> None:
+    def _on_image(self, message: Image) -> None:
         if self._localizer is None:
             raise ValueError("no calibration: no usable /camera/camera_info has arrived")
-        fix = self._localizer.locate(decode.stamp(message), picture_message.grey(message))
+        fix = self._localizer.locate(decode.stamp(message), image_message.grey(message))
         if isinstance(fix, MarkerFix):
             self._odometry.publish(messages.fix_to_odometry(fix))
             return
         self._odometry.publish(messages.lost_odometry(fix))
         self.get_logger().warning(
-            f"picture at {to_seconds(fix.stamp):.3f} s: {fix.reason}", throttle_duration_sec=1.0
+            f"image at {to_seconds(fix.stamp):.3f} s: {fix.reason}", throttle_duration_sec=1.0
         )
 
 

@@ -41,7 +41,7 @@ if TYPE_CHECKING:  # a node imports only the core modules that it runs
     from slot_core.safety.settings import ServoLimits
     from slot_core.safety.supervisor import Report
     from slot_core.simulation.plant import TrueState
-    from slot_core.simulation.sensors import ImuReading, OdometryReading, PictureReading
+    from slot_core.simulation.sensors import ImageReading, ImuReading, OdometryReading
     from slot_core.vision.camera import Camera
     from slot_core.vision.localizer import MarkerFix, NoFix
 
@@ -97,7 +97,7 @@ def fix_to_odometry(fix: MarkerFix) -> Odometry:
 
 
 def lost_odometry(fix: NoFix) -> Odometry:
-    """Odometry of a picture without a pose: zeros, which the state estimator takes as lost."""
+    """Odometry of an image without a pose: zeros, which the state estimator takes as lost."""
     return _odometry(*fix.odometry[:5])
 
 
@@ -117,8 +117,8 @@ def _odometry(
     return message
 
 
-def picture_to_msg(reading: PictureReading) -> Image:
-    """Grey picture, mono8."""
+def image_to_msg(reading: ImageReading) -> Image:
+    """Grey image, mono8."""
     height, width = reading.grey.shape
     message = Image(header=header(reading.stamp, OPTICAL_FRAME), height=height, width=width)
     message.encoding, message.step = "mono8", width

@@ -34,8 +34,8 @@ CONTROL = _profile(50, DurabilityPolicy.TRANSIENT_LOCAL)
 """Topics of the controller; a late subscriber also receives the last messages, so that the first
 tick of a run reaches every node and the bag in any order of discovery."""
 
-PICTURE = _profile(2)
-"""Pictures of a camera, some megabytes each: a slow subscriber gets the newest."""
+IMAGE = _profile(2)
+"""Images of a camera, some megabytes each: a slow subscriber gets the newest."""
 
 STATE = _profile(1, DurabilityPolicy.TRANSIENT_LOCAL)
 """Values that hold until they are replaced; only the newest counts. With it a slow subscriber to a

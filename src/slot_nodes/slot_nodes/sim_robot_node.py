@@ -46,7 +46,7 @@ from slot_core.servos.registry import read_brand
 from slot_core.servos.servo_errors import RefusedError
 from slot_core.simulation.clocks import PATIENCE, BusClock, LockstepClock, RealTimeClock
 from slot_core.simulation.plant import Reading, RobotSimulator, StampedHealth, TrueState
-from slot_core.simulation.sensors import ImuReading, OdometryReading, PictureReading
+from slot_core.simulation.sensors import ImageReading, ImuReading, OdometryReading
 from slot_core.simulation.simulated_servos import (
     BusServos,
     DirectServos,
@@ -62,7 +62,7 @@ REAL_TIME_PERIOD = 0.002  # s, between two advances of the simulation
 PORTION = 20_000_000  # ns, longest simulation per callback, so that commands are taken between
 BUS_PORTION = 4_000_000  # ns, so that the time of the servos stays close to that of the driver
 RECORDER = "recorder"
-PICTURES = "camera/image_raw"  # not recorded
+IMAGES = "camera/image_raw"  # not recorded
 MATCH_TIMEOUT = 5.0  # s; a subscriber that is not matched then misses the first readings
 WAIT_REPORT = 5.0  # s, between two lines that say what the first readings wait for
 LAG_WARNING = 100_000_000  # ns behind real time
@@ -149,9 +149,9 @@ class SimRobotNode(Node):
             odometry = made(Odometry, "odom", qos.SENSOR)
             self._outputs[OdometryReading] = odometry, messages.odometry_to_msg
         else:
-            picture = made(Image, PICTURES, qos.PICTURE)
-            self._outputs[PictureReading] = picture, messages.picture_to_msg
-            self._camera_info = made(CameraInfo, "camera/camera_info", qos.PICTURE)
+            image = made(Image, IMAGES, qos.IMAGE)
+            self._outputs[ImageReading] = image, messages.image_to_msg
+            self._camera_info = made(CameraInfo, "camera/camera_info", qos.IMAGE)
         self._truth = made(Odometry, "ground_truth/odom", qos.SENSOR)
         self._legs = made(LegStates, "ground_truth/legs", qos.SENSOR)
 
@@ -196,7 +196,7 @@ class SimRobotNode(Node):
             readers = self.get_subscriptions_info_by_topic(publisher.topic_name)
             if (matched := publisher.get_subscription_count()) < len(readers):
                 return f"{matched} of {len(readers)} subscribers to {publisher.topic_name}"
-            recorded = self._waits_for_recorder and not publisher.topic_name.endswith(PICTURES)
+            recorded = self._waits_for_recorder and not publisher.topic_name.endswith(IMAGES)
             if recorded and RECORDER not in {r.node_name for r in readers}:
                 return f"the recorder at {publisher.topic_name}"
         return ""
@@ -305,7 +305,7 @@ class SimRobotNode(Node):
             self._truth.publish(messages.odometry_to_msg(reading.odometry))
             self._legs.publish(messages.legs_to_msg(reading))
         else:
-            if self._camera_info is not None and isinstance(reading, PictureReading):
+            if self._camera_info is not None and isinstance(reading, ImageReading):
                 assert self._plant.camera is not None
                 info = messages.camera_to_msg(reading.stamp, self._plant.camera)
                 self._camera_info.publish(info)

@@ -148,12 +148,12 @@ class OdometrySettings:
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """A camera whose pictures `marker_localizer` turns into the odometry; see vision.yaml."""
+    """A camera whose images `marker_localizer` turns into the odometry; see vision.yaml."""
 
-    enabled: bool = flag("whether pictures take the place of the odometry")
+    enabled: bool = flag("whether images take the place of the odometry")
     carrier: str = choice("what the camera stands on; boards are on the other", "torso", "world")
     boards: tuple[str, ...] = text("boards of vision.yaml that are there")
-    period: float = quantity("period of the pictures", "s", 1e-3, 10.0)
+    period: float = quantity("period of the images", "s", 1e-3, 10.0)
     delay: float = quantity("delay from mid exposure to publication", "s", 0.0, 1.0)
     noise: float = quantity("standard deviation of a pixel", "grey levels", 0.0, 100.0)
     blur: float = quantity("standard deviation of the lens' blur", "px", 0.0, 20.0)

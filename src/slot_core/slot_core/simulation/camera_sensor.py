@@ -1,4 +1,4 @@
-"""Camera of the simulated robot: pictures of the boards that stand in the world or on the torso."""
+"""Camera of the simulated robot: images of the boards that stand in the world or on the torso."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from slot_core.estimation.inertial_filter import Mount
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.geometry import Transform, optical
 from slot_core.robot import BASE_FRAME, ODOM_FRAME
-from slot_core.simulation.sensors import PictureReading
-from slot_core.vision.board import Board, Picture, make_board, print_of
+from slot_core.simulation.sensors import ImageReading
+from slot_core.vision.board import Board, GreyImage, make_board, print_of
 from slot_core.vision.camera import nominal
 from slot_core.vision.localizer import MarkerLocalizer
 from slot_core.vision.settings import read_vision
 from slot_core.vision.synthetic_camera import Imperfections, Surface, SyntheticCamera
 
-MOMENT = 1e-3  # s, over which the motion of a board in the picture is measured
+MOMENT = 1e-3  # s, over which the motion of a board in the image is measured
 
 
 def camera_link(mount: Mount) -> Transform:
@@ -48,14 +48,14 @@ class CameraSensor:
                     f" ({', '.join(there)}), which a camera on the {settings.carrier} can see"
                 )
         boards = [make_board(there[name]) for name in settings.boards]
-        self._boards: list[tuple[Board, Picture]] = [
+        self._boards: list[tuple[Board, GreyImage]] = [
             (board, print_of(board, vision.dictionary_number)) for board in boards
         ]
         made = Imperfections(settings.noise, settings.blur, settings.exposure)
         self._camera = SyntheticCamera(self.camera, made, rng)
 
-    def sample(self, sim: SimulatedRobot, stamp: int) -> PictureReading:
-        """The picture now, stamped `stamp` (ns)."""
+    def sample(self, sim: SimulatedRobot, stamp: int) -> ImageReading:
+        """The image now, stamped `stamp` (ns)."""
         base = Transform(sim.rotation, sim.position)
         turn = Rotation.from_rotvec(MOMENT * sim.angular_velocity).as_matrix()
         soon = Transform(base.rotation @ turn, base.position + MOMENT * sim.velocity)
@@ -63,7 +63,7 @@ class CameraSensor:
         for board, sheet in self._boards:
             now, then = (self._seen(board.pose, b).apply(board.outline) for b in (base, soon))
             surfaces.append(Surface(sheet, now, (then - now) / MOMENT))
-        return PictureReading(stamp, self._camera.picture(surfaces))
+        return ImageReading(stamp, self._camera.image(surfaces))
 
     def _seen(self, board: Transform, base: Transform) -> Transform:
         """A board in the optical frame."""
@@ -73,7 +73,7 @@ class CameraSensor:
 
 
 def marker_localizer(settings: CameraSettings) -> MarkerLocalizer:
-    """The localiser of a scene's pictures, as the node of that name has it."""
+    """The localiser of a scene's images, as the node of that name has it."""
     vision = read_vision()
     mount = camera_link(read_estimator().mounts.camera)
     return MarkerLocalizer(vision, nominal(vision.camera), mount, settings.carrier)

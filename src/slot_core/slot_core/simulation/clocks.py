@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator
 from slot_core.clock import LOCKSTEP_START, SECOND, to_ns
 from slot_core.servos.brand import EmulatedServos
 from slot_core.simulation.plant import Reading, RobotSimulator, StampedHealth
-from slot_core.simulation.sensors import OdometryReading, PictureReading
+from slot_core.simulation.sensors import ImageReading, OdometryReading
 from slot_core.simulation.simulated_servos import SimulatedServos
 
 PATIENCE = SECOND // 2  # ns, longest wait for a late driver
@@ -25,7 +25,7 @@ LONGEST_CALL = SECOND // 100  # ns, of a wait, between two calls: a longer one w
 class LockstepClock:
     """Clock that stops at each reading that is answered until its answer arrives.
 
-    Odometry, or a picture in its place, is answered by a command with its stamp; a report of the
+    Odometry, or an image in its place, is answered by a command with its stamp; a report of the
     servos by the supervisor's state with its stamp. So one node works at a time, and the order of
     processes and messages has no effect. The first two, at rest, are repeated until answered.
     """
@@ -60,7 +60,7 @@ class LockstepClock:
             self.running = True
             self._plant.start(LOCKSTEP_START)
             self._servos.start()
-        return self._plant.advance_to_reading(OdometryReading, PictureReading, StampedHealth)
+        return self._plant.advance_to_reading(OdometryReading, ImageReading, StampedHealth)
 
 
 class RealTimeClock:

@@ -17,7 +17,7 @@ from slot_core.gait.gait import read_gaits
 from slot_core.gait.route import Route
 from slot_core.robot import Array, RobotParameters, read_robot
 from slot_core.simulation.plant import Reading, RobotSimulator
-from slot_core.simulation.sensors import ImuReading, OdometryReading, PictureReading
+from slot_core.simulation.sensors import ImageReading, ImuReading, OdometryReading
 
 if TYPE_CHECKING:
     from slot_core.vision.localizer import MarkerLocalizer
@@ -102,7 +102,7 @@ class ClosedLoop:
         for r in readings:
             if isinstance(r, ImuReading):
                 self.controller.estimator.add_imu(r.stamp, r.angular_velocity, r.specific_force)
-            elif isinstance(r, PictureReading) and self._localizer is not None:
+            elif isinstance(r, ImageReading) and self._localizer is not None:
                 fix = self._localizer.locate(r.stamp, r.grey)
                 self.controller.estimator.add_odometry(*fix.odometry)
             elif isinstance(r, OdometryReading) and not self._is_lost(r.stamp):

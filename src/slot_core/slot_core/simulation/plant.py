@@ -27,11 +27,11 @@ from slot_core.servos.brand import Emulate, EmulatedServos
 from slot_core.simulation.kernel_robot import KernelRobot
 from slot_core.simulation.rod_robot import RodRobot
 from slot_core.simulation.sensors import (
+    ImageReading,
     ImuReading,
     ImuSensor,
     OdometryReading,
     OdometrySensor,
-    PictureReading,
     true_odometry,
 )
 from slot_core.simulation.tabulated_robot import TabulatedRobot
@@ -64,7 +64,7 @@ class StampedHealth:
     health: ServoHealth | None
 
 
-Reading = OdometryReading | PictureReading | ImuReading | JointReading | TrueState | StampedHealth
+Reading = OdometryReading | ImageReading | ImuReading | JointReading | TrueState | StampedHealth
 
 
 @dataclass(frozen=True, order=True)
@@ -119,7 +119,7 @@ def immediate_servo(servo: ServoSettings, step: float) -> ServoSettings:
 class RobotSimulator:
     """Simulated robot, servos and sensors on one clock; yields readings when they are due.
 
-    Odometry, or the camera's picture in its place, is due `delay` after its stamp, every other
+    Odometry, or the camera's image in its place, is due `delay` after its stamp, every other
     reading at its stamp. The robot is frozen in its starting pose until `start` sets the clock.
     Raises ConfigError if the scene has a fault or a push that the robot's model does not support.
 
@@ -178,7 +178,7 @@ class RobotSimulator:
             sensors = self._scene.sensors
             imu = self._read_imu() if sensors.imu.enabled else []
             joints = self._read_joints() if self._reads_joints else []
-            self._at_rest = [*imu, *joints, self._odometry_or_picture(self._truth(), 0.0)]
+            self._at_rest = [*imu, *joints, self._odometry_or_image(self._truth(), 0.0)]
         return self._at_rest
 
     def start(self, stamp: int) -> None:
@@ -251,8 +251,8 @@ class RobotSimulator:
         self._schedule(self.now + interval, action)
 
     def advance_to_odometry(self) -> Iterator[Reading]:
-        """Advance until odometry or a picture is due, which is the last reading yielded."""
-        return self.advance_to_reading(OdometryReading, PictureReading)
+        """Advance until odometry or an image is due, which is the last reading yielded."""
+        return self.advance_to_reading(OdometryReading, ImageReading)
 
     def advance_to_reading(self, *kinds: type) -> Iterator[Reading]:
         """Advance until a reading of one of these kinds is due, which is the last one yielded."""
@@ -306,9 +306,9 @@ class RobotSimulator:
         return [JointReading(self.now, sim.tendon_angle, sim.tendon_rate, sim.servo_torque)]
 
     def _read_odometry(self) -> list[Reading]:
-        """Return the ground truth now; schedule odometry or picture after its delay, in order."""
+        """Return the ground truth now; schedule odometry or image after its delay, in order."""
         truth = self._truth()
-        reading = self._odometry_or_picture(truth, to_seconds(self.now - self._started))
+        reading = self._odometry_or_image(truth, to_seconds(self.now - self._started))
         delay = self._odometry.delay() if self._camera is None else self._camera.delay
         self._delivered = max(self._delivered, self.now + to_ns(delay))
         self._schedule(self._delivered, lambda: [reading])
@@ -318,8 +318,8 @@ class RobotSimulator:
         """Odometry without noise, now."""
         return true_odometry(self.robot, self.now)
 
-    def _odometry_or_picture(self, truth: OdometryReading, since: float) -> Reading:
-        """Odometry, or the picture in its place, `since` the start (s)."""
+    def _odometry_or_image(self, truth: OdometryReading, since: float) -> Reading:
+        """Odometry, or the image in its place, `since` the start (s)."""
         if self._camera is not None:
             return self._camera.sample(self.robot, self.now)
         return self._odometry.sample(truth, since)

@@ -25,8 +25,8 @@ class OdometryReading:
 
 
 @dataclass(frozen=True)
-class PictureReading:
-    """Grey picture of the camera at `stamp` (ns), mid exposure."""
+class ImageReading:
+    """Grey image of the camera at `stamp` (ns), mid exposure."""
 
     stamp: int
     grey: NDArray[np.uint8]  # (h, w)

@@ -1,4 +1,4 @@
-"""Boards of markers: corners in the board's frame, and their pictures."""
+"""Boards of markers: corners in the board's frame, and their images."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from slot_core.geometry import Transform
 from slot_core.robot import Array
 from slot_core.vision.settings import BoardSettings
 
-Picture = NDArray[np.uint8]
-PRINT_CELL = 12  # px of a marker's cell in the picture of a sheet
+GreyImage = NDArray[np.uint8]
+PRINT_CELL = 12  # px of a marker's cell in the image of a sheet
 SQUARE = np.array([[-0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.5, -0.5, 0.0], [-0.5, -0.5, 0.0]])
 WHITE = 255
 FINER = 8
@@ -56,24 +56,24 @@ def single_marker(number: int, size: float) -> Board:
     return Board({number: size * SQUARE}, Transform(np.eye(3), np.zeros(3)), (edge, edge))
 
 
-def picture_of(board: Board, dictionary: int, scale: float) -> Picture:
-    """The board as a picture, `scale` px per m; rounding moves an edge by half a pixel at most."""
+def image_of(board: Board, dictionary: int, scale: float) -> GreyImage:
+    """The board as an image, `scale` px per m; rounding moves an edge by half a pixel at most."""
     width, height = (round(scale * edge) for edge in board.size)
-    picture = np.full((height, width), WHITE, np.uint8)
+    image = np.full((height, width), WHITE, np.uint8)
     markers = cv2.aruco.getPredefinedDictionary(dictionary)
     for number, corners in board.corners.items():
         left, top = np.round(scale * (corners[0, :2] * [1, -1] + np.array(board.size) / 2))
         side = round(scale * float(corners[1, 0] - corners[0, 0]))
         x, y = int(left), int(top)
-        picture[y : y + side, x : x + side] = cv2.aruco.generateImageMarker(markers, number, side)
-    return picture
+        image[y : y + side, x : x + side] = cv2.aruco.generateImageMarker(markers, number, side)
+    return image
 
 
-def print_of(board: Board, dictionary: int) -> Picture:
-    """The board as a picture with PRINT_CELL px a cell, edges exact to a FINER of a pixel."""
+def print_of(board: Board, dictionary: int) -> GreyImage:
+    """The board as an image with PRINT_CELL px a cell, edges exact to a FINER of a pixel."""
     corners = next(iter(board.corners.values()))
     cells = cv2.aruco.getPredefinedDictionary(dictionary).markerSize + 2  # with the black border
     scale = PRINT_CELL * cells / float(corners[1, 0] - corners[0, 0])
     size = [round(scale * edge) for edge in board.size]
-    fine = picture_of(board, dictionary, FINER * scale)
+    fine = image_of(board, dictionary, FINER * scale)
     return np.asarray(cv2.resize(fine, size, interpolation=cv2.INTER_AREA), np.uint8)

@@ -76,10 +76,10 @@ class Camera:
         return np.asarray(pixels, np.float64).reshape(*points.shape[:-1], 2)
 
     def require_size(self, width: int, height: int) -> None:
-        """Raise CameraError for pictures of another size than the calibration's."""
+        """Raise CameraError for images of another size than the calibration's."""
         if (width, height) != (self.width, self.height):
             raise CameraError(
-                f"picture of {width} x {height} px: the camera is calibrated at"
+                f"image of {width} x {height} px: the camera is calibrated at"
                 f" {self.width} x {self.height} px"
             )
 

@@ -1,4 +1,4 @@
-"""Finds markers in a picture with cv2.aruco; looks first where they were in the last one."""
+"""Finds markers in an image with cv2.aruco; looks first where they were in the last one."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slot_core.robot import Array
-from slot_core.vision.board import Picture
+from slot_core.vision.board import GreyImage
 from slot_core.vision.camera import Camera
 from slot_core.vision.edges import refined_rays
 
@@ -21,13 +21,13 @@ FAMILIES = (  # to tell which dictionary the markers are of, if not of the one e
 Ids = NDArray[np.int64]
 SMALLEST = 40.0  # px, smallest perimeter of a marker
 MARGIN = 40  # px, around where the markers were
-WHOLE_EVERY = 15  # pictures between two searches of the whole picture
+WHOLE_EVERY = 15  # images between two searches of the whole image
 LARGE = 60.0  # px, edge of markers that are found at half the resolution
 
 
 @dataclass(frozen=True)
 class Detection:
-    """Markers of a picture, each id once."""
+    """Markers of an image, each id once."""
 
     ids: tuple[int, ...]
     pixels: Array  # (m, 4, 2) px, clockwise from the marker's top left
@@ -37,43 +37,43 @@ class Detection:
 
 
 class MarkerDetector:
-    """Markers of a dictionary in pictures of a camera; call it with one picture after the other."""
+    """Markers of a dictionary in images of a camera; call it with one image after the other."""
 
     def __init__(self, dictionary: int, camera: Camera) -> None:
         self._camera = camera
         self._dictionary = cv2.aruco.getPredefinedDictionary(dictionary)
         self._last: Detection | None = None
-        self._doubled: frozenset[int] = frozenset()  # in the last search of a whole picture
+        self._doubled: frozenset[int] = frozenset()  # in the last search of a whole image
         self._since_whole = 0
 
-    def find(self, picture: Picture) -> Detection:
-        """The markers of a grey picture (h, w); raises CameraError for another size."""
-        self._camera.require_size(picture.shape[1], picture.shape[0])
+    def find(self, image: GreyImage) -> Detection:
+        """The markers of a grey image (h, w); raises CameraError for another size."""
+        self._camera.require_size(image.shape[1], image.shape[0])
         last, self._since_whole = self._last, self._since_whole + 1
         found = None
         if last is not None and last.ids and self._since_whole < WHOLE_EVERY:
-            found = self._near(picture, last)
+            found = self._near(image, last)
         if found is None or not set(last.ids if last else ()) <= set(found.ids):
             self._since_whole, self._doubled = 0, frozenset()
-            found = self._refined(picture, *self._raw(picture, 1.0))
+            found = self._refined(image, *self._raw(image, 1.0))
             self._doubled = frozenset(found.duplicates)
         self._last = found
         return found
 
-    def _near(self, picture: Picture, last: Detection) -> Detection:
-        """The markers around those of the last picture."""
+    def _near(self, image: GreyImage, last: Detection) -> Detection:
+        """The markers around those of the last image."""
         low = np.maximum(last.pixels.min(axis=(0, 1)) - MARGIN, 0).astype(int)
         high = np.ceil(last.pixels.max(axis=(0, 1)) + MARGIN).astype(int)
-        part = picture[low[1] : high[1], low[0] : high[0]]
+        part = image[low[1] : high[1], low[0] : high[0]]
         ids, corners = self._raw(part, 0.5 if last.size > LARGE else 1.0)
-        return self._refined(picture, ids, corners + low)
+        return self._refined(image, ids, corners + low)
 
-    def _raw(self, picture: Picture, scale: float) -> tuple[Ids, Array]:
+    def _raw(self, image: GreyImage, scale: float) -> tuple[Ids, Array]:
         """Ids (m,) and corners (m, 4, 2), px, as cv2.aruco finds them at a scale."""
         small = (
-            picture
+            image
             if scale == 1.0
-            else cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+            else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         )
         parameters = cv2.aruco.DetectorParameters()
         parameters.minMarkerPerimeterRate = scale * SMALLEST / max(small.shape)
@@ -84,14 +84,14 @@ class MarkerDetector:
         found = np.array(corners, np.float64).reshape(-1, 4, 2)
         return np.array(ids, np.int64).ravel(), (found + 0.5) / scale - 0.5
 
-    def _refined(self, picture: Picture, ids: Ids, corners: Array) -> Detection:
+    def _refined(self, image: GreyImage, ids: Ids, corners: Array) -> Detection:
         """The markers with exact corners; drops those without clear edges and doubled ids.
 
-        Of an id that was doubled in the whole picture, a part of it may show one marker only.
+        Of an id that was doubled in the whole image, a part of it may show one marker only.
         """
         if not len(ids):
             return Detection((), np.zeros((0, 4, 2)), np.zeros((0, 4, 2)))
-        rays, noise = refined_rays(picture, corners, self._camera, self._dictionary.markerSize + 2)
+        rays, noise = refined_rays(image, corners, self._camera, self._dictionary.markerSize + 2)
         counts = Counter(ids.tolist())
         doubled = {i for i, n in counts.items() if n > 1 or i in self._doubled}
         single = np.array([i not in doubled for i in ids.tolist()])
@@ -106,12 +106,12 @@ class MarkerDetector:
         )
 
 
-def other_dictionary(picture: Picture) -> str:
+def other_dictionary(image: GreyImage) -> str:
     """The dictionary of which most markers are found, with their number; empty: of none."""
     counts = {}
     for name in FAMILIES:
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
-        _, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(picture)
+        _, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(image)
         counts[name] = 0 if ids is None else len(ids)
     best = max(counts, key=lambda name: counts[name])
     return f"{counts[best]} of {best}" if counts[best] else ""

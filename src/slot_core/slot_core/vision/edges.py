@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slot_core.robot import Array
-from slot_core.vision.board import Picture
+from slot_core.vision.board import GreyImage
 from slot_core.vision.camera import Camera
 
 ALONG = np.linspace(0.1, 0.9, 24)  # places on an edge: the corners are rounded by the blur
@@ -25,21 +25,21 @@ OUTLIER = 3.0  # times the median distance
 
 
 def refined_rays(
-    picture: Picture, corners: Array, camera: Camera, cells: int
+    image: GreyImage, corners: Array, camera: Camera, cells: int
 ) -> tuple[Array, Array]:
     """Corners (m, 4, 2) as undistorted x', y', from corners (m, 4, 2) in px found roughly.
 
     cells: of a marker along an edge, its black border included. Also the RMS distance (m,) of the
     edges' points from their lines, px; infinite where an edge is no edge.
     """
-    points, strength = edge_points(picture, corners, ROUGHLY, cells)
+    points, strength = edge_points(image, corners, ROUGHLY, cells)
     corners, _ = crossings(points, strength)
-    points, strength = edge_points(picture, corners, ALONG, cells)
+    points, strength = edge_points(image, corners, ALONG, cells)
     rays, distance = crossings(camera.rays(points), strength)
     return rays, distance * camera.focal
 
 
-def edge_points(picture: Picture, corners: Array, along: Array, cells: int) -> tuple[Array, Array]:
+def edge_points(image: GreyImage, corners: Array, along: Array, cells: int) -> tuple[Array, Array]:
     """Points (m, 4, n, 2) px on the edges of markers and their slopes (m, 4, n), zero: none.
 
     along: (n,) places on an edge as shares of its length.
@@ -51,7 +51,7 @@ def edge_points(picture: Picture, corners: Array, along: Array, cells: int) -> t
     middle = corners[:, :, None] + along[:, None] * edge[:, :, None]
     offset = half[..., None] * ACROSS  # (m, 1, p)
     places = middle[..., None, :] + (offset[..., None] * normal[:, :, None])[:, :, None]
-    grey = _sample(picture, places)
+    grey = _sample(image, places)
     slope = np.diff(grey, axis=-1)
     slope = np.where(slope > STRONG * slope.max(axis=-1, keepdims=True), slope, 0.0)
     total = slope.sum(axis=-1)
@@ -94,8 +94,8 @@ def _lines(points: Array, weight: Array) -> tuple[Array, Array, Array]:
     return centre, normal, np.abs((off * normal[..., None, :]).sum(axis=-1))
 
 
-def _sample(picture: Picture, places: Array) -> NDArray[np.float64]:
-    """Grey levels at places (..., 2) px, linear between pixels; the border beyond the picture."""
+def _sample(image: GreyImage, places: Array) -> NDArray[np.float64]:
+    """Grey levels at places (..., 2) px, linear between pixels; the border beyond the image."""
     flat = places.reshape(-1, places.shape[-2], 2).astype(np.float32)
-    grey = cv2.remap(picture, flat, np.empty(0), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    grey = cv2.remap(image, flat, np.empty(0), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return grey.reshape(places.shape[:-1]).astype(np.float64)

@@ -1,11 +1,11 @@
-"""Marker localisation: where the torso is, from pictures of boards.
+"""Marker localisation: where the torso is, from images of boards.
 
     carrier of the camera   boards                  pose of base_link in odom
     torso                   fixed in odom           T_odom_board T_board_camera T_camera_base
     world                   fixed on base_link      T_odom_camera T_camera_board T_board_base
 
 A pose has the covariance of its reprojection error. The twist is the difference of two poses: late
-by half their interval, so its variance holds that of an accelerating torso. A picture without a
+by half their interval, so its variance holds that of an accelerating torso. An image without a
 usable pose gives a reason in its place.
 """
 
@@ -20,14 +20,14 @@ from slot_core.clock import SECOND, to_seconds
 from slot_core.config import ConfigError
 from slot_core.geometry import Transform, optical
 from slot_core.robot import BASE_FRAME, ODOM_FRAME, Array
-from slot_core.vision.board import Picture, make_board
+from slot_core.vision.board import GreyImage, make_board
 from slot_core.vision.camera import Camera
 from slot_core.vision.detector import Detection, MarkerDetector, other_dictionary
 from slot_core.vision.pose import BoardPose, board_poses, nearest
 from slot_core.vision.settings import VisionSettings
 
 Known = tuple[int, Transform, Array]  # stamp, ns; base_link in odom; covariance (6, 6)
-LONG = 10  # pictures without a marker, after which other dictionaries are tried
+LONG = 10  # images without a marker, after which other dictionaries are tried
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class MarkerFix:
 
 @dataclass(frozen=True)
 class NoFix:
-    """A picture without a usable pose, and why."""
+    """An image without a usable pose, and why."""
 
     stamp: int  # ns
     reason: str
@@ -67,7 +67,7 @@ class NoFix:
 
 
 class MarkerLocalizer:
-    """Poses of the torso from pictures, one after the other."""
+    """Poses of the torso from images, one after the other."""
 
     def __init__(
         self, settings: VisionSettings, camera: Camera, mount: Transform, carrier: str | None = None
@@ -89,26 +89,26 @@ class MarkerLocalizer:
         self._dictionary = settings.dictionary
         self._last: Known | None = None
         self._answer: MarkerFix | NoFix | None = None
-        self._without = 0  # pictures in a row without a marker
+        self._without = 0  # images in a row without a marker
 
-    def locate(self, stamp: int, picture: Picture) -> MarkerFix | NoFix:
-        """The pose in a grey picture (h, w) of `stamp`, ns; raises CameraError for another size.
+    def locate(self, stamp: int, image: GreyImage) -> MarkerFix | NoFix:
+        """The pose in a grey image (h, w) of `stamp`, ns; raises CameraError for another size.
 
-        A stamp that repeats gives the same answer: the robot at rest repeats its picture, and what
+        A stamp that repeats gives the same answer: the robot at rest repeats its image, and what
         follows must not depend on how often.
         """
         if self._answer is None or self._answer.stamp != stamp:
-            self._answer = self._locate(stamp, picture)
+            self._answer = self._locate(stamp, image)
         return self._answer
 
-    def _locate(self, stamp: int, picture: Picture) -> MarkerFix | NoFix:
-        found = self._detector.find(picture)
+    def _locate(self, stamp: int, image: GreyImage) -> MarkerFix | NoFix:
+        found = self._detector.find(image)
         self._without = 0 if found.ids else self._without + 1
         seen = {name: _corners(board.corners, found) for name, board in self._boards.items()}
         name = max(seen, key=lambda key: len(seen[key][0]))
         points, rays = seen[name]
         if not len(points):
-            return NoFix(stamp, self._absence(found, picture))
+            return NoFix(stamp, self._absence(found, image))
         pose = board_poses(points, rays, self._settings.corner_noise / self._camera.focal)
         if pose is None:
             return NoFix(stamp, f"{len(points) // 4} markers of {name}: no pose explains them")
@@ -130,13 +130,13 @@ class MarkerLocalizer:
             )
         return self._fix(stamp, self._boards[name].pose, chosen, len(points) // 4)
 
-    def _absence(self, found: Detection, picture: Picture) -> str:
+    def _absence(self, found: Detection, image: GreyImage) -> str:
         """Why no marker of the boards was found."""
         if found.duplicates:
             return f"ids {', '.join(map(str, found.duplicates))} seen more than once"
         if found.ids:
             return f"no marker of the boards, only ids {', '.join(map(str, sorted(found.ids)))}"
-        if self._without % LONG == 0 and (other := other_dictionary(picture)):
+        if self._without % LONG == 0 and (other := other_dictionary(image)):
             return f"no marker of {self._dictionary}, but {other}"
         return f"no marker of {self._dictionary}"
 

@@ -18,8 +18,8 @@ CARRIERS = ("torso", "world")  # what the camera stands on
 class Intrinsics:
     """Pinhole camera with the distortion of OpenCV: k1 k2 p1 p2 k3 (ROS: plumb_bob)."""
 
-    width: int = quantity("width of the picture", "px", 64, 8192)
-    height: int = quantity("height of the picture", "px", 64, 8192)
+    width: int = quantity("width of the image", "px", 64, 8192)
+    height: int = quantity("height of the image", "px", 64, 8192)
     focal: tuple[float, float] = quantity("focal lengths f_x, f_y", "px", 10, 1e5)
     centre: tuple[float, float] = quantity("principal point c_x, c_y", "px", 0, 8192)
     distortion: tuple[float, float, float, float, float] = quantity("k1 k2 p1 p2 k3", "", -10, 10)
@@ -83,7 +83,7 @@ class DetectionSettings:
         "error of the second pose of a plane over that of the first, to be certain", "", 1, 100
     )
     depth_noise: float = quantity(
-        "standard deviation of a marker's depth in a depth picture, with its bias", "m", 1e-4, 1
+        "standard deviation of a marker's depth in a depth image, with its bias", "m", 1e-4, 1
     )
     memory: float = quantity(
         "time for which the last pose decides between two solutions", "s", 0, 10

@@ -1,4 +1,4 @@
-"""Synthetic camera: pictures of flat printed surfaces, with distortion, blur and noise.
+"""Synthetic camera: images of flat printed surfaces, with distortion, blur and noise.
 
 A pixel looks along its undistorted ray; where that meets a surface gives the grey level. Each pixel
 is the mean of SAMPLES x SAMPLES rays. Surfaces cast no shadows; a later one hides those before it.
@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from slot_core.robot import Array
-from slot_core.vision.board import Picture
+from slot_core.vision.board import GreyImage
 from slot_core.vision.camera import Camera
 
 SAMPLES = 2  # rays per pixel and axis
@@ -24,9 +24,9 @@ PAD = 3  # samples around a surface
 
 @dataclass(frozen=True)
 class Surface:
-    """A printed sheet: its picture and its corners, clockwise from the picture's top left."""
+    """A printed sheet: its image and its corners, clockwise from the image's top left."""
 
-    print: Picture  # (h, w), black 0 to white 255
+    print: GreyImage  # (h, w), black 0 to white 255
     corners: Array  # (4, 3) m in the optical frame
     velocity: Array | None = None  # (4, 3) m/s of the corners
 
@@ -40,7 +40,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class Imperfections:
-    """Noise, blur and exposure of a picture."""
+    """Noise, blur and exposure of an image."""
 
     noise: float = 2.0  # standard deviation, grey levels of 255
     blur: float = 0.6  # px, standard deviation of the lens' blur
@@ -48,7 +48,7 @@ class Imperfections:
 
 
 class SyntheticCamera:
-    """Renders pictures of a camera."""
+    """Renders images of a camera."""
 
     def __init__(
         self, camera: Camera, imperfections: Imperfections, rng: np.random.Generator
@@ -60,19 +60,19 @@ class SyntheticCamera:
         noise = imperfections.noise * rng.standard_normal(shape, np.float32)
         self._noise = noise.round().astype(np.int16)
 
-    def picture(self, surfaces: list[Surface]) -> Picture:
-        """The picture (h, w) at mid exposure."""
+    def image(self, surfaces: list[Surface]) -> GreyImage:
+        """The image (h, w) at mid exposure."""
         canvas = np.full(self._rays.shape[:2], GREY, np.uint8)
         for surface in surfaces:
             if surface.faces_camera:
                 self._paint(canvas, surface)
         size = (self.camera.width, self.camera.height)
-        picture = cv2.resize(canvas, size, interpolation=cv2.INTER_AREA)
+        image = cv2.resize(canvas, size, interpolation=cv2.INTER_AREA)
         if self._made.blur > 0:
-            picture = cv2.GaussianBlur(picture, (0, 0), self._made.blur)
+            image = cv2.GaussianBlur(image, (0, 0), self._made.blur)
         y, x = self._rng.integers(0, 64, 2)
         noise = self._noise[y : y + size[1], x : x + size[0]]
-        return np.asarray(cv2.add(picture, noise, dtype=cv2.CV_8U), np.uint8)
+        return np.asarray(cv2.add(image, noise, dtype=cv2.CV_8U), np.uint8)
 
     def depth(self, surfaces: list[Surface], noise: float) -> np.ndarray:
         """Depth along the optical axis as a RealSense gives it, uint16 (h, w), mm; zero: none.
@@ -99,7 +99,7 @@ class SyntheticCamera:
         depth[seen] += noise * self._rng.standard_normal(int(seen.sum()))
         return np.clip(np.round(1e3 * depth), 0, 65535).astype(np.uint16)
 
-    def _paint(self, canvas: Picture, surface: Surface) -> None:
+    def _paint(self, canvas: GreyImage, surface: Surface) -> None:
         """Paint a surface on the canvas of samples, and blur it by its motion."""
         edge = np.linspace(0, 1, 9)[:-1, None]
         ahead = np.roll(surface.corners, -1, axis=0)
@@ -126,7 +126,7 @@ class SyntheticCamera:
         canvas[place] = _moved(part, blur)
 
     def _motion(self, surface: Surface) -> Array:
-        """(2,) samples, way of a surface in the picture during the exposure."""
+        """(2,) samples, way of a surface in the image during the exposure."""
         if surface.velocity is None:
             return np.zeros(2)
         way = self._made.exposure / 2 * surface.velocity
@@ -134,11 +134,11 @@ class SyntheticCamera:
         return np.asarray(SAMPLES * (ends[1] - ends[0]).mean(axis=0), float)
 
 
-def _moved(picture: Picture, way: Array) -> Picture:
-    """The mean of a picture moved along a straight way (2,), centred, px."""
+def _moved(image: GreyImage, way: Array) -> GreyImage:
+    """The mean of an image moved along a straight way (2,), centred, px."""
     length = float(np.linalg.norm(way))
     if length < 0.5:
-        return picture
+        return image
     half = int(np.ceil(length / 2)) + 1
     steps = np.linspace(-0.5, 0.5, 4 * half + 1)[:, None] * way + half
     kernel = np.zeros((2 * half + 1, 2 * half + 1))
@@ -148,7 +148,7 @@ def _moved(picture: Picture, way: Array) -> Picture:
         kernel[j : j + 2, i : i + 2] += np.outer([1 - v, v], [1 - u, u])[
             : kernel.shape[0] - j, : kernel.shape[1] - i
         ]
-    return np.asarray(cv2.filter2D(picture, -1, kernel / kernel.sum()), np.uint8)
+    return np.asarray(cv2.filter2D(image, -1, kernel / kernel.sum()), np.uint8)
 
 
 def _rays(camera: Camera) -> np.ndarray:

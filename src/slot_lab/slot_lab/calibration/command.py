@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = _parser()
     options = parser.parse_args(arguments)
     if options.plot and options.plot.suffix != ".png":
-        parser.error(f"--plot {options.plot}: the name of a picture ends in .png")
+        parser.error(f"--plot {options.plot}: the name of a plot ends in .png")
     try:
         content = _run(options)
     except (TableError, ConfigError, FitError, PredictionError, OSError) as error:
@@ -103,7 +103,7 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("data", type=Path, metavar="FILE", help="measurements")
     add("--out", type=Path, metavar="FILE", help="parameter file to write (YAML)")
-    add("--plot", type=Path, metavar="FILE", help="picture to write")
+    add("--plot", type=Path, metavar="FILE", help="plot to write")
     free = "parameters to fit (default: " + " ".join(FREE) + ")"
     add("--free", nargs="+", metavar="NAME", default=FREE, help=free)
     add("--start", metavar="NAME", default="paper", help="set of config/parameters to start from")

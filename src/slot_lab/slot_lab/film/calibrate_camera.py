@@ -1,8 +1,8 @@
-"""Calibrates a camera from pictures of the ChArUco board: OpenCV's procedure, wrapped.
+"""Calibrates a camera from images of the ChArUco board: OpenCV's procedure, wrapped.
 
 Print the board (scripts/print_markers chessboard --out chessboard.pdf), glue it to something flat,
-and film it: near and far, in all corners of the picture, tilted by up to 45 degrees to every side,
-20 to 40 views. FILM is a folder of pictures, a video, or a bag. The file has the format of ROS's
+and film it: near and far, in all corners of the image, tilted by up to 45 degrees to every side,
+20 to 40 views. FILM is a folder of images, a video, or a bag. The file has the format of ROS's
 camera_info.
 """
 
@@ -20,7 +20,7 @@ from slot_core.config import ConfigError
 from slot_core.vision.camera import CameraError, camera_text
 from slot_core.vision.settings import VisionSettings, read_vision
 from slot_lab.film.calibration import BoardView, Calibration, calibrate, chessboard, find_view
-from slot_lab.film.pictures import PICTURES, FilmError, read_film
+from slot_lab.film.images import IMAGES, FilmError, read_film
 
 NAMES = ("f_x", "f_y", "c_x", "c_y", "k1", "k2", "p1", "p2", "k3")
 
@@ -47,10 +47,10 @@ def _calibrate(options: argparse.Namespace, settings: VisionSettings) -> Calibra
     for number, frame in enumerate(frames):
         shape = frame.grey.shape[1], frame.grey.shape[0]
         if number and shape != size:
-            raise FilmError(f"{options.film}: picture {number} has another size: {shape}, {size}")
+            raise FilmError(f"{options.film}: image {number} has another size: {shape}, {size}")
         size = shape
         if number % options.every == 0:
-            view = find_view(board, f"picture {number}", frame.grey)
+            view = find_view(board, f"image {number}", frame.grey)
             views += [view] if view else []
     return calibrate(views, size)
 
@@ -76,13 +76,13 @@ def report(found: Calibration) -> list[str]:
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser("calibrate_camera", __doc__)
     add = parser.add_argument
-    add("film", type=Path, metavar="RECORDING", help="folder of pictures, video, or bag")
+    add("film", type=Path, metavar="RECORDING", help="folder of images, video, or bag")
     add("--out", type=Path, metavar="FILE", required=True, help="calibration file to write")
     add("--name", default="camera", help="name of the camera in the file (default: camera)")
-    every = "use every Nth picture only, of a video for example every 15th (default: 1)"
+    every = "use every Nth image only, of a video for example every 15th (default: 1)"
     add("--every", type=positive_integer, default=1, metavar="N", help=every)
-    topic = f"topic of the bag (default: {PICTURES})"
-    add("--topic", default=PICTURES, metavar="NAME", help=topic)
+    topic = f"topic of the bag (default: {IMAGES})"
+    add("--topic", default=IMAGES, metavar="NAME", help=topic)
     return parser
 
 

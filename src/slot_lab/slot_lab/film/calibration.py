@@ -8,20 +8,20 @@ import cv2
 import numpy as np
 
 from slot_core.robot import Array
-from slot_core.vision.board import Picture
+from slot_core.vision.board import GreyImage
 from slot_core.vision.camera import Camera, CameraError
 from slot_core.vision.settings import VisionSettings
 
 CORNERS_MIN = 8  # of a view that counts
 VIEWS_MIN = 8
-COVERED_MIN = 0.5  # share of the picture's width and height that the corners span
+COVERED_MIN = 0.5  # share of the image's width and height that the corners span
 ERROR_MAX = 1.0  # px, RMS: beyond it the board is bent or has another size ratio
 GROSS = 3.0  # times the median error of the views, beyond which a view is left out
 
 
 @dataclass(frozen=True)
 class BoardView:
-    """Corners of the board in one picture."""
+    """Corners of the board in one image."""
 
     name: str
     points: Array  # (n, 3) m on the board
@@ -48,9 +48,9 @@ def chessboard(settings: VisionSettings) -> cv2.aruco.CharucoBoard:
     return cv2.aruco.CharucoBoard(size, board.square, board.marker, dictionary)
 
 
-def find_view(board: cv2.aruco.CharucoBoard, name: str, picture: Picture) -> BoardView | None:
-    """The board's corners in a grey picture; None if fewer than CORNERS_MIN are found."""
-    corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(picture)
+def find_view(board: cv2.aruco.CharucoBoard, name: str, image: GreyImage) -> BoardView | None:
+    """The board's corners in a grey image; None if fewer than CORNERS_MIN are found."""
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(image)
     if ids is None or len(ids) < CORNERS_MIN:
         return None
     points = np.asarray(board.getChessboardCorners(), np.float64)[np.asarray(ids).ravel()]
@@ -61,15 +61,15 @@ def calibrate(views: list[BoardView], size: tuple[int, int]) -> Calibration:
     """The camera of `size` (px) from at least VIEWS_MIN views; raises CameraError.
 
     Views whose error is GROSS times the median are left out once. Raises also if the corners do not
-    span COVERED_MIN of the picture, and for an error beyond ERROR_MAX.
+    span COVERED_MIN of the image, and for an error beyond ERROR_MAX.
     """
     covered = _covered(views, size)
     if len(views) < VIEWS_MIN:
-        raise CameraError(f"{len(views)} pictures show the board, at least {VIEWS_MIN} are needed")
+        raise CameraError(f"{len(views)} images show the board, at least {VIEWS_MIN} are needed")
     if min(covered) < COVERED_MIN:
         raise CameraError(
             f"the board covers {100 * covered[0]:.0f} % of the width and {100 * covered[1]:.0f} %"
-            f" of the height in all pictures together, at least {100 * COVERED_MIN:.0f} % are"
+            f" of the height in all images together, at least {100 * COVERED_MIN:.0f} % are"
             " needed"
         )
     _, *first = _solve(views, size)

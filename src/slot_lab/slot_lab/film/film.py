@@ -2,8 +2,8 @@
 
 WHAT is a recording of scripts/run. The film shows the markers on torso and legs and the board
 behind the robot, as config/vision.yaml places them, from `film_camera`. With the word chessboard
-the result is a folder of pictures of the ChArUco board, for scripts/calibrate_camera. Both are
-synthetic: distortion, blur and noise are added to rendered pictures, and nothing in them was
+the result is a folder of images of the ChArUco board, for scripts/calibrate_camera. Both are
+synthetic: distortion, blur and noise are added to rendered images, and nothing in them was
 measured.
 """
 
@@ -25,7 +25,7 @@ from slot_core.config import ConfigError
 from slot_core.geometry import Transform, optical
 from slot_core.messages import decode
 from slot_core.robot import LEGS, ODOM_FRAME, Array, RobotParameters, read_robot
-from slot_core.vision.board import SQUARE, Picture, make_board, print_of, single_marker
+from slot_core.vision.board import SQUARE, GreyImage, make_board, print_of, single_marker
 from slot_core.vision.camera import nominal
 from slot_core.vision.settings import TrackedMarkers, VisionSettings, read_vision
 from slot_core.vision.synthetic_camera import Imperfections, Surface, SyntheticCamera
@@ -111,7 +111,7 @@ class Stage:
             shown.append(self._seen(self._prints[name], corners, velocity))
         return [board, *sorted(body, key=_distance), *sorted(shown, key=_distance)]
 
-    def _seen(self, sheet: Picture, corners: Array, velocity: Array | None = None) -> Surface:
+    def _seen(self, sheet: GreyImage, corners: Array, velocity: Array | None = None) -> Surface:
         """A surface in the optical frame from corners (4, 3) and velocities in odom."""
         if velocity is not None:
             velocity = velocity @ self._to_camera.rotation.T
@@ -161,12 +161,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error(one_line(error))
     except OSError as error:
         parser.error(f"{error.filename}: {error.strerror}")
-    print(f"{count} pictures in {options.out}")
+    print(f"{count} images in {options.out}")
     return 0
 
 
 def _film(options: argparse.Namespace, settings: VisionSettings) -> int:
-    """Write film, depth pictures and true tracks; the number of pictures."""
+    """Write film, depth images and true tracks; the number of images."""
     robot = read_robot()
     times, shots = _motion(Bag(options.what), robot, options.duration)
     stage = Stage(settings, robot)
@@ -186,7 +186,7 @@ def _film(options: argparse.Namespace, settings: VisionSettings) -> int:
         if i + 1 < len(times) and times[i + 1] - time < GAP * period:
             soon = shots[i + 1], float(times[i + 1] - time)
         surfaces = stage.surfaces(shots[i], soon)
-        video.write(camera.picture(surfaces))
+        video.write(camera.image(surfaces))
         if options.depth:
             depth = camera.depth(surfaces, DEPTH_NOISE)
             cv2.imwrite(str(options.depth / f"{i:06d}.png"), depth)
@@ -199,7 +199,7 @@ def _film(options: argparse.Namespace, settings: VisionSettings) -> int:
 
 
 def _film_chessboard(options: argparse.Namespace, settings: VisionSettings) -> int:
-    """Write VIEWS pictures of the ChArUco board, held in all parts of the picture and tilted."""
+    """Write VIEWS images of the ChArUco board, held in all parts of the image and tilted."""
     rng = np.random.default_rng(options.seed)
     camera = nominal(settings.camera)
     board, dots = chessboard(settings), 3000.0  # px per m of the print
@@ -213,7 +213,7 @@ def _film_chessboard(options: argparse.Namespace, settings: VisionSettings) -> i
         tilt = np.array([np.pi, 0.0, 0.0]) + rng.uniform(-0.6, 0.6, 3)
         pose = Transform.of(distance * np.array([*ray, 1.0]), tilt)
         surface = Surface(sheet, pose.apply(SQUARE * [*size, 0.0]))
-        cv2.imwrite(str(options.out / f"{number:03d}.png"), synthetic.picture([surface]))
+        cv2.imwrite(str(options.out / f"{number:03d}.png"), synthetic.image([surface]))
     return VIEWS
 
 
@@ -247,7 +247,7 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("what", metavar="BAG", help=f"recording of scripts/run, or the word {CHESSBOARD}")
     add("--out", type=Path, metavar="FILE", required=True, help="video (.avi), or folder")
-    add("--depth", type=Path, metavar="DIR", help="also write depth pictures (mm, 16 bit)")
+    add("--depth", type=Path, metavar="DIR", help="also write depth images (mm, 16 bit)")
     add("--truth", type=Path, metavar="FILE", help="also write the true tracks")
     duration = "length of the film, s (default: 6)"
     add("--duration", type=within(0.1, 3600.0, "s"), default=6.0, metavar="S", help=duration)

@@ -20,7 +20,7 @@ from PIL import Image
 
 from slot_core.command_line import command_parser, within
 from slot_core.config import ConfigError
-from slot_core.vision.board import WHITE, Picture, make_board, picture_of, single_marker
+from slot_core.vision.board import WHITE, GreyImage, image_of, make_board, single_marker
 from slot_core.vision.settings import VisionSettings, read_vision
 from slot_lab.film.calibration import chessboard
 
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def sheet_of(what: str, settings: VisionSettings, dots: float) -> Picture:
+def sheet_of(what: str, settings: VisionSettings, dots: float) -> GreyImage:
     """What is printed, `dots` px per m; raises ConfigError for an unknown name."""
     number = settings.dictionary_number
     if what == "chessboard":
@@ -58,7 +58,7 @@ def sheet_of(what: str, settings: VisionSettings, dots: float) -> Picture:
         return np.asarray(chessboard(settings).generateImage(size), np.uint8)
     if what == "points":
         markers = [
-            _named(picture_of(single_marker(i, settings.points.size), number, dots), name, dots)
+            _named(image_of(single_marker(i, settings.points.size), number, dots), name, dots)
             for i, name in settings.points.names.items()
         ]
         blank = np.full_like(markers[0], WHITE)
@@ -68,10 +68,10 @@ def sheet_of(what: str, settings: VisionSettings, dots: float) -> Picture:
     if what not in settings.boards:
         known = ", ".join([*settings.boards, "points", "chessboard"])
         raise ConfigError(f"WHAT = {what!r}: expected one of {known}")
-    return picture_of(make_board(settings.boards[what]), number, dots)
+    return image_of(make_board(settings.boards[what]), number, dots)
 
 
-def with_scale(sheet: Picture, name: str, dots: float) -> Picture:
+def with_scale(sheet: GreyImage, name: str, dots: float) -> GreyImage:
     """The sheet with white around it, and below it a line of SCALE with its name."""
     edge, height, width = round(0.005 * dots), *sheet.shape
     foot = round(0.012 * dots)
@@ -84,14 +84,14 @@ def with_scale(sheet: Picture, name: str, dots: float) -> Picture:
     return page
 
 
-def _named(marker: Picture, name: str, dots: float) -> Picture:
+def _named(marker: GreyImage, name: str, dots: float) -> GreyImage:
     """A marker with its name above it."""
     page = np.vstack([np.full((round(0.006 * dots), marker.shape[1]), WHITE, np.uint8), marker])
     _write(page, name, (round(0.003 * dots), round(0.006 * dots)), 0.0025 * dots)
     return page
 
 
-def _write(page: Picture, text: str, place: tuple[int, int], height: float) -> None:
+def _write(page: GreyImage, text: str, place: tuple[int, int], height: float) -> None:
     """Write text of a height, px, at the left end of its base line."""
     scale = height / 21.0  # px of a capital at scale one
     cv2.putText(page, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, 0, max(1, int(scale)))

@@ -1,7 +1,7 @@
 """Tracks the markers on torso and legs through a film and writes where they are.
 
-FILM is a video, a folder of pictures, or a bag with pictures. The CSV has a comment with the frame
-and the columns time (s), point, x, y, z (m): a row for each marker that a picture shows. Points are
+FILM is a video, a folder of images, or a bag with images. The CSV has a comment with the frame
+and the columns time (s), point, x, y, z (m): a row for each marker that an image shows. Points are
 torso, FL_base, FL_third, FL_two_thirds, FL_tip and so on; with --leg those of that leg are base,
 third, two_thirds, tip. The camera has to stand still. Where it sees a board that config/vision.yaml
 places in odom, the tracks are in odom, else in the camera's own axes: x forward, y left, z up.
@@ -26,8 +26,8 @@ from slot_core.robot import LEGS
 from slot_core.vision.camera import Camera, CameraError, nominal, read_camera
 from slot_core.vision.detector import other_dictionary
 from slot_core.vision.settings import VisionSettings, read_vision
-from slot_lab.film.pictures import (
-    PICTURES,
+from slot_lab.film.images import (
+    IMAGES,
     FilmError,
     Frame,
     bag_camera,
@@ -37,7 +37,7 @@ from slot_lab.film.pictures import (
 )
 from slot_lab.film.tracker import MarkerSample, Tracker, Tracks
 
-COMPLETE = 1.02  # pictures that a video says over those read: some estimate their length
+COMPLETE = 1.02  # images that a video says over those read: some estimate their length
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -91,21 +91,21 @@ def track_film(
     *,
     rate: float | None = None,
     depth: str = "",
-    topic: str = PICTURES,
+    topic: str = IMAGES,
 ) -> Tracks:
     """Tracks of the markers of a film, as for `read_film`; raises FilmError, CameraError."""
     frames = read_film(film, rate, depth, topic)
     first = next(frames, None)
     if first is None:
-        raise FilmError(f"{film}: no picture on {topic}")
+        raise FilmError(f"{film}: no image on {topic}")
     tracker = Tracker(settings, camera)
     for number, frame in enumerate(itertools.chain([first], frames)):
         tracker.add(frame.time, frame.grey, frame.depth)
         if sys.stderr.isatty() and number % 30 == 0:
-            print(f"picture {number}", end="\r", file=sys.stderr, flush=True)
+            print(f"image {number}", end="\r", file=sys.stderr, flush=True)
     tracks = tracker.tracks()
-    if (claimed := claimed_length(film)) > COMPLETE * tracks.pictures:
-        tracks.notes.append(f"the video says that it has {claimed} pictures: it is damaged")
+    if (claimed := claimed_length(film)) > COMPLETE * tracks.images:
+        tracks.notes.append(f"the video says that it has {claimed} images: it is damaged")
     if not tracks.samples:
         raise FilmError(f"{film}: no tracked marker in {_absence(tracks, settings, first)}")
     return tracks
@@ -113,7 +113,7 @@ def track_film(
 
 def _absence(tracks: Tracks, settings: VisionSettings, first: Frame) -> str:
     ids = settings.points.names
-    text = f"{tracks.pictures} pictures (ids {min(ids)} to {max(ids)} of {settings.dictionary}"
+    text = f"{tracks.images} images (ids {min(ids)} to {max(ids)} of {settings.dictionary}"
     other = other_dictionary(first.grey)
     return text + (f"; the first shows {other})" if other else "; the first shows no marker)")
 
@@ -128,28 +128,28 @@ def _camera(options: argparse.Namespace, settings: VisionSettings) -> Camera:
 
 
 def _summary(tracks: Tracks, samples: list[MarkerSample]) -> list[str]:
-    """Lines: the frame, and of each point how many pictures show it."""
-    lines = [f"{tracks.pictures} pictures, tracks in {tracks.frame}"]
+    """Lines: the frame, and of each point how many images show it."""
+    lines = [f"{tracks.images} images, tracks in {tracks.frame}"]
     lines += tracks.warnings
     counts = Counter(s.point for s in samples)
     width = max(map(len, counts))
     for point, count in counts.items():
-        lines.append(f"{point:<{width}}  in {100 * count / tracks.pictures:5.1f} % of the pictures")
+        lines.append(f"{point:<{width}}  in {100 * count / tracks.images:5.1f} % of the images")
     return lines
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser("track", __doc__)
     add = parser.add_argument
-    add("film", type=Path, metavar="RECORDING", help="video, folder of pictures, or bag")
+    add("film", type=Path, metavar="RECORDING", help="video, folder of images, or bag")
     add("--out", type=Path, metavar="FILE", required=True, help="file to write")
     add("--camera", type=Path, metavar="FILE", help="calibration; default: that in the bag")
     add("--leg", choices=LEGS, help="write the torso and this leg only")
-    depth = "folder of 16-bit depth pictures (mm) registered to the pictures, or topic of the bag"
+    depth = "folder of 16-bit depth images (mm) registered to the images, or topic of the bag"
     add("--depth", default="", metavar="DIR|NAME", help=depth)
-    topic = f"topic of the bag (default: {PICTURES})"
-    add("--topic", default=PICTURES, metavar="NAME", help=topic)
-    rate = "pictures per second (default: the video's own; 30 for a folder)"
+    topic = f"topic of the bag (default: {IMAGES})"
+    add("--topic", default=IMAGES, metavar="NAME", help=topic)
+    rate = "images per second (default: the video's own; 30 for a folder)"
     add("--rate", type=within(0.1, 10000.0), metavar="HZ", help=rate)
     return parser
 

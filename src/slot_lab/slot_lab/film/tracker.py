@@ -1,9 +1,9 @@
 """Marker tracker: 3-D tracks of the markers on torso and legs, seen by a camera at rest.
 
 A point is the middle of its marker. Its place along the line of sight is that of the marker's pose
-or, with a depth picture, the mean of both by their variances. Where a board of `config/vision.yaml`
+or, with a depth image, the mean of both by their variances. Where a board of `config/vision.yaml`
 that is fixed in odom is seen, the tracks are in odom; the pose of the camera is then that of the
-board's median corners over all pictures. Else they are in camera_link, z up if the camera is level.
+board's median corners over all images. Else they are in camera_link, z up if the camera is level.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import numpy as np
 
 from slot_core.geometry import OPTICAL, Transform
 from slot_core.robot import ODOM_FRAME, Array
-from slot_core.vision.board import Picture, make_board, single_marker
+from slot_core.vision.board import GreyImage, make_board, single_marker
 from slot_core.vision.camera import Camera, CameraError
 from slot_core.vision.detector import Detection, MarkerDetector
 from slot_core.vision.pose import board_poses
 from slot_core.vision.settings import VisionSettings
-from slot_lab.film.pictures import Depth
+from slot_lab.film.images import Depth
 
 DEPTH_PIXELS = 9  # fewest in a marker for its depth to count
 FEWEST = 2  # markers of a board that place the camera
@@ -44,7 +44,7 @@ class Tracks:
 
     frame: str  # odom, or camera_link
     samples: list[MarkerSample]
-    pictures: int
+    images: int
     camera_motion: float  # px, largest motion of a marker of the boards
     notes: list[str] = field(default_factory=list)
 
@@ -58,7 +58,7 @@ class Tracks:
 
 
 class Tracker:
-    """Tracks the markers through the pictures of a film, given in order."""
+    """Tracks the markers through the images of a film, given in order."""
 
     def __init__(self, settings: VisionSettings, camera: Camera) -> None:
         self._settings, self._camera = settings.detection, camera
@@ -70,19 +70,19 @@ class Tracker:
         self._noise = settings.detection.corner_noise / camera.focal
         self._seen: list[MarkerSample] = []  # in the optical frame
         self._rays: dict[int, list[Array]] = {}  # (4, 2) of the boards' markers, which stand still
-        self._pictures = 0
+        self._images = 0
         self._duplicates: set[int] = set()
 
-    def add(self, time: float, picture: Picture, depth: Depth | None = None) -> list[MarkerSample]:
-        """Add the grey picture (h, w) of a time (s); its points in the optical frame.
+    def add(self, time: float, image: GreyImage, depth: Depth | None = None) -> list[MarkerSample]:
+        """Add the grey image (h, w) of a time (s); its points in the optical frame.
 
-        depth: (h, w) mm along the optical axis, registered to the picture; zero: unknown. Raises
+        depth: (h, w) mm along the optical axis, registered to the image; zero: unknown. Raises
         CameraError for another size.
         """
         if depth is not None:
             self._camera.require_size(depth.shape[1], depth.shape[0])
-        found = self._detector.find(picture)
-        self._pictures += 1
+        found = self._detector.find(image)
+        self._images += 1
         self._duplicates |= set(found.duplicates)
         new = []
         for index, number in enumerate(found.ids):
@@ -107,8 +107,8 @@ class Tracker:
         notes = []
         if self._duplicates:
             ids = ", ".join(map(str, sorted(self._duplicates)))
-            notes.append(f"ids {ids} were seen more than once in a picture and left out there")
-        return Tracks(frame, samples, self._pictures, motion, notes)
+            notes.append(f"ids {ids} were seen more than once in an image and left out there")
+        return Tracks(frame, samples, self._images, motion, notes)
 
     def _locate(self, found: Detection, index: int, depth: Depth | None) -> Array | None:
         """Middle of a marker (3,) m in the optical frame; None without a pose."""

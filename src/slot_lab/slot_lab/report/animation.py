@@ -12,7 +12,7 @@ from PIL import Image
 from slot_core.robot import Array, RobotParameters, read_robot
 from slot_lab.bags.bag import Bag
 from slot_lab.bags.recorded_walk import LEG_STATES, seconds, stride_period
-from slot_lab.report.picture import Snapshot, Viewpoint, draw_robot
+from slot_lab.report.plot import Snapshot, Viewpoint, draw_robot
 from slot_lab.report.plots import read_poses
 
 STRIDES = 2  # the last ones

@@ -41,7 +41,7 @@ COLOURS = LinearSegmentedColormap.from_list(
 )
 """Red where a constraint is violated, pale green where it is met with zero slack."""
 HATCHED: dict[str, Any] = {"facecolor": "none", "edgecolor": palette.INK, "hatch": "////"}
-CAPACITY = 1600  # columns of the picture; with more cycles each column shows its least slack
+CAPACITY = 1600  # columns of the plot; with more cycles each column shows its least slack
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     name = bag.name if bag.is_dir() else bag.stem  # a directory v0.05 has no suffix
     out = options.out or bag.with_name(f"{name}_constraints.png")
     if out.suffix != ".png":
-        parser.error(f"--out {out}: the name of a picture ends in .png")
+        parser.error(f"--out {out}: the name of a plot ends in .png")
     try:
         found = read_map(Bag(options.bag, options.namespace))
         draw_map(found, out)

@@ -8,8 +8,8 @@ import numpy as np
 
 from slot_core.body_points import LEAST_NODES, LEG_POINTS, TORSO, at_shares
 from slot_core.robot import LEGS
+from slot_lab.twin.prediction import ModelParts, simulate
 from slot_lab.twin.recorded import BagRecording
-from slot_lab.twin.replay_robot import ModelParts, replay
 from slot_lab.twin.settings import TwinSettings
 from slot_lab.validation.recording import write_points
 
@@ -23,7 +23,7 @@ def write(recorded: BagRecording, parts: ModelParts, settings: TwinSettings, pat
     """
     rows: dict[str, list[tuple[float, ...]]] = {}
     due = -np.inf
-    for t, sim in replay(recorded, parts, settings):
+    for t, sim in simulate(recorded, parts, settings):
         if t < due:
             continue
         due = t + PERIOD - settings.hold / 2

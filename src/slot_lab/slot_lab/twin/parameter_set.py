@@ -20,8 +20,8 @@ from slot_core.config import ConfigError
 from slot_core.robot import read_parameters
 from slot_lab.calibration import parameter_file
 from slot_lab.calibration.fit import ParameterEstimate
+from slot_lab.twin.prediction import ModelParts
 from slot_lab.twin.recorded import BagRecording
-from slot_lab.twin.replay_robot import ModelParts
 from slot_lab.twin.strides import StrideErrors
 from slot_lab.twin.twin_fit import TwinFit, changes
 

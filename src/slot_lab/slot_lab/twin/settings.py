@@ -10,7 +10,7 @@ from slot_core.config import quantity
 
 @dataclass(frozen=True)
 class TwinSettings:
-    """How a bag is replayed on the simulated robot and compared with it."""
+    """How the motion of a bag is predicted by the simulated robot and compared with it."""
 
     hold: float = quantity("time between two tendon angles given to the robot", "s", 2e-3, 0.05)
     command_delay: float = quantity("from a command's stamp to its effect", "s", 0.0, 0.5)

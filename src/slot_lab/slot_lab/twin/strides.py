@@ -21,8 +21,8 @@ from scipy.signal import correlate, find_peaks
 from slot_core.config import ConfigError
 from slot_core.geometry import rotate
 from slot_core.robot import Array
+from slot_lab.twin.prediction import PredictedTrack
 from slot_lab.twin.recorded import BagRecording
-from slot_lab.twin.replay_robot import PredictedTrack
 from slot_lab.twin.settings import TwinSettings
 
 GRID = 0.01  # s, of the angles in the search of a period

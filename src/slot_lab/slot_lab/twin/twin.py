@@ -1,4 +1,4 @@
-"""Replays recorded tendon angles on the simulated robot and compares the motion.
+"""Predicts the motion of recorded tendon angles on the simulated robot and compares it.
 
 RECORDING is a bag, or a CSV file with the header time,FL,FR,RL,RR,x,y,z,roll,pitch,yaw (s, rad, m).
 Of a bag measured angles (/joint_states) are taken if recorded, else the commands through the model
@@ -41,8 +41,8 @@ from slot_lab.calibration.experiments import PredictionError
 from slot_lab.calibration.fit import FitError
 from slot_lab.csv_table import TableError
 from slot_lab.twin import leg_points, parameter_set, twin_plot
+from slot_lab.twin.prediction import measured_track, predict, read_parts
 from slot_lab.twin.recorded import read_recorded
-from slot_lab.twin.replay_robot import measured_track, predict, read_parts
 from slot_lab.twin.settings import read_twin
 from slot_lab.twin.strides import find_strides, stride_errors
 from slot_lab.twin.twin_fit import RunAll, fit_twin, parameter, places, serially
@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace) -> list[str]:
-    """Replay, fit if asked for, and write the files; returns the lines of the report."""
+    """Predict, fit if asked for, and write the files; returns the lines of the report."""
     settings, names = read_twin(), places([*filter(None, options.fit.split(","))])
     if options.set:
         parameter_set.place_of(options.set)
@@ -172,7 +172,7 @@ def _parser() -> argparse.ArgumentParser:
     add("recording", type=Path, metavar="RECORDING", help="bag, or CSV file")
     add("--scene", default="flat", metavar="NAME", help="scene of config/scene (default: flat)")
     add("--parameters", default="", metavar="NAME", help="set of config/parameters in that scene")
-    angles = "tendon angles that are replayed; of a CSV file, what they are"
+    angles = "tendon angles that are simulated; of a CSV file, what they are"
     add("--angles", default="", choices=[MEASURED, COMMANDED], help=angles)
     add("--motion", default="", choices=MOTION_TOPICS, help="motion that is compared")
     add("--namespace", default="", help="of the recorded graph")

@@ -2,7 +2,7 @@
 
 A parameter is named by its place, `robot.leg.young_modulus`, `scene.floor.friction[0]`,
 `servo.lag`, or by one of the short names in `SHORT`. Without an index a value per leg is equal for
-all legs; any other list needs one. The whole bag is replayed for every trial; the residuals are
+all legs; any other list needs one. The whole bag is simulated for every trial; the residuals are
 those of the strides of the fit, the last strides are held out.
 """
 
@@ -23,8 +23,8 @@ from slot_core.divergence import DivergenceError
 from slot_core.robot import LEGS, Array
 from slot_lab.calibration.experiments import PredictionError
 from slot_lab.calibration.fit import FitProblem, Parameter, ParameterEstimate, estimate, fit
+from slot_lab.twin.prediction import ModelParts, measured_track, predict
 from slot_lab.twin.recorded import BagRecording
-from slot_lab.twin.replay_robot import ModelParts, measured_track, predict
 from slot_lab.twin.settings import TwinSettings
 from slot_lab.twin.strides import StrideErrors, Strides, residuals, stride_errors
 

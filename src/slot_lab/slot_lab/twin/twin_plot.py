@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from slot_core.drawing import palette
-from slot_lab.twin.replay_robot import PredictedTrack
+from slot_lab.twin.prediction import PredictedTrack
 from slot_lab.twin.strides import PITCH, ROLL, YAW, Strides, Z, error_growth, placed, stride_errors
 
 DPI = 100

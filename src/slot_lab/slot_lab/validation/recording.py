@@ -8,7 +8,7 @@ headers:
     time,x,y,z[,roll,pitch,yaw]    the torso
 
 The markers of a video are tracked as scripts/track does, with its defaults; that command also takes
-folders of pictures, bags with pictures, and depth.
+folders of plots, bags with plots, and depth.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def _from_video(path: Path, camera: Path | None) -> PointRecording:
     # OpenCV takes a second to load, which other recordings do without.
     from slot_core.vision.camera import CameraError, nominal, read_camera  # noqa: PLC0415
     from slot_core.vision.settings import read_vision  # noqa: PLC0415
-    from slot_lab.film.pictures import FilmError  # noqa: PLC0415
+    from slot_lab.film.images import FilmError  # noqa: PLC0415
     from slot_lab.film.track import track_film  # noqa: PLC0415
 
     settings = read_vision()
@@ -130,7 +130,7 @@ def _from_video(path: Path, camera: Path | None) -> PointRecording:
         rows.setdefault(sample.point, []).append((sample.time, *sample.position))
     long = {name: np.array(part) for name, part in rows.items() if len(part) >= LEAST_SAMPLES}
     if not long:
-        raise RecordingError(f"{path}: no marker in {LEAST_SAMPLES} pictures; see scripts/track")
+        raise RecordingError(f"{path}: no marker in {LEAST_SAMPLES} plots; see scripts/track")
     tracks = {name: PointTrack(part[:, 0], part[:, 1:]) for name, part in long.items()}
     notes = [] if camera else ["without --camera: the nominal camera of config/vision.yaml"]
     return dataclasses.replace(

@@ -58,8 +58,8 @@ def _run(options: argparse.Namespace) -> list[str]:
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "summary.txt").write_text("\n".join(lines) + "\n")
     tables.write_csv(found, options.out / "errors.csv")
-    pictures = curves.draw(found, f"{run.name} and {measured.name}", options.out)
-    names = ["summary.txt", "errors.csv", *(path.name for path in pictures)]
+    plots = curves.draw(found, f"{run.name} and {measured.name}", options.out)
+    names = ["summary.txt", "errors.csv", *(path.name for path in plots)]
     return [*lines, "", f"{', '.join(names)} are in {options.out}"]
 
 

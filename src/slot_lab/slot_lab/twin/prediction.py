@@ -1,4 +1,4 @@
-"""Replay: recorded tendon angles on the simulated robot, from the recorded start.
+"""Prediction: recorded tendon angles on the simulated robot, from the recorded start.
 
 Measured angles are imposed: the spool follows a cubic spline through them, whatever the load. Each
 value is held for h and reached with the lag h / 2, which makes up for giving it h / 2 too early.
@@ -39,7 +39,7 @@ FREE_RPM = 1000.0  # of a spool whose angle is imposed
 
 @dataclass(frozen=True)
 class ModelParts:
-    """Robot, scene and servo of a replay."""
+    """Robot, scene and servo of a prediction."""
 
     robot: RobotParameters
     scene: Scene
@@ -83,12 +83,12 @@ def measured_track(motion: TorsoTrack) -> PredictedTrack:
     return PredictedTrack(motion.t, motion.position, motion.rpy)
 
 
-def replay(
+def simulate(
     recorded: BagRecording, parts: ModelParts, settings: TwinSettings
 ) -> Iterator[tuple[float, SimulatedRobot]]:
     """Yield (graph time, robot) at the start and after each hold; the robot is advanced in place.
 
-    Raises DivergenceError, and ConfigError if the recording cannot be replayed with these settings.
+    Raises DivergenceError, and ConfigError if the recording cannot be simulated with these settings.
     """
     begin, end = recorded.span
     scene, servo = parts.scene, parts.servo
@@ -110,8 +110,8 @@ def replay(
 
 
 def predict(recorded: BagRecording, parts: ModelParts, settings: TwinSettings) -> PredictedTrack:
-    """The predicted motion after each hold; raises as `replay`."""
-    rows = [(t, *sim.position, *sim.rpy) for t, sim in replay(recorded, parts, settings)]
+    """The predicted motion after each hold; raises as `simulate`."""
+    rows = [(t, *sim.position, *sim.rpy) for t, sim in simulate(recorded, parts, settings)]
     table = np.array(rows)
     table[:, 6] = np.unwrap(table[:, 6])
     return PredictedTrack(table[:, 0], table[:, 1:4], table[:, 4:])

@@ -1,4 +1,4 @@
-"""The picture of the graph's benchmark: latency of each stage, CPU and memory of each node."""
+"""The plot of the graph's benchmark: latency of each stage, CPU and memory of each node."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,7 +18,7 @@ END_TO_END = "end to end"
 
 
 def draw(walks: Sequence[Walk], composed: Sequence[Walk], path: Path) -> None:
-    """Write the picture of all repeats with separate nodes; of composed ones the latency."""
+    """Write the plot of all repeats with separate nodes; of composed ones the latency."""
     figure = Figure(figsize=(13.0, 5.0), dpi=100, layout="constrained")
     duration = walks[0].metrics.duration
     waiting = np.median([one.waited for one in walks])

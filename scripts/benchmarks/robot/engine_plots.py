@@ -1,4 +1,4 @@
-"""The picture of the replays in two engines: mean speed of each gait over the floor's friction."""
+"""The plot of the replays in two engines: mean speed of each gait over the floor's friction."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,7 +14,7 @@ APART = 0.08  # of the places of two engines at one friction, in units of its pl
 
 
 def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Write the picture of the replays: a panel for each gait, a pair of points for each floor."""
+    """Write the plot of the replays: a panel for each gait, a pair of points for each floor."""
     gaits = list(dict.fromkeys(row["gait"] for row in rows))
     figure = Figure(figsize=(1.2 + 3.0 * len(gaits), 4.2), layout="constrained")
     panels = figure.subplots(1, len(gaits), sharey=True, squeeze=False)[0]

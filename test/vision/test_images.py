@@ -1,4 +1,4 @@
-"""Pictures in messages and bags; without a camera nothing of OpenCV is loaded."""
+"""Images in messages and bags; without a camera nothing of OpenCV is loaded."""
 
 import subprocess
 import sys
@@ -11,8 +11,8 @@ from views import CAMERA
 from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.message_types import message_types
 from slot_core.recording.record_settings import read_record_settings
-from slot_core.vision import picture_message
-from slot_lab.film.pictures import FilmError, bag_camera, read_film
+from slot_core.vision import image_message
+from slot_lab.film.images import FilmError, bag_camera, read_film
 
 TYPES = message_types()
 IMAGE, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
@@ -25,22 +25,22 @@ def image(pixels, encoding="mono8", **changes):
     return SimpleNamespace(**(message | changes))
 
 
-def test_pictures_of_every_encoding_are_grey():
+def test_images_of_every_encoding_are_grey():
     colour = np.zeros((2, 3, 3), np.uint8)
     colour[..., 2] = 200  # red of BGR
-    assert set(np.unique(picture_message.grey(image(colour, "bgr8")))) == {60}
-    assert set(np.unique(picture_message.grey(image(colour, "rgb8")))) == {23}
+    assert set(np.unique(image_message.grey(image(colour, "bgr8")))) == {60}
+    assert set(np.unique(image_message.grey(image(colour, "rgb8")))) == {23}
     grey = np.arange(12, dtype=np.uint8).reshape(3, 4)
-    np.testing.assert_array_equal(picture_message.grey(image(grey)), grey)
+    np.testing.assert_array_equal(image_message.grey(image(grey)), grey)
     padded = np.pad(grey, ((0, 0), (0, 5)))
-    np.testing.assert_array_equal(picture_message.grey(image(padded, width=4)), grey)
+    np.testing.assert_array_equal(image_message.grey(image(padded, width=4)), grey)
 
 
 def test_depth_of_both_byte_orders_is_in_millimetres():
     depth = np.array([[800, 1], [2, 65535]], np.uint16)
     for big, order in ((0, "<u2"), (1, ">u2")):
         message = image(depth.astype(order), "16UC1", is_bigendian=big)
-        np.testing.assert_array_equal(picture_message.depth(message), depth)
+        np.testing.assert_array_equal(image_message.depth(message), depth)
 
 
 @pytest.mark.parametrize(
@@ -53,13 +53,13 @@ def test_depth_of_both_byte_orders_is_in_millimetres():
         ({"data": b"", "height": 0}, "0 bytes"),
     ],
 )
-def test_a_picture_with_missing_bytes_is_refused(changes, reason):
+def test_a_image_with_missing_bytes_is_refused(changes, reason):
     with pytest.raises(ValueError, match=reason):
-        picture_message.grey(image(np.zeros((3, 4), np.uint8), **changes))
+        image_message.grey(image(np.zeros((3, 4), np.uint8), **changes))
 
 
-def write_bag(path, pictures, depths=(), k=CAMERA.matrix):
-    """A bag with pictures and depth pictures as (stamp in ms, array)."""
+def write_bag(path, images, depths=(), k=CAMERA.matrix):
+    """A bag with images and depth images as (stamp in ms, array)."""
     make = TYPES.types
     zero = make["std_msgs/msg/Header"](make["builtin_interfaces/msg/Time"](0, 0), "")
     with BagWriter(path, read_record_settings()) as bag:
@@ -67,7 +67,7 @@ def write_bag(path, pictures, depths=(), k=CAMERA.matrix):
         info = make[INFO](zero, 720, 1280, "plumb_bob", CAMERA.distortion, k.ravel(),
                           np.eye(3).ravel(), np.zeros(12), 0, 0, roi)  # fmt: skip
         bag.write("/camera/camera_info", INFO, 0, TYPES.serialize_cdr(info, INFO))
-        both = [("/camera/image_raw", "mono8", *p) for p in pictures]
+        both = [("/camera/image_raw", "mono8", *p) for p in images]
         both += [("/camera/depth", "16UC1", *d) for d in depths]
         for topic, encoding, ms, pixels in both:
             stamp = make["builtin_interfaces/msg/Time"](0, ms * 1_000_000)
@@ -79,10 +79,10 @@ def write_bag(path, pictures, depths=(), k=CAMERA.matrix):
     return path
 
 
-def test_a_bag_gives_its_pictures_with_stamps_camera_and_the_nearest_depth(tmp_path):
-    pictures = [(ms, np.full((2, 3), ms, np.uint8)) for ms in (10, 43, 76)]
+def test_a_bag_gives_its_images_with_stamps_camera_and_the_nearest_depth(tmp_path):
+    images = [(ms, np.full((2, 3), ms, np.uint8)) for ms in (10, 43, 76)]
     depths = [(ms, np.full((2, 3), ms, np.uint16)) for ms in (12, 40, 100)]
-    bag = write_bag(tmp_path / "bag", pictures, depths)
+    bag = write_bag(tmp_path / "bag", images, depths)
     frames = list(read_film(bag, depth="/camera/depth"))
     assert [f.time for f in frames] == pytest.approx([0.010, 0.043, 0.076])
     assert [f.grey[0, 0] for f in frames] == [10, 43, 76]
@@ -90,7 +90,7 @@ def test_a_bag_gives_its_pictures_with_stamps_camera_and_the_nearest_depth(tmp_p
     assert bag_camera(bag, "/camera/image_raw").equals(CAMERA)
 
 
-def test_a_bag_without_pictures_or_calibration_is_refused(tmp_path):
+def test_a_bag_without_images_or_calibration_is_refused(tmp_path):
     bag = write_bag(tmp_path / "bag", [], k=np.zeros((3, 3)))
     with pytest.raises(FilmError, match="no topic /camera/image_raw"):
         list(read_film(bag))

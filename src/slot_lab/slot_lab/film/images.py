@@ -1,4 +1,4 @@
-"""Pictures of a film one after the other: from a video, a folder of pictures, or a bag."""
+"""Images of a film one after the other: from a video, a folder of images, or a bag."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 from slot_core.clock import to_seconds
 from slot_core.command_line import one_line
 from slot_core.messages.decode import stamp
-from slot_core.vision import picture_message
-from slot_core.vision.board import Picture
+from slot_core.vision import image_message
+from slot_core.vision.board import GreyImage
 from slot_core.vision.camera import Camera, CameraError, from_camera_info
 from slot_lab.bags.bag import STORAGES, Bag, BagError
 
 Depth = NDArray[np.uint16]
-PICTURES = "/camera/image_raw"  # topic of a bag
+IMAGES = "/camera/image_raw"  # topic of a bag
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
-SYNCHRONOUS = 0.017  # s, largest distance of a depth picture from the picture
+SYNCHRONOUS = 0.017  # s, largest distance of a depth image from the image
 
 
 class FilmError(ValueError):
@@ -31,20 +31,20 @@ class FilmError(ValueError):
 
 @dataclass(frozen=True)
 class Frame:
-    """A picture and, if there is one, its depth."""
+    """An image and, if there is one, its depth."""
 
     time: float  # s
-    grey: Picture  # (h, w)
+    grey: GreyImage  # (h, w)
     depth: Depth | None = None  # (h, w) mm
 
 
 def read_film(
-    path: Path, rate: float | None = None, depth: str = "", topic: str = PICTURES
+    path: Path, rate: float | None = None, depth: str = "", topic: str = IMAGES
 ) -> Iterator[Frame]:
     """Frames of a video, a folder or a bag; raises FilmError.
 
-    rate: pictures per s of a video (default: its own) or a folder (default: 30). depth: folder of
-    16-bit pictures in mm, one for each picture, or a topic of the bag. topic: of its pictures.
+    rate: images per s of a video (default: its own) or a folder (default: 30). depth: folder of
+    16-bit images in mm, one for each image, or a topic of the bag. topic: of its images.
     """
     if is_bag(path):
         return _of_bag(path, topic, depth)
@@ -55,7 +55,7 @@ def read_film(
 
 
 def claimed_length(path: Path) -> int:
-    """Number of pictures that a video says it has; zero if it says none, and for other films."""
+    """Number of images that a video says it has; zero if it says none, and for other films."""
     if path.is_dir() or is_bag(path):
         return 0
     return max(0, int(cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FRAME_COUNT)))
@@ -69,7 +69,7 @@ def is_bag(path: Path) -> bool:
 
 
 def bag_camera(path: Path, topic: str) -> Camera:
-    """The camera of a bag's pictures, from `camera_info` beside their topic; raises FilmError."""
+    """The camera of a bag's images, from `camera_info` beside their topic; raises FilmError."""
     beside = f"{topic.rpartition('/')[0]}/camera_info"
     try:
         for _, m in Bag(path).messages(beside):
@@ -85,18 +85,18 @@ def _of_video(path: Path, rate: float | None) -> Iterator[Frame]:
     if not video.isOpened():
         raise FilmError(f"{path}: no video that OpenCV can read")
     if rate is None and not 0 < own < 1e4:
-        raise FilmError(f"{path}: says {own:g} pictures per s; give --rate")
+        raise FilmError(f"{path}: says {own:g} images per s; give --rate")
     number, time, step = 0, 0.0, 1.0 / (rate or own)
-    while (picture := video.read()[1]) is not None:
+    while (image := video.read()[1]) is not None:
         if rate is None:  # its own times, since films of telephones vary in their rate
             own_time = video.get(cv2.CAP_PROP_POS_MSEC) / 1e3
             time = own_time if own_time > time or not number else time + step
         else:
             time = number * step
-        yield Frame(time, _grey(picture))
+        yield Frame(time, _grey(image))
         number += 1
     if not number:
-        raise FilmError(f"{path}: has no picture that can be read")
+        raise FilmError(f"{path}: has no image that can be read")
 
 
 def _of_folder(path: Path, rate: float) -> Iterator[Frame]:
@@ -105,10 +105,10 @@ def _of_folder(path: Path, rate: float) -> Iterator[Frame]:
 
 
 def _with_depth(frames: Iterator[Frame], depths: list[Path], name: str) -> Iterator[Frame]:
-    """The frames with the depth pictures of a folder, in order."""
+    """The frames with the depth images of a folder, in order."""
     for number, frame in enumerate(frames):
         if number >= len(depths):
-            raise FilmError(f"{name}: {len(depths)} depth pictures, fewer than pictures")
+            raise FilmError(f"{name}: {len(depths)} depth images, fewer than images")
         depth = _read(depths[number], cv2.IMREAD_UNCHANGED)
         if depth.dtype != np.uint16 or depth.ndim != 2:
             raise FilmError(f"{depths[number]}: {depth.dtype}, expected one 16-bit channel in mm")
@@ -119,7 +119,7 @@ def _of_bag(path: Path, topic: str, depth_topic: str) -> Iterator[Frame]:
     try:
         bag = Bag(path)
         found = bag.messages(depth_topic) if depth_topic else ()
-        depths = ((to_seconds(stamp(m)), picture_message.depth(m)) for _, m in found)
+        depths = ((to_seconds(stamp(m)), image_message.depth(m)) for _, m in found)
         before, after = None, next(depths, None)
         for _, message in bag.messages(topic):
             time = to_seconds(stamp(message))
@@ -127,27 +127,27 @@ def _of_bag(path: Path, topic: str, depth_topic: str) -> Iterator[Frame]:
                 before, after = after, next(depths, None)
             near = [d for d in (before, after) if d is not None and abs(d[0] - time) < SYNCHRONOUS]
             nearest = min(near, key=lambda d: abs(d[0] - time))[1] if near else None
-            yield Frame(time, picture_message.grey(message), nearest)
+            yield Frame(time, image_message.grey(message), nearest)
     except (BagError, ValueError, AttributeError) as error:
         raise FilmError(f"{path}: {topic}: {one_line(error)}") from None
 
 
 def _files(path: Path) -> list[Path]:
-    """The pictures of a folder in the order of their names; raises FilmError if there are none."""
+    """The images of a folder in the order of their names; raises FilmError if there are none."""
     files = sorted(f for f in path.glob("*") if f.suffix.lower() in SUFFIXES)
     if not files:
-        raise FilmError(f"{path}: a folder without pictures ({', '.join(SUFFIXES)})")
+        raise FilmError(f"{path}: a folder without images ({', '.join(SUFFIXES)})")
     return files
 
 
 def _read(file: Path, mode: int) -> NDArray[Any]:
-    picture = cv2.imread(str(file), mode)
-    if picture is None:
-        raise FilmError(f"{file}: no picture that OpenCV can read")
-    return np.asarray(picture)
+    image = cv2.imread(str(file), mode)
+    if image is None:
+        raise FilmError(f"{file}: no image that OpenCV can read")
+    return np.asarray(image)
 
 
-def _grey(picture: Any) -> Picture:
-    if picture.ndim == 2:
-        return np.asarray(picture, np.uint8)
-    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), np.uint8)
+def _grey(image: Any) -> GreyImage:
+    if image.ndim == 2:
+        return np.asarray(image, np.uint8)
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)

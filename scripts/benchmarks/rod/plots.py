@@ -1,4 +1,4 @@
-"""The picture of the release test: error over cost of all simulators, with their Pareto fronts."""
+"""The plot of the release test: error over cost of all simulators, with their Pareto fronts."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -27,7 +27,7 @@ CURVES = {  # simulator and physics: name, mark, colour
 
 
 def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Write the picture."""
+    """Write the plot."""
     figure = Figure(figsize=(9.5, 6.6), layout="constrained")
     ax = figure.subplots()
     for (simulator, physics), look in CURVES.items():

@@ -53,7 +53,7 @@ class Viewpoint:
         )
 
     def project(self, points: Array) -> Array:
-        """(..., 2) right and up in the picture of points (..., 3), m."""
+        """(..., 2) right and up in the plot of points (..., 3), m."""
         right = np.array([-math.sin(self.azimuth), math.cos(self.azimuth), 0.0])
         return np.stack([points @ right, points @ np.cross(self.toward, right)], axis=-1)
 
@@ -69,7 +69,7 @@ class Solid:
 def draw_robot(ax: Axes, pose: Snapshot, robot: RobotParameters, camera: Viewpoint) -> None:
     """Draw ground, shadow, legs, torso and ground forces into `ax`, whose unit is the metre.
 
-    The picture's origin is the point of the ground below the torso. Lines on the ground are fixed
+    The plot's origin is the point of the ground below the torso. Lines on the ground are fixed
     in odom and labelled with their x.
     """
     centre = np.array([pose.position[0], pose.position[1], 0.0])

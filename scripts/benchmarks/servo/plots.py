@@ -1,4 +1,4 @@
-"""The picture of the servos' step responses."""
+"""The plot of the servos' step responses."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ STYLES = {"position": ("C0", "servo's own loop"), "pwm": ("C1", "loop on the hos
 
 
 def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
-    """Write the picture: angles over time, dashed with load."""
+    """Write the plot: angles over time, dashed with load."""
     figure = Figure(figsize=(7.0, 3.6), layout="constrained")
     axes = figure.add_subplot()
     for row in rows:

@@ -1,4 +1,4 @@
-"""The pictures of the locomotion benchmark: table, velocities in all directions, top views."""
+"""The plots of the locomotion benchmark: table, velocities in all directions, top views."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The picture of the MPC's benchmark: error over CPU time, and CPU time over the horizon."""
+"""The plot of the MPC's benchmark: error over CPU time, and CPU time over the horizon."""
 
 import itertools
 import math
@@ -16,7 +16,7 @@ ROUNDOFF = 1e-13  # N, drawn for smaller errors
 
 
 def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Write the picture of all rows."""
+    """Write the plot of all rows."""
     figure = Figure(figsize=(12, 5), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     draw_errors(left, rows)

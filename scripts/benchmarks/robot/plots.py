@@ -1,4 +1,4 @@
-"""The picture of the robot's benchmark: error over cost, the model levels and the Pareto front."""
+"""The plot of the robot's benchmark: error over cost, the model levels and the Pareto front."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ RANGE = {"xlim": (0.3, 300), "ylim": (0.01, 30)}
 
 
 def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Write the picture of all rows with an error and a cost."""
+    """Write the plot of all rows with an error and a cost."""
     figure = Figure(figsize=(8, 5), layout="constrained")
     ax = figure.subplots()
     runs = [row for row in rows if row["kind"] == "stand and step" and row["error_mm"] < math.inf]

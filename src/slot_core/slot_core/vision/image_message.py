@@ -1,4 +1,4 @@
-"""Grey pictures from sensor_msgs/Image messages, received or read from a bag."""
+"""Grey images from sensor_msgs/Image messages, received or read from a bag."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slot_core.vision.board import Picture
+from slot_core.vision.board import GreyImage
 
 CHANNELS = {"mono8": 1, "8UC1": 1, "bgr8": 3, "rgb8": 3, "8UC3": 3, "bgra8": 4, "rgba8": 4}
 TO_GREY = {
@@ -18,8 +18,8 @@ TO_GREY = {
 DEPTHS = ("16UC1", "mono16")
 
 
-def grey(message: Any) -> Picture:
-    """Grey picture (h, w) of an Image; raises ValueError for other encodings and missing bytes."""
+def grey(message: Any) -> GreyImage:
+    """Grey image (h, w) of an Image message; raises ValueError for other encodings, missing bytes."""
     if message.encoding not in CHANNELS:
         known = ", ".join(CHANNELS)
         raise ValueError(f"encoding {message.encoding!r}: expected one of {known}")
@@ -30,7 +30,7 @@ def grey(message: Any) -> Picture:
 
 
 def depth(message: Any) -> NDArray[np.uint16]:
-    """Depth (h, w), mm, of an Image; raises ValueError for other encodings and missing bytes."""
+    """Depth (h, w), mm, of an Image message; raises ValueError for other encodings, missing bytes."""
     if message.encoding not in DEPTHS:
         raise ValueError(f"encoding {message.encoding!r}: expected one of {', '.join(DEPTHS)}")
     order: Literal["<", ">"] = ">" if message.is_bigendian else "<"

@@ -1,4 +1,4 @@
-"""The picture of the estimation benchmark: error at the time of use over the odometry's delay."""
+"""The plot of the estimation benchmark: error at the time of use over the odometry's delay."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,7 +22,7 @@ PANELS = {
 
 
 def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Write the picture of the rows of kind `delay`."""
+    """Write the plot of the rows of kind `delay`."""
     figure = Figure(figsize=(12, 3.4), layout="constrained")
     for ax, (name, label) in zip(figure.subplots(1, len(PANELS)), PANELS.items()):
         for method, colour in COLOURS.items():

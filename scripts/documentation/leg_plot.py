@@ -1,6 +1,6 @@
 """Draws the leg of the page Concepts, out of its plane: nodes, a frame, tendon and width.
 
-    . scripts/env; PYTHONPATH=scripts:$PYTHONPATH python -m documentation.leg_picture
+    . scripts/env; PYTHONPATH=scripts:$PYTHONPATH python -m documentation.leg_plot
 
 writes slot_bringup/doc/leg.png.
 """
@@ -29,7 +29,7 @@ SURFACE, TENDON = palette.LEG_COLOURS["FL"], "#C00000"
 
 
 def main() -> None:
-    """Write the picture."""
+    """Write the plot."""
     robot = read_robot()
     node, director = pushed_leg(robot)
     figure = plt.figure(figsize=(8, 4.6), dpi=120)
@@ -50,7 +50,7 @@ def pushed_leg(robot: RobotParameters) -> tuple[Array, Array]:
 
 
 def draw(axes: Any, robot: RobotParameters, node: Array, director: Array) -> None:
-    """Draw a leg at nodes (N, 3) with directors (N-1, 3), mm in the picture."""
+    """Draw a leg at nodes (N, 3) with directors (N-1, 3), mm in the plot."""
     node = 1e3 * node
     along = np.diff(node, axis=0)
     t = along / np.linalg.norm(along, axis=1, keepdims=True)

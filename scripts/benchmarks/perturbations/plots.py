@@ -1,4 +1,4 @@
-"""The pictures of the perturbations: costs over time with their table, and the failed samples."""
+"""The plots of the perturbations: costs over time with their table, and the failed samples."""
 
 from __future__ import annotations
 
