@@ -19,7 +19,7 @@ DEPTHS = ("16UC1", "mono16")
 
 
 def grey(message: Any) -> GreyImage:
-    """Grey image (h, w) of an Image message; raises ValueError for other encodings, missing bytes."""
+    """Grey image (h, w) of an Image; raises ValueError for other encodings, missing bytes."""
     if message.encoding not in CHANNELS:
         known = ", ".join(CHANNELS)
         raise ValueError(f"encoding {message.encoding!r}: expected one of {known}")
@@ -30,7 +30,7 @@ def grey(message: Any) -> GreyImage:
 
 
 def depth(message: Any) -> NDArray[np.uint16]:
-    """Depth (h, w), mm, of an Image message; raises ValueError for other encodings, missing bytes."""
+    """Depth (h, w), mm, of an Image; raises ValueError for other encodings, missing bytes."""
     if message.encoding not in DEPTHS:
         raise ValueError(f"encoding {message.encoding!r}: expected one of {', '.join(DEPTHS)}")
     order: Literal["<", ">"] = ">" if message.is_bigendian else "<"

@@ -88,7 +88,7 @@ def simulate(
 ) -> Iterator[tuple[float, SimulatedRobot]]:
     """Yield (graph time, robot) at the start and after each hold; the robot is advanced in place.
 
-    Raises DivergenceError, and ConfigError if the recording cannot be simulated with these settings.
+    Raises DivergenceError, and ConfigError if it cannot be simulated with these settings.
     """
     begin, end = recorded.span
     scene, servo = parts.scene, parts.servo
