@@ -12,7 +12,7 @@ import pytest
 from slot_bringup.monitor import listener
 
 # Arguments: signal, where it is sent: in "make", in a "library" called by it, which drops the
-# exception, or in a "callback".
+# exception, in an "import", which makes another of it, as pybind does, or in a "callback".
 NODE = """
 import os, sys, time
 from contextlib import suppress
@@ -30,6 +30,10 @@ class Interrupted(Node):
             self.raise_signal("library")
         if place == "library":
             time.sleep(100)
+        try:
+            self.raise_signal("import")
+        except KeyboardInterrupt as error:
+            raise ImportError("initialization failed") from error
         self.raise_signal("make")
 
     def raise_signal(self, here):
@@ -50,7 +54,7 @@ runtime.run(Interrupted)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("place", ["make", "library", "callback"])
+@pytest.mark.parametrize("place", ["make", "library", "import", "callback"])
 def test_a_preparation_is_interrupted_at_once_and_a_callback_is_not(number, place):
     """A node that sends itself the signal at that place ends without a fault."""
     command = [sys.executable, "-c", NODE, str(int(number)), place]

@@ -52,7 +52,7 @@ class Interrupt:
     RuntimeError, or a null pointer in the converter's C code, which ends the process.
 
     During the preparation it is raised repeatedly: llvmlite, which compiles kernels, drops what is
-    raised in its callbacks.
+    raised in its callbacks. An extension that is being imported makes an ImportError of it.
 
     rclpy ends the context and wakes the executors in a thread. At the end of the block, while the
     executors exist, it is joined: what it uses must neither be ended nor freed meanwhile.
@@ -60,6 +60,7 @@ class Interrupt:
 
     def __init__(self) -> None:
         self.received = False
+        self.prepares = True
         self._raises = True  # KeyboardInterrupt
 
     def __enter__(self) -> Interrupt:
@@ -79,7 +80,7 @@ class Interrupt:
 
     def end_preparation(self) -> None:
         """Raise nothing from now on, but what was raised before and dropped."""
-        self._raises = False
+        self._raises = self.prepares = False
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         if self.received:
             raise KeyboardInterrupt
@@ -119,6 +120,9 @@ def run(make_node: Callable[[], Any], serve: Callable[[Any], None] = spin) -> No
     except RuntimeError:
         if not interrupt.received and rclpy.utilities.ok():
             raise  # else of a message that was taken or published as the context ended
+    except ImportError:
+        if not (interrupt.received and interrupt.prepares):
+            raise
     finally:
         if node is not None:
             node.destroy_node()
