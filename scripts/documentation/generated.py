@@ -66,12 +66,15 @@ def arguments() -> str:
             f"`{argument.name}`",
             argument.kind.__name__,
             code(argument.default),
-            plain(argument.help + choices.format(", ".join(argument.choices or ()))),
+            plain(argument.help + _choices(argument)),
         )
         for argument in read_graph().arguments
-        for choices in ["; one of {}" if argument.choices else ""]
     ]
     return table(("option of scripts/run", "launch argument", "type", "default", "meaning"), rows)
+
+
+def _choices(argument: Any) -> str:
+    return f"; one of {', '.join(argument.choices)}" if argument.choices else ""
 
 
 def messages() -> str:

@@ -5,11 +5,12 @@ Every node of `graph.yaml` is created, asked and destroyed.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import importlib
 import inspect
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from typing import Any
@@ -83,15 +84,13 @@ def describe(name: str, parameters: Mapping[str, str]) -> Description:
         if issubclass(kind, Node) and kind.__module__ == module.__name__
     )  # fmt: skip
     given = [text for item in parameters.items() for text in ("-p", "{}:={}".format(*item))]
-    rclpy.init(args=["--ros-args", "--log-level", "error", *given])
-    try:
+    with (
+        rclpy.init(args=["--ros-args", "--log-level", "error", *given]),
+        contextlib.ExitStack() as stack,
+    ):
         node = kind()
-        try:
-            return _description(node, inspect.getdoc(kind) or "", parameters)
-        finally:
-            node.destroy_node()
-    finally:
-        rclpy.shutdown()
+        stack.callback(node.destroy_node)
+        return _description(node, inspect.getdoc(kind) or "", parameters)
 
 
 def _description(node: Any, doc: str, given: Mapping[str, str]) -> Description:
@@ -100,10 +99,8 @@ def _description(node: Any, doc: str, given: Mapping[str, str]) -> Description:
     return Description(
         name=node.get_name(),
         doc=doc.partition("\n")[0],
-        publishes=tuple(_ends((p.topic_name, p.msg_type, p.qos_profile) for p in node.publishers)),
-        subscribes=tuple(
-            _ends((s.topic_name, s.msg_type, s.qos_profile) for s in node.subscriptions)
-        ),
+        publishes=_ends(node.publishers),
+        subscribes=_ends(node.subscriptions),
         services=tuple(
             (node.resolve_service_name(service.srv_name), service.srv_type)
             for service in node.services
@@ -116,8 +113,9 @@ def _description(node: Any, doc: str, given: Mapping[str, str]) -> Description:
     )
 
 
-def _ends(found: Any) -> Iterator[End]:
-    return (End(*end) for end in found if end[0] not in STANDARD_TOPICS)
+def _ends(found: Any) -> tuple[End, ...]:
+    ends = (End(one.topic_name, one.msg_type, one.qos_profile) for one in found)
+    return tuple(end for end in ends if end.topic not in STANDARD_TOPICS)
 
 
 def _package(kind: type) -> str:

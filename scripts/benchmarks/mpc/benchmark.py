@@ -18,10 +18,9 @@ import psutil
 from benchmarks.harness import Check, Progress, Row, at_least, at_most, mark_front, timed
 from benchmarks.mpc import posture_rows
 from benchmarks.mpc.cases import Case, hard_cases, random_case, stretched
-from benchmarks.mpc.cvxpy_reference import CvxpyReference
+from benchmarks.mpc.cvxpy_reference import CvxpyReference, restated
 from benchmarks.mpc.oracle import optimum
 from benchmarks.mpc.picture import draw
-from benchmarks.mpc.restated import restated
 from slot_core import config
 from slot_core.control.policy import Status, TendonPlan
 from slot_core.mpc import solver

@@ -126,7 +126,8 @@ class PublishedProblem:
             normal[leg, AXES * leg + 2] = 1.0
             at_most(-normal[leg], 0.0 if leg == phase else -LEAST_NORMAL)
             at_most(normal[leg], self._settings.force_max)
-            limit = _friction(leg, phase) * normal[leg]
+            grip = "rear" if leg > 1 else "pulled" if leg == phase else "released"
+            limit = FRICTION[grip] * normal[leg]
             if leg in (0, 1):
                 for row in (along, -along, across, -across):
                     at_most(row - limit, 0.0)
@@ -183,8 +184,3 @@ def run_published(
         if noise is not None:
             state = np.clip(state + NOISE * noise.normal(size=STATES), -MOST_STATE, MOST_STATE)
     return PerturbedRun.of(*zip(*entries), infeasible)
-
-
-def _friction(leg: int, phase: int) -> float:
-    front = FRICTION["pulled"] if leg == phase else FRICTION["released"]
-    return front if leg in (0, 1) else FRICTION["rear"]
