@@ -84,10 +84,9 @@ def describe(name: str, parameters: Mapping[str, str]) -> Description:
         if issubclass(kind, Node) and kind.__module__ == module.__name__
     )  # fmt: skip
     given = [text for item in parameters.items() for text in ("-p", "{}:={}".format(*item))]
-    with (
-        rclpy.init(args=["--ros-args", "--log-level", "error", *given]),
-        contextlib.ExitStack() as stack,
-    ):
+    rclpy.init(args=["--ros-args", "--log-level", "error", *given])
+    with contextlib.ExitStack() as stack:
+        stack.callback(rclpy.shutdown)
         node = kind()
         stack.callback(node.destroy_node)
         return _description(node, inspect.getdoc(kind) or "", parameters)

@@ -60,8 +60,7 @@ class CvxpyReference:
         self._set_parameters(state, preview)
         self._problem.solve(solver=cp.CLARABEL, **TOLERANCES)
         assert self._problem.status == cp.OPTIMAL
-        forces: Array = self.u.value.reshape(-1, FEET, 3)
-        return forces
+        return self.u.value.reshape(-1, FEET, 3)
 
     def _set_parameters(self, state: Array, preview: GaitPreview) -> None:
         now = np.arange(self._settings.horizon)
@@ -102,5 +101,4 @@ def restated(
             constraints += [f_z >= 0, f_z <= f_max]
             constraints += [cp.abs(f_x) <= friction, cp.abs(f_y) <= friction]
     cp.Problem(cp.Minimize(cost), constraints).solve(solver=cp.SCS)
-    force: Array = u.value.T.reshape(stages, FEET, 3)
-    return force
+    return u.value.T.reshape(stages, FEET, 3)
