@@ -54,11 +54,8 @@ def row(case: Case, whole: WalkMotion) -> dict[str, Any]:
     mu, volt = set_to["scene.floor.friction"][0], set_to["scene.supply_voltage"]
     y = motion.moving_mean(motion.position[:, 1] - motion.position[0, 1])
     stall = float(read_servo().tendon_stall(volt))
-    return {
-        "kind": "margin",
-        "friction": mu,
-        "voltage": volt,
-        "fallen": motion.fallen,
+    row = {"kind": "margin", "friction": mu, "voltage": volt, "fallen": motion.fallen}
+    return row | {
         "speed": motion.forward_speed,
         "aside": MM * float(np.abs(y).max()) / float(np.ptp(motion.position[:, 0])),
         "heading": DEG * motion.heading,

@@ -24,7 +24,6 @@ from collections.abc import Mapping
 import clarabel
 import numpy as np
 from scipy import sparse
-from scipy.spatial.transform import Rotation
 
 from benchmarks.perturbations.cases import DT, HEIGHT, NOISE, P_Z, SPEED, V_X, PerturbedRun
 from slot_core.mpc.model import FEET, INPUTS, STATES
@@ -54,8 +53,10 @@ class PublishedProblem:
         self.a, self.b, self.drift = published_model(robot)
         self.target = np.zeros(STATES)
         self.target[[P_Z, V_X]] = HEIGHT, SPEED
+        s, c, flat = np.sin(robot.azimuth), np.cos(robot.azimuth), np.zeros(FEET)
         # (4, 3, 3) odom to the legs' frames of the authors' scripts: x at minus the azimuth
-        self._turns = Rotation.from_euler("z", np.reshape(robot.azimuth, (FEET, 1))).as_matrix()
+        frames = np.array([[c, -s, flat], [s, c, flat], [flat, flat, flat + 1.0]])
+        self._turns = np.moveaxis(frames, -1, 0)
         self._cost(phase)
         self._constrain(phase)
 

@@ -34,7 +34,7 @@ from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.emulator.emulated_bus import read_emulator
 from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
 from slot_core.dynamixel.port import SerialPort
-from slot_core.dynamixel.settings import DynamixelSettings, read_settings
+from slot_core.dynamixel.settings import read_settings
 from slot_core.robot import LEGS
 from slot_core.simulation.plant import CYCLE
 
@@ -174,13 +174,10 @@ def emulated(changes: dict[str, Any], latency: float) -> Iterator[Driver]:
         process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ)
         try:
             assert process.stdout is not None
-            yield _driver(settings, process.stdout.readline().strip())
+            name, bus = process.stdout.readline().strip(), settings.bus
+            driver = Driver(SerialPort(name, bus.baud, bus.timeout), settings)
+            assert len(driver.configure()) == len(LEGS)
+            yield driver
         finally:
             process.terminate()
             process.wait(10)
-
-
-def _driver(settings: DynamixelSettings, name: str) -> Driver:
-    driver = Driver(SerialPort(name, settings.bus.baud, settings.bus.timeout), settings)
-    assert len(driver.configure()) == len(LEGS)
-    return driver
