@@ -58,19 +58,15 @@ class Description:
     parameters: tuple[tuple[Any, ParameterDescriptor], ...]  # default, descriptor
 
 
-def names() -> list[str]:
-    """Nodes of the graph from this repository."""
-    nodes = yaml.safe_load(GRAPH.read_text())["nodes"]
-    return [name for name, entry in nodes.items() if entry["package"] == "slot_nodes"]
-
-
 @functools.cache
 def descriptions() -> tuple[Description, ...]:
-    """What each node declares, in the order of `graph.yaml`; a node may occur in two variants."""
+    """What each node of slot_nodes declares, in the order of graph.yaml; some in two variants."""
+    nodes = yaml.safe_load(GRAPH.read_text())["nodes"]
     with tempfile.TemporaryDirectory() as directory:
         return tuple(
             describe(name, {k: v.format(directory=directory) for k, v in variant.items()})
-            for name in names()
+            for name, entry in nodes.items()
+            if entry["package"] == "slot_nodes"
             for variant in VARIANTS.get(name, [{}])
         )
 
