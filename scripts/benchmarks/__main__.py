@@ -22,25 +22,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/bench`; returns the exit code."""
     parser = _parser()
     common, _ = _parser(add_help=False).parse_known_args(arguments)
-    try:
-        own = _add_options(parser, common)
-    except BenchmarkError as error:
-        print(f"scripts/bench: {error}", file=sys.stderr)
-        return CANNOT_RUN
-    options = parser.parse_args(arguments)
-    if options.list:
-        for name, path in known(options.benchmarks).items():
-            print(f"{name:<16}{about(path)}")
-        return 0
-    if options.name is None:
-        parser.error(
-            f"no benchmark named (known: {', '.join(known(options.benchmarks)) or 'none'})"
-        )
-    out = options.out or Path("results") / options.name
-    chosen = {name: getattr(options, name) for name in own}
     progress = partial(print, file=sys.stderr, flush=True)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
+        own = _add_options(parser, common)
+        options = parser.parse_args(arguments)
+        there = known(options.benchmarks)
+        if options.list:
+            for name, path in there.items():
+                print(f"{name:<16}{about(path)}")
+            return 0
+        if options.name is None:
+            parser.error(f"no benchmark named (known: {', '.join(there) or 'none'})")
+        out = options.out or Path("results") / options.name
+        chosen = {name: getattr(options, name) for name in own}
         path = run(options.name, options.benchmarks, options.quick, out, progress, **chosen)
     except BenchmarkError as error:
         print(f"scripts/bench: {error}", file=sys.stderr)

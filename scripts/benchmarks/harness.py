@@ -187,19 +187,15 @@ def load(name: str, directory: Path) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # dataclasses look up their annotations there
     spec.loader.exec_module(module)
-    _require(name, getattr(module, "REQUIRES", ()))
-    if not callable(getattr(module, "run", None)):
-        raise BenchmarkError(f"benchmark {name}: has no function run(quick, out, progress)")
-    return module
-
-
-def _require(name: str, packages: Sequence[str]) -> None:
-    """Raise BenchmarkError if a package is not installed: no peer is left out silently."""
+    packages = getattr(module, "REQUIRES", ())
     missing = [package for package in packages if importlib.util.find_spec(package) is None]
-    if missing:
+    if missing:  # no peer is left out silently
         raise BenchmarkError(
             f"benchmark {name}: needs {', '.join(missing)}; run scripts/setup --bench"
         )
+    if not callable(getattr(module, "run", None)):
+        raise BenchmarkError(f"benchmark {name}: has no function run(quick, out, progress)")
+    return module
 
 
 def revision(root: Path) -> dict[str, Any]:

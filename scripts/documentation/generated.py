@@ -66,7 +66,7 @@ def arguments() -> str:
             f"`{argument.name}`",
             argument.kind.__name__,
             code(argument.default),
-            plain(argument.help + "".join(f"; {c}" for c in [_choices(argument)] if c)),
+            plain(argument.help + _choices(argument)),
         )
         for argument in read_graph().arguments
     ]
@@ -74,7 +74,7 @@ def arguments() -> str:
 
 
 def _choices(argument: Any) -> str:
-    return f"one of {', '.join(argument.choices)}" if argument.choices else ""
+    return f"; one of {', '.join(argument.choices)}" if argument.choices else ""
 
 
 def messages() -> str:
@@ -148,15 +148,12 @@ def settings_classes() -> set[type]:
     """The dataclasses whose values the reference of the configuration lists."""
     found: set[type] = set()
 
-    def visit(kind: type) -> None:
+    left = [type(read()) for read in SETTINGS.values()]
+    while left:
+        kind = left.pop()
         found.add(kind)
-        for hint in typing.get_type_hints(kind).values():
-            inner, _ = _element(hint)
-            if dataclasses.is_dataclass(inner):
-                visit(typing.cast(type, inner))
-
-    for read in SETTINGS.values():
-        visit(type(read()))
+        inner = [_element(hint)[0] for hint in typing.get_type_hints(kind).values()]
+        left += filter(dataclasses.is_dataclass, inner)
     return found
 
 
@@ -165,7 +162,8 @@ def results() -> str:
 
     Raises ValueError for a file that is not JSON.
     """
-    found = sorted(path for path in (ROOT / "results").glob("*/*.json") if _is_result(path))
+    files = sorted((ROOT / "results").glob("*/*.json"))
+    found = [path for path in files if path.stem == path.parent.name]
     if not found:
         names = sorted(p.parent.name for p in (ROOT / "scripts/benchmarks").glob("*/benchmark.py"))
         return (
@@ -173,10 +171,6 @@ def results() -> str:
             f"`results/NAME/NAME.json`; NAME is one of {', '.join(names)}.\n"
         )
     return "\n".join(_result(_load(path)) for path in found)
-
-
-def _is_result(path: Path) -> bool:
-    return path.stem == path.parent.name
 
 
 def _load(path: Path) -> Any:

@@ -5,11 +5,12 @@ Every node of `graph.yaml` is created, asked and destroyed.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import importlib
 import inspect
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from typing import Any
@@ -57,19 +58,15 @@ class Description:
     parameters: tuple[tuple[Any, ParameterDescriptor], ...]  # default, descriptor
 
 
-def names() -> list[str]:
-    """Nodes of the graph from this repository."""
-    nodes = yaml.safe_load(GRAPH.read_text())["nodes"]
-    return [name for name, entry in nodes.items() if entry["package"] == "slot_nodes"]
-
-
 @functools.cache
 def descriptions() -> tuple[Description, ...]:
-    """What each node declares, in the order of `graph.yaml`; a node may occur in two variants."""
+    """What each node of slot_nodes declares, in the order of graph.yaml; some in two variants."""
+    nodes = yaml.safe_load(GRAPH.read_text())["nodes"]
     with tempfile.TemporaryDirectory() as directory:
         return tuple(
             describe(name, {k: v.format(directory=directory) for k, v in variant.items()})
-            for name in names()
+            for name, entry in nodes.items()
+            if entry["package"] == "slot_nodes"
             for variant in VARIANTS.get(name, [{}])
         )
 
@@ -84,14 +81,11 @@ def describe(name: str, parameters: Mapping[str, str]) -> Description:
     )  # fmt: skip
     given = [text for item in parameters.items() for text in ("-p", "{}:={}".format(*item))]
     rclpy.init(args=["--ros-args", "--log-level", "error", *given])
-    try:
+    with contextlib.ExitStack() as stack:
+        stack.callback(rclpy.shutdown)
         node = kind()
-        try:
-            return _description(node, inspect.getdoc(kind) or "", parameters)
-        finally:
-            node.destroy_node()
-    finally:
-        rclpy.shutdown()
+        stack.callback(node.destroy_node)
+        return _description(node, inspect.getdoc(kind) or "", parameters)
 
 
 def _description(node: Any, doc: str, given: Mapping[str, str]) -> Description:
@@ -100,10 +94,8 @@ def _description(node: Any, doc: str, given: Mapping[str, str]) -> Description:
     return Description(
         name=node.get_name(),
         doc=doc.partition("\n")[0],
-        publishes=tuple(_ends((p.topic_name, p.msg_type, p.qos_profile) for p in node.publishers)),
-        subscribes=tuple(
-            _ends((s.topic_name, s.msg_type, s.qos_profile) for s in node.subscriptions)
-        ),
+        publishes=_ends(node.publishers),
+        subscribes=_ends(node.subscriptions),
         services=tuple(
             (node.resolve_service_name(service.srv_name), service.srv_type)
             for service in node.services
@@ -116,8 +108,9 @@ def _description(node: Any, doc: str, given: Mapping[str, str]) -> Description:
     )
 
 
-def _ends(found: Any) -> Iterator[End]:
-    return (End(*end) for end in found if end[0] not in STANDARD_TOPICS)
+def _ends(found: Any) -> tuple[End, ...]:
+    ends = (End(one.topic_name, one.msg_type, one.qos_profile) for one in found)
+    return tuple(end for end in ends if end.topic not in STANDARD_TOPICS)
 
 
 def _package(kind: type) -> str:

@@ -13,7 +13,7 @@ known changes of a robot from a noisy walk.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,16 +21,8 @@ import numpy as np
 from scipy import stats
 
 from benchmarks.estimation import identification_rows, methods, plots, vision_rows
-from benchmarks.estimation.measured_streams import (
-    PERIOD,
-    WARM_UP,
-    Arrival,
-    RecordingPlant,
-    Slam,
-    Streams,
-    record,
-    walked,
-)
+from benchmarks.estimation import measured_streams as measured
+from benchmarks.estimation.measured_streams import PERIOD, WARM_UP, Arrival, Slam, Streams
 from benchmarks.harness import Check, Progress, Row, at_least, at_most, cpu_time
 from slot_core.clock import SECOND
 from slot_core.estimation.estimate import Estimate
@@ -56,7 +48,7 @@ def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Che
     seeds, duration = (range(1), 10.0) if quick else (range(20), 20.0)
     settings = read_estimator()
     progress(f"{len(seeds)} walks of {duration:g} s")
-    walks = [record(seed, duration) for seed in seeds]
+    walks = [measured.record(seed, duration) for seed in seeds]
     rows: list[Row] = []
     for delay, jitter in DELAYS:
         progress(f"delay {1e3 * delay:g} ms")
@@ -194,14 +186,14 @@ def closed_loop_rows(seeds: Sequence[int], progress: Progress) -> list[Row]:
         progress(f"{len(seeds)} walks with odometry {1e3 * delay:g} ms late")
         row = {"kind": "closed loop", "delay_ms": 1e3 * delay, "seeds": len(seeds)}
         late = {"scene.sensors.odometry.delay": delay}
-        found = [_walk_figures(walked(RecordingPlant, seed, 10.0, late)) for seed in seeds]
+        found = [walk_figures(seed, late) for seed in seeds]
         rows.append(row | {key: np.mean([each[key] for each in found]) for key in found[0]})
     return rows
 
 
-def _walk_figures(plant: RecordingPlant) -> dict[str, float]:
+def walk_figures(seed: int, changes: Mapping[str, Any]) -> dict[str, float]:
     """Velocity, drift to the side, and RMS of roll and pitch of a walk."""
-    states, figures = plant.motion()
+    states, figures = measured.walked(measured.RecordingPlant, seed, 10.0, changes).motion()
     return figures | {"tilt_mrad": 1e3 * np.sqrt(np.mean(states[:, 0:2] ** 2))}
 
 

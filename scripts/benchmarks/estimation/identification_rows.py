@@ -16,7 +16,7 @@ from slot_core.body_points import TORSO
 from slot_core.robot import read_robot
 from slot_lab.twin.prediction import read_parts
 from slot_lab.twin.settings import read_twin
-from slot_lab.twin.strides import StrideErrors, find_strides
+from slot_lab.twin.strides import find_strides
 from slot_lab.twin.twin_fit import fit_twin, places
 from slot_lab.validation.comparison import compare
 from slot_lab.validation.recording import PointRecording, PointTrack
@@ -83,16 +83,12 @@ def fit_row(case: IdentificationCase, true: TrueWalk, names: Sequence[str]) -> R
     )
     k = found.names.index(case.place)
     low, high = found.estimate.interval[k]
-    before, after = (_place(errors) for errors in found.held_out)
+    before, after = (1e3 * errors.summary()["place"] for errors in found.held_out)
     return {
         "kind": "twin", "case": case.name, "fitted": list(found.names), "true": case.true,
         "found": float(found.estimate.values[k]), "low": float(low), "high": float(high),
         "strides": len(found.seen[0].level), "place_before_mm": before, "place_after_mm": after,
     }  # fmt: skip
-
-
-def _place(errors: StrideErrors) -> float:
-    return 1e3 * errors.summary()["place"]
 
 
 def fit_checks(case: IdentificationCase, row: Row) -> list[Check]:

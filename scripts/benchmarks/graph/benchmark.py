@@ -33,7 +33,6 @@ from slot_core.messages import decode
 from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_lab.bags.recorded_walk import STAGES
-from slot_lab.report.metrics import Latency
 from slot_msgs.msg import GaitPreview, MpcState
 from slot_nodes import messages
 
@@ -43,6 +42,7 @@ ALL_NODES, RECORDER = "all nodes", "recorder"
 SEPARATE, COMPOSED = "separate", "composed"  # the controller's nodes
 FAST = "composed, 100 Hz"  # odometry; else it is at 30 Hz
 NODE_FIGURES = ("cpu_percent", "rss_mb", "pss_mb")
+PERCENTILES = ("p50", "p99", "max")  # of a latency
 WALK_FIGURES = ("ticks", "deadline_misses", "unanswered", "missed_ticks", "real_time_factor")
 WALK_FIGURES += ("mean_v_x", "fallback_cycles")
 
@@ -180,15 +180,12 @@ def walk_rows(mode: str, repeat: int, one: Walk) -> list[Row]:
     node, latency = {"kind": "node", **which}, {"kind": "latency", **which}
     return [
         walk,
-        *(latency | {"stage": stage} | in_ms(found) for stage, found in stages.items()),
+        *(
+            latency | {"stage": stage} | {f"{p}_ms": 1e3 * getattr(found, p) for p in PERCENTILES}
+            for stage, found in stages.items()
+        ),
         *(node | {"node": name} | dict(zip(NODE_FIGURES, values)) for name, values in nodes),
     ]
-
-
-def in_ms(latency: Latency) -> dict[str, float]:
-    """Percentiles of a latency in ms."""
-    figures = {"p50_ms": latency.p50, "p99_ms": latency.p99, "max_ms": latency.max}
-    return {name: 1e3 * value for name, value in figures.items()}
 
 
 def medians(rows: Sequence[Row]) -> list[Row]:

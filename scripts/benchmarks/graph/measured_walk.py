@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import psutil
 
-from benchmarks.graph.usage import Usage, add_memory, metered
+from benchmarks.graph.usage import Usage, metered
 from benchmarks.harness import BenchmarkError, timed
 from slot_bringup.graph import Graph
 from slot_bringup.monitor import RunError, watch
@@ -63,8 +63,6 @@ def record(graph: Graph, values: Mapping[str, Any], duration: float) -> Usage:
     """Run the graph until its clock has advanced by `duration` (s); raises RunError."""
     names = [spec.name for spec in graph.nodes(values)]
     with tempfile.TemporaryDirectory() as logs, started(graph, values, Path(logs)) as processes:
-        pids = {name: processes.pid(name) for name in names}
-        with metered(pids) as usage:
+        with metered({name: processes.pid(name) for name in names}) as usage:
             watch(processes, duration)
-        add_memory(usage, pids.values())
         return usage

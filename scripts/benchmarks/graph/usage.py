@@ -3,7 +3,7 @@
 import math
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -36,11 +36,19 @@ class Usage:
 
 @contextmanager
 def metered(pids: Mapping[str, int]) -> Iterator[Usage]:
-    """Sample the processes (pid by node) in the background while the block runs."""
+    """Sample the processes (pid by node) in the background while the block runs.
+
+    Their memory is read once, at its end: counting shared pages takes the kernel too long for every
+    sample.
+    """
     processes = [psutil.Process(pid) for pid in pids.values()]
     usage = Usage(tuple(pids))
     with in_background(lambda: add_sample(usage, processes), SAMPLE_PERIOD):
         yield usage
+    for process in processes:
+        memory = process.memory_full_info()
+        usage.rss.append(float(memory.rss))
+        usage.pss.append(float(memory.pss))
 
 
 @contextmanager
@@ -77,11 +85,3 @@ def time_waited() -> float:
     except OSError:
         return math.nan
     return int(counted.partition("total=")[2].split()[0]) / 1e6
-
-
-def add_memory(usage: Usage, pids: Iterable[int]) -> None:
-    """Read the memory once: counting shared pages takes the kernel too long for every sample."""
-    for pid in pids:
-        memory = psutil.Process(pid).memory_full_info()
-        usage.rss.append(float(memory.rss))
-        usage.pss.append(float(memory.pss))

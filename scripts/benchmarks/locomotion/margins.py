@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.harness import Check, at_most
-from benchmarks.locomotion.cases import DEFAULT, Case, Changes, Job, WalkMotion, friction
+from benchmarks.locomotion.cases import DEFAULT, Case, Job, WalkMotion, friction
 from benchmarks.locomotion.rows import DEG, MM, SPEED, WARM_UP
 from slot_core.drawing import palette
 from slot_core.dynamics.servo import read_servo
@@ -21,27 +21,19 @@ FRICTION = (0.2, 0.4, 0.6)
 VOLTAGE = (11.1, 9.6)  # V, of a battery's nominal and almost empty cells
 SEED = 1
 LARGEST_LOAD = 50.0  # % of the stall torque, at the nominal voltage
-SHOWN = (
-    ("speed", "m/s"),
-    ("aside", "mm per m walked"),
-    ("heading", "deg"),
-    ("tilt", "deg RMS"),
-    ("load", "% of stall"),
-)
+SHOWN = {"speed": "m/s", "aside": "mm per m walked", "heading": "deg", "tilt": "deg RMS"}
+SHOWN |= {"load": "% of stall"}
 
 
 def jobs(quick: bool) -> list[Job]:
     """A walk at the usual speed on every floor at every voltage."""
     duration = WARM_UP + (7.0 if quick else 28.0)
-    return [
-        (Case(duration, velocity=(SPEED, 0.0, 0.0), changes=changes(mu, volt)), DEFAULT, SEED)
+    floors = [
+        (*friction(mu), ("scene.supply_voltage", volt))
         for volt, mu in itertools.product(VOLTAGE, FRICTION)
     ]
-
-
-def changes(mu: float, volt: float) -> Changes:
-    """A floor's friction and the servos' supply voltage."""
-    return (*friction(mu), ("scene.supply_voltage", volt))
+    walks = [Case(duration, velocity=(SPEED, 0.0, 0.0), changes=floor) for floor in floors]
+    return [(walk, DEFAULT, SEED) for walk in walks]
 
 
 def row(case: Case, whole: WalkMotion) -> dict[str, Any]:
@@ -54,11 +46,8 @@ def row(case: Case, whole: WalkMotion) -> dict[str, Any]:
     mu, volt = set_to["scene.floor.friction"][0], set_to["scene.supply_voltage"]
     y = motion.moving_mean(motion.position[:, 1] - motion.position[0, 1])
     stall = float(read_servo().tendon_stall(volt))
-    return {
-        "kind": "margin",
-        "friction": mu,
-        "voltage": volt,
-        "fallen": motion.fallen,
+    row = {"kind": "margin", "friction": mu, "voltage": volt, "fallen": motion.fallen}
+    return row | {
         "speed": motion.forward_speed,
         "aside": MM * float(np.abs(y).max()) / float(np.ptp(motion.position[:, 0])),
         "heading": DEG * motion.heading,
@@ -77,7 +66,7 @@ def checks(found: Sequence[dict[str, Any]]) -> list[Check]:
 def draw(found: Sequence[dict[str, Any]], path: Path) -> None:
     """The margins over friction, a line for each voltage."""
     figure = Figure(figsize=(12.0, 2.8), layout="constrained")
-    for ax, (name, unit) in zip(figure.subplots(1, len(SHOWN)), SHOWN):
+    for ax, (name, unit) in zip(figure.subplots(1, len(SHOWN)), SHOWN.items()):
         for volt, colour in zip(VOLTAGE, (palette.TRUE, palette.INK)):
             line = [values for values in found if values["voltage"] == volt]
             place = [values["friction"] for values in line]

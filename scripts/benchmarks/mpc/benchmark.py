@@ -18,10 +18,9 @@ import psutil
 from benchmarks.harness import Check, Progress, Row, at_least, at_most, mark_front, timed
 from benchmarks.mpc import posture_rows
 from benchmarks.mpc.cases import Case, hard_cases, random_case, stretched
-from benchmarks.mpc.cvxpy_reference import CvxpyReference
+from benchmarks.mpc.cvxpy_reference import CvxpyReference, restated
 from benchmarks.mpc.oracle import optimum
 from benchmarks.mpc.plots import draw
-from benchmarks.mpc.restated import restated
 from slot_core import config
 from slot_core.control.policy import Status, TendonPlan
 from slot_core.mpc import solver
@@ -181,16 +180,13 @@ def worst(row: Row) -> float:
 
 def horizon_rows(settings: MpcSettings, walk: Sequence[Case]) -> Iterable[dict[str, Any]]:
     """CPU time of a cycle over the number of stages."""
-    for variant in SOLVERS:
-        for stages in HORIZONS:
-            changes = {"horizon": stages, "acceptance.condition_max": 1e12}
-            longer = config.replace(settings, changes)
-            mpc = controller(longer, variant, HORIZON_TOLERANCE)
-            longer_walk = [(x, stretched(ahead, stages + 1)) for x, ahead in walk]
-            results, times = plans(mpc, longer_walk)
-            row = {"kind": "horizon", "solver": variant, "stages": stages}
-            refused = sum(not accepted(result) for result in results)
-            yield row | {"median_ms": np.median(times), "refused": refused}
+    for variant, stages in itertools.product(SOLVERS, HORIZONS):
+        changes = {"horizon": stages, "acceptance.condition_max": 1e12}
+        mpc = controller(config.replace(settings, changes), variant, HORIZON_TOLERANCE)
+        results, times = plans(mpc, [(x, stretched(ahead, stages + 1)) for x, ahead in walk])
+        row = {"kind": "horizon", "solver": variant, "stages": stages}
+        refused = sum(not accepted(result) for result in results)
+        yield row | {"median_ms": np.median(times), "refused": refused}
 
 
 def cvxpy_rows(settings: MpcSettings, cases: Sequence[Case], exact: Array) -> Iterable[Row]:

@@ -1,4 +1,4 @@
-"""Reference formulation of the MPC's problem in CVXPY, to check the solvers.
+"""Reference formulation of the MPC's problem in CVXPY, to check the solvers, and the paper's way.
 
 It covers the problem without options and is far too slow for control. The parameters follow the
 rules of disciplined parametrised programming (Agrawal et al., 2019), so that CVXPY compiles the
@@ -60,8 +60,7 @@ class CvxpyReference:
         self._set_parameters(state, preview)
         self._problem.solve(solver=cp.CLARABEL, **TOLERANCES)
         assert self._problem.status == cp.OPTIMAL
-        forces: Array = self.u.value.reshape(-1, FEET, 3)
-        return forces
+        return self.u.value.reshape(-1, FEET, 3)
 
     def _set_parameters(self, state: Array, preview: GaitPreview) -> None:
         now = np.arange(self._settings.horizon)
@@ -78,3 +77,28 @@ class CvxpyReference:
         self.friction.value = np.asarray(preview.friction, dtype=float)[now]
         contact = np.asarray(preview.contact, dtype=float)[now]
         self.limit.value = self._settings.force_max * contact
+
+
+def restated(
+    robot: RobotParameters, settings: MpcSettings, state: Array, preview: GaitPreview
+) -> Array:
+    """Optimal forces (H, 4, 3), N, by SCS as in the paper; the problem is built anew."""
+    stages = settings.horizon
+    model = TorsoModel(robot).predict(state[2], state[5], preview.dt)
+    q, r = np.diag(settings.weights.q), np.diag(settings.weights.r)
+    x, u = cp.Variable((STATES, stages + 1)), cp.Variable((INPUTS, stages))
+    cost, constraints = 0, [x[:, 0] == state]
+    for k in range(stages):
+        u_ref = np.zeros(INPUTS)
+        u_ref[2::3] = preview.normal_force[k]
+        cost += cp.quad_form(x[:, k + 1] - preview.reference[k + 1], q)
+        cost += cp.quad_form(u[:, k] - u_ref, r)
+        constraints.append(x[:, k + 1] == model.a @ x[:, k] + model.b @ u[:, k] + model.drift)
+        for leg in range(FEET):
+            f_x, f_y, f_z = (u[3 * leg + axis, k] for axis in range(3))
+            friction = preview.friction[k][leg] * f_z
+            f_max = settings.force_max * preview.contact[k][leg]
+            constraints += [f_z >= 0, f_z <= f_max]
+            constraints += [cp.abs(f_x) <= friction, cp.abs(f_y) <= friction]
+    cp.Problem(cp.Minimize(cost), constraints).solve(solver=cp.SCS)
+    return u.value.T.reshape(stages, FEET, 3)

@@ -23,7 +23,9 @@ def run_samples(
     missing = record.missing(count)
     progress(f"{count - len(missing)} of {count} samples are recorded")
     if missing:
-        _upload(client)
+        with tempfile.TemporaryDirectory() as directory:  # the package of the benchmarks
+            name = str(Path(directory) / PACKAGE.name)
+            client.upload_file(shutil.make_archive(name, "zip", PACKAGE.parent, PACKAGE.name))
     samples = [draw(like.plant, like.seed, like.observer, index) for index in missing]
     futures = client.map(run_sample, samples, pure=False)
     for done, (_, result) in enumerate(as_completed(futures, with_results=True), start=1):
@@ -31,11 +33,3 @@ def run_samples(
         if done % max(1, len(missing) // REPORTS) == 0:
             progress(f"{done} of {len(missing)} samples")
     return [row for row in record.rows if int(row["index"]) < count]
-
-
-def _upload(client: Client) -> None:
-    """Upload the package of the benchmarks to every worker."""
-    with tempfile.TemporaryDirectory() as directory:
-        name = str(Path(directory) / PACKAGE.name)
-        archive = shutil.make_archive(name, "zip", PACKAGE.parent, PACKAGE.name)
-        client.upload_file(archive)

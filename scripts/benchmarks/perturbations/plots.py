@@ -124,14 +124,12 @@ def draw_rate(ax: Axes, rows: Sequence[Row], name: str) -> None:
 
 def draw_plane(ax: Axes, rows: Sequence[Row], x: str, y: str) -> None:
     """Every sample in a plane of two parameters, coloured by the first limit it exceeds."""
-    colours = dict(zip(LIMITS, LIMIT_COLOURS))
     fine = [row for row in rows if not row["failed"]]
     ax.scatter([r[x] for r in fine], [r[y] for r in fine], 12, color=palette.PALE, label="recovers")
-    for limit, colour in colours.items():
-        bad = [row for row in rows if row["failed"].split("+")[0] == limit]
+    for limit, colour in zip(LIMITS, LIMIT_COLOURS):
+        bad = [(row[x], row[y]) for row in rows if row["failed"].split("+")[0] == limit]
         if bad:
-            places = ([r[x] for r in bad], [r[y] for r in bad])
-            ax.scatter(*places, 18, color=colour, marker="x", label=f"{limit} first")
+            ax.scatter(*zip(*bad), 18, color=colour, marker="x", label=f"{limit} first")
     ax.set(xlim=RANGES[x], ylim=RANGES[y], xlabel=LABELS[x], ylabel=LABELS[y])
 
 

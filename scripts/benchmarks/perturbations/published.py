@@ -24,7 +24,6 @@ from collections.abc import Mapping
 import clarabel
 import numpy as np
 from scipy import sparse
-from scipy.spatial.transform import Rotation
 
 from benchmarks.perturbations.cases import DT, HEIGHT, NOISE, P_Z, SPEED, V_X, PerturbedRun
 from slot_core.mpc.model import FEET, INPUTS, STATES
@@ -54,8 +53,10 @@ class PublishedProblem:
         self.a, self.b, self.drift = published_model(robot)
         self.target = np.zeros(STATES)
         self.target[[P_Z, V_X]] = HEIGHT, SPEED
+        s, c, flat = np.sin(robot.azimuth), np.cos(robot.azimuth), np.zeros(FEET)
         # (4, 3, 3) odom to the legs' frames of the authors' scripts: x at minus the azimuth
-        self._turns = Rotation.from_euler("z", np.reshape(robot.azimuth, (FEET, 1))).as_matrix()
+        frames = np.array([[c, -s, flat], [s, c, flat], [flat, flat, flat + 1.0]])
+        self._turns = np.moveaxis(frames, -1, 0)
         self._cost(phase)
         self._constrain(phase)
 
@@ -126,7 +127,8 @@ class PublishedProblem:
             normal[leg, AXES * leg + 2] = 1.0
             at_most(-normal[leg], 0.0 if leg == phase else -LEAST_NORMAL)
             at_most(normal[leg], self._settings.force_max)
-            limit = _friction(leg, phase) * normal[leg]
+            grip = "rear" if leg > 1 else "pulled" if leg == phase else "released"
+            limit = FRICTION[grip] * normal[leg]
             if leg in (0, 1):
                 for row in (along, -along, across, -across):
                     at_most(row - limit, 0.0)
@@ -183,8 +185,3 @@ def run_published(
         if noise is not None:
             state = np.clip(state + NOISE * noise.normal(size=STATES), -MOST_STATE, MOST_STATE)
     return PerturbedRun.of(*zip(*entries), infeasible)
-
-
-def _friction(leg: int, phase: int) -> float:
-    front = FRICTION["pulled"] if leg == phase else FRICTION["released"]
-    return front if leg in (0, 1) else FRICTION["rear"]

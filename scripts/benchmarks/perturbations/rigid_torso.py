@@ -97,15 +97,15 @@ class RigidTorso:
 
     def slope(self, y: Array, u: Array, feet: Array) -> Array:
         """(25,) time derivative of the state y, forces included, under the commands u (12,), N."""
-        torso, rate = self.body, y[RATE]
-        turn = Rotation.from_quat(y[QUATERNION])  # normalises, as Runge-Kutta's stages are not
+        torso, rate, q = self.body, y[RATE], y[QUATERNION]
+        turn = Rotation.from_quat(q)  # normalises, as Runge-Kutta's stages are not
         force = friction_limited(y[FORCES].reshape(4, 3), torso.friction)
         arm = feet - y[POSITION]
         moment = turn.inv().apply(_cross(arm, force).sum(axis=0) + self.external[3:])
         spin = torso.inertia @ rate
         out = np.empty(25)
         out[POSITION] = y[VELOCITY]
-        out[QUATERNION] = _quaternion_rate(y[QUATERNION], rate)
+        out[QUATERNION] = np.append(q[3] * rate + _cross(q[:3], rate), -q[:3] @ rate) / 2
         out[VELOCITY] = (force.sum(axis=0) + self.external[:3]) / torso.mass
         out[9] -= GRAVITY
         out[RATE] = self._inverse @ (moment - _cross(rate, spin))
@@ -175,11 +175,6 @@ def run_torso(
         infeasible += result.status != Status.SOLVED
         costs.append(result.report.cost)
     return PerturbedRun.of(DT * np.arange(len(costs)), costs, states, infeasible)
-
-
-def _quaternion_rate(q: Array, rate: Array) -> Array:
-    """(4,) q o (rate, 0) / 2 for a rate in body axes."""
-    return np.append(q[3] * rate + _cross(q[:3], rate), -q[:3] @ rate) / 2
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -171,15 +171,17 @@ class SampleRecord:
     def __init__(self, path: Path, revision: str, like: RandomSample):
         """Ignore, but keep, the file's rows of other revisions, seeds, plants and observers."""
         self._path = path
-        _drop_incomplete_line(path)
+        if path.exists():  # an interrupted run may have left an incomplete line
+            text = path.read_text()
+            path.write_text(text[: text.rfind("\n") + 1])
         names = ("seed", "plant", "observer")
         self._head = {"revision": revision} | {name: getattr(like, name) for name in names}
-        self.rows = [row for row in _read(path) if self._is_ours(row)]
-        self._index = {int(row["index"]) for row in self.rows}
+        ours = {name: str(value) for name, value in self._head.items()}
+        self.rows = [row for row in _read(path) if ours.items() <= row.items()]
 
     def missing(self, count: int) -> list[int]:
         """Indices of 0 .. count-1 that are not recorded."""
-        return [index for index in range(count) if index not in self._index]
+        return sorted({*range(count)} - {int(row["index"]) for row in self.rows})
 
     def add(self, result: Mapping[str, Any]) -> None:
         """Append one result to the file at once, so that an interruption loses none."""
@@ -190,17 +192,6 @@ class SampleRecord:
                 writer.writeheader()
             writer.writerow(row)
         self.rows.append(row)
-        self._index.add(int(row["index"]))
-
-    def _is_ours(self, row: Mapping[str, Any]) -> bool:
-        return all(row[name] == str(value) for name, value in self._head.items())
-
-
-def _drop_incomplete_line(path: Path) -> None:
-    """Remove an incomplete last line, left by an interrupted run."""
-    if path.exists():
-        text = path.read_text()
-        path.write_text(text[: text.rfind("\n") + 1])
 
 
 def _read(path: Path) -> Iterator[dict[str, Any]]:

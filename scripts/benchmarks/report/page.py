@@ -11,7 +11,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from benchmarks.report import paper_figures
-from benchmarks.report.paper_figures import PaperComparison
+from benchmarks.report.paper_figures import Ours, PaperComparison
 from benchmarks.report.results import Image, Result, number
 
 HERE = Path(__file__).resolve().parent
@@ -100,10 +100,7 @@ def compared_table(table: PaperComparison, results: Mapping[str, Result]) -> dic
 
 
 def our_cell(
-    ours: paper_figures.Ours | None,
-    judged: str,
-    paper: float | str,
-    results: Mapping[str, Result],
+    ours: Ours | None, judged: str, paper: float | str, results: Mapping[str, Result]
 ) -> Cell:
     """Our figure, or why there is none."""
     if ours is None:
@@ -125,9 +122,8 @@ def locomotion_rows(result: Result | None) -> list[dict[str, Any]]:
         goal, larger = number(row.get("goal")), row.get("better") == "larger"
         values = [number(row.get(column)) for column in COLUMNS]
         reached = values[-1]
-        holds = False
-        if goal is not None and reached is not None:
-            holds = reached >= goal if larger else reached <= goal
+        known = goal is not None and reached is not None
+        holds = known and (reached >= goal if larger else reached <= goal)
         rows.append(
             {"name": row.get("row"), "unit": row.get("unit"), "sign": ">=" if larger else "<=",
              "goal": goal, "values": values, "holds": holds}
@@ -137,7 +133,7 @@ def locomotion_rows(result: Result | None) -> list[dict[str, Any]]:
 
 def margin_rows(result: Result | None) -> list[list[float | None]]:
     """Rows of the walk's margins over friction and supply voltage, in the order of MARGINS."""
-    rows = [row for row in result.rows if row.get("kind") == "margin"] if result else []
+    rows = [row for row in (result.rows if result else ()) if row.get("kind") == "margin"]
     return [[number(row.get(column)) for column in MARGINS] for row in rows]
 
 

@@ -77,16 +77,10 @@ def read_benchmark(directory: Path, name: str, captions: Mapping[str, str]) -> R
     try:
         if found["name"] != name:
             raise ValueError(f"name: expected {name!r}, got {found['name']!r}"[:200])
-        return Result(
-            name=name,
-            path=path,
-            command=bench_command(name, found["quick"], found["options"]),
-            origin=_origin(found["revision"], found["machine"]),
-            quick=found["quick"],
-            rows=[dict(row) for row in found["rows"]],
-            checks=[_check(check) for check in found["checks"]],
-            images=images,
-        )
+        quick, command = found["quick"], bench_command(name, found["quick"], found["options"])
+        origin = _origin(found["revision"], found["machine"])
+        rows, checks = [dict(row) for row in found["rows"]], list(map(_check, found["checks"]))
+        return Result(name, path, command, origin, quick, rows, checks, images)
     except KeyError as error:
         raise ReportError(f"{path}: not a result of scripts/bench: no {error}") from None
     except (TypeError, ValueError, AttributeError) as error:
@@ -115,18 +109,12 @@ def read_run(directory: Path, run: Run) -> Result | None:
         return None
     there = [file for file in run.images if (folder / file).is_file()]
     summary, errors = folder / "summary.txt", folder / "errors.csv"
-    return Result(
-        name=run.folder,
-        path=folder,
-        command="\n".join(commands(directory, run)),
-        origin=_bag_origin(folder),
-        quick=False,
-        rows=_read_errors(errors) if errors.is_file() else [],
-        checks=[],
-        images=[read_image(folder / file, run.images[file]) for file in there],
-        text=_read_text(summary) if summary.is_file() else "",
-        absent=[file for file in run.images if file not in there],
-    )
+    rows = _read_errors(errors) if errors.is_file() else []
+    images = [read_image(folder / file, run.images[file]) for file in there]
+    text = _read_text(summary) if summary.is_file() else ""
+    absent = [file for file in run.images if file not in there]
+    command, origin = "\n".join(commands(directory, run)), _bag_origin(folder)
+    return Result(run.folder, folder, command, origin, False, rows, [], images, text, absent)
 
 
 def commands(directory: Path, run: Run) -> list[str]:

@@ -121,15 +121,6 @@ def cable(model: Model, stretch: bool) -> Cable:
     return Cable(1 / compliance, lag / compliance, slack)
 
 
-class Parts(NamedTuple):
-    """What the engine's robot is built from."""
-
-    robot: RobotParameters
-    model: Model
-    links: MujocoLinks
-    engine: Engine
-
-
 def build(robot: RobotParameters, model: Model, engine: Engine) -> mujoco.MjModel:
     """The robot on its floor.
 
@@ -137,7 +128,7 @@ def build(robot: RobotParameters, model: Model, engine: Engine) -> mujoco.MjMode
     """
     if model.tendon.straight:
         raise ValueError("the robot in MuJoCo has routed tendons only, not straight ones")
-    parts, spec = Parts(robot, model, links(robot, model), engine), mujoco.MjSpec()
+    shape, spec = links(robot, model), mujoco.MjSpec()
     set_option(spec.option, model, engine)
     spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0, 0, -POINT],
@@ -151,7 +142,7 @@ def build(robot: RobotParameters, model: Model, engine: Engine) -> mujoco.MjMode
     for corner in model.torso.corners:
         add_point(torso, corner, model.floor.corner_friction, engine)
     for leg in range(4):
-        add_leg(torso, leg, parts)
+        add_leg(torso, leg, robot, model, shape, engine)
         add_tendon(spec, leg, model, engine)
     return spec.compile()
 
@@ -168,9 +159,10 @@ def set_option(option: Any, model: Model, engine: Engine) -> None:
     option.impratio = engine.tangential
 
 
-def add_leg(torso: Any, leg: int, parts: Parts) -> None:
+def add_leg(  # noqa: PLR0917
+    torso: Any, leg: int, robot: RobotParameters, model: Model, shape: MujocoLinks, engine: Engine
+) -> None:
     """Add leg 0 .. 3: links from the clamp outward, each with its joints and its end's points."""
-    robot, model, shape, engine = parts
     length, body, place = model.rod.rest_length, torso, robot.clamps[leg]
     turn = Rotation.from_euler("z", robot.azimuth[leg])
     for k in range(len(length)):
@@ -180,24 +172,24 @@ def add_leg(torso: Any, leg: int, parts: Parts) -> None:
             mass=shape.mass[k], ipos=[shape.centre[k], 0, 0], inertia=shape.inertia[k],
             explicitinertial=True,
         )  # fmt: skip
-        add_joints(body, k, parts)
+        add_joints(body, k, model, shape.torsion[k], engine.stretch)
         for side in (-0.5, 0.5):
             edge = [length[k], side * robot.leg.contact_width, 0]
             add_point(body, edge, model.friction[0, leg], engine)
         place, turn = [length[k], 0, 0], Rotation.identity()
 
 
-def add_joints(body: Any, k: int, parts: Parts) -> None:
+def add_joints(body: Any, k: int, model: Model, torsion: float, stretch: bool) -> None:
     """Add the joints of link k: positive in the plane is upward, as the rod's turning angle."""
-    rod, hinge = parts.model.rod, mujoco.mjtJoint.mjJNT_HINGE
+    rod, hinge = model.rod, mujoco.mjtJoint.mjJNT_HINGE
     before = Rotation.from_euler("y", rod.rest_angle[k]).apply([0.0, 0.0, 1.0])
     joints = [
         ("turn", hinge, (0, -1, 0), rod.bending[k]),
         ("side", hinge, before if k % 2 else (0, 0, 1), rod.lateral[k]),
     ]
     joints = joints[::-1] if k % 2 else joints
-    joints.append(("twist", hinge, (1, 0, 0), parts.links.torsion[k]))
-    if parts.engine.stretch:
+    joints.append(("twist", hinge, (1, 0, 0), torsion))
+    if stretch:
         joints.append(("along", mujoco.mjtJoint.mjJNT_SLIDE, (1, 0, 0), rod.axial[k]))
     for kind, form, axis, stiffness in joints:
         body.add_joint(

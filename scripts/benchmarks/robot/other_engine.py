@@ -21,8 +21,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from benchmarks.harness import Check, Progress, at_most
-from benchmarks.robot.engine_plots import draw
 from benchmarks.robot.mujoco_robot import DEFAULT, Engine, MujocoRobot
+from benchmarks.robot.plots import draw_engines
 from slot_core import config
 from slot_core.divergence import DivergenceError
 from slot_core.dynamics.rod import discretise, sections
@@ -89,7 +89,7 @@ def rows(quick: bool, out: Path, progress: Progress) -> list[dict[str, Any]]:
     found += replay_rows(robot, scene, quick, progress)
     if not quick:
         found += variation_rows(robot, scene, progress)
-    draw([row for row in found if row["kind"] == "replay"], out / "other_engine.png")
+    draw_engines([row for row in found if row["kind"] == "replay"], out / "other_engine.png")
     return found
 
 

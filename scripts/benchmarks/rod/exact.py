@@ -160,8 +160,7 @@ def collocation(material: Material, geometry: Geometry, loads: Loads) -> Array:
         if not found.success:
             raise ArithmeticError(f"no reference for the rod: {found.message}")
         y = found.sol(s)
-    tip: Array = found.y[:, -1]
-    return tip
+    return found.y[:, -1]
 
 
 def tip(material: Material, geometry: Geometry, loads: Loads) -> Array:
@@ -184,28 +183,24 @@ def heavy(w: float) -> Array:
 
 def sideways(material: Material, geometry: Geometry, count: int) -> Array:
     """Lowest frequencies (count,), Hz, of a straight cantilever that bends sideways (`_ritz`)."""
-    section = geometry.section
-    found = _ritz(
-        lambda f: material.young_modulus * section.lateral_moment(f),
-        lambda f: material.density * section.area(f),
-        2,
-    )
+    section, speed = geometry.section, math.sqrt(material.young_modulus / material.density)
+    found = speed * _ritz(section.lateral_moment, section.area, 2)
     return found[:count] / (2 * math.pi * geometry.length**2)
 
 
 def twisting(material: Material, geometry: Geometry, count: int) -> Array:
     """Lowest frequencies (count,), Hz, of a straight cantilever that twists (`_ritz`)."""
-    section = geometry.section
-    found = _ritz(
-        lambda f: material.shear_modulus * section.torsion_constant(f),
-        lambda f: material.density * (section.second_moment(f) + section.lateral_moment(f)),
-        1,
-    )
+    section, speed = geometry.section, math.sqrt(material.shear_modulus / material.density)
+
+    def polar(f: Array) -> Array:
+        return section.second_moment(f) + section.lateral_moment(f)
+
+    found = speed * _ritz(section.torsion_constant, polar, 1)
     return found[:count] / (2 * math.pi * geometry.length)
 
 
 def _ritz(stiffness: Field, mass: Field, order: int) -> Array:
-    """Frequencies, rad/s, of -+(k u^(n))^(n) = w^2 m u on 0 .. 1, held at 0: Ritz's method.
+    """Frequencies w of -+(k u^(n))^(n) = w^2 m u on 0 .. 1, held at 0: Ritz's method.
 
     n = order; the trial functions x^n P_j(2 x - 1) with Legendre's polynomials meet u = 0 and, for
     n = 2, u' = 0 at the clamp.

@@ -88,8 +88,7 @@ def equilibrium(model: Any, data: Any) -> Array:
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_jacSite(model, data, jacobian, None, 0)
-        balance: Array = model.jnt_stiffness * angles - jacobian.T @ (factor * np.array(PUSH.force))
-        return balance
+        return model.jnt_stiffness * angles - jacobian.T @ (factor * np.array(PUSH.force))
 
     angles = np.zeros(model.nv)
     for factor in (0.5, 1.0):
@@ -98,8 +97,7 @@ def equilibrium(model: Any, data: Any) -> Array:
         )
     if status != 1:
         raise ArithmeticError(f"no equilibrium of MuJoCo's chain: {message}")
-    solution: Array = angles
-    return solution
+    return angles
 
 
 def description(links: int, h: float) -> str:

@@ -19,28 +19,29 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from benchmarks.harness import Check, Progress, Row, at_least, at_most
 from benchmarks.servo import age
 from benchmarks.servo.fuzz import fuzz_driver, fuzz_emulator, fuzz_instructions
-from benchmarks.servo.plots import draw
 from slot_core import config
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.emulator.emulated_bus import read_emulator
 from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
 from slot_core.dynamixel.port import SerialPort
-from slot_core.dynamixel.settings import DynamixelSettings, read_settings
+from slot_core.dynamixel.settings import read_settings
 from slot_core.robot import LEGS
 from slot_core.simulation.plant import CYCLE
 
 STEP = (0.5, 1.5)  # rad
 LOADS = (0.0, 0.3)  # N m on the tendon's angle
 SEED = 7
+STYLES = {"position": ("C0", "servo's own loop"), "pwm": ("C1", "loop on the host, PWM mode")}
 
 
 def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Check]]:
@@ -138,6 +139,22 @@ def measures(trace: list[float]) -> dict[str, float]:
     return {"rise_ms": 1e3 * rise} | degrees
 
 
+def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
+    """Write the plot of the step responses: angles over time, dashed with load."""
+    figure = Figure(figsize=(7.0, 3.6), layout="constrained")
+    axes = figure.add_subplot()
+    for row in rows:
+        colour, name = STYLES[row["control"]]
+        times = 1e3 * CYCLE * np.arange(len(row["trace"]))
+        style = "--" if row["load"] else "-"
+        label = f"{name}, {row['load']:g} N m"
+        axes.plot(times, row["trace"], style, color=colour, label=label, linewidth=1.2)
+    axes.set(xlabel="time, ms", ylabel="tendon angle, rad", xlim=(0.0, 600.0))
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False)
+    figure.savefig(path, dpi=150)
+
+
 def fuzz_rows(count: int) -> Iterator[Row]:
     """Mutated packets to emulator and driver; random contents with a valid CRC to the emulator."""
     parts = {"emulator": fuzz_emulator, "driver": fuzz_driver, "instructions": fuzz_instructions}
@@ -157,13 +174,10 @@ def emulated(changes: dict[str, Any], latency: float) -> Iterator[Driver]:
         process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ)
         try:
             assert process.stdout is not None
-            yield _driver(settings, process.stdout.readline().strip())
+            name, bus = process.stdout.readline().strip(), settings.bus
+            driver = Driver(SerialPort(name, bus.baud, bus.timeout), settings)
+            assert len(driver.configure()) == len(LEGS)
+            yield driver
         finally:
             process.terminate()
             process.wait(10)
-
-
-def _driver(settings: DynamixelSettings, name: str) -> Driver:
-    driver = Driver(SerialPort(name, settings.bus.baud, settings.bus.timeout), settings)
-    assert len(driver.configure()) == len(LEGS)
-    return driver

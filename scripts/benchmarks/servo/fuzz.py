@@ -9,21 +9,13 @@ import numpy as np
 from dynamixel_sdk import PacketHandler
 
 from slot_core import config
+from slot_core.dynamixel import packet
 from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.driver import FAST
 from slot_core.dynamixel.emulator.emulated_bus import EmulatedBus, Reply, read_emulator
 from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
 from slot_core.dynamixel.emulator.memory_port import MemoryPort
-from slot_core.dynamixel.packet import (
-    BROADCAST,
-    HEADER,
-    Error,
-    Instruction,
-    Parser,
-    build,
-    fast_status,
-    status,
-)
+from slot_core.dynamixel.packet import BROADCAST, HEADER, Instruction, build
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import REGISTERS, TABLE, span
 
@@ -147,8 +139,8 @@ def _send(bus: EmulatedBus, data: bytes, original: bytes, kept: list[bytes], tal
     except Exception as error:  # every exception counts as a crash
         tally.crashes, tally.crash = tally.crashes + 1, repr(error)
         return
-    answers = [p for reply in replies for p in Parser().feed(reply.data)]
-    accepted = any(p.parameters[0] & 0x7F != Error.CRC for p in answers)
+    answers = [p for reply in replies for p in packet.Parser().feed(reply.data)]
+    accepted = any(p.parameters[0] & 0x7F != packet.Error.CRC for p in answers)
     if not accepted and _memories(bus) == kept:
         return
     found = frames(data)
@@ -214,18 +206,14 @@ class ScriptedBus:
 def fuzz_driver(count: int, rng: np.random.Generator) -> Tally:
     """Mutated replies to the driver's fast and plain sync read."""
     tally, line = Tally(), ScriptedBus()
-    bus = Bus(
-        MemoryPort(line, BAUD, time.monotonic), config.replace(read_settings().bus, {"retries": 0})
-    )
+    settings = config.replace(read_settings().bus, {"retries": 0})
+    bus = Bus(MemoryPort(line, BAUD, time.monotonic), settings)
     for _ in range(count):
         truth = {identity: _data(rng) for identity in IDS}
         fast = bool(rng.integers(2))
         bus.clear_silent()
-        sent = (
-            [fast_status([(i, 0, d) for i, d in truth.items()])]
-            if fast
-            else [status(i, 0, d) for i, d in truth.items()]
-        )
+        replies = [(identity, 0, read) for identity, read in truth.items()]
+        sent = [packet.fast_status(replies)] if fast else [packet.status(*r) for r in replies]
         which = int(rng.integers(len(sent)))
         data = b"".join(mutate(d, rng) if k == which else d for k, d in enumerate(sent))
         line.answer = data
