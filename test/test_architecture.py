@@ -78,7 +78,7 @@ REPEATED = {
     "brand.py": "what a brand of servos provides, and each brand",
     "servo_bus.py": "the contract of a servo driver, and its example",
     "benchmark.py": "main function of each benchmark",
-    "plots.py": "plots of each benchmark",
+    "plots.py": "plots of each benchmark, and of a run",
     "cases.py": "cases of each benchmark",
 }
 IMPORT_ALL = """

@@ -9,9 +9,9 @@ from slot_core.drawing.shapes import bent_legs
 from slot_core.dynamics.servo import read_servo
 from slot_core.robot import LEGS
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.report import plot, plots
+from slot_lab.report import plots, robot_drawing
 from slot_lab.report.metrics import walk_metrics
-from slot_lab.report.plot import Snapshot, Viewpoint
+from slot_lab.report.robot_drawing import Snapshot, Viewpoint
 
 WALK = Walk(duration=5.0, course=0.02, roll=0.1, bounce=0.004, late=(50,))
 WARM_UP = 1.0
@@ -129,10 +129,10 @@ def area_and_volume(faces):
 
 
 def test_solids_are_closed_face_outward_and_have_the_robots_volume(pose):
-    area, volume = area_and_volume(plot.torso_solid(pose, ROBOT).faces)
+    area, volume = area_and_volume(robot_drawing.torso_solid(pose, ROBOT).faces)
     assert np.allclose(area, 0.0, atol=1e-15)  # closed
     assert volume == pytest.approx(np.prod(ROBOT.torso.size), rel=1e-12)
-    for nodes, solid in zip(pose.legs.nodes, plot.leg_solids(pose, ROBOT)):
+    for nodes, solid in zip(pose.legs.nodes, robot_drawing.leg_solids(pose, ROBOT)):
         area, volume = area_and_volume(solid.faces)
         assert np.allclose(area, 0.0, atol=1e-15)
         length = np.linalg.norm(np.diff(nodes, axis=0), axis=1).sum()

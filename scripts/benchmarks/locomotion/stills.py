@@ -14,7 +14,7 @@ from slot_core.drawing.shapes import bent_legs
 from slot_core.gait.gait import read_gaits
 from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
-from slot_lab.report.plot import Snapshot, Viewpoint, draw_robot
+from slot_lab.report.robot_drawing import Snapshot, Viewpoint, draw_robot
 
 COLUMNS = 5
 SETTLED = 3.0  # s, before the first still

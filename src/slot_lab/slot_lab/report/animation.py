@@ -12,8 +12,8 @@ from PIL import Image
 from slot_core.robot import Array, RobotParameters, read_robot
 from slot_lab.bags.bag import Bag
 from slot_lab.bags.recorded_walk import LEG_STATES, seconds, stride_period
-from slot_lab.report.plot import Snapshot, Viewpoint, draw_robot
 from slot_lab.report.plots import read_poses
+from slot_lab.report.robot_drawing import Snapshot, Viewpoint, draw_robot
 
 STRIDES = 2  # the last ones
 SHOWN_WITHOUT_STRIDE = 1.5  # s, shown of a run without a stride

@@ -17,7 +17,7 @@ from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.recorded_walk import LEG_STATES, read_motion, read_ticks, seconds, stride_period
 from slot_lab.report import panels
 from slot_lab.report.metrics import WalkMetrics
-from slot_lab.report.plot import Snapshot, Viewpoint, draw_robot
+from slot_lab.report.robot_drawing import Snapshot, Viewpoint, draw_robot
 
 DPI = 100
 
