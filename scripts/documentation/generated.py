@@ -17,6 +17,7 @@ from documentation.markdown import ROOT, code, format_value, link, plain, table
 from slot_bringup.graph import read_graph
 from slot_core import config
 from slot_core.control.force_map import ForceMapSettings
+from slot_core.control.place_feedback import PlaceSettings
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamixel.emulator.emulated_bus import read_emulator
@@ -26,6 +27,7 @@ from slot_core.gait.gait import read_gaits
 from slot_core.legs.leg_map import LegMapSettings
 from slot_core.mpc.settings import read_mpc
 from slot_core.paper.numbers import PaperSettings
+from slot_core.predictive.settings import read_predictive
 from slot_core.recording.record_settings import RecordSettings
 from slot_core.robot import read_robot
 from slot_core.safety.settings import read_supervisor
@@ -42,6 +44,8 @@ SETTINGS: dict[str, Callable[[], Any]] = {
     "servo.yaml": read_servo,
     "estimator.yaml": read_estimator,
     "gait.yaml": read_gaits,
+    "predictive.yaml": read_predictive,
+    "place.yaml": partial(config.read, PlaceSettings, "place"),
     "mpc.yaml": read_mpc,
     "force_map.yaml": partial(config.read, ForceMapSettings, "force_map"),
     "supervisor.yaml": read_supervisor,

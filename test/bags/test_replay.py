@@ -28,7 +28,7 @@ def first_differences(path=WALK):
 
 @pytest.mark.parametrize("name", BAGS)
 def test_a_recorded_bag_is_small_and_replays(name):
-    assert sum(file.stat().st_size for file in (HERE / name).iterdir()) < 300_000
+    assert sum(file.stat().st_size for file in (HERE / name).iterdir()) < 520_000
     comparisons = replay.check_bag(Bag(HERE / name), replay.TOLERANCE)
     assert [c.topic for c in comparisons] == TOPICS
     for comparison in comparisons:
@@ -42,7 +42,7 @@ def test_a_recorded_bag_is_small_and_replays(name):
         ("estimator", "odometry.position_noise", 0.002, "/mpc_state"),
         ("gait", "acceleration", 0.11, "/gait_preview"),
         ("gait/walk", "forward.speed", 0.07, "/gait_preview"),
-        ("mpc", "posture.height", 3e5, "/tendon_plan"),
+        ("predictive", "cost.height", 3e-3, "/tendon_plan"),
     ],
 )
 def test_a_change_shows_only_at_its_own_stage(own_config, file, name, value, topic):
@@ -52,14 +52,8 @@ def test_a_change_shows_only_at_its_own_stage(own_config, file, name, value, top
     assert set(differences.values()) == {None}
 
 
-def test_a_change_of_the_feedback_shows_once_a_stride_has_ended(own_config):
-    set_values(own_config, {"gait/walk": {"feedback.gain": 0.4}})
-    assert first_differences()["/gait_preview"] is None
-    assert first_differences(HERE / "turn")["/gait_preview"] is not None
-
-
 def test_the_first_difference_is_reported(own_config, capsys):
-    set_values(own_config, {"mpc": {"posture.height": 3e5}})
+    set_values(own_config, {"predictive": {"cost.height": 3e-3}})
     assert replay.main([str(WALK)]) == 1
     line = capsys.readouterr().out.strip().splitlines()[-1]
     assert line.startswith("first difference: /tendon_plan at 1.0")
@@ -156,10 +150,10 @@ def test_replay_says_what_made_the_bag_and_how_its_configuration_differs(
     first, second, *_ = capsys.readouterr().out.splitlines()
     assert re.fullmatch(r"recorded by  revision \S.*, scene flat, seed 1", first)
     assert second.startswith("/mpc_state")
-    set_values(own_config, {"mpc": {"posture.height": 3e5}})
+    set_values(own_config, {"predictive": {"cost.height": 3e-3}})
     assert replay.main([str(path)]) == 0
     shown = capsys.readouterr().out
-    assert "its configuration differs in mpc.yaml\n" in shown
+    assert "its configuration differs in predictive.yaml\n" in shown
 
 
 def test_the_policy_that_the_bag_names_is_replayed(tmp_path):

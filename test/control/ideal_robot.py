@@ -48,3 +48,8 @@ class Ideal:
         """Largest change (n,) of an angle from tick to tick, rad."""
         angle = np.array([preview.tendon_angle[0] for preview in self.previews])
         return np.abs(np.diff(angle, axis=0)).max(axis=1)
+
+
+def stands(preview):
+    """Whether the legs are loaded, corrected and at rest over the horizon."""
+    return preview.corrected and bool(np.ptp(preview.tendon_angle, axis=0).max() < 1e-12)

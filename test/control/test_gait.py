@@ -13,7 +13,7 @@ from slot_core.control.force_map import read_springs
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.gait.gait import FRONT_REAR, LEFT_RIGHT, Posture, read_gaits
-from slot_core.gait.reference import reference
+from slot_core.gait.reference import limited, places_ahead, reference
 from slot_core.robot import read_robot
 from slot_core.simulation.plant import make_robot
 
@@ -29,7 +29,7 @@ REFLECTED_Y = np.array([-1, 1, -1, 1, -1, 1, -1, 1, -1, 1, -1, 1], dtype=float)
 
 def stride_table(velocity, phase=PHASES, stride=WALK, offset=NO_OFFSET):
     velocity = np.asarray(velocity, dtype=float)
-    return stride.stride_table(phase, velocity, stride.walking(velocity), offset)
+    return stride.stride_table(phase, np.array(velocity), offset)
 
 
 def harmonics(rows, phase):
@@ -160,8 +160,7 @@ def test_the_simulated_robot_moves_with_the_opposite_velocity_in_the_mirror_imag
 
 def test_the_mean_posture_is_the_mean_of_the_course_over_a_stride():
     velocity = np.array([-0.04, 0.03, 0.02])
-    phase, walking = np.arange(200) / 200, WALK.walking(velocity)
-    torso = WALK.stride_table(phase, velocity, walking, np.zeros(4))[:, 8:]
+    torso = WALK.stride_table(np.arange(200) / 200, velocity)[:, 8:]
     mean = torso[:, [5, 0, 1]].mean(axis=0) - [WALK.height, 0.0, 0.0]
     assert WALK.mean_posture(velocity) == pytest.approx(mean, abs=1e-12)
     assert WALK.mean_posture(np.zeros(3)) == pytest.approx(np.zeros(3))
@@ -176,36 +175,63 @@ def test_steering_alters_the_angles_in_proportion_to_the_yaw_rate(sign):
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.7, -2.0])
-def test_the_reference_moves_with_the_velocity_in_the_direction_of_the_heading(heading):
-    state, times = LEVEL.copy(), 0.033 * np.arange(16)
-    state[2:6] = heading, 1.0, 2.0, 0.055
-    rows = reference(state, heading, np.array([0.08, 0.02, 0.0]), np.zeros((16, 12)), times)
-    step = times[:, None] * Rotation.from_euler("z", heading).apply([0.08, 0.02, 0.0])[:2]
-    assert rows[:, 3:5] == pytest.approx(np.array([1.0, 2.0]) + step)
+def test_places_ahead_move_with_the_velocity_in_the_direction_of_the_heading(heading):
+    velocity = np.tile([0.08, 0.02, 0.0], (16, 1))
+    places = places_ahead(np.array([1.0, 2.0, heading]), velocity, 0.033)
+    way = Rotation.from_euler("z", heading).apply([0.08, 0.02, 0.0])[:2]
+    assert places[:, :2] == pytest.approx([1.0, 2.0] + 0.033 * np.arange(16)[:, None] * way)
+    turning = np.tile([0.1, 0.0, 0.5], (200, 1))  # a circle of 0.2 m
+    x, y, yaw = places_ahead(np.array([0.0, 0.0, heading]), turning, 0.001)[-1]
+    assert yaw == pytest.approx(heading + 0.5 * 0.199)
+    expected = 0.2 * np.array([np.sin(yaw) - np.sin(heading), np.cos(heading) - np.cos(yaw)])
+    assert [x, y] == pytest.approx(expected, abs=1e-5)
 
 
 @pytest.mark.parametrize(("heading", "yaw"), [(3.1, -3.1), (-3.1, 3.1), (9.0, 2.6), (0.2, 0.3)])
 def test_the_reference_is_within_half_a_turn_of_the_state(heading, yaw):
-    state = LEVEL.copy()
+    state, still = LEVEL.copy(), np.zeros((1, 3))
     state[2] = yaw
-    rows = reference(state, heading, np.zeros(3), np.zeros((1, 12)), np.zeros(1))
+    rows = reference(state, np.array([[0.0, 0.0, heading]]), still, np.zeros((1, 12)))
     assert abs(rows[0, 2] - yaw) < np.pi
     assert np.exp(1j * rows[0, 2]) == pytest.approx(np.exp(1j * heading))
 
 
 def test_sway_rotates_with_the_heading():
-    """v = [v_x, v_y] and omega = [roll rate, pitch rate], rotated by yaw, are vectors in odom."""
+    """v = [v_x, v_y], omega and the sway of x and y, rotated by yaw, are vectors in odom."""
     rng = np.random.default_rng(0)
-    motion, times = rng.normal(size=(5, 12)), 0.033 * np.arange(5)
-    rows = reference(LEVEL, 0.7, np.array([0.1, -0.2, 0.3]), motion, times)
-    rotation = Rotation.from_euler("z", (0.7 + 0.3 * times)[:, None])
-    flat = np.zeros(5)
+    motion, place = rng.normal(size=(5, 12)), rng.normal(size=(5, 3))
+    velocity = np.tile([0.1, -0.2, 0.3], (5, 1))
+    rows = reference(LEVEL, place, velocity, motion)
+    rotation, flat = Rotation.from_euler("z", rows[:, 2:3]), np.zeros(5)
+    assert np.exp(1j * rows[:, 2]) == pytest.approx(np.exp(1j * place[:, 2]))
     rates = rotation.apply(np.column_stack([motion[:, 6:8], flat]))
     speeds = rotation.apply(np.column_stack([motion[:, 9:11] + [0.1, -0.2], flat]))
+    sway = rotation.apply(np.column_stack([motion[:, 3:5], flat]))
     assert rows[:, 6:8] == pytest.approx(rates[:, :2])
     assert rows[:, 9:11] == pytest.approx(speeds[:, :2])
+    assert rows[:, 3:5] == pytest.approx(place[:, :2] + sway[:, :2])
     assert rows[:, 8] == pytest.approx(0.3)
     assert rows[:, [0, 1, 5, 11]] == pytest.approx(motion[:, [0, 1, 5, 11]])
+
+
+@pytest.mark.parametrize(
+    ("place", "expected"),
+    [([0.1, 0.0, 0.0], [0.03, 0.0, 0.0]), ([0.01, 0.02, 0.1], [0.01, 0.02, 0.1]),
+     ([0.0, -0.3, 3.0], [0.0, -0.03, 0.2]), ([0.0, 0.0, -6.2], [0.0, 0.0, 2 * np.pi - 6.2])],
+)  # fmt: skip
+def test_a_reference_place_stays_near_the_robot(place, expected):
+    robot = np.array([1.0, 2.0, 3.0])
+    found = limited(robot + place, robot, 0.03, 0.2)
+    assert found == pytest.approx(robot + expected)
+
+
+def test_the_sway_is_the_integral_of_the_velocity_about_its_mean():
+    velocity, phase = np.array([0.05, 0.02, 0.0]), np.linspace(0.0, 1.0, 2001)
+    rows = WALK.stride_table(phase, velocity)[:, 8:]
+    for place, rate in ((3, 9), (4, 10)):
+        slope = np.gradient(rows[:, place], phase * WALK.period)
+        np.testing.assert_allclose(slope[1:-1], rows[1:-1, rate], atol=1e-4)
+        assert abs(rows[:-1, place].mean()) < 1e-6
 
 
 @pytest.mark.parametrize(
@@ -252,10 +278,7 @@ def test_velocities_beyond_the_reached_ones_change_nothing(gait):
         asked = rng.uniform(-1.5, 1.5, 3) * stride.speeds
         asked[:2] *= np.hypot(*asked[:2]) > stride.walking_speed  # walking, or turning in place
         given = stride.reached(asked)
-        angles = [
-            stride.stride_table(phase, v, stride.walking(v), np.zeros(4))[:, :4]
-            for v in (asked, given)
-        ]
+        angles = [stride.stride_table(phase, v)[:, :4] for v in (asked, given)]
         if asked[:2].any() or abs(asked[2]) <= stride.turn.speed:
             assert angles[1] == pytest.approx(angles[0], abs=1e-9)
         assert (np.abs(given) <= np.abs(asked) + 1e-12).all()

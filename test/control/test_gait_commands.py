@@ -1,16 +1,15 @@
 """Commands of the gait scheduler: expiry, refusals, paths, jumps, servos that do not follow."""
 
-import math
-
 import numpy as np
 import pytest
-from ideal_robot import AHEAD, GAITS, NOTHING, TICK, Ideal
+from ideal_robot import AHEAD, GAITS, NOTHING, TICK, Ideal, stands
 
 from slot_core.clock import SECOND
 from slot_core.config import ConfigError
 from slot_core.gait.gait import GaitCommand
 from slot_core.gait.gait_scheduler import SETTLING
 from slot_core.gait.route import ARRIVED, LEAD, Route
+from slot_core.geometry import rotate
 
 
 def test_a_velocity_command_expires_and_the_robot_stops_but_a_requested_velocity_does_not():
@@ -22,7 +21,7 @@ def test_a_velocity_command_expires_and_the_robot_stops_but_a_requested_velocity
     assert early.command.velocity == pytest.approx(AHEAD)
     assert not late[2].command.velocity.any()
     assert late[-1].reference[0, 9:11] == pytest.approx(0.0)
-    assert late[-1].posture
+    assert stands(late[-1])
     assert np.ptp(late[-1].tendon_angle, axis=0) == pytest.approx(0.0, abs=1e-12)
 
 
@@ -88,7 +87,7 @@ def test_a_path_is_followed_instead_of_the_velocity():
     assert robot.state[3] == pytest.approx(0.2, abs=2 * LEAD)  # this robot knows no feedback
     assert robot.state[4] == pytest.approx(0.2, abs=3 * ARRIVED)
     assert robot.state[2] == pytest.approx(0.0, abs=1e-9)
-    assert robot.previews[-1].posture  # it stands at the end
+    assert stands(robot.previews[-1])  # it stands at the end
 
 
 def test_a_path_is_followed_at_the_speed_of_the_command_from_a_posture_on():
@@ -101,15 +100,7 @@ def test_a_path_is_followed_at_the_speed_of_the_command_from_a_posture_on():
     robot.run(strides)
     assert robot.state[3] - before == pytest.approx(AHEAD[0] * strides, rel=0.05)
     robot.scheduler.request("walk", NOTHING)
-    assert robot.run(3.0)[-1].posture  # without velocity it stands, wherever the path leads
-
-
-def test_a_robot_that_moves_as_its_reference_is_hardly_corrected():
-    """The reference leans forward by some 2 deg, which would take an offset of 6 deg to level."""
-    robot = Ideal("walk", AHEAD, seconds=10 * GAITS.strides["walk"].period)
-    assert math.degrees(GAITS.strides["walk"].mean_posture(AHEAD)[2]) > 1.0
-    offset = np.degrees(robot.scheduler._current.feedback.offset)
-    assert np.abs(offset).max() < 1.0
+    assert stands(robot.run(3.0)[-1])  # without velocity it stands, wherever the path leads
 
 
 def test_while_the_servos_do_not_follow_the_phase_waits_and_nothing_is_corrected():
@@ -125,30 +116,46 @@ def test_while_the_servos_do_not_follow_the_phase_waits_and_nothing_is_corrected
     assert passed == pytest.approx(0.1 / held.period, abs=0.02)
 
 
-def test_a_posture_is_corrected_once_the_servos_have_followed_for_a_while():
-    robot = Ideal("stand")
-    assert robot.run(1.1)[-1].posture
+@pytest.mark.parametrize("gait", ["stand", "walk"])
+def test_angles_are_corrected_once_the_servos_have_followed_for_a_while(gait):
+    robot = Ideal(gait, AHEAD if gait == "walk" else NOTHING)
+    assert robot.run(1.1)[-1].corrected
     robot.scheduler.set_followed(False)
-    assert not any(preview.posture for preview in robot.run(1.0))
+    assert not any(preview.corrected for preview in robot.run(1.0))
     robot.scheduler.set_followed(True)
-    assert not any(preview.posture for preview in robot.run(SETTLING - 0.1))
-    assert robot.run(0.2)[-1].posture
+    assert not any(preview.corrected for preview in robot.run(SETTLING - 0.1))
+    assert robot.run(0.2)[-1].corrected
 
 
-@pytest.mark.parametrize(
-    ("seconds", "place"),
-    [(-1.0, np.zeros(3)), (2.0, np.zeros(3)), (0.0, [0.06, -0.03, 0.0]), (0.0, [0.0, 0.0, 0.2])],
-)
-def test_a_jump_of_the_clock_or_the_odometry_does_not_enter_the_means_of_a_stride(seconds, place):
+def test_slack_legs_are_not_corrected():
+    robot = Ideal("lie", seconds=3.0)
+    assert not robot.previews[-1].corrected
+    robot.scheduler.request("stand", NOTHING)
+    changing = robot.run(0.5)
+    assert not any(preview.corrected for preview in changing)
+    assert robot.run(2.0)[-1].corrected
+
+
+@pytest.mark.parametrize("place", [[0.06, -0.03, 0.0], [0.0, 0.0, 0.4]])
+def test_the_reference_stays_near_the_robot_and_begins_anew_after_a_jump(place):
     robot = Ideal("walk", AHEAD, seconds=5.0)
-    feedback = robot.scheduler._current.feedback
-    before = feedback.velocity.copy()
-    robot.now += round(seconds * SECOND)
     robot.state[[3, 4, 2]] += place
-    feedback.place += place  # else the robot rightly returns to its place
-    robot.run(1.5)
-    # of a robot that moves as its reference 1 mm/s; with a jump in it 11 to 50 mm/s, or 0.1 rad/s
-    assert np.abs(feedback.velocity - before).max() < 5e-3
+    gap = robot.run(0.033)[0].reference[0, [3, 4, 2]] - robot.state[[3, 4, 2]]
+    assert np.hypot(*gap[:2]) < GAITS.lead + 0.01  # of the sway
+    assert abs(gap[2]) <= GAITS.heading_lead
+
+
+def test_the_preview_moves_its_reference_as_the_velocity_says():
+    robot = Ideal("walk", np.array([0.04, 0.02, 0.03]), seconds=5.0)
+    last = robot.previews[-1]
+    assert last.velocity_ahead == pytest.approx(np.tile([0.04, 0.02, 0.03], (GAITS.stages, 1)))
+    row = GAITS.strides["walk"].stride_table(last.phases, last.velocity_ahead)[:, 8:]
+    place = last.reference[:, 3:5] - rotate(row[:, 3:5], last.reference[:, 2])
+    yaw, dt = last.reference[:, 2], last.dt
+    assert np.diff(yaw) == pytest.approx(0.03 * dt)
+    moved = np.diff(place, axis=0)
+    expected = dt * rotate(np.tile([0.04, 0.02], (GAITS.stages - 1, 1)), yaw[:-1])
+    np.testing.assert_allclose(moved, expected, atol=1e-12)
 
 
 def test_everything_commanded_can_be_set_from_a_recorded_preview():

@@ -37,7 +37,7 @@ def test_every_policy_plans_angles_or_forces_with_a_map_that_has_a_name(name):
 def test_a_policy_that_was_reset_plans_as_a_new_one():
     for name in POLICIES:
         used, fresh = (make_policy(name, read_robot(), lambda: 0.0) for _ in range(2))
-        recorded = ticks("angles")
+        recorded = ticks("predictive")
         for tick in recorded:
             used.step(tick.estimate, tick.preview)
         used.reset()
@@ -48,7 +48,7 @@ def test_a_policy_that_was_reset_plans_as_a_new_one():
 
 
 def test_the_gait_alone_commands_the_angles_of_the_gait_and_the_mpc_others():
-    alone, mpc = ticks("gait_alone"), ticks("angles", **{"scene.payload.mass": 0.3})
+    alone, mpc = ticks("gait_alone"), ticks("predictive", **{"scene.payload.mass": 0.3})
     assert all((t.command.angle == t.preview.tendon_angle[0]).all() for t in alone)
     assert any((t.command.angle != t.preview.tendon_angle[0]).all() for t in mpc)
 
@@ -63,7 +63,7 @@ def test_a_policy_of_ones_own_is_named_by_its_file(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "reason"),
     [
-        ("magic", None, "policy 'magic': expected one of angles, forces, .* or a file"),
+        ("magic", None, "policy 'magic': expected one of predictive, place, .* or a file"),
         ("missing.py", None, "missing.py: FileNotFoundError"),
         ("broken.py", "import nothing_of_this_name", "broken.py: ModuleNotFoundError: No module"),
         ("empty.py", "", "empty.py: AttributeError: .*POLICY"),

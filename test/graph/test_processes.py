@@ -149,8 +149,8 @@ def test_a_best_effort_odometry_is_received_only_if_the_parameter_says_so(tmp_pa
 @pytest.mark.parametrize(
     ("name", "parameter", "message"),
     [
-        ("mpc_controller", "horizon:=1000", "horizon"),
-        ("mpc_controller", "horizon:=fifteen", "horizon"),
+        ("mpc_controller", "stages:=1000", "stages"),
+        ("mpc_controller", "stages:=fifteen", "stages"),
         ("mpc_controller", "policy:=cubic", "policy 'cubic': expected one of"),
         ("force_mapper", "slope_min:=-1.0", "slope_min"),
         ("supervisor", "gait:=trot", "no gait 'trot' (known: "),

@@ -201,17 +201,12 @@ def test_status_values_are_those_of_the_message():
     assert {name: int(value) for name, value in constants} == Status.__members__
 
 
-def test_tendon_angles_without_the_forces_of_the_gait_are_refused():
-    with pytest.raises(config.ConfigError, match=r"model\.reference = 'zero': problem tendons"):
-        config.replace(read_mpc(), {"model.reference": "zero"})
-
-
 @pytest.mark.parametrize("profile", ["paper_text", "paper_code"])
 def test_a_profile_changes_only_the_values_it_names(profile):
     settings = read_mpc(profile)
     assert settings.model.support == "equality"
     assert settings.weights.force == (1e-8, 1e-8, 1e-8)
-    assert (settings.problem, settings.map) == ("forces", "paper")
+    assert settings.map == "paper"
     assert settings.fallback == read_mpc().fallback
     with pytest.raises(config.ConfigError, match="no configuration 'mpc/magic'"):
         read_mpc("magic")

@@ -103,7 +103,7 @@ def sets(**values):
         ("desired_joint_angles", sets(name=["a", "b", "c", "d"])),
         ("desired_joint_angles", sets(velocity=[NAN] * 4)),
         ("desired_joint_angles", sets(velocity=[1.0] * 3)),
-        ("tendon_plan", sets(angle=[NAN] * 60)),
+        ("tendon_plan", sets(angle=[NAN] * 88)),
         ("tendon_plan", sets(rate=[INF] * 4)),
         ("tendon_plan", sets(force=[])),
         ("tendon_plan", sets(angle=[1.0] * 7)),
@@ -112,7 +112,7 @@ def sets(**values):
         ("gait_preview", sets(dt=0.0)),
         ("gait_preview", sets(tendon_angle=[])),
         ("gait_preview", sets(tendon_angle=[1.0] * 16)),
-        ("gait_preview", sets(tendon_angle=[NAN] * 64)),
+        ("gait_preview", sets(tendon_angle=[NAN] * 96)),
         ("mpc_state", sets(position__x=NAN)),
         ("mpc_state", sets(rpy__x=INF, position__z=1e308)),
         ("odom", sets(pose__pose__position__x=NAN)),
@@ -130,7 +130,7 @@ def test_invalid_message_with_a_present_stamp_is_refused_and_the_robot_walks_on(
 @pytest.mark.parametrize(
     ("topic", "change", "name", "line"),
     [
-        ("tendon_plan", sets(angle=[NAN] * 60), "force_mapper",
+        ("tendon_plan", sets(angle=[NAN] * 88), "force_mapper",
          "tendon_plan refused: angle[0, 0] = nan: expected a finite number"),
         ("mpc_state", sets(position__x=NAN), "gait_scheduler",
          "mpc_state refused: state[3] = nan: expected a finite number"),

@@ -124,7 +124,8 @@ def test_preview():
         normal_force=RNG.random(shape),
         tendon_angle=RNG.random(shape),
         reference=RNG.random((15, 12)),
-        posture=True,
+        velocity_ahead=RNG.random((15, 3)),
+        corrected=True,
         command=GaitCommand("stand", RNG.random(3), RNG.random(3)),
     )
     got = decode.preview(through_dds(messages.preview_to_msg(sent)))

@@ -31,7 +31,7 @@ def preview(stamp=1.0, speed=0.05, height=0.06):
     arrays = dict.fromkeys(("friction", "normal_force", "tendon_angle"), each)
     return message(
         "/gait_preview", stamp, gait="walk", stages=STAGES, contact=each.astype(bool),
-        reference=reference, **arrays,
+        reference=reference, velocity_ahead=np.zeros((STAGES, 3)), **arrays,
     )  # fmt: skip
 
 

@@ -77,7 +77,7 @@ def test_goals_between_commands_follow_the_gait_at_its_rate():
 
     def gait_at(seconds):
         phase = np.atleast_1d(seconds) / gait.period % 1.0
-        return gait.stride_table(phase, velocity, 1.0, np.zeros(4))[:, :4]
+        return gait.stride_table(phase, velocity)[:, :4]
 
     def distance(with_rate):
         built = gate()
@@ -115,7 +115,7 @@ def test_every_step_of_every_gait_passes_unchanged():
     for gait, velocity in ((g, v) for g in strides for v in np.diag(g.speeds)):
         built = gate()
         phase = np.arange(0.0, 20.0, period) / gait.period % 1.0
-        angle = gait.stride_table(phase, velocity, gait.walking(velocity), np.zeros(4))[:, :4]
+        angle = gait.stride_table(phase, velocity)[:, :4]
         time, _ = run(built, Action.PASS, 1.0, fast=True)
         built.offer(time, angle[0])
         time, _ = run(built, Action.PASS, 1.0, time, fast=True)

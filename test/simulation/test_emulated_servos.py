@@ -168,11 +168,11 @@ def test_the_simulated_servo_is_that_of_the_bus():
     assert found.derivative == pytest.approx(gains.d / 16 * duty * period, rel=1e-4)
 
 
-def test_the_bus_changes_the_walk_by_less_than_a_millimetre(walks):
+def test_the_bus_changes_the_walk_by_a_few_millimetres(walks):
     """The two differ by encoder, counts, bus cycles and driver alone."""
     (_, bus), (_, sim) = walks["fake_bus"], walks["sim"]
-    # 0.32 to 0.33 mm with three seeds
-    assert np.sqrt(np.mean(np.sum((bus - sim) ** 2, axis=1))) < 1e-3
+    # 2.0 mm; at every tick the policy reacts to what the bus has changed
+    assert np.sqrt(np.mean(np.sum((bus - sim) ** 2, axis=1))) < 4e-3
     distances = [path[-1, 0] - path[SETTLED, 0] for path in (bus, sim)]
     assert distances[0] == pytest.approx(distances[1], abs=7e-3)  # 1 mm/s
 

@@ -1,10 +1,11 @@
-"""Locomotion in all directions and under disturbances: gait alone, the paper's pipeline, default.
+"""Locomotion in all directions and under disturbances, with six policies.
 
-Every row of the table is measured in three columns: the gait's angles drive the tendons, without
-feedback; the paper's MPC and force map (with --quick only in the first case of a row, because its
-problem takes half of the time); the default. The default must reach the goal of the row,
-and where the gait alone does not, be better by the row's `share`, so that a controller without
-effect fails. Apart from the table stand the margins of the walk (margins.py).
+Every row of the table is measured in six columns: the gait's angles alone; two rivals without a
+model, the feedback once a stride and `place`; the default, `predictive`; the paper's problem and
+map as printed, and as in the authors' scripts. With --quick there are three columns, the paper's
+only in the first case of a row. The default must reach the goal of the row, and where the gait
+alone does not, be better by the row's `share`, so that a controller without effect fails. Apart
+from the table stand the margins of the walk (margins.py).
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from typing import Any
 
 from benchmarks.harness import Check, Progress, at_least, at_most
 from benchmarks.harness import Row as Result
-from benchmarks.locomotion import cases
-from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, PAPER, Case, Job, WalkMotion
+from benchmarks.locomotion import cases, transient_rows
+from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, PAPER, QUICK, Case, Job, WalkMotion
 from benchmarks.locomotion.rows import LocomotionRow, directions, rows, slanted, square
 
 SEEDS = (1, 2)
@@ -34,7 +35,7 @@ def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Result], list[
     from benchmarks.locomotion.plots import draw_directions, draw_table, draw_top  # noqa: PLC0415
 
     seeds = SEEDS[:1] if quick else SEEDS
-    wanted = rows(quick)
+    wanted = [*rows(quick), *transient_rows.rows(quick)]
     walks = margins.jobs(quick)
     motions = run_all([*jobs_of(wanted, seeds, quick), *walks], progress)
     table = measured(wanted, motions, seeds, quick)
@@ -49,7 +50,7 @@ def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Result], list[
 
 def jobs_of(wanted: Sequence[LocomotionRow], seeds: Sequence[int], quick: bool) -> list[Job]:
     """The cases of every row once, in all columns and with all seeds."""
-    pairs = ((row, column) for row in wanted for column in COLUMNS)
+    pairs = ((row, column) for row in wanted for column in columns(quick))
     runs = dict.fromkeys((case, c) for row, c in pairs for case in cases_of(row, c, quick))
     return [(case, column, seed) for (case, column), seed in itertools.product(runs, seeds)]
 
@@ -64,6 +65,11 @@ def run_all(wanted: Sequence[Job], progress: Progress) -> dict[Job, WalkMotion]:
             if len(found) % max(1, len(jobs) // REPORTS) == 0:
                 progress(f"{len(found)} of {len(jobs)} runs")
     return found
+
+
+def columns(quick: bool) -> Sequence[str]:
+    """The columns that are run."""
+    return QUICK if quick else tuple(COLUMNS)
 
 
 def cases_of(row: LocomotionRow, column: str, quick: bool) -> Sequence[Case]:
@@ -82,7 +88,7 @@ def measured(
     for row in wanted:
         result: dict[str, Any] = {"row": row.name, "unit": row.unit, "goal": row.goal}
         result["better"] = "larger" if row.larger else "smaller"
-        for column in COLUMNS:
+        for column in columns(quick):
             part = dataclasses.replace(row, cases=cases_of(row, column, quick))
             of_seeds = [
                 part.value([motions[case, column, seed] for case in part.cases]) for seed in seeds

@@ -1,4 +1,4 @@
-"""Runs of the closed loop: a case, the three controllers that it is run with, and its motion."""
+"""Runs of the closed loop: a case, the controllers that it is run with, and its motion."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,27 +28,20 @@ STRIDES = read_gaits().strides
 PERIOD = STRIDES["walk"].period  # s
 FALLEN = read_supervisor().estimate.tilt_max  # rad
 PUSH_TIME = 0.2  # s
-COURSES = ("time", "position", "rpy", "torque")  # of a motion, over its ticks
+COURSES = ("time", "position", "rpy", "torque", "goal_speed")  # of a motion, over its ticks
 Vector3 = tuple[float, float, float]
 Changes = tuple[tuple[str, Any], ...]  # dotted names and values, hashable
 
-NO_STRIDE_FEEDBACK = tuple((f"gait.strides.{name}.feedback.gain", 0.0) for name in STRIDES)
-
-
-@dataclass(frozen=True)
-class ControllerColumn:
-    """What a column of the table runs: a policy, and changes of the configuration."""
-
-    policy: str
-    changes: Changes
-
-
 ALONE, PAPER, DEFAULT = "gait alone", "paper", "default"
-COLUMNS: Mapping[str, ControllerColumn] = {
-    ALONE: ControllerColumn("gait_alone", NO_STRIDE_FEEDBACK),
-    PAPER: ControllerColumn("paper_text", NO_STRIDE_FEEDBACK),
-    DEFAULT: ControllerColumn(DEFAULT_POLICY, ()),
+COLUMNS: Mapping[str, str] = {  # policies by the name of their column
+    ALONE: "gait_alone",
+    "stride feedback": str(Path(__file__).with_name("stride_feedback.py")),
+    "place": "place",
+    DEFAULT: DEFAULT_POLICY,
+    PAPER: "paper_text",
+    "paper_code": "paper_code",
 }
+QUICK = (ALONE, PAPER, DEFAULT)
 
 
 @dataclass(frozen=True)
@@ -67,6 +61,9 @@ class Case:
     path: tuple[tuple[float, float], ...] = ()  # followed at the speed of `velocity`
     changes: Changes = ()
     lost_odometry: tuple[float, float] = (0.0, 0.0)  # begin and duration, s
+    # times (s), names and values of the simulated robot's model that change then
+    events: tuple[tuple[float, str, tuple[float, ...]], ...] = ()
+    poses: tuple[tuple[float, Vector3], ...] = ()  # times (s) and body poses from then on
 
 
 @dataclass(frozen=True)
@@ -77,6 +74,7 @@ class WalkMotion:
     position: Array  # (n, 3) m, in odom
     rpy: Array  # (n, 3) rad, the yaw unwrapped
     torque: Array  # (n,) N m, mean over the servos
+    goal_speed: Array  # (n,) rad/s, mean speed of the commanded angles over the servos
     fallen: bool
     period: float = PERIOD  # s, of a stride: for means over strides
 
@@ -126,27 +124,29 @@ def run_job(job: Job) -> tuple[Job, WalkMotion]:
 
 def run_case(case: Case, column: str, seed: int) -> WalkMotion:
     """Run a case with the controller of a column."""
-    chosen = COLUMNS[column]
+    path = Route(np.array(case.path), "kept") if case.path else None
     loop = ClosedLoop(
-        case.scene,
-        case.gait,
-        reachable(case.gait, case.velocity),
-        seed,
-        chosen.policy,
-        changes=dict(case.changes) | dict(chosen.changes),
-        path=Route(np.array(case.path), "kept") if case.path else None,
-        lost_odometry=case.lost_odometry,
-    )
-    scheduler, sim, schedule = loop.controller.scheduler, loop.plant.robot, [*case.schedule]
+        case.scene, case.gait, reachable(case.gait, case.velocity), seed, COLUMNS[column],
+        changes=dict(case.changes), path=path, lost_odometry=case.lost_odometry,
+    )  # fmt: skip
+    scheduler, sim, rows, fallen = loop.controller.scheduler, loop.plant.robot, [], False
+    schedule, events, poses = [*case.schedule], [*case.events], [*case.poses]
+    last: Array | None = None
     if case.pose is not None:
         scheduler.set_pose(np.array(case.pose))
-    rows, fallen = [], False
     try:
-        for _ in loop.run(round(case.duration / DT)):
-            time = to_seconds(loop.plant.now - LOCKSTEP_START)
-            rows.append([time, *sim.position, *sim.rpy, sim.servo_torque.mean()])
+        for tick in loop.run(round(case.duration / DT)):
+            time, angle = to_seconds(loop.plant.now - LOCKSTEP_START), tick.command.angle
+            speed = 0.0 if last is None else float(np.abs(angle - last).mean()) / DT
+            rows.append([time, *sim.position, *sim.rpy, sim.servo_torque.mean(), speed])
+            last = angle.copy()
             if schedule and time >= schedule[0][0]:
                 scheduler.request(case.gait, reachable(case.gait, schedule.pop(0)[1]))
+            if poses and time >= poses[0][0]:
+                scheduler.set_pose(np.array(poses.pop(0)[1]))
+            while events and time >= events[0][0]:
+                _, name, value = events.pop(0)
+                getattr(sim.model, name)[...] = value
     except DivergenceError:
         fallen = True
     period = STRIDES[case.gait].period if case.gait in STRIDES else PERIOD
@@ -162,11 +162,11 @@ def reachable(gait: str, velocity: Vector3) -> Array:
 
 
 def motion_of(rows: Array, fallen: bool, period: float) -> WalkMotion:
-    """Motion of rows (n, 8) time, position, roll, pitch, yaw, torque; gaps are closed linearly."""
+    """Motion of rows (n, 9), time first, then those of a motion; gaps are closed linearly."""
     rows[:, 6] = np.unwrap(rows[:, 6])
     time = np.arange(0.0, rows[-1, 0] + DT / 2, DT)
     even = np.column_stack([np.interp(time, rows[:, 0], column) for column in rows.T[1:]])
-    motion = WalkMotion(time, even[:, :3], even[:, 3:6], even[:, 6], fallen, period)
+    motion = WalkMotion(time, even[:, :3], even[:, 3:6], even[:, 6], even[:, 7], fallen, period)
     return dataclasses.replace(motion, fallen=fallen or bool(motion.tilt.max() > FALLEN))
 
 

@@ -11,23 +11,26 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, PAPER, Case, WalkMotion
+from benchmarks.locomotion.cases import COLUMNS, Case, WalkMotion
 from benchmarks.locomotion.rows import CAUGHT_UP, SIDE
 from slot_core.drawing import palette
 
-COLOURS = {ALONE: "#E69F00", PAPER: palette.PALE, DEFAULT: palette.TRUE}
+SHADES = ("#E69F00", "#CC79A7", "#56B4E9", palette.TRUE, "#BBBBBB", "#888888")
+COLOURS = dict(zip(COLUMNS, SHADES))
 SHOWN = (0.01, 100.0)  # range of the bars, in goals
 Motions = Mapping[tuple[Case, str, int], WalkMotion]
 
 
 def draw_table(table: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Every row in all columns, as a multiple of its goal; a fall ends at the right edge."""
-    figure = Figure(figsize=(10.0, 1.0 + 0.3 * len(table)), layout="constrained")
+    figure = Figure(figsize=(10.0, 1.0 + 0.4 * len(table)), layout="constrained")
     ax = figure.subplots()
-    place, height = np.arange(len(table)), 0.8 / len(COLUMNS)
-    for k, (column, colour) in enumerate(COLOURS.items()):
+    columns = [column for column in COLUMNS if column in table[0]]
+    place, height = np.arange(len(table)), 0.8 / len(columns)
+    for k, column in enumerate(columns):
         ratio = [np.clip(_in_goals(values, column), *SHOWN) for values in table]
-        ax.barh(place + (k - 1) * height, ratio, height, color=colour, label=column)
+        at, colour = place + (k - len(columns) / 2 + 0.5) * height, COLOURS[column]
+        ax.barh(at, ratio, height, color=colour, label=column)
     ax.axvline(1.0, color=palette.INK, linewidth=1.0)
     ax.set_yticks(place, [f"{values['row']}, {values['unit']}" for values in table], fontsize=8)
     ax.set_ylim(-0.6, len(table) - 0.4)
@@ -73,7 +76,9 @@ def draw_top(
     for ax, case, title in ((left, square, "square of .6 m"), (right, slanted, "60 deg path")):
         for column in COLOURS:
             for seed in seeds:
-                _track(ax, motions[case, column, seed], column if seed == seeds[0] else "_", column)
+                if (case, column, seed) in motions:
+                    label = column if seed == seeds[0] else "_"
+                    _track(ax, motions[case, column, seed], label, column)
         ax.set(xlabel="x, m", ylabel="y, m", aspect="equal", title=title)
         ax.grid(alpha=0.3)
     left.legend(frameon=False, fontsize=8)

@@ -2,8 +2,7 @@
 
 Times are CPU times of a whole cycle of the controller: check, update of the problem, solve. Errors
 are those of the first stage's forces, which are applied, against a dual active-set method
-(`oracle.py`). The solvers are compared on the paper's problem, on forces; the default problem, on
-tendon angles, has rows of its own (`posture_rows.py`).
+(`oracle.py`). The problem is the paper's, on forces.
 """
 
 import itertools
@@ -16,7 +15,6 @@ import numpy as np
 import psutil
 
 from benchmarks.harness import Check, Progress, Row, at_least, at_most, mark_front, timed
-from benchmarks.mpc import posture_rows
 from benchmarks.mpc.cases import Case, hard_cases, random_case, stretched
 from benchmarks.mpc.cvxpy_reference import CvxpyReference, restated
 from benchmarks.mpc.oracle import optimum
@@ -62,7 +60,6 @@ def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Che
     progress("CVXPY")
     rows += cvxpy_rows(settings, walk[10 : 12 if quick else 18], solved[1][10:])
     progress("tendon angles")
-    rows += posture_rows.rows(quick)
     if not quick:
         progress("an hour of cycles")
         rows.append(hour_row(settings, walk))
@@ -217,9 +214,7 @@ def checks(rows: Sequence[dict[str, Any]], settings: MpcSettings) -> list[Check]
     others = [r for r in rows if r["kind"] == "solver" and r["solver"] != name]
     alike = [r for r in others if r["tolerance"] == row["tolerance"] and not r["hard_refused"]]
     rival = min(r["median_ms"] for r in alike)
-    standing, thrown = (row for row in rows if row["kind"] == "posture")
     hour = [row["gained_MB"] for row in rows if row["kind"] == "hour"]
-    dearer = standing["median_ms"] / row["median_ms"]
     return [
         *(at_most("growth of memory in an hour of cycles", gained, 1.0, "MB") for gained in hour),
         at_least(f"{name}: faster than the next solver", rival / row["median_ms"], 1.2, "times"),
@@ -229,9 +224,4 @@ def checks(rows: Sequence[dict[str, Any]], settings: MpcSettings) -> list[Check]
         at_most("time of 60 stages over that of 15", time_of[60] / time_of[15], 4.5),
         at_least("faster than CVXPY, cached", cached / row["median_ms"], 5.0, "times"),
         at_least("faster than CVXPY as published", published / row["median_ms"], 150.0, "times"),
-        at_most("tendon angles: error of the first ones", standing["error_max_rad"], 1e-4, "rad"),
-        at_most("tendon angles, thrown: error", thrown["error_max_rad"], 1e-4, "rad"),
-        at_least("tendon angles, thrown: cycles with an active limit", thrown["limited"], 10),
-        at_most("tendon angles: cycles refused", standing["refused"] + thrown["refused"], 0),
-        at_most("tendon angles: cycle over that on forces", dearer, 1.5),
     ]

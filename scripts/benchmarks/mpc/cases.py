@@ -40,7 +40,8 @@ def standing(stages: int, **changes: Any) -> GaitPreview:
         "tendon_angle": np.ones((stages, 4)),
         "reference": np.tile(state(), (stages, 1)),
         "dt": DT,
-        "posture": True,
+        "velocity_ahead": np.zeros((stages, 3)),
+        "corrected": True,
         "command": GaitCommand("stand", np.zeros(3), np.array([HEIGHT, 0.0, 0.0])),
     }
     return GaitPreview(gait="stand", phase=0.0, period=0.72, **(values | changes))

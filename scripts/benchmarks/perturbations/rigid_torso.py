@@ -29,7 +29,7 @@ from slot_core.clock import to_ns
 from slot_core.control.policy import Status, TendonPlan
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitCommand, GaitPreview, read_gaits
-from slot_core.gait.reference import reference
+from slot_core.gait.reference import places_ahead, reference
 from slot_core.geometry import rotate, rotation_of, rpy_of
 from slot_core.mpc.mpc import Mpc
 from slot_core.mpc.settings import MpcSettings
@@ -142,15 +142,16 @@ class TorsoLoop:
 
     def _preview(self, state: Array) -> GaitPreview:
         gaits = self._gaits
-        times, motion = DT * np.arange(gaits.stages, dtype=float), np.zeros((gaits.stages, 12))
+        motion, velocity = np.zeros((gaits.stages, 12)), np.tile(VELOCITY_AHEAD, (gaits.stages, 1))
         motion[:, P_Z] = HEIGHT
+        places = places_ahead(np.append(state[3:5], 0.0), velocity, DT)
         return standing(
             gaits.stages,
             stamp=to_ns(self.step * DT),
             dt=DT,
             friction=np.full((gaits.stages, 4), gaits.friction),
             normal_force=np.tile(self._share, (gaits.stages, 1)),
-            reference=reference(state, 0.0, VELOCITY_AHEAD, motion, times),
+            reference=reference(state, places, velocity, motion),
             command=GaitCommand("stand", VELOCITY_AHEAD, np.array([HEIGHT, 0.0, 0.0])),
         )
 

@@ -261,7 +261,7 @@ def tracked(sim: SimulatedRobot, stride: Stride, tuning: TuningSettings) -> Arra
     last = round((settling + tuning.strides) * stride.period / dt)
     velocity = np.array([stride.forward.speed, 0.0, 0.0])
     phase = np.arange(last) * dt / stride.period % 1.0
-    angle = stride.stride_table(phase, velocity, stride.walking(velocity), np.zeros(4))[:, :4]
+    angle = stride.stride_table(phase, velocity)[:, :4]
     rows = []
     for command in np.minimum(angle, sim.parameters.tendon.angle_max):
         sim.advance(steps, command)

@@ -242,7 +242,8 @@ def preview_to_msg(preview: gait.GaitPreview) -> GaitPreview:
         normal_force=preview.normal_force.ravel(),
         tendon_angle=preview.tendon_angle.ravel(),
         reference=preview.reference.ravel(),
-        posture=preview.posture,
+        velocity_ahead=preview.velocity_ahead.ravel(),
+        corrected=preview.corrected,
         requested=preview.command.gait,
         followed=preview.command.followed,
         velocity=preview.command.velocity,
@@ -255,7 +256,7 @@ def plan_to_msg(
 ) -> TendonPlan:
     """Plan for a preview with its stamp; `elapsed`: time of the policy's step, s."""
     report = vars(plan.report)
-    slacks = ("slack_normal_min", "slack_normal_max", "slack_friction")
+    arrays = ("slack_normal_min", "slack_normal_max", "slack_friction", "drift", "wrench")
     return TendonPlan(
         header=header(preview.stamp),
         dt=preview.dt,
@@ -263,6 +264,7 @@ def plan_to_msg(
         angle=plan.angle.ravel(),
         rate=plan.rate.tolist(),
         force=plan.force.ravel(),
+        pose=plan.pose.ravel(),
         map=plan.map,
         status=int(plan.status),
         message=plan.message,
@@ -271,7 +273,7 @@ def plan_to_msg(
         overruns=pace.overruns,
         skipped=pace.skipped,
         period=preview.period,
-        **report | {name: report[name].tolist() for name in slacks},
+        **report | {name: report[name].tolist() for name in arrays},
     )
 
 

@@ -12,6 +12,8 @@ from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, MpcState, TendonPlan
 from slot_nodes import inputs, messages, qos, runtime
 
+PREPARE_AFTER = 0.004  # s after a plan: by then its command is with the servos
+
 
 class MpcControllerNode(Node):
     """Runs the policy on the newest state and its preview; skips older states."""
@@ -22,8 +24,13 @@ class MpcControllerNode(Node):
         name = runtime.declare(self, "policy", DEFAULT_POLICY, text)
         kind = policy_class(name)
         settings = runtime.declare_settings(self, kind.read_settings(name))
-        self._policy = kind(read_robot(), settings, time.perf_counter)
+        simulated = self.get_parameter("use_sim_time").value  # a plan takes no simulated time
+        self._policy = kind(
+            read_robot(), settings, (lambda: 0.0) if simulated else time.perf_counter
+        )
         self._pace, self._stamp = Pace(), 0
+        self._preparation = runtime.wall_timer(self, PREPARE_AFTER, self._prepare)
+        self._preparation.cancel()
         self._inputs = TimeSynchronizer("state", "preview")
         self._plans = runtime.publisher(self, TendonPlan, "tendon_plan", qos.CONTROL)
         inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.STATE, numbered=True)
@@ -48,11 +55,16 @@ class MpcControllerNode(Node):
         elapsed = time.perf_counter() - start
         self._pace.add(number, elapsed, preview.dt)
         self._plans.publish(messages.plan_to_msg(plan, preview, elapsed, self._pace))
+        self._preparation.reset()
         if plan.status != Status.SOLVED:
             self.get_logger().warning(
                 f"{plan.status.name}, fallback cycle {plan.fallback_cycles}: {plan.message}",
                 throttle_duration_sec=1.0,
             )
+
+    def _prepare(self) -> None:
+        self._preparation.cancel()
+        self._policy.prepare()
 
 
 def main() -> None:

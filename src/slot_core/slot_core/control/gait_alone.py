@@ -7,13 +7,20 @@ import numpy as np
 from slot_core.control.policy import Policy, TendonPlan
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview
+from slot_core.robot import LEGS, Array
 
 
 class GaitAlone(Policy):
-    """Tendon angles of the gait; the gait scheduler still has its feedback once a stride."""
+    """Tendon angles of the gait: open loop."""
 
     def step(self, estimate: Estimate, preview: GaitPreview) -> TendonPlan:
         """The angles and normal forces of the preview."""
-        force = np.zeros((*preview.normal_force.shape, 3))
-        force[..., 2] = preview.normal_force
-        return TendonPlan(preview.tendon_angle, preview.rate, force)
+        return gait_plan(preview)
+
+
+def gait_plan(preview: GaitPreview, change: Array | float = 0.0) -> TendonPlan:
+    """The angles of a preview, changed by `change` (n, 4), rad, and its normal forces."""
+    angle, force = preview.tendon_angle + change, np.zeros((*preview.normal_force.shape, 3))
+    force[..., 2] = preview.normal_force
+    rate = (angle[1] - angle[0]) / preview.dt if len(angle) > 1 else np.zeros(len(LEGS))
+    return TendonPlan(angle, rate, force)

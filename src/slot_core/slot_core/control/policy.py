@@ -25,10 +25,11 @@ from slot_core.gait.gait import GaitPreview
 from slot_core.robot import LEGS, Array, RobotParameters
 
 Timer = Callable[[], float]  # s
-DEFAULT_POLICY = "angles"
+DEFAULT_POLICY = "predictive"
 MPC = "slot_core.mpc.mpc:Mpc"
 POLICIES = {
-    DEFAULT_POLICY: MPC,  # MPC on tendon angles in postures
+    DEFAULT_POLICY: "slot_core.predictive.predictive:Predictive",  # MPC that simulates the robot
+    "place": "slot_core.control.place_feedback:PlaceFeedback",  # amplitudes from the place's error
     "forces": MPC,  # MPC on ground reaction forces
     "paper_text": MPC,  # the same as printed in the paper
     "paper_code": MPC,  # and as in the authors' published scripts
@@ -65,6 +66,8 @@ class PlanReport:
     slack_total: float = math.nan  # N, sum of contact f_max - m g
     slack_balance: float = math.nan  # N, band - |sum f_z - m g|; infinite without `equality`
     mass: float = math.nan  # kg, of the model
+    drift: Array = field(default_factory=lambda: np.zeros(3))  # v_x, v_y m/s, yaw rate rad/s
+    wrench: Array = field(default_factory=lambda: np.zeros(3))  # F_z N, M_x, M_y N m
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,8 @@ class TendonPlan:
     map: str = ""  # of a plan of forces alone
     fallback_cycles: int = 0  # consecutive cycles without an accepted solution
     report: PlanReport = PlanReport()
+    pose: Array = field(default_factory=lambda: np.zeros((0, 6)))  # (n, 6) roll, pitch, yaw, x, y,
+    # z at the stages 1 .. n, predicted, in odom; empty: the policy predicts none
 
 
 @dataclass(frozen=True)
@@ -109,6 +114,9 @@ class Policy(Protocol):
 
     def step(self, estimate: Estimate, preview: GaitPreview) -> TendonPlan:
         """Plan for an estimate and the preview of the same stamp; raises nothing for bad data."""
+
+    def prepare(self) -> None:
+        """Compute ahead what the next `step` needs, once its command has been sent."""
 
     def reset(self) -> None:
         """Discard what was learned from earlier estimates: time has been set back."""

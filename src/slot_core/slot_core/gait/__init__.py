@@ -1,1 +1,1 @@
-"""Gaits: strides, schedule, routes, reference, and the feedback once a stride."""
+"""Gaits: strides, schedule, routes and reference."""

@@ -61,6 +61,12 @@ class HarmonicBasis(NamedTuple):
         slope = 2 * np.pi * np.column_stack([np.zeros_like(p), -s, c, -2 * s2, 2 * c2])
         return cls(np.column_stack([np.ones_like(p), c, s, c2, s2]), slope)
 
+    @property
+    def integral(self) -> Array:
+        """(n, 5) integral of the harmonics over the phase, without a constant part."""
+        one, c, s, c2, s2 = self.value.T
+        return np.column_stack([0.0 * one, s, -c, s2 / 2, -c2 / 2]) / (2 * np.pi)
+
 
 @dataclass(frozen=True)
 class Pattern:
@@ -116,41 +122,14 @@ class Posture:
 
 
 @dataclass(frozen=True)
-class FeedbackSettings:
-    """Feedback once a stride: gains, bounds, and the effects of the corrections.
-
-    Corrections: changes of the velocities [v_x, v_y, yaw rate] (m/s, rad/s) that set the
-    amplitudes; offsets of the tendon angles (rad) common, left minus right, front minus rear (half
-    the difference each). Outputs: v_x, v_y, yaw rate, height (m), roll, pitch (rad), means over a
-    stride.
-    """
-
-    gain: float = quantity("share of an error that one stride corrects; 0: no feedback", "", 0, 1)
-    position_gain: float = quantity("correcting velocity per error of the position", "1/s", 0, 10)
-    heading_gain: float = quantity("correcting yaw rate per error of the heading", "1/s", 0, 10)
-    lead: float = quantity("largest distance of the reference from the robot", "m", 0, 1)
-    heading_lead: float = quantity("largest angle of the reference from the robot", "rad", 0, 1)
-    velocity_max: Vector3 = quantity("largest correction of v_x, v_y, yaw rate", "SI", 0, 1)
-    offset_max_deg: float = quantity("largest offset of the tendon angles", "deg", 0, 40)
-    regularisation: float = quantity(
-        "weight of the corrections' change against the errors", "", 0, 10
-    )
-    scale: tuple[float, ...] = quantity("error of each output that counts as one", "SI", 1e-6, 10)
-    effect: tuple[tuple[float, ...], ...] = quantity(
-        "change of each output (rows) per correction (columns)", "SI", -100, 100
-    )
-
-
-@dataclass(frozen=True)
 class Stride:
-    """Periodic gait: centre, patterns, and the feedback once a stride."""
+    """Periodic gait: centre and patterns."""
 
     forward: Pattern
     lateral: Pattern
     turn: Pattern
     forward_steering: Steering
     lateral_steering: Steering
-    feedback: FeedbackSettings
     kind: str = choice("kind of the gait", "stride")
     period: float = quantity("duration of a stride", "s", 0.1, 10.0)
     cruise: float = quantity("v_x if none is requested", "m/s", -1, 1)
@@ -182,40 +161,45 @@ class Stride:
         most = (1.0 - walking) * self.turn.speed + walking * steering
         return np.append(planar, np.clip(velocity[2], -most, most))
 
-    def stride_table(self, phase: Array, velocity: Array, walking: float, offset: Array) -> Array:
+    def stride_table(self, phase: Array, velocity: Array, offset: Array | float = 0.0) -> Array:
         """Gait (n, 20) at phases (n,): 4 tendon angles (rad), 4 normal forces (N), 12 torso states.
 
-        velocity: (3,) [v_x, v_y, yaw rate] that sets the amplitudes; walking: share of steering;
-        offset: (4,) rad. Torso states in the heading frame: [roll pitch 0, 0 0 z, omega, v], omega
-        to first order in the angles.
+        velocity: (n, 3) or (3,) [v_x, v_y, yaw rate] that sets the amplitudes; offset: rad, of the
+        angles. Torso states in the heading frame: [roll pitch 0, sway of x and y, z, omega, v],
+        omega to first order in the angles; the sway is the integral of v over the phase.
         """
-        basis, table = HarmonicBasis.at(phase), self._rest + self._moving(velocity, walking)
-        values, slopes = basis.value @ table.T, basis.slope @ table.T / self.period
+        basis = HarmonicBasis.at(phase)
+        table = self._rest + self._moving(np.atleast_2d(velocity))  # (n or 1, 13, 5)
+        table = np.broadcast_to(table, (len(phase), *table.shape[1:]))
+        values = np.einsum("nij,nj->ni", table, basis.value)
+        slopes = np.einsum("nij,nj->ni", table[:, 8:11], basis.slope) / self.period
+        sway = np.einsum("nij,nj->ni", table[:, 11:13], basis.integral) * self.period
         angle = np.clip(values[:, :4] + offset, *np.radians(self.range_deg))
         torso = np.zeros((len(phase), 12))
         torso[:, [0, 1, 5, 9, 10]] = values[:, 8:]
-        torso[:, [6, 7, 11]] = slopes[:, 8:11]
+        torso[:, 3:5], torso[:, [6, 7, 11]] = sway, slopes
         return np.hstack([angle, np.maximum(values[:, 4:8], 0.0), torso])
 
     def mean_posture(self, velocity: Array) -> Array:
         """Mean height (m), roll and pitch (rad) of the motion at a velocity (3,), less the rest."""
-        posture: Array = self._moving(velocity, self.walking(velocity))[[10, 8, 9], 0]
+        posture: Array = self._moving(velocity[None])[0, [10, 8, 9], 0]
         return posture
 
-    def _moving(self, velocity: Array, walking: float) -> Array:
-        """Coefficients (13, 5) of the patterns and their steering at a velocity (3,)."""
+    def _moving(self, velocity: Array) -> Array:
+        """Coefficients (n, 13, 5) of the patterns and their steering at velocities (n, 3)."""
         amplitude = velocity / self.speeds
-        size = np.abs(amplitude[:2]).sum()
-        amplitude[2] *= 1.0 - walking
-        limit = 1.0 / max(1.0, float(np.linalg.norm(amplitude / self.amplitude_max)))
-        table = np.zeros((13, 5))
-        for a, pair in zip(limit * amplitude, self._pairs):
-            table += abs(a) * pair[int(a < 0.0)]
+        size = np.maximum(np.abs(amplitude[:, :2]).sum(axis=1), 1e-9)
+        walking = np.minimum(1.0, np.hypot(*velocity[:, :2].T) / self.walking_speed)
+        amplitude[:, 2] *= 1.0 - walking
+        limit = np.maximum(1.0, np.linalg.norm(amplitude / self.amplitude_max, axis=1))
+        table = np.zeros((len(velocity), 13, 5))
+        for a, (one, other) in zip((amplitude / limit[:, None]).T[..., None, None], self._pairs):
+            table += np.maximum(a, 0.0) * one + np.maximum(-a, 0.0) * other
         steerings = (self.forward_steering, self.lateral_steering)
-        for a, steering, pair in zip(amplitude, steerings, self._steering):
-            turn = np.clip(velocity[2], -steering.rate_max, steering.rate_max) / steering.rate
-            share = walking * abs(a) / max(size, 1e-9)
-            table += share * turn * pair[int(a < 0.0)]
+        for a, steering, (one, other) in zip(amplitude.T, steerings, self._steering):
+            turn = np.clip(velocity[:, 2], -steering.rate_max, steering.rate_max) / steering.rate
+            share = (walking * turn * np.abs(a) / size)[:, None, None]
+            table += share * np.where((a < 0.0)[:, None, None], other, one)
         return table
 
     @cached_property
@@ -272,6 +256,8 @@ class GaitSettings:
     turn_acceleration: float = quantity(
         "largest rate of change of the commanded yaw rate", "rad/s^2", 1e-3, 10
     )
+    lead: float = quantity("largest distance of the reference from the robot", "m", 0, 1)
+    heading_lead: float = quantity("largest angle of the reference from the robot", "rad", 0, 1)
     lift_speed: float = quantity("largest rate of change of the commanded height", "m/s", 1e-3, 1)
     tilt_speed: float = quantity(
         "largest rate of change of commanded roll and pitch", "rad/s", 1e-3, 10
@@ -352,8 +338,15 @@ class GaitPreview:
     normal_force: Array  # (n, 4) N, of the gait
     tendon_angle: Array  # (n, 4) rad, nominal
     reference: Array  # (n, 12) [roll pitch yaw, p, omega, v]
-    posture: bool  # whether the legs are at rest but for changes of the posture
+    velocity_ahead: Array  # (n, 3) v_x, v_y m/s, yaw rate rad/s of the reference, heading frame
+    corrected: bool  # whether a policy may correct the angles: loaded legs follow them
     command: GaitCommand  # that was in force
+
+    @property
+    def phases(self) -> Array:
+        """(n,) of the stages, in [0, 1)."""
+        ahead = self.dt * np.arange(len(self.tendon_angle)) / self.period
+        return np.asarray((self.phase + ahead) % 1.0)
 
     @property
     def rate(self) -> Array:

@@ -16,9 +16,8 @@ from slot_core.gait.gait import (
     Posture,
     Stride,
 )
-from slot_core.gait.reference import reference
+from slot_core.gait.reference import limited, moved, places_ahead, reference
 from slot_core.gait.route import Route
-from slot_core.gait.stride_feedback import StrideFeedback, Target
 from slot_core.geometry import wrapped
 from slot_core.legs.leg_springs import LegSprings
 from slot_core.robot import Array, RobotParameters
@@ -40,11 +39,10 @@ class _ActivePosture:
 
 @dataclass
 class _ActiveStride:
-    """A stride that runs, with its phase and its feedback."""
+    """A stride that runs, with its phase."""
 
     name: str
     gait: Stride
-    feedback: StrideFeedback
     phase: float = 0.0  # in [0, 1)
     moving: float = 1.0  # share of the stride against standing on its centre
 
@@ -59,7 +57,8 @@ class GaitScheduler:
     blend of the tendon angles over `transition` seconds; a request during a blend takes effect at
     its end. A run starts from the posture `stand`. A stride without velocity stands on its centre;
     it gets there, and back, by a blend as well. While the servos do not follow the commands the
-    phase waits, and neither the feedback of strides nor the MPC corrects anything.
+    phase waits, and no policy corrects anything. The reference place moves with the velocity, or
+    along the path, at most `lead` ahead of the robot; without a velocity it is the robot's.
     """
 
     def __init__(  # noqa: PLR0917
@@ -90,6 +89,7 @@ class GaitScheduler:
         self._followed_for = SETTLING  # s
         self._velocity = np.zeros(3)  # present, at limited rates
         self._pose = self._home(self._current.gait)  # (3,) height, roll, pitch, present
+        self._place: Array | None = None  # (3,) x, y (m), yaw (rad) of the reference
 
     def request(self, gait: str, velocity: Array) -> None:
         """Request a gait and a velocity [v_x, v_y, yaw rate] (m/s, rad/s) in base_link.
@@ -144,21 +144,14 @@ class GaitScheduler:
         self._stamp = stamp
         if not 0.0 <= elapsed <= LONGEST_GAP:
             elapsed = 0.0
-            self._forget_strides()
-        elif self._has_jumped(elapsed, state):
-            self._forget_strides()
+        if self._has_jumped(elapsed, state):
+            self._place = None
         self._seen = state[[3, 4, 2]].copy()
         self._followed_for += elapsed
         self._change_gait(elapsed)
         self._approach_commands(elapsed, state)
-        self._stride(to_seconds(stamp), elapsed, state)
+        self._stride(elapsed, state)
         return self._preview(stamp, state)
-
-    def _forget_strides(self) -> None:
-        """Forget the strides so far: a jump of clock or place falsifies their means."""
-        for active in (self._previous, self._current):
-            if isinstance(active, _ActiveStride):
-                active.feedback.forget_stride()
 
     def _has_jumped(self, elapsed: float, state: Array) -> bool:
         """Whether the robot is further from where it was seen last than it can move."""
@@ -176,7 +169,7 @@ class GaitScheduler:
     def _activate(self, name: str) -> _Active:
         gait = self._settings.find(name)
         if isinstance(gait, Stride):
-            return _ActiveStride(name, gait, StrideFeedback(gait))
+            return _ActiveStride(name, gait)
         return _ActivePosture(name, gait)
 
     def _home(self, gait: Posture | Stride) -> Array:
@@ -215,30 +208,24 @@ class GaitScheduler:
         rates = np.array([s.lift_speed, s.tilt_speed, s.tilt_speed])
         return _toward(self._pose, self._wanted_pose, time * rates)
 
-    def _stride(self, time: float, elapsed: float, state: Array) -> None:
-        """Advance phase, reference place and feedback of the strides that run."""
+    def _stride(self, elapsed: float, state: Array) -> None:
+        """Advance the strides that run, and the reference place."""
         for active in {id(a): a for a in (self._previous, self._current)}.values():
-            if isinstance(active, _ActivePosture):
-                continue
-            gait, feedback = active.gait, active.feedback
-            active.moving = float(self._moving_after(active, np.array([elapsed]))[0])
-            if active is not self._current or self._waits():
-                feedback.reset()
-                continue
-            active.phase += elapsed / gait.period
-            complete, active.phase = active.phase >= 1.0, active.phase % 1.0
-            if self._path is not None:
-                feedback.place = self._path.place(state, elapsed, self._speed)
-                feedback.limit_lead(state)
-            else:
-                feedback.move(elapsed, state, self._velocity)
-            if active.moving < 1.0 or self._since_change < self._settings.transition:
-                feedback.forget_stride()  # the stride is not whole yet
-                continue
-            feedback.add(time, state)
-            if complete:
-                posture = self._pose + gait.mean_posture(self._velocity)
-                feedback.finish(Target(self._velocity, posture, gait.walking(self._velocity)))
+            if isinstance(active, _ActiveStride):
+                active.moving = float(self._moving_after(active, np.array([elapsed]))[0])
+        current = self._current
+        if isinstance(current, _ActivePosture) or self._waits():
+            self._place = None
+            return
+        current.phase = (current.phase + elapsed / current.gait.period) % 1.0
+        if self._path is not None:
+            self._place = self._path.place(state, elapsed, self._speed)
+        elif self._place is None:
+            self._place = state[[3, 4, 2]].copy()
+        else:
+            self._place = moved(self._place, self._velocity, elapsed)
+        s = self._settings
+        self._place = limited(self._place, state[[3, 4, 2]], s.lead, s.heading_lead)
 
     def _waits(self) -> bool:
         """Whether the phase of a stride waits."""
@@ -254,12 +241,9 @@ class GaitScheduler:
 
     def _preview(self, stamp: int, state: Array) -> GaitPreview:
         times = self._settings.dt * np.arange(self._settings.stages, dtype=float)
-        table = self._blend(times)
+        current, (velocity, place) = self._current, self._ahead(times, state)
+        table = self._blend(times, velocity)
         angle, force, motion = np.split(table, [4, 8], axis=1)
-        current = self._current
-        heading, velocity = state[2], self._velocity
-        if isinstance(current, _ActiveStride) and current.feedback.place is not None:
-            heading = current.feedback.place[2]
         return GaitPreview(
             stamp=stamp,
             gait=current.name,
@@ -270,56 +254,60 @@ class GaitScheduler:
             friction=np.full(force.shape, self._settings.friction),
             normal_force=force,
             tendon_angle=angle,
-            reference=reference(state, float(heading), velocity, motion, times),
-            posture=self._at_rest(),
+            reference=reference(state, place, velocity, motion),
+            velocity_ahead=velocity,
+            corrected=self._is_corrected(),
             command=GaitCommand(
                 self._requested, self._wanted.copy(), self._wanted_pose.copy(), self._followed
             ),
         )
 
-    def _at_rest(self) -> bool:
-        """Whether the legs follow the commands, are loaded and move with the posture alone."""
+    def _ahead(self, times: Array, state: Array) -> tuple[Array, Array]:
+        """Velocities (n, 3) and places (n, 3) of the reference at `times` (s) ahead."""
+        s, place, gait = self._settings, self._place, self._current.gait
+        if place is not None and self._path is not None and isinstance(gait, Stride):
+            return self._path.ahead(place, times, self._speed, gait.reached, self._velocity)
+        steps = times[:, None] * [s.acceleration, s.acceleration, s.turn_acceleration]
+        velocity = _toward(self._velocity, self._wanted, steps)
+        begin = state[[3, 4, 2]] if place is None else place
+        return velocity, places_ahead(begin, velocity, s.dt)
+
+    def _is_corrected(self) -> bool:
+        """Whether the legs follow the commands and are loaded."""
         if not self._followed or self._followed_for < SETTLING:
             return False
-        if self._since_change < self._settings.transition:
-            return False
-        current = self._current
-        if isinstance(current, _ActivePosture):
-            return current.gait.loaded
-        return current.moving == 0.0
+        blends = self._since_change < self._settings.transition
+        gaits = [self._current.gait, self._previous.gait] if blends else [self._current.gait]
+        return all(isinstance(gait, Stride) or gait.loaded for gait in gaits)
 
-    def _blend(self, times: Array) -> Array:
-        """Blend (n, 20) of the previous and the present gait, as `Stride.course`."""
+    def _blend(self, times: Array, velocity: Array) -> Array:
+        """Blend (n, 20) of the previous and the present gait at velocities (n, 3)."""
         elapsed = self._since_change + times
         weight = np.clip(elapsed / max(self._settings.transition, 1e-9), 0.0, 1.0)[:, None]
-        current = self._course(self._current, times)
+        current = self._course(self._current, times, velocity)
         if weight.min() == 1.0:
             return current
-        return (1 - weight) * self._course(self._previous, times) + weight * current
+        return (1 - weight) * self._course(self._previous, times, velocity) + weight * current
 
-    def _course(self, active: _Active, times: Array) -> Array:
+    def _course(self, active: _Active, times: Array, velocity: Array) -> Array:
         """Angles, normal forces and torso states (n, 20) of a gait at `times` (s) ahead."""
         if isinstance(active, _ActiveStride):
-            return self._stride_course(active, times)
+            return self._stride_course(active, times, velocity)
         if active.gait.loaded:
             return self._posture_course(times)
         slack = np.zeros((len(times), 20))
         slack[:, 13] = self._pose[0]
         return slack
 
-    def _stride_course(self, active: _ActiveStride, times: Array) -> Array:
+    def _stride_course(self, active: _ActiveStride, times: Array, velocity: Array) -> Array:
         """Course (n, 20) of a stride that moves, stands on its centre, or changes between both."""
-        gait, feedback = active.gait, active.feedback
-        moving = self._moving_after(active, times)[:, None]
+        gait, moving = active.gait, self._moving_after(active, times)[:, None]
         if moving.max() == 0.0:
             return self._posture_course(times)
         advances = active is self._current and not self._waits()  # as in `_stride`
         ahead = times if advances else np.zeros_like(times)
         phase = np.mod(active.phase + ahead / gait.period, 1.0)
-        walking = gait.walking(self._velocity)
-        table = gait.stride_table(
-            phase, self._velocity + feedback.velocity, walking, feedback.offset
-        )
+        table = gait.stride_table(phase, velocity)
         table[:, [13, 8, 9]] += self._pose - [gait.height, 0.0, 0.0]
         if moving.min() == 1.0:
             return table

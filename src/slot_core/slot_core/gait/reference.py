@@ -1,29 +1,47 @@
-"""Motion of the torso in the plane: its reference over the MPC's horizon, its mean velocity."""
+"""Reference of the torso: where the robot is to be, and the rows of the preview."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from slot_core.geometry import rotate
+from slot_core.geometry import rotate, wrapped
 from slot_core.robot import Array
 
 
-def reference(state: Array, heading: float, velocity: Array, motion: Array, times: Array) -> Array:
-    """Reference (n, 12) [roll pitch yaw, p, omega, v] in odom at `times` (n,) s ahead.
+def moved(place: Array, velocity: Array, dt: float) -> Array:
+    """Place (3,) x, y (m), yaw (rad) after dt (s) at a velocity (3,) in its heading frame."""
+    return np.asarray(place + dt * np.append(rotate(velocity[:2], place[2]), velocity[2]))
 
-    The torso starts at the position of `state` (12,) and moves with `velocity` [v_x, v_y, yaw rate]
-    (m/s, rad/s), expressed in the heading frame. The yaw starts at `heading` (rad). `motion` (n,
-    12), the gait's own, in the heading frame, is added. The state's yaw wraps at +-pi, so the
-    reference yaw is shifted by the number of full turns that brings it nearest to the state's.
+
+def limited(place: Array, robot: Array, lead: float, heading_lead: float) -> Array:
+    """The place (3,), at most `lead` (m) and `heading_lead` (rad) from that of the robot."""
+    gap, turn = place[:2] - robot[:2], wrapped(place[2] - robot[2])
+    share = min(1.0, lead / max(float(np.hypot(*gap)), 1e-12))
+    return np.append(robot[:2] + share * gap, robot[2] + np.clip(turn, -heading_lead, heading_lead))
+
+
+def places_ahead(place: Array, velocity: Array, dt: float) -> Array:
+    """Places (n, 3) from `place` (3,) on at velocities (n, 3) of stages dt (s) long."""
+    yaw = place[2] + dt * np.append(0.0, np.cumsum(velocity[:-1, 2]))
+    steps = dt * rotate(velocity[:-1, :2], yaw[:-1])
+    xy = place[:2] + np.vstack([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    return np.column_stack([xy, yaw])
+
+
+def reference(state: Array, place: Array, velocity: Array, motion: Array) -> Array:
+    """Reference (n, 12) [roll pitch yaw, p, omega, v] in odom.
+
+    place: (n, 3) x, y (m) and yaw (rad) of the reference place; velocity: (n, 3) [v_x, v_y, yaw
+    rate] (m/s, rad/s) in its heading frame; motion: (n, 12), the gait's own, in that frame, is
+    added. The yaw is shifted by the full turns that bring it nearest to the state's.
     """
-    turns = np.round((state[2] - heading) / (2 * np.pi))
-    yaw = heading + 2 * np.pi * turns + velocity[2] * times
+    yaw = place[:, 2] + 2 * np.pi * np.round((state[2] - place[0, 2]) / (2 * np.pi))
     rows = motion.copy()
     rows[:, 2] = yaw
     rows[:, 6:8] = rotate(motion[:, 6:8], yaw)
-    rows[:, 8] = velocity[2]
-    rows[:, 9:11] = rotate(motion[:, 9:11] + velocity[:2], yaw)
-    rows[:, 3:5] = state[3:5] + rotate(velocity[:2], yaw) * times[:, None]
+    rows[:, 8] = velocity[:, 2]
+    rows[:, 9:11] = rotate(motion[:, 9:11] + velocity[:, :2], yaw)
+    rows[:, 3:5] = place[:, :2] + rotate(motion[:, 3:5], yaw)
     return rows
 
 

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slot_core.config import ConfigError
 from slot_core.geometry import wrapped
@@ -72,6 +74,33 @@ class Route:
         turn = TURN_GAIN * error if self._along else 0.0
         return np.array([speed * math.cos(along), speed * math.sin(along), turn])
 
+    def ahead(
+        self,
+        place: Array,
+        times: Array,
+        speed: float,
+        reached: Callable[[Array], Array],
+        last: Array,
+    ) -> tuple[Array, Array]:
+        """Velocities (n, 3) and places (n, 3) at `times` (s) ahead, of a place (3,) on the path.
+
+        reached: the velocity that the gait reaches of one that is wanted; last: (3,) beyond the
+        end of the path.
+        """
+        arc = np.minimum(self.travelled + speed * times, self.length)
+        direction = self._direction[self._segments(arc)]
+        xy = np.column_stack([np.interp(arc, self._arc, axis) for axis in self._points.T])
+        xy += place[:2] - xy[0]
+        yaw, velocity = np.full(len(times), place[2]), np.zeros((len(times), 3))
+        for k, way in enumerate(direction):
+            along = way - yaw[k]
+            turn = TURN_GAIN * wrapped(along) if self._along else 0.0
+            wanted = np.array([speed * math.cos(along), speed * math.sin(along), turn])
+            velocity[k] = reached(wanted) if arc[k] < self.length else last
+            if k + 1 < len(times):
+                yaw[k + 1] = yaw[k] + (times[k + 1] - times[k]) * velocity[k, 2]
+        return velocity, np.column_stack([xy, yaw])
+
     def _lead(self, state: Array) -> float:
         """Distance of the reference place before the robot, along the path, m."""
         direction = self._direction[self._segment()]
@@ -79,8 +108,12 @@ class Route:
         return float(gap[0] * math.cos(direction) + gap[1] * math.sin(direction))
 
     def _segment(self) -> int:
-        index = int(np.searchsorted(self._arc, self.travelled, side="right")) - 1
-        return min(index, len(self._direction) - 1)
+        return int(self._segments(self.travelled))
+
+    def _segments(self, arc: float | Array) -> NDArray[np.int_]:
+        """Indices of the segments at lengths of arc (m)."""
+        index = np.searchsorted(self._arc, arc, side="right") - 1
+        return np.minimum(index, len(self._direction) - 1)
 
     def _yaw(self, state: Array) -> float:
         if self._along:

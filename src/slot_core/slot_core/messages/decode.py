@@ -144,7 +144,7 @@ def preview(message: Any) -> GaitPreview:
     stages = int(message.stages)
 
     def rows(name: str, columns: int = 4) -> Array:
-        values = np.array(getattr(message, name))
+        values = np.array(getattr(message, name, np.zeros(stages * columns)))  # an older bag
         if stages < 1 or values.size != stages * columns:
             raise ValueError(f"{name} has {values.size} values, not {stages} stages of {columns}")
         return values.reshape(stages, columns)
@@ -160,7 +160,8 @@ def preview(message: Any) -> GaitPreview:
         normal_force=rows("normal_force"),
         tendon_angle=rows("tendon_angle"),
         reference=rows("reference", 12),
-        posture=bool(message.posture),
+        velocity_ahead=rows("velocity_ahead", 3),
+        corrected=getattr(message, "corrected", True),
         command=GaitCommand(
             message.requested,
             np.array(message.velocity),
@@ -178,6 +179,9 @@ def plan(message: Any) -> tuple[int, TendonPlan]:
         raise ValueError(f"force has {force.size} values, not {stages} stages of {legs} vectors")
     if angle.size not in {0, legs * stages}:
         raise ValueError(f"angle has {angle.size} values, not {stages} stages of {legs}")
+    pose = np.array(getattr(message, "pose", ()))
+    if pose.size not in {0, 6 * stages}:
+        raise ValueError(f"pose has {pose.size} values, not {stages} stages of 6")
     return stamp(message), TendonPlan(
         angle=angle.reshape(-1, legs),
         rate=np.array(message.rate),
@@ -186,6 +190,7 @@ def plan(message: Any) -> tuple[int, TendonPlan]:
         message=message.message,
         map=message.map,
         fallback_cycles=int(message.fallback_cycles),
+        pose=pose.reshape(-1, 6),
     )
 
 

@@ -12,12 +12,11 @@ import numpy as np
 
 from slot_core import config
 from slot_core.clock import to_seconds
+from slot_core.control.input_check import STAGE
 from slot_core.control.policy import TendonPlan
 from slot_core.gait.gait import GaitPreview
 from slot_core.mpc.disturbance import Disturbance
 from slot_core.mpc.model import (
-    FEET,
-    FirstStage,
     Horizon,
     HorizonQp,
     Prediction,
@@ -52,7 +51,7 @@ class ForceProblem:
         self._model = TorsoModel(robot)
         self._disturbance = Disturbance(robot.mass, settings.disturbance)
         weights, horizon = settings.weights, settings.horizon
-        generic = self._model.predict(0.3, 0.1, settings.acceptance.stage[1])
+        generic = self._model.predict(0.3, 0.1, STAGE[1])
         _check_condition(generic, settings)
         self.qp = HorizonQp(weights.q, weights.r, horizon, generic, settings.model, robot.weight)
         self._solver = make_solver(self.qp, settings.solver)
@@ -85,18 +84,6 @@ class ForceProblem:
     def follow(self, plan: TendonPlan) -> None:
         """Take the plan that the legs are commanded from this tick on."""
         self._last = _LastTick(self._stamp, self._state, plan.force[0])
-
-    def plan(self, z: Array) -> tuple[Array, Array]:
-        """No angles (0, 4), and the forces (H, 4, 3) N of a solution."""
-        return np.zeros((0, FEET)), self.qp.forces(z)
-
-    def deviation(self, stage: FirstStage, angle: Array, force: Array) -> Array:
-        """First forces of a plan minus those of reference (4, 3), N."""
-        return np.asarray(force[0] - stage.force_ref)
-
-    def fallback(self, stage: FirstStage, deviation: Array) -> tuple[Array, Array]:
-        """No angles (0, 4), and forces (1, 4, 3) N by a deviation from those of reference."""
-        return np.zeros((0, FEET)), stage.clip(stage.force_ref + deviation)[None]
 
     def cost(self, z: Array) -> float:
         """Objective at z."""

@@ -80,8 +80,7 @@ class FirstStage:
     force_max: Array  # (4,) N
     friction: Array  # (4,)
     force_ref: Array  # (4, 3) N
-    angle_ref: Array  # (4,) rad, tendon angles of the gait
-    rate: Array  # (4,) rad/s, of these
+    rate: Array  # (4,) rad/s, of the gait's tendon angles
 
     def clip(self, force: Array) -> Array:
         """Forces (4, 3) N clipped to the limits, the normal forces first."""

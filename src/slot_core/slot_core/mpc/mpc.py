@@ -1,33 +1,30 @@
 """Convex MPC: the policy that solves one quadratic programme per tick.
 
-The problem is on the tendon angles (`posture_problem.py`, the default) or, as in the paper, on the
-ground reaction forces (`force_problem.py`). The policy checks the inputs and the solution. A cycle
-without an accepted solution returns the last feasible input, decayed towards the gait's angles or
-normal forces. After `fallback.cycles` such cycles in a row the status is STOPPED until a solution
-is accepted again.
+As in the paper it is on the ground reaction forces (`force_problem.py`). The policy checks the
+inputs and the solution. A cycle without an accepted solution returns the last feasible forces,
+decayed towards those of the gait. After `fallback.cycles` such cycles in a row the status is
+STOPPED until a solution is accepted again.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from slot_core.control.force_map import read_springs
+from slot_core.control.input_check import preview_fault, state_fault
 from slot_core.control.policy import PlanReport, Policy, Status, TendonPlan, Timer
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview
 from slot_core.mpc.force_problem import ForceProblem
-from slot_core.mpc.model import FEET, STATES, FirstStage, Horizon, slacks
-from slot_core.mpc.posture_problem import PostureProblem
+from slot_core.mpc.model import FEET, FirstStage, Horizon, slacks
 from slot_core.mpc.settings import MpcSettings, read_mpc
 from slot_core.mpc.solver import Solution
 from slot_core.robot import GRAVITY, Array, RobotParameters
 
 _NONE = np.zeros(FEET)
-NO_STAGE = FirstStage(_NONE, _NONE, np.zeros((FEET, 3)), _NONE, _NONE)
+NO_STAGE = FirstStage(_NONE, _NONE, np.zeros((FEET, 3)), _NONE)
 
 
 @dataclass(frozen=True)
@@ -58,20 +55,13 @@ class Mpc(Policy):
 
     def reset(self) -> None:
         """Set up the problem afresh, without an earlier input and without a disturbance."""
-        robot, settings = self._robot, self._settings
-        self._problem: PostureProblem | ForceProblem
-        if settings.problem == "forces":
-            self._problem = ForceProblem(robot, settings)
-        else:
-            self._problem = PostureProblem(
-                robot, read_springs(), settings.posture, settings.horizon
-            )
+        self._problem = ForceProblem(self._robot, self._settings)
         self._stage = NO_STAGE
         self._last: Array | None = None  # last feasible input of the first stage minus u_ref
         self._missed = 0  # consecutive cycles without an accepted solution
 
     @property
-    def problem(self) -> PostureProblem | ForceProblem:
+    def problem(self) -> ForceProblem:
         """The problem of the last step; read only."""
         return self._problem
 
@@ -82,14 +72,14 @@ class Mpc(Policy):
         solution is accepted if it is solved, finite, within `violation_max` and `time_budget`.
         """
         start, state = self._timer(), estimate.state
-        if fault := _preview_fault(preview, self._settings):
+        most = self._settings.acceptance.input_max
+        if fault := preview_fault(preview, self._settings.horizon, most):
             self._stage = replace(self._stage, rate=np.zeros(FEET))
             return self._fall_back(Status.REJECTED, fault)
         stages = self._read(preview)
-        angle = np.asarray(preview.tendon_angle, dtype=float)[0]
         limits = stages.force_max[0], stages.friction[0]
-        self._stage = FirstStage(*limits, stages.force_ref[0], angle, preview.rate)
-        if fault := _state_fault(state, self._settings):
+        self._stage = FirstStage(*limits, stages.force_ref[0], preview.rate)
+        if fault := state_fault(state, most):
             return self._fall_back(Status.REJECTED, fault)
         self._problem.update(np.asarray(state, dtype=float), preview, stages)
         plan = self._accept(self._problem.solve(), start)
@@ -116,8 +106,7 @@ class Mpc(Policy):
         limits, qp, z = self._settings.acceptance, self._problem, solution.z
         violation = qp.violation(z)
         report = _SolverReport(solution.iterations, violation, qp.residual(z), qp.cost(z))
-        angle, force = qp.plan(z)
-        elapsed = self._timer() - start
+        force, elapsed = qp.qp.forces(z), self._timer() - start
         fault = solution.fault
         if not fault and not np.isfinite(z).all():
             fault = "solution not finite"
@@ -128,8 +117,8 @@ class Mpc(Policy):
         if elapsed > limits.time_budget:
             fault = f"{elapsed * 1e3:.1f} ms exceed {limits.time_budget * 1e3:g} ms"
             return self._fall_back(Status.LATE, fault, report)
-        self._last, self._missed = qp.deviation(self._stage, angle, force), 0
-        return self._plan(angle, force, Status.SOLVED, "", report)
+        self._last, self._missed = force[0] - self._stage.force_ref, 0
+        return self._plan(force, Status.SOLVED, "", report)
 
     def _fall_back(
         self, cause: Status, fault: str, report: _SolverReport = _SolverReport()
@@ -140,20 +129,14 @@ class Mpc(Policy):
         if self._last is None or self._missed > rule.cycles:
             used_up = f"fallback used up after {rule.cycles} cycles"
             why = "no feasible input yet" if self._last is None else used_up
-            nothing = np.zeros((0, FEET)), np.zeros((self._settings.horizon, FEET, 3))
-            return self._plan(*nothing, Status.STOPPED, f"{why}; {fault}", report)
+            nothing = np.zeros((self._settings.horizon, FEET, 3))
+            return self._plan(nothing, Status.STOPPED, f"{why}; {fault}", report)
         deviation = rule.decay**self._missed * self._last
-        inputs = self._problem.fallback(self._stage, deviation)
-        angle, force = (np.repeat(value, self._settings.horizon, axis=0) for value in inputs)
-        return self._plan(angle, force, cause, fault, report)
+        force = self._stage.clip(self._stage.force_ref + deviation)
+        return self._plan(np.tile(force, (self._settings.horizon, 1, 1)), cause, fault, report)
 
     def _plan(
-        self,
-        angle: Array,
-        force: Array,
-        status: Status,
-        message: str,
-        report: _SolverReport,
+        self, force: Array, status: Status, message: str, report: _SolverReport
     ) -> TendonPlan:
         """The plan with the slacks of its first stage."""
         stage, model, first = self._stage, self._settings.model, force[0]
@@ -162,12 +145,12 @@ class Mpc(Policy):
         if model.support == "equality":
             balance = model.support_band - abs(float(first[:, 2].sum()) - weight)
         return TendonPlan(
-            angle=angle,
+            angle=np.zeros((0, FEET)),
             rate=stage.rate,
             force=force,
             status=status,
             message=message,
-            map=self._settings.map if self._settings.problem == "forces" else "",
+            map=self._settings.map,
             fallback_cycles=self._missed,
             report=PlanReport(
                 cost=report.cost,
@@ -182,39 +165,3 @@ class Mpc(Policy):
                 mass=self._problem.mass,
             ),
         )
-
-
-def _state_fault(state: Array, settings: MpcSettings) -> str:
-    """One line on the first invalid element, its value and its limit; empty if there is none."""
-    most = settings.acceptance.input_max
-    return _fault("state", state, (STATES,), -most, most)
-
-
-def _preview_fault(preview: GaitPreview, settings: MpcSettings) -> str:
-    """One line on the first invalid element, its value and its limit; empty if there is none."""
-    most, stages = settings.acceptance.input_max, settings.horizon
-    return (
-        _fault("preview.dt", preview.dt, (), *settings.acceptance.stage)
-        or _fault("preview.contact", preview.contact, (stages, FEET), 0, 1)
-        or _fault("preview.friction", preview.friction, (stages, FEET), 0, most)
-        or _fault("preview.normal_force", preview.normal_force, (stages, FEET), -most, most)
-        or _fault("preview.tendon_angle", preview.tendon_angle, (stages, FEET), -most, most)
-        or _fault("preview.reference", preview.reference, (stages, STATES), -most, most)
-    )
-
-
-def _fault(name: str, value: Any, shape: tuple[int, ...], low: float, high: float) -> str:
-    """The fault of an input of `shape`, or ""; two-dimensional inputs may have more rows."""
-    try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        return f"{name}: not numbers"
-    usable = array[: shape[0]].shape if array.ndim == len(shape) == 2 else array.shape
-    if usable != shape:
-        return f"{name}: shape {array.shape}, needs {shape}"
-    inside = (array >= low) & (array <= high)  # false for NaN
-    if inside.all():
-        return ""
-    index = tuple(int(i) for i in np.argwhere(~inside)[0])
-    where = f"[{', '.join(map(str, index))}]" if index else ""
-    return f"{name}{where} = {array[index]:g}: outside [{low:g}, {high:g}]"

@@ -9,13 +9,13 @@ import numpy as np
 
 from slot_core import config
 from slot_core.config import choice, quantity
-from slot_core.control.policy import DEFAULT_POLICY
 from slot_core.gait.gait import Vector3
 from slot_core.mpc.disturbance import DisturbanceSettings
 from slot_core.mpc.model import FEET, ModelOptions
-from slot_core.mpc.posture_problem import PostureOptions
 from slot_core.mpc.solver import MpcSolverSettings
 from slot_core.robot import Array
+
+FORCES = "forces"  # policy with the settings as they are
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,6 @@ class Acceptance:
     condition_max: float = quantity(
         "largest condition number of the Hessian, at the longest stage", "", 1, 1e12
     )
-    stage: tuple[float, float] = quantity("shortest and longest accepted stage", "s", 1e-4, 1)
     input_max: float = quantity("largest accepted magnitude of any input, SI units", "", 1, 1e9)
 
 
@@ -66,34 +65,24 @@ class Fallback:
 class MpcSettings:
     """Settings of `config/mpc.yaml`."""
 
-    posture: PostureOptions
     weights: Weights
     model: ModelOptions
     disturbance: DisturbanceSettings
     solver: MpcSolverSettings
     acceptance: Acceptance
     fallback: Fallback
-    problem: str = choice("inputs of the problem", "tendons", "forces")
-    map: str = choice("force map of a problem on forces", "incremental", "paper")
+    map: str = choice("force map", "incremental", "paper")
     horizon: int = quantity("number of stages of the horizon", "", 1, 100)
     force_max: float = quantity("largest normal force of a leg", "N", 0, 100)
 
-    def __post_init__(self) -> None:
-        """Raise ConfigError for a problem on tendon angles without the gait's forces."""
-        if self.problem == "tendons" and self.model.reference != "gait":
-            raise config.ConfigError(
-                f"model.reference = {self.model.reference!r}: problem tendons corrects the gait's"
-                " forces, expected 'gait'"
-            )
 
-
-def read_mpc(policy: str = DEFAULT_POLICY) -> MpcSettings:
+def read_mpc(policy: str = FORCES) -> MpcSettings:
     """The settings of `config/mpc.yaml`, changed by the profile of a policy; raises ConfigError.
 
-    A profile `config/mpc/<policy>.yaml` holds only the changed values, by dotted name; the default
-    policy has none.
+    A profile `config/mpc/<policy>.yaml` holds only the changed values, by dotted name; the policy
+    `forces` has none.
     """
     settings = config.read(MpcSettings, "mpc")
-    if policy == DEFAULT_POLICY:
+    if policy == FORCES:
         return settings
     return config.replace(settings, config.load(f"mpc/{policy}"), f"mpc/{policy}.yaml")

@@ -91,15 +91,16 @@ def advance(machine, steps):
     """
     model, legs, state, feet, work, scheme = contents(machine)
     for k in range(steps):
-        _step(model, legs, state, feet, work, scheme)
-        divergence = _divergence(state, model.speed_limit)
+        one_step(model, legs, state, feet, work, scheme)
+        divergence = divergence_of(state, model.speed_limit)
         if divergence >= 0:
             return k + 1, divergence
     return steps, -1
 
 
 @helper
-def _divergence(state, limit):
+def divergence_of(state, limit):
+    """Kind of divergence of the torso, or -1; limit: m/s and rad/s."""
     v, w = state.velocity, state.rate
     if not v[0] * v[0] + v[1] * v[1] + v[2] * v[2] < limit * limit:
         return TOO_FAST
@@ -109,7 +110,7 @@ def _divergence(state, limit):
 
 
 @helper
-def _step(model, legs, state, feet, work, scheme):
+def one_step(model, legs, state, feet, work, scheme):
     """One step in place: the theta scheme of `integrator.py` for the torso's velocities alone."""
     h, theta = scheme.step, scheme.theta
     tau, definite = theta * h, True

@@ -93,10 +93,10 @@ class TabulatedRobot(KernelRobot):
         self.state.position[2] = scene.start.height
         self.state.rotation[:] = np.eye(3)
         self.state.node[:, 0] = table.table[0, -1, 1], 0.0, -scene.start.height
-        self._feet = Feet(*(np.zeros(shape) for shape in (4, (4, 3), 4, 4, 2)))
+        self.feet = Feet(*(np.zeros(shape) for shape in (4, (4, 3), 4, 4, 2)))
         self._work = work_space()
-        parts = (self.model, self.legs, self.state, self._feet, self._work)
-        self._handle = Handle((*parts, build_scheme(scene.solver, self.model.floor)))
+        parts = (self.model, self.legs, self.state, self.feet, self._work)
+        self.handle = Handle((*parts, build_scheme(scene.solver, self.model.floor)))
         self._settle()
 
     def advance(self, steps: int, command: Array) -> None:
@@ -106,8 +106,8 @@ class TabulatedRobot(KernelRobot):
         and DivergenceError when a speed is not finite or exceeds `scene.solver.speed_limit`, or the
         tilt of the torso exceeds 60 deg.
         """
-        self._feet.command[:] = self.checked(command)
-        done, divergence = advance(self._handle, steps)
+        self.feet.command[:] = self.checked(command)
+        done, divergence = advance(self.handle, steps)
         self.steps += done
         if divergence >= 0:
             limit = f"torso is beyond {self.scene.solver.speed_limit} m/s or not a number"
@@ -115,7 +115,7 @@ class TabulatedRobot(KernelRobot):
                 limit = (
                     f"torso is tilted by more than {math.degrees(math.acos(COS_TILT_MAX)):.0f} deg"
                 )
-            state = self.snapshot() | {"command": self._feet.command.copy()}
+            state = self.snapshot() | {"command": self.feet.command.copy()}
             raise DivergenceError(f"simulation diverged at {self.time:.4f} s: {limit}", state)
 
     def set_motion(self, velocity: Array, angular_velocity: Array) -> None:
@@ -138,7 +138,7 @@ class TabulatedRobot(KernelRobot):
     @property
     def ground_force(self) -> Array:
         """(4, 3) N in odom, force of the floor on each foot, at the stage of the last step."""
-        return self._feet.force.copy()
+        return self.feet.force.copy()
 
 
 class _Requirement(NamedTuple):

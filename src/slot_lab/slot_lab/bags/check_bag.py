@@ -107,6 +107,8 @@ def compare(
             continue
         compared += 1
         for name, value in fields.items():
+            if not hasattr(message, name):
+                continue  # an older bag's
             then, now = _numbers(getattr(message, name)), np.ravel(value)
             if np.array_equal(then, now):
                 continue

@@ -26,8 +26,8 @@ ODOMETRY, PLANS = "/odom", "/tendon_plan"
 SENSORS = (ODOMETRY, "/imu")
 PATH = FILES["path"]
 PREVIEW = ("phase", "period", "dt", "contact", "friction", "normal_force", "tendon_angle",
-           "reference", "posture")  # fmt: skip
-PLAN = ("angle", "rate", "force", "status", "fallback_cycles")
+           "reference", "velocity_ahead", "corrected")  # fmt: skip
+PLAN = ("angle", "rate", "force", "pose", "status", "fallback_cycles")
 Fields = dict[str, Any]
 """Values by the name of the message's field."""
 
@@ -180,6 +180,7 @@ def plans(recorded: RecordedStages) -> dict[int, Fields]:
     fields = {}
     for stamp, estimate, preview, _ in recorded.matched():
         plan = policy.step(estimate, preview)
+        policy.prepare()
         fields[stamp] = {name: getattr(plan, name) for name in PLAN} | vars(plan.report)
     return fields
 

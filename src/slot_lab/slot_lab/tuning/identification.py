@@ -1,4 +1,4 @@
-"""Identification of a stride on the simulated robot: steering, effect of corrections, tables."""
+"""Identification of a stride on the simulated robot: steering, tables."""
 
 from __future__ import annotations
 
@@ -67,30 +67,6 @@ def find_steering(
     rate = float(change[1])
     rate_max = stride.forward_steering.rate_max
     return Steering(rate, rate_max, symmetry.rows(symmetry.steering(x))), change
-
-
-def effect_of_knobs(stride: Stride, settings: TuningSettings, run_all: RunAll) -> Array:
-    """Effect (6, 6) of the corrections on the means over a stride, mean over the floors.
-
-    Central differences about the stride at `cruise`, with the offset constant at the value that
-    holds the height there.
-    """
-    base = (stride.cruise, 0.0, 0.0)
-    held = run_jobs(run_all, [Job(stride, mu, base) for mu in settings.friction])
-    offset_step = np.radians(settings.offset_step_deg)
-    steps = np.array([*settings.velocity_step, *[offset_step] * 3])
-    jobs = []
-    for correction in range(6):
-        for sign in (1.0, -1.0):
-            change = np.zeros(6)
-            change[correction] = sign * steps[correction]
-            v_x, v_y, turn = np.array(base) + change[:3]
-            for mu, motion in zip(settings.friction, held):
-                common, side, front = np.array([motion.offset, 0.0, 0.0]) + change[3:]
-                jobs.append(Job(stride, mu, (v_x, v_y, turn), (common, side, front), False))
-    means = np.array([motion.means for motion in run_jobs(run_all, jobs)])
-    plus, minus = means.reshape(6, 2, len(settings.friction), 6).mean(axis=2).transpose(1, 0, 2)
-    return np.asarray((plus - minus).T / (2 * steps))
 
 
 def tabulate(stride: Stride, settings: TuningSettings, run_all: RunAll) -> dict[str, Pattern]:

@@ -28,8 +28,6 @@ class TuningSettings:
     tilt_deg: float = quantity("tilt RMS that costs nothing; largest tilt: twice", "deg", 0, 45)
     load: float = quantity("mean torque over stall torque that costs nothing", "", 0, 1)
     dip: float = quantity("drop below the stride's height that costs nothing", "m", 0, 0.1)
-    velocity_step: Vector3 = quantity("step of the velocity corrections", "SI", 1e-4, 0.1)
-    offset_step_deg: float = quantity("step of the offset corrections", "deg", 0.01, 10)
     steering_step_deg: float = quantity("step of a steering coefficient", "deg", 0.01, 20)
     steering_rate: float = quantity("yaw rate of the steering that is sought", "rad/s", 1e-3, 0.2)
     steering_scale: Vector3 = quantity(

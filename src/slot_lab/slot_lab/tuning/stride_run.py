@@ -1,7 +1,7 @@
 """Run of a stride on the simulated robot, and its means over strides.
 
 The tendon angles are set every `command_period`. The height is held by an offset common to all
-legs, corrected once a stride by a share of the mean height error; or the offset is constant.
+legs, corrected once a stride by a share of the mean height error; or the offset is zero.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.gait.gait import Stride
 from slot_core.gait.reference import mean_velocity
-from slot_core.gait.stride_feedback import OFFSET_SIGNS
 from slot_core.robot import Array, RobotParameters, read_robot
 from slot_core.simulation.plant import make_robot
 from slot_lab.tuning.settings import TuningSettings
 
 OUTPUTS = ("v_x", "v_y", "yaw rate", "height", "roll", "pitch")
+RISE = 0.053  # m, of the torso per rad of all angles
 OFFSET_MAX = math.radians(15.0)  # of the height's correction
 HELD = ("forward", "lateral")  # patterns run at the stride's height; a turn finds its own
 TIME, X, Y, HEIGHT, ROLL, PITCH, YAW = range(7)  # columns of a track; s, m, rad
@@ -33,12 +33,11 @@ TIME, X, Y, HEIGHT, ROLL, PITCH, YAW = range(7)  # columns of a track; s, m, rad
 
 @dataclass(frozen=True)
 class Job:
-    """A stride at constant corrections on a floor of equal friction."""
+    """A stride on a floor of equal friction."""
 
     stride: Stride
     friction: float
     velocity: tuple[float, float, float]  # m/s, rad/s, sets the amplitudes
-    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rad, common, left-right, front-rear
     hold_height: bool = True
 
 
@@ -50,7 +49,7 @@ class StrideMotion(NamedTuple):
     force: Array  # (n, 4) N, normal
     velocity: Array  # (n, 2) m/s
     means: Array  # (6,) `OUTPUTS`, mean over the strides; velocities in base_link
-    offset: float  # rad, common, mean over the strides
+    offset: float  # rad, mean over the strides
     top: float  # m, highest point of the torso
     load: float  # mean torque of the servos over their stall torque
 
@@ -85,7 +84,7 @@ class _Run:
         self._robot: SimulatedRobot = make_robot(robot, scene, servo)
         self._angle_max = robot.tendon.angle_max
         self._steps = max(1, round(settings.command_period / scene.solver.step))
-        self._offset = np.array(job.offset)
+        self._offset = 0.0  # rad, of all angles
         self._top = 0.0
 
     def motion(self) -> StrideMotion:
@@ -100,7 +99,7 @@ class _Run:
             for phase, angle in self._commands(stride):
                 self._robot.advance(self._steps, angle)
                 rows.append(self._sample(phase))
-            offsets.append(float(self._offset[0]))
+            offsets.append(self._offset)
             if self._job.hold_height:
                 self._correct(float(np.mean([row[HEIGHT] for row in rows[begin:]])))
         table = np.array(rows)
@@ -116,9 +115,8 @@ class _Run:
         period, dt = self._job.stride.period, self._settings.command_period
         first, last = (math.ceil(n * period / dt - 1e-9) for n in (number, number + 1))
         phases = np.clip(np.arange(first, last) * dt / period - number, 0.0, 1.0 - 1e-12)
-        legs = self._offset @ OFFSET_SIGNS
-        stride, velocity = self._job.stride, np.array(self._job.velocity)
-        angles = stride.stride_table(phases, velocity, stride.walking(velocity), legs)[:, :4]
+        velocity = np.array(self._job.velocity)
+        angles = self._job.stride.stride_table(phases, velocity, self._offset)[:, :4]
         return list(zip(phases.tolist(), np.clip(angles, 0.0, self._angle_max)))
 
     def _sample(self, phase: float) -> list[float]:
@@ -132,12 +130,9 @@ class _Run:
         return [*motion, float(robot.servo_torque.mean())]
 
     def _correct(self, height: float) -> None:
-        """Correct the common offset by a stride's mean height (m)."""
-        stride = self._job.stride
-        per_offset = stride.feedback.effect[3][3]  # m/rad
-        error = stride.height - height
-        change = self._settings.height_gain * error / per_offset
-        self._offset[0] = np.clip(self._offset[0] + change, -OFFSET_MAX, OFFSET_MAX)
+        """Correct the offset by a stride's mean height (m)."""
+        change = self._settings.height_gain * (self._job.stride.height - height) / RISE
+        self._offset = float(np.clip(self._offset + change, -OFFSET_MAX, OFFSET_MAX))
 
 
 def stride_means(track: Array) -> Array:

@@ -5,7 +5,7 @@ The stages, in this order (default: all):
     forward   search of the forward pattern; the lateral one is its reflection
     turn      search of the pattern that turns in place
     steering  change of the patterns that alters the yaw rate alone
-    identify  speeds, normal forces and sway of every pattern, effect of the feedback's corrections
+    identify  speeds, normal forces and sway of every pattern
 
 An interrupted search continues when the same command is given again.
 """
@@ -36,7 +36,7 @@ from slot_lab.tuning import gait_file, identification, symmetry
 from slot_lab.tuning.identification import IdentificationError
 from slot_lab.tuning.pattern_search import Goal, PatternSearch, bare_pattern
 from slot_lab.tuning.settings import TuningSettings, read_tuning
-from slot_lab.tuning.stride_run import OUTPUTS, RunAll, simulate
+from slot_lab.tuning.stride_run import RunAll, simulate
 from slot_lab.workers import gather, workers
 
 STAGES = ("forward", "turn", "steering", "identify")
@@ -137,16 +137,8 @@ class _Tuning:
         self._progress("identify: patterns")
         tables: dict[str, Any] = identification.tabulate(self.stride, self.settings, run_all)
         self.stride = replace(self.stride, **tables)
-        self._progress("identify: corrections")
-        effect = identification.effect_of_knobs(self.stride, self.settings, run_all)
-        if self._options.effect:
-            rows = tuple(tuple(row) for row in effect.tolist())
-            self.stride = replace(self.stride, feedback=replace(self.stride.feedback, effect=rows))
         speeds = ", ".join(f"{name} {getattr(self.stride, name).speed:.4f}" for name in tables)
-        cells = [" ".join(f"{value:8.4f}" for value in row) for row in effect]
-        lines = [f"  {name:<9}{row}" for name, row in zip(OUTPUTS, cells)]
-        title = "effect of the corrections v_x, v_y, yaw rate, common, left-right, front-rear on"
-        return [f"speeds at amplitude one: {speeds}", title, *lines]
+        return [f"speeds at amplitude one: {speeds}"]
 
     def _record(self, kind: str) -> Path:
         return RECORDS / f"{self._options.out.stem}.{kind}.jsonl"
@@ -221,7 +213,6 @@ def _parser() -> argparse.ArgumentParser:
     add("--period", type=float, metavar="S", help="duration of a stride")
     add("--cruise", type=float, metavar="M/S", help="v_x if none is requested, m/s")
     add("--scene", help="scene of config/scene; map is three times as fast")
-    add("--effect", action="store_true", help="write the effect of the corrections too")
     add("--scheduler", default="", metavar="ADDRESS", help="of dask; default: this machine")
     add("--workers", type=positive_integer, metavar="N", help="local processes (default: cores)")
     add("--quick", action="store_true", help="one floor, 32 candidates: a demonstration")

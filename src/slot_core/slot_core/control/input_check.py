@@ -1,0 +1,47 @@
+"""Checks of what a policy is given: numbers, shapes and limits, one line on the first fault."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from slot_core.gait.gait import GaitPreview
+from slot_core.robot import LEGS, Array
+
+STATES, FEET = 12, len(LEGS)
+STAGE = (0.001, 0.1)  # s, shortest and longest time between stages
+
+
+def state_fault(state: Array, most: float) -> str:
+    """The fault of a state (12,), whose elements are at most `most`; empty if there is none."""
+    return fault_of("state", state, (STATES,), -most, most)
+
+
+def preview_fault(preview: GaitPreview, stages: int, most: float) -> str:
+    """The fault of a preview, which has at least so many stages; empty if there is none."""
+    return (
+        fault_of("preview.dt", preview.dt, (), *STAGE)
+        or fault_of("preview.contact", preview.contact, (stages, FEET), 0, 1)
+        or fault_of("preview.friction", preview.friction, (stages, FEET), 0, most)
+        or fault_of("preview.normal_force", preview.normal_force, (stages, FEET), -most, most)
+        or fault_of("preview.tendon_angle", preview.tendon_angle, (stages, FEET), -most, most)
+        or fault_of("preview.reference", preview.reference, (stages, STATES), -most, most)
+    )
+
+
+def fault_of(name: str, value: Any, shape: tuple[int, ...], low: float, high: float) -> str:
+    """The fault of an input of `shape`, or ""; two-dimensional inputs may have more rows."""
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        return f"{name}: not numbers"
+    usable = array[: shape[0]].shape if array.ndim == len(shape) == 2 else array.shape
+    if usable != shape:
+        return f"{name}: shape {array.shape}, needs {shape}"
+    inside = (array >= low) & (array <= high)  # false for NaN
+    if inside.all():
+        return ""
+    index = tuple(int(i) for i in np.argwhere(~inside)[0])
+    where = f"[{', '.join(map(str, index))}]" if index else ""
+    return f"{name}{where} = {array[index]:g}: outside [{low:g}, {high:g}]"

@@ -1,0 +1,67 @@
+"""Place feedback: the policy that corrects the place by the amplitudes of the stride every tick.
+
+It needs no model of the robot. With the distance e of the reference place from the robot, in the
+heading frame and without the gait's own sway, the amplitudes are those of the velocity
+
+    V_k + clip(gain e, +-change_max),
+
+so that the angles differ from the gait's by the difference of its tables.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slot_core import config
+from slot_core.config import quantity
+from slot_core.control.gait_alone import gait_plan
+from slot_core.control.policy import Policy, TendonPlan, Timer
+from slot_core.estimation.estimate import Estimate
+from slot_core.gait.gait import GaitPreview, Vector3, read_gaits
+from slot_core.geometry import rotate, wrapped
+from slot_core.robot import Array, RobotParameters
+
+
+@dataclass(frozen=True)
+class PlaceSettings:
+    """Settings of `config/place.yaml`."""
+
+    gain: Vector3 = quantity("change of the velocity per error of x, y and yaw", "1/s", 0, 100)
+    change_max: Vector3 = quantity("largest change of v_x, v_y and yaw rate", "SI", 0, 1)
+
+
+class PlaceFeedback(Policy):
+    """Amplitudes from the error of the place."""
+
+    def __init__(self, robot: RobotParameters, settings: PlaceSettings, timer: Timer):
+        """Take the gain; raises ConfigError for gaits that cannot be read."""
+        self._settings, self._strides = settings, read_gaits().strides
+
+    @staticmethod
+    def read_settings(name: str) -> PlaceSettings:
+        """`config/place.yaml`; raises ConfigError."""
+        return config.read(PlaceSettings, name)
+
+    def step(self, estimate: Estimate, preview: GaitPreview) -> TendonPlan:
+        """The gait's angles, with amplitudes that bring the robot to its place."""
+        stride = self._strides.get(preview.gait)
+        if stride is None or not preview.corrected or not np.isfinite(estimate.state).all():
+            return gait_plan(preview)
+        phase = preview.phases
+        table = stride.stride_table(phase, preview.velocity_ahead)
+        error = place_error(estimate.state, preview.reference[0], table[0, 11:13])
+        most = np.array(self._settings.change_max)
+        change = np.clip(np.array(self._settings.gain) * error, -most, most)
+        turned = stride.stride_table(phase, preview.velocity_ahead + change)
+        return gait_plan(preview, turned[:, :4] - table[:, :4])
+
+
+def place_error(state: Array, reference: Array, sway: Array) -> Array:
+    """Reference place minus the robot's (3,): along and across the heading (m), yaw (rad).
+
+    state, reference: (12,); sway: (2,) m, of x and y in the heading frame, which is no error.
+    """
+    gap = rotate(reference[3:5] - state[3:5], -state[2])
+    return np.append(gap - sway, wrapped(reference[2] - state[2]))

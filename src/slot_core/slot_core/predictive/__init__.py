@@ -1,0 +1,1 @@
+"""Predictive policy: MPC that simulates the robot over the next stride."""

@@ -1,0 +1,85 @@
+"""Disturbance observer: what the nominal robot does not know, from its errors over a stride.
+
+The nominal robot repeats the motion of the last `window` ticks T with the commands that were given,
+from the torso as it was measured then. The differences e between the measured and the repeated
+motion change at every tick
+
+    drift  d += gain (e_xy, e_yaw) / T - d)     velocity, heading frame, m/s and rad/s
+    wrench w += gain K (e_z, e_roll, e_pitch)   F_z, M_x, M_y on the torso, N and N m
+
+The wrench acts in the rollouts; the drift moves their poses on. Hence a payload of m kg is a wrench
+F_z = -m g, and a foot that slips more than expected is a drift. Where a foot sticks, in a posture,
+the repeated motion shows no error although the height is wrong: the offset o of the reference adds
+up the errors of height, roll and pitch themselves, beyond a tolerance,
+
+    offset o += gain (r - y).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from slot_core.geometry import rotate, wrapped
+from slot_core.predictive.nominal_robot import NominalRobot, NominalState
+from slot_core.predictive.settings import ObserverSettings
+from slot_core.robot import Array
+
+TILTS = [5, 0, 1]  # height, roll and pitch in a state or a reference
+
+
+class _Tick(NamedTuple):
+    """What happened in a tick."""
+
+    start: NominalState
+    state: Array  # (12,) of the estimate
+    command: Array  # (2, 4) rad, at its begin and end
+
+
+class DisturbanceObserver:
+    """Estimates of drift, wrench and offset."""
+
+    def __init__(self, model: NominalRobot, settings: ObserverSettings, dt: float):
+        self._model, self._settings, self._dt = model, settings, dt
+        self.drift = np.zeros(3)  # v_x, v_y m/s, yaw rate rad/s, heading frame
+        self.wrench = np.zeros(3)  # F_z N, M_x, M_y N m, heading frame
+        self.offset = np.zeros(3)  # height m, roll, pitch rad
+        self._past: deque[_Tick] = deque(maxlen=settings.window)
+        self._repeated: Array | None = None  # (6,) pose that the nominal robot has reached
+
+    def forget(self) -> None:
+        """Forget the motion so far: a gap or a jump. The estimates stay."""
+        self._past.clear()
+        self._repeated = None
+
+    def add(self, start: NominalState, state: Array, command: Array) -> None:
+        """Add a tick: its state (12,) and the angles (2, 4) given at its begin and end."""
+        self._past.append(_Tick(start, state.copy(), command.copy()))
+
+    def repeat(self) -> None:
+        """Repeat the motion of the window, once that is full."""
+        if len(self._past) == self._settings.window:
+            plan = np.array([tick.command[0] for tick in self._past] + [self._past[-1].command[1]])
+            pose = self._model.roll_out(self._past[0].start, plan[None]).pose[0, -1]
+            self._repeated = pose if np.isfinite(pose).all() else None
+
+    def correct(self, state: Array, reference: Array) -> None:
+        """Correct the estimates by the state (12,) and its reference (12,) now."""
+        s = self._settings
+        wanted = reference[TILTS] - state[TILTS]
+        wanted -= np.clip(wanted, -np.array(s.tolerance), s.tolerance)
+        self.offset = _bounded(self.offset + s.offset_gain * wanted, s.offset_max)
+        if self._repeated is None:
+            return
+        pose, span = self._repeated, s.window * self._dt
+        moved = rotate(state[3:5] - pose[3:5], -self._past[0].state[2])
+        drift = np.append(moved, wrapped(state[2] - pose[2])) / span
+        self.drift = _bounded(self.drift + s.drift_gain * (drift - self.drift), s.drift_max)
+        error = np.array(s.stiffness) * (state[TILTS] - pose[TILTS])
+        self.wrench = _bounded(self.wrench + s.wrench_gain * error, s.wrench_max)
+
+
+def _bounded(values: Array, most: tuple[float, ...]) -> Array:
+    return np.clip(values, -np.array(most), most)

@@ -1,0 +1,112 @@
+"""Nominal robot: the simulated robot on tabulated legs, rolled out from any state.
+
+It is the robot of `simulation/tabulated_robot.py` on a flat floor at long steps. Its legs have no
+mass, so that its state is the torso's, which the state estimator gives, and that of legs and
+servos, which follows from the commands: tendon angles, servo loops, and the feet's displacements.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from slot_core import config
+from slot_core.dynamics.scene import Scene, read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.geometry import rotate, rotation_of
+from slot_core.predictive.rollout_kernels import roll_out
+from slot_core.predictive.settings import NominalSettings
+from slot_core.robot import LEGS, Array, RobotParameters
+from slot_core.simulation.tabulated_robot import TabulatedRobot
+
+SETTLING = 10  # stages in which legs and servos come to rest at a constant command
+
+
+class NominalState(NamedTuple):
+    """State of the nominal robot: torso, legs and servos."""
+
+    buffer: Array  # of dynamics/model.py
+    side_rate: Array  # (4,) m/s, of the feet out of the planes of their legs
+
+
+class Rollouts(NamedTuple):
+    """Motion of P plans over the stages 1 .. n; NaN from a divergence on."""
+
+    pose: Array  # (P, n, 6) roll, pitch, yaw (rad), x, y, z (m), odom
+    force: Array  # (P, n, 4, 3) N, of the floor on the feet, odom
+
+
+class NominalRobot:
+    """Rollouts of plans of tendon angles; it knows no payload, slope or damage but the wrench."""
+
+    def __init__(self, robot: RobotParameters, settings: NominalSettings, dt: float):
+        """Build the model; dt: s between stages. Raises ConfigError as the simulated robot does."""
+        self._cycles, self._steps = settings.cycles, settings.steps
+        scene = nominal_scene(settings, dt / (settings.cycles * settings.steps))
+        self.robot = TabulatedRobot(robot, scene, read_servo())
+        self._angle_max = robot.tendon.angle_max
+        self._initial = NominalState(self.robot.state.buffer.copy(), np.zeros(len(LEGS)))
+        self.after(self._initial, np.zeros((2, len(LEGS))))  # compiles the kernel
+
+    def set_wrench(self, wrench: Array, yaw: float) -> None:
+        """Set the wrench on the torso: F_z (N) in odom, M_x and M_y (N m) at heading `yaw`."""
+        self.robot.model.push[2] = wrench[0]
+        self.robot.model.push[3:5] = rotate(wrench[1:], yaw)
+
+    def at_rest(self, state: Array, angle: Array) -> NominalState:
+        """State with the torso of `state` (12,) and legs and servos that have reached `angle`."""
+        self.robot.state.buffer[:] = self._initial.buffer
+        self.robot.state.tendon_angle[:] = angle
+        start = NominalState(self.robot.state.buffer.copy(), self._initial.side_rate)
+        still = np.concatenate([state[:6], np.zeros(6)])
+        settled = self.after(self.measured(start, still), np.tile(angle, (SETTLING + 1, 1)))
+        return self.measured(settled, state)
+
+    def measured(self, known: NominalState, state: Array) -> NominalState:
+        """The state with the torso of an estimate (12,) and the legs and servos of `known`."""
+        torso = self.robot.state
+        torso.buffer[:] = known.buffer
+        torso.rotation[:] = rotation_of(state[:3]).as_matrix()
+        torso.position[:], torso.velocity[:] = state[3:6], state[9:12]
+        torso.rate[:] = torso.rotation.T @ state[6:9]
+        return NominalState(torso.buffer.copy(), known.side_rate)
+
+    def place(self, start: NominalState) -> Array:
+        """Place (3,) of the torso in odom: x, y (m), yaw (rad)."""
+        torso = self.robot.state
+        torso.buffer[:] = start.buffer
+        (x, y, _), turned = torso.position, torso.rotation
+        return np.array([x, y, math.atan2(turned[1, 0], turned[0, 0])])
+
+    def roll_out(self, start: NominalState, plans: Array) -> Rollouts:
+        """Simulate plans (P, n + 1, 4), rad at the stages 0 .. n, from one state."""
+        count, stages = plans.shape[0], plans.shape[1] - 1
+        found = Rollouts(np.empty((count, stages, 6)), np.empty((count, stages, len(LEGS), 3)))
+        roll_out(
+            self.robot.handle, start.buffer, start.side_rate, np.ascontiguousarray(plans),
+            self._angle_max, self._cycles, self._steps, *found,
+        )  # fmt: skip
+        return found
+
+    def after(self, start: NominalState, plan: Array) -> NominalState:
+        """State after a plan (n + 1, 4)."""
+        self.roll_out(start, plan[None])
+        return NominalState(self.robot.state.buffer.copy(), self.robot.feet.side_rate.copy())
+
+
+def nominal_scene(settings: NominalSettings, step: float) -> Scene:
+    """The flat floor, with the solver of tabulated legs at another step and no sensors."""
+    solver = {f"solver.{name}": value for name, value in config.load("solver/map").items()}
+    friction = [settings.friction] * len(LEGS)
+    changes = solver | {
+        "solver.step": step,
+        "solver.iterations": settings.iterations,
+        "floor.friction": friction,
+        "floor.friction_other": friction,
+        "sensors.imu.period": 1.0,
+        "sensors.joint_period": 1.0,
+        "sensors.odometry.period": 1.0,
+    }
+    return config.replace(read_scene("flat"), changes, "predictive")

@@ -1,0 +1,252 @@
+"""Predictive policy: MPC in the stride, which simulates the robot (`problem.py`).
+
+A tick has two phases. `prepare`, called when the command has been sent, moves the plan on by a
+stage, lets the nominal robot execute the command and linearises its motion from there. `step` rolls
+the plan out from the estimated state, solves the quadratic programme and searches along its step.
+Where `prepare` has not been called, `step` calls it: the commands are the same.
+
+While the servos do not follow, or tendons are to be slack, the plan is the gait's; after a fault it
+is tried first whether the next one could be solved. An estimate that
+comes before the next stage gets the present plan between its stages. A cycle without a new plan
+moves the last one on and lets its deviations from the gait decay; after `limits.cycles` such cycles
+in a row the status is STOPPED.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from slot_core.control.force_map import read_springs
+from slot_core.control.gait_alone import gait_plan
+from slot_core.control.input_check import preview_fault, state_fault
+from slot_core.control.policy import PlanReport, Policy, Status, TendonPlan, Timer
+from slot_core.estimation.estimate import Estimate
+from slot_core.gait.gait import GaitPreview, read_gaits
+from slot_core.geometry import wrapped
+from slot_core.predictive.disturbance_observer import DisturbanceObserver
+from slot_core.predictive.nominal_robot import NominalRobot, NominalState, Rollouts
+from slot_core.predictive.problem import PlanProblem
+from slot_core.predictive.settings import PredictiveSettings, read_predictive
+from slot_core.robot import GRAVITY, LEGS, Array, RobotParameters
+
+MISSED_MAX = 5  # stages without an estimate after which the plan begins anew
+SHARES = (1.0, 0.3)  # of the step, in the line search
+JUMP, TURN = 0.05, 0.2  # m, rad beyond the nominal robot's motion: the odometry has jumped
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """Plan whose stage 0 is at `time`; K stages follow."""
+
+    time: int  # ns
+    start: NominalState
+    nominal: Array  # (K + 2, 4) rad, of the gait, with the payload
+    deviation: Array  # (K + 1, 4) rad
+    slopes: Array = field(default_factory=lambda: np.zeros(0))  # (n, K, 6) of the poses, per rad
+
+
+class Predictive(Policy):
+    """Plans tendon angles over the next stride; `step` raises nothing for bad data."""
+
+    def __init__(self, robot: RobotParameters, settings: PredictiveSettings, timer: Timer):
+        """Take the nominal robot; raises ConfigError for one that the leg table does not cover."""
+        self._robot, self._settings, self._timer = robot, settings, timer
+        self._springs = read_springs()
+        x, y, _ = robot.feet.T
+        self._shares = np.linalg.pinv(np.array([np.ones(len(LEGS)), y, -x]))  # (4, 3)
+        self._begin(read_gaits().dt)
+
+    @staticmethod
+    def read_settings(name: str) -> PredictiveSettings:
+        """`config/predictive.yaml`; raises ConfigError."""
+        return read_predictive()
+
+    def reset(self) -> None:
+        """Begin anew, without a plan and without disturbances."""
+        self._begin(self._dt)
+
+    def _begin(self, dt: float) -> None:
+        """Set up model and problem for stages of dt (s)."""
+        self._dt, settings = dt, self._settings
+        self._model = NominalRobot(self._robot, settings.nominal, dt)
+        self._problem = PlanProblem(settings, self._robot.tendon.angle_max, dt)
+        self.observer = DisturbanceObserver(self._model, settings.observer, dt)
+        self._plan: _Plan | None = None  # that is executed
+        self._next: _Plan | None = None  # a stage later, prepared
+        self._pose, self._force = np.zeros((0, 6)), np.zeros((settings.stages, len(LEGS), 3))
+        self._missed = 0  # consecutive cycles without a new plan
+
+    def step(self, estimate: Estimate, preview: GaitPreview) -> TendonPlan:
+        """Plan for the estimate at stage 0 of `preview`."""
+        begin, limits = self._timer(), self._settings.limits
+        fault = preview_fault(preview, self._settings.stages + 2, limits.input_max)
+        if not fault and preview.dt != self._dt:
+            self._begin(preview.dt)
+        if not fault and not preview.corrected:
+            self._plan = self._next = None
+            if self._missed == 0:
+                return gait_plan(preview)
+        if fault := fault or state_fault(estimate.state, limits.input_max):
+            return self._fall_back(Status.REJECTED, fault)
+        if self._plan is not None and 0 <= estimate.time - self._plan.time < 0.5e9 * self._dt:
+            return self._published(share=1e-9 * (estimate.time - self._plan.time) / self._dt)
+        state = np.asarray(estimate.state, dtype=float)
+        plan, rollout, fault = self._improved(self._ready(estimate.time, state, preview), preview)
+        cause, elapsed = Status.NOT_SOLVED, self._timer() - begin
+        if not fault and elapsed > limits.time_budget:
+            cause, fault = (
+                Status.LATE,
+                f"{elapsed * 1e3:.1f} ms exceed {limits.time_budget * 1e3:g} ms",
+            )
+        if fault:
+            return self._fall_back(cause, fault)
+        self._missed = 0
+        if not preview.corrected:
+            return gait_plan(preview)
+        self._plan, self._next = plan, None
+        self._pose, self._force = rollout.pose[0], rollout.force[0]
+        self.observer.add(plan.start, state, self._angles(plan)[:2])
+        return self._published(preview=preview)
+
+    def prepare(self) -> None:
+        """Move the plan on by a stage and linearise its motion, before the next estimate."""
+        if self._plan is not None and self._next is None:
+            self._next = self._linearised(self._moved_on(self._plan))
+            self.observer.repeat()
+
+    def _ready(self, time: int, state: Array, preview: GaitPreview) -> _Plan:
+        """The plan for the state (12,) at `time` (ns), linearised near it."""
+        found = self._found(time, state)
+        if found is None:
+            self.observer.forget()
+            nominal = self._nominal(preview)
+            start = self._model.at_rest(state, nominal[0])
+            begin = _Plan(time, start, nominal, np.zeros((self._settings.stages + 1, len(LEGS))))
+            return self._linearised(begin)
+        self.observer.correct(state, np.asarray(preview.reference, dtype=float)[0])
+        self._model.set_wrench(self.observer.wrench, state[2])
+        start = self._model.measured(found.start, state)
+        return replace(found, time=time, start=start, nominal=self._nominal(preview))
+
+    def _found(self, time: int, state: Array) -> _Plan | None:
+        """The prepared plan at `time`; None if there is none, or if the robot is elsewhere."""
+        if self._plan is None:
+            return None
+        missed = round(1e-9 * (time - self._plan.time) / self._dt) - 1
+        if not 0 <= missed <= MISSED_MAX:
+            return None
+        self.prepare()
+        found = self._next
+        assert found is not None
+        for _ in range(missed):
+            self.observer.forget()
+            found = replace(self._moved_on(found), slopes=found.slopes)
+        gap = self._model.place(found.start) - state[[3, 4, 2]]
+        is_near = math.hypot(*gap[:2]) < (1 + missed) * JUMP
+        return found if is_near and abs(wrapped(gap[2])) < (1 + missed) * TURN else None
+
+    def _nominal(self, preview: GaitPreview) -> Array:
+        """Angles (K + 2, 4) of the gait, turned on to carry the wrench on the torso."""
+        count = self._settings.stages + 2
+        angle = np.asarray(preview.tendon_angle, dtype=float)[:count]
+        pose = np.asarray(preview.reference, dtype=float)[:count, [5, 0, 1]]
+        slope = self._springs.at(angle, self._robot.clamp_heights(*pose.T)).slope.mean(axis=0)
+        carried = angle - self._shares @ self.observer.wrench / slope
+        return np.clip(carried, 0.0, self._robot.tendon.angle_max)
+
+    def _angles(self, plan: _Plan) -> Array:
+        """Tendon angles (K + 1, 4) of a plan."""
+        nominal = plan.nominal[:-1]
+        return np.clip(nominal + plan.deviation, *self._problem.range(nominal))
+
+    def _moved_on(self, plan: _Plan) -> _Plan:
+        """The plan a stage later, where the nominal robot has executed it."""
+        return _Plan(
+            plan.time + round(self._dt * 1e9),
+            self._model.after(plan.start, self._angles(plan)[:2]),
+            _shifted(plan.nominal),
+            _shifted(plan.deviation),
+        )
+
+    def _linearised(self, plan: _Plan) -> _Plan:
+        """The plan with the slopes of its motion, by finite differences."""
+        angle, step = self._angles(plan), self._settings.step
+        basis, most = self._problem.basis, self._robot.tendon.angle_max
+        beyond = (angle + step * basis > most).any(axis=(1, 2))
+        steps = np.where(beyond, -step, step)[:, None, None]
+        pose = self._model.roll_out(
+            plan.start, np.vstack([angle[None], angle + steps * basis])
+        ).pose
+        slopes = (pose[1:] - pose[0]) / steps
+        slopes[~np.isfinite(slopes).all(axis=(1, 2))] = 0.0  # no change where a rollout diverges
+        return replace(plan, slopes=slopes)
+
+    def _improved(self, plan: _Plan, preview: GaitPreview) -> tuple[_Plan, Rollouts, str]:
+        """The plan after a step of the problem and its rollout, or the fault."""
+        problem, observer, place = self._problem, self.observer, self._model.place(plan.start)
+        rows, yaw = np.asarray(preview.reference, dtype=float), place[2]
+        wanted = problem.reference(rows, place, observer.drift, observer.offset)
+        before = self._model.roll_out(plan.start, self._angles(plan)[None])
+        error = problem.errors(before.pose, wanted, yaw)
+        if not np.isfinite(error).all():
+            return plan, before, "the rollout diverges"
+        nominal = plan.nominal[:-1]
+        change = problem.change(error[0], problem.slopes(plan.slopes, yaw), plan.deviation, nominal)
+        if change is None:
+            return plan, before, "the quadratic programme is not solved"
+        least = problem.cost(error[0], plan.deviation)
+        for share in SHARES:
+            tried = plan.deviation + share * change
+            angle = np.clip(nominal + tried, *problem.range(nominal))
+            after = self._model.roll_out(plan.start, angle[None])
+            if problem.cost(problem.errors(after.pose, wanted, yaw)[0], tried) < least:
+                return replace(plan, deviation=tried), after, ""
+        return plan, before, ""
+
+    def _fall_back(self, cause: Status, fault: str) -> TendonPlan:
+        """The last plan a stage later, with smaller deviations; nothing without one or too late."""
+        self._missed += 1
+        limits = self._settings.limits
+        if self._plan is None or self._missed > limits.cycles:
+            used_up = f"fallback used up after {limits.cycles} cycles"
+            why = "no plan yet" if self._plan is None else used_up
+            angle, force = np.zeros((0, len(LEGS))), np.zeros((self._settings.stages, len(LEGS), 3))
+            plan = TendonPlan(angle, np.zeros(len(LEGS)), force)
+            cause, fault = Status.STOPPED, f"{why}; {fault}"
+        else:
+            moved = self._moved_on(self._plan)
+            self._plan = replace(moved, deviation=limits.decay * moved.deviation)
+            self._next = None
+            self.observer.forget()
+            plan = self._published()
+        return replace(plan, status=cause, message=fault, fallback_cycles=self._missed)
+
+    def _published(self, preview: GaitPreview | None = None, share: float = 0.0) -> TendonPlan:
+        """The present plan from `share` of a stage on."""
+        assert self._plan is not None
+        angle = self._angles(self._plan)
+        rate = (angle[1] - angle[0]) / self._dt
+        angle = _shifted(angle, share)[:-1]
+        return TendonPlan(angle, rate, self._force, report=self._report(preview), pose=self._pose)
+
+    def _report(self, preview: GaitPreview | None) -> PlanReport:
+        """Margins of the first stage and the disturbances."""
+        observer, normal = self.observer, self._force[0, :, 2]
+        friction = np.full(len(LEGS), math.nan)
+        if preview is not None:
+            friction = preview.friction[0] * normal - np.abs(self._force[0, :, :2]).max(axis=1)
+        return PlanReport(
+            slack_normal_min=normal,
+            slack_friction=friction,
+            mass=self._robot.mass - observer.wrench[0] / GRAVITY,
+            drift=observer.drift.copy(),
+            wrench=observer.wrench.copy(),
+        )
+
+
+def _shifted(rows: Array, share: float = 1.0) -> Array:
+    """Rows (n, 4) moved on by a share of a stage; the last one stays."""
+    return (1.0 - share) * rows + share * np.vstack([rows[1:], rows[-1:]])

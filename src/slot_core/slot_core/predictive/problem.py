@@ -1,0 +1,153 @@
+"""Problem of the predictive policy: tendon angles over one stride, by one Gauss-Newton step a tick.
+
+The gait gives angles theta_k at the stages k = 0 .. K. The plan deviates from them by b_k; the step
+changes it by hat functions h_j, linear between the knots, of one leg each and of all legs together:
+
+    u_k = theta_k + b_k + sum_j delta_j h_j(k)
+
+In a posture one leg alone moves nothing, since the friction of the others holds the torso: all legs
+together show what a change that makes them slip would do.
+
+A rollout of the nominal robot from the estimated state gives the poses y_k(u), k = 1 .. K. With the
+references r_k, the drift d of the disturbance observer, and the scales S of the errors, the cost is
+
+    sum_k w_k |S^-1 (y_k + k dt d - r_k)|^2 / K + sum_k |u_k - theta_k|^2 / (K deviation^2)
+
+The errors are linearised by finite differences, a rollout for each j: e(delta) = e + J delta. The
+step is damped, since a rollout is linear in small changes only:
+
+    min |e + J delta|^2 + |b + H delta|^2 / (K deviation^2) + |delta|^2 / change^2
+    subject to  low <= u_k <= high,  |u_k - theta_k| <= deviation_max,  |u_k+1 - u_k| <= dt rate
+
+This is the real-time iteration of Diehl, Bock and Schloeder (SIAM J. Control Optim. 43, 2005): one
+step a tick, from the last plan, shifted.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import piqp
+
+from slot_core.geometry import rotate, wrapped
+from slot_core.predictive.settings import PredictiveSettings
+from slot_core.robot import LEGS, Array
+
+LEG_COUNT = len(LEGS)
+MODES = np.vstack([np.eye(LEG_COUNT), np.ones(LEG_COUNT)])  # FL FR RL RR, and all together
+QP_TOLERANCE, QP_ITERATIONS = 1e-6, 50
+
+
+class PlanProblem:
+    """Basis, errors and steps of the plan."""
+
+    def __init__(self, settings: PredictiveSettings, angle_max: float, dt: float):
+        self._settings, self._dt, self._angle_max = settings, dt, angle_max
+        stages, cost = settings.stages, settings.cost
+        hats = [np.interp(np.arange(stages + 1), settings.knots, row)
+                for row in np.eye(len(settings.knots))]  # fmt: skip
+        basis = np.einsum("jk,lm->ljkm", hats, MODES)
+        self.basis = basis.reshape(-1, stages + 1, LEG_COUNT)  # (n, K + 1, 4)
+        self._flat = self.basis.reshape(len(self.basis), -1)  # (n, 4 (K + 1))
+        rates = np.diff(self.basis, axis=1).reshape(len(self.basis), -1)
+        self._rows = np.hstack([self._flat, rates]).T.copy()
+        weight = np.ones(stages)
+        if cost.late_stages:
+            weight[-cost.late_stages :] = cost.late_weight
+        tilt, place = 1.0 / cost.tilt, 1.0 / cost.place
+        scale = np.array([tilt, tilt, 1.0 / cost.yaw, place, place, 1.0 / cost.height])
+        self._weight = np.sqrt(weight / stages)[:, None] * scale
+        self._regular = 1.0 / (stages * cost.deviation**2)
+        self._damped = self._regular * self._flat @ self._flat.T
+        self._damped += np.eye(len(self.basis)) / cost.change**2
+        self._solver = piqp.DenseSolver()
+        self._solver.settings.eps_abs = self._solver.settings.eps_rel = QP_TOLERANCE
+        self._solver.settings.max_iter = QP_ITERATIONS
+
+    def reference(self, rows: Array, place: Array, drift: Array, offset: Array) -> Array:
+        """Poses (K, 6) that the rollouts are to have, from the preview's reference (n, 12).
+
+        The reference leads the robot at place (3,) x, y, yaw by `reach` at most. drift and offset:
+        those of the observer.
+        """
+        cost, stages = self._settings.cost, self._settings.stages
+        pose = rows[1 : stages + 1, :6].copy()
+        mean = pose[:, :2].mean(axis=0)
+        pose[:, :2] = mean + cost.sway * (pose[:, :2] - mean)
+        pose[:, [5, 0, 1]] += offset
+        lead = rows[0, 3:5] - place[:2]
+        distance = math.hypot(*lead)
+        if distance > cost.reach:
+            pose[:, 3:5] -= (1.0 - cost.reach / distance) * lead
+        moved = self._dt * np.arange(1, stages + 1)[:, None] * drift
+        pose[:, 3:5] -= rotate(moved[:, :2], place[2])
+        pose[:, 2] -= moved[:, 2]
+        return pose
+
+    def errors(self, pose: Array, reference: Array, yaw: float) -> Array:
+        """Weighted errors (..., 6 K) of poses (..., K, 6), x and y along and across the heading."""
+        error = pose - reference
+        error[..., 2] = wrapped(error[..., 2])
+        return self._weighted(error, yaw)
+
+    def slopes(self, difference: Array, yaw: float) -> Array:
+        """Weighted Jacobian (n, 6 K) from differences (n, K, 6) of poses per rad."""
+        return self._weighted(difference, yaw)
+
+    def _weighted(self, error: Array, yaw: float) -> Array:
+        error[..., 3:5] = rotate(error[..., 3:5], -yaw)
+        return (error * self._weight).reshape(*error.shape[:-2], -1)
+
+    def cost(self, error: Array, deviation: Array) -> Array:
+        """Cost (...) of errors (..., 6 K) and deviations (..., K + 1, 4)."""
+        return (error**2).sum(axis=-1) + self._regular * (deviation**2).sum(axis=(-2, -1))
+
+    def change(self, error: Array, slopes: Array, deviation: Array, nominal: Array) -> Array | None:
+        """Change (K + 1, 4) of the deviations by the step; None if the QP is not solved.
+
+        error (6 K,) and slopes (n, 6 K) of the rollout with the deviations (K + 1, 4) from the
+        nominal angles (K + 1, 4). A limit that the plan violates already stays where it is.
+        """
+        hessian = slopes @ slopes.T + self._damped
+        gradient = slopes @ error + self._regular * self._flat @ deviation.ravel()
+        delta = self._least(hessian, gradient, *self._bounds(deviation, nominal))
+        return None if delta is None else (delta @ self._flat).reshape(nominal.shape)
+
+    def _least(self, hessian: Array, gradient: Array, low: Array, high: Array) -> Array | None:
+        """Minimum (n,) within the limits of the rows; None if a problem is not solved.
+
+        The limits that an intermediate minimum violates join the problem until none is left out.
+        """
+        rows, delta = self._rows, -np.linalg.solve(hessian, gradient)
+        slack = QP_TOLERANCE * self._settings.limits.deviation
+        chosen = np.zeros(len(rows), dtype=bool)
+        while True:
+            value = rows @ delta
+            missing = ~chosen & ((value < low - slack) | (value > high + slack))
+            if not missing.any():
+                return delta
+            chosen |= missing
+            self._solver.setup(
+                P=hessian, c=gradient, G=rows[chosen], h_l=low[chosen], h_u=high[chosen]
+            )
+            if self._solver.solve() != piqp.PIQP_SOLVED:
+                return None
+            delta = np.array(self._solver.result.x)
+
+    def _bounds(self, deviation: Array, nominal: Array) -> tuple[Array, Array]:
+        """Limits of the rows' changes: angles at the stages, then their differences."""
+        limits, (least, largest) = self._settings.limits, self.range(nominal)
+        most, now = limits.deviation, (deviation, np.diff(deviation, axis=0))
+        step, fastest = np.diff(nominal, axis=0), self._dt * limits.rate
+        low = np.maximum(least - nominal, -most), np.minimum(-fastest - step, 0.0)
+        high = np.minimum(largest - nominal, most), np.maximum(fastest - step, 0.0)
+        lower, upper = (
+            np.concatenate([(limit - value).ravel() for limit, value in zip(side, now)])
+            for side in (low, high)
+        )
+        return np.minimum(lower, 0.0), np.maximum(upper, 0.0)
+
+    def range(self, nominal: Array) -> tuple[float, float]:
+        """Least and largest tendon angle of a plan around the nominal angles, rad."""
+        return min(self._settings.limits.angle_min, float(nominal.min())), self._angle_max

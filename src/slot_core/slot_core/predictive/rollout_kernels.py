@@ -1,0 +1,60 @@
+"""Rollouts of the robot on tabulated legs: one call simulates many plans from one state."""
+
+# mypy: disable-error-code="no-untyped-def"
+# ruff: noqa: PLR0917 - kernels take their arguments by position
+
+from __future__ import annotations
+
+import math
+
+from slot_core.compiled import helper, kernel
+from slot_core.dynamics.handle import contents
+from slot_core.simulation.tabulated_kernels import divergence_of, one_step
+
+
+@kernel
+def roll_out(machine, start, side_rate, plans, angle_max, cycles, steps, pose, force):
+    """Simulate every plan from the state `start` (m,) and the feet's `side_rate` (4,), m/s.
+
+    plans: (P, n + 1, 4) rad, tendon angles at the stages 0 .. n, linear between them; the servos
+    get them `cycles` times a stage, each time for `steps` steps. Writes pose (P, n, 6), roll,
+    pitch, yaw (rad), x, y, z (m) at the stages 1 .. n, and force (P, n, 4, 3), N, of the floor on
+    the feet in odom; both are NaN from a divergence on. The state after the last plan stays.
+    """
+    model, legs, state, feet, work, scheme = contents(machine)
+    for p in range(plans.shape[0]):
+        for i in range(start.size):
+            state.buffer[i] = start[i]
+        for leg in range(4):
+            feet.side_rate[leg] = side_rate[leg]
+        diverged = False
+        for k in range(plans.shape[1] - 1):
+            for c in range(cycles):
+                _command(feet, plans[p, k], plans[p, k + 1], c / cycles, angle_max)
+                for _ in range(steps):
+                    if not diverged:
+                        one_step(model, legs, state, feet, work, scheme)
+                        diverged = divergence_of(state, model.speed_limit) >= 0
+            _record(pose[p, k], force[p, k], state, feet, diverged)
+
+
+@helper
+def _command(feet, here, there, share, angle_max):
+    """Give the servos the angles between two stages."""
+    for leg in range(4):
+        goal = here[leg] + share * (there[leg] - here[leg])
+        feet.command[leg] = min(max(goal, 0.0), angle_max)
+
+
+@helper
+def _record(pose, force, state, feet, diverged):
+    """Write pose and forces, or NaN."""
+    r, nan = state.rotation, math.nan
+    pose[0] = nan if diverged else math.atan2(r[2, 1], r[2, 2])
+    pose[1] = nan if diverged else math.asin(min(1.0, max(-1.0, -r[2, 0])))
+    pose[2] = nan if diverged else math.atan2(r[1, 0], r[0, 0])
+    for i in range(3):
+        pose[3 + i] = nan if diverged else state.position[i]
+    for leg in range(4):
+        for i in range(3):
+            force[leg, i] = nan if diverged else feet.force[leg, i]

@@ -1,0 +1,183 @@
+"""The predictive policy: its phases, its faults, and what it does for a robot."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from conftest import ROBOT, SETTINGS, WALK
+
+from slot_core.control.policy import Status, make_policy
+from slot_core.gait.route import Route
+from slot_core.predictive.predictive import Predictive
+from slot_core.robot import GRAVITY
+from slot_core.simulation.closed_loop import ClosedLoop
+
+LIMITS = SETTINGS.limits
+
+
+def follow(policy, ticks, prepare=True):
+    plans = []
+    for tick in ticks:
+        plans.append(policy.step(tick.estimate, tick.preview))
+        if prepare:
+            policy.prepare()
+    return plans
+
+
+def with_state(tick, index, value):
+    """The tick with another element of its state."""
+    state = tick.estimate.state.copy()
+    state[index] = value
+    return dataclasses.replace(tick, estimate=dataclasses.replace(tick.estimate, state=state))
+
+
+def later(tick, seconds):
+    estimate = tick.estimate
+    stamp = estimate.stamp + round(seconds * 1e9)
+    return dataclasses.replace(tick, estimate=dataclasses.replace(estimate, stamp=stamp))
+
+
+def test_a_step_prepares_itself_if_nobody_has(policy, walking):
+    again = make_policy("predictive", ROBOT, lambda: 0.0)
+    for one, two in zip(follow(policy, walking), follow(again, walking, prepare=False)):
+        np.testing.assert_array_equal(one.angle, two.angle)
+        np.testing.assert_array_equal(one.pose, two.pose)
+
+
+def test_plans_stay_within_their_limits_and_differ_from_the_gait(policy, walking):
+    for tick, plan in zip(walking, follow(policy, walking)):
+        nominal, carried = tick.preview.tendon_angle[: SETTINGS.stages], 0.15  # rad, by the wrench
+        assert plan.status == Status.SOLVED
+        assert plan.angle.min() >= min(LIMITS.angle_min, nominal.min()) - carried
+        assert plan.angle.max() <= ROBOT.tendon.angle_max
+        assert np.abs(plan.angle - nominal).max() < LIMITS.deviation + carried
+        assert plan.rate == pytest.approx((plan.angle[1] - plan.angle[0]) / tick.preview.dt)
+    assert np.abs(plan.angle - nominal).max() > 0.05
+
+
+def test_an_estimate_between_two_stages_gets_the_plan_between_them(policy, walking):
+    plan = follow(policy, walking[:20])[-1]
+    dt = walking[0].preview.dt
+    between = policy.step(*_parts(later(walking[19], 0.4 * dt)))
+    expected = 0.6 * plan.angle[:-1] + 0.4 * plan.angle[1:]
+    np.testing.assert_allclose(between.angle[:-1], expected, rtol=0, atol=1e-9)
+    one, two = (p.step(*_parts(walking[20])) for p in (policy, _after(walking[:20])))
+    np.testing.assert_array_equal(one.angle, two.angle)  # it has changed nothing
+
+
+def _parts(tick):
+    return tick.estimate, tick.preview
+
+
+def _after(ticks):
+    policy = Predictive(ROBOT, SETTINGS, lambda: 0.0)
+    follow(policy, ticks)
+    return policy
+
+
+def test_a_missed_estimate_moves_the_plan_on(walking):
+    skipped = _after(walking[:38]).step(*_parts(walking[39]))
+    every = _after(walking[:39]).step(*_parts(walking[39]))
+    anew = Predictive(ROBOT, SETTINGS, lambda: 0.0).step(*_parts(walking[39]))
+    assert skipped.status == Status.SOLVED
+    off, begun = (np.abs(plan.angle - every.angle).mean() for plan in (skipped, anew))
+    assert off < 0.5 * begun
+
+
+@pytest.mark.parametrize(("index", "value"), [(3, 5.0), (2, 2.0)])
+def test_a_jump_of_the_place_begins_the_plan_anew_and_moves_no_leg_by_much(walking, index, value):
+    policy, tick = _after(walking[:40]), walking[40]
+    expected = policy.step(*_parts(tick)).angle[0]
+    policy = _after(walking[:40])
+    reference = tick.preview.reference.copy()
+    reference[:, index] += value
+    moved = with_state(tick, index, tick.estimate.state[index] + value)
+    preview = dataclasses.replace(tick.preview, reference=reference)
+    plan = policy.step(moved.estimate, preview)
+    assert plan.status == Status.SOLVED
+    assert np.abs(plan.angle[0] - expected).max() < LIMITS.deviation
+
+
+def test_where_the_servos_do_not_follow_the_plan_is_the_gaits(walking):
+    policy = _after(walking[:30])
+    preview = dataclasses.replace(walking[30].preview, corrected=False)
+    plan = policy.step(walking[30].estimate, preview)
+    np.testing.assert_array_equal(plan.angle, preview.tendon_angle)
+    assert policy.step(*_parts(walking[31])).status == Status.SOLVED
+
+
+def test_rejected_states_move_the_last_plan_on_towards_the_gait_and_then_stop(walking):
+    policy, missed = _after(walking[:30]), []
+    for tick in walking[30 : 30 + LIMITS.cycles + 2]:
+        missed.append(policy.step(*_parts(with_state(tick, 5, math.nan))))
+        policy.prepare()
+    used = missed[: LIMITS.cycles]
+    assert {plan.status for plan in used} == {Status.REJECTED}
+    assert [plan.fallback_cycles for plan in missed] == list(range(1, len(missed) + 1))
+    assert used[0].message == "state[5] = nan: outside [-10000, 10000]"
+    off = [
+        np.abs(plan.angle[0] - tick.preview.tendon_angle[0]).max()
+        for plan, tick in zip(used, walking[30:])
+    ]
+    assert off[-1] < 0.25 * off[0]
+    assert {plan.status for plan in missed[LIMITS.cycles :]} == {Status.STOPPED}
+    assert missed[-1].message.startswith(f"fallback used up after {LIMITS.cycles} cycles; state")
+    assert not len(missed[-1].angle)
+    again = policy.step(*_parts(walking[45]))
+    assert (again.status, again.fallback_cycles) == (Status.SOLVED, 0)
+
+
+def test_a_preview_that_is_too_short_is_rejected_and_stops_a_policy_without_a_plan(policy, walking):
+    preview = walking[0].preview
+    short = dataclasses.replace(preview, tendon_angle=preview.tendon_angle[:5])
+    plan = policy.step(walking[0].estimate, short)
+    assert plan.status == Status.STOPPED
+    assert plan.message == "no plan yet; preview.tendon_angle: shape (5, 4), needs (24, 4)"
+
+
+def test_a_late_plan_a_rollout_that_diverges_and_an_unsolved_problem_are_faults(
+    walking, monkeypatch
+):
+    clock = iter(np.arange(0.0, 100.0, LIMITS.time_budget * 1.1))
+    late = Predictive(ROBOT, SETTINGS, lambda: next(clock))
+    assert late.step(*_parts(walking[0])).status == Status.STOPPED  # no plan to fall back on
+    policy = _after(walking[:30])
+    over = with_state(walking[30], 1, 1.3)  # rad, beyond what its legs can carry
+    plan = policy.step(*_parts(over))
+    assert (plan.status, plan.message) == (Status.NOT_SOLVED, "the rollout diverges")
+    policy = _after(walking[:30])
+    monkeypatch.setattr(policy._problem, "change", lambda *_: None)
+    plan = policy.step(*_parts(walking[30]))
+    assert (plan.status, plan.message) == (
+        Status.NOT_SOLVED,
+        "the quadratic programme is not solved",
+    )
+
+
+def place_errors(policy, path):
+    """Distances (n,) from the second leg of a path with one corner, mm."""
+    loop = ClosedLoop("flat", "walk", WALK, 1, policy, path=Route(np.array(path), "kept"))
+    robot, found = loop.plant.robot, []
+    for _ in loop.run(300):
+        x, y, _ = 1e3 * robot.position
+        found.append(min(math.hypot(x - np.clip(x, 0, 200), y), math.hypot(x - 200, y - max(y, 0))))
+    return np.array(found[90:])
+
+
+def test_a_corner_is_followed_closer_than_by_the_gait_alone():
+    path = [(0.0, 0.0), (0.2, 0.0), (0.2, 0.3)]
+    alone, predictive = place_errors("gait_alone", path), place_errors("predictive", path)
+    assert np.sqrt((predictive**2).mean()) < 0.4 * np.sqrt((alone**2).mean())
+
+
+def test_a_payload_does_not_lower_a_standing_robot():
+    heights = {}
+    for policy in ("gait_alone", "predictive"):
+        changes = {"scene.payload.mass": 0.4}
+        loop = ClosedLoop("flat", "stand", None, 1, policy, changes=changes)
+        rows = [tick.estimate.state[5] - tick.preview.reference[0, 5] for tick in loop.run(240)]
+        heights[policy] = 1e3 * np.mean(rows[-60:])
+    assert heights["gait_alone"] < -6.0  # mm
+    assert abs(heights["predictive"]) < 2.5
+    assert loop.controller.policy.observer.wrench[0] == pytest.approx(-0.4 * GRAVITY, rel=0.3)
