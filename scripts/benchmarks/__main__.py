@@ -7,22 +7,19 @@ import json
 import signal
 import sys
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import ROOT, BenchmarkError, about, known, load, run
-from slot_core.command_line import CommandParser
+from slot_core.command_line import INTERRUPTED, CommandParser, progress
 
 CANNOT_RUN = 2  # exit code
-INTERRUPTED = 130  # exit code
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/bench`; returns the exit code."""
     parser = _parser()
     common, _ = _parser(add_help=False).parse_known_args(arguments)
-    progress = partial(print, file=sys.stderr, flush=True)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         own = _add_options(parser, common)

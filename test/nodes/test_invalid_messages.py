@@ -109,6 +109,7 @@ def sets(**values):
         ("tendon_plan", sets(angle=[1.0] * 7)),
         ("gait_preview", sets(stages=0)),
         ("gait_preview", sets(stages=7)),
+        ("gait_preview", sets(stages=2**32 - 1)),  # no array of that size is made
         ("gait_preview", sets(dt=0.0)),
         ("gait_preview", sets(tendon_angle=[])),
         ("gait_preview", sets(tendon_angle=[1.0] * 16)),

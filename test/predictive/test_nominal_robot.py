@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from conftest import torso_of
+from nominal_walk import torso_of
 
 from slot_core.dynamics.servo import read_servo
 from slot_core.predictive.nominal_robot import NominalRobot, nominal_scene

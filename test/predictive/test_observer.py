@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from conftest import WALK, torso_of
+from nominal_walk import WALK, torso_of
 
 from slot_core.predictive.disturbance_observer import DisturbanceObserver
 from slot_core.predictive.nominal_robot import NominalRobot

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import ROBOT, SETTINGS, WALK
+from nominal_walk import ROBOT, SETTINGS, WALK
 
 from slot_core.control.policy import Status, make_policy
 from slot_core.gait.route import Route

@@ -12,10 +12,9 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.locomotion.cases import PERIOD, Case, WalkMotion, friction, push
-from benchmarks.locomotion.rows import MM, LocomotionRow, worst
+from benchmarks.locomotion.rows import MM, SPEED, LocomotionRow, worst
 from slot_core.robot import GRAVITY, Array
 
-SPEED = 0.05  # m/s
 AT = 5.0  # s, of what happens at once
 PLACE, TURN = 0.003, math.radians(1.0)  # of a robot that has recovered
 EDGE = 0.3  # m, of the paths

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import Check
+from slot_core.command_line import one_line
 from slot_lab.bags.bag import Bag, BagError
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -84,7 +85,7 @@ def read_benchmark(directory: Path, name: str, captions: Mapping[str, str]) -> R
     except KeyError as error:
         raise ReportError(f"{path}: not a result of scripts/bench: no {error}") from None
     except (TypeError, ValueError, AttributeError) as error:
-        raise ReportError(f"{path}: not a result of scripts/bench: {_line(error)}") from None
+        raise ReportError(f"{path}: not a result of scripts/bench: {one_line(error)}") from None
 
 
 def bench_command(name: str, quick: bool, options: Mapping[str, Any]) -> str:
@@ -157,7 +158,7 @@ def _load(path: Path) -> Mapping[str, Any]:
     try:
         found = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise ReportError(f"{path}: not JSON: {_line(error)}") from None
+        raise ReportError(f"{path}: not JSON: {one_line(error)}") from None
     if not isinstance(found, dict):
         raise ReportError(f"{path}: not a result of scripts/bench: no mapping")
     return found
@@ -196,7 +197,7 @@ def _bag_origin(folder: Path) -> str:
     try:
         about = dict(Bag(folder).origin.about)
     except BagError as error:
-        raise ReportError(_line(error)) from None
+        raise ReportError(one_line(error)) from None
     revision = about.pop("revision", "not recorded")
     values = ", ".join(f"{name} {value}" for name, value in about.items() if value)
     return f"revision {revision}" + (f"; {values}" if values else "")
@@ -218,10 +219,8 @@ def _read_errors(path: Path) -> list[dict[str, Any]]:
             numbers = {k: float(v) for k, v in row.items() if k not in ("point", "axis")}
             labels = {"point": row["point"], "axis": row["axis"]}
         except (TypeError, ValueError, KeyError) as error:
-            raise ReportError(f"{path}: not a table of scripts/validate: {_line(error)}") from None
+            raise ReportError(
+                f"{path}: not a table of scripts/validate: {one_line(error)}"
+            ) from None
         rows.append(labels | numbers)
     return rows
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())

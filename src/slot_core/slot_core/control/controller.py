@@ -61,6 +61,6 @@ class Controller:
         preview = self.scheduler.step(estimate.time, estimate.state)
         preview = replace(preview, stamp=estimate.stamp)  # of the tick
         plan = self.policy.step(estimate, preview)
-        self.policy.prepare()
         command = self.force_map.step(plan, preview, estimate.state)
+        self.policy.prepare()
         return Tick(estimate, preview, plan, command)

@@ -6,8 +6,8 @@ import numpy as np
 
 from slot_core.control.policy import Policy, TendonPlan
 from slot_core.estimation.estimate import Estimate
-from slot_core.gait.gait import GaitPreview
-from slot_core.robot import LEGS, Array
+from slot_core.gait.gait import GaitPreview, first_rate
+from slot_core.robot import Array
 
 
 class GaitAlone(Policy):
@@ -22,5 +22,4 @@ def gait_plan(preview: GaitPreview, change: Array | float = 0.0) -> TendonPlan:
     """The angles of a preview, changed by `change` (n, 4), rad, and its normal forces."""
     angle, force = preview.tendon_angle + change, np.zeros((*preview.normal_force.shape, 3))
     force[..., 2] = preview.normal_force
-    rate = (angle[1] - angle[0]) / preview.dt if len(angle) > 1 else np.zeros(len(LEGS))
-    return TendonPlan(angle, rate, force)
+    return TendonPlan(angle, first_rate(angle, preview.dt), force)

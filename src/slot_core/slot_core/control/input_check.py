@@ -1,4 +1,4 @@
-"""Checks of what a policy is given: numbers, shapes and limits, one line on the first fault."""
+"""Checks of what a policy is given and of its time: one line on the first fault."""
 
 from __future__ import annotations
 
@@ -28,6 +28,12 @@ def preview_fault(preview: GaitPreview, stages: int, most: float) -> str:
         or fault_of("preview.tendon_angle", preview.tendon_angle, (stages, FEET), -most, most)
         or fault_of("preview.reference", preview.reference, (stages, STATES), -most, most)
     )
+
+
+def time_fault(elapsed: float, budget: float) -> str:
+    """The fault of a plan that took `elapsed`, s, of a budget; empty if it was in time."""
+    late = f"{elapsed * 1e3:.1f} ms exceed {budget * 1e3:g} ms"
+    return late if elapsed > budget else ""
 
 
 def fault_of(name: str, value: Any, shape: tuple[int, ...], low: float, high: float) -> str:

@@ -351,8 +351,12 @@ class GaitPreview:
     @property
     def rate(self) -> Array:
         """(4,) rad/s, of the nominal tendon angles from stage 0 to stage 1; zero without it."""
-        angle = np.asarray(self.tendon_angle, dtype=float)
-        return (angle[1] - angle[0]) / self.dt if len(angle) > 1 else np.zeros(4)
+        return first_rate(np.asarray(self.tendon_angle, dtype=float), self.dt)
+
+
+def first_rate(angle: Array, dt: float) -> Array:
+    """Rate (4,) rad/s of angles (n, 4) from stage 0 to stage 1, dt (s) later; zero without it."""
+    return np.asarray((angle[1] - angle[0]) / dt if len(angle) > 1 else np.zeros(4))
 
 
 def read_gaits() -> GaitSettings:

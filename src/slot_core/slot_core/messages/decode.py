@@ -144,11 +144,13 @@ def preview(message: Any) -> GaitPreview:
     stages = int(message.stages)
 
     def rows(name: str, columns: int = 4) -> Array:
-        values = np.array(getattr(message, name, np.zeros(stages * columns)))  # an older bag
+        values = np.array(getattr(message, name))
         if stages < 1 or values.size != stages * columns:
             raise ValueError(f"{name} has {values.size} values, not {stages} stages of {columns}")
         return values.reshape(stages, columns)
 
+    reference = rows("reference", 12)
+    is_older = not hasattr(message, "velocity_ahead")  # of a bag
     return GaitPreview(
         stamp=stamp(message),
         gait=message.gait,
@@ -159,9 +161,9 @@ def preview(message: Any) -> GaitPreview:
         friction=rows("friction"),
         normal_force=rows("normal_force"),
         tendon_angle=rows("tendon_angle"),
-        reference=rows("reference", 12),
-        velocity_ahead=rows("velocity_ahead", 3),
-        corrected=getattr(message, "corrected", True),
+        reference=reference,
+        velocity_ahead=np.zeros((stages, 3)) if is_older else rows("velocity_ahead", 3),
+        corrected=is_older or message.corrected,
         command=GaitCommand(
             message.requested,
             np.array(message.velocity),

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slot_core.control.input_check import preview_fault, state_fault
+from slot_core.control.input_check import preview_fault, state_fault, time_fault
 from slot_core.control.policy import PlanReport, Policy, Status, TendonPlan, Timer
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview
@@ -114,8 +114,7 @@ class Mpc(Policy):
             fault = f"violation {violation:.2g} N exceeds {limits.violation_max:g} N"
         if fault:
             return self._fall_back(Status.NOT_SOLVED, fault, report)
-        if elapsed > limits.time_budget:
-            fault = f"{elapsed * 1e3:.1f} ms exceed {limits.time_budget * 1e3:g} ms"
+        if fault := time_fault(elapsed, limits.time_budget):
             return self._fall_back(Status.LATE, fault, report)
         self._last, self._missed = force[0] - self._stage.force_ref, 0
         return self._plan(force, Status.SOLVED, "", report)

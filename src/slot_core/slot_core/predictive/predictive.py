@@ -21,10 +21,10 @@ import numpy as np
 
 from slot_core.control.force_map import read_springs
 from slot_core.control.gait_alone import gait_plan
-from slot_core.control.input_check import preview_fault, state_fault
+from slot_core.control.input_check import preview_fault, state_fault, time_fault
 from slot_core.control.policy import PlanReport, Policy, Status, TendonPlan, Timer
 from slot_core.estimation.estimate import Estimate
-from slot_core.gait.gait import GaitPreview, read_gaits
+from slot_core.gait.gait import GaitPreview, first_rate, read_gaits
 from slot_core.geometry import wrapped
 from slot_core.predictive.disturbance_observer import DisturbanceObserver
 from slot_core.predictive.nominal_robot import NominalRobot, NominalState, Rollouts
@@ -95,13 +95,8 @@ class Predictive(Policy):
             return self._published(share=1e-9 * (estimate.time - self._plan.time) / self._dt)
         state = np.asarray(estimate.state, dtype=float)
         plan, rollout, fault = self._improved(self._ready(estimate.time, state, preview), preview)
-        cause, elapsed = Status.NOT_SOLVED, self._timer() - begin
-        if not fault and elapsed > limits.time_budget:
-            cause, fault = (
-                Status.LATE,
-                f"{elapsed * 1e3:.1f} ms exceed {limits.time_budget * 1e3:g} ms",
-            )
-        if fault:
+        cause = Status.NOT_SOLVED if fault else Status.LATE
+        if fault := fault or time_fault(self._timer() - begin, limits.time_budget):
             return self._fall_back(cause, fault)
         self._missed = 0
         if not preview.corrected:
@@ -194,7 +189,9 @@ class Predictive(Policy):
         if not np.isfinite(error).all():
             return plan, before, "the rollout diverges"
         nominal = plan.nominal[:-1]
-        change = problem.change(error[0], problem.slopes(plan.slopes, yaw), plan.deviation, nominal)
+        change = problem.change(
+            error[0], problem.weighted(plan.slopes, yaw), plan.deviation, nominal
+        )
         if change is None:
             return plan, before, "the quadratic programme is not solved"
         least = problem.cost(error[0], plan.deviation)
@@ -228,9 +225,8 @@ class Predictive(Policy):
         """The present plan from `share` of a stage on."""
         assert self._plan is not None
         angle = self._angles(self._plan)
-        rate = (angle[1] - angle[0]) / self._dt
-        angle = _shifted(angle, share)[:-1]
-        return TendonPlan(angle, rate, self._force, report=self._report(preview), pose=self._pose)
+        rate, later = first_rate(angle, self._dt), _shifted(angle, share)[:-1]
+        return TendonPlan(later, rate, self._force, report=self._report(preview), pose=self._pose)
 
     def _report(self, preview: GaitPreview | None) -> PlanReport:
         """Margins of the first stage and the disturbances."""

@@ -89,15 +89,13 @@ class PlanProblem:
         """Weighted errors (..., 6 K) of poses (..., K, 6), x and y along and across the heading."""
         error = pose - reference
         error[..., 2] = wrapped(error[..., 2])
-        return self._weighted(error, yaw)
+        return self.weighted(error, yaw)
 
-    def slopes(self, difference: Array, yaw: float) -> Array:
-        """Weighted Jacobian (n, 6 K) from differences (n, K, 6) of poses per rad."""
-        return self._weighted(difference, yaw)
-
-    def _weighted(self, error: Array, yaw: float) -> Array:
-        error[..., 3:5] = rotate(error[..., 3:5], -yaw)
-        return (error * self._weight).reshape(*error.shape[:-2], -1)
+    def weighted(self, difference: Array, yaw: float) -> Array:
+        """Weighted differences (..., 6 K) of poses (..., K, 6), or of poses per rad."""
+        turned = difference.copy()
+        turned[..., 3:5] = rotate(difference[..., 3:5], -yaw)
+        return (turned * self._weight).reshape(*turned.shape[:-2], -1)
 
     def cost(self, error: Array, deviation: Array) -> Array:
         """Cost (...) of errors (..., 6 K) and deviations (..., K + 1, 4)."""
@@ -119,7 +117,7 @@ class PlanProblem:
 
         The limits that an intermediate minimum violates join the problem until none is left out.
         """
-        rows, delta = self._rows, -np.linalg.solve(hessian, gradient)
+        rows, delta = self._rows, np.asarray(-np.linalg.solve(hessian, gradient), dtype=float)
         slack = QP_TOLERANCE * self._settings.limits.deviation
         chosen = np.zeros(len(rows), dtype=bool)
         while True:

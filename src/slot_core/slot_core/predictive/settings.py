@@ -80,9 +80,7 @@ class PredictiveSettings:
     knots: tuple[int, ...] = quantity(
         "stages between which the change of a tendon angle is linear", "", 0, 99
     )
-    step: float = quantity(
-        "norm of the change of the angles for finite differences", "rad", 1e-4, 1
-    )
+    step: float = quantity("change of a tendon angle for finite differences", "rad", 1e-4, 1)
 
     def __post_init__(self) -> None:
         """Raise ConfigError for knots that are no grid of the horizon."""
