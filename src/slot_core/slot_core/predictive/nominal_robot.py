@@ -15,8 +15,8 @@ import numpy as np
 from slot_core import config
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.geometry import rotate, rotation_of
-from slot_core.predictive.rollout_kernels import roll_out
+from slot_core.geometry import rotate
+from slot_core.predictive.rollout_kernels import roll_out, set_torso
 from slot_core.predictive.settings import NominalSettings
 from slot_core.robot import LEGS, Array, RobotParameters
 from slot_core.simulation.tabulated_robot import TabulatedRobot
@@ -66,12 +66,8 @@ class NominalRobot:
 
     def measured(self, known: NominalState, state: Array) -> NominalState:
         """The state with the torso of an estimate (12,) and the legs and servos of `known`."""
-        torso = self.robot.state
-        torso.buffer[:] = known.buffer
-        torso.rotation[:] = rotation_of(state[:3]).as_matrix()
-        torso.position[:], torso.velocity[:] = state[3:6], state[9:12]
-        torso.rate[:] = torso.rotation.T @ state[6:9]
-        return NominalState(torso.buffer.copy(), known.side_rate)
+        set_torso(self.robot.handle, known.buffer, state)
+        return NominalState(self.robot.state.buffer.copy(), known.side_rate)
 
     def place(self, start: NominalState) -> Array:
         """Place (3,) of the torso in odom: x, y (m), yaw (rad)."""

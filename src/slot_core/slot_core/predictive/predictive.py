@@ -32,9 +32,14 @@ from slot_core.predictive.problem import PlanProblem
 from slot_core.predictive.settings import PredictiveSettings, read_predictive
 from slot_core.robot import GRAVITY, LEGS, Array, RobotParameters
 
+PLACE = [3, 4, 2]  # x, y and yaw in a state
 MISSED_MAX = 5  # stages without an estimate after which the plan begins anew
 SHARES = (1.0, 0.3)  # of the step, in the line search
 JUMP, TURN = 0.05, 0.2  # m, rad beyond the nominal robot's motion: the odometry has jumped
+
+
+def _nothing() -> Array:
+    return np.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -45,7 +50,8 @@ class _Plan:
     start: NominalState
     nominal: Array  # (K + 2, 4) rad, of the gait, with the payload
     deviation: Array  # (K + 1, 4) rad
-    slopes: Array = field(default_factory=lambda: np.zeros(0))  # (n, K, 6) of the poses, per rad
+    slopes: Array = field(default_factory=_nothing)  # (n, 6 K) of the weighted errors, per rad
+    hessian: Array = field(default_factory=_nothing)  # (n, n) of the step
 
 
 class Predictive(Policy):
@@ -94,7 +100,7 @@ class Predictive(Policy):
         if self._plan is not None and 0 <= estimate.time - self._plan.time < 0.5e9 * self._dt:
             return self._published(share=1e-9 * (estimate.time - self._plan.time) / self._dt)
         state = np.asarray(estimate.state, dtype=float)
-        plan, rollout, fault = self._improved(self._ready(estimate.time, state, preview), preview)
+        plan, rollout, fault = self._improved(self._ready(estimate.time, state, preview), state, preview)
         cause = Status.NOT_SOLVED if fault else Status.LATE
         if fault := fault or time_fault(self._timer() - begin, limits.time_budget):
             return self._fall_back(cause, fault)
@@ -138,8 +144,8 @@ class Predictive(Policy):
         assert found is not None
         for _ in range(missed):
             self.observer.forget()
-            found = replace(self._moved_on(found), slopes=found.slopes)
-        gap = self._model.place(found.start) - state[[3, 4, 2]]
+            found = replace(self._moved_on(found), slopes=found.slopes, hessian=found.hessian)
+        gap = self._model.place(found.start) - state[PLACE]
         is_near = math.hypot(*gap[:2]) < (1 + missed) * JUMP
         return found if is_near and abs(wrapped(gap[2])) < (1 + missed) * TURN else None
 
@@ -175,23 +181,24 @@ class Predictive(Policy):
         pose = self._model.roll_out(
             plan.start, np.vstack([angle[None], angle + steps * basis])
         ).pose
-        slopes = (pose[1:] - pose[0]) / steps
-        slopes[~np.isfinite(slopes).all(axis=(1, 2))] = 0.0  # no change where a rollout diverges
-        return replace(plan, slopes=slopes)
+        slopes = self._problem.errors(pose[1:], pose[0], self._model.place(plan.start)[2])
+        slopes /= steps[:, 0]
+        slopes[~np.isfinite(slopes).all(axis=1)] = 0.0  # no change where a rollout diverges
+        return replace(plan, slopes=slopes, hessian=self._problem.hessian(slopes))
 
-    def _improved(self, plan: _Plan, preview: GaitPreview) -> tuple[_Plan, Rollouts, str]:
+    def _improved(
+        self, plan: _Plan, state: Array, preview: GaitPreview
+    ) -> tuple[_Plan, Rollouts, str]:
         """The plan after a step of the problem and its rollout, or the fault."""
-        problem, observer, place = self._problem, self.observer, self._model.place(plan.start)
-        rows, yaw = np.asarray(preview.reference, dtype=float), place[2]
+        problem, observer, place = self._problem, self.observer, state[PLACE]
+        rows, yaw = np.asarray(preview.reference, dtype=float), float(state[2])
         wanted = problem.reference(rows, place, observer.drift, observer.offset)
         before = self._model.roll_out(plan.start, self._angles(plan)[None])
         error = problem.errors(before.pose, wanted, yaw)
         if not np.isfinite(error).all():
             return plan, before, "the rollout diverges"
         nominal = plan.nominal[:-1]
-        change = problem.change(
-            error[0], problem.weighted(plan.slopes, yaw), plan.deviation, nominal
-        )
+        change = problem.change(error[0], plan.slopes, plan.hessian, plan.deviation, nominal)
         if change is None:
             return plan, before, "the quadratic programme is not solved"
         least = problem.cost(error[0], plan.deviation)

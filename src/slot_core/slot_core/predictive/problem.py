@@ -25,12 +25,10 @@ step a tick, from the last plan, shifted.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import piqp
 
-from slot_core.geometry import rotate, wrapped
+from slot_core.predictive.problem_kernels import set_errors, set_limits, set_reference
 from slot_core.predictive.settings import PredictiveSettings
 from slot_core.robot import LEGS, Array
 
@@ -64,6 +62,11 @@ class PlanProblem:
         self._solver = piqp.DenseSolver()
         self._solver.settings.eps_abs = self._solver.settings.eps_rel = QP_TOLERANCE
         self._solver.settings.max_iter = QP_ITERATIONS
+        still = np.zeros((stages, 6))
+        wanted = self.reference(np.zeros((stages + 1, 12)), *np.zeros((3, 3)))
+        error = self.errors(still[None], wanted, 0.0)[0]  # compiles the kernels, as does the step
+        slopes, angle = np.zeros((len(self.basis), error.size)), np.zeros((stages + 1, LEG_COUNT))
+        self.change(error, slopes, self.hessian(slopes), angle, angle)
 
     def reference(self, rows: Array, place: Array, drift: Array, offset: Array) -> Array:
         """Poses (K, 6) that the rollouts are to have, from the preview's reference (n, 12).
@@ -71,45 +74,39 @@ class PlanProblem:
         The reference leads the robot at place (3,) x, y, yaw by `reach` at most. drift and offset:
         those of the observer.
         """
-        cost, stages = self._settings.cost, self._settings.stages
-        pose = rows[1 : stages + 1, :6].copy()
-        mean = pose[:, :2].mean(axis=0)
-        pose[:, :2] = mean + cost.sway * (pose[:, :2] - mean)
-        pose[:, [5, 0, 1]] += offset
-        lead = rows[0, 3:5] - place[:2]
-        distance = math.hypot(*lead)
-        if distance > cost.reach:
-            pose[:, 3:5] -= (1.0 - cost.reach / distance) * lead
-        moved = self._dt * np.arange(1, stages + 1)[:, None] * drift
-        pose[:, 3:5] -= rotate(moved[:, :2], place[2])
-        pose[:, 2] -= moved[:, 2]
+        cost, pose = self._settings.cost, np.empty((self._settings.stages, 6))
+        set_reference(rows, place, drift, offset, self._dt, cost.sway, cost.reach, pose)
         return pose
 
     def errors(self, pose: Array, reference: Array, yaw: float) -> Array:
-        """Weighted errors (..., 6 K) of poses (..., K, 6), x and y along and across the heading."""
-        error = pose - reference
-        error[..., 2] = wrapped(error[..., 2])
-        return self.weighted(error, yaw)
+        """Weighted errors (P, 6 K) of poses (P, K, 6), x and y along and across the heading."""
+        error = np.empty(pose.shape)
+        set_errors(pose, reference, self._weight, yaw, error)
+        return error.reshape(len(pose), -1)
 
-    def weighted(self, difference: Array, yaw: float) -> Array:
-        """Weighted differences (..., 6 K) of poses (..., K, 6), or of poses per rad."""
-        turned = difference.copy()
-        turned[..., 3:5] = rotate(difference[..., 3:5], -yaw)
-        return (turned * self._weight).reshape(*turned.shape[:-2], -1)
+    def cost(self, error: Array, deviation: Array) -> float:
+        """Cost of errors (6 K,) and deviations (K + 1, 4)."""
+        b = deviation.ravel()
+        return float(error @ error + self._regular * (b @ b))
 
-    def cost(self, error: Array, deviation: Array) -> Array:
-        """Cost (...) of errors (..., 6 K) and deviations (..., K + 1, 4)."""
-        return (error**2).sum(axis=-1) + self._regular * (deviation**2).sum(axis=(-2, -1))
+    def hessian(self, slopes: Array) -> Array:
+        """(n, n) of the step, from the slopes (n, 6 K) of the weighted errors, per rad."""
+        return np.asarray(slopes @ slopes.T + self._damped)
 
-    def change(self, error: Array, slopes: Array, deviation: Array, nominal: Array) -> Array | None:
+    def change(
+        self, error: Array, slopes: Array, hessian: Array, deviation: Array, nominal: Array
+    ) -> Array | None:
         """Change (K + 1, 4) of the deviations by the step; None if the QP is not solved.
 
-        error (6 K,) and slopes (n, 6 K) of the rollout with the deviations (K + 1, 4) from the
-        nominal angles (K + 1, 4). A limit that the plan violates already stays where it is.
+        error (6 K,), slopes (n, 6 K) and hessian (n, n) of the rollout with the deviations
+        (K + 1, 4) from the nominal angles (K + 1, 4). A limit that the plan violates already stays
+        where it is.
         """
-        hessian = slopes @ slopes.T + self._damped
         gradient = slopes @ error + self._regular * self._flat @ deviation.ravel()
-        delta = self._least(hessian, gradient, *self._bounds(deviation, nominal))
+        limits, low, high = self._settings.limits, *np.empty((2, len(self._rows)))
+        step = self._dt * limits.rate
+        set_limits(nominal, deviation, *self.range(nominal), limits.deviation, step, low, high)
+        delta = self._least(hessian, gradient, low, high)
         return None if delta is None else (delta @ self._flat).reshape(nominal.shape)
 
     def _least(self, hessian: Array, gradient: Array, low: Array, high: Array) -> Array | None:
@@ -132,19 +129,6 @@ class PlanProblem:
             if self._solver.solve() != piqp.PIQP_SOLVED:
                 return None
             delta = np.array(self._solver.result.x)
-
-    def _bounds(self, deviation: Array, nominal: Array) -> tuple[Array, Array]:
-        """Limits of the rows' changes: angles at the stages, then their differences."""
-        limits, (least, largest) = self._settings.limits, self.range(nominal)
-        most, now = limits.deviation, (deviation, np.diff(deviation, axis=0))
-        step, fastest = np.diff(nominal, axis=0), self._dt * limits.rate
-        low = np.maximum(least - nominal, -most), np.minimum(-fastest - step, 0.0)
-        high = np.minimum(largest - nominal, most), np.maximum(fastest - step, 0.0)
-        lower, upper = (
-            np.concatenate([(limit - value).ravel() for limit, value in zip(side, now)])
-            for side in (low, high)
-        )
-        return np.minimum(lower, 0.0), np.maximum(upper, 0.0)
 
     def range(self, nominal: Array) -> tuple[float, float]:
         """Least and largest tendon angle of a plan around the nominal angles, rad."""

@@ -38,6 +38,27 @@ def roll_out(machine, start, side_rate, plans, angle_max, cycles, steps, pose, f
             _record(pose[p, k], force[p, k], state, feet, diverged)
 
 
+@kernel
+def set_torso(machine, known, state):
+    """Take the state `known` (m,) with the torso of an estimate (12,).
+
+    Its rotation is Rz(yaw) Ry(pitch) Rx(roll).
+    """
+    torso = contents(machine)[2]
+    for i in range(known.size):
+        torso.buffer[i] = known[i]
+    cr, cp, cy = math.cos(state[0]), math.cos(state[1]), math.cos(state[2])
+    sr, sp, sy = math.sin(state[0]), math.sin(state[1]), math.sin(state[2])
+    r = torso.rotation
+    r[0, 0], r[0, 1], r[0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
+    r[1, 0], r[1, 1], r[1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
+    r[2, 0], r[2, 1], r[2, 2] = -sp, cp * sr, cp * cr
+    w = state[6:9]
+    for i in range(3):
+        torso.position[i], torso.velocity[i] = state[3 + i], state[9 + i]
+        torso.rate[i] = r[0, i] * w[0] + r[1, i] * w[1] + r[2, i] * w[2]
+
+
 @helper
 def _command(feet, here, there, share, angle_max):
     """Give the servos the angles between two stages."""
