@@ -45,9 +45,9 @@ def fault_of(name: str, value: Any, shape: tuple[int, ...], low: float, high: fl
     usable = array[: shape[0]].shape if array.ndim == len(shape) == 2 else array.shape
     if usable != shape:
         return f"{name}: shape {array.shape}, needs {shape}"
-    inside = (array >= low) & (array <= high)  # false for NaN
-    if inside.all():
+    if low <= array.min(initial=high) and array.max(initial=low) <= high:  # false for NaN
         return ""
+    inside = (array >= low) & (array <= high)
     index = tuple(int(i) for i in np.argwhere(~inside)[0])
     where = f"[{', '.join(map(str, index))}]" if index else ""
     return f"{name}{where} = {array[index]:g}: outside [{low:g}, {high:g}]"

@@ -43,6 +43,9 @@ class DisturbanceObserver:
 
     def __init__(self, model: NominalRobot, settings: ObserverSettings, dt: float):
         self._model, self._settings, self._dt = model, settings, dt
+        self._stiffness, self._tolerance = np.array(settings.stiffness), np.array(settings.tolerance)
+        most = settings.drift_max, settings.wrench_max, settings.offset_max
+        self._drift_max, self._wrench_max, self._offset_max = np.array(most)
         self.drift = np.zeros(3)  # v_x, v_y m/s, yaw rate rad/s, heading frame
         self.wrench = np.zeros(3)  # F_z N, M_x, M_y N m, heading frame
         self.offset = np.zeros(3)  # height m, roll, pitch rad
@@ -69,17 +72,17 @@ class DisturbanceObserver:
         """Correct the estimates by the state (12,) and its reference (12,) now."""
         s = self._settings
         wanted = reference[TILTS] - state[TILTS]
-        wanted -= np.clip(wanted, -np.array(s.tolerance), s.tolerance)
-        self.offset = _bounded(self.offset + s.offset_gain * wanted, s.offset_max)
+        wanted -= _bounded(wanted, self._tolerance)
+        self.offset = _bounded(self.offset + s.offset_gain * wanted, self._offset_max)
         if self._repeated is None:
             return
         pose, span = self._repeated, s.window * self._dt
         moved = rotate(state[3:5] - pose[3:5], -self._past[0].state[2])
         drift = np.append(moved, wrapped(state[2] - pose[2])) / span
-        self.drift = _bounded(self.drift + s.drift_gain * (drift - self.drift), s.drift_max)
-        error = np.array(s.stiffness) * (state[TILTS] - pose[TILTS])
-        self.wrench = _bounded(self.wrench + s.wrench_gain * error, s.wrench_max)
+        self.drift = _bounded(self.drift + s.drift_gain * (drift - self.drift), self._drift_max)
+        error = self._stiffness * (state[TILTS] - pose[TILTS])
+        self.wrench = _bounded(self.wrench + s.wrench_gain * error, self._wrench_max)
 
 
-def _bounded(values: Array, most: tuple[float, ...]) -> Array:
-    return np.clip(values, -np.array(most), most)
+def _bounded(values: Array, most: Array) -> Array:
+    return np.asarray(np.minimum(np.maximum(values, -most), most))

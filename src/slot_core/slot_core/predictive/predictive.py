@@ -28,7 +28,7 @@ from slot_core.gait.gait import GaitPreview, first_rate, read_gaits
 from slot_core.geometry import wrapped
 from slot_core.predictive.disturbance_observer import DisturbanceObserver
 from slot_core.predictive.nominal_robot import NominalRobot, NominalState, Rollouts
-from slot_core.predictive.problem import PlanProblem
+from slot_core.predictive.problem import Curvature, PlanProblem
 from slot_core.predictive.settings import PredictiveSettings, read_predictive
 from slot_core.robot import GRAVITY, LEGS, Array, RobotParameters
 
@@ -36,10 +36,6 @@ PLACE = [3, 4, 2]  # x, y and yaw in a state
 MISSED_MAX = 5  # stages without an estimate after which the plan begins anew
 SHARES = (1.0, 0.3)  # of the step, in the line search
 JUMP, TURN = 0.05, 0.2  # m, rad beyond the nominal robot's motion: the odometry has jumped
-
-
-def _nothing() -> Array:
-    return np.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -50,8 +46,8 @@ class _Plan:
     start: NominalState
     nominal: Array  # (K + 2, 4) rad, of the gait, with the payload
     deviation: Array  # (K + 1, 4) rad
-    slopes: Array = field(default_factory=_nothing)  # (n, 6 K) of the weighted errors, per rad
-    hessian: Array = field(default_factory=_nothing)  # (n, n) of the step
+    slopes: Array = field(default_factory=lambda: np.zeros(0))  # (n, 6 K) of the weighted errors, per rad
+    curvature: Curvature | None = None  # of the slopes
 
 
 class Predictive(Policy):
@@ -83,6 +79,7 @@ class Predictive(Policy):
         self._plan: _Plan | None = None  # that is executed
         self._next: _Plan | None = None  # a stage later, prepared
         self._pose, self._force = np.zeros((0, 6)), np.zeros((settings.stages, len(LEGS), 3))
+        self._stiffness = np.ones(len(LEGS))  # N/rad, mean over the stages
         self._missed = 0  # consecutive cycles without a new plan
 
     def step(self, estimate: Estimate, preview: GaitPreview) -> TendonPlan:
@@ -116,6 +113,7 @@ class Predictive(Policy):
         """Move the plan on by a stage and linearise its motion, before the next estimate."""
         if self._plan is not None and self._next is None:
             self._next = self._linearised(self._moved_on(self._plan))
+            self._stiffness = self._stiffness_of(self._next.nominal[1:-1], self._pose)
             self.observer.repeat()
 
     def _ready(self, time: int, state: Array, preview: GaitPreview) -> _Plan:
@@ -123,6 +121,11 @@ class Predictive(Policy):
         found = self._found(time, state)
         if found is None:
             self.observer.forget()
+            angle, pose = (
+                np.asarray(rows, dtype=float)[: self._settings.stages + 2]
+                for rows in (preview.tendon_angle, preview.reference)
+            )
+            self._stiffness = self._stiffness_of(angle, pose)
             nominal = self._nominal(preview)
             start = self._model.at_rest(state, nominal[0])
             begin = _Plan(time, start, nominal, np.zeros((self._settings.stages + 1, len(LEGS))))
@@ -144,19 +147,21 @@ class Predictive(Policy):
         assert found is not None
         for _ in range(missed):
             self.observer.forget()
-            found = replace(self._moved_on(found), slopes=found.slopes, hessian=found.hessian)
+            found = replace(self._moved_on(found), slopes=found.slopes, curvature=found.curvature)
         gap = self._model.place(found.start) - state[PLACE]
         is_near = math.hypot(*gap[:2]) < (1 + missed) * JUMP
         return found if is_near and abs(wrapped(gap[2])) < (1 + missed) * TURN else None
 
     def _nominal(self, preview: GaitPreview) -> Array:
         """Angles (K + 2, 4) of the gait, turned on to carry the wrench on the torso."""
-        count = self._settings.stages + 2
-        angle = np.asarray(preview.tendon_angle, dtype=float)[:count]
-        pose = np.asarray(preview.reference, dtype=float)[:count, [5, 0, 1]]
-        slope = self._springs.at(angle, self._robot.clamp_heights(*pose.T)).slope.mean(axis=0)
-        carried = angle - self._shares @ self.observer.wrench / slope
+        angle = np.asarray(preview.tendon_angle, dtype=float)[: self._settings.stages + 2]
+        carried = angle - self._shares @ self.observer.wrench / self._stiffness
         return np.clip(carried, 0.0, self._robot.tendon.angle_max)
+
+    def _stiffness_of(self, angle: Array, pose: Array) -> Array:
+        """Mean stiffness (4,) of the legs, N/rad, at tendon angles (n, 4) and poses (n, >= 6)."""
+        height = self._robot.clamp_heights(*pose[:, [5, 0, 1]].T)
+        return np.asarray(self._springs.at(angle, height).slope.mean(axis=0))
 
     def _angles(self, plan: _Plan) -> Array:
         """Tendon angles (K + 1, 4) of a plan."""
@@ -184,7 +189,7 @@ class Predictive(Policy):
         slopes = self._problem.errors(pose[1:], pose[0], self._model.place(plan.start)[2])
         slopes /= steps[:, 0]
         slopes[~np.isfinite(slopes).all(axis=1)] = 0.0  # no change where a rollout diverges
-        return replace(plan, slopes=slopes, hessian=self._problem.hessian(slopes))
+        return replace(plan, slopes=slopes, curvature=self._problem.curvature(slopes))
 
     def _improved(
         self, plan: _Plan, state: Array, preview: GaitPreview
@@ -198,7 +203,7 @@ class Predictive(Policy):
         if not np.isfinite(error).all():
             return plan, before, "the rollout diverges"
         nominal = plan.nominal[:-1]
-        change = problem.change(error[0], plan.slopes, plan.hessian, plan.deviation, nominal)
+        change = problem.change(error[0], plan.slopes, plan.curvature, plan.deviation, nominal)
         if change is None:
             return plan, before, "the quadratic programme is not solved"
         least = problem.cost(error[0], plan.deviation)
