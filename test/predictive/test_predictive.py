@@ -181,3 +181,17 @@ def test_a_payload_does_not_lower_a_standing_robot():
     assert heights["gait_alone"] < -6.0  # mm
     assert abs(heights["predictive"]) < 2.5
     assert loop.controller.policy.observer.wrench[0] == pytest.approx(-0.4 * GRAVITY, rel=0.3)
+
+
+def test_a_torso_that_the_legs_cannot_carry_sinks_and_walks_on(policy, walking):
+    """Without it the angles of soft legs all stand at their limit, and the stride is gone."""
+    follow(policy, walking[:30])
+    _, sag = policy._nominal(walking[30].preview)
+    assert sag == pytest.approx(0.0, abs=2e-4)
+    policy.observer.wrench[:] = -8.0, 0.0, 0.0
+    nominal, sag = policy._nominal(walking[30].preview)
+    assert (nominal == ROBOT.tendon.angle_max).any()
+    assert 1e-3 < sag < 8.0 / SETTINGS.observer.stiffness[0]
+    soft = {"robot.leg.young_modulus": 0.8 * ROBOT.leg.young_modulus}
+    last = list(ClosedLoop("flat", "walk", WALK, 3, "predictive", changes=soft).run(300))[-1]
+    assert last.estimate.state[3] > 0.6 * WALK[0] * 300 * 0.033

@@ -45,6 +45,7 @@ class _Plan:
     time: int  # ns
     start: NominalState
     nominal: Array  # (K + 2, 4) rad, of the gait, with the payload
+    sag: float  # m, by which the torso sinks since the legs cannot carry more
     deviation: Array  # (K + 1, 4) rad
     slopes: Array = field(default_factory=lambda: np.zeros(0))  # (n, 6 K) of the weighted errors, per rad
     curvature: Curvature | None = None  # of the slopes
@@ -126,14 +127,17 @@ class Predictive(Policy):
                 for rows in (preview.tendon_angle, preview.reference)
             )
             self._stiffness = self._stiffness_of(angle, pose)
-            nominal = self._nominal(preview)
+            nominal, sag = self._nominal(preview)
             start = self._model.at_rest(state, nominal[0])
-            begin = _Plan(time, start, nominal, np.zeros((self._settings.stages + 1, len(LEGS))))
-            return self._linearised(begin)
-        self.observer.correct(state, np.asarray(preview.reference, dtype=float)[0])
+            still = np.zeros((self._settings.stages + 1, len(LEGS)))
+            return self._linearised(_Plan(time, start, nominal, sag, still))
+        wanted = np.array(preview.reference[0], dtype=float)
+        wanted[5] -= found.sag
+        self.observer.correct(state, wanted)
         self._model.set_wrench(self.observer.wrench, state[2])
         start = self._model.measured(found.start, state)
-        return replace(found, time=time, start=start, nominal=self._nominal(preview))
+        nominal, sag = self._nominal(preview)
+        return replace(found, time=time, start=start, nominal=nominal, sag=sag)
 
     def _found(self, time: int, state: Array) -> _Plan | None:
         """The prepared plan at `time`; None if there is none, or if the robot is elsewhere."""
@@ -152,11 +156,16 @@ class Predictive(Policy):
         is_near = math.hypot(*gap[:2]) < (1 + missed) * JUMP
         return found if is_near and abs(wrapped(gap[2])) < (1 + missed) * TURN else None
 
-    def _nominal(self, preview: GaitPreview) -> Array:
-        """Angles (K + 2, 4) of the gait, turned on to carry the wrench on the torso."""
+    def _nominal(self, preview: GaitPreview) -> tuple[Array, float]:
+        """Angles (K + 2, 4) of the gait, turned on to carry the wrench on the torso, and the sag.
+
+        The torso sags by the mean force that the largest tendon angle does not give.
+        """
         angle = np.asarray(preview.tendon_angle, dtype=float)[: self._settings.stages + 2]
         carried = angle - self._shares @ self.observer.wrench / self._stiffness
-        return np.clip(carried, 0.0, self._robot.tendon.angle_max)
+        nominal = np.clip(carried, 0.0, self._robot.tendon.angle_max)
+        missing = float(((carried - nominal) @ self._stiffness).mean())  # N
+        return nominal, missing / self._settings.observer.stiffness[0]
 
     def _stiffness_of(self, angle: Array, pose: Array) -> Array:
         """Mean stiffness (4,) of the legs, N/rad, at tendon angles (n, 4) and poses (n, >= 6)."""
@@ -174,6 +183,7 @@ class Predictive(Policy):
             plan.time + round(self._dt * 1e9),
             self._model.after(plan.start, self._angles(plan)[:2]),
             _shifted(plan.nominal),
+            plan.sag,
             _shifted(plan.deviation),
         )
 
@@ -197,7 +207,8 @@ class Predictive(Policy):
         """The plan after a step of the problem and its rollout, or the fault."""
         problem, observer, place = self._problem, self.observer, state[PLACE]
         rows, yaw = np.asarray(preview.reference, dtype=float), float(state[2])
-        wanted = problem.reference(rows, place, observer.drift, observer.offset)
+        offset = observer.offset - [plan.sag, 0.0, 0.0]
+        wanted = problem.reference(rows, place, observer.drift, offset)
         before = self._model.roll_out(plan.start, self._angles(plan)[None])
         error = problem.errors(before.pose, wanted, yaw)
         if not np.isfinite(error).all():
