@@ -28,7 +28,7 @@ def case(seed, size):
 
 def change_of(problem, error, slopes, deviation, nominal):
     """The step as the policy asks for it."""
-    return problem.change(error, slopes, problem.curvature(slopes), deviation, nominal)
+    return problem.change(error, problem.linearised(slopes), deviation, nominal)
 
 
 def reference_change(problem, error, slopes, deviation, nominal):

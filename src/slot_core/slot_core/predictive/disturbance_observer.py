@@ -43,7 +43,10 @@ class DisturbanceObserver:
 
     def __init__(self, model: NominalRobot, settings: ObserverSettings, dt: float):
         self._model, self._settings, self._dt = model, settings, dt
-        self._stiffness, self._tolerance = np.array(settings.stiffness), np.array(settings.tolerance)
+        self._stiffness, self._tolerance = (
+            np.array(settings.stiffness),
+            np.array(settings.tolerance),
+        )
         most = settings.drift_max, settings.wrench_max, settings.offset_max
         self._drift_max, self._wrench_max, self._offset_max = np.array(most)
         self.drift = np.zeros(3)  # v_x, v_y m/s, yaw rate rad/s, heading frame

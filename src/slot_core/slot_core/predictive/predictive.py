@@ -15,7 +15,7 @@ in a row the status is STOPPED.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from slot_core.gait.gait import GaitPreview, first_rate, read_gaits
 from slot_core.geometry import wrapped
 from slot_core.predictive.disturbance_observer import DisturbanceObserver
 from slot_core.predictive.nominal_robot import NominalRobot, NominalState, Rollouts
-from slot_core.predictive.problem import Curvature, PlanProblem
+from slot_core.predictive.problem import Linearisation, PlanProblem
 from slot_core.predictive.settings import PredictiveSettings, read_predictive
 from slot_core.robot import GRAVITY, LEGS, Array, RobotParameters
 
@@ -47,8 +47,7 @@ class _Plan:
     nominal: Array  # (K + 2, 4) rad, of the gait, with the payload
     sag: float  # m, by which the torso sinks since the legs cannot carry more
     deviation: Array  # (K + 1, 4) rad
-    slopes: Array = field(default_factory=lambda: np.zeros(0))  # (n, 6 K) of the weighted errors, per rad
-    curvature: Curvature | None = None  # of the slopes
+    linear: Linearisation | None = None
 
 
 class Predictive(Policy):
@@ -98,7 +97,9 @@ class Predictive(Policy):
         if self._plan is not None and 0 <= estimate.time - self._plan.time < 0.5e9 * self._dt:
             return self._published(share=1e-9 * (estimate.time - self._plan.time) / self._dt)
         state = np.asarray(estimate.state, dtype=float)
-        plan, rollout, fault = self._improved(self._ready(estimate.time, state, preview), state, preview)
+        plan, rollout, fault = self._improved(
+            self._ready(estimate.time, state, preview), state, preview
+        )
         cause = Status.NOT_SOLVED if fault else Status.LATE
         if fault := fault or time_fault(self._timer() - begin, limits.time_budget):
             return self._fall_back(cause, fault)
@@ -151,7 +152,7 @@ class Predictive(Policy):
         assert found is not None
         for _ in range(missed):
             self.observer.forget()
-            found = replace(self._moved_on(found), slopes=found.slopes, curvature=found.curvature)
+            found = replace(self._moved_on(found), linear=found.linear)
         gap = self._model.place(found.start) - state[PLACE]
         is_near = math.hypot(*gap[:2]) < (1 + missed) * JUMP
         return found if is_near and abs(wrapped(gap[2])) < (1 + missed) * TURN else None
@@ -199,7 +200,7 @@ class Predictive(Policy):
         slopes = self._problem.errors(pose[1:], pose[0], self._model.place(plan.start)[2])
         slopes /= steps[:, 0]
         slopes[~np.isfinite(slopes).all(axis=1)] = 0.0  # no change where a rollout diverges
-        return replace(plan, slopes=slopes, curvature=self._problem.curvature(slopes))
+        return replace(plan, linear=self._problem.linearised(slopes))
 
     def _improved(
         self, plan: _Plan, state: Array, preview: GaitPreview
@@ -213,8 +214,9 @@ class Predictive(Policy):
         error = problem.errors(before.pose, wanted, yaw)
         if not np.isfinite(error).all():
             return plan, before, "the rollout diverges"
+        assert plan.linear is not None
         nominal = plan.nominal[:-1]
-        change = problem.change(error[0], plan.slopes, plan.curvature, plan.deviation, nominal)
+        change = problem.change(error[0], plan.linear, plan.deviation, nominal)
         if change is None:
             return plan, before, "the quadratic programme is not solved"
         least = problem.cost(error[0], plan.deviation)

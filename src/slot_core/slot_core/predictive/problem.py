@@ -39,10 +39,11 @@ MODES = np.vstack([np.eye(LEG_COUNT), np.ones(LEG_COUNT)])  # FL FR RL RR, and a
 QP_TOLERANCE, QP_ITERATIONS = 1e-6, 50
 
 
-class Curvature(NamedTuple):
-    """Hessian of the step and its inverse, (n, n)."""
+class Linearisation(NamedTuple):
+    """Slopes of the weighted errors, and Hessian of the step with its inverse."""
 
-    hessian: Array
+    slopes: Array  # (n, 6 K) per rad
+    hessian: Array  # (n, n)
     inverse: Array
 
 
@@ -75,7 +76,7 @@ class PlanProblem:
         wanted = self.reference(np.zeros((stages + 1, 12)), *np.zeros((3, 3)))
         error = self.errors(still[None], wanted, 0.0)[0]  # compiles the kernels, as does the step
         slopes, angle = np.zeros((len(self.basis), error.size)), np.zeros((stages + 1, LEG_COUNT))
-        self.change(error, slopes, self.curvature(slopes), angle, angle)
+        self.change(error, self.linearised(slopes), angle, angle)
 
     def reference(self, rows: Array, place: Array, drift: Array, offset: Array) -> Array:
         """Poses (K, 6) that the rollouts are to have, from the preview's reference (n, 12).
@@ -98,35 +99,34 @@ class PlanProblem:
         b = deviation.ravel()
         return float(error @ error + self._regular * (b @ b))
 
-    def curvature(self, slopes: Array) -> Curvature:
-        """Hessian of the step, from the slopes (n, 6 K) of the weighted errors, per rad."""
+    def linearised(self, slopes: Array) -> Linearisation:
+        """Linearisation with the slopes (n, 6 K) of the weighted errors, per rad."""
         hessian = slopes @ slopes.T + self._damped
-        return Curvature(hessian, np.linalg.inv(hessian))
+        return Linearisation(slopes, hessian, np.linalg.inv(hessian))
 
     def change(
-        self, error: Array, slopes: Array, curvature: Curvature, deviation: Array, nominal: Array
+        self, error: Array, linear: Linearisation, deviation: Array, nominal: Array
     ) -> Array | None:
         """Change (K + 1, 4) of the deviations by the step; None if the QP is not solved.
 
-        error (6 K,), slopes (n, 6 K) and curvature of the rollout with the deviations
-        (K + 1, 4) from the nominal angles (K + 1, 4). A limit that the plan violates already stays
-        where it is.
+        error (6 K,) and linearisation of the rollout with the deviations (K + 1, 4) from the
+        nominal angles (K + 1, 4). A limit that the plan violates already stays where it is.
         """
-        gradient = slopes @ error + self._regular * self._flat @ deviation.ravel()
+        gradient = linear.slopes @ error + self._regular * self._flat @ deviation.ravel()
         limits, low, high = self._settings.limits, *np.empty((2, len(self._rows)))
         step = self._dt * limits.rate
         set_limits(nominal, deviation, *self.range(nominal), limits.deviation, step, low, high)
-        delta = self._least(curvature, gradient, low, high)
+        delta = self._least(linear, gradient, low, high)
         return None if delta is None else (delta @ self._flat).reshape(nominal.shape)
 
     def _least(
-        self, curvature: Curvature, gradient: Array, low: Array, high: Array
+        self, linear: Linearisation, gradient: Array, low: Array, high: Array
     ) -> Array | None:
         """Minimum (n,) within the limits of the rows; None if a problem is not solved.
 
         The limits that an intermediate minimum violates join the problem until none is left out.
         """
-        rows, delta = self._rows, -(curvature.inverse @ gradient)
+        rows, delta = self._rows, -(linear.inverse @ gradient)
         slack = QP_TOLERANCE * self._settings.limits.deviation
         chosen = np.zeros(len(rows), dtype=bool)
         while True:
@@ -136,7 +136,7 @@ class PlanProblem:
                 return delta
             chosen |= missing
             self._solver.setup(
-                P=curvature.hessian, c=gradient, G=rows[chosen], h_l=low[chosen], h_u=high[chosen]
+                P=linear.hessian, c=gradient, G=rows[chosen], h_l=low[chosen], h_u=high[chosen]
             )
             if self._solver.solve() != piqp.PIQP_SOLVED:
                 return None
