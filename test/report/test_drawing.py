@@ -96,6 +96,29 @@ def test_the_reference_is_a_box_in_its_pose_with_its_way_over_the_horizon():
     assert np.allclose(seen["horizon"].points[0, :, 0], [0.0, 0.01, 0.02])
 
 
+def test_a_plan_shows_the_predicted_way_of_torso_and_feet():
+    drawing = Drawing(ROBOT, TORQUE)
+    pose, foot = np.arange(12.0).reshape(2, 6), np.arange(24.0)
+    fields = {"stages": 2, "force": np.ones(24), "pose": pose.ravel(), "foot": foot}
+    plan = message("/tendon_plan", 1.0, **fields)
+    assert drawing.receive("/tendon_plan", plan) == {}  # no pose yet
+    drawing.receive("/mpc_state", message("/mpc_state", 1.0))
+    seen = drawing.receive("/tendon_plan", plan)
+    assert np.array_equal(seen["predicted_path"].points, pose[None, :, 3:])
+    assert np.array_equal(seen["predicted_feet"].points[1], [[3.0, 4.0, 5.0], [15.0, 16.0, 17.0]])
+    plan.foot = foot[:-1]
+    with pytest.raises(ValueError, match="foot has 23 values"):
+        drawing.receive("/tendon_plan", plan)
+
+
+def test_disturbances_are_curves_in_a_users_units():
+    fields = {"wrench": np.array([-0.981, 0.0, 0.0]), "drift": np.array([0.02, -0.01, np.pi / 180])}
+    seen = traces.values(
+        "/tendon_plan", message("/tendon_plan", 1.0, stages=1, force=np.ones(12), **fields)
+    )
+    assert seen["disturbance/mpc"] == pytest.approx([1.0, 2.0, -1.0, 1.0])  # 100 g, cm/s, deg/s
+
+
 @pytest.mark.parametrize(
     ("topic", "broken", "reason"),
     [

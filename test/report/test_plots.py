@@ -69,7 +69,8 @@ def test_slack_map_has_a_row_per_constraint_and_zero_in_the_middle_of_its_colour
     rows = np.asarray(mesh.get_array())
     ticks = np.arange(rows.shape[1]) / 30
     force = np.array([normal_forces(t) for t in ticks]).T
-    assert np.allclose(rows, np.vstack([force, 6.0 - force, 0.4 * force - 0.5]), atol=1e-9)
+    slack = np.vstack([force, 6.0 - force, 0.4 * force - 0.5])
+    assert np.allclose(rows[:12], slack / np.abs(slack).max(), atol=1e-9)
     assert mesh.norm(0.0) == pytest.approx(0.5)
 
 

@@ -256,7 +256,7 @@ def plan_to_msg(
 ) -> TendonPlan:
     """Plan for a preview with its stamp; `elapsed`: time of the policy's step, s."""
     report = vars(plan.report)
-    arrays = ("slack_normal_min", "slack_normal_max", "slack_friction", "drift", "wrench")
+    arrays = [name for name, value in report.items() if isinstance(value, np.ndarray)]
     return TendonPlan(
         header=header(preview.stamp),
         dt=preview.dt,
@@ -265,6 +265,7 @@ def plan_to_msg(
         rate=plan.rate.tolist(),
         force=plan.force.ravel(),
         pose=plan.pose.ravel(),
+        foot=plan.foot.astype(np.float32).ravel(),
         map=plan.map,
         status=int(plan.status),
         message=plan.message,

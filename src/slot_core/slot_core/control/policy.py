@@ -63,6 +63,8 @@ class PlanReport:
     slack_normal_min: Array = field(default_factory=_unknown)  # (4,) N
     slack_normal_max: Array = field(default_factory=_unknown)  # (4,) N
     slack_friction: Array = field(default_factory=_unknown)  # (4,) N
+    slack_angle: Array = field(default_factory=_unknown)  # (4,) rad, to the nearer limit
+    slack_rate: Array = field(default_factory=_unknown)  # (4,) rad/s
     slack_total: float = math.nan  # N, sum of contact f_max - m g
     slack_balance: float = math.nan  # N, band - |sum f_z - m g|; infinite without `equality`
     mass: float = math.nan  # kg, of the model
@@ -88,6 +90,7 @@ class TendonPlan:
     report: PlanReport = PlanReport()
     pose: Array = field(default_factory=lambda: np.zeros((0, 6)))  # (n, 6) roll, pitch, yaw, x, y,
     # z at the stages 1 .. n, predicted, in odom; empty: the policy predicts none
+    foot: Array = field(default_factory=lambda: np.zeros((0, len(LEGS), 3)))  # (n, 4, 3) m, there
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,9 @@ import numpy as np
 from slot_core.drawing import palette
 from slot_core.drawing.shapes import (
     LEG_COLOURS,
+    PATH_WIDTH,
     Shape,
+    Strips,
     bent_legs,
     box_edges,
     force_arrows,
@@ -122,12 +124,19 @@ class Drawing:
         return shapes if path is None else shapes | {"reference_path": path_strip(path, REFERENCE)}
 
     def _draw_plan(self, message: Any) -> dict[str, Shape]:
-        """Planned forces of the first stage, at the tips of the legs."""
+        """Planned forces of the first stage at the tips of the legs, and the predicted motion."""
         if not self._placed:
             return {}
-        force = decode.plan(message)[1].force[0]
-        colours = np.tile(DEMANDED, (len(LEGS), 1))
-        return {"demanded_forces": force_arrows(self._legs.nodes[:, -1], _finite(force), colours)}
+        _, plan = decode.plan(message)
+        colours, tips = np.tile(DEMANDED, (len(LEGS), 1)), self._legs.nodes[:, -1]
+        shapes: dict[str, Shape] = {
+            "demanded_forces": force_arrows(tips, _finite(plan.force[0]), colours)
+        }
+        if len(plan.pose) and len(plan.foot):
+            shapes["predicted_path"] = path_strip(_finite(plan.pose)[:, 3:], DEMANDED)
+            feet = _finite(plan.foot).swapaxes(0, 1)
+            shapes["predicted_feet"] = Strips(feet, LEG_COLOURS, PATH_WIDTH)
+        return shapes
 
     _DRAW: ClassVar[dict[str, Callable[[Drawing, Any], dict[str, Shape]]]] = {
         "/ground_truth/odom": _draw_truth,

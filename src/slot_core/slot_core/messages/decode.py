@@ -184,6 +184,9 @@ def plan(message: Any) -> tuple[int, TendonPlan]:
     pose = np.array(getattr(message, "pose", ()))
     if pose.size not in {0, 6 * stages}:
         raise ValueError(f"pose has {pose.size} values, not {stages} stages of 6")
+    foot = np.array(getattr(message, "foot", ()), dtype=float)
+    if foot.size not in {0, 3 * legs * stages}:
+        raise ValueError(f"foot has {foot.size} values, not {stages} stages of {legs} places")
     return stamp(message), TendonPlan(
         angle=angle.reshape(-1, legs),
         rate=np.array(message.rate),
@@ -193,6 +196,7 @@ def plan(message: Any) -> tuple[int, TendonPlan]:
         map=message.map,
         fallback_cycles=int(message.fallback_cycles),
         pose=pose.reshape(-1, 6),
+        foot=foot.reshape(-1, legs, 3),
     )
 
 

@@ -36,6 +36,7 @@ class Rollouts(NamedTuple):
 
     pose: Array  # (P, n, 6) roll, pitch, yaw (rad), x, y, z (m), odom
     force: Array  # (P, n, 4, 3) N, of the floor on the feet, odom
+    foot: Array  # (P, n, 4, 3) m, places of the feet, odom
 
 
 class NominalRobot:
@@ -79,7 +80,8 @@ class NominalRobot:
     def roll_out(self, start: NominalState, plans: Array) -> Rollouts:
         """Simulate plans (P, n + 1, 4), rad at the stages 0 .. n, from one state."""
         count, stages = plans.shape[0], plans.shape[1] - 1
-        found = Rollouts(np.empty((count, stages, 6)), np.empty((count, stages, len(LEGS), 3)))
+        pose, of_feet = np.empty((count, stages, 6)), np.empty((2, count, stages, len(LEGS), 3))
+        found = Rollouts(pose, *of_feet)
         roll_out(
             self.robot.handle, start.buffer, start.side_rate, np.ascontiguousarray(plans),
             self._angle_max, self._cycles, self._steps, *found,

@@ -78,7 +78,9 @@ class Predictive(Policy):
         self.observer = DisturbanceObserver(self._model, settings.observer, dt)
         self._plan: _Plan | None = None  # that is executed
         self._next: _Plan | None = None  # a stage later, prepared
-        self._pose, self._force = np.zeros((0, 6)), np.zeros((settings.stages, len(LEGS), 3))
+        self._seen = _empty(
+            settings.stages
+        )  # poses and feet at the stages 1 .. K, forces at 0 .. K-1
         self._stiffness = np.ones(len(LEGS))  # N/rad, mean over the stages
         self._missed = 0  # consecutive cycles without a new plan
 
@@ -91,7 +93,7 @@ class Predictive(Policy):
         if not fault and not preview.corrected:
             self._plan = self._next = None
             if self._missed == 0:
-                return gait_plan(preview)
+                return self._gait_plan(preview)
         if fault := fault or state_fault(estimate.state, limits.input_max):
             return self._fall_back(Status.REJECTED, fault)
         if self._plan is not None and 0 <= estimate.time - self._plan.time < 0.5e9 * self._dt:
@@ -105,17 +107,24 @@ class Predictive(Policy):
             return self._fall_back(cause, fault)
         self._missed = 0
         if not preview.corrected:
-            return gait_plan(preview)
+            return self._gait_plan(preview)
+        pose, force, foot = (values[0] for values in rollout)
+        now = force[:1] if self._plan is None else self._seen.force[1:2]  # as predicted before
         self._plan, self._next = plan, None
-        self._pose, self._force = rollout.pose[0], rollout.force[0]
+        self._seen = Rollouts(pose, np.concatenate([now, force[:-1]]), foot)
         self.observer.add(plan.start, state, self._angles(plan)[:2])
         return self._published(preview=preview)
+
+    def _gait_plan(self, preview: GaitPreview) -> TendonPlan:
+        """The gait's angles and forces over as many stages as a plan."""
+        plan, stages = gait_plan(preview), self._settings.stages
+        return replace(plan, angle=plan.angle[:stages], force=plan.force[:stages])
 
     def prepare(self) -> None:
         """Move the plan on by a stage and linearise its motion, before the next estimate."""
         if self._plan is not None and self._next is None:
             self._next = self._linearised(self._moved_on(self._plan))
-            self._stiffness = self._stiffness_of(self._next.nominal[1:-1], self._pose)
+            self._stiffness = self._stiffness_of(self._next.nominal[1:-1], self._seen.pose)
             self.observer.repeat()
 
     def _ready(self, time: int, state: Array, preview: GaitPreview) -> _Plan:
@@ -235,8 +244,8 @@ class Predictive(Policy):
         if self._plan is None or self._missed > limits.cycles:
             used_up = f"fallback used up after {limits.cycles} cycles"
             why = "no plan yet" if self._plan is None else used_up
-            angle, force = np.zeros((0, len(LEGS))), np.zeros((self._settings.stages, len(LEGS), 3))
-            plan = TendonPlan(angle, np.zeros(len(LEGS)), force)
+            force = _empty(self._settings.stages).force
+            plan = TendonPlan(np.zeros((0, len(LEGS))), np.zeros(len(LEGS)), force)
             cause, fault = Status.STOPPED, f"{why}; {fault}"
         else:
             moved = self._moved_on(self._plan)
@@ -249,23 +258,34 @@ class Predictive(Policy):
     def _published(self, preview: GaitPreview | None = None, share: float = 0.0) -> TendonPlan:
         """The present plan from `share` of a stage on."""
         assert self._plan is not None
-        angle = self._angles(self._plan)
+        angle, seen = self._angles(self._plan), self._seen
         rate, later = first_rate(angle, self._dt), _shifted(angle, share)[:-1]
-        return TendonPlan(later, rate, self._force, report=self._report(preview), pose=self._pose)
+        report = self._report(later[0], rate, preview)
+        return TendonPlan(later, rate, seen.force, report=report, pose=seen.pose, foot=seen.foot)
 
-    def _report(self, preview: GaitPreview | None) -> PlanReport:
+    def _report(self, angle: Array, rate: Array, preview: GaitPreview | None) -> PlanReport:
         """Margins of the first stage and the disturbances."""
-        observer, normal = self.observer, self._force[0, :, 2]
+        assert self._plan is not None
+        observer, (fx, fy, normal) = self.observer, self._seen.force[0].T
         friction = np.full(len(LEGS), math.nan)
         if preview is not None:
-            friction = preview.friction[0] * normal - np.abs(self._force[0, :, :2]).max(axis=1)
+            friction = preview.friction[0] * normal - np.maximum(np.abs(fx), np.abs(fy))
+        least, largest = self._problem.range(self._plan.nominal)
         return PlanReport(
             slack_normal_min=normal,
             slack_friction=friction,
+            slack_angle=np.minimum(angle - least, largest - angle),
+            slack_rate=self._settings.limits.rate - np.abs(rate),
             mass=self._robot.mass - observer.wrench[0] / GRAVITY,
             drift=observer.drift.copy(),
             wrench=observer.wrench.copy(),
         )
+
+
+def _empty(stages: int) -> Rollouts:
+    """No prediction: no poses, no places of the feet, and forces of zero."""
+    force = np.zeros((stages, len(LEGS), 3))
+    return Rollouts(np.zeros((0, 6)), force, force[:0])
 
 
 def _shifted(rows: Array, share: float = 1.0) -> Array:

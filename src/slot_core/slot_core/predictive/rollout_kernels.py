@@ -13,13 +13,14 @@ from slot_core.simulation.tabulated_kernels import divergence_of, one_step
 
 
 @kernel
-def roll_out(machine, start, side_rate, plans, angle_max, cycles, steps, pose, force):
+def roll_out(machine, start, side_rate, plans, angle_max, cycles, steps, pose, force, foot):
     """Simulate every plan from the state `start` (m,) and the feet's `side_rate` (4,), m/s.
 
     plans: (P, n + 1, 4) rad, tendon angles at the stages 0 .. n, linear between them; the servos
     get them `cycles` times a stage, each time for `steps` steps. Writes pose (P, n, 6), roll,
     pitch, yaw (rad), x, y, z (m) at the stages 1 .. n, and force (P, n, 4, 3), N, of the floor on
-    the feet in odom; both are NaN from a divergence on. The state after the last plan stays.
+    the feet and foot (P, n, 4, 3), m, their places, in odom; they are NaN from a divergence on. The
+    state after the last plan stays.
     """
     model, legs, state, feet, work, scheme = contents(machine)
     for p in range(plans.shape[0]):
@@ -35,7 +36,7 @@ def roll_out(machine, start, side_rate, plans, angle_max, cycles, steps, pose, f
                     if not diverged:
                         one_step(model, legs, state, feet, work, scheme)
                         diverged = divergence_of(state, model.speed_limit) >= 0
-            _record(pose[p, k], force[p, k], state, feet, diverged)
+            _record(pose[p, k], force[p, k], foot[p, k], legs, state, feet, diverged)
 
 
 @kernel
@@ -68,8 +69,8 @@ def _command(feet, here, there, share, angle_max):
 
 
 @helper
-def _record(pose, force, state, feet, diverged):
-    """Write pose and forces, or NaN."""
+def _record(pose, force, foot, legs, state, feet, diverged):
+    """Write pose, forces and places of the feet, or NaN."""
     r, nan = state.rotation, math.nan
     pose[0] = nan if diverged else math.atan2(r[2, 1], r[2, 2])
     pose[1] = nan if diverged else math.asin(min(1.0, max(-1.0, -r[2, 0])))
@@ -77,5 +78,10 @@ def _record(pose, force, state, feet, diverged):
     for i in range(3):
         pose[3 + i] = nan if diverged else state.position[i]
     for leg in range(4):
+        c, a, b, node = legs.clamps[leg], legs.outward[leg], legs.left[leg], state.node[leg, 0]
+        x, y, z = (c[0] + node[0] * a[0] + node[1] * b[0], c[1] + node[0] * a[1] + node[1] * b[1],
+                   c[2] + node[0] * a[2] + node[1] * b[2] + node[2])  # fmt: skip
         for i in range(3):
+            place = state.position[i] + r[i, 0] * x + r[i, 1] * y + r[i, 2] * z
+            foot[leg, i] = nan if diverged else place
             force[leg, i] = nan if diverged else feet.force[leg, i]

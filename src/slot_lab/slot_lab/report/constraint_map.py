@@ -1,16 +1,16 @@
-"""The Dynamic Constraint Map of a bag: slack of every constraint of the MPC over time.
+"""The Dynamic Constraint Map of a bag: slack of every constraint of the plan over time.
 
-Read from `/tendon_plan`, first stage of every cycle: for each leg the slack of the least
-and the largest normal force and of friction; for the whole robot the slack of the total support and
-of the balance of the normal forces. Cycles without a solution are hatched. Fields that the messages
-of an older bag lack are listed and left out.
+Read from `/tendon_plan`, first stage of every cycle: for each leg the slack of the least and the
+largest normal force, of friction, of the tendon angle and of its rate; for the whole robot the
+slack of the total support and of the balance of the normal forces. Cycles without a solution are
+hatched. Fields that the messages of an older bag lack are listed and left out.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +33,12 @@ PER_LEG = {
     "slack_normal_min": "least normal",
     "slack_normal_max": "largest normal",
     "slack_friction": "friction",
+    "slack_angle": "angle",
+    "slack_rate": "rate",
 }
+UNITS = {"angle": "rad", "rate": "rad/s"}  # of constraints whose slack is no force in N
 OF_THE_ROBOT = {"slack_total": "total support", "slack_balance": "total balance"}
-TOLERANCE = 1e-4  # N: the violation that the MPC accepts from its solver
+TOLERANCE = 1e-4  # in the unit of a slack: the violation that is a solver's rounding
 COLOURS = LinearSegmentedColormap.from_list(
     "slack", [(0.0, "#67000d"), (0.4999, "#ef3b2c"), (0.5001, "#f7fcf5"), (1.0, "#1b7837")]
 )
@@ -51,7 +54,7 @@ class ConstraintMap:
     name: str  # of the bag
     time: Array  # (n,) s since the first cycle
     constraints: tuple[str, ...]
-    slack: Array  # (constraints, n) N, negative is violated
+    slack: Array  # (constraints, n) in `unit`, negative is violated
     status: NDArray[np.uint8]  # (n,) values of `Status`
     missing: tuple[str, ...]  # fields that the bag's messages lack
 
@@ -59,6 +62,13 @@ class ConstraintMap:
     def violated(self) -> NDArray[np.bool_]:
         """(constraints, n), true where violated by more than the solver's tolerance."""
         return self.slack < -TOLERANCE
+
+    @property
+    def active(self) -> ConstraintMap:
+        """The map without the constraints that the policy does not have."""
+        rows = np.flatnonzero(np.isfinite(self.slack).any(axis=1))
+        names = tuple(self.constraints[row] for row in rows)
+        return replace(self, constraints=names, slack=self.slack[rows])
 
 
 def read_map(bag: Bag) -> ConstraintMap:
@@ -85,19 +95,25 @@ def read_map(bag: Bag) -> ConstraintMap:
     return ConstraintMap(bag.path.name, time, tuple(names), slack, series["status"], tuple(missing))
 
 
+def unit(constraint: str) -> str:
+    """Unit of the slack of a constraint."""
+    return UNITS.get(constraint.rpartition(" ")[2], "N")
+
+
 def summary_lines(found: ConstraintMap) -> list[str]:
     """Cycles by status, and for each constraint its least slack, when, and how often violated."""
     lines = [f"{found.name}: {len(found.time)} cycles over {found.time[-1]:.2f} s"]
     counts = {status.name: int((found.status == status).sum()) for status in Status}
     lines.append("  ".join(f"{name} {count}" for name, count in counts.items() if count))
-    lines.append(f"{'constraint':<18}{'least slack':>12}{'at':>10}{'violated':>10}")
+    lines.append(f"{'constraint':<18}{'least slack':>12}{'at':>14}{'violated':>10}")
     for name, slack, violated in zip(found.constraints, found.slack, found.violated):
         if np.isnan(slack).all():
             lines.append(f"{name:<18}{'inactive':>22}")
             continue
         at = int(np.nanargmin(slack))
         lines.append(
-            f"{name:<18}{slack[at]:10.4f} N{found.time[at]:8.2f} s{int(violated.sum()):10d}"
+            f"{name:<18}{slack[at]:10.4f} {unit(name):<5}{found.time[at]:8.2f} s"
+            f"{int(violated.sum()):10d}"
         )
     lines += [f"{field}: not in the messages of this bag" for field in found.missing]
     return lines
@@ -112,42 +128,60 @@ def draw_map(found: ConstraintMap, path: Path) -> None:
 
 def map_figure(found: ConstraintMap) -> Figure:
     """Heat map: constraints down, time across; cycles without a solution are hatched."""
-    figure = Figure(figsize=(14, 1.2 + 0.36 * len(found.constraints)), layout="constrained")
+    shown = found.active
+    figure = Figure(figsize=(14, 1.2 + 0.36 * len(shown.constraints)), layout="constrained")
     ax = figure.subplots()
-    time = found.time  # starts of the cycles; the last one ends a period later
-    period = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
-    edges = np.append(time, time[-1] + period)
-    groups = np.arange(0, len(found.time), -(-len(found.time) // CAPACITY))
-    rows = np.fmin.reduceat(found.slack, groups, axis=1)  # NaN only where all are
-    # Scaled by the legs' slack: the total support is larger and would leave the legs pale.
-    legs = [name not in OF_THE_ROBOT.values() for name in found.constraints]
-    bound = float(np.nanmax(np.abs(rows[legs]), initial=TOLERANCE))
-    times = np.append(edges[groups], edges[-1])
-    shown = np.where((rows < 0) & (rows >= -TOLERANCE), 0.0, rows)
-    mesh = ax.pcolormesh(
-        times, np.arange(len(rows) + 1), shown, cmap=COLOURS,
-        norm=TwoSlopeNorm(0.0, -bound, bound), rasterized=True,
-    )  # fmt: skip
-    figure.colorbar(mesh, ax=ax, label="slack (N), red: violated", pad=0.01, extend="both")
-    _mark(ax, found, edges)
-    _finish(ax, found)
+    draw_slack(ax, shown)
+    _mark(ax, shown)
+    _finish(ax, shown)
     return figure
 
 
-def _mark(ax: Axes, found: ConstraintMap, edges: Array) -> None:
+def draw_slack(ax: Axes, found: ConstraintMap) -> None:
+    """The slacks as colours, with their colour bar, and a line between the kinds of constraint.
+
+    Every kind is scaled by its legs' largest slack: the total support is larger, and would leave
+    the legs pale.
+    """
+    time = found.time  # starts of the cycles; the last one ends a period later
+    edges = _edges(time)
+    groups = np.arange(0, len(time), -(-len(time) // CAPACITY))
+    rows = np.fmin.reduceat(found.slack, groups, axis=1)  # NaN only where all are
+    rows[(rows < 0) & (rows >= -TOLERANCE)] = 0.0
+    units = np.array([unit(name) for name in found.constraints])
+    of_legs = np.array([name not in OF_THE_ROBOT.values() for name in found.constraints])
+    for kind in set(units):
+        same = units == kind
+        rows[same] /= np.nanmax(np.abs(rows[same & of_legs]), initial=TOLERANCE)
+    mesh = ax.pcolormesh(
+        np.append(edges[groups], edges[-1]), np.arange(len(rows) + 1), rows, cmap=COLOURS,
+        norm=TwoSlopeNorm(0.0, -1.0, 1.0), rasterized=True,
+    )  # fmt: skip
+    label = "slack over the largest\nof its kind, red: violated"
+    ax.figure.colorbar(mesh, ax=ax, label=label, pad=0.01, extend="both")
+    ax.set_yticks(np.arange(len(rows)) + 0.5, found.constraints)
+    ax.invert_yaxis()
+    for row in range(len(LEGS), len(rows), len(LEGS)):
+        ax.axhline(row, color=palette.INK, lw=0.8)
+    ax.set_facecolor(palette.SHADE)  # shows where a constraint is inactive
+
+
+def _edges(time: Array) -> Array:
+    """Begins of the cycles and the end of the last one, s."""
+    period = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
+    return np.append(time, time[-1] + period)
+
+
+def _mark(ax: Axes, found: ConstraintMap) -> None:
     """Hatch the cycles that were not SOLVED, one span for consecutive ones."""
-    bad = found.status != Status.SOLVED
+    edges, bad = _edges(found.time), found.status != Status.SOLVED
     changes = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(int)))
     for begin, end in changes.reshape(-1, 2):
         ax.axvspan(edges[begin], edges[end], lw=0.8, **HATCHED)
 
 
 def _finish(ax: Axes, found: ConstraintMap) -> None:
-    ax.set_yticks(np.arange(len(found.constraints)) + 0.5, found.constraints, fontsize=8)
-    ax.invert_yaxis()
-    for row in range(len(LEGS), len(found.constraints), len(LEGS)):
-        ax.axhline(row, color=palette.INK, lw=0.8)
-    ax.set_facecolor(palette.SHADE)  # shows where a constraint is inactive
+    ax.tick_params(axis="y", labelsize=8)
     ax.set(xlabel="time (s)")
     bad = int((found.status != Status.SOLVED).sum())
     violated = int(found.violated.any(axis=0).sum())

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import TwoSlopeNorm
 from matplotlib.ticker import FuncFormatter
 
 from slot_core.drawing import palette
 from slot_core.geometry import rotate
 from slot_core.robot import LEGS, Array
-from slot_lab.bags.bag import Bag
+from slot_lab.bags.bag import Bag, NoFieldError
 from slot_lab.bags.recorded_walk import (
     STAGES,
     Ticks,
@@ -22,12 +23,13 @@ from slot_lab.bags.recorded_walk import (
     seconds,
     stride_mean,
 )
+from slot_lab.report import constraint_map
 from slot_lab.report.metrics import WalkMetrics
 from slot_lab.report.summary import summary_lines
+from slot_lab.report.traces import disturbance
 
 WINDOW = 4.0  # s at the end of the walk, shown in the panels of the legs
 LATENCY_BINS = 60
-SLACKS = (("slack_normal_min", "min"), ("slack_normal_max", "max"), ("slack_friction", "fric"))
 
 
 def draw_path(ax: Axes, motion: TorsoTrack, measured: TorsoTrack) -> None:
@@ -111,27 +113,30 @@ def draw_latency(ax: Axes, ticks: Ticks) -> None:
         ax.set_yscale("log")  # a single late tick stays visible
     ax.axvline(1e3 * ticks.period, color=palette.INK, ls="--", lw=1, label="control period")
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    _finish(ax, "latency", "ticks", "latency (ms, logarithmic)")
+    _finish(ax, "", "ticks", "latency (ms, logarithmic)")
     ax.legend(**LEGEND)
 
 
-def draw_slack(ax: Axes, bag: Bag, start: float) -> None:
-    """Dynamic Constraint Map: slack of each constraint of the MPC's first stage over time."""
-    if bag.counts.get("/tendon_plan", 0) > 1:
-        fields = [field for field, _ in SLACKS]
-        series = bag.series("/tendon_plan", *fields)
-        rows = np.concatenate([series[field].T for field in fields])
-        t = seconds(series.stamp) - start
-        bound = float(np.abs(rows[np.isfinite(rows)]).max(initial=1e-9))
-        mesh = ax.pcolormesh(
-            t, np.arange(len(rows)), rows, cmap="RdBu", norm=TwoSlopeNorm(0.0, -bound, bound),
-            shading="nearest", rasterized=True,
-        )  # fmt: skip
-        ax.figure.colorbar(mesh, ax=ax, label="slack (N), red: violated", pad=0.01, aspect=30)
-    names = [f"{leg} {name}" for _, name in SLACKS for leg in LEGS]
-    ax.set_yticks(range(len(names)), names, fontsize=7)
-    ax.invert_yaxis()
+def draw_disturbance(ax: Axes, bag: Bag, start: float) -> None:
+    """What the policy has found that its model lacks: payload, slip and turning."""
+    if bag.counts.get("/tendon_plan"):
+        with suppress(NoFieldError):  # a bag from before there was an observer
+            series = bag.series("/tendon_plan", "wrench", "drift")
+            found = disturbance(series["wrench"].T, series["drift"].T)
+            for (name, values), colour in zip(found.items(), DISTURBANCE_COLOURS):
+                ax.plot(seconds(series.stamp) - start, values, color=colour, lw=1, label=name)
+            ax.legend(**LEGEND | {"ncols": 4})
+    _finish(ax, "", "disturbance", "time (s)")
+
+
+def draw_constraints(ax: Axes, bag: Bag, start: float) -> None:
+    """Dynamic Constraint Map: slack of each constraint of the plan's first stage over time."""
+    if bag.counts.get(constraint_map.TOPIC, 0) > 1:
+        found = constraint_map.read_map(bag).active
+        first = seconds(bag.series(constraint_map.TOPIC).stamp)[0] - start
+        constraint_map.draw_slack(ax, replace(found, time=found.time + first))
     _finish(ax, "Dynamic Constraint Map", "", "time (s)")
+    ax.tick_params(axis="y", labelsize=6)
     ax.grid(visible=False)
 
 
@@ -150,6 +155,7 @@ LEGEND: dict[str, Any] = {
     "columnspacing": 1.2, "handlelength": 1.5,
     "frameon": False, "loc": "lower right", "ncols": 3,
 }  # fmt: skip
+DISTURBANCE_COLOURS = (palette.INK, *palette.LEG_COLOURS.values())
 LATENCY_COLOURS = (*palette.STAGE_COLOURS, palette.INK)
 
 

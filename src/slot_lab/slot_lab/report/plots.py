@@ -44,9 +44,11 @@ def dashboard_figure(bag: Bag, metrics: WalkMetrics) -> Figure:
     panels.draw_angles(axes[:4], bag, motion.t[0], motion.t[-1])
     panels.draw_forces(axes[4:], bag, motion.t[0], motion.t[-1])
 
-    latency, slack, summary = _stack(right, ("latency", "slack", "summary"), (1.0, 1.15, 2.0))
+    names = ["latency", "slack", "disturbance", "summary"]
+    latency, slack, disturbance, summary = _stack(right, names, (0.9, 1.5, 0.7, 2.0))
     panels.draw_latency(latency, read_ticks(bag).after(motion.t[0] + metrics.warm_up))
-    panels.draw_slack(slack, bag, motion.t[0])
+    panels.draw_constraints(slack, bag, motion.t[0])
+    panels.draw_disturbance(disturbance, bag, motion.t[0])
     panels.draw_summary(summary, metrics)
     return figure
 

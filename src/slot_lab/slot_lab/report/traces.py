@@ -17,7 +17,7 @@ from slot_core.control.policy import Status
 from slot_core.drawing import palette
 from slot_core.geometry import rotate, rpy_of
 from slot_core.messages import decode
-from slot_core.robot import LEGS, Array
+from slot_core.robot import GRAVITY, LEGS, Array
 
 Values: TypeAlias = dict[str, Array]
 States: TypeAlias = dict[str, str]
@@ -71,6 +71,15 @@ PLOTS = {
         {"ground": _of_legs("ground"), "demanded": _of_legs("demanded", pale=True)},
     ),
     "tension": Plot("tendon tension (N)", {"simulated": _of_legs("simulated")}),
+    "disturbance": Plot(
+        "disturbances found",
+        {
+            "mpc": Curve(
+                ("load (100 g)", "slip x (cm/s)", "slip y (cm/s)", "turn (deg/s)"),
+                (palette.INK, *list(palette.LEG_COLOURS.values())[:3]),
+            )
+        },
+    ),
     "solve_time": Plot("solve time of the MPC (ms)", {"mpc": _one("solve time", palette.INK)}),
 }
 OF_TORSO = ("velocity", "height", "roll", "pitch")  # plots
@@ -115,8 +124,16 @@ def _of_legs_truth(message: Any) -> Values:
     return {"force/ground": force[:, 2], "tension/simulated": tension}
 
 
+def disturbance(wrench: Array, drift: Array) -> Values:
+    """Disturbances in a user's units from wrench and drift (3, ...) of a plan, by their names."""
+    found = (-10.0 * wrench[0] / GRAVITY, *(100.0 * drift[:2]), np.degrees(drift[2]))
+    return dict(zip(PLOTS["disturbance"].curves["mpc"].names, found))
+
+
 def _of_plan(message: Any) -> Values:
+    found = disturbance(np.array(message.wrench), np.array(message.drift))
     return {
+        "disturbance/mpc": np.array(list(found.values())),
         "force/demanded": decode.plan(message)[1].force[0, :, 2],
         "solve_time/mpc": np.array([1e3 * message.solve_time]),
     }
