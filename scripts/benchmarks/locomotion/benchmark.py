@@ -31,7 +31,7 @@ REPORTS = 20  # lines of progress
 
 def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Result], list[Check]]:
     """Measure all rows; the plots show them, and stills of the gaits."""
-    from benchmarks.locomotion import margins, stills  # noqa: PLC0415
+    from benchmarks.locomotion import margins, prediction, stills  # noqa: PLC0415
     from benchmarks.locomotion.plots import draw_directions, draw_table, draw_top  # noqa: PLC0415
 
     seeds = SEEDS[:1] if quick else SEEDS
@@ -43,6 +43,7 @@ def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Result], list[
     draw_directions(directions(quick), motions, seeds, out / "velocity.png")
     draw_top(square(), slanted(), motions, seeds, out / "top.png")
     stills.draw(out / "gaits.png")
+    prediction.draw(out / "prediction.png")
     found = [margins.row(case, motions[case, column, seed]) for case, column, seed in walks]
     margins.draw(found, out / "margins.png")
     return [*table, *found], [*checks(wanted, table), *margins.checks(found)]

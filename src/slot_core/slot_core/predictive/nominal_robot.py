@@ -103,6 +103,7 @@ def nominal_scene(settings: NominalSettings, step: float) -> Scene:
         "solver.iterations": settings.iterations,
         "floor.friction": friction,
         "floor.friction_other": friction,
+        "tendons.broken": settings.broken,
         "sensors.imu.period": 1.0,
         "sensors.joint_period": 1.0,
         "sensors.odometry.period": 1.0,

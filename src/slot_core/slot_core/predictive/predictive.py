@@ -109,6 +109,9 @@ class Predictive(Policy):
         if not preview.corrected:
             return self._gait_plan(preview)
         pose, force, foot = (values[0] for values in rollout)
+        moved = self._problem.moved(self.observer.drift, float(state[2]))
+        pose[:, PLACE] += moved
+        foot[..., :2] += moved[:, None, :2]
         now = force[:1] if self._plan is None else self._seen.force[1:2]  # as predicted before
         self._plan, self._next = plan, None
         self._seen = Rollouts(pose, np.concatenate([now, force[:-1]]), foot)

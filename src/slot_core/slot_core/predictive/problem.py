@@ -30,6 +30,7 @@ from typing import NamedTuple
 import numpy as np
 import piqp
 
+from slot_core.geometry import rotate
 from slot_core.predictive.problem_kernels import set_errors, set_limits, set_reference
 from slot_core.predictive.settings import PredictiveSettings
 from slot_core.robot import LEGS, Array
@@ -87,6 +88,11 @@ class PlanProblem:
         cost, pose = self._settings.cost, np.empty((self._settings.stages, 6))
         set_reference(rows, place, drift, offset, self._dt, cost.sway, cost.reach, pose)
         return pose
+
+    def moved(self, drift: Array, yaw: float) -> Array:
+        """Way (K, 3) in x, y (m) and yaw (rad) by which the drift takes the robot in the stages."""
+        time = self._dt * np.arange(1, self._settings.stages + 1)[:, None]
+        return np.hstack([time * rotate(drift[:2], yaw), time * drift[2]])
 
     def errors(self, pose: Array, reference: Array, yaw: float) -> Array:
         """Weighted errors (P, 6 K) of poses (P, K, 6), x and y along and across the heading."""

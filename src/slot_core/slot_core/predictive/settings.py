@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from slot_core import config
-from slot_core.config import quantity
+from slot_core.config import flag, quantity
 from slot_core.gait.gait import Vector3
 
 
@@ -15,6 +15,7 @@ class NominalSettings:
     """The robot that the policy simulates."""
 
     friction: float = quantity("friction coefficient of the floor", "", 0.01, 2)
+    broken: tuple[bool, bool, bool, bool] = flag("whether a tendon FL FR RL RR carries nothing")
     cycles: int = quantity("cycles of the servo bus in a stage", "", 1, 20)
     steps: int = quantity("steps of the integration in a cycle of the servo bus", "", 1, 100)
     iterations: int = quantity("Newton iterations of a step", "", 1, 10)

@@ -1,0 +1,73 @@
+"""Picture of the prediction: what the policy expects of the next stride, and what comes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from benchmarks.locomotion.cases import DT
+from slot_core.control.policy import TendonPlan
+from slot_core.drawing import palette
+from slot_core.drawing.shapes import bent_legs
+from slot_core.robot import LEGS, Array, read_robot
+from slot_core.simulation.closed_loop import ClosedLoop
+from slot_lab.report.robot_drawing import Snapshot, Viewpoint, draw_robot
+
+SHOWN = (6.0, 9.0)  # s, of the walk
+EVERY = 15  # ticks between two predictions in a plot
+AHEAD = (0.05, 0.0, 0.0)  # m/s
+MM = 1e3
+
+
+def draw(path: Path) -> None:
+    """Write a PNG: the robot with the predicted ways, and predictions beside the true motion."""
+    loop = ClosedLoop("payload", "walk", np.array(AHEAD), 1)
+    sim, robot, plans, true = loop.plant.robot, read_robot(), [], []
+    first, last = (round(time / DT) for time in SHOWN)
+    for k, tick in enumerate(loop.run(last + 1)):
+        true.append(np.concatenate([sim.rpy, sim.position]))
+        plans.append(tick.plan)
+        if k == first:
+            legs = bent_legs(sim.nodes, sim.directors, sim.quaternion, robot)
+            pose = Snapshot(k * DT, sim.position, sim.quaternion, legs, sim.ground_force)
+    figure = Figure(figsize=(12.0, 4.2), layout="constrained")
+    left, right = figure.subfigures(1, 2, width_ratios=(1.1, 1.0))
+    ax = left.subplots()
+    draw_robot(ax, pose, robot, Viewpoint())
+    centre = np.array([*pose.position[:2], 0.0])
+    draw_ways(ax, plans[first].pose[:, 3:] - centre, plans[first].foot - centre)
+    ax.set_title("the next stride, as predicted: ways of torso and feet", fontsize=10, loc="left")
+    motion, axes = np.array(true), right.subplots(2, 1, sharex=True)
+    for ax, column, name in zip(axes, (3, 5), ("x, mm", "height, mm")):
+        draw_beside(ax, MM * motion[:, column], plans, column)
+        ax.set_ylabel(name)
+    axes[1].set_xlabel("time, s")
+    axes[0].legend(frameon=False, fontsize=8)
+    figure.savefig(path, dpi=130)
+
+
+def draw_ways(ax: Axes, torso: Array, feet: Array) -> None:
+    """Predicted ways (n, 3) of the torso and (n, 4, 3) of the feet, m from the plot's centre."""
+    camera = Viewpoint()
+    ax.plot(*camera.project(torso).T, color=palette.INK, lw=2.0, zorder=6)
+    for leg, name in enumerate(LEGS):
+        colour = palette.LEG_COLOURS[name]
+        ax.plot(*camera.project(feet[:, leg]).T, color=colour, lw=2.0, zorder=6)
+
+
+def draw_beside(ax: Axes, true: Array, plans: Sequence[TendonPlan], column: int) -> None:
+    """The true course of a column of the pose, mm, and predictions of it from several ticks on."""
+    first, last = (round(time / DT) for time in SHOWN)
+    time = DT * np.arange(len(true))
+    ax.plot(time[first:last], true[first:last], color=palette.TRUE, lw=2.5, label="true")
+    for k in range(first, last, EVERY):
+        pose = MM * plans[k].pose[:, column]
+        label = "predicted from the dot on" if k == first else "_"
+        ax.plot(time[k] + DT * np.arange(len(pose) + 1), [true[k], *pose], "--",
+                color=palette.INK, lw=1.1, label=label)  # fmt: skip
+        ax.plot(time[k], true[k], "o", color=palette.INK, ms=3.5)
+    ax.grid(alpha=0.3)
