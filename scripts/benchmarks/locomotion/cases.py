@@ -41,7 +41,7 @@ COLUMNS: Mapping[str, str] = {  # policies by the name of their column
     PAPER: "paper_text",
     "paper_code": "paper_code",
 }
-QUICK = (ALONE, PAPER, DEFAULT)
+PAPERS = (PAPER, "paper_code")
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,8 @@ class Case:
     schedule: tuple[tuple[float, Vector3], ...] = ()  # times (s) and velocities from then on
     pose: Vector3 | None = None  # height (m), roll, pitch (rad); None: the gait's own
     path: tuple[tuple[float, float], ...] = ()  # followed at the speed of `velocity`
-    changes: Changes = ()
+    heading: str = "kept"  # on the path, or "along"
+    changes: Changes = ()  # those of the policy are for the default alone
     lost_odometry: tuple[float, float] = (0.0, 0.0)  # begin and duration, s
     # times (s), names and values of the simulated robot's model that change then
     events: tuple[tuple[float, str, tuple[float, ...]], ...] = ()
@@ -124,10 +125,15 @@ def run_job(job: Job) -> tuple[Job, WalkMotion]:
 
 def run_case(case: Case, column: str, seed: int) -> WalkMotion:
     """Run a case with the controller of a column."""
-    path = Route(np.array(case.path), "kept") if case.path else None
+    path = Route(np.array(case.path), case.heading) if case.path else None
+    changes = {
+        name: value
+        for name, value in case.changes
+        if column == DEFAULT or not name.startswith("policy.")
+    }
     loop = ClosedLoop(
         case.scene, case.gait, reachable(case.gait, case.velocity), seed, COLUMNS[column],
-        changes=dict(case.changes), path=path, lost_odometry=case.lost_odometry,
+        changes=changes, path=path, lost_odometry=case.lost_odometry,
     )  # fmt: skip
     scheduler, sim, rows, fallen = loop.controller.scheduler, loop.plant.robot, [], False
     schedule, events, poses = [*case.schedule], [*case.events], [*case.poses]

@@ -1,4 +1,4 @@
-"""Rows of what happens at once: corners, steps, pushes, loads, slopes, ramps.
+"""Rows of what happens at once: corners, curves, steps, pushes, loads, slopes, ramps, stress.
 
 Errors of the place are those of stride means, since the torso sways.
 """
@@ -18,6 +18,7 @@ from slot_core.robot import GRAVITY, Array
 AT = 5.0  # s, of what happens at once
 PLACE, TURN = 0.003, math.radians(1.0)  # of a robot that has recovered
 EDGE = 0.3  # m, of the paths
+Events = tuple[tuple[float, str, tuple[float, ...]], ...]
 
 
 def rows(quick: bool) -> list[LocomotionRow]:
@@ -28,7 +29,7 @@ def rows(quick: bool) -> list[LocomotionRow]:
         *_pushes(quick),
         *_loads(quick),
         *_postures(),
-        *_steady(),
+        *([] if quick else [*_curves(), *_steady(), *_stress(), *_broken()]),
     ]
 
 
@@ -79,52 +80,65 @@ def _steps(quick: bool) -> list[LocomotionRow]:
         schedule = ((0.0, (before, 0.0, 0.0)), (AT, (after, 0.0, 0.0)))
         return Case(AT + 4.0, schedule=schedule)
 
-    up, back = [step(0.02, 0.06)], [step(0.06, -0.04)]
-    found = [LocomotionRow("velocity .02 to .06: to a tenth", "s", 1.2, up, worst(settled))]
-    if not quick:
-        found += [LocomotionRow("velocity .06 to -.04: to a tenth", "s", 1.5, back, worst(settled))]
-    return found
+    steps = {".02 to .06": (0.02, 0.06, 1.2), ".06 to -.04": (0.06, -0.04, 1.5)}
+    steps |= {".05 to 0": (0.05, 0.0, 1.2)}
+    return [
+        LocomotionRow(f"velocity {name}: to a tenth", "s", goal, [step(a, b)], worst(settled))
+        for name, (a, b, goal) in list(steps.items())[: 1 if quick else None]
+    ]
 
 
 def _pushes(quick: bool) -> list[LocomotionRow]:
     begins = [AT + k * PERIOD / 4 for k in range(1 if quick else 4)]
-    force = 0.83 / 0.2  # N for .2 s
+    force, found = 0.83 / 0.2, []  # N for .2 s
+    ways = {"aside": ((0.0, force, 0.0), 1), "back": ((-force, 0.0, 0.0), 0)}
+    for name, (way, axis) in list(ways.items())[: 1 if quick else None]:
+        cases = [
+            Case(begin + 4.0, "push", velocity=(SPEED, 0.0, 0.0), changes=push(begin, way))
+            for begin in begins
+        ]
+        title = f"push of .83 N s {name}"
+        found += [
+            LocomotionRow(f"{title}: peak", "mm", 20.0, cases, worst(_peak(axis)), 1.1),
+            LocomotionRow(f"{title}: recovery", "s", 2.0, cases, worst(_recovery(axis)), 0.9),
+        ]
+    return found
 
-    def pushed(begin: float, way: tuple[float, float, float]) -> Case:
-        return Case(begin + 4.0, "push", velocity=(SPEED, 0.0, 0.0), changes=push(begin, way))
 
-    aside = [pushed(begin, (0.0, force, 0.0)) for begin in begins]
+def _pushed(case: Case, motion: WalkMotion, axis: int) -> tuple[Array, Array, Array]:
+    """Times after the push, and how far the robot is off its way and turned by then."""
+    begin = dict(case.changes)["scene.pushes.left.time"]
+    wanted = motion.position[:, axis] - case.velocity[axis] * motion.time
+    place, yaw = motion.moving_mean(wanted), motion.moving_mean(motion.rpy[:, 2])
+    time = motion.time[len(motion.time) - len(place) :] - begin
+    start = int(np.searchsorted(time, 0.0))
+    return time[start:], place[start:] - place[start], yaw[start:] - yaw[start]
 
-    def errors(case: Case, motion: WalkMotion) -> tuple[Array, Array, Array]:
-        """Times after the push, and how far the robot is aside and turned by then."""
-        begin = dict(case.changes)["scene.pushes.left.time"]
-        y, yaw = motion.moving_mean(motion.position[:, 1]), motion.moving_mean(motion.rpy[:, 2])
-        time = motion.time[len(motion.time) - len(y) :] - begin
-        start = int(np.searchsorted(time, 0.0))
-        return time[start:], y[start:] - y[start], yaw[start:] - yaw[start]
 
-    def peak(case: Case, motion: WalkMotion) -> float:
-        return MM * float(np.abs(errors(case, motion)[1]).max())
+def _peak(axis: int) -> Callable[[Case, WalkMotion], float]:
+    return lambda case, motion: MM * float(np.abs(_pushed(case, motion, axis)[1]).max())
 
+
+def _recovery(axis: int) -> Callable[[Case, WalkMotion], float]:
     def recovery(case: Case, motion: WalkMotion) -> float:
-        time, aside, turned = errors(case, motion)
-        off = (np.abs(aside) > PLACE) | (np.abs(turned) > TURN)
-        return float(time[off].max(initial=0.0))
+        time, off, turned = _pushed(case, motion, axis)
+        away = (np.abs(off) > PLACE) | (np.abs(turned) > TURN)
+        return float(time[away].max(initial=0.0))
 
-    return [
-        LocomotionRow("push of .83 N s aside: peak", "mm", 20.0, aside, worst(peak), 1.1),
-        LocomotionRow("push of .83 N s aside: recovery", "s", 2.0, aside, worst(recovery), 1.0),
-    ]
+    return recovery
 
 
 def _loads(quick: bool) -> list[LocomotionRow]:
-    tilt, way = math.radians(4.0), math.radians(135.0)
-    down = GRAVITY * math.sin(tilt)
-    incline = (down * math.cos(way), down * math.sin(way), -GRAVITY * math.cos(tilt))
-    events = {
-        "payload .3 kg off centre": ((AT, "payload", (0.3, 0.03, 0.02, 0.03)),),
-        "slope of 4 deg, diagonal": ((AT, "gravity", incline),),
+    load, none = (0.3, 0.03, 0.02, 0.03), (0.0, 0.0, 0.0, 0.0)
+    events: dict[str, Events] = {
+        "payload .3 kg off centre": ((AT, "payload", load),),
+        "payload .3 kg on, then off": ((1.0, "payload", load), (AT, "payload", none)),
+        "slope of 4 deg, up": ((AT, "gravity", incline(4.0, 0.0)),),
+        "slope of 4 deg, across": ((AT, "gravity", incline(4.0, 90.0)),),
+        "slope of 4 deg, diagonal": ((AT, "gravity", incline(4.0, 45.0)),),
+        "slope of 8 deg, up": ((AT, "gravity", incline(8.0, 0.0)),),
         "friction .6 left, .2 right": ((AT, "friction", (0.6, 0.2, 0.6, 0.2)),),
+        "friction .5 left, .3 right": ((AT, "friction", (0.5, 0.3, 0.5, 0.3)),),
         "friction .4 to .2": ((AT, "friction", (0.2, 0.2, 0.2, 0.2)),),
     }
     found = []
@@ -132,6 +146,13 @@ def _loads(quick: bool) -> list[LocomotionRow]:
         cases = [Case(AT + 6.0, velocity=(SPEED, 0.0, 0.0), events=happens)]
         found.append(LocomotionRow(f"{name}, at once: place lost", "mm", 10.0, cases, worst(_lost)))
     return found
+
+
+def incline(degrees: float, direction_deg: float) -> tuple[float, ...]:
+    """Gravity (3,) in the axes of a floor that rises towards a direction from +x."""
+    tilt, way = math.radians(degrees), math.radians(direction_deg)
+    down = -GRAVITY * math.sin(tilt)
+    return (down * math.cos(way), down * math.sin(way), -GRAVITY * math.cos(tilt))
 
 
 def _lost(case: Case, motion: WalkMotion) -> float:
@@ -169,3 +190,62 @@ def _steady() -> list[LocomotionRow]:
 
     swing = worst(of_height(lambda height: float(np.ptp(height))))
     return [LocomotionRow("friction 1: swing of the mean height", "mm", 4.0, walk, swing, None)]
+
+
+def _curves() -> list[LocomotionRow]:
+    """Curves by command, and a quarter of a circle of 1 m radius with the heading along it."""
+    turning = [Case(16.0, velocity=(0.03, 0.0, rate)) for rate in (0.03, 0.04, 0.05)]
+
+    def missing(case: Case, motion: WalkMotion) -> float:
+        wanted = case.velocity[2]
+        return 100.0 * abs(motion.after(6.0).velocity[2] - wanted) / wanted
+
+    angle = np.linspace(0.0, math.pi / 2, 60)
+    arc = tuple(zip(np.sin(angle).tolist(), (1.0 - np.cos(angle)).tolist()))
+    duration = math.pi / 2 / SPEED + 2.0
+    circle = [Case(duration, velocity=(SPEED, 0.0, 0.0), path=arc, heading="along")]
+
+    def off(case: Case, motion: WalkMotion) -> float:
+        x, y = motion.after(3.0).position[:, :2].T
+        return MM * float(np.sqrt(np.mean((np.hypot(x, y - 1.0) - 1.0) ** 2)))
+
+    return [
+        LocomotionRow("curves of .03 m/s: yaw rate missed", "%", 10.0, turning, worst(missing)),
+        LocomotionRow("circle of 1 m radius, RMS", "mm", 5.0, circle, worst(off)),
+    ]
+
+
+def _stress() -> list[LocomotionRow]:
+    """Random velocities, frictions of each foot and payloads."""
+    rng, duration = np.random.default_rng(0), 90.0
+    most = np.array([0.05, 0.02, 0.03])
+    schedule = tuple(
+        (time, tuple((most * rng.uniform(-1.0, 1.0, 3)).tolist()))
+        for time in np.arange(0.0, duration, 3.0).tolist()
+    )
+    events: Events = ()
+    for time in np.arange(6.0, duration, 9.0).tolist():
+        place = rng.uniform([-0.03, -0.03, 0.02], [0.03, 0.03, 0.03]).tolist()
+        events += (
+            (time, "friction", tuple(rng.uniform(0.2, 0.6, 4).tolist())),
+            (time, "payload", (float(rng.uniform(0.0, 0.3)), *place)),
+        )
+    cases = [Case(duration, schedule=schedule, events=events)]
+
+    def tilt(case: Case, motion: WalkMotion) -> float:
+        return math.degrees(motion.tilt.max())
+
+    return [LocomotionRow("random stress of 90 s: tilt", "deg", 15.0, cases, worst(tilt), None)]
+
+
+def _broken() -> list[LocomotionRow]:
+    """A leg without a tendon, of which the model is told."""
+    broken = (True, False, False, False)
+    told = (("scene.tendons.broken", broken), ("policy.nominal.broken", broken))
+    cases = [Case(16.0, velocity=(0.04, 0.0, 0.0), changes=told)]
+
+    def turned(case: Case, motion: WalkMotion) -> float:
+        late = motion.after(5.0)
+        return math.degrees(float(abs(late.rpy[-1, 2] - late.rpy[0, 2])))
+
+    return [LocomotionRow("tendon FL broken, told: turned", "deg", 5.0, cases, worst(turned))]
