@@ -37,10 +37,11 @@ def reference_change(problem, error, slopes, deviation, nominal):
     delta = cp.Variable(len(slopes))
     change = cp.reshape(delta @ problem.basis.reshape(len(slopes), -1), (K + 1, 4), order="C")
     b = deviation + change
-    objective = cp.sum_squares(error + delta @ slopes)
-    objective += (
-        cp.sum_squares(b) / (K * cost.deviation**2) + cp.sum_squares(delta) / cost.change**2
-    )
+    mean = cp.sum(b, axis=0, keepdims=True) / (K + 1)
+    swing = b - np.ones((K + 1, 1)) @ mean
+    objective = cp.sum_squares(error + delta @ slopes) + cp.sum_squares(delta) / cost.change**2
+    objective += (K + 1) * cp.sum_squares(mean) / (K * cost.deviation**2)
+    objective += cp.sum_squares(swing) / (K * cost.swing**2)
     low = min(limits.angle_min, nominal.min())
     rate = cp.abs(cp.diff(nominal + b, axis=0))
     within = [cp.abs(b) <= limits.deviation, nominal + b >= low, nominal + b <= ANGLE_MAX]
@@ -76,8 +77,9 @@ def test_the_errors_are_scaled_and_turned_into_the_heading(problem):
     cost = SETTINGS.cost
     pose[0, -1, [0, 2, 4]] = cost.tilt, 2 * np.pi + cost.yaw, cost.place  # y, heading to the left
     error = problem.errors(pose, reference, np.pi / 2)[0].reshape(K, 6)
-    late = np.sqrt(SETTINGS.cost.late_weight / K)
-    assert error[-1] == pytest.approx(late * np.array([1.0, 0.0, 1.0, 1.0, 0.0, 0.0]), abs=1e-9)
+    assert error[-1] == pytest.approx(
+        np.sqrt(1 / K) * np.array([1.0, 0.0, 1.0, 1.0, 0.0, 0.0]), abs=1e-9
+    )
     assert not error[:-1].any()
 
 

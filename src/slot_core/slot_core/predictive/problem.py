@@ -11,12 +11,14 @@ together show what a change that makes them slip would do.
 A rollout of the nominal robot from the estimated state gives the poses y_k(u), k = 1 .. K. With the
 references r_k, the drift d of the disturbance observer, and the scales S of the errors, the cost is
 
-    sum_k w_k |S^-1 (y_k + k dt d - r_k)|^2 / K + sum_k |u_k - theta_k|^2 / (K deviation^2)
+    sum_k |S^-1 (y_k + k dt d - r_k)|^2 / K + R(u - theta)
+    R(b) = sum_k |mean b|^2 / (K deviation^2) + sum_k |b_k - mean b|^2 / (K swing^2)
 
+A payload or a slope needs a mean deviation; one that swings about its mean works against the gait.
 The errors are linearised by finite differences, a rollout for each j: e(delta) = e + J delta. The
 step is damped, since a rollout is linear in small changes only:
 
-    min |e + J delta|^2 + |b + H delta|^2 / (K deviation^2) + |delta|^2 / change^2
+    min |e + J delta|^2 + R(b + H delta) + |delta|^2 / change^2
     subject to  low <= u_k <= high,  |u_k - theta_k| <= deviation_max,  |u_k+1 - u_k| <= dt rate
 
 This is the real-time iteration of Diehl, Bock and Schloeder (SIAM J. Control Optim. 43, 2005): one
@@ -61,14 +63,9 @@ class PlanProblem:
         self._flat = self.basis.reshape(len(self.basis), -1)  # (n, 4 (K + 1))
         rates = np.diff(self.basis, axis=1).reshape(len(self.basis), -1)
         self._rows = np.hstack([self._flat, rates]).T.copy()
-        weight = np.ones(stages)
-        if cost.late_stages:
-            weight[-cost.late_stages :] = cost.late_weight
-        tilt, place = 1.0 / cost.tilt, 1.0 / cost.place
-        scale = np.array([tilt, tilt, 1.0 / cost.yaw, place, place, 1.0 / cost.height])
-        self._weight = np.sqrt(weight / stages)[:, None] * scale
-        self._regular = 1.0 / (stages * cost.deviation**2)
-        self._damped = self._regular * self._flat @ self._flat.T
+        scale = np.array([cost.tilt, cost.tilt, cost.yaw, cost.place, cost.place, cost.height])
+        self._weight = np.tile(1.0 / (np.sqrt(stages) * scale), (stages, 1))
+        self._damped = self._flat @ np.array([self._pull(b).ravel() for b in self.basis]).T
         self._damped += np.eye(len(self.basis)) / cost.change**2
         self._solver = piqp.DenseSolver()
         self._solver.settings.eps_abs = self._solver.settings.eps_rel = QP_TOLERANCE
@@ -102,8 +99,13 @@ class PlanProblem:
 
     def cost(self, error: Array, deviation: Array) -> float:
         """Cost of errors (6 K,) and deviations (K + 1, 4)."""
-        b = deviation.ravel()
-        return float(error @ error + self._regular * (b @ b))
+        return float(error @ error + deviation.ravel() @ self._pull(deviation).ravel())
+
+    def _pull(self, deviation: Array) -> Array:
+        """Half the gradient (K + 1, 4) of the cost of deviations (K + 1, 4)."""
+        cost, mean = self._settings.cost, deviation.sum(axis=0) / len(deviation)
+        swing = (deviation - mean) / cost.swing**2
+        return np.asarray((swing + mean / cost.deviation**2) / self._settings.stages)
 
     def linearised(self, slopes: Array) -> Linearisation:
         """Linearisation with the slopes (n, 6 K) of the weighted errors, per rad."""
@@ -118,7 +120,7 @@ class PlanProblem:
         error (6 K,) and linearisation of the rollout with the deviations (K + 1, 4) from the
         nominal angles (K + 1, 4). A limit that the plan violates already stays where it is.
         """
-        gradient = linear.slopes @ error + self._regular * self._flat @ deviation.ravel()
+        gradient = linear.slopes @ error + self._flat @ self._pull(deviation).ravel()
         limits, low, high = self._settings.limits, *np.empty((2, len(self._rows)))
         step = self._dt * limits.rate
         set_limits(nominal, deviation, *self.range(nominal), limits.deviation, step, low, high)

@@ -29,10 +29,11 @@ class CostSettings:
     yaw: float = quantity("error of the yaw", "rad", 1e-4, 10)
     place: float = quantity("error of x and y", "m", 1e-5, 10)
     height: float = quantity("error of the height", "m", 1e-5, 10)
-    deviation: float = quantity("deviation of a tendon angle from the gait's", "rad", 1e-3, 100)
+    deviation: float = quantity(
+        "mean deviation of a tendon angle from the gait's", "rad", 1e-3, 100
+    )
+    swing: float = quantity("difference of a deviation from its mean", "rad", 1e-3, 100)
     change: float = quantity("change of a planned tendon angle in one tick", "rad", 1e-4, 100)
-    late_stages: int = quantity("last stages of the horizon, which weigh more", "", 0, 100)
-    late_weight: float = quantity("weight of the last stages over that of the others", "", 0, 1e3)
     sway: float = quantity("share of the gait's own roll and pitch in the reference", "", 0, 1)
     reach: float = quantity("largest distance of a reference from the robot", "m", 1e-3, 1)
 
