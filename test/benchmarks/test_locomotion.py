@@ -6,9 +6,11 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.locomotion import benchmark
+from benchmarks.locomotion import ablations, benchmark, transient_rows
 from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, Case, WalkMotion, payload, run_case
 from benchmarks.locomotion.rows import LocomotionRow, rows, square
+from slot_core import config
+from slot_core.predictive.settings import read_predictive
 from slot_core.simulation.closed_loop import ClosedLoop
 
 SEEDS = dict.fromkeys(COLUMNS, (1,))
@@ -83,3 +85,15 @@ def test_the_commanded_square_closes():
     found = {row.name: row.value([motion]) for row in rows(quick=False) if "square" in row.name}
     assert found["square of .6 m closes"] < 2.0
     assert found["square of .6 m, heading"] < 0.2
+
+
+def test_a_part_that_changes_nothing_fails_its_check():
+    wanted = [*rows(quick=False), *transient_rows.rows(quick=False)]
+    jobs = ablations.jobs(wanted)
+    motions = {job: still(*job) for job in jobs}
+    for changes in ablations.ABLATIONS.values():
+        mine = {name.partition(".")[2]: value for name, value in changes}
+        assert config.replace(read_predictive(), mine, "policy") is not None
+    found = ablations.checks(ablations.measured(wanted, motions))
+    assert len(found) == len(ablations.ABLATIONS) - 1
+    assert not [check.name for check in found if check.holds]

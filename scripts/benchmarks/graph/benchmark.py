@@ -60,6 +60,7 @@ REPLAY_RATIO = 2.0  # CPU of a replay, without start-up, over that of controller
 REPLAYED = 60.0  # s of a walk
 # Goals for the robot, which are the machine's too.
 CONTROLLER_CPU, RECORDER_CPU = 30.0, 5.0  # % of a core, at 30 Hz
+FEEDBACK_CPU, POLICY_CPU = 0.5, 4.0  # ms, of the policy: after the odometry, and in all
 LOCKSTEP_SPEED = 8.0  # times real time, composed
 REPLAY_CPU = 3.0  # s, of `REPLAYED`, without start-up
 LARGEST_CYCLE = 3.0  # CPU of a cycle of the MPC's node, messages included, over its solution alone
@@ -128,17 +129,18 @@ def run(
 
 
 def cycle_row(ticks: int) -> dict[str, Any]:
-    """Time of the MPC node's cycle in a posture, serialized inputs to serialized output; no DDS.
+    """Time of the MPC node's cycle in the walk, serialized inputs to serialized output; no DDS.
 
-    In a stride the default MPC solves no problem.
+    The preparation for the next cycle has a time of its own.
     """
-    loop, period = ClosedLoop("flat", "stand", None, 0), read_scene("flat").sensors.odometry.period
-    standing = [
+    loop, period = ClosedLoop("flat", "walk", None, 0), read_scene("flat").sensors.odometry.period
+    walking = [
         (messages.preview_to_msg(tick.preview), messages.state_to_msg(tick.estimate))
         for tick in loop.run(ticks)
     ]
-    inputs = [tuple(map(serialize_message, pair)) for pair in standing]
-    policy, elapsed, cpu, alone = make_policy(DEFAULT_POLICY, read_robot()), [], [], []
+    inputs = [tuple(map(serialize_message, pair)) for pair in walking]
+    policy = make_policy(DEFAULT_POLICY, read_robot())
+    elapsed, cpu, alone, preparing = [], [], [], []
     for preview, state in inputs:
         time.sleep(period)
         start, busy = time.perf_counter(), time.process_time()
@@ -149,8 +151,10 @@ def cycle_row(ticks: int) -> dict[str, Any]:
         serialize_message(messages.plan_to_msg(plan, ahead, 0.0, Pace()))
         elapsed.append(time.perf_counter() - start)
         cpu.append(time.process_time() - busy)
+        preparing.append(timed(policy.prepare)[1])
     row = {"kind": "cycle", "p99_ms": 1e3 * np.percentile(elapsed, 99)}
-    times = {"median_ms": elapsed, "cpu_ms": cpu, "solve_cpu_ms": alone}
+    times = {"median_ms": elapsed, "cpu_ms": cpu}
+    times |= {"solve_cpu_ms": alone, "prepare_cpu_ms": preparing}
     return row | {name: 1e3 * np.median(values) for name, values in times.items()}
 
 
@@ -259,9 +263,12 @@ def goal_checks(rows: Sequence[Row]) -> list[Check]:
 
     controller = largest("cpu_percent", nodes=COMPOSED, node=CONTROLLER, repeat="median")
     recorder = largest("cpu_percent", nodes=SEPARATE, node=RECORDER, repeat="median")
+    solve, prepare = (largest(f"{phase}_cpu_ms", kind="cycle") for phase in ("solve", "prepare"))
     speed = largest("speed", kind="lockstep", nodes=COMPOSED)
     replay_cpu = largest("replay_cpu_s_per_s", nodes=SEPARATE, repeat="median")
     return [
+        at_most("CPU of the policy's feedback phase", solve, FEEDBACK_CPU, "ms"),
+        at_most("CPU of the policy in a tick", solve + prepare, POLICY_CPU, "ms"),
         at_most("CPU of the controller, composed", controller, CONTROLLER_CPU, "%"),
         at_most("CPU of the recorder", recorder, RECORDER_CPU, "%"),
         at_most("100 Hz: ticks without a command", largest("unanswered", nodes=FAST), 0),

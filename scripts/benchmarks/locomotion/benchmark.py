@@ -34,22 +34,27 @@ REPORTS = 20  # lines of progress
 
 def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Result], list[Check]]:
     """Measure all rows; the plots show them, and stills of the gaits."""
-    from benchmarks.locomotion import margins, prediction, stills  # noqa: PLC0415
+    from benchmarks.locomotion import ablations, margins, predicted_stride, stills  # noqa: PLC0415
     from benchmarks.locomotion.plots import draw_directions, draw_table, draw_top  # noqa: PLC0415
 
     seeds = QUICK if quick else SEEDS
     wanted = [*rows(quick), *transient_rows.rows(quick)]
     walks = margins.jobs(quick)
-    motions = run_all([*jobs_of(wanted, seeds), *walks], progress)
+    parts = [] if quick else ablations.jobs(wanted)
+    motions = run_all([*dict.fromkeys([*jobs_of(wanted, seeds), *walks, *parts])], progress)
     table = measured(wanted, motions, seeds)
     draw_table(table, out / "table.png")
     draw_directions(directions(quick), motions, seeds[DEFAULT], out / "velocity.png")
     draw_top(square(), slanted(), motions, seeds[DEFAULT], out / "top.png")
     stills.draw(out / "gaits.png")
-    prediction.draw(out / "prediction.png")
+    predicted_stride.draw(out / "prediction.png")
     found = [margins.row(case, motions[case, column, seed]) for case, column, seed in walks]
     margins.draw(found, out / "margins.png")
-    return [*table, *found], [*checks(wanted, table), *margins.checks(found)]
+    results, goals = [*table, *found], [*checks(wanted, table), *margins.checks(found)]
+    if not quick:
+        parted = ablations.measured(wanted, motions)
+        results, goals = [*results, *parted], [*goals, *ablations.checks(parted)]
+    return results, goals
 
 
 def jobs_of(wanted: Sequence[LocomotionRow], seeds: Seeds) -> list[Job]:

@@ -1,0 +1,89 @@
+"""Parts of the predictive policy, each taken away: what it is worth in a few cases."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from benchmarks.harness import Check, at_least
+from benchmarks.locomotion.cases import DEFAULT, Case, Changes, Job, WalkMotion
+from benchmarks.locomotion.rows import LocomotionRow
+
+SEEDS = (1, 2, 3)
+WORTH = 1.2  # least mean error without a part over that with it, in the case where it is worth most
+ABLATIONS: Mapping[str, Changes] = {
+    "all": (),
+    "no damping of the step": (("policy.cost.change", 100.0),),
+    "no drift": (("policy.observer.drift_gain", 0.0),),
+    "no wrench": (("policy.observer.wrench_gain", 0.0),),
+    "no offset": (("policy.observer.offset_gain", 0.0),),
+    "no sway in the reference": (("policy.cost.sway", 0.0),),
+    "no cost of the swing": (("policy.cost.swing", 0.5),),
+    "a third of the horizon": (("policy.stages", 7), ("policy.knots", (0, 2, 4, 6))),
+    "steps of 11 ms": (("policy.nominal.steps", 1),),
+    "no robot simulated": (("policy.limits.deviation", 0.0),),
+}
+MEASURED = (
+    "corner by path, RMS",
+    "payload .3 kg off centre, at once: place lost",
+    "friction .5 left, .3 right, at once: place lost",
+    "slope 5 deg, v_x of 0.04",
+    "standing, roll and pitch of 5 deg: angles",
+    "standing, payload .5 kg: height",
+    "tilt of the walk, RMS",
+)
+
+
+def chosen(rows: Sequence[LocomotionRow]) -> list[LocomotionRow]:
+    """The rows of MEASURED, each with its first case."""
+    found = {row.name: row for row in rows}
+    return [dataclasses.replace(found[name], cases=found[name].cases[:1]) for name in MEASURED]
+
+
+def jobs(rows: Sequence[LocomotionRow]) -> list[Job]:
+    """Every case of the chosen rows without every part."""
+    return [
+        (without(case, changes), DEFAULT, seed)
+        for row in chosen(rows)
+        for case in row.cases
+        for changes in ABLATIONS.values()
+        for seed in SEEDS
+    ]
+
+
+def without(case: Case, changes: Changes) -> Case:
+    """The case with changes of the policy."""
+    return dataclasses.replace(case, changes=(*case.changes, *changes))
+
+
+def measured(
+    rows: Sequence[LocomotionRow], motions: Mapping[Job, WalkMotion]
+) -> list[dict[str, Any]]:
+    """A row for every part: the mean over the seeds of every value without it."""
+    found = []
+    for name, changes in ABLATIONS.items():
+        result: dict[str, Any] = {"kind": "ablation", "without": name}
+        for row in chosen(rows):
+            values = [
+                row.value([motions[without(case, changes), DEFAULT, seed] for case in row.cases])
+                for seed in SEEDS
+            ]
+            result[row.name] = sum(values) / len(values)
+        found.append(result)
+    return found
+
+
+def checks(found: Sequence[Mapping[str, Any]]) -> list[Check]:
+    """Every part is worth its lines in one of the cases."""
+    whole, *parts = found
+    return [
+        at_least(f"ablation, {part['without']}: largest error over that with all", worth, WORTH)
+        for part in parts
+        for worth in [max(_ratio(part[name], whole[name]) for name in MEASURED)]
+    ]
+
+
+def _ratio(value: float, other: float) -> float:
+    return value / other if math.isfinite(other) and other > 0.0 else math.nan
