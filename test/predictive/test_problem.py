@@ -87,11 +87,11 @@ def test_a_reference_leads_by_its_reach_and_falls_behind_by_the_drift(problem):
     rows = np.zeros((K + 2, 12))
     rows[:, 3] = 0.1 + 0.05 * DT * np.arange(K + 2)  # a robot at zero is 0.1 m behind
     rows[:, 0] = np.where(np.arange(K + 2) % 2, 0.02, -0.02)
-    drift, offset = np.array([0.01, 0.0, 0.1]), np.array([0.001, 0.0, 0.0])
-    pose = problem.reference(rows, np.zeros(3), drift, offset)
+    drift = np.array([0.01, 0.0, 0.1])
+    pose = problem.reference(rows, np.zeros(3), drift, 0.001)
     k = np.arange(1, K + 1)
     wanted = SETTINGS.cost.reach + (0.05 - 0.01) * DT * k
     assert pose[:, 3] == pytest.approx(wanted)
     assert pose[:, 2] == pytest.approx(-0.1 * DT * k)
-    assert pose[:, 5] == pytest.approx(0.001)
+    assert pose[:, 5] == pytest.approx(-0.001)
     assert np.ptp(pose[:, 0]) == pytest.approx(SETTINGS.cost.sway * 0.04)

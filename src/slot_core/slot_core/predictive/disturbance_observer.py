@@ -8,11 +8,7 @@ motion change at every tick
     wrench w += gain K (e_z, e_roll, e_pitch)   F_z, M_x, M_y on the torso, N and N m
 
 The wrench acts in the rollouts; the drift moves their poses on. Hence a payload of m kg is a wrench
-F_z = -m g, and a foot that slips more than expected is a drift. Where a foot sticks, in a posture,
-the repeated motion shows no error although the height is wrong: the offset o of the reference adds
-up the errors of height, roll and pitch themselves, beyond a tolerance,
-
-    offset o += gain (r - y).
+F_z = -m g, and a foot that slips more than expected is a drift.
 """
 
 from __future__ import annotations
@@ -27,7 +23,7 @@ from slot_core.predictive.nominal_robot import NominalRobot, NominalState
 from slot_core.predictive.settings import ObserverSettings
 from slot_core.robot import Array
 
-TILTS = [5, 0, 1]  # height, roll and pitch in a state or a reference
+TILTS = [5, 0, 1]  # height, roll and pitch in a state or a pose
 
 
 class _Tick(NamedTuple):
@@ -39,19 +35,14 @@ class _Tick(NamedTuple):
 
 
 class DisturbanceObserver:
-    """Estimates of drift, wrench and offset."""
+    """Estimates of drift and wrench."""
 
     def __init__(self, model: NominalRobot, settings: ObserverSettings, dt: float):
         self._model, self._settings, self._dt = model, settings, dt
-        self._stiffness, self._tolerance = (
-            np.array(settings.stiffness),
-            np.array(settings.tolerance),
-        )
-        most = settings.drift_max, settings.wrench_max, settings.offset_max
-        self._drift_max, self._wrench_max, self._offset_max = np.array(most)
+        limits = settings.stiffness, settings.drift_max, settings.wrench_max
+        self._stiffness, self._drift_max, self._wrench_max = np.array(limits)
         self.drift = np.zeros(3)  # v_x, v_y m/s, yaw rate rad/s, heading frame
         self.wrench = np.zeros(3)  # F_z N, M_x, M_y N m, heading frame
-        self.offset = np.zeros(3)  # height m, roll, pitch rad
         self._past: deque[_Tick] = deque(maxlen=settings.window)
         self._repeated: Array | None = None  # (6,) pose that the nominal robot has reached
 
@@ -71,15 +62,12 @@ class DisturbanceObserver:
             pose = self._model.roll_out(self._past[0].start, plan[None]).pose[0, -1]
             self._repeated = pose if np.isfinite(pose).all() else None
 
-    def correct(self, state: Array, reference: Array) -> None:
-        """Correct the estimates by the state (12,) and its reference (12,) now."""
-        s = self._settings
-        wanted = reference[TILTS] - state[TILTS]
-        wanted -= _bounded(wanted, self._tolerance)
-        self.offset = _bounded(self.offset + s.offset_gain * wanted, self._offset_max)
+    def correct(self, state: Array) -> None:
+        """Correct the estimates by the state (12,) now."""
         if self._repeated is None:
             return
-        pose, span = self._repeated, s.window * self._dt
+        s, pose = self._settings, self._repeated
+        span = s.window * self._dt
         moved = rotate(state[3:5] - pose[3:5], -self._past[0].state[2])
         drift = np.append(moved, wrapped(state[2] - pose[2])) / span
         self.drift = _bounded(self.drift + s.drift_gain * (drift - self.drift), self._drift_max)

@@ -144,9 +144,7 @@ class Predictive(Policy):
             start = self._model.at_rest(state, nominal[0])
             still = np.zeros((self._settings.stages + 1, len(LEGS)))
             return self._linearised(_Plan(time, start, nominal, sag, still))
-        wanted = np.array(preview.reference[0], dtype=float)
-        wanted[5] -= found.sag
-        self.observer.correct(state, wanted)
+        self.observer.correct(state)
         self._model.set_wrench(self.observer.wrench, state[2])
         start = self._model.measured(found.start, state)
         nominal, sag = self._nominal(preview)
@@ -220,8 +218,7 @@ class Predictive(Policy):
         """The plan after a step of the problem and its rollout, or the fault."""
         problem, observer, place = self._problem, self.observer, state[PLACE]
         rows, yaw = np.asarray(preview.reference, dtype=float), float(state[2])
-        offset = observer.offset - [plan.sag, 0.0, 0.0]
-        wanted = problem.reference(rows, place, observer.drift, offset)
+        wanted = problem.reference(rows, place, observer.drift, plan.sag)
         before = self._model.roll_out(plan.start, self._angles(plan)[None])
         error = problem.errors(before.pose, wanted, yaw)
         if not np.isfinite(error).all():

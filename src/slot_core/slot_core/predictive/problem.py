@@ -71,19 +71,19 @@ class PlanProblem:
         self._solver.settings.eps_abs = self._solver.settings.eps_rel = QP_TOLERANCE
         self._solver.settings.max_iter = QP_ITERATIONS
         still = np.zeros((stages, 6))
-        wanted = self.reference(np.zeros((stages + 1, 12)), *np.zeros((3, 3)))
+        wanted = self.reference(np.zeros((stages + 1, 12)), still[0, :3], still[0, :3], 0.0)
         error = self.errors(still[None], wanted, 0.0)[0]  # compiles the kernels, as does the step
         slopes, angle = np.zeros((len(self.basis), error.size)), np.zeros((stages + 1, LEG_COUNT))
         self.change(error, self.linearised(slopes), angle, angle)
 
-    def reference(self, rows: Array, place: Array, drift: Array, offset: Array) -> Array:
+    def reference(self, rows: Array, place: Array, drift: Array, sag: float) -> Array:
         """Poses (K, 6) that the rollouts are to have, from the preview's reference (n, 12).
 
-        The reference leads the robot at place (3,) x, y, yaw by `reach` at most. drift and offset:
-        those of the observer.
+        The reference leads the robot at place (3,) x, y, yaw by `reach` at most. drift: that of the
+        observer; sag: m by which the torso sinks.
         """
         cost, pose = self._settings.cost, np.empty((self._settings.stages, 6))
-        set_reference(rows, place, drift, offset, self._dt, cost.sway, cost.reach, pose)
+        set_reference(rows, place, drift, sag, self._dt, cost.sway, cost.reach, pose)
         return pose
 
     def moved(self, drift: Array, yaw: float) -> Array:

@@ -50,11 +50,6 @@ class ObserverSettings:
         "wrench per error of height, roll and pitch", "N/m, N m/rad, N m/rad", 0, 1e4
     )
     wrench_max: Vector3 = quantity("largest wrench: F_z, M_x, M_y", "N, N m, N m", 0, 100)
-    offset_gain: float = quantity("gain of the offset of the reference", "", 0, 1)
-    offset_max: Vector3 = quantity("largest offset of height, roll and pitch", "m, rad, rad", 0, 1)
-    tolerance: Vector3 = quantity(
-        "error of height, roll and pitch below which the offset stays", "m, rad, rad", 0, 1
-    )
 
 
 @dataclass(frozen=True)
