@@ -133,7 +133,7 @@ def test_a_preview_that_is_too_short_is_rejected_and_stops_a_policy_without_a_pl
     short = dataclasses.replace(preview, tendon_angle=preview.tendon_angle[:5])
     plan = policy.step(walking[0].estimate, short)
     assert plan.status == Status.STOPPED
-    assert plan.message == "no plan yet; preview.tendon_angle: shape (5, 4), needs (21, 4)"
+    assert plan.message == "no plan yet; preview.tendon_angle: shape (5, 4), needs (24, 4)"
 
 
 def test_a_late_plan_a_rollout_that_diverges_and_an_unsolved_problem_are_faults(

@@ -49,7 +49,8 @@ class NominalRobot:
         self.robot = TabulatedRobot(robot, scene, read_servo())
         self._angle_max = robot.tendon.angle_max
         self._initial = NominalState(self.robot.state.buffer.copy(), np.zeros(len(LEGS)))
-        self.after(self._initial, np.zeros((2, len(LEGS))))  # compiles the kernel
+        self.measured(self._initial, np.zeros(12))  # compiles the kernels, as does the next line
+        self.after(self._initial, np.zeros((2, len(LEGS))))
 
     def set_wrench(self, wrench: Array, yaw: float) -> None:
         """Set the wrench on the torso: F_z (N) in odom, M_x and M_y (N m) at heading `yaw`."""
