@@ -53,9 +53,9 @@ def test_a_minute_of_walking_is_straight_at_the_commanded_speed_and_height(minut
 def test_the_torso_of_the_walk_stays_level(minute):
     _, rpy, _ = minute
     tilt = np.degrees(np.arccos(np.cos(rpy[:, 0]) * np.cos(rpy[:, 1])))
-    # measured: 3.9 deg RMS at most; the supervisor's limit is 28 deg
-    assert np.sqrt(np.mean(tilt**2)) < 4.2
-    assert tilt.max() < 9.0
+    # measured: 4.0 deg RMS, 8.1 deg at most; the supervisor's limit is 28 deg
+    assert np.sqrt(np.mean(tilt**2)) < 4.1
+    assert tilt.max() < 8.5
 
 
 def test_every_cycle_is_solved_and_commands_stay_within_their_range(minute):
@@ -115,7 +115,7 @@ def test_a_payload_lowers_the_default_less_than_the_gait_alone():
     runs = [walk(12.0, "payload", policy=policy) for policy in ("predictive", "gait_alone")]
     lowered = [abs(position[after(4.0), 2].mean() - 0.064) for position, _, _ in runs]
     assert lowered[1] > 5e-3
-    assert lowered[0] < 0.75 * lowered[1]
+    assert lowered[0] < 0.7 * lowered[1]
 
 
 def test_standing_robot_does_not_drift():

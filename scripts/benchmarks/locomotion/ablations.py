@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from benchmarks.harness import Check, at_least
 from benchmarks.locomotion.cases import DEFAULT, Case, Changes, Job, WalkMotion
-from benchmarks.locomotion.rows import LocomotionRow
+from benchmarks.locomotion.rows import LocomotionRow, ratio
 
 SEEDS = (1, 2, 3)
 WORTH = 1.2  # least mean error without a part over that with it, in the case where it is worth most
@@ -80,9 +79,5 @@ def checks(found: Sequence[Mapping[str, Any]]) -> list[Check]:
     return [
         at_least(f"ablation, {part['without']}: largest error over that with all", worth, WORTH)
         for part in parts
-        for worth in [max(_ratio(part[name], whole[name]) for name in MEASURED)]
+        for worth in [max(ratio(part[name], whole[name]) for name in MEASURED)]
     ]
-
-
-def _ratio(value: float, other: float) -> float:
-    return value / other if math.isfinite(other) and other > 0.0 else math.nan

@@ -11,7 +11,6 @@ from the table stand the margins of the walk (margins.py).
 from __future__ import annotations
 
 import dataclasses
-import math
 import multiprocessing
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,7 +21,7 @@ from benchmarks.harness import Check, Progress, at_least, at_most
 from benchmarks.harness import Row as Result
 from benchmarks.locomotion import cases, transient_rows
 from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, PAPERS, Case, Job, WalkMotion
-from benchmarks.locomotion.rows import LocomotionRow, directions, rows, slanted, square
+from benchmarks.locomotion.rows import LocomotionRow, directions, ratio, rows, slanted, square
 
 SEEDS = {column: (1,) if column in PAPERS else (1, 2) for column in COLUMNS}
 SEEDS[DEFAULT] = (1, 2, 3, 4, 5)
@@ -41,7 +40,7 @@ def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Result], list[
     wanted = [*rows(quick), *transient_rows.rows(quick)]
     walks = margins.jobs(quick)
     parts = [] if quick else ablations.jobs(wanted)
-    motions = run_all([*dict.fromkeys([*jobs_of(wanted, seeds), *walks, *parts])], progress)
+    motions = run_all([*jobs_of(wanted, seeds), *walks, *parts], progress)
     table = measured(wanted, motions, seeds)
     draw_table(table, out / "table.png")
     draw_directions(directions(quick), motions, seeds[DEFAULT], out / "velocity.png")
@@ -58,20 +57,19 @@ def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Result], list[
 
 
 def jobs_of(wanted: Sequence[LocomotionRow], seeds: Seeds) -> list[Job]:
-    """The cases of every row once, in all columns with their seeds."""
-    jobs = (
+    """The cases of every row, in all columns with their seeds."""
+    return [
         (case, column, seed)
         for row in wanted
         for column, some in seeds.items()
         for case in cases_of(row, column)
         for seed in some
-    )
-    return list(dict.fromkeys(jobs))
+    ]
 
 
 def run_all(wanted: Sequence[Job], progress: Progress) -> dict[Job, WalkMotion]:
-    """Run the jobs on all cores, the longest first."""
-    jobs, found = sorted(wanted, key=lambda job: -job[0].duration), {}
+    """Run every job once, on all cores, the longest first."""
+    jobs, found = sorted(dict.fromkeys(wanted), key=lambda job: -job[0].duration), {}
     cases.run_job(jobs[-1])  # the kernels are compiled once, before the workers start
     with multiprocessing.get_context("spawn").Pool(len(os.sched_getaffinity(0))) as pool:
         for job, motion in pool.imap_unordered(cases.run_job, jobs):
@@ -115,13 +113,4 @@ def _checks(row: LocomotionRow, values: Result) -> Iterator[Check]:
     yield compare(row.name, reached, row.goal, row.unit)
     enough = compare(row.name, alone, row.goal, row.unit).holds
     if row.share is not None and not enough:
-        yield compare(f"{row.name}: over the gait alone", _ratio(reached, alone), row.share)
-
-
-def _ratio(value: float, other: float) -> float:
-    """value / other; NaN, which no check holds for, if it is undefined."""
-    if math.isinf(other):
-        return math.nan if math.isinf(value) else 0.0
-    if other == 0.0:
-        return math.nan if value == 0.0 else math.inf
-    return value / other
+        yield compare(f"{row.name}: over the gait alone", ratio(reached, alone), row.share)

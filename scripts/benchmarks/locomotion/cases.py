@@ -183,11 +183,15 @@ def friction(left: float, right: float | None = None) -> Changes:
 
 
 def slope(degrees: float, direction_deg: float, mu: float) -> Changes:
-    """Incline, uphill in a direction from +x; z stays normal to the floor."""
+    """Incline, uphill in a direction from +x."""
+    return (("scene.gravity", incline(degrees, direction_deg)), *friction(mu))
+
+
+def incline(degrees: float, direction_deg: float) -> Vector3:
+    """Gravity where the floor rises in a direction from +x; z stays normal to the floor."""
     tilt, way = math.radians(degrees), math.radians(direction_deg)
     down = -GRAVITY * math.sin(tilt)
-    gravity = (down * math.cos(way), down * math.sin(way), -GRAVITY * math.cos(tilt))
-    return (("scene.gravity", gravity), *friction(mu))
+    return (down * math.cos(way), down * math.sin(way), -GRAVITY * math.cos(tilt))
 
 
 def payload(mass: float, place: Vector3) -> Changes:

@@ -17,7 +17,8 @@ from slot_core.robot import LEGS, Array, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_lab.report.robot_drawing import Snapshot, Viewpoint, draw_robot
 
-SHOWN = (6.0, 9.0)  # s, of the walk
+FIRST, LAST = round(6.0 / DT), round(9.0 / DT)  # ticks of the walk that are shown
+CAMERA = Viewpoint()
 EVERY = 15  # ticks between two predictions in a plot
 AHEAD = (0.05, 0.0, 0.0)  # m/s
 MM = 1e3
@@ -27,19 +28,18 @@ def draw(path: Path) -> None:
     """Write a PNG: the robot with the predicted ways, and predictions beside the true motion."""
     loop = ClosedLoop("payload", "walk", np.array(AHEAD), 1)
     sim, robot, plans, true = loop.plant.robot, read_robot(), [], []
-    first, last = (round(time / DT) for time in SHOWN)
-    for k, tick in enumerate(loop.run(last + 1)):
+    for k, tick in enumerate(loop.run(LAST + 1)):
         true.append(np.concatenate([sim.rpy, sim.position]))
         plans.append(tick.plan)
-        if k == first:
+        if k == FIRST:
             legs = bent_legs(sim.nodes, sim.directors, sim.quaternion, robot)
             pose = Snapshot(k * DT, sim.position, sim.quaternion, legs, sim.ground_force)
     figure = Figure(figsize=(12.0, 4.2), layout="constrained")
     left, right = figure.subfigures(1, 2, width_ratios=(1.1, 1.0))
     ax = left.subplots()
-    draw_robot(ax, pose, robot, Viewpoint())
+    draw_robot(ax, pose, robot, CAMERA)
     centre = np.array([*pose.position[:2], 0.0])
-    draw_ways(ax, plans[first].pose[:, 3:] - centre, plans[first].foot - centre)
+    draw_ways(ax, plans[FIRST].pose[:, 3:] - centre, plans[FIRST].foot - centre)
     ax.set_title("the next stride, as predicted: ways of torso and feet", fontsize=10, loc="left")
     motion, axes = np.array(true), right.subplots(2, 1, sharex=True)
     for ax, column, name in zip(axes, (3, 5), ("x, mm", "height, mm")):
@@ -52,21 +52,19 @@ def draw(path: Path) -> None:
 
 def draw_ways(ax: Axes, torso: Array, feet: Array) -> None:
     """Predicted ways (n, 3) of the torso and (n, 4, 3) of the feet, m from the plot's centre."""
-    camera = Viewpoint()
-    ax.plot(*camera.project(torso).T, color=palette.INK, lw=2.0, zorder=6)
+    ax.plot(*CAMERA.project(torso).T, color=palette.INK, lw=2.0, zorder=6)
     for leg, name in enumerate(LEGS):
         colour = palette.LEG_COLOURS[name]
-        ax.plot(*camera.project(feet[:, leg]).T, color=colour, lw=2.0, zorder=6)
+        ax.plot(*CAMERA.project(feet[:, leg]).T, color=colour, lw=2.0, zorder=6)
 
 
 def draw_beside(ax: Axes, true: Array, plans: Sequence[TendonPlan], column: int) -> None:
     """The true course of a column of the pose, mm, and predictions of it from several ticks on."""
-    first, last = (round(time / DT) for time in SHOWN)
     time = DT * np.arange(len(true))
-    ax.plot(time[first:last], true[first:last], color=palette.TRUE, lw=2.5, label="true")
-    for k in range(first, last, EVERY):
+    ax.plot(time[FIRST:LAST], true[FIRST:LAST], color=palette.TRUE, lw=2.5, label="true")
+    for k in range(FIRST, LAST, EVERY):
         pose = MM * plans[k].pose[:, column]
-        label = "predicted from the dot on" if k == first else "_"
+        label = "predicted from the dot on" if k == FIRST else "_"
         ax.plot(time[k] + DT * np.arange(len(pose) + 1), [true[k], *pose], "--",
                 color=palette.INK, lw=1.1, label=label)  # fmt: skip
         ax.plot(time[k], true[k], "o", color=palette.INK, ms=3.5)

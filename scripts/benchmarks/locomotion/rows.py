@@ -75,6 +75,15 @@ def worst(of: Callable[[Case, WalkMotion], float]) -> Measure:
     return lambda cases, motions: max(of(c, m) for c, m in zip(cases, motions))
 
 
+def ratio(value: float, other: float) -> float:
+    """value / other; NaN, which no check holds for, if it is undefined."""
+    if math.isinf(other):
+        return math.nan if math.isinf(value) else 0.0
+    if other == 0.0:
+        return math.nan if value == 0.0 else math.inf
+    return value / other
+
+
 def rows(quick: bool) -> list[LocomotionRow]:
     """All rows."""
     return [

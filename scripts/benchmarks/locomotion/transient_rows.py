@@ -11,9 +11,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.locomotion.cases import PERIOD, Case, WalkMotion, friction, push
+from benchmarks.locomotion.cases import PERIOD, Case, WalkMotion, friction, incline, push
 from benchmarks.locomotion.rows import MM, SPEED, LocomotionRow, worst
-from slot_core.robot import GRAVITY, Array
+from slot_core.robot import Array
 
 AT = 5.0  # s, of what happens at once
 PLACE, TURN = 0.003, math.radians(1.0)  # of a robot that has recovered
@@ -146,13 +146,6 @@ def _loads(quick: bool) -> list[LocomotionRow]:
         cases = [Case(AT + 6.0, velocity=(SPEED, 0.0, 0.0), events=happens)]
         found.append(LocomotionRow(f"{name}, at once: place lost", "mm", 10.0, cases, worst(_lost)))
     return found
-
-
-def incline(degrees: float, direction_deg: float) -> tuple[float, ...]:
-    """Gravity (3,) in the axes of a floor that rises towards a direction from +x."""
-    tilt, way = math.radians(degrees), math.radians(direction_deg)
-    down = -GRAVITY * math.sin(tilt)
-    return (down * math.cos(way), down * math.sin(way), -GRAVITY * math.cos(tilt))
 
 
 def _lost(case: Case, motion: WalkMotion) -> float:

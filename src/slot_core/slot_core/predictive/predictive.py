@@ -6,10 +6,10 @@ the plan out from the estimated state, solves the quadratic programme and search
 Where `prepare` has not been called, `step` calls it: the commands are the same.
 
 While the servos do not follow, or tendons are to be slack, the plan is the gait's; after a fault it
-is tried first whether the next one could be solved. An estimate that
-comes before the next stage gets the present plan between its stages. A cycle without a new plan
-moves the last one on and lets its deviations from the gait decay; after `limits.cycles` such cycles
-in a row the status is STOPPED.
+is tried first whether the next one could be solved. An estimate that comes before the next stage
+gets the present plan between its stages. A cycle without a new plan moves the last one on and lets
+its deviations from the gait decay; after `limits.cycles` such cycles in a row the status is
+STOPPED.
 """
 
 from __future__ import annotations
@@ -78,9 +78,8 @@ class Predictive(Policy):
         self.observer = DisturbanceObserver(self._model, settings.observer, dt)
         self._plan: _Plan | None = None  # that is executed
         self._next: _Plan | None = None  # a stage later, prepared
-        self._seen = _empty(
-            settings.stages
-        )  # poses and feet at the stages 1 .. K, forces at 0 .. K-1
+        # predicted: poses and feet at the stages 1 .. K, forces at 0 .. K-1
+        self._seen = _empty(settings.stages)
         self._stiffness = np.ones(len(LEGS))  # N/rad, mean over the stages
         self._missed = 0  # consecutive cycles without a new plan
 
@@ -224,17 +223,16 @@ class Predictive(Policy):
         if not np.isfinite(error).all():
             return plan, before, "the rollout diverges"
         assert plan.linear is not None
-        nominal = plan.nominal[:-1]
-        change = problem.change(error[0], plan.linear, plan.deviation, nominal)
+        change = problem.change(error[0], plan.linear, plan.deviation, plan.nominal[:-1])
         if change is None:
             return plan, before, "the quadratic programme is not solved"
         least = problem.cost(error[0], plan.deviation)
         for share in SHARES:
-            tried = plan.deviation + share * change
-            angle = np.clip(nominal + tried, *problem.range(nominal))
-            after = self._model.roll_out(plan.start, angle[None])
-            if problem.cost(problem.errors(after.pose, wanted, yaw)[0], tried) < least:
-                return replace(plan, deviation=tried), after, ""
+            tried = replace(plan, deviation=plan.deviation + share * change)
+            after = self._model.roll_out(plan.start, self._angles(tried)[None])
+            error = problem.errors(after.pose, wanted, yaw)
+            if problem.cost(error[0], tried.deviation) < least:
+                return tried, after, ""
         return plan, before, ""
 
     def _fall_back(self, cause: Status, fault: str) -> TendonPlan:

@@ -64,15 +64,15 @@ class PlanProblem:
         rates = np.diff(self.basis, axis=1).reshape(len(self.basis), -1)
         self._rows = np.hstack([self._flat, rates]).T.copy()
         scale = np.array([cost.tilt, cost.tilt, cost.yaw, cost.place, cost.place, cost.height])
-        self._weight = np.tile(1.0 / (np.sqrt(stages) * scale), (stages, 1))
+        self._weight = 1.0 / (np.sqrt(stages) * scale)
         self._damped = self._flat @ np.array([self._pull(b).ravel() for b in self.basis]).T
         self._damped += np.eye(len(self.basis)) / cost.change**2
         self._solver = piqp.DenseSolver()
         self._solver.settings.eps_abs = self._solver.settings.eps_rel = QP_TOLERANCE
         self._solver.settings.max_iter = QP_ITERATIONS
-        still = np.zeros((stages, 6))
-        wanted = self.reference(np.zeros((stages + 1, 12)), still[0, :3], still[0, :3], 0.0)
-        error = self.errors(still[None], wanted, 0.0)[0]  # compiles the kernels, as does the step
+        nowhere = np.zeros(3)
+        wanted = self.reference(np.zeros((stages + 1, 12)), nowhere, nowhere, 0.0)
+        error = self.errors(wanted[None], wanted, 0.0)[0]  # compiles the kernels, as does the step
         slopes, angle = np.zeros((len(self.basis), error.size)), np.zeros((stages + 1, LEG_COUNT))
         self.change(error, self.linearised(slopes), angle, angle)
 

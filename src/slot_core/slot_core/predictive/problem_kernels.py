@@ -38,12 +38,15 @@ def set_reference(rows, place, drift, sag, dt, sway, reach, pose):
 
 
 @kernel
-def set_errors(pose, reference, weight, yaw, error):
-    """Write errors (P, K, 6) of poses (P, K, 6), x and y along and across the heading, weighted."""
+def set_errors(pose, reference, w, yaw, error):
+    """Write errors (P, K, 6) of poses (P, K, 6), x and y along and across the heading.
+
+    w: (6,) weights of the errors.
+    """
     c, s = math.cos(yaw), math.sin(yaw)
     for p in range(pose.shape[0]):
         for k in range(pose.shape[1]):
-            is_, should, w, e = pose[p, k], reference[k], weight[k], error[p, k]
+            is_, should, e = pose[p, k], reference[k], error[p, k]
             x, y = is_[3] - should[3], is_[4] - should[4]
             turn = is_[2] - should[2] + math.pi
             turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi)) + math.pi

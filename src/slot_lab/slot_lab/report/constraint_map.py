@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from slot_core.clock import to_seconds
 from slot_core.command_line import CommandParser
 from slot_core.control.policy import Status
 from slot_core.drawing import palette
@@ -52,6 +53,7 @@ class ConstraintMap:
     """Slack over n cycles; NaN where a constraint is inactive."""
 
     name: str  # of the bag
+    begin: float  # s of graph time, of the first cycle
     time: Array  # (n,) s since the first cycle
     constraints: tuple[str, ...]
     slack: Array  # (constraints, n) in `unit`, negative is violated
@@ -89,10 +91,14 @@ def read_map(bag: Bag) -> ConstraintMap:
     if not rows:
         raise BagError(f"{bag.path}: {TOPIC} has none of the fields {', '.join(missing)}")
     series = bag.series(TOPIC, "status")
-    time = seconds(series.stamp, int(series.stamp[0]))
+    begin = int(series.stamp[0])
+    time = seconds(series.stamp, begin)
     slack = np.concatenate(rows).astype(float)
     slack[~np.isfinite(slack)] = np.nan  # infinite where the constraint is inactive
-    return ConstraintMap(bag.path.name, time, tuple(names), slack, series["status"], tuple(missing))
+    return ConstraintMap(
+        bag.path.name, to_seconds(begin), time, tuple(names), slack, series["status"],
+        tuple(missing),
+    )  # fmt: skip
 
 
 def unit(constraint: str) -> str:

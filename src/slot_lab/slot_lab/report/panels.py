@@ -26,7 +26,7 @@ from slot_lab.bags.recorded_walk import (
 from slot_lab.report import constraint_map
 from slot_lab.report.metrics import WalkMetrics
 from slot_lab.report.summary import summary_lines
-from slot_lab.report.traces import disturbance
+from slot_lab.report.traces import PLOTS, disturbances
 
 WINDOW = 4.0  # s at the end of the walk, shown in the panels of the legs
 LATENCY_BINS = 60
@@ -122,9 +122,10 @@ def draw_disturbance(ax: Axes, bag: Bag, start: float) -> None:
     if bag.counts.get("/tendon_plan"):
         with suppress(NoFieldError):  # a bag from before there was an observer
             series = bag.series("/tendon_plan", "wrench", "drift")
-            found = disturbance(series["wrench"].T, series["drift"].T)
-            for (name, values), colour in zip(found.items(), DISTURBANCE_COLOURS):
-                ax.plot(seconds(series.stamp) - start, values, color=colour, lw=1, label=name)
+            found = disturbances(series["wrench"].T, series["drift"].T)
+            curve, time = PLOTS["disturbance"].curves["mpc"], seconds(series.stamp) - start
+            for values, name, colour in zip(found, curve.names, curve.colours):
+                ax.plot(time, values, color=colour, lw=1, label=name)
             ax.legend(**LEGEND | {"ncols": 4})
     _finish(ax, "", "disturbance", "time (s)")
 
@@ -133,8 +134,7 @@ def draw_constraints(ax: Axes, bag: Bag, start: float) -> None:
     """Dynamic Constraint Map: slack of each constraint of the plan's first stage over time."""
     if bag.counts.get(constraint_map.TOPIC, 0) > 1:
         found = constraint_map.read_map(bag).active
-        first = seconds(bag.series(constraint_map.TOPIC).stamp)[0] - start
-        constraint_map.draw_slack(ax, replace(found, time=found.time + first))
+        constraint_map.draw_slack(ax, replace(found, time=found.time + found.begin - start))
     _finish(ax, "Dynamic Constraint Map", "", "time (s)")
     ax.tick_params(axis="y", labelsize=6)
     ax.grid(visible=False)
@@ -155,7 +155,6 @@ LEGEND: dict[str, Any] = {
     "columnspacing": 1.2, "handlelength": 1.5,
     "frameon": False, "loc": "lower right", "ncols": 3,
 }  # fmt: skip
-DISTURBANCE_COLOURS = (palette.INK, *palette.LEG_COLOURS.values())
 LATENCY_COLOURS = (*palette.STAGE_COLOURS, palette.INK)
 
 

@@ -124,16 +124,14 @@ def _of_legs_truth(message: Any) -> Values:
     return {"force/ground": force[:, 2], "tension/simulated": tension}
 
 
-def disturbance(wrench: Array, drift: Array) -> Values:
-    """Disturbances in a user's units from wrench and drift (3, ...) of a plan, by their names."""
-    found = (-10.0 * wrench[0] / GRAVITY, *(100.0 * drift[:2]), np.degrees(drift[2]))
-    return dict(zip(PLOTS["disturbance"].curves["mpc"].names, found))
+def disturbances(wrench: Array, drift: Array) -> Array:
+    """Disturbances (4, ...) in the units of their plot, from wrench and drift (3, ...)."""
+    return np.array([-10.0 * wrench[0] / GRAVITY, *(100.0 * drift[:2]), np.degrees(drift[2])])
 
 
 def _of_plan(message: Any) -> Values:
-    found = disturbance(np.array(message.wrench), np.array(message.drift))
     return {
-        "disturbance/mpc": np.array(list(found.values())),
+        "disturbance/mpc": disturbances(np.array(message.wrench), np.array(message.drift)),
         "force/demanded": decode.plan(message)[1].force[0, :, 2],
         "solve_time/mpc": np.array([1e3 * message.solve_time]),
     }
