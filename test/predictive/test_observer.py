@@ -11,12 +11,13 @@ from slot_core.robot import GRAVITY, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 
 SETTINGS, DT, ANGLE = read_predictive(), 0.033, 1.3
+SCALE = np.array([0.02, 0.02, 0.007, 0.002, 0.002, 0.002])
 
 
 def watched(ticks, drift=(0.0, 0.0, 0.0), wrench=(0.0, 0.0, 0.0)):
     """The observer after it has seen a nominal robot on which a wrench acts, and that drifts."""
     plant, model = (NominalRobot(read_robot(), SETTINGS.nominal, DT) for _ in range(2))
-    observer = DisturbanceObserver(model, SETTINGS.observer, DT)
+    observer = DisturbanceObserver(model, SETTINGS.observer, SCALE, DT)
     plant.set_wrench(np.array(wrench), 0.0)
     state, command = np.zeros(12), np.full((2, 4), ANGLE)
     state[5] = 0.05
@@ -46,6 +47,23 @@ def test_a_wrench_is_found():
 def test_a_drift_is_found_in_the_heading_frame():
     drift = (0.01, -0.005, 0.02)
     assert watched(120, drift=drift).drift == pytest.approx(drift, abs=1e-3)
+
+
+def test_a_steady_drift_is_no_misfit_but_a_robot_that_moves_otherwise_is():
+    observer = watched(120, drift=(0.03, 0.0, 0.05), wrench=(-3.0, 0.0, 0.0))
+    assert not observer.is_far
+    assert observer.misfit < 1.0
+    observer.repeat()
+    found = observer.drift[0]
+    far = []
+    for k in range(200):
+        state = np.concatenate([observer._repeated, np.zeros(6)])
+        state[2] += 0.2 * (-1) ** k * (k < 60)
+        observer.correct(state)
+        far.append(observer.is_far)
+    assert far.index(True) in range(3, 20)
+    assert not far[-1]  # once it moves as the model again
+    assert abs(observer.drift[0]) < 0.01 * found
 
 
 def test_a_forgotten_motion_leaves_the_estimates():

@@ -179,3 +179,19 @@ def test_a_tendon_damaged_while_walking_stops_the_gait_within_a_stride(leg, kind
     loop.react(lambda loop: loop.inject(kind, value, leg), "HOLD", limit, begin=3.0)
     assert loop.first["HOLD"] <= limit
     assert loop.reasons["HOLD"].startswith(f"slack or broken tendon {leg} (")
+
+
+def test_a_robot_that_is_told_of_its_broken_tendon_walks_on_three_legs(tmp_path, monkeypatch):
+    """Untold, it holds after .58 s."""
+    broken = [True, False, False, False]
+    changes = {
+        "supervisor": {"tendon.broken": broken},
+        "predictive": {"nominal.broken": broken},
+        "scene/tendon_breaks": {"faults.fl.time": 0.0},
+    }
+    monkeypatch.setenv("SLOT_CONFIG", str(changed_config(tmp_path, changes)))
+    loop = FaultyLoop(scene="tendon_breaks")
+    for report in loop.run(12.0):
+        assert report.state is not State.HOLD, report.reason
+    assert report.state is State.WALKING
+    assert loop.plant.robot.position[0] > 0.1

@@ -9,7 +9,8 @@ While the servos do not follow, or tendons are to be slack, the plan is the gait
 is tried first whether the next one could be solved. An estimate that comes before the next stage
 gets the present plan between its stages. A cycle without a new plan moves the last one on and lets
 its deviations from the gait decay; after `limits.cycles` such cycles in a row the status is
-STOPPED.
+STOPPED. While the robot moves otherwise than its model the plan is the gait's too, to which the
+deviations decay, and the status is MODEL_FAR.
 """
 
 from __future__ import annotations
@@ -26,13 +27,12 @@ from slot_core.control.policy import PlanReport, Policy, Status, TendonPlan, Tim
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview, first_rate, read_gaits
 from slot_core.geometry import wrapped
-from slot_core.predictive.disturbance_observer import DisturbanceObserver
+from slot_core.predictive.disturbance_observer import PLACE, DisturbanceObserver
 from slot_core.predictive.nominal_robot import NominalRobot, NominalState, Rollouts
 from slot_core.predictive.problem import Linearisation, PlanProblem
 from slot_core.predictive.settings import PredictiveSettings, read_predictive
 from slot_core.robot import GRAVITY, LEGS, Array, RobotParameters
 
-PLACE = [3, 4, 2]  # x, y and yaw in a state
 MISSED_MAX = 5  # stages without an estimate after which the plan begins anew
 SHARES = (1.0, 0.3)  # of the step, in the line search
 JUMP, TURN = 0.05, 0.2  # m, rad beyond the nominal robot's motion: the odometry has jumped
@@ -75,7 +75,8 @@ class Predictive(Policy):
         self._dt, settings = dt, self._settings
         self._model = NominalRobot(self._robot, settings.nominal, dt)
         self._problem = PlanProblem(settings, self._robot.tendon.angle_max, dt)
-        self.observer = DisturbanceObserver(self._model, settings.observer, dt)
+        scale = self._problem.scale
+        self.observer = DisturbanceObserver(self._model, settings.observer, scale, dt)
         self._plan: _Plan | None = None  # that is executed
         self._next: _Plan | None = None  # a stage later, prepared
         # predicted: poses and feet at the stages 1 .. K, forces at 0 .. K-1
@@ -222,6 +223,9 @@ class Predictive(Policy):
         error = problem.errors(before.pose, wanted, yaw)
         if not np.isfinite(error).all():
             return plan, before, "the rollout diverges"
+        if observer.is_far:
+            decayed = replace(plan, deviation=self._settings.limits.decay * plan.deviation)
+            return decayed, self._model.roll_out(plan.start, self._angles(decayed)[None]), ""
         assert plan.linear is not None
         change = problem.change(error[0], plan.linear, plan.deviation, plan.nominal[:-1])
         if change is None:
@@ -258,8 +262,13 @@ class Predictive(Policy):
         assert self._plan is not None
         angle, seen = self._angles(self._plan), self._seen
         rate, later = first_rate(angle, self._dt), _shifted(angle, share)[:-1]
-        report = self._report(later[0], rate, preview)
-        return TendonPlan(later, rate, seen.force, report=report, pose=seen.pose, foot=seen.foot)
+        plan = TendonPlan(later, rate, seen.force, pose=seen.pose, foot=seen.foot)
+        plan = replace(plan, report=self._report(later[0], rate, preview))
+        if not self.observer.is_far:
+            return plan
+        misfit, limit = self.observer.misfit, self._settings.observer.misfit_max
+        far = f"the robot moves otherwise than its model: misfit {misfit:.1f}, limit {limit:g}"
+        return replace(plan, status=Status.MODEL_FAR, message=far)
 
     def _report(self, angle: Array, rate: Array, preview: GaitPreview | None) -> PlanReport:
         """Margins of the first stage and the disturbances."""

@@ -63,8 +63,9 @@ class PlanProblem:
         self._flat = self.basis.reshape(len(self.basis), -1)  # (n, 4 (K + 1))
         rates = np.diff(self.basis, axis=1).reshape(len(self.basis), -1)
         self._rows = np.hstack([self._flat, rates]).T.copy()
-        scale = np.array([cost.tilt, cost.tilt, cost.yaw, cost.place, cost.place, cost.height])
-        self._weight = 1.0 / (np.sqrt(stages) * scale)
+        scale = [cost.tilt, cost.tilt, cost.yaw, cost.place, cost.place, cost.height]
+        self.scale = np.array(scale)  # (6,) of the errors of a pose
+        self._weight = 1.0 / (np.sqrt(stages) * self.scale)
         self._damped = self._flat @ np.array([self._pull(b).ravel() for b in self.basis]).T
         self._damped += np.eye(len(self.basis)) / cost.change**2
         self._solver = piqp.DenseSolver()

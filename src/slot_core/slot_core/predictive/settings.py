@@ -50,6 +50,8 @@ class ObserverSettings:
         "wrench per error of height, roll and pitch", "N/m, N m/rad, N m/rad", 0, 1e4
     )
     wrench_max: Vector3 = quantity("largest wrench: F_z, M_x, M_y", "N, N m, N m", 0, 100)
+    misfit_gain: float = quantity("gain of the misfit, the error that they leave over", "", 0, 1)
+    misfit_max: float = quantity("largest misfit of a model that is used, in scales", "", 0.1, 1e3)
 
 
 @dataclass(frozen=True)

@@ -83,6 +83,9 @@ class TendonLimits:
     )
     stiffness_min: float = quantity("least d torque / d angle to divide by", "N m/rad", 1e-3, 10)
     share: float = quantity("share of the largest slack for another leg to be named", "", 0, 1)
+    broken: tuple[bool, bool, bool, bool] = flag(
+        "whether a tendon FL FR RL RR is known to be broken and not watched"
+    )
 
 
 @dataclass(frozen=True)

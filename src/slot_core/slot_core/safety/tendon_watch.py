@@ -139,6 +139,7 @@ class TendonWatch:
         if stamp - self._over_since < self._limits.confirm * SECOND:
             return
         damaged = over & (self._slack >= self._limits.share * self._slack.max())
+        damaged &= np.logical_not(self._limits.broken)
         for leg in np.flatnonzero(damaged & ~self._damaged):
             self._named[LEGS[leg]] = float(self._slack[leg])
         self._damaged = self._damaged | damaged
