@@ -196,5 +196,5 @@ def test_a_replay_whose_output_cannot_be_written_says_so():
 @pytest.mark.parametrize("text", ["", "[1]\n", "horizon\n"])
 def test_a_profile_of_the_mpc_that_is_no_mapping_is_refused(own_config, text):
     (own_config / "mpc" / "own.yaml").write_text(text)
-    with pytest.raises(ConfigError, match=r"mpc/own\.yaml: expected a mapping of dotted names"):
+    with pytest.raises(ConfigError, match=r"mpc/own\.yaml: terms: expected a mapping"):
         read_mpc("own")

@@ -47,6 +47,7 @@ SETTINGS: dict[str, Callable[[], Any]] = {
     "predictive.yaml": read_predictive,
     "place.yaml": partial(config.read, PlaceSettings, "place"),
     "mpc.yaml": read_mpc,
+    "mpc/paper_code.yaml": partial(read_mpc, "paper_code"),
     "force_map.yaml": partial(config.read, ForceMapSettings, "force_map"),
     "supervisor.yaml": read_supervisor,
     "servo_bus.yaml": read_servo_bus,

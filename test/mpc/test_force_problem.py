@@ -61,8 +61,8 @@ def discrete(yaw, height, dt):
     return held[:12, :12], held[:12, 12:24], held[:12, 24]
 
 
-def optimum(x0, ahead, constraints=lambda u, x: []):
-    """u (H, 12) and cost with further constraints and costs, by CVXPY and Clarabel."""
+def optimum(x0, ahead):
+    """u (H, 12) and cost, by CVXPY and Clarabel."""
     a, b, g = discrete(x0[2], x0[5], ahead.dt)
     q, r = np.sqrt(SETTINGS.weights.q), np.sqrt(SETTINGS.weights.r)
     x, u = cvxpy.Variable((H + 1, 12)), cvxpy.Variable((H, 12))
@@ -74,7 +74,6 @@ def optimum(x0, ahead, constraints=lambda u, x: []):
     all_constraints += [
         cvxpy.abs(u[:, 0::3]) <= mu_f_z,
         cvxpy.abs(u[:, 1::3]) <= mu_f_z,
-        *constraints(u, x),
     ]
     error = (x[1:] - ahead.reference[1 : H + 1]) @ np.diag(q)
     cost = cvxpy.sum_squares(error) + cvxpy.sum_squares((u - u_ref) @ np.diag(r))
@@ -119,13 +118,13 @@ def solve_whole_horizon(known, ahead):
     """Forces (H, 4, 3) N by the problem and solver of the controller."""
     model, x0 = TorsoModel(ROBOT), known.state
     generic, weights = model.predict(0.3, 0.1, DT), SETTINGS.weights
-    qp = HorizonQp(weights.q, weights.r, H, generic, SETTINGS.model, ROBOT.weight)
+    qp = HorizonQp(weights.q, weights.r, H, generic)
     solver = make_solver(qp, SETTINGS.solver)
     force_ref = np.zeros((H, 4, 3))
     force_ref[..., 2] = ahead.normal_force[:H]
     limits = F_MAX * ahead.contact[:H]
     stages = Horizon(limits, ahead.friction[:H], force_ref, ahead.reference[1 : H + 1])
-    qp.update(model.predict(x0[2], x0[5], ahead.dt), x0, stages, ROBOT.weight)
+    qp.update(model.predict(x0[2], x0[5], ahead.dt), x0, stages)
     return qp.forces(solver.solve().z)
 
 
@@ -210,34 +209,6 @@ def test_force_max_is_the_force_of_a_fully_pulled_leg_at_the_height_of_the_walk(
     pulled = [row for row in rows if row["theta_deg"] == max(r["theta_deg"] for r in rows)]
     force = np.interp(0.064, *zip(*((row["height_m"], row["force_N"]) for row in pulled)))
     assert SETTINGS.force_max == pytest.approx(force, abs=0.05)  # one decimal
-
-
-@pytest.mark.parametrize("band", [0.0, 0.01])
-def test_an_exact_balance_holds_and_is_the_optimum(band):
-    known, ahead = CASES["low"]
-
-    def balance(u, _):
-        return [cvxpy.abs(cvxpy.sum(u[:, 2::3], axis=1) - ROBOT.weight) <= band]
-
-    u, _ = optimum(known.state, ahead, constraints=balance)
-    exact = {"model__support": "equality", "model__support_band": band}
-    result = new_mpc(**exact).step(known, ahead)
-    assert result.status == Status.SOLVED
-    np.testing.assert_allclose(result.force[0].ravel(), u[0], atol=3e-4)
-    assert result.report.slack_balance > -1e-6
-    assert abs(result.force[0, :, 2].sum() - ROBOT.weight) < band + 1e-6
-
-
-def test_with_an_exact_balance_too_few_legs_in_contact_are_not_solved():
-    """Two legs of 6 N cannot carry 21 N; four can."""
-    mpc = new_mpc(model__support="equality", force_max=6.0)
-    good = mpc.step(torso(), preview(normal_force=np.full((H + 1, 4), HOVER)))
-    assert good.status == Status.SOLVED
-    lifted = np.tile([True, False, False, True], (H + 1, 1))
-    result = mpc.step(torso(), preview(contact=lifted))
-    assert result.status == Status.NOT_SOLVED
-    assert np.isfinite(result.force).all()
-    assert result.report.slack_total < 0.0
 
 
 def ticks(mpc, true, seconds=6.0):

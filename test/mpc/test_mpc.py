@@ -199,14 +199,3 @@ def test_status_values_are_those_of_the_message():
     path = Path(__file__).parents[2] / "slot_msgs/msg/TendonPlan.msg"
     constants = re.findall(r"^uint8 (\w+) = (\d+)", path.read_text(), re.MULTILINE)
     assert {name: int(value) for name, value in constants} == Status.__members__
-
-
-@pytest.mark.parametrize("profile", ["paper_text", "paper_code"])
-def test_a_profile_changes_only_the_values_it_names(profile):
-    settings = read_mpc(profile)
-    assert settings.model.support == "equality"
-    assert settings.weights.force == (1e-8, 1e-8, 1e-8)
-    assert settings.map == "paper"
-    assert settings.fallback == read_mpc().fallback
-    with pytest.raises(config.ConfigError, match="no configuration 'mpc/magic'"):
-        read_mpc("magic")

@@ -19,7 +19,7 @@ from benchmarks.harness import ROOT, BenchmarkError, Check, Progress, Row, at_mo
 from benchmarks.perturbations.cases import CASES, DURATION, NOISE, TABLE, PerturbedRun, metrics
 from benchmarks.perturbations.plots import draw_costs, draw_failures, table_lines
 from benchmarks.perturbations.samples import PLANTS, RandomSample, SampleRecord, draw, summary
-from slot_core.mpc.settings import read_mpc
+from slot_core.mpc.settings import read_mpc, read_paper_mpc
 from slot_core.robot import read_robot
 from slot_lab.workers import workers
 
@@ -32,8 +32,8 @@ MOST_DEVIATION = 0.5  # % of the paper's maximum cost
 LATEST = 2.0  # s, settling time
 NOTES = (
     "Noise: neither seed nor clipping are published; here seed 1, clipped at 1 (SI)",
-    "Pitch: 9 % above the paper, with either sign of the angle; the cause is not known",
-    "(a): cost and limits of the authors' walk; without its cost on f_x Baseline is 9 % above",
+    "Pitch: ill-posed; R leaves the normal forces nearly free, the raised steps make a cost of it",
+    "(a): problem and model of the policy paper_code",
     "mean cost and settling time: their intervals are not published in the paper",
     "(a) starts with every state zero but the perturbation; at the reference the cost would be 0",
     "(b), (c): other weights: settling and feasibility compare with the paper, the cost does not",
@@ -78,7 +78,7 @@ def cases(duration: float, progress: Progress) -> tuple[dict[str, Runs], list[di
     from benchmarks.perturbations.rigid_torso import run_torso  # noqa: PLC0415
     from benchmarks.perturbations.simulated import run_robot  # noqa: PLC0415
 
-    robot, published, forces = read_robot(), read_mpc("paper_code"), read_mpc("forces")
+    robot, published, forces = read_robot(), read_paper_mpc("paper_code"), read_mpc("forces")
     runs: dict[str, Runs] = {"published": {}, "torso": {}, "robot": {}}
     rows = []
     for name, change in CASES.items():

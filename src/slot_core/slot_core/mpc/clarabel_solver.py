@@ -27,17 +27,13 @@ class ClarabelSolver:
             self._rows.matrix,
             self._right_side(),
             cones,
-            _options(settings),
+            clarabel_options(settings),
         )
 
     def solve(self) -> Solution:
         """Solve the problem with its present values."""
         self._solver.update(q=self._qp.c, A=self._rows.refresh(), b=self._right_side())
-        found = self._solver.solve()
-        count = int(found.iterations)
-        solved = found.status == clarabel.SolverStatus.Solved
-        fault = "" if solved else f"{found.status} after {count} iterations"
-        return Solution(np.array(found.x), fault, count)
+        return solution_of(self._solver.solve())
 
     def _right_side(self) -> Array:
         """The vector d."""
@@ -47,7 +43,16 @@ class ClarabelSolver:
         return np.concatenate([qp.b.ravel(), qp.h, *bounds])
 
 
-def _options(settings: MpcSolverSettings) -> clarabel.DefaultSettings:
+def solution_of(found: clarabel.DefaultSolution) -> Solution:
+    """The solution that Clarabel found."""
+    count = int(found.iterations)
+    solved = found.status == clarabel.SolverStatus.Solved
+    fault = "" if solved else f"{found.status} after {count} iterations"
+    return Solution(np.array(found.x), fault, count)
+
+
+def clarabel_options(settings: MpcSolverSettings) -> clarabel.DefaultSettings:
+    """Clarabel's settings."""
     options = clarabel.DefaultSettings()
     options.verbose = False
     options.max_threads = 1

@@ -1,11 +1,12 @@
 """Problem of the MPC on ground reaction forces: torso model, disturbance observer and solver.
 
-The paper's formulation, for comparison. It takes the legs as ideal sources of force (`model.py`),
-which soft legs are not.
+The paper's formulation, made well posed, for comparison. It takes the legs as ideal sources of
+force (`model.py`), which soft legs are not. As printed and as published: `paper_problem.py`.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,8 @@ from slot_core.control.policy import TendonPlan
 from slot_core.gait.gait import GaitPreview
 from slot_core.mpc.disturbance import Disturbance
 from slot_core.mpc.model import (
+    FEET,
+    FirstStage,
     Horizon,
     HorizonQp,
     Prediction,
@@ -25,7 +28,7 @@ from slot_core.mpc.model import (
 )
 from slot_core.mpc.settings import MpcSettings
 from slot_core.mpc.solver import Solution, make_solver
-from slot_core.robot import GRAVITY, Array, RobotParameters
+from slot_core.robot import Array, RobotParameters
 
 LONGEST_GAP = 0.5  # s between ticks; after a longer one the acting forces are unknown
 
@@ -53,10 +56,11 @@ class ForceProblem:
         weights, horizon = settings.weights, settings.horizon
         generic = self._model.predict(0.3, 0.1, STAGE[1])
         _check_condition(generic, settings)
-        self.qp = HorizonQp(weights.q, weights.r, horizon, generic, settings.model, robot.weight)
+        self.qp = HorizonQp(weights.q, weights.r, horizon, generic)
         self._solver = make_solver(self.qp, settings.solver)
         self._solver.solve()  # the first solve is slow (page faults): not during operation
         self._stamp, self._state = 0, np.zeros(12)
+        self._ahead: Horizon | None = None
         self._last: _LastTick | None = None
 
     @property
@@ -69,13 +73,31 @@ class ForceProblem:
         """Estimated mass over the robot's nominal mass; scales the reference forces."""
         return self._disturbance.mass / self._mass
 
-    def update(self, state: Array, preview: GaitPreview, ahead: Horizon) -> None:
-        """Set the present state (12,), the preview and the limits and targets ahead."""
+    def read(self, preview: GaitPreview) -> FirstStage:
+        """Take the limits and targets of a preview; returns those of its first stage.
+
+        If the preview ends with stage H-1, its reference there is the target of state H too.
+        """
+        now = np.arange(self._settings.horizon)
+        following = np.minimum(now + 1, len(preview.reference) - 1)
+        force = np.zeros((len(now), FEET, 3))
+        force[..., 2] = self.share * np.asarray(preview.normal_force)[now]
+        self._ahead = ahead = Horizon(
+            force_max=self._settings.force_max * np.asarray(preview.contact, dtype=float)[now],
+            friction=np.asarray(preview.friction, dtype=float)[now],
+            force_ref=force,
+            state_ref=np.asarray(preview.reference, dtype=float)[following],
+        )
+        return FirstStage(ahead.force_max[0], ahead.friction[0], force[0], preview.rate)
+
+    def update(self, state: Array, preview: GaitPreview) -> None:
+        """Set the present state (12,), at stage 0 of the preview that was read."""
+        assert self._ahead is not None
         self._observe(state, preview.stamp)
         self._stamp, self._state = preview.stamp, state
         mass, bias = self._disturbance.mass, self._disturbance.bias
         prediction = self._model.predict(state[2], state[5], preview.dt, mass, bias)
-        self.qp.update(prediction, state, ahead, mass * GRAVITY)
+        self.qp.update(prediction, state, self._ahead)
 
     def solve(self) -> Solution:
         """Solve the problem with its present values; raises nothing."""
@@ -84,6 +106,14 @@ class ForceProblem:
     def follow(self, plan: TendonPlan) -> None:
         """Take the plan that the legs are commanded from this tick on."""
         self._last = _LastTick(self._stamp, self._state, plan.force[0])
+
+    def balance(self, force: Array) -> float:
+        """Slack of the balance of forces (4, 3) with the weight: infinite, without such a limit."""
+        return math.inf
+
+    def forces(self, z: Array) -> Array:
+        """Forces (H, 4, 3) N at z."""
+        return self.qp.forces(z)
 
     def cost(self, z: Array) -> float:
         """Objective at z."""

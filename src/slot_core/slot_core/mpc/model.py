@@ -14,12 +14,8 @@ gait preview the MPC minimises
     sum (x_k+1 - x_ref,k+1)' Q (x_k+1 - x_ref,k+1) + (u_k - u_ref,k)' R (u_k - u_ref,k)
     with  0 <= f_z <= contact f_max   and   |f_x|, |f_y| <= mu f_z   for every leg and stage,
 
-with u_ref the gait's normal forces, or zero. The option `support: equality` adds, for every stage,
-
-    |sum f_z - m g| <= band.
-
-Without it, u = 0 is always allowed: the problem is feasible from every state. With it, the legs in
-contact must be able to carry the weight, and with all four the height is not controlled.
+with u_ref the gait's normal forces. u = 0 is always allowed: the problem is feasible from every
+state. That of the paper, which balances the weight in every stage, is in `paper_problem.py`.
 """
 
 from __future__ import annotations
@@ -30,7 +26,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from slot_core.config import choice, quantity
 from slot_core.robot import GRAVITY, LEGS, Array, RobotParameters
 
 FEET = len(LEGS)
@@ -41,17 +36,6 @@ F_Z = slice(2, INPUTS, 3)
 YAW = 2
 
 Slots = NDArray[np.intp]
-
-
-@dataclass(frozen=True)
-class ModelOptions:
-    """Options of the problem beside its weights and limits."""
-
-    support: str = choice("whether the normal forces balance the weight", "free", "equality")
-    support_band: float = quantity(
-        "largest imbalance of the normal forces, with support: equality", "N", 0, 100
-    )
-    reference: str = choice("reference of the forces", "gait", "zero")
 
 
 @dataclass(frozen=True)
@@ -88,6 +72,14 @@ class FirstStage:
         limit = self.friction[:, None] * normal
         return np.hstack([np.clip(force[:, :2], -limit, limit), normal])
 
+    def slacks(self, force: Array) -> Array:
+        """Slacks (3, 4) N of forces (4, 3) N: f_z, f_max - f_z and mu f_z - max(|f_x|, |f_y|).
+
+        Negative means violated.
+        """
+        normal, tangential = force[:, 2], np.abs(force[:, :2]).max(axis=1)
+        return np.stack([normal, self.force_max - normal, self.friction * normal - tangential])
+
 
 class TorsoModel:
     """Single rigid body model of the torso, driven by the forces on its feet."""
@@ -111,11 +103,13 @@ class TorsoModel:
         rad/s^2 and m/s^2. With q = [rpy, p] and w = [omega, v] the model is q' = J w,
         w' = W u + g.
         """
-        rotation = _rotation_z(yaw)
+        rotation = rotation_z(yaw)
         jacobian = np.eye(6)
         jacobian[:3, :3] = rotation.T
         gain = np.zeros((6, INPUTS))
-        arms = _lever_arms(rotation, self._feet, height)
+        levers = self._feet @ rotation.T
+        levers[:, 2] = -height
+        arms = lever_arms(levers)
         gain[:3] = rotation @ self._inverse_inertia @ rotation.T @ arms
         gain[3:] = np.tile(np.eye(3) / (mass or self._mass), FEET)
         acceleration = (np.zeros(6) if bias is None else bias) - GRAVITY * np.eye(6)[5]
@@ -132,54 +126,38 @@ class HorizonQp:
     """Quadratic programme min 1/2 z'Pz + c'z with A z = b, G z <= h, lower <= z <= upper.
 
     z = [u_0, x_1, u_1, x_2, ...]. The arrays are scipy CSC matrices and vectors, updated in place;
-    P and all sparsity patterns are constant. Rows of A: dynamics, exact balance. Rows of G:
-    friction, balance with a band.
+    P and all sparsity patterns are constant. Rows of A: dynamics. Rows of G: friction.
     """
 
-    def __init__(  # noqa: PLR0917
-        self,
-        q: Array,
-        r: Array,
-        horizon: int,
-        pattern: Prediction,
-        options: ModelOptions,
-        weight: float,
-    ):
+    def __init__(self, q: Array, r: Array, horizon: int, pattern: Prediction):
         """Lay out the arrays.
 
         q (12,) and r (12,): diagonals of Q and R. pattern: a prediction that is non-zero wherever
-        any prediction is. weight: m g, N, for the balance.
+        any prediction is.
         """
-        self.horizon, self.options = horizon, options
+        self.horizon = horizon
         self.weight = np.tile(np.concatenate([r, q]), horizon)
         self.P = sparse.diags(self.weight, format="csc")
-        self._rows = _Rows(horizon, pattern)
-        exact = options.support == "equality" and options.support_band == 0.0
-        banded = options.support == "equality" and not exact
-        self.A, self._a_slots = _stack(
-            [self._rows.dynamics(), *([self._rows.balance([1])] if exact else [])]
-        )
-        self.G, self._g_slots = _stack(
-            [self._rows.friction(), *([self._rows.balance([1, 2])] if banded else [])]
-        )
+        rows = _Rows(horizon, pattern)
+        self.A, self._a_slots = _indexed(rows.dynamics())
+        self.G, self._g_slots = _indexed(rows.friction())
         self.b = np.zeros(self.A.shape[0])
         self.h = np.zeros(self.G.shape[0])
         self.lower = np.full((horizon, STAGE), -np.inf)
         self.lower[:, F_Z] = 0.0
         self.upper = np.full((horizon, STAGE), np.inf)
         self.target = np.zeros((horizon, STAGE))
-        self._set_weight(weight)
         feet = np.zeros((horizon, FEET))
         forces, states = np.zeros((horizon, FEET, 3)), np.zeros((horizon, STATES))
-        self.update(pattern, np.zeros(STATES), Horizon(feet, feet, forces, states), weight)
+        self.update(pattern, np.zeros(STATES), Horizon(feet, feet, forces, states))
 
     @property
     def c(self) -> Array:
         """Linear cost -W z_ref."""
         return (-self.weight.reshape(self.horizon, -1) * self.target).ravel()
 
-    def update(self, prediction: Prediction, state: Array, stages: Horizon, weight: float) -> None:
-        """Set prediction, present state (12,), stages ahead and weight m g (N).
+    def update(self, prediction: Prediction, state: Array, stages: Horizon) -> None:
+        """Set prediction, present state (12,) and stages ahead.
 
         The yaw of the targets is shifted by the full turns that bring it nearest to the state's.
         """
@@ -187,16 +165,12 @@ class HorizonQp:
         values = np.concatenate([[1.0, -1.0], -prediction.a.ravel(), -prediction.b.ravel()])
         self.A.data[:] = values[self._a_slots]
         self.G.data[:] = np.concatenate([[1.0, -1.0], friction])[self._g_slots]
-        dynamics = self.b[: self.horizon * STATES].reshape(self.horizon, -1)
+        dynamics = self.b.reshape(self.horizon, -1)
         dynamics[:] = prediction.drift
         dynamics[0] += prediction.a @ state
         self.upper[:, F_Z] = stages.force_max
         self.target[:, :INPUTS] = stages.force_ref.reshape(-1, INPUTS)
-        torso = self.target[:, INPUTS:]
-        torso[:] = stages.state_ref
-        turns = np.round((state[YAW] - stages.state_ref[0, YAW]) / (2 * np.pi))
-        torso[:, YAW] += 2 * np.pi * turns
-        self._set_weight(weight)
+        self.target[:, INPUTS:] = turned_to(stages.state_ref, state)
 
     def forces(self, z: Array) -> Array:
         """Forces (H, 4, 3) N: the inputs in z."""
@@ -211,28 +185,16 @@ class HorizonQp:
         """Largest violation of a limit of the inputs, N; zero if there is none."""
         inputs = slice(0, INPUTS)
         flat = z.reshape(self.horizon, STAGE)[:, inputs]
-        balance = self.horizon * STATES
         outside = [
             (self.G @ z - self.h).max(),
             (self.lower[:, inputs] - flat).max(),
             (flat - self.upper[:, inputs]).max(),
         ]
-        if balance < len(self.b):
-            outside.append(np.abs((self.A @ z - self.b)[balance:]).max())
         return float(max(0.0, *outside))
 
     def residual(self, z: Array) -> float:
         """Largest error of the dynamics over the stages, SI units."""
-        rows = self.horizon * STATES
-        return float(np.abs(self.A @ z - self.b)[:rows].max())
-
-    def _set_weight(self, weight: float) -> None:
-        """Set the weight (N) that the normal forces balance."""
-        self.b[self.horizon * STATES :] = weight
-        start = self._rows.frictions
-        band = self.options.support_band
-        rows = self.h[start : start + self._rows.bands].reshape(-1, 2)
-        rows[:, 0], rows[:, 1] = weight + band, band - weight
+        return float(np.abs(self.A @ z - self.b).max())
 
 
 class _Rows:
@@ -240,8 +202,6 @@ class _Rows:
 
     def __init__(self, horizon: int, pattern: Prediction):
         self._horizon, self._pattern = horizon, pattern
-        self.frictions = horizon * 4 * FEET
-        self.bands = 0
 
     def dynamics(self) -> NDArray[np.int64]:
         """x_k+1 - a x_k - b u_k = drift; values [1, -1, -a, -b]."""
@@ -255,14 +215,6 @@ class _Rows:
             rows[k, :, k, INPUTS:] = np.eye(size)
             if k > 0:
                 rows[k, :, k - 1, INPUTS:] = a
-        return self._flat(rows)
-
-    def balance(self, signs: list[int]) -> NDArray[np.int64]:
-        """+- sum f_z of every stage; signs: 1 for plus, 2 for minus; values [1, -1]."""
-        rows = self._empty(len(signs))
-        for k in range(self._horizon):
-            rows[k, :, k, F_Z] = np.array(signs)[:, None]
-        self.bands = rows.shape[0] * rows.shape[1] if len(signs) == 2 else 0
         return self._flat(rows)
 
     def friction(self) -> NDArray[np.int64]:
@@ -281,14 +233,12 @@ class _Rows:
         return rows.reshape(rows.shape[0] * rows.shape[1], -1)
 
 
-def slacks(force: Array, force_max: Array, friction: Array) -> Array:
-    """Constraint slacks (3, ..., 4) N: f_z, f_max - f_z and mu f_z - max(|f_x|, |f_y|).
-
-    Negative means violated. force: (..., 4, 3) N; force_max (N) and friction: (..., 4).
-    """
-    normal = force[..., 2]
-    tangential = np.abs(force[..., :2]).max(axis=-1)
-    return np.stack([normal, force_max - normal, friction * normal - tangential])
+def turned_to(reference: Array, state: Array) -> Array:
+    """The reference (n, 12), its yaw shifted by the full turns to the nearest of a state (12,)."""
+    shifted = reference.copy()
+    turns = np.round((state[YAW] - reference[0, YAW]) / (2 * np.pi))
+    shifted[:, YAW] += 2 * np.pi * turns
+    return shifted
 
 
 def condensed_condition(prediction: Prediction, q: Array, r: Array, horizon: int) -> float:
@@ -310,23 +260,23 @@ def condensed_condition(prediction: Prediction, q: Array, r: Array, horizon: int
     return float(eigenvalues[-1] / max(eigenvalues[0], np.finfo(float).tiny))
 
 
-def _rotation_z(yaw: float) -> Array:
+def rotation_z(yaw: float) -> Array:
     """R_z(yaw) (3, 3)."""
     s, c = np.sin(yaw), np.cos(yaw)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _lever_arms(rotation: Array, feet: Array, height: float) -> Array:
-    """Matrices [r_1]x .. [r_4]x (3, 12); the feet are `height` (m) below the centre."""
+def lever_arms(levers: Array) -> Array:
+    """Matrices [r_1]x .. [r_4]x (3, 12) of levers (4, 3) m."""
     arms = np.zeros((3, INPUTS))
-    x, y, _ = rotation @ feet.T
-    arms[0, 1::3], arms[0, 2::3] = height, y
-    arms[1, 0::3], arms[1, 2::3] = -height, -x
+    x, y, z = levers.T
+    arms[0, 1::3], arms[0, 2::3] = -z, y
+    arms[1, 0::3], arms[1, 2::3] = z, -x
     arms[2, 0::3], arms[2, 1::3] = -y, x
     return arms
 
 
-def _stack(parts: list[NDArray[np.int64]]) -> tuple[sparse.csc_matrix, Slots]:
+def _indexed(rows: NDArray[np.int64]) -> tuple[sparse.csc_matrix, Slots]:
     """Matrix with the sparsity of the rows, and for each entry the 0-based index of its value."""
-    matrix = sparse.csc_matrix(np.vstack(parts).astype(float))
+    matrix = sparse.csc_matrix(rows.astype(float))
     return matrix, matrix.data.astype(np.intp) - 1

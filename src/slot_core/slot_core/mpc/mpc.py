@@ -1,9 +1,10 @@
 """Convex MPC: the policy that solves one quadratic programme per tick.
 
-As in the paper it is on the ground reaction forces (`force_problem.py`). The policy checks the
-inputs and the solution. A cycle without an accepted solution returns the last feasible forces,
-decayed towards those of the gait. After `fallback.cycles` such cycles in a row the status is
-STOPPED until a solution is accepted again.
+As in the paper it is on the ground reaction forces (`force_problem.py`), for the paper's policies
+on those of its own problem (`paper_problem.py`). The policy checks the inputs and the solution. A
+cycle without an accepted solution returns the last feasible forces, decayed towards those of the
+gait. After `fallback.cycles` such cycles in a row the status is STOPPED until a solution is
+accepted again.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ from slot_core.control.policy import PlanReport, Policy, Status, TendonPlan, Tim
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview
 from slot_core.mpc.force_problem import ForceProblem
-from slot_core.mpc.model import FEET, FirstStage, Horizon, slacks
-from slot_core.mpc.settings import MpcSettings, read_mpc
+from slot_core.mpc.model import FEET, FirstStage
+from slot_core.mpc.paper_problem import PaperProblem
+from slot_core.mpc.settings import MpcSettings, PaperMpcSettings, read_mpc
 from slot_core.mpc.solver import Solution
 from slot_core.robot import GRAVITY, Array, RobotParameters
 
@@ -50,63 +52,51 @@ class Mpc(Policy):
 
     @staticmethod
     def read_settings(name: str) -> MpcSettings:
-        """`config/mpc.yaml`, changed by the profile of that name; raises ConfigError."""
+        """`config/mpc.yaml`, or the settings of a policy of the paper; raises ConfigError."""
         return read_mpc(name)
 
     def reset(self) -> None:
         """Set up the problem afresh, without an earlier input and without a disturbance."""
-        self._problem = ForceProblem(self._robot, self._settings)
+        settings, robot = self._settings, self._robot
+        self._problem: ForceProblem | PaperProblem = (
+            PaperProblem(robot, settings)
+            if isinstance(settings, PaperMpcSettings)
+            else ForceProblem(robot, settings)
+        )
         self._stage = NO_STAGE
         self._last: Array | None = None  # last feasible input of the first stage minus u_ref
         self._missed = 0  # consecutive cycles without an accepted solution
 
     @property
-    def problem(self) -> ForceProblem:
+    def problem(self) -> ForceProblem | PaperProblem:
         """The problem of the last step; read only."""
         return self._problem
 
     def step(self, estimate: Estimate, preview: GaitPreview) -> TendonPlan:
         """Plan for the estimate at stage 0 of `preview`.
 
-        If the preview ends with stage H-1, its reference there is the target of state H too. A
-        solution is accepted if it is solved, finite, within `violation_max` and `time_budget`.
+        A solution is accepted if it is solved, finite, within `violation_max` and `time_budget`.
         """
         start, state = self._timer(), estimate.state
         most = self._settings.acceptance.input_max
         if fault := preview_fault(preview, self._settings.horizon, most):
             self._stage = replace(self._stage, rate=np.zeros(FEET))
             return self._fall_back(Status.REJECTED, fault)
-        stages = self._read(preview)
-        limits = stages.force_max[0], stages.friction[0]
-        self._stage = FirstStage(*limits, stages.force_ref[0], preview.rate)
+        self._stage = self._problem.read(preview)
         if fault := state_fault(state, most):
             return self._fall_back(Status.REJECTED, fault)
-        self._problem.update(np.asarray(state, dtype=float), preview, stages)
+        self._problem.update(np.asarray(state, dtype=float), preview)
         plan = self._accept(self._problem.solve(), start)
         if plan.status is not Status.STOPPED:  # else the last angles are held
             self._problem.follow(plan)
         return plan
 
-    def _read(self, preview: GaitPreview) -> Horizon:
-        """Limits and targets over the horizon, from the preview."""
-        now = np.arange(self._settings.horizon)
-        following = np.minimum(now + 1, len(preview.reference) - 1)
-        force = np.zeros((len(now), FEET, 3))
-        if self._settings.model.reference == "gait":
-            force[..., 2] = self._problem.share * np.asarray(preview.normal_force)[now]
-        return Horizon(
-            force_max=self._settings.force_max * np.asarray(preview.contact, dtype=float)[now],
-            friction=np.asarray(preview.friction, dtype=float)[now],
-            force_ref=force,
-            state_ref=np.asarray(preview.reference, dtype=float)[following],
-        )
-
     def _accept(self, solution: Solution, start: float) -> TendonPlan:
         """The solution's plan if it is accepted, else the fallback's; `start`: of the tick, s."""
-        limits, qp, z = self._settings.acceptance, self._problem, solution.z
-        violation = qp.violation(z)
-        report = _SolverReport(solution.iterations, violation, qp.residual(z), qp.cost(z))
-        force, elapsed = qp.qp.forces(z), self._timer() - start
+        limits, problem, z = self._settings.acceptance, self._problem, solution.z
+        violation = problem.violation(z)
+        report = _SolverReport(solution.iterations, violation, problem.residual(z), problem.cost(z))
+        force, elapsed = problem.forces(z), self._timer() - start
         fault = solution.fault
         if not fault and not np.isfinite(z).all():
             fault = "solution not finite"
@@ -138,11 +128,8 @@ class Mpc(Policy):
         self, force: Array, status: Status, message: str, report: _SolverReport
     ) -> TendonPlan:
         """The plan with the slacks of its first stage."""
-        stage, model, first = self._stage, self._settings.model, force[0]
-        above_zero, below_max, friction = slacks(first, stage.force_max, stage.friction)
-        weight, balance = self._problem.mass * GRAVITY, math.inf
-        if model.support == "equality":
-            balance = model.support_band - abs(float(first[:, 2].sum()) - weight)
+        stage, first = self._stage, force[0]
+        above_least, below_max, friction = stage.slacks(first)
         return TendonPlan(
             angle=np.zeros((0, FEET)),
             rate=stage.rate,
@@ -156,11 +143,11 @@ class Mpc(Policy):
                 iterations=report.iterations,
                 violation=report.violation,
                 residual=report.residual,
-                slack_normal_min=above_zero,
+                slack_normal_min=above_least,
                 slack_normal_max=below_max,
                 slack_friction=friction,
-                slack_total=float(stage.force_max.sum() - weight),
-                slack_balance=balance,
+                slack_total=float(stage.force_max.sum() - self._problem.mass * GRAVITY),
+                slack_balance=self._problem.balance(first),
                 mass=self._problem.mass,
             ),
         )
