@@ -144,6 +144,41 @@ def test_a_wrong_calibration_is_refused_by_its_reprojection_error():
     assert "reprojection error" in reason(localizer(camera=wrong), image_from_torso(BASE))
 
 
+def off_camera(focal=1.0, centre=0.0, covariance=None):
+    """A camera whose focal length is off by a factor, and its centre by so many pixels."""
+    matrix = CAMERA.matrix.copy()
+    matrix[[0, 1], [0, 1]] *= focal
+    matrix[0, 2] += centre
+    return Camera(1280, 720, matrix, CAMERA.distortion, covariance)
+
+
+def test_a_calibration_that_the_image_contradicts_gives_a_warning():
+    """Seen from near and at a slant: a board far in front hides it."""
+    image = image_from_torso(Transform.of((0.6, -0.1, 0.07), (0.06, -0.05, 0.2)))
+    fix = localizer(camera=off_camera(centre=40.0)).locate(5, image)
+    assert isinstance(fix, MarkerFix)
+    assert "usually below 0.6 px: wrong calibration" in fix.warning
+    assert localizer().locate(5, image).warning == ""
+
+
+def test_a_focal_length_that_no_image_contradicts_is_in_the_covariance():
+    """Too long by 5 % it takes the board for 55 mm further away, with a usual error."""
+    image, deviation = image_from_torso(BASE), 0.05 * CAMERA.focal
+    covariance = np.diag([deviation**2, deviation**2, *np.full(7, 1e-12)])
+    covariance[0, 1] = covariance[1, 0] = deviation**2
+    fixes = [
+        localizer(camera=off_camera(1.05, covariance=known)).locate(5, image)
+        for known in (None, covariance)
+    ]
+    off = fixes[0].position - BASE.position
+    assert 0.04 < np.linalg.norm(off) < 0.08
+    assert fixes[0].warning == ""
+    sure, unsure = (fix.pose_covariance[:3, :3] for fix in fixes)
+    assert off @ np.linalg.solve(sure, off) > 1000.0
+    assert off @ np.linalg.solve(unsure, off) < 9.0
+    np.testing.assert_allclose(fixes[1].twist_covariance, fixes[0].twist_covariance)
+
+
 def test_a_image_of_another_size_is_refused():
     with pytest.raises(CameraError, match=r"image of 640 x 360 px.*1280 x 720"):
         localizer().locate(0, BLANK[:360, :640])

@@ -92,9 +92,57 @@ def test_a_camera_without_coefficients_has_no_distortion():
 
 @pytest.mark.parametrize("size", [5, 8])
 def test_a_calibration_file_gives_the_same_camera_back(tmp_path, size):
-    camera = Camera(640, 360, CAMERA.matrix / 2, np.linspace(-0.01, 0.02, size))
-    (tmp_path / "camera.yaml").write_text(camera_text(camera))
-    assert read_camera(tmp_path / "camera.yaml").equals(camera)
+    known = np.diag(np.linspace(0.5, 1e-3, 4 + size))
+    for covariance in (None, known):
+        camera = Camera(640, 360, CAMERA.matrix / 2, np.linspace(-0.01, 0.02, size), covariance)
+        (tmp_path / "camera.yaml").write_text(camera_text(camera))
+        found = read_camera(tmp_path / "camera.yaml")
+        assert found.equals(camera)
+        np.testing.assert_array_equal(found.covariance, covariance)
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ([1.0] * 3, "intrinsics_covariance has 3 values, expected 81"),
+        (np.tri(9).ravel().tolist(), "not symmetric and positive"),
+        ((-np.eye(9)).ravel().tolist(), "not symmetric and positive"),
+        ([float("nan")] * 81, "not symmetric and positive"),
+    ],
+)
+def test_a_covariance_that_is_none_is_refused(tmp_path, values, reason):
+    file = tmp_path / "camera.yaml"
+    file.write_text(camera_text(CAMERA) + f"intrinsics_covariance: {{data: {values}}}\n")
+    with pytest.raises(CameraError, match=reason):
+        read_camera(file)
+
+
+@pytest.mark.parametrize("size", [5, 8])
+def test_the_calibration_moves_a_pose_by_its_covariance(size):
+    """The same pixels through cameras that are off by the columns of its root."""
+    points = np.concatenate(list(board("wall").corners.values()))
+    distortion = np.zeros(size)
+    distortion[:5] = CAMERA.distortion
+    deviation = np.array([2.0, 1.5, 1.0, 0.8, *np.full(size, 2e-3)])
+    root = 0.3 * np.diag(deviation) @ np.tri(4 + size) / np.sqrt(4 + size)
+
+    def camera(off):
+        (f_x, f_y, c_x, c_y), coefficients = np.split(off, [4])
+        matrix = CAMERA.matrix + np.array([[f_x, 0, c_x], [0, f_y, c_y], [0, 0, 0]])
+        return Camera(1280, 720, matrix, distortion + coefficients, root @ root.T)
+
+    true = camera(np.zeros(4 + size))
+    pixels = true.project(Transform.of((0.1, -0.05, 1.2), (np.pi + 0.2, 0.1, 0.3)).apply(points))
+    exact = board_poses(points, true.rays(pixels), 1e-4, true)
+    moved = []
+    for off in root.T:
+        found = board_poses(points, camera(off).rays(pixels), 1e-4).transform
+        turn = Rotation.from_matrix(found.rotation @ exact.transform.rotation.T).as_rotvec()
+        moved.append(np.concatenate([found.position - exact.transform.position, turn]))
+    expected = np.transpose(moved) @ moved
+    np.testing.assert_allclose(exact.calibration, expected, atol=0.03 * np.abs(expected).max())
+    assert np.sqrt(exact.calibration[2, 2]) > 1e-4  # m: of the distance
+    assert not board_poses(points, true.rays(pixels), 1e-4).calibration.any()
 
 
 @pytest.mark.parametrize(

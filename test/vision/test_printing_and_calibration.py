@@ -49,6 +49,7 @@ def test_a_calibration_finds_the_camera_that_filmed_the_board(tmp_path, monkeypa
     out = tmp_path / "camera.yaml"
     assert calibrate_camera.main([str(tmp_path / "views"), "--out", str(out)]) == 0
     found = read_camera(out)
+    assert found.covariance.shape == (9, 9)
     np.testing.assert_allclose(found.matrix, CAMERA.matrix, atol=4.0)  # px
     x, y = np.meshgrid(np.linspace(100, 1180, 12), np.linspace(80, 640, 8))
     pixels = np.stack([x, y], axis=-1)
@@ -69,6 +70,22 @@ def views(count, spread=1.0):
         points = board @ turn.T + place + [0.0, 0.0, 0.6]
         result.append(BoardView(f"{number}", board, CAMERA.project(points)))
     return result
+
+
+def test_the_covariance_of_a_calibration_has_opencvs_deviations():
+    """And in its correlations the distances that they leave between f_x and f_y are smaller."""
+    rng, given = np.random.default_rng(2), views(20)
+    noisy = [BoardView(v.name, v.points, v.pixels + 0.1 * rng.normal(size=(24, 2))) for v in given]
+    found = calibrate(noisy, (1280, 720))
+    points, pixels = ([getattr(v, name).astype(np.float32) for v in noisy]
+                      for name in ("points", "pixels"))  # fmt: skip
+    *_, deviation, _, _ = cv2.calibrateCameraExtended(
+        points, pixels, (1280, 720), np.eye(3), np.zeros(5)
+    )
+    ours = np.sqrt(np.diag(found.camera.covariance))
+    np.testing.assert_allclose(ours, np.ravel(deviation)[:9], rtol=0.02)
+    gap = np.array([1.0, -1.0])
+    assert gap @ found.camera.covariance[:2, :2] @ gap < 0.2 * (ours[:2] @ ours[:2])
 
 
 def test_a_view_with_gross_errors_is_left_out():

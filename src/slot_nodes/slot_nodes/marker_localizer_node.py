@@ -58,9 +58,10 @@ class MarkerLocalizerNode(Node):
     def _use(self, camera: Camera) -> None:
         self._localizer = MarkerLocalizer(self._settings, camera, self._mount)
         self._camera = camera
+        known = "" if camera.covariance is not None else ", its calibration taken as exact"
         self.get_logger().info(
             f"camera of {camera.width} x {camera.height} px, f = {camera.focal:.1f} px,"
-            f" on the {self._settings.carrier}"
+            f" on the {self._settings.carrier}{known}"
         )
 
     def _on_image(self, message: Image) -> None:
@@ -69,11 +70,14 @@ class MarkerLocalizerNode(Node):
         fix = self._localizer.locate(decode.stamp(message), image_message.grey(message))
         if isinstance(fix, MarkerFix):
             self._odometry.publish(messages.fix_to_odometry(fix))
-            return
-        self._odometry.publish(messages.lost_odometry(fix))
-        self.get_logger().warning(
-            f"image at {to_seconds(fix.stamp):.3f} s: {fix.reason}", throttle_duration_sec=1.0
-        )
+            reason = fix.warning
+        else:
+            self._odometry.publish(messages.lost_odometry(fix))
+            reason = fix.reason
+        if reason:
+            self.get_logger().warning(
+                f"image at {to_seconds(fix.stamp):.3f} s: {reason}", throttle_duration_sec=1.0
+            )
 
 
 def main() -> None:

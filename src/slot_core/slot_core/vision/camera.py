@@ -3,7 +3,8 @@
     x' = X / Z,  y' = Y / Z;  (u, v) = K distort(x', y')
 
 with X, Y, Z in the optical frame (z forward, y down). The file has the keys of `camera_info` in the
-YAML of ROS (camera_calibration_parsers), so that camera drivers read it too.
+YAML of ROS (camera_calibration_parsers), so that camera drivers read it too, and beside them the
+covariance of the calibration, which `camera_info` has no field for.
 """
 
 from __future__ import annotations
@@ -37,6 +38,8 @@ class Camera:
     height: int  # px
     matrix: Array  # (3, 3) K
     distortion: Array  # (5,) or (8,)
+    covariance: Array | None = None  # (4 + 5 or 8) of f_x f_y c_x c_y and the distortion; None:
+    # not known
 
     @property
     def model(self) -> str:
@@ -68,6 +71,18 @@ class Camera:
         )
         return np.asarray(rays, np.float64).reshape(pixels.shape)
 
+    def ray_slopes(self, rays: Array) -> Array:
+        """Derivatives (2n, 4 + 5 or 8) of the rays (n, 2) of given pixels by the parameters.
+
+        With (u, v) = P(x', y', parameters) at given pixels: d ray = -(dP/d ray)^-1 dP/d parameters.
+        """
+        zero = np.zeros(3)
+        points = np.column_stack([rays, np.ones(len(rays))])[:, None]
+        _, slopes = cv2.projectPoints(points, zero, zero, self.matrix, self.distortion)
+        by_ray = slopes[:, 3:5].reshape(-1, 2, 2)  # of a shift along x and y at distance one
+        by_parameter = slopes[:, 6:].reshape(len(rays), 2, -1)
+        return np.asarray(-np.linalg.solve(by_ray, by_parameter).reshape(2 * len(rays), -1))
+
     def project(self, points: Array) -> Array:
         """Pixels (..., 2) of points (..., 3) in front of the camera, m in the optical frame."""
         zero = np.zeros(3)
@@ -91,10 +106,13 @@ def nominal(settings: Intrinsics) -> Camera:
     return Camera(settings.width, settings.height, matrix, np.array(settings.distortion))
 
 
-def from_camera_info(width: int, height: int, model: str, d: Any, k: Any) -> Camera:
+def from_camera_info(  # noqa: PLR0917
+    width: int, height: int, model: str, d: Any, k: Any, covariance: Any = None
+) -> Camera:
     """The camera of a sensor_msgs/CameraInfo: its size, distortion model, D and K.
 
-    Raises CameraError if it is not calibrated (K = 0), and for an unknown model or bad values.
+    covariance: of the calibration, if it is known. Raises CameraError if it is not calibrated
+    (K = 0), and for an unknown model or bad values.
     """
     matrix, distortion = np.array(k, np.float64), np.array(d, np.float64).ravel()
     if matrix.size != 9:
@@ -114,7 +132,20 @@ def from_camera_info(width: int, height: int, model: str, d: Any, k: Any) -> Cam
         raise CameraError(
             f"{width} x {height} px, f = {matrix[0, 0]:g}, {matrix[1, 1]:g} px: expected > 0"
         )
-    return Camera(int(width), int(height), matrix, distortion)
+    known = None if covariance is None else _checked(covariance, 4 + distortion.size)
+    return Camera(int(width), int(height), matrix, distortion, known)
+
+
+def _checked(covariance: Any, size: int) -> Array:
+    """A covariance (size, size) from its values; raises CameraError."""
+    values = np.array(covariance, np.float64)
+    if values.size != size**2:
+        raise CameraError(f"intrinsics_covariance has {values.size} values, expected {size**2}")
+    square = values.reshape(size, size)
+    symmetric = np.isfinite(square).all() and np.allclose(square, square.T)
+    if not symmetric or np.linalg.eigvalsh(square).min() < -1e-9 * np.abs(square).max():
+        raise CameraError("intrinsics_covariance is no covariance: not symmetric and positive")
+    return square
 
 
 def read_camera(path: Path) -> Camera:
@@ -129,12 +160,13 @@ def read_camera(path: Path) -> Camera:
             content["distortion_model"],
             content["distortion_coefficients"]["data"],
             content["camera_matrix"]["data"],
+            content.get("intrinsics_covariance", {}).get("data"),
         )
     except KeyError as error:
         raise CameraError(f"{path}: {error.args[0]} is missing") from None
     except OSError as error:
         raise CameraError(f"{path}: {error.strerror}") from None
-    except (CameraError, TypeError, ValueError, yaml.YAMLError) as error:
+    except (AttributeError, CameraError, TypeError, ValueError, yaml.YAMLError) as error:
         raise CameraError(f"{path}: {' '.join(str(error).split())}") from None
 
 
@@ -150,6 +182,8 @@ def camera_text(camera: Camera, name: str = "camera") -> str:
         "rectification_matrix": _matrix(np.eye(3)),
         "projection_matrix": _matrix(camera.projection),
     }
+    if camera.covariance is not None:
+        content["intrinsics_covariance"] = _matrix(camera.covariance)
     return yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
 
 

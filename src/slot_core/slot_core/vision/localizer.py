@@ -4,9 +4,10 @@
     torso                   fixed in odom           T_odom_board T_board_camera T_camera_base
     world                   fixed on base_link      T_odom_camera T_camera_board T_board_base
 
-A pose has the covariance of its reprojection error. The twist is the difference of two poses: late
-by half their interval, so its variance holds that of an accelerating torso. An image without a
-usable pose gives a reason in its place.
+A pose has the covariance of its reprojection error and of the calibration. The twist is the
+difference of two poses, in which the error of the calibration cancels: late by half their interval,
+so its variance holds that of an accelerating torso. An image without a usable pose gives a reason
+in its place.
 """
 
 from __future__ import annotations
@@ -24,9 +25,10 @@ from slot_core.vision.board import GreyImage, make_board
 from slot_core.vision.camera import Camera
 from slot_core.vision.detector import Detection, MarkerDetector, other_dictionary
 from slot_core.vision.pose import BoardPose, board_poses, nearest
-from slot_core.vision.settings import VisionSettings
+from slot_core.vision.settings import DetectionSettings, VisionSettings
 
-Known = tuple[int, Transform, Array]  # stamp, ns; base_link in odom; covariance (6, 6)
+Known = tuple[int, Transform, Array]  # stamp, ns; base_link in odom; covariance (6, 6) of noise
+WRONG = "wrong calibration, a bent print, or boards other than in vision.yaml"
 LONG = 10  # images without a marker, after which other dictionaries are tried
 
 
@@ -43,6 +45,7 @@ class MarkerFix:
     twist_covariance: Array  # (6, 6) of velocity and angular velocity
     markers: int
     error: float  # px, RMS of the reprojection
+    warning: str = ""  # one line, where that is larger than usual
 
     @property
     def odometry(self) -> tuple[int, Array, Array, Array, Array, Array]:
@@ -109,7 +112,8 @@ class MarkerLocalizer:
         points, rays = seen[name]
         if not len(points):
             return NoFix(stamp, self._absence(found, image))
-        pose = board_poses(points, rays, self._settings.corner_noise / self._camera.focal)
+        noise = self._settings.corner_noise / self._camera.focal
+        pose = board_poses(points, rays, noise, self._camera)
         if pose is None:
             return NoFix(stamp, f"{len(points) // 4} markers of {name}: no pose explains them")
         expected = self._expected(stamp, self._boards[name].pose)
@@ -120,7 +124,7 @@ class MarkerLocalizer:
             return NoFix(
                 stamp,
                 f"reprojection error {error:.2f} px, limit {self._settings.error_max:g} px:"
-                " wrong calibration, or boards other than in vision.yaml",
+                f" {WRONG}",
             )
         if ambiguous and expected is None:
             return NoFix(
@@ -163,19 +167,24 @@ class MarkerLocalizer:
 
     def _fix(self, stamp: int, board: Transform, pose: BoardPose, markers: int) -> MarkerFix:
         base = self._base(board, pose.transform)
-        covariance = self._pose_covariance(board, pose.transform, pose.covariance)
-        velocity, rate, twist = self._twist(stamp, base, covariance)
-        self._last = stamp, base, covariance
+        noise, calibration = (
+            self._pose_covariance(board, pose.transform, part)
+            for part in (pose.covariance, pose.calibration)
+        )
+        velocity, rate, twist = self._twist(stamp, base, noise)
+        self._last = stamp, base, noise
+        error = pose.error * self._camera.focal
         return MarkerFix(
             stamp,
             base.position,
             base.quaternion,
             velocity,
             rate,
-            covariance,
+            noise + calibration,
             twist,
             markers,
-            pose.error * self._camera.focal,
+            error,
+            unusual(error, self._settings),
         )
 
     def _pose_covariance(self, board: Transform, seen: Transform, covariance: Array) -> Array:
@@ -209,6 +218,12 @@ class MarkerLocalizer:
         to_base = np.kron(np.eye(2), base.rotation.T)
         noise = to_base @ (covariance + last[2]) @ to_base.T / dt**2
         return velocity, turn, noise + np.diag(late**2)
+
+
+def unusual(error: float, settings: DetectionSettings) -> str:
+    """A warning where a reprojection error (px) is larger than usual, else an empty string."""
+    usual = f"reprojection error {error:.2f} px, usually below {settings.error_usual:g} px: {WRONG}"
+    return usual if error > settings.error_usual else ""
 
 
 def _corners(corners: dict[int, Array], found: Detection) -> tuple[Array, Array]:

@@ -7,7 +7,9 @@ Both are returned, each refined by Gauss-Newton on the reprojection error
 
     e = sum |pi(R X + t) - x|^2,   pi(X, Y, Z) = (X / Z, Y / Z)
 
-whose normal matrix gives the covariance s^2 (J^T J)^-1.
+whose normal matrix gives the covariance s^2 (J^T J)^-1. An error of the camera's parameters moves
+all rays x together, by S d, and so the pose by G d with G = (J^T J)^-1 J^T S: with the covariance C
+of the calibration G C G^T is that of the pose, the same error in every image.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ import numpy as np
 
 from slot_core.geometry import Transform
 from slot_core.robot import Array
+from slot_core.vision.camera import Camera
 
 ITERATIONS = 6
 SMALL = 1e-6  # m and rad, step at which they end
@@ -32,16 +35,19 @@ class BoardPose:
 
     transform: Transform
     covariance: Array  # (6, 6) of the position (m) and of the rotation vector in the optical frame
+    calibration: Array  # (6, 6) the same by the calibration of the camera; zero: not known
     error: float  # RMS distance of the corners from where they should be, of focal length one
     other: BoardPose | None = None  # the second pose of the plane
     ratio: float = np.inf  # its error over this one's; infinite if there is none
 
 
-def board_poses(points: Array, rays: Array, noise: float) -> BoardPose | None:
+def board_poses(
+    points: Array, rays: Array, noise: float, camera: Camera | None = None
+) -> BoardPose | None:
     """The pose from corners (n, 3), m in the board's plane z = 0, and their rays (n, 2).
 
-    noise: smallest standard deviation of a ray's coordinate. None if no pose is found with the
-    board before the camera.
+    noise: smallest standard deviation of a ray's coordinate. camera: whose rays they are, for the
+    effect of its calibration. None if no pose is found with the board before the camera.
     """
     try:
         count, turns, places, given = cv2.solvePnPGeneric(
@@ -62,7 +68,11 @@ def board_poses(points: Array, rays: Array, noise: float) -> BoardPose | None:
     if not found:
         return None
     found.sort(key=lambda item: item[0])
-    first, *others = (_board_pose(*item, len(rays), noise) for item in found)
+    spread = np.zeros((2 * len(rays), 2 * len(rays)))
+    if camera is not None and camera.covariance is not None:
+        slopes = camera.ray_slopes(rays)
+        spread = slopes @ camera.covariance @ slopes.T
+    first, *others = (_board_pose(*item, noise, spread) for item in found)
     if others and _angle(others[0].transform, first.transform) > 1e-3:
         ratio = others[0].error / max(first.error, noise)
         return dataclasses.replace(first, other=others[0], ratio=ratio)
@@ -70,15 +80,17 @@ def board_poses(points: Array, rays: Array, noise: float) -> BoardPose | None:
 
 
 def _board_pose(
-    error: float, transform: Transform, normal: Array, rays: int, noise: float
+    error: float, transform: Transform, jacobian: Array, noise: float, spread: Array
 ) -> BoardPose:
-    """The pose with the covariance of its error and normal matrix."""
-    spread = max(noise, error * np.sqrt(2 * rays / max(2 * rays - 6, 1)) / np.sqrt(2))
-    return BoardPose(transform, spread**2 * np.linalg.inv(normal), error)
+    """The pose with the covariances of its error and of the rays' spread (2n, 2n)."""
+    count, inverse = len(jacobian), np.linalg.inv(jacobian.T @ jacobian)
+    deviation = max(noise, error * np.sqrt(count / max(count - 6, 1)) / np.sqrt(2))
+    gain = inverse @ jacobian.T
+    return BoardPose(transform, deviation**2 * inverse, gain @ spread @ gain.T, error)
 
 
 def _refined(start: Transform, points: Array, rays: Array) -> tuple[float, Transform, Array] | None:
-    """RMS error, pose and normal matrix (6, 6) after Gauss-Newton; None without a solution."""
+    """RMS error, pose and Jacobian (2n, 6) after Gauss-Newton; None without a solution."""
     pose = start
     for _ in range(ITERATIONS):
         turned = points @ pose.rotation.T
@@ -96,10 +108,9 @@ def _refined(start: Transform, points: Array, rays: Array) -> tuple[float, Trans
     seen = turned + pose.position
     residual, jacobian = _residual(turned, seen, rays)
     usable = np.isfinite(residual).all() and (seen[:, 2] > 0).all()
-    normal = jacobian.T @ jacobian
-    if not usable or np.linalg.cond(normal) > 1e14:
+    if not usable or np.linalg.cond(jacobian.T @ jacobian) > 1e14:
         return None
-    return float(np.sqrt(2 * np.mean(residual**2))), pose, normal
+    return float(np.sqrt(2 * np.mean(residual**2))), pose, jacobian
 
 
 def _residual(turned: Array, seen: Array, rays: Array) -> tuple[Array, Array]:

@@ -79,6 +79,9 @@ class DetectionSettings:
         "smallest standard deviation of a corner that the covariance assumes", "px", 1e-3, 10
     )
     error_max: float = quantity("largest RMS reprojection error", "px", 0.1, 100)
+    error_usual: float = quantity(
+        "RMS reprojection error above which a warning is given", "px", 0.01, 100
+    )
     ambiguity: float = quantity(
         "error of the second pose of a plane over that of the first, to be certain", "", 1, 100
     )

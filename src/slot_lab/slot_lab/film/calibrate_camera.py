@@ -3,7 +3,7 @@
 Print the board (scripts/print_markers chessboard --out chessboard.pdf), glue it to something flat,
 and film it: near and far, in all corners of the image, tilted by up to 45 degrees to every side,
 20 to 40 views. FILM is a folder of images, a video, or a bag. The file has the format of ROS's
-camera_info.
+camera_info and, beside it, the covariance of the calibration, which enters that of every pose.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from slot_core.command_line import command_parser, one_line, positive_integer
 from slot_core.config import ConfigError
@@ -68,7 +69,9 @@ def report(found: Calibration) -> list[str]:
     ]
     if found.left_out:
         lines.append(f"left out for gross errors: {', '.join(found.left_out)}")
-    for name, value, deviation in zip(NAMES, values, found.deviation):
+    assert camera.covariance is not None
+    deviations = np.sqrt(np.diag(camera.covariance))
+    for name, value, deviation in zip(NAMES, values, deviations):
         lines.append(f"{name:<4} {value:10.4f} +- {deviation:.4f}")
     return lines
 

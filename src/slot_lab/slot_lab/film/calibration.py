@@ -36,7 +36,6 @@ class Calibration:
     error: float  # px, RMS of the reprojection
     errors: dict[str, float]  # px, of each view used, by name
     left_out: tuple[str, ...]  # views with gross errors
-    deviation: Array  # (9,) standard deviations of f_x f_y c_x c_y k1 k2 p1 p2 k3
     covered: tuple[float, float]  # share of the width and height that the corners span
 
 
@@ -77,7 +76,7 @@ def calibrate(views: list[BoardView], size: tuple[int, int]) -> Calibration:
     kept = [v for v, e in zip(views, errors) if e <= GROSS * np.median(errors)]
     if len(kept) < VIEWS_MIN:
         kept = views
-    error, matrix, distortion, deviation, errors = _solve(kept, size)
+    error, matrix, distortion, covariance, errors = _solve(kept, size)
     if error > ERROR_MAX:
         raise CameraError(
             f"reprojection error {error:.2f} px, limit {ERROR_MAX:g} px: is the board flat, and"
@@ -85,11 +84,10 @@ def calibrate(views: list[BoardView], size: tuple[int, int]) -> Calibration:
         )
     names = [view.name for view in kept]
     return Calibration(
-        Camera(*size, matrix, distortion),
+        Camera(*size, matrix, distortion, covariance),
         error,
         dict(zip(names, errors.tolist())),
         tuple(view.name for view in views if view.name not in names),
-        deviation,
         covered,
     )
 
@@ -97,21 +95,51 @@ def calibrate(views: list[BoardView], size: tuple[int, int]) -> Calibration:
 def _solve(
     views: list[BoardView], size: tuple[int, int]
 ) -> tuple[float, Array, Array, Array, Array]:
-    """RMS error, K, distortion (5,), standard deviations (9,) and the errors of the views."""
+    """RMS error, K, distortion (5,), their covariance (9, 9) and the errors of the views."""
     points = [view.points.astype(np.float32) for view in views]
     pixels = [view.pixels.astype(np.float32) for view in views]
     start = np.eye(3), np.zeros(5)
     try:
-        error, matrix, distortion, _, _, deviation, _, errors = cv2.calibrateCameraExtended(
+        error, matrix, distortion, turns, places, *_, errors = cv2.calibrateCameraExtended(
             points, pixels, size, *start
         )
     except cv2.error as problem:
         raise CameraError(f"OpenCV finds no camera: {problem.err}") from None
     k, d = np.asarray(matrix, np.float64), np.asarray(distortion, np.float64).ravel()[:5]
-    return (
-        float(error), k, d, np.asarray(deviation, np.float64).ravel()[:9],
-        np.asarray(errors, np.float64).ravel(),
-    )  # fmt: skip
+    poses = [
+        (np.asarray(turn, np.float64), np.asarray(place, np.float64))
+        for turn, place in zip(turns, places)
+    ]
+    covariance = _covariance(views, poses, k, d, float(error))
+    return float(error), k, d, covariance, np.asarray(errors, np.float64).ravel()
+
+
+def _covariance(
+    views: list[BoardView],
+    poses: list[tuple[Array, Array]],
+    matrix: Array,
+    distortion: Array,
+    error: float,
+) -> Array:
+    """Covariance (9, 9) of f_x f_y c_x c_y k1 k2 p1 p2 k3, whatever the poses of the views.
+
+    With the derivatives A by a view's pose and B by the parameters, and the variance s^2 of a
+    coordinate: s^2 (sum B^T B - B^T A (A^T A)^-1 A^T B)^-1.
+    """
+    normal = np.zeros((9, 9))
+    for view, (turn, place) in zip(views, poses):
+        _, slopes = cv2.projectPoints(view.points, turn, place, matrix, distortion)
+        pose, parameters = np.split(np.asarray(slopes, np.float64), [6], axis=1)
+        free = parameters - pose @ np.linalg.lstsq(pose, parameters, rcond=None)[0]
+        normal += free.T @ free
+    count = 2 * sum(len(view.pixels) for view in views)
+    variance = count * error**2 / 2 / max(count - 9 - 6 * len(views), 1)
+    scale = 1 / np.sqrt(np.diag(normal))  # px beside coefficients of distortion
+    try:
+        inverse = np.linalg.inv(scale[:, None] * normal * scale)
+    except np.linalg.LinAlgError:
+        raise CameraError("the views do not determine the camera: tilt the board") from None
+    return np.asarray(variance * scale[:, None] * inverse * scale)
 
 
 def _covered(views: list[BoardView], size: tuple[int, int]) -> tuple[float, float]:

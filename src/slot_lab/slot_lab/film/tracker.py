@@ -18,6 +18,7 @@ from slot_core.robot import ODOM_FRAME, Array
 from slot_core.vision.board import GreyImage, make_board, single_marker
 from slot_core.vision.camera import Camera, CameraError
 from slot_core.vision.detector import Detection, MarkerDetector
+from slot_core.vision.localizer import unusual
 from slot_core.vision.pose import board_poses
 from slot_core.vision.settings import VisionSettings
 from slot_lab.film.images import Depth
@@ -72,6 +73,7 @@ class Tracker:
         self._rays: dict[int, list[Array]] = {}  # (4, 2) of the boards' markers, which stand still
         self._images = 0
         self._duplicates: set[int] = set()
+        self._unusual = ""  # warning about the board's reprojection error
 
     def add(self, time: float, image: GreyImage, depth: Depth | None = None) -> list[MarkerSample]:
         """Add the grey image (h, w) of a time (s); its points in the optical frame.
@@ -104,7 +106,7 @@ class Tracker:
         off = [np.abs(seen - np.median(seen, axis=0)).mean(axis=(1, 2)) for seen in stacks]
         motion = self._camera.focal * max((float(o.max()) for o in off), default=0.0)
         samples = [MarkerSample(s.time, s.point, to_frame.apply(s.position)) for s in self._seen]
-        notes = []
+        notes = [f"board: {self._unusual}"] if self._unusual else []
         if self._duplicates:
             ids = ", ".join(map(str, sorted(self._duplicates)))
             notes.append(f"ids {ids} were seen more than once in an image and left out there")
@@ -112,14 +114,14 @@ class Tracker:
 
     def _locate(self, found: Detection, index: int, depth: Depth | None) -> Array | None:
         """Middle of a marker (3,) m in the optical frame; None without a pose."""
-        pose = board_poses(self._marker, found.rays[index], self._noise)
+        pose = board_poses(self._marker, found.rays[index], self._noise, self._camera)
         if pose is None or pose.error * self._camera.focal > self._settings.error_max:
             return None
         place = pose.transform.position
         if depth is None:
             return place
         measured = _depth(depth, found.pixels[index])
-        variance = float(pose.covariance[2, 2])
+        variance = float(pose.covariance[2, 2] + pose.calibration[2, 2])
         noise = self._settings.depth_noise**2
         if measured is None or (measured - place[2]) ** 2 > GROSS**2 * (variance + noise):
             return place
@@ -145,6 +147,7 @@ class Tracker:
                 f" {self._settings.error_max:g} px: wrong calibration, a moving camera, or a"
                 " board other than in vision.yaml"
             )
+        self._unusual = unusual(error, self._settings)
         return board.pose @ pose.transform.inverse
 
 
