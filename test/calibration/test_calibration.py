@@ -16,6 +16,7 @@ from slot_lab.calibration.data import COLUMNS, Data, Datum, read_data
 from slot_lab.calibration.fit import FitProblem, Parameter, estimate
 from slot_lab.calibration.line import fit_line
 from slot_lab.csv_table import TableError
+from slot_lab.verdict import EXPLAINED, NOT_EXPLAINED
 
 ROBOT = read_robot()
 SETTINGS = experiments.read_settings()
@@ -328,10 +329,12 @@ def test_two_samples_give_a_line_without_an_interval():
 
 
 @pytest.mark.parametrize("name", ["paper", "calibrated"])
-def test_a_shipped_set_matches_its_evaluation(name, tmp_path):
+def test_a_shipped_set_matches_its_evaluation(name, tmp_path, capsys):
     shipped = yaml.safe_load((SHIPPED / f"{name}.yaml").read_text())
     out, data = tmp_path / "again.yaml", SHIPPED / shipped["data"]["file"]
-    assert main([str(data), "--start", name, "--evaluate", "--out", str(out)]) == 0
+    # Four parameters for six figures: chi-square 373 and 14 on two degrees of freedom.
+    assert main([str(data), "--start", name, "--evaluate", "--out", str(out)]) == NOT_EXPLAINED
+    assert "verdict: not explained: chi-square" in capsys.readouterr().out.splitlines()[-1]
     again = yaml.safe_load(out.read_text())
     for key in ("values", "data", "validity", "from"):
         assert again[key] == shipped[key]
@@ -343,13 +346,14 @@ def test_a_shipped_set_matches_its_evaluation(name, tmp_path):
 
 def test_the_command_fits_and_writes_file_and_figure(tmp_path, capsys):
     rows = ["deflection,0,0.2,,,1,0.0106,0.001", "deflection,0,1,,,1,0.044,0.001",
-            "deflection,0,1,,,0.5,0.0125,0.001"]  # fmt: skip
+            "deflection,0,1,,,0.5,0.0092,0.001"]  # fmt: skip
     path = write(tmp_path / "leg.csv", *rows)
     out, png = tmp_path / "deep" / "own.yaml", tmp_path / "deep" / "own.png"
     code = main([str(path), "--free", "leg.young_modulus", "tendon.slack", "--out", str(out),
                  "--plot", str(png), "--note", "by hand"])  # fmt: skip
     printed = capsys.readouterr()
-    assert code == 0
+    assert code == EXPLAINED
+    assert printed.out.splitlines()[-1].startswith("verdict: explained: chi-square")
     assert "sum of squares" in printed.err
     content = yaml.safe_load(out.read_text())
     assert content["note"] == "by hand"

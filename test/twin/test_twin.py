@@ -20,6 +20,7 @@ from slot_lab.twin.recorded import COLUMNS, BagRecording, read_recorded
 from slot_lab.twin.settings import read_twin
 from slot_lab.twin.strides import angle_period, error_growth, find_strides, stride_errors
 from slot_lab.twin.twin_fit import changed, changes, fit_twin, parameter, places, serially
+from slot_lab.verdict import EXPLAINED, NOT_EXPLAINED
 
 SETTINGS = config.replace(read_twin(), {"held_out": 0.5})
 PARTS = read_parts("flat")
@@ -123,8 +124,9 @@ def test_a_csv_file_is_the_walk_that_it_holds(recorded, tmp_path):
 
 def test_a_csv_file_is_predicted_and_compared(recorded, tmp_path, capsys):
     walk = write_walk(tmp_path / "walk.csv", recorded)
-    assert twin.main([str(walk), "--out", str(tmp_path / "out")]) == 0
+    assert twin.main([str(walk), "--out", str(tmp_path / "out")]) == NOT_EXPLAINED
     text = capsys.readouterr().out
+    assert text.splitlines()[-1].startswith("verdict: not explained: chi-square")
     assert "tendon angles       FL, FR, RL, RR (measured)" in text
     found, of_bag = read_recorded(walk), measured_track(recorded.motion)
     strides = find_strides(found, read_twin())
@@ -225,6 +227,18 @@ def test_known_changes_of_the_robot_are_found_and_hold_for_unseen_strides(record
     low, high = found.estimate.interval[0]
     assert low < friction < high
     assert abs(friction - 0.3) < high - low
+
+
+def test_the_verdict_knows_the_robot_that_walked_from_another(recorded, strides):
+    """The noise of the recording is the uncertainty of the settings."""
+    measured = measured_track(recorded.motion)
+    same, other = (
+        twin.judge(predict(recorded, parts, SETTINGS), measured, strides, SETTINGS)
+        for parts in (OTHER, PARTS)
+    )
+    assert same.code == EXPLAINED
+    assert same.chi_square == pytest.approx(same.freedom, rel=0.1)
+    assert other.code == NOT_EXPLAINED
 
 
 def test_a_parameter_without_influence_is_named_as_undetermined(recorded, strides):

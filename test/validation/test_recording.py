@@ -13,6 +13,7 @@ from slot_lab.film.track import write_tracks
 from slot_lab.film.tracker import MarkerSample
 from slot_lab.validation import validate
 from slot_lab.validation.recording import read_recording, write_points
+from slot_lab.verdict import EXPLAINED, NOT_EXPLAINED
 
 EXAMPLE = Path(__file__).parents[2] / "slot_bringup" / "example"
 ROWS = [f"{n / 30:.4f},0.1,0.0,{0.01 * n}" for n in range(10)]
@@ -78,11 +79,13 @@ def test_recordings_without_a_common_point_are_refused(csv, refusal):
 
 def test_the_shipped_single_leg_gives_the_papers_table_and_plots(tmp_path, capsys):
     files = [str(EXAMPLE / f"single_leg_{name}.csv") for name in ("run", "markers")]
-    assert validate.main([*files, "--out", str(tmp_path)]) == 0
+    assert validate.main([*files, "--out", str(tmp_path)]) == NOT_EXPLAINED  # another robot
     text = capsys.readouterr().out
     assert "fixed base" in text
     assert "accuracy" in text
-    assert (tmp_path / "summary.txt").read_text() in text
+    assert "verdict: not explained: chi-square" in text.splitlines()[-1]
+    assert "largest: base z" in text.splitlines()[-1]
+    assert (tmp_path / "summary.txt").read_text().splitlines()[-1] == text.splitlines()[-1]
     assert (tmp_path / "leg.png").stat().st_size > 10_000
     rows = (tmp_path / "errors.csv").read_text().splitlines()
     assert len(rows) == 1 + 4 * 3
@@ -100,7 +103,8 @@ def test_tracks_in_the_axes_of_a_camera_are_only_compared_with_a_free_rotation(
     out = ["--out", str(tmp_path / "out")]
     line = refusal(validate.main, odom, camera, *out)
     assert "the tracks are in its axes; align them with --frame rigid" in line
-    assert validate.main([odom, camera, "--frame", "rigid", *out]) == 0
+    assert validate.main([odom, camera, "--frame", "rigid", *out]) == EXPLAINED
+    assert capsys.readouterr().out.splitlines()[-1].startswith("verdict: explained: chi-square")
 
 
 def test_legs_of_two_nodes_have_no_points(tmp_path):

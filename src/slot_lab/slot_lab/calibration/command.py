@@ -35,12 +35,13 @@ from slot_lab.calibration.fit import (
 )
 from slot_lab.calibration.plot import write_figure
 from slot_lab.csv_table import TableError
+from slot_lab.verdict import EXIT_CODES, Verdict
 
 FREE = ("leg.young_modulus", "tendon.offset", "tendon.cable_stiffness", "tendon.slack")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line of `scripts/calibrate`: prints a table, returns the exit code.
+    """Command line of `scripts/calibrate`: prints a table and the verdict, returns its exit code.
 
     Ends with exit code 2 and one line of error for invalid data, settings or arguments.
     """
@@ -49,14 +50,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.plot and options.plot.suffix != ".png":
         parser.error(f"--plot {options.plot}: the name of a plot ends in .png")
     try:
-        content = _run(options)
+        content, verdict = _run(options)
     except (TableError, ConfigError, FitError, PredictionError, OSError) as error:
         parser.error(one_line(error))
-    print("\n".join(parameter_file.table(content)))
-    return 0
+    print("\n".join([*parameter_file.table(content), "", verdict.line]))
+    return verdict.code
 
 
-def _run(options: argparse.Namespace) -> dict[str, object]:
+def _run(options: argparse.Namespace) -> tuple[dict[str, object], Verdict]:
     """Fit or evaluate, write the files, and return the content of the parameter file."""
     data, settings = read_data(options.data), read_settings()
     robot, full_set = read_robot(options.start), read_parameters(options.start)
@@ -78,7 +79,7 @@ def _run(options: argparse.Namespace) -> dict[str, object]:
     if options.plot:
         write_figure(data, options.free, result, f"{data.name}: {content['from']}", options.plot)
         progress(f"wrote {options.plot}")
-    return content
+    return content, Verdict(result.chi_square, result.freedom, result.at_bound(options.free))
 
 
 def build_problem(
@@ -99,7 +100,7 @@ def build_problem(
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = command_parser("calibrate", __doc__)
+    parser = command_parser("calibrate", f"{__doc__}\n{EXIT_CODES}")
     add = parser.add_argument
     add("data", type=Path, metavar="FILE", help="measurements")
     add("--out", type=Path, metavar="FILE", help="parameter file to write (YAML)")

@@ -145,6 +145,11 @@ class ParameterEstimate:
     condition: float  # of the Jacobian with columns of length one
     at_limit: NDArray[np.bool_]  # (p,) within STEP of a bound
 
+    def at_bound(self, names: Sequence[str]) -> list[str]:
+        """Names of the determined parameters at a bound."""
+        found = zip(names, self.at_limit, self.interval[:, 0])
+        return [name for name, at, low in found if at and not math.isnan(low)]
+
 
 def parameters_of(robot: RobotParameters, names: Sequence[str]) -> tuple[Parameter, ...]:
     """Free parameters by dotted name, with start and bounds of their settings.

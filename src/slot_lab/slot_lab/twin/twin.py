@@ -41,12 +41,16 @@ from slot_lab.calibration.experiments import PredictionError
 from slot_lab.calibration.fit import FitError
 from slot_lab.csv_table import TableError
 from slot_lab.twin import leg_points, parameter_set, twin_plot
-from slot_lab.twin.prediction import measured_track, predict, read_parts
+from slot_lab.twin.prediction import PredictedTrack, measured_track, predict, read_parts
 from slot_lab.twin.recorded import read_recorded
-from slot_lab.twin.settings import read_twin
-from slot_lab.twin.strides import find_strides, stride_errors
+from slot_lab.twin.settings import TwinSettings, read_twin
+from slot_lab.twin.strides import Strides, find_strides, residuals, stride_errors
 from slot_lab.twin.twin_fit import RunAll, fit_twin, parameter, places, serially
+from slot_lab.verdict import EXIT_CODES, Verdict
 from slot_lab.workers import gather, workers
+
+LAID_ON = 3  # numbers taken from the measurement in each window: x, y, heading
+COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 ERRORS = (
     BagError, ConfigError, DivergenceError, FitError, PredictionError, TableError, OSError,
@@ -59,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        lines = _run(options)
+        lines, verdict = _run(options)
     except KeyboardInterrupt:
         print("\nscripts/twin: interrupted; the same command continues", file=sys.stderr)
         return INTERRUPTED
@@ -67,11 +71,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.exit(2, f"scripts/twin: {error}: run scripts/setup --bench, or give --workers 1\n")
     except ERRORS as error:
         parser.exit(2, f"scripts/twin: {one_line(error)}\n")
-    print("\n".join(lines))
-    return 0
+    print("\n".join([*lines, verdict.line]))
+    return verdict.code
 
 
-def _run(options: argparse.Namespace) -> list[str]:
+def _run(options: argparse.Namespace) -> tuple[list[str], Verdict]:
     """Predict, fit if asked for, and write the files; returns the lines of the report."""
     settings, names = read_twin(), places([*filter(None, options.fit.split(","))])
     if options.set:
@@ -114,14 +118,35 @@ def _run(options: argparse.Namespace) -> list[str]:
         tracks = {"model": predicted, "fitted": predict(recorded, found.parts, settings)}
         parts = found.parts
         kept.forget()
+        judged = strides.split(settings.held_out)[1]
+        at_bound = found.estimate.at_bound(found.names)
+        verdict = judge(tracks["fitted"], measured, judged, settings, at_bound)
     else:
         seen, tracks = None, {"model": predicted}
         lines += parameter_set.error_lines({"model": stride_errors(predicted, measured, strides)})
+        verdict = judge(predicted, measured, strides, settings)
     title = f"{recorded.name}: predicted and measured motion"
     twin_plot.draw(out / "twin.png", title, measured, tracks, strides=strides, seen=seen)
     leg_points.write(recorded, parts, settings, out / "predicted.csv")
-    (out / "summary.txt").write_text("\n".join(lines) + "\n")
-    return [*lines, "", f"twin.png, predicted.csv and summary.txt are in {out}"]
+    (out / "summary.txt").write_text("\n".join([*lines, "", verdict.line]) + "\n")
+    return [*lines, "", f"twin.png, predicted.csv and summary.txt are in {out}"], verdict
+
+
+def judge(
+    predicted: PredictedTrack,
+    measured: PredictedTrack,
+    strides: Strides,
+    settings: TwinSettings,
+    at_bound: Sequence[str] = (),
+) -> Verdict:
+    """Verdict by the residuals of strides, those that a fit has not seen."""
+    blocks = residuals(predicted, measured, strides, settings)
+    chi_square = sum(float((block**2).sum()) for block in blocks)
+    freedom = sum(block.size - LAID_ON for block in blocks)
+    rms = np.sqrt(np.mean(np.vstack(blocks) ** 2, axis=0))
+    worst = int(rms.argmax())
+    largest = f"largest: {COORDINATES[worst]}, {rms[worst]:.3g} times the uncertainty"
+    return Verdict(chi_square, freedom, at_bound, largest)
 
 
 class _Trials:
@@ -167,7 +192,7 @@ def _runner(options: argparse.Namespace) -> Iterator[RunAll]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = command_parser("twin", __doc__)
+    parser = command_parser("twin", f"{__doc__}\n{EXIT_CODES}")
     add = parser.add_argument
     add("recording", type=Path, metavar="RECORDING", help="bag, or CSV file")
     add("--scene", default="flat", metavar="NAME", help="scene of config/scene (default: flat)")

@@ -13,6 +13,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from slot_core.command_line import command_parser, one_line, within
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS
@@ -20,9 +22,13 @@ from slot_lab.bags.bag import BagError
 from slot_lab.bags.measured import MOTION_TOPICS
 from slot_lab.csv_table import TableError
 from slot_lab.validation import curves, tables
-from slot_lab.validation.comparison import compare
+from slot_lab.validation.comparison import AXES, Comparison, compare
 from slot_lab.validation.frame_alignment import FRAMES, RIGID
 from slot_lab.validation.recording import RecordingError, read_recording
+from slot_lab.verdict import EXIT_CODES, Verdict
+
+CLOCK = 2  # free: offset and drift
+FREE = {"rigid": 6, "level": 4, "none": 0}  # by frame
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -30,14 +36,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = _parser()
     options = parser.parse_args(arguments)
     try:
-        lines = _run(options)
+        lines, verdict = _run(options)
     except (RecordingError, TableError, BagError, ConfigError, OSError) as error:
         parser.exit(2, f"scripts/validate: {one_line(error)}\n")
-    print("\n".join(lines))
-    return 0
+    print("\n".join([*lines, verdict.line]))
+    return verdict.code
 
 
-def _run(options: argparse.Namespace) -> list[str]:
+def _run(options: argparse.Namespace) -> tuple[list[str], Verdict]:
     run = read_recording(options.run, options.namespace, options.camera, options.motion)
     measured = read_recording(options.measurement, camera=options.camera)
     for recording in (run, measured):
@@ -55,16 +61,37 @@ def _run(options: argparse.Namespace) -> list[str]:
     lines = [f"run {run.name}, measurement {measured.name}"]
     lines += [f"{r.name}: {note}" for r in (run, measured) for note in r.notes]
     lines += tables.report(found, options.frame)
+    verdict = judge(found, options.sigma, FREE[options.frame], options.zero)
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "summary.txt").write_text("\n".join(lines) + "\n")
+    (options.out / "summary.txt").write_text("\n".join([*lines, "", verdict.line]) + "\n")
     tables.write_csv(found, options.out / "errors.csv")
     plots = curves.draw(found, f"{run.name} and {measured.name}", options.out)
     names = ["summary.txt", "errors.csv", *(path.name for path in plots)]
-    return [*lines, "", f"{', '.join(names)} are in {options.out}"]
+    return [*lines, "", f"{', '.join(names)} are in {options.out}"], verdict
+
+
+def judge(found: Comparison, sigma: float, free: int, zero: bool) -> Verdict:
+    """Verdict by the positions, whose standard uncertainty is `sigma` (m); free: in the frame.
+
+    zero: whether each point's mean difference is taken out.
+    """
+    off = {
+        key: (series.run - series.measured) / sigma
+        for key, series in found.series.items()
+        if key[1] in AXES
+    }
+    rms = {key: math.sqrt(float(np.mean(r**2))) for key, r in off.items()}
+    point, axis = max(rms, key=lambda key: rms[key])
+    taken = CLOCK + free + (3 * len(found.points) if zero else 0)
+    return Verdict(
+        sum(float(r @ r) for r in off.values()),
+        sum(len(r) for r in off.values()) - taken,
+        largest=f"largest: {point} {axis}, {rms[point, axis]:.3g} times the uncertainty",
+    )
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = command_parser("validate", __doc__)
+    parser = command_parser("validate", f"{__doc__}\n{EXIT_CODES}")
     add = parser.add_argument
     add("run", type=Path, metavar="RECORDING", help="bag, CSV or video")
     add("measurement", type=Path, metavar="RECORDING", help="bag, CSV or video")
@@ -79,6 +106,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--zero", action="store_true", help=beside)
     offset = "time of the measurement's first sample in the run, to 0.1 s (default: searched)"
     add("--offset", type=within(-1e6, 1e6, "s"), metavar="S", help=offset)
+    certain = "standard uncertainty of the measured positions, for the verdict (default: 0.001 m)"
+    add("--sigma", type=within(1e-6, 1.0, "m"), metavar="M", default=1e-3, help=certain)
     add("--leg", choices=LEGS, default="FL", help="leg of points without one (default: FL)")
     add("--block", type=time, metavar="S", default=1.0, help="of the bootstrap (default: 1 s)")
     add("--camera", type=Path, metavar="FILE", help="calibration of a video's camera")
