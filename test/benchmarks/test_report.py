@@ -2,6 +2,7 @@
 
 import base64
 import json
+import math
 import re
 from functools import cached_property
 from html.parser import HTMLParser
@@ -10,9 +11,10 @@ import pytest
 
 from benchmarks.harness import known
 from benchmarks.locomotion.rows import rows as locomotion_rows
-from benchmarks.report import paper_figures
+from benchmarks.report import claims, paper_figures
 from benchmarks.report.report import BENCHMARKS, CAPTIONS, main
 from benchmarks.report.results import PNG, bench_command
+from slot_core.robot import read_robot
 
 IMAGE = PNG + b"no more of it is read"
 HOSTILE = "<script>alert('x')</script> & \"<b>\""
@@ -169,6 +171,36 @@ def test_figures_are_looked_up_under_names_that_the_benchmarks_use():
     found = {ours.match["row"] for ours in wanted if ours.result == "locomotion"}
     assert found <= {row.name for row in locomotion_rows(quick=False)}
     assert CAPTIONS.keys() <= known(BENCHMARKS).keys()
+
+
+@pytest.mark.parametrize(
+    "about",
+    ["1.4 cm", "22.374 and 61.875 s", "crawl's centre of mass", "real time", "below 2 mm",
+     "less than 5 mm", "1.5 N m; servos of 1.4 N m", "out-of-plane", "gyroscopic term",
+     "Velocity settles in 10.098 s", "0.08 m/s at a height of 0.04 m", "4.792 of Pitch"],
+)  # fmt: skip
+def test_a_claim_of_the_paper_has_one_verdict_and_a_reason(page, about):
+    (claim,) = [claim for claim in claims.CLAIMS if about in claim.text]
+    assert claim.verdict in claims.VERDICTS
+    assert " ".join((claim.text, claim.verdict, claim.reason)) in page.words
+
+
+def test_every_claim_is_counted_once_under_its_verdict(page):
+    count = [sum(c.verdict == verdict for c in claims.CLAIMS) for verdict in claims.VERDICTS]
+    assert sum(count) == len(claims.CLAIMS) > 40
+    for number, verdict in zip(count, claims.VERDICTS):
+        assert f"{number} {verdict}" in page.words
+
+
+def test_what_the_papers_own_numbers_refute_is_so():
+    weight, line = read_robot().weight, (6.0 + 6.91) / 0.107
+    assert pytest.approx(1.58) == 4 * 0.35 + 0.18  # ms, of a step of 0.1 ms
+    assert 3 * 6.0 < weight < 4 * 6.0
+    assert line == pytest.approx(120.65, abs=0.01)
+    assert pytest.approx(5.532, abs=1e-3) == 0.107 * 116.28 - 6.91
+    assert (weight / 4 + 6.91) / 0.107 == pytest.approx(114.1, abs=0.1)
+    assert math.hypot(0.052, 0.09) == pytest.approx(0.104, abs=1e-4)
+    assert pytest.approx(0.495) == 15 * 0.033
 
 
 NONSENSE = {

@@ -153,6 +153,7 @@ def _straight() -> list[LocomotionRow]:
     equal, split = straight(), straight(friction(0.5, 0.3))
     return [
         LocomotionRow("lateral error over .8 m", "mm", 10.0, [equal], worst(_lateral)),
+        LocomotionRow("lateral RMSE over .8 m", "mm", 14.0, [equal], worst(_lateral_rms), None),
         LocomotionRow("lateral error, split friction", "mm", 20.0, [split], worst(_lateral)),
         LocomotionRow("heading, split friction", "deg", 2.0, [split], worst(_heading)),
     ]
@@ -349,6 +350,12 @@ def _lateral(case: Case, motion: WalkMotion) -> float:
     if not _walks(case, motion):
         return math.inf
     return MM * float(np.abs(motion.position[:, 1]).max())
+
+
+def _lateral_rms(case: Case, motion: WalkMotion) -> float:
+    if not _walks(case, motion):
+        return math.inf
+    return MM * float(np.sqrt(np.mean(motion.position[:, 1] ** 2)))
 
 
 def _heading(case: Case, motion: WalkMotion) -> float:

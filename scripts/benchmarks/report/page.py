@@ -10,7 +10,7 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from benchmarks.report import paper_figures
+from benchmarks.report import claims, paper_figures
 from benchmarks.report.paper_figures import Ours, PaperComparison
 from benchmarks.report.results import Image, Result, number
 
@@ -72,6 +72,9 @@ def render(contents: Contents, revision: str) -> str:
         results=results,
         missing=contents.missing(),
         compared=compared,
+        claims=claims.CLAIMS,
+        claimed=Counter(claim.verdict for claim in claims.CLAIMS),
+        claim_verdicts=claims.VERDICTS,
         verdicts=(*GOOD, *BAD, NOT_MEASURED, MISSING, NO_VALUE),
         good=GOOD,
         checks=checks,
