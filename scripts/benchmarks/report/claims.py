@@ -125,7 +125,7 @@ CLAIMS = (
           "sum differ from the weight"),
     Claim("VI-E, Table IV", "Velocity settles in 10.098 s", CORRECTED, "7.92 s, 22 % less"),
     Claim("VI-E, Table IV", "Noise of 0.001 does not settle", OPEN,
-          "seed and clipping are not published; ours settles, by chance"),
+          "seed and clipping are not published; with ours it does not settle either"),
     Claim("VI-E", "no infeasible step, hence recursive feasibility", REFUTED,
           "no step is infeasible; but no limit depends on the state, so that this says nothing"),
     Claim("abstract, VII", "asymptotic stability", REFUTED,
