@@ -12,7 +12,7 @@ from slot_core.mpc.settings import read_mpc
 
 
 def rod_checks(slower):
-    settings = {*release.GOALS, *(setting for _, _, setting, _ in release.RIVALS)}
+    settings = {*release.GOALS, *(setting for _, setting, _ in release.RIVALS)}
     ours = [
         {
             "simulator": release.OURS, "physics": s.physics.name, "nodes": s.nodes, "h": s.h,

@@ -154,14 +154,15 @@ def row(percent, cost, simulator="peer"):
 @pytest.mark.parametrize(
     ("own", "rivals", "ratio"),
     [
-        (row(0.1, 1.0), [row(0.4, 8.0), row(0.05, 20.0), row(0.6, 2.0)], 8.0),  # within 0.5 %
-        (row(0.1, 1.0), [row(3.0, 8.0), row(2.0, 9.0), row(math.nan, math.nan)], 9.0),  # nearest
-        (row(0.6, 1.0), [row(0.1, 100.0)], math.nan),  # the own row is outside of the error
+        (row(0.1, 1.0), [row(0.1, 8.0), row(0.05, 20.0), row(0.6, 2.0)], 8.0),  # equal error
+        (row(0.1, 1.0), [row(0.2, 4.0), row(0.05, 16.0), row(0.1, 20.0)], 8.0),  # between two
+        (row(0.1, 2.0), [row(3.0, 8.0), row(2.0, 12.0), row(math.nan, math.nan)], 6.0),  # nearest
+        (row(4.0, 1.0), [row(3.0, 8.0), row(2.0, 12.0)], 8.0),  # all of them are more exact
         (row(0.1, 1.0), [], math.nan),
     ],
 )
-def test_peer_is_represented_by_its_fastest_row_that_is_accurate_enough(own, rivals, ratio):
-    check = release.rival_check("peer", 0.5, own, rivals, 5.0)
+def test_a_peer_costs_what_it_does_at_our_error(own, rivals, ratio):
+    check = release.rival_check("peer", own, rivals, 5.0)
     assert check.value == pytest.approx(ratio, nan_ok=True)
     assert check.holds == (ratio > 5.0)
 
