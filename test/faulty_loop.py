@@ -28,7 +28,7 @@ class FaultyLoop(SupervisedLoop):
         super().__init__(scene, "walk", None, seed, hardware=hardware)
         self.first, self.reasons = {}, {}  # s since the fault, and the reason of a state
         self.change_odometry = self.change_command = lambda value: value
-        self.estop = None  # whether it is pressed; None: no source
+        self.estop = {}  # sources of the e-stop by name: whether it is pressed
         self.clock_offset = 0  # ns, of the computer's clock
         self.delay = lambda: 0.0  # s, by which the next tick of the controller arrives late
 
@@ -127,10 +127,12 @@ class FaultyLoop(SupervisedLoop):
         self.change_command = lambda _: np.full(4, next(ends))
 
     def press_estop(self):
-        self.estop = True
+        """Press the e-stop at one source; another one goes on saying that it is not."""
+        self.estop["button"] = True
 
     def lose_estop(self):
-        self.estop = None
+        """Let one of two sources of the e-stop be lost."""
+        self.estop.pop("terminal")
 
     def jump_clock(self):
         """Let the computer's clock jump by 0.6 s."""
@@ -154,10 +156,8 @@ class FaultyLoop(SupervisedLoop):
             arrive()
 
     def supervise(self, report):
-        if self.estop is not None:
-            pressed = self.estop
-            self.ticked.add(
-                "e-stop", report.stamp, lambda now: self.supervisor.receive_estop(now, pressed)
-            )
+        for source, pressed in self.estop.items():
+            receive = partial(self.supervisor.receive_estop, source=source, pressed=pressed)
+            self.ticked.add("e-stop", report.stamp, receive)
         shifted = dataclasses.replace(report, stamp=report.stamp + self.clock_offset)
         return super().supervise(shifted)

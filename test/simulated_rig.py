@@ -66,8 +66,11 @@ class SimulatedRig(Rig):
         """Replace DDS, clocks and devices of the nodes."""
         rig, patch = self, self._patch.setattr
 
-        def create_publisher(node, _, topic, profile, **__):
-            return rig._publish(rig._building, topic, rig._profile(profile))
+        def create_publisher(node, kind, topic, profile, **__):
+            return rig._publish(rig._building, kind, topic, rig._profile(profile))
+
+        def get_publishers_info_by_topic(node, topic):
+            return rig.publishers_of(topic)
 
         def create_subscription(node, _, topic, callback, profile, **__):
             return rig._subscribe(rig._building, topic, callback, rig._profile(profile))
@@ -87,8 +90,9 @@ class SimulatedRig(Rig):
             return Timer(rig, rig._building or rig._busy[-1], period, callback)
 
         for replaced in (create_publisher, create_subscription, create_service, create_client,
-                         create_timer):  # fmt: skip
+                         create_timer, get_publishers_info_by_topic):  # fmt: skip
             patch(Node, replaced.__name__, replaced)
+        patch(Node, "count_publishers", lambda _, topic: len(rig.publishers_of(topic)))
         patch(Node, "destroy_timer", lambda _, timer: timer.cancel())
         patch(Node, "get_clock", lambda _: Clock(rig))
         patch(Node, "get_logger", lambda node: Logger(rig._logs[node.get_name()]))
@@ -276,13 +280,19 @@ class SimulatedRig(Rig):
 
     # messages and services
 
-    def _publish(self, node, topic, profile):
-        made = Publisher(self, topic, profile)
+    def _publish(self, node, kind, topic, profile):
+        made = Publisher(self, kind, topic, profile)
+        made.node_name = node[0] if node else "tester"
         self._publishers.append((node, made))
         return made
 
     def publisher(self, kind, topic, profile):
-        return self._publish(None, topic, profile)
+        return self._publish(None, kind, topic, profile)
+
+    def publishers_of(self, topic):
+        """Publishers of a topic, of nodes and of the test."""
+        name = f"/{topic.lstrip('/')}"
+        return [p for _, p in self._publishers if p.topic_name == name]
 
     def destroy_publisher(self, publisher):
         self._publishers = [(n, p) for n, p in self._publishers if p is not publisher]

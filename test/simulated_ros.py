@@ -76,8 +76,12 @@ class Subscription:
 class Publisher:
     """Publisher of a node, or of the test."""
 
-    def __init__(self, rig, topic, profile):
+    node_namespace = "/"
+
+    def __init__(self, rig, kind, topic, profile):
         self._rig, self.topic_name = rig, f"/{topic.lstrip('/')}"
+        package = kind.__module__.split(".")[0]
+        self.topic_type = f"{package}/msg/{kind.__name__}"
         self.latched = deque(maxlen=profile.depth)
         self.latches = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
         self._number = 0

@@ -15,6 +15,7 @@ from slot_core.recording.message_types import message_types, types_inside
 from slot_core.recording.record_settings import read_record_settings
 from slot_core.robot import TENDON_JOINTS, Array, read_robot
 
+MESSAGES = Path(__file__).parents[1] / "slot_msgs" / "msg"
 TYPES = message_types()
 ROBOT = read_robot()
 TOPICS = {name: topic.type for name, topic in read_record_settings().topics.items()}
@@ -267,21 +268,21 @@ def _legs(walk: Walk, t: float) -> Any:
     )
 
 
-OLD_LEGS = """std_msgs/Header header
-float64[4] tension
-geometry_msgs/Vector3[4] ground_force
-uint32 nodes
-float32[] position
-"""
-
-
 def write_old_legs(path: Path, nodes: Array) -> Path:
     """Write a bag of one leg state, nodes (4, n, 3) m, whose type has no directors yet."""
     topic = "/ground_truth/legs"
-    kind, now = TOPICS[topic], message(topic, 1.0, nodes=nodes.shape[1], position=nodes)
-    types = types_inside(((kind, OLD_LEGS),))
-    old = types.types[kind](now.header, now.tension, now.ground_force, now.nodes, now.position)
+    return write_old(path, topic, message(topic, 1.0, nodes=nodes.shape[1], position=nodes))
+
+
+def write_old(path: Path, topic: str, now: Any) -> Path:
+    """Write a bag of one message, whose type does not have its last field yet."""
+    kind = TOPICS[topic]
+    lines = (MESSAGES / f"{Path(kind).name}.msg").read_text().splitlines(keepends=True)
+    *known, last = (name for name, _ in TYPES.fielddefs[kind][1])
+    definition = "".join(lines[: next(i for i, line in enumerate(lines) if f" {last} " in line)])
+    types = types_inside(((kind, definition),))
+    old = types.types[kind](*(getattr(now, name) for name in known))
     with BagWriter(path, read_record_settings()) as bag:
-        bag.add_topic(topic, MessageType(kind, OLD_LEGS))
+        bag.add_topic(topic, MessageType(kind, definition))
         bag.write(topic, kind, WALL, bytes(types.serialize_cdr(old, kind)))
     return path

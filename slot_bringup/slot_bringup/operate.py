@@ -5,6 +5,7 @@ walk      follow commands                       relax     ramp to slack, then to
 estop     torque off at once                    reset     return from ESTOP or FAULT to IDLE
 state     print state, reason and warnings      reboot    restart a servo, torque off
 zero      set a leg's relaxed angle to its present one, torque off
+forget    take a silent source of the e-stop for gone, by its name
 inject    inject a fault into the simulated robot
 """
 
@@ -15,10 +16,12 @@ import os
 import select
 import shutil
 import signal
+import socket
 import sys
 import termios
 import time
 import tty
+import uuid
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -26,11 +29,11 @@ from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from slot_bringup import operator_screen
@@ -43,8 +46,8 @@ from slot_core.messages.decode import ACTION_NUMBERS
 from slot_core.robot import LEGS
 from slot_core.safety.commands import Action
 from slot_core.safety.states import State
-from slot_msgs.msg import RobotState, ServoHealth
-from slot_msgs.srv import InjectFault
+from slot_msgs.msg import EmergencyStop, RobotState, ServoHealth
+from slot_msgs.srv import ForgetSource, InjectFault
 from slot_nodes import qos, runtime
 
 REQUESTS = ("ready", "stand", "walk", "relax", "estop", "reset")
@@ -53,6 +56,7 @@ QUIT = "q"
 SEARCH_TIME = 5.0  # s to wait for a service or a message
 ANSWER_TIME = 10.0  # s to wait for an answer; measuring a zero takes 0.5 s
 ESTOP_PERIOD = 0.1  # s, a fifth of timing.estop of config/supervisor.yaml
+LEAVE_TIME = 1.0  # s to wait until the supervisor has the last message
 REFRESH = 0.2  # s between two redraws
 NEWEST = QoSProfile(depth=1)
 
@@ -75,6 +79,9 @@ def service(options: argparse.Namespace) -> Service:
     """Service call of an action of the command line."""
     if options.action in REQUESTS:
         return Service("supervisor", f"supervisor/{options.action}", Trigger, Trigger.Request())
+    if options.action == "forget":
+        source = ForgetSource.Request(source=options.source)
+        return Service("supervisor", "supervisor/forget", ForgetSource, source)
     if options.action == "inject":
         names = ("kind", "leg", "value", "duration", "clear")
         fault = InjectFault.Request(**{name: getattr(options, name) for name in names})
@@ -118,9 +125,8 @@ class Operator:
 
     def __init__(self, node: Node) -> None:
         self.view = operator_screen.OperatorView()
-        self._node = node
-        self._estop_pressed = False
-        self._estop = node.create_publisher(Bool, "estop", qos.SENSOR)
+        self._estop = EmergencyStop(source=f"{socket.gethostname()}-{uuid.uuid4().hex[:4]}")
+        self._estop_topic = node.create_publisher(EmergencyStop, "estop", qos.SENSOR)
         named = {name: f"supervisor/{name}" for name in REQUESTS}
         self._clients = {name: node.create_client(Trigger, n) for name, n in named.items()}
         node.create_subscription(RobotState, "robot_state", self._on_state, qos.STATE)
@@ -136,10 +142,10 @@ class Operator:
     def press(self, key: str) -> bool:
         """Handle a key; return False to quit."""
         if key == QUIT:
-            return not self._may_quit()
+            return not (self._may_quit() and self._leave())
         request = KEYS.get(key)
         if request == "estop":
-            self._estop_pressed = True
+            self._estop.pressed = True
             self._publish_estop()
         if request is not None:
             self._call(request)
@@ -154,6 +160,13 @@ class Operator:
             return True
         self.view.answer = f"{State(state.state).name}: relax first (x), or stop with Ctrl-C"
         return False
+
+    def _leave(self) -> bool:
+        """Tell the supervisor that it need not miss this source of the e-stop; true."""
+        self._estop.leaving = True
+        self._publish_estop()
+        self._estop_topic.wait_for_all_acked(Duration(seconds=LEAVE_TIME))
+        return True
 
     def _call(self, request: str) -> None:
         client = self._clients[request]
@@ -182,11 +195,10 @@ class Operator:
             return
         self.view.state_time = time.monotonic()
         if message.state == RobotState.ESTOP:
-            self._estop_pressed = False  # received, and latched by the supervisor
+            self._estop.pressed = False  # received, and latched by the supervisor
 
     def _publish_estop(self) -> None:
-        self._estop.publish(Bool(data=self._estop_pressed))
-        self.view.sources = self._node.count_publishers("estop")
+        self._estop_topic.publish(self._estop)
 
 
 def answer_text(action: str, message: str) -> str:
@@ -279,6 +291,9 @@ def _parser() -> argparse.ArgumentParser:
         actions.add_parser(name)
     for name in ("reboot", "zero"):
         actions.add_parser(name).add_argument("leg", choices=LEGS)
+    actions.add_parser("forget").add_argument(
+        "source", help="name, as the refusal of a reset has it"
+    )
     inject = actions.add_parser("inject")
     inject.add_argument("kind", help="kind of fault, as in config/scene")
     inject.add_argument("leg", choices=(*LEGS, "all"), nargs="?", default="all")

@@ -29,7 +29,6 @@ class OperatorView:
     joints: JointState | None = None
     health: ServoHealth | None = None
     diagnostics: DiagnosticArray | None = None
-    sources: int = 1  # publishers of /estop, this terminal included
     answer: str = ""  # to the operator's last request
 
     def silent(self, now: float) -> bool:
@@ -56,9 +55,6 @@ def lines(view: OperatorView, now: float) -> list[str]:
     """All lines of the screen at `now` (s)."""
     legs = [_leg(view, k) for k in range(len(LEGS))]
     end = [f"> {view.answer}", HELP]
-    if view.sources > 1:  # the loss of one of them goes unnoticed
-        problem = f"{view.sources} sources of the e-stop: closing this terminal may not stop it"
-        end.insert(0, f"  ! {problem}")
     return [*_robot(view, now), "", HEADER, *legs, "", *_driver(view), *end]
 
 

@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from rclpy.duration import Duration
@@ -36,6 +37,11 @@ PLAYED = ("/odom", "/imu", "/joint_states", "/servo_health", "/cmd_vel", "/groun
           "/ground_truth/legs")  # fmt: skip
 """What comes from outside of the controller: the robot's topics, and the user's velocity."""
 NEEDED = "/odom"
+NEWER: dict[str, tuple[str, Any]] = {
+    LEG_STATES: ("director", lambda types: np.zeros(0, np.float32)),
+    "/servo_health": ("supervised", lambda types: types.types["builtin_interfaces/msg/Time"](0, 0)),
+}
+"""Last field of a message, which those in old bags lack, and its value for them."""
 RECORDERS = ("recorder", "rosbag2_recorder")  # nodes
 CLOCK_PERIOD = 5_000_000  # ns, at least, between two messages on /clock
 SEARCH_TIME = 10.0  # s to wait for a node that subscribes
@@ -74,12 +80,13 @@ def entries(bag: Bag, start: float) -> Iterator[Entry]:
 
 
 def readable(bag: Bag, topic: str, data: bytes, types: Types) -> bytes:
-    """CDR bytes of a message that nodes can read: leg states get the field that old ones lack."""
-    if topic != LEG_STATES or hasattr(old := bag.decode(topic, data), "director"):
+    """CDR bytes of a message that nodes can read: it gets the last field, if that is newer."""
+    last, default = NEWER.get(topic, ("", None))
+    if not last or hasattr(old := bag.decode(topic, data), last):
         return data
     kind = bag.topics[topic]
-    fields = (old.header, old.tension, old.ground_force, old.nodes, old.position)
-    return bytes(types.serialize_cdr(types.types[kind](*fields, np.zeros(0, np.float32)), kind))
+    known = [getattr(old, name) for name, _ in types.fielddefs[kind][1][:-1]]
+    return bytes(types.serialize_cdr(types.types[kind](*known, default(types)), kind))
 
 
 class Player:

@@ -55,7 +55,10 @@ class FakeNode:
         self.published, self.clients, self._ready = [], {}, ready
 
     def create_publisher(self, *_):
-        return SimpleNamespace(publish=lambda m: self.published.append(m.data))
+        return SimpleNamespace(
+            publish=lambda m: self.published.append((m.pressed, m.leaving)),
+            wait_for_all_acked=self.published.append,
+        )
 
     def create_client(self, _, name):
         return self.clients.setdefault(name, FakeClient(self._ready))
@@ -65,9 +68,6 @@ class FakeNode:
 
     def create_timer(self, *_, **__):
         pass
-
-    def count_publishers(self, _):
-        return 1
 
     def called(self):
         return [name for name, client in self.clients.items() if client.calls]
@@ -98,7 +98,20 @@ def test_the_e_stop_is_published_at_once_and_until_the_supervisor_is_in_estop():
     operator._publish_estop()
     operator._on_state(state(State.ESTOP))
     operator._publish_estop()
-    assert node.published == [False, True, True, False]
+    assert node.published == [(pressed, False) for pressed in (False, True, True, False)]
+
+
+def test_each_terminal_is_a_source_of_its_own():
+    names = {operate.Operator(FakeNode())._estop.source for _ in range(9)}
+    assert len(names) == 9
+
+
+def test_a_terminal_that_quits_is_not_missed_once_the_supervisor_knows():
+    node = FakeNode()
+    assert not operate.Operator(node).press(operate.QUIT)
+    left, waited = node.published
+    assert left == (False, True)
+    assert waited.nanoseconds == operate.LEAVE_TIME * 1e9
 
 
 def test_four_of_five_e_stop_messages_may_be_lost():
@@ -146,7 +159,7 @@ def test_the_screen_shows_state_warnings_and_what_is_wrong_with_a_servo():
     message = state(reason="walk requested", warnings=["node mpc_controller silent for 1 s"])
     broken = health(hardware_error=[0, 0, 0x20, 0], torque=[True, True, False, True])
     angles = JointState(name=TENDON_JOINTS, position=[0.5] * 4, effort=[0.1] * 4)
-    shown = screen(state=message, health=broken, joints=angles, sources=2)
+    shown = screen(state=message, health=broken, joints=angles)
     assert shown[:2] == [
         "WALKING for 2.5 s: walk requested", "  ! node mpc_controller silent for 1 s"
     ]  # fmt: skip
@@ -154,7 +167,6 @@ def test_the_screen_shows_state_warnings_and_what_is_wrong_with_a_servo():
         "FL": ["on", "none"], "FR": ["on", "none"], "RL": ["off", "overload"],
         "RR": ["on", "none"],
     }  # fmt: skip
-    assert any("2 sources of the e-stop" in line for line in shown)
 
 
 def test_an_outdated_state_is_not_shown():
@@ -177,6 +189,7 @@ def test_the_first_line_is_red_in_relax_estop_and_fault_and_without_a_present_st
         (["estop"], "supervisor/estop"),
         (["reboot", "RL"], "dynamixel_driver/reboot_rl"),
         (["zero", "FR"], "dynamixel_driver/zero_fr"),
+        (["forget", "robot-7f3a"], "supervisor/forget"),
         (["inject", "silent"], "sim_robot/inject"),
     ],
 )

@@ -4,11 +4,30 @@ import pytest
 from std_msgs.msg import Bool
 
 from slot_core.safety.states import State
-from slot_msgs.msg import RobotState
+from slot_msgs.msg import EmergencyStop, RobotState
+from slot_msgs.srv import ForgetSource
 from slot_nodes import qos
 
-PERIOD = 0.1  # s, between two messages of the e-stop
+PERIOD = 0.1  # s, between two messages of a source
 STEP = 0.021  # s, between two steps of the supervisor, with the latency of a message
+
+
+class Source:
+    """A source of the e-stop."""
+
+    def __init__(self, rig, name):
+        self._out = rig.publisher(EmergencyStop, "estop", qos.SENSOR)
+        self._rig, self._message = rig, EmergencyStop(source=name)
+        self._timer = rig.every(PERIOD, lambda: self._out.publish(self._message))
+
+    def send(self, **fields):
+        """Send a state, and repeat it."""
+        self._message = EmergencyStop(source=self._message.source, **fields)
+        self._out.publish(self._message)
+
+    def lose(self):
+        self._timer.cancel()
+        self._rig.destroy_publisher(self._out)
 
 
 @pytest.fixture(scope="module")
@@ -16,20 +35,61 @@ def rig(simulate):
     return simulate()
 
 
-def test_a_pressed_estop_switches_torque_off_until_it_is_released_and_reset(walking):
-    out, estop = walking.publisher(Bool, "estop", qos.SENSOR), Bool(data=True)
+@pytest.fixture
+def sources(walking):
+    """A button and a terminal, which leave after the test."""
+    made = [Source(walking, name) for name in ("button", "terminal")]
+    walking.run(2 * PERIOD)
+    yield made
+    for source in made:
+        source.send(leaving=True)
+        source.lose()
+    walking.run(PERIOD)
+
+
+def test_a_pressed_estop_switches_torque_off_until_it_is_released_and_reset(walking, sources):
+    button, _ = sources
     begin = walking.now()
-    out.publish(estop)
-    walking.every(PERIOD, lambda: out.publish(estop))
+    button.send(pressed=True)
     stopped, reason = walking.wait_for_state(State.ESTOP, begin)
     assert (stopped - begin) * 1e-9 < STEP
-    assert reason == "e-stop pressed"
+    assert reason == "e-stop pressed at button"
     assert walking.last("/robot_state").action == RobotState.ACTION_OFF
-    assert walking.request("reset") == "RESET refused in ESTOP: e-stop pressed"
-    estop.data = False
+    for _ in range(20):  # between messages of both sources
+        walking.run(PERIOD / 7)
+        assert walking.request("reset") == "RESET refused in ESTOP: e-stop pressed at button"
+    button.send(pressed=False)
     walking.run(2 * PERIOD)  # the supervisor has received it
     assert walking.state is State.ESTOP
     assert walking.request("ready") == "READY changes nothing in ESTOP"
     assert walking.request("reset") == ""
     walking.wait_for(lambda: walking.state is State.IDLE)
     walking.wait_for(lambda: max(walking.last("/joint_states").position) < 0.05)  # slack
+
+
+def test_a_source_that_was_pressed_and_lost_is_released_only_by_forget(walking, sources):
+    button, _ = sources
+    button.send(pressed=True)
+    walking.run(PERIOD)
+    button.lose()
+    walking.run(1.0)
+    assert "e-stop pressed at button (silent" in walking.request("reset")
+    forgotten = [
+        walking.call(ForgetSource, "/supervisor/forget", source=name).success
+        for name in ("terminal", "button")
+    ]
+    assert forgotten == [False, True]
+    assert walking.request("reset") == ""
+
+
+def test_a_publisher_of_another_type_counts_as_pressed(walking, sources):
+    begin = walking.now()
+    foreign = walking.publisher(Bool, "estop", qos.SENSOR)
+    _, reason = walking.wait_for_state(State.ESTOP, begin)
+    name = "/tester (std_msgs/msg/Bool, not heard)"
+    assert reason == f"e-stop pressed at {name}"
+    walking.destroy_publisher(foreign)
+    walking.run(1.0)
+    assert "RESET refused" in walking.request("reset")
+    assert walking.call(ForgetSource, "/supervisor/forget", source=name).success
+    assert walking.request("reset") == ""

@@ -32,7 +32,10 @@ class Graph:
 
     def __init__(self, rig):
         self.rig = rig
-        self.publishers = {t: rig.publisher(kind, t, qos_) for t, (kind, qos_) in TOPICS.items()}
+        self.publishers = {  # those of the nodes: a second one of a command stops the robot
+            topic: next(iter(rig.publishers_of(topic)), None) or rig.publisher(kind, topic, profile)
+            for topic, (kind, profile) in TOPICS.items()
+        }
         for topic, (kind, profile) in TOPICS.items():
             if kind is not None:
                 rig.subscribe(f"/{topic}", kind, profile)

@@ -72,6 +72,21 @@ def test_a_killed_supervisor_ends_in_hold_then_relax_and_the_robot_walks_again_w
     walking.wait_for(lambda: angles(walking, moving).size and np.ptp(angles(walking, moving)) > 0.5)
 
 
+def test_a_supervisor_that_is_restarted_after_an_estop_waits_for_an_operator(walking):
+    """Though the graph is unattended."""
+    walking.request("estop")
+    walking.wait_for_state(State.ESTOP, walking.now())
+    walking.kill("supervisor")
+    walking.run(1.0)
+    begin = walking.now()
+    walking.start("supervisor")
+    walking.run(3.0)
+    assert walking.state is State.IDLE
+    assert not any(any(m.torque) for m in walking.since("/servo_health", begin))
+    assert "obeyed an earlier supervisor" in walking.log("supervisor")
+    walking.walk()
+
+
 def angles(rig, begin):
     """Measured tendon angles since `begin`, rad."""
     joints = rig.messages["/joint_states"][-200:]

@@ -12,7 +12,6 @@ from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.messages import decode
 from slot_core.robot import read_robot
 from slot_core.safety.states import State
-from slot_nodes import qos
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +133,7 @@ def test_the_driver_rejects_commands_stamped_by_another_clock(rig):
     foreign = copy.deepcopy(rig.last("/desired_joint_angles"))
     foreign.header.stamp.sec -= 100
     foreign.position = [0.0] * 4
-    rig.publisher(None, "desired_joint_angles", qos.CONTROL).publish(foreign)
+    rig.publishers_of("desired_joint_angles")[0].publish(foreign)
     rig.run(0.01)
     assert "desired_joint_angles refused: stamped -1" in rig.log("dynamixel_driver")
 

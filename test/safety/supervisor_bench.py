@@ -62,7 +62,7 @@ class SupervisorBench:
         self.state = state()
         self.validity = Validity.VALID
         self.status, self.fallback_cycles = Status.SOLVED, 0
-        self.pressed = False
+        self.sources = {"button": False}  # of the e-stop, by name: whether it is pressed
         self.torque = None  # N m; None: that of the tabulated leg
         self.watchdog = Watchdog(0.0, ROBOT.tendon.angle_max)
         self.watchdog.set_limits(config.replace(read_supervisor(), changes).servo_limits)
@@ -78,8 +78,8 @@ class SupervisorBench:
         for node in self.nodes:
             if node not in self.silent:
                 s.receive_heartbeat(now, node)
-        if "estop" not in self.silent:
-            s.receive_estop(now, self.pressed)
+        for source, pressed in self.sources.items():
+            s.receive_estop(now, source, pressed)
         if "servos" not in self.silent:
             torque = load(self.angle) if self.torque is None else self.torque
             s.receive_joints(now, now, self.angle, torque)

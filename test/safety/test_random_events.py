@@ -42,7 +42,7 @@ def random_input(rng, bench: SupervisorBench, supervisor: Supervisor, steady: in
     elif kind == 4:
         supervisor.receive_mpc(now, int(rng.choice([0, 1, 4], p=[0.9, 0.09, 0.01])), 0)
     elif kind == 5:
-        supervisor.receive_estop(now, bool(rng.random() < 0.002))
+        supervisor.receive_estop(now, str(rng.integers(2)), bool(rng.random() < 0.002))
     elif kind == 6:
         for node in SETTINGS.nodes:
             supervisor.receive_heartbeat(now, node)

@@ -1,7 +1,8 @@
 """Start-up without an operator: each request once, and none after a fault."""
 
+import numpy as np
 import pytest
-from supervisor_bench import SupervisorBench, state
+from supervisor_bench import START, TICK, SupervisorBench, state
 
 from slot_core.safety.start_up import StartUp
 from slot_core.safety.states import State
@@ -31,7 +32,10 @@ def test_start_up_reaches_the_state_of_its_last_request(steps, goal):
 
 def test_start_up_repeats_a_refused_request_and_returns_the_reason():
     bench, start_up = SupervisorBench(), StartUp(Request.READY)
+    assert "no report of the servos" in start_up.request_next(bench.supervisor, bench.now)
+    bench.run(0.1)
     bench.silent.add("servos")
+    bench.run(0.6)
     assert run(bench, start_up, 1.0) is State.IDLE
     assert "READY refused in IDLE: servo FL silent" in start_up.request_next(
         bench.supervisor, bench.now
@@ -40,11 +44,52 @@ def test_start_up_repeats_a_refused_request_and_returns_the_reason():
     assert run(bench, start_up, 0.5) is State.READY
 
 
-def test_start_up_makes_no_request_after_the_operators_relax():
-    bench, start_up = SupervisorBench(), StartUp(Request.READY, Request.STAND, Request.WALK)
-    run(bench, start_up, 2.0)
-    bench.request(Request.RELAX)
-    assert run(bench, start_up, 3.0) is State.IDLE
+ALL = (Request.READY, Request.STAND, Request.WALK)
+
+
+@pytest.mark.parametrize(
+    ("steps", "request_", "goal"),
+    [
+        (ALL[:1], Request.STAND, State.READY),  # refused: torque is not on yet
+        (ALL[:2], Request.STAND, State.STANDING),
+        (ALL[:1], Request.WALK, State.READY),  # refused too
+        (ALL[:1], Request.READY, State.READY),
+        (ALL[:2], Request.RELAX, State.IDLE),
+        (ALL, Request.RELAX, State.IDLE),
+    ],
+)
+def test_start_up_makes_no_request_after_one_of_the_operator(steps, request_, goal):
+    """The operator's request comes when the start-up has made the first `steps`."""
+    bench, start_up = SupervisorBench(), StartUp(*ALL)
+    while start_up._left != list(ALL[len(steps) :]):
+        run(bench, start_up, 0.01)
+    bench.supervisor.request(bench.now, request_)
+    assert run(bench, start_up, 3.0) is goal
+
+
+def test_stand_in_a_hold_of_the_start_up_is_not_overridden():
+    bench, start_up = SupervisorBench(), StartUp(*ALL)
+    while bench.supervisor.state is not State.STANDING:
+        run(bench, start_up, 0.01)
+    bench.supervisor.receive_command(bench.now + 1, bench.now + 1, np.full(4, np.nan))
+    bench.silent.add("command")
+    assert run(bench, start_up, 0.1) is State.HOLD
+    bench.request(Request.STAND)
+    bench.silent.clear()
+    assert run(bench, start_up, 3.0) is State.STANDING
+
+
+@pytest.mark.parametrize(
+    ("supervised", "goal"), [(0, State.WALKING), (START + TICK, State.WALKING), (1, State.IDLE)]
+)
+def test_start_up_begins_only_where_the_servos_have_obeyed_no_earlier_supervisor(supervised, goal):
+    bench, start_up = SupervisorBench(), StartUp(*ALL)
+    bench.health["supervised"] = supervised
+    assert run(bench, start_up, 3.0) is goal
+    waits = goal is State.IDLE
+    assert ("earlier supervisor" in start_up.request_next(bench.supervisor, bench.now)) == waits
+    bench.health["supervised"] = 0  # the servos' node has been restarted too
+    assert run(bench, start_up, 1.0) is goal
 
 
 def test_start_up_makes_no_request_after_a_fault():

@@ -90,8 +90,9 @@ ROWS = {
     "servo: input voltage": (lambda loop: loop.inject("undervoltage", 8.0), *ERROR),
     "adapter unplugged": (lambda loop: loop.inject("unplugged"), "RELAX", NO_DRIVER, ("fake_bus",)),
     "driver killed": (FaultyLoop.end_driver, "RELAX", NO_DRIVER, ("fake_bus",)),
-    "e-stop pressed": (FaultyLoop.press_estop, "torque off", {"ESTOP": within(0.0)}, BOTH),
-    "e-stop's source lost": (
+    "e-stop pressed at one of two sources": (
+        FaultyLoop.press_estop, "torque off", {"ESTOP": within(0.0)}, BOTH),
+    "one of two sources of the e-stop lost": (
         FaultyLoop.lose_estop, "torque off", {"ESTOP": after(TIMING.estop)}, ("sim",)),
 }  # fmt: skip
 CASES = [(row, hardware) for row, entry in ROWS.items() for hardware in entry[3]]
@@ -120,8 +121,8 @@ def page_rows():
 def test_a_fault_of_a_walking_robot_ends_as_the_table_says_at_the_time_it_says(row, hardware):
     fault, last, bounds, _ = ROWS[row]
     loop = FaultyLoop(hardware)
-    if row == "e-stop's source lost":
-        loop.estop = False
+    if "of two sources" in row:
+        loop.estop = {"button": False, "terminal": False}
     loop.react(fault, last, 8.0)
     assert measured(loop) == page_rows()[row, hardware]
     for event, (low, high) in bounds.items():

@@ -174,6 +174,7 @@ class DynamixelDriverNode(LifecycleNode):
             raise SystemExit(1)
 
     def _on_command(self, message: JointState) -> None:
+        self._require_sole_publisher("desired_joint_angles")
         stamp, angle, rate = decode.joint_command(message)
         if self._session.watchdog.limits is None:
             return  # torque is off until the supervisor has sent them
@@ -185,9 +186,14 @@ class DynamixelDriverNode(LifecycleNode):
             self._step()  # before the timer is due
 
     def _on_limits(self, message: ServoLimits) -> None:
+        self._require_sole_publisher("servo_limits")
         self._session.watchdog.set_limits(decode.servo_limits(message))
 
+    def _require_sole_publisher(self, topic: str) -> None:
+        inputs.require_sole_publisher(self, topic, self._session.watchdog.relax)
+
     def _on_robot_state(self, message: RobotState) -> None:
+        inputs.require_sole_supervisor(self, message, self._session.watchdog.relax)
         permission = decode.permission(message, time.monotonic_ns())
         now = self.get_clock().now().nanoseconds
         inputs.require_present_permission(message, now, self._session.watchdog.clock_jump)

@@ -10,6 +10,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from slot_core.clock import to_seconds
 from slot_core.gait.gait import GaitPreview
@@ -99,6 +100,33 @@ def require_present_permission(message: RobotState, now: int, limit: float) -> N
     """
     if message.action in (RobotState.ACTION_HOLD, RobotState.ACTION_PASS):
         require_present(decode.stamp(message), now, limit)
+
+
+def require_sole_publisher(node: Node, topic: str, relax: Callable[[str], None]) -> None:
+    """Raise ValueError, and let the servos relax, if several nodes publish what they obey.
+
+    Both get one line that names the nodes. DDS lists a killed node for another 20 s.
+    """
+    name = node.resolve_topic_name(topic)
+    if node.count_publishers(name) < 2:
+        return
+    nodes = sorted(map(full_name, node.get_publishers_info_by_topic(name)))
+    line = f"{name} has {len(nodes)} publishers, limit 1: {', '.join(nodes)}"
+    relax(line)
+    raise ValueError(line)
+
+
+def full_name(endpoint: TopicEndpointInfo) -> str:
+    """Name of the node of a publisher, with its namespace."""
+    if "UNKNOWN" in endpoint.node_name:  # DDS has the name a moment later
+        return "a new node"
+    return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
+
+
+def require_sole_supervisor(node: Node, message: RobotState, relax: Callable[[str], None]) -> None:
+    """Check who publishes /robot_state, for HOLD or PASS; RELAX and OFF are always accepted."""
+    if message.action in (RobotState.ACTION_HOLD, RobotState.ACTION_PASS):
+        require_sole_publisher(node, "robot_state", relax)
 
 
 def require_nominal(preview: GaitPreview) -> None:

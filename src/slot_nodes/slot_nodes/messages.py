@@ -306,6 +306,7 @@ def health_to_msg(stamp: int, health: ServoHealth) -> slot_msgs.ServoHealth:
         voltage=health.voltage,
         hardware_error=health.hardware_error.astype(np.uint8),
         error_rate=health.error_rate,
+        supervised=ns_to_stamp(health.supervised),
     )
 
 

@@ -126,6 +126,7 @@ class SimRobotNode(Node):
         on_state = partial(self._on_robot_state, servos)
 
         def on_limits(message: ServoLimits) -> None:
+            inputs.require_sole_publisher(self, "servo_limits", servos.watchdog.relax)
             servos.watchdog.set_limits(decode.servo_limits(message))
 
         inputs.subscribe(self, RobotState, "robot_state", on_state, qos.STATE)
@@ -206,13 +207,18 @@ class SimRobotNode(Node):
 
     def _on_robot_state(self, servos: SimulatedServos, message: RobotState) -> None:
         permission = decode.permission(message, self._servo_time())
-        inputs.require_present_permission(message, self._now(), servos.watchdog.clock_jump)
-        servos.permit(permission)
-        self._continue(StampedHealth, decode.stamp(message))
+        try:
+            inputs.require_sole_supervisor(self, message, servos.watchdog.relax)
+            inputs.require_present_permission(message, self._now(), servos.watchdog.clock_jump)
+            servos.permit(permission)
+        finally:
+            self._continue(StampedHealth, decode.stamp(message))
 
     def _on_command(self, message: JointState) -> None:
         stamp, angle, rate = decode.joint_command(message)
         try:
+            relax = self._servos.watchdog.relax
+            inputs.require_sole_publisher(self, "desired_joint_angles", relax)
             inputs.require_present(stamp, self._now(), self._servos.watchdog.clock_jump)
             self._servos.offer(self._servo_time(), stamp, angle, rate)
         finally:

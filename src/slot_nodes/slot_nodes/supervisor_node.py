@@ -19,7 +19,6 @@ from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
 from slot_core.clock import LOCKSTEP_START
@@ -33,10 +32,18 @@ from slot_core.safety.states import RELEASED, State
 from slot_core.safety.supervisor import PERIOD, Report, Request, Supervisor
 from slot_core.safety.tendon_watch import read_tendon_watch
 from slot_core.safety.ticked_supervisor import LockstepInputs, TickedSupervisor
-from slot_msgs.msg import MpcState, RobotState, ServoHealth, ServoLimits, TendonPlan
-from slot_msgs.srv import SetGait
+from slot_msgs.msg import (
+    EmergencyStop,
+    MpcState,
+    RobotState,
+    ServoHealth,
+    ServoLimits,
+    TendonPlan,
+)
+from slot_msgs.srv import ForgetSource, SetGait
 from slot_nodes import inputs, messages, qos, runtime
 
+ESTOP_TYPE = "slot_msgs/msg/EmergencyStop"
 LIMITS_PERIOD = 1.0  # s, between two messages with the limits of the servos
 
 
@@ -74,6 +81,9 @@ class SupervisorNode(Node):
         for request in Request:
             serve = partial(self._on_request, request)
             self.create_service(Trigger, f"~/{request.name.lower()}", serve)
+        self.create_service(ForgetSource, "~/forget", self._on_forget)
+        if not self._lockstep:
+            runtime.wall_timer(self, settings.timing.estop / 2, self._press_unheard)
         runtime.wall_timer(self, PERIOD, self._send if self._lockstep else self._step)
 
     def _send_limits(self) -> None:
@@ -107,7 +117,7 @@ class SupervisorNode(Node):
             self, JointState, "joint_states", self._on_joints, qos.SENSOR
         )
         inputs.subscribe(self, ServoHealth, "servo_health", self._on_health, qos.SENSOR)
-        inputs.subscribe(self, Bool, "estop", self._on_estop, qos.SENSOR)
+        inputs.subscribe(self, EmergencyStop, "estop", self._on_estop, qos.SENSOR)
 
     def _now(self) -> int:
         """Time of the messages' clock, ns; in lockstep that of the last step."""
@@ -151,14 +161,29 @@ class SupervisorNode(Node):
             self._awaited = stamp, health
             self._step_on_report()
 
-    def _on_estop(self, message: Bool) -> None:
-        """Take the e-stop; in lockstep its source, in real time, is not watched."""
+    def _on_estop(self, message: EmergencyStop) -> None:
+        """Take the e-stop; in lockstep its sources, in real time, are not watched."""
+        source, pressed, leaving = decode.emergency_stop(message)
         if not self._lockstep:
-            self._supervisor.receive_estop(self._now(), message.data)
-        elif message.data:
+            self._supervisor.receive_estop(self._now(), source, pressed, leaving=leaving)
+        elif pressed:
             self._supervisor.request(self._now(), Request.ESTOP)
-        if message.data:
+        if pressed:
             self._step()
+
+    def _press_unheard(self) -> None:
+        """Count a publisher of the e-stop with another type, which is not heard, as pressed."""
+        for endpoint in self.get_publishers_info_by_topic("estop"):
+            if endpoint.topic_type != ESTOP_TYPE:
+                source = f"{inputs.full_name(endpoint)} ({endpoint.topic_type}, not heard)"
+                self._supervisor.receive_estop(self._now(), source, pressed=True)
+
+    def _on_forget(
+        self, request: ForgetSource.Request, response: ForgetSource.Response
+    ) -> ForgetSource.Response:
+        response.message = self._supervisor.forget_estop(self._now(), request.source)
+        response.success = not response.message
+        return response
 
     def _on_request(
         self, request: Request, _: Trigger.Request, response: Trigger.Response

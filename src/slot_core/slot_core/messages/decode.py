@@ -25,6 +25,7 @@ from slot_core.safety.settings import GateSettings, ServoLimits
 from slot_core.safety.states import State
 from slot_core.safety.watchdog import Permission
 
+LONGEST_SOURCE = 60  # characters of a name in lines
 ACTION_NUMBERS = (
     Action.OFF,
     Action.RELAX,
@@ -227,8 +228,8 @@ def robot_state(message: Any) -> tuple[int, State, Action, str]:
 
 def permission(message: Any, now: int) -> Permission:
     """Permission of a RobotState received at `now` (ns); raises ValueError on unknown numbers."""
-    _, _, action, reason = robot_state(message)
-    return Permission(now, action, message.followed, reason)
+    sent, _, action, reason = robot_state(message)
+    return Permission(now, action, message.followed, reason, sent)
 
 
 def servo_health(message: Any) -> tuple[int, ServoHealth]:
@@ -246,7 +247,14 @@ def servo_health(message: Any) -> tuple[int, ServoHealth]:
         error_rate=np.array(message.error_rate, dtype=np.float64),
         commanded=time(message.commanded),
         written=time(message.written),
+        supervised=time(message.supervised) if hasattr(message, "supervised") else 0,  # an old bag
     )
+
+
+def emergency_stop(message: Any) -> tuple[str, bool, bool]:
+    """(source, pressed, leaving) of the e-stop; whatever the name, the message counts."""
+    name = "".join(c if c.isprintable() else "?" for c in message.source[:LONGEST_SOURCE])
+    return name or "a source without a name", message.pressed, message.leaving
 
 
 def servo_limits(message: Any) -> ServoLimits:

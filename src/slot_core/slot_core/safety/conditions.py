@@ -16,6 +16,7 @@ from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.hardware_error import hardware_errors
 from slot_core.robot import LEGS, Array
 from slot_core.safety.commands import Action
+from slot_core.safety.emergency_stop import EmergencyStop
 from slot_core.safety.servo_health import ServoHealth
 from slot_core.safety.settings import SupervisorSettings
 from slot_core.safety.states import Condition
@@ -31,7 +32,7 @@ class Conditions:
     def __init__(self, settings: SupervisorSettings):
         self._settings = settings
         self._received: dict[str, int] = {}
-        self._pressed = False
+        self.emergency_stop = EmergencyStop(settings.timing.estop, settings.estop_required)
         self._missed = 0  # unusable estimates in a row
         self._usable = False  # whether there has been a usable estimate
         self._tilt: tuple[float, float] = (0.0, 0.0)  # rad, roll and pitch
@@ -45,10 +46,6 @@ class Conditions:
     def receive_heartbeat(self, time: int, source: str) -> None:
         """A message of a node."""
         self._received[f"node {source}"] = time
-
-    def receive_estop(self, time: int, pressed: bool) -> None:
-        """State of the e-stop, which its source repeats."""
-        self._received["e-stop"], self._pressed = time, pressed
 
     def receive_estimate(self, time: int, estimate: Estimate) -> None:
         """State of the torso; an estimate that is not finite is unusable."""
@@ -96,6 +93,11 @@ class Conditions:
             f"servo {leg} without torque" for leg, on in zip(LEGS, self._health.torque) if not on
         ]
 
+    @property
+    def supervised(self) -> int | None:
+        """As of ServoHealth; None without a report."""
+        return None if self._health is None else self._health.supervised
+
     def release_reason(self) -> str:
         """Reason of a RELAX or OFF that the servos report, or ""."""
         if self._health is None or self._health.action in (Action.PASS, Action.HOLD):
@@ -133,12 +135,10 @@ class Conditions:
         return math.inf if received is None else to_seconds(time - received)
 
     def _estop(self, time: int) -> Iterator[Finding]:
-        limit = self._settings.timing.estop
-        age = self._age(time, "e-stop")
-        if self._pressed:
-            yield Condition.ESTOP_PRESSED, "e-stop pressed"
-        if age > limit and (self._settings.estop_required or age < math.inf):
-            yield Condition.ESTOP_LOST, f"e-stop source silent {_span(age)}, limit {limit:g} s"
+        if reason := self.emergency_stop.pressed(time):
+            yield Condition.ESTOP_PRESSED, reason
+        if reason := self.emergency_stop.lost(time):
+            yield Condition.ESTOP_LOST, reason
 
     def _servos(self, time: int) -> Iterator[Finding]:
         limit = self._settings.timing.servo_silent

@@ -41,3 +41,4 @@ class ServoHealth:
     error_rate: Array = field(default_factory=ZEROS)  # share of the last exchanges that failed
     commanded: int = 0  # ns, stamp of the command written last, in lockstep arrived last; 0: none
     written: int = 0  # ns, time of that
+    supervised: int = 0  # ns, stamp of the first message of a supervisor that they took; 0: none

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slot_core.clock import SECOND, to_ns, to_seconds
+from slot_core.clock import SECOND, to_seconds
 from slot_core.estimation.estimate import Estimate
 from slot_core.robot import LEGS, Array, RobotParameters
 from slot_core.safety.commands import AT_REST, Action, command_fault
@@ -30,9 +30,11 @@ from slot_core.safety.states import (
     State,
     next_state,
 )
+from slot_core.safety.steady_clock import SteadyClock
 from slot_core.safety.tendon_watch import TendonReport, TendonWatch
 
 PERIOD = 0.02  # s, between two steps without an urgent input
+OPERATOR = "the operator"
 MOVING = (State.STANDING, State.WALKING)
 UNDER_TORQUE = (State.READY, *MOVING, State.HOLD)
 
@@ -80,26 +82,6 @@ class Report:
         return self.state is State.HOLD or self.resumed
 
 
-class SteadyClock:
-    """Time that never goes back; a jump of the clock adds nothing to it."""
-
-    def __init__(self, jump: float):
-        self._jump, self._time = to_ns(jump), 0
-        self._last: int | None = None
-        self.jumped = ""  # one line on the last jump, until it is cleared
-
-    def advance(self, now: int) -> int:
-        """Steady time at `now`, both ns."""
-        passed = 0 if self._last is None else now - self._last
-        self._last = now
-        if abs(passed) > self._jump:
-            limit = to_seconds(self._jump)
-            self.jumped = f"clock jumped by {to_seconds(passed):+.3g} s, limit {limit:g}"
-            passed = 0
-        self._time += max(passed, 0)
-        return self._time
-
-
 class Supervisor:
     """State machine; inputs: `receive_...` and `request`, output: result of `step`."""
 
@@ -112,6 +94,7 @@ class Supervisor:
         self._newest: dict[str, int] = {}  # ns, stamp of each input
         self._wrong_clock: dict[str, str] = {}  # faults of inputs stamped by another clock
         self._right_clock: set[str] = set()  # inputs with a stamp of this clock since the fault
+        self.operated = False  # whether an operator has requested anything
         self._state, self._reason, self._since = State.IDLE, "started", 0
         self._resume = State.STANDING  # state after HOLD
         self._held_from = State.STANDING  # state before HOLD
@@ -131,6 +114,11 @@ class Supervisor:
     def state(self) -> State:
         """The present state."""
         return self._state
+
+    @property
+    def supervised(self) -> int | None:
+        """Stamp of the first message of a supervisor that the servos took, ns; None: no report."""
+        return self._inputs.supervised
 
     def receive_heartbeat(self, now: int, node: str) -> None:
         """A message of one of `settings.nodes`."""
@@ -153,9 +141,13 @@ class Supervisor:
         self.receive_heartbeat(now, "force_mapper")
         return self.receive_command(now, stamp, angle, rate)
 
-    def receive_estop(self, now: int, pressed: bool) -> None:
-        """State of the e-stop, which its source repeats within `timing.estop`."""
-        self._inputs.receive_estop(self._advance(now), pressed)
+    def receive_estop(self, now: int, source: str, pressed: bool, *, leaving: bool = False) -> None:
+        """State of a source of the e-stop, repeated within `timing.estop` unless it is leaving."""
+        self._inputs.emergency_stop.receive(self._advance(now), source, pressed, leaving)
+
+    def forget_estop(self, now: int, source: str) -> str:
+        """Take a silent source of the e-stop for gone, pressed or not; or return why not."""
+        return self._inputs.emergency_stop.forget(self._advance(now), source)
 
     def receive_mpc(self, now: int, status: int, fallback_cycles: int) -> None:
         """Status of a cycle of the MPC (`mpc.Status`), and cycles since the last solution."""
@@ -201,12 +193,16 @@ class Supervisor:
         if not self._stamp_fault("servo health", now, stamp):
             self._inputs.receive_health(time - max(now - stamp, 0), health)
 
-    def request(self, now: int, request: Request, by: str = "the operator") -> str:
+    def request(self, now: int, request: Request, by: str = OPERATOR) -> str:
         """Make a transition at once on request; returns why it is refused, or "".
 
         STAND in HOLD is granted and applies when HOLD ends: the robot then stands.
+        RESET without torque accepts that released sources of the e-stop are lost.
         """
         time = self._advance(now)
+        self.operated = self.operated or by == OPERATOR
+        if request is Request.RESET and ACTIONS[self._state] is Action.OFF:
+            self._inputs.emergency_stop.accept_losses(time)
         before, condition = self._state, request.value
         active = self._conditions(time)
         if request is Request.STAND and before is State.HOLD:

@@ -38,6 +38,7 @@ class Permission:
     action: Action
     fast: bool  # goals may move at rate_max: they have reached the commands
     reason: str
+    stamp: int = 0  # ns, of the supervisor's message
 
 
 class Watchdog:
@@ -52,6 +53,7 @@ class Watchdog:
         self.permission: Permission | None = None
         self.overdue = False  # whether a command or permission is too old
         self.own_reason = ""  # of a RELAX begun by the watchdog itself
+        self.supervised = 0  # ns, stamp of the first permission; 0: none
         self.limits: ServoLimits | None = None
         self._limiter: RateLimiter | None = None  # None: no limits yet
         self._range = low, high
@@ -87,6 +89,7 @@ class Watchdog:
 
     def permit(self, permission: Permission) -> None:
         """Store the supervisor's newest permission."""
+        self.supervised = self.supervised or permission.stamp
         if self._limiter is None:
             return
         if permission.fast and not (self.permission and self.permission.fast):

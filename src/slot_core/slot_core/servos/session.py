@@ -219,6 +219,7 @@ class ServoSession:
             error_rate=np.array([servo.error_rate for servo in servos]),
             commanded=self.commanded,
             written=stamp - age if self.commanded else 0,
+            supervised=self.watchdog.supervised,
         )
 
     @property

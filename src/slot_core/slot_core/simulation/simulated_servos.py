@@ -174,6 +174,7 @@ class DirectServos(SimulatedServos):
             goals.angle,
             goals.slewed,
             voltage=np.full(len(LEGS), voltage),
+            supervised=self.watchdog.supervised,
         )
 
     def _exchange(self) -> list[Reading]:

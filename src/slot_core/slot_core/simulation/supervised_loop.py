@@ -150,8 +150,8 @@ class SupervisedLoop:
         if last is None or (last.state, last.since) != (self.report.state, self.report.since):
             self._request_gait(self.report)
         found = self.report
-        permission = Permission(report.stamp, found.action, found.followed, found.reason)
-        self.servos.permit(permission)
+        now = report.stamp
+        self.servos.permit(Permission(now, found.action, found.followed, found.reason, now))
         return self.report
 
     def _request_gait(self, report: Report) -> None:
