@@ -13,7 +13,7 @@ from slot_core.robot import read_robot
 from slot_core.safety.commands import Action
 from slot_core.safety.states import State
 from slot_core.simulation.plant import CYCLE
-from slot_core.simulation.sensors import OdometryReading
+from slot_core.simulation.sensors import ImuReading, OdometryReading
 from slot_core.simulation.simulated_servos import BusServos
 from slot_core.simulation.supervised_loop import SupervisedLoop
 
@@ -27,7 +27,7 @@ class FaultyLoop(SupervisedLoop):
     def __init__(self, hardware="sim", scene="flat", seed=0):
         super().__init__(scene, "walk", None, seed, hardware=hardware)
         self.first, self.reasons = {}, {}  # s since the fault, and the reason of a state
-        self.change_odometry = self.change_command = lambda value: value
+        self.change_odometry = self.change_command = self.change_imu = lambda value: value
         self.estop = {}  # sources of the e-stop by name: whether it is pressed
         self.clock_offset = 0  # ns, of the computer's clock
         self.delay = lambda: 0.0  # s, by which the next tick of the controller arrives late
@@ -45,6 +45,9 @@ class FaultyLoop(SupervisedLoop):
         fault(self)
         for report in self.run(limit):
             self._note(report.state.name, report.reason)
+            for warning in report.warnings:
+                if warning.startswith("no usable IMU"):
+                    self._note("warned", warning)
             if last in self.first:
                 return
 
@@ -97,6 +100,17 @@ class FaultyLoop(SupervisedLoop):
         """Let the position of the odometry be NaN."""
         self.change_odometry = lambda o: dataclasses.replace(o, position=np.full(3, np.nan))
 
+    def lose_imu(self):
+        self.change_imu = lambda i: None
+
+    def spoil_imu(self):
+        """Let the acceleration be NaN."""
+        self.change_imu = lambda i: dataclasses.replace(i, specific_force=np.full(3, np.nan))
+
+    def jam(self):
+        """Let the legs stay where they are, whatever they are commanded."""
+        self.plant.command = lambda *_: None
+
     def tilt(self, axis):
         """Let the odometry be tilted by 0.75 rad."""
         turn = Rotation.from_euler(axis, 0.75)
@@ -143,6 +157,8 @@ class FaultyLoop(SupervisedLoop):
     def receive(self, reading):
         if isinstance(reading, OdometryReading):
             reading = self.change_odometry(reading)
+        if isinstance(reading, ImuReading):
+            reading = self.change_imu(reading)
         if reading is not None:
             super().receive(reading)
 

@@ -21,11 +21,13 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from slot_bringup.check import check
-from slot_bringup.graph import TIED, read_graph
+from slot_bringup.graph import GO_ON, RESTART, RESTARTS, TIED, ends_graph, read_graph
 from slot_bringup.monitor import require_no_other_graph
 from slot_bringup.stock_recorder import record_command
 
 GRAPH = read_graph()
+STOCK_RECORDER, MODEL = "ros2bag", "robot_state_publisher"  # processes of this file alone
+ADDED = {STOCK_RECORDER: GO_ON, MODEL: RESTART}
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -74,6 +76,8 @@ def _start_nodes(context: LaunchContext) -> list[Action]:
             parameters=[{name: _typed(value) for name, value in spec.parameters.items()}],
             prefix=" ".join(spec.prefix),  # launch leaves its nodes running at SIGTERM
             output="screen",
+            respawn=spec.if_it_ends == RESTART,
+            respawn_max_retries=RESTARTS,
         )
         for spec in GRAPH.nodes(values)
     ]
@@ -84,27 +88,29 @@ def _stock_recorder(values: dict[str, Any]) -> ExecuteProcess:
     command = record_command(
         values["bag"], values["namespace"], GRAPH.about(values), GRAPH.remappings(values)
     )
-    return ExecuteProcess(cmd=[*TIED, *command], output="screen")
+    return ExecuteProcess(cmd=[*TIED, *command], name=STOCK_RECORDER, output="screen")
 
 
 def _robot_model(values: dict[str, Any]) -> Action:
     """The node that publishes the URDF and the frames of its links, where it is installed."""
-    package = "robot_state_publisher"
     try:
-        get_package_prefix(package)
+        get_package_prefix(MODEL)
     except PackageNotFoundError:
-        return LogInfo(msg=f"visualize: {package} is not installed, so there is no URDF")
+        return LogInfo(msg=f"visualize: {MODEL} is not installed, so there is no URDF")
     urdf = Path(get_package_share_directory("slot_bringup"), "urdf", "slot.urdf").read_text()
     return Node(
-        package=package,
-        executable=package,
-        name=package,
+        package=MODEL,
+        executable=MODEL,
+        name=MODEL,
+        exec_name=MODEL,
         namespace=values["namespace"],
         parameters=[
             {"robot_description": _typed(urdf), "frame_prefix": _typed(values["frame_prefix"])}
         ],
         prefix=" ".join(TIED),
         output="screen",
+        respawn=True,
+        respawn_max_retries=RESTARTS,
     )
 
 
@@ -113,7 +119,12 @@ def _typed(value: Any) -> Any:
     return ParameterValue(value, value_type=str) if isinstance(value, str) else value
 
 
-def _end(event: Any, context: LaunchContext) -> None:
-    """End the launch with an exit code other than 0 when a node ends before the launch does."""
-    if not context.is_shutdown:
-        raise RuntimeError(f"{event.process_name} ended with exit code {event.returncode}")
+def _end(event: Any, context: LaunchContext) -> list[Action]:
+    """End the launch with an exit code other than 0 when a process ends that the graph needs."""
+    if context.is_shutdown:
+        return []
+    line = f"{event.process_name} ended with exit code {event.returncode}"
+    name = event.process_name.rpartition("-")[0]  # launch adds a number
+    if ends_graph(ADDED.get(name) or GRAPH.if_it_ends(name), event.returncode):
+        raise RuntimeError(line)
+    return [LogInfo(msg=f"{line}; the robot goes on without it, or with a new one")]

@@ -19,6 +19,9 @@ from slot_core.dynamics.scene import read_scene
 
 CONTROLLER = "controller"  # executable of the nodes in one process
 ALWAYS, LOCKSTEP = "always", "lockstep"  # when a node can share that process
+END, GO_ON, RESTART = "end", "go_on", "restart"  # what the graph does when a process ends
+RESTARTS = 3  # of a process
+REFUSED = 2  # exit code of a node whose configuration is refused
 PATH = "path"
 KINDS: dict[str, type] = {"str": str, PATH: str, "int": int, "float": float, "bool": bool}
 
@@ -79,6 +82,7 @@ class NodeSpec:
     remappings: Mapping[str, str] = field(default_factory=dict)
     nodes: tuple[str, ...] = ()  # of a process with several
     prefix: tuple[str, ...] = TIED  # before the command line
+    if_it_ends: str = END
 
     @property
     def node_name(self) -> str | None:
@@ -120,6 +124,7 @@ class Graph:
                 namespace=values["namespace"],
                 remappings=remappings,
                 prefix=(*TIED, *(first if entry.get("composable") == ALWAYS else ())),
+                if_it_ends=self.if_it_ends(name),
             )
             for name, entry in self._nodes.items()
             if values["hardware"] in entry.get("hardware", [values["hardware"]])
@@ -128,6 +133,11 @@ class Graph:
         ]
         when = (ALWAYS, LOCKSTEP) if values["lockstep"] else (ALWAYS,)
         return self._composed(specs, when) if values["composed"] else specs
+
+    def if_it_ends(self, name: str) -> str:
+        """What the graph does when a node ends: END, GO_ON or RESTART."""
+        entry: Mapping[str, Any] = self._nodes.get(name, {})
+        return str(entry.get("if_it_ends", END))
 
     def remappings(self, values: Mapping[str, Any]) -> dict[str, str]:
         """Names of topics that are replaced, as the nodes have them, by other ones."""
@@ -194,6 +204,14 @@ def _ports(hardware: str, port: str | None) -> dict[str, str | None]:
         return {"driver_port": port, "emulated_port": None}
     link = port or str(Path(tempfile.gettempdir(), f"slot_bus_{os.getpid()}"))
     return {"driver_port": link, "emulated_port": link}
+
+
+def ends_graph(if_it_ends: str, code: int) -> bool:
+    """Whether the graph ends with a process that has ended with an exit code.
+
+    One whose configuration is refused has never been of use.
+    """
+    return if_it_ends == END or code == REFUSED
 
 
 def absolute(namespace: str) -> str:

@@ -17,19 +17,24 @@ from rclpy.signals import SignalHandlerOptions
 
 from slot_bringup.graph import absolute
 from slot_bringup.interrupts import deferred
-from slot_bringup.processes import Processes
+from slot_bringup.processes import Processes, print_error
 from slot_core.clock import to_seconds
+from slot_core.control.pace import Speed
 from slot_core.messages import decode
 from slot_core.robot import Array
 from slot_core.safety.commands import Action
 from slot_core.safety.states import RELEASED, State
-from slot_msgs.msg import MpcState, RobotState
+from slot_msgs.msg import MpcState, RobotState, TendonPlan
 from slot_nodes import qos
 
 START_TIMEOUT = 90.0  # s until the first /mpc_state; the first start compiles kernels
 SILENCE_TIMEOUT = 10.0  # s without a new /mpc_state
 DISCOVERY_TIME = 1.0  # s to wait for messages of a graph that runs already
 SPIN = 0.1  # s, longest wait for a message before an interrupt is raised
+PACE_WINDOW = 1.0  # s
+PACE_LIMIT = 0.9  # least share of real time; an odometry more or less in the window is 3 %
+SKIPPED_LIMIT = 3.0  # states a second, of 30
+PACE_REPORT = 5.0  # s between two lines on the pace
 REFRESH_TERMINAL, REFRESH_LOG = 0.2, 5.0  # s between progress lines
 
 
@@ -54,6 +59,7 @@ class Progress:
         self._begun = not supervised
         self._start = np.zeros(12)  # torso state at the begin
         self._updated = time.monotonic()
+        self._time, self._skipped = Speed(PACE_WINDOW), Speed(PACE_WINDOW)
 
     def update_torso(self, message: MpcState) -> None:
         """Take the newest /mpc_state."""
@@ -66,6 +72,13 @@ class Progress:
         elif 0.0 <= step <= SILENCE_TIMEOUT:
             self.elapsed += step
         self.state = state
+        if self._begun:
+            self._time.add(self._updated, self.stamp)
+
+    def update_plan(self, message: TendonPlan) -> None:
+        """Take the newest /tendon_plan."""
+        if self._begun:
+            self._skipped.add(time.monotonic(), message.skipped)
 
     def update_robot(self, message: RobotState) -> None:
         """Take the newest /robot_state."""
@@ -76,6 +89,17 @@ class Progress:
     def silence(self) -> float:
         """Wall time since the last /mpc_state, s."""
         return time.monotonic() - self._updated
+
+    def slowness(self) -> str:
+        """By how much the graph is slower than real time, or ""."""
+        now = time.monotonic()
+        share, skipped = self._time.until(now), self._skipped.until(now)
+        found = []
+        if 0.0 <= share < PACE_LIMIT:
+            found.append(f"robot and estimator went at {100 * share:.0f} % of it")
+        if skipped > SKIPPED_LIMIT:
+            found.append(f"mpc_controller skipped {skipped:.0f} states a second")
+        return f"slower than real time: {', '.join(found)}" if found else ""
 
     def line(self) -> str:
         """Progress line: graph time, displacement since the begin, height, tilt and state."""
@@ -94,29 +118,55 @@ class Progress:
         )
 
 
+class PaceReport:
+    """Prints a line while the graph is slower than real time, now and then."""
+
+    def __init__(self, progress: Progress, remedy: str) -> None:
+        """`remedy`: what to do about it; "": nothing is printed."""
+        self._progress, self._remedy = progress, remedy
+        self._printed = -math.inf  # s, monotonic
+
+    def print(self, urgent: bool) -> None:
+        """Print the line if it holds, again after PACE_REPORT, or if the robot goes slack."""
+        now = time.monotonic()
+        if not self._remedy or (now - self._printed < PACE_REPORT and not urgent):
+            return
+        if line := self._progress.slowness():
+            self._printed = now
+            print_error(f"{line}; {self._remedy}")
+
+
 def watch(
     processes: Processes,
     duration: float,
     attended: bool = False,
     namespace: str = "",
     played: bool = False,
+    remedy: str = "",
 ) -> None:
     """Return when the robot's clock has run for `duration` (s) since the begin of the run.
 
     A run in which a bag is `played` begins with its first state, whatever the supervisor decides,
-    and may end with the bag. Raises RunError when a node ends, no /mpc_state arrives for too long
+    and may end with the bag. A process that ends and that the graph does not need is restarted or
+    missed, with a line. With a `remedy` a graph slower than real time is reported, with it. Raises RunError when another one ends, no /mpc_state arrives for too long
     or, unless `attended` or `played`, the robot goes slack.
     """
     with listener("run", namespace) as (node, executor):
         progress = Progress("supervisor" in processes and not played)
         node.create_subscription(MpcState, "mpc_state", progress.update_torso, qos.CONTROL)
         node.create_subscription(RobotState, "robot_state", progress.update_robot, qos.STATE)
+        pace = PaceReport(progress, remedy)
+        if remedy:
+            node.create_subscription(TendonPlan, "tendon_plan", progress.update_plan, qos.STATE)
         try:
             terminal, shown = sys.stderr.isatty(), time.monotonic()
             refresh, end = (REFRESH_TERMINAL, "\r") if terminal else (REFRESH_LOG, "\n")
             while progress.elapsed < duration:
                 executor.spin_once()
+                pace.print(progress.robot in RELEASED)
                 _check(progress, processes, attended or played)
+                for line in processes.restart_ended(progress.elapsed):
+                    print_error(line)
                 if time.monotonic() - shown > refresh:
                     shown, line = time.monotonic(), f"{progress.line()} of {duration:g} s"
                     print(line, end=end, file=sys.stderr, flush=True)

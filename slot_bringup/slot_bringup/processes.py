@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import Any
 
 from ament_index_python.packages import get_package_prefix
 
-from slot_bringup.graph import NodeSpec, absolute
+from slot_bringup.graph import RESTART, RESTARTS, NodeSpec, absolute, ends_graph
 
 STOP_TIMEOUT = 5.0  # s, from SIGINT to SIGKILL
 
@@ -27,6 +28,10 @@ class Processes:
         self.log_dir = log_dir
         self._environment = environment
         self._children: dict[str, subprocess.Popen[bytes]] = {}
+        self._specs: dict[str, NodeSpec] = {}
+        self._restarts: Counter[str] = Counter()
+        self.remarks: list[str] = []
+        self.missing: set[str] = set()  # processes that have ended, without which the graph goes on
         self._nodes: set[str] = set()
         log_dir.mkdir(parents=True, exist_ok=True)
 
@@ -34,15 +39,19 @@ class Processes:
         """Start the nodes; their output goes to `<log_dir>/<name>.log`."""
         for spec in specs:
             self._nodes.update(spec.nodes or [spec.name])
-            with self.log_path(spec.name).open("wb") as log:
-                self._children[spec.name] = subprocess.Popen(
-                    [*spec.prefix, *command_line(spec)],
-                    stdin=subprocess.DEVNULL,
-                    stdout=log,
-                    stderr=subprocess.STDOUT,
-                    env=self._environment,
-                    start_new_session=True,  # Ctrl-C reaches only us; `stop` ends the nodes
-                )
+            self._specs[spec.name] = spec
+            self._start(spec)
+
+    def _start(self, spec: NodeSpec) -> None:
+        with self.log_path(spec.name).open("ab") as log:
+            self._children[spec.name] = subprocess.Popen(
+                [*spec.prefix, *command_line(spec)],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=self._environment,
+                start_new_session=True,  # Ctrl-C reaches only us; `stop` ends the nodes
+            )
 
     def __contains__(self, name: str) -> bool:
         """Whether a node of that name was started, also with others in one process."""
@@ -62,11 +71,37 @@ class Processes:
         return self._children[name].pid
 
     def failed(self) -> tuple[str, int] | None:
-        """Name and exit code of a node that is no longer running, or None."""
-        for name, child in self._children.items():
-            if child.poll() is not None:
-                return name, child.returncode
+        """Name and exit code of an ended process with which the graph ends, or None."""
+        for name, code in self._ended():
+            if ends_graph(self._specs[name].if_it_ends, code):
+                return name, code
         return None
+
+    def restart_ended(self, time: float) -> list[str]:
+        """Restart processes without which the graph goes on, RESTARTS times each.
+
+        Returns, and adds to `remarks`, a line for each that has ended; `time`: of the run, s.
+        """
+        lines = []
+        for name, code in self._ended():
+            if name in self.missing:
+                continue
+            spec = self._specs[name]
+            line = f"at {time:.1f} s {name} ended with exit code {code}: {self.last_line(name)}"
+            if spec.if_it_ends == RESTART and self._restarts[name] < RESTARTS:
+                self._restarts[name] += 1
+                self._start(spec)
+                lines.append(f"{line}; restarted")
+            else:
+                self.missing.add(name)
+                lines.append(f"{line}; the robot goes on without it")
+        self.remarks += lines
+        return lines
+
+    def _ended(self) -> list[tuple[str, int]]:
+        """Name and exit code of the processes that are no longer running."""
+        children = self._children.items()
+        return [(name, c.returncode) for name, c in children if c.poll() is not None]
 
     def stop(self, last: str = "") -> dict[str, int]:
         """Send SIGINT to every node, to `last` after the others; SIGKILL after STOP_TIMEOUT.

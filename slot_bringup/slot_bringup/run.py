@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from slot_bringup.check import check
-from slot_bringup.graph import Graph, is_attended, read_graph
+from slot_bringup.graph import Graph, is_attended, is_simulated, read_graph
 from slot_bringup.interrupts import deferred, on_interrupt
 from slot_bringup.monitor import RunError, require_no_other_graph, watch
 from slot_bringup.processes import Processes, print_error
@@ -61,17 +61,33 @@ def parse(arguments: Sequence[str] | None, graph: Graph) -> argparse.Namespace:
     return options
 
 
-def run(options: argparse.Namespace, graph: Graph, directory: Path) -> None:
+def run(
+    options: argparse.Namespace, graph: Graph, directory: Path, remarks: list[str]
+) -> bool:
     """Run the graph for `options.duration`; bag and logs go to `directory`, which must be writable.
 
-    Raises RunError when a node ends, no torso state arrives for too long, an unattended robot goes
+    Returns whether no process is missing at the end. `remarks` gets a line for each that has ended
+    early and that the graph does not need. Raises RunError when a node ends, no torso state arrives for too long, an unattended robot goes
     slack, or another graph runs already.
     """
     values = vars(options) | {"bag": str(directory)}
     shown = live_viewer(options.namespace) if options.view else nullcontext()
     with shown, started(graph, values, directory / "log") as processes:  # the robot stops first
-        played = options.hardware == "none"
-        watch(processes, options.duration, is_attended(values), options.namespace, played)
+        played, attended = options.hardware == "none", is_attended(values)
+        watched = options.duration, attended, options.namespace, played, _remedy(values)
+        try:
+            watch(processes, *watched)
+        finally:
+            remarks += processes.remarks
+        return not processes.missing
+
+
+def _remedy(values: Mapping[str, Any]) -> str:
+    """What helps a graph that is slower than real time; "" where the clock is the robot's own."""
+    if values["lockstep"] or values["hardware"] == "none":
+        return ""
+    fewer = "run fewer processes" + ("" if values["composed"] else " (--composed)")
+    return f"use --lockstep, or {fewer}" if is_simulated(values) else fewer
 
 
 @contextmanager
@@ -94,11 +110,13 @@ def started(graph: Graph, values: Mapping[str, Any], logs: Path) -> Iterator[Pro
                     shutil.copytree(scratch, logs, dirs_exist_ok=True)
 
 
-def report(directory: Path, keep: bool, namespace: str = "") -> None:
-    """Print the summary of the bag; with `keep` also write it and the plots into `directory`."""
+def report(
+    directory: Path, keep: bool, namespace: str = "", remarks: Sequence[str] = ()
+) -> None:
+    """Print the summary of the bag and remarks; with `keep` also write them, and the plots."""
     bag = Bag(directory, namespace)
     figures = metrics.walk_metrics(bag, read_record_settings().warm_up, read_servo())
-    summary = "\n".join([*summary_lines(figures), *filter(None, [bag.remark])])
+    summary = "\n".join([*summary_lines(figures), *filter(None, [bag.remark]), *remarks])
     print(summary)
     if keep:
         (directory / "summary.txt").write_text(summary + "\n")
@@ -117,9 +135,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     name = f"{options.gait}_{datetime.now():%Y%m%d_%H%M%S}"
     with on_interrupt(signal.default_int_handler), tempfile.TemporaryDirectory() as scratch:
         directory = Path(scratch, name) if options.no_bag else options.bag or Path("bags", name)
-        code = 0
+        code, remarks = 0, list[str]()
         try:
-            run(options, graph, directory)
+            code = 0 if run(options, graph, directory, remarks) else 1
         except RunError as error:
             print_error(str(error))
             code = 1
@@ -127,7 +145,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print_error("interrupted, all nodes stopped")
             code = 130
         try:
-            report(directory, not options.no_bag, options.namespace)
+            report(directory, not options.no_bag, options.namespace, remarks)
         except (BagError, ConfigError, OSError) as error:
             print_error(f"no summary: {error}")
         except KeyboardInterrupt:

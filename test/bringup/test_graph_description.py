@@ -10,10 +10,11 @@ import ament_index_python.packages
 import pytest
 
 from slot_bringup.check import check
-from slot_bringup.graph import read_graph
+from slot_bringup.graph import END, GO_ON, REFUSED, RESTART, read_graph
 from slot_bringup.processes import command_line
 from slot_core.config import ConfigError
 from slot_core.recording.record_settings import read_record_settings
+from slot_core.safety.settings import read_supervisor
 
 
 @pytest.fixture
@@ -195,6 +196,34 @@ def test_the_launch_file_records_the_same_topics_with_ros2_bag(monkeypatch):
     ]  # fmt: skip
 
 
+NOT_NEEDED = {"recorder": GO_ON, "visualizer": RESTART}
+
+
+def test_the_supervisor_says_the_end_of_every_process_without_which_the_graph_goes_on(graph):
+    specs = graph.nodes(values(graph, bag="somewhere", visualize=True))
+    assert {s.name: s.if_it_ends for s in specs if s.if_it_ends != END} == NOT_NEEDED
+    of_the_launch_file = {"rosbag2_recorder", "robot_state_publisher"}
+    assert {*read_supervisor().companions} == NOT_NEEDED.keys() | of_the_launch_file
+
+
+@pytest.mark.parametrize("name", ["recorder", "visualizer", "ros2bag", "robot_state_publisher"])
+def test_a_launch_goes_on_without_a_process_that_it_does_not_need(monkeypatch, name):
+    end = graph_launch_file(monkeypatch)[-1]["args"][0]["on_exit"]
+    running = SimpleNamespace(is_shutdown=False)
+    [said] = end(SimpleNamespace(process_name=f"{name}-1", returncode=-9), running)
+    assert said["msg"].startswith(f"{name}-1 ended with exit code -9; the robot goes on")
+    for needed, code in ((name, REFUSED), ("mpc_controller", -9)):
+        with pytest.raises(RuntimeError, match=f"{needed}-1 ended with exit code {code}"):
+            end(SimpleNamespace(process_name=f"{needed}-1", returncode=code), running)
+
+
+def test_a_launch_restarts_the_viewer_a_few_times(monkeypatch):
+    nodes = load_launch_file(monkeypatch, {"visualize": "true", "bag": "somewhere"})
+    restarted = {n["name"]: n["respawn_max_retries"] for n in nodes if n.get("respawn")}
+    assert {"visualizer": 3}.items() <= restarted.items()
+    assert restarted.keys() <= {"visualizer", "robot_state_publisher"}
+
+
 def test_without_hardware_a_played_bag_gives_sensors_and_clock(graph):
     nodes = {s.name: s for s in graph.nodes(values(graph, hardware="none", bag="somewhere"))}
     assert not {"sim_robot", "dynamixel_driver"} & nodes.keys()
@@ -282,6 +311,16 @@ def test_a_camera_with_a_visual_slam_brings_up_the_graph_on_its_topics(
     check(values(graph, **given))
 
 
+def graph_launch_file(monkeypatch):
+    """Actions of launch/slot.launch.py."""
+    return run_launch_file(
+        monkeypatch, "slot", launch="Action LaunchContext LaunchDescription", launch_ros="",
+        launch__actions="DeclareLaunchArgument ExecuteProcess LogInfo OpaqueFunction "
+        "RegisterEventHandler", launch__event_handlers="OnProcessExit", launch_ros__actions="Node",
+        launch_ros__parameter_descriptions="ParameterValue",
+    )  # fmt: skip
+
+
 def load_launch_file(monkeypatch, given, asked=None):
     """Run launch/slot.launch.py with launch arguments; return the arguments of its nodes.
 
@@ -289,11 +328,6 @@ def load_launch_file(monkeypatch, given, asked=None):
     """
     asked = [] if asked is None else asked
     monkeypatch.setattr("slot_bringup.monitor.require_no_other_graph", asked.append)
-    *arguments, start, _ = run_launch_file(
-        monkeypatch, "slot", launch="Action LaunchContext LaunchDescription", launch_ros="",
-        launch__actions="DeclareLaunchArgument ExecuteProcess LogInfo OpaqueFunction "
-        "RegisterEventHandler", launch__event_handlers="OnProcessExit", launch_ros__actions="Node",
-        launch_ros__parameter_descriptions="ParameterValue",
-    )  # fmt: skip
+    *arguments, start, _ = graph_launch_file(monkeypatch)
     texts = {argument["args"][0]: argument["default_value"] for argument in arguments} | given
     return start["function"](SimpleNamespace(launch_configurations=texts))

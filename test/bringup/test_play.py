@@ -153,6 +153,9 @@ class NoProcesses:
     def failed(self):
         return None
 
+    def restart_ended(self, time):
+        return []
+
 
 @pytest.mark.parametrize("played", [True, False])
 def test_a_run_ends_with_the_bag_that_is_played_into_it(played, monkeypatch, capsys):

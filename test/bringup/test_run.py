@@ -5,8 +5,10 @@ from pathlib import Path
 import pytest
 from synthetic_walk import Walk, write_walk
 
-from slot_bringup import run, view
+from slot_bringup import monitor, run, view
 from slot_bringup.graph import read_graph
+from slot_msgs.msg import MpcState, TendonPlan
+from slot_nodes.messages import ns_to_stamp
 
 PATH = Path(__file__).resolve().parents[1] / "bags/path.csv"
 
@@ -71,3 +73,70 @@ def test_a_run_without_simulated_legs_is_reported_without_their_plot(tmp_path, c
     last = capsys.readouterr().out.splitlines()[-1]
     assert last == f"bag, summary.txt, walk.png and log/ are in {bag}"
     assert not (bag / "robot.png").exists()
+
+
+PERIOD = 1 / 30  # s, of the odometry
+
+
+@pytest.fixture
+def passed(monkeypatch):
+    """A function that lets seconds pass in a walk; the progress, as of a graph at a share of time.
+
+    skipped: states a second that the MPC leaves out.
+    """
+    now = [100.0]  # s, monotonic
+    monkeypatch.setattr(monitor.time, "monotonic", lambda: now[0])
+    progress, stamp, count = monitor.Progress(supervised=False), 1000.0, 0.0
+
+    def walk(seconds, share=1.0, skipped=0.0):
+        nonlocal stamp, count
+        for _ in range(round(seconds / PERIOD)):
+            now[0], stamp, count = now[0] + PERIOD, stamp + share * PERIOD, count + skipped * PERIOD
+            message = MpcState()
+            message.header.stamp = ns_to_stamp(round(stamp * 1e9))
+            progress.update_torso(message)
+            progress.update_plan(TendonPlan(skipped=int(count)))
+        return progress
+
+    return walk
+
+
+@pytest.mark.parametrize(
+    ("pace", "found"),
+    [
+        ({}, ""),
+        ({"share": 0.6}, "slower than real time: robot and estimator went at 60 % of it"),
+        ({"skipped": 9.1}, "slower than real time: mpc_controller skipped 9 states a second"),
+    ],
+)
+def test_a_graph_slower_than_real_time_says_so_with_its_share(passed, pace, found):
+    assert passed(3.0).slowness() == ""
+    assert passed(1.5, **pace).slowness() == found
+
+
+def test_the_pace_is_said_with_the_remedy_before_the_supervisors_own_line(passed, capsys):
+    report = monitor.PaceReport(passed(1.5, share=0.5), "use --lockstep")
+    line = (
+        "scripts/run: slower than real time: robot and estimator went at 50 % of it;"
+        " use --lockstep\n"
+    )
+    report.print(urgent=False)
+    report.print(urgent=False)
+    assert capsys.readouterr().err == line  # once
+    report.print(urgent=True)  # the robot goes slack
+    assert capsys.readouterr().err == line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "remedy"),
+    [
+        ("", "use --lockstep, or run fewer processes (--composed)"),
+        ("--composed", "use --lockstep, or run fewer processes"),
+        ("--hardware real", "run fewer processes (--composed)"),
+        ("--lockstep", ""),
+        ("--hardware none", ""),
+    ],
+)
+def test_the_remedy_fits_the_run(arguments, remedy):
+    options = run.parse([*arguments.split(), "--no-bag"], read_graph())
+    assert run._remedy(vars(options)) == remedy

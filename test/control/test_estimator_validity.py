@@ -290,6 +290,19 @@ def test_after_a_long_gap_in_the_odometry_the_filter_restarts_and_keeps_the_bias
     np.testing.assert_allclose(estimator.gyro_bias, GYRO_BIAS, atol=1.2e-3)
 
 
+@pytest.mark.parametrize("false", [6.0, -6.0])
+def test_a_filter_that_a_false_force_has_led_astray_is_valid_again_within_a_second(false):
+    """As of a robot that is stopped in mid-bounce: it reports an acceleration and no motion."""
+    motion = Walk()
+    messages = [
+        (kind, stamp, (values[0], values[1] + [0, 0, false])) if kind == "imu" and stamp < SECOND / 3
+        else (kind, stamp, values)
+        for kind, stamp, values in noisy(motion, 5.0, 3)
+    ]  # fmt: skip
+    after = [e for e in run(messages, SETTINGS)[0] if e.stamp > 1.4 * SECOND]
+    assert set(validities(after)) == {Validity.VALID}
+
+
 def test_a_clock_set_back_gives_the_estimates_of_a_new_estimator():
     first, second = noisy(Walk(), 3.0, 8, GYRO_BIAS), noisy(Walk(), 1.0, 9)
     estimates, _ = run(first + second)

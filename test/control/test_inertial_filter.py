@@ -191,6 +191,30 @@ def noiseless():
     return result
 
 
+STEEP = np.array([np.sin(0.35), 0.0, np.cos(0.35)]) * GRAVITY  # odom tilted by 20 deg
+LARGEST = SETTINGS.imu.acceleration_bias_max
+
+
+@pytest.mark.parametrize(
+    ("shown", "bias"),
+    [
+        (-DOWN + [0.0, 0.0, 0.4], [0.0, 0.0, 0.4]),
+        (-DOWN + [0.0, 0.0, 6.0], [0.0, 0.0, LARGEST]),
+        (-DOWN - [0.0, 0.0, 1.6], [0.0, 0.0, -LARGEST]),
+        (STEEP, STEEP + DOWN),
+    ],
+)
+def test_a_bias_up_to_the_data_sheets_and_any_tilt_of_odom_are_learned_and_no_more(shown, bias):
+    resting = OdometryMotion(0, np.array([0, 0, 0, 1.0]), *np.zeros((3, 3)), VARIANCE)
+    learning = InertialFilter(SETTINGS)
+    learning.restart(resting)
+    for number in range(200):
+        learning.propagate(held(np.concatenate([np.zeros(3), shown])), 0, round(DT * SECOND))
+        if number % 7 == 6:
+            learning.correct(resting)
+    np.testing.assert_allclose(learning.state.bias[1], bias, atol=0.05)
+
+
 def test_the_transition_is_the_derivative_of_the_propagation(noiseless):
     before, sample = noiseless.state, np.array([0.9, -1.2, 0.5, 1.0, -2.0, 11.0])
 

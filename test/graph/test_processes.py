@@ -22,7 +22,7 @@ from sensor_msgs.msg import Imu, JointState
 from slot_bringup.graph import read_graph
 from slot_bringup.monitor import listener
 from slot_bringup.processes import command_line
-from slot_msgs.msg import MpcState
+from slot_msgs.msg import MpcState, RobotState
 from slot_nodes import qos
 
 GRAPH = read_graph()
@@ -96,6 +96,42 @@ def test_killed_node_ends_the_run_and_is_named(tmp_path, name):
     assert run.returncode == 1
     assert f"scripts/run: {name} ended with exit code -9" in errors
     assert all_ended(nodes)
+
+
+FULL = "node recorder has ended; the robot goes on without it"
+
+
+@pytest.mark.parametrize(("fault", "code"), [("killed", -9), ("full disk", 1)])
+def test_the_robot_walks_on_without_its_recorder_and_says_so(tmp_path, fault, code):
+    run, nodes = start([*LOCKSTEP, "--bag", "bag"], tmp_path)
+    wait_for_commands(run)
+    if fault == "killed":
+        nodes["recorder"].kill()
+    else:
+        nodes["recorder"].rlimit(psutil.RLIMIT_FSIZE, (1, 1))
+        wait_for_warning(run, FULL)
+    line = run.stderr.readline()
+    while "recorder" not in line:
+        line = run.stderr.readline()
+    wait_for_commands(run)
+    run.send_signal(signal.SIGINT)
+    summary, _ = run.communicate()
+    said = f"recorder ended with exit code {code}: "
+    assert said in line
+    assert line.endswith("; the robot goes on without it\n")
+    assert said in summary
+    assert all_ended(nodes)
+
+
+def wait_for_warning(run, wanted):
+    """Wait until the supervisor warns of something."""
+    warnings = set()
+    with listener("listener") as (node, executor):
+        take = lambda message: warnings.update(message.warnings)  # noqa: E731
+        node.create_subscription(RobotState, "robot_state", take, qos.STATE)
+        while wanted not in warnings:
+            executor.spin_once(timeout_sec=0.1)
+            assert run.poll() is None, run.communicate()
 
 
 @pytest.mark.parametrize("name", sorted(NODES))

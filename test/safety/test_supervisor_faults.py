@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from supervisor_bench import CYCLE, STEP, SupervisorBench, bench_in, health, load, state
+from supervisor_bench import CYCLE, HEIGHT, STEP, SupervisorBench, bench_in, health, load, state
 
 from slot_core.control.policy import Status
 from slot_core.estimation.estimate import Estimate, Validity
@@ -76,6 +76,38 @@ def test_the_robot_walks_on_without_imu(walking):
     assert walking.run(1.0).state is State.WALKING
 
 
+def test_a_missing_imu_is_warned_of_until_it_is_back(walking):
+    walking.validity = Validity.IMU_MISSING
+    limit = SETTINGS.estimate.imu_silence
+    assert walking.run(limit).warnings == ()
+    assert walking.run(2 * CYCLE).warnings[0].startswith("no usable IMU for 0.5")
+    walking.validity = Validity.VALID
+    assert walking.run(2 * CYCLE).warnings == ()
+
+
+def swing(bench, seconds, sway):
+    """Commands that swing by 1 rad while the torso sways by an amount (m), as of a walk."""
+    for _ in range(round(seconds / CYCLE)):
+        phase = 2 * np.pi * bench.now * 1e-9 / 0.6
+        bench.command = np.full(4, 1.0 + 0.5 * np.sin(phase))
+        bench.state[3:6] += sway * np.random.default_rng(bench.now).choice([-0.5, 0.5], 3)
+        bench.run(CYCLE)
+        bench.state[3:6] = [0.0, 0.0, HEIGHT]
+
+
+@pytest.mark.parametrize(("sway", "ends"), [(0.001, State.HOLD), (0.02, State.WALKING)])
+def test_commands_that_swing_without_motion_end_in_hold_until_the_next_ready(walking, sway, ends):
+    swing(walking, SETTINGS.motion.window - 1.0, sway)  # it walks for 1 s already
+    assert walking.reports[-1].state is State.WALKING
+    swing(walking, 1.0, sway)
+    assert walking.reports[-1].state is ends
+    if ends is State.HOLD:
+        assert walking.reports[-1].reason.startswith("no motion seen: torso ")
+        refused = walking.supervisor.request(walking.now, Request.WALK)
+        assert refused.startswith("WALK changes nothing in HOLD")
+        assert walking.time_until(State.RELAX, TIMING.hold_max + 1.0) > TIMING.hold_max - 1.1
+
+
 def test_missing_estimates_end_in_hold(walking):
     walking.silent.add("estimate")
     limit = SETTINGS.estimate.silence
@@ -85,6 +117,18 @@ def test_missing_estimates_end_in_hold(walking):
 def test_the_robot_walks_on_while_the_mpc_falls_back(walking):
     walking.status, walking.fallback_cycles = Status.NOT_SOLVED, read_mpc().fallback.cycles
     assert walking.run(1.0).state is State.WALKING
+
+
+def test_the_end_of_a_recorder_is_said_while_the_robot_walks_on(walking):
+    needed, gone = {"mpc_controller"}, "node recorder has ended; the robot goes on without it"
+    for names, said in (
+        (needed, ()), (needed | {"recorder"}, ()), (needed, (gone,)), (set(), (gone,)),
+        ({"recorder"}, ()),
+    ):  # fmt: skip
+        walking.supervisor.receive_nodes(names)
+        report = walking.tick()
+        assert report.state is State.WALKING
+        assert report.warnings == said
 
 
 def test_hold_lasts_while_its_reason_recurs(walking):

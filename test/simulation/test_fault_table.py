@@ -21,6 +21,7 @@ from slot_core.safety.supervisor import PERIOD
 from slot_core.servos.servo_errors import RefusedError
 from slot_core.simulation import supervised_loop
 from slot_core.simulation.plant import CYCLE
+from slot_core.simulation.supervised_loop import SupervisedLoop
 
 PAGE = Path(__file__).parents[2] / "slot_bringup" / "doc" / "safety.md"
 SETTINGS = read_supervisor()
@@ -47,6 +48,7 @@ ERROR = ("RELAX", {"RELAX": within(0.0)}, ("fake_bus",))
 NO_DRIVER = {
     "servos stopped": after(read_settings().servo.watchdog), "RELAX": after(TIMING.servo_silent),
 }  # fmt: skip
+IMU_LOST = {"warned": within(SETTINGS.estimate.imu_silence + 2 * ODOMETRY)}
 
 # Row of the table: fault, last event, bounds of its events (s), hardware.
 ROWS = {
@@ -76,6 +78,10 @@ ROWS = {
     "tendon broken": (
         lambda loop: loop.inject("tendon_broken"), "torque off",
         {"HOLD": within(STRIDE), "RELAX": within(STRIDE + TIMING.hold_max)}, ("sim",)),
+    "walk without motion": (
+        FaultyLoop.jam, "HOLD", {"HOLD": within(SETTINGS.motion.window)}, ("sim",)),
+    "IMU lost": (FaultyLoop.lose_imu, "warned", IMU_LOST, ("sim",)),
+    "IMU not finite": (FaultyLoop.spoil_imu, "warned", IMU_LOST, ("sim",)),
     "clock jumps": (FaultyLoop.jump_clock, "HOLD", {"HOLD": within(0.0)}, ("sim",)),
     "roll too large": (
         lambda loop: loop.tilt("x"), "torque off", {"RELAX": within(5 * ODOMETRY)}, ("sim",)),
@@ -96,7 +102,7 @@ ROWS = {
         FaultyLoop.lose_estop, "torque off", {"ESTOP": after(TIMING.estop)}, ("sim",)),
 }  # fmt: skip
 CASES = [(row, hardware) for row, entry in ROWS.items() for hardware in entry[3]]
-EVENTS = ("slewed", "HOLD", "servos stopped", "RELAX", "ESTOP", "torque off")
+EVENTS = ("slewed", "warned", "HOLD", "servos stopped", "RELAX", "ESTOP", "torque off")
 
 
 def measured(loop):
@@ -136,6 +142,33 @@ def test_bad_odometry_is_bridged_for_three_cycles_and_then_ends_in_hold(fault):
     low, high = after((SETTINGS.estimate.coast_cycles + 1) * ODOMETRY)
     assert low < loop.first["HOLD"] <= high
     assert loop.reasons["HOLD"] == "4 estimates in a row unusable, limit 3"
+
+
+def test_a_robot_walks_on_without_its_imu():
+    loop = FaultyLoop("sim")
+    loop.react(FaultyLoop.lose_imu, "HOLD", 6.0)
+    assert loop.report.state is State.WALKING
+    assert loop.plant.robot.position[0] > 0.25  # measured: 0.048 m/s of the commanded 0.05
+
+
+STIFF = {"robot.leg.young_modulus": 1e9}
+
+
+@pytest.mark.parametrize(
+    ("scene", "velocity", "changes", "reason"),
+    [
+        ("flat", 0.05, STIFF, "no motion seen: torso "),
+        ("slope10", 0.05, {}, None),  # its feet slide
+        ("flat", 0.005, {}, None),
+        ("flat", 0.05, {"scene.payload.mass": 2.0}, None),  # its belly drags
+    ],
+)
+def test_only_a_walk_that_does_not_move_is_held_for_it(scene, velocity, changes, reason):
+    loop = SupervisedLoop(scene, "walk", np.array([velocity, 0, 0]), 0, changes=changes)
+    held = next((r for r in loop.run(8.0) if r.state is State.HOLD), None)
+    assert (held is None) == (reason is None)
+    if reason:
+        assert held.reason.startswith(reason)
 
 
 def test_every_figure_of_the_page_is_tested():

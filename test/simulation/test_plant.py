@@ -8,7 +8,9 @@ from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.robot import read_robot
+from slot_core.safety.states import State
 from slot_core.simulation.plant import RobotSimulator, TrueState
+from slot_core.simulation.supervised_loop import SupervisedLoop
 
 START, MILLISECOND = 7_000_000_000, 1_000_000  # ns
 FORCE, MOMENT = [0.0, 4.0, 1.0], [0.1, 0.0, 0.2]
@@ -78,3 +80,24 @@ def test_the_truth_has_the_directors_of_the_legs_that_have_a_width(legs, segment
     truth = [r for r in made.advance(START + 40 * MILLISECOND) if isinstance(r, TrueState)][-1]
     assert truth.directors.shape == (4, segments, 3)
     assert truth.nodes.shape[1] == {0: 2}.get(segments, segments + 1)
+
+
+LOADS = [{"scene.payload.mass": 2.0}, {"robot.torso.mass": 4.0}]
+
+
+@pytest.mark.parametrize("hardware", ["sim", "fake_bus"])
+@pytest.mark.parametrize("load", LOADS, ids=["payload", "torso"])
+def test_a_robot_of_twice_its_weight_settles_before_time_zero_and_ends_in_a_stand(load, hardware):
+    """It lies on its belly; after `start.settle` alone it would still bounce."""
+    loop = SupervisedLoop("flat", "stand", None, 0, hardware=hardware, changes=load)
+    assert np.linalg.norm(loop.plant.robot.velocity) < 0.01
+    states = [report.state for report in loop.run(4.0)]
+    assert states[-1] is State.STANDING
+    assert State.HOLD not in states
+
+
+def test_a_robot_that_does_not_come_to_rest_is_refused():
+    with pytest.raises(ConfigError, match=r"start\.settle = 0\.3: after 10 s more the torso still"):
+        ice = {"floor.friction": [0.0] * 4, "floor.torso_friction": 0.0, "start.settle": 0.3}
+        scene = config.replace(read_scene("slope5"), ice)
+        RobotSimulator(read_robot(), scene, read_servo(), np.random.default_rng(0))

@@ -35,6 +35,7 @@ from std_msgs.msg import Bool
 
 from slot_core.clock import to_seconds
 from slot_core.config import ConfigError
+from slot_core.control.pace import Speed
 from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
@@ -66,6 +67,7 @@ IMAGES = "camera/image_raw"  # not recorded
 MATCH_TIMEOUT = 5.0  # s; a subscriber that is not matched then misses the first readings
 WAIT_REPORT = 5.0  # s, between two lines that say what the first readings wait for
 LAG_WARNING = 100_000_000  # ns behind real time
+PACE_WINDOW = 1.0  # s
 
 
 class SimRobotNode(Node):
@@ -96,6 +98,7 @@ class SimRobotNode(Node):
             self._end_diverged(error)
         self._frozen = True
         self._published_clock = 0  # last time on /clock, ns
+        self._speed = Speed(PACE_WINDOW)
         self._action: Action | None = None  # of the servos, as last logged
         self._create_publishers()
         fault_service.serve(self, self._plant)
@@ -249,10 +252,12 @@ class SimRobotNode(Node):
         self._step_servos()
         now = self._now()
         assert isinstance(self._time, RealTimeClock)
+        self._speed.add(to_seconds(now), to_seconds(self._plant.now))
         if (lag := self._time.lag(now)) > LAG_WARNING:
+            share = 100 * self._speed.until(to_seconds(now))
             self.get_logger().warning(
-                f"simulation is {to_seconds(lag):.2f} s behind real time"
-                f" (limit {to_seconds(LAG_WARNING)} s)",
+                f"simulation is {to_seconds(lag):.2f} s behind real time, at {share:.0f} % of it"
+                f" (limit {to_seconds(LAG_WARNING)} s): use lockstep, or fewer processes",
                 throttle_duration_sec=1.0,
             )
         self._publish_all(self._time.advance_to(now))

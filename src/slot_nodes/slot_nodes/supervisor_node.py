@@ -45,6 +45,7 @@ from slot_nodes import inputs, messages, qos, runtime
 
 ESTOP_TYPE = "slot_msgs/msg/EmergencyStop"
 LIMITS_PERIOD = 1.0  # s, between two messages with the limits of the servos
+NODES_PERIOD = 1.0  # s, between two looks at which nodes are there
 
 
 class SupervisorNode(Node):
@@ -68,6 +69,7 @@ class SupervisorNode(Node):
         self._servo_limits = messages.limits_to_msg(settings.servo_limits)
         self._send_limits()
         runtime.wall_timer(self, LIMITS_PERIOD, self._send_limits)
+        runtime.wall_timer(self, NODES_PERIOD, self._look_for_nodes)
         self._scheduler: dict[str, Client] = {
             "gait": self.create_client(SetGait, "set_gait"),
             "followed": self.create_client(SetBool, "gait_scheduler/followed"),
@@ -89,6 +91,11 @@ class SupervisorNode(Node):
     def _send_limits(self) -> None:
         """Publish the limits; repeated, since servos that have missed them accept no command."""
         self._limits.publish(self._servo_limits)
+
+    def _look_for_nodes(self) -> None:
+        """Look which nodes of this namespace are there."""
+        here, present = self.get_namespace(), self.get_node_names_and_namespaces()
+        self._supervisor.receive_nodes(name for name, space in present if space == here)
 
     def _declare_gait(self) -> SetGait.Request:
         """Declare gait and velocity of WALKING; raises ConfigError if they do not fit."""

@@ -170,12 +170,12 @@ def transition(out, rotation, force, dt, share, block):
 
 
 @exact_kernel
-def correct(state, work, attitude, position, velocity, variance, gate):
+def correct(state, work, attitude, position, velocity, variance, gate, bias_max):
     """Correct with a reading at the state's time, velocity in base_link; False for an outlier.
 
     variance (9,): of angle and position in odom and of velocity in base_link; gate: largest
-    Mahalanobis distance of each of the three. The estimated error (15,) is left in work.error.
-    Joseph's form: P <- (I - K H) P (I - K H)^T + K R K^T.
+    Mahalanobis distance of each of the three; bias_max: see `bound_force_bias`. The estimated error
+    (15,) is left in work.error. Joseph's form: P <- (I - K H) P (I - K H)^T + K R K^T.
     """
     residual, jacobian = work.residual, work.wide[:MEASURED]
     set_residual(residual, state, work, attitude, position, velocity)
@@ -199,6 +199,7 @@ def correct(state, work, attitude, position, velocity, variance, gate):
         for j in range(MEASURED):
             work.error[i] += work.gain[i, j] * residual[j]
     add_error(state, work)
+    bound_force_bias(state, work, bias_max)
     return True
 
 
@@ -273,6 +274,31 @@ def add_error(state, work):
         state.velocity[i] += error[V + i]
         state.bias[0, i] += error[GYRO_BIAS + i]
         state.bias[1, i] += error[FORCE_BIAS + i]
+
+
+@exact_helper
+def bound_force_bias(state, work, largest):
+    """Limit the accelerometer's bias to `largest` (m/s^2), whatever the tilt of odom.
+
+    At rest the accelerometer shows u = (0, 0, g) + R b_f in odom: gravity, which the tilt of odom
+    turns but does not change in length, and the sensor's own bias. So | |u| - g | <= `largest`;
+    beyond it u is scaled to the limit.
+    """
+    u, rotation = work.weighted, work.rotation
+    rotation_matrix(rotation, state.attitude)
+    u[0], u[1], u[2] = rotate(rotation, state.bias[1])
+    u[2] += GRAVITY
+    length = math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
+    bounded = min(max(length, GRAVITY - largest), GRAVITY + largest)
+    if bounded == length or length == 0.0:
+        return
+    for i in range(3):
+        u[i] *= bounded / length
+    u[2] -= GRAVITY
+    for i in range(3):
+        state.bias[1, i] = 0.0
+        for j in range(3):
+            state.bias[1, i] += rotation[j, i] * u[j]
 
 
 @exact_kernel

@@ -72,6 +72,9 @@ class ImuNoise:
         0,
         5,
     )
+    acceleration_bias_max: float = quantity(
+        "largest bias of the accelerometer, without the tilt of odom", "m/s^2", 0, 5
+    )
     gyro_drift: float = quantity("random walk of the gyroscope's bias", "rad/s/sqrt(s)", 0, 0.1)
     acceleration_drift: float = quantity(
         "random walk of the accelerometer's bias", "m/s^2/sqrt(s)", 0, 1
@@ -210,16 +213,22 @@ class InertialFilter:
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings
         imu, blind = settings.imu, settings.blind
-        cov = np.zeros((15, 15))
-        cov[GYRO_BIAS, GYRO_BIAS] = imu.gyro_bias**2 * np.eye(3)
-        cov[FORCE_BIAS, FORCE_BIAS] = imu.acceleration_bias**2 * np.eye(3)
-        attitude = np.array([0.0, 0.0, 0.0, 1.0])
+        attitude, cov = np.array([0.0, 0.0, 0.0, 1.0]), np.zeros((15, 15))
         self._state = FilterState(attitude, np.zeros(3), np.zeros(3), np.zeros((2, 3)), cov)
+        self.forget_biases()
         self._work = work_space()
         drifts = imu.gyro_drift, imu.acceleration_drift
         self.rate = Rate(np.zeros(3), 0.0, 0.0)
         self._noise = _densities(imu.gyro_noise, imu.acceleration_noise, *drifts)
         self._blind_noise = _densities(blind.gyro_noise, blind.acceleration_noise, *drifts)
+
+    def forget_biases(self) -> None:
+        """Set the biases to zero, as uncertain as at the start."""
+        imu, state = self._settings.imu, self._state
+        state.bias[:] = 0.0
+        state.cov[9:, :] = state.cov[:, 9:] = 0.0
+        state.cov[GYRO_BIAS, GYRO_BIAS] = imu.gyro_bias**2 * np.eye(3)
+        state.cov[FORCE_BIAS, FORCE_BIAS] = imu.acceleration_bias**2 * np.eye(3)
 
     def restart(self, motion: OdometryMotion) -> None:
         """Set the state to an odometry reading; the biases and their covariance are kept."""
@@ -278,7 +287,8 @@ class InertialFilter:
         """Correct with a reading at the present stamp; False for an outlier, which is ignored."""
         pose, gate = (motion.attitude, motion.position), self._settings.gate.distance
         noise, rate_noise = motion.variance[:9], motion.variance[9:].sum() / 3.0
-        if not correct(self._state, self._work, *pose, motion.velocity, noise, gate):
+        limits = gate, self._settings.imu.acceleration_bias_max
+        if not correct(self._state, self._work, *pose, motion.velocity, noise, *limits):
             return False
         value, variance, gyro_share = self.rate
         value = value - gyro_share * self._work.error[GYRO_BIAS]

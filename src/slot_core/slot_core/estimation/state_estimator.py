@@ -11,6 +11,9 @@ the drift of the IMU over it. The filter itself is in `inertial_filter.py`.
     not newer:                     dropped: repeated, or overtaken by a newer one
     none for `odometry_wait`:      estimates continue on the IMU alone, as ODOMETRY_LOST
     none for `odometry_gap`:       estimates end; the next reading restarts the filter
+    rejected, but in agreement:    after `max_rejections` of them the filter restarts
+
+A restart keeps the biases, unless readings were rejected before it: then they may be what was wrong.
 """
 
 from __future__ import annotations
@@ -213,7 +216,9 @@ class StateEstimator:
             self._publish(stamp, self._validity(accepted, imu_complete))
 
     def _start(self, motion: OdometryMotion) -> None:
-        """Start the filter from a reading."""
+        """Start the filter from a reading; where it has rejected readings its biases are doubted."""
+        if any(rejected is not None for rejected in self._rejected):
+            self._filter.forget_biases()
         self._filter.restart(motion)
         self._stamp, self._accepted = motion.stamp, 0
         self._corrected, self._reached = self._filter.state, motion.stamp

@@ -34,6 +34,7 @@ class Conditions:
         self._received: dict[str, int] = {}
         self.emergency_stop = EmergencyStop(settings.timing.estop, settings.estop_required)
         self._missed = 0  # unusable estimates in a row
+        self._imu_missing: int | None = None  # since when
         self._usable = False  # whether there has been a usable estimate
         self._tilt: tuple[float, float] = (0.0, 0.0)  # rad, roll and pitch
         self._stopped = ""  # why the MPC counts as stopped
@@ -54,6 +55,10 @@ class Conditions:
         usable = finite and estimate.validity in USABLE
         self._missed = 0 if usable else self._missed + 1
         self._usable = self._usable or usable
+        if estimate.validity is Validity.VALID:
+            self._imu_missing = None
+        elif estimate.validity is Validity.IMU_MISSING and self._imu_missing is None:
+            self._imu_missing = time
         if finite:
             self._tilt = (float(estimate.state[0]), float(estimate.state[1]))
 
@@ -115,6 +120,12 @@ class Conditions:
         if self._health is None:
             return math.inf
         return float(np.abs(self._health.goal - angle).max())
+
+    def imu_warning(self, time: int) -> str:
+        """One line while the estimates rest on the odometry alone, or ""."""
+        limit = self._settings.estimate.imu_silence
+        age = 0.0 if self._imu_missing is None else to_seconds(time - self._imu_missing)
+        return f"no usable IMU for {age:.3g} s, limit {limit:g} s" if age > limit else ""
 
     @property
     def slewed(self) -> bool:

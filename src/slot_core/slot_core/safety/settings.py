@@ -35,6 +35,7 @@ class EstimateLimits:
 
     coast_cycles: int = quantity("unusable estimates in a row that are accepted", "", 0, 30)
     silence: float = quantity("time without an estimate", "s", 0.01, 5)
+    imu_silence: float = quantity("time without a usable IMU that is warned of", "s", 0.05, 5)
     tilt_max: float = quantity("largest magnitude of roll and of pitch", "rad", 0.05, 1.5)
 
 
@@ -89,6 +90,16 @@ class TendonLimits:
 
 
 @dataclass(frozen=True)
+class MotionLimits:
+    """Limits below which a walk counts as one that does not move."""
+
+    window: float = quantity("time in which torso and commands are compared", "s", 0.5, 60)
+    command_min: float = quantity("least extent of a commanded angle", "rad", 0.05, 3)
+    ratio_min: float = quantity("least extent of the torso's pose over it", "m/rad", 0, 1)
+    lever: float = quantity("by which angles of the torso count in it", "m", 0, 1)
+
+
+@dataclass(frozen=True)
 class SupervisorSettings:
     """All settings of the supervisor."""
 
@@ -96,9 +107,11 @@ class SupervisorSettings:
     estimate: EstimateLimits
     gate: GateSettings
     tendon: TendonLimits
+    motion: MotionLimits
     zero_tolerance: float = quantity("measured tendon angle beyond the range", "rad", 0, 0.5)
     arrived: float = quantity("distance to the command that counts as reached", "rad", 1e-3, 1)
     nodes: tuple[str, ...] = text("nodes whose heartbeat is needed")
+    companions: tuple[str, ...] = text("nodes whose end is said; the robot goes on without them")
     estop_required: bool = flag("whether motion needs a source of the e-stop")
 
     def __post_init__(self) -> None:

@@ -27,8 +27,8 @@ stateDiagram-v2
   note right of FAULT: faults are SERVO_FAULT, SERVO_SILENT, TILTED
   note right of HOLD
     reasons to hold are CLOCK_JUMPED, NODE_LOST,
-    TENDON_DAMAGED, MPC_STOPPED, ESTIMATE_LOST,
-    COMMAND_REJECTED, COMMAND_STALE
+    TENDON_DAMAGED, NO_MOTION, MPC_STOPPED,
+    ESTIMATE_LOST, COMMAND_REJECTED, COMMAND_STALE
   end note
 ```
 """
@@ -71,6 +71,7 @@ class Condition(enum.Enum):
     CLOCK_JUMPED = "clock jumped"
     NODE_LOST = "node lost"
     TENDON_DAMAGED = "tendon damaged"
+    NO_MOTION = "no motion"
     MPC_STOPPED = "MPC stopped"
     ESTIMATE_LOST = "estimate lost"
     COMMAND_REJECTED = "command rejected"
@@ -101,6 +102,7 @@ TRANSITIONS: dict[Condition, tuple[State, ...]] = {
     Condition.CLOCK_JUMPED:        (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.NODE_LOST:           (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.TENDON_DAMAGED:      (_I, _R, _H, _H, _H, _X, _E, _F),
+    Condition.NO_MOTION:           (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.MPC_STOPPED:         (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.ESTIMATE_LOST:       (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.COMMAND_REJECTED:    (_I, _R, _H, _H, _H, _X, _E, _F),

@@ -10,6 +10,7 @@ Bad data raise no exception: they are rejected, and then count as missing.
 from __future__ import annotations
 
 import enum
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,9 @@ from slot_core.clock import SECOND, to_seconds
 from slot_core.estimation.estimate import Estimate
 from slot_core.robot import LEGS, Array, RobotParameters
 from slot_core.safety.commands import AT_REST, Action, command_fault
+from slot_core.safety.companions import Companions
 from slot_core.safety.conditions import Conditions
+from slot_core.safety.motion_watch import MotionWatch
 from slot_core.safety.servo_health import ServoHealth
 from slot_core.safety.settings import SupervisorSettings
 from slot_core.safety.states import (
@@ -90,6 +93,8 @@ class Supervisor:
         settings.gate.check_ramp(robot.tendon.angle_max)
         self._robot, self._settings, self._watch = robot, settings, watch
         self._inputs = Conditions(settings)
+        self._companions = Companions(settings.companions)
+        self._motion = MotionWatch(settings.motion)
         self._clock = SteadyClock(settings.timing.clock_jump)
         self._newest: dict[str, int] = {}  # ns, stamp of each input
         self._wrong_clock: dict[str, str] = {}  # faults of inputs stamped by another clock
@@ -141,6 +146,10 @@ class Supervisor:
         self.receive_heartbeat(now, "force_mapper")
         return self.receive_command(now, stamp, angle, rate)
 
+    def receive_nodes(self, names: Iterable[str]) -> None:
+        """Names of the nodes that are there now."""
+        self._companions.look(names)
+
     def receive_estop(self, now: int, source: str, pressed: bool, *, leaving: bool = False) -> None:
         """State of a source of the e-stop, repeated within `timing.estop` unless it is leaving."""
         self._inputs.emergency_stop.receive(self._advance(now), source, pressed, leaving)
@@ -160,6 +169,10 @@ class Supervisor:
         if self._stamp_fault("estimate", now, estimate.stamp):
             return
         self._inputs.receive_estimate(time, estimate)
+        if self._state is State.WALKING and self._follows_gait(time):
+            self._motion.observe(time, estimate.state, self._command)
+        else:
+            self._motion.pause()
         self._height = self._clamp_heights(estimate.state)
 
     def receive_command(self, now: int, stamp: int, angle: Array, rate: Array = AT_REST) -> str:
@@ -231,7 +244,8 @@ class Supervisor:
                 self._transition(now, time, condition, active[condition])
                 break
         warnings = [text for c, text in active.items() if c in REASONS_TO_HOLD | REASONS_TO_RELAX]
-        warnings += self._wrong_clock.values()
+        warnings += [*self._wrong_clock.values(), *self._companions.warnings]
+        warnings += filter(None, [self._inputs.imu_warning(time)])
         for source in self._right_clock:  # not before a report has named the fault
             self._wrong_clock.pop(source, None)
         self._right_clock.clear()
@@ -292,6 +306,8 @@ class Supervisor:
             found[Condition.CLOCK_JUMPED] = self._clock.jumped
         if self._tendons.damaged.any():
             found[Condition.TENDON_DAMAGED] = self._tendons.message
+        if self._motion.message:
+            found[Condition.NO_MOTION] = self._motion.message
         if reason := self._torque_missing(time):
             found.setdefault(Condition.SERVO_FAULT, reason)
         if self._state is State.HOLD:
@@ -385,6 +401,7 @@ class Supervisor:
         elif after is State.READY:
             self._ready_since = time
             self._watch.reset()
+            self._motion.reset()
             self._tendons = self._watch.state
         elif after is State.RELAX:
             self._faulty = condition in REASONS_TO_RELAX

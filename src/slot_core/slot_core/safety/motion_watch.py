@@ -1,0 +1,63 @@
+"""Detection of a walk that does not move: the commanded angles swing, the torso does not.
+
+Over the last `window` the torso moves by the extent d of its pose,
+
+    d^2 = sum of the extents of x, y, z squared + (`lever` times those of roll, pitch, yaw) squared,
+
+and the commands by the largest extent c of an angle. Legs that bend move the torso by d / c, in
+whatever direction: on its place, where the feet slide, or where the torso lies on the floor.
+Commands below `command_min` ask for no motion.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from slot_core.clock import SECOND
+from slot_core.robot import Array
+from slot_core.safety.settings import MotionLimits
+
+
+class MotionWatch:
+    """Poses and commands of the last window, and the alarm from them."""
+
+    def __init__(self, limits: MotionLimits) -> None:
+        self._limits = limits
+        self.reset()
+
+    def reset(self) -> None:
+        """Discard poses and alarm."""
+        self.message = ""  # one line once no motion was seen, until the reset
+        self.pause()
+
+    def pause(self) -> None:
+        """Discard the poses, but not the alarm."""
+        self._rows: deque[tuple[int, Array]] = deque()  # ns; pose (6,) and command (4,)
+
+    def observe(self, time: int, state: Array, command: Array) -> None:
+        """Take the state (12,) of the torso and the command (4,), rad, at `time` (ns)."""
+        if not np.isfinite(state).all():
+            return
+        self._rows.append((time, np.concatenate([state[:6], command])))
+        full = False
+        while time - self._rows[0][0] >= self._limits.window * SECOND:
+            self._rows.popleft()
+            full = True
+        if full and not self.message:
+            self._evaluate()
+
+    def _evaluate(self) -> None:
+        """Set the alarm if the window shows commands without motion."""
+        rows, limits = np.array([row for _, row in self._rows]), self._limits
+        rows[:, 2] = np.unwrap(rows[:, 2])
+        extent = np.ptp(rows, axis=0)
+        moved = float(np.linalg.norm(extent[:6] * ([limits.lever] * 3 + [1.0] * 3)))
+        asked = float(extent[6:].max())
+        if asked >= limits.command_min and moved < limits.ratio_min * asked:
+            self.message = (
+                f"no motion seen: torso {1e3 * moved:.1f} mm, limit"
+                f" {1e3 * limits.ratio_min * asked:.1f} mm, in {limits.window:g} s with commands of"
+                f" {asked:.2f} rad"
+            )
