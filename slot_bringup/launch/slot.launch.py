@@ -1,5 +1,6 @@
 """Launch file of the node graph: ros2 launch slot_bringup slot.launch.py gait:=walk."""
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +25,19 @@ from slot_bringup.check import check
 from slot_bringup.graph import TIED, read_graph
 from slot_bringup.monitor import require_no_other_graph
 from slot_bringup.stock_recorder import record_command
+from slot_core.config import ConfigError
 
 GRAPH = read_graph()
+# Arguments of this file alone: default, what it chooses, choices.
+OWN = {
+    "recorder": (
+        "slot",
+        "what records the bag: the own node, or ros2 bag record",
+        ("slot", "ros2bag"),
+    ),
+    "robot_description": ("true", "robot_state_publisher publishes the URDF", ("true", "false")),
+}
+OF_LAUNCH = ("launch-prefix", "launch-prefix-filter")  # of ros2 launch itself
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -41,11 +53,9 @@ def generate_launch_description() -> LaunchDescription:
                 )
                 for argument in GRAPH.arguments
             ),
-            DeclareLaunchArgument(
-                "recorder",
-                default_value="slot",
-                description="what records the bag: the own node, or ros2 bag record",
-                choices=("slot", "ros2bag"),
+            *(
+                DeclareLaunchArgument(name, default_value=text, description=what, choices=choices)
+                for name, (text, what, choices) in OWN.items()
             ),
             OpaqueFunction(function=_start_nodes),
             RegisterEventHandler(OnProcessExit(on_exit=_end)),
@@ -54,6 +64,7 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _start_nodes(context: LaunchContext) -> list[Action]:
+    _require_known(context.argv)
     given = context.launch_configurations
     values = {argument.name: argument.parse(given[argument.name]) for argument in GRAPH.arguments}
     check(values)
@@ -61,7 +72,7 @@ def _start_nodes(context: LaunchContext) -> list[Action]:
     stock = [_stock_recorder(values)] if given["recorder"] == "ros2bag" and values["bag"] else []
     if stock:
         values |= {"bag": ""}  # no node that records, and no robot that waits for it
-    model = [_robot_model(values)] if values["visualize"] else []
+    model = _robot_model(values) if given["robot_description"] == "true" else []
     return [*stock, *model] + [
         Node(
             package=spec.package,
@@ -71,12 +82,29 @@ def _start_nodes(context: LaunchContext) -> list[Action]:
             exec_name=spec.name,  # in the log, else that of the prefix
             namespace=spec.namespace,
             remappings=list(spec.remappings.items()),
-            parameters=[{name: _typed(value) for name, value in spec.parameters.items()}],
+            parameters=[
+                *filter(None, [spec.params_file]),
+                {name: _typed(value) for name, value in spec.parameters.items()},
+            ],
             prefix=" ".join(spec.prefix),  # launch leaves its nodes running at SIGTERM
             output="screen",
         )
         for spec in GRAPH.nodes(values)
     ]
+
+
+def _require_known(words: list[str]) -> None:
+    """Raise ConfigError for an argument NAME:=VALUE that is none; launch itself ignores it.
+
+    Not where a launch file of the user's own includes this one: the arguments are its own then.
+    """
+    ours = {path.name for path in Path(__file__).parent.glob("*.launch.py")}
+    if ours.isdisjoint(Path(word).name for word in sys.argv):
+        return
+    known = [*(argument.name for argument in GRAPH.arguments), *OWN, *OF_LAUNCH]
+    for name in (word.partition(":=")[0] for word in words):
+        if name not in known:
+            raise ConfigError(f"no argument {name!r} (known: {', '.join(known)})")
 
 
 def _stock_recorder(values: dict[str, Any]) -> ExecuteProcess:
@@ -87,15 +115,15 @@ def _stock_recorder(values: dict[str, Any]) -> ExecuteProcess:
     return ExecuteProcess(cmd=[*TIED, *command], output="screen")
 
 
-def _robot_model(values: dict[str, Any]) -> Action:
+def _robot_model(values: dict[str, Any]) -> list[Action]:
     """The node that publishes the URDF and the frames of its links, where it is installed."""
     package = "robot_state_publisher"
     try:
         get_package_prefix(package)
     except PackageNotFoundError:
-        return LogInfo(msg=f"visualize: {package} is not installed, so there is no URDF")
+        return [LogInfo(msg=f"{package} is not installed, so there is no /robot_description")]
     urdf = Path(get_package_share_directory("slot_bringup"), "urdf", "slot.urdf").read_text()
-    return Node(
+    node = Node(
         package=package,
         executable=package,
         name=package,
@@ -106,6 +134,7 @@ def _robot_model(values: dict[str, Any]) -> Action:
         prefix=" ".join(TIED),
         output="screen",
     )
+    return [node]
 
 
 def _typed(value: Any) -> Any:

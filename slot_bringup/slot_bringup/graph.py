@@ -78,6 +78,7 @@ class NodeSpec:
     namespace: str = ""
     remappings: Mapping[str, str] = field(default_factory=dict)
     nodes: tuple[str, ...] = ()  # of a process with several
+    params_file: str = ""  # of parameters; those of `parameters` prevail
     prefix: tuple[str, ...] = TIED  # before the command line
 
     @property
@@ -119,6 +120,7 @@ class Graph:
                 parameters=self._parameters(entry, values),
                 namespace=values["namespace"],
                 remappings=remappings,
+                params_file=values["params_file"],
                 prefix=(*TIED, *(first if entry.get("composable") == ALWAYS else ())),
             )
             for name, entry in self._nodes.items()
