@@ -2,7 +2,7 @@ from glob import glob
 
 from setuptools import find_packages, setup
 
-FOLDERS = ("dds", "foxglove", "launch", "rviz", "udev", "urdf")
+FOLDERS = ("dds", "foxglove", "launch", "nav2", "rviz", "udev", "urdf")
 
 setup(
     name="slot_bringup",
@@ -15,6 +15,7 @@ setup(
         *((f"share/slot_bringup/{d}", glob(f"{d}/*")) for d in FOLDERS),
     ],
     entry_points={"console_scripts": ["run = slot_bringup.run:main"]},
+    extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="SLOT maintainers",
     maintainer_email="slot@example.com",

@@ -10,11 +10,12 @@ it was not run with a camera.
 from pathlib import Path
 from typing import Any
 
-from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, GroupAction, IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import PathJoinSubstitution
 from launch_ros.actions import SetParameter
+from launch_ros.substitutions import FindPackageShare
 
 CAMERA = {
     "camera_namespace": "",  # topics /camera/color/image_raw ...
@@ -47,16 +48,20 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             *(DeclareLaunchArgument(name, default_value=value) for name, value in SLOT.items()),
-            _include("realsense2_camera", "rs_launch.py", CAMERA, EMITTER),
-            _include("rtabmap_launch", "rtabmap.launch.py", RTABMAP),
-            _include("slot_bringup", "slot.launch.py", {}),
+            _include(_launch_file("realsense2_camera", "rs_launch.py"), CAMERA, EMITTER),
+            _include(_launch_file("rtabmap_launch", "rtabmap.launch.py"), RTABMAP),
+            _include(str(Path(__file__).with_name("slot.launch.py")), {}),
         ]
     )
 
 
-def _include(package: str, file: str, arguments: dict[str, str], *before: Any) -> GroupAction:
+def _launch_file(package: str, name: str) -> PathJoinSubstitution:
+    """Launch file of a package, which is looked up when the launch starts."""
+    return PathJoinSubstitution([FindPackageShare(package), "launch", name])
+
+
+def _include(source: Any, arguments: dict[str, str], *before: Any) -> GroupAction:
     """Include a launch file in a scope of its own: namespace and others are named in several."""
-    source = str(Path(get_package_share_directory(package), "launch", file))
     launch_file = PythonLaunchDescriptionSource(source)
     given = list(arguments.items())
     return GroupAction([*before, IncludeLaunchDescription(launch_file, launch_arguments=given)])

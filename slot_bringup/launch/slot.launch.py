@@ -1,5 +1,6 @@
 """Launch file of the node graph: ros2 launch slot_bringup slot.launch.py gait:=walk."""
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +25,21 @@ from slot_bringup.check import check
 from slot_bringup.graph import GO_ON, RESTART, RESTARTS, TIED, ends_graph, read_graph
 from slot_bringup.monitor import require_no_other_graph
 from slot_bringup.stock_recorder import record_command
+from slot_core.config import ConfigError
 
 GRAPH = read_graph()
 STOCK_RECORDER, MODEL = "ros2bag", "robot_state_publisher"  # processes of this file alone
 ADDED = {STOCK_RECORDER: GO_ON, MODEL: RESTART}
+# Arguments of this file alone: default, what it chooses, choices.
+OWN = {
+    "recorder": (
+        "slot",
+        "what records the bag: the own node, or ros2 bag record",
+        ("slot", "ros2bag"),
+    ),
+    "robot_description": ("true", "robot_state_publisher publishes the URDF", ("true", "false")),
+}
+OF_LAUNCH = ("launch-prefix", "launch-prefix-filter")  # of ros2 launch itself
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -43,11 +55,9 @@ def generate_launch_description() -> LaunchDescription:
                 )
                 for argument in GRAPH.arguments
             ),
-            DeclareLaunchArgument(
-                "recorder",
-                default_value="slot",
-                description="what records the bag: the own node, or ros2 bag record",
-                choices=("slot", "ros2bag"),
+            *(
+                DeclareLaunchArgument(name, default_value=text, description=what, choices=choices)
+                for name, (text, what, choices) in OWN.items()
             ),
             OpaqueFunction(function=_start_nodes),
             RegisterEventHandler(OnProcessExit(on_exit=_end)),
@@ -56,6 +66,7 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _start_nodes(context: LaunchContext) -> list[Action]:
+    _require_known(context.argv)
     given = context.launch_configurations
     values = {argument.name: argument.parse(given[argument.name]) for argument in GRAPH.arguments}
     check(values)
@@ -63,7 +74,7 @@ def _start_nodes(context: LaunchContext) -> list[Action]:
     stock = [_stock_recorder(values)] if given["recorder"] == "ros2bag" and values["bag"] else []
     if stock:
         values |= {"bag": ""}  # no node that records, and no robot that waits for it
-    model = [_robot_model(values)] if values["visualize"] else []
+    model = _robot_model(values) if given["robot_description"] == "true" else []
     return [*stock, *model] + [
         Node(
             package=spec.package,
@@ -73,7 +84,10 @@ def _start_nodes(context: LaunchContext) -> list[Action]:
             exec_name=spec.name,  # in the log, else that of the prefix
             namespace=spec.namespace,
             remappings=list(spec.remappings.items()),
-            parameters=[{name: _typed(value) for name, value in spec.parameters.items()}],
+            parameters=[
+                *filter(None, [spec.params_file]),
+                {name: _typed(value) for name, value in spec.parameters.items()},
+            ],
             prefix=" ".join(spec.prefix),  # launch leaves its nodes running at SIGTERM
             output="screen",
             respawn=spec.if_it_ends == RESTART,
@@ -81,6 +95,20 @@ def _start_nodes(context: LaunchContext) -> list[Action]:
         )
         for spec in GRAPH.nodes(values)
     ]
+
+
+def _require_known(words: list[str]) -> None:
+    """Raise ConfigError for an argument NAME:=VALUE that is none; launch itself ignores it.
+
+    Not where a launch file of the user's own includes this one: the arguments are its own then.
+    """
+    ours = {path.name for path in Path(__file__).parent.glob("*.launch.py")}
+    if ours.isdisjoint(Path(word).name for word in sys.argv):
+        return
+    known = [*(argument.name for argument in GRAPH.arguments), *OWN, *OF_LAUNCH]
+    for name in (word.partition(":=")[0] for word in words):
+        if name not in known:
+            raise ConfigError(f"no argument {name!r} (known: {', '.join(known)})")
 
 
 def _stock_recorder(values: dict[str, Any]) -> ExecuteProcess:
@@ -91,14 +119,14 @@ def _stock_recorder(values: dict[str, Any]) -> ExecuteProcess:
     return ExecuteProcess(cmd=[*TIED, *command], name=STOCK_RECORDER, output="screen")
 
 
-def _robot_model(values: dict[str, Any]) -> Action:
+def _robot_model(values: dict[str, Any]) -> list[Action]:
     """The node that publishes the URDF and the frames of its links, where it is installed."""
     try:
         get_package_prefix(MODEL)
     except PackageNotFoundError:
-        return LogInfo(msg=f"visualize: {MODEL} is not installed, so there is no URDF")
+        return [LogInfo(msg=f"{MODEL} is not installed, so there is no /robot_description")]
     urdf = Path(get_package_share_directory("slot_bringup"), "urdf", "slot.urdf").read_text()
-    return Node(
+    node = Node(
         package=MODEL,
         executable=MODEL,
         name=MODEL,
@@ -112,6 +140,7 @@ def _robot_model(values: dict[str, Any]) -> Action:
         respawn=True,
         respawn_max_retries=RESTARTS,
     )
+    return [node]
 
 
 def _typed(value: Any) -> Any:

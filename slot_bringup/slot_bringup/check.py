@@ -13,13 +13,31 @@ from rclpy.validate_namespace import validate_namespace
 from rclpy.validate_topic_name import validate_topic_name
 
 from slot_bringup.graph import absolute, is_simulated
+from slot_core import config
 from slot_core.config import ConfigError
+from slot_core.control.force_map import read_force_map
 from slot_core.control.policy import policy_class
 from slot_core.dynamics.scene import read_scene
+from slot_core.estimation.state_estimator import read_estimator
 from slot_core.faults import require_simulated_legs
 from slot_core.gait.gait import read_gaits
 from slot_core.gait.route import read_route
+from slot_core.ros_parameters import read_parameters
+from slot_core.safety.settings import read_supervisor
+from slot_core.servos.registry import read_brand
+from slot_core.vision.settings import read_vision
 
+# Settings of the nodes that a parameter file may change.
+SETTINGS: dict[str, Callable[[Mapping[str, Any]], Any]] = {
+    "state_estimator": lambda _: read_estimator(),
+    "gait_scheduler": lambda _: read_gaits(),
+    "mpc_controller": lambda v: policy_class(v["policy"]).read_settings(v["policy"]),
+    "force_mapper": lambda _: read_force_map(),
+    "supervisor": lambda _: read_supervisor(),
+    "marker_localizer": lambda _: read_vision(),
+    "dynamixel_driver": lambda _: read_brand().read_settings(),
+}
+OF_EVERY_NODE = ("use_sim_time",)  # set by the graph
 PRIORITY_MAX = os.sched_get_priority_max(os.SCHED_FIFO)
 DOMAIN_MAX = 232  # beyond it the ports of DDS, 7400 + 250 domain, exceed 65535
 
@@ -53,8 +71,36 @@ def check(values: Mapping[str, Any]) -> None:
     check_place(values["namespace"])
     if (prefix := values["frame_prefix"]).startswith("/"):
         raise ConfigError(f"frame_prefix = {prefix!r}: tf2 knows no frames that begin with a slash")
+    if values["params_file"]:
+        _check_parameters(values)
     if values["bag"]:
         _check_new(Path(values["bag"]))
+
+
+def _check_parameters(values: Mapping[str, Any]) -> None:
+    """Raise ConfigError for a parameter file with a node, a name or a value that does not fit.
+
+    ROS itself ignores names that it does not know.
+    """
+    file = Path(values["params_file"])
+    nodes = {f"{absolute(values['namespace']).rstrip('/')}/{name}": name for name in SETTINGS}
+    for given in read_parameters(file):
+        matched = [nodes[full] for full in nodes if given.match(full)]
+        if not matched:
+            all_nodes = ", ".join(nodes)
+            raise ConfigError(
+                f"params_file {file}: {given.pattern} has no settings (known: {all_nodes})"
+            )
+        known = set(OF_EVERY_NODE)
+        for name in matched:
+            settings = SETTINGS[name](values)
+            own = {leaf for leaf, _, _ in config.leaves(settings)} & given.values.keys()
+            where = f"params_file {file}: {name}"
+            config.replace(settings, {leaf: given.values[leaf] for leaf in own}, where)
+            known |= own
+        for name in given.values:
+            if name not in known and not name.startswith("qos_overrides."):
+                raise ConfigError(f"params_file {file}: {given.pattern}: {name} is not a setting")
 
 
 def _check_lockstep(values: Mapping[str, Any]) -> None:

@@ -81,6 +81,7 @@ class NodeSpec:
     namespace: str = ""
     remappings: Mapping[str, str] = field(default_factory=dict)
     nodes: tuple[str, ...] = ()  # of a process with several
+    params_file: str = ""  # of parameters; those of `parameters` prevail
     prefix: tuple[str, ...] = TIED  # before the command line
     if_it_ends: str = END
 
@@ -123,6 +124,7 @@ class Graph:
                 parameters=self._parameters(entry, values),
                 namespace=values["namespace"],
                 remappings=remappings,
+                params_file=values["params_file"],
                 prefix=(*TIED, *(first if entry.get("composable") == ALWAYS else ())),
                 if_it_ends=self.if_it_ends(name),
             )

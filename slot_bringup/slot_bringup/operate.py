@@ -133,10 +133,10 @@ class Operator:
         for kind, topic, name, check in (
             (JointState, "joint_states", "joints", decode.joint_loads),
             (ServoHealth, "servo_health", "health", decode.servo_health),
-            (DiagnosticArray, "diagnostics", "diagnostics", str),
         ):
             show: Any = partial(self._show, name, check)
             node.create_subscription(kind, topic, show, NEWEST)
+        node.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, 10)
         runtime.wall_timer(node, ESTOP_PERIOD, self._publish_estop)
 
     def press(self, key: str) -> bool:
@@ -196,6 +196,9 @@ class Operator:
         self.view.state_time = time.monotonic()
         if message.state == RobotState.ESTOP:
             self._estop.pressed = False  # received, and latched by the supervisor
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        self.view.diagnostics |= {status.name: status for status in message.status}
 
     def _publish_estop(self) -> None:
         self._estop_topic.publish(self._estop)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
 
 from slot_core.clock import to_seconds
@@ -28,7 +28,7 @@ class OperatorView:
     state_time: float = -math.inf  # s, arrival of `state` on the monotonic clock
     joints: JointState | None = None
     health: ServoHealth | None = None
-    diagnostics: DiagnosticArray | None = None
+    diagnostics: dict[str, DiagnosticStatus] = field(default_factory=dict)  # by name
     answer: str = ""  # to the operator's last request
 
     def silent(self, now: float) -> bool:
@@ -91,7 +91,7 @@ def _driver(view: OperatorView) -> list[str]:
     if view.health is None:
         return ["no report of the servos yet"]
     action = decode.ACTION_NUMBERS[view.health.action].name
-    status = view.diagnostics.status if view.diagnostics is not None else []
+    status = [s for name, s in view.diagnostics.items() if name != "supervisor"]  # is shown above
     bus = [f"{v.key} {v.value}" for s in status for v in s.values if s.name == "servo bus"]
     problems = [f"  ! {s.name}: {s.message}" for s in status if s.level != DiagnosticStatus.OK]
     first = f"servos: {action} {view.health.reason}".rstrip()

@@ -146,6 +146,8 @@ def command_line(spec: NodeSpec) -> list[str]:
     command = [str(executable), *spec.nodes, "--ros-args"]
     for old, new in remaps.items():
         command += ["-r", f"{old}:={new}"]
+    if spec.params_file:
+        command += ["--params-file", spec.params_file]
     for name, value in spec.parameters.items():
         command += ["-p", f"{name}:={_yaml(value)}"]
     return command

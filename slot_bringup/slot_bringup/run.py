@@ -37,7 +37,10 @@ def parse(arguments: Sequence[str] | None, graph: Graph) -> argparse.Namespace:
         default = f" (default: {argument.text})" if argument.text else ""
         flag: dict[str, Any] = {"help": argument.help + default}
         if argument.kind is bool:
-            flag["action"] = "store_true"
+            both = argparse.BooleanOptionalAction
+            flag |= (
+                {"action": both, "default": True} if argument.default else {"action": "store_true"}
+            )
         else:
             flag |= {name: getattr(argument, name) for name in ("default", "choices", "metavar")}
             flag["type"] = argument.kind

@@ -27,6 +27,7 @@ setup(
             "visualizer = slot_nodes.visualization.visualizer_node:main",
         ]
     },
+    extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="SLOT maintainers",
     maintainer_email="slot@example.com",

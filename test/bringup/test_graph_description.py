@@ -3,6 +3,7 @@
 import re
 import runpy
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,6 +16,8 @@ from slot_bringup.processes import command_line
 from slot_core.config import ConfigError
 from slot_core.recording.record_settings import read_record_settings
 from slot_core.safety.settings import read_supervisor
+
+PARAMETERS = Path(__file__).parent / "params.yaml"
 
 
 @pytest.fixture
@@ -130,6 +133,42 @@ def test_arguments_of_the_camera_and_topics_are_checked(graph, changes, reason):
         check(values(graph, **changes))
 
 
+def test_velocities_without_a_stamp_reach_scheduler_and_recorder(graph):
+    nodes = {s.name: s for s in graph.nodes(values(graph, bag="x", stamped_cmd_vel=False))}
+    for name in ("gait_scheduler", "recorder"):
+        assert "stamped_cmd_vel:=false" in command_line(nodes[name])
+
+
+def test_a_parameter_file_comes_before_the_arguments_of_the_graph(graph):
+    given = values(graph, params_file=str(PARAMETERS))
+    check(given)
+    for spec in graph.nodes(given):
+        words = command_line(spec)
+        assert words.index("--params-file") < words.index("-p")
+        assert words[words.index("--params-file") + 1] == str(PARAMETERS)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("mpc: {ros__parameters: {a: 1}}", r"/mpc has no settings \(known: /state_estimator, "),
+        ("mpc_controller: {ros__parameters: {cots: 1}}", "/mpc_controller: cots is not a setting"),
+        (
+            "'/**': {ros__parameters: {cost: {tilt: -1.0}}}",
+            r"mpc_controller\.cost\.tilt = -1\.0: outside \[0\.0001, 10\] rad",
+        ),
+        ("/fred: {supervisor: {ros__parameters: {arrived: 0.1}}}", "/fred/supervisor has no set"),
+        ("supervisor: 3", "/supervisor: expected a mapping of nodes"),
+        ("{}", "no ros__parameters"),
+    ],
+)
+def test_a_parameter_file_that_no_node_would_follow_is_refused(graph, tmp_path, text, reason):
+    file = tmp_path / "params.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=rf"^params_file {file}.*{reason}"):
+        check(values(graph, params_file=str(file)))
+
+
 @pytest.mark.parametrize("hardware", ["sim", "fake_bus"])
 def test_an_attended_simulation_waits_for_an_operator_like_the_real_robot(graph, hardware):
     real = {s.name: s for s in graph.nodes(values(graph, hardware="real"))}
@@ -158,17 +197,21 @@ def test_a_launch_argument_of_the_wrong_type_is_refused_by_name(graph, name, tex
 def test_the_launch_file_starts_the_nodes_of_the_description(graph, monkeypatch):
     """Against stubs of launch and launch_ros, which are not among the Python wheels."""
     given = {"bag": "somewhere", "gait": "stand", "vx": "0.0", "namespace": "fred"}
+    given |= {"params_file": str(PARAMETERS)}
     asked = []
     started = load_launch_file(monkeypatch, given, asked)
     assert asked == ["fred"]
-    described = graph.nodes(values(graph, bag="somewhere", gait="stand", vx=0.0, namespace="fred"))
+    described = graph.nodes(values(graph, **given | {"vx": 0.0}))
     assert [node["name"] for node in started] == [spec.name for spec in described]
     for node, spec in zip(started, described):
         typed = {
             name: {"args": (value,), "value_type": str} if isinstance(value, str) else value
             for name, value in spec.parameters.items()
         }
-        assert node["parameters"] == [typed]  # launch would read a text such as 1e3 as a number
+        assert node["parameters"] == [
+            str(PARAMETERS),
+            typed,
+        ]  # launch would read a text such as 1e3 as a number
         assert (node["package"], node["executable"]) == (spec.package, spec.name)
         assert (node["namespace"], node["remappings"]) == ("fred", [("/clock", "clock")])
         assert node["name"] == node["exec_name"] == spec.name
@@ -245,6 +288,8 @@ def test_the_launch_file_refuses_what_scripts_run_refuses(monkeypatch, given, me
 
 @pytest.mark.parametrize("installed", [True, False])
 def test_the_launch_file_starts_the_urdfs_publisher_where_there_is_one(monkeypatch, installed):
+    """Also without `visualize`."""
+
     def prefix(package):
         if package == "robot_state_publisher" and not installed:
             raise ament_index_python.packages.PackageNotFoundError(package)
@@ -254,9 +299,8 @@ def test_the_launch_file_starts_the_urdfs_publisher_where_there_is_one(monkeypat
     packages = ament_index_python.packages
     monkeypatch.setattr(packages, "get_package_prefix", prefix)
     monkeypatch.setattr(packages, "get_package_share_directory", lambda package: share)
-    given = {"visualize": "true", "namespace": "fred", "frame_prefix": "fred/"}
-    model, *nodes = load_launch_file(monkeypatch, given)
-    assert "visualizer" in [node["name"] for node in nodes]
+    given = {"robot_description": "true", "namespace": "fred", "frame_prefix": "fred/"}
+    model, *_ = load_launch_file(monkeypatch, given)
     if installed:
         assert (model["package"], model["namespace"]) == ("robot_state_publisher", "fred")
         (parameters,) = model["parameters"]
@@ -281,28 +325,49 @@ def run_launch_file(monkeypatch, name, **stubs):
 
 
 @pytest.mark.parametrize(
+    ("program", "words", "fault"),
+    [
+        ("slot.launch.py", ["gaits:=walk"], "no argument 'gaits' (known: hardware, "),
+        ("d435_rtabmap.launch.py", ["imu:=x"], "no argument 'imu' (known: hardware, "),
+        ("slot.launch.py", ["gait:=walk", "recorder:=slot", "launch-prefix:=gdb"], ""),
+        ("whole_fleet.launch.py", ["robots:=3"], ""),  # of a user's own, which includes ours
+    ],
+)
+def test_an_unknown_launch_argument_is_refused(monkeypatch, program, words, fault):
+    monkeypatch.setattr(sys, "argv", ["ros2", "launch", "slot_bringup", program, *words])
+    with pytest.raises(ConfigError, match=re.escape(fault)) if fault else nullcontext():
+        load_launch_file(monkeypatch, {}, words=words)
+
+
+@pytest.mark.parametrize(
     ("name", "packages"),
     [
-        ("d435_rtabmap", ["realsense2_camera", "rtabmap_launch", "slot_bringup"]),
-        ("d435_isaac_vslam", ["realsense2_camera", "slot_bringup"]),
+        ("d435_rtabmap", ["realsense2_camera", "rtabmap_launch"]),
+        ("d435_isaac_vslam", ["realsense2_camera"]),
     ],
 )
 def test_a_camera_with_a_visual_slam_brings_up_the_graph_on_its_topics(
     graph, monkeypatch, name, packages
 ):
-    """Against stubs: neither launch nor the packages of the camera are among the wheels."""
-    share = SimpleNamespace(get_package_share_directory=lambda package: f"/{package}")
-    monkeypatch.setitem(sys.modules, "ament_index_python.packages", share)
+    """Against stubs: neither launch nor the packages of the camera are among the wheels.
+
+    The packages are looked up when the launch starts, not when the file is read.
+    """
     actions = run_launch_file(
         monkeypatch, name, launch="LaunchDescription", launch_ros="",
         launch__actions="DeclareLaunchArgument GroupAction IncludeLaunchDescription",
         launch__launch_description_sources="PythonLaunchDescriptionSource",
+        launch__substitutions="PathJoinSubstitution",
         launch_ros__actions="ComposableNodeContainer SetParameter",
         launch_ros__descriptions="ComposableNode",
+        launch_ros__substitutions="FindPackageShare",
     )  # fmt: skip
     groups = [a["args"][0][-1] for a in actions if isinstance(a["args"], tuple) and a["args"]
               and isinstance(a["args"][0], list)]  # fmt: skip
-    assert [g["args"][0]["args"][0].split("/")[1] for g in groups] == packages
+    *others, own = [g["args"][0]["args"][0] for g in groups]
+    found = [location["args"][0][0]["args"][0] for location in others]  # of FindPackageShare
+    assert found == packages
+    assert Path(own).name == "slot.launch.py"
     given = {a["args"][0]: a["default_value"] for a in actions if "default_value" in a}
     assert {"odometry_topic", "imu_topic"} < set(given)
     for spec in graph.nodes(values(graph, **given)):
@@ -321,13 +386,14 @@ def graph_launch_file(monkeypatch):
     )  # fmt: skip
 
 
-def load_launch_file(monkeypatch, given, asked=None):
+def load_launch_file(monkeypatch, given, asked=None, words=()):
     """Run launch/slot.launch.py with launch arguments; return the arguments of its nodes.
 
-    asked: gets the namespaces in which it looks for another graph.
+    asked: gets the namespaces in which it looks for another graph. words: of the command line.
     """
+    given = {"robot_description": "false"} | given
     asked = [] if asked is None else asked
     monkeypatch.setattr("slot_bringup.monitor.require_no_other_graph", asked.append)
     *arguments, start, _ = graph_launch_file(monkeypatch)
     texts = {argument["args"][0]: argument["default_value"] for argument in arguments} | given
-    return start["function"](SimpleNamespace(launch_configurations=texts))
+    return start["function"](SimpleNamespace(launch_configurations=texts, argv=words))

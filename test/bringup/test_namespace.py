@@ -67,7 +67,7 @@ def content(bag, topic, prefix):
 def test_a_walk_in_a_namespace_is_the_walk_without_one_but_for_names(bags):
     alone, spaced = Bag(bags[""]), Bag(bags[SPACE], SPACE)
     assert set(alone.topics) == set(spaced.topics) > {"/clock", "/odom", "/tf", "/mpc_state"}
-    for topic in alone.topics:
+    for topic in set(alone.topics) - {"/diagnostics"}:  # of the machine, once a second
         here, there = content(alone, topic, ""), content(spaced, topic, PREFIXES[SPACE])
         shared = here.keys() & there.keys()
         assert len(shared) > 0.9 * DURATION * 30, topic

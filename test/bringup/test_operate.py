@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import JointState
 
 from slot_bringup import operate
@@ -167,6 +168,16 @@ def test_the_screen_shows_state_warnings_and_what_is_wrong_with_a_servo():
         "FL": ["on", "none"], "FR": ["on", "none"], "RL": ["off", "overload"],
         "RR": ["on", "none"],
     }  # fmt: skip
+
+
+def test_problems_of_every_reporter_stay_on_the_screen():
+    operator = operate.Operator(FakeNode())
+    for name in ("controller", "servo bus", "supervisor"):
+        status = DiagnosticStatus(name=name, level=DiagnosticStatus.WARN, message="late")
+        operator._on_diagnostics(DiagnosticArray(status=[status]))
+    shown = screen(health=health(), diagnostics=operator.view.diagnostics)
+    problems = [line for line in shown if "late" in line]
+    assert problems == ["  ! controller: late", "  ! servo bus: late"]  # that of the state is above
 
 
 def test_an_outdated_state_is_not_shown():

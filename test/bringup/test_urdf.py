@@ -40,7 +40,7 @@ def test_links_form_one_tree_rooted_in_the_base_frame():
     parents = {
         j.find("child").get("link"): j.find("parent").get("link") for j in URDF.findall("joint")
     }
-    assert len(links) == len(set(links)) == 1 + 2 * len(LEGS)
+    assert len(links) == len(set(links)) == 2 + 2 * len(LEGS)
     assert set(links) - set(parents) == {BASE_FRAME}
     for name in links:
         seen = [name]
@@ -51,7 +51,10 @@ def test_links_form_one_tree_rooted_in_the_base_frame():
 
 
 def test_torso_has_the_size_mass_and_inertia_of_the_robot():
-    torso = link(BASE_FRAME)
+    torso = link("torso_link")
+    assert list(link(BASE_FRAME)) == []  # KDL accepts no inertia on the root link
+    assert joint("torso").get("type") == "fixed"
+    assert joint("torso").find("origin") is None
     for kind in ("visual", "collision"):
         size = numbers(torso, f"{kind}/geometry/box", "size")
         np.testing.assert_allclose(size, ROBOT.torso.size, **WRITTEN)

@@ -8,6 +8,7 @@ from slot_core.clock import SECOND
 from slot_core.config import ConfigError
 from slot_core.gait.gait import GaitCommand
 from slot_core.gait.gait_scheduler import SETTLING
+from slot_core.gait.reach import clipped
 from slot_core.gait.route import ARRIVED, LEAD, Route
 from slot_core.geometry import rotate
 
@@ -43,7 +44,9 @@ def test_a_command_with_a_stamp_far_from_the_states_stops_the_robot_and_is_refus
     [
         (lambda s: s.request("trot", NOTHING), "no gait 'trot'"),
         (lambda s: s.request("walk", [np.nan, 0, 0]), r"v_x = nan: gait walk reaches"),
-        (lambda s: s.set_velocity(SECOND, [0, 0, -9.0]), r"yaw rate = -9: gait walk reaches"),
+        (lambda s: s.request("walk", [0, 0, -9.0]), r"yaw rate = -9: gait walk reaches"),
+        (lambda s: s.set_velocity(SECOND, [0, np.inf, 0]), r"velocity \[ 0. inf  0.\]: expected"),
+        (lambda s: s.set_velocity(SECOND, [0, 0]), r"velocity \[0. 0.\]: expected three finite"),
         (lambda s: s.set_pose([np.nan, 0, 0]), r"height = nan: gait walk reaches"),
         (lambda s: s.set_pose([0.06, 0, 1.0]), r"pitch = 1: gait walk reaches \[-0\.09, 0\.09\]"),
     ],
@@ -58,6 +61,42 @@ def test_a_refused_command_changes_nothing_and_names_value_and_limit(call, messa
     for mine, theirs in zip(robot.run(1.0), other.run(1.0)):
         assert (mine.tendon_angle == theirs.tendon_angle).all()
         assert (mine.command.velocity == theirs.command.velocity).all()
+
+
+@pytest.mark.parametrize("gait", GAITS.strides)
+def test_a_velocity_beyond_the_reach_is_clipped_to_it_in_the_same_direction(gait):
+    rng = np.random.default_rng(0)
+    axes, random = np.vstack([np.eye(3), -np.eye(3)]), rng.normal(size=(200, 3)) * [0.1, 0.1, 0.5]
+    for wanted in np.vstack([10.0 * axes, random, 1e6 * random[:3], [[0.5, 0.0, 1.0]]]):
+        given, remark = clipped(GAITS, gait, wanted)
+        GAITS.require_velocity(gait, given)
+        share = np.linalg.norm(given) / np.linalg.norm(wanted)
+        assert given == pytest.approx(share * wanted, rel=1e-12)
+        assert bool(remark) == (share < 1.0)
+        if remark:
+            with pytest.raises(ConfigError, match="reaches"):
+                GAITS.require_velocity(gait, 1.0001 * given)
+        else:
+            assert (given == wanted).all()
+        assert clipped(GAITS, gait, given)[1] == ""
+
+
+def test_a_clipped_velocity_is_said_while_it_is_in_force():
+    robot = Ideal("walk", AHEAD, seconds=2.0)
+    robot.scheduler.set_velocity(robot.now, [0.5, 0.0, 1.0])  # of teleop_twist_keyboard
+    clipped, *_, expired = robot.run(GAITS.velocity_timeout + 0.2)
+    v_x, _, turn = clipped.command.velocity
+    assert turn == pytest.approx(2.0 * v_x)
+    said = f"velocity clipped to the reach of gait walk: v_x 0.5 to {v_x:.3g}, yaw rate 1 to"
+    assert clipped.remark.startswith(said)
+    assert expired.remark == ""
+    robot.scheduler.set_velocity(robot.now, [0.5, 0.0, 0.0])
+    robot.scheduler.request("stand", NOTHING)
+    assert robot.run(0.033)[-1].remark == ""
+    robot.scheduler.set_velocity(robot.now, [0.02, 0.0, 0.0])
+    standing = robot.run(0.033)[-1]
+    assert standing.remark.endswith("gait stand: v_x 0.02 to 0")
+    assert not standing.command.velocity.any()
 
 
 def test_a_request_during_a_blend_waits_for_its_end():

@@ -4,6 +4,7 @@ Setup runs on copies of the packaging files, with a stub of a ROS 2 installation
 requirements: all phases run, and nothing is downloaded.
 """
 
+import configparser
 import os
 import re
 import resource
@@ -27,7 +28,8 @@ COLCON = """#!/bin/bash
 trap 'exit 130' INT  # else bash goes on if the signal comes between two of its children
 echo build >> "$STUBS/calls"
 while [ -e "$STUBS/hold" ]; do sleep 0.05; done
-mkdir -p "$SLOT_ROOT/.slot/install"
+mkdir -p "$SLOT_ROOT/.slot/install/lib/slot_nodes"
+printf '#!/usr/bin/python3\nimport sys\n' > "$SLOT_ROOT/.slot/install/lib/slot_nodes/supervisor"
 """
 # Logs its call; "installs" cmake if that is asked for.
 APT_GET = """#!/bin/bash
@@ -291,6 +293,26 @@ def test_logs_and_caches_go_below_the_repository(ready):
     ).split()
     assert len(paths) == 4
     assert all(Path(path).is_relative_to(ready.home) for path in paths)
+
+
+def test_with_a_ros_installation_python_outside_of_the_venv_keeps_its_own_packages(ready):
+    """The nodes get those of the venv by its Python, which is the first on the path."""
+    shell = ". scripts/env; echo $PYTHONPATH; command -v python3"
+    environment = {name: ready.variables[name] for name in ("STUBS", "SLOT_ROS", "PATH")}
+    given = {"cwd": ready.root, "env": environment, "text": True}
+    path, python = subprocess.check_output(["bash", "-c", shell], **given).splitlines()
+    assert str(ready.stubs) in path.split(":")
+    assert "venv" not in path
+    assert python == str(ready.home / "venv/bin/python3")
+    program = ready.home / "install/lib/slot_nodes/supervisor"
+    assert program.read_text() == "#!/usr/bin/env python3\nimport sys\n"
+
+
+@pytest.mark.parametrize("package", ["src/slot_core", "src/slot_nodes", "slot_bringup"])
+def test_installed_programs_run_under_the_first_python_on_the_path(package):
+    settings = configparser.ConfigParser()
+    settings.read(ROOT / package / "setup.cfg")
+    assert settings["build_scripts"]["executable"] == "/usr/bin/env python3"
 
 
 def test_sourcing_the_environment_twice_changes_nothing():

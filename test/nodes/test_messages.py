@@ -12,6 +12,7 @@ from tf2_msgs.msg import TFMessage
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.inertial_filter import Mount
 from slot_core.gait.gait import GaitCommand, GaitPreview
+from slot_core.geometry import Transform
 from slot_core.messages import decode
 from slot_core.simulation.plant import TrueState
 from slot_core.simulation.sensors import ImuReading, OdometryReading
@@ -73,12 +74,22 @@ def test_state_and_its_transform():
     assert (got.stamp, got.validity, got.lead) == (STAMP, 3, LEAD)
     assert (got.state == state).all()
     assert (got.covariance == estimate.covariance).all()
-    transform = through_dds(messages.state_to_tf(estimate)).transforms[0]
+    transform, footprint = through_dds(messages.state_to_tf(estimate)).transforms
     assert (transform.header.frame_id, transform.child_frame_id) == ("odom", "base_link")
     q = transform.transform.rotation
     yaw_pitch_roll = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_euler("ZYX")
     assert yaw_pitch_roll == pytest.approx([2.0, -0.2, 0.1])
-    assert decode.stamp(transform) == STAMP + LEAD
+    assert decode.stamp(transform) == decode.stamp(footprint) == STAMP + LEAD
+    base, below = (as_transform(t.transform) for t in (transform, footprint))
+    place = base @ below  # in odom: on the floor, level, with the torso's yaw
+    assert place.position == pytest.approx([*state[3:5], 0.0])
+    assert place.rotation == pytest.approx(Rotation.from_euler("z", 2.0).as_matrix())
+    assert (footprint.header.frame_id, footprint.child_frame_id) == ("base_link", "base_footprint")
+
+
+def as_transform(message):
+    q = message.rotation
+    return Transform.of_quaternion(decode.vector(message.translation), [q.x, q.y, q.z, q.w])
 
 
 def test_an_estimate_as_odometry_has_twist_and_covariances_in_their_frames():
@@ -127,6 +138,7 @@ def test_preview():
         velocity_ahead=RNG.random((15, 3)),
         corrected=True,
         command=GaitCommand("stand", RNG.random(3), RNG.random(3)),
+        remark="clipped",
     )
     got = decode.preview(through_dds(messages.preview_to_msg(sent)))
     assert got.command.gait == "stand"

@@ -69,7 +69,7 @@ def load(name: str) -> Any:
     """
     path = config_dir() / f"{name}.yaml"
     try:
-        return parse(_read_text(path))
+        return parse(read_text(path))
     except FileNotFoundError:
         known = ", ".join(sorted(p.stem for p in path.parent.glob("*.yaml")))
         raise ConfigError(f"no configuration {name!r} (known: {known})") from None
@@ -97,7 +97,7 @@ def parse(text: str) -> Any:
     return yaml.load(text, _UniqueKeyLoader)
 
 
-def _read_text(path: Path) -> str:
+def read_text(path: Path) -> str:
     """Text of a regular file of at most SIZE_MAX bytes; raises OSError, ValueError."""
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):

@@ -1,7 +1,9 @@
-"""Check that Python finds the libraries that scripts/setup installs below .slot."""
+"""The libraries that scripts/setup installs below .slot, for programs under another Python."""
 
+import os
 import sys
 from importlib.util import find_spec
+from pathlib import Path
 
 LIBRARIES = ("numba", "numpy", "rosbags", "scipy", "yaml")
 
@@ -9,12 +11,18 @@ LIBRARIES = ("numba", "numpy", "rosbags", "scipy", "yaml")
 def require_libraries() -> None:
     """End a program with one line if Python does not find a library that all programs import.
 
-    With an installation of ROS the programs run under the system's Python, which finds them only
-    in a terminal in which scripts/env was sourced.
+    `ros2 launch` runs under the system's Python. In a terminal in which scripts/env was sourced it
+    finds here what its own packages lack.
     """
-    missing = [name for name in LIBRARIES if find_spec(name) is None]
-    if missing:
+    if _missing():
+        venv = Path(os.environ.get("VIRTUAL_ENV", os.devnull))
+        sys.path += [str(path) for path in venv.glob("lib/python3*/site-packages")]
+    if missing := _missing():
         sys.exit(
             f"Python finds no {', '.join(missing)}: in a new terminal first source scripts/env of"
             " the SLOT repository, then install/setup.bash"
         )
+
+
+def _missing() -> list[str]:
+    return [name for name in LIBRARIES if find_spec(name) is None]

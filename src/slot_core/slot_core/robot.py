@@ -29,6 +29,7 @@ TENDON_JOINTS = tuple(f"{leg}_tendon" for leg in LEGS)
 GRAVITY = 9.81  # m/s^2, the value of the paper
 ODOM_FRAME = "odom"
 BASE_FRAME = "base_link"
+FOOTPRINT_FRAME = "base_footprint"  # below base_link, on the floor of odom (REP-120)
 
 
 @dataclass(frozen=True)

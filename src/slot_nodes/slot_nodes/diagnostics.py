@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
+from typing import TYPE_CHECKING
+
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from slot_core.hardware_error import hardware_errors
-from slot_core.servos.servo_state import Cycle, ServoStatus
-from slot_core.servos.session import BusPace, ServoSession
 from slot_nodes import messages
+
+if TYPE_CHECKING:  # a node imports only the core modules that it runs
+    from slot_core.servos.servo_state import Cycle, ServoStatus
+    from slot_core.servos.session import BusPace, ServoSession
 
 ERROR_RATE_WARNING = 0.05  # share of exchanges that failed
 
@@ -22,14 +27,14 @@ def to_msg(
     active = session.bus.active
     found = [_servo(s, active, silent.get(s.leg, ""), load) for s, load in zip(servos, loads)]
     array = DiagnosticArray(header=messages.header(stamp, ""), status=[_bus(session, pace), *found])
-    for status in array.status:
-        status.hardware_id = session.bus.facts.brand
+    for found_status in array.status:
+        found_status.hardware_id = session.bus.facts.brand
     return array
 
 
 def _bus(session: ServoSession, pace: BusPace) -> DiagnosticStatus:
     level = DiagnosticStatus.ERROR if session.watchdog.overdue else DiagnosticStatus.OK
-    return _status(
+    return status(
         "servo bus",
         level,
         session.reason or "commands pass",
@@ -47,24 +52,25 @@ def _servo(health: ServoStatus, active: bool, silent: str, load: float | None) -
     if not faults and health.error_rate > ERROR_RATE_WARNING:
         level = DiagnosticStatus.WARN
     errors = health.hardware_error
-    return _status(
+    return status(
         health.name,
         level,
         "; ".join(faults) or "sound",
-        temperature_C=_number(health.temperature),
-        voltage_V=_number(health.voltage),
-        load_share=_number(load),
+        temperature_C=number(health.temperature),
+        voltage_V=number(health.voltage),
+        load_share=number(load),
         torque={None: "", True: "on", False: "off"}[health.torque],
         hardware_errors="" if errors is None else hardware_errors(errors),
         error_rate=f"{health.error_rate:.4f}",
     )
 
 
-def _status(name: str, level: bytes, message: str, **values: str) -> DiagnosticStatus:
+def status(name: str, level: bytes, message: str, **values: str) -> DiagnosticStatus:
+    """One status with its values."""
     pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
     return DiagnosticStatus(level=level, name=name, message=message, values=pairs)
 
 
-def _number(value: float | None) -> str:
+def number(value: float | None) -> str:
     """Three significant digits; "" if the value is not known."""
-    return "" if value is None else f"{value:.3g}"
+    return "" if value is None or math.isnan(value) else f"{value:.3g}"

@@ -1,8 +1,9 @@
 """`/mpc_state`, `/cmd_vel`, `/body_pose` and the service `set_gait` to the preview of the gait."""
 
 from dataclasses import replace
+from functools import partial
 
-from geometry_msgs.msg import PoseStamped, TwistStamped
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from rclpy.node import Node
 from std_srvs.srv import SetBool
 
@@ -17,6 +18,8 @@ from slot_msgs.msg import GaitPreview, MpcState
 from slot_msgs.srv import SetGait
 from slot_nodes import inputs, messages, qos, runtime
 
+SEARCH_PERIOD = 1.0  # s, between two looks for publishers of /cmd_vel of the other type
+
 
 class GaitSchedulerNode(Node):
     """Runs the gait scheduler; publishes a preview for every state, with its stamp."""
@@ -30,9 +33,12 @@ class GaitSchedulerNode(Node):
         springs = read_springs()
         self._scheduler = GaitScheduler(settings, read_robot(), springs, STAND, None, path)
         self._preview = runtime.publisher(self, GaitPreview, "gait_preview", qos.CONTROL)
-        inputs.subscribe(
-            self, TwistStamped, "cmd_vel", self._on_velocity, qos.SENSOR, overridable=True
-        )
+        text = "type of /cmd_vel: TwistStamped, else Twist as of Nav2 and teleop without options"
+        stamped = runtime.declare(self, "stamped_cmd_vel", True, text)
+        self._wrong_type = ""  # one line on publishers of /cmd_vel of the other type
+        kind = TwistStamped if stamped else Twist
+        inputs.subscribe(self, kind, "cmd_vel", self._on_velocity, qos.SENSOR, overridable=True)
+        runtime.wall_timer(self, SEARCH_PERIOD, partial(self._look_for_wrong_type, stamped))
         inputs.subscribe(
             self, PoseStamped, "body_pose", self._on_pose, qos.SENSOR, overridable=True
         )
@@ -44,9 +50,23 @@ class GaitSchedulerNode(Node):
         estimate = decode.estimate(message)
         inputs.require_finite("state", estimate.state)
         preview = self._scheduler.step(estimate.time, estimate.state)
-        self._preview.publish(messages.preview_to_msg(replace(preview, stamp=estimate.stamp)))
+        remark = preview.remark or self._wrong_type
+        preview = replace(preview, stamp=estimate.stamp, remark=remark)
+        self._preview.publish(messages.preview_to_msg(preview))
 
-    def _on_velocity(self, message: TwistStamped) -> None:
+    def _look_for_wrong_type(self, stamped: bool) -> None:
+        """Find publishers of /cmd_vel whose messages do not arrive, since their type is another."""
+        wrong, change = ("Twist", "false") if stamped else ("TwistStamped", "true")
+        found = self.get_publishers_info_by_topic("cmd_vel")
+        nodes = [info.node_name for info in found if info.topic_type.endswith(f"/{wrong}")]
+        before, self._wrong_type = self._wrong_type, ""
+        if nodes:
+            wanted = f"start with stamped_cmd_vel {change}"
+            self._wrong_type = f"cmd_vel of {nodes[0]} is not heard, a {wrong}: {wanted}"
+        if self._wrong_type not in ("", before):
+            self.get_logger().warning(self._wrong_type)
+
+    def _on_velocity(self, message: TwistStamped | Twist) -> None:
         """Set the velocity; a zero stamp, as of a plain `ros2 topic pub`, stands for now."""
         stamp, velocity = decode.velocity(message)
         try:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from array import array
+from collections.abc import Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +13,7 @@ import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import Point, Quaternion, TransformStamped, Vector3
 from nav_msgs.msg import Odometry
+from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image, Imu, JointState
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
@@ -19,7 +22,7 @@ from slot_core.clock import SECOND
 from slot_core.gait import gait
 from slot_core.geometry import rotation_of
 from slot_core.messages import decode
-from slot_core.robot import BASE_FRAME, ODOM_FRAME, TENDON_JOINTS, Array
+from slot_core.robot import BASE_FRAME, FOOTPRINT_FRAME, ODOM_FRAME, TENDON_JOINTS, Array
 from slot_msgs import msg as slot_msgs
 from slot_msgs.msg import ForceMapStatus, GaitPreview, LegStates, MpcState, RobotState, TendonPlan
 from slot_msgs.srv import SetGait
@@ -194,23 +197,36 @@ def state_to_msg(estimate: Estimate) -> MpcState:
 
 
 def state_to_tf(estimate: Estimate) -> TFMessage:
-    """Transform from odom to base_link."""
-    transform = TransformStamped(header=header(estimate.time), child_frame_id=BASE_FRAME)
-    transform.transform.translation = _vector(estimate.state[3:6])
-    transform.transform.rotation = _quaternion(rotation_of(estimate.state[0:3]).as_quat())
-    return TFMessage(transforms=[transform])
+    """Transforms from odom to base_link, and from there to its footprint on the floor."""
+    position, attitude = estimate.state[3:6], rotation_of(estimate.state[0:3])
+    to_base = attitude.inv()
+    below = to_base.apply([0.0, 0.0, -position[2]])
+    level = to_base * rotation_of([0.0, 0.0, estimate.state[2]])
+    return TFMessage(
+        transforms=[
+            _transform(header(estimate.time), BASE_FRAME, position, attitude),
+            _transform(header(estimate.time, BASE_FRAME), FOOTPRINT_FRAME, below, level),
+        ]
+    )
 
 
 def mounts_to_tf(*mounts: Mount) -> TFMessage:
     """Transforms from base_link to the frames of sensors; none for a sensor in base_link."""
-    transforms = []
-    for mount in mounts:
-        if mount.frame != BASE_FRAME:
-            place = TransformStamped(header=header(0, BASE_FRAME), child_frame_id=mount.frame)
-            place.transform.translation = _vector(np.array(mount.position))
-            place.transform.rotation = _quaternion(rotation_of(np.array(mount.rpy)).as_quat())
-            transforms.append(place)
-    return TFMessage(transforms=transforms)
+    return TFMessage(
+        transforms=[
+            _transform(header(0, BASE_FRAME), m.frame, np.array(m.position), rotation_of(m.rpy))
+            for m in mounts
+            if m.frame != BASE_FRAME
+        ]
+    )
+
+
+def _transform(head: Header, child: str, position: Array, attitude: Rotation) -> TransformStamped:
+    """Place of a frame in that of the header."""
+    made = TransformStamped(header=head, child_frame_id=child)
+    made.transform.translation = _vector(position)
+    made.transform.rotation = _quaternion(attitude.as_quat())
+    return made
 
 
 def estimate_to_odometry(estimate: Estimate) -> Odometry:
@@ -248,13 +264,21 @@ def preview_to_msg(preview: gait.GaitPreview) -> GaitPreview:
         followed=preview.command.followed,
         velocity=preview.command.velocity,
         pose=preview.command.pose,
+        remark=preview.remark,
     )
 
 
 def plan_to_msg(
-    plan: policy.TendonPlan, preview: gait.GaitPreview, elapsed: float, pace: Pace
+    plan: policy.TendonPlan,
+    preview: gait.GaitPreview,
+    elapsed: float,
+    pace: Pace,
+    changes: Mapping[str, Any] | None = None,
 ) -> TendonPlan:
-    """Plan for a preview with its stamp; `elapsed`: time of the policy's step, s."""
+    """Plan for a preview with its stamp; `elapsed`: time of the policy's step, s.
+
+    changes: settings of the policy that were changed while it ran, by dotted name.
+    """
     report = vars(plan.report)
     arrays = [name for name, value in report.items() if isinstance(value, np.ndarray)]
     return TendonPlan(
@@ -274,6 +298,8 @@ def plan_to_msg(
         overruns=pace.overruns,
         skipped=pace.skipped,
         period=preview.period,
+        remark=preview.remark,
+        settings=json.dumps(changes) if changes else "",
         **report | {name: report[name].tolist() for name in arrays},
     )
 

@@ -1,11 +1,19 @@
-"""`/mpc_state` and `/gait_preview` to `/tendon_plan`."""
+"""`/mpc_state` and `/gait_preview` to `/tendon_plan`.
+
+The settings of the policy are parameters that can be set while the robot stands; every plan names
+those that were changed.
+"""
 
 import time
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
+from slot_core import config
 from slot_core.control.pace import Pace
 from slot_core.control.policy import DEFAULT_POLICY, Status, policy_class
+from slot_core.control.tuned_policy import TunedPolicy
 from slot_core.estimation.time_synchronizer import TimeSynchronizer
 from slot_core.messages import decode
 from slot_core.robot import read_robot
@@ -23,11 +31,11 @@ class MpcControllerNode(Node):
         text = "policy by its name, or a Python file with one"
         name = runtime.declare(self, "policy", DEFAULT_POLICY, text)
         kind = policy_class(name)
-        settings = runtime.declare_settings(self, kind.read_settings(name))
+        settings = runtime.declare_settings(self, kind.read_settings(name), read_only=False)
         simulated = self.get_parameter("use_sim_time").value  # a plan takes no simulated time
-        self._policy = kind(
-            read_robot(), settings, (lambda: 0.0) if simulated else time.perf_counter
-        )
+        robot, timer = read_robot(), (lambda: 0.0) if simulated else time.perf_counter
+        self._policy = TunedPolicy(lambda settings: kind(robot, settings, timer), settings)
+        self._names = {setting for setting, _, _ in config.leaves(settings)}
         self._pace, self._stamp = Pace(), 0
         self._preparation = runtime.wall_timer(self, PREPARE_AFTER, self._prepare)
         self._preparation.cancel()
@@ -35,6 +43,18 @@ class MpcControllerNode(Node):
         self._plans = runtime.publisher(self, TendonPlan, "tendon_plan", qos.CONTROL)
         inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.STATE, numbered=True)
         inputs.subscribe(self, GaitPreview, "gait_preview", self._on_preview, qos.STATE)
+        self.add_on_set_parameters_callback(self._on_parameters)
+
+    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Change settings of the policy, or say why not."""
+        given = {p.name: runtime.plain_value(p.value) for p in parameters if p.name in self._names}
+        try:
+            if given:
+                self._policy.change(given)
+                self.get_logger().info(f"changed: {given}")
+        except config.ConfigError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
 
     def _on_state(self, message: MpcState, number: int) -> None:
         estimate = decode.estimate(message)
@@ -54,7 +74,8 @@ class MpcControllerNode(Node):
         plan = self._policy.step(estimate, preview)
         elapsed = time.perf_counter() - start
         self._pace.add(number, elapsed, preview.dt)
-        self._plans.publish(messages.plan_to_msg(plan, preview, elapsed, self._pace))
+        changes = self._policy.changes
+        self._plans.publish(messages.plan_to_msg(plan, preview, elapsed, self._pace, changes))
         self._preparation.reset()
         if plan.status != Status.SOLVED:
             self.get_logger().warning(

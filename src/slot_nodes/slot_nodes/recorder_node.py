@@ -43,7 +43,8 @@ class RecorderNode(Node):
 
     def __init__(self) -> None:
         super().__init__("recorder")
-        self._settings = read_record_settings(self.get_namespace())
+        stamped = runtime.declare(self, "stamped_cmd_vel", True, "/cmd_vel is a TwistStamped")
+        self._settings = read_record_settings(self.get_namespace(), stamped)
         path = runtime.declare(self, "bag", "", "directory of the bag, which must not exist")
         about = runtime.declare(
             self, "about", "{}", "arguments of the graph, JSON: kept in the bag"

@@ -144,8 +144,8 @@ def _init() -> None:
         raise config.ConfigError(" ".join(str(error).split())) from None
 
 
-def declare_settings(node: Node, settings: T, prefix: str = "") -> T:
-    """Declare each value of a settings object as a read-only parameter; return it as overridden.
+def declare_settings(node: Node, settings: T, prefix: str = "", read_only: bool = True) -> T:
+    """Declare each value of a settings object as a parameter; return it as overridden.
 
     Defaults are the values of `config/*.yaml`; bounds and descriptions are those of the fields.
     Raises ConfigError for a value outside its bounds.
@@ -153,22 +153,30 @@ def declare_settings(node: Node, settings: T, prefix: str = "") -> T:
     changes = {}
     for name, value, meta in config.leaves(settings):
         default = list(value) if isinstance(value, tuple) else value
-        given = declare(node, prefix + name, default, **_descriptor(meta, value))
-        changes[name] = given if isinstance(given, (bool, int, float, str)) else tuple(given)
+        given = declare(
+            node, prefix + name, default, read_only=read_only, **_descriptor(meta, value)
+        )
+        changes[name] = plain_value(given)
     return config.replace(settings, changes, where=f"parameters of {node.get_name()}")
+
+
+def plain_value(value: Any) -> Any:
+    """Value of a parameter as in a settings object; of an array a list."""
+    return value if isinstance(value, (bool, int, float, str)) else list(value)
 
 
 def declare(
     node: Node, name: str, default: Any, description: str,
-    *, between: tuple[float, float] | None = None, **descriptor: Any,
+    *, between: tuple[float, float] | None = None, read_only: bool = True, **descriptor: Any,
 ) -> Any:  # fmt: skip
-    """Declare one read-only parameter, a number `between` two ones, and return its value."""
+    """Declare one parameter, a number `between` two ones, and return its value."""
     if between is not None:
         field, kind = _RANGES[type(default)]
         descriptor[field] = [kind(from_value=between[0], to_value=between[1])]
     return node.declare_parameter(
-        name, default, ParameterDescriptor(description=description, read_only=True, **descriptor)
-    ).value
+        name, default,
+        ParameterDescriptor(description=description, read_only=read_only, **descriptor),
+    ).value  # fmt: skip
 
 
 class PrefixedPublisher(Publisher):

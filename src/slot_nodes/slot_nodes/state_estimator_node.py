@@ -1,5 +1,8 @@
-"""`/odom` and `/imu` to `/mpc_state`, `/odometry/filtered`, `/tf` and `/tf_static`."""
+"""`/odom` and `/imu` to `/mpc_state`, `/odometry/filtered`, `/tf`, `/tf_static`, `/diagnostics`."""
 
+from functools import partial
+
+from diagnostic_msgs.msg import DiagnosticStatus
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from sensor_msgs.msg import Imu
@@ -11,6 +14,7 @@ from slot_core.estimation.state_estimator import StateEstimator, read_estimator
 from slot_core.messages import decode
 from slot_msgs.msg import MpcState
 from slot_nodes import inputs, messages, qos, runtime
+from slot_nodes.graph_diagnostics import GraphDiagnostics, of_estimator
 
 
 class StateEstimatorNode(Node):
@@ -29,6 +33,7 @@ class StateEstimatorNode(Node):
         self._filtered = runtime.publisher(self, Odometry, "odometry/filtered", qos.SENSOR)
         mounts = runtime.publisher(self, TFMessage, "tf_static", qos.STATE)
         mounts.publish(messages.mounts_to_tf(settings.mounts.imu, settings.mounts.camera))
+        self._diagnostics = GraphDiagnostics(self)
         profile = inputs.sensor_profile(self, qos.SENSOR)
         self._imu = inputs.subscribe(self, Imu, "imu", self._on_imu, profile)
         inputs.subscribe(self, Odometry, "odom", self._on_odometry, profile)
@@ -57,11 +62,16 @@ class StateEstimatorNode(Node):
         while (estimate := self._estimator.poll()) is not None:
             self._state.publish(messages.state_to_msg(estimate))
             self._tf.publish(messages.state_to_tf(estimate))
+            describe = partial(self._describe, estimate.validity)
+            self._diagnostics.publish(estimate.stamp, describe)
             if estimate.validity != Validity.VALID:
                 self.get_logger().warning(
                     f"state at {to_seconds(estimate.stamp):.3f} s: {estimate.validity.name}",
                     throttle_duration_sec=1.0,
                 )
+
+    def _describe(self, validity: Validity) -> list[DiagnosticStatus]:
+        return [of_estimator(validity, self._estimator.incline)]
 
 
 def main() -> None:

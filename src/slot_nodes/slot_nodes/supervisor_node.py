@@ -1,5 +1,7 @@
 """The supervisor: inputs from the whole graph, `/robot_state` out, requests as services.
 
+It also sums up the graph on `/diagnostics`: its conditions, the controller, the disturbances.
+
 The driver of the servos, real or simulated, obeys `/robot_state` and the limits on `/servo_limits`;
 it subscribes to the commands itself. On entering WALKING the supervisor requests the gait from the
 gait scheduler, on entering any other state but HOLD it requests standing. It also tells the gait
@@ -42,6 +44,7 @@ from slot_msgs.msg import (
 )
 from slot_msgs.srv import ForgetSource, SetGait
 from slot_nodes import inputs, messages, qos, runtime
+from slot_nodes.graph_diagnostics import SupervisorDiagnostics
 
 ESTOP_TYPE = "slot_msgs/msg/EmergencyStop"
 LIMITS_PERIOD = 1.0  # s, between two messages with the limits of the servos
@@ -65,6 +68,7 @@ class SupervisorNode(Node):
         self._gathered = LockstepInputs()
         self._last: Report | None = None
         self._state = runtime.publisher(self, RobotState, "robot_state", qos.STATE)
+        self._diagnostics = SupervisorDiagnostics(self, robot.mass)
         self._limits = self.create_publisher(ServoLimits, "servo_limits", qos.STATE)
         self._servo_limits = messages.limits_to_msg(settings.servo_limits)
         self._send_limits()
@@ -145,9 +149,12 @@ class SupervisorNode(Node):
         self._take("state_estimator", estimate.stamp, receive, estimate)
 
     def _on_plan(self, message: TendonPlan) -> None:
-        given = message.status, message.fallback_cycles, message.period
-        receive = self._supervisor.receive_from_mpc
-        self._take("mpc_controller", decode.stamp(message), receive, *given)
+        self._take("mpc_controller", decode.stamp(message), self._receive_plan, message)
+
+    def _receive_plan(self, now: int, plan: TendonPlan) -> None:
+        self._diagnostics.plan = plan
+        given = plan.status, plan.fallback_cycles, plan.period
+        self._supervisor.receive_from_mpc(now, *given)
 
     def _on_command(self, message: JointState) -> None:
         stamp, angle, rate = decode.joint_command(message)
@@ -207,7 +214,7 @@ class SupervisorNode(Node):
         now = self._now()
         if waiting := self._start_up.request_next(self._supervisor, now):
             self.get_logger().info(waiting, throttle_duration_sec=5.0, skip_first=True)
-        report = self._supervisor.step(now)
+        report = self._diagnostics.with_remark(self._supervisor.step(now))
         self._note(report)
         self._state.publish(messages.robot_state_to_msg(now, report))
         self._make_requests()
@@ -222,7 +229,7 @@ class SupervisorNode(Node):
             return
         self._awaited, self._stepped = None, stamp
         self._gathered.pass_to(self._ticked, health)
-        self._unsent = self._ticked.step(stamp, health)
+        self._unsent = self._diagnostics.with_remark(self._ticked.step(stamp, health))
         self._note(self._unsent)
         self._send()
 
@@ -247,6 +254,7 @@ class SupervisorNode(Node):
     def _note(self, report: Report) -> None:
         """Compare a report with the last one, for a transition and whether the servos follow."""
         last, self._last = self._last, report
+        self._diagnostics.publish(self._now(), report)
         if last is None or report.followed != last.followed:
             self._wanted["followed"] = SetBool.Request(data=report.followed)
         if last is None or (report.state, report.since) != (last.state, last.since):

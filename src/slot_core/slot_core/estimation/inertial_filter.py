@@ -14,6 +14,7 @@ The arithmetic is compiled: `filter_kernels.py`.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -301,6 +302,17 @@ class InertialFilter:
     def gyro_bias(self) -> Array:
         """Estimated gyro bias (3,) rad/s, in base_link."""
         return self._state.bias[0].copy()
+
+    @property
+    def incline(self) -> tuple[float, float]:
+        """Angle between the z axis of odom and gravity, and its standard deviation, rad.
+
+        It is part of the bias of the specific force; the accelerometer's own is the other part.
+        """
+        bias = Rotation.from_quat(self._state.attitude).apply(self._state.bias[1])
+        variance = np.linalg.eigvalsh(self._state.cov[FORCE_BIAS, FORCE_BIAS])[-1]
+        share = min(1.0, math.hypot(*bias[:2]) / GRAVITY)
+        return math.asin(share), math.sqrt(max(variance, 0.0)) / GRAVITY
 
     def output(self) -> tuple[Array, Array]:
         """State (12,) and covariance (12, 12) of `Estimate`; the covariance is of first order."""

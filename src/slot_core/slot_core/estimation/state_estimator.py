@@ -89,6 +89,11 @@ class StateEstimator:
         """Estimated gyro bias (3,) rad/s, in base_link."""
         return self._filter.gyro_bias
 
+    @property
+    def incline(self) -> tuple[float, float]:
+        """Angle of the floor of odom and its standard deviation, rad, see `InertialFilter`."""
+        return self._filter.incline
+
     def add_imu(self, stamp: int, angular_velocity: Array, specific_force: Array) -> None:
         """Add an IMU sample: stamp (ns), (3,) rad/s and (3,) m/s^2 in the frame of the IMU."""
         rate = _vector(angular_velocity, 3, self._settings.imu.gyro_max)

@@ -284,7 +284,7 @@ class GaitSettings:
         if len(velocity) != 3:
             raise config.ConfigError(f"velocity: {len(velocity)} values, not v_x, v_y, yaw rate")
         for value, most, label in zip(velocity, gait.speeds, SPEED_NAMES):
-            if not abs(value) <= most:
+            if not abs(value) <= most + ROUNDING:
                 raise config.ConfigError(
                     f"{label} = {value:g}: gait {name} reaches [{0.0 - most:g}, {most:g}]"
                 )
@@ -341,6 +341,7 @@ class GaitPreview:
     velocity_ahead: Array  # (n, 3) v_x, v_y m/s, yaw rate rad/s of the reference, heading frame
     corrected: bool  # whether a policy may correct the angles: loaded legs follow them
     command: GaitCommand  # that was in force
+    remark: str = ""  # one line on a command that is followed in part only, or not at all
 
     @property
     def phases(self) -> Array:

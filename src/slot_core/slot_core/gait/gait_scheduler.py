@@ -16,6 +16,7 @@ from slot_core.gait.gait import (
     Posture,
     Stride,
 )
+from slot_core.gait.reach import clipped
 from slot_core.gait.reference import limited, moved, places_ahead, reference
 from slot_core.gait.route import Route
 from slot_core.geometry import wrapped
@@ -100,20 +101,22 @@ class GaitScheduler:
         self._settings.require_velocity(gait, velocity)
         wanted = self._settings.find(gait)
         self._requested, self._wanted = gait, np.array(velocity, dtype=float)
+        self._remark = ""  # what of the velocity is clipped
         self._wanted_pose = self._home(wanted)
         self._command_stamp: int | None = None  # ns, of the velocity; None: it does not expire
 
     def set_velocity(self, stamp: int, velocity: Array) -> None:
         """Set the velocity of the requested gait; after `velocity_timeout` it becomes zero.
 
-        stamp: ns, on the clock of the states. Raises ConfigError as `request` does, and for a stamp
-        further than `velocity_timeout` from the last state's. Such a command stops the robot, since
-        it may have been a late stop.
+        stamp: ns, on the clock of the states. What the gait does not reach is clipped, in the same
+        direction. Raises ConfigError for a velocity that is not finite, and for a stamp further
+        than `velocity_timeout` from the last state's. Such a command stops the robot, since it may
+        have been a late stop.
         """
-        self._settings.require_velocity(self._requested, velocity)
-        self._wanted, self._command_stamp = np.array(velocity, dtype=float), stamp
+        self._wanted, self._remark = clipped(self._settings, self._requested, velocity)
+        self._command_stamp = stamp
         if self._stamp is not None and self._is_expired(self._stamp):
-            self._wanted = np.zeros(3)
+            self._stop()
             raise ConfigError(
                 f"stamp is {to_seconds(stamp - self._stamp):+.3f} s from the state's (limit "
                 f"{self._settings.velocity_timeout:g} s), velocity set to zero"
@@ -139,7 +142,7 @@ class GaitScheduler:
     def step(self, stamp: int, state: Array) -> GaitPreview:
         """Preview from `stamp` (ns) on, at `state` (12,)."""
         if self._is_expired(stamp):
-            self._wanted = np.zeros(3)
+            self._stop()
         elapsed = 0.0 if self._stamp is None else to_seconds(stamp - self._stamp)
         self._stamp = stamp
         if not 0.0 <= elapsed <= LONGEST_GAP:
@@ -152,6 +155,10 @@ class GaitScheduler:
         self._approach_commands(elapsed, state)
         self._stride(elapsed, state)
         return self._preview(stamp, state)
+
+    def _stop(self) -> None:
+        """Command no velocity."""
+        self._wanted, self._remark = np.zeros(3), ""
 
     def _has_jumped(self, elapsed: float, state: Array) -> bool:
         """Whether the robot is further from where it was seen last than it can move."""
@@ -260,6 +267,7 @@ class GaitScheduler:
             command=GaitCommand(
                 self._requested, self._wanted.copy(), self._wanted_pose.copy(), self._followed
             ),
+            remark=self._remark,
         )
 
     def _ahead(self, times: Array, state: Array) -> tuple[Array, Array]:

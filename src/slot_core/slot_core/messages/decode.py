@@ -88,9 +88,9 @@ def imu(message: Any) -> tuple[int, Array, Array]:
 
 
 def velocity(message: Any) -> tuple[int, Array]:
-    """(stamp, [v_x, v_y, yaw rate]) of a TwistStamped in base_link."""
-    twist = message.twist
-    return stamp(message), np.array([twist.linear.x, twist.linear.y, twist.angular.z])
+    """(stamp, [v_x, v_y, yaw rate]) of a TwistStamped in base_link, or of a Twist with stamp 0."""
+    when, twist = (stamp(message), message.twist) if hasattr(message, "header") else (0, message)
+    return when, np.array([twist.linear.x, twist.linear.y, twist.angular.z])
 
 
 def body_pose(message: Any) -> Array:
@@ -171,6 +171,7 @@ def preview(message: Any) -> GaitPreview:
             np.array(message.pose),
             getattr(message, "followed", True),  # not in older bags
         ),
+        remark=getattr(message, "remark", ""),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import subprocess
 import zipfile
 from collections.abc import Mapping
@@ -15,7 +16,10 @@ from slot_core import config
 
 ORIGIN = "slot"  # name of the MCAP metadata record
 CONFIGURATION = "config.zip"  # name of the attachment
-FILES = {"path": "path.csv", "calibration": "camera.yaml", "policy": "policy.py"}
+FILES = {
+    "path": "path.csv", "calibration": "camera.yaml", "policy": "policy.py",
+    "params_file": "params.yaml",
+}  # fmt: skip
 """Attachments by the argument that names their file."""
 
 
@@ -71,12 +75,17 @@ def configuration() -> dict[str, bytes]:
 
 
 def revision() -> str:
-    """Commit of the sources (`-dirty` with changes), else the version of the package."""
+    """Commit of the sources (`-dirty` with changes), else $SLOT_REVISION, else the version.
+
+    An image without .git names its commit by that variable.
+    """
     sources = Path(__file__).resolve().parent
     command = ["git", "-C", str(sources), "describe", "--always", "--dirty", "--abbrev=10"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=False)
-        return done.stdout.strip() if done.returncode == 0 else f"version {version('slot_core')}"
+        if done.returncode == 0:
+            return done.stdout.strip()
+        return os.environ.get("SLOT_REVISION") or f"version {version('slot_core')}"
     except (OSError, subprocess.TimeoutExpired, PackageNotFoundError):
         return "unknown"
 

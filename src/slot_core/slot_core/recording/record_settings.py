@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from slot_core import config
 from slot_core.config import choice, quantity, text
 
+VELOCITY = "cmd_vel"
+
 
 @dataclass(frozen=True)
 class RecordedTopic:
@@ -30,9 +32,15 @@ class RecordSettings:
     topics: dict[str, RecordedTopic] = text("recorded topics by name")
 
 
-def read_record_settings(namespace: str = "") -> RecordSettings:
-    """The settings of `config/record.yaml`, topics in a namespace; raises ConfigError."""
+def read_record_settings(namespace: str = "", stamped_cmd_vel: bool = True) -> RecordSettings:
+    """The settings of `config/record.yaml`, topics in a namespace; raises ConfigError.
+
+    stamped_cmd_vel: whether /cmd_vel has the type of the file, else it is a Twist.
+    """
     settings = config.read(RecordSettings, "record")
+    if not stamped_cmd_vel and VELOCITY in settings.topics:
+        plain = dataclasses.replace(settings.topics[VELOCITY], type="geometry_msgs/msg/Twist")
+        settings.topics[VELOCITY] = plain
     topics = {f"{root_of(namespace)}/{name}": topic for name, topic in settings.topics.items()}
     return dataclasses.replace(settings, topics=topics)
 

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, TypeVar
 
+from slot_core import config
 from slot_core.clock import to_ns
 from slot_core.control.force_map import make_force_map, read_force_map, read_springs
-from slot_core.control.policy import DEFAULT_POLICY, TendonPlan, make_policy
+from slot_core.control.policy import DEFAULT_POLICY, TendonPlan, policy_class
+from slot_core.control.tuned_policy import TunedPolicy
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.state_estimator import BEFORE_ALL_TIMES, StateEstimator, read_estimator
 from slot_core.gait.gait import GaitPreview, read_gaits
@@ -19,15 +22,18 @@ from slot_core.gait.gait_scheduler import GaitScheduler
 from slot_core.gait.route import KEPT, Route, read_route
 from slot_core.messages import decode
 from slot_core.recording.origin import FILES
+from slot_core.recording.record_settings import root_of
 from slot_core.robot import read_robot
+from slot_core.ros_parameters import of_node, parse_parameters
 from slot_lab.bags.bag import Bag, BagError
 
 ODOMETRY, PLANS = "/odom", "/tendon_plan"
 SENSORS = (ODOMETRY, "/imu")
-PATH = FILES["path"]
+PATH, PARAMETERS = FILES["path"], FILES["params_file"]
 PREVIEW = ("phase", "period", "dt", "contact", "friction", "normal_force", "tendon_angle",
            "reference", "velocity_ahead", "corrected")  # fmt: skip
 PLAN = ("angle", "rate", "force", "pose", "status", "fallback_cycles")
+T = TypeVar("T")
 Fields = dict[str, Any]
 """Values by the name of the message's field."""
 
@@ -63,6 +69,11 @@ class RecordedStages:
         """Plans by stamp."""
         return self._by_stamp(PLANS, lambda message: decode.plan(message)[1])
 
+    @cached_property
+    def changes(self) -> dict[int, dict[str, Any]]:
+        """Settings of the policy that were changed while it ran, by stamps of the plans."""
+        return self._by_stamp(PLANS, lambda m: json.loads(getattr(m, "settings", "") or "{}"))
+
     def _by_stamp(self, topic: str, convert: Callable[[Any], Any]) -> dict[int, Any]:
         return {decode.stamp(m): convert(m) for m in self.messages[topic]}
 
@@ -86,6 +97,18 @@ class RecordedStages:
             raise BagError(f"{self.bag.path}: its policy is a file, {named}: add --policy FILE")
         return self.own_policy or named
 
+    def settings(self, node: str, settings: T) -> T:
+        """Settings of a node, as the parameter file in the bag has changed them.
+
+        Raises ConfigError for one that does not fit them.
+        """
+        if PARAMETERS not in self.origin.files:
+            return settings
+        found = parse_parameters(self.origin.files[PARAMETERS].decode(), PARAMETERS)
+        given = of_node(found, f"{root_of(self.origin.about.get('namespace', ''))}/{node}")
+        known = {name for name, _, _ in config.leaves(settings)} & given.keys()
+        return config.replace(settings, {name: given[name] for name in known}, node)
+
     @property
     def path(self) -> Route | None:
         """The path that was followed, at the speed of the recorded commands; None without one."""
@@ -107,7 +130,7 @@ def estimates(recorded: RecordedStages) -> dict[int, Fields]:
 
     Readings that the node refuses are left out.
     """
-    settings = read_estimator()
+    settings = recorded.settings("state_estimator", read_estimator())
     estimator = StateEstimator(settings)
     delay = to_ns(settings.timing.command_delay)
     fields = {}
@@ -161,7 +184,8 @@ def _as_they_arrived(recorded: RecordedStages, delay: int) -> Iterator[tuple[str
 
 def previews(recorded: RecordedStages) -> dict[int, Fields]:
     """Gait previews, as fields of GaitPreview, from the recorded states and commands."""
-    gaits, first = read_gaits(), next(iter(recorded.previews.values())).command
+    gaits = recorded.settings("gait_scheduler", read_gaits())
+    first = next(iter(recorded.previews.values())).command
     scheduler = GaitScheduler(
         gaits, recorded.robot, read_springs(), first.gait, first.velocity, recorded.path
     )
@@ -176,9 +200,13 @@ def previews(recorded: RecordedStages) -> dict[int, Fields]:
 
 def plans(recorded: RecordedStages) -> dict[int, Fields]:
     """Plans of the policy, as fields of TendonPlan; its steps take no time."""
-    policy = make_policy(recorded.policy, recorded.robot, timer=lambda: 0.0)
-    fields = {}
+    kind = policy_class(recorded.policy)
+    settings = recorded.settings("mpc_controller", kind.read_settings(recorded.policy))
+    policy = TunedPolicy(lambda s: kind(recorded.robot, s, lambda: 0.0), settings)
+    changes, fields = recorded.changes, {}
     for stamp, estimate, preview, _ in recorded.matched():
+        if changes[stamp] != policy.changes:
+            policy.use(changes[stamp])
         plan = policy.step(estimate, preview)
         policy.prepare()
         fields[stamp] = {name: getattr(plan, name) for name in PLAN} | vars(plan.report)
@@ -187,7 +215,8 @@ def plans(recorded: RecordedStages) -> dict[int, Fields]:
 
 def commands(recorded: RecordedStages) -> dict[int, Fields]:
     """Tendon angles and their rates, as fields of JointState."""
-    force_map = make_force_map(recorded.robot, read_force_map())
+    settings = recorded.settings("force_mapper", read_force_map())
+    force_map = make_force_map(recorded.robot, settings)
     fields = {}
     for stamp, estimate, preview, plan in recorded.matched():
         command = force_map.step(plan, preview, estimate.state)

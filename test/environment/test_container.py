@@ -1,0 +1,47 @@
+"""The container of the robot: its command as a shell makes it, and the revision in its bags."""
+
+import re
+import shlex
+import subprocess
+from pathlib import Path
+
+import pytest
+import yaml
+
+from slot_bringup.graph import read_graph
+from slot_core.recording import origin
+
+ROOT = Path(__file__).parents[2]
+COMPOSE = yaml.safe_load((ROOT / "docker/compose.yaml").read_text())
+ROBOT = COMPOSE["services"]["robot"]
+
+
+def launched(record):
+    """Words of the command that the container runs; compose replaces ${NAME:-default} and $$."""
+    text = re.sub(r"(?<!\\$)\$\{\w+:-(.*?)\}", r"\1", ROBOT["command"]).replace("$$", "$")
+    bash, option, script = shlex.split(text)
+    echoed = script.replace("exec ros2", "echo ros2")
+    environment = {"PATH": "/usr/bin:/bin", "SLOT_RECORD": record}
+    return subprocess.check_output([bash, option, echoed], text=True, env=environment).split()
+
+
+@pytest.mark.parametrize(("record", "bags"), [("1", 1), ("", 0)])
+def test_the_container_of_the_robot_records_to_the_host(record, bags):
+    words = launched(record)
+    assert words[:4] == ["ros2", "launch", "slot_bringup", "slot.launch.py"]
+    given = dict(word.split(":=") for word in words[4:])
+    assert set(given) <= {argument.name for argument in read_graph().arguments}
+    found = [value for name, value in given.items() if name == "bag"]
+    assert len(found) == bags
+    assert all(re.fullmatch(r"/slot/bags/robot_\d{8}_\d{6}", value) for value in found)
+    assert "../bags:/slot/bags" in ROBOT["volumes"]
+
+
+def test_an_image_without_git_names_its_commit(monkeypatch, tmp_path):
+    assert "SLOT_REVISION" in COMPOSE["x-slot"]["build"]["args"]
+    assert "ENV SLOT_REVISION=$SLOT_REVISION" in (ROOT / "docker/Dockerfile").read_text()
+    monkeypatch.setattr(origin, "__file__", str(tmp_path / "origin.py"))
+    monkeypatch.setenv("SLOT_REVISION", "1234abc-dirty")
+    assert origin.revision() == "1234abc-dirty"
+    monkeypatch.delenv("SLOT_REVISION")
+    assert origin.revision().startswith("version ")

@@ -1,0 +1,87 @@
+"""The ROS packages: tests that `colcon test` runs, dependencies that package.xml names."""
+
+import ast
+import configparser
+import os
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = {
+    name: ROOT / path
+    for name, path in {
+        "slot_core": "src/slot_core", "slot_lab": "src/slot_lab", "slot_nodes": "src/slot_nodes",
+        "slot_bringup": "slot_bringup",
+    }.items()
+}  # fmt: skip
+# Keys of rosdep by what is imported; other names are those of ROS packages.
+KEYS = {
+    "clarabel": "python3-clarabel-pip", "cv2": "python3-opencv", "llvmlite": "python3-numba",
+    "matplotlib": "python3-matplotlib", "mcap": "python3-mcap-pip", "numba": "python3-numba",
+    "numpy": "python3-numpy", "PIL": "python3-pil", "piqp": "python3-piqp-pip",
+    "rosbags": "python3-rosbags-pip", "scipy": "python3-scipy", "serial": "python3-serial",
+    "yaml": "python3-yaml",
+}  # fmt: skip
+OPTIONAL = {"cma", "distributed", "rerun"}  # of the extras --bench and --view of scripts/setup
+STARTED = {  # by the launch files, or part of the build
+    "slot_bringup": {"robot_state_publisher", "ros2launch"},
+}
+OWN_KEYS = ROOT / "scripts/rosdep.yaml"
+
+
+def ini(path):
+    settings = configparser.ConfigParser()
+    settings.read(path)
+    return dict(settings["pytest"])
+
+
+def test_colcon_test_runs_every_test_in_one_package_with_the_same_settings():
+    expected, found = ini(ROOT / "test/pytest.ini"), []
+    for folder in PACKAGES.values():
+        settings = ini(folder / "pytest.ini")
+        found += [(folder / name).resolve() for name in settings.pop("testpaths").split()]
+        assert (folder / settings.pop("pythonpath")).resolve() == ROOT / "scripts"
+        assert settings.pop("addopts") == f'{expected["addopts"]} -m "not real_time"'
+        assert settings == {name: expected[name] for name in settings}
+        assert 'extras_require={"test": ["pytest"]}' in (folder / "setup.py").read_text()
+    assert len(found) == len(set(found))
+    files = {Path(folder, name) for folder, _, names in os.walk(ROOT / "test") for name in names}
+    tests = {f for f in files if f.match("test_*.py") and f.parent.name != "real_time"}
+    assert tests == {f for f in tests if not found or any(f.is_relative_to(p) for p in found)}
+    assert all(path.exists() for path in found)
+
+
+def imported(folder, name):
+    """What the modules of a package import, but for itself and the standard library."""
+    found = set()
+    for path in [*(folder / name).rglob("*.py"), *(folder / "launch").glob("*.py")]:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                found |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                found.add(node.module.partition(".")[0])
+    return found - {name, *sys.stdlib_module_names} - OPTIONAL
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_package_names_every_dependency_and_no_other(package):
+    folder = PACKAGES[package]
+    manifest = ElementTree.parse(folder / "package.xml")
+    named = {element.text for element in manifest.findall("exec_depend")}
+    needed = {KEYS.get(name, name) for name in imported(folder, package)}
+    assert named == needed | STARTED.get(package, set())
+    tests = {element.text for element in manifest.findall("test_depend")}
+    assert tests == {"python3-pytest", "python3-pytest-timeout"}
+
+
+def test_keys_that_rosdep_lacks_stand_in_a_list_of_our_own():
+    content = yaml.safe_load(OWN_KEYS.read_text())
+    pinned = (ROOT / "scripts/requirements/runtime.txt").read_text()
+    assert {"python3-clarabel-pip", "python3-mcap-pip", "python3-piqp-pip"} <= set(content)
+    for entry in content.values():
+        (name,) = entry["ubuntu"]["pip"]["packages"]
+        assert f"\n{name}==" in pinned

@@ -1,0 +1,87 @@
+"""Diagnostics of the graph: conditions, overruns, fallbacks and disturbances, without a bus."""
+
+import math
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from slot_core.estimation.estimate import Validity
+from slot_core.safety.states import State
+from slot_msgs.msg import TendonPlan
+from slot_nodes import graph_diagnostics
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+
+@pytest.fixture(scope="module")
+def rig(simulate):
+    return simulate(hardware="sim")
+
+
+def newest(rig, begin):
+    """Newest status of each name since a time, with its values by key."""
+    found = [status for m in rig.since("/diagnostics", begin) for status in m.status]
+    return {s.name: (s.level, s.message, {v.key: v.value for v in s.values}) for s in found}
+
+
+def test_a_walking_robot_is_reported_once_a_second(walking):
+    walking.run(1.0)
+    begin = walking.now()
+    walking.run(5.0)
+    reports = walking.since("/diagnostics", begin)
+    assert len(reports) == pytest.approx(2 * 5, abs=2)  # of supervisor and state estimator
+    found = newest(walking, begin)
+    assert set(found) == {"supervisor", "controller", "disturbances", "state estimator"}
+    assert {level for level, *_ in found.values()} == {OK}
+    assert found["supervisor"][1].startswith("WALKING: ")
+    assert found["controller"][2]["fallback_cycles"] == "0"
+    assert abs(float(found["disturbances"][2]["payload_kg"])) < 0.1
+    assert abs(float(found["state estimator"][2]["incline_deg"])) < 1.0
+
+
+def test_a_lost_estimate_and_a_fault_are_reported_at_once(walking):
+    begin = walking.pause("state_estimator")
+    held, _ = walking.wait_for_state(State.HOLD, begin)
+    level, message, values = newest(walking, held)["supervisor"]
+    assert level == WARN
+    assert message.startswith("HOLD: ")
+    assert values["conditions"].startswith("no command for ")
+    relaxed, reason = walking.wait_for_state(State.RELAX, begin)
+    assert newest(walking, relaxed)["supervisor"][:2] == (ERROR, f"RELAX: {reason}")
+    walking.resume("state_estimator")
+
+
+@pytest.mark.parametrize(
+    ("changes", "passed", "level", "message"),
+    [
+        ({}, (0, 0), OK, "SOLVED"),
+        ({}, (2, 1), WARN, "2 cycles too long, 1 states skipped"),
+        ({"status": TendonPlan.LATE, "message": "30 ms"}, (0, 0), WARN, "LATE 30 ms"),
+        ({"status": TendonPlan.STOPPED, "message": "used up"}, (9, 0), ERROR, "STOPPED used up"),
+    ],
+)
+def test_overruns_and_fallbacks_of_the_controller_are_reported(changes, passed, level, message):
+    status = graph_diagnostics.of_controller(TendonPlan(**changes), passed)
+    assert (status.level, status.message) == (level, message)
+
+
+def test_disturbances_are_in_plain_units_and_empty_where_they_are_unknown():
+    plan = TendonPlan(mass=2.3, drift=[0.03, -0.04, 0.1], wrench=[-2.94, 0.0, 0.1])
+    status = graph_diagnostics.of_disturbances(plan, 2.0)
+    assert status.message == "payload 0.3 kg, slip 50 mm/s"
+    values = {v.key: v.value for v in status.values}
+    assert values["slip_mm_s"] == "30, -40"
+    unknown = graph_diagnostics.of_disturbances(TendonPlan(mass=math.nan), 2.0)
+    assert {v.key: v.value for v in unknown.values}["payload_kg"] == ""
+
+
+@pytest.mark.parametrize(
+    ("validity", "level"),
+    [(Validity.VALID, OK), (Validity.IMU_MISSING, WARN), (Validity.ODOMETRY_LOST, ERROR)],
+)
+def test_the_incline_is_reported_where_it_is_known(validity, level):
+    known = graph_diagnostics.of_estimator(validity, (0.1, 0.01))
+    assert (known.level, known.message) == (level, validity.name)
+    assert [v.value for v in known.values] == ["5.73", "0.573"]
+    vague = graph_diagnostics.of_estimator(validity, (0.1, 0.1))
+    assert [v.value for v in vague.values] == ["", ""]

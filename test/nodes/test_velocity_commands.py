@@ -1,0 +1,65 @@
+"""Velocities as teleop_twist_keyboard and Nav2 publish them: without a stamp, beyond the reach."""
+
+from types import SimpleNamespace
+
+import pytest
+from geometry_msgs.msg import Twist, TwistStamped
+from rclpy.node import Node
+
+from slot_core.gait.gait import read_gaits
+from slot_core.gait.reach import clipped
+from slot_msgs.msg import GaitPreview
+from slot_nodes import qos
+
+PERIOD = 0.05  # s, of a controller of Nav2
+TELEOP = {"v_x": 0.5, "turn": 1.0}  # m/s, rad/s of its first key
+KINDS = {True: TwistStamped, False: Twist}
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def rig(request, simulate):
+    made = simulate(stamped_cmd_vel=request.param)
+    made.stamped = request.param
+    made.subscribe("/gait_preview", GaitPreview, qos.CONTROL)
+    yield made
+    made.close()
+
+
+def drive(rig, v_x, turn, seconds):
+    """Publish a velocity for a time; returns the previews of its end."""
+    message = KINDS[rig.stamped]()
+    twist = message.twist if rig.stamped else message
+    twist.linear.x, twist.angular.z = v_x, turn
+    out = rig.publisher(type(message), "cmd_vel", qos.SENSOR)
+    timer = rig.every(PERIOD, lambda: out.publish(message))
+    rig.run(seconds)
+    timer.cancel()
+    return rig.messages["/gait_preview"][-10:]
+
+
+def test_the_speed_of_a_keyboard_walks_the_robot_as_fast_as_it_can_on_that_curve(walking):
+    begin = walking.now()
+    for preview in drive(walking, **TELEOP, seconds=2.0):
+        v_x, v_y, turn = preview.velocity
+        assert (v_y, turn) == pytest.approx((0.0, 2.0 * v_x))
+        assert v_x == clipped(read_gaits(), "walk", [0.5, 0.0, 1.0])[0][0] > 0.01
+    said = {line for m in walking.since("/robot_state", begin) for line in m.warnings}
+    assert len(said) == 1
+    assert said.pop().startswith("velocity clipped to the reach of gait walk: v_x 0.5 to ")
+    assert walking.log("gait_scheduler") == ""  # nothing is refused
+    walking.run(1.0)
+    assert list(walking.last("/robot_state").warnings) == []
+
+
+def test_a_publisher_of_the_other_type_is_named(walking, monkeypatch):
+    wrong = KINDS[not walking.stamped].__name__
+    found = [SimpleNamespace(node_name="teleop", topic_type=f"geometry_msgs/msg/{wrong}")]
+    monkeypatch.setattr(Node, "get_publishers_info_by_topic", lambda *_: found)
+    walking.run(1.2)
+    change = "false" if walking.stamped else "true"
+    line = f"cmd_vel of teleop is not heard, a {wrong}: start with stamped_cmd_vel {change}"
+    assert list(walking.last("/robot_state").warnings) == [line]
+    assert walking.log_lines("gait_scheduler") == [line]  # once
+    found[0].topic_type = f"geometry_msgs/msg/{KINDS[walking.stamped].__name__}"
+    walking.run(1.2)
+    assert list(walking.last("/robot_state").warnings) == []
