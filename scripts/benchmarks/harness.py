@@ -42,6 +42,8 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.refusal import InputError, quoted
+
 Row = Mapping[str, Any]
 Progress = Callable[[str], None]
 Outcome = tuple[Sequence[Row], Sequence["Check"]]  # of a benchmark
@@ -49,7 +51,7 @@ Outcome = tuple[Sequence[Row], Sequence["Check"]]  # of a benchmark
 ROOT = Path(os.environ.get("SLOT_ROOT") or Path(__file__).resolve().parents[2])
 
 
-class BenchmarkError(ValueError):
+class BenchmarkError(InputError):
     """A benchmark that cannot be run; the message is one line."""
 
 
@@ -180,7 +182,8 @@ def load(name: str, directory: Path) -> ModuleType:
     """Import the module of a benchmark; raises BenchmarkError."""
     benchmarks = known(directory)
     if name not in benchmarks:
-        raise BenchmarkError(f"no benchmark {name!r} (known: {', '.join(benchmarks) or 'none'})")
+        there = ", ".join(benchmarks) or "none"
+        raise BenchmarkError(f"no benchmark {quoted(name)} (known: {there})")
     spec = importlib.util.spec_from_file_location(f"slot_benchmark_{name}", benchmarks[name])
     assert spec is not None
     assert spec.loader is not None

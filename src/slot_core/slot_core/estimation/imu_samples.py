@@ -17,6 +17,14 @@ class ImuSamples:
     stamps: NDArray[np.int64]  # (n,) ns, rising
     values: Array  # (n, 6) angular velocity rad/s, specific force m/s^2
 
+    def __post_init__(self) -> None:
+        """Raise ValueError for values that are not those of the stamps."""
+        if self.stamps.dtype != np.int64 or self.values.shape != (*self.stamps.shape, 6):
+            raise ValueError(
+                f"IMU samples: stamps {self.stamps.dtype} {self.stamps.shape}, values"
+                f" {self.values.shape}: expected int64 (n,), (n, 6)"
+            )
+
     def until(self, stamp: int) -> ImuSamples:
         """The samples up to `stamp`, ns."""
         count = int(np.searchsorted(self.stamps, stamp, side="right"))

@@ -11,7 +11,7 @@ from typing import Any
 
 from slot_core.clock import to_ns
 from slot_core.control.force_map import make_force_map, read_force_map, read_springs
-from slot_core.control.policy import DEFAULT_POLICY, TendonPlan, make_policy
+from slot_core.control.policy import DEFAULT_POLICY, Status, TendonPlan, make_policy
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.state_estimator import BEFORE_ALL_TIMES, StateEstimator, read_estimator
 from slot_core.gait.gait import GaitPreview, read_gaits
@@ -43,6 +43,8 @@ class RecordedStages:
         self.messages: dict[str, list[Any]] = {topic: [] for topic in STAGES}
         topics = [t for t in (*SENSORS, *STAGES) if bag.counts.get(t)]
         for topic, _, message in bag.merged(*topics) if topics else ():
+            with bag.using(topic):
+                decode.stamp(message)
             if topic in STAGES:
                 self.messages[topic].append(message)
             else:
@@ -52,6 +54,19 @@ class RecordedStages:
     def estimates(self) -> dict[int, Estimate]:
         """Estimated states by stamp."""
         return self._by_stamp("/mpc_state", decode.estimate)
+
+    @cached_property
+    def begins_mid_run(self) -> bool:
+        """Whether the states before the first one are not in the bag.
+
+        Before its first valid state an estimator publishes `gate.initial_readings` - 1 states that
+        are initialising. Of a bag without a valid one it is not known: it counts as begun.
+        """
+        found = [estimate.validity for estimate in self.estimates.values()]
+        if Validity.VALID not in found:
+            return False
+        initial = found[: found.index(Validity.VALID)].count(Validity.INITIALISING)
+        return initial < read_estimator().gate.initial_readings - 1
 
     @cached_property
     def previews(self) -> dict[int, GaitPreview]:
@@ -64,7 +79,8 @@ class RecordedStages:
         return self._by_stamp(PLANS, lambda message: decode.plan(message)[1])
 
     def _by_stamp(self, topic: str, convert: Callable[[Any], Any]) -> dict[int, Any]:
-        return {decode.stamp(m): convert(m) for m in self.messages[topic]}
+        with self.bag.using(topic):
+            return {decode.stamp(m): convert(m) for m in self.messages[topic]}
 
     def matched(self) -> Iterator[tuple[int, Estimate, GaitPreview, TendonPlan]]:
         """Estimate, preview and plan of the stamps that have all three, in the order of the states.
@@ -186,10 +202,17 @@ def plans(recorded: RecordedStages) -> dict[int, Fields]:
 
 
 def commands(recorded: RecordedStages) -> dict[int, Fields]:
-    """Tendon angles and their rates, as fields of JointState."""
+    """Tendon angles and their rates, as fields of JointState.
+
+    The first angles that are held are left out of a bag that begins mid-run: they were commanded
+    before.
+    """
     force_map = make_force_map(recorded.robot, read_force_map())
-    fields = {}
+    fields, held = {}, recorded.begins_mid_run
     for stamp, estimate, preview, plan in recorded.matched():
+        held = held and plan.status is Status.STOPPED
+        if held:
+            continue
         command = force_map.step(plan, preview, estimate.state)
         fields[stamp] = {"position": command.angle, "velocity": command.rate}
     return fields
@@ -202,3 +225,5 @@ STAGES: dict[str, tuple[Any, ...]] = {
     "/desired_joint_angles": (commands, "/mpc_state", "/gait_preview", PLANS),
 }
 """By the output of each stage its function here, then its inputs; in the order of the graph."""
+REMEMBERING = ("/mpc_state", "/gait_preview", PLANS)
+"""Outputs of stages that depend on all that came before."""

@@ -27,9 +27,9 @@ import numpy as np
 from slot_core.command_line import (
     INTERRUPTED,
     command_parser,
-    one_line,
     positive_integer,
     progress,
+    show,
     within,
 )
 from slot_core.config import ConfigError, load
@@ -64,11 +64,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("\nscripts/twin: interrupted; the same command continues", file=sys.stderr)
         return INTERRUPTED
     except ModuleNotFoundError as error:
-        parser.exit(2, f"scripts/twin: {error}: run scripts/setup --bench, or give --workers 1\n")
+        parser.error(f"{error}: run scripts/setup --bench, or give --workers 1")
     except ERRORS as error:
-        parser.exit(2, f"scripts/twin: {one_line(error)}\n")
-    print("\n".join(lines))
-    return 0
+        parser.error(str(error))
+    return 0 if show(parser.prog, lines) else 2
 
 
 def _run(options: argparse.Namespace) -> list[str]:

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from slot_core.command_line import command_parser, one_line, within
+from slot_core.command_line import command_parser, show, within
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_lab.bags.bag import BagError
@@ -32,9 +32,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         lines = _run(options)
     except (RecordingError, TableError, BagError, ConfigError, OSError) as error:
-        parser.exit(2, f"scripts/validate: {one_line(error)}\n")
-    print("\n".join(lines))
-    return 0
+        parser.error(str(error))
+    return 0 if show(parser.prog, lines) else 2
 
 
 def _run(options: argparse.Namespace) -> list[str]:
