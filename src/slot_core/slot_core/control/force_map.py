@@ -72,7 +72,8 @@ class ForceMap:
         if plan.status == Status.STOPPED:
             return self._hold(preview)
         count = len(LEGS)
-        checked("force", plan.force, (-1, count, 3), finite=False)
+        if not len(checked("force", plan.force, (-1, count, 3), finite=False)):
+            raise ValueError("force: no stages")
         checked("angle", plan.angle, (-1, count), finite=False)
         checked("rate", plan.rate, (count,), finite=False)
         checked("state", state, (12,), finite=False)

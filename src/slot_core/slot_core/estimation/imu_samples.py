@@ -19,10 +19,12 @@ class ImuSamples:
 
     def __post_init__(self) -> None:
         """Raise ValueError for values that are not those of the stamps."""
-        if self.stamps.dtype != np.int64 or self.values.shape != (*self.stamps.shape, 6):
+        stamps, values = self.stamps, self.values
+        typed = stamps.dtype == np.int64 and values.dtype == np.float64
+        if not typed or stamps.ndim != 1 or values.shape != (len(stamps), 6):
             raise ValueError(
-                f"IMU samples: stamps {self.stamps.dtype} {self.stamps.shape}, values"
-                f" {self.values.shape}: expected int64 (n,), (n, 6)"
+                f"IMU samples: stamps {stamps.dtype} {stamps.shape}, values {values.dtype}"
+                f" {values.shape}: expected int64 (n,), float64 (n, 6)"
             )
 
     def until(self, stamp: int) -> ImuSamples:

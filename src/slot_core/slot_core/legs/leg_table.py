@@ -29,11 +29,11 @@ class LegTable(NamedTuple):
 
     def require_grid(self) -> None:
         """Raise ValueError unless angles and heights are two or more and the table is finite."""
-        shape = (len(self.angle), len(self.height), -1)
-        checked("table", self.table, shape)
-        for name, values in (("angles", self.angle), ("heights", self.height)):
-            if len(values) < 2 or not (np.diff(checked(name, values, (-1,))) > 0.0).all():
-                raise ValueError(f"{name}: expected two or more that rise")
+        grid = [checked("grid", values, (-1,)) for values in (self.angle, self.height)]
+        checked("table", self.table, (*map(len, grid), -1))
+        for values in grid:
+            if len(values) < 2 or not (np.diff(values) > 0.0).all():
+                raise ValueError("grid: expected two or more angles and heights that rise")
 
     def at(self, angle: Array, height: Array) -> Array:
         """Columns (k, c) at angles (k,) rad and heights (k,) m, bilinear; outside: at the edge.

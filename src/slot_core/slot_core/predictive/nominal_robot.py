@@ -55,7 +55,7 @@ class NominalRobot:
 
     def set_wrench(self, wrench: Array, yaw: float) -> None:
         """Set the wrench on the torso: F_z (N) in odom, M_x and M_y (N m) at heading `yaw`."""
-        wrench = checked("wrench", wrench, (3,))
+        wrench, yaw = checked("wrench", wrench, (3,)), float(checked("yaw", yaw, ()))
         self.robot.model.push[2] = wrench[0]
         self.robot.model.push[3:5] = rotate(wrench[1:], yaw)
 

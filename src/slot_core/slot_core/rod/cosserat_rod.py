@@ -167,8 +167,9 @@ class CosseratRod:
         Raises RodError for a negative number or where `samples` does not divide `steps`, and the
         errors of `step`.
         """
-        if min(steps, samples) < 0 or (samples and steps % samples):
-            raise RodError(f"samples {samples} must divide steps {steps}, none below 0")
+        whole = all(isinstance(number, (int, np.integer)) for number in (steps, samples))
+        if not whole or min(steps, samples) < 0 or (samples and steps % samples):
+            raise RodError(f"samples {samples} must divide steps {steps}, integers of 0 or more")
         _need_step(h)
         record = np.zeros((samples, 3))
         self._run(h, steps, loads, record)
@@ -328,7 +329,7 @@ class CosseratRod:
 
 def _need_step(h: float) -> None:
     """Raise RodError for a step (s) that is not finite and above 0."""
-    need(0.0 < h < math.inf, f"step {h} must be above 0 and finite")
+    need(numbers("step", h, ()) > 0.0, f"step {h} must be above 0 and finite")
 
 
 def _checked(name: str, own: Array, state: RodState) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 
 from slot_core import section as moments
 from slot_core.arrays import checked
-from slot_core.refusal import InputError
+from slot_core.refusal import InputError, quoted
 from slot_core.robot import Array
 
 Vector = tuple[float, float, float]
@@ -29,6 +29,31 @@ NONE: Components = (False, False, False)
 
 class RodError(InputError):
     """Invalid argument of a rod; the message names the quantity, its value and the limit."""
+
+
+def need(holds: bool, rule: str) -> None:
+    """Raise RodError with a rule that does not hold."""
+    if not holds:
+        raise RodError(rule)
+
+
+def need_finite(*values: float) -> None:
+    """Raise RodError for a value that is not finite."""
+    need(all(math.isfinite(value) for value in values), f"{values} must be finite")
+
+
+def need_vector(name: str, values: Vector) -> None:
+    """Raise RodError unless there are three finite numbers."""
+    need(np.shape(values) == (3,), f"{name} {quoted(values)} must have 3 components")
+    numbers(name, np.asarray(values), (3,))
+
+
+def numbers(name: str, values: float | Array, shape: tuple[int, ...]) -> Array:
+    """Finite numbers of a shape, a single one for all; raises RodError."""
+    try:
+        return checked(name, np.broadcast_to(np.asarray(values, dtype=np.float64), shape), shape)
+    except (TypeError, ValueError) as error:
+        raise RodError(f"{name}: {error}") from None
 
 
 @dataclass(frozen=True)
@@ -232,7 +257,9 @@ class Support:
     rotation: Components
 
     def __post_init__(self) -> None:
-        need(len(self.position) == len(self.rotation) == 3, f"{self} must hold 3 components each")
+        for held in (self.position, self.rotation):
+            are_three = np.shape(held) == (3,) and np.asarray(held).dtype == bool
+            need(are_three, f"{quoted(held)} must be whether each of 3 components is held")
 
 
 CLAMPED = Support(ALL_COMPONENTS, ALL_COMPONENTS)
@@ -257,28 +284,3 @@ class Loads:
     def __post_init__(self) -> None:
         for name in ("gravity", "force", "moment", "follower"):
             need_vector(name, getattr(self, name))
-
-
-def need(holds: bool, rule: str) -> None:
-    """Raise RodError with a rule that does not hold."""
-    if not holds:
-        raise RodError(rule)
-
-
-def need_finite(*values: float) -> None:
-    """Raise RodError for a value that is not finite."""
-    need(all(math.isfinite(value) for value in values), f"{values} must be finite")
-
-
-def need_vector(name: str, values: Vector) -> None:
-    """Raise RodError unless there are three finite numbers."""
-    need(len(values) == 3, f"{name} {values} must have 3 components")
-    need_finite(*values)
-
-
-def numbers(name: str, values: float | Array, shape: tuple[int, ...]) -> Array:
-    """Finite numbers of a shape, a single one for all; raises RodError."""
-    try:
-        return checked(name, np.broadcast_to(np.asarray(values, dtype=np.float64), shape), shape)
-    except (TypeError, ValueError) as error:
-        raise RodError(f"{name}: {error}") from None
