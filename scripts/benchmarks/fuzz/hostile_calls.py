@@ -199,11 +199,15 @@ def _vision() -> dict[str, CheckedCall]:
     }
 
 
-@functools.cache
-def cases() -> Mapping[str, CheckedCall]:
-    """The calls by name."""
-    makers = (_legs, _robots, _rods, _policies, _estimation, _vision)
-    return {name: case for make in makers for name, case in make().items()}
+GROUPS: Mapping[str, Callable[[], dict[str, CheckedCall]]] = {
+    "legs": _legs,
+    "robots": _robots,
+    "rods": _rods,
+    "policies": _policies,
+    "estimation": _estimation,
+    "vision": _vision,
+}
+"""How the calls are made, by their subject."""
 
 
 def wrong(case: CheckedCall) -> Iterator[tuple[str, Values]]:
@@ -242,7 +246,7 @@ def spoiled_values(array: Any, finite: bool) -> Iterator[tuple[str, Any]]:
 
 def fuzz(count: int, rng: np.random.Generator) -> Outcomes:
     """Count calls, drawn from all that have a wrong argument; each call at least once."""
-    tally, every = Outcomes(), list(cases().items())
+    tally, every = Outcomes(), [item for make in GROUPS.values() for item in make().items()]
     for number in range(count):
         name, case = every[number % len(every)]
         some = list(wrong(case))

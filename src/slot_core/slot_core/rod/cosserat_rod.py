@@ -22,6 +22,7 @@ from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
 from slot_core.divergence import DivergenceError
+from slot_core.refusal import quoted
 from slot_core.robot import Array
 from slot_core.rod import kernels
 from slot_core.rod.mesh import build_mesh
@@ -329,7 +330,8 @@ class CosseratRod:
 
 def _need_step(h: float) -> None:
     """Raise RodError for a step (s) that is not finite and above 0."""
-    need(numbers("step", h, ()) > 0.0, f"step {h} must be above 0 and finite")
+    is_number = isinstance(h, (int, float, np.number))
+    need(is_number and 0.0 < h < math.inf, f"step {quoted(h)} must be above 0 and finite")
 
 
 def _checked(name: str, own: Array, state: RodState) -> Array:

@@ -15,7 +15,6 @@ from typing import Protocol
 import numpy as np
 
 from slot_core import section as moments
-from slot_core.arrays import checked
 from slot_core.refusal import InputError, quoted
 from slot_core.robot import Array
 
@@ -51,9 +50,11 @@ def need_vector(name: str, values: Vector) -> None:
 def numbers(name: str, values: float | Array, shape: tuple[int, ...]) -> Array:
     """Finite numbers of a shape, a single one for all; raises RodError."""
     try:
-        return checked(name, np.broadcast_to(np.asarray(values, dtype=np.float64), shape), shape)
-    except (TypeError, ValueError) as error:
-        raise RodError(f"{name}: {error}") from None
+        found = np.broadcast_to(np.asarray(values, dtype=np.float64), shape)
+    except (TypeError, ValueError):
+        raise RodError(f"{name} {quoted(values)} must be numbers of shape {shape}") from None
+    need(bool(np.isfinite(found).all()), f"{name} must be finite")
+    return np.array(found)
 
 
 @dataclass(frozen=True)
