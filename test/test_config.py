@@ -33,6 +33,19 @@ GOOD = {
 }
 
 
+BOMB = "a0: &a0 [1]\n" + "".join(
+    f"a{n + 1}: &a{n + 1} [{', '.join([f'*a{n}'] * 9)}]\n" for n in range(8)
+)
+HOSTILE = [
+    "\x1b]0;x\x07",
+    "x" * 300_000,
+    "\ud800",
+    ["y" * 100] * 1000,
+    {"z": [1] * 10**6},
+    16**9999,
+]
+
+
 def changed(**changes):
     return {**GOOD, **changes}
 
@@ -84,8 +97,26 @@ def test_replaced_values_are_checked_like_values_read():
     assert config.replace(outer, {"inner.gain": 4.0}).inner.gain == 4.0
     with pytest.raises(ConfigError, match=r"inner.gain = 11.0: outside"):
         config.replace(outer, {"inner.gain": 11.0})
-    with pytest.raises(ConfigError, match=r"inner\.none is not a setting"):
-        config.replace(outer, {"inner.none": 1})
+    for name in ("inner.none", "count.x", "inner.gain.x.y", "table.b", "none.gain"):
+        with pytest.raises(ConfigError, match=rf"override: {name} is not a setting"):
+            config.replace(outer, {name: 1})
+
+
+@pytest.mark.parametrize(
+    "value", HOSTILE, ids=["escape", "long", "surrogate", "list", "map", "int"]
+)
+@pytest.mark.parametrize("name", ["count", "law", "on", "inner", "table"])
+def test_what_is_refused_is_quoted_short_and_printable(value, name):
+    refused = [changed(**{name: value}), value]
+    if isinstance(value, (str, int)):
+        refused += [{**GOOD, value: 1}, changed(table={value: 1})]
+    for mapping in refused:
+        with pytest.raises(ConfigError) as refusal:
+            config.build(Outer, mapping, "f.yaml")
+        line = str(refusal.value)
+        assert line.startswith("f.yaml: ")
+        assert line.isprintable()
+        assert len(line) <= 300
 
 
 @pytest.mark.parametrize("changes", [None, [1], "text"])
@@ -109,11 +140,22 @@ def test_a_missing_file_names_the_known_ones(tmp_path, monkeypatch):
         ("count: 1\ncount: 2\n", "broken.yaml: the key 'count' is repeated"),
         ("inner: {gain: 1, gain: 1}\n", "broken.yaml: the key 'gain' is repeated"),
         ("a: " + "[" * 200_000, "broken.yaml: nested deeper than 100 levels"),
-        ("a: 1\n" * 200_001, "broken.yaml: 1000005 bytes, limit 1000000"),
+        ("a: 1\n" * 200_001, "broken.yaml: more than 1000000 bytes"),
         ("a: \0\n", "broken.yaml: "),
+        (BOMB, "broken.yaml: line 2: no alias is allowed"),
+        ("a: &a [*a]\n", "broken.yaml: line 1: no alias is allowed"),
+        ("a: 1\nb: !!timestamp zz\n", "broken.yaml: line 2: no tag is allowed"),
+        ("a: !!bool x\n", "broken.yaml: line 1: no tag is allowed"),
+        ("a: !!python/name:os.system ''\n", "broken.yaml: line 1: no tag is allowed"),
+        ("a: ! 1\n", "broken.yaml: line 1: no tag is allowed"),
+        ("a: 2001-99-99\n", "broken.yaml: month must be in 1..12"),
+        ("? [1, 2]\n: 3\n", "broken.yaml: while constructing a mapping"),
+        ("".join(f"{n}: 1\n" for n in range(80_000)) + "7: 1\n", "broken.yaml: the key 7 is"),
     ],
-    ids=["broken", "repeated", "repeated inside", "deep", "large", "unprintable"],
-)
+    ids=["broken", "repeated", "repeated inside", "deep", "large", "unprintable", "alias bomb",
+         "in itself", "timestamp", "bool", "object", "bare tag", "no date", "list as a key",
+         "many keys"],
+)  # fmt: skip
 def test_a_file_that_cannot_be_a_configuration_is_one_line(tmp_path, monkeypatch, text, message):
     monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
     (tmp_path / "broken.yaml").write_text(text)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import ROOT, BenchmarkError, about, known, load, run
-from slot_core.command_line import INTERRUPTED, CommandParser, progress
+from slot_core.command_line import INTERRUPTED, CommandParser, progress, refuse
 
 CANNOT_RUN = 2  # exit code
 
@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         chosen = {name: getattr(options, name) for name in own}
         path = run(options.name, options.benchmarks, options.quick, out, progress, **chosen)
     except BenchmarkError as error:
-        print(f"scripts/bench: {error}", file=sys.stderr)
+        refuse("scripts/bench", error)
         return CANNOT_RUN
     except KeyboardInterrupt:
         print("scripts/bench: interrupted", file=sys.stderr)

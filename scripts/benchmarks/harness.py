@@ -11,10 +11,11 @@ It may have command line options: a function
 
 adds them, each with a default, and `run` takes their values as keyword arguments.
 
-A row is a mapping of names to plain values; other files, such as plots, go to `out`. A check
-that does not hold is a result, so it does not change the exit code. A time is the processor's as
-much as the code's, so its check is on the ratio to a peer measured in the same run; the goals of
-the graph and the servos, which are times, are checks beside that.
+A row is a mapping of names to plain values; other files, such as plots, go to `out`. A measurement
+that may fail, such as a run of the graph, is made by `Attempts`. A check that does not hold is a
+result, so it does not change the exit code. A time is the processor's as much as the code's, so its
+check is on the ratio to a peer measured in the same run; the goals of the graph and the servos,
+which are times, are checks beside that.
 
 The parts of a benchmark are the files beside it, imported as `benchmarks.NAME.PART`. Packages that
 only benchmarks need are named in `REQUIRES`, one line at the top level of the module;
@@ -38,10 +39,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
+from slot_core.refusal import InputError, quoted
+
+T = TypeVar("T")
 Row = Mapping[str, Any]
 Progress = Callable[[str], None]
 Outcome = tuple[Sequence[Row], Sequence["Check"]]  # of a benchmark
@@ -49,7 +53,7 @@ Outcome = tuple[Sequence[Row], Sequence["Check"]]  # of a benchmark
 ROOT = Path(os.environ.get("SLOT_ROOT") or Path(__file__).resolve().parents[2])
 
 
-class BenchmarkError(ValueError):
+class BenchmarkError(InputError):
     """A benchmark that cannot be run; the message is one line."""
 
 
@@ -72,6 +76,23 @@ def at_most(name: str, value: float, goal: float, unit: str = "") -> Check:
 def at_least(name: str, value: float, goal: float, unit: str = "") -> Check:
     """The check value >= goal; NaN does not hold."""
     return Check(name, value, unit, f">= {goal:g}", bool(value >= goal))
+
+
+class Attempts:
+    """Measurements that may fail: each that does is a row and a missed check, the others go on."""
+
+    def __init__(self) -> None:
+        self.rows: list[Row] = []
+        self.checks: list[Check] = []
+
+    def run(self, name: str, call: Callable[..., T], *arguments: Any) -> T | None:
+        """What the call returns; None if it raises BenchmarkError."""
+        try:
+            return call(*arguments)
+        except BenchmarkError as error:
+            self.rows.append({"kind": "failed", "what": name, "reason": str(error)})
+            self.checks.append(Check(name, math.nan, "", "measured", False))
+            return None
 
 
 @dataclass(frozen=True)
@@ -180,7 +201,8 @@ def load(name: str, directory: Path) -> ModuleType:
     """Import the module of a benchmark; raises BenchmarkError."""
     benchmarks = known(directory)
     if name not in benchmarks:
-        raise BenchmarkError(f"no benchmark {name!r} (known: {', '.join(benchmarks) or 'none'})")
+        there = ", ".join(benchmarks) or "none"
+        raise BenchmarkError(f"no benchmark {quoted(name)} (known: {there})")
     spec = importlib.util.spec_from_file_location(f"slot_benchmark_{name}", benchmarks[name])
     assert spec is not None
     assert spec.loader is not None

@@ -22,6 +22,7 @@ from slot_core.estimation.state_estimator import read_estimator
 from slot_core.faults import require_simulated_legs
 from slot_core.gait.gait import read_gaits
 from slot_core.gait.route import read_route
+from slot_core.refusal import quoted
 from slot_core.ros_parameters import read_parameters
 from slot_core.safety.settings import read_supervisor
 from slot_core.servos.registry import read_brand
@@ -68,11 +69,11 @@ def check(values: Mapping[str, Any]) -> None:
         for fault in scene.faults.values():
             require_simulated_legs(fault)
     _check_ranges(values)
+    _check_port(hardware, values["port"])
     check_place(values["namespace"])
-    if (prefix := values["frame_prefix"]).startswith("/"):
-        raise ConfigError(f"frame_prefix = {prefix!r}: tf2 knows no frames that begin with a slash")
     if values["params_file"]:
         _check_parameters(values)
+    _check_prefix(values["frame_prefix"])
     if values["bag"]:
         _check_new(Path(values["bag"]))
 
@@ -125,8 +126,27 @@ def check_place(namespace: str) -> None:
     """Raise ConfigError for a namespace (empty: none) or a domain that ROS does not allow."""
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not (domain.isdecimal() and int(domain) <= DOMAIN_MAX):
-        raise ConfigError(f"ROS_DOMAIN_ID = {domain!r}: expected a number within [0, {DOMAIN_MAX}]")
+        raise ConfigError(
+            f"ROS_DOMAIN_ID = {quoted(domain)}: expected a number within [0, {DOMAIN_MAX}]"
+        )
     _check_name("namespace", namespace, lambda name: validate_namespace(absolute(name)))
+
+
+def _check_port(hardware: str, port: str | None) -> None:
+    """Raise ConfigError for a port of emulated servos that is not in a directory."""
+    if hardware == "fake_bus" and port is not None and not os.path.isdir(Path(port).parent):
+        raise ConfigError(f"port {port}: not in an existing directory")
+
+
+def _check_prefix(prefix: str) -> None:
+    """Raise ConfigError for a prefix of frames that is neither empty nor like fred/."""
+    if prefix.startswith("/"):
+        reason = "tf2 knows no frames that begin with a slash"
+    elif prefix and not prefix.endswith("/"):
+        reason = f"expected one that ends with a slash, {prefix[:20]}/"
+    else:
+        return
+    raise ConfigError(f"frame_prefix = {quoted(prefix)}: {reason}")
 
 
 def _check_calibration(file: Path) -> None:
@@ -144,7 +164,7 @@ def _check_name(argument: str, name: str, validate: Callable[[str], Any]) -> Non
     try:
         validate(name)
     except NameValidationException as error:
-        raise ConfigError(f"{argument} = {name!r}: {str(error).splitlines()[0]}") from None
+        raise ConfigError(f"{argument} = {quoted(name)}: {str(error).splitlines()[0]}") from None
 
 
 def _check_new(bag: Path) -> None:

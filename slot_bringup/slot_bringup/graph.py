@@ -16,6 +16,7 @@ import yaml
 from slot_core import config
 from slot_core.control.policy import POLICIES
 from slot_core.dynamics.scene import read_scene
+from slot_core.refusal import quoted
 
 CONTROLLER = "controller"  # executable of the nodes in one process
 ALWAYS, LOCKSTEP = "always", "lockstep"  # when a node can share that process
@@ -63,11 +64,11 @@ class Argument:
         if self.default is None and not text:
             return None
         try:
-            value = yaml.safe_load(text) if self.kind is bool else self.kind(text)
+            value = config.parse(text) if self.kind is bool else self.kind(text)
         except ValueError:
             value = None
         if type(value) is not self.kind:
-            raise ValueError(f"{self.name}: {text!r} is not a {self.kind.__name__}")
+            raise ValueError(f"{self.name}: {quoted(text)} is not a {self.kind.__name__}")
         return str(Path(text).expanduser()) if self.is_path and text else value
 
 

@@ -21,6 +21,7 @@ from slot_bringup.processes import Processes, print_error
 from slot_core.clock import to_seconds
 from slot_core.control.pace import Speed
 from slot_core.messages import decode
+from slot_core.refusal import printable
 from slot_core.robot import Array
 from slot_core.safety.commands import Action
 from slot_core.safety.states import RELEASED, State
@@ -104,7 +105,7 @@ class Progress:
     def line(self) -> str:
         """Progress line: graph time, displacement since the begin, height, tilt and state."""
         if not self._begun and self.robot is not None:
-            return f"{self.robot.name}: {self.reason}"
+            return printable(f"{self.robot.name}: {self.reason}")
         if self.state is None:
             return f"waiting for the first state ({self.silence:.0f} s)"
         if not np.isfinite(self.state).all():

@@ -39,10 +39,11 @@ from std_srvs.srv import Trigger
 from slot_bringup import operator_screen
 from slot_bringup.check import check_place
 from slot_bringup.monitor import ListenerExecutor, listener
-from slot_core.command_line import command_parser
+from slot_core.command_line import command_parser, refuse, show
 from slot_core.config import ConfigError
 from slot_core.messages import decode
 from slot_core.messages.decode import ACTION_NUMBERS
+from slot_core.refusal import printable
 from slot_core.robot import LEGS
 from slot_core.safety.commands import Action
 from slot_core.safety.states import State
@@ -50,6 +51,7 @@ from slot_msgs.msg import EmergencyStop, RobotState, ServoHealth
 from slot_msgs.srv import ForgetSource, InjectFault
 from slot_nodes import qos, runtime
 
+PROGRAM = "scripts/operate"
 REQUESTS = ("ready", "stand", "walk", "relax", "estop", "reset")
 KEYS = {"r": "ready", "s": "stand", "w": "walk", "x": "relax", " ": "estop", "R": "reset"}
 QUIT = "q"
@@ -246,7 +248,8 @@ def _serve(executor: ListenerExecutor, operator: Operator, keyboard: int) -> boo
 def _draw(view: operator_screen.OperatorView) -> None:
     now = time.monotonic()
     width, height = shutil.get_terminal_size()
-    first, *others = (line[:width] for line in operator_screen.lines(view, now)[:height])
+    lines = map(printable, operator_screen.lines(view, now)[:height])
+    first, *others = (line[:width] for line in lines)
     colour = "\x1b[1;31m" if view.alarming(now) else "\x1b[1m"
     screen = "\x1b[K\n".join((f"{colour}{first}\x1b[0m", *others))
     print(f"\x1b[H{screen}\x1b[K\x1b[J", end="", flush=True)
@@ -265,7 +268,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return _act(options)
     except OperateError as error:
-        print(f"scripts/operate: {error}", file=sys.stderr)
+        refuse(parser.prog, error)
         return 1
     except KeyboardInterrupt:
         return 130
@@ -277,12 +280,13 @@ def _act(options: argparse.Namespace) -> int:
             raise OperateError("the live display needs a terminal, scripts/operate state none")
         live(options.namespace)
     elif options.action == "state":
-        print("\n".join(operator_screen.state_lines(receive_state(options.namespace))))
+        lines = operator_screen.state_lines(receive_state(options.namespace))
+        return 0 if show(PROGRAM, lines) else 2
     else:
         success, message = call(service(options), options.namespace)
         if not success:
             raise OperateError(message)
-        print(answer_text(options.action, message))
+        return 0 if show(PROGRAM, [answer_text(options.action, message)]) else 2
     return 0
 
 

@@ -23,7 +23,7 @@ from rosgraph_msgs.msg import Clock
 from slot_bringup.check import check_place
 from slot_bringup.monitor import listener
 from slot_core.clock import SECOND, to_seconds
-from slot_core.command_line import CommandParser, within
+from slot_core.command_line import CommandParser, refuse, show, within
 from slot_core.config import ConfigError
 from slot_core.messages import decode
 from slot_core.recording.message_types import Types, message_types
@@ -32,7 +32,7 @@ from slot_lab.bags.check_bag import add_bag_arguments, open_bag
 from slot_lab.bags.recorded_walk import LEG_STATES
 from slot_nodes import messages, qos
 
-CLOCK = "/clock"
+PROGRAM, CLOCK = "scripts/replay", "/clock"
 PLAYED = ("/odom", "/imu", "/joint_states", "/servo_health", "/cmd_vel", "/ground_truth/odom",
           "/ground_truth/legs")  # fmt: skip
 """What comes from outside of the controller: the robot's topics, and the user's velocity."""
@@ -159,7 +159,7 @@ def message_class(kind: str) -> type:
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = CommandParser(prog="scripts/replay", description=__doc__)
+    parser = CommandParser(prog=PROGRAM, description=__doc__)
     add = parser.add_argument
     add("--live", action="store_true", help="play into running nodes")
     add_bag_arguments(parser)
@@ -175,18 +175,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         check_place(options.namespace)
         bag = open_bag(options)
-        print("\n".join(bag.lines()))
+        if not show(PROGRAM, bag.lines()):
+            return 2
         with listener("player", options.namespace) as (node, _):
             player = Player(node, bag)
             player.wait_for_nodes()
             count, span = player.play(entries(bag, options.start), options.rate)
-        print(f"played {count} messages, {span:.2f} s")
+        return 0 if show(PROGRAM, [f"played {count} messages, {span:.2f} s"]) else 2
     except (BagError, ConfigError, PlayError) as error:
-        print(f"scripts/replay: {error}", file=sys.stderr)
+        refuse(PROGRAM, error)
         return 2
     except KeyboardInterrupt:
         return 1
-    return 0
 
 
 if __name__ == "__main__":

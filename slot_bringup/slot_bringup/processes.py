@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections import Counter
 from collections.abc import Iterable
@@ -17,7 +16,9 @@ from typing import Any
 from ament_index_python.packages import get_package_prefix
 
 from slot_bringup.graph import RESTART, RESTARTS, NodeSpec, absolute, ends_graph
+from slot_core.command_line import refuse
 
+PROGRAM = "scripts/run"
 STOP_TIMEOUT = 5.0  # s, from SIGINT to SIGKILL
 
 
@@ -156,7 +157,7 @@ def command_line(spec: NodeSpec) -> list[str]:
 def print_error(line: str) -> None:
     """Print one line of `scripts/run` on stderr."""
     with suppress(OSError):  # the terminal may have been closed
-        print(f"scripts/run: {line}", file=sys.stderr)
+        refuse(PROGRAM, line)
 
 
 def _yaml(value: Any) -> str:

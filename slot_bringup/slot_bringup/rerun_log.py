@@ -5,7 +5,6 @@ rerun is optional (`scripts/setup --view`): whatever imports this module needs i
 
 from __future__ import annotations
 
-import sys
 import uuid
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from slot_core.clock import to_seconds
+from slot_core.command_line import refuse
 from slot_core.drawing import palette
 from slot_core.drawing.drawing import Drawing
 from slot_core.drawing.shapes import Arrows, Bars, Box, Shape, Strips, halves, normals
@@ -67,7 +67,7 @@ class RerunLog:
             if topic not in self._refused:
                 self._refused.add(topic)
                 time = to_seconds(stamp - self._start)
-                print(f"{topic} at {time:.3f} s cannot be drawn: {error}", file=sys.stderr)
+                refuse("scripts/view", f"{topic} at {time:.3f} s cannot be drawn: {error}")
 
     def _log(self, topic: str, message: Any) -> None:
         for name, shape in self._drawing.receive(topic, message).items():

@@ -16,9 +16,9 @@ from slot_bringup.check import check
 from slot_bringup.graph import Graph, is_attended, is_simulated, read_graph
 from slot_bringup.interrupts import deferred, on_interrupt
 from slot_bringup.monitor import RunError, require_no_other_graph, watch
-from slot_bringup.processes import Processes, print_error
+from slot_bringup.processes import PROGRAM, Processes, print_error
 from slot_bringup.view import ViewError, live_viewer, require_rerun
-from slot_core.command_line import CommandParser, within
+from slot_core.command_line import CommandParser, show, within
 from slot_core.config import ConfigError
 from slot_core.dynamics.servo import read_servo
 from slot_core.recording.record_settings import read_record_settings
@@ -30,7 +30,7 @@ from slot_lab.report.summary import summary_lines
 
 def parse(arguments: Sequence[str] | None, graph: Graph) -> argparse.Namespace:
     """Parse the command line; a wrong value exits with code 2 and one line."""
-    parser = CommandParser(prog="scripts/run", description=__doc__)
+    parser = CommandParser(prog=PROGRAM, description=__doc__)
     for argument in graph.arguments:
         if argument.name == "bag":
             continue
@@ -64,9 +64,7 @@ def parse(arguments: Sequence[str] | None, graph: Graph) -> argparse.Namespace:
     return options
 
 
-def run(
-    options: argparse.Namespace, graph: Graph, directory: Path, remarks: list[str]
-) -> bool:
+def run(options: argparse.Namespace, graph: Graph, directory: Path, remarks: list[str]) -> bool:
     """Run the graph for `options.duration`; bag and logs go to `directory`, which must be writable.
 
     Returns whether no process is missing at the end. `remarks` gets a line for each that has ended
@@ -113,22 +111,24 @@ def started(graph: Graph, values: Mapping[str, Any], logs: Path) -> Iterator[Pro
                     shutil.copytree(scratch, logs, dirs_exist_ok=True)
 
 
-def report(
-    directory: Path, keep: bool, namespace: str = "", remarks: Sequence[str] = ()
-) -> None:
-    """Print the summary of the bag and remarks; with `keep` also write them, and the plots."""
+def report(directory: Path, keep: bool, namespace: str = "", remarks: Sequence[str] = ()) -> bool:
+    """Print the summary of the bag and remarks; with `keep` also write them, and the plots.
+
+    Returns False if it cannot be printed.
+    """
     bag = Bag(directory, namespace)
     figures = metrics.walk_metrics(bag, read_record_settings().warm_up, read_servo())
-    summary = "\n".join([*summary_lines(figures), *filter(None, [bag.remark]), *remarks])
-    print(summary)
+    lines = [*summary_lines(figures), *filter(None, [bag.remark]), *remarks]
+    shown = show(PROGRAM, lines)
     if keep:
-        (directory / "summary.txt").write_text(summary + "\n")
+        (directory / "summary.txt").write_text("\n".join(lines) + "\n")
         plots.dashboard(bag, figures, directory / "walk.png")
         written = "bag, summary.txt, walk.png"
         if bag.counts.get(LEG_STATES):  # of simulated legs
             plots.filmstrip(bag, directory / "robot.png")
             written += ", robot.png"
-        print(f"\n{written} and log/ are in {directory}")
+        shown = shown and show(PROGRAM, ["", f"{written} and log/ are in {directory}"])
+    return shown
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -148,9 +148,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print_error("interrupted, all nodes stopped")
             code = 130
         try:
-            report(directory, not options.no_bag, options.namespace, remarks)
+            if not report(directory, not options.no_bag, options.namespace, remarks):
+                code = code or 1
         except (BagError, ConfigError, OSError) as error:
             print_error(f"no summary: {error}")
+            code = code or 1
         except KeyboardInterrupt:
             print_error("interrupted while computing the summary; the bag is complete")
             code = 130

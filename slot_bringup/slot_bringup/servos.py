@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
+from slot_core.command_line import refuse
 from slot_core.config import ConfigError
 from slot_core.servos.registry import read_brand
 
@@ -14,7 +15,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return read_brand().tools(arguments)
     except ConfigError as error:
-        print(f"scripts/servos: {error}", file=sys.stderr)
+        refuse("scripts/servos", error)
         return 1
 
 

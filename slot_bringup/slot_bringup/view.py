@@ -21,7 +21,7 @@ from slot_bringup.check import check_place
 from slot_bringup.graph import TIED
 from slot_bringup.monitor import listener
 from slot_bringup.rerun_viewer import Viewer, ViewerError
-from slot_core.command_line import CommandParser
+from slot_core.command_line import CommandParser, refuse
 from slot_core.config import ConfigError
 from slot_core.recording.bag_error import BagError
 from slot_core.recording.record_settings import read_record_settings
@@ -201,10 +201,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with interrupts.on_interrupt(signal.default_int_handler):
             view(options)
     except (ViewError, ViewerError, AnimationError, BagError, ConfigError) as error:
-        print(f"scripts/view: {error}", file=sys.stderr)
+        refuse("scripts/view", error)
         return 2
     except OSError as error:
-        print(f"scripts/view: {error.filename}: {error.strerror}", file=sys.stderr)
+        refuse("scripts/view", f"{error.filename}: {error.strerror}")
         return 2
     except KeyboardInterrupt:
         return 0

@@ -129,6 +129,44 @@ def test_odometry_before_the_estimator_listened_changes_nothing(tmp_path):
     assert states.first is None
 
 
+def cut(path, share, name="walk", topics=()):
+    """Copy of what a bag holds after a share of its duration."""
+    source = Bag(HERE / name)
+    begin = source.start_ns + int(share * source.duration_ns)
+    with BagWriter(path, read_record_settings(), source.origin) as bag:
+        for topic, time, data in source.raw(*topics):
+            if time >= begin:
+                bag.write(topic, source.topics[topic], time, data)
+    return path
+
+
+@pytest.mark.parametrize(("name", "share"), [("walk", 0.2), ("walk", 0.5), ("turn", 0.5)])
+def test_a_bag_that_begins_mid_run_says_so_and_compares_the_stage_without_memory(
+    tmp_path, capsys, name, share
+):
+    """The first share begins among the states that are initialising, the others in the walk."""
+    assert replay.main([str(cut(tmp_path / "bag", share, name))]) == 0
+    *left_out, last = capsys.readouterr().out.splitlines()[-4:]
+    assert [line.split()[0] for line in left_out] == TOPICS[:3]
+    assert all("left out: the bag begins mid-run" in line for line in left_out)
+    assert re.match(r"/desired_joint_angles +\d\d compared, largest difference 0.0e\+00", last)
+
+
+def test_a_bag_that_begins_mid_run_without_the_force_map_is_refused(tmp_path, refusal):
+    line = refusal(replay.main, cut(tmp_path / "bag", 0.5, topics=STATES))
+    assert "the bag begins mid-run" in line
+    assert line.endswith("; no stage can be compared")
+
+
+def test_what_a_bag_says_of_itself_cannot_command_the_terminal(tmp_path, capsys):
+    about, files = {"revision": "\x1b]0;x\x07", "gait": "\x9b2J"}, {"config.zip": b"no zip"}
+    path = partly(tmp_path / "bag", STATES, origin=Origin(about, files))
+    assert replay.main([str(path)]) == 0
+    first, second, *_ = capsys.readouterr().out.splitlines()
+    assert first == r"recorded by  revision \x1b]0;x\x07, gait \x9b2J"
+    assert "its configuration cannot be read: config.zip: File is not a zip file" in second
+
+
 def test_a_bag_without_any_stage_is_refused(tmp_path, capsys):
     assert replay.main([str(partly(tmp_path / "bag", ["/odom", "/imu"]))]) == 2
     assert "holds no stage together with its input" in capsys.readouterr().err

@@ -12,7 +12,8 @@ import pytest
 from benchmarks import harness
 from benchmarks.__main__ import main
 from benchmarks.graph.usage import Usage
-from benchmarks.harness import at_least, at_most, cpu_time
+from benchmarks.harness import Attempts, BenchmarkError, at_least, at_most, cpu_time
+from benchmarks.servo import age
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -143,6 +144,33 @@ def test_graph_medians_are_per_stage_and_ignore_single_outliers(graph):
         {"kind": "latency", "repeat": "median", "stage": "mpc", "p50_ms": 2.0},
         {"kind": "latency", "repeat": "median", "stage": "map", "p50_ms": 8.0},
     ]
+
+
+def test_a_measurement_that_fails_is_a_row_and_a_missed_check_and_the_others_go_on():
+    attempts = Attempts()
+
+    def fail(number):
+        raise BenchmarkError(f"the graph failed: {number}")
+
+    assert attempts.run("first", fail, 1) is None
+    assert attempts.run("second", abs, -2) == 2
+    assert attempts.rows == [{"kind": "failed", "what": "first", "reason": "the graph failed: 1"}]
+    [check] = attempts.checks
+    assert (check.name, check.holds) == ("first", False)
+
+
+@pytest.mark.parametrize("failed", age.NODES)
+def test_the_checks_of_a_walk_that_failed_are_missed(failed, tmp_path):
+    found = np.full(100, 1e-3)
+    ages = {nodes: found for nodes in age.NODES if nodes != failed}
+    age.draw(ages, tmp_path / "age.png")
+    rows = [age.row(found, nodes) for nodes, found in ages.items()]
+    whole = age.checks([*rows, age.row(0.5 * found, failed)])
+    missed = {check.name for check in age.checks(rows) if not check.holds}
+    assert missed > {check.name for check in whole if not check.holds}
+    assert any(
+        failed in name or "over separate" in name or "composed, p99" in name for name in missed
+    )
 
 
 def test_cpu_time_is_the_median_per_call_after_a_warm_up():

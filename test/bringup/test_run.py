@@ -44,6 +44,14 @@ def refused(refusal):
         (f"--gait sit --path {PATH}", "path: gait sit with this velocity stays in its"),
         ("--namespace a$b", "namespace = 'a$b': Invalid namespace: "),
         ("--frame-prefix /a/", "frame_prefix = '/a/': tf2 knows no frames that begin with"),
+        (
+            "--frame-prefix fred",
+            "frame_prefix = 'fred': expected one that ends with a slash, fred/",
+        ),
+        ("--hardware fake_bus --port /nowhere/x", "port /nowhere/x: not in an existing directory"),
+        ("--path /dev/zero", "/dev/zero: no path with columns x, y: not a regular file"),
+        ("--calibration /dev/zero", "calibration /dev/zero: not a regular file"),
+        ("--policy /dev/zero.py", "policy /dev/zero.py: FileNotFoundError"),
         ("--view", "rerun-sdk is missing; run scripts/setup --view"),
     ],
 )
@@ -65,6 +73,18 @@ def test_a_scene_with_a_servo_fault_is_refused_without_a_servo_bus(own_config, r
     message = "fault 'silent': only the servos of hardware fake_bus can have it"
     assert refused("--scene", "mute") == f"scripts/run: {message}"
     assert run.parse(["--scene", "mute", "--hardware", "fake_bus"], read_graph()).scene == "mute"
+
+
+def test_a_run_whose_summary_cannot_be_printed_fails(monkeypatch, capsys):
+    """A full disk behind the output: the run itself went well."""
+    made = lambda options, graph, directory: write_walk(directory, Walk(truth=False))  # noqa: E731
+    monkeypatch.setattr(run, "run", made)
+    assert run.main(["--no-bag"]) == 0
+    capsys.readouterr()
+    with Path("/dev/full").open("w") as full:
+        monkeypatch.setattr("sys.stdout", full)
+        assert run.main(["--no-bag"]) == 1
+    assert "scripts/run: output: No space left on device\n" in capsys.readouterr().err
 
 
 def test_a_run_without_simulated_legs_is_reported_without_their_plot(tmp_path, capsys):

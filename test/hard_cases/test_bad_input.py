@@ -12,6 +12,7 @@ from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.robot import read_robot
 from slot_core.simulation.rod_robot import RodRobot
+from slot_core.simulation.tabulated_robot import TabulatedRobot
 
 SETTINGS = {"robot": read_robot(), "scene": read_scene("flat"), "servo": read_servo()}
 BOUNDED = [
@@ -96,11 +97,23 @@ def test_an_invalid_command_is_refused_and_leaves_the_state_unchanged(sim, comma
         lambda sim: sim.damage_tendon(-1, broken=True),
         lambda sim: sim.damage_tendon(0, slack=math.nan),
         lambda sim: sim.damage_tendon(0, slack=-math.inf),
+        lambda sim: sim.advance(-1, np.full(4, 0.5)),
+        lambda sim: sim.advance(0.5, np.full(4, 0.5)),
     ],
 )
-def test_an_invalid_push_or_tendon_damage_is_refused(sim, act):
-    with pytest.raises(ValueError, match=r"push|leg"):
+def test_an_invalid_push_tendon_damage_or_number_of_steps_is_refused(sim, act):
+    with pytest.raises(ValueError, match=r"push|leg|steps"):
         act(sim)
+    assert sim.steps == 0
+
+
+@pytest.mark.parametrize("solver", ["coarse", "map"])
+def test_a_start_beyond_the_tendons_is_refused_by_name(solver):
+    robot = config.replace(read_robot(), {"tendon.angle_max_deg": 58.14})
+    scene = read_scene("map" if solver == "map" else "flat")
+    kind = TabulatedRobot if solver == "map" else RodRobot
+    with pytest.raises(ConfigError, match=r"start.tendon_angle_deg = 63: above .* 58\.14 deg"):
+        kind(robot, scene, SETTINGS["servo"])
 
 
 @pytest.mark.parametrize("halvings", [0, 6])

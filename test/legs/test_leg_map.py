@@ -91,7 +91,7 @@ def test_shipped_map_matches_the_shipped_robot():
 
 def test_no_equilibrium_is_an_error_with_angle_and_height():
     leg = StaticLeg(ROBOT, 10)
-    leg.node = leg.node * np.nan
+    leg._leg.stage[:] = np.nan
     with pytest.raises(NoEquilibriumError, match=r"20\.000 deg, 0\.0500 m"):
         leg.solve(np.radians(20.0), 0.05)
 

@@ -1,5 +1,7 @@
 """Corners and poses of markers against what was rendered; calibrations of cameras."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -78,6 +80,15 @@ INFO = {"width": 1280, "height": 720, "model": "plumb_bob", "d": [0.0] * 5,
         ({"model": "equidistant", "d": [0.0] * 4}, "distortion_model 'equidistant': expected one"),
         ({"d": [0.0] * 4}, "D has 4 values, plumb_bob has 5"),
         ({"d": [float("inf")] * 5}, "not finite"),
+        ({"k": [1e308, *INFO["k"][1:]]}, "above 1e\\+06"),
+        ({"k": [10**400] * 9}, "K = .*: expected numbers"),
+        ({"d": {"a": 1}}, "D = .*: expected numbers"),
+        ({"model": ["plumb_bob"]}, "distortion_model .*: expected one"),
+        *(
+            ({name: size}, f"image_{name} = .*: expected an integer in")
+            for name in ("width", "height")
+            for size in (float("inf"), 10**400, True, 640.5, 0, -1, "640", None)
+        ),
     ],
 )
 def test_an_unusable_camera_info_is_refused(changes, reason):
@@ -143,6 +154,11 @@ def test_the_calibration_moves_a_pose_by_its_covariance(size):
     np.testing.assert_allclose(exact.calibration, expected, atol=0.03 * np.abs(expected).max())
     assert np.sqrt(exact.calibration[2, 2]) > 1e-4  # m: of the distance
     assert not board_poses(points, true.rays(pixels), 1e-4).calibration.any()
+
+
+def test_a_device_in_the_place_of_a_calibration_is_refused():
+    with pytest.raises(CameraError, match="/dev/zero: not a regular file"):
+        read_camera(Path("/dev/zero"))
 
 
 @pytest.mark.parametrize(

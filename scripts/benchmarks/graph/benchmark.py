@@ -8,6 +8,7 @@ out of every figure.
 """
 
 import argparse
+import math
 import statistics
 import time
 from collections import defaultdict, deque
@@ -23,7 +24,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from benchmarks.graph.endurance import endurance_checks, long_walk
 from benchmarks.graph.measured_walk import Walk, measure_walk
 from benchmarks.graph.plots import END_TO_END, draw
-from benchmarks.harness import Check, Progress, Row, at_least, at_most, cpu_time, timed
+from benchmarks.harness import Attempts, Check, Progress, Row, at_least, at_most, cpu_time, timed
 from slot_bringup.graph import CONTROLLER, read_graph
 from slot_core.command_line import within
 from slot_core.control.pace import Pace
@@ -102,19 +103,22 @@ def run(
     progress("cycle of the MPC's node")
     cycle = cycle_row(CYCLES)
     modes = {SEPARATE: values, COMPOSED: values | {"composed": True}}
-    speeds = []
+    speeds, attempts = [], Attempts()
     for mode, chosen in modes.items():
-        progress(f"lockstep, {mode}")
-        metrics = measure_walk(graph, chosen | {"lockstep": True}, plan.lockstep).metrics
-        figures = {"duration_s": metrics.duration, "speed": metrics.real_time_factor}
-        speeds.append({"kind": "lockstep", "nodes": mode} | figures)
+        progress(name := f"lockstep, {mode}")
+        values_here = chosen | {"lockstep": True}
+        if one := attempts.run(name, measure_walk, graph, values_here, plan.lockstep):
+            figures = {"duration_s": one.metrics.duration, "speed": one.metrics.real_time_factor}
+            speeds.append({"kind": "lockstep", "nodes": mode} | figures)
     modes[FAST] = modes[COMPOSED] | {"scene": "fast_odometry"}
     walks: dict[str, list[Walk]] = {mode: [] for mode in modes}
     for repeat in range(plan.repeats):
         for mode, chosen in modes.items():
-            progress(f"real time, {mode}, {repeat + 1} of {plan.repeats}")
-            walks[mode].append(measure_walk(graph, chosen, plan.duration))
-    draw(walks[SEPARATE], walks[COMPOSED], out / "graph.png")
+            progress(name := f"real time, {mode}, {repeat + 1} of {plan.repeats}")
+            if one := attempts.run(name, measure_walk, graph, chosen, plan.duration):
+                walks[mode].append(one)
+    if walks[SEPARATE] and walks[COMPOSED]:
+        draw(walks[SEPARATE], walks[COMPOSED], out / "graph.png")
     rows = []
     for mode, some in walks.items():
         for repeat, one in enumerate(some):
@@ -124,8 +128,10 @@ def run(
     duration = plan.endurance if endurance is None else endurance
     if duration > 0.0:
         progress(f"long walk in lockstep, {duration:g} s")
-        rows += long_walk(graph, values | {"composed": True}, duration)
-    return rows, [*checks(rows, plan), *goal_checks(rows), *endurance_checks(rows)]
+        composed = values | {"composed": True}
+        rows += attempts.run("long walk", long_walk, graph, composed, duration) or []
+    found = [*checks(rows, plan), *goal_checks(rows), *endurance_checks(rows)]
+    return [*rows, *attempts.rows], [*found, *attempts.checks]
 
 
 def cycle_row(ticks: int) -> dict[str, Any]:
@@ -212,7 +218,7 @@ def checks(rows: Sequence[Row], plan: Plan) -> list[Check]:
 
     Latencies to the command are rows without a check; those to the servo have theirs in `servo`.
     CPU and speed of the graph beside one process have none either, as its kernels gain more by a
-    quicker processor than messages do.
+    quicker processor than messages do. Without the rows of a walk its checks are missed.
     """
 
     def column(name: str, **which: Any) -> list[Any]:
@@ -222,17 +228,21 @@ def checks(rows: Sequence[Row], plan: Plan) -> list[Check]:
         return [v for k in range(plan.repeats) for v in column(name, kind=kind, repeat=k, **which)]
 
     def median(name: str, mode: str, **which: Any) -> float:
-        [value] = column(name, nodes=mode, repeat="median", **which)
-        return value
+        return only(column(name, nodes=mode, repeat="median", **which))
+
+    def only(values: list[Any]) -> float:
+        return values[0] if values else math.nan
 
     stages = sum(median("cpu_percent", SEPARATE, node=node) for node in STAGES)
     controller = median("cpu_percent", COMPOSED, node=CONTROLLER)
     age = {mode: median("p50_ms", mode, stage=END_TO_END) for mode in (SEPARATE, COMPOSED)}
     [cycle] = (row for row in rows if row["kind"] == "cycle")
     [loop] = column("cpu_s_per_s", kind="closed loop")
-    separate, composed = column("speed", kind="lockstep")
+    separate, composed = (
+        only(column("speed", kind="lockstep", nodes=mode)) for mode in (SEPARATE, COMPOSED)
+    )
     nodes, own = (
-        max(over_repeats("pss_mb", "node", nodes=COMPOSED, node=node))
+        max(over_repeats("pss_mb", "node", nodes=COMPOSED, node=node), default=math.nan)
         for node in (ALL_NODES, CONTROLLER)
     )
     solving = cycle["cpu_ms"] / cycle["solve_cpu_ms"]
@@ -240,9 +250,15 @@ def checks(rows: Sequence[Row], plan: Plan) -> list[Check]:
     fast = median("cpu_percent", FAST, node=CONTROLLER) / controller
     younger, beside = age[COMPOSED] / age[SEPARATE], "composed over separate"
     return [
-        at_least("shortest walk", min(over_repeats("duration_s")), plan.duration, "s"),
-        at_least("least mean v_x", min(over_repeats("mean_v_x")), LEAST_SPEED, "m/s"),
-        at_most("largest tilt", max(over_repeats("tilt_max_rad")), LARGEST_TILT, "rad"),
+        at_least(
+            "shortest walk", min(over_repeats("duration_s"), default=math.nan), plan.duration, "s"
+        ),
+        at_least(
+            "least mean v_x", min(over_repeats("mean_v_x"), default=math.nan), LEAST_SPEED, "m/s"
+        ),
+        at_most(
+            "largest tilt", max(over_repeats("tilt_max_rad"), default=math.nan), LARGEST_TILT, "rad"
+        ),
         at_most("memory of all nodes, composed", nodes, PSS_MB, "MB"),
         at_most("memory of the controller, composed", own, CONTROLLER_PSS_MB, "MB"),
         at_most("CPU of a cycle of the MPC's node over its solution's", solving, LARGEST_CYCLE),
@@ -250,7 +266,11 @@ def checks(rows: Sequence[Row], plan: Plan) -> list[Check]:
         at_most(f"{beside}: CPU of the controller", controller / stages, CPU_RATIO),
         at_least(f"{beside}: lockstep speed", composed / separate, LEAST_SPEEDUP),
         at_most("CPU of a replay over that of controller and plant", replay, REPLAY_RATIO),
-        at_most("stages that a replay changes", max(over_repeats("replay_differences")), 0),
+        at_most(
+            "stages that a replay changes",
+            max(over_repeats("replay_differences"), default=math.nan),
+            0,
+        ),
         at_most("100 Hz over 30 Hz: CPU of the controller", fast, FAST_CPU_RATIO),
     ]
 
@@ -259,7 +279,8 @@ def goal_checks(rows: Sequence[Row]) -> list[Check]:
     """The goals for the robot, which depend on the speed of the machine."""
 
     def largest(name: str, **which: Any) -> float:
-        return max(r[name] for r in rows if which.items() <= r.items() and name in r)
+        found = (r[name] for r in rows if which.items() <= r.items() and name in r)
+        return max(found, default=math.nan)
 
     controller = largest("cpu_percent", nodes=COMPOSED, node=CONTROLLER, repeat="median")
     recorder = largest("cpu_percent", nodes=SEPARATE, node=RECORDER, repeat="median")

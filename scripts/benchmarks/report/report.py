@@ -23,7 +23,7 @@ from benchmarks.report.results import (
     read_image,
     read_run,
 )
-from slot_core.command_line import CommandParser
+from slot_core.command_line import CommandParser, refuse
 from slot_core.recording.origin import revision
 
 CANNOT_REPORT = 2  # exit code
@@ -70,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         contents = read_contents(options.results)
         _write(options.out, render(contents, revision()))
     except ReportError as error:
-        print(f"scripts/report: {error}", file=sys.stderr)
+        refuse(parser.prog, error)
         return CANNOT_REPORT
     print(options.out)
     return 0

@@ -14,14 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import Check
-from slot_core.command_line import one_line
+from slot_core.refusal import InputError, quoted
 from slot_lab.bags.bag import Bag, BagError
 
 PNG = b"\x89PNG\r\n\x1a\n"
 MAGIC = {".png": PNG, ".gif": b"GIF8"}  # first bytes of an image
 
 
-class ReportError(ValueError):
+class ReportError(InputError):
     """A result that cannot be read, or a report that cannot be written; the message is one line."""
 
 
@@ -77,7 +77,7 @@ def read_benchmark(directory: Path, name: str, captions: Mapping[str, str]) -> R
     found, images = _load(path), _images(path, name, captions)
     try:
         if found["name"] != name:
-            raise ValueError(f"name: expected {name!r}, got {found['name']!r}"[:200])
+            raise ValueError(f"name: expected {name!r}, got {quoted(found['name'])}")
         quick, command = found["quick"], bench_command(name, found["quick"], found["options"])
         origin = _origin(found["revision"], found["machine"])
         rows, checks = [dict(row) for row in found["rows"]], list(map(_check, found["checks"]))
@@ -85,7 +85,7 @@ def read_benchmark(directory: Path, name: str, captions: Mapping[str, str]) -> R
     except KeyError as error:
         raise ReportError(f"{path}: not a result of scripts/bench: no {error}") from None
     except (TypeError, ValueError, AttributeError) as error:
-        raise ReportError(f"{path}: not a result of scripts/bench: {one_line(error)}") from None
+        raise ReportError(f"{path}: not a result of scripts/bench: {error}") from None
 
 
 def bench_command(name: str, quick: bool, options: Mapping[str, Any]) -> str:
@@ -158,7 +158,7 @@ def _load(path: Path) -> Mapping[str, Any]:
     try:
         found = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise ReportError(f"{path}: not JSON: {one_line(error)}") from None
+        raise ReportError(f"{path}: not JSON: {error}") from None
     if not isinstance(found, dict):
         raise ReportError(f"{path}: not a result of scripts/bench: no mapping")
     return found
@@ -176,7 +176,7 @@ def _read_text(path: Path) -> str:
 def _check(found: Mapping[str, Any]) -> Check:
     value = number(found["value"])
     if value is None and found["value"] is not None:
-        raise TypeError(f"value: expected a finite number, got {found['value']!r}"[:200])
+        raise TypeError(f"value: expected a finite number, got {quoted(found['value'])}")
     return Check(**{**found, "value": math.nan if value is None else value})
 
 
@@ -197,7 +197,7 @@ def _bag_origin(folder: Path) -> str:
     try:
         about = dict(Bag(folder).origin.about)
     except BagError as error:
-        raise ReportError(one_line(error)) from None
+        raise ReportError(error) from None
     revision = about.pop("revision", "not recorded")
     values = ", ".join(f"{name} {value}" for name, value in about.items() if value)
     return f"revision {revision}" + (f"; {values}" if values else "")
@@ -219,8 +219,6 @@ def _read_errors(path: Path) -> list[dict[str, Any]]:
             numbers = {k: float(v) for k, v in row.items() if k not in ("point", "axis")}
             labels = {"point": row["point"], "axis": row["axis"]}
         except (TypeError, ValueError, KeyError) as error:
-            raise ReportError(
-                f"{path}: not a table of scripts/validate: {one_line(error)}"
-            ) from None
+            raise ReportError(f"{path}: not a table of scripts/validate: {error}") from None
         rows.append(labels | numbers)
     return rows

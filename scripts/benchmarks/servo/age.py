@@ -7,6 +7,7 @@ wire, which is 0.34 ms for four goals at 1 Mbaud.
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 import tempfile
@@ -33,6 +34,7 @@ from slot_nodes import qos
 
 SEPARATE, COMPOSED = "separate", "composed"
 BUSY = "composed, one core kept busy"
+NODES = (SEPARATE, COMPOSED, BUSY)
 GOALS = {0.5: 3.5, 0.01: 6.0}  # ms, composed, by the share of commands that are older
 BUSY_GOAL = 10.0  # ms, of which 1 % may be older with one core kept busy
 AGE_RATIO = 0.7  # of the median age of a command, composed over separate nodes
@@ -73,6 +75,8 @@ def walk(duration: float, nodes: str) -> Ages:
                 raise BenchmarkError(f"the graph failed: {failure or 'no commands'}")
     begin = min(filter(None, written)) + warm_up * 1e9
     aged = [1e-9 * (at - published[s]) for s, at in written.items() if s in published and s > begin]
+    if not aged:
+        raise BenchmarkError("no command after the warm-up")
     return np.array(aged)
 
 
@@ -100,8 +104,12 @@ def row(found: Ages, nodes: str) -> Row:
 
 
 def checks(rows: Sequence[Row]) -> list[Check]:
-    """That one process makes the commands younger, and the goals, which are the machine's too."""
-    by_nodes = {row["nodes"]: row for row in rows}
+    """That one process makes the commands younger, and the goals, which are the machine's too.
+
+    Without the row of a walk its checks are missed.
+    """
+    by_nodes = {nodes: {"p50_ms": math.nan, "p99_ms": math.nan} for nodes in NODES}
+    by_nodes |= {row["nodes"]: dict(row) for row in rows}
     composed, busy = by_nodes[COMPOSED], by_nodes[BUSY]
     ratio = composed["p50_ms"] / by_nodes[SEPARATE]["p50_ms"]
     median, oldest = GOALS.values()
@@ -117,9 +125,10 @@ def draw(ages: Mapping[str, Ages], path: Path) -> None:
     """Write the plot: share of the commands older than an age, by the nodes of the walk."""
     figure = Figure(figsize=(6.0, 3.4), layout="constrained")
     axes = figure.subplots()
-    for (nodes, found), colour in zip(ages.items(), (INK, *STAGE_COLOURS[:2]), strict=True):
+    colours = dict(zip(NODES, (INK, *STAGE_COLOURS[:2]), strict=True))
+    for nodes, found in ages.items():
         older = 1.0 - np.arange(len(found)) / len(found)
-        axes.step(1e3 * np.sort(found), older, color=colour, label=nodes)
+        axes.step(1e3 * np.sort(found), older, color=colours[nodes], label=nodes)
     axes.plot(GOALS.values(), GOALS.keys(), "x", color=SECONDARY, label="goals, composed")
     axes.set(xlabel="from odometry published to goals written, ms", xlim=(0.0, None))
     axes.set(ylabel="share of commands that are older", yscale="log")

@@ -7,9 +7,12 @@ scene or other thing of config/; N: a number; S: seconds; units: M, DEG, HZ, M/S
 from __future__ import annotations
 
 import argparse
+import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NoReturn, TypeVar
+
+from slot_core.refusal import one_line, printable
 
 Number = TypeVar("Number", int, float)
 INTERRUPTED = 130  # exit code
@@ -20,7 +23,7 @@ class CommandParser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """End the program with the message."""
-        self.exit(2, f"{self.prog}: {message}\n")
+        self.exit(2, one_line(f"{self.prog}: {message}") + "\n")
 
 
 def command_parser(name: str, description: str | None) -> CommandParser:
@@ -29,9 +32,21 @@ def command_parser(name: str, description: str | None) -> CommandParser:
     return CommandParser(prog=f"scripts/{name}", description=description, formatter_class=form)
 
 
-def one_line(error: BaseException) -> str:
-    """The message of an error without line breaks."""
-    return " ".join(str(error).split())
+def refuse(program: str, error: object) -> None:
+    """Print the line in which a program refuses."""
+    print(one_line(f"{program}: {error}"), file=sys.stderr)
+
+
+def show(program: str, lines: Iterable[str]) -> bool:
+    """Print lines without control characters; False if the output cannot be written, and say so."""
+    try:
+        print("\n".join(map(printable, lines)), flush=True)
+    except OSError as error:  # a full disk, a closed pipe
+        refuse(program, f"output: {error.strerror}")
+        # What is left in the buffer must not fail again at the end of the process.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return False
+    return True
 
 
 def progress(line: str) -> None:

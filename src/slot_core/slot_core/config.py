@@ -11,20 +11,22 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-import stat
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
+
+from slot_core.files import read_text
+from slot_core.refusal import InputError, quoted
 
 T = TypeVar("T")
 SIZE_MAX = 1_000_000  # bytes of a configuration file
 DEPTH_MAX = 100  # nested collections of a YAML text
 
 
-class ConfigError(ValueError):
+class ConfigError(InputError):
     """An invalid configuration value; the message gives its name, its value and the limit."""
 
 
@@ -65,16 +67,16 @@ def load(name: str) -> Any:
     """Content of `<config_dir>/<name>.yaml`, unchecked.
 
     Raises ConfigError if the file is missing (the message lists the known names), no regular file,
-    larger than SIZE_MAX or not YAML, if it repeats a key, or nests deeper than DEPTH_MAX.
+    larger than SIZE_MAX, or cannot be parsed.
     """
     path = config_dir() / f"{name}.yaml"
     try:
-        return parse(read_text(path))
+        return parse(read_text(path, SIZE_MAX))
     except FileNotFoundError:
         known = ", ".join(sorted(p.stem for p in path.parent.glob("*.yaml")))
-        raise ConfigError(f"no configuration {name!r} (known: {known})") from None
-    except (OSError, ValueError, yaml.YAMLError) as error:
-        raise ConfigError(f"{name}.yaml: {' '.join(str(error).split())}") from None
+        raise ConfigError(f"no configuration {quoted(name)} (known: {known})") from None
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{name}.yaml: {error}") from None
 
 
 def names(folder: str) -> list[str]:
@@ -85,26 +87,28 @@ def names(folder: str) -> list[str]:
 def parse(text: str) -> Any:
     """Content of a YAML text.
 
-    Raises yaml.YAMLError, also where a mapping repeats a key, and ValueError if it nests deeper
-    than DEPTH_MAX; the loader in C would overflow its stack.
+    Raises ConfigError if it is not YAML, repeats a key, nests deeper than DEPTH_MAX, where the
+    loader in C would overflow its stack, or has aliases, of which a few lines can make gigabytes,
+    or tags.
     """
+    try:
+        _require_plain(text)
+        return yaml.load(text, _UniqueKeyLoader)
+    except (ValueError, OverflowError, yaml.YAMLError) as error:
+        raise ConfigError(error) from None
+
+
+def _require_plain(text: str) -> None:
+    """Raise ConfigError for aliases, tags and deep nesting; raises yaml.YAMLError."""
     depth = 0
     for event in yaml.parse(text, yaml.CSafeLoader):
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
         if depth > DEPTH_MAX:
-            raise ValueError(f"nested deeper than {DEPTH_MAX} levels")
-    return yaml.load(text, _UniqueKeyLoader)
-
-
-def read_text(path: Path) -> str:
-    """Text of a regular file of at most SIZE_MAX bytes; raises OSError, ValueError."""
-    status = path.stat()
-    if not stat.S_ISREG(status.st_mode):
-        raise ValueError("not a regular file")
-    if status.st_size > SIZE_MAX:
-        raise ValueError(f"{status.st_size} bytes, limit {SIZE_MAX}")
-    return path.read_text()
+            raise ConfigError(f"nested deeper than {DEPTH_MAX} levels")
+        if isinstance(event, yaml.AliasEvent) or getattr(event, "tag", None):
+            kind = "alias" if isinstance(event, yaml.AliasEvent) else "tag"
+            raise ConfigError(f"line {event.start_mark.line + 1}: no {kind} is allowed")
 
 
 class _UniqueKeyLoader(yaml.CSafeLoader):
@@ -112,13 +116,15 @@ class _UniqueKeyLoader(yaml.CSafeLoader):
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """The mapping of a node; raises ConstructorError."""
-        seen: list[Any] = []
+        seen: set[Hashable] = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
+            if not isinstance(key, Hashable):
+                break  # which is refused below
             if key in seen:
-                where, problem = key_node.start_mark, f"the key {key!r} is repeated"
+                where, problem = key_node.start_mark, f"the key {quoted(key)} is repeated"
                 raise yaml.constructor.ConstructorError(None, None, problem, where)
-            seen.append(key)
+            seen.add(key)
         return super().construct_mapping(node, deep)
 
 
@@ -128,10 +134,10 @@ def build(cls: type[T], mapping: Any, where: str) -> T:
     where: name of the source in error messages.
     """
     if not isinstance(mapping, Mapping):
-        raise ConfigError(f"{where}: expected a mapping of {cls.__name__}, got {mapping!r}")
+        raise ConfigError(f"{where}: expected a mapping of {cls.__name__}, got {quoted(mapping)}")
     hints = typing.get_type_hints(cls)
     fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
-    if unknown := [str(key) for key in mapping if key not in fields]:
+    if unknown := [_name(key) for key in mapping if key not in fields]:
         raise ConfigError(
             f"{_inside(where, unknown[0])} is not a setting (known: {', '.join(fields)})"
         )
@@ -163,17 +169,22 @@ def replace(settings: T, changes: Mapping[str, Any], where: str = "override") ->
     Raises ConfigError as `build` does, for an unknown name, and if `changes` is no mapping.
     """
     if not isinstance(changes, Mapping):
-        raise ConfigError(f"{where}: expected a mapping of dotted names, got {changes!r}")
+        raise ConfigError(f"{where}: expected a mapping of dotted names, got {quoted(changes)}")
     mapping = _to_mapping(settings)
     for name, value in changes.items():
         *parents, last = str(name).split(".")
         node = mapping
         for parent in parents:
-            node = node.get(parent, {})
-        if last not in node:
+            node = node.get(parent) if isinstance(node, dict) else None
+        if not isinstance(node, dict) or last not in node:
             raise ConfigError(f"{where}: {name} is not a setting")
         node[last] = value
     return build(type(settings), mapping, where)
+
+
+def _name(key: Any) -> str:
+    """Name of a setting, whose key need not be a string in YAML."""
+    return key if isinstance(key, str) else quoted(key)
 
 
 def _inside(where: str, name: str) -> str:
@@ -194,9 +205,10 @@ def _convert(value: Any, kind: Any, meta: Mapping[str, Any], where: str) -> Any:
         return build(typing.cast(type, kind), value, where)
     if typing.get_origin(kind) is dict:
         if not isinstance(value, Mapping):
-            raise ConfigError(f"{where} = {value!r}: expected a mapping")
+            raise ConfigError(f"{where} = {quoted(value)}: expected a mapping")
         item = typing.get_args(kind)[1]
-        return {str(k): _convert(v, item, meta, f"{where}.{k}") for k, v in value.items()}
+        named = {_name(key): inner for key, inner in value.items()}
+        return {k: _convert(v, item, meta, f"{where}.{k}") for k, v in named.items()}
     if typing.get_origin(kind) is tuple:
         return _convert_tuple(value, typing.get_args(kind), meta, where)
     return _convert_scalar(value, kind, meta, where)
@@ -204,11 +216,12 @@ def _convert(value: Any, kind: Any, meta: Mapping[str, Any], where: str) -> Any:
 
 def _convert_tuple(value: Any, kinds: tuple[Any, ...], meta: Mapping[str, Any], where: str) -> Any:
     if not isinstance(value, (list, tuple)):
-        raise ConfigError(f"{where} = {value!r}: expected a list")
+        raise ConfigError(f"{where} = {quoted(value)}: expected a list")
     if kinds[-1] is Ellipsis:
         kinds = kinds[:1] * len(value)
     if len(value) != len(kinds):
-        raise ConfigError(f"{where} = {value!r}: expected {len(kinds)} values, got {len(value)}")
+        count = f"expected {len(kinds)} values, got {len(value)}"
+        raise ConfigError(f"{where} = {quoted(value)}: {count}")
     return tuple(
         _convert(v, k, meta, f"{where}[{i}]") for i, (v, k) in enumerate(zip(value, kinds))
     )
@@ -219,22 +232,16 @@ def _convert_scalar(value: Any, kind: Any, meta: Mapping[str, Any], where: str) 
         try:  # YAML 1.1 reads 1e-8 as a string
             value = float(value)
         except (TypeError, ValueError):
-            raise ConfigError(f"{where} = {value!r}: expected a number") from None
+            raise ConfigError(f"{where} = {quoted(value)}: expected a number") from None
         except OverflowError:
-            raise ConfigError(f"{where}: {_short(value)}: too large for a number") from None
+            raise ConfigError(f"{where}: {quoted(value)}: too large for a number") from None
     if type(value) is not kind:
-        raise ConfigError(f"{where} = {value!r}: expected {kind.__name__}")
+        raise ConfigError(f"{where} = {quoted(value)}: expected {kind.__name__}")
     if "options" in meta and value not in meta["options"]:
-        raise ConfigError(f"{where} = {value!r}: expected one of {', '.join(meta['options'])}")
+        known = ", ".join(meta["options"])
+        raise ConfigError(f"{where} = {quoted(value)}: expected one of {known}")
     if "low" in meta and not meta["low"] <= value <= meta["high"]:
         unit = f" {meta['unit']}" if meta["unit"] else ""
         limits = f"[{meta['low']}, {meta['high']}]{unit}"
-        raise ConfigError(f"{where} = {_short(value)}: outside {limits}")
+        raise ConfigError(f"{where} = {quoted(value)}: outside {limits}")
     return value
-
-
-def _short(value: Any) -> str:
-    """A number as text, or how long it is: Python refuses to print very long integers."""
-    if isinstance(value, int) and value.bit_length() > 64:
-        return f"an integer of {value.bit_length()} bits"
-    return str(value)

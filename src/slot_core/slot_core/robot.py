@@ -21,6 +21,7 @@ from scipy.integrate import quad
 
 from slot_core import config
 from slot_core.config import ConfigError, choice, quantity
+from slot_core.refusal import quoted
 
 Array = NDArray[np.float64]
 
@@ -234,7 +235,8 @@ def read_robot(parameters: str = "") -> RobotParameters:
     mapping = config.load("robot")
     if not isinstance(mapping, dict) or "parameters" not in mapping:
         raise ConfigError("robot.yaml: parameters is missing: the name of a parameter set")
-    named = mapping.pop("parameters")
+    if not isinstance(named := mapping.pop("parameters"), str):
+        raise ConfigError(f"robot.yaml: parameters = {quoted(named)}: expected a name")
     name = parameters or named
     content = config.load(f"parameters/{name}")
     for dotted, value in _part(content, name, "values").items():

@@ -12,10 +12,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
-
 from slot_core import config
 from slot_core.config import ConfigError
+from slot_core.files import read_text
 
 KEY = "ros__parameters"
 
@@ -36,13 +35,13 @@ class Parameters(NamedTuple):
 def read_parameters(file: Path) -> list[Parameters]:
     """Parameters of a file; raises ConfigError."""
     try:
-        return parse_parameters(config.read_text(file), file.name)
-    except (OSError, ValueError, yaml.YAMLError) as error:
-        raise ConfigError(f"params_file {file}: {' '.join(str(error).split())}") from None
+        return parse_parameters(read_text(file, config.SIZE_MAX), file.name)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"params_file {file}: {error}") from None
 
 
 def parse_parameters(text: str, where: str) -> list[Parameters]:
-    """Parameters of a text in YAML; raises yaml.YAMLError, ValueError."""
+    """Parameters of a text in YAML; raises ValueError."""
     found = list(_found(config.parse(text), "", where))
     if not found:
         raise ValueError(f"{where}: no {KEY}")

@@ -12,8 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
+from slot_core.files import read_text
+from slot_core.refusal import InputError, quoted
 
-class TableError(ValueError):
+SIZE_MAX = 200_000_000  # bytes of a file
+
+
+class TableError(InputError):
     """A file that cannot be used; the message is one line."""
 
 
@@ -33,7 +38,7 @@ class CsvRow:
         except ValueError:
             value = np.nan
         if not np.isfinite(value):
-            raise TableError(f"{self.where}, {column}: {text!r} is not a finite number{hint}")
+            raise TableError(f"{self.where}, {column}: {quoted(text)} is not a finite number{hint}")
         return value
 
 
@@ -50,10 +55,11 @@ class Table:
 def read_table(path: Path) -> Table:
     """Read a file; raises TableError, also for a row with more or fewer cells than columns."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        cause = getattr(error, "strerror", None) or "not a text file"
-        raise TableError(f"{path}: {cause}") from None
+        text = read_text(path, SIZE_MAX)
+    except UnicodeDecodeError:
+        raise TableError(f"{path}: not a text file") from None
+    except (OSError, ValueError) as error:
+        raise TableError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
     comments = [line[1:].strip() for line in map(str.strip, text.splitlines()) if line[:1] == "#"]
     lines = list(_lines(path, text))
     if not lines:

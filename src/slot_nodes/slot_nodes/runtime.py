@@ -28,6 +28,7 @@ from rclpy.signals import uninstall_signal_handlers
 from rclpy.timer import Timer
 
 from slot_core import config
+from slot_core.refusal import one_line
 from slot_nodes import messages
 from slot_nodes.process import intra_process
 from slot_nodes.process.executor import DirectExecutor
@@ -115,7 +116,7 @@ def run(make_node: Callable[[], Any], serve: Callable[[Any], None] = spin) -> No
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except (config.ConfigError, ParameterException) as error:
-        print(error, file=sys.stderr)
+        print(one_line(error), file=sys.stderr)
         sys.exit(2)
     except RuntimeError:
         if not interrupt.received and rclpy.utilities.ok():
@@ -141,7 +142,7 @@ def _init() -> None:
     try:
         rclpy.init()
     except RuntimeError as error:  # arguments that are not YAML, a domain that is not a number
-        raise config.ConfigError(" ".join(str(error).split())) from None
+        raise config.ConfigError(error) from None
 
 
 def declare_settings(node: Node, settings: T, prefix: str = "", read_only: bool = True) -> T:

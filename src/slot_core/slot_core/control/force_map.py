@@ -18,10 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slot_core import config
+from slot_core.arrays import checked
 from slot_core.config import quantity
 from slot_core.control.policy import Status, TendonPlan
 from slot_core.gait.gait import GaitPreview
 from slot_core.legs.leg_springs import LegSprings, read_leg_springs
+from slot_core.refusal import quoted
 from slot_core.robot import LEGS, Array, RobotParameters
 
 PLANNED, HELD = "planned", "hold"  # names where no map is applied
@@ -64,17 +66,24 @@ class ForceMap:
     def step(self, plan: TendonPlan, preview: GaitPreview, state: Array) -> TendonCommand:
         """Command of a plan for the preview and state (12,) of its stamp.
 
-        On STOPPED the last angles are held. Raises ValueError for an unknown map.
+        On STOPPED the last angles are held. Raises ValueError for an unknown map, and for forces,
+        angles or a state of another shape.
         """
         if plan.status == Status.STOPPED:
             return self._hold(preview)
+        count = len(LEGS)
+        if not len(checked("force", plan.force, (-1, count, 3), finite=False)):
+            raise ValueError("force: no stages")
+        checked("angle", plan.angle, (-1, count), finite=False)
+        checked("rate", plan.rate, (count,), finite=False)
+        checked("state", state, (12,), finite=False)
         normal = plan.force[0, :, 2]
         if len(plan.angle):
             found = plan.angle[0], np.zeros(len(LEGS)), plan.rate
         elif plan.map in self._maps:
             found = self._maps[plan.map](normal, preview, state)
         else:
-            raise ValueError(f"map {plan.map!r}: expected one of {', '.join(self._maps)}")
+            raise ValueError(f"map {quoted(plan.map)}: expected one of {', '.join(self._maps)}")
         angle, slope, rate = found
         self._last = clipped = self._clip(angle)
         name = plan.map or PLANNED

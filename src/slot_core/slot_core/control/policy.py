@@ -21,7 +21,9 @@ import numpy as np
 
 from slot_core.config import ConfigError
 from slot_core.estimation.estimate import Estimate
+from slot_core.files import require_regular
 from slot_core.gait.gait import GaitPreview
+from slot_core.refusal import quoted
 from slot_core.robot import LEGS, Array, RobotParameters
 
 Timer = Callable[[], float]  # s
@@ -132,7 +134,9 @@ def policy_class(name: str) -> type[Policy]:
         return _class_in_file(Path(name))
     if name not in POLICIES:
         known = ", ".join(POLICIES)
-        raise ConfigError(f"policy {name!r}: expected one of {known}, or a file that ends with .py")
+        raise ConfigError(
+            f"policy {quoted(name)}: expected one of {known}, or a file that ends with .py"
+        )
     module, _, kind = POLICIES[name].partition(":")
     found: type[Policy] = getattr(importlib.import_module(module), kind)
     return found
@@ -153,9 +157,9 @@ def _class_in_file(path: Path) -> type[Policy]:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     try:
+        require_regular(path)
         spec.loader.exec_module(module)
         found: type[Policy] = module.POLICY
     except Exception as error:
-        reason = " ".join(str(error).split())
-        raise ConfigError(f"policy {path}: {type(error).__name__}: {reason}") from error
+        raise ConfigError(f"policy {path}: {type(error).__name__}: {error}") from error
     return found

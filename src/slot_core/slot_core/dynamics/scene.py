@@ -9,6 +9,7 @@ from typing import Any
 from slot_core import config
 from slot_core.config import ConfigError, choice, flag, quantity, text
 from slot_core.faults import Fault
+from slot_core.refusal import quoted
 from slot_core.robot import read_parameters
 
 
@@ -239,7 +240,8 @@ def read_scene(name: str) -> Scene:
     mapping, where = _load(name), f"scene/{name}.yaml"
     if not isinstance(mapping, dict) or "like" not in mapping:
         return config.build(Scene, mapping, where)
-    other = mapping.pop("like")
+    if not isinstance(other := mapping.pop("like"), str):
+        raise ConfigError(f"{where}: like = {quoted(other)}: expected the name of a scene")
     base = config.build(Scene, _load(other), f"scene/{other}.yaml")
     identified = mapping.get("parameters")
     if isinstance(identified, str) and identified:

@@ -11,6 +11,7 @@ import numpy as np
 from slot_core.config import ConfigError
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
+from slot_core.refusal import quoted
 from slot_core.robot import Array, RobotParameters
 
 SNAPSHOT = (
@@ -62,8 +63,9 @@ class SimulatedRobot(ABC):
     def advance(self, steps: int, command: Array) -> None:
         """Advance by `steps` steps with constant commanded tendon angles (4,), rad.
 
-        Raises ValueError for a command of the wrong shape, not finite or outside [0, angle_max],
-        and DivergenceError when a speed is not finite or exceeds the limit.
+        Raises ValueError for a negative number of steps, a command of the wrong shape, not finite
+        or outside [0, angle_max], and DivergenceError when a speed is not finite or exceeds the
+        limit.
         """
 
     def push(self, force: Array, moment: Array) -> None:
@@ -169,7 +171,13 @@ class SimulatedRobot(ABC):
         return self.state.specific_force.copy()
 
     def _settle(self) -> None:
-        start = self.scene.start
+        """Raises ConfigError for a start that the tendons do not reach."""
+        start, most = self.scene.start, self.parameters.tendon.angle_max
+        if math.radians(start.tendon_angle_deg) > most:
+            raise ConfigError(
+                f"start.tendon_angle_deg = {start.tendon_angle_deg:g}: above the largest angle of"
+                f" the tendons, {math.degrees(most):g} deg"
+            )
         command = np.full(4, math.radians(start.tendon_angle_deg))
         self.advance(round(start.settle / self.scene.solver.step), command)
         self.steps = 0
@@ -183,6 +191,12 @@ class SimulatedRobot(ABC):
         if not all(0.0 <= angle <= limit for angle in command.tolist()):
             raise ValueError(f"command {command} rad is not inside [0, {limit:.6f}]")
         return command
+
+
+def require_steps(steps: int) -> None:
+    """Raise ValueError for a number of steps that is no integer or negative."""
+    if not isinstance(steps, (int, np.integer)) or steps < 0:
+        raise ValueError(f"steps = {quoted(steps)}: expected an integer, 0 or more")
 
 
 def quaternion(rotation: Array) -> Array:

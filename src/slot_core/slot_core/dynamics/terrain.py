@@ -18,7 +18,10 @@ from slot_core import config
 from slot_core.compiled import FUSED, OPTIONS, helper
 from slot_core.config import ConfigError
 from slot_core.dynamics.lanes import LANES, join, lane
+from slot_core.files import read_text
 from slot_core.robot import Array
+
+SIZE_MAX = 10_000_000  # bytes of a height map
 
 
 class Terrain(NamedTuple):
@@ -45,7 +48,8 @@ def read_terrain(name: str, spacing: float) -> Terrain:
         return PLANE
     path = config.config_dir() / "scene" / name
     try:
-        height = np.loadtxt(path, delimiter=",", ndmin=2)
+        lines = read_text(path, SIZE_MAX).splitlines()
+        height = np.loadtxt(lines, delimiter=",", ndmin=2)
     except (OSError, ValueError) as error:
         raise ConfigError(f"scene/{name}: {error}") from None
     if min(height.shape) < 2 or not np.all(np.isfinite(height)):

@@ -8,13 +8,12 @@ import statistics
 from collections.abc import Callable
 from pathlib import Path
 
-import yaml
-
 from slot_core import config
 from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.joints import Joint, joints
 from slot_core.dynamixel.settings import DynamixelSettings
 from slot_core.dynamixel.table import RAD_PER_COUNT
+from slot_core.files import read_text
 from slot_core.robot import LEGS
 from slot_core.servos.servo_errors import RefusedError
 
@@ -53,14 +52,14 @@ def write_zero(leg: str, zero_deg: float) -> Path:
     `zero_deg` of four numbers or the value, or the servo's limits with it, are out of bounds.
     """
     path = config.config_dir() / "dynamixel.yaml"
-    text = path.read_text()
+    text = read_text(path, config.SIZE_MAX)
     line = re.search(rf"^(\s*zero_deg:\s*\[)({NUMBER}(?:\s*,\s*{NUMBER}){{3}})(\])", text, re.M)
     if line is None:
         raise config.ConfigError(f"{path}: no line zero_deg: [FL, FR, RL, RR]")
     values = [value.strip() for value in line[2].split(",")]
     values[LEGS.index(leg)] = f"{zero_deg:.{ZERO_DIGITS}f}"
     changed = text[: line.start(2)] + ", ".join(values) + text[line.end(2) :]
-    settings = config.build(DynamixelSettings, yaml.safe_load(changed), path.name)
+    settings = config.build(DynamixelSettings, config.parse(changed), path.name)
     joints(settings.joints)
     path.write_text(changed)
     return path

@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from slot_core import config
-from slot_core.command_line import CommandParser
+from slot_core.command_line import CommandParser, refuse
 from slot_core.config import ConfigError
 from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.checks import examine, expected
@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except RefusedError as error:
         print("\n".join(error.reasons), file=sys.stderr)
     except (ServoError, ConfigError, ValueError, OSError) as error:
-        print(f"scripts/servos: {error}", file=sys.stderr)
+        refuse("scripts/servos", error)
     return FAILED
 
 

@@ -17,6 +17,16 @@ class ImuSamples:
     stamps: NDArray[np.int64]  # (n,) ns, rising
     values: Array  # (n, 6) angular velocity rad/s, specific force m/s^2
 
+    def __post_init__(self) -> None:
+        """Raise ValueError for values that are not those of the stamps."""
+        stamps, values = self.stamps, self.values
+        typed = stamps.dtype == np.int64 and values.dtype == np.float64
+        if not typed or stamps.ndim != 1 or values.shape != (len(stamps), 6):
+            raise ValueError(
+                f"IMU samples: stamps {stamps.dtype} {stamps.shape}, values {values.dtype}"
+                f" {values.shape}: expected int64 (n,), float64 (n, 6)"
+            )
+
     def until(self, stamp: int) -> ImuSamples:
         """The samples up to `stamp`, ns."""
         count = int(np.searchsorted(self.stamps, stamp, side="right"))

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from slot_core.arrays import checked
 from slot_core.clock import to_ns
 from slot_core.config import quantity, text
 from slot_core.estimation.filter_kernels import (
@@ -190,7 +191,10 @@ class EstimatorSettings:
 
 @dataclass(frozen=True)
 class OdometryMotion:
-    """A decoded odometry reading: attitude and position in odom, twist in base_link."""
+    """A decoded odometry reading: attitude and position in odom, twist in base_link.
+
+    Raises ValueError for other shapes, and values that are not finite.
+    """
 
     stamp: int  # ns
     attitude: Array  # (4,) unit quaternion x y z w
@@ -198,6 +202,11 @@ class OdometryMotion:
     velocity: Array  # (3,) m/s
     rate: Array  # (3,) rad/s
     variance: Array  # (12,) of angle, position, velocity and rate; SI
+
+    def __post_init__(self) -> None:
+        sizes = {"attitude": 4, "position": 3, "velocity": 3, "rate": 3, "variance": 12}
+        for name, size in sizes.items():
+            checked(name, getattr(self, name), (size,))
 
 
 class Rate(NamedTuple):
@@ -251,14 +260,16 @@ class InertialFilter:
 
     def restore(self, saved: FilterState) -> None:
         """Set nominal state and covariance; valid only without a correction in between."""
-        for part, value in zip(self._state, saved):
+        for part, value in zip(self._state, saved, strict=True):
             part[:] = value
 
     def use_gyro(self, samples: ImuSamples, stamp: int, age: float) -> None:
         """Set the angular velocity from the gyro at `stamp` (ns), `age` (s) after its last sample.
 
-        The variance includes the change by an impact since that sample.
+        The variance includes the change by an impact since that sample. Raises ValueError without
+        samples.
         """
+        _require_some(samples)
         imu, sample = self._settings.imu, self._work.sample
         amplification = interpolate(sample, samples.stamps, samples.values, stamp)
         noise = amplification * imu.gyro_noise**2 * imu.rate
@@ -266,7 +277,11 @@ class InertialFilter:
         self.rate = Rate(sample[:3] - self._state.bias[0], variance, 1.0)
 
     def propagate(self, samples: ImuSamples, begin: int, end: int) -> None:
-        """Propagate from `begin` to `end` (ns) in steps between the samples; blindly in gaps."""
+        """Propagate from `begin` to `end` (ns) in steps between the samples; blindly in gaps.
+
+        Raises ValueError without samples.
+        """
+        _require_some(samples)
         longest = to_ns(self._settings.timing.imu_gap)
         blind = longest, self.rate.value, self._blind_noise
         steps = samples.stamps, samples.values, begin, end, self._noise
@@ -279,6 +294,7 @@ class InertialFilter:
 
     def extrapolate(self, imu: Array, dt: float) -> None:
         """Propagate by dt (s) with an IMU sample (6,) held, from which the next may differ."""
+        imu = checked("IMU sample", imu, (6,))
         held, steps = self._noise.copy(), self._settings.imu
         held[THETA] += (dt * steps.angular_acceleration_step) ** 2 * dt
         held[V] += steps.acceleration_step**2 * dt
@@ -320,6 +336,11 @@ class InertialFilter:
         rate, variance, gyro_share = self.rate
         output(self._state, self._work, rate, gyro_share, variance, state, cov)
         return state, cov
+
+
+def _require_some(samples: ImuSamples) -> None:
+    if not len(samples.stamps):
+        raise ValueError("IMU samples: none")
 
 
 def load_kernels(settings: EstimatorSettings) -> None:

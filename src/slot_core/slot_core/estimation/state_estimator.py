@@ -310,7 +310,10 @@ class StateEstimator:
 
 def _vector(values: Array, size: int, limit: float) -> Array | None:
     """A copy of `values` (size,); None for another shape or an element beyond +-limit."""
-    array = np.array(values, dtype=np.float64)
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
     usable = array.shape == (size,) and all(abs(x) <= limit for x in array.tolist())  # NaN is not
     return array if usable else None
 
@@ -332,7 +335,12 @@ def _in_base(rate: Array, force: Array, rotation: Array, place: Array) -> tuple[
 
 
 def _known(variance: Array, nominal: Array) -> Array:
-    """Variances (12,): where one is not positive, or not a number, the nominal one."""
+    """Variances (12,): where one is not positive, or not a number, the nominal one.
+
+    All are nominal if there are not twelve.
+    """
     given = np.asarray(variance, dtype=np.float64)
+    if given.shape != nominal.shape:
+        return nominal
     known = np.where(given > 0.0, given, nominal)
     return np.clip(known, VARIANCE_MIN, VARIANCE_MAX)

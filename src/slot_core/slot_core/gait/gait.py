@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from slot_core import config
 from slot_core.config import choice, flag, quantity
+from slot_core.refusal import quoted
 from slot_core.robot import Array
 
 STAND = "stand"  # name of the posture at the start
@@ -275,7 +276,8 @@ class GaitSettings:
     def find(self, name: str) -> Posture | Stride:
         """The gait of that name; raises ConfigError for an unknown one and lists the known ones."""
         if name not in self.gaits:
-            raise config.ConfigError(f"no gait {name!r} (known: {', '.join(sorted(self.gaits))})")
+            known = ", ".join(sorted(self.gaits))
+            raise config.ConfigError(f"no gait {quoted(name)} (known: {known})")
         return self.gaits[name]
 
     def require_velocity(self, name: str, velocity: Array) -> None:
@@ -364,14 +366,14 @@ def read_gaits() -> GaitSettings:
     """The settings of `config/gait.yaml` with every file of `config/gait/`; raises ConfigError."""
     settings = config.load("gait")
     if not isinstance(settings, dict):
-        raise config.ConfigError(f"gait.yaml: expected a mapping, got {settings!r}")
+        raise config.ConfigError(f"gait.yaml: expected a mapping, got {quoted(settings)}")
     found: dict[str, dict[str, object]] = {"posture": {}, "stride": {}}
     for path in sorted((config.config_dir() / "gait").glob("*.yaml")):
         gait = config.load(f"gait/{path.stem}")
         kind = gait.get("kind") if isinstance(gait, dict) else None
-        if kind not in found:
+        if not isinstance(kind, str) or kind not in found:
             raise config.ConfigError(
-                f"gait/{path.name}: kind = {kind!r}: expected one of {', '.join(found)}"
+                f"gait/{path.name}: kind = {quoted(kind)}: expected one of {', '.join(found)}"
             )
         found[kind][path.stem] = gait
     return config.build(

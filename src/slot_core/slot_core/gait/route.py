@@ -15,10 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slot_core.config import ConfigError
+from slot_core.files import read_text
 from slot_core.geometry import wrapped
+from slot_core.refusal import quoted
 from slot_core.robot import Array
 
-POINTS_MAX = 100_000
+POINTS_MAX, SIZE_MAX = 100_000, 10_000_000  # of a file, bytes
+FARTHEST = 1e6  # m from odom's origin
 KEPT, ALONG = "kept", "along"  # heading: that at the start; the path's direction
 LEAD = 0.04  # m, of the reference place before the robot
 ARRIVED = 0.005  # m along the path before its end, where the robot stops
@@ -130,12 +133,15 @@ class Route:
 def read_route(file: Path | str, heading: str) -> Route:
     """The path of a CSV file with columns x, y (m); heading as in `Route`. Raises ConfigError."""
     if heading not in (KEPT, ALONG):
-        raise ConfigError(f"path_heading = {heading!r}: expected one of kept, along")
+        raise ConfigError(f"path_heading = {quoted(heading)}: expected one of kept, along")
     try:
-        with Path(file).open(newline="") as stream:
-            rows = [[float(row["x"]), float(row["y"])] for row in csv.DictReader(stream)]
+        lines = read_text(Path(file), SIZE_MAX).splitlines()
+        rows = [[float(row["x"]), float(row["y"])] for row in csv.DictReader(lines)]
     except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
         raise ConfigError(f"{file}: no path with columns x, y: {error}") from None
-    if len(rows) > POINTS_MAX or not np.isfinite(rows).all():
-        raise ConfigError(f"{file}: more than {POINTS_MAX} points, or a value not finite")
-    return Route(np.array(rows).reshape(-1, 2), heading)
+    points = np.array(rows).reshape(-1, 2)
+    if len(rows) > POINTS_MAX or not (np.abs(points) <= FARTHEST).all():  # NaN is not
+        raise ConfigError(
+            f"{file}: more than {POINTS_MAX} points, or a value not within +-{FARTHEST:g} m"
+        )
+    return Route(points, heading)

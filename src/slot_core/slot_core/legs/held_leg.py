@@ -20,6 +20,7 @@ import math
 import numpy as np
 
 from slot_core import config
+from slot_core.arrays import checked
 from slot_core.compiled import helper, kernel
 from slot_core.dynamics.clamp import couple
 from slot_core.dynamics.contact import normal_force
@@ -48,7 +49,8 @@ class HeldLeg:
     def __init__(self, robot: RobotParameters, nodes: int, friction: float, height: float):
         changes = {"solver.legs": "planar", "solver.nodes": nodes, "floor.friction_law": "viscous"}
         settings = config.replace(read_scene("flat"), changes)
-        self.height = height
+        self.height = height  # m, checked by `StaticLeg`
+        friction = float(checked("friction", friction, ()))
         self.model: Model = build_model(robot, settings, read_servo())
         self._leg = planar_leg(nodes)
         self._start = np.zeros((nodes, 2)), np.zeros((nodes, 3))
@@ -67,8 +69,11 @@ class HeldLeg:
         """Turn the spool to an angle (rad) at a rate (rad/s).
 
         Returns the vertical force of the floor in the last step, N. Raises NoEquilibriumError where
-        a step does not converge.
+        a step does not converge, ValueError for values that are not finite or a rate not above 0.
         """
+        angle, rate = checked("angle, rate", (angle, rate), (2,)).tolist()
+        if rate <= 0.0:
+            raise ValueError(f"rate {rate} rad/s must be above 0")
         start = float(self._leg.angle[0])
         steps = max(1, math.ceil(abs(angle - start) / (rate * STEP)))
         turn = (angle - start) / steps

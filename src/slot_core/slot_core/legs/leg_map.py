@@ -22,7 +22,8 @@ from typing import NamedTuple
 import numpy as np
 
 from slot_core import config
-from slot_core.command_line import CommandParser
+from slot_core.arrays import checked
+from slot_core.command_line import CommandParser, refuse
 from slot_core.compiled import kernel
 from slot_core.config import quantity
 from slot_core.dynamics.clamp import couple
@@ -109,13 +110,15 @@ class StaticLeg:
 
     @node.setter
     def node(self, node: Array) -> None:
-        self._leg.stage[:] = node
+        self._leg.stage[:] = checked("node", node, self._leg.stage.shape)
 
     def solve(self, angle: float, height: float) -> LegEquilibrium:
         """Equilibrium at a tendon angle (rad) and a clamp height (m), from the present shape.
 
-        Raises NoEquilibriumError where the iteration does not converge.
+        Raises NoEquilibriumError where the iteration does not converge, ValueError for an angle or
+        height that is not finite.
         """
+        _, height = checked("angle, height", (angle, height), (2,)).tolist()
         self._leg.angle[0] = angle
         for inv, tolerance in STAGES:
             change = relax(self.model, self._leg, height, inv, tolerance, ITERATIONS)
@@ -255,7 +258,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         write(out, tabulate(read_robot(), config.read(LegMapSettings, "leg_map")))
     except (config.ConfigError, NoEquilibriumError, OSError) as error:
-        print(f"scripts/tabulate_leg: {error}", file=sys.stderr)
+        refuse(parser.prog, error)
         return 2
     return 0
 

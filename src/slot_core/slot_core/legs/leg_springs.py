@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slot_core.arrays import checked
 from slot_core.legs.leg_table import LegTable, read_leg_table
 from slot_core.robot import Array
 
@@ -28,12 +29,18 @@ class LegSprings:
     """Table of F, F_theta, F_h and the place of contact; outside of it the values at its edge."""
 
     def __init__(self, table: LegTable, slope_min: float):
-        """Take a table with `COLUMNS`; slope_min (N/rad): lower bound of F_theta, for the fold."""
+        """Take a table with `COLUMNS`; slope_min (N/rad): lower bound of F_theta, for the fold.
+
+        Raises ValueError for a table that is no grid.
+        """
+        table.require_grid()
         self._table, self._slope_min = table, slope_min
         self.at(np.zeros(1), np.zeros(1))  # compiles the kernel
 
     def at(self, angle: Array, height: Array) -> Springs:
-        """Statics at tendon angles (rad) and clamp heights (m) of equal shape."""
+        """Statics at tendon angles (rad) and clamp heights (m) of one shape; raises ValueError."""
+        if np.shape(angle) != np.shape(height):
+            raise ValueError(f"angles {np.shape(angle)}, heights {np.shape(height)}: not equal")
         flat = self._table.at(np.ravel(angle), np.ravel(height))
         flat[:, 1] = np.maximum(flat[:, 1], self._slope_min)
         flat[:, 2] = np.minimum(flat[:, 2], 0.0)
@@ -42,9 +49,11 @@ class LegSprings:
     def angle(self, force: Array, height: Array) -> Array:
         """Tendon angles (n,) rad at which legs at heights (n,) m carry the forces (n,) N.
 
-        The least such angle; beyond the table's largest force, its largest angle.
+        The least such angle; beyond the table's largest force, its largest angle. Raises ValueError
+        for other shapes.
         """
-        angles = self._table.angle
+        angles, force = self._table.angle, checked("forces", force, (-1,))
+        height = checked("heights", height, force.shape)
         grid = np.broadcast_arrays(angles, height[:, None])
         rising = np.maximum.accumulate(self.at(*grid).force, axis=1)
         return np.array([np.interp(f, row, angles) for f, row in zip(force, rising)])

@@ -12,8 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from slot_core import config
+from slot_core.arrays import checked
 from slot_core.compiled import helper, kernel
+from slot_core.files import read_text
 from slot_core.robot import Array
+
+SIZE_MAX = 10_000_000  # bytes of the file
 
 
 class LegTable(NamedTuple):
@@ -23,9 +27,21 @@ class LegTable(NamedTuple):
     height: Array  # (n,) m, rising
     table: Array  # (m, n, requested columns)
 
+    def require_grid(self) -> None:
+        """Raise ValueError unless angles and heights are two or more and the table is finite."""
+        grid = [checked("grid", values, (-1,)) for values in (self.angle, self.height)]
+        checked("table", self.table, (*map(len, grid), -1))
+        for values in grid:
+            if len(values) < 2 or not (np.diff(values) > 0.0).all():
+                raise ValueError("grid: expected two or more angles and heights that rise")
+
     def at(self, angle: Array, height: Array) -> Array:
-        """Columns (k, c) at angles (k,) rad and heights (k,) m, bilinear; outside: at the edge."""
-        a, h = (np.ascontiguousarray(values, dtype=float) for values in (angle, height))
+        """Columns (k, c) at angles (k,) rad and heights (k,) m, bilinear; outside: at the edge.
+
+        NaN gives NaN. Raises ValueError for other shapes.
+        """
+        a = checked("angles", angle, (-1,), finite=False)
+        h = checked("heights", height, a.shape, finite=False)
         columns = np.zeros((len(a), self.table.shape[2]))
         interpolate(*self, a, h, columns)
         return columns
@@ -35,13 +51,15 @@ def read_leg_table(columns: Sequence[str]) -> LegTable:
     """Columns of `config/leg_map.csv`; raises ConfigError if it is missing or not a grid."""
     names = ("theta_deg", "height_m", *columns)
     try:
-        with (config.config_dir() / "leg_map.csv").open() as file:
-            rows = [[float(row[name]) for name in names] for row in csv.DictReader(file)]
+        lines = read_text(config.config_dir() / "leg_map.csv", SIZE_MAX).splitlines()
+        rows = [[float(row[name]) for name in names] for row in csv.DictReader(lines)]
         theta_deg, height, *values = np.array(sorted(rows)).T
         angles, heights = np.unique(theta_deg), np.unique(height)
         table = np.array(values).T.reshape(len(angles), len(heights), len(columns))
-        return LegTable(np.radians(angles), heights, np.ascontiguousarray(table))
-    except (OSError, KeyError, TypeError, ValueError) as error:
+        found = LegTable(np.radians(angles), heights, np.ascontiguousarray(table))
+        found.require_grid()
+        return found
+    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
         raise config.ConfigError(f"leg_map.csv: no table of {names}: {error}") from None
 
 

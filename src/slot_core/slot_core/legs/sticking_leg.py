@@ -20,6 +20,7 @@ from __future__ import annotations
 import numpy as np
 
 from slot_core import config
+from slot_core.arrays import checked
 from slot_core.compiled import kernel
 from slot_core.dynamics.clamp import couple
 from slot_core.dynamics.model import build_model, contact_points, spatial_leg
@@ -54,8 +55,10 @@ class StickingLeg:
         """(6, 6) K over X (m) and Phi (rad), leg axes; N/m, N, N m/rad.
 
         node: (N, 2) equilibrium, m from the clamp, x and z, at a tendon angle (rad) and a clamp
-        height (m).
+        height (m). Raises ValueError for another shape, or values that are not finite.
         """
+        node = checked("node", node, (len(self._leg.stage), 2))
+        angle, height = checked("angle, height", (angle, height), (2,)).tolist()
         self._leg.stage[:, ::2] = node
         self._leg.angle[0] = angle
         tangent(self.model, self._leg, min(height, -node[:, 1].min() - TOUCH))

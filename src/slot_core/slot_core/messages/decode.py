@@ -18,6 +18,7 @@ from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.faults import Fault
 from slot_core.gait.gait import GaitCommand, GaitPreview
 from slot_core.geometry import rpy_of
+from slot_core.refusal import quoted
 from slot_core.robot import BASE_FRAME, LEGS, TENDON_JOINTS, Array
 from slot_core.safety.commands import Action
 from slot_core.safety.servo_health import ServoHealth
@@ -72,7 +73,8 @@ def odometry(message: Any) -> tuple[int, Array, Array, Array, Array, Array]:
 def torso_odometry(message: Any) -> tuple[int, Array, Array, Array, Array, Array]:
     """As `odometry`; raises ValueError for that of another frame than base_link."""
     if message.child_frame_id.rpartition("/")[2] != BASE_FRAME:
-        raise ValueError(f"child_frame_id {message.child_frame_id!r}: expected {BASE_FRAME!r}")
+        frame = quoted(message.child_frame_id)
+        raise ValueError(f"child_frame_id {frame}: expected {BASE_FRAME!r}")
     return odometry(message)
 
 
@@ -123,7 +125,7 @@ def joint_loads(message: Any) -> tuple[int, Array, Array]:
 def _of_joints(message: Any, values: Any) -> Array:
     names = list(message.name)
     if sorted(names) != sorted(TENDON_JOINTS) or len(values) != len(LEGS):
-        raise ValueError(f"joints {names}: expected {', '.join(TENDON_JOINTS)} once each")
+        raise ValueError(f"joints {quoted(names)}: expected {', '.join(TENDON_JOINTS)} once each")
     by_name = dict(zip(names, values))
     return np.array([by_name[joint] for joint in TENDON_JOINTS])
 

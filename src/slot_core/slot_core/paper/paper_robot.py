@@ -64,12 +64,13 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.arrays import checked
 from slot_core.config import ConfigError
 from slot_core.divergence import DivergenceError
 from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
-from slot_core.dynamics.simulated_robot import SimulatedRobot
+from slot_core.dynamics.simulated_robot import SimulatedRobot, require_steps
 from slot_core.paper.kernels import advance_legs, advance_robot
 from slot_core.paper.numbers import (
     PaperSettings,
@@ -100,9 +101,11 @@ class PaperLeg:
     def advance(self, steps: int, tension: float) -> None:
         """Advance `steps` steps of `settings.step` at a constant tension, N.
 
-        Raises DivergenceError when a speed is not finite or above `settings.speed_limit`.
+        Raises ValueError for a negative number of steps or a tension that is not finite, and
+        DivergenceError when a speed is not finite or above `settings.speed_limit`.
         """
-        self.state.tension[0] = tension
+        require_steps(steps)
+        self.state.tension[0] = checked("tension", tension, ())
         done, failed = advance_legs(self._handle, steps, self.settings.step)
         self.steps += done
         if failed >= 0:
@@ -162,9 +165,11 @@ class PaperRobot(SimulatedRobot):
     def advance(self, steps: int, command: Array) -> None:
         """Advance `steps` steps of the scene at constant commanded tendon angles (4,), rad.
 
-        Raises ValueError for a command of the wrong shape, not finite or outside [0, angle_max],
-        and DivergenceError when a speed is not finite or above `settings.speed_limit`.
+        Raises ValueError for a negative number of steps, a command of the wrong shape, not finite
+        or outside [0, angle_max], and DivergenceError when a speed is not finite or above
+        `settings.speed_limit`.
         """
+        require_steps(steps)
         command = self.checked(command)
         self._set_tension(command, steps)
         h = self.scene.solver.step / self._substeps

@@ -24,6 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slot_core.arrays import checked
 from slot_core.geometry import rotate, wrapped
 from slot_core.predictive.nominal_robot import NominalRobot, NominalState
 from slot_core.predictive.settings import ObserverSettings
@@ -63,8 +64,12 @@ class DisturbanceObserver:
         self._repeated = None
 
     def add(self, start: NominalState, state: Array, command: Array) -> None:
-        """Add a tick: its state (12,) and the angles (2, 4) given at its begin and end."""
-        self._past.append(_Tick(start, state.copy(), command.copy()))
+        """Add a tick: its state (12,) and the angles (2, 4) given at its begin and end.
+
+        Raises ValueError for other shapes.
+        """
+        command = checked("command", command, (2, 4)).copy()
+        self._past.append(_Tick(start, checked("state", state, (12,)).copy(), command))
 
     def repeat(self) -> None:
         """Repeat the motion of the window, once that is full."""
@@ -74,7 +79,8 @@ class DisturbanceObserver:
             self._repeated = pose if np.isfinite(pose).all() else None
 
     def correct(self, state: Array) -> None:
-        """Correct the estimates by the state (12,) now."""
+        """Correct the estimates by the state (12,) now; raises ValueError for another shape."""
+        state = checked("state", state, (12,))
         if self._repeated is None:
             return
         s, pose = self._settings, self._repeated

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slot_core import config
+from slot_core.arrays import checked
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.geometry import rotate
@@ -54,11 +55,13 @@ class NominalRobot:
 
     def set_wrench(self, wrench: Array, yaw: float) -> None:
         """Set the wrench on the torso: F_z (N) in odom, M_x and M_y (N m) at heading `yaw`."""
+        wrench, yaw = checked("wrench", wrench, (3,)), float(checked("yaw", yaw, ()))
         self.robot.model.push[2] = wrench[0]
         self.robot.model.push[3:5] = rotate(wrench[1:], yaw)
 
     def at_rest(self, state: Array, angle: Array) -> NominalState:
         """State with the torso of `state` (12,) and legs and servos that have reached `angle`."""
+        state, angle = checked("state", state, (12,)), checked("angle", angle, (len(LEGS),))
         self.robot.state.buffer[:] = self._initial.buffer
         self.robot.state.tendon_angle[:] = angle
         start = NominalState(self.robot.state.buffer.copy(), self._initial.side_rate)
@@ -68,31 +71,44 @@ class NominalRobot:
 
     def measured(self, known: NominalState, state: Array) -> NominalState:
         """The state with the torso of an estimate (12,) and the legs and servos of `known`."""
-        set_torso(self.robot.handle, known.buffer, state)
+        buffer, _ = self._checked(known)
+        set_torso(self.robot.handle, buffer, checked("state", state, (12,)))
         return NominalState(self.robot.state.buffer.copy(), known.side_rate)
 
     def place(self, start: NominalState) -> Array:
         """Place (3,) of the torso in odom: x, y (m), yaw (rad)."""
         torso = self.robot.state
-        torso.buffer[:] = start.buffer
+        torso.buffer[:], _ = self._checked(start)
         (x, y, _), turned = torso.position, torso.rotation
         return np.array([x, y, math.atan2(turned[1, 0], turned[0, 0])])
 
     def roll_out(self, start: NominalState, plans: Array) -> Rollouts:
-        """Simulate plans (P, n + 1, 4), rad at the stages 0 .. n, from one state."""
+        """Simulate plans (P, n + 1, 4), rad at the stages 0 .. n, from one state.
+
+        A plan that is not finite diverges. All methods raise ValueError for other shapes.
+        """
+        plans = checked("plans", plans, (-1, -1, len(LEGS)), finite=False)
+        if plans.shape[1] < 2:
+            raise ValueError(f"plans: {plans.shape[1]} stages, expected two or more")
+        buffer, side_rate = self._checked(start)
         count, stages = plans.shape[0], plans.shape[1] - 1
         pose, of_feet = np.empty((count, stages, 6)), np.empty((2, count, stages, len(LEGS), 3))
         found = Rollouts(pose, *of_feet)
         roll_out(
-            self.robot.handle, start.buffer, start.side_rate, np.ascontiguousarray(plans),
+            self.robot.handle, buffer, side_rate, plans,
             self._angle_max, self._cycles, self._steps, *found,
         )  # fmt: skip
         return found
 
     def after(self, start: NominalState, plan: Array) -> NominalState:
         """State after a plan (n + 1, 4)."""
-        self.roll_out(start, plan[None])
+        self.roll_out(start, np.asarray(plan)[None])
         return NominalState(self.robot.state.buffer.copy(), self.robot.feet.side_rate.copy())
+
+    def _checked(self, state: NominalState) -> NominalState:
+        """The state, if it is one of this robot; it may have diverged. Raises ValueError."""
+        buffer = checked("buffer", state.buffer, self.robot.state.buffer.shape, finite=False)
+        return NominalState(buffer, checked("side_rate", state.side_rate, (len(LEGS),), False))
 
 
 def nominal_scene(settings: NominalSettings, step: float) -> Scene:

@@ -32,6 +32,7 @@ from typing import NamedTuple
 import numpy as np
 import piqp
 
+from slot_core.arrays import checked
 from slot_core.geometry import rotate
 from slot_core.predictive.problem_kernels import set_errors, set_limits, set_reference
 from slot_core.predictive.settings import PredictiveSettings
@@ -78,12 +79,18 @@ class PlanProblem:
         self.change(error, self.linearised(slopes), angle, angle)
 
     def reference(self, rows: Array, place: Array, drift: Array, sag: float) -> Array:
-        """Poses (K, 6) that the rollouts are to have, from the preview's reference (n, 12).
+        """Poses (K, 6) that the rollouts are to have, from the preview's reference (n > K, 12).
 
         The reference leads the robot at place (3,) x, y, yaw by `reach` at most. drift: that of the
-        observer; sag: m by which the torso sinks.
+        observer; sag: m by which the torso sinks. This and the other methods raise ValueError for
+        other shapes.
         """
-        cost, pose = self._settings.cost, np.empty((self._settings.stages, 6))
+        cost, stages = self._settings.cost, self._settings.stages
+        rows = checked("reference", rows, (-1, 12), finite=False)
+        if len(rows) <= stages:
+            raise ValueError(f"reference: {len(rows)} stages, expected more than {stages}")
+        place, drift = checked("place", place, (3,)), checked("drift", drift, (3,))
+        pose = np.empty((stages, 6))
         set_reference(rows, place, drift, sag, self._dt, cost.sway, cost.reach, pose)
         return pose
 
@@ -94,6 +101,8 @@ class PlanProblem:
 
     def errors(self, pose: Array, reference: Array, yaw: float) -> Array:
         """Weighted errors (P, 6 K) of poses (P, K, 6), x and y along and across the heading."""
+        reference = checked("reference", reference, (-1, 6), finite=False)
+        pose = checked("pose", pose, (-1, *reference.shape), finite=False)
         error = np.empty(pose.shape)
         set_errors(pose, reference, self._weight, yaw, error)
         return error.reshape(len(pose), -1)
@@ -121,6 +130,9 @@ class PlanProblem:
         error (6 K,) and linearisation of the rollout with the deviations (K + 1, 4) from the
         nominal angles (K + 1, 4). A limit that the plan violates already stays where it is.
         """
+        shape = (self._settings.stages + 1, LEG_COUNT)
+        nominal = checked("nominal", nominal, shape)
+        deviation = checked("deviation", deviation, shape)
         gradient = linear.slopes @ error + self._flat @ self._pull(deviation).ravel()
         limits, low, high = self._settings.limits, *np.empty((2, len(self._rows)))
         step = self._dt * limits.rate

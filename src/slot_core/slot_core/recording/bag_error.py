@@ -1,8 +1,12 @@
 """Errors of bags."""
 
+from __future__ import annotations
 
-class BagError(ValueError):
-    """A bag that cannot be read or written; the message is one line with its path and the cause."""
+from slot_core.refusal import InputError
+
+
+class BagError(InputError):
+    """A bag that cannot be read or written; the message has its path and the cause."""
 
 
 class NoFieldError(BagError):

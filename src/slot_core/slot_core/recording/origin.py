@@ -13,9 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from slot_core import config
+from slot_core.files import read_bytes
+from slot_core.recording.bag_error import BagError
+from slot_core.refusal import printable
 
 ORIGIN = "slot"  # name of the MCAP metadata record
 CONFIGURATION = "config.zip"  # name of the attachment
+ARCHIVE_MAX = 100_000_000  # bytes of it unpacked, and of a file
 FILES = {
     "path": "path.csv", "calibration": "camera.yaml", "policy": "policy.py",
     "params_file": "params.yaml",
@@ -31,11 +35,19 @@ class Origin:
     files: Mapping[str, bytes] = field(default_factory=dict)  # attachments by name
 
     def changed_files(self) -> list[str]:
-        """Files of the configuration that are not as those here, sorted; none if not known."""
+        """Files of the configuration that are not as those here, sorted; none if not known.
+
+        Raises BagError for an archive that cannot be read, or is larger than ARCHIVE_MAX.
+        """
         if CONFIGURATION not in self.files:
             return []
-        with zipfile.ZipFile(io.BytesIO(self.files[CONFIGURATION])) as archive:
-            then = {name: archive.read(name) for name in archive.namelist()}
+        try:
+            with zipfile.ZipFile(io.BytesIO(self.files[CONFIGURATION])) as archive:
+                if sum(file.file_size for file in archive.infolist()) > ARCHIVE_MAX:
+                    raise BagError(f"more than {ARCHIVE_MAX} bytes")
+                then = {name: archive.read(name) for name in archive.namelist()}
+        except Exception as error:  # of a damaged archive also zlib, struct and index errors
+            raise BagError(f"{CONFIGURATION}: {error}") from None
         now = configuration()
         return sorted(name for name in then.keys() | now.keys() if then.get(name) != now.get(name))
 
@@ -46,22 +58,26 @@ class Origin:
         about = dict(self.about)
         revision = about.pop("revision", "unknown")
         lines = [f"recorded by  revision {revision}, {_pairs(about)}"]
-        if changed := self.changed_files():
-            lines.append(f"             its configuration differs in {', '.join(changed)}")
-        return lines
+        try:
+            changed = f"differs in {', '.join(names)}" if (names := self.changed_files()) else ""
+        except BagError as error:
+            changed = f"cannot be read: {error}"
+        if changed:
+            lines.append(f"             its configuration {changed}")
+        return list(map(printable, lines))
 
 
 def origin_here(arguments: Mapping[str, Any]) -> Origin:
     """Origin of a bag that is made here and now by a graph with these arguments.
 
-    Raises OSError if a file among the arguments cannot be read.
+    Raises OSError if a file among the arguments cannot be read, ValueError if it is not regular.
     """
     named = {name: Path(arguments[name]) for name in FILES.keys() & arguments.keys()}
     if "policy" in named and named["policy"].suffix != ".py":
         del named["policy"]  # a name
     about = {name: str(value) for name, value in arguments.items()}
     about |= {name: path.name for name, path in named.items()}
-    files = {FILES[name]: path.read_bytes() for name, path in named.items()}
+    files = {FILES[name]: read_bytes(path, ARCHIVE_MAX) for name, path in named.items()}
     return Origin(
         {"revision": revision(), **about}, {CONFIGURATION: _zipped(configuration()), **files}
     )

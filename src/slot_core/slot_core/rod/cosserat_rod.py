@@ -22,6 +22,7 @@ from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
 from slot_core.divergence import DivergenceError
+from slot_core.refusal import quoted
 from slot_core.robot import Array
 from slot_core.rod import kernels
 from slot_core.rod.mesh import build_mesh
@@ -34,7 +35,8 @@ from slot_core.rod.model import (
     Pose,
     RodError,
     Support,
-    need_finite,
+    need,
+    numbers,
 )
 from slot_core.rod.motion import MIDPOINT, Energy, RodState, Scheme
 from slot_core.rod.statics import (
@@ -78,7 +80,6 @@ class CosseratRod:
         scheme: Scheme = MIDPOINT,
         refined: bool = True,
     ) -> None:
-        need_finite(*pose.position, *pose.rotation)
         self.mesh = build_mesh(material, geometry, nodes, base, tip, refined)
         self.scheme = scheme
         self.time = 0.0  # s
@@ -127,16 +128,11 @@ class CosseratRod:
     @state.setter
     def state(self, state: RodState) -> None:
         """Set the state; raises RodError, and changes nothing, for a wrong shape or value."""
-        work, n, own = self._work, self.nodes, self.state
-        for name in RodState.__dataclass_fields__:
-            given, there = getattr(state, name), getattr(own, name)
-            if np.shape(given) != there.shape:
-                raise RodError(f"{name} of shape {np.shape(given)} must have {there.shape}")
-            if not np.all(np.isfinite(given)):
-                raise RodError(f"{name} must be finite")
-        work.node[:n], work.velocity[:n] = state.position, state.velocity
-        work.director[: n - 1], work.swirl[: n - 1] = state.director, state.swirl
-        for frame, axes in zip(work.frame, state.ends):
+        work, n = self._work, self.nodes
+        given = {name: _checked(name, values, state) for name, values in vars(self.state).items()}
+        work.node[:n], work.velocity[:n] = given["position"], given["velocity"]
+        work.director[: n - 1], work.swirl[: n - 1] = given["director"], given["swirl"]
+        for frame, axes in zip(work.frame, given["ends"]):
             frame[:] = np.transpose(axes) * np.array([[1.0], [-1.0], [-1.0]])
         work.turning[:] = 0.0
         work.driven[:] = work.velocity[[0, n - 1]]
@@ -155,12 +151,11 @@ class CosseratRod:
         base, tip: poses that the held components of the ends reach at the end of the step, at a
         constant rate. Without a pose they stay in place.
 
-        Raises DivergenceError, and RodError for a step, load or pose that is not finite or for a
-        step that is not above 0.
+        Raises DivergenceError, and RodError for a step that is not finite and above 0.
         """
+        _need_step(h)
         for end, pose in ((0, base), (1, tip)):
             if pose is not None:
-                need_finite(*pose.position, *pose.rotation)
                 axes = Rotation.from_rotvec(pose.rotation).as_matrix()
                 self._target[end, 0], self._target[end, 1:] = pose.position, _frame(axes)
         self._run(h, 1, loads, self._no_record)
@@ -173,8 +168,10 @@ class CosseratRod:
         Raises RodError for a negative number or where `samples` does not divide `steps`, and the
         errors of `step`.
         """
-        if min(steps, samples) < 0 or (samples and steps % samples):
-            raise RodError(f"samples {samples} must divide steps {steps}, none below 0")
+        whole = all(isinstance(number, (int, np.integer)) for number in (steps, samples))
+        if not whole or min(steps, samples) < 0 or (samples and steps % samples):
+            raise RodError(f"samples {samples} must divide steps {steps}, integers of 0 or more")
+        _need_step(h)
         record = np.zeros((samples, 3))
         self._run(h, steps, loads, record)
         return record
@@ -295,8 +292,6 @@ class CosseratRod:
             self._target[end, 1:] = self._work.frame[end]
 
     def _run(self, h: float, steps: int, loads: Loads, record: Array) -> None:
-        if not 0.0 < h < math.inf:
-            raise RodError(f"step {h} must be above 0 and finite")
         self._apply(loads)
         scheme = self.scheme
         settings = (scheme.theta, scheme.iterations, scheme.tolerance)
@@ -331,6 +326,20 @@ class CosseratRod:
         for own, part in zip(self._load, nodal):
             own[:] = part
         self._loads = loads
+
+
+def _need_step(h: float) -> None:
+    """Raise RodError for a step (s) that is not finite and above 0."""
+    is_number = isinstance(h, (int, float, np.number))
+    need(is_number and 0.0 < h < math.inf, f"step {quoted(h)} must be above 0 and finite")
+
+
+def _checked(name: str, own: Array, state: RodState) -> Array:
+    """A part of a state, finite and of the shape of the rod's own; raises RodError."""
+    given = getattr(state, name)
+    shape = f"{name} of shape {np.shape(given)} must have {own.shape}"
+    need(np.shape(given) == own.shape, shape)
+    return numbers(name, given, own.shape)
 
 
 def _has_no_potential(loads: Loads) -> bool:

@@ -17,7 +17,7 @@ import numpy as np
 from slot_core.dynamics.rod import Sections, links, weights
 from slot_core.dynamics.spatial.refine import Refinement, tilts
 from slot_core.robot import Array
-from slot_core.rod.model import Geometry, Material, Support, need
+from slot_core.rod.model import Geometry, Material, Support, need, numbers
 
 
 class NoTendon(NamedTuple):
@@ -91,15 +91,20 @@ def build_mesh(  # noqa: PLR0917
 
 
 def sections(material: Material, geometry: Geometry, s: Array) -> Sections:
-    """Sections at arc lengths s, m."""
+    """Sections at arc lengths s, m; raises RodError for values that are not above 0."""
     fraction, section = s / geometry.length, geometry.section
-    area = section.area(fraction)
-    inner, outer = section.second_moment(fraction), section.lateral_moment(fraction)
+
+    def over(name: str) -> Array:
+        values = numbers(name, getattr(section, name)(fraction), s.shape)
+        need(bool((values > 0.0).all()), f"{name} of the section must be above 0")
+        return values
+
+    area, inner, outer = map(over, ("area", "second_moment", "lateral_moment"))
     return Sections(
         axial=material.young_modulus * area,
         bending=material.young_modulus * inner,
         lateral=material.young_modulus * outer,
-        torsion=material.shear_modulus * section.torsion_constant(fraction),
+        torsion=material.shear_modulus * over("torsion_constant"),
         mass=material.density * area,
         spin=material.density * (inner + outer),
     )

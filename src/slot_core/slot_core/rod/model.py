@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from slot_core import section as moments
+from slot_core.refusal import InputError, quoted
 from slot_core.robot import Array
 
 Vector = tuple[float, float, float]
@@ -25,8 +26,35 @@ ALL_COMPONENTS: Components = (True, True, True)
 NONE: Components = (False, False, False)
 
 
-class RodError(ValueError):
+class RodError(InputError):
     """Invalid argument of a rod; the message names the quantity, its value and the limit."""
+
+
+def need(holds: bool, rule: str) -> None:
+    """Raise RodError with a rule that does not hold."""
+    if not holds:
+        raise RodError(rule)
+
+
+def need_finite(*values: float) -> None:
+    """Raise RodError for a value that is not finite."""
+    need(all(math.isfinite(value) for value in values), f"{values} must be finite")
+
+
+def need_vector(name: str, values: Vector) -> None:
+    """Raise RodError unless there are three finite numbers."""
+    need(np.shape(values) == (3,), f"{name} {quoted(values)} must have 3 components")
+    numbers(name, np.asarray(values), (3,))
+
+
+def numbers(name: str, values: float | Array, shape: tuple[int, ...]) -> Array:
+    """Finite numbers of a shape, a single one for all; raises RodError."""
+    try:
+        found = np.broadcast_to(np.asarray(values, dtype=np.float64), shape)
+    except (TypeError, ValueError):
+        raise RodError(f"{name} {quoted(values)} must be numbers of shape {shape}") from None
+    need(bool(np.isfinite(found).all()), f"{name} must be finite")
+    return np.array(found)
 
 
 @dataclass(frozen=True)
@@ -200,26 +228,39 @@ class Geometry:
     def curvature_at(self, s: Array) -> Array:
         """Natural curvature at arc lengths s (m), 1/m."""
         value = self.curvature(s) if callable(self.curvature) else self.curvature
-        return np.broadcast_to(np.asarray(value, dtype=np.float64), s.shape)
+        return numbers("curvature", value, s.shape)
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Position (m) and rotation vector (rad) of an end; its section's axes turn from x, y, z."""
+    """Position (m) and rotation vector (rad) of an end; its section's axes turn from x, y, z.
+
+    Raises RodError for a vector that is not of three finite numbers.
+    """
 
     position: Vector = NOWHERE
     rotation: Vector = NOWHERE
+
+    def __post_init__(self) -> None:
+        need_vector("position", self.position)
+        need_vector("rotation", self.rotation)
 
 
 @dataclass(frozen=True)
 class Support:
     """Components along x, y and z of an end's position and of its section's turning that are held.
 
-    Held turning: the section's angular velocity about that axis is prescribed.
+    Held turning: the section's angular velocity about that axis is prescribed. Raises RodError
+    unless there are three of each.
     """
 
     position: Components
     rotation: Components
+
+    def __post_init__(self) -> None:
+        for held in (self.position, self.rotation):
+            are_three = np.shape(held) == (3,) and np.asarray(held).dtype == bool
+            need(are_three, f"{quoted(held)} must be whether each of 3 components is held")
 
 
 CLAMPED = Support(ALL_COMPONENTS, ALL_COMPONENTS)
@@ -232,7 +273,8 @@ ROLLER = Support((False, True, True), NONE)  # slides along x
 class Loads:
     """Dead loads, of fixed direction, and a follower force, which turns with the tip.
 
-    A dead moment in space has no potential.
+    A dead moment in space has no potential. Raises RodError for a vector that is not of three
+    finite numbers.
     """
 
     gravity: Vector = NOWHERE  # m/s^2
@@ -241,15 +283,5 @@ class Loads:
     follower: Vector = NOWHERE  # N, at the tip, along its section's tangent, width and normal
 
     def __post_init__(self) -> None:
-        need_finite(*self.gravity, *self.force, *self.moment, *self.follower)
-
-
-def need(holds: bool, rule: str) -> None:
-    """Raise RodError with a rule that does not hold."""
-    if not holds:
-        raise RodError(rule)
-
-
-def need_finite(*values: float) -> None:
-    """Raise RodError for a value that is not finite."""
-    need(all(math.isfinite(value) for value in values), f"{values} must be finite")
+        for name in ("gravity", "force", "moment", "follower"):
+            need_vector(name, getattr(self, name))

@@ -166,6 +166,8 @@ class _Path:
         start = self.work.posture.copy()
         while high - low > self.settings.critical_tolerance * high:
             middle = (low + high) / 2
+            if not low < middle < high:
+                break  # neighbouring numbers
             if self.correct(middle) == negative:
                 low = middle
             else:

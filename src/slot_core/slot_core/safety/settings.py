@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from slot_core import config
 from slot_core.config import ConfigError, flag, quantity, text
+from slot_core.refusal import quoted
 
 NODES = (
     "state_estimator",
@@ -118,7 +119,7 @@ class SupervisorSettings:
         """Raise ConfigError for a node whose heartbeat the supervisor does not receive."""
         for node in self.nodes:
             if node not in NODES:
-                raise ConfigError(f"nodes: {node!r}: expected some of {', '.join(NODES)}")
+                raise ConfigError(f"nodes: {quoted(node)}: expected some of {', '.join(NODES)}")
 
     @property
     def servo_limits(self) -> ServoLimits:

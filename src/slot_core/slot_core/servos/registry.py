@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from slot_core import config
 from slot_core.config import ConfigError, text
+from slot_core.refusal import quoted
 from slot_core.servos.brand import Brand
 
 
@@ -28,7 +29,7 @@ class ServoBusSettings:
     def __post_init__(self) -> None:
         """Raise ConfigError for an unknown brand."""
         if self.brand not in BRANDS:
-            raise ConfigError(f"brand = {self.brand!r}: expected one of {', '.join(BRANDS)}")
+            raise ConfigError(f"brand = {quoted(self.brand)}: expected one of {', '.join(BRANDS)}")
 
 
 def read_servo_bus() -> ServoBusSettings:

@@ -11,6 +11,7 @@ from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.estimation.inertial_filter import Mount
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.geometry import Transform, optical
+from slot_core.refusal import quoted
 from slot_core.robot import BASE_FRAME, ODOM_FRAME
 from slot_core.simulation.sensors import ImageReading
 from slot_core.vision.board import Board, GreyImage, make_board, print_of
@@ -43,9 +44,10 @@ class CameraSensor:
         there = vision.boards_in(frame)
         for name in settings.boards:
             if name not in there:
+                known = f"boards of vision.yaml in {frame} ({', '.join(there)})"
                 raise ConfigError(
-                    f"sensors.camera.boards: {name!r}: expected boards of vision.yaml in {frame}"
-                    f" ({', '.join(there)}), which a camera on the {settings.carrier} can see"
+                    f"sensors.camera.boards: {quoted(name)}: expected {known}, which a camera on"
+                    f" the {settings.carrier} can see"
                 )
         boards = [make_board(there[name]) for name in settings.boards]
         self._boards: list[tuple[Board, GreyImage]] = [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from slot_core.arrays import checked
 from slot_core.dynamics.model import MechanicalState, Model, Work
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.robot import Array
@@ -22,19 +23,17 @@ class KernelRobot(SimulatedRobot):
         They act until their opposites are added. Raises ValueError for another shape or a value
         that is not finite.
         """
-        push = np.array([*force, *moment], dtype=float)
-        if push.shape != (6,) or not np.isfinite(push).all():
-            raise ValueError(f"a push is a finite force (3,) and moment (3,), not {push}")
-        self.model.push[:] += push
+        parts = checked("push: force", force, (3,)), checked("push: moment", moment, (3,))
+        self.model.push[:] += np.concatenate(parts)
 
     def damage_tendon(self, leg: int, slack: float = 0.0, broken: bool = False) -> None:
         """Lengthen the tendon of leg 0 .. 3 by `slack` (m), negative: shorten it, or break it.
 
         Raises ValueError for another leg or a slack that is not finite.
         """
-        if leg not in range(4) or not np.isfinite(slack):
-            raise ValueError(f"leg {leg} must be 0 to 3, slack {slack} m finite")
-        self.model.fault[:, leg] = slack, not broken
+        if leg not in range(4):
+            raise ValueError(f"leg {leg} must be 0 to 3")
+        self.model.fault[:, leg] = checked(f"slack of leg {leg}", slack, ()), not broken
 
     @property
     def halvings(self) -> int:

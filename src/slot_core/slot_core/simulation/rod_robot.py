@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.arrays import checked
 from slot_core.divergence import DivergenceError
 from slot_core.dynamics import integrator, observe
 from slot_core.dynamics.handle import Handle
@@ -20,6 +21,7 @@ from slot_core.dynamics.model import (
 )
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
+from slot_core.dynamics.simulated_robot import require_steps
 from slot_core.robot import LEGS, Array, RobotParameters
 from slot_core.simulation.kernel_robot import KernelRobot
 
@@ -50,9 +52,11 @@ class RodRobot(KernelRobot):
     def advance(self, steps: int, command: Array) -> None:
         """Advance by `steps` steps with constant commanded tendon angles (4,), rad.
 
-        Raises ValueError for a command of the wrong shape, not finite or outside [0, angle_max],
-        and DivergenceError when a speed is not finite or exceeds `scene.solver.speed_limit`.
+        Raises ValueError for a negative number of steps, a command of the wrong shape, not finite
+        or outside [0, angle_max], and DivergenceError when a speed is not finite or exceeds
+        `scene.solver.speed_limit`.
         """
+        require_steps(steps)
         command = self.checked(command)
         self._legs.command[0] = command
         done, where = integrator.advance(self._handle, steps)
@@ -63,7 +67,12 @@ class RodRobot(KernelRobot):
             )
 
     def set_motion(self, velocity: Array, angular_velocity: Array) -> None:
-        """Set a rigid motion of the whole robot: (3,) m/s in odom, (3,) rad/s in base_link."""
+        """Set a rigid motion of the whole robot: (3,) m/s in odom, (3,) rad/s in base_link.
+
+        Raises ValueError for other shapes, or values that are not finite.
+        """
+        velocity = checked("velocity", velocity, (3,))
+        angular_velocity = checked("angular velocity", angular_velocity, (3,))
         self.state.velocity[:] = velocity
         self.state.rate[:] = angular_velocity
         arm = np.einsum("ij,lnj->lni", self.state.rotation.T, self.nodes - self.position)
@@ -71,7 +80,7 @@ class RodRobot(KernelRobot):
         self.state.node_velocity[:] = np.einsum("lij,lnj->lni", self.model.axes, body)
 
     def set_tip_to_nan(self, leg: int) -> None:
-        """Set the tip of leg 0 .. 3 to NaN, so that the simulation diverges."""
+        """Set the tip of leg 0 .. 3 to NaN, so that the simulation diverges; or IndexError."""
         self.state.node[leg, -1] = np.nan
 
     def snapshot(self) -> dict[str, Any]:

@@ -237,10 +237,10 @@ def _interpolate(legs, angle, height):
     """Bilinear; force and tension are extrapolated beyond the heights, and at least zero."""
     table = legs.table
     place = angle / legs.angle_step
-    i = min(int(place), table.shape[0] - 2)
+    i = _cell_at(place, table.shape[0])
     u = min(1.0, place - i)
     place = (height - legs.height_low) / legs.height_step
-    j = min(max(0, int(place)), table.shape[1] - 2)
+    j = _cell_at(place, table.shape[1])
     t = place - j
     da, dh = 1.0 / legs.angle_step, 1.0 / legs.height_step
     f, fh, fa = _cell(table, i, j, 0, u, t, dh, da)
@@ -253,6 +253,12 @@ def _interpolate(legs, angle, height):
     if f <= 0.0:
         f = fh = fa = 0.0
     return LegResponse(f, fh, fa, x, xh, xa, max(0.0, s), sh, sa, sideways)
+
+
+@helper
+def _cell_at(place, count):
+    """Cell of a place in a grid of `count` points; the first one for NaN, whose integer is none."""
+    return int(min(place, count - 2.0)) if place > 0.0 else 0
 
 
 @helper

@@ -49,13 +49,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slot_core.arrays import checked
 from slot_core.config import ConfigError
 from slot_core.divergence import DivergenceError
 from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.model import build_model, build_scheme, state_space, work_space
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings
+from slot_core.dynamics.simulated_robot import require_steps
 from slot_core.legs.leg_table import LegTable, read_leg_table
+from slot_core.refusal import quoted
 from slot_core.robot import Array, RobotParameters
 from slot_core.simulation.kernel_robot import KernelRobot
 from slot_core.simulation.tabulated_kernels import COS_TILT_MAX, TOO_TILTED, Feet, MapLegs, advance
@@ -102,10 +105,11 @@ class TabulatedRobot(KernelRobot):
     def advance(self, steps: int, command: Array) -> None:
         """Advance by `steps` steps with constant commanded tendon angles (4,), rad.
 
-        Raises ValueError for a command of the wrong shape, not finite or outside [0, angle_max],
-        and DivergenceError when a speed is not finite or exceeds `scene.solver.speed_limit`, or the
-        tilt of the torso exceeds 60 deg.
+        Raises ValueError for a negative number of steps, a command of the wrong shape, not finite
+        or outside [0, angle_max], and DivergenceError when a speed is not finite or exceeds
+        `scene.solver.speed_limit`, or the tilt of the torso exceeds 60 deg.
         """
+        require_steps(steps)
         self.feet.command[:] = self.checked(command)
         done, divergence = advance(self.handle, steps)
         self.steps += done
@@ -119,7 +123,9 @@ class TabulatedRobot(KernelRobot):
             raise DivergenceError(f"simulation diverged at {self.time:.4f} s: {limit}", state)
 
     def set_motion(self, velocity: Array, angular_velocity: Array) -> None:
-        """Set the motion of the torso: (3,) m/s in odom, (3,) rad/s in base_link."""
+        """Set the motion of the torso: (3,) m/s in odom, (3,) rad/s in base_link; or ValueError."""
+        velocity = checked("velocity", velocity, (3,))
+        angular_velocity = checked("angular velocity", angular_velocity, (3,))
         self.state.velocity[:] = velocity
         self.state.rate[:] = angular_velocity
 
@@ -163,7 +169,7 @@ def _require_tabulated(robot: RobotParameters, scene: Scene) -> None:
     for need in needs:
         if need.value != need.needed:
             raise ConfigError(
-                f"{need.name} = {need.value!r}: legs of the model 'map' need {need.needed!r}"
+                f"{need.name} = {quoted(need.value)}: legs of the model 'map' need {need.needed!r}"
             )
 
 

@@ -18,15 +18,18 @@ import numpy as np
 import yaml
 
 from slot_core import config
+from slot_core.files import read_text
+from slot_core.refusal import InputError, quoted
 from slot_core.robot import Array
 from slot_core.vision.settings import Intrinsics
 
 MODELS = {"plumb_bob": 5, "rational_polynomial": 8}  # coefficients by name in ROS
 SIZE_MAX = 100_000  # bytes of a calibration file
+PIXELS_MAX, LARGEST = 2**15, 1e6  # of an image's side; of K and D
 ACCURATE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-9)
 
 
-class CameraError(ValueError):
+class CameraError(InputError):
     """An unusable camera or calibration; the message is one line."""
 
 
@@ -62,7 +65,8 @@ class Camera:
         return mine == its
 
     def rays(self, pixels: Array) -> Array:
-        """Undistorted x', y' (..., 2) of pixels (..., 2)."""
+        """Undistorted x', y' (..., 2) of pixels (..., 2); raises ValueError for another shape."""
+        _require_last("pixels", pixels, 2)
         flat = np.ascontiguousarray(pixels, np.float64).reshape(-1, 1, 2)
         if not len(flat):
             return np.zeros(pixels.shape)
@@ -84,7 +88,11 @@ class Camera:
         return np.asarray(-np.linalg.solve(by_ray, by_parameter).reshape(2 * len(rays), -1))
 
     def project(self, points: Array) -> Array:
-        """Pixels (..., 2) of points (..., 3) in front of the camera, m in the optical frame."""
+        """Pixels (..., 2) of points (..., 3) in front of the camera, m in the optical frame.
+
+        Raises ValueError for another shape.
+        """
+        _require_last("points", points, 3)
         zero = np.zeros(3)
         flat = np.ascontiguousarray(points, np.float64).reshape(-1, 1, 3)
         pixels, _ = cv2.projectPoints(flat, zero, zero, self.matrix, self.distortion)
@@ -97,6 +105,11 @@ class Camera:
                 f"image of {width} x {height} px: the camera is calibrated at"
                 f" {self.width} x {self.height} px"
             )
+
+
+def _require_last(name: str, values: Array, size: int) -> None:
+    if values.shape[-1:] != (size,):
+        raise ValueError(f"{name}: shape {values.shape}, expected (..., {size})")
 
 
 def nominal(settings: Intrinsics) -> Camera:
@@ -112,37 +125,47 @@ def from_camera_info(  # noqa: PLR0917
     """The camera of a sensor_msgs/CameraInfo: its size, distortion model, D and K.
 
     covariance: of the calibration, if it is known. Raises CameraError if it is not calibrated
-    (K = 0), and for an unknown model or bad values.
+    (K = 0), for an unknown model and for bad values.
     """
-    matrix, distortion = np.array(k, np.float64), np.array(d, np.float64).ravel()
+    for name, size in (("image_width", width), ("image_height", height)):
+        if type(size) is not int or not 1 <= size <= PIXELS_MAX:
+            raise CameraError(f"{name} = {quoted(size)}: expected an integer in [1, {PIXELS_MAX}]")
+    matrix, distortion = _numbers("K", k), _numbers("D", d)
     if matrix.size != 9:
         raise CameraError(f"K has {matrix.size} values, expected 9")
-    if matrix.ravel()[0] == 0.0:
+    if matrix[0] == 0.0:
         raise CameraError("K[0] = 0: the camera is not calibrated, see scripts/calibrate_camera")
     if not distortion.size:
         distortion, model = np.zeros(5), "plumb_bob"
-    if model not in MODELS:
-        raise CameraError(f"distortion_model {model!r}: expected one of {', '.join(MODELS)}")
+    if not isinstance(model, str) or model not in MODELS:
+        raise CameraError(f"distortion_model {quoted(model)}: expected one of {', '.join(MODELS)}")
     if distortion.size != MODELS[model]:
         raise CameraError(f"D has {distortion.size} values, {model} has {MODELS[model]}")
     matrix = matrix.reshape(3, 3)
-    if not (np.isfinite(matrix).all() and np.isfinite(distortion).all()):
-        raise CameraError("K or D has a value that is not finite")
-    if min(width, height, matrix[0, 0], matrix[1, 1]) <= 0:
-        raise CameraError(
-            f"{width} x {height} px, f = {matrix[0, 0]:g}, {matrix[1, 1]:g} px: expected > 0"
-        )
+    if min(matrix[0, 0], matrix[1, 1]) <= 0:
+        raise CameraError(f"f = {matrix[0, 0]:g}, {matrix[1, 1]:g} px: expected > 0")
     known = None if covariance is None else _checked(covariance, 4 + distortion.size)
-    return Camera(int(width), int(height), matrix, distortion, known)
+    return Camera(width, height, matrix, distortion, known)
+
+
+def _numbers(name: str, values: Any) -> Array:
+    """(n,) of a camera's values; raises CameraError unless they are numbers up to LARGEST."""
+    try:
+        found = np.array(values, np.float64).ravel()
+    except (TypeError, ValueError, OverflowError):
+        raise CameraError(f"{name} = {quoted(values)}: expected numbers") from None
+    if not (np.abs(found) <= LARGEST).all():  # NaN is not
+        raise CameraError(f"{name} has a value that is not finite, or above {LARGEST:g}")
+    return found
 
 
 def _checked(covariance: Any, size: int) -> Array:
     """A covariance (size, size) from its values; raises CameraError."""
-    values = np.array(covariance, np.float64)
+    values = _numbers("intrinsics_covariance", covariance)
     if values.size != size**2:
         raise CameraError(f"intrinsics_covariance has {values.size} values, expected {size**2}")
     square = values.reshape(size, size)
-    symmetric = np.isfinite(square).all() and np.allclose(square, square.T)
+    symmetric = np.allclose(square, square.T)
     if not symmetric or np.linalg.eigvalsh(square).min() < -1e-9 * np.abs(square).max():
         raise CameraError("intrinsics_covariance is no covariance: not symmetric and positive")
     return square
@@ -151,9 +174,7 @@ def _checked(covariance: Any, size: int) -> Array:
 def read_camera(path: Path) -> Camera:
     """The camera of a calibration file; raises CameraError with the path and the cause."""
     try:
-        if path.stat().st_size > SIZE_MAX:
-            raise CameraError(f"more than {SIZE_MAX} bytes")
-        content = config.parse(path.read_text())
+        content = config.parse(read_text(path, SIZE_MAX))
         return from_camera_info(
             content["image_width"],
             content["image_height"],
@@ -166,8 +187,8 @@ def read_camera(path: Path) -> Camera:
         raise CameraError(f"{path}: {error.args[0]} is missing") from None
     except OSError as error:
         raise CameraError(f"{path}: {error.strerror}") from None
-    except (AttributeError, CameraError, TypeError, ValueError, yaml.YAMLError) as error:
-        raise CameraError(f"{path}: {' '.join(str(error).split())}") from None
+    except (TypeError, ValueError) as error:
+        raise CameraError(f"{path}: {error}") from None
 
 
 def camera_text(camera: Camera, name: str = "camera") -> str:

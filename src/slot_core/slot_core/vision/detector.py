@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from slot_core.robot import Array
 from slot_core.vision.board import GreyImage
-from slot_core.vision.camera import Camera
+from slot_core.vision.camera import Camera, CameraError
 from slot_core.vision.edges import refined_rays
 
 FAMILIES = (  # to tell which dictionary the markers are of, if not of the one expected
@@ -47,7 +47,9 @@ class MarkerDetector:
         self._since_whole = 0
 
     def find(self, image: GreyImage) -> Detection:
-        """The markers of a grey image (h, w); raises CameraError for another size."""
+        """The markers of a grey image (h, w); raises CameraError for another size or type."""
+        if image.ndim != 2 or image.dtype != np.uint8:
+            raise CameraError(f"image of {image.dtype}, {image.shape}: expected grey of 8 bits")
         self._camera.require_size(image.shape[1], image.shape[0])
         last, self._since_whole = self._last, self._since_whole + 1
         found = None

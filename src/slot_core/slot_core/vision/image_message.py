@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slot_core.refusal import quoted
 from slot_core.vision.board import GreyImage
 
 CHANNELS = {"mono8": 1, "8UC1": 1, "bgr8": 3, "rgb8": 3, "8UC3": 3, "bgra8": 4, "rgba8": 4}
@@ -22,7 +23,7 @@ def grey(message: Any) -> GreyImage:
     """Grey image (h, w) of an Image; raises ValueError for other encodings, missing bytes."""
     if message.encoding not in CHANNELS:
         known = ", ".join(CHANNELS)
-        raise ValueError(f"encoding {message.encoding!r}: expected one of {known}")
+        raise ValueError(f"encoding {quoted(message.encoding)}: expected one of {known}")
     pixels = _pixels(message, CHANNELS[message.encoding], np.dtype(np.uint8))
     if message.encoding in TO_GREY:
         return np.asarray(cv2.cvtColor(pixels, TO_GREY[message.encoding]), np.uint8)
@@ -32,7 +33,8 @@ def grey(message: Any) -> GreyImage:
 def depth(message: Any) -> NDArray[np.uint16]:
     """Depth (h, w), mm, of an Image; raises ValueError for other encodings, missing bytes."""
     if message.encoding not in DEPTHS:
-        raise ValueError(f"encoding {message.encoding!r}: expected one of {', '.join(DEPTHS)}")
+        known = ", ".join(DEPTHS)
+        raise ValueError(f"encoding {quoted(message.encoding)}: expected one of {known}")
     order: Literal["<", ">"] = ">" if message.is_bigendian else "<"
     pixels = _pixels(message, 1, np.dtype(np.uint16).newbyteorder(order))
     return pixels[..., 0].astype(np.uint16)

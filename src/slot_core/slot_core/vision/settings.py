@@ -9,6 +9,7 @@ import cv2
 from slot_core import config
 from slot_core.body_points import BODY_POINTS
 from slot_core.config import ConfigError, choice, quantity, text
+from slot_core.refusal import quoted
 from slot_core.robot import BASE_FRAME, ODOM_FRAME
 
 CARRIERS = ("torso", "world")  # what the camera stands on
@@ -126,7 +127,7 @@ class VisionSettings:
     def __post_init__(self) -> None:
         """Raise ConfigError for an unknown dictionary, and for markers that share an id."""
         if not self.dictionary.startswith("DICT_") or not hasattr(cv2.aruco, self.dictionary):
-            raise ConfigError(f"dictionary = {self.dictionary!r}: not one of cv2.aruco")
+            raise ConfigError(f"dictionary = {quoted(self.dictionary)}: not one of cv2.aruco")
         size = len(cv2.aruco.getPredefinedDictionary(self.dictionary_number).bytesList)
         owners: dict[int, str] = dict.fromkeys(self.points.names, "points")
         for name, board in self.boards.items():

@@ -12,29 +12,32 @@ import operator
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
 
+from slot_core import config
 from slot_core.clock import to_seconds
-from slot_core.command_line import one_line
+from slot_core.files import read_text, require_regular
 from slot_core.recording.bag_error import BagError, NoFieldError
 from slot_core.recording.bag_writer import BagWriter, MessageType
 from slot_core.recording.message_types import Types, add_installed, types_inside
 from slot_core.recording.origin import Origin
-from slot_core.recording.record_settings import read_record_settings, root_of
+from slot_core.recording.record_settings import RecordedTopic, read_record_settings, root_of
+from slot_core.refusal import one_line
 from slot_lab.bags.repair import is_complete, read_origin, repaired
 
 __all__ = ["Bag", "BagError", "NoFieldError", "Series", "Stamps"]
 
 Stamps = NDArray[np.int64]
 STORAGES = (".mcap", ".db3")
+METADATA_MAX = 10_000_000  # bytes of metadata.yaml
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,7 @@ class Bag:
             spans = [(r.start_time, r.end_time - 1) for r in readers if r.message_count]
             self.start_ns = min((first for first, _ in spans), default=0)
             self.end_ns = max((last for _, last in spans), default=0)
+            _require_time(self.end_ns)
             self._types = self._read_types(readers)
         for topic in self._remap:
             if topic not in self._known:
@@ -134,12 +138,39 @@ class Bag:
         wanted = [c for c in reader.connections if c.id in names]
         if wanted:
             for connection, time, data in reader.messages(wanted):
+                _require_time(time)
                 yield names[connection.id], time, bytes(data)
 
     def merged(self, *topics: str) -> Iterator[tuple[str, int, Any]]:
         """Yield (topic, time in ns, message) of these topics (default: all), ordered by time."""
+        self.require_types(*topics)
         for topic, time, data in self.raw(*topics):
             yield topic, time, self.decode(topic, data)
+
+    @cached_property
+    def _known_topics(self) -> Mapping[str, RecordedTopic]:
+        """The topics of the graph."""
+        return read_record_settings().topics
+
+    def require_types(self, *topics: str) -> None:
+        """Raise BagError for a topic of the graph whose messages have another type in the bag."""
+        for topic in topics:
+            known, kind = self._known_topics.get(topic), self.topics.get(topic)
+            if known is not None and kind not in (None, known.type):
+                raise BagError(f"{self.path}: {topic} holds {kind}, not {known.type}")
+
+    @contextmanager
+    def using(self, topic: str) -> Iterator[None]:
+        """Turn the errors of code that uses the messages of a topic into a BagError.
+
+        The definitions in a bag may name or type a field otherwise than the graph does.
+        """
+        try:
+            yield
+        except BagError:
+            raise
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+            raise BagError(f"{self.path}: {topic} cannot be used: {error}") from error
 
     def decode(self, topic: str, data: bytes) -> Any:
         """Message of CDR bytes on a topic of the bag."""
@@ -160,11 +191,12 @@ class Bag:
         if topic not in self._cache:
             self._cache[topic] = list(self.messages(topic))
         entries = self._cache[topic]
-        return Series(
-            np.array([time for time, _ in entries], np.int64),
-            np.array([_stamp(message, time) for time, message in entries], np.int64),
-            {field: self._column(topic, field) for field in fields},
-        )
+        with self.using(topic):
+            return Series(
+                np.array([time for time, _ in entries], np.int64),
+                np.array([_stamp(message, time) for time, message in entries], np.int64),
+                {field: self._column(topic, field) for field in fields},
+            )
 
     def _column(self, topic: str, field: str) -> NDArray[Any]:
         getter = operator.attrgetter(field)
@@ -189,15 +221,19 @@ class Bag:
             files = [self._whole(file) for file in found]
             self._scratch = self._scratch or TemporaryDirectory()  # it did not end, even if whole
             return files, {}
-        information = yaml.safe_load(metadata.read_text())["rosbag2_bagfile_information"]
-        custom = information.get("custom_data") or {}
-        if information.get("compression_mode", "").lower() not in ("", "none"):
-            return [self.path], custom  # the library unpacks it
+        content = config.parse(read_text(metadata, METADATA_MAX))
+        information = content["rosbag2_bagfile_information"]
+        custom = {str(k): str(v) for k, v in (information.get("custom_data") or {}).items()}
         listed = [self.path / PurePath(name).name for name in information["relative_file_paths"]]
+        if information.get("compression_mode", "").lower() not in ("", "none"):
+            for file in listed:
+                require_regular(file)
+            return [self.path], custom  # the library unpacks it
         return [self._whole(file) for file in listed], custom
 
     def _whole(self, file: Path) -> Path:
-        """The file, or a mended copy if its recording did not end."""
+        """The file, or a mended copy if its recording did not end; raises ValueError for a pipe."""
+        require_regular(file)
         if is_complete(file):
             return file
         self._scratch = self._scratch or TemporaryDirectory()
@@ -248,6 +284,12 @@ class Bag:
             # On a damaged file the libraries also raise struct, zstd, assertion and type errors.
             reason = one_line(error) or type(error).__name__
             raise BagError(f"{self.path}: cannot be read: {reason}") from error
+
+
+def _require_time(time: int) -> None:
+    """Raise ValueError for a time that no 64 bits hold."""
+    if not 0 <= time < 2**63:
+        raise ValueError(f"a message at {time} ns, beyond 2^63 - 1")
 
 
 def _slashed(topic: str) -> str:

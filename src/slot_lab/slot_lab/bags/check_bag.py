@@ -4,8 +4,9 @@ No ROS is needed. Each replayed stage gets the recorded input of its node, so th
 names the stage that has changed: `/odom` and `/imu` go to the state estimator, recorded states to
 the gait scheduler, with the commands that its previews name, recorded states and previews to the
 policy, and recorded plans, previews and states to the force map. A stage whose input or output the
-bag does not hold is left out. The policy and the path that was followed are those that the bag
-names.
+bag does not hold is left out. Of a bag that begins mid-run, such as a later file of a split one, so
+are the stages that depend on what came before: only the force map is compared. The policy and the
+path that was followed are those that the bag names.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ from __future__ import annotations
 import argparse
 import gc
 import math
-import os
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -24,11 +24,13 @@ import numpy as np
 
 from slot_core import config
 from slot_core.clock import to_seconds
-from slot_core.command_line import CommandParser
+from slot_core.command_line import CommandParser, refuse, show
 from slot_core.messages import decode
+from slot_core.refusal import quoted
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.replayed_stages import STAGES, Fields, RecordedStages
+from slot_lab.bags.replayed_stages import REMEMBERING, STAGES, Fields, RecordedStages
 
+MID_RUN = "the bag begins mid-run, after what the state depends on"
 TOLERANCE = 1e-6
 """Default of the largest difference, in the field's SI unit. On another machine the order of
 summation in linear algebra changes the states by 1e-12 and the forces by the solver's tolerance."""
@@ -60,18 +62,25 @@ class StageComparison:
     largest: float = 0.0  # largest difference of any field
     first: Difference | None = None  # beyond the tolerance
     missing: tuple[str, ...] = ()  # topics that the bag lacks for the comparison
+    unknown: bool = False  # whether the stage's state at the begin of the bag is not known
+
+    @property
+    def left_out(self) -> str:
+        """Why nothing was compared; empty if it was."""
+        lacking = f"the bag holds no {', '.join(self.missing)}" if self.missing else ""
+        return lacking or (MID_RUN if self.unknown else "")
 
     def __str__(self) -> str:
-        if self.missing:
-            return f"{self.topic:<25}    - left out: the bag holds no {', '.join(self.missing)}"
+        if self.left_out:
+            return f"{self.topic:<25}    - left out: {self.left_out}"
         return f"{self.topic:<25}{self.compared:5d} compared, largest difference {self.largest:.1e}"
 
 
 def check_bag(bag: Bag, tolerance: float, own_policy: str = "") -> list[StageComparison]:
     """Compare every stage of the bag, in the order of the graph.
 
-    own_policy: file of a policy of one's own, as `RecordedStages` takes it. Raises BagError if the
-    bag holds no stage with its input, ConfigError if the configuration is invalid.
+    own_policy: file of a policy of one's own, as `RecordedStages` takes it. Raises BagError if no
+    stage can be compared, ConfigError if the configuration is invalid.
     """
     recorded = RecordedStages(bag, own_policy)
     comparisons = []
@@ -79,12 +88,15 @@ def check_bag(bag: Bag, tolerance: float, own_policy: str = "") -> list[StageCom
         missing = [name for name in (topic, *inputs) if not bag.counts.get(name)]
         if topic == "/gait_preview" and recorded.lost_path:
             missing.append(recorded.lost_path)
-        found = StageComparison(topic, missing=tuple(missing))
-        comparisons.append(
-            found if missing else compare(recorded, topic, replay(recorded), tolerance)
-        )
+        unknown = not missing and topic in REMEMBERING and recorded.begins_mid_run
+        found = StageComparison(topic, missing=tuple(missing), unknown=unknown)
+        if not found.left_out:
+            found = compare(recorded, topic, replay(recorded), tolerance)
+        comparisons.append(found)
     if all(comparison.missing for comparison in comparisons):
         raise BagError(f"{bag.path}: holds no stage together with its input")
+    if all(comparison.left_out for comparison in comparisons):
+        raise BagError(f"{bag.path}: {MID_RUN}; no stage can be compared")
     return comparisons
 
 
@@ -94,12 +106,14 @@ def compare(
     """Compare the recorded messages of a topic with replayed fields by stamp (ns).
 
     The end of a recording may hold an output without its input, so messages after the last replayed
-    stamp are skipped. Raises BagError if no message is left to compare.
+    stamp are skipped, and so are those before the first one if the bag begins mid-run. Raises
+    BagError if no message is left to compare.
     """
     compared, largest, first, end = 0, 0.0, None, max(replayed, default=0)
+    begin = min(replayed, default=0) if recorded.begins_mid_run else 0
     for message in recorded.messages[topic]:
         stamp = decode.stamp(message)
-        if stamp > end:
+        if not begin <= stamp <= end:
             continue
         fields = replayed.get(stamp)
         if fields is None:
@@ -162,7 +176,7 @@ def _tolerance(text: str) -> float:
 def _renaming(text: str) -> tuple[str, str]:
     old, separator, new = text.partition(":=")
     if not (separator and old.strip("/") and new.strip("/")):
-        raise argparse.ArgumentTypeError(f"{text!r}: expected OLD:=NEW, names of topics")
+        raise argparse.ArgumentTypeError(f"{quoted(text)}: expected OLD:=NEW, names of topics")
     return old, new
 
 
@@ -203,20 +217,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 0
         comparisons = check_bag(bag, options.tolerance, options.policy)
     except (BagError, config.ConfigError) as error:
-        print(f"scripts/replay: {error}", file=sys.stderr)
+        refuse(parser.prog, error)
         return 2
     except ValueError as error:  # a recorded message that its node has rejected
-        print(f"scripts/replay: {options.bag}: cannot be replayed: {error}", file=sys.stderr)
+        refuse(parser.prog, f"{options.bag}: cannot be replayed: {error}")
         return 2
     differences = [c.first for c in comparisons if c.first is not None]
     lines = [*bag.lines(), *map(str, comparisons)]
     lines += [f"first difference: {differences[0]}"] if differences else []
-    try:
-        print("\n".join(lines), flush=True)
-    except OSError as error:  # a full disk, a closed pipe
-        print(f"scripts/replay: output: {error.strerror}", file=sys.stderr)
-        # What is left in the buffer must not fail again at the end of the process.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if not show(parser.prog, lines):
         return 2
     return 1 if differences else 0
 

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 from slot_core import config
 from slot_core.clock import to_ns
 from slot_core.control.force_map import make_force_map, read_force_map, read_springs
-from slot_core.control.policy import DEFAULT_POLICY, TendonPlan, policy_class
+from slot_core.control.policy import DEFAULT_POLICY, Status, TendonPlan, policy_class
 from slot_core.control.tuned_policy import TunedPolicy
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.state_estimator import BEFORE_ALL_TIMES, StateEstimator, read_estimator
@@ -49,6 +49,8 @@ class RecordedStages:
         self.messages: dict[str, list[Any]] = {topic: [] for topic in STAGES}
         topics = [t for t in (*SENSORS, *STAGES) if bag.counts.get(t)]
         for topic, _, message in bag.merged(*topics) if topics else ():
+            with bag.using(topic):
+                decode.stamp(message)
             if topic in STAGES:
                 self.messages[topic].append(message)
             else:
@@ -58,6 +60,19 @@ class RecordedStages:
     def estimates(self) -> dict[int, Estimate]:
         """Estimated states by stamp."""
         return self._by_stamp("/mpc_state", decode.estimate)
+
+    @cached_property
+    def begins_mid_run(self) -> bool:
+        """Whether the states before the first one are not in the bag.
+
+        Before its first valid state an estimator publishes `gate.initial_readings` - 1 states that
+        are initialising. Of a bag without a valid one it is not known: it counts as begun.
+        """
+        found = [estimate.validity for estimate in self.estimates.values()]
+        if Validity.VALID not in found:
+            return False
+        initial = found[: found.index(Validity.VALID)].count(Validity.INITIALISING)
+        return initial < read_estimator().gate.initial_readings - 1
 
     @cached_property
     def previews(self) -> dict[int, GaitPreview]:
@@ -75,7 +90,8 @@ class RecordedStages:
         return self._by_stamp(PLANS, lambda m: json.loads(getattr(m, "settings", "") or "{}"))
 
     def _by_stamp(self, topic: str, convert: Callable[[Any], Any]) -> dict[int, Any]:
-        return {decode.stamp(m): convert(m) for m in self.messages[topic]}
+        with self.bag.using(topic):
+            return {decode.stamp(m): convert(m) for m in self.messages[topic]}
 
     def matched(self) -> Iterator[tuple[int, Estimate, GaitPreview, TendonPlan]]:
         """Estimate, preview and plan of the stamps that have all three, in the order of the states.
@@ -214,11 +230,18 @@ def plans(recorded: RecordedStages) -> dict[int, Fields]:
 
 
 def commands(recorded: RecordedStages) -> dict[int, Fields]:
-    """Tendon angles and their rates, as fields of JointState."""
+    """Tendon angles and their rates, as fields of JointState.
+
+    The first angles that are held are left out of a bag that begins mid-run: they were commanded
+    before.
+    """
     settings = recorded.settings("force_mapper", read_force_map())
     force_map = make_force_map(recorded.robot, settings)
-    fields = {}
+    fields, held = {}, recorded.begins_mid_run
     for stamp, estimate, preview, plan in recorded.matched():
+        held = held and plan.status is Status.STOPPED
+        if held:
+            continue
         command = force_map.step(plan, preview, estimate.state)
         fields[stamp] = {"position": command.angle, "velocity": command.rate}
     return fields
@@ -231,3 +254,5 @@ STAGES: dict[str, tuple[Any, ...]] = {
     "/desired_joint_angles": (commands, "/mpc_state", "/gait_preview", PLANS),
 }
 """By the output of each stage its function here, then its inputs; in the order of the graph."""
+REMEMBERING = ("/mpc_state", "/gait_preview", PLANS)
+"""Outputs of stages that depend on all that came before."""

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from slot_core import config
-from slot_core.command_line import command_parser, one_line, positive_integer, progress
+from slot_core.command_line import command_parser, positive_integer, progress, show
 from slot_core.config import ConfigError
 from slot_core.robot import Array, RobotParameters, read_parameters, read_robot
 from slot_lab.calibration import parameter_file
@@ -52,9 +52,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         content, verdict = _run(options)
     except (TableError, ConfigError, FitError, PredictionError, OSError) as error:
-        parser.error(one_line(error))
-    print("\n".join([*parameter_file.table(content), "", verdict.line]))
-    return verdict.code
+        parser.error(str(error))
+    lines = [*parameter_file.table(content), "", verdict.line]
+    return verdict.code if show(parser.prog, lines) else 2
 
 
 def _run(options: argparse.Namespace) -> tuple[dict[str, object], Verdict]:

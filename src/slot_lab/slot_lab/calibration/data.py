@@ -28,7 +28,9 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from slot_lab.csv_table import CsvRow, TableError, read_table
+from slot_core.files import read_bytes
+from slot_core.refusal import quoted
+from slot_lab.csv_table import SIZE_MAX, CsvRow, TableError, read_table
 
 CONDITIONS = {
     "marker_range": ("theta_deg", "load_N", "friction", "place"),
@@ -92,19 +94,20 @@ def read_data(path: Path) -> Data:
         raise TableError(f"{table.head}: column {missing[0]} is missing")
     if unknown := [name for name in columns if name not in COLUMNS]:
         known = ", ".join(COLUMNS)
-        raise TableError(f"{table.head}: column {unknown[0]!r} is unknown (known: {known})")
+        raise TableError(f"{table.head}: column {quoted(unknown[0])} is unknown (known: {known})")
     if len(columns) > len(COLUMNS):
         raise TableError(f"{table.head}: a column is repeated")
     if not table.rows:
         raise TableError(f"{path}: no measurements")
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    digest = hashlib.sha256(read_bytes(path, SIZE_MAX)).hexdigest()
     return Data(path.name, digest, tuple(_datum(row) for row in table.rows))
 
 
 def _datum(row: CsvRow) -> Datum:
     kind = row.cells["kind"]
     if kind not in CONDITIONS:
-        raise TableError(f"{row.where}, kind: {kind!r} is unknown (known: {', '.join(CONDITIONS)})")
+        known = ", ".join(CONDITIONS)
+        raise TableError(f"{row.where}, kind: {quoted(kind)} is unknown (known: {known})")
     needed = {*CONDITIONS[kind], "value", "sigma"}
     numbers = {name: _number(row, name, name in needed) for name in BOUNDS}
     return Datum(kind, line=row.line, **numbers)
@@ -119,5 +122,6 @@ def _number(row: CsvRow, name: str, needed: bool) -> float:
         return value
     if text:
         kind = row.cells["kind"]
-        raise TableError(f"{row.where}, {name}: {text!r}, but {kind} has none; leave it empty")
+        given = f"{row.where}, {name}: {quoted(text)}"
+        raise TableError(f"{given}, but {kind} has none; leave it empty")
     return math.nan

@@ -16,7 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from slot_core.command_line import command_parser, one_line, positive_integer
+from slot_core.command_line import command_parser, positive_integer, show
 from slot_core.config import ConfigError
 from slot_core.vision.camera import CameraError, camera_text
 from slot_core.vision.settings import VisionSettings, read_vision
@@ -35,11 +35,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         found = _calibrate(options, read_vision())
         options.out.write_text(camera_text(found.camera, options.name))
     except (FilmError, CameraError, ConfigError) as error:
-        parser.error(one_line(error))
+        parser.error(str(error))
     except OSError as error:
         parser.error(f"--out {options.out}: {error.strerror}")
-    print("\n".join([*report(found), f"wrote {options.out}"]))
-    return 0
+    return 0 if show(parser.prog, [*report(found), f"wrote {options.out}"]) else 2
 
 
 def _calibrate(options: argparse.Namespace, settings: VisionSettings) -> Calibration:

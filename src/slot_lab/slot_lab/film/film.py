@@ -20,7 +20,7 @@ import numpy as np
 
 from slot_core.body_points import LEAST_NODES, LEG_POINTS, TORSO, arc_length, at_shares
 from slot_core.clock import to_seconds
-from slot_core.command_line import command_parser, one_line, within
+from slot_core.command_line import command_parser, show, within
 from slot_core.config import ConfigError
 from slot_core.geometry import Transform, optical
 from slot_core.messages import decode
@@ -158,11 +158,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         film = _film_chessboard if options.what == CHESSBOARD else _film
         count = film(options, read_vision())
     except (BagError, ConfigError) as error:
-        parser.error(one_line(error))
+        parser.error(str(error))
     except OSError as error:
         parser.error(f"{error.filename}: {error.strerror}")
-    print(f"{count} images in {options.out}")
-    return 0
+    return 0 if show(parser.prog, [f"{count} images in {options.out}"]) else 2
 
 
 def _film(options: argparse.Namespace, settings: VisionSettings) -> int:

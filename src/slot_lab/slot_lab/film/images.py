@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slot_core.clock import to_seconds
-from slot_core.command_line import one_line
 from slot_core.messages.decode import stamp
+from slot_core.refusal import InputError
 from slot_core.vision import image_message
 from slot_core.vision.board import GreyImage
 from slot_core.vision.camera import Camera, CameraError, from_camera_info
@@ -25,7 +25,7 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 SYNCHRONOUS = 0.017  # s, largest distance of a depth image from the image
 
 
-class FilmError(ValueError):
+class FilmError(InputError):
     """A film that cannot be read; the message is one line with its path and the cause."""
 
 
@@ -129,7 +129,7 @@ def _of_bag(path: Path, topic: str, depth_topic: str) -> Iterator[Frame]:
             nearest = min(near, key=lambda d: abs(d[0] - time))[1] if near else None
             yield Frame(time, image_message.grey(message), nearest)
     except (BagError, ValueError, AttributeError) as error:
-        raise FilmError(f"{path}: {topic}: {one_line(error)}") from None
+        raise FilmError(f"{path}: {topic}: {error}") from None
 
 
 def _files(path: Path) -> list[Path]:

@@ -18,8 +18,9 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from slot_core.command_line import command_parser, within
+from slot_core.command_line import command_parser, show, within
 from slot_core.config import ConfigError
+from slot_core.refusal import quoted
 from slot_core.vision.board import WHITE, GreyImage, image_of, make_board, single_marker
 from slot_core.vision.settings import VisionSettings, read_vision
 from slot_lab.film.calibration import chessboard
@@ -45,8 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         parser.error(f"--out {options.out}: {error.strerror or error}")
     height, width = (1e3 * edge / dots for edge in sheet.shape)
-    print(f"{options.out}: {width:.0f} x {height:.0f} mm at {options.dpi} dots per inch")
-    return 0
+    size = f"{width:.0f} x {height:.0f} mm at {options.dpi} dots per inch"
+    return 0 if show(parser.prog, [f"{options.out}: {size}"]) else 2
 
 
 def sheet_of(what: str, settings: VisionSettings, dots: float) -> GreyImage:
@@ -67,7 +68,7 @@ def sheet_of(what: str, settings: VisionSettings, dots: float) -> GreyImage:
         return np.vstack([np.hstack(markers[COLUMNS * r : COLUMNS * (r + 1)]) for r in range(rows)])
     if what not in settings.boards:
         known = ", ".join([*settings.boards, "points", "chessboard"])
-        raise ConfigError(f"WHAT = {what!r}: expected one of {known}")
+        raise ConfigError(f"WHAT = {quoted(what)}: expected one of {known}")
     return image_of(make_board(settings.boards[what]), number, dots)
 
 

@@ -20,7 +20,7 @@ from pathlib import Path
 import cv2
 
 from slot_core.body_points import COLUMNS, FRAME, TORSO
-from slot_core.command_line import command_parser, one_line, progress, within
+from slot_core.command_line import command_parser, progress, show, within
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_core.vision.camera import Camera, CameraError, nominal, read_camera
@@ -59,11 +59,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             parser.error(f"{options.film}: no marker of leg {options.leg}")
         write_tracks(options.out, samples, tracks.frame)
     except (FilmError, CameraError, ConfigError) as error:
-        parser.error(one_line(error))
+        parser.error(str(error))
     except OSError as error:
         parser.error(f"--out {options.out}: {error.strerror}")
-    print("\n".join(_summary(tracks, samples)))
-    return 0
+    return 0 if show(parser.prog, _summary(tracks, samples)) else 2
 
 
 def of_leg(samples: list[MarkerSample], leg: str | None) -> list[MarkerSample]:

@@ -9,6 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
+from slot_core.refusal import InputError
 from slot_core.robot import Array, RobotParameters, read_robot
 from slot_lab.bags.bag import Bag
 from slot_lab.bags.recorded_walk import LEG_STATES, seconds, stride_period
@@ -24,7 +25,7 @@ BELOW, ABOVE = 0.07, 0.14  # m shown below and above the point of the ground bel
 SUFFIXES = (".gif", ".png", ".webp")
 
 
-class AnimationError(ValueError):
+class AnimationError(InputError):
     """An animation cannot be made; the message is one line."""
 
 

@@ -8,7 +8,6 @@ hatched. Fields that the messages of an older bag lack are listed and left out.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,7 +21,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from slot_core.clock import to_seconds
-from slot_core.command_line import CommandParser
+from slot_core.command_line import CommandParser, refuse, show
 from slot_core.control.policy import Status
 from slot_core.drawing import palette
 from slot_core.robot import LEGS, Array
@@ -222,11 +221,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         found = read_map(Bag(options.bag, options.namespace))
         draw_map(found, out)
     except (BagError, OSError) as error:
-        print(f"scripts/constraint_map: {error}", file=sys.stderr)
+        refuse(parser.prog, error)
         return 2
-    print("\n".join([*summary_lines(found), str(out)]))
+    if not show(parser.prog, [*summary_lines(found), str(out)]):
+        return 2
     return 1 if found.violated.any() else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

@@ -27,10 +27,17 @@ from typing import Any
 import numpy as np
 
 from slot_core import config
-from slot_core.command_line import INTERRUPTED, command_parser, positive_integer
+from slot_core.command_line import (
+    INTERRUPTED,
+    command_parser,
+    positive_integer,
+    refuse,
+    show,
+)
 from slot_core.config import ConfigError
 from slot_core.control.force_map import read_springs
 from slot_core.gait.gait import Pattern, Steering, Stride, read_gaits
+from slot_core.refusal import quoted
 from slot_core.robot import read_robot
 from slot_lab.tuning import gait_file, identification, symmetry
 from slot_lab.tuning.identification import IdentificationError
@@ -61,11 +68,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("\nscripts/tune: interrupted; the same command continues", file=sys.stderr)
         return INTERRUPTED
     except (ConfigError, IdentificationError, ModuleNotFoundError, OSError) as error:
-        print(f"scripts/tune: {error}", file=sys.stderr)
+        refuse("scripts/tune", error)
         return 2
     tuning.forget()
-    print("\n".join([*notes, str(options.out)]))
-    return 0
+    return 0 if show("scripts/tune", [*notes, str(options.out)]) else 2
 
 
 class _Tuning:
@@ -175,7 +181,7 @@ def _start(options: argparse.Namespace) -> Stride:
     name = options.like or options.gait
     stride = read_gaits().find(name)
     if not isinstance(stride, Stride):
-        raise ConfigError(f"gait {name!r} is a posture, not a stride")
+        raise ConfigError(f"gait {quoted(name)} is a posture, not a stride")
     changes: dict[str, object] = {}
     if options.height is not None:
         changes |= _rest(options.height) | {"height": options.height}
@@ -221,7 +227,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _stage(text: str) -> str:
     if text not in STAGES:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected one of {', '.join(STAGES)}")
+        raise argparse.ArgumentTypeError(f"{quoted(text)}: expected one of {', '.join(STAGES)}")
     return text
 
 

@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.body_points import LEG_POINTS, TORSO, at_shares
-from slot_core.command_line import command_parser, one_line
+from slot_core.command_line import command_parser
 from slot_core.config import ConfigError
 from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.record_settings import read_record_settings
@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         write(options.recorded, options.directory)
     except (BagError, RecordingError, TableError, ConfigError, OSError) as error:
-        parser.exit(2, f"scripts/example_data: {one_line(error)}\n")
+        parser.error(str(error))
     return 0
 
 

@@ -17,6 +17,7 @@ from typing import Any
 
 from slot_core import config
 from slot_core.config import ConfigError
+from slot_core.refusal import quoted
 from slot_core.robot import read_parameters
 from slot_lab.calibration import parameter_file
 from slot_lab.calibration.fit import ParameterEstimate
@@ -83,7 +84,7 @@ def place_of(name: str) -> Path:
     """Path of a new set; raises ConfigError if the name is taken or is no name of a file."""
     path = config.config_dir() / "parameters" / f"{name}.yaml"
     if not name or not name.replace("_", "").replace("-", "").isalnum():
-        raise ConfigError(f"--set {name!r}: expected letters, digits, _ and -")
+        raise ConfigError(f"--set {quoted(name)}: expected letters, digits, _ and -")
     if path.exists():
         raise ConfigError(f"--set {name}: {path} exists; it stays as it is")
     return path

@@ -27,9 +27,9 @@ import numpy as np
 from slot_core.command_line import (
     INTERRUPTED,
     command_parser,
-    one_line,
     positive_integer,
     progress,
+    show,
     within,
 )
 from slot_core.config import ConfigError, load
@@ -68,11 +68,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("\nscripts/twin: interrupted; the same command continues", file=sys.stderr)
         return INTERRUPTED
     except ModuleNotFoundError as error:
-        parser.exit(2, f"scripts/twin: {error}: run scripts/setup --bench, or give --workers 1\n")
+        parser.error(f"{error}: run scripts/setup --bench, or give --workers 1")
     except ERRORS as error:
-        parser.exit(2, f"scripts/twin: {one_line(error)}\n")
-    print("\n".join([*lines, verdict.line]))
-    return verdict.code
+        parser.error(str(error))
+    return verdict.code if show(parser.prog, [*lines, verdict.line]) else 2
 
 
 def _run(options: argparse.Namespace) -> tuple[list[str], Verdict]:

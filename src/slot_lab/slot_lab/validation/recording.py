@@ -29,6 +29,7 @@ from slot_core.body_points import (
     TORSO,
     at_shares,
 )
+from slot_core.refusal import InputError, quoted
 from slot_core.robot import LEGS, ODOM_FRAME, Array
 from slot_lab.bags.bag import STORAGES, Bag
 from slot_lab.bags.measured import measured_motion, sound
@@ -43,7 +44,7 @@ LEAST_SAMPLES = 8
 DIGITS = 5  # decimals of written values: 10 us, 10 um
 
 
-class RecordingError(ValueError):
+class RecordingError(InputError):
     """A recording that cannot be used; the message is one line with file, place and cause."""
 
 
@@ -167,7 +168,7 @@ def _point(row: CsvRow) -> str:
     point = row.cells.get("point", TORSO)
     if point not in POINTS:
         known = f"{TORSO}, {', '.join(LEG_POINTS)}, FL_tip ..."
-        raise TableError(f"{row.where}, point: {point!r} is unknown (known: {known})")
+        raise TableError(f"{row.where}, point: {quoted(point)} is unknown (known: {known})")
     return point
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slot_core.command_line import command_parser, one_line, within
+from slot_core.command_line import command_parser, show, within
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_lab.bags.bag import BagError
@@ -38,9 +38,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         lines, verdict = _run(options)
     except (RecordingError, TableError, BagError, ConfigError, OSError) as error:
-        parser.exit(2, f"scripts/validate: {one_line(error)}\n")
-    print("\n".join([*lines, verdict.line]))
-    return verdict.code
+        parser.error(str(error))
+    return verdict.code if show(parser.prog, [*lines, verdict.line]) else 2
 
 
 def _run(options: argparse.Namespace) -> tuple[list[str], Verdict]:

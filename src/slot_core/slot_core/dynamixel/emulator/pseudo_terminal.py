@@ -44,9 +44,9 @@ class PseudoTerminal:
     def __init__(
         self, bus: EmulatedBus, link: Path | None = None, clock: Clock = time.monotonic
     ) -> None:
-        """Open the port; raises ConfigError if another file has the name of the link."""
-        if link is not None and link.exists() and TERMINALS not in link.resolve().parents:
-            raise ConfigError(f"{link}: exists already")
+        """Open the port; raises ConfigError if the link cannot be made, or is another file."""
+        if link is not None:
+            _require_free(link)
         self._bus, self._link, self._clock = bus, link, clock
         self._stopping = threading.Event()
         self._free_at = 0.0  # s, when the line is idle again
@@ -160,3 +160,15 @@ class PseudoTerminal:
         if self._slave_fd is not None:
             os.close(self._slave_fd)
             self._slave_fd = None
+
+
+def _require_free(link: Path) -> None:
+    """Raise ConfigError unless a link of that name can be made; one to a terminal is replaced."""
+    try:
+        if link.exists() and TERMINALS not in link.resolve().parents:
+            raise ConfigError(f"{link}: exists already")
+        link.unlink(missing_ok=True)
+        link.symlink_to(TERMINALS)
+        link.unlink()
+    except OSError as error:
+        raise ConfigError(f"{link}: {error.strerror}") from None

@@ -1,0 +1,1 @@
+"""Benchmark of hostile input: what is refused, and how."""

@@ -1,0 +1,255 @@
+"""Calls of the core with arrays of wrong shapes, types and values, above all before kernels."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from benchmarks.fuzz.outcomes import Outcomes
+from slot_core import config
+from slot_core.control.force_map import make_force_map, read_force_map
+from slot_core.control.policy import TendonPlan
+from slot_core.dynamics.scene import Scene, read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.estimation.imu_samples import ImuSamples
+from slot_core.estimation.inertial_filter import InertialFilter, OdometryMotion
+from slot_core.estimation.state_estimator import read_estimator
+from slot_core.gait.gait import read_gaits
+from slot_core.gait.gait_scheduler import GaitScheduler
+from slot_core.legs.held_leg import HeldLeg
+from slot_core.legs.leg_map import StaticLeg
+from slot_core.legs.leg_springs import LegSprings, read_leg_springs
+from slot_core.legs.leg_table import LegTable
+from slot_core.legs.sticking_leg import StickingLeg
+from slot_core.paper.numbers import read_paper
+from slot_core.paper.paper_robot import PaperLeg
+from slot_core.predictive.disturbance_observer import DisturbanceObserver
+from slot_core.predictive.nominal_robot import NominalRobot
+from slot_core.predictive.problem import PlanProblem
+from slot_core.predictive.settings import read_predictive
+from slot_core.robot import read_robot
+from slot_core.rod.cosserat_rod import CosseratRod
+from slot_core.rod.model import Geometry, Loads, Material, Pose, Rectangle, Support
+from slot_core.simulation.rod_robot import RodRobot
+from slot_core.simulation.tabulated_robot import TabulatedRobot
+from slot_core.vision.camera import nominal
+from slot_core.vision.detector import MarkerDetector
+from slot_core.vision.settings import read_vision
+
+NODES, DT = 8, 1 / 30
+ANY_NUMBER = ("no element", "one more")  # of rows
+ANY_AXES = ("an axis less", "an axis more", *ANY_NUMBER)
+Values = tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class CheckedCall:
+    """A call with good arguments; `fine` names what does not make one of them wrong."""
+
+    call: Callable[..., Any]
+    good: Values
+    finite: bool = True  # whether every value has to be
+    fine: tuple[str, ...] = ()
+
+
+def scene(**changes: Any) -> Scene:
+    """The flat scene without settling, on few nodes."""
+    return config.replace(
+        read_scene("flat"), {"start.settle": 0.0, "solver.nodes": NODES} | changes
+    )
+
+
+def _legs() -> dict[str, CheckedCall]:
+    robot, springs = read_robot(), read_leg_springs(4.0)
+    heights, still = np.full(4, 0.06), StaticLeg(robot, NODES)
+    table = np.ones((2, 3, 4))
+    grid = np.array([0.0, 1.0]), np.array([0.0, 0.1, 0.2]), table
+    return {
+        "LegSprings.at": CheckedCall(springs.at, (np.ones(4), heights), finite=False),
+        "LegSprings.angle": CheckedCall(springs.angle, (np.ones(4), heights)),
+        "LegSprings": CheckedCall(lambda *parts: LegSprings(LegTable(*parts), 1.0), grid),
+        "StaticLeg.node": CheckedCall(lambda node: setattr(still, "node", node), (still.node,)),
+        "StaticLeg.solve": CheckedCall(still.solve, (0.1, 0.1)),
+        "HeldLeg.pull": CheckedCall(HeldLeg(robot, NODES, 0.3, 0.1).pull, (0.01, 1.0)),
+        "StickingLeg.stiffness": CheckedCall(
+            StickingLeg(robot, NODES).stiffness, (still.node, 0.1, 0.1)
+        ),
+    }
+
+
+def _robots() -> dict[str, CheckedCall]:
+    robot, servo = read_robot(), read_servo()
+    rods = RodRobot(robot, scene(), servo)
+    flat = config.replace(read_scene("map"), {"start.settle": 0.0})
+    tabulated = TabulatedRobot(robot, flat, servo)
+    leg, vector = PaperLeg(robot, read_paper()), np.zeros(3)
+    cases = {"PaperLeg.advance": CheckedCall(leg.advance, (1, 0.0))}
+    for name, sim in (("RodRobot", rods), ("TabulatedRobot", tabulated)):
+        cases[f"{name}.advance"] = CheckedCall(sim.advance, (1, np.full(4, 0.5)))
+        cases[f"{name}.push"] = CheckedCall(sim.push, (vector, vector))
+        cases[f"{name}.set_motion"] = CheckedCall(sim.set_motion, (vector, vector))
+        cases[f"{name}.damage_tendon"] = CheckedCall(sim.damage_tendon, (0, 0.001))
+    return cases
+
+
+def _rods() -> dict[str, CheckedCall]:
+    material, vector = Material(1e7, 3e6, 1200.0, 5e-4), (0.0, 0.1, 0.0)
+    rod = CosseratRod(material, Geometry(0.2, Rectangle(0.02, (8e-3, 4e-3))), NODES)
+    names = tuple(vars(rod.state))
+
+    def set_state(*parts: Any) -> None:
+        rod.state = type(rod.state)(**dict(zip(names, parts)))
+
+    def bent(curvature: Any) -> None:
+        shape = Geometry(0.2, Rectangle(0.02, (8e-3, 4e-3)), lambda s: curvature)
+        CosseratRod(material, shape, NODES)
+
+    return {
+        "CosseratRod.state": CheckedCall(set_state, tuple(vars(rod.state).values())),
+        "CosseratRod.run": CheckedCall(rod.run, (1e-3, 2)),
+        "CosseratRod.step": CheckedCall(rod.step, (1e-3,)),
+        "Loads": CheckedCall(lambda *parts: rod.energy(Loads(*parts)), (vector,) * 4),
+        "Pose": CheckedCall(lambda *parts: rod.step(1e-3, base=Pose(*parts)), (vector, vector)),
+        "Support": CheckedCall(Support, ((True,) * 3, (True,) * 3), finite=False),
+        "Geometry.curvature": CheckedCall(bent, (1.0,)),
+    }
+
+
+def _policies() -> dict[str, CheckedCall]:
+    settings, robot = read_predictive(), read_robot()
+    model = NominalRobot(robot, settings.nominal, DT)
+    problem, stages = PlanProblem(settings, robot.tendon.angle_max, DT), settings.stages
+    state, start = np.zeros(12), model.at_rest(np.eye(12)[5] * 0.06, np.full(4, 1.0))
+    observer = DisturbanceObserver(model, settings.observer, DT)
+    wanted, angle = np.zeros((stages, 6)), np.full((stages + 1, 4), 1.0)
+    linear = problem.linearised(np.zeros((len(problem.basis), 6 * stages)))
+    springs, gaits = read_leg_springs(4.0), read_gaits()
+    scheduler = GaitScheduler(gaits, robot, springs, "walk", None)
+    preview = scheduler.step(0, np.eye(12)[5] * 0.06)
+    force_map = make_force_map(robot, read_force_map())
+
+    def mapped(force: Any, planned: Any, rate: Any, state: Any) -> None:
+        force_map.step(TendonPlan(planned, rate, force), preview, state)
+
+    return {
+        "NominalRobot.set_wrench": CheckedCall(model.set_wrench, (np.zeros(3), 0.0)),
+        "NominalRobot.at_rest": CheckedCall(model.at_rest, (state, np.full(4, 1.0))),
+        "NominalRobot.measured": CheckedCall(
+            lambda buffer, side, state: model.measured(type(start)(buffer, side), state),
+            (*start, state), finite=False),
+        "NominalRobot.place": CheckedCall(
+            lambda buffer: model.place(start._replace(buffer=buffer)), (start.buffer,),
+            finite=False),
+        "NominalRobot.roll_out": CheckedCall(
+            lambda buffer, side, plans: model.roll_out(type(start)(buffer, side), plans),
+            (*start, angle[None]), finite=False, fine=ANY_NUMBER),
+        "PlanProblem.reference": CheckedCall(
+            lambda rows, place, drift: problem.reference(rows, place, drift, 0.0),
+            (np.zeros((stages + 1, 12)), np.zeros(3), np.zeros(3)),
+            finite=False, fine=("one more",)),
+        "PlanProblem.errors": CheckedCall(
+            lambda pose, wanted: problem.errors(pose, wanted, 0.0), (wanted[None], wanted),
+            finite=False, fine=ANY_NUMBER),
+        "PlanProblem.change": CheckedCall(
+            lambda b, nominal: problem.change(np.zeros(6 * stages), linear, b, nominal),
+            (np.zeros_like(angle), angle)),
+        "DisturbanceObserver.add": CheckedCall(
+            lambda *parts: observer.add(start, *parts), (state, angle[:2])),
+        "DisturbanceObserver.correct": CheckedCall(observer.correct, (state,)),
+        "ForceMap.step": CheckedCall(
+            mapped, (np.zeros((2, 4, 3)), np.zeros((2, 4)), np.zeros(4), state),
+            finite=False, fine=("one more",)),
+    }  # fmt: skip
+
+
+def _estimation() -> dict[str, CheckedCall]:
+    filtered, stamps = InertialFilter(read_estimator()), np.array([0, 5_000_000])
+    attitude, vector = np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3)
+    motion = (attitude, vector, vector, vector, np.ones(12))
+
+    def use(values: Any, stamps: Any) -> None:
+        filtered.use_gyro(ImuSamples(stamps, values), 1, 0.0)
+        filtered.propagate(ImuSamples(stamps, values), 0, 1)
+
+    return {
+        "InertialFilter.restart": CheckedCall(
+            lambda *parts: filtered.restart(OdometryMotion(0, *parts)), motion),
+        "InertialFilter.correct": CheckedCall(
+            lambda *parts: filtered.correct(OdometryMotion(0, *parts)), motion),
+        "InertialFilter.extrapolate": CheckedCall(
+            lambda imu: filtered.extrapolate(imu, 1e-3), (np.zeros(6),)),
+        "InertialFilter.propagate": CheckedCall(
+            lambda values: use(values, stamps), (np.zeros((2, 6)),), finite=False),
+    }  # fmt: skip
+
+
+def _vision() -> dict[str, CheckedCall]:
+    settings = read_vision()
+    camera = nominal(settings.camera)
+    detector = MarkerDetector(settings.dictionary_number, camera)
+    image = np.zeros((camera.height, camera.width), np.uint8)
+    return {
+        "Camera.rays": CheckedCall(camera.rays, (np.zeros((5, 2)),), False, ANY_AXES),
+        "Camera.project": CheckedCall(camera.project, (np.ones((5, 3)),), False, ANY_AXES),
+        "MarkerDetector.find": CheckedCall(detector.find, (image,), finite=False),
+    }
+
+
+GROUPS: Mapping[str, Callable[[], dict[str, CheckedCall]]] = {
+    "legs": _legs,
+    "robots": _robots,
+    "rods": _rods,
+    "policies": _policies,
+    "estimation": _estimation,
+    "vision": _vision,
+}
+"""How the calls are made, by their subject."""
+
+
+def wrong(case: CheckedCall) -> Iterator[tuple[str, Values]]:
+    """The good arguments with one that is wrong, and what is wrong with it."""
+    for place, value in enumerate(case.good):
+        for what, spoiled in spoiled_values(np.asarray(value), case.finite):
+            if what in case.fine:
+                continue
+            yield (
+                f"argument {place}: {what}",
+                (*case.good[:place], spoiled, *case.good[place + 1 :]),
+            )
+
+
+def spoiled_values(array: Any, finite: bool) -> Iterator[tuple[str, Any]]:
+    """Values like an array, but for what makes them unusable."""
+    shape, whole = array.shape, array.dtype.kind == "i"
+    if whole:
+        yield "negative", -5
+        yield "a fraction", 0.5
+        return
+    yield "an axis more", np.zeros((*shape, 2), array.dtype)
+    yield "text", np.full(shape, "x") if shape else "x"
+    if shape:
+        yield "an axis less", array[0]
+        yield "no element", array[:0]
+        yield "one element", np.ones((1,) * (array.ndim + 1), array.dtype)
+        yield "one more", np.concatenate([array, array[-1:]])
+        yield "a million", np.zeros((*shape[:-1], 2**20 // max(1, int(np.prod(shape[:-1])))))
+    if finite and array.dtype.kind == "f":
+        for bad in (np.nan, np.inf):
+            spoiled = array.copy()
+            spoiled[(-1,) * array.ndim] = bad
+            yield str(bad), spoiled if shape else bad
+
+
+def fuzz(count: int, rng: np.random.Generator) -> Outcomes:
+    """Count calls, drawn from all that have a wrong argument; each call at least once."""
+    tally, every = Outcomes(), [item for make in GROUPS.values() for item in make().items()]
+    for number in range(count):
+        name, case = every[number % len(every)]
+        some = list(wrong(case))
+        what, values = some[int(rng.integers(len(some)))]
+        tally.call(f"{name}, {what}", functools.partial(case.call, *values), ValueError, wrong=True)
+    return tally
