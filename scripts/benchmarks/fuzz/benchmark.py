@@ -24,7 +24,7 @@ from benchmarks.harness import Check, Progress, Row, at_most
 
 SEED = 11
 COUNTS = {  # quick, full
-    "files": (1_000, 20_000),
+    "files": (600, 20_000),
     "commands": (120, 5_000),
     "bags": (40, 3_000),
     "packets": (2_000, 100_000),

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slot_core.clock import to_seconds
+from slot_core.files import require_regular
 from slot_core.messages.decode import stamp
 from slot_core.refusal import InputError
 from slot_core.vision import image_message
@@ -58,7 +59,7 @@ def claimed_length(path: Path) -> int:
     """Number of images that a video says it has; zero if it says none, and for other films."""
     if path.is_dir() or is_bag(path):
         return 0
-    return max(0, int(cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FRAME_COUNT)))
+    return max(0, int(_opened(path).get(cv2.CAP_PROP_FRAME_COUNT)))
 
 
 def is_bag(path: Path) -> bool:
@@ -80,7 +81,7 @@ def bag_camera(path: Path, topic: str) -> Camera:
 
 
 def _of_video(path: Path, rate: float | None) -> Iterator[Frame]:
-    video = cv2.VideoCapture(str(path))
+    video = _opened(path)
     own = video.get(cv2.CAP_PROP_FPS)
     if not video.isOpened():
         raise FilmError(f"{path}: no video that OpenCV can read")
@@ -97,6 +98,15 @@ def _of_video(path: Path, rate: float | None) -> Iterator[Frame]:
         number += 1
     if not number:
         raise FilmError(f"{path}: has no image that can be read")
+
+
+def _opened(path: Path) -> cv2.VideoCapture:
+    """A video; raises FilmError for a device or a pipe, for which OpenCV would wait."""
+    try:
+        require_regular(path)
+    except (OSError, ValueError) as error:
+        raise FilmError(f"{path}: {error}") from None
+    return cv2.VideoCapture(str(path))
 
 
 def _of_folder(path: Path, rate: float) -> Iterator[Frame]:
@@ -134,7 +144,7 @@ def _of_bag(path: Path, topic: str, depth_topic: str) -> Iterator[Frame]:
 
 def _files(path: Path) -> list[Path]:
     """The images of a folder in the order of their names; raises FilmError if there are none."""
-    files = sorted(f for f in path.glob("*") if f.suffix.lower() in SUFFIXES)
+    files = sorted(f for f in path.glob("*") if f.suffix.lower() in SUFFIXES and f.is_file())
     if not files:
         raise FilmError(f"{path}: a folder without images ({', '.join(SUFFIXES)})")
     return files
