@@ -195,3 +195,16 @@ def test_a_robot_that_is_told_of_its_broken_tendon_walks_on_three_legs(tmp_path,
         assert report.state is not State.HOLD, report.reason
     assert report.state is State.WALKING
     assert loop.plant.robot.position[0] > 0.1
+
+
+@pytest.mark.parametrize("begin", [3.0, 3.26, 3.312, 3.572])
+def test_a_walk_that_goes_on_after_a_short_hold_raises_no_alarm(begin):
+    """The torso tilts by up to 19 deg while the legs return to the gait at a limited rate."""
+    loop = FaultyLoop()
+    list(loop.run(begin))
+    loop.kill("force_mapper")
+    list(loop.run(0.13))
+    loop.running.add("force_mapper")
+    states = [report.state for report in loop.run(4.0)]
+    assert State.HOLD in states
+    assert set(states[-100:]) == {State.WALKING}

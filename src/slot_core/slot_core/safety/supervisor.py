@@ -109,6 +109,7 @@ class Supervisor:
         self._clear_since: int | None = None  # steady time since which there is no reason to hold
         self._faulty = False  # whether RELAX ends in FAULT
         self._followed = False  # whether the servos follow the commands
+        self._unfollowed = 0  # steady time when they did not, last
         self._command = np.zeros(len(LEGS))  # rad, last accepted
         self._tendon_angle = np.full(len(LEGS), np.nan)
         self._height = np.full(len(LEGS), np.nan)  # m, of the clamps
@@ -250,6 +251,8 @@ class Supervisor:
             self._wrong_clock.pop(source, None)
         self._right_clock.clear()
         self._followed = self._is_followed()
+        if not self._followed:
+            self._unfollowed = time
         if self._followed and self._inputs.slewed:
             distance = self._inputs.distance(self._command)
             warnings.append(f"command slewed, {distance:.3g} rad left")
@@ -317,9 +320,9 @@ class Supervisor:
         return found
 
     def _follows_gait(self, time: int) -> bool:
-        """Whether the legs follow the gait: not for `resume_time` after a change of state."""
-        following = time - self._entered > self._settings.gate.resume_time * SECOND
-        return self._state in MOVING and following
+        """Whether the legs follow the gait: for `resume_time`, in the same state."""
+        since = max(self._entered, self._unfollowed)
+        return self._state in MOVING and time - since > self._settings.gate.resume_time * SECOND
 
     def _torque_missing(self, time: int) -> str:
         """Why the servos have no torque after the time to switch it on, or ""."""
