@@ -10,6 +10,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import rclpy
+from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -73,8 +74,11 @@ class Progress:
         elif 0.0 <= step <= SILENCE_TIMEOUT:
             self.elapsed += step
         self.state = state
+
+    def update_truth(self, message: Odometry) -> None:
+        """Take the newest /ground_truth/odom, which only a simulation publishes."""
         if self._begun:
-            self._time.add(self._updated, self.stamp)
+            self._time.add(time.monotonic(), to_seconds(decode.stamp(message)))
 
     def update_plan(self, message: TendonPlan) -> None:
         """Take the newest /tendon_plan."""
@@ -92,12 +96,12 @@ class Progress:
         return time.monotonic() - self._updated
 
     def slowness(self) -> str:
-        """By how much the graph is slower than real time, or ""."""
+        """By how much simulation or controller are slower than real time, or ""."""
         now = time.monotonic()
         share, skipped = self._time.until(now), self._skipped.until(now)
         found = []
         if 0.0 <= share < PACE_LIMIT:
-            found.append(f"robot and estimator went at {100 * share:.0f} % of it")
+            found.append(f"the simulation went at {100 * share:.0f} % of it")
         if skipped > SKIPPED_LIMIT:
             found.append(f"mpc_controller skipped {skipped:.0f} states a second")
         return f"slower than real time: {', '.join(found)}" if found else ""
@@ -149,8 +153,10 @@ def watch(
 
     A run in which a bag is `played` begins with its first state, whatever the supervisor decides,
     and may end with the bag. A process that ends and that the graph does not need is restarted or
-    missed, with a line. With a `remedy` a graph slower than real time is reported, with it. Raises RunError when another one ends, no /mpc_state arrives for too long
-    or, unless `attended` or `played`, the robot goes slack.
+    missed, with a line. With a `remedy` a graph slower than real time is reported, with it.
+
+    Raises RunError when another process ends, no /mpc_state arrives for too long or, unless
+    `attended` or `played`, the robot goes slack.
     """
     with listener("run", namespace) as (node, executor):
         progress = Progress("supervisor" in processes and not played)
@@ -159,6 +165,9 @@ def watch(
         pace = PaceReport(progress, remedy)
         if remedy:
             node.create_subscription(TendonPlan, "tendon_plan", progress.update_plan, qos.STATE)
+            node.create_subscription(
+                Odometry, "ground_truth/odom", progress.update_truth, qos.SENSOR
+            )
         try:
             terminal, shown = sys.stderr.isatty(), time.monotonic()
             refresh, end = (REFRESH_TERMINAL, "\r") if terminal else (REFRESH_LOG, "\n")

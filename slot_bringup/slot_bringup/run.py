@@ -68,8 +68,8 @@ def run(options: argparse.Namespace, graph: Graph, directory: Path, remarks: lis
     """Run the graph for `options.duration`; bag and logs go to `directory`, which must be writable.
 
     Returns whether no process is missing at the end. `remarks` gets a line for each that has ended
-    early and that the graph does not need. Raises RunError when a node ends, no torso state arrives for too long, an unattended robot goes
-    slack, or another graph runs already.
+    early and that the graph does not need. Raises RunError when another one ends, no torso state
+    arrives for too long, an unattended robot goes slack, or another graph runs already.
     """
     values = vars(options) | {"bag": str(directory)}
     shown = live_viewer(options.namespace) if options.view else nullcontext()

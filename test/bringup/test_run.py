@@ -3,12 +3,13 @@
 from pathlib import Path
 
 import pytest
+from nav_msgs.msg import Odometry
 from synthetic_walk import Walk, write_walk
 
 from slot_bringup import monitor, run, view
 from slot_bringup.graph import read_graph
-from slot_msgs.msg import MpcState, TendonPlan
-from slot_nodes.messages import ns_to_stamp
+from slot_msgs.msg import TendonPlan
+from slot_nodes.messages import header
 
 PATH = Path(__file__).resolve().parents[1] / "bags/path.csv"
 
@@ -112,9 +113,8 @@ def passed(monkeypatch):
         nonlocal stamp, count
         for _ in range(round(seconds / PERIOD)):
             now[0], stamp, count = now[0] + PERIOD, stamp + share * PERIOD, count + skipped * PERIOD
-            message = MpcState()
-            message.header.stamp = ns_to_stamp(round(stamp * 1e9))
-            progress.update_torso(message)
+            message = Odometry(header=header(round(stamp * 1e9)))
+            progress.update_truth(message)
             progress.update_plan(TendonPlan(skipped=int(count)))
         return progress
 
@@ -125,7 +125,7 @@ def passed(monkeypatch):
     ("pace", "found"),
     [
         ({}, ""),
-        ({"share": 0.6}, "slower than real time: robot and estimator went at 60 % of it"),
+        ({"share": 0.6}, "slower than real time: the simulation went at 60 % of it"),
         ({"skipped": 9.1}, "slower than real time: mpc_controller skipped 9 states a second"),
     ],
 )
@@ -137,7 +137,7 @@ def test_a_graph_slower_than_real_time_says_so_with_its_share(passed, pace, foun
 def test_the_pace_is_said_with_the_remedy_before_the_supervisors_own_line(passed, capsys):
     report = monitor.PaceReport(passed(1.5, share=0.5), "use --lockstep")
     line = (
-        "scripts/run: slower than real time: robot and estimator went at 50 % of it;"
+        "scripts/run: slower than real time: the simulation went at 50 % of it;"
         " use --lockstep\n"
     )
     report.print(urgent=False)

@@ -294,11 +294,11 @@ def test_after_a_long_gap_in_the_odometry_the_filter_restarts_and_keeps_the_bias
 def test_a_filter_that_a_false_force_has_led_astray_is_valid_again_within_a_second(false):
     """As of a robot that is stopped in mid-bounce: it reports an acceleration and no motion."""
     motion = Walk()
-    messages = [
-        (kind, stamp, (values[0], values[1] + [0, 0, false])) if kind == "imu" and stamp < SECOND / 3
-        else (kind, stamp, values)
-        for kind, stamp, values in noisy(motion, 5.0, 3)
-    ]  # fmt: skip
+    messages = []
+    for kind, stamp, values in noisy(motion, 5.0, 3):
+        if kind == "imu" and stamp < SECOND / 3:
+            values = values[0], values[1] + [0, 0, false]  # noqa: PLW2901
+        messages.append((kind, stamp, values))
     after = [e for e in run(messages, SETTINGS)[0] if e.stamp > 1.4 * SECOND]
     assert set(validities(after)) == {Validity.VALID}
 

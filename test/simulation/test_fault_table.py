@@ -79,7 +79,7 @@ ROWS = {
         lambda loop: loop.inject("tendon_broken"), "torque off",
         {"HOLD": within(STRIDE), "RELAX": within(STRIDE + TIMING.hold_max)}, ("sim",)),
     "walk without motion": (
-        FaultyLoop.jam, "HOLD", {"HOLD": within(SETTINGS.motion.window)}, ("sim",)),
+        FaultyLoop.jam, "HOLD", {"HOLD": within(SETTINGS.motion.window + 5 * ODOMETRY)}, ("sim",)),
     "IMU lost": (FaultyLoop.lose_imu, "warned", IMU_LOST, ("sim",)),
     "IMU not finite": (FaultyLoop.spoil_imu, "warned", IMU_LOST, ("sim",)),
     "clock jumps": (FaultyLoop.jump_clock, "HOLD", {"HOLD": within(0.0)}, ("sim",)),

@@ -13,7 +13,7 @@ the drift of the IMU over it. The filter itself is in `inertial_filter.py`.
     none for `odometry_gap`:       estimates end; the next reading restarts the filter
     rejected, but in agreement:    after `max_rejections` of them the filter restarts
 
-A restart keeps the biases, unless readings were rejected before it: then they may be what was wrong.
+A restart keeps the biases, unless readings were rejected before it: they may be what was wrong.
 """
 
 from __future__ import annotations
@@ -221,7 +221,7 @@ class StateEstimator:
             self._publish(stamp, self._validity(accepted, imu_complete))
 
     def _start(self, motion: OdometryMotion) -> None:
-        """Start the filter from a reading; where it has rejected readings its biases are doubted."""
+        """Start the filter from a reading; after rejections without the biases it has learned."""
         if any(rejected is not None for rejected in self._rejected):
             self._filter.forget_biases()
         self._filter.restart(motion)
