@@ -58,6 +58,8 @@ def test_a_lost_estimate_and_a_fault_are_reported_at_once(walking):
         ({}, (2, 1), WARN, "2 cycles too long, 1 states skipped"),
         ({"status": TendonPlan.LATE, "message": "30 ms"}, (0, 0), WARN, "LATE 30 ms"),
         ({"status": TendonPlan.STOPPED, "message": "used up"}, (9, 0), ERROR, "STOPPED used up"),
+        ({"status": TendonPlan.MODEL_FAR}, (0, 0), WARN, "MODEL_FAR"),
+        ({"status": 9}, (0, 0), WARN, "status 9"),
     ],
 )
 def test_overruns_and_fallbacks_of_the_controller_are_reported(changes, passed, level, message):

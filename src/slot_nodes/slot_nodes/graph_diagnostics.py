@@ -13,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
 from slot_core.clock import SECOND
+from slot_core.control.policy import Status
 from slot_core.estimation.estimate import Validity
 from slot_core.safety.states import RELEASED, State
 from slot_msgs.msg import TendonPlan
@@ -25,9 +26,9 @@ if TYPE_CHECKING:  # a node imports only the core modules that it runs
 PERIOD = 1.0  # s, between two reports without change
 INCLINE_SIGMA = math.radians(1.0)  # rad, from which on the incline is not known
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
-OF_PLAN = {TendonPlan.SOLVED: OK, TendonPlan.STOPPED: ERROR}
+OF_PLAN = {Status.SOLVED: OK, Status.STOPPED: ERROR}
 OF_ESTIMATE = {Validity.VALID: OK, Validity.ODOMETRY_LOST: ERROR}
-PLAN_NAMES = ("SOLVED", "NOT_SOLVED", "LATE", "REJECTED", "STOPPED")
+PLAN_NAMES = {int(found): found.name for found in Status}
 
 
 class GraphDiagnostics:
@@ -97,7 +98,8 @@ def of_controller(plan: TendonPlan, passed: tuple[int, int]) -> DiagnosticStatus
     """How the newest plan was made; `passed`: overruns and skipped states since the last report."""
     overruns, skipped = passed
     level = OF_PLAN.get(plan.status, WARN)
-    message = f"{PLAN_NAMES[plan.status]} {plan.message}".rstrip()
+    name = PLAN_NAMES.get(plan.status, f"status {plan.status}")  # of another version
+    message = f"{name} {plan.message}".rstrip()
     if level == OK and any(passed):
         level, message = WARN, f"{overruns} cycles too long, {skipped} states skipped"
     return status(
