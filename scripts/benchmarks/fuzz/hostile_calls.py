@@ -97,7 +97,7 @@ def _robots() -> dict[str, CheckedCall]:
 
 
 def _rods() -> dict[str, CheckedCall]:
-    material, vector = Material(1e7, 3e6, 1200.0, 5e-4), (0.0, 0.1, 0.0)
+    material, vector, still = Material(1e7, 3e6, 1200.0, 5e-4), (0.0, 0.1, 0.0), (0.0,) * 3
     rod = CosseratRod(material, Geometry(0.2, Rectangle(0.02, (8e-3, 4e-3))), NODES)
     names = tuple(vars(rod.state))
 
@@ -113,7 +113,7 @@ def _rods() -> dict[str, CheckedCall]:
         "CosseratRod.run": CheckedCall(rod.run, (1e-3, 2)),
         "CosseratRod.step": CheckedCall(rod.step, (1e-3,)),
         "Loads": CheckedCall(lambda *parts: rod.energy(Loads(*parts)), (vector,) * 4),
-        "Pose": CheckedCall(lambda *parts: rod.step(1e-3, base=Pose(*parts)), (vector, vector)),
+        "Pose": CheckedCall(lambda *parts: rod.step(1e-3, base=Pose(*parts)), (still, still)),
         "Support": CheckedCall(Support, ((True,) * 3, (True,) * 3), finite=False),
         "Geometry.curvature": CheckedCall(bent, (1.0,)),
     }
