@@ -110,13 +110,13 @@ def require_sole_publisher(node: Node, topic: str, relax: Callable[[str], None])
     name = node.resolve_topic_name(topic)
     if node.count_publishers(name) < 2:
         return
-    nodes = sorted(map(full_name, node.get_publishers_info_by_topic(name)))
+    nodes = sorted(map(_full_name, node.get_publishers_info_by_topic(name)))
     line = f"{name} has {len(nodes)} publishers, limit 1: {', '.join(nodes)}"
     relax(line)
     raise ValueError(line)
 
 
-def full_name(endpoint: TopicEndpointInfo) -> str:
+def _full_name(endpoint: TopicEndpointInfo) -> str:
     """Name of the node of a publisher, with its namespace."""
     if "UNKNOWN" in endpoint.node_name:  # DDS has the name a moment later
         return "a new node"

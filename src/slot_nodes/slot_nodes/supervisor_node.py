@@ -189,7 +189,7 @@ class SupervisorNode(Node):
         """Count a publisher of the e-stop with another type, which is not heard, as pressed."""
         for endpoint in self.get_publishers_info_by_topic("estop"):
             if endpoint.topic_type != ESTOP_TYPE:
-                source = f"{inputs.full_name(endpoint)} ({endpoint.topic_type}, not heard)"
+                source = f"a publisher of {endpoint.topic_type}"
                 self._supervisor.receive_estop(self._now(), source, pressed=True)
 
     def _on_forget(
