@@ -146,6 +146,7 @@ def watch(
     duration: float,
     attended: bool = False,
     namespace: str = "",
+    *,
     played: bool = False,
     remedy: str = "",
 ) -> None:

@@ -75,9 +75,9 @@ def run(options: argparse.Namespace, graph: Graph, directory: Path, remarks: lis
     shown = live_viewer(options.namespace) if options.view else nullcontext()
     with shown, started(graph, values, directory / "log") as processes:  # the robot stops first
         played, attended = options.hardware == "none", is_attended(values)
-        watched = options.duration, attended, options.namespace, played, _remedy(values)
+        watched, remedy = (options.duration, attended, options.namespace), _remedy(values)
         try:
-            watch(processes, *watched)
+            watch(processes, *watched, played=played, remedy=remedy)
         finally:
             remarks += processes.remarks
         return not processes.missing

@@ -136,10 +136,7 @@ def test_a_graph_slower_than_real_time_says_so_with_its_share(passed, pace, foun
 
 def test_the_pace_is_said_with_the_remedy_before_the_supervisors_own_line(passed, capsys):
     report = monitor.PaceReport(passed(1.5, share=0.5), "use --lockstep")
-    line = (
-        "scripts/run: slower than real time: the simulation went at 50 % of it;"
-        " use --lockstep\n"
-    )
+    line = "scripts/run: slower than real time: the simulation went at 50 % of it; use --lockstep\n"
     report.print(urgent=False)
     report.print(urgent=False)
     assert capsys.readouterr().err == line  # once

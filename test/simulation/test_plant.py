@@ -97,7 +97,7 @@ def test_a_robot_of_twice_its_weight_settles_before_time_zero_and_ends_in_a_stan
 
 
 def test_a_robot_that_does_not_come_to_rest_is_refused():
+    ice = {"floor.friction": [0.0] * 4, "floor.torso_friction": 0.0, "start.settle": 0.3}
+    scene = config.replace(read_scene("slope5"), ice)
     with pytest.raises(ConfigError, match=r"start\.settle = 0\.3: after 10 s more the torso still"):
-        ice = {"floor.friction": [0.0] * 4, "floor.torso_friction": 0.0, "start.settle": 0.3}
-        scene = config.replace(read_scene("slope5"), ice)
         RobotSimulator(read_robot(), scene, read_servo(), np.random.default_rng(0))

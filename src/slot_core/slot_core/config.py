@@ -108,7 +108,9 @@ def _require_plain(text: str) -> None:
             raise ConfigError(f"nested deeper than {DEPTH_MAX} levels")
         if isinstance(event, yaml.AliasEvent) or getattr(event, "tag", None):
             kind = "alias" if isinstance(event, yaml.AliasEvent) else "tag"
-            raise ConfigError(f"line {event.start_mark.line + 1}: no {kind} is allowed")
+            mark = event.start_mark
+            where = f"line {mark.line + 1}: " if mark else ""
+            raise ConfigError(f"{where}no {kind} is allowed")
 
 
 class _UniqueKeyLoader(yaml.CSafeLoader):

@@ -290,7 +290,7 @@ def bound_force_bias(state, work, largest):
     u[2] += GRAVITY
     length = math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     bounded = min(max(length, GRAVITY - largest), GRAVITY + largest)
-    if bounded == length or length == 0.0:
+    if length in (bounded, 0.0):
         return
     for i in range(3):
         u[i] *= bounded / length
