@@ -87,7 +87,7 @@ def record(name: str, case: Case, scratch: Path) -> Path:
     graph, recorded = read_graph(), scratch / "recorded"
     with commanded(case.velocity):
         try:
-            run.run(run.parse([*options, "--bag", str(recorded)], graph), graph, recorded)
+            run.run(run.parse([*options, "--bag", str(recorded)], graph), graph, recorded, [])
         except RunError as error:
             print(f"{name}: {error}", file=sys.stderr)
     return thinned(Bag(recorded), scratch / name, case)

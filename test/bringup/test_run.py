@@ -78,7 +78,7 @@ def test_a_scene_with_a_servo_fault_is_refused_without_a_servo_bus(own_config, r
 
 def test_a_run_whose_summary_cannot_be_printed_fails(monkeypatch, capsys):
     """A full disk behind the output: the run itself went well."""
-    made = lambda options, graph, directory: write_walk(directory, Walk(truth=False))  # noqa: E731
+    made = lambda options, graph, directory, remarks: write_walk(directory, Walk(truth=False))  # noqa: E731
     monkeypatch.setattr(run, "run", made)
     assert run.main(["--no-bag"]) == 0
     capsys.readouterr()

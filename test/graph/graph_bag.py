@@ -24,7 +24,7 @@ def record(bag: Path, *arguments: str) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         for name in ("START_TIMEOUT", "SILENCE_TIMEOUT"):
             patch.setattr(monitor, name, math.inf)
-        run.run(run.parse([*arguments, "--bag", str(bag)], graph), graph, bag)
+        run.run(run.parse([*arguments, "--bag", str(bag)], graph), graph, bag, [])
     return bag
 
 

@@ -3,14 +3,13 @@
 import pytest
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
-from std_msgs.msg import Bool
 
 from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.record_settings import read_record_settings
 from slot_core.safety.states import State
 from slot_lab.bags.bag import Bag
 from slot_lab.bags.check_bag import TOLERANCE, check_bag
-from slot_msgs.msg import GaitPreview, MpcState, TendonPlan
+from slot_msgs.msg import EmergencyStop, GaitPreview, MpcState, TendonPlan
 from slot_nodes import qos
 
 KINDS = {"/mpc_state": MpcState, "/gait_preview": GaitPreview, "/tendon_plan": TendonPlan}
@@ -23,8 +22,8 @@ def rig(simulate):
     made = simulate(attended=True)
     for topic, kind in KINDS.items():
         made.subscribe(topic, kind, qos.CONTROL)
-    estop = made.publisher(Bool, "estop", qos.SENSOR)
-    made.every(0.1, lambda: estop.publish(Bool()))
+    estop = made.publisher(EmergencyStop, "estop", qos.SENSOR)
+    made.every(0.1, lambda: estop.publish(EmergencyStop(source="button")))
     for request in ("ready", "stand"):
         made.wait_for(lambda name=request: not made.request(name))
     made.wait_for(lambda: made.state is State.STANDING)

@@ -3,8 +3,8 @@
 import numpy as np
 
 from slot_core.clock import LOCKSTEP_START
+from slot_core.safety.requests import Request
 from slot_core.safety.states import State
-from slot_core.safety.supervisor import Request
 from slot_core.simulation.supervised_loop import SupervisedLoop
 
 

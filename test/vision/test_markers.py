@@ -118,7 +118,7 @@ def test_a_calibration_file_gives_the_same_camera_back(tmp_path, size):
         ([1.0] * 3, "intrinsics_covariance has 3 values, expected 81"),
         (np.tri(9).ravel().tolist(), "not symmetric and positive"),
         ((-np.eye(9)).ravel().tolist(), "not symmetric and positive"),
-        ([float("nan")] * 81, "not symmetric and positive"),
+        ([float("nan")] * 81, "a value that is not finite"),
     ],
 )
 def test_a_covariance_that_is_none_is_refused(tmp_path, values, reason):

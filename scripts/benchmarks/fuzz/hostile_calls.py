@@ -124,7 +124,7 @@ def _policies() -> dict[str, CheckedCall]:
     model = NominalRobot(robot, settings.nominal, DT)
     problem, stages = PlanProblem(settings, robot.tendon.angle_max, DT), settings.stages
     state, start = np.zeros(12), model.at_rest(np.eye(12)[5] * 0.06, np.full(4, 1.0))
-    observer = DisturbanceObserver(model, settings.observer, DT)
+    observer = DisturbanceObserver(model, settings.observer, problem.scale, DT)
     wanted, angle = np.zeros((stages, 6)), np.full((stages + 1, 4), 1.0)
     linear = problem.linearised(np.zeros((len(problem.basis), 6 * stages)))
     springs, gaits = read_leg_springs(4.0), read_gaits()

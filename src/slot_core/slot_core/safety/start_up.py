@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from slot_core.safety.requests import Request
 from slot_core.safety.states import RELEASED
-from slot_core.safety.supervisor import Request, Supervisor
+from slot_core.safety.supervisor import Supervisor
 
 NOT_THE_FIRST = "start-up: the servos have obeyed an earlier supervisor, so an operator decides"
 

@@ -9,7 +9,6 @@ Bad data raise no exception: they are rejected, and then count as missing.
 
 from __future__ import annotations
 
-import enum
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -22,6 +21,7 @@ from slot_core.safety.commands import AT_REST, Action, command_fault
 from slot_core.safety.companions import Companions
 from slot_core.safety.conditions import Conditions
 from slot_core.safety.motion_watch import MotionWatch
+from slot_core.safety.requests import FORBIDDEN_BY, OPERATOR, Request
 from slot_core.safety.servo_health import ServoHealth
 from slot_core.safety.settings import SupervisorSettings
 from slot_core.safety.states import (
@@ -37,33 +37,8 @@ from slot_core.safety.steady_clock import SteadyClock
 from slot_core.safety.tendon_watch import TendonReport, TendonWatch
 
 PERIOD = 0.02  # s, between two steps without an urgent input
-OPERATOR = "the operator"
 MOVING = (State.STANDING, State.WALKING)
 UNDER_TORQUE = (State.READY, *MOVING, State.HOLD)
-
-
-class Request(enum.Enum):
-    """Requests of an operator."""
-
-    READY = Condition.READY_REQUESTED
-    STAND = Condition.STAND_REQUESTED
-    WALK = Condition.WALK_REQUESTED
-    RELAX = Condition.RELAX_REQUESTED
-    RESET = Condition.RESET_REQUESTED
-    ESTOP = Condition.ESTOP_PRESSED
-
-
-_TO_RESET = frozenset({Condition.ESTOP_PRESSED, Condition.ESTOP_LOST, Condition.SERVO_FAULT})
-_TO_READY = _TO_RESET | {Condition.SERVO_SILENT, Condition.TILTED}
-_TO_MOVE = _TO_READY | REASONS_TO_HOLD | {Condition.COMMAND_LOST}
-FORBIDDEN_BY: dict[Request, frozenset[Condition]] = {
-    Request.READY: _TO_READY,
-    Request.STAND: _TO_MOVE,
-    Request.WALK: _TO_MOVE,
-    Request.RELAX: frozenset(),
-    Request.RESET: _TO_RESET,
-    Request.ESTOP: frozenset(),
-}
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import heapq
 import itertools
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
@@ -26,6 +25,7 @@ from slot_core.safety.commands import AT_REST, extrapolated
 from slot_core.safety.servo_health import ServoHealth
 from slot_core.servos.brand import Emulate, EmulatedServos
 from slot_core.simulation.kernel_robot import KernelRobot
+from slot_core.simulation.rest import bring_to_rest
 from slot_core.simulation.rod_robot import RodRobot
 from slot_core.simulation.sensors import (
     ImageReading,
@@ -37,9 +37,6 @@ from slot_core.simulation.sensors import (
 )
 from slot_core.simulation.tabulated_robot import TabulatedRobot
 
-SPEED_AT_REST = 0.01  # m/s, of the torso; settled in config/scene: at most 4 mm/s, 0.14 m/s^2
-ACCELERATION_AT_REST = 0.5  # m/s^2
-SETTLE_PIECE, SETTLE_MAX = 0.1, 10.0  # s, of settling beyond `start.settle`
 CYCLE = 0.01  # s, of the servos, as the driver's bus cycles
 UNBOUNDED_RPM = 1e6  # above the speed of any shaft
 
@@ -109,35 +106,6 @@ def make_robot(robot: RobotParameters, scene: Scene, servo: ServoSettings) -> Si
             f" {scene.solver.legs!r} cannot relax; those of 'spatial' can"
         )
     return MODELS[scene.solver.legs](robot, scene, servo)
-
-
-def bring_to_rest(robot: SimulatedRobot) -> None:
-    """Let a robot settle on until its torso rests; raises ConfigError if it does not.
-
-    A robot that is stopped while it moves has an IMU that contradicts its odometry. With
-    `start.settle` 0 s it starts in motion.
-    """
-    start, step = robot.scene.start, robot.scene.solver.step
-    if not start.settle:
-        return
-    angle = np.full(len(LEGS), math.radians(start.tendon_angle_deg))
-    for _ in range(round(SETTLE_MAX / SETTLE_PIECE)):
-        speed, acceleration = _motion(robot)
-        if speed <= SPEED_AT_REST and acceleration <= ACCELERATION_AT_REST:
-            robot.steps = 0
-            return
-        robot.advance(round(SETTLE_PIECE / step), angle)
-    raise ConfigError(
-        f"start.settle = {start.settle}: after {SETTLE_MAX:g} s more the torso still moves at"
-        f" {1e3 * speed:.3g} mm/s, limit {1e3 * SPEED_AT_REST:g} mm/s, and"
-        f" {acceleration:.3g} m/s^2, limit {ACCELERATION_AT_REST:g} m/s^2"
-    )
-
-
-def _motion(robot: SimulatedRobot) -> tuple[float, float]:
-    """Speed, m/s, and acceleration, m/s^2, of the torso."""
-    acceleration = robot.rotation @ robot.specific_force + np.array(robot.scene.gravity)
-    return float(np.linalg.norm(robot.velocity)), float(np.linalg.norm(acceleration))
 
 
 def immediate_servo(servo: ServoSettings, step: float) -> ServoSettings:
