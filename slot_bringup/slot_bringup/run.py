@@ -152,7 +152,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 code = code or 1
         except (BagError, ConfigError, OSError) as error:
             print_error(f"no summary: {error}")
-            code = code or int(isinstance(error, OSError) or not show(PROGRAM, remarks))
+            if not show(PROGRAM, remarks) or isinstance(error, OSError):
+                code = code or 1
         except KeyboardInterrupt:
             print_error("interrupted while computing the summary; the bag is complete")
             code = 130
