@@ -13,22 +13,18 @@ import multiprocessing
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from benchmarks.fuzz.outcomes import Outcomes
+from benchmarks.fuzz.outcomes import Outcomes, tally_of
 from benchmarks.harness import Check, Progress, Row, at_most
 
-SEED = 11
 COUNTS = {  # quick, full
-    "files": (600, 20_000),
-    "commands": (120, 5_000),
-    "bags": (40, 3_000),
-    "packets": (2_000, 100_000),
-    "calls": (300, 10_000),
+    "files": (200, 20_000),
+    "commands": (20, 5_000),
+    "bags": (8, 3_000),
+    "packets": (500, 100_000),
+    "calls": (100, 10_000),
 }
 KINDS = ("exceptions", "long", "unprintable", "hangs", "accepted")
 
@@ -49,14 +45,6 @@ def apart(part: str, count: int) -> Outcomes:
             return pool.submit(tally_of, part, count).result()
         except BrokenProcessPool:
             return Outcomes(tried=count, exceptions=1, example="the process ended")
-
-
-def tally_of(part: str, count: int) -> Outcomes:
-    """Outcomes of a part, in this process."""
-    found: Outcomes = import_module(f"benchmarks.fuzz.hostile_{part}").fuzz(
-        count, np.random.default_rng(SEED)
-    )
-    return found
 
 
 def checks(rows: Sequence[Row]) -> list[Check]:

@@ -7,9 +7,14 @@ import io
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any
 
+import numpy as np
+
 from slot_core.refusal import LINE_MAX, InputError, printable
+
+SEED = 11
 
 HANG = 60.0  # s, after which a call counts as one that does not end
 REFUSED = 2  # exit code
@@ -104,3 +109,11 @@ def bounded() -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
+
+
+def tally_of(part: str, count: int) -> Outcomes:
+    """Outcomes of a part, in this process, from a fixed seed."""
+    found: Outcomes = import_module(f"benchmarks.fuzz.hostile_{part}").fuzz(
+        count, np.random.default_rng(SEED)
+    )
+    return found
