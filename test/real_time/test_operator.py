@@ -80,9 +80,20 @@ class Terminal:
 
     def press_until(self, key, state):
         """Press a key until its request is granted; on a busy machine the first may be refused."""
-        while not self.lines[0].startswith(state):
+        for _ in range(60):
+            if self.lines[0].startswith(state):
+                return
             self.press(key)
             time.sleep(0.5)
+        pytest.fail("\n".join((f"{key}: no {state} in 30 s", *self.lines)))
+
+    def quit(self):
+        """Quit, so that the supervisor does not miss this source of the e-stop seconds later."""
+        if self.process.poll() is None:
+            self.press("x")
+            self.wait_for("IDLE", "ESTOP", "FAULT")
+            self.press("q")
+            self.process.wait(20)
 
     def close(self):
         """Close the terminal, as its window's button does."""
@@ -104,6 +115,7 @@ def terminal(environment):
         opened.press("R")  # accepts that the last terminal is gone
         opened.press_until("R", "IDLE")
         yield opened
+        opened.quit()
     finally:
         if opened.process.poll() is None:
             opened.process.send_signal(signal.SIGKILL)
@@ -155,7 +167,10 @@ def state_after(environment, end):
         pattern = re.compile("^(ESTOP|FAULT).*$", re.M)
         while not (stopped := pattern.search(operate(environment, "state")[1])):
             pass
-        return stopped[0], operate(environment, "reset")[2]
+        refusal = operate(environment, "reset")[2]
+        live.process.kill()
+        live.process.wait(20)
+        return stopped[0], refusal
 
 
 @pytest.mark.usefixtures("graph")
