@@ -290,10 +290,10 @@ def bound_force_bias(state, work, largest):
     u[2] += GRAVITY
     length = math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     bounded = min(max(length, GRAVITY - largest), GRAVITY + largest)
-    if length in (bounded, 0.0):
+    if bounded == length:
         return
     for i in range(3):
-        u[i] *= bounded / length
+        u[i] *= bounded / max(length, 1e-9)
     u[2] -= GRAVITY
     for i in range(3):
         state.bias[1, i] = 0.0
