@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from real_graph import set_values
 from record_bags import SIZE_MAX
+from rosbags.rosbag2 import Reader
 from synthetic_walk import TYPES
 
 from slot_core.estimation.estimate import Validity
-from slot_core.recording.bag_writer import BagWriter
+from slot_core.recording.bag_writer import BagWriter, MessageType
 from slot_core.recording.origin import Origin, origin_here
 from slot_core.recording.record_settings import read_record_settings
 from slot_lab.bags import check_bag as replay
@@ -62,11 +63,20 @@ def test_the_first_difference_is_reported(own_config, capsys):
 
 
 def partly(path, topics, **changes):
-    """Copy of some topics of the walk: `names` replaces theirs, `late` delays them (ns)."""
-    source = Bag(WALK)
-    with BagWriter(path, read_record_settings(), changes.get("origin")) as bag:
+    """Copy of some topics of the walk, with its definitions of their types.
+
+    changes: `names` replaces theirs, `late` delays them (ns); `origin` of the copy.
+    """
+    source, names = Bag(WALK), changes.get("names", {})
+    with (
+        Reader(WALK) as reader,
+        BagWriter(path, read_record_settings(), changes.get("origin")) as bag,
+    ):
+        for c in (c for c in reader.connections if c.topic in topics):
+            kind = MessageType(c.msgtype, c.msgdef.data, digest=c.digest)
+            bag.add_topic(names.get(c.topic, c.topic), kind)
         for topic, time, data in source.raw(*topics):
-            name = changes.get("names", {}).get(topic, topic)
+            name = names.get(topic, topic)
             late = changes.get("late", {}).get(topic, 0)
             bag.write(name, source.topics[topic], time + late, data)
     return path
