@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterable
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -90,7 +90,7 @@ def of_supervisor(report: Report) -> DiagnosticStatus:
         f"{report.state.name}: {report.reason}",
         action=report.action.value,
         conditions="; ".join(report.warnings),
-        slack_mm=", ".join(number(float(1e3 * slack)) for slack in report.slack),
+        slack_mm=_numbers(1e3 * report.slack),
     )
 
 
@@ -116,18 +116,24 @@ def of_controller(plan: TendonPlan, passed: tuple[int, int]) -> DiagnosticStatus
 
 def of_disturbances(plan: TendonPlan, mass: float) -> DiagnosticStatus:
     """What the policy has learned that the robot of `mass` (kg) does not explain; "": unknown."""
-    vertical, *moment = plan.wrench
-    slip, turn = 1e3 * np.array(plan.drift[:2]), math.degrees(plan.drift[2])
+    known = 1.0 if math.isfinite(plan.mass) else math.nan  # else the policy plans nothing now
+    vertical, *moment = known * np.array(plan.wrench)
+    slip, turn = 1e3 * known * np.array(plan.drift[:2]), known * math.degrees(plan.drift[2])
     return status(
         "disturbances",
         OK,
         f"payload {number(plan.mass - mass)} kg, slip {number(float(np.hypot(*slip)))} mm/s",
         payload_kg=number(plan.mass - mass),
-        slip_mm_s=", ".join(number(float(value)) for value in slip),
+        slip_mm_s=_numbers(slip),
         turn_deg_s=number(turn),
         force_N=number(vertical),
-        moment_N_m=", ".join(number(value) for value in moment),
+        moment_N_m=_numbers(moment),
     )
+
+
+def _numbers(values: Iterable[float]) -> str:
+    """Numbers, or "" if none is known."""
+    return ", ".join(filter(None, map(number, values)))
 
 
 def of_estimator(validity: Validity, incline: tuple[float, float]) -> DiagnosticStatus:
