@@ -42,6 +42,23 @@ def test_messages_are_served_in_their_order(node):
     assert received == list(range(20))
 
 
+def test_a_slow_reader_in_the_process_gets_the_newest_of_all_that_wait(node):
+    seen, mailbox = [], node.executor._mailbox
+    publisher = node.create_publisher(Int32, "numbers", qos.CONTROL)
+
+    def read(message, number):
+        seen.append(message.data)
+
+    def pass_on(message):
+        mailbox.put(read, newest_only=True, message=message, number=1)
+
+    node.create_subscription(Int32, "numbers", pass_on, qos.CONTROL)
+    for number in range(20):
+        publisher.publish(Int32(data=number))
+    spin_until(node, lambda: 19 in seen)
+    assert len(seen) < 20
+
+
 def test_service_is_answered_between_messages_and_timers(node):
     received, ticks = [], []
     publisher = node.create_publisher(Int32, "numbers", qos.CONTROL)

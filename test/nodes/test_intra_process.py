@@ -49,7 +49,7 @@ def test_nodes_of_the_process_receive_a_message_before_its_topic_does(mailbox, e
     numbers.publish(message)
     assert mailbox.waiting
     assert events == []
-    mailbox.deliver(newest=True)
+    mailbox.deliver()
     assert events == [("a", message, 1), ("b", message, 1), ("topic", message)]
     assert events[0][1] is message
     assert not mailbox.waiting
@@ -70,9 +70,8 @@ def test_a_slow_reader_of_the_newest_skips_the_others_and_sees_their_number(mail
         intra_process.subscribe("/numbers", reader(events, "newest"), NEWEST)
     for value in "abc":
         numbers.publish(value)
-        mailbox.deliver(newest=False)  # more input is waiting
-    assert events == [("every", value, n) for n, value in enumerate("abc", 1)]
-    mailbox.deliver(newest=True)
+    mailbox.deliver()
+    assert events[:3] == [("every", value, n) for n, value in enumerate("abc", 1)]
     assert events[3:] == [("newest", "c", 3), *(("topic", value) for value in "abc")]
 
 
@@ -84,8 +83,21 @@ def test_an_answer_to_a_message_is_delivered_in_the_same_round(mailbox, events):
         intra_process.subscribe("/numbers", lambda m, _: answers.publish(-m), NEWEST)
         intra_process.subscribe("/answers", reader(events, "answer"), EVERY)
     numbers.publish(7)
-    mailbox.deliver(newest=True)
+    mailbox.deliver()
     assert events == [("answer", -7, 1), ("topic", 7), ("topic", -7)]
+
+
+def test_what_is_put_off_waits_for_the_answers_and_is_done_at_once_by_a_lone_node(mailbox, events):
+    with Topics().nodes_of(mailbox):
+        numbers = intra_process.publisher(Recorded(events))
+        intra_process.subscribe("/numbers", reader(events, "a"), NEWEST)
+        later = intra_process.afterwards()
+    numbers.publish(1)
+    later(lambda: events.append("later"))
+    mailbox.deliver()
+    assert events == [("a", 1, 1), ("topic", 1), "later"]
+    intra_process.afterwards()(events.clear)
+    assert events == []
 
 
 def test_a_reader_made_before_the_publisher_leaves_its_subscription_by_dds(mailbox, events):
@@ -99,7 +111,7 @@ def test_a_reader_made_before_the_publisher_leaves_its_subscription_by_dds(mailb
         numbers = intra_process.publisher(Recorded(events))
     assert events == ["unsubscribed"]
     numbers.publish(1)
-    mailbox.deliver(newest=True)
+    mailbox.deliver()
     assert events[1:] == [("a", 1, 1), ("topic", 1)]
 
 
@@ -109,7 +121,7 @@ def test_nodes_that_answer_each_other_for_ever_let_the_executor_on(mailbox, even
         intra_process.subscribe("/numbers", lambda m, _: numbers.publish(m + 1), NEWEST)
     numbers.publish(1)
     for _ in range(3):
-        mailbox.deliver(newest=True)
+        mailbox.deliver()
     assert mailbox.waiting
     assert events == [("topic", number) for number in range(1, 3 * DELIVERIES_MAX + 2)]
 
@@ -124,7 +136,7 @@ def test_a_message_for_another_thread_wakes_its_executor(mailbox, events):
     numbers.publish(1)
     assert woken == [True]
     assert other.waiting
-    mailbox.deliver(newest=True)
+    mailbox.deliver()
     assert events == [("topic", 1)]
-    other.deliver(newest=True)
+    other.deliver()
     assert events[1:] == [("other", 1, 1)]

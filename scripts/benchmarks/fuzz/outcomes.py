@@ -15,7 +15,6 @@ import numpy as np
 from slot_core.refusal import LINE_MAX, InputError, printable
 
 SEED = 11
-
 HANG = 60.0  # s, after which a call counts as one that does not end
 REFUSED = 2  # exit code
 

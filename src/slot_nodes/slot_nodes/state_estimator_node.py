@@ -9,12 +9,13 @@ from sensor_msgs.msg import Imu
 from tf2_msgs.msg import TFMessage
 
 from slot_core.clock import to_seconds
-from slot_core.estimation.estimate import Validity
+from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.state_estimator import StateEstimator, read_estimator
 from slot_core.messages import decode
 from slot_msgs.msg import MpcState
 from slot_nodes import inputs, messages, qos, runtime
 from slot_nodes.graph_diagnostics import GraphDiagnostics, of_estimator
+from slot_nodes.process import intra_process
 
 
 class StateEstimatorNode(Node):
@@ -33,7 +34,7 @@ class StateEstimatorNode(Node):
         self._filtered = runtime.publisher(self, Odometry, "odometry/filtered", qos.SENSOR)
         mounts = runtime.publisher(self, TFMessage, "tf_static", qos.STATE)
         mounts.publish(messages.mounts_to_tf(settings.mounts.imu, settings.mounts.camera))
-        self._diagnostics = GraphDiagnostics(self)
+        self._diagnostics, self._afterwards = GraphDiagnostics(self), intra_process.afterwards()
         profile = inputs.sensor_profile(self, qos.SENSOR)
         self._imu = inputs.subscribe(self, Imu, "imu", self._on_imu, profile)
         inputs.subscribe(self, Odometry, "odom", self._on_odometry, profile)
@@ -61,14 +62,18 @@ class StateEstimatorNode(Node):
     def _publish(self) -> None:
         while (estimate := self._estimator.poll()) is not None:
             self._state.publish(messages.state_to_msg(estimate))
-            self._tf.publish(messages.state_to_tf(estimate))
-            describe = partial(self._describe, estimate.validity)
-            self._diagnostics.publish(estimate.stamp, describe)
+            self._afterwards(partial(self._publish_rest, estimate))
             if estimate.validity != Validity.VALID:
                 self.get_logger().warning(
                     f"state at {to_seconds(estimate.stamp):.3f} s: {estimate.validity.name}",
                     throttle_duration_sec=1.0,
                 )
+
+    def _publish_rest(self, estimate: Estimate) -> None:
+        """Publish what no command waits for."""
+        self._tf.publish(messages.state_to_tf(estimate))
+        describe = partial(self._describe, estimate.validity)
+        self._diagnostics.publish(estimate.stamp, describe)
 
     def _describe(self, validity: Validity) -> list[DiagnosticStatus]:
         return [of_estimator(validity, self._estimator.incline)]

@@ -219,13 +219,14 @@ class Predictive(Policy):
         problem, observer, place = self._problem, self.observer, state[PLACE]
         rows, yaw = np.asarray(preview.reference, dtype=float), float(state[2])
         wanted = problem.reference(rows, place, observer.drift, plan.sag)
+        if observer.is_far:
+            plan = replace(plan, deviation=self._settings.limits.decay * plan.deviation)
         before = self._model.roll_out(plan.start, self._angles(plan)[None])
         error = problem.errors(before.pose, wanted, yaw)
         if not np.isfinite(error).all():
             return plan, before, "the rollout diverges"
         if observer.is_far:
-            decayed = replace(plan, deviation=self._settings.limits.decay * plan.deviation)
-            return decayed, self._model.roll_out(plan.start, self._angles(decayed)[None]), ""
+            return plan, before, ""
         assert plan.linear is not None
         change = problem.change(error[0], plan.linear, plan.deviation, plan.nominal[:-1])
         if change is None:
@@ -262,13 +263,23 @@ class Predictive(Policy):
         assert self._plan is not None
         angle, seen = self._angles(self._plan), self._seen
         rate, later = first_rate(angle, self._dt), _shifted(angle, share)[:-1]
-        plan = TendonPlan(later, rate, seen.force, pose=seen.pose, foot=seen.foot)
-        plan = replace(plan, report=self._report(later[0], rate, preview))
-        if not self.observer.is_far:
-            return plan
-        misfit, limit = self.observer.misfit, self._settings.observer.misfit_max
-        far = f"the robot moves otherwise than its model: misfit {misfit:.1f}, limit {limit:g}"
-        return replace(plan, status=Status.MODEL_FAR, message=far)
+        status, message = Status.SOLVED, ""
+        if self.observer.is_far:
+            misfit, limit = self.observer.misfit, self._settings.observer.misfit_max
+            message = (
+                f"the robot moves otherwise than its model: misfit {misfit:.1f}, limit {limit:g}"
+            )
+            status = Status.MODEL_FAR
+        return TendonPlan(
+            later,
+            rate,
+            seen.force,
+            pose=seen.pose,
+            foot=seen.foot,
+            status=status,
+            message=message,
+            report=self._report(later[0], rate, preview),
+        )
 
     def _report(self, angle: Array, rate: Array, preview: GaitPreview | None) -> PlanReport:
         """Margins of the first stage and the disturbances."""

@@ -30,9 +30,10 @@ class EmergencyStop:
 
     def receive(self, time: int, source: str, pressed: bool, leaving: bool = False) -> None:
         """State of a source; one that is `leaving` is not missed, unless it is pressed."""
-        self._sources[source] = _Source(time, pressed)
         if leaving and not pressed:
-            del self._sources[source]
+            self._sources.pop(source, None)
+        else:
+            self._sources[source] = _Source(time, pressed)
 
     def pressed(self, time: int) -> str:
         """The pressed sources in one line, or ""."""

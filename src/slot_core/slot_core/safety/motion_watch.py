@@ -11,12 +11,10 @@ Commands below `command_min` ask for no motion.
 
 from __future__ import annotations
 
-from collections import deque
-
 import numpy as np
 
-from slot_core.clock import SECOND
 from slot_core.robot import Array
+from slot_core.safety.moving_window import MovingWindow
 from slot_core.safety.settings import MotionLimits
 
 
@@ -25,6 +23,7 @@ class MotionWatch:
 
     def __init__(self, limits: MotionLimits) -> None:
         self._limits = limits
+        self._window = MovingWindow()  # of pose (6,) and command (4,)
         self.reset()
 
     def reset(self) -> None:
@@ -34,23 +33,19 @@ class MotionWatch:
 
     def pause(self) -> None:
         """Discard the poses, but not the alarm."""
-        self._rows: deque[tuple[int, Array]] = deque()  # ns; pose (6,) and command (4,)
+        self._window.clear()
 
     def observe(self, time: int, state: Array, command: Array) -> None:
         """Take the state (12,) of the torso and the command (4,), rad, at `time` (ns)."""
         if not np.isfinite(state).all():
             return
-        self._rows.append((time, np.concatenate([state[:6], command])))
-        full = False
-        while time - self._rows[0][0] >= self._limits.window * SECOND:
-            self._rows.popleft()
-            full = True
-        if full and not self.message:
+        row = np.concatenate([state[:6], command])
+        if self._window.add(time, row, self._limits.window) and not self.message:
             self._evaluate()
 
     def _evaluate(self) -> None:
         """Set the alarm if the window shows commands without motion."""
-        rows, limits = np.array([row for _, row in self._rows]), self._limits
+        rows, limits = self._window.rows(), self._limits
         rows[:, 2] = np.unwrap(rows[:, 2])
         extent = np.ptp(rows, axis=0)
         moved = float(np.linalg.norm(extent[:6] * ([limits.lever] * 3 + [1.0] * 3)))

@@ -21,7 +21,6 @@ lifted by hand while the torso's height is that of a standing robot.
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +29,7 @@ from numpy.typing import NDArray
 from slot_core.clock import SECOND
 from slot_core.legs.leg_table import LegTable, read_leg_table
 from slot_core.robot import LEGS, Array, RobotParameters
+from slot_core.safety.moving_window import MovingWindow
 from slot_core.safety.settings import TendonLimits
 
 
@@ -63,6 +63,7 @@ class TendonWatch:
 
     def __init__(self, load: TendonLoad, spool_radius: float, limits: TendonLimits):
         self._load, self._radius, self._limits = load, spool_radius, limits
+        self._window = MovingWindow()  # of missing torque and slope, (2, 4)
         self.reset()
 
     def reset(self) -> None:
@@ -73,8 +74,7 @@ class TendonWatch:
 
     def pause(self) -> None:
         """Discard the readings, but not the alarms."""
-        self._stamps: deque[int] = deque()
-        self._rows: deque[Array] = deque()
+        self._window.clear()
         self._slack = np.full(len(LEGS), np.nan)
         self._over_since: int | None = None
 
@@ -96,15 +96,14 @@ class TendonWatch:
         if age > self._limits.age_max:
             self.pause()
             return self.state
-        values = np.array([angle, torque, height], dtype=np.float64)
-        if not np.isfinite(values).all() or (self._stamps and stamp <= self._stamps[-1]):
+        values, newest = np.array([angle, torque, height], dtype=np.float64), self._window.newest
+        if not np.isfinite(values).all() or (newest is not None and stamp <= newest):
             return self.state
-        if self._stamps and stamp - self._stamps[-1] > self._limits.sample_gap * SECOND:
+        if newest is not None and stamp - newest > self._limits.sample_gap * SECOND:
             self.pause()
         expected, slope = self._load(values[0], values[2])
-        self._append(stamp, np.array([expected - values[1], slope]))
-        window = max(stride, self._limits.window_min)
-        if self._trim(stamp, window):
+        row = np.array([expected - values[1], slope])
+        if self._window.add(stamp, row, max(stride, self._limits.window_min)):
             self._evaluate(stamp)
         return self.state
 
@@ -113,22 +112,9 @@ class TendonWatch:
         """Slack and alarms at present."""
         return TendonReport(self._slack.copy(), self._damaged.copy(), self._message())
 
-    def _append(self, stamp: int, row: Array) -> None:
-        self._stamps.append(stamp)
-        self._rows.append(row)
-
-    def _trim(self, stamp: int, window: float) -> bool:
-        """Drop readings older than the window; returns whether the rest fills it."""
-        full = False
-        while stamp - self._stamps[0] >= window * SECOND:
-            self._stamps.popleft()
-            self._rows.popleft()
-            full = True
-        return full
-
     def _evaluate(self, stamp: int) -> None:
         """Compute the slack from the means; set an alarm once it has lasted for `confirm`."""
-        missing, slope = np.mean(np.array(self._rows), axis=0)
+        missing, slope = self._window.rows().mean(axis=0)
         self._slack = self._radius * missing / np.maximum(slope, self._limits.stiffness_min)
         over = self._slack > self._limits.slack_max
         if not over.any():

@@ -26,8 +26,9 @@ class DirectExecutor(SingleThreadedExecutor):
     node in the chain needs. Callbacks of messages and timers must not await, and nodes must not
     have guard conditions.
 
-    It also delivers the messages of its mailbox, from nodes of the same process. Those of which a
-    node wants the newest only are delivered when no other message is waiting to be taken.
+    It also delivers the messages of its mailbox, from nodes of the same process, those of which a
+    node wants the newest only last. A message that leads to others in the mailbox is followed by
+    all that wait behind it, so that such a node gets one of them.
     """
 
     def __init__(self, mailbox: Mailbox | None = None, *, context: Context | None = None) -> None:
@@ -45,15 +46,18 @@ class DirectExecutor(SingleThreadedExecutor):
 
         Raises ExternalShutdownException when the context has ended, and what a callback raises.
         """
-        served = self._serve(0.0 if self._mailbox.waiting else timeout_sec)
-        self._mailbox.deliver(newest=not served)
+        self._serve(0.0 if self._mailbox.waiting else timeout_sec)
+        self._mailbox.deliver()
 
-    def _serve(self, timeout_sec: float | None) -> bool:
-        """Wait and run the callbacks that are ready; whether there was a message or a timer."""
+    def _serve(self, timeout_sec: float | None) -> None:
+        """Wait and run the callbacks that are ready."""
         self._wait(timeout_sec)
         timers, subscriptions = self._ready("timer"), self._ready("subscription")
         for subscription in subscriptions:
-            _call(self._take_subscription(subscription))
+            for _ in range(subscription.qos_profile.depth):
+                taken = _call(self._take_subscription(subscription))
+                if not (taken and self._mailbox.waiting):
+                    break
         for timer in timers:
             if _is_due(timer):
                 _call(self._take_timer(timer))
@@ -63,7 +67,6 @@ class DirectExecutor(SingleThreadedExecutor):
             # rclpy takes the trigger of a signal, but ends only if the context has ended by then
             if self._sigint_gc is not None and self._sigint_gc._executor_triggered:
                 raise ExternalShutdownException
-        return bool(timers or subscriptions)
 
     def _wait(self, timeout_sec: float | None) -> None:
         if self._entities_changed:
@@ -125,12 +128,12 @@ def _is_due(timer: Timer) -> bool:
         return False
 
 
-def _call(execute: Callable[[], Coroutine[Any, Any, None]] | None) -> None:
-    """Run the callback of an entity that rclpy has taken, to its end."""
+def _call(execute: Callable[[], Coroutine[Any, Any, None]] | None) -> bool:
+    """Run the callback of an entity that rclpy has taken, to its end; whether there was one."""
     if execute is None:
-        return
+        return False
     try:
         execute().send(None)
     except StopIteration:
-        return
+        return True
     raise RuntimeError("a callback for a message or a timer awaits")

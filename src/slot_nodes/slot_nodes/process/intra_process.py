@@ -1,8 +1,8 @@
 """Intra-process communication: a message goes to the nodes of its process as the object it is.
 
 It also goes out on its topic, after the nodes of the process have answered it: the command that it
-leads to does not wait until it is serialized. A node that reads a topic of its process has no DDS
-subscription to it.
+leads to does not wait until it is serialized, nor for other work that `afterwards` puts off. A node
+that reads a topic of its process has no DDS subscription to it.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from itertools import count
 from typing import Any
 
@@ -24,18 +25,18 @@ DELIVERIES_MAX = 250
 
 
 class Mailbox:
-    """Messages that wait for the nodes of one executor, and those that they still have to send."""
+    """Messages that wait for the nodes of one executor, and what these do when all are answered."""
 
     def __init__(self, context: Context | None = None) -> None:
         self.guard = GuardCondition(None, None, context)  # wakes the executor
         self._queue: deque[tuple[Receive, Any, int]] = deque()
         self._newest: dict[Receive, tuple[Any, int]] = {}
-        self._outgoing: deque[tuple[Publisher, Any]] = deque()
+        self._later: deque[Callable[[], None]] = deque()
 
     @property
     def waiting(self) -> bool:
         """Whether a message waits."""
-        return bool(self._queue or self._newest or self._outgoing)
+        return bool(self._queue or self._newest or self._later)
 
     def put(self, receive: Receive, newest_only: bool, message: Any, number: int) -> None:
         """Queue a message for a node; with `newest_only` it replaces the one that waits."""
@@ -44,14 +45,17 @@ class Mailbox:
         else:
             self._queue.append((receive, message, number))
 
-    def send_later(self, publisher: Publisher, message: Any) -> None:
-        """Publish a message when no other waits."""
-        self._outgoing.append((publisher, message))
+    def put_off(self, act: Callable[[], None]) -> None:
+        """Call `act` when no message waits."""
+        self._later.append(act)
 
-    def deliver(self, newest: bool) -> None:
-        """Deliver at most MOST messages, those of `newest_only` only if `newest`; then publish."""
+    def deliver(self) -> None:
+        """Deliver at most DELIVERIES_MAX messages, the newest ones last; then do what was put off.
+
+        What a node publishes meanwhile is delivered too.
+        """
         delivered = 0
-        while delivered < DELIVERIES_MAX and (self._queue or (newest and self._newest)):
+        while delivered < DELIVERIES_MAX and (self._queue or self._newest):
             delivered += 1
             if self._queue:
                 receive, message, number = self._queue.popleft()
@@ -59,9 +63,8 @@ class Mailbox:
                 receive = next(iter(self._newest))
                 message, number = self._newest.pop(receive)
             receive(message, number)
-        while self._outgoing and (delivered == DELIVERIES_MAX or not self._newest):
-            publisher, message = self._outgoing.popleft()
-            publisher.publish(message)
+        while self._later:
+            self._later.popleft()()
 
 
 Reader = tuple[Mailbox, Receive, bool]  # bool: the newest message only
@@ -122,7 +125,7 @@ class IntraProcessPublisher:
             mailbox.put(receive, newest_only, message, number)
             if mailbox is not self._mailbox:
                 mailbox.guard.trigger()
-        self._mailbox.send_later(self._publisher, message)
+        self._mailbox.put_off(partial(self._publisher.publish, message))
 
     @property
     def topic_name(self) -> str:
@@ -135,6 +138,19 @@ class IntraProcessPublisher:
 
 
 _present: tuple[Topics, Mailbox] | None = None
+
+
+def afterwards() -> Callable[[Callable[[], None]], None]:
+    """For a node that is being made: a function that does what is not urgent.
+
+    It waits until the nodes of the process have answered what was published; a node that is alone
+    in its process does it at once.
+    """
+    return _call if _present is None else _present[1].put_off
+
+
+def _call(act: Callable[[], None]) -> None:
+    act()
 
 
 def publisher(made: Publisher) -> Any:
