@@ -117,7 +117,7 @@ class Graph:
         values = {**values, **_ports(values["hardware"], values["port"]), **_start_up(values)}
         values |= _camera(values) | {"about": self.about(values)}
         remappings = self.remappings(values)
-        first = ("chrt", "--fifo", str(values["realtime"])) if values["realtime"] else ()
+        first = ("env", f"SLOT_PRIORITY={values['realtime']}") if values["realtime"] else ()
         specs = [
             NodeSpec(
                 name=name,
@@ -126,7 +126,7 @@ class Graph:
                 namespace=values["namespace"],
                 remappings=remappings,
                 params_file=values["params_file"],
-                prefix=(*TIED, *(first if entry.get("composable") == ALWAYS else ())),
+                prefix=(*TIED, *(first if "composable" in entry else ())),
                 if_it_ends=self.if_it_ends(name),
             )
             for name, entry in self._nodes.items()

@@ -69,14 +69,15 @@ def test_composed_nodes_share_a_process_and_keep_their_parameters(graph, hardwar
     assert not any(word.startswith("__node") for word in line)  # they keep their names
 
 
-def test_only_the_controller_gets_the_real_time_priority(graph):
-    specs = graph.nodes(values(graph, hardware="fake_bus", realtime=50))
-    first = {spec.name for spec in specs if spec.prefix[-3:] == ("chrt", "--fifo", "50")}
+def test_what_the_walk_waits_for_gets_the_real_time_priority_and_no_more(graph):
+    chosen = values(graph, hardware="fake_bus", realtime=50, bag="x", visualize=True)
+    specs = graph.nodes(chosen)
+    first = {spec.name for spec in specs if spec.prefix[-1] == "SLOT_PRIORITY=50"}
     [process] = [
         s for s in graph.nodes(values(graph, hardware="fake_bus", composed=True)) if s.nodes
     ]
-    assert first == set(process.nodes)
-    assert not any("chrt" in spec.prefix for spec in graph.nodes(values(graph)))
+    assert first == {*process.nodes, "supervisor", "sim_robot"}
+    assert not any("env" in spec.prefix for spec in graph.nodes(values(graph)))
     with pytest.raises(ConfigError, match=r"realtime = 100: outside \[0, 99\]"):
         check(values(graph, realtime=100))
 

@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from typing import Any, TypeVar, cast
 
@@ -108,8 +109,7 @@ def run(make_node: Callable[[], Any], serve: Callable[[Any], None] = spin) -> No
         with interrupt:
             _init()
             node = make_node()
-            if os.sched_getscheduler(0) == os.SCHED_FIFO:
-                lock_memory()
+            take_priority(int(os.environ.get("SLOT_PRIORITY", 0)))
             gc.freeze()  # exclude what is loaded by now from garbage collections
             interrupt.end_preparation()
             serve(node)
@@ -130,8 +130,21 @@ def run(make_node: Callable[[], Any], serve: Callable[[Any], None] = spin) -> No
         rclpy.utilities.try_shutdown()
 
 
-def lock_memory() -> None:
-    """Keep the process in memory, so that it waits for no page; says so if that is not allowed."""
+def take_priority(priority: int) -> None:
+    """Take a real-time priority (SCHED_FIFO) with all threads, and lock the memory; 0: neither.
+
+    Only now, because nodes that prepare for seconds would keep each other from the processor.
+    Raises ConfigError without the right to the priority.
+    """
+    if not priority:
+        return
+    for thread in os.listdir("/proc/self/task"):
+        with suppress(ProcessLookupError):  # it has ended meanwhile
+            try:
+                os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(priority))
+            except PermissionError:
+                text = f"realtime = {priority}: no right to this priority; see rtprio"
+                raise config.ConfigError(text) from None
     if ctypes.CDLL(None, use_errno=True).mlockall(LOCK_ALL):
         reason = os.strerror(ctypes.get_errno())
         get_logger("realtime").warning(f"memory is not locked: {reason}; see LimitMEMLOCK")
