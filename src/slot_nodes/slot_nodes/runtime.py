@@ -109,7 +109,7 @@ def run(make_node: Callable[[], Any], serve: Callable[[Any], None] = spin) -> No
         with interrupt:
             _init()
             node = make_node()
-            take_priority(int(os.environ.get("SLOT_PRIORITY", 0)))
+            take_priority(int(os.environ.get("SLOT_PRIORITY", "0")))
             gc.freeze()  # exclude what is loaded by now from garbage collections
             interrupt.end_preparation()
             serve(node)
