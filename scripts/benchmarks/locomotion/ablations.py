@@ -17,7 +17,6 @@ ABLATIONS: Mapping[str, Changes] = {
     "no damping of the step": (("policy.cost.change", 100.0),),
     "no drift": (("policy.observer.drift_gain", 0.0),),
     "no wrench": (("policy.observer.wrench_gain", 0.0),),
-    "no sway in the reference": (("policy.cost.sway", 0.0),),
     "no cost of the swing": (("policy.cost.swing", 0.5),),
     "a third of the horizon": (("policy.stages", 7), ("policy.knots", (0, 2, 4, 6))),
     "steps of 11 ms": (("policy.nominal.steps", 1),),

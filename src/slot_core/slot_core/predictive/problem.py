@@ -91,7 +91,7 @@ class PlanProblem:
             raise ValueError(f"reference: {len(rows)} stages, expected more than {stages}")
         place, drift = checked("place", place, (3,)), checked("drift", drift, (3,))
         pose = np.empty((stages, 6))
-        set_reference(rows, place, drift, sag, self._dt, cost.sway, cost.reach, pose)
+        set_reference(rows, place, drift, sag, self._dt, cost.reach, pose)
         return pose
 
     def moved(self, drift: Array, yaw: float) -> Array:

@@ -11,11 +11,11 @@ from slot_core.compiled import kernel
 
 
 @kernel
-def set_reference(rows, place, drift, sag, dt, sway, reach, pose):
+def set_reference(rows, place, drift, sag, dt, reach, pose):
     """Write the poses (K, 6) that the rollouts are to have, from a preview's reference (n, 12).
 
     place: x, y (m), yaw (rad) of the robot; drift: v_x, v_y (m/s), yaw rate (rad/s), heading frame;
-    sag: m by which the torso is lower; reach: m; sway: share of the gait's own roll and pitch.
+    sag: m by which the torso is lower; reach: m. Roll and pitch are the means of the gait's.
     """
     count = pose.shape[0]
     roll = pitch = 0.0
@@ -29,8 +29,7 @@ def set_reference(rows, place, drift, sag, dt, sway, reach, pose):
     for k in range(count):
         row, time = rows[k + 1], dt * (k + 1)
         x, y = time * drift[0], time * drift[1]
-        pose[k, 0] = roll + sway * (row[0] - roll)
-        pose[k, 1] = pitch + sway * (row[1] - pitch)
+        pose[k, 0], pose[k, 1] = roll, pitch
         pose[k, 2] = row[2] - time * drift[2]
         pose[k, 3] = row[3] - share * ahead - (c * x - s * y)
         pose[k, 4] = row[4] - share * aside - (s * x + c * y)

@@ -34,7 +34,6 @@ class CostSettings:
     )
     swing: float = quantity("difference of a deviation from its mean", "rad", 1e-3, 100)
     change: float = quantity("change of a planned tendon angle in one tick", "rad", 1e-4, 100)
-    sway: float = quantity("share of the gait's own roll and pitch in the reference", "", 0, 1)
     reach: float = quantity("largest distance of a reference from the robot", "m", 1e-3, 1)
 
 
