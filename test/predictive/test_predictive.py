@@ -198,22 +198,20 @@ def test_a_torso_that_the_legs_cannot_carry_sinks_and_walks_on(policy, walking):
 
 
 def test_on_legs_that_the_model_does_not_know_the_gait_takes_over():
-    """Legs softer by a fifth: the walk stays straighter than with a model that is never doubted."""
-    changes = {"robot.leg.young_modulus": 0.8 * ROBOT.leg.young_modulus}
-    off = {}
+    """Legs softer by 30 %: the robot walks on, where a model that is never doubted holds it back."""
+    changes = {"robot.leg.young_modulus": 0.7 * ROBOT.leg.young_modulus}
+    ahead = []
     for limit in (SETTINGS.observer.misfit_max, 1000.0):
         changes["policy.observer.misfit_max"] = limit
-        for seed in (2, 3):
-            loop = ClosedLoop("flat", "walk", WALK, seed, "predictive", changes=changes)
-            last = list(loop.run(450))[-1]
-            off[limit, seed] = abs(loop.plant.robot.position[1])
-            far = last.plan.status is Status.MODEL_FAR
-            assert far == (limit < 1000.0)
-            own = np.abs(last.plan.angle - last.preview.tendon_angle[: SETTINGS.stages]).max()
-            assert (own < 0.02) == far
-            assert last.plan.fallback_cycles == 0
-    first, second, *never = off.values()
-    assert first + second < 0.5 * sum(never)
+        loop = ClosedLoop("flat", "walk", WALK, 2, "predictive", changes=changes)
+        last = list(loop.run(450))[-1]
+        ahead.append(loop.plant.robot.position[0])
+        far = last.plan.status is Status.MODEL_FAR
+        assert far == (limit < 1000.0)
+        own = np.abs(last.plan.angle - last.preview.tendon_angle[: SETTINGS.stages]).max()
+        assert (own < 0.02) == far
+        assert last.plan.fallback_cycles == 0
+    assert ahead[0] > 1.5 * ahead[1]
 
 
 def test_every_plan_has_the_same_number_of_stages(policy, walking):

@@ -75,6 +75,11 @@ def prefix_frames(message: Any, prefix: str) -> None:
             part.child_frame_id = prefix + part.child_frame_id
 
 
+def _doubles(values: Array) -> array[float]:
+    """Elements row by row, by their bytes: rclpy would take numbers one by one."""
+    return array("d", np.asarray(values, dtype=np.float64).tobytes())
+
+
 def _vector(values: Array) -> Vector3:
     x, y, z = (float(v) for v in values)
     return Vector3(x=x, y=y, z=z)
@@ -254,11 +259,11 @@ def preview_to_msg(preview: gait.GaitPreview) -> GaitPreview:
         dt=preview.dt,
         stages=len(preview.contact),
         contact=preview.contact.ravel().tolist(),
-        friction=preview.friction.ravel(),
-        normal_force=preview.normal_force.ravel(),
-        tendon_angle=preview.tendon_angle.ravel(),
-        reference=preview.reference.ravel(),
-        velocity_ahead=preview.velocity_ahead.ravel(),
+        friction=_doubles(preview.friction),
+        normal_force=_doubles(preview.normal_force),
+        tendon_angle=_doubles(preview.tendon_angle),
+        reference=_doubles(preview.reference),
+        velocity_ahead=_doubles(preview.velocity_ahead),
         corrected=preview.corrected,
         requested=preview.command.gait,
         followed=preview.command.followed,
@@ -285,11 +290,11 @@ def plan_to_msg(
         header=header(preview.stamp),
         dt=preview.dt,
         stages=len(plan.force),
-        angle=plan.angle.ravel(),
+        angle=_doubles(plan.angle),
         rate=plan.rate.tolist(),
-        force=plan.force.ravel(),
-        pose=plan.pose.ravel(),
-        foot=plan.foot.astype(np.float32).ravel(),
+        force=_doubles(plan.force),
+        pose=_doubles(plan.pose),
+        foot=array("f", plan.foot.astype(np.float32).tobytes()),
         map=plan.map,
         status=int(plan.status),
         message=plan.message,

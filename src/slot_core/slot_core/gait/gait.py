@@ -170,7 +170,10 @@ class Stride:
         omega to first order in the angles; the sway is the integral of v over the phase.
         """
         basis = HarmonicBasis.at(phase)
-        table = self._rest + self._moving(np.atleast_2d(velocity))  # (n or 1, 13, 5)
+        velocity = np.atleast_2d(velocity)
+        if (velocity == velocity[0]).all():
+            velocity = velocity[:1]
+        table = self._rest + self._moving(velocity)  # (n or 1, 13, 5)
         table = np.broadcast_to(table, (len(phase), *table.shape[1:]))
         values = np.einsum("nij,nj->ni", table, basis.value)
         slopes = np.einsum("nij,nj->ni", table[:, 8:11], basis.slope) / self.period

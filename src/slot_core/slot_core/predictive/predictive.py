@@ -1,9 +1,10 @@
 """Predictive policy: MPC in the stride, which simulates the robot (`problem.py`).
 
-A tick has two phases. `prepare`, called when the command has been sent, moves the plan on by a
-stage, lets the nominal robot execute the command and linearises its motion from there. `step` rolls
-the plan out from the estimated state, solves the quadratic programme and searches along its step.
-Where `prepare` has not been called, `step` calls it: the commands are the same.
+A tick has two phases. `step` rolls the plan out from the estimated state, solves the quadratic
+programme and commands its step. `prepare`, called when the command has been sent, searches along
+that step, moves the plan on by a stage, lets the nominal robot execute the command, linearises its
+motion from there and corrects the disturbances. Where `prepare` has not been called, `step` calls
+it: the commands are the same.
 
 While the servos do not follow, or tendons are to be slack, the plan is the gait's; after a fault it
 is tried first whether the next one could be solved. An estimate that comes before the next stage
@@ -17,6 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,6 +40,14 @@ SHARES = (1.0, 0.3)  # of the step, in the line search
 JUMP, TURN = 0.05, 0.2  # m, rad beyond the nominal robot's motion: the odometry has jumped
 
 
+class _Step(NamedTuple):
+    """Step of a plan that a rollout has yet to confirm."""
+
+    before: Array  # (K + 1, 4) rad, deviation
+    cost: float  # before
+    wanted: Array  # (K, 6) poses
+
+
 @dataclass(frozen=True)
 class _Plan:
     """Plan whose stage 0 is at `time`; K stages follow."""
@@ -48,6 +58,7 @@ class _Plan:
     sag: float  # m, by which the torso sinks since the legs cannot carry more
     deviation: Array  # (K + 1, 4) rad
     linear: Linearisation | None = None
+    step: _Step | None = None
 
 
 class Predictive(Policy):
@@ -79,6 +90,7 @@ class Predictive(Policy):
         self.observer = DisturbanceObserver(self._model, settings.observer, scale, dt)
         self._plan: _Plan | None = None  # that is executed
         self._next: _Plan | None = None  # a stage later, prepared
+        self._state: Array | None = None  # (12,) that the plan is for; None after a fallback
         # predicted: poses and feet at the stages 1 .. K, forces at 0 .. K-1
         self._seen = _empty(settings.stages)
         self._stiffness = np.ones(len(LEGS))  # N/rad, mean over the stages
@@ -115,7 +127,7 @@ class Predictive(Policy):
         now = force[:1] if self._plan is None else self._seen.force[1:2]  # as predicted before
         self._plan, self._next = plan, None
         self._seen = Rollouts(pose, np.concatenate([now, force[:-1]]), foot)
-        self.observer.add(plan.start, state, self._angles(plan)[:2])
+        self._state = state
         return self._published(preview=preview)
 
     def _gait_plan(self, preview: GaitPreview) -> TendonPlan:
@@ -124,11 +136,16 @@ class Predictive(Policy):
         return replace(plan, angle=plan.angle[:stages], force=plan.force[:stages])
 
     def prepare(self) -> None:
-        """Move the plan on by a stage and linearise its motion, before the next estimate."""
-        if self._plan is not None and self._next is None:
-            self._next = self._linearised(self._moved_on(self._plan))
-            self._stiffness = self._stiffness_of(self._next.nominal[1:-1], self._seen.pose)
-            self.observer.repeat()
+        """Move the plan on by a stage, linearise its motion and correct the disturbances."""
+        plan = self._plan
+        if plan is None or self._next is not None:
+            return
+        self._next = self._linearised(self._moved_on(plan, self._searched(plan)))
+        self._stiffness = self._stiffness_of(self._next.nominal[1:-1], self._seen.pose)
+        if self._state is not None:
+            self.observer.correct(self._state)
+            self.observer.add(plan.start, self._state, self._angles(plan)[:2])
+        self.observer.repeat()
 
     def _ready(self, time: int, state: Array, preview: GaitPreview) -> _Plan:
         """The plan for the state (12,) at `time` (ns), linearised near it."""
@@ -144,7 +161,6 @@ class Predictive(Policy):
             start = self._model.at_rest(state, nominal[0])
             still = np.zeros((self._settings.stages + 1, len(LEGS)))
             return self._linearised(_Plan(time, start, nominal, sag, still))
-        self.observer.correct(state)
         self._model.set_wrench(self.observer.wrench, state[2])
         start = self._model.measured(found.start, state)
         nominal, sag = self._nominal(preview)
@@ -162,7 +178,7 @@ class Predictive(Policy):
         assert found is not None
         for _ in range(missed):
             self.observer.forget()
-            found = replace(self._moved_on(found), linear=found.linear)
+            found = replace(self._moved_on(found, found.deviation), linear=found.linear)
         gap = self._model.place(found.start) - state[PLACE]
         is_near = math.hypot(*gap[:2]) < (1 + missed) * JUMP
         return found if is_near and abs(wrapped(gap[2])) < (1 + missed) * TURN else None
@@ -188,14 +204,27 @@ class Predictive(Policy):
         nominal = plan.nominal[:-1]
         return np.clip(nominal + plan.deviation, *self._problem.range(nominal))
 
-    def _moved_on(self, plan: _Plan) -> _Plan:
-        """The plan a stage later, where the nominal robot has executed it."""
+    def _searched(self, plan: _Plan) -> Array:
+        """Deviation (K + 1, 4) of a plan with as much of its step as lowers the cost."""
+        if plan.step is None:
+            return plan.deviation
+        before, least, wanted = plan.step
+        for share in SHARES:
+            tried = replace(plan, deviation=before + share * (plan.deviation - before))
+            after = self._model.roll_out(plan.start, self._angles(tried)[None])
+            error = self._problem.errors(after.pose, wanted, self._model.place(plan.start)[2])
+            if self._problem.cost(error[0], tried.deviation) < least:
+                return tried.deviation
+        return before
+
+    def _moved_on(self, plan: _Plan, deviation: Array) -> _Plan:
+        """The plan a stage later, where the nominal robot has executed it, with a deviation."""
         return _Plan(
             plan.time + round(self._dt * 1e9),
             self._model.after(plan.start, self._angles(plan)[:2]),
             _shifted(plan.nominal),
             plan.sag,
-            _shifted(plan.deviation),
+            _shifted(deviation),
         )
 
     def _linearised(self, plan: _Plan) -> _Plan:
@@ -215,30 +244,24 @@ class Predictive(Policy):
     def _improved(
         self, plan: _Plan, state: Array, preview: GaitPreview
     ) -> tuple[_Plan, Rollouts, str]:
-        """The plan after a step of the problem and its rollout, or the fault."""
+        """The plan after a step of the problem, and its rollout before; or the fault."""
         problem, observer, place = self._problem, self.observer, state[PLACE]
         rows, yaw = np.asarray(preview.reference, dtype=float), float(state[2])
         wanted = problem.reference(rows, place, observer.drift, plan.sag)
         if observer.is_far:
             plan = replace(plan, deviation=self._settings.limits.decay * plan.deviation)
-        before = self._model.roll_out(plan.start, self._angles(plan)[None])
-        error = problem.errors(before.pose, wanted, yaw)
+        rollout = self._model.roll_out(plan.start, self._angles(plan)[None])
+        error = problem.errors(rollout.pose, wanted, yaw)
         if not np.isfinite(error).all():
-            return plan, before, "the rollout diverges"
+            return plan, rollout, "the rollout diverges"
         if observer.is_far:
-            return plan, before, ""
+            return plan, rollout, ""
         assert plan.linear is not None
         change = problem.change(error[0], plan.linear, plan.deviation, plan.nominal[:-1])
         if change is None:
-            return plan, before, "the quadratic programme is not solved"
-        least = problem.cost(error[0], plan.deviation)
-        for share in SHARES:
-            tried = replace(plan, deviation=plan.deviation + share * change)
-            after = self._model.roll_out(plan.start, self._angles(tried)[None])
-            error = problem.errors(after.pose, wanted, yaw)
-            if problem.cost(error[0], tried.deviation) < least:
-                return tried, after, ""
-        return plan, before, ""
+            return plan, rollout, "the quadratic programme is not solved"
+        step = _Step(plan.deviation, problem.cost(error[0], plan.deviation), wanted)
+        return replace(plan, deviation=plan.deviation + change, step=step), rollout, ""
 
     def _fall_back(self, cause: Status, fault: str) -> TendonPlan:
         """The last plan a stage later, with smaller deviations; nothing without one or too late."""
@@ -251,9 +274,9 @@ class Predictive(Policy):
             plan = TendonPlan(np.zeros((0, len(LEGS))), np.zeros(len(LEGS)), force)
             cause, fault = Status.STOPPED, f"{why}; {fault}"
         else:
-            moved = self._moved_on(self._plan)
+            moved = self._moved_on(self._plan, self._plan.deviation)
             self._plan = replace(moved, deviation=limits.decay * moved.deviation)
-            self._next = None
+            self._next = self._state = None
             self.observer.forget()
             plan = self._published()
         return replace(plan, status=cause, message=fault, fallback_cycles=self._missed)
