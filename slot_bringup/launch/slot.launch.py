@@ -1,6 +1,7 @@
 """Launch file of the node graph: ros2 launch slot_bringup slot.launch.py gait:=walk."""
 
 import sys
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +109,8 @@ def _require_known(words: list[str]) -> None:
     known = [*(argument.name for argument in GRAPH.arguments), *OWN, *OF_LAUNCH]
     for name in (word.partition(":=")[0] for word in words):
         if name not in known:
-            raise ConfigError(f"no argument {name!r} (known: {', '.join(known)})")
+            near = ", ".join(get_close_matches(name, known, cutoff=0.7)) or "none"  # all: too long
+            raise ConfigError(f"no argument {name!r} (similar: {near}; --show-args lists all)")
 
 
 def _stock_recorder(values: dict[str, Any]) -> ExecuteProcess:

@@ -328,8 +328,8 @@ def run_launch_file(monkeypatch, name, **stubs):
 @pytest.mark.parametrize(
     ("program", "words", "fault"),
     [
-        ("slot.launch.py", ["gaits:=walk"], "no argument 'gaits' (known: hardware, "),
-        ("d435_rtabmap.launch.py", ["imu:=x"], "no argument 'imu' (known: hardware, "),
+        ("slot.launch.py", ["gaits:=walk"], "'gaits' (similar: gait; --show-args lists all)"),
+        ("d435_rtabmap.launch.py", ["imu:=x"], "'imu' (similar: none; --show-args lists all)"),
         ("slot.launch.py", ["gait:=walk", "recorder:=slot", "launch-prefix:=gdb"], ""),
         ("whole_fleet.launch.py", ["robots:=3"], ""),  # of a user's own, which includes ours
     ],
