@@ -198,7 +198,7 @@ def test_a_torso_that_the_legs_cannot_carry_sinks_and_walks_on(policy, walking):
 
 
 def test_on_legs_that_the_model_does_not_know_the_gait_takes_over():
-    """Legs softer by 30 %: the robot walks on, where a model that is never doubted holds it back."""
+    """Legs softer by 30 %: the robot walks on, where a model never doubted holds it back."""
     changes = {"robot.leg.young_modulus": 0.7 * ROBOT.leg.young_modulus}
     ahead = []
     for limit in (SETTINGS.observer.misfit_max, 1000.0):
