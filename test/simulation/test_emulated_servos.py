@@ -171,8 +171,8 @@ def test_the_simulated_servo_is_that_of_the_bus():
 def test_the_bus_changes_the_walk_by_a_few_millimetres(walks):
     """The two differ by encoder, counts, bus cycles and driver alone."""
     (_, bus), (_, sim) = walks["fake_bus"], walks["sim"]
-    # 2.0 mm; at every tick the policy reacts to what the bus has changed
-    assert np.sqrt(np.mean(np.sum((bus - sim) ** 2, axis=1))) < 4e-3
+    # 6.6 mm, 3 of other seeds; walks of two seeds differ by 4 to 7 mm
+    assert np.sqrt(np.mean(np.sum((bus - sim) ** 2, axis=1))) < 8e-3
     distances = [path[-1, 0] - path[SETTLED, 0] for path in (bus, sim)]
     assert distances[0] == pytest.approx(distances[1], abs=7e-3)  # 1 mm/s
 
