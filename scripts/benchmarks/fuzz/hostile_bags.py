@@ -20,6 +20,7 @@ from slot_core.recording.message_types import message_types
 from slot_core.recording.origin import CONFIGURATION, Origin
 from slot_core.recording.record_settings import read_record_settings
 from slot_core.refusal import LINE_MAX, InputError
+from slot_core.robot import read_robot
 from slot_lab.bags.bag import Bag
 from slot_lab.bags.check_bag import TOLERANCE, check_bag
 from slot_lab.bags.measured import measured_motion, tendon_angles
@@ -29,6 +30,8 @@ from slot_lab.report.constraint_map import map_figure, read_map, summary_lines
 from slot_lab.report.figures import figures
 from slot_lab.report.metrics import walk_metrics
 from slot_lab.report.origin_changes import origin_lines
+from slot_lab.report.run_page.run_frames import read_frames
+from slot_lab.report.run_page.run_page import content, page
 from slot_lab.twin.recorded import read_recorded
 from slot_lab.validation.recording import read_recording
 
@@ -110,6 +113,7 @@ READERS: Mapping[str, Callable[[Path], Any]] = {
     "twin": lambda path: read_recorded(path, "", "", ""),
     "constraint_map": _draw,
     "compare": _compare,
+    "page": lambda path: page(content([read_frames(Bag(path), read_robot())], read_robot())),
 }
 
 

@@ -68,7 +68,8 @@ def tools() -> list[tuple[str, Main, list[list[str]]]]:
         ("calibrate_camera", calibrate_camera.main, [[PATH], ["x", "--every", NUMBER]]),
         ("film", film.main, [[PATH], ["x", "--duration", NUMBER]]),
         ("print_markers", print_markers.main, [[NAME], ["torso", "--dpi", NUMBER]]),
-        ("view", view.main, [[PATH, "--animate", "x.gif"], ["x", "--animate", NAME]]),
+        ("view", view.main, [[PATH, "--animate", "x.gif"], ["x", "--animate", NAME],
+            [PATH, "--html", "x.html"], ["x", "--html", NAME]]),
     ]  # fmt: skip
 
 
