@@ -137,7 +137,7 @@ class Page {
     this.stale = false;
     $("time").value = this.t;
     $("clock").textContent = `${this.t.toFixed(2)} of ${this.duration.toFixed(2)} s`;
-    $("play").textContent = this.playing ? "\u23F8" : "\u25B6";
+    $("play").textContent = this.playing ? "II" : "\u25B6";
     this.plots.forEach((plot) => plot.write(this.t));
     const lines = this.runs.map((run) => run.statesAt(this.t).map((s) => s.join(" ")).join(", "));
     if (lines.length > 1) ["first: ", "second: "].forEach((name, i) => (lines[i] = name + lines[i]));
