@@ -17,7 +17,7 @@ from slot_core.mpc.settings import read_mpc
 from slot_lab.bags import check_bag as replay
 from slot_lab.calibration import command as calibrate
 from slot_lab.film import print_markers
-from slot_lab.report import constraint_map
+from slot_lab.report import compare, constraint_map
 from slot_lab.tuning import tune
 from slot_lab.twin import twin
 from slot_lab.validation import validate
@@ -73,6 +73,18 @@ REFUSED = {
         (["torso", "--out", "{}/nowhere/x.png"], "No such file or directory"),
         (["torso", "--out", "{}/x.png", "--dpi", "9"], "outside [50, 1200]"),
     ]),
+    "compare": (compare.main, [
+        ([WALK, "{}/nowhere"], "nowhere: does not exist"),
+        ([WALK], "the following arguments are required: BAG"),
+        ([WALK, WALK], "holds 1.4 s, the warm-up leaves out 2.0 s"),
+        ([WALK, WALK, "--warm-up", "nan"], "outside ["),
+        ([WALK, WALK, "--plot", "{}/c.gif"], "the name of a plot ends in .png"),
+        ([WALK, WALK, "--tolerance", "0.1"], "expected FIGURE=N"),
+        ([WALK, WALK, "--tolerance", "height_mean=nan"], "expected FIGURE=N"),
+        ([WALK, WALK, "--tolerance", "height_mean=-1"], "expected FIGURE=N"),
+        ([WALK, WALK, "--warm-up", "0", "--tolerance", "mass=1"], "hold no such figure of dur"),
+        ([WALK, WALK, "--warm-up", "0", "--tolerance", "saturated*=1"], "hold no such figure"),
+    ]),
     "replay": (replay.main, [
         (["{}/nothing"], "nothing: does not exist"),
         ([WALK, "--tolerance", "nan"], "argument --tolerance: nan: outside [0, inf)"),
@@ -93,12 +105,17 @@ REFUSED = {
         (["{}/nowhere"], "nowhere: does not exist"),
         ([WALK, "--animate", "{}/walk.mp4"], "walk.mp4: expected a name that ends in .gif"),
         ([WALK, "--animate", "{}/nowhere/walk.gif"], "walk.gif: No such file"),
+        ([WALK, "--html", "{}/walk.htm"], "walk.htm: expected a name that ends in .html"),
+        ([WALK, "--html", "{}/nowhere/walk.html"], "walk.html: No such file"),
+        ([WALK, "{}/nothing", "--html", "{}/walk.html"], "nothing: does not exist"),
+        ([WALK, WALK, WALK, "--html", "{}/walk.html"], "3 bags: expected one, or two"),
+        (["--live", "--html", "{}/walk.html"], "shows a running graph, not a bag"),
         (["--live", "--namespace", "a b"], "namespace = 'a b'"),
         (["--live", "bag"], ""),
         (["--live", "--animate", "x.gif"], ""),
         (["--no-browser"], ""),
         (["--web", "--save", "x.rrd"], ""),
-        (["one", "two"], ""),
+        (["one", "two"], "2 bags: expected one, or two with --html"),
     ]),
     "operate": (operate.main, [
         (["zero"], ""),

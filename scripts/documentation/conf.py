@@ -19,6 +19,7 @@ extensions = ["myst_parser", "sphinxcontrib.mermaid"]
 html_theme = "furo"
 html_title = f"SLOT {version}"
 html_copy_source = False
+html_extra_path = [str(BRINGUP / "doc" / "walk.html")]  # that pages.py shows
 html_show_copyright = False
 html_math_renderer = "mathml"  # by the browser itself, without a script
 myst_enable_extensions = ["dollarmath"]

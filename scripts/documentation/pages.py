@@ -16,6 +16,7 @@ from documentation import generated
 from documentation.markdown import DOC, ROOT
 
 MARK = re.compile(r"^<!-- generated: (\w+) -->$", re.MULTILINE)
+WALK = re.compile(r"!\[([^\]]*)\]\(([^)\s]*walk)\.gif\)")  # which GitHub shows
 LINK = re.compile(r"\[([^\]]*)\]\(([^)\s#]+)(#[^)\s]*)?\)")
 
 
@@ -47,7 +48,13 @@ def read(text: str, page: Path) -> str:
 
     page: its file. Raises ValueError for a mark of an unknown part.
     """
-    return _site_links(MARK.sub(_part, text), page.parent)
+    return WALK.sub(_moving, _site_links(MARK.sub(_part, text), page.parent))
+
+
+def _moving(image: re.Match[str]) -> str:
+    """The page of the walk in the place of its picture."""
+    style = "width: 100%; height: 34rem; border: 1px solid #b8c4ce"
+    return f'<iframe src="{image[2]}.html" title="{image[1]}" style="{style}"></iframe>'
 
 
 def _part(mark: re.Match[str]) -> str:

@@ -1,4 +1,7 @@
-"""Shows a run in rerun: the robot with its bent legs, forces and plots on the robot's time line."""
+"""Shows a run: the robot with its bent legs, forces and plots on the robot's time line.
+
+In rerun, or with --html as one page for any browser.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +24,13 @@ from slot_bringup.check import check_place
 from slot_bringup.graph import TIED
 from slot_bringup.monitor import listener
 from slot_bringup.rerun_viewer import Viewer, ViewerError
-from slot_core.command_line import CommandParser, refuse
+from slot_core.command_line import command_parser, refuse, show
 from slot_core.config import ConfigError
 from slot_core.recording.bag_error import BagError
 from slot_core.recording.record_settings import read_record_settings
 from slot_lab.bags.bag import STORAGES, Bag
 from slot_lab.report.animation import AnimationError, animate
+from slot_lab.report.run_page.run_page import PageError, write_page
 from slot_nodes import messages, qos
 
 if TYPE_CHECKING:
@@ -43,20 +47,25 @@ class ViewError(RuntimeError):
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Parse the command line; a wrong value exits with code 2 and one line."""
-    parser = CommandParser(prog="scripts/view", description=__doc__)
+    parser = command_parser("view", __doc__)
     add = parser.add_argument
-    add("bag", nargs="?", type=Path, help="directory of a bag (default: the newest in bags/)")
+    which = "directory of a bag (default: the newest in bags/); two of them with --html"
+    add("bags", nargs="*", type=Path, metavar="BAG", help=which)
     add("--live", action="store_true", help="show a running graph, not a bag")
     add("--namespace", default="", help="of the graph")
     out = parser.add_mutually_exclusive_group()
     out.add_argument("--web", action="store_true", help="in a browser (default: in a window)")
     out.add_argument("--save", type=Path, metavar="FILE", help="only write a file that rerun opens")
+    page = "only write a page that needs nothing else: offline, on a phone, without rerun"
+    out.add_argument("--html", type=Path, metavar="FILE", help=page)
     moving = "only write two strides as a GIF, PNG or WebP that moves; needs no rerun"
     out.add_argument("--animate", type=Path, metavar="FILE", help=moving)
     add("--no-browser", action="store_true", help="with --web: print the address, open nothing")
     options = parser.parse_args(arguments)
-    if options.live and (options.bag or options.animate):
+    if options.live and (options.bags or options.animate or options.html):
         parser.error("--live: shows a running graph, not a bag")
+    if len(options.bags) > (2 if options.html else 1):
+        parser.error(f"{len(options.bags)} bags: expected one, or two with --html")
     if options.no_browser and not options.web:
         parser.error("--no-browser: only with --web")
     return options
@@ -65,10 +74,16 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 def view(options: argparse.Namespace) -> None:
     """Show or write what the options ask for.
 
-    Raises ViewError, ViewerError, AnimationError, BagError, ConfigError, OSError.
+    Raises ViewError, ViewerError, AnimationError, PageError, BagError, ConfigError, OSError.
     """
     check_place(options.namespace)
-    bag = None if options.live else Bag(options.bag or newest_bag(BAGS), options.namespace)
+    paths = [] if options.live else options.bags or [newest_bag(BAGS)]
+    bags = [Bag(path, options.namespace) for path in paths]
+    if options.html:
+        if not show("scripts/view", write_page(bags, options.html)):
+            raise SystemExit(2)
+        return
+    bag = bags[0] if bags else None
     if options.animate and bag:
         animate(bag, options.animate)
         return
@@ -200,7 +215,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with interrupts.on_interrupt(signal.default_int_handler):
             view(options)
-    except (ViewError, ViewerError, AnimationError, BagError, ConfigError) as error:
+    except (ViewError, ViewerError, AnimationError, PageError, BagError, ConfigError) as error:
         refuse("scripts/view", error)
         return 2
     except OSError as error:

@@ -12,7 +12,7 @@ import pytest
 from benchmarks.harness import known
 from benchmarks.locomotion.rows import rows as locomotion_rows
 from benchmarks.report import claims, paper_figures
-from benchmarks.report.report import BENCHMARKS, CAPTIONS, main
+from benchmarks.report.report import BENCHMARKS, CAPTIONS, DOC, main
 from benchmarks.report.results import PNG, bench_command
 from slot_core.robot import read_robot
 
@@ -118,13 +118,18 @@ def page(text):
     return Page(text)
 
 
-def test_a_page_holds_its_images_loads_nothing_and_runs_nothing(page, text):
+def test_a_page_holds_its_images_loads_nothing_and_runs_nothing_but_the_walk(page, text):
     sources = page.all("src")
-    assert [base64.b64decode(s.partition("base64,")[2]) for s in sources[1:]] == [
+    assert [base64.b64decode(s.partition("base64,")[2]) for s in sources] == [
         IMAGE, IMAGE + b"!", IMAGE, IMAGE, IMAGE
     ]  # fmt: skip
     assert all(source.startswith("data:image/") for source in sources)
-    assert not {tag for tag, _ in page.tags} & {"script", "link", "iframe", "object", "base"}
+    assert not {tag for tag, _ in page.tags} & {"script", "link", "object", "base"}
+    (walk,) = (attrs for tag, attrs in page.tags if tag == "iframe")
+    assert walk.pop("srcdoc") == (DOC / "walk.html").read_text()
+    policy = next(attrs["content"] for _, attrs in page.tags if "http-equiv" in attrs)
+    assert "script-src 'unsafe-inline' blob:" in policy  # which the walk inherits
+    assert walk == {"class": "walk", "title": walk["title"]}
     assert not re.search(r"https?://|url\(|@import", text)
     assert not [name for _, attrs in page.tags for name in attrs if name.startswith("on")]
     assert page.words.count(" ".join(HOSTILE.split())) == 2  # as text

@@ -51,6 +51,13 @@ def test_every_mark_stands_for_a_generated_part():
         pages.read("<!-- generated: nothing -->", DOC / "index.md")
 
 
+@pytest.mark.parametrize("name", ["index.md", "simulation.md"])
+def test_the_site_shows_the_page_of_the_walk_in_the_place_of_its_picture(name):
+    text = pages.read((DOC / name).read_text(), DOC / name)
+    assert '<iframe src="walk.html" title="The robot walks' in text
+    assert "walk.gif)" not in text
+
+
 def test_the_reference_has_every_message_and_service():
     text = generated.messages()
     files = [*(ROOT / "slot_msgs/msg").iterdir(), *(ROOT / "slot_msgs/srv").iterdir()]

@@ -14,15 +14,24 @@ import numpy as np
 
 from benchmarks.fuzz.outcomes import Outcomes
 from benchmarks.harness import ROOT
+from slot_core.dynamics.servo import read_servo
 from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.message_types import message_types
 from slot_core.recording.origin import CONFIGURATION, Origin
 from slot_core.recording.record_settings import read_record_settings
-from slot_core.refusal import InputError
+from slot_core.refusal import LINE_MAX, InputError
+from slot_core.robot import read_robot
 from slot_lab.bags.bag import Bag
 from slot_lab.bags.check_bag import TOLERANCE, check_bag
 from slot_lab.bags.measured import measured_motion, tendon_angles
+from slot_lab.report import compare_plot
+from slot_lab.report.compare import compare_figures
 from slot_lab.report.constraint_map import map_figure, read_map, summary_lines
+from slot_lab.report.figures import figures
+from slot_lab.report.metrics import walk_metrics
+from slot_lab.report.origin_changes import origin_lines
+from slot_lab.report.run_page.run_frames import read_frames
+from slot_lab.report.run_page.run_page import content, page
 from slot_lab.twin.recorded import read_recorded
 from slot_lab.validation.recording import read_recording
 
@@ -84,6 +93,17 @@ def _draw(path: Path) -> None:
     summary_lines(found)
 
 
+def _compare(path: Path) -> None:
+    """Both ways round with a sound bag, and with itself."""
+    for paths in ((path, WALK), (WALK, path), (path, path)):
+        bags = [Bag(place) for place in paths]
+        walks = [figures(walk_metrics(bag, 0.0, read_servo())) for bag in bags]
+        compare_plot.plot(*bags).canvas.draw()  # type: ignore[attr-defined]
+        lines = [*origin_lines(*bags), *map(str, compare_figures(*walks))]
+        if not all(len(line) < 2 * LINE_MAX for line in lines):
+            raise AssertionError("a line that is too long")
+
+
 READERS: Mapping[str, Callable[[Path], Any]] = {
     "all": read_all,
     "replay": lambda path: check_bag(Bag(path), TOLERANCE),
@@ -92,6 +112,8 @@ READERS: Mapping[str, Callable[[Path], Any]] = {
     "angles": lambda path: tendon_angles(Bag(path)),
     "twin": lambda path: read_recorded(path, "", "", ""),
     "constraint_map": _draw,
+    "compare": _compare,
+    "page": lambda path: page(content([read_frames(Bag(path), read_robot())], read_robot())),
 }
 
 

@@ -17,7 +17,7 @@ from slot_core import config
 from slot_lab.bags import check_bag
 from slot_lab.calibration import command as calibrate
 from slot_lab.film import calibrate_camera, film, print_markers, track
-from slot_lab.report import constraint_map
+from slot_lab.report import compare, constraint_map
 from slot_lab.twin import twin
 from slot_lab.validation import validate
 
@@ -54,6 +54,8 @@ def tools() -> list[tuple[str, Main, list[list[str]]]]:
         ("replay", check_bag.main, [[PATH], [PATH, "--tolerance", "1"],
             ["x", "--tolerance", NUMBER],
             ["x", "--remap", NAME], ["x", "--" + "y" * 3000]]),
+        ("compare", compare.main, [[PATH, PATH], ["x", "x", "--tolerance", NAME],
+            ["x", "x", "--warm-up", NUMBER], ["x", "x", "--plot", NAME]]),
         ("constraint_map", constraint_map.main, [[PATH], ["x", "--out", NAME]]),
         ("validate", validate.main, [[PATH, measured], [measured, PATH],
             ["x", "x", "--frame", NAME],
@@ -66,7 +68,8 @@ def tools() -> list[tuple[str, Main, list[list[str]]]]:
         ("calibrate_camera", calibrate_camera.main, [[PATH], ["x", "--every", NUMBER]]),
         ("film", film.main, [[PATH], ["x", "--duration", NUMBER]]),
         ("print_markers", print_markers.main, [[NAME], ["torso", "--dpi", NUMBER]]),
-        ("view", view.main, [[PATH, "--animate", "x.gif"], ["x", "--animate", NAME]]),
+        ("view", view.main, [[PATH, "--animate", "x.gif"], ["x", "--animate", NAME],
+            [PATH, "--html", "x.html"], ["x", "--html", NAME]]),
     ]  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from benchmarks.report import claims, paper_figures
 from benchmarks.report.paper_figures import Ours, PaperComparison
-from benchmarks.report.results import Image, Result, number
+from benchmarks.report.results import Result, number
 
 HERE = Path(__file__).resolve().parent
 COLUMNS = ("gait alone", "paper", "default")  # of the locomotion table
@@ -28,7 +28,7 @@ NOT_MEASURED, MISSING, NO_VALUE = "not measured", "result missing", "no value"
 class Contents:
     """What a report shows."""
 
-    robot: Image
+    robot: str  # page of a walk
     benchmarks: Mapping[str, tuple[str, Result | None]]  # by name: what it measures, its result
     runs: Mapping[str, tuple[str, Result | None]]  # by folder: title, what is there
     commands: Mapping[str, Sequence[str]]  # by name or folder: what makes it

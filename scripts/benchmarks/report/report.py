@@ -1,8 +1,8 @@
 """Makes one self-contained HTML file of what scripts/bench, scripts/run and scripts/validate wrote.
 
-It works offline and without JavaScript: images are inside the file. Each figure stands with the
-command, revision and parameters that made it, and beside the paper's where that has one. What is
-missing is named with the command that makes it.
+It works offline, and but for the moving robot without JavaScript: images are inside the file. Each
+figure stands with the command, revision and parameters that made it, and beside the paper's where
+that has one. What is missing is named with the command that makes it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from benchmarks.report.results import (
     commands,
     fault_table,
     read_benchmark,
-    read_image,
     read_run,
 )
 from slot_core.command_line import CommandParser, refuse
@@ -29,7 +28,6 @@ from slot_core.recording.origin import revision
 CANNOT_REPORT = 2  # exit code
 BENCHMARKS = ROOT / "scripts" / "benchmarks"
 DOC = ROOT / "slot_bringup" / "doc"
-WALK = "The robot walks: two strides of the simulation at half speed; arrows: forces of the ground"
 CAPTIONS = {
     "rod": {"rod.png": "speed against error of the public rod, MuJoCo and PyElastica"},
     "robot": {
@@ -87,7 +85,7 @@ def read_contents(directory: Path) -> Contents:
         for name in names
     }
     return Contents(
-        robot=read_image(DOC / "walk.gif", WALK),
+        robot=(DOC / "walk.html").read_text(encoding="utf-8"),
         benchmarks=benchmarks,
         runs={run.folder: (run.title, read_run(directory, run)) for run in RUNS},
         commands={

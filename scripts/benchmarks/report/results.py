@@ -18,7 +18,6 @@ from slot_core.refusal import InputError, quoted
 from slot_lab.bags.bag import Bag, BagError
 
 PNG = b"\x89PNG\r\n\x1a\n"
-MAGIC = {".png": PNG, ".gif": b"GIF8"}  # first bytes of an image
 
 
 class ReportError(InputError):
@@ -124,15 +123,14 @@ def commands(directory: Path, run: Run) -> list[str]:
 
 
 def read_image(path: Path, caption: str) -> Image:
-    """A PNG or GIF; raises ReportError for another file."""
+    """A PNG; raises ReportError for another file."""
     try:
         data = path.read_bytes()
     except OSError as error:
         raise ReportError(f"{path}: {error.strerror}") from None
-    kind = path.suffix.lower()
-    if kind not in MAGIC or not data.startswith(MAGIC[kind]):
-        raise ReportError(f"{path}: not an image ({', '.join(MAGIC)})")
-    uri = f"data:image/{kind[1:]};base64,{base64.b64encode(data).decode()}"
+    if path.suffix.lower() != ".png" or not data.startswith(PNG):
+        raise ReportError(f"{path}: not an image (.png)")
+    uri = f"data:image/png;base64,{base64.b64encode(data).decode()}"
     return Image(path.name, caption, uri)
 
 

@@ -41,15 +41,19 @@ class Origin:
         """
         if CONFIGURATION not in self.files:
             return []
+        then = self.configuration()
+        now = configuration()
+        return sorted(name for name in then.keys() | now.keys() if then.get(name) != now.get(name))
+
+    def configuration(self) -> dict[str, bytes]:
+        """Files of the recorded configuration by path; raises as `changed_files`, also without."""
         try:
             with zipfile.ZipFile(io.BytesIO(self.files[CONFIGURATION])) as archive:
                 if sum(file.file_size for file in archive.infolist()) > ARCHIVE_MAX:
                     raise BagError(f"more than {ARCHIVE_MAX} bytes")
-                then = {name: archive.read(name) for name in archive.namelist()}
+                return {name: archive.read(name) for name in archive.namelist()}
         except Exception as error:  # of a damaged archive also zlib, struct and index errors
             raise BagError(f"{CONFIGURATION}: {error}") from None
-        now = configuration()
-        return sorted(name for name in then.keys() | now.keys() if then.get(name) != now.get(name))
 
     def lines(self) -> list[str]:
         """Text of the origin, aligned; none if nothing is known."""

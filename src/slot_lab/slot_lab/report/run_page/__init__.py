@@ -1,0 +1,1 @@
+"""Page of a run: the robot in motion and its curves, in one HTML file that needs nothing else."""

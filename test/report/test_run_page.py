@@ -1,0 +1,201 @@
+"""The page of a run: its numbers, that it loads nothing, and what a browser shows of it."""
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+import zlib
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic_walk import NODES, ROBOT, Walk, leg_nodes, normal_forces, write_walk
+
+from slot_core.drawing.drawing import NATURAL_NODES
+from slot_lab.bags.bag import Bag
+from slot_lab.report.run_page import run_frames, run_page
+from slot_lab.report.run_page.run_frames import ALONG, NO_VALUE, read_frames
+from slot_lab.report.run_page.run_page import content, page, write_page
+
+ROOT = Path(__file__).parents[2]
+WALK = Walk(duration=1.0, roll=0.1, bounce=0.004, speed=0.2)
+XHTML = b"http://www.w3.org/1999/xhtml"  # a name of three.js, which is not loaded
+CHROMIUM = shutil.which("chromium") or ""
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    return Bag(write_walk(tmp_path_factory.mktemp("bags") / "walk", WALK))
+
+
+@pytest.fixture(scope="module")
+def frames(bag):
+    return read_frames(bag, ROBOT)
+
+
+class Elements(HTMLParser):
+    """Tags of a page with their attributes, and the text in those that have an id."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.inside, self._open = [], {}, ""
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        self._open = dict(attrs).get("id", self._open)
+
+    def handle_endtag(self, tag):
+        self._open = ""
+
+    def handle_data(self, data):
+        self.inside[self._open] = self.inside.get(self._open, "") + data
+
+
+def unpacked(text, count, width):
+    """Integers (count, width) as the page decodes them, but for those along the legs."""
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8).reshape(4, -1)
+    signed = np.ascontiguousarray(planes.T).view("<u4")[:, 0].reshape(width, count).T
+    change = (signed >> 1).astype(np.int64) ^ -(signed & 1).astype(np.int64)
+    return change.cumsum(axis=0).astype(np.int32)
+
+
+def decoded(run):
+    """Columns of a run by name, from what the page holds."""
+    width = sum(count for _, count, _ in run["columns"])
+    table, found, at = unpacked(run["data"], run["frames"], width), {}, 0
+    for name, count, step in run["columns"]:
+        integers, at = table[:, at : at + count], at + count
+        if name in ALONG:
+            nodes = integers.reshape(len(integers), 4, -1, 3)
+            integers = nodes.cumsum(axis=2).astype(np.int32).reshape(integers.shape)
+        found[name] = np.where(integers == NO_VALUE, np.nan, integers * step), step
+    return found
+
+
+def test_frames_are_the_recorded_states_of_the_legs(frames):
+    t = frames.columns["t"][:, 0]
+    assert frames.count == 31  # the legs' states come at 30 Hz
+    assert t == pytest.approx(np.arange(31) / 30, abs=1e-8)
+    place = np.array([WALK.position(time) for time in t])
+    assert frames.columns["position"] == pytest.approx(place, abs=1e-9)
+    nodes = frames.columns["nodes"].reshape(-1, 4, NODES, 3) + place[:, None, None]
+    assert nodes[7] == pytest.approx(leg_nodes(WALK, t[7]), abs=1e-6)  # single precision
+    force = frames.columns["force"].reshape(-1, 4, 3)[:, :, 2]
+    assert force[9] == pytest.approx(1.05 * normal_forces(t[9] - 0.03))
+    assert frames.columns["height/true"][:, 0] == pytest.approx(1e3 * place[:, 2])
+    assert frames.states["MPC"] == [(0.0, "SOLVED")]
+
+
+def test_a_page_holds_every_column_to_half_a_step(frames):
+    shown = decoded(frames.coded())
+    assert shown.keys() == frames.columns.keys()
+    for name, (values, step) in shown.items():
+        off = np.abs(values - frames.columns[name])
+        assert np.nanmax(off) <= step / 2 * (1 + 1e-6), name
+        assert (np.isnan(values) == np.isnan(frames.columns[name])).all(), name
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e300, 2.0**31])
+def test_a_value_that_is_not_finite_or_too_large_is_no_value(value):
+    integers = run_frames._integers(np.array([[1.0], [value], [-2.0]]), 1.0)
+    assert integers[:, 0].tolist() == [1, NO_VALUE, -2]
+    assert unpacked(run_frames._packed(integers), 3, 1)[:, 0].tolist() == [1, NO_VALUE, -2]
+
+
+def test_quaternions_do_not_change_sides():
+    q = np.array([[0.0, 0.0, 0.6, 0.8], [0.0, 0.0, -0.61, -0.79], [0.0, 0.0, 0.62, 0.78]])
+    assert (run_frames._continuous(q)[:, 3] > 0).all()
+
+
+def test_a_long_run_is_thinned_and_that_is_said(bag, tmp_path, monkeypatch):
+    monkeypatch.setattr(run_frames, "MOST_FRAMES", 10)
+    line, *_ = write_page([bag], tmp_path / "walk.html")
+    assert re.search(r"walk\.html: walk 8 frames \(one of 4\), \d+ kB$", line)
+
+
+def test_curves_that_cannot_be_read_are_left_out_and_that_is_said(bag, tmp_path):
+    """The previews of the synthetic walk have no stages."""
+    _, line = write_page([bag], tmp_path / "walk.html")
+    assert line.startswith(f"left out: {bag.path}: /gait_preview cannot be used: reference has 0 ")
+
+
+def test_legs_of_unknown_shape_are_those_without_stress(tmp_path):
+    blind = Bag(write_walk(tmp_path / "blind", Walk(duration=0.3, truth=False)))
+    frames = read_frames(blind, ROBOT)
+    assert not frames.known
+    assert frames.columns["nodes"].shape == (10, 4 * NATURAL_NODES * 3)
+    assert not frames.columns["force"].any()
+
+
+def test_a_page_loads_nothing_from_anywhere(frames):
+    text = page(content([frames, frames], ROBOT))
+    elements = Elements(text)
+    assert not re.search(r"https?:|//[\w-]+\.\w|url\(|@import|fetch\(|XMLHttp|WebSocket", text)
+    attributes = {name for _, attrs in elements.tags for name in attrs}
+    assert not attributes & {"src", "href", "srcset", "data", "action", "poster"}
+    policy = next(attrs["content"] for tag, attrs in elements.tags if "http-equiv" in attrs)
+    assert policy.split("; ") == [
+        "default-src 'none'", "script-src 'unsafe-inline' blob:", "style-src 'unsafe-inline'",
+    ]  # fmt: skip
+    three = [elements.inside[name] for name in ("three-core", "three-module")]
+    code = b"".join(zlib.decompress(base64.b64decode(part)) for part in three)
+    assert set(re.findall(rb"https?://[\w./-]*", code)) == {XHTML}
+    assert "Copyright © 2010-2025 three.js authors" in text
+    assert "Permission is hereby granted, free of charge" in text
+
+
+def test_the_name_of_a_bag_cannot_leave_its_place(frames, bag, tmp_path):
+    name = "<script>alert(1)<!--"
+    bag.save(tmp_path / name)
+    text = page(content([read_frames(Bag(tmp_path / name), ROBOT)], ROBOT))
+    assert text.count("<script") == 4
+    shown = json.loads(Elements(text).inside["content"])
+    assert shown["runs"][0]["name"] == name
+
+
+def test_the_walk_of_the_documentation_is_a_page_of_today():
+    """Else make it again: scripts/view BAG --html slot_bringup/doc/walk.html."""
+    text = (ROOT / "slot_bringup/doc/walk.html").read_text()
+    shown = json.loads(Elements(text).inside["content"])
+    packed = r'(id="three-\w+">)[^<]*'  # which another zlib packs otherwise
+    now, then = (re.sub(packed, r"\1", html) for html in (page(shown), text))
+    assert now == then
+    for name in ("core", "module"):
+        kept = base64.b64decode(Elements(text).inside[f"three-{name}"])
+        file = run_page.HERE / "three" / f"three.{name}.min.js"
+        assert zlib.decompress(kept) == file.read_bytes()
+
+
+def browsed(path, place, tmp_path):
+    """The page's elements after its script has run, in a browser without a network."""
+    command = [
+        CHROMIUM, "--headless=new", "--no-sandbox", "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader", "--host-resolver-rules=MAP * ~NOTFOUND",
+        "--virtual-time-budget=3000", f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom",
+        f"file://{path}#{place}",
+    ]  # fmt: skip
+    run = subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)
+    return run.stdout
+
+
+@pytest.mark.skipif(not CHROMIUM, reason="Chromium is missing: no page was opened")
+@pytest.mark.skipif("/snap/" in CHROMIUM, reason="Chromium is a snap, which cannot read /tmp")
+def test_a_browser_shows_the_values_of_both_runs_and_how_far_they_are_apart(bag, tmp_path):
+    other = Walk(duration=0.8, roll=0.1, bounce=0.004, speed=0.23)
+    second = Bag(write_walk(tmp_path / "second", other))
+    write_page([bag, second], tmp_path / "both.html")
+    text = browsed(tmp_path / "both.html", "t=0.75&layout=over", tmp_path)
+    assert 'data-ready="31 25"' in text
+    assert "data-error" not in text
+    words = re.sub(r"<[^>]+>", "", text.partition("<script")[0])
+    assert "0.75 of 1.00 s" in words
+    assert "first: MPC SOLVED" in words
+    # between two frames the values are interpolated: in 33 ms the sine of 0.72 s turns by 0.29 rad
+    assert [float(x) for x in re.findall(r"true ([\d.]+) \| ([\d.]+)", words)[0]] == [0.2, 0.23]
+    apart, feet = re.search(r"torsos ([\d.]+) mm apart, feet at most ([\d.]+) mm", words).groups()
+    assert float(apart) == pytest.approx(1e3 * 0.03 * 0.75, abs=0.1)
+    assert float(feet) == pytest.approx(1e3 * 0.03 * 0.75, abs=0.2)
