@@ -165,6 +165,15 @@ def leaves(settings: Any, prefix: str = "") -> Iterator[tuple[str, Any, Mapping[
             yield prefix + field.name, value, field.metadata
 
 
+def dotted(mapping: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield (dotted name, value) of nested mappings; an empty one is a value."""
+    for key, value in mapping.items():
+        if isinstance(value, Mapping) and value:
+            yield from dotted(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
 def replace(settings: T, changes: Mapping[str, Any], where: str = "override") -> T:
     """Return a copy with the values at dotted names changed, checked as in `build`.
 

@@ -60,14 +60,7 @@ def _found(content: Any, pattern: str, where: str) -> Iterator[Parameters]:
         if key == KEY:
             if not isinstance(value, Mapping):
                 raise ValueError(f"{where}: {pattern}: expected a mapping of parameters")
-            yield Parameters(pattern, dict(_flat(value, "")))
+            values = {n: v for n, v in config.dotted(value) if not isinstance(v, Mapping)}
+            yield Parameters(pattern, values)
         else:
             yield from _found(value, f"{pattern}/{str(key).strip('/')}", where)
-
-
-def _flat(values: Mapping[Any, Any], prefix: str) -> Iterator[tuple[str, Any]]:
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value

@@ -209,10 +209,11 @@ class Predictive(Policy):
         if plan.step is None:
             return plan.deviation
         before, least, wanted = plan.step
+        yaw = self._model.place(plan.start)[2]
         for share in SHARES:
             tried = replace(plan, deviation=before + share * (plan.deviation - before))
             after = self._model.roll_out(plan.start, self._angles(tried)[None])
-            error = self._problem.errors(after.pose, wanted, self._model.place(plan.start)[2])
+            error = self._problem.errors(after.pose, wanted, yaw)
             if self._problem.cost(error[0], tried.deviation) < least:
                 return tried.deviation
         return before

@@ -118,12 +118,4 @@ def _values(content: bytes, file: str) -> dict[str, Any]:
     found = config.parse(content.decode()) if file.endswith(".yaml") else None
     if not isinstance(found, Mapping):
         raise ConfigError(f"{file}: no mapping")
-    return dict(_leaves(found))
-
-
-def _leaves(mapping: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in mapping.items():
-        if isinstance(value, Mapping) and value:
-            yield from _leaves(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
+    return dict(config.dotted(found))

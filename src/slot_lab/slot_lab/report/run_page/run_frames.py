@@ -25,7 +25,7 @@ from slot_core.messages import decode
 from slot_core.refusal import one_line
 from slot_core.robot import LEGS, Array, RobotParameters
 from slot_lab.bags.bag import Bag, BagError, Stamps
-from slot_lab.bags.recorded_walk import LEG_STATES, read_motion, seconds
+from slot_lab.bags.recorded_walk import LEG_STATES, TorsoTrack, read_motion, seconds
 from slot_lab.report import traces
 from slot_lab.report.plots import read_poses
 from slot_lab.report.robot_drawing import Snapshot
@@ -79,12 +79,13 @@ class RunFrames:
 def read_frames(bag: Bag, robot: RobotParameters) -> RunFrames:
     """The frames of a bag; raises BagError if it holds no motion of the torso."""
     known = bool(bag.counts.get(LEG_STATES))
-    source = LEG_STATES if known else read_motion(bag).source
+    motion = None if known else read_motion(bag)
+    source = motion.source if motion else LEG_STATES
     stamps = np.unique(bag.series(source).stamp)
     every = math.ceil(len(stamps) / MOST_FRAMES)
     stamps = stamps[::every]
     with bag.using(source):
-        poses = _poses(bag, seconds(stamps), robot, known)
+        poses = _poses(bag, seconds(stamps), robot, motion)
         columns = _columns(stamps, poses)
         thickness = np.asarray(robot.leg.thickness(poses[0].legs.fraction))
         if not np.isfinite(thickness).all():
@@ -101,11 +102,13 @@ def read_frames(bag: Bag, robot: RobotParameters) -> RunFrames:
     )
 
 
-def _poses(bag: Bag, times: Array, robot: RobotParameters, known: bool) -> list[Snapshot]:
-    """The robot at graph times (n,) s; stress-free legs and no forces if they are not known."""
-    if known:
+def _poses(
+    bag: Bag, times: Array, robot: RobotParameters, motion: TorsoTrack | None
+) -> list[Snapshot]:
+    """The robot at graph times (n,) s; on a motion alone, stress-free legs and no forces."""
+    if motion is None:
         return read_poses(bag, times, robot)
-    motion, poses, none = read_motion(bag), [], np.zeros((len(LEGS), 3))
+    poses, none = [], np.zeros((len(LEGS), 3))
     for t in times:
         k = int(np.abs(motion.t - t).argmin())
         place = motion.position[k], motion.quaternion[k]
