@@ -106,18 +106,18 @@ class Progress:
             found.append(f"mpc_controller skipped {skipped:.0f} states a second")
         return f"slower than real time: {', '.join(found)}" if found else ""
 
-    def line(self) -> str:
-        """Progress line: graph time, displacement since the begin, height, tilt and state."""
+    def line(self, whole: str = "") -> str:
+        """Progress line: graph time of the `whole`, way since the begin, height, tilt and state."""
         if not self._begun and self.robot is not None:
             return printable(f"{self.robot.name}: {self.reason}")
         if self.state is None:
             return f"waiting for the first state ({self.silence:.0f} s)"
         if not np.isfinite(self.state).all():
-            return f"t {self.elapsed:6.1f} s   the state is not finite"
+            return f"t {self.elapsed:6.1f}{whole} s   the state is not finite"
         x, y = self.state[3:5] - self._start[3:5]
         tilt = math.degrees(math.acos(math.cos(self.state[0]) * math.cos(self.state[1])))
         return (
-            f"t {self.elapsed:6.1f} s   x {x:+.3f} m   y {y:+.3f} m   "
+            f"t {self.elapsed:6.1f}{whole} s   x {x:+.3f} m   y {y:+.3f} m   "
             f"z {1e3 * self.state[5]:3.0f} mm   tilt {tilt:4.1f} deg"
             + (f"   {self.robot.name}" if self.robot is not None else "")
         )
@@ -179,7 +179,7 @@ def watch(
                 for line in processes.restart_ended(progress.elapsed):
                     print_error(line)
                 if time.monotonic() - shown > refresh:
-                    shown, line = time.monotonic(), f"{progress.line()} of {duration:g} s"
+                    shown, line = time.monotonic(), progress.line(f" of {duration:g}")
                     print(line, end=end, file=sys.stderr, flush=True)
             print(progress.line(), file=sys.stderr)
         except SilenceError:

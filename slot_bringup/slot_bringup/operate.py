@@ -1,4 +1,6 @@
-"""Operator's terminal: without an action a live display and e-stop source, else a single request.
+"""Operator's terminal: without an action a live display with keys to steer, and e-stop source.
+
+With an action it makes a single request:
 
 ready     torque on, legs hold their angles     stand     follow commands slowly
 walk      follow commands                       relax     ramp to slack, then torque off
@@ -13,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import select
 import shutil
 import signal
@@ -36,9 +39,10 @@ from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from slot_bringup import operator_screen
+from slot_bringup import operator_screen, steering
 from slot_bringup.check import check_place
 from slot_bringup.monitor import ListenerExecutor, listener
+from slot_core.clock import to_seconds
 from slot_core.command_line import command_parser, refuse, show
 from slot_core.config import ConfigError
 from slot_core.messages import decode
@@ -47,7 +51,7 @@ from slot_core.refusal import printable
 from slot_core.robot import LEGS
 from slot_core.safety.commands import Action
 from slot_core.safety.states import State
-from slot_msgs.msg import EmergencyStop, RobotState, ServoHealth
+from slot_msgs.msg import EmergencyStop, GaitPreview, MpcState, RobotState, ServoHealth
 from slot_msgs.srv import ForgetSource, InjectFault
 from slot_nodes import qos, runtime
 
@@ -55,6 +59,7 @@ PROGRAM = "scripts/operate"
 REQUESTS = ("ready", "stand", "walk", "relax", "estop", "reset")
 KEYS = {"r": "ready", "s": "stand", "w": "walk", "x": "relax", " ": "estop", "R": "reset"}
 QUIT = "q"
+KEY = re.compile(r"\x1b[\[O][0-9;]*[A-Za-z~]|.", re.S)  # one key's characters
 SEARCH_TIME = 5.0  # s to wait for a service or a message
 ANSWER_TIME = 10.0  # s to wait for an answer; measuring a zero takes 0.5 s
 ESTOP_PERIOD = 0.1  # s, a fifth of timing.estop of config/supervisor.yaml
@@ -135,11 +140,14 @@ class Operator:
         for kind, topic, name, check in (
             (JointState, "joint_states", "joints", decode.joint_loads),
             (ServoHealth, "servo_health", "health", decode.servo_health),
+            (GaitPreview, "gait_preview", "preview", decode.preview),
         ):
             show: Any = partial(self._show, name, check)
             node.create_subscription(kind, topic, show, NEWEST)
+        node.create_subscription(MpcState, "mpc_state", self._on_motion, NEWEST)
         node.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, 10)
-        runtime.wall_timer(node, ESTOP_PERIOD, self._publish_estop)
+        self._steering = steering.SteeringKeys(node)
+        runtime.wall_timer(node, ESTOP_PERIOD, self._repeat)
 
     def press(self, key: str) -> bool:
         """Handle a key; return False to quit."""
@@ -151,6 +159,8 @@ class Operator:
             self._publish_estop()
         if request is not None:
             self._call(request)
+        elif said := self._steering.press(key, self.view.preview):
+            self.view.answer = said
         return True
 
     def _may_quit(self) -> bool:
@@ -199,8 +209,21 @@ class Operator:
         if message.state == RobotState.ESTOP:
             self._estop.pressed = False  # received, and latched by the supervisor
 
+    def _on_motion(self, message: MpcState) -> None:
+        try:
+            estimate = decode.estimate(message)
+        except ValueError as error:
+            self.view.answer = f"motion refused: {error}"
+            return
+        self.view.motion.add(time.monotonic(), to_seconds(estimate.stamp), estimate.state)
+
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         self.view.diagnostics |= {status.name: status for status in message.status}
+
+    def _repeat(self) -> None:
+        self._publish_estop()
+        if (state := self.view.state) and not self.view.silent(time.monotonic()):
+            self._steering.repeat(decode.stamp(state), self.view.preview)
 
     def _publish_estop(self) -> None:
         self._estop_topic.publish(self._estop)
@@ -241,7 +264,7 @@ def _serve(executor: ListenerExecutor, operator: Operator, keyboard: int) -> boo
         executor.spin_once(timeout_sec=0.05)
         if select.select([keyboard], [], [], 0.0)[0]:
             keys = os.read(keyboard, 64).decode(errors="replace")
-            return bool(keys) and all([operator.press(key) for key in keys])
+            return bool(keys) and all([operator.press(key) for key in KEY.findall(keys)])
     return True
 
 

@@ -3,21 +3,66 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
 
+from slot_bringup import steering
 from slot_core.clock import to_seconds
+from slot_core.control.pace import Speed
+from slot_core.dynamics.servo import read_servo
+from slot_core.geometry import rotate, wrapped
 from slot_core.hardware_error import hardware_errors
 from slot_core.messages import decode
-from slot_core.robot import LEGS
+from slot_core.robot import LEGS, Array
 from slot_core.safety.states import RELEASED, State
-from slot_msgs.msg import RobotState, ServoHealth
+from slot_msgs.msg import GaitPreview, RobotState, ServoHealth
 
 SILENCE = 0.5  # s, age from which on a /robot_state is no longer shown
-HELP = "r ready   s stand   w walk   x relax   SPACE E-STOP   R reset   q quit"
-HEADER = "     angle deg  torque N m  slack mm  silent s  degC     V  lost %  power  errors"
+MEAN = 1.5  # s, over which velocities are means, some strides
+HELP = (
+    "r ready   s stand   w walk   x relax   SPACE E-STOP   R reset   q quit",
+    steering.HELP,
+)
+HEADER = "     angle deg  torque N m  load %  slack mm  silent s  degC     V  lost %  power  errors"
+
+
+class Motion:
+    """Torso states of the last strides, and how fast the graph's clock goes."""
+
+    def __init__(self) -> None:
+        self._states: deque[tuple[float, Array]] = deque()  # stamp s, state (12,)
+        self._pace = Speed(MEAN)
+
+    def add(self, now: float, stamp: float, state: Array) -> None:
+        """Take a state (12,) with its stamp (s) at `now`, s of the terminal's clock."""
+        if self._states and stamp <= self._states[-1][0]:
+            self._states.clear()  # the clock was set
+        self._states.append((stamp, state))
+        while stamp - self._states[0][0] > MEAN:
+            self._states.popleft()
+        self._pace.add(now, stamp)
+
+    def lines(self, now: float) -> list[str]:
+        """Mean velocity in the heading frame, place, attitude, and share of real time."""
+        if not self._states:
+            return ["no state of the torso yet"]
+        (begin, first), (end, last) = self._states[0], self._states[-1]
+        velocity = np.full(3, math.nan)
+        if end > begin:
+            velocity[:2] = rotate(last[3:5] - first[3:5], -last[2]) / (end - begin)
+            velocity[2] = wrapped(last[2] - first[2]) / (end - begin)
+        roll, pitch, yaw = np.degrees(last[:3])
+        x, y, z = last[3:6]
+        factor = _number(self._pace.until(now), 4, 2)
+        return [
+            f"reached  {_velocity(velocity)}   real-time factor {factor}",
+            f"x {x:+.3f}   y {y:+.3f} m   z {1e3 * z:.0f} mm"
+            f"   roll {roll:+.1f}   pitch {pitch:+.1f}   yaw {yaw:+.1f} deg",
+        ]
 
 
 @dataclass
@@ -28,6 +73,8 @@ class OperatorView:
     state_time: float = -math.inf  # s, arrival of `state` on the monotonic clock
     joints: JointState | None = None
     health: ServoHealth | None = None
+    preview: GaitPreview | None = None
+    motion: Motion = field(default_factory=Motion)
     diagnostics: dict[str, DiagnosticStatus] = field(default_factory=dict)  # by name
     answer: str = ""  # to the operator's last request
 
@@ -54,8 +101,31 @@ def state_lines(message: RobotState) -> list[str]:
 def lines(view: OperatorView, now: float) -> list[str]:
     """All lines of the screen at `now` (s)."""
     legs = [_leg(view, k) for k in range(len(LEGS))]
-    end = [f"> {view.answer}", HELP]
-    return [*_robot(view, now), "", HEADER, *legs, "", *_driver(view), *end]
+    end = [f"> {view.answer}", *HELP]
+    motion = [_gait(view), *view.motion.lines(now), ""]
+    return [*_robot(view, now), "", *motion, HEADER, *legs, "", *_driver(view), *end]
+
+
+def _gait(view: OperatorView) -> str:
+    if view.preview is None:
+        return "no gait yet"
+    height, roll, pitch = view.preview.pose
+    return (
+        f"{view.preview.gait:8s} {_velocity(np.array(view.preview.velocity))}"
+        f"   height {1e3 * height:.0f} mm   roll {math.degrees(roll):+.1f}"
+        f"   pitch {math.degrees(pitch):+.1f} deg"
+    )
+
+
+def _velocity(velocity: Array) -> str:
+    """Velocity (3,): v_x, v_y in m/s, yaw rate in rad/s."""
+    x, y = (_number(v, 6, 3, "+") for v in velocity[:2])
+    return f"{x} {y} m/s {_number(math.degrees(velocity[2]), 5, 1, '+')} deg/s"
+
+
+def _number(value: float, width: int, digits: int, sign: str = "") -> str:
+    """A number right-aligned, "-" where it is not known."""
+    return f"{value:{sign}{width}.{digits}f}" if math.isfinite(value) else f"{'-':>{width}}"
 
 
 def _robot(view: OperatorView, now: float) -> list[str]:
@@ -70,13 +140,16 @@ def _robot(view: OperatorView, now: float) -> list[str]:
 
 def _leg(view: OperatorView, k: int) -> str:
     joints, health = view.joints, view.health
-    angle = torque = slack = math.nan
+    angle = torque = load = slack = math.nan
     if joints is not None:
         _, angles, torques = decode.joint_loads(joints)
         angle, torque = math.degrees(angles[k]), torques[k]
+        voltage = math.nan if health is None else health.voltage[k]
+        load = 100.0 * torque / float(read_servo().tendon_stall(voltage))
     if view.state is not None:
         slack = 1e3 * view.state.slack[k]
-    row = f"{LEGS[k]} {angle:11.1f} {torque:11.2f} {slack:9.1f}"
+    columns = ((angle, 11, 1), (torque, 11, 2), (load, 7, 0), (slack, 9, 1))
+    row = " ".join((LEGS[k], *(_number(*column) for column in columns)))
     if health is None:
         return row
     return (

@@ -3,19 +3,21 @@
 import os
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import JointState
 
 from slot_bringup import operate
-from slot_bringup.operator_screen import SILENCE, OperatorView, lines
+from slot_bringup.operator_screen import SILENCE, Motion, OperatorView, lines
+from slot_core.dynamics.servo import read_servo
 from slot_core.messages import decode
 from slot_core.robot import LEGS, TENDON_JOINTS
 from slot_core.safety.requests import Request
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import State
-from slot_msgs.msg import RobotState, ServoHealth
+from slot_msgs.msg import GaitPreview, RobotState, ServoHealth
 
 NOW = 100.0  # s, on the terminal's clock
 
@@ -178,6 +180,36 @@ def test_problems_of_every_reporter_stay_on_the_screen():
     shown = screen(health=health(), diagnostics=operator.view.diagnostics)
     problems = [line for line in shown if "late" in line]
     assert problems == ["  ! controller: late", "  ! servo bus: late"]  # that of the state is above
+
+
+def test_gait_velocity_asked_and_reached_place_and_pace_are_shown():
+    motion = Motion()
+    for k in range(60):
+        torso = np.zeros(12)
+        torso[[3, 5]] = 0.03 * 0.05 * k, 0.0612
+        motion.add(NOW + 0.1 * k, 0.05 * k, torso)  # at half of real time
+    preview = GaitPreview(gait="walk", velocity=[0.04, 0.0, -0.1], pose=[0.06, 0.0, 0.1])
+    shown = lines(OperatorView(state(), NOW + 5.9, preview=preview, motion=motion), NOW + 5.9)
+    gait, reached, place = shown[2:5]
+    assert (
+        gait == "walk     +0.040 +0.000 m/s  -5.7 deg/s   height 60 mm   roll +0.0   pitch +5.7 deg"
+    )
+    assert reached == "reached  +0.030 +0.000 m/s  +0.0 deg/s   real-time factor 0.50"
+    assert place.startswith("x +0.088   y +0.000 m   z 61 mm")
+
+
+def test_what_is_not_known_is_a_dash():
+    shown = screen()
+    assert shown[2:4] == ["no gait yet", "no state of the torso yet"]
+    (leg,) = [line for line in shown if line.startswith("FL")]
+    assert leg.split() == ["FL", "-", "-", "-", "0.0"]
+
+
+def test_the_load_of_a_servo_is_a_share_of_its_stall_torque():
+    stall = float(read_servo().tendon_stall(11.1))
+    joints = JointState(name=TENDON_JOINTS, position=[0.5] * 4, effort=[0.5 * stall] * 4)
+    shown = screen(joints=joints, health=health(voltage=[11.1] * 4))
+    assert {line.split()[3] for line in shown if line[:2] in LEGS} == {"50"}
 
 
 def test_an_outdated_state_is_not_shown():

@@ -61,7 +61,7 @@ def test_a_pressed_estop_switches_torque_off_until_it_is_released_and_reset(walk
     button.send(pressed=False)
     walking.run(2 * PERIOD)  # the supervisor has received it
     assert walking.state is State.ESTOP
-    assert walking.request("ready") == "READY changes nothing in ESTOP"
+    assert walking.request("ready") == "READY refused in ESTOP: reset first"
     assert walking.request("reset") == ""
     walking.wait_for(lambda: walking.state is State.IDLE)
     walking.wait_for(lambda: max(walking.last("/joint_states").position) < 0.05)  # slack

@@ -149,7 +149,7 @@ def test_space_bar_stops_the_robot_until_a_reset(environment):
         live.press(" ")
         lines = live.wait_for("ESTOP")
         assert "e-stop pressed" in lines[0]
-        refusal = "scripts/operate: READY changes nothing in ESTOP\n"
+        refusal = "scripts/operate: READY refused in ESTOP: reset first\n"
         assert operate(environment, "ready") == (1, "", refusal)
         live.press_until("R", "IDLE")
 

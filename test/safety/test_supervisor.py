@@ -103,12 +103,12 @@ def test_the_robot_goes_from_idle_to_walking_on_request():
 @pytest.mark.parametrize(
     ("wanted", "request_", "text"),
     [
-        (State.IDLE, Request.STAND, "STAND changes nothing in IDLE"),
-        (State.IDLE, Request.WALK, "WALK changes nothing in IDLE"),
-        (State.READY, Request.WALK, "WALK changes nothing in READY"),
-        (State.ESTOP, Request.READY, "READY changes nothing in ESTOP"),
-        (State.FAULT, Request.READY, "READY changes nothing in FAULT"),
-        (State.FAULT, Request.WALK, "WALK changes nothing in FAULT"),
+        (State.IDLE, Request.STAND, "STAND refused in IDLE: ready first"),
+        (State.IDLE, Request.WALK, "WALK refused in IDLE: ready first"),
+        (State.READY, Request.WALK, "WALK refused in READY: stand first"),
+        (State.ESTOP, Request.READY, "READY refused in ESTOP: reset first"),
+        (State.FAULT, Request.READY, "READY refused in FAULT: reset first"),
+        (State.FAULT, Request.WALK, "WALK refused in FAULT: reset first"),
         (State.WALKING, Request.RESET, "RESET changes nothing in WALKING"),
     ],
 )

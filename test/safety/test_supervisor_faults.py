@@ -105,7 +105,7 @@ def test_commands_that_swing_without_motion_end_in_hold_until_the_next_ready(wal
     if ends is State.HOLD:
         assert walking.reports[-1].reason.startswith("no motion seen: torso ")
         refused = walking.supervisor.request(walking.now, Request.WALK)
-        assert refused.startswith("WALK changes nothing in HOLD")
+        assert refused.startswith("WALK refused in HOLD: it ends")
         assert walking.time_until(State.RELAX, TIMING.hold_max + 1.0) > TIMING.hold_max - 1.1
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 
-from slot_core.safety.states import REASONS_TO_HOLD, Condition
+from slot_core.safety.states import REASONS_TO_HOLD, Condition, State
 
 OPERATOR = "the operator"
 
@@ -20,6 +20,15 @@ class Request(enum.Enum):
     ESTOP = Condition.ESTOP_PRESSED
 
 
+# What comes before READY, STAND or WALK where they change nothing.
+_FIRST = {
+    State.IDLE: "ready first",
+    State.READY: "stand first",
+    State.HOLD: "it ends when its reason is gone",
+    State.RELAX: "wait for IDLE",
+    State.ESTOP: "reset first",
+    State.FAULT: "reset first",
+}
 _TO_RESET = frozenset({Condition.ESTOP_PRESSED, Condition.ESTOP_LOST, Condition.SERVO_FAULT})
 _TO_READY = _TO_RESET | {Condition.SERVO_SILENT, Condition.TILTED}
 _TO_MOVE = _TO_READY | REASONS_TO_HOLD | {Condition.COMMAND_LOST}
@@ -31,3 +40,20 @@ FORBIDDEN_BY: dict[Request, frozenset[Condition]] = {
     Request.RESET: _TO_RESET,
     Request.ESTOP: frozenset(),
 }
+_REACHED: dict[Request, tuple[State, ...]] = {
+    Request.READY: (State.READY,),
+    Request.STAND: (State.STANDING,),
+    Request.WALK: (State.WALKING,),
+    Request.RELAX: (State.RELAX, State.IDLE, State.ESTOP, State.FAULT),
+    Request.RESET: (State.IDLE,),
+    Request.ESTOP: (State.ESTOP,),
+}
+
+
+def no_change(request: Request, state: State) -> str:
+    """Why a request changes nothing in a state, and what comes before it; "" if it is reached."""
+    if state in _REACHED[request]:
+        return ""
+    if state in _FIRST and request in (Request.READY, Request.STAND, Request.WALK):
+        return f"{request.name} refused in {state.name}: {_FIRST[state]}"
+    return f"{request.name} changes nothing in {state.name}"

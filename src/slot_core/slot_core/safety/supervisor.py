@@ -21,7 +21,7 @@ from slot_core.safety.commands import AT_REST, Action, command_fault
 from slot_core.safety.companions import Companions
 from slot_core.safety.conditions import Conditions
 from slot_core.safety.motion_watch import MotionWatch
-from slot_core.safety.requests import FORBIDDEN_BY, OPERATOR, Request
+from slot_core.safety.requests import FORBIDDEN_BY, OPERATOR, Request, no_change
 from slot_core.safety.servo_health import ServoHealth
 from slot_core.safety.settings import SupervisorSettings
 from slot_core.safety.states import (
@@ -198,8 +198,7 @@ class Supervisor:
             self._resume = State.STANDING
             return ""
         if next_state(before, condition) is before:
-            no_change = f"{request.name} changes nothing in {before.name}"
-            return "" if self._reached(request) else no_change
+            return no_change(request, before)
         reasons = [text for c, text in active.items() if c in FORBIDDEN_BY[request]]
         if not reasons:
             reasons = self._further_reasons(request)
@@ -335,18 +334,6 @@ class Supervisor:
             walks = self._resume is State.WALKING
             recovered = Condition.WALKING_RECOVERED if walks else Condition.STANDING_RECOVERED
             found[recovered] = f"no reason to hold for {timing.recovery:g} s, after: {self._reason}"
-
-    def _reached(self, request: Request) -> bool:
-        """Whether the robot is in a state that `request` leads to already."""
-        goals = {
-            Request.READY: (State.READY,),
-            Request.STAND: (State.STANDING,),
-            Request.WALK: (State.WALKING,),
-            Request.RELAX: (State.RELAX, State.IDLE, State.ESTOP, State.FAULT),
-            Request.RESET: (State.IDLE,),
-            Request.ESTOP: (State.ESTOP,),
-        }
-        return self._state in goals[request]
 
     def _further_reasons(self, request: Request) -> list[str]:
         """Reasons to refuse a request that are not conditions, one line each."""

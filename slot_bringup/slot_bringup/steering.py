@@ -1,0 +1,101 @@
+"""Keys of the operator's terminal that steer the robot: velocity, yaw rate and pose of the torso.
+
+A key changes what is commanded by a step, within the reach of the gait. The velocity is repeated
+until it is zero; then another source of `/cmd_vel` may steer.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from scipy.spatial.transform import Rotation
+
+from slot_core.config import ConfigError
+from slot_core.gait.gait import read_gaits
+from slot_core.gait.reach import clipped
+from slot_core.robot import BASE_FRAME, Array
+from slot_msgs.msg import GaitPreview
+from slot_nodes import messages, qos
+
+SPEED, YAW_RATE = 0.01, 0.025  # m/s, rad/s, of a key
+HEIGHT, TILT = 0.002, math.radians(1.0)  # m, rad, of a key
+STOP = "0"
+Step = tuple[float, float, float]
+# steps of v_x, v_y, yaw rate; None: zero
+VELOCITY_KEYS: dict[str, Step | None] = {
+    "\x1b[A": (SPEED, 0.0, 0.0), "\x1b[B": (-SPEED, 0.0, 0.0), ",": (0.0, SPEED, 0.0),
+    ".": (0.0, -SPEED, 0.0), "\x1b[D": (0.0, 0.0, YAW_RATE), "\x1b[C": (0.0, 0.0, -YAW_RATE),
+    STOP: None,
+}  # fmt: skip
+# steps of height, roll, pitch
+POSE_KEYS: dict[str, Step] = {
+    "+": (HEIGHT, 0.0, 0.0), "-": (-HEIGHT, 0.0, 0.0), "l": (0.0, TILT, 0.0),
+    "j": (0.0, -TILT, 0.0), "i": (0.0, 0.0, TILT), "k": (0.0, 0.0, -TILT),
+}  # fmt: skip
+HELP = f"arrows ahead, back, turn   , . aside   {STOP} stop   + - height   j l roll   i k pitch"
+
+
+class SteeringKeys:
+    """Publishes `/cmd_vel` and `/body_pose` as keys change them."""
+
+    def __init__(self, node: Node) -> None:
+        self._node, self._gaits = node, read_gaits()
+        self._velocity: Array | None = None  # (3,) that is repeated
+        self._pose: Array | None = None  # (3,) that was commanded last
+        self._topic: Publisher | None = None
+        self._kind: type[Twist | TwistStamped] = TwistStamped  # that the graph hears
+        self._pose_topic = node.create_publisher(PoseStamped, "body_pose", qos.SENSOR)
+
+    def press(self, key: str, commanded: GaitPreview | None) -> str:
+        """Handle a key; return a line on what is commanded now or why not, "" for another key."""
+        if key not in VELOCITY_KEYS and key not in POSE_KEYS:
+            return ""
+        if commanded is None:
+            return "no gait_scheduler answers"
+        try:
+            if key in POSE_KEYS:
+                return self._lean(commanded, POSE_KEYS[key])
+            return self._steer(commanded, VELOCITY_KEYS[key])
+        except ConfigError as error:
+            return str(error)
+
+    def _steer(self, commanded: GaitPreview, step: Step | None) -> str:
+        before = np.array(commanded.velocity) if self._velocity is None else self._velocity
+        wanted = np.zeros(3) if step is None else before + step
+        self._velocity, remark = clipped(self._gaits, commanded.requested, wanted)
+        v_x, v_y, yaw_rate = self._velocity
+        return remark or f"velocity {v_x:+.3f} {v_y:+.3f} m/s, {math.degrees(yaw_rate):+.1f} deg/s"
+
+    def _lean(self, commanded: GaitPreview, step: Step) -> str:
+        pose = (np.array(commanded.pose) if self._pose is None else self._pose) + step
+        self._gaits.require_pose(commanded.requested, pose)
+        self._pose = pose
+        message = PoseStamped(header=messages.header(0))
+        message.pose.position.z = float(pose[0])
+        q = message.pose.orientation
+        q.x, q.y, q.z, q.w = Rotation.from_euler("xyz", [*pose[1:], 0.0]).as_quat()
+        self._pose_topic.publish(message)
+        roll, pitch = np.degrees(pose[1:])
+        return f"height {1e3 * pose[0]:.0f} mm, roll {roll:+.0f}, pitch {pitch:+.0f} deg"
+
+    def repeat(self, stamp: int, commanded: GaitPreview | None) -> None:
+        """Publish the velocity of the keys, if any, with a stamp (ns) of the graph's clock."""
+        if self._velocity is None:
+            return
+        if self._topic is None:
+            found = self._node.get_subscriptions_info_by_topic("cmd_vel")
+            plain = any(info.topic_type.endswith("/Twist") for info in found)
+            self._kind = Twist if plain else TwistStamped
+            self._topic = self._node.create_publisher(self._kind, "cmd_vel", qos.SENSOR)
+        message = self._kind()
+        twist = message
+        if isinstance(message, TwistStamped):
+            message.header, twist = messages.header(stamp, BASE_FRAME), message.twist
+        twist.linear.x, twist.linear.y, twist.angular.z = map(float, self._velocity)
+        self._topic.publish(message)
+        if commanded is not None and not self._velocity.any() and not np.any(commanded.velocity):
+            self._velocity = None
