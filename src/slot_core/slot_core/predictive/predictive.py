@@ -1,10 +1,10 @@
 """Predictive policy: MPC in the stride, which simulates the robot (`problem.py`).
 
 A tick has two phases. `step` rolls the plan out from the estimated state, solves the quadratic
-programme and commands its step. `prepare`, called when the command has been sent, searches along
-that step, moves the plan on by a stage, lets the nominal robot execute the command, linearises its
-motion from there and corrects the disturbances. Where `prepare` has not been called, `step` calls
-it: the commands are the same.
+programme and searches along its step. `prepare`, called when the command has been sent, moves the
+plan on by a stage, lets the nominal robot execute the command, linearises its motion from there and
+corrects the disturbances. Where `prepare` has not been called, `step` calls it: the commands are
+the same.
 
 While the servos do not follow, or tendons are to be slack, the plan is the gait's; after a fault it
 is tried first whether the next one could be solved. An estimate that comes before the next stage
@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -40,14 +39,6 @@ SHARES = (1.0, 0.3)  # of the step, in the line search
 JUMP, TURN = 0.05, 0.2  # m, rad beyond the nominal robot's motion: the odometry has jumped
 
 
-class _Step(NamedTuple):
-    """Step of a plan that a rollout has yet to confirm."""
-
-    before: Array  # (K + 1, 4) rad, deviation
-    cost: float  # before
-    wanted: Array  # (K, 6) poses
-
-
 @dataclass(frozen=True)
 class _Plan:
     """Plan whose stage 0 is at `time`; K stages follow."""
@@ -58,7 +49,6 @@ class _Plan:
     sag: float  # m, by which the torso sinks since the legs cannot carry more
     deviation: Array  # (K + 1, 4) rad
     linear: Linearisation | None = None
-    step: _Step | None = None
 
 
 class Predictive(Policy):
@@ -140,7 +130,7 @@ class Predictive(Policy):
         plan = self._plan
         if plan is None or self._next is not None:
             return
-        self._next = self._linearised(self._moved_on(plan, self._searched(plan)))
+        self._next = self._linearised(self._moved_on(plan))
         self._stiffness = self._stiffness_of(self._next.nominal[1:-1], self._seen.pose)
         if self._state is not None:
             self.observer.correct(self._state)
@@ -178,7 +168,7 @@ class Predictive(Policy):
         assert found is not None
         for _ in range(missed):
             self.observer.forget()
-            found = replace(self._moved_on(found, found.deviation), linear=found.linear)
+            found = replace(self._moved_on(found), linear=found.linear)
         gap = self._model.place(found.start) - state[PLACE]
         is_near = math.hypot(*gap[:2]) < (1 + missed) * JUMP
         return found if is_near and abs(wrapped(gap[2])) < (1 + missed) * TURN else None
@@ -204,28 +194,14 @@ class Predictive(Policy):
         nominal = plan.nominal[:-1]
         return np.clip(nominal + plan.deviation, *self._problem.range(nominal))
 
-    def _searched(self, plan: _Plan) -> Array:
-        """Deviation (K + 1, 4) of a plan with as much of its step as lowers the cost."""
-        if plan.step is None:
-            return plan.deviation
-        before, least, wanted = plan.step
-        yaw = self._model.place(plan.start)[2]
-        for share in SHARES:
-            tried = replace(plan, deviation=before + share * (plan.deviation - before))
-            after = self._model.roll_out(plan.start, self._angles(tried)[None])
-            error = self._problem.errors(after.pose, wanted, yaw)
-            if self._problem.cost(error[0], tried.deviation) < least:
-                return tried.deviation
-        return before
-
-    def _moved_on(self, plan: _Plan, deviation: Array) -> _Plan:
-        """The plan a stage later, where the nominal robot has executed it, with a deviation."""
+    def _moved_on(self, plan: _Plan) -> _Plan:
+        """The plan a stage later, where the nominal robot has executed it."""
         return _Plan(
             plan.time + round(self._dt * 1e9),
             self._model.after(plan.start, self._angles(plan)[:2]),
             _shifted(plan.nominal),
             plan.sag,
-            _shifted(deviation),
+            _shifted(plan.deviation),
         )
 
     def _linearised(self, plan: _Plan) -> _Plan:
@@ -245,24 +221,30 @@ class Predictive(Policy):
     def _improved(
         self, plan: _Plan, state: Array, preview: GaitPreview
     ) -> tuple[_Plan, Rollouts, str]:
-        """The plan after a step of the problem, and its rollout before; or the fault."""
+        """The plan after a step of the problem and its rollout, or the fault."""
         problem, observer, place = self._problem, self.observer, state[PLACE]
         rows, yaw = np.asarray(preview.reference, dtype=float), float(state[2])
         wanted = problem.reference(rows, place, observer.drift, plan.sag)
         if observer.is_far:
             plan = replace(plan, deviation=self._settings.limits.decay * plan.deviation)
-        rollout = self._model.roll_out(plan.start, self._angles(plan)[None])
-        error = problem.errors(rollout.pose, wanted, yaw)
+        before = self._model.roll_out(plan.start, self._angles(plan)[None])
+        error = problem.errors(before.pose, wanted, yaw)[0]
         if not np.isfinite(error).all():
-            return plan, rollout, "the rollout diverges"
+            return plan, before, "the rollout diverges"
         if observer.is_far:
-            return plan, rollout, ""
+            return plan, before, ""
         assert plan.linear is not None
-        change = problem.change(error[0], plan.linear, plan.deviation, plan.nominal[:-1])
+        change = problem.change(error, plan.linear, plan.deviation, plan.nominal[:-1])
         if change is None:
-            return plan, rollout, "the quadratic programme is not solved"
-        step = _Step(plan.deviation, problem.cost(error[0], plan.deviation), wanted)
-        return replace(plan, deviation=plan.deviation + change, step=step), rollout, ""
+            return plan, before, "the quadratic programme is not solved"
+        least = problem.cost(error, plan.deviation)
+        for share in SHARES:
+            tried = replace(plan, deviation=plan.deviation + share * change)
+            after = self._model.roll_out(plan.start, self._angles(tried)[None])
+            error = problem.errors(after.pose, wanted, yaw)[0]
+            if problem.cost(error, tried.deviation) < least:
+                return tried, after, ""
+        return plan, before, ""
 
     def _fall_back(self, cause: Status, fault: str) -> TendonPlan:
         """The last plan a stage later, with smaller deviations; nothing without one or too late."""
@@ -275,7 +257,7 @@ class Predictive(Policy):
             plan = TendonPlan(np.zeros((0, len(LEGS))), np.zeros(len(LEGS)), force)
             cause, fault = Status.STOPPED, f"{why}; {fault}"
         else:
-            moved = self._moved_on(self._plan, self._plan.deviation)
+            moved = self._moved_on(self._plan)
             self._plan = replace(moved, deviation=limits.decay * moved.deviation)
             self._next = self._state = None
             self.observer.forget()
