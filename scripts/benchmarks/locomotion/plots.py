@@ -17,28 +17,43 @@ from slot_core.drawing import palette
 
 SHADES = ("#E69F00", "#CC79A7", "#56B4E9", palette.TRUE, "#BBBBBB", "#888888")
 COLOURS = dict(zip(COLUMNS, SHADES))
-SHOWN = (0.01, 100.0)  # range of the bars, in goals
+SHOWN = (0.05, 100.0)  # in goals
+PARTS = 2  # columns of rows
+# marker, its size and colour; the default last, over the others
+MARKS = {
+    "gait alone": ("|", 9, palette.INK),
+    "stride feedback": ("x", 5, palette.SECONDARY),
+    "place": ("o", 5, "#009E73"),
+    "default": ("D", 6, palette.TRUE),
+}
 Motions = Mapping[tuple[Case, str, int], WalkMotion]
 
 
 def draw_table(table: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Every row in all columns, as a multiple of its goal; a fall ends at the right edge."""
-    figure = Figure(figsize=(10.0, 1.0 + 0.4 * len(table)), layout="constrained")
-    ax = figure.subplots()
-    columns = [column for column in COLUMNS if column in table[0]]
-    place, height = np.arange(len(table)), 0.8 / len(columns)
-    for k, column in enumerate(columns):
-        ratio = [np.clip(_in_goals(values, column), *SHOWN) for values in table]
-        at, colour = place + (k - len(columns) / 2 + 0.5) * height, COLOURS[column]
-        ax.barh(at, ratio, height, color=colour, label=column)
-    ax.axvline(1.0, color=palette.INK, linewidth=1.0)
-    ax.set_yticks(place, [f"{values['row']}, {values['unit']}" for values in table], fontsize=8)
-    ax.set_ylim(-0.6, len(table) - 0.4)
-    ax.set(xscale="log", xlim=SHOWN, xlabel="error over goal (or goal over value); below 1: holds")
-    ax.invert_yaxis()
-    ax.grid(axis="x", alpha=0.3)
-    ax.legend(loc="lower right", fontsize=8)
-    figure.savefig(path, dpi=150)
+    """Every row as a multiple of its goal, the default beside its rivals; a fall is at the right.
+
+    The policies of the paper are left out, since they do not walk.
+    """
+    half = math.ceil(len(table) / PARTS)
+    figure = Figure(figsize=(13.0, 1.2 + 0.22 * half), layout="constrained")
+    for part, ax in enumerate(figure.subplots(1, PARTS)):
+        rows = table[part * half : (part + 1) * half]
+        ax.axvspan(SHOWN[0], 1.0, color=palette.SHADE, zorder=0)
+        for column, (marker, size, colour) in MARKS.items():
+            if column in table[0]:
+                ratio = [np.clip(_in_goals(values, column), *SHOWN) for values in rows]
+                style = {"color": colour, "fillstyle": "none" if marker == "o" else "full"}
+                ax.plot(ratio, np.arange(len(rows)), marker, ms=size, label=column, **style)
+        names = [f"{values['row']}, {values['unit']}".rstrip(", ") for values in rows]
+        ax.set_yticks(np.arange(len(rows)), names, fontsize=8)
+        ax.tick_params(axis="y", length=0)
+        ax.set(xscale="log", xlim=SHOWN, ylim=(half - 0.5, -0.5), xlabel="error over goal")
+        ax.grid(color=palette.PALE, lw=0.4)
+        ax.set_axisbelow(True)
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.suptitle("Errors of the policies over the goal of each row; shaded: holds", fontsize=11)
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    figure.savefig(path, dpi=110)
 
 
 def draw_directions(

@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.harness import ROOT, BenchmarkError, Check, Progress, Row, at_most, revision
 from benchmarks.perturbations.cases import CASES, DURATION, NOISE, TABLE, PerturbedRun, metrics
-from benchmarks.perturbations.plots import draw_costs, draw_failures, table_lines
+from benchmarks.perturbations.plots import draw_failures, draw_responses, table_lines
 from benchmarks.perturbations.samples import PLANTS, RandomSample, SampleRecord, draw, summary
 from slot_core.mpc.settings import read_mpc, read_paper_mpc
 from slot_core.robot import read_robot
@@ -60,10 +60,10 @@ def options(parser: argparse.ArgumentParser) -> None:
 def run(
     quick: bool, out: Path, progress: Progress, *, samples: int, scheduler: str, **like: Any
 ) -> tuple[list[Row], list[Check]]:
-    """Run the studies; `perturbations.png` shows costs and table, `failures.png` failed samples."""
+    """Run the studies; `perturbations.png` shows them, `failures.png` the failed samples."""
     runs, rows = cases(QUICK_DURATION if quick else DURATION, progress)
     rows += [{"kind": "note", "note": note} for note in NOTES]
-    draw_costs(runs, rows, out / "perturbations.png")
+    draw_responses(runs, out / "perturbations.png")
     for line in table_lines(rows):
         progress(line)
     if samples:

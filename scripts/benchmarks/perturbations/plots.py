@@ -1,8 +1,9 @@
-"""The plots of the perturbations: costs over time with their table, and the failed samples."""
+"""The plots of the perturbations: costs or motion over time, and the failed samples."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,18 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.perturbations.cases import CASES, SETTLED, TABLE, PerturbedRun
+from benchmarks.perturbations.cases import (
+    CASES,
+    HEIGHT,
+    HEIGHT_BAND,
+    SETTLED,
+    TABLE,
+    TILT_BAND,
+    PerturbedRun,
+)
 from benchmarks.perturbations.samples import LIMITS, RANGES, interval
 from slot_core.drawing import palette
+from slot_core.robot import Array
 
 Row = Mapping[str, Any]
 
@@ -21,56 +31,58 @@ STUDIES = {
     "torso": "(b) policy forces, rigid torso with 50 ms of lag",
     "robot": "(c) default policy, Cosserat robot, standing",
 }
+COSTS = ("published", "torso")  # of the MPC; the default policy's cost has other terms
 COLOURS = dict(zip(CASES, (palette.INK, palette.TRUE, *palette.STAGE_COLOURS, palette.TORSO)))
 STYLES = {"Roll": "--", "Velocity": "-.", "Noise": ":"}
 LEAST_COST = 1e-6
+SHOWN = 2.0  # s, of (c)
 BINS = 6
 LIMIT_COLOURS = (palette.SECONDARY, "#CC79A7", "#E69F00", "#56B4E9", "#009E73", palette.INK, "k")
 PAIRS = (("payload", "friction"), ("push", "friction"), ("lag", "noise"))
 
 
-def draw_costs(
-    runs: Mapping[str, Mapping[str, PerturbedRun]], rows: Sequence[Row], path: Path
-) -> None:
-    """Costs over time, one panel for each study, and the table of the metrics below."""
-    figure = Figure(figsize=(15, 7.2), layout="constrained")
-    grid = figure.add_gridspec(2, 3, height_ratios=(2.4, 1.0))
-    for column, (study, title) in enumerate(STUDIES.items()):
-        ax = figure.add_subplot(grid[0, column], label=study)
-        for name, run in runs[study].items():
-            cost = np.maximum(run.cost, LEAST_COST)
-            style = {"color": COLOURS[name], "ls": STYLES.get(name, "-"), "lw": 1.3}
-            ax.semilogy(run.time, cost, label=name, **style)
-        ax.axhline(SETTLED, color=palette.INK, lw=0.6)
-        end = max(run.time[-1] for run in runs[study].values())
-        ax.set(xlim=(0.0, end), xlabel="time (s)")
-        ax.set_title(title, fontsize=10, loc="left")
-        ax.grid(color="#e3e7eb", lw=0.6)
-    figure.axes[0].set_ylabel("cost of the MPC")
-    figure.axes[0].legend(fontsize=8, loc="lower left")
-    figure.suptitle("The paper's perturbations; horizontal line: settled")
-    draw_table(figure.add_subplot(grid[1, :], label="table"), rows)
+def draw_responses(runs: Mapping[str, Mapping[str, PerturbedRun]], path: Path) -> None:
+    """Costs of the MPC over time in (a) and (b); height and tilt in (c); shaded: settled."""
+    figure = Figure(figsize=(13, 4.6), layout="constrained")
+    grid = figure.add_gridspec(2, 3)
+    for column, study in enumerate(COSTS):
+        ax = figure.add_subplot(grid[:, column], label=study)
+        _draw_lines(ax, runs[study], lambda run: np.maximum(run.cost, LEAST_COST))
+        ax.set(yscale="log", ylim=(LEAST_COST, None), xlabel="time (s)", ylabel="cost of the MPC")
+        ax.axhspan(LEAST_COST, SETTLED, color=palette.SHADE, zorder=0)
+        ax.set_title(STUDIES[study], fontsize=10, loc="left")
+    height = figure.add_subplot(grid[0, 2], label="height")
+    _draw_lines(height, runs["robot"], lambda run: 1e3 * (run.height - HEIGHT))
+    height.axhspan(-1e3 * HEIGHT_BAND, 1e3 * HEIGHT_BAND, color=palette.SHADE, zorder=0)
+    height.set(ylabel="height less 40 mm (mm)", xticklabels=[], xlim=(0.0, SHOWN))
+    height.set_title(STUDIES["robot"], fontsize=10, loc="left")
+    leaning = figure.add_subplot(grid[1, 2], label="tilt")
+    _draw_lines(leaning, runs["robot"], lambda run: np.degrees(run.tilt))
+    leaning.axhspan(0.0, math.degrees(TILT_BAND), color=palette.SHADE, zorder=0)
+    leaning.set(ylabel="tilt (deg)", xlabel="time (s)", xlim=(0.0, SHOWN), ylim=(0.0, None))
+    handles, names = height.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=len(names), frameon=False)
     figure.savefig(path, dpi=110)
 
 
-def draw_table(ax: Axes, rows: Sequence[Row]) -> None:
-    """The paper's table beside the three studies."""
-    ax.set_axis_off()
-    shown = ax.text(
-        0.0, 1.0, "\n".join(table_lines(rows)), family="monospace", fontsize=8.0, va="top",
-        linespacing=1.5,
-    )  # fmt: skip
-    shown.set_in_layout(False)  # wide text must not narrow the panels above
+def _draw_lines(
+    ax: Axes, runs: Mapping[str, PerturbedRun], value: Callable[[PerturbedRun], Array]
+) -> None:
+    for name, run in runs.items():
+        style = {"color": COLOURS[name], "ls": STYLES.get(name, "-"), "lw": 1.3}
+        ax.plot(run.time, value(run), label=name, **style)
+    ax.set_xlim(0.0, max(run.time[-1] for run in runs.values()))
+    ax.grid(color=palette.PALE, lw=0.4)
 
 
 def table_lines(rows: Sequence[Row]) -> list[str]:
     """Cases down, the paper and the three studies across."""
     found = {(row["study"], row["case"]): row for row in rows if row["kind"] == "case"}
-    head = f"{'':<10}{'paper':^34}|" + "|".join(f"{study:^50}" for study in STUDIES)
+    head = f"{'':<10}{'paper':^34}|" + "|".join(f"{study:^50}" for study in COSTS) + "| robot"
     names = f"{'':<10}{'max':>8}{'mean':>8}{'final':>8}{'settled':>10}|"
-    names += "|".join(
-        f"{'max':>9}{'mean':>8}{'final':>8}{'cost s':>9}{'still s':>9}{'inf.':>6} " for _ in STUDIES
-    )
+    costs = f"{'max':>9}{'mean':>8}{'final':>8}{'cost s':>9}"
+    still = f"{'still s':>9}{'inf.':>6} "
+    names += "|".join([costs + still, costs + still, still])
     lines = [head, names]
     for case, (most, mean, final, settled) in TABLE.items():
         line = f"{case:<10}{most:8.4f}{mean:8.4f}{final:8.4f}{_time(settled):>10}|"
@@ -80,10 +92,12 @@ def table_lines(rows: Sequence[Row]) -> list[str]:
 
 
 def _cells(row: Row) -> str:
-    return (
+    cost = (
         f"{row['max_cost']:9.4f}{row['mean_cost']:8.4f}{row['final_cost']:8.4f}"
-        f"{_time(row['settling_cost_s']):>9}{_time(row['settling_s']):>9}{row['infeasible']:>6} "
+        f"{_time(row['settling_cost_s']):>9}"
     )
+    still = f"{_time(row['settling_s']):>9}{row['infeasible']:>6} "
+    return cost + still if row["study"] in COSTS else still
 
 
 def _time(seconds: float) -> str:
