@@ -142,6 +142,15 @@ def test_what_is_missing_is_named_with_the_command_that_makes_it(made, page):
     assert f"scripts/run --lockstep --gait crawl --bag {made[0] / 'crawl'}" in missing
 
 
+def test_without_results_the_papers_figures_stand_alone_with_what_would_be_beside_them(tmp_path):
+    (tmp_path / "empty").mkdir()
+    arguments = ["--results", str(tmp_path / "empty"), "--out", str(tmp_path / "page.html")]
+    assert main(arguments) == 0
+    tables = Page((tmp_path / "page.html").read_text()).words.rpartition("What is missing")[0]
+    assert " here " not in tables.partition("The paper beside ours")[2].partition("Claims")[0]
+    assert "Not run: robot , mpc , graph" in tables
+
+
 def test_a_command_repeats_the_options_of_its_result():
     options = {"a_b": True, "c": False, "d": "e f", "g": 0.0, "h": None, "i": ""}
     assert bench_command("x", False, options) == "scripts/bench x --a-b --d 'e f' --g 0.0"

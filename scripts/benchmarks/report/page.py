@@ -99,7 +99,8 @@ def compared_table(table: PaperComparison, results: Mapping[str, Result]) -> dic
             count[cell.verdict or cell.text] += 1
         given = [f"{v:g}" if isinstance(v, float) else v for v in line.paper]
         lines.append({"name": line.name, "place": line.place, "paper": given, "ours": cells})
-    return {"table": table, "lines": lines, "count": count}
+    here = any(name in results for name in table.results)
+    return {"table": table, "lines": lines, "count": count, "here": here}
 
 
 def our_cell(
@@ -120,7 +121,7 @@ def locomotion_rows(result: Result | None) -> list[dict[str, Any]]:
     """Rows of the locomotion table, each with whether the default reaches the goal."""
     rows = []
     for row in result.rows if result else ():
-        if row.get("kind") == "margin":
+        if "row" not in row:  # a margin or an ablation
             continue
         goal, larger = number(row.get("goal")), row.get("better") == "larger"
         values = [number(row.get(column)) for column in COLUMNS]
