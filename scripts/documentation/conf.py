@@ -22,6 +22,7 @@ html_copy_source = False
 html_extra_path = [str(BRINGUP / "doc" / "walk.html")]  # that pages.py shows
 html_show_copyright = False
 html_math_renderer = "mathml"  # by the browser itself, without a script
+mermaid_cmd, mermaid_output_format = "mermaidx", "svg"  # drawn here, without a script
 myst_enable_extensions = ["dollarmath"]
 myst_fence_as_directive = ["mermaid"]  # as GitHub writes it
 myst_heading_anchors = 4

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.perturbations.cases import (
     CASES,
+    DURATION,
     HEIGHT,
     HEIGHT_BAND,
     SETTLED,
@@ -35,7 +36,7 @@ COSTS = ("published", "torso")  # of the MPC; the default policy's cost has othe
 COLOURS = dict(zip(CASES, (palette.INK, palette.TRUE, *palette.STAGE_COLOURS, palette.TORSO)))
 STYLES = {"Roll": "--", "Velocity": "-.", "Noise": ":"}
 LEAST_COST = 1e-6
-SHOWN = 2.0  # s, of (c)
+SHOWN = {"torso": 3.0, "robot": 2.0}  # s
 BINS = 6
 LIMIT_COLOURS = (palette.SECONDARY, "#CC79A7", "#E69F00", "#56B4E9", "#009E73", palette.INK, "k")
 PAIRS = (("payload", "friction"), ("push", "friction"), ("lag", "noise"))
@@ -48,18 +49,19 @@ def draw_responses(runs: Mapping[str, Mapping[str, PerturbedRun]], path: Path) -
     for column, study in enumerate(COSTS):
         ax = figure.add_subplot(grid[:, column], label=study)
         _draw_lines(ax, runs[study], lambda run: np.maximum(run.cost, LEAST_COST))
-        ax.set(yscale="log", ylim=(LEAST_COST, None), xlabel="time (s)", ylabel="cost of the MPC")
+        ax.set(yscale="log", ylim=(LEAST_COST, None), xlim=(0.0, SHOWN.get(study, DURATION)))
+        ax.set(xlabel="time (s)", ylabel="cost of the MPC")
         ax.axhspan(LEAST_COST, SETTLED, color=palette.SHADE, zorder=0)
         ax.set_title(STUDIES[study], fontsize=10, loc="left")
     height = figure.add_subplot(grid[0, 2], label="height")
     _draw_lines(height, runs["robot"], lambda run: 1e3 * (run.height - HEIGHT))
     height.axhspan(-1e3 * HEIGHT_BAND, 1e3 * HEIGHT_BAND, color=palette.SHADE, zorder=0)
-    height.set(ylabel="height less 40 mm (mm)", xticklabels=[], xlim=(0.0, SHOWN))
+    height.set(ylabel="height less 40 mm (mm)", xticklabels=[], xlim=(0.0, SHOWN["robot"]))
     height.set_title(STUDIES["robot"], fontsize=10, loc="left")
     leaning = figure.add_subplot(grid[1, 2], label="tilt")
     _draw_lines(leaning, runs["robot"], lambda run: np.degrees(run.tilt))
     leaning.axhspan(0.0, math.degrees(TILT_BAND), color=palette.SHADE, zorder=0)
-    leaning.set(ylabel="tilt (deg)", xlabel="time (s)", xlim=(0.0, SHOWN), ylim=(0.0, None))
+    leaning.set(ylabel="tilt (deg)", xlabel="time (s)", xlim=(0.0, SHOWN["robot"]), ylim=(0.0, None))
     handles, names = height.get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=len(names), frameon=False)
     figure.savefig(path, dpi=110)
@@ -71,7 +73,6 @@ def _draw_lines(
     for name, run in runs.items():
         style = {"color": COLOURS[name], "ls": STYLES.get(name, "-"), "lw": 1.3}
         ax.plot(run.time, value(run), label=name, **style)
-    ax.set_xlim(0.0, max(run.time[-1] for run in runs.values()))
     ax.grid(color=palette.PALE, lw=0.4)
 
 
