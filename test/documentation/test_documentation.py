@@ -7,7 +7,6 @@ from xml.etree import ElementTree
 
 import pytest
 import yaml
-from docutils.utils.math import latex2mathml
 
 from documentation import generated, pages
 from documentation.markdown import DOC, ROOT
@@ -37,13 +36,6 @@ def test_every_link_leads_to_a_file_and_to_a_heading_in_it(page):
         target = page.parent / file if file else page
         assert target.exists(), link
         assert not anchor or anchor in anchors(target), link
-
-
-@pytest.mark.parametrize("page", sorted(DOC.glob("*.md")), ids=lambda page: page.name)
-def test_every_equation_can_be_drawn_by_a_browser_itself(page):
-    text = re.sub(r"```.*?```|`[^`]*`", "", page.read_text(), flags=re.S)
-    for block, inline in re.findall(r"\$\$(.+?)\$\$|\$(\S[^$]*?)\$", text, re.S):
-        assert latex2mathml.tex2mathml(block or inline, as_block=bool(block))
 
 
 def test_every_page_is_in_the_table_of_contents():

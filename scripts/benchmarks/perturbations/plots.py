@@ -61,7 +61,9 @@ def draw_responses(runs: Mapping[str, Mapping[str, PerturbedRun]], path: Path) -
     leaning = figure.add_subplot(grid[1, 2], label="tilt")
     _draw_lines(leaning, runs["robot"], lambda run: np.degrees(run.tilt))
     leaning.axhspan(0.0, math.degrees(TILT_BAND), color=palette.SHADE, zorder=0)
-    leaning.set(ylabel="tilt (deg)", xlabel="time (s)", xlim=(0.0, SHOWN["robot"]), ylim=(0.0, None))
+    leaning.set(
+        ylabel="tilt (deg)", xlabel="time (s)", xlim=(0.0, SHOWN["robot"]), ylim=(0.0, None)
+    )
     handles, names = height.get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=len(names), frameon=False)
     figure.savefig(path, dpi=110)
