@@ -22,6 +22,7 @@ html_theme = "furo"
 html_title = f"SLOT {version}"
 html_copy_source = False
 html_extra_path = [str(BRINGUP / "doc" / "walk.html")]  # that pages.py shows
+html_static_path, html_css_files = ["site.css"], ["site.css"]
 html_show_copyright = False
 mermaid_cmd, mermaid_output_format = "mermaidx", "svg"  # drawn here, without a script
 myst_enable_extensions = ["dollarmath"]
