@@ -14,6 +14,7 @@ from matplotlib.ticker import FuncFormatter
 from slot_core.drawing import palette
 from slot_core.geometry import rotate
 from slot_core.robot import LEGS, Array
+from slot_core.safety.states import State
 from slot_lab.bags.bag import Bag, NoFieldError
 from slot_lab.bags.recorded_walk import (
     STAGES,
@@ -24,8 +25,6 @@ from slot_lab.bags.recorded_walk import (
     stride_mean,
 )
 from slot_lab.report import constraint_map
-from slot_lab.report.metrics import WalkMetrics
-from slot_lab.report.summary import summary_lines
 from slot_lab.report.traces import PLOTS, disturbances
 
 WINDOW = 4.0  # s at the end of the walk, shown in the panels of the legs
@@ -47,6 +46,22 @@ def draw_path(ax: Axes, motion: TorsoTrack, measured: TorsoTrack) -> None:
     ax.set_aspect("equal", adjustable="datalim")
     _finish(ax, f"path, top view ({motion.source})", "y (m)", "x (m)")
     ax.legend(**LEGEND)
+
+
+def draw_states(ax: Axes, bag: Bag, start: float, end: float) -> None:
+    """States of the supervisor over time, by their names; a short one without."""
+    if bag.counts.get("/robot_state"):
+        series = bag.series("/robot_state", "state")
+        time, states = seconds(series.stamp) - start, series["state"].astype(int)
+        begins = np.flatnonzero(np.diff(states, prepend=-1))
+        for begin, last in zip(begins, [*time[begins[1:]], end - start]):
+            state, width = State(states[begin]), last - time[begin]
+            ax.axvspan(time[begin], last, color=STATE_COLOURS.get(state, palette.SHADE))
+            if width > 0.08 * (end - start):
+                at = max(time[begin], 0.0) + width / 2
+                ax.text(at, 0.5, state.name, fontsize=7, ha="center", va="center")
+    ax.set(xlim=(0.0, end - start), ylim=(0.0, 1.0), xticks=[], yticks=[])
+    ax.spines[:].set_visible(False)
 
 
 def draw_height(ax: Axes, motion: TorsoTrack, warm_up: float) -> None:
@@ -140,20 +155,14 @@ def draw_constraints(ax: Axes, bag: Bag, start: float) -> None:
     ax.grid(visible=False)
 
 
-def draw_summary(ax: Axes, metrics: WalkMetrics) -> None:
-    """The summary as text."""
-    ax.set_axis_off()
-    text = ax.text(
-        0.0, 1.0, "\n".join(summary_lines(metrics)), transform=ax.transAxes, va="top",
-        family="monospace", fontsize=7.2, linespacing=1.55, color=palette.INK,
-    )  # fmt: skip
-    text.set_in_layout(False)  # wide text must not narrow the panels above
-
-
 LEGEND: dict[str, Any] = {
     "fontsize": 7, "bbox_to_anchor": (1.0, 0.97), "borderpad": 0.0, "borderaxespad": 0.2,
     "columnspacing": 1.2, "handlelength": 1.5,
     "frameon": False, "loc": "lower right", "ncols": 3,
+}  # fmt: skip
+STATE_COLOURS = {
+    State.WALKING: "#cfe3f1", State.STANDING: "#d6ebe4", State.HOLD: "#f8e3bd",
+    State.RELAX: "#f5cdb8", State.ESTOP: "#f5cdb8", State.FAULT: "#f5cdb8",
 }  # fmt: skip
 LATENCY_COLOURS = (*palette.STAGE_COLOURS, palette.INK)
 

@@ -33,8 +33,10 @@ def dashboard_figure(bag: Bag, metrics: WalkMetrics) -> Figure:
     figure.suptitle(bag.path.name, fontsize=14, fontweight="bold")
     left, middle, right = cast(Any, figure.subfigures(1, 3, wspace=0.03))
     motion = read_motion(bag)
-    path, height, speed, tilt = _stack(left, ("path", "height", "speed", "tilt"), (1.3, 1, 1, 1))
+    names = ["path", "state", "height", "speed", "tilt"]
+    path, state, height, speed, tilt = _stack(left, names, (1.3, 0.12, 1.0, 1.0, 1.0))
     panels.draw_path(path, motion, motion.after(motion.t[0] + metrics.warm_up))
+    panels.draw_states(state, bag, motion.t[0], motion.t[-1])
     panels.draw_height(height, motion, metrics.warm_up)
     panels.draw_speed(speed, motion, stride_period(bag), metrics.warm_up)
     panels.draw_tilt(tilt, motion, metrics.warm_up)
@@ -44,17 +46,17 @@ def dashboard_figure(bag: Bag, metrics: WalkMetrics) -> Figure:
     panels.draw_angles(axes[:4], bag, motion.t[0], motion.t[-1])
     panels.draw_forces(axes[4:], bag, motion.t[0], motion.t[-1])
 
-    names = ["latency", "slack", "disturbance", "summary"]
-    latency, slack, disturbance, summary = _stack(right, names, (0.9, 1.5, 0.7, 2.0))
+    latency, slack, disturbance = _stack(
+        right, ["latency", "slack", "disturbance"], (1.0, 1.6, 1.0)
+    )
     panels.draw_latency(latency, read_ticks(bag).after(motion.t[0] + metrics.warm_up))
     panels.draw_constraints(slack, bag, motion.t[0])
     panels.draw_disturbance(disturbance, bag, motion.t[0])
-    panels.draw_summary(summary, metrics)
     return figure
 
 
 def filmstrip(bag: Bag, path: Path, stills: int = 5) -> None:
-    """Write a PNG with stills of the robot over the walk, each at another phase of the stride.
+    """Write a PNG with stills of the robot over its last stride.
 
     Raises BagError if the bag holds no leg shapes (only the simulator publishes them).
     """
@@ -69,28 +71,21 @@ def filmstrip_figure(bag: Bag, stills: int) -> Figure:
     for i, pose in enumerate(poses):
         ax = figure.add_subplot(1, stills, i + 1, label=f"still {i}")
         draw_robot(ax, pose, robot, camera)
-        ax.set_title(f"{pose.t:.1f} s", fontsize=11)
+        ax.set_title(f"{pose.t:.2f} s", fontsize=11)
     figure.supxlabel(f"arrows: force of the ground, {1e-2 / FORCE_SCALE:.2f} N per cm", fontsize=9)
     return figure
 
 
 def still_times(bag: Bag, stills: int) -> Array:
-    """(stills,) s of graph time, evenly over the walk; still k is at phase k / stills of a stride.
+    """(stills,) s of graph time, evenly over the last stride; without a stride, over the run.
 
-    Without a periodic gait, or in a walk shorter than `stills` strides, the phases are not set.
     Raises BagError if the bag holds no leg shapes.
     """
     t = seconds(bag.series(LEG_STATES).stamp)
     if not len(t):
         raise BagError(f"{bag.path}: {LEG_STATES} holds no messages")
-    times = np.linspace(t[0], t[-1], stills)
-    period = stride_period(bag)
-    if period is None or t[-1] - t[0] < stills * period:
-        return times
-    phase = np.arange(stills) / stills
-    last = (t[-1] - t[0]) / period - phase[-1]  # latest stride of the last still
-    strides = np.floor(np.linspace(0.0, last, stills))
-    return t[0] + (strides + phase) * period
+    period = stride_period(bag) or np.inf
+    return np.linspace(max(t[0], t[-1] - period), t[-1], stills)
 
 
 def read_poses(bag: Bag, times: Array, robot: RobotParameters) -> list[Snapshot]:
