@@ -27,7 +27,8 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
 def draw_errors(ax: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
     """Largest error on the walk and the hard cases, over the median CPU time on the walk."""
     runs = [row for row in rows if row["kind"] == "solver"]
-    for name, colour in coloured(rows):
+    for k, (name, colour) in enumerate(coloured(rows)):
+        side = -6 if k == 0 else 6  # points, of the labels; the first solver is on the left
         mine = [row for row in runs if row["solver"] == name]
         places = [(row["median_ms"], worst(row)) for row in mine]
         ax.plot(*zip(*places), "-", color=colour, lw=0.8)
@@ -35,7 +36,8 @@ def draw_errors(ax: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
             refused = row["hard_refused"] + row["walk_refused"]
             ax.plot(*place, "o", color=colour, mfc="none" if refused else colour, ms=6)
             note = f"{row['tolerance']:.0e}".replace("e-0", "e-")
-            ax.annotate(note, place, (5, 3), textcoords="offset points", size=7, color=colour)
+            style = {"textcoords": "offset points", "size": 7, "color": colour, "va": "center"}
+            ax.annotate(note, place, (side, 0), ha="left" if side > 0 else "right", **style)
         ax.plot([], [], "o-", color=colour, label=name)
     for row in rows:
         if row["kind"] == "cvxpy":

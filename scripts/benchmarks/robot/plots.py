@@ -53,7 +53,11 @@ def draw_levels(ax: Axes, levels: Sequence[Mapping[str, Any]]) -> None:
             if row["level"] != "map":
                 text += f", {row['nodes']} nodes"
             beside = BESIDE.get(row["level"], (9, 4))
-            ax.annotate(text, place, beside, textcoords="offset points", fontsize=9)
+            style = {
+                "fontsize": 9,
+                "bbox": {"fc": "white", "ec": "none", "pad": 0.5, "alpha": 0.85},
+            }
+            ax.annotate(text, place, beside, textcoords="offset points", zorder=2, **style)
 
 
 def draw_engines(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
