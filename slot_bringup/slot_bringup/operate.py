@@ -315,7 +315,9 @@ def _act(options: argparse.Namespace) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser("operate", __doc__)
-    parser.add_argument("--namespace", default="", help="of the graph, as given to scripts/run")
+    parser.add_argument(
+        "--namespace", metavar="NAME", default="", help="of the graph, as given to scripts/run"
+    )
     actions = parser.add_subparsers(dest="action", metavar="ACTION")
     for name in (*REQUESTS, "state"):
         actions.add_parser(name)

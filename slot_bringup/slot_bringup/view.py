@@ -52,7 +52,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     which = "directory of a bag (default: the newest in bags/); two of them with --html"
     add("bags", nargs="*", type=Path, metavar="BAG", help=which)
     add("--live", action="store_true", help="show a running graph, not a bag")
-    add("--namespace", default="", help="of the graph")
+    add("--namespace", metavar="NAME", default="", help="of the graph")
     out = parser.add_mutually_exclusive_group()
     out.add_argument("--web", action="store_true", help="in a browser (default: in a window)")
     out.add_argument("--save", type=Path, metavar="FILE", help="only write a file that rerun opens")

@@ -179,8 +179,12 @@ def _parser() -> argparse.ArgumentParser:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--port", help="serial port; default: of config/dynamixel.yaml")
-    parser.add_argument("--baud", type=int, help="baud rate; default: configured, scan: all")
+    parser.add_argument(
+        "--port", metavar="DEVICE", help="serial port; default: of config/dynamixel.yaml"
+    )
+    parser.add_argument(
+        "--baud", metavar="N", type=int, help="baud rate; default: configured, scan: all"
+    )
     actions = parser.add_subparsers(dest="action", required=True)
     for name, action in _ACTIONS.items():
         sub = actions.add_parser(name, help=(action.__doc__ or "").splitlines()[0])

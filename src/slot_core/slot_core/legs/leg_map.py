@@ -251,7 +251,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/tabulate_leg`: writes the map of config/leg_map.yaml as CSV."""
     parser = CommandParser(prog="scripts/tabulate_leg", description=__doc__)
     default = config.config_dir() / "leg_map.csv"
-    parser.add_argument("--out", type=Path, default=default, help="CSV file (default: %(default)s)")
+    parser.add_argument(
+        "--out", metavar="FILE", type=Path, default=default, help="CSV file (default: %(default)s)"
+    )
     out = parser.parse_args(arguments).out
     if out.is_dir() or not out.parent.is_dir():  # known before the long computation
         parser.error(f"--out {out}: not a file in an existing directory")

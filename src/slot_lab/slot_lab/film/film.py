@@ -250,7 +250,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--truth", type=Path, metavar="FILE", help="also write the true tracks")
     duration = "length of the film, s (default: 6)"
     add("--duration", type=within(0.1, 3600.0, "s"), default=6.0, metavar="S", help=duration)
-    add("--seed", type=int, default=0, help="of the noise (default: 0)")
+    add("--seed", metavar="N", type=int, default=0, help="of the noise (default: 0)")
     return parser
 
 

@@ -208,8 +208,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = CommandParser(
         prog="scripts/constraint_map", description="Draws the Dynamic Constraint Map of a bag."
     )
-    parser.add_argument("bag", type=Path, help="directory of a bag, or its .mcap file")
-    parser.add_argument("--namespace", default="", help="of the recorded graph")
+    parser.add_argument(
+        "bag", metavar="BAG", type=Path, help="directory of a bag, or its .mcap file"
+    )
+    parser.add_argument("--namespace", metavar="NAME", default="", help="of the recorded graph")
     parser.add_argument("--out", type=Path, metavar="FILE", help="default: BAG_constraints.png")
     options = parser.parse_args(arguments)
     bag = options.bag.resolve()

@@ -209,7 +209,13 @@ def _parser() -> argparse.ArgumentParser:
     add("--like", metavar="NAME", help="stride to start from (default: the same)")
     add("--scratch", action="store_true", help="start the searches from a random pattern")
     add("--out", type=Path, metavar="FILE", help="default: config/gait/NAME.yaml")
-    add("--seed", type=positive_integer, default=1, help="seed of the searches (default: 1)")
+    add(
+        "--seed",
+        metavar="N",
+        type=positive_integer,
+        default=1,
+        help="seed of the searches (default: 1)",
+    )
     add("--evaluations", type=int, metavar="N", help="candidates of a search")
     add("--friction", type=float, nargs="+", metavar="N", help="friction of the floors")
     add("--tilt", type=float, metavar="DEG", help="tilt RMS that costs nothing")
@@ -218,7 +224,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--height-range", type=float, nargs=2, metavar="M", help="heights that can be commanded")
     add("--period", type=float, metavar="S", help="duration of a stride")
     add("--cruise", type=float, metavar="M/S", help="v_x if none is requested, m/s")
-    add("--scene", help="scene of config/scene; map is three times as fast")
+    add("--scene", metavar="NAME", help="scene of config/scene; map is three times as fast")
     add("--scheduler", default="", metavar="ADDRESS", help="of dask; default: this machine")
     add("--workers", type=positive_integer, metavar="N", help="local processes (default: cores)")
     add("--quick", action="store_true", help="one floor, 32 candidates: a demonstration")

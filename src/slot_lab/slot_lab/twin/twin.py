@@ -199,7 +199,7 @@ def _parser() -> argparse.ArgumentParser:
     angles = "tendon angles that are simulated; of a CSV file, what they are"
     add("--angles", default="", choices=[MEASURED, COMMANDED], help=angles)
     add("--motion", default="", choices=MOTION_TOPICS, help="motion that is compared")
-    add("--namespace", default="", help="of the recorded graph")
+    add("--namespace", metavar="NAME", default="", help="of the recorded graph")
     length = "length of a stride (default: the gait's)"
     add("--period", type=within(0.05, 60.0, "s"), metavar="S", help=length)
     add("--fit", default="", metavar="NAME,...", help="parameters to fit")

@@ -110,7 +110,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--leg", choices=LEGS, default="FL", help="leg of points without one (default: FL)")
     add("--block", type=time, metavar="S", default=1.0, help="of the bootstrap (default: 1 s)")
     add("--camera", type=Path, metavar="FILE", help="calibration of a video's camera")
-    add("--namespace", default="", help="of the run's bag")
+    add("--namespace", metavar="NAME", default="", help="of the run's bag")
     first = "motion of the run's bag (default: the first of these that is recorded)"
     add("--motion", default="", choices=MOTION_TOPICS, help=first)
     return parser
