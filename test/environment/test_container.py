@@ -13,12 +13,13 @@ from slot_core.recording import origin
 
 ROOT = Path(__file__).parents[2]
 COMPOSE = yaml.safe_load((ROOT / "docker/compose.yaml").read_text())
-ROBOT = COMPOSE["services"]["robot"]
+ROBOTS = {name: COMPOSE["services"][name] for name in ("robot", "camera")}
+LAUNCH = {"robot": "slot.launch.py", "camera": "d435_rtabmap.launch.py"}
 
 
-def launched(record):
+def launched(service, record):
     """Words of the command that the container runs; compose replaces ${NAME:-default} and $$."""
-    text = re.sub(r"(?<!\\$)\$\{\w+:-(.*?)\}", r"\1", ROBOT["command"]).replace("$$", "$")
+    text = re.sub(r"(?<!\\$)\$\{\w+:-(.*?)\}", r"\1", ROBOTS[service]["command"]).replace("$$", "$")
     bash, option, script = shlex.split(text)
     echoed = script.replace("exec ros2", "echo ros2")
     environment = {"PATH": "/usr/bin:/bin", "SLOT_RECORD": record}
@@ -26,15 +27,23 @@ def launched(record):
 
 
 @pytest.mark.parametrize(("record", "bags"), [("1", 1), ("", 0)])
-def test_the_container_of_the_robot_records_to_the_host(record, bags):
-    words = launched(record)
-    assert words[:4] == ["ros2", "launch", "slot_bringup", "slot.launch.py"]
+@pytest.mark.parametrize("service", ROBOTS)
+def test_the_container_of_the_robot_records_to_the_host(service, record, bags):
+    words = launched(service, record)
+    assert words[:4] == ["ros2", "launch", "slot_bringup", LAUNCH[service]]
     given = dict(word.split(":=") for word in words[4:])
     assert set(given) <= {argument.name for argument in read_graph().arguments}
     found = [value for name, value in given.items() if name == "bag"]
     assert len(found) == bags
     assert all(re.fullmatch(r"/slot/bags/robot_\d{8}_\d{6}", value) for value in found)
-    assert "../bags:/slot/bags" in ROBOT["volumes"]
+    assert "../bags:/slot/bags" in ROBOTS[service]["volumes"]
+
+
+def test_every_service_is_built_from_a_stage_of_the_dockerfile():
+    stages = re.findall(r"^FROM \S+ AS (\w+)$", (ROOT / "docker/Dockerfile").read_text(), re.M)
+    targets = {service["build"]["target"] for service in COMPOSE["services"].values()}
+    assert targets == {"slot", "camera"} <= set(stages)
+    assert stages[-1] == "slot"  # what a build without a target makes
 
 
 def test_an_image_without_git_names_its_commit(monkeypatch, tmp_path):
