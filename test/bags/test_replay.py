@@ -1,6 +1,7 @@
 """The cores reproduce the recorded bags; a change is reported by topic, stamp and field."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from synthetic_walk import TYPES
 
 from slot_core.estimation.estimate import Validity
 from slot_core.recording.bag_writer import BagWriter, MessageType
-from slot_core.recording.origin import Origin, origin_here
+from slot_core.recording.origin import FILES, Origin, origin_here
 from slot_core.recording.record_settings import read_record_settings
 from slot_lab.bags import check_bag as replay
 from slot_lab.bags.bag import Bag
@@ -52,6 +53,18 @@ def test_a_change_shows_only_at_its_own_stage(own_config, file, name, value, top
     differences = first_differences()
     assert differences.pop(topic) is not None
     assert set(differences.values()) == {None}
+
+
+@pytest.mark.parametrize(("node", "changes"), [("mpc_controller", True), ("force_mapper", False)])
+def test_the_parameter_file_of_a_run_is_that_of_its_replay(tmp_path, node, changes):
+    """A bag that says of a walk with the shipped settings that one was changed."""
+    source = Bag(WALK).origin
+    assert FILES["params_file"] not in source.files
+    text = f"/**/{node}:\n  ros__parameters: {{cost.height: 0.003}}\n"
+    origin = replace(source, files=source.files | {FILES["params_file"]: text.encode()})
+    found = first_differences(partly(tmp_path / "bag", Bag(WALK).counts, origin=origin))
+    assert (found.pop("/tendon_plan") is not None) == changes
+    assert set(found.values()) == {None}
 
 
 def test_the_first_difference_is_reported(own_config, capsys):
