@@ -153,7 +153,8 @@ def _leg(view: OperatorView, k: int) -> str:
     if health is None:
         return row
     return (
-        f"{row} {health.silence[k]:9.2f} {health.temperature[k]:5.0f} {health.voltage[k]:5.1f}"
+        f"{row} {health.silence[k]:9.2f} {_number(health.temperature[k], 5, 0)}"
+        f" {_number(health.voltage[k], 5, 1)}"
         f" {100.0 * health.error_rate[k]:7.1f} {'on' if health.torque[k] else 'off':>6}"
         f"  {hardware_errors(int(health.hardware_error[k]))}"
     )
