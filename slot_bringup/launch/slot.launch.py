@@ -116,7 +116,11 @@ def _require_known(words: list[str]) -> None:
 def _stock_recorder(values: dict[str, Any]) -> ExecuteProcess:
     """`ros2 bag record` of the same topics."""
     command = record_command(
-        values["bag"], values["namespace"], GRAPH.about(values), GRAPH.remappings(values)
+        values["bag"],
+        values["namespace"],
+        GRAPH.about(values),
+        GRAPH.remappings(values),
+        best_effort_sensors=values["hardware"] == "real",
     )
     return ExecuteProcess(cmd=[*TIED, *command], name=STOCK_RECORDER, output="screen")
 

@@ -209,17 +209,16 @@ def test_the_launch_file_starts_the_nodes_of_the_description(graph, monkeypatch)
             name: {"args": (value,), "value_type": str} if isinstance(value, str) else value
             for name, value in spec.parameters.items()
         }
-        assert node["parameters"] == [
-            str(PARAMETERS),
-            typed,
-        ]  # launch would read a text such as 1e3 as a number
+        # launch would read a text such as 1e3 as a number
+        assert node["parameters"] == [str(PARAMETERS), typed]
         assert (node["package"], node["executable"]) == (spec.package, spec.name)
         assert (node["namespace"], node["remappings"]) == ("fred", [("/clock", "clock")])
         assert node["name"] == node["exec_name"] == spec.name
         assert node["prefix"] == "setpriv --pdeathsig TERM"
 
 
-def test_the_launch_file_records_the_same_topics_with_ros2_bag(monkeypatch):
+def test_the_launch_file_records_the_same_topics_with_ros2_bag(monkeypatch, tmp_path):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     given = {"bag": "somewhere", "recorder": "ros2bag", "namespace": "fred", "gait": "crawl",
              "odometry_topic": "/rtabmap/odom"}  # fmt: skip
     stock, *nodes = load_launch_file(monkeypatch, given)
