@@ -14,6 +14,7 @@ from slot_core.control.controller import Tick
 from slot_core.control.pace import Pace
 from slot_core.joint_reading import JointReading
 from slot_core.recording.bag_writer import BagWriter
+from slot_core.recording.message_types import message_types
 from slot_core.recording.origin import origin_here
 from slot_core.recording.record_settings import read_record_settings
 from slot_core.safety.supervisor import Report
@@ -77,11 +78,15 @@ def save(robot: PlayedRobot, path: Path) -> int:
     """
     about = {"scene": robot.scene, "policy": robot.policy} | robot.changes
     begin, settings = time.time_ns() - round(1e9 * robot.time), read_record_settings()
+    types = message_types()
     with BagWriter(path, settings, origin_here(about)) as bag:
         count = 0
         for stamp, value in robot.history:
             for topic, message in encoded(stamp, value):
-                data = serialize_message(message)
-                bag.write(topic, settings.topics[topic].type, begin + stamp - LOCKSTEP_START, data)
+                kind = settings.topics[topic].type
+                # rclpy adds four bytes to a message that ends with an empty sequence of doubles
+                size = 4 + types.get_msgdef(kind).getsize_cdr(0, message, types)
+                data = serialize_message(message)[:size]
+                bag.write(topic, kind, begin + stamp - LOCKSTEP_START, data)
                 count += 1
     return count

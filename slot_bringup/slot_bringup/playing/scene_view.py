@@ -25,6 +25,7 @@ class SceneView:
         self._root = scene.add_frame(ROOT, show_axes=False)
         self._shown: dict[str, list[Any]] = {}
         scene.set_up_direction("+z")
+        scene.configure_default_lights(cast_shadow=False)  # without a GPU they take ten times longer
         scene.add_grid(
             f"{ROOT}/floor", width=FLOOR, height=FLOOR, cell_size=CELL, section_size=SECTION,
             plane="xy", cell_color=(222, 227, 231), section_color=(190, 199, 207),
@@ -47,12 +48,16 @@ class SceneView:
             else:
                 self._show_arrows(name, shape, shown)
 
-    def clear(self) -> None:
-        """Remove all shapes."""
-        for handles in self._shown.values():
-            for handle in handles:
+    def remove(self, *names: str) -> None:
+        """Remove the shapes of these names, if they are shown."""
+        for name in names:
+            for handle in self._shown.pop(name, []):
                 handle.remove()
-        self._shown.clear()
+
+    def show(self, name: str, *, visible: bool) -> None:
+        """Show or hide the shape of a name, if there is one."""
+        for handle in self._shown.get(name, []):
+            handle.visible = visible
 
     def handle(self, name: str) -> Any:
         """What is shown as `name`, its first part."""

@@ -18,6 +18,7 @@ from slot_core.control.policy import DEFAULT_POLICY
 from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import Push
 from slot_core.faults import BROKEN, Fault
+from slot_core.geometry import rotate
 from slot_core.robot import GRAVITY, Array
 from slot_core.safety.supervisor import PERIOD
 from slot_core.simulation.plant import TrueState
@@ -81,8 +82,9 @@ class PlayedRobot:
         self.policy = policy
 
     def push(self, force: Sequence[float], duration: float) -> None:
-        """Push the torso's centre with a force (3,), N, in odom, for a time (s)."""
-        x, y, z = force
+        """Push the torso's centre with a force (3,), N, in the heading frame, for a time (s)."""
+        x, y = rotate(np.array(force[:2]), float(self.loop.plant.robot.rpy[2]))
+        z = force[2]
         self.loop.plant.push(Push(0.0, duration, (x, y, z), (0.0, 0.0, 0.0)))
 
     def pull(self, force: Array) -> None:
