@@ -11,7 +11,8 @@ from pathlib import Path
 
 from websockets.sync.client import connect
 
-PROGRAM = shutil.which("chromium") or shutil.which("chromium-browser")
+NAMES = "chromium", "google-chrome", "chromium-browser"
+PROGRAM = next(filter(None, map(shutil.which, NAMES)), "")
 OPTIONS = (
     "--headless=new", "--no-sandbox", "--remote-debugging-port=0", "--window-size=700,700",
     "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-first-run",

@@ -70,7 +70,7 @@ class Copy:
         warm_up.parent.mkdir(parents=True)
         warm_up.write_text("")
         executable(bin_ / "colcon", COLCON)
-        for tool in ("cmake", "g++", "git", "make", "strace"):
+        for tool in ("cmake", "g++", "git", "make", "strace", "chromium"):
             (bin_ / tool).symlink_to("/bin/true")
         self.variables = {
             "PATH": f"{bin_}:{os.defpath}",

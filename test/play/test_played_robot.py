@@ -176,6 +176,8 @@ def test_it_goes_on_under_another_policy(walking):
 def test_a_reset_keeps_changes_and_wishes_and_a_lost_simulation_needs_one(walking):
     walking.change({"scene.payload.mass": 0.2})
     walking.set_tendon("FL", broken=True)
+    walking.set_tendon("FL", broken=False)
+    walking.set_tendon("RL", broken=True)
     walking.loop.plant.robot.set_tip_to_nan(0)
     walking.advance()
     assert "diverged" in walking.ended
@@ -183,8 +185,16 @@ def test_a_reset_keeps_changes_and_wishes_and_a_lost_simulation_needs_one(walkin
     walking.reset()
     assert walking.time == 0.0
     assert walking.loop.plant.robot.model.payload[0] == 0.2
+    assert walking.loop.plant.robot.model.fault[1].tolist() == [1.0, 1.0, 0.0, 1.0]
+    walking.set_tendon("RL", broken=False)
     run(walking, 6.0)
     assert walking.loop.report.state is State.WALKING
+
+
+@pytest.mark.parametrize("scene", ["map", "paper", "none"])
+def test_a_scene_without_rods_is_refused(scene):
+    with pytest.raises(ConfigError, match=r"rods|none"):
+        PlayedRobot(scene)
 
 
 def test_it_keeps_what_happened_for_a_limited_time(standing, monkeypatch):

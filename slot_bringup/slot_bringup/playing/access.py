@@ -1,9 +1,9 @@
 """Who may open the page: this machine alone, or, of other machines, who has the token.
 
-viser serves page and websocket on one port. Every request is checked: its Host has to be an address
-of the page, so that no other site's name leads here; a websocket's Origin has to be that Host, so
-that no other page in the browser connects; and where other machines can reach the port, the token
-has to be in the address or in the cookie that the page has set.
+viser serves page and websocket on one port. Every request is checked: a websocket's Origin has to
+be its Host, so that no other page in the browser connects. On this machine the Host has to be this
+machine, so that no name of another site leads here. Where other machines can reach the port, the
+token has to be in the address, or in the cookie that the page has set.
 """
 
 from __future__ import annotations
@@ -23,10 +23,9 @@ COOKIE = "slot_token"
 
 
 class Access:
-    """Checks the requests of a page at `host`, with a token or, on this machine, with none."""
+    """Checks the requests of a page, with a token or, on this machine, with none."""
 
-    def __init__(self, host: str, token: str = "") -> None:
-        self._hosts = {host, "localhost", "127.0.0.1"}
+    def __init__(self, token: str = "") -> None:
         self._token = token
 
     def refusal(self, path: str, host: str, origin: str | None, cookie: str) -> str:
@@ -34,8 +33,7 @@ class Access:
 
         path: with its query; host, origin, cookie: headers, origin None where there is none.
         """
-        name = urlsplit(f"//{host}").hostname
-        if name not in self._hosts:
+        if not self._token and not is_this_machine(urlsplit(f"//{host}").hostname or ""):
             return "unknown host"
         if origin is not None and urlsplit(origin).netloc != host:
             return "another page"

@@ -11,7 +11,6 @@ import contextlib
 import importlib.util
 import io
 import logging
-import os
 import secrets
 import signal
 import socket
@@ -47,7 +46,9 @@ def parser() -> CommandParser:
 
 
 def address(host: str, port: int, token: str) -> str:
-    """The page's address in the browser."""
+    """The page's address in the browser; that of a host which stands for all has its name."""
+    if host in {"", "0.0.0.0", "::"}:  # noqa: S104
+        host = socket.gethostname()
     return f"http://{host}:{port}/" + (f"?token={token}" if token else "")
 
 
@@ -64,7 +65,7 @@ def start_server(host: str, port: int, token: str) -> viser.ViserServer:
     with socket.create_server((host, port), reuse_port=False):
         pass  # viser would take the next port
     logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # of broken connections
-    with guarded(Access(host, token)), contextlib.redirect_stdout(io.StringIO()):
+    with guarded(Access(token)), contextlib.redirect_stdout(io.StringIO()):
         server = Server(host=host, port=port, label="SLOT", verbose=False)
     server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large")
     return server
@@ -98,8 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         refuse(PROGRAM, error)
         return 2
     except OSError as error:
-        reason = os.strerror(error.errno) if error.errno else error
-        refuse(PROGRAM, f"{options.host}:{options.port}: {reason}")
+        refuse(PROGRAM, f"{options.host}:{options.port}: {error.strerror or error}")
         return 2
     except KeyboardInterrupt:
         return 0

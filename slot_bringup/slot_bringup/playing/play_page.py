@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from slot_bringup.playing import controls, robot_messages
 from slot_bringup.playing.live_plots import LivePlots, stamp_of
 from slot_bringup.playing.scene_view import SceneView
-from slot_bringup.playing.status_text import Costs, StatusText, of_speed
+from slot_bringup.playing.status_text import Costs, StatusText, block, of_speed
 from slot_core.config import ConfigError
 from slot_core.control.pace import Speed
 from slot_core.drawing import palette
@@ -90,7 +90,7 @@ class PlayPage:
 
     def _build(self) -> None:
         gui = self._server.gui
-        self._text = gui.add_markdown("")
+        self._text = gui.add_html("")
         run = gui.add_button_group("time", ("pause", "go on", "step", "reset", "save"))
         run.on_click(lambda _: self._on_time(run.value))
         speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="real time")
@@ -158,6 +158,8 @@ class PlayPage:
         begin = time.perf_counter()
         happened = self.robot.advance()
         simulated = time.perf_counter()
+        if self.robot.ended:
+            return
         shapes: dict[str, Shape] = {}
         with self._server.atomic():
             for topic, message in robot_messages.of_frame(happened):
@@ -188,7 +190,8 @@ class PlayPage:
     def _add_payload(self) -> Any:
         """Add the payload, and let the mouse move it and pull at the torso."""
         colour = tuple(round(255 * c) for c in rgb(palette.SECONDARY))
-        payload = self._server.scene.add_icosphere(PAYLOAD, radius=controls.PAYLOAD_RADIUS, color=colour)
+        radius = controls.PAYLOAD_RADIUS
+        payload = self._server.scene.add_icosphere(PAYLOAD, radius=radius, color=colour)
         payload.on_drag(self._on_payload)
         self._view.handle("torso").on_drag(self._on_torso)
         return payload
@@ -203,8 +206,8 @@ class PlayPage:
             position, quaternion = robot.truth.odometry.position, robot.truth.odometry.quaternion
             body = Rotation.from_quat(quaternion).inv().apply(shown - [0.0, 0.0, position[2]])
             x, y = np.clip(body[:2], -self._size[:2] / 2, self._size[:2] / 2)
-            place = [float(x), float(y), controls.on_top(robot)]
-            robot.change({"scene.payload.place": place})
+            where = [float(x), float(y), controls.on_top(robot)]
+            robot.change({"scene.payload.place": where})
 
         self.do(place)
 
@@ -218,8 +221,9 @@ class PlayPage:
     def _write(self, now: float) -> None:
         """Write what the page says of the robot."""
         lines = self._status.of_robot(self.robot, self._said)
-        speed = "paused" if self._paused else of_speed(self._pace.until(now), self._speed, self._costs)
-        self._text.content = "  \n".join([*lines, speed])
+        factor = self._pace.until(now)
+        speed = "paused" if self._paused else of_speed(factor, self._speed, self._costs)
+        self._text.content = block([*lines, speed])
 
 
 def _place_camera(client: viser.ClientHandle) -> None:

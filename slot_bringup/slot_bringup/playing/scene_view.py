@@ -25,7 +25,7 @@ class SceneView:
         self._root = scene.add_frame(ROOT, show_axes=False)
         self._shown: dict[str, list[Any]] = {}
         scene.set_up_direction("+z")
-        scene.configure_default_lights(cast_shadow=False)  # without a GPU they take ten times longer
+        scene.configure_default_lights(cast_shadow=False)  # slow without a GPU
         scene.add_grid(
             f"{ROOT}/floor", width=FLOOR, height=FLOOR, cell_size=CELL, section_size=SECTION,
             plane="xy", cell_color=(222, 227, 231), section_color=(190, 199, 207),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from html import escape
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from slot_core.robot import read_robot
 from slot_lab.play.played_robot import FRAME, PlayedRobot
 
 SMOOTHING = 0.1  # weight of the newest cost
+STYLE = "height:13em;overflow:auto;font-size:0.875em;line-height:1.4em;padding:0.5em"
 SLOW = 0.95  # share of the wanted speed below which the page says so
 
 
@@ -36,7 +38,7 @@ class Costs:
 
 
 class StatusText:
-    """Lines on a played robot."""
+    """Lines on a played robot, as HTML."""
 
     def __init__(self) -> None:
         self._mass = read_robot().mass
@@ -45,19 +47,19 @@ class StatusText:
     def of_robot(self, robot: PlayedRobot, said: str) -> list[str]:
         """State, reason, motion, plan, disturbances, and what is refused or `said`."""
         if robot.ended:
-            return [f"**{robot.ended}: reset**"]
+            return [strong(f"{robot.ended}: reset")]
         report, lines = robot.loop.report, list[str]()
         if report is not None:
-            lines.append(f"**{report.state.name}** {report.reason}")
+            lines.append(f"{strong(report.state.name)} {escape(report.reason)}")
         if robot.tick is not None and robot.truth is not None:
             x, y, z = robot.truth.odometry.position
             lines.append(f"t {robot.time:.1f} s, x {x:.3f} m, y {y:.3f} m, height {1e3 * z:.1f} mm")
             plan = robot.tick.plan
-            lines.append(f"{plan.status.name} {plan.message}".strip())
+            lines.append(escape(f"{plan.status.name} {plan.message}"))
             lines.append(self.of_disturbances(plan.report))
-            lines += [robot.tick.preview.remark] * bool(robot.tick.preview.remark)
-        refusals = dict.fromkeys((robot.loop.refusal, said))
-        return lines + [f"*{text}*" for text in refusals if text]
+            remarks = robot.tick.preview.remark, robot.loop.refusal, said
+            lines += [f"<i>{escape(text)}</i>" for text in dict.fromkeys(remarks) if text]
+        return lines
 
     def of_disturbances(self, found: PlanReport) -> str:
         """What the policy has found: payload in kg, tilt in deg, slip in mm/s; or that it does not.
@@ -74,10 +76,20 @@ class StatusText:
         )
 
 
+def block(lines: list[str]) -> str:
+    """HTML of lines in a block of constant height, so that the controls below stay in place."""
+    return f'<div style="{STYLE}">{"<br>".join(lines)}</div>'
+
+
+def strong(text: str) -> str:
+    """HTML of bold text."""
+    return f"<b>{escape(text)}</b>"
+
+
 def of_speed(factor: float, wanted: float, costs: Costs) -> str:
     """Line on the speed, over the wall clock's; bold where the machine is too slow."""
     if not math.isfinite(factor):
         return f"speed is being measured; {costs}"
     if factor < SLOW * wanted:
-        return f"**slower than wanted: {factor:.2f} of real time; {costs}**"
+        return strong(f"slower than wanted: {factor:.2f} of real time; {costs}")
     return f"{factor:.2f} of real time; {costs}"

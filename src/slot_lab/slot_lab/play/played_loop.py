@@ -17,6 +17,7 @@ from slot_core.safety.requests import Request
 from slot_core.safety.states import RELEASED, State
 from slot_core.safety.supervisor import Report
 from slot_core.simulation.plant import Reading, StampedHealth
+from slot_core.simulation.sensors import ImageReading
 from slot_core.simulation.supervised_loop import SupervisedLoop
 
 Keep = Callable[[int, Any], None]
@@ -48,11 +49,12 @@ class PlayedLoop(SupervisedLoop):
         super().__init__(scene, STAND, None, seed, policy)
         self.wishes, self.refusal = wishes, ""
         self._keep = keep
-        self._asked: tuple[str, tuple[float, ...]] | None = None  # gait and pose that the scheduler has
+        self._asked: tuple[str, tuple[float, ...]] | None = None  # gait and pose, by the scheduler
 
     def receive(self, reading: Reading) -> None:
-        """Keep a reading and give it to the state estimator."""
-        self._keep(self.plant.now, reading)
+        """Keep a reading, unless it is an image, and give it to the state estimator."""
+        if not isinstance(reading, ImageReading):
+            self._keep(self.plant.now, reading)
         super().receive(reading)
 
     def receive_joints(self, reading: JointReading) -> None:

@@ -35,14 +35,15 @@ class PlayedRobot:
     """A robot in a scene under a policy; `ended` says why it has stopped for good, or is ""."""
 
     def __init__(self, scene: str = "flat", policy: str = DEFAULT_POLICY) -> None:
-        """Raises ConfigError for an unknown scene or policy."""
+        """Raises ConfigError for an unknown scene or policy, and for legs that are no rods."""
         self.scene, self.policy = scene, policy
         self.wishes = Wishes()
         self.changes: dict[str, Any] = {}  # of robot, scene and servo, by dotted name
+        self.broken: set[str] = set()  # legs whose tendon is broken
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew in the scene, with the changes and the wishes; tendons are whole again."""
+        """Begin anew in the scene, with the wishes, the changes and the broken tendons."""
         self.history: deque[Happened] = deque()  # of the last KEPT seconds
         self._new: list[Happened] = []  # of the present frame
         self.truth: TrueState | None = None  # the last
@@ -51,8 +52,9 @@ class PlayedRobot:
         self.wishes.up = True
         self._pull = np.zeros(3)
         self.loop = PlayedLoop(self.scene, SEED, self.policy, self.wishes, self._keep)
-        if self.changes:
-            self.loop.loop.change(self.changes)
+        self.loop.loop.change(self.changes)
+        for leg in self.broken:
+            self.set_tendon(leg, broken=True)
 
     def advance(self) -> list[Happened]:
         """Advance by a frame; returns what happened: readings, ticks and reports."""
@@ -94,6 +96,7 @@ class PlayedRobot:
 
     def set_tendon(self, leg: str, *, broken: bool) -> None:
         """Break a tendon, or mend it."""
+        (self.broken.add if broken else self.broken.discard)(leg)
         if broken:
             self.loop.plant.inject(Fault(BROKEN, leg, 0.0, 0.0, 0.0))
             return
