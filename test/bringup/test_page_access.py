@@ -47,7 +47,7 @@ def test_other_machines_need_the_token_in_the_address_or_the_cookie(path, cookie
 
 @pytest.mark.parametrize(
     ("host", "here"),
-    [("127.0.0.1", True), ("localhost", True), ("::1", True), ("0.0.0.0", False),  # noqa: S104
+    [("127.0.0.1", True), ("localhost", True), ("::1", True), ("0.0.0.0", False),
      ("10.0.0.2", False), ("robot", False)],
 )  # fmt: skip
 def test_only_the_loopback_needs_no_token(host, here):

@@ -211,4 +211,3 @@ def _change(name: str, value: Any) -> Act:
 def _slider(gui: viser.GuiApi, label: str, r: Range) -> Any:
     start = min(max(float(r.start), float(r.low)), float(r.high))
     return gui.add_slider(label, float(r.low), float(r.high), float(r.step), start)
-

@@ -47,7 +47,7 @@ def parser() -> CommandParser:
 
 def address(host: str, port: int, token: str) -> str:
     """The page's address in the browser; that of a host which stands for all has its name."""
-    if host in {"", "0.0.0.0", "::"}:  # noqa: S104
+    if host in {"", "0.0.0.0", "::"}:
         host = socket.gethostname()
     return f"http://{host}:{port}/" + (f"?token={token}" if token else "")
 

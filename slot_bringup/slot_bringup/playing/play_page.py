@@ -104,11 +104,13 @@ class PlayPage:
             controls.add_push(gui, self.do)
         with tabs.add_tab("Plots"):
             self._plots = LivePlots(gui)
-        toggle: Callable[[], None] = lambda: self._on_time("go on" if self._paused else "pause")
-        controls.add_key(gui, "P", "pause, or go on", toggle)
+        controls.add_key(gui, "P", "pause, or go on", self._toggle)
         for key, what in {"N": "step", "R": "reset", "B": "save"}.items():
             controls.add_key(gui, key, what, partial(self._on_time, what))
         controls.add_key(gui, "X", "e-stop", lambda: self.do(controls.REQUESTS["e-stop"]))
+
+    def _toggle(self) -> None:
+        self._on_time("go on" if self._paused else "pause")
 
     def _on_time(self, what: str) -> None:
         self.do(getattr(self, f"_{what.replace(' ', '_')}"))

@@ -84,10 +84,10 @@ class ClosedLoop:
         self._lost_until = self._lost_from + to_ns(duration)
 
     def change(self, changes: Mapping[str, Any]) -> None:
-        """Go on with other values of robot, scene or servo, by dotted name; see `RobotSimulator.change`.
+        """Go on with other values of robot, scene or servo, by dotted name.
 
-        Raises ConfigError for another name, or a value that is not allowed; nothing has changed
-        then.
+        Raises ConfigError for another name, or a value that is not allowed or cannot change
+        (`RobotSimulator.change`); nothing has changed then.
         """
         for name in changes:
             if name.partition(".")[0] not in _Parts._fields:

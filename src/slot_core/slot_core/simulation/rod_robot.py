@@ -63,7 +63,7 @@ class RodRobot(KernelRobot):
         """
         model = build_model(robot, scene, servo)
         if scene.solver != self.scene.solver or _state_shapes(model) != _state_shapes(self.model):
-            raise ConfigError("solver, friction law and branches of the legs cannot change in a run")
+            raise ConfigError("solver, friction law and branches cannot change in a run")
         model.push[:] = self.model.push
         self.parameters, self.scene, self.model = robot, scene, model
         self._connect()
