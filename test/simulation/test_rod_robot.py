@@ -253,7 +253,7 @@ def test_directors_of_spatial_legs_are_across_their_segments_and_turn_with_the_c
 def test_a_change_to_equal_parameters_in_a_run_changes_nothing_to_the_last_bit():
     nodes, command = [], np.radians([70.0, 60.0, 50.0, 80.0])
     for changes in (False, True):
-        sim = simulator(start__settle=0.1)
+        sim = simulator(servo="pid", start__settle=0.1)
         sim.advance(20, command)
         if changes:
             sim.change(sim.parameters, sim.scene, read_servo())

@@ -13,10 +13,11 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from slot_core.clock import LOCKSTEP_START, SECOND, to_seconds
+from slot_core.config import ConfigError
 from slot_core.control.controller import Tick
 from slot_core.control.policy import DEFAULT_POLICY
 from slot_core.divergence import DivergenceError
-from slot_core.dynamics.scene import Push
+from slot_core.dynamics.scene import Push, read_scene
 from slot_core.faults import BROKEN, Fault
 from slot_core.geometry import rotate
 from slot_core.robot import GRAVITY, Array
@@ -27,6 +28,7 @@ from slot_lab.play.played_loop import PlayedLoop, Wishes
 FRAME = 2 * PERIOD  # s, of the robot's clock
 KEPT = 120.0  # s of the robot's clock that can be saved
 SEED = 0
+RODS = ("spatial", "planar")  # models of the legs
 Happened: TypeAlias = tuple[int, Any]
 """Time on the robot's clock, ns; a reading, tick or report."""
 
@@ -36,6 +38,8 @@ class PlayedRobot:
 
     def __init__(self, scene: str = "flat", policy: str = DEFAULT_POLICY) -> None:
         """Raises ConfigError for an unknown scene or policy, and for legs that are no rods."""
+        if (legs := read_scene(scene).solver.legs) not in RODS:
+            raise ConfigError(f"scene {scene}: legs of the model {legs!r}; only rods can change")
         self.scene, self.policy = scene, policy
         self.wishes = Wishes()
         self.changes: dict[str, Any] = {}  # of robot, scene and servo, by dotted name
