@@ -121,7 +121,7 @@ def _add_pose(gui: viser.GuiApi, do: Do) -> None:
     reached = [each.height_range for each in gaits.gaits.values()]
     low, high = 1e3 * min(r[0] for r in reached), 1e3 * max(r[1] for r in reached)
     tilt = math.degrees(gaits.tilt_max)
-    own = gui.add_checkbox("the gait's own height and tilt", initial_value=True)
+    own: Any = gui.add_checkbox("the gait's own height and tilt", initial_value=True)
     start = 1e3 * gaits.find(STAND).height
     height = _slider(gui, "height (mm)", Range(low, high, 1.0, start))
     roll, pitch = (_slider(gui, f"{n} (deg)", Range(-tilt, tilt, 0.1, 0.0)) for n in ANGLES)

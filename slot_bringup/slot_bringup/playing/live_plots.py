@@ -55,8 +55,9 @@ def stamp_of(topic: str, message: Any) -> int | None:
 
 class _LivePlot:
     def __init__(self, gui: viser.GuiApi, name: str) -> None:
-        plot, self._rows = traces.PLOTS[name], {}
-        curves = []
+        plot = traces.PLOTS[name]
+        self._rows: dict[str, slice] = {}
+        curves: list[tuple[str, str]] = []
         for key, curve in plot.curves.items():
             self._rows[key] = slice(1 + len(curves), 1 + len(curves) + len(curve.names))
             curves += list(zip(curve.names, curve.colours))

@@ -178,7 +178,7 @@ class PlayPage:
         """Show shapes, the force that pushes the torso, and the payload."""
         if (truth := self.robot.truth) is None:
             return
-        model, position = self.robot.loop.plant.robot.model, truth.odometry.position
+        model, position = self.robot.model, truth.odometry.position
         push = np.array([model.push[:3]])
         arrow = Arrows(position[None], FORCE_SCALE * push, PUSHED[None], PUSH_WIDTH)
         self._view.update(shapes | ({"push": arrow} if push.any() else {}))

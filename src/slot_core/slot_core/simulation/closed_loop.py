@@ -92,7 +92,12 @@ class ClosedLoop:
         for name in changes:
             if name.partition(".")[0] not in _Parts._fields:
                 raise config.ConfigError(f"{name}: expected one of {', '.join(_Parts._fields)}")
-        parts = _Parts(*(_changed(*part, changes) for part in zip(self._parts, _Parts._fields)))
+        robot, scene, servo = self._parts
+        parts = _Parts(
+            _changed(robot, "robot", changes),
+            _changed(scene, "scene", changes),
+            _changed(servo, "servo", changes),
+        )
         self.plant.change(*parts)
         self._parts = parts
 

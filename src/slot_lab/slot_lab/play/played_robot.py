@@ -17,12 +17,14 @@ from slot_core.config import ConfigError
 from slot_core.control.controller import Tick
 from slot_core.control.policy import DEFAULT_POLICY
 from slot_core.divergence import DivergenceError
+from slot_core.dynamics.model import Model
 from slot_core.dynamics.scene import Push, read_scene
 from slot_core.faults import BROKEN, Fault
 from slot_core.geometry import rotate
 from slot_core.robot import GRAVITY, Array
 from slot_core.safety.supervisor import PERIOD
 from slot_core.simulation.plant import TrueState
+from slot_core.simulation.rod_robot import RodRobot
 from slot_lab.play.played_loop import PlayedLoop, Wishes
 
 FRAME = 2 * PERIOD  # s, of the robot's clock
@@ -106,6 +108,13 @@ class PlayedRobot:
             return
         with suppress(ValueError):  # it is not broken
             self.loop.plant.clear(BROKEN, leg)
+
+    @property
+    def model(self) -> Model:
+        """What is simulated now."""
+        robot = self.loop.plant.robot
+        assert isinstance(robot, RodRobot)
+        return robot.model
 
     @property
     def time(self) -> float:
