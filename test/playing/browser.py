@@ -75,6 +75,13 @@ class Browser:
         self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=held,
                   clickCount=1)  # fmt: skip
 
+    def drag(self, begin, end, steps=8):
+        """Drag from one point to another, without letting go."""
+        self.mouse("mousePressed", *begin)
+        for k in range(1, steps + 1):
+            x, y = (a + (b - a) * k / steps for a, b in zip(begin, end))
+            self.mouse("mouseMoved", x, y)
+
     def key(self, letter):
         """Press a key."""
         code = {"code": f"Key{letter}", "key": letter.lower()}

@@ -1,13 +1,15 @@
-"""The page of scripts/play in headless Chromium: the panel Drive acts on the robot."""
+"""The page of scripts/play in headless Chromium: every control acts on the robot."""
 
 import threading
 
 import numpy as np
 import pytest
 from browser import PROGRAM, Browser, wait_for
+from scipy.spatial.transform import Rotation
 
 from slot_bringup.playing.main_page import address, start_server
 from slot_bringup.playing.play_page import PlayPage
+from slot_core.robot import LEGS
 from slot_core.safety.states import State
 from slot_lab.play.played_loop import Wishes
 from slot_lab.play.played_robot import PlayedRobot
@@ -38,7 +40,9 @@ class Hand:
         wait_for(lambda: shows(self))
 
     def open(self, tab):
-        self.browser.click(TAB.format(tab))
+        found = TAB.format(tab)
+        self.browser.run(f"{found}.click()")
+        wait_for(lambda: self.browser.run(f"{found}.ariaSelected") == "true")
 
     def slide(self, label, value):
         field = f"{ROW.format(label=label)}.querySelector('input[inputmode]')"
@@ -56,6 +60,20 @@ class Hand:
 
     def press(self, label, text):
         self.browser.click(BUTTON.format(row=ROW.format(label=label), text=text))
+
+    def pixel(self, point):
+        """Where a point (3,) of the torso, m in base_link, is on the screen."""
+        (client,) = self.server.get_clients().values()
+        camera, odometry = client.camera, self.robot.truth.odometry
+        place = Rotation.from_quat(odometry.quaternion).apply(point)
+        place[2] += odometry.position[2]
+        w, x, y, z = camera.wxyz
+        seen = Rotation.from_quat([x, y, z, w]).inv().apply(place - camera.position)
+        scale = camera.image_height / 2 / np.tan(camera.fov / 2)
+        return (
+            camera.image_width / 2 + scale * seen[0] / seen[2],
+            camera.image_height / 2 + scale * seen[1] / seen[2],
+        )
 
 
 @pytest.fixture(scope="module")
@@ -141,3 +159,79 @@ def test_policy_and_operator(hand):
         hand.press("operator", button)
         hand.see(lambda h: h.robot.loop.report.state is state)  # noqa: B023
     hand.see(lambda h: "ESTOP" in h.browser.text())
+
+
+def test_the_world_changes_under_the_robot(hand):
+    hand.open("World")
+    before = hand.model
+    hand.slide("payload (kg)", 0.5)
+    hand.see(lambda h: h.model.payload[0] == 0.5)
+    hand.slide("stiffness of the legs (%)", 110)
+    hand.see(lambda h: np.allclose(h.model.rod.axial, 1.1 * before.rod.axial))
+    hand.slide("supply voltage (V)", 9.5)
+    hand.see(lambda h: h.model.servo.speed < 0.95 * before.servo.speed)
+    for leg, value in zip(LEGS, (0.1, 0.15, 0.2, 0.05)):
+        hand.slide(f"friction {leg}", value)
+    hand.see(lambda h: np.allclose(h.model.friction[0], [0.1, 0.15, 0.2, 0.05]))
+    hand.slide("slope (deg)", 10)
+    hand.see(lambda h: h.robot.truth.odometry.position[0] < -0.02)
+
+
+def test_tendons_break_and_the_page_says_so(hand):
+    hand.open("World")
+    for k, leg in enumerate(LEGS):
+        hand.tick(f"tendon {leg} broken")
+        hand.see(lambda h: h.model.fault[1, k] == 0.0)  # noqa: B023
+        hand.see(lambda h: f"broken tendon {leg}" in h.browser.text())  # noqa: B023
+        hand.tick(f"tendon {leg} broken")
+        hand.see(lambda h: h.model.fault[1].all())
+
+
+def test_a_push_by_the_button_moves_the_torso(hand):
+    hand.open("Push")
+    hand.slide("push (N)", 12)
+    for button, axis, sign in (
+        ("left", 1, 1), ("right", 1, -1), ("front", 0, 1), ("back", 0, -1)
+    ):  # fmt: skip
+        hand.press("push to", button)
+        hand.see(lambda h: sign * h.robot.truth.odometry.velocity[axis] > 0.01)  # noqa: B023
+
+
+def test_the_mouse_pulls_at_the_torso_and_places_the_payload(hand):
+    corner = hand.pixel([0.04, -0.03, 0.017])
+    hand.browser.drag(corner, (corner[0] + 150, corner[1]))
+    hand.see(lambda h: np.linalg.norm(h.model.push) > 1.0)
+    hand.browser.mouse("mouseReleased", corner[0] + 150, corner[1])
+    hand.see(lambda h: not h.model.push.any())
+    hand.open("World")
+    hand.slide("payload (kg)", 0.3)
+    hand.see(lambda h: h.model.payload[0] == 0.3)
+    top = hand.model.payload[3]
+    hand.browser.drag(hand.pixel([0.0, 0.0, top]), goal := hand.pixel([-0.04, 0.02, top]))
+    hand.browser.mouse("mouseReleased", *goal)
+    hand.see(lambda h: np.allclose(h.model.payload[1:], [-0.04, 0.02, top], atol=0.02))
+    assert np.hypot(*hand.model.payload[1:3]) > 0.02
+
+
+def test_it_pauses_steps_slows_down_resets_and_saves(hand):
+    hand.press("time", "pause")
+    hand.see(lambda h: "paused" in h.browser.text())
+    before = hand.robot.time
+    hand.press("time", "step")
+    hand.see(lambda h: h.robot.time > before)
+    hand.browser.key("N")
+    hand.see(lambda h: h.robot.time == pytest.approx(before + 0.08))
+    hand.press("time", "go on")
+    hand.choose("speed", "1/4")
+    hand.see(lambda h: "0.25 of real time" in h.browser.text())
+    hand.choose("speed", "real time")
+    hand.press("time", "save")
+    hand.see(lambda h: "messages are in" in h.browser.text())
+    hand.press("time", "reset")
+    hand.see(lambda h: h.robot.time < 2.0)
+
+
+def test_plots_and_disturbances_are_drawn(hand):
+    hand.open("Plots")
+    hand.see(lambda h: h.browser.run("document.querySelectorAll('.uplot canvas').length") >= 8)
+    hand.see(lambda h: "disturbances: payload" in h.browser.text())
