@@ -249,6 +249,14 @@ def test_missing_packages_are_installed_with_sudo_and_else_named_with_the_comman
     ]  # fmt: skip
 
 
+def test_without_the_right_to_install_the_setup_for_tests_needs_no_browser(copy):
+    copy.restrict_tools()
+    for tool in ("cmake", "chromium"):
+        (copy.stubs / "bin" / tool).unlink(missing_ok=True)
+    command = "setup: Debian packages are missing; run: sudo apt-get install -y cmake"
+    assert copy.setup("--test") == (1, f"{command}\n")
+
+
 @pytest.mark.parametrize("name", ["sl\u00f6t", "\u4e8c", "a b", "a:b"])
 def test_a_path_that_cmake_cannot_bear_is_refused_before_anything_is_built(tmp_path, name):
     (tmp_path / name).mkdir()

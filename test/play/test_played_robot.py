@@ -131,6 +131,10 @@ def test_a_broken_tendon_is_found_and_once_mended_the_robot_goes_on(walking, leg
     walking.set_tendon(leg, broken=False)  # mended already
     walking.change({"scene.payload.mass": 0.1})  # which keeps what faults there are
     assert walking.loop.plant.robot.model.fault[1].all()
+    run(walking, 8.0)
+    walking.wishes.up = True
+    run(walking, 8.0)
+    assert walking.loop.report.state is State.WALKING
 
 
 def test_a_change_keeps_a_broken_tendon_and_a_pull(standing):

@@ -14,7 +14,7 @@ from websockets.sync.client import connect
 NAMES = "chromium", "google-chrome", "chromium-browser"
 PROGRAM = next(filter(None, map(shutil.which, NAMES)), "")
 OPTIONS = (
-    "--headless=new", "--no-sandbox", "--remote-debugging-port=0", "--window-size=700,700",
+    "--headless=new", "--no-sandbox", "--remote-debugging-port=0", "--window-size=1200,700",
     "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--no-proxy-server",
 )  # fmt: skip
@@ -69,14 +69,15 @@ class Browser:
         for kind in ("mousePressed", "mouseReleased"):
             self.mouse(kind, x, y)
 
-    def mouse(self, kind, x, y):
-        """An event of the left button."""
-        held = int(kind != "mouseReleased")
-        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=held,
-                  clickCount=1)  # fmt: skip
+    def mouse(self, kind, x, y, held=True):
+        """An event of the left button, or of the mouse with no button held."""
+        button, buttons = ("left", int(kind != "mouseReleased")) if held else ("none", 0)
+        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, buttons=buttons,
+                  clickCount=int(held))  # fmt: skip
 
     def drag(self, begin, end, steps=8):
         """Drag from one point to another, without letting go."""
+        self.mouse("mouseMoved", *begin, held=False)
         self.mouse("mousePressed", *begin)
         for k in range(1, steps + 1):
             x, y = (a + (b - a) * k / steps for a, b in zip(begin, end))

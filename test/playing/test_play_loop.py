@@ -57,7 +57,7 @@ def test_the_robot_keeps_up_with_the_wall_clock_and_says_so(played):
 def test_a_machine_that_is_too_slow_is_reported_and_does_not_catch_up(played):
     played.wall.cost = 0.03
     played.run(4.0)
-    assert "slower than wanted: 0." in played.text
+    assert "slower than 1.00 of real time: 0." in played.text
     assert played.robot.time < 3.0
     behind = played.wall.now - played.robot.time
     played.wall.cost = 0.0

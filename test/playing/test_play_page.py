@@ -19,6 +19,7 @@ ROW = "[...document.querySelectorAll('label')].find(l => l.innerText == {label!r
 ROW += ".closest('div').parentElement"
 TAB = "[...document.querySelectorAll('[role=tab]')].find(t => t.innerText == {!r})"
 BUTTON = "[...{row}.querySelectorAll('button')].find(b => b.innerText == {text!r})"
+COARSE = "?fixedDpr=0.25"  # fewer pixels of the robot, which take most of the time without a GPU
 OPTION = "[...document.querySelectorAll('[role=option]')].find(o => o.innerText == {!r})"
 
 
@@ -40,9 +41,8 @@ class Hand:
         wait_for(lambda: shows(self))
 
     def open(self, tab):
-        found = TAB.format(tab)
-        self.browser.run(f"{found}.click()")
-        wait_for(lambda: self.browser.run(f"{found}.ariaSelected") == "true")
+        self.browser.click(TAB.format(tab))
+        wait_for(lambda: self.browser.run(f"{TAB.format(tab)}.ariaSelected") == "true")
 
     def slide(self, label, value):
         field = f"{ROW.format(label=label)}.querySelector('input[inputmode]')"
@@ -85,7 +85,7 @@ def shared(tmp_path_factory):
     runner = threading.Thread(target=page.run, args=(ended.is_set,))
     runner.start()
     try:
-        place = address("127.0.0.1", server.get_port(), "")
+        place = address("127.0.0.1", server.get_port(), "") + COARSE
         with Browser(tmp_path_factory.mktemp("chromium"), place) as browser:
             hand = Hand(page, server, browser)
             hand.see(lambda h: "yaw rate" in h.browser.text())
@@ -177,14 +177,14 @@ def test_the_world_changes_under_the_robot(hand):
     hand.see(lambda h: h.robot.truth.odometry.position[0] < -0.02)
 
 
-def test_tendons_break_and_the_page_says_so(hand):
+@pytest.mark.parametrize("leg", LEGS)
+def test_a_tendon_breaks_and_the_page_says_so(hand, leg):
     hand.open("World")
-    for k, leg in enumerate(LEGS):
-        hand.tick(f"tendon {leg} broken")
-        hand.see(lambda h: h.model.fault[1, k] == 0.0)  # noqa: B023
-        hand.see(lambda h: f"broken tendon {leg}" in h.browser.text())  # noqa: B023
-        hand.tick(f"tendon {leg} broken")
-        hand.see(lambda h: h.model.fault[1].all())
+    hand.tick(f"tendon {leg} broken")
+    hand.see(lambda h: h.model.fault[1, LEGS.index(leg)] == 0.0)
+    hand.see(lambda h: f"broken tendon {leg}" in h.browser.text())
+    hand.tick(f"tendon {leg} broken")
+    hand.see(lambda h: h.model.fault[1].all())
 
 
 def test_a_push_by_the_button_moves_the_torso(hand):
@@ -209,8 +209,7 @@ def test_the_mouse_pulls_at_the_torso_and_places_the_payload(hand):
     top = hand.model.payload[3]
     hand.browser.drag(hand.pixel([0.0, 0.0, top]), goal := hand.pixel([-0.04, 0.02, top]))
     hand.browser.mouse("mouseReleased", *goal)
-    hand.see(lambda h: np.allclose(h.model.payload[1:], [-0.04, 0.02, top], atol=0.02))
-    assert np.hypot(*hand.model.payload[1:3]) > 0.02
+    hand.see(lambda h: np.allclose(h.model.payload[1:], [-0.04, 0.02, top], atol=0.01))
 
 
 def test_it_pauses_steps_slows_down_resets_and_saves(hand):

@@ -60,6 +60,7 @@ class PlayPage:
         self._status, self._count = StatusText(), 0
         self._build()
         server.on_client_connect(_place_camera)
+        server.on_client_disconnect(lambda _: self.do(_let_go))  # in the middle of a drag
 
     def do(self, act: controls.Act) -> None:
         """Let something be done to the robot before its next frame."""
@@ -200,16 +201,19 @@ class PlayPage:
 
     async def _on_payload(self, event: Any) -> None:
         """Place the payload where the mouse is, on the torso."""
-        shown = np.array(event.end_position)
+        seen = np.array([event.client.camera.position, event.end_position])
 
         def place(robot: PlayedRobot) -> None:
             if robot.truth is None:
                 return
             position, quaternion = robot.truth.odometry.position, robot.truth.odometry.quaternion
-            body = Rotation.from_quat(quaternion).inv().apply(shown - [0.0, 0.0, position[2]])
-            x, y = np.clip(body[:2], -self._size[:2] / 2, self._size[:2] / 2)
-            where = [float(x), float(y), controls.on_top(robot)]
-            robot.change({"scene.payload.place": where})
+            eye, mouse = Rotation.from_quat(quaternion).inv().apply(seen - [0.0, 0.0, position[2]])
+            top = controls.on_top(robot)
+            if min(eye[2] - top, eye[2] - mouse[2]) <= 0.0:
+                return  # the line of sight does not meet the top
+            point = eye + (mouse - eye) * (eye[2] - top) / (eye[2] - mouse[2])
+            x, y = np.clip(point[:2], -self._size[:2] / 2, self._size[:2] / 2)
+            robot.change({"scene.payload.place": [float(x), float(y), top]})
 
         self.do(place)
 
@@ -218,7 +222,7 @@ class PlayPage:
         way = np.subtract(event.end_position, event.start_position)
         length = float(np.linalg.norm(way))
         force = way * min(PULL, PULL_MAX / max(length, 1e-9))
-        self.do(lambda r: r.pull(np.zeros(3) if event.phase == "end" else force))
+        self.do(_let_go if event.phase == "end" else lambda r: r.pull(force))
 
     def _write(self, now: float) -> None:
         """Write what the page says of the robot."""
@@ -226,6 +230,10 @@ class PlayPage:
         factor = self._pace.until(now)
         speed = "paused" if self._paused else of_speed(factor, self._speed, self._costs)
         self._text.content = block([*lines, speed])
+
+
+def _let_go(robot: PlayedRobot) -> None:
+    robot.pull(np.zeros(3))
 
 
 def _place_camera(client: viser.ClientHandle) -> None:

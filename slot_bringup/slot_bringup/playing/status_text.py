@@ -91,5 +91,5 @@ def of_speed(factor: float, wanted: float, costs: Costs) -> str:
     if not math.isfinite(factor):
         return f"speed is being measured; {costs}"
     if factor < SLOW * wanted:
-        return strong(f"slower than wanted: {factor:.2f} of real time; {costs}")
+        return strong(f"slower than {wanted:.2f} of real time: {factor:.2f}; {costs}")
     return f"{factor:.2f} of real time; {costs}"
