@@ -83,9 +83,10 @@ class Browser:
             x, y = (a + (b - a) * k / steps for a, b in zip(begin, end))
             self.mouse("mouseMoved", x, y)
 
-    def key(self, letter):
-        """Press a key."""
-        code = {"code": f"Key{letter}", "key": letter.lower()}
+    def key(self, letter, shift=False):
+        """Press a key, with Shift or without."""
+        key = letter if shift else letter.lower()
+        code = {"code": f"Key{letter}", "key": key, "modifiers": 8 * shift}
         number = {"windowsVirtualKeyCode": ord(letter)}
         for kind in ("rawKeyDown", "keyUp"):
             self.call("Input.dispatchKeyEvent", type=kind, **code, **number)

@@ -3,6 +3,7 @@
 import urllib.error
 import urllib.request
 
+import psutil
 import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
@@ -73,6 +74,13 @@ def test_the_server_checks_pages_and_websockets_and_remembers_the_token(server):
         with pytest.raises(InvalidStatus, match="403"):
             connect(f"ws://{place}", origin=origin, additional_headers=headers, proxy=None)
     connect(f"ws://{place}", origin=f"http://{place}", additional_headers=known, proxy=None).close()
+
+
+def test_no_socket_listens_beyond_this_machine(server):
+    sockets = psutil.Process().net_connections()
+    listening = {each.laddr for each in sockets if each.status == psutil.CONN_LISTEN}
+    assert ("127.0.0.1", server.get_port()) in listening
+    assert {place.ip for place in listening} == {"127.0.0.1"}
 
 
 def test_nobody_can_connect_the_page_to_a_server_elsewhere(server, monkeypatch):

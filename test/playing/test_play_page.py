@@ -143,6 +143,12 @@ def test_it_takes_a_pose_and_gives_it_up_again(hand):
     hand.slide("pitch (deg)", -3)
     hand.see(lambda h: np.allclose(preview(h).command.pose, [0.05, *np.radians([4, -3])]))
     hand.see(lambda h: h.robot.truth.odometry.quaternion[0] > np.sin(np.radians(3) / 2))
+    for key, index, sign in (
+        ("I", 2, 1), ("K", 2, -1), ("U", 0, 1), ("O", 0, -1), ("L", 1, 1), ("J", 1, -1)
+    ):  # fmt: skip
+        before = hand.robot.wishes.pose[index]
+        hand.browser.key(key, shift=True)
+        hand.see(lambda h: sign * (h.robot.wishes.pose[index] - before) > 0)  # noqa: B023
     hand.tick("the gait's own height and tilt")
     hand.see(lambda h: h.robot.truth.odometry.position[2] < 0.042)
 
@@ -151,7 +157,7 @@ def test_policy_and_operator(hand):
     hand.open("Drive")
     hand.choose("policy", "gait_alone")
     hand.see(lambda h: "none are estimated" in h.browser.text())
-    hand.choose("policy", "predictive")
+    hand.browser.key("Y")  # after the last the first
     hand.see(lambda h: h.robot.policy == "predictive")
     for button, state in (
         ("relax", State.IDLE), ("stand up", State.STANDING), ("e-stop", State.ESTOP)
@@ -234,3 +240,10 @@ def test_plots_and_disturbances_are_drawn(hand):
     hand.open("Plots")
     hand.see(lambda h: h.browser.run("document.querySelectorAll('.uplot canvas').length") >= 8)
     hand.see(lambda h: "disturbances: payload" in h.browser.text())
+
+
+def test_the_page_requests_nothing_from_elsewhere(hand):
+    asked = "performance.getEntriesByType('resource').map(e => e.name)"
+    found = hand.browser.run(f"[location.href, ...{asked}]")
+    origin = hand.browser.run("location.origin")
+    assert [each for each in found if not each.startswith((origin, "blob:", "data:"))] == []

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ PUSH_MAX = 20.0  # N
 STEEPEST = 15.0  # deg
 LARGEST_PAYLOAD = 1.0  # kg
 PAYLOAD_RADIUS = 0.012  # m
-KEY_SHARE = 0.25  # of the largest velocity, per key
+KEY_SHARE = 0.25  # of a slider's half range, per key
 
 
 @dataclass(frozen=True)
@@ -54,14 +55,17 @@ def add_drive(gui: viser.GuiApi, robot: PlayedRobot, do: Do) -> None:
         for label, top in zip(labels, np.ceil(200 * most) / 200)
     ]
 
-    def drive(_: object = None) -> None:
+    def drive(_: object) -> None:
         velocity = np.array([speed.value for speed in speeds], dtype=float)
         do(lambda r: setattr(r.wishes, "velocity", velocity))
 
     for speed in speeds:
         speed.on_update(drive)
-    _add_keys(gui, speeds, drive, gait)
-    _add_pose(gui, do)
+    pose = _add_pose(gui, do)
+    _add_keys(gui, speeds, pose)
+    for key, name in {"G": "walk", "H": STAND}.items():
+        add_key(gui, key, f"gait {name}", partial(setattr, gait, "value", name))
+    add_key(gui, "Y", "next policy", partial(_next, policy))
     asked = gui.add_button_group("operator", ("stand up", "relax", "e-stop"))
     asked.on_click(lambda _: do(REQUESTS[asked.value]))
 
@@ -77,46 +81,50 @@ REQUESTS: dict[str, Act] = {
 }
 
 
-def _add_keys(
-    gui: viser.GuiApi, speeds: Sequence[Any], drive: Callable[[], None], gait: Any
-) -> None:
-    """Keys that change velocity and gait."""
+# Sliders of SPEED_KEYS: v_x, v_y, yaw rate; of POSE_KEYS, with Shift: height, roll, pitch.
+SPEED_KEYS = {
+    "I": (0, 1, "faster forward"), "K": (0, -1, "slower, back"),
+    "U": (1, 1, "to the left"), "O": (1, -1, "to the right"),
+    "J": (2, 1, "turn left"), "L": (2, -1, "turn right"),
+}  # fmt: skip
+POSE_KEYS = {
+    "I": (2, 1, "nose down"), "K": (2, -1, "nose up"), "U": (0, 1, "higher"),
+    "O": (0, -1, "lower"), "J": (1, -1, "roll left"), "L": (1, 1, "roll right"),
+}  # fmt: skip
 
-    def change(index: int, sign: int) -> None:
-        slider = speeds[index]
-        wanted = slider.value + sign * KEY_SHARE * slider.max
-        slider.value = min(max(wanted, slider.min), slider.max)
-        drive()
+
+def _add_keys(gui: viser.GuiApi, speeds: Sequence[Any], pose: Sequence[Any]) -> None:
+    """Keys that move the sliders of velocity and, with Shift, of the pose."""
+    for sliders, keys, modifier in ((speeds, SPEED_KEYS, None), (pose, POSE_KEYS, "shift")):
+        for key, (index, sign, label) in keys.items():
+            add_key(gui, key, label, partial(_nudge, sliders[index], sign), modifier)
 
     def stop() -> None:
         for slider in speeds:
             slider.value = 0.0
-        drive()
 
-    def choose(name: str) -> None:
-        gait.value = name
-
-    actions: dict[tuple[str, str], Callable[[], None]] = {
-        ("I", "faster forward"): lambda: change(0, 1),
-        ("K", "slower, back"): lambda: change(0, -1),
-        ("J", "turn left"): lambda: change(2, 1),
-        ("L", "turn right"): lambda: change(2, -1),
-        ("U", "to the left"): lambda: change(1, 1),
-        ("O", "to the right"): lambda: change(1, -1),
-        ("M", "no velocity"): stop,
-        ("G", "gait walk"): lambda: choose("walk"),
-        ("H", "gait stand"): lambda: choose(STAND),
-    }
-    for (key, label), act in actions.items():
-        add_key(gui, key, label, act)
+    add_key(gui, "M", "no velocity", stop)
 
 
-def add_key(gui: viser.GuiApi, key: Any, label: str, act: Callable[[], None]) -> None:
+def _nudge(slider: Any, sign: int) -> None:
+    wanted = slider.value + sign * KEY_SHARE * (slider.max - slider.min) / 2
+    slider.value = min(max(wanted, slider.min), slider.max)
+
+
+def _next(dropdown: Any) -> None:
+    options = dropdown.options
+    dropdown.value = options[(options.index(dropdown.value) + 1) % len(options)]
+
+
+def add_key(
+    gui: viser.GuiApi, key: Any, label: str, act: Callable[[], None], modifier: Any = None
+) -> None:
     """A key of the keyboard, which the list of commands names too."""
-    gui.add_command(label, hotkey=key).on_trigger(lambda _: act())
+    gui.add_command(label, hotkey=key, modifier=modifier).on_trigger(lambda _: act())
 
 
-def _add_pose(gui: viser.GuiApi, do: Do) -> None:
+def _add_pose(gui: viser.GuiApi, do: Do) -> tuple[Any, Any, Any]:
+    """Height, roll and pitch; returns their sliders."""
     gaits = read_gaits()
     reached = [each.height_range for each in gaits.gaits.values()]
     low, high = 1e3 * min(r[0] for r in reached), 1e3 * max(r[1] for r in reached)
@@ -126,17 +134,18 @@ def _add_pose(gui: viser.GuiApi, do: Do) -> None:
     height = _slider(gui, "height (mm)", Range(low, high, 1.0, start))
     roll, pitch = (_slider(gui, f"{n} (deg)", Range(-tilt, tilt, 0.1, 0.0)) for n in ANGLES)
 
-    def pose(_: object = None) -> None:
+    def pose(_: object) -> None:
         values = np.array([1e-3 * height.value, *np.radians([roll.value, pitch.value])])
         do(lambda r: setattr(r.wishes, "pose", None if own.value else values))
 
-    def moved(_: object = None) -> None:
+    def moved(event: object) -> None:
         own.value = False
-        pose()
+        pose(event)
 
     own.on_update(pose)
     for slider in (height, roll, pitch):
         slider.on_update(moved)
+    return height, roll, pitch
 
 
 ANGLES = ("roll", "pitch")
