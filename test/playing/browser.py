@@ -105,11 +105,11 @@ MIDDLE = """element => {
 }"""
 
 
-def wait_for(find, deadline=DEADLINE):
-    """The first true result; fails after the deadline (s)."""
-    end = time.monotonic() + deadline
+def wait_for(find, said=str):
+    """The first true result; fails after the deadline, with what is `said` then."""
+    end = time.monotonic() + DEADLINE
     while not (found := find()):
-        assert time.monotonic() < end, "not in time"
+        assert time.monotonic() < end, said()
         time.sleep(0.05)
     return found
 

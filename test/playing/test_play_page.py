@@ -38,11 +38,14 @@ class Hand:
         return self.robot.loop.plant.robot.model
 
     def see(self, shows):
-        wait_for(lambda: shows(self))
+        wait_for(lambda: shows(self), said=self.browser.text)
 
     def open(self, tab):
-        self.browser.click(TAB.format(tab))
-        wait_for(lambda: self.browser.run(f"{TAB.format(tab)}.ariaSelected") == "true")
+        def selected():  # a click may come before the page is complete
+            self.browser.click(TAB.format(tab))
+            return self.browser.run(f"{TAB.format(tab)}.ariaSelected") == "true"
+
+        wait_for(selected, said=self.browser.text)
 
     def slide(self, label, value):
         field = f"{ROW.format(label=label)}.querySelector('input[inputmode]')"
@@ -54,6 +57,7 @@ class Hand:
     def choose(self, label, option):
         self.browser.click(f"{ROW.format(label=label)}.querySelector('input')")
         self.browser.click(OPTION.format(option))
+        self.browser.run("document.activeElement.blur()")  # else it takes the keys
 
     def tick(self, label):
         self.browser.click(f"{ROW.format(label=label)}.querySelector('input[type=checkbox]')")
@@ -69,11 +73,8 @@ class Hand:
         place[2] += odometry.position[2]
         w, x, y, z = camera.wxyz
         seen = Rotation.from_quat([x, y, z, w]).inv().apply(place - camera.position)
-        scale = camera.image_height / 2 / np.tan(camera.fov / 2)
-        return (
-            camera.image_width / 2 + scale * seen[0] / seen[2],
-            camera.image_height / 2 + scale * seen[1] / seen[2],
-        )
+        middle = np.array(self.browser.run("[innerWidth, innerHeight]")) / 2
+        return middle + middle[1] / np.tan(camera.fov / 2) * seen[:2] / seen[2]
 
 
 @pytest.fixture(scope="module")
@@ -215,7 +216,8 @@ def test_the_mouse_pulls_at_the_torso_and_places_the_payload(hand):
     top = hand.model.payload[3]
     hand.browser.drag(hand.pixel([0.0, 0.0, top]), goal := hand.pixel([-0.04, 0.02, top]))
     hand.browser.mouse("mouseReleased", *goal)
-    hand.see(lambda h: np.allclose(h.model.payload[1:], [-0.04, 0.02, top], atol=0.01))
+    # the robot sinks under the load while the mouse moves
+    hand.see(lambda h: np.allclose(h.model.payload[1:], [-0.04, 0.02, top], atol=0.02))
 
 
 def test_it_pauses_steps_slows_down_resets_and_saves(hand):

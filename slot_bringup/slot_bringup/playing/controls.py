@@ -1,6 +1,7 @@
 """Controls of the page: what they are called, their ranges, and what they do to the robot.
 
-Callbacks run in threads of viser; what they want is done by `do`, between two frames.
+Callbacks run in threads of viser, in any order; what they want is done by `do`, between two frames,
+and reads the sliders only then.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import viser
 from slot_core.control.policy import POLICIES
 from slot_core.dynamics.scene import read_scene
 from slot_core.gait.gait import STAND, read_gaits
-from slot_core.robot import LEGS, read_robot
+from slot_core.robot import LEGS, Array, read_robot
 from slot_core.safety.requests import Request
 from slot_lab.play.played_robot import PlayedRobot
 
@@ -56,8 +57,7 @@ def add_drive(gui: viser.GuiApi, robot: PlayedRobot, do: Do) -> None:
     ]
 
     def drive(_: object) -> None:
-        velocity = np.array([speed.value for speed in speeds], dtype=float)
-        do(lambda r: setattr(r.wishes, "velocity", velocity))
+        do(lambda r: setattr(r.wishes, "velocity", _values(speeds)))
 
     for speed in speeds:
         speed.on_update(drive)
@@ -134,9 +134,12 @@ def _add_pose(gui: viser.GuiApi, do: Do) -> tuple[Any, Any, Any]:
     height = _slider(gui, "height (mm)", Range(low, high, 1.0, start))
     roll, pitch = (_slider(gui, f"{n} (deg)", Range(-tilt, tilt, 0.1, 0.0)) for n in ANGLES)
 
+    def take(robot: PlayedRobot) -> None:
+        z, *tilts = _values((height, roll, pitch))
+        robot.wishes.pose = None if own.value else np.array([1e-3 * z, *np.radians(tilts)])
+
     def pose(_: object) -> None:
-        values = np.array([1e-3 * height.value, *np.radians([roll.value, pitch.value])])
-        do(lambda r: setattr(r.wishes, "pose", None if own.value else values))
+        do(take)
 
     def moved(event: object) -> None:
         own.value = False
@@ -159,16 +162,20 @@ def add_world(gui: viser.GuiApi, robot: PlayedRobot, do: Do) -> None:
         for leg, mu in zip(LEGS, scene.floor.friction)
     ]
     for slider in friction:
-        slider.on_update(lambda _: do(_change("scene.floor.friction", [f.value for f in friction])))
+        slider.on_update(
+            lambda _: do(lambda r: r.change({"scene.floor.friction": _values(friction).tolist()}))
+        )
     slope = _slider(gui, "slope (deg)", Range(-STEEPEST, STEEPEST, 0.5, _slope(scene.gravity)))
     slope.on_update(lambda _: do(lambda r: r.set_slope(slope.value)))
     mass = _slider(gui, "payload (kg)", Range(0.0, LARGEST_PAYLOAD, 0.02, scene.payload.mass))
     mass.on_update(lambda _: do(lambda r: _load(r, mass.value)))
     modulus = read_robot(scene.parameters).leg.young_modulus
     stiff = _slider(gui, "stiffness of the legs (%)", Range(50.0, 150.0, 1.0, 100.0))
-    stiff.on_update(lambda _: do(_change("robot.leg.young_modulus", stiff.value / 100 * modulus)))
+    stiff.on_update(
+        lambda _: do(lambda r: r.change({"robot.leg.young_modulus": stiff.value / 100 * modulus}))
+    )
     volts = _slider(gui, "supply voltage (V)", Range(9.0, 12.0, 0.1, scene.supply_voltage))
-    volts.on_update(lambda _: do(_change("scene.supply_voltage", volts.value)))
+    volts.on_update(lambda _: do(lambda r: r.change({"scene.supply_voltage": volts.value})))
     for leg in LEGS:
         _add_tendon(gui, leg, do)
 
@@ -213,8 +220,8 @@ def _slope(gravity: Sequence[float]) -> float:
     return math.degrees(math.atan2(-gravity[0], -gravity[2]))
 
 
-def _change(name: str, value: Any) -> Act:
-    return lambda robot: robot.change({name: value})
+def _values(sliders: Sequence[Any]) -> Array:
+    return np.array([slider.value for slider in sliders], dtype=float)
 
 
 def _slider(gui: viser.GuiApi, label: str, r: Range) -> Any:
