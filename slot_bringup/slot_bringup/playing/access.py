@@ -17,8 +17,6 @@ from typing import Any
 from unittest import mock
 from urllib.parse import parse_qs, urlsplit
 
-from websockets.asyncio import server as websocket_server
-
 COOKIE = "slot_token"
 
 
@@ -68,6 +66,8 @@ def is_this_machine(host: str) -> bool:
 @contextmanager
 def guarded(access: Access) -> Iterator[None]:
     """Let a server of websockets that is started within the block check its requests."""
+    from websockets.asyncio import server as websocket_server  # noqa: PLC0415 - optional
+
     serve = websocket_server.serve
 
     def start(*args: Any, process_request: Callable[..., Any], **options: Any) -> Any:
