@@ -146,7 +146,8 @@ sys.argv = ["", "--help"]
 runpy.run_module(%r, run_name="__main__", alter_sys=True)
 """
 MODULE = r"^(?:exec python -m |module=)([\w.]+)"  # that a script runs
-EXTRAS = ("cma", "cvxpy", "distributed", "elastica", "mujoco", "pytest", "quadprog", "rerun")
+EXTRAS = ("cma", "cvxpy", "distributed", "elastica", "mujoco", "pytest", "quadprog", "rerun",
+          "viser", "websockets")  # fmt: skip
 
 
 def programs():

@@ -19,7 +19,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 REQUIREMENTS = ROOT / "scripts/requirements"
-REQUIREMENT_FILES = ("build", "ros", "runtime", "test", "bench", "docs", "view")
+REQUIREMENT_FILES = ("build", "ros", "runtime", "test", "bench", "docs", "view", "play")
 PINNED = re.compile(r"^([A-Za-z0-9._-]+)==(\S+) \\$")
 HASH = re.compile(r"^    --hash=sha256:[0-9a-f]{64}( \\)?$")
 
@@ -70,7 +70,7 @@ class Copy:
         warm_up.parent.mkdir(parents=True)
         warm_up.write_text("")
         executable(bin_ / "colcon", COLCON)
-        for tool in ("cmake", "g++", "git", "make", "strace"):
+        for tool in ("cmake", "g++", "git", "make", "strace", "chromium"):
             (bin_ / tool).symlink_to("/bin/true")
         self.variables = {
             "PATH": f"{bin_}:{os.defpath}",
@@ -249,6 +249,14 @@ def test_missing_packages_are_installed_with_sudo_and_else_named_with_the_comman
     ]  # fmt: skip
 
 
+def test_without_the_right_to_install_the_setup_for_tests_needs_no_browser(copy):
+    copy.restrict_tools()
+    for tool in ("cmake", "chromium"):
+        (copy.stubs / "bin" / tool).unlink(missing_ok=True)
+    command = "setup: Debian packages are missing; run: sudo apt-get install -y cmake"
+    assert copy.setup("--test") == (1, f"{command}\n")
+
+
 @pytest.mark.parametrize("name", ["sl\u00f6t", "\u4e8c", "a b", "a:b"])
 def test_a_path_that_cmake_cannot_bear_is_refused_before_anything_is_built(tmp_path, name):
     (tmp_path / name).mkdir()
@@ -263,7 +271,7 @@ def test_a_path_that_cmake_cannot_bear_is_refused_before_anything_is_built(tmp_p
 def test_a_wrong_argument_gets_one_line_and_status_2(copy):
     status, output = copy.setup("--tests")
     assert status == 2
-    expected = "--test, --bench, --docs or --view"
+    expected = "--test, --bench, --docs, --view or --play"
     assert output == f"setup: unknown arguments: --tests; expected {expected}\n"
 
 

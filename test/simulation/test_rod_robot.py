@@ -248,3 +248,23 @@ def test_directors_of_spatial_legs_are_across_their_segments_and_turn_with_the_c
     turned = np.degrees(np.arccos(np.einsum("lki,li->lk", directors, right)))
     assert turned[:, 0].max() < 1.0  # a segment of 9 mm, the thickest
     assert turned[:, -1].min() > 2.0
+
+
+def test_a_change_to_equal_parameters_in_a_run_changes_nothing_to_the_last_bit():
+    nodes, command = [], np.radians([70.0, 60.0, 50.0, 80.0])
+    for changes in (False, True):
+        sim = simulator(servo="pid", start__settle=0.1)
+        sim.advance(20, command)
+        if changes:
+            sim.change(sim.parameters, sim.scene, read_servo())
+        sim.advance(20, command)
+        nodes.append(sim.nodes)
+    assert (nodes[0] == nodes[1]).all()
+
+
+def test_a_change_in_a_run_ends_where_a_robot_with_those_parameters_does():
+    scene = config.replace(read_scene("flat"), {"payload.mass": 0.5, "start.settle": 3.0})
+    wanted, sim = RodRobot(ROBOT, scene, read_servo()), simulator()
+    sim.change(ROBOT, scene, read_servo())
+    sim.advance(3000, np.full(4, np.radians(scene.start.tendon_angle_deg)))
+    assert sim.position[2] == pytest.approx(wanted.position[2], abs=2e-4)  # feet slide otherwise

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -25,6 +25,14 @@ if TYPE_CHECKING:
 PlantMaker = Callable[[RobotParameters, Scene, ServoSettings, np.random.Generator], RobotSimulator]
 CHANGEABLE = ("scene", "servo", "robot", "gait", "policy")
 Settings = TypeVar("Settings")
+
+
+class _Parts(NamedTuple):
+    """What is simulated."""
+
+    robot: RobotParameters
+    scene: Scene
+    servo: ServoSettings
 
 
 class ClosedLoop:
@@ -64,17 +72,38 @@ class ClosedLoop:
         settings = _changed(policy_class(policy).read_settings(policy), "policy", given)
         chosen = make_policy(policy, nominal, lambda: 0.0, settings)
         self.controller = Controller(nominal, chosen, gait, velocity, path, self.gaits)
-        scenery = _changed(simulated, "scene", given)
-        self._localizer = make_localizer(scenery.sensors.camera)
-        self.plant = make(
+        self._parts = _Parts(
             _changed(read_robot(simulated.parameters), "robot", given),
-            scenery,
+            _changed(simulated, "scene", given),
             _changed(read_servo(simulated.parameters), "servo", given),
-            np.random.default_rng(seed),
         )
+        self._localizer = make_localizer(self._parts.scene.sensors.camera)
+        self.plant = make(*self._parts, np.random.default_rng(seed))
         begin, duration = lost_odometry
         self._lost_from = LOCKSTEP_START + to_ns(begin)  # ns
         self._lost_until = self._lost_from + to_ns(duration)
+
+    def change(self, changes: Mapping[str, Any]) -> None:
+        """Go on with other values of robot, scene or servo, by dotted name.
+
+        Raises ConfigError for another name, or a value that is not allowed or cannot change
+        (`RobotSimulator.change`); nothing has changed then.
+        """
+        for name in changes:
+            if name.partition(".")[0] not in _Parts._fields:
+                raise config.ConfigError(f"{name}: expected one of {', '.join(_Parts._fields)}")
+        robot, scene, servo = self._parts
+        parts = _Parts(
+            _changed(robot, "robot", changes),
+            _changed(scene, "scene", changes),
+            _changed(servo, "servo", changes),
+        )
+        self.plant.change(*parts)
+        self._parts = parts
+
+    def set_policy(self, policy: str) -> None:
+        """Go on with another policy (`policy.py`), with its own settings; raises ConfigError."""
+        self.controller.policy = make_policy(policy, read_robot(), lambda: 0.0)
 
     def run(self, ticks: int) -> Iterator[Tick]:
         """Yield each tick after its command is set; then advance the plant to the next odometry.

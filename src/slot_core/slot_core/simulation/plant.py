@@ -192,7 +192,7 @@ class RobotSimulator:
         placing = sensors.camera if sensors.camera.enabled else sensors.odometry
         self.every(placing.period, self._read_odometry)
         for push in self._scene.pushes.values():
-            self._schedule_push(push)
+            self.push(push)
         for present in self._faults.values():
             self._schedule_end(present)
         for fault in self._scene.faults.values():
@@ -221,6 +221,28 @@ class RobotSimulator:
             raise ValueError(f"no fault {kind!r} at {leg!r}")
         for key in active:
             self._end(*key)
+
+    def change(self, robot: RobotParameters, scene: Scene, servo: ServoSettings) -> None:
+        """Go on with another robot, scene or servo; motion, faults and pushes stay.
+
+        Sensors, start, pushes and faults of a scene stay as they were at the start. Raises
+        ConfigError for legs or emulated servos that cannot change, and as `RodRobot.change` does.
+        """
+        if not isinstance(self.robot, RodRobot) or self.emulated is not None:
+            raise ConfigError("only simulated rods with simulated servos can change in a run")
+        self.robot.change(robot, scene, servo)
+        self._scene = scene
+        for leg in LEGS:
+            self._update_tendon(leg)
+
+    def push(self, push: Push) -> None:
+        """Schedule the start, `push.time` from now, and the end of a push; pushes add up."""
+        force, moment = np.array(push.force), np.array(push.moment)
+        begin = self.now + to_ns(push.time)
+        self._schedule_action(begin, partial(self.robot.push, force, moment))
+        self._schedule_action(
+            begin + to_ns(push.duration), partial(self.robot.push, -force, -moment)
+        )
 
     def command(self, angle: Array, rate: Array = AT_REST) -> None:
         """Set the tendon angles (4,), rad, from now on, and their rate (4,), rad/s.
@@ -323,15 +345,6 @@ class RobotSimulator:
         if self._camera is not None:
             return self._camera.sample(self.robot, self.now)
         return self._odometry.sample(truth, since)
-
-    def _schedule_push(self, push: Push) -> None:
-        """Schedule the start and the end of a push; pushes add up."""
-        force, moment = np.array(push.force), np.array(push.moment)
-        begin = self.now + to_ns(push.time)
-        self._schedule_action(begin, partial(self.robot.push, force, moment))
-        self._schedule_action(
-            begin + to_ns(push.duration), partial(self.robot.push, -force, -moment)
-        )
 
     def _schedule_end(self, fault: Fault) -> None:
         if fault.duration:

@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 
 from slot_core.arrays import checked
+from slot_core.config import ConfigError
 from slot_core.divergence import DivergenceError
 from slot_core.dynamics import integrator, observe
 from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.model import (
+    Model,
     build_model,
     build_scheme,
     leg_lanes,
@@ -38,16 +40,33 @@ class RodRobot(KernelRobot):
         self.scene = scene
         self.model = build_model(robot, scene, servo)
         self.state = rest_state(self.model, scene.start.height)
-        self._legs = leg_lanes(self.model, self.state)
         self._work = work_space()
-        self._segments = segments(self.model)
         self._start = matching_state(self.model)
-        scheme = build_scheme(scene.solver, self.model.floor)
-        parts = (self.model, self.state, self._work, self._start, self._legs)
-        self._handle = Handle((*parts, scheme))
         self._points = np.zeros((2, 4, scene.solver.nodes, 3))
+        self._connect()
         self._settle()
         _ = self.ground_force  # compiles what a reading calls
+
+    def _connect(self) -> None:
+        """Give model and state to the kernels."""
+        self._segments = segments(self.model)
+        self._legs = leg_lanes(self.model, self.state)
+        scheme = build_scheme(self.scene.solver, self.model.floor)
+        parts = (self.model, self.state, self._work, self._start, self._legs)
+        self._handle = Handle((*parts, scheme))
+
+    def change(self, robot: RobotParameters, scene: Scene, servo: ServoSettings) -> None:
+        """Go on from the present state with other parameters; pushes stay.
+
+        Raises ConfigError as `build_model` does, and for what would take another state: other
+        settings of the solver, bristles, or branches of the material.
+        """
+        model = build_model(robot, scene, servo)
+        if scene.solver != self.scene.solver or _state_shapes(model) != _state_shapes(self.model):
+            raise ConfigError("solver, friction law and branches cannot change in a run")
+        model.push[:] = self.model.push
+        self.parameters, self.scene, self.model = robot, scene, model
+        self._connect()
 
     def advance(self, steps: int, command: Array) -> None:
         """Advance by `steps` steps with constant commanded tendon angles (4,), rad.
@@ -148,3 +167,7 @@ class RodRobot(KernelRobot):
             f"simulation diverged in step {self.steps + 1} at {self.time:.4f} s: {place} is beyond"
             f" {limit} m/s or not a number"
         )
+
+
+def _state_shapes(model: Model) -> list[tuple[int, ...]]:
+    return [view.shape for view in matching_state(model)]

@@ -1,0 +1,229 @@
+"""Controls of the page: what they are called, their ranges, and what they do to the robot.
+
+Callbacks run in threads of viser, in any order; what they want is done by `do`, between two frames,
+and reads the sliders only then.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import viser
+
+from slot_core.control.policy import POLICIES
+from slot_core.dynamics.scene import read_scene
+from slot_core.gait.gait import STAND, read_gaits
+from slot_core.robot import LEGS, Array, read_robot
+from slot_core.safety.requests import Request
+from slot_lab.play.played_robot import PlayedRobot
+
+Act = Callable[[PlayedRobot], object]
+Do = Callable[[Act], None]
+PUSH_TIME = 0.2  # s
+PUSH_MAX = 20.0  # N
+STEEPEST = 15.0  # deg
+LARGEST_PAYLOAD = 1.0  # kg
+PAYLOAD_RADIUS = 0.012  # m
+KEY_SHARE = 0.25  # of a slider's half range, per key
+
+
+@dataclass(frozen=True)
+class Range:
+    """Range of a slider."""
+
+    low: float
+    high: float
+    step: float
+    start: float
+
+
+def add_drive(gui: viser.GuiApi, robot: PlayedRobot, do: Do) -> None:
+    """Gait, velocity, pose, policy; requests to the supervisor."""
+    gaits = read_gaits()
+    gait = gui.add_dropdown("gait", tuple(gaits.gaits), initial_value=robot.wishes.gait)
+    gait.on_update(lambda _: do(lambda r: setattr(r.wishes, "gait", gait.value)))
+    policy = gui.add_dropdown("policy", tuple(POLICIES), initial_value=robot.policy)
+    policy.on_update(lambda _: do(lambda r: r.set_policy(policy.value)))
+    most = np.max([each.speeds for each in gaits.gaits.values()], axis=0)
+    labels = "v_x (m/s)", "v_y (m/s)", "yaw rate (rad/s)"
+    speeds = [
+        _slider(gui, label, Range(-top, top, 0.005, 0.0))
+        for label, top in zip(labels, np.ceil(200 * most) / 200)
+    ]
+
+    def drive(_: object) -> None:
+        do(lambda r: setattr(r.wishes, "velocity", _values(speeds)))
+
+    for speed in speeds:
+        speed.on_update(drive)
+    pose = _add_pose(gui, do)
+    _add_keys(gui, speeds, pose)
+    for key, name in {"G": "walk", "H": STAND}.items():
+        add_key(gui, key, f"gait {name}", partial(setattr, gait, "value", name))
+    add_key(gui, "Y", "next policy", partial(_next, policy))
+    asked = gui.add_button_group("operator", ("stand up", "relax", "e-stop"))
+    asked.on_click(lambda _: do(REQUESTS[asked.value]))
+
+
+def _rise(robot: PlayedRobot) -> None:
+    robot.wishes.up = True
+
+
+REQUESTS: dict[str, Act] = {
+    "stand up": _rise,
+    "relax": lambda r: r.loop.request(Request.RELAX),
+    "e-stop": lambda r: r.loop.request(Request.ESTOP),
+}
+
+
+# Sliders of SPEED_KEYS: v_x, v_y, yaw rate; of POSE_KEYS, with Shift: height, roll, pitch.
+SPEED_KEYS = {
+    "I": (0, 1, "faster forward"), "K": (0, -1, "slower, back"),
+    "U": (1, 1, "to the left"), "O": (1, -1, "to the right"),
+    "J": (2, 1, "turn left"), "L": (2, -1, "turn right"),
+}  # fmt: skip
+POSE_KEYS = {
+    "I": (2, 1, "nose down"), "K": (2, -1, "nose up"), "U": (0, 1, "higher"),
+    "O": (0, -1, "lower"), "J": (1, -1, "roll left"), "L": (1, 1, "roll right"),
+}  # fmt: skip
+
+
+def _add_keys(gui: viser.GuiApi, speeds: Sequence[Any], pose: Sequence[Any]) -> None:
+    """Keys that move the sliders of velocity and, with Shift, of the pose."""
+    for sliders, keys, modifier in ((speeds, SPEED_KEYS, None), (pose, POSE_KEYS, "shift")):
+        for key, (index, sign, label) in keys.items():
+            add_key(gui, key, label, partial(_nudge, sliders[index], sign), modifier)
+
+    def stop() -> None:
+        for slider in speeds:
+            slider.value = 0.0
+
+    add_key(gui, "M", "no velocity", stop)
+
+
+def _nudge(slider: Any, sign: int) -> None:
+    wanted = slider.value + sign * KEY_SHARE * (slider.max - slider.min) / 2
+    slider.value = min(max(wanted, slider.min), slider.max)
+
+
+def _next(dropdown: Any) -> None:
+    options = dropdown.options
+    dropdown.value = options[(options.index(dropdown.value) + 1) % len(options)]
+
+
+def add_key(
+    gui: viser.GuiApi, key: Any, label: str, act: Callable[[], None], modifier: Any = None
+) -> None:
+    """A key of the keyboard, which the list of commands names too."""
+    gui.add_command(label, hotkey=key, modifier=modifier).on_trigger(lambda _: act())
+
+
+def _add_pose(gui: viser.GuiApi, do: Do) -> tuple[Any, Any, Any]:
+    """Height, roll and pitch; returns their sliders."""
+    gaits = read_gaits()
+    reached = [each.height_range for each in gaits.gaits.values()]
+    low, high = 1e3 * min(r[0] for r in reached), 1e3 * max(r[1] for r in reached)
+    tilt = math.degrees(gaits.tilt_max)
+    own: Any = gui.add_checkbox("the gait's own height and tilt", initial_value=True)
+    start = 1e3 * gaits.find(STAND).height
+    height = _slider(gui, "height (mm)", Range(low, high, 1.0, start))
+    roll, pitch = (_slider(gui, f"{n} (deg)", Range(-tilt, tilt, 0.1, 0.0)) for n in ANGLES)
+
+    def take(robot: PlayedRobot) -> None:
+        z, *tilts = _values((height, roll, pitch))
+        robot.wishes.pose = None if own.value else np.array([1e-3 * z, *np.radians(tilts)])
+
+    def pose(_: object) -> None:
+        do(take)
+
+    def moved(event: object) -> None:
+        own.value = False
+        pose(event)
+
+    own.on_update(pose)
+    for slider in (height, roll, pitch):
+        slider.on_update(moved)
+    return height, roll, pitch
+
+
+ANGLES = ("roll", "pitch")
+
+
+def add_world(gui: viser.GuiApi, robot: PlayedRobot, do: Do) -> None:
+    """Floor, payload, legs, supply and tendons."""
+    scene = read_scene(robot.scene)
+    friction = [
+        _slider(gui, f"friction {leg}", Range(0.0, 1.5, 0.05, mu))
+        for leg, mu in zip(LEGS, scene.floor.friction)
+    ]
+    for slider in friction:
+        slider.on_update(
+            lambda _: do(lambda r: r.change({"scene.floor.friction": _values(friction).tolist()}))
+        )
+    slope = _slider(gui, "slope (deg)", Range(-STEEPEST, STEEPEST, 0.5, _slope(scene.gravity)))
+    slope.on_update(lambda _: do(lambda r: r.set_slope(slope.value)))
+    mass = _slider(gui, "payload (kg)", Range(0.0, LARGEST_PAYLOAD, 0.02, scene.payload.mass))
+    mass.on_update(lambda _: do(lambda r: _load(r, mass.value)))
+    modulus = read_robot(scene.parameters).leg.young_modulus
+    stiff = _slider(gui, "stiffness of the legs (%)", Range(50.0, 150.0, 1.0, 100.0))
+    stiff.on_update(
+        lambda _: do(lambda r: r.change({"robot.leg.young_modulus": stiff.value / 100 * modulus}))
+    )
+    volts = _slider(gui, "supply voltage (V)", Range(9.0, 12.0, 0.1, scene.supply_voltage))
+    volts.on_update(lambda _: do(lambda r: r.change({"scene.supply_voltage": volts.value})))
+    for leg in LEGS:
+        _add_tendon(gui, leg, do)
+
+
+def _add_tendon(gui: viser.GuiApi, leg: str, do: Do) -> None:
+    box = gui.add_checkbox(f"tendon {leg} broken", initial_value=False)
+    box.on_update(lambda _: do(lambda r: r.set_tendon(leg, broken=box.value)))
+
+
+def add_push(gui: viser.GuiApi, do: Do) -> None:
+    """A push of the torso from one side."""
+    force = _slider(gui, "push (N)", Range(0.0, PUSH_MAX, 0.5, 6.0))
+    side = gui.add_button_group("push to", tuple(SIDES))
+
+    def push(_: object) -> None:
+        x, y = SIDES[side.value]
+        wanted = force.value * x, force.value * y, 0.0
+        do(lambda r: r.push(wanted, PUSH_TIME))
+
+    side.on_click(push)
+    gui.add_markdown("Drag the torso with the mouse to pull at it; drag the payload to its place.")
+
+
+SIDES = {"left": (0, 1), "right": (0, -1), "front": (1, 0), "back": (-1, 0)}
+
+
+def _load(robot: PlayedRobot, mass: float) -> None:
+    """Set the payload's mass; a first payload lies on the middle of the torso."""
+    scene = read_scene(robot.scene)
+    changes: dict[str, Any] = {"scene.payload.mass": mass}
+    if not scene.payload.mass and "scene.payload.place" not in robot.changes:
+        changes["scene.payload.place"] = [0.0, 0.0, on_top(robot)]
+    robot.change(changes)
+
+
+def on_top(robot: PlayedRobot) -> float:
+    """Height of a payload's centre above that of the torso on which it lies, m."""
+    return robot.loop.plant.robot.parameters.torso.size[2] / 2 + PAYLOAD_RADIUS
+
+
+def _slope(gravity: Sequence[float]) -> float:
+    return math.degrees(math.atan2(-gravity[0], -gravity[2]))
+
+
+def _values(sliders: Sequence[Any]) -> Array:
+    return np.array([slider.value for slider in sliders], dtype=float)
+
+
+def _slider(gui: viser.GuiApi, label: str, r: Range) -> Any:
+    start = min(max(float(r.start), float(r.low)), float(r.high))
+    return gui.add_slider(label, float(r.low), float(r.high), float(r.step), start)

@@ -1,0 +1,126 @@
+"""The robot's shapes in viser: meshes, lines and arrows, each updated in place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from slot_core.drawing.shapes import Arrows, Bars, Box, Shape, Strips, halves
+from slot_core.robot import Array
+
+ROOT = "/robot"
+HEAD = 3.0, 4.0  # radius of an arrow's head over that of the shaft, and length over radius
+CELL, SECTION, FLOOR = 0.05, 0.1, 8.0  # m, lines of the floor and its size
+
+
+class SceneView:
+    """The scene around the robot, which stays in its middle: the floor moves under it."""
+
+    def __init__(self, scene: viser.SceneApi) -> None:
+        self._scene = scene
+        self._root = scene.add_frame(ROOT, show_axes=False)
+        self._shown: dict[str, list[Any]] = {}
+        scene.set_up_direction("+z")
+        scene.configure_default_lights(cast_shadow=False)  # slow without a GPU
+        scene.add_grid(
+            f"{ROOT}/floor", width=FLOOR, height=FLOOR, cell_size=CELL, section_size=SECTION,
+            plane="xy", cell_color=(222, 227, 231), section_color=(190, 199, 207),
+        )  # fmt: skip
+
+    def centre(self, position: Array) -> None:
+        """Show the place below `position` (3,), m, in the middle."""
+        self._root.position = (-position[0], -position[1], 0.0)
+
+    def update(self, shapes: Mapping[str, Shape]) -> None:
+        """Show shapes by name, each in the place of the last of that name."""
+        for name, shape in shapes.items():
+            shown = self._shown.get(name)
+            if isinstance(shape, Box):
+                self._show_box(name, shape, shown)
+            elif isinstance(shape, Bars):
+                self._show_bars(name, shape, shown)
+            elif isinstance(shape, Strips):
+                self._show_strips(name, shape, shown)
+            else:
+                self._show_arrows(name, shape, shown)
+
+    def remove(self, *names: str) -> None:
+        """Remove the shapes of these names, if they are shown."""
+        for name in names:
+            for handle in self._shown.pop(name, []):
+                handle.remove()
+
+    def show(self, name: str, *, visible: bool) -> None:
+        """Show or hide the shape of a name, if there is one."""
+        for handle in self._shown.get(name, []):
+            handle.visible = visible
+
+    def handle(self, name: str) -> Any:
+        """What is shown as `name`, its first part."""
+        return self._shown[name][0]
+
+    def _show_box(self, name: str, box: Box, shown: list[Any] | None) -> None:
+        if shown is None:
+            colour = _bytes(box.colour)
+            shown = [self._scene.add_box(_path(name), dimensions=tuple(box.size), color=colour)]
+            self._shown[name] = shown
+        x, y, z, w = box.quaternion
+        shown[0].position, shown[0].wxyz = box.centre, (w, x, y, z)
+
+    def _show_bars(self, name: str, bars: Bars, shown: list[Any] | None) -> None:
+        corners = bars.corners.reshape(len(bars.corners), -1, 3).astype(np.float32)
+        if shown is None:
+            faces = halves(bars.quads)
+            self._shown[name] = [
+                self._scene.add_mesh_simple(
+                    f"{_path(name)}/{k}", points, faces, color=_bytes(colour), flat_shading=True
+                )
+                for k, (points, colour) in enumerate(zip(corners, bars.colours))
+            ]
+            return
+        for handle, points in zip(shown, corners):
+            handle.vertices = points
+
+    def _show_strips(self, name: str, strips: Strips, shown: list[Any] | None) -> None:
+        points = np.stack([strips.points[:, :-1], strips.points[:, 1:]], axis=2)
+        count = points.shape[1]
+        points = points.reshape(-1, 2, 3).astype(np.float32)
+        colours = np.repeat(_bytes(strips.colours), count, axis=0)[:, None].repeat(2, axis=1)
+        if shown is None:
+            self._shown[name] = [
+                self._scene.add_line_segments(
+                    _path(name), points, colours, thickness=strips.width, thickness_units="world"
+                )
+            ]
+            return
+        shown[0].points, shown[0].colors = points, colours
+
+    def _show_arrows(self, name: str, arrows: Arrows, shown: list[Any] | None) -> None:
+        points = np.stack([arrows.tail, arrows.tail + arrows.vector], axis=1).astype(np.float32)
+        if shown is None:
+            if not len(points):
+                return
+            radius = arrows.width / 2
+            head = HEAD[0] * radius
+            self._shown[name] = [
+                self._scene.add_arrows(
+                    _path(name), points, _bytes(arrows.colours), shaft_radius=radius,
+                    head_radius=head, head_length=HEAD[1] * head / 2,
+                )
+            ]  # fmt: skip
+            return
+        shown[0].visible = len(points) > 0
+        if len(points):
+            shown[0].points, shown[0].colors = points, _bytes(arrows.colours)
+
+
+def _path(name: str) -> str:
+    return f"{ROOT}/{name}"
+
+
+def _bytes(colours: Array) -> NDArray[np.uint8]:
+    return np.round(255 * np.asarray(colours)).astype(np.uint8)

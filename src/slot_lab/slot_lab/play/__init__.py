@@ -1,0 +1,1 @@
+"""The simulated robot to play with: commands, changes and pushes while it runs."""

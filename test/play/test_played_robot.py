@@ -1,0 +1,212 @@
+"""The played robot: every command, change and push has its effect while the robot moves."""
+
+import numpy as np
+import pytest
+
+from slot_core.config import ConfigError
+from slot_core.control.controller import Tick
+from slot_core.robot import LEGS
+from slot_core.safety.requests import Request
+from slot_core.safety.states import State
+from slot_lab.play.played_robot import FRAME, KEPT, PlayedRobot
+
+UP = 3.0  # s, to stand up and settle
+
+
+def run(robot, seconds):
+    for _ in range(round(seconds / FRAME)):
+        robot.advance()
+    return robot.truth.odometry
+
+
+@pytest.fixture
+def standing():
+    robot = PlayedRobot()
+    run(robot, UP)
+    assert robot.loop.report.state is State.STANDING
+    return robot
+
+
+@pytest.fixture
+def walking(standing):
+    standing.wishes.gait, standing.wishes.velocity = "walk", np.array([0.05, 0.0, 0.0])
+    run(standing, 2.0)
+    assert standing.loop.report.state is State.WALKING
+    return standing
+
+
+@pytest.mark.parametrize(
+    ("velocity", "axis"), [([0.05, 0, 0], 0), ([0, 0.03, 0], 1), ([-0.05, 0, 0], 0)]
+)
+def test_it_walks_where_it_is_wished_to(walking, velocity, axis):
+    walking.wishes.velocity = np.array(velocity, dtype=float)
+    run(walking, 2.0)
+    before = walking.truth.odometry.position
+    way = run(walking, 4.0).position - before
+    assert way[axis] == pytest.approx(4.0 * velocity[axis], rel=0.4)
+
+
+def test_it_turns(walking):
+    walking.wishes.velocity = np.array([0.0, 0.0, 0.1])
+    before = run(walking, 2.0).quaternion[2]
+    assert run(walking, 4.0).quaternion[2] - before > 0.5 * np.sin(0.2)
+
+
+def test_it_changes_its_gait_and_stands_again(walking):
+    walking.wishes.gait = "crawl"
+    run(walking, 2.0)
+    assert walking.tick.preview.gait == "crawl"
+    walking.wishes.gait = "stand"
+    run(walking, 2.0)
+    assert walking.loop.report.state is State.STANDING
+    assert np.abs(walking.truth.odometry.velocity).max() < 0.01
+
+
+def test_it_takes_a_pose_and_says_which_it_does_not(standing):
+    before = standing.truth.odometry.position[2]
+    standing.wishes.pose = np.array([before - 0.008, 0.0, np.radians(3.0)])
+    after = run(standing, 3.0)
+    assert after.position[2] < before - 0.005
+    assert 2 * np.degrees(after.quaternion[1]) == pytest.approx(3.0, abs=1.0)
+    standing.wishes.pose = np.array([1.0, 0.0, 0.0])
+    run(standing, 0.1)
+    assert "height" in standing.loop.refusal
+
+
+CHANGES = {
+    "payload": ({"scene.payload.mass": 0.4}, lambda a, b: b.position[2] < a.position[2] - 0.001),
+    "stiffness": ({"robot.leg.young_modulus": 2.2e7}, lambda a, b: b.position[2] < a.position[2]),
+    "place": (
+        {"scene.payload.mass": 0.3, "scene.payload.place": [-0.05, 0.0, 0.03]},
+        lambda a, b: b.quaternion[1] < a.quaternion[1] - 0.002,
+    ),
+}
+
+
+@pytest.mark.parametrize(("change", "shows"), CHANGES.values(), ids=CHANGES)
+def test_a_change_acts_on_the_robot_that_stands(standing, change, shows):
+    standing.set_policy("gait_alone")  # which corrects nothing
+    before = standing.truth.odometry
+    standing.change(change)
+    assert shows(before, run(standing, 1.0))
+
+
+def test_a_smooth_slope_lets_it_slide_and_a_rough_one_does_not(standing):
+    ways = []
+    for friction in (0.6, 0.02):
+        standing.change({"scene.floor.friction": [friction] * 4})
+        standing.set_slope(8.0)
+        before = standing.truth.odometry.position[0]
+        ways.append(run(standing, 1.0).position[0] - before)
+    assert ways[1] < -0.05 < 10 * ways[0]
+
+
+def test_a_lower_voltage_slows_the_servos(standing):
+    speed = standing.loop.plant.robot.model.servo.speed
+    standing.change({"scene.supply_voltage": 9.0})
+    assert standing.loop.plant.robot.model.servo.speed < 0.9 * speed
+    run(standing, 0.2)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"scene.payload.mass": -1.0}, {"scene.solver.nodes": 5}, {"gait.transition": 1.0},
+     {"scene.floor.friction_law": "bristle"}, {"scene.none": 1}],
+)  # fmt: skip
+def test_what_cannot_change_is_refused_and_nothing_changes(standing, change):
+    model = standing.loop.plant.robot.model
+    with pytest.raises(ConfigError):
+        standing.change(change)
+    assert standing.loop.plant.robot.model is model
+    assert standing.changes == {}
+
+
+@pytest.mark.parametrize("leg", LEGS)
+def test_a_broken_tendon_is_found_and_once_mended_the_robot_goes_on(walking, leg):
+    walking.set_tendon(leg, broken=True)
+    run(walking, 1.0)
+    assert walking.loop.report.state is State.HOLD
+    assert f"tendon {leg}" in walking.loop.report.reason
+    walking.set_tendon(leg, broken=False)
+    walking.set_tendon(leg, broken=False)  # mended already
+    walking.change({"scene.payload.mass": 0.1})  # which keeps what faults there are
+    assert walking.loop.plant.robot.model.fault[1].all()
+    run(walking, 8.0)
+    walking.wishes.up = True
+    run(walking, 8.0)
+    assert walking.loop.report.state is State.WALKING
+
+
+def test_a_change_keeps_a_broken_tendon_and_a_pull(standing):
+    standing.set_tendon("FL", broken=True)
+    standing.pull(np.array([1.0, 0.0, 0.0]))
+    run(standing, 0.1)
+    standing.change({"scene.payload.mass": 0.1})
+    assert standing.loop.plant.robot.model.fault[1].tolist() == [0.0, 1.0, 1.0, 1.0]
+    assert standing.loop.plant.robot.model.push.tolist() == [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+
+
+def test_a_push_ends_and_a_pull_is_held(standing):
+    standing.push([0.0, 6.0, 0.0], 0.2)
+    run(standing, 0.12)
+    assert standing.truth.odometry.velocity[1] > 0.01
+    run(standing, 0.2)
+    assert not standing.loop.plant.robot.model.push.any()
+    for force in (4.0, 2.0, 0.0):
+        standing.pull(np.array([0.0, force, 0.0]))
+        run(standing, 0.1)
+        assert standing.loop.plant.robot.model.push[1] == force
+
+
+def test_after_an_emergency_stop_it_rises_only_on_request(walking):
+    walking.loop.request(Request.ESTOP)
+    run(walking, 3.0)
+    assert walking.loop.report.state is State.ESTOP
+    walking.wishes.up = True
+    run(walking, 8.0)
+    assert walking.loop.report.state is State.WALKING
+
+
+def test_it_goes_on_under_another_policy(walking):
+    for policy in ("forces", "gait_alone"):
+        walking.set_policy(policy)
+        run(walking, 1.0)
+        assert walking.loop.report.state is State.WALKING
+    with pytest.raises(ConfigError):
+        walking.set_policy("none")
+    assert walking.policy == "gait_alone"
+
+
+def test_a_reset_keeps_changes_and_wishes_and_a_lost_simulation_needs_one(walking):
+    walking.change({"scene.payload.mass": 0.2})
+    walking.set_tendon("FL", broken=True)
+    walking.set_tendon("FL", broken=False)
+    walking.set_tendon("RL", broken=True)
+    walking.loop.plant.robot.set_tip_to_nan(0)
+    walking.advance()
+    assert "diverged" in walking.ended
+    assert walking.advance() == []
+    walking.reset()
+    assert walking.time == 0.0
+    assert walking.loop.plant.robot.model.payload[0] == 0.2
+    assert walking.loop.plant.robot.model.fault[1].tolist() == [1.0, 1.0, 0.0, 1.0]
+    walking.set_tendon("RL", broken=False)
+    run(walking, 6.0)
+    assert walking.loop.report.state is State.WALKING
+
+
+@pytest.mark.parametrize("scene", ["map", "paper", "none"])
+def test_a_scene_without_rods_is_refused(scene):
+    with pytest.raises(ConfigError, match=r"rods|none"):
+        PlayedRobot(scene)
+
+
+def test_it_keeps_what_happened_for_a_limited_time(standing, monkeypatch):
+    assert standing.time == pytest.approx(UP, abs=FRAME)
+    ticks = [value for _, value in standing.history if isinstance(value, Tick)]
+    assert len(ticks) == pytest.approx(UP / 0.033, abs=2)
+    monkeypatch.setattr("slot_lab.play.played_robot.KEPT", 1.0)
+    run(standing, FRAME)
+    first, last = standing.history[0][0], standing.history[-1][0]
+    assert last - first == pytest.approx(1e9, abs=2e7)
+    assert KEPT > 60

@@ -1,0 +1,124 @@
+"""Headless Chromium, driven over its DevTools protocol."""
+
+import base64
+import itertools
+import json
+import shutil
+import subprocess
+import time
+import urllib.request
+from pathlib import Path
+
+from websockets.sync.client import connect
+
+NAMES = "chromium", "google-chrome", "chromium-browser"
+PROGRAM = next(filter(None, map(shutil.which, NAMES)), "")
+OPTIONS = (
+    "--headless=new", "--no-sandbox", "--remote-debugging-port=0", "--window-size=1200,700",
+    "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--no-proxy-server",
+)  # fmt: skip
+DEADLINE = 60.0  # s
+
+
+class Browser:
+    """A page in Chromium; a context manager."""
+
+    def __init__(self, directory: Path, address: str):
+        command = [PROGRAM, *OPTIONS, f"--user-data-dir={directory}", "about:blank"]
+        self._process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        port = wait_for(lambda: _port(directory))
+        targets = f"http://127.0.0.1:{port}/json"
+        page = wait_for(lambda: next((t for t in _json(targets) if t["type"] == "page"), None))
+        self._socket = connect(page["webSocketDebuggerUrl"], max_size=None, proxy=None)
+        self._number = itertools.count(1)
+        self.call("Page.enable")
+        self.call("Page.navigate", url=address)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._socket.close()
+        self._process.terminate()
+        self._process.wait()
+
+    def call(self, method, **parameters):
+        """Result of a command of the protocol."""
+        number = next(self._number)
+        self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
+        while True:
+            answer = json.loads(self._socket.recv(DEADLINE))
+            if answer.get("id") == number:
+                assert "error" not in answer, answer
+                return answer["result"]
+
+    def run(self, script):
+        """Value of an expression of JavaScript."""
+        found = self.call("Runtime.evaluate", expression=script, returnByValue=True)
+        assert "exceptionDetails" not in found, found
+        return found["result"].get("value")
+
+    def text(self):
+        """What the page says."""
+        return self.run("document.body ? document.body.innerText : ''")
+
+    def click(self, script):
+        """Click in the middle of the element of an expression."""
+        x, y = wait_for(lambda: self.run(f"({MIDDLE})({script})"))
+        for kind in ("mousePressed", "mouseReleased"):
+            self.mouse(kind, x, y)
+
+    def mouse(self, kind, x, y, held=True):
+        """An event of the left button, or of the mouse with no button held."""
+        button, buttons = ("left", int(kind != "mouseReleased")) if held else ("none", 0)
+        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, buttons=buttons,
+                  clickCount=int(held))  # fmt: skip
+
+    def drag(self, begin, end, steps=8):
+        """Drag from one point to another, without letting go."""
+        self.mouse("mouseMoved", *begin, held=False)
+        self.mouse("mousePressed", *begin)
+        for k in range(1, steps + 1):
+            x, y = (a + (b - a) * k / steps for a, b in zip(begin, end))
+            self.mouse("mouseMoved", x, y)
+
+    def key(self, letter, shift=False):
+        """Press a key, with Shift or without."""
+        key = letter if shift else letter.lower()
+        code = {"code": f"Key{letter}", "key": key, "modifiers": 8 * shift}
+        number = {"windowsVirtualKeyCode": ord(letter)}
+        for kind in ("rawKeyDown", "keyUp"):
+            self.call("Input.dispatchKeyEvent", type=kind, **code, **number)
+
+    def screenshot(self, path):
+        """Write what is seen as a PNG."""
+        data = self.call("Page.captureScreenshot", format="png")["data"]
+        Path(path).write_bytes(base64.b64decode(data))
+
+
+MIDDLE = """element => {
+  if (!element) return null;
+  element.scrollIntoView({block: "center"});
+  const r = element.getBoundingClientRect();
+  return [r.x + r.width / 2, r.y + r.height / 2];
+}"""
+
+
+def wait_for(find, said=str):
+    """The first true result; fails after the deadline, with what is `said` then."""
+    end = time.monotonic() + DEADLINE
+    while not (found := find()):
+        assert time.monotonic() < end, said()
+        time.sleep(0.05)
+    return found
+
+
+def _port(directory):
+    file = directory / "DevToolsActivePort"
+    return file.exists() and file.read_text().split("\n")[0]
+
+
+def _json(address):
+    with urllib.request.urlopen(address) as answer:
+        return json.load(answer)

@@ -1,0 +1,127 @@
+"""The loop of scripts/play without a browser: its pace, what it refuses, what it says."""
+
+import pytest
+
+from slot_bringup.playing.main_page import main, start_server
+from slot_bringup.playing.play_page import PlayPage
+from slot_core.safety.states import State
+from slot_lab.play.played_robot import FRAME, PlayedRobot
+
+
+class Wall:
+    """A clock that goes on by what is slept, and by `cost` (s) at every look."""
+
+    def __init__(self):
+        self.now, self.cost = 0.0, 0.0
+
+    def clock(self):
+        self.now += self.cost
+        return self.now
+
+    def sleep(self, seconds):
+        self.now += seconds
+
+
+class Played:
+    """A page with its wall clock."""
+
+    def __init__(self, server, bags):
+        self.wall = Wall()
+        self.page = PlayPage(server, PlayedRobot(), bags)
+        self.robot = self.page.robot
+
+    def run(self, seconds):
+        end = self.wall.now + seconds
+        self.page.run(lambda: self.wall.now >= end, self.wall.clock, self.wall.sleep)
+
+    @property
+    def text(self):
+        return self.page._text.content
+
+
+@pytest.fixture
+def played(tmp_path):
+    server = start_server("127.0.0.1", 0, "")
+    yield Played(server, tmp_path)
+    server.stop()
+
+
+def test_the_robot_keeps_up_with_the_wall_clock_and_says_so(played):
+    played.run(3.0)
+    assert played.robot.time == pytest.approx(3.0, abs=2 * FRAME)
+    assert played.robot.loop.report.state is State.STANDING
+    assert "STANDING" in played.text
+    assert "1.00 of real time" in played.text
+
+
+def test_a_machine_that_is_too_slow_is_reported_and_does_not_catch_up(played):
+    played.wall.cost = 0.03
+    played.run(4.0)
+    assert "slower than 1.00 of real time: 0." in played.text
+    assert played.robot.time < 3.0
+    behind = played.wall.now - played.robot.time
+    played.wall.cost = 0.0
+    played.run(1.0)
+    assert played.wall.now - played.robot.time > behind - 0.3
+
+
+def test_slow_motion_pause_and_steps(played):
+    played.page.do(lambda _: played.page._set_speed(0.25))
+    played.run(2.0)
+    assert played.robot.time == pytest.approx(0.5, abs=2 * FRAME)
+    played.page._on_time("pause")
+    played.run(1.0)
+    before = played.robot.time
+    assert before == pytest.approx(0.5, abs=2 * FRAME)
+    for _ in range(3):
+        played.page._on_time("step")
+    played.run(1.0)
+    assert played.robot.time == pytest.approx(before + 3 * FRAME, abs=1e-6)
+    assert "paused" in played.text
+    played.page._on_time("go on")
+    played.run(1.0)
+    assert played.robot.time > before + 0.2
+
+
+def test_a_refusal_is_shown_and_the_next_act_takes_it_away(played):
+    played.page.do(lambda r: r.change({"scene.payload.mass": -1.0}))
+    played.run(0.2)
+    assert "payload.mass = -1.0: outside" in played.text
+    played.page.do(lambda r: r.change({"scene.payload.mass": 0.1}))
+    played.run(0.2)
+    assert "outside" not in played.text
+
+
+def test_what_happened_is_saved_and_a_second_bag_of_a_second_is_refused(played, tmp_path):
+    played.run(1.0)
+    played.page._on_time("save")
+    played.run(0.2)
+    (bag,) = tmp_path.iterdir()
+    assert f"messages are in {bag}" in played.text
+
+
+def test_a_simulation_that_diverges_asks_for_a_reset(played):
+    played.run(1.0)
+    played.page.do(lambda r: r.loop.plant.robot.set_tip_to_nan(0))
+    played.run(0.5)
+    assert "diverged" in played.text
+    assert ": reset" in played.text
+    played.page._on_time("reset")
+    played.run(0.5)
+    assert "diverged" not in played.text
+
+
+def test_what_the_player_is_told_is_no_markup(played):
+    played.page.do(lambda r: setattr(r.wishes, "gait", "stand"))
+    played.page.do(lambda r: r.change({"scene.<b>": 1}))
+    played.run(0.2)
+    assert "&lt;b&gt;" in played.text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [(["--scene", "none"], "none"), (["--policy", "none"], "none"), (["--scene", "paper"], "rods"),
+     (["--port", "70000"], "outside"), (["--host", "no.such.host.invalid"], "no.such.host")],
+)  # fmt: skip
+def test_what_cannot_be_played_is_refused_in_one_line(refusal, arguments, reason):
+    assert reason in refusal(main, *arguments)

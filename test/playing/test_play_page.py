@@ -1,0 +1,251 @@
+"""The page of scripts/play in headless Chromium: every control acts on the robot."""
+
+import threading
+
+import numpy as np
+import pytest
+from browser import PROGRAM, Browser, wait_for
+from scipy.spatial.transform import Rotation
+
+from slot_bringup.playing.main_page import address, start_server
+from slot_bringup.playing.play_page import PlayPage
+from slot_core.robot import LEGS
+from slot_core.safety.states import State
+from slot_lab.play.played_loop import Wishes
+from slot_lab.play.played_robot import PlayedRobot
+
+pytestmark = pytest.mark.skipif(not PROGRAM, reason="no Chromium: scripts/setup --test has one")
+ROW = "[...document.querySelectorAll('label')].find(l => l.innerText == {label!r})"
+ROW += ".closest('div').parentElement"
+TAB = "[...document.querySelectorAll('[role=tab]')].find(t => t.innerText == {!r})"
+BUTTON = "[...{row}.querySelectorAll('button')].find(b => b.innerText == {text!r})"
+COARSE = "?fixedDpr=0.25"  # fewer pixels of the robot, which take most of the time without a GPU
+OPTION = "[...document.querySelectorAll('[role=option]')].find(o => o.innerText == {!r})"
+
+
+class Hand:
+    """Uses the page as a person would, and sees the robot in it."""
+
+    def __init__(self, page, server, browser):
+        self.page, self.server, self.browser = page, server, browser
+
+    @property
+    def robot(self):
+        return self.page.robot
+
+    @property
+    def model(self):
+        return self.robot.loop.plant.robot.model
+
+    def see(self, shows):
+        wait_for(lambda: shows(self), said=self.browser.text)
+
+    def open(self, tab):
+        def selected():  # a click may come before the page is complete
+            self.browser.click(TAB.format(tab))
+            return self.browser.run(f"{TAB.format(tab)}.ariaSelected") == "true"
+
+        wait_for(selected, said=self.browser.text)
+
+    def slide(self, label, value):
+        field = f"{ROW.format(label=label)}.querySelector('input[inputmode]')"
+        wait_for(lambda: self.browser.run(f"!!{field.replace('.closest', '?.closest')}"))
+        self.browser.run(f"{field}.focus(); {field}.select()")
+        self.browser.call("Input.insertText", text=f"{value:g}")
+        self.browser.run(f"{field}.blur()")
+
+    def choose(self, label, option):
+        self.browser.click(f"{ROW.format(label=label)}.querySelector('input')")
+        self.browser.click(OPTION.format(option))
+        self.browser.run("document.activeElement.blur()")  # else it takes the keys
+
+    def tick(self, label):
+        self.browser.click(f"{ROW.format(label=label)}.querySelector('input[type=checkbox]')")
+
+    def press(self, label, text):
+        self.browser.click(BUTTON.format(row=ROW.format(label=label), text=text))
+
+    def pixel(self, point):
+        """Where a point (3,) of the torso, m in base_link, is on the screen."""
+        (client,) = self.server.get_clients().values()
+        camera, odometry = client.camera, self.robot.truth.odometry
+        place = Rotation.from_quat(odometry.quaternion).apply(point)
+        place[2] += odometry.position[2]
+        w, x, y, z = camera.wxyz
+        seen = Rotation.from_quat([x, y, z, w]).inv().apply(place - camera.position)
+        middle = np.array(self.browser.run("[innerWidth, innerHeight]")) / 2
+        return middle + middle[1] / np.tan(camera.fov / 2) * seen[:2] / seen[2]
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory):
+    """The page and a browser that shows it; it runs until the end of the module."""
+    ended = threading.Event()
+    server = start_server("127.0.0.1", 0, "")
+    page = PlayPage(server, PlayedRobot(), tmp_path_factory.mktemp("bags"))
+    runner = threading.Thread(target=page.run, args=(ended.is_set,))
+    runner.start()
+    try:
+        place = address("127.0.0.1", server.get_port(), "") + COARSE
+        with Browser(tmp_path_factory.mktemp("chromium"), place) as browser:
+            hand = Hand(page, server, browser)
+            hand.see(lambda h: "yaw rate" in h.browser.text())
+            yield hand
+    finally:
+        ended.set()
+        runner.join()
+        server.stop()
+
+
+@pytest.fixture
+def hand(shared):
+    """The page with a robot that stands, as at the start."""
+
+    def begin(robot):
+        robot.wishes, robot.changes = Wishes(), {}
+        robot.reset()
+
+    done = threading.Event()
+    shared.page.do(begin)
+    shared.page.do(lambda _: done.set())
+    assert done.wait(60.0)
+    shared.see(lambda h: h.robot.loop.report and h.robot.loop.report.state is State.STANDING)
+    return shared
+
+
+def preview(hand):
+    return hand.robot.tick.preview
+
+
+def test_it_walks_turns_and_stops_by_sliders_and_keys(hand):
+    hand.open("Drive")
+    hand.choose("gait", "walk")
+    hand.slide("v_x (m/s)", 0.05)
+    hand.see(lambda h: h.robot.truth.odometry.position[0] > 0.02)
+    hand.slide("v_y (m/s)", 0.02)
+    hand.slide("yaw rate (rad/s)", 0.01)
+    hand.see(lambda h: np.allclose(preview(h).command.velocity, [0.05, 0.02, 0.01]))
+    hand.see(lambda h: h.robot.truth.odometry.position[1] > 0.01)
+    hand.browser.key("M")
+    hand.see(lambda h: not preview(h).command.velocity.any())
+    for key, axis, sign in (("I", 0, 1), ("J", 2, 1), ("U", 1, 1), ("O", 1, -1), ("L", 2, -1)):
+        before = hand.robot.wishes.velocity[axis]
+        hand.browser.key(key)
+        hand.see(lambda h: sign * (h.robot.wishes.velocity[axis] - before) > 0)  # noqa: B023
+    hand.browser.key("H")
+    hand.see(lambda h: h.robot.loop.report.state is State.STANDING)
+
+
+def test_it_takes_a_pose_and_gives_it_up_again(hand):
+    hand.open("Drive")
+    hand.slide("height (mm)", 50)
+    hand.see(lambda h: h.robot.truth.odometry.position[2] > 0.047)
+    hand.slide("roll (deg)", 4)
+    hand.slide("pitch (deg)", -3)
+    hand.see(lambda h: np.allclose(preview(h).command.pose, [0.05, *np.radians([4, -3])]))
+    hand.see(lambda h: h.robot.truth.odometry.quaternion[0] > np.sin(np.radians(3) / 2))
+    for key, index, sign in (
+        ("I", 2, 1), ("K", 2, -1), ("U", 0, 1), ("O", 0, -1), ("L", 1, 1), ("J", 1, -1)
+    ):  # fmt: skip
+        before = hand.robot.wishes.pose[index]
+        hand.browser.key(key, shift=True)
+        hand.see(lambda h: sign * (h.robot.wishes.pose[index] - before) > 0)  # noqa: B023
+    hand.tick("the gait's own height and tilt")
+    hand.see(lambda h: h.robot.truth.odometry.position[2] < 0.042)
+
+
+def test_policy_and_operator(hand):
+    hand.open("Drive")
+    hand.choose("policy", "gait_alone")
+    hand.see(lambda h: "none are estimated" in h.browser.text())
+    hand.browser.key("Y")  # after the last the first
+    hand.see(lambda h: h.robot.policy == "predictive")
+    for button, state in (
+        ("relax", State.IDLE), ("stand up", State.STANDING), ("e-stop", State.ESTOP)
+    ):  # fmt: skip
+        hand.press("operator", button)
+        hand.see(lambda h: h.robot.loop.report.state is state)  # noqa: B023
+    hand.see(lambda h: "ESTOP" in h.browser.text())
+
+
+def test_the_world_changes_under_the_robot(hand):
+    hand.open("World")
+    before = hand.model
+    hand.slide("payload (kg)", 0.5)
+    hand.see(lambda h: h.model.payload[0] == 0.5)
+    hand.slide("stiffness of the legs (%)", 110)
+    hand.see(lambda h: np.allclose(h.model.rod.axial, 1.1 * before.rod.axial))
+    hand.slide("supply voltage (V)", 9.5)
+    hand.see(lambda h: h.model.servo.speed < 0.95 * before.servo.speed)
+    for leg, value in zip(LEGS, (0.1, 0.15, 0.2, 0.05)):
+        hand.slide(f"friction {leg}", value)
+    hand.see(lambda h: np.allclose(h.model.friction[0], [0.1, 0.15, 0.2, 0.05]))
+    hand.slide("slope (deg)", 10)
+    hand.see(lambda h: h.robot.truth.odometry.position[0] < -0.02)
+
+
+@pytest.mark.parametrize("leg", LEGS)
+def test_a_tendon_breaks_and_the_page_says_so(hand, leg):
+    hand.open("World")
+    hand.tick(f"tendon {leg} broken")
+    hand.see(lambda h: h.model.fault[1, LEGS.index(leg)] == 0.0)
+    hand.see(lambda h: f"broken tendon {leg}" in h.browser.text())
+    hand.tick(f"tendon {leg} broken")
+    hand.see(lambda h: h.model.fault[1].all())
+
+
+def test_a_push_by_the_button_moves_the_torso(hand):
+    hand.open("Push")
+    hand.slide("push (N)", 12)
+    for button, axis, sign in (
+        ("left", 1, 1), ("right", 1, -1), ("front", 0, 1), ("back", 0, -1)
+    ):  # fmt: skip
+        hand.press("push to", button)
+        hand.see(lambda h: sign * h.robot.truth.odometry.velocity[axis] > 0.01)  # noqa: B023
+
+
+def test_the_mouse_pulls_at_the_torso_and_places_the_payload(hand):
+    corner = hand.pixel([0.04, -0.03, 0.017])
+    hand.browser.drag(corner, (corner[0] + 150, corner[1]))
+    hand.see(lambda h: np.linalg.norm(h.model.push) > 1.0)
+    hand.browser.mouse("mouseReleased", corner[0] + 150, corner[1])
+    hand.see(lambda h: not h.model.push.any())
+    hand.open("World")
+    hand.slide("payload (kg)", 0.3)
+    hand.see(lambda h: h.model.payload[0] == 0.3)
+    top = hand.model.payload[3]
+    hand.browser.drag(hand.pixel([0.0, 0.0, top]), goal := hand.pixel([-0.04, 0.02, top]))
+    hand.browser.mouse("mouseReleased", *goal)
+    # the robot sinks under the load while the mouse moves
+    hand.see(lambda h: np.allclose(h.model.payload[1:], [-0.04, 0.02, top], atol=0.02))
+
+
+def test_it_pauses_steps_slows_down_resets_and_saves(hand):
+    hand.press("time", "pause")
+    hand.see(lambda h: "paused" in h.browser.text())
+    before = hand.robot.time
+    hand.press("time", "step")
+    hand.see(lambda h: h.robot.time > before)
+    hand.browser.key("N")
+    hand.see(lambda h: h.robot.time == pytest.approx(before + 0.08))
+    hand.press("time", "go on")
+    hand.choose("speed", "1/4")
+    hand.see(lambda h: "0.25 of real time" in h.browser.text())
+    hand.choose("speed", "real time")
+    hand.press("time", "save")
+    hand.see(lambda h: "messages are in" in h.browser.text())
+    hand.press("time", "reset")
+    hand.see(lambda h: h.robot.time < 2.0)
+
+
+def test_plots_and_disturbances_are_drawn(hand):
+    hand.open("Plots")
+    hand.see(lambda h: h.browser.run("document.querySelectorAll('.uplot canvas').length") >= 8)
+    hand.see(lambda h: "disturbances: payload" in h.browser.text())
+
+
+def test_the_page_requests_nothing_from_elsewhere(hand):
+    asked = "performance.getEntriesByType('resource').map(e => e.name)"
+    found = hand.browser.run(f"[location.href, ...{asked}]")
+    origin = hand.browser.run("location.origin")
+    assert [each for each in found if not each.startswith((origin, "blob:", "data:"))] == []

@@ -1,0 +1,27 @@
+"""Bag of a played robot: the checks of a recorded walk hold for it."""
+
+import numpy as np
+
+from slot_bringup.playing import robot_messages
+from slot_lab.bags.bag import Bag
+from slot_lab.bags.check_bag import check_bag
+from slot_lab.play.played_robot import PlayedRobot
+
+
+def test_a_saved_bag_replays_equal_to_the_last_bit_though_the_world_has_changed(tmp_path):
+    robot = PlayedRobot()
+    robot.wishes.gait, robot.wishes.velocity = "walk", np.array([0.05, 0.0, 0.0])
+    for _ in range(100):
+        robot.advance()
+    robot.change({"scene.payload.mass": 0.2})
+    robot.push([0.0, 5.0, 0.0], 0.2)
+    for _ in range(25):
+        robot.advance()
+    count = robot_messages.save(robot, tmp_path / "bag")
+    bag = Bag(tmp_path / "bag")
+    assert sum(bag.counts.values()) == count
+    found = check_bag(bag, 0.0)
+    assert len(found) == 4
+    for stage in found:
+        assert stage.compared > 100
+        assert stage.first is None, stage.first
