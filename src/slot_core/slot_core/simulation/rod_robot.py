@@ -44,7 +44,7 @@ class RodRobot(KernelRobot):
         self._start = matching_state(self.model)
         scheme = build_scheme(scene.solver, self.model.floor)
         parts = (self.model, self.state, self._work, self._start, self._legs)
-        self._handle = Handle((*parts, scheme))
+        self.handle = Handle((*parts, scheme))
         self._points = np.zeros((2, 4, scene.solver.nodes, 3))
         self._settle()
         _ = self.ground_force  # compiles what a reading calls
@@ -59,7 +59,7 @@ class RodRobot(KernelRobot):
         require_steps(steps)
         command = self.checked(command)
         self._legs.command[0] = command
-        done, where = integrator.advance(self._handle, steps)
+        done, where = integrator.advance(self.handle, steps)
         self.steps += done
         if where >= 0:
             raise DivergenceError(
