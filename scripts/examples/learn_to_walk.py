@@ -29,7 +29,7 @@ with ExitStack() as stack:
     evaluate = returns
     if options.scheduler:
         client = stack.enter_context(workers(options.scheduler))
-        evaluate = spread(client, len(client.scheduler_info()["workers"]))
+        evaluate = spread(client, len(client.ncores()))
     for found in learn(TASK, EVOLUTION, evaluate):
         history.append(found)
         print(f"{found.generation:4d} generations, {found.steps:8d} steps: {found.test:.4f} a step")
