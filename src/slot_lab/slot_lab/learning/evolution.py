@@ -53,7 +53,7 @@ class Walks(NamedTuple):
     seeds: NDArray[np.int64]  # (m,)
 
 
-class Progress(NamedTuple):
+class Generation(NamedTuple):
     """What is known after a generation."""
 
     generation: int
@@ -97,7 +97,7 @@ def spread(client: Any, parts: int) -> Callable[[Walks], Array]:
 
 def learn(
     task: Task, evolution: Evolution, evaluate: Callable[[Walks], Array] = returns
-) -> Iterator[Progress]:
+) -> Iterator[Generation]:
     """Generations without end; the first is the network whose actions are zero."""
     e, shape = evolution, shape_of(task, evolution)
     rng = np.random.default_rng(e.seed)
@@ -110,7 +110,7 @@ def learn(
             test = float(evaluate(Walks(task, e, tested, TEST_SEEDS)).mean())
             if test > most:
                 best, most = centre.copy(), test
-            yield Progress(generation, steps, mean, test, best.copy())
+            yield Generation(generation, steps, mean, test, best.copy())
         directions = rng.standard_normal((e.pairs, shape.size))
         tried = centre + e.sigma * np.concatenate([directions, -directions])
         seeds = rng.integers(TEST_SEEDS[0], size=e.pairs)

@@ -12,7 +12,7 @@ from slot_core.control.onnx_policy import GAIT, KIND
 from slot_core.gait.reference import mean_velocity
 from slot_core.robot import Array
 from slot_core.simulation.closed_loop import ClosedLoop
-from slot_lab.learning.evolution import Progress
+from slot_lab.learning.evolution import Generation
 from slot_lab.learning.network import NetworkShape, write_onnx
 from slot_lab.learning.task import Task, level_changes
 
@@ -27,7 +27,7 @@ def export(file: Path | str, task: Task, shape: NetworkShape, parameters: Array)
     write_onnx(Path(file), shape, parameters, {GAIT: task.gait, KIND: task.actions})
 
 
-def draw(history: Sequence[Progress], file: Path | str) -> None:
+def draw(history: Sequence[Generation], file: Path | str) -> None:
     """Returns over the steps of the environment; the gait alone is what learning begins with."""
     steps = np.array([found.steps for found in history]) / 1e6
     figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
