@@ -16,8 +16,9 @@ from slot_core.control.walk_actions import ANGLE_MAX
 from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 
-for module in ("gymnasium", "onnx", "onnxruntime"):
+for module in ("gymnasium", "onnxruntime"):
     pytest.importorskip(module, reason="needs scripts/setup --learn")
+onnx = pytest.importorskip("onnx", reason="needs scripts/setup --learn")
 from slot_lab.bags.bag import Bag, BagError  # noqa: E402
 from slot_lab.bags.check_bag import check_bag  # noqa: E402
 from slot_lab.learning.evolution import Evolution, shape_of  # noqa: E402
@@ -96,6 +97,17 @@ def test_a_network_for_something_else_is_refused_in_one_line(tmp_path, shape, ab
     file, _ = network(tmp_path, shape, about)
     with pytest.raises(ConfigError, match=named) as refused:
         policy_class(f"onnx:{file}").read_settings(f"onnx:{file}")
+    assert len(str(refused.value).splitlines()) == 1
+
+
+def test_a_network_that_takes_five_observations_at_once_is_refused_in_one_line(tmp_path):
+    file, _ = network(tmp_path)
+    model = onnx.load(file)
+    for port in (model.graph.input[0], model.graph.output[0]):
+        port.type.tensor_type.shape.dim[0].dim_value = 5
+    onnx.save(model, file)
+    with pytest.raises(ConfigError, match=r"net\.onnx: \w+: .*[Ee]xpected: 5") as refused:
+        OnnxPolicy.read_settings(f"onnx:{file}")
     assert len(str(refused.value).splitlines()) == 1
 
 

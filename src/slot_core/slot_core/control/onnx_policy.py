@@ -9,6 +9,8 @@ equal actions.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -108,20 +110,29 @@ def _session(file: Path) -> Any:
         ) from None
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    try:
+    with _refused(file):
         content = read_bytes(file, SIZE_MAX)
         return onnxruntime.InferenceSession(content, options, ["CPUExecutionProvider"])
-    except Exception as error:
-        line = " ".join(str(error).split())[:200]
-        raise ConfigError(f"policy {file}: {type(error).__name__}: {line}") from None
 
 
 def _require_sizes(file: Path, session: Any, expected: tuple[int, int]) -> None:
-    """Raise ConfigError for a network of another number of inputs or outputs."""
+    """Raise ConfigError for a network that does not map one observation to one action."""
     ports = session.get_inputs(), session.get_outputs()
-    found = tuple(port[0].shape[-1] if len(port) == 1 else None for port in ports)
+    found = tuple(port[0].shape[-1] if len(port) == 1 and port[0].shape else 0 for port in ports)
     if found != expected:
         raise ConfigError(
             f"policy {file}: the network maps {found[0]} values to {found[1]}, expected"
             f" {expected[0]} to {expected[1]}"
         )
+    with _refused(file):
+        session.run(None, {ports[0][0].name: np.zeros((1, expected[0]), dtype=np.float32)})
+
+
+@contextmanager
+def _refused(file: Path) -> Iterator[None]:
+    """Raise what the runtime raises as ConfigError."""
+    try:
+        yield
+    except Exception as error:
+        line = " ".join(str(error).split())[:200]
+        raise ConfigError(f"policy {file}: {type(error).__name__}: {line}") from None
