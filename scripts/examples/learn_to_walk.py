@@ -20,8 +20,12 @@ parser.add_argument("--scheduler", default="", metavar="ADDRESS", help="of dask.
 options = parser.parse_args()
 
 TASK = make_task(
-    level="coarse", duration=8.0, servos=False,
-    drawn={"scene.floor.friction": (0.15, 0.7), "velocity": ((0.03, 0, 0), (0.055, 0, 0))},
+    level="coarse", duration=10.0, servos=False,
+    drawn={
+        "scene.floor.friction": (0.15, 0.7),
+        "scene.gravity": ((-0.3, -0.3, -9.81), (0.3, 0.3, -9.81)),  # inclines of up to 2.5 deg
+        "velocity": ((0.03, 0.0, -0.01), (0.055, 0.0, 0.01)),
+    },
 )  # fmt: skip
 EVOLUTION = Evolution(pairs=options.pairs, step=0.0022, threads=len(os.sched_getaffinity(0)))
 start, history = time.monotonic(), []

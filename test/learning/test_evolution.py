@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from slot_core.control.walk_actions import observation_size
+from slot_core.gait.gait import LEFT_RIGHT
 
 pytest.importorskip("gymnasium", reason="needs scripts/setup --learn")
+from slot_lab.learning import spaces
 from slot_lab.learning.evolution import (
     Evolution,
     Walks,
@@ -17,6 +19,7 @@ from slot_lab.learning.evolution import (
     spread,
 )
 from slot_lab.learning.network import NetworkShape
+from slot_lab.learning.spaces import mirror_of
 from slot_lab.learning.task import make_task
 
 TASK = make_task(duration=0.4, servos=False, drawn={"scene.floor.friction": (0.2, 0.6)})
@@ -72,6 +75,29 @@ def test_parts_on_workers_return_what_one_process_does():
     rng = np.random.default_rng(1)
     walks = Walks(TASK, SMALL, rng.standard_normal((5, shape_of(TASK, SMALL).size)), np.arange(5))
     assert spread(Client(), 2)(walks) == pytest.approx(returns(walks), abs=1e-12)
+
+
+@pytest.mark.parametrize("actions", ["amplitudes", "tendons"])
+@pytest.mark.parametrize("servos", [False, True])
+def test_a_network_acts_on_the_mirror_image_by_the_mirror_image(actions, servos):
+    task, rng = make_task(actions=actions, servos=servos), np.random.default_rng(4)
+    shape, mirror = shape_of(task, SMALL), mirror_of(task)
+    parameters, seen = rng.standard_normal((5, shape.size)), rng.standard_normal((5, task.observed))
+    action = shape.actions(parameters, seen)
+    assert np.abs(action - action @ mirror.action).max() > 0.1
+    there = shape.actions(parameters, seen @ mirror.seen)
+    assert there == pytest.approx(action @ mirror.action, abs=1e-12)
+
+
+def test_the_gait_half_a_stride_later_is_its_mirror_image():
+    stride, phase = TASK.stride, np.linspace(0.0, 0.4, 5)
+    velocity = np.array([0.05, 0.01, 0.02])
+    now, later = (stride.stride_table(phase + s, f * velocity)
+                  for s, f in ((0.0, np.ones(3)), (0.5, spaces.MIRRORED_VELOCITY)))  # fmt: skip
+    assert later[:, LEFT_RIGHT] == pytest.approx(now[:, :4], abs=1e-9)
+    assert later[:, 8:] == pytest.approx(spaces.MIRRORED_STATE * now[:, 8:], abs=1e-9)
+    later, now = ([np.sin(2 * np.pi * p), np.cos(2 * np.pi * p)] for p in (phase + 0.5, phase))
+    assert np.transpose(later) == pytest.approx(spaces.HALF_STRIDE * np.transpose(now))
 
 
 def test_networks_act_one_by_one_as_matrices_do():

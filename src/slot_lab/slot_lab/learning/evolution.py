@@ -1,12 +1,14 @@
 """Evolution strategy: learns the parameters of a network from returns alone, without gradients.
 
 After Salimans et al., "Evolution strategies as a scalable alternative to reinforcement learning",
-2017: with antithetic pairs x +- sigma e_i, ranks u of their returns, centred to [-1/2, 1/2],
+2017: with antithetic pairs x +- sigma e_i and the ranks u, centred to [-1/2, 1/2], of their returns
+less the mean of the pair,
 
     g = sum_i (u_i+ - u_i-) e_i / (2 n sigma),
 
-and a step of Adam along g. Both networks of a pair walk in the same drawn scene. All pairs walk at
-once, each network on a robot of its own, in one vector environment or in several processes.
+and a step of Adam along g. Both networks of a pair walk in the same drawn scene, whose difficulty
+the mean takes out. All pairs walk at once, each network on a robot of its own, in one vector
+environment or in several processes.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from numpy.typing import NDArray
 from slot_core.control.walk_actions import ACTIONS
 from slot_core.robot import Array
 from slot_lab.learning.network import NetworkShape
+from slot_lab.learning.spaces import mirror_of
 from slot_lab.learning.task import Task
 from slot_lab.learning.vector_env import WalkVectorEnv
 from slot_lab.workers import gather
@@ -34,10 +37,10 @@ TEST_SEEDS = 1_000_000 + np.arange(16)  # of the scenes in which the mean networ
 class Evolution:
     """Settings of the strategy."""
 
-    hidden: int = 16
+    hidden: int = 8  # neurons, and as many mirror images
     pairs: int = 32
     sigma: float = 0.1
-    rate: float = 0.03
+    rate: float = 0.02
     seed: int = 0
     step: float = 0.0  # s, longest time step of the simulation; 0: the level's
     threads: int = 1  # of a process
@@ -64,8 +67,8 @@ class Generation(NamedTuple):
 
 
 def shape_of(task: Task, evolution: Evolution) -> NetworkShape:
-    """Shape of the networks for a task."""
-    return NetworkShape(task.observed, evolution.hidden, ACTIONS[task.actions])
+    """Shape of the networks for a task: symmetric ones."""
+    return NetworkShape(task.observed, evolution.hidden, ACTIONS[task.actions], mirror_of(task))
 
 
 def returns(walks: Walks) -> Array:
@@ -116,7 +119,8 @@ def learn(
         seeds = rng.integers(TEST_SEEDS[0], size=e.pairs)
         found = evaluate(Walks(task, e, tried, np.tile(seeds, 2)))
         generation, steps, mean = generation + 1, steps + length * len(tried), float(found.mean())
-        rank = found.argsort().argsort() / (len(found) - 1) - 0.5
+        better = found - np.tile(found.reshape(2, -1).mean(axis=0), 2)
+        rank = better.argsort().argsort() / (len(found) - 1) - 0.5
         gradient = (rank[: e.pairs] - rank[e.pairs :]) @ directions / (2 * e.pairs * e.sigma)
         centre += e.rate * _adam(moments, gradient, generation)
 

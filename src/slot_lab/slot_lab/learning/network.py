@@ -1,7 +1,12 @@
 """Network of a policy: one hidden layer with tanh, actions by tanh; many of them at once, and ONNX.
 
 The parameters of a network are one vector: weights (n, hidden) and biases of the hidden layer, then
-weights (hidden, k) and biases of the actions.
+weights (hidden, k) and biases of the actions. With f(s) before the last tanh, and the mirror images
+M of observations and N of actions, a symmetric network acts by
+
+    tanh((f(s) + N f(M s)) / 2),
+
+which is a network with a second hidden half, the mirror image of the first: N a(s) = a(M s).
 """
 
 from __future__ import annotations
@@ -18,12 +23,20 @@ from slot_core.robot import Array
 OPSET, IR_VERSION = 17, 8  # of ONNX: from onnxruntime 1.14 on
 
 
+class Mirror(NamedTuple):
+    """Mirror images of observations and of actions, as symmetric matrices."""
+
+    seen: Array  # (n, n)
+    action: Array  # (k, k)
+
+
 class NetworkShape(NamedTuple):
     """Numbers of inputs, of neurons in the hidden layer, and of outputs."""
 
     inputs: int
-    hidden: int
+    hidden: int  # twice as many in a symmetric network
     outputs: int
+    mirror: Mirror | None = None  # of a symmetric network
 
     @property
     def size(self) -> int:
@@ -33,10 +46,15 @@ class NetworkShape(NamedTuple):
     def layers(self, parameters: Array) -> tuple[Array, Array, Array, Array]:
         """Weights (m, n, hidden), biases, weights (m, hidden, k), biases of parameters (m, p)."""
         p = checked("parameters", parameters, (-1, self.size), finite=False)
-        n, hidden, k = self
+        n, hidden, k, _ = self
         ends = np.cumsum([n * hidden, hidden, hidden * k])
         w1, b1, w2, b2 = np.split(p, ends, axis=1)
-        return w1.reshape(-1, n, hidden), b1, w2.reshape(-1, hidden, k), b2
+        w1, w2 = w1.reshape(-1, n, hidden), w2.reshape(-1, hidden, k)
+        if self.mirror is None:
+            return w1, b1, w2, b2
+        seen, action = self.mirror
+        w1, b1 = np.concatenate([w1, seen @ w1], axis=2), np.concatenate([b1, b1], axis=1)
+        return w1, b1, np.concatenate([w2, w2 @ action], axis=1) / 2, (b2 + b2 @ action) / 2
 
     def actions(self, parameters: Array, seen: Array) -> Array:
         """Actions (m, k) of m networks at one observation (m, n) each."""

@@ -8,7 +8,6 @@ value by value.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -115,10 +114,6 @@ class Task:
         self.commanded(values)
         (scene, servo), named = self._base, self.changes(values)
         return _changed(scene, "scene", named), _changed(servo, "servo", named)
-
-    def replaced(self, **changes: Any) -> Task:
-        """The task with other values."""
-        return dataclasses.replace(self, **changes)
 
 
 def make_task(drawn: Mapping[str, Range] | None = None, **arguments: Any) -> Task:

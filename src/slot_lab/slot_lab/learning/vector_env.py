@@ -93,7 +93,7 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
         task, clock, robots = self.task, self._clock, self._robots
         if robots is None:
             raise gymnasium.error.ResetNeeded("step before reset")
-        again, before = np.flatnonzero(self._ended), robots.motion[:, STATE].copy()
+        again = np.flatnonzero(self._ended)
         action = np.clip(np.asarray(actions, dtype=float), -1.0, 1.0)
         angles = np.stack([
             angle + deviation(task.actions, action, task.stride, *ahead)
@@ -107,10 +107,9 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
         safe = np.where(np.isfinite(motion), motion, 0.0)
         clock.step(safe[:, STATE])
         state, torque = motion[:, STATE], motion[:, TENSION] * task.robot.tendon.spool_radius
-        walked = Walked(
-            before, state, clock.reference, clock.velocity, torque, action - self._action
-        )
-        terms, self._action = reward_terms(walked, task.gaits), action
+        tilt, change = clock.reference[:, :2], action - self._action
+        walked = Walked(state, clock.course, tilt, torque, change)
+        terms, self._action = reward_terms(walked), action
         self._ticks += 1
         terminated, truncated = fallen(state), self._ticks >= self._limit
         reward = total(terms)

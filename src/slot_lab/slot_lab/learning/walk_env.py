@@ -21,6 +21,8 @@ from slot_core.control.walk_actions import ACTIONS, deviation, observation
 from slot_core.divergence import DivergenceError
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview
+from slot_core.gait.reference import moved
+from slot_core.geometry import rotate
 from slot_core.joint_reading import JointReading
 from slot_core.robot import Array
 from slot_core.simulation.closed_loop import ClosedLoop
@@ -57,7 +59,7 @@ class WalkEnv(gymnasium.Env[Any, Any]):
         )  # fmt: skip
         self._action = np.zeros((1, ACTIONS[task.actions]))
         self._angle = self._commanded = self._loop.plant.robot.tendon_angle
-        self._ticks = 0
+        self._ticks, self._course = 0, self._true_state()[:, [3, 4, 2]]
         self._loop.read(self._loop.plant.readings_at_rest(LOCKSTEP_START))
         self._loop.plant.start(LOCKSTEP_START)
         self._take_estimate()
@@ -76,22 +78,29 @@ class WalkEnv(gymnasium.Env[Any, Any]):
         )
         self._loop.plant.command(command.angle, command.rate)
         self._commanded = command.angle
-        before, diverged = self._true_state(), False
+        diverged = False
         try:
             self._advance()
         except DivergenceError:
             diverged = True
-        state = self._true_state()
-        robot = self._loop.plant.robot
-        walked = Walked(
-            before, state, self._preview.reference[:1], self._preview.velocity_ahead[:1],
-            robot.servo_torque[None], taken - self._action,
-        )  # fmt: skip
-        terms = {name: float(value[0]) for name, value in reward_terms(walked, task.gaits).items()}
+        self._course = moved(self._course, self._preview.velocity_ahead[:1], task.gaits.dt)
+        state, found = self._true_state(), reward_terms(self._walked(taken))
         self._action, self._ticks = taken, self._ticks + 1
         down = diverged or bool(fallen(state)[0])
-        reward = 0.0 if diverged else float(total({k: np.array([v]) for k, v in terms.items()})[0])
+        reward = 0.0 if diverged else float(total(found)[0])
+        terms = {name: float(value[0]) for name, value in found.items()}
         return self._observed(), reward, down, self._ticks >= self._limit and not down, terms
+
+    def _walked(self, taken: Array) -> Walked:
+        """What the reward is about after an action (1, n)."""
+        assert self._loop is not None
+        preview, course = self._preview, self._course
+        stride = self.task.stride.stride_table(preview.phases[:1], preview.velocity_ahead[:1])
+        place = course[:, :2] + rotate(stride[:, 11:13], course[:, 2])
+        return Walked(
+            self._true_state(), np.column_stack([place, course[:, 2]]), preview.reference[:1, :2],
+            self._loop.plant.robot.servo_torque[None], taken - self._action,
+        )  # fmt: skip
 
     @property
     def _controller(self) -> Controller:
