@@ -28,7 +28,7 @@ def compile_robots(legs, law):
     changes = {"floor.friction_law": law, "start.settle": 0.0, "solver.legs": legs}
     rods = RodRobot(ROBOT, config.replace(read_scene("flat"), changes), read_servo())
     _ = rods.momentum(), rods.energy(), rods.snapshot()
-    integrator.advance_one_by_one(rods._handle, NO_STEP)
+    integrator.advance_one_by_one(rods.handle, NO_STEP)
 
 
 def compile_tabulated(law):

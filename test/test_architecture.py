@@ -62,6 +62,7 @@ LAB = {
     "validation": "bags film",
     "twin": "bags calibration validation",
     "tuning": "",
+    "learning": "",
     "play": "",
 }
 # File names that occur in several folders, with the reason.

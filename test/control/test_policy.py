@@ -63,7 +63,7 @@ def test_a_policy_of_ones_own_is_named_by_its_file(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "reason"),
     [
-        ("magic", None, "policy 'magic': expected one of predictive, place, .* or a file"),
+        ("magic", None, "policy 'magic': expected one of predictive, place, .* a file"),
         ("missing.py", None, "missing.py: FileNotFoundError"),
         ("broken.py", "import nothing_of_this_name", "broken.py: ModuleNotFoundError: No module"),
         ("empty.py", "", "empty.py: AttributeError: .*POLICY"),

@@ -26,7 +26,9 @@ KEYS = {
     "rosbags": "python3-rosbags-pip", "scipy": "python3-scipy", "serial": "python3-serial",
     "yaml": "python3-yaml",
 }  # fmt: skip
-OPTIONAL = {"cma", "distributed", "rerun", "viser", "websockets"}  # of the extras of scripts/setup
+OPTIONAL = {  # of the extras --bench, --view, --play and --learn of scripts/setup
+    "cma", "distributed", "gymnasium", "onnx", "onnxruntime", "rerun", "viser", "websockets",
+}  # fmt: skip
 STARTED = {  # by the launch files, or part of the build
     "slot_bringup": {"robot_state_publisher", "ros2launch"},
 }

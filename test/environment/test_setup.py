@@ -19,7 +19,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 REQUIREMENTS = ROOT / "scripts/requirements"
-REQUIREMENT_FILES = ("build", "ros", "runtime", "test", "bench", "docs", "view", "play")
+REQUIREMENT_FILES = ("build", "ros", "runtime", "test", "bench", "docs", "view", "play", "learn")
 PINNED = re.compile(r"^([A-Za-z0-9._-]+)==(\S+) \\$")
 HASH = re.compile(r"^    --hash=sha256:[0-9a-f]{64}( \\)?$")
 
@@ -216,7 +216,7 @@ def test_two_concurrent_setups_build_once(ready):
     assert len(ready.calls) == builds + 1
 
 
-@pytest.mark.parametrize("extra", ["test", "bench", "docs", "view"])
+@pytest.mark.parametrize("extra", ["test", "bench", "docs", "view", "learn"])
 def test_extra_packages_are_installed_once_and_again_when_their_pins_change(ready, extra):
     output = f"setup: installing the packages for --{extra}\n"
     assert ready.setup(f"--{extra}") == (0, output)
@@ -271,7 +271,7 @@ def test_a_path_that_cmake_cannot_bear_is_refused_before_anything_is_built(tmp_p
 def test_a_wrong_argument_gets_one_line_and_status_2(copy):
     status, output = copy.setup("--tests")
     assert status == 2
-    expected = "--test, --bench, --docs, --view or --play"
+    expected = "--test, --bench, --docs, --view, --play or --learn"
     assert output == f"setup: unknown arguments: --tests; expected {expected}\n"
 
 

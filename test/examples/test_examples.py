@@ -57,6 +57,14 @@ def test_own_controller(tmp_path):
     assert own > 36.5
 
 
+def test_learning_begins_with_the_walk_of_the_gait_alone(tmp_path):
+    text = output("learn_to_walk.py", tmp_path, "--minutes", "0", "--pairs", "1")
+    walks = re.findall(r"(?:onnx:walk.onnx|gait_alone) +(.*)", text)
+    assert len(walks) == 6
+    assert walks[::2] == walks[1::2]
+    assert (tmp_path / "learning.png").read_bytes().startswith(b"\x89PNG")
+
+
 def test_rod_bends(tmp_path):
     text = output("rod_bends.py", tmp_path)
     small, smallest, *large = re.findall(r"([\d.]+) mm +([\d.]+) mm", text)

@@ -61,6 +61,14 @@ def kernel(function: F) -> F:
     return _kernel(function, FUSED)
 
 
+def unlocked_kernel(function: F) -> F:
+    """As `kernel`; threads of Python run it side by side.
+
+    It gives up Python's lock, which a thread of the controller may have to wait for afterwards.
+    """
+    return _kernel(function, {**FUSED, "nogil": True})
+
+
 def exact_kernel(function: F) -> F:
     """As `kernel`, nothing fused: every processor gives the same bits."""
     return _kernel(function, {})

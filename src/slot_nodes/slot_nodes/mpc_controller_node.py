@@ -28,7 +28,7 @@ class MpcControllerNode(Node):
 
     def __init__(self) -> None:
         super().__init__("mpc_controller")
-        text = "policy by its name, or a Python file with one"
+        text = "policy by its name, a Python file with one, or onnx:FILE"
         name = runtime.declare(self, "policy", DEFAULT_POLICY, text)
         kind = policy_class(name)
         settings = runtime.declare_settings(self, kind.read_settings(name), read_only=False)

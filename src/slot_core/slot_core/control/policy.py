@@ -2,7 +2,8 @@
 
 `mpc_controller` runs the policy that `scripts/run --policy` names and publishes its plan;
 `force_mapper` makes the tendon angles of it (`force_map.py`). A policy of one's own is a class like
-those of `POLICIES`, named there, or in a Python file that ends with `POLICY = TheClass`.
+those of `POLICIES`, named there, or in a Python file that ends with `POLICY = TheClass`. A learned
+network is `onnx:FILE` (`onnx_policy.py`).
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ POLICIES = {
     "gait_alone": "slot_core.control.gait_alone:GaitAlone",
 }
 """Module and class by name."""
+ONNX = "onnx:"  # what the name of a network's file begins with
 
 
 class Status(enum.IntEnum):
@@ -132,12 +134,20 @@ def policy_class(name: str) -> type[Policy]:
     """Class of a policy, by its name in POLICIES or by its file; raises ConfigError."""
     if name.endswith(".py"):
         return _class_in_file(Path(name))
+    if name.startswith(ONNX):
+        return _class_of("slot_core.control.onnx_policy:OnnxPolicy")
     if name not in POLICIES:
         known = ", ".join(POLICIES)
         raise ConfigError(
-            f"policy {quoted(name)}: expected one of {known}, or a file that ends with .py"
+            f"policy {quoted(name)}: expected one of {known}, a file that ends with .py, or"
+            f" {ONNX}FILE"
         )
-    module, _, kind = POLICIES[name].partition(":")
+    return _class_of(POLICIES[name])
+
+
+def _class_of(place: str) -> type[Policy]:
+    """Class at `module:name`."""
+    module, _, kind = place.partition(":")
     found: type[Policy] = getattr(importlib.import_module(module), kind)
     return found
 

@@ -71,6 +71,17 @@ def contents(typingctx, handle):
 
 
 @intrinsic
+def contents_at(typingctx, handle, address):
+    """The tuple at the address of a handle of the same type as `handle`."""
+
+    def build(context, builder, sig, args):
+        kind = context.get_value_type(handle.content).as_pointer()
+        return builder.load(builder.inttoptr(args[1], kind), align=1)
+
+    return handle.content(handle, address), build
+
+
+@intrinsic
 def _put(typingctx, content, memory):
     def build(context, builder, sig, args):
         view = context.make_array(memory)(context, builder, args[1])

@@ -59,7 +59,7 @@ def advance(machine, steps):
     correction. A step that has used all halvings is counted; it ends the run only if it diverged.
     """
     model, state, work, start, legs, scheme = contents(machine)
-    return _advance(model, state, work, start, (in_lanes(legs),), scheme, steps)
+    return advance_contents(model, state, work, start, (in_lanes(legs),), scheme, steps)
 
 
 @kernel
@@ -70,11 +70,12 @@ def advance_one_by_one(machine, steps):
     """
     model, state, work, start, legs, scheme = contents(machine)
     singly = (one_lane(legs, 0), one_lane(legs, 1), one_lane(legs, 2), one_lane(legs, 3))
-    return _advance(model, state, work, start, singly, scheme, steps)
+    return advance_contents(model, state, work, start, singly, scheme, steps)
 
 
 @helper
-def _advance(model, state, work, start, legs, scheme, steps):
+def advance_contents(model, state, work, start, legs, scheme, steps):
+    """`advance` on what its handle holds; legs in lanes."""
     for k in range(steps):
         copy(start.buffer, state.buffer)
         for halving in range(scheme.halvings + 1):

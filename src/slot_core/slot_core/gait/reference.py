@@ -9,8 +9,9 @@ from slot_core.robot import Array
 
 
 def moved(place: Array, velocity: Array, dt: float) -> Array:
-    """Place (3,) x, y (m), yaw (rad) after dt (s) at a velocity (3,) in its heading frame."""
-    return np.asarray(place + dt * np.append(rotate(velocity[:2], place[2]), velocity[2]))
+    """Places (..., 3) x, y (m), yaw (rad) after dt (s) at velocities (..., 3), heading frame."""
+    along = rotate(velocity[..., :2], place[..., 2])
+    return np.asarray(place + dt * np.concatenate([along, velocity[..., 2:]], axis=-1))
 
 
 def limited(place: Array, robot: Array, lead: float, heading_lead: float) -> Array:

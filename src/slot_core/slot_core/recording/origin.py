@@ -25,6 +25,7 @@ FILES = {
     "params_file": "params.yaml",
 }  # fmt: skip
 """Attachments by the argument that names their file."""
+ONNX, NETWORK = "onnx:", "policy.onnx"  # a policy that is a network, and its attachment
 
 
 @dataclass(frozen=True)
@@ -76,12 +77,15 @@ def origin_here(arguments: Mapping[str, Any]) -> Origin:
 
     Raises OSError if a file among the arguments cannot be read, ValueError if it is not regular.
     """
-    named = {name: Path(arguments[name]) for name in FILES.keys() & arguments.keys()}
-    if "policy" in named and named["policy"].suffix != ".py":
-        del named["policy"]  # a name
+    named = {name: str(arguments[name]) for name in FILES.keys() & arguments.keys()}
+    attached = dict(FILES)
+    if named.get("policy", "").startswith(ONNX):
+        named["policy"], attached["policy"] = named["policy"].removeprefix(ONNX), NETWORK
+    elif not named.get("policy", "").endswith(".py"):
+        named.pop("policy", None)  # a name
     about = {name: str(value) for name, value in arguments.items()}
-    about |= {name: path.name for name, path in named.items()}
-    files = {FILES[name]: read_bytes(path, ARCHIVE_MAX) for name, path in named.items()}
+    about |= {name: Path(file).name for name, file in named.items()}
+    files = {attached[name]: read_bytes(Path(file), ARCHIVE_MAX) for name, file in named.items()}
     return Origin(
         {"revision": revision(), **about}, {CONFIGURATION: _zipped(configuration()), **files}
     )

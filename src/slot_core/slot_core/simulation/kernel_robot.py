@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from slot_core.arrays import checked
+from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.model import MechanicalState, Model, Work
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.robot import Array
@@ -15,6 +16,7 @@ class KernelRobot(SimulatedRobot):
 
     model: Model
     state: MechanicalState
+    handle: Handle
     _work: Work
 
     def push(self, force: Array, moment: Array) -> None:

@@ -53,7 +53,7 @@ class RodRobot(KernelRobot):
         self._legs = leg_lanes(self.model, self.state)
         scheme = build_scheme(self.scene.solver, self.model.floor)
         parts = (self.model, self.state, self._work, self._start, self._legs)
-        self._handle = Handle((*parts, scheme))
+        self.handle = Handle((*parts, scheme))
 
     def change(self, robot: RobotParameters, scene: Scene, servo: ServoSettings) -> None:
         """Go on from the present state with other parameters; pushes stay.
@@ -78,7 +78,7 @@ class RodRobot(KernelRobot):
         require_steps(steps)
         command = self.checked(command)
         self._legs.command[0] = command
-        done, where = integrator.advance(self._handle, steps)
+        done, where = integrator.advance(self.handle, steps)
         self.steps += done
         if where >= 0:
             raise DivergenceError(

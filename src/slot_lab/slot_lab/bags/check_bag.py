@@ -205,7 +205,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add_bag_arguments(parser)
     add, size = parser.add_argument, "largest difference, in SI units (default: %(default)g)"
     add("--tolerance", type=_tolerance, default=TOLERANCE, metavar="N", help=size)
-    own = "file of the policy, if it is one of your own"
+    own = "file of the policy, if it is one of your own, or onnx:FILE"
     add("--policy", default="", metavar="FILE", help=own)
     left = "only write what is left of it as a new bag in DIR"
     add("--mend", type=Path, metavar="DIR", help=left)

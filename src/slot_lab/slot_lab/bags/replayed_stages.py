@@ -21,7 +21,7 @@ from slot_core.gait.gait import GaitPreview, read_gaits
 from slot_core.gait.gait_scheduler import GaitScheduler
 from slot_core.gait.route import KEPT, Route, read_route
 from slot_core.messages import decode
-from slot_core.recording.origin import FILES
+from slot_core.recording.origin import FILES, NETWORK
 from slot_core.recording.record_settings import root_of
 from slot_core.robot import read_robot
 from slot_core.ros_parameters import of_node, parse_parameters
@@ -109,7 +109,8 @@ class RecordedStages:
         Raises BagError for a policy of one's own whose file is not given.
         """
         named = self.origin.about.get("policy", DEFAULT_POLICY)
-        if named.endswith(".py") and not self.own_policy:
+        is_file = named.endswith(".py") or NETWORK in self.origin.files
+        if is_file and not self.own_policy:
             raise BagError(f"{self.bag.path}: its policy is a file, {named}: add --policy FILE")
         return self.own_policy or named
 

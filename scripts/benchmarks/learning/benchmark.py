@@ -1,0 +1,133 @@
+"""Environment for learners: its steps a second, and what the walk is like at each level.
+
+The steps are those of the vector environment with the gait alone, resets not counted, by CPU time
+on one core, then by wall time on all. The error of a level is that of the speed of the straight
+walk from that of the level `fine`, on floors of friction 0.2 to 0.6. Beside it stand an octopus of
+gym-softrobot on PyElastica, measured in the same run, and SoftQ as published.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.harness import Check, Progress, Row, at_least, cpu_time
+from slot_lab.learning.task import make_task
+
+REQUIRES = ("gymnasium", "gym_softrobot")
+LEARNED = ("coarse", 0.0022)  # level and time step (s) at which the example learns
+CASES = (("map", 0.0055), LEARNED, ("coarse", 0.0), ("standard", 0.0))
+REFERENCE = ("fine", 0.0)
+ROBOTS, GOAL = 64, 5000.0  # steps a second
+FRICTION = (0.2, 0.4, 0.6)
+SPEED, WARM_UP, DURATION = 0.05, 4.0, 12.4  # m/s; s, of walks: whole strides are measured
+SOFTQ = 30.0  # s of computing per simulated second, as published; not run here
+PEER, PEER_STEPS = "OctoFlat-v0", 2
+
+
+def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Check]]:
+    """Measure throughput, levels and peers."""
+    rows: list[dict[str, Any]] = []
+    for level, step in CASES[: 2 if quick else None]:
+        progress(f"steps a second at level {level}")
+        rows.append(throughput(level, step, 1, 10 if quick else 60))
+    level, step = LEARNED
+    rows.append(throughput(level, step, len(os.sched_getaffinity(0)), 10 if quick else 60))
+    progress("speed of the walk at each level")
+    rows += level_rows(quick)
+    progress(f"gym-softrobot, {PEER}")
+    rows.append(peer_row())
+    rows.append({"kind": "peer", "name": "SoftQ, as published", "speed": 1.0 / SOFTQ})
+    return rows, checks(rows)
+
+
+def throughput(level: str, step: float, threads: int, count: int) -> dict[str, Any]:
+    """Steps a second of the vector environment; `speed`: simulated seconds per second."""
+    from slot_lab.learning.vector_env import WalkVectorEnv  # noqa: PLC0415 - after REQUIRES
+
+    task = make_task(level=level, servos=False, duration=100.0)
+    env = WalkVectorEnv(ROBOTS, task, threads=threads, step=step)
+    env.reset(seed=1)
+    still = np.zeros(env.action_space.shape)
+
+    def walk() -> None:
+        for _ in range(count):
+            env.step(still)
+
+    if threads == 1:
+        took = cpu_time(walk, 3).median
+    else:
+        begin = time.perf_counter()
+        walk()
+        took = time.perf_counter() - begin
+    steps = ROBOTS * count / took
+    row = {"kind": "throughput", "level": level, "step": step, "threads": threads}
+    return row | {"steps_per_s": steps, "speed": steps * task.gaits.dt}
+
+
+def level_rows(quick: bool) -> Iterator[dict[str, Any]]:
+    """Speed of the gait alone at each level, and its error from the finest."""
+    friction = FRICTION[1:2] if quick else FRICTION
+    exact = walk_speeds(*(CASES[-1] if quick else REFERENCE), friction)
+    for level, step in CASES:
+        speeds = walk_speeds(level, step, friction)
+        for mu, speed, reference in zip(friction, speeds, exact):
+            row = {"kind": "level", "level": level, "step": step, "friction": mu}
+            yield row | {"mm_per_s": 1e3 * speed, "error": speed / reference - 1.0}
+
+
+def walk_speeds(level: str, step: float, friction: tuple[float, ...]) -> list[float]:
+    """Forward speed (m/s) of the gait alone on each floor, over whole strides."""
+    from slot_lab.learning.vector_env import WalkVectorEnv  # noqa: PLC0415 - after REQUIRES
+
+    speeds = []
+    for mu in friction:
+        task = make_task(
+            level=level, servos=False, velocity=(SPEED, 0.0, 0.0), duration=100.0,
+            drawn={"scene.floor.friction": (mu, mu)},
+        )  # fmt: skip
+        env, dt = WalkVectorEnv(1, task, step=step), task.gaits.dt
+        env.reset(seed=1)
+        first, place = round(WARM_UP / dt), []
+        strides = int((DURATION - WARM_UP) / task.stride.period)
+        for _ in range(first + round(strides * task.stride.period / dt)):
+            env.step(np.zeros(env.action_space.shape))
+            place.append(env.places[0])
+        way = np.linalg.norm(place[-1] - place[first - 1])
+        speeds.append(float(way) / (dt * (len(place) - first)))
+    return speeds
+
+
+def peer_row() -> dict[str, Any]:
+    """Simulated seconds per second of CPU of an octopus of gym-softrobot."""
+    import gym_softrobot  # noqa: F401, PLC0415 - registers its environments
+    import gymnasium  # noqa: PLC0415
+
+    env = gymnasium.make(PEER).unwrapped
+    env.reset(seed=1)
+    env.action_space.seed(1)
+    env.step(env.action_space.sample())  # compiles
+    begin: float = env.time
+    took = cpu_time(lambda: env.step(env.action_space.sample()), PEER_STEPS)
+    return {
+        "kind": "peer", "name": f"gym-softrobot {PEER}",
+        "simulated_per_step": (env.time - begin) / (PEER_STEPS + 1),
+        "speed": (env.time - begin) / (PEER_STEPS + 1) / took.median,
+    }  # fmt: skip
+
+
+def checks(rows: list[dict[str, Any]]) -> list[Check]:
+    """Steps a second at the level of the example, and how much faster it is than the peer."""
+    found = [r for r in rows if r["kind"] == "throughput" and r["threads"] == 1]
+    learned = next(row for row in found if (row["level"], row["step"]) == LEARNED)
+    peer = next(row for row in rows if row["kind"] == "peer")
+    rate, ratio = learned["steps_per_s"], learned["speed"] / peer["speed"]
+    return [
+        at_least("steps of 33 ms on one core, level of the example", rate, GOAL, "1/s"),
+        at_least(f"simulated time over that of {peer['name']}", ratio, 1.0),
+    ]

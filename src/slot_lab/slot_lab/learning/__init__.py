@@ -1,0 +1,1 @@
+"""Environment in which policies of a stride are learned, and a learner."""

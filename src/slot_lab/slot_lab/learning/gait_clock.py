@@ -1,0 +1,108 @@
+"""Gait of many robots that start to walk from the posture `stand`, as the gait scheduler's.
+
+Beside the scheduler it knows one gait, no path, no stop and two stages, and costs little per robot.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slot_core.control.force_map import read_springs
+from slot_core.gait.gait import STAND, Posture
+from slot_core.gait.reference import moved, reference
+from slot_core.geometry import rotate, wrapped
+from slot_core.robot import LEGS, Array
+from slot_lab.learning.task import Task
+
+PLACE = [3, 4, 2]  # x, y, yaw in a state
+COUNT = len(LEGS)
+
+
+class GaitClock:
+    """Phases, velocities and reference places of M robots; a step takes `dt` of the gaits."""
+
+    def __init__(self, task: Task, count: int) -> None:
+        self._stride, self._gaits = task.stride, task.gaits
+        s, stand = task.gaits, task.gaits.find(STAND)
+        assert isinstance(stand, Posture)
+        # what depends on the time since the start alone, up to the end of blend and lift
+        rise = task.stride.height - stand.height
+        longest = max(s.transition, abs(rise) / s.lift_speed)
+        time = s.dt * np.arange(3 + round(longest / s.dt))
+        self._weight = np.clip(time / max(s.transition, 1e-9), 0.0, 1.0)
+        lift = np.clip(rise, -s.lift_speed * time, s.lift_speed * time)
+        self._height = stand.height + lift
+        springs, robot = read_springs(), task.robot
+        share = np.full(COUNT, robot.weight / COUNT)
+        rows = [springs.angle(share, robot.clamp_heights(h, 0.0, 0.0)) for h in self._height]
+        self._standing = np.array(rows)  # (ticks, 4) rad
+        self._rates = s.dt * np.array([s.acceleration, s.acceleration, s.turn_acceleration])
+        self._tick = np.zeros(count, dtype=int)
+        self._wanted = np.zeros((count, 3))
+        self.velocity = np.zeros((count, 3))  # m/s, rad/s, heading frame
+        self.phase = np.zeros(count)  # in [0, 1)
+        self._place = np.zeros((count, 3))  # x, y, yaw
+        self._course = np.zeros((count, 3))  # the same, never moved towards the robot
+        self._now = self._next = np.zeros((count, 20))  # rows of `stride_table`, blended
+
+    def reset(self, which: NDArray[np.int64], velocity: Array, state: Array) -> None:
+        """Start the robots `which` (k,) anew at states (k, 12), with velocities (k, 3)."""
+        self._tick[which], self._wanted[which] = 0, velocity
+        self.velocity[which], self.phase[which] = 0.0, 0.0
+        self._place[which] = self._course[which] = state[:, PLACE]
+        self._now, self._next = self._rows(0), self._rows(1)
+
+    def step(self, state: Array) -> None:
+        """Go on by a step, with the robots at states (M, 12)."""
+        self.velocity, self.phase, ahead = self._ahead(1)
+        self._course = moved(self._course, self.velocity, self._gaits.dt)
+        first = self._tick == 0
+        self._tick += 1
+        gap, turn = ahead[:, :2] - state[:, 3:5], wrapped(ahead[:, 2] - state[:, 2])
+        share = np.minimum(1.0, self._gaits.lead / np.maximum(np.hypot(*gap.T), 1e-12))
+        most = self._gaits.heading_lead
+        place = np.column_stack([state[:, 3:5] + share[:, None] * gap,
+                                 state[:, 2] + np.clip(turn, -most, most)])  # fmt: skip
+        self._place = np.where(first[:, None], state[:, PLACE], place)
+        self._now, self._next = self._next, self._rows(1)
+
+    def _ahead(self, ticks: int) -> tuple[Array, Array, Array]:
+        """Velocity, phase and place so many ticks ahead, 0 or 1."""
+        if not ticks:
+            return self.velocity, self.phase, self._place
+        change = np.clip(self._wanted - self.velocity, -self._rates, self._rates)
+        velocity, dt = self.velocity + change, self._gaits.dt
+        phase = (self.phase + dt / self._stride.period) % 1.0
+        return velocity, phase, moved(self._place, velocity, dt)
+
+    def _rows(self, ticks: int) -> Array:
+        """Rows (M, 20) of the gait so many ticks ahead: angles, forces, motion of the torso."""
+        velocity, phase, _ = self._ahead(ticks)
+        tick = np.minimum(self._tick + ticks, len(self._weight) - 1)
+        rows, weight = self._stride.stride_table(phase, velocity), self._weight[tick][:, None]
+        rows[:, 13] += self._height[tick] - self._stride.height
+        standing = np.zeros_like(rows)
+        standing[:, :COUNT], standing[:, 13] = self._standing[tick], self._height[tick]
+        return np.asarray((1.0 - weight) * standing + weight * rows)
+
+    @property
+    def angles(self) -> Array:
+        """(2, M, 4) rad, of the gait now and a step later."""
+        return np.stack([self._now[:, :COUNT], self._next[:, :COUNT]])
+
+    @property
+    def reference(self) -> Array:
+        """(M, 12) reference of the torso, as in `GaitPreview`; yaw may be turned by full turns."""
+        return reference(np.zeros(12), self._place, self.velocity, self._now[:, 8:])
+
+    @property
+    def course(self) -> Array:
+        """(M, 3) x, y, yaw where the commanded velocity has led since the start, with the sway."""
+        sway = rotate(self._now[:, 11:13], self._course[:, 2])
+        return np.column_stack([self._course[:, :2] + sway, self._course[:, 2]])
+
+    def ahead(self) -> list[tuple[Array, Array]]:
+        """Phases (M,) and velocities (M, 3) now and a step later."""
+        velocity, phase, _ = self._ahead(1)
+        return [(self.phase, self.velocity), (phase, velocity)]

@@ -1,0 +1,151 @@
+"""Task of a learner: which robot walks where, what it sees and does, and what is drawn at a reset.
+
+What is drawn are settings of the scene or the servos by dotted name, as `scene.floor.friction`, and
+the commanded `velocity`, each uniformly between two ends. Ends that are numbers set all values of
+a setting, as the four friction coefficients, to the same number; ends that are lists are drawn
+value by value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+
+from slot_core import config
+from slot_core.config import ConfigError
+from slot_core.control.walk_actions import ACTIONS, observation_size
+from slot_core.dynamics.scene import Scene, read_scene
+from slot_core.dynamics.servo import ServoSettings, read_servo
+from slot_core.gait.gait import GaitSettings, Stride, read_gaits
+from slot_core.refusal import quoted
+from slot_core.robot import LEGS, Array, RobotParameters, read_robot
+
+VELOCITY = "velocity"
+LONGEST = 3600.0  # s, of an episode
+SEEN = ("estimated", "true")  # kinds of observations
+DRAWN = ("scene", "servo")
+Vector3 = tuple[float, float, float]
+T = TypeVar("T")
+Range = tuple[Any, Any]  # both ends, numbers or lists
+
+
+@dataclass(frozen=True)
+class Task:
+    """Task; raises ConfigError for what the configuration does not have."""
+
+    level: str = "map"  # of accuracy, a file of config/solver
+    scene: str = "flat"
+    gait: str = "walk"
+    velocity: Vector3 = (0.05, 0.0, 0.0)  # m/s, m/s, rad/s
+    actions: str = "amplitudes"
+    observations: str = "estimated"
+    servos: bool = True  # whether the servos' angles are observed; a policy of the graph sees none
+    duration: float = 10.0  # s, of an episode
+    drawn: tuple[tuple[str, Range], ...] = ()  # names, and ends between which they are drawn
+
+    def __post_init__(self) -> None:
+        """Check names and kinds."""
+        _require("level", self.level, config.names("solver"))
+        _require("actions", self.actions, ACTIONS)
+        _require("observations", self.observations, SEEN)
+        for name, _ in self.drawn:
+            if name != VELOCITY and name.partition(".")[0] not in DRAWN:
+                raise ConfigError(f"drawn {name}: expected {VELOCITY} or a name below scene, servo")
+        if not self.gaits.dt <= self.duration <= LONGEST:
+            limits = f"[{self.gaits.dt:g}, {LONGEST:g}] s"
+            raise ConfigError(f"duration = {self.duration:g}: outside {limits}")
+        _require("gait", self.gait, self.gaits.strides)
+        self.gaits.require_velocity(self.gait, np.array(self.velocity))
+        self.world(self.draw(np.random.default_rng(0)))
+
+    @cached_property
+    def gaits(self) -> GaitSettings:
+        """Settings of the gaits."""
+        return read_gaits()
+
+    @cached_property
+    def robot(self) -> RobotParameters:
+        """The robot, nominal and simulated."""
+        return read_robot()
+
+    @cached_property
+    def stride(self) -> Stride:
+        """The gait."""
+        return self.gaits.strides[self.gait]
+
+    @property
+    def observed(self) -> int:
+        """Number of values of an observation."""
+        return observation_size(self.actions) + len(LEGS) * self.servos
+
+    @cached_property
+    def _base(self) -> tuple[Scene, ServoSettings]:
+        """Scene at the task's level, and servos, before anything is drawn."""
+        scene = read_scene(self.scene)
+        return config.replace(scene, level_changes(self.level)), read_servo(scene.parameters)
+
+    def draw(self, rng: np.random.Generator) -> dict[str, Any]:
+        """Values by dotted name, drawn between their ends."""
+        return {name: _drawn(rng, *ends) for name, ends in self.drawn}
+
+    def commanded(self, values: Mapping[str, Any]) -> Array:
+        """Velocity (3,) among drawn values, or the task's; raises ConfigError out of reach."""
+        found = np.array(values.get(VELOCITY, self.velocity), dtype=float)
+        self.gaits.require_velocity(self.gait, found)
+        return found
+
+    def changes(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Drawn values of scene and servos, numbers repeated for settings of several values."""
+        found, (scene, servo) = {}, self._base
+        known = {f"scene.{name}": value for name, value, _ in config.leaves(scene)}
+        known |= {f"servo.{name}": value for name, value, _ in config.leaves(servo)}
+        for name, value in values.items():
+            if name != VELOCITY:
+                many = isinstance(known.get(name), tuple) and not isinstance(value, list)
+                found[name] = [value] * len(known[name]) if many else value
+        return found
+
+    def world(self, values: Mapping[str, Any]) -> tuple[Scene, ServoSettings]:
+        """Scene and servos with drawn values; raises ConfigError for what they do not have."""
+        self.commanded(values)
+        (scene, servo), named = self._base, self.changes(values)
+        return _changed(scene, "scene", named), _changed(servo, "servo", named)
+
+
+def make_task(drawn: Mapping[str, Range] | None = None, **arguments: Any) -> Task:
+    """Task of keyword arguments, as `gymnasium.make` takes them."""
+    lists = {name: (_plain(low), _plain(high)) for name, (low, high) in (drawn or {}).items()}
+    if VELOCITY in arguments:
+        arguments[VELOCITY] = tuple(map(float, arguments[VELOCITY]))
+    return Task(drawn=tuple(lists.items()), **arguments)
+
+
+def level_changes(level: str) -> dict[str, Any]:
+    """Changes of a scene that simulate it at a level of accuracy."""
+    return {f"solver.{name}": value for name, value in config.load(f"solver/{level}").items()}
+
+
+def _changed(settings: T, kind: str, values: Mapping[str, Any]) -> T:
+    """The settings with the values below `kind`."""
+    begin = f"{kind}."
+    mine = {name.removeprefix(begin): v for name, v in values.items() if name.startswith(begin)}
+    return config.replace(settings, mine, kind) if mine else settings
+
+
+def _drawn(rng: np.random.Generator, low: Any, high: Any) -> Any:
+    found = rng.uniform(low, high)
+    return found.tolist() if np.ndim(found) else float(found)
+
+
+def _plain(end: Any) -> Any:
+    """A number, or a tuple of numbers, which can be hashed."""
+    return tuple(map(float, end)) if np.ndim(end) else float(end)
+
+
+def _require(name: str, value: str, known: Any) -> None:
+    if value not in known:
+        raise ConfigError(f"{name} = {quoted(value)}: expected one of {', '.join(known)}")

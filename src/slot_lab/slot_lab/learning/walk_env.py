@@ -1,0 +1,153 @@
+"""Environment `SLOT-Walk-v0`: the simulated robot with its sensors, estimator and gait.
+
+    gymnasium.make("slot_lab.learning.walk_env:SLOT-Walk-v0", level="standard", scene="slope5")
+
+Between two actions lies the controller of the robot as it is: sensors on their own clocks, state
+estimator, gait scheduler, force map and servos. The arguments are those of `Task`. An
+episode ends when the robot has fallen, or after `duration`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from slot_core.clock import LOCKSTEP_START
+from slot_core.control.controller import Controller
+from slot_core.control.gait_alone import gait_plan
+from slot_core.control.walk_actions import ACTIONS, deviation, observation
+from slot_core.divergence import DivergenceError
+from slot_core.estimation.estimate import Estimate
+from slot_core.gait.gait import GaitPreview
+from slot_core.gait.reference import moved
+from slot_core.geometry import rotate
+from slot_core.joint_reading import JointReading
+from slot_core.robot import Array
+from slot_core.simulation.closed_loop import ClosedLoop
+from slot_lab.learning.rewards import Walked, fallen, reward_terms, total
+from slot_lab.learning.spaces import action_space, observation_space, servo_error
+from slot_lab.learning.task import Task, level_changes, make_task
+
+NAME = "SLOT-Walk-v0"
+
+
+class WalkEnv(gymnasium.Env[Any, Any]):
+    """One robot at any level of accuracy; equal seeds and actions give equal episodes."""
+
+    metadata = {"render_modes": []}  # noqa: RUF012 - of the base class
+
+    def __init__(self, task: Task | None = None, **arguments: Any) -> None:
+        """Take a task, or its values; raises ConfigError."""
+        self.task = task or make_task(**arguments)
+        self.observation_space = observation_space(self.task)
+        self.action_space = action_space(self.task)
+        self._limit = round(self.task.duration / self.task.gaits.dt)
+        self._loop: ClosedLoop | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
+        """Draw a scene; the robot stands in it."""
+        super().reset(seed=seed, options=options)
+        task, values = self.task, self.task.draw(self.np_random)
+        levels = {f"scene.{name}": value for name, value in level_changes(task.level).items()}
+        self._loop = ClosedLoop(
+            task.scene, task.gait, task.commanded(values), int(self.np_random.integers(2**31)),
+            "gait_alone", changes=levels | task.changes(values),
+        )  # fmt: skip
+        self._action = np.zeros((1, ACTIONS[task.actions]))
+        self._angle = self._commanded = self._loop.plant.robot.tendon_angle
+        self._ticks, self._course = 0, self._true_state()[:, [3, 4, 2]]
+        self._loop.read(self._loop.plant.readings_at_rest(LOCKSTEP_START))
+        self._loop.plant.start(LOCKSTEP_START)
+        self._take_estimate()
+        return self._observed(), {}
+
+    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """Walk to the next estimate of the state, some 33 ms."""
+        if self._loop is None:
+            raise gymnasium.error.ResetNeeded("step before reset")
+        task, preview = self.task, self._preview
+        taken = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)[None]
+        ahead = preview.velocity_ahead
+        change = deviation(task.actions, taken, task.stride, preview.phases, ahead)
+        command = self._controller.force_map.step(
+            gait_plan(preview, change), preview, self._estimate.state
+        )
+        self._loop.plant.command(command.angle, command.rate)
+        self._commanded = command.angle
+        diverged = False
+        try:
+            self._advance()
+        except DivergenceError:
+            diverged = True
+        self._course = moved(self._course, self._preview.velocity_ahead[:1], task.gaits.dt)
+        state, found = self._true_state(), reward_terms(self._walked(taken))
+        self._action, self._ticks = taken, self._ticks + 1
+        down = diverged or bool(fallen(state)[0])
+        reward = 0.0 if diverged else float(total(found)[0])
+        terms = {name: float(value[0]) for name, value in found.items()}
+        return self._observed(), reward, down, self._ticks >= self._limit and not down, terms
+
+    def _walked(self, taken: Array) -> Walked:
+        """What the reward is about after an action (1, n)."""
+        assert self._loop is not None
+        preview, course = self._preview, self._course
+        stride = self.task.stride.stride_table(preview.phases[:1], preview.velocity_ahead[:1])
+        place = course[:, :2] + rotate(stride[:, 11:13], course[:, 2])
+        return Walked(
+            self._true_state(), np.column_stack([place, course[:, 2]]), preview.reference[:1, :2],
+            self._loop.plant.robot.servo_torque[None], taken - self._action,
+        )  # fmt: skip
+
+    @property
+    def _controller(self) -> Controller:
+        assert self._loop is not None
+        return self._loop.controller
+
+    def _advance(self) -> None:
+        """Advance to the next estimate; odometry may be lost meanwhile."""
+        assert self._loop is not None
+        while True:
+            for reading in self._loop.plant.advance_to_odometry():
+                if isinstance(reading, JointReading):
+                    self._angle = reading.angle
+                self._loop.read([reading])
+            if self._take_estimate():
+                return
+
+    def _take_estimate(self) -> bool:
+        """Take the newest estimate and the gait's preview; False without one."""
+        found: list[Estimate] = list(iter(self._controller.estimator.poll, None))
+        for self._estimate in found:
+            self._preview: GaitPreview = self._controller.scheduler.step(
+                self._estimate.time, self._estimate.state
+            )
+        return bool(found)
+
+    def _true_state(self) -> Array:
+        """State (1, 12) of the simulated robot, as in `Estimate`."""
+        assert self._loop is not None
+        robot = self._loop.plant.robot
+        turn = robot.rotation @ robot.angular_velocity
+        return np.concatenate([robot.rpy, robot.position, turn, robot.velocity])[None]
+
+    def _observed(self) -> Array:
+        task, preview = self.task, self._preview
+        true = task.observations == "true"
+        state = self._true_state() if true else np.asarray(self._estimate.state)[None]
+        seen = observation(
+            np.nan_to_num(state), preview.reference[:1], preview.phases[:1],
+            preview.velocity_ahead[:1], self._action,
+        )  # fmt: skip
+        if task.servos:
+            seen = np.hstack([seen, servo_error(self._commanded, self._angle)[None]])
+        return seen[0].astype(np.float32)
+
+
+gymnasium.register(
+    NAME, entry_point=WalkEnv,
+    vector_entry_point="slot_lab.learning.vector_env:WalkVectorEnv",
+)  # fmt: skip

@@ -1,0 +1,109 @@
+"""The evolution strategy learns; its networks are those that ONNX runs."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from slot_core.control.walk_actions import observation_size
+from slot_core.gait.gait import LEFT_RIGHT
+
+pytest.importorskip("gymnasium", reason="needs scripts/setup --learn")
+from slot_lab.learning import spaces
+from slot_lab.learning.evolution import (
+    Evolution,
+    Walks,
+    learn,
+    returns,
+    shape_of,
+    spread,
+)
+from slot_lab.learning.network import NetworkShape
+from slot_lab.learning.spaces import mirror_of
+from slot_lab.learning.task import make_task
+
+TASK = make_task(duration=0.4, servos=False, drawn={"scene.floor.friction": (0.2, 0.6)})
+SMALL = Evolution(hidden=2, pairs=8, test_every=1)
+
+
+class Client:
+    """Of dask.distributed, in this process."""
+
+    def map(self, call, items, pure):
+        return [call(item) for item in items]
+
+    def gather(self, futures):
+        return futures
+
+
+def test_it_climbs_a_hill_from_its_antithetic_pairs():
+    count = shape_of(TASK, SMALL).size
+    goal = np.random.default_rng(5).standard_normal(count)
+
+    def hill(walks):
+        return -((walks.parameters - goal) ** 2).mean(axis=1)
+
+    found = list(itertools.islice(learn(TASK, SMALL, hill), 150))
+    assert found[-1].test > 0.2 * found[0].test  # both negative
+    assert found[-1].test <= -((found[-1].best - goal) ** 2).mean() + 1e-12
+    assert found[-1].steps == 149 * 16 * 12
+
+
+def test_both_networks_of_a_pair_walk_in_one_scene_about_the_same_centre():
+    seen = []
+    generations = learn(
+        TASK, SMALL, lambda walks: seen.append(walks) or np.arange(len(walks.seeds))
+    )
+    list(itertools.islice(generations, 2))
+    tests, pairs = seen[0], seen[1]
+    assert (tests.parameters == tests.parameters[0]).all()
+    assert (pairs.seeds[:8] == pairs.seeds[8:]).all()
+    middle = (pairs.parameters[:8] + pairs.parameters[8:]) / 2
+    assert middle == pytest.approx(tests.parameters[:8], abs=1e-12)
+
+
+def test_the_first_network_does_nothing_and_its_return_is_that_of_the_gait_alone():
+    shape = shape_of(TASK, SMALL)
+    first = shape.first(np.random.default_rng(0))[None]
+    assert (shape.actions(first, np.ones((1, observation_size("amplitudes")))) == 0.0).all()
+    seeds = np.array([1, 2, 1])
+    found = returns(Walks(TASK, SMALL, np.tile(first, (3, 1)), seeds))
+    assert found[0] == found[2] != found[1]
+
+
+def test_parts_on_workers_return_what_one_process_does():
+    rng = np.random.default_rng(1)
+    walks = Walks(TASK, SMALL, rng.standard_normal((5, shape_of(TASK, SMALL).size)), np.arange(5))
+    assert spread(Client(), 2)(walks) == pytest.approx(returns(walks), abs=1e-12)
+
+
+@pytest.mark.parametrize("actions", ["amplitudes", "tendons"])
+@pytest.mark.parametrize("servos", [False, True])
+def test_a_network_acts_on_the_mirror_image_by_the_mirror_image(actions, servos):
+    task, rng = make_task(actions=actions, servos=servos), np.random.default_rng(4)
+    shape, mirror = shape_of(task, SMALL), mirror_of(task)
+    parameters, seen = rng.standard_normal((5, shape.size)), rng.standard_normal((5, task.observed))
+    action = shape.actions(parameters, seen)
+    assert np.abs(action - action @ mirror.action).max() > 0.1
+    there = shape.actions(parameters, seen @ mirror.seen)
+    assert there == pytest.approx(action @ mirror.action, abs=1e-12)
+
+
+def test_the_gait_half_a_stride_later_is_its_mirror_image():
+    stride, phase = TASK.stride, np.linspace(0.0, 0.4, 5)
+    velocity = np.array([0.05, 0.01, 0.02])
+    now, later = (stride.stride_table(phase + s, f * velocity)
+                  for s, f in ((0.0, np.ones(3)), (0.5, spaces.MIRRORED_VELOCITY)))  # fmt: skip
+    assert later[:, LEFT_RIGHT] == pytest.approx(now[:, :4], abs=1e-9)
+    assert later[:, 8:] == pytest.approx(spaces.MIRRORED_STATE * now[:, 8:], abs=1e-9)
+    later, now = ([np.sin(2 * np.pi * p), np.cos(2 * np.pi * p)] for p in (phase + 0.5, phase))
+    assert np.transpose(later) == pytest.approx(spaces.HALF_STRIDE * np.transpose(now))
+
+
+def test_networks_act_one_by_one_as_matrices_do():
+    shape, rng = NetworkShape(4, 3, 2), np.random.default_rng(2)
+    parameters, seen = rng.standard_normal((5, shape.size)), rng.standard_normal((5, 4))
+    assert shape.size == 4 * 3 + 3 + 3 * 2 + 2
+    for p, x, action in zip(parameters, seen, shape.actions(parameters, seen)):
+        inner = np.tanh(x @ p[:12].reshape(4, 3) + p[12:15])
+        assert action == pytest.approx(np.tanh(inner @ p[15:21].reshape(3, 2) + p[21:]), abs=1e-14)

@@ -1,0 +1,153 @@
+"""A learned network as a policy: what it plans, what is refused, the graph that walks with it."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slot_core.config import ConfigError
+from slot_core.control.gait_alone import gait_plan
+from slot_core.control.onnx_policy import GAIT, KIND, OnnxPolicy
+from slot_core.control.policy import make_policy, policy_class
+from slot_core.control.walk_actions import ANGLE_MAX
+from slot_core.robot import read_robot
+from slot_core.simulation.closed_loop import ClosedLoop
+
+for module in ("gymnasium", "onnxruntime"):
+    pytest.importorskip(module, reason="needs scripts/setup --learn")
+onnx = pytest.importorskip("onnx", reason="needs scripts/setup --learn")
+from slot_lab.bags.bag import Bag, BagError  # noqa: E402
+from slot_lab.bags.check_bag import check_bag  # noqa: E402
+from slot_lab.learning.evolution import Evolution, shape_of  # noqa: E402
+from slot_lab.learning.learned_walk import export  # noqa: E402
+from slot_lab.learning.network import NetworkShape, write_onnx  # noqa: E402
+from slot_lab.learning.task import make_task  # noqa: E402
+
+WALK = {GAIT: "walk", KIND: "amplitudes"}
+SHAPE = NetworkShape(20, 4, 3)
+
+
+def network(folder, shape=SHAPE, about=None, scale=0.3):
+    """File of a random network, and its parameters."""
+    parameters = scale * np.random.default_rng(3).standard_normal(shape.size)
+    write_onnx(folder / "net.onnx", shape, parameters, WALK if about is None else about)
+    return folder / "net.onnx", parameters
+
+
+@pytest.fixture(scope="module")
+def tick():
+    """A tick in the middle of a stride."""
+    loop = ClosedLoop("flat", "walk", np.array([0.05, 0.0, 0.0]), 1, "gait_alone")
+    return list(loop.run(60))[-1]
+
+
+def test_it_acts_as_the_network_that_was_learned(tmp_path):
+    file, parameters = network(tmp_path)
+    policy = make_policy(f"onnx:{file}", read_robot())
+    for seen in np.random.default_rng(1).standard_normal((5, 1, 20)):
+        expected = SHAPE.actions(parameters[None], seen)
+        assert policy.act(seen) == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_network_of_zeros_plans_the_gait(tmp_path, tick):
+    policy = make_policy(f"onnx:{network(tmp_path, scale=0.0)[0]}", read_robot())
+    plan, alone = policy.step(tick.estimate, tick.preview), gait_plan(tick.preview)
+    assert (plan.angle == alone.angle).all()
+    assert (plan.force == alone.force).all()
+
+
+def test_tendon_actions_are_added_to_the_angles_of_every_stage(tmp_path, tick):
+    shape = NetworkShape(21, 4, 4)
+    file, _ = network(tmp_path, shape, {GAIT: "walk", KIND: "tendons"})
+    policy = make_policy(f"onnx:{file}", read_robot())
+    change = policy.step(tick.estimate, tick.preview).angle - tick.preview.tendon_angle
+    assert np.ptp(change, axis=0) == pytest.approx(0.0, abs=1e-12)
+    assert 0.0 < np.abs(change).max() <= ANGLE_MAX
+
+
+@pytest.mark.parametrize("changes", [{"gait": "stand"}, {"corrected": False}])
+def test_outside_its_gait_and_while_servos_do_not_follow_it_plans_the_gait(tmp_path, tick, changes):
+    policy = make_policy(f"onnx:{network(tmp_path)[0]}", read_robot())
+    assert (policy.step(tick.estimate, tick.preview).angle != tick.preview.tendon_angle).any()
+    preview = replace(tick.preview, **changes)
+    assert (policy.step(tick.estimate, preview).angle == preview.tendon_angle).all()
+
+
+def test_an_estimate_that_is_not_finite_gets_the_gait(tmp_path, tick):
+    policy = make_policy(f"onnx:{network(tmp_path)[0]}", read_robot())
+    lost = replace(tick.estimate, state=np.full(12, np.nan))
+    assert (policy.step(lost, tick.preview).angle == tick.preview.tendon_angle).all()
+    assert (policy.step(tick.estimate, tick.preview).angle != tick.preview.tendon_angle).any()
+
+
+@pytest.mark.parametrize(
+    ("shape", "about", "named"),
+    [
+        (SHAPE, {}, "gait '' and actions ''"),
+        (SHAPE, WALK | {GAIT: "stand"}, "gait 'stand'"),
+        (SHAPE, WALK | {KIND: "legs"}, "actions 'legs'"),
+        (NetworkShape(24, 4, 3), WALK, "maps 24 values to 3, expected 20 to 3"),
+        (NetworkShape(20, 4, 4), WALK, "maps 20 values to 4, expected 20 to 3"),
+    ],
+)
+def test_a_network_for_something_else_is_refused_in_one_line(tmp_path, shape, about, named):
+    file, _ = network(tmp_path, shape, about)
+    with pytest.raises(ConfigError, match=named) as refused:
+        policy_class(f"onnx:{file}").read_settings(f"onnx:{file}")
+    assert len(str(refused.value).splitlines()) == 1
+
+
+def test_a_network_that_takes_five_observations_at_once_is_refused_in_one_line(tmp_path):
+    file, _ = network(tmp_path)
+    model = onnx.load(file)
+    for port in (model.graph.input[0], model.graph.output[0]):
+        port.type.tensor_type.shape.dim[0].dim_value = 5
+    onnx.save(model, file)
+    with pytest.raises(ConfigError, match=r"net\.onnx: \w+: .*[Ee]xpected: 5") as refused:
+        OnnxPolicy.read_settings(f"onnx:{file}")
+    assert len(str(refused.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("content", [None, b"", b"no network", b"\x08" * 5000])
+def test_a_file_that_is_no_network_is_refused_in_one_line(tmp_path, content):
+    file = tmp_path / "net.onnx"
+    if content is not None:
+        file.write_bytes(content)
+    with pytest.raises(ConfigError, match=r"net\.onnx") as refused:
+        OnnxPolicy.read_settings(f"onnx:{file}")
+    assert len(str(refused.value).splitlines()) == 1
+
+
+def test_without_onnxruntime_it_says_how_to_install_it(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(ConfigError, match="onnxruntime is missing; run scripts/setup --learn"):
+        OnnxPolicy.read_settings(f"onnx:{tmp_path}/net.onnx")
+
+
+def test_a_policy_that_sees_the_servos_is_not_exported(tmp_path):
+    task = make_task(servos=True)
+    shape = shape_of(task, Evolution())
+    with pytest.raises(ValueError, match="not given the servos' angles"):
+        export(tmp_path / "net.onnx", task, shape, np.zeros(shape.size))
+    assert not (tmp_path / "net.onnx").exists()
+
+
+def test_the_graph_walks_with_a_network_and_its_bag_replays(tmp_path):
+    file, _ = network(tmp_path)
+    bag, policy = tmp_path / "bag", f"onnx:{file}"
+    command = ["--policy", policy, "--lockstep", "--composed", "--duration", "4", "--bag", str(bag)]
+    run = subprocess.run(
+        [sys.executable, "-m", "slot_bringup", *command],
+        capture_output=True, text=True, env=os.environ, cwd=tmp_path, check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    recorded = Bag(bag)
+    assert recorded.origin.files["policy.onnx"] == file.read_bytes()
+    compared = {c.topic: c for c in check_bag(recorded, 0.0, policy)}
+    assert compared["/tendon_plan"].compared > 100
+    assert [c.largest for c in compared.values()] == [0.0] * 4
+    with pytest.raises(BagError, match=r"its policy is a file, net\.onnx: add --policy"):
+        check_bag(recorded, 0.0)

@@ -1,0 +1,185 @@
+"""The environments of the walk: their interface, what they draw, and the robot that they hold."""
+
+import re
+
+import numpy as np
+import pytest
+
+from slot_core.config import ConfigError
+from slot_core.geometry import rotate
+from slot_core.simulation.closed_loop import ClosedLoop
+
+gymnasium = pytest.importorskip("gymnasium", reason="needs scripts/setup --learn")
+from gymnasium.utils.env_checker import check_env  # noqa: E402
+
+from slot_lab.learning import rewards  # noqa: E402
+from slot_lab.learning.task import level_changes, make_task  # noqa: E402
+from slot_lab.learning.vector_env import WalkVectorEnv  # noqa: E402
+from slot_lab.learning.walk_env import NAME, WalkEnv  # noqa: E402
+
+FRICTION = {"scene.floor.friction": (0.2, 0.6)}
+SHORT = {"duration": 0.4, "drawn": FRICTION}
+
+
+def walked(env, count, seed=3, action=None):
+    """Observations and rewards of so many steps."""
+    found = [env.reset(seed=seed)[0]]
+    still = np.zeros(env.action_space.shape) if action is None else action
+    steps = [env.step(still)[:2] for _ in range(count)]
+    return np.array(found + [seen for seen, _ in steps]), np.array([r for _, r in steps])
+
+
+@pytest.mark.parametrize("actions", ["amplitudes", "tendons"])
+@pytest.mark.parametrize("observations", ["estimated", "true"])
+def test_gymnasium_finds_no_fault(actions, observations):
+    env = gymnasium.make(NAME, actions=actions, observations=observations, **SHORT)
+    check_env(env.unwrapped, skip_render_check=True)
+
+
+def test_gymnasium_makes_the_vector_environment_by_the_same_name():
+    env = gymnasium.make_vec(NAME, num_envs=2, vectorization_mode="vector_entry_point", **SHORT)
+    assert isinstance(env.unwrapped, WalkVectorEnv)
+    assert env.observation_space.contains(env.reset(seed=1)[0])
+    assert env.observation_space.contains(env.step(env.action_space.sample())[0])
+
+
+@pytest.mark.parametrize("level", ["map", "coarse"])
+def test_without_actions_it_is_the_closed_loop_with_the_gait_alone(level):
+    env, changes = WalkEnv(level=level), level_changes(level)
+    walked(env, 20)
+    scene = {f"scene.{name}": value for name, value in changes.items()}
+    seed = int(np.random.default_rng(3).integers(2**31))  # what a reset draws
+    velocity = np.array(env.task.velocity)
+    loop = ClosedLoop("flat", "walk", velocity, seed, "gait_alone", changes=scene)
+    for _ in loop.run(21):
+        position = loop.plant.robot.position
+    assert env._loop.plant.robot.position.tolist() == position.tolist()
+
+
+@pytest.mark.parametrize("kind", [WalkEnv, lambda **a: WalkVectorEnv(3, **a)], ids=["one", "many"])
+def test_equal_seeds_give_equal_episodes_and_others_do_not(kind):
+    env = kind(**SHORT)
+    first, again, other = (walked(env, 5, seed)[0] for seed in (3, 3, 4))
+    assert (first == again).all()
+    assert not (first == other).all()
+
+
+def test_threads_change_nothing():
+    one, two = (walked(WalkVectorEnv(3, threads=n, **SHORT), 8)[0] for n in (1, 2))
+    assert (one == two).all()
+
+
+def test_a_seed_of_its_own_gives_a_robot_the_same_episode_in_any_place():
+    one, many = WalkVectorEnv(1, **SHORT), WalkVectorEnv(3, **SHORT)
+    alone, together = walked(one, 5, [7])[0], walked(many, 5, [5, 6, 7])[0]
+    assert together[:, 2] == pytest.approx(alone[:, 0], abs=1e-6)
+
+
+def test_many_robots_walk_as_far_as_the_one_with_sensors_and_servo_bus():
+    arguments = {"level": "coarse", "observations": "true", "duration": 9.0}
+    one, many = WalkEnv(**arguments), WalkVectorEnv(1, **arguments)
+    for env in (one, many):
+        walked(env, 180)
+    x, y = one._loop.plant.robot.position[:2]
+    assert many._robots.motion[0, 3] == pytest.approx(x, rel=0.1)
+    assert many._robots.motion[0, 4] == pytest.approx(y, abs=0.02)
+    assert many._clock.course == pytest.approx(one._course, abs=0.01)
+
+
+def test_an_episode_ends_after_its_time_and_the_next_step_begins_another():
+    env = WalkVectorEnv(2, level="map", **SHORT)
+    env.reset(seed=1)
+    ends = [env.step(np.zeros((2, 3)))[2:4] for _ in range(14)]
+    assert [bool(truncated.all()) for _, truncated in ends] == [*[False] * 11, True, False, False]
+    assert not any(terminated.any() for terminated, _ in ends)
+    assert env._ticks.tolist() == [1, 1]
+
+
+def test_a_robot_that_falls_ends_its_episode_without_a_reward():
+    env = WalkVectorEnv(1, level="map")
+    env.reset(seed=1)
+    env._robots.robots[0].push(np.zeros(3), np.array([3.0, 0.0, 0.0]))
+    steps = [env.step(np.zeros((1, 3))) for _ in range(30)]
+    fell = [bool(terminated[0]) for _, _, terminated, _, _ in steps]
+    assert any(fell)
+    assert steps[fell.index(True)][1] == 0.0
+
+
+@pytest.mark.parametrize("scene", ["push", "tendon_breaks"])
+def test_what_comes_at_a_time_of_its_own_is_not_for_many_robots(scene):
+    with pytest.raises(ConfigError, match="its pushes and faults come at times of their own"):
+        WalkVectorEnv(1, scene=scene)
+
+
+def test_actions_change_the_walk():
+    still, faster = (
+        walked(WalkVectorEnv(1, level="map", observations="true"), 60, action=np.full((1, 3), a))[0]
+        for a in (0.0, 0.3)
+    )
+    assert not np.allclose(still, faster, atol=0.1)
+
+
+def test_what_is_drawn_is_set_for_all_values_or_for_each():
+    drawn = {
+        "scene.floor.friction": (0.2, 0.6),
+        "scene.payload.place": ([0.0, -0.02, 0.0], [0.0, 0.02, 0.0]),
+        "servo.lag": (0.01, 0.02),
+        "velocity": ([0.02, 0.0, 0.0], [0.04, 0.0, 0.0]),
+    }
+    task = make_task(drawn=drawn)
+    values = task.draw(np.random.default_rng(1))
+    scene, servo = task.world(values)
+    assert len(set(scene.floor.friction)) == 1
+    assert 0.2 <= scene.floor.friction[0] <= 0.6
+    assert scene.payload.place[0] == scene.payload.place[2] == 0.0
+    assert -0.02 <= scene.payload.place[1] <= 0.02
+    assert 0.01 <= servo.lag <= 0.02
+    assert 0.02 <= task.commanded(values)[0] <= 0.04
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ({"level": "exact"}, "level = 'exact': expected one of coarse"),
+        ({"actions": "legs"}, "actions = 'legs': expected one of tendons, amplitudes"),
+        ({"observations": "all"}, "observations = 'all'"),
+        ({"gait": "stand"}, "gait = 'stand': expected one of "),
+        ({"duration": 0.0}, r"duration = 0: outside \[0.033, 3600\] s"),
+        ({"velocity": (0.5, 0, 0)}, r"v_x = 0.5: gait walk reaches"),
+        ({"drawn": {"robot.leg.width": (1, 2)}}, "drawn robot.leg.width: expected velocity or"),
+        ({"drawn": {"scene.floor.mu": (0.1, 0.2)}}, "scene: floor.mu is not a setting"),
+        ({"drawn": {"scene.floor.friction": (-2.0, -1.0)}}, r"friction\[0\] = -"),
+    ],
+)
+def test_a_wrong_task_is_refused_with_name_value_and_limit(arguments, named):
+    with pytest.raises(ConfigError, match=named):
+        WalkEnv(**{"velocity": (0.0, 0.0, 0.0), **arguments})
+
+
+@pytest.mark.parametrize(
+    ("pose", "term", "value"),
+    [
+        ((0.0, rewards.ALONG, 0.0), "along", -1.0),
+        ((0.0, -2 * rewards.ALONG, 0.0), "along", -2.0),
+        ((0.0, 0.0, rewards.ASIDE), "aside", -1.0),
+        ((0.0, 0.0, 1.0), "aside", rewards.WORST),
+        ((-rewards.TURN, 0.0, 0.0), "yaw", -1.0),
+    ],
+)
+def test_distance_and_angle_from_the_course_cost(pose, term, value):
+    yaw = 0.7  # of the course
+    state, (turn, along, aside) = np.zeros((1, 12)), pose
+    state[0, 2], state[0, 3:5] = yaw + turn, rotate(np.array([along, aside]), yaw)
+    course = np.array([[0.0, 0.0, yaw + 2 * np.pi]])
+    walked = rewards.Walked(state, course, np.zeros((1, 2)), np.zeros((1, 4)), np.zeros((1, 3)))
+    terms = rewards.reward_terms(walked)
+    expected = dict.fromkeys(rewards.WEIGHTS, 0.0) | {"walking": 1.0, term: value}
+    assert terms == pytest.approx(expected, abs=1e-9)
+
+
+def test_every_term_of_the_reward_is_documented_and_weighed():
+    documented = re.findall(r"^    (\w+) {2,}\S", rewards.__doc__, re.MULTILINE)
+    env = WalkEnv(**SHORT)
+    env.reset(seed=1)
+    terms = env.step(np.zeros(3))[4]
+    assert {*documented} - {"term"} == set(terms) == set(rewards.WEIGHTS)
