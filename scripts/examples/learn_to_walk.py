@@ -6,12 +6,10 @@ Needs `scripts/setup --learn`. The graph walks with it by `scripts/run --policy 
 import argparse
 import os
 import time
-from contextlib import ExitStack
 
-from slot_lab.learning.evolution import Evolution, learn, returns, shape_of, spread
+from slot_lab.learning.evolution import Evolution, learn, shape_of, trials
 from slot_lab.learning.learned_walk import compare, draw, export
 from slot_lab.learning.task import make_task
-from slot_lab.workers import workers
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--minutes", type=float, default=18.0)
@@ -29,11 +27,7 @@ TASK = make_task(
 )  # fmt: skip
 EVOLUTION = Evolution(pairs=options.pairs, step=0.0022, threads=len(os.sched_getaffinity(0)))
 start, history = time.monotonic(), []
-with ExitStack() as stack:
-    evaluate = returns
-    if options.scheduler:
-        client = stack.enter_context(workers(options.scheduler))
-        evaluate = spread(client, len(client.ncores()))
+with trials(options.scheduler) as evaluate:
     for found in learn(TASK, EVOLUTION, evaluate):
         history.append(found)
         print(f"{found.generation:4d} generations, {found.steps:8d} steps: {found.test:.4f} a step")

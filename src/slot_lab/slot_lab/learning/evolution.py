@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -27,7 +28,7 @@ from slot_lab.learning.network import NetworkShape
 from slot_lab.learning.spaces import mirror_of
 from slot_lab.learning.task import Task
 from slot_lab.learning.vector_env import WalkVectorEnv
-from slot_lab.workers import gather
+from slot_lab.workers import gather, workers
 
 DECAYS, TINY = (0.9, 0.99), 1e-8  # of Adam
 TEST_SEEDS = 1_000_000 + np.arange(16)  # of the scenes in which the mean network is tested
@@ -96,6 +97,16 @@ def spread(client: Any, parts: int) -> Callable[[Walks], Array]:
         return np.concatenate(gather(client, returns, items))
 
     return call
+
+
+@contextmanager
+def trials(scheduler: str) -> Iterator[Callable[[Walks], Array]]:
+    """What tries networks: `returns`, or the workers of the scheduler at an address."""
+    if not scheduler:
+        yield returns
+        return
+    with workers(scheduler) as client:
+        yield spread(client, len(client.ncores()))
 
 
 def learn(
