@@ -1,11 +1,12 @@
-"""Locomotion in all directions and under disturbances, with six policies.
+"""Locomotion in all directions and under disturbances, with seven policies.
 
-Every row of the table is measured in six columns: the gait's angles alone; two rivals without a
-model, the feedback once a stride and `place`; the default, `predictive`; the paper's problem and
-map as printed, and as in the authors' scripts, these in the first case of a row. With --quick there
-are two columns and fewer rows. The default must reach the goal of the row, and where the gait
-alone does not, be better by the row's `share`, so that a controller without effect fails. Apart
-from the table stand the margins of the walk (margins.py).
+Every row of the table is measured in seven columns: the gait's angles alone; two rivals without a
+model, the feedback once a stride and `place`; a learned network, which acts in the gait `walk`
+alone; the default, `predictive`; the paper's problem and map as printed, and as in the authors'
+scripts, these in the first case of a row. With --quick there are two columns and fewer rows. The
+default must reach the goal of the row, and where the gait alone does not, be better by the row's
+`share`, so that a controller without effect fails. Apart from the table stand the margins of the
+walk (margins.py).
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from benchmarks.locomotion import cases, transient_rows
 from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, PAPERS, Case, Job, WalkMotion
 from benchmarks.locomotion.rows import LocomotionRow, directions, ratio, rows, slanted, square
 
+REQUIRES = ("onnxruntime",)
 SEEDS = {column: (1,) if column in PAPERS else (1, 2) for column in COLUMNS}
 SEEDS[DEFAULT] = (1, 2, 3, 4, 5)
 QUICK = {ALONE: (1,), DEFAULT: (1,)}

@@ -32,11 +32,12 @@ COURSES = ("time", "position", "rpy", "torque", "goal_speed")  # of a motion, ov
 Vector3 = tuple[float, float, float]
 Changes = tuple[tuple[str, Any], ...]  # dotted names and values, hashable
 
-ALONE, PAPER, DEFAULT = "gait alone", "paper", "default"
+ALONE, PAPER, LEARNED, DEFAULT = "gait alone", "paper", "learned", "default"
 COLUMNS: Mapping[str, str] = {  # policies by the name of their column
     ALONE: "gait_alone",
     "stride feedback": str(Path(__file__).with_name("stride_feedback.py")),
     "place": "place",
+    LEARNED: f"onnx:{Path(__file__).with_name('walk.onnx')}",  # by the example learn_to_walk.py
     DEFAULT: DEFAULT_POLICY,
     PAPER: "paper_text",
     "paper_code": "paper_code",

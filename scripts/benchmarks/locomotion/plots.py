@@ -15,7 +15,7 @@ from benchmarks.locomotion.cases import COLUMNS, Case, WalkMotion
 from benchmarks.locomotion.rows import CAUGHT_UP, SIDE
 from slot_core.drawing import palette
 
-SHADES = ("#E69F00", "#CC79A7", "#56B4E9", palette.TRUE, "#BBBBBB", "#888888")
+SHADES = ("#E69F00", "#CC79A7", "#56B4E9", "#D55E00", palette.TRUE, "#BBBBBB", "#888888")
 COLOURS = dict(zip(COLUMNS, SHADES))
 SHOWN = (0.05, 100.0)  # in goals
 PARTS = 2  # columns of rows
@@ -24,6 +24,7 @@ MARKS = {
     "gait alone": ("|", 9, palette.INK),
     "stride feedback": ("x", 5, palette.SECONDARY),
     "place": ("o", 5, "#009E73"),
+    "learned": ("^", 5, "#D55E00"),
     "default": ("D", 6, palette.TRUE),
 }
 Motions = Mapping[tuple[Case, str, int], WalkMotion]
