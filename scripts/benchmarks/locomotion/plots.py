@@ -24,7 +24,7 @@ MARKS = {
     "gait alone": ("|", 9, palette.INK),
     "stride feedback": ("x", 5, palette.SECONDARY),
     "place": ("o", 5, "#009E73"),
-    "learned": ("^", 5, "#D55E00"),
+    "learned": ("^", 5, "#CC79A7"),
     "default": ("D", 6, palette.TRUE),
 }
 Motions = Mapping[tuple[Case, str, int], WalkMotion]
