@@ -128,7 +128,7 @@ def _add_pose(gui: viser.GuiApi, do: Do) -> tuple[Any, Any, Any]:
     gaits = read_gaits()
     reached = [each.height_range for each in gaits.gaits.values()]
     low, high = 1e3 * min(r[0] for r in reached), 1e3 * max(r[1] for r in reached)
-    tilt = math.degrees(gaits.tilt_max)
+    tilt = math.floor(10 * math.degrees(gaits.tilt_max)) / 10
     own: Any = gui.add_checkbox("the gait's own height and tilt", initial_value=True)
     start = 1e3 * gaits.find(STAND).height
     height = _slider(gui, "height (mm)", Range(low, high, 1.0, start))
