@@ -105,10 +105,10 @@ def call(wanted: Service, namespace: str) -> tuple[bool, str]:
     with listener("operate", namespace) as (node, executor):
         client = node.create_client(wanted.kind, wanted.name)
         if not client.wait_for_service(SEARCH_TIME):
-            raise OperateError(_no_answer(node, wanted.server, SEARCH_TIME))
+            raise OperateError(no_answer(node, wanted.server, SEARCH_TIME))
         answer = client.call_async(wanted.request)
         if not executor.spin_until(answer.done, ANSWER_TIME):
-            raise OperateError(_no_answer(node, wanted.server, ANSWER_TIME))
+            raise OperateError(no_answer(node, wanted.server, ANSWER_TIME))
         return answer.result().success, answer.result().message
 
 
@@ -118,11 +118,12 @@ def receive_state(namespace: str) -> RobotState:
         received: list[RobotState] = []
         node.create_subscription(RobotState, "robot_state", received.append, qos.STATE)
         if not executor.spin_until(lambda: bool(received), SEARCH_TIME):
-            raise OperateError(_no_answer(node, "supervisor", SEARCH_TIME))
+            raise OperateError(no_answer(node, "supervisor", SEARCH_TIME))
         return received[0]
 
 
-def _no_answer(node: Node, server: str, limit: float) -> str:
+def no_answer(node: Node, server: str, limit: float) -> str:
+    """Why a graph is not found: nothing answers within a limit, s."""
     place = f"ROS domain {node.context.get_domain_id()}, namespace {node.get_namespace()}"
     return f"no {server} answers in {place} within {limit:g} s: does scripts/run run?"
 

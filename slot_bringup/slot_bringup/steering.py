@@ -1,4 +1,4 @@
-"""Keys of the operator's terminal that steer the robot: velocity, yaw rate and pose of the torso.
+"""Steering of a running graph, and the keys for it: velocity, yaw rate and pose of the torso.
 
 A key changes what is commanded by a step, within the reach of the gait. The velocity is repeated
 until it is zero; then another source of `/cmd_vel` may steer.
@@ -39,8 +39,8 @@ POSE_KEYS: dict[str, Step] = {
 HELP = f"arrows ahead, back, turn   , . aside   {STOP} stop   + - height   j l roll   i k pitch"
 
 
-class SteeringKeys:
-    """Publishes `/cmd_vel` and `/body_pose` as keys change them."""
+class Steering:
+    """Publishes `/cmd_vel` and `/body_pose`, within the reach of the gait that is `commanded`."""
 
     def __init__(self, node: Node) -> None:
         self._node, self._gaits = node, read_gaits()
@@ -50,28 +50,13 @@ class SteeringKeys:
         self._kind: type[Twist | TwistStamped] = TwistStamped  # that the graph hears
         self._pose_topic = node.create_publisher(PoseStamped, "body_pose", qos.SENSOR)
 
-    def press(self, key: str, commanded: GaitPreview | None) -> str:
-        """Handle a key; return a line on what is commanded now or why not, "" for another key."""
-        if key not in VELOCITY_KEYS and key not in POSE_KEYS:
-            return ""
-        if commanded is None:
-            return "no gait_scheduler answers"
-        try:
-            if key in POSE_KEYS:
-                return self._lean(commanded, POSE_KEYS[key])
-            return self._steer(commanded, VELOCITY_KEYS[key])
-        except ConfigError as error:
-            return str(error)
+    def steer(self, commanded: GaitPreview, velocity: Array) -> str:
+        """Repeat a velocity (3,) from now on, clipped; returns by what, or ""."""
+        self._velocity, remark = clipped(self._gaits, commanded.requested, velocity)
+        return remark
 
-    def _steer(self, commanded: GaitPreview, step: Step | None) -> str:
-        before = np.array(commanded.velocity) if self._velocity is None else self._velocity
-        wanted = np.zeros(3) if step is None else before + step
-        self._velocity, remark = clipped(self._gaits, commanded.requested, wanted)
-        v_x, v_y, yaw_rate = self._velocity
-        return remark or f"velocity {v_x:+.3f} {v_y:+.3f} m/s, {math.degrees(yaw_rate):+.1f} deg/s"
-
-    def _lean(self, commanded: GaitPreview, step: Step) -> str:
-        pose = (np.array(commanded.pose) if self._pose is None else self._pose) + step
+    def lean(self, commanded: GaitPreview, pose: Array) -> None:
+        """Command height, roll and pitch (3,); raises ConfigError beyond the reach."""
         self._gaits.require_pose(commanded.requested, pose)
         self._pose = pose
         message = PoseStamped(header=messages.header(0))
@@ -79,8 +64,6 @@ class SteeringKeys:
         q = message.pose.orientation
         q.x, q.y, q.z, q.w = Rotation.from_euler("xyz", [*pose[1:], 0.0]).as_quat()
         self._pose_topic.publish(message)
-        roll, pitch = np.degrees(pose[1:])
-        return f"height {1e3 * pose[0]:.0f} mm, roll {roll:+.0f}, pitch {pitch:+.0f} deg"
 
     def repeat(self, stamp: int, commanded: GaitPreview | None) -> None:
         """Publish the velocity of the keys, if any, with a stamp (ns) of the graph's clock."""
@@ -99,3 +82,33 @@ class SteeringKeys:
         self._topic.publish(message)
         if commanded is not None and not self._velocity.any() and not np.any(commanded.velocity):
             self._velocity = None
+
+
+class SteeringKeys(Steering):
+    """Steering by keys, each of which changes what is commanded by a step."""
+
+    def press(self, key: str, commanded: GaitPreview | None) -> str:
+        """Handle a key; return a line on what is commanded now or why not, "" for another key."""
+        if key not in VELOCITY_KEYS and key not in POSE_KEYS:
+            return ""
+        if commanded is None:
+            return "no gait_scheduler answers"
+        try:
+            if key in POSE_KEYS:
+                return self._lean(commanded, POSE_KEYS[key])
+            return self._steer(commanded, VELOCITY_KEYS[key])
+        except ConfigError as error:
+            return str(error)
+
+    def _steer(self, commanded: GaitPreview, step: Step | None) -> str:
+        before = np.array(commanded.velocity) if self._velocity is None else self._velocity
+        remark = self.steer(commanded, np.zeros(3) if step is None else before + step)
+        assert self._velocity is not None
+        v_x, v_y, yaw_rate = self._velocity
+        return remark or f"velocity {v_x:+.3f} {v_y:+.3f} m/s, {math.degrees(yaw_rate):+.1f} deg/s"
+
+    def _lean(self, commanded: GaitPreview, step: Step) -> str:
+        pose = (np.array(commanded.pose) if self._pose is None else self._pose) + step
+        self.lean(commanded, pose)
+        roll, pitch = np.degrees(pose[1:])
+        return f"height {1e3 * pose[0]:.0f} mm, roll {roll:+.0f}, pitch {pitch:+.0f} deg"

@@ -10,20 +10,23 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import viser
 
+from slot_bringup.playing.graph_robot import GraphRobot
 from slot_core.control.policy import POLICIES
 from slot_core.dynamics.scene import read_scene
+from slot_core.faults import ALL_LEGS, BROKEN, KINDS, VALUE_RANGES
 from slot_core.gait.gait import STAND, read_gaits
 from slot_core.robot import LEGS, Array, read_robot
 from slot_core.safety.requests import Request
 from slot_lab.play.played_robot import PlayedRobot
 
-Act = Callable[[PlayedRobot], object]
-Do = Callable[[Act], None]
+Robot = TypeVar("Robot")
+Act = Callable[[Robot], object]
+Do = Callable[[Act[Robot]], None]
 PUSH_TIME = 0.2  # s
 PUSH_MAX = 20.0  # N
 STEEPEST = 15.0  # deg
@@ -42,13 +45,30 @@ class Range:
     start: float
 
 
-def add_drive(gui: viser.GuiApi, robot: PlayedRobot, do: Do) -> None:
-    """Gait, velocity, pose, policy; requests to the supervisor."""
+class Driven(Protocol):
+    """Robot of the panel Drive."""
+
+    def set_gait(self, gait: str) -> None:
+        """Stand or walk in a gait."""
+
+    def set_velocity(self, velocity: Array) -> None:
+        """Go at v_x, v_y m/s, yaw rate rad/s, (3,)."""
+
+    def set_pose(self, pose: Array | None) -> None:
+        """Take a height m, roll, pitch rad, (3,), or the gait's own."""
+
+    def stand_up(self) -> None:
+        """Rise from the floor."""
+
+    def request(self, request: Request) -> None:
+        """Make a request to the supervisor."""
+
+
+def add_drive(gui: viser.GuiApi, do: Do[Driven], start: str = STAND) -> None:
+    """Gait, of which `start` is the present one, velocity, pose; requests to the supervisor."""
     gaits = read_gaits()
-    gait = gui.add_dropdown("gait", tuple(gaits.gaits), initial_value=robot.wishes.gait)
-    gait.on_update(lambda _: do(lambda r: setattr(r.wishes, "gait", gait.value)))
-    policy = gui.add_dropdown("policy", tuple(POLICIES), initial_value=robot.policy)
-    policy.on_update(lambda _: do(lambda r: r.set_policy(policy.value)))
+    gait = gui.add_dropdown("gait", tuple(gaits.gaits), initial_value=start)
+    gait.on_update(lambda _: do(lambda r: r.set_gait(gait.value)))
     most = np.max([each.speeds for each in gaits.gaits.values()], axis=0)
     labels = "v_x (m/s)", "v_y (m/s)", "yaw rate (rad/s)"
     speeds = [
@@ -57,7 +77,7 @@ def add_drive(gui: viser.GuiApi, robot: PlayedRobot, do: Do) -> None:
     ]
 
     def drive(_: object) -> None:
-        do(lambda r: setattr(r.wishes, "velocity", _values(speeds)))
+        do(lambda r: r.set_velocity(_values(speeds)))
 
     for speed in speeds:
         speed.on_update(drive)
@@ -65,20 +85,23 @@ def add_drive(gui: viser.GuiApi, robot: PlayedRobot, do: Do) -> None:
     _add_keys(gui, speeds, pose)
     for key, name in {"G": "walk", "H": STAND}.items():
         add_key(gui, key, f"gait {name}", partial(setattr, gait, "value", name))
-    add_key(gui, "Y", "next policy", partial(_next, policy))
     asked = gui.add_button_group("operator", ("stand up", "relax", "e-stop"))
     asked.on_click(lambda _: do(REQUESTS[asked.value]))
+    add_key(gui, "X", "e-stop", lambda: do(REQUESTS["e-stop"]))
 
 
-def _rise(robot: PlayedRobot) -> None:
-    robot.wishes.up = True
-
-
-REQUESTS: dict[str, Act] = {
-    "stand up": _rise,
-    "relax": lambda r: r.loop.request(Request.RELAX),
-    "e-stop": lambda r: r.loop.request(Request.ESTOP),
+REQUESTS: dict[str, Act[Driven]] = {
+    "stand up": lambda r: r.stand_up(),
+    "relax": lambda r: r.request(Request.RELAX),
+    "e-stop": lambda r: r.request(Request.ESTOP),
 }
+
+
+def add_policy(gui: viser.GuiApi, do: Do[PlayedRobot], start: str) -> None:
+    """The policy, which a key changes too."""
+    policy = gui.add_dropdown("policy", tuple(POLICIES), initial_value=start)
+    policy.on_update(lambda _: do(lambda r: r.set_policy(policy.value)))
+    add_key(gui, "Y", "next policy", partial(_next, policy))
 
 
 # Sliders of SPEED_KEYS: v_x, v_y, yaw rate; of POSE_KEYS, with Shift: height, roll, pitch.
@@ -123,7 +146,7 @@ def add_key(
     gui.add_command(label, hotkey=key, modifier=modifier).on_trigger(lambda _: act())
 
 
-def _add_pose(gui: viser.GuiApi, do: Do) -> tuple[Any, Any, Any]:
+def _add_pose(gui: viser.GuiApi, do: Do[Driven]) -> tuple[Any, Any, Any]:
     """Height, roll and pitch; returns their sliders."""
     gaits = read_gaits()
     reached = [each.height_range for each in gaits.gaits.values()]
@@ -134,9 +157,9 @@ def _add_pose(gui: viser.GuiApi, do: Do) -> tuple[Any, Any, Any]:
     height = _slider(gui, "height (mm)", Range(low, high, 1.0, start))
     roll, pitch = (_slider(gui, f"{n} (deg)", Range(-tilt, tilt, 0.1, 0.0)) for n in ANGLES)
 
-    def take(robot: PlayedRobot) -> None:
+    def take(robot: Driven) -> None:
         z, *tilts = _values((height, roll, pitch))
-        robot.wishes.pose = None if own.value else np.array([1e-3 * z, *np.radians(tilts)])
+        robot.set_pose(None if own.value else np.array([1e-3 * z, *np.radians(tilts)]))
 
     def pose(_: object) -> None:
         do(take)
@@ -154,7 +177,7 @@ def _add_pose(gui: viser.GuiApi, do: Do) -> tuple[Any, Any, Any]:
 ANGLES = ("roll", "pitch")
 
 
-def add_world(gui: viser.GuiApi, robot: PlayedRobot, do: Do) -> None:
+def add_world(gui: viser.GuiApi, robot: PlayedRobot, do: Do[PlayedRobot]) -> None:
     """Floor, payload, legs, supply and tendons."""
     scene = read_scene(robot.scene)
     friction = [
@@ -180,12 +203,12 @@ def add_world(gui: viser.GuiApi, robot: PlayedRobot, do: Do) -> None:
         _add_tendon(gui, leg, do)
 
 
-def _add_tendon(gui: viser.GuiApi, leg: str, do: Do) -> None:
+def _add_tendon(gui: viser.GuiApi, leg: str, do: Do[PlayedRobot]) -> None:
     box = gui.add_checkbox(f"tendon {leg} broken", initial_value=False)
     box.on_update(lambda _: do(lambda r: r.set_tendon(leg, broken=box.value)))
 
 
-def add_push(gui: viser.GuiApi, do: Do) -> None:
+def add_push(gui: viser.GuiApi, do: Do[PlayedRobot]) -> None:
     """A push of the torso from one side."""
     force = _slider(gui, "push (N)", Range(0.0, PUSH_MAX, 0.5, 6.0))
     side = gui.add_button_group("push to", tuple(SIDES))
@@ -200,6 +223,23 @@ def add_push(gui: viser.GuiApi, do: Do) -> None:
 
 
 SIDES = {"left": (0, 1), "right": (0, -1), "front": (1, 0), "back": (-1, 0)}
+
+
+def add_faults(gui: viser.GuiApi, do: Do[GraphRobot]) -> None:
+    """A fault of the simulated robot of a graph."""
+    kind = gui.add_dropdown("kind", KINDS, initial_value=BROKEN)
+    leg = gui.add_dropdown("leg", (*LEGS, ALL_LEGS))
+    value = gui.add_number("value", 0.0, step=0.001)
+    duration = gui.add_number("duration (s)", 0.0, min=0.0, step=0.1)
+    act = gui.add_button_group("fault", ("inject", "clear"))
+
+    def inject(_: object) -> None:
+        wanted = kind.value, leg.value, value.value, duration.value, act.value == "clear"
+        do(lambda r: r.inject(*wanted))
+
+    act.on_click(inject)
+    units = ", ".join(f"{name} {unit}" for name, (*_, unit) in VALUE_RANGES.items())
+    gui.add_markdown(f"Value: {units}. Duration 0: until it is cleared.")
 
 
 def _load(robot: PlayedRobot, mass: float) -> None:

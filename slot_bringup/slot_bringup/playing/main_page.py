@@ -1,7 +1,8 @@
 """Plays with the simulated robot in the browser: drive it, change it and its world, push it.
 
-The robot, its controller and the page run in this process. The page is for this machine; with
---host ADDRESS also for others, which need the address with the token that is printed.
+The robot, its controller and the page run in this process; with --graph the page drives the graph
+that scripts/run runs. The page is for this machine; with --host ADDRESS also for others, which need
+the address with the token that is printed.
 """
 
 from __future__ import annotations
@@ -16,12 +17,16 @@ import signal
 import socket
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slot_bringup import interrupts
+from slot_bringup.check import check_place
+from slot_bringup.monitor import listener
+from slot_bringup.operate import SEARCH_TIME, no_answer
 from slot_bringup.playing.access import Access, guarded, is_this_machine
-from slot_core.command_line import CommandParser, command_parser, refuse, within
+from slot_core.command_line import command_parser, refuse, within
 from slot_core.config import ConfigError
 from slot_core.control.policy import DEFAULT_POLICY
 from slot_lab.play.played_robot import PlayedRobot
@@ -32,17 +37,25 @@ if TYPE_CHECKING:
 PROGRAM = "scripts/play"
 PORT = 8080
 BAGS = Path("bags")
+GAIT_TIME = 1.0  # s to wait for the present gait of a graph
 
 
-def parser() -> CommandParser:
-    """The command line."""
+def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Parse the command line; a wrong value exits with code 2 and one line."""
     made = command_parser("play", __doc__)
     add = made.add_argument
-    add("--scene", default="flat", metavar="NAME", help="of config/scene (default: flat)")
-    add("--policy", default=DEFAULT_POLICY, metavar="NAME", help="policy (default: %(default)s)")
+    add("--scene", metavar="NAME", help="of config/scene (default: flat)")
+    add("--policy", metavar="NAME", help=f"policy (default: {DEFAULT_POLICY})")
+    add("--graph", action="store_true", help="drive a running graph")
+    add("--namespace", metavar="NAME", default="", help="of the graph")
     add("--host", default="127.0.0.1", metavar="ADDRESS", help="to listen on (default: 127.0.0.1)")
     add("--port", default=PORT, type=within(0, 65535), metavar="N", help="default: %(default)s")
-    return made
+    options = made.parse_args(arguments)
+    if options.graph and (options.scene or options.policy):
+        made.error("--graph: its scene and policy are those of scripts/run")
+    if options.namespace and not options.graph:
+        made.error("--namespace: only with --graph")
+    return options
 
 
 def address(host: str, port: int, token: str) -> str:
@@ -73,22 +86,42 @@ def start_server(host: str, port: int, token: str) -> viser.ViserServer:
 
 def play(options: argparse.Namespace) -> None:
     """Play until an interrupt; raises ConfigError and OSError."""
-    robot = PlayedRobot(options.scene, options.policy)
+    check_place(options.namespace)
+    if options.graph:
+        show = partial(_show_graph, options.namespace)
+    else:
+        robot = PlayedRobot(options.scene or "flat", options.policy or DEFAULT_POLICY)
+        show = partial(_show_robot, robot)
     token = "" if is_this_machine(options.host) else secrets.token_urlsafe(24)
     server = start_server(options.host, options.port, token)
-    from slot_bringup.playing.play_page import PlayPage  # noqa: PLC0415 - needs viser
-
     try:
-        page = PlayPage(server, robot, BAGS)
         print(f"{address(options.host, server.get_port(), token)}\nCtrl-C ends it", flush=True)
-        page.run(lambda: False)
+        show(server)
     finally:
         server.stop()
 
 
+def _show_robot(robot: PlayedRobot, server: viser.ViserServer) -> None:
+    from slot_bringup.playing.play_page import PlayPage  # noqa: PLC0415 - needs viser
+
+    PlayPage(server, robot, BAGS).run(lambda: False)
+
+
+def _show_graph(namespace: str, server: viser.ViserServer) -> None:
+    from slot_bringup.playing.graph_page import GraphPage  # noqa: PLC0415 - needs viser
+    from slot_bringup.playing.graph_robot import GraphRobot  # noqa: PLC0415
+
+    with listener("play", namespace) as (node, executor):
+        robot = GraphRobot(node)
+        if not executor.spin_until(robot.found, SEARCH_TIME):
+            raise ConfigError(no_answer(node, "supervisor", SEARCH_TIME))
+        executor.spin_until(robot.walks, GAIT_TIME)  # none before the servos have torque
+        GraphPage(server, robot).run(lambda: False, executor.spin_once)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `scripts/play`; returns the exit code."""
-    options = parser().parse_args(arguments)
+    options = parse(arguments)
     if importlib.util.find_spec("viser") is None:
         refuse(PROGRAM, "viser is missing; run scripts/setup --play")
         return 2

@@ -6,7 +6,6 @@ frames of the robot, the drawing. The page says how fast that is, and where the 
 
 from __future__ import annotations
 
-import queue
 import time
 from collections.abc import Callable
 from datetime import datetime
@@ -19,52 +18,36 @@ import viser
 from scipy.spatial.transform import Rotation
 
 from slot_bringup.playing import controls, robot_messages
-from slot_bringup.playing.live_plots import LivePlots, stamp_of
-from slot_bringup.playing.scene_view import SceneView
-from slot_bringup.playing.status_text import Costs, StatusText, block, of_speed
-from slot_core.config import ConfigError
+from slot_bringup.playing.page import PLOTTED, WINDOW, Page
+from slot_bringup.playing.status_text import Costs, of_speed, strong
 from slot_core.control.pace import Speed
 from slot_core.drawing import palette
-from slot_core.drawing.drawing import Drawing
-from slot_core.drawing.shapes import FORCE_SCALE, Arrows, Shape, rgb
-from slot_core.dynamics.servo import read_servo
+from slot_core.drawing.shapes import FORCE_SCALE, Arrows, rgb
 from slot_core.recording.bag_error import BagError
 from slot_core.robot import read_robot
 from slot_lab.play.played_robot import FRAME, PlayedRobot
 
 SPEEDS = {"real time": 1.0, "1/2": 0.5, "1/4": 0.25, "1/10": 0.1}
 LATE = 0.25  # s behind the wall clock from which the robot's clock falls behind
-WINDOW = 2.0  # s, over which the speed is measured
-PLOTTED, WRITTEN = 6, 3  # frames between two updates of the plots, of the text
 PULL, PULL_MAX = 60.0, 20.0  # N per m of the mouse, N
 PUSHED, PUSH_WIDTH = rgb("#C00000"), 0.006  # m
-CAMERA, LOOK_AT = (0.28, -0.5, 0.25), (0.0, 0.0, 0.05)
 PAYLOAD = "/robot/torso/payload"
 
 
-class PlayPage:
+class PlayPage(Page[PlayedRobot]):
     """A page that shows and drives a played robot."""
 
     def __init__(self, server: viser.ViserServer, robot: PlayedRobot, bags: Path) -> None:
         """bags: directory for what is saved."""
-        self._server, self.robot, self._bags = server, robot, bags
-        self._wanted: queue.SimpleQueue[controls.Act] = queue.SimpleQueue()
-        self._steps = 0  # to take while paused
-        self._paused, self._said = False, ""  # what the page said last: a refusal, a bag
+        super().__init__(server, robot)
+        self._bags = bags
+        self._paused, self._steps = False, 0  # steps to take while paused
         self._speed, self._pace = 1.0, Speed(WINDOW)
         self._costs = Costs()
-        self._view = SceneView(server.scene)
-        self._drawing = self._new_drawing()
         self._size = np.array(read_robot().torso.size)
         self._payload: Any = None
-        self._status, self._count = StatusText(), 0
         self._build()
-        server.on_client_connect(_place_camera)
         server.on_client_disconnect(lambda _: self.do(_let_go))  # in the middle of a drag
-
-    def do(self, act: controls.Act) -> None:
-        """Let something be done to the robot before its next frame."""
-        self._wanted.put(act)
 
     def run(
         self,
@@ -75,7 +58,7 @@ class PlayPage:
         """Play until `ended`; `clock`: s."""
         due = clock()
         while not ended():
-            self._do_wanted()
+            self.do_wanted()
             moves = not self._paused or self._steps > 0
             self._steps = max(0, self._steps - 1)
             if moves:
@@ -83,32 +66,29 @@ class PlayPage:
                 self._pace.add(clock(), self.robot.time)
             else:
                 self._pace = Speed(WINDOW)
-            if self._count % WRITTEN == 0:
-                self._write(clock())
-            self._count += 1
+            self.write(self._of_speed(clock()), self.robot.loop.refusal)
             due = max(due + FRAME / self._speed, clock() - LATE)
             sleep(max(0.0, due - clock()))
 
     def _build(self) -> None:
-        gui = self._server.gui
-        self._text = gui.add_html("")
+        gui = self.server.gui
         run = gui.add_button_group("time", ("pause", "go on", "step", "reset", "save"))
         run.on_click(lambda _: self._on_time(run.value))
         speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="real time")
         speed.on_update(lambda _: self.do(lambda _: self._set_speed(SPEEDS[speed.value])))
         tabs = gui.add_tab_group()
         with tabs.add_tab("Drive"):
-            controls.add_drive(gui, self.robot, self.do)
+            controls.add_policy(gui, self.do, self.robot.policy)
+            controls.add_drive(gui, self.do)
         with tabs.add_tab("World"):
             controls.add_world(gui, self.robot, self.do)
         with tabs.add_tab("Push"):
             controls.add_push(gui, self.do)
         with tabs.add_tab("Plots"):
-            self._plots = LivePlots(gui)
+            self.display.add_plots()
         controls.add_key(gui, "P", "pause, or go on", self._toggle)
         for key, what in {"N": "step", "R": "reset", "B": "save"}.items():
             controls.add_key(gui, key, what, partial(self._on_time, what))
-        controls.add_key(gui, "X", "e-stop", lambda: self.do(controls.REQUESTS["e-stop"]))
 
     def _toggle(self) -> None:
         self._on_time("go on" if self._paused else "pause")
@@ -127,9 +107,7 @@ class PlayPage:
 
     def _reset(self, robot: PlayedRobot) -> None:
         robot.reset()
-        self._view.remove("path", "reference_path")
-        self._plots.clear()
-        self._drawing = self._new_drawing()
+        self.display.clear()
         self._pace = Speed(WINDOW)
 
     def _save(self, robot: PlayedRobot) -> None:
@@ -137,24 +115,12 @@ class PlayPage:
         try:
             count = robot_messages.save(robot, path)
         except BagError as error:
-            self._said = str(error)
+            self.said = str(error)
             return
-        self._said = f"{count} messages are in {path}"
+        self.said = f"{count} messages are in {path}"
 
     def _set_speed(self, speed: float) -> None:
         self._speed = speed
-
-    def _new_drawing(self) -> Drawing:
-        servo = read_servo()
-        return Drawing(read_robot(), float(servo.tendon_stall(servo.nominal_voltage)))
-
-    def _do_wanted(self) -> None:
-        while not self._wanted.empty():
-            self._said = ""
-            try:
-                self._wanted.get()(self.robot)
-            except ConfigError as error:
-                self._said = str(error)
 
     def _frame(self) -> None:
         """Advance the robot by a frame, and draw it."""
@@ -163,28 +129,21 @@ class PlayPage:
         simulated = time.perf_counter()
         if self.robot.ended:
             return
-        shapes: dict[str, Shape] = {}
-        with self._server.atomic():
-            for topic, message in robot_messages.of_frame(happened):
-                shapes |= self._drawing.receive(topic, message)
-                self._plots.receive(topic, message)
-                if (stamp := stamp_of(topic, message)) is not None:
-                    self._plots.advance(stamp)
-            self._draw(shapes)
-            if self._count % PLOTTED == 0:
-                self._plots.show()
+        with self.server.atomic():
+            self.display.show(robot_messages.of_frame(happened), plots=self.count % PLOTTED == 0)
+            self._draw()
         self._costs.add(simulated - begin, time.perf_counter() - simulated)
 
-    def _draw(self, shapes: dict[str, Shape]) -> None:
-        """Show shapes, the force that pushes the torso, and the payload."""
+    def _draw(self) -> None:
+        """Show the force that pushes the torso, and the payload."""
         if (truth := self.robot.truth) is None:
             return
-        model, position = self.robot.model, truth.odometry.position
+        model, position, view = self.robot.model, truth.odometry.position, self.display.view
         push = np.array([model.push[:3]])
-        arrow = Arrows(position[None], FORCE_SCALE * push, PUSHED[None], PUSH_WIDTH)
-        self._view.update(shapes | ({"push": arrow} if push.any() else {}))
-        self._view.show("push", visible=bool(push.any()))
-        self._view.centre(position)
+        if push.any():
+            arrow = Arrows(position[None], FORCE_SCALE * push, PUSHED[None], PUSH_WIDTH)
+            view.update({"push": arrow})
+        view.show("push", visible=bool(push.any()))
         if self._payload is None:
             self._payload = self._add_payload()
         self._payload.visible = bool(model.payload[0])
@@ -194,9 +153,9 @@ class PlayPage:
         """Add the payload, and let the mouse move it and pull at the torso."""
         colour = tuple(round(255 * c) for c in rgb(palette.SECONDARY))
         radius = controls.PAYLOAD_RADIUS
-        payload = self._server.scene.add_icosphere(PAYLOAD, radius=radius, color=colour)
+        payload = self.server.scene.add_icosphere(PAYLOAD, radius=radius, color=colour)
         payload.on_drag(self._on_payload)
-        self._view.handle("torso").on_drag(self._on_torso)
+        self.display.view.handle("torso").on_drag(self._on_torso)
         return payload
 
     async def _on_payload(self, event: Any) -> None:
@@ -224,17 +183,13 @@ class PlayPage:
         force = way * min(PULL, PULL_MAX / max(length, 1e-9))
         self.do(_let_go if event.phase == "end" else lambda r: r.pull(force))
 
-    def _write(self, now: float) -> None:
-        """Write what the page says of the robot."""
-        lines = self._status.of_robot(self.robot, self._said)
+    def _of_speed(self, now: float) -> str:
+        if self.robot.ended:
+            return strong(f"{self.robot.ended}: reset")
         factor = self._pace.until(now)
         speed = "paused" if self._paused else of_speed(factor, self._speed, self._costs)
-        self._text.content = block([*lines, speed])
+        return f"t {self.robot.time:.1f} s; {speed}"
 
 
 def _let_go(robot: PlayedRobot) -> None:
     robot.pull(np.zeros(3))
-
-
-def _place_camera(client: viser.ClientHandle) -> None:
-    client.camera.position, client.camera.look_at = CAMERA, LOOK_AT

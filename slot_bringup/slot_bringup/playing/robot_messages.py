@@ -5,10 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from rclpy.serialization import serialize_message
 
+from slot_bringup.playing.robot_display import Named
 from slot_core.clock import LOCKSTEP_START
 from slot_core.control.controller import Tick
 from slot_core.control.pace import Pace
@@ -23,7 +24,6 @@ from slot_core.simulation.sensors import ImuReading, OdometryReading
 from slot_lab.play.played_robot import Happened, PlayedRobot
 from slot_nodes import messages
 
-Named: TypeAlias = tuple[str, Any]  # topic and message
 DRAWN = (TrueState, Tick, JointReading, Report)
 PACE = Pace()  # without overruns: the robot's clock waits
 

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from html import escape
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from slot_core.control.policy import PlanReport
+from slot_core.control.policy import Status
+from slot_core.messages import decode
 from slot_core.predictive.settings import read_predictive
-from slot_core.robot import read_robot
-from slot_lab.play.played_robot import FRAME, PlayedRobot
+from slot_core.robot import Array, read_robot
+from slot_lab.play.played_robot import FRAME
 
 SMOOTHING = 0.1  # weight of the newest cost
 STYLE = "height:13em;overflow:auto;font-size:0.875em;line-height:1.4em;padding:0.5em"
@@ -38,40 +42,40 @@ class Costs:
 
 
 class StatusText:
-    """Lines on a played robot, as HTML."""
+    """Lines on a robot, as HTML."""
 
     def __init__(self) -> None:
         self._mass = read_robot().mass
         self._stiffness = np.array(read_predictive().observer.stiffness[1:])  # N m/rad
 
-    def of_robot(self, robot: PlayedRobot, said: str) -> list[str]:
-        """State, reason, motion, plan, disturbances, and what is refused or `said`."""
-        if robot.ended:
-            return [strong(f"{robot.ended}: reset")]
-        report, lines = robot.loop.report, list[str]()
-        if report is not None:
-            lines.append(f"{strong(report.state.name)} {escape(report.reason)}")
-        if robot.tick is not None and robot.truth is not None:
-            x, y, z = robot.truth.odometry.position
-            lines.append(f"t {robot.time:.1f} s, x {x:.3f} m, y {y:.3f} m, height {1e3 * z:.1f} mm")
-            plan = robot.tick.plan
-            lines.append(escape(f"{plan.status.name} {plan.message}"))
-            lines.append(self.of_disturbances(plan.report))
-            remarks = robot.tick.preview.remark, robot.loop.refusal, said
-            lines += [f"<i>{escape(text)}</i>" for text in dict.fromkeys(remarks) if text]
-        return lines
+    def of(
+        self, newest: Mapping[str, Any], position: Array | None, remarks: Iterable[str]
+    ) -> list[str]:
+        """State, place, plan and disturbances by the newest messages; then `remarks`."""
+        lines = []
+        if (state := newest.get("/robot_state")) is not None:
+            _, name, _, reason = decode.robot_state(state)
+            lines.append(f"{strong(name.name)} {escape(reason)}")
+        if position is not None:
+            x, y, z = position
+            lines.append(f"x {x:.3f} m, y {y:.3f} m, height {1e3 * z:.1f} mm")
+        if (plan := newest.get("/tendon_plan")) is not None:
+            lines.append(escape(f"{Status(plan.status).name} {plan.message}"))
+            lines.append(self.of_disturbances(plan.mass, plan.wrench, plan.drift))
+            remarks = [plan.remark, *remarks]
+        return lines + [f"<i>{escape(text)}</i>" for text in dict.fromkeys(remarks) if text]
 
-    def of_disturbances(self, found: PlanReport) -> str:
+    def of_disturbances(self, mass: float, wrench: ArrayLike, drift: ArrayLike) -> str:
         """What the policy has found: payload in kg, tilt in deg, slip in mm/s; or that it does not.
 
         The tilt is that by which the moment would turn the robot as it stands.
         """
-        if not math.isfinite(found.mass):
+        if not math.isfinite(mass):
             return "disturbances: none are estimated"
-        roll, pitch = np.degrees(found.wrench[1:] / self._stiffness)
-        x, y = 1e3 * found.drift[:2]
+        roll, pitch = np.degrees(np.asarray(wrench)[1:] / self._stiffness)
+        x, y = 1e3 * np.asarray(drift)[:2]
         return (
-            f"disturbances: payload {found.mass - self._mass:+.2f} kg,"
+            f"disturbances: payload {mass - self._mass:+.2f} kg,"
             f" tilt {roll:+.1f}, {pitch:+.1f} deg, slip {x:+.0f}, {y:+.0f} mm/s"
         )
 
@@ -86,7 +90,7 @@ def strong(text: str) -> str:
     return f"<b>{escape(text)}</b>"
 
 
-def of_speed(factor: float, wanted: float, costs: Costs) -> str:
+def of_speed(factor: float, wanted: float, costs: object) -> str:
     """Line on the speed, over the wall clock's; bold where the machine is too slow."""
     if not math.isfinite(factor):
         return f"speed is being measured; {costs}"

@@ -16,6 +16,7 @@ BUS_KINDS = (
     "silent", "corrupt", "late", "wrong_id", "overload", "overheating", "undervoltage",
     "watchdog", "unplugged",
 )  # fmt: skip
+KINDS = (*BUS_KINDS, SLACK, BROKEN, NAN)
 VALUE_RANGES = {  # minimum, maximum and unit of the value; at the minimum the fault has an effect
     "corrupt": (1e-3, 1.0, "of the answers"),
     "late": (1e-3, 10.0, "s"),
@@ -30,7 +31,7 @@ VALUE_RANGES = {  # minimum, maximum and unit of the value; at the minimum the f
 class Fault:
     """One fault; a scene may hold several by name."""
 
-    kind: str = choice("kind of the fault", *BUS_KINDS, SLACK, BROKEN, NAN)
+    kind: str = choice("kind of the fault", *KINDS)
     leg: str = choice("leg or servo that has the fault", ALL_LEGS, *LEGS)
     time: float = quantity("start time after the robot's start", "s", 0.0, 1e6)
     duration: float = quantity("duration; 0: permanent", "s", 0.0, 1e6)

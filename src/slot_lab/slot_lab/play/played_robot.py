@@ -22,6 +22,7 @@ from slot_core.dynamics.scene import Push, read_scene
 from slot_core.faults import BROKEN, Fault
 from slot_core.geometry import rotate
 from slot_core.robot import GRAVITY, Array
+from slot_core.safety.requests import Request
 from slot_core.safety.supervisor import PERIOD
 from slot_core.simulation.plant import TrueState
 from slot_core.simulation.rod_robot import RodRobot
@@ -73,6 +74,26 @@ class PlayedRobot:
         except DivergenceError as error:
             self.ended = str(error)
         return self._new
+
+    def set_gait(self, gait: str) -> None:
+        """Stand or walk in a gait."""
+        self.wishes.gait = gait
+
+    def set_velocity(self, velocity: Array) -> None:
+        """Go at v_x, v_y m/s, yaw rate rad/s, (3,)."""
+        self.wishes.velocity = velocity
+
+    def set_pose(self, pose: Array | None) -> None:
+        """Take a height m, roll, pitch rad, (3,), or the gait's own."""
+        self.wishes.pose = pose
+
+    def stand_up(self) -> None:
+        """Rise from the floor, again after a fall, a fault or an emergency stop."""
+        self.wishes.up = True
+
+    def request(self, request: Request) -> None:
+        """Make a request to the supervisor."""
+        self.loop.request(request)
 
     def change(self, changes: dict[str, Any]) -> None:
         """Change robot, scene or servo while it moves, by dotted name; raises ConfigError."""

@@ -1,0 +1,59 @@
+"""The page of a running graph: the robot, what steers it, faults of its simulation, plots."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import viser
+
+from slot_bringup.playing import controls
+from slot_bringup.playing.graph_robot import GraphRobot
+from slot_bringup.playing.page import PLOTTED, WINDOW, Page
+from slot_bringup.playing.status_text import of_speed
+from slot_core.clock import to_seconds
+from slot_core.control.pace import Speed
+from slot_core.messages import decode
+from slot_lab.play.played_robot import FRAME
+
+
+class GraphPage(Page[GraphRobot]):
+    """A page that shows and drives a running graph."""
+
+    def __init__(self, server: viser.ViserServer, robot: GraphRobot) -> None:
+        super().__init__(server, robot)
+        self._pace = Speed(WINDOW)
+        tabs = server.gui.add_tab_group()
+        with tabs.add_tab("Drive"):
+            controls.add_drive(server.gui, self.do, robot.gait)
+        with tabs.add_tab("Faults"):
+            controls.add_faults(server.gui, self.do)
+        with tabs.add_tab("Plots"):
+            self.display.add_plots()
+
+    def run(
+        self,
+        ended: Callable[[], bool],
+        spin: Callable[[float], object],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Show the graph until `ended`; `spin` handles its messages for at most a time, s."""
+        due = clock()
+        while not ended():
+            spin(max(0.0, due - clock()))
+            if clock() < due:
+                continue
+            due = max(due + FRAME, clock())
+            self.do_wanted()
+            begin = clock()
+            self._show()
+            drawing = f"drawing {1e3 * (clock() - begin):.0f} ms of {1e3 * FRAME:.0f} ms"
+            if (state := self.display.newest.get("/mpc_state")) is not None:
+                self._pace.add(clock(), to_seconds(decode.stamp(state)))
+            self.write(of_speed(self._pace.until(clock()), 1.0, drawing), self.robot.said)
+
+    def _show(self) -> None:
+        try:
+            self.display.show(self.robot.frame(), plots=self.count % PLOTTED == 0)
+        except ValueError as error:
+            self.said = f"a message is refused: {error}"

@@ -1,0 +1,141 @@
+"""A running graph as the page drives it: its newest messages, its topics and services."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from rclpy.node import Node
+from rclpy.task import Future
+from std_srvs.srv import Trigger
+
+from slot_bringup.playing.robot_display import TOPICS, Named
+from slot_bringup.steering import Steering
+from slot_core.config import ConfigError
+from slot_core.gait.gait import STAND, Posture, read_gaits
+from slot_core.messages import decode
+from slot_core.recording.record_settings import read_record_settings
+from slot_core.robot import Array
+from slot_core.safety.requests import Request
+from slot_core.safety.states import State
+from slot_lab.play.played_loop import TO_RISE, TO_STAND, TO_WALK
+from slot_msgs.msg import GaitPreview
+from slot_msgs.srv import InjectFault, SetGait
+from slot_nodes import messages, qos
+
+
+class GraphRobot:
+    """Drives a running graph; `said` is what it answered last, or why it could not be asked."""
+
+    def __init__(self, node: Node) -> None:
+        self.said = ""
+        self._node, self._steering, self._gaits = node, Steering(node), read_gaits()
+        self._new: dict[str, Any] = {}  # since the last frame, by topic
+        self._preview: GaitPreview | None = None
+        self.gait = STAND  # wanted last
+        self._to: dict[State, Request] = {}  # requests that lead to what is wanted
+        self._asked: State | None = None  # in which the last of them was made
+        kinds = {_name(request): Trigger for request in Request}
+        kinds |= {"set_gait": SetGait, "sim_robot/inject": InjectFault}
+        self._clients = {name: node.create_client(kind, name) for name, kind in kinds.items()}
+        for name, topic in read_record_settings().topics.items():
+            if name in TOPICS:
+                kind, profile = messages.message_class(topic.type), qos.recorded(topic, 1)
+                take = partial(self._take, name)
+                node.create_subscription(
+                    kind, name.removeprefix("/"), take, qos.best_effort(profile)
+                )
+
+    def found(self) -> bool:
+        """Whether the supervisor has been heard."""
+        return "/robot_state" in self._new
+
+    def walks(self) -> bool:
+        """Whether a gait has been heard, which is that wanted from now on."""
+        if preview := self._new.get("/gait_preview"):
+            self.gait = preview.requested
+        return preview is not None
+
+    def frame(self) -> list[Named]:
+        """The newest message of every topic since the last frame; goes on with what is wanted.
+
+        Raises ValueError for an invalid message.
+        """
+        new, self._new = self._new, {}
+        self._preview = new.get("/gait_preview", self._preview)
+        if (state := new.get("/robot_state")) is not None:
+            self._steering.repeat(decode.stamp(state), self._preview)
+            self._next_request(decode.robot_state(state)[1])
+        return list(new.items())
+
+    def set_gait(self, gait: str) -> None:
+        """Stand or walk in a gait."""
+        self.gait = gait
+        self._call("set_gait", SetGait.Request(gait=gait))
+        self._pursue(self._to_gait())
+
+    def set_velocity(self, velocity: Array) -> None:
+        """Go at v_x, v_y m/s, yaw rate rad/s, (3,); raises ConfigError where nothing answers."""
+        self.said = self._steering.steer(self._commanded(), velocity)
+
+    def set_pose(self, pose: Array | None) -> None:
+        """Take a height m, roll, pitch rad, (3,), or the gait's own; raises ConfigError."""
+        if pose is None:
+            self._call("set_gait", SetGait.Request(gait=self._commanded().requested))
+        else:
+            self._steering.lean(self._commanded(), np.array(pose))
+
+    def stand_up(self) -> None:
+        """Rise from the floor, and stand or walk in the gait that was wanted last."""
+        self._pursue(TO_RISE | self._to_gait())
+
+    def request(self, request: Request) -> None:
+        """Make a request to the supervisor."""
+        self._to = {}
+        self._call(_name(request), Trigger.Request())
+
+    def inject(self, kind: str, leg: str, value: float, duration: float, clear: bool) -> None:
+        """Inject a fault into the simulated robot, or clear it."""
+        fault = InjectFault.Request(kind=kind, leg=leg, value=value, duration=duration, clear=clear)
+        self._call("sim_robot/inject", fault)
+
+    def _to_gait(self) -> dict[State, Request]:
+        return TO_STAND if isinstance(self._gaits.find(self.gait), Posture) else TO_WALK
+
+    def _pursue(self, requests: dict[State, Request]) -> None:
+        self._to, self._asked = requests, None
+
+    def _commanded(self) -> GaitPreview:
+        if self._preview is None:
+            raise ConfigError("no gait_scheduler answers")
+        return self._preview
+
+    def _take(self, name: str, message: Any) -> None:
+        self._new[name] = message
+
+    def _next_request(self, state: State) -> None:
+        """Make the request that leads on from a state, once; without one the way has ended."""
+        if state is self._asked:
+            return
+        self._asked, request = state, self._to.get(state)
+        if request is None:
+            self._to = {}
+        else:
+            self._call(_name(request), Trigger.Request())
+
+    def _call(self, name: str, request: Any) -> None:
+        client = self._clients[name]
+        if not client.service_is_ready():
+            self.said, self._to = f"{name}: nothing answers", {}
+            return
+        client.call_async(request).add_done_callback(self._answered)
+
+    def _answered(self, answer: Future) -> None:
+        self.said = answer.result().message
+        if not answer.result().success:
+            self._to = {}
+
+
+def _name(request: Request) -> str:
+    return f"supervisor/{request.name.lower()}"

@@ -1,0 +1,85 @@
+"""The robot in the page, its plots and what is said of it, from the messages of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, TypeAlias
+
+import numpy as np
+import viser
+
+from slot_bringup.playing.live_plots import LivePlots, stamp_of
+from slot_bringup.playing.scene_view import SceneView
+from slot_core.drawing.drawing import Drawing
+from slot_core.drawing.shapes import Shape
+from slot_core.dynamics.servo import read_servo
+from slot_core.messages import decode
+from slot_core.robot import Array, read_robot
+from slot_lab.report import traces
+
+Named: TypeAlias = tuple[str, Any]  # topic and message
+TOPICS = tuple(dict.fromkeys((*Drawing.TOPICS, *traces.TOPICS)))
+CAMERA, LOOK_AT = (0.28, -0.5, 0.25), (0.0, 0.0, 0.05)
+
+
+class RobotDisplay:
+    """Shows the messages of a run; `newest` has the newest by topic."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self.view = SceneView(server.scene)
+        self.newest: dict[str, Any] = {}
+        self._drawing = _new_drawing()
+        self._plots: LivePlots | None = None
+        server.on_client_connect(_place_camera)
+
+    def add_plots(self) -> None:
+        """Add the plots where elements of the page are added now."""
+        self._plots = LivePlots(self._server.gui)
+
+    def show(self, messages: Iterable[Named], *, plots: bool) -> None:
+        """Show messages, with the plots or without; raises ValueError for an invalid message."""
+        shapes: dict[str, Shape] = {}
+        with self._server.atomic():
+            for topic, message in messages:
+                shapes |= self._drawing.receive(topic, message)
+                self._add_values(topic, message)
+                self.newest[topic] = message
+            self.view.update(shapes)
+            if (position := self.position) is not None:
+                self.view.centre(position)
+            if plots and self._plots is not None:
+                self._plots.show()
+
+    def _add_values(self, topic: str, message: Any) -> None:
+        if self._plots is None:
+            return
+        self._plots.receive(topic, message)
+        if (stamp := stamp_of(topic, message)) is not None:
+            self._plots.advance(stamp)
+
+    @property
+    def position(self) -> Array | None:
+        """Position (3,) of the torso, m: the true one where it is known; None before the first."""
+        if (truth := self.newest.get("/ground_truth/odom")) is not None:
+            return np.array(decode.odometry(truth)[1])
+        if (state := self.newest.get("/mpc_state")) is not None:
+            return decode.estimate(state).state[3:6]
+        return None
+
+    def clear(self) -> None:
+        """Forget what was: time begins anew."""
+        self.newest.clear()
+        self.view.remove("path", "reference_path")
+        self._drawing = _new_drawing()
+        if self._plots is not None:
+            self._plots.clear()
+
+
+def _new_drawing() -> Drawing:
+    servo = read_servo()
+    return Drawing(read_robot(), float(servo.tendon_stall(servo.nominal_voltage)))
+
+
+def _place_camera(client: viser.ClientHandle) -> None:
+    client.camera.position, client.camera.look_at = CAMERA, LOOK_AT

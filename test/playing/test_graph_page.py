@@ -1,0 +1,208 @@
+"""The page of a running graph: what its controls send, and what it says of the messages."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from std_srvs.srv import Trigger
+
+from slot_bringup.playing.graph_page import GraphPage
+from slot_bringup.playing.graph_robot import GraphRobot
+from slot_bringup.playing.main_page import main, start_server
+from slot_core.config import ConfigError
+from slot_core.messages import decode
+from slot_core.safety.requests import Request
+from slot_core.safety.states import State
+from slot_msgs.msg import GaitPreview, RobotState
+
+VELOCITY = np.array([0.03, 0.0, 0.0])
+
+
+class Graph:
+    """Node of a graph whose services grant what is asked, but `refused`."""
+
+    def __init__(self):
+        self.refused, self.silent = {}, False
+        self.called, self.published, self.inputs = [], [], {}
+
+    def create_client(self, kind, name):
+        def call_async(request):
+            self.called.append((name, request))
+            why = self.refused.get(name, "")
+            result = SimpleNamespace(success=not why, message=why)
+            answer = SimpleNamespace(result=lambda: result)
+            return SimpleNamespace(add_done_callback=lambda done: done(answer))
+
+        return SimpleNamespace(service_is_ready=lambda: not self.silent, call_async=call_async)
+
+    def create_publisher(self, kind, topic, _):
+        return SimpleNamespace(publish=lambda message: self.published.append((topic, message)))
+
+    def create_subscription(self, kind, topic, take, _):
+        self.inputs[topic] = take
+
+    def get_subscriptions_info_by_topic(self, topic):
+        return [SimpleNamespace(topic_type="geometry_msgs/msg/TwistStamped")]
+
+    def report(self, state, reason=""):
+        self.inputs["robot_state"](RobotState(state=state.value, reason=reason))
+
+    def preview(self):
+        ones, three = [1.0] * 4, [0.0] * 3
+        message = GaitPreview(requested="walk", stages=1, reference=[0.0] * 12, contact=[True] * 4,
+                              velocity_ahead=three, friction=ones, normal_force=ones,
+                              tendon_angle=ones, pose=[0.06, 0.0, 0.0])  # fmt: skip
+        self.inputs["gait_preview"](message)
+
+    @property
+    def names(self):
+        return [name for name, _ in self.called]
+
+
+@pytest.fixture
+def graph():
+    return Graph()
+
+
+@pytest.fixture
+def robot(graph):
+    return GraphRobot(graph)
+
+
+def pass_through(graph, robot, *states):
+    for state in states:
+        for _ in range(2):  # the supervisor repeats its state
+            graph.report(state)
+            robot.frame()
+
+
+def test_a_gait_is_set_and_the_supervisor_asked_once_in_every_state_on_the_way(graph, robot):
+    robot.set_gait("walk")
+    pass_through(graph, robot, State.READY, State.STANDING, State.WALKING, State.STANDING)
+    assert graph.names == ["set_gait", "supervisor/stand", "supervisor/walk"]
+    assert graph.called[0][1].gait == "walk"
+
+
+def test_to_walk_does_not_raise_a_robot_that_lies_and_to_stand_up_does(graph, robot):
+    robot.set_gait("walk")
+    pass_through(graph, robot, State.IDLE)
+    assert graph.names == ["set_gait"]
+    robot.stand_up()
+    pass_through(graph, robot, State.FAULT, State.IDLE, State.READY, State.STANDING, State.WALKING)
+    requests = [name.removeprefix("supervisor/") for name in graph.names[1:]]
+    assert requests == ["reset", "ready", "stand", "walk"]
+
+
+def test_a_refusal_ends_the_way_and_is_said(graph, robot):
+    graph.refused = {"supervisor/walk": "WALK refused in STANDING: no estimate"}
+    robot.set_gait("walk")
+    pass_through(graph, robot, State.STANDING, State.READY)
+    assert graph.names == ["set_gait", "supervisor/walk"]
+    assert robot.said == "WALK refused in STANDING: no estimate"
+
+
+@pytest.mark.parametrize("request_", Request)
+def test_a_request_is_made_at_once_and_ends_the_way(graph, robot, request_):
+    robot.stand_up()
+    robot.request(request_)
+    pass_through(graph, robot, State.IDLE)
+    ((name, message),) = graph.called
+    assert name == f"supervisor/{request_.name.lower()}"
+    assert isinstance(message, Trigger.Request)
+
+
+def test_velocity_is_repeated_and_pose_sent_once_a_gait_is_known(graph, robot):
+    for command in (lambda: robot.set_velocity(VELOCITY), lambda: robot.set_pose(None)):
+        with pytest.raises(ConfigError, match="no gait_scheduler answers"):
+            command()
+    graph.preview()
+    robot.frame()
+    robot.set_velocity(VELOCITY)
+    pass_through(graph, robot, State.WALKING)
+    assert [topic for topic, _ in graph.published] == ["cmd_vel"] * 2
+    np.testing.assert_allclose(decode.velocity(graph.published[0][1])[1], VELOCITY)
+    robot.set_pose(np.array([0.06, 0.0, 0.02]))
+    topic, message = graph.published[-1]
+    assert topic == "body_pose"
+    np.testing.assert_allclose(decode.body_pose(message), [0.06, 0.0, 0.02], atol=1e-9)
+    robot.set_pose(None)
+    assert graph.called[-1][1].gait == "walk"
+    with pytest.raises(ConfigError, match="reaches"):
+        robot.set_pose(np.array([1.0, 0.0, 0.0]))
+
+
+def test_a_graph_that_does_not_answer_is_named(graph, robot):
+    graph.silent = True
+    robot.inject("tendon_broken", "FL", 0.0, 0.0, clear=False)
+    assert robot.said == "sim_robot/inject: nothing answers"
+    assert not graph.called
+
+
+def test_the_present_gait_is_that_of_the_graph(graph, robot):
+    graph.report(State.WALKING)
+    assert robot.found()
+    assert not robot.walks()
+    assert robot.gait == "stand"
+    graph.preview()
+    assert robot.walks()
+    assert robot.gait == "walk"
+
+
+def test_a_graph_that_does_not_run_is_refused(refusal):
+    assert "does scripts/run run?" in refusal(main, "--graph", "--port", "0")
+
+
+@pytest.fixture
+def page(robot):
+    server = start_server("127.0.0.1", 0, "")
+    yield GraphPage(server, robot)
+    server.stop()
+
+
+def control(page, label):
+    handles = page.server.gui._gui_input_handle_from_uuid.values()
+    return next(handle for handle in handles if getattr(handle, "label", "") == label)
+
+
+def run(page, seconds=0.2):
+    now = [0.0]
+    page.run(lambda: now[0] > seconds, lambda wait: now.__setitem__(0, now[0] + wait + 1e-3),
+             lambda: now[0])  # fmt: skip
+
+
+def test_the_controls_of_the_page_reach_the_graph(graph, page):
+    graph.preview()
+    run(page)
+    control(page, "gait").value = "walk"
+    control(page, "v_x (m/s)").value = 0.03
+    control(page, "kind").value = "tendon_slack"
+    control(page, "leg").value = "RR"
+    control(page, "value").value = 0.002
+    graph.report(State.STANDING)
+    run(page)
+    graph.report(State.WALKING)
+    run(page)
+    assert graph.names == ["set_gait", "supervisor/walk"]
+    assert decode.velocity(graph.published[-1][1])[1][0] == pytest.approx(0.03)
+    control(page, "fault").value = "inject"
+    run(page)
+    name, fault = graph.called[-1]
+    assert name == "sim_robot/inject"
+    assert (fault.kind, fault.leg, fault.value, fault.clear) == ("tendon_slack", "RR", 0.002, False)
+
+
+def test_the_page_says_what_the_supervisor_says_and_which_message_is_refused(graph, page):
+    graph.report(State.HOLD, "slack or broken <tendon> FL")
+    run(page)
+    assert "<b>HOLD</b> slack or broken &lt;tendon&gt; FL" in page._text.content
+    graph.inputs["gait_preview"](GaitPreview(stages=3))
+    run(page)
+    assert "a message is refused: " in page._text.content
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--graph", "--scene", "flat"], ["--graph", "--policy", "forces"],
+                  ["--namespace", "a"]]
+)  # fmt: skip
+def test_options_of_a_graph_and_of_a_robot_of_its_own_do_not_go_together(refusal, arguments):
+    assert "--graph" in refusal(main, *arguments)
