@@ -39,7 +39,7 @@ POSE_KEYS: dict[str, Step] = {
 HELP = f"arrows ahead, back, turn   , . aside   {STOP} stop   + - height   j l roll   i k pitch"
 
 
-class Steering:
+class SteeringPublisher:
     """Publishes `/cmd_vel` and `/body_pose`, within the reach of the gait that is `commanded`."""
 
     def __init__(self, node: Node) -> None:
@@ -84,7 +84,7 @@ class Steering:
             self._velocity = None
 
 
-class SteeringKeys(Steering):
+class SteeringKeys(SteeringPublisher):
     """Steering by keys, each of which changes what is commanded by a step."""
 
     def press(self, key: str, commanded: GaitPreview | None) -> str:

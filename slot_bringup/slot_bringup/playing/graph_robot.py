@@ -11,7 +11,7 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from slot_bringup.playing.robot_display import TOPICS, Named
-from slot_bringup.steering import Steering
+from slot_bringup.steering import SteeringPublisher
 from slot_core.config import ConfigError
 from slot_core.gait.gait import STAND, Posture, read_gaits
 from slot_core.messages import decode
@@ -30,7 +30,7 @@ class GraphRobot:
 
     def __init__(self, node: Node) -> None:
         self.said = ""
-        self._node, self._steering, self._gaits = node, Steering(node), read_gaits()
+        self._node, self._steering, self._gaits = node, SteeringPublisher(node), read_gaits()
         self._new: dict[str, Any] = {}  # since the last frame, by topic
         self._preview: GaitPreview | None = None
         self.gait = STAND  # wanted last
