@@ -18,7 +18,7 @@ import viser
 from scipy.spatial.transform import Rotation
 
 from slot_bringup.playing import controls, robot_messages
-from slot_bringup.playing.page import PLOTTED, WINDOW, Page
+from slot_bringup.playing.acting_page import PLOTTED, WINDOW, Page
 from slot_bringup.playing.status_text import Costs, of_speed, strong
 from slot_core.control.pace import Speed
 from slot_core.drawing import palette
