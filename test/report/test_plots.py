@@ -70,7 +70,7 @@ def test_leg_panels_show_desired_and_true_of_their_leg(axes, i):
 
 def test_states_of_the_supervisor_are_named_where_there_is_room():
     states = np.array([State.IDLE, State.WALKING, State.WALKING, State.HOLD])
-    stamps = np.array([0, 2_000_000_000, 6_000_000_000, 9_900_000_000])
+    stamps = np.array([-3_000_000_000, 2_000_000_000, 6_000_000_000, 9_900_000_000])
     series = Series(stamps, stamps, {"state": states})
     bag = SimpleNamespace(counts={"/robot_state": 4}, series=lambda *_: series)
     ax = Figure().subplots()

@@ -55,11 +55,10 @@ def draw_states(ax: Axes, bag: Bag, start: float, end: float) -> None:
         time, states = seconds(series.stamp) - start, series["state"].astype(int)
         begins = np.flatnonzero(np.diff(states, prepend=-1))
         for begin, last in zip(begins, [*time[begins[1:]], end - start]):
-            state, width = State(states[begin]), last - time[begin]
-            ax.axvspan(time[begin], last, color=STATE_COLOURS.get(state, palette.SHADE))
-            if width > 0.08 * (end - start):
-                at = max(time[begin], 0.0) + width / 2
-                ax.text(at, 0.5, state.name, fontsize=7, ha="center", va="center")
+            state, first = State(states[begin]), max(time[begin], 0.0)  # it reports before it moves
+            ax.axvspan(first, last, color=STATE_COLOURS.get(state, palette.SHADE))
+            if last - first > 0.08 * (end - start):
+                ax.text((first + last) / 2, 0.5, state.name, fontsize=7, ha="center", va="center")
     ax.set(xlim=(0.0, end - start), ylim=(0.0, 1.0), xticks=[], yticks=[])
     ax.spines[:].set_visible(False)
 
