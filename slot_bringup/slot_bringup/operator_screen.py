@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 from slot_bringup import steering
 from slot_core.clock import to_seconds
 from slot_core.control.pace import Speed
-from slot_core.dynamics.servo import read_servo
+from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.geometry import rotate, wrapped
 from slot_core.hardware_error import hardware_errors
 from slot_core.messages import decode
@@ -77,6 +77,7 @@ class OperatorView:
     motion: Motion = field(default_factory=Motion)
     diagnostics: dict[str, DiagnosticStatus] = field(default_factory=dict)  # by name
     answer: str = ""  # to the operator's last request
+    servo: ServoSettings = field(default_factory=read_servo)
 
     def silent(self, now: float) -> bool:
         """Whether the last /robot_state is older than SILENCE at `now` (s)."""
@@ -145,7 +146,7 @@ def _leg(view: OperatorView, k: int) -> str:
         _, angles, torques = decode.joint_loads(joints)
         angle, torque = math.degrees(angles[k]), torques[k]
         voltage = math.nan if health is None else health.voltage[k]
-        load = 100.0 * torque / float(read_servo().tendon_stall(voltage))
+        load = 100.0 * torque / float(view.servo.tendon_stall(voltage))
     if view.state is not None:
         slack = 1e3 * view.state.slack[k]
     columns = ((angle, 11, 1), (torque, 11, 2), (load, 7, 0), (slack, 9, 1))

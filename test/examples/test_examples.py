@@ -1,15 +1,15 @@
 """The examples run as they are written, and say what their texts promise."""
 
 import math
-import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from real_graph import walked
 
-from slot_lab.bags.bag import Bag, BagError
+from slot_lab.bags.bag import BagError
 from slot_lab.bags.check_bag import check_bag
 
 EXAMPLES = Path(__file__).parents[2] / "scripts" / "examples"
@@ -83,14 +83,7 @@ def test_read_a_bag(tmp_path):
 
 
 def test_the_graph_walks_with_a_controller_of_ones_own_and_its_bag_replays(tmp_path):
-    bag = tmp_path / "bag"
-    command = ["--policy", OWN, "--lockstep", "--composed", "--duration", "2", "--bag", str(bag)]
-    run = subprocess.run(
-        [sys.executable, "-m", "slot_bringup", *command],
-        capture_output=True, text=True, env=os.environ, cwd=tmp_path, check=False,
-    )  # fmt: skip
-    assert run.returncode == 0, run.stderr
-    recorded = Bag(bag)
+    recorded = walked(OWN, 2.0, tmp_path)
     assert recorded.origin.files["policy.py"] == Path(OWN).read_bytes()
     compared = {c.topic: c for c in check_bag(recorded, 0.0, OWN)}
     assert compared["/tendon_plan"].compared > 50

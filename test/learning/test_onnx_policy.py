@@ -1,12 +1,11 @@
 """A learned network as a policy: what it plans, what is refused, the graph that walks with it."""
 
-import os
-import subprocess
 import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from real_graph import walked
 
 from slot_core.config import ConfigError
 from slot_core.control.gait_alone import gait_plan
@@ -19,7 +18,7 @@ from slot_core.simulation.closed_loop import ClosedLoop
 for module in ("gymnasium", "onnxruntime"):
     pytest.importorskip(module, reason="needs scripts/setup --learn")
 onnx = pytest.importorskip("onnx", reason="needs scripts/setup --learn")
-from slot_lab.bags.bag import Bag, BagError  # noqa: E402
+from slot_lab.bags.bag import BagError  # noqa: E402
 from slot_lab.bags.check_bag import check_bag  # noqa: E402
 from slot_lab.learning.evolution import Evolution, shape_of  # noqa: E402
 from slot_lab.learning.learned_walk import export  # noqa: E402
@@ -137,14 +136,8 @@ def test_a_policy_that_sees_the_servos_is_not_exported(tmp_path):
 
 def test_the_graph_walks_with_a_network_and_its_bag_replays(tmp_path):
     file, _ = network(tmp_path)
-    bag, policy = tmp_path / "bag", f"onnx:{file}"
-    command = ["--policy", policy, "--lockstep", "--composed", "--duration", "4", "--bag", str(bag)]
-    run = subprocess.run(
-        [sys.executable, "-m", "slot_bringup", *command],
-        capture_output=True, text=True, env=os.environ, cwd=tmp_path, check=False,
-    )  # fmt: skip
-    assert run.returncode == 0, run.stderr
-    recorded = Bag(bag)
+    policy = f"onnx:{file}"
+    recorded = walked(policy, 4.0, tmp_path)
     assert recorded.origin.files["policy.onnx"] == file.read_bytes()
     compared = {c.topic: c for c in check_bag(recorded, 0.0, policy)}
     assert compared["/tendon_plan"].compared > 100

@@ -17,9 +17,8 @@ from slot_core.gait.gait import STAND, Posture, read_gaits
 from slot_core.messages import decode
 from slot_core.recording.record_settings import read_record_settings
 from slot_core.robot import Array
-from slot_core.safety.requests import Request
+from slot_core.safety.requests import TO_RISE, TO_STAND, TO_WALK, Request
 from slot_core.safety.states import State
-from slot_lab.play.played_loop import TO_RISE, TO_STAND, TO_WALK
 from slot_msgs.msg import GaitPreview
 from slot_msgs.srv import InjectFault, SetGait
 from slot_nodes import messages, qos

@@ -255,3 +255,8 @@ def _load(name: str) -> Any:
     if isinstance(mapping, dict) and isinstance(mapping.get("solver"), str):
         mapping["solver"] = config.load(f"solver/{mapping['solver']}")
     return mapping
+
+
+def level_changes(level: str) -> dict[str, Any]:
+    """Changes of a scene, by dotted name, that simulate it at a level of `config/solver`."""
+    return {f"solver.{name}": value for name, value in config.load(f"solver/{level}").items()}

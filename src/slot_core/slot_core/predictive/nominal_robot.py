@@ -14,7 +14,7 @@ import numpy as np
 
 from slot_core import config
 from slot_core.arrays import checked
-from slot_core.dynamics.scene import Scene, read_scene
+from slot_core.dynamics.scene import Scene, level_changes, read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.geometry import rotate
 from slot_core.predictive.rollout_kernels import roll_out, set_torso
@@ -113,9 +113,8 @@ class NominalRobot:
 
 def nominal_scene(settings: NominalSettings, step: float) -> Scene:
     """The flat floor, with the solver of tabulated legs at another step and no sensors."""
-    solver = {f"solver.{name}": value for name, value in config.load("solver/map").items()}
     friction = [settings.friction] * len(LEGS)
-    changes = solver | {
+    changes = level_changes("map") | {
         "solver.step": step,
         "solver.iterations": settings.iterations,
         "floor.friction": friction,

@@ -20,14 +20,16 @@ class Request(enum.Enum):
     ESTOP = Condition.ESTOP_PRESSED
 
 
+# Requests that lead from a state on: under torque, to a stride, to a posture.
+TO_RISE = {State.ESTOP: Request.RESET, State.FAULT: Request.RESET, State.IDLE: Request.READY}
+TO_WALK = {State.READY: Request.STAND, State.STANDING: Request.WALK}
+TO_STAND = dict.fromkeys((State.READY, State.WALKING, State.HOLD), Request.STAND)
 # What comes before READY, STAND or WALK where they change nothing.
 _FIRST = {
-    State.IDLE: "ready first",
+    **{state: f"{request.name.lower()} first" for state, request in TO_RISE.items()},
     State.READY: "stand first",
     State.HOLD: "it ends when its reason is gone",
     State.RELAX: "wait for IDLE",
-    State.ESTOP: "reset first",
-    State.FAULT: "reset first",
 }
 _TO_RESET = frozenset({Condition.ESTOP_PRESSED, Condition.ESTOP_LOST, Condition.SERVO_FAULT})
 _TO_READY = _TO_RESET | {Condition.SERVO_SILENT, Condition.TILTED}

@@ -68,14 +68,14 @@ class ClosedLoop:
             if name.partition(".")[0] not in CHANGEABLE:
                 raise config.ConfigError(f"{name}: expected one of {', '.join(CHANGEABLE)}")
         nominal, simulated = read_robot(), read_scene(scene)
-        self.gaits = _changed(read_gaits(), "gait", given)
-        settings = _changed(policy_class(policy).read_settings(policy), "policy", given)
+        self.gaits = changed(read_gaits(), "gait", given)
+        settings = changed(policy_class(policy).read_settings(policy), "policy", given)
         chosen = make_policy(policy, nominal, lambda: 0.0, settings)
         self.controller = Controller(nominal, chosen, gait, velocity, path, self.gaits)
         self._parts = _Parts(
-            _changed(read_robot(simulated.parameters), "robot", given),
-            _changed(simulated, "scene", given),
-            _changed(read_servo(simulated.parameters), "servo", given),
+            changed(read_robot(simulated.parameters), "robot", given),
+            changed(simulated, "scene", given),
+            changed(read_servo(simulated.parameters), "servo", given),
         )
         self._localizer = make_localizer(self._parts.scene.sensors.camera)
         self.plant = make(*self._parts, np.random.default_rng(seed))
@@ -94,9 +94,9 @@ class ClosedLoop:
                 raise config.ConfigError(f"{name}: expected one of {', '.join(_Parts._fields)}")
         robot, scene, servo = self._parts
         parts = _Parts(
-            _changed(robot, "robot", changes),
-            _changed(scene, "scene", changes),
-            _changed(servo, "servo", changes),
+            changed(robot, "robot", changes),
+            changed(scene, "scene", changes),
+            changed(servo, "servo", changes),
         )
         self.plant.change(*parts)
         self._parts = parts
@@ -143,10 +143,10 @@ class ClosedLoop:
         return self._lost_from <= stamp < self._lost_until
 
 
-def _changed(settings: Settings, name: str, changes: Mapping[str, Any]) -> Settings:
-    """The settings with the changes below `name`."""
+def changed(settings: Settings, name: str, changes: Mapping[str, Any]) -> Settings:
+    """The settings with the changes, by dotted name, below `name`; raises ConfigError."""
     mine = {k.partition(".")[2]: v for k, v in changes.items() if k.partition(".")[0] == name}
-    return config.replace(settings, mine, name)
+    return config.replace(settings, mine, name) if mine else settings
 
 
 def make_localizer(settings: CameraSettings) -> MarkerLocalizer | None:

@@ -9,12 +9,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from slot_core.control.onnx_policy import GAIT, KIND
+from slot_core.dynamics.scene import level_changes
 from slot_core.gait.reference import mean_velocity
 from slot_core.robot import Array
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_lab.learning.evolution import Generation
 from slot_lab.learning.network import NetworkShape, write_onnx
-from slot_lab.learning.task import Task, level_changes
+from slot_lab.learning.task import Task
 
 FRICTION = (0.2, 0.4, 0.6)
 SPEED, DURATION, WARM_UP = 0.05, 20.0, 4.0  # m/s, s, s

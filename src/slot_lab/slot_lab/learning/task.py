@@ -11,25 +11,25 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.control.walk_actions import ACTIONS, observation_size
-from slot_core.dynamics.scene import Scene, read_scene
+from slot_core.dynamics.scene import Scene, level_changes, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.gait.gait import GaitSettings, Stride, read_gaits
 from slot_core.refusal import quoted
 from slot_core.robot import LEGS, Array, RobotParameters, read_robot
+from slot_core.simulation.closed_loop import changed
 
 VELOCITY = "velocity"
 LONGEST = 3600.0  # s, of an episode
 SEEN = ("estimated", "true")  # kinds of observations
 DRAWN = ("scene", "servo")
 Vector3 = tuple[float, float, float]
-T = TypeVar("T")
 Range = tuple[Any, Any]  # both ends, numbers or lists
 
 
@@ -113,7 +113,7 @@ class Task:
         """Scene and servos with drawn values; raises ConfigError for what they do not have."""
         self.commanded(values)
         (scene, servo), named = self._base, self.changes(values)
-        return _changed(scene, "scene", named), _changed(servo, "servo", named)
+        return changed(scene, "scene", named), changed(servo, "servo", named)
 
 
 def make_task(drawn: Mapping[str, Range] | None = None, **arguments: Any) -> Task:
@@ -122,18 +122,6 @@ def make_task(drawn: Mapping[str, Range] | None = None, **arguments: Any) -> Tas
     if VELOCITY in arguments:
         arguments[VELOCITY] = tuple(map(float, arguments[VELOCITY]))
     return Task(drawn=tuple(lists.items()), **arguments)
-
-
-def level_changes(level: str) -> dict[str, Any]:
-    """Changes of a scene that simulate it at a level of accuracy."""
-    return {f"solver.{name}": value for name, value in config.load(f"solver/{level}").items()}
-
-
-def _changed(settings: T, kind: str, values: Mapping[str, Any]) -> T:
-    """The settings with the values below `kind`."""
-    begin = f"{kind}."
-    mine = {name.removeprefix(begin): v for name, v in values.items() if name.startswith(begin)}
-    return config.replace(settings, mine, kind) if mine else settings
 
 
 def _drawn(rng: np.random.Generator, low: Any, high: Any) -> Any:

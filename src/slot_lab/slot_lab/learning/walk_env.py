@@ -19,6 +19,7 @@ from slot_core.control.controller import Controller
 from slot_core.control.gait_alone import gait_plan
 from slot_core.control.walk_actions import ACTIONS, deviation, observation
 from slot_core.divergence import DivergenceError
+from slot_core.dynamics.scene import level_changes
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview
 from slot_core.gait.reference import moved
@@ -28,7 +29,7 @@ from slot_core.robot import Array
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_lab.learning.rewards import Walked, fallen, reward_terms, total
 from slot_lab.learning.spaces import action_space, observation_space, servo_error
-from slot_lab.learning.task import Task, level_changes, make_task
+from slot_lab.learning.task import Task, make_task
 
 NAME = "SLOT-Walk-v0"
 

@@ -13,7 +13,7 @@ from slot_core.control.controller import Tick
 from slot_core.gait.gait import STAND, Posture
 from slot_core.joint_reading import JointReading
 from slot_core.robot import Array
-from slot_core.safety.requests import Request
+from slot_core.safety.requests import TO_RISE, TO_STAND, TO_WALK, Request
 from slot_core.safety.states import RELEASED, State
 from slot_core.safety.supervisor import Report
 from slot_core.simulation.plant import Reading, StampedHealth
@@ -21,11 +21,6 @@ from slot_core.simulation.sensors import ImageReading
 from slot_core.simulation.supervised_loop import SupervisedLoop
 
 Keep = Callable[[int, Any], None]
-
-# Requests that lead from a state on.
-TO_RISE = {State.ESTOP: Request.RESET, State.FAULT: Request.RESET, State.IDLE: Request.READY}
-TO_WALK = {State.READY: Request.STAND, State.STANDING: Request.WALK}
-TO_STAND = dict.fromkeys((State.READY, State.WALKING, State.HOLD), Request.STAND)
 
 
 @dataclass
