@@ -72,8 +72,9 @@ class SimulatedRig(Rig):
         def get_publishers_info_by_topic(node, topic):
             return rig.publishers_of(topic)
 
-        def create_subscription(node, _, topic, callback, profile, **__):
-            return rig._subscribe(rig._building, topic, callback, rig._profile(profile))
+        def create_subscription(node, _, topic, callback, profile, callback_group=None, **__):
+            profile = rig._profile(profile)
+            return rig._subscribe(rig._building, topic, callback, profile, callback_group)
 
         def create_service(node, kind, name, callback, **_):
             full = f"/{rig._building[0]}/{name[2:]}" if name[:2] == "~/" else f"/{name.lstrip('/')}"
@@ -297,8 +298,8 @@ class SimulatedRig(Rig):
     def destroy_publisher(self, publisher):
         self._publishers = [(n, p) for n, p in self._publishers if p is not publisher]
 
-    def _subscribe(self, node, topic, callback, profile):
-        made = Subscription(self, node, callback, profile)
+    def _subscribe(self, node, topic, callback, profile, group=None):
+        made = Subscription(self, node, callback, profile, group)
         topic = f"/{topic.lstrip('/')}"
         self._subscriptions[topic].append(made)
         if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:

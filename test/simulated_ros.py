@@ -10,6 +10,7 @@ from rclpy.qos import DurabilityPolicy
 from slot_core.clock import SECOND
 from slot_core.dynamixel.emulator.memory_port import MemoryPort
 from slot_core.servos.servo_errors import PortError
+from slot_nodes.process.executor import PolledGroup
 
 LATENCY = 200_000  # ns, of a message
 DEVICE = "/dev/pts/ptmx"  # stands for the device of the emulated bus
@@ -45,8 +46,9 @@ class Subscription:
 
     msg_type, raw = None, False
 
-    def __init__(self, rig, node, callback, profile):
+    def __init__(self, rig, node, callback, profile, group=None):
         self._rig, self.node, self.callback = rig, node, callback
+        self._group = group
         self.handle = self
         self._queue = deque(maxlen=profile.depth)
         needed = [p for p in inspect.signature(callback or print).parameters.values()
@@ -55,7 +57,8 @@ class Subscription:
 
     def receive(self, message, number):
         self._queue.append((message, {"publication_sequence_number": number}))
-        self._rig.call_at(self._rig.now() + LATENCY, self.take)
+        if not isinstance(self._group, PolledGroup) or self._group.awaited:
+            self._rig.call_at(self._rig.now() + LATENCY, self.take)
 
     def take_message(self, kind, raw):
         """The next message with its information, or None."""

@@ -12,7 +12,6 @@ import numpy as np
 import rclpy
 from nav_msgs.msg import Odometry
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
@@ -28,11 +27,13 @@ from slot_core.safety.commands import Action
 from slot_core.safety.states import RELEASED, State
 from slot_msgs.msg import MpcState, RobotState, TendonPlan
 from slot_nodes import qos
+from slot_nodes.process.executor import DirectExecutor
 
 START_TIMEOUT = 90.0  # s until the first /mpc_state; the first start compiles kernels
 SILENCE_TIMEOUT = 10.0  # s without a new /mpc_state
 DISCOVERY_TIME = 1.0  # s to wait for messages of a graph that runs already
 SPIN = 0.1  # s, longest wait for a message before an interrupt is raised
+POLL = 0.02  # s between two looks at the messages: to wake up for each takes time from the graph
 PACE_WINDOW = 1.0  # s
 PACE_LIMIT = 0.9  # least share of real time; an odometry more or less in the window is 3 %
 SKIPPED_LIMIT = 3.0  # states a second, of 30
@@ -173,7 +174,8 @@ def watch(
             terminal, shown = sys.stderr.isatty(), time.monotonic()
             refresh, end = (REFRESH_TERMINAL, "\r") if terminal else (REFRESH_LOG, "\n")
             while progress.elapsed < duration:
-                executor.spin_once()
+                time.sleep(POLL)
+                executor.spin_once(0.0)
                 pace.print(progress.robot in RELEASED)
                 _check(progress, processes, attended or played)
                 for line in processes.restart_ended(progress.elapsed):
@@ -206,11 +208,11 @@ def require_no_other_graph(namespace: str = "") -> None:
             )
 
 
-class ListenerExecutor(SingleThreadedExecutor):
+class ListenerExecutor(DirectExecutor):
     """Executor of a program that watches a graph; an interrupt is raised after each spin."""
 
     def spin_once(self, timeout_sec: float | None = SPIN) -> None:
-        """Handle one event, waiting for it at most `timeout_sec`, then raise an interrupt."""
+        """Handle events, waiting for one at most `timeout_sec`, then raise an interrupt."""
         with deferred():
             super().spin_once(timeout_sec=timeout_sec)
 

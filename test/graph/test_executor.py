@@ -1,6 +1,7 @@
 """The executor of the nodes serves all that rclpy's executor serves."""
 
 import threading
+import time
 from contextlib import suppress
 
 import pytest
@@ -10,7 +11,7 @@ from rclpy.executors import ExternalShutdownException
 from std_msgs.msg import Int32
 from std_srvs.srv import Trigger
 
-from slot_nodes import qos, runtime
+from slot_nodes import inputs, qos, runtime
 from slot_nodes.process.executor import DirectExecutor
 
 
@@ -57,6 +58,28 @@ def test_a_slow_reader_in_the_process_gets_the_newest_of_all_that_wait(node):
         publisher.publish(Int32(data=number))
     spin_until(node, lambda: 19 in seen)
     assert len(seen) < 20
+
+
+def test_polled_messages_wake_the_node_only_while_they_are_awaited(node):
+    """Else it waits its whole time beside a message; rclpy's executor may take it with others."""
+    received = []
+    polled = inputs.Polled(node)
+    polled.subscribe(Int32, "polled", lambda message: received.append(message.data), qos.CONTROL)
+    publisher = node.create_publisher(Int32, "polled", qos.CONTROL)
+
+    def sleeps(number):
+        publisher.publish(Int32(data=number))
+        begin = time.monotonic()
+        node.executor.spin_once(timeout_sec=0.05)
+        return time.monotonic() - begin >= 0.05 and number not in received
+
+    last = next(number for number in range(20) if sleeps(number))
+    while last not in received:
+        polled.take()
+    polled.await_next(True)
+    publisher.publish(Int32(data=last + 1))
+    spin_until(node, lambda: last + 1 in received)
+    assert received == list(range(last + 2))
 
 
 def test_service_is_answered_between_messages_and_timers(node):

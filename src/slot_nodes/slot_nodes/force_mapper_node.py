@@ -24,8 +24,9 @@ class ForceMapperNode(Node):
         self._inputs = TimeSynchronizer("plan", "preview", "state")
         self._angles = runtime.publisher(self, JointState, "desired_joint_angles", qos.CONTROL)
         self._status = runtime.publisher(self, ForceMapStatus, "force_map/status", qos.CONTROL)
-        inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.CONTROL)
-        inputs.subscribe(self, GaitPreview, "gait_preview", self._on_preview, qos.CONTROL)
+        self._polled = inputs.Polled(self)  # they come before their plan
+        self._polled.subscribe(MpcState, "mpc_state", self._on_state, qos.CONTROL)
+        self._polled.subscribe(GaitPreview, "gait_preview", self._on_preview, qos.CONTROL)
         inputs.subscribe(self, TendonPlan, "tendon_plan", self._on_plan, qos.CONTROL)
 
     def _on_state(self, message: MpcState) -> None:
@@ -42,9 +43,11 @@ class ForceMapperNode(Node):
         stamp, plan = decode.plan(message)
         for name in ("angle", "rate", "force"):
             inputs.require_finite(name, getattr(plan, name))
+        self._polled.take()
         self._command(stamp, self._inputs.add("plan", stamp, plan))
 
     def _command(self, stamp: int, matched: tuple | None) -> None:
+        self._polled.await_next(matched is None)
         if matched is None:
             return
         command = self._map.step(*matched)

@@ -19,6 +19,7 @@ from slot_core.robot import LEGS
 from slot_msgs.msg import RobotState
 from slot_nodes import qos, runtime
 from slot_nodes.process import intra_process
+from slot_nodes.process.executor import PolledGroup
 
 
 def subscribe(
@@ -30,13 +31,14 @@ def subscribe(
     *,
     overridable: bool = False,
     numbered: bool = False,
+    group: PolledGroup | None = None,
 ) -> Subscription | None:
     """Subscribe; a ValueError of the callback drops the message and is logged once a second.
 
     overridable: whether parameters can override the quality of service. numbered: whether the
-    callback also gets the number of the message on its topic. Returns None for a topic that a node
-    of the same process publishes: its messages come without DDS. Where that node is made later, the
-    subscription that is returned is destroyed then.
+    callback also gets the number of the message on its topic. group: see `Polled`. Returns None for
+    a topic that a node of the same process publishes: its messages come without DDS. Where that
+    node is made later, the subscription that is returned is destroyed then.
     """
 
     def receive(message: Any, number: int = 0) -> None:
@@ -50,7 +52,9 @@ def subscribe(
         return None
     overriding = QoSOverridingOptions.with_default_policies() if overridable else None
     take = _with_number(receive) if numbered else receive
-    made = node.create_subscription(kind, topic, take, profile, qos_overriding_options=overriding)
+    made = node.create_subscription(
+        kind, topic, take, profile, qos_overriding_options=overriding, callback_group=group
+    )
     intra_process.subscribe_later(name, receive, profile, lambda: node.destroy_subscription(made))
     return made
 
@@ -74,6 +78,35 @@ def take_waiting(subscription: Subscription | None) -> None:
         taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)
     ):
         subscription.callback(taken[0])
+
+
+class Polled:
+    """Subscriptions whose messages do not wake the node: it processes them when it calls `take`.
+
+    A node that only needs them with another message, or with its next step, leaves the processor to
+    those who work for the command meanwhile.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node, self._group = node, PolledGroup()
+        self._subscriptions: list[Subscription | None] = []
+
+    def subscribe(
+        self, kind: type, topic: str, callback: Callable[..., None], profile: QoSProfile
+    ) -> Subscription | None:
+        """Subscribe as `inputs.subscribe`; messages of the same process come at once."""
+        made = subscribe(self._node, kind, topic, callback, profile, group=self._group)
+        self._subscriptions.append(made)
+        return made
+
+    def take(self) -> None:
+        """Process what has been received."""
+        for subscription in self._subscriptions:
+            take_waiting(subscription)
+
+    def await_next(self, awaited: bool) -> None:
+        """Let the node wake for the messages while they are `awaited`."""
+        self._group.awaited = awaited
 
 
 def require_finite(name: str, values: Any) -> None:

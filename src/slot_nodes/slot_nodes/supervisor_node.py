@@ -83,6 +83,8 @@ class SupervisorNode(Node):
         self._answers: list[Future] = []  # that are awaited
         self._awaited: tuple[int, Health] | None = None  # in lockstep, report to step on
         self._unsent: Report | None = None  # in lockstep, until it is published
+        self._polled = inputs.Polled(self)  # at each step
+        self._polled.await_next(self._lockstep)
         self._subscribe_to_controller()
         self._subscribe_to_robot()
         for request in Request:
@@ -120,13 +122,13 @@ class SupervisorNode(Node):
 
     def _subscribe_to_controller(self) -> None:
         """Subscribe to the controller; a silent gait scheduler shows as missing plans."""
-        inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.CONTROL)
-        inputs.subscribe(self, TendonPlan, "tendon_plan", self._on_plan, qos.CONTROL)
+        self._polled.subscribe(MpcState, "mpc_state", self._on_state, qos.CONTROL)
+        self._polled.subscribe(TendonPlan, "tendon_plan", self._on_plan, qos.CONTROL)
         inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
 
     def _subscribe_to_robot(self) -> None:
-        self._joints = inputs.subscribe(
-            self, JointState, "joint_states", self._on_joints, qos.SENSOR
+        self._joints = self._polled.subscribe(
+            JointState, "joint_states", self._on_joints, qos.SENSOR
         )
         inputs.subscribe(self, ServoHealth, "servo_health", self._on_health, qos.SENSOR)
         inputs.subscribe(self, EmergencyStop, "estop", self._on_estop, qos.SENSOR)
@@ -212,6 +214,7 @@ class SupervisorNode(Node):
         """Step and publish the state; in lockstep do nothing, since the reports lead to steps."""
         if self._lockstep:
             return
+        self._polled.take()
         now = self._now()
         if waiting := self._start_up.request_next(self._supervisor, now):
             self.get_logger().info(waiting, throttle_duration_sec=5.0, skip_first=True)

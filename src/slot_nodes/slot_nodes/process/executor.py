@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Coroutine
 from typing import Any
 
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.context import Context
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -16,6 +17,18 @@ from rclpy.waitable import NumberOfEntities
 from slot_nodes.process.intra_process import Mailbox
 
 KINDS = ("subscription", "guard_condition", "timer", "client", "service")  # order of a wait set
+
+
+class PolledGroup(MutuallyExclusiveCallbackGroup):
+    """Callback group of subscriptions whose messages their node takes when it needs them.
+
+    A DirectExecutor wakes for these messages, and for the events of their topics, only while they
+    are `awaited`.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.awaited = False
 
 
 class DirectExecutor(SingleThreadedExecutor):
@@ -75,9 +88,9 @@ class DirectExecutor(SingleThreadedExecutor):
         wait_set.clear_entities()
         for kind in KINDS:
             add = getattr(wait_set, f"add_{kind}")
-            for entity in self._entities[kind]:
+            for entity in filter(_is_awaited, self._entities[kind]):
                 add(entity.handle)
-        for waitable in self._waitables:
+        for waitable in filter(_is_awaited, self._waitables):
             waitable.add_to_wait_set(wait_set)
         wait_set.wait(timeout_sec_to_nsec(timeout_sec))
         # rclpy's handler of signals ends the wait just before it ends the context
@@ -115,8 +128,14 @@ class DirectExecutor(SingleThreadedExecutor):
         return (
             self._is_triggered(self._guard)
             or any(map(self._wait_set.get_ready_entities, ("client", "service")))
-            or any(waitable.is_ready(self._wait_set) for waitable in self._waitables)
+            or any(w.is_ready(self._wait_set) for w in filter(_is_awaited, self._waitables))
         )
+
+
+def _is_awaited(entity: Any) -> bool:
+    """Whether the executor wakes for an entity."""
+    group = entity.callback_group
+    return not isinstance(group, PolledGroup) or group.awaited
 
 
 def _is_due(timer: Timer) -> bool:
