@@ -30,7 +30,7 @@ OPTIONAL = {  # of the extras --bench, --view, --play and --learn of scripts/set
     "cma", "distributed", "gymnasium", "onnx", "onnxruntime", "rerun", "viser", "websockets",
 }  # fmt: skip
 STARTED = {  # by the launch files, or part of the build
-    "slot_bringup": {"robot_state_publisher", "ros2launch"},
+    "slot_bringup": {"robot_state_publisher", "ros2bag", "ros2launch", "rosbag2_storage_mcap"},
 }
 OWN_KEYS = ROOT / "scripts/rosdep.yaml"
 
