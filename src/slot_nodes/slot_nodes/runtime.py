@@ -23,6 +23,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.logging import get_logger
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.signals import uninstall_signal_handlers
@@ -109,6 +110,8 @@ def run(make_node: Callable[[], Any], serve: Callable[[Any], None] = spin) -> No
         with interrupt:
             _init()
             node = make_node()
+            for one in getattr(node, "nodes", [node]):
+                fix_clock(one)
             take_priority(int(os.environ.get("SLOT_PRIORITY", "0")))
             gc.freeze()  # exclude what is loaded by now from garbage collections
             interrupt.end_preparation()
@@ -148,6 +151,15 @@ def take_priority(priority: int) -> None:
     if ctypes.CDLL(None, use_errno=True).mlockall(LOCK_ALL):
         reason = os.strerror(ctypes.get_errno())
         get_logger("realtime").warning(f"memory is not locked: {reason}; see LimitMEMLOCK")
+
+
+def fix_clock(node: Node) -> None:
+    """Refuse changes of `use_sim_time`: rclpy would change the clock of a node that runs."""
+    text = "whether the time is that of /clock"
+    kind = Parameter.Type.BOOL.value
+    node.set_descriptor(
+        "use_sim_time", ParameterDescriptor(type=kind, description=text, read_only=True)
+    )
 
 
 def _init() -> None:

@@ -40,7 +40,7 @@ class ComposedNodes:
             known = ", ".join([*CHAIN, DRIVER])
             raise ConfigError(f"{sorted(unknown)[0]}: not a node of this process (known: {known})")
         self._topics = Topics()
-        self._nodes: list[Node] = []
+        self.nodes: list[Node] = []
         self._failure: BaseException | None = None
         self._ended = threading.Event()
         try:
@@ -58,7 +58,7 @@ class ComposedNodes:
             for name in names:
                 made = "".join(part.capitalize() for part in name.split("_")) + "Node"
                 node = getattr(import_module(f"slot_nodes.{name}_node"), made)()
-                self._nodes.append(node)
+                self.nodes.append(node)
                 executor.add_node(node)
         return executor
 
@@ -91,7 +91,7 @@ class ComposedNodes:
 
     def destroy_node(self) -> None:
         """End the nodes, the driver first: it switches torque off."""
-        for node in reversed(self._nodes):
+        for node in reversed(self.nodes):
             node.destroy_node()
 
 
