@@ -11,7 +11,9 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import Reader
+from sensor_msgs.msg import JointState
 from synthetic_walk import TOPICS, TYPES, WALL, Walk, encode, message, write_old_legs, write_walk
 
 from slot_core.messages import decode
@@ -67,6 +69,20 @@ def test_bytes_and_times_are_read_as_they_were_written(tmp_path):
     path = write(tmp_path / "bag", *written)
     assert [entry[:3] for entry in independent_messages(path)] == written
     assert list(Bag(path).raw()) == written
+
+
+@pytest.mark.parametrize("effort", [[], [0.1]])
+def test_messages_that_rclpy_has_serialized_are_read(tmp_path, effort):
+    """As by a program of one's own with rosbag2_py; without velocities it adds eight bytes."""
+    joints = JointState(name=["FL"], position=[0.5], effort=effort)
+    data = serialize_message(joints)
+    path = write(tmp_path / "bag", ("/joint_states", WALL, data))
+    ((_, read),) = Bag(path).messages("/joint_states")
+    assert (read.name, [*read.position], [*read.effort]) == (["FL"], [0.5], effort)
+    for wrong in (data[:30], data + bytes(80)):
+        path = write(tmp_path / str(len(wrong)), ("/joint_states", WALL, wrong))
+        with pytest.raises(BagError, match="cannot be read"):
+            list(Bag(path).messages("/joint_states"))
 
 
 def test_every_field_reads_the_same_with_an_independent_library(walk_bag):

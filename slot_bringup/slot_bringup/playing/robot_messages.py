@@ -84,7 +84,7 @@ def save(robot: PlayedRobot, path: Path) -> int:
         for stamp, value in robot.history:
             for topic, message in encoded(stamp, value):
                 kind = settings.topics[topic].type
-                # rclpy adds four bytes to a message that ends with an empty sequence of doubles
+                # rclpy adds some bytes to a message with an empty sequence of doubles
                 size = 4 + types.get_msgdef(kind).getsize_cdr(0, message, types)
                 data = serialize_message(message)[:size]
                 bag.write(topic, kind, begin + stamp - LOCKSTEP_START, data)

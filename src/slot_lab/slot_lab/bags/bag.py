@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
+from rosbags.serde import SerdeError
 
 from slot_core import config
 from slot_core.clock import to_seconds
@@ -38,6 +39,7 @@ __all__ = ["Bag", "BagError", "NoFieldError", "Series", "Stamps"]
 Stamps = NDArray[np.int64]
 STORAGES = (".mcap", ".db3")
 METADATA_MAX = 10_000_000  # bytes of metadata.yaml
+SPARE = 64  # bytes at the end of a message, beyond its own, at most
 
 
 @dataclass(frozen=True)
@@ -173,9 +175,22 @@ class Bag:
             raise BagError(f"{self.path}: {topic} cannot be used: {error}") from error
 
     def decode(self, topic: str, data: bytes) -> Any:
-        """Message of CDR bytes on a topic of the bag."""
+        """Message of CDR bytes on a topic of the bag.
+
+        Some bytes at their end need not be part of it: rclpy's `serialize_message` adds four or
+        more to a message with an empty sequence of doubles, such as joints without efforts.
+        """
         with self._readable():
-            return self._types.deserialize_cdr(data, self.topics[topic])
+            kind = self.topics[topic]
+            try:
+                return self._types.deserialize_cdr(data, kind)
+            except SerdeError:
+                found = self._types.get_msgdef(kind)
+                read = found.deserialize_cdr_le if data[1] else found.deserialize_cdr_be
+                message, end = read(data[4:], 0, found.cls, self._types)
+                if len(data) - 4 - end > SPARE:
+                    raise
+                return message
 
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         """Yield (time in ns, message) of one topic, ordered by time."""
