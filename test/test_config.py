@@ -61,10 +61,10 @@ def test_values_arrive_with_their_types():
     ("mapping", "message"),
     [
         (changed(count=9), "f.yaml: count = 9: outside [1, 5]"),
-        (changed(count=2.5), "f.yaml: count = 2.5: expected int"),
-        (changed(count=True), "f.yaml: count = True: expected int"),
+        (changed(count=2.5), "f.yaml: count = 2.5: expected a whole number"),
+        (changed(count=True), "f.yaml: count = True: expected a whole number"),
         (changed(law="three"), "f.yaml: law = 'three': expected one of one, two"),
-        (changed(on="yes"), "f.yaml: on = 'yes': expected bool"),
+        (changed(on="yes"), "f.yaml: on = 'yes': expected true or false"),
         (changed(extra=1), "f.yaml: extra is not a setting (known: count, law, on, inner, table)"),
         (changed(inner={"gain": 3}), "f.yaml: inner.axes is missing"),
         (changed(inner=[1]), "f.yaml: inner: expected a mapping of Inner, got [1]"),

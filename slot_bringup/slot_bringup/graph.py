@@ -68,7 +68,8 @@ class Argument:
         except ValueError:
             value = None
         if type(value) is not self.kind:
-            raise ValueError(f"{self.name}: {quoted(text)} is not a {self.kind.__name__}")
+            expected = config.KIND_NAMES[self.kind]
+            raise ValueError(f"{self.name} = {quoted(text)}: expected {expected}")
         return str(Path(text).expanduser()) if self.is_path and text else value
 
 

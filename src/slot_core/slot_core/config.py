@@ -24,6 +24,7 @@ from slot_core.refusal import InputError, quoted
 T = TypeVar("T")
 SIZE_MAX = 1_000_000  # bytes of a configuration file
 DEPTH_MAX = 100  # nested collections of a YAML text
+KIND_NAMES = {int: "a whole number", float: "a number", bool: "true or false", str: "text"}
 
 
 class ConfigError(InputError):
@@ -243,11 +244,11 @@ def _convert_scalar(value: Any, kind: Any, meta: Mapping[str, Any], where: str) 
         try:  # YAML 1.1 reads 1e-8 as a string
             value = float(value)
         except (TypeError, ValueError):
-            raise ConfigError(f"{where} = {quoted(value)}: expected a number") from None
+            raise ConfigError(f"{where} = {quoted(value)}: expected {KIND_NAMES[float]}") from None
         except OverflowError:
             raise ConfigError(f"{where}: {quoted(value)}: too large for a number") from None
     if type(value) is not kind:
-        raise ConfigError(f"{where} = {quoted(value)}: expected {kind.__name__}")
+        raise ConfigError(f"{where} = {quoted(value)}: expected {KIND_NAMES[kind]}")
     if "options" in meta and value not in meta["options"]:
         known = ", ".join(meta["options"])
         raise ConfigError(f"{where} = {quoted(value)}: expected one of {known}")
