@@ -34,6 +34,7 @@ from slot_core.predictive.settings import read_predictive
 from slot_core.robot import read_robot
 from slot_core.rod.cosserat_rod import CosseratRod
 from slot_core.rod.model import Geometry, Loads, Material, Pose, Rectangle, Support
+from slot_core.simulation.many_robots import ManyRobots
 from slot_core.simulation.rod_robot import RodRobot
 from slot_core.simulation.tabulated_robot import TabulatedRobot
 from slot_core.vision.camera import nominal
@@ -90,6 +91,8 @@ def _robots() -> dict[str, CheckedCall]:
     cases = {"PaperLeg.advance": CheckedCall(leg.advance, (1, 0.0))}
     for name, sim in (("RodRobot", rods), ("TabulatedRobot", tabulated)):
         cases[f"{name}.advance"] = CheckedCall(sim.advance, (1, np.full(4, 0.5)))
+        many = ManyRobots([sim, sim])
+        cases[f"ManyRobots of {name}"] = CheckedCall(many.advance, (np.full((2, 1, 4), 0.5), 1))
         cases[f"{name}.push"] = CheckedCall(sim.push, (vector, vector))
         cases[f"{name}.set_motion"] = CheckedCall(sim.set_motion, (vector, vector))
         cases[f"{name}.damage_tendon"] = CheckedCall(sim.damage_tendon, (0, 0.001))

@@ -15,6 +15,7 @@ from slot_core.compiled import helper, unlocked_kernel
 from slot_core.dynamics.handle import contents_at
 from slot_core.dynamics.integrator import advance_contents
 from slot_core.dynamics.lanes import in_lanes
+from slot_core.dynamics.simulated_robot import require_steps
 from slot_core.robot import LEGS, Array
 from slot_core.simulation.kernel_robot import KernelRobot
 from slot_core.simulation.rod_robot import RodRobot
@@ -53,8 +54,10 @@ class ManyRobots:
         """Motion (M, 20) after the servos' goals (M, n, 4), rad, of `steps` steps each.
 
         Rows of a robot that diverged are NaN, until it is replaced. Raises ValueError for another
-        shape, and for angles that are not finite or outside [0, angle_max].
+        shape, for angles that are not finite or outside [0, angle_max], and for a number of steps
+        that is no integer or negative.
         """
+        require_steps(steps)
         goals = checked("goals", goals, (len(self.robots), -1, len(LEGS)))
         most = self.robots[0].parameters.tendon.angle_max
         if goals.size and not (goals.min() >= 0.0 and goals.max() <= most):
