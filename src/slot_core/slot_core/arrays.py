@@ -9,18 +9,24 @@ import numpy as np
 from slot_core.robot import Array
 
 
-def checked(name: str, values: Any, shape: tuple[int, ...], finite: bool = True) -> Array:
+def checked(
+    name: str,
+    values: Any,
+    shape: tuple[int, ...],
+    finite: bool = True,
+    error: type[ValueError] = ValueError,
+) -> Array:
     """`values` as contiguous numbers of a shape, in which -1 stands for any length.
 
-    Raises ValueError, which names what they are, for another shape, what is no number and, if they
+    Raises the error, which names what they are, for another shape, what is no number and, if they
     are to be `finite`, for NaN and infinity.
     """
     try:
         array = np.asarray(values, dtype=np.float64, order="C")
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{name}: expected numbers of shape {shape}") from None
+        raise error(f"{name}: expected numbers of shape {shape}") from None
     if array.ndim != len(shape) or any(n not in (m, -1) for n, m in zip(shape, array.shape)):
-        raise ValueError(f"{name}: shape {array.shape}, expected {shape}")
+        raise error(f"{name}: shape {array.shape}, expected {shape}")
     if finite and not np.isfinite(array).all():
-        raise ValueError(f"{name}: a value is not finite")
+        raise error(f"{name}: a value is not finite")
     return array

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
+from slot_core.arrays import checked
 from slot_core.divergence import DivergenceError
 from slot_core.refusal import quoted
 from slot_core.robot import Array
@@ -36,7 +37,6 @@ from slot_core.rod.model import (
     RodError,
     Support,
     need,
-    numbers,
 )
 from slot_core.rod.motion import MIDPOINT, Energy, RodState, Scheme
 from slot_core.rod.statics import (
@@ -129,7 +129,10 @@ class CosseratRod:
     def state(self, state: RodState) -> None:
         """Set the state; raises RodError, and changes nothing, for a wrong shape or value."""
         work, n = self._work, self.nodes
-        given = {name: _checked(name, values, state) for name, values in vars(self.state).items()}
+        given = {
+            name: checked(name, getattr(state, name), own.shape, error=RodError)
+            for name, own in vars(self.state).items()
+        }
         work.node[:n], work.velocity[:n] = given["position"], given["velocity"]
         work.director[: n - 1], work.swirl[: n - 1] = given["director"], given["swirl"]
         for frame, axes in zip(work.frame, given["ends"]):
@@ -332,14 +335,6 @@ def _need_step(h: float) -> None:
     """Raise RodError for a step (s) that is not finite and above 0."""
     is_number = isinstance(h, (int, float, np.number))
     need(is_number and 0.0 < h < math.inf, f"step {quoted(h)} must be above 0 and finite")
-
-
-def _checked(name: str, own: Array, state: RodState) -> Array:
-    """A part of a state, finite and of the shape of the rod's own; raises RodError."""
-    given = getattr(state, name)
-    shape = f"{name} of shape {np.shape(given)} must have {own.shape}"
-    need(np.shape(given) == own.shape, shape)
-    return numbers(name, given, own.shape)
 
 
 def _has_no_potential(loads: Loads) -> bool:

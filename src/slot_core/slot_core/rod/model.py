@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from slot_core import section as moments
+from slot_core.arrays import checked
 from slot_core.refusal import InputError, quoted
 from slot_core.robot import Array
 
@@ -43,8 +44,7 @@ def need_finite(*values: float) -> None:
 
 def need_vector(name: str, values: Vector) -> None:
     """Raise RodError unless there are three finite numbers."""
-    need(np.shape(values) == (3,), f"{name} {quoted(values)} must have 3 components")
-    numbers(name, np.asarray(values), (3,))
+    checked(name, values, (3,), error=RodError)
 
 
 def numbers(name: str, values: float | Array, shape: tuple[int, ...]) -> Array:
