@@ -40,7 +40,10 @@ def test_a_scene_like_another_differs_only_in_what_it_changes(scenes):
         ("like: flat\nsolver.step: 1.0\n", r"scene/bad\.yaml: solver\.step = 1\.0: outside"),
         ("like: flat\nsolver: magic\n", r"no configuration 'solver/magic' \(known: standard\)"),
         ("", r"scene/bad\.yaml: expected a mapping of Scene, got None"),
-        ("like: flat\ntendons.broken: [0, 0, 0, 0]\n", r"tendons\.broken\[0\] = 0: expected true or false"),
+        (
+            "like: flat\ntendons.broken: [0, 0, 0, 0]\n",
+            r"tendons\.broken\[0\] = 0: expected true or false",
+        ),
         ("like: flat\nfloor.friction_law: dry\n", r"friction_law = 'dry': .* viscous, bristle"),
         ("like: flat\nfloor.contact: heel\n", r"contact = 'heel': expected one of all, tip"),
         ("like: flat\nfloor.friction_varies: 1\n", r"friction_varies = 1: expected text"),

@@ -1,4 +1,4 @@
-"""Processes of one node and of several: what ends the driver's thread ends all; clocks are fixed."""
+"""Processes of one node or several: an error of the driver ends all, no clock is changed."""
 
 import subprocess
 import sys
