@@ -78,8 +78,20 @@ def test_outside_its_gait_and_while_servos_do_not_follow_it_plans_the_gait(tmp_p
 def test_an_estimate_that_is_not_finite_gets_the_gait(tmp_path, tick):
     policy = make_policy(f"onnx:{network(tmp_path)[0]}", read_robot())
     lost = replace(tick.estimate, state=np.full(12, np.nan))
-    assert (policy.step(lost, tick.preview).angle == tick.preview.tendon_angle).all()
-    assert (policy.step(tick.estimate, tick.preview).angle != tick.preview.tendon_angle).any()
+    plans = [policy.step(e, tick.preview) for e in (lost, lost, tick.estimate)]
+    assert [(p.status.name, p.fallback_cycles) for p in plans] == [
+        ("REJECTED", 1), ("REJECTED", 2), ("SOLVED", 0),
+    ]  # fmt: skip
+    assert plans[0].message.startswith("state[0] = nan: outside")
+    assert (plans[1].angle == tick.preview.tendon_angle).all()
+    assert (plans[2].angle != tick.preview.tendon_angle).any()
+
+
+def test_an_action_that_is_not_finite_gets_the_gait_and_says_so(tmp_path, tick):
+    policy = make_policy(f"onnx:{network(tmp_path, scale=np.nan)[0]}", read_robot())
+    plan = policy.step(tick.estimate, tick.preview)
+    assert (plan.status.name, plan.message) == ("NOT_SOLVED", "action not finite")
+    assert (plan.angle == tick.preview.tendon_angle).all()
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,8 @@ from __future__ import annotations
 import stat
 from pathlib import Path
 
+ONNX = "onnx:"  # what the name of a policy begins with that is the file of a network
+
 
 def require_regular(path: Path) -> None:
     """Raise ValueError for a directory, a device or a pipe, OSError if there is nothing."""

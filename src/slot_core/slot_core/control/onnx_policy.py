@@ -2,16 +2,15 @@
 
 The network maps an observation (1, 17 + n) to an action (1, n), see `walk_actions.py`. Its metadata
 name the gait that it has learned and the kind of its actions; in other gaits, and while the legs
-are not to be corrected, the plan is the gait's. It runs on one thread, so that equal inputs give
-equal actions.
+are not to be corrected, the plan is the gait's. So it is, with a status that says why, for a state
+or an action that is not finite. It runs on one thread, so that equal inputs give equal actions.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +18,17 @@ import numpy as np
 
 from slot_core.config import ConfigError, text
 from slot_core.control.gait_alone import gait_plan
-from slot_core.control.policy import ONNX, Policy, TendonPlan, Timer
+from slot_core.control.input_check import state_fault
+from slot_core.control.policy import Policy, Status, TendonPlan, Timer
 from slot_core.control.walk_actions import ACTIONS, deviation, observation, observation_size
 from slot_core.estimation.estimate import Estimate
-from slot_core.files import read_bytes
+from slot_core.files import ONNX, read_bytes
 from slot_core.gait.gait import GaitPreview, read_gaits
 from slot_core.refusal import quoted
 from slot_core.robot import Array, RobotParameters
 
 SIZE_MAX = 10_000_000  # bytes
+STATE_MAX = 1e6  # SI, of an element of the state
 GAIT, KIND = "gait", "actions"  # keys of the metadata
 
 
@@ -57,13 +58,15 @@ class OnnxPolicy(Policy):
 
     def reset(self) -> None:
         """Forget the last action."""
-        self._action = np.zeros((1, ACTIONS[self._kind]))
+        self._action, self._missed = np.zeros((1, ACTIONS[self._kind])), 0
 
     def step(self, estimate: Estimate, preview: GaitPreview) -> TendonPlan:
         """The gait's angles, changed by the network's action."""
         if preview.gait != self._gait or not preview.corrected:
             self.reset()
             return gait_plan(preview)
+        if fault := state_fault(estimate.state, STATE_MAX):
+            return self._fall_back(Status.REJECTED, fault, preview)
         seen = observation(
             np.asarray(estimate.state, dtype=float)[None],
             np.asarray(preview.reference, dtype=float)[:1],
@@ -72,13 +75,20 @@ class OnnxPolicy(Policy):
             self._action,
         )
         action = self.act(seen)
-        if not math.isfinite(action.sum()):
-            self.reset()
-            return gait_plan(preview)
-        self._action = np.clip(action, -1.0, 1.0)
+        if not np.isfinite(action).all():
+            return self._fall_back(Status.NOT_SOLVED, "action not finite", preview)
+        self._action, self._missed = np.clip(action, -1.0, 1.0), 0
         velocity = preview.velocity_ahead
         change = deviation(self._kind, self._action, self._stride, preview.phases, velocity)
         return gait_plan(preview, change)
+
+    def _fall_back(self, cause: Status, fault: str, preview: GaitPreview) -> TendonPlan:
+        """The gait's plan with the cause, and as many cycles as it has been without an action."""
+        missed = self._missed + 1
+        self.reset()
+        self._missed = missed
+        plan = gait_plan(preview)
+        return replace(plan, status=cause, message=fault, fallback_cycles=missed)
 
     def act(self, seen: Array) -> Array:
         """Action (1, n) of the network at an observation (1, 17 + n)."""

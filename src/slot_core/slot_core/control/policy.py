@@ -22,7 +22,7 @@ import numpy as np
 
 from slot_core.config import ConfigError
 from slot_core.estimation.estimate import Estimate
-from slot_core.files import require_regular
+from slot_core.files import ONNX, require_regular
 from slot_core.gait.gait import GaitPreview
 from slot_core.refusal import quoted
 from slot_core.robot import LEGS, Array, RobotParameters
@@ -39,7 +39,6 @@ POLICIES = {
     "gait_alone": "slot_core.control.gait_alone:GaitAlone",
 }
 """Module and class by name."""
-ONNX = "onnx:"  # what the name of a network's file begins with
 
 
 class Status(enum.IntEnum):

@@ -186,6 +186,12 @@ class SensorSettings:
     truth: bool = flag("whether exact motion, forces and shapes are published")
 
 
+NO_SENSORS = {
+    "sensors.imu.period": 1.0, "sensors.joint_period": 1.0, "sensors.odometry.period": 1.0,
+}  # fmt: skip
+"""Changes of a scene whose sensors are not read: so seldom that they cost nothing."""
+
+
 @dataclass(frozen=True)
 class StartSettings:
     """Start of a run: natural legs and slack tendons, then settling until time zero."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from slot_core import config
 from slot_core.arrays import checked
-from slot_core.dynamics.scene import Scene, level_changes, read_scene
+from slot_core.dynamics.scene import NO_SENSORS, Scene, level_changes, read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.geometry import rotate
 from slot_core.predictive.rollout_kernels import roll_out, set_torso
@@ -114,14 +114,13 @@ class NominalRobot:
 def nominal_scene(settings: NominalSettings, step: float) -> Scene:
     """The flat floor, with the solver of tabulated legs at another step and no sensors."""
     friction = [settings.friction] * len(LEGS)
-    changes = level_changes("map") | {
+    changes = {
+        **level_changes("map"),
+        **NO_SENSORS,
         "solver.step": step,
         "solver.iterations": settings.iterations,
         "floor.friction": friction,
         "floor.friction_other": friction,
         "tendons.broken": settings.broken,
-        "sensors.imu.period": 1.0,
-        "sensors.joint_period": 1.0,
-        "sensors.odometry.period": 1.0,
     }
     return config.replace(read_scene("flat"), changes, "predictive")

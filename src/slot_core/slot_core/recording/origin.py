@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from slot_core import config
-from slot_core.files import read_bytes
+from slot_core.files import ONNX, read_bytes
 from slot_core.recording.bag_error import BagError
 from slot_core.refusal import printable
 
@@ -25,7 +25,7 @@ FILES = {
     "params_file": "params.yaml",
 }  # fmt: skip
 """Attachments by the argument that names their file."""
-ONNX, NETWORK = "onnx:", "policy.onnx"  # a policy that is a network, and its attachment
+NETWORK = "policy.onnx"  # attachment of a policy that is a network
 
 
 @dataclass(frozen=True)

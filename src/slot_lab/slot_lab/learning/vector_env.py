@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.control.walk_actions import ACTIONS, deviation, observation
+from slot_core.dynamics.scene import NO_SENSORS
 from slot_core.robot import LEGS, Array
 from slot_core.simulation.kernel_robot import KernelRobot
 from slot_core.simulation.many_robots import ANGLE, STATE, TENSION, ManyRobots
@@ -32,9 +33,6 @@ from slot_lab.learning.task import Task, make_task
 
 Flags = NDArray[np.bool_]
 CYCLES = 3  # goals of the servos in a step
-NO_SENSORS = {
-    "sensors.imu.period": 1.0, "sensors.joint_period": 1.0, "sensors.odometry.period": 1.0,
-}  # fmt: skip
 ESTIMATE_NOISE = np.repeat([1e-3, 4e-4, 0.01, 2e-3], 3)  # rad, m, rad/s, m/s
 
 
