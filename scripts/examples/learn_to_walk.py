@@ -5,14 +5,13 @@ Needs `scripts/setup --learn`. The graph walks with it by `scripts/run --policy 
 
 import argparse
 import os
-import time
 
 from slot_lab.learning.evolution import Evolution, learn, shape_of, trials
 from slot_lab.learning.learned_walk import compare, draw, export
 from slot_lab.learning.task import make_task
 
 parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--minutes", type=float, default=18.0)
+parser.add_argument("--generations", type=int, default=60)
 parser.add_argument("--pairs", type=int, default=16, help="half the networks of a generation")
 parser.add_argument("--scheduler", default="", metavar="ADDRESS", help="of dask.distributed")
 options = parser.parse_args()
@@ -21,18 +20,17 @@ TASK = make_task(
     level="coarse", duration=10.0, servos=False,
     drawn={
         "scene.floor.friction": (0.15, 0.7),
-        "scene.gravity": ((-0.3, -0.3, -9.81), (0.3, 0.3, -9.81)),  # inclines of up to 2.5 deg
-        "velocity": ((0.03, 0.0, -0.01), (0.055, 0.0, 0.01)),
+        "velocity": ((0.04, 0.0, 0.0), (0.055, 0.0, 0.0)),
     },
 )  # fmt: skip
-EVOLUTION = Evolution(pairs=options.pairs, step=0.0022, threads=len(os.sched_getaffinity(0)))
-start, history = time.monotonic(), []
+EVOLUTION = Evolution(
+    options.generations, options.pairs, step=0.0022, threads=len(os.sched_getaffinity(0))
+)
+history = []
 with trials(options.scheduler) as evaluate:
     for found in learn(TASK, EVOLUTION, evaluate):
         history.append(found)
         print(f"{found.generation:4d} generations, {found.steps:8d} steps: {found.test:.4f} a step")
-        if time.monotonic() - start > 60.0 * options.minutes:
-            break
-export("walk.onnx", TASK, shape_of(TASK, EVOLUTION), history[-1].best)
+export("walk.onnx", TASK, shape_of(TASK), history[-1].best)
 draw(history, "learning.png")
 print(compare("onnx:walk.onnx", "gait_alone"))

@@ -58,7 +58,7 @@ def test_own_controller(tmp_path):
 
 
 def test_learning_begins_with_the_walk_of_the_gait_alone(tmp_path):
-    text = output("learn_to_walk.py", tmp_path, "--minutes", "0", "--pairs", "1")
+    text = output("learn_to_walk.py", tmp_path, "--generations", "0")
     walks = re.findall(r"(?:onnx:walk.onnx|gait_alone) +(.*)", text)
     assert len(walks) == 6
     assert walks[::2] == walks[1::2]

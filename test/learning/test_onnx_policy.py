@@ -20,13 +20,13 @@ for module in ("gymnasium", "onnxruntime"):
 onnx = pytest.importorskip("onnx", reason="needs scripts/setup --learn")
 from slot_lab.bags.bag import BagError  # noqa: E402
 from slot_lab.bags.check_bag import check_bag  # noqa: E402
-from slot_lab.learning.evolution import Evolution, shape_of  # noqa: E402
+from slot_lab.learning.evolution import shape_of  # noqa: E402
 from slot_lab.learning.learned_walk import export  # noqa: E402
 from slot_lab.learning.network import NetworkShape, write_onnx  # noqa: E402
 from slot_lab.learning.task import make_task  # noqa: E402
 
 WALK = {GAIT: "walk", KIND: "amplitudes"}
-SHAPE = NetworkShape(20, 4, 3)
+SHAPE = NetworkShape(20, 3)
 
 
 def network(folder, shape=SHAPE, about=None, scale=0.3):
@@ -59,7 +59,7 @@ def test_a_network_of_zeros_plans_the_gait(tmp_path, tick):
 
 
 def test_tendon_actions_are_added_to_the_angles_of_every_stage(tmp_path, tick):
-    shape = NetworkShape(21, 4, 4)
+    shape = NetworkShape(21, 4)
     file, _ = network(tmp_path, shape, {GAIT: "walk", KIND: "tendons"})
     policy = make_policy(f"onnx:{file}", read_robot())
     change = policy.step(tick.estimate, tick.preview).angle - tick.preview.tendon_angle
@@ -100,8 +100,8 @@ def test_an_action_that_is_not_finite_gets_the_gait_and_says_so(tmp_path, tick):
         (SHAPE, {}, "gait '' and actions ''"),
         (SHAPE, WALK | {GAIT: "stand"}, "gait 'stand'"),
         (SHAPE, WALK | {KIND: "legs"}, "actions 'legs'"),
-        (NetworkShape(24, 4, 3), WALK, "maps 24 values to 3, expected 20 to 3"),
-        (NetworkShape(20, 4, 4), WALK, "maps 20 values to 4, expected 20 to 3"),
+        (NetworkShape(24, 3), WALK, "maps 24 values to 3, expected 20 to 3"),
+        (NetworkShape(20, 4), WALK, "maps 20 values to 4, expected 20 to 3"),
     ],
 )
 def test_a_network_for_something_else_is_refused_in_one_line(tmp_path, shape, about, named):
@@ -140,7 +140,7 @@ def test_without_onnxruntime_it_says_how_to_install_it(tmp_path, monkeypatch):
 
 def test_a_policy_that_sees_the_servos_is_not_exported(tmp_path):
     task = make_task(servos=True)
-    shape = shape_of(task, Evolution())
+    shape = shape_of(task)
     with pytest.raises(ValueError, match="not given the servos' angles"):
         export(tmp_path / "net.onnx", task, shape, np.zeros(shape.size))
     assert not (tmp_path / "net.onnx").exists()

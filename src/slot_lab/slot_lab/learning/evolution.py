@@ -7,8 +7,10 @@ less the mean of the pair,
     g = sum_i (u_i+ - u_i-) e_i / (2 n sigma),
 
 and a step of Adam along g. Both networks of a pair walk in the same drawn scene, whose difficulty
-the mean takes out. All pairs walk at once, each network on a robot of its own, in one vector
-environment or in several processes.
+the mean takes out. Sigma and the step fall geometrically over the generations: large ones learn
+quickly, with small ones the network comes to rest where it walks best without disturbance. All
+pairs walk at once, each network on a robot of its own, in one vector environment or in several
+processes.
 """
 
 from __future__ import annotations
@@ -32,16 +34,17 @@ from slot_lab.workers import gather, workers
 
 DECAYS, TINY = (0.9, 0.99), 1e-8  # of Adam
 TEST_SEEDS = 1_000_000 + np.arange(16)  # of the scenes in which the mean network is tested
+Fall = tuple[float, float]  # a value in the first generation, and in the last
 
 
 @dataclass(frozen=True)
 class Evolution:
     """Settings of the strategy."""
 
-    hidden: int = 8  # neurons, and as many mirror images
-    pairs: int = 32
-    sigma: float = 0.1
-    rate: float = 0.02
+    generations: int = 60
+    pairs: int = 16
+    sigma: Fall = (0.06, 0.01)
+    rate: Fall = (0.04, 0.002)
     seed: int = 0
     step: float = 0.0  # s, longest time step of the simulation; 0: the level's
     threads: int = 1  # of a process
@@ -67,16 +70,16 @@ class Generation(NamedTuple):
     best: Array  # (p,) the network with the best test
 
 
-def shape_of(task: Task, evolution: Evolution) -> NetworkShape:
+def shape_of(task: Task) -> NetworkShape:
     """Shape of the networks for a task: symmetric ones."""
-    return NetworkShape(task.observed, evolution.hidden, ACTIONS[task.actions], mirror_of(task))
+    return NetworkShape(task.observed, ACTIONS[task.actions], mirror_of(task))
 
 
 def returns(walks: Walks) -> Array:
     """Return (m,) of an episode with each network, per step of a whole episode."""
     task, evolution, parameters, seeds = walks
     env = _environment(task, len(seeds), evolution.step, evolution.threads)
-    shape, found = shape_of(task, evolution), np.zeros(len(seeds))
+    shape, found = shape_of(task), np.zeros(len(seeds))
     seen, _ = env.reset(seed=seeds.tolist())
     going = np.ones(len(seeds), dtype=bool)
     steps = round(task.duration / task.gaits.dt)
@@ -112,28 +115,31 @@ def trials(scheduler: str) -> Iterator[Callable[[Walks], Array]]:
 def learn(
     task: Task, evolution: Evolution, evaluate: Callable[[Walks], Array] = returns
 ) -> Iterator[Generation]:
-    """Generations without end; the first is the network whose actions are zero."""
-    e, shape = evolution, shape_of(task, evolution)
-    rng = np.random.default_rng(e.seed)
-    centre, steps = shape.first(rng), 0
-    best, most, moments = centre.copy(), -np.inf, np.zeros((2, shape.size))
-    length, generation, mean = round(task.duration / task.gaits.dt), 0, np.nan
-    while True:
-        if generation % e.test_every == 0:
+    """What is known every `test_every` generations; the first network's actions are zero."""
+    e, size = evolution, shape_of(task).size
+    rng, centre, moments = np.random.default_rng(e.seed), np.zeros(size), np.zeros((2, size))
+    best, most, mean = centre.copy(), -np.inf, np.nan
+    steps = round(task.duration / task.gaits.dt) * 2 * e.pairs  # of a generation
+    for generation in range(e.generations + 1):
+        if generation % e.test_every == 0 or generation == e.generations:
             tested = np.tile(centre, (len(TEST_SEEDS), 1))
             test = float(evaluate(Walks(task, e, tested, TEST_SEEDS)).mean())
             if test > most:
                 best, most = centre.copy(), test
-            yield Generation(generation, steps, mean, test, best.copy())
-        directions = rng.standard_normal((e.pairs, shape.size))
-        tried = centre + e.sigma * np.concatenate([directions, -directions])
+            yield Generation(generation, steps * generation, mean, test, best.copy())
+        if generation == e.generations:
+            return
+        share = generation / e.generations
+        sigma, rate = (first * (last / first) ** share for first, last in (e.sigma, e.rate))
+        directions = rng.standard_normal((e.pairs, size))
+        tried = centre + sigma * np.concatenate([directions, -directions])
         seeds = rng.integers(TEST_SEEDS[0], size=e.pairs)
         found = evaluate(Walks(task, e, tried, np.tile(seeds, 2)))
-        generation, steps, mean = generation + 1, steps + length * len(tried), float(found.mean())
+        mean = float(found.mean())
         better = found - np.tile(found.reshape(2, -1).mean(axis=0), 2)
         rank = better.argsort().argsort() / (len(found) - 1) - 0.5
-        gradient = (rank[: e.pairs] - rank[e.pairs :]) @ directions / (2 * e.pairs * e.sigma)
-        centre += e.rate * _adam(moments, gradient, generation)
+        gradient = (rank[: e.pairs] - rank[e.pairs :]) @ directions / (2 * e.pairs * sigma)
+        centre += rate * _adam(moments, gradient, generation + 1)
 
 
 def _adam(moments: Array, gradient: Array, count: int) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from slot_core.control.force_map import read_springs
 from slot_core.gait.gait import STAND, Posture
 from slot_core.gait.reference import moved, reference
-from slot_core.geometry import rotate, wrapped
+from slot_core.geometry import wrapped
 from slot_core.robot import LEGS, Array
 from slot_lab.learning.task import Task
 
@@ -43,20 +43,20 @@ class GaitClock:
         self.velocity = np.zeros((count, 3))  # m/s, rad/s, heading frame
         self.phase = np.zeros(count)  # in [0, 1)
         self._place = np.zeros((count, 3))  # x, y, yaw
-        self._course = np.zeros((count, 3))  # the same, never moved towards the robot
+        self.course = np.zeros((count, 3))  # the same, never moved towards the robot
         self._now = self._next = np.zeros((count, 20))  # rows of `stride_table`, blended
 
     def reset(self, which: NDArray[np.int64], velocity: Array, state: Array) -> None:
         """Start the robots `which` (k,) anew at states (k, 12), with velocities (k, 3)."""
         self._tick[which], self._wanted[which] = 0, velocity
         self.velocity[which], self.phase[which] = 0.0, 0.0
-        self._place[which] = self._course[which] = state[:, PLACE]
+        self._place[which] = self.course[which] = state[:, PLACE]
         self._now, self._next = self._rows(0), self._rows(1)
 
     def step(self, state: Array) -> None:
         """Go on by a step, with the robots at states (M, 12)."""
         self.velocity, self.phase, ahead = self._ahead(1)
-        self._course = moved(self._course, self.velocity, self._gaits.dt)
+        self.course = moved(self.course, self.velocity, self._gaits.dt)
         first = self._tick == 0
         self._tick += 1
         gap, turn = ahead[:, :2] - state[:, 3:5], wrapped(ahead[:, 2] - state[:, 2])
@@ -95,12 +95,6 @@ class GaitClock:
     def reference(self) -> Array:
         """(M, 12) reference of the torso, as in `GaitPreview`; yaw may be turned by full turns."""
         return reference(np.zeros(12), self._place, self.velocity, self._now[:, 8:])
-
-    @property
-    def course(self) -> Array:
-        """(M, 3) x, y, yaw where the commanded velocity has led since the start, with the sway."""
-        sway = rotate(self._now[:, 11:13], self._course[:, 2])
-        return np.column_stack([self._course[:, :2] + sway, self._course[:, 2]])
 
     def ahead(self) -> list[tuple[Array, Array]]:
         """Phases (M,) and velocities (M, 3) now and a step later."""

@@ -1,12 +1,13 @@
-"""Network of a policy: one hidden layer with tanh, actions by tanh; many of them at once, and ONNX.
+"""Network of a policy: one layer, actions by tanh; many of them at once, and ONNX.
 
-The parameters of a network are one vector: weights (n, hidden) and biases of the hidden layer, then
-weights (hidden, k) and biases of the actions. With f(s) before the last tanh, and the mirror images
-M of observations and N of actions, a symmetric network acts by
+The parameters of a network are one vector: weights W (n, k), then biases b (k). With the mirror
+images M of observations and N of actions, a symmetric network acts by
 
-    tanh((f(s) + N f(M s)) / 2),
+    tanh((f(s) + f(M s) N) / 2),  f(s) = s W + b,
 
-which is a network with a second hidden half, the mirror image of the first: N a(s) = a(M s).
+which is a network of the same size: a(M s) = a(s) N. So small a network is learned in fewer trials
+(Mania et al., "Simple random search of static linear policies is competitive for reinforcement
+learning", 2018).
 """
 
 from __future__ import annotations
@@ -31,43 +32,31 @@ class Mirror(NamedTuple):
 
 
 class NetworkShape(NamedTuple):
-    """Numbers of inputs, of neurons in the hidden layer, and of outputs."""
+    """Numbers of inputs and outputs."""
 
     inputs: int
-    hidden: int  # twice as many in a symmetric network
     outputs: int
     mirror: Mirror | None = None  # of a symmetric network
 
     @property
     def size(self) -> int:
         """Number of parameters."""
-        return (self.inputs + 1) * self.hidden + (self.hidden + 1) * self.outputs
+        return (self.inputs + 1) * self.outputs
 
-    def layers(self, parameters: Array) -> tuple[Array, Array, Array, Array]:
-        """Weights (m, n, hidden), biases, weights (m, hidden, k), biases of parameters (m, p)."""
+    def layer(self, parameters: Array) -> tuple[Array, Array]:
+        """Weights (m, n, k) and biases (m, k) of parameters (m, p)."""
         p = checked("parameters", parameters, (-1, self.size), finite=False)
-        n, hidden, k, _ = self
-        ends = np.cumsum([n * hidden, hidden, hidden * k])
-        w1, b1, w2, b2 = np.split(p, ends, axis=1)
-        w1, w2 = w1.reshape(-1, n, hidden), w2.reshape(-1, hidden, k)
+        weights, bias = np.split(p, [self.inputs * self.outputs], axis=1)
+        weights = weights.reshape(-1, self.inputs, self.outputs)
         if self.mirror is None:
-            return w1, b1, w2, b2
+            return weights, bias
         seen, action = self.mirror
-        w1, b1 = np.concatenate([w1, seen @ w1], axis=2), np.concatenate([b1, b1], axis=1)
-        return w1, b1, np.concatenate([w2, w2 @ action], axis=1) / 2, (b2 + b2 @ action) / 2
+        return (weights + seen @ weights @ action) / 2, (bias + bias @ action) / 2
 
     def actions(self, parameters: Array, seen: Array) -> Array:
         """Actions (m, k) of m networks at one observation (m, n) each."""
-        w1, b1, w2, b2 = self.layers(parameters)
-        inner = np.tanh(np.matmul(seen[:, None], w1)[:, 0] + b1)
-        return np.tanh(np.matmul(inner[:, None], w2)[:, 0] + b2)
-
-    def first(self, rng: np.random.Generator) -> Array:
-        """Parameters (p,) of a network whose actions are zero, with a random hidden layer."""
-        found = np.zeros(self.size)
-        weights = self.inputs * self.hidden
-        found[:weights] = rng.standard_normal(weights) / np.sqrt(self.inputs)
-        return found
+        weights, bias = self.layer(parameters)
+        return np.tanh(np.matmul(seen[:, None], weights)[:, 0] + bias)
 
 
 def write_onnx(
@@ -77,20 +66,17 @@ def write_onnx(
     import onnx  # noqa: PLC0415 - not installed with the robot
     from onnx import helper, numpy_helper  # noqa: PLC0415
 
-    names = ("w1", "b1", "w2", "b2")
-    layers = [layer[0].astype(np.float32) for layer in shape.layers(parameters[None])]
+    weights, bias = (values[0].astype(np.float32) for values in shape.layer(parameters[None]))
     kind = onnx.TensorProto.FLOAT
     graph = helper.make_graph(
         [
-            helper.make_node("Gemm", ["observation", "w1", "b1"], ["h1"]),
-            helper.make_node("Tanh", ["h1"], ["h2"]),
-            helper.make_node("Gemm", ["h2", "w2", "b2"], ["a1"]),
-            helper.make_node("Tanh", ["a1"], ["action"]),
+            helper.make_node("Gemm", ["observation", "weights", "bias"], ["sum"]),
+            helper.make_node("Tanh", ["sum"], ["action"]),
         ],
         "policy",
         [helper.make_tensor_value_info("observation", kind, [1, shape.inputs])],
         [helper.make_tensor_value_info("action", kind, [1, shape.outputs])],
-        [numpy_helper.from_array(layer, name) for name, layer in zip(names, layers)],
+        [numpy_helper.from_array(weights, "weights"), numpy_helper.from_array(bias, "bias")],
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)])
     model.ir_version = IR_VERSION

@@ -10,8 +10,8 @@
     change    -mean |change of the action since the last step|
 
 The course is where the commanded velocity has led since the start: unlike the reference that the
-policy sees, it does not follow a robot that falls behind or turns away. No term is below WORST. A
-robot that has fallen gets zero.
+policy sees, it does not follow a robot that falls behind or turns away, and it has no sway of the
+gait. No term is below WORST. A robot that has fallen gets zero.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ LOAD = 0.7  # N m, half of what the servo can hold at 11.1 V
 WORST = -4.0
 COS_FALLEN = math.cos(0.5)  # of the tilt, `tilt_max` of config/supervisor.yaml
 WEIGHTS = {
-    "walking": 1.0, "along": 0.3, "aside": 0.3, "yaw": 0.3, "tilt": 0.1, "load": 0.05,
-    "change": 0.05,
+    "walking": 1.0, "along": 0.3, "aside": 1.0, "yaw": 0.5, "tilt": 0.1, "load": 0.05,
+    "change": 0.3,
 }  # fmt: skip
 
 

@@ -23,7 +23,6 @@ from slot_core.dynamics.scene import level_changes
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview
 from slot_core.gait.reference import moved
-from slot_core.geometry import rotate
 from slot_core.joint_reading import JointReading
 from slot_core.robot import Array
 from slot_core.simulation.closed_loop import ClosedLoop
@@ -95,11 +94,8 @@ class WalkEnv(gymnasium.Env[Any, Any]):
     def _walked(self, taken: Array) -> Walked:
         """What the reward is about after an action (1, n)."""
         assert self._loop is not None
-        preview, course = self._preview, self._course
-        stride = self.task.stride.stride_table(preview.phases[:1], preview.velocity_ahead[:1])
-        place = course[:, :2] + rotate(stride[:, 11:13], course[:, 2])
         return Walked(
-            self._true_state(), np.column_stack([place, course[:, 2]]), preview.reference[:1, :2],
+            self._true_state(), self._course, self._preview.reference[:1, :2],
             self._loop.plant.robot.servo_torque[None], taken - self._action,
         )  # fmt: skip
 
