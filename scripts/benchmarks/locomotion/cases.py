@@ -37,7 +37,7 @@ COLUMNS: Mapping[str, str] = {  # policies by the name of their column
     ALONE: "gait_alone",
     "stride feedback": str(Path(__file__).with_name("stride_feedback.py")),
     "place": "place",
-    LEARNED: f"onnx:{Path(__file__).with_name('walk.onnx')}",  # a layer of 8 neurons, learned earlier
+    LEARNED: f"onnx:{Path(__file__).with_name('walk.onnx')}",  # with a hidden layer
     DEFAULT: DEFAULT_POLICY,
     PAPER: "paper_text",
     "paper_code": "paper_code",
