@@ -5,9 +5,9 @@ images M of observations and N of actions, a symmetric network acts by
 
     tanh((f(s) + f(M s) N) / 2),  f(s) = s W + b,
 
-which is a network of the same size: a(M s) = a(s) N. So small a network is learned in fewer trials
-(Mania et al., "Simple random search of static linear policies is competitive for reinforcement
-learning", 2018).
+which is a network of the same size: a(M s) = a(s) N. That one layer can walk is known from Mania et
+al., "Simple random search of static linear policies is competitive for reinforcement learning",
+2018; here it was not compared with more layers.
 """
 
 from __future__ import annotations
