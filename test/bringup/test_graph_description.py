@@ -186,11 +186,10 @@ def test_a_node_gets_its_namespace_with_a_leading_slash(graph, namespace):
         assert 'frame_prefix:="fred/"' in arguments
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "expected"),
-    [("vx", "fast", "a number"), ("seed", "1.5", "a whole number"),
-     ("lockstep", "perhaps", "true or false"), ("seed", "", "a whole number")],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "text", "expected"), [
+    ("vx", "fast", "a number"), ("seed", "1.5", "a whole number"),
+    ("lockstep", "perhaps", "true or false"), ("seed", "", "a whole number"),
+])  # fmt: skip
 def test_a_launch_argument_of_the_wrong_type_is_refused_by_name(graph, name, text, expected):
     argument = next(a for a in graph.arguments if a.name == name)
     with pytest.raises(ValueError, match=f"^{name} = '{text}': expected {expected}$"):
