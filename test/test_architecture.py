@@ -195,6 +195,11 @@ def test_no_module_imports_itself_by_way_of_others():
     assert len(list(graphlib.TopologicalSorter(graph).static_order())) == len(modules())
 
 
+def test_no_package_imports_what_is_for_tests():
+    for path in modules().values():
+        assert not tops(path) & {"pytest", "unittest"}, path
+
+
 def test_nothing_outside_of_scripts_imports_scripts():
     python = [path for path in tracked() if path.parts[0] not in ("scripts", "test")]
     assert len(python) > 100

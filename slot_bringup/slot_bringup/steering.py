@@ -66,7 +66,7 @@ class SteeringPublisher:
         self._pose_topic.publish(message)
 
     def repeat(self, stamp: int, commanded: GaitPreview | None) -> None:
-        """Publish the velocity of the keys, if any, with a stamp (ns) of the graph's clock."""
+        """Publish the velocity that is repeated, if any, with a stamp (ns) of the graph's clock."""
         if self._velocity is None:
             return
         if self._topic is None:

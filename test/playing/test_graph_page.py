@@ -200,6 +200,19 @@ def test_the_page_says_what_the_supervisor_says_and_which_message_is_refused(gra
     assert "a message is refused: " in page._text.content
 
 
+def test_a_graph_that_is_silent_is_named_and_its_last_state_is_not_said_any_more(graph, page):
+    graph.report(State.WALKING, "as asked")
+    run(page, 1.0)
+    assert "WALKING" in page._text.content
+    run(page, 4.0)
+    assert "<b>no state for 4 s: the graph has ended, or hangs</b>" in page._text.content
+    assert "WALKING" not in page._text.content
+    graph.report(State.STANDING)
+    run(page, 1.0)
+    assert "STANDING" in page._text.content
+    assert "no state" not in page._text.content
+
+
 @pytest.mark.parametrize(
     "arguments", [["--graph", "--scene", "flat"], ["--graph", "--policy", "forces"],
                   ["--namespace", "a"]]

@@ -5,6 +5,8 @@ import urllib.request
 
 import psutil
 import pytest
+from websockets.asyncio import server as websocket_server
+from websockets.asyncio.server import serve
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -74,6 +76,10 @@ def test_the_server_checks_pages_and_websockets_and_remembers_the_token(server):
         with pytest.raises(InvalidStatus, match="403"):
             connect(f"ws://{place}", origin=origin, additional_headers=headers, proxy=None)
     connect(f"ws://{place}", origin=f"http://{place}", additional_headers=known, proxy=None).close()
+
+
+def test_only_the_server_that_is_started_in_the_block_is_guarded(server):
+    assert websocket_server.serve is serve
 
 
 def test_no_socket_listens_beyond_this_machine(server):

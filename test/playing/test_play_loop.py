@@ -1,9 +1,11 @@
 """The loop of scripts/play without a browser: its pace, what it refuses, what it says."""
 
+import numpy as np
 import pytest
 
 from slot_bringup.playing.main_page import main, start_server
 from slot_bringup.playing.play_page import PlayPage
+from slot_bringup.playing.robot_display import view_for
 from slot_core.safety.states import State
 from slot_lab.play.played_robot import FRAME, PlayedRobot
 
@@ -81,6 +83,36 @@ def test_slow_motion_pause_and_steps(played):
     played.page._on_time("go on")
     played.run(1.0)
     assert played.robot.time > before + 0.2
+
+
+def test_a_payload_that_is_placed_while_the_robot_is_paused_is_drawn_there(played):
+    played.page.do(lambda r: r.change({"scene.payload.mass": 0.2}))
+    played.run(0.2)
+    played.page._on_time("pause")
+    played.run(0.2)
+    place = [0.02, 0.01, 0.03]
+    played.page.do(lambda r: r.change({"scene.payload.place": place}))
+    played.run(0.2)
+    np.testing.assert_allclose(played.page._payload.position, place)
+
+
+def test_the_robot_is_in_sight_and_on_a_phone_above_the_panel_as_well():
+    for width, height, lowest in ((390, 844, 0.4), (360, 640, 0.4), (1200, 700, 0.9)):
+        x, y = on_page(*view_for(width / height), width / height)
+        assert np.abs(x).max() < 1.0
+        assert 0.1 < y.min() < y.max() < lowest
+
+
+def on_page(position, look_at, aspect):
+    """Feet and top of the robot: x over half the width, share of the height from the top."""
+    feet = [[x, y, 0.0] for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
+    ahead = np.subtract(look_at, position)
+    ahead /= np.linalg.norm(ahead)
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    way = np.array([*feet, [0.0, 0.0, 0.08]]) - position
+    half = np.tan(np.radians(75.0) / 2) * (way @ ahead)  # of the height, in viser's own view
+    return (way @ right) / half / aspect, (1.0 - (way @ np.cross(right, ahead)) / half) / 2
 
 
 def test_a_refusal_is_shown_and_the_next_act_takes_it_away(played):

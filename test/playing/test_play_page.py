@@ -69,7 +69,6 @@ class Hand:
     def choose(self, label, option):
         self.browser.click(f"{ROW.format(label=label)}.querySelector('input')")
         self.browser.click(OPTION.format(option))
-        self.browser.run("document.activeElement.blur()")  # else it takes the keys
 
     def tick(self, label):
         self.browser.click(f"{ROW.format(label=label)}.querySelector('input[type=checkbox]')")

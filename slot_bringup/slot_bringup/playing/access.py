@@ -13,11 +13,12 @@ import http
 import ipaddress
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
-from unittest import mock
+from typing import Any, TypeAlias
 from urllib.parse import parse_qs, urlsplit
 
 COOKIE = "slot_token"
+Answer: TypeAlias = Callable[[Any, Any], Any]
+"""Response to a request on a connection; None: the websocket is opened."""
 
 
 class Access:
@@ -65,29 +66,44 @@ def is_this_machine(host: str) -> bool:
 
 @contextmanager
 def guarded(access: Access) -> Iterator[None]:
-    """Let a server of websockets that is started within the block check its requests."""
+    """Let a server of websockets that is started within the block check its requests.
+
+    viser passes its own check of a request to `serve` and takes none of another, so that within the
+    block `serve` is a class which makes one of both.
+    """
     from websockets.asyncio import server as websocket_server  # noqa: PLC0415 - optional
 
     serve = websocket_server.serve
 
-    def start(*args: Any, process_request: Callable[..., Any], **options: Any) -> Any:
-        def check(connection: Any, request: Any) -> Any:
-            headers = request.headers
-            refusal = access.refusal(
-                request.path, headers.get("Host", ""), headers.get("Origin"),
-                headers.get("Cookie", ""),
-            )  # fmt: skip
-            if refusal:
-                return connection.respond(http.HTTPStatus.FORBIDDEN, refusal + "\n")
-            answer = process_request(connection, request)
-            if answer is not None and access.is_named(request.path):
-                answer.headers["Set-Cookie"] = access.cookie()
-            return answer
+    class Guarded(serve):
+        """A server that refuses what `access` refuses."""
 
-        return serve(*args, process_request=check, **options)
+        def __init__(self, *args: Any, process_request: Answer, **options: Any) -> None:
+            super().__init__(*args, process_request=checked(access, process_request), **options)
 
-    with mock.patch.object(websocket_server, "serve", start):
+    websocket_server.serve = Guarded  # type: ignore[misc]
+    try:
         yield
+    finally:
+        websocket_server.serve = serve  # type: ignore[misc]
+
+
+def checked(access: Access, answer: Answer) -> Answer:
+    """Answer requests by `answer`, but those that `access` refuses."""
+
+    def check(connection: Any, request: Any) -> Any:
+        headers = request.headers
+        refusal = access.refusal(
+            request.path, headers.get("Host", ""), headers.get("Origin"), headers.get("Cookie", "")
+        )
+        if refusal:
+            return connection.respond(http.HTTPStatus.FORBIDDEN, refusal + "\n")
+        response = answer(connection, request)
+        if response is not None and access.is_named(request.path):
+            response.headers["Set-Cookie"] = access.cookie()
+        return response
+
+    return check
 
 
 def _query(path: str) -> str:

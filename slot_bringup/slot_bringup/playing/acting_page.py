@@ -33,14 +33,16 @@ class Page(Generic[Robot]):
         """Let something be done to the robot before its next frame."""
         self._wanted.put(act)
 
-    def do_wanted(self) -> None:
-        """Do what is wanted; what is refused is said."""
+    def do_wanted(self) -> bool:
+        """Do what is wanted, if anything; what is refused is said."""
+        wanted = not self._wanted.empty()
         while not self._wanted.empty():
             self.said = ""
             try:
                 self._wanted.get()(self.robot)
             except ConfigError as error:
                 self.said = str(error)
+        return wanted
 
     def write(self, speed: str, *remarks: str) -> None:
         """Write what the page says of the robot, in every third frame."""

@@ -38,6 +38,12 @@ PROGRAM = "scripts/play"
 PORT = 8080
 BAGS = Path("bags")
 GAIT_TIME = 1.0  # s to wait for the present gait of a graph
+# The field of a dropdown keeps the focus, and with it the keys, when an option has been chosen.
+GIVE_KEYS_BACK = """
+document.addEventListener("click", event => {
+  if (event.target.closest("[role=option]")) document.activeElement.blur();
+});
+"""
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -68,6 +74,7 @@ def address(host: str, port: int, token: str) -> str:
 def start_server(host: str, port: int, token: str) -> viser.ViserServer:
     """Server of the page; raises OSError if the port is taken."""
     import viser  # noqa: PLC0415 - optional
+    from viser import _messages  # noqa: PLC0415 - it has no other way to a script
 
     class Server(viser.ViserServer):
         """viser's server, which nobody can connect to one elsewhere."""
@@ -81,6 +88,7 @@ def start_server(host: str, port: int, token: str) -> viser.ViserServer:
     with guarded(Access(token)), contextlib.redirect_stdout(io.StringIO()):
         server = Server(host=host, port=port, label="SLOT", verbose=False)
     server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large")
+    server._websock_server.queue_message(_messages.RunJavascriptMessage(source=GIVE_KEYS_BACK))
     return server
 
 

@@ -58,7 +58,7 @@ class PlayPage(Page[PlayedRobot]):
         """Play until `ended`; `clock`: s."""
         due = clock()
         while not ended():
-            self.do_wanted()
+            acted = self.do_wanted()
             moves = not self._paused or self._steps > 0
             self._steps = max(0, self._steps - 1)
             if moves:
@@ -66,6 +66,8 @@ class PlayPage(Page[PlayedRobot]):
                 self._pace.add(clock(), self.robot.time)
             else:
                 self._pace = Speed(WINDOW)
+                if acted:
+                    self._draw()
             self.write(self._of_speed(clock()), self.robot.loop.refusal)
             due = max(due + FRAME / self._speed, clock() - LATE)
             sleep(max(0.0, due - clock()))

@@ -19,7 +19,11 @@ from slot_lab.report import traces
 
 Named: TypeAlias = tuple[str, Any]  # topic and message
 TOPICS = tuple(dict.fromkeys((*Drawing.TOPICS, *traces.TOPICS)))
-CAMERA, LOOK_AT = (0.28, -0.5, 0.25), (0.0, 0.0, 0.05)
+View: TypeAlias = tuple[tuple[float, float, float], tuple[float, float, float]]
+"""Places of the camera, and of what it looks at, m."""
+WIDE: View = (0.28, -0.5, 0.25), (0.0, 0.0, 0.05)
+# On a phone the panel of viser covers the lower 60 % of the page.
+TALL: View = (0.5, -0.9, 0.41), (0.0, 0.0, -0.45)
 
 
 class RobotDisplay:
@@ -81,5 +85,10 @@ def _new_drawing() -> Drawing:
     return Drawing(read_robot(), float(servo.tendon_stall(servo.nominal_voltage)))
 
 
+def view_for(aspect: float) -> View:
+    """The first view on a page of a width over its height."""
+    return TALL if aspect < 1.0 else WIDE
+
+
 def _place_camera(client: viser.ClientHandle) -> None:
-    client.camera.position, client.camera.look_at = CAMERA, LOOK_AT
+    client.camera.position, client.camera.look_at = view_for(client.camera.aspect)
