@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import __main__ as command_line
+from documentation import pictures
 from slot_bringup import operate, play, run, view
 from slot_bringup.graph import read_graph
 from slot_core import config
@@ -84,6 +85,12 @@ REFUSED = {
         ([WALK, WALK, "--tolerance", "height_mean=-1"], "expected FIGURE=N"),
         ([WALK, WALK, "--warm-up", "0", "--tolerance", "mass=1"], "hold no such figure of dur"),
         ([WALK, WALK, "--warm-up", "0", "--tolerance", "saturated*=1"], "hold no such figure"),
+    ]),
+    "pictures": (pictures.main, [
+        (["moon.png"], "no picture 'moon.png' (see --list)"),
+        (["leg.png", "--out", "{}/nowhere"], "/nowhere: not a directory"),
+        (["--results", "{}", "--out", "{}"], "locomotion.json: missing; scripts/bench locomotion"),
+        (["locomotion_top.png", "--results", "{}", "--out", "{}"], "courses.npz: missing"),
     ]),
     "replay": (replay.main, [
         (["{}/nothing"], "nothing: does not exist"),

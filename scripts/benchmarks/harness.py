@@ -11,11 +11,12 @@ It may have command line options: a function
 
 adds them, each with a default, and `run` takes their values as keyword arguments.
 
-A row is a mapping of names to plain values; other files, such as plots, go to `out`. A measurement
-that may fail, such as a run of the graph, is made by `Attempts`. A check that does not hold is a
-result, so it does not change the exit code. A time is the processor's as much as the code's, so its
-check is on the ratio to a peer measured in the same run; the goals of the graph and the servos,
-which are times, are checks beside that.
+A row is a mapping of names to plain values; other files, such as plots, go to `out`. Plots are
+drawn from the rows and from courses over time in `out/courses.npz`, and so scripts/pictures draws
+them again. A measurement that may fail, such as a run of the graph, is made by `Attempts`. A check
+that does not hold is a result, so it does not change the exit code. A time is the processor's as
+much as the code's, so its check is on the ratio to a peer measured in the same run; the goals of
+the graph and the servos, which are times, are checks beside that.
 
 The parts of a benchmark are the files beside it, imported as `benchmarks.NAME.PART`. Packages that
 only benchmarks need are named in `REQUIRES`, one line at the top level of the module;
@@ -50,6 +51,7 @@ Row = Mapping[str, Any]
 Progress = Callable[[str], None]
 Outcome = tuple[Sequence[Row], Sequence["Check"]]  # of a benchmark
 
+COURSES = "courses.npz"
 ROOT = Path(os.environ.get("SLOT_ROOT") or Path(__file__).resolve().parents[2])
 
 

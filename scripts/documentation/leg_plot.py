@@ -1,9 +1,4 @@
-"""Draws the leg of the page Concepts, out of its plane: nodes, a frame, tendon and width.
-
-    . scripts/env; PYTHONPATH=scripts:$PYTHONPATH python -m documentation.leg_plot
-
-writes slot_bringup/doc/leg.png.
-"""
+"""Draws the leg of the page Concepts, out of its plane: nodes, a frame, tendon and width."""
 
 from __future__ import annotations
 
@@ -21,23 +16,21 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.robot import Array, RobotParameters, read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
-OUT = Path(__file__).resolve().parents[2] / "slot_bringup" / "doc" / "leg.png"
 NODES, LEG, SHOWN = 13, 3, 6  # nodes of a leg, the leg, the segment whose frame is drawn
 PUSH = 30.0  # N, on the torso across the leg: the foot sticks, the leg bends and twists
 PULLED_DEG = 95.0
-SURFACE, TENDON = palette.LEG_COLOURS["FL"], "#C00000"
+SURFACE, TENDON = palette.LEG_COLOURS["FL"], palette.SECONDARY
 
 
-def main() -> None:
-    """Write the plot."""
+def write(path: Path) -> None:
+    """Write the plot as a PNG."""
     robot = read_robot()
     node, director = pushed_leg(robot)
     figure = plt.figure(figsize=(8, 4.6), dpi=120)
     axes: Any = figure.add_subplot(projection="3d")
     draw(axes, robot, node, director)
     figure.subplots_adjust(left=0, right=1, bottom=0, top=1)
-    figure.savefig(OUT)
-    print(OUT)
+    figure.savefig(path)
 
 
 def pushed_leg(robot: RobotParameters) -> tuple[Array, Array]:
@@ -74,7 +67,8 @@ def draw(axes: Any, robot: RobotParameters, node: Array, director: Array) -> Non
     b = np.cross(t[SHOWN], director[SHOWN])
     for vector, name in ((t[SHOWN], "t"), (director[SHOWN], "d"), (b, "b")):
         axes.quiver(*middle, *(size * vector), color="black", lw=1.5, arrow_length_ratio=0.2)
-        axes.text(*(middle + 1.25 * size * vector), name, style="italic", size=12)
+        away = 1.9 if name == "d" else 1.25  # it is seen almost from its end
+        axes.text(*(middle + away * size * vector), name, style="italic", size=12)
     tendon = (node[:-1] + below)[: last + 1]
     notes = (
         (node[0], (-40, 20), "node 0, the clamp", "black"),
@@ -89,7 +83,3 @@ def draw(axes: Any, robot: RobotParameters, node: Array, director: Array) -> Non
             textcoords="offset points", color=colour, size=9,
             arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.7},
         )  # fmt: skip
-
-
-if __name__ == "__main__":
-    main()

@@ -3,12 +3,14 @@
 import ast
 import re
 import subprocess
+from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 import yaml
 
-from documentation import generated, pages
+from benchmarks import harness
+from documentation import generated, pages, pictures
 from documentation.markdown import DOC, ROOT
 from slot_bringup.graph import read_graph
 
@@ -56,6 +58,43 @@ def test_the_site_shows_the_page_of_the_walk_in_the_place_of_its_picture(name):
     text = pages.read((DOC / name).read_text(), DOC / name)
     assert '<iframe src="walk.html" title="The robot walks' in text
     assert "walk.gif)" not in text
+
+
+def test_scripts_pictures_draws_every_picture():
+    files = {path.name for path in DOC.iterdir() if path.suffix in (".png", ".gif", ".html")}
+    assert files == set(pictures.PICTURES)
+
+
+def test_every_picture_is_shown_on_a_page():
+    shown = {Path(link).name for page in PAGES for link in LINK.findall(page.read_text())}
+    assert {*pictures.PICTURES} - shown == {"walk.html"}  # which pages.py shows
+
+
+MEASURED = """
+import math
+import numpy as np
+from benchmarks.locomotion import margins
+from benchmarks.locomotion.plots import MARKS
+
+def run(quick, out, progress):
+    walked = np.column_stack([np.arange(90.0)] * 4)
+    np.savez(out / "courses.npz", **{f"{plot}/default": walked for plot in ("velocity", "path")})
+    table = {"row": "v", "unit": "m/s", "goal": 1.0, "better": "larger"} | dict.fromkeys(MARKS, 2.0)
+    found = dict.fromkeys(margins.SHOWN, math.nan) | {"kind": "margin", "friction": 0.2}
+    return [table, *(found | {"voltage": volt} for volt in margins.VOLTAGE)], []
+"""
+
+
+def test_pictures_of_a_benchmark_are_drawn_from_what_its_run_has_left(tmp_path):
+    (tmp_path / "locomotion").mkdir()
+    (tmp_path / "locomotion" / "benchmark.py").write_text(f'"""Tiny."""\n{MEASURED}')
+    results = tmp_path / "results"
+    harness.run("locomotion", tmp_path, True, results / "locomotion", print)
+    mine = [name for name, p in pictures.PICTURES.items() if p.needs[0] == "locomotion"]
+    assert len(mine) == 4
+    assert pictures.main([*mine, "--results", str(results), "--out", str(tmp_path)]) == 0
+    for name in mine:
+        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_reference_has_every_message_and_service():

@@ -18,11 +18,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness import Check, Progress, at_least, at_most
+import numpy as np
+
+from benchmarks.harness import COURSES, Check, Progress, at_least, at_most
 from benchmarks.harness import Row as Result
 from benchmarks.locomotion import cases, transient_rows
 from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, PAPERS, Case, Job, WalkMotion
-from benchmarks.locomotion.rows import LocomotionRow, directions, ratio, rows, slanted, square
+from benchmarks.locomotion.rows import LocomotionRow, ratio, rows
 
 REQUIRES = ("onnxruntime",)
 SEEDS = {column: (1,) if column in PAPERS else (1, 2) for column in COLUMNS}
@@ -36,7 +38,7 @@ REPORTS = 20  # lines of progress
 def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Result], list[Check]]:
     """Measure all rows; the plots show them, and stills of the gaits."""
     from benchmarks.locomotion import ablations, margins, predicted_stride, stills  # noqa: PLC0415
-    from benchmarks.locomotion.plots import draw_directions, draw_table, draw_top  # noqa: PLC0415
+    from benchmarks.locomotion.plots import courses, draw_table, draw_top, draw_velocity  # noqa: PLC0415
 
     seeds = QUICK if quick else SEEDS
     wanted = [*rows(quick), *transient_rows.rows(quick)]
@@ -44,9 +46,11 @@ def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Result], list[
     parts = [] if quick else ablations.jobs(wanted)
     motions = run_all([*jobs_of(wanted, seeds), *walks, *parts], progress)
     table = measured(wanted, motions, seeds)
+    shown = courses(quick, motions)
+    np.savez_compressed(out / COURSES, **shown)
     draw_table(table, out / "table.png")
-    draw_directions(directions(quick), motions, seeds[DEFAULT], out / "velocity.png")
-    draw_top(square(), slanted(), motions, seeds[DEFAULT], out / "top.png")
+    draw_velocity(shown, out / "velocity.png")
+    draw_top(shown, out / "top.png")
     stills.draw(out / "gaits.png")
     predicted_stride.draw(out / "prediction.png")
     found = [margins.row(case, motions[case, column, seed]) for case, column, seed in walks]

@@ -65,15 +65,19 @@ def checks(found: Sequence[dict[str, Any]]) -> list[Check]:
 
 def draw(found: Sequence[dict[str, Any]], path: Path) -> None:
     """The margins over friction, a line for each voltage."""
-    figure = Figure(figsize=(12.0, 2.8), layout="constrained")
-    for ax, (name, unit) in zip(figure.subplots(1, len(SHOWN)), SHOWN.items()):
-        for volt, colour in zip(VOLTAGE, (palette.TRUE, palette.INK)):
+    figure = Figure(figsize=(8.0, 4.6), layout="constrained")
+    *plots, rest = figure.subplots(2, 3).flat
+    for ax, (name, unit) in zip(plots, SHOWN.items()):
+        for volt, colour in zip(VOLTAGE, (palette.TRUE, palette.SECONDARY)):
             line = [values for values in found if values["voltage"] == volt]
             place = [values["friction"] for values in line]
             course = [values[name] for values in line]
             ax.plot(place, course, "o-", color=colour, label=f"{volt:g} V")
-        ax.set(title=f"{name}, {unit}", xlabel="friction", xticks=FRICTION)
+        ax.set_title(f"{name}, {unit}", fontsize=10, loc="left")
+        ax.set(xlabel="friction", xticks=FRICTION)
         ax.set_ylim(bottom=0.0)
-        ax.grid(alpha=0.3)
-    figure.axes[0].legend()
+        ax.grid(color=palette.PALE, lw=0.4)
+    rest.set_axis_off()
+    handles, labels = plots[0].get_legend_handles_labels()
+    rest.legend(handles, labels, loc="center", title="supply voltage", frameon=False)
     figure.savefig(path, dpi=150)

@@ -34,14 +34,14 @@ def draw(path: Path) -> None:
         if k == FIRST:
             legs = bent_legs(sim.nodes, sim.directors, sim.quaternion, robot)
             pose = Snapshot(k * DT, sim.position, sim.quaternion, legs, sim.ground_force)
-    figure = Figure(figsize=(12.0, 4.2), layout="constrained")
-    left, right = figure.subfigures(1, 2, width_ratios=(1.1, 1.0))
-    ax = left.subplots()
+    figure = Figure(figsize=(8.0, 7.2), layout="constrained")
+    above, below = figure.subfigures(2, 1)
+    ax = above.subplots()
     draw_robot(ax, pose, robot, CAMERA)
     centre = np.array([*pose.position[:2], 0.0])
     draw_ways(ax, plans[FIRST].pose[:, 3:] - centre, plans[FIRST].foot - centre)
     ax.set_title("the next stride, as predicted: ways of torso and feet", fontsize=10, loc="left")
-    motion, axes = np.array(true), right.subplots(2, 1, sharex=True)
+    motion, axes = np.array(true), below.subplots(2, 1, sharex=True)
     for ax, column, name in zip(axes, (3, 5), ("x, mm", "height, mm")):
         draw_beside(ax, MM * motion[:, column], plans, column)
         ax.set_ylabel(name)
@@ -68,4 +68,4 @@ def draw_beside(ax: Axes, true: Array, plans: Sequence[TendonPlan], column: int)
         ax.plot(time[k] + DT * np.arange(len(pose) + 1), [true[k], *pose], "--",
                 color=palette.INK, lw=1.1, label=label)  # fmt: skip
         ax.plot(time[k], true[k], "o", color=palette.INK, ms=3.5)
-    ax.grid(alpha=0.3)
+    ax.grid(color=palette.PALE, lw=0.4)

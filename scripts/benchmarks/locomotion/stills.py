@@ -39,7 +39,7 @@ STRIDES = {
 
 def draw(path: Path) -> None:
     """Write a PNG: the postures in its first row, then a stride a row at equal shares of it."""
-    figure = Figure(figsize=(3.2 * COLUMNS, 1.9 * (1 + len(STRIDES))), layout="constrained")
+    figure = Figure(figsize=(1.9 * COLUMNS, 1.25 * (1 + len(STRIDES))), layout="constrained")
     robot, camera = read_robot(), Viewpoint()
     rows = [[(name, poses(case, [0.0])[0]) for name, case in POSTURES.items()]]
     for name, case in STRIDES.items():
@@ -50,10 +50,12 @@ def draw(path: Path) -> None:
         for k, (title, pose) in enumerate(row):
             ax = figure.add_subplot(len(rows), COLUMNS, i * COLUMNS + k + 1)
             draw_robot(ax, pose, robot, camera)
-            ax.set_title(title, fontsize=11, loc="left")
+            ax.set_title(title, fontsize=9, loc="left")
             for shape in ax.collections:
                 shape.set_clip_on(False)  # a leg may stand above the ground's plot
-    figure.savefig(path, dpi=80)
+            for text in ax.texts:
+                text.set_visible(False)  # there is no room for the scale
+    figure.savefig(path, dpi=130)
 
 
 def poses(case: Case, times: Sequence[float]) -> list[Snapshot]:

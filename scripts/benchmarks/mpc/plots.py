@@ -17,10 +17,10 @@ ROUNDOFF = 1e-13  # N, drawn for smaller errors
 
 def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Write the plot of all rows."""
-    figure = Figure(figsize=(12, 5), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
-    draw_errors(left, rows)
-    draw_horizons(right, [row for row in rows if row["kind"] == "horizon"])
+    figure = Figure(figsize=(8, 8.5), layout="constrained")
+    above, below = figure.subplots(2, 1, height_ratios=(3, 2))
+    draw_errors(above, rows)
+    draw_horizons(below, [row for row in rows if row["kind"] == "horizon"])
     figure.savefig(path, dpi=150)
 
 
@@ -36,14 +36,14 @@ def draw_errors(ax: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
             refused = row["hard_refused"] + row["walk_refused"]
             ax.plot(*place, "o", color=colour, mfc="none" if refused else colour, ms=6)
             note = f"{row['tolerance']:.0e}".replace("e-0", "e-")
-            style = {"textcoords": "offset points", "size": 7, "color": colour, "va": "center"}
+            style = {"textcoords": "offset points", "size": 8, "color": colour, "va": "center"}
             ax.annotate(note, place, (side, 0), ha="left" if side > 0 else "right", **style)
         ax.plot([], [], "o-", color=colour, label=name)
     for row in rows:
         if row["kind"] == "cvxpy":
             place = (row["median_ms"], max(ROUNDOFF, row["error_max"]))
             ax.plot(*place, "s", color=palette.TORSO)
-            style = {"textcoords": "offset points", "size": 7, "ha": "right"}
+            style = {"textcoords": "offset points", "size": 8, "ha": "right"}
             ax.annotate(f"{row['solver']} (walk only)", place, (-5, 7), **style)
     front = sorted((row["median_ms"], worst(row)) for row in runs if row["front"])
     ax.step(*zip(*front), where="post", color=palette.INK, lw=1.2, ls=":", label="Pareto front")
@@ -53,6 +53,7 @@ def draw_errors(ax: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
         ylabel="largest error of a first force, walk and hard cases, N",
         title="Numbers at the marks: tolerance",
     )  # fmt: skip
+    ax.margins(x=0.1)
     ax.grid(which="major", color=palette.PALE, lw=0.5)
     ax.legend(fontsize=8)
 

@@ -15,8 +15,25 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import ROOT, BenchmarkError, Check, Progress, Row, at_most, revision
-from benchmarks.perturbations.cases import CASES, DURATION, NOISE, TABLE, PerturbedRun, metrics
+from benchmarks.harness import (
+    COURSES,
+    ROOT,
+    BenchmarkError,
+    Check,
+    Progress,
+    Row,
+    at_most,
+    revision,
+)
+from benchmarks.perturbations.cases import (
+    CASES,
+    DURATION,
+    NOISE,
+    TABLE,
+    PerturbedRun,
+    courses_of,
+    metrics,
+)
 from benchmarks.perturbations.plots import draw_failures, draw_responses, table_lines
 from benchmarks.perturbations.samples import PLANTS, RandomSample, SampleRecord, draw, summary
 from slot_core.mpc.settings import read_mpc, read_paper_mpc
@@ -63,6 +80,7 @@ def run(
     """Run the studies; `perturbations.png` shows them, `failures.png` the failed samples."""
     runs, rows = cases(QUICK_DURATION if quick else DURATION, progress)
     rows += [{"kind": "note", "note": note} for note in NOTES]
+    np.savez_compressed(out / COURSES, **courses_of(runs))
     draw_responses(runs, out / "perturbations.png")
     for line in table_lines(rows):
         progress(line)

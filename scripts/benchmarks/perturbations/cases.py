@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -57,6 +58,31 @@ class PerturbedRun:
         """The run with states (n, 12)."""
         x = np.array(states)
         return cls(np.array(time), np.array(cost), x[:, P_Z], tilt(x[:, :3]), infeasible)
+
+
+Runs = Mapping[str, Mapping[str, PerturbedRun]]  # by study and case
+
+
+def courses_of(runs: Runs) -> dict[str, Any]:
+    """The fields of all runs by study, case and their name."""
+    return {
+        f"{study}/{case}/{field}": value
+        for study, by_case in runs.items()
+        for case, run in by_case.items()
+        for field, value in dataclasses.asdict(run).items()
+    }
+
+
+def runs_of(courses: Mapping[str, Any]) -> dict[str, dict[str, PerturbedRun]]:
+    """The runs of `courses_of`."""
+    fields: dict[tuple[str, str], dict[str, Any]] = {}
+    for name, value in courses.items():
+        study, case, field = name.split("/")
+        fields.setdefault((study, case), {})[field] = value
+    found: dict[str, dict[str, PerturbedRun]] = {}
+    for (study, case), values in fields.items():
+        found.setdefault(study, {})[case] = PerturbedRun(**values)
+    return found
 
 
 def settling_time(time: Array, inside: Array) -> float:

@@ -20,6 +20,7 @@ from benchmarks.perturbations.cases import (
     TABLE,
     TILT_BAND,
     PerturbedRun,
+    runs_of,
 )
 from benchmarks.perturbations.samples import LIMITS, RANGES, interval
 from slot_core.drawing import palette
@@ -42,31 +43,37 @@ LIMIT_COLOURS = (palette.SECONDARY, "#CC79A7", "#E69F00", "#56B4E9", "#009E73", 
 PAIRS = (("payload", "friction"), ("push", "friction"), ("lag", "noise"))
 
 
+def draw_courses(courses: Mapping[str, Any], path: Path) -> None:
+    """Draw the runs of stored courses."""
+    draw_responses(runs_of(courses), path)
+
+
 def draw_responses(runs: Mapping[str, Mapping[str, PerturbedRun]], path: Path) -> None:
     """Costs of the MPC over time in (a) and (b); height and tilt in (c); shaded: settled."""
-    figure = Figure(figsize=(13, 4.6), layout="constrained")
-    grid = figure.add_gridspec(2, 3)
+    figure = Figure(figsize=(8, 8), layout="constrained")
+    grid = figure.add_gridspec(3, 2, height_ratios=(2.2, 1, 1))
     for column, study in enumerate(COSTS):
-        ax = figure.add_subplot(grid[:, column], label=study)
+        ax = figure.add_subplot(grid[0, column], label=study)
         _draw_lines(ax, runs[study], lambda run: np.maximum(run.cost, LEAST_COST))
         ax.set(yscale="log", ylim=(LEAST_COST, None), xlim=(0.0, SHOWN.get(study, DURATION)))
         ax.set(xlabel="time (s)", ylabel="cost of the MPC")
         ax.axhspan(LEAST_COST, SETTLED, color=palette.SHADE, zorder=0)
-        ax.set_title(STUDIES[study], fontsize=10, loc="left")
-    height = figure.add_subplot(grid[0, 2], label="height")
+        ax.set_title(STUDIES[study], fontsize=9, loc="left")
+    height = figure.add_subplot(grid[1, :], label="height")
     _draw_lines(height, runs["robot"], lambda run: 1e3 * (run.height - HEIGHT))
     height.axhspan(-1e3 * HEIGHT_BAND, 1e3 * HEIGHT_BAND, color=palette.SHADE, zorder=0)
     height.set(ylabel="height less 40 mm (mm)", xticklabels=[], xlim=(0.0, SHOWN["robot"]))
-    height.set_title(STUDIES["robot"], fontsize=10, loc="left")
-    leaning = figure.add_subplot(grid[1, 2], label="tilt")
+    height.set_title(STUDIES["robot"], fontsize=9, loc="left")
+    leaning = figure.add_subplot(grid[2, :], label="tilt")
     _draw_lines(leaning, runs["robot"], lambda run: np.degrees(run.tilt))
     leaning.axhspan(0.0, math.degrees(TILT_BAND), color=palette.SHADE, zorder=0)
     leaning.set(
         ylabel="tilt (deg)", xlabel="time (s)", xlim=(0.0, SHOWN["robot"]), ylim=(0.0, None)
     )
     handles, names = height.get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=len(names), frameon=False)
-    figure.savefig(path, dpi=110)
+    figure.legend(handles, names, loc="outside lower center", ncols=len(names), frameon=False,
+                  fontsize=8)  # fmt: skip
+    figure.savefig(path, dpi=130)
 
 
 def _draw_lines(

@@ -13,6 +13,7 @@ from slot_core.drawing import palette
 from slot_core.robot import Array
 from slot_lab.calibration.data import CONDITIONS, Data
 from slot_lab.calibration.fit import ParameterEstimate
+from slot_lab.plot_file import write_plot
 
 DPI = 100
 UNITS = {"marker_range": (1e3, "mm"), "force_angle": (1.0, "N"), "deflection": (1e3, "mm")}
@@ -22,8 +23,7 @@ def write_figure(
     data: Data, names: Sequence[str], estimate: ParameterEstimate, title: str, path: Path
 ) -> None:
     """Write the figure as PNG and create its directory if necessary; raises OSError."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure(data, names, estimate, title).savefig(path, dpi=DPI)
+    write_plot(figure(data, names, estimate, title), path, DPI)
 
 
 def figure(data: Data, names: Sequence[str], estimate: ParameterEstimate, title: str) -> Figure:

@@ -14,6 +14,7 @@ from slot_core.geometry import rotate
 from slot_core.robot import Array
 from slot_lab.bags.bag import Bag
 from slot_lab.bags.recorded_walk import TorsoTrack, read_motion
+from slot_lab.plot_file import write_plot
 
 SUFFIXES = (".png", ".pdf", ".svg")
 DPI = 100
@@ -22,9 +23,7 @@ GRID: dict[str, Any] = {"color": palette.PALE, "lw": 0.5}
 
 def draw(first: Bag, second: Bag, path: Path) -> None:
     """Write the plot; raises BagError, OSError."""
-    figure = plot(first, second)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=DPI)
+    write_plot(plot(first, second), path, DPI)
 
 
 def plot(first: Bag, second: Bag) -> Canvas:

@@ -27,6 +27,7 @@ from slot_core.drawing import palette
 from slot_core.robot import LEGS, Array
 from slot_lab.bags.bag import Bag, BagError, NoFieldError
 from slot_lab.bags.recorded_walk import seconds
+from slot_lab.plot_file import write_plot
 
 TOPIC = "/tendon_plan"
 PER_LEG = {
@@ -40,9 +41,9 @@ UNITS = {"angle": "rad", "rate": "rad/s"}  # of constraints whose slack is no fo
 OF_THE_ROBOT = {"slack_total": "total support", "slack_balance": "total balance"}
 TOLERANCE = 1e-4  # in the unit of a slack: the violation that is a solver's rounding
 COLOURS = LinearSegmentedColormap.from_list(
-    "slack", [(0.0, "#67000d"), (0.4999, "#ef3b2c"), (0.5001, "#f7fcf5"), (1.0, "#1b7837")]
+    "slack", [(0.0, "#67000d"), (0.4999, "#ef3b2c"), (0.5001, "#f7fbff"), (1.0, palette.TRUE)]
 )
-"""Red where a constraint is violated, pale green where it is met with zero slack."""
+"""Red where a constraint is violated, pale blue where it is met with zero slack."""
 HATCHED: dict[str, Any] = {"facecolor": "none", "edgecolor": palette.INK, "hatch": "////"}
 CAPACITY = 1600  # columns of the plot; with more cycles each column shows its least slack
 
@@ -126,9 +127,7 @@ def summary_lines(found: ConstraintMap) -> list[str]:
 
 def draw_map(found: ConstraintMap, path: Path) -> None:
     """Write the heat map as a PNG."""
-    figure = map_figure(found)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    write_plot(map_figure(found), path, dpi=110)
 
 
 def map_figure(found: ConstraintMap) -> Figure:

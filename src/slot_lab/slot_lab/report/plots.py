@@ -15,6 +15,7 @@ from slot_core.messages import decode
 from slot_core.robot import LEGS, Array, RobotParameters, read_robot
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.recorded_walk import LEG_STATES, read_motion, read_ticks, seconds, stride_period
+from slot_lab.plot_file import write_plot
 from slot_lab.report import panels
 from slot_lab.report.metrics import WalkMetrics
 from slot_lab.report.robot_drawing import Snapshot, Viewpoint, draw_robot
@@ -24,7 +25,7 @@ DPI = 100
 
 def dashboard(bag: Bag, metrics: WalkMetrics, path: Path) -> None:
     """Write the dashboard of a walk as a PNG of 1600 x 1000 pixels; raises BagError."""
-    _save(dashboard_figure(bag, metrics), path)
+    write_plot(dashboard_figure(bag, metrics), path, DPI)
 
 
 def dashboard_figure(bag: Bag, metrics: WalkMetrics) -> Figure:
@@ -60,7 +61,7 @@ def filmstrip(bag: Bag, path: Path, stills: int = 5) -> None:
 
     Raises BagError if the bag holds no leg shapes (only the simulator publishes them).
     """
-    _save(filmstrip_figure(bag, stills), path)
+    write_plot(filmstrip_figure(bag, stills), path, DPI)
 
 
 def filmstrip_figure(bag: Bag, stills: int) -> Figure:
@@ -107,8 +108,3 @@ def read_poses(bag: Bag, times: Array, robot: RobotParameters) -> list[Snapshot]
 def _stack(figure: FigureBase, names: Sequence[str], heights: Sequence[float]) -> list[Axes]:
     grid = figure.add_gridspec(len(names), 1, height_ratios=heights)
     return [figure.add_subplot(grid[i], label=name) for i, name in enumerate(names)]
-
-
-def _save(figure: Figure, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=DPI)

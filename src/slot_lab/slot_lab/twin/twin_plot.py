@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from slot_core.drawing import palette
+from slot_lab.plot_file import write_plot
 from slot_lab.twin.prediction import PredictedTrack
 from slot_lab.twin.strides import PITCH, ROLL, YAW, Strides, Z, error_growth, placed, stride_errors
 
@@ -30,10 +31,9 @@ def draw(
 
     seen: number of strides that a fit has seen.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure = Figure(figsize=(16.0, 7.5), dpi=DPI, layout="constrained")
+    figure = Figure(figsize=(9.0, 12.0), dpi=DPI, layout="constrained")
     figure.suptitle(title, fontsize=12, fontweight="bold")
-    path_of, forward, turned, growth, heading, height, roll, pitch = figure.subplots(2, 4).ravel()
+    path_of, forward, turned, growth, heading, height, roll, pitch = figure.subplots(4, 2).ravel()
     laid = {name: placed(track, measured, strides) for name, track in predictions.items()}
     keep = (measured.t >= strides.edges[0]) & (measured.t <= strides.edges[-1])
     inside = PredictedTrack(measured.t[keep], measured.position[keep], measured.rpy[keep])
@@ -47,7 +47,7 @@ def draw(
     columns = ((heading, YAW, "heading (deg)"), (height, Z, "height of base_link (mm)"))
     for ax, column, label in (*columns, (roll, ROLL, "roll (deg)"), (pitch, PITCH, "pitch (deg)")):
         _over_time(ax, inside, laid, column, label)
-    figure.savefig(path, dpi=DPI)
+    write_plot(figure, path, DPI)
 
 
 def _path(ax: Axes, measured: PredictedTrack, predictions: Mapping[str, PredictedTrack]) -> None:

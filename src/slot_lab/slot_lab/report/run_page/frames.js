@@ -77,24 +77,29 @@ class Run {
     return low;
   }
 
+  // place of a time in the table: start of a row, and share of the way to the next
+  place(t) {
+    const f = this.frame(t);
+    if (f + 1 >= this.frames) return [f * this.width, 0];
+    const share = (t - this.time(f)) / (this.time(f + 1) - this.time(f));
+    return [f * this.width, Math.max(0, share)];
+  }
+
+  // number of a column at a place
+  between(column, [start, share]) {
+    const a = this.table[start + column], b = share ? this.table[start + this.width + column] : a;
+    return Number.isNaN(b) ? a : a + share * (b - a);
+  }
+
   // number of a column at a time, between two frames in proportion
   at(column, t) {
-    const f = this.frame(t), a = this.table[f * this.width + column];
-    if (f + 1 >= this.frames) return a;
-    const b = this.table[(f + 1) * this.width + column];
-    const share = Math.max(0, (t - this.time(f)) / (this.time(f + 1) - this.time(f)));
-    return Number.isNaN(b) ? a : a + share * (b - a);
+    return this.between(column, this.place(t));
   }
 
   // all columns at a time; the array is used again by the next call
   rowAt(t) {
-    const f = this.frame(t), start = f * this.width, next = start + this.width;
-    if (f + 1 >= this.frames) return this.table.subarray(start, next);
-    const share = Math.max(0, (t - this.time(f)) / (this.time(f + 1) - this.time(f)));
-    for (let c = 0; c < this.width; c++) {
-      const a = this.table[start + c], b = this.table[next + c];
-      this.row[c] = Number.isNaN(b) ? a : a + share * (b - a);
-    }
+    const place = this.place(t);
+    for (let c = 0; c < this.width; c++) this.row[c] = this.between(c, place);
     return this.row;
   }
 
