@@ -91,7 +91,7 @@ def film_image(film: Path, path: Path) -> None:
     cv2.imwrite(str(path), cv2.cvtColor(image[FILMED], cv2.COLOR_BGR2GRAY))
 
 
-FILMED = np.s_[100:580, 260:1060]  # px, rows and columns
+FILMED = np.s_[60:500, 160:920]  # px, rows and columns
 PUSH = "scripts/run --lockstep --scene push --seed 1 --duration 8 --bag {}/push"
 FILM = "scripts/run --lockstep --duration 3 --bag {}/walk"
 TWIN = f"scripts/twin {ROOT}/slot_bringup/example/walk --out {{}}"

@@ -53,8 +53,8 @@ def draw(path: Path) -> None:
             ax.set_title(title, fontsize=9, loc="left")
             for shape in ax.collections:
                 shape.set_clip_on(False)  # a leg may stand above the ground's plot
-            for text in ax.texts:
-                text.set_visible(False)  # there is no room for the scale
+            for text in ax.texts:  # arrows too, which have no words
+                text.set_visible(not text.get_text())  # there is no room for the scale
     figure.savefig(path, dpi=130)
 
 

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 
 from slot_core.drawing import palette
 
-BESIDE = {"coarse": (9, -22), "fine": (-95, -4)}  # points, of a name from its level
-RANGE = {"xlim": (0.3, 300), "ylim": (0.01, 30)}
+BESIDE = {"coarse": (-88, -30), "fine": (-90, -26)}  # points, of a name from its level
+RANGE = {"xlim": (0.3, 300), "ylim": (0.006, 30)}
 ENGINES = (("own", "rod legs of this project", palette.TRUE, "o"),
            ("other", "hinge chains in MuJoCo", palette.SECONDARY, "s"))  # fmt: skip
 APART = 0.08  # of the places of two engines at one friction, in units of its place
