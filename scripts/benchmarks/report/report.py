@@ -37,7 +37,7 @@ CAPTIONS = {
     "mpc": {"mpc.png": "speed against error of the solvers, and time over the horizon"},
     "estimation": {"estimation.png": "error of the state over the delay of the odometry"},
     "locomotion": {
-        "table.png": "every row in units of its goal, in three columns",
+        "table.png": "every row in units of its goal",
         "velocity.png": "commanded and achieved velocity in all directions",
         "top.png": "square and 60 deg path from above",
         "margins.png": "the walk over friction and the servos' supply voltage",

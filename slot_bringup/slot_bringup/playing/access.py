@@ -71,9 +71,10 @@ def guarded(access: Access) -> Iterator[None]:
     viser passes its own check of a request to `serve` and takes none of another, so that within the
     block `serve` is a class which makes one of both.
     """
-    from websockets.asyncio import server as websocket_server  # noqa: PLC0415 - optional
+    from websockets.asyncio import server  # noqa: PLC0415 - optional
 
-    serve = websocket_server.serve
+    module: Any = server
+    serve: Any = module.serve
 
     class Guarded(serve):
         """A server that refuses what `access` refuses."""
@@ -81,11 +82,11 @@ def guarded(access: Access) -> Iterator[None]:
         def __init__(self, *args: Any, process_request: Answer, **options: Any) -> None:
             super().__init__(*args, process_request=checked(access, process_request), **options)
 
-    websocket_server.serve = Guarded  # type: ignore[misc]
+    module.serve = Guarded
     try:
         yield
     finally:
-        websocket_server.serve = serve  # type: ignore[misc]
+        module.serve = serve
 
 
 def checked(access: Access, answer: Answer) -> Answer:
