@@ -290,6 +290,16 @@ def test_after_a_long_gap_in_the_odometry_the_filter_restarts_and_keeps_the_bias
     np.testing.assert_allclose(estimator.gyro_bias, GYRO_BIAS, atol=1.2e-3)
 
 
+def test_a_restart_after_rejected_readings_forgets_the_bias():
+    """It may be what was wrong."""
+    first, shift = 300, np.array([0.3, -0.2, 0.1])
+    messages = with_jump(noisy(Walk(), 12.0, 7, GYRO_BIAS), first, shift)
+    stamps = [stamp for kind, stamp, _ in messages if kind == "odometry"]
+    for reading, bias in ((first, GYRO_BIAS), (first + SETTINGS.gate.max_rejections - 1, 0.0)):
+        until = [m for m in messages if m[1] < stamps[reading] + SECOND / 60]
+        np.testing.assert_allclose(run(until, MATCHED)[1].gyro_bias, bias, atol=1.2e-3)
+
+
 @pytest.mark.parametrize("false", [6.0, -6.0])
 def test_a_filter_that_a_false_force_has_led_astray_is_valid_again_within_a_second(false):
     """As of a robot that is stopped in mid-bounce: it reports an acceleration and no motion."""
