@@ -22,10 +22,8 @@ from slot_lab.play.played_robot import PlayedRobot
 PAGE, PANELS = (1200, 560), (1200, 2400)  # px
 FOUR_PLOTS, MORE = 803, 765  # px, of the panel Plots with its tabs, and of the other four
 WALKED = 11.0  # s, so that the plots are full
-FAST, SHARP = (
-    "?fixedDpr=0.25",
-    "?fixedDpr=1",
-)  # pixels of the robot; without a GPU they take the time
+# Pixels of the robot; without a GPU they take the time.
+FAST, SHARP = "?fixedDpr=0.25", "?fixedDpr=1"
 TAB = "[...document.querySelectorAll('[role=tab]')].find(t => t.innerText == {!r})"
 SHOWN = """(() => {
   let panel = document.querySelector("[role=tab]");

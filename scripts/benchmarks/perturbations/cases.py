@@ -75,14 +75,14 @@ def courses_of(runs: Runs) -> dict[str, Any]:
 
 def runs_of(courses: Mapping[str, Any]) -> dict[str, dict[str, PerturbedRun]]:
     """The runs of `courses_of`."""
-    fields: dict[tuple[str, str], dict[str, Any]] = {}
+    fields: dict[str, dict[str, dict[str, Any]]] = {}
     for name, value in courses.items():
         study, case, field = name.split("/")
-        fields.setdefault((study, case), {})[field] = value
-    found: dict[str, dict[str, PerturbedRun]] = {}
-    for (study, case), values in fields.items():
-        found.setdefault(study, {})[case] = PerturbedRun(**values)
-    return found
+        fields.setdefault(study, {}).setdefault(case, {})[field] = value
+    return {
+        study: {case: PerturbedRun(**values) for case, values in by_case.items()}
+        for study, by_case in fields.items()
+    }
 
 
 def settling_time(time: Array, inside: Array) -> float:

@@ -84,11 +84,9 @@ class OnnxPolicy(Policy):
 
     def _fall_back(self, cause: Status, fault: str, preview: GaitPreview) -> TendonPlan:
         """The gait's plan with the cause, and as many cycles as it has been without an action."""
-        missed = self._missed + 1
-        self.reset()
-        self._missed = missed
+        self._action, self._missed = np.zeros_like(self._action), self._missed + 1
         plan = gait_plan(preview)
-        return replace(plan, status=cause, message=fault, fallback_cycles=missed)
+        return replace(plan, status=cause, message=fault, fallback_cycles=self._missed)
 
     def act(self, seen: Array) -> Array:
         """Action (1, n) of the network at an observation (1, 17 + n)."""

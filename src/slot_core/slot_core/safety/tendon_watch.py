@@ -124,7 +124,7 @@ class TendonWatch:
         self._slack = self._radius * missing / np.maximum(slope, self._limits.stiffness_min)
         shift = self._slack @ SIDES / len(LEGS)
         limit = self._limits.slack_max
-        beyond = self._slack - min(max(shift, -limit), limit) * SIDES
+        beyond = self._slack - np.clip(shift, -limit, limit) * SIDES
         over = beyond > limit
         if not over.any():
             self._over_since = None
