@@ -22,8 +22,8 @@ def run_samples(
     """Results of the samples 0 .. count-1; samples in `record` are not run again."""
     missing = record.missing(count)
     progress(f"{count - len(missing)} of {count} samples are recorded")
-    # A local cluster has the package of the benchmarks: its scheduler, in this process, would import
-    # it again, from the archive.
+    # A local cluster has the package of the benchmarks: its scheduler, in this process, would
+    # import it again, from the archive.
     if missing and client.cluster is None:
         with tempfile.TemporaryDirectory() as directory:
             name = str(Path(directory) / PACKAGE.name)
