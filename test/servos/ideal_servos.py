@@ -51,6 +51,9 @@ class IdealServos:
     def powered(self):
         return tuple(leg for leg, on in zip(LEGS, self.torque) if on)
 
+    def driven(self):
+        return bool((self.torque & (self.goal != self.angle)).any())
+
     def watchdog_left(self):
         return math.inf
 

@@ -12,6 +12,7 @@ from slot_core.clock import SECOND
 from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
+from slot_core.dynamixel.table import Mode
 from slot_core.robot import LEGS, read_robot
 from slot_core.safety.commands import Action
 from slot_core.safety.settings import read_supervisor
@@ -151,22 +152,36 @@ def test_bus_servos_are_powered_only_when_all_torque_is_on(bus):
         assert servos.powered == (legs == LEGS)
 
 
-def test_bus_servos_check_the_range_of_commands_and_do_not_apply_them(bus):
+def test_bus_servos_move_when_the_driver_moves_them_or_takes_torque_away(bus):
+    """In real time; a command that only the driver has received counts."""
     servos, plant = bus
-    plant.start(0)
+    memory = plant.emulated.bus.servos[2].memory
+
+    def moving():
+        servos.step(0)
+        return servos.moving
+
+    memory["goal_position"] += 1
+    assert not moving()  # without torque
+    memory["goal_position"] -= 1
     set_torque(plant, *LEGS)
-    for joint, servo, angle in zip(
-        plant.emulated.joints, plant.emulated.bus.servos, plant.robot.tendon_angle
-    ):
-        servo.memory["goal_position"] = joint.counts(angle)
-    before = plant.robot.tendon_angle
-    servos.offer(0, 0, np.full(4, 2.0))
-    servos.step(0)
-    list(plant.advance(10 * TICK))
-    # they hold the goal in the register, but for the error of a proportional controller
-    assert plant.robot.tendon_angle == pytest.approx(before, abs=0.2)
-    with pytest.raises(ValueError, match="is not inside"):
-        servos.offer(0, 0, np.full(4, -0.1))
+    assert not moving()
+    memory["goal_position"] += 1
+    assert moving()
+    memory["goal_position"] -= 1
+    assert not moving()
+    set_torque(plant, "FL", "FR", "RR")
+    assert moving()
+
+
+def test_a_duty_moves_a_servo_under_torque(bus):
+    servos, plant = bus
+    set_torque(plant, *LEGS)
+    for servo in plant.emulated.bus.servos:
+        servo.memory["operating_mode"], servo.memory["goal_pwm"] = Mode.PWM, 0
+    assert not servos.moving
+    plant.emulated.bus.servos[0].memory["goal_pwm"] = 1
+    assert servos.moving
 
 
 def test_bus_servos_at_the_end_name_the_legs_left_under_torque(bus, tmp_path):

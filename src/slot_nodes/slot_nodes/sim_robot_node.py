@@ -11,9 +11,9 @@ Two parameters choose its clock (`simulation/clocks.py`) and its servos
 
 The robot starts frozen. It publishes nothing until its servos are powered (in lockstep: have their
 limits) and, with `wait_for_recording`, the recorder is ready; then it publishes readings at rest
-until the first command that its servos follow; in lockstep until the first command and the
-supervisor's first state. So no run depends on the order of discovery. At its end the node switches
-emulated servos off, or waits for the driver at the port to do so.
+until its servos follow the first command, on a bus until the driver moves one of them; in lockstep
+until the first command and the supervisor's first state. So no run depends on the order of
+discovery. At its end the node switches emulated servos off, or waits for the driver to do so.
 
 Faults are planned in the scene or injected by the service `~/inject`. If the simulation diverges,
 the node writes its state to a file and ends.
@@ -102,7 +102,6 @@ class SimRobotNode(Node):
         self._action: Action | None = None  # of the servos, as last logged
         self._create_publishers()
         fault_service.serve(self, self._plant)
-        inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
         self.create_subscription(Bool, "recording", self._on_recording, qos.STATE)
         period = FROZEN_PERIOD if self._lockstep else settings.sensors.odometry.period
         self._timer = runtime.wall_timer(self, period, self._publish_at_rest)
@@ -123,7 +122,7 @@ class SimRobotNode(Node):
         except RefusedError as error:
             raise ConfigError(f"sim_robot: servos refused: {error}") from None
         if isinstance(servos, BusServos) and not self._lockstep:
-            return servos  # the driver obeys the supervisor and reports
+            return servos  # the driver takes commands, obeys the supervisor and reports
         if not self._lockstep:
             self._health = HealthPublisher(self)
         on_state = partial(self._on_robot_state, servos)
@@ -132,6 +131,7 @@ class SimRobotNode(Node):
             inputs.require_sole_publisher(self, "servo_limits", servos.watchdog.relax)
             servos.watchdog.set_limits(decode.servo_limits(message))
 
+        inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
         inputs.subscribe(self, RobotState, "robot_state", on_state, qos.STATE)
         inputs.subscribe(self, ServoLimits, "servo_limits", on_limits, qos.STATE)
         return servos
@@ -166,9 +166,9 @@ class SimRobotNode(Node):
         """
         if not self._lockstep:
             self._step_servos()
-        if self._servos.released:
-            self._start()
-            return
+            if self._servos.moving:
+                self._start()
+                return
         if missing := self._missing():
             self.get_logger().info(
                 f"waiting for {missing}", throttle_duration_sec=WAIT_REPORT, skip_first=True
@@ -228,7 +228,7 @@ class SimRobotNode(Node):
             self._continue(OdometryReading, stamp)
         if self._frozen and not self._lockstep:
             self._servos.step(time.monotonic_ns())
-            if self._servos.powered and self._servos.action is Action.PASS:
+            if self._servos.moving:
                 self._start()
 
     def _continue(self, kind: type, stamp: int) -> None:

@@ -42,6 +42,10 @@ class EmulatedServos(Protocol):
         """Names of the legs whose servos have torque on."""
         ...
 
+    def driven(self) -> bool:
+        """Whether the driver moves a servo: torque is on, with a goal away from where it is."""
+        ...
+
     def watchdog_left(self) -> float:
         """Time until the first servo is stopped by its own watchdog, s; inf: none is armed."""
         ...

@@ -63,6 +63,11 @@ class SimulatedServos(ABC):
         """What the servos do with commands."""
 
     @property
+    def moving(self) -> bool:
+        """Whether the robot must not be held: its servos follow commands or are without torque."""
+        return self.action is Action.PASS or self.released
+
+    @property
     @abstractmethod
     def powered(self) -> bool:
         """Whether the servos accept commands; before that no readings are published."""
@@ -83,8 +88,9 @@ class SimulatedServos(ABC):
         """Set the newest permission of the supervisor."""
         self.watchdog.permit(permission)
 
-    def step(self, now: int) -> None:  # noqa: B027 - servos on a bus are commanded over it
-        """Update the commands of the robot at `now`."""
+    @abstractmethod
+    def step(self, now: int) -> None:
+        """Update the commands of the robot at `now`; those on a bus have them from their driver."""
 
     def close(self, running: bool) -> str:
         """End, and return the legs with torque still on; `running`: advance the robot meanwhile."""
@@ -112,9 +118,8 @@ class SimulatedServos(ABC):
         self.released = self._was_on and not on
 
     def _unhold(self) -> None:
-        """Let the robot move once its servos follow commands or are without torque."""
-        free = self.action is Action.PASS or self.released
-        self._plant.held = self._plant.held and not free
+        """Let the robot move once it must not be held."""
+        self._plant.held = self._plant.held and not self.moving
 
 
 class DirectServos(SimulatedServos):
@@ -218,8 +223,10 @@ class BusServos(SimulatedServos):
 
     @property
     def action(self) -> Action:
-        """What the servos do with commands; in real time the driver decides it."""
-        return self.session.action if self._lockstep else Action.PASS
+        """What the servos do with commands: in real time HOLD until the driver moves one."""
+        if self._lockstep:
+            return self.session.action
+        return Action.PASS if self._servos.driven() else Action.HOLD
 
     @property
     def powered(self) -> bool:
@@ -238,19 +245,21 @@ class BusServos(SimulatedServos):
                 self.session.start()
 
     def offer(self, now: int, stamp: int, angle: Array, rate: Array = AT_REST) -> None:
-        """Take angles (4,), rad, their rate, and a bus cycle; raises ValueError if rejected.
+        """Take angles (4,), rad, their rate, and a bus cycle, in lockstep; else the driver does.
 
-        In real time the driver takes the command: here only its range is checked.
+        Raises ValueError if they are rejected.
         """
-        if not self._lockstep:
-            self._plant.command(angle)
-            return
         self._commanded, self._arrived = stamp, now
         if self.end:
             return
         if fault := self.session.offer(now, stamp, angle, rate):
             raise ValueError(fault)
         self._exchange()
+
+    def step(self, now: int) -> None:
+        """Note the torque, in real time."""
+        if not self._lockstep:
+            self._note_torque(self.powered)
 
     def health(self, stamp: int) -> ServoHealth | None:
         """Health report in lockstep, unless the driver has ended."""

@@ -62,6 +62,10 @@ class EmulatedDynamixels:
         servos = zip(LEGS, self.bus.servos)
         return tuple(leg for leg, servo in servos if servo.memory["torque_enable"])
 
+    def driven(self) -> bool:
+        """Whether instructions move a servo away from where it is."""
+        return any(servo.driven() for servo in self.bus.servos)
+
     def watchdog_left(self) -> float:
         """Time after which the first bus watchdog stops its servo, s; inf if none is armed."""
         return self.bus.watchdog_left()

@@ -121,6 +121,17 @@ class EmulatedServo:
         """Reset the turn count: the position is within one turn again."""
         self._turns = math.floor(self.shaft.angle / math.tau)
 
+    def driven(self) -> bool:
+        """Whether instructions move it: torque, and a duty, a speed or a goal away from it."""
+        memory, mode = self.memory, self.memory["operating_mode"]
+        if mode == Mode.PWM:
+            moves = memory["goal_pwm"] != 0
+        elif mode == Mode.VELOCITY:
+            moves = memory["goal_velocity"] != 0
+        else:
+            moves = memory["goal_position"] != self.position()
+        return bool(memory["torque_enable"]) and moves
+
     def watchdog_left(self) -> float:
         """Time after which the bus watchdog stops the servo, s; inf if it is not armed."""
         code = self.memory["bus_watchdog"]
