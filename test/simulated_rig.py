@@ -74,7 +74,8 @@ class SimulatedRig(Rig):
 
         def create_subscription(node, _, topic, callback, profile, callback_group=None, **__):
             profile = rig._profile(profile)
-            return rig._subscribe(rig._building, topic, callback, profile, callback_group)
+            by = rig._building or rig._busy[-1]
+            return rig._subscribe(by, topic, callback, profile, callback_group)
 
         def create_service(node, kind, name, callback, **_):
             full = f"/{rig._building[0]}/{name[2:]}" if name[:2] == "~/" else f"/{name.lstrip('/')}"
