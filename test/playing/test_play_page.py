@@ -147,6 +147,30 @@ def test_it_walks_turns_and_stops_by_sliders_and_keys(hand):
     hand.see(lambda h: h.robot.loop.report.state is State.STANDING)
 
 
+GAMEPAD = "[{{connected: true, mapping: 'standard', axes: {axes}, buttons: [{{pressed: {a}}}]}}]"
+
+
+def hold(hand, axes, a="false"):
+    """Hold the sticks of a gamepad, and its button A."""
+    hand.browser.run(f"navigator.getGamepads = () => {GAMEPAD.format(axes=axes, a=a)}")
+
+
+def test_a_gamepad_walks_steers_and_stops(hand):
+    hand.open("Drive")
+    hold(hand, [0, 0, 0, 0], a="true")
+    hand.see(lambda h: h.robot.wishes.gait == "walk")
+    hold(hand, [0, -1, -0.9, 0])
+    hand.see(lambda h: (h.robot.wishes.velocity[[0, 2]] > 0.0).all())
+    hand.see(lambda h: preview(h).command.velocity[0] > 0.02)
+    assert hand.robot.wishes.velocity[1] == 0.0
+    hold(hand, [0, 0, 0, 0])
+    hand.see(lambda h: not preview(h).command.velocity.any())
+    hold(hand, [0.9, 0.3, 0, 0])
+    hand.see(lambda h: h.robot.wishes.velocity[1] < 0.0)
+    hand.browser.run("navigator.getGamepads = () => [null]")  # it is unplugged
+    hand.see(lambda h: not h.robot.wishes.velocity.any())
+
+
 def test_it_takes_a_pose_and_gives_it_up_again(hand):
     hand.open("Drive")
     hand.slide("height (mm)", 50)

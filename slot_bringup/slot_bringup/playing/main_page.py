@@ -26,6 +26,7 @@ from slot_bringup.check import check_place
 from slot_bringup.monitor import listener
 from slot_bringup.operate import SEARCH_TIME, no_answer
 from slot_bringup.playing.access import Access, guarded, is_this_machine
+from slot_bringup.playing.page_scripts import GAMEPAD, GIVE_KEYS_BACK
 from slot_core.command_line import command_parser, refuse, within
 from slot_core.config import ConfigError
 from slot_core.control.policy import DEFAULT_POLICY
@@ -38,12 +39,6 @@ PROGRAM = "scripts/play"
 PORT = 8080
 BAGS = Path("bags")
 GAIT_TIME = 1.0  # s to wait for the present gait of a graph
-# The field of a dropdown keeps the focus, and with it the keys, when an option has been chosen.
-GIVE_KEYS_BACK = """
-document.addEventListener("click", event => {
-  if (event.target.closest("[role=option]")) document.activeElement.blur();
-});
-"""
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -88,7 +83,8 @@ def start_server(host: str, port: int, token: str) -> viser.ViserServer:
     with guarded(Access(token)), contextlib.redirect_stdout(io.StringIO()):
         server = Server(host=host, port=port, label="SLOT", verbose=False)
     server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large")
-    server._websock_server.queue_message(_messages.RunJavascriptMessage(source=GIVE_KEYS_BACK))
+    for script in (GIVE_KEYS_BACK, GAMEPAD):
+        server._websock_server.queue_message(_messages.RunJavascriptMessage(source=script))
     return server
 
 
