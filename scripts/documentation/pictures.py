@@ -20,6 +20,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from PIL import Image
 
 from benchmarks.harness import COURSES
 from benchmarks.report.results import ReportError, read_benchmark
@@ -85,15 +86,30 @@ def ran(commands: Sequence[str], file: str, take: Callable[[Path, Path], object]
     return Picture("; ".join(commands), make)
 
 
+def shrink(path: Path) -> None:
+    """Write a picture again with a palette of 48 colours: a third of its size."""
+    with Image.open(path) as picture:
+        small = picture.convert("RGB").quantize(48, dither=Image.Dither.NONE)
+    small.save(path, optimize=True)
+
+
 def film_image(film: Path, path: Path) -> None:
     """Write the part of a film's first image that shows robot and board."""
     _, image = cv2.VideoCapture(str(film)).read()
     cv2.imwrite(str(path), cv2.cvtColor(image[FILMED], cv2.COLOR_BGR2GRAY))
 
 
+def view_image(page: Path, path: Path) -> None:
+    """Write what the page of a run shows at a moment."""
+    named("documentation.page_pictures:write_view")(page, path)
+
+
 FILMED = np.s_[60:500, 160:920]  # px, rows and columns
 PUSH = "scripts/run --lockstep --scene push --seed 1 --duration 8 --bag {}/push"
 FILM = "scripts/run --lockstep --duration 3 --bag {}/walk"
+WALK = "scripts/run --lockstep --duration 8 --bag {}/flat"
+SLOPE = "scripts/run --lockstep --duration 8 --scene slope5 --vx 0.04 --bag {}/slope5"
+COMPARED = "scripts/compare {}/flat {}/slope5 --plot {}/compare.png"
 TWIN = f"scripts/twin {ROOT}/slot_bringup/example/walk --out {{}}"
 FIT = f"{TWIN} --fit friction,young_modulus,tendon_offset"
 PLOTS = "benchmarks.locomotion.plots"
@@ -103,6 +119,8 @@ PICTURES = {
     "prediction.png": drawn("benchmarks.locomotion.predicted_stride:draw", "simulated"),
     "play.png": drawn("documentation.play_panels:write_page", "scripts/play in Chromium"),
     "play_panels.png": drawn("documentation.play_panels:write_panels", "scripts/play in Chromium"),
+    "view.png": ran([PUSH, "scripts/view {}/push --html {}/x.html"], "x.html", view_image),
+    "compare.png": ran([WALK, SLOPE, COMPARED], "compare.png", shutil.copyfile),
     "locomotion_table.png": of_rows("locomotion", f"{PLOTS}:draw_table", None),
     "locomotion_velocity.png": of_courses("locomotion", f"{PLOTS}:draw_velocity"),
     "locomotion_top.png": of_courses("locomotion", f"{PLOTS}:draw_top"),
@@ -184,6 +202,8 @@ def draw(names: Sequence[str], results: Path, out: Path) -> None:
             raise PictureError(f"{name}: {why}")
     for name in names:
         PICTURES[name].draw(results, out / name)
+        if name.endswith(".png"):
+            shrink(out / name)
         progress(str(out / name))
 
 

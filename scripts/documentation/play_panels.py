@@ -81,6 +81,13 @@ def captured(window: Any, clip: Any) -> Pixels:
     return np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), np.uint8)
 
 
+def resize(window: Any, size: tuple[int, int]) -> None:
+    """Give a window a size, px."""
+    width, height = size
+    window.call("Emulation.setDeviceMetricsOverride", width=width, height=height,
+                deviceScaleFactor=1, mobile=False)  # fmt: skip
+
+
 @contextmanager
 def walking(size: tuple[int, int]) -> Iterator[Any]:
     """A window of a size, px, with the page, whose robot has walked for a while."""
@@ -92,9 +99,7 @@ def walking(size: tuple[int, int]) -> Iterator[Any]:
         try:
             site = address("127.0.0.1", server.get_port(), "")
             with browser.Browser(Path(place), site + FAST) as window:
-                width, height = size
-                window.call("Emulation.setDeviceMetricsOverride", width=width, height=height,
-                            deviceScaleFactor=1, mobile=False)  # fmt: skip
+                resize(window, size)
                 browser.wait_for(lambda: "yaw rate" in window.text())
                 for key in "GII":  # walk, twice faster
                     window.key(key)
