@@ -28,14 +28,20 @@ EXACT = config.replace(SETTINGS, {"imu.gyro_bias": 0.0, "imu.acceleration_bias":
 
 
 class Walk:
-    """Sinusoids in roll, pitch, yaw and position, with the walk's amplitudes and frequencies."""
+    """Sinusoids in roll, pitch, yaw and position, with the walk's amplitudes and frequencies.
 
-    def __init__(self, tilt=0.22, frequency=1 / 0.7, sway=0.01, speed=0.05, yaw=0.3):
+    turn: mean yaw rate, rad/s; incline: pitch of odom, rad.
+    """
+
+    def __init__(
+        self, tilt=0.22, frequency=1 / 0.7, sway=0.01, speed=0.05, *, yaw=0.3, turn=0.0, incline=0.0
+    ):
         self.amplitude = np.array([tilt, tilt, 0.05, sway, sway, sway])
         self.omega = 2 * np.pi * frequency * np.array([1.0, 1.0, 0.5, 1.0, 1.0, 2.0])
         self.phase = np.array([0.0, 1.1, 0.4, 0.2, 1.9, 0.7])
         self.offset = np.array([0.0, 0.0, yaw, 0.0, 0.0, 0.06])
-        self.drift = np.array([0.0, 0.0, 0.0, speed, 0.0, 0.0])
+        self.drift = np.array([0.0, 0.0, turn, speed, 0.0, 0.0])
+        self.up = GRAVITY * np.array([np.sin(incline), 0.0, np.cos(incline)])
 
     def at(self, t):
         """State (12,), attitude, angular velocity and specific force in base_link at t."""
@@ -51,7 +57,7 @@ class Walk:
             np.array([0.0, 0.0, 1.0]),
         ]
         omega = dq[0] * axes[0] + dq[1] * axes[1] + dq[2] * axes[2]
-        force = attitude.inv().apply(ddq[3:] + UP)
+        force = attitude.inv().apply(ddq[3:] + self.up)
         state = np.concatenate([q, omega, dq[3:]])
         return state, attitude, attitude.inv().apply(omega), force
 

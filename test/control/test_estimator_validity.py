@@ -313,6 +313,13 @@ def test_a_filter_that_a_false_force_has_led_astray_is_valid_again_within_a_seco
     assert set(validities(after)) == {Validity.VALID}
 
 
+def test_estimates_stay_valid_in_a_turn_on_an_incline():
+    """The tilt of odom is constant in odom; seen from base_link it turns."""
+    motion = Walk(speed=0.0, turn=0.1, incline=np.radians(10.0))
+    after = [e for e in run(noisy(motion, 30.0, 4), SETTINGS)[0] if e.stamp > 3.0 * SECOND]
+    assert set(validities(after)) == {Validity.VALID}
+
+
 def test_a_clock_set_back_gives_the_estimates_of_a_new_estimator():
     first, second = noisy(Walk(), 3.0, 8, GYRO_BIAS), noisy(Walk(), 1.0, 9)
     estimates, _ = run(first + second)

@@ -215,7 +215,9 @@ def test_a_bias_up_to_the_data_sheets_and_any_tilt_of_odom_are_learned_and_no_mo
     np.testing.assert_allclose(learning.state.bias[1], bias, atol=0.05)
 
 
-def test_the_transition_is_the_derivative_of_the_propagation(noiseless):
+@pytest.mark.parametrize("bias", [0.05, LARGEST], ids=["sensor", "tilt of odom"])
+def test_the_transition_is_the_derivative_of_the_propagation(noiseless, bias):
+    noiseless.restore(noiseless.state._replace(bias=np.array([np.full(3, 0.05), np.full(3, bias)])))
     before, sample = noiseless.state, np.array([0.9, -1.2, 0.5, 1.0, -2.0, 11.0])
 
     def after(error):

@@ -94,13 +94,14 @@ def interpolate(out, stamps, samples, stamp):
 
 
 @exact_kernel
-def propagate(state, work, rate, force, dt, noise, from_imu):
+def propagate(state, work, rate, force, dt, noise, from_imu, bias_max):
     """Propagate by dt (s) with the rate and specific force (3,) of base_link at the midpoint.
 
     Midpoint rule, with R_m = R Exp(w dt/2) and a = R_m f + g. from_imu: they are raw samples, whose
     biases are subtracted and act; else force is in odom. noise (15,): variance densities Q. With
     A = dt dx'/dx the covariance is P <- F (P + Q dt/2) F^T + Q dt/2, F = I + A + A^2 / 2. Half of
-    the noise enters before the step, so that it reaches the position in a long step.
+    the noise enters before the step, so that it reaches the position in a long step. bias_max: see
+    `turn_tilt`.
     """
     share = 1.0 if from_imu else 0.0
     w, f = work.weighted, work.error[:3]
@@ -119,6 +120,8 @@ def propagate(state, work, rate, force, dt, noise, from_imu):
         state.position[i] += dt * state.velocity[i] + dt * dt / 2 * acceleration
         state.velocity[i] += dt * acceleration
     transition(work.wide, rotation, f, dt, share, work.block)
+    if from_imu:
+        turn_tilt(state, work, multiply(half, half), dt, bias_max)
     for i in range(ERROR):
         state.cov[i, i] += dt / 2 * noise[i]
     congruence(state.cov, work.wide, work.product)
@@ -127,7 +130,9 @@ def propagate(state, work, rate, force, dt, noise, from_imu):
 
 
 @exact_kernel
-def propagate_through(state, work, stamps, samples, begin, end, noise, longest, rate, blind_noise):
+def propagate_through(
+    state, work, stamps, samples, begin, end, noise, bias_max, longest, rate, blind_noise
+):
     """Propagate from `begin` to `end` (ns) in steps between the IMU samples.
 
     stamps (n,) in ns, rising, and samples (n, 6) [w, f] in base_link, of which each step takes the
@@ -142,10 +147,10 @@ def propagate_through(state, work, stamps, samples, begin, end, noise, longest, 
         dt = (stop - start) / SECOND
         if stop - start > longest:
             sample[0], sample[1], sample[2] = 0.0, 0.0, GRAVITY
-            propagate(state, work, rate, sample[:3], dt, blind_noise, False)
+            propagate(state, work, rate, sample[:3], dt, blind_noise, False, bias_max)
         else:
             interpolate(sample, stamps, samples, (start + stop) // 2)
-            propagate(state, work, sample[:3], sample[3:], dt, noise, True)
+            propagate(state, work, sample[:3], sample[3:], dt, noise, True, bias_max)
         start = stop
 
 
@@ -167,6 +172,24 @@ def transition(out, rotation, force, dt, share, block):
     set_scaled(out, P, FORCE_BIAS, rotation, -share * dt * dt / 2)
     product(block, out[V : V + 3, THETA : THETA + 3], rotation)
     set_scaled(out, V, GYRO_BIAS, block, -share * dt / 2)
+
+
+@exact_helper
+def turn_tilt(state, work, turn, dt, largest):
+    """Turn a bias of the specific force longer than `largest` (m/s^2) against base_link's `turn`.
+
+    The accelerometer's own bias stays in base_link and is no longer than that, so a longer one is
+    the tilt of odom: b_f = R^T t with t constant in odom, so b_f' = -(w - b_w) x b_f. The turn took
+    dt (s); the transition in work.wide is extended by it.
+    """
+    b = state.bias[1]
+    if b[0] * b[0] + b[1] * b[1] + b[2] * b[2] <= largest * largest:
+        return
+    back = work.block
+    rotation_matrix(back, (-turn[0], -turn[1], -turn[2], turn[3]))
+    b[0], b[1], b[2] = rotate(back, b)
+    set_scaled(work.wide, FORCE_BIAS, FORCE_BIAS, back, 1.0)
+    set_cross(work.wide, FORCE_BIAS, GYRO_BIAS, b, -dt)
 
 
 @exact_kernel

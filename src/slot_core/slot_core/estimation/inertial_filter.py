@@ -229,6 +229,7 @@ class InertialFilter:
         self._work = work_space()
         drifts = imu.gyro_drift, imu.acceleration_drift
         self.rate = Rate(np.zeros(3), 0.0, 0.0)
+        self._bias_max = imu.acceleration_bias_max
         self._noise = _densities(imu.gyro_noise, imu.acceleration_noise, *drifts)
         self._blind_noise = _densities(blind.gyro_noise, blind.acceleration_noise, *drifts)
 
@@ -284,12 +285,13 @@ class InertialFilter:
         _require_some(samples)
         longest = to_ns(self._settings.timing.imu_gap)
         blind = longest, self.rate.value, self._blind_noise
-        steps = samples.stamps, samples.values, begin, end, self._noise
+        steps = samples.stamps, samples.values, begin, end, self._noise, self._bias_max
         propagate_through(self._state, self._work, *steps, *blind)
 
     def propagate_blind(self, dt: float) -> None:
         """Propagate by dt (s) at constant velocities, without IMU data."""
-        propagate(self._state, self._work, self.rate.value, UP, dt, self._blind_noise, False)
+        noise = self._blind_noise, False, self._bias_max
+        propagate(self._state, self._work, self.rate.value, UP, dt, *noise)
         self.rate = Rate(self.rate.value, self._settings.blind.gyro_noise**2 / dt, 0.0)
 
     def extrapolate(self, imu: Array, dt: float) -> None:
@@ -298,13 +300,13 @@ class InertialFilter:
         held, steps = self._noise.copy(), self._settings.imu
         held[THETA] += (dt * steps.angular_acceleration_step) ** 2 * dt
         held[V] += steps.acceleration_step**2 * dt
-        propagate(self._state, self._work, imu[:3], imu[3:], dt, held, True)
+        propagate(self._state, self._work, imu[:3], imu[3:], dt, held, True, self._bias_max)
 
     def correct(self, motion: OdometryMotion) -> bool:
         """Correct with a reading at the present stamp; False for an outlier, which is ignored."""
         pose, gate = (motion.attitude, motion.position), self._settings.gate.distance
         noise, rate_noise = motion.variance[:9], motion.variance[9:].sum() / 3.0
-        limits = gate, self._settings.imu.acceleration_bias_max
+        limits = gate, self._bias_max
         if not correct(self._state, self._work, *pose, motion.velocity, noise, *limits):
             return False
         value, variance, gyro_share = self.rate
