@@ -118,7 +118,7 @@ def _check_ranges(values: Mapping[str, Any]) -> None:
     """Raise ConfigError for a number outside its range."""
     if not 0 <= values["seed"] < 2**63:
         raise ConfigError(f"seed = {values['seed']}: outside [0, {2**63 - 1}]")
-    if not 0 <= values["realtime"] <= PRIORITY_MAX:
+    if values["realtime"] is not None and not 0 <= values["realtime"] <= PRIORITY_MAX:
         raise ConfigError(f"realtime = {values['realtime']}: outside [0, {PRIORITY_MAX}]")
 
 

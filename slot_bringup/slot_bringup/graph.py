@@ -23,6 +23,7 @@ ALWAYS, LOCKSTEP = "always", "lockstep"  # when a node can share that process
 END, GO_ON, RESTART = "end", "go_on", "restart"  # what the graph does when a process ends
 RESTARTS = 3  # of a process
 REFUSED = 2  # exit code of a node whose configuration is refused
+CORES = 2  # least number for a real-time priority that nobody has asked for
 PATH = "path"
 KINDS: dict[str, type] = {"str": str, PATH: str, "int": int, "float": float, "bool": bool}
 
@@ -118,7 +119,7 @@ class Graph:
         values = {**values, **_ports(values["hardware"], values["port"]), **_start_up(values)}
         values |= _camera(values) | {"about": self.about(values)}
         remappings = self.remappings(values)
-        first = ("env", f"SLOT_PRIORITY={values['realtime']}") if values["realtime"] else ()
+        first = () if (wanted := _priority(values)) == "0" else ("env", f"SLOT_PRIORITY={wanted}")
         specs = [
             NodeSpec(
                 name=name,
@@ -200,6 +201,13 @@ def _camera(values: Mapping[str, Any]) -> dict[str, Any]:
         "markers": values["markers"] or camera.enabled,
         "carrier": camera.carrier if camera.enabled else None,
     }
+
+
+def _priority(values: Mapping[str, Any]) -> str:
+    """SLOT_PRIORITY of the nodes: a number, or "" for that which they take if they may."""
+    if values["realtime"] is not None:
+        return str(values["realtime"])
+    return "0" if values["lockstep"] or len(os.sched_getaffinity(0)) < CORES else ""
 
 
 def _ports(hardware: str, port: str | None) -> dict[str, str | None]:

@@ -77,9 +77,24 @@ def test_what_the_walk_waits_for_gets_the_real_time_priority_and_no_more(graph):
         s for s in graph.nodes(values(graph, hardware="fake_bus", composed=True)) if s.nodes
     ]
     assert first == {*process.nodes, "supervisor", "sim_robot"}
-    assert not any("env" in spec.prefix for spec in graph.nodes(values(graph)))
     with pytest.raises(ConfigError, match=r"realtime = 100: outside \[0, 99\]"):
         check(values(graph, realtime=100))
+
+
+@pytest.mark.parametrize(
+    ("cores", "chosen", "priority"),
+    [
+        (2, {}, "SLOT_PRIORITY="),  # that which the nodes may take
+        (2, {"realtime": 0}, None),
+        (2, {"lockstep": True}, None),
+        (1, {}, None),
+        (1, {"realtime": 20}, "SLOT_PRIORITY=20"),
+    ],
+)
+def test_the_priority_that_nobody_has_asked_for(graph, monkeypatch, cores, chosen, priority):
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(cores)))
+    found = {s.prefix[-1] for s in graph.nodes(values(graph, **chosen)) if "env" in s.prefix}
+    assert found == ({priority} if priority else set())
 
 
 def test_driver_and_emulated_servos_share_one_port(graph):
@@ -215,7 +230,7 @@ def test_the_launch_file_starts_the_nodes_of_the_description(graph, monkeypatch)
         assert (node["package"], node["executable"]) == (spec.package, spec.name)
         assert (node["namespace"], node["remappings"]) == ("fred", [("/clock", "clock")])
         assert node["name"] == node["exec_name"] == spec.name
-        assert node["prefix"] == "setpriv --pdeathsig TERM"
+        assert node["prefix"] == " ".join(spec.prefix)
 
 
 def test_the_launch_file_records_the_same_topics_with_ros2_bag(monkeypatch, tmp_path):

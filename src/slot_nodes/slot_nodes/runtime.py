@@ -37,6 +37,7 @@ from slot_nodes.process.executor import DirectExecutor
 
 T = TypeVar("T")
 INTERRUPT_PERIOD = 0.5  # s between two exceptions that end a preparation
+PRIORITY = 50  # that of an operating system's interrupts, and of ros2_control
 LOCK_ALL = 1 | 2 | 4  # MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT of mlockall(2)
 
 
@@ -112,7 +113,7 @@ def run(make_node: Callable[[], Any], serve: Callable[[Any], None] = spin) -> No
             node = make_node()
             for one in getattr(node, "nodes", [node]):
                 fix_clock(one)
-            take_priority(int(os.environ.get("SLOT_PRIORITY", "0")))
+            take_priority(os.environ.get("SLOT_PRIORITY", "0"))
             gc.freeze()  # exclude what is loaded by now from garbage collections
             interrupt.end_preparation()
             serve(node)
@@ -133,12 +134,13 @@ def run(make_node: Callable[[], Any], serve: Callable[[Any], None] = spin) -> No
         rclpy.utilities.try_shutdown()
 
 
-def take_priority(priority: int) -> None:
-    """Take a real-time priority (SCHED_FIFO) with all threads, and lock the memory; 0: neither.
+def take_priority(wanted: str) -> None:
+    """Take a real-time priority (SCHED_FIFO) with all threads, and lock the memory; "0": neither.
 
-    Only now, because nodes that prepare for seconds would keep each other from the processor.
-    Raises ConfigError without the right to the priority.
+    "": PRIORITY, if there is a right to it. Only now, because nodes that prepare for seconds would
+    keep each other from the processor. Raises ConfigError without the right to a given one.
     """
+    priority = int(wanted or PRIORITY)
     if not priority:
         return
     for thread in os.listdir("/proc/self/task"):
@@ -146,6 +148,9 @@ def take_priority(priority: int) -> None:
             try:
                 os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(priority))
             except PermissionError:
+                if not wanted:
+                    get_logger("realtime").info("no right to a real-time priority: ordinary one")
+                    return
                 text = f"realtime = {priority}: no right to this priority; see rtprio"
                 raise config.ConfigError(text) from None
     if ctypes.CDLL(None, use_errno=True).mlockall(LOCK_ALL):
