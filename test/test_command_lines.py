@@ -43,6 +43,8 @@ REFUSED = {
     ]),
     "constraint_map": (constraint_map.main, [
         (["{}"], "holds no metadata.yaml, .mcap or .db3 file"),
+        (["x" * 300], "xxx ... xxx"),
+        (["a\0b"], "embedded null byte"),
         ([WALK, "--out", "{}/map.foo"], "/map.foo: the name of a plot ends in .png"),
     ]),
     "twin": (twin.main, [

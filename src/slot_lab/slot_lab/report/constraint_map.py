@@ -202,6 +202,11 @@ def _finish(ax: Axes, found: ConstraintMap) -> None:
     )  # fmt: skip
 
 
+def _beside(bag: Path) -> Path:
+    """Default file of the map of a bag; a directory v0.05 has no suffix."""
+    return bag.with_name(f"{bag.name if bag.is_dir() else bag.stem}_constraints.png")
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/constraint_map`; exit code 0: clean, 1: a violation, 2: no map."""
     parser = CommandParser(
@@ -213,14 +218,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--namespace", metavar="NAME", default="", help="of the recorded graph")
     parser.add_argument("--out", type=Path, metavar="FILE", help="default: BAG_constraints.png")
     options = parser.parse_args(arguments)
-    bag = options.bag.resolve()
-    name = bag.name if bag.is_dir() else bag.stem  # a directory v0.05 has no suffix
-    out = options.out or bag.with_name(f"{name}_constraints.png")
-    if out.suffix != ".png":
-        parser.error(f"--out {out}: the name of a plot ends in .png")
+    if options.out and options.out.suffix != ".png":
+        parser.error(f"--out {options.out}: the name of a plot ends in .png")
     try:
         found = read_map(Bag(options.bag, options.namespace))
-        draw_map(found, out)
+        draw_map(found, out := options.out or _beside(options.bag.resolve()))
     except (BagError, OSError) as error:
         refuse(parser.prog, error)
         return 2
