@@ -66,6 +66,17 @@ def test_an_estimate_between_two_stages_gets_the_plan_between_them(policy, walki
     np.testing.assert_array_equal(one.angle, two.angle)  # it has changed nothing
 
 
+def test_the_time_of_the_preparation_changes_nothing_in_a_plan_between_two_stages(policy, walking):
+    """It depends on the load of the machine; a replay prepares at another time."""
+    *before, last = walking
+    follow(policy, before)
+    planned = policy.step(*_parts(last)).report.drift
+    policy.prepare()
+    assert not np.array_equal(policy.observer.drift, planned)
+    between = policy.step(*_parts(later(last, 0.4 * last.preview.dt)))
+    np.testing.assert_array_equal(between.report.drift, planned)
+
+
 def _parts(tick):
     return tick.estimate, tick.preview
 

@@ -85,6 +85,7 @@ class Predictive(Policy):
         self._seen = _empty(settings.stages)
         self._stiffness = np.ones(len(LEGS))  # N/rad, mean over the stages
         self._missed = 0  # consecutive cycles without a new plan
+        self._note_disturbances()
 
     def step(self, estimate: Estimate, preview: GaitPreview) -> TendonPlan:
         """Plan for the estimate at stage 0 of `preview`."""
@@ -118,6 +119,7 @@ class Predictive(Policy):
         self._plan, self._next = plan, None
         self._seen = Rollouts(pose, np.concatenate([now, force[:-1]]), foot)
         self._state = state
+        self._note_disturbances()
         return self._published(preview=preview)
 
     def _gait_plan(self, preview: GaitPreview) -> TendonPlan:
@@ -261,6 +263,7 @@ class Predictive(Policy):
             self._plan = replace(moved, deviation=limits.decay * moved.deviation)
             self._next = self._state = None
             self.observer.forget()
+            self._note_disturbances()
             plan = self._published()
         return replace(plan, status=cause, message=fault, fallback_cycles=self._missed)
 
@@ -269,28 +272,32 @@ class Predictive(Policy):
         assert self._plan is not None
         angle, seen = self._angles(self._plan), self._seen
         rate, later = first_rate(angle, self._dt), _shifted(angle, share)[:-1]
-        status, message = Status.SOLVED, ""
-        if self.observer.is_far:
-            misfit, limit = self.observer.misfit, self._settings.observer.misfit_max
-            message = (
-                f"the robot moves otherwise than its model: misfit {misfit:.1f}, limit {limit:g}"
-            )
-            status = Status.MODEL_FAR
         return TendonPlan(
             later,
             rate,
             seen.force,
             pose=seen.pose,
             foot=seen.foot,
-            status=status,
-            message=message,
+            status=Status.MODEL_FAR if self._far else Status.SOLVED,
+            message=self._far,
             report=self._report(later[0], rate, preview),
         )
+
+    def _note_disturbances(self) -> None:
+        """Note those of the present plan, which plans between two stages report again.
+
+        The observer goes on in `prepare`, at a time that does not depend on the messages.
+        """
+        observer, limit = self.observer, self._settings.observer.misfit_max
+        mass = self._robot.mass - observer.wrench[0] / GRAVITY
+        self._disturbances = mass, observer.drift.copy(), observer.wrench.copy()
+        far = f"misfit {observer.misfit:.1f}, limit {limit:g}" if observer.is_far else ""
+        self._far = far and f"the robot moves otherwise than its model: {far}"
 
     def _report(self, angle: Array, rate: Array, preview: GaitPreview | None) -> PlanReport:
         """Margins of the first stage and the disturbances."""
         assert self._plan is not None
-        observer, (fx, fy, normal) = self.observer, self._seen.force[0].T
+        (mass, drift, wrench), (fx, fy, normal) = self._disturbances, self._seen.force[0].T
         friction = np.full(len(LEGS), math.nan)
         if preview is not None:
             friction = preview.friction[0] * normal - np.maximum(np.abs(fx), np.abs(fy))
@@ -300,9 +307,9 @@ class Predictive(Policy):
             slack_friction=friction,
             slack_angle=np.minimum(angle - least, largest - angle),
             slack_rate=self._settings.limits.rate - np.abs(rate),
-            mass=self._robot.mass - observer.wrench[0] / GRAVITY,
-            drift=observer.drift.copy(),
-            wrench=observer.wrench.copy(),
+            mass=mass,
+            drift=drift,
+            wrench=wrench,
         )
 
 
