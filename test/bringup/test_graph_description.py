@@ -81,22 +81,6 @@ def test_what_the_walk_waits_for_gets_the_real_time_priority_and_no_more(graph):
         check(values(graph, realtime=100))
 
 
-@pytest.mark.parametrize(
-    ("cores", "chosen", "priority"),
-    [
-        (2, {}, "SLOT_PRIORITY="),  # that which the nodes may take
-        (2, {"realtime": 0}, None),
-        (2, {"lockstep": True}, None),
-        (1, {}, None),
-        (1, {"realtime": 20}, "SLOT_PRIORITY=20"),
-    ],
-)
-def test_the_priority_that_nobody_has_asked_for(graph, monkeypatch, cores, chosen, priority):
-    monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(cores)))
-    found = {s.prefix[-1] for s in graph.nodes(values(graph, **chosen)) if "env" in s.prefix}
-    assert found == ({priority} if priority else set())
-
-
 def test_driver_and_emulated_servos_share_one_port(graph):
     nodes = {s.name: s for s in graph.nodes(values(graph, hardware="fake_bus"))}
     port = nodes["dynamixel_driver"].parameters["bus.port"]

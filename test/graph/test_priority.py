@@ -6,6 +6,7 @@ from unittest.mock import Mock
 
 import pytest
 
+from slot_bringup.graph import read_graph
 from slot_core.config import ConfigError
 from slot_nodes import runtime
 
@@ -37,3 +38,21 @@ def test_the_priority_is_taken_where_there_is_a_right_to_it(monkeypatch):
     )
     runtime.take_priority("")
     assert taken == {runtime.PRIORITY}
+
+
+@pytest.mark.parametrize(
+    ("cores", "chosen", "priority"),
+    [
+        (2, {}, "SLOT_PRIORITY="),  # that which the nodes may take
+        (2, {"realtime": 0}, None),
+        (2, {"lockstep": True}, None),
+        (1, {}, None),
+        (1, {"realtime": 20}, "SLOT_PRIORITY=20"),
+    ],
+)
+def test_the_priority_that_nobody_has_asked_for(monkeypatch, cores, chosen, priority):
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(cores)))
+    graph = read_graph()
+    specs = graph.nodes({a.name: a.default for a in graph.arguments} | chosen)
+    found = {spec.prefix[-1] for spec in specs if "env" in spec.prefix}
+    assert found == ({priority} if priority else set())
