@@ -119,7 +119,7 @@ class Graph:
         values = {**values, **_ports(values["hardware"], values["port"]), **_start_up(values)}
         values |= _camera(values) | {"about": self.about(values)}
         remappings = self.remappings(values)
-        first = () if (wanted := _priority(values)) == "0" else ("env", f"SLOT_PRIORITY={wanted}")
+        first = _priority(values)
         specs = [
             NodeSpec(
                 name=name,
@@ -203,11 +203,12 @@ def _camera(values: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _priority(values: Mapping[str, Any]) -> str:
-    """SLOT_PRIORITY of the nodes: a number, or "" for that which they take if they may."""
-    if values["realtime"] is not None:
-        return str(values["realtime"])
-    return "0" if values["lockstep"] or len(os.sched_getaffinity(0)) < CORES else ""
+def _priority(values: Mapping[str, Any]) -> tuple[str, ...]:
+    """What gives nodes a priority; SLOT_PRIORITY is empty for that which they take if they may."""
+    wanted = values["realtime"]
+    if wanted is None and not values["lockstep"] and len(os.sched_getaffinity(0)) >= CORES:
+        return "env", "SLOT_PRIORITY="
+    return ("env", f"SLOT_PRIORITY={wanted}") if wanted else ()
 
 
 def _ports(hardware: str, port: str | None) -> dict[str, str | None]:

@@ -198,11 +198,11 @@ def test_a_launch_argument_of_the_wrong_type_is_refused_by_name(graph, name, tex
 def test_the_launch_file_starts_the_nodes_of_the_description(graph, monkeypatch):
     """Against stubs of launch and launch_ros, which are not among the Python wheels."""
     given = {"bag": "somewhere", "gait": "stand", "vx": "0.0", "namespace": "fred"}
-    given |= {"params_file": str(PARAMETERS)}
+    given |= {"params_file": str(PARAMETERS), "realtime": "0"}
     asked = []
     started = load_launch_file(monkeypatch, given, asked)
     assert asked == ["fred"]
-    described = graph.nodes(values(graph, **given | {"vx": 0.0}))
+    described = graph.nodes(values(graph, **given | {"vx": 0.0, "realtime": 0}))
     assert [node["name"] for node in started] == [spec.name for spec in described]
     for node, spec in zip(started, described):
         typed = {
@@ -214,7 +214,7 @@ def test_the_launch_file_starts_the_nodes_of_the_description(graph, monkeypatch)
         assert (node["package"], node["executable"]) == (spec.package, spec.name)
         assert (node["namespace"], node["remappings"]) == ("fred", [("/clock", "clock")])
         assert node["name"] == node["exec_name"] == spec.name
-        assert node["prefix"] == " ".join(spec.prefix)
+        assert node["prefix"] == "setpriv --pdeathsig TERM"
 
 
 def test_the_launch_file_records_the_same_topics_with_ros2_bag(monkeypatch, tmp_path):
