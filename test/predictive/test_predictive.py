@@ -66,6 +66,22 @@ def test_an_estimate_between_two_stages_gets_the_plan_between_them(policy, walki
     np.testing.assert_array_equal(one.angle, two.angle)  # it has changed nothing
 
 
+@pytest.mark.parametrize(("share", "is_new"), [(0.7, False), (0.9, True)])
+def test_the_estimate_nearest_to_the_next_stage_gets_a_new_plan(policy, walking, share, is_new):
+    follow(policy, walking[:20])
+    policy.step(*_parts(later(walking[19], share * walking[0].preview.dt)))
+    assert (policy._plan.time > walking[19].estimate.time) == is_new
+
+
+@pytest.mark.parametrize("period", [0.01, 0.02, 0.05])
+def test_the_robot_walks_uphill_with_odometry_of_another_rate(period):
+    """Where every estimate was taken for one a tick later it walked at 13 mm/s at 100 Hz."""
+    uphill, changes = np.array([0.04, 0.0, 0.0]), {"scene.sensors.odometry.period": period}
+    loop = ClosedLoop("slope5", "walk", uphill, 1, "predictive", changes=changes)
+    place = [loop.plant.robot.position[0] for _ in loop.run(round(12.0 / period))]
+    assert (place[-1] - place[round(4.0 / period)]) / 8.0 == pytest.approx(0.04, abs=0.008)
+
+
 def test_the_time_of_the_preparation_changes_nothing_in_a_plan_between_two_stages(policy, walking):
     """It depends on the load of the machine; a replay prepares at another time."""
     *before, last = walking

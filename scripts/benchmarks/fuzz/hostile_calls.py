@@ -160,9 +160,8 @@ def _policies() -> dict[str, CheckedCall]:
         "PlanProblem.change": CheckedCall(
             lambda b, nominal: problem.change(np.zeros(6 * stages), linear, b, nominal),
             (np.zeros_like(angle), angle)),
-        "DisturbanceObserver.add": CheckedCall(
-            lambda *parts: observer.add(start, *parts), (state, angle[:2])),
-        "DisturbanceObserver.correct": CheckedCall(observer.correct, (state,)),
+        "DisturbanceObserver.observe": CheckedCall(
+            lambda *parts: observer.observe(0, start, *parts), (state, angle[0])),
         "ForceMap.step": CheckedCall(
             mapped, (np.zeros((2, 4, 3)), np.zeros((2, 4)), np.zeros(4), state),
             finite=False, fine=("one more",)),

@@ -1,8 +1,9 @@
 """Disturbance observer: what the nominal robot does not know, from its errors over a stride.
 
-The nominal robot repeats the motion of the last `window` ticks T with the commands that were given,
-from the torso as it was measured then. The differences e between the measured and the repeated
-motion change at every tick
+The nominal robot repeats the motion of the last `window` ticks, a time T, with the commands that
+were given, from the torso as it was measured then. Estimates need not come at the ticks, nor as
+often: between them commands and measured motion are interpolated. The differences e between the
+measured and the repeated motion change at every estimate
 
     drift  d += gain (e_xy, e_yaw) / T - d)     velocity, heading frame, m/s and rad/s
     wrench w += gain K (e_z, e_roll, e_pitch)   F_z, M_x, M_y on the torso, N and N m
@@ -20,7 +21,8 @@ half of that; meanwhile drift and wrench decay.
 from __future__ import annotations
 
 from collections import deque
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,18 +30,19 @@ from slot_core.arrays import checked
 from slot_core.geometry import rotate, wrapped
 from slot_core.predictive.nominal_robot import NominalRobot, NominalState
 from slot_core.predictive.settings import ObserverSettings
-from slot_core.robot import Array
+from slot_core.robot import LEGS, Array
 
 PLACE = [3, 4, 2]  # x, y and yaw in a state or a pose
 TILTS = [5, 0, 1]  # height, roll and pitch
 
 
-class _Tick(NamedTuple):
-    """What happened in a tick."""
+class _Seen(NamedTuple):
+    """What an estimate found."""
 
+    time: int  # ns
     start: NominalState
     state: Array  # (12,) of the estimate
-    command: Array  # (2, 4) rad, at its begin and end
+    angle: Array  # (4,) rad, commanded
 
 
 class DisturbanceObserver:
@@ -55,36 +58,35 @@ class DisturbanceObserver:
         self.wrench = np.zeros(3)  # F_z N, M_x, M_y N m, heading frame
         self.is_far = False  # whether the model is too far from the robot to be used
         self._misfit = np.zeros(6)  # mean squares, in units of the scales
-        self._past: deque[_Tick] = deque(maxlen=settings.window)
-        self._repeated: Array | None = None  # (6,) pose that the nominal robot has reached
+        self._past: deque[_Seen] = deque()
 
     def forget(self) -> None:
         """Forget the motion so far: a gap or a jump. The estimates stay."""
         self._past.clear()
-        self._repeated = None
 
-    def add(self, start: NominalState, state: Array, command: Array) -> None:
-        """Add a tick: its state (12,) and the angles (2, 4) given at its begin and end.
+    def observe(self, time: int, start: NominalState, state: Array, angle: Array) -> None:
+        """Take an estimate at `time` (ns), its state (12,) and the angles (4,) commanded then.
 
-        Raises ValueError for other shapes.
+        start: of the nominal robot, with the torso as measured. Once the estimates reach back over
+        the window, correct drift and wrench. Raises ValueError for other shapes.
         """
-        command = checked("command", command, (2, 4)).copy()
-        self._past.append(_Tick(start, checked("state", state, (12,)).copy(), command))
-
-    def repeat(self) -> None:
-        """Repeat the motion of the window, once that is full."""
-        if len(self._past) == self._settings.window:
-            plan = np.array([tick.command[0] for tick in self._past] + [self._past[-1].command[1]])
-            pose = self._model.roll_out(self._past[0].start, plan[None]).pose[0, -1]
-            self._repeated = pose if np.isfinite(pose).all() else None
-
-    def correct(self, state: Array) -> None:
-        """Correct the estimates by the state (12,) now; raises ValueError for another shape."""
-        state = checked("state", state, (12,))
-        if self._repeated is None:
+        state, angle = checked("state", state, (12,)), checked("angle", angle, (len(LEGS),))
+        past, s, tick = self._past, self._settings, round(1e9 * self._dt)
+        past.append(_Seen(time, start, state.copy(), angle.copy()))
+        while len(past) > 1 and past[1].time <= time - s.window * tick:
+            past.popleft()
+        if past[0].time > time - s.window * tick:
             return
-        s, pose = self._settings, self._repeated
-        span = s.window * self._dt
+        times = past[0].time + tick * np.arange(s.window + 1)
+        plan = _interpolated(times, past, [seen.angle for seen in past])
+        pose = self._model.roll_out(past[0].start, plan[None]).pose[0, -1]
+        if np.isfinite(pose).all():
+            states = np.unwrap([seen.state for seen in past], axis=0)
+            self._correct(_interpolated(times[-1:], past, states)[0], pose)
+
+    def _correct(self, state: Array, pose: Array) -> None:
+        """Correct the estimates by the state (12,) and the repeated pose (6,) after the window."""
+        s, span = self._settings, self._settings.window * self._dt
         way = rotate(state[3:5] - pose[3:5], -self._past[0].state[2])
         drift = np.append(way, wrapped(state[2] - pose[2])) / span
         error = state[TILTS] - pose[TILTS]
@@ -105,6 +107,12 @@ class DisturbanceObserver:
     def misfit(self) -> float:
         """What drift and wrench leave over, in units of the scales."""
         return float(np.sqrt(self._misfit.mean()))
+
+
+def _interpolated(times: Array, past: Iterable[_Seen], rows: Any) -> Array:
+    """Rows (n, k) at `times` (ns), of those that belong to what has been seen."""
+    known = [seen.time for seen in past]
+    return np.column_stack([np.interp(times, known, values) for values in np.transpose(rows)])
 
 
 def _bounded(values: Array, most: Array) -> Array:

@@ -7,9 +7,9 @@ corrects the disturbances. Where `prepare` has not been called, `step` calls it:
 the same.
 
 While the servos do not follow, or tendons are to be slack, the plan is the gait's; after a fault it
-is tried first whether the next one could be solved. An estimate that comes before the next stage
-gets the present plan between its stages. A cycle without a new plan moves the last one on and lets
-its deviations from the gait decay; after `limits.cycles` such cycles in a row the status is
+is tried first whether the next one could be solved. An estimate that comes well before the next
+stage gets the present plan between its stages. A cycle without a new plan moves the last one on and
+lets its deviations from the gait decay; after `limits.cycles` such cycles in a row the status is
 STOPPED. While the robot moves otherwise than its model the plan is the gait's too, to which the
 deviations decay, and the status is MODEL_FAR.
 """
@@ -36,6 +36,7 @@ from slot_core.robot import GRAVITY, LEGS, Array, RobotParameters
 
 MISSED_MAX = 5  # stages without an estimate after which the plan begins anew
 SHARES = (1.0, 0.3)  # of the step, in the line search
+EARLY = 0.8  # of a stage: an estimate before that gets the present plan
 JUMP, TURN = 0.05, 0.2  # m, rad beyond the nominal robot's motion: the odometry has jumped
 
 
@@ -99,8 +100,8 @@ class Predictive(Policy):
                 return self._gait_plan(preview)
         if fault := fault or state_fault(estimate.state, limits.input_max):
             return self._fall_back(Status.REJECTED, fault)
-        if self._plan is not None and 0 <= estimate.time - self._plan.time < 0.5e9 * self._dt:
-            return self._published(share=1e-9 * (estimate.time - self._plan.time) / self._dt)
+        if self._plan is not None and 0 <= (share := self._share(estimate.time)) < EARLY:
+            return self._published(share=share)
         state = np.asarray(estimate.state, dtype=float)
         plan, rollout, fault = self._improved(
             self._ready(estimate.time, state, preview), state, preview
@@ -135,9 +136,7 @@ class Predictive(Policy):
         self._next = self._linearised(self._moved_on(plan))
         self._stiffness = self._stiffness_of(self._next.nominal[1:-1], self._seen.pose)
         if self._state is not None:
-            self.observer.correct(self._state)
-            self.observer.add(plan.start, self._state, self._angles(plan)[:2])
-        self.observer.repeat()
+            self.observer.observe(plan.time, plan.start, self._state, self._angles(plan)[0])
 
     def _ready(self, time: int, state: Array, preview: GaitPreview) -> _Plan:
         """The plan for the state (12,) at `time` (ns), linearised near it."""
@@ -162,18 +161,24 @@ class Predictive(Policy):
         """The prepared plan at `time`; None if there is none, or if the robot is elsewhere."""
         if self._plan is None:
             return None
-        missed = round(1e-9 * (time - self._plan.time) / self._dt) - 1
+        missed = round(self._share(time)) - 1
         if not 0 <= missed <= MISSED_MAX:
             return None
         self.prepare()
         found = self._next
         assert found is not None
-        for _ in range(missed):
+        if missed > 1:
             self.observer.forget()
+        for _ in range(missed):
             found = replace(self._moved_on(found), linear=found.linear)
         gap = self._model.place(found.start) - state[PLACE]
         is_near = math.hypot(*gap[:2]) < (1 + missed) * JUMP
         return found if is_near and abs(wrapped(gap[2])) < (1 + missed) * TURN else None
+
+    def _share(self, time: int) -> float:
+        """Stages from that of the present plan to `time` (ns)."""
+        assert self._plan is not None
+        return 1e-9 * (time - self._plan.time) / self._dt
 
     def _nominal(self, preview: GaitPreview) -> tuple[Array, float]:
         """Angles (K + 2, 4) of the gait, turned on to carry the wrench on the torso, and the sag.
