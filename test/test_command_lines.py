@@ -1,5 +1,6 @@
 """The command line tools refuse what they cannot do in one line, with exit code 2."""
 
+import os
 import re
 import subprocess
 import sys
@@ -184,6 +185,31 @@ def test_what_a_tool_cannot_do_is_refused_before_the_work(place, refusal, tool, 
     assert line.startswith(f"scripts/{tool.split()[0]}")
     assert reason in line
     assert list(place.iterdir()) == []
+
+
+FILE = "FILE"  # place of a recording
+READERS = {
+    "calibrate": (calibrate.main, [FILE]),
+    "compare": (compare.main, [WALK, FILE]),
+    "constraint_map": (constraint_map.main, [FILE]),
+    "replay": (replay.main, [FILE]),
+    "twin": (twin.main, [FILE]),
+    "validate": (validate.main, [FILE, LEG_RUN]),
+    "view": (view.main, [FILE, "--html", "walk.html"]),
+}
+
+
+@pytest.mark.parametrize("file", ["/dev/zero", "pipe.csv", "pipe.mcap", "piped"])
+@pytest.mark.parametrize("tool", READERS)
+def test_a_device_and_a_pipe_are_refused_without_reading(place, refusal, tool, file):
+    """The one has no end, and nobody writes to the other."""
+    Path("piped").mkdir()
+    for pipe in ("pipe.csv", "pipe.mcap", "piped/metadata.yaml"):
+        os.mkfifo(pipe)
+    main, words = READERS[tool]
+    line = refusal(main, *(file if word == FILE else word for word in words))
+    assert line.startswith(f"scripts/{tool}: ")
+    assert "not a regular file" in line
 
 
 @pytest.mark.parametrize("text", [None, "", "nodes: many\n"])

@@ -1,6 +1,8 @@
 """Command line of scripts/run."""
 
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from nav_msgs.msg import Odometry
@@ -88,6 +90,23 @@ def test_a_run_whose_summary_cannot_be_printed_fails(monkeypatch, capsys):
     assert "scripts/run: output: No space left on device\n" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("missing", "code"), [((), 0), (("recorder",), 1)])
+def test_a_run_that_ended_without_its_recorder_fails_and_says_so(
+    monkeypatch, capsys, missing, code
+):
+    """Though the robot walked on."""
+    said = [f"{name} ended; the robot goes on without it" for name in missing]
+
+    def started(graph, values, logs):
+        write_walk(logs.parent, Walk(truth=False))
+        return nullcontext(SimpleNamespace(remarks=said, missing={*missing}))
+
+    monkeypatch.setattr(run, "started", started)
+    monkeypatch.setattr(run, "watch", lambda *_, **__: None)
+    assert run.main(["--no-bag"]) == code
+    assert [line for line in capsys.readouterr().out.splitlines() if "ended;" in line] == said
+
+
 def test_a_run_without_simulated_legs_is_reported_without_their_plot(tmp_path, capsys):
     bag = write_walk(tmp_path / "walk", Walk(truth=False))
     run.report(bag, keep=True)
@@ -142,6 +161,42 @@ def test_the_pace_is_said_with_the_remedy_before_the_supervisors_own_line(passed
     assert capsys.readouterr().err == line  # once
     report.print(urgent=True)  # the robot goes slack
     assert capsys.readouterr().err == line
+
+
+def test_a_run_hears_its_pace_and_says_it_before_it_fails(monkeypatch, capsys):
+    """A simulation at half of real time, of which a node ends after 3 s."""
+    now, heard = [100.0], {}
+
+    def sleep(seconds):
+        now[0] += seconds
+
+    def spin_once(_):
+        heard["ground_truth/odom"](Odometry(header=header(round(0.5e9 * now[0]))))
+
+    class Ending(dict):
+        """Processes without a supervisor."""
+
+        def failed(self):
+            return ("mpc_controller", 1) if now[0] > 103.0 else None
+
+        def last_line(self, name):
+            return "its last words"
+
+        def restart_ended(self, time):
+            return []
+
+    def hear(kind, topic, callback, profile):
+        heard[topic] = callback
+
+    made = SimpleNamespace(create_subscription=hear), SimpleNamespace(spin_once=spin_once)
+    monkeypatch.setattr(monitor, "listener", lambda *_: nullcontext(made))
+    clock = SimpleNamespace(monotonic=lambda: now[0], sleep=sleep)
+    monkeypatch.setattr(monitor, "time", clock)
+    with pytest.raises(monitor.RunError, match="mpc_controller ended with exit code 1: its last"):
+        monitor.watch(Ending(), 60.0, remedy="use --lockstep")
+    said = "slower than real time: the simulation went at 50 % of it; use --lockstep"
+    assert capsys.readouterr().err == f"scripts/run: {said}\n"
+    assert {"tendon_plan", "mpc_state", "robot_state"} < heard.keys()
 
 
 @pytest.mark.parametrize(

@@ -344,6 +344,13 @@ def test_a_shipped_set_matches_its_evaluation(name, tmp_path, capsys):
     assert set(again["confidence"]) == set(shipped["values"])
 
 
+def test_the_verdict_of_the_command_names_what_is_at_its_bound(monkeypatch, capsys):
+    monkeypatch.setattr(fit.ParameterEstimate, "at_bound", lambda _, names: list(names[:1]))
+    data = SHIPPED / "paper_single_leg.csv"
+    assert main([str(data), "--start", "calibrated", "--evaluate"]) == NOT_EXPLAINED
+    assert capsys.readouterr().out.splitlines()[-1].endswith("at its bound: leg.young_modulus")
+
+
 def test_the_command_fits_and_writes_file_and_figure(tmp_path, capsys):
     rows = ["deflection,0,0.2,,,1,0.0106,0.001", "deflection,0,1,,,1,0.044,0.001",
             "deflection,0,1,,,0.5,0.0092,0.001"]  # fmt: skip

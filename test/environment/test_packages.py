@@ -3,6 +3,7 @@
 import ast
 import configparser
 import os
+import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
@@ -32,6 +33,7 @@ OPTIONAL = {  # of the extras --bench, --view, --play and --learn of scripts/set
 STARTED = {  # by the launch files, or part of the build
     "slot_bringup": {"robot_state_publisher", "ros2bag", "ros2launch", "rosbag2_storage_mcap"},
 }
+CONFIG = ROOT / "config"
 OWN_KEYS = ROOT / "scripts/rosdep.yaml"
 
 
@@ -87,3 +89,13 @@ def test_keys_that_rosdep_lacks_stand_in_a_list_of_our_own():
     for entry in content.values():
         (name,) = entry["ubuntu"]["pip"]["packages"]
         assert f"\n{name}==" in pinned
+
+
+def test_the_configuration_is_installed_as_files_of_its_package(tmp_path):
+    """In the sources it is a link that leads out of the package."""
+    command = [sys.executable, "setup.py", "-q", "build_py", "--build-lib", str(tmp_path)]
+    subprocess.run(command, cwd=PACKAGES["slot_core"], check=True)
+    installed = tmp_path / "slot_core" / "defaults"
+    found = {p.relative_to(installed) for p in installed.rglob("*") if p.is_file()}
+    assert found == {p.relative_to(CONFIG) for p in CONFIG.rglob("*") if p.is_file()}
+    assert not any(path.is_symlink() for path in (installed, *installed.rglob("*")))

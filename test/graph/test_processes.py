@@ -98,6 +98,18 @@ def test_killed_node_ends_the_run_and_is_named(tmp_path, name):
     assert all_ended(nodes)
 
 
+def test_a_second_publisher_of_the_commands_ends_the_run_and_is_named(tmp_path):
+    """It need not send anything: DDS says that it is there."""
+    run, nodes = start([*LOCKSTEP, "--bag", "bag"], tmp_path)
+    wait_for_commands(run)
+    with listener("intruder") as (node, _):
+        node.create_publisher(JointState, "desired_joint_angles", qos.CONTROL)
+        _, errors = run.communicate()
+    assert run.returncode == 1
+    assert "/desired_joint_angles has 2 publishers, limit 1: /force_mapper, " in errors
+    assert all_ended(nodes)
+
+
 FULL = "node recorder has ended; the robot goes on without it"
 
 

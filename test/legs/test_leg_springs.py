@@ -26,7 +26,8 @@ def table():
 def interpolated(table, angle, height):
     """Columns (n, 4) by scipy, with angle and height moved to the table's edges."""
     inside = [np.clip(v, g[0], g[-1]) for v, g in ((angle, table.angle), (height, table.height))]
-    return RegularGridInterpolator(table[:2], table.table)(np.column_stack(inside))
+    grid = table.angle, table.height
+    return RegularGridInterpolator(grid, table.table)(np.column_stack(inside))
 
 
 def test_force_slope_stiffness_and_contact_are_those_of_a_bilinear_interpolation(springs, table):

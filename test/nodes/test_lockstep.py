@@ -3,15 +3,24 @@
 import pytest
 
 from slot_core.messages import decode
+from slot_core.safety.states import State
 from slot_core.simulation.supervised_loop import SupervisedLoop
+from slot_msgs.msg import EmergencyStop
+from slot_nodes import qos
 
 SECONDS = 2.0
 SEED = 3
 
 
-def test_states_equal_those_of_the_core_to_the_last_bit(simulate):
+@pytest.fixture
+def rig(simulate):
+    made = simulate(lockstep=True, seed=SEED)
+    yield made
+    made.close()
+
+
+def test_states_equal_those_of_the_core_to_the_last_bit(rig):
     """Commands too: test/graph compares them with those of the processes."""
-    rig = simulate(lockstep=True, seed=SEED)
     rig.wait_for(lambda: rig.messages["/robot_state"])
     states = rig.messages["/robot_state"]
     rig.wait_for(lambda: decode.stamp(states[-1]) * 1e-9 > 1.0 + SECONDS)
@@ -23,3 +32,23 @@ def test_states_equal_those_of_the_core_to_the_last_bit(simulate):
         assert states[stamp].state == report.state
         assert states[stamp].reason == report.reason
         assert list(states[stamp].slack) == pytest.approx(report.slack, abs=0.0, nan_ok=True)
+
+
+def test_an_estop_is_released_by_the_source_that_has_pressed_it_alone(rig):
+    """None is missed: they send in real time, which has no meaning on the robot's clock."""
+    estop = rig.publisher(EmergencyStop, "estop", qos.SENSOR)
+
+    def send(source, pressed):
+        estop.publish(EmergencyStop(source=source, pressed=pressed))
+        rig.run(0.3)
+
+    send("terminal", pressed=False)
+    rig.wait_for(lambda: rig.state is State.WALKING)
+    send("button", pressed=True)
+    assert rig.state is State.ESTOP
+    for _ in range(5):
+        send("terminal", pressed=False)
+        assert "e-stop pressed at button" in rig.request("reset")
+    send("button", pressed=False)
+    assert rig.request("reset") == ""
+    assert rig.wait_for(lambda: rig.state is State.IDLE)

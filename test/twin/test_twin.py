@@ -232,13 +232,13 @@ def test_known_changes_of_the_robot_are_found_and_hold_for_unseen_strides(record
 def test_the_verdict_knows_the_robot_that_walked_from_another(recorded, strides):
     """The noise of the recording is the uncertainty of the settings."""
     measured = measured_track(recorded.motion)
-    same, other = (
-        twin.judge(predict(recorded, parts, SETTINGS), measured, strides, SETTINGS)
-        for parts in (OTHER, PARTS)
-    )
+    tracks = [predict(recorded, parts, SETTINGS) for parts in (OTHER, PARTS)]
+    same, other = (twin.judge(track, measured, strides, SETTINGS) for track in tracks)
     assert same.code == EXPLAINED
     assert same.chi_square == pytest.approx(same.freedom, rel=0.1)
     assert other.code == NOT_EXPLAINED
+    at_bound = twin.judge(tracks[0], measured, strides, SETTINGS, ["scene.floor.friction"])
+    assert at_bound.code == NOT_EXPLAINED
 
 
 def test_a_parameter_without_influence_is_named_as_undetermined(recorded, strides):

@@ -2,8 +2,10 @@
 
 import math
 
+import numpy as np
 import pytest
 
+from slot_lab.calibration.fit import FitProblem, Parameter, estimate
 from slot_lab.verdict import EXPLAINED, NOT_EXPLAINED, Verdict
 
 
@@ -23,3 +25,12 @@ from slot_lab.verdict import EXPLAINED, NOT_EXPLAINED, Verdict
 def test_a_verdict_is_by_the_residuals_per_degree_of_freedom_and_the_bounds(given, code, said):
     assert given.code == code
     assert said in given.line
+
+
+def test_a_parameter_at_its_bound_is_named_if_the_data_determine_it():
+    """a would be 1.2; c is at its bound too, but has no influence."""
+    x = np.arange(20.0)
+    parameters = tuple(Parameter(name, 0.5, 0.0, 1.0) for name in "abc")
+    problem = FitProblem(parameters, lambda v: v[0] + v[1] * x, 1.2 + 0.3 * x, np.ones(20))
+    assert estimate(problem, [1.0, 0.32, 1.0]).at_bound("abc") == ["a"]
+    assert estimate(problem, [0.9, 0.32, 1.0]).at_bound("abc") == []

@@ -43,7 +43,7 @@ Change = Callable[[int, Any], tuple[int, Any]]
 
 
 def fuzz(count: int, rng: np.random.Generator) -> Outcomes:
-    """Count files with changed bytes; the hostile bags and pipes come beside them, once."""
+    """Count files with changed bytes; the hostile bags come beside them, once."""
     tally, whole = Outcomes(), (WALK / "walk.mcap").read_bytes()
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch, "walk.mcap")

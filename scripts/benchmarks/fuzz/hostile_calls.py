@@ -26,7 +26,7 @@ from slot_core.legs.leg_springs import LegSprings, read_leg_springs
 from slot_core.legs.leg_table import LegTable
 from slot_core.legs.sticking_leg import StickingLeg
 from slot_core.paper.numbers import read_paper
-from slot_core.paper.paper_robot import PaperLeg
+from slot_core.paper.paper_robot import PaperLeg, PaperRobot
 from slot_core.predictive.disturbance_observer import DisturbanceObserver
 from slot_core.predictive.nominal_robot import NominalRobot
 from slot_core.predictive.problem import PlanProblem
@@ -73,6 +73,7 @@ def _legs() -> dict[str, CheckedCall]:
         "LegSprings.at": CheckedCall(springs.at, (np.ones(4), heights), finite=False),
         "LegSprings.angle": CheckedCall(springs.angle, (np.ones(4), heights)),
         "LegSprings": CheckedCall(lambda *parts: LegSprings(LegTable(*parts), 1.0), grid),
+        "LegTable": CheckedCall(LegTable, grid, fine=("a million",)),  # of columns
         "StaticLeg.node": CheckedCall(lambda node: setattr(still, "node", node), (still.node,)),
         "StaticLeg.solve": CheckedCall(still.solve, (0.1, 0.1)),
         "HeldLeg.pull": CheckedCall(HeldLeg(robot, NODES, 0.3, 0.1).pull, (0.01, 1.0)),
@@ -88,7 +89,11 @@ def _robots() -> dict[str, CheckedCall]:
     flat = config.replace(read_scene("map"), {"start.settle": 0.0})
     tabulated = TabulatedRobot(robot, flat, servo)
     leg, vector = PaperLeg(robot, read_paper()), np.zeros(3)
-    cases = {"PaperLeg.advance": CheckedCall(leg.advance, (1, 0.0))}
+    paper = PaperRobot(robot, config.replace(read_scene("paper"), {"start.settle": 0.0}), servo)
+    cases = {
+        "PaperLeg.advance": CheckedCall(leg.advance, (1, 0.0)),
+        "PaperRobot.advance": CheckedCall(paper.advance, (0, np.full(4, 0.5))),  # 1 may diverge
+    }
     for name, sim in (("RodRobot", rods), ("TabulatedRobot", tabulated)):
         cases[f"{name}.advance"] = CheckedCall(sim.advance, (1, np.full(4, 0.5)))
         many = ManyRobots([sim, sim])

@@ -188,12 +188,10 @@ class SupervisorNode(Node):
             self._step_on_report()
 
     def _on_estop(self, message: EmergencyStop) -> None:
-        """Take the e-stop; in lockstep its sources, in real time, are not watched."""
+        """Take the e-stop; in lockstep no released source is missed: it sends in real time."""
         source, pressed, leaving = decode.emergency_stop(message)
-        if not self._lockstep:
-            self._supervisor.receive_estop(self._now(), source, pressed, leaving=leaving)
-        elif pressed:
-            self._supervisor.request(self._now(), Request.ESTOP)
+        leaving = leaving or self._lockstep
+        self._supervisor.receive_estop(self._now(), source, pressed, leaving=leaving)
         if pressed:
             self._step()
 

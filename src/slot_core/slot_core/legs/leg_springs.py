@@ -31,9 +31,8 @@ class LegSprings:
     def __init__(self, table: LegTable, slope_min: float):
         """Take a table with `COLUMNS`; slope_min (N/rad): lower bound of F_theta, for the fold.
 
-        Raises ValueError for a table that is no grid, or has other columns.
+        Raises ValueError for a table with other columns.
         """
-        table.require_grid()
         checked("table", table.table, (-1, -1, len(COLUMNS)))
         self._table, self._slope_min = table, slope_min
         self.at(np.zeros(1), np.zeros(1))  # compiles the kernel

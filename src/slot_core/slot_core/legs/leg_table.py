@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,15 +20,18 @@ from slot_core.robot import Array
 SIZE_MAX = 10_000_000  # bytes of the file
 
 
-class LegTable(NamedTuple):
-    """Columns of the leg map on its grid of tendon angle and clamp height."""
+@dataclass(frozen=True)
+class LegTable:
+    """Columns of the leg map on its grid of tendon angle and clamp height.
+
+    Raises ValueError unless angles and heights are two or more, and rise, and the table is finite.
+    """
 
     angle: Array  # (m,) rad, rising
     height: Array  # (n,) m, rising
     table: Array  # (m, n, requested columns)
 
-    def require_grid(self) -> None:
-        """Raise ValueError unless angles and heights are two or more and the table is finite."""
+    def __post_init__(self) -> None:
         grid = [checked("grid", values, (-1,)) for values in (self.angle, self.height)]
         checked("table", self.table, (*map(len, grid), -1))
         for values in grid:
@@ -43,7 +46,7 @@ class LegTable(NamedTuple):
         a = checked("angles", angle, (-1,), finite=False)
         h = checked("heights", height, a.shape, finite=False)
         columns = np.zeros((len(a), self.table.shape[2]))
-        interpolate(*self, a, h, columns)
+        interpolate(self.angle, self.height, self.table, a, h, columns)
         return columns
 
 
@@ -56,9 +59,7 @@ def read_leg_table(columns: Sequence[str]) -> LegTable:
         theta_deg, height, *values = np.array(sorted(rows)).T
         angles, heights = np.unique(theta_deg), np.unique(height)
         table = np.array(values).T.reshape(len(angles), len(heights), len(columns))
-        found = LegTable(np.radians(angles), heights, np.ascontiguousarray(table))
-        found.require_grid()
-        return found
+        return LegTable(np.radians(angles), heights, np.ascontiguousarray(table))
     except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
         raise config.ConfigError(f"leg_map.csv: no table of {names}: {error}") from None
 

@@ -25,7 +25,7 @@ lifted by hand while the torso's height is that of a standing robot.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +46,7 @@ class TendonLoad:
         """`statics` with the one column of tension (N)."""
         torque = statics.table[..., 0] * spool_radius
         slope = np.gradient(torque, statics.angle, axis=0)
-        self._table = statics._replace(table=np.stack([torque, slope], axis=-1))
+        self._table = replace(statics, table=np.stack([torque, slope], axis=-1))
         self(np.zeros(1), np.zeros(1))  # compiles the kernel
 
     def __call__(self, angle: Array, height: Array) -> tuple[Array, Array]:
