@@ -21,7 +21,9 @@ class Watch:
     """
 
     def __init__(self, drift=(0.0, 0.0, 0.0), wrench=(0.0, 0.0, 0.0), share=1.0):
-        self.plant, self.model = (NominalRobot(read_robot(), SETTINGS.nominal, DT) for _ in range(2))
+        self.plant, self.model = (
+            NominalRobot(read_robot(), SETTINGS.nominal, DT) for _ in range(2)
+        )
         self.observer = DisturbanceObserver(self.model, SETTINGS.observer, SCALE, DT)
         self.plant.set_wrench(np.array(wrench), 0.0)
         self.state, self.command = np.eye(12)[5] * 0.05, np.full((2, 4), ANGLE)

@@ -21,7 +21,7 @@ half of that; meanwhile drift and wrench decay.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -77,12 +77,12 @@ class DisturbanceObserver:
             past.popleft()
         if past[0].time > time - s.window * tick:
             return
-        times = past[0].time + tick * np.arange(s.window + 1)
-        plan = _interpolated(times, past, [seen.angle for seen in past])
+        ticks = tick * np.arange(s.window + 1.0)  # ns after the first estimate
+        plan = _interpolated(ticks, past, [seen.angle for seen in past])
         pose = self._model.roll_out(past[0].start, plan[None]).pose[0, -1]
         if np.isfinite(pose).all():
             states = np.unwrap([seen.state for seen in past], axis=0)
-            self._correct(_interpolated(times[-1:], past, states)[0], pose)
+            self._correct(_interpolated(ticks[-1:], past, states)[0], pose)
 
     def _correct(self, state: Array, pose: Array) -> None:
         """Correct the estimates by the state (12,) and the repeated pose (6,) after the window."""
@@ -109,9 +109,9 @@ class DisturbanceObserver:
         return float(np.sqrt(self._misfit.mean()))
 
 
-def _interpolated(times: Array, past: Iterable[_Seen], rows: Any) -> Array:
-    """Rows (n, k) at `times` (ns), of those that belong to what has been seen."""
-    known = [seen.time for seen in past]
+def _interpolated(times: Array, past: Sequence[_Seen], rows: Any) -> Array:
+    """Rows (n, k) at times (n,) after the first estimate, ns, of those at all estimates."""
+    known = [seen.time - past[0].time for seen in past]
     return np.column_stack([np.interp(times, known, values) for values in np.transpose(rows)])
 
 
