@@ -30,11 +30,11 @@ class Watch:
         self.real = self.plant.at_rest(self.state, self.command[0])
         self.step, self.drift, self.time = share * DT, np.array(drift), 0
 
-    def go_on(self, ticks, yaw=lambda k: 0.0):
+    def go_on(self, ticks, yaw=0.0):
         """The observer after so many estimates, with an error of their yaw (rad)."""
-        for k in range(ticks):
+        for _ in range(ticks):
             self.model.set_wrench(self.observer.wrench, 0.0)
-            seen = self.state + np.eye(12)[2] * yaw(k)
+            seen = self.state + np.eye(12)[2] * yaw
             start = self.model.measured(self.real, self.state)
             self.observer.observe(self.time, start, seen, self.command[0])
             self.real = self.plant.after(self.plant.measured(self.real, self.state), self.command)
@@ -73,7 +73,7 @@ def test_a_steady_drift_is_no_misfit_but_a_robot_that_moves_otherwise_is():
     assert observer.misfit < 1.0
     found = observer.drift[0]
     watch.drift[:] = 0.0
-    far = [watch.go_on(1, lambda _: 0.2 * (-1) ** k * (k < 60)).is_far for k in range(200)]
+    far = [watch.go_on(1, 0.2 * (-1) ** k * (k < 60)).is_far for k in range(200)]
     assert far.index(True) in range(3, 20)
     assert not far[-1]  # once it moves as the model again
     assert abs(observer.drift[0]) < 0.01 * found
