@@ -5,7 +5,7 @@ were given, from the torso as it was measured then. Estimates need not come at t
 often: between them commands and measured motion are interpolated. The differences e between the
 measured and the repeated motion change at every estimate
 
-    drift  d += gain (e_xy, e_yaw) / T - d)     velocity, heading frame, m/s and rad/s
+    drift  d += gain ((e_xy, e_yaw) / T - d)    velocity, heading frame, m/s and rad/s
     wrench w += gain K (e_z, e_roll, e_pitch)   F_z, M_x, M_y on the torso, N and N m
 
 The wrench acts in the rollouts; the drift moves their poses on. Hence a payload of m kg is a wrench
