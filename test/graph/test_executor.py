@@ -100,6 +100,18 @@ def test_service_is_answered_between_messages_and_timers(node):
     assert future.result().success
 
 
+def test_callbacks_of_an_answer_are_called_at_once_and_not_with_the_next_answer(node):
+    node.create_service(Trigger, "ask", lambda _, response: response)
+    client, called = node.create_client(Trigger, "ask"), []
+    spin_until(node, client.service_is_ready)
+    future = client.call_async(Trigger.Request())
+    for name in "ab":
+        future.add_done_callback(lambda _, name=name: called.append(name))
+    spin_until(node, future.done)
+    node.executor.spin_once(timeout_sec=0.1)
+    assert sorted(called) == ["a", "b"]
+
+
 def test_timer_created_by_a_callback_is_served_and_a_destroyed_one_is_not(node):
     ticks = []
 

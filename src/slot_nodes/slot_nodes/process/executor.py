@@ -77,6 +77,8 @@ class DirectExecutor(SingleThreadedExecutor):
         if self._context.ok() and self._has_others():
             self._entities_changed = True  # a node may have been added or removed
             super().spin_once(timeout_sec=0.0)
+            for _ in self._waiting_tasks():  # callbacks of an answer; nothing would wake them
+                super().spin_once(timeout_sec=0.0)
             # rclpy takes the trigger of a signal, but ends only if the context has ended by then
             if self._sigint_gc is not None and self._sigint_gc._executor_triggered:
                 raise ExternalShutdownException
@@ -122,6 +124,10 @@ class DirectExecutor(SingleThreadedExecutor):
     def _ready(self, kind: str) -> list[Any]:
         ready = self._wait_set.get_ready_entities(kind)
         return [e for e in self._entities[kind] if e.handle.pointer in ready] if ready else []
+
+    def _waiting_tasks(self) -> list[Any]:
+        """Tasks of rclpy that have not begun, of which its spin runs one at a time."""
+        return [task for task, *_ in self._tasks if not (task.done() or task.executing())]
 
     def _has_others(self) -> bool:
         """Whether anything but a message or a timer is ready."""
