@@ -3,11 +3,15 @@
 import numpy as np
 import pytest
 
+from slot_bringup.playing.live_plots import legend
 from slot_bringup.playing.main_page import main, start_server
 from slot_bringup.playing.play_page import PlayPage
 from slot_bringup.playing.robot_display import view_for
+from slot_core.drawing.shapes import Bars
+from slot_core.robot import LEGS
 from slot_core.safety.states import State
 from slot_lab.play.played_robot import FRAME, PlayedRobot
+from slot_lab.report import traces
 
 
 class Wall:
@@ -113,6 +117,25 @@ def on_page(position, look_at, aspect):
     way = np.array([*feet, [0.0, 0.0, 0.08]]) - position
     half = np.tan(np.radians(75.0) / 2) * (way @ ahead)  # of the height, in viser's own view
     return (way @ right) / half / aspect, (1.0 - (way @ np.cross(right, ahead)) / half) / 2
+
+
+def test_legs_that_are_pale_until_their_shape_is_known_then_get_it_with_their_colours(played):
+    view = played.page.display.view
+    for sections, colour in ((20, 128), (5, 255)):
+        corners, colours = np.zeros((1, sections, 4, 3)), np.full((1, 3), colour / 255)
+        view.update({"legs": Bars(corners, colours)})
+        assert view.handle("legs").color == (colour,) * 3
+        assert view.handle("legs").faces.max() == 4 * sections - 1
+
+
+def test_plots_count_from_the_first_moment_and_name_their_curves(played):
+    plots = played.page.display._plots
+    for second in range(3):
+        plots.advance(1_795_707_820_000_000_000 + second * 10**9)
+    plots.show()
+    np.testing.assert_allclose(plots._plots["height"]._handle.data[0], [0.0, 1.0, 2.0])
+    said = legend(traces.PLOTS["force"])
+    assert all(f"> {leg} {which}<" in said for leg in LEGS for which in ("ground", "demanded"))
 
 
 def test_a_refusal_is_shown_and_the_next_act_takes_it_away(played):

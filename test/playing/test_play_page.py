@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from slot_bringup.playing.main_page import address, start_server
 from slot_bringup.playing.play_page import PlayPage
+from slot_bringup.playing.robot_display import TALL, WIDE
 from slot_core.robot import LEGS
 from slot_core.safety.states import State
 from slot_lab.play.played_loop import Wishes
@@ -282,6 +283,21 @@ def test_plots_and_disturbances_are_drawn(hand):
     hand.open("Plots")
     hand.see(lambda h: h.browser.run("document.querySelectorAll('.uplot canvas').length") >= 8)
     hand.see(lambda h: "disturbances: payload" in h.browser.text())
+
+
+PANEL = TAB.format("Drive") + ".closest('[style*=\"width: 20em\"]')"  # of viser on a phone
+
+
+def test_on_a_phone_the_panel_is_as_wide_as_the_page_below_the_robot(hand):
+    resize = "Emulation.setDeviceMetricsOverride"
+    hand.browser.call(resize, width=390, height=844, deviceScaleFactor=1, mobile=True)
+    (client,) = hand.server.get_clients().values()
+    try:
+        hand.see(lambda h: h.browser.run(f"{PANEL}?.getBoundingClientRect().width") == 390)
+        hand.see(lambda h: client.camera.look_at[2] == pytest.approx(TALL[1][2]))
+    finally:
+        hand.browser.call("Emulation.clearDeviceMetricsOverride")
+    hand.see(lambda h: client.camera.look_at[2] == pytest.approx(WIDE[1][2]))
 
 
 def test_the_page_requests_nothing_from_elsewhere(hand):

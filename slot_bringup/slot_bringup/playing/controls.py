@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any, Protocol, TypeVar
 
@@ -18,7 +18,7 @@ import viser
 from slot_bringup.playing.graph_robot import GraphRobot
 from slot_core.control.policy import POLICIES
 from slot_core.dynamics.scene import read_scene
-from slot_core.faults import ALL_LEGS, BROKEN, KINDS, VALUE_RANGES
+from slot_core.faults import ALL_LEGS, BROKEN, KINDS, Fault
 from slot_core.gait.gait import STAND, read_gaits
 from slot_core.robot import LEGS, Array, read_robot
 from slot_core.safety.requests import Request
@@ -238,8 +238,8 @@ def add_faults(gui: viser.GuiApi, do: Do[GraphRobot]) -> None:
         do(lambda r: r.inject(*wanted))
 
     act.on_click(inject)
-    units = ", ".join(f"{name} {unit}" for name, (*_, unit) in VALUE_RANGES.items())
-    gui.add_markdown(f"Value: {units}. Duration 0: until it is cleared.")
+    value_of = {field.name: field.metadata["doc"] for field in fields(Fault)}["value"]
+    gui.add_markdown(f"Value of {value_of}. Duration 0: until it is cleared.")
 
 
 def _load(robot: PlayedRobot, mass: float) -> None:

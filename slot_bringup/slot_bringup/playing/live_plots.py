@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from slot_lab.report import traces
 SPAN = 10.0  # s shown
 POINTS = 250
 SHOWN = ("velocity", "height", "roll", "pitch", "angle", "force", "tension", "disturbance")
+LEGEND = "display:grid;grid-template-columns:repeat(4,auto);font-size:0.75em;padding:0.5em 1em 0"
 HEIGHT, AXIS = 150, 62  # px, of a plot and of the numbers at its side
 
 
@@ -23,7 +25,13 @@ class LivePlots:
     """Curves of `traces.PLOTS` over the last seconds."""
 
     def __init__(self, gui: viser.GuiApi) -> None:
-        self._plots = {name: _LivePlot(gui, name) for name in SHOWN}
+        self._plots: dict[str, _LivePlot] = {}
+        self._start: int | None = None  # ns, first stamp; a graph's clock may count from 1970
+        shown = ""
+        for name in SHOWN:
+            if shown != (shown := legend(traces.PLOTS[name])):  # the same holds for those below
+                gui.add_html(shown)
+            self._plots[name] = _LivePlot(gui, name)
 
     def receive(self, topic: str, message: Any) -> None:
         """Take the values of a message."""
@@ -34,8 +42,9 @@ class LivePlots:
 
     def advance(self, stamp: int) -> None:
         """Add a point at `stamp` (ns) of the values taken since the last."""
+        self._start = stamp if self._start is None else self._start
         for plot in self._plots.values():
-            plot.advance(to_seconds(stamp))
+            plot.advance(to_seconds(stamp - self._start))
 
     def show(self) -> None:
         """Show what has been added."""
@@ -44,8 +53,16 @@ class LivePlots:
 
     def clear(self) -> None:
         """Forget all values: time begins anew."""
+        self._start = None
         for plot in self._plots.values():
             plot.clear()
+
+
+def legend(plot: traces.Plot) -> str:
+    """HTML of the names of a plot's curves, in lines of four, each after its colour."""
+    curves = [each for curve in plot.curves.values() for each in zip(curve.names, curve.colours)]
+    names = (f'<span><b style="color:{c}">\u25ac</b> {escape(name)}</span>' for name, c in curves)
+    return f'<div style="{LEGEND}">{"".join(names)}</div>'
 
 
 def stamp_of(topic: str, message: Any) -> int | None:

@@ -26,7 +26,7 @@ from slot_bringup.check import check_place
 from slot_bringup.monitor import listener
 from slot_bringup.operate import SEARCH_TIME, no_answer
 from slot_bringup.playing.access import Access, guarded, is_this_machine
-from slot_bringup.playing.page_scripts import GAMEPAD, GIVE_KEYS_BACK
+from slot_bringup.playing.page_scripts import GAMEPAD, GIVE_KEYS_BACK, WIDE_ON_A_PHONE
 from slot_core.command_line import command_parser, refuse, within
 from slot_core.config import ConfigError
 from slot_core.control.policy import DEFAULT_POLICY
@@ -83,7 +83,7 @@ def start_server(host: str, port: int, token: str) -> viser.ViserServer:
     with guarded(Access(token)), contextlib.redirect_stdout(io.StringIO()):
         server = Server(host=host, port=port, label="SLOT", verbose=False)
     server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large")
-    for script in (GIVE_KEYS_BACK, GAMEPAD):
+    for script in (GIVE_KEYS_BACK, GAMEPAD, WIDE_ON_A_PHONE):
         server._websock_server.queue_message(_messages.RunJavascriptMessage(source=script))
     return server
 

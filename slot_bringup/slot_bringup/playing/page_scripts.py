@@ -1,10 +1,16 @@
-"""Scripts of the page in the browser: who has the keys, and a gamepad that presses them."""
+"""Scripts of the page in the browser: its keys, a gamepad that presses them, its width."""
 
 # The field of a dropdown keeps the focus, and with it the keys, when an option has been chosen.
 GIVE_KEYS_BACK = """
 document.addEventListener("click", event => {
   if (event.target.closest("[role=option]")) document.activeElement.blur();
 });
+"""
+# On a page as narrow as a phone (36 em) viser's panel is 20 em wide, at its right side.
+WIDE_ON_A_PHONE = """
+document.head.insertAdjacentHTML("beforeend", `<style>@media (max-width: 36em) {
+  [style*="width: 20em"] { width: 100% !important; }
+}</style>`);
 """
 # A stick beyond its half repeats a key, and presses M when it is let go; a button acts once.
 # Numbers of axes and buttons: https://w3c.github.io/gamepad/#remapping

@@ -91,4 +91,13 @@ def view_for(aspect: float) -> View:
 
 
 def _place_camera(client: viser.ClientHandle) -> None:
-    client.camera.position, client.camera.look_at = view_for(client.camera.aspect)
+    """Show the first view, and again where a page changes its shape, as a phone that is turned."""
+    shown: View | None = None
+
+    def place(camera: viser.CameraHandle) -> None:
+        nonlocal shown
+        if shown is not (shown := view_for(camera.aspect)):
+            camera.position, camera.look_at = shown
+
+    place(client.camera)
+    client.camera.on_update(place)

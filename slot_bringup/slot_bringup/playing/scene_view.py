@@ -24,6 +24,7 @@ class SceneView:
         self._scene = scene
         self._root = scene.add_frame(ROOT, show_axes=False)
         self._shown: dict[str, list[Any]] = {}
+        self._bars: dict[str, Any] = {}  # what a new shape of that name has in common with the last
         scene.set_up_direction("+z")
         scene.configure_default_lights(cast_shadow=False)  # slow without a GPU
         scene.add_grid(
@@ -42,7 +43,7 @@ class SceneView:
             if isinstance(shape, Box):
                 self._show_box(name, shape, shown)
             elif isinstance(shape, Bars):
-                self._show_bars(name, shape, shown)
+                self._show_bars(name, shape)
             elif isinstance(shape, Strips):
                 self._show_strips(name, shape, shown)
             else:
@@ -71,9 +72,12 @@ class SceneView:
         x, y, z, w = box.quaternion
         shown[0].position, shown[0].wxyz = box.centre, (w, x, y, z)
 
-    def _show_bars(self, name: str, bars: Bars, shown: list[Any] | None) -> None:
+    def _show_bars(self, name: str, bars: Bars) -> None:
+        """Legs that were pale get sections and colours of their own once their shape is known."""
         corners = bars.corners.reshape(len(bars.corners), -1, 3).astype(np.float32)
-        if shown is None:
+        kind = corners.shape, bars.colours.tolist()
+        if self._bars.get(name) != kind:
+            self._bars[name] = kind
             faces = halves(bars.quads)
             self._shown[name] = [
                 self._scene.add_mesh_simple(
@@ -82,7 +86,7 @@ class SceneView:
                 for k, (points, colour) in enumerate(zip(corners, bars.colours))
             ]
             return
-        for handle, points in zip(shown, corners):
+        for handle, points in zip(self._shown[name], corners):
             handle.vertices = points
 
     def _show_strips(self, name: str, strips: Strips, shown: list[Any] | None) -> None:
