@@ -13,6 +13,7 @@ import rclpy
 from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
 from slot_bringup.graph import absolute
@@ -34,6 +35,7 @@ SILENCE_TIMEOUT = 10.0  # s without a new /mpc_state
 DISCOVERY_TIME = 1.0  # s to wait for messages of a graph that runs already
 SPIN = 0.1  # s, longest wait for a message before an interrupt is raised
 POLL = 0.02  # s between two looks at the messages: to wake up for each takes time from the graph
+NEWEST = QoSProfile(depth=1)  # of a topic that is looked at less often than it comes
 PACE_WINDOW = 1.0  # s
 PACE_LIMIT = 0.9  # least share of real time; an odometry more or less in the window is 3 %
 SKIPPED_LIMIT = 3.0  # states a second, of 30
@@ -63,6 +65,18 @@ class Progress:
         self._start = np.zeros(12)  # torso state at the begin
         self._updated = time.monotonic()
         self._time, self._skipped = Speed(PACE_WINDOW), Speed(PACE_WINDOW)
+
+    def listen(self, node: Node, pace: bool) -> None:
+        """Take the newest message of each topic when the node is spun; of the pace if wanted.
+
+        A message that waited behind others would make a graph in real time look slow.
+        """
+        take = node.create_subscription
+        take(MpcState, "mpc_state", self.update_torso, qos.STATE)
+        take(RobotState, "robot_state", self.update_robot, qos.STATE)
+        if pace:
+            take(TendonPlan, "tendon_plan", self.update_plan, qos.STATE)
+            take(Odometry, "ground_truth/odom", self.update_truth, NEWEST)
 
     def update_torso(self, message: MpcState) -> None:
         """Take the newest /mpc_state."""
@@ -162,14 +176,8 @@ def watch(
     """
     with listener("run", namespace) as (node, executor):
         progress = Progress("supervisor" in processes and not played)
-        node.create_subscription(MpcState, "mpc_state", progress.update_torso, qos.CONTROL)
-        node.create_subscription(RobotState, "robot_state", progress.update_robot, qos.STATE)
+        progress.listen(node, bool(remedy))
         pace = PaceReport(progress, remedy)
-        if remedy:
-            node.create_subscription(TendonPlan, "tendon_plan", progress.update_plan, qos.STATE)
-            node.create_subscription(
-                Odometry, "ground_truth/odom", progress.update_truth, qos.SENSOR
-            )
         try:
             terminal, shown = sys.stderr.isatty(), time.monotonic()
             refresh, end = (REFRESH_TERMINAL, "\r") if terminal else (REFRESH_LOG, "\n")

@@ -27,6 +27,8 @@ from slot_lab.bags.recorded_walk import LEG_STATES
 from slot_lab.report import metrics, plots
 from slot_lab.report.summary import summary_lines
 
+TO_WALK = "with --attended it waits for scripts/operate: r ready, s stand, w walk"
+
 
 def parse(arguments: Sequence[str] | None, graph: Graph) -> argparse.Namespace:
     """Parse the command line; a wrong value exits with code 2 and one line."""
@@ -117,6 +119,8 @@ def report(directory: Path, keep: bool, namespace: str = "", remarks: Sequence[s
     Returns False if it cannot be printed.
     """
     bag = Bag(directory, namespace)
+    if not bag.counts.get("/mpc_state"):
+        raise BagError(f"the robot never stood, {directory} has no state of it; {TO_WALK}")
     figures = metrics.walk_metrics(bag, read_record_settings().warm_up, read_servo())
     lines = [*summary_lines(figures), *filter(None, [bag.remark]), *remarks]
     shown = show(PROGRAM, lines)
@@ -147,6 +151,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except KeyboardInterrupt:
             print_error("interrupted, all nodes stopped")
             code = 130
+        if code and not directory.exists():
+            return code  # nothing was started
         try:
             if not report(directory, not options.no_bag, options.namespace, remarks):
                 code = code or 1

@@ -10,7 +10,8 @@ from synthetic_walk import Walk, write_walk
 
 from slot_bringup import monitor, run, view
 from slot_bringup.graph import read_graph
-from slot_msgs.msg import TendonPlan
+from slot_msgs.msg import MpcState, TendonPlan
+from slot_nodes import qos
 from slot_nodes.messages import header
 
 PATH = Path(__file__).resolve().parents[1] / "bags/path.csv"
@@ -107,12 +108,45 @@ def test_a_run_that_ended_without_its_recorder_fails_and_says_so(
     assert [line for line in capsys.readouterr().out.splitlines() if "ended;" in line] == said
 
 
+@pytest.mark.parametrize("began", [True, False])
+def test_a_run_that_never_stood_or_never_began_says_just_that(monkeypatch, capsys, began):
+    """An operator who has asked for nothing; another graph in the domain."""
+
+    def made(options, graph, directory, remarks):
+        if not began:
+            raise monitor.RunError("another graph runs")
+        write_walk(directory, Walk(duration=0.0, truth=False, lost=(0,)))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run, "run", made)
+    run.main(["--attended", "--no-bag"])
+    said = capsys.readouterr().err.splitlines()
+    if began:
+        assert said[0] == "scripts/run: interrupted, all nodes stopped"
+        assert "no summary: the robot never stood" in said[1]
+        assert "scripts/operate: r ready, s stand, w walk" in said[1]
+    else:
+        assert said == ["scripts/run: another graph runs"]
+
+
 def test_a_run_without_simulated_legs_is_reported_without_their_plot(tmp_path, capsys):
     bag = write_walk(tmp_path / "walk", Walk(truth=False))
     run.report(bag, keep=True)
     last = capsys.readouterr().out.splitlines()[-1]
     assert last == f"bag, summary.txt, walk.png and log/ are in {bag}"
     assert not (bag / "robot.png").exists()
+
+
+def test_a_state_does_not_wait_behind_older_ones_where_the_machine_is_busy():
+    """Else a graph in real time looks slow, once more of them come than are looked at."""
+    with monitor.listener("state_estimator", "busy") as (node, executor):
+        progress = monitor.Progress(supervised=False)
+        progress.listen(node, pace=True)
+        publish = node.create_publisher(MpcState, "mpc_state", qos.CONTROL).publish
+        for second in range(20):
+            publish(MpcState(header=header(second * 10**9)))
+        assert executor.spin_until(lambda: progress.state is not None, 60.0)
+        assert progress.stamp == 19.0
 
 
 PERIOD = 1 / 30  # s, of the odometry
