@@ -351,6 +351,8 @@ class Supervisor:
         largest, tolerance = self._robot.tendon.angle_max, self._settings.zero_tolerance
         return [
             f"servo {leg} at {angle:.3g} rad, limits [{-tolerance:.3g}, {largest + tolerance:.3g}]"
+            if np.isfinite(angle)
+            else f"servo {leg} has not told its angle yet"
             for leg, angle in zip(LEGS, self._tendon_angle)
             if not -tolerance <= angle <= largest + tolerance
         ]
