@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from std_srvs.srv import Trigger
 
+from slot_bringup.playing import main_page
 from slot_bringup.playing.graph_page import GraphPage
 from slot_bringup.playing.graph_robot import GraphRobot
 from slot_bringup.playing.main_page import main, start_server
@@ -148,7 +149,8 @@ def test_the_present_gait_is_that_of_the_graph(graph, robot):
     assert robot.gait == "walk"
 
 
-def test_a_graph_that_does_not_run_is_refused(refusal):
+def test_a_graph_that_does_not_run_is_refused_before_a_page_is_offered(refusal, monkeypatch):
+    monkeypatch.setattr(main_page, "start_server", None)
     assert "does scripts/run run?" in refusal(main, "--graph", "--port", "0")
 
 

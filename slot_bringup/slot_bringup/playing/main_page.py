@@ -16,8 +16,7 @@ import secrets
 import signal
 import socket
 import sys
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -92,35 +91,42 @@ def play(options: argparse.Namespace) -> None:
     """Play until an interrupt; raises ConfigError and OSError."""
     check_place(options.namespace)
     if options.graph:
-        show = partial(_show_graph, options.namespace)
+        _play_graph(options)
     else:
-        robot = PlayedRobot(options.scene or "flat", options.policy or DEFAULT_POLICY)
-        show = partial(_show_robot, robot)
-    token = "" if is_this_machine(options.host) else secrets.token_urlsafe(24)
-    server = start_server(options.host, options.port, token)
-    try:
-        print(f"{address(options.host, server.get_port(), token)}\nCtrl-C ends it", flush=True)
-        show(server)
-    finally:
-        server.stop()
+        _play_robot(options)
 
 
-def _show_robot(robot: PlayedRobot, server: viser.ViserServer) -> None:
+def _play_robot(options: argparse.Namespace) -> None:
     from slot_bringup.playing.play_page import PlayPage  # noqa: PLC0415 - needs viser
 
-    PlayPage(server, robot, BAGS).run(lambda: False)
+    robot = PlayedRobot(options.scene or "flat", options.policy or DEFAULT_POLICY)
+    with _served(options) as server:
+        PlayPage(server, robot, BAGS).run(lambda: False)
 
 
-def _show_graph(namespace: str, server: viser.ViserServer) -> None:
+def _play_graph(options: argparse.Namespace) -> None:
     from slot_bringup.playing.graph_page import GraphPage  # noqa: PLC0415 - needs viser
     from slot_bringup.playing.graph_robot import GraphRobot  # noqa: PLC0415
 
-    with listener("play", namespace) as (node, executor):
+    with listener("play", options.namespace) as (node, executor):
         robot = GraphRobot(node)
         if not executor.spin_until(robot.found, SEARCH_TIME):
             raise ConfigError(no_answer(node, "supervisor", SEARCH_TIME))
         executor.spin_until(robot.walks, GAIT_TIME)  # none before the servos have torque
-        GraphPage(server, robot).run(lambda: False, executor.spin_once)
+        with _served(options) as server:
+            GraphPage(server, robot).run(lambda: False, executor.spin_once)
+
+
+@contextlib.contextmanager
+def _served(options: argparse.Namespace) -> Iterator[viser.ViserServer]:
+    """Server of a page, whose address is printed; raises OSError."""
+    token = "" if is_this_machine(options.host) else secrets.token_urlsafe(24)
+    server = start_server(options.host, options.port, token)
+    try:
+        print(f"{address(options.host, server.get_port(), token)}\nCtrl-C ends it", flush=True)
+        yield server
+    finally:
+        server.stop()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
