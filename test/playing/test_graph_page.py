@@ -8,7 +8,7 @@ from std_srvs.srv import Trigger
 
 from slot_bringup.playing import main_page
 from slot_bringup.playing.graph_page import GraphPage
-from slot_bringup.playing.graph_robot import GraphRobot
+from slot_bringup.playing.graph_robot import TRIES, WAIT, GraphRobot
 from slot_bringup.playing.main_page import main, start_server
 from slot_core.config import ConfigError
 from slot_core.messages import decode
@@ -94,11 +94,17 @@ def test_to_walk_does_not_raise_a_robot_that_lies_and_to_stand_up_does(graph, ro
     assert requests == ["reset", "ready", "stand", "walk"]
 
 
-def test_a_refusal_ends_the_way_and_is_said(graph, robot):
-    graph.refused = {"supervisor/walk": "WALK refused in STANDING: no estimate"}
+def test_a_request_that_is_refused_is_tried_again_for_a_while_and_is_said(graph, robot):
+    """A robot that has just got torque has no estimate yet."""
+    graph.refused = {"supervisor/stand": "STAND refused in READY: no estimate"}
     robot.set_gait("walk")
-    pass_through(graph, robot, State.STANDING, State.READY)
-    assert graph.names == ["set_gait", "supervisor/walk"]
+    pass_through(graph, robot, *[State.READY] * WAIT)
+    assert graph.names == ["set_gait", *["supervisor/stand"] * 2]
+    graph.refused = {"supervisor/walk": "WALK refused in STANDING: no estimate"}
+    pass_through(graph, robot, *[State.READY] * WAIT, *[State.STANDING] * TRIES * WAIT)
+    assert graph.names[3:] == ["supervisor/stand", *["supervisor/walk"] * TRIES]
+    pass_through(graph, robot, State.READY)
+    assert graph.names[3:] == ["supervisor/stand", *["supervisor/walk"] * TRIES]
     assert robot.said == "WALK refused in STANDING: no estimate"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -23,6 +24,9 @@ from slot_msgs.msg import GaitPreview
 from slot_msgs.srv import InjectFault, SetGait
 from slot_nodes import messages, qos
 
+TRIES = 6  # of a request that is refused: torque and the first estimate take a moment
+WAIT = 12  # states, some 0.5 s, between two tries
+
 
 class GraphRobot:
     """Drives a running graph; `said` is what it answered last, or why it could not be asked."""
@@ -35,6 +39,7 @@ class GraphRobot:
         self.gait = STAND  # wanted last
         self._to: dict[State, Request] = {}  # requests that lead to what is wanted
         self._asked: State | None = None  # in which the last of them was made
+        self._tries = self._wait = 0  # tries that are left, and states until the next
         kinds = {_name(request): Trigger for request in Request}
         kinds |= {"set_gait": SetGait, "sim_robot/inject": InjectFault}
         self._clients = {name: node.create_client(kind, name) for name, kind in kinds.items()}
@@ -114,26 +119,40 @@ class GraphRobot:
         self._new[name] = message
 
     def _next_request(self, state: State) -> None:
-        """Make the request that leads on from a state, once; without one the way has ended."""
+        """Make the request that leads on from a state; without one the way has ended."""
         if state is self._asked:
-            return
+            self._wait -= 1
+            if self._wait != 0:  # nor is below: then nothing was refused
+                return
+        else:
+            self._tries, self._wait = TRIES, 0
         self._asked, request = state, self._to.get(state)
         if request is None:
             self._to = {}
         else:
-            self._call(_name(request), Trigger.Request())
+            self._call(_name(request), Trigger.Request(), self._tried)
 
-    def _call(self, name: str, request: Any) -> None:
+    def _call(
+        self, name: str, request: Any, answered: Callable[[Future], None] | None = None
+    ) -> None:
         client = self._clients[name]
         if not client.service_is_ready():
             self.said, self._to = f"{name}: nothing answers", {}
             return
-        client.call_async(request).add_done_callback(self._answered)
+        client.call_async(request).add_done_callback(answered or self._answered)
 
     def _answered(self, answer: Future) -> None:
         self.said = answer.result().message
         if not answer.result().success:
             self._to = {}
+
+    def _tried(self, answer: Future) -> None:
+        """Try a request again after a while if it is refused, a few times."""
+        self.said = answer.result().message
+        if not answer.result().success:
+            self._tries, self._wait = self._tries - 1, WAIT
+            if not self._tries:
+                self._to = {}
 
 
 def _name(request: Request) -> str:
