@@ -20,7 +20,7 @@ from slot_bringup.playing.play_page import PlayPage
 from slot_lab.play.played_robot import PlayedRobot
 
 PAGE, PANELS = (1200, 560), (1200, 2400)  # px
-FOUR_PLOTS, MORE = 803, 765  # px, of the panel Plots with its tabs, and of the other four
+FOUR_PLOTS, MORE = 835, 925  # px, of the panel Plots with its tabs, and of the other four
 WALKED = 11.0  # s, so that the plots are full
 # Pixels of the robot; without a GPU they take the time.
 FAST, SHARP = "?fixedDpr=0.25", "?fixedDpr=1"

@@ -6,13 +6,16 @@ import subprocess
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 import yaml
+from PIL import Image
 
 from benchmarks import harness
 from documentation import generated, pages, pictures
 from documentation.markdown import DOC, ROOT
 from slot_bringup.graph import read_graph
+from slot_core.drawing.palette import LEG_COLOURS
 
 PAGES = [ROOT / "README.md", *sorted(DOC.rglob("*.md"))]
 FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
@@ -83,6 +86,17 @@ def run(quick, out, progress):
     found = dict.fromkeys(margins.SHOWN, math.nan) | {"kind": "margin", "friction": 0.2}
     return [table, *(found | {"voltage": volt} for volt in margins.VOLTAGE)], []
 """
+
+
+def test_a_picture_keeps_the_colours_of_its_curves(tmp_path):
+    """A few thin curves in colour beside many shades of grey."""
+    shades = np.random.default_rng(0).integers(0, 256, (300, 300, 1)).repeat(3, axis=2)
+    legs = [tuple(bytes.fromhex(colour[1:])) for colour in LEG_COLOURS.values()]
+    shades[0, : 10 * len(legs)] = np.repeat(legs, 10, axis=0)
+    Image.fromarray(shades.astype(np.uint8)).save(tmp_path / "x.png")
+    pictures.shrink(tmp_path / "x.png")
+    with Image.open(tmp_path / "x.png") as shown:
+        assert np.abs(np.array(shown.convert("RGB"), int) - shades).max() <= 20
 
 
 def test_pictures_of_a_benchmark_are_drawn_from_what_its_run_has_left(tmp_path):

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LinearSegmentedColormap, TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -141,8 +142,8 @@ def map_figure(found: ConstraintMap) -> Figure:
     return figure
 
 
-def draw_slack(ax: Axes, found: ConstraintMap) -> None:
-    """The slacks as colours, with their colour bar, and a line between the kinds of constraint.
+def draw_slack(ax: Axes, found: ConstraintMap) -> Colorbar:
+    """The slacks as colours, with a line between the kinds of constraint; returns the colour bar.
 
     Every kind is scaled by its legs' largest slack: the total support is larger, and would leave
     the legs pale.
@@ -162,12 +163,13 @@ def draw_slack(ax: Axes, found: ConstraintMap) -> None:
         norm=TwoSlopeNorm(0.0, -1.0, 1.0), rasterized=True,
     )  # fmt: skip
     label = "slack over the largest\nof its kind, red: violated"
-    ax.figure.colorbar(mesh, ax=ax, label=label, pad=0.01, extend="both")
+    bar = ax.figure.colorbar(mesh, ax=ax, label=label, pad=0.01, extend="both")
     ax.set_yticks(np.arange(len(rows)) + 0.5, found.constraints)
     ax.invert_yaxis()
     for row in range(len(LEGS), len(rows), len(LEGS)):
         ax.axhline(row, color=palette.INK, lw=0.8)
     ax.set_facecolor(palette.SHADE)  # shows where a constraint is inactive
+    return bar
 
 
 def _edges(time: Array) -> Array:

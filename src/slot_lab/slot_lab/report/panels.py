@@ -29,6 +29,7 @@ from slot_lab.report.traces import PLOTS, disturbances
 
 WINDOW = 4.0  # s at the end of the walk, shown in the panels of the legs
 LATENCY_BINS = 60
+TITLE_PAD = 12.0  # points, above the legend
 
 
 def draw_path(ax: Axes, motion: TorsoTrack, measured: TorsoTrack) -> None:
@@ -128,7 +129,7 @@ def draw_latency(ax: Axes, ticks: Ticks) -> None:
     ax.axvline(1e3 * ticks.period, color=palette.INK, ls="--", lw=1, label="control period")
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     _finish(ax, "", "ticks", "latency (ms, logarithmic)")
-    ax.legend(**LEGEND)
+    ax.legend(**LEGEND | {"ncols": 2})
 
 
 def draw_disturbance(ax: Axes, bag: Bag, start: float) -> None:
@@ -140,7 +141,7 @@ def draw_disturbance(ax: Axes, bag: Bag, start: float) -> None:
             curve, time = PLOTS["disturbance"].curves["mpc"], seconds(series.stamp) - start
             for values, name, colour in zip(found, curve.names, curve.colours):
                 ax.plot(time, values, color=colour, lw=1, label=name)
-            ax.legend(**LEGEND | {"ncols": 4})
+            ax.legend(**LEGEND | {"ncols": 2})
     _finish(ax, "", "disturbance", "time (s)")
 
 
@@ -148,9 +149,11 @@ def draw_constraints(ax: Axes, bag: Bag, start: float) -> None:
     """Dynamic Constraint Map: slack of each constraint of the plan's first stage over time."""
     if bag.counts.get(constraint_map.TOPIC, 0) > 1:
         found = constraint_map.read_map(bag).active
-        constraint_map.draw_slack(ax, replace(found, time=found.time + found.begin - start))
+        bar = constraint_map.draw_slack(ax, replace(found, time=found.time + found.begin - start))
+        bar.ax.tick_params(labelsize=7)
+        bar.ax.yaxis.label.set_size(8)
     _finish(ax, "Dynamic Constraint Map", "", "time (s)")
-    ax.tick_params(axis="y", labelsize=6)
+    ax.tick_params(axis="y", labelsize=7)
     ax.grid(visible=False)
 
 
@@ -179,7 +182,7 @@ def _finish_legs(axes: Sequence[Axes], title: str, end: float) -> None:
         _finish(ax, "", leg, "")
         ax.set_xlim(max(0.0, end - WINDOW), end)
         ax.tick_params(labelbottom=ax is axes[-1])
-    axes[0].set_title(f"{title}, last {min(WINDOW, end):.0f} s", fontsize=9, loc="left")
+    axes[0].set_title(title, fontsize=9, loc="left", pad=TITLE_PAD)
     if axes[0].lines:
         axes[0].legend(**LEGEND)
 
@@ -191,7 +194,7 @@ def _over_time(ax: Axes, motion: TorsoTrack, warm_up: float, title: str, label: 
 
 
 def _finish(ax: Axes, title: str, y_label: str, x_label: str) -> None:
-    ax.set_title(title, fontsize=9, loc="left")
+    ax.set_title(title, fontsize=9, loc="left", pad=TITLE_PAD)
     ax.set_ylabel(y_label, fontsize=8)
     ax.set_xlabel(x_label, fontsize=8)
     ax.tick_params(labelsize=7)

@@ -21,18 +21,20 @@ from slot_lab.report.metrics import WalkMetrics
 from slot_lab.report.robot_drawing import Snapshot, Viewpoint, draw_robot
 
 DPI = 100
+SIZE, SHARP = (11.5, 9.2), 140  # inches, dots per inch: legible at the width of a page
+WIDTHS = (1.0, 1.0, 1.2)  # of its columns, relative
 
 
 def dashboard(bag: Bag, metrics: WalkMetrics, path: Path) -> None:
-    """Write the dashboard of a walk as a PNG of 1600 x 1000 pixels; raises BagError."""
-    write_plot(dashboard_figure(bag, metrics), path, DPI)
+    """Write the dashboard of a walk as a PNG of 1610 x 1288 pixels; raises BagError."""
+    write_plot(dashboard_figure(bag, metrics), path, SHARP)
 
 
 def dashboard_figure(bag: Bag, metrics: WalkMetrics) -> Figure:
     """The dashboard; the label of each axes is the name of its panel."""
-    figure = Figure(figsize=(16.0, 10.0), dpi=DPI, layout="constrained")
+    figure = Figure(figsize=SIZE, dpi=SHARP, layout="constrained")
     figure.suptitle(bag.path.name, fontsize=14, fontweight="bold")
-    left, middle, right = cast(Any, figure.subfigures(1, 3, wspace=0.03))
+    left, middle, right = cast(Any, figure.subfigures(1, 3, wspace=0.03, width_ratios=WIDTHS))
     motion = read_motion(bag)
     names = ["path", "state", "height", "speed", "tilt"]
     path, state, height, speed, tilt = _stack(left, names, (1.3, 0.12, 1.0, 1.0, 1.0))
