@@ -128,6 +128,13 @@ def test_legs_that_are_pale_until_their_shape_is_known_then_get_it_with_their_co
         assert view.handle("legs").faces.max() == 4 * sections - 1
 
 
+def test_the_floor_is_below_the_robot_wherever_it_goes_and_its_lines_stay_in_place(played):
+    view = played.page.display.view
+    view.centre(np.array([7.34, -5.01, 0.06]))
+    np.testing.assert_allclose(view._floor.position, [7.3, -5.0, 0.0])
+    np.testing.assert_allclose(view._root.position, [-7.34, 5.01, 0.0])
+
+
 def test_plots_count_from_the_first_moment_and_name_their_curves(played):
     plots = played.page.display._plots
     for second in range(3):

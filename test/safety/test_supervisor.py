@@ -125,7 +125,7 @@ def test_a_request_that_the_state_does_not_allow_is_refused(wanted, request_, te
         (lambda b: b.silent.add("servos"), "servo FL silent"),
         (lambda b: setattr(b, "state", state(pitch=-0.6)), "pitch -0.600 rad, limit 0.5 rad"),
         (lambda b: setattr(b, "angle", np.array([1, 1, -0.3, 1])), "servo RL at -0.3 rad, limits"),
-        (lambda b: setattr(b.supervisor, "receive_joints", lambda *_: None), "servo FL has not told"),
+        (lambda b: setattr(b.supervisor, "receive_joints", lambda *_: None), "servo FL has not"),
     ],
     ids=["estop", "servos", "tilt", "zero", "unknown"],
 )

@@ -17,7 +17,10 @@ from slot_lab.report import traces
 SPAN = 10.0  # s shown
 POINTS = 250
 SHOWN = ("velocity", "height", "roll", "pitch", "angle", "force", "tension", "disturbance")
-LEGEND = "display:grid;grid-template-columns:repeat(4,auto);font-size:0.75em;padding:0.5em 1em 0"
+LEGEND = (
+    "display:grid;grid-template-columns:repeat(4,auto);white-space:nowrap;"
+    "font-size:0.7em;padding:0.7em 0.3em 0"
+)
 HEIGHT, AXIS = 150, 62  # px, of a plot and of the numbers at its side
 
 

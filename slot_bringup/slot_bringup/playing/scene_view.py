@@ -27,13 +27,15 @@ class SceneView:
         self._bars: dict[str, Any] = {}  # what a new shape of that name has in common with the last
         scene.set_up_direction("+z")
         scene.configure_default_lights(cast_shadow=False)  # slow without a GPU
-        scene.add_grid(
+        self._floor = scene.add_grid(
             f"{ROOT}/floor", width=FLOOR, height=FLOOR, cell_size=CELL, section_size=SECTION,
             plane="xy", cell_color=(222, 227, 231), section_color=(190, 199, 207),
         )  # fmt: skip
 
     def centre(self, position: Array) -> None:
-        """Show the place below `position` (3,), m, in the middle."""
+        """Show the place below `position` (3,), m, in the middle, wherever the floor has lines."""
+        x, y = SECTION * np.round(position[:2] / SECTION)
+        self._floor.position = (x, y, 0.0)
         self._root.position = (-position[0], -position[1], 0.0)
 
     def update(self, shapes: Mapping[str, Shape]) -> None:
