@@ -151,7 +151,7 @@ def draw_constraints(ax: Axes, bag: Bag, start: float) -> None:
         found = constraint_map.read_map(bag).active
         bar = constraint_map.draw_slack(ax, replace(found, time=found.time + found.begin - start))
         bar.ax.tick_params(labelsize=7)
-        bar.ax.yaxis.label.set_size(8)
+        bar.ax.yaxis.label.set_fontsize(8)
     _finish(ax, "Dynamic Constraint Map", "", "time (s)")
     ax.tick_params(axis="y", labelsize=7)
     ax.grid(visible=False)
