@@ -120,7 +120,7 @@ def report(directory: Path, keep: bool, namespace: str = "", remarks: Sequence[s
     """
     bag = Bag(directory, namespace)
     if not bag.counts.get("/mpc_state"):
-        raise BagError(f"the robot never stood, {directory} has no state of it; {TO_WALK}")
+        raise BagError(f"the robot never stood; {TO_WALK}")
     figures = metrics.walk_metrics(bag, read_record_settings().warm_up, read_servo())
     lines = [*summary_lines(figures), *filter(None, [bag.remark]), *remarks]
     shown = show(PROGRAM, lines)
