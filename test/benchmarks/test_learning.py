@@ -2,9 +2,9 @@
 
 import pytest
 
-from benchmarks.learning.benchmark import LEARNED, checks, throughput, walk_speeds
+from benchmarks.learning.benchmark import GOAL_CASE, checks, throughput, walk_speeds
 
-LEVEL, STEP = LEARNED
+LEVEL, STEP = GOAL_CASE
 
 
 def row(steps, threads=1, level=LEVEL, step=STEP):
@@ -12,7 +12,7 @@ def row(steps, threads=1, level=LEVEL, step=STEP):
     return known | {"steps_per_s": steps, "speed": 0.033 * steps}
 
 
-def test_the_goal_is_that_of_the_level_of_the_example_on_one_core():
+def test_the_goal_is_that_of_its_case_on_one_core():
     peer = {"kind": "peer", "name": "peer", "speed": 33.0}
     rows = [row(9e4, level="map"), row(9e4, threads=2), peer]
     cases = ((6000.0, True, True), (2000.0, False, True), (900.0, False, False))

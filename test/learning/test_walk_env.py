@@ -162,8 +162,10 @@ def test_a_wrong_task_is_refused_with_name_value_and_limit(arguments, named):
         ((0.0, rewards.ALONG, 0.0), "along", -1.0),
         ((0.0, -2 * rewards.ALONG, 0.0), "along", -2.0),
         ((0.0, 0.0, rewards.ASIDE), "aside", -1.0),
+        ((0.0, 0.0, -1.5 * rewards.ASIDE), "aside", -2.25),
         ((0.0, 0.0, 1.0), "aside", rewards.WORST),
         ((-rewards.TURN, 0.0, 0.0), "yaw", -1.0),
+        ((1.5 * rewards.TURN, 0.0, 0.0), "yaw", -2.25),
     ],
 )
 def test_distance_and_angle_from_the_course_cost(pose, term, value):

@@ -3,15 +3,17 @@
     term      value
     walking   1 while the robot has not fallen
     along     -|distance of the torso from the course along its heading|, as a share of ALONG
-    aside     -|distance of the torso from the course to the side|, as a share of ASIDE
-    yaw       -|angle of the heading from the course's|, as a share of TURN
+    aside     -(distance of the torso from the course to the side, as a share of ASIDE)^2
+    yaw       -(angle of the heading from the course's, as a share of TURN)^2
     tilt      -(difference of roll and pitch from the gait's own, as a share of TILT)^2
     load      -(mean torque of the servos as a share of LOAD)^2
     change    -mean |change of the action since the last step|
 
 The course is where the commanded velocity has led since the start: unlike the reference that the
 policy sees, it does not follow a robot that falls behind or turns away, and it has no sway of the
-gait. No term is below WORST. A robot that has fallen gets zero.
+gait. To the side and in yaw a robot sways by more than it strays: in the mean of a square what it
+strays counts whatever the sway, in that of a magnitude hardly at all. No term is below WORST. A
+robot that has fallen gets zero.
 """
 
 from __future__ import annotations
@@ -26,8 +28,8 @@ from numpy.typing import NDArray
 from slot_core.geometry import rotate, wrapped
 from slot_core.robot import Array
 
-ALONG, ASIDE = 0.03, 0.01  # m
-TURN, TILT = 0.05, 0.1  # rad
+ALONG, ASIDE = 0.1, 0.005  # m
+TURN, TILT = 0.02, 0.1  # rad
 LOAD = 0.7  # N m, half of what the servo can hold at 11.1 V
 WORST = -4.0
 COS_FALLEN = math.cos(0.5)  # of the tilt, `tilt_max` of config/supervisor.yaml
@@ -54,8 +56,8 @@ def reward_terms(walked: Walked) -> dict[str, Array]:
     terms = {
         "walking": np.ones(len(state)),
         "along": -gap[:, 0] / ALONG,
-        "aside": -gap[:, 1] / ASIDE,
-        "yaw": -np.abs(wrapped(state[:, 2] - course[:, 2])) / TURN,
+        "aside": -((gap[:, 1] / ASIDE) ** 2),
+        "yaw": -((wrapped(state[:, 2] - course[:, 2]) / TURN) ** 2),
         "tilt": -((state[:, :2] - walked.tilt) ** 2).sum(axis=1) / TILT**2,
         "load": -((walked.torque.mean(axis=1) / LOAD) ** 2),
         "change": -np.abs(walked.change).mean(axis=1),
