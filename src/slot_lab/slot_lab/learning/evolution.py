@@ -32,6 +32,7 @@ from slot_lab.learning.task import Task
 from slot_lab.learning.vector_env import WalkVectorEnv
 from slot_lab.workers import gather, workers
 
+DECAY = 1.0  # of the parameters, times the rate, after Salimans et al.
 DECAYS, TINY = (0.9, 0.99), 1e-8  # of Adam
 TEST_SEEDS = 1_000_000 + np.arange(16)  # of the scenes in which the mean network is tested
 Fall = tuple[float, float]  # a value in the first generation, and in the last
@@ -140,6 +141,7 @@ def learn(
         rank = better.argsort().argsort() / (len(found) - 1) - 0.5
         gradient = (rank[: e.pairs] - rank[e.pairs :]) @ directions / (2 * e.pairs * sigma)
         centre += rate * _adam(moments, gradient, generation + 1)
+        centre *= 1.0 - DECAY * rate
 
 
 def _adam(moments: Array, gradient: Array, count: int) -> Array:

@@ -13,6 +13,7 @@ from slot_core.gait.gait import STAND, Posture
 from slot_core.gait.reference import moved, reference
 from slot_core.geometry import wrapped
 from slot_core.robot import LEGS, Array
+from slot_lab.learning.rewards import next_course
 from slot_lab.learning.task import Task
 
 PLACE = [3, 4, 2]  # x, y, yaw in a state
@@ -43,7 +44,7 @@ class GaitClock:
         self.velocity = np.zeros((count, 3))  # m/s, rad/s, heading frame
         self.phase = np.zeros(count)  # in [0, 1)
         self._place = np.zeros((count, 3))  # x, y, yaw
-        self.course = np.zeros((count, 3))  # the same, never moved towards the robot
+        self.course = np.zeros((count, 3))  # the same; see rewards.py
         self._now = self._next = np.zeros((count, 20))  # rows of `stride_table`, blended
 
     def reset(self, which: NDArray[np.int64], velocity: Array, state: Array) -> None:
@@ -56,7 +57,8 @@ class GaitClock:
     def step(self, state: Array) -> None:
         """Go on by a step, with the robots at states (M, 12)."""
         self.velocity, self.phase, ahead = self._ahead(1)
-        self.course = moved(self.course, self.velocity, self._gaits.dt)
+        time, dt = self._gaits.dt * self._tick, self._gaits.dt
+        self.course = next_course(self.course, self.velocity, state, time, dt)
         first = self._tick == 0
         self._tick += 1
         gap, turn = ahead[:, :2] - state[:, 3:5], wrapped(ahead[:, 2] - state[:, 2])

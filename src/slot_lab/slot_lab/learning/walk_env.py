@@ -22,11 +22,10 @@ from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import level_changes
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview
-from slot_core.gait.reference import moved
 from slot_core.joint_reading import JointReading
 from slot_core.robot import Array
 from slot_core.simulation.closed_loop import ClosedLoop
-from slot_lab.learning.rewards import Walked, fallen, reward_terms, total
+from slot_lab.learning.rewards import Walked, fallen, next_course, reward_terms, total
 from slot_lab.learning.spaces import action_space, observation_space, servo_error
 from slot_lab.learning.task import Task, make_task
 
@@ -83,8 +82,10 @@ class WalkEnv(gymnasium.Env[Any, Any]):
             self._advance()
         except DivergenceError:
             diverged = True
-        self._course = moved(self._course, self._preview.velocity_ahead[:1], task.gaits.dt)
-        state, found = self._true_state(), reward_terms(self._walked(taken))
+        state, velocity, dt = self._true_state(), self._preview.velocity_ahead[:1], task.gaits.dt
+        time = np.array([self._ticks * dt])
+        self._course = next_course(self._course, velocity, state, time, dt)
+        found = reward_terms(self._walked(taken))
         self._action, self._ticks = taken, self._ticks + 1
         down = diverged or bool(fallen(state)[0])
         reward = 0.0 if diverged else float(total(found)[0])
