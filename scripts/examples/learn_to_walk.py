@@ -17,13 +17,15 @@ parser.add_argument("--scheduler", default="", metavar="ADDRESS", help="of dask.
 options = parser.parse_args()
 
 TASK = make_task(
-    level="standard", duration=10.0, servos=False,
+    level="standard", duration=20.0, servos=False,
     drawn={
         "scene.floor.friction": (0.15, 0.7),
         "velocity": ((0.04, 0.0, 0.0), (0.055, 0.0, 0.0)),
     },
 )  # fmt: skip
-EVOLUTION = Evolution(options.generations, options.pairs, threads=len(os.sched_getaffinity(0)))
+EVOLUTION = Evolution(
+    options.generations, options.pairs, step=0.0022, threads=len(os.sched_getaffinity(0))
+)
 history = []
 with trials(options.scheduler) as evaluate:
     for found in learn(TASK, EVOLUTION, evaluate):

@@ -23,7 +23,7 @@ from slot_lab.learning.spaces import mirror_of
 from slot_lab.learning.task import make_task
 
 TASK = make_task(duration=0.4, servos=False, drawn={"scene.floor.friction": (0.2, 0.6)})
-SMALL = Evolution(150, pairs=8, test_every=1)
+SMALL = Evolution(150, pairs=8, sigma=(0.06, 0.01), rate=(0.04, 0.002), test_every=1)
 
 
 class Client:

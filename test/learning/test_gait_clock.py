@@ -5,7 +5,6 @@ import pytest
 
 from slot_core.control.force_map import read_springs
 from slot_core.gait.gait_scheduler import GaitScheduler
-from slot_core.gait.reference import moved
 
 pytest.importorskip("gymnasium", reason="needs scripts/setup --learn")
 from slot_lab.learning.gait_clock import GaitClock
@@ -56,19 +55,6 @@ def test_angles_a_step_ahead_differ_during_the_blend_only(walked):
         most = 0.02 if tick < 40 else 1e-9
         for i, preview in enumerate(previews):
             assert angles[1, i] == pytest.approx(preview.tendon_angle[1], abs=most)
-
-
-def test_the_course_goes_on_without_a_robot_that_stands_still():
-    task, state = make_task(), np.zeros((2, 12))
-    clock = GaitClock(task, 2)
-    clock.reset(np.arange(2), VELOCITY, state)
-    walked = np.zeros((2, 3))
-    for _ in range(TICKS):
-        clock.step(state)
-        walked = moved(walked, clock.velocity, task.gaits.dt)
-    assert clock.course == pytest.approx(walked, abs=1e-12)
-    sway = 0.006  # m, at most
-    assert clock.reference[0, 3] < task.gaits.lead + sway < 0.1 < clock.course[0, 0]
 
 
 def test_robots_that_start_anew_do_not_change_the_others():

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from slot_core.config import ConfigError
-from slot_core.geometry import rotate
 from slot_core.simulation.closed_loop import ClosedLoop
 
 gymnasium = pytest.importorskip("gymnasium", reason="needs scripts/setup --learn")
@@ -83,7 +82,7 @@ def test_many_robots_walk_as_far_as_the_one_with_sensors_and_servo_bus():
     x, y = one._loop.plant.robot.position[:2]
     assert many._robots.motion[0, 3] == pytest.approx(x, rel=0.1)
     assert many._robots.motion[0, 4] == pytest.approx(y, abs=0.02)
-    assert many._clock.course == pytest.approx(one._course, abs=0.01)
+    assert many._course.place == pytest.approx(one._course.place, abs=0.01)
 
 
 def test_an_episode_ends_after_its_time_and_the_next_step_begins_another():
@@ -157,24 +156,18 @@ def test_a_wrong_task_is_refused_with_name_value_and_limit(arguments, named):
 
 
 @pytest.mark.parametrize(
-    ("pose", "term", "value"),
+    ("strayed", "term", "value"),
     [
-        ((0.0, rewards.ALONG, 0.0), "along", -1.0),
-        ((0.0, -2 * rewards.ALONG, 0.0), "along", -2.0),
-        ((0.0, 0.0, rewards.ASIDE), "aside", -1.0),
-        ((0.0, 0.0, -1.5 * rewards.ASIDE), "aside", -2.25),
-        ((0.0, 0.0, 1.0), "aside", rewards.WORST),
-        ((-rewards.TURN, 0.0, 0.0), "yaw", -1.0),
-        ((1.5 * rewards.TURN, 0.0, 0.0), "yaw", -2.25),
+        ((rewards.SPEED, 0.0, 0.0), "speed", -1.0),
+        ((0.0, -1.5 * rewards.ASIDE, 0.0), "aside", -2.25),
+        ((0.0, 1.0, 0.0), "aside", rewards.WORST),
+        ((0.0, 0.0, -1.5 * rewards.TURN), "yaw", -2.25),
     ],
 )
-def test_distance_and_angle_from_the_course_cost(pose, term, value):
-    yaw = 0.7  # of the course
-    state, (turn, along, aside) = np.zeros((1, 12)), pose
-    state[0, 2], state[0, 3:5] = yaw + turn, rotate(np.array([along, aside]), yaw)
-    course = np.array([[0.0, 0.0, yaw + 2 * np.pi]])
-    walked = rewards.Walked(state, course, np.zeros((1, 2)), np.zeros((1, 4)), np.zeros((1, 3)))
-    terms = rewards.reward_terms(walked)
+def test_speed_place_and_heading_off_the_course_cost(strayed, term, value):
+    values = [np.array([value]) for value in strayed]
+    rest = np.zeros((1, 12)), *values, np.zeros((1, 2)), np.zeros((1, 4)), np.zeros((1, 3))
+    terms = rewards.reward_terms(rewards.Walked(*rest))
     expected = dict.fromkeys(rewards.WEIGHTS, 0.0) | {"walking": 1.0, term: value}
     assert terms == pytest.approx(expected, abs=1e-9)
 

@@ -21,7 +21,8 @@ from slot_lab.learning.task import make_task
 
 REQUIRES = ("gymnasium", "gym_softrobot")
 GOAL_CASE = ("coarse", 0.0022)  # level and time step (s) of the goal
-CASES = (("map", 0.0055), GOAL_CASE, ("coarse", 0.0), ("standard", 0.0))
+EXAMPLE = ("standard", 0.0022)  # those of the example
+CASES = (("map", 0.0055), GOAL_CASE, EXAMPLE, ("coarse", 0.0), ("standard", 0.0))
 REFERENCE = ("fine", 0.0)
 ROBOTS, GOAL = 64, 5000.0  # steps a second, in GOAL_CASE
 FRICTION = (0.2, 0.4, 0.6)
@@ -33,7 +34,7 @@ PEER, PEER_STEPS = "OctoFlat-v0", 2
 def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Check]]:
     """Measure throughput, levels and peers."""
     rows: list[dict[str, Any]] = []
-    for level, step in CASES[: 2 if quick else None]:
+    for level, step in CASES[: 3 if quick else None]:
         progress(f"steps a second at level {level}")
         rows.append(throughput(level, step, 1, 10 if quick else 60))
     level, step = GOAL_CASE

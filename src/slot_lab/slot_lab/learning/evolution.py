@@ -32,7 +32,6 @@ from slot_lab.learning.task import Task
 from slot_lab.learning.vector_env import WalkVectorEnv
 from slot_lab.workers import gather, workers
 
-DECAY = 1.0  # of the parameters, times the rate, after Salimans et al.
 DECAYS, TINY = (0.9, 0.99), 1e-8  # of Adam
 TEST_SEEDS = 1_000_000 + np.arange(16)  # of the scenes in which the mean network is tested
 Fall = tuple[float, float]  # a value in the first generation, and in the last
@@ -44,8 +43,8 @@ class Evolution:
 
     generations: int = 60
     pairs: int = 16
-    sigma: Fall = (0.06, 0.01)
-    rate: Fall = (0.04, 0.002)
+    sigma: Fall = (0.02, 0.007)
+    rate: Fall = (0.006, 0.0005)
     seed: int = 0
     step: float = 0.0  # s, longest time step of the simulation; 0: the level's
     threads: int = 1  # of a process
@@ -141,7 +140,6 @@ def learn(
         rank = better.argsort().argsort() / (len(found) - 1) - 0.5
         gradient = (rank[: e.pairs] - rank[e.pairs :]) @ directions / (2 * e.pairs * sigma)
         centre += rate * _adam(moments, gradient, generation + 1)
-        centre *= 1.0 - DECAY * rate
 
 
 def _adam(moments: Array, gradient: Array, count: int) -> Array:

@@ -13,10 +13,9 @@ from slot_core.gait.gait import STAND, Posture
 from slot_core.gait.reference import moved, reference
 from slot_core.geometry import wrapped
 from slot_core.robot import LEGS, Array
-from slot_lab.learning.rewards import next_course
+from slot_lab.learning.course import PLACE
 from slot_lab.learning.task import Task
 
-PLACE = [3, 4, 2]  # x, y, yaw in a state
 COUNT = len(LEGS)
 
 
@@ -44,21 +43,18 @@ class GaitClock:
         self.velocity = np.zeros((count, 3))  # m/s, rad/s, heading frame
         self.phase = np.zeros(count)  # in [0, 1)
         self._place = np.zeros((count, 3))  # x, y, yaw
-        self.course = np.zeros((count, 3))  # the same; see rewards.py
         self._now = self._next = np.zeros((count, 20))  # rows of `stride_table`, blended
 
     def reset(self, which: NDArray[np.int64], velocity: Array, state: Array) -> None:
         """Start the robots `which` (k,) anew at states (k, 12), with velocities (k, 3)."""
         self._tick[which], self._wanted[which] = 0, velocity
         self.velocity[which], self.phase[which] = 0.0, 0.0
-        self._place[which] = self.course[which] = state[:, PLACE]
+        self._place[which] = state[:, PLACE]
         self._now, self._next = self._rows(0), self._rows(1)
 
     def step(self, state: Array) -> None:
         """Go on by a step, with the robots at states (M, 12)."""
         self.velocity, self.phase, ahead = self._ahead(1)
-        time, dt = self._gaits.dt * self._tick, self._gaits.dt
-        self.course = next_course(self.course, self.velocity, state, time, dt)
         first = self._tick == 0
         self._tick += 1
         gap, turn = ahead[:, :2] - state[:, 3:5], wrapped(ahead[:, 2] - state[:, 2])

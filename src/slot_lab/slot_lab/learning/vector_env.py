@@ -26,6 +26,7 @@ from slot_core.robot import LEGS, Array
 from slot_core.simulation.kernel_robot import KernelRobot
 from slot_core.simulation.many_robots import ANGLE, STATE, TENSION, ManyRobots
 from slot_core.simulation.plant import make_robot
+from slot_lab.learning.course import Course
 from slot_lab.learning.gait_clock import GaitClock
 from slot_lab.learning.rewards import Walked, fallen, reward_terms, total
 from slot_lab.learning.spaces import action_space, observation_space, servo_error
@@ -65,6 +66,7 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
         longest = step or scene.solver.step
         self._steps = math.ceil(goal / longest - 1e-9)
         self._clock, self._threads = GaitClock(self.task, num_envs), threads
+        self._course = Course(self.task, num_envs)
         self._limit = round(self.task.duration / self.task.gaits.dt)
         self._robots: ManyRobots | None = None
         self._action = np.zeros((num_envs, ACTIONS[self.task.actions]))
@@ -88,7 +90,7 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
 
     def step(self, actions: Array) -> tuple[Array, Array, Flags, Flags, dict[str, Any]]:
         """Step all robots by the time between two stages of the gait."""
-        task, clock, robots = self.task, self._clock, self._robots
+        task, clock, course, robots = self.task, self._clock, self._course, self._robots
         if robots is None:
             raise gymnasium.error.ResetNeeded("step before reset")
         again = np.flatnonzero(self._ended)
@@ -104,9 +106,11 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
         self._commanded = goals[:, -1]
         safe = np.where(np.isfinite(motion), motion, 0.0)
         clock.step(safe[:, STATE])
+        course.step(clock.velocity, safe[:, STATE])
         state, torque = motion[:, STATE], motion[:, TENSION] * task.robot.tendon.spool_radius
         tilt, change = clock.reference[:, :2], action - self._action
-        walked = Walked(state, clock.course, tilt, torque, change)
+        strayed = course.faster, course.aside, course.turn
+        walked = Walked(state, *strayed, tilt, torque, change)
         terms, self._action = reward_terms(walked), action
         self._ticks += 1
         terminated, truncated = fallen(state), self._ticks >= self._limit
@@ -138,6 +142,7 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
                 self._robots.replace(index, robot)
         motion = self._robots.motion[which]
         self._clock.reset(which, velocity, motion[:, STATE])
+        self._course.reset(which, motion[:, STATE])
         self._action[which], self._ticks[which], self._ended[which] = 0.0, 0, False
         self._commanded[which] = motion[:, ANGLE]
 

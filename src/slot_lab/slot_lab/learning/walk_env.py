@@ -25,7 +25,8 @@ from slot_core.gait.gait import GaitPreview
 from slot_core.joint_reading import JointReading
 from slot_core.robot import Array
 from slot_core.simulation.closed_loop import ClosedLoop
-from slot_lab.learning.rewards import Walked, fallen, next_course, reward_terms, total
+from slot_lab.learning.course import Course
+from slot_lab.learning.rewards import Walked, fallen, reward_terms, total
 from slot_lab.learning.spaces import action_space, observation_space, servo_error
 from slot_lab.learning.task import Task, make_task
 
@@ -58,7 +59,8 @@ class WalkEnv(gymnasium.Env[Any, Any]):
         )  # fmt: skip
         self._action = np.zeros((1, ACTIONS[task.actions]))
         self._angle = self._commanded = self._loop.plant.robot.tendon_angle
-        self._ticks, self._course = 0, self._true_state()[:, [3, 4, 2]]
+        self._ticks, self._course = 0, Course(task, 1)
+        self._course.reset(np.array([0]), self._true_state())
         self._loop.read(self._loop.plant.readings_at_rest(LOCKSTEP_START))
         self._loop.plant.start(LOCKSTEP_START)
         self._take_estimate()
@@ -82,9 +84,8 @@ class WalkEnv(gymnasium.Env[Any, Any]):
             self._advance()
         except DivergenceError:
             diverged = True
-        state, velocity, dt = self._true_state(), self._preview.velocity_ahead[:1], task.gaits.dt
-        time = np.array([self._ticks * dt])
-        self._course = next_course(self._course, velocity, state, time, dt)
+        state = self._true_state()
+        self._course.step(self._preview.velocity_ahead[:1], state)
         found = reward_terms(self._walked(taken))
         self._action, self._ticks = taken, self._ticks + 1
         down = diverged or bool(fallen(state)[0])
@@ -95,9 +96,11 @@ class WalkEnv(gymnasium.Env[Any, Any]):
     def _walked(self, taken: Array) -> Walked:
         """What the reward is about after an action (1, n)."""
         assert self._loop is not None
+        course = self._course
         return Walked(
-            self._true_state(), self._course, self._preview.reference[:1, :2],
-            self._loop.plant.robot.servo_torque[None], taken - self._action,
+            self._true_state(), course.faster, course.aside, course.turn,
+            self._preview.reference[:1, :2], self._loop.plant.robot.servo_torque[None],
+            taken - self._action,
         )  # fmt: skip
 
     @property
