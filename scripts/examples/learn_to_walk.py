@@ -24,7 +24,7 @@ TASK = make_task(
     },
 )  # fmt: skip
 EVOLUTION = Evolution(
-    options.generations, options.pairs, step=0.0022, threads=len(os.sched_getaffinity(0))
+    options.generations, options.pairs, step=0.0028, threads=len(os.sched_getaffinity(0))
 )
 history = []
 with trials(options.scheduler) as evaluate:
