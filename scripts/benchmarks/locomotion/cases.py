@@ -37,7 +37,7 @@ COLUMNS: Mapping[str, str] = {  # policies by the name of their column
     ALONE: "gait_alone",
     "stride feedback": str(Path(__file__).with_name("stride_feedback.py")),
     "place": "place",
-    LEARNED: f"onnx:{Path(__file__).with_name('walk.onnx')}",  # of scripts/examples/learn_to_walk.py
+    LEARNED: f"onnx:{Path(__file__).with_name('walk.onnx')}",  # that of the example
     DEFAULT: DEFAULT_POLICY,
     PAPER: "paper_text",
     "paper_code": "paper_code",
