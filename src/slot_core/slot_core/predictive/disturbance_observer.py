@@ -1,9 +1,9 @@
 """Disturbance observer: what the nominal robot does not know, from its errors over a stride.
 
-The nominal robot repeats the motion of the last `window` ticks, a time T, with the commands that
-were given, from the torso as it was measured then. Estimates need not come at the ticks, nor as
-often: between them commands and measured motion are interpolated. The differences e between the
-measured and the repeated motion change at every estimate
+The nominal robot repeats the motion of the last `window` ticks or a little more, a time T, with the
+commands that were given, from the torso as it was measured then. Estimates need not come at the
+ticks, nor as often: the commands are interpolated between them, and the repeated motion between the
+ticks. The differences e between the measured and the repeated motion change at every estimate
 
     drift  d += gain ((e_xy, e_yaw) / T - d)    velocity, heading frame, m/s and rad/s
     wrench w += gain K (e_z, e_roll, e_pitch)   F_z, M_x, M_y on the torso, N and N m
@@ -20,9 +20,9 @@ half of that; meanwhile drift and wrench decay.
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -77,16 +77,18 @@ class DisturbanceObserver:
             past.popleft()
         if past[0].time > time - s.window * tick:
             return
-        ticks = tick * np.arange(s.window + 1.0)  # ns after the first estimate
-        plan = _interpolated(ticks, past, [seen.angle for seen in past])
-        pose = self._model.roll_out(past[0].start, plan[None]).pose[0, -1]
-        if np.isfinite(pose).all():
-            states = np.unwrap([seen.state for seen in past], axis=0)
-            self._correct(_interpolated(ticks[-1:], past, states)[0], pose)
+        passed = (time - past[0].time) / tick
+        ticks = np.arange(math.ceil(passed) + 1.0)  # after the first estimate
+        known = [(seen.time - past[0].time) / tick for seen in past]
+        plan = [np.interp(ticks, known, angles) for angles in zip(*(seen.angle for seen in past))]
+        poses = self._model.roll_out(past[0].start, np.transpose(plan)[None]).pose[0]
+        if np.isfinite(poses).all():
+            pose = [np.interp(passed, ticks[1:], values) for values in np.unwrap(poses, axis=0).T]
+            self._correct(state, np.array(pose), self._dt * passed)
 
-    def _correct(self, state: Array, pose: Array) -> None:
-        """Correct the estimates by the state (12,) and the repeated pose (6,) after the window."""
-        s, span = self._settings, self._settings.window * self._dt
+    def _correct(self, state: Array, pose: Array, span: float) -> None:
+        """Correct the estimates by the state (12,) and the repeated pose (6,) after `span` (s)."""
+        s = self._settings
         way = rotate(state[3:5] - pose[3:5], -self._past[0].state[2])
         drift = np.append(way, wrapped(state[2] - pose[2])) / span
         error = state[TILTS] - pose[TILTS]
@@ -107,12 +109,6 @@ class DisturbanceObserver:
     def misfit(self) -> float:
         """What drift and wrench leave over, in units of the scales."""
         return float(np.sqrt(self._misfit.mean()))
-
-
-def _interpolated(times: Array, past: Sequence[_Seen], rows: Any) -> Array:
-    """Rows (n, k) at times (n,) after the first estimate, ns, of those at all estimates."""
-    known = [seen.time - past[0].time for seen in past]
-    return np.column_stack([np.interp(times, known, values) for values in np.transpose(rows)])
 
 
 def _bounded(values: Array, most: Array) -> Array:
