@@ -2,7 +2,7 @@
 
 The steps are those of the vector environment with the gait alone, resets not counted, by CPU time
 on one core, then by wall time on all. The error of a level is that of the speed of the straight
-walk from that of the level `fine`, on floors of friction 0.2 to 0.6. Beside it stand a snake of
+walk from that of the level `fine`, on floors of friction 0.2 to 0.6. Beside them stand a snake of
 gym-softrobot on PyElastica, one rod on a floor with friction, measured in the same run, and SoftQ
 as published.
 """

@@ -73,13 +73,14 @@ class DisturbanceObserver:
         state, angle = checked("state", state, (12,)), checked("angle", angle, (len(LEGS),))
         past, s, tick = self._past, self._settings, round(1e9 * self._dt)
         past.append(_Seen(time, start, state.copy(), angle.copy()))
-        while len(past) > 1 and past[1].time <= time - s.window * tick:
+        begin = time - s.window * tick
+        while len(past) > 1 and past[1].time <= begin:
             past.popleft()
-        if past[0].time > time - s.window * tick:
+        if past[0].time > begin:
             return
-        passed = (time - past[0].time) / tick
-        ticks = np.arange(math.ceil(passed) + 1.0)  # after the first estimate
-        known = [(seen.time - past[0].time) / tick for seen in past]
+        known = [(seen.time - past[0].time) / tick for seen in past]  # ticks after the first
+        passed = known[-1]
+        ticks = np.arange(math.ceil(passed) + 1.0)
         plan = [np.interp(ticks, known, angles) for angles in zip(*(seen.angle for seen in past))]
         poses = self._model.roll_out(past[0].start, np.transpose(plan)[None]).pose[0]
         if np.isfinite(poses).all():

@@ -86,19 +86,19 @@ class WalkEnv(gymnasium.Env[Any, Any]):
             diverged = True
         state = self._true_state()
         self._course.step(self._preview.velocity_ahead[:1], state)
-        found = reward_terms(self._walked(taken))
+        found = reward_terms(self._walked(taken, state))
         self._action, self._ticks = taken, self._ticks + 1
         down = diverged or bool(fallen(state)[0])
         reward = 0.0 if diverged else float(total(found)[0])
         terms = {name: float(value[0]) for name, value in found.items()}
         return self._observed(), reward, down, self._ticks >= self._limit and not down, terms
 
-    def _walked(self, taken: Array) -> Walked:
-        """What the reward is about after an action (1, n)."""
+    def _walked(self, taken: Array, state: Array) -> Walked:
+        """What the reward is about after an action (1, n) that has led to a state (1, 12)."""
         assert self._loop is not None
         course = self._course
         return Walked(
-            self._true_state(), course.faster, course.aside, course.turn,
+            state, course.faster, course.aside, course.turn,
             self._preview.reference[:1, :2], self._loop.plant.robot.servo_torque[None],
             taken - self._action,
         )  # fmt: skip
